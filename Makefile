@@ -1,0 +1,65 @@
+# Everything below sets itself up: a Python 3.11 with venv, make and a package index are enough.
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+BIN := .venv/bin
+SEED ?= 1
+VIEWER := $(if $(VIEW),$(if $(filter web,$(VIEW)),web,native),file)
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+LOCK := $(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras --no-header \
+	--no-emit-index-url --no-emit-find-links --no-emit-trusted-host --no-annotate
+
+.PHONY: help demo play example test check format protos lock clean
+help: ## this list
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
+
+demo: .venv/runtime.done ## a simulated grasp from image to judgement, in under a minute; SEED=2, VIEW=1, VIEW=web
+	@$(BIN)/suturegrasp demo --seed $(SEED) --view $(VIEWER)
+
+play: .venv/runtime.done ## the simulated rig, running until Ctrl-C, for goals of your own
+	@$(BIN)/suturegrasp play
+
+example: .venv/runtime.done ## a stereo pair becomes a thread in 3D, in a few seconds
+	@mkdir -p out
+	@$(BIN)/suturegrasp reconstruct --left docs/example/left.png --right docs/example/right.png \
+		--calibration docs/example/calibration.json \
+		--output out/thread.json --picture out/thread.png --rrd out/thread.rrd
+	@echo "Look at out/thread.png, or in 3D:  .venv/bin/rerun out/thread.rrd"
+
+test: .venv/dev.done ## all tests
+	@$(BIN)/python -m pytest $(ARGS)
+
+check: .venv/dev.done ## format, lint, types, layers, generated code
+	@$(BIN)/ruff format --check .
+	@$(BIN)/ruff check .
+	@$(BIN)/basedpyright --level error
+	@$(BIN)/lint-imports --no-cache
+
+format: .venv/dev.done ## rewrite in the project's format
+	@$(BIN)/ruff format .
+	@$(BIN)/ruff check --fix .
+
+protos: .venv/dev.done ## generate schemas/generated from schemas/proto
+	@$(BIN)/python -m grpc_tools.protoc --proto_path=schemas/proto --python_out=schemas/generated \
+		--pyi_out=schemas/generated schemas/proto/*.proto
+
+lock: .venv/dev.done ## renew requirements/*.lock (names, versions and hashes only)
+	@$(LOCK) --extra build --output-file requirements/runtime.lock pyproject.toml
+	@$(LOCK) --extra build --extra dev --output-file requirements/dev.lock pyproject.toml
+
+clean: ## remove the virtual environment and outputs
+	@rm -rf .venv out
+
+.venv/bin/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "SutureGrasp needs Python 3.11 or newer; found $$($(PYTHON) --version). Try: make PYTHON=/path/to/python3.11" >&2; exit 2; }
+	@$(PYTHON) -m venv .venv
+
+.venv/runtime.done: requirements/runtime.lock pyproject.toml | .venv/bin/python
+	@echo "installing (once) ..."
+	@$(INSTALL) --require-hashes -r requirements/runtime.lock
+	@$(INSTALL) --no-deps --no-build-isolation --editable .
+	@touch $@
+
+.venv/dev.done: requirements/dev.lock .venv/runtime.done
+	@echo "installing the development tools (once) ..."
+	@$(INSTALL) --require-hashes -r requirements/dev.lock
+	@touch $@

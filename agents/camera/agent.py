@@ -1,0 +1,120 @@
+"""The camera agent: a source of stereo pairs becomes frames, with the calibration beside them."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from agents.camera.sources import Pair, Source
+from schemas.messages import (
+    CommandAnswer,
+    FrameStamp,
+    ImageEncoding,
+    RectifiedStereo,
+    SimulatorState,
+    StereoCalibration,
+    StereoFrame,
+)
+from schemas.topics import CALIBRATION, FRAMES, MAIN, SIMULATOR_STATE, Topic
+from shared.calibration.identity import calibration_id
+from shared.images import encode_image
+from shared.runtime.agent import Command, Input, Output, Received, Tick
+
+Renderer = Callable[[SimulatorState, int], Pair]
+"""A simulated field and a frame number to what the cameras see."""
+
+
+@dataclass(frozen=True)
+class CameraConfig:
+    """How frames are taken and sent.
+
+    Fields:
+        latency_ms: of the capture chain: how long before it arrives a frame was seen.
+    """
+
+    rate_hz: float = 30.0
+    encoding: ImageEncoding = ImageEncoding.JPEG
+    jpeg_quality: int = 95
+    latency_ms: float = 0.0
+
+
+class Camera:
+    """Publishes unrectified pairs at a steady rate; a source that has nothing new is left for the next tick."""
+
+    kind = "camera"
+    instance = MAIN
+    inputs: tuple[Input, ...] = ()
+    outputs = (FRAMES, CALIBRATION)
+    commands: tuple[Topic, ...] = ()
+
+    def __init__(self, source: Source, calibration: StereoCalibration, config: CameraConfig) -> None:
+        self._source, self._calibration = source, calibration
+        self.tick_hz: float | None = config.rate_hz
+        self._sender, self._announced = FrameSender(config), False
+
+    def step(self, arrived: Received | Tick | Command) -> Iterable[Output | CommandAnswer]:
+        """The calibration at the first tick, then one frame a tick; a source that fails is a fault.
+
+        Raises:
+            SourceError: where the source gives something that is no pair, or has broken off.
+        """
+        if not isinstance(arrived, Tick):
+            return
+        if not self._announced:
+            self._announced = True
+            self._sender.calibrated(self._calibration)
+            yield Output(CALIBRATION, self._calibration)
+        pair = self._source.read()
+        if pair is not None:
+            yield Output(FRAMES, self._sender.frame(pair, arrived.now_ns))
+
+
+class SceneCamera:
+    """Films the simulated field: the newest state is rendered at every tick."""
+
+    kind = "camera"
+    instance = MAIN
+    inputs = (Input(SIMULATOR_STATE, only_newest_counts=True),)
+    outputs = (FRAMES, CALIBRATION)
+    commands: tuple[Topic, ...] = ()
+
+    def __init__(
+        self,
+        render: Renderer,
+        calibration_of: Callable[[SimulatorState], StereoCalibration],
+        config: CameraConfig,
+    ) -> None:
+        self._render, self._calibration_of = render, calibration_of
+        self.tick_hz: float | None = config.rate_hz
+        self._state: SimulatorState | None = None
+        self._camera: RectifiedStereo | None = None
+        self._sender = FrameSender(config)
+
+    def step(self, arrived: Received | Tick | Command) -> Iterable[Output | CommandAnswer]:
+        """The calibration once the field is known and whenever its camera changes, then one frame a tick."""
+        if isinstance(arrived, Received):
+            self._state = arrived.message
+        elif isinstance(arrived, Tick) and self._state is not None:
+            if self._camera != self._state.camera:
+                self._camera, calibration = self._state.camera, self._calibration_of(self._state)
+                self._sender.calibrated(calibration)
+                yield Output(CALIBRATION, calibration)
+            yield Output(FRAMES, self._sender.frame(self._render(self._state, self._sender.sent), arrived.now_ns))
+
+
+class FrameSender:
+    """Turns pairs into numbered messages, which name the calibration they were taken with."""
+
+    def __init__(self, config: CameraConfig) -> None:
+        self._config, self._calibration_id = config, ""
+        self.sent = 0
+
+    def calibrated(self, calibration: StereoCalibration) -> None:
+        """The frames from now on are taken with this calibration."""
+        self._calibration_id = calibration_id(calibration)
+
+    def frame(self, pair: Pair, now_ns: int) -> StereoFrame:
+        """The next frame, seen `latency_ms` before now."""
+        seen_ns = now_ns - round(self._config.latency_ms * 1e6)
+        stamp = FrameStamp(self.sent, seen_ns, seen_ns, self._calibration_id)
+        self.sent += 1
+        left, right = (encode_image(image, self._config.encoding, self._config.jpeg_quality) for image in pair)
+        return StereoFrame(stamp, left, right)

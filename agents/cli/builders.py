@@ -1,0 +1,105 @@
+"""Agents from the configuration of a rig."""
+
+import sys
+from pathlib import Path
+
+from agents.camera.agent import Camera, CameraConfig, SceneCamera
+from agents.camera.scene_source import SceneSource, calibration_of
+from agents.camera.sources import ImageSource, Pair, PipeSource, Source, SourceError, VideoSource
+from agents.cli.rig import ArmSection, CameraSection, PerceptionSection, PlannerSection, RigConfig, SimulatorSection
+from agents.perception.agent import Perception, PerceptionConfig
+from agents.planner.agent import Planner
+from agents.planner.config import PlannerConfig
+from agents.reconstruction.agent import Reconstruction
+from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
+from agents.robot_bridge.simulated import SimulatedPsm
+from agents.simulator.agent import Simulator, SimulatorConfig
+from schemas.messages import ImageEncoding, Severity, SimulatorState, StereoCalibration
+from schemas.topics import MAIN
+from shared.calibration import CalibrationError, read_calibration
+from shared.runtime.agent import Agent
+from shared.runtime.config import ConfigError
+
+KINDS = ("camera", "perception", "reconstruction", "planner", "robot_bridge", "simulator")
+
+
+def configured(rig: RigConfig) -> list[tuple[str, str]]:
+    """Kind and instance of every agent that the configuration has a section for, in the order of the dataflow."""
+    sections = [(kind, MAIN) for kind in KINDS if kind != "robot_bridge" and getattr(rig, kind) is not None]
+    return [*sections, *(("robot_bridge", arm) for arm in rig.robot)]
+
+
+def build(rig: RigConfig, kind: str, instance: str) -> Agent:
+    """The agent of a kind and instance, as the rig's configuration says.
+
+    Raises:
+        ConfigError: where the configuration has no section for it.
+        SourceError, ImageFileError, CalibrationError: where a camera has nothing to show.
+    """
+    if kind == "robot_bridge" and instance not in rig.robot:
+        raise ConfigError(f"the configuration has no arm {instance!r}; its arms: {', '.join(rig.robot) or 'none'}")
+    section = rig.robot[instance] if kind == "robot_bridge" else getattr(rig, kind)
+    match section:
+        case CameraSection():
+            return _camera(section)
+        case PerceptionSection():
+            return Perception(PerceptionConfig(None if section.segmenter == "auto" else section.segmenter))
+        case PlannerSection():
+            return Planner(PlannerConfig(least_probability=section.least_probability))
+        case ArmSection():
+            config = RobotBridgeConfig(arm=instance, maximum_plan_age_s=section.maximum_plan_age_s)
+            return RobotBridge(config, SimulatedPsm())
+        case SimulatorSection():
+            return Simulator(SimulatorConfig(**section.model_dump()))
+        case None:
+            raise ConfigError(f"the configuration has no section [{kind}]; add one, or run that agent elsewhere")
+        case _:
+            return Reconstruction(section.method)
+
+
+def _camera(section: CameraSection) -> Agent:
+    config = CameraConfig(
+        rate_hz=section.rate_hz,
+        encoding=ImageEncoding[section.encoding.upper()],
+        jpeg_quality=section.jpeg_quality,
+        latency_ms=section.latency_ms,
+    )
+    if section.source == "scene":
+        scene = SceneSource()
+
+        def render(state: SimulatorState, frame: int) -> Pair:
+            pair = scene.render(state, frame)
+            return pair.left_bgr, pair.right_bgr
+
+        return SceneCamera(render, lambda state: calibration_of(state.camera), config)
+    source, first = _source(section)
+    return Camera(source, _calibration(section, first), config)
+
+
+def _source(section: CameraSection) -> tuple[Source, tuple[int, int]]:
+    """The source, and the width and height of one eye's image."""
+    left, right = section.left or "", section.right
+    if section.source == "pipe":
+        width, height = section.width or 0, section.height or 0
+        stream = sys.stdin.buffer if left == "-" else Path(left).open("rb")  # noqa: SIM115
+        return PipeSource(stream, width, height), (width // 2, height)
+    if section.source == "video":
+        return VideoSource(left, right), _size_of_first(VideoSource(left, right))
+    folders = Path(left), Path(right) if right is not None else None
+    return ImageSource(*folders, loop=section.loop), _size_of_first(ImageSource(*folders, loop=False))
+
+
+def _size_of_first(source: Source) -> tuple[int, int]:
+    pair = source.read()
+    source.close()
+    if pair is None:
+        raise SourceError("the source gives no frame")
+    return pair[0].shape[1], pair[0].shape[0]
+
+
+def _calibration(section: CameraSection, size: tuple[int, int]) -> StereoCalibration:
+    read = read_calibration(section.calibration or Path(), unit=section.unit, image_size=size)
+    for judgement in read.judgements:
+        if judgement.severity is Severity.FAULT:
+            raise CalibrationError(f"{judgement.finding}; {judgement.remedy}")
+    return read.calibration

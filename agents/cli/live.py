@@ -1,0 +1,221 @@
+"""The commands that work on a running rig: agents as processes, the recorder, the viewer, the operator's commands."""
+
+import contextlib
+import threading
+from pathlib import Path
+
+import numpy as np
+
+from agents.cli.live_options import (
+    AGENT_KINDS,
+    ArmPlan,
+    Doctor,
+    Goal,
+    HoldArm,
+    OnRig,
+    Record,
+    RobotBridgeAgent,
+    Router,
+    Up,
+    View,
+)
+from agents.cli.process import EXIT_OK, EXIT_UNUSABLE, on_stop, run_agent, run_router, step_back
+from agents.cli.rig import RigConfig, simulated_rig
+from agents.cli.session_folder import free_path
+from agents.cli.terminal import complain, say
+from agents.operator.operator import Stood, arm_and_stand_by, ask_for_grasp, hold
+from agents.recorder.recorder import Recorder, RecordingReport
+from schemas.messages import ExecutionEvent, ExecutionKind, GraspPlan, Outcome, Policy, Status
+from schemas.topics import MAIN, TOPICS
+from shared.runtime.config import ConfigError, load_config
+from shared.runtime.connection import NoRouterError, connected
+
+EXIT_REFUSED = 3
+POLICIES = {"robust": Policy.CAPTURE_SLIDE_GRASP, "direct": Policy.DIRECT}
+
+
+def rig_of(options: OnRig) -> RigConfig:
+    """The rig that a command works on.
+
+    Raises:
+        ConfigError: where its configuration cannot be used.
+    """
+    return simulated_rig() if options.config is None else load_config(options.config, RigConfig)
+
+
+def run_live(options: OnRig) -> int:
+    """Carry out one of these commands; the exit status."""
+    try:
+        rig = rig_of(options)
+        match options:
+            case Router():
+                return run_router(rig)
+            case Record():
+                return record(rig, free_path(options.output) if options.numbered else options.output)
+            case View():
+                path = free_path(options.output) if options.numbered and options.output else options.output
+                return view(rig, path, options.show)
+            case Goal():
+                return goal(rig, options)
+            case ArmPlan():
+                return arm(rig, options)
+            case HoldArm():
+                return hold_arm(rig, options.arm)
+            case Up():
+                from agents.cli.up import up
+
+                return up(rig, options)
+            case Doctor():
+                from agents.cli.doctor import doctor
+
+                return doctor(rig)
+            case RobotBridgeAgent():
+                return run_agent(rig, "robot_bridge", options.arm)
+            case _:
+                return run_agent(rig, AGENT_KINDS[type(options)], MAIN)
+    except (ConfigError, NoRouterError) as error:
+        return complain(str(error), EXIT_UNUSABLE)
+
+
+def record(rig: RigConfig, path: Path) -> int:
+    """Record until stopped, then say what the recording holds and what it lacks."""
+    if path.exists():
+        return complain(f"{path} exists already; give another name", EXIT_UNUSABLE)
+    stopped = threading.Event()
+    on_stop(stopped.set)
+    try:
+        recorder = Recorder(path)
+    except OSError as error:
+        return complain(f"{path} cannot be written: {error.strerror or error}", EXIT_UNUSABLE)
+    with contextlib.suppress(NoRouterError), connected(rig.session, None, stopped) as connection:
+        connection.listen(tuple(topic for topic in TOPICS if topic.recorded), recorder.put, recorder.missed)
+        stopped.wait()
+    say(recording_sentence(recorder.close()))
+    return EXIT_OK
+
+
+def recording_sentence(report: RecordingReport) -> str:
+    """What a recording holds and lacks, in one line."""
+    total = sum(report.received.values())
+    if report.complete:
+        return f"{report.path}: {total} messages on {len(report.received)} keys, complete"
+    gaps = ", ".join(f"{count} of {key}" for key, count in sorted(report.lost.items()))
+    unnumbered = f"; {report.unnumbered} came without a number" if report.unnumbered else ""
+    fault = f"; {report.fault}" if report.fault else ""
+    held = f"{report.path}: {total} messages on {len(report.received)} keys"
+    return f"{held}, not complete: lost {gaps or 'none'}{unnumbered}{fault}"
+
+
+def view(rig: RigConfig, path: Path | None, show: str) -> int:
+    """Show the rig until stopped, then say what was shown and what was dropped."""
+    try:
+        from agents.viewer.live import LiveViewer, ViewerError
+    except ImportError as error:
+        return complain(f"the viewer cannot be loaded: {error}", EXIT_UNUSABLE)
+    step_back()
+    stopped = threading.Event()
+    on_stop(stopped.set)
+    # sessions that are opened together stay apart by the folder that each is in
+    session_id = f"{rig.rig} {path.resolve().parent.name}" if path is not None else rig.rig
+    try:
+        viewer = LiveViewer(path, show, session_id)
+    except ViewerError as error:
+        return complain(str(error), EXIT_UNUSABLE)
+    for note in viewer.notes:
+        say(note)
+    with contextlib.suppress(NoRouterError), connected(rig.session, None, stopped) as connection:
+        connection.listen(TOPICS, viewer.put)
+        stopped.wait()
+    report = viewer.close()
+    counts = {
+        "shown": report.shown,
+        "thinned": report.thinned,
+        "dropped": report.dropped,
+        "unreadable": report.unreadable,
+    }
+    told = ", ".join(f"{name} {sum(count.values())}" for name, count in counts.items())
+    say(f"messages {told}{f': {path}' if path else ''}")
+    return EXIT_OK
+
+
+def goal(rig: RigConfig, options: Goal) -> int:
+    """Ask for a grasp and print the plan, or why there is none."""
+    if sum(value is not None for value in (options.s, options.pixel, options.point)) != 1:
+        return complain("give one of --s, --pixel and --point", EXIT_UNUSABLE)
+    if options.s is not None and not 0 <= options.s <= 1:
+        return complain(f"--s {options.s:g} is not on the thread; s runs from 0 to 1", EXIT_UNUSABLE)
+    with connected(rig.session) as connection:
+        answer, plan = ask_for_grasp(
+            connection,
+            options.arm,
+            POLICIES[options.policy],
+            s=options.s,
+            pixel=None if options.pixel is None else np.array(options.pixel),
+            point_camera=None if options.point is None else np.array(options.point),
+        )
+    if answer.outcome is not Outcome.ACCEPTED:
+        return complain(answer.reason, EXIT_REFUSED)
+    if plan is None:
+        return complain("the goal was accepted and no plan followed; look at the planner's log", EXIT_REFUSED)
+    if plan.status is not Status.OK:
+        return complain(plan.reason, EXIT_REFUSED)
+    say(plan_sentence(plan))
+    say(f"to carry it out: suturegrasp arm --plan {plan.plan_id} --arm {plan.arm}")
+    return EXIT_OK
+
+
+def plan_sentence(plan: GraspPlan) -> str:
+    """A plan in one line."""
+    how = f"capture at {percent(plan.s_capture)}, slide {plan.slide_m * 1e3:.0f} mm, grasp at {percent(plan.s_goal)}"
+    if plan.slide_m == 0:
+        how = f"grasp at {percent(plan.s_goal)} without a slide"
+    return f"plan {plan.plan_id}: {how}; success {plan.probability:.0%}"
+
+
+def percent(s: float | None) -> str:
+    """A place along the thread as people say it."""
+    return "?" if s is None else f"{s:.0%}"
+
+
+def arm(rig: RigConfig, options: ArmPlan) -> int:
+    """Arm a plan and stay with it until it ends; Ctrl-C ends the heartbeat, and the arm holds."""
+    if not options.plan:
+        return complain("give --plan with the id that goal printed", EXIT_UNUSABLE)
+    stopped = threading.Event()
+    on_stop(stopped.set)
+    with connected(rig.session) as connection:
+        stood = arm_and_stand_by(connection, options.arm, options.plan, stopped, lambda e: say(event_sentence(e)))
+    return _outcome(stood)
+
+
+def _outcome(stood: Stood) -> int:
+    if stood.answer.outcome is not Outcome.ACCEPTED:
+        return complain(stood.answer.reason, EXIT_REFUSED)
+    if stood.end is None:
+        return complain(stood.left, EXIT_REFUSED)
+    return EXIT_OK if stood.end.kind is ExecutionKind.FINISHED else EXIT_REFUSED
+
+
+def event_sentence(event: ExecutionEvent) -> str:
+    """An event of an execution in a few words."""
+    match event.kind:
+        case ExecutionKind.ACCEPTED:
+            return f"{event.arm}: armed"
+        case ExecutionKind.PHASE_REACHED:
+            return f"{event.arm}: {event.phase.name.lower() if event.phase else 'next phase'}"
+        case ExecutionKind.FINISHED:
+            return f"{event.arm}: finished"
+        case ExecutionKind.REFUSED:
+            return f"{event.arm}: refused ({event.code}): {event.reason}"
+        case ExecutionKind.HELD:
+            return f"{event.arm}: holds ({event.code}): {event.reason}"
+
+
+def hold_arm(rig: RigConfig, name: str) -> int:
+    """Have an arm hold."""
+    with connected(rig.session) as connection:
+        answer = hold(connection, name)
+    if answer.outcome is not Outcome.ACCEPTED:
+        return complain(answer.reason, EXIT_REFUSED)
+    say(f"{name}: holds")
+    return EXIT_OK

@@ -1,0 +1,170 @@
+"""The options of the commands that work on a running rig."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+OptionalPath = Annotated[Path | None, tyro.conf.arg(metavar="PATH")]
+OptionalNumber = Annotated[float | None, tyro.conf.arg(metavar="NUMBER")]
+
+
+@dataclass(frozen=True)
+class OnRig:
+    """A command that reads the configuration of a rig."""
+
+    config: OptionalPath = None
+    """The rig's configuration (TOML); without it, everything simulated on this machine."""
+
+
+@dataclass(frozen=True)
+class Router(OnRig):
+    """Run a router, which all agents of a rig connect to."""
+
+
+@dataclass(frozen=True)
+class CameraAgent(OnRig):
+    """Run the camera: frames from images, video, a pipe or the simulated field."""
+
+
+@dataclass(frozen=True)
+class PerceptionAgent(OnRig):
+    """Run perception: frames become ordered observations of the thread."""
+
+
+@dataclass(frozen=True)
+class ReconstructionAgent(OnRig):
+    """Run reconstruction: observations become a thread in 3D with confidence."""
+
+
+@dataclass(frozen=True)
+class PlannerAgent(OnRig):
+    """Run the planner: goals become grasps."""
+
+
+@dataclass(frozen=True)
+class RobotBridgeAgent(OnRig):
+    """Run the robot bridge of one arm."""
+
+    arm: str = "psm1"
+    """Name of the arm, as in the configuration."""
+
+
+@dataclass(frozen=True)
+class SimulatorAgent(OnRig):
+    """Run the simulated field with its judgement of every grasp."""
+
+
+@dataclass(frozen=True)
+class Record(OnRig):
+    """Record every recorded topic of a rig until stopped, and say what is missing."""
+
+    output: Annotated[Path, tyro.conf.arg(metavar="PATH")] = Path("session.mcap")
+    """The recording to write."""
+    numbered: bool = False
+    """Where that file exists, write session-2.mcap and so on beside it."""
+
+
+@dataclass(frozen=True)
+class View(OnRig):
+    """Show a rig on Rerun until stopped."""
+
+    output: OptionalPath = None
+    """Also write what is shown to this file (.rrd)."""
+    numbered: bool = False
+    """Where that file exists, write session-2.rrd and so on beside it."""
+    show: Literal["file", "native", "web"] = "native"
+    """`file` opens no viewer, `native` a window, `web` a page."""
+
+
+@dataclass(frozen=True)
+class Up(OnRig):
+    """Start the router and all configured agents of this machine, watch them, and stop them together."""
+
+    restart: bool = True
+    """Start again what dies, after a while that grows."""
+
+
+@dataclass(frozen=True)
+class Play(Up):
+    """Keep the simulated field running until Ctrl-C, for goals that you name from another terminal."""
+
+
+@dataclass(frozen=True)
+class Demo:
+    """A simulated grasp from image to judgement, all agents as processes of their own; ends by itself."""
+
+    seed: int = 1
+    """Varies the thread, the tissue and the tool's error, an honest miss included."""
+    view: Literal["file", "native", "web"] = "file"
+    """Also open a Rerun viewer."""
+    sessions: Annotated[Path, tyro.conf.arg(metavar="PATH")] = Path("sessions")
+    """Where the recording goes."""
+
+
+@dataclass(frozen=True)
+class Goal(OnRig):
+    """Ask for a grasp: at s along the thread, at a rectified left-image pixel, or at a point (metres, camera frame)."""
+
+    s: OptionalNumber = None
+    """Share of the thread's length, 0 to 1."""
+    pixel: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="U V")] = None
+    """Column and row."""
+    point: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")] = None
+    """In the rectified left camera's frame."""
+    arm: str = "psm1"
+    """Which arm is to grasp."""
+    policy: Literal["robust", "direct"] = "robust"
+    """`robust` captures where the thread is known best and slides to the goal; `direct` grasps at the goal."""
+
+
+@dataclass(frozen=True)
+class ArmPlan(OnRig):
+    """Arm a plan and stand by it: its heartbeat runs while this command does; Ctrl-C disarms."""
+
+    plan: Annotated[str, tyro.conf.arg(metavar="PLAN")] = ""
+    """The plan's id, as `goal` prints it."""
+    arm: str = "psm1"
+    """Which arm carries it out."""
+
+
+@dataclass(frozen=True)
+class HoldArm(OnRig):
+    """Have an arm stop where it is, disarmed."""
+
+    arm: str = "psm1"
+    """Which arm."""
+
+
+@dataclass(frozen=True)
+class Doctor(OnRig):
+    """Look for what would keep a rig from running, and name the remedy."""
+
+
+LIVE_COMMANDS = {
+    "demo": Demo,
+    "play": Play,
+    "up": Up,
+    "goal": Goal,
+    "arm": ArmPlan,
+    "hold": HoldArm,
+    "doctor": Doctor,
+    "router": Router,
+    "camera": CameraAgent,
+    "perception": PerceptionAgent,
+    "reconstruction": ReconstructionAgent,
+    "planner": PlannerAgent,
+    "robot-bridge": RobotBridgeAgent,
+    "simulator": SimulatorAgent,
+    "record": Record,
+    "view": View,
+}
+
+AGENT_KINDS: dict[type[OnRig], str] = {
+    CameraAgent: "camera",
+    PerceptionAgent: "perception",
+    ReconstructionAgent: "reconstruction",
+    PlannerAgent: "planner",
+    SimulatorAgent: "simulator",
+}

@@ -1,0 +1,58 @@
+"""The `suturegrasp` command and its sub-commands."""
+
+import os
+import sys
+
+from agents.camera import LARGEST_IMAGE_PIXELS
+from agents.cli.terminal import complain, flush_output, open_missing_streams
+
+EXIT_UNUSABLE, EXIT_INTERRUPTED = 2, 130
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run one command and exit with its status."""
+    # OpenCV refuses larger images by their header, before it takes memory for them, and reads this while it loads
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(LARGEST_IMAGE_PIXELS))
+    open_missing_streams()
+    try:
+        try:
+            status = _run(sys.argv[1:] if arguments is None else arguments)
+        finally:
+            flush_output()
+    except KeyboardInterrupt:
+        status = complain("interrupted", EXIT_INTERRUPTED)
+    except OSError as error:
+        status = complain(f"the system refused: {error}", EXIT_UNUSABLE)
+    sys.exit(status)
+
+
+def _run(arguments: list[str]) -> int:
+    if arguments == ["--version"]:
+        from schemas import __version__
+
+        print(f"suturegrasp {__version__}")
+        return 0
+    # Loading OpenCV and SciPy takes a second, during which Ctrl-C must end as quietly as later.
+    from agents.cli.command_line import parsed
+    from agents.cli.live_options import Demo
+    from agents.cli.options import Reconstruct, UsageError
+
+    try:
+        options = parsed(arguments)
+    except UsageError as error:
+        return complain(str(error), EXIT_UNUSABLE)
+    except OSError:
+        # parsing prints help and does no more, so nobody reads it
+        flush_output()
+        return 0
+    if isinstance(options, Reconstruct):
+        from agents.cli.reconstruct import run
+
+        return run(options)
+    if isinstance(options, Demo):
+        from agents.cli.demo import demo
+
+        return demo(options)
+    from agents.cli.live import run_live
+
+    return run_live(options)

@@ -1,0 +1,69 @@
+"""One stereo pair through perception and reconstruction in this process, without a router."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import UInt8
+
+from agents.perception.observe import observe
+from agents.perception.rectification import rectification, rectify_image, rectify_mask
+from agents.perception.segmentation.choice import SEGMENTERS, suitable_segmenter
+from agents.reconstruction.methods import METHODS
+from schemas.messages import FrameStamp, StereoCalibration, ThreadObservations, ThreadReconstruction
+from shared.clock import Stopwatch
+
+STEPS = ("rectify", "segment", "match", "reconstruct")
+GIVEN_MASKS = "mask"
+
+Pair = tuple[UInt8[np.ndarray, "h w *c"], UInt8[np.ndarray, "h w *c"]]
+
+
+@dataclass(frozen=True)
+class PipelineResult:
+    """What each stage made of one stereo pair.
+
+    Fields:
+        images: the rectified pair.
+        timings_ms: per step; 0 where a step was skipped.
+    """
+
+    images: Pair
+    observations: ThreadObservations
+    reconstruction: ThreadReconstruction
+    timings_ms: dict[str, float]
+
+
+def reconstruct_pair(
+    images: Pair, calibration: StereoCalibration, *, masks: Pair | None, segmenter: str | None, method: str
+) -> PipelineResult:
+    """The thread in one stereo pair.
+
+    Args:
+        images: left and right as the camera gave them, blue first.
+        calibration: of the camera that took them.
+        masks: coverage by thread, 0 to 255, of the images as they are; None to segment.
+        segmenter: name of a segmenter; None for the one that suits the left image. Given masks need none.
+        method: name of a reconstruction method.
+
+    Raises:
+        RectificationError: where the calibration cannot be rectified.
+    """
+    watch = Stopwatch(*STEPS)
+    with watch.step("rectify"):
+        to_rectified = rectification(calibration)
+        left = rectify_image(images[0], to_rectified.map_left)
+        right = rectify_image(images[1], to_rectified.map_right)
+        if masks is not None:
+            masks = rectify_mask(masks[0], to_rectified.map_left), rectify_mask(masks[1], to_rectified.map_right)
+    if masks is None:
+        with watch.step("segment"):
+            segmenter = segmenter or suitable_segmenter(left)
+            masks = SEGMENTERS[segmenter](left), SEGMENTERS[segmenter](right)
+    else:
+        segmenter = GIVEN_MASKS
+    with watch.step("match"):
+        stamp = FrameStamp(sequence=0, capture_left_ns=0, capture_right_ns=0, calibration_id="")
+        observations = observe(stamp, to_rectified.camera, left, right, *masks, segmenter)
+    with watch.step("reconstruct"):
+        reconstruction = METHODS[method](observations)
+    return PipelineResult((left, right), observations, reconstruction, watch.ms)

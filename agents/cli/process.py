@@ -1,0 +1,101 @@
+"""One agent, or a router, as a process: from configuration to a clean stop on SIGINT and SIGTERM."""
+
+import logging
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable
+
+from agents.camera.image_files import ImageFileError
+from agents.camera.sources import SourceError
+from agents.cli.builders import build
+from agents.cli.rig import RigConfig
+from agents.cli.supervisor import SUPERVISED, UNUSABLE
+from agents.cli.terminal import complain
+from shared.calibration import CalibrationError
+from shared.runtime.config import ConfigError, config_hash
+from shared.runtime.connection import NoRouterError, open_when_there
+from shared.runtime.runner import Runner
+from shared.runtime.session import RouterError, open_router, runs_already
+from shared.scene.render import SceneError
+
+EXIT_OK, EXIT_UNUSABLE = 0, UNUSABLE
+YIELDING = ("camera",)
+NICENESS = 5
+"""What makes or shows images, most of which are left out for newer ones, steps back behind what moves an arm."""
+LINE = logging.Formatter("%(asctime)s %(name)s %(levelname)s: %(message)s", "%H:%M:%S")
+
+
+def run_agent(rig: RigConfig, kind: str, instance: str) -> int:
+    """Run one agent until it is told to stop; the exit status."""
+    log_to_console()
+    if kind in YIELDING:
+        step_back()
+    try:
+        agent = build(rig, kind, instance)
+    except (ConfigError, SourceError, ImageFileError, CalibrationError, SceneError, OSError) as error:
+        return complain(str(error), EXIT_UNUSABLE)
+    stopped = threading.Event()
+    on_stop(stopped.set)
+    try:
+        session = open_when_there(rig.session, stopped=stopped)
+    except NoRouterError as error:
+        return complain(str(error), EXIT_OK if stopped.is_set() else EXIT_UNUSABLE)
+    with session:
+        if runs_already(session, rig.rig, kind, instance):
+            return complain(f"{kind} {instance} of rig {rig.rig} runs already; stop that one first", EXIT_UNUSABLE)
+        runner = Runner(agent, session, rig.rig, config_hash(rig))
+        threading.Thread(target=_stop_after, args=(stopped, runner.stop), name="stop", daemon=True).start()
+        runner.run()
+    return EXIT_OK
+
+
+def _stop_after(stopped: threading.Event, stop: Callable[[], None]) -> None:
+    stopped.wait()
+    stop()
+
+
+def step_back() -> None:
+    """Leave the processor to whatever is more urgent, where the system can."""
+    if hasattr(os, "nice"):
+        os.nice(NICENESS)
+
+
+def run_router(rig: RigConfig) -> int:
+    """Run a router until it is told to stop; the exit status."""
+    stopped = threading.Event()
+    on_stop(stopped.set)
+    try:
+        with open_router(rig.router.endpoint):
+            print(f"router on {rig.router.endpoint}", flush=True)
+            stopped.wait()
+    except RouterError as error:
+        return complain(str(error), EXIT_UNUSABLE)
+    return EXIT_OK
+
+
+def on_stop(stop: Callable[[], None]) -> None:
+    """Have SIGINT and SIGTERM call this, and the end of the supervisor, if there is one."""
+
+    def from_another_thread(*_: object) -> None:
+        # the main thread may be holding the very lock that stop needs
+        threading.Thread(target=stop, name="stop").start()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, from_another_thread)
+    if os.environ.pop(SUPERVISED, ""):
+        threading.Thread(target=_stop_with_supervisor, args=(stop,), name="supervisor", daemon=True).start()
+
+
+def _stop_with_supervisor(stop: Callable[[], None]) -> None:
+    while os.read(0, 1):
+        pass
+    stop()
+
+
+def log_to_console() -> None:
+    """Send this process's log lines to standard error too."""
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(LINE)
+    logging.getLogger("suturegrasp").addHandler(handler)

@@ -1,0 +1,1 @@
+"""The operator: goals, arming with a heartbeat, hold."""

@@ -1,0 +1,1 @@
+"""The perception agent: from a stereo pair to ordered observations of the thread."""

@@ -1,0 +1,150 @@
+"""Matching of segmented pixels along rows, and the rejection of ambiguous matches (paper, section II-B).
+
+A left pixel p is compared with the segmented pixels q of its row in the right image, at disparity δ = p_u − q_u, by
+
+    E(p, δ) = Σ_w ‖I_left(p + w) − I_right(p + w − δ)‖²,
+
+the sum over the segmented left pixels p + w of a small window; one that falls beside the right thread costs a
+constant. E1 is the least cost, E2 the least one outside the peak around E1. A match counts where the second peak is
+clearly worse (eq. 2).
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float64, Int64, UInt8
+
+from agents.perception.pixel_graph import neighbour_matrix
+
+REFERENCE_WIDTH_PX = 640
+"""The image width at which the paper's sizes in pixels hold; they scale with the width."""
+WINDOW_RADIUS_PX = 2
+MAXIMUM_DISPARITY_PX = 80
+PEAK_HALF_WIDTH_PX = 2
+LEAST_COST = 1e-6
+"""Guards a perfect match, whose cost is 0, against division."""
+EPSILON = (8.0, 5.0, 0.8, 0.9)
+"""ε1 to ε4 of the outlier metric."""
+GREATEST_SQUARE = 3 * 255.0**2
+SQUARE_OFF_THREAD = GREATEST_SQUARE / 4
+"""What a segmented left pixel costs where the right one is not segmented. Compared with the ground instead, pixels at
+the thread's edge agree best with the ground behind it, and disparities come out a third of a pixel too small."""
+LARGEST_BLOCK = 4_000_000
+"""Pixels times disparities that are looked at together; 100 bytes each while they are."""
+
+
+@dataclass(frozen=True)
+class Matches:
+    """The best disparity of each segmented left pixel that has any candidate.
+
+    Fields:
+        pixel: row and column in the left image.
+        disparity_px: of the best candidate.
+        cost: E1 and E2; a pixel without a second candidate has the greatest possible cost there.
+    """
+
+    pixel: Int64[np.ndarray, "p 2"]
+    disparity_px: Float64[np.ndarray, "p"]
+    cost: Float64[np.ndarray, "p 2"]
+
+
+def scaled_px(size_px: int, image_width: int) -> int:
+    """A size in pixels that holds at the reference width, at this width; at least 1."""
+    return max(1, round(size_px * image_width / REFERENCE_WIDTH_PX))
+
+
+def largest_disparity_px(image_width: int) -> int:
+    """The largest disparity that is looked at in images of this width; the smallest is 1."""
+    return scaled_px(MAXIMUM_DISPARITY_PX, image_width)
+
+
+def match_pixels(
+    left: UInt8[np.ndarray, "h w 3"],
+    right: UInt8[np.ndarray, "h w 3"],
+    segmented_left: Bool[np.ndarray, "h w"],
+    segmented_right: Bool[np.ndarray, "h w"],
+) -> Matches:
+    """Match every segmented left pixel along its row of the right image, both images rectified."""
+    radius = scaled_px(WINDOW_RADIUS_PX, left.shape[1])
+    parts: list[Matches] = []
+    for first, last in _row_blocks(segmented_left):
+        top = max(0, first - radius)
+        rows = slice(top, last + radius)
+        part = _match_block(left[rows], right[rows], segmented_left[rows], segmented_right[rows])
+        own = (part.pixel[:, 0] >= first - top) & (part.pixel[:, 0] < last - top)
+        parts.append(Matches(part.pixel[own] + (top, 0), part.disparity_px[own], part.cost[own]))
+    if not parts:
+        return Matches(np.zeros((0, 2), np.int64), np.zeros(0), np.zeros((0, 2)))
+    return Matches(
+        np.concatenate([part.pixel for part in parts]),
+        np.concatenate([part.disparity_px for part in parts]),
+        np.concatenate([part.cost for part in parts]),
+    )
+
+
+def _row_blocks(segmented: Bool[np.ndarray, "h w"]) -> list[tuple[int, int]]:
+    """First and one-past-last rows of blocks that together hold all segmented pixels, none of them too large."""
+    ends = np.cumsum(segmented.sum(axis=1))
+    most = max(1, LARGEST_BLOCK // largest_disparity_px(segmented.shape[1]))
+    blocks: list[tuple[int, int]] = []
+    first = int(np.searchsorted(ends, 0, side="right"))
+    while first < len(ends):
+        before = int(ends[first - 1]) if first else 0
+        last = max(first + 1, int(np.searchsorted(ends, before + most, side="right")))
+        blocks.append((first, last))
+        first = last + int(np.searchsorted(ends[last:], ends[last - 1], side="right"))
+    return blocks
+
+
+def _match_block(
+    left: np.ndarray, right: np.ndarray, segmented_left: np.ndarray, segmented_right: np.ndarray
+) -> Matches:
+    """All candidates of all segmented left pixels at once: arrays of pixels by disparities."""
+    width = left.shape[1]
+    radius = scaled_px(WINDOW_RADIUS_PX, width)
+    pixel = np.argwhere(segmented_left)
+    disparities = np.arange(1, largest_disparity_px(width) + 1)
+    row, column = pixel[:, :1], pixel[:, 1:] - disparities
+    inside = column >= 0
+    column = np.maximum(column, 0)
+    onto_thread = inside & segmented_right[row, column]
+
+    difference = left[pixel[:, 0], pixel[:, 1]][:, None, :].astype(np.float32) - right[row, column]
+    square = np.where(onto_thread, np.einsum("pdc,pdc->pd", difference, difference), np.float32(SQUARE_OFF_THREAD))
+    window = neighbour_matrix(pixel, left.shape[:2], radius)
+    cost = window @ square
+
+    reachable = cv2.dilate(segmented_right.astype(np.uint8), np.ones((2 * radius + 1, 2 * radius + 1), np.uint8))
+    candidate = inside & (np.asarray(reachable)[row, column] > 0)
+    greatest = GREATEST_SQUARE * np.asarray(window.sum(axis=1)).reshape(-1, 1)
+    cost = np.where(candidate, cost, greatest)
+    return _best_two(pixel, disparities, cost, onto_thread, scaled_px(PEAK_HALF_WIDTH_PX, width))
+
+
+def is_inlier(cost: Float64[np.ndarray, "p 2"]) -> Bool[np.ndarray, "p"]:
+    """Whether the second peak is clearly worse than the first (eq. 2, with ε3 outside the denominator).
+
+    The sigmoid exceeds ε4 where its argument exceeds ln(ε4 / (1 − ε4)), so that E2 > 6.4 E1.
+    """
+    e1, e2, e3, e4 = EPSILON
+    best, second = np.maximum(cost[:, 0], LEAST_COST), cost[:, 1]
+    return e1 * ((second - best) / (e2 * best) - e3) > np.log(e4 / (1 - e4))
+
+
+def _best_two(
+    pixel: np.ndarray, disparities: np.ndarray, cost: np.ndarray, segmented: np.ndarray, peak_half_width: int
+) -> Matches:
+    """The best segmented candidate of each pixel, and the least cost outside its peak."""
+    cost_of_segmented = np.where(segmented, cost, np.inf)
+    best = np.argmin(cost_of_segmented, axis=1)
+    has_match = np.isfinite(cost_of_segmented[np.arange(len(pixel)), best])
+    index = np.arange(len(disparities))
+    elsewhere = np.abs(index - best[:, None]) > peak_half_width
+    second = np.where(elsewhere, cost, np.inf).min(axis=1, initial=np.inf)
+    greatest = GREATEST_SQUARE * cost.shape[1]
+    first = cost[np.arange(len(pixel)), best]
+    both = np.column_stack((first, np.where(np.isfinite(second), second, np.maximum(first, greatest))))
+    return Matches(
+        pixel[has_match], disparities[best][has_match].astype(np.float64), both[has_match].astype(np.float64)
+    )

@@ -1,0 +1,167 @@
+"""From a rectified stereo pair to ordered observations of the thread (paper, section II-B), stage by stage.
+
+Every expected failure ends as a status with a reason in the result; nothing here raises for any image content.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float64, Int64, UInt8
+
+from agents.perception.clustering import Clusters, cluster_and_order
+from agents.perception.judge import correspondence_of_masks, correspondence_of_texture, judge
+from agents.perception.matching import Matches, is_inlier, largest_disparity_px, match_pixels
+from schemas.messages import (
+    FrameStamp,
+    Image,
+    ImageEncoding,
+    Judgement,
+    RectifiedStereo,
+    Severity,
+    Status,
+    ThreadObservations,
+)
+from shared.camera import backproject, depth_of_disparity
+
+SEGMENTED_COVERAGE = 96
+"""Coverage from which a pixel counts as thread. Below one half, so that a thread that is thinner than a pixel and
+falls between two still counts."""
+LARGEST_SEGMENTED_SHARE = 0.05
+"""Of the image; a mask that covers more shows no thread, which rarely covers 2 %, and would take seconds to match."""
+LEAST_OBSERVATIONS = 4
+"""A cubic has four control points."""
+
+
+@dataclass(frozen=True)
+class _Matched:
+    px: Float64[np.ndarray, "p 3"]
+    cost: Float64[np.ndarray, "p 2"]
+    inlier: Bool[np.ndarray, "p"]
+
+
+NO_MATCHES = _Matched(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0, bool))
+
+
+@dataclass(frozen=True)
+class _Found:
+    """How far observation came: up to the reason for which it ended, or to ordered clusters."""
+
+    reason: str
+    judgements: tuple[Judgement, ...] = ()
+    matched: _Matched = NO_MATCHES
+    clusters: Clusters | None = None
+
+
+def observe(
+    stamp: FrameStamp,
+    camera: RectifiedStereo,
+    left: UInt8[np.ndarray, "h w 3"],
+    right: UInt8[np.ndarray, "h w 3"],
+    coverage_left: UInt8[np.ndarray, "h w"],
+    coverage_right: UInt8[np.ndarray, "h w"],
+    segmenter: str,
+) -> ThreadObservations:
+    """Match the segmented pixels of a rectified pair, drop what is ambiguous, cluster and order the rest."""
+    segmented = coverage_left >= SEGMENTED_COVERAGE, coverage_right >= SEGMENTED_COVERAGE
+    found = _find(camera, left, right, *segmented, segmenter)
+    points, half_size, gaps = _observations(camera, found.clusters)
+    return ThreadObservations(
+        stamp=stamp,
+        camera=camera,
+        status=Status.FAILED if found.reason else Status.OK,
+        reason=found.reason,
+        segmenter=segmenter,
+        points_camera=points,
+        half_size_px=half_size,
+        matched_px=found.matched.px,
+        match_cost=found.matched.cost,
+        inlier=found.matched.inlier,
+        mask_left=_encoded_mask(coverage_left),
+        mask_right=_encoded_mask(coverage_right),
+        judgements=found.judgements,
+        gaps=gaps,
+    )
+
+
+def _find(
+    camera: RectifiedStereo,
+    left: UInt8[np.ndarray, "h w 3"],
+    right: UInt8[np.ndarray, "h w 3"],
+    segmented_left: Bool[np.ndarray, "h w"],
+    segmented_right: Bool[np.ndarray, "h w"],
+    segmenter: str,
+) -> _Found:
+    """Stage by stage, as far as it goes."""
+    if reason := _unusable_masks(segmented_left, segmented_right, segmenter):
+        return _Found(reason)
+    seen = correspondence_of_texture(left, right, segmented_left, segmented_right) or correspondence_of_masks(
+        segmented_left, segmented_right
+    )
+    judgements = judge(seen, camera.image_height)
+    fault = next((j for j in judgements if j.severity is Severity.FAULT), None)
+    if fault:
+        return _Found(f"{fault.finding}; {fault.remedy}", judgements)
+
+    matches = match_pixels(left, right, segmented_left, segmented_right)
+    inlier = is_inlier(matches.cost)
+    matched = _Matched(np.column_stack((matches.pixel[:, ::-1], matches.disparity_px)), matches.cost, inlier)
+    if reason := _unusable_matches(inlier, camera):
+        return _Found(reason, judgements, matched)
+    clusters = _clusters(segmented_left, matches, inlier)
+    if len(clusters.disparity_px) < LEAST_OBSERVATIONS:
+        reason = (
+            f"only {len(clusters.disparity_px)} observations of the thread, of {int(inlier.sum())} matched pixels; "
+            f"at least {LEAST_OBSERVATIONS} are needed"
+        )
+        return _Found(reason, judgements, matched)
+    return _Found("", judgements, matched, clusters)
+
+
+def _unusable_matches(inlier: Bool[np.ndarray, "p"], camera: RectifiedStereo) -> str:
+    """Why these matches tell nothing, empty where some do."""
+    if len(inlier) == 0:
+        return (
+            "no segmented pixel of the left image has a segmented one in its row of the right image at a disparity of "
+            f"1 to {largest_disparity_px(camera.image_width)} px; check that both show the same thread, rectified"
+        )
+    if not inlier.any():
+        return f"none of {len(inlier)} matched pixels has a match that is clearly better than its second best"
+    return ""
+
+
+def _unusable_masks(left: Bool[np.ndarray, "h w"], right: Bool[np.ndarray, "h w"], segmenter: str) -> str:
+    """Why no thread can be in these masks, empty where one can."""
+    for name, segmented in (("left", left), ("right", right)):
+        share = float(segmented.mean())
+        if share == 0:
+            return f"no thread was found in the {name} image by segmenter {segmenter!r}"
+        if share > LARGEST_SEGMENTED_SHARE:
+            return f"{share:.0%} of the {name} image is thread by segmenter {segmenter!r}, more than any thread covers"
+    return ""
+
+
+def _clusters(segmented: Bool[np.ndarray, "h w"], matches: Matches, inlier: Bool[np.ndarray, "p"]) -> Clusters:
+    """Clusters among all segmented left pixels, of which only some were matched."""
+    pixel: Int64[np.ndarray, "a 2"] = np.argwhere(segmented)
+    index = np.full(segmented.shape, -1)
+    index[pixel[:, 0], pixel[:, 1]] = np.arange(len(pixel))
+    of_match = index[matches.pixel[:, 0], matches.pixel[:, 1]]
+    disparity, kept = np.ones(len(pixel)), np.zeros(len(pixel), bool)
+    disparity[of_match], kept[of_match] = matches.disparity_px, inlier
+    return cluster_and_order(pixel, disparity, kept, segmented.shape)
+
+
+def _observations(
+    camera: RectifiedStereo, clusters: Clusters | None
+) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 2"], Int64[np.ndarray, "g"]]:
+    if clusters is None:
+        return np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0, np.int64)
+    depth = depth_of_disparity(camera, clusters.disparity_px)
+    gaps = np.flatnonzero(np.diff(clusters.segment) != 0)
+    return backproject(camera, clusters.centroid_px, depth), clusters.half_size_px, gaps
+
+
+def _encoded_mask(coverage: UInt8[np.ndarray, "h w"]) -> Image:
+    height, width = coverage.shape
+    return Image(ImageEncoding.PNG, width, height, 1, np.asarray(cv2.imencode(".png", coverage)[1]).tobytes())

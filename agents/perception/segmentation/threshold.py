@@ -1,0 +1,62 @@
+"""Thread on a plain ground: pixels that differ from the local background by more than its noise.
+
+Made for synthetic scenes and for images that already are segmented (a thread on white). The contrast is relative to
+the local background, because the thinnest thread is only a little darker than its ground.
+"""
+
+import cv2
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+BACKGROUND_SHARE = 0.06
+"""Side of the window of the local background, as a share of the image's width: many times the thread's width."""
+NOISE_FACTOR = 6.0
+"""Contrast below so many standard deviations of the ground is noise."""
+LEAST_CONTRAST = 6.0
+"""Compression leaves steps of a few grey levels even on a uniform ground."""
+SEED_SHARE, GROW_SHARE = 0.45, 0.25
+"""Of the thread's own contrast: what makes a pixel thread, and what extends it to its neighbours."""
+FAINT_SHARE = 0.7
+"""Of the least contrast: what still connects two clear stretches."""
+LEAST_AREA_SHARE = 4e-5
+"""Of the image: what is smaller is a speck."""
+
+
+def segment_threshold(image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w"]:
+    """Coverage of each pixel by thread, 0 to 255, from its contrast to the local background."""
+    contrast = local_contrast(image)
+    noise = 1.4826 * float(np.median(contrast[contrast > 0])) if (contrast > 0).any() else 0.0
+    floor = max(LEAST_CONTRAST, NOISE_FACTOR * min(noise, LEAST_CONTRAST))
+    strong = contrast[contrast > floor]
+    if strong.size == 0:
+        return np.zeros(contrast.shape, np.uint8)
+    full = float(np.percentile(strong, 80))
+    visible = contrast > FAINT_SHARE * floor
+    seeds = contrast > max(floor, SEED_SHARE * full)
+    connected = components_with_seed(visible, seeds, LEAST_AREA_SHARE * contrast.size)
+    clear = connected & (contrast > GROW_SHARE * full)
+    # a thread thinner than a pixel fades between two rows or columns; what is faint there closes the gap
+    closed = cv2.morphologyEx(clear.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)) > 0
+    kept = clear | (closed & connected)
+    coverage = np.clip(contrast * (255.0 / full), 0.0, 255.0)
+    return np.where(kept, np.maximum(coverage, 128.0), 0.0).astype(np.uint8)
+
+
+def local_contrast(image: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]:
+    """The largest difference over the channels between each pixel and the median colour around it, in grey levels."""
+    height, width = image.shape[:2]
+    step = max(1, round(width / 320))
+    small = cv2.resize(image, (max(1, width // step), max(1, height // step)), interpolation=cv2.INTER_AREA)
+    window = max(3, round(BACKGROUND_SHARE * small.shape[1]) | 1)
+    background = cv2.resize(cv2.medianBlur(small, window), (width, height), interpolation=cv2.INTER_LINEAR)
+    return cv2.absdiff(image, background).max(axis=2).astype(np.float32)
+
+
+def components_with_seed(grown: np.ndarray, seeds: np.ndarray, least_area: float) -> np.ndarray:
+    """The connected pieces of `grown` that hold a seed and are large enough: hysteresis."""
+    count, labelled, stats, _ = cv2.connectedComponentsWithStats(grown.astype(np.uint8), connectivity=8)
+    labels = np.asarray(labelled, np.int32)
+    seeded = np.zeros(count, dtype=bool)
+    seeded[labels[seeds & grown]] = True
+    seeded[0] = False
+    return (seeded & (stats[:, cv2.CC_STAT_AREA] >= least_area))[labels]

@@ -1,0 +1,1 @@
+"""The planner agent: from a thread and a goal to a grasp."""

@@ -1,0 +1,72 @@
+"""The planner as an agent: it keeps the newest thread and the newest state of every arm, and answers goals."""
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from agents.planner.config import PlannerConfig
+from agents.planner.plan import ArmView, plan_grasp
+from agents.planner.refusal import RefusedGoalError, planned_from
+from schemas.messages import CommandAnswer, GraspGoal, Outcome, RobotState, ThreadReconstruction
+from schemas.topics import GOAL, MAIN, PLAN, ROBOT_STATE, THREAD, Topic
+from shared.kinematics import psm
+from shared.rigid_transforms import compose, inverse
+from shared.runtime.agent import Command, Input, Output, Received, Tick
+
+Reaches = Callable[[Float64[np.ndarray, "n 4 4"]], Bool[np.ndarray, "n"]]
+"""Whether an arm can bring its tool to each `T_base_tool`."""
+
+
+def psm_reaches(T_base_tool: Float64[np.ndarray, "n 4 4"]) -> Bool[np.ndarray, "n"]:
+    """Whether a PSM with a Large Needle Driver can, within the limits of its joints."""
+    return psm.inverse(T_base_tool).problem == psm.Problem.NONE
+
+
+class Planner:
+    """Goals to plans, for all arms."""
+
+    kind: str = "planner"
+    instance: str = MAIN
+    inputs: tuple[Input, ...] = (
+        Input(THREAD, only_newest_counts=True),
+        Input(ROBOT_STATE, instance="*", only_newest_counts=True),
+    )
+    outputs: tuple[Topic, ...] = (PLAN,)
+    commands: tuple[Topic, ...] = (GOAL,)
+    tick_hz: float | None = None
+
+    def __init__(self, config: PlannerConfig | None = None, reaches: Reaches | None = None) -> None:
+        self._config, self._reaches = config or PlannerConfig(), reaches or psm_reaches
+        self._thread: ThreadReconstruction | None = None
+        self._arms: dict[str, RobotState] = {}
+
+    def step(self, arrived: Received | Tick | Command) -> Iterable[Output | CommandAnswer]:
+        """Remember what was received; answer a goal, and follow an acceptance with a plan or a rejection."""
+        if isinstance(arrived, Command):
+            return self._answer(arrived.message, arrived.now_ns)
+        if isinstance(arrived, Received):
+            self._remember(arrived)
+        return ()
+
+    def _remember(self, arrived: Received) -> None:
+        if arrived.topic is THREAD:
+            self._thread = arrived.message
+        else:
+            self._arms[arrived.message.arm] = arrived.message
+
+    def _answer(self, goal: GraspGoal, now_ns: int) -> Iterable[Output | CommandAnswer]:
+        try:
+            thread, arm = planned_from(goal, self._thread, self._arms, now_ns, self._config)
+        except RefusedGoalError as error:
+            return (CommandAnswer(goal.header.id, Outcome.REFUSED, error.code, str(error)),)
+        plan = plan_grasp(goal, thread, self._view(arm), self._config)
+        return CommandAnswer(goal.header.id, Outcome.ACCEPTED, "", ""), Output(PLAN, plan)
+
+    def _view(self, state: RobotState) -> ArmView:
+        T_base_camera = inverse(state.T_camera_base)
+        return ArmView(
+            T_camera_base=state.T_camera_base,
+            T_camera_tool=compose(state.T_camera_base, state.T_base_tool),
+            reachable=lambda T_camera_tool: self._reaches(compose(T_base_camera, T_camera_tool)),
+        )

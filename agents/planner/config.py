@@ -1,0 +1,63 @@
+"""What can be set about planning; every figure that the paper gives is its default."""
+
+import math
+from dataclasses import dataclass
+
+from schemas.checks import require
+from shared.kinematics.psm import FINGER_M
+
+
+@dataclass(frozen=True)
+class PlannerConfig:
+    """How grasps are planned.
+
+    Fields:
+        samples: candidates for the capture, evenly spaced along the thread.
+        keep_probability: that the thread stays between the fingers from one sample to the next.
+        least_probability: below which a plan is rejected.
+        goal_within_px, goal_within_m: how far off the thread a goal may lie.
+        depth_m: how far the fingertips reach beyond the thread.
+        standoff_m, retreat_m: where the approach starts, and how far the tool lifts at the end.
+        open_deg, slide_deg, closed_deg: jaw angles before, during and after the slide.
+        clear_deg: least angle between the viewing ray and the thread for the ray to be approached along.
+        base_clear_deg: the same for the ray from the instrument's base, which stands in for it.
+        turn_deg: how far the tool may turn from one sample to the next.
+        alternatives: how many other captures a plan tells of.
+        arm_age_ms: how old the state of an arm may be. A plan needs it for the place of the base alone, which seldom
+            moves, so this is more than the age that the bridge itself allows.
+    """
+
+    samples: int = 100
+    keep_probability: float = 0.99
+    least_probability: float = 0.5
+    goal_within_px: float = 20.0
+    goal_within_m: float = 0.005
+    depth_m: float = 0.002
+    standoff_m: float = 0.015
+    retreat_m: float = 0.005
+    open_deg: float = 60.0
+    slide_deg: float = 20.0
+    closed_deg: float = 0.0
+    clear_deg: float = 30.0
+    base_clear_deg: float = 10.0
+    turn_deg: float = 45.0
+    alternatives: int = 5
+    arm_age_ms: float = 500.0
+
+    def __post_init__(self) -> None:
+        require(self.samples >= 2, f"samples must be at least 2, not {self.samples}")
+        require(0 < self.keep_probability <= 1, f"keep_probability must lie in (0, 1], not {self.keep_probability}")
+        require(0 <= self.least_probability <= 1, f"least_probability must lie in [0, 1], not {self.least_probability}")
+        require(0 <= self.depth_m < FINGER_M, f"depth_m must lie in [0, {FINGER_M}), the finger, not {self.depth_m}")
+        require(self.standoff_m > 0 and self.retreat_m >= 0, "standoff_m must be positive and retreat_m not negative")
+        require(self.closed_deg <= self.slide_deg <= self.open_deg, "closed_deg <= slide_deg <= open_deg must hold")
+        require(0 < self.base_clear_deg <= self.clear_deg < 90, "0 < base_clear_deg <= clear_deg < 90 must hold")
+
+    @property
+    def setback_m(self) -> float:
+        """How far before the thread the jaw pin, the origin of the tool frame, comes to lie."""
+        return FINGER_M - self.depth_m
+
+    def half_opening_m(self, jaw_deg: float) -> float:
+        """How far each finger is from the thread when the jaws stand around it at that angle."""
+        return self.setback_m * math.tan(math.radians(0.5 * jaw_deg))

@@ -1,0 +1,66 @@
+"""Goals that are not planned for at all: what a plan would be made from is missing or old."""
+
+import math
+from collections.abc import Mapping
+
+from agents.planner.config import PlannerConfig
+from schemas.messages import GraspGoal, RobotState, ThreadReconstruction
+from schemas.topics import THREAD
+
+
+class RefusedGoalError(ValueError):
+    """A goal cannot be planned for now: a stable code, and the reason with its remedy."""
+
+    def __init__(self, code: str, reason: str) -> None:
+        super().__init__(reason)
+        self.code = code
+
+
+def planned_from(
+    goal: GraspGoal,
+    thread: ThreadReconstruction | None,
+    arms: Mapping[str, RobotState],
+    now_ns: int,
+    config: PlannerConfig,
+) -> tuple[ThreadReconstruction, RobotState]:
+    """The thread and the state of the arm that a goal can be planned from.
+
+    Raises:
+        RefusedGoalError: where one of them is missing, too old, or of no use.
+    """
+    return _fresh_thread(thread, now_ns), _fresh_arm(goal.arm, arms, now_ns, config)
+
+
+def _fresh_thread(thread: ThreadReconstruction | None, now_ns: int) -> ThreadReconstruction:
+    if thread is None:
+        raise RefusedGoalError(
+            "no_thread", "no thread was reconstructed yet; are camera, perception and reconstruction running?"
+        )
+    age_ms, oldest_ms = 1e-6 * (now_ns - thread.stamp.capture_left_ns), THREAD.maximum_age_ms or math.inf
+    if age_ms > oldest_ms:
+        raise RefusedGoalError(
+            "thread_stale",
+            f"the thread was seen {age_ms:.0f} ms ago, and at most {oldest_ms:.0f} ms are accepted; "
+            "are camera, perception and reconstruction running?",
+        )
+    if age_ms < -oldest_ms:
+        raise RefusedGoalError(
+            "thread_from_future", f"the thread was seen {-age_ms:.0f} ms from now; set the clocks of the hosts"
+        )
+    if thread.camera.metres_per_unit is None:
+        raise RefusedGoalError("unit_unknown", "the unit of the calibration is unknown; give its metres_per_unit")
+    return thread
+
+
+def _fresh_arm(arm: str, arms: Mapping[str, RobotState], now_ns: int, config: PlannerConfig) -> RobotState:
+    if arm not in arms:
+        known = f"there are: {', '.join(sorted(arms))}" if arms else "there is none; is its bridge running?"
+        raise RefusedGoalError("unknown_arm", f"no arm called {arm} has reported; {known}")
+    age_ms = 1e-6 * (now_ns - arms[arm].measured_ns)
+    if abs(age_ms) > config.arm_age_ms:
+        raise RefusedGoalError(
+            "arm_stale",
+            f"the last state of {arm} was measured {age_ms:.0f} ms ago, and at most {config.arm_age_ms:.0f} ms are "
+            "accepted; is its bridge running, and are the clocks set?",
+        )
+    return arms[arm]

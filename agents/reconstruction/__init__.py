@@ -1,0 +1,1 @@
+"""The reconstruction agent: from observations to a spline with confidence."""

@@ -1,0 +1,1 @@
+"""The recorder: every recorded topic of a rig to MCAP, with its losses."""

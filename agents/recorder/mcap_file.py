@@ -1,0 +1,200 @@
+"""Recordings: MCAP files that hold every message as it travelled, with its schema, key, sequence and times.
+
+A channel is one run (epoch) of one key's publisher; its metadata holds the epoch and the delivery class. Records lie in
+the order in which the messages were received, so a file is read from front to back, a cut-off one like a whole one.
+"""
+
+import os
+import struct
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, BinaryIO, cast
+
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from mcap.exceptions import EndOfFile, McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Header, McapRecord, Message, Metadata
+from mcap.stream_reader import StreamReader
+from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
+
+import schemas
+from schemas.generated import suturegrasp_pb2
+from schemas.topics import Topic
+
+PROFILE = "suturegrasp"
+LIBRARY = f"suturegrasp {schemas.__version__}"
+CHUNK_BYTES = 1 << 20
+HEAD = struct.Struct("<BQ")
+"""Before every record: its opcode and its length."""
+MASK = 0xFFFFFFFF
+"""MCAP keeps the lower 32 bits of a sequence number: years at the highest rate of one run."""
+
+
+class RecordingError(ValueError):
+    """A file that is no recording, or is damaged; the text says what is wrong with it."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One recorded message; `epoch` tells the runs of its publisher apart."""
+
+    key: str
+    epoch: int
+    sequence: int
+    payload: bytes
+    published_ns: int
+    received_ns: int
+
+
+class RecordingWriter:
+    """Writes one recording; `close` writes its summary, and what was flushed before a crash can still be read."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("wb")
+        self._writer = Writer(
+            self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4, enable_data_crcs=True
+        )
+        self._writer.start(profile=PROFILE, library=LIBRARY)
+        self._descriptors = _descriptor_set()
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[tuple[str, int], int] = {}
+
+    def write(self, topic: Topic, entry: Entry) -> None:
+        """Add a message."""
+        self._writer.add_message(
+            channel_id=self._channel(topic, entry),
+            log_time=entry.received_ns,
+            publish_time=entry.published_ns,
+            sequence=entry.sequence & MASK,
+            data=entry.payload,
+        )
+
+    def note(self, name: str, facts: dict[str, str]) -> None:
+        """Add a record of facts about the recording."""
+        self._writer.add_metadata(name, facts)
+
+    def flush(self) -> None:
+        """Hand everything so far to the system, so that it outlives this process."""
+        self._writer.flush()
+
+    def close(self) -> None:
+        """Finish the file."""
+        try:
+            self._writer.finish()
+        finally:
+            self._file.close()
+
+    def _channel(self, topic: Topic, entry: Entry) -> int:
+        run = entry.key, entry.epoch
+        if run not in self._channels:
+            name = f"suturegrasp.v1.{topic.message.__name__}"
+            if name not in self._schemas:
+                self._schemas[name] = self._writer.register_schema(name, "protobuf", self._descriptors)
+            facts = {"epoch": str(entry.epoch), "delivery": topic.delivery.name.lower()}
+            self._channels[run] = self._writer.register_channel(entry.key, "protobuf", self._schemas[name], facts)
+        return self._channels[run]
+
+
+def read_recording(path: Path) -> Iterator[Entry]:
+    """Every message of a recording in the order in which it was received; of a cut-off file, what was flushed.
+
+    Raises:
+        RecordingError: where the file is no recording, or damaged; in the midst of it, after the messages before.
+        OSError: where it cannot be opened.
+    """
+    channels: dict[int, Channel] = {}
+    with _damage_named(path):
+        for record in _records(path):
+            if isinstance(record, Channel):
+                channels[record.id] = record
+            elif isinstance(record, Message):
+                yield _entry(channels[record.channel_id], record)
+
+
+def read_notes(path: Path, name: str) -> dict[str, str] | None:
+    """The facts that were noted under a name when the recording ended; None where it was cut off before.
+
+    Raises:
+        RecordingError, OSError: as `read_recording`.
+    """
+    found: dict[str, str] | None = None
+    with _damage_named(path):
+        for record in _records(path):
+            if isinstance(record, Metadata) and record.name == name:
+                found = record.metadata
+    return found
+
+
+def _records(path: Path) -> Iterator[McapRecord]:
+    """The records of the data section, until its end or where the file was cut off."""
+    with path.open("rb") as file:
+        whole = _Whole(file, _end_of_whole_records(file, path))
+        records = StreamReader(cast(IO[bytes], whole), validate_crcs=True).records
+        first = next(records)
+        if not isinstance(first, Header) or first.profile != PROFILE:
+            raise RecordingError(f"{path} is an MCAP file of another program; give one that suturegrasp recorded")
+        try:
+            yield from records
+        except EndOfFile:
+            return
+
+
+def _end_of_whole_records(file: BinaryIO, path: Path) -> int:
+    """Where the last whole record of the data section ends."""
+    size = file.seek(0, os.SEEK_END)
+    finished = size >= 2 * len(MCAP0_MAGIC) and file.seek(-len(MCAP0_MAGIC), os.SEEK_END) and file.read() == MCAP0_MAGIC
+    file.seek(0)
+    if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+        raise RecordingError(f"{path} is no recording; give an MCAP file that suturegrasp recorded")
+    opcode, end = 0, file.tell()
+    while opcode != Opcode.DATA_END and len(head := file.read(HEAD.size)) == HEAD.size:
+        opcode, length = HEAD.unpack(head)
+        if end + HEAD.size + length > size:
+            break
+        end = file.seek(end + HEAD.size + length)
+    if finished and opcode != Opcode.DATA_END:
+        raise RecordingError(_damaged(path))
+    file.seek(0)
+    return end
+
+
+class _Whole:
+    """The whole records of a file that may have been cut off in the midst of one."""
+
+    def __init__(self, file: BinaryIO, end: int) -> None:
+        self._file, self._end = file, end
+
+    def read(self, size: int) -> bytes:
+        """The next bytes; none at the end."""
+        left = self._end - self._file.tell()
+        if size < 0 or size > left > 0:
+            raise ValueError("a record claims more than there is, or less than nothing")
+        return self._file.read(min(size, left))
+
+
+def _damaged(path: Path) -> str:
+    return f"{path} is damaged; only what lies before the damage can be read"
+
+
+def _entry(channel: Channel, message: Message) -> Entry:
+    epoch = int(channel.metadata["epoch"])
+    return Entry(channel.topic, epoch, message.sequence, message.data, message.publish_time, message.log_time)
+
+
+@contextmanager
+def _damage_named(path: Path) -> Generator[None]:
+    """Whatever a reader stumbles over in a file becomes one sentence."""
+    try:
+        yield
+    except (RecordingError, OSError):
+        raise
+    except (McapError, struct.error, StopIteration, KeyError, ValueError, RuntimeError, MemoryError) as error:
+        raise RecordingError(_damaged(path)) from error
+
+
+def _descriptor_set() -> bytes:
+    descriptors = FileDescriptorSet()
+    suturegrasp_pb2.DESCRIPTOR.CopyToProto(descriptors.file.add())
+    return descriptors.SerializeToString()

@@ -1,0 +1,287 @@
+"""The robot bridge: carries out armed plans on one arm, and refuses what is not safe.
+
+Everything it does follows from what it is fed; the time is that of the ticks and commands.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from agents.robot_bridge.backend import ArmState, Backend, Readiness
+from agents.robot_bridge.execution import Execution, Patience
+from agents.robot_bridge.limits import MotionLimits, Setup
+from agents.robot_bridge.motion import plan_motion
+from agents.robot_bridge.refusals import Code, Refusal
+from schemas.checks import MessageError
+from schemas.messages import (
+    Arm,
+    CommandAnswer,
+    ExecutionEvent,
+    ExecutionKind,
+    GraspPlan,
+    Heartbeat,
+    Hold,
+    Outcome,
+    Phase,
+    RobotMode,
+    RobotState,
+    Status,
+)
+from schemas.messages.grasping import check_pose
+from schemas.topics import ARM, EXECUTION, HEARTBEAT, HOLD, PLAN, ROBOT_STATE
+from shared.kinematics.psm import forward
+from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
+from shared.runtime.agent import Command, Input, Output, Received, Tick
+
+KEPT_PLANS = 8
+MEASUREMENT_AGE_S = 0.1
+"""An arm that was measured longer ago than this is not ready."""
+CLOCK_TOLERANCE_S = 0.5
+"""How far a plan's frame may lie in the future, or a heartbeat off its time, before clocks are said to disagree."""
+
+
+class RobotBridgeError(ValueError):
+    """A configuration that no arm can be driven with; the text names the setting."""
+
+
+@dataclass(frozen=True, eq=False)
+class RobotBridgeConfig:
+    """One arm and how it is driven.
+
+    Fields:
+        arm: its name, which is the instance in its keys.
+        T_camera_base: where its base is, in the rectified left camera's frame, metres.
+        dead_man_s: without a heartbeat for longer than this, the arm holds and is disarmed.
+        first_heartbeat_s: how long the first one may take; nothing moves before it.
+        maximum_plan_age_s: since the frame that the plan was made from was captured.
+    """
+
+    arm: str = "psm1"
+    T_camera_base: Float64[np.ndarray, "4 4"] = field(default_factory=lambda: SIMULATED_T_CAMERA_BASE)
+    dead_man_s: float = 0.2
+    first_heartbeat_s: float = 1.0
+    maximum_plan_age_s: float = 10.0
+    tick_hz: float = 100.0
+    limits: MotionLimits = field(default_factory=MotionLimits)
+
+    def __post_init__(self) -> None:
+        try:
+            check_pose("the arm's T_camera_base", self.T_camera_base)
+        except MessageError as error:
+            raise RobotBridgeError(str(error)) from error
+        for name in ("dead_man_s", "first_heartbeat_s", "maximum_plan_age_s", "tick_hz"):
+            if not 0 < getattr(self, name) < float("inf"):
+                raise RobotBridgeError(f"{name} must be positive and finite, not {getattr(self, name)}")
+
+
+class RobotBridge:
+    """Drives one arm: keeps plans, is armed for one at a time, follows it while heartbeats come, holds otherwise."""
+
+    kind = "robot_bridge"
+    outputs = (ROBOT_STATE, EXECUTION)
+    commands = (ARM, HOLD)
+
+    def __init__(self, config: RobotBridgeConfig, backend: Backend) -> None:
+        """Stand ready, disarmed; nothing is asked of the backend before the first tick."""
+        self.instance = config.arm
+        self.inputs = (Input(PLAN), Input(HEARTBEAT, config.arm))
+        self.tick_hz = config.tick_hz
+        self._config, self._backend = config, backend
+        self._setup = Setup(backend.psm, config.T_camera_base, config.limits, 1 / config.tick_hz)
+        self._plans: dict[str, GraspPlan] = {}
+        self._unusable: dict[str, Refusal] = {}
+        self._now_ns: int | None = None
+        self._arm_state: ArmState | None = None
+        self._not_ready = "the arm has not been measured yet"
+        self._execution: Execution | None = None
+        self._holding = False
+
+    def step(self, arrived: Received | Tick | Command) -> Iterable[Output | CommandAnswer]:
+        """What follows from one message, tick or command."""
+        match arrived:
+            case Tick(now_ns):
+                return self._tick(now_ns)
+            case Command(message=Arm() as message):
+                return self._answer_arm(arrived, message)
+            case Command(message=Hold() as message):
+                return self._answer_hold(arrived, message)
+            case Received(message=GraspPlan() as plan):
+                self._keep(plan)
+            case Received(message=Heartbeat() as heartbeat):
+                self._beat(heartbeat)
+            case _:
+                pass
+        return ()
+
+    def close(self) -> None:
+        """Have the arm stop where it is; nothing follows any more."""
+        self._execution = None
+        self._backend.hold()
+
+    def _tick(self, now_ns: int) -> list[Output]:
+        """One turn; where anything in it fails, the arm holds and is disarmed before the failure is passed on."""
+        try:
+            return self._turn(now_ns)
+        except Exception:
+            self._execution, self._holding = None, True
+            self._backend.hold()
+            raise
+
+    def _turn(self, now_ns: int) -> list[Output]:
+        elapsed_s = 0.0 if self._now_ns is None else (now_ns - self._now_ns) * 1e-9
+        self._now_ns = now_ns
+        arm = self._measure(now_ns)
+        events = self._carry_on(self._execution, arm, now_ns, elapsed_s) if self._execution else []
+        return [Output(ROBOT_STATE, self._robot_state(arm)), *events] if arm else events
+
+    def _measure(self, now_ns: int) -> ArmState | None:
+        """The newest finite state, noting why the arm is not ready."""
+        state = self._backend.state(now_ns)
+        if not (np.isfinite(state.joints).all() and np.isfinite(state.jaw_rad)):
+            self._not_ready = "the arm reports a joint that is not finite"
+            return self._arm_state
+        self._arm_state = state
+        late = abs(now_ns - state.measured_ns) > MEASUREMENT_AGE_S * 1e9
+        if state.readiness is not Readiness.READY:
+            self._not_ready = f"the arm is {state.readiness.name}: {state.reason}"
+        else:
+            self._not_ready = f"the arm was not measured for {MEASUREMENT_AGE_S:g} s" if late else ""
+        return state
+
+    def _carry_on(self, execution: Execution, arm: ArmState | None, now_ns: int, elapsed_s: float) -> list[Output]:
+        if self._not_ready or arm is None:
+            return self._hold(Refusal(Code.NOT_READY, self._not_ready), now_ns)
+        following = execution.next(arm, now_ns, elapsed_s)
+        if following is None:
+            return []
+        if isinstance(following, Refusal):
+            return self._hold(following, now_ns)
+        self._backend.move(following.joints, following.jaw_rad)
+        plan_id = execution.plan_id
+        events = [self._event(plan_id, ExecutionKind.PHASE_REACHED, now_ns, phase=p) for p in following.reached]
+        if following.finished:
+            self._execution = None
+            self._plans.pop(plan_id, None)
+            events.append(self._event(plan_id, ExecutionKind.FINISHED, now_ns))
+        return events
+
+    def _hold(self, why: Refusal, now_ns: int) -> list[Output]:
+        """Stop and disarm."""
+        self._backend.hold()
+        self._holding = True
+        execution, self._execution = self._execution, None
+        return [self._event(execution.plan_id, ExecutionKind.HELD, now_ns, why)] if execution else []
+
+    def _beat(self, heartbeat: Heartbeat) -> None:
+        execution = self._execution
+        ours = execution and (heartbeat.arm, heartbeat.plan_id) == (self._config.arm, execution.plan_id)
+        if execution and ours and self._now_ns is not None:
+            # one that was long on its way, or is played again, does not tell that anybody is there now
+            away_s = abs(self._now_ns - heartbeat.at_ns) * 1e-9
+            if away_s <= self._config.dead_man_s + CLOCK_TOLERANCE_S:
+                execution.beat(heartbeat.at_ns, self._now_ns)
+
+    def _keep(self, plan: GraspPlan) -> None:
+        """Keep a plan that this arm could be armed with, or else why it could not."""
+        self._plans.pop(plan.plan_id, None)
+        self._unusable.pop(plan.plan_id, None)
+        if plan.arm != self._config.arm:
+            sentence = f"plan {plan.plan_id} is for {plan.arm}, and this is {self._config.arm}"
+            _keep_few(self._unusable, plan.plan_id, Refusal(Code.OTHER_ARM, sentence))
+        elif plan.status is not Status.OK:
+            sentence = f"the planner rejected plan {plan.plan_id}: {plan.reason}"
+            _keep_few(self._unusable, plan.plan_id, Refusal(Code.REJECTED_PLAN, sentence))
+        else:
+            _keep_few(self._plans, plan.plan_id, plan)
+
+    def _answer_arm(self, command: Command, message: Arm) -> list[Output | CommandAnswer]:
+        armed = self._arm(command, message)
+        if isinstance(armed, Refusal):
+            refused = self._event(message.plan_id, ExecutionKind.REFUSED, command.now_ns, armed)
+            return [_refused(message.header.id, armed), refused]
+        self._execution, self._holding = armed, False
+        accepted = self._event(message.plan_id, ExecutionKind.ACCEPTED, command.now_ns)
+        return [CommandAnswer(message.header.id, Outcome.ACCEPTED, "", ""), accepted]
+
+    def _answer_hold(self, command: Command, message: Hold) -> list[Output | CommandAnswer]:
+        if refusal := self._wrong_arm(command, message.arm):
+            return [_refused(message.header.id, refusal)]
+        held = self._hold(Refusal(Code.HOLD_COMMAND, f"{message.header.sender} said hold"), command.now_ns)
+        return [CommandAnswer(message.header.id, Outcome.ACCEPTED, "", ""), *held]
+
+    def _arm(self, command: Command, message: Arm) -> Execution | Refusal:
+        plan = self._plans.get(message.plan_id)
+        if refusal := self._wrong_arm(command, message.arm) or self._unusable.get(message.plan_id):
+            return refusal
+        if self._execution:
+            return Refusal(
+                Code.BUSY, f"the arm carries out plan {self._execution.plan_id}: let it end, or say hold, before arming"
+            )
+        if plan is None:
+            return Refusal(
+                Code.UNKNOWN_PLAN, f"no plan {message.plan_id} is among the last {KEPT_PLANS}: set a goal again"
+            )
+        if self._not_ready or self._arm_state is None or self._now_ns is None:
+            return Refusal(Code.NOT_READY, self._not_ready)
+        if refusal := self._untimely(plan, command.now_ns):
+            return refusal
+        planned = plan_motion(plan.waypoints, self._arm_state.joints, self._arm_state.jaw_rad, self._setup)
+        if isinstance(planned, Refusal):
+            return planned
+        patience = Patience(self._config.first_heartbeat_s, self._config.dead_man_s)
+        return Execution(plan.plan_id, planned, self._now_ns, patience, self._backend.psm)
+
+    def _wrong_arm(self, command: Command, arm: str) -> Refusal | None:
+        named = next((name for name in (arm, command.instance) if name != self._config.arm), None)
+        sentence = f"the command is for {named}, and this is {self._config.arm}"
+        return Refusal(Code.OTHER_ARM, sentence) if named is not None else None
+
+    def _untimely(self, plan: GraspPlan, now_ns: int) -> Refusal | None:
+        captured_ns = min(plan.stamp.capture_left_ns, plan.stamp.capture_right_ns)
+        age_s = (now_ns - captured_ns) * 1e-9
+        if age_s > self._config.maximum_plan_age_s:
+            allowed = f"more than the {self._config.maximum_plan_age_s:g} s allowed: plan again"
+            return Refusal(Code.STALE, f"the frame of plan {plan.plan_id} is {age_s:.1f} s old, {allowed}")
+        if age_s < -CLOCK_TOLERANCE_S:
+            future = f"the frame of plan {plan.plan_id} was captured {-age_s:.1f} s in the future"
+            return Refusal(Code.CLOCK, f"{future}: set the clocks of camera and bridge by each other")
+        return None
+
+    def _robot_state(self, arm: ArmState) -> RobotState:
+        return RobotState(
+            arm=self._config.arm,
+            measured_ns=arm.measured_ns,
+            mode=self._mode(arm),
+            T_base_tool=forward(arm.joints, self._backend.psm),
+            joints=arm.joints,
+            jaw_rad=arm.jaw_rad,
+            T_camera_base=self._config.T_camera_base,
+            plan_id=self._execution.plan_id if self._execution else "",
+        )
+
+    def _mode(self, arm: ArmState) -> RobotMode:
+        if self._not_ready:
+            return RobotMode.DISABLED if arm.readiness is Readiness.DISABLED else RobotMode.FAULT
+        if self._execution and self._execution.moving:
+            return RobotMode.MOVING
+        return RobotMode.HOLDING if self._holding else RobotMode.IDLE
+
+    def _event(
+        self, plan_id: str, kind: ExecutionKind, at_ns: int, why: Refusal | None = None, phase: Phase | None = None
+    ) -> Output:
+        code, reason = (why.code.value, why.sentence) if why else ("", "")
+        return Output(EXECUTION, ExecutionEvent(plan_id, self._config.arm, at_ns, kind, phase, code, reason))
+
+
+def _refused(command_id: str, why: Refusal) -> CommandAnswer:
+    return CommandAnswer(command_id, Outcome.REFUSED, why.code.value, why.sentence)
+
+
+def _keep_few(kept: dict[str, Any], plan_id: str, value: Any) -> None:
+    """Keep the newest ones; a dict remembers in which order they came."""
+    kept[plan_id] = value
+    if len(kept) > KEPT_PLANS:
+        del kept[next(iter(kept))]

@@ -1,0 +1,56 @@
+"""What drives an arm: the seam between the bridge and a robot, simulated or real."""
+
+import enum
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float64
+
+from shared.kinematics.psm import Psm
+
+
+class Readiness(enum.Enum):
+    """Whether an arm would follow set points."""
+
+    READY = 1
+    DISABLED = 2
+    FAULT = 3
+
+
+@dataclass(frozen=True)
+class ArmState:
+    """An arm as measured.
+
+    Fields:
+        measured_ns: when, on the bridge's clock.
+        reason: why it is not ready; empty where it is.
+    """
+
+    measured_ns: int
+    joints: Float64[np.ndarray, "6"]
+    jaw_rad: float
+    readiness: Readiness = Readiness.READY
+    reason: str = ""
+
+
+class Backend(Protocol):
+    """An arm. Its methods return at once, and what cannot be had shows in the state, not as an exception.
+
+    Fields:
+        psm: the arm's kinematics and limits.
+    """
+
+    psm: Psm
+
+    def state(self, now_ns: int) -> ArmState:
+        """The newest state; asked for once in every tick, before anything else."""
+        ...
+
+    def move(self, joints: Float64[np.ndarray, "6"], jaw_rad: float) -> None:
+        """Take a new set point, a tick's way from the measured one."""
+        ...
+
+    def hold(self) -> None:
+        """Stop where the arm is, and stay there."""
+        ...

@@ -1,0 +1,111 @@
+"""One armed plan being carried out: which set point comes next, and when to stop instead."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from agents.robot_bridge.backend import ArmState
+from agents.robot_bridge.motion import Trajectory
+from agents.robot_bridge.path import angles_between
+from agents.robot_bridge.refusals import Code, Refusal
+from schemas.messages import Phase
+from shared.kinematics.psm import Psm, forward
+
+LONGEST_STEP_PERIODS = 2
+"""After a late tick the motion goes on where it was, and does not make up for lost time."""
+FOLLOWING_M, FOLLOWING_RAD = 0.005, 0.2
+"""Farther than this from where the arm is measured, no set point is sent."""
+ARRIVED_M, ARRIVED_RAD = 5e-4, 0.02
+ARRIVAL_S = 1.0
+"""How long an arm may take to come to rest where it should."""
+
+
+@dataclass(frozen=True)
+class Patience:
+    """How long to go on without a heartbeat: before the first one, when nothing moves yet, and after it."""
+
+    first_heartbeat_s: float
+    dead_man_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class SetPoint:
+    """Where to go next; `reached` are the phases that the arm has completed, `finished` that it was the last."""
+
+    joints: Float64[np.ndarray, "6"]
+    jaw_rad: float
+    reached: tuple[Phase, ...]
+    finished: bool
+
+
+class Execution:
+    """An armed plan. It moves only while heartbeats come, and rests at every stop until the arm has arrived.
+
+    Fields:
+        moving: a heartbeat has come, so that set points follow.
+    """
+
+    def __init__(self, plan_id: str, trajectory: Trajectory, armed_ns: int, patience: Patience, psm: Psm) -> None:
+        """Arm a plan; nothing moves before the first heartbeat."""
+        self.plan_id = plan_id
+        self.moving = False
+        self._trajectory, self._patience, self._psm = trajectory, patience, psm
+        self._alive_ns, self._beat_at_ns = armed_ns, None
+        self._progress_s: float | None = None
+        self._stop, self._waited_s = 0, 0.0
+
+    def beat(self, beat_at_ns: int, now_ns: int) -> None:
+        """Take a heartbeat; one that is not newer than the one before, by its sender's clock, is none."""
+        if self._beat_at_ns is None or beat_at_ns > self._beat_at_ns:
+            self._beat_at_ns, self._alive_ns, self.moving = beat_at_ns, now_ns, True
+
+    def next(self, arm: ArmState, now_ns: int, elapsed_s: float) -> SetPoint | Refusal | None:
+        """The next set point, or why to hold; None while the first heartbeat is awaited."""
+        allowed_s = self._patience.dead_man_s if self.moving else self._patience.first_heartbeat_s
+        if elapsed_s < 0:
+            return Refusal(Code.CLOCK, "the clock went backwards")
+        if now_ns - self._alive_ns > allowed_s * 1e9:
+            return Refusal(
+                Code.HEARTBEAT_LOST, f"no heartbeat came for {allowed_s:g} s: the operator must arm a plan again"
+            )
+        if not self.moving:
+            return None
+        reached = self._go_on(arm, elapsed_s)
+        joints, jaw_rad = self._trajectory.at(self._progress_s or 0.0)
+        if self._waited_s > ARRIVAL_S or not self._near(arm, joints, FOLLOWING_M, FOLLOWING_RAD):
+            return Refusal(Code.NOT_FOLLOWING, "the arm does not follow its set points: it may be blocked, or pushed")
+        return SetPoint(joints, jaw_rad, reached, finished=self._stop == len(self._trajectory.stops))
+
+    def _go_on(self, arm: ArmState, elapsed_s: float) -> tuple[Phase, ...]:
+        """Go towards the next stop, which the first set point, where the trajectory begins, does not yet."""
+        if self._progress_s is None:
+            self._progress_s = 0.0
+        elif self._progress_s < self._stop_s():
+            step_s = min(elapsed_s, LONGEST_STEP_PERIODS * self._trajectory.period_s)
+            self._progress_s = min(self._progress_s + step_s, self._stop_s())
+        else:
+            return self._reached(arm, elapsed_s)
+        return ()
+
+    def _reached(self, arm: ArmState, elapsed_s: float) -> tuple[Phase, ...]:
+        """The phases that end here, where the arm has been sent already, once it has arrived."""
+        joints, _ = self._trajectory.at(self._stop_s())
+        self._waited_s += elapsed_s
+        if not self._near(arm, joints, ARRIVED_M, ARRIVED_RAD):
+            return ()
+        here_s, self._waited_s, reached = self._stop_s(), 0.0, list[Phase]()
+        while self._stop < len(self._trajectory.stops) and self._stop_s() == here_s:
+            phase = self._trajectory.stops[self._stop].phase
+            reached += [phase] if phase else []
+            self._stop += 1
+        return tuple(reached)
+
+    def _stop_s(self) -> float:
+        stops = self._trajectory.stops
+        return stops[min(self._stop, len(stops) - 1)].sample * self._trajectory.period_s
+
+    def _near(self, arm: ArmState, joints: Float64[np.ndarray, "6"], metres: float, radians: float) -> bool:
+        T = forward(np.stack((arm.joints, joints)), self._psm)
+        distance = np.linalg.norm(T[0, :3, 3] - T[1, :3, 3])
+        return bool(distance <= metres and angles_between(T[:1, :3, :3], T[1:, :3, :3])[0] <= radians)

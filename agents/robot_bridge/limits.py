@@ -1,0 +1,44 @@
+"""How fast, where and how long an arm may move, and where it stands."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float64
+
+from shared.kinematics.psm import Psm
+
+
+def _before_the_camera() -> Float64[np.ndarray, "2 3"]:
+    return np.array(((-0.08, -0.06, 0.02), (0.08, 0.06, 0.13)))
+
+
+@dataclass(frozen=True, eq=False)
+class MotionLimits:
+    """What a motion must keep to. SI units.
+
+    Fields:
+        contact_share: the share of full speed while there may be thread between the fingers.
+        joint_share: the share of the joints' greatest speeds, so that an arm has some left to catch up with.
+        workspace_camera: the lower and the upper corner of the box that the pin of the jaw must stay in.
+        maximum_duration_s: of one plan.
+    """
+
+    speed: float = 0.05
+    acceleration: float = 0.2
+    angular_speed: float = 1.5
+    angular_acceleration: float = 6.0
+    jaw_speed: float = 2.0
+    contact_share: float = 0.4
+    joint_share: float = 0.8
+    workspace_camera: Float64[np.ndarray, "2 3"] = field(default_factory=_before_the_camera)
+    maximum_duration_s: float = 120.0
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """An arm, where its base is, what it must keep to, and the time between two of its set points."""
+
+    psm: Psm
+    T_camera_base: Float64[np.ndarray, "4 4"]
+    limits: MotionLimits
+    period_s: float

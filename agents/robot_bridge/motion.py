@@ -1,0 +1,131 @@
+"""From a plan's waypoints to the joints of every tick, all of them checked before the first is sent.
+
+The way is cut into legs, between which the arm rests: from where the arm is to the first waypoint, then one leg for
+each phase. What comes out above a limit of speed in any sample of a leg slows down the whole leg.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from agents.robot_bridge.checks import excess_speed, joints_of, start_refusal, waypoint_refusal
+from agents.robot_bridge.limits import Setup
+from agents.robot_bridge.path import Poses, smooth_path
+from agents.robot_bridge.refusals import Code, Refusal
+from schemas.messages import Phase, Waypoint
+from shared.kinematics.psm import ROLL, forward
+from shared.rigid_transforms import inverse
+
+MAXIMUM_WAYPOINTS = 1000
+_CONTACT = (Phase.CAPTURE, Phase.SLIDE, Phase.GRASP)
+_LEAST_SLOWING = 1.02
+"""Slowing a leg moves its samples, so that the factor that was too fast before may not quite do."""
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class Stop:
+    """A sample in which the arm rests, and the phase that ends there; None where none does."""
+
+    sample: int
+    phase: Phase | None
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """The joints and the jaw of every tick; the first are where the arm was, the last are those of the last stop."""
+
+    period_s: float
+    joints: Float64[np.ndarray, "n 6"]
+    jaw_rad: Float64[np.ndarray, "n"]
+    stops: tuple[Stop, ...]
+
+    def at(self, seconds: float) -> tuple[Float64[np.ndarray, "6"], float]:
+        """Joints and jaw so long after the start."""
+        last = len(self.joints) - 1
+        position = min(max(seconds / self.period_s, 0.0), float(last))
+        before = int(position)
+        after, share = min(before + 1, last), position - before
+        joints = (1 - share) * self.joints[before] + share * self.joints[after]
+        return joints, float((1 - share) * self.jaw_rad[before] + share * self.jaw_rad[after])
+
+
+@dataclass(frozen=True, eq=False)
+class _Leg:
+    """Poses from rest to rest, the first being where the leg before ended."""
+
+    poses: Poses
+    phase: Phase
+    ends_phase: bool
+
+
+def plan_motion(
+    waypoints: Sequence[Waypoint], joints: Float64[np.ndarray, "6"], jaw_rad: float, setup: Setup
+) -> Trajectory | Refusal:
+    """The motion from these joints through all waypoints, or why there is none."""
+    if not 0 < len(waypoints) <= MAXIMUM_WAYPOINTS:
+        possible = f"1 to {MAXIMUM_WAYPOINTS} can be followed"
+        return Refusal(Code.TOO_LONG, f"the plan has {len(waypoints)} waypoints, where {possible}")
+    T_camera_tool = np.stack([waypoint.T_camera_tool for waypoint in waypoints])
+    jaw = np.array([waypoint.jaw_rad for waypoint in waypoints])
+    if refusal := waypoint_refusal(T_camera_tool, jaw, setup) or start_refusal(joints, setup.psm):
+        return refusal
+    T_base_tool = np.concatenate((forward(joints, setup.psm)[None], inverse(setup.T_camera_base) @ T_camera_tool))
+    legs = _legs(Poses(T_base_tool, np.append(jaw_rad, jaw)), [waypoint.phase for waypoint in waypoints])
+    return _follow(legs, joints, jaw_rad, setup)
+
+
+def _legs(poses: Poses, phases: Sequence[Phase]) -> list[_Leg]:
+    """Pose 0 is where the arm is, and pose i + 1 the waypoint of `phases[i]`."""
+    ends_phase = [*(a is not b for a, b in itertools.pairwise(phases)), True]
+    ends = [i for i, ends in enumerate(ends_phase) if ends or i == 0]
+    return [
+        _Leg(
+            Poses(poses.T_base_tool[start : end + 2], poses.jaw_rad[start : end + 2]),
+            phases[end],
+            ends_phase[end],
+        )
+        for start, end in zip([0, *(end + 1 for end in ends)], ends, strict=False)
+    ]
+
+
+def _follow(
+    legs: Sequence[_Leg], joints: Float64[np.ndarray, "6"], jaw_rad: float, setup: Setup
+) -> Trajectory | Refusal:
+    all_joints, all_jaw, stops = [joints[None]], [np.array([jaw_rad])], list[Stop]()
+    last = 0
+    for leg in legs:
+        left_s = setup.limits.maximum_duration_s - last * setup.period_s
+        samples = _sample(leg, float(all_joints[-1][-1, ROLL]), left_s, setup)
+        if isinstance(samples, Refusal):
+            return samples
+        if samples is not None:
+            all_joints.append(samples[0])
+            all_jaw.append(samples[1])
+            last += len(samples[1])
+        stops.append(Stop(last, leg.phase if leg.ends_phase else None))
+    return Trajectory(setup.period_s, np.concatenate(all_joints), np.concatenate(all_jaw), tuple(stops))
+
+
+def _sample(
+    leg: _Leg, roll_before: float, left_s: float, setup: Setup
+) -> tuple[Float64[np.ndarray, "n 6"], Float64[np.ndarray, "n"]] | Refusal | None:
+    """Joints and jaw of every tick after the leg's start; None where it leads nowhere."""
+    share = setup.limits.contact_share if leg.phase in _CONTACT else 1.0
+    path, slowing = smooth_path(leg.poses, setup.limits, share), 1.0
+    if path is None:
+        return None
+    while path.duration_s * slowing <= left_s:
+        poses = path.sample(setup.period_s, slowing)
+        joints = joints_of(poses.T_base_tool, roll_before, f"on the way to the end of {leg.phase.name}", setup)
+        if isinstance(joints, Refusal):
+            return joints
+        excess = excess_speed(poses, joints, share, setup)
+        if excess <= 1 + _ROUNDING:
+            return joints[1:], poses.jaw_rad[1:]
+        slowing *= max(excess, _LEAST_SLOWING)
+    longest = setup.limits.maximum_duration_s
+    return Refusal(Code.TOO_LONG, f"the plan would take longer than the {longest:g} s that a motion may last")

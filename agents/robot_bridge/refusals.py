@@ -1,0 +1,34 @@
+"""Why the bridge does not move an arm, or stops it: a code for programs, a sentence for people."""
+
+import enum
+from dataclasses import dataclass
+
+
+class Code(enum.StrEnum):
+    """What can speak against a motion. docs/robot_bridge.md says what to do about each."""
+
+    OTHER_ARM = "other_arm"
+    UNKNOWN_PLAN = "unknown_plan"
+    REJECTED_PLAN = "rejected_plan"
+    BUSY = "busy"
+    NOT_READY = "not_ready"
+    STALE = "stale"
+    CLOCK = "clock"
+    NOT_FINITE = "not_finite"
+    NOT_A_POSE = "not_a_pose"
+    WORKSPACE = "workspace"
+    UNREACHABLE = "unreachable"
+    REMOTE_CENTRE = "remote_centre"
+    JAW_LIMIT = "jaw_limit"
+    TOO_LONG = "too_long"
+    HEARTBEAT_LOST = "heartbeat_lost"
+    HOLD_COMMAND = "hold_command"
+    NOT_FOLLOWING = "not_following"
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """One reason not to move."""
+
+    code: Code
+    sentence: str

@@ -1,0 +1,47 @@
+"""A simulated PSM: the real kinematics and speed limits, without inertia, gravity or anything to touch."""
+
+import numpy as np
+from jaxtyping import Float64
+
+from agents.robot_bridge.backend import ArmState
+from shared.kinematics.psm import LARGE_NEEDLE_DRIVER, Psm
+from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
+
+__all__ = ["SIMULATED_START", "SIMULATED_T_CAMERA_BASE", "SimulatedPsm"]
+
+SIMULATED_START = (0.18, 0.04, 0.132, 0.0, 0.0, 0.0)
+"""Joints of an arm that waits beside the field of view, its tool straight."""
+
+
+class SimulatedPsm:
+    """An arm that goes towards its set point as fast as its joints may, and stands still without one.
+
+    Time passes for it when its state is asked for.
+    """
+
+    def __init__(
+        self, joints: tuple[float, ...] = SIMULATED_START, jaw_rad: float = 0.0, psm: Psm = LARGE_NEEDLE_DRIVER
+    ) -> None:
+        """Stand at these joints."""
+        self.psm = psm
+        self._limits = np.vstack((psm.limits, psm.jaw_limit))
+        self._max_speeds = np.append(psm.max_speeds, psm.jaw_max_speed)
+        self._position = np.append(np.array(joints), jaw_rad)
+        self._set_point = self._position
+        self._now_ns: int | None = None
+
+    def state(self, now_ns: int) -> ArmState:
+        """Where the arm is after going on until now."""
+        elapsed_s = 0.0 if self._now_ns is None else max(now_ns - self._now_ns, 0) * 1e-9
+        reach = self._max_speeds * elapsed_s
+        self._position = self._position + np.clip(self._set_point - self._position, -reach, reach)
+        self._now_ns = now_ns
+        return ArmState(now_ns, self._position[:6], float(self._position[6]))
+
+    def move(self, joints: Float64[np.ndarray, "6"], jaw_rad: float) -> None:
+        """Head for these joints, clipped to their limits as the robot clips them."""
+        self._set_point = np.clip(np.append(joints, jaw_rad), self._limits[:, 0], self._limits[:, 1])
+
+    def hold(self) -> None:
+        """Head for nowhere."""
+        self._set_point = self._position

@@ -1,0 +1,1 @@
+"""The simulator: a field with a thread, and the judgement whether a jaw caught it."""

@@ -1,0 +1,67 @@
+"""Colours of the viewer, in RGB; confidence runs from red over yellow to green."""
+
+import numpy as np
+from jaxtyping import Float64, UInt8
+
+from schemas.messages import Phase
+
+STOPS = np.array([[222, 45, 38], [255, 221, 51], [49, 190, 90]], dtype=np.float64)
+"""Colours at confidence 0, 0.5 and 1."""
+
+UNKNOWN = (170, 170, 175)
+"""Thread whose confidence nobody has estimated."""
+
+BACKGROUND = (24, 24, 28)
+PANEL = (38, 38, 44)
+GRID = (70, 70, 78)
+TEXT = (232, 232, 236)
+MUTED = (165, 165, 172)
+MASK = (0, 190, 255)
+OBSERVATION = (255, 255, 255)
+BAND = (90, 120, 170)
+KEPT = (120, 170, 255)
+REJECTED = (255, 120, 210)
+OUTSIDE = (255, 90, 220)
+GOOD = (49, 150, 80)
+BAD = (200, 45, 40)
+WARNING = (255, 190, 60)
+BAD_TEXT = (255, 125, 115)
+TRUTH = (150, 150, 158)
+TOOL = (205, 214, 230)
+AXES = ((240, 80, 80), (90, 220, 110), (90, 140, 255))
+"""Of the x, y and z axis."""
+
+PHASES = {
+    Phase.APPROACH: (150, 160, 255),
+    Phase.CAPTURE: (255, 170, 60),
+    Phase.SLIDE: (60, 210, 255),
+    Phase.GRASP: (235, 110, 255),
+    Phase.RETREAT: (140, 145, 165),
+}
+"""Parts of a grasp, in none of the colours of confidence."""
+
+STATES = {
+    "ok": GOOD,
+    "caught": GOOD,
+    "finished": GOOD,
+    "failed": BAD,
+    "missed": BAD,
+    "lost": BAD,
+    "fault": BAD,
+    "holding": WARNING,
+    "held": WARNING,
+    "idle": GRID,
+    "disabled": GRID,
+    "accepted": BAND,
+    "moving": BAND,
+    **{phase.name.lower(): rgb for phase, rgb in PHASES.items()},
+}
+"""What lanes show."""
+
+
+def confidence_rgb(confidence: Float64[np.ndarray, "n"]) -> UInt8[np.ndarray, "n 3"]:
+    """Colours of confidences from 0 (red) over 0.5 (yellow) to 1 (green), grey where it is NaN."""
+    known = np.isfinite(confidence)
+    at = np.linspace(0.0, 1.0, len(STOPS))
+    channels = [np.interp(np.where(known, confidence, 0.0), at, stops) for stops in STOPS.T]
+    return np.where(known[:, None], np.rint(np.stack(channels, axis=1)), UNKNOWN).astype(np.uint8)

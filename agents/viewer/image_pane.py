@@ -1,0 +1,158 @@
+"""One rectified image with what was found in it, scaled to be looked at."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float64, UInt8
+
+from agents.viewer import colours
+from agents.viewer.lettering import draw_text, text_width
+from agents.viewer.polyline import Polyline
+from schemas.messages import Image, ImageEncoding
+
+SHIFT = 4
+"""OpenCV draws at sub-pixel places that are given as integers with this many binary digits."""
+
+FAR_PX = 20_000
+"""What lies farther out than this is not drawn where it is, but certainly outside of the picture."""
+
+THINNEST_PX, THICKEST_PX = 2, 4
+"""Thickness of thread at confidence 0 and 1, for those who do not tell red from green."""
+
+LARGEST_MATCH_PX = 5
+"""Side of the square for one matched pixel, in an image that is shown many times enlarged."""
+
+Box = tuple[int, int, int, int]
+
+
+@dataclass(frozen=True)
+class Pane:
+    """A canvas that shows an image enlarged `scale` times."""
+
+    canvas: UInt8[np.ndarray, "h w 3"]
+    scale: float
+
+    def fixed(self, points_px: Float64[np.ndarray, "n 2"]) -> np.ndarray:
+        """Where pixels of the image lie on the canvas, in OpenCV's fixed point."""
+        at = (points_px + 0.5) * self.scale - 0.5
+        return np.rint(np.clip(np.nan_to_num(at), -FAR_PX, FAR_PX) * 2**SHIFT).astype(np.int32)
+
+
+def image_pane(image: UInt8[np.ndarray, "h w *c"], width: int, tallest: int) -> Pane:
+    """The image in colour, as large as it gets within that width and height."""
+    channels = image.reshape(*image.shape[:2], -1)
+    colour = channels if channels.shape[2] == 3 else np.repeat(channels[:, :, :1], 3, axis=2)
+    scale = min(width / colour.shape[1], tallest / colour.shape[0])
+    size = (max(1, round(colour.shape[1] * scale)), max(1, round(colour.shape[0] * scale)))
+    how = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR if scale < 3 else cv2.INTER_NEAREST
+    return Pane(np.ascontiguousarray(cv2.resize(np.ascontiguousarray(colour), size, interpolation=how)), scale)
+
+
+def decoded_mask(mask: Image) -> UInt8[np.ndarray, "h w"] | None:
+    """The coverage of a mask, None where its bytes are no image of the size that they claim."""
+    data = np.frombuffer(mask.data, np.uint8)
+    if mask.encoding is ImageEncoding.RAW:
+        return data.reshape(mask.height, mask.width, mask.channels)[:, :, 0]
+    try:
+        decoded = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
+    except cv2.error:
+        return None
+    return decoded if decoded is not None and decoded.shape == (mask.height, mask.width) else None
+
+
+def tint_mask(pane: Pane, mask: UInt8[np.ndarray, "h w"]) -> None:
+    """Tint what the mask covers, and draw its outline."""
+    height, width = pane.canvas.shape[:2]
+    covered = cv2.resize(np.ascontiguousarray(mask), (width, height), interpolation=cv2.INTER_LINEAR) >= 128
+    bgr = np.array(colours.MASK[::-1], dtype=np.float64)
+    pane.canvas[covered] = (0.8 * pane.canvas[covered] + 0.2 * bgr).astype(np.uint8)
+    outlines, _ = cv2.findContours(covered.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    cv2.drawContours(pane.canvas, outlines, -1, colours.MASK[::-1], 1, cv2.LINE_AA)
+
+
+def draw_matches(pane: Pane, matched_px: Float64[np.ndarray, "p 2"], kept: Bool[np.ndarray, "p"]) -> None:
+    """Mark matched pixels, those that were kept over those that were rejected."""
+    height, width = pane.canvas.shape[:2]
+    side = min(max(2, round(pane.scale)), LARGEST_MATCH_PX)
+    corner = pane.fixed(matched_px) // 2**SHIFT - side // 2
+    for chosen, rgb in ((~kept, colours.REJECTED), (kept, colours.KEPT)):
+        for across, down in np.ndindex(side, side):
+            u, v = corner[chosen].T + np.array([[across], [down]])
+            inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+            pane.canvas[v[inside], u[inside]] = rgb[::-1]
+
+
+def draw_observations(
+    pane: Pane, observed_px: Float64[np.ndarray, "n 2"], half_size_px: Float64[np.ndarray, "n 2"]
+) -> None:
+    """Mark the observations, with the bounds that each has in the image."""
+    faint = pane.canvas.copy()
+    low, high = pane.fixed(observed_px - half_size_px), pane.fixed(observed_px + half_size_px)
+    for corner, opposite in zip(low.tolist(), high.tolist(), strict=True):
+        cv2.rectangle(faint, corner, opposite, colours.OBSERVATION[::-1], 1, cv2.LINE_AA, SHIFT)
+    cv2.addWeighted(faint, 0.6, pane.canvas, 0.4, 0, dst=pane.canvas)
+    for centre in pane.fixed(observed_px).tolist():
+        cv2.circle(pane.canvas, centre, 4 << SHIFT, (0, 0, 0), cv2.FILLED, cv2.LINE_AA, SHIFT)
+        cv2.circle(pane.canvas, centre, 5 << SHIFT - 1, colours.OBSERVATION[::-1], cv2.FILLED, cv2.LINE_AA, SHIFT)
+
+
+def draw_thread(pane: Pane, thread: Polyline, thread_px: Float64[np.ndarray, "n 2"]) -> None:
+    """Draw the thread in the colours and thickness of its confidence, dashed where no image shows it."""
+    at = pane.fixed(thread_px).tolist()
+    dashed = thread.unseen & (np.arange(len(at)) // 4 % 2 == 1)
+    segments = np.flatnonzero(~dashed[:-1]).tolist()
+    confidence = 0.5 * (thread.confidence[:-1] + thread.confidence[1:])
+    bgr = colours.confidence_rgb(confidence)[:, ::-1].tolist()
+    thickness = line_thickness(confidence)
+    for i in segments:
+        cv2.line(pane.canvas, at[i], at[i + 1], (0, 0, 0), thickness[i] + 2, cv2.LINE_AA, SHIFT)
+    for i in segments:
+        cv2.line(pane.canvas, at[i], at[i + 1], bgr[i], thickness[i], cv2.LINE_AA, SHIFT)
+
+
+def line_thickness(confidence: Float64[np.ndarray, "n"]) -> list[int]:
+    """Thickness in pixels of thread with these confidences; unknown ones count as none."""
+    span = THICKEST_PX - THINNEST_PX
+    return np.rint(THINNEST_PX + span * np.nan_to_num(confidence)).astype(int).tolist()
+
+
+def label_ends(pane: Pane, thread_px: Float64[np.ndarray, "n 2"], taken: list[Box]) -> None:
+    """Mark both ends of the thread with their s, beside the line and clear of what is taken."""
+    at = pane.fixed(thread_px) / 2**SHIFT
+    for end, inner, text in ((at[0], at[min(8, len(at) - 1)], "s=0"), (at[-1], at[-min(9, len(at))], "s=1")):
+        centre = (int(end[0]), int(end[1]))
+        cv2.circle(pane.canvas, centre, 6, (0, 0, 0), 3, cv2.LINE_AA)
+        cv2.circle(pane.canvas, centre, 6, colours.OBSERVATION[::-1], 1, cv2.LINE_AA)
+        draw_label(pane, text, _free_place(pane, end, end - inner, text_width(text) + 8, taken))
+
+
+def draw_label(pane: Pane, text: str, box: Box) -> None:
+    """Draw text on a dark ground within that box (left, top, right, bottom)."""
+    cv2.rectangle(pane.canvas, box[:2], box[2:], colours.BACKGROUND[::-1], cv2.FILLED)
+    draw_text(pane.canvas, text, (box[0] + 4, box[3] - 5), colours.TEXT)
+
+
+def _free_place(pane: Pane, end: np.ndarray, outward: np.ndarray, width: int, taken: list[Box]) -> Box:
+    """The first of a ring of places about an end, beginning outward, that is inside and not taken."""
+    height = 20
+    start = np.arctan2(outward[1], outward[0])
+    places = []
+    for turn in (0, 1, -1, 2, -2, 3, -3, 4):
+        angle = start + turn * np.pi / 4
+        centre = end + np.array([np.cos(angle) * (width / 2 + 12), np.sin(angle) * (height / 2 + 12)])
+        left, top = int(centre[0] - width / 2), int(centre[1] - height / 2)
+        places.append((left, top, left + width, top + height))
+    free = (p for p in places if _is_inside(pane, p) and not any(_overlap(p, other) for other in taken))
+    place = next(free, places[0])
+    taken.append(place)
+    return place
+
+
+def _is_inside(pane: Pane, box: Box) -> bool:
+    height, width = pane.canvas.shape[:2]
+    return box[0] >= 0 and box[1] >= 0 and box[2] < width and box[3] < height
+
+
+def _overlap(a: Box, b: Box) -> bool:
+    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]

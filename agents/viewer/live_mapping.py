@@ -1,0 +1,208 @@
+"""Any message of the dataflow as Rerun shows it live. See mapping, grasp_mapping and session_mapping for the paths.
+
+world/left, world/right     with `image` where the camera's images are rectified as they come, and `mask` outlines
+camera/raw/left, right      the images where they are not: nothing measured in rectified images fits on them
+lanes/{stage}               whether a stage has a result
+"""
+
+import cv2
+import numpy as np
+import rerun as rr
+
+from agents.viewer import colours
+from agents.viewer.grasp_mapping import (
+    execution_entities,
+    joint_names,
+    judgement_entities,
+    mode_entities,
+    plan_entities,
+    robot_entities,
+    truth_entities,
+)
+from agents.viewer.image_pane import decoded_mask
+from agents.viewer.mapping import (
+    BACKDROP,
+    HALF_PX,
+    Entity,
+    camera_entities,
+    observation_entities,
+    reconstruction_entities,
+)
+from agents.viewer.report import finding_text, findings
+from agents.viewer.session_mapping import command_entities, health_entities, lane, log_entities, said
+from agents.viewer.units import camera_in_mm, observations_in_mm, reconstruction_in_mm
+from schemas.messages import (
+    AgentHealth,
+    CommandRecord,
+    ExecutionEvent,
+    GraspJudgement,
+    GraspPlan,
+    Heartbeat,
+    Image,
+    ImageEncoding,
+    LogRecord,
+    RectifiedStereo,
+    ReplayClock,
+    RobotState,
+    SimulatorState,
+    Status,
+    StereoCalibration,
+    StereoFrame,
+    ThreadObservations,
+    ThreadReconstruction,
+)
+from shared.camera import is_rectified
+from shared.images import ImageDataError, decode_image, encode_image
+
+MOST_MATCHED = 1500
+"""Matched pixels shown of one frame; there are tens of thousands."""
+
+JPEG_QUALITY = 85
+"""Of images that travel raw, which would fill a disk within minutes."""
+
+_MEDIA = {ImageEncoding.JPEG: ("image/jpeg", b"\xff\xd8\xff"), ImageEncoding.PNG: ("image/png", b"\x89PNG\r\n")}
+
+
+class LiveMapping:
+    """Turns messages into entities, one after the other; remembers the camera, and what has been said before."""
+
+    def __init__(self) -> None:
+        self._rectified = False
+        self._shown: tuple[RectifiedStereo, float] | None = None
+        self._before: dict[str, object] = {}
+
+    @property
+    def rectified(self) -> bool:
+        """Whether the camera's images are rectified as they come, as far as is known."""
+        return self._rectified
+
+    def entities(self, message: object) -> list[Entity]:
+        """What to log of a message.
+
+        Raises:
+            ImageDataError: where an image is none.
+        """
+        match message:
+            case StereoFrame():
+                return frame_entities(message, self._rectified)
+            case StereoCalibration():
+                self._rectified = is_rectified(message)
+                return []
+            case ThreadObservations():
+                return self._observations(observations_in_mm(message))
+            case ThreadReconstruction():
+                return self._reconstruction(reconstruction_in_mm(message))
+            case GraspPlan():
+                return plan_entities(message)
+            case RobotState():
+                return self._robot(message)
+            case ExecutionEvent():
+                return execution_entities(message)
+            case GraspJudgement():
+                return judgement_entities(message)
+            case SimulatorState():
+                return [*self._camera(camera_in_mm(message.camera), None), *truth_entities(message)]
+            case _:
+                return _about_the_session(message)
+
+    def _observations(self, observations: ThreadObservations) -> list[Entity]:
+        grave = [finding_text(judgement) for judgement in findings(observations)]
+        words = [said("perception", text, rr.TextLogLevel.WARN) for text in grave]
+        codes = tuple(judgement.code for judgement in findings(observations))
+        return [
+            *self._camera(observations.camera, None),
+            *outline_entities(observations),
+            *observation_entities(observations, MOST_MATCHED),
+            *(words if self._changed("findings", codes) else []),
+            *self._status("perception", observations.status, observations.reason),
+        ]
+
+    def _reconstruction(self, reconstruction: ThreadReconstruction) -> list[Entity]:
+        depths = reconstruction.control_points_camera[:, 2]
+        return [
+            *self._camera(reconstruction.camera, float(np.median(depths)) if (depths > 0).any() else None),
+            *reconstruction_entities(reconstruction),
+            *self._status("reconstruction", reconstruction.status, reconstruction.reason),
+        ]
+
+    def _robot(self, state: RobotState) -> list[Entity]:
+        unit_known = self._shown is None or self._shown[0].metres_per_unit is not None
+        first = [joint_names(state.arm)] if self._changed(f"arm {state.arm}", True) else []
+        changed = self._changed(f"mode of {state.arm}", state.mode)
+        return [*first, *robot_entities(state, unit_known), *(mode_entities(state) if changed else [])]
+
+    def _camera(self, camera: RectifiedStereo, distance: float | None) -> list[Entity]:
+        """The cameras, where they are new or the thread has moved so far that the backdrop must follow."""
+        if self._shown is not None and self._shown[0] == camera:
+            shown = self._shown[1]
+            if distance is None or 0.8 < BACKDROP * distance / shown < 1.25:
+                return []
+        away = BACKDROP * (
+            camera.fx_px * camera.baseline / (0.05 * camera.image_width) if distance is None else distance
+        )
+        self._shown = (camera, away)
+        return camera_entities(camera, away)
+
+    def _status(self, stage: str, status: Status, reason: str) -> list[Entity]:
+        if not self._changed(f"status of {stage}", (status, reason)):
+            return []
+        result = lane(stage, status.name.lower())
+        return [result, said(stage, reason, rr.TextLogLevel.WARN)] if reason else [result]
+
+    def _changed(self, what: str, value: object) -> bool:
+        changed = self._before.get(what) != value
+        self._before[what] = value
+        return changed
+
+
+def frame_entities(frame: StereoFrame, rectified: bool) -> list[Entity]:
+    """Both images: on the cameras of space where they are rectified, otherwise apart."""
+    left, right = ("world/left/image", "world/right/image") if rectified else ("camera/raw/left", "camera/raw/right")
+    return [(left, [encoded(frame.left)]), (right, [encoded(frame.right)])]
+
+
+def encoded(image: Image) -> rr.EncodedImage:
+    """An image as it travelled; a raw one is compressed.
+
+    Raises:
+        ImageDataError: where it does not begin as its encoding does.
+    """
+    if image.encoding is ImageEncoding.RAW:
+        image = encode_image(decode_image(image), ImageEncoding.JPEG, JPEG_QUALITY)
+    media_type, begins = _MEDIA[image.encoding]
+    if not image.data.startswith(begins):
+        raise ImageDataError(f"{len(image.data)} bytes are no {image.encoding.name}, though the message says so")
+    return rr.EncodedImage(contents=image.data, media_type=media_type)
+
+
+def outline_entities(observations: ThreadObservations) -> list[Entity]:
+    """The outlines of both masks: they cost a viewer little, and hide nothing of the thread."""
+    return [
+        ("world/left/mask", [_outline(observations.mask_left)]),
+        ("world/right/mask", [_outline(observations.mask_right)]),
+    ]
+
+
+def _outline(mask: Image) -> rr.LineStrips2D:
+    coverage = decoded_mask(mask)
+    if coverage is None:
+        raise ImageDataError("a mask is no image of the size that it claims")
+    lines, _ = cv2.findContours((coverage >= 128).astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)
+    closed = [np.concatenate((line, line[:1])).reshape(-1, 2) + HALF_PX for line in lines]
+    return rr.LineStrips2D(closed, colors=[colours.MASK], radii=[-0.6])
+
+
+def _about_the_session(message: object) -> list[Entity]:
+    match message:
+        case AgentHealth():
+            return health_entities(message)
+        case LogRecord():
+            return log_entities(message)
+        case CommandRecord():
+            return command_entities(message)
+        case Heartbeat():
+            return [(f"operator/{rr.escape_entity_path_part(message.arm)}/heartbeat", [rr.Scalars(1.0)])]
+        case ReplayClock():
+            return [("replay/rate", [rr.Scalars(message.rate)])]
+        case _:
+            return []

@@ -1,0 +1,273 @@
+"""What is known of the thread as Rerun shows it.
+
+    world                       the rectified left camera's axes: x right, y down, z away
+      left, right               the two pinhole cameras, with `image` and `mask` below
+      observations              `points`, and the `matched` pixels behind them
+      thread                    `curve`, `ends`, `control_points`, `regions`
+    confidence, report          a chart along the thread, and what is to be said in words
+
+Each function turns one message into entity paths with what to log there. A message always gives the same paths,
+so that a failed frame empties what the frame before it showed.
+"""
+
+import pathlib
+from collections.abc import Iterable, Sequence
+
+import cv2
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from jaxtyping import Float64, UInt8
+
+from agents.viewer import colours
+from agents.viewer.image_pane import decoded_mask
+from agents.viewer.polyline import Polyline, thread_polyline
+from agents.viewer.report import markdown, missed, unit_text
+from schemas.messages import (
+    FrameStamp,
+    Image,
+    RectifiedStereo,
+    ReliabilityRegions,
+    ThreadObservations,
+    ThreadReconstruction,
+)
+from shared.camera import backproject, camera_matrix, depth_of_disparity, project
+
+APPLICATION = "suturegrasp"
+JPEG_QUALITY = 95
+CURVE_POINTS = 200
+BARS = 100
+THREAD_CLASS = 1
+BACKDROP = 1.3
+"""How far behind the thread the left image stands in space, as a multiple of the thread's depth."""
+
+VIEWPOINT = (0.55, -0.4, -0.75)
+"""Where one looks at the thread from, seen from there, as a multiple of its distance: right, above, and behind."""
+
+FAINT = 70
+"""Opacity, of 255, of what stands behind the thread."""
+
+HALF_PX = 0.5
+"""Integers are pixel centres with us, and pixel corners with Rerun."""
+
+Entity = tuple[str, Sequence[rr.AsComponents]]
+
+
+def camera_entities(camera: RectifiedStereo, distance: float) -> list[Entity]:
+    """Both cameras; the left one's image plane is at that distance, as a backdrop, the right one's close by."""
+    classes = [(0, "else", (0, 0, 0, 0)), (THREAD_CLASS, "thread", colours.MASK)]
+    right = rr.Transform3D(translation=[camera.baseline, 0.0, 0.0])
+    return [
+        ("world", [rr.ViewCoordinates.RDF, rr.AnnotationContext(classes)]),
+        ("world/left", [_pinhole(camera, distance)]),
+        ("world/right", [right, _pinhole(camera, 0.2 * distance)]),
+    ]
+
+
+def image_entities(left_bgr: UInt8[np.ndarray, "h w *c"], right_bgr: UInt8[np.ndarray, "h w *c"]) -> list[Entity]:
+    """Both rectified images, compressed."""
+    return [("world/left/image", [_jpeg(left_bgr)]), ("world/right/image", [_jpeg(right_bgr)])]
+
+
+def mask_entities(observations: ThreadObservations) -> list[Entity]:
+    """The masks, as areas."""
+    return [
+        ("world/left/mask", [_segmentation(observations.mask_left)]),
+        ("world/right/mask", [_segmentation(observations.mask_right)]),
+    ]
+
+
+def observation_entities(observations: ThreadObservations, most_matched: int | None = None) -> list[Entity]:
+    """The observations with their bounds in the left image, and the matched pixels in space, or that many of them."""
+    points, camera = observations.points_camera, observations.camera
+    observed_px, _ = project(camera, points)
+    matched = observations.matched_px[observations.inlier & (observations.matched_px[:, 2] > 0)]
+    if most_matched is not None:
+        matched = matched[:: 1 + len(matched) // most_matched]
+    matched_points = backproject(camera, matched[:, :2], depth_of_disparity(camera, matched[:, 2]))
+    bounds = rr.Boxes2D(
+        centers=observed_px + HALF_PX,
+        half_sizes=observations.half_size_px,
+        colors=[(*colours.OBSERVATION, 150)],
+        radii=[-0.5],
+    )
+    # a negative radius is one of the screen, the same at any zoom
+    return [
+        ("world/left/bounds", [bounds]),
+        ("world/observations/points", [rr.Points3D(points, colors=[colours.OBSERVATION], radii=[-2.0])]),
+        ("world/observations/matched", [rr.Points3D(matched_points, colors=[(*colours.KEPT, FAINT)], radii=[-1.0])]),
+    ]
+
+
+def reconstruction_entities(reconstruction: ThreadReconstruction) -> list[Entity]:
+    """The thread by confidence, its ends, control points and reliability regions, and confidence along it."""
+    thread = thread_polyline(reconstruction, CURVE_POINTS)
+    control, regions = reconstruction.control_points_camera, reconstruction.regions
+    boxes = rr.LineStrips3D(region_edges(reconstruction.camera, regions), colors=_region_rgba(regions), radii=[-0.5])
+    return [
+        ("world/thread/curve", [_curve(thread)]),
+        ("world/thread/ends", [_ends(thread)]),
+        ("world/thread/control_points", [rr.Points3D(control, colors=[(*colours.MASK, 200)], radii=[-2.0])]),
+        ("world/thread/regions", [boxes]),
+        ("confidence", [_confidence_bars(thread)]),
+    ]
+
+
+def report_entities(observations: ThreadObservations, reconstruction: ThreadReconstruction) -> list[Entity]:
+    """Status, facts and judgements as a document."""
+    text = markdown(observations, reconstruction, thread_polyline(reconstruction))
+    return [("report", [rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)])]
+
+
+def log(recording: rr.RecordingStream, stamp: FrameStamp, entities: Iterable[Entity]) -> None:
+    """Log entities at the capture time of their frame."""
+    recording.set_time("capture_time", timestamp=np.datetime64(stamp.capture_left_ns, "ns"))
+    recording.set_time("frame", sequence=min(stamp.sequence, np.iinfo(np.int64).max))
+    for path, archetypes in entities:
+        for archetype in archetypes:
+            recording.log(path, archetype)
+
+
+def layout(reconstruction: ThreadReconstruction) -> rrb.Blueprint:
+    """How the viewer is laid out: space to the left, both eyes and words to the right, confidence below."""
+    unit = unit_text(reconstruction.camera.metres_per_unit)
+    seen = ["world/thread/curve", "world/thread/ends"]
+    left = rrb.Spatial2DView(
+        origin="world/left", name="left", contents=["$origin/**", *seen, "world/observations/points"]
+    )
+    right = rrb.Spatial2DView(origin="world/right", name="right", contents=["$origin/**", *seen])
+    space = rrb.Spatial3DView(
+        origin="world",
+        name=f"space, {unit}",
+        contents=["$origin/**", *(f"- {path}" for path in FLAT)],
+        background=colours.BACKGROUND,
+        line_grid=False,
+        eye_controls=_eye(reconstruction),
+    )
+    chart = rrb.BarChartView(origin="confidence", name="confidence along s")
+    words = rrb.TextDocumentView(origin="report", name="report")
+    return rrb.Blueprint(
+        rrb.Vertical(
+            rrb.Horizontal(space, rrb.Vertical(left, right), column_shares=[3, 2]),
+            rrb.Horizontal(chart, words, column_shares=[3, 2]),
+            row_shares=[3, 1],
+        ),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline="frame"),
+    )
+
+
+def write_rrd(
+    path: pathlib.Path,
+    left_bgr: UInt8[np.ndarray, "h w *c"],
+    right_bgr: UInt8[np.ndarray, "h w *c"],
+    observations: ThreadObservations,
+    reconstruction: ThreadReconstruction,
+) -> None:
+    """Write one reconstruction as a Rerun file with its layout inside.
+
+    Raises:
+        OSError: where the file cannot be written; Rerun's own file sink would wait for ever on a full disk.
+    """
+    recording = rr.RecordingStream(APPLICATION)
+    stream = recording.binary_stream()
+    recording.send_blueprint(layout(reconstruction), make_active=False, make_default=True)
+    entities = [
+        *camera_entities(observations.camera, BACKDROP * distance_of(reconstruction)),
+        *image_entities(left_bgr, right_bgr),
+        *mask_entities(observations),
+        *observation_entities(observations),
+        *reconstruction_entities(reconstruction),
+        *report_entities(observations, reconstruction),
+    ]
+    log(recording, reconstruction.stamp, entities)
+    path.write_bytes(stream.read() or b"")
+
+
+def region_edges(camera: RectifiedStereo, regions: ReliabilityRegions) -> Float64[np.ndarray, "n 16 3"]:
+    """Each reliability region's twelve edges as one line; a region is a block of pixels between two depths."""
+    bits = (EDGE_TOUR[:, None] >> np.arange(3) & 1) * 2 - 1
+    offset_px = bits[None, :, :2] * regions.bound_px[:, None]
+    depth = regions.centre_camera[:, 2:] + bits[None, :, 2] * regions.bound_depth[:, None]
+    # a region may reach behind the camera, where nothing can be drawn
+    depth = np.maximum(depth, 1e-3 * np.abs(regions.centre_camera[:, 2:]))
+    centre_px, _ = project(camera, regions.centre_camera)
+    corner_px = centre_px[:, None] + offset_px
+    return backproject(camera, corner_px.reshape(-1, 2), depth.ravel()).reshape(-1, len(EDGE_TOUR), 3)
+
+
+EDGE_TOUR = np.array([0, 1, 3, 2, 0, 4, 5, 7, 6, 4, 5, 1, 3, 7, 6, 2])
+"""A walk over all edges of a cube; the bits of a corner's number say which side it is on along u, v and depth."""
+
+
+FLAT = ("world/left/bounds", "world/left/mask", "world/right/image", "world/right/mask")
+"""What belongs to the images alone, and would only hide the thread in space."""
+
+
+def distance_of(reconstruction: ThreadReconstruction) -> float:
+    """How far away things are: the thread's depth, or what one disparity of a twentieth of the width would be."""
+    thread = thread_polyline(reconstruction, CURVE_POINTS)
+    if thread is not None:
+        return float(np.median(thread.points_camera[:, 2]))
+    camera = reconstruction.camera
+    return float(depth_of_disparity(camera, np.array([0.05 * camera.image_width]))[0])
+
+
+def _eye(reconstruction: ThreadReconstruction) -> rrb.EyeControls3D:
+    """Look at the thread from behind the cameras, from the right and above, so that depth can be seen."""
+    thread = thread_polyline(reconstruction, CURVE_POINTS)
+    distance = distance_of(reconstruction)
+    target = np.array([0.0, 0.0, distance]) if thread is None else thread.points_camera.mean(axis=0)
+    position = target + distance * np.array(VIEWPOINT)
+    return rrb.EyeControls3D(position=position, look_target=target, eye_up=[0.0, -1.0, 0.0])
+
+
+def _pinhole(camera: RectifiedStereo, distance: float) -> rr.Pinhole:
+    K = camera_matrix(camera)
+    K[:2, 2] += HALF_PX
+    return rr.Pinhole(
+        image_from_camera=K,
+        resolution=[camera.image_width, camera.image_height],
+        camera_xyz=rr.ViewCoordinates.RDF,
+        image_plane_distance=distance,
+        color=colours.GRID,
+        line_width=-0.5,
+    )
+
+
+def _jpeg(image: UInt8[np.ndarray, "h w *c"]) -> rr.EncodedImage:
+    data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
+    return rr.EncodedImage(contents=data, media_type="image/jpeg")
+
+
+def _segmentation(mask: Image) -> rr.SegmentationImage:
+    coverage = decoded_mask(mask)
+    classes = np.zeros((1, 1), np.uint8) if coverage is None else (coverage >= 128).astype(np.uint8) * THREAD_CLASS
+    return rr.SegmentationImage(classes, opacity=0.5)
+
+
+def _curve(thread: Polyline | None) -> rr.LineStrips3D:
+    if thread is None:
+        return rr.LineStrips3D([])
+    segments = np.stack((thread.points_camera[:-1], thread.points_camera[1:]), axis=1)
+    confidence = 0.5 * (thread.confidence[:-1] + thread.confidence[1:])
+    return rr.LineStrips3D(segments, colors=colours.confidence_rgb(confidence), radii=[-2.5])
+
+
+def _ends(thread: Polyline | None) -> rr.Points3D:
+    if thread is None:
+        return rr.Points3D([])
+    return rr.Points3D(thread.points_camera[[0, -1]], labels=["s=0", "s=1"], colors=[colours.TEXT], radii=[-4.0])
+
+
+def _region_rgba(regions: ReliabilityRegions) -> list[tuple[int, int, int, int]]:
+    return [(*colours.OUTSIDE, 255) if out else (*colours.MUTED, FAINT) for out in missed(regions)]
+
+
+def _confidence_bars(thread: Polyline | None) -> rr.BarChart:
+    if thread is None:
+        return rr.BarChart(np.zeros(1), abscissa=np.zeros(1))
+    along = np.linspace(0.0, 1.0, BARS)
+    confidence = np.nan_to_num(np.interp(along, thread.along, thread.confidence))
+    return rr.BarChart(confidence, abscissa=along, color=colours.GOOD, widths=np.full(BARS, 1 / BARS))

@@ -1,0 +1,69 @@
+"""What is said about one reconstruction, in words: the same in the picture and in Rerun."""
+
+import numpy as np
+from jaxtyping import Bool
+
+from agents.viewer.polyline import Polyline
+from schemas.messages import Judgement, ReliabilityRegions, Severity, Status, ThreadObservations, ThreadReconstruction
+from shared.units import unit_name
+
+MISSED = 1e-3
+"""Slack from which a region counts as missed, as a multiple of its bounds; less is a solver's tolerance."""
+
+
+def missed(regions: ReliabilityRegions) -> Bool[np.ndarray, "n"]:
+    """Which regions the curve does not pass through."""
+    return regions.slack > MISSED
+
+
+def unit_text(metres_per_unit: float | None) -> str:
+    """The name of a calibration's unit, as it stands behind a number or on an axis."""
+    if metres_per_unit is None:
+        return "units (size unknown)"
+    return unit_name(metres_per_unit) or f"units of {metres_per_unit:g} m"
+
+
+def facts(observations: ThreadObservations, reconstruction: ThreadReconstruction, thread: Polyline | None) -> list[str]:
+    """What was measured and how, a few words each."""
+    unit = unit_text(reconstruction.camera.metres_per_unit)
+    lines = [f"frame {reconstruction.stamp.sequence}", f"{len(observations.points_camera)} observations"]
+    if thread is not None:
+        lines.append(f"length {thread.length:.4g} {unit}")
+    if len(reconstruction.confidence):
+        low, high = reconstruction.confidence.min(), reconstruction.confidence.max()
+        lines.append(f"confidence {low:.2f} to {high:.2f}")
+    if outside := int(missed(reconstruction.regions).sum()):
+        lines.append(f"{outside} of {len(reconstruction.regions.s)} regions missed")
+    lines.append(f"method {reconstruction.method or 'unnamed'}")
+    lines.append(f"segmenter {observations.segmenter or 'unnamed'}")
+    return lines
+
+
+def reasons(observations: ThreadObservations, reconstruction: ThreadReconstruction) -> list[str]:
+    """Why there is no thread; nothing where there is one."""
+    texts = [reconstruction.reason]
+    if observations.reason not in reconstruction.reason:
+        texts.append(f"Perception: {observations.reason}")
+    return [text for text in texts if text]
+
+
+def findings(observations: ThreadObservations) -> list[Judgement]:
+    """The judgements that lessen trust in the result, the gravest first."""
+    grave = [judgement for judgement in observations.judgements if judgement.severity is not Severity.NOTE]
+    return sorted(grave, key=lambda judgement: -judgement.severity.value)
+
+
+def finding_text(judgement: Judgement) -> str:
+    """One finding in one line."""
+    remedy = f" Remedy: {judgement.remedy}" if judgement.remedy else ""
+    return f"{judgement.severity.name} {judgement.code}: {judgement.finding}{remedy}"
+
+
+def markdown(observations: ThreadObservations, reconstruction: ThreadReconstruction, thread: Polyline | None) -> str:
+    """Everything above as one document."""
+    lines = [f"## {'OK' if reconstruction.status is Status.OK else 'FAILED'}"]
+    lines += [f"**{reason}**" for reason in reasons(observations, reconstruction)]
+    lines.append(" · ".join(facts(observations, reconstruction, thread)))
+    for judgement in sorted(observations.judgements, key=lambda judgement: -judgement.severity.value):
+        lines.append(f"**{judgement.severity.name} {judgement.code}:** {judgement.finding} *{judgement.remedy}*")
+    return "\n\n".join(lines)

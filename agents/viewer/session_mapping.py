@@ -1,0 +1,116 @@
+"""How the dataflow fares, as Rerun shows it: latency, health, logs, commands, and what the viewer itself let go.
+
+latency/{stage}             milliseconds from when the left eye saw a frame to when a stage published its result
+step_ms/{stage}             how long the stage's step took
+health/{what}/{agent}       published per second, lost and replaced inputs, step times
+log/{who}                   everything that is said in words
+viewer/{what}/{topic}       messages shown, thinned, dropped and unreadable
+"""
+
+import rerun as rr
+
+from agents.viewer import colours
+from agents.viewer.mapping import Entity
+from schemas.codec import decode, encoding_name
+from schemas.messages import AgentHealth, CommandRecord, GraspGoal, LogLevel, LogRecord, Outcome
+from schemas.topics import COMMANDS, TOPICS, Delivery, Topic
+from shared.runtime.attachment import Attachment
+
+_LEVELS = {
+    LogLevel.DEBUG: rr.TextLogLevel.DEBUG,
+    LogLevel.INFO: rr.TextLogLevel.INFO,
+    LogLevel.WARNING: rr.TextLogLevel.WARN,
+    LogLevel.ERROR: rr.TextLogLevel.ERROR,
+}
+_COMMAND_TYPES = {encoding_name(topic.message): topic.message for topic in TOPICS if topic.delivery is Delivery.COMMAND}
+
+
+def latency_entities(topic: Topic, capture_ns: int, beside: Attachment) -> list[Entity]:
+    """How old a frame was when this was published, by the clocks of camera and publisher, and the step's time."""
+    latency_ms = (beside.published_ns - capture_ns) * 1e-6
+    return [
+        (f"latency/{topic.agent}", [rr.Scalars(latency_ms)]),
+        (f"step_ms/{topic.agent}", [rr.Scalars(beside.step_ms)]),
+    ]
+
+
+def health_entities(health: AgentHealth) -> list[Entity]:
+    """An agent's own account of itself as curves, and its fault in words."""
+    agent = _agent(health.agent, health.instance)
+    entities: list[Entity] = [
+        (f"health/rate_hz/{agent}/{_part(output.topic)}", [rr.Scalars(output.rate_hz)]) for output in health.outputs
+    ]
+    for given in health.inputs:
+        entities += [
+            (f"health/lost/{agent}/{_part(given.topic)}", [rr.Scalars(float(given.missed + given.refused))]),
+            (f"health/replaced/{agent}/{_part(given.topic)}", [rr.Scalars(float(given.dropped))]),
+        ]
+    for name, step_ms in (("p50", health.step_ms_p50), ("p99", health.step_ms_p99)):
+        if step_ms is not None:
+            entities.append((f"health/step_ms/{agent}/{name}", [rr.Scalars(step_ms)]))
+    if health.fault:
+        entities.append(said(f"{health.agent}/{health.instance}", health.fault, rr.TextLogLevel.ERROR))
+    return entities
+
+
+def log_entities(record: LogRecord) -> list[Entity]:
+    """A line of an agent's log."""
+    return [said(f"{record.agent}/{record.instance}", record.text, _LEVELS[record.level])]
+
+
+def command_entities(record: CommandRecord) -> list[Entity]:
+    """A command with its answer."""
+    answer = record.answer
+    level = rr.TextLogLevel.INFO if answer.outcome is Outcome.ACCEPTED else rr.TextLogLevel.WARN
+    why = f" ({answer.code}): {answer.reason}" if answer.code else ""
+    return [said(str(COMMANDS), f"{command_sentence(record)}: {answer.outcome.name.lower()}{why}", level)]
+
+
+def command_sentence(record: CommandRecord) -> str:
+    """Which command it was, and from whom."""
+    try:
+        command = decode(_COMMAND_TYPES[record.encoding], record.payload)
+    except (KeyError, ValueError):
+        return f"{record.topic} (unreadable)"
+    wanted = f" of {command.arm}" if hasattr(command, "arm") else ""
+    if isinstance(command, GraspGoal):
+        wanted += _goal(command)
+    return f"{record.topic}{wanted} from {command.header.sender}"
+
+
+def said(who: str, text: str, level: rr.TextLogLevel = rr.TextLogLevel.INFO) -> Entity:
+    """Words, and whose they are; `who` may name an agent and its instance."""
+    parts = [part for part in who.split("/") if part and part not in ("*", "main")]
+    return "/".join(("log", *map(_part, parts))), [rr.TextLog(f"{'/'.join(parts)}: {text}", level=level)]
+
+
+def lane(path: str, state: str) -> Entity:
+    """A state that lasts until the next one, in a colour of its own where it has one."""
+    known = colours.STATES
+    looks = rr.StateConfiguration(values=list(known), labels=list(known), colors=list(known.values()))
+    return f"lanes/{path}", [looks, rr.StateChange(state=state)]
+
+
+def failure(key: str, why: str, count: int) -> Entity:
+    """That a message could not be shown, as the viewer says it."""
+    return said("viewer", f"message {count} of {key} that cannot be shown: {why}", rr.TextLogLevel.ERROR)
+
+
+def count_entities(what: str, counts: dict[str, int]) -> list[Entity]:
+    """What the viewer did with messages, by topic."""
+    return [(f"viewer/{what}/{_part(topic)}", [rr.Scalars(float(count))]) for topic, count in counts.items()]
+
+
+def _goal(goal: GraspGoal) -> str:
+    if goal.s is not None:
+        return f" at s = {goal.s:.3f}"
+    where, place = ("pixel", goal.pixel) if goal.pixel is not None else ("point", goal.point_camera)
+    return f" at {where} ({', '.join(f'{number:.4g}' for number in ([] if place is None else place))})"
+
+
+def _agent(agent: str, instance: str) -> str:
+    return _part(agent) if instance == "main" else f"{_part(agent)}/{_part(instance)}"
+
+
+def _part(name: str) -> str:
+    return rr.escape_entity_path_part(name)

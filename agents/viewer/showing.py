@@ -1,0 +1,101 @@
+"""Messages become entities: thinned, decoded, mapped and counted, one after the other."""
+
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from agents.viewer.live_layout import live_layout
+from agents.viewer.live_mapping import LiveMapping
+from agents.viewer.mapping import Entity
+from agents.viewer.report import unit_text
+from agents.viewer.session_mapping import count_entities, failure, latency_entities
+from agents.viewer.sinks import Moment, Sink
+from agents.viewer.thinning import BY_FRAME, Thinning
+from agents.viewer.units import reconstruction_in_mm
+from schemas.codec import decode
+from schemas.messages import FrameStamp, Status, ThreadReconstruction
+from shared.runtime.taps import Tapped
+
+COUNTS_EVERY_NS = 1_000_000_000
+
+OWN_TIMES = ("at_ns", "measured_ns", "received_ns", "now_ns")
+"""What messages that descend from no frame call their time."""
+
+
+class Showing:
+    """Shows messages by way of `to_sinks`, which has something done to every stream."""
+
+    def __init__(self, to_sinks: Callable[[Callable[[Sink], None]], None]) -> None:
+        self._to_sinks = to_sinks
+        self._mapping, self._thinning = LiveMapping(), Thinning()
+        self.shown: Counter[str] = Counter()
+        self.thinned: Counter[str] = Counter()
+        self.unreadable: Counter[str] = Counter()
+        self._latest_ns = 0
+        self._counted_ns = 0
+        self._laid_out = False
+
+    def show(self, tapped: Tapped) -> None:
+        """Show one message, or count why not."""
+        topic = str(tapped.topic)
+        published_ns = tapped.beside.published_ns if tapped.beside else self._latest_ns
+        try:
+            shown = self._show(tapped, published_ns)
+        except Exception as error:
+            # whatever a message holds, the next one is to be shown; a viewer that ends shows nothing
+            self.unreadable[topic] += 1
+            # a flood of them is not to fill the log
+            if (count := self.unreadable[topic]) & (count - 1) == 0:
+                self._log(Moment(self._latest_ns), [failure(tapped.key, str(error), count)])
+            return
+        (self.shown if shown else self.thinned)[topic] += 1
+
+    def count(self, dropped: dict[str, int], at_least_every_ns: int = COUNTS_EVERY_NS) -> None:
+        """Log what became of messages, if that has not been done for so long."""
+        if abs(self._latest_ns - self._counted_ns) < at_least_every_ns:
+            return
+        self._counted_ns = self._latest_ns
+        counts = {"dropped": dropped, "thinned": self.thinned, "unreadable": self.unreadable}
+        entities = [entity for what, by_topic in counts.items() for entity in count_entities(what, by_topic)]
+        self._log(Moment(self._latest_ns), entities)
+
+    def _show(self, tapped: Tapped, published_ns: int) -> bool:
+        by_frame = tapped.topic in BY_FRAME
+        if not by_frame and not self._thinning.keeps(tapped.topic, tapped.key, published_ns):
+            return False
+        message = decode(tapped.topic.message, tapped.payload)
+        moment = moment_of(message, published_ns)
+        if by_frame and not self._thinning.keeps(tapped.topic, tapped.key, moment.capture_ns):
+            return False
+        entities = self._mapping.entities(message)
+        if moment.frame is not None and tapped.beside:
+            entities += latency_entities(tapped.topic, moment.capture_ns, tapped.beside)
+        if isinstance(message, ThreadReconstruction) and not self._laid_out:
+            self._lay_out(message)
+        self._log(moment, entities)
+        # not the latest of all: a single time in the far future must not end the counting
+        self._latest_ns = published_ns if tapped.beside else moment.capture_ns
+        return True
+
+    def _lay_out(self, reconstruction: ThreadReconstruction) -> None:
+        """Turn the eye to the first thread that is seen."""
+        if reconstruction.status is not Status.OK:
+            return
+        self._laid_out = True
+        thread = reconstruction_in_mm(reconstruction)
+        middle = np.median(thread.control_points_camera, axis=0)
+        layout = live_layout(middle, unit_text(thread.camera.metres_per_unit), raw_images=not self._mapping.rectified)
+        self._to_sinks(lambda sink: sink.lay_out(layout))
+
+    def _log(self, moment: Moment, entities: list[Entity]) -> None:
+        self._to_sinks(lambda sink: sink.log(moment, entities))
+
+
+def moment_of(message: Any, published_ns: int) -> Moment:
+    """When something was so: when its frame was seen, or its own time, or when it was published."""
+    stamp = getattr(message, "stamp", None)
+    if isinstance(stamp, FrameStamp):
+        return Moment(stamp.capture_left_ns, stamp.sequence)
+    return Moment(next((getattr(message, name) for name in OWN_TIMES if hasattr(message, name)), published_ns))

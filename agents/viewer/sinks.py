@@ -1,0 +1,156 @@
+"""Where entities go: a file, and a server that viewers on the screen connect to.
+
+Each is a stream of its own, and is to be used from one thread of its own: a viewer that is frozen holds up the thread
+that logs to it, and must hold up nothing else.
+"""
+
+import os
+import pathlib
+import socket
+import subprocess
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+import rerun_cli
+
+from agents.viewer.mapping import APPLICATION, Entity
+
+SERVER_MEMORY = "128MiB"
+"""What is kept for a viewer that connects late; Rerun needs up to twice as much."""
+
+WEB_PORT = 9090
+WINDOW_OPENS_S = 1.5
+"""A window that has no screen to open on is gone by then."""
+
+
+class ViewerError(Exception):
+    """What is to be shown cannot be; the text names the remedy."""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """When something was so: nanoseconds since 1970, and the frame it descends from, if any."""
+
+    capture_ns: int
+    frame: int | None = None
+
+
+class Sink:
+    """A stream of entities that stamps every one with its moment."""
+
+    def __init__(self, stream: rr.RecordingStream) -> None:
+        self._stream = stream
+        stream.set_log_time_enabled(False)
+
+    def log(self, moment: Moment, entities: Iterable[Entity]) -> None:
+        """Log entities of one moment; where there is no frame, that timeline does not know them."""
+        self._stream.set_time("capture_time", timestamp=np.datetime64(moment.capture_ns, "ns"))
+        if moment.frame is None:
+            self._stream.disable_timeline("frame")
+        else:
+            self._stream.set_time("frame", sequence=min(moment.frame, np.iinfo(np.int64).max))
+        for path, archetypes in entities:
+            for archetype in archetypes:
+                self._stream.log(path, archetype, static=isinstance(archetype, STATIC))
+
+    def lay_out(self, layout: rrb.Blueprint) -> None:
+        """Arrange the views anew."""
+        self._stream.send_blueprint(layout)
+
+    def close(self) -> None:
+        """Write what is under way, and end."""
+        self._stream.flush()
+        self._stream.disconnect()
+
+
+STATIC = (rr.AnnotationContext, rr.SeriesLines, rr.StateConfiguration, rr.ViewCoordinates)
+"""What holds at all times."""
+
+
+def file_sink(path: pathlib.Path, session_id: str, layout: rrb.Blueprint) -> Sink:
+    """A recording in a file.
+
+    Raises:
+        ViewerError: where it cannot be written.
+    """
+    stream = rr.RecordingStream(APPLICATION, recording_id=session_id)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        stream.set_sinks(rr.FileSink(path), default_blueprint=layout)
+    except (OSError, RuntimeError) as error:
+        raise ViewerError(f"{path} cannot be written: {error}; name another file") from error
+    return Sink(stream)
+
+
+def served_sink(session_id: str, layout: rrb.Blueprint) -> tuple[Sink, str]:
+    """A recording for viewers to connect to, and its address.
+
+    Raises:
+        ViewerError: where it cannot be served.
+    """
+    stream = rr.RecordingStream(APPLICATION, recording_id=session_id)
+    try:
+        address = stream.serve_grpc(grpc_port=free_port(), default_blueprint=layout, server_memory_limit=SERVER_MEMORY)
+    except (OSError, RuntimeError) as error:
+        raise ViewerError(f"no viewer can be served: {error}") from error
+    return Sink(stream), address
+
+
+def open_window(address: str) -> subprocess.Popen[bytes]:
+    """Rerun's own window on that address; it stays when this process ends.
+
+    Raises:
+        ViewerError: where there is no screen, or no window opens.
+    """
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise ViewerError(f"there is no screen here to open a window on; elsewhere, run: rerun {address}")
+    # the `rerun` console script only wraps this binary, and ending the wrapper would orphan the viewer
+    binary = pathlib.Path(rerun_cli.__file__).parent / ("rerun.exe" if sys.platform == "win32" else "rerun")
+    command = [binary, "--port", str(free_port()), address]
+    try:
+        window = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+    except OSError as error:
+        raise ViewerError(f"Rerun's window cannot be opened: {error}") from error
+    try:
+        window.wait(WINDOW_OPENS_S)
+    except subprocess.TimeoutExpired:
+        return window
+    raise ViewerError(
+        f"Rerun's window closed at once, so its graphics may not work here; elsewhere, run: rerun {address}"
+    )
+
+
+def open_page(address: str) -> str:
+    """Serve Rerun's web viewer, open it in the browser if there is one, and return where it is.
+
+    Raises:
+        ViewerError: where it cannot be served.
+    """
+    port = WEB_PORT if _is_free(WEB_PORT) else free_port()
+    try:
+        rr.serve_web_viewer(web_port=port, open_browser=True, connect_to=address)
+    except (OSError, RuntimeError) as error:
+        raise ViewerError(f"the web viewer cannot be served: {error}") from error
+    return f"http://localhost:{port}/?url={address.replace('127.0.0.1', 'localhost')}"
+
+
+def free_port() -> int:
+    """A port that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def _is_free(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) != 0

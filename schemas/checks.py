@@ -1,0 +1,92 @@
+"""Checks that a message passes once, when it is made: declared shapes, finite numbers, ranges.
+
+The array annotations of a message are its specification. `Float64[np.ndarray, "n 3"]` says the element type,
+the number of axes and their lengths; a name such as `n` means the same length wherever it stands in the message.
+"""
+
+import dataclasses
+import functools
+import math
+import typing
+from typing import Any
+
+import numpy as np
+
+
+class MessageError(ValueError):
+    """A message that may not exist: the text names the field, what is wrong with it, and what was expected."""
+
+
+@functools.cache
+def fields_of(message_type: type) -> dict[str, Any]:
+    """The fields of a message type with their annotations, in order of declaration."""
+    hints = typing.get_type_hints(message_type)
+    return {field.name: hints[field.name] for field in dataclasses.fields(message_type)}
+
+
+def is_array(annotation: Any) -> bool:
+    """Whether an annotation is one of jaxtyping's array types."""
+    return hasattr(annotation, "dim_str") and hasattr(annotation, "dtypes")
+
+
+def without_none(annotation: Any) -> Any:
+    """The `X` of `X | None`; any other annotation as it is."""
+    if type(None) in typing.get_args(annotation):
+        return next(part for part in typing.get_args(annotation) if part is not type(None))
+    return annotation
+
+
+def check_message(message: Any) -> None:
+    """Check every field of a frozen message against its annotation and make its arrays read-only.
+
+    Raises:
+        MessageError: naming the first field that does not fit.
+    """
+    sizes: dict[str, int] = {}
+    for name, annotation in fields_of(type(message)).items():
+        value = getattr(message, name)
+        if value is None:
+            if without_none(annotation) is annotation:
+                raise MessageError(f"{type(message).__name__}.{name} is missing")
+            continue
+        where = f"{type(message).__name__}.{name}"
+        declared = without_none(annotation)
+        if is_array(declared):
+            object.__setattr__(message, name, _checked_array(where, value, declared, sizes))
+        elif declared is float:
+            _check_finite_number(where, value)
+
+
+def require(condition: bool, message: str) -> None:
+    """Raise a MessageError with that text unless the condition holds."""
+    if not condition:
+        raise MessageError(message)
+
+
+def _check_finite_number(where: str, value: Any) -> None:
+    require(
+        isinstance(value, float | int) and math.isfinite(value),
+        f"{where} must be a finite number, not {value!r}",
+    )
+
+
+def _checked_array(where: str, value: Any, declared: Any, sizes: dict[str, int]) -> np.ndarray:
+    require(isinstance(value, np.ndarray), f"{where} must be a NumPy array, not {type(value).__name__}")
+    require(value.dtype.name in declared.dtypes, f"{where} must hold {declared.dtypes[0]}, not {value.dtype.name}")
+    _check_shape(where, value.shape, declared.dim_str, sizes)
+    if value.dtype.kind == "f":
+        require(bool(np.isfinite(value).all()), f"{where} must be finite, but holds NaN or infinity")
+    view = np.ascontiguousarray(value).view()
+    view.flags.writeable = False
+    return view
+
+
+def _check_shape(where: str, shape: tuple[int, ...], dim_str: str, sizes: dict[str, int]) -> None:
+    axes = dim_str.split()
+    require(len(shape) == len(axes), f"{where} must have shape ({', '.join(axes)}), not {shape}")
+    for axis, length in zip(axes, shape, strict=True):
+        expected = int(axis) if axis.isdigit() else sizes.setdefault(axis, length)
+        require(
+            length == expected,
+            f"{where} has shape {shape} where ({', '.join(axes)}) needs {axis} = {expected}",
+        )

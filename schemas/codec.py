@@ -1,0 +1,172 @@
+"""Messages to bytes and back: one codec for all of them, driven by the annotations of their dataclasses.
+
+A message's protobuf twin has the same name and the same field names. Protobuf accepts nearly anything (no bytes at
+all decode to zeros), so decoding trusts nothing: whatever arrives is either a message that passes its own checks,
+or a MessageError that says what is wrong with which field. Fields that this version does not know are refused too,
+since what they mean for a robot is unknown.
+"""
+
+import dataclasses
+import enum
+import functools
+import math
+import typing
+from typing import Any, TypeVar
+
+import numpy as np
+from google.protobuf.message import DecodeError
+from google.protobuf.unknown_fields import UnknownFieldSet
+
+from schemas.checks import MessageError, fields_of, is_array, require, without_none
+from schemas.generated import suturegrasp_pb2
+
+MAX_MESSAGE_BYTES = 1 << 28
+"""256 MiB: above five times a raw stereo pair at 4K, and far below what would hurt a machine."""
+
+M = TypeVar("M")
+
+
+def encoding_name(message_type: type) -> str:
+    """The name under which a message type travels, as Zenoh's encoding: `application/protobuf;package.Name`."""
+    return f"application/protobuf;{_wire_type(message_type).DESCRIPTOR.full_name}"
+
+
+def encode(message: Any) -> bytes:
+    """The bytes of a message; equal messages have equal bytes.
+
+    Raises:
+        MessageError: where a value does not fit its field on the wire.
+    """
+    wire = _wire_type(type(message))()
+    _write(wire, message, type(message).__name__)
+    return wire.SerializeToString(deterministic=True)
+
+
+def decode(message_type: type[M], data: bytes) -> M:
+    """The message of that type in these bytes. Its arrays are read-only views of what was received.
+
+    Raises:
+        MessageError: where they hold none; the text names the field and what is wrong with it.
+    """
+    name = message_type.__name__
+    wire = _wire_type(message_type)()
+    require(len(data) <= MAX_MESSAGE_BYTES, f"{name} is too large: {len(data)} bytes, of {MAX_MESSAGE_BYTES} allowed")
+    try:
+        wire.ParseFromString(data)
+    except DecodeError as error:
+        raise MessageError(f"{name} cannot be read: its {len(data)} bytes are damaged or of another type") from error
+    # Finite yet absurd numbers overflow in a message's own checks, which then fail as they should.
+    with np.errstate(all="ignore"):
+        return _read(wire, message_type, name)
+
+
+@functools.cache
+def _wire_type(message_type: type) -> Any:
+    return getattr(suturegrasp_pb2, message_type.__name__)
+
+
+def _write(wire: Any, message: Any, where: str) -> None:
+    for name, annotation in fields_of(type(message)).items():
+        value, declared, here = getattr(message, name), without_none(annotation), f"{where}.{name}"
+        if value is None:
+            continue
+        if is_array(declared):
+            _write_array(getattr(wire, name), value, declared)
+        elif _item_type(declared):
+            for index, item in enumerate(value):
+                _write(getattr(wire, name).add(), item, f"{here}[{index}]")
+        elif _is_message(declared):
+            getattr(wire, name).SetInParent()
+            _write(getattr(wire, name), value, here)
+        else:
+            _write_scalar(wire, name, value, here)
+
+
+def _write_scalar(wire: Any, name: str, value: Any, where: str) -> None:
+    try:
+        setattr(wire, name, value.value if isinstance(value, enum.Enum) else value)
+    except (TypeError, ValueError) as error:
+        raise MessageError(f"{where} cannot be sent: {error}") from error
+
+
+def _write_array(wire: Any, array: np.ndarray, declared: Any) -> None:
+    dtype = _wire_dtype(declared)
+    wire.dtype = dtype.str
+    wire.shape.extend(array.shape)
+    wire.data = array.astype(dtype, copy=False).tobytes()
+
+
+def _read(wire: Any, message_type: type[M], where: str) -> M:
+    _refuse_unknown_fields(wire, where)
+    values = {
+        name: _read_field(wire, name, annotation, f"{where}.{name}")
+        for name, annotation in fields_of(message_type).items()
+    }
+    try:
+        return message_type(**values)
+    except MessageError as error:
+        nested = "." in where
+        raise MessageError(f"{where}: {error}" if nested else str(error)) from error
+
+
+def _read_field(wire: Any, name: str, annotation: Any, where: str) -> Any:
+    declared = without_none(annotation)
+    if item_type := _item_type(declared):
+        return tuple(_read(item, item_type, f"{where}[{i}]") for i, item in enumerate(getattr(wire, name)))
+    optional = declared is not annotation
+    if (optional or is_array(declared) or _is_message(declared)) and not wire.HasField(name):
+        require(optional, f"{where} is missing")
+        return None
+    value = getattr(wire, name)
+    if is_array(declared):
+        return _read_array(value, declared, where)
+    if _is_message(declared):
+        return _read(value, declared, where)
+    return _read_enum(value, declared, where) if issubclass(declared, enum.Enum) else value
+
+
+def _read_enum(number: int, declared: type[enum.Enum], where: str) -> enum.Enum:
+    try:
+        return declared(number)
+    except ValueError as error:
+        known = ", ".join(f"{member.value} ({member.name})" for member in declared)
+        found = "is unspecified" if number == 0 else f"has the unknown value {number}"
+        raise MessageError(f"{where} {found}; it must be one of {known}") from error
+
+
+def _read_array(wire: Any, declared: Any, where: str) -> np.ndarray:
+    _refuse_unknown_fields(wire, where)
+    dtype, axes, shape = _wire_dtype(declared), declared.dim_str.split(), tuple(wire.shape)
+    require(wire.dtype == dtype.str, f"{where} must hold {dtype.str}, not {wire.dtype[:20]!r}")
+    # Before any reshape: an array without elements may still claim axes too long for NumPy to index.
+    fits = len(shape) == len(axes) and all(not a.isdigit() or int(a) == n for a, n in zip(axes, shape, strict=True))
+    require(fits, f"{where} must have shape ({', '.join(axes)}), not {shape[:8]}")
+    expected = math.prod(shape) * dtype.itemsize
+    require(
+        len(wire.data) == expected, f"{where} holds {len(wire.data)} bytes where its shape {shape} needs {expected}"
+    )
+    if dtype.kind == "b":
+        require(not wire.data.strip(b"\0\1"), f"{where} holds bytes that are neither true (1) nor false (0)")
+    return np.frombuffer(wire.data, dtype).reshape(shape)
+
+
+def _refuse_unknown_fields(wire: Any, where: str) -> None:
+    unknown = sorted({field.field_number for field in UnknownFieldSet(wire)})
+    require(
+        not unknown,
+        f"{where} has fields that this version does not know (numbers {', '.join(map(str, unknown[:5]))}): "
+        "it is damaged, or its sender is newer",
+    )
+
+
+def _wire_dtype(declared: Any) -> np.dtype:
+    return np.dtype(declared.dtypes[0]).newbyteorder("<")
+
+
+def _is_message(declared: Any) -> bool:
+    return dataclasses.is_dataclass(declared)
+
+
+def _item_type(declared: Any) -> type | None:
+    """The X of `tuple[X, ...]`, and None for any other annotation."""
+    return typing.get_args(declared)[0] if typing.get_origin(declared) is tuple else None

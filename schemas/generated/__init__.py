@@ -1,0 +1,1 @@
+"""Code that protoc wrote from schemas/proto; `make protos` renews it."""

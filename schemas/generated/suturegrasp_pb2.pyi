@@ -1,0 +1,626 @@
+from google.protobuf.internal import containers as _containers
+from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
+from google.protobuf import descriptor as _descriptor
+from google.protobuf import message as _message
+from collections.abc import Iterable as _Iterable, Mapping as _Mapping
+from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
+
+DESCRIPTOR: _descriptor.FileDescriptor
+
+class ImageEncoding(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    IMAGE_ENCODING_UNSPECIFIED: _ClassVar[ImageEncoding]
+    IMAGE_ENCODING_RAW: _ClassVar[ImageEncoding]
+    IMAGE_ENCODING_PNG: _ClassVar[ImageEncoding]
+    IMAGE_ENCODING_JPEG: _ClassVar[ImageEncoding]
+
+class Status(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    STATUS_UNSPECIFIED: _ClassVar[Status]
+    STATUS_OK: _ClassVar[Status]
+    STATUS_FAILED: _ClassVar[Status]
+
+class Severity(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    SEVERITY_UNSPECIFIED: _ClassVar[Severity]
+    SEVERITY_NOTE: _ClassVar[Severity]
+    SEVERITY_WARNING: _ClassVar[Severity]
+    SEVERITY_FAULT: _ClassVar[Severity]
+
+class Outcome(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    OUTCOME_UNSPECIFIED: _ClassVar[Outcome]
+    OUTCOME_ACCEPTED: _ClassVar[Outcome]
+    OUTCOME_REFUSED: _ClassVar[Outcome]
+    OUTCOME_UNKNOWN: _ClassVar[Outcome]
+
+class LogLevel(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    LOG_LEVEL_UNSPECIFIED: _ClassVar[LogLevel]
+    LOG_LEVEL_DEBUG: _ClassVar[LogLevel]
+    LOG_LEVEL_INFO: _ClassVar[LogLevel]
+    LOG_LEVEL_WARNING: _ClassVar[LogLevel]
+    LOG_LEVEL_ERROR: _ClassVar[LogLevel]
+
+class Policy(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    POLICY_UNSPECIFIED: _ClassVar[Policy]
+    POLICY_DIRECT: _ClassVar[Policy]
+    POLICY_CAPTURE_SLIDE_GRASP: _ClassVar[Policy]
+
+class Phase(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    PHASE_UNSPECIFIED: _ClassVar[Phase]
+    PHASE_APPROACH: _ClassVar[Phase]
+    PHASE_CAPTURE: _ClassVar[Phase]
+    PHASE_SLIDE: _ClassVar[Phase]
+    PHASE_GRASP: _ClassVar[Phase]
+    PHASE_RETREAT: _ClassVar[Phase]
+
+class RobotMode(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    ROBOT_MODE_UNSPECIFIED: _ClassVar[RobotMode]
+    ROBOT_MODE_DISABLED: _ClassVar[RobotMode]
+    ROBOT_MODE_IDLE: _ClassVar[RobotMode]
+    ROBOT_MODE_MOVING: _ClassVar[RobotMode]
+    ROBOT_MODE_HOLDING: _ClassVar[RobotMode]
+    ROBOT_MODE_FAULT: _ClassVar[RobotMode]
+
+class ExecutionKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    EXECUTION_KIND_UNSPECIFIED: _ClassVar[ExecutionKind]
+    EXECUTION_KIND_ACCEPTED: _ClassVar[ExecutionKind]
+    EXECUTION_KIND_PHASE_REACHED: _ClassVar[ExecutionKind]
+    EXECUTION_KIND_FINISHED: _ClassVar[ExecutionKind]
+    EXECUTION_KIND_REFUSED: _ClassVar[ExecutionKind]
+    EXECUTION_KIND_HELD: _ClassVar[ExecutionKind]
+
+class Verdict(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    VERDICT_UNSPECIFIED: _ClassVar[Verdict]
+    VERDICT_HELD: _ClassVar[Verdict]
+    VERDICT_MISSED: _ClassVar[Verdict]
+    VERDICT_LOST: _ClassVar[Verdict]
+IMAGE_ENCODING_UNSPECIFIED: ImageEncoding
+IMAGE_ENCODING_RAW: ImageEncoding
+IMAGE_ENCODING_PNG: ImageEncoding
+IMAGE_ENCODING_JPEG: ImageEncoding
+STATUS_UNSPECIFIED: Status
+STATUS_OK: Status
+STATUS_FAILED: Status
+SEVERITY_UNSPECIFIED: Severity
+SEVERITY_NOTE: Severity
+SEVERITY_WARNING: Severity
+SEVERITY_FAULT: Severity
+OUTCOME_UNSPECIFIED: Outcome
+OUTCOME_ACCEPTED: Outcome
+OUTCOME_REFUSED: Outcome
+OUTCOME_UNKNOWN: Outcome
+LOG_LEVEL_UNSPECIFIED: LogLevel
+LOG_LEVEL_DEBUG: LogLevel
+LOG_LEVEL_INFO: LogLevel
+LOG_LEVEL_WARNING: LogLevel
+LOG_LEVEL_ERROR: LogLevel
+POLICY_UNSPECIFIED: Policy
+POLICY_DIRECT: Policy
+POLICY_CAPTURE_SLIDE_GRASP: Policy
+PHASE_UNSPECIFIED: Phase
+PHASE_APPROACH: Phase
+PHASE_CAPTURE: Phase
+PHASE_SLIDE: Phase
+PHASE_GRASP: Phase
+PHASE_RETREAT: Phase
+ROBOT_MODE_UNSPECIFIED: RobotMode
+ROBOT_MODE_DISABLED: RobotMode
+ROBOT_MODE_IDLE: RobotMode
+ROBOT_MODE_MOVING: RobotMode
+ROBOT_MODE_HOLDING: RobotMode
+ROBOT_MODE_FAULT: RobotMode
+EXECUTION_KIND_UNSPECIFIED: ExecutionKind
+EXECUTION_KIND_ACCEPTED: ExecutionKind
+EXECUTION_KIND_PHASE_REACHED: ExecutionKind
+EXECUTION_KIND_FINISHED: ExecutionKind
+EXECUTION_KIND_REFUSED: ExecutionKind
+EXECUTION_KIND_HELD: ExecutionKind
+VERDICT_UNSPECIFIED: Verdict
+VERDICT_HELD: Verdict
+VERDICT_MISSED: Verdict
+VERDICT_LOST: Verdict
+
+class Array(_message.Message):
+    __slots__ = ("dtype", "shape", "data")
+    DTYPE_FIELD_NUMBER: _ClassVar[int]
+    SHAPE_FIELD_NUMBER: _ClassVar[int]
+    DATA_FIELD_NUMBER: _ClassVar[int]
+    dtype: str
+    shape: _containers.RepeatedScalarFieldContainer[int]
+    data: bytes
+    def __init__(self, dtype: _Optional[str] = ..., shape: _Optional[_Iterable[int]] = ..., data: _Optional[bytes] = ...) -> None: ...
+
+class Image(_message.Message):
+    __slots__ = ("encoding", "width", "height", "channels", "data")
+    ENCODING_FIELD_NUMBER: _ClassVar[int]
+    WIDTH_FIELD_NUMBER: _ClassVar[int]
+    HEIGHT_FIELD_NUMBER: _ClassVar[int]
+    CHANNELS_FIELD_NUMBER: _ClassVar[int]
+    DATA_FIELD_NUMBER: _ClassVar[int]
+    encoding: ImageEncoding
+    width: int
+    height: int
+    channels: int
+    data: bytes
+    def __init__(self, encoding: _Optional[_Union[ImageEncoding, str]] = ..., width: _Optional[int] = ..., height: _Optional[int] = ..., channels: _Optional[int] = ..., data: _Optional[bytes] = ...) -> None: ...
+
+class FrameStamp(_message.Message):
+    __slots__ = ("sequence", "capture_left_ns", "capture_right_ns", "calibration_id")
+    SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    CAPTURE_LEFT_NS_FIELD_NUMBER: _ClassVar[int]
+    CAPTURE_RIGHT_NS_FIELD_NUMBER: _ClassVar[int]
+    CALIBRATION_ID_FIELD_NUMBER: _ClassVar[int]
+    sequence: int
+    capture_left_ns: int
+    capture_right_ns: int
+    calibration_id: str
+    def __init__(self, sequence: _Optional[int] = ..., capture_left_ns: _Optional[int] = ..., capture_right_ns: _Optional[int] = ..., calibration_id: _Optional[str] = ...) -> None: ...
+
+class StereoFrame(_message.Message):
+    __slots__ = ("stamp", "left", "right")
+    STAMP_FIELD_NUMBER: _ClassVar[int]
+    LEFT_FIELD_NUMBER: _ClassVar[int]
+    RIGHT_FIELD_NUMBER: _ClassVar[int]
+    stamp: FrameStamp
+    left: Image
+    right: Image
+    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., left: _Optional[_Union[Image, _Mapping]] = ..., right: _Optional[_Union[Image, _Mapping]] = ...) -> None: ...
+
+class StereoCalibration(_message.Message):
+    __slots__ = ("image_width", "image_height", "K_left", "K_right", "distortion_left", "distortion_right", "T_right_left", "metres_per_unit")
+    IMAGE_WIDTH_FIELD_NUMBER: _ClassVar[int]
+    IMAGE_HEIGHT_FIELD_NUMBER: _ClassVar[int]
+    K_LEFT_FIELD_NUMBER: _ClassVar[int]
+    K_RIGHT_FIELD_NUMBER: _ClassVar[int]
+    DISTORTION_LEFT_FIELD_NUMBER: _ClassVar[int]
+    DISTORTION_RIGHT_FIELD_NUMBER: _ClassVar[int]
+    T_RIGHT_LEFT_FIELD_NUMBER: _ClassVar[int]
+    METRES_PER_UNIT_FIELD_NUMBER: _ClassVar[int]
+    image_width: int
+    image_height: int
+    K_left: Array
+    K_right: Array
+    distortion_left: Array
+    distortion_right: Array
+    T_right_left: Array
+    metres_per_unit: float
+    def __init__(self, image_width: _Optional[int] = ..., image_height: _Optional[int] = ..., K_left: _Optional[_Union[Array, _Mapping]] = ..., K_right: _Optional[_Union[Array, _Mapping]] = ..., distortion_left: _Optional[_Union[Array, _Mapping]] = ..., distortion_right: _Optional[_Union[Array, _Mapping]] = ..., T_right_left: _Optional[_Union[Array, _Mapping]] = ..., metres_per_unit: _Optional[float] = ...) -> None: ...
+
+class RectifiedStereo(_message.Message):
+    __slots__ = ("image_width", "image_height", "fx_px", "fy_px", "cx_px", "cy_px", "baseline", "metres_per_unit")
+    IMAGE_WIDTH_FIELD_NUMBER: _ClassVar[int]
+    IMAGE_HEIGHT_FIELD_NUMBER: _ClassVar[int]
+    FX_PX_FIELD_NUMBER: _ClassVar[int]
+    FY_PX_FIELD_NUMBER: _ClassVar[int]
+    CX_PX_FIELD_NUMBER: _ClassVar[int]
+    CY_PX_FIELD_NUMBER: _ClassVar[int]
+    BASELINE_FIELD_NUMBER: _ClassVar[int]
+    METRES_PER_UNIT_FIELD_NUMBER: _ClassVar[int]
+    image_width: int
+    image_height: int
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    baseline: float
+    metres_per_unit: float
+    def __init__(self, image_width: _Optional[int] = ..., image_height: _Optional[int] = ..., fx_px: _Optional[float] = ..., fy_px: _Optional[float] = ..., cx_px: _Optional[float] = ..., cy_px: _Optional[float] = ..., baseline: _Optional[float] = ..., metres_per_unit: _Optional[float] = ...) -> None: ...
+
+class Judgement(_message.Message):
+    __slots__ = ("code", "severity", "finding", "remedy")
+    CODE_FIELD_NUMBER: _ClassVar[int]
+    SEVERITY_FIELD_NUMBER: _ClassVar[int]
+    FINDING_FIELD_NUMBER: _ClassVar[int]
+    REMEDY_FIELD_NUMBER: _ClassVar[int]
+    code: str
+    severity: Severity
+    finding: str
+    remedy: str
+    def __init__(self, code: _Optional[str] = ..., severity: _Optional[_Union[Severity, str]] = ..., finding: _Optional[str] = ..., remedy: _Optional[str] = ...) -> None: ...
+
+class ThreadObservations(_message.Message):
+    __slots__ = ("stamp", "camera", "status", "reason", "segmenter", "points_camera", "half_size_px", "matched_px", "match_cost", "inlier", "mask_left", "mask_right", "judgements", "gaps", "consumed")
+    STAMP_FIELD_NUMBER: _ClassVar[int]
+    CAMERA_FIELD_NUMBER: _ClassVar[int]
+    STATUS_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    SEGMENTER_FIELD_NUMBER: _ClassVar[int]
+    POINTS_CAMERA_FIELD_NUMBER: _ClassVar[int]
+    HALF_SIZE_PX_FIELD_NUMBER: _ClassVar[int]
+    MATCHED_PX_FIELD_NUMBER: _ClassVar[int]
+    MATCH_COST_FIELD_NUMBER: _ClassVar[int]
+    INLIER_FIELD_NUMBER: _ClassVar[int]
+    MASK_LEFT_FIELD_NUMBER: _ClassVar[int]
+    MASK_RIGHT_FIELD_NUMBER: _ClassVar[int]
+    JUDGEMENTS_FIELD_NUMBER: _ClassVar[int]
+    GAPS_FIELD_NUMBER: _ClassVar[int]
+    CONSUMED_FIELD_NUMBER: _ClassVar[int]
+    stamp: FrameStamp
+    camera: RectifiedStereo
+    status: Status
+    reason: str
+    segmenter: str
+    points_camera: Array
+    half_size_px: Array
+    matched_px: Array
+    match_cost: Array
+    inlier: Array
+    mask_left: Image
+    mask_right: Image
+    judgements: _containers.RepeatedCompositeFieldContainer[Judgement]
+    gaps: Array
+    consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
+    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., segmenter: _Optional[str] = ..., points_camera: _Optional[_Union[Array, _Mapping]] = ..., half_size_px: _Optional[_Union[Array, _Mapping]] = ..., matched_px: _Optional[_Union[Array, _Mapping]] = ..., match_cost: _Optional[_Union[Array, _Mapping]] = ..., inlier: _Optional[_Union[Array, _Mapping]] = ..., mask_left: _Optional[_Union[Image, _Mapping]] = ..., mask_right: _Optional[_Union[Image, _Mapping]] = ..., judgements: _Optional[_Iterable[_Union[Judgement, _Mapping]]] = ..., gaps: _Optional[_Union[Array, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
+
+class ReliabilityRegions(_message.Message):
+    __slots__ = ("s", "centre_camera", "bound_px", "bound_depth", "slack")
+    S_FIELD_NUMBER: _ClassVar[int]
+    CENTRE_CAMERA_FIELD_NUMBER: _ClassVar[int]
+    BOUND_PX_FIELD_NUMBER: _ClassVar[int]
+    BOUND_DEPTH_FIELD_NUMBER: _ClassVar[int]
+    SLACK_FIELD_NUMBER: _ClassVar[int]
+    s: Array
+    centre_camera: Array
+    bound_px: Array
+    bound_depth: Array
+    slack: Array
+    def __init__(self, s: _Optional[_Union[Array, _Mapping]] = ..., centre_camera: _Optional[_Union[Array, _Mapping]] = ..., bound_px: _Optional[_Union[Array, _Mapping]] = ..., bound_depth: _Optional[_Union[Array, _Mapping]] = ..., slack: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
+
+class ThreadReconstruction(_message.Message):
+    __slots__ = ("stamp", "camera", "status", "reason", "method", "degree", "knots", "control_points_camera", "regions", "confidence_s", "confidence", "posterior_s", "posterior_covariance", "unseen", "consumed")
+    STAMP_FIELD_NUMBER: _ClassVar[int]
+    CAMERA_FIELD_NUMBER: _ClassVar[int]
+    STATUS_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    METHOD_FIELD_NUMBER: _ClassVar[int]
+    DEGREE_FIELD_NUMBER: _ClassVar[int]
+    KNOTS_FIELD_NUMBER: _ClassVar[int]
+    CONTROL_POINTS_CAMERA_FIELD_NUMBER: _ClassVar[int]
+    REGIONS_FIELD_NUMBER: _ClassVar[int]
+    CONFIDENCE_S_FIELD_NUMBER: _ClassVar[int]
+    CONFIDENCE_FIELD_NUMBER: _ClassVar[int]
+    POSTERIOR_S_FIELD_NUMBER: _ClassVar[int]
+    POSTERIOR_COVARIANCE_FIELD_NUMBER: _ClassVar[int]
+    UNSEEN_FIELD_NUMBER: _ClassVar[int]
+    CONSUMED_FIELD_NUMBER: _ClassVar[int]
+    stamp: FrameStamp
+    camera: RectifiedStereo
+    status: Status
+    reason: str
+    method: str
+    degree: int
+    knots: Array
+    control_points_camera: Array
+    regions: ReliabilityRegions
+    confidence_s: Array
+    confidence: Array
+    posterior_s: Array
+    posterior_covariance: Array
+    unseen: Array
+    consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
+    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., method: _Optional[str] = ..., degree: _Optional[int] = ..., knots: _Optional[_Union[Array, _Mapping]] = ..., control_points_camera: _Optional[_Union[Array, _Mapping]] = ..., regions: _Optional[_Union[ReliabilityRegions, _Mapping]] = ..., confidence_s: _Optional[_Union[Array, _Mapping]] = ..., confidence: _Optional[_Union[Array, _Mapping]] = ..., posterior_s: _Optional[_Union[Array, _Mapping]] = ..., posterior_covariance: _Optional[_Union[Array, _Mapping]] = ..., unseen: _Optional[_Union[Array, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
+
+class Consumed(_message.Message):
+    __slots__ = ("key", "epoch", "sequence")
+    KEY_FIELD_NUMBER: _ClassVar[int]
+    EPOCH_FIELD_NUMBER: _ClassVar[int]
+    SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    key: str
+    epoch: int
+    sequence: int
+    def __init__(self, key: _Optional[str] = ..., epoch: _Optional[int] = ..., sequence: _Optional[int] = ...) -> None: ...
+
+class CommandHeader(_message.Message):
+    __slots__ = ("id", "deadline_ns", "sender")
+    ID_FIELD_NUMBER: _ClassVar[int]
+    DEADLINE_NS_FIELD_NUMBER: _ClassVar[int]
+    SENDER_FIELD_NUMBER: _ClassVar[int]
+    id: str
+    deadline_ns: int
+    sender: str
+    def __init__(self, id: _Optional[str] = ..., deadline_ns: _Optional[int] = ..., sender: _Optional[str] = ...) -> None: ...
+
+class CommandAnswer(_message.Message):
+    __slots__ = ("id", "outcome", "code", "reason")
+    ID_FIELD_NUMBER: _ClassVar[int]
+    OUTCOME_FIELD_NUMBER: _ClassVar[int]
+    CODE_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    id: str
+    outcome: Outcome
+    code: str
+    reason: str
+    def __init__(self, id: _Optional[str] = ..., outcome: _Optional[_Union[Outcome, str]] = ..., code: _Optional[str] = ..., reason: _Optional[str] = ...) -> None: ...
+
+class CommandRecord(_message.Message):
+    __slots__ = ("topic", "encoding", "payload", "received_ns", "answer")
+    TOPIC_FIELD_NUMBER: _ClassVar[int]
+    ENCODING_FIELD_NUMBER: _ClassVar[int]
+    PAYLOAD_FIELD_NUMBER: _ClassVar[int]
+    RECEIVED_NS_FIELD_NUMBER: _ClassVar[int]
+    ANSWER_FIELD_NUMBER: _ClassVar[int]
+    topic: str
+    encoding: str
+    payload: bytes
+    received_ns: int
+    answer: CommandAnswer
+    def __init__(self, topic: _Optional[str] = ..., encoding: _Optional[str] = ..., payload: _Optional[bytes] = ..., received_ns: _Optional[int] = ..., answer: _Optional[_Union[CommandAnswer, _Mapping]] = ...) -> None: ...
+
+class InputHealth(_message.Message):
+    __slots__ = ("topic", "rate_hz", "age_ms", "received", "dropped", "missed", "refused")
+    TOPIC_FIELD_NUMBER: _ClassVar[int]
+    RATE_HZ_FIELD_NUMBER: _ClassVar[int]
+    AGE_MS_FIELD_NUMBER: _ClassVar[int]
+    RECEIVED_FIELD_NUMBER: _ClassVar[int]
+    DROPPED_FIELD_NUMBER: _ClassVar[int]
+    MISSED_FIELD_NUMBER: _ClassVar[int]
+    REFUSED_FIELD_NUMBER: _ClassVar[int]
+    topic: str
+    rate_hz: float
+    age_ms: float
+    received: int
+    dropped: int
+    missed: int
+    refused: int
+    def __init__(self, topic: _Optional[str] = ..., rate_hz: _Optional[float] = ..., age_ms: _Optional[float] = ..., received: _Optional[int] = ..., dropped: _Optional[int] = ..., missed: _Optional[int] = ..., refused: _Optional[int] = ...) -> None: ...
+
+class OutputHealth(_message.Message):
+    __slots__ = ("topic", "rate_hz", "published")
+    TOPIC_FIELD_NUMBER: _ClassVar[int]
+    RATE_HZ_FIELD_NUMBER: _ClassVar[int]
+    PUBLISHED_FIELD_NUMBER: _ClassVar[int]
+    topic: str
+    rate_hz: float
+    published: int
+    def __init__(self, topic: _Optional[str] = ..., rate_hz: _Optional[float] = ..., published: _Optional[int] = ...) -> None: ...
+
+class AgentHealth(_message.Message):
+    __slots__ = ("agent", "instance", "host", "version", "config_hash", "at_ns", "uptime_s", "heartbeat", "step_ms_p50", "step_ms_p99", "inputs", "outputs", "fault")
+    AGENT_FIELD_NUMBER: _ClassVar[int]
+    INSTANCE_FIELD_NUMBER: _ClassVar[int]
+    HOST_FIELD_NUMBER: _ClassVar[int]
+    VERSION_FIELD_NUMBER: _ClassVar[int]
+    CONFIG_HASH_FIELD_NUMBER: _ClassVar[int]
+    AT_NS_FIELD_NUMBER: _ClassVar[int]
+    UPTIME_S_FIELD_NUMBER: _ClassVar[int]
+    HEARTBEAT_FIELD_NUMBER: _ClassVar[int]
+    STEP_MS_P50_FIELD_NUMBER: _ClassVar[int]
+    STEP_MS_P99_FIELD_NUMBER: _ClassVar[int]
+    INPUTS_FIELD_NUMBER: _ClassVar[int]
+    OUTPUTS_FIELD_NUMBER: _ClassVar[int]
+    FAULT_FIELD_NUMBER: _ClassVar[int]
+    agent: str
+    instance: str
+    host: str
+    version: str
+    config_hash: str
+    at_ns: int
+    uptime_s: float
+    heartbeat: int
+    step_ms_p50: float
+    step_ms_p99: float
+    inputs: _containers.RepeatedCompositeFieldContainer[InputHealth]
+    outputs: _containers.RepeatedCompositeFieldContainer[OutputHealth]
+    fault: str
+    def __init__(self, agent: _Optional[str] = ..., instance: _Optional[str] = ..., host: _Optional[str] = ..., version: _Optional[str] = ..., config_hash: _Optional[str] = ..., at_ns: _Optional[int] = ..., uptime_s: _Optional[float] = ..., heartbeat: _Optional[int] = ..., step_ms_p50: _Optional[float] = ..., step_ms_p99: _Optional[float] = ..., inputs: _Optional[_Iterable[_Union[InputHealth, _Mapping]]] = ..., outputs: _Optional[_Iterable[_Union[OutputHealth, _Mapping]]] = ..., fault: _Optional[str] = ...) -> None: ...
+
+class LogRecord(_message.Message):
+    __slots__ = ("at_ns", "agent", "instance", "level", "text")
+    AT_NS_FIELD_NUMBER: _ClassVar[int]
+    AGENT_FIELD_NUMBER: _ClassVar[int]
+    INSTANCE_FIELD_NUMBER: _ClassVar[int]
+    LEVEL_FIELD_NUMBER: _ClassVar[int]
+    TEXT_FIELD_NUMBER: _ClassVar[int]
+    at_ns: int
+    agent: str
+    instance: str
+    level: LogLevel
+    text: str
+    def __init__(self, at_ns: _Optional[int] = ..., agent: _Optional[str] = ..., instance: _Optional[str] = ..., level: _Optional[_Union[LogLevel, str]] = ..., text: _Optional[str] = ...) -> None: ...
+
+class ReplayClock(_message.Message):
+    __slots__ = ("now_ns", "rate")
+    NOW_NS_FIELD_NUMBER: _ClassVar[int]
+    RATE_FIELD_NUMBER: _ClassVar[int]
+    now_ns: int
+    rate: float
+    def __init__(self, now_ns: _Optional[int] = ..., rate: _Optional[float] = ...) -> None: ...
+
+class GraspGoal(_message.Message):
+    __slots__ = ("header", "arm", "policy", "s", "pixel", "point_camera")
+    HEADER_FIELD_NUMBER: _ClassVar[int]
+    ARM_FIELD_NUMBER: _ClassVar[int]
+    POLICY_FIELD_NUMBER: _ClassVar[int]
+    S_FIELD_NUMBER: _ClassVar[int]
+    PIXEL_FIELD_NUMBER: _ClassVar[int]
+    POINT_CAMERA_FIELD_NUMBER: _ClassVar[int]
+    header: CommandHeader
+    arm: str
+    policy: Policy
+    s: float
+    pixel: Array
+    point_camera: Array
+    def __init__(self, header: _Optional[_Union[CommandHeader, _Mapping]] = ..., arm: _Optional[str] = ..., policy: _Optional[_Union[Policy, str]] = ..., s: _Optional[float] = ..., pixel: _Optional[_Union[Array, _Mapping]] = ..., point_camera: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
+
+class Arm(_message.Message):
+    __slots__ = ("header", "arm", "plan_id")
+    HEADER_FIELD_NUMBER: _ClassVar[int]
+    ARM_FIELD_NUMBER: _ClassVar[int]
+    PLAN_ID_FIELD_NUMBER: _ClassVar[int]
+    header: CommandHeader
+    arm: str
+    plan_id: str
+    def __init__(self, header: _Optional[_Union[CommandHeader, _Mapping]] = ..., arm: _Optional[str] = ..., plan_id: _Optional[str] = ...) -> None: ...
+
+class Hold(_message.Message):
+    __slots__ = ("header", "arm")
+    HEADER_FIELD_NUMBER: _ClassVar[int]
+    ARM_FIELD_NUMBER: _ClassVar[int]
+    header: CommandHeader
+    arm: str
+    def __init__(self, header: _Optional[_Union[CommandHeader, _Mapping]] = ..., arm: _Optional[str] = ...) -> None: ...
+
+class Prompt(_message.Message):
+    __slots__ = ("header", "pixel")
+    HEADER_FIELD_NUMBER: _ClassVar[int]
+    PIXEL_FIELD_NUMBER: _ClassVar[int]
+    header: CommandHeader
+    pixel: Array
+    def __init__(self, header: _Optional[_Union[CommandHeader, _Mapping]] = ..., pixel: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
+
+class Heartbeat(_message.Message):
+    __slots__ = ("arm", "plan_id", "at_ns")
+    ARM_FIELD_NUMBER: _ClassVar[int]
+    PLAN_ID_FIELD_NUMBER: _ClassVar[int]
+    AT_NS_FIELD_NUMBER: _ClassVar[int]
+    arm: str
+    plan_id: str
+    at_ns: int
+    def __init__(self, arm: _Optional[str] = ..., plan_id: _Optional[str] = ..., at_ns: _Optional[int] = ...) -> None: ...
+
+class Waypoint(_message.Message):
+    __slots__ = ("T_camera_tool", "jaw_rad", "phase", "s")
+    T_CAMERA_TOOL_FIELD_NUMBER: _ClassVar[int]
+    JAW_RAD_FIELD_NUMBER: _ClassVar[int]
+    PHASE_FIELD_NUMBER: _ClassVar[int]
+    S_FIELD_NUMBER: _ClassVar[int]
+    T_camera_tool: Array
+    jaw_rad: float
+    phase: Phase
+    s: float
+    def __init__(self, T_camera_tool: _Optional[_Union[Array, _Mapping]] = ..., jaw_rad: _Optional[float] = ..., phase: _Optional[_Union[Phase, str]] = ..., s: _Optional[float] = ...) -> None: ...
+
+class Alternative(_message.Message):
+    __slots__ = ("s_capture", "probability", "reason")
+    S_CAPTURE_FIELD_NUMBER: _ClassVar[int]
+    PROBABILITY_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    s_capture: float
+    probability: float
+    reason: str
+    def __init__(self, s_capture: _Optional[float] = ..., probability: _Optional[float] = ..., reason: _Optional[str] = ...) -> None: ...
+
+class GraspPlan(_message.Message):
+    __slots__ = ("plan_id", "arm", "goal_id", "stamp", "status", "reason", "policy", "s_goal", "s_capture", "probability", "slide_m", "waypoints", "alternatives", "consumed")
+    PLAN_ID_FIELD_NUMBER: _ClassVar[int]
+    ARM_FIELD_NUMBER: _ClassVar[int]
+    GOAL_ID_FIELD_NUMBER: _ClassVar[int]
+    STAMP_FIELD_NUMBER: _ClassVar[int]
+    STATUS_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    POLICY_FIELD_NUMBER: _ClassVar[int]
+    S_GOAL_FIELD_NUMBER: _ClassVar[int]
+    S_CAPTURE_FIELD_NUMBER: _ClassVar[int]
+    PROBABILITY_FIELD_NUMBER: _ClassVar[int]
+    SLIDE_M_FIELD_NUMBER: _ClassVar[int]
+    WAYPOINTS_FIELD_NUMBER: _ClassVar[int]
+    ALTERNATIVES_FIELD_NUMBER: _ClassVar[int]
+    CONSUMED_FIELD_NUMBER: _ClassVar[int]
+    plan_id: str
+    arm: str
+    goal_id: str
+    stamp: FrameStamp
+    status: Status
+    reason: str
+    policy: Policy
+    s_goal: float
+    s_capture: float
+    probability: float
+    slide_m: float
+    waypoints: _containers.RepeatedCompositeFieldContainer[Waypoint]
+    alternatives: _containers.RepeatedCompositeFieldContainer[Alternative]
+    consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
+    def __init__(self, plan_id: _Optional[str] = ..., arm: _Optional[str] = ..., goal_id: _Optional[str] = ..., stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., policy: _Optional[_Union[Policy, str]] = ..., s_goal: _Optional[float] = ..., s_capture: _Optional[float] = ..., probability: _Optional[float] = ..., slide_m: _Optional[float] = ..., waypoints: _Optional[_Iterable[_Union[Waypoint, _Mapping]]] = ..., alternatives: _Optional[_Iterable[_Union[Alternative, _Mapping]]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
+
+class RobotState(_message.Message):
+    __slots__ = ("arm", "measured_ns", "mode", "T_base_tool", "joints", "jaw_rad", "T_camera_base", "plan_id")
+    ARM_FIELD_NUMBER: _ClassVar[int]
+    MEASURED_NS_FIELD_NUMBER: _ClassVar[int]
+    MODE_FIELD_NUMBER: _ClassVar[int]
+    T_BASE_TOOL_FIELD_NUMBER: _ClassVar[int]
+    JOINTS_FIELD_NUMBER: _ClassVar[int]
+    JAW_RAD_FIELD_NUMBER: _ClassVar[int]
+    T_CAMERA_BASE_FIELD_NUMBER: _ClassVar[int]
+    PLAN_ID_FIELD_NUMBER: _ClassVar[int]
+    arm: str
+    measured_ns: int
+    mode: RobotMode
+    T_base_tool: Array
+    joints: Array
+    jaw_rad: float
+    T_camera_base: Array
+    plan_id: str
+    def __init__(self, arm: _Optional[str] = ..., measured_ns: _Optional[int] = ..., mode: _Optional[_Union[RobotMode, str]] = ..., T_base_tool: _Optional[_Union[Array, _Mapping]] = ..., joints: _Optional[_Union[Array, _Mapping]] = ..., jaw_rad: _Optional[float] = ..., T_camera_base: _Optional[_Union[Array, _Mapping]] = ..., plan_id: _Optional[str] = ...) -> None: ...
+
+class ExecutionEvent(_message.Message):
+    __slots__ = ("plan_id", "arm", "at_ns", "kind", "phase", "code", "reason")
+    PLAN_ID_FIELD_NUMBER: _ClassVar[int]
+    ARM_FIELD_NUMBER: _ClassVar[int]
+    AT_NS_FIELD_NUMBER: _ClassVar[int]
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    PHASE_FIELD_NUMBER: _ClassVar[int]
+    CODE_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    plan_id: str
+    arm: str
+    at_ns: int
+    kind: ExecutionKind
+    phase: Phase
+    code: str
+    reason: str
+    def __init__(self, plan_id: _Optional[str] = ..., arm: _Optional[str] = ..., at_ns: _Optional[int] = ..., kind: _Optional[_Union[ExecutionKind, str]] = ..., phase: _Optional[_Union[Phase, str]] = ..., code: _Optional[str] = ..., reason: _Optional[str] = ...) -> None: ...
+
+class SimulatorState(_message.Message):
+    __slots__ = ("at_ns", "camera", "background", "colour", "seed", "distance_m", "radius_m", "knots", "control_points_camera", "held", "consumed")
+    AT_NS_FIELD_NUMBER: _ClassVar[int]
+    CAMERA_FIELD_NUMBER: _ClassVar[int]
+    BACKGROUND_FIELD_NUMBER: _ClassVar[int]
+    COLOUR_FIELD_NUMBER: _ClassVar[int]
+    SEED_FIELD_NUMBER: _ClassVar[int]
+    DISTANCE_M_FIELD_NUMBER: _ClassVar[int]
+    RADIUS_M_FIELD_NUMBER: _ClassVar[int]
+    KNOTS_FIELD_NUMBER: _ClassVar[int]
+    CONTROL_POINTS_CAMERA_FIELD_NUMBER: _ClassVar[int]
+    HELD_FIELD_NUMBER: _ClassVar[int]
+    CONSUMED_FIELD_NUMBER: _ClassVar[int]
+    at_ns: int
+    camera: RectifiedStereo
+    background: str
+    colour: str
+    seed: int
+    distance_m: float
+    radius_m: float
+    knots: Array
+    control_points_camera: Array
+    held: float
+    consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
+    def __init__(self, at_ns: _Optional[int] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., background: _Optional[str] = ..., colour: _Optional[str] = ..., seed: _Optional[int] = ..., distance_m: _Optional[float] = ..., radius_m: _Optional[float] = ..., knots: _Optional[_Union[Array, _Mapping]] = ..., control_points_camera: _Optional[_Union[Array, _Mapping]] = ..., held: _Optional[float] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
+
+class GraspJudgement(_message.Message):
+    __slots__ = ("plan_id", "arm", "at_ns", "verdict", "s_caught", "slid_m", "error_m", "sentence", "consumed")
+    PLAN_ID_FIELD_NUMBER: _ClassVar[int]
+    ARM_FIELD_NUMBER: _ClassVar[int]
+    AT_NS_FIELD_NUMBER: _ClassVar[int]
+    VERDICT_FIELD_NUMBER: _ClassVar[int]
+    S_CAUGHT_FIELD_NUMBER: _ClassVar[int]
+    SLID_M_FIELD_NUMBER: _ClassVar[int]
+    ERROR_M_FIELD_NUMBER: _ClassVar[int]
+    SENTENCE_FIELD_NUMBER: _ClassVar[int]
+    CONSUMED_FIELD_NUMBER: _ClassVar[int]
+    plan_id: str
+    arm: str
+    at_ns: int
+    verdict: Verdict
+    s_caught: float
+    slid_m: float
+    error_m: float
+    sentence: str
+    consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
+    def __init__(self, plan_id: _Optional[str] = ..., arm: _Optional[str] = ..., at_ns: _Optional[int] = ..., verdict: _Optional[_Union[Verdict, str]] = ..., s_caught: _Optional[float] = ..., slid_m: _Optional[float] = ..., error_m: _Optional[float] = ..., sentence: _Optional[str] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...

@@ -1,0 +1,105 @@
+"""The messages, as frozen dataclasses of arrays that are checked once, when they are made.
+
+SI units where a name is silent, except that lengths of a calibration, and of everything measured with it, are in
+the calibration's own unit: `metres_per_unit` says what that is, None where nobody knows. Points carry their frame;
+`camera` is the rectified left camera in OpenCV's axes (x right, y down, z away). Shapes stand in the annotations.
+
+`consumed` lists the messages that an output was made from. The runtime fills it in, so that a replay can feed exactly
+those again.
+"""
+
+from schemas.messages.grasping import (
+    Alternative,
+    Arm,
+    ExecutionEvent,
+    ExecutionKind,
+    GraspGoal,
+    GraspPlan,
+    Heartbeat,
+    Hold,
+    Phase,
+    Policy,
+    Prompt,
+    RobotMode,
+    RobotState,
+    Waypoint,
+)
+from schemas.messages.imaging import (
+    ROTATION_TOLERANCE,
+    FrameStamp,
+    Image,
+    ImageEncoding,
+    RectifiedStereo,
+    StereoCalibration,
+    StereoFrame,
+)
+from schemas.messages.running import (
+    AgentHealth,
+    CommandAnswer,
+    CommandHeader,
+    CommandRecord,
+    Consumed,
+    InputHealth,
+    LogLevel,
+    LogRecord,
+    Outcome,
+    OutputHealth,
+    ReplayClock,
+)
+from schemas.messages.simulation import (
+    GraspJudgement,
+    SimulatorState,
+    Verdict,
+)
+from schemas.messages.thread import (
+    Judgement,
+    ReliabilityRegions,
+    Severity,
+    Status,
+    ThreadObservations,
+    ThreadReconstruction,
+)
+
+__all__ = [
+    "ROTATION_TOLERANCE",
+    "AgentHealth",
+    "Alternative",
+    "Arm",
+    "CommandAnswer",
+    "CommandHeader",
+    "CommandRecord",
+    "Consumed",
+    "ExecutionEvent",
+    "ExecutionKind",
+    "FrameStamp",
+    "GraspGoal",
+    "GraspJudgement",
+    "GraspPlan",
+    "Heartbeat",
+    "Hold",
+    "Image",
+    "ImageEncoding",
+    "InputHealth",
+    "Judgement",
+    "LogLevel",
+    "LogRecord",
+    "Outcome",
+    "OutputHealth",
+    "Phase",
+    "Policy",
+    "Prompt",
+    "RectifiedStereo",
+    "ReliabilityRegions",
+    "ReplayClock",
+    "RobotMode",
+    "RobotState",
+    "Severity",
+    "SimulatorState",
+    "Status",
+    "StereoCalibration",
+    "StereoFrame",
+    "ThreadObservations",
+    "ThreadReconstruction",
+    "Verdict",
+    "Waypoint",
+]

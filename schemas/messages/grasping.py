@@ -1,0 +1,232 @@
+"""What is to be grasped, how, and what the robot did. SI units; angles in radians."""
+
+import enum
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from schemas.checks import check_message, require
+from schemas.messages.imaging import FrameStamp
+from schemas.messages.running import CommandHeader, Consumed
+from schemas.messages.thread import Status
+
+POSE_TOLERANCE = 1e-6
+"""Poses are computed, not typed in, so their rotations are orthonormal to rounding."""
+
+
+class Policy(enum.Enum):
+    """How a grasp is made: at the goal itself, or captured where the thread is known best and slid to the goal."""
+
+    DIRECT = 1
+    CAPTURE_SLIDE_GRASP = 2
+
+
+@dataclass(frozen=True)
+class GraspGoal:
+    """Where to grasp: exactly one of s along the thread, a rectified left-image pixel, or a point, camera frame."""
+
+    header: CommandHeader
+    arm: str
+    policy: Policy
+    s: float | None
+    pixel: Float64[np.ndarray, "2"] | None
+    point_camera: Float64[np.ndarray, "3"] | None
+
+    def __post_init__(self) -> None:
+        check_message(self)
+        _check_arm(self.arm)
+        given = sum(value is not None for value in (self.s, self.pixel, self.point_camera))
+        require(given == 1, f"a goal names one of s, pixel and point, not {given} of them")
+        require(self.s is None or 0 <= self.s <= 1, f"a goal's s must lie within 0 and 1, and is {self.s}")
+
+
+@dataclass(frozen=True)
+class Arm:
+    """The operator's consent that one arm carries out one plan, while the heartbeat lasts."""
+
+    header: CommandHeader
+    arm: str
+    plan_id: str
+
+    def __post_init__(self) -> None:
+        check_message(self)
+        _check_arm(self.arm)
+        require(self.plan_id != "", "arming names a plan")
+
+
+@dataclass(frozen=True)
+class Hold:
+    """Stop where you are, disarmed."""
+
+    header: CommandHeader
+    arm: str
+
+    def __post_init__(self) -> None:
+        check_message(self)
+        _check_arm(self.arm)
+
+
+@dataclass(frozen=True)
+class Prompt:
+    """A rectified left-image pixel that is thread."""
+
+    header: CommandHeader
+    pixel: Float64[np.ndarray, "2"]
+
+    def __post_init__(self) -> None:
+        check_message(self)
+
+
+@dataclass(frozen=True)
+class Heartbeat:
+    """The operator is there and wants the armed plan to go on."""
+
+    arm: str
+    plan_id: str
+    at_ns: int
+
+    def __post_init__(self) -> None:
+        check_message(self)
+        _check_arm(self.arm)
+
+
+class Phase(enum.Enum):
+    """The parts of a grasp, in their order."""
+
+    APPROACH = 1
+    CAPTURE = 2
+    SLIDE = 3
+    GRASP = 4
+    RETREAT = 5
+
+
+@dataclass(frozen=True)
+class Waypoint:
+    """Where the tool is to be, with which jaw angle, and in which part of the grasp; s where it is on the thread."""
+
+    T_camera_tool: Float64[np.ndarray, "4 4"]
+    jaw_rad: float
+    phase: Phase
+    s: float | None
+
+    def __post_init__(self) -> None:
+        check_message(self)
+        check_pose("Waypoint.T_camera_tool", self.T_camera_tool)
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """A capture point that was considered, and what spoke against it."""
+
+    s_capture: float
+    probability: float
+    reason: str
+
+    def __post_init__(self) -> None:
+        check_message(self)
+
+
+@dataclass(frozen=True)
+class GraspPlan:
+    """A grasp as tool poses in the camera frame, or why there is none (status FAILED with a reason).
+
+    `stamp` is that of the frame whose thread the plan was made from.
+    """
+
+    plan_id: str
+    arm: str
+    goal_id: str
+    stamp: FrameStamp
+    status: Status
+    reason: str
+    policy: Policy
+    s_goal: float | None
+    s_capture: float | None
+    probability: float
+    slide_m: float
+    waypoints: tuple[Waypoint, ...]
+    alternatives: tuple[Alternative, ...]
+    consumed: tuple[Consumed, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_message(self)
+        _check_arm(self.arm)
+        require(
+            (self.status is Status.OK) == (self.reason == ""), "a rejected grasp needs a reason, and a plan has none"
+        )
+        require((self.status is Status.OK) == (len(self.waypoints) > 0), "a plan has waypoints, and a rejection none")
+        require(0 <= self.probability <= 1, f"a probability must lie within 0 and 1, and is {self.probability}")
+        phases = [waypoint.phase.value for waypoint in self.waypoints]
+        require(phases == sorted(phases), "the phases of a plan must follow each other in order")
+
+
+class RobotMode(enum.Enum):
+    """What the robot bridge is doing with an arm."""
+
+    DISABLED = 1
+    IDLE = 2
+    MOVING = 3
+    HOLDING = 4
+    FAULT = 5
+
+
+@dataclass(frozen=True)
+class RobotState:
+    """An arm as measured, in its base frame, with where the bridge takes the base to be."""
+
+    arm: str
+    measured_ns: int
+    mode: RobotMode
+    T_base_tool: Float64[np.ndarray, "4 4"]
+    joints: Float64[np.ndarray, "6"]
+    jaw_rad: float
+    T_camera_base: Float64[np.ndarray, "4 4"]
+    plan_id: str
+
+    def __post_init__(self) -> None:
+        check_message(self)
+        _check_arm(self.arm)
+        check_pose("RobotState.T_base_tool", self.T_base_tool)
+        check_pose("RobotState.T_camera_base", self.T_camera_base)
+
+
+class ExecutionKind(enum.Enum):
+    """What happened to a plan."""
+
+    ACCEPTED = 1
+    PHASE_REACHED = 2
+    FINISHED = 3
+    REFUSED = 4
+    HELD = 5
+
+
+@dataclass(frozen=True)
+class ExecutionEvent:
+    """One event in the carrying out of a plan; REFUSED and HELD have a code and a reason."""
+
+    plan_id: str
+    arm: str
+    at_ns: int
+    kind: ExecutionKind
+    phase: Phase | None
+    code: str
+    reason: str
+
+    def __post_init__(self) -> None:
+        check_message(self)
+        _check_arm(self.arm)
+        stopped = self.kind in (ExecutionKind.REFUSED, ExecutionKind.HELD)
+        require(stopped == (self.code != ""), "what is refused or held has a code, and nothing else has")
+
+
+def check_pose(where: str, T: Float64[np.ndarray, "4 4"]) -> None:
+    """Require a rigid transform."""
+    R = T[:3, :3]
+    require(bool((T[3] == (0, 0, 0, 1)).all()), f"the last row of {where} must be 0 0 0 1")
+    orthonormal = np.abs(R @ R.T - np.eye(3)).max() < POSE_TOLERANCE and np.linalg.det(R) > 0
+    require(bool(orthonormal), f"{where} holds no rotation")
+
+
+def _check_arm(arm: str) -> None:
+    require(arm != "" and "/" not in arm and "*" not in arm, f"{arm!r} is no name of an arm")

@@ -1,0 +1,158 @@
+"""What agents say about themselves and about what they were told: health, log, commands, clocks."""
+
+import enum
+from dataclasses import dataclass
+
+from schemas.checks import check_message, require
+
+
+@dataclass(frozen=True)
+class Consumed:
+    """One message that an output was made from: its key, and its number in one run (epoch) of its publisher."""
+
+    key: str
+    epoch: int
+    sequence: int
+
+    def __post_init__(self) -> None:
+        check_message(self)
+        require(self.key != "", "Consumed.key is empty")
+        for name in ("epoch", "sequence"):
+            require(getattr(self, name) >= 0, f"Consumed.{name} must not be negative, and is {getattr(self, name)}")
+
+
+class Outcome(enum.Enum):
+    """What became of a command. UNKNOWN is what its sender must assume where no answer came."""
+
+    ACCEPTED = 1
+    REFUSED = 2
+    UNKNOWN = 3
+
+
+@dataclass(frozen=True)
+class CommandHeader:
+    """Who asks, under which unique id, and until when it may be carried out."""
+
+    id: str
+    deadline_ns: int
+    sender: str
+
+    def __post_init__(self) -> None:
+        check_message(self)
+        require(self.id != "", "a command needs an id")
+
+
+@dataclass(frozen=True)
+class CommandAnswer:
+    """The answer to a command: accepted, or refused with a code and a reason."""
+
+    id: str
+    outcome: Outcome
+    code: str
+    reason: str
+
+    def __post_init__(self) -> None:
+        check_message(self)
+        require(
+            (self.outcome is Outcome.ACCEPTED) == (self.code == ""),
+            "a refusal needs a code, and an acceptance has none",
+        )
+
+
+@dataclass(frozen=True)
+class CommandRecord:
+    """A command as its receiver got it, with the answer, published so that a recording holds both."""
+
+    topic: str
+    encoding: str
+    payload: bytes
+    received_ns: int
+    answer: CommandAnswer
+
+
+@dataclass(frozen=True)
+class InputHealth:
+    """How one input fares: rates over the last second or so, counts since the start."""
+
+    topic: str
+    rate_hz: float
+    age_ms: float | None
+    received: int
+    dropped: int
+    missed: int
+    refused: int
+
+    def __post_init__(self) -> None:
+        check_message(self)
+
+
+@dataclass(frozen=True)
+class OutputHealth:
+    """How one output fares."""
+
+    topic: str
+    rate_hz: float
+    published: int
+
+    def __post_init__(self) -> None:
+        check_message(self)
+
+
+@dataclass(frozen=True)
+class AgentHealth:
+    """An agent's own account of itself; `heartbeat` counts turns of its loop, so a hung loop shows.
+
+    Fields:
+        dropped (of an input): newer messages replaced them before they were looked at, which is how *latest* works.
+        missed: sequence numbers that never arrived.
+        refused: messages that could not be read.
+    """
+
+    agent: str
+    instance: str
+    host: str
+    version: str
+    config_hash: str
+    at_ns: int
+    uptime_s: float
+    heartbeat: int
+    step_ms_p50: float | None
+    step_ms_p99: float | None
+    inputs: tuple[InputHealth, ...]
+    outputs: tuple[OutputHealth, ...]
+    fault: str
+
+    def __post_init__(self) -> None:
+        check_message(self)
+
+
+class LogLevel(enum.Enum):
+    """How grave a log record is."""
+
+    DEBUG = 1
+    INFO = 2
+    WARNING = 3
+    ERROR = 4
+
+
+@dataclass(frozen=True)
+class LogRecord:
+    """A line of an agent's log."""
+
+    at_ns: int
+    agent: str
+    instance: str
+    level: LogLevel
+    text: str
+
+
+@dataclass(frozen=True)
+class ReplayClock:
+    """The time that agents must take for now while a recording is replayed."""
+
+    now_ns: int
+    rate: float
+
+    def __post_init__(self) -> None:
+        check_message(self)
+        require(self.rate >= 0, f"ReplayClock.rate must not be negative, and is {self.rate}")

@@ -1,0 +1,166 @@
+"""What is known of the thread: observations, the reconstructed curve, the tissue around it."""
+
+import enum
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from schemas.checks import check_message, require
+from schemas.messages.imaging import FrameStamp, Image, RectifiedStereo
+from schemas.messages.running import Consumed
+
+
+class Status(enum.Enum):
+    """Whether a stage has a result. A failure always has a reason beside it."""
+
+    OK = 1
+    FAILED = 2
+
+
+class Severity(enum.Enum):
+    """What a finding means for the result: good to know, less trust, or not to be used."""
+
+    NOTE = 1
+    WARNING = 2
+    FAULT = 3
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """A finding about the input: a stable code, a plain sentence, and what to do about it."""
+
+    code: str
+    severity: Severity
+    finding: str
+    remedy: str
+
+
+@dataclass(frozen=True)
+class ThreadObservations:
+    """What perception saw of the thread in one stereo pair: ordered points, and the matches behind them.
+
+    Fields:
+        points_camera: the observations, ordered along the thread.
+        half_size_px: half the size (u, v) of the segmented region around each observation's left projection.
+        matched_px: left u, left v and disparity of every matched pixel, of which `inlier` marks those kept and
+            `match_cost` gives the cost of the best and of the second-best match.
+        mask_left, mask_right: coverage by thread in the rectified images, 0 to 255.
+        gaps: indices j where no segmented pixels lead from observation j to the next one.
+    """
+
+    stamp: FrameStamp
+    camera: RectifiedStereo
+    status: Status
+    reason: str
+    segmenter: str
+    points_camera: Float64[np.ndarray, "n 3"]
+    half_size_px: Float64[np.ndarray, "n 2"]
+    matched_px: Float64[np.ndarray, "p 3"]
+    match_cost: Float64[np.ndarray, "p 2"]
+    inlier: Bool[np.ndarray, "p"]
+    mask_left: Image
+    mask_right: Image
+    judgements: tuple[Judgement, ...] = ()
+    gaps: Int64[np.ndarray, "g"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    consumed: tuple[Consumed, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_message(self)
+        _check_reason(self.status, self.reason)
+        require(bool((self.points_camera[:, 2] > 0).all()), "an observation lies behind the camera")
+        require(bool((self.half_size_px > 0).all()), "half_size_px must be positive")
+        last = len(self.points_camera) - 1
+        require(bool(((self.gaps >= 0) & (self.gaps < last)).all()), "a gap must lie between two observations")
+
+
+@dataclass(frozen=True)
+class ReliabilityRegions:
+    """Where the curve must pass: at `s`, within `bound_px` and `bound_depth` of each centre (paper, eq. 4).
+
+    `slack` is how far outside its region the curve was let, where regions contradict each other, as a multiple of
+    the region's own bounds: 0 inside, 1 where the region would have to be twice as large.
+    """
+
+    s: Float64[np.ndarray, "n"]
+    centre_camera: Float64[np.ndarray, "n 3"]
+    bound_px: Float64[np.ndarray, "n 2"]
+    bound_depth: Float64[np.ndarray, "n"]
+    slack: Float64[np.ndarray, "n"]
+
+    def __post_init__(self) -> None:
+        check_message(self)
+        _check_within_thread("regions.s", self.s)
+        require(bool((np.diff(self.s) >= 0).all()), "the parameters of the regions must not decrease")
+        require(bool((self.bound_px > 0).all() and (self.bound_depth > 0).all()), "bounds must be positive")
+        require(bool((self.slack >= 0).all()), "slack must not be negative")
+
+
+def _no_numbers(*shape: int) -> Float64[np.ndarray, "..."]:
+    return np.zeros(shape)
+
+
+@dataclass(frozen=True)
+class ThreadReconstruction:
+    """The thread as a clamped B-spline in the camera frame, with how far it can be trusted.
+
+    Fields:
+        knots: the full knot vector with repeated ends, from 0 to 1.
+        confidence_s, confidence: arc length (0 to 1) and confidence (0 to 1).
+        posterior_s, posterior_covariance: spline parameter (0 to 1) and covariance of the point there; empty where
+            the method predicts none.
+        unseen: stretches of arc length that no image shows.
+    A failed reconstruction has a reason and no control points.
+    """
+
+    stamp: FrameStamp
+    camera: RectifiedStereo
+    status: Status
+    reason: str
+    method: str
+    degree: int
+    knots: Float64[np.ndarray, "k"]
+    control_points_camera: Float64[np.ndarray, "m 3"]
+    regions: ReliabilityRegions
+    confidence_s: Float64[np.ndarray, "c"]
+    confidence: Float64[np.ndarray, "c"]
+    posterior_s: Float64[np.ndarray, "q"] = field(default_factory=lambda: _no_numbers(0))
+    posterior_covariance: Float64[np.ndarray, "q 3 3"] = field(default_factory=lambda: _no_numbers(0, 3, 3))
+    unseen: Float64[np.ndarray, "g 2"] = field(default_factory=lambda: _no_numbers(0, 2))
+    consumed: tuple[Consumed, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_message(self)
+        _check_reason(self.status, self.reason)
+        require(
+            bool(((self.confidence >= 0) & (self.confidence <= 1)).all()),
+            "confidence must lie within 0 and 1",
+        )
+        _check_within_thread("confidence_s", self.confidence_s)
+        _check_within_thread("posterior_s", self.posterior_s)
+        _check_within_thread("unseen", self.unseen)
+        if self.status is Status.OK:
+            _check_clamped_spline(self.degree, self.knots, len(self.control_points_camera))
+        else:
+            require(len(self.control_points_camera) == 0, "a failed reconstruction has no control points")
+
+
+def _check_clamped_spline(degree: int, knots: Float64[np.ndarray, "k"], control_points: int) -> None:
+    require(degree >= 1, f"the degree of a spline must be at least 1, not {degree}")
+    require(control_points > degree, f"a spline of degree {degree} needs more than {control_points} control points")
+    expected = control_points + degree + 1
+    require(
+        len(knots) == expected,
+        f"{control_points} control points of degree {degree} need {expected} knots, not {len(knots)}",
+    )
+    clamped = bool((knots[: degree + 1] == 0).all() and (knots[-degree - 1 :] == 1).all())
+    require(clamped, f"the first and the last {degree + 1} knots must be 0 and 1")
+    require(bool((np.diff(knots[degree:-degree]) > 0).all()), "the knots within must increase")
+
+
+def _check_within_thread(name: str, s: Float64[np.ndarray, "..."]) -> None:
+    require(bool(((s >= 0) & (s <= 1)).all()), f"{name} must lie within 0 and 1, the ends of the thread")
+
+
+def _check_reason(status: Status, reason: str) -> None:
+    require((status is Status.OK) == (reason == ""), "a failure needs a reason, and a success has none")

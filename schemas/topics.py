@@ -1,0 +1,140 @@
+"""The topic table: every key that is published, by whom, as what, how it is delivered, and whether it is recorded.
+
+Publishers, subscribers, the recorder, health, access rules and documentation are all derived from it. A key is
+
+    suturegrasp/{rig}/{agent}/{instance}/{topic}
+
+with the instance `main`, or the arm's name for whatever there is once per arm.
+"""
+
+import enum
+from dataclasses import dataclass
+
+from schemas.messages import (
+    AgentHealth,
+    Arm,
+    CommandRecord,
+    ExecutionEvent,
+    GraspGoal,
+    GraspJudgement,
+    GraspPlan,
+    Heartbeat,
+    Hold,
+    LogRecord,
+    Prompt,
+    ReplayClock,
+    RobotState,
+    SimulatorState,
+    StereoCalibration,
+    StereoFrame,
+    ThreadObservations,
+    ThreadReconstruction,
+)
+
+ROOT = "suturegrasp"
+MAIN = "main"
+ANY_AGENT = "*"
+
+
+class Delivery(enum.Enum):
+    """How a topic travels.
+
+    LATEST: drop rather than wait; the consumer gets the newest, and gaps are counted. STATE: the last value reaches
+    late joiners. EVENT: lossless and ordered across a router's restart; a miss is a fault that is reported. COMMAND: a
+    query with an id, a deadline and an answer, carried out at most once.
+    """
+
+    LATEST = 1
+    STATE = 2
+    EVENT = 3
+    COMMAND = 4
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One row of the table.
+
+    Fields:
+        name: without the agent, so that `planner/plan` has agent `planner` and name `plan`.
+        agent: whose key it lies under; ANY_AGENT where every agent has one of its own.
+        receiver: for a command, the agent that answers it; otherwise empty.
+        rate_hz: as expected; None where it comes by hand or on change.
+        maximum_age_ms: beyond which consumers treat it as stale; None where age means nothing.
+        per_arm: whether there is one per arm, so that the instance is the arm.
+        good_when_late: for a command, whether it is carried out even after its deadline, as stopping must be.
+    """
+
+    agent: str
+    name: str
+    message: type
+    delivery: Delivery
+    rate_hz: float | None = None
+    maximum_age_ms: float | None = None
+    recorded: bool = True
+    receiver: str = ""
+    per_arm: bool = False
+    good_when_late: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.agent}/{self.name}"
+
+
+FRAMES = Topic("camera", "frames", StereoFrame, Delivery.LATEST, rate_hz=30, maximum_age_ms=200)
+CALIBRATION = Topic("camera", "calibration", StereoCalibration, Delivery.STATE)
+OBSERVATIONS = Topic("perception", "observations", ThreadObservations, Delivery.LATEST, rate_hz=30, maximum_age_ms=1500)
+THREAD = Topic("reconstruction", "thread", ThreadReconstruction, Delivery.LATEST, rate_hz=30, maximum_age_ms=1500)
+GOAL = Topic("operator", "goal", GraspGoal, Delivery.COMMAND, receiver="planner")
+ARM = Topic("operator", "arm", Arm, Delivery.COMMAND, receiver="robot_bridge", per_arm=True)
+HOLD = Topic("operator", "hold", Hold, Delivery.COMMAND, receiver="robot_bridge", per_arm=True, good_when_late=True)
+PROMPT = Topic("operator", "prompt", Prompt, Delivery.COMMAND, receiver="perception")
+HEARTBEAT = Topic("operator", "heartbeat", Heartbeat, Delivery.LATEST, rate_hz=20, maximum_age_ms=200, per_arm=True)
+PLAN = Topic("planner", "plan", GraspPlan, Delivery.EVENT)
+ROBOT_STATE = Topic("robot_bridge", "state", RobotState, Delivery.LATEST, rate_hz=100, maximum_age_ms=100, per_arm=True)
+EXECUTION = Topic("robot_bridge", "execution", ExecutionEvent, Delivery.EVENT, per_arm=True)
+SIMULATOR_STATE = Topic("simulator", "state", SimulatorState, Delivery.LATEST, rate_hz=60)
+JUDGEMENT = Topic("simulator", "judgement", GraspJudgement, Delivery.EVENT)
+REPLAY_CLOCK = Topic("replay", "clock", ReplayClock, Delivery.LATEST, recorded=False)
+COMMANDS = Topic(ANY_AGENT, "command", CommandRecord, Delivery.EVENT)
+HEALTH = Topic(ANY_AGENT, "health", AgentHealth, Delivery.LATEST, rate_hz=1, maximum_age_ms=3000)
+LOG = Topic(ANY_AGENT, "log", LogRecord, Delivery.EVENT)
+
+TOPICS = (
+    FRAMES,
+    CALIBRATION,
+    OBSERVATIONS,
+    THREAD,
+    GOAL,
+    ARM,
+    HOLD,
+    PROMPT,
+    HEARTBEAT,
+    PLAN,
+    ROBOT_STATE,
+    EXECUTION,
+    SIMULATOR_STATE,
+    JUDGEMENT,
+    REPLAY_CLOCK,
+    COMMANDS,
+    HEALTH,
+    LOG,
+)
+
+
+def key(rig: str, topic: Topic, instance: str = MAIN, agent: str = "") -> str:
+    """The key of a topic; `agent` says whose, where every agent has one of its own."""
+    return f"{ROOT}/{rig}/{agent or topic.agent}/{instance}/{topic.name}"
+
+
+def topic_of(key_expression: str) -> Topic:
+    """The row of the table that a concrete key belongs to.
+
+    Raises:
+        KeyError: where the table has none; the text names the key.
+    """
+    parts = key_expression.split("/")
+    if len(parts) == 5 and parts[0] == ROOT:
+        _, _, agent, _, name = parts
+        for topic in TOPICS:
+            if topic.name == name and topic.agent in (agent, ANY_AGENT):
+                return topic
+    raise KeyError(f"no topic of the table has the key {key_expression!r}")

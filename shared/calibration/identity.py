@@ -1,0 +1,11 @@
+"""A name for a calibration, by which a frame says which one it was taken with."""
+
+import hashlib
+
+from schemas.codec import encode
+from schemas.messages import StereoCalibration
+
+
+def calibration_id(calibration: StereoCalibration) -> str:
+    """A short name of a calibration that changes whenever any of its numbers does."""
+    return hashlib.sha256(encode(calibration)).hexdigest()[:12]

@@ -1,0 +1,109 @@
+"""Reads a stereo calibration in any of the known formats, and judges it."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from schemas.checks import MessageError
+from schemas.messages import Judgement, StereoCalibration
+from shared.calibration.formats import stated_calibration
+from shared.calibration.judge import judgements, repaired_rotation
+from shared.calibration.stated import CalibrationError, ImageSize, StatedCalibration
+from shared.rigid_transforms import transform
+from shared.units import metres_per_unit
+
+_LONGEST_SENTENCE = 1000
+
+
+@dataclass(frozen=True)
+class ReadCalibration:
+    """A calibration and everything that is doubtful about it, the gravest first."""
+
+    calibration: StereoCalibration
+    judgements: tuple[Judgement, ...]
+
+
+def read_calibration(
+    path_or_paths: Path | tuple[Path, ...], *, unit: str | None, image_size: tuple[int, int]
+) -> ReadCalibration:
+    """The calibration in a file, in a folder, or in two files (left, right; or intrinsics, extrinsics).
+
+    Args:
+        unit: the unit of the baseline, by a name of `shared.units`; None leaves it to the file, which may not know.
+        image_size: (width, height) in pixels of the images that it is to be used with.
+
+    A judgement of severity FAULT means that the calibration is well formed but must not be used.
+
+    Raises:
+        CalibrationError: where there is no usable calibration; the text says why and what to do.
+    """
+    paths = (path_or_paths,) if isinstance(path_or_paths, Path) else tuple(path_or_paths)
+    if len(paths) not in (1, 2):
+        raise CalibrationError(f"a calibration is one file, one folder or two files, not {len(paths)} paths")
+    try:
+        stated = stated_calibration(paths)
+        _check_size(stated.size, image_size)
+        return _judged(stated, _metres_per_unit(stated, unit), image_size)
+    except (CalibrationError, MessageError) as error:
+        raise CalibrationError(_one_line(f"{' and '.join(map(str, paths))}: {error}")) from None
+
+
+def _one_line(sentence: str) -> str:
+    """A sentence that any terminal can show, whatever names it quotes from a file."""
+    return "".join(char if char.isprintable() else "?" for char in sentence)[:_LONGEST_SENTENCE]
+
+
+def _judged(stated: StatedCalibration, metres: float | None, image_size: tuple[int, int]) -> ReadCalibration:
+    for side, K in (("left", stated.K_left), ("right", stated.K_right)):
+        _check_camera_matrix(side, K)
+    R, rotation_judgements = repaired_rotation(stated.R_right_left)
+    width, height = image_size
+    calibration = StereoCalibration(
+        image_width=width,
+        image_height=height,
+        K_left=stated.K_left,
+        K_right=stated.K_right,
+        distortion_left=stated.distortion_left,
+        distortion_right=stated.distortion_right,
+        T_right_left=transform(R, stated.t_right_left),
+        metres_per_unit=metres,
+    )
+    found = (*rotation_judgements, *judgements(calibration))
+    return ReadCalibration(calibration, tuple(sorted(found, key=lambda judgement: -judgement.severity.value)))
+
+
+def _check_camera_matrix(side: str, K: np.ndarray) -> None:
+    if K[2, :2].any() and not K[:2, 2].any():
+        raise CalibrationError(f"the {side} camera matrix is transposed, as older MATLAB writes it; transpose it")
+    if K[1, 0] != 0 or (K[2] != (0, 0, 1)).any() or K[0, 0] <= 0 or K[1, 1] <= 0:
+        raise CalibrationError(f"the {side} camera matrix must be fx s cx, 0 fy cy, 0 0 1 with positive fx and fy")
+
+
+def _check_size(stated: ImageSize | None, image_size: tuple[int, int]) -> None:
+    if stated is None or (stated.width, stated.height) == image_size:
+        return
+    if not stated.order_is_known and (stated.height, stated.width) == image_size:
+        return
+    ours, theirs = (f"{width}x{height}" for width, height in (image_size, (stated.width, stated.height)))
+    raise CalibrationError(
+        f"the calibration is for {theirs} images, and these are {ours}; "
+        "use the images that it belongs to, or scale them to its size if they were not cropped"
+    )
+
+
+def _metres_per_unit(stated: StatedCalibration, unit: str | None) -> float | None:
+    """The unit that was given, or else the file's own.
+
+    Raises:
+        CalibrationError: where the two contradict each other, or nobody knows a unit of that name.
+    """
+    if unit and stated.unit and not stated.unit_by_convention and unit != stated.unit:
+        raise CalibrationError(f"the file states its lengths in {stated.unit}, which contradicts --unit {unit}")
+    name = unit or stated.unit
+    if name is None:
+        return None
+    try:
+        return metres_per_unit(name)
+    except ValueError as error:
+        raise CalibrationError(str(error)) from None

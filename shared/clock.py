@@ -1,0 +1,31 @@
+"""The only module that reads a clock."""
+
+import time
+from collections.abc import Generator
+from contextlib import contextmanager
+
+
+def now_ns() -> int:
+    """Nanoseconds since 1970: the time that travels in messages."""
+    return time.time_ns()
+
+
+def monotonic_s() -> float:
+    """Seconds that never jump: for intervals within one process."""
+    return time.monotonic()
+
+
+class Stopwatch:
+    """Milliseconds spent per named step; a step that was never taken counts 0."""
+
+    def __init__(self, *steps: str) -> None:
+        self.ms: dict[str, float] = dict.fromkeys(steps, 0.0)
+
+    @contextmanager
+    def step(self, name: str) -> Generator[None]:
+        """Add the time spent inside to one of the named steps."""
+        started = time.perf_counter_ns()
+        try:
+            yield
+        finally:
+            self.ms[name] += (time.perf_counter_ns() - started) * 1e-6

@@ -1,0 +1,1 @@
+"""How agents run: sessions, inboxes, publishers, commands, ticks, health, replay."""

@@ -1,0 +1,105 @@
+"""The counts behind an agent's health: rates, ages, drops, misses, step times."""
+
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from schemas.messages import InputHealth, OutputHealth
+from shared.runtime.attachment import Attachment
+
+WINDOW_S = 2.0
+STEPS_KEPT = 300
+
+
+@dataclass
+class Rate:
+    """Events per second over the last moments."""
+
+    times: deque[float] = field(default_factory=deque[float])
+
+    def count(self, now_s: float) -> None:
+        """Count an event at that time."""
+        self.times.append(now_s)
+
+    def hz(self, now_s: float) -> float:
+        """The rate over the window that ends now."""
+        while self.times and self.times[0] < now_s - WINDOW_S:
+            self.times.popleft()
+        return len(self.times) / WINDOW_S
+
+
+@dataclass
+class InputAccount:
+    """What became of the messages of one input.
+
+    Fields:
+        skipped: sequence numbers between messages that were looked at.
+        missed: events that Zenoh reports as lost.
+    """
+
+    topic: str
+    rate: Rate = field(default_factory=Rate)
+    received: int = 0
+    skipped: int = 0
+    missed: int = 0
+    refused: int = 0
+    age_ms: float | None = None
+    _last: dict[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])
+
+    def arrived(self, key: str, beside: Attachment, now_ns: int, now_s: float) -> None:
+        """Count a message that was looked at, and those of its key's sequence that lie between it and the last."""
+        self.received += 1
+        self.rate.count(now_s)
+        self.age_ms = (now_ns - beside.published_ns) * 1e-6
+        self._follow(key, beside)
+
+    def refuse(self, key: str, beside: Attachment | None) -> None:
+        """Count a message that could not be read, which is refused, not missed."""
+        self.refused += 1
+        if beside is not None:
+            self._follow(key, beside)
+
+    def _follow(self, key: str, beside: Attachment) -> None:
+        epoch, sequence = self._last.get(key, (beside.epoch, beside.sequence - 1))
+        self._last[key] = (beside.epoch, beside.sequence)
+        if epoch == beside.epoch:
+            self.skipped += max(0, beside.sequence - sequence - 1)
+
+    def health(self, dropped: int, now_s: float) -> InputHealth:
+        """This account as a message; what was skipped and not dropped here was lost on the way."""
+        missed = max(self.missed, self.skipped - dropped)
+        return InputHealth(self.topic, self.rate.hz(now_s), self.age_ms, self.received, dropped, missed, self.refused)
+
+
+@dataclass
+class OutputAccount:
+    """What was published on one output."""
+
+    topic: str
+    rate: Rate = field(default_factory=Rate)
+    published: int = 0
+
+    def count(self, now_s: float) -> None:
+        """Count a message."""
+        self.published += 1
+        self.rate.count(now_s)
+
+    def health(self, now_s: float) -> OutputHealth:
+        """This account as a message."""
+        return OutputHealth(self.topic, self.rate.hz(now_s), self.published)
+
+
+class StepTimes:
+    """How long the last steps took."""
+
+    def __init__(self) -> None:
+        self._ms: deque[float] = deque(maxlen=STEPS_KEPT)
+
+    def add(self, ms: float) -> None:
+        """Count a step."""
+        self._ms.append(ms)
+
+    def percentile(self, share: float) -> float | None:
+        """Milliseconds below which that percentage of the last steps lies, None before the first."""
+        return float(np.percentile(self._ms, share)) if self._ms else None

@@ -1,0 +1,89 @@
+"""What an agent is, seen from the runtime: inputs, outputs, and a step from one message to others.
+
+An agent is an object with state and no sockets: `step` takes what arrived and returns what is to be published. The same
+object runs live (`shared.runtime.runner`) and on a recording (`shared.runtime.replay`).
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from schemas.messages import CommandAnswer
+from schemas.topics import MAIN, Topic
+
+
+@dataclass(frozen=True)
+class Input:
+    """A topic that an agent listens to.
+
+    Fields:
+        instance: whose; `*` for all.
+        only_newest_counts: that the agent keeps nothing of earlier messages of this topic, so that a replay may leave
+            them out.
+    """
+
+    topic: Topic
+    instance: str = MAIN
+    only_newest_counts: bool = False
+
+
+@dataclass(frozen=True)
+class Received:
+    """A message of one of the inputs, with its key and its sequence number there."""
+
+    topic: Topic
+    key: str
+    sequence: int
+    message: Any
+
+
+@dataclass(frozen=True)
+class Tick:
+    """The time, for agents that act without being asked. The first one comes before any other message."""
+
+    now_ns: int
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command for this agent, not yet carried out; the step must yield its CommandAnswer first."""
+
+    topic: Topic
+    instance: str
+    message: Any
+    now_ns: int
+
+
+@dataclass(frozen=True)
+class Output:
+    """A message to publish under one of the agent's outputs."""
+
+    topic: Topic
+    message: Any
+
+
+class Agent(Protocol):
+    """One stage of the dataflow. Where it has a method `close`, that is called once at the end, whatever ended it.
+
+    Fields:
+        kind: the agent's name in keys, such as `perception`.
+        instance: `main`, or the arm's name.
+        tick_hz: how often it wants the time; None for never.
+    """
+
+    @property
+    def kind(self) -> str: ...
+    @property
+    def instance(self) -> str: ...
+    @property
+    def inputs(self) -> tuple[Input, ...]: ...
+    @property
+    def outputs(self) -> tuple[Topic, ...]: ...
+    @property
+    def commands(self) -> tuple[Topic, ...]: ...
+    @property
+    def tick_hz(self) -> float | None: ...
+
+    def step(self, arrived: Received | Tick | Command) -> Iterable[Output | CommandAnswer]:
+        """What follows from one message, tick or command; deterministic in everything that was fed to the agent."""
+        ...

@@ -1,0 +1,87 @@
+"""Commands: a query with an id and a deadline, carried out at most once, with an answer.
+
+No answer means that the outcome is unknown, since the receiver may have died after carrying it out. So a command is
+never sent again blindly: its sender asks for the status of its id, which carries out nothing.
+"""
+
+import uuid
+from collections import OrderedDict
+from typing import Any
+
+import zenoh
+
+from schemas.checks import MessageError
+from schemas.codec import decode, encode, encoding_name
+from schemas.messages import CommandAnswer, CommandHeader, Outcome
+from schemas.topics import MAIN, Topic, key
+from shared.clock import now_ns
+
+STATUS = "status"
+"""The parameter of a query that asks what became of a command's id."""
+REMEMBERED = 1000
+DEFAULT_DEADLINE_S = 2.0
+
+
+def new_header(sender: str, deadline_s: float = DEFAULT_DEADLINE_S) -> CommandHeader:
+    """The header of a new command: a unique id, and the time after which it must not be carried out."""
+    return CommandHeader(id=uuid.uuid4().hex, deadline_ns=now_ns() + round(deadline_s * 1e9), sender=sender)
+
+
+def send_command(
+    session: zenoh.Session, rig: str, topic: Topic, message: Any, instance: str = MAIN, timeout_s: float = 3.0
+) -> CommandAnswer:
+    """Send a command once and return its answer; where none comes, the status of its id, or UNKNOWN."""
+    selector = key(rig, topic, instance)
+    answer = _ask(session, selector, encode(message), encoding_name(topic.message), timeout_s)
+    if answer is None:
+        answer = _ask(session, f"{selector}?{STATUS}={message.header.id}", b"", "", 0.5 * timeout_s)
+    if answer is None:
+        reason = f"no answer from the {topic.receiver} ({instance}): it may not be running; nothing is sent again"
+        return CommandAnswer(message.header.id, Outcome.UNKNOWN, "no_answer", reason)
+    return answer
+
+
+def refused(command_id: str, code: str, reason: str) -> CommandAnswer:
+    """An answer that refuses."""
+    return CommandAnswer(command_id, Outcome.REFUSED, code, reason)
+
+
+def accepted(command_id: str) -> CommandAnswer:
+    """An answer that accepts."""
+    return CommandAnswer(command_id, Outcome.ACCEPTED, "", "")
+
+
+class Answered:
+    """The answers to the last commands by id, so that none is carried out twice."""
+
+    def __init__(self) -> None:
+        self._answers: OrderedDict[str, CommandAnswer] = OrderedDict()
+
+    def recall(self, command_id: str) -> CommandAnswer | None:
+        """What was answered to that id, None where it is new."""
+        return self._answers.get(command_id)
+
+    def remember(self, answer: CommandAnswer) -> None:
+        """Keep an answer; the oldest are forgotten."""
+        self._answers[answer.id] = answer
+        while len(self._answers) > REMEMBERED:
+            self._answers.popitem(last=False)
+
+
+def _ask(
+    session: zenoh.Session, selector: str, payload: bytes, encoding: str, timeout_s: float
+) -> CommandAnswer | None:
+    replies = session.get(
+        selector,
+        payload=payload,
+        encoding=encoding or None,
+        timeout=timeout_s,
+        consolidation=zenoh.ConsolidationMode.NONE,
+    )
+    for reply in replies:
+        if reply.ok is not None:
+            try:
+                return decode(CommandAnswer, reply.ok.payload.to_bytes())
+            except MessageError:
+                return None
+    return None

@@ -1,0 +1,141 @@
+"""What a person's command, or a tool beside the dataflow, needs of it: send, listen, and keep a heartbeat.
+
+Such a client is no agent: it has no inputs to replay. It knows the rig's keys and nothing of Zenoh.
+"""
+
+import os
+import queue
+import threading
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from typing import Any
+
+import zenoh
+
+from schemas.codec import encode
+from schemas.messages import CommandAnswer
+from schemas.topics import MAIN, Topic, key
+from shared.clock import monotonic_s, now_ns
+from shared.runtime.attachment import Attachment, pack
+from shared.runtime.commands import send_command
+from shared.runtime.delivery import declare_publisher
+from shared.runtime.session import SessionSettings, open_session
+from shared.runtime.taps import Tapped, tap
+
+ROUTER_WAIT_S = 3.0
+LOOK_S = 0.05
+
+
+class NoRouterError(RuntimeError):
+    """No router answers; the text names where it was looked for."""
+
+
+class Connection:
+    """A client of a rig."""
+
+    def __init__(self, session: zenoh.Session, settings: SessionSettings) -> None:
+        self._session, self._rig = session, settings.rig
+        self._kept: list[Any] = []
+
+    def listen(
+        self,
+        topics: tuple[Topic, ...],
+        receive: Callable[[Tapped], None],
+        missed: Callable[[Topic, int], None] = lambda _topic, _count: None,
+    ) -> None:
+        """Have every message of these topics handed over, from other threads, until the connection is closed."""
+        self._kept += tap(self._session, self._rig, topics, receive, missed)
+
+    def command(self, topic: Topic, message: Any, instance: str = MAIN) -> CommandAnswer:
+        """Send a command and return its answer; UNKNOWN where none came."""
+        return send_command(self._session, self._rig, topic, message, instance)
+
+    def present(self) -> list[str]:
+        """Which agents are there, as `kind/instance`."""
+        replies = self._session.liveliness().get(f"suturegrasp/{self._rig}/*/*", timeout=1.0)
+        found = [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
+        return sorted("/".join(name.split("/")[-2:]) for name in found)
+
+    @contextmanager
+    def repeating(
+        self, topic: Topic, instance: str, rate_hz: float, message: Callable[[int], Any | None]
+    ) -> Generator[threading.Event]:
+        """Publish a message again and again from a thread of its own; setting the event stops it early.
+
+        `message` is given the time, and gives None where nothing is to be published this time.
+        """
+        stopped = threading.Event()
+        publisher = declare_publisher(self._session, key(self._rig, topic, instance), topic)
+        thread = threading.Thread(target=_repeat, args=(publisher, stopped, rate_hz, message), name=f"repeat {topic}")
+        thread.start()
+        try:
+            yield stopped
+        finally:
+            stopped.set()
+            thread.join()
+            publisher.undeclare()
+
+    def close(self) -> None:
+        """Stop listening."""
+        for declared in self._kept:
+            declared.undeclare()
+        self._kept = []
+
+
+@contextmanager
+def connected(
+    settings: SessionSettings, within_s: float | None = ROUTER_WAIT_S, stopped: threading.Event | None = None
+) -> Generator[Connection]:
+    """A connection to a rig for as long as it is needed.
+
+    Raises:
+        NoRouterError: where no router answers in time (None: as long as it takes), or before `stopped` is set.
+    """
+    with open_when_there(settings, within_s, stopped) as session:
+        connection = Connection(session, settings)
+        try:
+            yield connection
+        finally:
+            connection.close()
+
+
+def open_when_there(
+    settings: SessionSettings, within_s: float | None = None, stopped: threading.Event | None = None
+) -> zenoh.Session:
+    """A session once the router answers. Zenoh waits without heeding signals, so it is left to wait in a thread.
+
+    Raises:
+        NoRouterError: as for `connected`.
+    """
+    opened: queue.Queue[zenoh.Session | Exception] = queue.Queue()
+
+    def wait() -> None:
+        try:
+            opened.put(open_session(settings))
+        except zenoh.ZError as error:
+            opened.put(error)
+
+    threading.Thread(target=wait, name="connecting", daemon=True).start()
+    deadline_s = None if within_s is None else monotonic_s() + within_s
+    while stopped is None or not stopped.is_set():
+        try:
+            session = opened.get(timeout=LOOK_S)
+        except queue.Empty:
+            if deadline_s is not None and monotonic_s() > deadline_s:
+                break
+            continue
+        if isinstance(session, Exception):
+            raise NoRouterError(f"{settings.endpoint} cannot be connected to: {session}")
+        return session
+    raise NoRouterError(f"no router answers on {settings.endpoint}; is suturegrasp up running there?")
+
+
+def _repeat(publisher: Any, stopped: threading.Event, rate_hz: float, message: Callable[[int], Any | None]) -> None:
+    epoch, sequence = int.from_bytes(os.urandom(7), "big"), 0
+    while not stopped.is_set():
+        at_ns = now_ns()
+        said = message(at_ns)
+        if said is not None:
+            publisher.put(encode(said), attachment=pack(Attachment(epoch, sequence, at_ns, 0.0)))
+            sequence += 1
+        stopped.wait(1.0 / rate_hz)

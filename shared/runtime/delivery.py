@@ -1,0 +1,82 @@
+"""How each delivery class is built on Zenoh (see Delivery in schemas/topics.py)."""
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import zenoh
+from zenoh import ext
+
+from schemas.codec import encoding_name
+from schemas.messages import StereoFrame
+from schemas.topics import Delivery, Topic
+
+EVENT_CACHE = 1000
+"""Events kept for those who were away: about a router's restart at the highest rate of events."""
+MISS_HEARTBEAT_S = 0.5
+RING, WILDCARD_RING = 8, 64
+"""Newest samples that wait for the thread that puts them away, which takes microseconds: what is replaced is replaced,
+and counted, in the inbox. Behind a key expression with a wildcard many keys share one channel."""
+
+
+def declare_publisher(session: zenoh.Session, key: str, topic: Topic) -> Any:
+    """A publisher of a topic that is not a command."""
+    encoding = encoding_name(topic.message)
+    if topic.delivery is Delivery.LATEST:
+        bulky = topic.message is StereoFrame
+        return session.declare_publisher(
+            key,
+            encoding=encoding,
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.DATA_LOW if bulky else zenoh.Priority.REAL_TIME,
+            express=not bulky,
+        )
+    return ext.declare_advanced_publisher(
+        session,
+        key,
+        encoding=encoding,
+        congestion_control=zenoh.CongestionControl.BLOCK,
+        cache=ext.CacheConfig(1 if topic.delivery is Delivery.STATE else EVENT_CACHE),
+        sample_miss_detection=ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=MISS_HEARTBEAT_S),
+        publisher_detection=True,
+    )
+
+
+def subscribe(
+    session: zenoh.Session,
+    key: str,
+    topic: Topic,
+    receive: Callable[[zenoh.Sample], None],
+    missed: Callable[[int], None],
+) -> list[Any]:
+    """Have every sample of a topic that is not a command handed over; keep what is returned.
+
+    `receive` is called from another thread and must only put things away. `missed` is told of lost events.
+    """
+    if topic.delivery is Delivery.LATEST:
+        ring = zenoh.handlers.RingChannel(WILDCARD_RING if "*" in key else RING)
+        subscriber = session.declare_subscriber(key, ring)
+        threading.Thread(
+            target=_hand_over, args=(subscriber.handler, receive), daemon=True, name=f"receive {key}"
+        ).start()
+        return [subscriber]
+    newest = 1 if topic.delivery is Delivery.STATE else EVENT_CACHE
+    advanced = ext.declare_advanced_subscriber(
+        session,
+        key,
+        receive,
+        history=ext.HistoryConfig(detect_late_publishers=True, max_samples=newest),
+        recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
+        subscriber_detection=True,
+    )
+    listener = advanced.sample_miss_listener(lambda miss: missed(miss.nb))
+    return [advanced, listener]
+
+
+def _hand_over(channel: Any, receive: Callable[[zenoh.Sample], None]) -> None:
+    """Until the subscriber is undeclared, which ends its channel."""
+    try:
+        while True:
+            receive(channel.recv())
+    except zenoh.ZError:
+        return

@@ -1,0 +1,80 @@
+"""What has arrived for an agent and has not been looked at: newest-only slots and lossless queues.
+
+Filling it never waits, so Zenoh's threads are never held up by a slow agent. Events, states and commands are handed out
+first and in order; then, of each key of a *latest* topic, the newest message alone.
+"""
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from schemas.messages import CommandAnswer
+from schemas.topics import Topic
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """A message as it came, not yet decoded.
+
+    Fields:
+        payload: gives the bytes; of what is dropped, they are never copied.
+        answer: sends the answer of a command; None for anything else.
+    """
+
+    topic: Topic
+    key: str
+    payload: Callable[[], bytes]
+    attachment: bytes
+    answer: Callable[[CommandAnswer], None] | None = None
+
+
+class Inbox:
+    """Arrivals between the threads that receive and the loop that steps."""
+
+    def __init__(self) -> None:
+        self._condition = threading.Condition()
+        self._queue: deque[Arrival] = deque()
+        self._newest: dict[str, Arrival] = {}
+        self._woken = False
+        self._dropped: dict[Any, int] = {}
+
+    def put(self, arrival: Arrival) -> None:
+        """Add what must not be lost."""
+        with self._condition:
+            self._queue.append(arrival)
+            self._condition.notify()
+
+    def put_newest(self, arrival: Arrival) -> None:
+        """Add what replaces an older arrival of its key that nobody has looked at; that one counts as dropped."""
+        with self._condition:
+            if self._newest.pop(arrival.key, None) is not None:
+                self._dropped[str(arrival.topic)] = self._dropped.get(str(arrival.topic), 0) + 1
+            self._newest[arrival.key] = arrival
+            self._condition.notify()
+
+    def take(self, timeout_s: float) -> Arrival | None:
+        """The next arrival; None where none came in time, or where somebody called `wake`."""
+        with self._condition:
+            if not (self._queue or self._newest or self._woken):
+                self._condition.wait(timeout_s)
+            if self._woken:
+                self._woken = False
+                return None
+            if self._queue:
+                return self._queue.popleft()
+            if self._newest:
+                return self._newest.pop(next(iter(self._newest)))
+            return None
+
+    def wake(self) -> None:
+        """Let a waiting `take` return at once."""
+        with self._condition:
+            self._woken = True
+            self._condition.notify()
+
+    def dropped(self, topic: Topic) -> int:
+        """How many arrivals of a topic were replaced before anybody looked at them."""
+        with self._condition:
+            return self._dropped.get(str(topic), 0)

@@ -1,0 +1,303 @@
+"""Runs one agent: what arrives is decoded and stepped through, what follows is published, and health says how it goes.
+
+One loop, one thread: ticks, commands, events and newest messages are steps of the same object, one after another. What
+an output was made from is every message fed to the agent since its last output, and the newest of each key of which
+nothing else counts: so a replay can feed them again, and needs no earlier output for what only the newest decides.
+"""
+
+import dataclasses
+import logging
+import os
+import socket
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import zenoh
+
+import schemas
+from schemas.checks import MessageError, fields_of
+from schemas.codec import decode, encode, encoding_name
+from schemas.messages import AgentHealth, CommandAnswer, CommandRecord, Consumed, Outcome
+from schemas.topics import COMMANDS, HEALTH, LOG, MAIN, Topic, key
+from shared.clock import Stopwatch, monotonic_s, now_ns
+from shared.runtime.accounts import InputAccount, OutputAccount, StepTimes
+from shared.runtime.agent import Agent, Command, Input, Output, Received, Tick
+from shared.runtime.attachment import Attachment, pack, unpack
+from shared.runtime.commands import STATUS, Answered, refused
+from shared.runtime.delivery import declare_publisher, subscribe
+from shared.runtime.inbox import Arrival, Inbox
+from shared.runtime.log_topic import LogTopic
+
+HEALTH_PERIOD_S = 1.0
+LONGEST_WAIT_S = 0.5
+LIKE_PER_LINE = 100
+"""After the first, only every so many unreadable messages of an input, or like failures, get a line in the log."""
+
+
+class Runner:
+    """One agent on one session, from `run` until `stop`."""
+
+    def __init__(self, agent: Agent, session: zenoh.Session, rig: str, config_hash: str = "") -> None:
+        self._agent, self._session, self._rig, self._config_hash = agent, session, rig, config_hash
+        self._inbox = Inbox()
+        self._stopped = threading.Event()
+        self._epoch = int.from_bytes(os.urandom(7), "big")
+        self._answered = Answered()
+        self._inputs = {str(i.topic): InputAccount(str(i.topic)) for i in agent.inputs}
+        self._outputs: dict[str, OutputAccount] = {}
+        self._publishers: dict[str, Any] = {}
+        self._kept: list[Any] = []
+        self._fed: list[Consumed] = []
+        self._newest_only = {str(i.topic) for i in agent.inputs if i.only_newest_counts}
+        self._newest_keys: set[str] = set()
+        # log records come from other threads too, and must not share a sequence number
+        self._publishing = threading.Lock()
+        self._lists_inputs = any("consumed" in fields_of(topic.message) for topic in agent.outputs)
+        self._steps = StepTimes()
+        self._started_s, self._heartbeat, self._fault, self._faults = monotonic_s(), 0, "", 0
+        self._log = logging.getLogger(f"suturegrasp.{agent.kind}.{agent.instance}")
+        for topic in (*agent.outputs, HEALTH, LOG, COMMANDS):
+            self._declare(topic)
+        self._log_topic = LogTopic(agent.kind, agent.instance, lambda record: self._publish(LOG, record, 0.0))
+        self._log.addHandler(self._log_topic)
+        self._log.setLevel(logging.INFO)
+
+    def run(self) -> None:
+        """Step until `stop` is called, which any thread or signal handler may do."""
+        self._listen()
+        period_s = 1.0 / self._agent.tick_hz if self._agent.tick_hz else None
+        next_tick_s = monotonic_s()
+        next_health_s = monotonic_s()
+        try:
+            while not self._stopped.is_set():
+                self._heartbeat += 1
+                now_s = monotonic_s()
+                if now_s >= next_health_s:
+                    self._publish(HEALTH, self._health(now_s), 0.0)
+                    next_health_s = now_s + HEALTH_PERIOD_S
+                if period_s is not None and now_s >= next_tick_s:
+                    self._step(Tick(now_ns()))
+                    # ticks that were missed are left out, not made up for
+                    next_tick_s = max(next_tick_s + period_s, monotonic_s())
+                # even where ticks alone take all the time, what arrives has its turn after each
+                until_s = next_health_s if period_s is None else min(next_health_s, next_tick_s)
+                arrival = self._inbox.take(min(LONGEST_WAIT_S, max(0.0, until_s - monotonic_s())))
+                if arrival is not None:
+                    self._handle(arrival)
+        finally:
+            self._end()
+
+    def stop(self) -> None:
+        """Let `run` return after the step it is in."""
+        self._stopped.set()
+        self._inbox.wake()
+
+    def _listen(self) -> None:
+        for wanted in self._agent.inputs:
+            self._kept += subscribe(
+                self._session,
+                key(self._rig, wanted.topic, wanted.instance),
+                wanted.topic,
+                self._receiver(wanted),
+                self._miss_counter(wanted.topic),
+            )
+        for topic in self._agent.commands:
+            selector = key(self._rig, topic, self._agent.instance if topic.per_arm else MAIN)
+            self._kept.append(self._session.declare_queryable(selector, self._take_query(topic), complete=True))
+        alive = f"suturegrasp/{self._rig}/{self._agent.kind}/{self._agent.instance}"
+        self._kept.append(self._session.liveliness().declare_token(alive))
+        self._log.info("started, version %s", schemas.__version__)
+
+    def _receiver(self, wanted: Input) -> Callable[[zenoh.Sample], None]:
+        latest = wanted.topic.delivery.name == "LATEST"
+        put = self._inbox.put_newest if latest else self._inbox.put
+
+        def receive(sample: zenoh.Sample) -> None:
+            attachment = sample.attachment.to_bytes() if sample.attachment is not None else b""
+            put(Arrival(wanted.topic, str(sample.key_expr), sample.payload.to_bytes, attachment))
+
+        return receive
+
+    def _miss_counter(self, topic: Topic) -> Callable[[int], None]:
+        account = self._inputs[str(topic)]
+
+        def count(missed: int) -> None:
+            account.missed += missed
+            self._log.error("%d messages of %s were lost", missed, topic)
+
+        return count
+
+    def _take_query(self, topic: Topic) -> Callable[[zenoh.Query], None]:
+        def take(query: zenoh.Query) -> None:
+            def answer(reply: CommandAnswer) -> None:
+                query.reply(query.key_expr, encode(reply), encoding=encoding_name(CommandAnswer))
+                query.drop()
+
+            asked = query.parameters.get(STATUS)
+            if asked:
+                unknown = CommandAnswer(
+                    asked, Outcome.UNKNOWN, "unknown_id", "no command of this id was carried out here"
+                )
+                answer(self._answered.recall(asked) or unknown)
+                return
+            payload = query.payload.to_bytes() if query.payload is not None else b""
+            self._inbox.put(Arrival(topic, str(query.key_expr), lambda: payload, b"", answer))
+
+        return take
+
+    def _handle(self, arrival: Arrival) -> None:
+        if arrival.answer is not None:
+            self._carry_out(arrival, arrival.answer)
+            return
+        account = self._inputs[str(arrival.topic)]
+        beside = unpack(arrival.attachment)
+        try:
+            if beside is None:
+                raise MessageError("it came without the attachment that agents send")
+            message = decode(arrival.topic.message, arrival.payload())
+        except MessageError as error:
+            if account.refused % LIKE_PER_LINE == 0:
+                self._log.warning("a message on %s was refused: %s", arrival.key, error)
+            account.refuse(arrival.key, beside)
+            return
+        account.arrived(arrival.key, beside, now_ns(), monotonic_s())
+        if str(arrival.topic) in self._newest_only:
+            self._newest_keys.add(arrival.key)
+            self._fed = [c for c in self._fed if c.key != arrival.key]
+        self._fed.append(Consumed(arrival.key, beside.epoch, beside.sequence))
+        self._step(Received(arrival.topic, arrival.key, beside.sequence, message))
+
+    def _carry_out(self, arrival: Arrival, answer: Callable[[CommandAnswer], None]) -> None:
+        payload, received_ns = arrival.payload(), now_ns()
+        try:
+            message = decode(arrival.topic.message, payload)
+        except MessageError as error:
+            self._log.warning("a command on %s was refused: %s", arrival.key, error)
+            answer(refused("", "unreadable", str(error)))
+            return
+        before = self._answered.recall(message.header.id)
+        if before is not None:
+            answer(before)
+            return
+        late_s = (received_ns - message.header.deadline_ns) * 1e-9
+        if late_s > 0 and not arrival.topic.good_when_late:
+            reply = refused(message.header.id, "late", f"it arrived {late_s:.2f} s after its deadline")
+            outputs: list[Output] = []
+            step_ms = 0.0
+        else:
+            record_key = key(self._rig, COMMANDS, self._agent.instance, self._agent.kind)
+            self._fed.append(Consumed(record_key, self._epoch, self._account(COMMANDS).published))
+            command = Command(arrival.topic, arrival.key.split("/")[-2], message, received_ns)
+            reply, outputs, step_ms = self._answer_of(command)
+        self._answered.remember(reply)
+        try:
+            answer(reply)
+        except Exception as error:
+            # whoever asked is gone; what was carried out is recorded all the same
+            self._log.warning("an answer to %s could not be sent: %s", arrival.topic, error)
+        record = CommandRecord(str(arrival.topic), encoding_name(arrival.topic.message), payload, received_ns, reply)
+        self._publish(COMMANDS, record, 0.0)
+        if reply.outcome is not Outcome.ACCEPTED:
+            self._log.info("refused %s: %s", arrival.topic, reply.reason)
+        if outputs:
+            self._publish_all(outputs, step_ms)
+
+    def _answer_of(self, command: Command) -> tuple[CommandAnswer, list[Output], float]:
+        watch = Stopwatch("step")
+        try:
+            with watch.step("step"):
+                replies = list(self._agent.step(command))
+        except Exception as error:
+            self._note_fault(error)
+            return refused(command.message.header.id, "fault", self._fault), [], 0.0
+        answers = [reply for reply in replies if isinstance(reply, CommandAnswer)]
+        outputs = [reply for reply in replies if isinstance(reply, Output)]
+        if len(answers) != 1:
+            return refused(command.message.header.id, "fault", "the agent gave no answer"), outputs, watch.ms["step"]
+        return answers[0], outputs, watch.ms["step"]
+
+    def _step(self, arrived: Received | Tick) -> None:
+        watch = Stopwatch("step")
+        try:
+            with watch.step("step"):
+                outputs = [o for o in self._agent.step(arrived) if isinstance(o, Output)]
+        except Exception as error:
+            self._note_fault(error)
+            return
+        self._steps.add(watch.ms["step"])
+        self._publish_all(outputs, watch.ms["step"])
+
+    def _note_fault(self, error: Exception) -> None:
+        """A step that raises is a bug; the agent goes on with the next message, and says so until it is restarted."""
+        said = str(error).encode("utf-8", "backslashreplace").decode()
+        fault = f"a step failed: {type(error).__name__}: {said}"
+        self._faults = self._faults + 1 if fault == self._fault else 0
+        self._fault = fault
+        if self._faults % LIKE_PER_LINE == 0:
+            self._log.error(fault, exc_info=error)
+
+    def _publish_all(self, outputs: list[Output], step_ms: float) -> None:
+        fed, listed = tuple(self._fed), False
+        for output in outputs:
+            message = output.message
+            if hasattr(message, "consumed"):
+                message, listed = dataclasses.replace(message, consumed=fed), True
+            try:
+                self._publish(output.topic, message, step_ms)
+            except MessageError as error:
+                self._note_fault(error)
+        if listed or not self._lists_inputs:
+            self._fed = [c for c in self._fed if c.key in self._newest_keys]
+
+    def _declare(self, topic: Topic) -> None:
+        agent = self._agent
+        instance = agent.instance if topic.per_arm or topic.agent == "*" else MAIN
+        full = key(self._rig, topic, instance, agent.kind)
+        self._publishers[str(topic)] = declare_publisher(self._session, full, topic)
+        self._outputs[str(topic)] = OutputAccount(str(topic))
+
+    def _account(self, topic: Topic) -> OutputAccount:
+        return self._outputs[str(topic)]
+
+    def _publish(self, topic: Topic, message: Any, step_ms: float) -> None:
+        account, payload = self._account(topic), encode(message)
+        with self._publishing:
+            beside = Attachment(self._epoch, account.published, now_ns(), step_ms)
+            account.count(monotonic_s())
+            self._publishers[str(topic)].put(payload, attachment=pack(beside))
+
+    def _health(self, now_s: float) -> AgentHealth:
+        return AgentHealth(
+            agent=self._agent.kind,
+            instance=self._agent.instance,
+            host=socket.gethostname(),
+            version=schemas.__version__,
+            config_hash=self._config_hash,
+            at_ns=now_ns(),
+            uptime_s=now_s - self._started_s,
+            heartbeat=self._heartbeat,
+            step_ms_p50=self._steps.percentile(50),
+            step_ms_p99=self._steps.percentile(99),
+            inputs=tuple(
+                self._inputs[str(i.topic)].health(self._inbox.dropped(i.topic), now_s) for i in self._agent.inputs
+            ),
+            outputs=tuple(self._account(topic).health(now_s) for topic in self._agent.outputs),
+            fault=self._fault,
+        )
+
+    def _end(self) -> None:
+        """Let the agent come to rest before it falls silent."""
+        close = getattr(self._agent, "close", None)
+        if close is not None:
+            try:
+                close()
+            except Exception as error:
+                self._note_fault(error)
+        self._undeclare()
+
+    def _undeclare(self) -> None:
+        self._log.info("stopped")
+        self._log.removeHandler(self._log_topic)
+        for declared in (*self._kept, *self._publishers.values()):
+            declared.undeclare()

@@ -1,0 +1,75 @@
+"""Listening to many topics at once without being an agent of the dataflow: for the recorder, the viewer, `up`.
+
+Losses are counted per key from sequence numbers: a recording is complete, or says where it is not.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import zenoh
+
+from schemas.topics import ANY_AGENT, Delivery, Topic
+from shared.runtime.attachment import Attachment, unpack
+from shared.runtime.delivery import subscribe
+
+
+@dataclass(frozen=True)
+class Tapped:
+    """A message as it travelled, with what came beside it (None where a foreign publisher sent none)."""
+
+    topic: Topic
+    key: str
+    payload: bytes
+    beside: Attachment | None
+
+
+@dataclass
+class KeyLosses:
+    """How many messages of one key came, and how many of its sequence did not."""
+
+    received: int = 0
+    lost: int = 0
+    _last: tuple[int, int] | None = field(default=None, repr=False)
+
+    def count(self, beside: Attachment) -> None:
+        """Count a message by its sequence number; a publisher that restarted begins a new sequence."""
+        if self._last is not None and self._last[0] == beside.epoch:
+            self.lost += max(0, beside.sequence - self._last[1] - 1)
+        self._last = (beside.epoch, beside.sequence)
+        self.received += 1
+
+
+def tap(
+    session: zenoh.Session,
+    rig: str,
+    topics: tuple[Topic, ...],
+    receive: Callable[[Tapped], None],
+    missed: Callable[[Topic, int], None],
+) -> list[Any]:
+    """Have every message of these topics, of all instances, handed over; keep what is returned.
+
+    `receive` and `missed` are called from other threads and must only put things away. Commands are no topic to listen
+    to; they are recorded through `command`.
+    """
+    kept: list[Any] = []
+    for topic in topics:
+        if topic.delivery is Delivery.COMMAND:
+            continue
+        agent = "*" if topic.agent == ANY_AGENT else topic.agent
+        kept += subscribe(
+            session,
+            f"suturegrasp/{rig}/{agent}/*/{topic.name}",
+            topic,
+            _receiver(topic, receive),
+            lambda count, topic=topic: missed(topic, count),
+        )
+    return kept
+
+
+def _receiver(topic: Topic, receive: Callable[[Tapped], None]) -> Callable[[zenoh.Sample], None]:
+    def hand_over(sample: zenoh.Sample) -> None:
+        beside = unpack(sample.attachment.to_bytes()) if sample.attachment is not None else None
+        receive(Tapped(topic, str(sample.key_expr), sample.payload.to_bytes(), beside))
+
+    return hand_over

@@ -1,0 +1,72 @@
+"""Clamped uniform B-splines and their derivatives (de Boor 1978; paper, eq. 9 to 11).
+
+    B(s) = Σ_k N_{k,d}(s) P_k,   s in [0, 1]
+
+The derivative of a spline is a spline of degree d − 1 over the knots without the outermost two, with control points
+
+    P'_k = d / (t_{k+d+1} − t_{k+1}) (P_{k+1} − P_k),
+
+so every derivative is a difference matrix applied to the control points, and B'''(s) of a cubic is constant on each
+knot span.
+"""
+
+import numpy as np
+import scipy.sparse
+from jaxtyping import Float64
+from scipy.interpolate import BSpline
+
+
+def clamped_uniform_knots(control_points: int, degree: int = 3) -> Float64[np.ndarray, "k"]:
+    """Evenly spaced knots on [0, 1] whose ends have multiplicity degree + 1.
+
+    Raises:
+        ValueError: where there are not more control points than the degree.
+    """
+    if control_points <= degree:
+        raise ValueError(
+            f"a spline of degree {degree} needs at least {degree + 1} control points, not {control_points}"
+        )
+    inner = np.linspace(0.0, 1.0, control_points - degree + 1)
+    return np.concatenate((np.zeros(degree), inner, np.ones(degree)))
+
+
+def difference_matrix(knots: Float64[np.ndarray, "k"], degree: int, order: int) -> Float64[np.ndarray, "m_o m"]:
+    """The matrix that takes control points to those of the derivative of that order, (m − order, m)."""
+    matrix = np.eye(len(knots) - degree - 1)
+    for step in range(order):
+        d = degree - step
+        t = knots[step : len(knots) - step]
+        spans = t[d + 1 : -1] - t[1 : -d - 1]
+        # a span is empty only where a knot is repeated more than d + 1 times, which clamped knots never are
+        matrix = (d / spans)[:, None] * np.diff(matrix, axis=0)
+    return matrix
+
+
+def basis_matrix(
+    knots: Float64[np.ndarray, "k"], degree: int, s: Float64[np.ndarray, "n"], derivative: int = 0
+) -> Float64[np.ndarray, "n m"]:
+    """The matrix that takes control points to the curve, or to a derivative of it, at s: (n, m)."""
+    values = _design_matrix(knots, degree, s, derivative).toarray()
+    return values @ difference_matrix(knots, degree, derivative) if derivative else values
+
+
+def evaluate(
+    knots: Float64[np.ndarray, "k"],
+    control_points: Float64[np.ndarray, "m d"],
+    degree: int,
+    s: Float64[np.ndarray, "n"],
+    derivative: int = 0,
+) -> Float64[np.ndarray, "n d"]:
+    """Points of the curve, or of a derivative of it, at the parameters s (clipped to the knots' range)."""
+    differences = difference_matrix(knots, degree, derivative) @ control_points if derivative else control_points
+    return _design_matrix(knots, degree, s, derivative) @ differences
+
+
+def _design_matrix(
+    knots: Float64[np.ndarray, "k"], degree: int, s: Float64[np.ndarray, "n"], derivative: int
+) -> scipy.sparse.csr_array:
+    """The basis of the derivative's own spline, of degree d − derivative."""
+    inside = np.clip(np.asarray(s, dtype=np.float64), knots[0], knots[-1])
+    if not len(inside):  # which SciPy refuses
+        return scipy.sparse.csr_array((0, len(knots) - degree - derivative - 1))
+    return BSpline.design_matrix(inside, knots[derivative : len(knots) - derivative], degree - derivative)

@@ -1,0 +1,145 @@
+"""The camera agent, from ticks to frames."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from agents.camera.agent import Camera, CameraConfig, SceneCamera
+from agents.camera.scene_source import calibration_of
+from agents.camera.sources import SourceError
+from schemas.messages import ImageEncoding, RectifiedStereo, SimulatorState, StereoCalibration
+from schemas.topics import CALIBRATION, FRAMES, SIMULATOR_STATE
+from shared.calibration.identity import calibration_id
+from shared.images import decode_image
+from shared.runtime.agent import Received, Tick
+
+CAMERA = RectifiedStereo(64, 48, 80.0, 80.0, 31.5, 23.5, 5.5e-3, 1.0)
+CALIBRATION_64 = calibration_of(CAMERA)
+NOISE = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
+
+
+class Given:
+    """A source that gives what it is told to: a number, nothing, or an error."""
+
+    def __init__(self, *given):
+        self.given = list(given)
+
+    def read(self):
+        one = self.given.pop(0) if self.given else None
+        if isinstance(one, Exception):
+            raise one
+        return None if one is None else (NOISE + np.uint8(one), NOISE + np.uint8(one + 1))
+
+    def close(self):
+        pass
+
+
+def steps(camera, *times_ns):
+    return [[(o.topic, o.message) for o in camera.step(Tick(t))] for t in times_ns]
+
+
+def test_the_calibration_comes_first_and_once_even_before_the_source_has_a_frame():
+    camera = Camera(Given(None, 1, 2), CALIBRATION_64, CameraConfig())
+    published = [[topic for topic, _ in outputs] for outputs in steps(camera, 1, 2, 3, 4)]
+    assert published == [[CALIBRATION], [FRAMES], [FRAMES], []]
+
+
+def test_frames_are_numbered_stamped_less_the_latency_and_name_their_calibration():
+    camera = Camera(Given(1, None, 2), CALIBRATION_64, CameraConfig(latency_ms=40.0))
+    stamps = [m.stamp for outputs in steps(camera, 10**9, 2 * 10**9, 3 * 10**9) for t, m in outputs if t is FRAMES]
+    assert [stamp.sequence for stamp in stamps] == [0, 1]
+    assert [stamp.capture_left_ns for stamp in stamps] == [960_000_000, 2_960_000_000]
+    assert all(stamp.capture_right_ns == stamp.capture_left_ns for stamp in stamps)
+    assert {stamp.calibration_id for stamp in stamps} == {calibration_id(CALIBRATION_64)}
+
+
+@pytest.mark.parametrize("encoding", [ImageEncoding.RAW, ImageEncoding.PNG])
+def test_both_images_arrive_as_they_were(encoding):
+    camera = Camera(Given(3), CALIBRATION_64, CameraConfig(encoding=encoding))
+    (_, (_, frame)), *_ = steps(camera, 1)
+    assert (decode_image(frame.left) == NOISE + np.uint8(3)).all()
+    assert (decode_image(frame.right) == NOISE + np.uint8(4)).all()
+
+
+def test_jpeg_is_smaller_the_lower_its_quality():
+    sizes = []
+    for quality in (95, 30):
+        camera = Camera(Given(3), CALIBRATION_64, CameraConfig(encoding=ImageEncoding.JPEG, jpeg_quality=quality))
+        (_, (_, frame)), *_ = steps(camera, 1)
+        sizes.append(len(frame.left.data))
+    assert sizes[1] < 0.6 * sizes[0]
+
+
+def test_a_source_that_fails_loses_that_frame_alone():
+    camera = Camera(Given(1, SourceError("film torn"), 2), CALIBRATION_64, CameraConfig())
+    steps(camera, 1)
+    with pytest.raises(SourceError, match="film torn"):
+        steps(camera, 2)
+    ((_, frame),) = steps(camera, 3)[0]
+    assert frame.stamp.sequence == 1
+
+
+def nudged(value):
+    """The value with its last bit changed; of a matrix, that of its upper right number."""
+    if not isinstance(value, np.ndarray):
+        return np.nextafter(value, np.inf).item() if isinstance(value, float) else value + 1
+    changed = value.copy()
+    changed.flat[2] = np.nextafter(changed.flat[2], np.inf)
+    return changed
+
+
+@pytest.mark.parametrize("field", ["K_left", "T_right_left", "metres_per_unit", "image_width"])
+def test_the_name_of_a_calibration_changes_with_any_of_its_numbers(field):
+    other = dataclasses.replace(CALIBRATION_64, **{field: nudged(getattr(CALIBRATION_64, field))})
+    assert calibration_id(other) != calibration_id(CALIBRATION_64)
+    assert calibration_id(dataclasses.replace(CALIBRATION_64)) == calibration_id(CALIBRATION_64)
+
+
+STATE = SimulatorState(
+    at_ns=1,
+    camera=CAMERA,
+    background="plain",
+    colour="violet",
+    seed=2,
+    distance_m=0.095,
+    radius_m=1e-4,
+    knots=np.repeat([0.0, 1.0], 4),
+    control_points_camera=np.tile([0.0, 0.0, 0.09], (4, 1)),
+    held=None,
+)
+
+
+def fed(camera, state):
+    return list(camera.step(Received(SIMULATOR_STATE, "suturegrasp/lab/simulator/main/state", 0, state)))
+
+
+def scene_camera(rendered):
+    def render(state, number):
+        rendered.append((state.at_ns, number))
+        return NOISE, NOISE
+
+    return SceneCamera(render, lambda state: calibration_of(state.camera), CameraConfig())
+
+
+def test_the_scene_is_filmed_from_the_newest_state_once_there_is_one():
+    rendered = []
+    camera = scene_camera(rendered)
+    assert steps(camera, 1) == [[]]
+    for at_ns in (5, 6):
+        assert fed(camera, dataclasses.replace(STATE, at_ns=at_ns)) == []
+    published = [[topic for topic, _ in outputs] for outputs in steps(camera, 2, 3)]
+    assert published == [[CALIBRATION, FRAMES], [FRAMES]]
+    assert rendered == [(6, 0), (6, 1)]
+
+
+def test_a_field_with_another_camera_is_calibrated_anew():
+    camera = scene_camera([])
+    fed(camera, STATE)
+    (((_, first), (_, frame)),) = steps(camera, 1)
+    fed(camera, dataclasses.replace(STATE, camera=dataclasses.replace(CAMERA, fx_px=90.0, fy_px=90.0)))
+    (((_, second), (_, later)),) = steps(camera, 2)
+    assert isinstance(second, StereoCalibration)
+    assert second.K_left[0, 0] == 90.0
+    assert [m.stamp.calibration_id for m in (frame, later)] == [calibration_id(first), calibration_id(second)]
+    assert later.stamp.sequence == 1

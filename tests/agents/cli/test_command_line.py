@@ -1,0 +1,131 @@
+"""Commands, options and streams: help stays as it is, every mistake is one line, and no stream is a surprise."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from agents.cli.command_line import condensed
+from schemas import __version__
+
+SCRIPT = Path(sys.executable).with_name("suturegrasp")
+NAMED = ("--calibration", "c.json", "--output", "o.json")
+PAIR = ("--left", "l.png", "--right", "r.png")
+
+MISTAKES: dict[tuple[str, ...], tuple[str, ...]] = {
+    (): ("give a command: reconstruct", "suturegrasp --help"),
+    ("nonsense",): ("nonsense is no command", "reconstruct"),
+    ("None",): ("None is no command",),
+    PAIR: ("--left is no command", "reconstruct"),
+    ("reconstruct",): ("--calibration PATH [PATH], --output JSON", "suturegrasp reconstruct --help"),
+    ("reconstruct", "--output", "o.json", *PAIR): ("missing", "--calibration", "suturegrasp reconstruct --help"),
+    ("reconstruct", *NAMED, "--bogus", "1"): ("unrecognized", "--bogus, 1", "suturegrasp reconstruct --help"),
+    ("reconstruct", "--calibraton", "c", "--output", "o"): ("missing", "--calibration", "--calibraton"),
+    ("reconstruct", *NAMED, "--left"): ("missing value", "--left", "suturegrasp reconstruct --help"),
+    ("reconstruct", *NAMED): ("give both --left and --right", "--stereo"),
+    ("reconstruct", *NAMED, "--left", "l.png"): ("give both --left and --right",),
+    ("reconstruct", *NAMED, *PAIR, "--stereo", "s.png"): ("either --stereo or --left and --right",),
+    ("reconstruct", *NAMED, *PAIR, "--left-mask", "m.png"): ("both --left-mask and --right-mask",),
+    ("reconstruct", *NAMED, *PAIR, "--segmenter", "mask"): ("--segmenter mask needs --left-mask and --right-mask",),
+    ("reconstruct", *NAMED, *PAIR, "--segmenter", "magic"): ("--segmenter magic is unknown", "mask, threshold, ridge"),
+    ("reconstruct", *NAMED, *PAIR, "--method", "magic"): ("--method magic is unknown", "paper"),
+    ("reconstruct", *NAMED, *PAIR, "--unit", "km"): ("--unit km is unknown", "m, cm, mm, um"),
+    ("reconstruct", *NAMED, *PAIR, "--left-mask", "a", "--right-mask", "b", "--segmenter", "ridge"): (
+        "masks are given, so --segmenter ridge would not be used",
+    ),
+    ("reconstruct", "--calibration", "--output", "o.json", *PAIR): ("--calibration takes one path, or two",),
+    ("reconstruct", "--calibration", "a", "b", "c", "--output", "o.json", *PAIR): ("--calibration takes one path",),
+    ("reconstruct", *NAMED, *PAIR, "left over"): ("left over",),
+    ("reconstruct", *NAMED, "--bo\ngus\x1b[31m"): ("--bo gus",),
+    ("reconstruct", *NAMED, "--" + "x" * 300): ("--" + "x" * 300,),
+}
+
+
+@pytest.mark.parametrize("arguments", MISTAKES, ids=" ".join)
+def test_a_mistake_is_told_in_one_line(suturegrasp, monkeypatch, tmp_path, arguments):
+    monkeypatch.chdir(tmp_path)
+    ended = suturegrasp(*arguments)
+    assert (ended.status, ended.out, len(ended.err.splitlines())) == (2, "", 1)
+    assert ended.err.startswith("suturegrasp: ")
+    assert ended.err.rstrip("\n").isprintable()
+    for told in MISTAKES[arguments]:
+        assert told in ended.err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("environment", [{}, {"COLUMNS": "30"}, {"PYTHONIOENCODING": "ascii"}, {"FORCE_COLOR": "1"}])
+def test_a_mistake_is_told_alike_in_any_terminal(console_script, environment):
+    ended = console_script("reconstruct", "--output", "o", "--wrong", **environment)
+    assert (ended.status, ended.out) == (2, "")
+    assert ended.err == (
+        "suturegrasp: missing from suturegrasp reconstruct: --calibration PATH [PATH]; unrecognized options: --wrong; "
+        "see suturegrasp reconstruct --help\n"
+    )
+
+
+def test_words_outside_any_box_are_kept():
+    assert condensed("some error\n", "goal") == "some error; see suturegrasp goal --help"
+    assert condensed("", "goal") == "; see suturegrasp goal --help"
+
+
+@pytest.mark.parametrize("arguments", [("--help",), ("-h",), ("reconstruct", "--help"), ("reconstruct", "-h")])
+def test_help_goes_to_standard_output(suturegrasp, arguments):
+    ended = suturegrasp(*arguments)
+    assert (ended.status, ended.err) == (0, "")
+    assert "usage: suturegrasp" in ended.out
+    assert "Turn a stereo pair into a thread in 3D" in ended.out
+
+
+def test_help_names_every_option_and_choice(suturegrasp):
+    said = suturegrasp("reconstruct", "--help").out
+    for option in ("left", "right", "stereo", "calibration", "unit", "left-mask", "right-mask", "segmenter", "method"):
+        assert f"--{option}" in said
+    for option in ("--output", "--picture", "--rrd", "{m,cm,mm,um}", "{mask,threshold,ridge}", "paper"):
+        assert option in said
+
+
+def test_the_version_is_told(suturegrasp):
+    ended = suturegrasp("--version")
+    assert (ended.status, ended.out, ended.err) == (0, f"suturegrasp {__version__}\n", "")
+
+
+def test_a_result_can_be_piped(suturegrasp, console_script, pair, small):
+    ended = console_script(*pair(small), "--output", "/dev/stdout")
+    assert (ended.status, ended.err) == (0, "")
+    assert json.loads(ended.out)["status"] == "ok"
+    (small / "pipe").symlink_to("/dev/null")
+    assert suturegrasp(*pair(small), "--output", small / "pipe").status == 0
+    assert (small / "pipe").is_symlink()
+
+
+SHELL = {
+    "nobody reads the summary": ('"$@" --output "$out" | true; exit ${PIPESTATUS[0]}', 0, ""),
+    "nobody reads the help": ('"$1" reconstruct --help | true; exit ${PIPESTATUS[0]}', 0, ""),
+    "nobody reads the help, unbuffered": (
+        'PYTHONUNBUFFERED=1 "$1" reconstruct --help | true; exit ${PIPESTATUS[0]}',
+        0,
+        "",
+    ),
+    "no standard output": ('"$@" --output "$out" >&-', 0, ""),
+    "no standard output for a mistake": ('"$@" --wrong >&-', 2, "suturegrasp: "),
+    "no standard error": ('"$@" --output /nowhere/out.json 2>&-', 2, ""),
+    "a full standard output": ('"$@" --output "$out" >/dev/full', 0, "warning: standard output cannot be written"),
+}
+
+
+@pytest.mark.parametrize("name", SHELL)
+def test_streams_that_lead_nowhere_do_no_harm(pair, small, name):
+    script, status, complaint = SHELL[name]
+    done = subprocess.run(
+        ["bash", "-c", f"out={small}/out.json; {script}", "bash", str(SCRIPT), *map(str, pair(small))],  # noqa: S607
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout) == (status, "")
+    assert done.stderr.startswith(complaint)
+    assert len(done.stderr.splitlines()) == (complaint != "")
+    if status == 0 and "help" not in name:
+        assert json.loads((small / "out.json").read_text())["status"] == "ok"

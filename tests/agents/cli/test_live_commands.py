@@ -1,0 +1,221 @@
+"""The commands of the live dataflow as a person meets them: options, health, doctor, sessions, completion."""
+
+import contextlib
+import re
+import shutil
+import subprocess
+import threading
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+
+from agents.cli.demo_goals import APART, FROM_END, least_known
+from agents.cli.doctor import examine
+from agents.cli.health_watch import HealthWatch, health_table
+from agents.cli.live import event_sentence
+from agents.cli.rig import RigConfig, RouterSection
+from agents.cli.session_folder import free_path, new_session_folder
+from agents.planner.agent import Planner
+from schemas.messages import ExecutionEvent, ExecutionKind
+from shared.clock import monotonic_s
+from shared.runtime.config import parse_config
+from shared.runtime.connection import connected
+from shared.runtime.runner import Runner
+from shared.runtime.session import SessionSettings, free_local_endpoint, open_router, open_session
+
+BASH = shutil.which("bash") or ""
+
+
+def until(condition):
+    deadline_s, turn = monotonic_s() + 15.0, threading.Event()
+    while not (value := condition()):
+        assert monotonic_s() < deadline_s, "the condition did not come true in time"
+        turn.wait(0.02)
+    return value
+
+
+@pytest.fixture
+def nowhere(tmp_path):
+    """The configuration of a rig whose router nobody has started."""
+    path = tmp_path / "rig.toml"
+    path.write_text(f'[router]\nendpoint = "{free_local_endpoint()}"\nstart = false\n[planner]\n')
+    return path
+
+
+@pytest.mark.parametrize("command", ["goal --s 0.5", "goal --pixel 1 2", "arm --plan x", "hold"])
+def test_without_router_a_command_says_so_in_one_line(suturegrasp, nowhere, command, monkeypatch):
+    monkeypatch.setattr("agents.cli.live.connected", lambda settings: connected(settings, within_s=0.2))
+    ended = suturegrasp(*command.split(), "--config", nowhere)
+    assert (ended.status, ended.out, len(ended.err.splitlines())) == (2, "", 1)
+    assert "no router answers on tcp/127.0.0.1" in ended.err
+
+
+@pytest.mark.parametrize(
+    ("command", "told"),
+    [
+        ("goal", "give one of --s, --pixel and --point"),
+        ("goal --s 0.5 --pixel 1 2", "give one of --s, --pixel and --point"),
+        ("goal --s 1.5", "s runs from 0 to 1"),
+        ("goal --s nan", "s runs from 0 to 1"),
+        ("arm", "give --plan with the id that goal printed"),
+        ("demo --view hologram", "--view"),
+        ("up --restart maybe", "suturegrasp up --help"),
+        ("planner --config none.toml", "none.toml cannot be read"),
+    ],
+)
+def test_a_mistake_is_one_line(suturegrasp, command, told):
+    ended = suturegrasp(*command.split())
+    assert (ended.status, ended.out, len(ended.err.splitlines())) == (2, "", 1)
+    assert told in ended.err
+
+
+@pytest.mark.parametrize("command", ["demo", "play", "up", "goal", "arm", "hold", "doctor", "camera", "record", "view"])
+def test_help_tells_every_option(suturegrasp, command):
+    ended = suturegrasp(command, "--help")
+    assert ended.status == 0
+    assert f"suturegrasp {command}" in ended.out
+
+
+@pytest.mark.skipif(not BASH, reason="there is no bash")
+def test_bash_completes_commands(console_script, tmp_path):
+    ended = console_script("--tyro-print-completion", "bash")
+    assert (ended.status, ended.err) == (0, "")
+    script = tmp_path / "suturegrasp"
+    script.write_text(ended.out)
+    function = re.search(r"^complete .*-F (\w+) suturegrasp$", ended.out, flags=re.M)
+    assert function, ended.out[-500:]
+    asked = (
+        f"source {script}; COMP_WORDS=(suturegrasp de); COMP_CWORD=1; COMP_LINE='suturegrasp de'; COMP_POINT=14; "
+        f"COMP_TYPE=9; {function[1]}; echo ${{COMPREPLY[*]}}"
+    )
+    done = subprocess.run([BASH, "-c", asked], capture_output=True, text=True, check=False)
+    assert done.stdout.split() == ["demo"], done.stderr
+
+
+def test_doctor_names_what_is_wrong_with_its_remedy(suturegrasp, tmp_path):
+    config = tmp_path / "rig.toml"
+    config.write_text(
+        f'[router]\nendpoint = "{free_local_endpoint()}"\nstart = false\n'
+        '[camera]\nsource = "images"\nleft = "nowhere"\ncalibration = "c"\n[planner]\n'
+    )
+    ended = suturegrasp("doctor", "--config", config)
+    lines = ended.out.splitlines()
+    assert (ended.status, ended.err) == (1, "")
+    assert [line for line in lines if line.startswith("WRONG")] == [
+        next(line for line in lines if "agent camera: cannot start" in line and "nowhere" in line),
+        next(line for line in lines if "router: none answers" in line and "suturegrasp router" in line),
+    ]
+    assert any(line.startswith("ok") and "agent planner: can start" in line for line in lines)
+
+
+def test_doctor_finds_the_router_and_who_is_there():
+    endpoint = free_local_endpoint()
+    rig = parse_config("[planner]", RigConfig, "r.toml").model_copy(update={"router": RouterSection(endpoint=endpoint)})
+    with open_router(endpoint), running_planner(rig.session):
+        findings = {finding.what: finding for finding in examine(rig)}
+    assert findings["router"].found == f"answers on {endpoint}"
+    assert findings["running agents"].found == "planner/main"
+    assert all(finding.remedy == "" for finding in findings.values())
+
+
+@contextlib.contextmanager
+def running_planner(settings):
+    """A planner in a thread of this process, once it is there."""
+    with open_session(settings) as session, connected(settings, 10.0) as connection:
+        runner = Runner(Planner(), session, settings.rig)
+        thread = threading.Thread(target=runner.run)
+        thread.start()
+        try:
+            until(connection.present)
+            yield
+        finally:
+            runner.stop()
+            thread.join(10.0)
+
+
+def test_health_names_who_is_silent_and_who_was_never_heard_of():
+    endpoint = free_local_endpoint()
+    settings = SessionSettings("test", endpoint)
+    with open_router(endpoint), connected(settings) as connection:
+        watch = HealthWatch(connection, ["camera", "planner"])
+        assert [(fare.name, fare.state) for fare in watch.fares()] == [("camera", "starting"), ("planner", "starting")]
+        with running_planner(settings):
+            until(lambda: watch.fares()[1].state == "well")
+        assert watch.changes() == []
+        table = shown(watch.fares())
+    assert re.search(r"camera +starting +-", table)
+    assert re.search(r"planner +well", table)
+
+
+def test_silence_and_recovery_are_told_once(monkeypatch):
+    deaf: Any = SimpleNamespace(listen=lambda *_: None)
+    now = [0.0]
+    monkeypatch.setattr("agents.cli.health_watch.monotonic_s", lambda: now[0])
+    watch = HealthWatch(deaf, ["camera"])
+    assert watch.changes() == []
+    now[0] = 11.0
+    assert watch.changes() == ["camera: never heard of for 11 s"]
+    now[0] = 12.0
+    assert watch.changes() == []
+    assert "never heard of for 12 s" in shown(watch.fares())
+
+
+def shown(fares):
+    console = Console(width=200)
+    with console.capture() as capture:
+        console.print(health_table(fares))
+    return capture.get()
+
+
+def test_sessions_get_folders_of_their_own(tmp_path):
+    folders = [new_session_folder(tmp_path / "sessions") for _ in range(3)]
+    assert len({folder.path for folder in folders}) == 3
+    assert all(folder.path.is_dir() for folder in folders)
+    assert folders[0].log("robot_bridge psm1").name == "robot_bridge_psm1.log"
+
+
+def test_a_restarted_recorder_writes_beside_what_it_wrote_before(tmp_path):
+    path = tmp_path / "session.mcap"
+    names = []
+    for _ in range(3):
+        free = free_path(path)
+        free.touch()
+        names.append(free.name)
+    assert names == ["session.mcap", "session-2.mcap", "session-3.mcap"]
+
+
+@pytest.mark.parametrize("kind", ExecutionKind)
+def test_every_event_has_its_words(kind):
+    refused = kind in (ExecutionKind.REFUSED, ExecutionKind.HELD)
+    code, reason = ("stale", "too old") if refused else ("", "")
+    sentence = event_sentence(ExecutionEvent("plan-1", "psm1", 0, kind, None, code, reason))
+    assert sentence.startswith("psm1: ")
+    assert ("stale" in sentence and "too old" in sentence) == refused
+
+
+def known(confidence) -> Any:
+    """As much of a thread as goals are chosen by."""
+    return SimpleNamespace(confidence=np.array(confidence), confidence_s=np.linspace(0, 1, len(confidence)))
+
+
+@given(st.lists(st.lists(st.floats(0, 1), min_size=2, max_size=20), min_size=1, max_size=4), st.integers(0, 12))
+def test_goals_are_apart_from_each_other_and_from_the_ends_and_the_first_is_known_least(confidences, count):
+    threads = [known(confidence) for confidence in confidences]
+    goals = least_known(threads, count)
+    places = sorted(s for s, _ in goals)
+    assert len(goals) <= count
+    assert all(FROM_END - 1e-9 <= s <= 1 - FROM_END + 1e-9 for s in places)
+    assert (np.diff(places) >= APART - 1e-9).all()
+    assert [c for _, c in goals] == sorted(c for _, c in goals)
+
+
+def test_goals_are_where_frames_agree_that_little_is_known():
+    dip_at_60 = [1, 1, 1, 1, 1, 1, 0.2, 1, 1, 1, 1]
+    (goal,) = least_known([known(dip_at_60), known([1.0] * 11)], 1)
+    assert goal == pytest.approx((0.6, 0.6), abs=0.02)
+    assert least_known([known([])], 3) == []

@@ -1,0 +1,206 @@
+"""Rigs: every section becomes its agent, every source of frames is opened, and the example and the page fit."""
+
+import re
+from pathlib import Path
+from typing import get_args
+
+import cv2
+import numpy as np
+import pytest
+from pydantic import BaseModel
+
+from agents.camera.agent import Camera, SceneCamera
+from agents.cli.builders import build, configured
+from agents.cli.in_the_way import in_the_way, taken
+from agents.cli.rig import RigConfig, RouterSection, simulated_rig
+from schemas.messages import ImageEncoding, StereoCalibration
+from schemas.topics import CALIBRATION, FRAMES
+from shared.calibration import CalibrationError
+from shared.clock import monotonic_s
+from shared.runtime.agent import Tick
+from shared.runtime.config import ConfigError, load_config, parse_config
+from shared.runtime.session import SessionSettings, free_local_endpoint, open_router
+
+REPOSITORY = Path(__file__).parents[3]
+
+
+def rig(text):
+    return parse_config(text, RigConfig, "rig.toml")
+
+
+def frames_of(camera, count):
+    """What a camera sends in its first ticks."""
+    sent = [output for i in range(count) for output in camera.step(Tick(i * 10**9))]
+    return [o.message for o in sent if o.topic is FRAMES], [o.message for o in sent if o.topic is CALIBRATION]
+
+
+@pytest.fixture
+def section(small):
+    """The beginning of a camera's section for the small pair of 320 by 180 pixels."""
+    return f'[camera]\ncalibration = "{small / "calibration.json"}"\nencoding = "raw"\nunit = "mm"\n'
+
+
+@pytest.mark.parametrize("kind_instance", configured(simulated_rig()), ids=" ".join)
+def test_every_section_of_the_simulated_rig_becomes_its_agent(kind_instance):
+    agent = build(simulated_rig(), *kind_instance)
+    assert (agent.kind, agent.instance) == kind_instance
+
+
+def test_only_what_has_a_section_is_configured():
+    assert configured(rig("")) == []
+    assert configured(rig("[robot.psm2]\n[camera]\n[robot.psm1]")) == [
+        ("camera", "main"),
+        ("robot_bridge", "psm2"),
+        ("robot_bridge", "psm1"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("kind", "instance", "told"), [("planner", "main", r"\[planner\]"), ("robot_bridge", "x", "psm1")]
+)
+def test_an_agent_without_section_is_refused_with_what_there_is(kind, instance, told):
+    with pytest.raises(ConfigError, match=told):
+        build(rig("[robot.psm1]"), kind, instance)
+
+
+def test_the_scene_is_filmed():
+    assert isinstance(build(rig("[camera]"), "camera", "main"), SceneCamera)
+
+
+def test_images_in_two_folders_are_frames(section, small, tmp_path):
+    for eye in ("left", "right"):
+        (tmp_path / eye).mkdir()
+        (tmp_path / eye / "0001.png").write_bytes((small / f"{eye}.png").read_bytes())
+    text = f'{section}source = "images"\nleft = "{tmp_path / "left"}"\nright = "{tmp_path / "right"}"\nloop = false'
+    camera = build(rig(text), "camera", "main")
+    frames, calibrations = frames_of(camera, 3)
+    assert isinstance(camera, Camera)
+    assert [(f.left.width, f.left.height, f.left.encoding) for f in frames] == [(320, 180, ImageEncoding.RAW)]
+    assert [type(c) for c in calibrations] == [StereoCalibration]
+
+
+def test_a_pipe_of_side_by_side_frames_is_frames(section, tmp_path):
+    frame = np.arange(180 * 640 * 3, dtype=np.uint64).astype(np.uint8).reshape(180, 640, 3)
+    stream = tmp_path / "stream"
+    stream.write_bytes(2 * frame.tobytes())
+    text = f'{section}source = "pipe"\nleft = "{stream}"\nwidth = 640\nheight = 180'
+    camera = build(rig(text), "camera", "main")
+    deadline_s, frames = monotonic_s() + 10.0, []
+    while not frames and monotonic_s() < deadline_s:
+        frames, _ = frames_of(camera, 1)
+    assert isinstance(camera, Camera)
+    camera._source.close()
+    assert [(f.left.width, f.right.height) for f in frames] == [(320, 180)]
+
+
+def test_a_video_is_frames(section, tmp_path):
+    path = tmp_path / "pair.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 10.0, (640, 180))
+    for level in (50, 100, 150):
+        writer.write(np.full((180, 640, 3), level, np.uint8))
+    writer.release()
+    camera = build(rig(f'{section}source = "video"\nleft = "{path}"'), "camera", "main")
+    frames, _ = frames_of(camera, 1)
+    assert [(f.left.width, f.left.height) for f in frames] == [(320, 180)]
+
+
+def test_a_calibration_for_another_size_is_refused_before_anything_runs(small, tmp_path):
+    cv2.imwrite(str(tmp_path / "0.png"), np.zeros((50, 200, 3), np.uint8))
+    text = (
+        f'[camera]\nsource = "images"\nleft = "{tmp_path}"\ncalibration = "{small / "calibration.json"}"\nunit = "mm"'
+    )
+    with pytest.raises(CalibrationError):
+        build(rig(text), "camera", "main")
+
+
+MISTAKES = {
+    '[camera]\nsource = "images"': "camera: source 'images' needs left",
+    '[camera]\nsource = "video"\nleft = "a"': "camera: source 'video' needs calibration",
+    '[camera]\nsource = "pipe"\nleft = "-"\ncalibration = "c"': "needs width and height",
+    '[camera]\nsource = "magic"': "camera.source = 'magic': input should be 'scene', 'images', 'video' or 'pipe'",
+    "[camera]\nrate_hz = 0": "camera.rate_hz = 0: input should be greater than 0",
+    '[router]\nendpoint = "localhost"': "'localhost' is no endpoint; write protocol, host and port",
+    '[router]\nendpoint = "tcp/127.0.0.1:99999"': "is no endpoint",
+    'rig = "my rig"': "rig = 'my rig'",
+    "[robot.PSM1]": "robot.PSM1",
+    '[robot.psm1]\nbackend = "dvrk"': "robot.psm1.backend = 'dvrk': input should be 'simulated'",
+    "[robot.psm1]\nbakend = 1": "robot.psm1.bakend is unknown; allowed here: backend, maximum_plan_age_s",
+    "[sim]": "sim is unknown; allowed here: rig, router, camera",
+}
+
+
+@pytest.mark.parametrize("text", MISTAKES)
+def test_a_mistake_names_the_key_and_what_is_allowed(text):
+    with pytest.raises(ConfigError) as caught:
+        rig(text)
+    assert MISTAKES[text] in str(caught.value)
+
+
+@pytest.mark.parametrize("command", ["planner", "up", "doctor", "goal --s 0.5", "arm --plan x", "record"])
+def test_every_command_tells_a_mistake_in_one_line(suturegrasp, tmp_path, command):
+    config = tmp_path / "rig.toml"
+    config.write_text("[planer]")
+    ended = suturegrasp(*command.split(), "--config", config)
+    assert (ended.status, ended.out, len(ended.err.splitlines())) == (2, "", 1)
+    assert "planer is unknown; allowed here: rig, router" in ended.err
+
+
+def test_what_is_in_the_way_of_a_rig_is_told_with_its_remedy():
+    endpoint = free_local_endpoint()
+    free = RouterSection(endpoint=endpoint)
+    assert in_the_way(rig("")).startswith("the configuration has no agent")
+    assert in_the_way(rig("[planner]").model_copy(update={"router": free})) == ""
+    piped = '[camera]\nsource = "pipe"\nleft = "-"\nwidth = 4\nheight = 2\ncalibration = "c"'
+    assert "standard input" in in_the_way(rig(piped).model_copy(update={"router": free}))
+    with open_router(endpoint):
+        assert taken(endpoint)
+        assert "already" in in_the_way(rig("[planner]").model_copy(update={"router": free}))
+        joined = free.model_copy(update={"start": False})
+        assert in_the_way(rig("[planner]").model_copy(update={"router": joined})) == ""
+    assert not taken(endpoint)
+    assert not taken("udp/127.0.0.1:7447")
+
+
+def test_the_example_rig_is_the_simulated_one_spelt_out():
+    example = load_config(REPOSITORY / "deploy" / "rig.toml", RigConfig)
+    expected = simulated_rig().model_copy(update={"rig": "lab"})
+    assert example == expected
+    assert example.session == SessionSettings("lab", expected.router.endpoint)
+
+
+def sections(model, prefix=""):
+    """Every section of the configuration with its keys."""
+    keys, found = {}, {}
+    for name, field in model.model_fields.items():
+        inner = [c for c in (field.annotation, *get_args(field.annotation)) if isinstance(c, type)]
+        section = next((c for c in inner if issubclass(c, BaseModel)), None)
+        if section is None:
+            keys[name] = field
+        else:
+            title = f"{name}.psm1" if name == "robot" else name
+            found |= sections(section, f"[{title}]")
+    return {prefix: keys} | found
+
+
+@pytest.mark.parametrize("title", sections(RigConfig))
+def test_the_page_tells_every_key_with_its_default_and_what_it_may_be(title):
+    page = (REPOSITORY / "docs" / "configuration.md").read_text()
+    part = re.split(r"^## ", page, flags=re.M)
+    (text,) = [p for p in part if p.startswith(f"`{title}`")] if title else part[:1]
+    rows = dict(re.findall(r"^\| `(\w+)` \|(.*)$", text, flags=re.M))
+    keys = sections(RigConfig)[title]
+    assert set(rows) == set(keys)
+    for name, field in keys.items():
+        default = (
+            "-"
+            if field.default is None
+            else str(field.default).lower()
+            if isinstance(field.default, bool)
+            else field.default
+        )
+        assert f"`{default}`" in rows[name] or default == "-", (name, default)
+        literals = [a for c in (field.annotation, *get_args(field.annotation)) for a in get_args(c)] or get_args(
+            field.annotation
+        )
+        for value in (v for v in literals if isinstance(v, str)):
+            assert f"`{value}`" in rows[name], (name, value)

@@ -1,0 +1,139 @@
+"""The supervisor, with small real processes: what dies is named and comes back, a mistake does not, all of it ends."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+
+import psutil
+import pytest
+
+from agents.cli.supervisor import FIRST_BACKOFF_S, LONGEST_BACKOFF_S, Role, Supervisor, supervised
+from shared.clock import monotonic_s
+
+PYTHON = (sys.executable, "-c")
+STAYS = "print('here', flush=True); import sys; sys.stdin.read()"
+DEADLINE_S = 20.0
+
+
+def until(condition):
+    deadline_s, turn = monotonic_s() + DEADLINE_S, threading.Event()
+    while not (value := condition()):
+        assert monotonic_s() < deadline_s, "the condition did not come true in time"
+        turn.wait(0.02)
+    return value
+
+
+def changes_of(supervisor, count):
+    """The next so many changes."""
+    found = []
+    until(lambda: found.extend(supervisor.watch()) or len(found) >= count)
+    return found
+
+
+def started(child):
+    return until(lambda: child.log.exists() and "here" in child.log.read_text()) and child.process.pid
+
+
+@pytest.fixture
+def supervisor():
+    supervisor = Supervisor(program=PYTHON)
+    yield supervisor
+    supervisor.stop()
+
+
+def test_a_killed_process_is_named_and_started_again(supervisor, tmp_path):
+    child = supervisor.add("perception", [STAYS], tmp_path / "log")
+    pid = started(child)
+    os.kill(pid, signal.SIGKILL)
+    ended, again = changes_of(supervisor, 2)
+    assert ended.sentence == f"perception was ended by SIGKILL; it starts again in {FIRST_BACKOFF_S:.1f} s"
+    assert (ended.status, ended.final) == (-signal.SIGKILL, False)
+    assert again.sentence == "perception was started again (restart 1)"
+    assert child.running
+    assert child.process.pid != pid
+
+
+def test_the_wait_before_each_restart_grows_up_to_a_limit(supervisor, tmp_path):
+    child = supervisor.add("crashes", ["raise SystemExit(3)"], tmp_path / "log")
+    waits = []
+    while len(waits) < 8:
+        before_s = monotonic_s()
+        changes_of(supervisor, 1)
+        waits.append(child.due_s - before_s)
+        # the wait itself is left out
+        child.due_s = monotonic_s()
+        changes_of(supervisor, 1)
+    expected = [min(FIRST_BACKOFF_S * 2**i, LONGEST_BACKOFF_S) for i in range(8)]
+    assert all(wait >= least for wait, least in zip(waits, expected, strict=True))
+    assert child.restarts == 8
+    assert child.backoff_s == LONGEST_BACKOFF_S
+
+
+def test_a_mistake_in_the_configuration_is_told_once_in_the_words_of_the_process(supervisor, tmp_path):
+    code = "import sys; print('suturegrasp: camera.left is missing', file=sys.stderr); sys.exit(2)"
+    child = supervisor.add("camera", [code], tmp_path / "log")
+    (change,) = changes_of(supervisor, 1)
+    assert change.sentence == "camera ended with status 2: camera.left is missing"
+    assert change.final
+    assert supervisor.watch() == []
+    assert child.due_s is None
+
+
+def test_without_restart_nothing_comes_back(tmp_path):
+    with supervised(restart=False) as supervisor:
+        supervisor.program = PYTHON
+        child = supervisor.add("planner", ["raise SystemExit(1)"], tmp_path / "log")
+        (change,) = changes_of(supervisor, 1)
+        assert (change.sentence, change.final) == ("planner ended with status 1: it said nothing", True)
+        assert (supervisor.watch(), child.running) == ([], False)
+
+
+def test_processes_end_in_the_order_of_their_roles(tmp_path):
+    written = tmp_path / "order"
+    code = (
+        "import signal, sys\n"
+        f"def end(*_):\n    open({str(written)!r}, 'a').write(sys.argv[1] + ' '); sys.exit(0)\n"
+        "signal.signal(signal.SIGTERM, end); print('here', flush=True)\n"
+        "while True: signal.pause()"
+    )
+    supervisor = Supervisor(program=PYTHON)
+    for role in (Role.ROUTER, Role.RECORDER, Role.VIEWER, Role.AGENT):
+        started(supervisor.add(role.name, [code, role.name], tmp_path / role.name, role))
+    supervisor.stop()
+    assert written.read_text().split() == ["AGENT", "VIEWER", "RECORDER", "ROUTER"]
+    assert not any(child.running for child in supervisor.children)
+
+
+def test_a_process_that_does_not_listen_is_killed(tmp_path, monkeypatch):
+    monkeypatch.setattr("agents.cli.supervisor.STOP_LIMIT_S", 0.2)
+    code = "import signal; signal.signal(15, signal.SIG_IGN); print('here', flush=True)\nwhile True: signal.pause()"
+    supervisor = Supervisor(program=PYTHON)
+    child = supervisor.add("deaf", [code], tmp_path / "log")
+    started(child)
+    process = child.process
+    supervisor.stop()
+    assert process is not None
+    assert process.returncode == -signal.SIGKILL
+
+
+def test_processes_end_with_a_supervisor_that_is_killed(tmp_path):
+    endpoint = "tcp/127.0.0.1:1"
+    config = tmp_path / "rig.toml"
+    config.write_text(f'[router]\nendpoint = "{endpoint}"\nstart = false\n[planner]\n')
+    code = (
+        "import pathlib, sys; from agents.cli.supervisor import Supervisor\n"
+        f"log, arguments = pathlib.Path({str(tmp_path / 'log')!r}), ['planner', '--config', {str(config)!r}]\n"
+        "child = Supervisor().add('planner', arguments, log)\n"
+        "print(child.process.pid, flush=True); sys.stdin.read()"
+    )
+    parent = subprocess.Popen([*PYTHON, code], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert parent.stdout is not None
+    orphan = psutil.Process(int(parent.stdout.readline()))
+    parent.kill()
+    parent.communicate()
+    _, alive = psutil.wait_procs([orphan], timeout=DEADLINE_S)
+    for process in alive:
+        process.kill()
+    assert not alive

@@ -1,0 +1,28 @@
+"""Which segmenter an unknown image is given to."""
+
+import numpy as np
+import pytest
+
+from agents.perception.segmentation.choice import SEGMENTERS, suitable_segmenter
+from shared.scene.__main__ import make_scene
+from shared.scene.render import render
+
+
+@pytest.mark.parametrize(("background", "expected"), [("plain", "threshold"), ("tissue", "ridge")])
+def test_plain_ground_is_thresholded_and_tissue_is_searched_for_ridges(background, expected):
+    pair = render(make_scene("medium", background, 7))
+    assert suitable_segmenter(pair.left_bgr) == expected
+    assert suitable_segmenter(pair.right_bgr) == expected
+
+
+def test_a_cut_out_thread_on_white_is_plain():
+    image = np.full((480, 640, 3), 255, np.uint8)
+    image[100:400, 300:312] = (120, 60, 130)
+    assert suitable_segmenter(image) == "threshold"
+
+
+def test_every_segmenter_gives_coverage_of_the_images_size():
+    image = np.random.default_rng(2).integers(0, 256, (54, 96, 3), dtype=np.uint8)
+    for segment in SEGMENTERS.values():
+        found = segment(image)
+        assert (found.shape, found.dtype) == ((54, 96), np.uint8)

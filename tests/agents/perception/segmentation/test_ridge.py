@@ -1,0 +1,115 @@
+"""Threads over tissue by the light renderer, against its true coverage; and lines drawn on smooth grounds."""
+
+import functools
+
+import cv2
+import numpy as np
+import pytest
+
+from agents.perception.segmentation.ridge import LEAST_LENGTH_PX, line_response, segment_ridge
+from shared.scene.__main__ import make_scene
+from shared.scene.render import RenderedPair, render
+
+
+@functools.cache
+def scene(config, colour, seed) -> RenderedPair:
+    return render(make_scene(config, "tissue", seed, colour))
+
+
+def recall_and_precision(found, true_coverage):
+    """Recall of the pixels that are mostly thread, precision to two pixels: what matters to matching by rows."""
+    near = cv2.dilate(found, np.ones((5, 5), np.uint8)) > 0
+    truly_near = cv2.dilate(true_coverage, np.ones((5, 5), np.uint8)) > 60
+    return near[true_coverage > 128].mean(), truly_near[found > 0].mean()
+
+
+@pytest.mark.parametrize(
+    ("config", "colour", "seed"),
+    [
+        ("medium", "black", 32),
+        ("crossing", "green", 34),
+        ("singularity", "violet", 35),
+    ],
+)
+def test_dark_and_coloured_thread_over_tissue_is_found_whole_and_alone(config, colour, seed):
+    pair = scene(config, colour, seed)
+    recall, precision = recall_and_precision(segment_ridge(pair.left_bgr), pair.coverage_left)
+    assert recall > 0.95
+    assert precision > 0.9
+
+
+@pytest.mark.parametrize(("config", "seed"), [("easy", 41), ("medium", 42)])
+def test_white_thread_is_found_among_glints_of_its_colour(config, seed):
+    pair = scene(config, "white", seed)
+    recall, precision = recall_and_precision(segment_ridge(pair.left_bgr), pair.coverage_left)
+    assert recall > 0.85
+    assert precision > 0.6
+
+
+def test_the_width_found_is_about_the_true_one():
+    pair = scene("medium", "black", 32)
+    found = (segment_ridge(pair.left_bgr) > 0).sum()
+    true = pair.coverage_left.sum() / 255
+    assert found == pytest.approx(true, rel=0.35)
+
+
+def drawn_line(width, thickness, ground=170, grey=60, height=None):
+    """A straight, slanted line over a smooth ground, anti-aliased."""
+    height = height or width * 9 // 16
+    scale = 4
+    big = np.full((height * scale, width * scale, 3), ground, np.uint8)
+    ends = (
+        (round(0.15 * width * scale), round(0.2 * height * scale)),
+        (round(0.85 * width * scale), round(0.7 * height * scale)),
+    )
+    cv2.line(big, *ends, (grey, grey, grey + 20), round(thickness * scale))
+    image = cv2.resize(big, (width, height), interpolation=cv2.INTER_AREA)
+    true = cv2.resize((big[..., 0] == grey).astype(np.uint8) * 255, (width, height), interpolation=cv2.INTER_AREA)
+    noise = np.random.default_rng(1).normal(0, 2.0, image.shape)
+    return np.clip(image + noise, 0, 255).astype(np.uint8), true
+
+
+@pytest.mark.parametrize(("width", "thickness"), [(320, 2), (640, 2), (960, 3), (960, 7), (1280, 6), (1920, 10)])
+@pytest.mark.parametrize("grey", [60, 230])
+def test_a_line_is_found_at_its_width_at_any_resolution(width, thickness, grey):
+    image, true = drawn_line(width, thickness, ground=150, grey=grey)
+    found = segment_ridge(image)
+    recall, precision = recall_and_precision(found, true)
+    assert recall > 0.97
+    assert precision > 0.97
+    assert (found > 0).sum() == pytest.approx((true > 127).sum(), rel=0.45)
+
+
+def test_a_speck_is_no_line():
+    image = np.full((270, 480, 3), 150, np.uint8)
+    cv2.line(image, (200, 100), (200 + LEAST_LENGTH_PX // 3, 100), (40, 40, 40), 2)
+    assert not segment_ridge(image).any()
+
+
+def test_the_response_to_a_line_is_greatest_on_it_whatever_its_direction():
+    for degrees in np.arange(0, 180, 10.0):
+        direction = np.array([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))])
+        v, u = np.mgrid[:61, :61] - 30.0
+        across = u * direction[1] - v * direction[0]
+        contrast = (50 * np.exp(-0.5 * across**2)).astype(np.float32)
+        response = line_response(contrast)
+        middle = np.s_[15:46, 15:46]
+        on, beside = np.abs(across[middle]) < 0.5, np.abs(across[middle]) > 3
+        assert response[middle][on].min() > 20
+        assert response[middle][beside].max() < 0.25 * response[middle][on].min()
+
+
+@pytest.mark.parametrize("grey", [0, 130, 255])
+def test_an_image_of_one_colour_holds_no_thread(grey):
+    assert not segment_ridge(np.full((270, 480, 3), grey, np.uint8)).any()
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 50), (50, 1), (2, 3), (9, 9), (1, 2500), (600, 3)])
+def test_tiny_and_narrow_images_are_segmented_without_complaint(shape):
+    image = np.random.default_rng(0).integers(0, 256, (*shape, 3), dtype=np.uint8)
+    assert segment_ridge(image).shape == shape
+
+
+def test_noise_gives_a_mask_of_two_values():
+    image = np.random.default_rng(0).integers(0, 256, (120, 200, 3), dtype=np.uint8)
+    assert set(np.unique(segment_ridge(image)).tolist()) <= {0, 255}

@@ -1,0 +1,128 @@
+"""Drawn threads on plain grounds: faint, thin, noisy, compressed, coloured, on gradients."""
+
+import cv2
+import numpy as np
+import pytest
+from jaxtyping import UInt8
+
+from agents.perception.segmentation.threshold import components_with_seed, local_contrast, segment_threshold
+
+HEIGHT, WIDTH = 240, 320
+Image = UInt8[np.ndarray, "h w 3"]
+
+
+def coverage(thickness_px=2.0, scale=8):
+    """A curved thread drawn large and averaged down, so that its edges are covered in part."""
+    big = np.zeros((HEIGHT * scale, WIDTH * scale), np.uint8)
+    t = np.linspace(0, 1, 400)
+    points = np.column_stack((40 + 240 * t, 120 + 70 * np.sin(5 * t))) * scale
+    cv2.polylines(big, [np.round(points).astype(np.int32)], False, 255, max(1, round(thickness_px * scale)))
+    return cv2.resize(big, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA) / 255.0
+
+
+def laid(thread, ground=(206, 206, 206), colour=(150, 150, 150), noise=0.0, jpeg=None) -> Image:
+    behind = np.broadcast_to(np.asarray(ground, float), (HEIGHT, WIDTH, 3))
+    image = behind + thread[..., None] * (np.asarray(colour, float) - behind)
+    image = image + np.random.default_rng(0).normal(0, noise, image.shape)
+    image = np.clip(np.rint(image), 0, 255).astype(np.uint8)
+    if jpeg is not None:
+        _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, jpeg])
+        image = np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8)
+    return image
+
+
+def recall_and_precision(found, thread):
+    near = cv2.dilate((found > 0).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    truly_near = cv2.dilate((thread > 0.05).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    return near[thread > 0.5].mean(), truly_near[found > 0].mean()
+
+
+GRADIENT = np.linspace(120, 230, WIDTH)[None, :, None] + np.linspace(-20, 20, HEIGHT)[:, None, None] + np.zeros(3)
+
+
+@pytest.mark.parametrize(
+    ("thickness", "how"),
+    [
+        (2.0, {}),
+        (1.2, {"colour": (165, 165, 165)}),
+        (2.0, {"noise": 1.0}),
+        (1.6, {"colour": (160, 160, 160), "noise": 1.0, "jpeg": 90}),
+        (2.0, {"jpeg": 75}),
+        (5.0, {"ground": (255, 255, 255), "colour": (60, 40, 90)}),
+        (3.0, {"ground": (255, 255, 255), "colour": (200, 200, 235)}),
+        (2.0, {"ground": (90, 90, 90), "colour": (190, 190, 190)}),
+        (3.0, {"ground": (150, 150, 150), "colour": (220, 150, 90)}),
+        (2.5, {"ground": GRADIENT, "colour": (60, 60, 60)}),
+        (2.5, {"ground": GRADIENT, "colour": (60, 60, 60), "noise": 1.0, "jpeg": 85}),
+    ],
+    ids=[
+        "grey on grey",
+        "thinner and fainter",
+        "noise",
+        "faint, noise and JPEG",
+        "strong JPEG",
+        "on white",
+        "pale on white",
+        "brighter than its ground",
+        "only its colour differs",
+        "gradient",
+        "gradient, noise and JPEG",
+    ],
+)
+def test_a_thread_on_a_plain_ground_is_found_and_nothing_else(thickness, how):
+    thread = coverage(thickness)
+    recall, precision = recall_and_precision(segment_threshold(laid(thread, **how)), thread)
+    assert recall > 0.97
+    assert precision > 0.97
+
+
+def test_a_dark_thread_does_not_hide_the_faint_end_that_hangs_on_it():
+    thread = coverage(2.0)
+    fading = thread * np.linspace(1.0, 0.45, WIDTH)
+    recall, _ = recall_and_precision(segment_threshold(laid(fading, colour=(90, 90, 90))), thread)
+    assert recall > 0.95
+
+
+def test_coverage_is_fuller_in_the_middle_than_at_the_edge():
+    thread = coverage(4.0)
+    found = segment_threshold(laid(thread, colour=(90, 90, 90)))
+    assert found[thread > 0.99].mean() > 240
+    assert found[(thread > 0.3) & (thread < 0.5) & (found > 0)].mean() < 200
+    assert found[found > 0].min() >= 128
+
+
+def test_specks_are_no_thread():
+    image = laid(np.zeros((HEIGHT, WIDTH)))
+    image[50, 60:62] = image[200, 300] = 100
+    assert not segment_threshold(image).any()
+
+
+@pytest.mark.parametrize("grey", [0, 128, 255])
+def test_an_image_of_one_colour_holds_no_thread(grey):
+    assert not segment_threshold(np.full((HEIGHT, WIDTH, 3), grey, np.uint8)).any()
+
+
+def test_noise_alone_holds_no_thread():
+    assert not segment_threshold(laid(np.zeros((HEIGHT, WIDTH)), noise=1.5)).any()
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (40, 1), (2, 3), (7, 7)])
+def test_tiny_images_are_segmented_without_complaint(shape):
+    image = np.random.default_rng(0).integers(0, 256, (*shape, 3), dtype=np.uint8)
+    assert segment_threshold(image).shape == shape
+
+
+def test_contrast_is_measured_in_the_channel_that_differs_most():
+    image = np.full((HEIGHT, WIDTH, 3), 100, np.uint8)
+    image[100:103, :] = (100, 140, 90)
+    np.testing.assert_array_equal(local_contrast(image)[100:103, 20:-20], 40.0)
+
+
+def test_pieces_need_a_seed_and_a_size():
+    grown = np.zeros((5, 12), bool)
+    grown[1, 0:4] = grown[1, 5:9] = grown[3, 10] = True
+    seeds = np.zeros_like(grown)
+    seeds[1, 2] = seeds[3, 10] = seeds[0, 6] = True
+    expected = np.zeros_like(grown)
+    expected[1, 0:4] = True
+    np.testing.assert_array_equal(components_with_seed(grown, seeds, 2), expected)

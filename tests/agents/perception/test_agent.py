@@ -1,0 +1,197 @@
+"""The perception agent on frames and calibrations that do not go together, and on damaged ones."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from agents.perception.agent import Perception, PerceptionConfig
+from schemas.checks import MessageError
+from schemas.codec import decode, encode
+from schemas.generated import suturegrasp_pb2 as pb
+from schemas.messages import (
+    FrameStamp,
+    Image,
+    ImageEncoding,
+    Severity,
+    Status,
+    StereoCalibration,
+    StereoFrame,
+    ThreadObservations,
+)
+from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS, key
+from shared.calibration.identity import calibration_id
+from shared.images import encode_image
+from shared.runtime.agent import Received, Tick
+
+WIDTH, HEIGHT = 320, 240
+DISPARITY = 24
+
+
+def calibration(**changes):
+    K = np.array([[300.0, 0, 159.5], [0, 300.0, 119.5], [0, 0, 1]])
+    T = np.eye(4)
+    T[0, 3] = -0.005
+    whole = StereoCalibration(WIDTH, HEIGHT, K, K.copy(), np.zeros(0), np.zeros(0), T, 1.0)
+    return dataclasses.replace(whole, **changes)
+
+
+def picture(shift=0, grey=False):
+    """A dark thread, two pixels thick, across a bright ground."""
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    line = 120 + 60 * np.sin((v - 20) / 60)
+    dark = (np.abs(u + shift - line) < 1.5) & (v > 30) & (v < 210)
+    image = np.where(dark, 40, 210).astype(np.uint8)
+    return image if grey else np.stack([image] * 3, axis=2)
+
+
+def frame(encoding=ImageEncoding.PNG, grey=False, calibration_id="", sequence=7):
+    left, right = (encode_image(picture(shift, grey), encoding) for shift in (0, DISPARITY))
+    return StereoFrame(FrameStamp(sequence, 100, 200, calibration_id), left, right)
+
+
+def fed(agent, *messages):
+    """What follows from messages, each over the wire."""
+    found = []
+    for number, message in enumerate(messages):
+        topic = CALIBRATION if isinstance(message, StereoCalibration) else FRAMES
+        arrived = decode(topic.message, encode(message))
+        outputs = list(agent.step(Received(topic, key("lab", topic), number, arrived)))
+        assert all(output.topic is OBSERVATIONS for output in outputs)
+        # each must be fit to travel
+        found += [decode(ThreadObservations, encode(output.message)) for output in outputs]
+    return found
+
+
+def unusable(observations, reason):
+    assert observations.status is Status.FAILED
+    assert reason in observations.reason
+    assert "\n" not in observations.reason
+    assert len(observations.points_camera) == 0
+    (judgement,) = observations.judgements
+    assert (judgement.code, judgement.severity, judgement.finding) == (
+        "unusable_input",
+        Severity.FAULT,
+        observations.reason,
+    )
+    return True
+
+
+@pytest.mark.parametrize("grey", [False, True], ids=["colour", "grey"])
+@pytest.mark.parametrize("encoding", ImageEncoding)
+def test_a_thread_is_observed_at_its_depth_and_the_frames_stamp_is_kept(encoding, grey):
+    (found,) = fed(Perception(), calibration(), frame(encoding, grey))
+    assert (found.status, found.reason, found.segmenter) == (Status.OK, "", "threshold")
+    assert found.stamp == frame().stamp
+    assert np.median(found.points_camera[:, 2]) == pytest.approx(300 * 0.005 / DISPARITY, rel=0.02)
+    assert (found.mask_left.width, found.mask_left.height) == (WIDTH, HEIGHT)
+
+
+def test_without_a_calibration_nothing_is_said_and_with_it_the_next_frame_is_seen():
+    agent = Perception()
+    assert fed(agent, frame(), frame()) == []
+    assert [o.status for o in fed(agent, calibration(), frame())] == [Status.OK]
+
+
+def test_ticks_are_not_its_business():
+    assert list(Perception().step(Tick(1))) == []
+
+
+def test_the_segmenter_is_as_configured():
+    (found,) = fed(Perception(PerceptionConfig("ridge")), calibration(), frame())
+    assert found.segmenter == "ridge"
+
+
+def test_a_frame_of_another_size_than_the_calibration_is_unusable_and_names_both():
+    (found,) = fed(Perception(), calibration(image_width=640), frame())
+    assert unusable(found, "the images are 320x240 and the calibration is for 640x240")
+
+
+def test_a_frame_of_another_calibration_is_unusable_until_its_own_has_come():
+    old, new = calibration(), calibration(metres_per_unit=1e-3)
+    agent = Perception()
+    before, after, then = fed(
+        agent, old, frame(calibration_id=calibration_id(old)), frame(calibration_id=calibration_id(new)), new,
+        frame(calibration_id=calibration_id(new)),
+    )  # fmt: skip
+    assert (before.status, then.status) == (Status.OK, Status.OK)
+    assert unusable(after, f"taken with calibration {calibration_id(new)}, and the newest known is")
+    assert then.camera.metres_per_unit == 1e-3
+
+
+def spoilt_image(image, how):
+    data = {
+        "half": image.data[: len(image.data) // 2],
+        "garbage": b"no image at all",
+        "half as high": encode_image(picture()[: HEIGHT // 2], ImageEncoding.JPEG).data,
+    }
+    return dataclasses.replace(image, data=data[how])
+
+
+@pytest.mark.parametrize("eye", ["left", "right"])
+@pytest.mark.parametrize(
+    ("how", "reason"),
+    [("half", "JPEG are not whole"), ("garbage", "15 bytes of JPEG"), ("half as high", "decodes to 320x120, not to")],
+)
+def test_a_spoilt_image_is_one_sentence_and_the_next_frame_is_seen(eye, how, reason):
+    whole = frame(ImageEncoding.JPEG)
+    spoilt = dataclasses.replace(whole, **{eye: spoilt_image(getattr(whole, eye), how)})
+    first, second = fed(Perception(), calibration(), spoilt, frame())
+    assert unusable(first, reason)
+    assert second.status is Status.OK
+
+
+def test_a_calibration_with_exchanged_cameras_is_said_with_every_frame():
+    T = np.eye(4)
+    T[0, 3] = 0.005
+    for found in fed(Perception(), calibration(T_right_left=T), frame(), frame()):
+        assert unusable(found, "exchange the cameras")
+
+
+def test_a_good_calibration_after_an_unusable_one_is_taken():
+    T = np.eye(4)
+    T[0, 3] = 0.005
+    assert [o.status for o in fed(Perception(), calibration(T_right_left=T), calibration(), frame())] == [Status.OK]
+
+
+@pytest.mark.parametrize("size", [2**31, 2**32 - 1])
+def test_a_calibration_of_absurd_size_takes_no_memory(size):
+    (found,) = fed(Perception(), calibration(image_width=size, image_height=size), frame())
+    assert unusable(found, f"the calibration is for {size}x{size}")
+    both = dataclasses.replace(
+        frame(),
+        left=Image(ImageEncoding.JPEG, size, size, 3, b"\xff\xd8..\xff\xd9"),
+        right=Image(ImageEncoding.JPEG, size, size, 3, b"\xff\xd8..\xff\xd9"),
+    )
+    (found,) = fed(Perception(), calibration(image_width=size, image_height=size), both)
+    assert unusable(found, "cannot be decoded")
+
+
+@pytest.mark.parametrize("field", ["K_left", "K_right", "T_right_left"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_calibration_that_is_not_finite_is_refused_on_the_wire(field, value):
+    wire = pb.StereoCalibration.FromString(encode(calibration()))
+    numbers = np.frombuffer(getattr(wire, field).data).copy()
+    numbers[2] = value
+    getattr(wire, field).data = numbers.tobytes()
+    with pytest.raises(MessageError, match=f"StereoCalibration.{field} must be finite"):
+        decode(StereoCalibration, wire.SerializeToString())
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    distortion=st.lists(st.floats(-1e6, 1e6), min_size=5, max_size=5),
+    focal=st.floats(1e-3, 1e6),
+    centre=st.floats(-1e6, 1e6),
+    angle=st.floats(-3.2, 3.2),
+)
+def test_any_calibration_that_passes_the_wire_ends_in_a_status(distortion, focal, centre, angle):
+    K = np.array([[focal, 0, centre], [0, focal, centre], [0, 0, 1]])
+    T = np.eye(4)
+    T[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    T[0, 3] = -0.005
+    wild = calibration(K_left=K, distortion_left=np.array(distortion), T_right_left=T)
+    (found,) = fed(Perception(PerceptionConfig("threshold")), wild, frame())
+    assert (found.status is Status.OK) == (found.reason == "")

@@ -1,0 +1,113 @@
+"""Threads made by hand before a camera of 960x540, 60 mm away, in millimetres unless said otherwise."""
+
+import dataclasses
+import types
+
+import numpy as np
+import pytest
+
+from agents.planner.plan import ArmView
+from schemas.messages import (
+    CommandHeader,
+    FrameStamp,
+    GraspGoal,
+    Policy,
+    RectifiedStereo,
+    ReliabilityRegions,
+    Status,
+    ThreadReconstruction,
+)
+
+CAMERA = RectifiedStereo(960, 540, 1000.0, 1000.0, 479.5, 269.5, 5.5, 1e-3)
+CAPTURED_NS = 1_760_000_000_000_000_000
+NONE = np.zeros(0)
+NO_REGIONS = ReliabilityRegions(NONE, np.zeros((0, 3)), np.zeros((0, 2)), NONE, NONE)
+
+
+def thread(control_points, confidence=(1.0, 1.0), unseen=(), camera=CAMERA, degree=3):
+    """A reconstruction over uniform knots; `confidence` is evenly spaced along it."""
+    m = len(control_points)
+    knots = np.concatenate((np.zeros(degree), np.linspace(0, 1, m - degree + 1), np.ones(degree)))
+    return ThreadReconstruction(
+        stamp=FrameStamp(7, CAPTURED_NS, CAPTURED_NS, "bench"),
+        camera=camera,
+        status=Status.OK,
+        reason="",
+        method="by hand",
+        degree=degree,
+        knots=knots,
+        control_points_camera=np.asarray(control_points, dtype=np.float64),
+        regions=NO_REGIONS,
+        confidence_s=np.linspace(0, 1, len(confidence)),
+        confidence=np.asarray(confidence, dtype=np.float64),
+        unseen=np.asarray(unseen, dtype=np.float64).reshape(-1, 2),
+    )
+
+
+def polyline(*corners, **rest):
+    """A thread of straight parts, as a spline of degree one."""
+    return thread(corners, degree=1, **rest)
+
+
+def failed(reason="too few observations"):
+    good = straight()
+    return dataclasses.replace(
+        good,
+        status=Status.FAILED,
+        reason=reason,
+        knots=NONE,
+        control_points_camera=np.zeros((0, 3)),
+        confidence_s=NONE,
+        confidence=NONE,
+    )
+
+
+def straight(start=(-20, 0, 60), end=(20, 0, 60), **rest):
+    """A straight thread of constant speed."""
+    return polyline(start, end, **rest)
+
+
+def in_unit(reconstruction, metres_per_unit):
+    """The same thread with its lengths in another unit."""
+    factor = (reconstruction.camera.metres_per_unit or 1e-3) / (metres_per_unit or 1.0)
+    camera = reconstruction.camera
+    return dataclasses.replace(
+        reconstruction,
+        camera=dataclasses.replace(camera, baseline=camera.baseline * factor, metres_per_unit=metres_per_unit),
+        control_points_camera=reconstruction.control_points_camera * factor,
+    )
+
+
+def goal(s=None, pixel=None, point_camera=None, policy=Policy.CAPTURE_SLIDE_GRASP, arm="psm1", name="g1"):
+    def array(value):
+        return None if value is None else np.array(value, dtype=np.float64)
+
+    header = CommandHeader(name, CAPTURED_NS + 10**9, "bench")
+    return GraspGoal(header, arm, policy, s, array(pixel), array(point_camera))
+
+
+def arm(base_camera=(0.05, -0.1, 0.0), tool=None, reachable=None):
+    """An arm whose base stands there, with its axes those of the camera, and which reaches everything by default."""
+    T_camera_base = np.eye(4)
+    T_camera_base[:3, 3] = base_camera
+    return ArmView(
+        T_camera_base,
+        np.eye(4) if tool is None else tool,
+        reachable or (lambda T_camera_tool: np.ones(len(T_camera_tool), dtype=bool)),
+    )
+
+
+@pytest.fixture(scope="session")
+def bench():
+    """All of the above."""
+    return types.SimpleNamespace(
+        CAMERA=CAMERA,
+        CAPTURED_NS=CAPTURED_NS,
+        thread=thread,
+        polyline=polyline,
+        straight=straight,
+        failed=failed,
+        in_unit=in_unit,
+        goal=goal,
+        arm=arm,
+    )

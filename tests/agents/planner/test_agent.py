@@ -1,0 +1,212 @@
+"""The planner as an agent: what it remembers, what it refuses, and that it answers the same again."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+from agents.planner.agent import Planner, psm_reaches
+from agents.planner.config import PlannerConfig
+from schemas.checks import MessageError
+from schemas.codec import encode
+from schemas.messages import CommandAnswer, GraspPlan, Outcome, Phase, RobotMode, RobotState, Status
+from schemas.topics import GOAL, PLAN, ROBOT_STATE, THREAD, key
+from shared.kinematics import psm
+from shared.rigid_transforms import compose, inverse, transform
+from shared.runtime.agent import Command, Output, Received, Tick
+
+MS = 1_000_000
+OLDEST_MS = round(THREAD.maximum_age_ms or 0)
+REMOTE_CENTRE = np.array([0.09, -0.06, -0.04])
+JOINTS = np.array([0.0, 0, 0.1, 0, 0, 0])
+
+
+def base_that_looks_at(target):
+    """A PSM of which the shaft, along -z of the base at joints of zero, points from its trocar at the target."""
+    z = (REMOTE_CENTRE - target) / np.linalg.norm(REMOTE_CENTRE - target)
+    x = np.cross([0.0, 1, 0], z) / np.linalg.norm(np.cross([0.0, 1, 0], z))
+    return transform(np.column_stack((x, np.cross(z, x), z)), REMOTE_CENTRE)
+
+
+def state(bench, arm="psm1", late_ms=0):
+    return RobotState(
+        arm=arm,
+        measured_ns=bench.CAPTURED_NS + late_ms * MS,
+        mode=RobotMode.IDLE,
+        T_base_tool=psm.forward(JOINTS),
+        joints=JOINTS,
+        jaw_rad=0.0,
+        T_camera_base=base_that_looks_at(np.array([0, 0, 0.08])),
+        plan_id="",
+    )
+
+
+def far_thread(bench, **rest):
+    return bench.straight((-20, 5, 80), (20, -5, 85), **rest)
+
+
+def feed(planner, topic, message, instance="main"):
+    return list(planner.step(Received(topic, key("lab", topic, instance), 0, message)))
+
+
+def ask(planner, bench, goal, after_ms=50) -> list[Any]:
+    return list(planner.step(Command(GOAL, "main", goal, bench.CAPTURED_NS + after_ms * MS)))
+
+
+@pytest.fixture
+def planner(bench):
+    """One that has a thread and one arm."""
+    agent = Planner()
+    assert feed(agent, THREAD, far_thread(bench)) == []
+    assert feed(agent, ROBOT_STATE, state(bench), "psm1") == []
+    return agent
+
+
+def test_a_goal_is_accepted_and_followed_by_its_plan(bench, planner):
+    answer, output = ask(planner, bench, bench.goal(s=0.4))
+    assert answer == CommandAnswer("g1", Outcome.ACCEPTED, "", "")
+    assert isinstance(output, Output)
+    assert output.topic is PLAN
+    plan = output.message
+    assert (plan.plan_id, plan.arm, plan.status, plan.s_goal) == ("plan-g1", "psm1", Status.OK, 0.4)
+    assert {w.phase for w in plan.waypoints} == set(Phase) - {Phase.SLIDE}
+
+
+def test_every_waypoint_is_within_the_joints_of_the_arm_by_forward_kinematics(bench):
+    planner = Planner(PlannerConfig(least_probability=0.0))
+    feed(planner, THREAD, far_thread(bench, confidence=[1, 0, 0, 0, 0]))
+    feed(planner, ROBOT_STATE, state(bench), "psm1")
+    plan = ask(planner, bench, bench.goal(s=0.8))[1].message
+    assert Phase.SLIDE in {w.phase for w in plan.waypoints}
+    T_base_tool = compose(inverse(state(bench).T_camera_base), np.array([w.T_camera_tool for w in plan.waypoints]))
+    joints = psm.inverse(T_base_tool).joints
+    assert psm.within_limits(joints) is None
+    np.testing.assert_allclose(psm.forward(joints), T_base_tool, atol=1e-9)
+
+
+def test_reachability_is_asked_for_in_the_frame_of_the_base(bench):
+    asked = []
+
+    def everything(T_base_tool):
+        asked.append(T_base_tool)
+        return np.ones(len(T_base_tool), bool)
+
+    planner = Planner(reaches=everything)
+    feed(planner, THREAD, far_thread(bench))
+    feed(planner, ROBOT_STATE, state(bench), "psm1")
+    plan = ask(planner, bench, bench.goal(s=0.4))[1].message
+    for waypoint in plan.waypoints:
+        T_base_tool = np.linalg.inv(state(bench).T_camera_base) @ waypoint.T_camera_tool
+        assert np.abs(np.concatenate(asked) - T_base_tool).max(axis=(1, 2)).min() < 1e-9
+
+
+def test_the_jaws_take_the_side_that_the_tool_is_on_now(bench):
+    planner = Planner(reaches=lambda T: np.ones(len(T), bool))
+    feed(planner, THREAD, far_thread(bench))
+    # a base that is turned half around, so that the tool's attitude in its frame is that of the other side
+    turned = dataclasses.replace(state(bench), T_camera_base=np.diag([-1.0, -1, 1, 1]))
+    feed(planner, ROBOT_STATE, turned, "psm1")
+    for side in (np.eye(4), np.diag([-1.0, -1, 1, 1])):
+        T_camera_tool = ask(planner, bench, bench.goal(s=0.4))[1].message.waypoints[0].T_camera_tool @ side
+        now = dataclasses.replace(turned, T_base_tool=turned.T_camera_base @ T_camera_tool)
+        feed(planner, ROBOT_STATE, now, "psm1")
+        again = ask(planner, bench, bench.goal(s=0.4))[1].message.waypoints[0].T_camera_tool
+        np.testing.assert_allclose(again, T_camera_tool, atol=1e-9)
+
+
+def test_a_thread_beyond_the_instrument_is_rejected_as_unreachable(bench, planner):
+    feed(planner, THREAD, bench.straight((-60, 5, 300), (60, -5, 305)))
+    answer, output = ask(planner, bench, bench.goal(s=0.4))
+    assert answer.outcome is Outcome.ACCEPTED
+    assert output.message.status is Status.FAILED
+    assert "unreachable" in output.message.reason
+
+
+def test_the_arm_reaches_where_its_joints_can_be_and_nowhere_else():
+    within = psm.forward(np.array([[0.3, -0.2, 0.15, 1.0, 0.4, -0.3]]))
+    outside = np.tile(np.eye(4), (1, 1, 1))
+    outside[0, 2, 3] = -0.5
+    np.testing.assert_array_equal(psm_reaches(np.concatenate((within, outside))), [True, False])
+
+
+@pytest.mark.parametrize(
+    ("goal", "after_ms", "code", "said"),
+    [
+        ({"arm": "psm2"}, 50, "unknown_arm", "no arm called psm2 has reported; there are: psm1"),
+        ({}, OLDEST_MS + 1, "thread_stale", f"seen {OLDEST_MS + 1} ms ago, and at most {OLDEST_MS} ms"),
+        ({}, -OLDEST_MS - 1, "thread_from_future", f"{OLDEST_MS + 1} ms from now; set the clocks"),
+    ],
+)
+def test_a_goal_that_cannot_be_planned_for_is_refused_with_a_code(bench, planner, goal, after_ms, code, said):
+    (answer,) = ask(planner, bench, bench.goal(s=0.4, **goal), after_ms)
+    assert (answer.id, answer.outcome, answer.code) == ("g1", Outcome.REFUSED, code)
+    assert said in answer.reason
+
+
+def test_without_a_thread_or_an_arm_every_goal_is_refused(bench):
+    planner = Planner()
+    (answer,) = ask(planner, bench, bench.goal(s=0.4))
+    assert answer.code == "no_thread"
+    feed(planner, THREAD, far_thread(bench))
+    (answer,) = ask(planner, bench, bench.goal(s=0.4))
+    assert answer.code == "unknown_arm"
+    assert "there is none" in answer.reason
+
+
+def test_an_unknown_unit_is_refused(bench, planner):
+    feed(planner, THREAD, bench.in_unit(far_thread(bench), None))
+    (answer,) = ask(planner, bench, bench.goal(s=0.4))
+    assert answer.code == "unit_unknown"
+    assert "metres_per_unit" in answer.reason
+
+
+def test_an_arm_that_fell_silent_is_refused(bench, planner):
+    feed(planner, ROBOT_STATE, state(bench, late_ms=-600), "psm1")
+    (answer,) = ask(planner, bench, bench.goal(s=0.4))
+    assert answer.code == "arm_stale"
+
+
+def test_the_newest_thread_and_the_newest_state_of_each_arm_count(bench, planner):
+    feed(planner, ROBOT_STATE, state(bench, arm="psm2"), "psm2")
+    feed(planner, THREAD, far_thread(bench, confidence=[0.7, 0.7]))
+    for arm in ("psm1", "psm2"):
+        plan = ask(planner, bench, bench.goal(s=0.4, arm=arm))[1].message
+        assert (plan.arm, plan.probability) == (arm, pytest.approx(0.7))
+    feed(planner, THREAD, bench.failed("it went out of focus"))
+    answer, output = ask(planner, bench, bench.goal(s=0.4))
+    assert answer.outcome is Outcome.ACCEPTED
+    assert output.message.reason == "there is no thread: it went out of focus"
+
+
+def test_the_same_inputs_give_the_same_bytes(bench):
+    def plan():
+        planner = Planner()
+        feed(planner, THREAD, far_thread(bench, confidence=[1, 0.2, 0.1]))
+        feed(planner, ROBOT_STATE, state(bench), "psm1")
+        message = ask(planner, bench, bench.goal(s=0.4))[1].message
+        assert isinstance(message, GraspPlan)
+        return encode(message)
+
+    assert plan() == plan()
+
+
+def test_a_tick_says_nothing(planner):
+    assert list(planner.step(Tick(0))) == []
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"samples": 1},
+        {"keep_probability": 0.0},
+        {"least_probability": 1.5},
+        {"depth_m": 0.02},
+        {"standoff_m": 0.0},
+        {"slide_deg": 70.0},
+        {"clear_deg": 5.0},
+    ],
+)
+def test_a_configuration_that_makes_no_sense_is_refused_by_name(wrong):
+    with pytest.raises(MessageError, match=next(iter(wrong))):
+        PlannerConfig(**wrong)

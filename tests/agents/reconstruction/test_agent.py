@@ -1,0 +1,79 @@
+"""The reconstruction agent: one thread for each message of observations, whatever became of it."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from agents.reconstruction.agent import Reconstruction
+from agents.reconstruction.methods import METHODS
+from schemas.codec import decode, encode
+from schemas.messages import (
+    FrameStamp,
+    Image,
+    ImageEncoding,
+    RectifiedStereo,
+    Status,
+    ThreadObservations,
+    ThreadReconstruction,
+)
+from schemas.topics import OBSERVATIONS, THREAD, key
+from shared.runtime.agent import Received, Tick
+
+CAMERA = RectifiedStereo(640, 480, 600.0, 600.0, 319.5, 239.5, 0.005, 1.0)
+MASK = Image(ImageEncoding.RAW, 640, 480, 1, bytes(640 * 480))
+
+
+def observations(sequence=3, status=Status.OK, points=12):
+    x = np.linspace(-0.01, 0.01, points)
+    curve = np.column_stack([x, 0.004 * np.sin(300 * x), 0.09 + 0.2 * x])
+    return ThreadObservations(
+        stamp=FrameStamp(sequence, 5, 6, "c"),
+        camera=CAMERA,
+        status=status,
+        reason="" if status is Status.OK else "no thread was found in the left image",
+        segmenter="threshold",
+        points_camera=curve if status is Status.OK else np.zeros((0, 3)),
+        half_size_px=np.ones((points if status is Status.OK else 0, 2)),
+        matched_px=np.zeros((0, 3)),
+        match_cost=np.zeros((0, 2)),
+        inlier=np.zeros(0, bool),
+        mask_left=MASK,
+        mask_right=MASK,
+    )
+
+
+def fed(agent, message):
+    outputs = list(agent.step(Received(OBSERVATIONS, key("lab", OBSERVATIONS), 0, message)))
+    assert [output.topic for output in outputs] == [THREAD]
+    return decode(ThreadReconstruction, encode(outputs[0].message))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_observations_become_a_thread_of_the_same_frame(method):
+    thread = fed(Reconstruction(method), observations())
+    assert (thread.status, thread.stamp) == (Status.OK, FrameStamp(3, 5, 6, "c"))
+    assert len(thread.regions.s) == 12
+
+
+def test_what_failed_before_it_fails_on_with_the_reason():
+    thread = fed(Reconstruction(), observations(status=Status.FAILED))
+    assert thread.status is Status.FAILED
+    assert "no thread was found in the left image" in thread.reason
+
+
+def test_nothing_is_kept_from_one_message_to_the_next():
+    agent = Reconstruction()
+    alone = encode(fed(Reconstruction(), observations()))
+    fed(agent, observations(status=Status.FAILED))
+    fed(agent, dataclasses.replace(observations(), points_camera=observations().points_camera + 0.001))
+    assert encode(fed(agent, observations())) == alone
+
+
+def test_ticks_are_not_its_business():
+    assert list(Reconstruction().step(Tick(1))) == []
+
+
+def test_an_unknown_method_is_the_callers_mistake():
+    with pytest.raises(KeyError):
+        Reconstruction("magic")

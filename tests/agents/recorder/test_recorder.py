@@ -1,0 +1,211 @@
+"""The recorder on messages put by hand, behind a real router, killed, and on a full disk."""
+
+import pathlib
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+
+from agents.recorder.mcap_file import RecordingWriter, read_notes, read_recording
+from agents.recorder.recorder import LOSSES, Recorder
+from schemas.codec import encode
+from schemas.messages import FrameStamp, Image, ImageEncoding, LogLevel, LogRecord, StereoFrame
+from schemas.topics import FRAMES, LOG, PLAN, TOPICS, key
+from shared.runtime.agent import Output
+from shared.runtime.attachment import Attachment, pack
+from shared.runtime.connection import connected
+from shared.runtime.delivery import declare_publisher
+from shared.runtime.taps import Tapped
+
+CAMERA, OTHER = key("lab", LOG, agent="camera"), key("lab", LOG, agent="planner")
+IMAGE = Image(ImageEncoding.RAW, 64, 48, 3, bytes(64 * 48 * 3))
+
+
+def tapped(number, name=CAMERA, epoch=1, numbered=True):
+    payload = encode(LogRecord(number, "camera", "main", LogLevel.INFO, "text"))
+    return Tapped(LOG, name, payload, Attachment(epoch, number, 1000 + number, 0.0) if numbered else None)
+
+
+def places(path):
+    return [(entry.key, entry.epoch, entry.sequence) for entry in read_recording(path)]
+
+
+@pytest.fixture
+def stuck(monkeypatch):
+    """A disk that answers only once the event is set."""
+    going = threading.Event()
+    write = RecordingWriter.write
+    monkeypatch.setattr(RecordingWriter, "write", lambda *a: (going.wait(30.0), write(*a))[1])
+    yield going
+    going.set()
+
+
+def test_everything_is_read_back_as_it_was_put(tmp_path):
+    recorder = Recorder(tmp_path / "a.mcap")
+    put = [tapped(n, name) for n in range(50) for name in (CAMERA, OTHER)]
+    for one in put:
+        recorder.put(one)
+    report = recorder.close()
+    assert report.complete
+    assert report.received == {CAMERA: 50, OTHER: 50}
+    found = list(read_recording(report.path))
+    assert [(e.key, e.payload) for e in found] == [(t.key, t.payload) for t in put]
+    assert [(e.epoch, e.sequence, e.published_ns) for e in found] == [
+        (t.beside.epoch, t.beside.sequence, t.beside.published_ns) for t in put if t.beside
+    ]
+    received = [e.received_ns for e in found]
+    assert received == sorted(received)
+    assert read_notes(report.path, LOSSES) == {"complete": "True"}
+
+
+def test_gaps_are_counted_by_key_and_written_into_the_file(tmp_path):
+    recorder = Recorder(tmp_path / "a.mcap")
+    for number in (0, 1, 4, 5, 9):
+        recorder.put(tapped(number))
+    for number in (7, 8):
+        recorder.put(tapped(number, OTHER))
+    report = recorder.close()
+    assert report.lost == {CAMERA: 2 + 3}
+    assert not report.complete
+    assert read_notes(report.path, LOSSES) == {CAMERA: "5", "complete": "False"}
+
+
+def test_a_publisher_that_restarted_has_lost_nothing(tmp_path):
+    recorder = Recorder(tmp_path / "a.mcap")
+    for epoch in (5, 3):
+        for number in range(3):
+            recorder.put(tapped(number, epoch=epoch))
+    report = recorder.close()
+    assert report.complete
+    assert places(report.path) == [(CAMERA, epoch, n) for epoch in (5, 3) for n in range(3)]
+
+
+def test_what_came_without_a_number_is_counted_and_left_out(tmp_path):
+    recorder = Recorder(tmp_path / "a.mcap")
+    recorder.put(tapped(0, numbered=False))
+    recorder.put(tapped(1))
+    report = recorder.close()
+    assert (report.unnumbered, report.complete) == (1, False)
+    assert places(report.path) == [(CAMERA, 1, 1)]
+
+
+def test_behind_a_slow_disk_nobody_waits_and_what_finds_no_room_is_counted(tmp_path, stuck):
+    recorder = Recorder(tmp_path / "a.mcap", queue_limit=10)
+    # a gap on the way and an overflow add up
+    for number in (*range(40), *range(45, 60)):
+        recorder.put(tapped(number))
+    stuck.set()
+    report = recorder.close()
+    held = places(report.path)
+    assert report.received == {CAMERA: len(held)}
+    assert report.lost == {CAMERA: 60 - len(held)}
+    assert 10 <= len(held) <= 12
+    assert read_notes(report.path, LOSSES) == {CAMERA: str(60 - len(held)), "complete": "False"}
+
+
+def test_what_zenoh_reports_as_lost_is_counted_once(tmp_path):
+    recorder = Recorder(tmp_path / "a.mcap")
+    for number in (0, 4):
+        recorder.put(tapped(number))
+    recorder.missed(LOG, 3)
+    recorder.missed(PLAN, 2)
+    assert recorder.close().lost == {CAMERA: 3, str(PLAN): 2}
+
+
+def test_a_full_disk_is_a_fault_and_what_is_not_written_is_counted():
+    full = pathlib.Path("/dev/full")
+    if not full.exists():
+        pytest.skip("needs /dev/full")
+    recorder = Recorder(full)
+    for number in range(3000):
+        recorder.put(tapped(number))
+    report = recorder.close()
+    assert report.fault == "/dev/full cannot be written: No space left on device"
+    assert not report.complete
+
+
+def test_a_file_that_cannot_be_written_is_the_systems_error(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        Recorder(tmp_path / "none" / "a.mcap")
+
+
+def test_closing_twice_is_closing_once_and_nothing_is_recorded_after(tmp_path):
+    recorder = Recorder(tmp_path / "a.mcap")
+    recorder.put(tapped(0))
+    first = recorder.close()
+    recorder.put(tapped(1))
+    assert recorder.close() == first
+    assert places(first.path) == [(CAMERA, 1, 0)]
+
+
+def test_of_a_killed_recorder_everything_but_the_last_moments_is_read(tmp_path):
+    path = tmp_path / "a.mcap"
+    process = subprocess.Popen(
+        [sys.executable, str(pathlib.Path(__file__).with_name("recording_process.py")), str(path)],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        put = 0
+        for line in process.stdout:
+            put = int(line)
+            # the first is small: one chunk by size alone would never have been written
+            if put >= 100:
+                break
+    finally:
+        process.kill()
+        process.communicate()
+    numbers = [entry.sequence for entry in read_recording(path)]
+    assert numbers == list(range(len(numbers)))
+    # 0.02 s a message, 0.5 s a flush, and as much again for a busy machine
+    assert len(numbers) > put - 50
+    assert path.stat().st_size < 1 << 20
+    assert read_notes(path, LOSSES) is None
+
+
+class Film:
+    kind, instance, inputs, outputs, commands, tick_hz = "camera", "main", (), (FRAMES,), (), 50.0
+
+    def __init__(self):
+        self.sent = 0
+
+    def step(self, arrived):
+        image = Image(ImageEncoding.RAW, 64, 48, 3, np.full((48, 64, 3), self.sent % 256, np.uint8).tobytes())
+        yield Output(FRAMES, StereoFrame(FrameStamp(self.sent, arrived.now_ns, arrived.now_ns, ""), image, image))
+        self.sent += 1
+
+
+def test_everything_of_a_live_run_is_read_back_identically(settings, running, tmp_path, until):
+    heard = []
+    with connected(settings) as connection:
+        recorder = Recorder(tmp_path / "live.mcap")
+
+        def receive(one):
+            heard.append(one)
+            recorder.put(one)
+
+        connection.listen(TOPICS, receive, recorder.missed)
+        running(Film())
+        until(lambda: sum(t.topic is FRAMES for t in heard) > 50)
+    report = recorder.close()
+    assert report.lost == {}
+    found = [(e.key, e.epoch, e.sequence, e.payload, e.published_ns) for e in read_recording(report.path)]
+    expected = [(t.key, t.beside.epoch, t.beside.sequence, t.payload, t.beside.published_ns) for t in heard]
+    assert sorted(found) == sorted(expected)
+    for name in report.received:
+        assert [f for f in found if f[0] == name] == [e for e in expected if e[0] == name]
+
+
+def test_a_gap_between_publisher_and_recorder_is_counted(settings, session, tmp_path, until):
+    publisher = declare_publisher(session, key(settings.rig, PLAN), LOG)
+    with connected(settings) as connection:
+        recorder = Recorder(tmp_path / "live.mcap")
+        connection.listen((PLAN,), recorder.put, recorder.missed)
+        for number in (0, 1, 5):
+            publisher.put(b"payload", attachment=pack(Attachment(3, number, 0, 0.0)))
+        until(lambda: sum(recorder.report().received.values()) == 3)
+    assert recorder.close().lost == {key(settings.rig, PLAN): 3}
+    publisher.undeclare()

@@ -1,0 +1,257 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from agents.robot_bridge.checks import waypoint_refusal
+from agents.robot_bridge.limits import MotionLimits, Setup
+from agents.robot_bridge.motion import MAXIMUM_WAYPOINTS, Trajectory, plan_motion
+from agents.robot_bridge.path import Poses, smooth_path
+from agents.robot_bridge.refusals import Code, Refusal
+from agents.robot_bridge.simulated import SIMULATED_START
+from schemas.messages import Phase, Waypoint
+from shared.kinematics.psm import LARGE_NEEDLE_DRIVER, forward, joint_problem
+from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
+from shared.rigid_transforms import exp_so3, inverse, log_so3, transform
+
+START = np.array(SIMULATED_START)
+LIMITS = MotionLimits()
+SETUP = Setup(LARGE_NEEDLE_DRIVER, SIMULATED_T_CAMERA_BASE, LIMITS, 0.01)
+
+
+def pose(x_mm: float, y_mm: float, z_mm: float, turn: tuple[float, float, float] = (0, 0, 0)) -> np.ndarray:
+    return transform(exp_so3(np.array(turn, float)), np.array((x_mm, y_mm, z_mm)) / 1e3)
+
+
+def waypoint(T: np.ndarray, jaw_rad: float = 0.5, phase: Phase = Phase.APPROACH) -> Waypoint:
+    return Waypoint(T, jaw_rad, phase, None)
+
+
+def grasp() -> tuple[Waypoint, ...]:
+    """Approach, close, slide along a curve, grasp, retreat."""
+    slide = [pose(-10 + i, 5 + 0.05 * i * i, 85, (0, 0, 0.5 + 0.03 * i)) for i in range(15)]
+    return (
+        waypoint(pose(-10, 5, 70, (0, 0, 0.5)), 1.0),
+        waypoint(slide[0], 1.0),
+        waypoint(slide[0], 0.3, Phase.CAPTURE),
+        *(waypoint(T, 0.3, Phase.SLIDE) for T in slide[1:]),
+        waypoint(slide[-1], -0.2, Phase.GRASP),
+        waypoint(pose(4, 14.8, 70, (0, 0, 0.92)), -0.2, Phase.RETREAT),
+    )
+
+
+def motion(waypoints: tuple[Waypoint, ...], setup: Setup = SETUP) -> Trajectory:
+    planned = plan_motion(waypoints, START, 0.0, setup)
+    assert isinstance(planned, Trajectory), planned
+    return planned
+
+
+def refusal(waypoints: tuple[Waypoint, ...], setup: Setup = SETUP, joints: np.ndarray = START) -> Refusal:
+    planned = plan_motion(waypoints, joints, 0.0, setup)
+    assert isinstance(planned, Refusal)
+    return planned
+
+
+def camera_poses(trajectory: Trajectory) -> np.ndarray:
+    return SIMULATED_T_CAMERA_BASE @ forward(trajectory.joints)
+
+
+def test_the_motion_begins_where_the_arm_is_and_passes_every_waypoint() -> None:
+    trajectory = motion(grasp())
+    np.testing.assert_array_equal(trajectory.joints[0], START)
+    poses = camera_poses(trajectory)
+    for target in grasp():
+        # A tick at full speed leads 0.5 mm and 0.015 rad on.
+        near = np.linalg.norm(poses[:, :3, 3] - target.T_camera_tool[:3, 3], axis=1) < 3e-4
+        turned = np.linalg.norm(log_so3(target.T_camera_tool[:3, :3].T @ poses[:, :3, :3]), axis=1) < 0.02
+        assert (near & turned & (np.abs(trajectory.jaw_rad - target.jaw_rad) < 0.02)).any()
+
+
+def test_every_phase_ends_at_its_last_waypoint_in_order() -> None:
+    trajectory = motion(grasp())
+    ends = [(stop.sample, stop.phase) for stop in trajectory.stops if stop.phase]
+    assert [phase for _, phase in ends] == list(Phase)
+    assert ends[-1][0] == len(trajectory.joints) - 1
+    poses = camera_poses(trajectory)
+    last = {point.phase: point for point in grasp()}
+    for sample, phase in ends:
+        np.testing.assert_allclose(poses[sample], last[phase].T_camera_tool, atol=1e-9)
+        assert trajectory.jaw_rad[sample] == pytest.approx(last[phase].jaw_rad)
+
+
+def test_speeds_and_accelerations_keep_to_their_limits_and_contact_is_slower() -> None:
+    trajectory = motion(grasp())
+    poses, period = camera_poses(trajectory), SETUP.period_s
+    velocity = np.diff(poses[:, :3, 3], axis=0) / period
+    speed = np.linalg.norm(velocity, axis=1)
+    turning = np.linalg.norm(log_so3(np.swapaxes(poses[:-1, :3, :3], 1, 2) @ poses[1:, :3, :3]), axis=1) / period
+    joint_speeds = np.abs(np.diff(trajectory.joints, axis=0)) / period
+    assert speed.max() <= LIMITS.speed * (1 + 1e-6)
+    assert speed.max() > 0.8 * LIMITS.speed
+    assert np.linalg.norm(np.diff(velocity, axis=0), axis=1).max() / period <= LIMITS.acceleration * (1 + 1e-6)
+    assert turning.max() <= LIMITS.angular_speed * (1 + 1e-6)
+    assert (joint_speeds <= 0.8 * LARGE_NEEDLE_DRIVER.max_speeds + 1e-6).all()
+    assert np.abs(np.diff(trajectory.jaw_rad)).max() / period <= LIMITS.jaw_speed * (1 + 1e-6)
+    approach, _, slide, *_ = [stop.sample for stop in trajectory.stops if stop.phase]
+    assert speed[approach:slide].max() <= LIMITS.contact_share * LIMITS.speed * (1 + 1e-6)
+
+
+def test_the_arm_rests_at_every_stop() -> None:
+    trajectory = motion(grasp())
+    steps = np.abs(np.diff(trajectory.joints, axis=0)).max(axis=1)
+    for stop in trajectory.stops:
+        around = steps[max(stop.sample - 1, 0) : stop.sample + 1]
+        assert around.max() < 0.05 * steps.max()
+
+
+def test_a_joint_that_would_be_too_fast_slows_the_leg_down() -> None:
+    links = tuple(link._replace(max_speed=link.max_speed / 50) for link in LARGE_NEEDLE_DRIVER.links)
+    slow = dataclasses.replace(SETUP, psm=dataclasses.replace(LARGE_NEEDLE_DRIVER, links=links))
+    trajectory = motion(grasp(), slow)
+    shares = np.abs(np.diff(trajectory.joints, axis=0)) / SETUP.period_s / slow.psm.max_speeds
+    assert 0.7 < shares.max() <= 0.8 + 1e-6
+    assert len(trajectory.joints) > 1.5 * len(motion(grasp()).joints)
+
+
+def test_a_roll_beyond_half_a_turn_goes_on_and_does_not_jump_back() -> None:
+    turned = START.copy()
+    turned[3] = 3.0
+    target = SIMULATED_T_CAMERA_BASE @ forward(turned + np.array((0, 0, 0.01, 0.5, 0, 0)))
+    planned = plan_motion((waypoint(target),), turned, 0.0, SETUP)
+    assert isinstance(planned, Trajectory)
+    assert planned.joints[-1, 3] == pytest.approx(3.5)
+    assert (joint_problem(planned.joints) == 0).all()
+
+
+def test_a_plan_that_leads_nowhere_is_done_at_once() -> None:
+    here = waypoint(SIMULATED_T_CAMERA_BASE @ forward(START), jaw_rad=0.0)
+    trajectory = motion((here, here))
+    assert len(trajectory.joints) == 1
+    assert [stop.sample for stop in trajectory.stops] == [0, 0]
+    np.testing.assert_array_equal(trajectory.at(1.0)[0], START)
+
+
+def test_between_two_samples_the_motion_is_straight_in_the_joints() -> None:
+    trajectory = motion(grasp())
+    joints, jaw = trajectory.at(1.234)
+    np.testing.assert_allclose(joints, 0.6 * trajectory.joints[123] + 0.4 * trajectory.joints[124], atol=1e-12)
+    assert jaw == pytest.approx(0.6 * trajectory.jaw_rad[123] + 0.4 * trajectory.jaw_rad[124])
+
+
+points = st.tuples(*[st.floats(-0.05, 0.05)] * 3)
+turns = st.tuples(*[st.floats(-3, 3)] * 3)
+
+
+@given(st.lists(st.tuples(points, turns, st.floats(-0.6, 1.3)), min_size=2, max_size=6))
+def test_a_path_stays_between_neighbouring_waypoints_and_ends_at_the_last(
+    rows: list[tuple[tuple[float, ...], tuple[float, ...], float]],
+) -> None:
+    T = np.stack([transform(exp_so3(np.array(turn)), np.array(place)) for place, turn, _ in rows])
+    jaw = np.array([angle for *_, angle in rows])
+    path = smooth_path(Poses(T, jaw), LIMITS, 1.0)
+    if path is None:
+        np.testing.assert_allclose(T, np.broadcast_to(T[:1], T.shape), atol=1e-8)
+        return
+    samples = path.sample(0.01)
+    np.testing.assert_allclose(samples.T_base_tool[[0, -1]], T[[0, -1]], atol=1e-7)
+    inside = np.all(
+        (samples.T_base_tool[:, None, :3, 3] >= np.minimum(T[:-1], T[1:])[:, :3, 3] - 1e-9)
+        & (samples.T_base_tool[:, None, :3, 3] <= np.maximum(T[:-1], T[1:])[:, :3, 3] + 1e-9),
+        axis=2,
+    )
+    assert inside.any(axis=1).all()
+    assert samples.jaw_rad.min() >= jaw.min() - 1e-9
+    assert samples.jaw_rad.max() <= jaw.max() + 1e-9
+
+
+def test_two_poses_are_joined_by_a_straight_line_and_the_great_arc_of_slerp() -> None:
+    T = np.stack((pose(0, 0, 0), pose(30, -20, 10, (0.4, -1.0, 0.7))))
+    path = smooth_path(Poses(T, np.zeros(2)), LIMITS, 1.0)
+    assert path is not None
+    samples = path.sample(0.01).T_base_tool
+    across = np.cross(samples[:, :3, 3], T[1, :3, 3])
+    np.testing.assert_allclose(across, 0, atol=1e-12)
+    vectors = Rotation.from_matrix(samples[:, :3, :3]).as_rotvec()
+    np.testing.assert_allclose(np.cross(vectors, (0.4, -1.0, 0.7)), 0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("T", "jaw", "code", "words"),
+    [
+        (pose(0, 0, 150), 0.0, Code.WORKSPACE, "waypoint 1"),
+        (pose(1e303, 0, 80), 0.0, Code.WORKSPACE, "waypoint 1"),
+        (pose(0, 0, 80, (np.pi, 0, 0)), 0.0, Code.UNREACHABLE, "wrist"),
+        (pose(0, 0, 80), 1.5, Code.JAW_LIMIT, "1.5 rad"),
+        (pose(0, 0, 80), 1e300, Code.JAW_LIMIT, "jaw"),
+    ],
+)
+def test_a_waypoint_that_cannot_be_is_refused_and_named(T: np.ndarray, jaw: float, code: Code, words: str) -> None:
+    refused = refusal((waypoint(pose(0, 0, 70)), waypoint(T, jaw)))
+    assert refused.code is code
+    assert words in refused.sentence
+
+
+def test_poses_that_no_message_could_hold_are_refused_all_the_same() -> None:
+    good, jaw = np.stack([pose(0, 0, 80)] * 3), np.zeros(3)
+    broken, sheared, angle = good.copy(), good.copy(), jaw.copy()
+    broken[2, 0, 3], sheared[1, 0, 0], angle[0] = np.nan, 1e200, np.inf
+    refusals = [waypoint_refusal(T, a, SETUP) for T, a in ((good, jaw), (broken, jaw), (sheared, jaw), (good, angle))]
+    assert [r and r.code for r in refusals] == [None, Code.NOT_FINITE, Code.NOT_A_POSE, Code.NOT_FINITE]
+    assert refusals[1] is not None
+    assert "waypoint 2" in refusals[1].sentence
+
+
+def test_a_way_that_leaves_the_workspace_between_good_waypoints_is_refused() -> None:
+    narrow = MotionLimits(workspace_camera=np.array(((-0.05, -0.05, 0.05), (0.05, 0.05, 0.12))))
+    refused = refusal((waypoint(pose(0, 0, 80)),), dataclasses.replace(SETUP, limits=narrow))
+    assert refused.code is Code.WORKSPACE
+    assert "on the way to the end of APPROACH" in refused.sentence
+
+
+def test_a_way_through_poses_that_the_wrist_cannot_take_is_refused() -> None:
+    tilted = [pose(0, 0, 80, (0, 0.9, 0)), pose(0, 0, 80, (0, -0.9, 0))]
+    far = [SIMULATED_T_CAMERA_BASE @ forward(START + np.array((0, 0, 0, roll, 0, 0))) for roll in (1.5, 3.0, 4.4, 4.6)]
+    assert plan_motion([waypoint(T) for T in tilted], START, 0.0, SETUP).__class__ is Trajectory
+    refused = refusal(tuple(waypoint(T) for T in far))
+    assert refused.code is Code.UNREACHABLE
+    assert "roll joint" in refused.sentence
+
+
+def test_an_arm_too_deep_in_its_trocar_is_not_set_in_motion() -> None:
+    joints = START.copy()
+    joints[2] = 0.05
+    assert refusal((waypoint(pose(0, 0, 80)),), joints=joints).code is Code.REMOTE_CENTRE
+
+
+def test_a_waypoint_too_near_the_remote_centre_is_refused() -> None:
+    roomy = MotionLimits(workspace_camera=np.array(((-1.0, -1, -1), (1, 1, 1))))
+    joints = np.array((0, 0, 0.0600, 0, 0, 0))
+    near = waypoint(SIMULATED_T_CAMERA_BASE @ forward(joints))
+    assert refusal((near,), dataclasses.replace(SETUP, limits=roomy)).code is Code.REMOTE_CENTRE
+
+
+def test_too_many_waypoints_none_at_all_and_a_motion_without_end_are_refused() -> None:
+    point = waypoint(pose(0, 0, 80))
+    assert refusal((point,) * (MAXIMUM_WAYPOINTS + 1)).code is Code.TOO_LONG
+    assert refusal(()).code is Code.TOO_LONG
+    to_and_fro = tuple(waypoint(pose(x, 0, 80)) for x in (-30, 30) * 60)
+    refused = refusal(to_and_fro)
+    assert refused.code is Code.TOO_LONG
+    assert "120 s" in refused.sentence
+
+
+@given(points, turns, st.floats(-3, 3))
+def test_any_waypoint_gives_a_motion_within_all_limits_or_a_reason(
+    place: tuple[float, float, float], turn: tuple[float, float, float], jaw: float
+) -> None:
+    T = transform(exp_so3(np.array(turn)), np.array(place) + np.array((0, 0, 0.08)))
+    planned = plan_motion((waypoint(T, jaw),), START, 0.0, SETUP)
+    if isinstance(planned, Refusal):
+        assert planned.sentence
+        return
+    assert (joint_problem(planned.joints) == 0).all()
+    assert (np.abs(np.diff(planned.joints, axis=0)) <= LARGE_NEEDLE_DRIVER.max_speeds * SETUP.period_s).all()
+    np.testing.assert_allclose(forward(planned.joints[-1]), inverse(SIMULATED_T_CAMERA_BASE) @ T, atol=1e-9)

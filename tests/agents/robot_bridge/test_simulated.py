@@ -1,0 +1,65 @@
+import numpy as np
+
+from agents.robot_bridge.backend import Readiness
+from agents.robot_bridge.simulated import SIMULATED_START, SimulatedPsm
+from shared.kinematics.psm import LARGE_NEEDLE_DRIVER, forward, within_limits
+from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
+
+SECOND = 10**9
+START = np.array(SIMULATED_START)
+
+
+def test_the_arm_waits_beside_the_field_of_view_and_before_the_camera() -> None:
+    assert within_limits(START) is None
+    x, _, z = (SIMULATED_T_CAMERA_BASE @ forward(START))[:3, 3]
+    assert 0.02 < z < 0.07
+    assert x / z > 0.48
+
+
+def test_without_a_set_point_it_stands_still() -> None:
+    arm = SimulatedPsm()
+    states = [arm.state(tick * SECOND) for tick in range(3)]
+    for state in states:
+        np.testing.assert_array_equal(state.joints, START)
+        assert state.readiness is Readiness.READY
+    assert [state.measured_ns for state in states] == [0, SECOND, 2 * SECOND]
+
+
+def test_no_joint_nor_the_jaw_moves_faster_than_it_can_and_it_arrives() -> None:
+    arm = SimulatedPsm()
+    state = arm.state(0)
+    target = np.array((-0.5, 0.4, 0.2, 3.0, -1.0, 1.0))
+    arm.move(target, 1.2)
+    for tick in range(1, 101):
+        before = state.joints
+        state = arm.state(tick * SECOND // 100)
+        speed = np.abs(state.joints - before) * 100
+        assert (speed <= LARGE_NEEDLE_DRIVER.max_speeds * (1 + 1e-9)).all()
+    np.testing.assert_allclose(state.joints, target)
+    assert state.jaw_rad == 1.2
+
+
+def test_hold_stops_it_at_once() -> None:
+    arm = SimulatedPsm()
+    arm.state(0)
+    arm.move(START + 0.1, 1.0)
+    stopped = arm.state(SECOND // 1000)
+    arm.hold()
+    np.testing.assert_array_equal(arm.state(SECOND).joints, stopped.joints)
+    assert arm.state(2 * SECOND).jaw_rad == stopped.jaw_rad
+
+
+def test_set_points_beyond_a_limit_are_clipped_as_the_robot_clips_them() -> None:
+    arm = SimulatedPsm()
+    arm.state(0)
+    arm.move(np.full(6, 10.0), 10.0)
+    state = arm.state(100 * SECOND)
+    np.testing.assert_allclose(state.joints, LARGE_NEEDLE_DRIVER.limits[:, 1])
+    assert state.jaw_rad == LARGE_NEEDLE_DRIVER.jaw_limit[1]
+
+
+def test_a_clock_that_goes_backwards_does_not_move_it() -> None:
+    arm = SimulatedPsm()
+    arm.state(SECOND)
+    arm.move(START + 0.1, 1.0)
+    np.testing.assert_array_equal(arm.state(0).joints, START)

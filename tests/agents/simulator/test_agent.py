@@ -1,0 +1,348 @@
+"""Whole grasps by measured poses: one that holds, ones that miss or are lost, and what is judged of them."""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from agents.simulator.agent import Simulator, SimulatorConfig
+from schemas.codec import encode
+from schemas.messages import (
+    ExecutionEvent,
+    ExecutionKind,
+    FrameStamp,
+    GraspJudgement,
+    GraspPlan,
+    Phase,
+    Policy,
+    RobotMode,
+    RobotState,
+    SimulatorState,
+    Status,
+    Verdict,
+    Waypoint,
+)
+from schemas.topics import EXECUTION, JUDGEMENT, PLAN, ROBOT_STATE, SIMULATOR_STATE, Topic, key
+from shared.arc_length import length, parameters_at
+from shared.rigid_transforms import compose, inverse, rotation_from_quaternion, transform
+from shared.runtime.agent import Output, Received, Tick
+from shared.splines import evaluate
+
+MM = 1e-3
+GRIP_M = 8.2 * MM
+OPEN, PARTLY = 1.0, 0.3
+T_CAMERA_BASE = transform(rotation_from_quaternion(np.array([0.3, 0.8, -0.4, 0.2])), np.array([0.1, -0.05, 0.2]))
+EXACT = SimulatorConfig(seed=3, config="medium", background="plain", tool_error_mm=0.0)
+
+
+def field_at_start(config: SimulatorConfig) -> SimulatorState:
+    (output,) = Simulator(config).step(Tick(1))
+    assert isinstance(output, Output)
+    return output.message
+
+
+FIELD = field_at_start(EXACT)
+LENGTH_M = length(FIELD.knots, FIELD.control_points_camera, 3)
+
+
+def tool_at(s: float, shift_tool_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> np.ndarray:
+    """The pose that puts the thread at s 8.2 mm along the fingers, x along the thread, z away from the camera."""
+    knots, points = FIELD.knots, FIELD.control_points_camera
+    at = parameters_at(knots, points, 3, np.array([s * LENGTH_M]))
+    x = evaluate(knots, points, 3, at, 1)[0]
+    x /= np.linalg.norm(x)
+    z = np.array([0.0, 0.0, 1.0]) - x[2] * x
+    z /= np.linalg.norm(z)
+    R = np.column_stack((x, np.cross(z, x), z))
+    goal = evaluate(knots, points, 3, at)[0]
+    return transform(R, goal - GRIP_M * z + R @ (MM * np.array(shift_tool_mm)))
+
+
+def raised(T: np.ndarray, by_mm: float) -> np.ndarray:
+    return T @ transform(np.eye(3), np.array([0.0, 0.0, -MM * by_mm]))
+
+
+Pose = tuple[np.ndarray, float]
+
+
+def closing(T: np.ndarray, start: float, end: float) -> list[Pose]:
+    return [(T, float(jaw)) for jaw in np.linspace(start, end, 20)]
+
+
+def capture_slide_grasp(
+    s_capture: float, s_goal: float, at: Callable[[float], np.ndarray] = tool_at, closed: float = 0.0
+) -> list[Pose]:
+    """Down on the thread, partly closed, along it, closed, and up again."""
+    down = [(raised(at(s_capture), 15.0 - k), OPEN) for k in range(16)]
+    slide = [(at(float(s)), PARTLY) for s in np.linspace(s_capture, s_goal, 40)]
+    up = [(raised(at(s_goal), float(k)), closed) for k in range(26)]
+    return [*down, *closing(at(s_capture), OPEN, PARTLY), *slide, *closing(at(s_goal), PARTLY, closed), *up]
+
+
+def direct(T: np.ndarray) -> list[Pose]:
+    down = [(raised(T, 15.0 - k), OPEN) for k in range(16)]
+    return [*down, *closing(T, OPEN, 0.0), *[(raised(T, float(k)), 0.0) for k in range(26)]]
+
+
+def plan(T_goal: np.ndarray, plan_id: str = "p1") -> GraspPlan:
+    return GraspPlan(
+        plan_id=plan_id,
+        arm="psm1",
+        goal_id="g1",
+        stamp=FrameStamp(1, 1, 1, "c"),
+        status=Status.OK,
+        reason="",
+        policy=Policy.CAPTURE_SLIDE_GRASP,
+        s_goal=0.5,
+        s_capture=0.3,
+        probability=0.9,
+        slide_m=0.02,
+        waypoints=(Waypoint(T_goal, 0.0, Phase.GRASP, 0.5),),
+        alternatives=(),
+    )
+
+
+def robot_state(pose: Pose, plan_id: str = "p1", arm: str = "psm1") -> RobotState:
+    T_base_tool = compose(inverse(T_CAMERA_BASE), pose[0])
+    return RobotState(arm, 0, RobotMode.MOVING, T_base_tool, np.zeros(6), pose[1], T_CAMERA_BASE, plan_id)
+
+
+def finished(plan_id: str = "p1") -> ExecutionEvent:
+    return ExecutionEvent(plan_id, "psm1", 0, ExecutionKind.FINISHED, None, "", "")
+
+
+class Run:
+    """An agent that is fed one message after another, with a tick after every robot state."""
+
+    def __init__(self, config: SimulatorConfig = EXACT) -> None:
+        self.agent = Simulator(config)
+        self.outputs: list[Output] = []
+        self.sequence = 0
+        self.tick()
+
+    def tick(self) -> None:
+        self.sequence += 1
+        self._take(self.agent.step(Tick(10_000_000 * self.sequence)))
+
+    def feed(self, topic: Topic, message: object) -> None:
+        self._take(self.agent.step(Received(topic, key("r", topic, "psm1"), self.sequence, message)))
+
+    def carry_out(self, poses: list[Pose], plan_id: str = "p1", arm: str = "psm1") -> "Run":
+        for pose in poses:
+            self.feed(ROBOT_STATE, robot_state(pose, plan_id, arm))
+            self.tick()
+        return self
+
+    def _take(self, outputs) -> None:
+        self.outputs += [output for output in outputs if isinstance(output, Output)]
+
+    @property
+    def judgements(self) -> list[GraspJudgement]:
+        return [output.message for output in self.outputs if output.topic is JUDGEMENT]
+
+    @property
+    def states(self) -> list[SimulatorState]:
+        return [output.message for output in self.outputs if output.topic is SIMULATOR_STATE]
+
+
+@pytest.fixture
+def run() -> Iterator[Run]:
+    yield Run()
+
+
+def test_a_thread_is_captured_slid_along_and_held(run):
+    run.feed(PLAN, plan(tool_at(0.5, (0.0, 0.0, 0.4))))
+    (judgement,) = run.carry_out(capture_slide_grasp(0.3, 0.5)).judgements
+    assert judgement.verdict is Verdict.HELD
+    assert judgement.s_caught == pytest.approx(0.5, abs=0.002)
+    assert judgement.slid_m == pytest.approx(0.2 * LENGTH_M, abs=0.5 * MM)
+    assert judgement.error_m == pytest.approx(0.4 * MM, abs=0.02 * MM)
+    slid = round(0.2 * LENGTH_M / MM)
+    assert judgement.sentence == f"grasp held: caught at 50 %, slid {slid} mm; true error 0.4 mm"
+
+
+def test_a_held_thread_follows_the_jaw_and_keeps_its_length(run):
+    first = run.states[0]
+    run.carry_out(capture_slide_grasp(0.3, 0.5))
+    last = run.states[-1]
+    assert (first.held, last.held) == (None, pytest.approx(0.5, abs=0.002))
+    assert length(last.knots, last.control_points_camera, 3) == pytest.approx(LENGTH_M, rel=0.01)
+    at = parameters_at(last.knots, last.control_points_camera, 3, np.array([(last.held or 0) * LENGTH_M]))
+    jaw = raised(tool_at(0.5), 25.0)
+    assert np.linalg.norm(
+        evaluate(last.knots, last.control_points_camera, 3, at)[0] - (jaw @ (0, 0, GRIP_M, 1))[:3]
+    ) < (0.3 * MM)
+
+
+def test_an_opened_jaw_lets_the_thread_fall(run):
+    run.carry_out(capture_slide_grasp(0.3, 0.5))
+    run.carry_out([(raised(tool_at(0.5), 25.0), jaw) for jaw in (0.0, 0.4, 1.0)], plan_id="p2")
+    last = run.states[-1]
+    assert last.held is None
+    assert length(last.knots, last.control_points_camera, 3) == pytest.approx(LENGTH_M, rel=0.01)
+    lifted, drawn = (95.0 * MM - state.control_points_camera[:, 2].min() for state in (last, run.states[0]))
+    assert lifted < drawn + 0.2 * MM
+    assert len(run.judgements) == 1
+
+
+@pytest.mark.parametrize(
+    ("shift_mm", "finding"),
+    [
+        ((0.0, 6.0, 0.0), "beside the fingers"),
+        ((0.0, 0.0, -5.0), "beyond the fingertips"),
+        ((0.0, 0.0, 13.0), "beside the fingers"),
+    ],
+)
+def test_fingers_that_close_beside_the_thread_miss_it(run, shift_mm, finding):
+    run.feed(PLAN, plan(tool_at(0.5, shift_mm)))
+    (judgement,) = run.carry_out(direct(tool_at(0.5, shift_mm))).judgements
+    assert judgement.verdict is Verdict.MISSED
+    assert judgement.s_caught is None
+    assert judgement.sentence.startswith("grasp missed: the thread lay ")
+    assert finding in judgement.sentence
+    assert all(state.held is None for state in run.states)
+    assert (run.states[-1].control_points_camera == FIELD.control_points_camera).all()
+
+
+@pytest.mark.parametrize("shift_mm", [(0.0, 2.0, 0.0), (0.0, -2.0, 0.0), (0.0, 0.0, 2.5), (0.0, 0.0, -1.8)])
+def test_closing_fingers_sweep_a_thread_along_that_lies_off_their_middle(run, shift_mm):
+    (judgement,) = run.carry_out(direct(tool_at(0.5, shift_mm))).judgements
+    assert judgement.verdict is Verdict.HELD
+    assert judgement.slid_m < 0.5 * MM
+
+
+def test_a_slide_away_from_the_thread_loses_it(run):
+    away = capture_slide_grasp(0.3, 0.5, lambda s: tool_at(s, (0.0, 40.0 * (s - 0.3), 0.0)))
+    (judgement,) = run.carry_out(away).judgements
+    assert judgement.verdict is Verdict.LOST
+    assert 0 < judgement.slid_m < 0.2 * LENGTH_M
+    assert "slipped out" in judgement.sentence
+    assert run.states[-1].held is None
+
+
+@pytest.mark.parametrize(("drift_mm", "verdict"), [(1.8, Verdict.HELD), (3.0, Verdict.LOST)])
+def test_sliding_fingers_keep_what_lies_in_their_partial_opening_and_the_give_of_the_thread(run, drift_mm, verdict):
+    # the fingers are 8.2 tan 0.15 = 1.2 mm to either side, and the thread gives way by 1 mm
+    drifting = capture_slide_grasp(0.3, 0.5, lambda s: tool_at(s, (0.0, drift_mm * min((s - 0.3) / 0.1, 1.0), 0.0)))
+    (judgement,) = run.carry_out(drifting).judgements
+    assert judgement.verdict is verdict
+
+
+def test_a_slide_off_the_end_loses_the_thread(run):
+    T = tool_at(1.0)
+    off = [(T @ transform(np.eye(3), MM * np.array([k, 0.0, 0.0])), PARTLY) for k in range(6)]
+    run.carry_out([*capture_slide_grasp(0.9, 1.0)[:-46], *off, *closing(off[-1][0], PARTLY, 0.0)])
+    (judgement,) = run.judgements
+    assert judgement.verdict is Verdict.LOST
+    assert judgement.slid_m == pytest.approx(0.1 * LENGTH_M, abs=1.5 * MM)
+    assert "at 100 %" in judgement.sentence
+
+
+@pytest.mark.parametrize("then_idle", [False, True])
+@pytest.mark.parametrize(("jaw", "finding"), [(0.4, "never closed"), (0.0, "never opened")])
+def test_a_plan_that_ends_without_a_grasp_has_missed(run, jaw, finding, then_idle):
+    pose = (tool_at(0.5, (0.0, 0.0, -6.0)), jaw)
+    run.carry_out([pose] * 5)
+    run.carry_out([pose] * then_idle, plan_id="")
+    run.feed(EXECUTION, finished())
+    assert run.judgements == []
+    for _ in range(30):
+        run.tick()
+    (judgement,) = run.judgements
+    assert judgement.verdict is Verdict.MISSED
+    assert finding in judgement.sentence
+
+
+def test_a_plan_that_is_stopped_on_its_way_is_not_judged(run):
+    run.carry_out(capture_slide_grasp(0.3, 0.5)[:40])
+    run.feed(EXECUTION, ExecutionEvent("p1", "psm1", 0, ExecutionKind.HELD, None, "HOLD_COMMAND", "somebody said hold"))
+    for _ in range(30):
+        run.tick()
+    assert run.judgements == []
+
+
+def test_a_judgement_without_its_plan_has_no_error(run):
+    (judgement,) = run.carry_out(direct(tool_at(0.5))).judgements
+    assert judgement.error_m is None
+    assert "error" not in judgement.sentence
+
+
+def test_a_finished_plan_is_judged_once(run):
+    run.carry_out(direct(tool_at(0.5)))
+    run.feed(EXECUTION, finished())
+    for _ in range(30):
+        run.tick()
+    assert len(run.judgements) == 1
+
+
+def test_without_a_plan_the_thread_is_held_but_nothing_is_judged(run):
+    run.carry_out(direct(tool_at(0.5)), plan_id="")
+    assert run.states[-1].held is not None
+    assert run.judgements == []
+
+
+def test_two_arms_hold_the_thread_and_the_second_keeps_it_when_the_first_lets_go(run):
+    run.carry_out(direct(tool_at(0.3))[:-26], arm="psm1")
+    run.carry_out(direct(tool_at(0.6)), plan_id="p2", arm="psm2")
+    assert run.states[-1].held == pytest.approx(0.3, abs=0.002)
+    before = run.states[-1].control_points_camera
+    run.carry_out([(tool_at(0.3), 1.0)], arm="psm1")
+    assert run.states[-1].held == pytest.approx(0.6, abs=0.002)
+    assert np.abs(run.states[-1].control_points_camera - before).max() < 0.05 * MM
+    assert [judgement.arm for judgement in run.judgements] == ["psm1", "psm2"]
+
+
+def test_the_same_messages_give_the_same_outputs_byte_for_byte():
+    def outputs() -> list[bytes]:
+        run = Run(SimulatorConfig(seed=3, background="plain"))
+        run.feed(PLAN, plan(tool_at(0.5)))
+        return [encode(output.message) for output in run.carry_out(capture_slide_grasp(0.3, 0.5)).outputs]
+
+    assert outputs() == outputs()
+
+
+def test_the_tools_error_differs_between_plans_and_a_large_one_misses():
+    verdicts = []
+    for plan_number in range(12):
+        run = Run(SimulatorConfig(seed=3, background="plain", tool_error_mm=3.0))
+        for k in range(plan_number):
+            run.carry_out([(raised(tool_at(0.5), 20.0), OPEN)], plan_id=f"before{k}")
+        (judgement,) = run.carry_out(direct(tool_at(0.5))).judgements
+        verdicts.append(judgement.verdict)
+    assert Verdict.HELD in verdicts
+    assert Verdict.MISSED in verdicts
+
+
+numbers = st.floats(-0.2, 0.3)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(
+        st.tuples(
+            st.tuples(numbers, numbers, numbers),
+            st.tuples(*[st.floats(0.1, 1.0)] * 4),
+            st.floats(-0.698, 1.396),
+        ),
+        min_size=1,
+        max_size=12,
+    )
+)
+def test_any_motion_is_followed_and_judged_at_its_end(motions):
+    run = SHARED
+    run.outputs.clear()
+    plan_id = f"p{run.sequence}"
+    for position, q, jaw in motions:
+        T = transform(rotation_from_quaternion(np.array(q)), np.array(position) * 0.2 + (0.0, 0.0, 0.08))
+        run.carry_out([(T, jaw)], plan_id=plan_id)
+    run.feed(EXECUTION, finished(plan_id))
+    for _ in range(25):
+        run.tick()
+    assert [judgement.plan_id for judgement in run.judgements] == [plan_id]
+    assert all(np.isfinite(state.control_points_camera).all() for state in run.states)
+
+
+SHARED = Run()
+"""One agent for all examples, since drawing a field takes longer than any of them."""

@@ -1,0 +1,112 @@
+"""Straight threads through, beside and beyond two hinged fingers, in closed form."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agents.simulator.fingers import WIDTH_M, between, contact_rad, offset_from_wedge
+from shared.kinematics.psm import FINGER_M
+
+MM = 1e-3
+
+
+def straight(through: tuple[float, float, float], direction=(1.0, 0.0, 0.0), half_length=20.0, count=801) -> np.ndarray:
+    """Samples in metres of a straight thread, given in millimetres of the tool frame."""
+    unit = np.array(direction) / np.linalg.norm(direction)
+    return MM * (np.array(through) + np.linspace(-half_length, half_length, count)[:, None] * unit)
+
+
+def test_a_thread_through_the_middle_is_caught_where_it_crosses():
+    assert between(straight((0.0, 0.0, 7.0)), 0.5) == 400
+
+
+@pytest.mark.parametrize("opening", [0.1, 0.3, 0.8, 1.3])
+@pytest.mark.parametrize("z", [3.0, 7.0, 9.0])
+def test_the_opening_reaches_half_the_angle_to_either_side(opening, z):
+    edge = z * np.tan(opening / 2)
+    if np.hypot(edge, z) < 10.2:
+        for side in (-1, 1):
+            assert between(straight((0.0, side * (edge - 0.02), z)), opening) is not None
+            assert between(straight((0.0, side * (edge + 0.02), z)), opening) is None
+
+
+@pytest.mark.parametrize("angle", [-0.3, 0.0, 0.3])
+def test_the_fingers_are_as_long_as_they_are(angle):
+    inside = (10.2 - 0.01) * np.array([0.0, np.sin(angle), np.cos(angle)])
+    outside = (10.2 + 0.01) * np.array([0.0, np.sin(angle), np.cos(angle)])
+    assert between(straight(tuple(inside)), 0.8) is not None
+    assert between(straight(tuple(outside)), 0.8) is None
+
+
+def test_what_lies_behind_the_pin_is_not_between():
+    assert between(straight((0.0, 0.0, -3.0)), 1.0) is None
+
+
+@pytest.mark.parametrize(("end_mm", "caught"), [(-1.05, False), (-0.95, True), (0.5, True)])
+def test_a_thread_that_ends_beside_the_fingers_is_caught_if_they_are_wide_enough_to_meet_it(end_mm, caught):
+    thread = MM * np.column_stack((np.linspace(end_mm - 30.0, end_mm, 801), np.zeros(801), np.full(801, 7.0)))
+    assert (between(thread, 0.5) is not None) == caught
+
+
+def test_a_thread_across_the_fingers_is_not_between_them():
+    assert between(straight((0.0, 0.0, 7.0), direction=(0.3, 1.0, 0.0)), 0.8) is None
+    assert between(straight((0.0, 0.0, 7.0), direction=(1.0, 1.0, 0.0)), 0.8) is not None
+    assert between(straight((0.0, 0.0, 7.0), direction=(0.5, 0.0, 1.0)), 0.8) is not None
+
+
+def test_give_widens_the_opening_but_not_the_fingers_length():
+    beside = straight((0.0, 7.0 * np.tan(0.15) + 0.8, 7.0))
+    assert between(beside, 0.3) is None
+    assert between(beside, 0.3, give_m=1.0 * MM) is not None
+    assert between(straight((0.0, 0.0, 10.3)), 0.3, give_m=1.0 * MM) is None
+
+
+def test_of_two_strands_the_one_nearest_along_the_thread_is_followed():
+    # there and back again, 1 mm apart: the strands cross the fingers at samples 200 and 600
+    there, back = straight((0.0, 0.2, 6.0), count=401), straight((0.0, -0.5, 7.0), count=401)[::-1]
+    both = np.vstack((there, back[1:]))
+    assert between(both, 0.5) == 200
+    assert between(both, 0.5, near=620) == 600
+    assert between(both, 0.5, near=190) == 200
+
+
+@given(y=st.floats(-15, 15), z=st.floats(-15, 25), opening=st.floats(-0.6, 1.4))
+def test_a_thread_along_the_pin_is_between_exactly_where_its_offset_is_zero(y, z, opening):
+    thread = straight((0.0, y, z))
+    offset = offset_from_wedge(thread, opening)
+    if between(thread, opening) is not None:
+        assert offset.distance_m < 1e-12
+    else:
+        # sampled densely, the wedge has no point as near as the offset says but there
+        r, a = np.meshgrid(np.linspace(0, FINGER_M, 80), np.linspace(-1, 1, 81) * max(opening, 0) / 2)
+        nearest = np.hypot(r * np.sin(a) - MM * y, r * np.cos(a) - MM * z).min()
+        assert nearest - 0.25 * MM < offset.distance_m <= nearest + 1e-12
+
+
+@pytest.mark.parametrize(
+    ("through", "distance", "where"),
+    [
+        ((0.0, 0.0, 12.2), 2.0, "beyond the fingertips"),
+        ((0.0, 5.0, 5.0), 5.0 * np.cos(0.25) - 5.0 * np.sin(0.25), "beside the fingers"),
+        ((-24.0, 0.0, 7.0), 3.0, "to the side of the fingers"),
+    ],
+)
+def test_an_offset_says_how_far_and_which_way(through, distance, where):
+    offset = offset_from_wedge(straight(through), 0.5)
+    assert offset.distance_m == pytest.approx(MM * distance, abs=1e-9)
+    assert offset.where == where
+
+
+def test_fingers_touch_a_thread_when_their_gap_is_its_width():
+    angle = contact_rad(8.0 * MM, 0.2 * MM)
+    assert 2 * 8.0 * MM * np.sin(angle / 2) == pytest.approx(2 * 0.2 * MM)
+    assert contact_rad(0.0, 0.2 * MM) == pytest.approx(np.pi)
+
+
+@given(st.lists(st.tuples(*[st.floats(-1, 1)] * 3), min_size=2, max_size=30), st.floats(-10, 10))
+def test_any_thread_gets_an_answer(points, opening):
+    thread = np.array(points)
+    sample = between(thread, opening)
+    assert sample is None or abs(thread[sample, 0]) <= WIDTH_M / 2
+    assert offset_from_wedge(thread, opening).distance_m >= 0

@@ -1,0 +1,288 @@
+"""A thread made by hand: an arc of a helix before a camera of 960x540, with images, masks and observations."""
+
+import dataclasses
+import types
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from scipy.interpolate import make_lsq_spline
+
+from schemas import topics
+from schemas.codec import encode, encoding_name
+from schemas.messages import (
+    AgentHealth,
+    Alternative,
+    CommandAnswer,
+    CommandHeader,
+    CommandRecord,
+    ExecutionEvent,
+    ExecutionKind,
+    FrameStamp,
+    GraspGoal,
+    GraspJudgement,
+    GraspPlan,
+    Heartbeat,
+    Image,
+    ImageEncoding,
+    InputHealth,
+    Judgement,
+    LogLevel,
+    LogRecord,
+    Outcome,
+    OutputHealth,
+    Phase,
+    Policy,
+    RectifiedStereo,
+    ReliabilityRegions,
+    ReplayClock,
+    RobotMode,
+    RobotState,
+    Severity,
+    SimulatorState,
+    Status,
+    StereoCalibration,
+    StereoFrame,
+    ThreadObservations,
+    ThreadReconstruction,
+    Verdict,
+    Waypoint,
+)
+from shared.images import encode_image
+
+WIDTH, HEIGHT, FOCAL_PX, BASELINE = 960, 540, 1000.0, 5.5
+CONTROL_POINTS, DEGREE, OBSERVED = 20, 3, 36
+
+
+def helix(t):
+    """A curve from 80 to 110 mm before the camera, as a closed form in t from 0 to 1."""
+    angle = 1.6 * np.pi * t
+    return np.column_stack((-30 + 60 * t, 12 * np.sin(angle), 95 - 15 * np.cos(angle)))
+
+
+def pixels(points, eye=0.0):
+    """Pinhole projection, written out again so that it can serve as an oracle."""
+    x, y, z = points.T
+    return np.column_stack((FOCAL_PX * (x - eye) / z + 479.5, FOCAL_PX * y / z + 269.5))
+
+
+def photograph(thread_px, rng):
+    """Mottled tissue with a dark thread on it, and the thread's true mask."""
+    mottle = cv2.GaussianBlur(rng.normal(0, 60, (HEIGHT, WIDTH)), (0, 0), 12)
+    image = np.clip(np.array([95, 95, 170]) + mottle[:, :, None] * 4, 0, 255).astype(np.uint8)
+    mask = np.zeros((HEIGHT, WIDTH), np.uint8)
+    at = np.rint(thread_px * 16).astype(np.int32)
+    cv2.polylines(mask, [at], False, 255, 5, cv2.LINE_AA, 4)
+    cv2.polylines(image, [at], False, (70, 40, 30), 5, cv2.LINE_AA, 4)
+    return image, mask
+
+
+def mask_message(mask):
+    data = cv2.imencode(".png", mask)[1].tobytes()
+    return Image(ImageEncoding.PNG, mask.shape[1], mask.shape[0], 1, data)
+
+
+def fitted(t, points):
+    inner = np.linspace(0, 1, CONTROL_POINTS - DEGREE + 1)
+    knots = np.concatenate((np.zeros(DEGREE), inner, np.ones(DEGREE)))
+    return knots, make_lsq_spline(t, points, knots, DEGREE).c
+
+
+@pytest.fixture(scope="session")
+def scene():
+    """Images and messages of one good reconstruction, with the curve they were made from."""
+    rng = np.random.default_rng(7)
+    t = np.linspace(0, 1, 2000)
+    curve = helix(t)
+    camera = RectifiedStereo(WIDTH, HEIGHT, FOCAL_PX, FOCAL_PX, 479.5, 269.5, BASELINE, 1e-3)
+    stamp = FrameStamp(42, 1_760_000_000_000_000_000, 1_760_000_000_000_400_000, "bench")
+    left, mask_left = photograph(pixels(curve), rng)
+    right, mask_right = photograph(pixels(curve, BASELINE), rng)
+
+    lengths = np.concatenate(([0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))))
+    share = lengths / lengths[-1]
+    observed_share = np.linspace(0, 1, OBSERVED)
+    spread = 0.4 + 2.4 * np.exp(-(((observed_share - 0.62) / 0.1) ** 2))
+    points = np.column_stack([np.interp(observed_share, share, axis) for axis in curve.T])
+    points *= 1 + (rng.uniform(-0.7, 0.7, OBSERVED) * spread / points[:, 2])[:, None]
+    matched = pixels(curve[::3])
+    disparity = FOCAL_PX * BASELINE / curve[::3, 2]
+    kept = rng.random(len(matched)) > 0.2
+    disparity = np.where(kept, disparity, disparity + rng.uniform(-15, 15, len(matched)))
+
+    knots, control = fitted(share, curve)
+    confidence_s = np.linspace(0, 1, 80)
+    return types.SimpleNamespace(
+        curve=curve,
+        left=left,
+        right=right,
+        length=lengths[-1],
+        observations=ThreadObservations(
+            stamp=stamp,
+            camera=camera,
+            status=Status.OK,
+            reason="",
+            segmenter="truth",
+            points_camera=points,
+            half_size_px=rng.uniform(4, 7, (OBSERVED, 2)),
+            matched_px=np.column_stack((matched, disparity)),
+            match_cost=np.ones((len(matched), 2)),
+            inlier=kept,
+            mask_left=mask_message(mask_left),
+            mask_right=mask_message(mask_right),
+            judgements=(
+                Judgement("ROWS_OFFSET", Severity.WARNING, "Rows differ by 0.8 px (±0.1).", "Calibrate again."),
+                Judgement("SMALL", Severity.NOTE, "The thread is 5 px wide.", ""),
+                Judgement("SWAPPED", Severity.FAULT, "Left and right seem swapped.", "Exchange the two images."),
+            ),
+        ),
+        reconstruction=ThreadReconstruction(
+            stamp=stamp,
+            camera=camera,
+            status=Status.OK,
+            reason="",
+            method="paper",
+            degree=DEGREE,
+            knots=knots,
+            control_points_camera=control,
+            regions=ReliabilityRegions(
+                s=observed_share,
+                centre_camera=points,
+                bound_px=np.full((OBSERVED, 2), 6.0),
+                bound_depth=spread,
+                slack=np.where(np.arange(OBSERVED) == 9, 0.3, 0.0),
+            ),
+            confidence_s=confidence_s,
+            confidence=np.clip(1 - 0.95 * np.exp(-(((confidence_s - 0.62) / 0.12) ** 2)), 0, 1),
+            unseen=np.array([[0.56, 0.66]]),
+        ),
+    )
+
+
+@pytest.fixture(scope="session")
+def failed(scene):
+    """A reconstruction of the same frame that came to nothing, in a unit that nobody knows."""
+    none = np.zeros(0)
+    return dataclasses.replace(
+        scene.reconstruction,
+        status=Status.FAILED,
+        reason="No two observations are connected — is the thread in focus?",
+        camera=dataclasses.replace(scene.reconstruction.camera, metres_per_unit=None),
+        knots=none,
+        control_points_camera=np.zeros((0, 3)),
+        regions=ReliabilityRegions(none, np.zeros((0, 3)), np.zeros((0, 2)), none, none),
+        confidence_s=none,
+        confidence=none,
+        unseen=np.zeros((0, 2)),
+    )
+
+
+@pytest.fixture(scope="session")
+def nothing_seen(scene):
+    """Observations of a frame in which no thread was found."""
+    return dataclasses.replace(
+        scene.observations,
+        status=Status.FAILED,
+        reason="No pixel was segmented as thread.",
+        points_camera=np.zeros((0, 3)),
+        half_size_px=np.zeros((0, 2)),
+        matched_px=np.zeros((0, 3)),
+        match_cost=np.zeros((0, 2)),
+        inlier=np.zeros(0, bool),
+        mask_left=mask_message(np.zeros((HEIGHT, WIDTH), np.uint8)),
+        mask_right=mask_message(np.zeros((HEIGHT, WIDTH), np.uint8)),
+        judgements=(),
+    )
+
+
+def in_metres(message) -> Any:
+    """The same message, as a calibration in metres would have it."""
+    camera = dataclasses.replace(message.camera, baseline=message.camera.baseline * 1e-3, metres_per_unit=1.0)
+    if isinstance(message, ThreadObservations):
+        return dataclasses.replace(message, camera=camera, points_camera=message.points_camera * 1e-3)
+    regions = message.regions
+    return dataclasses.replace(
+        message,
+        camera=camera,
+        control_points_camera=message.control_points_camera * 1e-3,
+        regions=dataclasses.replace(
+            regions, centre_camera=regions.centre_camera * 1e-3, bound_depth=regions.bound_depth * 1e-3
+        ),
+    )
+
+
+def pose(x, y, z):
+    """A tool that looks along the optical axis, at a place in metres."""
+    T = np.eye(4)
+    T[:3, 3] = x, y, z
+    return T
+
+
+@pytest.fixture(scope="session")
+def session_messages(scene):
+    """One message of every published topic, all of the frame that `scene` is of, with its calibration in metres."""
+    observations: ThreadObservations = in_metres(scene.observations)
+    reconstruction: ThreadReconstruction = in_metres(scene.reconstruction)
+    stamp, camera = observations.stamp, observations.camera
+    K = np.array([[FOCAL_PX, 0, 479.5], [0, FOCAL_PX, 269.5], [0, 0, 1]])
+    T_right_left = np.eye(4)
+    T_right_left[0, 3] = -camera.baseline
+    at_ns = stamp.capture_left_ns + 5_000_000
+    way = [(Phase.APPROACH, 0.05), (Phase.CAPTURE, 0.07), (Phase.SLIDE, 0.075), (Phase.GRASP, 0.075)]
+    goal = GraspGoal(CommandHeader("goal-1", at_ns, "surgeon"), "psm1", Policy.CAPTURE_SLIDE_GRASP, 0.4, None, None)
+    return {
+        topics.CALIBRATION: StereoCalibration(
+            WIDTH, HEIGHT, K, K, np.zeros(0), np.zeros(0), T_right_left, camera.metres_per_unit
+        ),
+        topics.FRAMES: StereoFrame(
+            stamp,
+            encode_image(scene.left, ImageEncoding.JPEG),
+            encode_image(scene.right, ImageEncoding.PNG),
+        ),
+        topics.OBSERVATIONS: observations,
+        topics.THREAD: reconstruction,
+        topics.PLAN: GraspPlan(
+            plan_id="plan-1",
+            arm="psm1",
+            goal_id="goal-1",
+            stamp=stamp,
+            status=Status.OK,
+            reason="",
+            policy=Policy.CAPTURE_SLIDE_GRASP,
+            s_goal=0.4,
+            s_capture=0.3,
+            probability=0.8,
+            slide_m=0.009,
+            waypoints=tuple(Waypoint(pose(0, 0, z), 0.5, phase, None) for phase, z in way),
+            alternatives=(Alternative(0.5, 0.2, "out of reach"),),
+        ),
+        topics.ROBOT_STATE: RobotState(
+            arm="psm1",
+            measured_ns=at_ns,
+            mode=RobotMode.MOVING,
+            T_base_tool=pose(0.01, 0.0, -0.12),
+            joints=np.arange(6.0),
+            jaw_rad=1.0,
+            T_camera_base=pose(0.0, 0.02, 0.2),
+            plan_id="plan-1",
+        ),
+        topics.EXECUTION: ExecutionEvent("plan-1", "psm1", at_ns, ExecutionKind.PHASE_REACHED, Phase.SLIDE, "", ""),
+        topics.SIMULATOR_STATE: SimulatorState(
+            at_ns, camera, "plain", "violet", 1, 0.1, 2e-4, reconstruction.knots,
+            reconstruction.control_points_camera, None,
+        ),
+        topics.JUDGEMENT: GraspJudgement("plan-1", "psm1", at_ns, Verdict.HELD, 0.4, 0.009, 3e-4, "grasp held"),
+        topics.HEARTBEAT: Heartbeat("psm1", "plan-1", at_ns),
+        topics.REPLAY_CLOCK: ReplayClock(at_ns, 1.0),
+        topics.COMMANDS: CommandRecord(
+            "operator/goal", encoding_name(GraspGoal), encode(goal), at_ns,
+            CommandAnswer("goal-1", Outcome.REFUSED, "OFF_THREAD", "the goal is not on the thread"),
+        ),
+        topics.HEALTH: AgentHealth(
+            "perception", "main", "host", "0.0.1", "abc", at_ns, 3.0, 90, 12.0, 31.0,
+            (InputHealth("camera/frames", 29.5, 10.0, 88, 7, 2, 1),),
+            (OutputHealth("perception/observations", 28.0, 84),), "the segmenter is slow",
+        ),
+        topics.LOG: LogRecord(at_ns, "planner", "main", LogLevel.WARNING, "nothing in reach"),
+    }  # fmt: skip

@@ -1,0 +1,154 @@
+import dataclasses
+import pathlib
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from rerun.chunk import RrdReader
+
+from agents.viewer import mapping
+from agents.viewer.colours import confidence_rgb
+from agents.viewer.report import facts
+from schemas.messages import Image, ImageEncoding
+
+SPACE = {
+    "/world",
+    "/world/left",
+    "/world/right",
+    "/world/left/image",
+    "/world/right/image",
+    "/world/left/mask",
+    "/world/right/mask",
+    "/world/left/bounds",
+    "/world/observations/points",
+    "/world/observations/matched",
+    "/world/thread/curve",
+    "/world/thread/ends",
+    "/world/thread/control_points",
+    "/world/thread/regions",
+    "/confidence",
+    "/report",
+}
+SOFTWARE_VULKAN = pathlib.Path("/usr/share/vulkan/icd.d")
+REPOSITORY = pathlib.Path(__file__).parents[3]
+
+
+def columns(path, entity):
+    """What a recording holds about an entity: component name to the value of its one row."""
+    found = {}
+    for chunk in RrdReader(path).stream():
+        if chunk.entity_path == entity:
+            batch = chunk.to_record_batch()
+            found |= {name: batch.column(name).to_pylist()[0] for name in batch.schema.names if ":" in name}
+    return found
+
+
+@pytest.fixture
+def recording(scene, tmp_path):
+    path = tmp_path / "thread.rrd"
+    mapping.write_rrd(path, scene.left, scene.right, scene.observations, scene.reconstruction)
+    return path
+
+
+def test_a_recording_holds_every_entity_and_its_layout(recording):
+    reader = RrdReader(recording)
+    assert [store.application_id for store in reader.recordings()] == ["suturegrasp"]
+    assert len(reader.blueprints()) == 1
+    assert {chunk.entity_path for chunk in reader.stream()} - {"/__properties"} == SPACE
+
+
+def test_everything_is_logged_at_the_capture_time_of_its_frame(recording, scene):
+    for chunk in RrdReader(recording).stream():
+        if chunk.entity_path == "/__properties":
+            continue
+        batch = chunk.to_record_batch()
+        assert batch.column("frame").to_pylist() == [42]
+        captured = np.array(batch.column("capture_time").cast("int64"))
+        assert captured.tolist() == [scene.observations.stamp.capture_left_ns]
+
+
+def test_the_curve_is_the_thread_in_the_colours_of_its_confidence(recording, scene):
+    curve = columns(recording, "/world/thread/curve")
+    strips = np.array(curve["LineStrips3D:strips"])
+    assert strips.shape == (mapping.CURVE_POINTS - 1, 2, 3)
+    nearest = np.linalg.norm(strips[:, 0, None] - scene.curve[None], axis=2).min(axis=1)
+    assert nearest.max() < 0.1
+    rgba = np.array(curve["LineStrips3D:colors"], dtype=np.uint32)
+    share = (np.arange(len(strips)) + 0.5) / len(strips)
+    expected = confidence_rgb(np.clip(1 - 0.95 * np.exp(-(((share - 0.62) / 0.12) ** 2)), 0, 1)).astype(int)
+    red_green = np.stack((rgba >> 24, rgba >> 16 & 255), axis=1).astype(int)
+    assert np.abs(red_green - expected[:, :2]).max() <= 8
+
+
+def test_the_right_camera_sits_a_baseline_to_the_right(recording):
+    assert columns(recording, "/world/right")["Transform3D:translation"] == [[5.5, 0.0, 0.0]]
+
+
+def test_the_report_names_status_findings_and_remedies(recording):
+    (text,) = columns(recording, "/report")["TextDocument:text"]
+    for words in ("OK", "frame 42", "91.1", "mm", "FAULT SWAPPED", "Exchange the two images.", "NOTE SMALL"):
+        assert words in text
+    assert text.index("FAULT") < text.index("WARNING") < text.index("NOTE")
+
+
+def test_a_solvers_tolerance_is_no_missed_region(scene):
+    regions = dataclasses.replace(scene.reconstruction.regions, slack=np.full(36, 1e-7))
+    close = dataclasses.replace(scene.reconstruction, regions=regions)
+    assert "1 of 36 regions missed" in facts(scene.observations, scene.reconstruction, None)
+    assert not any("missed" in fact for fact in facts(scene.observations, close, None))
+
+
+def test_a_failure_gives_the_same_entities_so_that_it_empties_the_last_frame(scene, failed, nothing_seen, tmp_path):
+    path = tmp_path / "failed.rrd"
+    mapping.write_rrd(path, scene.left, scene.right, nothing_seen, failed)
+    assert {chunk.entity_path for chunk in RrdReader(path).stream()} - {"/__properties"} == SPACE
+    assert columns(path, "/world/thread/curve")["LineStrips3D:strips"] == []
+    assert columns(path, "/world/observations/points")["Points3D:positions"] == []
+    (text,) = columns(path, "/report")["TextDocument:text"]
+    assert "FAILED" in text
+    assert "is the thread in focus?" in text
+    assert "No pixel was segmented as thread." in text
+
+
+def test_odd_images_and_masks_do_not_stop_a_recording(scene, failed, tmp_path):
+    broken = Image(ImageEncoding.PNG, 2**31, 2**31, 1, b"no image")
+    observations = dataclasses.replace(scene.observations, mask_left=broken)
+    for shape in ((1, 1), (3, 2, 1), (40, 60, 3)):
+        path = tmp_path / "odd.rrd"
+        mapping.write_rrd(path, np.zeros(shape, np.uint8), np.zeros(shape, np.uint8), observations, failed)
+        assert path.stat().st_size > 0
+
+
+def test_the_edges_of_a_region_are_the_twelve_of_a_block_within_its_bounds(scene):
+    regions, camera = scene.reconstruction.regions, scene.reconstruction.camera
+    edges = mapping.region_edges(camera, regions)
+    x, y, z = np.moveaxis(edges, 2, 0)
+    centre = regions.centre_camera
+    u = 1000.0 * x / z - (1000.0 * centre[:, 0] / centre[:, 2])[:, None]
+    v = 1000.0 * y / z - (1000.0 * centre[:, 1] / centre[:, 2])[:, None]
+    assert np.allclose(np.abs(u), regions.bound_px[:, :1])
+    assert np.allclose(np.abs(v), regions.bound_px[:, 1:])
+    assert np.allclose(np.abs(z - centre[:, 2:]), regions.bound_depth[:, None])
+    sides = np.stack((u > 0, v > 0, z > centre[:, 2:]), axis=2)
+    changed = (sides[:, 1:] != sides[:, :-1]).sum(axis=2)
+    assert (changed == 1).all(), "a step of the tour must follow one edge"
+    for region in sides:
+        walked = {frozenset(map(tuple, step)) for step in zip(region[:-1].tolist(), region[1:].tolist(), strict=True)}
+        assert len(walked) == 12
+
+
+def test_a_viewer_shows_the_recording_without_complaint(recording, tmp_path):
+    shot = REPOSITORY / "../shared/tools/rerun_shot.py"
+    if not shot.exists() or not list(SOFTWARE_VULKAN.glob("lvp_icd*.json")):
+        pytest.skip("needs shared/tools/rerun_shot.py and a software Vulkan driver (mesa-vulkan-drivers, libvulkan1)")
+    picture = tmp_path / "shot.png"
+    shown = subprocess.run(
+        [sys.executable, shot, recording, picture, "--timeline", "frame", "--size", "800x450"],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert shown.returncode == 0, shown.stdout + shown.stderr
+    assert picture.stat().st_size > 10_000

@@ -1,0 +1,183 @@
+"""The topic table and the agents agree: whatever is listened to is published, by one agent, under its own root."""
+
+import dataclasses
+import itertools
+
+import pytest
+
+import schemas.messages
+from agents.camera.agent import Camera, SceneCamera
+from agents.perception.agent import Perception
+from agents.planner.agent import Planner
+from agents.reconstruction.agent import Reconstruction
+from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
+from agents.robot_bridge.simulated import SimulatedPsm
+from agents.simulator.agent import Simulator
+from schemas.checks import fields_of
+from schemas.codec import encoding_name
+from schemas.topics import (
+    ANY_AGENT,
+    FRAMES,
+    HEALTH,
+    MAIN,
+    PLAN,
+    PROMPT,
+    TOPICS,
+    Delivery,
+    key,
+    topic_of,
+)
+
+ARMS = ("psm1", "psm2")
+BRIDGES = [RobotBridge(RobotBridgeConfig(arm=arm), SimulatedPsm()) for arm in ARMS]
+AGENTS = [Camera, SceneCamera, Perception(), Reconstruction(), Planner(), Simulator(), *BRIDGES]
+every_agent = pytest.mark.parametrize("agent", AGENTS, ids=lambda a: f"{a.kind}-{a.instance}-{AGENTS.index(a)}")
+every_topic = pytest.mark.parametrize("topic", TOPICS, ids=str)
+BESIDE_THE_AGENTS = ("operator", "replay")
+"""Publish, and are no agents: a person's commands, and a replay."""
+
+
+def published(agent):
+    """The keys under which an agent publishes."""
+    instances = {topic: agent.instance if topic.per_arm else MAIN for topic in agent.outputs}
+    return {key("lab", topic, instance) for topic, instance in instances.items()}
+
+
+def matches(wanted, found):
+    return all(w in ("*", f) for w, f in zip(wanted.split("/"), found.split("/"), strict=True))
+
+
+@every_agent
+def test_every_input_has_a_producer(agent):
+    everything = set().union(*(published(other) for other in AGENTS))
+    for wanted in agent.inputs:
+        assert wanted.topic.delivery is not Delivery.COMMAND
+        pattern = key("lab", wanted.topic, wanted.instance)
+        beside = wanted.topic.agent in BESIDE_THE_AGENTS
+        assert beside or any(matches(pattern, found) for found in everything), f"nobody publishes {pattern}"
+
+
+@every_agent
+def test_every_output_lies_under_its_agents_root(agent):
+    for topic in agent.outputs:
+        assert topic.agent == agent.kind
+        assert topic.delivery is not Delivery.COMMAND
+
+
+@every_agent
+def test_inputs_and_outputs_are_rows_of_the_table(agent):
+    rows = {id(topic) for topic in TOPICS}
+    assert {id(topic) for topic in (*agent.outputs, *agent.commands, *(i.topic for i in agent.inputs))} <= rows
+
+
+@every_agent
+def test_an_instance_is_an_arm_where_there_is_one_per_arm_and_main_elsewhere(agent):
+    assert (agent.instance in ARMS) == any(topic.per_arm for topic in agent.outputs)
+    for wanted in agent.inputs:
+        assert wanted.instance in ((agent.instance, "*") if wanted.topic.per_arm else (MAIN,))
+        # one arm's agent listens to its own arm
+        assert not (agent.instance in ARMS and wanted.instance == "*")
+
+
+@every_agent
+def test_an_input_of_which_only_the_newest_counts_is_no_event(agent):
+    assert not [i for i in agent.inputs if i.only_newest_counts and i.topic.delivery is Delivery.EVENT]
+
+
+def test_every_command_has_one_receiver_which_answers_it():
+    for topic in TOPICS:
+        if topic.delivery is not Delivery.COMMAND:
+            assert topic.receiver == ""
+            continue
+        answering = [agent for agent in AGENTS if topic in agent.commands]
+        expected = len(ARMS) if topic.per_arm else 1
+        # perception takes prompts once it tracks; until then nobody answers, and the sender is told so
+        assert len(answering) == (0 if topic is PROMPT else expected)
+        assert {agent.kind for agent in answering} <= {topic.receiver}
+        assert topic.agent == "operator"
+
+
+def test_no_two_agents_publish_under_one_key():
+    agents = [agent for agent in AGENTS if agent is not Camera]
+    for one, other in itertools.combinations(agents, 2):
+        assert not published(one) & published(other)
+
+
+def test_every_topic_of_an_agent_is_published_by_it_and_by_nobody_else():
+    for topic in TOPICS:
+        if topic.delivery is Delivery.COMMAND or topic.agent in (*BESIDE_THE_AGENTS, ANY_AGENT):
+            continue
+        assert {agent.kind for agent in AGENTS if topic in agent.outputs} == {topic.agent}
+
+
+@every_topic
+def test_a_key_leads_back_to_its_topic(topic):
+    for instance in ARMS if topic.per_arm else (MAIN,):
+        for agent in ("camera", "robot_bridge", "planner") if topic.agent == ANY_AGENT else ("",):
+            assert topic_of(key("lab", topic, instance, agent)) is topic
+
+
+def test_keys_are_unique():
+    keys = [key("lab", topic) for topic in TOPICS]
+    assert len(set(keys)) == len(keys)
+
+
+def test_no_topic_of_one_agent_has_the_name_of_a_topic_that_every_agent_has():
+    of_all = {topic.name for topic in TOPICS if topic.agent == ANY_AGENT}
+    assert not of_all & {topic.name for topic in TOPICS if topic.agent != ANY_AGENT}
+
+
+@every_topic
+def test_a_topic_carries_a_message_of_the_schema(topic):
+    assert getattr(schemas.messages, topic.message.__name__) is topic.message
+    assert encoding_name(topic.message) == f"application/protobuf;suturegrasp.v1.{topic.message.__name__}"
+
+
+@every_topic
+def test_a_command_has_a_header_and_a_per_arm_message_its_arm(topic):
+    fields = fields_of(topic.message)
+    assert (topic.delivery is Delivery.COMMAND) == ("header" in fields)
+    if topic.per_arm:
+        assert "arm" in fields
+
+
+@every_topic
+def test_what_comes_at_a_rate_is_not_stale_between_two_messages(topic):
+    assert (topic.rate_hz is not None) == (topic.delivery is Delivery.LATEST) or topic.agent == "replay"
+    if topic.maximum_age_ms is not None and topic.rate_hz is not None:
+        assert topic.maximum_age_ms >= 2 * 1e3 / topic.rate_hz
+
+
+def test_what_a_replay_needs_is_recorded():
+    unrecorded = {str(topic) for topic in TOPICS if not topic.recorded}
+    assert unrecorded == {"replay/clock"}
+
+
+def test_outputs_of_what_can_be_replayed_say_what_they_were_made_from():
+    for agent in AGENTS:
+        if not isinstance(agent, type) and agent.tick_hz is None:
+            assert all("consumed" in fields_of(topic.message) for topic in agent.outputs)
+
+
+@pytest.mark.parametrize(
+    "foreign",
+    [
+        "",
+        "suturegrasp",
+        "suturegrasp/lab/camera/main",
+        "suturegrasp/lab/camera/main/frame",
+        "suturegrasp/lab/planner/main/frames",
+        "suturegrasp/lab/camera/main/frames/left",
+        "other/lab/camera/main/frames",
+    ],
+)
+def test_a_key_outside_the_table_is_named(foreign):
+    with pytest.raises(KeyError, match="no topic of the table has the key"):
+        topic_of(foreign)
+
+
+def test_a_row_reads_as_agent_and_name():
+    assert (str(FRAMES), str(PLAN), str(HEALTH)) == ("camera/frames", "planner/plan", "*/health")
+    assert key("lab", HEALTH, agent="camera") == "suturegrasp/lab/camera/main/health"
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        FRAMES.name = "other"  # pyright: ignore[reportAttributeAccessIssue]

@@ -1,0 +1,131 @@
+"""Each delivery class behind a real router, with receivers that are late, slow, or cut off for a while."""
+
+import contextlib
+import threading
+
+import pytest
+
+from schemas.topics import CALIBRATION, FRAMES, PLAN, key
+from shared.runtime.delivery import RING, declare_publisher, subscribe
+from shared.runtime.session import SessionSettings, free_local_endpoint, open_router, open_session
+
+DEADLINE_S = 15.0
+
+
+@pytest.fixture
+def publish(session):
+    """Publishes on a topic; the first call declares its publisher."""
+    publishers = {}
+
+    def put(topic, payload):
+        if topic not in publishers:
+            publishers[topic] = declare_publisher(session, key("test", topic), topic)
+        publishers[topic].put(payload)
+
+    yield put
+    for publisher in publishers.values():
+        publisher.undeclare()
+
+
+@pytest.fixture
+def listen(settings):
+    """Hears a topic on a session of its own: a list of payloads, and one of reported misses."""
+    with contextlib.ExitStack() as stack:
+
+        def start(topic, receive=None, expression=None):
+            opened = stack.enter_context(open_session(settings))
+            heard, missed = [], []
+            take = receive or (lambda sample: heard.append(sample.payload.to_bytes()))
+            for declared in subscribe(opened, expression or key("test", topic), topic, take, missed.append):
+                stack.callback(declared.undeclare)
+            return heard, missed
+
+        yield start
+
+
+def test_a_late_joiner_gets_the_last_state_and_only_that(publish, listen, until):
+    for number in range(5):
+        publish(CALIBRATION, bytes([number]))
+    heard, _ = listen(CALIBRATION)
+    until(lambda: heard)
+    publish(CALIBRATION, b"new")
+    until(lambda: b"new" in heard)
+    assert heard == [b"\x04", b"new"]
+
+
+def test_a_late_joiner_gets_the_events_before_it_in_order(publish, listen, until):
+    for number in range(50):
+        publish(PLAN, bytes([number]))
+    heard, missed = listen(PLAN)
+    until(lambda: len(heard) == 50)
+    assert (heard, missed) == ([bytes([number]) for number in range(50)], [])
+
+
+def test_a_late_joiner_gets_nothing_old_of_what_counts_only_when_new(publish, listen, until):
+    publish(FRAMES, b"old")
+    heard, _ = listen(FRAMES)
+
+    def new():
+        publish(FRAMES, b"new")
+        return b"new" in heard
+
+    until(new)
+    assert b"old" not in heard
+
+
+def test_behind_a_slow_receiver_the_newest_is_next_and_the_publisher_never_waits(publish, listen, until):
+    going, heard = threading.Event(), []
+
+    def slow(sample):
+        heard.append(int.from_bytes(sample.payload.to_bytes(), "big"))
+        going.wait(DEADLINE_S)
+
+    listen(FRAMES, slow)
+
+    def first():
+        publish(FRAMES, bytes(4))
+        return heard
+
+    until(first)
+    for number in range(1, 500):
+        publish(FRAMES, number.to_bytes(4, "big"))
+    other, _ = listen(PLAN)
+    publish(PLAN, b"an event overtakes them all")
+    until(lambda: other)
+    going.set()
+    until(lambda: heard[-1] == 499)
+    # what waits is few and new; an agent's inbox keeps one of them
+    later = [number for number in heard if number]
+    assert later == list(range(500 - len(later), 500))
+    assert len(later) <= RING + 1
+
+
+def test_events_survive_a_restart_of_the_router_in_order_and_without_a_hole(until):
+    endpoint = free_local_endpoint()
+    settings = SessionSettings("test", endpoint)
+    heard, missed = [], []
+    with contextlib.ExitStack() as stack:
+        router = open_router(endpoint)
+        sender, receiver = (stack.enter_context(open_session(settings)) for _ in range(2))
+        publisher = declare_publisher(sender, key("test", PLAN), PLAN)
+        kept = subscribe(receiver, key("test", PLAN), PLAN, lambda s: heard.append(s.payload.to_bytes()), missed.append)
+        publisher.put(b"0")
+        until(lambda: heard == [b"0"])
+        router.close()
+        for number in range(1, 20):
+            publisher.put(str(number).encode())
+        with open_router(endpoint):
+            until(lambda: len(heard) == 20)
+            for declared in (*kept, publisher):
+                declared.undeclare()
+    assert heard == [str(number).encode() for number in range(20)]
+    assert missed == []
+
+
+def test_one_expression_hears_all_instances(publish, session, listen, until):
+    heard, _ = listen(PLAN, expression="suturegrasp/test/planner/*/plan")
+    publish(PLAN, b"main")
+    other = declare_publisher(session, key("test", PLAN, "psm2"), PLAN)
+    other.put(b"psm2")
+    until(lambda: set(heard) == {b"main", b"psm2"})
+    other.undeclare()

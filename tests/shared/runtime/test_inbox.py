@@ -1,0 +1,63 @@
+import threading
+
+from schemas.topics import FRAMES, PLAN
+from shared.runtime.inbox import Arrival, Inbox
+
+
+def arrival(topic, number, key="a"):
+    return Arrival(topic, key, lambda: bytes([number]), b"")
+
+
+def taken(inbox):
+    numbers = []
+    while (found := inbox.take(0.0)) is not None:
+        numbers.append(found.payload()[0])
+    return numbers
+
+
+def test_only_the_newest_of_each_key_is_handed_out_and_the_others_are_counted():
+    inbox = Inbox()
+    for number in range(5):
+        inbox.put_newest(arrival(FRAMES, number))
+    inbox.put_newest(arrival(FRAMES, 9, key="b"))
+    assert taken(inbox) == [4, 9]
+    assert inbox.dropped(FRAMES) == 4
+    assert inbox.dropped(PLAN) == 0
+
+
+def test_a_message_that_was_looked_at_is_not_counted_as_dropped():
+    inbox = Inbox()
+    inbox.put_newest(arrival(FRAMES, 1))
+    assert taken(inbox) == [1]
+    inbox.put_newest(arrival(FRAMES, 2))
+    assert taken(inbox) == [2]
+    assert inbox.dropped(FRAMES) == 0
+
+
+def test_events_are_all_handed_out_in_order_and_before_newest_messages():
+    inbox = Inbox()
+    inbox.put_newest(arrival(FRAMES, 100))
+    for number in range(50):
+        inbox.put(arrival(PLAN, number))
+    assert taken(inbox) == [*range(50), 100]
+
+
+def test_the_bytes_of_what_is_dropped_are_never_asked_for():
+    inbox = Inbox()
+    asked = []
+    for number in range(3):
+        inbox.put_newest(Arrival(FRAMES, "a", lambda number=number: asked.append(number) or b"", b""))
+    newest = inbox.take(0.0)
+    assert newest is not None
+    newest.payload()
+    assert asked == [2]
+
+
+def test_wake_ends_a_wait():
+    inbox = Inbox()
+    found = []
+    waiting = threading.Thread(target=lambda: found.append(inbox.take(60.0)))
+    waiting.start()
+    inbox.wake()
+    waiting.join(10.0)
+    assert found == [None]

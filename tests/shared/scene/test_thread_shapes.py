@@ -1,0 +1,76 @@
+"""Threads keep what their configuration promises, judged by finite differences of densely evaluated curves."""
+
+import numpy as np
+import pytest
+
+from schemas.messages import RectifiedStereo
+from shared.camera import project
+from shared.scene.surface import depth_at_points, tissue_surface
+from shared.scene.thread_shapes import CONFIGS, ShapeError, crossings, thread_on
+from shared.splines import evaluate
+
+CAMERA = RectifiedStereo(960, 540, 1000.0, 1000.0, 479.5, 269.5, 5.5, 1e-3)
+
+
+def drawn(config: str, seed: int):
+    surface = tissue_surface(CAMERA, 85.0 + 6 * seed, seed)
+    thread = thread_on(CAMERA, surface, config, seed)
+    return surface, thread, evaluate(thread.knots, thread.control_points, 3, np.linspace(0, 1, 5000))
+
+
+@pytest.mark.parametrize("config", CONFIGS)
+@pytest.mark.parametrize("seed", range(3))
+def test_threads_lie_above_the_tissue_and_inside_both_images(config, seed):
+    surface, thread, points = drawn(config, seed)
+    assert (depth_at_points(surface, points[:, :2]) - points[:, 2]).min() > thread.radius_mm
+    for pixels in project(CAMERA, points):
+        assert pixels.min() > 20.0
+        assert (pixels < (940.0, 520.0)).all()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_hard_threads_run_along_the_rows_for_three_quarters_of_their_length(seed):
+    _, _, points = drawn("hard", seed)
+    length = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    du, dv = np.abs(np.diff(project(CAMERA, points)[0], axis=0)).T
+    assert np.average(dv < np.tan(np.radians(6.0)) * du, weights=length) == pytest.approx(0.73, abs=0.03)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_singular_threads_run_fifteen_millimetres_along_the_line_of_sight(seed):
+    _, _, points = drawn("singularity", seed)
+    step = np.diff(points, axis=0)
+    angle = np.degrees(
+        np.arccos(
+            np.abs((step * points[1:]).sum(axis=1)) / np.linalg.norm(step, axis=1) / np.linalg.norm(points[1:], axis=1)
+        )
+    )
+    length = np.linalg.norm(step, axis=1)[angle < 15.0].sum()
+    assert length == pytest.approx(15.0, abs=1.2)
+    assert np.ptp(points[:, 2]) > 15.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_only_crossing_threads_cross_themselves(seed):
+    for config in CONFIGS:
+        surface = tissue_surface(CAMERA, 95.0, seed)
+        count = crossings(CAMERA, thread_on(CAMERA, surface, config, seed))
+        assert (count > 0) == (config == "crossing")
+
+
+def test_the_seed_decides():
+    surface = tissue_surface(CAMERA, 95.0, 1)
+    one, same, other = (thread_on(CAMERA, surface, "medium", seed) for seed in (1, 1, 2))
+    assert (one.control_points == same.control_points).all()
+    assert one.control_points.shape != other.control_points.shape or (one.control_points != other.control_points).any()
+
+
+def test_an_unknown_configuration_lists_the_known_ones():
+    with pytest.raises(ShapeError, match="easy, medium, hard, singularity, crossing"):
+        thread_on(CAMERA, tissue_surface(CAMERA, 95.0, 1), "simple", 1)
+
+
+def test_a_view_that_is_too_narrow_is_said_to_be():
+    narrow = RectifiedStereo(320, 240, 2000.0, 2000.0, 159.5, 119.5, 5.5, 1e-3)
+    with pytest.raises(ShapeError, match="wider or more distant"):
+        thread_on(narrow, tissue_surface(narrow, 80.0, 1), "hard", 1)

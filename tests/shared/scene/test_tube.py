@@ -1,0 +1,187 @@
+"""The tube against brute-force ray casting, closed forms, and path-traced masks."""
+
+import json
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from schemas.messages import RectifiedStereo
+from shared.camera import project
+from shared.scene.centreline import Centreline, Thread, sample_centreline, shifted_to_right
+from shared.scene.compositing import lay_over
+from shared.scene.surface import tissue_surface
+from shared.scene.thread_shapes import CONFIGS, thread_on
+from shared.scene.tube import TubePixels, coverage_image, edge_coverage, tube_pixels
+from shared.splines import clamped_uniform_knots, evaluate
+
+RENDERS = Path(__file__).parents[3] / "../shared/data/renders"
+CAMERA = RectifiedStereo(960, 540, 1000.0, 1000.0, 479.5, 269.5, 5.5, 1e-3)
+
+
+def straight(start: tuple[float, float, float], end: tuple[float, float, float], radius_mm: float) -> Thread:
+    return Thread(clamped_uniform_knots(4), np.linspace(start, end, 4), radius_mm)
+
+
+def dense(thread: Thread, count: int = 20000) -> np.ndarray:
+    return evaluate(thread.knots, thread.control_points, thread.degree, np.linspace(0.0, 1.0, count))
+
+
+def both_eyes(camera: RectifiedStereo, thread: Thread) -> list[tuple[TubePixels, np.ndarray]]:
+    """The tube's pixels and the densely projected truth, left and right."""
+    centreline = sample_centreline(camera, thread)
+    eyes = (centreline, shifted_to_right(camera, centreline))
+    truths = project(camera, dense(thread))
+    return [(tube_pixels(camera, eye, thread.radius_mm), truth) for eye, truth in zip(eyes, truths, strict=True)]
+
+
+def offset_across(weights: np.ndarray, truth_px: np.ndarray) -> float:
+    """Mean distance of the weight from the projected truth, along its normal; the cut ends do not count."""
+    v, u = np.nonzero(weights)
+    pixels = np.column_stack((u, v)).astype(float)
+    _, nearest = cKDTree(truth_px).query(pixels)
+    tangent = np.gradient(truth_px, axis=0)
+    normal = np.column_stack((-tangent[:, 1], tangent[:, 0]))
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
+    across = ((pixels - truth_px[nearest]) * normal[nearest]).sum(axis=1)
+    inner = (nearest > 50) & (nearest < len(truth_px) - 50)
+    return float(np.average(across[inner], weights=weights[v, u][inner]))
+
+
+@pytest.mark.parametrize("config", CONFIGS)
+@pytest.mark.parametrize(("seed", "radius_mm"), [(1, 0.12), (2, 0.2), (3, 0.25)])
+def test_the_coverage_is_centred_on_the_projected_centreline_in_both_images(config, seed, radius_mm):
+    thread = thread_on(CAMERA, tissue_surface(CAMERA, 90.0 + 3 * seed, seed), config, seed, radius_mm)
+    for tube, truth in both_eyes(CAMERA, thread):
+        assert abs(offset_across(coverage_image(CAMERA, tube), truth)) < 0.03
+
+
+def test_the_coverage_is_that_of_rays_that_meet_the_tube():
+    camera = RectifiedStereo(48, 36, 60.0, 75.0, -10.0, 21.0, 5.5, 1e-3)
+    control_points = np.array([[12.0, -40, 75], [16, -8, 70], [50, 16, 66], [30, 40, 80], [95, 60, 90]])
+    thread = Thread(clamped_uniform_knots(5), control_points, 1.7)
+    sub = (np.arange(6) - 2.5) / 6
+    for eye_x, (tube, _) in zip((0.0, camera.baseline), both_eyes(camera, thread), strict=True):
+        u = (np.arange(48)[:, None] + sub).ravel()
+        v = (np.arange(36)[:, None] + sub).ravel()
+        p, q = np.meshgrid((u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px)
+        rays = np.dstack((p, q, np.ones_like(p))).reshape(-1, 3)
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        points = dense(thread, 400) - (eye_x, 0.0, 0.0)
+        square_distance = (points**2).sum(axis=1) - (rays @ points.T) ** 2
+        hit = (square_distance.min(axis=1) < thread.radius_mm**2).reshape(36, 6, 48, 6).mean(axis=(1, 3))
+        difference = coverage_image(camera, tube) - hit
+        assert hit.max() == 1.0
+        assert np.abs(difference).max() < 0.06
+        assert abs(difference.mean()) < 1e-3
+
+
+@pytest.mark.parametrize("config", ["easy", "hard"])
+@pytest.mark.parametrize("radius_mm", [0.05, 0.2])
+def test_the_coverage_adds_up_to_width_times_length(config, radius_mm):
+    thread = thread_on(CAMERA, tissue_surface(CAMERA, 95.0, 1), config, 1, radius_mm)
+    points = dense(thread)
+    for tube, truth in both_eyes(CAMERA, thread):
+        length = np.linalg.norm(np.diff(truth, axis=0), axis=1)
+        area = (length * 2.0 * radius_mm * CAMERA.fx_px / points[1:, 2]).sum()
+        # away from the optical axis perspective widens a tube by up to 1/cos of the angle
+        assert 1.0 - 1e-3 < tube.coverage.sum() / area < 1.03
+
+
+def test_a_thread_on_the_optical_axis_has_the_area_of_its_rectangle():
+    thread = straight((-8.0, -0.013, 100.0), (8.0, 0.021, 100.0), 0.2)
+    (tube, _), _ = both_eyes(CAMERA, thread)
+    assert tube.coverage.sum() == pytest.approx(160.0 * 4.0, rel=1e-4)
+
+
+def test_the_ends_are_cut_where_the_centreline_ends():
+    thread = straight((-8.0, 0.0, 100.0), (8.0, 0.0, 100.0), 0.2)
+    (tube, truth), _ = both_eyes(CAMERA, thread)
+    columns = coverage_image(CAMERA, tube).sum(axis=0) / 4.0
+    inside = np.flatnonzero(columns)
+    assert inside[0] + 0.5 - columns[inside[0]] == pytest.approx(truth[0, 0], abs=0.01)
+    assert inside[-1] - 0.5 + columns[inside[-1]] == pytest.approx(truth[-1, 0], abs=0.01)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.3, np.pi / 4, 1.2, np.pi / 2])
+def test_the_edge_of_a_pixel_is_its_clipped_area(angle):
+    normal = np.array([np.cos(angle), np.sin(angle)])
+    grid = (np.arange(400) + 0.5) / 400 - 0.5
+    u, v = np.meshgrid(grid, grid)
+    distances = np.linspace(-0.9, 0.9, 37)
+    areas = [(u * normal[0] + v * normal[1] < d).mean() for d in distances]
+    assert edge_coverage(distances, np.tile(normal, (37, 1))) == pytest.approx(areas, abs=3e-3)
+
+
+def test_the_nearer_strand_lies_on_top_whichever_end_the_thread_starts_from():
+    surface = tissue_surface(CAMERA, 95.0, 5)
+    thread = thread_on(CAMERA, surface, "crossing", 5)
+    reverse = Thread(1.0 - thread.knots[::-1], thread.control_points[::-1], thread.radius_mm)
+    for one in (thread, reverse):
+        (tube, _), _ = both_eyes(CAMERA, one)
+        image = np.zeros((540, 960, 3), dtype=np.uint8)
+        # depth as colour, so that the image itself says which strand is seen
+        lay_over(image, tube, np.repeat((tube.depth_mm - 70.0)[:, None] * 5.0, 3, axis=1))
+        full = tube.coverage > 0.999
+        flat, count = np.unique(tube.flat[full], return_counts=True)
+        crossing = flat[count == 2]
+        assert len(crossing) >= 4
+        for pixel in crossing:
+            depths = tube.depth_mm[full & (tube.flat == pixel)]
+            assert depths.max() - depths.min() > 0.5
+            assert image.reshape(-1, 3)[pixel, 0] == np.rint((depths.min() - 70.0) * 5.0)
+
+
+def test_a_thread_that_points_at_the_camera_is_the_disc_of_its_near_end():
+    thread = straight((0.0, 0.0, 80.0), (1e-7, 0.0, 100.0), 0.4)
+    tube = tube_pixels(CAMERA, sample_centreline(CAMERA, thread), thread.radius_mm)
+    assert tube.coverage.sum() == pytest.approx(np.pi * 5.0**2, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("start", "end"),
+    [
+        ((-300.0, 0.0, 90.0), (-200.0, 5.0, 90.0)),
+        ((0.0, 0.0, -50.0), (5.0, 5.0, -10.0)),
+        ((0.0, 0.0, 5.0), (3.0, 2.0, 15.0)),
+    ],
+)
+def test_a_thread_out_of_view_has_no_pixels(start, end):
+    for tube, _ in both_eyes(CAMERA, straight(start, end, 0.2)):
+        assert len(tube.flat) == 0
+
+
+def test_a_thread_that_leaves_the_image_is_drawn_as_far_as_it_is_seen():
+    for tube, _ in both_eyes(CAMERA, straight((-200.0, -3.0, 90.0), (200.0, 8.0, 90.0), 0.2)):
+        columns = np.unique(tube.flat % 960)
+        assert len(columns) == 960
+
+
+def test_a_thread_that_comes_from_behind_the_camera_is_drawn_from_the_near_limit_on():
+    for tube, _ in both_eyes(CAMERA, straight((0.0, 3.0, -20.0), (2.0, -2.0, 90.0), 0.2)):
+        assert len(tube.flat) > 0
+        assert tube.depth_mm.min() >= 20.0
+
+
+@pytest.mark.parametrize("name", ["cfg_easy_paper", "cfg_hard_chicken", "cfg_singularity_paper"])
+def test_coverage_agrees_with_path_traced_masks(name):
+    if not RENDERS.is_dir():
+        if os.environ.get("CI"):
+            pytest.fail(f"{RENDERS} is missing, and CI must have it")
+        pytest.skip(f"needs the published renders in {RENDERS}")
+    truth = np.load(RENDERS / f"{name}.npy")
+    about = json.loads((RENDERS / f"{name}.json").read_text())
+    arc = np.linspace(truth[0, 3], truth[-1, 3], 3000)
+    points = np.column_stack([np.interp(arc, truth[:, 3], axis) for axis in truth.T[:3]])
+    centreline = Centreline(points, np.gradient(points, axis=0), arc)
+    for side, eye in (("left", centreline), ("right", shifted_to_right(CAMERA, centreline))):
+        tube = tube_pixels(CAMERA, eye, about["radius_mm"])
+        image = cv2.imread(str(RENDERS / f"{name}_mask_{side}.png"), cv2.IMREAD_GRAYSCALE)
+        mask = np.asarray(image, dtype=np.float64) / 255
+        ours = coverage_image(CAMERA, tube)
+        touched = (ours > 0) | (mask > 0)
+        assert np.abs(ours - mask)[touched].mean() < 0.05
+        assert ours.sum() == pytest.approx(mask.sum(), rel=0.02)

@@ -1,0 +1,83 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from schemas.messages import Image, ImageEncoding
+from shared.images import ImageDataError, decode_image, encode_image
+
+RNG = np.random.default_rng(1)
+COLOUR = RNG.integers(0, 256, (37, 41, 3), dtype=np.uint8)
+GREY = RNG.integers(0, 256, (37, 41), dtype=np.uint8)
+SMOOTH = np.add.outer(np.arange(37), np.arange(41)).astype(np.uint8)
+lossless = pytest.mark.parametrize("encoding", [ImageEncoding.RAW, ImageEncoding.PNG])
+compressed = pytest.mark.parametrize("encoding", [ImageEncoding.PNG, ImageEncoding.JPEG])
+
+
+@lossless
+@pytest.mark.parametrize("pixels", [COLOUR, GREY], ids=["colour", "grey"])
+def test_pixels_come_back_as_they_were(encoding, pixels):
+    found = decode_image(encode_image(pixels, encoding))
+    assert (found.dtype, found.shape) == (pixels.dtype, pixels.shape)
+    assert (found == pixels).all()
+
+
+@lossless
+def test_a_window_of_an_image_is_encoded_as_it_looks(encoding):
+    assert (decode_image(encode_image(COLOUR[5:20, 3:30:2], encoding)) == COLOUR[5:20, 3:30:2]).all()
+
+
+@pytest.mark.parametrize("pixels", [np.stack([SMOOTH] * 3, axis=2), SMOOTH], ids=["colour", "grey"])
+def test_jpeg_is_close(pixels):
+    found = decode_image(encode_image(pixels, ImageEncoding.JPEG))
+    assert found.shape == pixels.shape
+    assert np.abs(found.astype(int) - pixels).max() <= 4
+
+
+@compressed
+def test_half_an_image_is_refused(encoding):
+    whole = encode_image(COLOUR, encoding)
+    for kept in (len(whole.data) - 1, len(whole.data) // 2, 20, 1):
+        with pytest.raises(ImageDataError, match=f"{kept} bytes of {encoding.name} are not whole"):
+            decode_image(dataclasses.replace(whole, data=whole.data[:kept]))
+
+
+def test_the_padding_of_a_capture_card_does_no_harm():
+    whole = encode_image(SMOOTH, ImageEncoding.JPEG)
+    padded = dataclasses.replace(whole, data=whole.data + bytes(500))
+    assert (decode_image(padded) == decode_image(whole)).all()
+
+
+def test_an_image_of_another_encoding_than_it_says_is_refused():
+    png = encode_image(COLOUR, ImageEncoding.PNG)
+    with pytest.raises(ImageDataError, match="no such image"):
+        decode_image(dataclasses.replace(png, encoding=ImageEncoding.JPEG))
+
+
+@compressed
+def test_an_image_of_another_size_than_it_says_is_refused(encoding):
+    whole = encode_image(COLOUR, encoding)
+    with pytest.raises(ImageDataError, match="decodes to 41x37, not to 82x37"):
+        decode_image(dataclasses.replace(whole, width=82))
+
+
+@settings(max_examples=100, deadline=None)
+@given(data=st.data(), encoding=st.sampled_from([ImageEncoding.PNG, ImageEncoding.JPEG]))
+def test_damaged_bytes_are_pixels_of_that_size_or_an_image_data_error(data, encoding):
+    whole = encode_image(SMOOTH, encoding)
+    damaged = bytearray(whole.data)
+    for _ in range(data.draw(st.integers(1, 4))):
+        # past the size in the header: a claim of more pixels is the business of OpenCV's limit
+        damaged[data.draw(st.integers(30, len(damaged) - 1))] = data.draw(st.integers(0, 255))
+    try:
+        assert decode_image(dataclasses.replace(whole, data=bytes(damaged))).shape == SMOOTH.shape
+    except ImageDataError as error:
+        assert "\n" not in str(error)
+
+
+@given(garbage=st.binary(min_size=1, max_size=60), encoding=st.sampled_from([ImageEncoding.PNG, ImageEncoding.JPEG]))
+def test_garbage_is_refused(garbage, encoding):
+    with pytest.raises(ImageDataError):
+        decode_image(Image(encoding, 4, 4, 1, garbage))
