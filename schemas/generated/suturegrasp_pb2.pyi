@@ -225,8 +225,20 @@ class Judgement(_message.Message):
     remedy: str
     def __init__(self, code: _Optional[str] = ..., severity: _Optional[_Union[Severity, str]] = ..., finding: _Optional[str] = ..., remedy: _Optional[str] = ...) -> None: ...
 
+class Centrelines(_message.Message):
+    __slots__ = ("point_px", "piece", "width_px", "deviation_px")
+    POINT_PX_FIELD_NUMBER: _ClassVar[int]
+    PIECE_FIELD_NUMBER: _ClassVar[int]
+    WIDTH_PX_FIELD_NUMBER: _ClassVar[int]
+    DEVIATION_PX_FIELD_NUMBER: _ClassVar[int]
+    point_px: Array
+    piece: Array
+    width_px: Array
+    deviation_px: Array
+    def __init__(self, point_px: _Optional[_Union[Array, _Mapping]] = ..., piece: _Optional[_Union[Array, _Mapping]] = ..., width_px: _Optional[_Union[Array, _Mapping]] = ..., deviation_px: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
+
 class ThreadObservations(_message.Message):
-    __slots__ = ("stamp", "camera", "status", "reason", "segmenter", "points_camera", "half_size_px", "matched_px", "match_cost", "inlier", "mask_left", "mask_right", "judgements", "gaps", "consumed")
+    __slots__ = ("stamp", "camera", "status", "reason", "segmenter", "points_camera", "half_size_px", "matched_px", "match_cost", "inlier", "mask_left", "mask_right", "judgements", "gaps", "centrelines_left", "centrelines_right", "consumed")
     STAMP_FIELD_NUMBER: _ClassVar[int]
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     STATUS_FIELD_NUMBER: _ClassVar[int]
@@ -241,6 +253,8 @@ class ThreadObservations(_message.Message):
     MASK_RIGHT_FIELD_NUMBER: _ClassVar[int]
     JUDGEMENTS_FIELD_NUMBER: _ClassVar[int]
     GAPS_FIELD_NUMBER: _ClassVar[int]
+    CENTRELINES_LEFT_FIELD_NUMBER: _ClassVar[int]
+    CENTRELINES_RIGHT_FIELD_NUMBER: _ClassVar[int]
     CONSUMED_FIELD_NUMBER: _ClassVar[int]
     stamp: FrameStamp
     camera: RectifiedStereo
@@ -256,8 +270,10 @@ class ThreadObservations(_message.Message):
     mask_right: Image
     judgements: _containers.RepeatedCompositeFieldContainer[Judgement]
     gaps: Array
+    centrelines_left: Centrelines
+    centrelines_right: Centrelines
     consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
-    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., segmenter: _Optional[str] = ..., points_camera: _Optional[_Union[Array, _Mapping]] = ..., half_size_px: _Optional[_Union[Array, _Mapping]] = ..., matched_px: _Optional[_Union[Array, _Mapping]] = ..., match_cost: _Optional[_Union[Array, _Mapping]] = ..., inlier: _Optional[_Union[Array, _Mapping]] = ..., mask_left: _Optional[_Union[Image, _Mapping]] = ..., mask_right: _Optional[_Union[Image, _Mapping]] = ..., judgements: _Optional[_Iterable[_Union[Judgement, _Mapping]]] = ..., gaps: _Optional[_Union[Array, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
+    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., segmenter: _Optional[str] = ..., points_camera: _Optional[_Union[Array, _Mapping]] = ..., half_size_px: _Optional[_Union[Array, _Mapping]] = ..., matched_px: _Optional[_Union[Array, _Mapping]] = ..., match_cost: _Optional[_Union[Array, _Mapping]] = ..., inlier: _Optional[_Union[Array, _Mapping]] = ..., mask_left: _Optional[_Union[Image, _Mapping]] = ..., mask_right: _Optional[_Union[Image, _Mapping]] = ..., judgements: _Optional[_Iterable[_Union[Judgement, _Mapping]]] = ..., gaps: _Optional[_Union[Array, _Mapping]] = ..., centrelines_left: _Optional[_Union[Centrelines, _Mapping]] = ..., centrelines_right: _Optional[_Union[Centrelines, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
 
 class ReliabilityRegions(_message.Message):
     __slots__ = ("s", "centre_camera", "bound_px", "bound_depth", "slack")

@@ -52,12 +52,14 @@ from schemas.messages.simulation import (
     Verdict,
 )
 from schemas.messages.thread import (
+    Centrelines,
     Judgement,
     ReliabilityRegions,
     Severity,
     Status,
     ThreadObservations,
     ThreadReconstruction,
+    no_centrelines,
 )
 
 __all__ = [
@@ -65,6 +67,7 @@ __all__ = [
     "AgentHealth",
     "Alternative",
     "Arm",
+    "Centrelines",
     "CommandAnswer",
     "CommandHeader",
     "CommandRecord",
@@ -102,4 +105,5 @@ __all__ = [
     "ThreadReconstruction",
     "Verdict",
     "Waypoint",
+    "no_centrelines",
 ]

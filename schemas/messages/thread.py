@@ -37,6 +37,35 @@ class Judgement:
 
 
 @dataclass(frozen=True)
+class Centrelines:
+    """The middle of the thread in one rectified image: points in order along unbranched pieces, of unknown sequence.
+
+    Fields:
+        point_px: (u, v) of each point, sub-pixel; neighbours on a piece lie about a pixel apart.
+        piece: number of the piece that each point belongs to, never decreasing.
+        width_px: apparent width of the thread there.
+        deviation_px: standard deviation of the point across the thread.
+    """
+
+    point_px: Float64[np.ndarray, "n 2"]
+    piece: Int64[np.ndarray, "n"]
+    width_px: Float64[np.ndarray, "n"]
+    deviation_px: Float64[np.ndarray, "n"]
+
+    def __post_init__(self) -> None:
+        check_message(self)
+        require(bool((self.piece[:1] >= 0).all()), "pieces are numbered from 0")
+        require(bool((np.diff(self.piece) >= 0).all()), "the points of each piece must follow each other")
+        require(bool((self.width_px > 0).all()), "the width of the thread must be positive")
+        require(bool((self.deviation_px > 0).all()), "the deviation of a point must be positive")
+
+
+def no_centrelines() -> Centrelines:
+    """Centrelines of an image that shows no thread."""
+    return Centrelines(np.zeros((0, 2)), np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
+
+
+@dataclass(frozen=True)
 class ThreadObservations:
     """What perception saw of the thread in one stereo pair: ordered points, and the matches behind them.
 
@@ -47,6 +76,7 @@ class ThreadObservations:
             `match_cost` gives the cost of the best and of the second-best match.
         mask_left, mask_right: coverage by thread in the rectified images, 0 to 255.
         gaps: indices j where no segmented pixels lead from observation j to the next one.
+        centrelines_left, centrelines_right: the middle of the thread in each rectified image, without depth.
     """
 
     stamp: FrameStamp
@@ -63,6 +93,8 @@ class ThreadObservations:
     mask_right: Image
     judgements: tuple[Judgement, ...] = ()
     gaps: Int64[np.ndarray, "g"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    centrelines_left: Centrelines = field(default_factory=no_centrelines)
+    centrelines_right: Centrelines = field(default_factory=no_centrelines)
     consumed: tuple[Consumed, ...] = ()
 
     def __post_init__(self) -> None:

@@ -15,6 +15,7 @@ from schemas.messages import (
     AgentHealth,
     Alternative,
     Arm,
+    Centrelines,
     CommandAnswer,
     CommandHeader,
     CommandRecord,
@@ -101,6 +102,13 @@ def calibrations(draw):
 
 
 @st.composite
+def centrelines(draw):
+    n = draw(st.integers(0, 4))
+    piece = np.sort(draw(arrays(np.int64, n, elements=st.integers(0, 3))))
+    return Centrelines(draw(array(n, 2)), piece, draw(array(n, elements=positive)), draw(array(n, elements=positive)))
+
+
+@st.composite
 def observations(draw):
     n, p = draw(st.integers(0, 4)), draw(st.integers(0, 5))
     g = draw(st.integers(0, 3)) if n > 1 else 0
@@ -122,6 +130,8 @@ def observations(draw):
         mask_right=draw(images()),
         judgements=tuple(draw(st.lists(judgements, max_size=3))),
         gaps=draw(arrays(np.int64, g, elements=st.integers(0, max(0, n - 2)))),
+        centrelines_left=draw(centrelines()),
+        centrelines_right=draw(centrelines()),
         consumed=draw(consumed),
     )
 
@@ -309,6 +319,7 @@ MESSAGES = {
     StereoCalibration: calibrations(),
     RectifiedStereo: cameras,
     Judgement: judgements,
+    Centrelines: centrelines(),
     ThreadObservations: observations(),
     ReliabilityRegions: regions(),
     ThreadReconstruction: reconstructions(),

@@ -7,6 +7,7 @@ import pytest
 
 from schemas.checks import MessageError
 from schemas.messages import (
+    Centrelines,
     FrameStamp,
     Image,
     ImageEncoding,
@@ -41,6 +42,7 @@ OBSERVATIONS = ThreadObservations(
     mask_right=IMAGE,
     gaps=np.array([1]),
 )
+CENTRELINES = Centrelines(np.ones((2, 2)), np.array([0, 1]), np.ones(2), np.ones(2))
 REGIONS = ReliabilityRegions(np.array([0.0, 1]), np.ones((2, 3)), np.ones((2, 2)), np.ones(2), np.zeros(2))
 RECONSTRUCTION = ThreadReconstruction(
     stamp=STAMP,
@@ -117,6 +119,10 @@ REFUSED = {
     "an observation of no size": (OBSERVATIONS, {"half_size_px": np.zeros((3, 2))}, "half_size_px must be positive"),
     "a gap after the last observation": (OBSERVATIONS, {"gaps": np.array([2])}, "a gap must lie between"),
     "a gap before the first observation": (OBSERVATIONS, {"gaps": np.array([-1])}, "a gap must lie between"),
+    "a piece in two places": (CENTRELINES, {"piece": np.array([1, 0])}, "points of each piece must follow"),
+    "a piece without number": (CENTRELINES, {"piece": np.array([-1, 0])}, "pieces are numbered from 0"),
+    "a centreline of no width": (CENTRELINES, {"width_px": np.zeros(2)}, "width of the thread must be positive"),
+    "a centreline beyond doubt": (CENTRELINES, {"deviation_px": np.zeros(2)}, "deviation of a point must be positive"),
     "regions out of order": (REGIONS, {"s": np.array([1.0, 0])}, "parameters of the regions must not decrease"),
     "a region of no width": (REGIONS, {"bound_px": np.zeros((2, 2))}, "bounds must be positive"),
     "a region of no depth": (REGIONS, {"bound_depth": np.zeros(2)}, "bounds must be positive"),
