@@ -80,7 +80,7 @@ def on_stop(stop: Callable[[], None]) -> None:
 
     def from_another_thread(*_: object) -> None:
         # the main thread may be holding the very lock that stop needs
-        threading.Thread(target=stop, name="stop").start()
+        threading.Thread(target=stop, name="stop", daemon=True).start()
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, from_another_thread)

@@ -44,7 +44,7 @@ class RecordingReport:
 
 
 class Recorder:
-    """Records until it is closed.
+    """Records until it is closed, which leaving its `with` block does. One that is never closed keeps no process alive.
 
     Raises:
         OSError: where the file cannot be written.
@@ -59,8 +59,14 @@ class Recorder:
         self._missed: defaultdict[str, int] = defaultdict(int)
         self._unnumbered, self._fault = 0, ""
         self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._write_all, name="recorder")
+        self._thread = threading.Thread(target=self._write_all, name="recorder", daemon=True)
         self._thread.start()
+
+    def __enter__(self) -> "Recorder":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def put(self, tapped: Tapped) -> None:
         """Queue a message; never waits."""

@@ -66,7 +66,8 @@ class Connection:
         """
         stopped = threading.Event()
         publisher = declare_publisher(self._session, key(self._rig, topic, instance), topic)
-        thread = threading.Thread(target=_repeat, args=(publisher, stopped, rate_hz, message), name=f"repeat {topic}")
+        repeat = (publisher, stopped, rate_hz, message)
+        thread = threading.Thread(target=_repeat, args=repeat, name=f"repeat {topic}", daemon=True)
         thread.start()
         try:
             yield stopped

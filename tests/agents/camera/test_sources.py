@@ -158,10 +158,10 @@ def test_a_frame_in_pieces_is_read_when_it_is_whole(pipe, until):
 
 def test_a_slow_reader_gets_the_newest_and_never_holds_up_the_writer(pipe, until):
     writer, source = pipe
-    sent = threading.Thread(target=lambda: [writer.write(raw(value)) for value in range(200)])
+    sent = threading.Thread(target=lambda: [writer.write(raw(value)) for value in range(200)], daemon=True)
     sent.start()
     # far more than a pipe holds
-    sent.join(10.0)
+    sent.join(60.0)
     assert not sent.is_alive()
     until(lambda: (pair := source.read()) is not None and levels(pair) == [199, 200])
     assert source.read() is None
@@ -187,9 +187,9 @@ def test_a_silent_pipe_can_be_closed():
     read, write = os.pipe()
     with os.fdopen(write, "wb"), os.fdopen(read, "rb") as stream:
         source = PipeSource(stream, 2 * WIDTH, HEIGHT)
-        closing = threading.Thread(target=source.close)
+        closing = threading.Thread(target=source.close, daemon=True)
         closing.start()
-        closing.join(5.0)
+        closing.join(60.0)
         assert not closing.is_alive()
 
 

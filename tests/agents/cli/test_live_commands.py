@@ -4,7 +4,6 @@ import contextlib
 import re
 import shutil
 import subprocess
-import threading
 from types import SimpleNamespace
 from typing import Any
 
@@ -22,21 +21,11 @@ from agents.cli.rig import RigConfig, RouterSection
 from agents.cli.session_folder import free_path, new_session_folder
 from agents.planner.agent import Planner
 from schemas.messages import ExecutionEvent, ExecutionKind
-from shared.clock import monotonic_s
 from shared.runtime.config import parse_config
 from shared.runtime.connection import connected
-from shared.runtime.runner import Runner
-from shared.runtime.session import SessionSettings, free_local_endpoint, open_router, open_session
+from shared.runtime.session import free_local_endpoint
 
 BASH = shutil.which("bash") or ""
-
-
-def until(condition):
-    deadline_s, turn = monotonic_s() + 15.0, threading.Event()
-    while not (value := condition()):
-        assert monotonic_s() < deadline_s, "the condition did not come true in time"
-        turn.wait(0.02)
-    return value
 
 
 @pytest.fixture
@@ -113,35 +102,32 @@ def test_doctor_names_what_is_wrong_with_its_remedy(suturegrasp, tmp_path):
     assert any(line.startswith("ok") and "agent planner: can start" in line for line in lines)
 
 
-def test_doctor_finds_the_router_and_who_is_there():
-    endpoint = free_local_endpoint()
-    rig = parse_config("[planner]", RigConfig, "r.toml").model_copy(update={"router": RouterSection(endpoint=endpoint)})
-    with open_router(endpoint), running_planner(rig.session):
-        findings = {finding.what: finding for finding in examine(rig)}
+def test_doctor_finds_the_router_and_who_is_there(router, running_planner):
+    plain = parse_config("[planner]", RigConfig, "r.toml")
+    with router() as endpoint:
+        rig = plain.model_copy(update={"router": RouterSection(endpoint=endpoint)})
+        with running_planner(rig.session):
+            findings = {finding.what: finding for finding in examine(rig)}
     assert findings["router"].found == f"answers on {endpoint}"
     assert findings["running agents"].found == "planner/main"
     assert all(finding.remedy == "" for finding in findings.values())
 
 
-@contextlib.contextmanager
-def running_planner(settings):
+@pytest.fixture
+def running_planner(in_threads, until):
     """A planner in a thread of this process, once it is there."""
-    with open_session(settings) as session, connected(settings, 10.0) as connection:
-        runner = Runner(Planner(), session, settings.rig)
-        thread = threading.Thread(target=runner.run)
-        thread.start()
-        try:
+
+    @contextlib.contextmanager
+    def run(settings):
+        with in_threads(settings, Planner()), connected(settings, 60.0) as connection:
             until(connection.present)
             yield
-        finally:
-            runner.stop()
-            thread.join(10.0)
+
+    return run
 
 
-def test_health_names_who_is_silent_and_who_was_never_heard_of():
-    endpoint = free_local_endpoint()
-    settings = SessionSettings("test", endpoint)
-    with open_router(endpoint), connected(settings) as connection:
+def test_health_names_who_is_silent_and_who_was_never_heard_of(settings, running_planner, until):
+    with connected(settings, 60.0) as connection:
         watch = HealthWatch(connection, ["camera", "planner"])
         assert [(fare.name, fare.state) for fare in watch.fares()] == [("camera", "starting"), ("planner", "starting")]
         with running_planner(settings):

@@ -3,7 +3,6 @@
 The thread is made by hand: straight, 80 mm away, and known badly in its middle.
 """
 
-import contextlib
 import threading
 
 import numpy as np
@@ -28,15 +27,13 @@ from schemas.messages import (
     ThreadReconstruction,
 )
 from schemas.topics import MAIN, ROBOT_STATE, THREAD
-from shared.clock import monotonic_s
 from shared.runtime.agent import Output, Tick
+from shared.runtime.commands import new_header
 from shared.runtime.connection import connected
-from shared.runtime.runner import Runner
-from shared.runtime.session import SessionSettings, free_local_endpoint, open_router, open_session
 
 NONE = np.zeros(0)
 LENGTH_M = 0.04
-DEADLINE_S = 20.0
+PATIENT_S = 60.0
 NEVER = threading.Event()
 
 
@@ -70,38 +67,25 @@ class HandMadeThread:
         ]
 
 
-@contextlib.contextmanager
-def running(settings, agent):
-    with open_session(settings) as session:
-        runner = Runner(agent, session, settings.rig)
-        thread = threading.Thread(target=runner.run, name=agent.kind)
-        thread.start()
-        try:
-            yield runner
-        finally:
-            runner.stop()
-            thread.join(DEADLINE_S)
-
-
-def until(condition):
-    deadline_s, turn = monotonic_s() + DEADLINE_S, threading.Event()
-    while not (value := condition()):
-        assert monotonic_s() < deadline_s, "the condition did not come true in time"
-        turn.wait(0.02)
-    return value
+@pytest.fixture
+def silence_s():
+    """How long the bridge goes on without a heartbeat."""
+    return PATIENT_S
 
 
 @pytest.fixture
-def settings():
-    endpoint = free_local_endpoint()
-    with open_router(endpoint):
-        yield SessionSettings("test", endpoint)
+def bridge(silence_s):
+    # a test machine may stall; how soon a silent operator disarms, and how old a plan may be, is the bridge's own test
+    patient = RobotBridgeConfig(dead_man_s=silence_s, first_heartbeat_s=silence_s, maximum_plan_age_s=PATIENT_S)
+    return RobotBridge(patient, SimulatedPsm())
 
 
-@pytest.fixture
-def bridge():
-    # a test machine may be busy; how soon a silent operator disarms is the bridge's own test
-    return RobotBridge(RobotBridgeConfig(dead_man_s=1.0, first_heartbeat_s=5.0), SimulatedPsm())
+@pytest.fixture(autouse=True)
+def patient_operator(monkeypatch):
+    """For the same reason."""
+    for name in ("PLAN_WAIT_S", "PLAN_ARRIVES_S", "ARMING_S", "AWAKE_S", "SILENCE_S"):
+        monkeypatch.setattr(f"agents.operator.operator.{name}", PATIENT_S)
+    monkeypatch.setattr("agents.operator.operator.new_header", lambda sender: new_header(sender, PATIENT_S))
 
 
 @pytest.fixture
@@ -110,13 +94,8 @@ def modes():
 
 
 @pytest.fixture
-def connection(settings, bridge, modes):
-    with (
-        running(settings, HandMadeThread()),
-        running(settings, Planner()),
-        running(settings, bridge),
-        connected(settings) as connection,
-    ):
+def connection(settings, bridge, modes, in_threads, until):
+    with in_threads(settings, HandMadeThread(), Planner(), bridge), connected(settings, PATIENT_S) as connection:
         connection.listen((ROBOT_STATE,), lambda tapped: modes.append(decode(RobotState, tapped.payload).mode))
         until(lambda: modes and ready(connection))
         yield connection
@@ -142,7 +121,7 @@ def ended(connection, plan, told=lambda _: None):
     return stood.end
 
 
-def test_a_goal_is_planned_armed_and_carried_out_with_a_slide(connection, modes):
+def test_a_goal_is_planned_armed_and_carried_out_with_a_slide(connection, modes, until):
     plan = planned(connection, Policy.CAPTURE_SLIDE_GRASP, s=0.5)
     assert plan.status is Status.OK, plan.reason
     assert plan.s_goal == pytest.approx(0.5)
@@ -156,7 +135,8 @@ def test_a_goal_is_planned_armed_and_carried_out_with_a_slide(connection, modes)
     until(lambda: modes[-1] is RobotMode.IDLE)
 
 
-def test_leaving_disarms_and_the_arm_holds(connection, modes):
+@pytest.mark.parametrize("silence_s", [0.5])
+def test_leaving_disarms_and_the_arm_holds(connection, modes, until):
     plan = planned(connection, Policy.DIRECT, s=0.2)
     left = threading.Event()
     stood = arm_and_stand_by(connection, "psm1", plan.plan_id, left, lambda _: left.set())
@@ -172,11 +152,11 @@ def test_hold_ends_what_an_operator_stands_by(connection):
     def hold_once(_):
         if not held:
             # the callback runs in the operator's loop, so the command goes out from elsewhere
-            held.append(threading.Thread(target=hold, args=(connection, "psm1")))
+            held.append(threading.Thread(target=hold, args=(connection, "psm1"), daemon=True))
             held[0].start()
 
     end = ended(connection, plan, hold_once)
-    held[0].join()
+    held[0].join(PATIENT_S)
     assert (end.kind, end.code) == (ExecutionKind.HELD, "hold_command")
 
 
@@ -189,7 +169,8 @@ def test_a_pixel_and_a_point_name_the_same_place_as_s(connection):
     assert [plan.s_goal for plan in (at_s, at_pixel, at_point)] == pytest.approx([0.25] * 3, abs=2e-3)
 
 
-def test_what_cannot_be_done_is_refused_with_a_reason_or_rejected(connection):
+def test_what_cannot_be_done_is_refused_with_a_reason_or_rejected(connection, monkeypatch):
+    monkeypatch.setattr("agents.operator.operator.PLAN_ARRIVES_S", 0.2)
     answer, plan = ask_for_grasp(connection, "psm9", Policy.DIRECT, s=0.5)
     assert (answer.outcome, answer.code, plan) == (Outcome.REFUSED, "unknown_arm", None)
     plan = planned(connection, Policy.DIRECT, pixel=np.array([5.0, 5.0]))
@@ -200,20 +181,18 @@ def test_what_cannot_be_done_is_refused_with_a_reason_or_rejected(connection):
 
 
 def test_commands_without_receiver_have_an_unknown_outcome(settings):
-    with connected(settings) as connection:
+    with connected(settings, PATIENT_S) as connection:
         assert hold(connection, "psm1").outcome is Outcome.UNKNOWN
         answer, plan = ask_for_grasp(connection, "psm1", Policy.DIRECT, s=0.5)
     assert (answer.outcome, plan) == (Outcome.UNKNOWN, None)
     assert "planner" in answer.reason
 
 
-def test_an_arm_that_falls_silent_is_left(settings, bridge, monkeypatch):
+def test_an_arm_that_falls_silent_is_left(settings, bridge, monkeypatch, in_threads, until):
     monkeypatch.setattr("agents.operator.operator.SILENCE_S", 0.5)
     with (
-        running(settings, HandMadeThread()),
-        running(settings, Planner()),
-        running(settings, bridge) as runner,
-        connected(settings) as connection,
+        in_threads(settings, HandMadeThread(), Planner(), bridge) as (*_, runner),
+        connected(settings, PATIENT_S) as connection,
     ):
         until(lambda: ready(connection))
         plan = planned(connection, Policy.DIRECT, s=0.2)

@@ -42,12 +42,12 @@ def test_what_comes_after_the_end_is_dropped():
 
 def test_taking_waits_for_the_next_item_and_for_the_end():
     backlog, taken = Backlog(), []
-    reader = threading.Thread(target=lambda: taken.extend(iter(backlog.take, None)))
+    reader = threading.Thread(target=lambda: taken.extend(iter(backlog.take, None)), daemon=True)
     reader.start()
     backlog.put("lane", 1, 3, "lane")
     backlog.put("lane", 2, 3, "lane")
     backlog.close()
-    reader.join(10)
+    reader.join(60)
     assert taken == [1, 2]
 
 

@@ -56,8 +56,8 @@ def test_the_bytes_of_what_is_dropped_are_never_asked_for():
 def test_wake_ends_a_wait():
     inbox = Inbox()
     found = []
-    waiting = threading.Thread(target=lambda: found.append(inbox.take(60.0)))
+    waiting = threading.Thread(target=lambda: found.append(inbox.take(600.0)), daemon=True)
     waiting.start()
     inbox.wake()
-    waiting.join(10.0)
+    waiting.join(60.0)
     assert found == [None]
