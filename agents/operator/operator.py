@@ -23,7 +23,7 @@ from schemas.messages import (
     Policy,
 )
 from schemas.topics import ARM, EXECUTION, GOAL, HEARTBEAT, HOLD, PLAN, ROBOT_STATE, Topic
-from shared.clock import monotonic_s, now_ns
+from shared.clock import monotonic_s
 from shared.runtime.commands import new_header
 from shared.runtime.connection import Connection
 from shared.runtime.taps import Tapped
@@ -37,14 +37,11 @@ AWAKE_S = 0.4
 """Longer than this the heartbeat does not go on by itself."""
 ARMING_S = 5.0
 """The same while arming, whose answer may take as long."""
-HISTORY_NS = 500_000_000
-"""Events that are older than the arming by more than clocks may differ are of an earlier one."""
 PLAN_ARRIVES_S = 1.0
 UNKNOWN_PLAN = "unknown_plan"
 SILENCE_S = 2.0
 """An arm that reports a hundred times a second and has not for so long is not there any more."""
 END = (ExecutionKind.FINISHED, ExecutionKind.HELD)
-"""A refusal that is told after an acceptance is of an earlier arming of the same plan."""
 
 
 class Events:
@@ -130,24 +127,22 @@ def arm_and_stand_by(
 ) -> Stood:
     """Arm a plan and keep its heartbeat until it ends, the arm falls silent, or `stopped` is set, which disarms."""
     events, silence = Events(connection, EXECUTION), _Silence(connection, arm)
-    began_ns, awake_until_s = now_ns(), [monotonic_s() + ARMING_S]
+    arming_id, awake_until_s = [""], [monotonic_s() + ARMING_S]
 
     def beat(at_ns: int) -> Heartbeat | None:
         """While whoever stands by can still react: a thread of its own would beat on behind a blocked terminal."""
-        if stopped.is_set() or monotonic_s() > awake_until_s[0]:
+        if stopped.is_set() or not arming_id[0] or monotonic_s() > awake_until_s[0]:
             return None
-        return Heartbeat(arm, plan_id, at_ns)
+        return Heartbeat(arm, plan_id, at_ns, arming_id[0])
 
     with connection.repeating(HEARTBEAT, arm, HEARTBEAT_HZ, beat):
-        answer = _armed(connection, arm, plan_id)
+        answer = _armed(connection, arm, plan_id, arming_id)
         if answer.outcome is not Outcome.ACCEPTED:
             return Stood(answer)
         while not stopped.is_set():
             awake_until_s[0] = monotonic_s() + AWAKE_S
             event = events.next(LOOK_S)
-            if isinstance(event, ExecutionEvent) and (event.arm, event.plan_id) == (arm, plan_id):
-                if event.at_ns < began_ns - HISTORY_NS:
-                    continue
+            if isinstance(event, ExecutionEvent) and (event.arm, event.arming_id) == (arm, arming_id[0]):
                 told(event)
                 if event.kind in END:
                     return Stood(answer, event)
@@ -156,11 +151,13 @@ def arm_and_stand_by(
     return Stood(answer, left="disarmed: the heartbeat has ended, and the arm holds")
 
 
-def _armed(connection: Connection, arm: str, plan_id: str) -> CommandAnswer:
-    """The answer to arming; a plan that its bridge does not know may still be on its way there."""
+def _armed(connection: Connection, arm: str, plan_id: str, arming_id: list[str]) -> CommandAnswer:
+    """The answer to arming, whose id is noted; a plan that its bridge does not know may still be on its way there."""
     deadline_s, turn = monotonic_s() + PLAN_ARRIVES_S, threading.Event()
     while True:
-        answer = connection.command(ARM, Arm(new_header(SENDER), arm, plan_id), arm)
+        header = new_header(SENDER)
+        arming_id[0] = header.id
+        answer = connection.command(ARM, Arm(header, arm, plan_id), arm)
         if answer.code != UNKNOWN_PLAN or monotonic_s() > deadline_s:
             return answer
         turn.wait(LOOK_S)

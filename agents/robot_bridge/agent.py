@@ -160,12 +160,12 @@ class RobotBridge:
         if isinstance(following, Refusal):
             return self._hold(following, now_ns)
         self._backend.move(following.joints, following.jaw_rad)
-        plan_id = execution.plan_id
-        events = [self._event(plan_id, ExecutionKind.PHASE_REACHED, now_ns, phase=p) for p in following.reached]
+        of = execution.plan_id, execution.arming_id
+        events = [self._event(*of, ExecutionKind.PHASE_REACHED, now_ns, phase=p) for p in following.reached]
         if following.finished:
             self._execution = None
-            self._plans.pop(plan_id, None)
-            events.append(self._event(plan_id, ExecutionKind.FINISHED, now_ns))
+            self._plans.pop(execution.plan_id, None)
+            events.append(self._event(*of, ExecutionKind.FINISHED, now_ns))
         return events
 
     def _hold(self, why: Refusal, now_ns: int) -> list[Output]:
@@ -173,11 +173,14 @@ class RobotBridge:
         self._backend.hold()
         self._holding = True
         execution, self._execution = self._execution, None
-        return [self._event(execution.plan_id, ExecutionKind.HELD, now_ns, why)] if execution else []
+        if execution is None:
+            return []
+        return [self._event(execution.plan_id, execution.arming_id, ExecutionKind.HELD, now_ns, why)]
 
     def _beat(self, heartbeat: Heartbeat) -> None:
         execution = self._execution
-        ours = execution and (heartbeat.arm, heartbeat.plan_id) == (self._config.arm, execution.plan_id)
+        named = (heartbeat.arm, heartbeat.plan_id, heartbeat.arming_id)
+        ours = execution and named == (self._config.arm, execution.plan_id, execution.arming_id)
         if execution and ours and self._now_ns is not None:
             # one that was long on its way, or is played again, does not tell that anybody is there now
             away_s = abs(self._now_ns - heartbeat.at_ns) * 1e-9
@@ -198,12 +201,12 @@ class RobotBridge:
             _keep_few(self._plans, plan.plan_id, plan)
 
     def _answer_arm(self, command: Command, message: Arm) -> list[Output | CommandAnswer]:
-        armed = self._arm(command, message)
+        armed, of = self._arm(command, message), (message.plan_id, message.header.id)
         if isinstance(armed, Refusal):
-            refused = self._event(message.plan_id, ExecutionKind.REFUSED, command.now_ns, armed)
+            refused = self._event(*of, ExecutionKind.REFUSED, command.now_ns, armed)
             return [_refused(message.header.id, armed), refused]
         self._execution, self._holding = armed, False
-        accepted = self._event(message.plan_id, ExecutionKind.ACCEPTED, command.now_ns)
+        accepted = self._event(*of, ExecutionKind.ACCEPTED, command.now_ns)
         return [CommandAnswer(message.header.id, Outcome.ACCEPTED, "", ""), accepted]
 
     def _answer_hold(self, command: Command, message: Hold) -> list[Output | CommandAnswer]:
@@ -232,7 +235,7 @@ class RobotBridge:
         if isinstance(planned, Refusal):
             return planned
         patience = Patience(self._config.first_heartbeat_s, self._config.dead_man_s)
-        return Execution(plan.plan_id, planned, self._now_ns, patience, self._backend.psm)
+        return Execution(message, planned, self._now_ns, patience, self._backend.psm)
 
     def _wrong_arm(self, command: Command, arm: str) -> Refusal | None:
         named = next((name for name in (arm, command.instance) if name != self._config.arm), None)
@@ -270,10 +273,17 @@ class RobotBridge:
         return RobotMode.HOLDING if self._holding else RobotMode.IDLE
 
     def _event(
-        self, plan_id: str, kind: ExecutionKind, at_ns: int, why: Refusal | None = None, phase: Phase | None = None
+        self,
+        plan_id: str,
+        arming_id: str,
+        kind: ExecutionKind,
+        at_ns: int,
+        why: Refusal | None = None,
+        phase: Phase | None = None,
     ) -> Output:
         code, reason = (why.code.value, why.sentence) if why else ("", "")
-        return Output(EXECUTION, ExecutionEvent(plan_id, self._config.arm, at_ns, kind, phase, code, reason))
+        event = ExecutionEvent(plan_id, self._config.arm, at_ns, kind, phase, code, reason, arming_id)
+        return Output(EXECUTION, event)
 
 
 def _refused(command_id: str, why: Refusal) -> CommandAnswer:

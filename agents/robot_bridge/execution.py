@@ -9,7 +9,7 @@ from agents.robot_bridge.backend import ArmState
 from agents.robot_bridge.motion import Trajectory
 from agents.robot_bridge.path import angles_between
 from agents.robot_bridge.refusals import Code, Refusal
-from schemas.messages import Phase
+from schemas.messages import Arm, Phase
 from shared.kinematics.psm import Psm, forward
 
 LONGEST_STEP_PERIODS = 2
@@ -43,12 +43,13 @@ class Execution:
     """An armed plan. It moves only while heartbeats come, and rests at every stop until the arm has arrived.
 
     Fields:
+        plan_id, arming_id: which plan is carried out, and by which command.
         moving: a heartbeat has come, so that set points follow.
     """
 
-    def __init__(self, plan_id: str, trajectory: Trajectory, armed_ns: int, patience: Patience, psm: Psm) -> None:
+    def __init__(self, armed: Arm, trajectory: Trajectory, armed_ns: int, patience: Patience, psm: Psm) -> None:
         """Arm a plan; nothing moves before the first heartbeat."""
-        self.plan_id = plan_id
+        self.plan_id, self.arming_id = armed.plan_id, armed.header.id
         self.moving = False
         self._trajectory, self._patience, self._psm = trajectory, patience, psm
         self._alive_ns, self._beat_at_ns = armed_ns, None

@@ -164,17 +164,19 @@ class FrameStamp(_message.Message):
     def __init__(self, sequence: _Optional[int] = ..., capture_left_ns: _Optional[int] = ..., capture_right_ns: _Optional[int] = ..., calibration_id: _Optional[str] = ...) -> None: ...
 
 class StereoFrame(_message.Message):
-    __slots__ = ("stamp", "left", "right")
+    __slots__ = ("stamp", "left", "right", "consumed")
     STAMP_FIELD_NUMBER: _ClassVar[int]
     LEFT_FIELD_NUMBER: _ClassVar[int]
     RIGHT_FIELD_NUMBER: _ClassVar[int]
+    CONSUMED_FIELD_NUMBER: _ClassVar[int]
     stamp: FrameStamp
     left: Image
     right: Image
-    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., left: _Optional[_Union[Image, _Mapping]] = ..., right: _Optional[_Union[Image, _Mapping]] = ...) -> None: ...
+    consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
+    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., left: _Optional[_Union[Image, _Mapping]] = ..., right: _Optional[_Union[Image, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
 
 class StereoCalibration(_message.Message):
-    __slots__ = ("image_width", "image_height", "K_left", "K_right", "distortion_left", "distortion_right", "T_right_left", "metres_per_unit")
+    __slots__ = ("image_width", "image_height", "K_left", "K_right", "distortion_left", "distortion_right", "T_right_left", "metres_per_unit", "consumed")
     IMAGE_WIDTH_FIELD_NUMBER: _ClassVar[int]
     IMAGE_HEIGHT_FIELD_NUMBER: _ClassVar[int]
     K_LEFT_FIELD_NUMBER: _ClassVar[int]
@@ -183,6 +185,7 @@ class StereoCalibration(_message.Message):
     DISTORTION_RIGHT_FIELD_NUMBER: _ClassVar[int]
     T_RIGHT_LEFT_FIELD_NUMBER: _ClassVar[int]
     METRES_PER_UNIT_FIELD_NUMBER: _ClassVar[int]
+    CONSUMED_FIELD_NUMBER: _ClassVar[int]
     image_width: int
     image_height: int
     K_left: Array
@@ -191,7 +194,8 @@ class StereoCalibration(_message.Message):
     distortion_right: Array
     T_right_left: Array
     metres_per_unit: float
-    def __init__(self, image_width: _Optional[int] = ..., image_height: _Optional[int] = ..., K_left: _Optional[_Union[Array, _Mapping]] = ..., K_right: _Optional[_Union[Array, _Mapping]] = ..., distortion_left: _Optional[_Union[Array, _Mapping]] = ..., distortion_right: _Optional[_Union[Array, _Mapping]] = ..., T_right_left: _Optional[_Union[Array, _Mapping]] = ..., metres_per_unit: _Optional[float] = ...) -> None: ...
+    consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
+    def __init__(self, image_width: _Optional[int] = ..., image_height: _Optional[int] = ..., K_left: _Optional[_Union[Array, _Mapping]] = ..., K_right: _Optional[_Union[Array, _Mapping]] = ..., distortion_left: _Optional[_Union[Array, _Mapping]] = ..., distortion_right: _Optional[_Union[Array, _Mapping]] = ..., T_right_left: _Optional[_Union[Array, _Mapping]] = ..., metres_per_unit: _Optional[float] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
 
 class RectifiedStereo(_message.Message):
     __slots__ = ("image_width", "image_height", "fx_px", "fy_px", "cx_px", "cy_px", "baseline", "metres_per_unit")
@@ -441,6 +445,14 @@ class LogRecord(_message.Message):
     text: str
     def __init__(self, at_ns: _Optional[int] = ..., agent: _Optional[str] = ..., instance: _Optional[str] = ..., level: _Optional[_Union[LogLevel, str]] = ..., text: _Optional[str] = ...) -> None: ...
 
+class ClockReading(_message.Message):
+    __slots__ = ("host", "at_ns")
+    HOST_FIELD_NUMBER: _ClassVar[int]
+    AT_NS_FIELD_NUMBER: _ClassVar[int]
+    host: str
+    at_ns: int
+    def __init__(self, host: _Optional[str] = ..., at_ns: _Optional[int] = ...) -> None: ...
+
 class ReplayClock(_message.Message):
     __slots__ = ("now_ns", "rate")
     NOW_NS_FIELD_NUMBER: _ClassVar[int]
@@ -492,14 +504,16 @@ class Prompt(_message.Message):
     def __init__(self, header: _Optional[_Union[CommandHeader, _Mapping]] = ..., pixel: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
 
 class Heartbeat(_message.Message):
-    __slots__ = ("arm", "plan_id", "at_ns")
+    __slots__ = ("arm", "plan_id", "at_ns", "arming_id")
     ARM_FIELD_NUMBER: _ClassVar[int]
     PLAN_ID_FIELD_NUMBER: _ClassVar[int]
     AT_NS_FIELD_NUMBER: _ClassVar[int]
+    ARMING_ID_FIELD_NUMBER: _ClassVar[int]
     arm: str
     plan_id: str
     at_ns: int
-    def __init__(self, arm: _Optional[str] = ..., plan_id: _Optional[str] = ..., at_ns: _Optional[int] = ...) -> None: ...
+    arming_id: str
+    def __init__(self, arm: _Optional[str] = ..., plan_id: _Optional[str] = ..., at_ns: _Optional[int] = ..., arming_id: _Optional[str] = ...) -> None: ...
 
 class Waypoint(_message.Message):
     __slots__ = ("T_camera_tool", "jaw_rad", "phase", "s")
@@ -556,7 +570,7 @@ class GraspPlan(_message.Message):
     def __init__(self, plan_id: _Optional[str] = ..., arm: _Optional[str] = ..., goal_id: _Optional[str] = ..., stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., policy: _Optional[_Union[Policy, str]] = ..., s_goal: _Optional[float] = ..., s_capture: _Optional[float] = ..., probability: _Optional[float] = ..., slide_m: _Optional[float] = ..., waypoints: _Optional[_Iterable[_Union[Waypoint, _Mapping]]] = ..., alternatives: _Optional[_Iterable[_Union[Alternative, _Mapping]]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
 
 class RobotState(_message.Message):
-    __slots__ = ("arm", "measured_ns", "mode", "T_base_tool", "joints", "jaw_rad", "T_camera_base", "plan_id")
+    __slots__ = ("arm", "measured_ns", "mode", "T_base_tool", "joints", "jaw_rad", "T_camera_base", "plan_id", "consumed")
     ARM_FIELD_NUMBER: _ClassVar[int]
     MEASURED_NS_FIELD_NUMBER: _ClassVar[int]
     MODE_FIELD_NUMBER: _ClassVar[int]
@@ -565,6 +579,7 @@ class RobotState(_message.Message):
     JAW_RAD_FIELD_NUMBER: _ClassVar[int]
     T_CAMERA_BASE_FIELD_NUMBER: _ClassVar[int]
     PLAN_ID_FIELD_NUMBER: _ClassVar[int]
+    CONSUMED_FIELD_NUMBER: _ClassVar[int]
     arm: str
     measured_ns: int
     mode: RobotMode
@@ -573,10 +588,11 @@ class RobotState(_message.Message):
     jaw_rad: float
     T_camera_base: Array
     plan_id: str
-    def __init__(self, arm: _Optional[str] = ..., measured_ns: _Optional[int] = ..., mode: _Optional[_Union[RobotMode, str]] = ..., T_base_tool: _Optional[_Union[Array, _Mapping]] = ..., joints: _Optional[_Union[Array, _Mapping]] = ..., jaw_rad: _Optional[float] = ..., T_camera_base: _Optional[_Union[Array, _Mapping]] = ..., plan_id: _Optional[str] = ...) -> None: ...
+    consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
+    def __init__(self, arm: _Optional[str] = ..., measured_ns: _Optional[int] = ..., mode: _Optional[_Union[RobotMode, str]] = ..., T_base_tool: _Optional[_Union[Array, _Mapping]] = ..., joints: _Optional[_Union[Array, _Mapping]] = ..., jaw_rad: _Optional[float] = ..., T_camera_base: _Optional[_Union[Array, _Mapping]] = ..., plan_id: _Optional[str] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
 
 class ExecutionEvent(_message.Message):
-    __slots__ = ("plan_id", "arm", "at_ns", "kind", "phase", "code", "reason")
+    __slots__ = ("plan_id", "arm", "at_ns", "kind", "phase", "code", "reason", "arming_id", "consumed")
     PLAN_ID_FIELD_NUMBER: _ClassVar[int]
     ARM_FIELD_NUMBER: _ClassVar[int]
     AT_NS_FIELD_NUMBER: _ClassVar[int]
@@ -584,6 +600,8 @@ class ExecutionEvent(_message.Message):
     PHASE_FIELD_NUMBER: _ClassVar[int]
     CODE_FIELD_NUMBER: _ClassVar[int]
     REASON_FIELD_NUMBER: _ClassVar[int]
+    ARMING_ID_FIELD_NUMBER: _ClassVar[int]
+    CONSUMED_FIELD_NUMBER: _ClassVar[int]
     plan_id: str
     arm: str
     at_ns: int
@@ -591,7 +609,9 @@ class ExecutionEvent(_message.Message):
     phase: Phase
     code: str
     reason: str
-    def __init__(self, plan_id: _Optional[str] = ..., arm: _Optional[str] = ..., at_ns: _Optional[int] = ..., kind: _Optional[_Union[ExecutionKind, str]] = ..., phase: _Optional[_Union[Phase, str]] = ..., code: _Optional[str] = ..., reason: _Optional[str] = ...) -> None: ...
+    arming_id: str
+    consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
+    def __init__(self, plan_id: _Optional[str] = ..., arm: _Optional[str] = ..., at_ns: _Optional[int] = ..., kind: _Optional[_Union[ExecutionKind, str]] = ..., phase: _Optional[_Union[Phase, str]] = ..., code: _Optional[str] = ..., reason: _Optional[str] = ..., arming_id: _Optional[str] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
 
 class SimulatorState(_message.Message):
     __slots__ = ("at_ns", "camera", "background", "colour", "seed", "distance_m", "radius_m", "knots", "control_points_camera", "held", "consumed")

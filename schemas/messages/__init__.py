@@ -35,6 +35,7 @@ from schemas.messages.imaging import (
 )
 from schemas.messages.running import (
     AgentHealth,
+    ClockReading,
     CommandAnswer,
     CommandHeader,
     CommandRecord,
@@ -68,6 +69,7 @@ __all__ = [
     "Alternative",
     "Arm",
     "Centrelines",
+    "ClockReading",
     "CommandAnswer",
     "CommandHeader",
     "CommandRecord",

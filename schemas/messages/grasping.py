@@ -80,15 +80,21 @@ class Prompt:
 
 @dataclass(frozen=True)
 class Heartbeat:
-    """The operator is there and wants the armed plan to go on."""
+    """The operator is there and wants the armed plan to go on.
+
+    Fields:
+        arming_id: the id of the Arm command, so that a heartbeat of one arming is none of another.
+    """
 
     arm: str
     plan_id: str
     at_ns: int
+    arming_id: str
 
     def __post_init__(self) -> None:
         check_message(self)
         _check_arm(self.arm)
+        require(self.arming_id != "", "a heartbeat names its arming")
 
 
 class Phase(enum.Enum):
@@ -183,6 +189,7 @@ class RobotState:
     jaw_rad: float
     T_camera_base: Float64[np.ndarray, "4 4"]
     plan_id: str
+    consumed: tuple[Consumed, ...] = ()
 
     def __post_init__(self) -> None:
         check_message(self)
@@ -203,7 +210,11 @@ class ExecutionKind(enum.Enum):
 
 @dataclass(frozen=True)
 class ExecutionEvent:
-    """One event in the carrying out of a plan; REFUSED and HELD have a code and a reason."""
+    """One event in the carrying out of a plan; REFUSED and HELD have a code and a reason.
+
+    Fields:
+        arming_id: the id of the Arm command that the event is of.
+    """
 
     plan_id: str
     arm: str
@@ -212,6 +223,8 @@ class ExecutionEvent:
     phase: Phase | None
     code: str
     reason: str
+    arming_id: str = ""
+    consumed: tuple[Consumed, ...] = ()
 
     def __post_init__(self) -> None:
         check_message(self)

@@ -7,10 +7,13 @@ import numpy as np
 from jaxtyping import Float64
 
 from schemas.checks import check_message, require
+from schemas.messages.running import Consumed
 
 ROTATION_TOLERANCE = 1e-2
 """How far `R Rᵀ` may be from the identity before a matrix is no rotation at all. Text files keep four digits, and
 what is merely imprecise is judged and repaired where it is read."""
+LARGEST_SIDE_PX = 1 << 14
+"""Twice the side of an 8K image: a greater size in a calibration is a slip, and maps made for it fill the memory."""
 
 
 class ImageEncoding(enum.Enum):
@@ -66,6 +69,7 @@ class StereoFrame:
     stamp: FrameStamp
     left: Image
     right: Image
+    consumed: tuple[Consumed, ...] = ()
 
     def __post_init__(self) -> None:
         check_message(self)
@@ -93,12 +97,18 @@ class StereoCalibration:
     distortion_right: Float64[np.ndarray, "d_right"]
     T_right_left: Float64[np.ndarray, "4 4"]
     metres_per_unit: float | None
+    consumed: tuple[Consumed, ...] = ()
 
     def __post_init__(self) -> None:
         check_message(self)
         require(
             self.image_width > 0 and self.image_height > 0,
             f"the calibration's image size must be positive, not {self.image_width}x{self.image_height}",
+        )
+        require(
+            max(self.image_width, self.image_height) <= LARGEST_SIDE_PX,
+            f"the calibration is for images of {self.image_width}x{self.image_height} px, and no side may exceed "
+            f"{LARGEST_SIDE_PX} px: look at the size in its file",
         )
         for name, K in (("left", self.K_left), ("right", self.K_right)):
             require(K[0, 0] > 0 and K[1, 1] > 0, f"the {name} focal lengths must be positive")

@@ -8,7 +8,10 @@ from schemas.checks import check_message, require
 
 @dataclass(frozen=True)
 class Consumed:
-    """One message that an output was made from: its key, and its number in one run (epoch) of its publisher."""
+    """One message that an output was made from: its key, and its number in one run (epoch) of its publisher.
+
+    A tick of the agent's own clock is one too: its key ends in `tick`, and its number is its time in nanoseconds.
+    """
 
     key: str
     epoch: int
@@ -144,6 +147,14 @@ class LogRecord:
     instance: str
     level: LogLevel
     text: str
+
+
+@dataclass(frozen=True)
+class ClockReading:
+    """What the clock of an agent's host says at the moment of the answer."""
+
+    host: str
+    at_ns: int
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """A name for a calibration, by which a frame says which one it was taken with."""
 
+import dataclasses
 import hashlib
 
 from schemas.codec import encode
@@ -8,4 +9,5 @@ from schemas.messages import StereoCalibration
 
 def calibration_id(calibration: StereoCalibration) -> str:
     """A short name of a calibration that changes whenever any of its numbers does."""
-    return hashlib.sha256(encode(calibration)).hexdigest()[:12]
+    numbers = dataclasses.replace(calibration, consumed=())
+    return hashlib.sha256(encode(numbers)).hexdigest()[:12]

@@ -16,6 +16,7 @@ from schemas.messages import (
     Alternative,
     Arm,
     Centrelines,
+    ClockReading,
     CommandAnswer,
     CommandHeader,
     CommandRecord,
@@ -78,6 +79,8 @@ def images(draw, size=None):
 
 
 nanoseconds = st.integers(-(2**63), 2**63 - 1)
+uint64 = st.integers(0, 2**64 - 1)
+consumed = st.lists(st.builds(Consumed, texts.filter(bool), uint64, uint64), max_size=3).map(tuple)
 stamps = st.builds(FrameStamp, st.integers(0, 2**64 - 1), nanoseconds, nanoseconds, texts)
 cameras = st.builds(RectifiedStereo, sizes, sizes, positive, positive, numbers, numbers, positive, units)
 judgements = st.builds(Judgement, texts, st.sampled_from(Severity), texts, texts)
@@ -87,7 +90,7 @@ outcomes = st.just((Status.OK, "")) | texts.filter(bool).map(lambda reason: (Sta
 @st.composite
 def stereo_frames(draw):
     size = draw(st.tuples(sizes, sizes))
-    return StereoFrame(draw(stamps), draw(images(size)), draw(images(size)))
+    return StereoFrame(draw(stamps), draw(images(size)), draw(images(size)), draw(consumed))
 
 
 @st.composite
@@ -98,7 +101,7 @@ def calibrations(draw):
     T[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
     T[:3, 3] = draw(positive), draw(numbers), draw(numbers)
     left, right = (draw(array(draw(st.sampled_from([0, 4, 5, 8, 12, 14])))) for _ in range(2))
-    return StereoCalibration(draw(sizes), draw(sizes), K, K.copy(), left, right, T, draw(units))
+    return StereoCalibration(draw(sizes), draw(sizes), K, K.copy(), left, right, T, draw(units), draw(consumed))
 
 
 @st.composite
@@ -184,10 +187,8 @@ def reconstructions(draw):
     )
 
 
-uint64 = st.integers(0, 2**64 - 1)
 names = st.text("abcxyz_019", min_size=1, max_size=8)
 shares_of_one = st.floats(0, 1)
-consumed = st.lists(st.builds(Consumed, texts.filter(bool), uint64, uint64), max_size=3).map(tuple)
 headers = st.builds(CommandHeader, texts.filter(bool), nanoseconds, texts)
 refusals = st.builds(
     CommandAnswer, texts, st.sampled_from([Outcome.REFUSED, Outcome.UNKNOWN]), texts.filter(bool), texts
@@ -240,7 +241,7 @@ def goals(draw):
 arms = st.builds(Arm, headers, names, texts.filter(bool))
 holds = st.builds(Hold, headers, names)
 prompts = st.builds(Prompt, headers, array(2))
-heartbeats = st.builds(Heartbeat, names, texts, nanoseconds)
+heartbeats = st.builds(Heartbeat, names, texts, nanoseconds, texts.filter(bool))
 waypoints = st.builds(Waypoint, poses(), numbers, st.sampled_from(Phase), st.none() | numbers)
 alternatives = st.builds(Alternative, numbers, numbers, texts)
 
@@ -268,7 +269,7 @@ def plans(draw):
 
 
 robot_states = st.builds(
-    RobotState, names, nanoseconds, st.sampled_from(RobotMode), poses(), array(6), numbers, poses(), texts
+    RobotState, names, nanoseconds, st.sampled_from(RobotMode), poses(), array(6), numbers, poses(), texts, consumed
 )
 
 
@@ -278,7 +279,8 @@ def events(draw):
     stopped = kind in (ExecutionKind.REFUSED, ExecutionKind.HELD)
     code = draw(texts.filter(bool)) if stopped else ""
     phase = draw(st.none() | st.sampled_from(Phase))
-    return ExecutionEvent(draw(texts), draw(names), draw(nanoseconds), kind, phase, code, draw(texts))
+    of = draw(texts), draw(consumed)
+    return ExecutionEvent(draw(texts), draw(names), draw(nanoseconds), kind, phase, code, draw(texts), *of)
 
 
 @st.composite
@@ -323,6 +325,7 @@ MESSAGES = {
     ThreadObservations: observations(),
     ReliabilityRegions: regions(),
     ThreadReconstruction: reconstructions(),
+    ClockReading: st.builds(ClockReading, texts, nanoseconds),
     Consumed: st.builds(Consumed, texts.filter(bool), uint64, uint64),
     CommandHeader: headers,
     CommandAnswer: answers,

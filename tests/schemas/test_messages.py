@@ -77,6 +77,11 @@ REFUSED = {
         "left is 4x2, right is 2x4",
     ),
     "a calibration without size": (CALIBRATION, {"image_height": 0}, "must be positive, not 4x0"),
+    "a calibration for absurd images": (
+        CALIBRATION,
+        {"image_width": 16385},
+        "16385x2 px, and no side may exceed 16384",
+    ),
     "a negative focal length": (
         CALIBRATION,
         {"K_right": np.diag([9.0, -9, 1])},

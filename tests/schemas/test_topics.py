@@ -48,6 +48,11 @@ def matches(wanted, found):
 
 
 @every_agent
+def test_every_output_lists_what_it_was_made_from(agent):
+    assert [topic for topic in agent.outputs if "consumed" not in fields_of(topic.message)] == []
+
+
+@every_agent
 def test_every_input_has_a_producer(agent):
     everything = set().union(*(published(other) for other in AGENTS))
     for wanted in agent.inputs:

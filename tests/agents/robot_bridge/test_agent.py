@@ -98,6 +98,7 @@ class Drive:
         self.backend = UnreliableArm()
         self.bridge = RobotBridge(config or RobotBridgeConfig(), self.backend)
         self.now_ns = EPOCH
+        self.armings, self.arming_id = 0, "none"
         self.said: list[Output | CommandAnswer] = []
         self.tick(0)
 
@@ -121,14 +122,20 @@ class Drive:
         for message in plans:
             self.feed(Received(PLAN, "suturegrasp/lab/planner/main/plan", 0, message))
 
-    def beat(self, plan_id: str = "p1", arm: str = "psm1", at_ns: int | None = None) -> None:
+    def beat(
+        self, plan_id: str = "p1", arm: str = "psm1", at_ns: int | None = None, arming_id: str | None = None
+    ) -> None:
         at_ns = self.now_ns if at_ns is None else at_ns
-        self.feed(Received(HEARTBEAT, "suturegrasp/lab/operator/psm1/heartbeat", 0, Heartbeat(arm, plan_id, at_ns)))
+        heartbeat = Heartbeat(arm, plan_id, at_ns, arming_id or self.arming_id)
+        self.feed(Received(HEARTBEAT, "suturegrasp/lab/operator/psm1/heartbeat", 0, heartbeat))
 
     def arm(self, plan_id: str = "p1", arm: str = "psm1", instance: str = "psm1") -> CommandAnswer:
-        message = Arm(CommandHeader("c", self.now_ns + SECOND, "ann"), arm, plan_id)
+        self.armings += 1
+        message = Arm(CommandHeader(f"arming-{self.armings}", self.now_ns + SECOND, "ann"), arm, plan_id)
         answer = self.feed(Command(ARM, instance, message, self.now_ns))[0]
         assert isinstance(answer, CommandAnswer)
+        if answer.outcome is Outcome.ACCEPTED:
+            self.arming_id = message.header.id
         return answer
 
     def hold(self, arm: str = "psm1") -> CommandAnswer:
@@ -187,7 +194,7 @@ def refusal(drive: Drive, **command: str) -> tuple[str, str]:
 def test_an_armed_plan_is_carried_out_phase_by_phase_to_its_end() -> None:
     drive = Drive()
     drive.publish(plan())
-    assert drive.arm() == CommandAnswer("c", Outcome.ACCEPTED, "", "")
+    assert drive.arm() == CommandAnswer("arming-1", Outcome.ACCEPTED, "", "")
     drive.run(2000)
     kinds = [(event.kind, event.phase) for event in drive.events()]
     reached = [(ExecutionKind.PHASE_REACHED, phase) for phase in Phase]
@@ -266,6 +273,33 @@ def test_heartbeats_from_before_arming_count_for_nothing() -> None:
     drive.arm()
     drive.tick()
     assert drive.states()[-1].mode is RobotMode.IDLE
+
+
+def test_a_heartbeat_of_an_earlier_arming_feeds_no_later_one_of_the_same_plan() -> None:
+    drive = moving()
+    earlier = drive.arming_id
+    drive.hold()
+    assert drive.arm().outcome is Outcome.ACCEPTED
+    joints = drive.state().joints
+    for _ in range(50):
+        drive.beat(arming_id=earlier)
+        state = drive.state()
+        assert state.mode is RobotMode.IDLE
+        assert np.array_equal(state.joints, joints)
+    drive.beat()
+    assert drive.state().mode is RobotMode.MOVING
+
+
+def test_events_name_the_arming_that_they_are_of() -> None:
+    drive = moving()
+    drive.hold()
+    drive.arm("p9")
+    told = [(event.kind, event.arming_id) for event in drive.events()]
+    assert told == [
+        (ExecutionKind.ACCEPTED, "arming-1"),
+        (ExecutionKind.HELD, "arming-1"),
+        (ExecutionKind.REFUSED, "arming-2"),
+    ]
 
 
 def test_a_lost_heartbeat_holds_within_a_fifth_of_a_second_and_a_tick() -> None:

@@ -273,7 +273,7 @@ def session_messages(scene):
             reconstruction.control_points_camera, None,
         ),
         topics.JUDGEMENT: GraspJudgement("plan-1", "psm1", at_ns, Verdict.HELD, 0.4, 0.009, 3e-4, "grasp held"),
-        topics.HEARTBEAT: Heartbeat("psm1", "plan-1", at_ns),
+        topics.HEARTBEAT: Heartbeat("psm1", "plan-1", at_ns, "arming-1"),
         topics.REPLAY_CLOCK: ReplayClock(at_ns, 1.0),
         topics.COMMANDS: CommandRecord(
             "operator/goal", encoding_name(GraspGoal), encode(goal), at_ns,

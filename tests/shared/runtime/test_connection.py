@@ -43,7 +43,7 @@ def test_a_repeated_message_comes_in_order_until_it_ends(settings, until):
     heard = []
     with connected(settings) as listener, connected(settings) as sender:
         listener.listen((HEARTBEAT,), heard.append)
-        with sender.repeating(HEARTBEAT, "psm1", 50.0, lambda at_ns: Heartbeat("psm1", "plan", at_ns)):
+        with sender.repeating(HEARTBEAT, "psm1", 50.0, lambda at_ns: Heartbeat("psm1", "plan", at_ns, "arming")):
             until(lambda: len(heard) >= 5)
         assert "repeat operator/heartbeat" not in [thread.name for thread in threading.enumerate()]
     assert {tapped.key for tapped in heard} == {"suturegrasp/test/operator/psm1/heartbeat"}
