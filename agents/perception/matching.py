@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import scipy.sparse
 from jaxtyping import Bool, Float64, Int64, UInt8
 
 from agents.perception.pixel_graph import neighbour_matrix
@@ -100,26 +101,51 @@ def _row_blocks(segmented: Bool[np.ndarray, "h w"]) -> list[tuple[int, int]]:
 def _match_block(
     left: np.ndarray, right: np.ndarray, segmented_left: np.ndarray, segmented_right: np.ndarray
 ) -> Matches:
-    """All candidates of all segmented left pixels at once: arrays of pixels by disparities."""
+    """All candidates of all segmented left pixels at once: arrays of pixels by disparities.
+
+    Off the thread every pixel of a window costs the same, so only where one falls on the thread is anything looked up:
+    those few are a sparse matrix of what they save, which the window sums.
+    """
     width = left.shape[1]
-    radius = scaled_px(WINDOW_RADIUS_PX, width)
+    radius, disparities = scaled_px(WINDOW_RADIUS_PX, width), largest_disparity_px(width)
     pixel = np.argwhere(segmented_left)
-    disparities = np.arange(1, largest_disparity_px(width) + 1)
-    row, column = pixel[:, :1], pixel[:, 1:] - disparities
-    inside = column >= 0
-    column = np.maximum(column, 0)
-    onto_thread = inside & segmented_right[row, column]
-
-    difference = left[pixel[:, 0], pixel[:, 1]][:, None, :].astype(np.float32) - right[row, column]
-    square = np.where(onto_thread, np.einsum("pdc,pdc->pd", difference, difference), np.float32(SQUARE_OFF_THREAD))
+    onto_thread = _seen_by(pixel, segmented_right, disparities)
     window = neighbour_matrix(pixel, left.shape[:2], radius)
-    cost = window @ square
+    in_window = np.diff(window.indptr).astype(np.float64)[:, None]
 
-    reachable = cv2.dilate(segmented_right.astype(np.uint8), np.ones((2 * radius + 1, 2 * radius + 1), np.uint8))
-    candidate = inside & (np.asarray(reachable)[row, column] > 0)
-    greatest = GREATEST_SQUARE * np.asarray(window.sum(axis=1)).reshape(-1, 1)
-    cost = np.where(candidate, cost, greatest)
-    return _best_two(pixel, disparities, cost, onto_thread, scaled_px(PEAK_HALF_WIDTH_PX, width))
+    square = (2 * radius + 1,) * 2
+    candidate = _seen_by(pixel, cv2.dilate(segmented_right.astype(np.uint8), np.ones(square, np.uint8)), disparities)
+    cost = (window @ -_saved(left, right, pixel, onto_thread)).toarray()
+    cost += SQUARE_OFF_THREAD * in_window
+    np.copyto(cost, GREATEST_SQUARE * in_window, where=~candidate)
+    return _best_two(pixel, cost, onto_thread, scaled_px(PEAK_HALF_WIDTH_PX, width))
+
+
+def _seen_by(pixel: Int64[np.ndarray, "p 2"], mask: np.ndarray, disparities: int) -> Bool[np.ndarray, "p d"]:
+    """The mask of the right image at each left pixel's column less 1, 2, …; nothing left of the image."""
+    height, width = mask.shape
+    padded = np.zeros((height, width + disparities), bool)
+    padded[:, disparities:] = mask
+    # the window that ends before the pixel, walked from its end
+    before = np.lib.stride_tricks.sliding_window_view(padded, disparities, axis=1)[:, :, ::-1]
+    return before[pixel[:, 0], pixel[:, 1]]
+
+
+def _saved(
+    left: np.ndarray, right: np.ndarray, pixel: Int64[np.ndarray, "p 2"], onto_thread: Bool[np.ndarray, "p d"]
+) -> scipy.sparse.csr_matrix:
+    """By how much each pixel's own square at each disparity is less than off the thread: (p, d)."""
+    disparities, count = onto_thread.shape[1], np.count_nonzero(onto_thread, axis=1)
+    index = np.flatnonzero(onto_thread).astype(np.int32) % disparities
+    place = (pixel[:, 0] * left.shape[1] + pixel[:, 1]).astype(np.int32)
+    at_right = np.repeat(place - 1, count) - index
+    square = np.zeros(len(index), np.int32)
+    for channel in range(3):
+        seen_left = np.repeat(left[:, :, channel].ravel()[place].astype(np.int32), count)
+        difference = seen_left - right[:, :, channel].ravel()[at_right]
+        square += difference * difference
+    indptr = np.concatenate(([0], np.cumsum(count)))
+    return scipy.sparse.csr_matrix((SQUARE_OFF_THREAD - square, index, indptr), shape=onto_thread.shape)
 
 
 def is_inlier(cost: Float64[np.ndarray, "p 2"]) -> Bool[np.ndarray, "p"]:
@@ -133,18 +159,17 @@ def is_inlier(cost: Float64[np.ndarray, "p 2"]) -> Bool[np.ndarray, "p"]:
 
 
 def _best_two(
-    pixel: np.ndarray, disparities: np.ndarray, cost: np.ndarray, segmented: np.ndarray, peak_half_width: int
+    pixel: np.ndarray, cost: Float64[np.ndarray, "p d"], segmented: Bool[np.ndarray, "p d"], peak_half_width: int
 ) -> Matches:
     """The best segmented candidate of each pixel, and the least cost outside its peak."""
-    cost_of_segmented = np.where(segmented, cost, np.inf)
-    best = np.argmin(cost_of_segmented, axis=1)
-    has_match = np.isfinite(cost_of_segmented[np.arange(len(pixel)), best])
-    index = np.arange(len(disparities))
-    elsewhere = np.abs(index - best[:, None]) > peak_half_width
-    second = np.where(elsewhere, cost, np.inf).min(axis=1, initial=np.inf)
-    greatest = GREATEST_SQUARE * cost.shape[1]
-    first = cost[np.arange(len(pixel)), best]
-    both = np.column_stack((first, np.where(np.isfinite(second), second, np.maximum(first, greatest))))
-    return Matches(
-        pixel[has_match], disparities[best][has_match].astype(np.float64), both[has_match].astype(np.float64)
-    )
+    has_match = segmented.any(axis=1)
+    pixel, cost, segmented = pixel[has_match], cost[has_match], segmented[has_match]
+    best = np.argmin(np.where(segmented, cost, np.inf), axis=1)
+    every = np.arange(len(pixel))
+    first, count = cost[every, best], cost.shape[1]
+    peak = best[:, None] + np.arange(-peak_half_width, peak_half_width + 1)
+    cost[every[:, None], np.clip(peak, 0, count - 1)] = np.inf
+    second = cost.min(axis=1, initial=np.inf)
+    greatest = np.maximum(first, GREATEST_SQUARE * count)
+    both = np.column_stack((first, np.where(np.isfinite(second), second, greatest)))
+    return Matches(pixel, (best + 1).astype(np.float64), both)

@@ -4,11 +4,14 @@ Found on a reduced image, where a thread is one to four pixels wide; its width c
 
 1. What is darker than its surroundings and what is brighter are looked at apart, so that the gap between two glints
    is no dark line.
-2. Oriented filters, a second derivative across and a long Gaussian along, answer to lines of the thread's width and
-   hardly to specks. Strong ridges are seeds, weaker ones connected to them extend them.
+2. Oriented filters (`line_filter`) answer to lines of the thread's width and hardly to specks. Strong ridges are
+   seeds, weaker ones connected to them extend them.
 3. Of the connected ridges the one whose colour is rarest in the image, weighted by its contrast, is taken to be
    thread. Its colour decides which other ridges belong to it: vessels and folds are ridges too, of another colour.
    A pixel that is only partly thread has a mixture of the thread's colour and the ground's, and is judged as one.
+
+Where it is known about where the thread is, only what lies near is looked at: the same numbers come out there, as if
+nothing else in the image were a ridge.
 """
 
 from dataclasses import dataclass
@@ -17,13 +20,10 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int32, UInt8
 
-from agents.perception.segmentation.threshold import components_with_seed
+from agents.perception.segmentation.line_filter import RADIUS_PX, line_responses
 
 DETECTION_WIDTH_PX = 480
 """Width of the reduced image; the sizes in pixels below are of this image."""
-ACROSS_PX, ALONG_PX = 1.1, 3.0
-"""Standard deviations of the oriented filter: it answers best to a line 2.2 px wide, and well from 1 to 4."""
-ORIENTATIONS = 12
 BACKGROUND_WINDOW = 7
 """Of the median that is the local background, in pixels of twice the size: several times the thread's width."""
 STRONG_PERCENTILE = 99.7
@@ -49,61 +49,118 @@ LEAST_COLOUR_PIXELS = 8
 
 MEAN_OF_CHANNELS = np.full((1, 3), 1 / 3, np.float32)
 EIGHT_NEIGHBOURS = np.ones((3, 3), np.uint8)
+CROP_MARGIN_PX = 2 * (RADIUS_PX + BACKGROUND_WINDOW)
+"""Around what is looked at: far enough for the filters and for the background to see what they see in a whole image.
+Even, so that the image for the background is reduced alike."""
+
+
+@dataclass(frozen=True)
+class _View:
+    """What is looked at of the reduced image.
+
+    Fields:
+        rows, columns: where it lies in the reduced image.
+        near: which pixels of it may be thread; None for all.
+        strong_percentile: of its pixels, what STRONG_PERCENTILE is of the whole image's.
+    """
+
+    rows: slice
+    columns: slice
+    near: Bool[np.ndarray, "h w"] | None
+    strong_percentile: float
+    colour: Float32[np.ndarray, "h w 3"]
+    ground: Float32[np.ndarray, "h w 3"]
+    rarity: Float32[np.ndarray, "h w"]
+
+
+@dataclass(frozen=True)
+class _Pieces:
+    """Connected pieces of a mask.
+
+    Fields:
+        labels: of each pixel; 0 is the ground.
+        weight: the total score of each; 0 of the ground, of specks, and of what holds no seed.
+        extent: the diagonal of each, in pixels.
+    """
+
+    labels: Int32[np.ndarray, "h w"]
+    weight: Float64[np.ndarray, "c"]
+    extent: Float64[np.ndarray, "c"]
 
 
 @dataclass(frozen=True)
 class _Found:
-    """Ridge pixels of one polarity that look like thread, the contrast they were found in, and their strength."""
+    """Ridge pixels of one polarity that look like thread, and their strength."""
 
     ridge: Bool[np.ndarray, "h w"]
-    contrast: Float32[np.ndarray, "h w"]
     strength: float
 
 
-def segment_ridge(image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w"]:
-    """Coverage of each pixel by thread, 0 or 255: dark or bright thread, whichever stands out more."""
+def segment_ridge(
+    image: UInt8[np.ndarray, "h w 3"], near: Bool[np.ndarray, "h w"] | None = None
+) -> UInt8[np.ndarray, "h w"]:
+    """Coverage of each pixel by thread, 0 or 255: dark or bright thread, whichever stands out more.
+
+    Args:
+        near: where thread is looked for; anywhere, if it is None.
+    """
+    if near is not None and not near.any():
+        return np.zeros(image.shape[:2], np.uint8)
     reduced = _reduced(image, min(1.0, DETECTION_WIDTH_PX / image.shape[1]))
-    background = _background(reduced)
-    colour, ground = _lab(reduced), _lab(background)
-    rarity = _rarity(colour)
-    dark, bright = (
-        _thread_among(contrast, rarity, colour, ground)
-        for contrast in (_mean_excess(background, reduced), _mean_excess(reduced, background))
+    rows, columns = _box(near, reduced.shape)
+    seen = reduced[rows, columns]
+    background = _background(seen)
+    view = _view(reduced, background, near, rows, columns)
+    darker, brighter = _mean_excess(background, seen), _mean_excess(seen, background)
+    of_dark, of_bright = line_responses(darker, brighter)
+    dark, bright = _thread_among(of_dark, view), _thread_among(of_bright, view)
+    stronger, contrast = (bright, brighter) if bright.strength > dark.strength else (dark, darker)
+    background, ridge, contrast = (
+        _in_whole(part, view, reduced.shape) for part in (background, stronger.ridge, contrast)
     )
-    full_background = cv2.resize(background, image.shape[1::-1], interpolation=cv2.INTER_LINEAR)
-    if bright.strength > dark.strength:
-        return _at_full_size(bright, _mean_excess(image, full_background))
-    return _at_full_size(dark, _mean_excess(full_background, image))
-
-
-def line_response(contrast: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-    """How much each pixel looks like part of a line: its contrast in grey levels, seen by the best oriented filter."""
-    strongest = np.zeros(contrast.shape, np.float32)
-    for kernel in ORIENTED_KERNELS:
-        answer = cv2.filter2D(contrast, cv2.CV_32F, kernel, borderType=cv2.BORDER_REFLECT)
-        np.maximum(strongest, answer, out=strongest)
-    return strongest
-
-
-def _oriented_kernels() -> list[Float32[np.ndarray, "k k"]]:
-    """Second derivative across, Gaussian along; each sums to 0 and its magnitudes to 2."""
-    radius = round(2.5 * ALONG_PX)
-    y, x = np.mgrid[-radius : radius + 1, -radius : radius + 1].astype(np.float32)
-    kernels: list[np.ndarray] = []
-    for angle in np.arange(ORIENTATIONS) * (np.pi / ORIENTATIONS):
-        u, v = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
-        kernel = (1 - (v / ACROSS_PX) ** 2) * np.exp(-0.5 * (v / ACROSS_PX) ** 2 - 0.5 * (u / ALONG_PX) ** 2)
-        kernel -= kernel.mean()
-        kernels.append((2 * kernel / np.abs(kernel).sum()).astype(np.float32))
-    return kernels
-
-
-ORIENTED_KERNELS = _oriented_kernels()
+    return _at_full_size(image, background, ridge, contrast, stronger is bright)
 
 
 def _reduced(image: np.ndarray, share: float) -> np.ndarray:
     size = (max(1, round(image.shape[1] * share)), max(1, round(image.shape[0] * share)))
     return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+
+
+def _box(near: Bool[np.ndarray, "h w"] | None, shape: tuple[int, ...]) -> tuple[slice, slice]:
+    """The rows and columns of the reduced image that hold everything near, with a margin."""
+    if near is None:
+        return slice(0, shape[0]), slice(0, shape[1])
+    sides: list[slice] = []
+    for axis, size in ((1, shape[0]), (0, shape[1])):
+        hit = np.flatnonzero(near.any(axis=axis)) * (size / near.shape[1 - axis])
+        first = max(0, int(hit[0]) - CROP_MARGIN_PX)
+        sides.append(slice(first - first % 2, min(size, int(hit[-1]) + CROP_MARGIN_PX + 1)))
+    return sides[0], sides[1]
+
+
+def _view(
+    reduced: UInt8[np.ndarray, "H W 3"],
+    background: UInt8[np.ndarray, "h w 3"],
+    near: Bool[np.ndarray, "h w"] | None,
+    rows: slice,
+    columns: slice,
+) -> _View:
+    colour = _lab(reduced)
+    rarity = _rarity(colour, rows, columns)
+    share = rarity.size / (reduced.shape[0] * reduced.shape[1])
+    small = None
+    if near is not None:
+        whole = cv2.resize(near.astype(np.uint8), reduced.shape[1::-1], interpolation=cv2.INTER_NEAREST)
+        small = np.asarray(whole)[rows, columns] > 0
+    return _View(
+        rows=rows,
+        columns=columns,
+        near=small,
+        strong_percentile=max(0.0, 100.0 - (100.0 - STRONG_PERCENTILE) / share),
+        colour=colour[rows, columns],
+        ground=_lab(background),
+        rarity=rarity,
+    )
 
 
 def _background(image: UInt8[np.ndarray, "h w 3"]) -> np.ndarray:
@@ -120,59 +177,54 @@ def _mean_excess(image: np.ndarray, other: np.ndarray) -> Float32[np.ndarray, "h
     return cv2.transform(cv2.subtract(image, other).astype(np.float32), MEAN_OF_CHANNELS).astype(np.float32, copy=False)
 
 
-def _rarity(colour: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]:
+def _rarity(colour: Float32[np.ndarray, "H W 3"], rows: slice, columns: slice) -> Float32[np.ndarray, "h w"]:
     """Mahalanobis distance of each pixel's colour from those of the whole image, up to a limit."""
     sample = colour[::4, ::4].reshape(-1, 3)
     from_mean = sample - sample.mean(axis=0)
     spread, axes = np.linalg.eigh(from_mean.T @ from_mean / len(sample) + 4.0 * np.eye(3))
-    whitened = (colour - np.median(sample, axis=0)) @ (axes / np.sqrt(spread)).astype(np.float32)
-    return np.minimum(np.linalg.norm(whitened, axis=2), RAREST)
+    away = colour[rows, columns] - np.median(sample, axis=0)
+    whitened = cv2.transform(away, (axes / np.sqrt(spread)).T.astype(np.float32))
+    first, second, third = cv2.split(cv2.multiply(whitened, whitened))
+    return np.sqrt(np.minimum(first + second + third, RAREST**2))
 
 
-def _thread_among(
-    contrast: Float32[np.ndarray, "h w"],
-    rarity: Float32[np.ndarray, "h w"],
-    colour: Float32[np.ndarray, "h w 3"],
-    ground: Float32[np.ndarray, "h w 3"],
-) -> _Found:
-    """The thread among the ridges of a contrast."""
-    response = line_response(contrast)
-    score = response * rarity
-    labels, weight, _ = _pieces(_hysteresis(score), score)
-    if not weight.any():
-        return _Found(np.zeros(score.shape, bool), contrast, 0.0)
-    strong = float(np.percentile(response, STRONG_PERCENTILE))
+def _thread_among(response: Float32[np.ndarray, "h w"], view: _View) -> _Found:
+    """The thread among the ridges of one polarity."""
+    if view.near is not None:
+        response = np.where(view.near, response, np.float32(0))
+    score = response * view.rarity
+    strong = float(np.percentile(score, view.strong_percentile))
+    ridges = _pieces(score > GROW_SHARE * strong, score > SEED_SHARE * strong, score)
+    if not ridges.weight.any():
+        return _Found(np.zeros(score.shape, bool), 0.0)
+    strong = float(np.percentile(response, view.strong_percentile))
     ridge = response > FAINT_SHARE * strong
+    piece = ridges.labels[ridge] == int(np.argmax(ridges.weight))
     away = np.full(score.shape, np.inf, np.float32)
-    piece = labels == int(np.argmax(weight))
-    away[ridge] = _colour_distance(colour[ridge], ground[ridge], score[ridge], piece[ridge])
-    alike = ridge & (away < GROWN_COLOUR_LIMIT)
+    away[ridge] = _colour_distance(view.colour[ridge], view.ground[ridge], score[ridge], piece)
+    alike = away < GROWN_COLOUR_LIMIT
     seeds = (response > SEED_SHARE * strong) & (away < COLOUR_LIMIT)
-    labels, weight, extent = _pieces(components_with_seed(alike, seeds, 0), score)
-    kept = (weight > LEAST_WEIGHT_SHARE * weight.max()) & (
-        extent > LEAST_EXTENT_SHARE * extent[weight > 0].max(initial=0)
-    )
+    pieces = _pieces(alike, seeds, score)
+    longest = pieces.extent[pieces.weight > 0].max(initial=0)
+    kept = (pieces.weight > LEAST_WEIGHT_SHARE * pieces.weight.max()) & (pieces.extent > LEAST_EXTENT_SHARE * longest)
     # faint pixels would count for whichever polarity has more clutter to grow into
-    _, clear_weight, _ = _pieces(components_with_seed(alike & (response > GROW_SHARE * strong), seeds, 0), score)
-    return _Found(kept[labels], contrast, float(clear_weight.max()))
-
-
-def _hysteresis(score: Float32[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    strong = float(np.percentile(score, STRONG_PERCENTILE))
-    return components_with_seed(score > GROW_SHARE * strong, score > SEED_SHARE * strong, 0)
+    clear = _pieces(alike & (response > GROW_SHARE * strong), seeds, score)
+    return _Found(kept[pieces.labels], float(clear.weight.max()))
 
 
 def _pieces(
-    mask: Bool[np.ndarray, "h w"], score: Float32[np.ndarray, "h w"]
-) -> tuple[Int32[np.ndarray, "h w"], Float64[np.ndarray, "c"], Float64[np.ndarray, "c"]]:
-    """Labels of the connected pieces; the total score (0 of ground and of specks) and the extent of each."""
+    mask: Bool[np.ndarray, "h w"], seeds: Bool[np.ndarray, "h w"], score: Float32[np.ndarray, "h w"]
+) -> _Pieces:
+    """The connected pieces of a mask, of which only those that hold a seed have weight."""
     count, labelled, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
     extent = np.hypot(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT])
     labels = np.asarray(labelled, np.int32)
-    weight = np.bincount(labels.ravel(), weights=score.ravel(), minlength=count)
+    weight = np.bincount(labels[mask], weights=score[mask], minlength=count)
+    seeded = np.zeros(count, bool)
+    seeded[labels[seeds & mask]] = True
+    weight[~seeded | (extent < LEAST_LENGTH_PX)] = 0.0
     weight[0] = 0.0
-    weight[extent < LEAST_LENGTH_PX] = 0.0
-    return labels, weight, extent
+    return _Pieces(labels, weight, extent)
 
 
 def _colour_distance(
@@ -202,14 +254,32 @@ def _colour_distance(
     return away
 
 
-def _at_full_size(found: _Found, contrast: Float32[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
-    """The thread's pixels in the full image: beside the ridge, with enough of the contrast of its middle."""
-    ridge = found.ridge.astype(np.uint8)
-    middle = cv2.dilate(np.where(found.ridge, found.contrast, 0.0).astype(np.float32), EIGHT_NEIGHBOURS)
+def _at_full_size(
+    image: UInt8[np.ndarray, "H W 3"],
+    background: UInt8[np.ndarray, "h w 3"],
+    ridge: Bool[np.ndarray, "h w"],
+    contrast: Float32[np.ndarray, "h w"],
+    is_bright: bool,
+) -> UInt8[np.ndarray, "H W"]:
+    """The thread's pixels in the full image: beside the ridge, with enough of the contrast of its middle.
+
+    Background, ridge and contrast are of the whole reduced image.
+    """
+    middle = cv2.dilate(np.where(ridge, contrast, np.float32(0)), EIGHT_NEIGHBOURS)
     level = cv2.GaussianBlur(middle * ridge, (0, 0), 2.0) / np.maximum(
         cv2.GaussianBlur(ridge.astype(np.float32), (0, 0), 2.0), 1e-3
     )
-    size = contrast.shape[::-1]
-    beside = cv2.resize(cv2.dilate(ridge, EIGHT_NEIGHBOURS), size, interpolation=cv2.INTER_NEAREST) > 0
+    size = image.shape[1::-1]
+    wide = cv2.dilate(255 * ridge.astype(np.uint8), EIGHT_NEIGHBOURS)
+    beside = cv2.resize(wide, size, interpolation=cv2.INTER_NEAREST)
     edge = EDGE_SHARE * cv2.resize(level, size, interpolation=cv2.INTER_LINEAR)
-    return np.where(beside & (contrast > edge), 255, 0).astype(np.uint8)
+    full_background = cv2.resize(background, size, interpolation=cv2.INTER_LINEAR)
+    lighter, darker = (image, full_background) if is_bright else (full_background, image)
+    return cv2.bitwise_and(cv2.compare(_mean_excess(lighter, darker), edge, cv2.CMP_GT), beside).astype(np.uint8)
+
+
+def _in_whole(part: np.ndarray, view: _View, shape: tuple[int, ...]) -> np.ndarray:
+    """What was found in a part of the reduced image, in the whole of it, with nothing around."""
+    whole = np.zeros((*shape[:2], *part.shape[2:]), part.dtype)
+    whole[view.rows, view.columns] = part
+    return whole

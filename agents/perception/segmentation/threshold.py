@@ -49,7 +49,8 @@ def local_contrast(image: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h 
     small = cv2.resize(image, (max(1, width // step), max(1, height // step)), interpolation=cv2.INTER_AREA)
     window = max(3, round(BACKGROUND_SHARE * small.shape[1]) | 1)
     background = cv2.resize(cv2.medianBlur(small, window), (width, height), interpolation=cv2.INTER_LINEAR)
-    return cv2.absdiff(image, background).max(axis=2).astype(np.float32)
+    blue, green, red = cv2.split(cv2.absdiff(image, background))
+    return cv2.max(cv2.max(blue, green), red).astype(np.float32)
 
 
 def components_with_seed(grown: np.ndarray, seeds: np.ndarray, least_area: float) -> np.ndarray:

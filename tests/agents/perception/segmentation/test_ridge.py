@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from agents.perception.segmentation.ridge import LEAST_LENGTH_PX, line_response, segment_ridge
+from agents.perception.segmentation.ridge import LEAST_LENGTH_PX, segment_ridge
 from shared.scene.__main__ import make_scene
 from shared.scene.render import RenderedPair, render
 
@@ -86,19 +86,6 @@ def test_a_speck_is_no_line():
     assert not segment_ridge(image).any()
 
 
-def test_the_response_to_a_line_is_greatest_on_it_whatever_its_direction():
-    for degrees in np.arange(0, 180, 10.0):
-        direction = np.array([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))])
-        v, u = np.mgrid[:61, :61] - 30.0
-        across = u * direction[1] - v * direction[0]
-        contrast = (50 * np.exp(-0.5 * across**2)).astype(np.float32)
-        response = line_response(contrast)
-        middle = np.s_[15:46, 15:46]
-        on, beside = np.abs(across[middle]) < 0.5, np.abs(across[middle]) > 3
-        assert response[middle][on].min() > 20
-        assert response[middle][beside].max() < 0.25 * response[middle][on].min()
-
-
 @pytest.mark.parametrize("grey", [0, 130, 255])
 def test_an_image_of_one_colour_holds_no_thread(grey):
     assert not segment_ridge(np.full((270, 480, 3), grey, np.uint8)).any()
@@ -108,6 +95,32 @@ def test_an_image_of_one_colour_holds_no_thread(grey):
 def test_tiny_and_narrow_images_are_segmented_without_complaint(shape):
     image = np.random.default_rng(0).integers(0, 256, (*shape, 3), dtype=np.uint8)
     assert segment_ridge(image).shape == shape
+
+
+def test_near_a_known_thread_the_same_thread_is_found_and_nothing_elsewhere():
+    pair = scene("medium", "black", 32)
+    whole = segment_ridge(pair.left_bgr)
+    near = cv2.dilate(np.roll(whole, (7, -9), axis=(0, 1)), np.ones((41, 41), np.uint8)) > 0
+    again = segment_ridge(pair.left_bgr, near)
+    both, either = (whole > 0) & (again > 0), (whole > 0) | (again > 0)
+    assert both.sum() > 0.95 * either.sum()
+    half = near.copy()
+    half[:, : near.shape[1] // 2] = False
+    assert not segment_ridge(pair.left_bgr, half)[:, : near.shape[1] // 2 - 8].any()
+
+
+def test_near_nothing_nothing_is_found():
+    pair = scene("medium", "black", 32)
+    assert not segment_ridge(pair.left_bgr, np.zeros(pair.left_bgr.shape[:2], bool)).any()
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 3), (9, 9), (1, 2500), (600, 3), (77, 641)])
+def test_any_place_to_look_near_is_fine(shape):
+    image = np.random.default_rng(0).integers(0, 256, (*shape, 3), dtype=np.uint8)
+    for place in [(0, 0), (-1, -1), (shape[0] // 2, shape[1] // 2)]:
+        near = np.zeros(shape, bool)
+        near[place] = True
+        assert segment_ridge(image, near).shape == shape
 
 
 def test_noise_gives_a_mask_of_two_values():
