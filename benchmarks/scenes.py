@@ -2,15 +2,18 @@
 
 import csv
 import json
+import zlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Bool, Float64, UInt8
 
 from agents.camera.image_files import read_mask, read_pair, read_side_by_side
+from agents.perception.rectification import rectification
+from benchmarks.occlusions import hiding_shaft
 from schemas.messages import StereoCalibration
 from shared.arc_length import even_parameters
 from shared.calibration import read_calibration
@@ -18,7 +21,17 @@ from shared.splines import clamped_uniform_knots, evaluate
 
 Pair = tuple[UInt8[np.ndarray, "h w *c"], UInt8[np.ndarray, "h w *c"]]
 
+SIM, REAL, CLEAR, CROSSING, OCCLUSION, HIDDEN, BOARD = (
+    "ucsd sim",
+    "ucsd real",
+    "clear render",
+    "crossing render",
+    "occlusion render",
+    "hidden render",
+    "board",
+)
 TRUTH_SAMPLES = 2000
+HIDDEN_SCENES = 20
 GREY_SIM, GREY_REAL = 200, 250
 """Pixels darker than these are the thread of the published scenes, on grey and on white."""
 
@@ -28,9 +41,11 @@ class Scene:
     """A stereo pair with what is known about it.
 
     Fields:
+        group: the kind of scene, as the issue's table of goals tells them apart.
         masks: coverage by thread, as nearly true as is known, for evaluation; None where there is no thread.
         masks_are: where the masks come from.
         truth: points evenly spaced along the true thread, in the left rectified camera; None where unknown.
+        visible: of each of them, whether the left and whether the right image shows it.
         published: figures of others on this scene, by column.
     """
 
@@ -41,22 +56,57 @@ class Scene:
     masks: Pair | None
     masks_are: str
     truth: Float64[np.ndarray, "n 3"] | None
+    visible: Bool[np.ndarray, "n 2"] | None = None
     published: dict[str, float | None] = field(default_factory=dict[str, float | None])
 
 
-def scenes(data: Path) -> Iterator[tuple[str, Callable[[], Scene]]]:
-    """Names of all scenes under a data folder, each with a function that loads it."""
+Loader = Callable[[], Scene]
+
+
+def scenes(data: Path) -> Iterator[tuple[str, str, Loader]]:
+    """All scenes under a data folder: name, group, and a function that loads it."""
     ucsd, renders, board = data / "ucsd_thread", data / "renders", data / "storz_calibration"
     published = _published(ucsd / "published_results.csv", "scene")
     for path in sorted((ucsd / "sim").glob("scene_*.npy")):
-        yield f"ucsd sim {path.stem[6:]}", lambda path=path: _ucsd_sim(path, published.get(path.stem[6:], {}))
+        yield f"{SIM} {path.stem[6:]}", SIM, lambda path=path: _ucsd_sim(path, published.get(path.stem[6:], {}))
     for path in sorted((ucsd / "real").glob("*_left.png")):
-        yield f"ucsd real {path.stem[:-5]}", lambda path=path: _ucsd_real(path)
+        yield f"{REAL} {path.stem[:-5]}", REAL, lambda path=path: _ucsd_real(path)
     peers = _published(renders / "peer_results.csv", "scene")
+    clear: list[tuple[str, Loader]] = []
     for path in sorted(renders.glob("*.json")):
-        yield f"renders {path.stem}", lambda path=path: _render(path, peers.get(path.stem, {}))
+        kind, load = _kind(path), lambda path=path: _render(path, peers.get(path.stem, {}))
+        clear += [(path.stem, load)] if kind == CLEAR else []
+        yield f"{kind} {path.stem}", kind, load
+    for count in range(HIDDEN_SCENES if clear else 0):
+        (name, load), again = clear[count % len(clear)], count // len(clear)
+        yield f"{HIDDEN} {name}_{again}", HIDDEN, lambda load=load, again=again: hidden(load(), again)
     for path in sorted(board.glob("*left.images.*.png")):
-        yield f"board {path.stem.split('.')[-1]}", lambda path=path: _board(path)
+        yield f"{BOARD} {path.stem.split('.')[-1]}", BOARD, lambda path=path: _board(path)
+
+
+def hidden(scene: Scene, again: int) -> Scene:
+    """The scene with a tool in front of it that hides a third of the thread, another one for each `again`."""
+    name = f"{scene.name}_{again}"
+    assert scene.truth is not None and scene.masks is not None and scene.visible is not None
+    camera = rectification(scene.calibration).camera
+    shaft = hiding_shaft(camera, scene.truth, scene.visible, zlib.crc32(name.encode()))
+    painted = [shaft.paint(*pair, eye) for eye, pair in enumerate(zip(scene.images, scene.masks, strict=True))]
+    return replace(
+        scene,
+        group=HIDDEN,
+        name=name,
+        images=(painted[0][0], painted[1][0]),
+        masks=(painted[0][1], painted[1][1]),
+        visible=scene.visible & ~shaft.hides(camera, scene.truth),
+        published={},
+    )
+
+
+def _kind(path: Path) -> str:
+    about = json.loads(path.read_text())
+    if about["crossings_left"]:
+        return CROSSING
+    return OCCLUSION if about["config"] == "occlusion" else CLEAR
 
 
 def _ucsd_sim(path: Path, published: dict[str, float | None]) -> Scene:
@@ -68,13 +118,14 @@ def _ucsd_sim(path: Path, published: dict[str, float | None]) -> Scene:
     knots = clamped_uniform_knots(len(control_points))
     truth = evaluate(knots, control_points, 3, even_parameters(knots, control_points, 3, TRUTH_SAMPLES))
     return Scene(
-        group="ucsd sim",
+        group=SIM,
         name=name,
         images=images,
         calibration=_calibration(path.with_name(calibration), images, None),
         masks=_darker_than(images, GREY_SIM),
         masks_are=f"grey<{GREY_SIM}",
         truth=truth,
+        visible=np.ones((len(truth), 2), bool),
         published={
             "2023 mean": published.get("icra2023_published_mean_error"),
             "2025 mean": published.get("ral2025_code_rerun_mean_error"),
@@ -85,7 +136,7 @@ def _ucsd_sim(path: Path, published: dict[str, float | None]) -> Scene:
 def _ucsd_real(path: Path) -> Scene:
     images = read_pair(path, path.with_name(path.name.replace("_left", "_right")))
     return Scene(
-        group="ucsd real",
+        group=REAL,
         name=path.stem[:-5],
         images=images,
         calibration=_calibration(path.with_name("calibration.yaml"), images, "mm"),
@@ -104,7 +155,7 @@ def _render(path: Path, peer: dict[str, float | None]) -> Scene:
     columns: list[str] = json.loads(path.read_text())["npy_columns"]
     samples = np.load(path.with_suffix(".npy"))
     return Scene(
-        group="renders",
+        group=_kind(path),
         name=path.stem,
         images=images,
         calibration=_calibration(path, images, None),
@@ -114,6 +165,7 @@ def _render(path: Path, peer: dict[str, float | None]) -> Scene:
         ),
         masks_are="true",
         truth=samples[:, [columns.index(axis) for axis in "xyz"]].astype(np.float64),
+        visible=samples[:, [columns.index("visible_left"), columns.index("visible_right")]] > 0,
         published={"2025 mean": peer.get("mean_mm")},
     )
 
@@ -121,7 +173,7 @@ def _render(path: Path, peer: dict[str, float | None]) -> Scene:
 def _board(path: Path) -> Scene:
     images = read_pair(path, path.with_name(path.name.replace("left", "right")))
     calibration = _calibration(path.parent, images, "mm")
-    return Scene("board", path.stem.split(".")[-1], images, calibration, None, "", None)
+    return Scene(BOARD, path.stem.split(".")[-1], images, calibration, None, "", None)
 
 
 def _calibration(path: Path, images: Pair, unit: str | None) -> StereoCalibration:

@@ -4,7 +4,9 @@
   percentiles are averaged over both directions, the maximum is the larger one. Nearest distances forgive a curve that
   visits its places in the wrong order, therefore also
 - *Fréchet*: the discrete Fréchet distance, the shortest leash for two walkers who each follow one curve forwards.
-- *coverage*: the share of places where the true curve lies inside the predicted 95 % ellipse.
+- *end error*: how far the ends lie apart, averaged over both.
+- *coverage*: the share of places where the true curve lies inside the predicted 95 % ellipse of the normal plane.
+- *negative log likelihood*: −log of the density that is predicted for where the true curve crosses that plane.
 - *reprojection*: nearest distances in an image between the projected curve and the segmented pixels, both ways.
 
 The direction of a curve is arbitrary, so the better of both is taken where order counts.
@@ -13,7 +15,7 @@ The direction of a curve is arbitrary, so the better of both is taken where orde
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, Int64
 from scipy.spatial import KDTree
 
 FRECHET_SAMPLES = 400
@@ -29,18 +31,43 @@ class CurveDistance:
     percentile_95: float
     maximum: float
     frechet: float
+    ends: float
 
 
 def curve_distance(a: Float64[np.ndarray, "n d"], b: Float64[np.ndarray, "m d"]) -> CurveDistance:
     """Distances between two polylines whose points are evenly spaced along them."""
-    from_a, from_b = nearest_distances(a, b), nearest_distances(b, a)
+    from_a, from_b = distances_to_polyline(a, b), distances_to_polyline(b, a)
     few_a, few_b = _every(a, FRECHET_SAMPLES), _every(b, FRECHET_SAMPLES)
     return CurveDistance(
         mean=float(0.5 * (from_a.mean() + from_b.mean())),
         percentile_95=float(0.5 * (np.percentile(from_a, 95) + np.percentile(from_b, 95))),
         maximum=float(max(from_a.max(), from_b.max())),
         frechet=min(discrete_frechet(few_a, few_b), discrete_frechet(few_a, few_b[::-1])),
+        ends=min(_end_distance(a, b), _end_distance(a, b[::-1])),
     )
+
+
+def distances_to_polyline(
+    points: Float64[np.ndarray, "n d"], polyline: Float64[np.ndarray, "m d"]
+) -> Float64[np.ndarray, "n"]:
+    """The distance of each point to the polyline: to the two pieces of it that meet in its nearest corner.
+
+    Distances to the corners alone would add half their spacing to errors that are as small as that.
+    """
+    nearest = np.asarray(KDTree(polyline).query(points)[1])
+    if len(polyline) == 1:
+        return np.linalg.norm(points - polyline[0], axis=1)
+    before = np.clip(nearest - 1, 0, len(polyline) - 2), np.clip(nearest, 0, len(polyline) - 2)
+    return np.minimum(*(_distances_to_piece(points, polyline[i], polyline[i + 1]) for i in before))
+
+
+def _distances_to_piece(
+    points: Float64[np.ndarray, "n d"], start: Float64[np.ndarray, "n d"], end: Float64[np.ndarray, "n d"]
+) -> Float64[np.ndarray, "n"]:
+    along, offset = end - start, points - start
+    squared = np.sum(along**2, axis=1)
+    share = np.divide(np.sum(offset * along, axis=1), squared, out=np.zeros(len(points)), where=squared > 0)
+    return np.linalg.norm(offset - np.clip(share, 0.0, 1.0)[:, None] * along, axis=1)
 
 
 def nearest_distances(points: Float64[np.ndarray, "n d"], to: Float64[np.ndarray, "m d"]) -> Float64[np.ndarray, "n"]:
@@ -81,26 +108,51 @@ def reprojection_px(
     return nearest_distances(curve_px[inside], pixel), nearest_distances(pixel, curve_px)
 
 
-def inside_ellipse(
+@dataclass(frozen=True)
+class NormalErrors:
+    """Where the true curve crosses the plane normal to a predicted one, judged by the covariance predicted there.
+
+    Fields:
+        nearest: index of the sample of the true curve that is nearest to each place.
+        squared: squared Mahalanobis distance of the crossing, which has two degrees of freedom.
+        log_likelihood: logarithm of the predicted density there, per squared unit of length.
+    """
+
+    nearest: Int64[np.ndarray, "q"]
+    squared: Float64[np.ndarray, "q"]
+    log_likelihood: Float64[np.ndarray, "q"]
+
+    @property
+    def inside(self) -> Bool[np.ndarray, "q"]:
+        """Whether the true curve passes through the predicted 95 % ellipse."""
+        return self.squared <= CHI_SQUARE_95
+
+
+def normal_errors(
     points: Float64[np.ndarray, "q 3"],
     tangents: Float64[np.ndarray, "q 3"],
     covariance: Float64[np.ndarray, "q 3 3"],
     truth: Float64[np.ndarray, "m 3"],
-) -> Bool[np.ndarray, "q"]:
-    """Whether the true curve passes through the predicted 95 % ellipse in the plane normal to the thread.
+) -> NormalErrors:
+    """How the error in the plane normal to the thread compares with the covariance predicted for it.
 
     Args:
         points: places of the predicted curve, `tangents` its directions there (of any length).
         covariance: predicted at each place.
         truth: the true curve, sampled more densely than the ellipses are wide.
     """
-    nearest = truth[np.asarray(KDTree(truth).query(points)[1])]
+    nearest = np.asarray(KDTree(truth).query(points)[1], dtype=np.int64)
     # the last two right-singular vectors of a direction span the plane normal to it
     plane = np.linalg.svd(tangents[:, None, :])[2][:, 1:]
-    offset = np.einsum("qij,qj->qi", plane, nearest - points)
+    offset = np.einsum("qij,qj->qi", plane, truth[nearest] - points)
     spread = np.einsum("qij,qjk,qlk->qil", plane, covariance, plane)
-    distance = np.einsum("qi,qi->q", offset, np.linalg.solve(spread, offset[..., None])[..., 0])
-    return distance <= CHI_SQUARE_95
+    squared = np.einsum("qi,qi->q", offset, np.linalg.solve(spread, offset[..., None])[..., 0])
+    log_area = np.linalg.slogdet(2.0 * np.pi * spread)[1]
+    return NormalErrors(nearest, squared, -0.5 * (squared + log_area))
+
+
+def _end_distance(a: Float64[np.ndarray, "n d"], b: Float64[np.ndarray, "m d"]) -> float:
+    return float(0.5 * (np.linalg.norm(a[0] - b[0]) + np.linalg.norm(a[-1] - b[-1])))
 
 
 def _every(points: Float64[np.ndarray, "n d"], count: int) -> Float64[np.ndarray, "k d"]:

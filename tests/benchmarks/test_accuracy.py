@@ -9,6 +9,7 @@ import pytest
 
 from benchmarks import accuracy
 from benchmarks.scenes import scenes
+from benchmarks.tables import compare
 
 DATA = pathlib.Path(__file__).parents[2] / "../shared/data"
 
@@ -27,11 +28,14 @@ def run(monkeypatch, *options):
 
 
 def test_every_scene_of_the_data_folder_is_listed(data):
-    names = [name for name, _ in scenes(data)]
-    assert len([name for name in names if name.startswith("ucsd sim")]) == len(list(data.glob("ucsd_thread/sim/*.npy")))
-    assert len([name for name in names if name.startswith("ucsd real")]) == 6
-    assert len([name for name in names if name.startswith("renders")]) == len(list(data.glob("renders/*.json")))
-    assert len(names) == len(set(names))
+    found = list(scenes(data))
+    groups = [group for _, group, _ in found]
+    assert groups.count("ucsd sim") == len(list(data.glob("ucsd_thread/sim/*.npy")))
+    assert groups.count("ucsd real") == 6
+    renders = [groups.count(kind + " render") for kind in ("clear", "crossing", "occlusion", "hidden")]
+    assert sum(renders[:3]) == len(list(data.glob("renders/*.json")))
+    assert renders[3] == 20
+    assert len(found) == len({name for name, _, _ in found})
 
 
 def test_one_scene_is_run_with_and_without_masks_beside_its_published_figures(data, monkeypatch, tmp_path, capsys):
@@ -40,7 +44,9 @@ def test_one_scene_is_run_with_and_without_masks_beside_its_published_figures(da
     assert [row["masks"] for row in rows] == ["none", "grey<200"]
     assert all(row["status"] == "ok" and 0 < row["mean"] <= row["95 %"] <= row["max"] <= row["frechet"] for row in rows)
     assert rows[0]["published"] == {"2023 mean": 0.0646, "2025 mean": 0.0547}
-    assert "median" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "mean error, median / worst" in printed
+    assert "not met" in printed
 
 
 def test_a_real_pair_has_reprojection_and_no_curve_error(data, monkeypatch, tmp_path):
@@ -51,11 +57,11 @@ def test_a_real_pair_has_reprojection_and_no_curve_error(data, monkeypatch, tmp_
 
 
 def test_a_change_against_the_baseline_is_printed(capsys):
-    row = {"group": "g", "scene": "s", "masks": "none", "status": "ok", "mean": 0.1}
-    accuracy.compare([row], [row | {"mean": 0.105}])
+    row = {"group": "g", "scene": "s", "masks": "none", "calibration": "", "status": "ok", "mean": 0.1}
+    compare([row], [row | {"mean": 0.105}])
     assert capsys.readouterr().out == ""
-    accuracy.compare([row], [row | {"mean": 0.2}])
-    accuracy.compare([row], [row | {"status": "failed", "mean": None}])
+    compare([row], [row | {"mean": 0.2}])
+    compare([row], [row | {"status": "failed", "mean": None}])
     assert capsys.readouterr().out.count("changed") == 2
 
 

@@ -4,7 +4,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from shared.curve_distance import curve_distance, discrete_frechet, inside_ellipse, reprojection_px
+from shared.curve_distance import (
+    curve_distance,
+    discrete_frechet,
+    distances_to_polyline,
+    normal_errors,
+    reprojection_px,
+)
 
 POINTS = arrays(np.float64, st.tuples(st.integers(1, 12), st.just(2)), elements=st.floats(-10, 10))
 
@@ -32,6 +38,20 @@ def test_a_curve_is_no_distance_from_itself_walked_backwards():
     curve = np.random.default_rng(0).normal(size=(300, 3)).cumsum(axis=0)
     same = curve_distance(curve, curve[::-1])
     assert (same.mean, same.maximum, same.frechet) == (0.0, 0.0, 0.0)
+
+
+def test_ends_are_compared_in_the_direction_that_fits():
+    shifted = line(200)[::-1] + np.array([0.0, 3.0, 4.0])
+    assert curve_distance(shifted, line(500)).ends == pytest.approx(5.0)
+
+
+@given(arrays(np.float64, (7, 2), elements=st.floats(-10, 10)), st.floats(0.01, 0.99))
+def test_a_place_on_a_piece_of_a_polyline_is_at_most_as_far_as_its_nearest_corner(points, share):
+    polyline, place = line(8)[:, :2] + [0.0, 1.0], points
+    exact = np.hypot(np.clip(np.maximum(-place[:, 0], place[:, 0] - 100.0), 0, None), place[:, 1] - 1.0)
+    assert distances_to_polyline(place, polyline) == pytest.approx(exact)
+    between = (1 - share) * polyline[3] + share * polyline[4]
+    assert distances_to_polyline(between[None], polyline)[0] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_short_curve_is_far_from_the_missing_part_of_a_long_one():
@@ -83,12 +103,15 @@ def test_ellipses_of_the_errors_own_covariance_hold_the_truth_in_95_of_100_place
     places = truth[random.integers(2000, 18_000, 4000)]
     points = places + random.multivariate_normal(np.zeros(3), covariance, len(places))
     tangents = np.tile([2.0, 0.0, 0.0], (len(points), 1))
-    inside = inside_ellipse(points, tangents, np.tile(covariance, (len(points), 1, 1)), truth)
-    assert inside.mean() == pytest.approx(0.95, abs=0.015)
+    errors = normal_errors(points, tangents, np.tile(covariance, (len(points), 1, 1)), truth)
+    assert errors.inside.mean() == pytest.approx(0.95, abs=0.015)
+    # the expected log density of a normal variable in two dimensions is −1 − log 2π − ½ log det
+    entropy = 1 + np.log(2 * np.pi) + 0.5 * np.log(0.3 * 0.02)
+    assert -errors.log_likelihood.mean() == pytest.approx(entropy, abs=0.05)
 
 
 def test_ellipses_that_are_too_small_hold_it_less_often():
     points = line(50, offset=1.0)
     tangents = np.tile([1.0, 0.0, 0.0], (50, 1))
     small = np.tile(np.eye(3) * 0.1**2, (50, 1, 1))
-    assert not inside_ellipse(points, tangents, small, line(5001)).any()
+    assert not normal_errors(points, tangents, small, line(5001)).inside.any()
