@@ -122,7 +122,12 @@ TOPICS = (
 
 def key(rig: str, topic: Topic, instance: str = MAIN, agent: str = "") -> str:
     """The key of a topic; `agent` says whose, where every agent has one of its own."""
-    return f"{ROOT}/{rig}/{agent or topic.agent}/{instance}/{topic.name}"
+    return f"{key_root(rig, instance, agent or topic.agent)}/{topic.name}"
+
+
+def key_root(rig: str, instance: str, agent: str) -> str:
+    """What all keys of one agent begin with."""
+    return f"{ROOT}/{rig}/{agent}/{instance}"
 
 
 def topic_of(key_expression: str) -> Topic:

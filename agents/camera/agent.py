@@ -44,6 +44,7 @@ class Camera:
     inputs: tuple[Input, ...] = ()
     outputs = (FRAMES, CALIBRATION)
     commands: tuple[Topic, ...] = ()
+    only_newest_tick_counts = True
 
     def __init__(self, source: Source, calibration: StereoCalibration, config: CameraConfig) -> None:
         self._source, self._calibration = source, calibration
@@ -75,6 +76,7 @@ class SceneCamera:
     inputs = (Input(SIMULATOR_STATE, only_newest_counts=True),)
     outputs = (FRAMES, CALIBRATION)
     commands: tuple[Topic, ...] = ()
+    only_newest_tick_counts = True
 
     def __init__(
         self,

@@ -65,6 +65,9 @@ class Output:
 class Agent(Protocol):
     """One stage of the dataflow. Where it has a method `close`, that is called once at the end, whatever ended it.
 
+    Where it has `only_newest_tick_counts = True`, a tick that nothing followed has changed nothing, so that a replay
+    may leave it out.
+
     Fields:
         kind: the agent's name in keys, such as `perception`.
         instance: `main`, or the arm's name.

@@ -1,22 +1,26 @@
 """Replay of one agent from a recording: exactly the inputs that it consumed, in that order, and the same outputs.
 
-Each recorded output lists what was fed to the agent since the output before, and the newest of each key of which
-nothing else counts. Feeding the same again must give the same bytes, since a step is a function of what the agent was
-fed. What lies in a recording and was never fed (frames that a newer one replaced) is left out.
+Each recorded output lists what was fed to the agent since the output before (shared/runtime/fed.py). Feeding the same
+again must give the same bytes, since a step is a function of what the agent was fed. What lies in a recording and was
+never fed (frames that a newer one replaced) is left out. Ticks of the agent's clock are in the lists themselves.
 
 A recording may lack an input: it came before the recording began, or was lost on its way to the recorder. The output
-made from it cannot be repeated; it is handed out with what is missing, and is neither the same nor different.
+made from it cannot be repeated; it is handed out with what is missing, and is neither the same nor different. Of an
+agent that adds up what it is fed, the same holds for all outputs after it, and after an output that was lost, of which
+nobody knows what it listed.
 """
 
 import dataclasses
+import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 from schemas.codec import decode, encode
 from schemas.messages import CommandRecord, Consumed
 from schemas.topics import COMMANDS, TOPICS, topic_of
-from shared.runtime.agent import Agent, Command, Output, Received
+from shared.runtime.agent import Agent, Command, Output, Received, Tick
+from shared.runtime.fed import adds_up, is_tick
 
 
 class Recorded(Protocol):
@@ -38,7 +42,8 @@ class Replayed:
 
     Fields:
         now: None where the replay made nothing.
-        missing: what the output was made from and the recording does not hold.
+        missing: what the output was made from and the recording does not hold; of an agent that adds up, all of it
+            since the run began.
     """
 
     key: str
@@ -55,7 +60,7 @@ class Replayed:
 
 
 class ReplayError(ValueError):
-    """An agent or a recording that cannot be replayed; the text says why."""
+    """A recording that cannot be replayed; the text says why."""
 
 
 class _Place(NamedTuple):
@@ -64,51 +69,68 @@ class _Place(NamedTuple):
     sequence: int
 
 
+_Steps = dict[tuple[Consumed, ...], list[Recorded]]
+"""The steps of one run: what each listed, and its outputs, which list the same."""
+
+
 class _Run:
-    """One run of the agent, from its start: what was fed to it, and what it made of what was fed last."""
+    """One run of the agent, from its start: what was fed to it, and what is missing since."""
 
-    def __init__(self, agent: Agent) -> None:
-        self._agent = agent
+    def __init__(self, agent: Agent, messages: Mapping[_Place, Recorded]) -> None:
+        self._agent, self._messages, self._adds_up = agent, messages, adds_up(agent)
         self._fed: set[_Place] = set()
-        self._consumed: tuple[Consumed, ...] = ()
-        self._made: list[Output] = []
+        self._missing: tuple[Consumed, ...] = ()
 
-    def remake(self, topic: str, consumed: tuple[Consumed, ...], messages: Mapping[_Place, Recorded]) -> bytes | None:
-        """The next output on a topic that was made from this, once what is new of it has been fed."""
-        if consumed != self._consumed:
-            self._consumed, self._made = consumed, []
-            for place in (_place(c) for c in consumed):
-                if place in messages and place not in self._fed:
-                    self._fed.add(place)
-                    self._made += _fed(self._agent, messages[place])
-        return _next_of(self._made, topic, consumed)
+    def repeat(self, consumed: tuple[Consumed, ...], outputs: list[Recorded]) -> Iterator[Replayed]:
+        """The outputs of a step beside what is made now, once what is new of its list has been fed."""
+        made: list[Output] = []
+        for listed in consumed:
+            place, recorded = _place(listed), self._messages.get(_place(listed))
+            if is_tick(listed.key):
+                made += _outputs(self._agent, Tick(listed.sequence))
+            elif recorded is not None and place not in self._fed and topic_of(listed.key) not in self._agent.outputs:
+                self._fed.add(place)
+                made += _outputs(self._agent, _arrived(recorded))
+        missing = tuple(c for c in consumed if not is_tick(c.key) and _place(c) not in self._messages)
+        if missing or not self._adds_up:
+            self._missing = (*self._missing, *missing) if self._adds_up else missing
+        for output in outputs:
+            now = _next_of(made, str(topic_of(output.key)), consumed)
+            yield Replayed(*_place(output), output.payload, None if self._missing else now, self._missing)
 
 
 def replay(build: Callable[[], Agent], recording: Iterable[Recorded]) -> Iterator[Replayed]:
-    """Feed an agent what it consumed in a recording and compare each of its outputs.
+    """Feed an agent what it consumed in a recording and compare each of its outputs, run by run.
 
     `build` gives the agent with the settings of the recorded one, as it was before its first step: one for each run, so
     that an agent that was restarted begins anew.
 
     Raises:
-        ReplayError: where the agent acts on ticks, which are in no recording, or a command is of an unknown topic.
+        ReplayError: where a command is of an unknown topic.
     """
     agent = build()
-    if agent.tick_hz is not None:
-        raise ReplayError(f"{agent.kind} acts on ticks of the clock, which no recording holds; it cannot be replayed")
     messages = {_place(r): r for r in recording if _concerns(agent, r.key)}
-    outputs = {str(topic) for topic in agent.outputs}
-    runs: dict[int, _Run] = {}
-    for place, recorded in messages.items():
-        topic = topic_of(recorded.key)
-        if str(topic) not in outputs:
-            continue
-        if recorded.epoch not in runs:
-            runs[recorded.epoch] = _Run(build())
-        consumed = decode(topic.message, recorded.payload).consumed
-        now = runs[recorded.epoch].remake(str(topic), consumed, messages)
-        missing = tuple(c for c in consumed if _place(c) not in messages)
-        yield Replayed(*place, recorded.payload, None if missing else now, missing)
+    runs: dict[int, _Steps] = {}
+    for recorded in messages.values():
+        if _is_output(agent, recorded.key):
+            consumed = decode(topic_of(recorded.key).message, recorded.payload).consumed
+            runs.setdefault(recorded.epoch, {}).setdefault(consumed, []).append(recorded)
+    for steps in runs.values():
+        run = _Run(build(), messages)
+        for consumed in _in_order(steps):
+            yield from run.repeat(consumed, steps[consumed])
+
+
+def _in_order(steps: _Steps) -> Iterator[tuple[Consumed, ...]]:
+    """Each step after the one whose output it names as the one before; those that name none, as they were recorded."""
+    made_by = {_place(output): consumed for consumed, outputs in steps.items() for output in outputs}
+    before = {step: next((made_by[p] for p in map(_place, step) if p in made_by), None) for step in steps}
+    after = {named: step for step, named in before.items() if named is not None}
+    for first in (step for step, named in before.items() if named is None):
+        step: tuple[Consumed, ...] | None = first
+        while step is not None:
+            yield step
+            step = after.get(step)
 
 
 def _place(named: Recorded | Consumed) -> _Place:
@@ -121,16 +143,28 @@ def _concerns(agent: Agent, key: str) -> bool:
     if topic is COMMANDS:
         return (kind, instance) == (agent.kind, agent.instance)
     listened = any(i.topic is topic and i.instance in ("*", instance) for i in agent.inputs)
-    return listened or topic in agent.outputs
+    return listened or _is_output(agent, key)
 
 
-def _fed(agent: Agent, recorded: Recorded) -> list[Output]:
+def _is_output(agent: Agent, key: str) -> bool:
+    topic = topic_of(key)
+    return topic in agent.outputs and (not topic.per_arm or key.split("/")[3] == agent.instance)
+
+
+def _outputs(agent: Agent, arrived: Received | Tick | Command) -> list[Output]:
+    """What a step gives; one that raises gives nothing and is logged, as in a live session."""
+    try:
+        return [output for output in agent.step(arrived) if isinstance(output, Output)]
+    except Exception as error:
+        logging.getLogger(f"suturegrasp.{agent.kind}.{agent.instance}").error("a step failed", exc_info=error)
+        return []
+
+
+def _arrived(recorded: Recorded) -> Received | Command:
     topic = topic_of(recorded.key)
     if topic is COMMANDS:
-        arrived: Any = _command(recorded)
-    else:
-        arrived = Received(topic, recorded.key, recorded.sequence, decode(topic.message, recorded.payload))
-    return [output for output in agent.step(arrived) if isinstance(output, Output)]
+        return _command(recorded)
+    return Received(topic, recorded.key, recorded.sequence, decode(topic.message, recorded.payload))
 
 
 def _command(recorded: Recorded) -> Command:

@@ -1,8 +1,7 @@
 """Runs one agent: what arrives is decoded and stepped through, what follows is published, and health says how it goes.
 
-One loop, one thread: ticks, commands, events and newest messages are steps of the same object, one after another. What
-an output was made from is every message fed to the agent since its last output, and the newest of each key of which
-nothing else counts: so a replay can feed them again, and needs no earlier output for what only the newest decides.
+One loop, one thread: ticks, commands, events and newest messages are steps of the same object, one after another.
+Every output lists what it was made from (shared/runtime/fed.py), so that a replay can feed it again.
 """
 
 import dataclasses
@@ -16,9 +15,9 @@ from typing import Any
 import zenoh
 
 import schemas
-from schemas.checks import MessageError, fields_of
+from schemas.checks import MessageError
 from schemas.codec import decode, encode, encoding_name
-from schemas.messages import AgentHealth, CommandAnswer, CommandRecord, Consumed, Outcome
+from schemas.messages import AgentHealth, CommandAnswer, CommandRecord, LogRecord, Outcome
 from schemas.topics import COMMANDS, HEALTH, LOG, MAIN, Topic, key
 from shared.clock import Stopwatch, monotonic_s, now_ns
 from shared.runtime.accounts import InputAccount, OutputAccount, StepTimes
@@ -26,6 +25,7 @@ from shared.runtime.agent import Agent, Command, Input, Output, Received, Tick
 from shared.runtime.attachment import Attachment, pack, unpack
 from shared.runtime.commands import STATUS, Answered, refused
 from shared.runtime.delivery import declare_publisher, subscribe
+from shared.runtime.fed import Fed
 from shared.runtime.inbox import Arrival, Inbox
 from shared.runtime.log_topic import LogTopic
 
@@ -48,18 +48,16 @@ class Runner:
         self._outputs: dict[str, OutputAccount] = {}
         self._publishers: dict[str, Any] = {}
         self._kept: list[Any] = []
-        self._fed: list[Consumed] = []
+        self._fed = Fed(agent, rig, self._epoch)
         self._newest_only = {str(i.topic) for i in agent.inputs if i.only_newest_counts}
-        self._newest_keys: set[str] = set()
         # log records come from other threads too, and must not share a sequence number
         self._publishing = threading.Lock()
-        self._lists_inputs = any("consumed" in fields_of(topic.message) for topic in agent.outputs)
         self._steps = StepTimes()
         self._started_s, self._heartbeat, self._fault, self._faults = monotonic_s(), 0, "", 0
         self._log = logging.getLogger(f"suturegrasp.{agent.kind}.{agent.instance}")
         for topic in (*agent.outputs, HEALTH, LOG, COMMANDS):
             self._declare(topic)
-        self._log_topic = LogTopic(agent.kind, agent.instance, lambda record: self._publish(LOG, record, 0.0))
+        self._log_topic = LogTopic(agent.kind, agent.instance, self._publish_log)
         self._log.addHandler(self._log_topic)
         self._log.setLevel(logging.INFO)
 
@@ -77,7 +75,7 @@ class Runner:
                     self._publish(HEALTH, self._health(now_s), 0.0)
                     next_health_s = now_s + HEALTH_PERIOD_S
                 if period_s is not None and now_s >= next_tick_s:
-                    self._step(Tick(now_ns()))
+                    self._tick(now_ns())
                     # ticks that were missed are left out, not made up for
                     next_tick_s = max(next_tick_s + period_s, monotonic_s())
                 # even where ticks alone take all the time, what arrives has its turn after each
@@ -162,10 +160,8 @@ class Runner:
             account.refuse(arrival.key, beside)
             return
         account.arrived(arrival.key, beside, now_ns(), monotonic_s())
-        if str(arrival.topic) in self._newest_only:
-            self._newest_keys.add(arrival.key)
-            self._fed = [c for c in self._fed if c.key != arrival.key]
-        self._fed.append(Consumed(arrival.key, beside.epoch, beside.sequence))
+        only_newest_counts = str(arrival.topic) in self._newest_only
+        self._fed.message(arrival.key, beside.epoch, beside.sequence, only_newest_counts)
         self._step(Received(arrival.topic, arrival.key, beside.sequence, message))
 
     def _carry_out(self, arrival: Arrival, answer: Callable[[CommandAnswer], None]) -> None:
@@ -187,7 +183,7 @@ class Runner:
             step_ms = 0.0
         else:
             record_key = key(self._rig, COMMANDS, self._agent.instance, self._agent.kind)
-            self._fed.append(Consumed(record_key, self._epoch, self._account(COMMANDS).published))
+            self._fed.message(record_key, self._epoch, self._account(COMMANDS).published)
             command = Command(arrival.topic, arrival.key.split("/")[-2], message, received_ns)
             reply, outputs, step_ms = self._answer_of(command)
         self._answered.remember(reply)
@@ -217,6 +213,10 @@ class Runner:
             return refused(command.message.header.id, "fault", "the agent gave no answer"), outputs, watch.ms["step"]
         return answers[0], outputs, watch.ms["step"]
 
+    def _tick(self, at_ns: int) -> None:
+        self._fed.tick(at_ns)
+        self._step(Tick(at_ns))
+
     def _step(self, arrived: Received | Tick) -> None:
         watch = Stopwatch("step")
         try:
@@ -238,34 +238,39 @@ class Runner:
             self._log.error(fault, exc_info=error)
 
     def _publish_all(self, outputs: list[Output], step_ms: float) -> None:
-        fed, listed = tuple(self._fed), False
+        fed, last = self._fed.listed(), None
         for output in outputs:
-            message = output.message
-            if hasattr(message, "consumed"):
-                message, listed = dataclasses.replace(message, consumed=fed), True
             try:
-                self._publish(output.topic, message, step_ms)
+                message = dataclasses.replace(output.message, consumed=fed)
+                last = self._key(output.topic), self._publish(output.topic, message, step_ms)
             except MessageError as error:
                 self._note_fault(error)
-        if listed or not self._lists_inputs:
-            self._fed = [c for c in self._fed if c.key in self._newest_keys]
+        if last is not None:
+            self._fed.published(*last)
 
     def _declare(self, topic: Topic) -> None:
-        agent = self._agent
-        instance = agent.instance if topic.per_arm or topic.agent == "*" else MAIN
-        full = key(self._rig, topic, instance, agent.kind)
-        self._publishers[str(topic)] = declare_publisher(self._session, full, topic)
+        self._publishers[str(topic)] = declare_publisher(self._session, self._key(topic), topic)
         self._outputs[str(topic)] = OutputAccount(str(topic))
+
+    def _key(self, topic: Topic) -> str:
+        """The key under which this agent publishes a topic."""
+        instance = self._agent.instance if topic.per_arm or topic.agent == "*" else MAIN
+        return key(self._rig, topic, instance, self._agent.kind)
 
     def _account(self, topic: Topic) -> OutputAccount:
         return self._outputs[str(topic)]
 
-    def _publish(self, topic: Topic, message: Any, step_ms: float) -> None:
+    def _publish(self, topic: Topic, message: Any, step_ms: float) -> int:
+        """Publish a message; its number in the sequence of its key."""
         account, payload = self._account(topic), encode(message)
         with self._publishing:
             beside = Attachment(self._epoch, account.published, now_ns(), step_ms)
             account.count(monotonic_s())
             self._publishers[str(topic)].put(payload, attachment=pack(beside))
+            return beside.sequence
+
+    def _publish_log(self, record: LogRecord) -> None:
+        self._publish(LOG, record, 0.0)
 
     def _health(self, now_s: float) -> AgentHealth:
         return AgentHealth(

@@ -122,3 +122,9 @@ def asked(connection, policy):
             return plan
         threading.Event().wait(0.3)
     raise AssertionError(f"no plan: {answer.reason}")
+
+
+@pytest.fixture(scope="session")
+def camera():
+    """Builds the scene camera of the session."""
+    return scene_camera

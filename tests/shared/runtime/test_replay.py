@@ -1,13 +1,19 @@
 """Replay against small agents whose every rule is known."""
 
+import contextlib
+import dataclasses
+import random
 from dataclasses import dataclass
 
+import numpy as np
 import pytest
 
 from schemas.codec import decode, encode
 from schemas.messages import (
     CommandRecord,
     Consumed,
+    ExecutionEvent,
+    ExecutionKind,
     FrameStamp,
     GraspGoal,
     GraspPlan,
@@ -15,12 +21,15 @@ from schemas.messages import (
     ImageEncoding,
     Outcome,
     Policy,
+    RobotMode,
+    RobotState,
     Status,
     StereoFrame,
 )
-from schemas.topics import COMMANDS, FRAMES, GOAL, PLAN, key
-from shared.runtime.agent import Input, Output, Received
+from schemas.topics import COMMANDS, EXECUTION, FRAMES, GOAL, PLAN, ROBOT_STATE, key
+from shared.runtime.agent import Input, Output, Received, Tick
 from shared.runtime.commands import accepted, new_header, send_command
+from shared.runtime.fed import Fed
 from shared.runtime.replay import ReplayError, replay
 from shared.runtime.taps import tap
 
@@ -82,6 +91,16 @@ class Summing:
             yield Output(PLAN, plan_of(f"{self.total} number {n}"))
 
 
+class Newest(Summing):
+    """Publishes the number of each frame, whatever came before."""
+
+    inputs = (Input(FRAMES, only_newest_counts=True),)
+
+    def step(self, arrived):
+        self.total = 0
+        return super().step(arrived)
+
+
 class Counting:
     """Publishes at a goal how many frames it has seen."""
 
@@ -132,10 +151,17 @@ def test_several_outputs_of_one_step_are_compared_in_their_order():
 
 
 def test_what_a_recording_lacks_is_named_and_the_output_is_neither_the_same_nor_different():
-    missing, later = replay(Summing, [frame(4), plan(0, "3 number 0", (1, 3)), plan(1, "4 number 0", (1, 4))])
+    recording = [frame(4), plan(0, "3 number 0", (1, 3)), plan(1, "4 number 0", (1, 4))]
+    missing, later = replay(Newest, recording)
     assert missing.missing == (Consumed(FRAME_KEY, 1, 3),)
     assert missing.now is None
-    assert not later.missing
+    assert later.same
+
+
+def test_of_an_agent_that_adds_up_nothing_is_known_from_what_is_missing_on():
+    recording = [frame(4), plan(0, "3 number 0", (1, 3)), plan(1, "7 number 0", (1, 4))]
+    assert [r.missing for r in replay(Summing, recording)] == [(Consumed(FRAME_KEY, 1, 3),)] * 2
+    assert not any(r.same for r in replay(Summing, recording))
 
 
 def test_numbers_of_a_publisher_that_restarted_are_told_apart():
@@ -157,14 +183,6 @@ def test_a_message_that_is_recorded_twice_is_fed_once():
 def test_what_an_agent_does_not_listen_to_is_not_looked_at():
     foreign = Entry(key("test", COMMANDS, agent="robot_bridge"), 1, 0, b"\xff\xff")
     assert [r.same for r in replay(Summing, [foreign, frame(3), plan(0, "3 number 0", (1, 3))])] == [True]
-
-
-def test_an_agent_that_acts_on_ticks_is_refused_with_the_reason():
-    class Ticking(Summing):
-        tick_hz = 60.0
-
-    with pytest.raises(ReplayError, match="planner acts on ticks"):
-        list(replay(Ticking, []))
 
 
 def test_a_command_of_an_unknown_topic_is_refused_by_name():
@@ -222,3 +240,110 @@ class Filming:
     def step(self, arrived):
         yield Output(FRAMES, StereoFrame(FrameStamp(self.sent, arrived.now_ns, arrived.now_ns, ""), IMAGE, IMAGE))
         self.sent += 1
+
+
+class Clockwork:
+    """Adds up ticks and frames; tells the sum at every tick, and at every third once more, as an arm does."""
+
+    kind, instance, outputs, commands, tick_hz = "robot_bridge", "psm1", (ROBOT_STATE, EXECUTION), (), 100.0
+    inputs = (Input(FRAMES),)
+
+    def __init__(self):
+        self.total, self.ticks = 0, 0
+
+    def step(self, arrived):
+        if isinstance(arrived, Received):
+            self.total += 100 * arrived.message.stamp.sequence
+            return
+        self.ticks += 1
+        self.total += arrived.now_ns
+        yield Output(ROBOT_STATE, state_of(self.total))
+        if self.ticks % 3 == 0:
+            yield Output(EXECUTION, ExecutionEvent("p", "psm1", self.total, ExecutionKind.FINISHED, None, "", ""))
+
+
+def state_of(total, consumed=()):
+    return RobotState("psm1", total, RobotMode.IDLE, np.eye(4), np.zeros(6), 0.0, np.eye(4), "", consumed)
+
+
+def run_of(agent, frames, epoch=9):
+    """What a run of an agent would leave in a recording: between two ticks one frame."""
+    fed, sent, entries = Fed(agent, "test", epoch), dict.fromkeys(agent.outputs, 0), []
+    last = frame(0)
+    for number in range(frames):
+        made = frame(number)
+        entries.append(made)
+        fed.message(made.key, made.epoch, made.sequence)
+        list(agent.step(Received(FRAMES, made.key, made.sequence, decode(StereoFrame, made.payload))))
+        fed.tick(1000 + number)
+        listed = fed.listed()
+        for output in agent.step(Tick(1000 + number)):
+            payload = encode(dataclasses.replace(output.message, consumed=listed))
+            entries.append(Entry(key("test", output.topic, "psm1"), epoch, sent[output.topic], payload))
+            last = entries[-1]
+            sent[output.topic] += 1
+        fed.published(last.key, last.sequence)
+    return entries
+
+
+def test_an_agent_that_acts_on_ticks_is_given_the_same_ticks_again():
+    recording = run_of(Clockwork(), 30)
+    replayed = list(replay(Clockwork, recording))
+    assert len(replayed) == 40
+    assert all(r.same for r in replayed)
+
+
+def test_a_tick_at_another_time_shows():
+    recording = run_of(Clockwork(), 30)
+
+    class Late(Clockwork):
+        def step(self, arrived):
+            return super().step(Tick(arrived.now_ns + 1) if isinstance(arrived, Tick) else arrived)
+
+    assert not any(r.same or r.missing for r in replay(Late, recording))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_order_in_which_several_outputs_were_recorded_decides_nothing(seed):
+    recording = run_of(Clockwork(), 30)
+    random.Random(seed).shuffle(recording)
+    assert [r.same for r in replay(Clockwork, recording)] == [True] * 40
+
+
+def test_from_a_lost_output_on_nothing_of_that_run_is_known():
+    first, second = run_of(Clockwork(), 30), run_of(Clockwork(), 30, epoch=10)
+    lost = next(e for e in first if e.key.endswith("/state") and e.sequence == 9)
+    replayed = list(replay(Clockwork, [e for e in first if e is not lost] + second))
+    before = [r for r in replayed if r.epoch == 9 and r.same]
+    after = [r for r in replayed if r.epoch == 9 and not r.same]
+    assert (len(before), len(after)) == (9 + 3, 20 + 7)
+    assert {r.missing for r in after} == {(Consumed(lost.key, 9, 9),)}
+    assert all(r.same for r in replayed if r.epoch == 10)
+
+
+def test_of_two_arms_in_a_recording_the_other_one_is_left_out():
+    recording = run_of(Clockwork(), 3)
+    other = [Entry(e.key.replace("psm1", "psm2"), e.epoch, e.sequence, b"\xff") for e in recording if "psm1" in e.key]
+    assert [r.same for r in replay(Clockwork, other + recording)] == [True] * 4
+
+
+def test_a_step_that_failed_live_fails_again_and_what_follows_is_the_same():
+    class Failing(Clockwork):
+        def step(self, arrived):
+            if isinstance(arrived, Received) and arrived.message.stamp.sequence % 2:
+                self.total += 7
+                raise ZeroDivisionError("an odd frame")
+            return super().step(arrived)
+
+    recording = []
+    fed, agent = Fed(Failing(), "test", 9), Failing()
+    for number in range(4):
+        recording.append(frame(number))
+        fed.message(FRAME_KEY, 1, number)
+        with contextlib.suppress(ZeroDivisionError):
+            list(agent.step(Received(FRAMES, FRAME_KEY, number, decode(StereoFrame, recording[-1].payload))))
+    fed.tick(1000)
+    (output,) = agent.step(Tick(1000))
+    payload = encode(dataclasses.replace(output.message, consumed=fed.listed()))
+    recording.append(Entry(key("test", ROBOT_STATE, "psm1"), 9, 0, payload))
+    assert [r.same for r in replay(Failing, recording)] == [True]
