@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
+from agents.robot_bridge.limits import MAXIMUM_PLAN_AGE_S
 from shared.runtime.config import Settings
 from shared.runtime.session import LOCAL_ENDPOINT, SessionSettings
 
@@ -84,7 +85,7 @@ class ArmSection(Settings):
     """What drives an arm."""
 
     backend: Literal["simulated"] = "simulated"
-    maximum_plan_age_s: float = Field(default=30.0, gt=0)
+    maximum_plan_age_s: float = Field(default=MAXIMUM_PLAN_AGE_S, gt=0)
 
 
 class SimulatorSection(Settings):

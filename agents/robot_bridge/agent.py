@@ -12,7 +12,7 @@ from jaxtyping import Float64
 
 from agents.robot_bridge.backend import ArmState, Backend, Readiness
 from agents.robot_bridge.execution import Execution, Patience
-from agents.robot_bridge.limits import MotionLimits, Setup
+from agents.robot_bridge.limits import MAXIMUM_PLAN_AGE_S, MotionLimits, Setup
 from agents.robot_bridge.motion import plan_motion
 from agents.robot_bridge.refusals import Code, Refusal
 from schemas.checks import MessageError
@@ -63,7 +63,7 @@ class RobotBridgeConfig:
     T_camera_base: Float64[np.ndarray, "4 4"] = field(default_factory=lambda: SIMULATED_T_CAMERA_BASE)
     dead_man_s: float = 0.2
     first_heartbeat_s: float = 1.0
-    maximum_plan_age_s: float = 10.0
+    maximum_plan_age_s: float = MAXIMUM_PLAN_AGE_S
     tick_hz: float = 100.0
     limits: MotionLimits = field(default_factory=MotionLimits)
 

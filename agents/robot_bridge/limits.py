@@ -7,6 +7,9 @@ from jaxtyping import Float64
 
 from shared.kinematics.psm import Psm
 
+MAXIMUM_PLAN_AGE_S = 30.0
+"""Since the frame that a plan was made from was captured, unless a rig says otherwise: docs/decisions/0011."""
+
 
 def _before_the_camera() -> Float64[np.ndarray, "2 3"]:
     return np.array(((-0.08, -0.06, 0.02), (0.08, 0.06, 0.13)))

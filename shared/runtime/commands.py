@@ -20,6 +20,10 @@ STATUS = "status"
 """The parameter of a query that asks what became of a command's id."""
 REMEMBERED = 1000
 DEFAULT_DEADLINE_S = 2.0
+"""The longest deadline that anything here sets."""
+FARTHEST_DEADLINE_S = DEFAULT_DEADLINE_S + 5.0
+"""A command whose deadline lies farther ahead of its receiver's clock is refused: it could wait somewhere, and be
+carried out long after whoever sent it has turned to something else."""
 
 
 def new_header(sender: str, deadline_s: float = DEFAULT_DEADLINE_S) -> CommandHeader:
@@ -44,6 +48,17 @@ def send_command(
 def refused(command_id: str, code: str, reason: str) -> CommandAnswer:
     """An answer that refuses."""
     return CommandAnswer(command_id, Outcome.REFUSED, code, reason)
+
+
+def untimely(header: CommandHeader, received_ns: int) -> CommandAnswer | None:
+    """The refusal of a command that came after its deadline, or with one that lies too far ahead; None for others."""
+    ahead_ns = header.deadline_ns - received_ns
+    if ahead_ns < 0:
+        return refused(header.id, "late", f"it arrived {-ahead_ns * 1e-9:.2f} s after its deadline")
+    if ahead_ns > FARTHEST_DEADLINE_S * 1e9:
+        ahead = f"its deadline lies {ahead_ns * 1e-9:.1f} s ahead, and {FARTHEST_DEADLINE_S:g} s are allowed"
+        return refused(header.id, "far_deadline", f"{ahead}: set the clocks of sender and receiver by each other")
+    return None
 
 
 def accepted(command_id: str) -> CommandAnswer:

@@ -23,7 +23,7 @@ from shared.clock import Stopwatch, monotonic_s, now_ns
 from shared.runtime.accounts import InputAccount, OutputAccount, StepTimes
 from shared.runtime.agent import Agent, Command, Input, Output, Received, Tick
 from shared.runtime.attachment import Attachment, pack, unpack
-from shared.runtime.commands import STATUS, Answered, refused
+from shared.runtime.commands import STATUS, Answered, refused, untimely
 from shared.runtime.delivery import declare_publisher, subscribe
 from shared.runtime.fed import Fed
 from shared.runtime.inbox import Arrival, Inbox
@@ -176,11 +176,11 @@ class Runner:
         if before is not None:
             answer(before)
             return
-        late_s = (received_ns - message.header.deadline_ns) * 1e-9
-        if late_s > 0 and not arrival.topic.good_when_late:
-            reply = refused(message.header.id, "late", f"it arrived {late_s:.2f} s after its deadline")
-            outputs: list[Output] = []
-            step_ms = 0.0
+        refusal = None if arrival.topic.good_when_late else untimely(message.header, received_ns)
+        outputs: list[Output] = []
+        step_ms = 0.0
+        if refusal is not None:
+            reply = refusal
         else:
             record_key = key(self._rig, COMMANDS, self._agent.instance, self._agent.kind)
             self._fed.message(record_key, self._epoch, self._account(COMMANDS).published)

@@ -30,11 +30,13 @@ from schemas.messages import (
 from schemas.topics import EXECUTION, JUDGEMENT, MAIN, PLAN, ROBOT_STATE, SIMULATOR_STATE, TOPICS, topic_of
 from shared.rigid_transforms import exp_so3, transform
 from shared.runtime.agent import Output
+from shared.runtime.commands import new_header
 from shared.runtime.connection import connected
 from shared.runtime.replay import replay
 from shared.runtime.session import SessionSettings
 
 ATTEMPTS = 5
+OPERATOR = "agents.operator.operator"
 PATIENT_S = 60.0
 PLAN_ID = "by-hand"
 
@@ -92,7 +94,12 @@ def recorded(tmp_path_factory, router, in_threads, until):
     """
     for attempt in range(ATTEMPTS):
         path = tmp_path_factory.mktemp("ticking") / "session.mcap"
-        with router() as endpoint:
+        with router() as endpoint, pytest.MonkeyPatch.context() as patch:
+            # a test machine may stall
+            for name in ("PLAN_ARRIVES_S", "ARMING_S", "AWAKE_S", "SILENCE_S"):
+                patch.setattr(f"{OPERATOR}.{name}", PATIENT_S if name != "PLAN_ARRIVES_S" else 0.5)
+            patch.setattr(f"{OPERATOR}.new_header", lambda sender: new_header(sender, PATIENT_S))
+            patch.setattr("shared.runtime.commands.FARTHEST_DEADLINE_S", 2 * PATIENT_S)
             hold_a_session(path, SessionSettings("replayed", endpoint), in_threads, until)
         entries = list(read_recording(path))
         lost = [r for build in AGENTS.values() for r in replay(build, entries) if r.missing]

@@ -12,7 +12,9 @@ from pydantic import BaseModel
 from agents.camera.agent import Camera, SceneCamera
 from agents.cli.builders import build, configured
 from agents.cli.in_the_way import in_the_way, taken
-from agents.cli.rig import RigConfig, RouterSection, simulated_rig
+from agents.cli.rig import ArmSection, RigConfig, RouterSection, simulated_rig
+from agents.robot_bridge.agent import RobotBridgeConfig
+from agents.robot_bridge.limits import MAXIMUM_PLAN_AGE_S
 from schemas.messages import ImageEncoding, StereoCalibration
 from schemas.topics import CALIBRATION, FRAMES
 from shared.calibration import CalibrationError
@@ -44,6 +46,10 @@ def section(small):
 def test_every_section_of_the_simulated_rig_becomes_its_agent(kind_instance):
     agent = build(simulated_rig(), *kind_instance)
     assert (agent.kind, agent.instance) == kind_instance
+
+
+def test_how_old_a_plan_may_be_is_the_same_with_and_without_a_configuration():
+    assert ArmSection().maximum_plan_age_s == RobotBridgeConfig().maximum_plan_age_s == MAXIMUM_PLAN_AGE_S
 
 
 def test_only_what_has_a_section_is_configured():

@@ -86,6 +86,7 @@ def patient_operator(monkeypatch):
     for name in ("PLAN_WAIT_S", "PLAN_ARRIVES_S", "ARMING_S", "AWAKE_S", "SILENCE_S"):
         monkeypatch.setattr(f"agents.operator.operator.{name}", PATIENT_S)
     monkeypatch.setattr("agents.operator.operator.new_header", lambda sender: new_header(sender, PATIENT_S))
+    monkeypatch.setattr("shared.runtime.commands.FARTHEST_DEADLINE_S", 2 * PATIENT_S)
 
 
 @pytest.fixture

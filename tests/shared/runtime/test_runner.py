@@ -5,10 +5,13 @@ import threading
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from schemas.codec import decode, encode
 from schemas.messages import (
     AgentHealth,
+    CommandHeader,
     CommandRecord,
     FrameStamp,
     GraspGoal,
@@ -23,9 +26,10 @@ from schemas.messages import (
     StereoFrame,
 )
 from schemas.topics import COMMANDS, FRAMES, GOAL, HEALTH, HOLD, LOG, PLAN, key
+from shared.clock import now_ns
 from shared.runtime.agent import Command, Input, Output, Received, Tick
 from shared.runtime.attachment import Attachment, pack
-from shared.runtime.commands import accepted, new_header, refused, send_command
+from shared.runtime.commands import FARTHEST_DEADLINE_S, accepted, new_header, refused, send_command, untimely
 from shared.runtime.taps import tap
 
 IMAGE = Image(ImageEncoding.RAW, 4, 2, 1, bytes(8))
@@ -151,6 +155,25 @@ def test_a_command_after_its_deadline_is_refused_and_not_carried_out(running, se
     answer = until(lambda: (a := send_command(session, "test", GOAL, late)).outcome is not Outcome.UNKNOWN and a)
     assert (answer.outcome, answer.code) == (Outcome.REFUSED, "late")
     assert planner.goals == 0
+
+
+def test_a_command_whose_deadline_lies_far_ahead_is_refused_and_not_carried_out(running, session, until):
+    planner = Planner()
+    running(planner)
+    far = goal(deadline_ns=now_ns() + 3600 * 10**9)
+    answer = until(lambda: (a := send_command(session, "test", GOAL, far)).outcome is not Outcome.UNKNOWN and a)
+    assert (answer.outcome, answer.code) == (Outcome.REFUSED, "far_deadline")
+    assert planner.goals == 0
+
+
+@given(ahead_ns=st.integers(-(2**62), 2**62), received_ns=st.integers(0, 2**62))
+def test_a_deadline_holds_from_now_until_a_few_seconds_ahead(ahead_ns, received_ns):
+    header = CommandHeader("id", received_ns + ahead_ns, "a test")
+    farthest_ns = round(FARTHEST_DEADLINE_S * 1e9)
+    answer = untimely(header, received_ns)
+    assert (answer is None) == (0 <= ahead_ns <= farthest_ns)
+    if answer is not None:
+        assert (answer.id, answer.code) == ("id", "late" if ahead_ns < 0 else "far_deadline")
 
 
 def test_a_refusal_has_a_code_and_a_reason(running, session, until):
@@ -284,7 +307,7 @@ def test_an_agent_is_closed_when_its_run_ends(running, until):
     until(lambda: camera.closed)
 
 
-def test_stopping_is_carried_out_even_when_it_comes_late(running, session, until):
+def test_stopping_is_carried_out_whatever_its_deadline(running, session, until):
     class Bridge:
         kind, instance, inputs, outputs, commands, tick_hz = "robot_bridge", "psm1", (), (), (HOLD,), None
         holds = 0
@@ -295,6 +318,7 @@ def test_stopping_is_carried_out_even_when_it_comes_late(running, session, until
 
     bridge = Bridge()
     running(bridge)
-    late = Hold(dataclasses.replace(new_header("a test"), deadline_ns=1), "psm1")
-    until(lambda: send_command(session, "test", HOLD, late, "psm1").outcome is Outcome.ACCEPTED)
-    assert bridge.holds == 1
+    for holds, deadline_ns in enumerate((1, 2**62), start=1):
+        untimely_hold = Hold(dataclasses.replace(new_header("a test"), deadline_ns=deadline_ns), "psm1")
+        until(lambda hold=untimely_hold: send_command(session, "test", HOLD, hold, "psm1").outcome is Outcome.ACCEPTED)
+        assert bridge.holds == holds
