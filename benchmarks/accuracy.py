@@ -20,8 +20,10 @@ from agents.reconstruction.methods import DEFAULT_METHOD, METHODS
 from agents.viewer.picture import draw_picture
 from benchmarks.goals import goals
 from benchmarks.measures import figures
-from benchmarks.scenes import scenes
+from benchmarks.scenes import RENDERS, scenes
+from benchmarks.solvers import solver_times
 from benchmarks.tables import compare, print_goals, print_group
+from benchmarks.times import time_goals
 from benchmarks.variations import runs
 
 BASELINES = Path(__file__).parent / "baselines"
@@ -56,13 +58,14 @@ def main() -> None:
             result = reconstruct_pair(
                 run.scene.images, run.calibration, masks=run.masks, segmenter=None, method=arguments.method
             )
-            rows.append(figures(run, result))
+            timed = run.scene.group in RENDERS and run.masks_are == "true" and not run.calibration_is
+            rows.append(figures(run, result) | {"solvers": solver_times(result.observations) if timed else None})
             if arguments.pictures:
                 name = f"{run.scene.group} {run.scene.name} masks {run.masks_are} {run.calibration_is}".strip()
                 save_picture(arguments.pictures / f"{name}.png", result)
     for group in dict.fromkeys(row["group"] for row in rows):
         print_group(group, [row for row in rows if row["group"] == group])
-    print_goals(arguments.method, goals(rows))
+    print_goals(arguments.method, goals(rows) + time_goals(arguments.method, rows))
     save(arguments.json, arguments.method, rows)
     baseline = BASELINES / f"accuracy_{arguments.method}.json"
     if arguments.bless:

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float64, Int64
 from scipy.spatial import KDTree
 
 from agents.cli.pipeline import PipelineResult
+from benchmarks.bounds import bounds_of
 from benchmarks.scenes import BOARD, TRUTH_SAMPLES, Scene
 from benchmarks.topology import topology
 from benchmarks.variations import SEGMENTED, Run
@@ -36,6 +37,7 @@ OF_TRUTH = (
     "coverage",
     "nll",
 )
+OF_IMAGES = ("pixel bound", "bound", "bound seen", "centre noise px")
 
 
 def figures(run: Run, result: PipelineResult) -> dict[str, Any]:
@@ -54,7 +56,9 @@ def figures(run: Run, result: PipelineResult) -> dict[str, Any]:
         "ms": round(sum(result.timings_ms.values()), 1),
         "timings_ms": {step: round(ms, 2) for step, ms in result.timings_ms.items()},
     }
-    row |= dict.fromkeys((*OF_TRUTH, *REPROJECTION, *NEAR_MASK))
+    row |= dict.fromkeys((*OF_TRUTH, *OF_IMAGES, *REPROJECTION, *NEAR_MASK))
+    if scene.truth is not None and scene.visible is not None and not run.calibration_is:
+        row |= bounds_of(thread.camera, scene.truth, scene.visible, scene.images, run.masks)
     if thread.status is not Status.OK:
         return row
     curve = sampled(thread)

@@ -8,9 +8,21 @@ from rich.table import Table
 from benchmarks.goals import Goal, failures, spread, topology_is_right
 from benchmarks.measures import REPROJECTION
 
-CONSOLE = Console(width=240)
+CONSOLE = Console(width=260)
 TEXT = ("scene", "masks", "calibration", "by", "status", "topology")
-MEASURES = ("mean", "mean seen", "95 %", "max", "frechet", "end error", "length error", *REPROJECTION)
+MEASURES = (
+    "mean",
+    "bound",
+    "pixel bound",
+    "mean seen",
+    "bound seen",
+    "95 %",
+    "max",
+    "frechet",
+    "end error",
+    "length error",
+    *REPROJECTION,
+)
 
 Row = dict[str, Any]
 
@@ -64,7 +76,7 @@ def summed(masks: str, calibration: str, rows: list[Row], published: list[str]) 
     """Failures, and median and worst of each measure, here and as published on the same scenes."""
     parts = [f"masks {masks}{', calibration off: ' + calibration if calibration else ''}"]
     parts.append(f"{len(rows)} scenes, {failures(rows)} failed")
-    for name in ("mean", *REPROJECTION):
+    for name in ("mean", "bound", "pixel bound", *REPROJECTION):
         if any(row[name] is not None for row in rows):
             parts.append(f"{name} {spread(row[name] for row in rows)}")
     parts.append(f"time {spread((row['ms'] for row in rows), digits=0)} ms")

@@ -1,0 +1,165 @@
+"""What the images allow: a Cramér-Rao bound on the mean error of any curve that is estimated from them.
+
+The truth is a cubic spline B(s) = Σ_k N_k(s) P_k with as many control points as it needs. A curve near it is
+B + a e₁ + b e₂, where e₁ and e₂ span the plane normal to it and turn with it as little as possible, and a, b are
+splines of the same control points (a displacement along the thread is no other curve). In each image one pixel of
+length gives one independent observation of the distance across the thread,
+
+    r = nᵀ π'(B) (a e₁ + b e₂) + noise of variance σ²,
+
+n being the normal of the projected thread, and π' the derivative of the projection. Their information about the
+coefficients is F = Σ JᵀJ / σ² over the pixels of both images that show the thread.
+
+Where the thread runs along the rows, or is hidden, F alone knows almost nothing. An estimate may also know that
+threads are smooth; it is granted no more than the truth's own: third differences of a and b are taken for normal
+with the mean square of those of P. The posterior covariance (F + Λ)⁻¹ then bounds the expected error (the Bayesian
+Cramér-Rao bound, van Trees 1968), and the mean error of a normal variable in the normal plane with standard deviations
+σ₁ ≥ σ₂ along its axes is σ₁ √(2/π) E(1 − σ₂²/σ₁²), with E the complete elliptic integral of the second kind.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64
+from scipy.special import ellipe
+
+from benchmarks.centre_noise import centroid_noise_px, pixel_noise_px, steps_px
+from benchmarks.scenes import Pair
+from schemas.messages import RectifiedStereo
+from shared.camera import project
+from shared.splines import basis_matrix, clamped_uniform_knots, difference_matrix
+
+DEGREE = 3
+CONTROL_POINTS = (6, 8, 10, 12, 16, 20, 24, 32, 40, 50, 64, 80, 100, 128)
+ENOUGH_PX = 0.05
+"""The truth has enough control points where they project to within this of it."""
+PLACES = 400
+
+
+@dataclass(frozen=True)
+class Bound:
+    """Least expected mean error: of the whole thread, and of what both images show (None where that is nothing)."""
+
+    whole: float
+    seen: float | None
+    control_points: int
+
+
+def bound(
+    camera: RectifiedStereo,
+    truth: Float64[np.ndarray, "n 3"],
+    visible: Bool[np.ndarray, "n 2"],
+    noise_px: tuple[Float64[np.ndarray, "k"], Float64[np.ndarray, "l"]],
+) -> Bound:
+    """The bound for one thread.
+
+    Args:
+        truth: evenly spaced along the thread; `visible` whether the left and the right image show it there.
+        noise_px: standard deviation of its centre per pixel of length in either image, infinite where nothing is seen.
+    """
+    s = np.linspace(0.0, 1.0, len(truth))
+    knots, P = needed_spline(camera, truth, s)
+    N = basis_matrix(knots, DEGREE, s)
+    normals = normal_frame(N @ P)
+    information = smoothness(knots, P)
+    for eye, noise in enumerate(noise_px):
+        J = sensitivity(camera, N @ P, eye, N, normals)
+        along = steps_px(project(camera, truth)[eye])
+        nearest = np.clip(np.floor(along).astype(int), 0, len(noise) - 1)
+        weight = np.where(visible[:, eye], np.gradient(along) / noise[nearest] ** 2, 0.0)
+        information += J.T @ (weight[:, None] * J)
+    covariance = np.linalg.inv(information)
+    at = np.unique(np.linspace(0, len(truth) - 1, PLACES).round().astype(int))
+    m = len(P)
+    blocks = [[covariance[i * m : (i + 1) * m, j * m : (j + 1) * m] for j in (0, 1)] for i in (0, 1)]
+    spread = np.array([[np.einsum("qi,ij,qj->q", N[at], block, N[at]) for block in row] for row in blocks])
+    error = mean_distance(np.moveaxis(spread, 2, 0))
+    seen = visible[at].sum(axis=1) == 2
+    return Bound(float(error.mean()), float(error[seen].mean()) if seen.any() else None, m)
+
+
+def bounds_of(
+    camera: RectifiedStereo,
+    truth: Float64[np.ndarray, "n 3"],
+    visible: Bool[np.ndarray, "n 2"],
+    images: Pair,
+    masks: Pair | None,
+) -> dict[str, float | None]:
+    """Bounds from the pixels of the images, and from the centroids of the masks or, without any, of the images."""
+    px = project(camera, truth)
+    pixels = [pixel_noise_px(image, px[eye], visible[:, eye]) for eye, image in enumerate(images)]
+    centroids = [centroid_noise_px(image, px[eye], visible[:, eye]) for eye, image in enumerate(masks or images)]
+    by_pixels = bound(camera, truth, visible, (pixels[0], pixels[1]))
+    by_centroids = bound(camera, truth, visible, (centroids[0], centroids[1]))
+    return {
+        "pixel bound": by_pixels.whole,
+        "bound": by_centroids.whole,
+        "bound seen": by_centroids.seen,
+        "centre noise px": float(np.median(np.concatenate(centroids)[np.isfinite(np.concatenate(centroids))])),
+    }
+
+
+def needed_spline(
+    camera: RectifiedStereo, truth: Float64[np.ndarray, "n 3"], s: Float64[np.ndarray, "n"]
+) -> tuple[Float64[np.ndarray, "k"], Float64[np.ndarray, "m 3"]]:
+    """The least-squares spline with the fewest control points that projects to the truth."""
+    knots, control_points = np.zeros(0), np.zeros((0, 3))
+    for count in CONTROL_POINTS:
+        knots = clamped_uniform_knots(count, DEGREE)
+        N = basis_matrix(knots, DEGREE, s)
+        control_points = np.linalg.lstsq(N, truth, rcond=None)[0]
+        views = zip(project(camera, N @ control_points), project(camera, truth), strict=True)
+        if max(float(np.linalg.norm(a - b, axis=1).max()) for a, b in views) < ENOUGH_PX:
+            break
+    return knots, control_points
+
+
+def normal_frame(points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2 3"]:
+    """Two unit vectors normal to a curve at each of its points, carried along it without needless turning."""
+    tangent = np.gradient(points, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1)[:, None]
+    frame = np.empty((len(points), 2, 3))
+    first = np.eye(3)[np.abs(tangent[0]).argmin()]
+    for i, t in enumerate(tangent):
+        first = first - (first @ t) * t
+        first = first / np.linalg.norm(first)
+        frame[i] = first, np.cross(t, first)
+    return frame
+
+
+def sensitivity(
+    camera: RectifiedStereo,
+    points: Float64[np.ndarray, "n 3"],
+    eye: int,
+    N: Float64[np.ndarray, "n m"],
+    normals: Float64[np.ndarray, "n 2 3"],
+) -> Float64[np.ndarray, "n c"]:
+    """J: how the distance across the projected thread changes with the coefficients of a, then of b."""
+    x, y, z = (points - (eye * camera.baseline, 0.0, 0.0)).T
+    zero = np.zeros_like(z)
+    derivative = np.stack(
+        (
+            np.column_stack((camera.fx_px / z, zero, -camera.fx_px * x / z**2)),
+            np.column_stack((zero, camera.fy_px / z, -camera.fy_px * y / z**2)),
+        ),
+        axis=1,
+    )
+    tangent = np.gradient(project(camera, points)[eye], axis=0)
+    tangent /= np.maximum(np.linalg.norm(tangent, axis=1), 1e-12)[:, None]
+    across = np.column_stack((-tangent[:, 1], tangent[:, 0]))
+    moved = np.einsum("ni,nij,nkj->nk", across, derivative, normals)
+    return np.hstack((moved[:, :1] * N, moved[:, 1:] * N))
+
+
+def smoothness(knots: Float64[np.ndarray, "k"], P: Float64[np.ndarray, "m 3"]) -> Float64[np.ndarray, "c c"]:
+    """Λ: third differences as large as those of the truth, and nothing else, about the coefficients of a and b."""
+    third = difference_matrix(knots, DEGREE, 3)
+    variance = max(float(np.mean((third @ P) ** 2)), 1e-12)
+    return np.kron(np.eye(2), third.T @ third / variance)
+
+
+def mean_distance(spread: Float64[np.ndarray, "q 2 2"]) -> Float64[np.ndarray, "q"]:
+    """The mean length of normal variables in the plane with these covariances."""
+    small, large = np.linalg.eigvalsh(spread).T
+    large = np.maximum(large, 1e-300)
+    return np.sqrt(2.0 / np.pi * large) * ellipe(1.0 - np.clip(small, 0.0, None) / large)
