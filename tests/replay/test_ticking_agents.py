@@ -128,8 +128,14 @@ def hold_a_session(path, settings, in_threads, until):
             left = threading.Event()
             armed(lambda _: left.set(), left)
             assert hold(connection, "psm1").outcome is Outcome.ACCEPTED
+            until(lambda: newest_mode(heard) is RobotMode.HOLDING)
             armed(lambda _: None, threading.Event())
             until(lambda: any(t.topic is JUDGEMENT for t in list(heard)))
+
+
+def newest_mode(heard):
+    payload = next(t.payload for t in reversed(list(heard)) if t.topic is ROBOT_STATE)
+    return decode(RobotState, payload).mode
 
 
 def of(entries, topic):
