@@ -14,9 +14,10 @@ from agents.perception.rectification import (
     rectified_camera,
     rectify_image,
 )
-from agents.perception.segmentation.choice import SEGMENTERS, suitable_segmenter
+from agents.perception.search import Looked, Pair, Remembered, look_everywhere, look_near, remember
 from schemas.messages import (
     CommandAnswer,
+    FrameStamp,
     ImageEncoding,
     Judgement,
     RectifiedStereo,
@@ -36,17 +37,21 @@ LARGEST_IMAGE_PIXELS = 1 << 26
 
 @dataclass(frozen=True)
 class PerceptionConfig:
-    """How thread is found; `segmenter` None takes what suits each left image."""
+    """How thread is found; `segmenter` None takes what suits the left image."""
 
     segmenter: str | None = None
 
 
 class Perception:
-    """Rectifies, segments and observes every frame; without a calibration it waits for one."""
+    """Rectifies, segments and observes every frame; without a calibration it waits for one.
+
+    Where thread was observed in one frame, the next is looked at near it first: so what is said of a frame follows from
+    the frames before it, too.
+    """
 
     kind = "perception"
     instance = MAIN
-    inputs = (Input(FRAMES, only_newest_counts=True), Input(CALIBRATION, only_newest_counts=True))
+    inputs = (Input(FRAMES), Input(CALIBRATION, only_newest_counts=True))
     outputs = (OBSERVATIONS,)
     commands: tuple[Topic, ...] = ()
     tick_hz = None
@@ -57,13 +62,14 @@ class Perception:
         self._calibration_id = ""
         # made for the first frame of its size: a calibration may claim any size
         self._rectification: Rectification | None = None
+        self._remembered: Remembered | None = None
 
     def step(self, arrived: Received | Tick | Command) -> Iterable[Output | CommandAnswer]:
         """Observations for each frame once there is a calibration; an unusable frame is a failure with its reason."""
         if not isinstance(arrived, Received):
             return
         if arrived.topic is CALIBRATION:
-            self._calibration, self._rectification = arrived.message, None
+            self._calibration, self._rectification, self._remembered = arrived.message, None, None
             self._calibration_id = calibration_id(arrived.message)
         elif self._calibration is not None:
             yield Output(OBSERVATIONS, self._observe(arrived.message, self._calibration))
@@ -78,11 +84,21 @@ class Perception:
         except (ImageDataError, RectificationError) as error:
             return _unusable(frame, camera, str(error))
         camera = self._rectification.camera
-        left = rectify_image(left, self._rectification.map_left)
-        right = rectify_image(right, self._rectification.map_right)
-        name = self._config.segmenter or suitable_segmenter(left)
-        segment = SEGMENTERS[name]
-        return observe(frame.stamp, camera, left, right, segment(left), segment(right), name)
+        images = rectify_image(left, self._rectification.map_left), rectify_image(right, self._rectification.map_right)
+        before, self._remembered = self._remembered, None
+        looked = look_near(images, before, frame.stamp.sequence) if before else None
+        if looked is not None:
+            observed = self._observed(frame.stamp, camera, images, looked)
+            if observed.status is Status.OK:
+                return observed
+        return self._observed(frame.stamp, camera, images, look_everywhere(images, self._config.segmenter))
+
+    def _observed(self, stamp: FrameStamp, camera: RectifiedStereo, images: Pair, looked: Looked) -> ThreadObservations:
+        carried_on = looked.near.carried_on if looked.near else None
+        observed = observe(stamp, camera, *images, *looked.coverage, looked.segmenter, carried_on)
+        if observed.status is Status.OK:
+            self._remembered = remember(looked, images[0], stamp.sequence, observed.judgements)
+        return observed
 
     def _mismatch(self, frame: StereoFrame, calibration: StereoCalibration) -> str:
         """Why a frame does not go with the calibration; empty where it does."""

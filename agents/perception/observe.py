@@ -61,10 +61,15 @@ def observe(
     coverage_left: UInt8[np.ndarray, "h w"],
     coverage_right: UInt8[np.ndarray, "h w"],
     segmenter: str,
+    judged: tuple[Judgement, ...] | None = None,
 ) -> ThreadObservations:
-    """Match the segmented pixels of a rectified pair, drop what is ambiguous, cluster and order the rest."""
+    """Match the segmented pixels of a rectified pair, drop what is ambiguous, cluster and order the rest.
+
+    Args:
+        judged: judgements of an earlier pair of these cameras, none of them a fault; the pair is judged if it is None.
+    """
     segmented = coverage_left >= SEGMENTED_COVERAGE, coverage_right >= SEGMENTED_COVERAGE
-    found = _find(camera, left, right, *segmented, segmenter)
+    found = _find(camera, left, right, *segmented, segmenter, judged)
     points, half_size, gaps = _observations(camera, found.clusters)
     return ThreadObservations(
         stamp=stamp,
@@ -91,14 +96,17 @@ def _find(
     segmented_left: Bool[np.ndarray, "h w"],
     segmented_right: Bool[np.ndarray, "h w"],
     segmenter: str,
+    judged: tuple[Judgement, ...] | None,
 ) -> _Found:
     """Stage by stage, as far as it goes."""
     if reason := _unusable_masks(segmented_left, segmented_right, segmenter):
         return _Found(reason)
-    seen = correspondence_of_texture(left, right, segmented_left, segmented_right) or correspondence_of_masks(
-        segmented_left, segmented_right
-    )
-    judgements = judge(seen, camera.image_height)
+    judgements = judged
+    if judgements is None:
+        seen = correspondence_of_texture(left, right, segmented_left, segmented_right) or correspondence_of_masks(
+            segmented_left, segmented_right
+        )
+        judgements = judge(seen, camera.image_height)
     fault = next((j for j in judgements if j.severity is Severity.FAULT), None)
     if fault:
         return _Found(f"{fault.finding}; {fault.remedy}", judgements)

@@ -1,15 +1,26 @@
 """The segmenters by name, and which of them suits an image that nobody has said anything about."""
 
-from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 from jaxtyping import UInt8
 
+from agents.perception.segmentation.near import Near
 from agents.perception.segmentation.ridge import segment_ridge
 from agents.perception.segmentation.threshold import LEAST_CONTRAST, local_contrast, segment_threshold
 
-Segmenter = Callable[[UInt8[np.ndarray, "h w 3"]], UInt8[np.ndarray, "h w"]]
-"""A rectified colour image to the coverage of each pixel by thread, 0 to 255."""
+
+class Segmenter(Protocol):
+    """Finds thread in an image."""
+
+    def __call__(self, image: UInt8[np.ndarray, "h w 3"], near: Near | None = None) -> UInt8[np.ndarray, "h w"]:
+        """A rectified colour image to the coverage of each pixel by thread, 0 to 255.
+
+        Args:
+            near: where thread is looked for; anywhere, if it is None.
+        """
+        ...
+
 
 SEGMENTERS: dict[str, Segmenter] = {"threshold": segment_threshold, "ridge": segment_ridge}
 

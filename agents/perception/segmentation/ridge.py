@@ -20,13 +20,15 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int32, UInt8
 
-from agents.perception.segmentation.line_filter import RADIUS_PX, line_responses
+from agents.perception.segmentation.line_filter import RADIUS_PX, line_response, line_responses
+from agents.perception.segmentation.near import Near
 
 DETECTION_WIDTH_PX = 480
 """Width of the reduced image; the sizes in pixels below are of this image."""
 BACKGROUND_WINDOW = 7
 """Of the median that is the local background, in pixels of twice the size: several times the thread's width."""
-STRONG_PERCENTILE = 99.7
+STRONG_SHARE = 0.003
+"""Of the image's pixels: its strongest ridges."""
 SEED_SHARE, GROW_SHARE = 0.5, 0.25
 """Of the response of the image's strongest ridges: what seeds a piece of thread, and what extends it."""
 FAINT_SHARE = 0.15
@@ -60,14 +62,14 @@ class _View:
 
     Fields:
         rows, columns: where it lies in the reduced image.
-        near: which pixels of it may be thread; None for all.
-        strong_percentile: of its pixels, what STRONG_PERCENTILE is of the whole image's.
+        near: which pixels of it may be thread.
+        strong: how many pixels of the whole image are among its strongest.
     """
 
     rows: slice
     columns: slice
-    near: Bool[np.ndarray, "h w"] | None
-    strong_percentile: float
+    near: Bool[np.ndarray, "h w"]
+    strong: float
     colour: Float32[np.ndarray, "h w 3"]
     ground: Float32[np.ndarray, "h w 3"]
     rarity: Float32[np.ndarray, "h w"]
@@ -96,29 +98,32 @@ class _Found:
     strength: float
 
 
-def segment_ridge(
-    image: UInt8[np.ndarray, "h w 3"], near: Bool[np.ndarray, "h w"] | None = None
-) -> UInt8[np.ndarray, "h w"]:
+def segment_ridge(image: UInt8[np.ndarray, "h w 3"], near: Near | None = None) -> UInt8[np.ndarray, "h w"]:
     """Coverage of each pixel by thread, 0 or 255: dark or bright thread, whichever stands out more.
 
     Args:
         near: where thread is looked for; anywhere, if it is None.
     """
-    if near is not None and not near.any():
+    where = None if near is None else near.where
+    if where is not None and not where.any():
         return np.zeros(image.shape[:2], np.uint8)
     reduced = _reduced(image, min(1.0, DETECTION_WIDTH_PX / image.shape[1]))
-    rows, columns = _box(near, reduced.shape)
+    rows, columns = _box(where, reduced.shape)
     seen = reduced[rows, columns]
     background = _background(seen)
-    view = _view(reduced, background, near, rows, columns)
+    view = _view(reduced, background, where, rows, columns)
     darker, brighter = _mean_excess(background, seen), _mean_excess(seen, background)
-    of_dark, of_bright = line_responses(darker, brighter)
-    dark, bright = _thread_among(of_dark, view), _thread_among(of_bright, view)
-    stronger, contrast = (bright, brighter) if bright.strength > dark.strength else (dark, darker)
-    background, ridge, contrast = (
-        _in_whole(part, view, reduced.shape) for part in (background, stronger.ridge, contrast)
-    )
-    return _at_full_size(image, background, ridge, contrast, stronger is bright)
+    if near is None:
+        of_dark, of_bright = line_responses(darker, brighter)
+        dark, bright = _thread_among(of_dark, view), _thread_among(of_bright, view)
+        is_bright = bright.strength > dark.strength
+        found = bright if is_bright else dark
+    else:
+        is_bright = near.is_bright
+        found = _thread_among(line_response(brighter if is_bright else darker), view)
+    contrast = brighter if is_bright else darker
+    background, ridge, contrast = (_in_whole(part, view, reduced.shape) for part in (background, found.ridge, contrast))
+    return _at_full_size(image, background, ridge, contrast, is_bright)
 
 
 def _reduced(image: np.ndarray, share: float) -> np.ndarray:
@@ -147,8 +152,7 @@ def _view(
 ) -> _View:
     colour = _lab(reduced)
     rarity = _rarity(colour, rows, columns)
-    share = rarity.size / (reduced.shape[0] * reduced.shape[1])
-    small = None
+    small = np.ones(rarity.shape, bool)
     if near is not None:
         whole = cv2.resize(near.astype(np.uint8), reduced.shape[1::-1], interpolation=cv2.INTER_NEAREST)
         small = np.asarray(whole)[rows, columns] > 0
@@ -156,7 +160,7 @@ def _view(
         rows=rows,
         columns=columns,
         near=small,
-        strong_percentile=max(0.0, 100.0 - (100.0 - STRONG_PERCENTILE) / share),
+        strong=STRONG_SHARE * (reduced.shape[0] * reduced.shape[1] - 1),
         colour=colour[rows, columns],
         ground=_lab(background),
         rarity=rarity,
@@ -190,14 +194,13 @@ def _rarity(colour: Float32[np.ndarray, "H W 3"], rows: slice, columns: slice) -
 
 def _thread_among(response: Float32[np.ndarray, "h w"], view: _View) -> _Found:
     """The thread among the ridges of one polarity."""
-    if view.near is not None:
-        response = np.where(view.near, response, np.float32(0))
+    response = np.where(view.near, response, np.float32(0))
     score = response * view.rarity
-    strong = float(np.percentile(score, view.strong_percentile))
+    strong = _from_top(score[view.near], view.strong)
     ridges = _pieces(score > GROW_SHARE * strong, score > SEED_SHARE * strong, score)
     if not ridges.weight.any():
         return _Found(np.zeros(score.shape, bool), 0.0)
-    strong = float(np.percentile(response, view.strong_percentile))
+    strong = _from_top(response[view.near], view.strong)
     ridge = response > FAINT_SHARE * strong
     piece = ridges.labels[ridge] == int(np.argmax(ridges.weight))
     away = np.full(score.shape, np.inf, np.float32)
@@ -210,6 +213,15 @@ def _thread_among(response: Float32[np.ndarray, "h w"], view: _View) -> _Found:
     # faint pixels would count for whichever polarity has more clutter to grow into
     clear = _pieces(alike & (response > GROW_SHARE * strong), seeds, score)
     return _Found(kept[pieces.labels], float(clear.weight.max()))
+
+
+def _from_top(values: Float32[np.ndarray, "n"], places: float) -> float:
+    """The value so many places below the greatest, between its two neighbours; 0 where there are not so many."""
+    if places >= len(values) - 1:
+        return float(values.min(initial=0))
+    whole = int(places)
+    above, below = -np.partition(-values, (whole, whole + 1))[whole : whole + 2]
+    return float(above + (below - above) * (places - whole))
 
 
 def _pieces(

@@ -6,7 +6,9 @@ the local background, because the thinnest thread is only a little darker than i
 
 import cv2
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Int64, UInt8
+
+from agents.perception.segmentation.near import Near
 
 BACKGROUND_SHARE = 0.06
 """Side of the window of the local background, as a share of the image's width: many times the thread's width."""
@@ -22,27 +24,44 @@ LEAST_AREA_SHARE = 4e-5
 """Of the image: what is smaller is a speck."""
 
 
-def segment_threshold(image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w"]:
-    """Coverage of each pixel by thread, 0 to 255, from its contrast to the local background."""
+def segment_threshold(image: UInt8[np.ndarray, "h w 3"], near: Near | None = None) -> UInt8[np.ndarray, "h w"]:
+    """Coverage of each pixel by thread, 0 to 255, from its contrast to the local background.
+
+    Args:
+        near: where thread is looked for; pieces of which no clear part lies there are left out.
+    """
     contrast = local_contrast(image)
-    noise = 1.4826 * float(np.median(contrast[contrast > 0])) if (contrast > 0).any() else 0.0
+    counts = np.bincount(contrast.ravel(), minlength=256)
+    noise = 1.4826 * _quantile(counts, 0, 0.5)
     floor = max(LEAST_CONTRAST, NOISE_FACTOR * min(noise, LEAST_CONTRAST))
-    strong = contrast[contrast > floor]
-    if strong.size == 0:
+    if not (contrast > floor).any():
         return np.zeros(contrast.shape, np.uint8)
-    full = float(np.percentile(strong, 80))
+    full = _quantile(counts, floor, 0.8)
     visible = contrast > FAINT_SHARE * floor
     seeds = contrast > max(floor, SEED_SHARE * full)
+    if near is not None:
+        seeds &= near.where
     connected = components_with_seed(visible, seeds, LEAST_AREA_SHARE * contrast.size)
     clear = connected & (contrast > GROW_SHARE * full)
     # a thread thinner than a pixel fades between two rows or columns; what is faint there closes the gap
     closed = cv2.morphologyEx(clear.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)) > 0
     kept = clear | (closed & connected)
-    coverage = np.clip(contrast * (255.0 / full), 0.0, 255.0)
-    return np.where(kept, np.maximum(coverage, 128.0), 0.0).astype(np.uint8)
+    coverage = np.clip(np.arange(256, dtype=np.float32) * (255.0 / full), 128.0, 255.0).astype(np.uint8)
+    return np.where(kept, coverage[contrast], np.uint8(0))
 
 
-def local_contrast(image: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]:
+def _quantile(counts: Int64[np.ndarray, "256"], above: float, share: float) -> float:
+    """A quantile of the grey levels above another, from how often each occurs; 0 where there are none."""
+    counts = np.where(np.arange(len(counts)) > above, counts, 0)
+    until = np.cumsum(counts)
+    if until[-1] == 0:
+        return 0.0
+    rank = share * (until[-1] - 1)
+    low, high = np.searchsorted(until, [np.floor(rank), np.ceil(rank)], side="right")
+    return float(low + (high - low) * (rank - np.floor(rank)))
+
+
+def local_contrast(image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w"]:
     """The largest difference over the channels between each pixel and the median colour around it, in grey levels."""
     height, width = image.shape[:2]
     step = max(1, round(width / 320))
@@ -50,7 +69,7 @@ def local_contrast(image: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h 
     window = max(3, round(BACKGROUND_SHARE * small.shape[1]) | 1)
     background = cv2.resize(cv2.medianBlur(small, window), (width, height), interpolation=cv2.INTER_LINEAR)
     blue, green, red = cv2.split(cv2.absdiff(image, background))
-    return cv2.max(cv2.max(blue, green), red).astype(np.float32)
+    return np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
 
 
 def components_with_seed(grown: np.ndarray, seeds: np.ndarray, least_area: float) -> np.ndarray:

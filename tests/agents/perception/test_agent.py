@@ -1,12 +1,14 @@
 """The perception agent on frames and calibrations that do not go together, and on damaged ones."""
 
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from agents.camera.scene_source import calibration_of
 from agents.perception.agent import Perception, PerceptionConfig
 from schemas.checks import MessageError
 from schemas.codec import decode, encode
@@ -25,6 +27,8 @@ from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS, key
 from shared.calibration.identity import calibration_id
 from shared.images import encode_image
 from shared.runtime.agent import Received, Tick
+from shared.scene.__main__ import make_scene
+from shared.scene.render import render
 
 WIDTH, HEIGHT = 320, 240
 DISPARITY = 24
@@ -93,6 +97,55 @@ def test_without_a_calibration_nothing_is_said_and_with_it_the_next_frame_is_see
     agent = Perception()
     assert fed(agent, frame(), frame()) == []
     assert [o.status for o in fed(agent, calibration(), frame())] == [Status.OK]
+
+
+def shifted(sequence, right=0):
+    """A frame whose thread has moved to the right."""
+    left, other = (encode_image(np.roll(picture(shift), right, axis=1), ImageEncoding.PNG) for shift in (0, DISPARITY))
+    return StereoFrame(FrameStamp(sequence, 100, 200, ""), left, other)
+
+
+@functools.cache
+def tissue():
+    """A calibration, and an image pair whose right one lies two rows too low."""
+    scene = make_scene("easy", "tissue", 12)
+    pair = render(scene)
+    return calibration_of(scene.camera), pair.left_bgr, np.roll(pair.right_bgr, 2, axis=0)
+
+
+def over_tissue(sequence):
+    left, right = (encode_image(image, ImageEncoding.PNG) for image in tissue()[1:])
+    return StereoFrame(FrameStamp(sequence, 100, 200, ""), left, right)
+
+
+def test_what_is_said_of_frames_follows_from_the_frames_alone():
+    frames = [calibration(), *(shifted(k, right=4 * k) for k in range(4)), frame(), shifted(5), shifted(60, right=9)]
+    first, again = (fed(Perception(), *frames) for _ in range(2))
+    assert [encode(o) for o in first] == [encode(o) for o in again]
+    assert {o.status for o in first} == {Status.OK}
+
+
+def test_a_followed_thread_is_where_looking_everywhere_finds_it():
+    (_, followed), (alone,) = (
+        fed(Perception(), calibration(), shifted(0), shifted(1, 6)),
+        fed(Perception(), calibration(), shifted(1, 6)),
+    )
+    np.testing.assert_array_equal(followed.points_camera, alone.points_camera)
+
+
+def test_a_warning_is_carried_on_with_its_frame_until_the_pair_is_judged_again():
+    found = fed(Perception(), tissue()[0], *(over_tissue(k) for k in (0, 1, 2, 40)))
+    assert [[j.code for j in o.judgements] for o in found] == [["row_residual"]] * 4
+    fresh, first, second, again = (o.judgements[0].finding for o in found)
+    assert first == second == f"{fresh} (judged in frame 0)"
+    assert again == fresh
+
+
+def test_a_new_calibration_has_the_pair_judged_again():
+    first = tissue()[0]
+    found = fed(Perception(), first, over_tissue(0), dataclasses.replace(first, metres_per_unit=None), over_tissue(1))
+    assert len({o.judgements[0].finding for o in found}) == 1
+    assert "judged in frame" not in found[1].judgements[0].finding
 
 
 def test_ticks_are_not_its_business():

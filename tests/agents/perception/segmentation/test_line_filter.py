@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from agents.perception.segmentation.line_filter import line_responses, oriented_kernels
+from agents.perception.segmentation.line_filter import line_response, line_responses, oriented_kernels
 
 
 def test_the_response_to_a_line_is_greatest_on_it_whatever_its_direction():
@@ -27,3 +27,4 @@ def test_both_responses_are_those_of_convolutions_one_by_one(shape):
     for contrast, response in zip(contrasts, line_responses(*contrasts), strict=True):
         answers = [cv2.filter2D(contrast, cv2.CV_32F, k, borderType=cv2.BORDER_REFLECT) for k in oriented_kernels()]
         np.testing.assert_allclose(response, np.maximum(np.max(answers, axis=0), 0.0), atol=1e-3)
+        np.testing.assert_allclose(line_response(contrast), response, atol=1e-4)

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from agents.perception.segmentation.near import Near
 from agents.perception.segmentation.ridge import LEAST_LENGTH_PX, segment_ridge
 from shared.scene.__main__ import make_scene
 from shared.scene.render import RenderedPair, render
@@ -101,17 +102,18 @@ def test_near_a_known_thread_the_same_thread_is_found_and_nothing_elsewhere():
     pair = scene("medium", "black", 32)
     whole = segment_ridge(pair.left_bgr)
     near = cv2.dilate(np.roll(whole, (7, -9), axis=(0, 1)), np.ones((41, 41), np.uint8)) > 0
-    again = segment_ridge(pair.left_bgr, near)
+    again = segment_ridge(pair.left_bgr, Near(near, is_bright=False))
     both, either = (whole > 0) & (again > 0), (whole > 0) | (again > 0)
     assert both.sum() > 0.95 * either.sum()
     half = near.copy()
     half[:, : near.shape[1] // 2] = False
-    assert not segment_ridge(pair.left_bgr, half)[:, : near.shape[1] // 2 - 8].any()
+    assert not segment_ridge(pair.left_bgr, Near(half, is_bright=False))[:, : near.shape[1] // 2 - 8].any()
 
 
 def test_near_nothing_nothing_is_found():
     pair = scene("medium", "black", 32)
-    assert not segment_ridge(pair.left_bgr, np.zeros(pair.left_bgr.shape[:2], bool)).any()
+    nowhere = Near(np.zeros(pair.left_bgr.shape[:2], bool), is_bright=False)
+    assert not segment_ridge(pair.left_bgr, nowhere).any()
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (2, 3), (9, 9), (1, 2500), (600, 3), (77, 641)])
@@ -120,7 +122,7 @@ def test_any_place_to_look_near_is_fine(shape):
     for place in [(0, 0), (-1, -1), (shape[0] // 2, shape[1] // 2)]:
         near = np.zeros(shape, bool)
         near[place] = True
-        assert segment_ridge(image, near).shape == shape
+        assert segment_ridge(image, Near(near, is_bright=True)).shape == shape
 
 
 def test_noise_gives_a_mask_of_two_values():

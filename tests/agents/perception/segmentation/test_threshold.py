@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from jaxtyping import UInt8
 
+from agents.perception.segmentation.near import Near
 from agents.perception.segmentation.threshold import components_with_seed, local_contrast, segment_threshold
 
 HEIGHT, WIDTH = 240, 320
@@ -126,3 +127,13 @@ def test_pieces_need_a_seed_and_a_size():
     expected = np.zeros_like(grown)
     expected[1, 0:4] = True
     np.testing.assert_array_equal(components_with_seed(grown, seeds, 2), expected)
+
+
+def test_only_pieces_near_the_place_are_kept():
+    image = laid(coverage())
+    v, u = np.nonzero(segment_threshold(image))
+    near = np.zeros((HEIGHT, WIDTH), bool)
+    assert not segment_threshold(image, Near(near, is_bright=False)).any()
+    near[v[0], u[0]] = True
+    near = cv2.dilate(near.astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
+    np.testing.assert_array_equal(segment_threshold(image, Near(near, is_bright=False)), segment_threshold(image))

@@ -1,0 +1,109 @@
+"""A thread that moves is followed near where it was; whatever could make that wrong has the whole images looked at."""
+
+import functools
+
+import numpy as np
+import pytest
+
+from agents.perception.search import (
+    FRAMES_BETWEEN_LOOKS,
+    MARGIN_SHARE,
+    Remembered,
+    is_brighter,
+    look_everywhere,
+    look_near,
+    may_lack_thread,
+    near_thread,
+    remember,
+)
+from schemas.messages import Judgement, Severity
+from shared.scene.__main__ import make_scene
+from shared.scene.render import render
+
+WIDTH, HEIGHT = 480, 270
+
+
+@functools.cache
+def tissue(colour="black"):
+    pair = render(make_scene("medium", "tissue", 32, colour))
+    return pair.left_bgr, pair.right_bgr
+
+
+def moved(images, right, down):
+    left, other = (np.roll(image, (down, right), axis=(0, 1)) for image in images)
+    return left, other
+
+
+def remembered(images, sequence=0, judgements=()):
+    return remember(look_everywhere(images, None), images[0], sequence, judgements)
+
+
+def line(column, rows=slice(60, 200)):
+    mask = np.zeros((HEIGHT, WIDTH), np.uint8)
+    mask[rows, column : column + 3] = 255
+    return mask
+
+
+def overlap(a, b):
+    return ((a > 0) & (b > 0)).sum() / ((a > 0) | (b > 0)).sum()
+
+
+@pytest.mark.parametrize("colour", ["black", "violet"])
+def test_a_thread_that_moves_is_followed_step_by_step(colour):
+    images = tissue(colour)
+    memory = remembered(images)
+    for step in range(1, 5):
+        now = moved(images, 8 * step, -6 * step)
+        looked = look_near(now, memory, step)
+        assert looked is not None
+        assert looked.near is not None
+        for seen, whole in zip(looked.coverage, look_everywhere(now, None).coverage, strict=True):
+            assert overlap(seen, whole) > 0.9
+        memory = remember(looked, now[0], step, ())
+        assert memory.looked_sequence == 0
+
+
+def test_a_thread_that_jumps_away_has_everything_looked_at():
+    images = tissue()
+    assert look_near(moved(images, 0, round(2.5 * MARGIN_SHARE * images[0].shape[1])), remembered(images), 1) is None
+
+
+@pytest.mark.parametrize("sequence", [FRAMES_BETWEEN_LOOKS, 3 * FRAMES_BETWEEN_LOOKS, 0, -5])
+def test_after_so_many_frames_and_after_a_restart_of_the_camera_everything_is_looked_at(sequence):
+    assert look_near(tissue(), remembered(tissue()), sequence) is None
+
+
+def test_near_reaches_a_margin_around_the_thread_and_no_further():
+    columns = np.flatnonzero(near_thread(line(200))[130])
+    margin = MARGIN_SHARE * WIDTH
+    assert 200 - 1.4 * margin < columns[0] < 200 - 0.7 * margin
+    assert 203 + 0.7 * margin < columns[-1] < 203 + 1.4 * margin
+
+
+def test_thread_at_the_border_of_what_was_looked_at_may_go_on_and_thread_at_the_images_own_cannot():
+    near = near_thread(line(200))
+    pixels = int((line(200) > 0).sum())
+    assert not may_lack_thread(line(200), near, pixels)
+    assert may_lack_thread(line(200, slice(60, 225)) & np.where(near, 255, 0).astype(np.uint8), near, pixels)
+    whole = line(200, slice(0, HEIGHT))
+    assert not may_lack_thread(whole, near_thread(whole), int((whole > 0).sum()))
+
+
+def test_less_thread_than_there_was_has_everything_looked_at():
+    near, pixels = near_thread(line(200)), int((line(200) > 0).sum())
+    assert may_lack_thread(line(200, slice(60, 140)), near, pixels)
+    assert not may_lack_thread(line(200, slice(60, 190)), near, pixels)
+
+
+@pytest.mark.parametrize(("thread", "ground"), [(30, 200), (220, 90)])
+def test_bright_and_dark_threads_are_told_apart(thread, ground):
+    image = np.where(line(200)[:, :, None] > 0, thread, ground).repeat(3, axis=2).astype(np.uint8)
+    assert is_brighter(image, line(200)) == (thread > ground)
+
+
+def test_judgements_that_are_carried_on_say_when_they_were_made():
+    warning = Judgement("row_residual", Severity.WARNING, "rows lie apart", "calibrate again")
+    memory = Remembered(12, "ridge", (warning,), (1, 1), False, (line(1), line(1)))
+    (carried,) = memory.carried_on
+    assert carried.finding == "rows lie apart (judged in frame 12)"
+    assert (carried.code, carried.severity, carried.remedy) == ("row_residual", Severity.WARNING, "calibrate again")
