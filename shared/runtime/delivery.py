@@ -14,6 +14,7 @@ from schemas.topics import Delivery, Topic
 EVENT_CACHE = 1000
 """Events kept for those who were away: about a router's restart at the highest rate of events."""
 MISS_HEARTBEAT_S = 0.5
+ENDS_S = 5.0
 RING, WILDCARD_RING = 8, 64
 """Newest samples that wait for the thread that puts them away, which takes microseconds: what is replaced is replaced,
 and counted, in the inbox. Behind a key expression with a wildcard many keys share one channel."""
@@ -55,11 +56,7 @@ def subscribe(
     """
     if topic.delivery is Delivery.LATEST:
         ring = zenoh.handlers.RingChannel(WILDCARD_RING if "*" in key else RING)
-        subscriber = session.declare_subscriber(key, ring)
-        threading.Thread(
-            target=_hand_over, args=(subscriber.handler, receive), daemon=True, name=f"receive {key}"
-        ).start()
-        return [subscriber]
+        return [_Receiving(session.declare_subscriber(key, ring), key, receive)]
     newest = 1 if topic.delivery is Delivery.STATE else EVENT_CACHE
     advanced = ext.declare_advanced_subscriber(
         session,
@@ -71,6 +68,21 @@ def subscribe(
     )
     listener = advanced.sample_miss_listener(lambda miss: missed(miss.nb))
     return [advanced, listener]
+
+
+class _Receiving:
+    """A subscriber, and the thread that hands over what it hears."""
+
+    def __init__(self, subscriber: Any, key: str, receive: Callable[[zenoh.Sample], None]) -> None:
+        self._subscriber = subscriber
+        hand_over = (subscriber.handler, receive)
+        self._thread = threading.Thread(target=_hand_over, args=hand_over, daemon=True, name=f"receive {key}")
+        self._thread.start()
+
+    def undeclare(self) -> None:
+        """End both: a thread that is still inside Zenoh when the interpreter ends aborts the process."""
+        self._subscriber.undeclare()
+        self._thread.join(ENDS_S)
 
 
 def _hand_over(channel: Any, receive: Callable[[zenoh.Sample], None]) -> None:

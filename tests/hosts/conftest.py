@@ -1,46 +1,37 @@
 """Agents as processes of their own, on this host or in network namespaces, heard from beside."""
 
-import dataclasses
+import collections
+import contextlib
+import os
 import subprocess
 import sys
-import threading
 import types
 
 import pytest
 
-from agents.cli.rig import CameraSection, RigConfig, RouterSection, SimulatorSection, simulated_rig
+from agents.cli.rig import ArmSection, CameraSection, RigConfig, RouterSection, SimulatorSection, simulated_rig
+from agents.cli.supervisor import SUPERVISED
 from schemas.codec import decode
-from schemas.messages import AgentHealth
 from schemas.topics import COMMANDS, EXECUTION, HEALTH, LOG, OBSERVATIONS, PLAN, ROBOT_STATE, THREAD
-from shared.clock import monotonic_s
 from shared.runtime.connection import connected
-from shared.runtime.taps import Tapped
 
-DEADLINE_S = 30.0
+DEADLINE_S = 60.0
 HEARD = (HEALTH, LOG, OBSERVATIONS, THREAD, PLAN, EXECUTION, ROBOT_STATE, COMMANDS)
 
 
 def small_rig(endpoint: str) -> RigConfig:
-    """The simulated rig with a router elsewhere, and few enough frames for two cores."""
+    """The simulated rig with a router elsewhere, few enough frames for two cores, and plans that may wait."""
     sections = {
         "router": RouterSection(endpoint=endpoint, start=False),
         "camera": CameraSection(rate_hz=5.0),
+        "robot": {"psm1": ArmSection(maximum_plan_age_s=DEADLINE_S)},
         "simulator": SimulatorSection(config="easy", background="plain"),
     }
     return simulated_rig().model_copy(update=sections)
 
 
-def wait_for(condition, what):
-    """The value of a condition once it is true; a failure that says what was waited for after the deadline."""
-    deadline_s, turn = monotonic_s() + DEADLINE_S, threading.Event()
-    while not (value := condition()):
-        assert monotonic_s() < deadline_s, f"waited {DEADLINE_S:.0f} s for {what}"
-        turn.wait(0.05)
-    return value
-
-
 class Processes:
-    """The processes of a test; those that still run are killed at its end."""
+    """The processes of a test; those that still run are stopped at its end, or when the process of the tests ends."""
 
     def __init__(self, folder):
         self._folder = folder
@@ -49,18 +40,22 @@ class Processes:
 
     def start(self, name, *arguments, inside=()):
         """Start `suturegrasp NAME ...`; `inside` comes before it, as `ip netns exec` does."""
+        if name in self._running:
+            self._end(self._running.pop(name))
         command = [*inside, sys.executable, "-m", "agents.cli", name, *arguments, "--config", str(self.config)]
         with (self._folder / f"{name}.log").open("ab") as log:
-            process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+            process = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=log, stderr=log, env={**os.environ, SUPERVISED: "1"}
+            )
         self._running[name] = process
         return process
 
     def kill(self, name):
         """SIGKILL, which nothing in the process hears."""
         process = self._running.pop(name)
-        assert process.poll() is None, f"{name} had ended before: {self.said(name)}"
-        process.kill()
-        process.wait(DEADLINE_S)
+        ended = process.poll() is not None
+        self._end(process)
+        assert not ended, f"{name} had ended before: {self.said(name)}"
 
     def said(self, name):
         """What a process printed."""
@@ -70,61 +65,62 @@ class Processes:
         """Which processes have ended by themselves."""
         return {name: self.said(name) for name, process in self._running.items() if process.poll() is not None}
 
-    def end(self):
+    def close(self):
         for process in self._running.values():
             process.terminate()
         for process in self._running.values():
-            try:
+            with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(5.0)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait(DEADLINE_S)
+            self._end(process)
+
+    def _end(self, process):
+        process.kill()
+        process.wait(DEADLINE_S)
+        process.stdin.close()
 
 
-@dataclasses.dataclass
 class Ear:
     """What is published on a rig."""
 
-    connection: object
-    heard: list[Tapped]
+    def __init__(self, connection):
+        self.connection = connection
+        self._heard = collections.defaultdict(list)
+        self._read = collections.defaultdict(list)
 
-    def of(self, topic):
-        return [t for t in list(self.heard) if t.topic is topic]
+    def hear(self, tapped):
+        self._heard[tapped.topic].append(tapped.payload)
 
     def messages(self, topic):
-        return [decode(topic.message, t.payload) for t in self.of(topic)]
+        """All so far, in their order; each is decoded once."""
+        read = self._read[topic]
+        read += [decode(topic.message, payload) for payload in self._heard[topic][len(read) :]]
+        return list(read)
 
     def health(self):
         """The newest health by kind."""
-        return {h.agent: h for h in (decode(AgentHealth, t.payload) for t in self.of(HEALTH))}
+        return {health.agent: health for health in self.messages(HEALTH)}
 
 
 @pytest.fixture(scope="module")
 def processes(tmp_path_factory):
-    started = Processes(tmp_path_factory.mktemp("processes"))
-    yield started
-    started.end()
+    with contextlib.closing(Processes(tmp_path_factory.mktemp("processes"))) as started:
+        yield started
 
 
 @pytest.fixture(scope="module")
 def listening():
     """An ear on a rig, until the end of the module."""
-    kept = []
+    with contextlib.ExitStack() as stack:
 
-    def listen(rig):
-        context = connected(rig.session, within_s=DEADLINE_S)
-        connection = context.__enter__()
-        kept.append(context)
-        ear = Ear(connection, [])
-        connection.listen(HEARD, ear.heard.append)
-        return ear
+        def listen(rig):
+            ear = Ear(stack.enter_context(connected(rig.session, within_s=DEADLINE_S)))
+            ear.connection.listen(HEARD, ear.hear)
+            return ear
 
-    yield listen
-    for context in kept:
-        context.__exit__(None, None, None)
+        yield listen
 
 
 @pytest.fixture(scope="session")
 def hosts():
     """What tests of this folder share besides fixtures."""
-    return types.SimpleNamespace(small_rig=small_rig, wait_for=wait_for, DEADLINE_S=DEADLINE_S)
+    return types.SimpleNamespace(small_rig=small_rig, DEADLINE_S=DEADLINE_S)

@@ -188,7 +188,7 @@ class Film:
 
 def test_everything_of_a_live_run_is_read_back_identically(settings, running, record, tmp_path, until):
     heard = []
-    with connected(settings) as connection:
+    with connected(settings, 60.0) as connection:
         recorder = record(tmp_path / "live.mcap")
 
         def receive(one):
@@ -209,7 +209,7 @@ def test_everything_of_a_live_run_is_read_back_identically(settings, running, re
 
 def test_a_gap_between_publisher_and_recorder_is_counted(settings, session, record, tmp_path, until, heard_by_others):
     publisher = declare_publisher(session, key(settings.rig, PLAN), LOG)
-    with connected(settings) as connection:
+    with connected(settings, 60.0) as connection:
         recorder = record(tmp_path / "live.mcap")
         connection.listen((PLAN,), recorder.put, recorder.missed)
         heard_by_others(session, key(settings.rig, PLAN))

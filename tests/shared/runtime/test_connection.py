@@ -17,12 +17,14 @@ def test_no_router_is_said_within_the_time_allowed():
     began_s = monotonic_s()
     with pytest.raises(NoRouterError, match=settings.endpoint), connected(settings, within_s=0.3):
         pass
-    assert monotonic_s() - began_s < 5.0
+    assert monotonic_s() - began_s < 30.0
 
 
 def test_waiting_ends_when_it_is_stopped():
     stopped = threading.Event()
-    threading.Timer(0.2, stopped.set).start()
+    timer = threading.Timer(0.2, stopped.set)
+    timer.daemon = True
+    timer.start()
     with pytest.raises(NoRouterError):
         open_when_there(SessionSettings("test", free_local_endpoint()), stopped=stopped)
     assert stopped.is_set()
@@ -32,16 +34,17 @@ def test_a_router_that_comes_later_is_found():
     settings = SessionSettings("test", free_local_endpoint())
     routers = []
     timer = threading.Timer(0.3, lambda: routers.append(open_router(settings.endpoint)))
+    timer.daemon = True
     timer.start()
-    with connected(settings, within_s=15.0) as connection:
+    with connected(settings, within_s=60.0) as connection:
         assert connection.present() == []
-    timer.join()
+    timer.join(60.0)
     routers[0].close()
 
 
 def test_a_repeated_message_comes_in_order_until_it_ends(settings, until):
     heard = []
-    with connected(settings) as listener, connected(settings) as sender:
+    with connected(settings, 60.0) as listener, connected(settings, 60.0) as sender:
         listener.listen((HEARTBEAT,), heard.append)
         with sender.repeating(HEARTBEAT, "psm1", 50.0, lambda at_ns: Heartbeat("psm1", "plan", at_ns, "arming")):
             until(lambda: len(heard) >= 5)

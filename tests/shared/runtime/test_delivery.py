@@ -7,9 +7,9 @@ import pytest
 
 from schemas.topics import CALIBRATION, FRAMES, PLAN, key
 from shared.runtime.delivery import RING, declare_publisher, subscribe
-from shared.runtime.session import SessionSettings, free_local_endpoint, open_router, open_session
+from shared.runtime.session import SessionSettings, open_router, open_session
 
-DEADLINE_S = 15.0
+DEADLINE_S = 60.0
 
 
 @pytest.fixture
@@ -100,18 +100,19 @@ def test_behind_a_slow_receiver_the_newest_is_next_and_the_publisher_never_waits
     assert len(later) <= RING + 1
 
 
-def test_events_survive_a_restart_of_the_router_in_order_and_without_a_hole(until):
-    endpoint = free_local_endpoint()
-    settings = SessionSettings("test", endpoint)
+def test_events_survive_a_restart_of_the_router_in_order_and_without_a_hole(router, until):
     heard, missed = [], []
     with contextlib.ExitStack() as stack:
-        router = open_router(endpoint)
+        routing = contextlib.ExitStack()
+        stack.push(routing)
+        endpoint = routing.enter_context(router())
+        settings = SessionSettings("test", endpoint)
         sender, receiver = (stack.enter_context(open_session(settings)) for _ in range(2))
         publisher = declare_publisher(sender, key("test", PLAN), PLAN)
         kept = subscribe(receiver, key("test", PLAN), PLAN, lambda s: heard.append(s.payload.to_bytes()), missed.append)
         publisher.put(b"0")
         until(lambda: heard == [b"0"])
-        router.close()
+        routing.close()
         for number in range(1, 20):
             publisher.put(str(number).encode())
         with open_router(endpoint):
@@ -120,6 +121,15 @@ def test_events_survive_a_restart_of_the_router_in_order_and_without_a_hole(unti
                 declared.undeclare()
     assert heard == [str(number).encode() for number in range(20)]
     assert missed == []
+
+
+def test_no_thread_outlives_its_subscriber(session):
+    kept = subscribe(session, key("test", FRAMES), FRAMES, lambda _: None, lambda _: None)
+    names = {f"receive {key('test', FRAMES)}"}
+    assert names <= {thread.name for thread in threading.enumerate()}
+    for declared in kept:
+        declared.undeclare()
+    assert not names & {thread.name for thread in threading.enumerate()}
 
 
 def test_one_expression_hears_all_instances(publish, session, listen, until):
