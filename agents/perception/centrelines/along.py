@@ -1,13 +1,22 @@
 """Operations along ordered points of several pieces at once: smoothing, direction, even spacing."""
 
+import cv2
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Float32, Float64, Int64
 
 
 def bounds(piece: Int64[np.ndarray, "n"]) -> tuple[Int64[np.ndarray, "k"], Int64[np.ndarray, "k"]]:
     """Index of the first point of each piece, and one after its last."""
     first = np.flatnonzero(np.diff(piece, prepend=-1))
     return first, np.append(first[1:], len(piece))[: len(first)]
+
+
+def places_to_ends(piece: Int64[np.ndarray, "n"]) -> tuple[Int64[np.ndarray, "n"], Int64[np.ndarray, "n"]]:
+    """How many points of its piece lie before each point, and how many after it."""
+    first, end = bounds(piece)
+    count = end - first
+    index = np.arange(len(piece))
+    return index - np.repeat(first, count), np.repeat(end - 1, count) - index
 
 
 def gaussian(sigma: float) -> Float64[np.ndarray, "m"]:
@@ -32,17 +41,30 @@ def smoothed(
     if len(values) == 0:
         return values
     reach = len(kernel) // 2
-    padded, inside = _reflected(values, piece, reach)
+    mirrored, nearest, inside = _reflection(piece, reach)
+    outside = (mirrored != nearest)[:, None]
+    padded = np.where(outside, 2 * values[nearest] - values[mirrored], values[mirrored])
     result = np.empty_like(values)
     for column in range(values.shape[1]):
         result[:, column] = np.convolve(padded[:, column], kernel, mode="same")[inside]
     return result
 
 
-def _reflected(
-    values: Float64[np.ndarray, "n d"], piece: Int64[np.ndarray, "n"], reach: int
-) -> tuple[Float64[np.ndarray, "q d"], Int64[np.ndarray, "n"]]:
-    """All pieces in a row, each with `reach` values more at both ends, and where the values proper stand."""
+def blurred(
+    rows: Float32[np.ndarray, "n t"], piece: Int64[np.ndarray, "n"], kernel: Float64[np.ndarray, "m"]
+) -> Float32[np.ndarray, "n t"]:
+    """Rows averaged with their neighbours along each piece, which goes on at its ends as in a mirror."""
+    mirrored, _, inside = _reflection(piece, len(kernel) // 2)
+    return np.asarray(cv2.sepFilter2D(rows[mirrored], cv2.CV_32F, np.ones(1), kernel), np.float32)[inside]
+
+
+def _reflection(
+    piece: Int64[np.ndarray, "n"], reach: int
+) -> tuple[Int64[np.ndarray, "q"], Int64[np.ndarray, "q"], Int64[np.ndarray, "n"]]:
+    """All pieces in a row, each with `reach` points more at both ends.
+
+    Returns which point mirrors each place, which point of the piece is nearest to it, and where the points stand.
+    """
     first, end = bounds(piece)
     length = end - first
     start = np.cumsum(length + 2 * reach) - length - 2 * reach
@@ -50,12 +72,8 @@ def _reflected(
     local = np.arange(len(owner)) - start[owner] - reach
     last = length[owner] - 1
     mirrored = np.clip(np.where(local < 0, -local, np.where(local > last, 2 * last - local, local)), 0, last)
-    anchor = np.clip(local, 0, last)
-    source, at = first[owner] + mirrored, first[owner] + anchor
-    outside = (local != anchor)[:, None]
-    padded = np.where(outside, 2 * values[at] - values[source], values[source])
-    inside = start[np.repeat(np.arange(len(first)), length)] + reach + np.arange(len(values)) - np.repeat(first, length)
-    return padded, inside
+    nearest = np.clip(local, 0, last)
+    return first[owner] + mirrored, first[owner] + nearest, np.flatnonzero(local == nearest)
 
 
 def directions(

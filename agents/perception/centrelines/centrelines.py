@@ -1,42 +1,36 @@
-"""Sub-pixel centrelines: skeleton, then the centroid across the normal, three rounds; then the ends.
+"""Sub-pixel centrelines: skeleton, then three rounds of correction across the normal, and the ends after the first.
 
-Source: "Sub-pixel centrelines" of two-view refinement; the centroid of anti-aliased coverage is unbiased for a strip
-of constant width, wherever it lies on the pixel grid.
+Anti-aliased coverage is corrected by its centroid, which hardly depends on where a strip lies on the pixel grid. A mask
+that only says yes or no has lost what is finer than a pixel, so there the edges in the image tell.
 """
-
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64, UInt8
+from jaxtyping import Bool, Float32, Float64, UInt8
 
 from agents.perception.centrelines.along import bounds, directions, evenly_spaced, gaussian, local_quadratic, smoothed
-from agents.perception.centrelines.profiles import Middle, middle, normals, offsets, own_strand, sample
+from agents.perception.centrelines.deviation import deviations
+from agents.perception.centrelines.edges import contrast_channel
+from agents.perception.centrelines.profiles import sample
+from agents.perception.centrelines.refine import Curves, by_coverage, by_edges, tangent_sigma
 from agents.perception.centrelines.skeleton import Paths, skeleton_paths
 from schemas.messages import Centrelines, no_centrelines
 
 SEGMENTED_COVERAGE = 96
 """Coverage from which a pixel counts as thread; the same as where pixels are matched."""
-ROUNDS = 3
+GROUND_PX = 12
+"""Around the thread that is looked at."""
 SPACING_PX = 1.0
-MARGIN_PX = 2.0
-"""Beyond the thread's own edge that a profile looks."""
 WIDEST_PX = 40.0
 """Profiles reach no further for a thread wider than this."""
+LEAST_GRADED_SHARE = 0.1
+"""Of the pixels beside the mask; of anti-aliased coverage most are partly thread, of a binary mask none."""
 LEAST_LENGTH = 1.5
 """Pieces shorter than so many widths are no line."""
 
 
-@dataclass(frozen=True)
-class _Curves:
-    point: Float64[np.ndarray, "n 2"]
-    piece: Int64[np.ndarray, "n"]
-    loose_start: Bool[np.ndarray, "k"]
-    loose_end: Bool[np.ndarray, "k"]
-
-
 def thread_centrelines(
-    image: UInt8[np.ndarray, "h w 3"],  # noqa: ARG001
+    image: UInt8[np.ndarray, "h w 3"],
     coverage: UInt8[np.ndarray, "h w"],
 ) -> Centrelines:
     """The middle of the thread in one rectified image.
@@ -49,37 +43,54 @@ def thread_centrelines(
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if len(rows) == 0:
         return no_centrelines()
-    corner = np.array([max(columns[0] - 2, 0), max(rows[0] - 2, 0)])
-    box = np.s_[corner[1] : rows[-1] + 3, corner[0] : columns[-1] + 3]
-    found = _centrelines(np.ascontiguousarray(coverage[box], np.float32), mask[box])
+    corner = np.array([max(columns[0] - GROUND_PX, 0), max(rows[0] - GROUND_PX, 0)])
+    box = np.s_[corner[1] : rows[-1] + 1 + GROUND_PX, corner[0] : columns[-1] + 1 + GROUND_PX]
+    found = _centrelines(image[box], np.ascontiguousarray(coverage[box], np.float32), mask[box])
     inside = np.clip(found.point_px + corner, 0.0, np.array(coverage.shape[::-1]) - 1.0)
     return Centrelines(inside, found.piece, found.width_px, found.deviation_px)
 
 
-def _centrelines(coverage: Float32[np.ndarray, "h w"], mask: Bool[np.ndarray, "h w"]) -> Centrelines:
+def _centrelines(
+    image: UInt8[np.ndarray, "h w 3"], coverage: Float32[np.ndarray, "h w"], mask: Bool[np.ndarray, "h w"]
+) -> Centrelines:
     filled, depth = _without_pinholes(mask)
     width = min(WIDEST_PX, max(1.0, 4.0 * float(depth[filled].mean())))
     curves = _initial(skeleton_paths(filled, depth), width)
     if len(curves.point) == 0:
         return no_centrelines()
-    for _ in range(ROUNDS - 1):
-        curves = _centred(curves, coverage, width)
-    curves = _centred(_extended(curves, coverage, width), coverage, width)
-    return _measured(curves, coverage, width)
+    curves, _ = by_coverage(curves, coverage, width)
+    curves = _extended(curves, coverage, width)
+    graded = _is_graded(coverage, mask)
+    if graded:
+        curves, _ = by_coverage(curves, coverage, width)
+        curves, seen = by_coverage(curves, coverage, width)
+    else:
+        channel = contrast_channel(image, mask)
+        curves, _ = by_edges(curves, coverage, channel, width)
+        curves, seen = by_edges(curves, coverage, channel, width)
+    return Centrelines(curves.point, curves.piece, seen.width_px, deviations(curves, seen, graded))
+
+
+def _is_graded(coverage: Float32[np.ndarray, "h w"], mask: Bool[np.ndarray, "h w"]) -> bool:
+    """Whether the coverage fades at the mask's border, as anti-aliased coverage does; if not, it has no sub-pixels."""
+    beside = np.asarray(cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8))) > 0
+    outside = coverage[beside & ~mask]
+    return len(outside) > 0 and float((outside > 0).mean()) > LEAST_GRADED_SHARE
 
 
 def _without_pinholes(mask: Bool[np.ndarray, "h w"]) -> tuple[Bool[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
     """The mask with holes smaller than the thread's own width filled, and its distance transform."""
     depth = _depth(mask)
     # over a strip the distance to its edge averages a quarter of its width
-    width = 4.0 * float(depth[mask].mean())
-    _, labels, stats, _ = cv2.connectedComponentsWithStats((~mask).astype(np.uint8), connectivity=4)
-    small = stats[:, cv2.CC_STAT_AREA] <= max(2.0, 0.5 * width**2)
-    small[0] = False
-    if not small.any():
+    largest = max(4.0, 8.0 * float(depth[mask].mean()) ** 2)
+    image = mask.astype(np.uint8)
+    outlines, hierarchy = cv2.findContours(image, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    outer = np.asarray(hierarchy, np.int64).reshape(-1, 4)[:, 3]
+    holes = [outlines[k] for k in np.flatnonzero(outer >= 0).tolist() if cv2.contourArea(outlines[k]) <= largest]
+    if not holes:
         return mask, depth
-    filled = mask | small[np.asarray(labels, np.int32)]
-    return filled, _depth(filled)
+    cv2.drawContours(image, holes, -1, 1, cv2.FILLED)
+    return image > 0, _depth(image > 0)
 
 
 def _depth(mask: Bool[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
@@ -87,7 +98,7 @@ def _depth(mask: Bool[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
     return np.asarray(cv2.distanceTransform(padded, cv2.DIST_L2, 3), np.float32)[1:-1, 1:-1]
 
 
-def _initial(paths: Paths, width: float) -> _Curves:
+def _initial(paths: Paths, width: float) -> Curves:
     """Smoothed paths, evenly spaced, without what is too short and without the last half width before loose ends."""
     path = paths.path
     first, end = bounds(path)
@@ -103,36 +114,16 @@ def _initial(paths: Paths, width: float) -> _Curves:
     point = paths.pixel[keep][:, ::-1].astype(np.float64)
     piece = np.cumsum(np.diff(path[keep], prepend=-1) > 0) - 1
     if len(point) == 0:
-        return _Curves(point, piece, paths.loose_start[:0], paths.loose_end[:0])
-    smooth = smoothed(point, piece, local_quadratic(_sigma(width)))
+        return Curves(point, piece, paths.loose_start[:0], paths.loose_end[:0])
+    smooth = smoothed(point, piece, local_quadratic(tangent_sigma(width)))
     point, piece = evenly_spaced(smooth, piece, SPACING_PX)
-    return _Curves(point, piece, paths.loose_start[long_enough], paths.loose_end[long_enough])
+    return Curves(point, piece, paths.loose_start[long_enough], paths.loose_end[long_enough])
 
 
-def _sigma(width: float) -> float:
-    return float(np.clip(0.5 * width, 2.0, 4.0))
-
-
-def _profiles(
-    curves: _Curves, coverage: Float32[np.ndarray, "h w"], width: float
-) -> tuple[Float64[np.ndarray, "n 2"], Middle]:
-    tangent = directions(curves.point, curves.piece, gaussian(_sigma(width)))
-    normal = normals(tangent)
-    at = offsets(width / 2 + MARGIN_PX)
-    return normal, middle(own_strand(sample(coverage, curves.point, normal, at)), at)
-
-
-def _centred(curves: _Curves, coverage: Float32[np.ndarray, "h w"], width: float) -> _Curves:
-    normal, found = _profiles(curves, coverage, width)
-    shift = np.clip(found.offset_px, -width / 2, width / 2)
-    point = smoothed(curves.point + shift[:, None] * normal, curves.piece, local_quadratic(1.5))
-    return _Curves(point, curves.piece, curves.loose_start, curves.loose_end)
-
-
-def _extended(curves: _Curves, coverage: Float32[np.ndarray, "h w"], width: float) -> _Curves:
+def _extended(curves: Curves, coverage: Float32[np.ndarray, "h w"], width: float) -> Curves:
     """Curves continued straight to where the coverage ends, at loose ends."""
     first, end = bounds(curves.piece)
-    tangent = directions(curves.point, curves.piece, gaussian(_sigma(width)))
+    tangent = directions(curves.point, curves.piece, gaussian(tangent_sigma(width)))
     at = np.arange(0.0, 2 * width + 4, 0.25)
     pieces = []
     for k, (a, b) in enumerate(zip(first.tolist(), end.tolist(), strict=True)):
@@ -144,7 +135,7 @@ def _extended(curves: _Curves, coverage: Float32[np.ndarray, "h w"], width: floa
         pieces.append(np.concatenate((before, curves.point[a:b], after)))
     piece = np.repeat(np.arange(len(pieces)), [len(p) for p in pieces])
     point, piece = evenly_spaced(np.concatenate(pieces), piece, SPACING_PX)
-    return _Curves(point, piece, curves.loose_start, curves.loose_end)
+    return Curves(point, piece, curves.loose_start, curves.loose_end)
 
 
 def _continuation(
@@ -164,15 +155,3 @@ def _continuation(
     if reach - np.floor(reach) > 0.05 and reach > 0:
         steps = np.append(steps, reach)
     return start + steps[:, None] * direction
-
-
-def _measured(curves: _Curves, coverage: Float32[np.ndarray, "h w"], width: float) -> Centrelines:
-    _, found = _profiles(curves, coverage, width)
-    deviation = _deviation(found, width)
-    return Centrelines(curves.point, curves.piece, np.maximum(found.width_px, 0.1), deviation)
-
-
-def _deviation(found: Middle, width: float) -> Float64[np.ndarray, "n"]:
-    typical = float(np.median(found.width_px))
-    unusual = np.abs(found.width_px - typical)
-    return 0.05 + 0.3 * np.maximum(unusual - 0.15 * typical, 0.0) + np.abs(found.offset_px) + 0.5 * width * found.open

@@ -44,12 +44,13 @@ def sample(
     point: Float64[np.ndarray, "n 2"],
     direction: Float64[np.ndarray, "n 2"],
     at: Float64[np.ndarray, "t"],
+    border: int = cv2.BORDER_CONSTANT,
 ) -> Float32[np.ndarray, "n t"]:
-    """The image, bilinear and zero outside, at `at` pixels from each point along its direction."""
+    """The image, bilinear, at `at` pixels from each point along its direction; outside it is zero by default."""
     u = (point[:, :1] + direction[:, :1] * at).astype(np.float32)
     v = (point[:, 1:] + direction[:, 1:] * at).astype(np.float32)
     parts = [
-        cv2.remap(image, u[i : i + MOST_ROWS], v[i : i + MOST_ROWS], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+        cv2.remap(image, u[i : i + MOST_ROWS], v[i : i + MOST_ROWS], cv2.INTER_LINEAR, borderMode=border)
         for i in range(0, len(u), MOST_ROWS)
     ]
     return np.concatenate([np.asarray(part, np.float32) for part in parts]) if parts else np.zeros_like(u)

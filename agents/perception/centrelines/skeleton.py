@@ -119,22 +119,25 @@ def _connected(neighbours: Int64[np.ndarray, "p 8"], kept: Bool[np.ndarray, "p"]
 
 
 def _walk(neighbours: Int64[np.ndarray, "p 8"]) -> tuple[Int64[np.ndarray, "p"], Int64[np.ndarray, "p"]]:
-    """Order of the pixels along paths, and the path of each; every pixel has at most two neighbours."""
-    count = (neighbours >= 0).sum(axis=1)
-    around = [[n for n in row if n >= 0] for row in neighbours.tolist()]
-    visited = bytearray(len(around))
+    """Order of the pixels along paths, and the path of each; every pixel has at most two neighbours, −1 for none."""
+    one, other = np.sort(neighbours, axis=1)[:, -2:].T
+    # the next pixel is the sum of both neighbours less the one before; −1 stands before the first and after the last
+    both: list[int] = (one + other).tolist()
+    unvisited = bytearray(b"\1" * len(both))
     order: list[int] = []
-    path: list[int] = []
-    number = 0
-    # ends first; what is left then are rings, which start anywhere
-    for start in [*np.flatnonzero(count <= 1).tolist(), *range(len(around))]:
-        if visited[start]:
-            continue
-        here: int | None = start
-        while here is not None:
-            visited[here] = 1
+    lengths: list[int] = []
+
+    def follow(start: int, before: int) -> None:
+        here, begun = start, len(order)
+        while here >= 0 and unvisited[here]:
+            unvisited[here] = 0
             order.append(here)
-            path.append(number)
-            here = next((n for n in around[here] if not visited[n]), None)
-        number += 1
-    return np.array(order, np.int64), np.array(path, np.int64)
+            here, before = both[here] - before, here
+        lengths.append(len(order) - begun)
+
+    for end in np.flatnonzero(one < 0).tolist():
+        if unvisited[end]:
+            follow(end, -1)
+    while (start := unvisited.find(1)) >= 0:
+        follow(start, int(one[start]))
+    return np.array(order, np.int64), np.repeat(np.arange(len(lengths)), lengths)
