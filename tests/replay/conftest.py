@@ -2,7 +2,7 @@
 
 import contextlib
 import dataclasses
-import threading
+import itertools
 
 import pytest
 
@@ -19,13 +19,11 @@ from agents.simulator.agent import Simulator, SimulatorConfig
 from schemas.codec import decode
 from schemas.messages import GraspPlan, Outcome, Policy, RectifiedStereo, Status, ThreadReconstruction
 from schemas.topics import PLAN, THREAD, TOPICS
-from shared.clock import monotonic_s
 from shared.runtime.connection import connected
-from shared.runtime.runner import Runner
-from shared.runtime.session import SessionSettings, free_local_endpoint, open_router, open_session
+from shared.runtime.session import SessionSettings
 from shared.runtime.taps import Tapped
 
-DEADLINE_S = 30.0
+DEADLINE_S = 60.0
 SMALL = RectifiedStereo(480, 270, 500.0, 500.0, 239.5, 134.5, 5.5e-3, 1.0)
 """Half the endoscope's size, so that two cores keep up."""
 
@@ -53,54 +51,32 @@ def simulator():
     return Simulator(SimulatorConfig(config="easy", background="plain", camera=SMALL))
 
 
-def wait_for(condition):
-    deadline_s, turn = monotonic_s() + DEADLINE_S, threading.Event()
-    while not (value := condition()):
-        assert monotonic_s() < deadline_s, "the condition did not come true in time"
-        turn.wait(0.02)
-    return value
-
-
-@contextlib.contextmanager
-def running(settings, *agents):
-    """Agents in threads of their own, each with a session of its own."""
-    with contextlib.ExitStack() as stack:
-        for agent in agents:
-            runner = Runner(agent, stack.enter_context(open_session(settings)), settings.rig)
-            thread = threading.Thread(target=runner.run, name=agent.kind)
-            thread.start()
-            stack.callback(thread.join, DEADLINE_S)
-            stack.callback(runner.stop)
-        yield
-
-
 def of(heard, topic):
     return [t for t in list(heard) if t.topic is topic]
 
 
 @pytest.fixture(scope="session")
-def live(tmp_path_factory):
+def live(tmp_path_factory, router, in_threads, until):
     """A session with two goals of each policy; perception, reconstruction and planner are restarted in its midst."""
     path = tmp_path_factory.mktemp("live") / "session.mcap"
-    settings = SessionSettings("replayed", free_local_endpoint())
     heard = []
     with contextlib.ExitStack() as stack:
-        stack.enter_context(open_router(settings.endpoint))
-        connection = stack.enter_context(connected(settings))
+        settings = SessionSettings("replayed", stack.enter_context(router()))
+        connection = stack.enter_context(connected(settings, DEADLINE_S))
         recorder = Recorder(path)
         stack.callback(recorder.close)
         recorded = tuple(topic for topic in TOPICS if topic.recorded)
         connection.listen(recorded, heard.append)
         connection.listen(recorded, recorder.put, recorder.missed)
         bridge = RobotBridge(RobotBridgeConfig(), SimulatedPsm())
-        with running(settings, simulator(), scene_camera(), bridge):
+        with in_threads(settings, simulator(), scene_camera(), bridge):
             for _ in range(2):
-                with running(settings, Perception(), Reconstruction(), Planner()):
+                with in_threads(settings, Perception(), Reconstruction(), Planner()):
                     before = len(of(heard, THREAD))
-                    wait_for(lambda before=before: threads_ok(heard[:]) and len(of(heard, THREAD)) > before + 5)
+                    until(lambda before=before: threads_ok(heard[:]) and len(of(heard, THREAD)) > before + 5)
                     for policy in Policy:
-                        plan = asked(connection, policy)
-                        wait_for(lambda plan=plan: plan.plan_id in {p.plan_id for p in plans(heard)})
+                        plan = asked(connection, policy, until)
+                        until(lambda plan=plan: plan.plan_id in {p.plan_id for p in plans(heard)})
         connection.close()
         report = recorder.close()
     return Session(heard, path, report)
@@ -114,14 +90,15 @@ def plans(heard):
     return [decode(GraspPlan, t.payload) for t in of(heard, PLAN)]
 
 
-def asked(connection, policy):
+def asked(connection, policy, until):
     """A plan, or a rejection; what is busy starting refuses for a while."""
-    for s in (0.5, 0.4, 0.6, 0.3, 0.5, 0.5, 0.5):
-        answer, plan = ask_for_grasp(connection, "psm1", policy, s=s)
-        if answer.outcome is Outcome.ACCEPTED and plan is not None:
-            return plan
-        threading.Event().wait(0.3)
-    raise AssertionError(f"no plan: {answer.reason}")
+    places = itertools.cycle((0.5, 0.4, 0.6, 0.3))
+
+    def ask():
+        answer, plan = ask_for_grasp(connection, "psm1", policy, s=next(places))
+        return plan if answer.outcome is Outcome.ACCEPTED else None
+
+    return until(ask, "a plan or a rejection")
 
 
 @pytest.fixture(scope="session")

@@ -52,7 +52,7 @@ def test_the_session_has_something_to_show(recorded):
     plans = [decode(GraspPlan, e.payload) for e in outputs_of(recorded, PLAN)]
     assert sum(thread.status is Status.OK for thread in threads) >= 10
     assert [plan for plan in plans if plan.status is Status.OK]
-    assert len(plans) == 4
+    assert len(plans) >= 4
 
 
 def test_frames_lie_in_the_recording_that_nobody_consumed(recorded):
