@@ -3,6 +3,8 @@
 import sys
 from pathlib import Path
 
+import numpy as np
+
 from agents.camera.agent import Camera, CameraConfig, SceneCamera
 from agents.camera.scene_source import SceneSource, calibration_of
 from agents.camera.sources import ImageSource, Pair, PipeSource, Source, SourceError, VideoSource
@@ -12,11 +14,12 @@ from agents.planner.agent import Planner
 from agents.planner.config import PlannerConfig
 from agents.reconstruction.agent import Reconstruction
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
-from agents.robot_bridge.simulated import SimulatedPsm
+from agents.robot_bridge.simulated import SimulatedPsm, waiting
 from agents.simulator.agent import Simulator, SimulatorConfig
 from schemas.messages import ImageEncoding, Severity, SimulatorState, StereoCalibration
 from schemas.topics import MAIN
 from shared.calibration import CalibrationError, read_calibration
+from shared.kinematics.simulated_setup import SIMULATED_BASES
 from shared.runtime.agent import Agent
 from shared.runtime.config import ConfigError
 
@@ -47,8 +50,11 @@ def build(rig: RigConfig, kind: str, instance: str) -> Agent:
         case PlannerSection():
             return Planner(PlannerConfig(least_probability=section.least_probability))
         case ArmSection():
-            config = RobotBridgeConfig(arm=instance, maximum_plan_age_s=section.maximum_plan_age_s)
-            return RobotBridge(config, SimulatedPsm())
+            T_camera_base = (
+                SIMULATED_BASES[instance] if section.T_camera_base is None else np.array(section.T_camera_base)
+            )
+            config = RobotBridgeConfig(instance, T_camera_base, maximum_plan_age_s=section.maximum_plan_age_s)
+            return RobotBridge(config, SimulatedPsm(waiting(T_camera_base)))
         case SimulatorSection():
             return Simulator(SimulatorConfig(**section.model_dump()))
         case None:

@@ -7,8 +7,9 @@ import re
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
+from agents.cli.base_pose import BasePose, standing_apart
 from agents.robot_bridge.limits import MAXIMUM_PLAN_AGE_S
 from shared.runtime.config import Settings
 from shared.runtime.session import LOCAL_ENDPOINT, SessionSettings
@@ -82,10 +83,11 @@ class PlannerSection(Settings):
 
 
 class ArmSection(Settings):
-    """What drives an arm."""
+    """What drives an arm, and where it stands; psm1 and psm2 have a place without being told one."""
 
     backend: Literal["simulated"] = "simulated"
     maximum_plan_age_s: float = Field(default=MAXIMUM_PLAN_AGE_S, gt=0)
+    T_camera_base: BasePose | None = None
 
 
 class SimulatorSection(Settings):
@@ -124,6 +126,12 @@ class RigConfig(Settings):
     simulator: SimulatorSection | None = None
     recorder: RecorderSection | None = None
     viewer: ViewerSection | None = None
+
+    @field_validator("robot")
+    @classmethod
+    def _each_arm_has_a_place_of_its_own(cls, robot: dict[str, ArmSection]) -> dict[str, ArmSection]:
+        standing_apart({arm: section.T_camera_base for arm, section in robot.items()})
+        return robot
 
     @property
     def session(self) -> SessionSettings:

@@ -10,7 +10,13 @@ from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
 __all__ = ["SIMULATED_START", "SIMULATED_T_CAMERA_BASE", "SimulatedPsm"]
 
 SIMULATED_START = (0.18, 0.04, 0.132, 0.0, 0.0, 0.0)
-"""Joints of an arm that waits beside the field of view, its tool straight."""
+"""Joints of psm1 where it waits beside the field of view, its tool straight."""
+
+
+def waiting(T_camera_base: Float64[np.ndarray, "4 4"]) -> tuple[float, ...]:
+    """Joints of an arm that waits on its own side of the field of view: those of psm1, or their mirror image."""
+    yaw, *others = SIMULATED_START
+    return (yaw if T_camera_base[0, 3] >= 0 else -yaw, *others)
 
 
 class SimulatedPsm:

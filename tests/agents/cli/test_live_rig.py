@@ -19,7 +19,8 @@ from schemas.messages import ImageEncoding, StereoCalibration
 from schemas.topics import CALIBRATION, FRAMES
 from shared.calibration import CalibrationError
 from shared.clock import monotonic_s
-from shared.runtime.agent import Tick
+from shared.kinematics.simulated_setup import SIMULATED_BASES
+from shared.runtime.agent import Output, Tick
 from shared.runtime.config import ConfigError, load_config, parse_config
 from shared.runtime.session import SessionSettings, free_local_endpoint, open_router
 
@@ -119,6 +120,37 @@ def test_a_calibration_for_another_size_is_refused_before_anything_runs(small, t
         build(rig(text), "camera", "main")
 
 
+ASIDE = "[[1, 0, 0, 0.05], [0, 1, 0, 0], [0, 0, 1, -0.08], [0, 0, 0, 1]]"
+
+
+def base(rows, arm="psm1"):
+    """The section of an arm that stands there."""
+    return f"[robot.{arm}]\nT_camera_base = {rows}"
+
+
+def state_of(configured_rig, arm):
+    """The first state that an arm's bridge reports."""
+    (output,) = build(configured_rig, "robot_bridge", arm).step(Tick(0))
+    assert isinstance(output, Output)
+    return output.message
+
+
+def test_each_arm_stands_in_a_place_of_its_own_or_where_it_is_told():
+    two = rig("[robot.psm1]\n[robot.psm2]")
+    for arm in ("psm1", "psm2"):
+        np.testing.assert_array_equal(state_of(two, arm).T_camera_base, SIMULATED_BASES[arm])
+    told = rig(f"[robot.psm1]\n{base(ASIDE, 'left_arm')}")
+    assert state_of(told, "left_arm").T_camera_base[0, 3] == 0.05
+    assert parse_config(told.model_dump_json(), RigConfig, "rig.json") == told
+
+
+def test_a_base_that_was_typed_in_with_few_digits_is_a_rotation():
+    typed = "[[0.866, -0.5, 0, 0.05], [0.5, 0.866, 0, 0], [0, 0, 1, -0.08], [0, 0, 0, 1]]"
+    T = state_of(rig(base(typed)), "psm1").T_camera_base
+    np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
+    assert np.degrees(np.arctan2(T[1, 0], T[0, 0])) == pytest.approx(30.0, abs=0.05)
+
+
 MISTAKES = {
     '[camera]\nsource = "images"': "camera: source 'images' needs left",
     '[camera]\nsource = "video"\nleft = "a"': "camera: source 'video' needs calibration",
@@ -131,6 +163,17 @@ MISTAKES = {
     "[robot.PSM1]": "robot.PSM1",
     '[robot.psm1]\nbackend = "dvrk"': "robot.psm1.backend = 'dvrk': input should be 'simulated'",
     "[robot.psm1]\nbakend = 1": "robot.psm1.bakend is unknown; allowed here: backend, maximum_plan_age_s",
+    "[robot.psm3]": "robot: psm3 needs T_camera_base; only psm1 and psm2 have a place of their own",
+    base("[1, 2, 3]"): "robot.psm1.T_camera_base: write four rows of four numbers",
+    base("[[1, 0, 0], [0, 1, 0], [0, 0, 1]]"): "write four rows of four numbers",
+    base("[[1, 0, 0, '0'], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]"): "write four rows of four numbers",
+    base("[[1, 0, 0, nan], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]"): "write four rows of four numbers",
+    base(f"[[1{'0' * 400}, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]"): "write four rows of four numbers",
+    base("[[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 2]]"): "its last row must be 0, 0, 0, 1",
+    base("[[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]]"): "must be a rotation",
+    base("[[1, 0, 0, 0], [0, 1, 0.1, 0], [0, 0, 1, 0], [0, 0, 0, 1]]"): "must be a rotation",
+    base("[[1, 0, 0, 45], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]"): "the base would be 45 m from the camera",
+    f"{base(ASIDE)}\n{base(ASIDE, 'psm2')}": "robot: psm1 and psm2 stand in the same place",
     "[sim]": "sim is unknown; allowed here: rig, router, camera",
 }
 

@@ -13,6 +13,7 @@ from schemas.codec import encode
 from schemas.messages import CommandAnswer, GraspPlan, Outcome, Phase, RobotMode, RobotState, Status
 from schemas.topics import GOAL, PLAN, ROBOT_STATE, THREAD, key
 from shared.kinematics import psm
+from shared.kinematics.simulated_setup import SIMULATED_BASES
 from shared.rigid_transforms import compose, inverse, transform
 from shared.runtime.agent import Command, Output, Received, Tick
 
@@ -177,6 +178,32 @@ def test_the_newest_thread_and_the_newest_state_of_each_arm_count(bench, planner
     answer, output = ask(planner, bench, bench.goal(s=0.4))
     assert answer.outcome is Outcome.ACCEPTED
     assert output.message.reason == "there is no thread: it went out of focus"
+
+
+@pytest.mark.parametrize(("near", "far"), [("psm1", "psm2"), ("psm2", "psm1")])
+def test_what_counts_is_the_reach_of_the_arm_that_the_goal_names_from_its_own_base(bench, near, far):
+    planner = Planner()
+    feed(planner, THREAD, far_thread(bench))
+    away = base_that_looks_at(np.array([0, 0, 0.08])).copy()
+    away[0, 3] += 0.4
+    feed(planner, ROBOT_STATE, state(bench, arm=near), near)
+    feed(planner, ROBOT_STATE, dataclasses.replace(state(bench, arm=far), T_camera_base=away), far)
+    plans = {arm: ask(planner, bench, bench.goal(s=0.4, arm=arm))[1].message for arm in (near, far)}
+    assert plans[near].status is Status.OK
+    assert plans[far].status is Status.FAILED
+    assert "unreachable" in plans[far].reason
+
+
+@pytest.mark.parametrize("arm", SIMULATED_BASES)
+def test_each_simulated_arm_gets_a_plan_within_its_own_joints(bench, arm):
+    planner = Planner()
+    feed(planner, THREAD, far_thread(bench))
+    for name, T_camera_base in SIMULATED_BASES.items():
+        feed(planner, ROBOT_STATE, dataclasses.replace(state(bench, arm=name), T_camera_base=T_camera_base), name)
+    plan = ask(planner, bench, bench.goal(s=0.4, arm=arm))[1].message
+    assert (plan.arm, plan.status) == (arm, Status.OK)
+    T_camera_tool = np.array([w.T_camera_tool for w in plan.waypoints])
+    assert psm_reaches(compose(inverse(SIMULATED_BASES[arm]), T_camera_tool)).all()
 
 
 def test_the_same_inputs_give_the_same_bytes(bench):

@@ -1,9 +1,9 @@
 import numpy as np
 
 from agents.robot_bridge.backend import Readiness
-from agents.robot_bridge.simulated import SIMULATED_START, SimulatedPsm
+from agents.robot_bridge.simulated import SIMULATED_START, SimulatedPsm, waiting
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER, forward, within_limits
-from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
+from shared.kinematics.simulated_setup import SIMULATED_BASES, SIMULATED_T_CAMERA_BASE
 
 SECOND = 10**9
 START = np.array(SIMULATED_START)
@@ -14,6 +14,14 @@ def test_the_arm_waits_beside_the_field_of_view_and_before_the_camera() -> None:
     x, _, z = (SIMULATED_T_CAMERA_BASE @ forward(START))[:3, 3]
     assert 0.02 < z < 0.07
     assert x / z > 0.48
+
+
+def test_an_arm_on_the_left_waits_on_the_left() -> None:
+    base = SIMULATED_BASES["psm2"]
+    assert waiting(SIMULATED_T_CAMERA_BASE) == SIMULATED_START
+    x, y, z = (base @ forward(np.array(waiting(base))))[:3, 3]
+    right, up, away = (SIMULATED_T_CAMERA_BASE @ forward(START))[:3, 3]
+    np.testing.assert_allclose((x, y, z), (-right, up, away), atol=1e-12)
 
 
 def test_without_a_set_point_it_stands_still() -> None:

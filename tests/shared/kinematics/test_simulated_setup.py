@@ -1,14 +1,16 @@
 import itertools
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from shared.kinematics.psm import Problem, forward
 from shared.kinematics.psm import inverse as inverse_kinematics
-from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
+from shared.kinematics.simulated_setup import SIMULATED_BASES
 from shared.rigid_transforms import inverse, orthonormality_error, transform
 
 HALF_FINGER_M = 0.0051
+every_base = pytest.mark.parametrize("T_camera_base", SIMULATED_BASES.values(), ids=SIMULATED_BASES)
 
 
 def grasps_over_the_field_of_view() -> np.ndarray:
@@ -26,14 +28,21 @@ def grasps_over_the_field_of_view() -> np.ndarray:
     return transform(R, np.repeat(points, len(turns), axis=0) - HALF_FINGER_M * R[:, :, 2])
 
 
-def test_the_base_is_a_rigid_transform() -> None:
-    assert orthonormality_error(SIMULATED_T_CAMERA_BASE[:3, :3]) < 1e-15
-    assert np.linalg.det(SIMULATED_T_CAMERA_BASE[:3, :3]) > 0
+@every_base
+def test_the_base_is_a_rigid_transform(T_camera_base: np.ndarray) -> None:
+    assert orthonormality_error(T_camera_base[:3, :3]) < 1e-15
+    assert np.linalg.det(T_camera_base[:3, :3]) > 0
 
 
-def test_every_grasp_over_the_field_of_view_can_be_reached() -> None:
+def test_the_second_arm_is_the_mirror_image_of_the_first() -> None:
+    mirror = np.diag([-1.0, 1, 1, 1])
+    np.testing.assert_allclose(SIMULATED_BASES["psm2"], mirror @ SIMULATED_BASES["psm1"] @ mirror, atol=1e-15)
+
+
+@every_base
+def test_every_grasp_over_the_field_of_view_can_be_reached(T_camera_base: np.ndarray) -> None:
     T_camera_tool = grasps_over_the_field_of_view()
     assert np.degrees(np.arccos(T_camera_tool[:, 2, 2].min())) > 44.9
-    solution = inverse_kinematics(inverse(SIMULATED_T_CAMERA_BASE) @ T_camera_tool)
+    solution = inverse_kinematics(inverse(T_camera_base) @ T_camera_tool)
     assert (solution.problem == Problem.NONE).all()
-    np.testing.assert_allclose(SIMULATED_T_CAMERA_BASE @ forward(solution.joints), T_camera_tool, atol=1e-12)
+    np.testing.assert_allclose(T_camera_base @ forward(solution.joints), T_camera_tool, atol=1e-12)
