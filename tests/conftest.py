@@ -107,8 +107,9 @@ def session(settings):
 
 
 @pytest.fixture
-def running(settings):
-    """Run agents in threads, each with a session of its own, and stop them at the end."""
+def running(settings, monkeypatch):
+    """Run agents in threads, each with a session of its own, and stop them at the end; their commands may take long."""
+    monkeypatch.setattr("shared.runtime.commands.FARTHEST_DEADLINE_S", 2 * DEADLINE_S)
     with contextlib.ExitStack() as stack:
 
         def run(agent):

@@ -214,10 +214,11 @@ def test_commands_are_replayed_with_the_time_at_which_they_came(only_newest_coun
     until(lambda: planner.total > (0 if only_newest_counts else 20))
 
     def goal():
-        return GraspGoal(new_header("a test"), "psm1", Policy.DIRECT, 0.5, None, None)
+        return GraspGoal(new_header("a test", 60.0), "psm1", Policy.DIRECT, 0.5, None, None)
 
     for _ in range(3):
-        assert send_command(session, "test", GOAL, goal()).outcome is Outcome.ACCEPTED
+        sent = goal()
+        until(lambda sent=sent: send_command(session, "test", GOAL, sent).outcome is Outcome.ACCEPTED)
     until(lambda: sum(t.topic is PLAN for t in heard) == 3 == sum(t.topic is COMMANDS for t in heard))
     for declared in kept:
         declared.undeclare()
