@@ -29,6 +29,7 @@ from schemas.messages import (
     StereoFrame,
     ThreadObservations,
     ThreadReconstruction,
+    TissueSurface,
 )
 
 ROOT = "suturegrasp"
@@ -82,6 +83,7 @@ class Topic:
 FRAMES = Topic("camera", "frames", StereoFrame, Delivery.LATEST, rate_hz=30, maximum_age_ms=200)
 CALIBRATION = Topic("camera", "calibration", StereoCalibration, Delivery.STATE)
 OBSERVATIONS = Topic("perception", "observations", ThreadObservations, Delivery.LATEST, rate_hz=30, maximum_age_ms=1500)
+SURFACE = Topic("perception", "surface", TissueSurface, Delivery.LATEST, rate_hz=3, maximum_age_ms=3000)
 THREAD = Topic("reconstruction", "thread", ThreadReconstruction, Delivery.LATEST, rate_hz=30, maximum_age_ms=1500)
 GOAL = Topic("operator", "goal", GraspGoal, Delivery.COMMAND, receiver="planner")
 ARM = Topic("operator", "arm", Arm, Delivery.COMMAND, receiver="robot_bridge", per_arm=True)
@@ -102,6 +104,7 @@ TOPICS = (
     FRAMES,
     CALIBRATION,
     OBSERVATIONS,
+    SURFACE,
     THREAD,
     GOAL,
     ARM,

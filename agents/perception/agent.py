@@ -27,7 +27,7 @@ from schemas.messages import (
     StereoFrame,
     ThreadObservations,
 )
-from schemas.topics import CALIBRATION, FRAMES, MAIN, OBSERVATIONS, Topic
+from schemas.topics import CALIBRATION, FRAMES, MAIN, OBSERVATIONS, SURFACE, Topic
 from shared.calibration.identity import calibration_id
 from shared.images import ImageDataError, decode_image, encode_image
 from shared.runtime.agent import Command, Input, Output, Received, Tick
@@ -52,7 +52,7 @@ class Perception:
     kind = "perception"
     instance = MAIN
     inputs = (Input(FRAMES), Input(CALIBRATION, only_newest_counts=True))
-    outputs = (OBSERVATIONS,)
+    outputs = (SURFACE, OBSERVATIONS)
     commands: tuple[Topic, ...] = ()
     tick_hz = None
 

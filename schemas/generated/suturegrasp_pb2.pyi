@@ -242,7 +242,7 @@ class Centrelines(_message.Message):
     def __init__(self, point_px: _Optional[_Union[Array, _Mapping]] = ..., piece: _Optional[_Union[Array, _Mapping]] = ..., width_px: _Optional[_Union[Array, _Mapping]] = ..., deviation_px: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
 
 class ThreadObservations(_message.Message):
-    __slots__ = ("stamp", "camera", "status", "reason", "segmenter", "points_camera", "half_size_px", "matched_px", "match_cost", "inlier", "mask_left", "mask_right", "judgements", "gaps", "centrelines_left", "centrelines_right", "consumed")
+    __slots__ = ("stamp", "camera", "status", "reason", "segmenter", "points_camera", "half_size_px", "matched_px", "match_cost", "inlier", "mask_left", "mask_right", "judgements", "gaps", "centrelines_left", "centrelines_right", "looked_sequence", "is_bright", "prompt_px", "consumed")
     STAMP_FIELD_NUMBER: _ClassVar[int]
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     STATUS_FIELD_NUMBER: _ClassVar[int]
@@ -259,6 +259,9 @@ class ThreadObservations(_message.Message):
     GAPS_FIELD_NUMBER: _ClassVar[int]
     CENTRELINES_LEFT_FIELD_NUMBER: _ClassVar[int]
     CENTRELINES_RIGHT_FIELD_NUMBER: _ClassVar[int]
+    LOOKED_SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    IS_BRIGHT_FIELD_NUMBER: _ClassVar[int]
+    PROMPT_PX_FIELD_NUMBER: _ClassVar[int]
     CONSUMED_FIELD_NUMBER: _ClassVar[int]
     stamp: FrameStamp
     camera: RectifiedStereo
@@ -276,8 +279,29 @@ class ThreadObservations(_message.Message):
     gaps: Array
     centrelines_left: Centrelines
     centrelines_right: Centrelines
+    looked_sequence: int
+    is_bright: bool
+    prompt_px: Array
     consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
-    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., segmenter: _Optional[str] = ..., points_camera: _Optional[_Union[Array, _Mapping]] = ..., half_size_px: _Optional[_Union[Array, _Mapping]] = ..., matched_px: _Optional[_Union[Array, _Mapping]] = ..., match_cost: _Optional[_Union[Array, _Mapping]] = ..., inlier: _Optional[_Union[Array, _Mapping]] = ..., mask_left: _Optional[_Union[Image, _Mapping]] = ..., mask_right: _Optional[_Union[Image, _Mapping]] = ..., judgements: _Optional[_Iterable[_Union[Judgement, _Mapping]]] = ..., gaps: _Optional[_Union[Array, _Mapping]] = ..., centrelines_left: _Optional[_Union[Centrelines, _Mapping]] = ..., centrelines_right: _Optional[_Union[Centrelines, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
+    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., segmenter: _Optional[str] = ..., points_camera: _Optional[_Union[Array, _Mapping]] = ..., half_size_px: _Optional[_Union[Array, _Mapping]] = ..., matched_px: _Optional[_Union[Array, _Mapping]] = ..., match_cost: _Optional[_Union[Array, _Mapping]] = ..., inlier: _Optional[_Union[Array, _Mapping]] = ..., mask_left: _Optional[_Union[Image, _Mapping]] = ..., mask_right: _Optional[_Union[Image, _Mapping]] = ..., judgements: _Optional[_Iterable[_Union[Judgement, _Mapping]]] = ..., gaps: _Optional[_Union[Array, _Mapping]] = ..., centrelines_left: _Optional[_Union[Centrelines, _Mapping]] = ..., centrelines_right: _Optional[_Union[Centrelines, _Mapping]] = ..., looked_sequence: _Optional[int] = ..., is_bright: _Optional[bool] = ..., prompt_px: _Optional[_Union[Array, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
+
+class TissueSurface(_message.Message):
+    __slots__ = ("stamp", "camera", "u_px", "v_px", "depth", "valid", "consumed")
+    STAMP_FIELD_NUMBER: _ClassVar[int]
+    CAMERA_FIELD_NUMBER: _ClassVar[int]
+    U_PX_FIELD_NUMBER: _ClassVar[int]
+    V_PX_FIELD_NUMBER: _ClassVar[int]
+    DEPTH_FIELD_NUMBER: _ClassVar[int]
+    VALID_FIELD_NUMBER: _ClassVar[int]
+    CONSUMED_FIELD_NUMBER: _ClassVar[int]
+    stamp: FrameStamp
+    camera: RectifiedStereo
+    u_px: Array
+    v_px: Array
+    depth: Array
+    valid: Array
+    consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
+    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., u_px: _Optional[_Union[Array, _Mapping]] = ..., v_px: _Optional[_Union[Array, _Mapping]] = ..., depth: _Optional[_Union[Array, _Mapping]] = ..., valid: _Optional[_Union[Array, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
 
 class ReliabilityRegions(_message.Message):
     __slots__ = ("s", "centre_camera", "bound_px", "bound_depth", "slack")

@@ -52,6 +52,7 @@ from schemas.messages.simulation import (
     SimulatorState,
     Verdict,
 )
+from schemas.messages.surface import TissueSurface
 from schemas.messages.thread import (
     Centrelines,
     Judgement,
@@ -105,6 +106,7 @@ __all__ = [
     "StereoFrame",
     "ThreadObservations",
     "ThreadReconstruction",
+    "TissueSurface",
     "Verdict",
     "Waypoint",
     "no_centrelines",

@@ -69,10 +69,10 @@ class Hold:
 
 @dataclass(frozen=True)
 class Prompt:
-    """A rectified left-image pixel that is thread."""
+    """Which thread is meant: the one at a pixel (u, v) of the rectified left image; None for any again."""
 
     header: CommandHeader
-    pixel: Float64[np.ndarray, "2"]
+    pixel: Float64[np.ndarray, "2"] | None
 
     def __post_init__(self) -> None:
         check_message(self)

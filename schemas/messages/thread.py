@@ -1,4 +1,4 @@
-"""What is known of the thread: observations, the reconstructed curve, the tissue around it."""
+"""What is known of the thread: observations, and the reconstructed curve."""
 
 import enum
 from dataclasses import dataclass, field
@@ -77,6 +77,10 @@ class ThreadObservations:
         mask_left, mask_right: coverage by thread in the rectified images, 0 to 255.
         gaps: indices j where no segmented pixels lead from observation j to the next one.
         centrelines_left, centrelines_right: the middle of the thread in each rectified image, without depth.
+        looked_sequence: of the frame whose whole images were last looked at, with the segmenter chosen and the pair
+            judged anew; later frames are looked at near the thread alone.
+        is_bright: whether the thread is brighter than what lies beside it, as seen then.
+        prompt_px: (u, v) in the rectified left image, on the thread that an operator means; None where any is meant.
     """
 
     stamp: FrameStamp
@@ -95,6 +99,9 @@ class ThreadObservations:
     gaps: Int64[np.ndarray, "g"] = field(default_factory=lambda: np.zeros(0, np.int64))
     centrelines_left: Centrelines = field(default_factory=no_centrelines)
     centrelines_right: Centrelines = field(default_factory=no_centrelines)
+    looked_sequence: int = 0
+    is_bright: bool = False
+    prompt_px: Float64[np.ndarray, "2"] | None = None
     consumed: tuple[Consumed, ...] = ()
 
     def __post_init__(self) -> None:

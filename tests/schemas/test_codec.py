@@ -52,6 +52,7 @@ from schemas.messages import (
     StereoFrame,
     ThreadObservations,
     ThreadReconstruction,
+    TissueSurface,
     Verdict,
     Waypoint,
 )
@@ -135,6 +136,9 @@ def observations(draw):
         gaps=draw(arrays(np.int64, g, elements=st.integers(0, max(0, n - 2)))),
         centrelines_left=draw(centrelines()),
         centrelines_right=draw(centrelines()),
+        looked_sequence=draw(uint64),
+        is_bright=draw(st.booleans()),
+        prompt_px=draw(st.none() | array(2)),
         consumed=draw(consumed),
     )
 
@@ -148,6 +152,15 @@ def clamped_knots(draw, control_points, degree):
     within = control_points - degree - 1
     inner = draw(st.lists(st.floats(0.01, 0.99), min_size=within, max_size=within, unique=True))
     return np.concatenate((np.zeros(degree + 1), np.sort(inner), np.ones(degree + 1)))
+
+
+@st.composite
+def surfaces(draw):
+    r, c = draw(st.integers(0, 3)), draw(st.integers(0, 4))
+    depth = draw(array(r, c, elements=positive))
+    valid = draw(arrays(np.bool_, (r, c)))
+    grid = np.arange(c) * 8.0, np.arange(r) * 8.0
+    return TissueSurface(draw(stamps), draw(cameras), *grid, np.where(valid, depth, 0.0), valid, draw(consumed))
 
 
 @st.composite
@@ -240,7 +253,7 @@ def goals(draw):
 
 arms = st.builds(Arm, headers, names, texts.filter(bool))
 holds = st.builds(Hold, headers, names)
-prompts = st.builds(Prompt, headers, array(2))
+prompts = st.builds(Prompt, headers, st.none() | array(2))
 heartbeats = st.builds(Heartbeat, names, texts, nanoseconds, texts.filter(bool))
 waypoints = st.builds(Waypoint, poses(), numbers, st.sampled_from(Phase), st.none() | numbers)
 alternatives = st.builds(Alternative, numbers, numbers, texts)
@@ -323,6 +336,7 @@ MESSAGES = {
     Judgement: judgements,
     Centrelines: centrelines(),
     ThreadObservations: observations(),
+    TissueSurface: surfaces(),
     ReliabilityRegions: regions(),
     ThreadReconstruction: reconstructions(),
     ClockReading: st.builds(ClockReading, texts, nanoseconds),

@@ -25,6 +25,7 @@ DECLARED = {
 MESSAGES = {name: value for name, value in DECLARED.items() if dataclasses.is_dataclass(value)}
 ENUMS = {name: value for name, value in DECLARED.items() if issubclass(value, enum.Enum)}
 SCALARS = {
+    bool: {FieldDescriptor.CPPTYPE_BOOL},
     int: {FieldDescriptor.CPPTYPE_INT64, FieldDescriptor.CPPTYPE_UINT64, FieldDescriptor.CPPTYPE_UINT32},
     float: {FieldDescriptor.CPPTYPE_DOUBLE},
     str: {FieldDescriptor.CPPTYPE_STRING},
