@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from benchmarks.measures import NEAR_MASK, STRETCHES
-from benchmarks.scenes import CLEAR, CROSSING, HIDDEN, OCCLUSION, REAL, SIM
+from benchmarks.scenes import BOARD, CLEAR, CROSSING, HIDDEN, OCCLUSION, REAL, SIM
 from benchmarks.variations import BINARY, NONE
 
 Row = dict[str, Any]
@@ -32,7 +32,7 @@ class Goal:
 def goals(rows: list[Row]) -> list[Goal]:
     """Those rows of the table of goals that these runs have figures for."""
     nominal = [row for row in rows if not row["calibration"]]
-    parts = (_sim, _real, _clear, _crossing, _occluded, _calibrated)
+    parts = (_sim, _real, _clear, _crossing, _occluded, _board, _calibrated)
     return [goal for part in parts for goal in part(nominal)] + _miscalibrated(rows)
 
 
@@ -107,6 +107,35 @@ def _occluded(rows: list[Row]) -> list[Goal]:
             _two(name + "whole, median / worst, mm", here, some, "mean", whole),
         ]
     return result
+
+
+def _board(rows: list[Row]) -> list[Goal]:
+    """Edges across the rows, and those within 15° of them, where disparity says next to nothing."""
+    result: list[Goal] = []
+    edges = [row for row in rows if row["group"] == BOARD]
+    for name, some in (
+        ("across the rows", [row for row in edges if not row["parallel"]]),
+        ("along the rows", [row for row in edges if row["parallel"]]),
+    ):
+        if some:
+            apart = [row | {"share": _percent(row["length share"])} for row in some]
+            corners = spread(_percent(row["corners share"]) for row in some)
+            result += [
+                _two(
+                    f"board edges {name}: rms off a straight line, median / worst, mm",
+                    "-",
+                    some,
+                    "straightness",
+                    (None, 0.10),
+                ),
+                _two(f"board edges {name}: length error, median / worst, %", "-", apart, "share", (None, 0.5)),
+                Goal(f"board edges {name}: the same of their end corners alone, %", "-", "-", corners),
+            ]
+    return result
+
+
+def _percent(share: float | None) -> float | None:
+    return None if share is None else 100.0 * abs(share)
 
 
 def _calibrated(rows: list[Row]) -> list[Goal]:

@@ -8,7 +8,7 @@ from scipy.spatial import KDTree
 
 from agents.cli.pipeline import PipelineResult
 from benchmarks.bounds import bounds_of
-from benchmarks.scenes import BOARD, TRUTH_SAMPLES, Scene
+from benchmarks.scenes import TRUTH_SAMPLES, Scene, StraightEdge
 from benchmarks.topology import topology
 from benchmarks.variations import SEGMENTED, Run
 from schemas.messages import RectifiedStereo, Status, ThreadReconstruction
@@ -37,6 +37,7 @@ OF_TRUTH = (
     "coverage",
     "nll",
 )
+OF_EDGE = ("straightness", "length share", "corners share")
 OF_IMAGES = ("pixel bound", "bound", "bound seen", "centre noise px")
 
 
@@ -52,20 +53,26 @@ def figures(run: Run, result: PipelineResult) -> dict[str, Any]:
         "status": thread.status.name.lower(),
         "reason": thread.reason,
         "observations": len(result.observations.points_camera),
+        "parallel": scene.edge is not None and scene.edge.slope_deg < PARALLEL_DEG,
         "published": scene.published,
         "ms": round(sum(result.timings_ms.values()), 1),
         "timings_ms": {step: round(ms, 2) for step, ms in result.timings_ms.items()},
     }
-    row |= dict.fromkeys((*OF_TRUTH, *OF_IMAGES, *REPROJECTION, *NEAR_MASK))
+    row |= dict.fromkeys((*OF_TRUTH, *OF_IMAGES, *OF_EDGE, *REPROJECTION, *NEAR_MASK))
     if scene.truth is not None and scene.visible is not None and not run.calibration_is:
         row |= bounds_of(thread.camera, scene.truth, scene.visible, scene.images, run.masks)
+    if scene.edge is not None:
+        # the end corners alone have no part in any curve: this is what calibration and print leave to be expected
+        row["corners share"] = scene.edge.corners_mm / scene.edge.length_mm - 1.0
     if thread.status is not Status.OK:
         return row
     curve = sampled(thread)
     if scene.truth is not None:
         truth = scene.truth if run.R_rectified_camera is None else scene.truth @ run.R_rectified_camera.T
         row |= against_truth(thread, curve, truth, scene.visible)
-    if scene.masks is not None and not run.calibration_is and scene.group != BOARD:
+    if scene.edge is not None:
+        row |= against_edge(curve, scene.edge)
+    if scene.masks is not None and not run.calibration_is:
         row |= against_masks(thread.camera, curve, scene)
     return row
 
@@ -150,6 +157,15 @@ def against_masks(camera: RectifiedStereo, curve: Float64[np.ndarray, "n 3"], sc
             row[name] = float(distances.mean()) if len(distances) else None
         row[NEAR_MASK[eye]] = float((both_ways[1] <= NEAR_PX).mean()) if len(both_ways[1]) else None
     return row
+
+
+def against_edge(curve: Float64[np.ndarray, "n 3"], edge: StraightEdge) -> dict[str, Any]:
+    """How far the curve is from its best straight line, rms, and its length error as a share of the edge's length."""
+    singular = np.linalg.svd(curve - curve.mean(axis=0), compute_uv=False)
+    return {
+        "straightness": float(np.sqrt(np.sum(singular[1:] ** 2) / len(curve))),
+        "length share": polyline_length(curve) / edge.length_mm - 1.0,
+    }
 
 
 def polyline_length(points: Float64[np.ndarray, "n d"]) -> float:

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float64, UInt8
 
 from agents.camera.image_files import read_mask, read_pair, read_side_by_side
 from agents.perception.rectification import rectification
+from benchmarks.board import LINES, board_edge
 from benchmarks.occlusions import hiding_shaft
 from schemas.messages import StereoCalibration
 from shared.arc_length import even_parameters
@@ -38,6 +39,15 @@ GREY_SIM, GREY_REAL = 200, 250
 
 
 @dataclass(frozen=True)
+class StraightEdge:
+    """What is known of an edge of a board: see BoardEdge."""
+
+    length_mm: float
+    corners_mm: float
+    slope_deg: float
+
+
+@dataclass(frozen=True)
 class Scene:
     """A stereo pair with what is known about it.
 
@@ -58,6 +68,7 @@ class Scene:
     masks_are: str
     truth: Float64[np.ndarray, "n 3"] | None
     visible: Bool[np.ndarray, "n 2"] | None = None
+    edge: StraightEdge | None = None
     published: dict[str, float | None] = field(default_factory=dict[str, float | None])
 
 
@@ -82,7 +93,9 @@ def scenes(data: Path) -> Iterator[tuple[str, str, Loader]]:
         (name, load), again = clear[count % len(clear)], count // len(clear)
         yield f"{HIDDEN} {name}_{again}", HIDDEN, lambda load=load, again=again: hidden(load(), again)
     for path in sorted(board.glob("*left.images.*.png")):
-        yield f"{BOARD} {path.stem.split('.')[-1]}", BOARD, lambda path=path: _board(path)
+        for line in LINES:
+            name = f"{path.stem.split('.')[-1]} {line[0]} {line[1]}"
+            yield f"{BOARD} {name}", BOARD, lambda path=path, line=line, name=name: _board_edge(path, line, name)
 
 
 def hidden(scene: Scene, again: int) -> Scene:
@@ -171,10 +184,10 @@ def _render(path: Path, peer: dict[str, float | None]) -> Scene:
     )
 
 
-def _board(path: Path) -> Scene:
-    images = read_pair(path, path.with_name(path.name.replace("left", "right")))
-    calibration = _calibration(path.parent, images, "mm")
-    return Scene(BOARD, path.stem.split(".")[-1], images, calibration, None, "", None)
+def _board_edge(path: Path, line: tuple[str, int], name: str) -> Scene:
+    edge = board_edge(path, *line)
+    known = StraightEdge(edge.length_mm, edge.corners_mm, edge.slope_deg)
+    return Scene(BOARD, name, edge.images, edge.calibration, edge.masks, "edge", None, edge=known)
 
 
 def _calibration(path: Path, images: Pair, unit: str | None) -> StereoCalibration:

@@ -6,7 +6,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.goals import Goal, failures, spread, topology_is_right
-from benchmarks.measures import REPROJECTION
+from benchmarks.measures import OF_EDGE, REPROJECTION
 
 CONSOLE = Console(width=260)
 TEXT = ("scene", "masks", "calibration", "by", "status", "topology")
@@ -21,6 +21,7 @@ MEASURES = (
     "frechet",
     "end error",
     "length error",
+    *OF_EDGE,
     *REPROJECTION,
 )
 

@@ -8,6 +8,7 @@ import sys
 import pytest
 
 from benchmarks import accuracy
+from benchmarks.board import LINES
 from benchmarks.scenes import scenes
 from benchmarks.tables import compare
 
@@ -35,6 +36,7 @@ def test_every_scene_of_the_data_folder_is_listed(data):
     renders = [groups.count(kind + " render") for kind in ("clear", "crossing", "occlusion", "hidden")]
     assert sum(renders[:3]) == len(list(data.glob("renders/*.json")))
     assert renders[3] == 20
+    assert groups.count("board") == 2 * len(LINES)
     assert len(found) == len({name for name, _, _ in found})
 
 
@@ -54,6 +56,23 @@ def test_a_real_pair_has_reprojection_and_no_curve_error(data, monkeypatch, tmp_
     rows = json.loads((tmp_path / "figures.json").read_text())["rows"]
     assert [row["status"] for row in rows] == ["ok", "ok"]
     assert all(row["mean"] is None and row["left to mask"] > 0 for row in rows)
+
+
+def test_hidden_scenes_are_the_same_each_time(data):
+    first, again = (
+        next(load() for name, _, load in scenes(data) if name == "hidden render sample_04_0") for _ in range(2)
+    )
+    assert all((a == b).all() for a, b in zip(first.images, again.images, strict=True))
+    assert first.visible is not None
+    assert 0.3 < 1 - first.visible[:, 0].mean() < 0.46
+
+
+def test_an_edge_of_the_board_is_judged_by_its_straightness_and_length(data, monkeypatch, tmp_path):
+    run(monkeypatch, "--data", data, "--only", "board 1 column 8", "--json", tmp_path / "figures.json")
+    (row,) = json.loads((tmp_path / "figures.json").read_text())["rows"]
+    assert (row["status"], row["masks"], row["parallel"]) == ("ok", "edge", False)
+    assert 0 < row["straightness"] < 1
+    assert abs(row["corners share"]) < 0.02
 
 
 def test_a_change_against_the_baseline_is_printed(capsys):
