@@ -1,22 +1,66 @@
 """Operations along ordered points of several pieces at once: smoothing, direction, even spacing."""
 
+from dataclasses import dataclass
+from functools import cached_property
+
 import cv2
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
-
-def bounds(piece: Int64[np.ndarray, "n"]) -> tuple[Int64[np.ndarray, "k"], Int64[np.ndarray, "k"]]:
-    """Index of the first point of each piece, and one after its last."""
-    first = np.flatnonzero(np.diff(piece, prepend=-1))
-    return first, np.append(first[1:], len(piece))[: len(first)]
+REACH = 12
+"""Points by which pieces are continued beyond their ends: half the longest kernel."""
 
 
-def places_to_ends(piece: Int64[np.ndarray, "n"]) -> tuple[Int64[np.ndarray, "n"], Int64[np.ndarray, "n"]]:
-    """How many points of its piece lie before each point, and how many after it."""
-    first, end = bounds(piece)
-    count = end - first
-    index = np.arange(len(piece))
-    return index - np.repeat(first, count), np.repeat(end - 1, count) - index
+@dataclass(frozen=True)
+class Pieces:
+    """Which piece each of a sequence of points belongs to, from 0, never decreasing and without gaps."""
+
+    number: Int64[np.ndarray, "n"]
+
+    @cached_property
+    def first(self) -> Int64[np.ndarray, "k"]:
+        """Index of the first point of each piece."""
+        return np.flatnonzero(np.diff(self.number, prepend=-1))
+
+    @cached_property
+    def last(self) -> Int64[np.ndarray, "k"]:
+        """Index of the last point of each piece."""
+        return np.append(self.first[1:], len(self.number))[: len(self.first)] - 1
+
+    @cached_property
+    def before(self) -> Int64[np.ndarray, "n"]:
+        """How many points of its piece precede each point."""
+        return np.arange(len(self.number)) - self.first[self.number]
+
+    @cached_property
+    def after(self) -> Int64[np.ndarray, "n"]:
+        """How many points of its piece follow each point."""
+        return self.last[self.number] - np.arange(len(self.number))
+
+    @cached_property
+    def continued(self) -> "Continued":
+        """The pieces in a row, each with REACH points more at both ends."""
+        length = self.last - self.first + 1
+        start = np.cumsum(length + 2 * REACH) - length - 2 * REACH
+        owner = np.repeat(np.arange(len(length)), length + 2 * REACH)
+        local = np.arange(len(owner)) - start[owner] - REACH
+        last = length[owner] - 1
+        mirrored = np.clip(np.where(local < 0, -local, np.where(local > last, 2 * last - local, local)), 0, last)
+        nearest = np.clip(local, 0, last)
+        first = self.first[owner]
+        return Continued(first + mirrored, first + nearest, np.flatnonzero(local == nearest))
+
+
+@dataclass(frozen=True)
+class Continued:
+    """For each place of pieces that go on beyond their ends: the point it mirrors, and the point nearest to it.
+
+    `inside` says at which places the points themselves stand.
+    """
+
+    mirrored: Int64[np.ndarray, "q"]
+    nearest: Int64[np.ndarray, "q"]
+    inside: Int64[np.ndarray, "n"]
 
 
 def gaussian(sigma: float) -> Float64[np.ndarray, "m"]:
@@ -35,69 +79,47 @@ def local_quadratic(sigma: float) -> Float64[np.ndarray, "m"]:
 
 
 def smoothed(
-    values: Float64[np.ndarray, "n d"], piece: Int64[np.ndarray, "n"], kernel: Float64[np.ndarray, "m"]
+    values: Float64[np.ndarray, "n d"], pieces: Pieces, kernel: Float64[np.ndarray, "m"]
 ) -> Float64[np.ndarray, "n d"]:
-    """Values convolved along each piece, which continues at its ends by its reflection through the end point."""
+    """Values convolved along each piece, which goes on at its ends as its reflection through the end point."""
     if len(values) == 0:
         return values
-    reach = len(kernel) // 2
-    mirrored, nearest, inside = _reflection(piece, reach)
-    outside = (mirrored != nearest)[:, None]
-    padded = np.where(outside, 2 * values[nearest] - values[mirrored], values[mirrored])
-    result = np.empty_like(values)
-    for column in range(values.shape[1]):
-        result[:, column] = np.convolve(padded[:, column], kernel, mode="same")[inside]
-    return result
+    at = pieces.continued
+    mirrored = values[at.mirrored]
+    # beyond an end, the point that lies as far behind it as the mirrored one before it; within, the point itself
+    padded = mirrored + 2 * np.where((at.mirrored != at.nearest)[:, None], values[at.nearest] - mirrored, 0)
+    return np.column_stack([np.convolve(column, kernel, mode="same")[at.inside] for column in padded.T])
 
 
 def blurred(
-    rows: Float32[np.ndarray, "n t"], piece: Int64[np.ndarray, "n"], kernel: Float64[np.ndarray, "m"]
+    rows: Float32[np.ndarray, "n t"], pieces: Pieces, kernel: Float64[np.ndarray, "m"]
 ) -> Float32[np.ndarray, "n t"]:
     """Rows averaged with their neighbours along each piece, which goes on at its ends as in a mirror."""
-    mirrored, _, inside = _reflection(piece, len(kernel) // 2)
-    return np.asarray(cv2.sepFilter2D(rows[mirrored], cv2.CV_32F, np.ones(1), kernel), np.float32)[inside]
-
-
-def _reflection(
-    piece: Int64[np.ndarray, "n"], reach: int
-) -> tuple[Int64[np.ndarray, "q"], Int64[np.ndarray, "q"], Int64[np.ndarray, "n"]]:
-    """All pieces in a row, each with `reach` points more at both ends.
-
-    Returns which point mirrors each place, which point of the piece is nearest to it, and where the points stand.
-    """
-    first, end = bounds(piece)
-    length = end - first
-    start = np.cumsum(length + 2 * reach) - length - 2 * reach
-    owner = np.repeat(np.arange(len(first)), length + 2 * reach)
-    local = np.arange(len(owner)) - start[owner] - reach
-    last = length[owner] - 1
-    mirrored = np.clip(np.where(local < 0, -local, np.where(local > last, 2 * last - local, local)), 0, last)
-    nearest = np.clip(local, 0, last)
-    return first[owner] + mirrored, first[owner] + nearest, np.flatnonzero(local == nearest)
+    at = pieces.continued
+    return np.asarray(cv2.sepFilter2D(rows[at.mirrored], cv2.CV_32F, np.ones(1), kernel), np.float32)[at.inside]
 
 
 def directions(
-    point: Float64[np.ndarray, "n 2"], piece: Int64[np.ndarray, "n"], kernel: Float64[np.ndarray, "m"]
+    point: Float64[np.ndarray, "n 2"], pieces: Pieces, kernel: Float64[np.ndarray, "m"]
 ) -> Float64[np.ndarray, "n 2"]:
     """Unit tangents of the smoothed points; (1, 0) where a piece has a single one."""
-    smooth = smoothed(point, piece, kernel)
-    first, end = bounds(piece)
+    smooth = smoothed(point, pieces, kernel)
     ahead, behind = np.arange(len(point)) + 1, np.arange(len(point)) - 1
-    ahead[end - 1], behind[first] = end - 1, first
+    ahead[pieces.last], behind[pieces.first] = pieces.last, pieces.first
     step = smooth[ahead] - smooth[behind]
     length = np.hypot(step[:, 0], step[:, 1])
     return np.where(length[:, None] > 1e-9, step / np.maximum(length, 1e-9)[:, None], [1.0, 0.0])
 
 
 def evenly_spaced(
-    point: Float64[np.ndarray, "n 2"], piece: Int64[np.ndarray, "n"], spacing: float
-) -> tuple[Float64[np.ndarray, "m 2"], Int64[np.ndarray, "m"]]:
+    point: Float64[np.ndarray, "n 2"], pieces: Pieces, spacing: float
+) -> tuple[Float64[np.ndarray, "m 2"], Pieces]:
     """Points about `spacing` apart along the polyline of each piece, its ends included."""
-    first, end = bounds(piece)
+    first, last = pieces.first, pieces.last
     step = np.linalg.norm(np.diff(point, axis=0, prepend=point[:1]), axis=1)
     step[first] = 0.0
     travelled = np.cumsum(step)
-    start, stop = travelled[first], travelled[end - 1]
+    start, stop = travelled[first], travelled[last]
     count = np.maximum(np.rint((stop - start) / spacing).astype(np.int64), 0) + 1
     owner = np.repeat(np.arange(len(first)), count)
     local = np.arange(len(owner)) - (np.cumsum(count) - count)[owner]
@@ -105,6 +127,6 @@ def evenly_spaced(
     # a long leap between pieces keeps interpolation within each of them
     leap = 1.0 + np.arange(len(first))
     where = start[owner] + share * (stop - start)[owner] + leap[owner]
-    known = travelled + np.repeat(leap, end - first)
+    known = travelled + leap[pieces.number]
     resampled = np.column_stack([np.interp(where, known, point[:, axis]) for axis in (0, 1)])
-    return resampled, piece[first][owner]
+    return resampled, Pieces(owner)

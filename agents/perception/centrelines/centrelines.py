@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
 
-from agents.perception.centrelines.along import bounds, directions, evenly_spaced, gaussian, local_quadratic, smoothed
+from agents.perception.centrelines.along import Pieces, directions, evenly_spaced, gaussian, local_quadratic, smoothed
 from agents.perception.centrelines.deviation import deviations
 from agents.perception.centrelines.edges import contrast_channel
 from agents.perception.centrelines.profiles import sample
@@ -60,15 +60,13 @@ def _centrelines(
         return no_centrelines()
     curves, _ = by_coverage(curves, coverage, width)
     curves = _extended(curves, coverage, width)
+    curves, seen = by_coverage(curves, coverage, width)
     graded = _is_graded(coverage, mask)
     if graded:
-        curves, _ = by_coverage(curves, coverage, width)
         curves, seen = by_coverage(curves, coverage, width)
     else:
-        channel = contrast_channel(image, mask)
-        curves, _ = by_edges(curves, coverage, channel, width)
-        curves, seen = by_edges(curves, coverage, channel, width)
-    return Centrelines(curves.point, curves.piece, seen.width_px, deviations(curves, seen, graded))
+        curves, seen = by_edges(curves, seen, contrast_channel(image, mask), width)
+    return Centrelines(curves.point, curves.pieces.number, seen.width_px, deviations(curves, seen, graded))
 
 
 def _is_graded(coverage: Float32[np.ndarray, "h w"], mask: Bool[np.ndarray, "h w"]) -> bool:
@@ -100,42 +98,39 @@ def _depth(mask: Bool[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
 
 def _initial(paths: Paths, width: float) -> Curves:
     """Smoothed paths, evenly spaced, without what is too short and without the last half width before loose ends."""
-    path = paths.path
-    first, end = bounds(path)
-    length = end - first
-    index = np.arange(len(path))
+    path = Pieces(paths.path)
+    length = path.last - path.first + 1
     # the skeleton turns into a corner of a blunt end
     back = np.where(length > 3 * width, round(0.5 * width), 0)
-    keep = (index >= (first + back * paths.loose_start)[path]) & (index < (end - back * paths.loose_end)[path])
-    long_enough = length >= np.maximum(
-        2, LEAST_LENGTH * width - paths.loose_start * width / 2 - paths.loose_end * width / 2
+    loose_ends = paths.loose_start.astype(np.int64) + paths.loose_end
+    long_enough = length >= np.maximum(2, (LEAST_LENGTH - 0.5 * loose_ends) * width)
+    keep = long_enough[path.number]
+    keep &= (path.before >= (back * paths.loose_start)[path.number]) & (
+        path.after >= (back * paths.loose_end)[path.number]
     )
-    keep &= long_enough[path]
     point = paths.pixel[keep][:, ::-1].astype(np.float64)
-    piece = np.cumsum(np.diff(path[keep], prepend=-1) > 0) - 1
-    if len(point) == 0:
-        return Curves(point, piece, paths.loose_start[:0], paths.loose_end[:0])
-    smooth = smoothed(point, piece, local_quadratic(tangent_sigma(width)))
-    point, piece = evenly_spaced(smooth, piece, SPACING_PX)
-    return Curves(point, piece, paths.loose_start[long_enough], paths.loose_end[long_enough])
+    pieces = Pieces(np.cumsum(np.diff(path.number[keep], prepend=-1) > 0) - 1)
+    if len(point):
+        smooth = smoothed(point, pieces, local_quadratic(tangent_sigma(width)))
+        point, pieces = evenly_spaced(smooth, pieces, SPACING_PX)
+    return Curves(point, pieces, paths.loose_start[long_enough], paths.loose_end[long_enough])
 
 
 def _extended(curves: Curves, coverage: Float32[np.ndarray, "h w"], width: float) -> Curves:
     """Curves continued straight to where the coverage ends, at loose ends."""
-    first, end = bounds(curves.piece)
-    tangent = directions(curves.point, curves.piece, gaussian(tangent_sigma(width)))
+    tangent = directions(curves.point, curves.pieces, gaussian(tangent_sigma(width)))
     at = np.arange(0.0, 2 * width + 4, 0.25)
-    pieces = []
-    for k, (a, b) in enumerate(zip(first.tolist(), end.tolist(), strict=True)):
-        before = after = np.zeros((0, 2))
-        if curves.loose_start[k]:
-            before = _continuation(coverage, curves.point[a], -tangent[a], at)[::-1]
-        if curves.loose_end[k]:
-            after = _continuation(coverage, curves.point[b - 1], tangent[b - 1], at)
-        pieces.append(np.concatenate((before, curves.point[a:b], after)))
-    piece = np.repeat(np.arange(len(pieces)), [len(p) for p in pieces])
-    point, piece = evenly_spaced(np.concatenate(pieces), piece, SPACING_PX)
-    return Curves(point, piece, curves.loose_start, curves.loose_end)
+    none = np.zeros((0, 2))
+    parts: list[Float64[np.ndarray, "m 2"]] = []
+    lengths: list[int] = []
+    for k, (a, b) in enumerate(zip(curves.pieces.first.tolist(), curves.pieces.last.tolist(), strict=True)):
+        before = _continuation(coverage, curves.point[a], -tangent[a], at)[::-1] if curves.loose_start[k] else none
+        after = _continuation(coverage, curves.point[b], tangent[b], at) if curves.loose_end[k] else none
+        parts += [before, curves.point[a : b + 1], after]
+        lengths.append(len(before) + b + 1 - a + len(after))
+    pieces = Pieces(np.repeat(np.arange(len(lengths)), lengths))
+    point, pieces = evenly_spaced(np.concatenate(parts), pieces, SPACING_PX)
+    return Curves(point, pieces, curves.loose_start, curves.loose_end)
 
 
 def _continuation(

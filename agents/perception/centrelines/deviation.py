@@ -5,9 +5,9 @@ is added in squares. `docs/perception.md` says how well they hold.
 """
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Bool, Float64
 
-from agents.perception.centrelines.along import gaussian, places_to_ends, smoothed
+from agents.perception.centrelines.along import REACH, Pieces, smoothed
 from agents.perception.centrelines.refine import Curves, Evidence
 
 GRADED_PX = 0.01
@@ -19,15 +19,17 @@ DOUBT_SHARE = 0.5
 """Of the distance between the middle of the mask and that of the edges."""
 USUAL_SHARE, UNUSUAL_SHARE = 0.15, 0.6
 """Of the usual width: by how much it may vary; and of what it varies more, the share that shifts the middle."""
-USUAL_SPAN_PX = 12.0
 END_SHARE, CUT_SHARE = 0.02, 0.04
 """Of the width, within a width of a loose end or two of a cut: there the profile also holds what lies beyond."""
+
+BRIDGE_LENGTH, BRIDGE_SHARE = 8.0, 0.15
+"""Of the width: how long two strands that cross at a slant may run as one, and how far from each its middle is."""
 
 
 def deviations(curves: Curves, seen: Evidence, graded: bool) -> Float64[np.ndarray, "n"]:
     """Standard deviation of each point across the thread, in pixels."""
     width = seen.width_px
-    usual = _usual_width(width, curves.piece)
+    usual = _usual_width(width, curves.pieces)
     at_sight = GRADED_PX + PIXEL_SHARE / usual if graded else SHADING_SHARE * usual
     parts = [
         at_sight,
@@ -36,21 +38,29 @@ def deviations(curves: Curves, seen: Evidence, graded: bool) -> Float64[np.ndarr
         END_SHARE * usual * (1 - _closeness(curves, usual, loose=True)),
         CUT_SHARE * usual * (1 - _closeness(curves, 2 * usual, loose=False)),
         np.where(seen.open, 0.5 * usual, 0),
+        np.where(_is_bridge(curves, usual), BRIDGE_SHARE * usual, 0),
     ]
     return np.sqrt(np.sum([part**2 for part in parts], axis=0))
 
 
-def _usual_width(width: Float64[np.ndarray, "n"], piece: Int64[np.ndarray, "n"]) -> Float64[np.ndarray, "n"]:
+def _usual_width(width: Float64[np.ndarray, "n"], pieces: Pieces) -> Float64[np.ndarray, "n"]:
     """Width of the thread hereabouts, hardly drawn up where strands touch."""
     typical = float(np.median(width))
     clipped = np.clip(width, 0.7 * typical, 1.2 * typical)
-    return smoothed(clipped[:, None], piece, gaussian(USUAL_SPAN_PX))[:, 0].clip(0.7 * typical, 1.2 * typical)
+    span = 2 * REACH + 1
+    return smoothed(clipped[:, None], pieces, np.full(span, 1 / span))[:, 0].clip(0.7 * typical, 1.2 * typical)
 
 
 def _closeness(curves: Curves, reach: Float64[np.ndarray, "n"], loose: bool) -> Float64[np.ndarray, "n"]:
     """Distance to the piece's nearest end of the kind, as a share of `reach`, 1 at most."""
-    before, after = places_to_ends(curves.piece)
-    far = len(curves.piece)
-    start = np.where(curves.loose_start[curves.piece] == loose, before, far)
-    end = np.where(curves.loose_end[curves.piece] == loose, after, far)
+    pieces = curves.pieces
+    start = np.where(curves.loose_start[pieces.number] == loose, pieces.before, np.inf)
+    end = np.where(curves.loose_end[pieces.number] == loose, pieces.after, np.inf)
     return np.minimum(np.minimum(start, end) / reach, 1.0)
+
+
+def _is_bridge(curves: Curves, usual: Float64[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
+    """Whether the point lies between two junctions close to each other, where two strands may run as one."""
+    pieces = curves.pieces
+    between = ~(curves.loose_start | curves.loose_end)[pieces.number]
+    return between & (pieces.before + pieces.after < BRIDGE_LENGTH * usual)

@@ -4,9 +4,10 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Bool, Float32, Float64
 
 from agents.perception.centrelines.along import (
+    Pieces,
     blurred,
     directions,
     gaussian,
@@ -22,6 +23,7 @@ ALONG_PX = 2.0
 """Standard deviation of the average of neighbouring profiles in which edges are looked for."""
 LIGHT_PX = 1.5
 """Standard deviation of the local parabolas that smooth corrected points."""
+EDGE_ROUNDS = 2
 LEAST_WIDTH_PX = 0.1
 
 
@@ -30,7 +32,7 @@ class Curves:
     """Points along pieces, and of each piece whether it begins and ends at a loose end of the thread."""
 
     point: Float64[np.ndarray, "n 2"]
-    piece: Int64[np.ndarray, "n"]
+    pieces: Pieces
     loose_start: Bool[np.ndarray, "k"]
     loose_end: Bool[np.ndarray, "k"]
 
@@ -57,7 +59,7 @@ def tangent_sigma(width: float) -> float:
 
 def by_coverage(curves: Curves, coverage: Float32[np.ndarray, "h w"], width: float) -> tuple[Curves, Evidence]:
     """One round: every point to the centroid of the coverage across it."""
-    normal = normals(directions(curves.point, curves.piece, gaussian(tangent_sigma(width))))
+    normal = normals(directions(curves.point, curves.pieces, gaussian(tangent_sigma(width))))
     at = offsets(width / 2 + MARGIN_PX)
     found = middle(own_strand(sample(coverage, curves.point, normal, at)), at)
     shift = np.clip(found.offset_px, -width / 2, width / 2)
@@ -66,26 +68,31 @@ def by_coverage(curves: Curves, coverage: Float32[np.ndarray, "h w"], width: flo
 
 
 def by_edges(
-    curves: Curves, coverage: Float32[np.ndarray, "h w"], channel: Float32[np.ndarray, "h w"], width: float
+    curves: Curves, mask: Evidence, channel: Float32[np.ndarray, "h w"], width: float
 ) -> tuple[Curves, Evidence]:
-    """One round: every point to the middle between the thread's two edges in the contrast channel."""
-    normal = normals(directions(curves.point, curves.piece, gaussian(tangent_sigma(width))))
-    at = offsets(width / 2 + 2 * MARGIN_PX)
-    kernel = gaussian(ALONG_PX)
-    own = blurred(own_strand(sample(coverage, curves.point, normal, at)), curves.piece, kernel)
-    mask = middle(own, at)
-    seen = blurred(sample(channel, curves.point, normal, at, cv2.BORDER_REPLICATE), curves.piece, kernel)
-    edges = find_edges(seen, at, mask.offset_px, mask.width_px)
-    middle_px = (edges.near_px + edges.far_px) / 2
-    # an edge may lie off the mask's, but both in the same direction only as far as the mask may be wrong
+    """Two rounds: every point to the middle between the thread's edges in the contrast channel.
+
+    Args:
+        curves: in the middle of the mask.
+        mask: what a round by coverage saw at the same points.
+        channel: higher in the thread than beside it.
+        width: of the thread in general.
+    """
+    at, kernel = offsets(width / 2 + 2 * MARGIN_PX), gaussian(ALONG_PX)
+    mask_width = smoothed(mask.width_px[:, None], curves.pieces, kernel)[:, 0]
+    seen_width, moved = mask_width, np.zeros(len(mask_width))
+    # both edges may lie off the mask's, but in the same direction only as far as a mask is wrong
     limit = 0.5 + 0.25 * width
-    shift = mask.offset_px + np.clip(middle_px - mask.offset_px, -limit, limit)
-    shift = np.clip(shift, -width / 2 - 1, width / 2 + 1)
-    seen_width = np.maximum(edges.far_px - edges.near_px, LEAST_WIDTH_PX)
-    evidence = Evidence(seen_width, np.abs(middle_px - mask.offset_px), mask.open)
-    return _moved(curves, normal, shift), evidence
+    for _ in range(EDGE_ROUNDS):
+        normal = normals(directions(curves.point, curves.pieces, gaussian(tangent_sigma(width))))
+        seen = blurred(sample(channel, curves.point, normal, at, cv2.BORDER_REPLICATE), curves.pieces, kernel)
+        edges = find_edges(seen, at, -moved, mask_width)
+        shift = np.clip((edges.near_px + edges.far_px) / 2, -limit - moved, limit - moved)
+        seen_width, moved = edges.far_px - edges.near_px, moved + shift
+        curves = _moved(curves, normal, shift)
+    return curves, Evidence(np.maximum(seen_width, LEAST_WIDTH_PX), np.abs(moved), mask.open)
 
 
 def _moved(curves: Curves, normal: Float64[np.ndarray, "n 2"], shift: Float64[np.ndarray, "n"]) -> Curves:
-    point = smoothed(curves.point + shift[:, None] * normal, curves.piece, local_quadratic(LIGHT_PX))
+    point = smoothed(curves.point + shift[:, None] * normal, curves.pieces, local_quadratic(LIGHT_PX))
     return replace(curves, point=point)
