@@ -4,8 +4,9 @@ import importlib.metadata
 import pathlib
 import platform
 import shutil
+import socket
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import agents
@@ -20,6 +21,7 @@ from agents.cli.rig import RigConfig
 from agents.cli.terminal import say
 from shared.calibration import CalibrationError
 from shared.clock import now_ns
+from shared.runtime.clocks import ClockOffset, by_host
 from shared.runtime.config import ConfigError
 from shared.runtime.connection import NoRouterError, connected
 from shared.scene.render import SceneError
@@ -27,6 +29,8 @@ from shared.scene.render import SceneError
 EXIT_FOUND = 1
 ROUTER_WAIT_S = 1.0
 LEAST_FREE_BYTES = 2 << 30
+CLOCKS_APART_MS = 100.0
+"""Half of what a heartbeat may take; where clocks are farther apart, what is fresh soon seems old, or yet to come."""
 FIRST_SANE_NS = 1_700_000_000_000_000_000
 """The end of 2023: a clock before that was never set."""
 
@@ -84,6 +88,25 @@ def _clock() -> Finding:
     return Finding("clock", "set")
 
 
+def clocks(offsets: Mapping[str, ClockOffset | None], here: str) -> Iterator[Finding]:
+    """The clocks of the hosts of these agents by the one here; what cannot be told is unknown."""
+    for name in (name for name, offset in offsets.items() if offset is None):
+        yield Finding(f"clock of {name}", "unknown, for it gives no answer")
+    hosts = by_host(offset for offset in offsets.values() if offset is not None)
+    # of this host itself there is nothing to say, unless another one has its name
+    others = [h for h in hosts if h.host != here or h.least_ms > CLOCKS_APART_MS]
+    for offset in others:
+        apart = f"{abs(offset.ahead_ms):.0f} ms {'ahead of' if offset.ahead_ms > 0 else 'behind'} this host"
+        found, remedy = f"{apart}, give or take {offset.within_ms:.1f} ms", ""
+        if offset.least_ms > CLOCKS_APART_MS:
+            remedy = "synchronise both with chrony (chronyc tracking tells how far each is off)"
+        elif abs(offset.ahead_ms) + offset.within_ms > CLOCKS_APART_MS:
+            found = f"unknown, for its answer takes {2 * offset.within_ms:.0f} ms"
+        yield Finding(f"clock of {offset.host}", found, remedy)
+    if not others:
+        yield Finding("clocks of other hosts", "unknown, for no agent answers from another host")
+
+
 def _disk(rig: RigConfig) -> Finding:
     folder = rig.recorder.folder if rig.recorder is not None else pathlib.Path()
     existing = next(p for p in (folder.absolute(), *folder.absolute().parents) if p.exists())
@@ -110,6 +133,7 @@ def _rig(rig: RigConfig) -> Iterator[Finding]:
         with connected(rig.session, ROUTER_WAIT_S) as connection:
             yield Finding("router", f"answers on {rig.router.endpoint}")
             yield Finding("running agents", ", ".join(connection.present()) or "none")
+            yield from clocks(connection.clocks(), socket.gethostname())
     except NoRouterError:
         none = f"none answers on {rig.router.endpoint}"
         if rig.router.start:

@@ -156,6 +156,10 @@ class ClockReading:
     host: str
     at_ns: int
 
+    def __post_init__(self) -> None:
+        check_message(self)
+        require(self.host != "", "a clock's reading names its host")
+
 
 @dataclass(frozen=True)
 class ReplayClock:

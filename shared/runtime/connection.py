@@ -17,6 +17,7 @@ from schemas.messages import CommandAnswer
 from schemas.topics import MAIN, Topic, key
 from shared.clock import monotonic_s, now_ns
 from shared.runtime.attachment import Attachment, pack
+from shared.runtime.clocks import ClockOffset, clock_offset
 from shared.runtime.commands import send_command
 from shared.runtime.delivery import declare_publisher
 from shared.runtime.session import SessionSettings, open_session
@@ -55,6 +56,10 @@ class Connection:
         replies = self._session.liveliness().get(f"suturegrasp/{self._rig}/*/*", timeout=1.0)
         found = [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
         return sorted("/".join(name.split("/")[-2:]) for name in found)
+
+    def clocks(self) -> dict[str, ClockOffset | None]:
+        """How far the clock of each agent's host is from this one's; None where the agent gives no answer."""
+        return {name: clock_offset(self._session, self._rig, *name.split("/")) for name in self.present()}
 
     @contextmanager
     def repeating(

@@ -23,9 +23,10 @@ from shared.clock import Stopwatch, monotonic_s, now_ns
 from shared.runtime.accounts import InputAccount, OutputAccount, StepTimes
 from shared.runtime.agent import Agent, Command, Input, Output, Received, Tick
 from shared.runtime.attachment import Attachment, pack, unpack
+from shared.runtime.clocks import answer_clock
 from shared.runtime.commands import STATUS, Answered, refused, untimely
 from shared.runtime.delivery import declare_publisher, subscribe
-from shared.runtime.fed import Fed
+from shared.runtime.fed import Fed, state_topic
 from shared.runtime.inbox import Arrival, Inbox
 from shared.runtime.log_topic import LogTopic
 
@@ -103,6 +104,7 @@ class Runner:
         for topic in self._agent.commands:
             selector = key(self._rig, topic, self._agent.instance if topic.per_arm else MAIN)
             self._kept.append(self._session.declare_queryable(selector, self._take_query(topic), complete=True))
+        self._kept.append(answer_clock(self._session, self._rig, self._agent.kind, self._agent.instance))
         alive = f"suturegrasp/{self._rig}/{self._agent.kind}/{self._agent.instance}"
         self._kept.append(self._session.liveliness().declare_token(alive))
         self._log.info("started, version %s", schemas.__version__)
@@ -242,7 +244,8 @@ class Runner:
         for output in outputs:
             try:
                 message = dataclasses.replace(output.message, consumed=fed)
-                last = self._key(output.topic), self._publish(output.topic, message, step_ms)
+                place = self._key(output.topic), self._publish(output.topic, message, step_ms)
+                last = place if output.topic is (state_topic(self._agent) or output.topic) else last
             except MessageError as error:
                 self._note_fault(error)
         if last is not None:

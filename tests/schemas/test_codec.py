@@ -339,7 +339,7 @@ MESSAGES = {
     TissueSurface: surfaces(),
     ReliabilityRegions: regions(),
     ThreadReconstruction: reconstructions(),
-    ClockReading: st.builds(ClockReading, texts, nanoseconds),
+    ClockReading: st.builds(ClockReading, texts.filter(bool), nanoseconds),
     Consumed: st.builds(Consumed, texts.filter(bool), uint64, uint64),
     CommandHeader: headers,
     CommandAnswer: answers,

@@ -14,13 +14,14 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from agents.cli.demo_goals import APART, FROM_END, least_known
-from agents.cli.doctor import examine
+from agents.cli.doctor import clocks, examine
 from agents.cli.health_watch import HealthWatch, health_table
 from agents.cli.live import event_sentence
 from agents.cli.rig import RigConfig, RouterSection
 from agents.cli.session_folder import free_path, new_session_folder
 from agents.planner.agent import Planner
 from schemas.messages import ExecutionEvent, ExecutionKind
+from shared.runtime.clocks import ClockOffset
 from shared.runtime.config import parse_config
 from shared.runtime.connection import connected
 from shared.runtime.session import free_local_endpoint
@@ -110,7 +111,32 @@ def test_doctor_finds_the_router_and_who_is_there(router, running_planner):
             findings = {finding.what: finding for finding in examine(rig)}
     assert findings["router"].found == f"answers on {endpoint}"
     assert findings["running agents"].found == "planner/main"
+    assert findings["clocks of other hosts"].found.startswith("unknown")
     assert all(finding.remedy == "" for finding in findings.values())
+
+
+@pytest.mark.parametrize(
+    ("offset", "found", "wrong"),
+    [
+        (ClockOffset("b", 340.0, 2.0), "340 ms ahead of this host", True),
+        (ClockOffset("b", -340.0, 2.0), "340 ms behind this host", True),
+        (ClockOffset("b", 3.0, 0.5), "3 ms ahead of this host, give or take 0.5 ms", False),
+        (ClockOffset("b", 340.0, 300.0), "unknown, for its answer takes 600 ms", False),
+        (ClockOffset("here", 340.0, 2.0), "340 ms ahead of this host", True),
+    ],
+)
+def test_doctor_tells_a_clock_that_is_off_by_the_one_here(offset, found, wrong):
+    (finding,) = clocks({"planner/main": offset}, "here")
+    assert finding.what == f"clock of {offset.host}"
+    assert finding.found.startswith(found)
+    assert ("chrony" in finding.remedy) is wrong
+
+
+def test_doctor_says_that_clocks_are_unknown_where_nobody_answers_from_elsewhere():
+    assert [f.found for f in clocks({}, "here")] == ["unknown, for no agent answers from another host"]
+    silent, others = clocks({"camera/main": None, "planner/main": ClockOffset("here", 0.0, 0.1)}, "here")
+    assert (silent.what, silent.remedy) == ("clock of camera/main", "")
+    assert others.found.startswith("unknown")
 
 
 @pytest.fixture

@@ -1,0 +1,92 @@
+"""How far the clocks of other hosts are from this one's.
+
+Every agent answers at once, not from its loop, what its host's clock says. Asked at t and answered after d, both by the
+clock here, the other clock said T at some moment in between: it is ahead by T − (t + d/2), give or take d/2 (Cristian,
+Distributed Computing 3, 1989). The shortest of several round trips tells most.
+"""
+
+import socket
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import zenoh
+
+from schemas.checks import MessageError
+from schemas.codec import decode, encode, encoding_name
+from schemas.messages import ClockReading
+from schemas.topics import key_root
+from shared.clock import monotonic_s, now_ns
+
+CLOCK = "clock"
+"""The last part of the key under which an agent answers; nothing is published there."""
+TRIPS = 8
+ANSWER_WAIT_S = 1.0
+
+
+@dataclass(frozen=True)
+class ClockOffset:
+    """How far a host's clock is ahead of this one's (negative: behind), and how much that may be wrong."""
+
+    host: str
+    ahead_ms: float
+    within_ms: float
+
+    @property
+    def least_ms(self) -> float:
+        """How far the clocks are apart for certain."""
+        return max(0.0, abs(self.ahead_ms) - self.within_ms)
+
+
+def answer_clock(session: zenoh.Session, rig: str, kind: str, instance: str) -> Any:
+    """Have this host's clock told to whoever asks the agent; keep what is returned."""
+    host = socket.gethostname()
+
+    def answer(query: zenoh.Query) -> None:
+        reading = encode(ClockReading(host, now_ns()))
+        query.reply(query.key_expr, reading, encoding=encoding_name(ClockReading))
+        query.drop()
+
+    return session.declare_queryable(f"{key_root(rig, instance, kind)}/{CLOCK}", answer)
+
+
+def clock_offset(session: zenoh.Session, rig: str, kind: str, instance: str) -> ClockOffset | None:
+    """How far the clock of an agent's host is from this one's; None where it gives no answer."""
+    best: ClockOffset | None = None
+    for _ in range(TRIPS):
+        found = _one_trip(session, f"{key_root(rig, instance, kind)}/{CLOCK}")
+        if found is None:
+            break
+        best = found if best is None or found.within_ms < best.within_ms else best
+    return best
+
+
+def offset_of(reading: ClockReading, asked_ns: int, took_s: float) -> ClockOffset:
+    """What a reading tells that was asked for then, and came after so long."""
+    half_ns = 0.5e9 * took_s
+    return ClockOffset(reading.host, (reading.at_ns - asked_ns - half_ns) * 1e-6, half_ns * 1e-6)
+
+
+def by_host(offsets: Iterable[ClockOffset]) -> list[ClockOffset]:
+    """Of the readings of each host the one that is farthest from this clock for certain.
+
+    Two hosts may have one name; then the worse of them shows.
+    """
+    hosts: dict[str, ClockOffset] = {}
+    for offset in offsets:
+        known = hosts.get(offset.host)
+        if known is None or (offset.least_ms, -offset.within_ms) > (known.least_ms, -known.within_ms):
+            hosts[offset.host] = offset
+    return [hosts[host] for host in sorted(hosts)]
+
+
+def _one_trip(session: zenoh.Session, key: str) -> ClockOffset | None:
+    asked_ns, asked_s = now_ns(), monotonic_s()
+    for reply in session.get(key, timeout=ANSWER_WAIT_S):
+        took_s = monotonic_s() - asked_s
+        if reply.ok is not None:
+            try:
+                return offset_of(decode(ClockReading, reply.ok.payload.to_bytes()), asked_ns, took_s)
+            except MessageError:
+                return None
+    return None
