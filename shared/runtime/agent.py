@@ -65,6 +65,9 @@ class Output:
 class Agent(Protocol):
     """One stage of the dataflow. Where it has a method `close`, that is called once at the end, whatever ended it.
 
+    Where it has `goes_on_from`, a topic among its outputs, all that counts of what it was fed before lies in its last
+    message on that topic: a replay feeds it that message in place of all before, and needs no more of the past.
+
     Where it has `only_newest_tick_counts = True`, a tick that nothing followed has changed nothing, so that a replay
     may leave it out.
 

@@ -3,10 +3,11 @@
 A list holds, in the order in which they were fed, every message and every tick since the output before, and the newest
 of each key of which nothing else counts. An agent of which more counts than the newest of each input also names its
 output before, as the state that it went on from: so the lists of a run are a chain, and one that was lost is noticed.
+An agent whose output holds all of that state (`goes_on_from`) names it too, and a replay can go on from there.
 """
 
 from schemas.messages import Consumed
-from schemas.topics import key_root
+from schemas.topics import Topic, key_root
 from shared.runtime.agent import Agent
 
 TICK, OMITTED = "tick", "omitted"
@@ -21,6 +22,11 @@ def adds_up(agent: Agent) -> bool:
     return agent.tick_hz is not None or not all(i.only_newest_counts for i in agent.inputs)
 
 
+def state_topic(agent: Agent) -> Topic | None:
+    """The output in which all lies that an agent goes on from; None where it has none such."""
+    return getattr(agent, "goes_on_from", None)
+
+
 def is_tick(key: str) -> bool:
     """Whether a list's key stands for a tick of the agent's own clock, which is in no recording but in the list."""
     return key.endswith(f"/{TICK}")
@@ -31,7 +37,7 @@ class Fed:
 
     def __init__(self, agent: Agent, rig: str, epoch: int) -> None:
         self._root, self._epoch = key_root(rig, agent.instance, agent.kind), epoch
-        self._adds_up = adds_up(agent)
+        self._names_output = adds_up(agent) or state_topic(agent) is not None
         self._idle_ticks_count = not getattr(agent, "only_newest_tick_counts", False)
         self._newest_only: set[str] = set()
         self._entries: list[Consumed] = []
@@ -59,7 +65,7 @@ class Fed:
         """Begin the next list, after an output that carries this one."""
         self._entries = [c for c in self._entries if c.key in self._newest_only]
         self._omitted = 0
-        if self._adds_up:
+        if self._names_output:
             self._entries.append(Consumed(key, self._epoch, sequence))
 
     def _remove(self, key: str) -> None:

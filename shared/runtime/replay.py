@@ -7,7 +7,7 @@ never fed (frames that a newer one replaced) is left out. Ticks of the agent's c
 A recording may lack an input: it came before the recording began, or was lost on its way to the recorder. The output
 made from it cannot be repeated; it is handed out with what is missing, and is neither the same nor different. Of an
 agent that adds up what it is fed, the same holds for all outputs after it, and after an output that was lost, of which
-nobody knows what it listed.
+nobody knows what it listed. An agent that goes on from its own last output is fed that, so that only the next is lost.
 """
 
 import dataclasses
@@ -20,7 +20,7 @@ from schemas.codec import decode, encode
 from schemas.messages import CommandRecord, Consumed
 from schemas.topics import COMMANDS, TOPICS, topic_of
 from shared.runtime.agent import Agent, Command, Output, Received, Tick
-from shared.runtime.fed import adds_up, is_tick
+from shared.runtime.fed import adds_up, is_tick, state_topic
 
 
 class Recorded(Protocol):
@@ -88,7 +88,7 @@ class _Run:
             place, recorded = _place(listed), self._messages.get(_place(listed))
             if is_tick(listed.key):
                 made += _outputs(self._agent, Tick(listed.sequence))
-            elif recorded is not None and place not in self._fed and topic_of(listed.key) not in self._agent.outputs:
+            elif recorded is not None and place not in self._fed and self._is_fed(listed.key):
                 self._fed.add(place)
                 made += _outputs(self._agent, _arrived(recorded))
         missing = tuple(c for c in consumed if not is_tick(c.key) and _place(c) not in self._messages)
@@ -97,6 +97,10 @@ class _Run:
         for output in outputs:
             now = _next_of(made, str(topic_of(output.key)), consumed)
             yield Replayed(*_place(output), output.payload, None if self._missing else now, self._missing)
+
+    def _is_fed(self, key: str) -> bool:
+        topic = topic_of(key)
+        return topic not in self._agent.outputs or topic is state_topic(self._agent)
 
 
 def replay(build: Callable[[], Agent], recording: Iterable[Recorded]) -> Iterator[Replayed]:
