@@ -345,7 +345,7 @@ def test_an_interrupt_from_the_keyboard_ends_in_one_line(pair, small):
     # opening succeeds only once the command has opened the other end
     with process, (small / "left.png").open("wb"):
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=20)
+        out, err = process.communicate(timeout=60)
     assert (process.returncode, out, err) == (130, "", "suturegrasp: interrupted\n")
 
 

@@ -1,5 +1,6 @@
 """Rigs: every section becomes its agent, every source of frames is opened, and the example and the page fit."""
 
+import contextlib
 import re
 from pathlib import Path
 from typing import get_args
@@ -18,7 +19,6 @@ from agents.robot_bridge.limits import MAXIMUM_PLAN_AGE_S
 from schemas.messages import ImageEncoding, StereoCalibration
 from schemas.topics import CALIBRATION, FRAMES
 from shared.calibration import CalibrationError
-from shared.clock import monotonic_s
 from shared.kinematics.simulated_setup import SIMULATED_BASES
 from shared.runtime.agent import Output, Tick
 from shared.runtime.config import ConfigError, load_config, parse_config
@@ -86,17 +86,15 @@ def test_images_in_two_folders_are_frames(section, small, tmp_path):
     assert [type(c) for c in calibrations] == [StereoCalibration]
 
 
-def test_a_pipe_of_side_by_side_frames_is_frames(section, tmp_path):
+def test_a_pipe_of_side_by_side_frames_is_frames(section, tmp_path, until):
     frame = np.arange(180 * 640 * 3, dtype=np.uint64).astype(np.uint8).reshape(180, 640, 3)
     stream = tmp_path / "stream"
     stream.write_bytes(2 * frame.tobytes())
     text = f'{section}source = "pipe"\nleft = "{stream}"\nwidth = 640\nheight = 180'
     camera = build(rig(text), "camera", "main")
-    deadline_s, frames = monotonic_s() + 10.0, []
-    while not frames and monotonic_s() < deadline_s:
-        frames, _ = frames_of(camera, 1)
     assert isinstance(camera, Camera)
-    camera._source.close()
+    with contextlib.closing(camera._source):
+        frames = until(lambda: frames_of(camera, 1)[0])
     assert [(f.left.width, f.right.height) for f in frames] == [(320, 180)]
 
 

@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 
 import psutil
 import pytest
@@ -14,26 +13,29 @@ from shared.clock import monotonic_s
 
 PYTHON = (sys.executable, "-c")
 STAYS = "print('here', flush=True); import sys; sys.stdin.read()"
-DEADLINE_S = 20.0
+DEADLINE_S = 60.0
 
 
-def until(condition):
-    deadline_s, turn = monotonic_s() + DEADLINE_S, threading.Event()
-    while not (value := condition()):
-        assert monotonic_s() < deadline_s, "the condition did not come true in time"
-        turn.wait(0.02)
-    return value
-
-
-def changes_of(supervisor, count):
+@pytest.fixture
+def changes_of(until):
     """The next so many changes."""
-    found = []
-    until(lambda: found.extend(supervisor.watch()) or len(found) >= count)
-    return found
+
+    def watch(supervisor, count):
+        found = []
+        until(lambda: found.extend(supervisor.watch()) or len(found) >= count)
+        return found
+
+    return watch
 
 
-def started(child):
-    return until(lambda: child.log.exists() and "here" in child.log.read_text()) and child.process.pid
+@pytest.fixture
+def started(until):
+    """The process id of a child, once it has said that it is here."""
+
+    def wait(child):
+        return until(lambda: child.log.exists() and "here" in child.log.read_text()) and child.process.pid
+
+    return wait
 
 
 @pytest.fixture
@@ -43,7 +45,7 @@ def supervisor():
     supervisor.stop()
 
 
-def test_a_killed_process_is_named_and_started_again(supervisor, tmp_path):
+def test_a_killed_process_is_named_and_started_again(supervisor, started, changes_of, tmp_path):
     child = supervisor.add("perception", [STAYS], tmp_path / "log")
     pid = started(child)
     os.kill(pid, signal.SIGKILL)
@@ -55,7 +57,8 @@ def test_a_killed_process_is_named_and_started_again(supervisor, tmp_path):
     assert child.process.pid != pid
 
 
-def test_the_wait_before_each_restart_grows_up_to_a_limit(supervisor, tmp_path):
+def test_the_wait_before_each_restart_grows_up_to_a_limit(supervisor, changes_of, tmp_path, monkeypatch):
+    monkeypatch.setattr("agents.cli.supervisor.STEADY_S", 10 * DEADLINE_S)
     child = supervisor.add("crashes", ["raise SystemExit(3)"], tmp_path / "log")
     waits = []
     while len(waits) < 8:
@@ -71,7 +74,7 @@ def test_the_wait_before_each_restart_grows_up_to_a_limit(supervisor, tmp_path):
     assert child.backoff_s == LONGEST_BACKOFF_S
 
 
-def test_a_mistake_in_the_configuration_is_told_once_in_the_words_of_the_process(supervisor, tmp_path):
+def test_a_mistake_in_the_configuration_is_told_once_in_the_words_of_the_process(supervisor, changes_of, tmp_path):
     code = "import sys; print('suturegrasp: camera.left is missing', file=sys.stderr); sys.exit(2)"
     child = supervisor.add("camera", [code], tmp_path / "log")
     (change,) = changes_of(supervisor, 1)
@@ -81,7 +84,7 @@ def test_a_mistake_in_the_configuration_is_told_once_in_the_words_of_the_process
     assert child.due_s is None
 
 
-def test_without_restart_nothing_comes_back(tmp_path):
+def test_without_restart_nothing_comes_back(changes_of, tmp_path):
     with supervised(restart=False) as supervisor:
         supervisor.program = PYTHON
         child = supervisor.add("planner", ["raise SystemExit(1)"], tmp_path / "log")
@@ -90,7 +93,8 @@ def test_without_restart_nothing_comes_back(tmp_path):
         assert (supervisor.watch(), child.running) == ([], False)
 
 
-def test_processes_end_in_the_order_of_their_roles(tmp_path):
+def test_processes_end_in_the_order_of_their_roles(started, tmp_path, monkeypatch):
+    monkeypatch.setattr("agents.cli.supervisor.STOP_LIMIT_S", DEADLINE_S)
     written = tmp_path / "order"
     code = (
         "import signal, sys\n"
@@ -106,7 +110,7 @@ def test_processes_end_in_the_order_of_their_roles(tmp_path):
     assert not any(child.running for child in supervisor.children)
 
 
-def test_a_process_that_does_not_listen_is_killed(tmp_path, monkeypatch):
+def test_a_process_that_does_not_listen_is_killed(started, tmp_path, monkeypatch):
     monkeypatch.setattr("agents.cli.supervisor.STOP_LIMIT_S", 0.2)
     code = "import signal; signal.signal(15, signal.SIG_IGN); print('here', flush=True)\nwhile True: signal.pause()"
     supervisor = Supervisor(program=PYTHON)
@@ -128,11 +132,10 @@ def test_processes_end_with_a_supervisor_that_is_killed(tmp_path):
         "child = Supervisor().add('planner', arguments, log)\n"
         "print(child.process.pid, flush=True); sys.stdin.read()"
     )
-    parent = subprocess.Popen([*PYTHON, code], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-    assert parent.stdout is not None
-    orphan = psutil.Process(int(parent.stdout.readline()))
-    parent.kill()
-    parent.communicate()
+    with subprocess.Popen([*PYTHON, code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as parent:
+        assert parent.stdout is not None
+        orphan = psutil.Process(int(parent.stdout.readline()))
+        parent.kill()
     _, alive = psutil.wait_procs([orphan], timeout=DEADLINE_S)
     for process in alive:
         process.kill()
