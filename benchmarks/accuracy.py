@@ -39,6 +39,7 @@ def main() -> None:
     parser.add_argument("--masks", nargs="+", help="run only with these masks: none, true, binary, grey<200, grey<250")
     parser.add_argument("--json", type=Path, default=Path("out/accuracy.json"), help="where the figures go")
     parser.add_argument("--pictures", type=Path, help="folder for a picture of each run")
+    parser.add_argument("--brief", action="store_true", help="print the table of goals alone")
     parser.add_argument("--bless", action="store_true", help="make these figures the committed baseline")
     arguments = parser.parse_args()
     chosen = [
@@ -63,7 +64,7 @@ def main() -> None:
             if arguments.pictures:
                 name = f"{run.scene.group} {run.scene.name} masks {run.masks_are} {run.calibration_is}".strip()
                 save_picture(arguments.pictures / f"{name}.png", result)
-    for group in dict.fromkeys(row["group"] for row in rows):
+    for group in () if arguments.brief else dict.fromkeys(row["group"] for row in rows):
         print_group(group, [row for row in rows if row["group"] == group])
     print_goals(arguments.method, goals(rows) + time_goals(arguments.method, rows))
     save(arguments.json, arguments.method, rows)

@@ -23,6 +23,7 @@ NEAR_PX = 3.0
 PARALLEL, UNSEEN, REST = "row-parallel", "hidden", "other"
 STRETCHES = (PARALLEL, UNSEEN, REST)
 PARALLEL_DEG = 15.0
+BELIEVED_PLACES = 400
 OF_TRUTH = (
     "mean",
     "95 %",
@@ -37,7 +38,7 @@ OF_TRUTH = (
     "coverage",
     "nll",
 )
-OF_EDGE = ("straightness", "length share", "corners share")
+OF_EDGE = ("straightness", "length share", "corners share", "length against corners")
 OF_IMAGES = ("pixel bound", "bound", "bound seen", "centre noise px")
 
 
@@ -137,9 +138,15 @@ def stretch_of(truth_px: Float64[np.ndarray, "m 2"], visible: Bool[np.ndarray, "
 def believed(
     thread: ThreadReconstruction, truth: Float64[np.ndarray, "m 3"], stretch: Int64[np.ndarray, "m"]
 ) -> dict[str, Any]:
-    """Places within the predicted 95 % ellipse and all places, by kind of stretch, and the mean NLL."""
-    spline = (thread.knots, thread.control_points_camera, thread.degree, thread.posterior_s)
-    errors = normal_errors(evaluate(*spline), evaluate(*spline, 1), thread.posterior_covariance, truth)
+    """Places within the predicted 95 % ellipse and all places, by kind of stretch, and the mean NLL.
+
+    Places are evenly spaced along the curve, wherever the method gave its covariances.
+    """
+    spline = thread.knots, thread.control_points_camera, thread.degree
+    s = even_parameters(*spline, BELIEVED_PLACES)
+    entries = thread.posterior_covariance.reshape(-1, 9).T
+    covariance = np.column_stack([np.interp(s, thread.posterior_s, entry) for entry in entries]).reshape(-1, 3, 3)
+    errors = normal_errors(evaluate(*spline, s), evaluate(*spline, s, 1), covariance, truth)
     at = stretch[errors.nearest]
     counts = {
         kind: [int(errors.inside[at == index].sum()), int((at == index).sum())] for index, kind in enumerate(STRETCHES)
@@ -165,6 +172,7 @@ def against_edge(curve: Float64[np.ndarray, "n 3"], edge: StraightEdge) -> dict[
     return {
         "straightness": float(np.sqrt(np.sum(singular[1:] ** 2) / len(curve))),
         "length share": polyline_length(curve) / edge.length_mm - 1.0,
+        "length against corners": polyline_length(curve) / edge.corners_mm - 1.0,
     }
 
 

@@ -90,11 +90,11 @@ def summed(masks: str, calibration: str, rows: list[Row], published: list[str]) 
 def print_goals(method: str, goals: list[Goal]) -> None:
     """The table of goals."""
     table = Table(title=f"goals, method {method}", title_justify="left")
-    for column in ("what", "published by others", "goal", "here", ""):
+    for column in ("what", "published by others", "goal", "here", "", "bound by the images"):
         table.add_column(column)
     for goal in goals:
         verdict = {True: "[green]met[/]", False: "[red]not met[/]", None: ""}[goal.met]
-        table.add_row(goal.what, goal.published, goal.goal, goal.figure, verdict)
+        table.add_row(goal.what, goal.published, goal.goal, goal.figure, verdict, goal.bound)
     CONSOLE.print(table)
 
 
