@@ -7,12 +7,14 @@ is added in squares. `docs/perception.md` says how well they hold.
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from agents.perception.centrelines.along import REACH, Pieces, smoothed
+from agents.perception.centrelines.along import REACH, Pieces, directions, gaussian, smoothed
 from agents.perception.centrelines.refine import Curves, Evidence
 
-GRADED_PX = 0.01
+GRADED_PX = 0.005
 PIXEL_SHARE = 0.05
 """Of a pixel, over the width: coverage does not say where within its border pixels the thread lies."""
+ROW_PX, ROW_SLOPE = 0.06, 0.05
+"""A thread along the rows or columns meets their borders alike for many pixels, so that the error does not average."""
 SHADING_SHARE = 0.038
 """Of the width: light from one side, shadows and glints shift what looks like an edge."""
 DOUBT_SHARE = 0.5
@@ -30,7 +32,7 @@ def deviations(curves: Curves, seen: Evidence, graded: bool) -> Float64[np.ndarr
     """Standard deviation of each point across the thread, in pixels."""
     width = seen.width_px
     usual = _usual_width(width, curves.pieces)
-    at_sight = GRADED_PX + PIXEL_SHARE / usual if graded else SHADING_SHARE * usual
+    at_sight = _of_coverage(curves, usual) if graded else SHADING_SHARE * usual
     parts = [
         at_sight,
         DOUBT_SHARE * seen.doubt_px,
@@ -41,6 +43,12 @@ def deviations(curves: Curves, seen: Evidence, graded: bool) -> Float64[np.ndarr
         np.where(_is_bridge(curves, usual), BRIDGE_SHARE * usual, 0),
     ]
     return np.sqrt(np.sum([part**2 for part in parts], axis=0))
+
+
+def _of_coverage(curves: Curves, usual: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "n"]:
+    """What remains unknown where nothing but anti-aliased coverage tells."""
+    slope = np.abs(directions(curves.point, curves.pieces, gaussian(2.0))).min(axis=1)
+    return np.hypot(GRADED_PX + PIXEL_SHARE / usual, ROW_PX / (1 + (slope / ROW_SLOPE) ** 2))
 
 
 def _usual_width(width: Float64[np.ndarray, "n"], pieces: Pieces) -> Float64[np.ndarray, "n"]:

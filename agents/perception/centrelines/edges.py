@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float32, Float64, UInt8
 COLOUR_NOISE = 5.0
 """Grey levels; keeps the discriminant from trusting colours that hardly vary, as in grey images."""
 GAP_PX, BAND_PX = 2, 8
-"""The ground is what lies farther than the one, and within the other, of the mask."""
+"""The ground is what lies farther than the one, and within the other, from the mask."""
 REACH_PX = 3.5
 """How far from where it was looked for an edge may draw, with a weight that falls to zero there."""
 ROUNDS = 3
@@ -34,12 +34,15 @@ def contrast_channel(image: UInt8[np.ndarray, "h w 3"], mask: Bool[np.ndarray, "
     """The image near the mask in the one channel that tells thread from ground best, in which the thread is higher."""
     band = _grown(mask, BAND_PX)
     ground = band & ~_grown(mask, GAP_PX)
-    direction = _discriminant(image[::2, ::2][mask[::2, ::2]], image[::2, ::2][ground[::2, ::2]])
-    channel = np.zeros(mask.shape, np.float32)
-    # the ground's level also fills what no profile reaches
-    channel += np.float32(image[ground].mean(axis=0) @ direction if ground.any() else 0.0)
-    channel[band] = image[band].astype(np.float32) @ direction.astype(np.float32)
-    return channel
+    fewer = np.s_[::2, ::2]
+    thread_colours, ground_colours = image[fewer][mask[fewer]], image[fewer][ground[fewer]]
+    direction = _discriminant(thread_colours, ground_colours)
+    level = ground_colours.mean(axis=0) @ direction if len(ground_colours) else 0.0
+    # no profile reaches beyond the band, so that the ground's level does there
+    channel = np.full(mask.size, level, np.float32)
+    index = np.flatnonzero(band)
+    channel[index] = image.reshape(-1, 3)[index].astype(np.float32) @ direction.astype(np.float32)
+    return channel.reshape(mask.shape)
 
 
 def _discriminant(thread: UInt8[np.ndarray, "p 3"], ground: UInt8[np.ndarray, "q 3"]) -> Float64[np.ndarray, "3"]:

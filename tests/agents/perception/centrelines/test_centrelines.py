@@ -41,6 +41,109 @@ def test_a_straight_thread_is_found_as_exactly_as_coverage_by_area_tells(radius,
     assert np.median(found.width_px) == pytest.approx(2 * radius, abs=0.3)
 
 
+def arc(centre, radius, start, stop):
+    angle = np.linspace(start, stop, 200)
+    return np.column_stack((centre[0] + radius * np.cos(angle), centre[1] + radius * np.sin(angle)))
+
+
+@pytest.mark.parametrize("thread_radius", [1.2, 3.5])
+def test_a_bend_is_not_cut_and_its_points_lie_a_pixel_apart(thread_radius):
+    bend = arc((80.3, 60.6), 25.0, 0.3, 4.5)
+    found = thread_centrelines(GREY, tube(bend, thread_radius))
+    from_centre = np.linalg.norm(found.point_px - [80.3, 60.6], axis=1)
+    inner = slice(5, -5)
+    assert np.abs(from_centre[inner] - 25.0).max() < 0.12
+    assert abs(np.median(from_centre[inner]) - 25.0) < 0.02
+    steps = np.linalg.norm(np.diff(found.point_px, axis=0), axis=1)
+    assert steps.min() > 0.5
+    assert steps.max() < 1.5
+
+
+@pytest.mark.parametrize("radius", [0.8, 2.0, 4.0])
+def test_a_piece_reaches_the_ends_of_the_mask(radius):
+    line = np.array([[30.4, 50.2], [110.7, 71.6]])
+    found = thread_centrelines(GREY, tube(line, radius))
+    along = (line[1] - line[0]) / np.linalg.norm(line[1] - line[0])
+    ends = np.sort((found.point_px[[0, -1]] - line[0]) @ along)
+    assert ends[0] == pytest.approx(-radius, abs=0.5)
+    assert ends[1] == pytest.approx(np.linalg.norm(line[1] - line[0]) + radius, abs=0.5)
+
+
+def test_a_crossing_leaves_four_pieces_that_keep_clear_of_it():
+    one, other = np.array([[20.2, 30.0], [140.3, 90.4]]), np.array([[25.1, 95.3], [135.6, 22.7]])
+    found = thread_centrelines(GREY, np.maximum(tube(one, 2.5), tube(other, 2.5)))
+    assert np.unique(found.piece).tolist() == [0, 1, 2, 3]
+    nearest = np.minimum(distance_to(found.point_px, one), distance_to(found.point_px, other))
+    inside = (found.point_px[:, 0] > 30) & (found.point_px[:, 0] < 125)
+    assert nearest[inside].max() < 0.5
+    # the pieces of one strand are not joined with those of the other
+    for piece in range(4):
+        mine = found.point_px[found.piece == piece]
+        assert min(np.median(distance_to(mine, one)), np.median(distance_to(mine, other))) < 0.03
+    # near the crossing a point is worth less
+    gap = np.linalg.norm(found.point_px - [80.0, 60.0], axis=1)
+    assert found.deviation_px[gap < 10].min() > 2 * np.median(found.deviation_px)
+
+
+def test_a_ring_is_one_piece():
+    found = thread_centrelines(GREY, tube(arc((80, 60), 30, 0, 2 * np.pi), 2.0))
+    assert np.unique(found.piece).tolist() == [0]
+    assert np.abs(np.linalg.norm(found.point_px - [80, 60], axis=1) - 30).max() < 0.4
+
+
+def test_a_bump_of_the_mask_is_no_branch():
+    line = np.array([[20.0, 60.0], [140.0, 60.0]])
+    coverage = np.maximum(tube(line, 3.0), tube(np.array([[80.0, 60.0], [80.0, 64.5]]), 1.0))
+    assert np.unique(thread_centrelines(GREY, coverage).piece).tolist() == [0]
+
+
+def test_pinholes_do_not_split_a_thread_and_true_loops_stay_open():
+    coverage = tube(np.array([[20.0, 60.0], [140.0, 60.0]]), 4.0)
+    coverage[59:61, 70:73] = 0
+    assert np.unique(thread_centrelines(GREY, coverage).piece).tolist() == [0]
+    ring = tube(arc((80, 60), 9, 0, 2 * np.pi), 2.0)
+    assert np.linalg.norm(thread_centrelines(GREY, ring).point_px - [80, 60], axis=1).min() > 7
+
+
+def lit_from_one_side(coverage, line):
+    """A violet thread on pink ground, one half of it twice as bright as the other."""
+    v, u = np.mgrid[: coverage.shape[0], : coverage.shape[1]]
+    along = (line[1] - line[0]) / np.linalg.norm(line[1] - line[0])
+    side = (u - line[0, 0]) * along[1] - (v - line[0, 1]) * along[0]
+    thread = np.array([110.0, 40.0, 80.0]) * (0.7 + 0.5 / (1 + np.exp(side[..., None])))
+    share = coverage[..., None] / 255
+    return np.rint(share * thread + (1 - share) * [150.0, 150.0, 210.0]).astype(np.uint8)
+
+
+@pytest.mark.parametrize("shift", [0, 1])
+def test_the_edges_in_the_image_correct_a_binary_mask(shift):
+    line = np.array([[20.3, 40.7], [140.2, 62.1]])
+    coverage = tube(line, 3.0)
+    mask = np.where(np.roll(coverage, shift, axis=0) >= 128, 255, 0).astype(np.uint8)
+    found = thread_centrelines(lit_from_one_side(coverage, line), mask)
+    inner = (found.point_px[:, 0] > 30) & (found.point_px[:, 0] < 130)
+    assert np.median(distance_to(found.point_px[inner], line)) < 0.12
+    assert np.median(found.width_px[inner]) == pytest.approx(6.0, abs=0.5)
+    # where mask and image disagree, the point is worth less
+    assert np.median(found.deviation_px) > (0.4 if shift else 0.1)
+
+
+def test_a_binary_mask_without_any_contrast_is_all_that_counts():
+    line = np.array([[20.3, 40.7], [140.2, 62.1]])
+    found = thread_centrelines(GREY, np.where(tube(line, 2.0) >= 128, 255, 0).astype(np.uint8))
+    inner = (found.point_px[:, 0] > 30) & (found.point_px[:, 0] < 130)
+    assert np.median(distance_to(found.point_px[inner], line)) < 0.1
+
+
+def test_strands_that_touch_are_doubted():
+    one = np.array([[20.0, 40.0], [80.0, 58.0], [140.0, 40.0]])
+    other = np.array([[20.0, 80.0], [80.0, 62.0], [140.0, 80.0]])
+    found = thread_centrelines(GREY, np.maximum(tube(one, 2.5), tube(other, 2.5)))
+    nearest = np.minimum(distance_to(found.point_px, one), distance_to(found.point_px, other))
+    inside = (found.point_px[:, 0] > 28) & (found.point_px[:, 0] < 132)
+    assert (nearest[inside] < 3 * found.deviation_px[inside] + 0.05).all()
+
+
 def test_an_image_without_thread_has_no_centreline():
     assert len(thread_centrelines(GREY, np.zeros((120, 160), np.uint8)).point_px) == 0
 
@@ -48,6 +151,14 @@ def test_an_image_without_thread_has_no_centreline():
 @pytest.mark.parametrize("level", [96, 255])
 def test_an_image_full_of_thread_raises_nothing(level):
     thread_centrelines(GREY, np.full((120, 160), level, np.uint8))
+
+
+@pytest.mark.parametrize("share", [0.02, 0.2, 0.5])
+def test_noise_raises_nothing(share):
+    random = np.random.default_rng(3)
+    coverage = np.where(random.random((120, 160)) < share, 255, 0).astype(np.uint8)
+    found = thread_centrelines(random.integers(0, 256, (120, 160, 3), np.uint8), coverage)
+    assert np.diff(found.piece).min(initial=0) >= 0
 
 
 @settings(max_examples=60, deadline=None)
