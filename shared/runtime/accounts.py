@@ -30,15 +30,54 @@ class Rate:
 
 
 @dataclass
+class RingLosses:
+    """Tells what a ring overwrote from what never reached it, from the messages that are taken out of it.
+
+    A ring that overwrites is full. So if it has overwritten since it was last seen empty, at least as many messages as
+    it has room for are taken out of it before it is seen empty again. Where fewer were, every number that is missing
+    among them was lost on the way. Where so many were, nobody knows, and what is missing counts as overwritten.
+
+    Fields:
+        room: messages that it holds.
+        lost: on the way, for certain.
+        overwritten: in the ring, as far as is known.
+    """
+
+    room: int
+    lost: int = 0
+    overwritten: int = 0
+    _taken: int = 0
+    _missing: int = 0
+    _last: dict[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])
+
+    def taken(self, key: str, beside: Attachment | None) -> None:
+        """Count a message that was taken out, and those of its key's sequence that lie between it and the last."""
+        self._taken += 1
+        if beside is not None:
+            epoch, sequence = self._last.get(key, (beside.epoch, beside.sequence - 1))
+            self._last[key] = (beside.epoch, beside.sequence)
+            self._missing += max(0, beside.sequence - sequence - 1) if epoch == beside.epoch else 0
+        if self._taken >= self.room:
+            self.overwritten, self._missing = self.overwritten + self._missing, 0
+
+    def emptied(self) -> None:
+        """The ring was seen empty."""
+        self.lost += self._missing
+        self._taken = self._missing = 0
+
+
+@dataclass
 class InputAccount:
     """What became of the messages of one input.
 
     Fields:
+        ring: what the receiving ring tells, where newest messages alone count.
         skipped: sequence numbers between messages that were looked at.
         missed: events that Zenoh reports as lost.
     """
 
     topic: str
+    ring: RingLosses | None = None
     rate: Rate = field(default_factory=Rate)
     received: int = 0
     skipped: int = 0
@@ -67,8 +106,11 @@ class InputAccount:
             self.skipped += max(0, beside.sequence - sequence - 1)
 
     def health(self, dropped: int, now_s: float) -> InputHealth:
-        """This account as a message; what was skipped and not dropped here was lost on the way."""
-        missed = max(self.missed, self.skipped - dropped)
+        """This account as a message; `dropped` are those that the inbox replaced."""
+        if self.ring is not None:
+            missed, dropped = self.ring.lost, dropped + self.ring.overwritten
+        else:
+            missed = max(self.missed, self.skipped - dropped)
         return InputHealth(self.topic, self.rate.hz(now_s), self.age_ms, self.received, dropped, missed, self.refused)
 
 

@@ -10,14 +10,21 @@ from zenoh import ext
 from schemas.codec import encoding_name
 from schemas.messages import StereoFrame
 from schemas.topics import Delivery, Topic
+from shared.runtime.accounts import RingLosses
+from shared.runtime.attachment import unpack
 
 EVENT_CACHE = 1000
 """Events kept for those who were away: about a router's restart at the highest rate of events."""
 MISS_HEARTBEAT_S = 0.5
 ENDS_S = 5.0
-RING, WILDCARD_RING = 8, 64
+_RING, _WILDCARD_RING = 8, 64
 """Newest samples that wait for the thread that puts them away, which takes microseconds: what is replaced is replaced,
 and counted, in the inbox. Behind a key expression with a wildcard many keys share one channel."""
+
+
+def ring_room(key: str) -> int:
+    """How many samples wait behind a key expression of a *latest* topic."""
+    return _WILDCARD_RING if "*" in key else _RING
 
 
 def declare_publisher(session: zenoh.Session, key: str, topic: Topic) -> Any:
@@ -49,14 +56,17 @@ def subscribe(
     topic: Topic,
     receive: Callable[[zenoh.Sample], None],
     missed: Callable[[int], None],
+    losses: RingLosses | None = None,
 ) -> list[Any]:
     """Have every sample of a topic that is not a command handed over; keep what is returned.
 
-    `receive` is called from another thread and must only put things away. `missed` is told of lost events.
+    `receive` is called from another thread and must only put things away. `missed` is told of lost events; `losses` are
+    counted of a topic of which only the newest is wanted.
     """
     if topic.delivery is Delivery.LATEST:
-        ring = zenoh.handlers.RingChannel(WILDCARD_RING if "*" in key else RING)
-        return [_Receiving(session.declare_subscriber(key, ring), key, receive)]
+        room = ring_room(key)
+        subscriber = session.declare_subscriber(key, zenoh.handlers.RingChannel(room))
+        return [_Receiving(subscriber, key, receive, losses or RingLosses(room))]
     newest = 1 if topic.delivery is Delivery.STATE else EVENT_CACHE
     advanced = ext.declare_advanced_subscriber(
         session,
@@ -73,9 +83,9 @@ def subscribe(
 class _Receiving:
     """A subscriber, and the thread that hands over what it hears."""
 
-    def __init__(self, subscriber: Any, key: str, receive: Callable[[zenoh.Sample], None]) -> None:
+    def __init__(self, subscriber: Any, key: str, receive: Callable[[zenoh.Sample], None], losses: RingLosses) -> None:
         self._subscriber = subscriber
-        hand_over = (subscriber.handler, receive)
+        hand_over = (subscriber.handler, receive, losses)
         self._thread = threading.Thread(target=_hand_over, args=hand_over, daemon=True, name=f"receive {key}")
         self._thread.start()
 
@@ -85,10 +95,16 @@ class _Receiving:
         self._thread.join(ENDS_S)
 
 
-def _hand_over(channel: Any, receive: Callable[[zenoh.Sample], None]) -> None:
+def _hand_over(channel: Any, receive: Callable[[zenoh.Sample], None], losses: RingLosses) -> None:
     """Until the subscriber is undeclared, which ends its channel."""
     try:
         while True:
-            receive(channel.recv())
+            sample = channel.recv()
+            while sample is not None:
+                attachment = sample.attachment
+                losses.taken(str(sample.key_expr), unpack(attachment.to_bytes()) if attachment is not None else None)
+                receive(sample)
+                sample = channel.try_recv()
+            losses.emptied()
     except zenoh.ZError:
         return

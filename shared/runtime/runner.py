@@ -18,14 +18,14 @@ import schemas
 from schemas.checks import MessageError
 from schemas.codec import decode, encode, encoding_name
 from schemas.messages import AgentHealth, CommandAnswer, CommandRecord, LogRecord, Outcome
-from schemas.topics import COMMANDS, HEALTH, LOG, MAIN, Topic, key
+from schemas.topics import COMMANDS, HEALTH, LOG, MAIN, Delivery, Topic, key
 from shared.clock import Stopwatch, monotonic_s, now_ns
-from shared.runtime.accounts import InputAccount, OutputAccount, StepTimes
+from shared.runtime.accounts import InputAccount, OutputAccount, RingLosses, StepTimes
 from shared.runtime.agent import Agent, Command, Input, Output, Received, Tick
 from shared.runtime.attachment import Attachment, pack, unpack
 from shared.runtime.clocks import answer_clock
 from shared.runtime.commands import STATUS, Answered, refused, untimely
-from shared.runtime.delivery import declare_publisher, subscribe
+from shared.runtime.delivery import declare_publisher, ring_room, subscribe
 from shared.runtime.fed import Fed, state_topic
 from shared.runtime.inbox import Arrival, Inbox
 from shared.runtime.log_topic import LogTopic
@@ -94,13 +94,12 @@ class Runner:
 
     def _listen(self) -> None:
         for wanted in self._agent.inputs:
-            self._kept += subscribe(
-                self._session,
-                key(self._rig, wanted.topic, wanted.instance),
-                wanted.topic,
-                self._receiver(wanted),
-                self._miss_counter(wanted.topic),
-            )
+            selector, account = key(self._rig, wanted.topic, wanted.instance), self._inputs[str(wanted.topic)]
+            if wanted.topic.delivery is Delivery.LATEST:
+                account.ring = RingLosses(ring_room(selector))
+            missed = self._miss_counter(wanted.topic)
+            receiver = self._receiver(wanted)
+            self._kept += subscribe(self._session, selector, wanted.topic, receiver, missed, account.ring)
         for topic in self._agent.commands:
             selector = key(self._rig, topic, self._agent.instance if topic.per_arm else MAIN)
             self._kept.append(self._session.declare_queryable(selector, self._take_query(topic), complete=True))
@@ -110,7 +109,7 @@ class Runner:
         self._log.info("started, version %s", schemas.__version__)
 
     def _receiver(self, wanted: Input) -> Callable[[zenoh.Sample], None]:
-        latest = wanted.topic.delivery.name == "LATEST"
+        latest = wanted.topic.delivery is Delivery.LATEST
         put = self._inbox.put_newest if latest else self._inbox.put
 
         def receive(sample: zenoh.Sample) -> None:

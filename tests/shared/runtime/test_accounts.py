@@ -1,11 +1,13 @@
 """The counts behind health, on message sequences whose losses are known."""
 
+from collections import deque
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shared.runtime.accounts import InputAccount, OutputAccount, Rate, StepTimes
+from shared.runtime.accounts import InputAccount, OutputAccount, Rate, RingLosses, StepTimes
 from shared.runtime.attachment import Attachment
 
 MS = 1_000_000
@@ -39,6 +41,60 @@ def test_what_was_dropped_here_was_not_lost_on_the_way():
     arrived(account, 0, 5, 10)
     assert account.health(6, 0.0).missed == 2
     assert account.health(8, 0.0).missed == 0
+
+
+ROOM = 3
+
+
+@given(steps=st.lists(st.sampled_from(["arrives", "is lost", "is taken"]), max_size=80))
+def test_what_a_ring_overwrote_is_never_said_to_be_lost_on_the_way(steps):
+    losses, ring, sent, lost, overwritten, taken = RingLosses(ROOM), deque(), 1, 0, 0, 1
+
+    def take():
+        if not ring:
+            losses.emptied()
+            return 0
+        losses.taken("a", beside(ring.popleft()))
+        return 1
+
+    losses.taken("a", beside(0))
+    for step in steps:
+        if step == "is taken":
+            taken += take()
+            continue
+        if step == "is lost":
+            lost += 1
+        elif len(ring) == ROOM:
+            overwritten += 1
+            ring.popleft()
+            ring.append(sent)
+        else:
+            ring.append(sent)
+        sent += 1
+    # a last one arrives, so that every gap shows
+    overwritten += len(ring) == ROOM
+    ring = deque([*ring, sent][-ROOM:])
+    while ring:
+        taken += take()
+    losses.emptied()
+    assert losses.lost <= lost
+    assert losses.lost + losses.overwritten == lost + overwritten == sent + 1 - taken
+
+
+def test_where_the_ring_was_never_full_every_number_that_is_missing_was_lost_on_the_way():
+    losses = RingLosses(ROOM)
+    for number in (0, 2, 7):
+        losses.taken("a", beside(number))
+        losses.taken("b", beside(0, epoch=number))
+        losses.emptied()
+    assert (losses.lost, losses.overwritten) == (5, 0)
+
+
+def test_health_counts_the_rings_losses_with_what_the_inbox_replaced():
+    account = InputAccount("t", RingLosses(ROOM, lost=2, overwritten=5))
+    arrived(account, 0, 20)
+    health = account.health(3, 0.0)
+    assert (health.missed, health.dropped) == (2, 8)
 
 
 def test_what_zenoh_reports_is_counted_though_no_gap_shows_it():

@@ -6,7 +6,9 @@ import threading
 import pytest
 
 from schemas.topics import CALIBRATION, FRAMES, PLAN, key
-from shared.runtime.delivery import RING, declare_publisher, subscribe
+from shared.runtime.accounts import RingLosses
+from shared.runtime.attachment import Attachment, pack, unpack
+from shared.runtime.delivery import declare_publisher, ring_room, subscribe
 from shared.runtime.session import SessionSettings, open_router, open_session
 
 DEADLINE_S = 60.0
@@ -97,7 +99,49 @@ def test_behind_a_slow_receiver_the_newest_is_next_and_the_publisher_never_waits
     # what waits is few and new; an agent's inbox keeps one of them
     later = [number for number in heard if number]
     assert later == list(range(500 - len(later), 500))
-    assert len(later) <= RING + 1
+    assert len(later) <= ring_room(key("test", FRAMES)) + 1
+
+
+def test_what_the_ring_overwrites_is_told_from_what_never_came(session, settings, heard_by_others, until):
+    topic_key, going, heard = key("test", FRAMES), threading.Event(), []
+    losses = RingLosses(ring_room(topic_key))
+    publisher = declare_publisher(session, topic_key, FRAMES)
+
+    def send(*numbers):
+        for number in numbers:
+            publisher.put(b"", attachment=pack(Attachment(1, number, 0, 0.0)))
+
+    def slow(sample):
+        beside = unpack(sample.attachment.to_bytes())
+        assert beside is not None
+        heard.append(beside.sequence)
+        if heard[-1] == 6:
+            going.wait(DEADLINE_S)
+
+    with open_session(settings) as receiver:
+        kept = subscribe(receiver, topic_key, FRAMES, slow, lambda _: None, losses)
+        heard_by_others(session, topic_key)
+        # as if 1 to 4 had been lost on the way
+        send(0, 5)
+        until(lambda: losses.lost == 4)
+        send(6)
+        until(lambda: heard[-1] == 6)
+        send(*range(7, 100))
+        # what is sent on another key over the same link comes after
+        other = subscribe(receiver, key("test", PLAN), PLAN, lambda _: heard.append("a plan"), lambda _: None)
+        heard_by_others(session, key("test", PLAN))
+        last = declare_publisher(session, key("test", PLAN), PLAN)
+        last.put(b"")
+        until(lambda: "a plan" in heard)
+        going.set()
+        until(lambda: 99 in heard)
+        until(lambda: losses.overwritten > 0)
+        for declared in (*kept, *other, publisher, last):
+            declared.undeclare()
+    numbers = [number for number in heard if number != "a plan"]
+    # the ring was full since, so of what is missing nobody knows where it went
+    assert losses.lost == 4
+    assert losses.lost + losses.overwritten == 100 - len(numbers)
 
 
 def test_events_survive_a_restart_of_the_router_in_order_and_without_a_hole(router, until):
