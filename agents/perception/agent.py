@@ -1,12 +1,14 @@
 """The perception agent: frames and a calibration in, ordered observations out."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float64
 
 from agents.perception.observe import observe
+from agents.perception.prompt import reach_px
 from agents.perception.rectification import (
     Rectification,
     RectificationError,
@@ -14,12 +16,13 @@ from agents.perception.rectification import (
     rectified_camera,
     rectify_image,
 )
-from agents.perception.search import Looked, Pair, Remembered, look_everywhere, look_near, remember
+from agents.perception.search import Looked, Pair, look_everywhere, look_near
 from schemas.messages import (
     CommandAnswer,
     FrameStamp,
     ImageEncoding,
     Judgement,
+    Prompt,
     RectifiedStereo,
     Severity,
     Status,
@@ -27,12 +30,14 @@ from schemas.messages import (
     StereoFrame,
     ThreadObservations,
 )
-from schemas.topics import CALIBRATION, FRAMES, MAIN, OBSERVATIONS, SURFACE, Topic
+from schemas.topics import CALIBRATION, FRAMES, MAIN, OBSERVATIONS, PROMPT, SURFACE, Topic
 from shared.calibration.identity import calibration_id
 from shared.images import ImageDataError, decode_image, encode_image
 from shared.runtime.agent import Command, Input, Output, Received, Tick
+from shared.runtime.commands import accepted, refused
 
 LARGEST_IMAGE_PIXELS = 1 << 26
+Pixel = Float64[np.ndarray, "2"]
 
 
 @dataclass(frozen=True)
@@ -45,15 +50,16 @@ class PerceptionConfig:
 class Perception:
     """Rectifies, segments and observes every frame; without a calibration it waits for one.
 
-    Where thread was observed in one frame, the next is looked at near it first: so what is said of a frame follows from
-    the frames before it, too.
+    Where thread was observed in one frame, the next is looked at near it first. All that counts of earlier frames and
+    prompts is in the last observations.
     """
 
     kind = "perception"
     instance = MAIN
-    inputs = (Input(FRAMES), Input(CALIBRATION, only_newest_counts=True))
+    inputs = (Input(FRAMES, only_newest_counts=True), Input(CALIBRATION, only_newest_counts=True))
     outputs = (SURFACE, OBSERVATIONS)
-    commands: tuple[Topic, ...] = ()
+    goes_on_from = OBSERVATIONS
+    commands: tuple[Topic, ...] = (PROMPT,)
     tick_hz = None
 
     def __init__(self, config: PerceptionConfig = PerceptionConfig()) -> None:
@@ -62,43 +68,79 @@ class Perception:
         self._calibration_id = ""
         # made for the first frame of its size: a calibration may claim any size
         self._rectification: Rectification | None = None
-        self._remembered: Remembered | None = None
+        self._last: ThreadObservations | None = None
+        self._prompt_px: Pixel | None = None
+        self._frame: StereoFrame | None = None
 
     def step(self, arrived: Received | Tick | Command) -> Iterable[Output | CommandAnswer]:
         """Observations for each frame once there is a calibration; an unusable frame is a failure with its reason."""
-        if not isinstance(arrived, Received):
+        if isinstance(arrived, Command):
+            yield self._prompted(arrived.message)
+        elif not isinstance(arrived, Received):
             return
-        if arrived.topic is CALIBRATION:
-            self._calibration, self._rectification, self._remembered = arrived.message, None, None
+        elif arrived.topic is CALIBRATION:
+            self._calibration, self._rectification, self._frame = arrived.message, None, None
             self._calibration_id = calibration_id(arrived.message)
+            self._go_on_from(None)
+        elif arrived.topic is OBSERVATIONS:
+            self._go_on_from(arrived.message)
         elif self._calibration is not None:
-            yield Output(OBSERVATIONS, self._observe(arrived.message, self._calibration))
+            self._frame = arrived.message
+            observed = self._observe(arrived.message, self._calibration)
+            self._go_on_from(observed)
+            yield Output(OBSERVATIONS, observed)
+
+    def _go_on_from(self, last: ThreadObservations | None) -> None:
+        self._last, self._prompt_px = last, last.prompt_px if last else None
 
     def _observe(self, frame: StereoFrame, calibration: StereoCalibration) -> ThreadObservations:
-        camera = _nominal_camera(calibration) if self._rectification is None else self._rectification.camera
+        pair = self._rectified(frame, calibration)
+        if isinstance(pair, str):
+            camera = _nominal_camera(calibration) if self._rectification is None else self._rectification.camera
+            return _unusable(frame, camera, pair, self._prompt_px)
+        looked = look_near(pair.images, self._last, frame.stamp.sequence) if self._last else None
+        observed = _observed(frame.stamp, pair, looked) if looked else None
+        if observed is not None and observed.status is Status.OK:
+            return observed
+        everything = look_everywhere(pair.images, frame.stamp.sequence, self._config.segmenter, self._prompt_px)
+        return _observed(frame.stamp, pair, everything)
+
+    def _rectified(self, frame: StereoFrame, calibration: StereoCalibration) -> "_Rectified | str":
+        """The rectified pair, or why there is none."""
         if reason := self._mismatch(frame, calibration):
-            return _unusable(frame, camera, reason)
+            return reason
         try:
             left, right = _colour(decode_image(frame.left)), _colour(decode_image(frame.right))
             self._rectification = self._rectification or rectification(calibration)
         except (ImageDataError, RectificationError) as error:
-            return _unusable(frame, camera, str(error))
-        camera = self._rectification.camera
-        images = rectify_image(left, self._rectification.map_left), rectify_image(right, self._rectification.map_right)
-        before, self._remembered = self._remembered, None
-        looked = look_near(images, before, frame.stamp.sequence) if before else None
-        if looked is not None:
-            observed = self._observed(frame.stamp, camera, images, looked)
-            if observed.status is Status.OK:
-                return observed
-        return self._observed(frame.stamp, camera, images, look_everywhere(images, self._config.segmenter))
+            return str(error)
+        left = rectify_image(left, self._rectification.map_left)
+        right = rectify_image(right, self._rectification.map_right)
+        return _Rectified(self._rectification.camera, (left, right))
 
-    def _observed(self, stamp: FrameStamp, camera: RectifiedStereo, images: Pair, looked: Looked) -> ThreadObservations:
-        carried_on = looked.near.carried_on if looked.near else None
-        observed = observe(stamp, camera, *images, *looked.coverage, looked.segmenter, carried_on)
-        if observed.status is Status.OK:
-            self._remembered = remember(looked, images[0], stamp.sequence, observed.judgements)
-        return observed
+    def _prompted(self, prompt: Prompt) -> CommandAnswer:
+        """Whether something like thread lies near the prompt in the last frame; it is meant from the next one on."""
+        if prompt.pixel is None:
+            self._last = self._prompt_px = None
+            return accepted(prompt.header.id)
+        if self._frame is None or self._calibration is None:
+            return refused(prompt.header.id, "no_frame", "there is no frame yet to find thread in; start the camera")
+        pair = self._rectified(self._frame, self._calibration)
+        if isinstance(pair, str):
+            return refused(prompt.header.id, "unusable_frame", f"the last frame cannot be used: {pair}")
+        height, width = pair.images[0].shape[:2]
+        u, v = prompt.pixel
+        if not (0 <= u <= width - 1 and 0 <= v <= height - 1):
+            return refused(
+                prompt.header.id,
+                "outside",
+                f"({u:.0f}, {v:.0f}) lies outside the left image of {width}x{height} pixels",
+            )
+        if not look_everywhere(pair.images, 0, self._config.segmenter, prompt.pixel).coverage[0].any():
+            reason = f"nothing like thread lies within {reach_px(width):.0f} px of ({u:.0f}, {v:.0f}) in the left image"
+            return refused(prompt.header.id, "no_thread", reason)
+        self._last, self._prompt_px = None, prompt.pixel
+        return accepted(prompt.header.id)
 
     def _mismatch(self, frame: StereoFrame, calibration: StereoCalibration) -> str:
         """Why a frame does not go with the calibration; empty where it does."""
@@ -111,7 +153,23 @@ class Perception:
         return ""
 
 
-def _unusable(frame: StereoFrame, camera: RectifiedStereo, reason: str) -> ThreadObservations:
+@dataclass(frozen=True)
+class _Rectified:
+    camera: RectifiedStereo
+    images: Pair
+
+
+def _observed(stamp: FrameStamp, pair: _Rectified, looked: Looked) -> ThreadObservations:
+    observed = observe(stamp, pair.camera, *pair.images, *looked.coverage, looked.segmenter, looked.judgements)
+    return replace(
+        observed,
+        looked_sequence=looked.looked_sequence,
+        is_bright=looked.is_bright,
+        prompt_px=looked.prompt_px,
+    )
+
+
+def _unusable(frame: StereoFrame, camera: RectifiedStereo, reason: str, prompt_px: Pixel | None) -> ThreadObservations:
     """No observations, because the frame or the calibration cannot be used, and why."""
     # a calibration may claim any size, and then nothing of that size is made
     pixels = camera.image_height * camera.image_width
@@ -131,6 +189,7 @@ def _unusable(frame: StereoFrame, camera: RectifiedStereo, reason: str) -> Threa
         mask_left=nothing,
         mask_right=nothing,
         judgements=(Judgement("unusable_input", Severity.FAULT, reason, "check the camera and its calibration"),),
+        prompt_px=prompt_px,
     )
 
 

@@ -1,19 +1,23 @@
-"""What perception remembers from one frame to the next, so that it need not look everywhere in each.
+"""Where perception looks for thread: near where it was, so that it need not look everywhere in each frame.
 
 The thread is looked for near where it was. What could make that wrong has the whole images looked at again: thread at
 the border of what was looked at, less thread than there was, and every so many frames in any case. The segmenter is
 chosen, and the pair judged, with each look at the whole.
+
+All that one frame needs of those before it is in the last observations, so that these are the agent's whole state.
 """
 
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, UInt8
+from jaxtyping import Bool, Float64, UInt8
 
+from agents.perception.prompt import followed, meant_as_before, meant_at, meant_like
 from agents.perception.segmentation.choice import SEGMENTERS, suitable_segmenter
 from agents.perception.segmentation.near import Near
-from schemas.messages import Judgement
+from schemas.messages import Judgement, Status, ThreadObservations
+from shared.images import decode_image
 
 FRAMES_BETWEEN_LOOKS = 30
 """Of the camera: about a second, after which thread that came into view elsewhere is seen too."""
@@ -21,8 +25,8 @@ MARGIN_SHARE = 0.04
 """Of the width: how far from where it was thread is looked for. It may move so far between two frames."""
 SMALL_WIDTH_PX = 240
 """Of the image in which the margin is laid around the thread."""
-LEAST_KEPT_SHARE = 0.7
-"""Of the thread's pixels when the whole images were last looked at; fewer mean that some of it has been lost."""
+LEAST_KEPT_SHARE = 0.8
+"""Of the thread's pixels in the frame before; fewer mean that some of it has been lost."""
 BESIDE_PX = 5, 13
 """Sides of the windows that make the ring beside the thread."""
 BORDER_PX = 9
@@ -32,77 +36,68 @@ Pair = tuple[UInt8[np.ndarray, "h w *c"], UInt8[np.ndarray, "h w *c"]]
 
 
 @dataclass(frozen=True)
-class Remembered:
-    """What the last frames gave.
-
-    Fields:
-        looked_sequence: of the frame whose whole images were last looked at.
-        segmenter: chosen then.
-        judgements: made then.
-        pixels: how many were thread then, left and right.
-        is_bright: whether the thread was brighter than its surroundings then.
-        coverage: of the last frame, left and right.
-    """
-
-    looked_sequence: int
-    segmenter: str
-    judgements: tuple[Judgement, ...]
-    pixels: tuple[int, int]
-    is_bright: bool
-    coverage: Pair
-
-    @property
-    def carried_on(self) -> tuple[Judgement, ...]:
-        """The judgements, each saying when it was made."""
-        when = f" (judged in frame {self.looked_sequence})"
-        return tuple(replace(judgement, finding=judgement.finding + when) for judgement in self.judgements)
-
-
-@dataclass(frozen=True)
 class Looked:
     """What was segmented in a pair.
 
     Fields:
         coverage: by thread, left and right.
-        near: the memory by which only a part of each image was looked at; None where the whole of both was.
+        looked_sequence: of the frame whose whole images were last looked at: this one, or one before.
+        is_bright: whether the thread was brighter than what lay beside it then.
+        judgements: made then, each saying when; None where the pair is to be judged now.
+        prompt_px: on the thread that is meant; None where any is.
     """
 
     coverage: Pair
     segmenter: str
-    near: Remembered | None
+    looked_sequence: int
+    is_bright: bool
+    judgements: tuple[Judgement, ...] | None
+    prompt_px: Float64[np.ndarray, "2"] | None
 
 
-def look_everywhere(images: Pair, segmenter: str | None) -> Looked:
+def look_everywhere(
+    images: Pair, sequence: int, segmenter: str | None = None, prompt_px: Float64[np.ndarray, "2"] | None = None
+) -> Looked:
     """Segment the whole of both images with a segmenter, or with the one that suits the left image."""
-    name = segmenter or suitable_segmenter(images[0])
+    left, right = images
+    name = segmenter or suitable_segmenter(left)
     segment = SEGMENTERS[name]
-    return Looked((segment(images[0]), segment(images[1])), name, None)
+    if prompt_px is None:
+        coverage = segment(left), segment(right)
+    else:
+        of_left = segment(left, None, meant_at(prompt_px, left.shape))
+        if of_left.any():
+            coverage = of_left, segment(right, None, meant_like(left, of_left, right))
+            prompt_px = followed(prompt_px, of_left)
+        else:
+            coverage = of_left, np.zeros_like(of_left)
+    return Looked(coverage, name, sequence, is_brighter(left, coverage[0]), None, prompt_px)
 
 
-def look_near(images: Pair, remembered: Remembered, sequence: int) -> Looked | None:
+def look_near(images: Pair, last: ThreadObservations, sequence: int) -> Looked | None:
     """Segment what lies near the last thread; None where that does not do, and all must be looked at."""
-    if not 0 < sequence - remembered.looked_sequence < FRAMES_BETWEEN_LOOKS:
+    if last.status is not Status.OK or not 0 < sequence - last.looked_sequence < FRAMES_BETWEEN_LOOKS:
         return None
-    segment = SEGMENTERS[remembered.segmenter]
-    found: list[np.ndarray] = []
-    for image, before, pixels in zip(images, remembered.coverage, remembered.pixels, strict=True):
-        near = Near(near_thread(before), remembered.is_bright)
-        coverage = segment(image, near)
-        if may_lack_thread(coverage, near.where, pixels):
+    segment, found = SEGMENTERS[last.segmenter], list[np.ndarray]()
+    for image, mask, is_left in zip(images, (last.mask_left, last.mask_right), (True, False), strict=True):
+        before = decode_image(mask)
+        near = Near(near_thread(before), last.is_bright)
+        meant = None if last.prompt_px is None else meant_as_before(before, alone=is_left)
+        coverage = segment(image, near, meant)
+        if may_lack_thread(coverage, near.where, _pixels(before)):
             return None
         found.append(coverage)
-    return Looked((found[0], found[1]), remembered.segmenter, remembered)
+    prompt_px = None if last.prompt_px is None else followed(last.prompt_px, found[0])
+    coverage = found[0], found[1]
+    return Looked(coverage, last.segmenter, last.looked_sequence, last.is_bright, _carried_on(last), prompt_px)
 
 
-def remember(
-    looked: Looked, left: UInt8[np.ndarray, "h w 3"], sequence: int, judgements: tuple[Judgement, ...]
-) -> Remembered:
-    """What the next frame may know of this one, in whose left image thread was observed."""
-    if looked.near is not None:
-        return replace(looked.near, coverage=looked.coverage)
-    pixels = _pixels(looked.coverage[0]), _pixels(looked.coverage[1])
-    is_bright = is_brighter(left, looked.coverage[0])
-    return Remembered(sequence, looked.segmenter, judgements, pixels, is_bright, looked.coverage)
+def _carried_on(last: ThreadObservations) -> tuple[Judgement, ...]:
+    """The judgements of the last look at the whole, each saying when it was made."""
+    if last.stamp.sequence != last.looked_sequence:
+        return last.judgements
+    when = f" (judged in frame {last.looked_sequence})"
+    return tuple(replace(judgement, finding=judgement.finding + when) for judgement in last.judgements)
 
 
 def is_brighter(image: UInt8[np.ndarray, "h w 3"], coverage: UInt8[np.ndarray, "h w"]) -> bool:

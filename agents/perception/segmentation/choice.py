@@ -5,7 +5,7 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import UInt8
 
-from agents.perception.segmentation.near import Near
+from agents.perception.segmentation.near import Meant, Near
 from agents.perception.segmentation.ridge import segment_ridge
 from agents.perception.segmentation.threshold import LEAST_CONTRAST, local_contrast, segment_threshold
 
@@ -13,11 +13,14 @@ from agents.perception.segmentation.threshold import LEAST_CONTRAST, local_contr
 class Segmenter(Protocol):
     """Finds thread in an image."""
 
-    def __call__(self, image: UInt8[np.ndarray, "h w 3"], near: Near | None = None) -> UInt8[np.ndarray, "h w"]:
+    def __call__(
+        self, image: UInt8[np.ndarray, "h w 3"], near: Near | None = None, meant: Meant | None = None
+    ) -> UInt8[np.ndarray, "h w"]:
         """A rectified colour image to the coverage of each pixel by thread, 0 to 255.
 
         Args:
             near: where thread is looked for; anywhere, if it is None.
+            meant: which thread is meant, of several; the most conspicuous, or all of them, if it is None.
         """
         ...
 

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int32, UInt8
 
 from agents.perception.segmentation.line_filter import RADIUS_PX, line_response, line_responses
-from agents.perception.segmentation.near import Near
+from agents.perception.segmentation.near import Meant, Near
 
 DETECTION_WIDTH_PX = 480
 """Width of the reduced image; the sizes in pixels below are of this image."""
@@ -63,12 +63,14 @@ class _View:
     Fields:
         rows, columns: where it lies in the reduced image.
         near: which pixels of it may be thread.
+        meant: which of its ridges is.
         strong: how many pixels of the whole image are among its strongest.
     """
 
     rows: slice
     columns: slice
     near: Bool[np.ndarray, "h w"]
+    meant: Meant | None
     strong: float
     colour: Float32[np.ndarray, "h w 3"]
     ground: Float32[np.ndarray, "h w 3"]
@@ -98,11 +100,14 @@ class _Found:
     strength: float
 
 
-def segment_ridge(image: UInt8[np.ndarray, "h w 3"], near: Near | None = None) -> UInt8[np.ndarray, "h w"]:
+def segment_ridge(
+    image: UInt8[np.ndarray, "h w 3"], near: Near | None = None, meant: Meant | None = None
+) -> UInt8[np.ndarray, "h w"]:
     """Coverage of each pixel by thread, 0 or 255: dark or bright thread, whichever stands out more.
 
     Args:
         near: where thread is looked for; anywhere, if it is None.
+        meant: which ridge is thread; the one that stands out most, if it is None.
     """
     where = None if near is None else near.where
     if where is not None and not where.any():
@@ -111,7 +116,7 @@ def segment_ridge(image: UInt8[np.ndarray, "h w 3"], near: Near | None = None) -
     rows, columns = _box(where, reduced.shape)
     seen = reduced[rows, columns]
     background = _background(seen)
-    view = _view(reduced, background, where, rows, columns)
+    view = _view(reduced, background, where, meant, rows, columns)
     darker, brighter = _mean_excess(background, seen), _mean_excess(seen, background)
     if near is None:
         of_dark, of_bright = line_responses(darker, brighter)
@@ -147,6 +152,7 @@ def _view(
     reduced: UInt8[np.ndarray, "H W 3"],
     background: UInt8[np.ndarray, "h w 3"],
     near: Bool[np.ndarray, "h w"] | None,
+    meant: Meant | None,
     rows: slice,
     columns: slice,
 ) -> _View:
@@ -156,10 +162,14 @@ def _view(
     if near is not None:
         whole = cv2.resize(near.astype(np.uint8), reduced.shape[1::-1], interpolation=cv2.INTER_NEAREST)
         small = np.asarray(whole)[rows, columns] > 0
+    if meant is not None:
+        weight = cv2.resize(meant.weight, reduced.shape[1::-1], interpolation=cv2.INTER_AREA)
+        meant = Meant(np.asarray(weight)[rows, columns], meant.alone)
     return _View(
         rows=rows,
         columns=columns,
         near=small,
+        meant=meant,
         strong=STRONG_SHARE * (reduced.shape[0] * reduced.shape[1] - 1),
         colour=colour[rows, columns],
         ground=_lab(background),
@@ -198,11 +208,12 @@ def _thread_among(response: Float32[np.ndarray, "h w"], view: _View) -> _Found:
     score = response * view.rarity
     strong = _from_top(score[view.near], view.strong)
     ridges = _pieces(score > GROW_SHARE * strong, score > SEED_SHARE * strong, score)
-    if not ridges.weight.any():
+    counting = ridges.weight if view.meant is None else _weight_meant(ridges, score * view.meant.weight)
+    if not counting.any():
         return _Found(np.zeros(score.shape, bool), 0.0)
     strong = _from_top(response[view.near], view.strong)
     ridge = response > FAINT_SHARE * strong
-    piece = ridges.labels[ridge] == int(np.argmax(ridges.weight))
+    piece = ridges.labels[ridge] == int(np.argmax(counting))
     away = np.full(score.shape, np.inf, np.float32)
     away[ridge] = _colour_distance(view.colour[ridge], view.ground[ridge], score[ridge], piece)
     alike = away < GROWN_COLOUR_LIMIT
@@ -210,9 +221,19 @@ def _thread_among(response: Float32[np.ndarray, "h w"], view: _View) -> _Found:
     pieces = _pieces(alike, seeds, score)
     longest = pieces.extent[pieces.weight > 0].max(initial=0)
     kept = (pieces.weight > LEAST_WEIGHT_SHARE * pieces.weight.max()) & (pieces.extent > LEAST_EXTENT_SHARE * longest)
+    if view.meant is not None:
+        counting = _weight_meant(pieces, score * view.meant.weight)
+        chosen = kept & (counting == counting.max()) & (counting > 0)
+        return _Found((chosen if view.meant.alone else kept)[pieces.labels], float(counting.max()))
     # faint pixels would count for whichever polarity has more clutter to grow into
     clear = _pieces(alike & (response > GROW_SHARE * strong), seeds, score)
     return _Found(kept[pieces.labels], float(clear.weight.max()))
+
+
+def _weight_meant(pieces: _Pieces, score: Float32[np.ndarray, "h w"]) -> Float64[np.ndarray, "c"]:
+    """What speaks for each piece, of those that have weight."""
+    total = np.bincount(pieces.labels.ravel(), weights=score.ravel(), minlength=len(pieces.weight))
+    return np.where(pieces.weight > 0, total, 0.0)
 
 
 def _from_top(values: Float32[np.ndarray, "n"], places: float) -> float:

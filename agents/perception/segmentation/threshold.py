@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import Int64, UInt8
 
-from agents.perception.segmentation.near import Near
+from agents.perception.segmentation.near import Meant, Near, piece_meant
 
 BACKGROUND_SHARE = 0.06
 """Side of the window of the local background, as a share of the image's width: many times the thread's width."""
@@ -24,11 +24,14 @@ LEAST_AREA_SHARE = 4e-5
 """Of the image: what is smaller is a speck."""
 
 
-def segment_threshold(image: UInt8[np.ndarray, "h w 3"], near: Near | None = None) -> UInt8[np.ndarray, "h w"]:
+def segment_threshold(
+    image: UInt8[np.ndarray, "h w 3"], near: Near | None = None, meant: Meant | None = None
+) -> UInt8[np.ndarray, "h w"]:
     """Coverage of each pixel by thread, 0 to 255, from its contrast to the local background.
 
     Args:
         near: where thread is looked for; pieces of which no clear part lies there are left out.
+        meant: which piece is meant; all pieces, if it is None.
     """
     contrast = local_contrast(image)
     counts = np.bincount(contrast.ravel(), minlength=256)
@@ -46,6 +49,8 @@ def segment_threshold(image: UInt8[np.ndarray, "h w 3"], near: Near | None = Non
     # a thread thinner than a pixel fades between two rows or columns; what is faint there closes the gap
     closed = cv2.morphologyEx(clear.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)) > 0
     kept = clear | (closed & connected)
+    if meant is not None and meant.alone:
+        kept = piece_meant(kept, meant.weight)
     coverage = np.clip(np.arange(256, dtype=np.float32) * (255.0 / full), 128.0, 255.0).astype(np.uint8)
     return np.where(kept, coverage[contrast], np.uint8(0))
 

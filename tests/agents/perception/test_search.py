@@ -1,5 +1,6 @@
 """A thread that moves is followed near where it was; whatever could make that wrong has the whole images looked at."""
 
+import dataclasses
 import functools
 
 import numpy as np
@@ -8,15 +9,22 @@ import pytest
 from agents.perception.search import (
     FRAMES_BETWEEN_LOOKS,
     MARGIN_SHARE,
-    Remembered,
     is_brighter,
     look_everywhere,
     look_near,
     may_lack_thread,
     near_thread,
-    remember,
 )
-from schemas.messages import Judgement, Severity
+from schemas.messages import (
+    FrameStamp,
+    ImageEncoding,
+    Judgement,
+    RectifiedStereo,
+    Severity,
+    Status,
+    ThreadObservations,
+)
+from shared.images import encode_image
 from shared.scene.__main__ import make_scene
 from shared.scene.render import render
 
@@ -34,8 +42,27 @@ def moved(images, right, down):
     return left, other
 
 
-def remembered(images, sequence=0, judgements=()):
-    return remember(look_everywhere(images, None), images[0], sequence, judgements)
+def seen(images, looked, sequence=0, judgements=()):
+    """The observations of a frame in which this was segmented, as far as the next one needs them."""
+    nothing = np.zeros((0, 3))
+    return ThreadObservations(
+        stamp=FrameStamp(sequence, 0, 0, ""),
+        camera=RectifiedStereo(images[0].shape[1], images[0].shape[0], 1000.0, 1000.0, 400.0, 300.0, 5e-3, 1.0),
+        status=Status.OK,
+        reason="",
+        segmenter=looked.segmenter,
+        points_camera=nothing,
+        half_size_px=nothing[:, :2],
+        matched_px=nothing,
+        match_cost=nothing[:, :2],
+        inlier=np.zeros(0, bool),
+        mask_left=encode_image(looked.coverage[0], ImageEncoding.PNG),
+        mask_right=encode_image(looked.coverage[1], ImageEncoding.PNG),
+        judgements=judgements,
+        looked_sequence=looked.looked_sequence,
+        is_bright=looked.is_bright,
+        prompt_px=looked.prompt_px,
+    )
 
 
 def line(column, rows=slice(60, 200)):
@@ -51,26 +78,26 @@ def overlap(a, b):
 @pytest.mark.parametrize("colour", ["black", "violet"])
 def test_a_thread_that_moves_is_followed_step_by_step(colour):
     images = tissue(colour)
-    memory = remembered(images)
+    last = seen(images, look_everywhere(images, 0))
     for step in range(1, 5):
         now = moved(images, 8 * step, -6 * step)
-        looked = look_near(now, memory, step)
+        looked = look_near(now, last, step)
         assert looked is not None
-        assert looked.near is not None
-        for seen, whole in zip(looked.coverage, look_everywhere(now, None).coverage, strict=True):
-            assert overlap(seen, whole) > 0.9
-        memory = remember(looked, now[0], step, ())
-        assert memory.looked_sequence == 0
+        assert looked.looked_sequence == 0
+        for near, whole in zip(looked.coverage, look_everywhere(now, 0).coverage, strict=True):
+            assert overlap(near, whole) > 0.9
+        last = seen(now, looked, step)
 
 
 def test_a_thread_that_jumps_away_has_everything_looked_at():
     images = tissue()
-    assert look_near(moved(images, 0, round(2.5 * MARGIN_SHARE * images[0].shape[1])), remembered(images), 1) is None
+    last = seen(images, look_everywhere(images, 0))
+    assert look_near(moved(images, 0, round(2.5 * MARGIN_SHARE * images[0].shape[1])), last, 1) is None
 
 
 @pytest.mark.parametrize("sequence", [FRAMES_BETWEEN_LOOKS, 3 * FRAMES_BETWEEN_LOOKS, 0, -5])
 def test_after_so_many_frames_and_after_a_restart_of_the_camera_everything_is_looked_at(sequence):
-    assert look_near(tissue(), remembered(tissue()), sequence) is None
+    assert look_near(tissue(), seen(tissue(), look_everywhere(tissue(), 0)), sequence) is None
 
 
 def test_near_reaches_a_margin_around_the_thread_and_no_further():
@@ -101,9 +128,12 @@ def test_bright_and_dark_threads_are_told_apart(thread, ground):
     assert is_brighter(image, line(200)) == (thread > ground)
 
 
-def test_judgements_that_are_carried_on_say_when_they_were_made():
+def test_judgements_that_are_carried_on_say_once_when_they_were_made():
+    images = tissue()
     warning = Judgement("row_residual", Severity.WARNING, "rows lie apart", "calibrate again")
-    memory = Remembered(12, "ridge", (warning,), (1, 1), False, (line(1), line(1)))
-    (carried,) = memory.carried_on
-    assert carried.finding == "rows lie apart (judged in frame 12)"
-    assert (carried.code, carried.severity, carried.remedy) == ("row_residual", Severity.WARNING, "calibrate again")
+    last = seen(images, look_everywhere(images, 12), 12, (warning,))
+    for sequence in (13, 14):
+        looked = look_near(images, last, sequence)
+        assert looked is not None
+        assert looked.judgements == (dataclasses.replace(warning, finding="rows lie apart (judged in frame 12)"),)
+        last = seen(images, looked, sequence, looked.judgements)
