@@ -53,6 +53,8 @@ from shared.images import encode_image
 
 WIDTH, HEIGHT, FOCAL_PX, BASELINE = 960, 540, 1000.0, 5.5
 CONTROL_POINTS, DEGREE, OBSERVED = 20, 3, 36
+CAMERA = RectifiedStereo(WIDTH, HEIGHT, FOCAL_PX, FOCAL_PX, 479.5, 269.5, BASELINE, 1e-3)
+STAMP = FrameStamp(42, 1_760_000_000_000_000_000, 1_760_000_000_000_400_000, "bench")
 
 
 def helix(t):
@@ -89,74 +91,88 @@ def fitted(t, points):
     return knots, make_lsq_spline(t, points, knots, DEGREE).c
 
 
-@pytest.fixture(scope="session")
-def scene():
-    """Images and messages of one good reconstruction, with the curve they were made from."""
-    rng = np.random.default_rng(7)
-    t = np.linspace(0, 1, 2000)
-    curve = helix(t)
-    camera = RectifiedStereo(WIDTH, HEIGHT, FOCAL_PX, FOCAL_PX, 479.5, 269.5, BASELINE, 1e-3)
-    stamp = FrameStamp(42, 1_760_000_000_000_000_000, 1_760_000_000_000_400_000, "bench")
-    left, mask_left = photograph(pixels(curve), rng)
-    right, mask_right = photograph(pixels(curve, BASELINE), rng)
-
-    lengths = np.concatenate(([0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))))
-    share = lengths / lengths[-1]
+def observed(curve, share, rng):
+    """Points along the curve that are off in depth by some of their spread, and that spread."""
     observed_share = np.linspace(0, 1, OBSERVED)
     spread = 0.4 + 2.4 * np.exp(-(((observed_share - 0.62) / 0.1) ** 2))
     points = np.column_stack([np.interp(observed_share, share, axis) for axis in curve.T])
     points *= 1 + (rng.uniform(-0.7, 0.7, OBSERVED) * spread / points[:, 2])[:, None]
-    matched = pixels(curve[::3])
-    disparity = FOCAL_PX * BASELINE / curve[::3, 2]
-    kept = rng.random(len(matched)) > 0.2
-    disparity = np.where(kept, disparity, disparity + rng.uniform(-15, 15, len(matched)))
+    return points, spread
 
+
+def matches(curve, rng):
+    """Pixels with disparities, a fifth of which are wrong, and which are right."""
+    disparity = FOCAL_PX * BASELINE / curve[::3, 2]
+    kept = rng.random(len(disparity)) > 0.2
+    disparity = np.where(kept, disparity, disparity + rng.uniform(-15, 15, len(disparity)))
+    return np.column_stack((pixels(curve[::3]), disparity)), kept
+
+
+def observations_of(points, matched, kept, masks, rng):
+    return ThreadObservations(
+        stamp=STAMP,
+        camera=CAMERA,
+        status=Status.OK,
+        reason="",
+        segmenter="truth",
+        points_camera=points,
+        half_size_px=rng.uniform(4, 7, (OBSERVED, 2)),
+        matched_px=matched,
+        match_cost=np.ones((len(matched), 2)),
+        inlier=kept,
+        mask_left=mask_message(masks[0]),
+        mask_right=mask_message(masks[1]),
+        judgements=(
+            Judgement("ROWS_OFFSET", Severity.WARNING, "Rows differ by 0.8 px (±0.1).", "Calibrate again."),
+            Judgement("SMALL", Severity.NOTE, "The thread is 5 px wide.", ""),
+            Judgement("SWAPPED", Severity.FAULT, "Left and right seem swapped.", "Exchange the two images."),
+        ),
+    )
+
+
+def reconstruction_of(curve, share, points, spread):
     knots, control = fitted(share, curve)
     confidence_s = np.linspace(0, 1, 80)
+    return ThreadReconstruction(
+        stamp=STAMP,
+        camera=CAMERA,
+        status=Status.OK,
+        reason="",
+        method="paper",
+        degree=DEGREE,
+        knots=knots,
+        control_points_camera=control,
+        regions=ReliabilityRegions(
+            s=np.linspace(0, 1, OBSERVED),
+            centre_camera=points,
+            bound_px=np.full((OBSERVED, 2), 6.0),
+            bound_depth=spread,
+            slack=np.where(np.arange(OBSERVED) == 9, 0.3, 0.0),
+        ),
+        confidence_s=confidence_s,
+        confidence=np.clip(1 - 0.95 * np.exp(-(((confidence_s - 0.62) / 0.12) ** 2)), 0, 1),
+        unseen=np.array([[0.56, 0.66]]),
+    )
+
+
+@pytest.fixture(scope="session")
+def scene():
+    """Images and messages of one good reconstruction, with the curve they were made from."""
+    rng = np.random.default_rng(7)
+    curve = helix(np.linspace(0, 1, 2000))
+    left, mask_left = photograph(pixels(curve), rng)
+    right, mask_right = photograph(pixels(curve, BASELINE), rng)
+    lengths = np.concatenate(([0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))))
+    share = lengths / lengths[-1]
+    points, spread = observed(curve, share, rng)
+    matched, kept = matches(curve, rng)
     return types.SimpleNamespace(
         curve=curve,
         left=left,
         right=right,
         length=lengths[-1],
-        observations=ThreadObservations(
-            stamp=stamp,
-            camera=camera,
-            status=Status.OK,
-            reason="",
-            segmenter="truth",
-            points_camera=points,
-            half_size_px=rng.uniform(4, 7, (OBSERVED, 2)),
-            matched_px=np.column_stack((matched, disparity)),
-            match_cost=np.ones((len(matched), 2)),
-            inlier=kept,
-            mask_left=mask_message(mask_left),
-            mask_right=mask_message(mask_right),
-            judgements=(
-                Judgement("ROWS_OFFSET", Severity.WARNING, "Rows differ by 0.8 px (±0.1).", "Calibrate again."),
-                Judgement("SMALL", Severity.NOTE, "The thread is 5 px wide.", ""),
-                Judgement("SWAPPED", Severity.FAULT, "Left and right seem swapped.", "Exchange the two images."),
-            ),
-        ),
-        reconstruction=ThreadReconstruction(
-            stamp=stamp,
-            camera=camera,
-            status=Status.OK,
-            reason="",
-            method="paper",
-            degree=DEGREE,
-            knots=knots,
-            control_points_camera=control,
-            regions=ReliabilityRegions(
-                s=observed_share,
-                centre_camera=points,
-                bound_px=np.full((OBSERVED, 2), 6.0),
-                bound_depth=spread,
-                slack=np.where(np.arange(OBSERVED) == 9, 0.3, 0.0),
-            ),
-            confidence_s=confidence_s,
-            confidence=np.clip(1 - 0.95 * np.exp(-(((confidence_s - 0.62) / 0.12) ** 2)), 0, 1),
-            unseen=np.array([[0.56, 0.66]]),
-        ),
+        observations=observations_of(points, matched, kept, (mask_left, mask_right), rng),
+        reconstruction=reconstruction_of(curve, share, points, spread),
     )
 
 
@@ -219,34 +235,32 @@ def pose(x, y, z):
     return T
 
 
-@pytest.fixture(scope="session")
-def session_messages(scene):
-    """One message of every published topic, all of the frame that `scene` is of, with its calibration in metres."""
-    observations: ThreadObservations = in_metres(scene.observations)
-    reconstruction: ThreadReconstruction = in_metres(scene.reconstruction)
-    stamp, camera = observations.stamp, observations.camera
+def imaged(scene, camera):
+    """What is published of a camera and of its frame."""
     K = np.array([[FOCAL_PX, 0, 479.5], [0, FOCAL_PX, 269.5], [0, 0, 1]])
     T_right_left = np.eye(4)
     T_right_left[0, 3] = -camera.baseline
-    at_ns = stamp.capture_left_ns + 5_000_000
-    way = [(Phase.APPROACH, 0.05), (Phase.CAPTURE, 0.07), (Phase.SLIDE, 0.075), (Phase.GRASP, 0.075)]
-    goal = GraspGoal(CommandHeader("goal-1", at_ns, "surgeon"), "psm1", Policy.CAPTURE_SLIDE_GRASP, 0.4, None, None)
     return {
         topics.CALIBRATION: StereoCalibration(
             WIDTH, HEIGHT, K, K, np.zeros(0), np.zeros(0), T_right_left, camera.metres_per_unit
         ),
         topics.FRAMES: StereoFrame(
-            stamp,
+            STAMP,
             encode_image(scene.left, ImageEncoding.JPEG),
             encode_image(scene.right, ImageEncoding.PNG),
         ),
-        topics.OBSERVATIONS: observations,
-        topics.THREAD: reconstruction,
+    }
+
+
+def grasped(at_ns):
+    """What is published of a grasp."""
+    way = [(Phase.APPROACH, 0.05), (Phase.CAPTURE, 0.07), (Phase.SLIDE, 0.075), (Phase.GRASP, 0.075)]
+    return {
         topics.PLAN: GraspPlan(
             plan_id="plan-1",
             arm="psm1",
             goal_id="goal-1",
-            stamp=stamp,
+            stamp=STAMP,
             status=Status.OK,
             reason="",
             policy=Policy.CAPTURE_SLIDE_GRASP,
@@ -268,12 +282,25 @@ def session_messages(scene):
             plan_id="plan-1",
         ),
         topics.EXECUTION: ExecutionEvent("plan-1", "psm1", at_ns, ExecutionKind.PHASE_REACHED, Phase.SLIDE, "", ""),
+        topics.JUDGEMENT: GraspJudgement("plan-1", "psm1", at_ns, Verdict.HELD, 0.4, 0.009, 3e-4, "grasp held"),
+        topics.HEARTBEAT: Heartbeat("psm1", "plan-1", at_ns, "arming-1"),
+    }
+
+
+@pytest.fixture(scope="session")
+def session_messages(scene):
+    """One message of every published topic, all of the frame that `scene` is of, with its calibration in metres."""
+    observations: ThreadObservations = in_metres(scene.observations)
+    reconstruction: ThreadReconstruction = in_metres(scene.reconstruction)
+    camera, at_ns = observations.camera, STAMP.capture_left_ns + 5_000_000
+    goal = GraspGoal(CommandHeader("goal-1", at_ns, "surgeon"), "psm1", Policy.CAPTURE_SLIDE_GRASP, 0.4, None, None)
+    return imaged(scene, camera) | grasped(at_ns) | {
+        topics.OBSERVATIONS: observations,
+        topics.THREAD: reconstruction,
         topics.SIMULATOR_STATE: SimulatorState(
             at_ns, camera, "plain", "violet", 1, 0.1, 2e-4, reconstruction.knots,
             reconstruction.control_points_camera, None,
         ),
-        topics.JUDGEMENT: GraspJudgement("plan-1", "psm1", at_ns, Verdict.HELD, 0.4, 0.009, 3e-4, "grasp held"),
-        topics.HEARTBEAT: Heartbeat("psm1", "plan-1", at_ns, "arming-1"),
         topics.REPLAY_CLOCK: ReplayClock(at_ns, 1.0),
         topics.COMMANDS: CommandRecord(
             "operator/goal", encoding_name(GraspGoal), encode(goal), at_ns,
