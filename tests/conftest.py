@@ -9,6 +9,8 @@ import faulthandler
 import threading
 
 import pytest
+from hypothesis import HealthCheck
+from hypothesis import settings as hypothesis_settings
 
 from shared.clock import monotonic_s
 from shared.runtime.runner import Runner
@@ -17,6 +19,10 @@ from shared.runtime.session import RouterError, SessionSettings, free_local_endp
 DEADLINE_S = 60.0
 EXIT_S = 60.0
 STANDARD_ERROR = 2
+
+# how long an example takes says more about what else the machine does
+hypothesis_settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+hypothesis_settings.load_profile("patient")
 
 
 @pytest.hookimpl(trylast=True)
