@@ -34,6 +34,12 @@ REPOSITORY = pathlib.Path(__file__).parents[3]
 STAMPED = (topics.FRAMES, topics.OBSERVATIONS, topics.THREAD, topics.PLAN)
 
 
+@pytest.fixture(autouse=True)
+def patient_viewer(monkeypatch):
+    """A test machine may stall for longer than who closes a viewer waits for its file."""
+    monkeypatch.setattr(live, "DRAIN_S", 60.0)
+
+
 @pytest.fixture
 def tapped(scene):
     captured_ns = scene.observations.stamp.capture_left_ns
