@@ -13,6 +13,7 @@ from agents.cli.live_options import (
     Goal,
     HoldArm,
     OnRig,
+    PromptThread,
     Record,
     RobotBridgeAgent,
     Router,
@@ -23,7 +24,7 @@ from agents.cli.process import EXIT_OK, EXIT_UNUSABLE, on_stop, run_agent, run_r
 from agents.cli.rig import RigConfig, simulated_rig
 from agents.cli.session_folder import free_path
 from agents.cli.terminal import complain, say
-from agents.operator.operator import Stood, arm_and_stand_by, ask_for_grasp, hold
+from agents.operator.operator import Stood, arm_and_stand_by, ask_for_grasp, hold, prompt
 from agents.recorder.recorder import Recorder, RecordingReport
 from schemas.messages import ExecutionEvent, ExecutionKind, GraspPlan, Outcome, Policy, Status
 from schemas.topics import MAIN, TOPICS
@@ -61,6 +62,8 @@ def run_live(options: OnRig) -> int:
                 return arm(rig, options)
             case HoldArm():
                 return hold_arm(rig, options.arm)
+            case PromptThread():
+                return prompt_thread(rig, options)
             case Up():
                 from agents.cli.up import up
 
@@ -218,4 +221,14 @@ def hold_arm(rig: RigConfig, name: str) -> int:
     if answer.outcome is not Outcome.ACCEPTED:
         return complain(answer.reason, EXIT_REFUSED)
     say(f"{name}: holds")
+    return EXIT_OK
+
+
+def prompt_thread(rig: RigConfig, options: PromptThread) -> int:
+    """Say which thread is meant."""
+    with connected(rig.session) as connection:
+        answer = prompt(connection, None if options.pixel is None else np.array(options.pixel))
+    if answer.outcome is not Outcome.ACCEPTED:
+        return complain(answer.reason, EXIT_REFUSED)
+    say("perception chooses the thread" if options.pixel is None else "this thread is meant from the next frame on")
     return EXIT_OK

@@ -138,6 +138,14 @@ class HoldArm(OnRig):
 
 
 @dataclass(frozen=True)
+class PromptThread(OnRig):
+    """Say which thread is meant: the one at a pixel of the rectified left image. Without a pixel: any again."""
+
+    pixel: tuple[float, float] | None = None
+    """U and v of a pixel on the thread; left out, perception chooses by itself."""
+
+
+@dataclass(frozen=True)
 class Doctor(OnRig):
     """Look for what would keep a rig from running, and name the remedy."""
 
@@ -149,6 +157,7 @@ LIVE_COMMANDS = {
     "goal": Goal,
     "arm": ArmPlan,
     "hold": HoldArm,
+    "prompt": PromptThread,
     "doctor": Doctor,
     "router": Router,
     "camera": CameraAgent,

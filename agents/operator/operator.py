@@ -1,4 +1,4 @@
-"""What an operator does: name a goal, arm a plan and stand by it with a heartbeat, hold."""
+"""What an operator does: say which thread is meant, name a goal, arm a plan and stand by it with a heartbeat, hold."""
 
 import queue
 import threading
@@ -21,8 +21,9 @@ from schemas.messages import (
     Hold,
     Outcome,
     Policy,
+    Prompt,
 )
-from schemas.topics import ARM, EXECUTION, GOAL, HEARTBEAT, HOLD, PLAN, ROBOT_STATE, Topic
+from schemas.topics import ARM, EXECUTION, GOAL, HEARTBEAT, HOLD, PLAN, PROMPT, ROBOT_STATE, Topic
 from shared.clock import monotonic_s
 from shared.runtime.commands import new_header
 from shared.runtime.connection import Connection
@@ -166,3 +167,8 @@ def _armed(connection: Connection, arm: str, plan_id: str, arming_id: list[str])
 def hold(connection: Connection, arm: str) -> CommandAnswer:
     """Have an arm stop where it is, disarmed."""
     return connection.command(HOLD, Hold(new_header(SENDER), arm), arm)
+
+
+def prompt(connection: Connection, pixel: Float64[np.ndarray, "2"] | None) -> CommandAnswer:
+    """Tell perception which thread is meant, by a pixel of the rectified left image; None for any again."""
+    return connection.command(PROMPT, Prompt(new_header(SENDER), pixel))

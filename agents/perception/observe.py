@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 
+from agents.perception.centrelines import thread_centrelines
 from agents.perception.clustering import Clusters, cluster_and_order
 from agents.perception.judge import correspondence_of_masks, correspondence_of_texture, judge
 from agents.perception.matching import Matches, is_inlier, largest_disparity_px, match_pixels
@@ -21,6 +22,7 @@ from schemas.messages import (
     Severity,
     Status,
     ThreadObservations,
+    no_centrelines,
 )
 from shared.camera import backproject, depth_of_disparity
 
@@ -62,15 +64,25 @@ def observe(
     coverage_right: UInt8[np.ndarray, "h w"],
     segmenter: str,
     judged: tuple[Judgement, ...] | None = None,
+    matching: bool = True,
 ) -> ThreadObservations:
-    """Match the segmented pixels of a rectified pair, drop what is ambiguous, cluster and order the rest.
+    """The centrelines of a rectified pair, and the matches of its segmented pixels, clustered and ordered.
 
     Args:
-        judged: judgements of an earlier pair of these cameras, none of them a fault; the pair is judged if it is None.
+        judged: judgements of this pair or of an earlier one of these cameras; the pair is judged if it is None.
+        matching: whether pixels are matched; only method `paper` needs it, and it takes the longest.
     """
     segmented = coverage_left >= SEGMENTED_COVERAGE, coverage_right >= SEGMENTED_COVERAGE
-    found = _find(camera, left, right, *segmented, segmenter, judged)
+    found = _find(camera, left, right, *segmented, segmenter, judged, matching)
     points, half_size, gaps = _observations(camera, found.clusters)
+    usable = not any(judgement.severity is Severity.FAULT for judgement in found.judgements) and not _unusable_masks(
+        *segmented, segmenter
+    )
+    lines = (
+        (thread_centrelines(left, coverage_left), thread_centrelines(right, coverage_right))
+        if usable
+        else (no_centrelines(), no_centrelines())
+    )
     return ThreadObservations(
         stamp=stamp,
         camera=camera,
@@ -86,6 +98,8 @@ def observe(
         mask_right=_encoded_mask(coverage_right),
         judgements=found.judgements,
         gaps=gaps,
+        centrelines_left=lines[0],
+        centrelines_right=lines[1],
     )
 
 
@@ -97,6 +111,7 @@ def _find(
     segmented_right: Bool[np.ndarray, "h w"],
     segmenter: str,
     judged: tuple[Judgement, ...] | None,
+    matching: bool,
 ) -> _Found:
     """Stage by stage, as far as it goes."""
     if reason := _unusable_masks(segmented_left, segmented_right, segmenter):
@@ -111,6 +126,8 @@ def _find(
     if fault:
         return _Found(f"{fault.finding}; {fault.remedy}", judgements)
 
+    if not matching:
+        return _Found("", judgements)
     matches = match_pixels(left, right, segmented_left, segmented_right)
     inlier = is_inlier(matches.cost)
     matched = _Matched(np.column_stack((matches.pixel[:, ::-1], matches.disparity_px)), matches.cost, inlier)

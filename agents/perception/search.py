@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 
+from agents.perception.judge import correspondence_of_texture, judge
 from agents.perception.prompt import followed, meant_as_before, meant_at, meant_like
 from agents.perception.segmentation.choice import SEGMENTERS, suitable_segmenter
 from agents.perception.segmentation.near import Near
@@ -43,7 +44,7 @@ class Looked:
         coverage: by thread, left and right.
         looked_sequence: of the frame whose whole images were last looked at: this one, or one before.
         is_bright: whether the thread was brighter than what lay beside it then.
-        judgements: made then, each saying when; None where the pair is to be judged now.
+        judgements: made then, each saying when, or just now; None where the pair is to be judged from these masks.
         prompt_px: on the thread that is meant; None where any is.
     """
 
@@ -64,14 +65,16 @@ def look_everywhere(
     segment = SEGMENTERS[name]
     if prompt_px is None:
         coverage = segment(left), segment(right)
-    else:
-        of_left = segment(left, None, meant_at(prompt_px, left.shape))
-        if of_left.any():
-            coverage = of_left, segment(right, None, meant_like(left, of_left, right))
-            prompt_px = followed(prompt_px, of_left)
-        else:
-            coverage = of_left, np.zeros_like(of_left)
-    return Looked(coverage, name, sequence, is_brighter(left, coverage[0]), None, prompt_px)
+        return Looked(coverage, name, sequence, is_brighter(left, coverage[0]), None, None)
+    of_left = segment(left, None, meant_at(prompt_px, left.shape))
+    if not of_left.any():
+        return Looked((of_left, of_left), name, sequence, False, (), prompt_px)
+    coverage = of_left, segment(right, None, meant_like(left, of_left, right))
+    # the right mask may hold threads that the left one leaves out, so that only the ground tells how the pair lies
+    ground = correspondence_of_texture(left, right, coverage[0] > 0, coverage[1] > 0)
+    judgements = judge(ground, left.shape[0]) if ground else ()
+    bright = is_brighter(left, of_left)
+    return Looked(coverage, name, sequence, bright, judgements, followed(prompt_px, of_left))
 
 
 def look_near(images: Pair, last: ThreadObservations, sequence: int) -> Looked | None:

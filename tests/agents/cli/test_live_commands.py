@@ -37,7 +37,7 @@ def nowhere(tmp_path):
     return path
 
 
-@pytest.mark.parametrize("command", ["goal --s 0.5", "goal --pixel 1 2", "arm --plan x", "hold"])
+@pytest.mark.parametrize("command", ["goal --s 0.5", "goal --pixel 1 2", "arm --plan x", "hold", "prompt --pixel 1 2"])
 def test_without_router_a_command_says_so_in_one_line(suturegrasp, nowhere, command, monkeypatch):
     monkeypatch.setattr("agents.cli.live.connected", lambda settings: connected(settings, within_s=0.2))
     ended = suturegrasp(*command.split(), "--config", nowhere)
@@ -64,7 +64,9 @@ def test_a_mistake_is_one_line(suturegrasp, command, told):
     assert told in ended.err
 
 
-@pytest.mark.parametrize("command", ["demo", "play", "up", "goal", "arm", "hold", "doctor", "camera", "record", "view"])
+@pytest.mark.parametrize(
+    "command", ["demo", "play", "up", "goal", "arm", "hold", "prompt", "doctor", "camera", "record", "view"]
+)
 def test_help_tells_every_option(suturegrasp, command):
     ended = suturegrasp(command, "--help")
     assert ended.status == 0
