@@ -21,7 +21,6 @@ from schemas.topics import (
     HEALTH,
     MAIN,
     PLAN,
-    PROMPT,
     TOPICS,
     Delivery,
     key,
@@ -95,9 +94,7 @@ def test_every_command_has_one_receiver_which_answers_it():
             assert topic.receiver == ""
             continue
         answering = [agent for agent in AGENTS if topic in agent.commands]
-        expected = len(ARMS) if topic.per_arm else 1
-        # perception takes prompts once it tracks; until then nobody answers, and the sender is told so
-        assert len(answering) == (0 if topic is PROMPT else expected)
+        assert len(answering) == (len(ARMS) if topic.per_arm else 1)
         assert {agent.kind for agent in answering} <= {topic.receiver}
         assert topic.agent == "operator"
 

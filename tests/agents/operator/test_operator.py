@@ -184,9 +184,17 @@ def test_what_cannot_be_done_is_refused_with_a_reason_or_rejected(connection, mo
 def test_commands_without_receiver_have_an_unknown_outcome(settings):
     with connected(settings, PATIENT_S) as connection:
         assert hold(connection, "psm1").outcome is Outcome.UNKNOWN
+        assert prompt(connection, None).outcome is Outcome.UNKNOWN
         answer, plan = ask_for_grasp(connection, "psm1", Policy.DIRECT, s=0.5)
     assert (answer.outcome, plan) == (Outcome.UNKNOWN, None)
     assert "planner" in answer.reason
+
+
+def test_perception_answers_a_prompt(settings, in_threads, until):
+    with in_threads(settings, Perception()), connected(settings, PATIENT_S) as connection:
+        until(lambda: "perception/main" in connection.present())
+        assert prompt(connection, np.array([5.0, 5.0])).code == "no_frame"
+        assert prompt(connection, None).outcome is Outcome.ACCEPTED
 
 
 def test_an_arm_that_falls_silent_is_left(settings, bridge, monkeypatch, in_threads, until):
