@@ -64,12 +64,10 @@ def test_a_mistake_is_one_line(suturegrasp, command, told):
     assert told in ended.err
 
 
-EVERY = "demo play up goal arm hold prompt doctor camera record view".split()
+EVERY = ["demo", "play", "up", "goal", "arm", "hold", "prompt", "doctor", "camera", "record", "view"]
 
 
 @pytest.mark.parametrize("command", EVERY)
-    "command", ["demo", "play", "up", "goal", "arm", "hold", "prompt", "doctor", "camera", "record", "view"]
-)
 def test_help_tells_every_option(suturegrasp, command):
     ended = suturegrasp(command, "--help")
     assert ended.status == 0

@@ -8,7 +8,8 @@ import threading
 import numpy as np
 import pytest
 
-from agents.operator.operator import arm_and_stand_by, ask_for_grasp, hold
+from agents.operator.operator import arm_and_stand_by, ask_for_grasp, hold, prompt
+from agents.perception.agent import Perception
 from agents.planner.agent import Planner
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.simulated import SimulatedPsm
