@@ -12,7 +12,7 @@ knot span.
 
 import numpy as np
 import scipy.sparse
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 from scipy.interpolate import BSpline
 
 
@@ -70,3 +70,34 @@ def _design_matrix(
     if not len(inside):  # which SciPy refuses
         return scipy.sparse.csr_array((0, len(knots) - degree - derivative - 1))
     return BSpline.design_matrix(inside, knots[derivative : len(knots) - derivative], degree - derivative)
+
+
+def local_basis(
+    knots: Float64[np.ndarray, "k"], degree: int, s: Float64[np.ndarray, "n"]
+) -> tuple[Int64[np.ndarray, "n"], Float64[np.ndarray, "n d1"], Float64[np.ndarray, "n d1"]]:
+    """The degree + 1 basis functions that are not zero at each s, and their derivatives (Piegl and Tiller, A2.2).
+
+    Returns:
+        The index of the first of them, so that B(s_i) = Σ_j values[i, j] P[first[i] + j]; the values; the derivatives.
+    """
+    count = len(knots) - degree - 1
+    inside = np.clip(s, knots[0], knots[-1])
+    span = np.clip(np.searchsorted(knots, inside, side="right") - 1, degree, count - 1)
+    values = np.ones((len(s), 1))
+    lower = values
+    for d in range(1, degree + 1):
+        lower = values
+        left = inside[:, None] - knots[span[:, None] + np.arange(1 - d, 1)]
+        right = knots[span[:, None] + np.arange(1, d + 1)] - inside[:, None]
+        share = lower / (right + left)
+        values = np.zeros((len(s), d + 1))
+        values[:, :-1] = right * share
+        values[:, 1:] += left * share
+    first = span - degree
+    # N'_k = d (N_{k,d-1} / (t_{k+d} - t_k) - N_{k+1,d-1} / (t_{k+d+1} - t_{k+1}))
+    width = knots[span[:, None] + np.arange(1, degree + 1)] - knots[span[:, None] + np.arange(1 - degree, 1)]
+    slope = degree * lower / width
+    derivatives = np.zeros((len(s), degree + 1))
+    derivatives[:, 1:] = slope
+    derivatives[:, :-1] -= slope
+    return first, values, derivatives

@@ -8,7 +8,7 @@ from jaxtyping import UInt8
 from agents.perception.observe import observe
 from agents.perception.rectification import rectification, rectify_image, rectify_mask
 from agents.perception.segmentation.choice import SEGMENTERS, suitable_segmenter
-from agents.reconstruction.methods import METHODS
+from agents.reconstruction.methods import MATCHING_METHODS, METHODS
 from schemas.messages import FrameStamp, StereoCalibration, ThreadObservations, ThreadReconstruction
 from shared.clock import Stopwatch
 
@@ -63,7 +63,9 @@ def reconstruct_pair(
         segmenter = GIVEN_MASKS
     with watch.step("match"):
         stamp = FrameStamp(sequence=0, capture_left_ns=0, capture_right_ns=0, calibration_id="")
-        observations = observe(stamp, to_rectified.camera, left, right, *masks, segmenter)
+        observations = observe(
+            stamp, to_rectified.camera, left, right, *masks, segmenter, matching=method in MATCHING_METHODS
+        )
     with watch.step("reconstruct"):
         reconstruction = METHODS[method](observations)
     return PipelineResult((left, right), observations, reconstruction, watch.ms)

@@ -2,10 +2,13 @@
 
 from collections.abc import Callable
 
-from agents.reconstruction.paper import METHOD, reconstruct_paper
+from agents.reconstruction import paper
+from agents.reconstruction.refined import method as refined
 from schemas.messages import ThreadObservations, ThreadReconstruction
 
 Method = Callable[[ThreadObservations], ThreadReconstruction]
 
-METHODS: dict[str, Method] = {METHOD: reconstruct_paper}
-DEFAULT_METHOD = METHOD
+METHODS: dict[str, Method] = {paper.METHOD: paper.reconstruct_paper, refined.METHOD: refined.reconstruct_refined}
+DEFAULT_METHOD = paper.METHOD
+MATCHING_METHODS = frozenset({paper.METHOD})
+"""Those that need matched pixels; the others start from the centrelines."""

@@ -166,7 +166,7 @@ def solve(
     objective = scipy.sparse.block_diag((variation_matrix(knots), scipy.sparse.csc_matrix((n, n))))
     C = inequality_matrix(basis_matrix(knots, DEGREE, s), faces)
     give = scipy.sparse.kron(scipy.sparse.eye(n), -np.ones((6, 1)))
-    x = _solution(
+    x = program_solution(
         scipy.sparse.csc_matrix(objective),
         np.concatenate((np.zeros(variables), np.full(n, price))),
         scipy.sparse.csc_matrix(scipy.sparse.hstack((C, give))),
@@ -197,7 +197,7 @@ def inequality_matrix(basis: Float64[np.ndarray, "n m"], faces: Faces) -> scipy.
     return scipy.sparse.csc_matrix((blocks.ravel(), (row_index.ravel(), column_index.ravel())), shape=(6 * n, 3 * m))
 
 
-def _solution(
+def program_solution(
     H: scipy.sparse.csc_matrix,
     c: Float64[np.ndarray, "v"],
     G: scipy.sparse.csc_matrix,

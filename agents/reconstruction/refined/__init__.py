@@ -1,0 +1,1 @@
+"""Method `refined`: sub-pixel curves of both images, aligned along the rows, and one spline fitted to both."""

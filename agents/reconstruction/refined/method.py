@@ -1,0 +1,114 @@
+"""Method `refined`: one spline fitted to the sub-pixel centrelines of both images.
+
+1. `chains`: the pieces of the left centreline in their order along the thread, through crossings and behind tools.
+2. `alignment`: the right image's counterpart of each place, by dynamic programming along the rows.
+3. `initial`: a first curve from both.
+4. `refinement`: Gauss-Newton on its control points against both centrelines, smoothing chosen from the images.
+5. `constraints`: the reliability regions hold it, by a quadratic program.
+6. `posterior`: how well each place is known, and the confidence that follows.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from agents.reconstruction.minimum_variation import UnsolvedError
+from agents.reconstruction.paper import failed
+from agents.reconstruction.refined.alignment import Alignment, align
+from agents.reconstruction.refined.chains import Chain, chains
+from agents.reconstruction.refined.constraints import Held, held_to, regions_of
+from agents.reconstruction.refined.initial import initial_curve
+from agents.reconstruction.refined.plausibility import contradiction, implausible, unusable
+from agents.reconstruction.refined.refinement import Refined, Start, refined
+from agents.reconstruction.refined.result import reconstruction, starts_right
+from agents.reconstruction.refined.sightings import (
+    Sightings,
+    left_sightings,
+    parameters_of_course,
+    placed,
+    sightings,
+)
+from schemas.messages import Centrelines, RectifiedStereo, Status, ThreadObservations, ThreadReconstruction
+from shared.camera import project
+
+METHOD = "refined"
+
+
+class NoCurveError(ValueError):
+    """There is no curve, and the text says why."""
+
+
+@dataclass(frozen=True)
+class Course:
+    """The thread's course through the left image, what corresponds to it in the right one, and the points of both."""
+
+    left: Chain
+    aligned: Alignment
+    sight: Sightings
+
+
+def reconstruct_refined(observations: ThreadObservations) -> ThreadReconstruction:
+    """The thread that both images show, with its posterior.
+
+    Never raises for any valid observations: a failure is a status with its reason.
+    """
+    if observations.status is not Status.OK:
+        return failed(observations, METHOD, observations.reason)
+    left, right, camera = observations.centrelines_left, observations.centrelines_right, observations.camera
+    try:
+        course = course_of(left, right, camera)
+        fit = fitted(course, camera)
+        held = within_regions(fit, course, camera)
+    except NoCurveError as error:
+        return failed(observations, METHOD, str(error))
+    return reconstruction(observations, METHOD, fit, held, starts_right(held.curve, observations))
+
+
+def course_of(left: Centrelines, right: Centrelines, camera: RectifiedStereo) -> Course:
+    """The longest thread of the left image that the right one shows too.
+
+    Raises:
+        NoCurveError: where there is none.
+    """
+    if reason := unusable(left, right):
+        raise NoCurveError(reason)
+    found = chains(left, camera.image_width)
+    if not found:
+        raise NoCurveError("the left image shows no piece of thread that is longer than some widths of it")
+    aligned = align(found[0], right, camera.image_width)
+    reason = contradiction(aligned, camera)
+    if aligned is None or reason:
+        raise NoCurveError(reason)
+    return Course(found[0], aligned, sightings(found[0], right, aligned))
+
+
+def fitted(course: Course, camera: RectifiedStereo) -> Refined:
+    """The refined curve of a course.
+
+    Raises:
+        NoCurveError: where there is none that can be the thread.
+    """
+    try:
+        start = initial_curve(course.left, course.aligned, camera)
+        fit = refined(Start(start, course.sight), camera)
+    except np.linalg.LinAlgError as error:
+        raise NoCurveError(f"no curve follows from both images ({error})") from error
+    if reason := implausible(fit, camera):
+        raise NoCurveError(reason)
+    return fit
+
+
+def within_regions(fit: Refined, course: Course, camera: RectifiedStereo) -> Held:
+    """The fit, held to the reliability regions of its course.
+
+    Raises:
+        NoCurveError: where the solver cannot say.
+    """
+    regions, share = regions_of(course.left, course.aligned, camera)
+    pixels, _ = project(camera, regions.centre_camera)
+    along = parameters_of_course(course.sight, fit.sight, share)
+    s = placed(left_sightings(pixels, along), fit.curve, camera, 0.0, rounds=2).s
+    try:
+        return held_to(regions, s, fit.curve, fit.total, camera)
+    except UnsolvedError as error:
+        raise NoCurveError(str(error)) from error

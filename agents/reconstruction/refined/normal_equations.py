@@ -1,0 +1,169 @@
+"""Gauss-Newton's equations of a spline, in blocks of one knot span each.
+
+What depends on one place of the curve depends on the four control points of its span, so the matrix is a sum of blocks
+of 12 x 12 along the diagonal, a band of 11 below it, and everything is solved in time proportional to the curve.
+
+With π_e the projection into image e, x_i a point of its centreline, n_i the normal of the projected curve at s_i and
+σ_i the deviation of x_i, the residuals are r_i(P) = n_iᵀ (π_e(B(s_i)) − x_i) / σ_i. At the thread's ends the distance
+along the curve counts as well. Elsewhere nothing says where along itself the curve has its parameters, so motion along
+itself is damped; that changes no solution, since it holds back steps and not places.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+from jaxtyping import Float64, Int64
+
+from agents.reconstruction.refined.projection import DEGREE, Curve, projected
+from agents.reconstruction.refined.sightings import Sightings
+from schemas.messages import RectifiedStereo
+from shared.splines import difference_matrix, local_basis
+
+SIDE = 3 * (DEGREE + 1)
+END_DEVIATION_PX = 0.7
+DAMPING = 0.3
+"""Of the length of a knot span: how far one step may carry the curve along itself at the cost of one deviation."""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Linearised residuals: r + g · δB(s), one for each sighting and one more for each end.
+
+    Fields:
+        first, basis: where each acts, as in `local_basis`.
+        gradient: (n, 3), by the point of the curve.
+        by_row_offset: by an offset of the right image's rows.
+        sightings: how many of them are distances across the thread, the first ones.
+    """
+
+    residual: Float64[np.ndarray, "n"]
+    gradient: Float64[np.ndarray, "n 3"]
+    by_row_offset: Float64[np.ndarray, "n"]
+    first: Int64[np.ndarray, "n"]
+    basis: Float64[np.ndarray, "n 4"]
+    sightings: int
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """A quadratic function of the control points' motion δ: ½ δᵀHδ + gᵀδ, by knot spans."""
+
+    H: Float64[np.ndarray, "spans 12 12"]
+    g: Float64[np.ndarray, "spans 12"]
+
+    def __add__(self, other: "Blocks") -> "Blocks":
+        return Blocks(self.H + other.H, self.g + other.g)
+
+    def __mul__(self, factor: float) -> "Blocks":
+        return Blocks(self.H * factor, self.g * factor)
+
+
+def linearised(curve: Curve, sight: Sightings, camera: RectifiedStereo, row_offset_px: float) -> Rows:
+    """Residuals and their derivatives at this curve."""
+    view = projected(curve, sight.s, sight.eye, camera, row_offset_px)
+    speed = np.maximum(np.linalg.norm(view.velocity_px, axis=1), 1e-12)
+    tangent = view.velocity_px / speed[:, None]
+    normal = np.column_stack((-tangent[:, 1], tangent[:, 0]))
+    off = view.point_px - sight.point_px
+    end = np.flatnonzero(sight.is_end)
+    which = np.concatenate((np.arange(len(off)), end))
+    direction = np.concatenate((normal, tangent[end]))
+    deviation = np.concatenate((sight.deviation_px, np.full(len(end), END_DEVIATION_PX)))
+    return Rows(
+        residual=(direction * off[which]).sum(axis=1) / deviation,
+        gradient=np.einsum("ni,nij->nj", direction, view.by_point[which]) / deviation[:, None],
+        by_row_offset=direction[:, 1] * sight.eye[which] / deviation,
+        first=view.first[which],
+        basis=view.basis[which],
+        sightings=len(off),
+    )
+
+
+def data_blocks(rows: Rows, weight: Float64[np.ndarray, "n"], spans: int) -> Blocks:
+    """The blocks of the weighted sum of squares of residuals."""
+    design = (rows.basis[:, :, None] * rows.gradient[:, None, :]).reshape(-1, SIDE)
+    weighted = design * weight[:, None]
+    return Blocks(
+        _by_span(rows.first, design[:, :, None] * weighted[:, None, :], spans),
+        _by_span(rows.first, weighted * rows.residual[:, None], spans),
+    )
+
+
+def row_offset_column(rows: Rows, weight: Float64[np.ndarray, "n"], spans: int) -> Float64[np.ndarray, "spans 12"]:
+    """Mixed derivatives by the control points and the row offset."""
+    design = (rows.basis[:, :, None] * rows.gradient[:, None, :]).reshape(-1, SIDE)
+    return _by_span(rows.first, design * (weight * rows.by_row_offset)[:, None], spans)
+
+
+def damping_blocks(curve: Curve) -> Blocks:
+    """What holds the curve back along itself."""
+    s = (np.arange(2 * curve.spans) + 0.5) / (2 * curve.spans)
+    first, basis, slope = local_basis(curve.knots, DEGREE, s)
+    near = curve.control_points[first[:, None] + np.arange(DEGREE + 1)]
+    velocity = np.einsum("nj,njk->nk", slope, near)
+    speed = np.maximum(np.linalg.norm(velocity, axis=1), 1e-12)
+    tangent = velocity / speed[:, None] * (curve.spans / (DAMPING * speed.mean()))
+    design = (basis[:, :, None] * tangent[:, None, :]).reshape(-1, SIDE)
+    return Blocks(_by_span(first, design[:, :, None] * design[:, None, :], curve.spans), np.zeros((curve.spans, SIDE)))
+
+
+def roughness_blocks(curve: Curve, weight: Float64[np.ndarray, "spans"]) -> Blocks:
+    """½ Σ_k w_k ‖Δ³P_k / size‖², the minimum-variation objective by spans, with knot spans of length 1.
+
+    In each block the rows of one span's third difference, a matrix of rank 3.
+    """
+    third = third_differences(curve.knots) / curve.size
+    local = np.stack([third[k, k : k + DEGREE + 1] for k in range(curve.spans)])
+    one = np.einsum("ki,kj,ab->kiajb", local, local, np.eye(3)).reshape(-1, SIDE, SIDE)
+    near = curve.control_points[np.arange(curve.spans)[:, None] + np.arange(DEGREE + 1)].reshape(-1, SIDE)
+    H = weight[:, None, None] * one
+    return Blocks(H, np.einsum("kij,kj->ki", H, near))
+
+
+def third_differences(knots: Float64[np.ndarray, "k"]) -> Float64[np.ndarray, "spans m"]:
+    """B''' on each span for spans of length 1, from the control points."""
+    spans = len(knots) - 2 * DEGREE - 1
+    return difference_matrix(knots, DEGREE, 3) / spans**3
+
+
+def gradient(by_span: Float64[np.ndarray, "spans 12"]) -> Float64[np.ndarray, "v"]:
+    """The vector over all control points (interleaved) of what is given by spans."""
+    spans = len(by_span)
+    index = 3 * np.arange(spans)[:, None] + np.arange(SIDE)
+    return np.bincount(index.ravel(), by_span.ravel(), minlength=3 * (spans + DEGREE))
+
+
+def band(blocks: Blocks) -> Float64[np.ndarray, "12 v"]:
+    """H in LAPACK's lower band form."""
+    spans = len(blocks.H)
+    size = 3 * (spans + DEGREE)
+    i, j = np.tril_indices(SIDE)
+    column = 3 * np.arange(spans)[:, None] + j
+    index = (i - j) * size + column
+    return np.bincount(index.ravel(), blocks.H[:, i, j].ravel(), minlength=SIDE * size).reshape(SIDE, size)
+
+
+def factored(blocks: Blocks) -> Float64[np.ndarray, "12 v"]:
+    """Cholesky's factor of H, in band form.
+
+    Raises:
+        numpy.linalg.LinAlgError: where H is not positive definite.
+    """
+    return np.asarray(scipy.linalg.cholesky_banded(band(blocks), lower=True, check_finite=False))
+
+
+def solved(factor: Float64[np.ndarray, "12 v"], right: Float64[np.ndarray, "v *k"]) -> Float64[np.ndarray, "v *k"]:
+    """H⁻¹ times a vector or matrix."""
+    return np.asarray(scipy.linalg.cho_solve_banded((factor, True), right, check_finite=False))
+
+
+def _by_span(
+    first: Int64[np.ndarray, "n"], values: Float64[np.ndarray, "n *k"], spans: int
+) -> Float64[np.ndarray, "spans *k"]:
+    """Sums over what acts on the same span."""
+    total = np.zeros((spans, *values.shape[1:]))
+    order = np.argsort(first, kind="stable")
+    where, start = np.unique(first[order], return_index=True)
+    total[where] = np.add.reduceat(values[order], start, axis=0)
+    return total

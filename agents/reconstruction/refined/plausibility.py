@@ -1,0 +1,60 @@
+"""What cannot be reconstructed, and what is no reconstruction: each check gives its reason, empty where all is well."""
+
+import numpy as np
+
+from agents.reconstruction.refined.alignment import Alignment
+from agents.reconstruction.refined.refinement import Refined
+from schemas.messages import Centrelines, RectifiedStereo
+
+FEWEST_POINTS = 12
+LEAST_MATCHED_SHARE = 0.3
+"""Of the places on the left curve whose row any right piece crosses."""
+LARGEST_RESIDUAL_SHARE = 0.004
+"""Of the image's width, in the median: a curve farther from both centrelines is not theirs."""
+FARTHEST_SHARE = 1000.0
+"""Of the baseline: beyond that, disparity is below what can be told from none."""
+
+
+def unusable(left: Centrelines, right: Centrelines) -> str:
+    """Why no curve can be sought in these centrelines."""
+    for name, lines in (("left", left), ("right", right)):
+        if len(lines.point_px) < FEWEST_POINTS:
+            return (
+                f"the {name} image shows too little thread: {len(lines.point_px)} px of centreline, "
+                f"at least {FEWEST_POINTS} are needed"
+            )
+    return ""
+
+
+def contradiction(aligned: Alignment | None, camera: RectifiedStereo) -> str:
+    """Why the two images do not show one thread."""
+    remedy = (
+        "check that both images show the same thread, that left and right are not exchanged, and that the "
+        "calibration is the images' own"
+    )
+    if aligned is None:
+        return f"no place of the thread in the left image has a counterpart in its row of the right image; {remedy}"
+    if aligned.share < LEAST_MATCHED_SHARE:
+        return f"only {aligned.share:.0%} of the thread in the left image has a counterpart in the right one; {remedy}"
+    if np.median(aligned.disparity_px) <= camera.fx_px / FARTHEST_SHARE:
+        return f"the thread would be more than {FARTHEST_SHARE:.0f} baselines away; {remedy}"
+    return ""
+
+
+def implausible(fit: Refined, camera: RectifiedStereo) -> str:
+    """Why this curve cannot be the thread."""
+    if not np.isfinite(fit.curve.control_points).all():
+        return "the fit to both images diverged"
+    depth = fit.curve.at(np.linspace(0.0, 1.0, 200))[:, 2]
+    if depth.min() <= 0:
+        return "the curve passes behind the camera"
+    across_px = np.abs(fit.rows.residual[: fit.rows.sightings]) * fit.sight.deviation_px
+    for name, eye in (("left", 0), ("right", 1)):
+        here = across_px[fit.sight.eye == eye]
+        limit = LARGEST_RESIDUAL_SHARE * camera.image_width
+        if len(here) and np.median(here) > limit:
+            return (
+                f"the two images contradict each other: the curve is {np.median(here):.1f} px from the thread in the "
+                f"{name} image; check the calibration"
+            )
+    return ""

@@ -1,0 +1,50 @@
+"""How well each place of the curve is known: the posterior covariance of the fit, and what it cannot know.
+
+The inverse of the Gauss-Newton matrix at the solution is the covariance of the control points, so B(s)'s is a product
+with the basis functions. It says what independent errors of the points leave open: much where the thread runs along
+the rows, along the line of sight, or out of sight.
+
+Points of a centreline also err together, over longer stretches than the fit averages over: shading and glints move the
+middle of a thread's image to one side. A shift common to both images moves the thread sideways, a difference between
+them moves its depth, and no residual shows either. Both are taken in proportion to the deviation of the points.
+"""
+
+import numpy as np
+from jaxtyping import Float64
+
+from agents.reconstruction.refined.normal_equations import factored, solved
+from agents.reconstruction.refined.projection import DEGREE
+from agents.reconstruction.refined.refinement import Refined
+from schemas.messages import RectifiedStereo
+from shared.splines import local_basis
+
+COMMON, DIFFERENCE = 1.0, 0.3
+"""Shifts of long stretches, as multiples of the points' deviation: of both images together, and between them."""
+MODEL = 1.5
+"""Of the fit's own variance: no thread is exactly as smooth everywhere as the nearby third differences say."""
+
+
+def point_covariance(
+    fit: Refined, camera: RectifiedStereo, s: Float64[np.ndarray, "q"]
+) -> Float64[np.ndarray, "q 3 3"]:
+    """Covariance of the curve's points at parameters s, in the unit of the calibration."""
+    first, basis, _ = local_basis(fit.curve.knots, DEGREE, s)
+    factor = factored(fit.total)
+    size = factor.shape[1]
+    covariance = solved(factor, np.eye(size)).reshape(size // 3, 3, size // 3, 3)
+    near = first[:, None] + np.arange(DEGREE + 1)
+    blocks = covariance[near[:, :, None], :, near[:, None, :], :]
+    own = np.einsum("qi,qijab,qj->qab", basis, blocks, basis)
+    return MODEL * own + _shared_errors(fit, camera, s)
+
+
+def _shared_errors(fit: Refined, camera: RectifiedStereo, s: Float64[np.ndarray, "q"]) -> Float64[np.ndarray, "q 3 3"]:
+    """What long stretches err together, from (u, v, disparity) to the camera frame."""
+    deviation = fit.scale * float(np.median(fit.sight.deviation_px))
+    x, y, z = fit.curve.at(s).T
+    by_disparity = -(z**2) / (camera.fx_px * camera.baseline)
+    columns = np.zeros((len(s), 3, 3))
+    columns[:, 0, 0] = COMMON * z / camera.fx_px
+    columns[:, 1, 1] = COMMON * z / camera.fy_px
+    columns[:, :, 2] = DIFFERENCE * (by_disparity / z)[:, None] * np.column_stack((x, y, z))
+    return deviation**2 * np.einsum("qij,qkj->qik", columns, columns)

@@ -1,0 +1,131 @@
+"""The spline that both images agree on: Gauss-Newton on its control points, with smoothing from the images.
+
+    min  ½ Σ ρ(r_i) + ½ λ Σ_k w_k ‖Δ³P_k‖²
+
+ρ is Cauchy's, so that wrong points lose their say. Between steps the curve is brought back to constant speed, and each
+sighting to the place nearest to it. A constant offset between the rows of both images is estimated and taken out where
+it is certain: a calibration that is a little off would otherwise bend the depth.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from agents.reconstruction.refined.normal_equations import (
+    Blocks,
+    Rows,
+    damping_blocks,
+    data_blocks,
+    factored,
+    gradient,
+    linearised,
+    roughness_blocks,
+    row_offset_column,
+    solved,
+)
+from agents.reconstruction.refined.projection import Curve, at_constant_speed
+from agents.reconstruction.refined.sightings import Sightings, placed
+from agents.reconstruction.refined.smoothing import FINE, GRID, chosen_smoothing, local_weights
+from schemas.messages import RectifiedStereo
+
+STEPS = 6
+ROBUST = 2.5
+"""Residuals beyond so many deviations count less and less."""
+LEAST_SCALE, MOST_SCALE = 0.1, 4.0
+"""Of the deviations that perception states, by the spread of the residuals."""
+LEAST_ROW_OFFSET_PX, CERTAIN = 0.08, 4.0
+SETTLED = 0.02
+"""Of a deviation: steps that move nothing by more are the last."""
+
+
+@dataclass(frozen=True)
+class Refined:
+    """A curve with what it was fitted to.
+
+    Fields:
+        scale: of the stated deviations, by the residuals.
+        smoothing, weight: λ, and w of each span.
+        total: the quadratic function at the solution; the inverse of its matrix is the posterior covariance.
+    """
+
+    curve: Curve
+    sight: Sightings
+    rows: Rows
+    robust: Float64[np.ndarray, "n"]
+    scale: float
+    smoothing: float
+    weight: Float64[np.ndarray, "spans"]
+    row_offset_px: float
+    total: Blocks
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where refinement begins; without a smoothing it is sought over the whole grid."""
+
+    curve: Curve
+    sight: Sightings
+    smoothing: float | None = None
+    weight: Float64[np.ndarray, "spans"] | None = None
+    row_offset_px: float = 0.0
+
+
+def refined(start: Start, camera: RectifiedStereo, steps: int = STEPS) -> Refined:
+    """The fit that starts from a curve within some pixels of the thread.
+
+    Raises:
+        numpy.linalg.LinAlgError: where the equations have no solution.
+    """
+    curve, row_offset = start.curve, start.row_offset_px
+    weight = np.ones(curve.spans) if start.weight is None else start.weight
+    # nothing is known of the smoothing before the first step chooses it
+    smoothing = start.smoothing or 1.0
+    sight = placed(start.sight, curve, camera, row_offset, rounds=3)
+    for step in range(steps):
+        rows, robust, scale = _weighted(curve, sight, camera, row_offset)
+        data = data_blocks(rows, robust / scale**2, curve.spans) + damping_blocks(curve)
+        if step in (1, 2) or (step == 0 and start.smoothing is None):
+            near = smoothing * FINE if step == 2 or start.smoothing else GRID
+            smoothing = chosen_smoothing(curve, data, weight, near)
+        total = data + roughness_blocks(curve, smoothing * weight)
+        if step >= 2:
+            weight = local_weights(curve, total, smoothing, weight)
+            total = data + roughness_blocks(curve, smoothing * weight)
+        factor = factored(total)
+        motion = -solved(factor, gradient(total.g))
+        if step in (1, 3):
+            change, motion = _row_offset(rows, robust / scale**2, curve.spans, factor, motion)
+            row_offset += change
+        curve = curve.moved(motion.reshape(-1, 3))
+        curve, s = at_constant_speed(curve, sight.s)
+        sight = placed(replace(sight, s=s), curve, camera, row_offset)
+    rows, robust, scale = _weighted(curve, sight, camera, row_offset)
+    data = data_blocks(rows, robust / scale**2, curve.spans) + damping_blocks(curve)
+    total = data + roughness_blocks(curve, smoothing * weight)
+    return Refined(curve, sight, rows, robust, scale, smoothing, weight, row_offset, total)
+
+
+def _weighted(
+    curve: Curve, sight: Sightings, camera: RectifiedStereo, row_offset_px: float
+) -> tuple[Rows, Float64[np.ndarray, "n"], float]:
+    rows = linearised(curve, sight, camera, row_offset_px)
+    across = np.abs(rows.residual[: rows.sightings])
+    scale = float(np.clip(1.4826 * np.median(across), LEAST_SCALE, MOST_SCALE))
+    return rows, 1.0 / (1.0 + (rows.residual / (ROBUST * scale)) ** 2), scale
+
+
+def _row_offset(
+    rows: Rows, weight: Float64[np.ndarray, "n"], spans: int, factor: np.ndarray, motion: Float64[np.ndarray, "v"]
+) -> tuple[float, Float64[np.ndarray, "v"]]:
+    """The change of the row offset and the motion with it; none where it is not certain."""
+    column = gradient(row_offset_column(rows, weight, spans))
+    follow = solved(factor, column)
+    information = float((weight * rows.by_row_offset**2).sum() - column @ follow)
+    if information <= 0:
+        return 0.0, motion
+    slope = float((weight * rows.by_row_offset * rows.residual).sum() + column @ motion)
+    change = -slope / information
+    if abs(change) < max(LEAST_ROW_OFFSET_PX, CERTAIN / np.sqrt(information)):
+        return 0.0, motion
+    return change, motion - follow * change

@@ -1,0 +1,108 @@
+"""From a fit to the message: direction, regions, posterior, confidence, and what no image shows."""
+
+import math
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from agents.reconstruction.confidence import assumed_unit
+from agents.reconstruction.refined.constraints import Held
+from agents.reconstruction.refined.posterior import point_covariance
+from agents.reconstruction.refined.projection import DEGREE, Curve
+from agents.reconstruction.refined.refinement import Refined
+from schemas.messages import ReliabilityRegions, Status, ThreadObservations, ThreadReconstruction
+from shared.camera import project
+from shared.splines import evaluate
+
+SAMPLES = 100
+TOLERANCE_M = 0.001
+"""Confidence is the probability that the thread lies within this distance of the curve: what a grasp forgives."""
+UNSEEN_SAMPLES = 400
+GAP_FACTOR = 4.0
+LEAST_GAP = 0.008
+"""Of the thread's length: sightings farther apart than this, and than some times their usual distance, leave a gap."""
+OUTLIER = 0.1
+"""A sighting of less robust weight is none of this place."""
+
+
+def reconstruction(
+    observations: ThreadObservations,
+    method: str,
+    fit: Refined,
+    held: Held,
+    reverse: bool,
+) -> ThreadReconstruction:
+    """The message; `reverse` exchanges the thread's ends."""
+    camera, curve, regions = observations.camera, held.curve, held.regions
+    s = np.linspace(0.0, 1.0, SAMPLES)
+    covariance = point_covariance(fit, camera, s)
+    unit_m = camera.metres_per_unit or assumed_unit(curve.control_points[:, 2])
+    confidence = confidence_of(evaluate(curve.knots, curve.control_points, DEGREE, s, 1), covariance, unit_m)
+    unseen = stretches(~seen(fit))
+    order = np.argsort(held.s, kind="stable")
+    way = slice(None, None, -1 if reverse else 1)
+    return ThreadReconstruction(
+        stamp=observations.stamp,
+        camera=camera,
+        status=Status.OK,
+        reason="",
+        method=method,
+        degree=DEGREE,
+        knots=curve.knots,
+        control_points_camera=curve.control_points[way].copy(),
+        regions=ReliabilityRegions(
+            _turned(held.s[order], reverse),
+            regions.centre_camera[order][way].copy(),
+            regions.bound_px[order][way].copy(),
+            regions.bound_depth[order][way].copy(),
+            held.slack[order][way].copy(),
+        ),
+        confidence_s=s,
+        confidence=confidence[way].copy(),
+        posterior_s=s,
+        posterior_covariance=covariance[way].copy(),
+        unseen=np.clip(1.0 - unseen[::-1, ::-1], 0.0, 1.0) if reverse else unseen,
+    )
+
+
+def starts_right(curve: Curve, observations: ThreadObservations) -> bool:
+    """Whether the curve's first end is the right one in the left image (ties: the lower), and so is to be its last."""
+    ends, _ = project(observations.camera, curve.control_points[[0, -1]])
+    return bool(tuple(ends[0]) > tuple(ends[1]))
+
+
+def confidence_of(
+    tangents: Float64[np.ndarray, "q 3"], covariance: Float64[np.ndarray, "q 3 3"], unit_m: float
+) -> Float64[np.ndarray, "q"]:
+    """The probability that the thread passes within the tolerance, from the covariance normal to it."""
+    plane = np.linalg.svd(tangents[:, None, :])[2][:, 1:]
+    variance = np.linalg.eigvalsh(np.einsum("qij,qjk,qlk->qil", plane, covariance, plane))
+    deviation = np.sqrt(np.maximum(variance, 1e-300)) * unit_m
+    error_function = np.vectorize(math.erf)
+    return np.asarray(error_function(TOLERANCE_M / (math.sqrt(2.0) * deviation)).prod(axis=1), dtype=np.float64)
+
+
+def seen(fit: Refined) -> Bool[np.ndarray, "g"]:
+    """Which of evenly spaced places at least one image shows."""
+    at = (np.arange(UNSEEN_SAMPLES) + 0.5) / UNSEEN_SAMPLES
+    good = fit.robust[: fit.rows.sightings] > OUTLIER
+    shown = np.zeros(UNSEEN_SAMPLES, bool)
+    for eye in (0, 1):
+        s = np.sort(fit.sight.s[good & (fit.sight.eye == eye)])
+        if len(s) < 2:
+            continue
+        limit = max(LEAST_GAP, GAP_FACTOR * float(np.median(np.diff(s))))
+        after = np.clip(np.searchsorted(s, at), 1, len(s) - 1)
+        near = np.minimum(np.abs(at - s[after - 1]), np.abs(s[after] - at))
+        shown |= (near <= 0.5 * limit) | ((s[after] - s[after - 1] <= limit) & (at >= s[0]) & (at <= s[-1]))
+    return shown
+
+
+def stretches(hidden: Bool[np.ndarray, "g"]) -> Float64[np.ndarray, "k 2"]:
+    """Runs of true values among evenly spaced places, as intervals within 0 and 1."""
+    edge = np.diff(np.concatenate(([0], hidden.astype(int), [0])))
+    return np.column_stack((np.flatnonzero(edge == 1), np.flatnonzero(edge == -1))) / len(hidden)
+
+
+def _turned(s: Float64[np.ndarray, "n"], reverse: bool) -> Float64[np.ndarray, "n"]:
+    return np.clip(1.0 - s[::-1], 0.0, 1.0) if reverse else s

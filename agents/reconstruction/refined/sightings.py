@@ -1,0 +1,125 @@
+"""The points of both centrelines, each with the parameter of the curve that it is a sighting of."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from agents.reconstruction.refined.alignment import Alignment, piece_ends
+from agents.reconstruction.refined.chains import Chain
+from agents.reconstruction.refined.projection import Curve, projected
+from schemas.messages import Centrelines, RectifiedStereo
+
+MOST_POINTS = 420
+"""Of each eye: more points of the same length say little more, since neighbours err together."""
+CORRELATED_PX = 3.0
+"""Along a centreline, over so many pixels its errors are about the same."""
+BEYOND_PX = 40
+"""How far past its last matched point a right piece is taken to show the thread still."""
+LONGEST_STEP_SPANS = 2.0
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """Points of both images with their place on the curve.
+
+    Fields:
+        deviation_px: of each point across the thread, for points that err independently.
+        eye: 0 for the left image, 1 for the right.
+        s: parameter of the curve.
+        is_end: the thread ends here, so the point holds the curve along itself as well.
+    """
+
+    point_px: Float64[np.ndarray, "n 2"]
+    deviation_px: Float64[np.ndarray, "n"]
+    eye: Int64[np.ndarray, "n"]
+    s: Float64[np.ndarray, "n"]
+    is_end: Bool[np.ndarray, "n"]
+
+
+def sightings(left: Chain, right: Centrelines, aligned: Alignment) -> Sightings:
+    """The left chain's points, and those of the right pieces between and beside their matched ones."""
+    index, s = _of_left(left)
+    ends = np.zeros(len(index), bool)
+    ends[[0, -1]] = True
+    parts = [
+        _of_right(piece, left, right, aligned) for piece in np.unique(right.piece[aligned.right_index.astype(int)])
+    ]
+    right_index = np.concatenate([part[0] for part in parts])
+    spacing = _spacing(left.along_px[index])
+    correlated = np.sqrt(max(1.0, CORRELATED_PX / spacing))
+    return Sightings(
+        np.concatenate((left.point_px[index], right.point_px[right_index])),
+        np.concatenate((left.deviation_px[index], right.deviation_px[right_index])) * correlated,
+        np.repeat([0, 1], [len(index), len(right_index)]),
+        np.concatenate((s, *(part[1] for part in parts))),
+        np.concatenate((ends, *(part[2] for part in parts))),
+    )
+
+
+def left_sightings(point_px: Float64[np.ndarray, "n 2"], s: Float64[np.ndarray, "n"]) -> Sightings:
+    """Points of the left image alone, to be placed on a curve."""
+    n = len(s)
+    return Sightings(point_px, np.ones(n), np.zeros(n, np.int64), s, np.zeros(n, bool))
+
+
+def parameters_of_course(start: Sightings, now: Sightings, share: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "n"]:
+    """Parameters of the refined curve where the left chain has these shares of its length behind it.
+
+    `start` holds the left points at their shares, `now` the same points on the refined curve.
+    """
+    left = start.eye == 0
+    return np.interp(share, start.s[left], np.maximum.accumulate(now.s[left]))
+
+
+def placed(sight: Sightings, curve: Curve, camera: RectifiedStereo, row_offset_px: float, rounds: int = 1) -> Sightings:
+    """The same sightings at the parameters nearest to them, by Newton steps along the projected curve."""
+    limit = LONGEST_STEP_SPANS / curve.spans
+    for _ in range(rounds):
+        view = projected(curve, sight.s, sight.eye, camera, row_offset_px)
+        square = (view.velocity_px**2).sum(axis=1)
+        step = (view.velocity_px * (sight.point_px - view.point_px)).sum(axis=1) / np.maximum(square, 1e-12)
+        moved = np.clip(sight.s + np.clip(step, -limit, limit), 0.0, 1.0)
+        sight = replace(sight, s=np.where(sight.is_end, sight.s, moved))
+    return sight
+
+
+def _spacing(along_px: Float64[np.ndarray, "n"]) -> float:
+    return max(1.0, float(np.median(np.diff(along_px)))) if len(along_px) > 1 else 1.0
+
+
+def _stride(count: int) -> int:
+    return max(2, -(-count // MOST_POINTS))
+
+
+def _of_left(left: Chain) -> tuple[Int64[np.ndarray, "k"], Float64[np.ndarray, "k"]]:
+    last = len(left.point_px) - 1
+    index = np.append(np.arange(0, last, _stride(last)), last)
+    return index, left.along_px[index] / left.along_px[-1]
+
+
+def _of_right(
+    piece: int, left: Chain, right: Centrelines, aligned: Alignment
+) -> tuple[Int64[np.ndarray, "k"], Float64[np.ndarray, "k"], Bool[np.ndarray, "k"]]:
+    """Indices of a piece's points, their parameters between those of the matches, and which are the thread's ends."""
+    matched = right.piece[aligned.right_index.astype(int)] == piece
+    t, s = aligned.right_index[matched], aligned.along_px[matched] / left.along_px[-1]
+    # a piece that two strands share is matched twice, and its points then belong to the longer match
+    order = np.argsort(t, kind="stable")
+    t, s = t[order], s[order]
+    index = np.flatnonzero(right.piece == piece)[:: _stride(len(left.point_px))]
+    index = index[(index >= t[0] - BEYOND_PX) & (index <= t[-1] + BEYOND_PX)]
+    place = np.interp(index, t, s)
+    if len(t) > 1 and t[-1] > t[0]:
+        pace = (s[-1] - s[0]) / (t[-1] - t[0])
+        place = np.where(index < t[0], s[0] + pace * (index - t[0]), place)
+        place = np.where(index > t[-1], s[-1] + pace * (index - t[-1]), place)
+    is_end = np.zeros(len(index), bool)
+    ends = piece_ends(right)
+    for which, value in ((0, 0.0), (-1, 1.0)):
+        at = aligned.right_index[which]
+        if matched[which] and aligned.along_px[which] == left.along_px[which] and at in ends:
+            index, place = np.append(index, int(at)), np.append(place, value)
+            is_end = np.append(is_end, True)
+    inside = (place >= -0.005) & (place <= 1.005)
+    return index[inside], np.clip(place[inside], 0.0, 1.0), is_end[inside]

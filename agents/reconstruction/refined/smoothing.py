@@ -1,0 +1,69 @@
+"""How smooth the thread is, from the images themselves.
+
+The weight λ of the minimum-variation objective is the one under which the images are most probable once the curve is
+integrated out (marginal likelihood). With H the data's Gauss-Newton matrix, A that of the objective, of rank k:
+
+    log p(images | λ) = ½ k log λ − ½ log |H + λA| − ½ min_δ (data + λ roughness) + constant.
+
+A thread is not equally bent everywhere. So each span then has a weight of its own, λ_k = λ w_k, by MacKay's fixed point
+over a window of spans: the number of well-determined third differences there over their sum of squares. What the
+images do not determine (depth along the rows) is thereby as rough as what they do show nearby.
+"""
+
+import numpy as np
+from jaxtyping import Float64
+
+from agents.reconstruction.refined.normal_equations import (
+    SIDE,
+    Blocks,
+    factored,
+    gradient,
+    roughness_blocks,
+    solved,
+    third_differences,
+)
+from agents.reconstruction.refined.projection import DEGREE, Curve
+
+GRID = 10.0 ** np.arange(-2.0, 10.0)
+FINE = 10.0 ** np.array([-0.5, 0.0, 0.5])
+WINDOW_SPANS = 2.0
+PRIOR_COUNT = 1.0
+LEAST_WEIGHT, MOST_WEIGHT = 0.02, 50.0
+
+
+def chosen_smoothing(
+    curve: Curve, data: Blocks, weight: Float64[np.ndarray, "spans"], candidates: Float64[np.ndarray, "c"]
+) -> float:
+    """The candidate λ with the greatest marginal likelihood."""
+    unit = roughness_blocks(curve, weight)
+    return float(max(candidates, key=lambda smoothing: log_evidence(curve, data, unit, float(smoothing))))
+
+
+def log_evidence(curve: Curve, data: Blocks, unit: Blocks, smoothing: float) -> float:
+    """log p(images | λ) up to a constant; `data` includes what damps motion along the curve."""
+    total = data + unit * smoothing
+    try:
+        factor = factored(total)
+    except np.linalg.LinAlgError:
+        return -np.inf
+    g = gradient(total.g)
+    step = -solved(factor, g)
+    near = curve.control_points[np.arange(curve.spans)[:, None] + np.arange(DEGREE + 1)].reshape(-1, SIDE)
+    here = 0.5 * smoothing * float(np.einsum("ki,ki->", near, unit.g))
+    energy = here + 0.5 * float(g @ step)
+    return 1.5 * curve.spans * np.log(smoothing) - float(np.log(factor[0]).sum()) - energy
+
+
+def local_weights(
+    curve: Curve, total: Blocks, smoothing: float, weight: Float64[np.ndarray, "spans"]
+) -> Float64[np.ndarray, "spans"]:
+    """How much smoother than on the whole each span is; `total` is with the present weights."""
+    third = third_differences(curve.knots) / curve.size
+    bend = ((third @ curve.control_points) ** 2).sum(axis=1)
+    spread = np.kron(third.T, np.eye(3))
+    variance = (spread * solved(factored(total), spread)).sum(axis=0).reshape(-1, 3).sum(axis=1)
+    determined = np.clip(3.0 - smoothing * weight * variance, 0.0, 3.0)
+    k = np.arange(curve.spans)
+    window = np.exp(-0.5 * ((k[:, None] - k) / WINDOW_SPANS) ** 2)
+    found = (window @ determined + PRIOR_COUNT) / (window @ (smoothing * bend) + PRIOR_COUNT)
+    return np.clip(found, LEAST_WEIGHT, MOST_WEIGHT)
