@@ -97,6 +97,18 @@ def test_a_bump_of_the_mask_is_no_branch():
     assert np.unique(thread_centrelines(GREY, coverage).piece).tolist() == [0]
 
 
+def test_a_glint_that_leaves_two_rails_is_filled_and_a_gap_between_two_strands_is_not():
+    thread = tube(np.array([[15.0, 60.0], [145.0, 60.0]]), 4.0)
+    glint = np.where(tube(np.array([[70.0, 59.0], [95.0, 59.0]]), 1.2) > 0, 0, thread).astype(np.uint8)
+    assert np.unique(thread_centrelines(GREY, glint).piece).tolist() == [0]
+    one = np.array([[15.0, 25.0], [50.0, 58.5], [80.0, 56.0], [110.0, 58.5], [145.0, 25.0]])
+    other = one * [1, -1] + [0, 120]
+    found = thread_centrelines(GREY, np.maximum(tube(one, 2.5), tube(other, 2.5)))
+    inside = (found.point_px[:, 0] > 76) & (found.point_px[:, 0] < 84)
+    assert set(np.unique(found.point_px[inside, 1] > 60)) == {False, True}
+    assert distance_to(found.point_px[inside & (found.point_px[:, 1] < 60)], one).max() < 0.5
+
+
 def test_pinholes_do_not_split_a_thread_and_true_loops_stay_open():
     coverage = tube(np.array([[20.0, 60.0], [140.0, 60.0]]), 4.0)
     coverage[59:61, 70:73] = 0
