@@ -90,7 +90,7 @@ def summed(masks: str, calibration: str, rows: list[Row], published: list[str]) 
 def print_goals(method: str, goals: list[Goal]) -> None:
     """The table of goals."""
     table = Table(title=f"goals, method {method}", title_justify="left")
-    for column in ("what", "published by others", "goal", "here", "", "bound by the images"):
+    for column in ("what", "published by others", "goal", "here", "", "bound for centroids"):
         table.add_column(column)
     for goal in goals:
         verdict = {True: "[green]met[/]", False: "[red]not met[/]", None: ""}[goal.met]

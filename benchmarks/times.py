@@ -28,7 +28,9 @@ def time_goals(method: str, rows: list[Row]) -> list[Goal]:
         result.append(Goal("time: segmentation, both images, ms", "-", "-", _median(_ms(segmented, "segment"))))
     if given:
         curve = _ms(given, "reconstruct")
-        observed = [sum(ms for step, ms in row["timings_ms"].items() if step not in OTHER_STEPS) for row in given]
+        observed: list[float] = [
+            sum(ms for step, ms in row["timings_ms"].items() if step not in OTHER_STEPS) for row in given
+        ]
         both = [a + b for a, b in zip(observed, curve, strict=True)]
         limit = LIMIT_WITH_CENTRELINES_MS if method == "refined" else None
         result += [
