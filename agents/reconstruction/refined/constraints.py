@@ -32,8 +32,8 @@ DEVIATIONS = 4.0
 LEAST_BOUND_PX = 1.0
 LEAST_DISPARITY_BOUND_PX = 0.5
 LARGEST_DEPTH_SHARE = 0.5
-SLACK_PRICE = 1e3
-"""In units of the data's log likelihood per unit of slack, so a region gives way to a hundred points that disagree."""
+SLACK_PRICE = 10.0
+"""Of a region's own size, in units of the points' log likelihood: a match that many points contradict gives way."""
 
 
 @dataclass(frozen=True)
