@@ -17,6 +17,7 @@ from agents.perception.rectification import (
     rectify_image,
 )
 from agents.perception.search import Looked, Pair, look_everywhere, look_near
+from agents.perception.surface import surface_is_due, tissue_surface
 from schemas.messages import (
     CommandAnswer,
     FrameStamp,
@@ -86,24 +87,32 @@ class Perception:
             self._go_on_from(arrived.message)
         elif self._calibration is not None:
             self._frame = arrived.message
-            observed = self._observe(arrived.message, self._calibration)
-            self._go_on_from(observed)
-            yield Output(OBSERVATIONS, observed)
+            yield from self._seen(arrived.message, self._calibration)
 
     def _go_on_from(self, last: ThreadObservations | None) -> None:
         self._last, self._prompt_px = last, last.prompt_px if last else None
 
-    def _observe(self, frame: StereoFrame, calibration: StereoCalibration) -> ThreadObservations:
-        pair = self._rectified(frame, calibration)
+    def _seen(self, frame: StereoFrame, calibration: StereoCalibration) -> Iterable[Output]:
+        """What follows from a frame; the observations last, since the next frame goes on from them."""
+        last, pair = self._last, self._rectified(frame, calibration)
         if isinstance(pair, str):
             camera = _nominal_camera(calibration) if self._rectification is None else self._rectification.camera
-            return _unusable(frame, camera, pair, self._prompt_px)
-        looked = look_near(pair.images, self._last, frame.stamp.sequence) if self._last else None
-        observed = _observed(frame.stamp, pair, looked) if looked else None
+            observed = _unusable(frame, camera, pair, self._prompt_px)
+        else:
+            observed = self._observe(frame.stamp, pair)
+            if surface_is_due(frame.stamp, last.stamp if last else None):
+                thread = decode_image(observed.mask_left) > 0
+                yield Output(SURFACE, tissue_surface(frame.stamp, pair.camera, *pair.images, thread))
+        self._go_on_from(observed)
+        yield Output(OBSERVATIONS, observed)
+
+    def _observe(self, stamp: FrameStamp, pair: "_Rectified") -> ThreadObservations:
+        looked = look_near(pair.images, self._last, stamp.sequence) if self._last else None
+        observed = _observed(stamp, pair, looked) if looked else None
         if observed is not None and observed.status is Status.OK:
             return observed
-        everything = look_everywhere(pair.images, frame.stamp.sequence, self._config.segmenter, self._prompt_px)
-        return _observed(frame.stamp, pair, everything)
+        everything = look_everywhere(pair.images, stamp.sequence, self._config.segmenter, self._prompt_px)
+        return _observed(stamp, pair, everything)
 
     def _rectified(self, frame: StereoFrame, calibration: StereoCalibration) -> "_Rectified | str":
         """The rectified pair, or why there is none."""

@@ -30,6 +30,7 @@ from agents.viewer.mapping import (
 )
 from agents.viewer.report import finding_text, findings
 from agents.viewer.session_mapping import command_entities, health_entities, lane, log_entities, said
+from agents.viewer.surface_mapping import surface_entities
 from agents.viewer.units import camera_in_mm, observations_in_mm, reconstruction_in_mm
 from schemas.messages import (
     AgentHealth,
@@ -50,6 +51,7 @@ from schemas.messages import (
     StereoFrame,
     ThreadObservations,
     ThreadReconstruction,
+    TissueSurface,
 )
 from shared.camera import is_rectified
 from shared.images import ImageDataError, decode_image, encode_image
@@ -90,6 +92,8 @@ class LiveMapping:
                 return []
             case ThreadObservations():
                 return self._observations(observations_in_mm(message))
+            case TissueSurface():
+                return surface_entities(message)
             case ThreadReconstruction():
                 return self._reconstruction(reconstruction_in_mm(message))
             case GraspPlan():

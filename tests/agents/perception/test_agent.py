@@ -23,7 +23,7 @@ from schemas.messages import (
     StereoFrame,
     ThreadObservations,
 )
-from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS, key
+from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS, SURFACE, key
 from shared.calibration.identity import calibration_id
 from shared.images import encode_image
 from shared.runtime.agent import Received, Tick
@@ -63,9 +63,11 @@ def fed(agent, *messages):
         topic = CALIBRATION if isinstance(message, StereoCalibration) else FRAMES
         arrived = decode(topic.message, encode(message))
         outputs = list(agent.step(Received(topic, key("lab", topic), number, arrived)))
-        assert all(output.topic is OBSERVATIONS for output in outputs)
+        assert {output.topic for output in outputs} <= {OBSERVATIONS, SURFACE}
         # each must be fit to travel
-        found += [decode(ThreadObservations, encode(output.message)) for output in outputs]
+        found += [
+            decode(ThreadObservations, encode(output.message)) for output in outputs if output.topic is OBSERVATIONS
+        ]
     return found
 
 
