@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -57,8 +58,14 @@ def suturegrasp(capfd: pytest.CaptureFixture[str]) -> Command:
 
     def run(*arguments: object) -> Ended:
         capfd.readouterr()
-        with pytest.raises(SystemExit) as end:
-            main([str(argument) for argument in arguments])
+        handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            with pytest.raises(SystemExit) as end:
+                main([str(argument) for argument in arguments])
+        finally:
+            # a command that waits to be stopped would leave the tests deaf to it
+            for number, handler in handlers.items():
+                signal.signal(number, handler)
         said = capfd.readouterr()
         assert isinstance(end.value.code, int)
         return Ended(end.value.code, said.out, said.err)
