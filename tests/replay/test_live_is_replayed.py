@@ -40,7 +40,8 @@ def outputs_of(entries, topic):
 def test_every_output_is_the_same(agent, source, request):
     recording = request.getfixturevalue(source)
     replayed = list(replay(agent, recording))
-    assert [r.then for r in replayed] == [e.payload for e in outputs_of(recording, OUTPUT[agent])]
+    made = [r.then for r in replayed if topic_of(r.key) is OUTPUT[agent]]
+    assert made == [e.payload for e in outputs_of(recording, OUTPUT[agent])]
     assert len(replayed) >= 4
     # the router may drop a robot state on its way to whoever records; what was made from it cannot be repeated
     assert all(r.same or r.missing for r in replayed)
@@ -88,7 +89,7 @@ def test_a_change_of_one_input_shows(agent, recorded):
     assert replayed.now is not None
 
 
-@pytest.mark.parametrize("agent", [Reconstruction, Planner])
+@every_agent
 @pytest.mark.parametrize("seed", range(5))
 def test_of_a_recording_with_holes_every_output_is_the_same_or_names_what_is_missing(agent, seed, recorded):
     rng = random.Random(seed)
@@ -105,7 +106,7 @@ def test_a_recording_that_begins_in_mid_session_is_replayed_from_there(agent, re
     later = [*calibration, *recorded[len(recorded) // 3 :]]
     replayed = list(replay(agent, later))
     assert all(r.same or r.missing for r in replayed)
-    assert sum(r.same for r in replayed) >= len(replayed) - 2
+    assert sum(not r.same for r in replayed if topic_of(r.key) is OUTPUT[agent]) <= 2
 
 
 def test_the_scene_camera_films_the_same_frames_again(camera, recorded):
