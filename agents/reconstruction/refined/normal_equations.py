@@ -10,17 +10,19 @@ itself is damped; that changes no solution, since it holds back steps and not pl
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import scipy.linalg
 from jaxtyping import Float64, Int64
 
-from agents.reconstruction.refined.projection import DEGREE, Curve, projected
+from agents.reconstruction.refined.projection import DEGREE, Curve, basis_at, projected
 from agents.reconstruction.refined.sightings import Sightings
 from schemas.messages import RectifiedStereo
-from shared.splines import difference_matrix, local_basis
+from shared.splines import clamped_uniform_knots, difference_matrix
 
 SIDE = 3 * (DEGREE + 1)
+TRIANGLE = np.tril_indices(SIDE)
 END_DEVIATION_PX = 0.7
 DAMPING = 0.3
 """Of the length of a knot span: how far one step may carry the curve along itself at the cost of one deviation."""
@@ -99,7 +101,7 @@ def row_offset_column(rows: Rows, weight: Float64[np.ndarray, "n"], spans: int) 
 def damping_blocks(curve: Curve) -> Blocks:
     """What holds the curve back along itself."""
     s = (np.arange(2 * curve.spans) + 0.5) / (2 * curve.spans)
-    first, basis, slope = local_basis(curve.knots, DEGREE, s)
+    first, basis, slope = basis_at(curve.spans, s)
     near = curve.control_points[first[:, None] + np.arange(DEGREE + 1)]
     velocity = np.einsum("nj,njk->nk", slope, near)
     speed = np.maximum(np.linalg.norm(velocity, axis=1), 1e-12)
@@ -113,18 +115,22 @@ def roughness_blocks(curve: Curve, weight: Float64[np.ndarray, "spans"]) -> Bloc
 
     In each block the rows of one span's third difference, a matrix of rank 3.
     """
-    third = third_differences(curve.knots) / curve.size
-    local = np.stack([third[k, k : k + DEGREE + 1] for k in range(curve.spans)])
-    one = np.einsum("ki,kj,ab->kiajb", local, local, np.eye(3)).reshape(-1, SIDE, SIDE)
+    H = (weight / curve.size**2)[:, None, None] * _roughness(curve.spans)
     near = curve.control_points[np.arange(curve.spans)[:, None] + np.arange(DEGREE + 1)].reshape(-1, SIDE)
-    H = weight[:, None, None] * one
     return Blocks(H, np.einsum("kij,kj->ki", H, near))
 
 
-def third_differences(knots: Float64[np.ndarray, "k"]) -> Float64[np.ndarray, "spans m"]:
-    """B''' on each span for spans of length 1, from the control points."""
-    spans = len(knots) - 2 * DEGREE - 1
-    return difference_matrix(knots, DEGREE, 3) / spans**3
+@lru_cache(maxsize=64)
+def _roughness(spans: int) -> Float64[np.ndarray, "spans 12 12"]:
+    third = third_differences(spans)
+    local = np.stack([third[k, k : k + DEGREE + 1] for k in range(spans)])
+    return np.einsum("ki,kj,ab->kiajb", local, local, np.eye(3)).reshape(-1, SIDE, SIDE)
+
+
+@lru_cache(maxsize=64)
+def third_differences(spans: int) -> Float64[np.ndarray, "spans m"]:
+    """The third derivative on each span, for spans of length 1, from the control points."""
+    return difference_matrix(clamped_uniform_knots(spans + DEGREE, DEGREE), DEGREE, 3) / spans**3
 
 
 def gradient(by_span: Float64[np.ndarray, "spans 12"]) -> Float64[np.ndarray, "v"]:
@@ -138,10 +144,15 @@ def band(blocks: Blocks) -> Float64[np.ndarray, "12 v"]:
     """H in LAPACK's lower band form."""
     spans = len(blocks.H)
     size = 3 * (spans + DEGREE)
-    i, j = np.tril_indices(SIDE)
-    column = 3 * np.arange(spans)[:, None] + j
-    index = (i - j) * size + column
-    return np.bincount(index.ravel(), blocks.H[:, i, j].ravel(), minlength=SIDE * size).reshape(SIDE, size)
+    lower = blocks.H[:, TRIANGLE[0], TRIANGLE[1]]
+    return np.bincount(_band_index(spans), lower.ravel(), minlength=SIDE * size).reshape(SIDE, size)
+
+
+@lru_cache(maxsize=64)
+def _band_index(spans: int) -> Int64[np.ndarray, "k"]:
+    """Where the lower triangles of the blocks belong in the band."""
+    i, j = TRIANGLE
+    return ((i - j) * 3 * (spans + DEGREE) + 3 * np.arange(spans)[:, None] + j).ravel()
 
 
 def factored(blocks: Blocks) -> Float64[np.ndarray, "12 v"]:

@@ -13,10 +13,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.reconstruction.refined.normal_equations import factored, solved
-from agents.reconstruction.refined.projection import DEGREE
+from agents.reconstruction.refined.projection import DEGREE, basis_at
 from agents.reconstruction.refined.refinement import Refined
 from schemas.messages import RectifiedStereo
-from shared.splines import local_basis
 
 COMMON, DIFFERENCE = 1.0, 0.3
 """Shifts of long stretches, as multiples of the points' deviation: of both images together, and between them."""
@@ -28,7 +27,7 @@ def point_covariance(
     fit: Refined, camera: RectifiedStereo, s: Float64[np.ndarray, "q"]
 ) -> Float64[np.ndarray, "q 3 3"]:
     """Covariance of the curve's points at parameters s, in the unit of the calibration."""
-    first, basis, _ = local_basis(fit.curve.knots, DEGREE, s)
+    first, basis, _ = basis_at(fit.curve.spans, s)
     factor = factored(fit.total)
     size = factor.shape[1]
     covariance = solved(factor, np.eye(size)).reshape(size // 3, 3, size // 3, 3)

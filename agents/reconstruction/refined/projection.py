@@ -1,15 +1,17 @@
 """A curve, and what both cameras see of it: pixels, velocities, and how pixels move with the curve."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from jaxtyping import Float64, Int64
 
 from schemas.messages import RectifiedStereo
-from shared.splines import local_basis
+from shared.splines import clamped_uniform_knots, local_basis
 
 DEGREE = 3
+DENSE = 12
+"""Chords to a span, for lengths."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +34,7 @@ class Curve:
 
     def at(self, s: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "n 3"]:
         """Points of the curve."""
-        first, values, _ = local_basis(self.knots, DEGREE, s)
+        first, values, _ = basis_at(self.spans, s)
         return np.einsum("nj,njk->nk", values, self.control_points[first[:, None] + np.arange(DEGREE + 1)])
 
     def moved(self, step: Float64[np.ndarray, "m 3"]) -> "Curve":
@@ -65,7 +67,7 @@ def projected(
     row_offset_px: float = 0.0,
 ) -> View:
     """The view of each place by the eye named for it; the right image may lie some rows too low."""
-    first, basis, slope = local_basis(curve.knots, DEGREE, s)
+    first, basis, slope = basis_at(curve.spans, s)
     near = curve.control_points[first[:, None] + np.arange(DEGREE + 1)]
     x, y, z = np.einsum("nj,njk->kn", basis, near)
     velocity = np.einsum("nj,njk->nk", slope, near)
@@ -79,25 +81,53 @@ def projected(
     return View(pixel, np.einsum("nij,nj->ni", by_point, velocity), by_point, first, basis)
 
 
-def at_constant_speed(
-    curve: Curve, s: Float64[np.ndarray, "n"], knots: Float64[np.ndarray, "k"] | None = None
-) -> tuple[Curve, Float64[np.ndarray, "n"]]:
+def basis_at(
+    spans: int, s: Float64[np.ndarray, "n"]
+) -> tuple[Int64[np.ndarray, "n"], Float64[np.ndarray, "n 4"], Float64[np.ndarray, "n 4"]]:
+    """`local_basis` of a clamped uniform cubic, by the polynomials of its spans, and the derivatives by s."""
+    place = np.clip(s, 0.0, 1.0) * spans
+    first = np.minimum(place.astype(np.int64), spans - 1)
+    t = place - first
+    coefficients = _span_polynomials(spans)[first]
+    one = np.ones_like(t)
+    values = np.einsum("np,npj->nj", np.column_stack((one, t, t * t, t * t * t)), coefficients)
+    slopes = np.einsum("np,npj->nj", np.column_stack((one, 2 * t, 3 * t * t)), coefficients[:, 1:])
+    return first, values, slopes * spans
+
+
+@lru_cache(maxsize=64)
+def _span_polynomials(spans: int) -> Float64[np.ndarray, "spans 4 4"]:
+    """Coefficients (power, basis function) of the basis functions on each span, over t from 0 to 1."""
+    t = np.array([0.125, 0.375, 0.625, 0.875])
+    knots = clamped_uniform_knots(spans + DEGREE, DEGREE)
+    s = (np.arange(spans)[:, None] + t) / spans
+    values = local_basis(knots, DEGREE, s.ravel())[1].reshape(spans, len(t), DEGREE + 1)
+    return np.linalg.solve(np.vander(t, increasing=True)[None], values)
+
+
+def at_constant_speed(curve: Curve, s: Float64[np.ndarray, "n"]) -> tuple[Curve, Float64[np.ndarray, "n"]]:
     """The curve with parameters in proportion to its length, by least squares, and where the given s lie on it."""
-    target = curve.knots if knots is None else knots
-    dense = np.linspace(0.0, 1.0, 12 * max(curve.spans, len(target) - 2 * DEGREE - 1) + 1)
-    points = curve.at(dense)
-    along = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))))
+    dense = np.linspace(0.0, 1.0, DENSE * curve.spans + 1)
+    along = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(curve.at(dense), axis=0), axis=1))))
     along /= max(along[-1], 1e-300)
-    even = np.linspace(0.0, 1.0, 5 * (len(target) - DEGREE - 1))
-    wanted = curve.at(np.interp(even, along, dense))
-    return Curve(target, fitted(target, even, wanted)), np.interp(s, dense, along)
+    wanted = curve.at(np.interp(even_places(curve.spans), along, dense))
+    return Curve(curve.knots, fitted(curve.spans, wanted)), np.interp(s, dense, along)
 
 
-def fitted(
-    knots: Float64[np.ndarray, "k"], s: Float64[np.ndarray, "n"], points: Float64[np.ndarray, "n d"]
-) -> Float64[np.ndarray, "m d"]:
-    """Control points of the spline nearest to points that lie densely over all of its spans."""
-    first, values, _ = local_basis(knots, DEGREE, s)
-    basis = np.zeros((len(s), len(knots) - DEGREE - 1))
+def even_places(spans: int) -> Float64[np.ndarray, "n"]:
+    """Parameters, evenly spaced and dense enough to tell a spline of so many spans."""
+    return np.linspace(0.0, 1.0, 5 * (spans + DEGREE))
+
+
+def fitted(spans: int, points: Float64[np.ndarray, "n d"]) -> Float64[np.ndarray, "m d"]:
+    """Control points of the spline nearest to points at `even_places`."""
+    return _fit_matrix(spans) @ points
+
+
+@lru_cache(maxsize=64)
+def _fit_matrix(spans: int) -> Float64[np.ndarray, "m n"]:
+    s = even_places(spans)
+    first, values, _ = basis_at(spans, s)
+    basis = np.zeros((len(s), spans + DEGREE))
     basis[np.arange(len(s))[:, None], first[:, None] + np.arange(DEGREE + 1)] = values
-    return np.linalg.solve(basis.T @ basis, basis.T @ points)
+    return np.linalg.pinv(basis)

@@ -26,10 +26,10 @@ from agents.reconstruction.refined.normal_equations import (
 )
 from agents.reconstruction.refined.projection import Curve, at_constant_speed
 from agents.reconstruction.refined.sightings import Sightings, placed
-from agents.reconstruction.refined.smoothing import FINE, GRID, chosen_smoothing, local_weights
+from agents.reconstruction.refined.smoothing import COARSE, FINE, chosen_smoothing, local_weights
 from schemas.messages import RectifiedStereo
 
-STEPS = 6
+STEPS = 5
 ROBUST = 2.5
 """Residuals beyond so many deviations count less and less."""
 LEAST_SCALE, MOST_SCALE = 0.1, 4.0
@@ -86,7 +86,7 @@ def refined(start: Start, camera: RectifiedStereo, steps: int = STEPS) -> Refine
         rows, robust, scale = _weighted(curve, sight, camera, row_offset)
         data = data_blocks(rows, robust / scale**2, curve.spans) + damping_blocks(curve)
         if step in (1, 2) or (step == 0 and start.smoothing is None):
-            near = smoothing * FINE if step == 2 or start.smoothing else GRID
+            near = COARSE if step == 0 else smoothing * FINE
             smoothing = chosen_smoothing(curve, data, weight, near)
         total = data + roughness_blocks(curve, smoothing * weight)
         if step >= 2:

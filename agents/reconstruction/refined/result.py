@@ -1,8 +1,7 @@
 """From a fit to the message: direction, regions, posterior, confidence, and what no image shows."""
 
-import math
-
 import numpy as np
+import scipy.special
 from jaxtyping import Bool, Float64
 
 from agents.reconstruction.confidence import assumed_unit
@@ -78,8 +77,7 @@ def confidence_of(
     plane = np.linalg.svd(tangents[:, None, :])[2][:, 1:]
     variance = np.linalg.eigvalsh(np.einsum("qij,qjk,qlk->qil", plane, covariance, plane))
     deviation = np.sqrt(np.maximum(variance, 1e-300)) * unit_m
-    error_function = np.vectorize(math.erf)
-    return np.asarray(error_function(TOLERANCE_M / (math.sqrt(2.0) * deviation)).prod(axis=1), dtype=np.float64)
+    return np.asarray(scipy.special.erf(TOLERANCE_M / (np.sqrt(2.0) * deviation)).prod(axis=1), dtype=np.float64)
 
 
 def seen(fit: Refined) -> Bool[np.ndarray, "g"]:

@@ -24,8 +24,8 @@ from agents.reconstruction.refined.normal_equations import (
 )
 from agents.reconstruction.refined.projection import DEGREE, Curve
 
-GRID = 10.0 ** np.arange(-2.0, 10.0)
-FINE = 10.0 ** np.array([-0.5, 0.0, 0.5])
+COARSE = 10.0 ** np.arange(-1.0, 10.0, 2.0)
+FINE = 10.0 ** np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
 WINDOW_SPANS = 2.0
 PRIOR_COUNT = 1.0
 LEAST_WEIGHT, MOST_WEIGHT = 0.02, 50.0
@@ -58,7 +58,7 @@ def local_weights(
     curve: Curve, total: Blocks, smoothing: float, weight: Float64[np.ndarray, "spans"]
 ) -> Float64[np.ndarray, "spans"]:
     """How much smoother than on the whole each span is; `total` is with the present weights."""
-    third = third_differences(curve.knots) / curve.size
+    third = third_differences(curve.spans) / curve.size
     bend = ((third @ curve.control_points) ** 2).sum(axis=1)
     spread = np.kron(third.T, np.eye(3))
     variance = (spread * solved(factored(total), spread)).sum(axis=0).reshape(-1, 3).sum(axis=1)
