@@ -46,7 +46,7 @@ def build(rig: RigConfig, kind: str, instance: str) -> Agent:
         case CameraSection():
             return _camera(section)
         case PerceptionSection():
-            return Perception(PerceptionConfig(None if section.segmenter == "auto" else section.segmenter))
+            return Perception(perception_config(section, rig.needs_matching))
         case PlannerSection():
             return Planner(PlannerConfig(least_probability=section.least_probability))
         case ArmSection():
@@ -61,6 +61,14 @@ def build(rig: RigConfig, kind: str, instance: str) -> Agent:
             raise ConfigError(f"the configuration has no section [{kind}]; add one, or run that agent elsewhere")
         case _:
             return Reconstruction(section.method)
+
+
+def perception_config(section: PerceptionSection, needs_matching: bool) -> PerceptionConfig:
+    """What perception is told; whether it matches pixels is as the method of reconstruction needs it, if unset."""
+    return PerceptionConfig(
+        segmenter=None if section.segmenter == "auto" else section.segmenter,
+        matching=needs_matching if section.matching is None else section.matching,
+    )
 
 
 def _camera(section: CameraSection) -> Agent:

@@ -5,7 +5,7 @@ import cv2
 from agents.camera.image_files import ImageFileError, read_mask, read_pair, read_side_by_side
 from agents.cli.options import Reconstruct, UsageError, check
 from agents.cli.pipeline import Pair, PipelineResult, reconstruct_pair
-from agents.cli.result_file import result_text
+from agents.cli.result_file import observed_points, result_text
 from agents.cli.terminal import complain, say, warn
 from agents.cli.whole_file import OutputError, whole_file
 from agents.perception.rectification import RectificationError
@@ -97,6 +97,6 @@ def _summary(options: Reconstruct, result: PipelineResult) -> str:
     took = sum(result.timings_ms.values())
     return (
         f"thread of {long:.4g} {unit or 'units (of unknown size; --unit says it)'} from "
-        f"{len(result.observations.points_camera)} observations, mean confidence {thread.confidence.mean():.2f}, "
+        f"{observed_points(result)} points, mean confidence {thread.confidence.mean():.2f}, "
         f"in {took:.0f} ms: {', '.join(map(str, options.outputs.values()))}"
     )

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.cli.pipeline import PipelineResult
+from agents.reconstruction.methods import MATCHING_METHODS
 from schemas.messages import Judgement, Status, ThreadReconstruction
 from shared.arc_length import length
 from shared.units import unit_name
@@ -27,7 +28,7 @@ def result_document(result: PipelineResult, judgements: tuple[Judgement, ...]) -
         "posterior": _posterior(thread),
         "crossings": [],
         "unseen": thread.unseen.tolist(),
-        "observations": len(observations.points_camera),
+        "observations": observed_points(result),
         "timings_ms": {step: round(ms, 3) for step, ms in result.timings_ms.items()},
         "length": _length(thread),
         "method": thread.method,
@@ -38,6 +39,14 @@ def result_document(result: PipelineResult, judgements: tuple[Judgement, ...]) -
             for j in (*judgements, *observations.judgements)
         ],
     }
+
+
+def observed_points(result: PipelineResult) -> int:
+    """How many points of the thread its method started from: matched and clustered ones, or both centrelines'."""
+    observations = result.observations
+    if result.reconstruction.method in MATCHING_METHODS:
+        return len(observations.points_camera)
+    return len(observations.centrelines_left.point_px) + len(observations.centrelines_right.point_px)
 
 
 def result_text(result: PipelineResult, judgements: tuple[Judgement, ...]) -> str:

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from agents.cli.base_pose import BasePose, standing_apart
+from agents.reconstruction.methods import DEFAULT_METHOD, MATCHING_METHODS
 from agents.robot_bridge.limits import MAXIMUM_PLAN_AGE_S
 from shared.runtime.config import Settings
 from shared.runtime.session import LOCAL_ENDPOINT, SessionSettings
@@ -65,15 +66,16 @@ class CameraSection(Settings):
 
 
 class PerceptionSection(Settings):
-    """How thread is found; `auto` takes what suits each image."""
+    """How thread is found; `auto` takes what suits each image. `matching` unset is as the method needs it."""
 
     segmenter: Literal["auto", "threshold", "ridge"] = "auto"
+    matching: bool | None = None
 
 
 class ReconstructionSection(Settings):
     """How the curve is found."""
 
-    method: Literal["paper"] = "paper"
+    method: Literal["refined", "paper"] = DEFAULT_METHOD
 
 
 class PlannerSection(Settings):
@@ -132,6 +134,18 @@ class RigConfig(Settings):
     def _each_arm_has_a_place_of_its_own(cls, robot: dict[str, ArmSection]) -> dict[str, ArmSection]:
         standing_apart({arm: section.T_camera_base for arm, section in robot.items()})
         return robot
+
+    @model_validator(mode="after")
+    def _method_has_its_matches(self) -> "RigConfig":
+        if self.needs_matching and self.perception is not None and self.perception.matching is False:
+            method = self.reconstruction.method if self.reconstruction else ""
+            raise ValueError(f"reconstruction.method {method!r} needs perception.matching = true, or leave it out")
+        return self
+
+    @property
+    def needs_matching(self) -> bool:
+        """Whether the method of reconstruction needs matched pixels, as far as this configuration tells."""
+        return self.reconstruction is not None and self.reconstruction.method in MATCHING_METHODS
 
     @property
     def session(self) -> SessionSettings:

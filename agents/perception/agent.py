@@ -43,9 +43,14 @@ Pixel = Float64[np.ndarray, "2"]
 
 @dataclass(frozen=True)
 class PerceptionConfig:
-    """How thread is found; `segmenter` None takes what suits the left image."""
+    """How thread is found; `segmenter` None takes what suits the left image.
+
+    Fields:
+        matching: whether pixels are matched as well, which takes the longest and only method `paper` needs.
+    """
 
     segmenter: str | None = None
+    matching: bool = False
 
 
 class Perception:
@@ -108,11 +113,28 @@ class Perception:
 
     def _observe(self, stamp: FrameStamp, pair: "_Rectified") -> ThreadObservations:
         looked = look_near(pair.images, self._last, stamp.sequence) if self._last else None
-        observed = _observed(stamp, pair, looked) if looked else None
+        observed = self._observed(stamp, pair, looked) if looked else None
         if observed is not None and observed.status is Status.OK:
             return observed
         everything = look_everywhere(pair.images, stamp.sequence, self._config.segmenter, self._prompt_px)
-        return _observed(stamp, pair, everything)
+        return self._observed(stamp, pair, everything)
+
+    def _observed(self, stamp: FrameStamp, pair: "_Rectified", looked: Looked) -> ThreadObservations:
+        observed = observe(
+            stamp,
+            pair.camera,
+            *pair.images,
+            *looked.coverage,
+            looked.segmenter,
+            looked.judgements,
+            matching=self._config.matching,
+        )
+        return replace(
+            observed,
+            looked_sequence=looked.looked_sequence,
+            is_bright=looked.is_bright,
+            prompt_px=looked.prompt_px,
+        )
 
     def _rectified(self, frame: StereoFrame, calibration: StereoCalibration) -> "_Rectified | str":
         """The rectified pair, or why there is none."""
@@ -166,16 +188,6 @@ class Perception:
 class _Rectified:
     camera: RectifiedStereo
     images: Pair
-
-
-def _observed(stamp: FrameStamp, pair: _Rectified, looked: Looked) -> ThreadObservations:
-    observed = observe(stamp, pair.camera, *pair.images, *looked.coverage, looked.segmenter, looked.judgements)
-    return replace(
-        observed,
-        looked_sequence=looked.looked_sequence,
-        is_bright=looked.is_bright,
-        prompt_px=looked.prompt_px,
-    )
 
 
 def _unusable(frame: StereoFrame, camera: RectifiedStereo, reason: str, prompt_px: Pixel | None) -> ThreadObservations:

@@ -9,6 +9,6 @@ from schemas.messages import ThreadObservations, ThreadReconstruction
 Method = Callable[[ThreadObservations], ThreadReconstruction]
 
 METHODS: dict[str, Method] = {paper.METHOD: paper.reconstruct_paper, refined.METHOD: refined.reconstruct_refined}
-DEFAULT_METHOD = paper.METHOD
+DEFAULT_METHOD = refined.METHOD
 MATCHING_METHODS = frozenset({paper.METHOD})
 """Those that need matched pixels; the others start from the centrelines."""

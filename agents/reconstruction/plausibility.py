@@ -26,6 +26,11 @@ def unusable(observations: ThreadObservations) -> str:
     """Why no curve can be sought through these observations."""
     points, camera = observations.points_camera, observations.camera
     count = len(points)
+    if count == 0 and not len(observations.matched_px):
+        return (
+            "these observations hold no matched pixels, which method 'paper' needs; set matching = true in "
+            "[perception], or take method 'refined'"
+        )
     if count < LEAST_OBSERVATIONS:
         return f"{count} observations are too few: a curve needs at least {LEAST_OBSERVATIONS}"
     if count > MOST_OBSERVATIONS:

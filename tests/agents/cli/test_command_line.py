@@ -30,7 +30,7 @@ MISTAKES: dict[tuple[str, ...], tuple[str, ...]] = {
     ("reconstruct", *NAMED, *PAIR, "--left-mask", "m.png"): ("both --left-mask and --right-mask",),
     ("reconstruct", *NAMED, *PAIR, "--segmenter", "mask"): ("--segmenter mask needs --left-mask and --right-mask",),
     ("reconstruct", *NAMED, *PAIR, "--segmenter", "magic"): ("--segmenter magic is unknown", "mask, threshold, ridge"),
-    ("reconstruct", *NAMED, *PAIR, "--method", "magic"): ("--method magic is unknown", "paper"),
+    ("reconstruct", *NAMED, *PAIR, "--method", "magic"): ("--method magic is unknown", "paper, refined"),
     ("reconstruct", *NAMED, *PAIR, "--unit", "km"): ("--unit km is unknown", "m, cm, mm, um"),
     ("reconstruct", *NAMED, *PAIR, "--left-mask", "a", "--right-mask", "b", "--segmenter", "ridge"): (
         "masks are given, so --segmenter ridge would not be used",
@@ -82,7 +82,7 @@ def test_help_names_every_option_and_choice(suturegrasp):
     said = suturegrasp("reconstruct", "--help").out
     for option in ("left", "right", "stereo", "calibration", "unit", "left-mask", "right-mask", "segmenter", "method"):
         assert f"--{option}" in said
-    for option in ("--output", "--picture", "--rrd", "{m,cm,mm,um}", "{mask,threshold,ridge}", "paper"):
+    for option in ("--output", "--picture", "--rrd", "{m,cm,mm,um}", "{mask,threshold,ridge}", "{paper,refined}"):
         assert option in said
 
 

@@ -11,9 +11,10 @@ import pytest
 from pydantic import BaseModel
 
 from agents.camera.agent import Camera, SceneCamera
-from agents.cli.builders import build, configured
+from agents.cli.builders import build, configured, perception_config
 from agents.cli.in_the_way import in_the_way, taken
-from agents.cli.rig import ArmSection, RigConfig, RouterSection, simulated_rig
+from agents.cli.rig import ArmSection, ReconstructionSection, RigConfig, RouterSection, simulated_rig
+from agents.reconstruction.methods import DEFAULT_METHOD, METHODS
 from agents.robot_bridge.agent import RobotBridgeConfig
 from agents.robot_bridge.limits import MAXIMUM_PLAN_AGE_S
 from schemas.messages import ImageEncoding, StereoCalibration
@@ -47,6 +48,33 @@ def section(small):
 def test_every_section_of_the_simulated_rig_becomes_its_agent(kind_instance):
     agent = build(simulated_rig(), *kind_instance)
     assert (agent.kind, agent.instance) == kind_instance
+
+
+def test_every_method_of_reconstruction_can_be_configured():
+    named = ReconstructionSection.model_fields["method"]
+    assert (set(get_args(named.annotation)), named.default) == (set(METHODS), DEFAULT_METHOD)
+
+
+@pytest.mark.parametrize(
+    ("sections", "matches"),
+    [
+        ("[perception]", False),
+        ("[perception]\nmatching = true", True),
+        ("[perception]\n[reconstruction]", False),
+        ('[perception]\n[reconstruction]\nmethod = "refined"', False),
+        ('[perception]\n[reconstruction]\nmethod = "paper"', True),
+        ("[perception]\nmatching = true\n[reconstruction]", True),
+    ],
+)
+def test_pixels_are_matched_where_the_method_or_the_configuration_asks_for_it(sections, matches):
+    configuration = rig(sections)
+    assert configuration.perception is not None
+    assert perception_config(configuration.perception, configuration.needs_matching).matching is matches
+
+
+def test_a_method_that_needs_matches_does_not_go_without():
+    with pytest.raises(ConfigError, match="matching = true"):
+        rig('[perception]\nmatching = false\n[reconstruction]\nmethod = "paper"')
 
 
 def test_how_old_a_plan_may_be_is_the_same_with_and_without_a_configuration():

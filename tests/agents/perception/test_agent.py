@@ -85,10 +85,13 @@ def unusable(observations, reason):
     return True
 
 
+MATCHING = PerceptionConfig(matching=True)
+
+
 @pytest.mark.parametrize("grey", [False, True], ids=["colour", "grey"])
 @pytest.mark.parametrize("encoding", ImageEncoding)
 def test_a_thread_is_observed_at_its_depth_and_the_frames_stamp_is_kept(encoding, grey):
-    (found,) = fed(Perception(), calibration(), frame(encoding, grey))
+    (found,) = fed(Perception(MATCHING), calibration(), frame(encoding, grey))
     assert (found.status, found.reason, found.segmenter) == (Status.OK, "", "threshold")
     assert found.stamp == frame().stamp
     assert np.median(found.points_camera[:, 2]) == pytest.approx(300 * 0.005 / DISPARITY, rel=0.02)
@@ -129,10 +132,20 @@ def test_what_is_said_of_frames_follows_from_the_frames_alone():
 
 def test_a_followed_thread_is_where_looking_everywhere_finds_it():
     (_, followed), (alone,) = (
-        fed(Perception(), calibration(), shifted(0), shifted(1, 6)),
-        fed(Perception(), calibration(), shifted(1, 6)),
+        fed(Perception(MATCHING), calibration(), shifted(0), shifted(1, 6)),
+        fed(Perception(MATCHING), calibration(), shifted(1, 6)),
     )
+    assert len(alone.points_camera)
     np.testing.assert_array_equal(followed.points_camera, alone.points_camera)
+    np.testing.assert_array_equal(followed.centrelines_left.point_px, alone.centrelines_left.point_px)
+
+
+def test_without_matching_there_are_centrelines_alone():
+    (found,) = fed(Perception(), calibration(), frame())
+    assert found.status is Status.OK
+    assert len(found.points_camera) == len(found.matched_px) == 0
+    assert len(found.centrelines_left.point_px) > 50
+    assert len(found.centrelines_right.point_px) > 50
 
 
 def test_a_warning_is_carried_on_with_its_frame_until_the_pair_is_judged_again():

@@ -9,6 +9,7 @@ from agents.reconstruction.agent import Reconstruction
 from agents.reconstruction.methods import METHODS
 from schemas.codec import decode, encode
 from schemas.messages import (
+    Centrelines,
     FrameStamp,
     Image,
     ImageEncoding,
@@ -18,10 +19,20 @@ from schemas.messages import (
     ThreadReconstruction,
 )
 from schemas.topics import OBSERVATIONS, THREAD, key
+from shared.camera import project
 from shared.runtime.agent import Received, Tick
 
 CAMERA = RectifiedStereo(640, 480, 600.0, 600.0, 319.5, 239.5, 0.005, 1.0)
 MASK = Image(ImageEncoding.RAW, 640, 480, 1, bytes(640 * 480))
+
+
+def centreline(curve, eye):
+    """What one eye sees of a curve, a point for each pixel."""
+    px = project(CAMERA, curve)[eye]
+    along = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(px, axis=0), axis=1))))
+    at = np.arange(0.0, along[-1])
+    px = np.column_stack([np.interp(at, along, px[:, axis]) for axis in (0, 1)])
+    return Centrelines(px, np.zeros(len(px), np.int64), np.full(len(px), 3.0), np.full(len(px), 0.1))
 
 
 def observations(sequence=3, status=Status.OK, points=12):
@@ -40,6 +51,8 @@ def observations(sequence=3, status=Status.OK, points=12):
         inlier=np.zeros(0, bool),
         mask_left=MASK,
         mask_right=MASK,
+        centrelines_left=centreline(curve, 0),
+        centrelines_right=centreline(curve, 1),
     )
 
 
@@ -52,8 +65,9 @@ def fed(agent, message):
 @pytest.mark.parametrize("method", METHODS)
 def test_observations_become_a_thread_of_the_same_frame(method):
     thread = fed(Reconstruction(method), observations())
-    assert (thread.status, thread.stamp) == (Status.OK, FrameStamp(3, 5, 6, "c"))
-    assert len(thread.regions.s) == 12
+    assert (thread.status, thread.reason) == (Status.OK, "")
+    assert (thread.stamp, thread.method) == (FrameStamp(3, 5, 6, "c"), method)
+    assert len(thread.regions.s) >= 8
 
 
 def test_what_failed_before_it_fails_on_with_the_reason():

@@ -5,9 +5,9 @@ import pytest
 from scipy.spatial.distance import cdist
 
 from agents.reconstruction import minimum_variation, paper
-from agents.reconstruction.methods import DEFAULT_METHOD, METHODS
+from agents.reconstruction.methods import MATCHING_METHODS, METHODS
 from agents.reconstruction.minimum_variation import MinimumVariationSpline, UnsolvedError
-from agents.reconstruction.paper import reconstruct_paper
+from agents.reconstruction.paper import METHOD, reconstruct_paper
 from agents.reconstruction.plausibility import MOST_OBSERVATIONS, contradiction, implausible
 from schemas.messages import Status
 from shared.arc_length import even_parameters, length
@@ -96,8 +96,9 @@ def test_the_same_observations_give_the_same_reconstruction(observe, thread):
     assert np.array_equal(first.confidence, second.confidence)
 
 
-def test_the_default_method_is_this_one():
-    assert METHODS[DEFAULT_METHOD] is reconstruct_paper
+def test_it_goes_by_its_name():
+    assert METHODS["paper"] is reconstruct_paper
+    assert METHOD in MATCHING_METHODS
 
 
 def test_failed_observations_keep_their_reason(observe):
@@ -113,7 +114,11 @@ def reason_of(observations):
     return reconstruction.reason
 
 
-@pytest.mark.parametrize("count", [0, 1, 3])
+def test_without_matches_it_says_what_to_set(observe):
+    assert "set matching = true in [perception]" in reason_of(observe(np.zeros((0, 3))))
+
+
+@pytest.mark.parametrize("count", [1, 3])
 def test_too_few_observations_are_no_thread(observe, thread, count):
     assert f"{count} observations are too few" in reason_of(observe(thread.at(SHARE[:count])))
 
