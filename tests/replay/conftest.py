@@ -18,7 +18,7 @@ from agents.robot_bridge.simulated import SimulatedPsm
 from agents.simulator.agent import Simulator, SimulatorConfig
 from schemas.codec import decode
 from schemas.messages import GraspPlan, Outcome, Policy, RectifiedStereo, Status, ThreadReconstruction
-from schemas.topics import PLAN, THREAD, TOPICS
+from schemas.topics import FRAMES, PLAN, THREAD, TOPICS
 from shared.runtime.connection import connected
 from shared.runtime.session import SessionSettings
 from shared.runtime.taps import Tapped
@@ -77,6 +77,8 @@ def live(tmp_path_factory, router, in_threads, until):
                     for policy in Policy:
                         plan = asked(connection, policy, until)
                         until(lambda plan=plan: plan.plan_id in {p.plan_id for p in plans(heard)})
+            # on a fast machine all of that takes few frames
+            until(lambda: len(of(heard, FRAMES)) > 40)
         connection.close()
         report = recorder.close()
     return Session(heard, path, report)
