@@ -27,6 +27,14 @@ class Severity(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     SEVERITY_WARNING: _ClassVar[Severity]
     SEVERITY_FAULT: _ClassVar[Severity]
 
+class TrackStep(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    TRACK_STEP_UNSPECIFIED: _ClassVar[TrackStep]
+    TRACK_STEP_STARTED: _ClassVar[TrackStep]
+    TRACK_STEP_CONTINUED: _ClassVar[TrackStep]
+    TRACK_STEP_RESTARTED: _ClassVar[TrackStep]
+    TRACK_STEP_LOST: _ClassVar[TrackStep]
+
 class Outcome(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
     OUTCOME_UNSPECIFIED: _ClassVar[Outcome]
@@ -92,6 +100,11 @@ SEVERITY_UNSPECIFIED: Severity
 SEVERITY_NOTE: Severity
 SEVERITY_WARNING: Severity
 SEVERITY_FAULT: Severity
+TRACK_STEP_UNSPECIFIED: TrackStep
+TRACK_STEP_STARTED: TrackStep
+TRACK_STEP_CONTINUED: TrackStep
+TRACK_STEP_RESTARTED: TrackStep
+TRACK_STEP_LOST: TrackStep
 OUTCOME_UNSPECIFIED: Outcome
 OUTCOME_ACCEPTED: Outcome
 OUTCOME_REFUSED: Outcome
@@ -318,7 +331,7 @@ class ReliabilityRegions(_message.Message):
     def __init__(self, s: _Optional[_Union[Array, _Mapping]] = ..., centre_camera: _Optional[_Union[Array, _Mapping]] = ..., bound_px: _Optional[_Union[Array, _Mapping]] = ..., bound_depth: _Optional[_Union[Array, _Mapping]] = ..., slack: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
 
 class ThreadReconstruction(_message.Message):
-    __slots__ = ("stamp", "camera", "status", "reason", "method", "degree", "knots", "control_points_camera", "regions", "confidence_s", "confidence", "posterior_s", "posterior_covariance", "unseen", "consumed")
+    __slots__ = ("stamp", "camera", "status", "reason", "method", "degree", "knots", "control_points_camera", "regions", "confidence_s", "confidence", "posterior_s", "posterior_covariance", "unseen", "consumed", "track")
     STAMP_FIELD_NUMBER: _ClassVar[int]
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     STATUS_FIELD_NUMBER: _ClassVar[int]
@@ -334,6 +347,7 @@ class ThreadReconstruction(_message.Message):
     POSTERIOR_COVARIANCE_FIELD_NUMBER: _ClassVar[int]
     UNSEEN_FIELD_NUMBER: _ClassVar[int]
     CONSUMED_FIELD_NUMBER: _ClassVar[int]
+    TRACK_FIELD_NUMBER: _ClassVar[int]
     stamp: FrameStamp
     camera: RectifiedStereo
     status: Status
@@ -349,7 +363,40 @@ class ThreadReconstruction(_message.Message):
     posterior_covariance: Array
     unseen: Array
     consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
-    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., method: _Optional[str] = ..., degree: _Optional[int] = ..., knots: _Optional[_Union[Array, _Mapping]] = ..., control_points_camera: _Optional[_Union[Array, _Mapping]] = ..., regions: _Optional[_Union[ReliabilityRegions, _Mapping]] = ..., confidence_s: _Optional[_Union[Array, _Mapping]] = ..., confidence: _Optional[_Union[Array, _Mapping]] = ..., posterior_s: _Optional[_Union[Array, _Mapping]] = ..., posterior_covariance: _Optional[_Union[Array, _Mapping]] = ..., unseen: _Optional[_Union[Array, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
+    track: ThreadTrack
+    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., method: _Optional[str] = ..., degree: _Optional[int] = ..., knots: _Optional[_Union[Array, _Mapping]] = ..., control_points_camera: _Optional[_Union[Array, _Mapping]] = ..., regions: _Optional[_Union[ReliabilityRegions, _Mapping]] = ..., confidence_s: _Optional[_Union[Array, _Mapping]] = ..., confidence: _Optional[_Union[Array, _Mapping]] = ..., posterior_s: _Optional[_Union[Array, _Mapping]] = ..., posterior_covariance: _Optional[_Union[Array, _Mapping]] = ..., unseen: _Optional[_Union[Array, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ..., track: _Optional[_Union[ThreadTrack, _Mapping]] = ...) -> None: ...
+
+class ThreadTrack(_message.Message):
+    __slots__ = ("step", "reason", "frames", "innovation", "found_share", "stamp", "knots", "control_points_camera", "covariance", "smoothing", "span_weight", "row_offset_px", "length", "material_s")
+    STEP_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    FRAMES_FIELD_NUMBER: _ClassVar[int]
+    INNOVATION_FIELD_NUMBER: _ClassVar[int]
+    FOUND_SHARE_FIELD_NUMBER: _ClassVar[int]
+    STAMP_FIELD_NUMBER: _ClassVar[int]
+    KNOTS_FIELD_NUMBER: _ClassVar[int]
+    CONTROL_POINTS_CAMERA_FIELD_NUMBER: _ClassVar[int]
+    COVARIANCE_FIELD_NUMBER: _ClassVar[int]
+    SMOOTHING_FIELD_NUMBER: _ClassVar[int]
+    SPAN_WEIGHT_FIELD_NUMBER: _ClassVar[int]
+    ROW_OFFSET_PX_FIELD_NUMBER: _ClassVar[int]
+    LENGTH_FIELD_NUMBER: _ClassVar[int]
+    MATERIAL_S_FIELD_NUMBER: _ClassVar[int]
+    step: TrackStep
+    reason: str
+    frames: int
+    innovation: float
+    found_share: float
+    stamp: FrameStamp
+    knots: Array
+    control_points_camera: Array
+    covariance: Array
+    smoothing: float
+    span_weight: Array
+    row_offset_px: float
+    length: float
+    material_s: Array
+    def __init__(self, step: _Optional[_Union[TrackStep, str]] = ..., reason: _Optional[str] = ..., frames: _Optional[int] = ..., innovation: _Optional[float] = ..., found_share: _Optional[float] = ..., stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., knots: _Optional[_Union[Array, _Mapping]] = ..., control_points_camera: _Optional[_Union[Array, _Mapping]] = ..., covariance: _Optional[_Union[Array, _Mapping]] = ..., smoothing: _Optional[float] = ..., span_weight: _Optional[_Union[Array, _Mapping]] = ..., row_offset_px: _Optional[float] = ..., length: _Optional[float] = ..., material_s: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
 
 class Consumed(_message.Message):
     __slots__ = ("key", "epoch", "sequence")

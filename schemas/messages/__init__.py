@@ -61,6 +61,8 @@ from schemas.messages.thread import (
     Status,
     ThreadObservations,
     ThreadReconstruction,
+    ThreadTrack,
+    TrackStep,
     no_centrelines,
 )
 
@@ -106,7 +108,9 @@ __all__ = [
     "StereoFrame",
     "ThreadObservations",
     "ThreadReconstruction",
+    "ThreadTrack",
     "TissueSurface",
+    "TrackStep",
     "Verdict",
     "Waypoint",
     "no_centrelines",

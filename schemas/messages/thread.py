@@ -10,6 +10,8 @@ from schemas.checks import check_message, require
 from schemas.messages.imaging import FrameStamp, Image, RectifiedStereo
 from schemas.messages.running import Consumed
 
+_CUBIC = 3
+
 
 class Status(enum.Enum):
     """Whether a stage has a result. A failure always has a reason beside it."""
@@ -139,6 +141,61 @@ def _no_numbers(*shape: int) -> Float64[np.ndarray, "..."]:
     return np.zeros(shape)
 
 
+class TrackStep(enum.Enum):
+    """What became of the track in a frame: begun, gone on from the last curve, begun anew, or lost for now."""
+
+    STARTED = 1
+    CONTINUED = 2
+    RESTARTED = 3
+    LOST = 4
+
+
+@dataclass(frozen=True)
+class ThreadTrack:
+    """How a curve stands to those of the frames before, and all that the next frame goes on from.
+
+    Fields:
+        reason: why the track was begun anew or lost.
+        frames: since it was begun; a lost track counts on.
+        innovation: how far the curve is from where it was predicted: the square, in predicted variances, per number
+            of a control point; about 1 or less where the prediction holds.
+        found_share: of the points of both centrelines, those that lie where the prediction looks for them.
+        stamp: of the last frame that had a curve.
+        knots, control_points_camera: of that curve, clamped and cubic, in the direction that the track keeps.
+        covariance: [i, j] of control points i and i + j; zeros past the last one.
+        smoothing, span_weight, row_offset_px: of its fit.
+        length: of the curve when the track was begun, in the unit of the calibration.
+        material_s: which places of the thread the ends of the curve are, on the scale of the first curve, of which
+            they are 0 and 1.
+    """
+
+    step: TrackStep
+    reason: str
+    frames: int
+    innovation: float
+    found_share: float
+    stamp: FrameStamp
+    knots: Float64[np.ndarray, "k"]
+    control_points_camera: Float64[np.ndarray, "m 3"]
+    covariance: Float64[np.ndarray, "m 4 3 3"]
+    smoothing: float
+    span_weight: Float64[np.ndarray, "spans"]
+    row_offset_px: float
+    length: float
+    material_s: Float64[np.ndarray, "2"]
+
+    def __post_init__(self) -> None:
+        check_message(self)
+        _check_clamped_spline(_CUBIC, self.knots, len(self.control_points_camera))
+        spans = len(self.control_points_camera) - _CUBIC
+        require(len(self.span_weight) == spans, f"span_weight must hold {spans} numbers, one for each knot span")
+        begun_well = self.step in (TrackStep.STARTED, TrackStep.CONTINUED)
+        require(begun_well == (self.reason == ""), "a track that is lost or begun anew needs a reason, and no other")
+        require(self.smoothing > 0 and bool((self.span_weight > 0).all()), "smoothing must be positive")
+        require(self.length > 0, "the length of a thread must be positive")
+        require(self.material_s[0] < self.material_s[1], "material_s must increase")
+
+
 @dataclass(frozen=True)
 class ThreadReconstruction:
     """The thread as a clamped B-spline in the camera frame, with how far it can be trusted.
@@ -149,6 +206,7 @@ class ThreadReconstruction:
         posterior_s, posterior_covariance: spline parameter (0 to 1) and covariance of the point there; empty where
             the method predicts none.
         unseen: stretches of arc length that no image shows.
+        track: where the thread is followed from frame to frame.
     A failed reconstruction has a reason and no control points.
     """
 
@@ -167,6 +225,7 @@ class ThreadReconstruction:
     posterior_covariance: Float64[np.ndarray, "q 3 3"] = field(default_factory=lambda: _no_numbers(0, 3, 3))
     unseen: Float64[np.ndarray, "g 2"] = field(default_factory=lambda: _no_numbers(0, 2))
     consumed: tuple[Consumed, ...] = ()
+    track: ThreadTrack | None = None
 
     def __post_init__(self) -> None:
         check_message(self)

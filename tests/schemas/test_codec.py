@@ -52,7 +52,9 @@ from schemas.messages import (
     StereoFrame,
     ThreadObservations,
     ThreadReconstruction,
+    ThreadTrack,
     TissueSurface,
+    TrackStep,
     Verdict,
     Waypoint,
 )
@@ -176,6 +178,29 @@ def regions(draw):
 
 
 @st.composite
+def tracks(draw):
+    step, m = draw(st.sampled_from(TrackStep)), draw(st.integers(4, 7))
+    well = step in (TrackStep.STARTED, TrackStep.CONTINUED)
+    first, size = draw(numbers), draw(positive)
+    return ThreadTrack(
+        step=step,
+        reason="" if well else draw(texts.filter(bool)),
+        frames=draw(st.integers(0, 2**32 - 1)),
+        innovation=draw(positive),
+        found_share=draw(st.floats(0, 1)),
+        stamp=draw(stamps),
+        knots=draw(clamped_knots(m, 3)),
+        control_points_camera=draw(array(m, 3)),
+        covariance=draw(array(m, 4, 3, 3)),
+        smoothing=draw(positive),
+        span_weight=draw(array(m - 3, elements=positive)),
+        row_offset_px=draw(numbers),
+        length=draw(positive),
+        material_s=np.array((first, np.nextafter(first, np.inf) + size)),
+    )
+
+
+@st.composite
 def reconstructions(draw):
     status, reason = draw(outcomes)
     degree = draw(st.integers(1, 5))
@@ -197,6 +222,7 @@ def reconstructions(draw):
         posterior_covariance=draw(array(q, 3, 3)),
         unseen=draw(array(g, 2, elements=st.floats(0, 1))),
         consumed=draw(consumed),
+        track=draw(st.none() | tracks()),
     )
 
 
@@ -339,6 +365,7 @@ MESSAGES = {
     TissueSurface: surfaces(),
     ReliabilityRegions: regions(),
     ThreadReconstruction: reconstructions(),
+    ThreadTrack: tracks(),
     ClockReading: st.builds(ClockReading, texts.filter(bool), nanoseconds),
     Consumed: st.builds(Consumed, texts.filter(bool), uint64, uint64),
     CommandHeader: headers,
