@@ -57,7 +57,8 @@ def declared_kind(annotation):
     else:
         kind = inner.__name__
     # protobuf knows of every sub-message whether it is there, so that is not said again
-    return kind if inner is annotation or kind == "Array" else f"optional {kind}"
+    unsaid = kind == "Array" or dataclasses.is_dataclass(inner)
+    return kind if inner is annotation or unsaid else f"optional {kind}"
 
 
 def generated_now(folder):
