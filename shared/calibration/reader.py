@@ -9,6 +9,7 @@ from schemas.checks import MessageError
 from schemas.messages import Judgement, StereoCalibration
 from shared.calibration.formats import stated_calibration
 from shared.calibration.judge import judgements, repaired_rotation
+from shared.calibration.pixel_convention import counted_from_centres
 from shared.calibration.stated import CalibrationError, ImageSize, StatedCalibration
 from shared.rigid_transforms import transform
 from shared.units import metres_per_unit
@@ -44,7 +45,9 @@ def read_calibration(
     try:
         stated = stated_calibration(paths)
         _check_size(stated.size, image_size)
-        return _judged(stated, _metres_per_unit(stated, unit), image_size)
+        # JSON is this project's own form, which counts pixels from their centres
+        foreign = any(path.suffix.lower() != ".json" for path in paths)
+        return _judged(stated, _metres_per_unit(stated, unit), image_size, foreign)
     except (CalibrationError, MessageError) as error:
         raise CalibrationError(_one_line(f"{' and '.join(map(str, paths))}: {error}")) from None
 
@@ -54,7 +57,9 @@ def _one_line(sentence: str) -> str:
     return "".join(char if char.isprintable() else "?" for char in sentence)[:_LONGEST_SENTENCE]
 
 
-def _judged(stated: StatedCalibration, metres: float | None, image_size: tuple[int, int]) -> ReadCalibration:
+def _judged(
+    stated: StatedCalibration, metres: float | None, image_size: tuple[int, int], foreign: bool
+) -> ReadCalibration:
     for side, K in (("left", stated.K_left), ("right", stated.K_right)):
         _check_camera_matrix(side, K)
     R, rotation_judgements = repaired_rotation(stated.R_right_left)
@@ -69,7 +74,8 @@ def _judged(stated: StatedCalibration, metres: float | None, image_size: tuple[i
         T_right_left=transform(R, stated.t_right_left),
         metres_per_unit=metres,
     )
-    found = (*rotation_judgements, *judgements(calibration))
+    calibration, convention = counted_from_centres(calibration) if foreign else (calibration, ())
+    found = (*rotation_judgements, *convention, *judgements(calibration))
     return ReadCalibration(calibration, tuple(sorted(found, key=lambda judgement: -judgement.severity.value)))
 
 

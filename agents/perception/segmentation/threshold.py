@@ -6,7 +6,7 @@ the local background, because the thinnest thread is only a little darker than i
 
 import cv2
 import numpy as np
-from jaxtyping import Int64, UInt8
+from jaxtyping import Bool, Int64, UInt8
 
 from agents.perception.segmentation.near import Meant, Near, piece_meant
 
@@ -20,6 +20,8 @@ SEED_SHARE, GROW_SHARE = 0.45, 0.25
 """Of the thread's own contrast: what makes a pixel thread, and what extends it to its neighbours."""
 FAINT_SHARE = 0.7
 """Of the least contrast: what still connects two clear stretches."""
+BRIDGE_PX = 4
+"""How far from a clear stretch faint pixels may close a gap."""
 LEAST_AREA_SHARE = 4e-5
 """Of the image: what is smaller is a speck."""
 
@@ -48,11 +50,34 @@ def segment_threshold(
     clear = connected & (contrast > GROW_SHARE * full)
     # a thread thinner than a pixel fades between two rows or columns; what is faint there closes the gap
     closed = cv2.morphologyEx(clear.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)) > 0
-    kept = clear | (closed & connected)
+    kept = with_bridges(clear | (closed & connected), connected)
     if meant is not None and meant.alone:
         kept = piece_meant(kept, meant.weight)
     coverage = np.clip(np.arange(256, dtype=np.float32) * (255.0 / full), 128.0, 255.0).astype(np.uint8)
     return np.where(kept, coverage[contrast], np.uint8(0))
+
+
+def with_bridges(pieces: Bool[np.ndarray, "h w"], faint: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """The pieces, and whatever is faint and leads over some pixels from one of them to another."""
+    count, labels = cv2.connectedComponents(pieces.astype(np.uint8), connectivity=8)
+    if count <= 2:
+        return pieces
+    reach = np.ones((2 * BRIDGE_PX + 1, 2 * BRIDGE_PX + 1), np.uint8)
+    gaps = faint & ~pieces & (cv2.dilate(pieces.astype(np.uint8), reach) > 0)
+    bridges, of_bridge = cv2.connectedComponents(gaps.astype(np.uint8), connectivity=8)
+    # each faint pixel's neighbours among the pieces: the largest number, and the smallest
+    beside = np.ones((3, 3), np.uint8)
+    largest = cv2.dilate(labels.astype(np.float32), beside)[gaps].astype(np.int64)
+    smallest = count - cv2.dilate(np.where(pieces, count - labels, 0).astype(np.float32), beside)[gaps].astype(np.int64)
+    most, least = np.zeros(bridges, np.int64), np.full(bridges, count)
+    touching = largest > 0
+    numbers: Int64[np.ndarray, "h w"] = np.asarray(of_bridge, np.int64)
+    bridge = numbers[gaps]
+    np.maximum.at(most, bridge[touching], largest[touching])
+    np.minimum.at(least, bridge[touching], smallest[touching])
+    leads = most > least
+    leads[0] = False
+    return pieces | leads[numbers]
 
 
 def _quantile(counts: Int64[np.ndarray, "256"], above: float, share: float) -> float:

@@ -29,7 +29,7 @@ from agents.reconstruction.refined.sightings import Sightings, placed
 from agents.reconstruction.refined.smoothing import COARSE, FINE, chosen_smoothing, local_weights
 from schemas.messages import RectifiedStereo
 
-STEPS = 5
+STEPS = 7
 ROBUST = 2.5
 """Residuals beyond so many deviations count less and less."""
 LEAST_SCALE, MOST_SCALE = 0.1, 4.0

@@ -95,12 +95,12 @@ def test_a_rotation_may_be_a_rotation_vector(tmp_path: Path, endoscope: StereoCa
 def test_cameras_may_be_nested_under_left_and_right(tmp_path: Path) -> None:
     path = tmp_path / "stereo.yaml"
     path.write_text(
-        "left:\n  K: [[500, 0, 320], [0, 500, 240], [0, 0, 1]]\n  D: []\n"
-        "right:\n  K: [500, 0, 320, 0, 500, 240, 0, 0, 1]\n  D: [0, 0, 0, 0]\n"
+        "left:\n  K: [[500, 0, 321], [0, 500, 240], [0, 0, 1]]\n  D: []\n"
+        "right:\n  K: [500, 0, 321, 0, 500, 240, 0, 0, 1]\n  D: [0, 0, 0, 0]\n"
         "R: [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\nT: [-4, 0, 0]\nunit: mm\n"
     )
     calibration = read_calibration(path, unit=None, image_size=(640, 480)).calibration
-    assert calibration.K_left[0, 2] == calibration.K_right[0, 2] == 320
+    assert calibration.K_left[0, 2] == calibration.K_right[0, 2] == 321
     assert calibration.metres_per_unit == 1e-3
 
 
