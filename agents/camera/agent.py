@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from agents.camera.sources import Pair, Source
+from agents.camera.sources import BrokenOffError, Pair, Source
 from schemas.messages import (
     CommandAnswer,
     FrameStamp,
@@ -16,7 +16,7 @@ from schemas.messages import (
 from schemas.topics import CALIBRATION, FRAMES, MAIN, SIMULATOR_STATE, Topic
 from shared.calibration.identity import calibration_id
 from shared.images import encode_image
-from shared.runtime.agent import Command, Input, Output, Received, Tick
+from shared.runtime.agent import CannotGoOnError, Command, Input, Output, Received, Tick
 
 Renderer = Callable[[SimulatorState, int], Pair]
 """A simulated field and a frame number to what the cameras see."""
@@ -55,7 +55,8 @@ class Camera:
         """The calibration at the first tick, then one frame a tick; a source that fails is a fault.
 
         Raises:
-            SourceError: where the source gives something that is no pair, or has broken off.
+            SourceError: where the source gives something that is no pair.
+            CannotGoOnError: where it will never give one again.
         """
         if not isinstance(arrived, Tick):
             return
@@ -63,9 +64,16 @@ class Camera:
             self._announced = True
             self._sender.calibrated(self._calibration)
             yield Output(CALIBRATION, self._calibration)
-        pair = self._source.read()
+        try:
+            pair = self._source.read()
+        except BrokenOffError as error:
+            raise CannotGoOnError(str(error)) from None
         if pair is not None:
-            yield Output(FRAMES, self._sender.frame(pair, arrived.now_ns))
+            yield Output(FRAMES, self._sender.frame(pair, arrived.now_ns, self._source.taken_ns))
+
+    def close(self) -> None:
+        """Let go of files and devices."""
+        self._source.close()
 
 
 class SceneCamera:
@@ -113,10 +121,11 @@ class FrameSender:
         """The frames from now on are taken with this calibration."""
         self._calibration_id = calibration_id(calibration)
 
-    def frame(self, pair: Pair, now_ns: int) -> StereoFrame:
-        """The next frame, seen `latency_ms` before now."""
-        seen_ns = now_ns - round(self._config.latency_ms * 1e6)
-        stamp = FrameStamp(self.sent, seen_ns, seen_ns, self._calibration_id)
+    def frame(self, pair: Pair, now_ns: int, taken_ns: tuple[int, int] = (0, 0)) -> StereoFrame:
+        """The next frame, each image taken so long after now, and seen `latency_ms` before it was taken."""
+        latency_ns = round(self._config.latency_ms * 1e6)
+        left_ns, right_ns = (now_ns + ns - latency_ns for ns in taken_ns)
+        stamp = FrameStamp(self.sent, left_ns, right_ns, self._calibration_id)
         self.sent += 1
         left, right = (encode_image(image, self._config.encoding, self._config.jpeg_quality) for image in pair)
         return StereoFrame(stamp, left, right)

@@ -1,7 +1,7 @@
-"""Where frames come from: folders of images, video files and devices, raw frames on a pipe.
+"""Where frames come from: folders of images, raw frames on a pipe; video files and devices are in `video`.
 
-A source gives one pair after another and knows neither topics nor clocks: the agent stamps each pair with the tick at
-which it was read, less the configured latency of the capture chain.
+A source gives one pair after another and knows no topics. The agent stamps each pair with the tick at which it asked
+for it, shifted by what the source knows of when it was taken, less the configured latency of the capture chain.
 """
 
 import os
@@ -10,7 +10,6 @@ import threading
 from pathlib import Path
 from typing import BinaryIO, Protocol
 
-import cv2
 import numpy as np
 from jaxtyping import UInt8
 
@@ -26,8 +25,17 @@ class SourceError(ValueError):
     """A source that gives no frames; the text names the remedy."""
 
 
+class BrokenOffError(SourceError):
+    """A source that will give no more frames, however often it is asked, unless it is opened again."""
+
+
 class Source(Protocol):
     """Gives pairs of images."""
+
+    @property
+    def taken_ns(self) -> tuple[int, int]:
+        """When the left and the right image of the last pair were taken, from the moment it was asked for."""
+        ...
 
     def read(self) -> Pair | None:
         """The next pair; None at the end, or where no new one is there yet."""
@@ -44,6 +52,8 @@ class ImageSource:
     Raises:
         SourceError: where there are no images, or not equally many on both sides.
     """
+
+    taken_ns = 0, 0
 
     def __init__(self, left: Path, right: Path | None, loop: bool) -> None:
         self._left, self._loop = _images(left), loop
@@ -82,47 +92,6 @@ def _images(folder: Path) -> list[Path]:
     return found
 
 
-class VideoSource:
-    """Pairs from one side-by-side video, or from two videos or devices whose frames are taken together.
-
-    A device number such as "0" opens a camera through OpenCV. Two devices have no common clock: both are grabbed
-    before either is decoded, so that a pair is as close in time as the devices allow.
-
-    Raises:
-        SourceError: where one cannot be opened.
-    """
-
-    def __init__(self, left: str, right: str | None) -> None:
-        self._captures = [_opened(name) for name in (left, right) if name is not None]
-
-    def read(self) -> Pair | None:
-        """The next pair; None at the end of a file."""
-        if not all(capture.grab() for capture in self._captures):
-            return None
-        frames = [capture.retrieve() for capture in self._captures]
-        if not all(found for found, _ in frames):
-            return None
-        images = [np.asarray(frame, dtype=np.uint8) for _, frame in frames]
-        if len(images) == 1:
-            return _halves(images[0])
-        if images[0].shape != images[1].shape:
-            sizes = " and ".join(f"{image.shape[1]}x{image.shape[0]}" for image in images)
-            raise SourceError(f"the two videos differ in size: {sizes}; record both eyes alike")
-        return images[0], images[1]
-
-    def close(self) -> None:
-        """Release the files or devices."""
-        for capture in self._captures:
-            capture.release()
-
-
-def _opened(name: str) -> cv2.VideoCapture:
-    capture = cv2.VideoCapture(int(name) if name.isdigit() else name)
-    if not capture.isOpened():
-        raise SourceError(f"OpenCV cannot open {name!r}; for capture cards that it does not know, use source 'pipe'")
-    return capture
-
-
 class PipeSource:
     """Raw side-by-side frames (bgr24) from a pipe, as ffmpeg or gst-launch write them.
 
@@ -135,6 +104,8 @@ class PipeSource:
     Raises:
         SourceError: where such a frame has no two halves.
     """
+
+    taken_ns = 0, 0
 
     def __init__(self, stream: BinaryIO, width: int, height: int) -> None:
         _require_halves(width)
@@ -149,14 +120,14 @@ class PipeSource:
         """The newest whole frame, each only once.
 
         Raises:
-            SourceError: where whoever wrote into the pipe has ended.
+            BrokenOffError: where whoever wrote into the pipe has ended.
         """
         with self._lock:
             data, self._newest = self._newest, None
             ended = self._ended
         if data is None and ended:
-            raise SourceError(ended)
-        return None if data is None else _halves(np.frombuffer(data, np.uint8).reshape(self._shape))
+            raise BrokenOffError(ended)
+        return None if data is None else halves(np.frombuffer(data, np.uint8).reshape(self._shape))
 
     def close(self) -> None:
         """Close the pipe."""
@@ -193,7 +164,12 @@ def _require_halves(width: int) -> None:
         raise SourceError(f"a side-by-side frame of {width} pixels has no two equal halves")
 
 
-def _halves(image: np.ndarray) -> Pair:
+def halves(image: np.ndarray) -> Pair:
+    """The left and the right half of a side-by-side frame.
+
+    Raises:
+        SourceError: where its width is odd.
+    """
     width = image.shape[1]
     _require_halves(width)
     return np.ascontiguousarray(image[:, : width // 2]), np.ascontiguousarray(image[:, width // 2 :])

@@ -7,7 +7,8 @@ import numpy as np
 
 from agents.camera.agent import Camera, CameraConfig, SceneCamera
 from agents.camera.scene_source import SceneSource, calibration_of
-from agents.camera.sources import ImageSource, Pair, PipeSource, Source, SourceError, VideoSource
+from agents.camera.sources import ImageSource, Pair, PipeSource, Source, SourceError
+from agents.camera.video import VideoSource
 from agents.cli.rig import ArmSection, CameraSection, PerceptionSection, PlannerSection, RigConfig, SimulatorSection
 from agents.perception.agent import Perception, PerceptionConfig
 from agents.planner.agent import Planner
@@ -98,7 +99,9 @@ def _source(section: CameraSection) -> tuple[Source, tuple[int, int]]:
         stream = sys.stdin.buffer if left == "-" else Path(left).open("rb")  # noqa: SIM115
         return PipeSource(stream, width, height), (width // 2, height)
     if section.source == "video":
-        return VideoSource(left, right), _size_of_first(VideoSource(left, right))
+        # a device can be opened once only
+        video = VideoSource(left, right)
+        return video, video.size()
     folders = Path(left), Path(right) if right is not None else None
     return ImageSource(*folders, loop=section.loop), _size_of_first(ImageSource(*folders, loop=False))
 

@@ -20,7 +20,7 @@ from shared.runtime.runner import Runner
 from shared.runtime.session import RouterError, open_router, runs_already
 from shared.scene.render import SceneError
 
-EXIT_OK, EXIT_UNUSABLE = 0, UNUSABLE
+EXIT_OK, EXIT_GAVE_UP, EXIT_UNUSABLE = 0, 1, UNUSABLE
 YIELDING = ("camera",)
 NICENESS = 5
 """What makes or shows images, most of which are left out for newer ones, steps back behind what moves an arm."""
@@ -48,7 +48,7 @@ def run_agent(rig: RigConfig, kind: str, instance: str) -> int:
         runner = Runner(agent, session, rig.rig, config_hash(rig))
         threading.Thread(target=_stop_after, args=(stopped, runner.stop), name="stop", daemon=True).start()
         runner.run()
-    return EXIT_OK
+    return complain(runner.gave_up, EXIT_GAVE_UP) if runner.gave_up else EXIT_OK
 
 
 def _stop_after(stopped: threading.Event, stop: Callable[[], None]) -> None:

@@ -62,6 +62,10 @@ class Output:
     message: Any
 
 
+class CannotGoOnError(Exception):
+    """Raised by a step after which the agent can do nothing more; the text is the reason with which it ends."""
+
+
 class Agent(Protocol):
     """One stage of the dataflow. Where it has a method `close`, that is called once at the end, whatever ended it.
 

@@ -21,7 +21,7 @@ from schemas.messages import AgentHealth, CommandAnswer, CommandRecord, LogRecor
 from schemas.topics import COMMANDS, HEALTH, LOG, MAIN, Delivery, Topic, key
 from shared.clock import Stopwatch, monotonic_s, now_ns
 from shared.runtime.accounts import InputAccount, OutputAccount, RingLosses, StepTimes
-from shared.runtime.agent import Agent, Command, Input, Output, Received, Tick
+from shared.runtime.agent import Agent, CannotGoOnError, Command, Input, Output, Received, Tick
 from shared.runtime.attachment import Attachment, pack, unpack
 from shared.runtime.clocks import answer_clock
 from shared.runtime.commands import STATUS, Answered, refused, untimely
@@ -37,7 +37,11 @@ LIKE_PER_LINE = 100
 
 
 class Runner:
-    """One agent on one session, from `run` until `stop`."""
+    """One agent on one session, from `run` until `stop`, or until the agent cannot go on.
+
+    Fields:
+        gave_up: why the agent could not go on; empty where it was stopped.
+    """
 
     def __init__(self, agent: Agent, session: zenoh.Session, rig: str, config_hash: str = "") -> None:
         self._agent, self._session, self._rig, self._config_hash = agent, session, rig, config_hash
@@ -55,6 +59,7 @@ class Runner:
         self._publishing = threading.Lock()
         self._steps = StepTimes()
         self._started_s, self._heartbeat, self._fault, self._faults = monotonic_s(), 0, "", 0
+        self.gave_up = ""
         self._log = logging.getLogger(f"suturegrasp.{agent.kind}.{agent.instance}")
         for topic in (*agent.outputs, HEALTH, LOG, COMMANDS):
             self._declare(topic)
@@ -230,8 +235,16 @@ class Runner:
         self._publish_all(outputs, watch.ms["step"])
 
     def _note_fault(self, error: Exception) -> None:
-        """A step that raises is a bug; the agent goes on with the next message, and says so until it is restarted."""
+        """A step that raises is a bug; the agent goes on with the next message, and says so until it is restarted.
+
+        Unless it says itself that it cannot: then `run` ends, and the last health says why.
+        """
         said = str(error).encode("utf-8", "backslashreplace").decode()
+        if isinstance(error, CannotGoOnError):
+            self.gave_up = self._fault = said
+            self._log.error(said)
+            self._stopped.set()
+            return
         fault = f"a step failed: {type(error).__name__}: {said}"
         self._faults = self._faults + 1 if fault == self._fault else 0
         self._fault = fault
@@ -295,6 +308,8 @@ class Runner:
 
     def _end(self) -> None:
         """Let the agent come to rest before it falls silent."""
+        if self.gave_up:
+            self._publish(HEALTH, self._health(monotonic_s()), 0.0)
         close = getattr(self._agent, "close", None)
         if close is not None:
             try:

@@ -7,12 +7,12 @@ import pytest
 
 from agents.camera.agent import Camera, CameraConfig, SceneCamera
 from agents.camera.scene_source import calibration_of
-from agents.camera.sources import SourceError
+from agents.camera.sources import BrokenOffError, SourceError
 from schemas.messages import ImageEncoding, RectifiedStereo, SimulatorState, StereoCalibration
 from schemas.topics import CALIBRATION, FRAMES, SIMULATOR_STATE
 from shared.calibration.identity import calibration_id
 from shared.images import decode_image
-from shared.runtime.agent import Received, Tick
+from shared.runtime.agent import CannotGoOnError, Received, Tick
 
 CAMERA = RectifiedStereo(64, 48, 80.0, 80.0, 31.5, 23.5, 5.5e-3, 1.0)
 CALIBRATION_64 = calibration_of(CAMERA)
@@ -22,8 +22,10 @@ NOISE = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
 class Given:
     """A source that gives what it is told to: a number, nothing, or an error."""
 
+    taken_ns: tuple[int, int] = 0, 0
+
     def __init__(self, *given):
-        self.given = list(given)
+        self.given, self.closed = list(given), False
 
     def read(self):
         one = self.given.pop(0) if self.given else None
@@ -32,7 +34,7 @@ class Given:
         return None if one is None else (NOISE + np.uint8(one), NOISE + np.uint8(one + 1))
 
     def close(self):
-        pass
+        self.closed = True
 
 
 def steps(camera, *times_ns):
@@ -78,6 +80,23 @@ def test_a_source_that_fails_loses_that_frame_alone():
         steps(camera, 2)
     ((_, frame),) = steps(camera, 3)[0]
     assert frame.stamp.sequence == 1
+
+
+def test_each_image_is_stamped_with_when_the_source_says_that_it_was_taken():
+    source = Given(1)
+    source.taken_ns = 5_000_000, -7_000_000
+    ((_, _), (_, frame)), *_ = steps(Camera(source, CALIBRATION_64, CameraConfig(latency_ms=40.0)), 10**9)
+    assert (frame.stamp.capture_left_ns, frame.stamp.capture_right_ns) == (965_000_000, 953_000_000)
+
+
+def test_a_source_that_has_broken_off_is_the_end_of_the_camera():
+    source = Given(1, BrokenOffError("cable pulled"))
+    camera = Camera(source, CALIBRATION_64, CameraConfig())
+    steps(camera, 1)
+    with pytest.raises(CannotGoOnError, match=r"^cable pulled$"):
+        steps(camera, 2)
+    camera.close()
+    assert source.closed
 
 
 def nudged(value):

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from agents.camera.sources import ImageSource, PipeSource, SourceError, VideoSource
+from agents.camera.sources import BrokenOffError, ImageSource, PipeSource, SourceError
 
 HEIGHT, WIDTH = 48, 64
 
@@ -22,16 +22,6 @@ def folder(path, values, width=WIDTH):
     for number, value in enumerate(values):
         assert cv2.imwrite(str(path / f"{number:03d}.png"), picture(value, width))
     return path
-
-
-def video(path, frames):
-    size = frames[0].shape[1::-1]
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 10.0, size)
-    assert writer.isOpened()
-    for frame in frames:
-        writer.write(frame)
-    writer.release()
-    return str(path)
 
 
 def levels(pair):
@@ -95,34 +85,6 @@ def test_a_damaged_image_is_one_sentence_and_the_next_pair_follows(tmp_path):
     assert [levels(pair) for pair in all_of(source)] == [[2, 4]]
 
 
-def test_a_side_by_side_video_is_cut_in_its_middle_until_its_end(tmp_path):
-    path = video(tmp_path / "both.avi", [np.hstack([picture(v), picture(v + 60)]) for v in (20, 80, 140)])
-    pairs = [levels(pair) for pair in all_of(VideoSource(path, None))]
-    assert np.array(pairs) == pytest.approx(np.array([[20, 80], [80, 140], [140, 200]]), abs=3)
-
-
-def test_two_videos_are_read_together_until_the_shorter_ends(tmp_path):
-    left = video(tmp_path / "l.avi", [picture(v) for v in (20, 80, 140)])
-    right = video(tmp_path / "r.avi", [picture(v) for v in (30, 90)])
-    pairs = [levels(pair) for pair in all_of(VideoSource(left, right))]
-    assert np.array(pairs) == pytest.approx(np.array([[20, 30], [80, 90]]), abs=3)
-
-
-def test_two_videos_of_different_size_are_refused(tmp_path):
-    left = video(tmp_path / "l.avi", [picture(20)])
-    right = video(tmp_path / "r.avi", [picture(20, 2 * WIDTH)])
-    source = VideoSource(left, right)
-    with pytest.raises(SourceError, match="differ in size: 64x48 and 128x48"):
-        source.read()
-    source.close()
-
-
-@pytest.mark.parametrize("name", ["/nowhere/film.avi", "97"])
-def test_an_absent_file_or_device_is_named(name):
-    with pytest.raises(SourceError, match=f"OpenCV cannot open '{name}'"):
-        VideoSource(name, None)
-
-
 @pytest.fixture
 def pipe():
     """A pipe: what its writer puts in, and the source at its other end."""
@@ -176,9 +138,9 @@ def test_the_end_of_a_pipe_is_a_fault_once_the_last_frame_was_read(left_over, sa
             writer.write(raw(7) + bytes(left_over))
 
         assert levels(until(source.read)) == [7, 8]
-        with pytest.raises(SourceError, match=said):
+        with pytest.raises(BrokenOffError, match=said):
             until(lambda: source.read() is not None)
-        with pytest.raises(SourceError, match=said):
+        with pytest.raises(BrokenOffError, match=said):
             source.read()
         source.close()
 

@@ -126,6 +126,19 @@ def test_a_pipe_of_side_by_side_frames_is_frames(section, tmp_path, until):
     assert [(f.left.width, f.right.height) for f in frames] == [(320, 180)]
 
 
+def test_a_camera_whose_pipe_has_ended_says_so_and_ends(section, suturegrasp, settings, tmp_path):
+    stream, config = tmp_path / "stream", tmp_path / "rig.toml"
+    stream.write_bytes(bytes(180 * 640 * 3))
+    source = f'source = "pipe"\nleft = "{stream}"\nwidth = 640\nheight = 180\n'
+    config.write_text(f'rig = "test"\n[router]\nendpoint = "{settings.endpoint}"\n{section}{source}')
+    ended = suturegrasp("camera", "--config", config)
+    assert ended.status == 1
+    assert (
+        ended.err.splitlines()[-1]
+        == "suturegrasp: the pipe has ended; start what writes into it again, then the camera"
+    )
+
+
 def test_a_video_is_frames(section, tmp_path):
     path = tmp_path / "pair.avi"
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 10.0, (640, 180))

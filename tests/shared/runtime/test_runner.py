@@ -27,7 +27,7 @@ from schemas.messages import (
 )
 from schemas.topics import COMMANDS, FRAMES, GOAL, HEALTH, HOLD, LOG, PLAN, key
 from shared.clock import now_ns
-from shared.runtime.agent import Command, Input, Output, Received, Tick
+from shared.runtime.agent import CannotGoOnError, Command, Input, Output, Received, Tick
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.commands import FARTHEST_DEADLINE_S, accepted, new_header, refused, send_command, untimely
 from shared.runtime.taps import tap
@@ -208,6 +208,32 @@ def test_a_step_that_raises_is_a_fault_that_health_names_and_the_agent_goes_on(r
     assert (answer.outcome, answer.code) == (Outcome.REFUSED, "fault")
     until(lambda: any("ZeroDivisionError" in decode(AgentHealth, t.payload).fault for t in health))
     until(lambda: send_command(session, "test", GOAL, goal()).outcome is Outcome.ACCEPTED)
+
+
+class Ending(Camera):
+    """Breaks off after a few frames."""
+
+    def __init__(self):
+        super().__init__()
+        self.closed = False
+
+    def step(self, arrived):
+        if self.sent == 3:
+            raise CannotGoOnError("the cable was pulled")
+        yield from super().step(arrived)
+
+    def close(self):
+        self.closed = True
+
+
+def test_an_agent_that_cannot_go_on_ends_and_its_log_and_last_health_say_why(running, heard, until):
+    health, log = heard(HEALTH), heard(LOG)
+    agent = Ending()
+    runner = running(agent)
+    until(lambda: agent.closed)
+    assert (runner.gave_up, agent.sent) == ("the cable was pulled", 3)
+    until(lambda: any(decode(LogRecord, t.payload).text == "the cable was pulled" for t in log))
+    until(lambda: any(decode(AgentHealth, t.payload).fault == "the cable was pulled" for t in health))
 
 
 def test_damaged_and_foreign_messages_are_refused_counted_and_logged(running, heard, session, until):

@@ -1,0 +1,266 @@
+"""Videos that OpenCV wrote, with frames that are missing too, and devices behind the interface of cv2.VideoCapture."""
+
+import itertools
+import logging
+
+import cv2
+import numpy as np
+import pytest
+
+from agents.camera.sources import BrokenOffError, SourceError
+from agents.camera.video import MOST_DROPPED, VideoSource
+
+HEIGHT, WIDTH = 48, 64
+
+
+def picture(value, width=WIDTH):
+    """Plain grey that tells its number."""
+    return np.full((HEIGHT, width, 3), value, np.uint8)
+
+
+def video(path, frames, rate_hz=10.0, numbers=None):
+    """A file with these frames; `numbers` places them at that multiple of the period, which AVI cannot."""
+    codec, size = cv2.VideoWriter.fourcc(*"MJPG"), frames[0].shape[1::-1]
+    # stamps of one's own are only for frames that already are encoded
+    writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, codec, rate_hz, size, [cv2.VIDEOWRITER_PROP_RAW_VIDEO, 1])
+    assert writer.isOpened()
+    for number, frame in zip(numbers or range(len(frames)), frames, strict=True):
+        assert writer.set(cv2.VIDEOWRITER_PROP_PTS, number)
+        assert writer.set(cv2.VIDEOWRITER_PROP_KEY_FLAG, 1)
+        writer.write(cv2.imencode(".jpg", frame)[1].reshape(1, -1))
+    writer.release()
+    return str(path)
+
+
+def level_at(seconds):
+    """The grey of what is filmed at that time, 100 levels a second."""
+    return round(20 + 100 * seconds)
+
+
+def film(path, rate_hz, numbers):
+    """A clock, filmed by a camera that missed all frames but these."""
+    return video(path, [picture(level_at(n / rate_hz)) for n in numbers], rate_hz, list(numbers))
+
+
+def levels(pair):
+    """The mean grey of both images, which survives JPEG."""
+    return [round(float(image.mean())) for image in pair]
+
+
+def all_of(source):
+    found = []
+    while (pair := source.read()) is not None:
+        found.append((levels(pair), source.taken_ns))
+    assert source.read() is None
+    source.close()
+    return found
+
+
+def test_a_side_by_side_video_is_cut_in_its_middle_until_its_end(tmp_path):
+    path = video(tmp_path / "both.avi", [np.hstack([picture(v), picture(v + 60)]) for v in (20, 80, 140)])
+    found = all_of(VideoSource(path, None))
+    assert np.array([pair for pair, _ in found]) == pytest.approx(np.array([[20, 80], [80, 140], [140, 200]]), abs=3)
+    assert {taken for _, taken in found} == {(0, 0)}
+
+
+def test_two_videos_are_read_together_until_the_shorter_ends(tmp_path):
+    left = video(tmp_path / "l.avi", [picture(v) for v in (20, 80, 140)])
+    right = video(tmp_path / "r.avi", [picture(v) for v in (30, 90)])
+    found = all_of(VideoSource(left, right))
+    assert np.array([pair for pair, _ in found]) == pytest.approx(np.array([[20, 30], [80, 90]]), abs=3)
+
+
+@pytest.mark.parametrize("suffix", ["mkv", "mp4"])
+@pytest.mark.parametrize("swapped", [False, True])
+def test_frames_that_one_of_two_cameras_missed_cost_their_partners_alone(tmp_path, suffix, swapped):
+    whole = film(tmp_path / f"a.{suffix}", 30.0, range(12))
+    holes = film(tmp_path / f"b.{suffix}", 30.0, [0, 1, 4, 5, 6, 9, 10, 11])
+    source = VideoSource(*((holes, whole) if swapped else (whole, holes)))
+    found = all_of(source)
+    assert len(found) == 8
+    assert source.dropped == ((0, 4) if swapped else (4, 0))
+    for (left, right), taken in found:
+        assert abs(left - right) <= 3
+        assert taken == (0, 0)
+
+
+def test_videos_of_different_rates_pair_up_with_the_nearest_frames(tmp_path):
+    slow, fast = film(tmp_path / "l.mkv", 25.0, range(20)), film(tmp_path / "r.mkv", 30.0, range(24))
+    source = VideoSource(slow, fast)
+    found = all_of(source)
+    # each frame of the slower one has one of the faster one within half of its period
+    assert len(found) == 20
+    assert source.dropped == (0, 4)
+    for (left, right), (left_ns, right_ns) in found:
+        assert max(left_ns, right_ns) == 0
+        assert abs(left_ns - right_ns) <= 0.5e9 / 30 + 1e6
+        assert right - left == pytest.approx(100e-9 * (right_ns - left_ns), abs=3)
+
+
+def test_the_size_is_known_before_the_first_pair_and_costs_none(tmp_path):
+    source = VideoSource(film(tmp_path / "l.avi", 10.0, range(3)), film(tmp_path / "r.avi", 10.0, range(3)))
+    assert source.size() == (WIDTH, HEIGHT)
+    assert len(all_of(source)) == 3
+
+
+def test_two_videos_of_different_size_are_refused(tmp_path):
+    left = video(tmp_path / "l.avi", [picture(20)])
+    right = video(tmp_path / "r.avi", [picture(20, 2 * WIDTH)])
+    source = VideoSource(left, right)
+    with pytest.raises(SourceError, match="differ in size: 64x48 and 128x48"):
+        source.read()
+    source.close()
+
+
+@pytest.mark.parametrize("name", ["/nowhere/film.avi", "97"])
+def test_an_absent_file_or_device_is_named(name):
+    with pytest.raises(SourceError, match=f"OpenCV cannot open '{name}'"):
+        VideoSource(name, None)
+
+
+def test_a_file_and_a_device_are_no_pair():
+    with pytest.raises(SourceError, match=r"one of 'film\.avi' and '0' is a file and the other a device"):
+        VideoSource("film.avi", "0")
+
+
+class Clock:
+    """Milliseconds that pass only where somebody waits for a frame."""
+
+    def __init__(self):
+        self.now_ms = 50_000.0
+
+    def __call__(self):
+        return 1e-3 * self.now_ms
+
+
+class Device:
+    """Delivers frames at these times of a clock, later or at once, as a driver with a queue does."""
+
+    def __init__(self, clock, times_ms, rate_hz=30.0, stamp=lambda at_ms: at_ms):
+        self.clock, self.times_ms, self.rate_hz, self.stamp = clock, iter(times_ms), rate_hz, stamp
+        self.at_ms, self.released = 0.0, False
+
+    def grab(self):
+        at_ms = next(self.times_ms, None)
+        if at_ms is None:
+            return False
+        self.at_ms, self.clock.now_ms = at_ms, max(at_ms, self.clock.now_ms)
+        return True
+
+    def retrieve(self):
+        return True, picture(int(self.at_ms - 50_000.0) % 256)
+
+    def get(self, property_id, /):
+        return self.rate_hz if property_id == cv2.CAP_PROP_FPS else self.stamp(self.at_ms)
+
+    def release(self):
+        self.released = True
+
+
+def devices(clock, left, right):
+    return VideoSource("0", "1", {"0": left, "1": right}.__getitem__, clock)
+
+
+def every(period_ms, start_ms, count):
+    return [50_000.0 + start_ms + period_ms * n for n in range(count)]
+
+
+def pairs_of(source, clock, count):
+    """The offsets of so many pairs, right after left, in milliseconds, once each was checked against the clock."""
+    offsets = []
+    for _ in range(count):
+        asked_ms, pair = clock.now_ms, source.read()
+        assert pair is not None
+        for image, ns in zip(pair, source.taken_ns, strict=True):
+            assert image[0, 0, 0] == int(asked_ms + 1e-6 * ns - 50_000.0 + 1e-6) % 256
+        offsets.append(1e-6 * (source.taken_ns[1] - source.taken_ns[0]))
+    return offsets
+
+
+@pytest.mark.parametrize(("phase_ms", "offset_ms", "dropped"), [(10.0, 10.0, (0, 0)), (30.0, -10.0, (1, 0))])
+def test_devices_that_are_out_of_step_are_paired_with_the_nearer_neighbour(phase_ms, offset_ms, dropped):
+    clock = Clock()
+    source = devices(clock, Device(clock, every(40.0, 0.0, 30)), Device(clock, every(40.0, phase_ms, 30)))
+    assert pairs_of(source, clock, 20) == pytest.approx([offset_ms] * 20, abs=1e-3)
+    assert source.dropped == dropped
+
+
+@pytest.mark.parametrize("rate_hz", [60.0, 0.0], ids=["says it is twice as fast", "says nothing"])
+def test_a_device_that_is_slower_than_it_says_loses_a_few_frames_at_most(rate_hz):
+    clock = Clock()
+    left, right = (Device(clock, every(66.7, start_ms, 60), rate_hz) for start_ms in (0.0, 25.0))
+    source = devices(clock, left, right)
+    assert pairs_of(source, clock, 40)[5:] == pytest.approx([25.0] * 35, abs=1e-3)
+    assert sum(source.dropped) <= 2
+
+
+def test_stamps_of_another_clock_than_the_hosts_are_replaced_by_the_time_of_arrival():
+    clock = Clock()
+    left = Device(clock, every(40.0, 0.0, 30), stamp=lambda at_ms: at_ms - 49_900.0)
+    right = Device(clock, every(40.0, 5.0, 30), stamp=lambda _: 0.0)
+    assert pairs_of(devices(clock, left, right), clock, 10) == pytest.approx([5.0] * 10, abs=1e-3)
+
+
+def test_what_waited_in_the_drivers_queue_is_as_old_as_it_is():
+    clock = Clock()
+    source = devices(clock, Device(clock, every(40.0, 0.0, 9)), Device(clock, every(40.0, 1.0, 9)))
+    clock.now_ms += 300.0
+    source.read()
+    assert source.taken_ns == pytest.approx((-300e6, -299e6), abs=1e3)
+
+
+@pytest.mark.parametrize("broken", ["0", "1"])
+def test_a_device_that_breaks_off_is_named_with_what_to_do(broken):
+    clock = Clock()
+    counts = {"0": 9, "1": 9} | {broken: 3}
+    left, right = (Device(clock, every(40.0, 0.0, counts[name])) for name in "01")
+    source = devices(clock, left, right)
+    pairs_of(source, clock, 3)
+    for _ in range(2):
+        with pytest.raises(BrokenOffError, match=f"^video device '{broken}' has broken off after 3 frames; check its"):
+            source.read()
+    source.close()
+    assert (left.released, right.released) == (True, True)
+
+
+def test_a_second_device_that_never_delivers_is_named():
+    clock = Clock()
+    source = devices(clock, Device(clock, every(40.0, 0.0, 9)), Device(clock, []))
+    with pytest.raises(BrokenOffError, match=r"^video device '1' never gave a frame; check that no other program"):
+        source.read()
+
+
+def test_devices_that_never_meet_are_told_apart_from_broken_ones():
+    clock = Clock()
+    stuck = (50_000.0 + 0.01 * n for n in itertools.count())
+    late = Device(clock, stuck)
+    source = devices(clock, Device(clock, every(40.0, 900.0, 3)), late)
+    with pytest.raises(SourceError, match=f"after {MOST_DROPPED} dropped frames those of '0' and '1' still lie"):
+        source.read()
+
+
+def test_a_second_file_that_holds_no_frame_is_named(tmp_path):
+    left = film(tmp_path / "l.avi", 10.0, range(3))
+
+    class Empty(Device):
+        def grab(self):
+            return False
+
+    captures = {"l": cv2.VideoCapture(left), "r": Empty(Clock(), [])}
+    with pytest.raises(SourceError, match=r"^the video 'r' holds no frame that can be decoded"):
+        VideoSource("l", "r", captures.__getitem__).read()
+
+
+def test_a_file_without_stamps_is_counted():
+    def unstamped():
+        return Device(Clock(), every(40.0, 0.0, 4), 25.0, stamp=lambda _: 0.0)
+
+    captures = {"l": unstamped(), "r": unstamped()}
+    assert len(all_of(VideoSource("l", "r", captures.__getitem__))) == 4
+
+
+def test_dropped_frames_are_said_once_and_then_seldom(tmp_path, caplog):
+    whole, holes = film(tmp_path / "a.mkv", 30.0, range(12)), film(tmp_path / "b.mkv", 30.0, [0, 1, 4, 5, 8, 9])
+    with caplog.at_level(logging.WARNING, "suturegrasp.camera.main"):
+        all_of(VideoSource(whole, holes))
+    assert [record.getMessage().split(" of ")[0] for record in caplog.records] == ["1 frames"]
