@@ -16,6 +16,8 @@ from agents.reconstruction.refined.chains import Chain
 from schemas.messages import Centrelines
 
 SPACING_PX = 5.0
+FEWEST_SAMPLES, MOST_SAMPLES, MOST_CANDIDATES = 8, 1000, 3000
+"""Time and memory grow with the square of the candidates; only thread that winds over the whole image has more."""
 ROW_DEVIATION_PX = 0.25
 LEAST_SLOPE = 0.08
 GRADIENT = 0.25
@@ -80,10 +82,13 @@ class Candidates:
 
 def align(left: Chain, right: Centrelines, image_width: int) -> Alignment | None:
     """The best correspondence of a left chain with the right pieces; None where nothing corresponds."""
-    count = max(8, int(left.along_px[-1] / SPACING_PX))
-    wanted = np.linspace(0.0, left.along_px[-1], count)
-    at = np.unique(np.clip(np.searchsorted(left.along_px, wanted), 0, len(left.along_px) - 1))
+    count = int(np.clip(left.along_px[-1] / SPACING_PX, FEWEST_SAMPLES, MOST_SAMPLES))
+    at = _samples(left, count)
     candidates = _candidates(left, at, right, image_width)
+    if len(candidates.sample) > MOST_CANDIDATES:
+        at = _samples(left, max(FEWEST_SAMPLES, count * MOST_CANDIDATES // len(candidates.sample)))
+        candidates = _candidates(left, at, right, image_width)
+        candidates = candidates[np.sort(np.argsort(candidates.variance_px2, kind="stable")[:MOST_CANDIDATES])]
     if len(candidates.sample) < 2:
         return None
     chosen, score = _best_way(candidates, left.point_px[at], left.along_px[at])
@@ -98,6 +103,12 @@ def align(left: Chain, right: Centrelines, image_width: int) -> Alignment | None
         len(chosen) / len(np.unique(candidates.sample)),
         score,
     )
+
+
+def _samples(left: Chain, count: int) -> Int64[np.ndarray, "s"]:
+    """Indices of points that lie about evenly along the chain."""
+    wanted = np.linspace(0.0, left.along_px[-1], count)
+    return np.unique(np.clip(np.searchsorted(left.along_px, wanted), 0, len(left.along_px) - 1))
 
 
 def piece_ends(lines: Centrelines) -> Int64[np.ndarray, "e"]:

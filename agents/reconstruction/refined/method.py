@@ -70,7 +70,7 @@ def course_of(left: Centrelines, right: Centrelines, camera: RectifiedStereo) ->
     Raises:
         NoCurveError: where there is none.
     """
-    if reason := unusable(left, right):
+    if reason := unusable(left, right, camera):
         raise NoCurveError(reason)
     found = chains(left, camera.image_width)
     if not found:

@@ -11,18 +11,30 @@ LEAST_MATCHED_SHARE = 0.3
 """Of the places on the left curve whose row any right piece crosses."""
 LARGEST_RESIDUAL_SHARE = 0.004
 """Of the image's width, in the median: a curve farther from both centrelines is not theirs."""
+LARGEST_NUMBER = 1e30
+"""Of a calibration; so is its inverse the least. Beyond that, squares leave the range of a float."""
+LEAST_SIZE_PX = 1e-6
 FARTHEST_SHARE = 1000.0
 """Of the baseline: beyond that, disparity is below what can be told from none."""
 
 
-def unusable(left: Centrelines, right: Centrelines) -> str:
+def unusable(left: Centrelines, right: Centrelines, camera: RectifiedStereo) -> str:
     """Why no curve can be sought in these centrelines."""
+    size_px = np.array([camera.image_width, camera.image_height])
+    for what in (camera.baseline, camera.fx_px, camera.fy_px, camera.metres_per_unit or 1.0):
+        if not 1 / LARGEST_NUMBER <= what <= LARGEST_NUMBER:
+            return f"a calibration with a length of {what:.3g} cannot be computed with; check its unit"
     for name, lines in (("left", left), ("right", right)):
         if len(lines.point_px) < FEWEST_POINTS:
             return (
                 f"the {name} image shows too little thread: {len(lines.point_px)} px of centreline, "
                 f"at least {FEWEST_POINTS} are needed"
             )
+        if (np.abs(lines.point_px - 0.5 * size_px) > size_px).any():
+            return f"the centreline of the {name} image lies outside of it"
+        for what in (lines.width_px, lines.deviation_px):
+            if what.min() < LEAST_SIZE_PX or what.max() > size_px.max():
+                return f"no thread in the {name} image is {what.min():.3g} to {what.max():.3g} px wide or uncertain"
     return ""
 
 
