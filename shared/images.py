@@ -5,6 +5,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from schemas.messages import Image, ImageEncoding
+from shared.jpeg import jpeg_damage
 
 
 class ImageDataError(ValueError):
@@ -43,6 +44,8 @@ def decode_image(image: Image) -> UInt8[np.ndarray, "h w *c"]:
     begin, end = FRAMING[image.encoding]
     if not (image.data.startswith(begin) and image.data.rstrip(b"\0").endswith(end)):
         raise ImageDataError(f"{len(image.data)} bytes of {image.encoding.name} are not whole, or no such image")
+    if image.encoding is ImageEncoding.JPEG and (damage := jpeg_damage(image.data)):
+        raise ImageDataError(f"the JPEG is damaged: {damage}")
     flags = cv2.IMREAD_GRAYSCALE if image.channels == 1 else cv2.IMREAD_COLOR
     try:
         pixels = cv2.imdecode(np.frombuffer(image.data, np.uint8), flags | cv2.IMREAD_IGNORE_ORIENTATION)
