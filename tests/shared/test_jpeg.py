@@ -80,8 +80,9 @@ def test_what_is_cut_off_is_told_wherever_it_is_cut(kind):
 
 def test_an_end_that_comes_too_early_is_told_where_there_are_restarts():
     data = WHOLE["restarts"]
-    for place in restarts_of(data):
-        assert "so it is not whole" in jpeg_damage(data[: place + 20] + b"\xff\xd9")
+    # what is missing behind the last one cannot be told
+    for place in restarts_of(data)[:-1]:
+        assert "so it is not whole" in jpeg_damage(data[: place + 5] + b"\xff\xd9")
 
 
 @pytest.mark.parametrize("marker", [*range(1, 0xD9), *range(0xDA, 0xFF)])
