@@ -27,6 +27,8 @@ PRIZE_SHARE = 0.005
 JUNCTION_WIDTHS = 5.0
 SHARED_WIDTHS = 25.0
 MOST_PIECES, MOST_THREADS = 11, 4
+MOST_SEEN_PIECES = 150
+"""The longest ones; all others are clutter. Time and memory grow with their square."""
 SHORTEST_PIECE_WIDTHS = 2.0
 
 
@@ -81,7 +83,9 @@ def _pieces(lines: Centrelines) -> list[Int64[np.ndarray, "k"]]:
     cuts = np.flatnonzero(np.diff(lines.piece)) + 1
     width = float(np.median(lines.width_px))
     every = np.split(np.arange(len(lines.piece)), cuts)
-    return [p for p in every if len(p) >= 3 and _length(lines.point_px[p]) >= SHORTEST_PIECE_WIDTHS * width]
+    length = [_length(lines.point_px[p]) if len(p) >= 3 else 0.0 for p in every]
+    longest = np.argsort(length)[::-1][:MOST_SEEN_PIECES]
+    return [every[k] for k in sorted(longest) if length[k] >= SHORTEST_PIECE_WIDTHS * width and length[k] > 0]
 
 
 def _shared(lines: Centrelines, pieces: list[Int64[np.ndarray, "k"]]) -> list[int]:
@@ -126,7 +130,8 @@ def _links(lines: Centrelines, pieces: list[Int64[np.ndarray, "k"]], image_width
     kink = KINK * np.maximum(1.0, gap / reach)
     cost = np.minimum((a * a - a * b + b * b) / variance, kink) + (gap / (GAP_SCALE_SHARE * image_width))
     # beside each other rather than after each other
-    sideways = (gap > reach) & ((across * here).sum(axis=2) < 0)
+    backwards = ((across * here).sum(axis=2) < 0) | ((across * there).sum(axis=2) < 0)
+    sideways = (gap > reach) & backwards
     cost[sideways] = np.inf
     same = np.arange(len(ends)) // 2
     cost[same[:, None] == same[None]] = np.inf

@@ -21,7 +21,7 @@ from shared.camera import backproject, depth_of_disparity
 from shared.splines import clamped_uniform_knots, difference_matrix
 
 ROUNDS = 4
-SPAN_SHARE = 0.0167
+SPAN_SHARE = 0.021
 """Of the image's width: what one span of the spline covers at least, some widths of thread."""
 FEWEST, MOST = 12, 70
 IMAGE_SMOOTHING, DISPARITY_SMOOTHING = 1e-3, 1e-1

@@ -24,6 +24,9 @@ from shared.splines import clamped_uniform_knots, difference_matrix
 SIDE = 3 * (DEGREE + 1)
 TRIANGLE = np.tril_indices(SIDE)
 END_DEVIATION_PX = 0.7
+BENDING = 0.01
+"""Share of bending itself in the roughness, for knot spans of length 1: a free end of thread is straight, and where
+nothing is seen a thread takes no detour."""
 DAMPING = 0.3
 """Of the length of a knot span: how far one step may carry the curve along itself at the cost of one deviation."""
 
@@ -124,7 +127,11 @@ def roughness_blocks(curve: Curve, weight: Float64[np.ndarray, "spans"]) -> Bloc
 def _roughness(spans: int) -> Float64[np.ndarray, "spans 12 12"]:
     third = third_differences(spans)
     local = np.stack([third[k, k : k + DEGREE + 1] for k in range(spans)])
-    return np.einsum("ki,kj,ab->kiajb", local, local, np.eye(3)).reshape(-1, SIDE, SIDE)
+    # the second derivative is linear on a span: at its two ends
+    second = difference_matrix(clamped_uniform_knots(spans + DEGREE, DEGREE), DEGREE, 2) / spans**2
+    ends = np.stack([second[k : k + 2, k : k + DEGREE + 1] for k in range(spans)])
+    form = np.einsum("ki,kj->kij", local, local) + 0.5 * BENDING * np.einsum("kei,kej->kij", ends, ends)
+    return np.einsum("kij,ab->kiajb", form, np.eye(3)).reshape(-1, SIDE, SIDE)
 
 
 @lru_cache(maxsize=64)

@@ -12,7 +12,6 @@ them moves its depth, and no residual shows either. Both are taken in proportion
 import numpy as np
 from jaxtyping import Float64
 
-from agents.reconstruction.refined.normal_equations import factored, solved
 from agents.reconstruction.refined.projection import DEGREE, basis_at
 from agents.reconstruction.refined.refinement import Refined
 from schemas.messages import RectifiedStereo
@@ -28,11 +27,8 @@ def point_covariance(
 ) -> Float64[np.ndarray, "q 3 3"]:
     """Covariance of the curve's points at parameters s, in the unit of the calibration."""
     first, basis, _ = basis_at(fit.curve.spans, s)
-    factor = factored(fit.total)
-    size = factor.shape[1]
-    covariance = solved(factor, np.eye(size)).reshape(size // 3, 3, size // 3, 3)
     near = first[:, None] + np.arange(DEGREE + 1)
-    blocks = covariance[near[:, :, None], :, near[:, None, :], :]
+    blocks = fit.covariance[near[:, :, None], :, near[:, None, :], :]
     own = np.einsum("qi,qijab,qj->qab", basis, blocks, basis)
     return MODEL * own + _shared_errors(fit, camera, s)
 

@@ -105,12 +105,29 @@ def _span_polynomials(spans: int) -> Float64[np.ndarray, "spans 4 4"]:
     return np.linalg.solve(np.vander(t, increasing=True)[None], values)
 
 
-def at_constant_speed(curve: Curve, s: Float64[np.ndarray, "n"]) -> tuple[Curve, Float64[np.ndarray, "n"]]:
-    """The curve with parameters in proportion to its length, by least squares, and where the given s lie on it."""
+def at_constant_speed(
+    curve: Curve, s: Float64[np.ndarray, "n"], without: Float64[np.ndarray, "f 2"] | None = None
+) -> tuple[Curve, Float64[np.ndarray, "n"]]:
+    """The curve with parameters in proportion to its length, by least squares, and where the given s lie on it.
+
+    Args:
+        without: intervals of s that are cut out of it.
+    """
     dense = np.linspace(0.0, 1.0, DENSE * curve.spans + 1)
-    along = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(curve.at(dense), axis=0), axis=1))))
+    cuts = without if without is not None else np.zeros((0, 2))
+    for low, high in cuts:
+        dense = np.union1d(dense[(dense < low) | (dense > high)], (low, high))
+    points = curve.at(dense)
+    along = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))))
     along /= max(along[-1], 1e-300)
-    wanted = curve.at(np.interp(even_places(curve.spans), along, dense))
+    places = np.interp(even_places(curve.spans), along, dense)
+    wanted = curve.at(places)
+    for low, high in cuts:
+        # straight across
+        inside = (places > low) & (places < high)
+        share = ((places[inside] - low) / (high - low))[:, None]
+        first, last = curve.at(np.array([low, high]))
+        wanted[inside] = first + share * (last - first)
     return Curve(curve.knots, fitted(curve.spans, wanted)), np.interp(s, dense, along)
 
 

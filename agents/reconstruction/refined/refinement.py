@@ -8,6 +8,7 @@ it is certain: a calibration that is a little off would otherwise bend the depth
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float64
@@ -25,7 +26,7 @@ from agents.reconstruction.refined.normal_equations import (
     solved,
 )
 from agents.reconstruction.refined.projection import Curve, at_constant_speed
-from agents.reconstruction.refined.sightings import Sightings, placed
+from agents.reconstruction.refined.sightings import Sightings, folds, placed
 from agents.reconstruction.refined.smoothing import COARSE, FINE, chosen_smoothing, local_weights
 from schemas.messages import RectifiedStereo
 
@@ -58,6 +59,13 @@ class Refined:
     weight: Float64[np.ndarray, "spans"]
     row_offset_px: float
     total: Blocks
+
+    @cached_property
+    def covariance(self) -> Float64[np.ndarray, "m 3 m 3"]:
+        """Of the control points, by the fit alone."""
+        factor = factored(self.total)
+        size = factor.shape[1]
+        return solved(factor, np.eye(size)).reshape(size // 3, 3, size // 3, 3)
 
 
 @dataclass(frozen=True)
@@ -98,7 +106,7 @@ def refined(start: Start, camera: RectifiedStereo, steps: int = STEPS) -> Refine
             change, motion = _row_offset(rows, robust / scale**2, curve.spans, factor, motion)
             row_offset += change
         curve = curve.moved(motion.reshape(-1, 3))
-        curve, s = at_constant_speed(curve, sight.s)
+        curve, s = at_constant_speed(curve, sight.s, folds(sight, curve, camera))
         sight = placed(replace(sight, s=s), curve, camera, row_offset)
     rows, robust, scale = _weighted(curve, sight, camera, row_offset)
     data = data_blocks(rows, robust / scale**2, curve.spans) + damping_blocks(curve)
@@ -112,7 +120,14 @@ def _weighted(
     rows = linearised(curve, sight, camera, row_offset_px)
     across = np.abs(rows.residual[: rows.sightings])
     scale = float(np.clip(1.4826 * np.median(across), LEAST_SCALE, MOST_SCALE))
-    return rows, 1.0 / (1.0 + (rows.residual / (ROBUST * scale)) ** 2), scale
+    robust = 1.0 / (1.0 + (rows.residual / (ROBUST * scale)) ** 2)
+    # what lies beyond an end of the curve has its nearest place there, and says nothing of it
+    beyond = ((sight.s <= 0.0) | (sight.s >= 1.0)) & ~sight.is_end
+    robust[: rows.sightings][beyond] = 0.0
+    # the left chain's ends say how far the curve goes, and nothing else does: they keep their say
+    end = np.flatnonzero(sight.is_end)
+    robust[rows.sightings + np.flatnonzero(sight.eye[end] == 0)] = 1.0
+    return rows, robust, scale
 
 
 def _row_offset(

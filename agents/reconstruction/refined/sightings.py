@@ -3,20 +3,23 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.ndimage
 from jaxtyping import Bool, Float64, Int64
 
 from agents.reconstruction.refined.alignment import Alignment, piece_ends
 from agents.reconstruction.refined.chains import Chain
-from agents.reconstruction.refined.projection import Curve, projected
+from agents.reconstruction.refined.projection import DENSE, Curve, projected
 from schemas.messages import Centrelines, RectifiedStereo
 
 MOST_POINTS = 420
 """Of each eye: more points of the same length say little more, since neighbours err together."""
-CORRELATED_PX = 3.0
+CORRELATED_PX = 6.0
 """Along a centreline, over so many pixels its errors are about the same."""
-BEYOND_PX = 40
+BEYOND_PX = 10
 """How far past its last matched point a right piece is taken to show the thread still."""
 LONGEST_STEP_SPANS = 2.0
+FOLD_FACTOR, FOLD_PX, MEDIAN_POINTS = 3.0, 8.0, 9
+"""Of the way along the projected curve between the places of neighbouring points, against their distance."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +85,27 @@ def placed(sight: Sightings, curve: Curve, camera: RectifiedStereo, row_offset_p
         moved = np.clip(sight.s + np.clip(step, -limit, limit), 0.0, 1.0)
         sight = replace(sight, s=np.where(sight.is_end, sight.s, moved))
     return sight
+
+
+def folds(sight: Sightings, curve: Curve, camera: RectifiedStereo) -> Float64[np.ndarray, "f 2"]:
+    """Intervals of s where the curve leaves the left thread and comes back: a long way between places side by side.
+
+    Where a thread runs along the rows, or ends, nothing else keeps a curve from going too far and returning.
+    """
+    left = np.flatnonzero(sight.eye == 0)
+    left = left[: 1 + int(np.argmax(sight.s[left]))] if len(left) else left
+    if len(left) < 2:
+        return np.zeros((0, 2))
+    # in order along the chain; single points that are misplaced do not count
+    s = np.maximum.accumulate(scipy.ndimage.median_filter(sight.s[left], MEDIAN_POINTS, mode="nearest"))
+    dense = np.linspace(0.0, 1.0, DENSE * curve.spans + 1)
+    seen = projected(curve, dense, np.zeros(len(dense), np.int64), camera).point_px
+    along_px = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(seen, axis=0), axis=1))))
+    placed_px = np.column_stack([np.interp(s, dense, seen[:, axis]) for axis in (0, 1)])
+    apart_px = np.linalg.norm(np.diff(placed_px, axis=0), axis=1)
+    way_px = np.diff(np.interp(s, dense, along_px))
+    far = np.flatnonzero(way_px > FOLD_FACTOR * apart_px + FOLD_PX)
+    return np.column_stack((s[far], s[far + 1]))
 
 
 def _spacing(along_px: Float64[np.ndarray, "n"]) -> float:

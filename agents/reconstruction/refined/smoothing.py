@@ -28,7 +28,7 @@ COARSE = 10.0 ** np.arange(-1.0, 10.0, 2.0)
 FINE = 10.0 ** np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
 WINDOW_SPANS = 2.0
 PRIOR_COUNT = 1.0
-LEAST_WEIGHT, MOST_WEIGHT = 0.02, 50.0
+LEAST_WEIGHT, MOST_WEIGHT = 0.1, 50.0
 
 
 def chosen_smoothing(
