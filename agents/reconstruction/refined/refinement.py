@@ -91,7 +91,7 @@ def refined(start: Start, camera: RectifiedStereo, steps: int = STEPS) -> Refine
     smoothing = start.smoothing or 1.0
     sight = placed(start.sight, curve, camera, row_offset, rounds=3)
     for step in range(steps):
-        rows, robust, scale = _weighted(curve, sight, camera, row_offset)
+        rows, robust, scale = weighted(curve, sight, camera, row_offset)
         data = data_blocks(rows, robust / scale**2, curve.spans) + damping_blocks(curve)
         if step in (1, 2) or (step == 0 and start.smoothing is None):
             near = COARSE if step == 0 else smoothing * FINE
@@ -108,15 +108,16 @@ def refined(start: Start, camera: RectifiedStereo, steps: int = STEPS) -> Refine
         curve = curve.moved(motion.reshape(-1, 3))
         curve, s = at_constant_speed(curve, sight.s, folds(sight, curve, camera))
         sight = placed(replace(sight, s=s), curve, camera, row_offset)
-    rows, robust, scale = _weighted(curve, sight, camera, row_offset)
+    rows, robust, scale = weighted(curve, sight, camera, row_offset)
     data = data_blocks(rows, robust / scale**2, curve.spans) + damping_blocks(curve)
     total = data + roughness_blocks(curve, smoothing * weight)
     return Refined(curve, sight, rows, robust, scale, smoothing, weight, row_offset, total)
 
 
-def _weighted(
+def weighted(
     curve: Curve, sight: Sightings, camera: RectifiedStereo, row_offset_px: float
 ) -> tuple[Rows, Float64[np.ndarray, "n"], float]:
+    """Linearised residuals, what each has to say still, and the spread of them all."""
     rows = linearised(curve, sight, camera, row_offset_px)
     across = np.abs(rows.residual[: rows.sightings])
     scale = float(np.clip(1.4826 * np.median(across), LEAST_SCALE, MOST_SCALE))

@@ -1,0 +1,252 @@
+"""Which place of a predicted curve each point of both centrelines shows, without tracing or aligning anything anew.
+
+1. `shift`: how far each image of the curve has moved as a whole, by a vote of all pairs of a point and a place.
+2. The nearest place of the shifted curve for each point, where directions count as well, so that strands that cross
+   are told apart.
+3. Order: a piece is one strand, so its places follow each other along the curve. Where they leap or turn back, only the
+   longest stretches that fit together are kept.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+from scipy.spatial import cKDTree
+
+from agents.reconstruction.refined.alignment import piece_ends
+from agents.reconstruction.refined.projection import Curve, projected
+from agents.reconstruction.refined.sightings import CORRELATED_PX, Sightings
+from schemas.messages import Centrelines, RectifiedStereo
+
+REACH_SHARE = 0.034
+"""Of the image's width: the farthest motion from frame to frame that is looked for."""
+LIKELY_SHARE = 0.012
+BIN_SHARE = 0.003
+GATE_SHARE = 0.008
+"""How far from the shifted curve a point may lie."""
+DIRECTION_SHARE = 0.01
+"""A right angle between directions counts as twice this distance."""
+VOTERS = 80
+"""Of each eye, of places and of points."""
+SAMPLES_PER_SPAN = 6
+DIRECTION_REACH = 4
+LEAP, LEAP_SHARE = 3.0, 0.008
+"""Places of neighbours that are farther apart than so many times the points, and this share of the width, are no one
+strand's."""
+SHORTEST_RUN = 5
+BORDER_PX = 4.0
+"""What ends nearer to the image's border than this goes on outside."""
+
+
+@dataclass(frozen=True)
+class Associated:
+    """Sightings of a predicted curve.
+
+    Fields:
+        found_share: of all points of both eyes.
+        shown_share: of the curve, where either eye has a point.
+        beyond_px: how far thread goes on past either end of the curve, in the image where it is less.
+    """
+
+    sight: Sightings
+    found_share: float
+    shown_share: float
+    beyond_px: float
+
+
+@dataclass(frozen=True)
+class _Eye:
+    point_px: Float64[np.ndarray, "n 2"]
+    deviation_px: Float64[np.ndarray, "n"]
+    s: Float64[np.ndarray, "n"]
+    is_end: Bool[np.ndarray, "n"]
+    points: int
+    beyond_px: Float64[np.ndarray, "2"]
+
+
+def associated(
+    curve: Curve,
+    lines: tuple[Centrelines, Centrelines],
+    camera: RectifiedStereo,
+    row_offset_px: float,
+    points: int,
+    votes: bool,
+) -> Associated:
+    """The points of both centrelines with their places on a curve that is some pixels away from them.
+
+    Args:
+        points: of each eye, about as many as are looked at.
+        votes: whether the curve may be farther away as a whole.
+    """
+    eyes = [_of_eye(curve, lines[eye], eye, camera, row_offset_px, points, votes) for eye in (0, 1)]
+    sight = Sightings(
+        np.concatenate([e.point_px for e in eyes]),
+        np.concatenate([e.deviation_px for e in eyes]),
+        np.repeat([0, 1], [len(e.s) for e in eyes]),
+        np.concatenate([e.s for e in eyes]),
+        np.concatenate([e.is_end for e in eyes]),
+        float(np.median(lines[0].width_px)) if len(lines[0].width_px) else 0.0,
+    )
+    total = sum(e.points for e in eyes)
+    places = 2 * curve.spans
+    shown = np.bincount((sight.s * places).astype(int).clip(0, places - 1), minlength=places) > 0
+    beyond = np.minimum(*(e.beyond_px for e in eyes))
+    return Associated(sight, len(sight.s) / max(total, 1), float(shown.mean()), float(beyond.max()))
+
+
+def _of_eye(
+    curve: Curve, lines: Centrelines, eye: int, camera: RectifiedStereo, row_offset_px: float, points: int, votes: bool
+) -> _Eye:
+    at = np.linspace(0.0, 1.0, SAMPLES_PER_SPAN * curve.spans + 1)
+    view = projected(curve, at, np.full(len(at), eye), camera, row_offset_px)
+    index = _chosen(lines, points)
+    width = camera.image_width
+    moved = view.point_px + _shift(view.point_px, lines.point_px, width) if votes else view.point_px
+    weight = DIRECTION_SHARE * width
+    places = np.column_stack((moved, weight * _double_angle(view.velocity_px)))
+    found = np.column_stack((lines.point_px[index], weight * _double_angle(_directions(lines, index))))
+    if not len(index):
+        return _Eye(found[:, :2], np.zeros(0), np.zeros(0), np.zeros(0, bool), 0, np.zeros(2))
+    nearest = cKDTree(places).query(found)[1]
+    off = found[:, :2] - moved[nearest]
+    tangent = view.velocity_px[nearest] / np.maximum(np.linalg.norm(view.velocity_px[nearest], axis=1), 1e-9)[:, None]
+    ahead = (off * tangent).sum(axis=1)
+    last = len(at) - 1
+    outside = ((nearest == 0) & (ahead < 0)) | ((nearest == last) & (ahead > 0))
+    near = (np.linalg.norm(off, axis=1) <= GATE_SHARE * width) & ~outside
+    step = np.linalg.norm(np.diff(moved, axis=0), axis=1)
+    along = np.concatenate(([0.0], np.cumsum(step)))
+    place = along[nearest] + np.where(outside, 0.0, ahead)
+    piece = lines.piece[index]
+    kept = near & _in_order(place, piece, near, lines.point_px[index], width)
+    s = np.interp(place, along, at)
+    ends, beyond = _ends(index, kept, place, along[-1], found[:, :2], lines, camera)
+    spacing = max(
+        1.0, float(np.median(np.linalg.norm(np.diff(found[:, :2], axis=0), axis=1))) if len(index) > 1 else 1.0
+    )
+    correlated = np.sqrt(max(1.0, CORRELATED_PX / spacing))
+    s = np.where(ends == 0, 0.0, np.where(ends == 1, 1.0, s))
+    return _Eye(
+        found[kept, :2], lines.deviation_px[index][kept] * correlated, s[kept], (ends >= 0)[kept], len(index), beyond
+    )
+
+
+def _chosen(lines: Centrelines, wanted: int) -> Int64[np.ndarray, "k"]:
+    """Points spread over all pieces, the ends of each among them."""
+    count = len(lines.piece)
+    if count == 0:
+        return np.zeros(0, np.int64)
+    return np.union1d(np.arange(0, count, max(2, -(-count // wanted))), piece_ends(lines))
+
+
+def _shift(
+    curve_px: Float64[np.ndarray, "m 2"], points: Float64[np.ndarray, "n 2"], width: int
+) -> Float64[np.ndarray, "2"]:
+    """The translation that carries most places of the curve onto points; smaller ones are likelier."""
+    reach, size, likely = REACH_SHARE * width, BIN_SHARE * width, LIKELY_SHARE * width
+    if not len(points):
+        return np.zeros(2)
+    a, b = curve_px[:: max(1, len(curve_px) // VOTERS)], points[:: max(1, len(points) // VOTERS)]
+    by = (b[None] - a[:, None]).reshape(-1, 2)
+    by = by[(np.abs(by) < reach).all(axis=1)]
+    half = int(reach / size) + 2
+    side = 2 * half + 1
+    bins = np.rint(by / size).astype(int) + half
+    votes = np.bincount(bins[:, 0] * side + bins[:, 1], minlength=side * side).reshape(side, side).astype(float)
+    padded = np.pad(votes, 1)
+    votes = sum(padded[i : i + side, j : j + side] for i in range(3) for j in range(3))
+    centre = (np.arange(side) - half) * size
+    votes *= np.exp(-0.5 * (centre[:, None] ** 2 + centre**2) / likely**2)
+    i, j = np.unravel_index(int(np.argmax(votes)), votes.shape)
+    peak = np.array((centre[i], centre[j]))
+    near = by[(np.abs(by - peak) <= 1.5 * size).all(axis=1)]
+    return near.mean(axis=0) if len(near) else np.zeros(2)
+
+
+def _directions(lines: Centrelines, index: Int64[np.ndarray, "k"]) -> Float64[np.ndarray, "k 2"]:
+    own = lines.piece[index]
+    low = np.maximum(index - DIRECTION_REACH, np.searchsorted(lines.piece, own, side="left"))
+    high = np.minimum(index + DIRECTION_REACH, np.searchsorted(lines.piece, own, side="right") - 1)
+    return lines.point_px[high] - lines.point_px[low]
+
+
+def _double_angle(direction: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2"]:
+    """The same for opposite directions, and opposite for directions at a right angle; of length 1."""
+    u, v = direction.T
+    square = np.maximum(u * u + v * v, 1e-18)
+    return np.column_stack(((u * u - v * v) / square, 2 * u * v / square))
+
+
+def _in_order(
+    place: Float64[np.ndarray, "n"],
+    piece: Int64[np.ndarray, "n"],
+    near: Bool[np.ndarray, "n"],
+    points: Float64[np.ndarray, "n 2"],
+    width: int,
+) -> Bool[np.ndarray, "n"]:
+    """Of each piece, the runs without leap that follow each other in one direction and hold most points."""
+    kept = np.zeros(len(place), bool)
+    usable = np.flatnonzero(near)
+    if not len(usable):
+        return kept
+    step = np.linalg.norm(np.diff(points[usable], axis=0), axis=1)
+    change = np.diff(place[usable])
+    leap = (np.abs(change) > LEAP * step + LEAP_SHARE * width) | (np.diff(piece[usable]) != 0)
+    runs = [run for run in np.split(usable, np.flatnonzero(leap) + 1) if len(run) >= SHORTEST_RUN]
+    for number in {int(piece[run[0]]) for run in runs}:
+        own = [run for run in runs if piece[run[0]] == number]
+        ways = (_longest_chain(own, place), _longest_chain(own, -place))
+        for run in max(ways, key=lambda way: sum(len(run) for run in way)):
+            kept[run] = True
+    return kept
+
+
+def _longest_chain(runs: list[Int64[np.ndarray, "k"]], place: Float64[np.ndarray, "n"]) -> list[Int64[np.ndarray, "k"]]:
+    """The runs with rising places of which each begins after the one before, with most points in all."""
+    rising = [run for run in runs if place[run[-1]] > place[run[0]]]
+    best: list[list[np.ndarray]] = []
+    for run in rising:
+        before = [way for way in best if place[way[-1][-1]] <= place[run[0]]]
+        best.append([*max(before, key=lambda way: sum(len(r) for r in way), default=[]), run])
+    return max(best, key=lambda way: sum(len(r) for r in way), default=[])
+
+
+def _ends(
+    index: Int64[np.ndarray, "n"],
+    kept: Bool[np.ndarray, "n"],
+    place: Float64[np.ndarray, "n"],
+    length_px: float,
+    points: Float64[np.ndarray, "n 2"],
+    lines: Centrelines,
+    camera: RectifiedStereo,
+) -> tuple[Int64[np.ndarray, "n"], Float64[np.ndarray, "2"]]:
+    """Which points are the thread's first (0) or last (1) end, -1 for none, and how far pieces go on past each end."""
+    ends, beyond = np.full(len(index), -1), np.zeros(2)
+    is_end = np.isin(index, piece_ends(lines))
+    border = np.array([camera.image_width, camera.image_height]) - 1 - BORDER_PX
+    inside = ((points >= BORDER_PX) & (points <= border)).all(axis=1)
+    candidates = np.flatnonzero(is_end & inside)
+    if not kept.any():
+        return ends, beyond
+    for which, value in ((0, 0.0), (1, length_px)):
+        outermost = np.flatnonzero(kept)[np.argmin(np.abs(place[kept] - value))]
+        gap = abs(place[outermost] - value)
+        if gap > 2 * GATE_SHARE * camera.image_width:
+            continue
+        tail = _tail(outermost, lines.piece[index], kept)
+        end = tail[-1] if len(tail) else outermost
+        past = float(np.linalg.norm(np.diff(points[np.append(outermost, tail)], axis=0), axis=1).sum())
+        if past > 2 * GATE_SHARE * camera.image_width:
+            beyond[which] = past
+        elif end in candidates:
+            kept[end] = True
+            ends[end] = which
+    return ends, beyond
+
+
+def _tail(outermost: int, piece: Int64[np.ndarray, "n"], kept: Bool[np.ndarray, "n"]) -> Int64[np.ndarray, "k"]:
+    """The points of the same piece that lie past its outermost kept point, going outward until one is kept again."""
+    own = np.flatnonzero(piece == piece[outermost])
+    at = int(np.searchsorted(own, outermost))
+    side = min((own[:at][::-1], own[at + 1 :]), key=lambda side: int(kept[side].sum()))
+    return side[: int(np.argmax(np.append(kept[side], True)))]

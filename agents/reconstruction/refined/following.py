@@ -1,0 +1,184 @@
+"""The curve of a frame from that of the frame before: Gauss-Newton under the prior that `motion` makes of the last one.
+
+    min  ½ Σ ρ(r_i) + ½ λ Σ_k w_k ‖Δ³P_k‖² + ½ (P − P')ᵀ Λ (P − P')
+
+P' being the last curve and Λ the prior's precision. λ and w are the last frame's, and are chosen anew every few frames.
+For linear residuals twice the prior's term and the squared residuals together are νᵀS⁻¹ν, the normalised innovation
+squared; the prior's term alone has at most three times as many degrees of freedom as there are control points.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from agents.reconstruction.refined.association import GATE_SHARE, Associated, associated
+from agents.reconstruction.refined.motion import Precision, away_from, prior, process_noise
+from agents.reconstruction.refined.normal_equations import (
+    damping_blocks,
+    data_blocks,
+    factored,
+    gradient,
+    linearised,
+    roughness_blocks,
+    solved,
+)
+from agents.reconstruction.refined.plausibility import implausible
+from agents.reconstruction.refined.projection import Curve, at_constant_speed
+from agents.reconstruction.refined.refinement import LEAST_SCALE, Refined, weighted
+from agents.reconstruction.refined.sightings import MOST_POINTS, Sightings, placed
+from agents.reconstruction.refined.smoothing import FINE, chosen_smoothing, local_weights
+from schemas.messages import Centrelines, RectifiedStereo, ThreadTrack
+
+STEPS = 2
+ROUNDS, FEW_POINTS, NEAR_PX_SHARE = 3, 150, 0.004
+"""Places are found and the curve is moved with some points of each eye until it moves by less than this share of the
+width, or so often."""
+CHOICE_FRAMES = 5
+"""Smoothing is chosen anew once in so many frames."""
+LEAST_SHARE = 0.5
+"""Of the points and of the curve: a track of which both are less is lost."""
+LEAST_SHOWN = 0.25
+BEYOND_SHARE, FARTHEST_BEYOND = 0.02, 0.1
+"""Of the image's width: thread that goes on farther past the curve's end is to be part of it."""
+LENGTH_TOLERANCE = 0.02
+MOST_INNOVATION = 3.0
+LARGEST_RESIDUAL_SHARE = 0.0015
+"""Of the image's width, in the median."""
+
+
+class LostError(ValueError):
+    """The thread is not where the last frame lets expect it, and the text says what speaks against it."""
+
+
+@dataclass(frozen=True)
+class Followed:
+    """The fit, and how it stands to what was predicted."""
+
+    fit: Refined
+    innovation: float
+    found_share: float
+
+
+def followed(
+    last: ThreadTrack, lines: tuple[Centrelines, Centrelines], camera: RectifiedStereo, elapsed_s: float
+) -> Followed:
+    """The curve of this frame.
+
+    Raises:
+        LostError: where the innovation test fails.
+    """
+    curve = Curve(last.knots, last.control_points_camera)
+    try:
+        noise = process_noise(curve, camera, elapsed_s)
+        prediction = _Prediction(last, curve, prior(last.covariance, noise), camera)
+        near, seen = curve, associated(curve, lines, camera, last.row_offset_px, FEW_POINTS, votes=True)
+        for left in reversed(range(ROUNDS)):
+            _require_seen(seen, camera, FARTHEST_BEYOND)
+            then, near = near, _moved(prediction, near, seen.sight)
+            if not (np.isfinite(near.control_points).all() and (near.control_points[:, 2] > 0).all()):
+                raise LostError("the curve that was followed leaves the space before the cameras")
+            small = _steps_px(near, then, camera) < NEAR_PX_SHARE * camera.image_width
+            points = MOST_POINTS if small or not left else FEW_POINTS
+            seen = associated(near, lines, camera, last.row_offset_px, points, votes=False)
+            if points == MOST_POINTS:
+                break
+        _require_seen(seen, camera)
+        fit = _fit(prediction, near, seen.sight)
+        if _is_of_another_length(fit, last):
+            # an end that moves against the other one is where a tool begins
+            fit = _fit(prediction, near, replace(seen.sight, is_end=np.zeros(len(seen.sight.s), bool)))
+    except np.linalg.LinAlgError as error:
+        raise LostError(f"the curve could not be followed ({error})") from error
+    innovation = _innovation(fit.curve, prediction)
+    _require_fit(fit, innovation, camera)
+    return Followed(fit, innovation, seen.found_share)
+
+
+@dataclass(frozen=True)
+class _Prediction:
+    """The last curve, with the precision to which it is known where this one is."""
+
+    last: ThreadTrack
+    curve: Curve
+    precision: Precision
+    camera: RectifiedStereo
+
+
+def _moved(prediction: _Prediction, curve: Curve, sight: Sightings) -> Curve:
+    """The curve after the first step, which leads over the motion of a frame: beside it, every deviation is small."""
+    last = prediction.last
+    rows = linearised(curve, sight, prediction.camera, last.row_offset_px)
+    scale = max(1.4826 * float(np.median(np.abs(rows.residual[: rows.sightings]))), LEAST_SCALE)
+    data = data_blocks(rows, np.full(len(rows.residual), scale**-2), curve.spans) + damping_blocks(curve)
+    total = data + away_from(prediction.precision, curve, prediction.curve)
+    total += roughness_blocks(curve, last.smoothing * last.span_weight)
+    motion = -solved(factored(total), gradient(total.g))
+    return at_constant_speed(curve.moved(motion.reshape(-1, 3)), sight.s)[0]
+
+
+def _fit(prediction: _Prediction, curve: Curve, sight: Sightings) -> Refined:
+    last, camera = prediction.last, prediction.camera
+    smoothing, weight, row_offset = last.smoothing, last.span_weight, last.row_offset_px
+    choose = last.frames % CHOICE_FRAMES == CHOICE_FRAMES - 1
+    sight, damping = placed(sight, curve, camera, row_offset, rounds=2), damping_blocks(curve)
+    for step in range(STEPS):
+        rows, robust, scale = weighted(curve, sight, camera, row_offset)
+        data = data_blocks(rows, robust / scale**2, curve.spans) + damping
+        data += away_from(prediction.precision, curve, prediction.curve)
+        if choose and step == 1:
+            smoothing = chosen_smoothing(curve, data, weight, smoothing * FINE)
+            weight = local_weights(curve, data + roughness_blocks(curve, smoothing * weight), smoothing, weight)
+        total = data + roughness_blocks(curve, smoothing * weight)
+        motion = -solved(factored(total), gradient(total.g))
+        curve, s = at_constant_speed(curve.moved(motion.reshape(-1, 3)), sight.s)
+        sight = placed(replace(sight, s=s), curve, camera, row_offset)
+    rows, robust, scale = weighted(curve, sight, camera, row_offset)
+    data = data_blocks(rows, robust / scale**2, curve.spans) + damping
+    data += away_from(prediction.precision, curve, prediction.curve)
+    total = data + roughness_blocks(curve, smoothing * weight)
+    return Refined(curve, sight, rows, robust, scale, smoothing, weight, row_offset, total)
+
+
+def _steps_px(now: Curve, then: Curve, camera: RectifiedStereo) -> float:
+    """How far control points have moved at most, in the left image's scale."""
+    step = np.linalg.norm(now.control_points - then.control_points, axis=1)
+    return float((step * camera.fx_px / np.maximum(now.control_points[:, 2], 1e-9)).max())
+
+
+def _require_seen(seen: Associated, camera: RectifiedStereo, most_beyond: float = BEYOND_SHARE) -> None:
+    within = f"within {GATE_SHARE * camera.image_width:.0f} px of where it was expected"
+    if max(seen.found_share, seen.shown_share) < LEAST_SHARE or seen.shown_share < LEAST_SHOWN:
+        raise LostError(
+            f"only {seen.found_share:.0%} of the thread in both images lies {within}, and only "
+            f"{seen.shown_share:.0%} of the last curve is seen there"
+        )
+    if seen.beyond_px > most_beyond * camera.image_width:
+        raise LostError(f"both images show {seen.beyond_px:.0f} px of thread past the end of the last curve")
+
+
+def _require_fit(fit: Refined, innovation: float, camera: RectifiedStereo) -> None:
+    if reason := implausible(fit, camera):
+        raise LostError(reason)
+    if innovation > MOST_INNOVATION:
+        raise LostError(f"the thread moved farther than it can: {innovation:.1f} predicted variances")
+    off_px = float(np.median(np.abs(fit.rows.residual[: fit.rows.sightings]) * fit.sight.deviation_px))
+    if off_px > LARGEST_RESIDUAL_SHARE * camera.image_width:
+        raise LostError(f"the curve that was followed is {off_px:.1f} px from the thread")
+
+
+def _innovation(curve: Curve, prediction: _Prediction) -> float:
+    """The prior's share of the normalised innovation squared, per number of a control point."""
+    moved = (curve.control_points - prediction.curve.control_points).ravel()
+    return float(moved @ gradient(away_from(prediction.precision, curve, prediction.curve).g)) / len(moved)
+
+
+def curve_length(curve: Curve) -> float:
+    """The length of the curve, by chords so short that a thread's bends do not count."""
+    return float(np.linalg.norm(np.diff(curve.at(np.linspace(0.0, 1.0, 8 * curve.spans + 1)), axis=0), axis=1).sum())
+
+
+def _is_of_another_length(fit: Refined, last: ThreadTrack) -> bool:
+    if not fit.sight.is_end.any():
+        return False
+    expected = last.length * float(np.diff(last.material_s)[0])
+    return abs(curve_length(fit.curve) / expected - 1.0) > LENGTH_TOLERANCE

@@ -1,0 +1,84 @@
+"""What the last frame says of the next: its posterior with process noise, a quadratic function of the control points.
+
+Between frames a thread moves by a displacement u that is common to all of it (camera, hand) and one that changes along
+it (bending). Both are taken as normal, so that control point i moves by u_i with
+
+    E u_i u_jᵀ = (c² + d² k(|i − j|) + e² δ_ij) I,      k(r) = (1 + √3 r / l) exp(−√3 r / l)   (Matérn, 3/2),
+
+and the prediction is normal with covariance Σ + Q, Σ being the last posterior's. What depends on one place of a curve
+depends on four control points, so of Σ + Q only the blocks within four neighbours are kept, and the prior is the normal
+distribution of greatest entropy that has them: with C_k the block of the control points k to k + 3, and S_k that of
+k + 1 to k + 3, its precision is Σ_k C_k⁻¹ − Σ_k S_k⁻¹ (Lauritzen 1996, decomposable models; exact for those blocks).
+It has the form of all other terms, and costs as little.
+"""
+
+import numpy as np
+from jaxtyping import Float64
+
+from agents.reconstruction.refined.normal_equations import SIDE, Blocks
+from agents.reconstruction.refined.projection import DEGREE, Curve
+from schemas.messages import RectifiedStereo
+
+COMMON_SHARE, BENDING_SHARE, LOCAL_SHARE = 0.012, 0.003, 0.00003
+"""Of the image's width, at the thread's depth: c, d and e of one thirtieth of a second."""
+BENDING_REACH = 0.25
+"""Of the thread: l."""
+FRAME_S = 1.0 / 30.0
+
+Band = Float64[np.ndarray, "m 4 3 3"]
+Precision = Float64[np.ndarray, "spans 12 12"]
+
+
+def band_of(covariance: Float64[np.ndarray, "m 3 m 3"]) -> Band:
+    """The blocks [i, j] of the control points i and i + j."""
+    m = len(covariance)
+    band = np.zeros((m, DEGREE + 1, 3, 3))
+    for offset in range(DEGREE + 1):
+        i = np.arange(m - offset)
+        band[i, offset] = covariance[i, :, i + offset, :]
+    return band
+
+
+def process_noise(curve: Curve, camera: RectifiedStereo, elapsed_s: float) -> Float64[np.ndarray, "4"]:
+    """Q for control points that lie 0 to 3 apart, the same in each direction."""
+    unit = camera.image_width * float(np.median(curve.control_points[:, 2])) / camera.fx_px
+    r = np.sqrt(3.0) * np.arange(DEGREE + 1) / (BENDING_REACH * curve.spans)
+    one = (COMMON_SHARE * unit) ** 2 + (BENDING_SHARE * unit) ** 2 * (1.0 + r) * np.exp(-r)
+    one[0] += (LOCAL_SHARE * unit) ** 2
+    return one * max(elapsed_s / FRAME_S, 1.0)
+
+
+def prior(band: Band, noise: Float64[np.ndarray, "4"]) -> Precision:
+    """The precision of the prediction, in blocks of one knot span each.
+
+    Raises:
+        numpy.linalg.LinAlgError: where the covariance is none.
+    """
+    cliques = _cliques(band) + np.kron(noise[np.abs(np.subtract.outer(np.arange(4), np.arange(4)))], np.eye(3))
+    precision = np.linalg.inv(cliques)
+    precision[:-1, 3:, 3:] -= np.linalg.inv(cliques[:-1, 3:, 3:])
+    return 0.5 * (precision + precision.transpose(0, 2, 1))
+
+
+def away_from(precision: Precision, curve: Curve, predicted: Curve) -> Blocks:
+    """The prior as a function of the motion from `curve`."""
+    return Blocks(
+        precision, np.einsum("kij,kj->ki", precision, by_span(curve.control_points - predicted.control_points))
+    )
+
+
+def by_span(values: Float64[np.ndarray, "m 3"]) -> Float64[np.ndarray, "spans 12"]:
+    """The values of the four control points of each span."""
+    spans = len(values) - DEGREE
+    return values[np.arange(spans)[:, None] + np.arange(DEGREE + 1)].reshape(-1, SIDE)
+
+
+def _cliques(band: Band) -> Float64[np.ndarray, "spans 12 12"]:
+    spans = len(band) - DEGREE
+    k = np.arange(spans)
+    blocks = np.zeros((spans, 4, 3, 4, 3))
+    for a in range(4):
+        for b in range(a, 4):
+            blocks[:, a, :, b, :] = band[k + a, b - a]
+            blocks[:, b, :, a, :] = band[k + a, b - a].transpose(0, 2, 1)
+    return blocks.reshape(spans, SIDE, SIDE)

@@ -1,0 +1,210 @@
+"""Following the thread from frame to frame: the last posterior, with process noise, is the prior of the next frame.
+
+`following` goes on from the last curve where the innovation test allows it. Where it does not, the track is begun anew
+from the frame alone, and the message says why. So it is where that, tried once in VERIFY_FRAMES frames, explains the
+images better: a wrong course that was followed once would otherwise be followed for ever.
+
+The curve keeps its direction and, as thread does not stretch, its length: what is hidden stays part of it, unseen, and
+an end counts only where the length stays. So a place s is the same piece of thread in every frame, as far as images can
+tell: how far a thread slides along itself shows at its ends alone. When a track is begun anew, `material_s` says which
+places its ends are on the scale of the curve before.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64, Int64
+from scipy.spatial import cKDTree
+
+from agents.reconstruction.minimum_variation import Regions
+from agents.reconstruction.paper import failed
+from agents.reconstruction.refined.constraints import Held
+from agents.reconstruction.refined.following import Followed, LostError, curve_length, followed
+from agents.reconstruction.refined.method import METHOD, NoCurveError, course_of, fitted, within_regions
+from agents.reconstruction.refined.motion import band_of
+from agents.reconstruction.refined.posterior import MODEL
+from agents.reconstruction.refined.projection import Curve, projected
+from agents.reconstruction.refined.refinement import Refined
+from agents.reconstruction.refined.result import reconstruction, starts_right
+from schemas.messages import Status, ThreadObservations, ThreadReconstruction, ThreadTrack, TrackStep
+
+VERIFY_FRAMES = 30
+LONGEST_S = 0.5
+"""A curve that is older is no prediction."""
+KEPT_S = 10.0
+"""As long as that, direction and scale of a lost track are kept for the one that begins anew."""
+EXPLAINED_PX_SHARE, BETTER = 0.003, 0.04
+SAME_THREAD_SHARE = 0.05
+"""Of the length: places of two curves that are nearer may be the same piece of thread."""
+SAME_LENGTH = 0.03
+
+
+@dataclass(frozen=True)
+class _Alone:
+    """What a frame says by itself, in the direction that is kept."""
+
+    fit: Refined
+    held: Held
+    reverse: bool
+
+
+def track_refined(observations: ThreadObservations, last: ThreadReconstruction | None) -> ThreadReconstruction:
+    """The thread of this frame, with the last reconstruction in mind; without any, that of the frame alone.
+
+    Never raises for any valid observations: a failure is a status with its reason, and keeps the track in mind.
+    """
+    before = last.track if last is not None and last.camera == observations.camera else None
+    if observations.status is not Status.OK:
+        return _lost(observations, observations.reason, before)
+    reason = ""
+    if before is not None:
+        try:
+            return _continued(observations, before)
+        except LostError as error:
+            reason = str(error)
+    try:
+        return _begun(observations, _alone(observations, before), before, reason)
+    except NoCurveError as error:
+        return _lost(observations, str(error), before)
+
+
+def _continued(observations: ThreadObservations, before: ThreadTrack) -> ThreadReconstruction:
+    elapsed_s = _since(observations, before)
+    if not 0 <= elapsed_s <= LONGEST_S:
+        raise LostError(f"the last curve is of {elapsed_s:.1f} s ago")
+    lines = observations.centrelines_left, observations.centrelines_right
+    now = followed(before, lines, observations.camera, elapsed_s)
+    if before.frames % VERIFY_FRAMES == VERIFY_FRAMES - 1:
+        _verify(observations, before, now)
+    no_regions = Regions(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0))
+    held = Held(now.fit.curve, no_regions, np.zeros(0), np.zeros(0))
+    track = replace(
+        _track(now.fit, observations, reverse=False),
+        step=TrackStep.CONTINUED,
+        frames=before.frames + 1,
+        innovation=now.innovation,
+        found_share=now.found_share,
+        length=before.length,
+        material_s=before.material_s,
+    )
+    return replace(reconstruction(observations, METHOD, now.fit, held, reverse=False), track=track)
+
+
+def _begun(
+    observations: ThreadObservations, alone: _Alone, before: ThreadTrack | None, reason: str
+) -> ThreadReconstruction:
+    track = _track(alone.fit, observations, alone.reverse)
+    if before is not None:
+        material_s, scale = _material(before, track)
+        track = replace(track, step=TrackStep.RESTARTED, reason=reason, material_s=material_s, length=scale)
+    return replace(reconstruction(observations, METHOD, alone.fit, alone.held, alone.reverse), track=track)
+
+
+def _lost(observations: ThreadObservations, reason: str, before: ThreadTrack | None) -> ThreadReconstruction:
+    track = before and replace(
+        before, step=TrackStep.LOST, reason=reason, frames=before.frames + 1, innovation=0.0, found_share=0.0
+    )
+    return replace(failed(observations, METHOD, reason), track=track)
+
+
+def _alone(observations: ThreadObservations, before: ThreadTrack | None) -> _Alone:
+    left, right, camera = observations.centrelines_left, observations.centrelines_right, observations.camera
+    course = course_of(left, right, camera)
+    fit = fitted(course, camera)
+    held = within_regions(fit, course, camera)
+    if before is None or not 0 <= _since(observations, before) <= KEPT_S:
+        return _Alone(fit, held, starts_right(held.curve, observations))
+    at = np.linspace(0.0, 1.0, 50)
+    then, now = Curve(before.knots, before.control_points_camera).at(at), held.curve.at(at)
+    turned = np.linalg.norm(now[::-1] - then, axis=1).sum() < np.linalg.norm(now - then, axis=1).sum()
+    return _Alone(fit, held, bool(turned))
+
+
+def _since(observations: ThreadObservations, before: ThreadTrack) -> float:
+    return (observations.stamp.capture_left_ns - before.stamp.capture_left_ns) * 1e-9
+
+
+def _track(fit: Refined, observations: ThreadObservations, reverse: bool) -> ThreadTrack:
+    """A track that begins with this fit."""
+    way = slice(None, None, -1 if reverse else 1)
+    curve = fit.curve.moved(np.zeros(3)) if not reverse else Curve(fit.curve.knots, fit.curve.control_points[::-1])
+    band = MODEL * band_of(fit.covariance)
+    return ThreadTrack(
+        step=TrackStep.STARTED,
+        reason="",
+        frames=0,
+        innovation=0.0,
+        found_share=1.0,
+        stamp=observations.stamp,
+        knots=curve.knots,
+        control_points_camera=curve.control_points.copy(),
+        covariance=_turned(band) if reverse else band,
+        smoothing=fit.smoothing,
+        span_weight=fit.weight[way].copy(),
+        row_offset_px=fit.row_offset_px,
+        length=curve_length(curve),
+        material_s=np.array([0.0, 1.0]),
+    )
+
+
+def _turned(band: Float64[np.ndarray, "m 4 3 3"]) -> Float64[np.ndarray, "m 4 3 3"]:
+    """The covariance of the control points in reverse order."""
+    turned, m = np.zeros_like(band), len(band)
+    for offset in range(band.shape[1]):
+        i = np.arange(m - offset)
+        turned[i, offset] = band[m - 1 - offset - i, offset].transpose(0, 2, 1)
+    return turned
+
+
+def _material(before: ThreadTrack, track: ThreadTrack) -> tuple[Float64[np.ndarray, "2"], float]:
+    """Which places the ends of a new curve are on the scale of the old one, and that scale's length."""
+    at, scale = np.linspace(0.0, 1.0, 201), float(np.diff(before.material_s)[0])
+    then = Curve(before.knots, before.control_points_camera).at(at)
+    distance, nearest = _nearest(Curve(track.knots, track.control_points_camera).at(at), then)
+    share = track.length / before.length
+    if abs(share / scale - 1.0) < SAME_LENGTH:
+        return before.material_s, before.length
+    same = (distance < SAME_THREAD_SHARE * before.length) & (nearest > 0) & (nearest < len(at) - 1)
+    if same.mean() < 0.5 * min(1.0, share / scale):
+        return np.array([0.0, 1.0]), track.length
+    start = float(np.median(before.material_s[0] + scale * at[same] - share * at[nearest[same]]))
+    return np.array([start, start + share]), before.length
+
+
+def _verify(observations: ThreadObservations, before: ThreadTrack, now: Followed) -> None:
+    """Raise a LostError where the frame alone shows a curve that explains both images better."""
+    try:
+        alone = _alone(observations, before)
+    except NoCurveError:
+        return
+    here, there = _explained(observations, now.fit), _explained(observations, alone.fit)
+    if there > here + BETTER:
+        raise LostError(
+            f"begun anew, the curve explains {there:.0%} of both images' thread, and {here:.0%} as followed"
+        )
+    at = np.linspace(0.0, 1.0, 201)
+    order = _nearest(now.fit.curve.at(at), alone.fit.curve.at(at))[1]
+    falls = float((np.diff(order[:: -1 if alone.reverse else 1]) < -10).mean())
+    if falls > 0 and there >= here:
+        raise LostError("begun anew, the curve takes another course")
+
+
+def _explained(observations: ThreadObservations, fit: Refined) -> float:
+    """The share of the points of both centrelines that lie on the projected curve."""
+    camera = observations.camera
+    at = np.linspace(0.0, 1.0, 8 * fit.curve.spans)
+    found, points = 0, 0
+    for eye, lines in enumerate((observations.centrelines_left, observations.centrelines_right)):
+        view = projected(fit.curve, at, np.full(len(at), eye), camera, fit.row_offset_px)
+        distance, _ = _nearest(view.point_px, lines.point_px[::4])
+        found += int((distance < EXPLAINED_PX_SHARE * camera.image_width).sum())
+        points += len(distance)
+    return found / max(points, 1)
+
+
+def _nearest(
+    of: Float64[np.ndarray, "m d"], points: Float64[np.ndarray, "n d"]
+) -> tuple[Float64[np.ndarray, "n"], Int64[np.ndarray, "n"]]:
+    """Of each point, the distance to the nearest of others, and which that is."""
+    distance, index = cKDTree(of).query(points)
+    return np.asarray(distance), np.asarray(index)
