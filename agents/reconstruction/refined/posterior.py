@@ -6,7 +6,8 @@ the rows, along the line of sight, or out of sight.
 
 Points of a centreline also err together, over longer stretches than the fit averages over: shading and glints move the
 middle of a thread's image to one side. A shift common to both images moves the thread sideways, a difference between
-them moves its depth, and no residual shows either. Both are taken in proportion to the deviation of the points.
+them moves its depth, and no residual shows either. Both are taken in proportion to the deviation of the points and to
+the thread's width.
 """
 
 import numpy as np
@@ -16,9 +17,10 @@ from agents.reconstruction.refined.projection import DEGREE, basis_at
 from agents.reconstruction.refined.refinement import Refined
 from schemas.messages import RectifiedStereo
 
-COMMON, DIFFERENCE = 1.0, 0.3
-"""Shifts of long stretches, as multiples of the points' deviation: of both images together, and between them."""
-MODEL = 1.5
+COMMON_DEVIATIONS, COMMON_WIDTHS, DIFFERENCE = 1.0, 0.02, 0.3
+"""A shift of long stretches in both images: as a multiple of the points' deviation, and of the thread's width, whose
+shading causes it; and the share of it by which the two images differ."""
+MODEL = 2.5
 """Of the fit's own variance: no thread is exactly as smooth everywhere as the nearby third differences say."""
 
 
@@ -35,11 +37,12 @@ def point_covariance(
 
 def _shared_errors(fit: Refined, camera: RectifiedStereo, s: Float64[np.ndarray, "q"]) -> Float64[np.ndarray, "q 3 3"]:
     """What long stretches err together, from (u, v, disparity) to the camera frame."""
-    deviation = fit.scale * float(np.median(fit.sight.deviation_px))
+    deviation_px = COMMON_DEVIATIONS * fit.scale * float(np.median(fit.sight.deviation_px))
+    shift_px = np.hypot(deviation_px, COMMON_WIDTHS * fit.sight.width_px)
     x, y, z = fit.curve.at(s).T
     by_disparity = -(z**2) / (camera.fx_px * camera.baseline)
     columns = np.zeros((len(s), 3, 3))
-    columns[:, 0, 0] = COMMON * z / camera.fx_px
-    columns[:, 1, 1] = COMMON * z / camera.fy_px
+    columns[:, 0, 0] = z / camera.fx_px
+    columns[:, 1, 1] = z / camera.fy_px
     columns[:, :, 2] = DIFFERENCE * (by_disparity / z)[:, None] * np.column_stack((x, y, z))
-    return deviation**2 * np.einsum("qij,qkj->qik", columns, columns)
+    return shift_px**2 * np.einsum("qij,qkj->qik", columns, columns)

@@ -31,6 +31,7 @@ class Sightings:
         eye: 0 for the left image, 1 for the right.
         s: parameter of the curve.
         is_end: the thread ends here, so the point holds the curve along itself as well.
+        width_px: of the thread, in the median.
     """
 
     point_px: Float64[np.ndarray, "n 2"]
@@ -38,6 +39,7 @@ class Sightings:
     eye: Int64[np.ndarray, "n"]
     s: Float64[np.ndarray, "n"]
     is_end: Bool[np.ndarray, "n"]
+    width_px: float = 0.0
 
 
 def sightings(left: Chain, right: Centrelines, aligned: Alignment) -> Sightings:
@@ -57,6 +59,7 @@ def sightings(left: Chain, right: Centrelines, aligned: Alignment) -> Sightings:
         np.repeat([0, 1], [len(index), len(right_index)]),
         np.concatenate((s, *(part[1] for part in parts))),
         np.concatenate((ends, *(part[2] for part in parts))),
+        float(np.median(left.width_px)),
     )
 
 
