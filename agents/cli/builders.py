@@ -61,7 +61,7 @@ def build(rig: RigConfig, kind: str, instance: str) -> Agent:
         case None:
             raise ConfigError(f"the configuration has no section [{kind}]; add one, or run that agent elsewhere")
         case _:
-            return Reconstruction(section.method)
+            return Reconstruction(section.method, section.tracking)
 
 
 def perception_config(section: PerceptionSection, needs_matching: bool) -> PerceptionConfig:

@@ -73,9 +73,10 @@ class PerceptionSection(Settings):
 
 
 class ReconstructionSection(Settings):
-    """How the curve is found."""
+    """How the curve is found, and whether it is followed from frame to frame."""
 
     method: Literal["refined", "paper"] = DEFAULT_METHOD
+    tracking: bool = True
 
 
 class PlannerSection(Settings):

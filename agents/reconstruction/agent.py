@@ -2,14 +2,18 @@
 
 from collections.abc import Iterable
 
-from agents.reconstruction.methods import DEFAULT_METHOD, METHODS
-from schemas.messages import CommandAnswer
+from agents.reconstruction.methods import DEFAULT_METHOD, METHODS, TRACKERS
+from schemas.messages import CommandAnswer, ThreadReconstruction
 from schemas.topics import MAIN, OBSERVATIONS, THREAD, Topic
 from shared.runtime.agent import Command, Input, Output, Received, Tick
 
 
 class Reconstruction:
-    """Runs one method on every message of observations; it keeps nothing from one to the next."""
+    """Runs one method on every message of observations.
+
+    With tracking, and a method that can, it goes on from its last thread, in which all lies that it keeps. Without, it
+    keeps nothing from one message to the next.
+    """
 
     kind = "reconstruction"
     instance = MAIN
@@ -18,10 +22,20 @@ class Reconstruction:
     commands: tuple[Topic, ...] = ()
     tick_hz = None
 
-    def __init__(self, method: str = DEFAULT_METHOD) -> None:
+    def __init__(self, method: str = DEFAULT_METHOD, tracking: bool = True) -> None:
         self._method = METHODS[method]
+        self._tracker = TRACKERS.get(method) if tracking else None
+        self.goes_on_from = THREAD if self._tracker else None
+        self._last: ThreadReconstruction | None = None
 
     def step(self, arrived: Received | Tick | Command) -> Iterable[Output | CommandAnswer]:
         """One thread for each message of observations, failed ones included."""
-        if isinstance(arrived, Received):
+        if not isinstance(arrived, Received):
+            return
+        if arrived.topic is THREAD:
+            self._last = arrived.message
+        elif self._tracker is None:
             yield Output(THREAD, self._method(arrived.message))
+        else:
+            self._last = self._tracker(arrived.message, self._last)
+            yield Output(THREAD, self._last)

@@ -76,9 +76,10 @@ def test_what_failed_before_it_fails_on_with_the_reason():
     assert "no thread was found in the left image" in thread.reason
 
 
-def test_nothing_is_kept_from_one_message_to_the_next():
-    agent = Reconstruction()
-    alone = encode(fed(Reconstruction(), observations()))
+@pytest.mark.parametrize(("method", "tracking"), [("refined", False), ("paper", False), ("paper", True)])
+def test_without_tracking_nothing_is_kept_from_one_message_to_the_next(method, tracking):
+    agent = Reconstruction(method, tracking)
+    alone = encode(METHODS[method](observations()))
     fed(agent, observations(status=Status.FAILED))
     fed(agent, dataclasses.replace(observations(), points_camera=observations().points_camera + 0.001))
     assert encode(fed(agent, observations())) == alone
