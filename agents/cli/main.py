@@ -13,6 +13,9 @@ def main(arguments: list[str] | None = None) -> None:
     """Run one command and exit with its status."""
     # OpenCV refuses larger images by their header, before it takes memory for them, and reads this while it loads
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(LARGEST_IMAGE_PIXELS))
+    # the agents themselves share the cores; threads that wait for each other's turn cost them a third of their rate
+    for threads in ("OPENCV_FOR_THREADS_NUM", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(threads, "1")
     open_missing_streams()
     try:
         try:

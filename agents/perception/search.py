@@ -22,6 +22,9 @@ from shared.images import decode_image
 
 FRAMES_BETWEEN_LOOKS = 30
 """Of the camera: about a second, after which thread that came into view elsewhere is seen too."""
+LEAST_FRAMES_NEAR = 4
+"""How many frames in turn at least are looked at near the thread, where so many of the camera's are left out that the
+time between two looks at the whole has fewer: else whoever is slow already would do most of the work most often."""
 MARGIN_SHARE = 0.04
 """Of the width: how far from where it was thread is looked for. It may move so far between two frames."""
 SMALL_WIDTH_PX = 240
@@ -79,7 +82,9 @@ def look_everywhere(
 
 def look_near(images: Pair, last: ThreadObservations, sequence: int) -> Looked | None:
     """Segment what lies near the last thread; None where that does not do, and all must be looked at."""
-    if last.status is not Status.OK or not 0 < sequence - last.looked_sequence < FRAMES_BETWEEN_LOOKS:
+    since_look, since_last = sequence - last.looked_sequence, sequence - last.stamp.sequence
+    latest = max(FRAMES_BETWEEN_LOOKS, LEAST_FRAMES_NEAR * since_last)
+    if last.status is not Status.OK or since_last >= FRAMES_BETWEEN_LOOKS or not 0 < since_look < latest:
         return None
     segment, found = SEGMENTERS[last.segmenter], list[np.ndarray]()
     for image, mask, is_left in zip(images, (last.mask_left, last.mask_right), (True, False), strict=True):

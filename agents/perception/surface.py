@@ -26,16 +26,19 @@ THREAD_MARGIN_PX = 3
 """Beside the thread, in the reduced image: half the window, and what blur adds."""
 FRAMES_BETWEEN_SURFACES = 10
 """Of the camera."""
+LEAST_FRAMES_WITHOUT = 4
+"""For each surface so many frames at least are looked at, where many of the camera's are left out."""
 PARTS_OF_A_PIXEL = 16
 """StereoSGBM gives disparities in these."""
 
 
 def surface_is_due(stamp: FrameStamp, before: FrameStamp | None) -> bool:
-    """Whether a frame is the first of so many for which a surface is made; `before` is the frame seen before it."""
-    # the first frame of all already takes longest
-    return (
-        before is not None and before.sequence // FRAMES_BETWEEN_SURFACES != stamp.sequence // FRAMES_BETWEEN_SURFACES
-    )
+    """Whether a frame is the first of so many for which a surface is made; `before` was looked at before it."""
+    if before is None:
+        # the first frame of all already takes longest
+        return False
+    period = max(FRAMES_BETWEEN_SURFACES, LEAST_FRAMES_WITHOUT * abs(stamp.sequence - before.sequence))
+    return before.sequence // period != stamp.sequence // period
 
 
 def tissue_surface(

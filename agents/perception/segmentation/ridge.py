@@ -14,11 +14,12 @@ Where it is known about where the thread is, only what lies near is looked at: t
 nothing else in the image were a ridge.
 """
 
+import math
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int32, UInt8
+from jaxtyping import Bool, Float32, Float64, Int32, Int64, UInt8
 
 from agents.perception.segmentation.line_filter import RADIUS_PX, line_response, line_responses
 from agents.perception.segmentation.near import Meant, Near
@@ -54,6 +55,8 @@ EIGHT_NEIGHBOURS = np.ones((3, 3), np.uint8)
 CROP_MARGIN_PX = 2 * (RADIUS_PX + BACKGROUND_WINDOW)
 """Around what is looked at: far enough for the filters and for the background to see what they see in a whole image.
 Even, so that the image for the background is reduced alike."""
+BLUR_MARGIN_PX = 24
+"""Around the ridge: more than three times as far as the blur of its contrast reaches."""
 
 
 @dataclass(frozen=True)
@@ -117,16 +120,16 @@ def segment_ridge(
     seen = reduced[rows, columns]
     background = _background(seen)
     view = _view(reduced, background, where, meant, rows, columns)
-    darker, brighter = _mean_excess(background, seen), _mean_excess(seen, background)
     if near is None:
+        darker, brighter = _mean_excess(background, seen), _mean_excess(seen, background)
         of_dark, of_bright = line_responses(darker, brighter)
         dark, bright = _thread_among(of_dark, view), _thread_among(of_bright, view)
         is_bright = bright.strength > dark.strength
-        found = bright if is_bright else dark
+        found, contrast = (bright, brighter) if is_bright else (dark, darker)
     else:
         is_bright = near.is_bright
-        found = _thread_among(line_response(brighter if is_bright else darker), view)
-    contrast = brighter if is_bright else darker
+        contrast = _mean_excess(*((seen, background) if is_bright else (background, seen)))
+        found = _thread_among(line_response(contrast), view)
     background, ridge, contrast = (_in_whole(part, view, reduced.shape) for part in (background, found.ridge, contrast))
     return _at_full_size(image, background, ridge, contrast, is_bright)
 
@@ -156,8 +159,8 @@ def _view(
     rows: slice,
     columns: slice,
 ) -> _View:
-    colour = _lab(reduced)
-    rarity = _rarity(colour, rows, columns)
+    colour = _lab(reduced[rows, columns])
+    rarity = _rarity(colour, _lab(np.ascontiguousarray(reduced[::4, ::4])).reshape(-1, 3))
     small = np.ones(rarity.shape, bool)
     if near is not None:
         whole = cv2.resize(near.astype(np.uint8), reduced.shape[1::-1], interpolation=cv2.INTER_NEAREST)
@@ -171,7 +174,7 @@ def _view(
         near=small,
         meant=meant,
         strong=STRONG_SHARE * (reduced.shape[0] * reduced.shape[1] - 1),
-        colour=colour[rows, columns],
+        colour=colour,
         ground=_lab(background),
         rarity=rarity,
     )
@@ -191,12 +194,11 @@ def _mean_excess(image: np.ndarray, other: np.ndarray) -> Float32[np.ndarray, "h
     return cv2.transform(cv2.subtract(image, other).astype(np.float32), MEAN_OF_CHANNELS).astype(np.float32, copy=False)
 
 
-def _rarity(colour: Float32[np.ndarray, "H W 3"], rows: slice, columns: slice) -> Float32[np.ndarray, "h w"]:
-    """Mahalanobis distance of each pixel's colour from those of the whole image, up to a limit."""
-    sample = colour[::4, ::4].reshape(-1, 3)
+def _rarity(colour: Float32[np.ndarray, "h w 3"], sample: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, "h w"]:
+    """Mahalanobis distance of each pixel's colour from those of a sample of the whole image, up to a limit."""
     from_mean = sample - sample.mean(axis=0)
     spread, axes = np.linalg.eigh(from_mean.T @ from_mean / len(sample) + 4.0 * np.eye(3))
-    away = colour[rows, columns] - np.median(sample, axis=0)
+    away = colour - np.median(sample, axis=0)
     whitened = cv2.transform(away, (axes / np.sqrt(spread)).T.astype(np.float32))
     first, second, third = cv2.split(cv2.multiply(whitened, whitened))
     return np.sqrt(np.minimum(first + second + third, RAREST**2))
@@ -296,8 +298,16 @@ def _at_full_size(
 ) -> UInt8[np.ndarray, "H W"]:
     """The thread's pixels in the full image: beside the ridge, with enough of the contrast of its middle.
 
-    Background, ridge and contrast are of the whole reduced image.
+    Background, ridge and contrast are of the whole reduced image, of which only what lies around the ridge is enlarged.
     """
+    coverage = np.zeros(image.shape[:2], np.uint8)
+    if not ridge.any():
+        return coverage
+    (rows, full_rows), (columns, full_columns) = (
+        _around(np.flatnonzero(ridge.any(axis=1 - axis)), ridge.shape[axis], image.shape[axis]) for axis in (0, 1)
+    )
+    background, ridge, contrast = (whole[rows, columns] for whole in (background, ridge, contrast))
+    image = image[full_rows, full_columns]
     middle = cv2.dilate(np.where(ridge, contrast, np.float32(0)), EIGHT_NEIGHBOURS)
     level = cv2.GaussianBlur(middle * ridge, (0, 0), 2.0) / np.maximum(
         cv2.GaussianBlur(ridge.astype(np.float32), (0, 0), 2.0), 1e-3
@@ -308,7 +318,22 @@ def _at_full_size(
     edge = EDGE_SHARE * cv2.resize(level, size, interpolation=cv2.INTER_LINEAR)
     full_background = cv2.resize(background, size, interpolation=cv2.INTER_LINEAR)
     lighter, darker = (image, full_background) if is_bright else (full_background, image)
-    return cv2.bitwise_and(cv2.compare(_mean_excess(lighter, darker), edge, cv2.CMP_GT), beside).astype(np.uint8)
+    clear = cv2.compare(_mean_excess(lighter, darker), edge, cv2.CMP_GT)
+    coverage[full_rows, full_columns] = cv2.bitwise_and(clear, beside)
+    return coverage
+
+
+def _around(hit: Int64[np.ndarray, "n"], reduced: int, full: int) -> tuple[slice, slice]:
+    """Where some places lie along one axis, with a margin, in the reduced and in the full image.
+
+    Both begin and end at a border between pixels that the two have in common, so that what is enlarged is what it would
+    be in the whole.
+    """
+    common = math.gcd(reduced, full)
+    unit, full_unit = reduced // common, full // common
+    first = max(0, int(hit[0]) - BLUR_MARGIN_PX) // unit
+    last = -(-min(reduced, int(hit[-1]) + 1 + BLUR_MARGIN_PX) // unit)
+    return slice(first * unit, last * unit), slice(first * full_unit, last * full_unit)
 
 
 def _in_whole(part: np.ndarray, view: _View, shape: tuple[int, ...]) -> np.ndarray:

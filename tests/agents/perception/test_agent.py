@@ -234,7 +234,7 @@ def test_a_calibration_of_absurd_size_takes_no_memory(size):
         right=Image(ImageEncoding.JPEG, size, size, 3, b"\xff\xd8..\xff\xd9"),
     )
     (found,) = fed(Perception(), calibration(image_width=size, image_height=size), both)
-    assert unusable(found, "cannot be decoded")
+    assert unusable(found, "the JPEG is damaged")
 
 
 @pytest.mark.parametrize("field", ["K_left", "K_right", "T_right_left"])

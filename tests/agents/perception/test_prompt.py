@@ -54,7 +54,7 @@ def frame(sequence, moved=0):
 
 
 def agent_of(segmenter):
-    agent = Perception(PerceptionConfig(segmenter))
+    agent = Perception(PerceptionConfig(segmenter, matching=True))
     assert list(agent.step(Received(CALIBRATION, key("lab", CALIBRATION), 0, calibration()))) == []
     return agent
 

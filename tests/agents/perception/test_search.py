@@ -100,6 +100,17 @@ def test_after_so_many_frames_and_after_a_restart_of_the_camera_everything_is_lo
     assert look_near(tissue(), seen(tissue(), look_everywhere(tissue(), 0)), sequence) is None
 
 
+def test_who_is_slow_looks_at_the_whole_no_more_often_than_at_every_fourth_frame():
+    images = tissue()
+    first = seen(images, look_everywhere(images, 0))
+    looked = look_near(images, first, 25)
+    assert looked is not None
+    second = seen(images, looked, 25)
+    # as slow as before, and then faster again when a second has passed since the last look at the whole
+    assert look_near(images, second, 45) is not None
+    assert look_near(images, second, 31) is None
+
+
 def test_near_reaches_a_margin_around_the_thread_and_no_further():
     columns = np.flatnonzero(near_thread(line(200))[130])
     margin = MARGIN_SHARE * WIDTH

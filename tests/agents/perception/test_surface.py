@@ -6,7 +6,7 @@ import functools
 import numpy as np
 import pytest
 
-from agents.perception.surface import FRAMES_BETWEEN_SURFACES, surface_is_due, tissue_surface
+from agents.perception.surface import surface_is_due, tissue_surface
 from schemas.codec import decode, encode
 from schemas.messages import FrameStamp, TissueSurface
 from shared.scene.__main__ import make_scene
@@ -68,9 +68,11 @@ def test_images_of_any_size_give_a_surface(shape):
     assert decode(TissueSurface, encode(surface)).depth.shape == surface.valid.shape
 
 
-def test_a_surface_is_due_once_in_so_many_frames_and_not_with_the_very_first():
-    numbers = range(0, 60, 3)
-    stamps = [FrameStamp(number, 0, 0, "") for number in numbers]
+@pytest.mark.parametrize(("left_out", "surfaces"), [(0, 11), (2, 9), (9, 2), (14, 1)])
+def test_a_surface_is_due_once_in_so_many_frames_of_which_four_were_looked_at_and_not_with_the_very_first(
+    left_out, surfaces
+):
+    stamps = [FrameStamp(number, 0, 0, "") for number in range(0, 120, left_out + 1)]
     due = [surface_is_due(now, before) for before, now in zip([None, *stamps], stamps, strict=False)]
-    assert sum(due) == 60 // FRAMES_BETWEEN_SURFACES - 1
+    assert sum(due) == surfaces
     assert not due[0]

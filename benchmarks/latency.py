@@ -1,0 +1,150 @@
+"""The live dataflow of the demo, left running: latency and rate per stage, drops, and what each process takes.
+
+    python -m benchmarks.latency [--seconds 20] [--json out/latency.json]
+
+The processes are those of `suturegrasp demo`, recorder and viewer included, on a router of their own; no goal is named.
+Latency is from capture until publication, both by this machine's clock, and read from the recording afterwards, so that
+measuring takes nothing. What happens in the first seconds, while processes start, is left out.
+"""
+
+import json
+import os
+import tempfile
+import threading
+from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import psutil
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from agents.cli.demo import demo_rig
+from agents.cli.live_options import Demo
+from agents.cli.rig import RigConfig
+from agents.cli.session_folder import SessionFolder, new_session_folder
+from agents.cli.supervisor import Supervisor, supervised
+from agents.cli.up import start_all, write_config
+from agents.recorder.mcap_file import read_recording
+from schemas.codec import decode
+from schemas.messages import AgentHealth
+from schemas.topics import FRAMES, HEALTH, OBSERVATIONS, SURFACE, THREAD, topic_of
+from shared.clock import now_ns
+
+STAGES = (FRAMES, OBSERVATIONS, SURFACE, THREAD)
+
+
+@dataclass(frozen=True)
+class Options:
+    """How long to measure, and of which field.
+
+    Fields:
+        settle: seconds that are left out at the beginning.
+    """
+
+    seconds: float = 20.0
+    settle: float = 6.0
+    seed: int = 1
+    json: Path | None = None
+
+
+def main() -> None:
+    """Measure, print a table, and write JSON where asked to."""
+    options = tyro.cli(Options)
+    measured = measure(demo_rig(Demo(seed=options.seed)), options)
+    print_tables(measured)
+    if options.json is not None:
+        options.json.parent.mkdir(parents=True, exist_ok=True)
+        options.json.write_text(json.dumps(measured, indent=1) + "\n")
+
+
+def measure(rig: RigConfig, options: Options) -> dict[str, Any]:
+    """Run every process of a rig and stop it again; what was measured in between."""
+    with tempfile.TemporaryDirectory() as sessions:
+        folder = new_session_folder(Path(sessions))
+        write_config(folder.path / "rig.json", rig)
+        load_before = os.getloadavg()[0]
+        with supervised(restart=False) as supervisor:
+            start_all(supervisor, rig, folder.path / "rig.json", folder, "file")
+            _wait(options.settle, supervisor)
+            begin_ns, before = now_ns(), _cpu_seconds(supervisor)
+            _wait(options.seconds, supervisor)
+            end_ns, after = now_ns(), _cpu_seconds(supervisor)
+        seconds = 1e-9 * (end_ns - begin_ns)
+        stages, drops = _of_recording(folder, begin_ns, end_ns)
+    return {
+        "seconds": seconds,
+        "cores": os.cpu_count(),
+        "opencv threads": cv2.getNumThreads(),
+        "load before": load_before,
+        "stages": {topic: _summary(ms, seconds) for topic, ms in stages.items()},
+        "drops": drops,
+        "cpu share": {name: (after[name] - before[name]) / seconds for name in after if name in before},
+    }
+
+
+def _wait(seconds: float, supervisor: Supervisor) -> None:
+    threading.Event().wait(seconds)
+    for change in supervisor.watch():
+        raise SystemExit(f"nothing was measured: {change.sentence}")
+
+
+def _cpu_seconds(supervisor: Supervisor) -> dict[str, float]:
+    """Of each process since it began, in user and system mode."""
+    times = {c.name: psutil.Process(c.process.pid).cpu_times() for c in supervisor.children if c.process is not None}
+    return {name: spent.user + spent.system for name, spent in times.items()}
+
+
+def _of_recording(
+    folder: SessionFolder, begin_ns: int, end_ns: int
+) -> tuple[dict[str, list[float]], dict[str, dict[str, int]]]:
+    """Milliseconds from capture by stage, and what each agent's health counts of its inputs, within a time."""
+    stages: defaultdict[str, list[float]] = defaultdict(list)
+    counts: defaultdict[str, list[dict[str, int]]] = defaultdict(list)
+    for entry in read_recording(folder.recording):
+        topic = topic_of(entry.key)
+        if not begin_ns <= entry.published_ns <= end_ns or topic not in (*STAGES, HEALTH):
+            continue
+        message = decode(topic.message, entry.payload)
+        if isinstance(message, AgentHealth):
+            for account in message.inputs:
+                names = ("received", "dropped", "missed", "refused")
+                counts[f"{message.agent} {message.instance} of {account.topic}"].append(
+                    {name: getattr(account, name) for name in names}
+                )
+        else:
+            seen_ns = max(message.stamp.capture_left_ns, message.stamp.capture_right_ns)
+            stages[str(topic)].append(1e-6 * (entry.published_ns - seen_ns))
+    drops = {who: {name: told[-1][name] - told[0][name] for name in told[0]} for who, told in sorted(counts.items())}
+    return {str(topic): stages[str(topic)] for topic in STAGES if stages[str(topic)]}, drops
+
+
+def _summary(ms: list[float], seconds: float) -> dict[str, float]:
+    p50, p99 = np.percentile(ms, (50, 99))
+    return {"p50 ms": float(p50), "p99 ms": float(p99), "rate hz": len(ms) / seconds, "messages": len(ms)}
+
+
+def print_tables(measured: dict[str, Any]) -> None:
+    """Stages, drops and processes."""
+    console = Console(width=110)
+    console.print(
+        f"{measured['seconds']:.0f} s on {measured['cores']} cores, load {measured['load before']:.1f} before the start"
+    )
+    _print(console, "from capture until published", measured["stages"])
+    _print(console, "inputs", measured["drops"])
+    _print(console, "share of one core", {name: {"cpu": share} for name, share in measured["cpu share"].items()})
+
+
+def _print(console: Console, title: str, rows: dict[str, dict[str, float]]) -> None:
+    table = Table("", *next(iter(rows.values()), {}), title=title, title_justify="left")
+    for name, row in rows.items():
+        table.add_row(name, *(f"{v}" if isinstance(v, int) else f"{v:.2f}" for v in row.values()))
+    console.print(table)
+
+
+if __name__ == "__main__":
+    main()
