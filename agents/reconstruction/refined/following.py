@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agents.reconstruction.refined.association import GATE_SHARE, Associated, associated
-from agents.reconstruction.refined.motion import Precision, away_from, prior, process_noise
+from agents.reconstruction.refined.motion import Precision, away_from, prior, process_noise, stretching
 from agents.reconstruction.refined.normal_equations import (
+    Blocks,
     damping_blocks,
     data_blocks,
     factored,
@@ -23,7 +24,7 @@ from agents.reconstruction.refined.normal_equations import (
     solved,
 )
 from agents.reconstruction.refined.plausibility import implausible
-from agents.reconstruction.refined.projection import Curve, at_constant_speed
+from agents.reconstruction.refined.projection import Curve, at_constant_speed, projected
 from agents.reconstruction.refined.refinement import LEAST_SCALE, Refined, weighted
 from agents.reconstruction.refined.sightings import MOST_POINTS, Sightings, placed
 from agents.reconstruction.refined.smoothing import FINE, chosen_smoothing, local_weights
@@ -40,7 +41,8 @@ LEAST_SHARE = 0.5
 LEAST_SHOWN = 0.25
 BEYOND_SHARE, FARTHEST_BEYOND = 0.02, 0.1
 """Of the image's width: thread that goes on farther past the curve's end is to be part of it."""
-LENGTH_TOLERANCE = 0.02
+LENGTH_TOLERANCE, END_PX_SHARE = 0.015, 0.005
+"""Where the length is off by more, an end counts if it lies within this share of the width without it."""
 MOST_INNOVATION = 3.0
 LARGEST_RESIDUAL_SHARE = 0.0015
 """Of the image's width, in the median."""
@@ -84,9 +86,8 @@ def followed(
                 break
         _require_seen(seen, camera)
         fit = _fit(prediction, near, seen.sight)
-        if _is_of_another_length(fit, last):
-            # an end that moves against the other one is where a tool begins
-            fit = _fit(prediction, near, replace(seen.sight, is_end=np.zeros(len(seen.sight.s), bool)))
+        if _is_of_another_length(fit, prediction.length):
+            fit = _without_false_ends(prediction, near, seen.sight)
     except np.linalg.LinAlgError as error:
         raise LostError(f"the curve could not be followed ({error})") from error
     innovation = _innovation(fit.curve, prediction)
@@ -103,6 +104,15 @@ class _Prediction:
     precision: Precision
     camera: RectifiedStereo
 
+    @property
+    def length(self) -> float:
+        """Of the thread between the curve's ends."""
+        return self.last.length * float(np.diff(self.last.material_s)[0])
+
+    def about(self, curve: Curve) -> Blocks:
+        """What is known before the images are looked at, as a function of the motion from `curve`."""
+        return away_from(self.precision, curve, self.curve) + stretching(curve, self.length)
+
 
 def _moved(prediction: _Prediction, curve: Curve, sight: Sightings) -> Curve:
     """The curve after the first step, which leads over the motion of a frame: beside it, every deviation is small."""
@@ -110,7 +120,7 @@ def _moved(prediction: _Prediction, curve: Curve, sight: Sightings) -> Curve:
     rows = linearised(curve, sight, prediction.camera, last.row_offset_px)
     scale = max(1.4826 * float(np.median(np.abs(rows.residual[: rows.sightings]))), LEAST_SCALE)
     data = data_blocks(rows, np.full(len(rows.residual), scale**-2), curve.spans) + damping_blocks(curve)
-    total = data + away_from(prediction.precision, curve, prediction.curve)
+    total = data + prediction.about(curve)
     total += roughness_blocks(curve, last.smoothing * last.span_weight)
     motion = -solved(factored(total), gradient(total.g))
     return at_constant_speed(curve.moved(motion.reshape(-1, 3)), sight.s)[0]
@@ -124,7 +134,7 @@ def _fit(prediction: _Prediction, curve: Curve, sight: Sightings) -> Refined:
     for step in range(STEPS):
         rows, robust, scale = weighted(curve, sight, camera, row_offset)
         data = data_blocks(rows, robust / scale**2, curve.spans) + damping
-        data += away_from(prediction.precision, curve, prediction.curve)
+        data += prediction.about(curve)
         if choose and step == 1:
             smoothing = chosen_smoothing(curve, data, weight, smoothing * FINE)
             weight = local_weights(curve, data + roughness_blocks(curve, smoothing * weight), smoothing, weight)
@@ -134,7 +144,7 @@ def _fit(prediction: _Prediction, curve: Curve, sight: Sightings) -> Refined:
         sight = placed(replace(sight, s=s), curve, camera, row_offset)
     rows, robust, scale = weighted(curve, sight, camera, row_offset)
     data = data_blocks(rows, robust / scale**2, curve.spans) + damping
-    data += away_from(prediction.precision, curve, prediction.curve)
+    data += prediction.about(curve)
     total = data + roughness_blocks(curve, smoothing * weight)
     return Refined(curve, sight, rows, robust, scale, smoothing, weight, row_offset, total)
 
@@ -177,8 +187,15 @@ def curve_length(curve: Curve) -> float:
     return float(np.linalg.norm(np.diff(curve.at(np.linspace(0.0, 1.0, 8 * curve.spans + 1)), axis=0), axis=1).sum())
 
 
-def _is_of_another_length(fit: Refined, last: ThreadTrack) -> bool:
-    if not fit.sight.is_end.any():
-        return False
-    expected = last.length * float(np.diff(last.material_s)[0])
-    return abs(curve_length(fit.curve) / expected - 1.0) > LENGTH_TOLERANCE
+def _is_of_another_length(fit: Refined, expected: float) -> bool:
+    return bool(fit.sight.is_end.any()) and abs(curve_length(fit.curve) / expected - 1.0) > LENGTH_TOLERANCE
+
+
+def _without_false_ends(prediction: _Prediction, curve: Curve, sight: Sightings) -> Refined:
+    """The fit without the ends that the thread's length contradicts: where a tool begins, a piece ends too."""
+    camera, row_offset = prediction.camera, prediction.last.row_offset_px
+    fit = _fit(prediction, curve, replace(sight, is_end=np.zeros(len(sight.s), bool)))
+    view = projected(fit.curve, sight.s, sight.eye, camera, row_offset)
+    off = np.linalg.norm(view.point_px - sight.point_px, axis=1)
+    ends = sight.is_end & (off <= END_PX_SHARE * camera.image_width)
+    return _fit(prediction, fit.curve, replace(sight, is_end=ends)) if ends.any() else fit

@@ -10,19 +10,24 @@ depends on four control points, so of Σ + Q only the blocks within four neighbo
 distribution of greatest entropy that has them: with C_k the block of the control points k to k + 3, and S_k that of
 k + 1 to k + 3, its precision is Σ_k C_k⁻¹ − Σ_k S_k⁻¹ (Lauritzen 1996, decomposable models; exact for those blocks).
 It has the form of all other terms, and costs as little.
+
+Thread does not stretch: at the middle of each span, ‖B'‖ is the known length but for a small share. What is hidden has
+its length from this, and an end that is hidden its place.
 """
 
 import numpy as np
 from jaxtyping import Float64
 
 from agents.reconstruction.refined.normal_equations import SIDE, Blocks
-from agents.reconstruction.refined.projection import DEGREE, Curve
+from agents.reconstruction.refined.projection import DEGREE, Curve, basis_at
 from schemas.messages import RectifiedStereo
 
 COMMON_SHARE, BENDING_SHARE, LOCAL_SHARE = 0.012, 0.003, 0.00003
 """Of the image's width, at the thread's depth: c, d and e of one thirtieth of a second."""
 BENDING_REACH = 0.25
 """Of the thread: l."""
+STRETCH = 0.03
+"""Standard deviation of the length of one span, as a share of it."""
 FRAME_S = 1.0 / 30.0
 
 Band = Float64[np.ndarray, "m 4 3 3"]
@@ -65,6 +70,18 @@ def away_from(precision: Precision, curve: Curve, predicted: Curve) -> Blocks:
     return Blocks(
         precision, np.einsum("kij,kj->ki", precision, by_span(curve.control_points - predicted.control_points))
     )
+
+
+def stretching(curve: Curve, length: float) -> Blocks:
+    """½ Σ_k ((‖B'(s_k)‖ − length) / deviation)² about `curve`, s_k the middles of its spans."""
+    _, _, slope = basis_at(curve.spans, (np.arange(curve.spans) + 0.5) / curve.spans)
+    velocity = np.einsum("kj,kja->ka", slope, by_span(curve.control_points).reshape(curve.spans, DEGREE + 1, 3))
+    speed = np.maximum(np.linalg.norm(velocity, axis=1), 1e-12)
+    design = (slope[:, :, None] * (velocity / speed[:, None])[:, None, :]).reshape(curve.spans, SIDE) / (
+        STRETCH * length
+    )
+    residual = (speed / length - 1.0) / STRETCH
+    return Blocks(design[:, :, None] * design[:, None, :], design * residual[:, None])
 
 
 def by_span(values: Float64[np.ndarray, "m 3"]) -> Float64[np.ndarray, "spans 12"]:

@@ -20,7 +20,7 @@ from agents.reconstruction.minimum_variation import Regions
 from agents.reconstruction.paper import failed
 from agents.reconstruction.refined.constraints import Held
 from agents.reconstruction.refined.following import Followed, LostError, curve_length, followed
-from agents.reconstruction.refined.method import METHOD, NoCurveError, course_of, fitted, within_regions
+from agents.reconstruction.refined.method import METHOD, NoCurveError, course_and_fit, within_regions
 from agents.reconstruction.refined.motion import band_of
 from agents.reconstruction.refined.posterior import MODEL
 from agents.reconstruction.refined.projection import Curve, projected
@@ -109,8 +109,7 @@ def _lost(observations: ThreadObservations, reason: str, before: ThreadTrack | N
 
 def _alone(observations: ThreadObservations, before: ThreadTrack | None) -> _Alone:
     left, right, camera = observations.centrelines_left, observations.centrelines_right, observations.camera
-    course = course_of(left, right, camera)
-    fit = fitted(course, camera)
+    course, fit = course_and_fit(left, right, camera)
     held = within_regions(fit, course, camera)
     if before is None or not 0 <= _since(observations, before) <= KEPT_S:
         return _Alone(fit, held, starts_right(held.curve, observations))
