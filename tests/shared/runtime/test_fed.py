@@ -15,9 +15,9 @@ EPOCH = 7
 class Some:
     kind, instance, outputs, commands = "planner", "main", (PLAN,), ()
 
-    def __init__(self, tick_hz=None, only_newest_counts=False, only_newest_tick_counts=False):
+    def __init__(self, tick_hz=None, only_newest_counts=False, only_newest_tick_counts=False, goes_on_from=None):
         self.tick_hz, self.inputs = tick_hz, (Input(FRAMES, only_newest_counts=only_newest_counts),)
-        self.only_newest_tick_counts = only_newest_tick_counts
+        self.only_newest_tick_counts, self.goes_on_from = only_newest_tick_counts, goes_on_from
 
     def step(self, arrived):  # noqa: ARG002 - the list is the same whatever it does
         return ()
@@ -50,6 +50,20 @@ def test_where_only_the_newest_counts_it_stays_and_no_output_before_is_named():
     each.message(FRAME, 3, 6, only_newest_counts=True)
     each.published(PLANS, 0)
     assert each.listed() == (Consumed(FRAME, 3, 6),)
+
+
+def test_where_an_output_holds_the_whole_state_it_is_named_before_what_was_fed_since():
+    each = fed(only_newest_counts=True, goes_on_from=PLAN)
+    each.message(STATE, 1, 1, only_newest_counts=True)
+    each.message(FRAME, 3, 5, only_newest_counts=True)
+    each.published(PLANS, 0)
+    each.message(FRAME, 3, 6, only_newest_counts=True)
+    first = each.listed()
+    assert first == (Consumed(STATE, 1, 1), Consumed(PLANS, EPOCH, 0), Consumed(FRAME, 3, 6))
+    each.published(PLANS, 1)
+    each.message(FRAME, 3, 9, only_newest_counts=True)
+    # the state before the last one is in that
+    assert each.listed() == (Consumed(STATE, 1, 1), Consumed(PLANS, EPOCH, 1), Consumed(FRAME, 3, 9))
 
 
 def test_idle_ticks_that_change_nothing_are_left_out():

@@ -322,6 +322,68 @@ def test_from_a_lost_output_on_nothing_of_that_run_is_known():
     assert all(r.same for r in replayed if r.epoch == 10)
 
 
+class GoingOn(Newest):
+    """Publishes the sum of all frames, and goes on from the sum in its last plan."""
+
+    goes_on_from = PLAN
+
+    def step(self, arrived):
+        if arrived.topic is PLAN:
+            self.total = int(arrived.message.reason)
+            return
+        self.total += arrived.message.stamp.sequence
+        yield Output(PLAN, plan_of(f"{self.total}"))
+
+
+def state_run(agent, frames, epoch=9):
+    """What a run of an agent that answers each frame leaves in a recording."""
+    fed, entries = Fed(agent, "test", epoch), []
+    for number in range(frames):
+        made = frame(number)
+        fed.message(made.key, made.epoch, made.sequence, only_newest_counts=True)
+        (output,) = agent.step(Received(FRAMES, made.key, made.sequence, decode(StereoFrame, made.payload)))
+        payload = encode(dataclasses.replace(output.message, consumed=fed.listed()))
+        entries += [made, Entry(PLAN_KEY, epoch, number, payload)]
+        fed.published(PLAN_KEY, number)
+    return entries
+
+
+@pytest.mark.parametrize("begin", range(0, 20, 3))
+def test_an_agent_that_goes_on_from_its_last_output_is_replayed_from_anywhere(begin):
+    recording = state_run(GoingOn(), 20)[2 * begin :]
+    replayed = list(replay(GoingOn, recording))
+    assert [r.sequence for r in replayed] == list(range(begin, 20))
+    if begin:
+        lost = replayed.pop(0)
+        assert (lost.now, lost.missing) == (None, (Consumed(PLAN_KEY, 9, begin - 1),))
+    assert all(r.same and not r.missing for r in replayed)
+
+
+def test_of_an_agent_that_goes_on_from_its_last_output_a_lost_one_costs_the_next_alone():
+    recording = [e for e in state_run(GoingOn(), 20) if (e.key, e.sequence) != (PLAN_KEY, 7)]
+    replayed = {r.sequence: r for r in replay(GoingOn, recording)}
+    assert replayed[8].missing == (Consumed(PLAN_KEY, 9, 7),)
+    assert [n for n, r in replayed.items() if not r.same] == [8]
+
+
+def test_what_an_agent_keeps_beside_the_output_that_it_goes_on_from_shows():
+    class Secretive(GoingOn):
+        """Counts its steps for itself."""
+
+        def __init__(self):
+            super().__init__()
+            self.steps = 0
+
+        def step(self, arrived):
+            self.steps += arrived.topic is FRAMES
+            for output in super().step(arrived):
+                yield Output(PLAN, dataclasses.replace(output.message, plan_id=f"{self.steps}"))
+
+    whole = state_run(Secretive(), 12)
+    assert all(r.same for r in replay(Secretive, whole))
+    assert not any(r.same for r in replay(Secretive, whole[8:]))
+
+
 def test_of_two_arms_in_a_recording_the_other_one_is_left_out():
     recording = run_of(Clockwork(), 3)
     other = [Entry(e.key.replace("psm1", "psm2"), e.epoch, e.sequence, b"\xff") for e in recording if "psm1" in e.key]
