@@ -19,7 +19,8 @@ SPACING_PX = 5.0
 FEWEST_SAMPLES, MOST_SAMPLES, MOST_CANDIDATES = 8, 1000, 3000
 """Time and memory grow with the square of the candidates; only thread that winds over the whole image has more."""
 ROW_DEVIATION_PX = 0.25
-LEAST_SLOPE = 0.08
+LEAST_SLOPE, STEEP = 0.08, 0.2
+"""dv/dl below which a crossing with a row says nothing, and from which there must be one."""
 GRADIENT = 0.25
 """Change of disparity per pixel along the thread that is common."""
 DEAREST_STEP = 12.0
@@ -46,7 +47,7 @@ class Alignment:
         along_px: of each on the left chain.
         disparity_px, variance_px2: of disparity, by the slopes of both curves.
         right_index: fractional index of the place among the points of the right centrelines.
-        share: of the samples that have any candidate, those that are matched.
+        share: of the samples that cross the rows, those that are matched.
         score: the best way's.
     """
 
@@ -95,12 +96,14 @@ def align(left: Chain, right: Centrelines, image_width: int) -> Alignment | None
     if len(chosen) < 2:
         return None
     way = candidates[chosen]
+    steep = np.abs(_slopes(left.point_px, _runs(left)))[at] >= STEEP
+    steep[way.sample] = True
     return Alignment(
         left.along_px[at][way.sample],
         way.disparity_px,
         way.variance_px2,
         way.index,
-        len(chosen) / len(np.unique(candidates.sample)),
+        len(chosen) / int(steep.sum()),
         score,
     )
 
@@ -144,8 +147,7 @@ def _row_crossings(left: Chain, at: Int64[np.ndarray, "s"], right: Centrelines) 
     sample, k = np.nonzero(crossing)
     (u0, v0), (u1, v1) = right.point_px[k].T, right.point_px[k + 1].T
     share = (v[sample] - v0) / (v1 - v0)
-    runs = np.concatenate(([0], np.cumsum(np.diff(left.piece) != 0)))
-    slope_left = _slopes(left.point_px, runs)[at[sample]]
+    slope_left = _slopes(left.point_px, _runs(left))[at[sample]]
     slope_right = _slopes(right.point_px, right.piece)[k]
     slope = np.minimum(np.abs(slope_left), np.abs(slope_right))
     found = Candidates(
@@ -176,6 +178,11 @@ def _common_ends(left: Chain, samples: int, right: Centrelines) -> Candidates:
         forward=np.zeros(len(index)),
     )
     return found[np.abs(right.point_px[index, 1] - point[:, 1]) <= END_ROWS_PX]
+
+
+def _runs(left: Chain) -> Int64[np.ndarray, "n"]:
+    """Numbers of the chain's stretches without a gap, from 0."""
+    return np.concatenate(([0], np.cumsum(np.diff(left.piece) != 0)))
 
 
 def _along(lines: Centrelines) -> Float64[np.ndarray, "n"]:

@@ -8,7 +8,7 @@
 6. `posterior`: how well each place is known, and the confidence that follows.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,6 +32,10 @@ from schemas.messages import Centrelines, RectifiedStereo, Status, ThreadObserva
 from shared.camera import project
 
 METHOD = "refined"
+MOST_ROW_ROUNDS = 5
+ROWS_SETTLED_PX = 0.1
+"""A calibration that is off leaves a constant offset between the rows; a change by less than this needs no further
+round of alignment."""
 
 
 class NoCurveError(ValueError):
@@ -45,6 +49,7 @@ class Course:
     left: Chain
     aligned: Alignment
     sight: Sightings
+    row_offset_px: float
 
 
 def reconstruct_refined(observations: ThreadObservations) -> ThreadReconstruction:
@@ -56,16 +61,33 @@ def reconstruct_refined(observations: ThreadObservations) -> ThreadReconstructio
         return failed(observations, METHOD, observations.reason)
     left, right, camera = observations.centrelines_left, observations.centrelines_right, observations.camera
     try:
-        course = course_of(left, right, camera)
-        fit = fitted(course, camera)
+        course, fit = course_and_fit(left, right, camera)
         held = within_regions(fit, course, camera)
     except NoCurveError as error:
         return failed(observations, METHOD, str(error))
     return reconstruction(observations, METHOD, fit, held, starts_right(held.curve, observations))
 
 
-def course_of(left: Centrelines, right: Centrelines, camera: RectifiedStereo) -> Course:
-    """The longest thread of the left image that the right one shows too.
+def course_and_fit(left: Centrelines, right: Centrelines, camera: RectifiedStereo) -> tuple[Course, Refined]:
+    """The thread's course and the curve fitted to it, aligned again for as long as the rows turn out to be apart.
+
+    Raises:
+        NoCurveError: where there is no curve that can be the thread.
+    """
+    course = course_of(left, right, camera)
+    fit = fitted(course, camera)
+    for _ in range(MOST_ROW_ROUNDS):
+        if abs(fit.row_offset_px - course.row_offset_px) < ROWS_SETTLED_PX:
+            break
+        course = course_of(left, right, camera, fit.row_offset_px)
+        fit = fitted(course, camera)
+    if reason := implausible(fit, camera):
+        raise NoCurveError(reason)
+    return course, fit
+
+
+def course_of(left: Centrelines, right: Centrelines, camera: RectifiedStereo, row_offset_px: float = 0.0) -> Course:
+    """The longest thread of the left image that the right one shows too, so many rows lower.
 
     Raises:
         NoCurveError: where there is none.
@@ -75,27 +97,25 @@ def course_of(left: Centrelines, right: Centrelines, camera: RectifiedStereo) ->
     found = chains(left, camera.image_width)
     if not found:
         raise NoCurveError("the left image shows no piece of thread that is longer than some widths of it")
-    aligned = align(found[0], right, camera.image_width)
+    level = replace(right, point_px=right.point_px - (0.0, row_offset_px))
+    aligned = align(found[0], level, camera.image_width)
     reason = contradiction(aligned, camera)
     if aligned is None or reason:
         raise NoCurveError(reason)
-    return Course(found[0], aligned, sightings(found[0], right, aligned))
+    return Course(found[0], aligned, sightings(found[0], right, aligned), row_offset_px)
 
 
 def fitted(course: Course, camera: RectifiedStereo) -> Refined:
     """The refined curve of a course.
 
     Raises:
-        NoCurveError: where there is none that can be the thread.
+        NoCurveError: where the equations have no solution.
     """
     try:
         start = initial_curve(course.left, course.aligned, camera)
-        fit = refined(Start(start, course.sight), camera)
+        return refined(Start(start, course.sight, row_offset_px=course.row_offset_px), camera)
     except np.linalg.LinAlgError as error:
         raise NoCurveError(f"no curve follows from both images ({error})") from error
-    if reason := implausible(fit, camera):
-        raise NoCurveError(reason)
-    return fit
 
 
 def within_regions(fit: Refined, course: Course, camera: RectifiedStereo) -> Held:

@@ -8,7 +8,7 @@ from schemas.messages import Centrelines, RectifiedStereo
 
 FEWEST_POINTS = 12
 LEAST_MATCHED_SHARE = 0.3
-"""Of the places on the left curve whose row any right piece crosses."""
+"""Of the places where the left curve crosses the rows."""
 LARGEST_RESIDUAL_SHARE = 0.004
 """Of the image's width, in the median: a curve farther from both centrelines is not theirs."""
 LARGEST_NUMBER = 1e30
