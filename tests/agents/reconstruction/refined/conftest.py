@@ -1,0 +1,102 @@
+"""Threads whose every point is known, their centrelines in both images, and sightings of them."""
+
+import numpy as np
+import pytest
+
+from agents.reconstruction.refined.projection import Curve, fitted
+from agents.reconstruction.refined.sightings import Sightings
+from schemas.messages import Centrelines, RectifiedStereo
+from shared.camera import project
+from shared.splines import clamped_uniform_knots
+
+CAMERA = RectifiedStereo(960, 540, 1000.0, 1010.0, 479.5, 269.5, 5.5, 1e-3)
+SPANS = 22
+
+
+def winding(t):
+    """A thread that stays clear of the rows' direction, in millimetres."""
+    return np.column_stack((-12 + 22 * t + 3 * np.sin(5 * t), 18 - 36 * t, 95 + 5 * np.cos(4 * t)))
+
+
+def waving(t):
+    """A thread that runs along the rows at every crest."""
+    return np.column_stack((-24 + 48 * t, 9 * np.sin(7 * t), 92 + 6 * np.cos(4 * t)))
+
+
+def even(points, step=1.0):
+    """A polyline resampled at even steps."""
+    along = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))))
+    at = np.linspace(0, along[-1], max(2, round(along[-1] / step) + 1))
+    return np.column_stack([np.interp(at, along, column) for column in points.T])
+
+
+def lines_of(*pieces, width=3.0, deviation=0.1):
+    """Centrelines of pieces (u, v), a point for each pixel."""
+    points = [even(np.asarray(piece, np.float64)) for piece in pieces]
+    count = sum(map(len, points))
+    numbers = np.repeat(np.arange(len(points)), [len(p) for p in points])
+    return Centrelines(np.concatenate(points).reshape(-1, 2), numbers, np.full(count, width), np.full(count, deviation))
+
+
+def centrelines_of(curve, eye, shown=((0.0, 1.0),), camera=CAMERA):
+    """What one eye sees of a thread: a piece for each stretch of t that is shown."""
+    return lines_of(*(project(camera, curve(np.linspace(stretch[0], stretch[1], 2000)))[eye] for stretch in shown))
+
+
+def spline_of(curve, spans=SPANS):
+    """The thread as a spline of constant speed."""
+    points = even(curve(np.linspace(0, 1, 5001)), 1e-3)
+    share = np.linspace(0, 1, 5 * (spans + 3))
+    points = np.column_stack([np.interp(share, np.linspace(0, 1, len(points)), column) for column in points.T])
+    return Curve(clamped_uniform_knots(spans + 3), fitted(spans, points))
+
+
+def sightings_of(spline, count=150, noise_px=0.0, deviation_px=0.1, seed=0, row_offset_px=0.0, camera=CAMERA):
+    """Points of both images at known parameters, the ends marked as such."""
+    s = np.linspace(0, 1, count)
+    px = np.concatenate(project(camera, spline.at(s)))
+    px[count:, 1] += row_offset_px
+    px += np.random.default_rng(seed).normal(0, noise_px, px.shape)
+    is_end = np.zeros(2 * count, bool)
+    is_end[[0, count - 1, count, 2 * count - 1]] = True
+    return Sightings(px, np.full(2 * count, deviation_px), np.repeat([0, 1], count), np.tile(s, 2), is_end)
+
+
+@pytest.fixture(scope="session")
+def camera():
+    return CAMERA
+
+
+@pytest.fixture(scope="session", params=[winding, waving], ids=["winding", "waving"])
+def curve(request):
+    return request.param
+
+
+@pytest.fixture(scope="session")
+def spline():
+    return spline_of(winding)
+
+
+@pytest.fixture(scope="session")
+def waving_spline():
+    return spline_of(waving, 40)
+
+
+@pytest.fixture(scope="session")
+def make_lines():
+    return lines_of
+
+
+@pytest.fixture(scope="session")
+def see():
+    return centrelines_of
+
+
+@pytest.fixture(scope="session")
+def sight_of():
+    return sightings_of
+
+
+@pytest.fixture(scope="session")
+def threads():
+    return {"winding": winding, "waving": waving}

@@ -1,0 +1,161 @@
+"""Any centrelines and any masks end as a status, without an exception, a warning or a number that is none."""
+
+import dataclasses
+import itertools
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from agents.perception.observe import observe as observe_pair
+from agents.reconstruction.refined.method import reconstruct_refined
+from schemas.codec import encode
+from schemas.messages import Centrelines, FrameStamp, RectifiedStereo, Status
+
+WIDTH, HEIGHT = 320, 240
+CAMERA = RectifiedStereo(WIDTH, HEIGHT, 330.0, 335.0, 159.5, 119.5, 5.5, 1e-3)
+EXTREME = (1e-300, 1e-25, 1e25, 1e300)
+
+
+def checked(observations):
+    thread = reconstruct_refined(observations)
+    assert (thread.stamp, thread.method) == (observations.stamp, "refined")
+    encode(thread)
+    if thread.status is Status.FAILED:
+        assert len(thread.reason) > 10
+        assert thread.reason.isprintable()
+        return
+    covariance = thread.posterior_covariance
+    assert len(thread.confidence) >= 100
+    assert len(covariance) >= 100
+    np.testing.assert_allclose(covariance, covariance.transpose(0, 2, 1), atol=1e-9 * abs(covariance).max())
+    assert np.linalg.eigvalsh(covariance).min() >= -1e-9 * abs(covariance).max()
+    assert (thread.unseen[:, 0] <= thread.unseen[:, 1]).all()
+
+
+def wandering(rng, count):
+    return np.cumsum(rng.normal(0, rng.choice((0.0, 0.1, 1.0, 3.0)), (count, 2)), axis=0) + rng.uniform(40, 240, 2)
+
+
+def straight(rng, count):
+    ends = rng.uniform(0, 240, (2, 2))
+    ends[1, rng.integers(0, 2)] = ends[0, rng.integers(0, 2)]
+    return np.linspace(ends[0], ends[1], count)
+
+
+def circling(rng, count):
+    t = np.linspace(0, rng.choice((2.0, 6.3, 20.0)), count)
+    return rng.uniform(2, 90) * np.column_stack((np.cos(t), np.sin(t))) + [160, 120]
+
+
+def waving(rng, count):
+    t = np.linspace(0, 1, count)[:, None]
+    waves = [rng.normal(0, 40, 2) * np.sin((k + 1) * 2.5 * t + rng.uniform(0, 6, 2)) for k in range(3)]
+    return np.array([160.0, 120.0]) + np.sum(waves, axis=0)
+
+
+def anywhere(rng, count):
+    return rng.uniform(-1, 1, (count, 2)) * 10.0 ** rng.choice((1, 2, 3, 20, 300)) + 100
+
+
+def in_one_place(rng, count):
+    return np.full((count, 2), rng.uniform(0, 240))
+
+
+PIECES = (wandering, straight, circling, waving, anywhere, in_one_place)
+
+
+@st.composite
+def centrelines(draw):
+    rng = np.random.default_rng(draw(st.integers(0, 10**6)))
+    kinds = draw(st.lists(st.sampled_from(PIECES), min_size=1, max_size=6))
+    pieces = [kind(rng, int(draw(st.sampled_from((1, 2, 3, 12, 40, 200))))) for kind in kinds]
+    points = np.concatenate(pieces)
+    number = np.repeat(np.arange(len(pieces)), [len(piece) for piece in pieces])
+    width, deviation = draw(st.sampled_from((0.5, 3.0, 30.0))), draw(st.sampled_from((0.03, 0.1, 3.0)))
+    if draw(st.integers(0, 9)) == 0:
+        width, deviation = draw(st.sampled_from(EXTREME)), draw(st.sampled_from(EXTREME))
+    return Centrelines(points, number, np.full(len(points), width), np.full(len(points), deviation))
+
+
+@given(data=st.data())
+@settings(max_examples=120)
+@pytest.mark.filterwarnings("error")
+def test_any_centrelines_end_as_a_status(observe, data):
+    left = data.draw(centrelines())
+    if data.draw(st.integers(0, 3)):
+        disparity = data.draw(st.sampled_from((20.0, 5.0, 60.0, 0.0, -10.0, 1e-9)))
+        rng = np.random.default_rng(data.draw(st.integers(0, 1000)))
+        noise = rng.normal(0, data.draw(st.sampled_from((0.0, 0.1, 1.0))), left.point_px.shape)
+        shift = np.array([disparity, data.draw(st.sampled_from((0.0, 0.0, 0.4, 6.0)))])
+        right = dataclasses.replace(left, point_px=left.point_px - shift + noise)
+    else:
+        right = data.draw(centrelines())
+    scale = data.draw(st.sampled_from((1.0, 1.0, 1.0, 1e-3, 1e9, *EXTREME)))
+    unit = data.draw(st.sampled_from((None, None, 1e-3, 1.0, 1e-300)))
+    camera = dataclasses.replace(CAMERA, baseline=CAMERA.baseline * scale, metres_per_unit=unit)
+    checked(observe(np.zeros((0, 3)), camera, centrelines_left=left, centrelines_right=right))
+
+
+def scribble(mask, rng):
+    points = np.cumsum(rng.normal(0, rng.choice((3, 15, 60)), (rng.integers(2, 40), 2)), axis=0) + np.array([160, 120])
+    cv2.polylines(mask, [np.rint(points).astype(np.int32)], bool(rng.integers(2)), 255, int(rng.integers(1, 6)))
+
+
+def broken_curve(mask, rng):
+    points = np.rint(waving(rng, 200)).astype(int)
+    for start, end in itertools.pairwise(points):
+        if rng.random() > 0.05:
+            cv2.line(mask, start.tolist(), end.tolist(), 255, 2)
+    cv2.circle(mask, points[rng.integers(200)].tolist(), int(rng.integers(2, 25)), 0, -1)
+
+
+def dots(mask, rng):
+    for at in rng.integers(0, (WIDTH, HEIGHT), (rng.integers(1, 200), 2)):
+        cv2.circle(mask, at.tolist(), int(rng.integers(0, 5)), 255, -1)
+
+
+def grid(mask, rng):
+    step = int(rng.integers(30, 90))
+    mask[::step] = 255
+    mask[:, :: step if rng.integers(2) else WIDTH] = 255
+
+
+def loops(mask, rng):
+    for _ in range(rng.integers(1, 5)):
+        centre, axes = (rng.integers(1, high, 2).tolist() for high in (240, 100))
+        cv2.ellipse(mask, centre, axes, float(rng.integers(180)), 0, float(rng.choice((180, 300, 360))), 255, 2)
+
+
+def speckle(mask, rng):
+    mask[rng.random(mask.shape) < rng.choice((0.001, 0.01, 0.04))] = 255
+
+
+def full(mask, rng):
+    mask[:] = rng.choice((0, 95, 96, 255))
+
+
+DRAWINGS = (scribble, broken_curve, dots, grid, loops, speckle, full)
+
+
+@given(drawing=st.sampled_from(DRAWINGS), seed=st.integers(0, 10**6), blur=st.sampled_from((0.0, 0.0, 1.0, 3.0)))
+@settings(max_examples=120)
+@pytest.mark.filterwarnings("error")
+def test_any_masks_end_as_a_status(drawing, seed, blur):
+    rng = np.random.default_rng(seed)
+    left = np.zeros((HEIGHT, WIDTH), np.uint8)
+    drawing(left, rng)
+    left = cv2.GaussianBlur(left, (0, 0), blur) if blur else left
+    right = np.roll(left, -int(rng.choice((0, 1, 8, 20, 79))), axis=1)
+    if rng.random() < 0.3:
+        right = np.zeros_like(left)
+        DRAWINGS[rng.integers(len(DRAWINGS))](right, rng)
+    elif rng.random() < 0.5:
+        u, v = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
+        right = cv2.remap(right, (u + 6 * np.sin(v / 40)).astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR)
+    seen, other = ((200 - 0.6 * mask[..., None] + np.zeros(3)).astype(np.uint8) for mask in (left, right))
+    judged = None if rng.random() < 0.1 else ()
+    stamp = FrameStamp(1, 1, 1, "")
+    checked(observe_pair(stamp, CAMERA, seen, other, left, right, "mask", judged, matching=False))

@@ -1,0 +1,119 @@
+"""Which place of a moved curve each point of both centrelines shows."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from agents.reconstruction.refined.association import associated
+from agents.reconstruction.refined.projection import Curve, fitted
+from schemas.messages import Centrelines, RectifiedStereo
+from shared.camera import project
+from shared.splines import clamped_uniform_knots
+
+CAMERA = RectifiedStereo(960, 540, 1000.0, 1000.0, 479.5, 269.5, 5.5, 1e-3)
+SPANS = 40
+
+
+def curve_of(shape):
+    points = shape(np.linspace(0, 1, 4001))
+    along = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))))
+    at = np.linspace(0, along[-1], 5 * (SPANS + 3))
+    even = np.column_stack([np.interp(at, along, column) for column in points.T])
+    return Curve(clamped_uniform_knots(SPANS + 3), fitted(SPANS, even))
+
+
+def winding(t):
+    return np.column_stack((-20 + 40 * t, 9 * np.sin(5 * t), 95 + 6 * np.cos(4 * t)))
+
+
+def loop(t):
+    turn = 2 * np.pi * 1.15 * t
+    return np.column_stack((12 * np.cos(turn) - 14 * t, 12 * np.sin(turn), 95 + 4 * t))
+
+
+def lines_of(curve, stretches=((0.0, 1.0),), shift=(0.0, 0.0)):
+    """Both centrelines, and the true place of each point."""
+    lines, places = [], []
+    for eye in (0, 1):
+        s = [np.arange(a, b, 0.0012) for a, b in stretches]
+        pixels = np.concatenate([project(CAMERA, curve.at(part))[eye] for part in s]) + shift
+        piece = np.repeat(np.arange(len(s)), [len(part) for part in s])
+        lines.append(Centrelines(pixels, piece, np.full(len(pixels), 3.0), np.full(len(pixels), 0.1)))
+        places.append(np.concatenate(s))
+    return tuple(lines), places
+
+
+def off(seen, lines, places):
+    """How far the places of sightings are from the true ones, as shares of the curve."""
+    worst = 0.0
+    for eye in (0, 1):
+        of_eye = seen.sight.eye == eye
+        which = np.linalg.norm(seen.sight.point_px[of_eye][:, None] - lines[eye].point_px[None], axis=2).argmin(axis=1)
+        worst = max(worst, np.abs(seen.sight.s[of_eye] - places[eye][which]).max())
+    return worst
+
+
+def look(curve, lines, votes=True):
+    return associated(curve, lines, CAMERA, 0.0, 200, votes=votes)
+
+
+@pytest.mark.parametrize("shape", [winding, loop])
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (14.0, -9.0), (-18.0, 12.0)])
+def test_a_thread_that_moved_as_a_whole_is_found_place_by_place(shape, shift):
+    curve = curve_of(shape)
+    lines, places = lines_of(curve, shift=shift)
+    seen = look(curve, lines)
+    assert (seen.found_share, seen.shown_share) == (pytest.approx(1.0, abs=0.06), pytest.approx(1.0, abs=0.06))
+    # three pixels of some eight hundred
+    assert off(seen, lines, places) < 0.012
+
+
+def test_both_ends_of_both_images_are_ends():
+    curve = curve_of(winding)
+    seen = look(curve, lines_of(curve)[0])
+    ends = seen.sight.is_end
+    assert sorted(zip(seen.sight.eye[ends], seen.sight.s[ends], strict=True)) == [(0, 0), (0, 1), (1, 0), (1, 1)]
+
+
+def test_where_a_tool_hides_the_last_fifth_no_end_is_seen():
+    curve = curve_of(winding)
+    seen = look(curve, lines_of(curve, [(0.0, 0.8)])[0])
+    assert set(seen.sight.s[seen.sight.is_end]) == {0.0}
+    assert seen.found_share == pytest.approx(1.0, abs=0.02)
+    assert seen.shown_share == pytest.approx(0.8, abs=0.03)
+
+
+def test_pieces_may_come_in_any_order_and_direction():
+    curve = curve_of(winding)
+    (left, right), _ = lines_of(curve, [(0.6, 1.0), (0.0, 0.5)])
+    turned = Centrelines(left.point_px[::-1].copy(), 1 - left.piece[::-1], left.width_px, left.deviation_px)
+    seen = look(curve, (turned, right))
+    assert seen.found_share == pytest.approx(1.0, abs=0.02)
+    assert off(seen, (left, right), lines_of(curve, [(0.6, 1.0), (0.0, 0.5)])[1]) < 0.012
+
+
+def test_thread_that_goes_on_past_the_end_is_told():
+    curve = curve_of(winding)
+    points = curve.at(np.interp(np.linspace(0, 0.9, 5 * (SPANS + 3)), (0, 1), (0, 1)))
+    short = Curve(curve.knots, fitted(SPANS, points))
+    seen = look(short, lines_of(curve)[0], votes=False)
+    ends = np.linalg.norm(np.diff(project(CAMERA, curve.at(np.array((0.9, 1.0))))[0], axis=0))
+    assert seen.beyond_px == pytest.approx(ends, rel=0.2)
+
+
+def test_what_lies_elsewhere_finds_no_place():
+    curve = curve_of(winding)
+    seen = look(curve, lines_of(curve, shift=(0.0, 100.0))[0])
+    assert max(seen.found_share, seen.shown_share) < 0.4
+
+
+def test_no_points_find_no_place():
+    curve = curve_of(winding)
+    none = Centrelines(np.zeros((0, 2)), np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
+    seen = look(curve, (none, none))
+    assert (len(seen.sight.s), seen.found_share, seen.shown_share) == (0, 0.0, 0.0)
+    one = dataclasses.replace(
+        none, point_px=np.ones((1, 2)), piece=np.zeros(1, np.int64), width_px=np.ones(1), deviation_px=np.ones(1)
+    )
+    assert look(curve, (one, none)).found_share == 0.0

@@ -1,0 +1,151 @@
+"""Method refined from observations to the message, and every way in which it fails."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from agents.reconstruction.methods import DEFAULT_METHOD, METHODS
+from agents.reconstruction.refined.method import METHOD, reconstruct_refined
+from schemas.codec import encode
+from schemas.messages import Status, no_centrelines
+from shared.arc_length import even_parameters
+from shared.camera import project
+from shared.curve_distance import curve_distance
+from shared.splines import evaluate
+
+DENSE = np.linspace(0, 1, 4001)
+
+
+@pytest.fixture
+def seen(observe, see, camera):
+    def of(curve, shown=((0.0, 1.0),), **changes):
+        left, right = (see(curve, eye, shown) for eye in (0, 1))
+        return observe(np.zeros((0, 3)), camera, **({"centrelines_left": left, "centrelines_right": right} | changes))
+
+    return of
+
+
+def points_of(thread, count=1000):
+    knots, P = thread.knots, thread.control_points_camera
+    return evaluate(knots, P, 3, even_parameters(knots, P, 3, count))
+
+
+def reason_of(observations):
+    thread = reconstruct_refined(observations)
+    assert thread.status is Status.FAILED
+    assert (thread.method, thread.stamp) == (METHOD, observations.stamp)
+    return thread.reason
+
+
+def test_it_is_the_default():
+    assert METHODS[DEFAULT_METHOD] is reconstruct_refined
+
+
+def test_the_thread_is_found_from_both_centrelines(seen, curve):
+    thread = reconstruct_refined(seen(curve))
+    assert (thread.status, thread.reason, thread.method) == (Status.OK, "", "refined")
+    error = curve_distance(points_of(thread), curve(DENSE))
+    assert error.mean < 0.05
+    assert error.frechet < 0.5
+    assert len(thread.posterior_s) == len(thread.posterior_covariance) == len(thread.confidence) >= 100
+    assert thread.confidence.min() > 0.9
+    assert thread.unseen.shape == (0, 2)
+
+
+def test_its_first_end_is_the_left_one(seen, curve, camera, see, make_lines):
+    both = [reconstruct_refined(seen(curve))]
+    turned = [make_lines(see(curve, eye).point_px[::-1]) for eye in (0, 1)]
+    both.append(reconstruct_refined(seen(curve, centrelines_left=turned[0], centrelines_right=turned[1])))
+    for thread in both:
+        ends, _ = project(camera, thread.control_points_camera[[0, -1]])
+        assert ends[0, 0] <= ends[1, 0]
+    assert curve_distance(points_of(both[0]), points_of(both[1])).maximum < 0.1
+
+
+def test_a_turned_result_is_turned_in_all_its_parts(seen, threads):
+    def mirrored(t):
+        return threads["waving"](1 - t) * [1, 1, 1]
+
+    shown = ((0.0, 0.3), (0.45, 1.0))
+    one = reconstruct_refined(seen(threads["waving"], shown))
+    other = reconstruct_refined(seen(mirrored, [(1 - b, 1 - a) for a, b in shown]))
+    np.testing.assert_allclose(points_of(one), points_of(other), atol=0.3)
+    np.testing.assert_allclose(one.unseen, other.unseen, atol=0.02)
+    np.testing.assert_allclose(one.confidence, other.confidence, atol=0.1)
+    assert (np.diff(other.regions.s) >= 0).all()
+
+
+def test_what_neither_image_shows_is_told_and_less_certain(seen, threads):
+    thread = reconstruct_refined(seen(threads["winding"], ((0.0, 0.4), (0.6, 1.0))))
+    assert thread.status is Status.OK
+    ((low, high),) = thread.unseen
+    assert 0.3 < low < 0.5
+    assert 0.5 < high < 0.7
+    deviation = np.sqrt(np.trace(thread.posterior_covariance, axis1=1, axis2=2))
+    hidden = (thread.posterior_s > low) & (thread.posterior_s < high)
+    beside = (np.abs(thread.posterior_s - low) < 0.2) & ~hidden
+    assert deviation[hidden].max() > deviation[beside].min()
+    assert curve_distance(points_of(thread), threads["winding"](DENSE)).maximum < 2.0
+
+
+def test_it_says_the_same_each_time(seen, curve):
+    observations = seen(curve, ((0.0, 0.5), (0.55, 1.0)))
+    assert encode(reconstruct_refined(observations)) == encode(reconstruct_refined(observations))
+
+
+def test_the_unit_changes_nothing_but_the_unit(seen, curve, camera):
+    thread = reconstruct_refined(seen(curve))
+    in_metres = dataclasses.replace(camera, baseline=camera.baseline * 1e-3, metres_per_unit=1.0)
+    other = reconstruct_refined(dataclasses.replace(seen(curve), camera=in_metres))
+    np.testing.assert_allclose(other.control_points_camera, 1e-3 * thread.control_points_camera, rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(other.confidence, thread.confidence, atol=1e-4)
+
+
+def test_failed_observations_keep_their_reason(observe):
+    observations = observe(np.zeros((0, 3)), status=Status.FAILED, reason="no thread was found in the left image")
+    assert reason_of(observations) == "no thread was found in the left image"
+
+
+@pytest.mark.parametrize("eye", ["left", "right"])
+def test_an_empty_image_is_named(seen, curve, eye):
+    assert reason_of(seen(curve, **{f"centrelines_{eye}": no_centrelines()})).startswith(
+        f"the {eye} image shows too little thread: 0 px"
+    )
+
+
+def test_too_little_thread_is_none(seen, curve, make_lines):
+    speck = make_lines(np.array([[400.0, 200.0], [408.0, 203.0]]))
+    assert "too little thread" in reason_of(seen(curve, centrelines_left=speck))
+
+
+def test_dots_are_no_thread(seen, curve, make_lines):
+    dots = make_lines(*(np.array([[u, 200.0], [u + 2.0, 201.0]]) for u in range(100, 700, 40)))
+    assert "no piece of thread" in reason_of(seen(curve, centrelines_left=dots))
+
+
+def test_exchanged_images_are_suspected(seen, curve, see):
+    reason = reason_of(seen(curve, centrelines_left=see(curve, 1), centrelines_right=see(curve, 0)))
+    assert "left and right are not exchanged" in reason
+
+
+def test_images_of_different_threads_contradict_each_other(seen, threads, make_lines):
+    other = make_lines(np.array([[100.0, 40.0], [140.0, 90.0]]))
+    assert "check that both images show the same thread" in reason_of(seen(threads["winding"], centrelines_right=other))
+
+
+@pytest.mark.parametrize(
+    ("shift", "told"), [((-420.0, 0.0), "counterpart"), ((0.0, 320.0), "counterpart"), ((119.9, 0.0), "check that")]
+)
+def test_a_calibration_that_is_not_the_images_own_is_suspected(seen, threads, see, make_lines, shift, told):
+    right = np.clip(see(threads["winding"], 1).point_px + np.array(shift), [-400, 0], [960, 800])
+    reason = reason_of(seen(threads["winding"], centrelines_right=make_lines(right)))
+    assert told in reason or "contradict" in reason
+
+
+def test_numbers_that_no_camera_has_are_a_reason(seen, curve, camera, make_lines):
+    assert "check its unit" in reason_of(
+        dataclasses.replace(seen(curve), camera=dataclasses.replace(camera, baseline=1e200))
+    )
+    outside = make_lines(np.array([[4000.0, 100.0], [4100.0, 200.0]]))
+    assert "outside" in reason_of(seen(curve, centrelines_left=outside))

@@ -1,0 +1,94 @@
+"""The prior of a frame: what it is, against dense linear algebra."""
+
+import numpy as np
+import pytest
+
+from agents.reconstruction.refined.motion import away_from, band_of, by_span, prior, process_noise, stretching
+from agents.reconstruction.refined.normal_equations import gradient
+from agents.reconstruction.refined.projection import Curve
+from schemas.messages import RectifiedStereo
+from shared.splines import clamped_uniform_knots
+
+CAMERA = RectifiedStereo(960, 540, 1000.0, 1000.0, 479.5, 269.5, 5.5, 1e-3)
+NO_NOISE = np.zeros(4)
+M = 12
+
+
+def dense(blocks):
+    """The sum of blocks of four neighbouring control points."""
+    m = len(blocks) + 3
+    H = np.zeros((3 * m, 3 * m))
+    for k, block in enumerate(blocks):
+        H[3 * k : 3 * k + 12, 3 * k : 3 * k + 12] += block
+    return H
+
+
+def banded_precision(seed=0):
+    """Of a distribution whose precision is banded, and so is given by the covariance of neighbours."""
+    blocks = np.random.default_rng(seed).normal(size=(M - 3, 12, 12))
+    return dense(blocks @ blocks.transpose(0, 2, 1)) + np.eye(3 * M)
+
+
+def covariance_of(precision):
+    return np.linalg.inv(precision).reshape(M, 3, M, 3)
+
+
+def line(m=M, length=20.0):
+    knots = clamped_uniform_knots(m)
+    return Curve(knots, np.column_stack((np.linspace(0, length, m), np.zeros(m), np.full(m, 100.0))))
+
+
+def test_a_distribution_with_banded_precision_comes_back_as_it_is():
+    precision = banded_precision()
+    assert dense(prior(band_of(covariance_of(precision)), NO_NOISE)) == pytest.approx(precision, rel=1e-6, abs=1e-6)
+
+
+def test_of_any_covariance_the_blocks_of_neighbours_are_kept():
+    square = np.random.default_rng(1).normal(size=(3 * M, 3 * M))
+    covariance = square @ square.T + np.eye(3 * M)
+    noise = np.array((0.5, 0.4, 0.3, 0.2))
+    kept = np.linalg.inv(dense(prior(band_of(covariance.reshape(M, 3, M, 3)), noise)))
+    apart = np.abs(np.subtract.outer(np.arange(M), np.arange(M)))
+    wanted = covariance + np.kron(np.where(apart < 4, noise[np.minimum(apart, 3)], 0.0), np.eye(3))
+    near = np.kron(apart < 4, np.ones((3, 3))) > 0
+    assert kept[near] == pytest.approx(wanted[near], rel=1e-6, abs=1e-8)
+
+
+def test_what_is_far_from_the_prediction_is_drawn_back_to_it():
+    precision = prior(band_of(covariance_of(banded_precision())), NO_NOISE)
+    predicted = line()
+    off = np.random.default_rng(2).normal(size=(M, 3))
+    blocks = away_from(precision, predicted.moved(off), predicted)
+    assert gradient(blocks.g) == pytest.approx(dense(precision) @ off.ravel())
+
+
+def test_process_noise_grows_with_time_and_falls_off_along_the_thread():
+    noise = process_noise(line(), CAMERA, 1 / 30)
+    assert (np.diff(noise) < 0).all()
+    assert process_noise(line(), CAMERA, 3 / 30) == pytest.approx(3 * noise)
+    assert np.sqrt(noise[0]) == pytest.approx(0.0124 * 960 * 100 / 1000, rel=0.01)
+
+
+def test_stretching_costs_what_its_gradient_says_and_sliding_nothing():
+    rng = np.random.default_rng(3)
+    curve = line().moved(rng.normal(0, 0.2, (M, 3)))
+
+    def cost(control_points):
+        s = (np.arange(M - 3) + 0.5) / (M - 3)
+        step = 1e-6
+        ahead, behind = Curve(curve.knots, control_points).at(s + step), Curve(curve.knots, control_points).at(s - step)
+        speed = np.linalg.norm(ahead - behind, axis=1) / (2 * step)
+        return 0.5 * (((speed / 22.0 - 1) / 0.03) ** 2).sum()
+
+    slope = gradient(stretching(curve, 22.0).g).reshape(M, 3)
+    for i, axis in ((0, 0), (3, 1), (M - 1, 2)):
+        by = np.zeros((M, 3))
+        by[i, axis] = 1e-4
+        numeric = (cost(curve.control_points + by) - cost(curve.control_points - by)) / 2e-4
+        assert slope[i, axis] == pytest.approx(numeric, rel=1e-3, abs=1e-3)
+    assert slope.sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-9)
+
+
+def test_by_span_takes_four_neighbours_each():
+    values = np.arange(3.0 * M).reshape(M, 3)
+    assert by_span(values)[2].tolist() == values[2:6].ravel().tolist()

@@ -1,0 +1,61 @@
+"""The spline's own basis, its views and their derivatives."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import BSpline
+
+from agents.reconstruction.refined.projection import at_constant_speed, basis_at, projected
+from shared.camera import project
+from shared.splines import clamped_uniform_knots, local_basis
+
+STEP = 1e-5
+
+
+@pytest.mark.parametrize("spans", [1, 2, 9, 60])
+def test_basis_functions_are_those_of_the_clamped_spline(spans):
+    s = np.concatenate(([0.0, 1.0, 0.5, 1 / spans], np.random.default_rng(0).random(200)))
+    first, values, slopes = basis_at(spans, s)
+    other_first, other_values, other_slopes = local_basis(clamped_uniform_knots(spans + 3), 3, s)
+    control = np.random.default_rng(1).normal(size=spans + 3)
+
+    def sums(first, basis):
+        return (basis * control[first[:, None] + np.arange(4)]).sum(axis=1)
+
+    np.testing.assert_allclose(sums(first, values), sums(other_first, other_values), atol=1e-12)
+    np.testing.assert_allclose(sums(first, slopes), sums(other_first, other_slopes), atol=1e-9)
+
+
+def test_a_view_is_the_projection_of_the_curve_in_both_eyes(spline, camera):
+    s = np.linspace(0, 1, 37)
+    points = BSpline(spline.knots, spline.control_points, 3)(s)
+    left, right = project(camera, points)
+    for eye, px in ((0, left), (1, right + np.array([0.0, 0.4]))):
+        view = projected(spline, s, np.full(37, eye), camera, row_offset_px=0.4)
+        np.testing.assert_allclose(view.point_px, px, atol=1e-9)
+
+
+@pytest.mark.parametrize("eye", [0, 1])
+def test_derivatives_are_finite_differences(spline, camera, eye):
+    s, eyes = np.linspace(0.02, 0.98, 23), np.full(23, eye)
+    view = projected(spline, s, eyes, camera)
+    ahead, behind = (projected(spline, s + step, eyes, camera).point_px for step in (STEP, -STEP))
+    np.testing.assert_allclose(view.velocity_px, (ahead - behind) / (2 * STEP), rtol=1e-5, atol=1e-3)
+    for axis in range(3):
+        push = 1e-4 * np.eye(3)[axis]
+        further, back = (projected(spline.moved(sign * push), s, eyes, camera).point_px for sign in (1, -1))
+        np.testing.assert_allclose(view.by_point[:, :, axis], (further - back) / 2e-4, rtol=1e-6, atol=1e-5)
+
+
+def test_at_constant_speed_the_curve_stays_and_its_speed_becomes_even(spline):
+    warped = BSpline(spline.knots, spline.control_points, 3)(np.linspace(0, 1, 400) ** 1.3)
+    basis = BSpline.design_matrix(np.linspace(0, 1, 400), spline.knots, 3).toarray()
+    uneven = type(spline)(spline.knots, np.linalg.lstsq(basis, warped, rcond=None)[0])
+    marks = np.linspace(0.05, 0.95, 19)
+    even, moved = at_constant_speed(uneven, marks)
+    np.testing.assert_allclose(even.at(moved), uneven.at(marks), atol=2e-3 * spline.size)
+    speed = np.linalg.norm(
+        BSpline(even.knots, even.control_points, 3).derivative()(np.linspace(0.05, 0.95, 200)), axis=1
+    )
+    assert speed.max() / speed.min() < 1.05
+    before = np.linalg.norm(BSpline(uneven.knots, uneven.control_points, 3).derivative()(marks), axis=1)
+    assert before.max() / before.min() > 1.5

@@ -1,0 +1,64 @@
+"""From a fit to what is told: confidence, unseen stretches, and which end is the first."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy.stats import norm
+
+from agents.reconstruction.refined.posterior import point_covariance
+from agents.reconstruction.refined.refinement import Start, refined
+from agents.reconstruction.refined.result import TOLERANCE_M, confidence_of, stretches
+
+ALONG_X = np.array([[1.0, 0.0, 0.0]])
+
+
+@pytest.mark.parametrize("unit_m", [1.0, 1e-3])
+def test_confidence_is_the_probability_of_being_within_the_tolerance_across_the_thread(unit_m):
+    deviation = np.array([7.0, 0.8, 1.3]) * TOLERANCE_M / unit_m
+    (found,) = confidence_of(ALONG_X, np.diag(deviation**2)[None], unit_m)
+    sides = [norm.cdf(1 / d) - norm.cdf(-1 / d) for d in (0.8, 1.3)]
+    assert found == pytest.approx(np.prod(sides), rel=1e-9)
+
+
+@pytest.mark.parametrize(("deviation_m", "low", "high"), [(1e-5, 1 - 1e-9, 1.0), (1.0, 0.0, 1e-5)])
+def test_confidence_is_full_for_small_and_none_for_large_covariance(deviation_m, low, high):
+    (found,) = confidence_of(ALONG_X, deviation_m**2 * np.eye(3)[None], 1.0)
+    assert low <= found <= high
+
+
+def test_uncertainty_along_the_thread_costs_nothing():
+    across, along = np.diag([1.0, 1e-10, 1e-10])[None], np.diag([1e-10, 1.0, 1e-10])[None]
+    assert confidence_of(ALONG_X, across, 1.0)[0] > 0.999
+    assert confidence_of(ALONG_X, along, 1.0)[0] < 0.01
+
+
+@given(arrays(bool, st.integers(1, 60)))
+def test_stretches_cover_just_the_hidden_places(hidden):
+    found = stretches(hidden)
+    at = (np.arange(len(hidden)) + 0.5) / len(hidden)
+    np.testing.assert_array_equal(((at[:, None] > found[:, 0]) & (at[:, None] < found[:, 1])).any(axis=1), hidden)
+    assert (np.diff(found.ravel()) > 0).all()
+
+
+def test_covariance_grows_where_the_thread_runs_along_the_rows(waving_spline, sight_of, camera):
+    fit = refined(Start(waving_spline, sight_of(waving_spline, count=300, noise_px=0.1)), camera)
+    s = np.linspace(0.03, 0.97, 300)
+    depth = np.sqrt(point_covariance(fit, camera, s)[:, 2, 2])
+    v = camera.fy_px * waving_spline.at(s)[:, 1] / waving_spline.at(s)[:, 2]
+    u = camera.fx_px * waving_spline.at(s)[:, 0] / waving_spline.at(s)[:, 2]
+    slope = np.abs(np.gradient(v) / np.gradient(u))
+    assert np.median(depth[slope < 0.05]) > 1.5 * np.median(depth[slope > 0.8])
+
+
+def test_covariance_follows_the_unit(spline, sight_of, camera):
+    fit = refined(Start(spline, sight_of(spline)), camera)
+    scaled = type(spline)(spline.knots, spline.control_points * 1e-3)
+    in_metres = dataclasses.replace(camera, baseline=camera.baseline * 1e-3)
+    other = refined(Start(scaled, sight_of(spline)), in_metres)
+    s = np.linspace(0, 1, 20)
+    found, wanted = point_covariance(other, in_metres, s), 1e-6 * point_covariance(fit, camera, s)
+    np.testing.assert_allclose(found, wanted, rtol=1e-3, atol=1e-6 * wanted.max())
