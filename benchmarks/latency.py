@@ -32,10 +32,10 @@ from agents.cli.up import start_all, write_config
 from agents.recorder.mcap_file import read_recording
 from schemas.codec import decode
 from schemas.messages import AgentHealth
-from schemas.topics import FRAMES, HEALTH, OBSERVATIONS, SURFACE, THREAD, topic_of
+from schemas.topics import FRAMES, HEALTH, OBSERVATIONS, THREAD, Topic, topic_of
 from shared.clock import now_ns
 
-STAGES = (FRAMES, OBSERVATIONS, SURFACE, THREAD)
+STAGES = (FRAMES, OBSERVATIONS, THREAD)
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Options:
     """
 
     seconds: float = 20.0
-    settle: float = 6.0
+    settle: float = 12.0
     seed: int = 1
     json: Path | None = None
 
@@ -75,15 +75,16 @@ def measure(rig: RigConfig, options: Options) -> dict[str, Any]:
             _wait(options.seconds, supervisor)
             end_ns, after = now_ns(), _cpu_seconds(supervisor)
         seconds = 1e-9 * (end_ns - begin_ns)
+        share = {name: (after[name] - before[name]) / seconds for name in after if name in before}
         stages, drops = _of_recording(folder, begin_ns, end_ns)
     return {
         "seconds": seconds,
         "cores": os.cpu_count(),
         "opencv threads": cv2.getNumThreads(),
         "load before": load_before,
-        "stages": {topic: _summary(ms, seconds) for topic, ms in stages.items()},
+        "stages": {str(topic): _summary(ms, seconds, share[topic.agent]) for topic, ms in stages.items()},
         "drops": drops,
-        "cpu share": {name: (after[name] - before[name]) / seconds for name in after if name in before},
+        "cpu share": share,
     }
 
 
@@ -101,9 +102,9 @@ def _cpu_seconds(supervisor: Supervisor) -> dict[str, float]:
 
 def _of_recording(
     folder: SessionFolder, begin_ns: int, end_ns: int
-) -> tuple[dict[str, list[float]], dict[str, dict[str, int]]]:
+) -> tuple[dict[Topic, list[float]], dict[str, dict[str, int]]]:
     """Milliseconds from capture by stage, and what each agent's health counts of its inputs, within a time."""
-    stages: defaultdict[str, list[float]] = defaultdict(list)
+    stages: defaultdict[Topic, list[float]] = defaultdict(list)
     counts: defaultdict[str, list[dict[str, int]]] = defaultdict(list)
     for entry in read_recording(folder.recording):
         topic = topic_of(entry.key)
@@ -118,14 +119,21 @@ def _of_recording(
                 )
         else:
             seen_ns = max(message.stamp.capture_left_ns, message.stamp.capture_right_ns)
-            stages[str(topic)].append(1e-6 * (entry.published_ns - seen_ns))
+            stages[topic].append(1e-6 * (entry.published_ns - seen_ns))
     drops = {who: {name: told[-1][name] - told[0][name] for name in told[0]} for who, told in sorted(counts.items())}
-    return {str(topic): stages[str(topic)] for topic in STAGES if stages[str(topic)]}, drops
+    return {topic: stages[topic] for topic in STAGES if stages[topic]}, drops
 
 
-def _summary(ms: list[float], seconds: float) -> dict[str, float]:
+def _summary(ms: list[float], seconds: float, share: float) -> dict[str, float]:
     p50, p99 = np.percentile(ms, (50, 99))
-    return {"p50 ms": float(p50), "p99 ms": float(p99), "rate hz": len(ms) / seconds, "messages": len(ms)}
+    rate_hz = len(ms) / seconds
+    return {
+        "p50 ms": float(p50),
+        "p99 ms": float(p99),
+        "rate hz": rate_hz,
+        "messages": len(ms),
+        "cpu ms of its agent per message": 1e3 * share / rate_hz,
+    }
 
 
 def print_tables(measured: dict[str, Any]) -> None:

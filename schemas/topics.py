@@ -82,9 +82,9 @@ class Topic:
 
 FRAMES = Topic("camera", "frames", StereoFrame, Delivery.LATEST, rate_hz=30, maximum_age_ms=200)
 CALIBRATION = Topic("camera", "calibration", StereoCalibration, Delivery.STATE)
-OBSERVATIONS = Topic("perception", "observations", ThreadObservations, Delivery.LATEST, rate_hz=30, maximum_age_ms=1500)
+OBSERVATIONS = Topic("perception", "observations", ThreadObservations, Delivery.LATEST, rate_hz=30, maximum_age_ms=1000)
 SURFACE = Topic("perception", "surface", TissueSurface, Delivery.LATEST, rate_hz=3, maximum_age_ms=3000)
-THREAD = Topic("reconstruction", "thread", ThreadReconstruction, Delivery.LATEST, rate_hz=30, maximum_age_ms=1500)
+THREAD = Topic("reconstruction", "thread", ThreadReconstruction, Delivery.LATEST, rate_hz=30, maximum_age_ms=1000)
 GOAL = Topic("operator", "goal", GraspGoal, Delivery.COMMAND, receiver="planner")
 ARM = Topic("operator", "arm", Arm, Delivery.COMMAND, receiver="robot_bridge", per_arm=True)
 HOLD = Topic("operator", "hold", Hold, Delivery.COMMAND, receiver="robot_bridge", per_arm=True, good_when_late=True)
