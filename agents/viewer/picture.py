@@ -144,13 +144,15 @@ def _legend(observations: ThreadObservations, reconstruction: ThreadReconstructi
     entries: list[Entry] = [("segmented as thread", colours.MASK)]
     if len(observations.points_camera):
         entries.append(("observations, with their bounds", colours.OBSERVATION))
+    elif len(reconstruction.regions.s):
+        entries.append(("matched places, with their bounds", colours.OBSERVATION))
     if missed(reconstruction.regions).any():
         entries.append(("region that the curve had to miss", colours.OUTSIDE))
     if thread is not None and thread.unseen.any():
         entries.append(("dashed or shaded: seen in no image", colours.MUTED))
     if thread is not None and len(reconstruction.posterior_s):
         entries.append(("95 % of the predicted depth", colours.BAND))
-    if thread is None:
+    if thread is None and len(observations.matched_px):
         entries += [("matched pixels, kept", colours.KEPT), ("matched pixels, rejected", colours.REJECTED)]
     canvas, x = _blank(LINE_HEIGHT_PX + 14), MARGIN_PX
     for text, rgb in entries:

@@ -26,7 +26,7 @@ def unit_text(metres_per_unit: float | None) -> str:
 def facts(observations: ThreadObservations, reconstruction: ThreadReconstruction, thread: Polyline | None) -> list[str]:
     """What was measured and how, a few words each."""
     unit = unit_text(reconstruction.camera.metres_per_unit)
-    lines = [f"frame {reconstruction.stamp.sequence}", f"{len(observations.points_camera)} observations"]
+    lines = [f"frame {reconstruction.stamp.sequence}", _observed(observations)]
     if thread is not None:
         lines.append(f"length {thread.length:.4g} {unit}")
     if len(reconstruction.confidence):
@@ -37,6 +37,15 @@ def facts(observations: ThreadObservations, reconstruction: ThreadReconstruction
     lines.append(f"method {reconstruction.method or 'unnamed'}")
     lines.append(f"segmenter {observations.segmenter or 'unnamed'}")
     return lines
+
+
+def _observed(observations: ThreadObservations) -> str:
+    """How many observations there are, or points of centrelines where pixels were not matched."""
+    lines = observations.centrelines_left, observations.centrelines_right
+    points = sum(len(line.point_px) for line in lines)
+    if points and not len(observations.matched_px):
+        return f"{points} points of centrelines"
+    return f"{len(observations.points_camera)} observations"
 
 
 def reasons(observations: ThreadObservations, reconstruction: ThreadReconstruction) -> list[str]:
