@@ -19,7 +19,7 @@ TANGENT_WIDTHS = 3.0
 ANGLE_DEVIATION = 0.2
 """Of the direction of an end, in radians."""
 LEAST_CURVATURE_PX = 1 / 400
-GAP_SCALE_SHARE = 0.02
+GAP_SCALE_SHARE = 0.03
 """Of the image's width: a gap as long as this costs as much as one standard deviation of bending."""
 DEAREST_LINK = 40.0
 KINK = 12.0
