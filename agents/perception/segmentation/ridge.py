@@ -14,13 +14,13 @@ Where it is known about where the thread is, only what lies near is looked at: t
 nothing else in the image were a ridge.
 """
 
-import math
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int32, Int64, UInt8
+from jaxtyping import Bool, Float32, Float64, Int32, UInt8
 
+from agents.perception.segmentation.full_size import at_full_size, mean_excess
 from agents.perception.segmentation.line_filter import RADIUS_PX, line_response, line_responses
 from agents.perception.segmentation.near import Meant, Near
 
@@ -46,17 +46,10 @@ LEAST_SHARE_OF_THREAD, MOSTLY_THREAD = 0.4, 0.8
 """In a mixed pixel: what is credited at least, and what is enough to learn the thread's colour from."""
 RAREST = 6.0
 """Deviations from the image's colours beyond which a colour is not rarer still."""
-EDGE_SHARE = 0.6
-"""Of the contrast in the thread's middle: its edge. Blur and shadow widen the thread, so more than one half."""
 LEAST_COLOUR_PIXELS = 8
-
-MEAN_OF_CHANNELS = np.full((1, 3), 1 / 3, np.float32)
-EIGHT_NEIGHBOURS = np.ones((3, 3), np.uint8)
 CROP_MARGIN_PX = 2 * (RADIUS_PX + BACKGROUND_WINDOW)
 """Around what is looked at: far enough for the filters and for the background to see what they see in a whole image.
 Even, so that the image for the background is reduced alike."""
-BLUR_MARGIN_PX = 24
-"""Around the ridge: more than three times as far as the blur of its contrast reaches."""
 
 
 @dataclass(frozen=True)
@@ -121,17 +114,17 @@ def segment_ridge(
     background = _background(seen)
     view = _view(reduced, background, where, meant, rows, columns)
     if near is None:
-        darker, brighter = _mean_excess(background, seen), _mean_excess(seen, background)
+        darker, brighter = mean_excess(background, seen), mean_excess(seen, background)
         of_dark, of_bright = line_responses(darker, brighter)
         dark, bright = _thread_among(of_dark, view), _thread_among(of_bright, view)
         is_bright = bright.strength > dark.strength
         found, contrast = (bright, brighter) if is_bright else (dark, darker)
     else:
         is_bright = near.is_bright
-        contrast = _mean_excess(*((seen, background) if is_bright else (background, seen)))
+        contrast = mean_excess(*((seen, background) if is_bright else (background, seen)))
         found = _thread_among(line_response(contrast), view)
     background, ridge, contrast = (_in_whole(part, view, reduced.shape) for part in (background, found.ridge, contrast))
-    return _at_full_size(image, background, ridge, contrast, is_bright)
+    return at_full_size(image, background, ridge, contrast, is_bright)
 
 
 def _reduced(image: np.ndarray, share: float) -> np.ndarray:
@@ -187,11 +180,6 @@ def _background(image: UInt8[np.ndarray, "h w 3"]) -> np.ndarray:
 
 def _lab(image: np.ndarray) -> Float32[np.ndarray, "h w 3"]:
     return cv2.cvtColor(image, cv2.COLOR_BGR2Lab).astype(np.float32)
-
-
-def _mean_excess(image: np.ndarray, other: np.ndarray) -> Float32[np.ndarray, "h w"]:
-    """How much brighter an image is than the other, the mean over the channels of what is above 0."""
-    return cv2.transform(cv2.subtract(image, other).astype(np.float32), MEAN_OF_CHANNELS).astype(np.float32, copy=False)
 
 
 def _rarity(colour: Float32[np.ndarray, "h w 3"], sample: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, "h w"]:
@@ -287,53 +275,6 @@ def _colour_distance(
         away = np.linalg.norm(seen - share[:, None] * whole, axis=1) / share
         own = piece & (away < COLOUR_LIMIT) & (share > MOSTLY_THREAD)
     return away
-
-
-def _at_full_size(
-    image: UInt8[np.ndarray, "H W 3"],
-    background: UInt8[np.ndarray, "h w 3"],
-    ridge: Bool[np.ndarray, "h w"],
-    contrast: Float32[np.ndarray, "h w"],
-    is_bright: bool,
-) -> UInt8[np.ndarray, "H W"]:
-    """The thread's pixels in the full image: beside the ridge, with enough of the contrast of its middle.
-
-    Background, ridge and contrast are of the whole reduced image, of which only what lies around the ridge is enlarged.
-    """
-    coverage = np.zeros(image.shape[:2], np.uint8)
-    if not ridge.any():
-        return coverage
-    (rows, full_rows), (columns, full_columns) = (
-        _around(np.flatnonzero(ridge.any(axis=1 - axis)), ridge.shape[axis], image.shape[axis]) for axis in (0, 1)
-    )
-    background, ridge, contrast = (whole[rows, columns] for whole in (background, ridge, contrast))
-    image = image[full_rows, full_columns]
-    middle = cv2.dilate(np.where(ridge, contrast, np.float32(0)), EIGHT_NEIGHBOURS)
-    level = cv2.GaussianBlur(middle * ridge, (0, 0), 2.0) / np.maximum(
-        cv2.GaussianBlur(ridge.astype(np.float32), (0, 0), 2.0), 1e-3
-    )
-    size = image.shape[1::-1]
-    wide = cv2.dilate(255 * ridge.astype(np.uint8), EIGHT_NEIGHBOURS)
-    beside = cv2.resize(wide, size, interpolation=cv2.INTER_NEAREST)
-    edge = EDGE_SHARE * cv2.resize(level, size, interpolation=cv2.INTER_LINEAR)
-    full_background = cv2.resize(background, size, interpolation=cv2.INTER_LINEAR)
-    lighter, darker = (image, full_background) if is_bright else (full_background, image)
-    clear = cv2.compare(_mean_excess(lighter, darker), edge, cv2.CMP_GT)
-    coverage[full_rows, full_columns] = cv2.bitwise_and(clear, beside)
-    return coverage
-
-
-def _around(hit: Int64[np.ndarray, "n"], reduced: int, full: int) -> tuple[slice, slice]:
-    """Where some places lie along one axis, with a margin, in the reduced and in the full image.
-
-    Both begin and end at a border between pixels that the two have in common, so that what is enlarged is what it would
-    be in the whole.
-    """
-    common = math.gcd(reduced, full)
-    unit, full_unit = reduced // common, full // common
-    first = max(0, int(hit[0]) - BLUR_MARGIN_PX) // unit
-    last = -(-min(reduced, int(hit[-1]) + 1 + BLUR_MARGIN_PX) // unit)
-    return slice(first * unit, last * unit), slice(first * full_unit, last * full_unit)
 
 
 def _in_whole(part: np.ndarray, view: _View, shape: tuple[int, ...]) -> np.ndarray:

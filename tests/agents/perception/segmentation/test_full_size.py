@@ -1,0 +1,29 @@
+"""What is enlarged around a ridge, beside the same of the whole image."""
+
+import cv2
+import numpy as np
+import pytest
+
+from agents.perception.segmentation import full_size
+from agents.perception.segmentation.full_size import at_full_size
+
+
+@pytest.mark.parametrize("size", [(960, 540), (1280, 720), (480, 270), (641, 479)])
+@pytest.mark.parametrize("is_bright", [False, True])
+def test_around_a_ridge_the_pixels_are_those_of_the_whole_image(size, is_bright, monkeypatch):
+    random = np.random.default_rng(3)
+    reduced = 480, round(size[1] * 480 / size[0])
+    image = random.integers(0, 256, (size[1], size[0], 3), dtype=np.uint8)
+    background = random.integers(100, 156, (reduced[1], reduced[0], 3), dtype=np.uint8)
+    ridge = np.zeros(background.shape[:2], np.uint8)
+    cv2.polylines(ridge, [np.array([[301, 90], [377, 143], [411, 140]], np.int32)], False, 1)
+    contrast = random.uniform(0, 60, ridge.shape).astype(np.float32)
+    around = at_full_size(image, background, ridge > 0, contrast, is_bright)
+    assert np.count_nonzero(around) > 100
+    monkeypatch.setattr(full_size, "BLUR_MARGIN_PX", 10_000)
+    np.testing.assert_array_equal(at_full_size(image, background, ridge > 0, contrast, is_bright), around)
+
+
+def test_without_a_ridge_there_is_no_thread():
+    image = np.zeros((54, 96, 3), np.uint8)
+    assert not at_full_size(image, image[::2, ::2], np.zeros((27, 48), bool), np.ones((27, 48), np.float32), True).any()
