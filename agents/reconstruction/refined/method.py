@@ -2,6 +2,7 @@
 
 1. `chains`: the pieces of the left centreline in their order along the thread, through crossings and behind tools.
 2. `alignment`: the right image's counterpart of each place, by dynamic programming along the rows.
+   `continuation`: what only the right image shows beyond the left one's border.
 3. `initial`: a first curve from both.
 4. `refinement`: Gauss-Newton on its control points against both centrelines, smoothing chosen from the images.
 5. `constraints`: the reliability regions hold it, by a quadratic program.
@@ -17,6 +18,7 @@ from agents.reconstruction.paper import failed
 from agents.reconstruction.refined.alignment import Alignment, align
 from agents.reconstruction.refined.chains import Chain, chains
 from agents.reconstruction.refined.constraints import Held, held_to, regions_of
+from agents.reconstruction.refined.continuation import continued
 from agents.reconstruction.refined.initial import initial_curve
 from agents.reconstruction.refined.plausibility import contradiction, implausible, unusable
 from agents.reconstruction.refined.refinement import Refined, Start, refined
@@ -102,7 +104,8 @@ def course_of(left: Centrelines, right: Centrelines, camera: RectifiedStereo, ro
     reason = contradiction(aligned, camera)
     if aligned is None or reason:
         raise NoCurveError(reason)
-    return Course(found[0], aligned, sightings(found[0], right, aligned), row_offset_px)
+    chain, aligned = continued(found[0], level, aligned, camera)
+    return Course(chain, aligned, sightings(chain, right, aligned), row_offset_px)
 
 
 def fitted(course: Course, camera: RectifiedStereo) -> Refined:

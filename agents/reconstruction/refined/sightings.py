@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float64, Int64
 
 from agents.reconstruction.refined.alignment import Alignment, piece_ends
 from agents.reconstruction.refined.chains import Chain
+from agents.reconstruction.refined.continuation import ADDED
 from agents.reconstruction.refined.projection import DENSE, Curve, projected
 from schemas.messages import Centrelines, RectifiedStereo
 
@@ -45,20 +46,19 @@ class Sightings:
 def sightings(left: Chain, right: Centrelines, aligned: Alignment) -> Sightings:
     """The left chain's points, and those of the right pieces between and beside their matched ones."""
     index, s = _of_left(left)
-    ends = np.zeros(len(index), bool)
-    ends[[0, -1]] = True
+    last = len(left.point_px) - 1
     parts = [
         _of_right(piece, left, right, aligned) for piece in np.unique(right.piece[aligned.right_index.astype(int)])
     ]
+    parts.append(_of_right_alone(left))
     right_index = np.concatenate([part[0] for part in parts])
-    spacing = _spacing(left.along_px[index])
-    correlated = np.sqrt(max(1.0, CORRELATED_PX / spacing))
+    correlated = np.sqrt(max(1.0, CORRELATED_PX / _spacing(left.along_px[index])))
     return Sightings(
         np.concatenate((left.point_px[index], right.point_px[right_index])),
         np.concatenate((left.deviation_px[index], right.deviation_px[right_index])) * correlated,
         np.repeat([0, 1], [len(index), len(right_index)]),
         np.concatenate((s, *(part[1] for part in parts))),
-        np.concatenate((ends, *(part[2] for part in parts))),
+        np.concatenate(((index == 0) | (index == last), *(part[2] for part in parts))),
         float(np.median(left.width_px)),
     )
 
@@ -122,7 +122,19 @@ def _stride(count: int) -> int:
 def _of_left(left: Chain) -> tuple[Int64[np.ndarray, "k"], Float64[np.ndarray, "k"]]:
     last = len(left.point_px) - 1
     index = np.append(np.arange(0, last, _stride(last)), last)
+    index = index[left.piece[index] != ADDED]
     return index, left.along_px[index] / left.along_px[-1]
+
+
+def _of_right_alone(
+    left: Chain,
+) -> tuple[Int64[np.ndarray, "k"], Float64[np.ndarray, "k"], Bool[np.ndarray, "k"]]:
+    """What continues the left chain in the right image alone: indices, parameters, and which are the thread's ends."""
+    last = len(left.point_px) - 1
+    added = np.flatnonzero(left.piece == ADDED)
+    at_end = (added == 0) | (added == last)
+    kept = at_end | (added % _stride(last) == 0)
+    return left.index[added[kept]], left.along_px[added[kept]] / left.along_px[-1], at_end[kept]
 
 
 def _of_right(
@@ -136,6 +148,7 @@ def _of_right(
     t, s = t[order], s[order]
     index = np.flatnonzero(right.piece == piece)[:: _stride(len(left.point_px))]
     index = index[(index >= t[0] - BEYOND_PX) & (index <= t[-1] + BEYOND_PX)]
+    index = np.setdiff1d(index, left.index[left.piece == ADDED])
     place = np.interp(index, t, s)
     if len(t) > 1 and t[-1] > t[0]:
         pace = (s[-1] - s[0]) / (t[-1] - t[0])
