@@ -20,7 +20,7 @@ from schemas.messages import Centrelines, RectifiedStereo
 
 REACH_SHARE = 0.034
 """Of the image's width: the farthest motion from frame to frame that is looked for."""
-LIKELY_SHARE = 0.012
+LIKELY_SHARE = 0.03
 BIN_SHARE = 0.003
 GATE_SHARE = 0.008
 """How far from the shifted curve a point may lie."""

@@ -10,6 +10,7 @@ squared; the prior's term alone has at most three times as many degrees of freed
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float64
 
 from agents.reconstruction.refined.association import GATE_SHARE, Associated, associated
 from agents.reconstruction.refined.motion import Precision, away_from, prior, process_noise, stretching
@@ -31,6 +32,8 @@ from agents.reconstruction.refined.smoothing import FINE, chosen_smoothing, loca
 from schemas.messages import Centrelines, RectifiedStereo, ThreadTrack
 
 STEPS = 2
+HIDDEN = 1e-3
+"""Of the usual roughness: what counts of it past the last place that is seen."""
 ROUNDS, FEW_POINTS, NEAR_PX_SHARE = 3, 150, 0.004
 """Places are found and the curve is moved with some points of each eye until it moves by less than this share of the
 width, or so often."""
@@ -121,7 +124,7 @@ def _moved(prediction: _Prediction, curve: Curve, sight: Sightings) -> Curve:
     scale = max(1.4826 * float(np.median(np.abs(rows.residual[: rows.sightings]))), LEAST_SCALE)
     data = data_blocks(rows, np.full(len(rows.residual), scale**-2), curve.spans) + damping_blocks(curve)
     total = data + prediction.about(curve)
-    total += roughness_blocks(curve, last.smoothing * last.span_weight)
+    total += roughness_blocks(curve, last.smoothing * last.span_weight * _shown(sight, curve))
     motion = -solved(factored(total), gradient(total.g))
     return at_constant_speed(curve.moved(motion.reshape(-1, 3)), sight.s)[0]
 
@@ -130,7 +133,11 @@ def _fit(prediction: _Prediction, curve: Curve, sight: Sightings) -> Refined:
     last, camera = prediction.last, prediction.camera
     smoothing, weight, row_offset = last.smoothing, last.span_weight, last.row_offset_px
     choose = last.frames % CHOICE_FRAMES == CHOICE_FRAMES - 1
-    sight, damping = placed(sight, curve, camera, row_offset, rounds=2), damping_blocks(curve)
+    sight, damping, shown = (
+        placed(sight, curve, camera, row_offset, rounds=2),
+        damping_blocks(curve),
+        _shown(sight, curve),
+    )
     for step in range(STEPS):
         rows, robust, scale = weighted(curve, sight, camera, row_offset)
         data = data_blocks(rows, robust / scale**2, curve.spans) + damping
@@ -138,15 +145,26 @@ def _fit(prediction: _Prediction, curve: Curve, sight: Sightings) -> Refined:
         if choose and step == 1:
             smoothing = chosen_smoothing(curve, data, weight, smoothing * FINE)
             weight = local_weights(curve, data + roughness_blocks(curve, smoothing * weight), smoothing, weight)
-        total = data + roughness_blocks(curve, smoothing * weight)
+        total = data + roughness_blocks(curve, smoothing * weight * shown)
         motion = -solved(factored(total), gradient(total.g))
         curve, s = at_constant_speed(curve.moved(motion.reshape(-1, 3)), sight.s)
         sight = placed(replace(sight, s=s), curve, camera, row_offset)
     rows, robust, scale = weighted(curve, sight, camera, row_offset)
     data = data_blocks(rows, robust / scale**2, curve.spans) + damping
     data += prediction.about(curve)
-    total = data + roughness_blocks(curve, smoothing * weight)
+    total = data + roughness_blocks(curve, smoothing * weight * shown)
     return Refined(curve, sight, rows, robust, scale, smoothing, weight, row_offset, total)
+
+
+def _shown(sight: Sightings, curve: Curve) -> Float64[np.ndarray, "spans"]:
+    """1 for spans between those of which this frame shows something.
+
+    Past the last of them roughness would straighten the thread a little more in every frame; there, the prior says
+    already how smooth it is.
+    """
+    k = np.arange(curve.spans)
+    first, last = np.clip(np.array((sight.s.min(), sight.s.max())) * curve.spans, 0, curve.spans - 1).astype(int)
+    return np.where((k >= first) & (k <= last), 1.0, HIDDEN)
 
 
 def _steps_px(now: Curve, then: Curve, camera: RectifiedStereo) -> float:

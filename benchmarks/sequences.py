@@ -1,0 +1,160 @@
+"""Sequences of a moving thread whose every material point is known, rendered by shared/scene.
+
+The thread is inextensible: each moment turns its tangents by smooth angles and adds them up again, so that a share of
+its length is the same piece of thread in every frame. A rigid motion on top is the camera's, or the hand's.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float64, UInt8
+
+from agents.perception.observe import observe
+from schemas.messages import FrameStamp, RectifiedStereo, ThreadObservations
+from shared.arc_length import even_parameters
+from shared.camera import project
+from shared.rigid_transforms import exp_so3
+from shared.scene.centreline import Thread
+from shared.scene.render import mask_of, render_backdrop, render_thread, surface_of
+from shared.scene.sensor import Sensor, expose, grain
+from shared.scene.thread_shapes import thread_on
+from shared.splines import basis_matrix, evaluate
+
+CAMERA = RectifiedStereo(960, 540, 1000.0, 1000.0, 479.5, 269.5, 5.5, 1e-3)
+DISTANCE_MM = 100.0
+RATE_HZ = 30.0
+SAMPLES = 401
+JUMP_PX = 100.0
+BAND_SHARE = 0.14
+"""Of the image's width: how wide the tool is that passes."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """How a thread moves.
+
+    Fields:
+        step_px: its fastest motion from frame to frame, about.
+        bend_deg: how far its tangents turn against each other.
+        hidden: whether a tool passes before it.
+        jump_at: the frame before which it is laid elsewhere, and where it is out of sight.
+    """
+
+    name: str
+    step_px: float
+    bend_deg: float
+    hidden: bool = False
+    jump_at: int | None = None
+    gone: tuple[int, int] | None = None
+
+
+KINDS = (
+    Kind("still", 0.0, 0.0),
+    Kind("slow", 3.0, 8.0),
+    Kind("fast", 12.0, 25.0),
+    Kind("tool passes", 3.0, 8.0, hidden=True),
+    Kind("moved by 100 px", 3.0, 8.0, jump_at=22),
+    Kind("out of sight", 3.0, 8.0, gone=(20, 24)),
+)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What perception saw, and where each of evenly spaced material points is; visible: in either image."""
+
+    observations: ThreadObservations
+    truth: Float64[np.ndarray, "n 3"]
+
+
+def sequence(
+    config: str, seed: int, kind: Kind, frames: int, binary: bool, camera: RectifiedStereo = CAMERA
+) -> Iterator[Frame]:
+    """The frames of a moving thread, masks given."""
+    first = thread_on(camera, surface_of(camera, "plain", DISTANCE_MM, seed), config, seed)
+    backdrop = render_backdrop(camera, "plain", DISTANCE_MM, seed)
+    for number in range(frames):
+        thread = moved(first, camera, kind, number / RATE_HZ, seed)
+        if kind.jump_at is not None and number >= kind.jump_at:
+            thread = _shifted(
+                thread, np.array((0.3, 0.954, 0.0)) * JUMP_PX * DISTANCE_MM / camera.fx_px * _inward(thread, camera)
+            )
+        views = render_thread(camera, thread, "violet", backdrop)
+        images, masks = [], []
+        for eye, view in enumerate(views):
+            noise = grain((camera.image_height, camera.image_width), 7919 * seed + 2 * number + eye)
+            images.append(expose(view.bgr, Sensor(), noise))
+            mask = mask_of(camera, view.tube)
+            masks.append(np.where(mask >= 128, 255, 0).astype(np.uint8) if binary else mask)
+        if kind.hidden:
+            _hide(images, masks, camera, number / frames)
+        if kind.gone and kind.gone[0] <= number < kind.gone[1]:
+            masks = [np.zeros_like(mask) for mask in masks]
+        stamp = FrameStamp(number, round(number * 1e9 / RATE_HZ), round(number * 1e9 / RATE_HZ), "")
+        seen = observe(stamp, camera, images[0], images[1], masks[0], masks[1], "mask", matching=False)
+        yield Frame(seen, material_points(thread))
+
+
+def material_points(thread: Thread, count: int = SAMPLES) -> Float64[np.ndarray, "n 3"]:
+    """Points at even shares of the length."""
+    s = even_parameters(thread.knots, thread.control_points, thread.degree, count)
+    return evaluate(thread.knots, thread.control_points, thread.degree, s)
+
+
+def moved(first: Thread, camera: RectifiedStereo, kind: Kind, at_s: float, seed: int) -> Thread:
+    """The thread at a moment."""
+    rng = np.random.default_rng([seed, 11])
+    phases = rng.uniform(0, 2 * np.pi, 8)
+    u = np.linspace(0.0, 1.0, SAMPLES)
+
+    def wave(hz: float, phase: float) -> float:
+        return float(np.sin(2 * np.pi * hz * at_s + phase) - np.sin(phase))
+
+    points = material_points(first)
+    turn = np.radians(kind.bend_deg) * (
+        wave(0.5, phases[0]) * np.sin(np.pi * u + phases[1])
+        + 0.5 * wave(0.8, phases[2]) * np.sin(2 * np.pi * u + phases[3])
+    )
+    steps = np.diff(points, axis=0)
+    angle = 0.5 * (turn[1:] + turn[:-1])
+    c, s = np.cos(angle), np.sin(angle)
+    turned = np.column_stack((c * steps[:, 0] - s * steps[:, 1], s * steps[:, 0] + c * steps[:, 1], steps[:, 2]))
+    bent = np.concatenate((np.zeros((1, 3)), np.cumsum(turned, axis=0)))
+    middle = points.mean(axis=0)
+    bent += middle - bent.mean(axis=0)
+    # a sine of 1 Hz changes by its amplitude times 2 pi / 30 from frame to frame
+    reach = kind.step_px * DISTANCE_MM / camera.fx_px / (2 * np.pi / RATE_HZ)
+    way = 0.5 * reach * np.array((wave(0.9, phases[4]), wave(0.7, phases[5]), 0.5 * wave(0.6, phases[6])))
+    spin = exp_so3(
+        0.1 * np.radians(kind.bend_deg) * np.array((wave(0.4, phases[7]), wave(0.5, phases[3]), wave(0.3, phases[1])))
+    )
+    placed = (bent - middle) @ spin.T + middle + way
+    chord = np.linspace(0.0, 1.0, SAMPLES)
+    basis = basis_matrix(first.knots, first.degree, chord)
+    return Thread(first.knots, np.linalg.lstsq(basis, placed, rcond=None)[0], first.radius_mm, first.degree)
+
+
+def _shifted(thread: Thread, by: Float64[np.ndarray, "3"]) -> Thread:
+    return Thread(thread.knots, thread.control_points + by, thread.radius_mm, thread.degree)
+
+
+def _inward(thread: Thread, camera: RectifiedStereo) -> float:
+    v = project(camera, material_points(thread))[0][:, 1]
+    return 1.0 if v.mean() < camera.cy_px else -1.0
+
+
+def _hide(
+    images: list[UInt8[np.ndarray, "h w 3"]],
+    masks: list[UInt8[np.ndarray, "h w"]],
+    camera: RectifiedStereo,
+    share: float,
+) -> None:
+    """A tool's shaft from top to bottom, which passes from left to right in front of the thread."""
+    width = round(BAND_SHARE * camera.image_width)
+    for eye, (image, mask) in enumerate(zip(images, masks, strict=True)):
+        near = camera.fx_px * camera.baseline / (0.8 * DISTANCE_MM)
+        start = round(share * (camera.image_width + width) - width - eye * near)
+        band = slice(max(start, 0), max(start + width, 0))
+        cv2.rectangle(image, (start, 0), (start + width, camera.image_height), (150, 150, 150), -1)
+        mask[:, band] = 0
