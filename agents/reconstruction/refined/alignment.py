@@ -28,7 +28,7 @@ END_ROWS_PX = 1.5
 END_DEVIATION_PX = 1.0
 BACKWARD_PX = 3.0
 DETOUR_PX, DETOUR_SHARE = 6.0, 0.5
-SLOPE_REACH = 12
+SLOPE_REACH = 4
 WORTHLESS_PX2 = 100.0
 """Variance of disparity at which a match is worth half as much as a certain one."""
 SKIP = 0.35
