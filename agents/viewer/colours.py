@@ -1,7 +1,7 @@
 """Colours of the viewer, in RGB; confidence runs from red over yellow to green."""
 
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Bool, Float64, UInt8
 
 from schemas.messages import Phase
 
@@ -9,7 +9,7 @@ STOPS = np.array([[222, 45, 38], [255, 221, 51], [49, 190, 90]], dtype=np.float6
 """Colours at confidence 0, 0.5 and 1."""
 
 UNKNOWN = (170, 170, 175)
-"""Thread whose confidence nobody has estimated."""
+"""Thread whose confidence nobody has estimated, or that no image shows."""
 
 BACKGROUND = (24, 24, 28)
 PANEL = (38, 38, 44)
@@ -18,6 +18,9 @@ TEXT = (232, 232, 236)
 MUTED = (165, 165, 172)
 MASK = (0, 190, 255)
 OBSERVATION = (255, 255, 255)
+CENTRELINE = (255, 255, 255)
+LEFT_EYE, RIGHT_EYE = (255, 170, 90), (120, 190, 255)
+"""Residuals of either image, where both stand in one plot."""
 BAND = (90, 120, 170)
 KEPT = (120, 170, 255)
 REJECTED = (255, 120, 210)
@@ -65,3 +68,8 @@ def confidence_rgb(confidence: Float64[np.ndarray, "n"]) -> UInt8[np.ndarray, "n
     at = np.linspace(0.0, 1.0, len(STOPS))
     channels = [np.interp(np.where(known, confidence, 0.0), at, stops) for stops in STOPS.T]
     return np.where(known[:, None], np.rint(np.stack(channels, axis=1)), UNKNOWN).astype(np.uint8)
+
+
+def thread_rgb(confidence: Float64[np.ndarray, "n"], unseen: Bool[np.ndarray, "n"]) -> UInt8[np.ndarray, "n 3"]:
+    """Colours of thread: by confidence, grey where that is unknown or where no image shows the thread."""
+    return confidence_rgb(np.where(unseen, np.nan, confidence))

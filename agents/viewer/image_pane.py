@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float64, UInt8
 from agents.viewer import colours
 from agents.viewer.lettering import draw_text, text_width
 from agents.viewer.polyline import Polyline
+from agents.viewer.residuals import Residuals, closeness, whiskers
 from schemas.messages import Image, ImageEncoding
 
 SHIFT = 4
@@ -22,6 +23,9 @@ THINNEST_PX, THICKEST_PX = 2, 4
 
 LARGEST_MATCH_PX = 5
 """Side of the square for one matched pixel, in an image that is shown many times enlarged."""
+
+EVERY_WHISKER = 3
+"""Points of a centreline lie a pixel apart, and would make one area of all whiskers."""
 
 Box = tuple[int, int, int, int]
 
@@ -98,17 +102,26 @@ def draw_observations(
 
 
 def draw_thread(pane: Pane, thread: Polyline, thread_px: Float64[np.ndarray, "n 2"]) -> None:
-    """Draw the thread in the colours and thickness of its confidence, dashed where no image shows it."""
+    """Draw the thread in the colours and thickness of its confidence, dashed and grey where no image shows it."""
     at = pane.fixed(thread_px).tolist()
     dashed = thread.unseen & (np.arange(len(at)) // 4 % 2 == 1)
     segments = np.flatnonzero(~dashed[:-1]).tolist()
     confidence = 0.5 * (thread.confidence[:-1] + thread.confidence[1:])
-    bgr = colours.confidence_rgb(confidence)[:, ::-1].tolist()
+    bgr = colours.thread_rgb(confidence, thread.unseen[:-1] & thread.unseen[1:])[:, ::-1].tolist()
     thickness = line_thickness(confidence)
     for i in segments:
         cv2.line(pane.canvas, at[i], at[i + 1], (0, 0, 0), thickness[i] + 2, cv2.LINE_AA, SHIFT)
     for i in segments:
         cv2.line(pane.canvas, at[i], at[i + 1], bgr[i], thickness[i], cv2.LINE_AA, SHIFT)
+
+
+def draw_residuals(pane: Pane, found: Residuals) -> None:
+    """Draw a whisker from the projected thread toward each point of the centrelines, many times exaggerated."""
+    lines = whiskers(found)[::EVERY_WHISKER]
+    ends = pane.fixed(lines.reshape(-1, 2)).reshape(-1, 2, 2).tolist()
+    bgr = colours.confidence_rgb(closeness(found)[::EVERY_WHISKER])[:, ::-1].tolist()
+    for (foot, tip), colour in zip(ends, bgr, strict=True):
+        cv2.line(pane.canvas, foot, tip, colour, 1, cv2.LINE_AA, SHIFT)
 
 
 def line_thickness(confidence: Float64[np.ndarray, "n"]) -> list[int]:

@@ -40,7 +40,7 @@ def live_layout(middle_camera: Float64[np.ndarray, "3"] | None, unit: str, raw_i
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(space, eyes, column_shares=[3, 2]),
-            rrb.Horizontal(_curves(), _lanes(), _words(), column_shares=[3, 3, 4]),
+            rrb.Horizontal(_quality(unit), _curves(), _lanes(), _words(), column_shares=[3, 3, 3, 4]),
             row_shares=[5, 2],
         ),
         rrb.BlueprintPanel(state="collapsed"),
@@ -62,11 +62,21 @@ def _eye_view(side: str, raw_images: bool) -> rrb.View | rrb.Tabs:
     return rrb.Tabs(rrb.Spatial2DView(origin=f"camera/raw/{side}", name=f"{side}, not rectified"), view)
 
 
+def _quality(unit: str) -> rrb.Tabs:
+    return rrb.Tabs(
+        _plot("residual_px", "residual, px"),
+        _plot("deviation_of", f"deviation, {unit}"),
+        _plot("share", "shares unseen, left over"),
+        rrb.BarChartView(origin="deviation", name=f"deviation along s, {unit}"),
+        rrb.BarChartView(origin="confidence", name="confidence along s"),
+        active_tab=0,
+    )
+
+
 def _curves() -> rrb.Tabs:
     return rrb.Tabs(
         _plot("latency", "latency since capture, ms"),
         _plot("step_ms", "step time, ms"),
-        rrb.BarChartView(origin="confidence", name="confidence along s"),
         _plot("health/rate_hz", "published, Hz"),
         _plot("health/lost", "lost or refused"),
         _plot("health/replaced", "replaced by newer"),

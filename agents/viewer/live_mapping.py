@@ -1,15 +1,16 @@
 """Any message of the dataflow as Rerun shows it live. See mapping, grasp_mapping and session_mapping for the paths.
 
-world/left, world/right     with `image` where the camera's images are rectified as they come, and `mask` outlines
+world/left, world/right     with `image` where the camera's images are rectified as they come
 camera/raw/left, right      the images where they are not: nothing measured in rectified images fits on them
 lanes/{stage}               whether a stage has a result
 """
 
-import cv2
+from collections import deque
+
 import numpy as np
 import rerun as rr
+from jaxtyping import UInt8
 
-from agents.viewer import colours
 from agents.viewer.grasp_mapping import (
     execution_entities,
     joint_names,
@@ -22,9 +23,9 @@ from agents.viewer.grasp_mapping import (
 from agents.viewer.image_pane import decoded_mask
 from agents.viewer.mapping import (
     BACKDROP,
-    HALF_PX,
     Entity,
     camera_entities,
+    mask_entities,
     observation_entities,
     reconstruction_entities,
 )
@@ -59,6 +60,9 @@ from shared.images import ImageDataError, decode_image, encode_image
 MOST_MATCHED = 1500
 """Matched pixels shown of one frame; there are tens of thousands."""
 
+OBSERVED_MOST = 20
+"""Frames whose observations are kept until their thread comes: two seconds at the rate that is shown."""
+
 JPEG_QUALITY = 85
 """Of images that travel raw, which would fill a disk within minutes."""
 
@@ -72,6 +76,7 @@ class LiveMapping:
         self._rectified = False
         self._shown: tuple[RectifiedStereo, float] | None = None
         self._before: dict[str, object] = {}
+        self._observed: deque[ThreadObservations] = deque(maxlen=OBSERVED_MOST)
 
     @property
     def rectified(self) -> bool:
@@ -110,12 +115,13 @@ class LiveMapping:
                 return _about_the_session(message)
 
     def _observations(self, observations: ThreadObservations) -> list[Entity]:
+        self._observed.append(observations)
         grave = [finding_text(judgement) for judgement in findings(observations)]
         words = [said("perception", text, rr.TextLogLevel.WARN) for text in grave]
         codes = tuple(judgement.code for judgement in findings(observations))
         return [
             *self._camera(observations.camera, None),
-            *outline_entities(observations),
+            *mask_entities(_coverage(observations.mask_left), _coverage(observations.mask_right)),
             *observation_entities(observations, MOST_MATCHED),
             *(words if self._changed("findings", codes) else []),
             *self._status("perception", observations.status, observations.reason),
@@ -123,9 +129,10 @@ class LiveMapping:
 
     def _reconstruction(self, reconstruction: ThreadReconstruction) -> list[Entity]:
         depths = reconstruction.control_points_camera[:, 2]
+        same_frame = (observed for observed in self._observed if observed.stamp == reconstruction.stamp)
         return [
             *self._camera(reconstruction.camera, float(np.median(depths)) if (depths > 0).any() else None),
-            *reconstruction_entities(reconstruction),
+            *reconstruction_entities(reconstruction, next(same_frame, None)),
             *self._status("reconstruction", reconstruction.status, reconstruction.reason),
         ]
 
@@ -179,21 +186,11 @@ def encoded(image: Image) -> rr.EncodedImage:
     return rr.EncodedImage(contents=image.data, media_type=media_type)
 
 
-def outline_entities(observations: ThreadObservations) -> list[Entity]:
-    """The outlines of both masks: they cost a viewer little, and hide nothing of the thread."""
-    return [
-        ("world/left/mask", [_outline(observations.mask_left)]),
-        ("world/right/mask", [_outline(observations.mask_right)]),
-    ]
-
-
-def _outline(mask: Image) -> rr.LineStrips2D:
+def _coverage(mask: Image) -> UInt8[np.ndarray, "h w"]:
     coverage = decoded_mask(mask)
     if coverage is None:
         raise ImageDataError("a mask is no image of the size that it claims")
-    lines, _ = cv2.findContours((coverage >= 128).astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)
-    closed = [np.concatenate((line, line[:1])).reshape(-1, 2) + HALF_PX for line in lines]
-    return rr.LineStrips2D(closed, colors=[colours.MASK], radii=[-0.6])
+    return coverage
 
 
 def _about_the_session(message: object) -> list[Entity]:

@@ -3,15 +3,15 @@
     world                       the rectified left camera's axes: x right, y down, z away
       left, right               the two pinhole cameras, with `image` and `mask` below
       observations              `points`, and the `matched` pixels behind them
-      thread                    `curve`, `ends`, `control_points`, `regions`
+      thread                    `curve`, `ends`, `control_points`, `regions`, and the `posterior` about it
     confidence, report          a chart along the thread, and what is to be said in words
 
-Each function turns one message into entity paths with what to log there. A message always gives the same paths,
-so that a failed frame empties what the frame before it showed.
+How far it can be trusted is in quality_mapping. Each function turns one message into entity paths with what to log
+there. A message always gives the same paths, so that a failed frame empties what the frame before it showed.
 """
 
 import pathlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import cv2
 import numpy as np
@@ -20,12 +20,20 @@ import rerun.blueprint as rrb
 from jaxtyping import Float64, UInt8
 
 from agents.viewer import colours
+from agents.viewer.cross_sections import cross_sections
+from agents.viewer.entity import HALF_PX, Entity
 from agents.viewer.image_pane import decoded_mask
 from agents.viewer.polyline import Polyline, thread_polyline
+from agents.viewer.quality_mapping import (
+    EXAGGERATION,
+    SIDES,
+    centreline_entities,
+    posterior_entities,
+    residual_entities,
+)
 from agents.viewer.report import markdown, missed, unit_text
 from schemas.messages import (
     FrameStamp,
-    Image,
     RectifiedStereo,
     ReliabilityRegions,
     ThreadObservations,
@@ -37,7 +45,9 @@ APPLICATION = "suturegrasp"
 JPEG_QUALITY = 95
 CURVE_POINTS = 200
 BARS = 100
-THREAD_CLASS = 1
+CURVE_RADIUS = 1.5
+"""In pixels of the screen; a thicker curve would hide the tube about it, and the whiskers beside it."""
+
 BACKDROP = 1.3
 """How far behind the thread the left image stands in space, as a multiple of the thread's depth."""
 
@@ -47,18 +57,12 @@ VIEWPOINT = (0.55, -0.4, -0.75)
 FAINT = 70
 """Opacity, of 255, of what stands behind the thread."""
 
-HALF_PX = 0.5
-"""Integers are pixel centres with us, and pixel corners with Rerun."""
-
-Entity = tuple[str, Sequence[rr.AsComponents]]
-
 
 def camera_entities(camera: RectifiedStereo, distance: float) -> list[Entity]:
     """Both cameras; the left one's image plane is at that distance, as a backdrop, the right one's close by."""
-    classes = [(0, "else", (0, 0, 0, 0)), (THREAD_CLASS, "thread", colours.MASK)]
     right = rr.Transform3D(translation=[camera.baseline, 0.0, 0.0])
     return [
-        ("world", [rr.ViewCoordinates.RDF, rr.AnnotationContext(classes)]),
+        ("world", [rr.ViewCoordinates.RDF]),
         ("world/left", [_pinhole(camera, distance)]),
         ("world/right", [right, _pinhole(camera, 0.2 * distance)]),
     ]
@@ -69,12 +73,9 @@ def image_entities(left_bgr: UInt8[np.ndarray, "h w *c"], right_bgr: UInt8[np.nd
     return [("world/left/image", [_jpeg(left_bgr)]), ("world/right/image", [_jpeg(right_bgr)])]
 
 
-def mask_entities(observations: ThreadObservations) -> list[Entity]:
-    """The masks, as areas."""
-    return [
-        ("world/left/mask", [_segmentation(observations.mask_left)]),
-        ("world/right/mask", [_segmentation(observations.mask_right)]),
-    ]
+def mask_entities(left: UInt8[np.ndarray, "h w"] | None, right: UInt8[np.ndarray, "h w"] | None) -> list[Entity]:
+    """The outlines of both masks, given their coverage: they cost a viewer little, and hide nothing of the thread."""
+    return [("world/left/mask", [_outline(left)]), ("world/right/mask", [_outline(right)])]
 
 
 def observation_entities(observations: ThreadObservations, most_matched: int | None = None) -> list[Entity]:
@@ -96,11 +97,17 @@ def observation_entities(observations: ThreadObservations, most_matched: int | N
         ("world/left/bounds", [bounds]),
         ("world/observations/points", [rr.Points3D(points, colors=[colours.OBSERVATION], radii=[-2.0])]),
         ("world/observations/matched", [rr.Points3D(matched_points, colors=[(*colours.KEPT, FAINT)], radii=[-1.0])]),
+        *centreline_entities(observations),
     ]
 
 
-def reconstruction_entities(reconstruction: ThreadReconstruction) -> list[Entity]:
-    """The thread by confidence, its ends, control points and reliability regions, and confidence along it."""
+def reconstruction_entities(
+    reconstruction: ThreadReconstruction, observations: ThreadObservations | None
+) -> list[Entity]:
+    """The thread by confidence, its ends, control points and regions, and how far it can be trusted.
+
+    `observations` are those of the same frame, as far as they are known; without them there are no residuals.
+    """
     thread = thread_polyline(reconstruction, CURVE_POINTS)
     control, regions = reconstruction.control_points_camera, reconstruction.regions
     boxes = rr.LineStrips3D(region_edges(reconstruction.camera, regions), colors=_region_rgba(regions), radii=[-0.5])
@@ -110,6 +117,8 @@ def reconstruction_entities(reconstruction: ThreadReconstruction) -> list[Entity
         ("world/thread/control_points", [rr.Points3D(control, colors=[(*colours.MASK, 200)], radii=[-2.0])]),
         ("world/thread/regions", [boxes]),
         ("confidence", [_confidence_bars(thread)]),
+        *posterior_entities(cross_sections(reconstruction, thread)),
+        *residual_entities(observations, thread),
     ]
 
 
@@ -144,7 +153,11 @@ def layout(reconstruction: ThreadReconstruction) -> rrb.Blueprint:
         line_grid=False,
         eye_controls=_eye(reconstruction),
     )
-    chart = rrb.BarChartView(origin="confidence", name="confidence along s")
+    chart = rrb.Tabs(
+        rrb.BarChartView(origin="deviation", name=f"deviation across the thread along s, {unit}"),
+        rrb.BarChartView(origin="confidence", name="confidence along s"),
+        active_tab=0 if len(reconstruction.posterior_s) else 1,
+    )
     words = rrb.TextDocumentView(origin="report", name="report")
     return rrb.Blueprint(
         rrb.Vertical(
@@ -176,9 +189,9 @@ def write_rrd(
     entities = [
         *camera_entities(observations.camera, BACKDROP * distance_of(reconstruction)),
         *image_entities(left_bgr, right_bgr),
-        *mask_entities(observations),
+        *mask_entities(decoded_mask(observations.mask_left), decoded_mask(observations.mask_right)),
         *observation_entities(observations),
-        *reconstruction_entities(reconstruction),
+        *reconstruction_entities(reconstruction, observations),
         *report_entities(observations, reconstruction),
     ]
     log(recording, reconstruction.stamp, entities)
@@ -201,7 +214,11 @@ EDGE_TOUR = np.array([0, 1, 3, 2, 0, 4, 5, 7, 6, 4, 5, 1, 3, 7, 6, 2])
 """A walk over all edges of a cube; the bits of a corner's number say which side it is on along u, v and depth."""
 
 
-FLAT = ("world/left/bounds", "world/left/mask", "world/right/image", "world/right/mask")
+FLAT = (
+    "world/left/bounds",
+    "world/right/image",
+    *(f"world/{side}/{what}" for side in SIDES for what in ("mask", "centrelines", f"residuals_x{EXAGGERATION}")),
+)
 """What belongs to the images alone, and would only hide the thread in space."""
 
 
@@ -241,10 +258,12 @@ def _jpeg(image: UInt8[np.ndarray, "h w *c"]) -> rr.EncodedImage:
     return rr.EncodedImage(contents=data, media_type="image/jpeg")
 
 
-def _segmentation(mask: Image) -> rr.SegmentationImage:
-    coverage = decoded_mask(mask)
-    classes = np.zeros((1, 1), np.uint8) if coverage is None else (coverage >= 128).astype(np.uint8) * THREAD_CLASS
-    return rr.SegmentationImage(classes, opacity=0.5)
+def _outline(coverage: UInt8[np.ndarray, "h w"] | None) -> rr.LineStrips2D:
+    if coverage is None:
+        return rr.LineStrips2D([])
+    lines, _ = cv2.findContours((coverage >= 128).astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)
+    closed = [np.concatenate((line, line[:1])).reshape(-1, 2) + HALF_PX for line in lines]
+    return rr.LineStrips2D(closed, colors=[colours.MASK], radii=[-0.6])
 
 
 def _curve(thread: Polyline | None) -> rr.LineStrips3D:
@@ -252,7 +271,8 @@ def _curve(thread: Polyline | None) -> rr.LineStrips3D:
         return rr.LineStrips3D([])
     segments = np.stack((thread.points_camera[:-1], thread.points_camera[1:]), axis=1)
     confidence = 0.5 * (thread.confidence[:-1] + thread.confidence[1:])
-    return rr.LineStrips3D(segments, colors=colours.confidence_rgb(confidence), radii=[-2.5])
+    rgb = colours.thread_rgb(confidence, thread.unseen[:-1] & thread.unseen[1:])
+    return rr.LineStrips3D(segments, colors=rgb, radii=[-CURVE_RADIUS])
 
 
 def _ends(thread: Polyline | None) -> rr.Points3D:

@@ -5,6 +5,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from agents.viewer import colours
+from agents.viewer.cross_sections import cross_sections
 from agents.viewer.depth_strip import DepthBand, DepthMarks, depth_strip
 from agents.viewer.image_pane import (
     Pane,
@@ -12,6 +13,7 @@ from agents.viewer.image_pane import (
     draw_label,
     draw_matches,
     draw_observations,
+    draw_residuals,
     draw_thread,
     image_pane,
     label_ends,
@@ -19,7 +21,9 @@ from agents.viewer.image_pane import (
 )
 from agents.viewer.lettering import LINE_HEIGHT_PX, draw_text, text_width, wrapped
 from agents.viewer.polyline import Polyline, along_at, thread_polyline
+from agents.viewer.quality_strips import deviation_strip, residual_strip
 from agents.viewer.report import facts, finding_text, findings, missed, reasons, unit_text
+from agents.viewer.residuals import EXAGGERATION, Residuals, both_residuals
 from schemas.messages import Image, Severity, Status, ThreadObservations, ThreadReconstruction
 from shared.camera import project
 
@@ -42,8 +46,8 @@ def draw_picture(
     """What a person sees of one reconstruction, as a BGR image 1600 pixels wide.
 
     From the top: status and facts, both rectified images with masks, observations and projected thread, what the
-    marks mean, the depth along the thread, and the judgements that lessen trust. A failed reconstruction shows its
-    reason and the matched pixels instead of the thread.
+    marks mean, the depth along the thread, its predicted deviation and its residuals where there are such, and the
+    judgements that lessen trust. A failed reconstruction shows its reason and the matched pixels instead of the thread.
     """
     # absurd but finite numbers overflow on their way out of the picture, and may
     with np.errstate(all="ignore"):
@@ -57,19 +61,19 @@ def _blocks(
     reconstruction: ThreadReconstruction,
 ) -> list[Canvas]:
     thread = thread_polyline(reconstruction)
-    return [
+    found = None if thread is None else both_residuals(observations, thread)
+    unit = unit_text(reconstruction.camera.metres_per_unit)
+    marks, band = _depth_marks(observations, reconstruction, thread), _depth_band(reconstruction, thread)
+    blocks = [
         _header(observations, reconstruction, thread),
-        _both_eyes(left_bgr, right_bgr, observations, thread),
+        _both_eyes(left_bgr, right_bgr, observations, thread, found),
         _legend(observations, reconstruction, thread),
-        depth_strip(
-            WIDTH_PX,
-            thread,
-            _depth_marks(observations, reconstruction, thread),
-            _depth_band(reconstruction, thread),
-            unit_text(reconstruction.camera.metres_per_unit),
-        ),
-        _findings(observations),
+        depth_strip(WIDTH_PX, thread, marks, band, unit),
     ]
+    if thread is not None and found is not None:
+        sections = cross_sections(reconstruction, thread)
+        blocks += [deviation_strip(WIDTH_PX, thread, sections, unit), residual_strip(WIDTH_PX, thread, *found)]
+    return [*blocks, _findings(observations)]
 
 
 def _blank(height: int) -> Canvas:
@@ -96,17 +100,20 @@ def _both_eyes(
     right_bgr: UInt8[np.ndarray, "h w *c"],
     observations: ThreadObservations,
     thread: Polyline | None,
+    found: tuple[Residuals, Residuals] | None,
 ) -> Canvas:
     width = (WIDTH_PX - MARGIN_PX) // 2
     left, right = (image_pane(image, width, TALLEST_PANE_PX) for image in (left_bgr, right_bgr))
     for pane, mask in ((left, observations.mask_left), (right, observations.mask_right)):
         _tint(pane, mask)
-    if thread is None:
+    if thread is None or found is None:
         matched = observations.matched_px
         draw_matches(left, matched[:, :2], observations.inlier)
         draw_matches(right, matched[:, :2] - matched[:, 2:] * [1.0, 0.0], observations.inlier)
     else:
-        for pane, thread_px in zip((left, right), project(observations.camera, thread.points_camera), strict=True):
+        projected = project(observations.camera, thread.points_camera)
+        for pane, thread_px, of_side in zip((left, right), projected, found, strict=True):
+            draw_residuals(pane, of_side)
             draw_thread(pane, thread, thread_px)
     draw_observations(left, project(observations.camera, observations.points_camera)[0], observations.half_size_px)
     _label_panes(left, right, observations, thread)
@@ -149,9 +156,11 @@ def _legend(observations: ThreadObservations, reconstruction: ThreadReconstructi
     if missed(reconstruction.regions).any():
         entries.append(("region that the curve had to miss", colours.OUTSIDE))
     if thread is not None and thread.unseen.any():
-        entries.append(("dashed or shaded: seen in no image", colours.MUTED))
+        entries.append(("grey: seen in no image", colours.UNKNOWN))
     if thread is not None and len(reconstruction.posterior_s):
         entries.append(("95 % of the predicted depth", colours.BAND))
+    if thread is not None and len(observations.centrelines_left.piece) + len(observations.centrelines_right.piece):
+        entries.append((f"residuals, {EXAGGERATION} times as long; red beyond the thread's edge", colours.WARNING))
     if thread is None and len(observations.matched_px):
         entries += [("matched pixels, kept", colours.KEPT), ("matched pixels, rejected", colours.REJECTED)]
     canvas, x = _blank(LINE_HEIGHT_PX + 14), MARGIN_PX

@@ -11,6 +11,8 @@ from shared import arc_length, splines
 MANY_POINTS = 400
 """Segments of the polyline are below two pixels for a thread that spans the image once."""
 
+CHORDS_PER_SPAN = 24
+"""Pieces of each knot span whose lengths are taken as those of their chords."""
 
 SMALLEST_EXTENT = 1e-9
 """A thread that spans less than this share of its distance is a point, but for rounding."""
@@ -44,7 +46,7 @@ def thread_polyline(reconstruction: ThreadReconstruction, count: int = MANY_POIN
         length = arc_length.length(knots, control, degree)
         if not np.isfinite(length):
             return None
-        parameter = arc_length.even_parameters(knots, control, degree, count)
+        parameter = _even_parameters(knots, control, degree, count)
         points = splines.evaluate(knots, control, degree, parameter)
     if not (np.isfinite(points).all() and (points[:, 2] > 0).all()):
         return None
@@ -61,9 +63,31 @@ def thread_polyline(reconstruction: ThreadReconstruction, count: int = MANY_POIN
     )
 
 
+def _even_parameters(
+    knots: Float64[np.ndarray, "k"], control: Float64[np.ndarray, "m 3"], degree: int, count: int
+) -> Float64[np.ndarray, "n"]:
+    """Parameters of points that are evenly spaced, as exactly as can be seen: the exact ones take ten times as long."""
+    breaks = np.unique(knots)
+    spans = len(breaks) - 1
+    s = np.interp(np.arange(CHORDS_PER_SPAN * spans + 1) / CHORDS_PER_SPAN, np.arange(spans + 1), breaks)
+    # huge numbers overflow when they are squared
+    points = splines.evaluate(knots, control / (np.abs(control).max() or 1.0), degree, s)
+    chords = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    lengths = np.concatenate(([0.0], np.cumsum(chords)))
+    return np.interp(np.linspace(0.0, lengths[-1], count), lengths, s)
+
+
 def along_at(thread: Polyline, parameter: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "n"]:
     """Where parameters of the spline sit along the thread, as the share of its length before each."""
     return np.interp(parameter, thread.parameter, thread.along)
+
+
+def at_shares(
+    thread: Polyline, along: Float64[np.ndarray, "n"]
+) -> tuple[Float64[np.ndarray, "n"], Bool[np.ndarray, "n"]]:
+    """Confidence, and whether no image shows the thread, at shares of its length."""
+    nearest = np.rint(along * (len(thread.along) - 1)).astype(int)
+    return np.interp(along, thread.along, thread.confidence), thread.unseen[nearest]
 
 
 def _confidence_at(reconstruction: ThreadReconstruction, along: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "n"]:

@@ -13,7 +13,7 @@ from agents.viewer import colours
 from agents.viewer.mapping import Entity
 from schemas.codec import decode, encoding_name
 from schemas.messages import AgentHealth, CommandRecord, GraspGoal, LogLevel, LogRecord, Outcome
-from schemas.topics import COMMANDS, TOPICS, Delivery, Topic
+from schemas.topics import COMMANDS, SURFACE, TOPICS, Delivery, Topic
 from shared.runtime.attachment import Attachment
 
 _LEVELS = {
@@ -28,10 +28,9 @@ _COMMAND_TYPES = {encoding_name(topic.message): topic.message for topic in TOPIC
 def latency_entities(topic: Topic, capture_ns: int, beside: Attachment) -> list[Entity]:
     """How old a frame was when this was published, by the clocks of camera and publisher, and the step's time."""
     latency_ms = (beside.published_ns - capture_ns) * 1e-6
-    return [
-        (f"latency/{topic.agent}", [rr.Scalars(latency_ms)]),
-        (f"step_ms/{topic.agent}", [rr.Scalars(beside.step_ms)]),
-    ]
+    # an agent's second output, with a latency of its own
+    stage = topic.name if topic == SURFACE else topic.agent
+    return [(f"latency/{stage}", [rr.Scalars(latency_ms)]), (f"step_ms/{stage}", [rr.Scalars(beside.step_ms)])]
 
 
 def health_entities(health: AgentHealth) -> list[Entity]:

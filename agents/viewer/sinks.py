@@ -67,7 +67,7 @@ class Sink:
         self._stream.disconnect()
 
 
-STATIC = (rr.AnnotationContext, rr.SeriesLines, rr.StateConfiguration, rr.ViewCoordinates)
+STATIC = (rr.SeriesLines, rr.StateConfiguration, rr.ViewCoordinates)
 """What holds at all times."""
 
 

@@ -14,6 +14,7 @@ from schemas.codec import encode, encoding_name
 from schemas.messages import (
     AgentHealth,
     Alternative,
+    Centrelines,
     CommandAnswer,
     CommandHeader,
     CommandRecord,
@@ -46,6 +47,7 @@ from schemas.messages import (
     StereoFrame,
     ThreadObservations,
     ThreadReconstruction,
+    TissueSurface,
     Verdict,
     Waypoint,
 )
@@ -176,6 +178,44 @@ def scene():
     )
 
 
+def centrelines_of(thread_px, offset_px):
+    """The middle of the thread in two pieces with a hole in between, each point that far to one side of it."""
+    tangent = np.gradient(thread_px, axis=0)
+    normal = np.column_stack((-tangent[:, 1], tangent[:, 0])) / np.linalg.norm(tangent, axis=1, keepdims=True)
+    point = (thread_px + offset_px[:, None] * normal)[::4]
+    seen = np.r_[0:280, 330:500]
+    piece = (np.arange(500) >= 330).astype(np.int64)
+    return Centrelines(point[seen], piece[seen], np.full(len(seen), 5.0), np.full(len(seen), 0.1))
+
+
+@pytest.fixture(scope="session")
+def refined(scene):
+    """The same scene as the method sees it that predicts how well each place is known.
+
+    The left image's centreline lies 0.3 px beside the thread, the right one's 0.2 px, and 4 px at its end. Deviations
+    are 0.1 mm in x and y, and 0.5 mm in depth, twice as much in the middle.
+    """
+    offset = np.full(2000, 0.2)
+    offset[1800:] = 4.0
+    lines = (
+        centrelines_of(pixels(scene.curve), np.full(2000, 0.3)),
+        centrelines_of(pixels(scene.curve, BASELINE), offset),
+    )
+    s = np.linspace(0, 1, 51)
+    deviation = np.outer(1 + np.exp(-(((s - 0.5) / 0.1) ** 2)), [0.1, 0.1, 0.5])
+    return types.SimpleNamespace(
+        left=scene.left,
+        right=scene.right,
+        observations=dataclasses.replace(scene.observations, centrelines_left=lines[0], centrelines_right=lines[1]),
+        reconstruction=dataclasses.replace(
+            scene.reconstruction,
+            method="refined",
+            posterior_s=s,
+            posterior_covariance=deviation[:, :, None] ** 2 * np.eye(3),
+        ),
+    )
+
+
 @pytest.fixture(scope="session")
 def failed(scene):
     """A reconstruction of the same frame that came to nothing, in a unit that nobody knows."""
@@ -225,7 +265,13 @@ def in_metres(message) -> Any:
         regions=dataclasses.replace(
             regions, centre_camera=regions.centre_camera * 1e-3, bound_depth=regions.bound_depth * 1e-3
         ),
+        posterior_covariance=message.posterior_covariance * 1e-6,
     )
+
+
+@pytest.fixture(scope="session")
+def refined_in_metres(refined):
+    return in_metres(refined.reconstruction)
 
 
 def pose(x, y, z):
@@ -300,6 +346,9 @@ def session_messages(scene):
         topics.SIMULATOR_STATE: SimulatorState(
             at_ns, camera, "plain", "violet", 1, 0.1, 2e-4, reconstruction.knots,
             reconstruction.control_points_camera, None,
+        ),
+        topics.SURFACE: TissueSurface(
+            STAMP, camera, np.arange(8.0), np.arange(4.0), np.full((4, 8), 0.1), np.ones((4, 8), bool)
         ),
         topics.REPLAY_CLOCK: ReplayClock(at_ns, 1.0),
         topics.COMMANDS: CommandRecord(

@@ -2,8 +2,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.viewer.depth_strip import nice_ticks
 from agents.viewer.lettering import ascii_text, text_width, wrapped
+from agents.viewer.strip import nice_ticks
 
 
 def test_signs_are_spelled_out_and_accents_dropped():
@@ -28,7 +28,7 @@ def test_wrapped_lines_fit_and_lose_no_letter(text, width):
 
 @given(low=st.floats(-1e4, 1e4), span=st.floats(1e-2, 1e5))
 def test_ticks_are_few_even_and_within_the_range(low, span):
-    ticks = np.array(nice_ticks(low, low + span))
+    ticks = np.array(nice_ticks(low, low + span, about=8))
     assert 2 <= len(ticks) <= 9
     assert (ticks >= low - 1e-9 * span).all()
     assert (ticks <= low + span * (1 + 1e-9)).all()

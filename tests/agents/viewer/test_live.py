@@ -11,6 +11,7 @@ import pytest
 from rerun.chunk import RrdReader
 
 from agents.viewer import live, screen, sinks
+from agents.viewer.cross_sections import CORNERS
 from agents.viewer.live import LiveViewer, ViewerError
 from schemas import topics
 from schemas.codec import encode
@@ -24,6 +25,7 @@ from schemas.messages import (
     StereoFrame,
     Verdict,
 )
+from schemas.messages.thread import no_centrelines
 from schemas.topics import MAIN, Delivery, key
 from shared.runtime.attachment import Attachment
 from shared.runtime.taps import Tapped
@@ -133,7 +135,7 @@ def test_frames_and_what_descends_from_them_stand_at_their_capture_and_the_rest_
 
 def test_latency_is_from_capture_to_publication_for_each_stage(whole_session):
     _, rows = whole_session
-    for stage in ("camera", "perception", "reconstruction", "planner"):
+    for stage in ("camera", "perception", "surface", "reconstruction", "planner"):
         assert values(rows, f"/latency/{stage}", "Scalars:scalars") == [[30.0]]
         assert values(rows, f"/step_ms/{stage}", "Scalars:scalars") == [[12.5]]
 
@@ -169,6 +171,55 @@ def test_the_shaft_leads_from_the_pin_over_the_wrist_towards_the_remote_centre(w
     assert np.linalg.norm(wrist - pin) == pytest.approx(9.1, abs=1e-3)
     along = (remote_centre - wrist) / np.linalg.norm(remote_centre - wrist)
     assert np.allclose((up - wrist) / np.linalg.norm(up - wrist), along, atol=1e-5)
+
+
+def test_residuals_are_those_of_the_frame_that_a_thread_comes_from(refined, tapped, shown):
+    def later(message, frames):
+        stamp = message.stamp
+        moved = dataclasses.replace(
+            stamp, sequence=stamp.sequence + frames, capture_left_ns=stamp.capture_left_ns + frames * 10**9
+        )
+        return dataclasses.replace(message, stamp=moved)
+
+    observations, reconstruction = refined.observations, refined.reconstruction
+    empty = dataclasses.replace(observations, centrelines_left=no_centrelines(), centrelines_right=no_centrelines())
+    _, rows = shown(
+        tapped(topics.OBSERVATIONS, observations),
+        tapped(topics.OBSERVATIONS, later(empty, 1)),
+        tapped(topics.THREAD, reconstruction),
+        tapped(topics.THREAD, later(reconstruction, 1)),
+        tapped(topics.THREAD, later(reconstruction, 2)),
+    )
+    medians = [value for (value,) in values(rows, "/residual_px/left/median", "Scalars:scalars")]
+    assert medians == pytest.approx([0.3, np.nan, np.nan], abs=0.02, nan_ok=True)
+    whiskers = values(rows, "/world/left/residuals_x20", "LineStrips2D:strips")
+    assert [len(lines) > 100 for lines in whiskers] == [True, False, False]
+
+
+def test_a_failure_ends_the_tube_and_the_curves_of_trust(refined, failed, tapped, shown):
+    later = dataclasses.replace(
+        failed, stamp=dataclasses.replace(failed.stamp, capture_left_ns=failed.stamp.capture_left_ns + 10**9)
+    )
+    _, rows = shown(tapped(topics.THREAD, refined.reconstruction), tapped(topics.THREAD, later))
+    (corners,) = [c for c in values(rows, "/world/thread/posterior", "Mesh3D:vertex_positions") if c]
+    assert len(corners) == 51 * CORNERS
+    assert len(rows["/world/thread/posterior"]) == 2
+    for entity in ("/deviation_of/mean", "/share/unseen"):
+        (before,), (after,) = values(rows, entity, "Scalars:scalars")
+        assert before > 0
+        assert np.isnan(after)
+
+
+def test_the_tube_is_in_millimetres_as_all_of_space_is(refined, refined_in_metres, tapped, shown):
+    _, rows = shown(tapped(topics.THREAD, refined_in_metres))
+    _, expected = shown(tapped(topics.THREAD, refined.reconstruction))
+    tube, same = (
+        np.array(values(r, "/world/thread/posterior", "Mesh3D:vertex_positions")[0]) for r in (rows, expected)
+    )
+    assert np.allclose(tube, same, atol=1e-4)
+    assert values(rows, "/deviation_of/worst", "Scalars:scalars")[0] == pytest.approx(
+        values(expected, "/deviation_of/worst", "Scalars:scalars")[0]
+    )
 
 
 def test_images_go_into_the_file_as_they_travelled(whole_session, session_messages):

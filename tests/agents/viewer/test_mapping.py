@@ -8,7 +8,8 @@ import pytest
 from rerun.chunk import RrdReader
 
 from agents.viewer import mapping
-from agents.viewer.colours import confidence_rgb
+from agents.viewer.colours import UNKNOWN, confidence_rgb
+from agents.viewer.cross_sections import CORNERS
 from agents.viewer.report import facts
 from schemas.messages import Image, ImageEncoding
 
@@ -27,6 +28,21 @@ SPACE = {
     "/world/thread/ends",
     "/world/thread/control_points",
     "/world/thread/regions",
+    "/world/left/centrelines",
+    "/world/right/centrelines",
+    "/world/left/residuals_x20",
+    "/world/right/residuals_x20",
+    "/world/thread/posterior",
+    "/residual_px/left/median",
+    "/residual_px/left/percentile_95",
+    "/residual_px/right/median",
+    "/residual_px/right/percentile_95",
+    "/deviation",
+    "/deviation_of/mean",
+    "/deviation_of/worst",
+    "/share/unseen",
+    "/share/left_over_left",
+    "/share/left_over_right",
     "/confidence",
     "/report",
 }
@@ -78,7 +94,9 @@ def test_the_curve_is_the_thread_in_the_colours_of_its_confidence(recording, sce
     share = (np.arange(len(strips)) + 0.5) / len(strips)
     expected = confidence_rgb(np.clip(1 - 0.95 * np.exp(-(((share - 0.62) / 0.12) ** 2)), 0, 1)).astype(int)
     red_green = np.stack((rgba >> 24, rgba >> 16 & 255), axis=1).astype(int)
-    assert np.abs(red_green - expected[:, :2]).max() <= 8
+    unseen = (share > 0.56) & (share < 0.66)
+    assert np.abs(red_green[~unseen] - expected[~unseen, :2])[1:-1].max() <= 8
+    assert (red_green[(share > 0.57) & (share < 0.65)] == UNKNOWN[:2]).all()
 
 
 def test_the_right_camera_sits_a_baseline_to_the_right(recording):
@@ -90,6 +108,50 @@ def test_the_report_names_status_findings_and_remedies(recording):
     for words in ("OK", "frame 42", "91.1", "mm", "FAULT SWAPPED", "Exchange the two images.", "NOTE SMALL"):
         assert words in text
     assert text.index("FAULT") < text.index("WARNING") < text.index("NOTE")
+
+
+@pytest.fixture
+def refined_recording(refined, tmp_path):
+    path = tmp_path / "refined.rrd"
+    mapping.write_rrd(path, refined.left, refined.right, refined.observations, refined.reconstruction)
+    return path
+
+
+def test_how_far_a_thread_can_be_trusted_is_in_the_recording(refined_recording):
+    def number(entity):
+        return columns(refined_recording, entity)["Scalars:scalars"][0]
+
+    assert number("/residual_px/left/median") == pytest.approx(0.3, abs=0.02)
+    assert number("/residual_px/right/percentile_95") == pytest.approx(4.0, abs=0.2)
+    assert number("/share/unseen") == pytest.approx(0.1, abs=0.01)
+    assert number("/share/left_over_left") == 0
+    assert 0.3 < number("/deviation_of/mean") < 0.6 < number("/deviation_of/worst") < 1.01
+    tube = columns(refined_recording, "/world/thread/posterior")
+    corners = np.array(tube["Mesh3D:vertex_positions"])
+    assert corners.shape == (51 * CORNERS, 3)
+    assert np.array(tube["Mesh3D:triangle_indices"]).max() == 51 * CORNERS - 1
+    rgb = np.array(tube["Mesh3D:vertex_colors"], dtype=np.uint32).reshape(51, CORNERS)[:, 0] >> 8
+    grey = UNKNOWN[0] << 16 | UNKNOWN[1] << 8 | UNKNOWN[2]
+    assert set(range(29, 33)) <= set(np.flatnonzero(rgb == grey).tolist()) <= set(range(28, 34))
+
+
+def test_centrelines_and_whiskers_stand_in_the_images_they_belong_to(refined_recording, refined):
+    for side, lines in (
+        ("left", refined.observations.centrelines_left),
+        ("right", refined.observations.centrelines_right),
+    ):
+        pieces = columns(refined_recording, f"/world/{side}/centrelines")["LineStrips2D:strips"]
+        assert [len(piece) for piece in pieces] == [280, 170]
+        assert np.allclose(np.concatenate(pieces), lines.point_px + 0.5, atol=1e-3)
+        whiskers = np.array(columns(refined_recording, f"/world/{side}/residuals_x20")["LineStrips2D:strips"])
+        shift_px = np.linalg.norm(whiskers[5:60, 1] - whiskers[5:60, 0], axis=1)
+        assert np.allclose(shift_px, 20 * {"left": 0.3, "right": 0.2}[side], atol=0.8)
+
+
+def test_where_a_method_predicts_nothing_there_is_no_tube_and_no_number(recording):
+    assert "Mesh3D:vertex_positions" not in columns(recording, "/world/thread/posterior")
+    for entity in ("/deviation_of/mean", "/residual_px/left/median", "/share/left_over_right"):
+        assert np.isnan(columns(recording, entity)["Scalars:scalars"][0])
 
 
 def test_a_solvers_tolerance_is_no_missed_region(scene):
@@ -138,7 +200,9 @@ def test_the_edges_of_a_region_are_the_twelve_of_a_block_within_its_bounds(scene
         assert len(walked) == 12
 
 
-def test_a_viewer_shows_the_recording_without_complaint(recording, tmp_path):
+@pytest.mark.parametrize("shown_recording", ["recording", "refined_recording"])
+def test_a_viewer_shows_the_recording_without_complaint(shown_recording, request, tmp_path):
+    recording = request.getfixturevalue(shown_recording)
     shot = REPOSITORY / "../shared/tools/rerun_shot.py"
     if not shot.exists() or not list(SOFTWARE_VULKAN.glob("lvp_icd*.json")):
         pytest.skip("needs shared/tools/rerun_shot.py and a software Vulkan driver (mesa-vulkan-drivers, libvulkan1)")

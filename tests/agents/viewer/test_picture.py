@@ -105,6 +105,40 @@ def test_a_long_reason_is_wrapped(scene, failed):
     assert len(long) > len(short) + 40
 
 
+def test_what_a_method_says_of_its_trust_is_drawn_below_the_depth(scene, refined):
+    plain = draw_picture(scene.left, scene.right, scene.observations, scene.reconstruction)
+    predicted = draw_picture(scene.left, scene.right, scene.observations, refined.reconstruction)
+    compared = draw_picture(scene.left, scene.right, refined.observations, scene.reconstruction)
+    both = draw_picture(scene.left, scene.right, refined.observations, refined.reconstruction)
+    assert len(plain) < len(predicted)
+    assert len(plain) < len(compared)
+    assert len(both) - len(plain) == len(predicted) - len(plain) + len(compared) - len(plain)
+
+
+def test_a_curve_that_leaves_the_thread_has_red_whiskers_there_and_nowhere_else(scene, refined):
+    unmarked = dataclasses.replace(refined.observations, points_camera=np.zeros((0, 3)), half_size_px=np.zeros((0, 2)))
+    sure = dataclasses.replace(scene.reconstruction, confidence=np.ones_like(scene.reconstruction.confidence))
+    dark = np.zeros_like(scene.left)
+    images = image_rows(draw_picture(dark, dark, unmarked, sure), scene)
+    red = np.abs(images.astype(int) - colours.STOPS[0, ::-1]).max(axis=2) < 60
+    assert red[:, :PANE].sum() < 20
+    right = red[:, -PANE:]
+    assert right.sum() > 300
+    end_px = places(scene, np.array([0.95]), 5.5, 0)[0]
+    columns = np.flatnonzero(right.any(axis=0))
+    assert abs(float(np.median(columns)) - end_px[0]) < 60
+
+
+def test_thread_that_no_image_shows_is_grey(scene):
+    unmarked = dataclasses.replace(scene.observations, points_camera=np.zeros((0, 3)), half_size_px=np.zeros((0, 2)))
+    images = image_rows(draw_picture(scene.left, scene.right, unmarked, scene.reconstruction), scene)
+    u, v = places(scene, np.linspace(0.57, 0.65, 60), 0.0, 0).T
+    near = np.abs(images[v, u].astype(int) - colours.UNKNOWN[::-1]).max(axis=1) < 25
+    assert near.mean() > 0.3
+    u, v = places(scene, np.linspace(0.3, 0.5, 60), 0.0, 0).T
+    assert not (np.abs(images[v, u].astype(int) - colours.UNKNOWN[::-1]).max(axis=1) < 25).any()
+
+
 def test_nothing_at_all_can_be_drawn(scene, failed, nothing_seen):
     picture = draw_picture(scene.left, scene.right, nothing_seen, failed)
     assert picture.shape[1] == WIDTH_PX

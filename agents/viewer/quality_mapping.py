@@ -1,0 +1,105 @@
+"""How far a reconstruction can be trusted, as Rerun shows it.
+
+    world/thread/posterior      the tube that holds the thread with 95 % probability, across it; at true scale
+    world/{side}/centrelines    the middle of the thread as that image shows it, by piece
+    world/{side}/residuals_x20  whiskers from the projected curve toward the centrelines' points, twenty times as long
+                                as the residuals, and at most 40 px
+    deviation                   a chart along the thread: standard deviation across it, in the worst direction
+    residual_px/{side}          `median` and `percentile_95` of the points that the curve explains
+    deviation_of/{how}          `mean` and `worst` of the chart
+    share/…                     `unseen` of the thread in any image; `left_over_{side}` of the points of its centrelines
+
+Curve, tube and whiskers have the colours of confidence: whiskers are green where the curve runs through the middle of
+the thread's image, and red where it runs along its edge or farther out. Thread that no image shows is grey.
+"""
+
+import numpy as np
+import rerun as rr
+
+from agents.viewer import colours
+from agents.viewer.cross_sections import CORNERS, CrossSections, tube_triangles
+from agents.viewer.entity import HALF_PX, Entity
+from agents.viewer.polyline import Polyline
+from agents.viewer.residuals import EXAGGERATION, Residuals, both_residuals, closeness, summary, whiskers
+from schemas.messages import Centrelines, ThreadObservations
+
+WHISKERS_ABOUT = 300
+"""Whiskers in each image; neighbouring points of a centreline err alike."""
+
+BARS = 100
+TUBE_OPACITY = 120
+
+SIDES = ("left", "right")
+
+
+def centreline_entities(observations: ThreadObservations) -> list[Entity]:
+    """The pieces of both centrelines as thin lines in the images."""
+    lines = observations.centrelines_left, observations.centrelines_right
+    return [(f"world/{side}/centrelines", [_pieces(line)]) for side, line in zip(SIDES, lines, strict=True)]
+
+
+def posterior_entities(sections: CrossSections) -> list[Entity]:
+    """The tube, its deviation along the thread, and the mean and the worst of it."""
+    mean, worst = (float(pick(sections.deviation)) if len(sections.along) else None for pick in (np.mean, np.max))
+    return [
+        ("world/thread/posterior", [_tube(sections)]),
+        ("deviation", [_bars(sections)]),
+        ("deviation_of/mean", [_scalar(mean)]),
+        ("deviation_of/worst", [_scalar(worst)]),
+    ]
+
+
+def residual_entities(observations: ThreadObservations | None, thread: Polyline | None) -> list[Entity]:
+    """The residuals in both images, in pixels and in numbers; empty where there is no thread, or nothing to compare."""
+    share = None if thread is None else float(thread.unseen.mean())
+    entities: list[Entity] = [("share/unseen", [_scalar(share)])]
+    found = (None, None) if observations is None or thread is None else both_residuals(observations, thread)
+    for side, of_side in zip(SIDES, found, strict=True):
+        numbers = None if of_side is None else summary(of_side)
+        entities += [
+            (f"world/{side}/residuals_x{EXAGGERATION}", [_whiskers(of_side)]),
+            (f"residual_px/{side}/median", [_scalar(numbers and numbers.median_px)]),
+            (f"residual_px/{side}/percentile_95", [_scalar(numbers and numbers.percentile_95_px)]),
+            (f"share/left_over_{side}", [_scalar(numbers and numbers.left_over)]),
+        ]
+    return entities
+
+
+def _scalar(value: float | None) -> rr.Scalars:
+    """A number, or that there is none, so that a curve ends instead of going on as before."""
+    return rr.Scalars(np.nan if value is None else value)
+
+
+def _pieces(line: Centrelines) -> rr.LineStrips2D:
+    cuts = np.flatnonzero(np.diff(line.piece)) + 1
+    strips = np.split(line.point_px + HALF_PX, cuts) if len(line.piece) else []
+    return rr.LineStrips2D(strips, colors=[colours.CENTRELINE], radii=[-0.6])
+
+
+def _whiskers(found: Residuals | None) -> rr.LineStrips2D:
+    if found is None or not len(found.along):
+        return rr.LineStrips2D([])
+    some = slice(None, None, 1 + len(found.along) // WHISKERS_ABOUT)
+    lines = (whiskers(found)[some] + HALF_PX).astype(np.float32)
+    return rr.LineStrips2D(lines, colors=colours.confidence_rgb(closeness(found)[some]), radii=[-0.8])
+
+
+def _tube(sections: CrossSections) -> rr.Mesh3D | rr.Clear:
+    count = len(sections.along)
+    if count < 2:
+        return rr.Clear(recursive=False)
+    rgb = colours.thread_rgb(sections.confidence, sections.unseen)
+    return rr.Mesh3D(
+        vertex_positions=sections.rings_camera.reshape(-1, 3),
+        triangle_indices=tube_triangles(count),
+        vertex_colors=np.repeat(rgb, CORNERS, axis=0),
+        albedo_factor=(255, 255, 255, TUBE_OPACITY),
+    )
+
+
+def _bars(sections: CrossSections) -> rr.BarChart:
+    if not len(sections.along):
+        return rr.BarChart(np.zeros(1), abscissa=np.zeros(1))
+    along = np.linspace(0.0, 1.0, BARS)
+    deviation = np.interp(along, sections.along, sections.deviation)
+    return rr.BarChart(deviation, abscissa=along, color=colours.BAND, widths=np.full(BARS, 1 / BARS))
