@@ -118,19 +118,19 @@ def roughness_blocks(curve: Curve, weight: Float64[np.ndarray, "spans"]) -> Bloc
 
     In each block the rows of one span's third difference, a matrix of rank 3.
     """
-    H = (weight / curve.size**2)[:, None, None] * _roughness(curve.spans)
+    H = (weight / curve.size**2)[:, None, None] * _roughness(curve.spans, BENDING)
     near = curve.control_points[np.arange(curve.spans)[:, None] + np.arange(DEGREE + 1)].reshape(-1, SIDE)
     return Blocks(H, np.einsum("kij,kj->ki", H, near))
 
 
 @lru_cache(maxsize=64)
-def _roughness(spans: int) -> Float64[np.ndarray, "spans 12 12"]:
+def _roughness(spans: int, bending: float) -> Float64[np.ndarray, "spans 12 12"]:
     third = third_differences(spans)
     local = np.stack([third[k, k : k + DEGREE + 1] for k in range(spans)])
     # the second derivative is linear on a span: at its two ends
     second = difference_matrix(clamped_uniform_knots(spans + DEGREE, DEGREE), DEGREE, 2) / spans**2
     ends = np.stack([second[k : k + 2, k : k + DEGREE + 1] for k in range(spans)])
-    form = np.einsum("ki,kj->kij", local, local) + 0.5 * BENDING * np.einsum("kei,kej->kij", ends, ends)
+    form = np.einsum("ki,kj->kij", local, local) + 0.5 * bending * np.einsum("kei,kej->kij", ends, ends)
     return np.einsum("kij,ab->kiajb", form, np.eye(3)).reshape(-1, SIDE, SIDE)
 
 

@@ -79,7 +79,7 @@ class Start:
     row_offset_px: float = 0.0
 
 
-def refined(start: Start, camera: RectifiedStereo, steps: int = STEPS) -> Refined:
+def refined(start: Start, camera: RectifiedStereo, steps: int | None = None) -> Refined:
     """The fit that starts from a curve within some pixels of the thread.
 
     Raises:
@@ -90,7 +90,7 @@ def refined(start: Start, camera: RectifiedStereo, steps: int = STEPS) -> Refine
     # nothing is known of the smoothing before the first step chooses it
     smoothing = start.smoothing or 1.0
     sight = placed(start.sight, curve, camera, row_offset, rounds=3)
-    for step in range(steps):
+    for step in range(STEPS if steps is None else steps):
         rows, robust, scale = weighted(curve, sight, camera, row_offset)
         data = data_blocks(rows, robust / scale**2, curve.spans) + damping_blocks(curve)
         if step in (1, 2) or (step == 0 and start.smoothing is None):
