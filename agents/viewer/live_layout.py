@@ -5,7 +5,7 @@ import rerun.blueprint as rrb
 from jaxtyping import Float64
 
 from agents.viewer import colours
-from agents.viewer.mapping import FLAT, VIEWPOINT
+from agents.viewer.recording_layout import FLAT, VIEWPOINT
 
 TYPICAL_MM = 95.0
 """Where a thread is looked for before one has been seen: the middle of an endoscope's working range."""
@@ -65,9 +65,9 @@ def _eye_view(side: str, raw_images: bool) -> rrb.View | rrb.Tabs:
 def _quality(unit: str) -> rrb.Tabs:
     return rrb.Tabs(
         _plot("residual_px", "residual, px"),
-        _plot("deviation_of", f"deviation, {unit}"),
+        _plot("deviation", f"deviation, {unit}"),
         _plot("share", "shares unseen, left over"),
-        rrb.BarChartView(origin="deviation", name=f"deviation along s, {unit}"),
+        rrb.BarChartView(origin="deviation/along_s", name=f"deviation along s, {unit}"),
         rrb.BarChartView(origin="confidence", name="confidence along s"),
         active_tab=0,
     )

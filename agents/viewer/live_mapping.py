@@ -29,6 +29,7 @@ from agents.viewer.mapping import (
     observation_entities,
     reconstruction_entities,
 )
+from agents.viewer.quality_mapping import curve_looks
 from agents.viewer.report import finding_text, findings
 from agents.viewer.session_mapping import command_entities, health_entities, lane, log_entities, said
 from agents.viewer.surface_mapping import surface_entities
@@ -132,6 +133,7 @@ class LiveMapping:
         same_frame = (observed for observed in self._observed if observed.stamp == reconstruction.stamp)
         return [
             *self._camera(reconstruction.camera, float(np.median(depths)) if (depths > 0).any() else None),
+            *(curve_looks() if self._changed("looks of curves", True) else []),
             *reconstruction_entities(reconstruction, next(same_frame, None)),
             *self._status("reconstruction", reconstruction.status, reconstruction.reason),
         ]

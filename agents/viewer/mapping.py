@@ -16,7 +16,6 @@ from collections.abc import Iterable
 import cv2
 import numpy as np
 import rerun as rr
-import rerun.blueprint as rrb
 from jaxtyping import Float64, UInt8
 
 from agents.viewer import colours
@@ -25,13 +24,13 @@ from agents.viewer.entity import HALF_PX, Entity
 from agents.viewer.image_pane import decoded_mask
 from agents.viewer.polyline import Polyline, thread_polyline
 from agents.viewer.quality_mapping import (
-    EXAGGERATION,
-    SIDES,
     centreline_entities,
+    curve_looks,
     posterior_entities,
     residual_entities,
 )
-from agents.viewer.report import markdown, missed, unit_text
+from agents.viewer.recording_layout import distance_of, layout
+from agents.viewer.report import markdown, missed
 from schemas.messages import (
     FrameStamp,
     RectifiedStereo,
@@ -50,9 +49,6 @@ CURVE_RADIUS = 1.5
 
 BACKDROP = 1.3
 """How far behind the thread the left image stands in space, as a multiple of the thread's depth."""
-
-VIEWPOINT = (0.55, -0.4, -0.75)
-"""Where one looks at the thread from, seen from there, as a multiple of its distance: right, above, and behind."""
 
 FAINT = 70
 """Opacity, of 255, of what stands behind the thread."""
@@ -137,40 +133,6 @@ def log(recording: rr.RecordingStream, stamp: FrameStamp, entities: Iterable[Ent
             recording.log(path, archetype)
 
 
-def layout(reconstruction: ThreadReconstruction) -> rrb.Blueprint:
-    """How the viewer is laid out: space to the left, both eyes and words to the right, confidence below."""
-    unit = unit_text(reconstruction.camera.metres_per_unit)
-    seen = ["world/thread/curve", "world/thread/ends"]
-    left = rrb.Spatial2DView(
-        origin="world/left", name="left", contents=["$origin/**", *seen, "world/observations/points"]
-    )
-    right = rrb.Spatial2DView(origin="world/right", name="right", contents=["$origin/**", *seen])
-    space = rrb.Spatial3DView(
-        origin="world",
-        name=f"space, {unit}",
-        contents=["$origin/**", *(f"- {path}" for path in FLAT)],
-        background=colours.BACKGROUND,
-        line_grid=False,
-        eye_controls=_eye(reconstruction),
-    )
-    chart = rrb.Tabs(
-        rrb.BarChartView(origin="deviation", name=f"deviation across the thread along s, {unit}"),
-        rrb.BarChartView(origin="confidence", name="confidence along s"),
-        active_tab=0 if len(reconstruction.posterior_s) else 1,
-    )
-    words = rrb.TextDocumentView(origin="report", name="report")
-    return rrb.Blueprint(
-        rrb.Vertical(
-            rrb.Horizontal(space, rrb.Vertical(left, right), column_shares=[3, 2]),
-            rrb.Horizontal(chart, words, column_shares=[3, 2]),
-            row_shares=[3, 1],
-        ),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline="frame"),
-    )
-
-
 def write_rrd(
     path: pathlib.Path,
     left_bgr: UInt8[np.ndarray, "h w *c"],
@@ -191,6 +153,7 @@ def write_rrd(
         *image_entities(left_bgr, right_bgr),
         *mask_entities(decoded_mask(observations.mask_left), decoded_mask(observations.mask_right)),
         *observation_entities(observations),
+        *curve_looks(),
         *reconstruction_entities(reconstruction, observations),
         *report_entities(observations, reconstruction),
     ]
@@ -212,32 +175,6 @@ def region_edges(camera: RectifiedStereo, regions: ReliabilityRegions) -> Float6
 
 EDGE_TOUR = np.array([0, 1, 3, 2, 0, 4, 5, 7, 6, 4, 5, 1, 3, 7, 6, 2])
 """A walk over all edges of a cube; the bits of a corner's number say which side it is on along u, v and depth."""
-
-
-FLAT = (
-    "world/left/bounds",
-    "world/right/image",
-    *(f"world/{side}/{what}" for side in SIDES for what in ("mask", "centrelines", f"residuals_x{EXAGGERATION}")),
-)
-"""What belongs to the images alone, and would only hide the thread in space."""
-
-
-def distance_of(reconstruction: ThreadReconstruction) -> float:
-    """How far away things are: the thread's depth, or what one disparity of a twentieth of the width would be."""
-    thread = thread_polyline(reconstruction, CURVE_POINTS)
-    if thread is not None:
-        return float(np.median(thread.points_camera[:, 2]))
-    camera = reconstruction.camera
-    return float(depth_of_disparity(camera, np.array([0.05 * camera.image_width]))[0])
-
-
-def _eye(reconstruction: ThreadReconstruction) -> rrb.EyeControls3D:
-    """Look at the thread from behind the cameras, from the right and above, so that depth can be seen."""
-    thread = thread_polyline(reconstruction, CURVE_POINTS)
-    distance = distance_of(reconstruction)
-    target = np.array([0.0, 0.0, distance]) if thread is None else thread.points_camera.mean(axis=0)
-    position = target + distance * np.array(VIEWPOINT)
-    return rrb.EyeControls3D(position=position, look_target=target, eye_up=[0.0, -1.0, 0.0])
 
 
 def _pinhole(camera: RectifiedStereo, distance: float) -> rr.Pinhole:

@@ -4,9 +4,9 @@
     world/{side}/centrelines    the middle of the thread as that image shows it, by piece
     world/{side}/residuals_x20  whiskers from the projected curve toward the centrelines' points, twenty times as long
                                 as the residuals, and at most 40 px
-    deviation                   a chart along the thread: standard deviation across it, in the worst direction
+    deviation/along_s           a chart along the thread: standard deviation across it, in the worst direction
     residual_px/{side}          `median` and `percentile_95` of the points that the curve explains
-    deviation_of/{how}          `mean` and `worst` of the chart
+    deviation/…                 `mean` and `worst` of the chart
     share/…                     `unseen` of the thread in any image; `left_over_{side}` of the points of its centrelines
 
 Curve, tube and whiskers have the colours of confidence: whiskers are green where the curve runs through the middle of
@@ -32,6 +32,15 @@ TUBE_OPACITY = 120
 SIDES = ("left", "right")
 
 
+def curve_looks() -> list[Entity]:
+    """The colours of the curves over time, as in the picture: one for each image, the median thicker."""
+    return [
+        (f"residual_px/{side}/{what}", [rr.SeriesLines(colors=[rgb], widths=[width], names=[f"{side}, {called}"])])
+        for side, rgb in zip(SIDES, (colours.LEFT_EYE, colours.RIGHT_EYE), strict=True)
+        for what, called, width in (("median", "median", 2.0), ("percentile_95", "95 %", 1.0))
+    ]
+
+
 def centreline_entities(observations: ThreadObservations) -> list[Entity]:
     """The pieces of both centrelines as thin lines in the images."""
     lines = observations.centrelines_left, observations.centrelines_right
@@ -43,9 +52,9 @@ def posterior_entities(sections: CrossSections) -> list[Entity]:
     mean, worst = (float(pick(sections.deviation)) if len(sections.along) else None for pick in (np.mean, np.max))
     return [
         ("world/thread/posterior", [_tube(sections)]),
-        ("deviation", [_bars(sections)]),
-        ("deviation_of/mean", [_scalar(mean)]),
-        ("deviation_of/worst", [_scalar(worst)]),
+        ("deviation/along_s", [_bars(sections)]),
+        ("deviation/mean", [_scalar(mean)]),
+        ("deviation/worst", [_scalar(worst)]),
     ]
 
 

@@ -204,7 +204,7 @@ def test_a_failure_ends_the_tube_and_the_curves_of_trust(refined, failed, tapped
     (corners,) = [c for c in values(rows, "/world/thread/posterior", "Mesh3D:vertex_positions") if c]
     assert len(corners) == 51 * CORNERS
     assert len(rows["/world/thread/posterior"]) == 2
-    for entity in ("/deviation_of/mean", "/share/unseen"):
+    for entity in ("/deviation/mean", "/share/unseen"):
         (before,), (after,) = values(rows, entity, "Scalars:scalars")
         assert before > 0
         assert np.isnan(after)
@@ -217,8 +217,8 @@ def test_the_tube_is_in_millimetres_as_all_of_space_is(refined, refined_in_metre
         np.array(values(r, "/world/thread/posterior", "Mesh3D:vertex_positions")[0]) for r in (rows, expected)
     )
     assert np.allclose(tube, same, atol=1e-4)
-    assert values(rows, "/deviation_of/worst", "Scalars:scalars")[0] == pytest.approx(
-        values(expected, "/deviation_of/worst", "Scalars:scalars")[0]
+    assert values(rows, "/deviation/worst", "Scalars:scalars")[0] == pytest.approx(
+        values(expected, "/deviation/worst", "Scalars:scalars")[0]
     )
 
 

@@ -37,9 +37,9 @@ SPACE = {
     "/residual_px/left/percentile_95",
     "/residual_px/right/median",
     "/residual_px/right/percentile_95",
-    "/deviation",
-    "/deviation_of/mean",
-    "/deviation_of/worst",
+    "/deviation/along_s",
+    "/deviation/mean",
+    "/deviation/worst",
     "/share/unseen",
     "/share/left_over_left",
     "/share/left_over_right",
@@ -125,7 +125,7 @@ def test_how_far_a_thread_can_be_trusted_is_in_the_recording(refined_recording):
     assert number("/residual_px/right/percentile_95") == pytest.approx(4.0, abs=0.2)
     assert number("/share/unseen") == pytest.approx(0.1, abs=0.01)
     assert number("/share/left_over_left") == 0
-    assert 0.3 < number("/deviation_of/mean") < 0.6 < number("/deviation_of/worst") < 1.01
+    assert 0.3 < number("/deviation/mean") < 0.6 < number("/deviation/worst") < 1.01
     tube = columns(refined_recording, "/world/thread/posterior")
     corners = np.array(tube["Mesh3D:vertex_positions"])
     assert corners.shape == (51 * CORNERS, 3)
@@ -150,7 +150,7 @@ def test_centrelines_and_whiskers_stand_in_the_images_they_belong_to(refined_rec
 
 def test_where_a_method_predicts_nothing_there_is_no_tube_and_no_number(recording):
     assert "Mesh3D:vertex_positions" not in columns(recording, "/world/thread/posterior")
-    for entity in ("/deviation_of/mean", "/residual_px/left/median", "/share/left_over_right"):
+    for entity in ("/deviation/mean", "/residual_px/left/median", "/share/left_over_right"):
         assert np.isnan(columns(recording, entity)["Scalars:scalars"][0])
 
 
