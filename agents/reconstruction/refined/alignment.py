@@ -29,7 +29,7 @@ END_DEVIATION_PX = 1.0
 BACKWARD_PX = 3.0
 DETOUR_PX, DETOUR_SHARE = 6.0, 0.5
 SLOPE_REACH = 4
-WORTHLESS_PX2 = 100.0
+WORTHLESS_PX2 = 10.0
 """Variance of disparity at which a match is worth half as much as a certain one."""
 SKIP = 0.35
 OTHER_PIECE = 1.0
@@ -194,8 +194,8 @@ def _best_way(
     c: Candidates, points: Float64[np.ndarray, "s 2"], along: Float64[np.ndarray, "s"]
 ) -> tuple[Int64[np.ndarray, "k"], float]:
     """Indices of the candidates on the way with the best score."""
-    cost = _step_costs(c, points, along)
     best = 1.0 / (1.0 + c.variance_px2 / WORTHLESS_PX2)
+    cost = _step_costs(c, best, points, along)
     before = np.full(len(best), -1)
     starts = np.searchsorted(c.sample, np.arange(c.sample[-1] + 2))
     for first, last in itertools.pairwise(starts):
@@ -213,7 +213,7 @@ def _best_way(
 
 
 def _step_costs(
-    c: Candidates, points: Float64[np.ndarray, "s 2"], along: Float64[np.ndarray, "s"]
+    c: Candidates, worth: Float64[np.ndarray, "k"], points: Float64[np.ndarray, "s 2"], along: Float64[np.ndarray, "s"]
 ) -> Float64[np.ndarray, "k k"]:
     """The cost of going on from each candidate (row) to each of a later sample (column)."""
 
@@ -223,9 +223,12 @@ def _step_costs(
     step, change = change_of(along[c.sample]), change_of(c.disparity_px)
     variance = c.variance_px2[None] + c.variance_px2[:, None] + (GRADIENT * step) ** 2
     cost = np.minimum(change**2 / np.maximum(variance, 1e-9), DEAREST_STEP)
-    # samples that have candidates and are passed over; a stretch without any costs nothing
+    # samples that are passed over, for what their candidates are worth; a stretch without any costs nothing
     rank = np.unique(c.sample, return_inverse=True)[1]
-    cost += SKIP * np.maximum(change_of(rank) - 1, 0)
+    most = np.zeros(rank[-1] + 1)
+    np.maximum.at(most, rank, worth)
+    until = np.cumsum(most)
+    cost += SKIP * np.maximum((until - most)[rank][None] - until[rank][:, None], 0.0)
     # on one piece the way keeps its direction, for rows rise in both images together, and takes no detour
     ahead = change_of(c.along_px)
     back = (ahead * c.forward[None] < -BACKWARD_PX) | (ahead * c.forward[:, None] < -BACKWARD_PX)
