@@ -10,7 +10,7 @@ from agents.viewer import colours
 from agents.viewer.lettering import draw_text, text_width
 from agents.viewer.polyline import Polyline
 from agents.viewer.residuals import Residuals, closeness, whiskers
-from schemas.messages import Image, ImageEncoding
+from schemas.messages import Centrelines, Image, ImageEncoding
 
 SHIFT = 4
 """OpenCV draws at sub-pixel places that are given as integers with this many binary digits."""
@@ -113,6 +113,13 @@ def draw_thread(pane: Pane, thread: Polyline, thread_px: Float64[np.ndarray, "n 
         cv2.line(pane.canvas, at[i], at[i + 1], (0, 0, 0), thickness[i] + 2, cv2.LINE_AA, SHIFT)
     for i in segments:
         cv2.line(pane.canvas, at[i], at[i + 1], bgr[i], thickness[i], cv2.LINE_AA, SHIFT)
+
+
+def draw_centrelines(pane: Pane, line: Centrelines) -> None:
+    """Draw the middle of the thread, piece by piece."""
+    cuts = np.flatnonzero(np.diff(line.piece)) + 1
+    pieces = np.split(pane.fixed(line.point_px), cuts)
+    cv2.polylines(pane.canvas, pieces, False, colours.CENTRELINE[::-1], 1, cv2.LINE_AA, SHIFT)
 
 
 def draw_residuals(pane: Pane, found: Residuals) -> None:

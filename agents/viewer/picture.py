@@ -10,6 +10,7 @@ from agents.viewer.depth_strip import DepthBand, DepthMarks, depth_strip
 from agents.viewer.image_pane import (
     Pane,
     decoded_mask,
+    draw_centrelines,
     draw_label,
     draw_matches,
     draw_observations,
@@ -47,7 +48,8 @@ def draw_picture(
 
     From the top: status and facts, both rectified images with masks, observations and projected thread, what the
     marks mean, the depth along the thread, its predicted deviation and its residuals where there are such, and the
-    judgements that lessen trust. A failed reconstruction shows its reason and the matched pixels instead of the thread.
+    judgements that lessen trust. A failed reconstruction shows its reason, the matched pixels and the centrelines
+    instead of the thread.
     """
     # absurd but finite numbers overflow on their way out of the picture, and may
     with np.errstate(all="ignore"):
@@ -107,6 +109,8 @@ def _both_eyes(
     for pane, mask in ((left, observations.mask_left), (right, observations.mask_right)):
         _tint(pane, mask)
     if thread is None or found is None:
+        draw_centrelines(left, observations.centrelines_left)
+        draw_centrelines(right, observations.centrelines_right)
         matched = observations.matched_px
         draw_matches(left, matched[:, :2], observations.inlier)
         draw_matches(right, matched[:, :2] - matched[:, 2:] * [1.0, 0.0], observations.inlier)
@@ -159,8 +163,9 @@ def _legend(observations: ThreadObservations, reconstruction: ThreadReconstructi
         entries.append(("grey: seen in no image", colours.UNKNOWN))
     if thread is not None and len(reconstruction.posterior_s):
         entries.append(("95 % of the predicted depth", colours.BAND))
-    if thread is not None and len(observations.centrelines_left.piece) + len(observations.centrelines_right.piece):
-        entries.append((f"residuals, {EXAGGERATION} times as long; red beyond the thread's edge", colours.WARNING))
+    if len(observations.centrelines_left.piece) + len(observations.centrelines_right.piece):
+        compared = f"residuals, {EXAGGERATION} times as long; red beyond the thread's edge", colours.WARNING
+        entries.append(("middle of the thread", colours.CENTRELINE) if thread is None else compared)
     if thread is None and len(observations.matched_px):
         entries += [("matched pixels, kept", colours.KEPT), ("matched pixels, rejected", colours.REJECTED)]
     canvas, x = _blank(LINE_HEIGHT_PX + 14), MARGIN_PX

@@ -78,6 +78,23 @@ def test_a_failure_shows_the_images_and_the_matches_but_no_thread(scene, failed)
     assert count(good, green) > 100
 
 
+def test_a_failure_shows_the_middle_of_the_thread_in_each_image(scene, refined, failed, nothing_seen):
+    lines = refined.observations.centrelines_left, refined.observations.centrelines_right
+    seen = dataclasses.replace(nothing_seen, centrelines_left=lines[0], centrelines_right=lines[1])
+    dark = np.zeros_like(scene.left)
+    images = image_rows(draw_picture(dark, dark, seen, failed), scene).min(axis=2)
+    scale = PANE / scene.left.shape[1]
+    for line, start in zip(lines, (0, WIDTH_PX - PANE), strict=True):
+        u, v = np.rint((line.point_px + 0.5) * scale - 0.5).astype(int).T
+        drawn = images[v, u + start] > 60
+        assert drawn.mean() > 0.95
+    hole = (
+        int(lines[0].point_px[279:281].mean(axis=0)[0] * scale),
+        int(lines[0].point_px[279:281].mean(axis=0)[1] * scale),
+    )
+    assert images[hole[1] - 2 : hole[1] + 3, hole[0] - 2 : hole[0] + 3].max() < 60
+
+
 def test_the_mask_is_outlined(scene, failed):
     images = image_rows(draw_picture(scene.left, scene.right, scene.observations, failed), scene)
     cyan = (np.abs(images.astype(int) - colours.MASK[::-1]).max(axis=2) < 60).sum()
