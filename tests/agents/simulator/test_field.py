@@ -68,7 +68,7 @@ def test_a_carried_thread_keeps_its_length_and_is_where_the_jaw_is(field, sample
     to = field.points[sample] + MM * np.array(lift)
     held = carried(field, sample, to)
     # a jaw that drags the thread along the tissue may press it into a bump, where it gives
-    assert polyline_length(held) == pytest.approx(field.length_m, rel=0.02)
+    assert polyline_length(held) == pytest.approx(field.length_m, rel=0.03)
     lowest = MM * depth_at_points(field.surface, to[None, :2] / MM)[0] - field.radius_m
     assert np.linalg.norm(held.points[sample] - (*to[:2], min(to[2], lowest))) < 0.2 * MM
 
@@ -97,7 +97,7 @@ def test_a_thread_that_is_let_go_lies_no_higher_than_it_was_drawn_and_keeps_its_
     height = MM * depth_at_points(field.surface, fallen.points[:, :2] / MM) - fallen.points[:, 2]
     assert (height - field.height_m).max() < 0.1 * MM
     assert height.min() > -0.05 * MM
-    assert polyline_length(fallen) == pytest.approx(field.length_m, rel=0.02)
+    assert polyline_length(fallen) == pytest.approx(field.length_m, rel=0.03)
 
 
 def test_a_straight_thread_that_is_lifted_and_let_go_is_straight_again(flat):
