@@ -20,6 +20,10 @@ UNSEEN_SAMPLES = 400
 GAP_FACTOR = 4.0
 LEAST_GAP = 0.008
 """Of the thread's length: sightings farther apart than this, and than some times their usual distance, leave a gap."""
+LEAST_VARIANCE = 1e-300
+NARROWEST = 0.1
+"""Of the tolerance: a narrower distribution is inside to one in 10²⁰, and the quadrature would miss its peak."""
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(48)
 OUTLIER = 0.1
 """A sighting of less robust weight is none of this place."""
 
@@ -73,11 +77,23 @@ def starts_right(curve: Curve, observations: ThreadObservations) -> bool:
 def confidence_of(
     tangents: Float64[np.ndarray, "q 3"], covariance: Float64[np.ndarray, "q 3 3"], unit_m: float
 ) -> Float64[np.ndarray, "q"]:
-    """The probability that the thread passes within the tolerance, from the covariance normal to it."""
+    """The probability that the thread passes within the tolerance, from the covariance normal to it.
+
+    For a normal distribution with deviations a ≥ b along its axes, over a disc of radius r and with x = r sin φ,
+
+        P = ∫ φ_a(x) erf(√(r² − x²) / (√2 b)) dx,
+
+    by Gauss-Legendre quadrature over φ, which takes the root out of the ends.
+    """
     plane = np.linalg.svd(tangents[:, None, :])[2][:, 1:]
     variance = np.linalg.eigvalsh(np.einsum("qij,qjk,qlk->qil", plane, covariance, plane))
-    deviation = np.sqrt(np.maximum(variance, 1e-300)) * unit_m
-    return np.asarray(scipy.special.erf(TOLERANCE_M / (np.sqrt(2.0) * deviation)).prod(axis=1), dtype=np.float64)
+    b, a = np.sqrt(np.maximum(variance, LEAST_VARIANCE)).T[:, :, None] * unit_m / TOLERANCE_M
+    # far narrower than the disc it is all inside, and the quadrature need not find it
+    a, b = np.maximum(a, NARROWEST), np.maximum(b, NARROWEST)
+    angle, weight = 0.5 * np.pi * NODES, 0.5 * np.pi * WEIGHTS
+    density = np.exp(-0.5 * (np.sin(angle) / a) ** 2) / (np.sqrt(2.0 * np.pi) * a)
+    inside = scipy.special.erf(np.cos(angle) / (np.sqrt(2.0) * b))
+    return np.clip((density * inside * np.cos(angle)) @ weight, 0.0, 1.0)
 
 
 def seen(fit: Refined) -> Bool[np.ndarray, "g"]:

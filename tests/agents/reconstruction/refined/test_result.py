@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.integrate import dblquad
 from scipy.stats import norm
 
 from agents.reconstruction.refined.posterior import point_covariance
@@ -20,11 +21,26 @@ ALONG_X = np.array([[1.0, 0.0, 0.0]])
 def test_confidence_is_the_probability_of_being_within_the_tolerance_across_the_thread(unit_m):
     deviation = np.array([7.0, 0.8, 1.3]) * TOLERANCE_M / unit_m
     (found,) = confidence_of(ALONG_X, np.diag(deviation**2)[None], unit_m)
-    sides = [norm.cdf(1 / d) - norm.cdf(-1 / d) for d in (0.8, 1.3)]
-    assert found == pytest.approx(np.prod(sides), rel=1e-9)
+    # the mass of the normal distribution over the disc, ring by ring
+    expected, _ = dblquad(
+        lambda radius, angle: (
+            radius * norm.pdf(radius * np.cos(angle), scale=0.8) * norm.pdf(radius * np.sin(angle), scale=1.3)
+        ),
+        0.0,
+        2 * np.pi,
+        0.0,
+        1.0,
+    )
+    assert found == pytest.approx(expected, rel=1e-8)
 
 
-@pytest.mark.parametrize(("deviation_m", "low", "high"), [(1e-5, 1 - 1e-9, 1.0), (1.0, 0.0, 1e-5)])
+@pytest.mark.parametrize("deviation", [0.11, 0.3, 1.0, 4.0])
+def test_confidence_of_a_round_distribution_is_known_in_closed_form(deviation):
+    (found,) = confidence_of(ALONG_X, (deviation * TOLERANCE_M) ** 2 * np.eye(3)[None], 1.0)
+    assert found == pytest.approx(1 - np.exp(-0.5 / deviation**2), abs=1e-6)
+
+
+@pytest.mark.parametrize(("deviation_m", "low", "high"), [(1e-5, 1 - 1e-6, 1.0), (1.0, 0.0, 1e-5)])
 def test_confidence_is_full_for_small_and_none_for_large_covariance(deviation_m, low, high):
     (found,) = confidence_of(ALONG_X, deviation_m**2 * np.eye(3)[None], 1.0)
     assert low <= found <= high
