@@ -81,7 +81,8 @@ def by_host(offsets: Iterable[ClockOffset]) -> list[ClockOffset]:
 
 
 def _one_trip(session: zenoh.Session, key: str) -> ClockOffset | None:
-    asked_ns, asked_s = now_ns(), monotonic_s()
+    # what passes between the two readings must be within the round trip, which bounds the error
+    asked_s, asked_ns = monotonic_s(), now_ns()
     for reply in session.get(key, timeout=ANSWER_WAIT_S):
         took_s = monotonic_s() - asked_s
         if reply.ok is not None:

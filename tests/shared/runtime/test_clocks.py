@@ -2,6 +2,7 @@
 
 import contextlib
 import socket
+import threading
 
 import pytest
 from hypothesis import given
@@ -62,6 +63,20 @@ def test_a_host_is_asked_and_its_clock_is_known_within_the_round_trip(ahead_ms, 
     host_elsewhere("far", ahead_ms)
     found = until(lambda: clock_offset(session, "test", "far", "main"))
     assert abs(found.ahead_ms - ahead_ms) <= found.within_ms
+
+
+def test_a_pause_between_the_two_readings_of_the_own_clocks_is_within_the_bound(
+    session, host_elsewhere, monkeypatch, until
+):
+    def now_and_a_pause():
+        read = now_ns()
+        threading.Event().wait(0.05)
+        return read
+
+    monkeypatch.setattr("shared.runtime.clocks.now_ns", now_and_a_pause)
+    host_elsewhere("far", 340.0)
+    found = until(lambda: clock_offset(session, "test", "far", "main"))
+    assert abs(found.ahead_ms - 340.0) <= found.within_ms
 
 
 def test_every_agent_answers_for_its_host(settings, running, until):
