@@ -12,6 +12,7 @@ nobody knows what it listed. An agent that goes on from its own last output is f
 
 import dataclasses
 import logging
+from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
@@ -129,12 +130,16 @@ def _in_order(steps: _Steps) -> Iterator[tuple[Consumed, ...]]:
     """Each step after the one whose output it names as the one before; those that name none, as they were recorded."""
     made_by = {_place(output): consumed for consumed, outputs in steps.items() for output in outputs}
     before = {step: next((made_by[p] for p in map(_place, step) if p in made_by), None) for step in steps}
-    after = {named: step for step, named in before.items() if named is not None}
-    for first in (step for step, named in before.items() if named is None):
-        step: tuple[Consumed, ...] | None = first
-        while step is not None:
+    # several steps name the same one where those between gave no output that the next goes on from
+    after: defaultdict[tuple[Consumed, ...] | None, list[tuple[Consumed, ...]]] = defaultdict(list)
+    for step, named in before.items():
+        after[named].append(step)
+    for first in after[None]:
+        waiting = deque([first])
+        while waiting:
+            step = waiting.popleft()
             yield step
-            step = after.get(step)
+            waiting.extend(after[step])
 
 
 def _place(named: Recorded | Consumed) -> _Place:

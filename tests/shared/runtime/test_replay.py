@@ -311,6 +311,20 @@ def test_the_order_in_which_several_outputs_were_recorded_decides_nothing(seed):
     assert [r.same for r in replay(Clockwork, recording)] == [True] * 40
 
 
+def test_of_two_steps_that_name_the_same_output_before_none_is_left_out():
+    before = Consumed(PLAN_KEY, 9, 0)
+    first, *others = (plan(n, f"{total} number 0", (1, n)) for n, total in enumerate((0, 1, 3)))
+    others = [dataclasses.replace(o, payload=also_consumed(o.payload, before)) for o in others]
+    replayed = list(replay(Summing, [*(frame(n) for n in range(3)), first, *others]))
+    assert [r.sequence for r in replayed] == [0, 1, 2]
+    assert all(r.same for r in replayed)
+
+
+def also_consumed(payload, *consumed):
+    recorded = decode(GraspPlan, payload)
+    return encode(dataclasses.replace(recorded, consumed=(*consumed, *recorded.consumed)))
+
+
 def test_from_a_lost_output_on_nothing_of_that_run_is_known():
     first, second = run_of(Clockwork(), 30), run_of(Clockwork(), 30, epoch=10)
     lost = next(e for e in first if e.key.endswith("/state") and e.sequence == 9)
