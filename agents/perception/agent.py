@@ -38,6 +38,11 @@ from shared.runtime.agent import Command, Input, Output, Received, Tick
 from shared.runtime.commands import accepted, refused
 
 LARGEST_IMAGE_PIXELS = 1 << 26
+MS = 1_000_000
+UNKNOWN_PERIOD_NS = 40 * MS
+"""Taken for the frame period where no frame before tells it: that of the slowest usual video, 25 Hz."""
+LONGEST_PERIOD_NS = round((FRAMES.maximum_age_ms or 0) * MS)
+"""A camera that gives nothing for longer has paused: the way from frame to frame is no period then."""
 Pixel = Float64[np.ndarray, "2"]
 
 
@@ -99,7 +104,8 @@ class Perception:
 
     def _seen(self, frame: StereoFrame, calibration: StereoCalibration) -> Iterable[Output]:
         """What follows from a frame; the observations last, since the next frame goes on from them."""
-        last, pair = self._last, self._rectified(frame, calibration)
+        last = self._last
+        pair = _apart(frame.stamp, last.stamp if last else None) or self._rectified(frame, calibration)
         if isinstance(pair, str):
             camera = _nominal_camera(calibration) if self._rectification is None else self._rectification.camera
             observed = _unusable(frame, camera, pair, self._prompt_px)
@@ -182,6 +188,26 @@ class Perception:
         if size != wanted:
             return f"the images are {size[0]}x{size[1]} and the calibration is for {wanted[0]}x{wanted[1]}"
         return ""
+
+
+def _apart(stamp: FrameStamp, last: FrameStamp | None) -> str:
+    """Why the images of a pair do not go together in time; empty where they do."""
+    between_ns = abs(stamp.capture_left_ns - stamp.capture_right_ns)
+    most_ns = _period_ns(stamp, last)
+    if between_ns <= most_ns:
+        return ""
+    return (
+        f"the eyes were captured {between_ns / MS:.0f} ms apart, and at most a frame period of {most_ns / MS:.0f} ms "
+        "is accepted; synchronise the eyes of the camera"
+    )
+
+
+def _period_ns(stamp: FrameStamp, last: FrameStamp | None) -> float:
+    """How long a frame of the camera lasts, by the left eye; a constant where the frame before does not tell."""
+    if last is None or stamp.sequence <= last.sequence:
+        return UNKNOWN_PERIOD_NS
+    period_ns = (stamp.capture_left_ns - last.capture_left_ns) / (stamp.sequence - last.sequence)
+    return period_ns if 0 < period_ns <= LONGEST_PERIOD_NS else UNKNOWN_PERIOD_NS
 
 
 @dataclass(frozen=True)

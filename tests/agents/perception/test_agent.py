@@ -104,6 +104,41 @@ def test_without_a_calibration_nothing_is_said_and_with_it_the_next_frame_is_see
     assert [o.status for o in fed(agent, calibration(), frame())] == [Status.OK]
 
 
+def at(sequence, left_ms, right_ms):
+    """A frame of which the eyes were captured then."""
+    stamp = FrameStamp(sequence, round(left_ms * 1e6), round(right_ms * 1e6), "")
+    return dataclasses.replace(frame(), stamp=stamp)
+
+
+@pytest.mark.parametrize("apart_ms", [120.0, -120.0])
+def test_a_frame_whose_eyes_were_captured_far_apart_is_a_failure(apart_ms):
+    (found,) = fed(Perception(), calibration(), at(7, 500, 500 + apart_ms))
+    assert unusable(found, "the eyes were captured 120 ms apart, and at most a frame period of 40 ms is accepted")
+    (close,) = fed(Perception(), calibration(), at(7, 500, 539))
+    assert close.status is Status.OK
+
+
+@pytest.mark.parametrize(
+    ("before_ms", "sequences", "apart_ms", "most_ms"),
+    [
+        (100, 1, 60, None),  # 10 Hz
+        (100, 1, 101, 100),
+        (100, 4, 30, 25),  # 40 Hz, of which every fourth was taken
+        (100, -3, 60, 40),  # another run of the camera
+        (100, 0, 39, None),
+        (-100, 1, 60, 40),
+        (3000, 1, 60, 40),  # a pause
+    ],
+)
+def test_how_far_apart_the_eyes_may_be_is_the_period_since_the_frame_before(before_ms, sequences, apart_ms, most_ms):
+    first, second = at(7, 5000, 5000), at(7 + sequences, 5000 + before_ms, 5000 + before_ms + apart_ms)
+    _, found = fed(Perception(), calibration(), first, second)
+    if most_ms is None:
+        assert found.status is Status.OK
+    else:
+        assert unusable(found, f"a frame period of {most_ms} ms")
+
+
 def shifted(sequence, right=0):
     """A frame whose thread has moved to the right."""
     left, other = (encode_image(np.roll(picture(shift), right, axis=1), ImageEncoding.PNG) for shift in (0, DISPARITY))
