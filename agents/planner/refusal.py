@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 
 from agents.planner.config import PlannerConfig
-from schemas.messages import GraspGoal, RobotState, ThreadReconstruction
+from schemas.messages import GraspGoal, RobotState, ThreadReconstruction, TrackStep
 from schemas.topics import THREAD
 
 
@@ -28,7 +28,14 @@ def planned_from(
     Raises:
         RefusedGoalError: where one of them is missing, too old, or of no use.
     """
-    return _fresh_thread(thread, now_ns), _fresh_arm(goal.arm, arms, now_ns, config)
+    fresh = _fresh_thread(thread, now_ns)
+    if goal.s is not None and fresh.track is not None and fresh.track.step is TrackStep.RESTARTED:
+        raise RefusedGoalError(
+            "thread_restarted",
+            "the thread was just found anew, so s may name another place than before; look again, or name a pixel or a "
+            "point",
+        )
+    return fresh, _fresh_arm(goal.arm, arms, now_ns, config)
 
 
 def _fresh_thread(thread: ThreadReconstruction | None, now_ns: int) -> ThreadReconstruction:
@@ -36,7 +43,8 @@ def _fresh_thread(thread: ThreadReconstruction | None, now_ns: int) -> ThreadRec
         raise RefusedGoalError(
             "no_thread", "no thread was reconstructed yet; are camera, perception and reconstruction running?"
         )
-    age_ms, oldest_ms = 1e-6 * (now_ns - thread.stamp.capture_left_ns), THREAD.maximum_age_ms or math.inf
+    seen_ns = min(thread.stamp.capture_left_ns, thread.stamp.capture_right_ns)
+    age_ms, oldest_ms = 1e-6 * (now_ns - seen_ns), THREAD.maximum_age_ms or math.inf
     if age_ms > oldest_ms:
         raise RefusedGoalError(
             "thread_stale",

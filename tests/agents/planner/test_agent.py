@@ -10,7 +10,17 @@ from agents.planner.agent import Planner, psm_reaches
 from agents.planner.config import PlannerConfig
 from schemas.checks import MessageError
 from schemas.codec import encode
-from schemas.messages import CommandAnswer, GraspPlan, Outcome, Phase, RobotMode, RobotState, Status
+from schemas.messages import (
+    CommandAnswer,
+    GraspPlan,
+    Outcome,
+    Phase,
+    RobotMode,
+    RobotState,
+    Status,
+    ThreadTrack,
+    TrackStep,
+)
 from schemas.topics import GOAL, PLAN, ROBOT_STATE, THREAD, key
 from shared.kinematics import psm
 from shared.kinematics.simulated_setup import SIMULATED_BASES
@@ -143,6 +153,50 @@ def test_a_goal_that_cannot_be_planned_for_is_refused_with_a_code(bench, planner
     (answer,) = ask(planner, bench, bench.goal(s=0.4, **goal), after_ms)
     assert (answer.id, answer.outcome, answer.code) == ("g1", Outcome.REFUSED, code)
     assert said in answer.reason
+
+
+@pytest.mark.parametrize("older", ["capture_left_ns", "capture_right_ns"])
+def test_a_thread_is_as_old_as_the_older_of_its_images(bench, planner, older):
+    thread = far_thread(bench)
+    stamp = dataclasses.replace(thread.stamp, **{older: bench.CAPTURED_NS - OLDEST_MS * MS})
+    feed(planner, THREAD, dataclasses.replace(thread, stamp=stamp))
+    (answer,) = ask(planner, bench, bench.goal(s=0.4))
+    assert (answer.outcome, answer.code) == (Outcome.REFUSED, "thread_stale")
+
+
+def followed(thread, step):
+    """The thread as it is followed from frame to frame."""
+    ends = np.concatenate((np.zeros(4), np.ones(4)))
+    track = ThreadTrack(
+        step=step,
+        reason="" if step in (TrackStep.STARTED, TrackStep.CONTINUED) else "it was hidden",
+        frames=1,
+        innovation=0.1,
+        found_share=1.0,
+        stamp=thread.stamp,
+        knots=ends,
+        control_points_camera=np.zeros((4, 3)),
+        covariance=np.zeros((4, 4, 3, 3)),
+        smoothing=1.0,
+        span_weight=np.ones(1),
+        row_offset_px=0.0,
+        length=1.0,
+        material_s=np.array([0.0, 1.0]),
+    )
+    return dataclasses.replace(thread, track=track)
+
+
+@pytest.mark.parametrize("step", TrackStep)
+def test_a_goal_by_s_is_refused_in_the_frame_in_which_the_thread_was_found_anew(bench, planner, step):
+    feed(planner, THREAD, followed(far_thread(bench), step))
+    by_s = ask(planner, bench, bench.goal(s=0.4))[0]
+    by_point = ask(planner, bench, bench.goal(point_camera=(-0.004, 0.001, 0.082)))[0]
+    assert by_point.outcome is Outcome.ACCEPTED
+    if step is TrackStep.RESTARTED:
+        assert (by_s.outcome, by_s.code) == (Outcome.REFUSED, "thread_restarted")
+        feed(planner, THREAD, followed(far_thread(bench), TrackStep.CONTINUED))
+        by_s = ask(planner, bench, bench.goal(s=0.4))[0]
+    assert by_s.outcome is Outcome.ACCEPTED
 
 
 def test_without_a_thread_or_an_arm_every_goal_is_refused(bench):
