@@ -26,13 +26,22 @@ def result_document(result: PipelineResult, judgements: tuple[Judgement, ...]) -
         "control_points": thread.control_points_camera.tolist(),
         "confidence": {"s": thread.confidence_s.tolist(), "value": thread.confidence.tolist()},
         "posterior": _posterior(thread),
-        "crossings": [],
+        "crossings": [
+            {
+                "s": [crossing.s_first, crossing.s_second],
+                "left_px": crossing.point_px.tolist(),
+                "over": crossing.over.name.lower(),
+                "depth_apart": crossing.depth_apart,
+            }
+            for crossing in thread.crossings
+        ],
         "unseen": thread.unseen.tolist(),
         "observations": observed_points(result),
         "timings_ms": {step: round(ms, 3) for step, ms in result.timings_ms.items()},
         "length": _length(thread),
         "method": thread.method,
         "segmenter": observations.segmenter,
+        "other_threads_px": thread.other_threads_px.tolist(),
         "camera": _camera(thread),
         "judgements": [
             {"code": j.code, "severity": j.severity.name.lower(), "finding": j.finding, "remedy": j.remedy}

@@ -27,6 +27,13 @@ class Severity(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     SEVERITY_WARNING: _ClassVar[Severity]
     SEVERITY_FAULT: _ClassVar[Severity]
 
+class Over(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    OVER_UNSPECIFIED: _ClassVar[Over]
+    OVER_FIRST: _ClassVar[Over]
+    OVER_SECOND: _ClassVar[Over]
+    OVER_UNDETERMINED: _ClassVar[Over]
+
 class TrackStep(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
     TRACK_STEP_UNSPECIFIED: _ClassVar[TrackStep]
@@ -100,6 +107,10 @@ SEVERITY_UNSPECIFIED: Severity
 SEVERITY_NOTE: Severity
 SEVERITY_WARNING: Severity
 SEVERITY_FAULT: Severity
+OVER_UNSPECIFIED: Over
+OVER_FIRST: Over
+OVER_SECOND: Over
+OVER_UNDETERMINED: Over
 TRACK_STEP_UNSPECIFIED: TrackStep
 TRACK_STEP_STARTED: TrackStep
 TRACK_STEP_CONTINUED: TrackStep
@@ -331,7 +342,7 @@ class ReliabilityRegions(_message.Message):
     def __init__(self, s: _Optional[_Union[Array, _Mapping]] = ..., centre_camera: _Optional[_Union[Array, _Mapping]] = ..., bound_px: _Optional[_Union[Array, _Mapping]] = ..., bound_depth: _Optional[_Union[Array, _Mapping]] = ..., slack: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
 
 class ThreadReconstruction(_message.Message):
-    __slots__ = ("stamp", "camera", "status", "reason", "method", "degree", "knots", "control_points_camera", "regions", "confidence_s", "confidence", "posterior_s", "posterior_covariance", "unseen", "consumed", "track")
+    __slots__ = ("stamp", "camera", "status", "reason", "method", "degree", "knots", "control_points_camera", "regions", "confidence_s", "confidence", "posterior_s", "posterior_covariance", "unseen", "consumed", "track", "crossings", "other_threads_px")
     STAMP_FIELD_NUMBER: _ClassVar[int]
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     STATUS_FIELD_NUMBER: _ClassVar[int]
@@ -348,6 +359,8 @@ class ThreadReconstruction(_message.Message):
     UNSEEN_FIELD_NUMBER: _ClassVar[int]
     CONSUMED_FIELD_NUMBER: _ClassVar[int]
     TRACK_FIELD_NUMBER: _ClassVar[int]
+    CROSSINGS_FIELD_NUMBER: _ClassVar[int]
+    OTHER_THREADS_PX_FIELD_NUMBER: _ClassVar[int]
     stamp: FrameStamp
     camera: RectifiedStereo
     status: Status
@@ -364,7 +377,23 @@ class ThreadReconstruction(_message.Message):
     unseen: Array
     consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
     track: ThreadTrack
-    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., method: _Optional[str] = ..., degree: _Optional[int] = ..., knots: _Optional[_Union[Array, _Mapping]] = ..., control_points_camera: _Optional[_Union[Array, _Mapping]] = ..., regions: _Optional[_Union[ReliabilityRegions, _Mapping]] = ..., confidence_s: _Optional[_Union[Array, _Mapping]] = ..., confidence: _Optional[_Union[Array, _Mapping]] = ..., posterior_s: _Optional[_Union[Array, _Mapping]] = ..., posterior_covariance: _Optional[_Union[Array, _Mapping]] = ..., unseen: _Optional[_Union[Array, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ..., track: _Optional[_Union[ThreadTrack, _Mapping]] = ...) -> None: ...
+    crossings: _containers.RepeatedCompositeFieldContainer[Crossing]
+    other_threads_px: Array
+    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., method: _Optional[str] = ..., degree: _Optional[int] = ..., knots: _Optional[_Union[Array, _Mapping]] = ..., control_points_camera: _Optional[_Union[Array, _Mapping]] = ..., regions: _Optional[_Union[ReliabilityRegions, _Mapping]] = ..., confidence_s: _Optional[_Union[Array, _Mapping]] = ..., confidence: _Optional[_Union[Array, _Mapping]] = ..., posterior_s: _Optional[_Union[Array, _Mapping]] = ..., posterior_covariance: _Optional[_Union[Array, _Mapping]] = ..., unseen: _Optional[_Union[Array, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ..., track: _Optional[_Union[ThreadTrack, _Mapping]] = ..., crossings: _Optional[_Iterable[_Union[Crossing, _Mapping]]] = ..., other_threads_px: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
+
+class Crossing(_message.Message):
+    __slots__ = ("s_first", "s_second", "point_px", "over", "depth_apart")
+    S_FIRST_FIELD_NUMBER: _ClassVar[int]
+    S_SECOND_FIELD_NUMBER: _ClassVar[int]
+    POINT_PX_FIELD_NUMBER: _ClassVar[int]
+    OVER_FIELD_NUMBER: _ClassVar[int]
+    DEPTH_APART_FIELD_NUMBER: _ClassVar[int]
+    s_first: float
+    s_second: float
+    point_px: Array
+    over: Over
+    depth_apart: float
+    def __init__(self, s_first: _Optional[float] = ..., s_second: _Optional[float] = ..., point_px: _Optional[_Union[Array, _Mapping]] = ..., over: _Optional[_Union[Over, str]] = ..., depth_apart: _Optional[float] = ...) -> None: ...
 
 class ThreadTrack(_message.Message):
     __slots__ = ("step", "reason", "frames", "innovation", "found_share", "stamp", "knots", "control_points_camera", "covariance", "smoothing", "span_weight", "row_offset_px", "length", "material_s")

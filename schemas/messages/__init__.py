@@ -55,7 +55,9 @@ from schemas.messages.simulation import (
 from schemas.messages.surface import TissueSurface
 from schemas.messages.thread import (
     Centrelines,
+    Crossing,
     Judgement,
+    Over,
     ReliabilityRegions,
     Severity,
     Status,
@@ -77,6 +79,7 @@ __all__ = [
     "CommandHeader",
     "CommandRecord",
     "Consumed",
+    "Crossing",
     "ExecutionEvent",
     "ExecutionKind",
     "FrameStamp",
@@ -93,6 +96,7 @@ __all__ = [
     "LogRecord",
     "Outcome",
     "OutputHealth",
+    "Over",
     "Phase",
     "Policy",
     "Prompt",

@@ -196,6 +196,36 @@ class ThreadTrack:
         require(self.material_s[0] < self.material_s[1], "material_s must increase")
 
 
+class Over(enum.Enum):
+    """Which strand of a crossing lies nearer to the camera, the one of smaller or of larger arc length."""
+
+    FIRST = 1
+    SECOND = 2
+    UNDETERMINED = 3
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """Where the thread crosses itself in the left image.
+
+    Fields:
+        s_first, s_second: arc lengths (0 to 1) of the two strands, in order.
+        point_px: (u, v) of the crossing.
+        over: the nearer strand; UNDETERMINED where the posterior does not tell.
+        depth_apart: how much deeper the second strand lies, in the calibration's unit.
+    """
+
+    s_first: float
+    s_second: float
+    point_px: Float64[np.ndarray, "2"]
+    over: Over
+    depth_apart: float
+
+    def __post_init__(self) -> None:
+        check_message(self)
+        require(0 <= self.s_first < self.s_second <= 1, "the strands of a crossing must be in order within 0 and 1")
+
+
 @dataclass(frozen=True)
 class ThreadReconstruction:
     """The thread as a clamped B-spline in the camera frame, with how far it can be trusted.
@@ -207,6 +237,8 @@ class ThreadReconstruction:
             the method predicts none.
         unseen: stretches of arc length that no image shows.
         track: where the thread is followed from frame to frame.
+        crossings: where the thread crosses itself in the left image.
+        other_threads_px: a left pixel (u, v) on each longer piece of thread that is none of this one.
     A failed reconstruction has a reason and no control points.
     """
 
@@ -226,6 +258,8 @@ class ThreadReconstruction:
     unseen: Float64[np.ndarray, "g 2"] = field(default_factory=lambda: _no_numbers(0, 2))
     consumed: tuple[Consumed, ...] = ()
     track: ThreadTrack | None = None
+    crossings: tuple[Crossing, ...] = ()
+    other_threads_px: Float64[np.ndarray, "t 2"] = field(default_factory=lambda: _no_numbers(0, 2))
 
     def __post_init__(self) -> None:
         check_message(self)

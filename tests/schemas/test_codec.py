@@ -21,6 +21,7 @@ from schemas.messages import (
     CommandHeader,
     CommandRecord,
     Consumed,
+    Crossing,
     ExecutionEvent,
     ExecutionKind,
     FrameStamp,
@@ -37,6 +38,7 @@ from schemas.messages import (
     LogRecord,
     Outcome,
     OutputHealth,
+    Over,
     Phase,
     Policy,
     Prompt,
@@ -178,6 +180,17 @@ def regions(draw):
 
 
 @st.composite
+def crossings(draw):
+    return Crossing(
+        s_first=draw(st.floats(0, 0.4)),
+        s_second=draw(st.floats(0.5, 1)),
+        point_px=draw(array(2)),
+        over=draw(st.sampled_from(Over)),
+        depth_apart=draw(st.floats(-1e6, 1e6)),
+    )
+
+
+@st.composite
 def tracks(draw):
     step, m = draw(st.sampled_from(TrackStep)), draw(st.integers(4, 7))
     well = step in (TrackStep.STARTED, TrackStep.CONTINUED)
@@ -223,6 +236,8 @@ def reconstructions(draw):
         unseen=draw(array(g, 2, elements=st.floats(0, 1))),
         consumed=draw(consumed),
         track=draw(st.none() | tracks()),
+        crossings=tuple(draw(st.lists(crossings(), max_size=2))),
+        other_threads_px=draw(array(g, 2)),
     )
 
 
@@ -366,6 +381,7 @@ MESSAGES = {
     ReliabilityRegions: regions(),
     ThreadReconstruction: reconstructions(),
     ThreadTrack: tracks(),
+    Crossing: crossings(),
     ClockReading: st.builds(ClockReading, texts.filter(bool), nanoseconds),
     Consumed: st.builds(Consumed, texts.filter(bool), uint64, uint64),
     CommandHeader: headers,

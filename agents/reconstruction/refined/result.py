@@ -1,4 +1,4 @@
-"""From a fit to the message: direction, regions, posterior, confidence, and what no image shows."""
+"""From a fit to the message: direction, regions, posterior, confidence, and what not both images show."""
 
 import numpy as np
 import scipy.special
@@ -6,10 +6,17 @@ from jaxtyping import Bool, Float64
 
 from agents.reconstruction.confidence import assumed_unit
 from agents.reconstruction.refined.constraints import Held
+from agents.reconstruction.refined.crossings import crossings_of, other_threads_px
 from agents.reconstruction.refined.posterior import point_covariance
-from agents.reconstruction.refined.projection import DEGREE, Curve
+from agents.reconstruction.refined.projection import DEGREE, DENSE, Curve, projected
 from agents.reconstruction.refined.refinement import Refined
-from schemas.messages import ReliabilityRegions, Status, ThreadObservations, ThreadReconstruction
+from schemas.messages import (
+    RectifiedStereo,
+    ReliabilityRegions,
+    Status,
+    ThreadObservations,
+    ThreadReconstruction,
+)
 from shared.camera import project
 from shared.splines import evaluate
 
@@ -41,9 +48,11 @@ def reconstruction(
     covariance = point_covariance(fit, camera, s)
     unit_m = camera.metres_per_unit or assumed_unit(curve.control_points[:, 2])
     confidence = confidence_of(evaluate(curve.knots, curve.control_points, DEGREE, s, 1), covariance, unit_m)
-    unseen = stretches(~seen(fit))
+    unseen = stretches(~seen(fit, camera))
     order = np.argsort(held.s, kind="stable")
     way = slice(None, None, -1 if reverse else 1)
+    control_points, covariance = curve.control_points[way].copy(), covariance[way].copy()
+    pixels, _ = project(camera, evaluate(curve.knots, control_points, DEGREE, np.linspace(0.0, 1.0, UNSEEN_SAMPLES)))
     return ThreadReconstruction(
         stamp=observations.stamp,
         camera=camera,
@@ -52,7 +61,7 @@ def reconstruction(
         method=method,
         degree=DEGREE,
         knots=curve.knots,
-        control_points_camera=curve.control_points[way].copy(),
+        control_points_camera=control_points,
         regions=ReliabilityRegions(
             _turned(held.s[order], reverse),
             regions.centre_camera[order][way].copy(),
@@ -63,8 +72,10 @@ def reconstruction(
         confidence_s=s,
         confidence=confidence[way].copy(),
         posterior_s=s,
-        posterior_covariance=covariance[way].copy(),
+        posterior_covariance=covariance,
         unseen=np.clip(1.0 - unseen[::-1, ::-1], 0.0, 1.0) if reverse else unseen,
+        crossings=crossings_of(camera, curve.knots, control_points, s, covariance),
+        other_threads_px=other_threads_px(observations.centrelines_left, pixels),
     )
 
 
@@ -96,20 +107,36 @@ def confidence_of(
     return np.clip((density * inside * np.cos(angle)) @ weight, 0.0, 1.0)
 
 
-def seen(fit: Refined) -> Bool[np.ndarray, "g"]:
-    """Which of evenly spaced places at least one image shows."""
+def seen(fit: Refined, camera: RectifiedStereo) -> Bool[np.ndarray, "g"]:
+    """Which of evenly spaced places both images show; with one alone, the depth is a guess.
+
+    Gaps are measured along the image of the curve in that eye: along the line of sight, few pixels are much thread.
+    """
     at = (np.arange(UNSEEN_SAMPLES) + 0.5) / UNSEEN_SAMPLES
     good = fit.robust[: fit.rows.sightings] > OUTLIER
-    shown = np.zeros(UNSEEN_SAMPLES, bool)
+    shown = np.ones(UNSEEN_SAMPLES, bool)
     for eye in (0, 1):
         s = np.sort(fit.sight.s[good & (fit.sight.eye == eye)])
         if len(s) < 2:
-            continue
-        limit = max(LEAST_GAP, GAP_FACTOR * float(np.median(np.diff(s))))
-        after = np.clip(np.searchsorted(s, at), 1, len(s) - 1)
-        near = np.minimum(np.abs(at - s[after - 1]), np.abs(s[after] - at))
-        shown |= (near <= 0.5 * limit) | ((s[after] - s[after - 1] <= limit) & (at >= s[0]) & (at <= s[-1]))
+            return np.zeros(UNSEEN_SAMPLES, bool)
+        dense, along = _along_image(fit, camera, eye)
+        place, here = np.interp(s, dense, along), np.interp(at, dense, along)
+        limit = max(LEAST_GAP, GAP_FACTOR * float(np.median(np.diff(place))))
+        after = np.clip(np.searchsorted(place, here), 1, len(s) - 1)
+        near = np.minimum(np.abs(here - place[after - 1]), np.abs(place[after] - here))
+        within = (here >= place[0]) & (here <= place[-1])
+        shown &= (near <= 0.5 * limit) | ((place[after] - place[after - 1] <= limit) & within)
     return shown
+
+
+def _along_image(
+    fit: Refined, camera: RectifiedStereo, eye: int
+) -> tuple[Float64[np.ndarray, "d"], Float64[np.ndarray, "d"]]:
+    """Parameters of the curve, and the shares of its image's length in one eye that lie before them."""
+    dense = np.linspace(0.0, 1.0, DENSE * fit.curve.spans + 1)
+    view = projected(fit.curve, dense, np.full(len(dense), eye), camera, fit.row_offset_px)
+    along = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(view.point_px, axis=0), axis=1))))
+    return dense, along / max(along[-1], 1e-12)
 
 
 def stretches(hidden: Bool[np.ndarray, "g"]) -> Float64[np.ndarray, "k 2"]:

@@ -1,0 +1,102 @@
+"""Where the thread crosses itself in the left image, and which strand lies nearer; and thread that is not this one.
+
+Two pieces of a polyline cross where each one's line parts the ends of the other. The depths of both strands there
+differ by about the thread's thickness where they touch, so the nearer one is told only where that difference exceeds
+some deviations of the posterior.
+"""
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.spatial import KDTree
+
+from agents.reconstruction.refined.projection import DEGREE
+from schemas.messages import Centrelines, Crossing, Over, RectifiedStereo
+from shared.camera import project
+from shared.splines import evaluate
+
+PLACES = 241
+SHORTEST_LOOP = 0.02
+"""Of the thread's length: less between two crossing pieces is a kink of the curve."""
+CERTAIN = 2.0
+"""Deviations by which the strands' depths differ before one is called nearer."""
+STRANGE_WIDTHS, SHORTEST_WIDTHS = 3.0, 15.0
+"""A piece of centreline is another thread's where it lies so far off, in the median, and is so long."""
+
+
+def crossings_of(
+    camera: RectifiedStereo,
+    knots: Float64[np.ndarray, "k"],
+    control_points: Float64[np.ndarray, "m 3"],
+    covariance_s: Float64[np.ndarray, "q"],
+    covariance: Float64[np.ndarray, "q 3 3"],
+) -> tuple[Crossing, ...]:
+    """Every self-crossing of the projected curve, in order along it.
+
+    Args:
+        covariance: of the curve's points at `covariance_s`; strands count as independent of each other.
+    """
+    s = np.linspace(0.0, 1.0, PLACES)
+    points = evaluate(knots, control_points, DEGREE, s)
+    pixels, _ = project(camera, points)
+    first, second = _crossing_pieces(pixels)
+    share_first, share_second = _shares(pixels, first, second)
+    depth_first = points[first, 2] + share_first * (points[first + 1, 2] - points[first, 2])
+    depth_second = points[second, 2] + share_second * (points[second + 1, 2] - points[second, 2])
+    at = pixels[first] + share_first[:, None] * (pixels[first + 1] - pixels[first])
+    s_first, s_second = (first + share_first) / (PLACES - 1), (second + share_second) / (PLACES - 1)
+    variance = sum(np.interp(place, covariance_s, covariance[:, 2, 2]) for place in (s_first, s_second))
+    apart = depth_second - depth_first
+    known = np.abs(apart) > CERTAIN * np.sqrt(variance)
+    return tuple(
+        Crossing(
+            s_first=float(s_first[k]),
+            s_second=float(s_second[k]),
+            point_px=at[k],
+            over=(Over.FIRST if apart[k] > 0 else Over.SECOND) if known[k] else Over.UNDETERMINED,
+            depth_apart=float(apart[k]),
+        )
+        for k in range(len(first))
+    )
+
+
+def other_threads_px(
+    lines: Centrelines, curve_px: Float64[np.ndarray, "n 2"], spacing_px: float = 1.0
+) -> Float64[np.ndarray, "t 2"]:
+    """The middle of each longer piece of centreline that does not lie on the projected curve."""
+    if not len(lines.piece):
+        return np.zeros((0, 2))
+    width = float(np.median(lines.width_px))
+    off = np.asarray(KDTree(curve_px).query(lines.point_px)[0])
+    found = [
+        lines.point_px[mine[len(mine) // 2]]
+        for mine in np.split(np.arange(len(lines.piece)), np.flatnonzero(np.diff(lines.piece)) + 1)
+        if len(mine) * spacing_px >= SHORTEST_WIDTHS * width and np.median(off[mine]) > STRANGE_WIDTHS * width
+    ]
+    return np.array(found) if found else np.zeros((0, 2))
+
+
+def _crossing_pieces(px: Float64[np.ndarray, "n 2"]) -> tuple[np.ndarray, np.ndarray]:
+    """The numbers of both pieces of each crossing of a polyline with itself, the earlier one first."""
+    start, along = px[:-1], np.diff(px, axis=0)
+
+    def side(of: Float64[np.ndarray, "k 2"]) -> Float64[np.ndarray, "n k"]:
+        offset = of[None] - start[:, None]
+        return along[:, None, 0] * offset[..., 1] - along[:, None, 1] * offset[..., 0]
+
+    parts = (side(px[:-1]) > 0) != (side(px[1:]) > 0)
+    first, second = np.nonzero(parts & parts.T)
+    loop = second - first > SHORTEST_LOOP * len(start)
+    return first[loop], second[loop]
+
+
+def _shares(
+    px: Float64[np.ndarray, "n 2"], first: np.ndarray, second: np.ndarray
+) -> tuple[Float64[np.ndarray, "c"], Float64[np.ndarray, "c"]]:
+    """How far along each of two crossing pieces the crossing lies."""
+    a, b = px[first + 1] - px[first], px[second + 1] - px[second]
+    gap = px[second] - px[first]
+    cross = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    cross = np.where(np.abs(cross) > 1e-12, cross, 1e-12)
+    share_first = (gap[:, 0] * b[:, 1] - gap[:, 1] * b[:, 0]) / cross
+    share_second = (gap[:, 0] * a[:, 1] - gap[:, 1] * a[:, 0]) / cross
+    return np.clip(share_first, 0.0, 1.0), np.clip(share_second, 0.0, 1.0)
