@@ -17,16 +17,18 @@ from typing import Any
 import cv2
 
 from agents.cli.pipeline import PipelineResult, reconstruct_pair
+from agents.perception.centrelines import thread_centrelines
 from agents.reconstruction.methods import DEFAULT_METHOD, METHODS
 from agents.reconstruction.paper import METHOD as PAPER
 from agents.viewer.picture import draw_picture
 from benchmarks.goals import goals
 from benchmarks.measures import figures
-from benchmarks.scenes import RENDERS, scenes
+from benchmarks.scenes import RENDERS, Pair, scenes
 from benchmarks.solvers import solver_times
 from benchmarks.tables import compare, print_goals, print_group
 from benchmarks.times import time_goals
 from benchmarks.variations import NONE, Run, runs
+from shared.clock import Stopwatch
 
 REPEATS = 3
 BASELINES = Path(__file__).parent / "baselines"
@@ -61,8 +63,9 @@ def main() -> None:
                 continue
             timed = run.scene.group in RENDERS and run.masks_are in ("true", NONE) and not run.calibration_is
             result = fastest(run, arguments.method, REPEATS if timed else 1)
-            row = figures(run, result) | {"solvers": None}
+            row = figures(run, result) | {"solvers": None, "centrelines_ms": None}
             if timed and run.masks is not None:
+                row["centrelines_ms"] = centrelines_ms(result, run.masks)
                 # the programs are those of method `paper`, whose observations another method may do without
                 row["solvers"] = solver_times(fastest(run, PAPER, 1).observations)
             rows.append(row)
@@ -88,6 +91,18 @@ def fastest(run: Run, method: str, repeats: int) -> PipelineResult:
     ]
     least = {step: min(result.timings_ms[step] for result in results) for step in results[0].timings_ms}
     return replace(results[0], timings_ms=least)
+
+
+def centrelines_ms(result: PipelineResult, masks: Pair) -> float:
+    """The least time of some repetitions for the centrelines of both images, which need no rectification."""
+    least = float("inf")
+    for _ in range(REPEATS):
+        watch = Stopwatch("centrelines")
+        with watch.step("centrelines"):
+            for image, mask in zip(result.images, masks, strict=True):
+                thread_centrelines(image, mask)
+        least = min(least, watch.ms["centrelines"])
+    return least
 
 
 def save(path: Path, method: str, rows: list[dict[str, Any]]) -> None:
