@@ -44,13 +44,16 @@ class Associated:
 
     Fields:
         found_share: of all points of both eyes.
-        shown_share: of the curve, where either eye has a point.
+        shown_shares: of the curve, in the left and in the right image.
+        hidden_share, alone_share: of the curve, what neither image shows and what one alone shows.
         beyond_px: how far thread goes on past either end of the curve, in the image where it is less.
     """
 
     sight: Sightings
     found_share: float
-    shown_share: float
+    shown_shares: tuple[float, float]
+    hidden_share: float
+    alone_share: float
     beyond_px: float
 
 
@@ -88,10 +91,21 @@ def associated(
         float(np.median(lines[0].width_px)) if len(lines[0].width_px) else 0.0,
     )
     total = sum(e.points for e in eyes)
-    places = 2 * curve.spans
-    shown = np.bincount((sight.s * places).astype(int).clip(0, places - 1), minlength=places) > 0
+    left, right = (_shown(e.s, 2 * curve.spans) for e in eyes)
     beyond = np.minimum(*(e.beyond_px for e in eyes))
-    return Associated(sight, len(sight.s) / max(total, 1), float(shown.mean()), float(beyond.max()))
+    return Associated(
+        sight,
+        len(sight.s) / max(total, 1),
+        (float(left.mean()), float(right.mean())),
+        float((~left & ~right).mean()),
+        float((left ^ right).mean()),
+        float(beyond.max()),
+    )
+
+
+def _shown(s: Float64[np.ndarray, "n"], places: int) -> Bool[np.ndarray, "places"]:
+    """Which of so many places of the curve have a point."""
+    return np.bincount((s * places).astype(int).clip(0, places - 1), minlength=places) > 0
 
 
 def _of_eye(

@@ -42,6 +42,9 @@ CHOICE_FRAMES = 5
 LEAST_SHARE = 0.5
 """Of the points and of the curve: a track of which both are less is lost."""
 LEAST_SHOWN = 0.25
+"""Of the curve, in either image: depth comes from both, and with one alone it would only be guessed, frame by frame."""
+LEAST_HIDDEN = 0.1
+"""Of the curve: less is no tool, but a gap in a centreline."""
 BEYOND_SHARE, FARTHEST_BEYOND = 0.02, 0.1
 """Of the image's width: thread that goes on farther past the curve's end is to be part of it."""
 LENGTH_TOLERANCE, END_PX_SHARE = 0.015, 0.005
@@ -57,11 +60,16 @@ class LostError(ValueError):
 
 @dataclass(frozen=True)
 class Followed:
-    """The fit, and how it stands to what was predicted."""
+    """The fit, and how it stands to what was predicted.
+
+    Fields:
+        hidden_alike: whether something hides thread, in both images rather than in one.
+    """
 
     fit: Refined
     innovation: float
     found_share: float
+    hidden_alike: bool
 
 
 def followed(
@@ -95,7 +103,8 @@ def followed(
         raise LostError(f"the curve could not be followed ({error})") from error
     innovation = _innovation(fit.curve, prediction)
     _require_fit(fit, innovation, camera)
-    return Followed(fit, innovation, seen.found_share)
+    hidden_alike = seen.hidden_share > max(LEAST_HIDDEN, seen.alone_share)
+    return Followed(fit, innovation, seen.found_share, hidden_alike)
 
 
 @dataclass(frozen=True)
@@ -114,7 +123,11 @@ class _Prediction:
 
     def about(self, curve: Curve) -> Blocks:
         """What is known before the images are looked at, as a function of the motion from `curve`."""
-        return away_from(self.precision, curve, self.curve) + stretching(curve, self.length)
+        return self.remembered(curve) + stretching(curve, self.length)
+
+    def remembered(self, curve: Curve) -> Blocks:
+        """What the frames before have shown, without the length of each span."""
+        return away_from(self.precision, curve, self.curve)
 
 
 def _moved(prediction: _Prediction, curve: Curve, sight: Sightings) -> Curve:
@@ -151,8 +164,10 @@ def _fit(prediction: _Prediction, curve: Curve, sight: Sightings) -> Refined:
         sight = placed(replace(sight, s=s), curve, camera, row_offset)
     rows, robust, scale = weighted(curve, sight, camera, row_offset)
     data = data_blocks(rows, robust / scale**2, curve.spans) + damping
-    data += prediction.about(curve)
-    total = data + roughness_blocks(curve, smoothing * weight * shown)
+    # lengths and smoothness help to find the curve, but where an eye is blind they tell nothing new in each frame: they
+    # would soon make a guessed depth certain
+    both = np.minimum(*(_shown_by(sight, curve, eye) for eye in (0, 1)))
+    total = data + prediction.remembered(curve) + roughness_blocks(curve, smoothing * weight * both)
     return Refined(curve, sight, rows, robust, scale, smoothing, weight, row_offset, total)
 
 
@@ -167,6 +182,12 @@ def _shown(sight: Sightings, curve: Curve) -> Float64[np.ndarray, "spans"]:
     return np.where((k >= first) & (k <= last), 1.0, HIDDEN)
 
 
+def _shown_by(sight: Sightings, curve: Curve, eye: int) -> Float64[np.ndarray, "spans"]:
+    """1 for spans of which this eye shows something."""
+    here = (sight.s[sight.eye == eye] * curve.spans).astype(int).clip(0, curve.spans - 1)
+    return np.where(np.bincount(here, minlength=curve.spans) > 0, 1.0, HIDDEN)
+
+
 def _steps_px(now: Curve, then: Curve, camera: RectifiedStereo) -> float:
     """How far control points have moved at most, in the left image's scale."""
     step = np.linalg.norm(now.control_points - then.control_points, axis=1)
@@ -175,10 +196,12 @@ def _steps_px(now: Curve, then: Curve, camera: RectifiedStereo) -> float:
 
 def _require_seen(seen: Associated, camera: RectifiedStereo, most_beyond: float = BEYOND_SHARE) -> None:
     within = f"within {GATE_SHARE * camera.image_width:.0f} px of where it was expected"
-    if max(seen.found_share, seen.shown_share) < LEAST_SHARE or seen.shown_share < LEAST_SHOWN:
+    left, right = seen.shown_shares
+    shown = min(left, right)
+    if max(seen.found_share, shown) < LEAST_SHARE or shown < LEAST_SHOWN:
         raise LostError(
-            f"only {seen.found_share:.0%} of the thread in both images lies {within}, and only "
-            f"{seen.shown_share:.0%} of the last curve is seen there"
+            f"only {seen.found_share:.0%} of the thread in both images lies {within}, and only {left:.0%} of the last "
+            f"curve is seen there in the left image, {right:.0%} in the right one"
         )
     if seen.beyond_px > most_beyond * camera.image_width:
         raise LostError(f"both images show {seen.beyond_px:.0f} px of thread past the end of the last curve")

@@ -22,6 +22,7 @@ from agents.reconstruction.refined.constraints import Held
 from agents.reconstruction.refined.following import Followed, LostError, curve_length, followed
 from agents.reconstruction.refined.method import METHOD, NoCurveError, course_and_fit, within_regions
 from agents.reconstruction.refined.motion import band_of
+from agents.reconstruction.refined.plausibility import unusable
 from agents.reconstruction.refined.posterior import MODEL
 from agents.reconstruction.refined.projection import Curve, projected
 from agents.reconstruction.refined.refinement import Refined
@@ -69,12 +70,14 @@ def track_refined(observations: ThreadObservations, last: ThreadReconstruction |
 
 
 def _continued(observations: ThreadObservations, before: ThreadTrack) -> ThreadReconstruction:
+    lines = observations.centrelines_left, observations.centrelines_right
+    if reason := unusable(*lines, observations.camera):
+        raise LostError(reason)
     elapsed_s = _since(observations, before)
     if not 0 <= elapsed_s <= LONGEST_S:
         raise LostError(f"the last curve is of {elapsed_s:.1f} s ago")
-    lines = observations.centrelines_left, observations.centrelines_right
     now = followed(before, lines, observations.camera, elapsed_s)
-    if before.frames % VERIFY_FRAMES == VERIFY_FRAMES - 1:
+    if before.step is TrackStep.LOST or before.frames % VERIFY_FRAMES == VERIFY_FRAMES - 1:
         _verify(observations, before, now)
     no_regions = Regions(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0))
     held = Held(now.fit.curve, no_regions, np.zeros(0), np.zeros(0))
@@ -171,11 +174,16 @@ def _material(before: ThreadTrack, track: ThreadTrack) -> tuple[Float64[np.ndarr
 
 
 def _verify(observations: ThreadObservations, before: ThreadTrack, now: Followed) -> None:
-    """Raise a LostError where the frame alone shows a curve that explains both images better."""
+    """Raise a LostError where the frame alone shows a curve that explains both images better, or shows none.
+
+    Behind a tool a frame alone may fail where the track need not; with the thread in view it contradicts the track.
+    """
     try:
         alone = _alone(observations, before)
-    except NoCurveError:
-        return
+    except NoCurveError as error:
+        if now.hidden_alike:
+            return
+        raise LostError(f"the frame alone shows no thread: {error}") from error
     here, there = _explained(observations, now.fit), _explained(observations, alone.fit)
     if there > here + BETTER:
         raise LostError(

@@ -11,16 +11,23 @@ from hypothesis import strategies as st
 
 from agents.perception.observe import observe as observe_pair
 from agents.reconstruction.refined.method import reconstruct_refined
+from agents.reconstruction.refined.tracking import track_refined
 from schemas.codec import encode
-from schemas.messages import Centrelines, FrameStamp, RectifiedStereo, Status
+from schemas.messages import Centrelines, FrameStamp, RectifiedStereo, Status, TrackStep
 
 WIDTH, HEIGHT = 320, 240
 CAMERA = RectifiedStereo(WIDTH, HEIGHT, 330.0, 335.0, 159.5, 119.5, 5.5, 1e-3)
 EXTREME = (1e-300, 1e-25, 1e25, 1e300)
 
 
-def checked(observations):
-    thread = reconstruct_refined(observations)
+def checked(observations, last=None):
+    """What is made of a frame alone, and with a last thread in mind."""
+    sound(reconstruct_refined(observations), observations)
+    if last is not None:
+        sound(track_refined(observations, last), observations)
+
+
+def sound(thread, observations):
     assert (thread.stamp, thread.method) == (observations.stamp, "refined")
     encode(thread)
     if thread.status is Status.FAILED:
@@ -33,6 +40,19 @@ def checked(observations):
     np.testing.assert_allclose(covariance, covariance.transpose(0, 2, 1), atol=1e-9 * abs(covariance).max())
     assert np.linalg.eigvalsh(covariance).min() >= -1e-9 * abs(covariance).max()
     assert (thread.unseen[:, 0] <= thread.unseen[:, 1]).all()
+
+
+def last_thread(observe, camera):
+    """A thread that was in view a frame before, seen by the same camera."""
+    t = np.linspace(0, 1, 200)
+    left = np.column_stack((90 + 160 * t, 120 + 70 * np.sin(5 * t)))
+    lines = [
+        Centrelines(left - (disparity, 0.0), np.zeros(200, np.int64), np.full(200, 3.0), np.full(200, 0.1))
+        for disparity in (0.0, 20.0)
+    ]
+    before = FrameStamp(6, 100 - 33_333_333, 200 - 33_333_333, "calibration")
+    observed = observe(np.zeros((0, 3)), camera, stamp=before, centrelines_left=lines[0], centrelines_right=lines[1])
+    return lines, track_refined(observed, None)
 
 
 def wandering(rng, count):
@@ -96,7 +116,26 @@ def test_any_centrelines_end_as_a_status(observe, data):
     scale = data.draw(st.sampled_from((1.0, 1.0, 1.0, 1e-3, 1e9, *EXTREME)))
     unit = data.draw(st.sampled_from((None, None, 1e-3, 1.0, 1e-300)))
     camera = dataclasses.replace(CAMERA, baseline=CAMERA.baseline * scale, metres_per_unit=unit)
-    checked(observe(np.zeros((0, 3)), camera, centrelines_left=left, centrelines_right=right))
+    lines, last = last_thread(observe, camera)
+    # a track goes on only where an image shows its thread, so often one of them does
+    known = data.draw(st.sampled_from((None, None, 0, 1)))
+    left, right = (lines[eye] if eye == known else new for eye, new in enumerate((left, right)))
+    checked(observe(np.zeros((0, 3)), camera, centrelines_left=left, centrelines_right=right), last)
+
+
+@pytest.mark.parametrize("eyes", [(0,), (1,), (0, 1)])
+@pytest.mark.parametrize("what", ["point_px", "width_px", "deviation_px"])
+@pytest.mark.parametrize("scale", [1e-160, 1e-25, 1e25, 1e160, 1e300])
+def test_numbers_of_no_image_lose_a_track(observe, eyes, what, scale):
+    lines, last = last_thread(observe, CAMERA)
+    assert last.status is Status.OK
+    for eye in eyes:
+        lines[eye] = dataclasses.replace(lines[eye], **{what: scale * getattr(lines[eye], what)})
+    thread = track_refined(
+        observe(np.zeros((0, 3)), CAMERA, centrelines_left=lines[0], centrelines_right=lines[1]), last
+    )
+    assert thread.track is not None
+    assert (thread.status, thread.track.step) == (Status.FAILED, TrackStep.LOST)
 
 
 def scribble(mask, rng):

@@ -64,7 +64,8 @@ def test_a_thread_that_moved_as_a_whole_is_found_place_by_place(shape, shift):
     curve = curve_of(shape)
     lines, places = lines_of(curve, shift=shift)
     seen = look(curve, lines)
-    assert (seen.found_share, seen.shown_share) == (pytest.approx(1.0, abs=0.06), pytest.approx(1.0, abs=0.06))
+    assert seen.found_share == pytest.approx(1.0, abs=0.06)
+    assert seen.shown_shares == pytest.approx((1.0, 1.0), abs=0.06)
     # three pixels of some eight hundred
     assert off(seen, lines, places) < 0.012
 
@@ -81,7 +82,17 @@ def test_where_a_tool_hides_the_last_fifth_no_end_is_seen():
     seen = look(curve, lines_of(curve, [(0.0, 0.8)])[0])
     assert set(seen.sight.s[seen.sight.is_end]) == {0.0}
     assert seen.found_share == pytest.approx(1.0, abs=0.02)
-    assert seen.shown_share == pytest.approx(0.8, abs=0.03)
+    assert seen.shown_shares == pytest.approx((0.8, 0.8), abs=0.03)
+    assert (seen.hidden_share, seen.alone_share) == (pytest.approx(0.2, abs=0.03), pytest.approx(0.0, abs=0.03))
+
+
+def test_what_one_image_shows_alone_is_told_from_what_both_show():
+    curve = curve_of(winding)
+    (left, right), (left_part, right_part) = (lines_of(curve, [(0.0, end)])[0] for end in (0.9, 0.4))
+    for lines, shares in (((left, right_part), (0.9, 0.4)), ((left_part, right), (0.4, 0.9))):
+        seen = look(curve, lines)
+        assert seen.shown_shares == pytest.approx(shares, abs=0.03)
+        assert (seen.hidden_share, seen.alone_share) == (pytest.approx(0.1, abs=0.03), pytest.approx(0.5, abs=0.05))
 
 
 def test_pieces_may_come_in_any_order_and_direction():
@@ -105,14 +116,15 @@ def test_thread_that_goes_on_past_the_end_is_told():
 def test_what_lies_elsewhere_finds_no_place():
     curve = curve_of(winding)
     seen = look(curve, lines_of(curve, shift=(0.0, 100.0))[0])
-    assert max(seen.found_share, seen.shown_share) < 0.4
+    assert max(seen.found_share, *seen.shown_shares) < 0.4
 
 
 def test_no_points_find_no_place():
     curve = curve_of(winding)
     none = Centrelines(np.zeros((0, 2)), np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
     seen = look(curve, (none, none))
-    assert (len(seen.sight.s), seen.found_share, seen.shown_share) == (0, 0.0, 0.0)
+    assert (len(seen.sight.s), seen.found_share, seen.shown_shares) == (0, 0.0, (0.0, 0.0))
+    assert (seen.hidden_share, seen.alone_share) == (1.0, 0.0)
     one = dataclasses.replace(
         none, point_px=np.ones((1, 2)), piece=np.zeros(1, np.int64), width_px=np.ones(1), deviation_px=np.ones(1)
     )

@@ -234,6 +234,81 @@ def test_more_thread_that_comes_into_view_gets_places_beyond_the_first_ones():
     assert np.linalg.norm(place(more, (1.0 - low) / (high - low)) - winding(np.array([0.6]))[0]) < 1.0
 
 
+def backing(number):
+    """The thread, nearer to the cameras from frame to frame."""
+    return lambda t: winding(t) - (0.0, 0.0, 0.1 * number)
+
+
+def one_eyed(number, right_shown, eye=1):
+    """A frame of which one eye shows these stretches alone, the other everything."""
+    both, part = seen(backing(number), number=number), seen(backing(number), right_shown, number=number)
+    hidden = (both.centrelines_left, part.centrelines_right) if eye else (part.centrelines_left, both.centrelines_right)
+    return observed(*hidden, number=number)
+
+
+@pytest.mark.parametrize("eye", [0, 1])
+def test_a_thread_that_one_eye_alone_shows_is_lost(eye):
+    first, frame = track_refined(seen(backing(0)), None), seen(backing(1), number=1)
+    lines = [frame.centrelines_left, frame.centrelines_right]
+    at = np.linspace((800.0, 40.0), (830.0, 60.0), 36)
+    speck = Centrelines(at, np.zeros(36, np.int64), np.full(36, 3.0), np.full(36, 0.1))
+    for nothing, reason in ((no_centrelines(), "too little thread"), (speck, "")):
+        lines[eye] = nothing
+        thread = track_refined(observed(*lines, number=1), first)
+        assert thread.status is Status.FAILED
+        assert track_of(thread).step is TrackStep.LOST
+        assert reason in thread.reason
+
+
+def test_too_little_in_one_eye_is_told():
+    first = track_refined(seen(backing(0)), None)
+    thread = track_refined(one_eyed(1, ((0.0, 0.2),)), first)
+    assert track_of(thread).step is not TrackStep.CONTINUED
+
+
+@pytest.mark.parametrize("eye", [0, 1])
+def test_what_one_eye_alone_shows_is_unseen_and_its_depth_soon_doubted(eye):
+    last = track_refined(seen(backing(0)), None)
+    for number in range(1, 60):
+        last = track_refined(one_eyed(number, ((0.0, 0.6),), eye), last)
+        assert last.status is Status.OK
+    along = np.linalg.norm(np.diff(winding(np.linspace(0, 1, 1001)), axis=0), axis=1).cumsum()
+    assert last.unseen.tolist() == [pytest.approx((along[599] / along[-1], 1.0), abs=0.03)]
+    at = np.linspace(0, 1, 50)
+    off = np.linalg.norm(
+        evaluate(last.knots, last.control_points_camera, 3, at)[:, None] - backing(59)(np.linspace(0, 1, 2001)), axis=2
+    ).min(axis=1)
+    confidence = np.interp(at, last.confidence_s, last.confidence)
+    assert confidence[off > 1.0].max(initial=0.0) < 0.5
+    hidden = ((at[:, None] > last.unseen[:, 0]) & (at[:, None] < last.unseen[:, 1])).any(axis=1)
+    assert off[~hidden].max() < 1.0
+
+
+def test_a_frame_alone_that_shows_no_thread_ends_a_track_of_one_eye():
+    """Three tenths of the thread are what a frame alone needs of the right image; a track goes on with less."""
+    last, steps = track_refined(seen(), None), []
+    for number in range(1, 34):
+        frame = seen(number=number)
+        part = seen(shown=((0.0, 0.27),))
+        last = track_refined(observed(frame.centrelines_left, part.centrelines_right, number=number), last)
+        steps.append(track_of(last).step)
+    assert set(steps[:29]) == {TrackStep.CONTINUED}
+    assert set(steps[29:]) == {TrackStep.LOST}
+    assert track_refined(seen(number=34), last).status is Status.OK
+
+
+def test_a_thread_along_the_rows_that_both_eyes_show_is_seen():
+    def along_rows(t):
+        return np.column_stack((-20 + 40 * t, 25 * np.maximum(t - 0.7, 0.0) ** 2, 95 + 2 * t))
+
+    first = track_refined(seen(along_rows), None)
+    second = track_refined(seen(along_rows, number=1), first)
+    assert track_of(second).step is TrackStep.CONTINUED
+    for thread in (first, second):
+        assert thread.status is Status.OK
+        assert np.diff(thread.unseen).sum() < 0.03
+
+
 def test_another_camera_begins_another_track():
     first = track_refined(seen(), None)
     other = dataclasses.replace(CAMERA, baseline=5.0)
