@@ -235,7 +235,7 @@ class ThreadReconstruction:
         confidence_s, confidence: arc length (0 to 1) and confidence (0 to 1).
         posterior_s, posterior_covariance: spline parameter (0 to 1) and covariance of the point there; empty where
             the method predicts none.
-        unseen: stretches of arc length that no image shows.
+        unseen: stretches of arc length that not both images show, so that depth there is a guess.
         track: where the thread is followed from frame to frame.
         crossings: where the thread crosses itself in the left image.
         other_threads_px: a left pixel (u, v) on each longer piece of thread that is none of this one.
