@@ -16,6 +16,7 @@ from agents.planner.policy import (
     counted_reasons,
     first_against,
     grasp_probability,
+    least_on_the_way,
     most_likely,
     reason_of,
 )
@@ -40,13 +41,15 @@ class _Captures:
     """All captures for one goal.
 
     Fields:
-        probability: of the whole grasp.
+        likelihood: of the whole grasp as the paper has it, by which captures are chosen.
+        probability: of the whole grasp with the least confidence on the way, which is stated.
         against: what speaks against each, as in `first_against`.
         passable: for each way to hold the tool, whether it leads from the capture to the goal.
     """
 
     s: Float64[np.ndarray, "n"]
     goal: int
+    likelihood: Float64[np.ndarray, "n"]
     probability: Float64[np.ndarray, "n"]
     against: Int64[np.ndarray, "n"]
     ways: Ways
@@ -79,9 +82,12 @@ def _captures(
     clear = along_slide(ways.clear, goal)
     steady = clear & steps_along_slide(ways.steady, goal)
     passable = steady[:, None] & reached(ways, goal, arm.reachable)
+    captured, is_seen = capture_probability(thread, s), seen(curve, s)
+    known = is_seen & (captured >= config.least_probability)
     against = first_against(
         {
-            Against.UNSEEN: ~seen(curve, s),
+            Against.UNSEEN: ~is_seen,
+            Against.UNKNOWN_ON_THE_WAY: ~along_slide(known, goal),
             Against.STRAND_BESIDE: beside < config.half_opening_m(config.open_deg),
             Against.STRAND_ON_THE_WAY: ~along_slide(beside >= config.half_opening_m(config.slide_deg), goal),
             Against.ALONG_APPROACH: ~clear.any(axis=0),
@@ -89,8 +95,9 @@ def _captures(
             Against.UNREACHABLE: ~passable.any(axis=(0, 1)),
         }
     )
-    probability = grasp_probability(capture_probability(thread, s), goal, config.keep_probability)
-    return _Captures(s, goal, probability, against, ways, passable)
+    likelihood = grasp_probability(captured, goal, config.keep_probability)
+    probability = grasp_probability(least_on_the_way(captured, goal), goal, config.keep_probability)
+    return _Captures(s, goal, likelihood, probability, against, ways, passable)
 
 
 def _best(
@@ -104,7 +111,9 @@ def _best(
     s, at_goal, probability, against = captures.s, captures.goal, captures.probability, captures.against
     direct = goal.policy is Policy.DIRECT
     allowed = (against < 0) & ((np.arange(len(s)) == at_goal) | (not direct))
-    chosen = most_likely(probability, allowed, at_goal)
+    chosen = most_likely(captures.likelihood, allowed & (probability >= config.least_probability), at_goal)
+    if chosen is None:
+        chosen = most_likely(probability, allowed, at_goal)
     others = () if direct else alternatives(s, probability, against, at_goal, chosen, config.alternatives)
     s_goal = float(s[at_goal])
     if chosen is None and direct:

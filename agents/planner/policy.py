@@ -6,7 +6,8 @@ at s succeeds, and p that the thread stays between the fingers from one sample t
     P_grasp(s_i) = P(s_i) p^|i − g|,
 
 with g the goal's sample; the capture is the largest of these that nothing speaks against. Capturing at the goal
-itself is the direct grasp.
+itself is the direct grasp. What a plan states is more cautious: the least P(s) on the way takes the place of P(s_i)
+(docs/decisions/0014).
 """
 
 import enum
@@ -23,6 +24,7 @@ class Against(enum.Enum):
     """What speaks against a capture, the first that applies."""
 
     UNSEEN = "unseen"
+    UNKNOWN_ON_THE_WAY = "unseen or hardly known up to the goal"
     STRAND_BESIDE = "another strand beside it"
     STRAND_ON_THE_WAY = "another strand on the way to the goal"
     ALONG_APPROACH = "thread along the approach"
@@ -30,7 +32,7 @@ class Against(enum.Enum):
     UNREACHABLE = "unreachable"
 
 
-LESS_LIKELY = "lower probability"
+BETTER_ELSEWHERE = "another capture is better"
 
 
 def candidates(s_goal: float, count: int) -> tuple[Float64[np.ndarray, "n"], int]:
@@ -52,8 +54,15 @@ def capture_probability(thread: ThreadReconstruction, s: Float64[np.ndarray, "n"
 def grasp_probability(
     captured: Float64[np.ndarray, "n"], goal: int, keep_probability: float
 ) -> Float64[np.ndarray, "n"]:
-    """Of a capture at each sample with a slide to the goal's."""
+    """Of a capture at each sample with a slide to the goal's, as the paper has it."""
     return captured * keep_probability ** np.abs(np.arange(len(captured)) - goal)
+
+
+def least_on_the_way(captured: Float64[np.ndarray, "n"], goal: int) -> Float64[np.ndarray, "n"]:
+    """The least of all samples from each one to the goal, both included."""
+    after = np.minimum.accumulate(captured[goal:])
+    before = np.minimum.accumulate(captured[goal::-1])[::-1]
+    return np.concatenate((before[:-1], after))
 
 
 def most_likely(probability: Float64[np.ndarray, "n"], allowed: Bool[np.ndarray, "n"], near: int) -> int | None:
@@ -72,7 +81,7 @@ def first_against(found: Mapping[Against, ArrayLike]) -> Int64[np.ndarray, "n"]:
 
 def reason_of(code: int) -> str:
     """What spoke against a sample, in words; where nothing did, another one was better."""
-    return list(Against)[code].value if code >= 0 else LESS_LIKELY
+    return list(Against)[code].value if code >= 0 else BETTER_ELSEWHERE
 
 
 def counted_reasons(codes: Int64[np.ndarray, "n"]) -> str:

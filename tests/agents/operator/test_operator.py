@@ -1,6 +1,6 @@
 """The operator against a real planner and a real bridge with a simulated arm, over a real router.
 
-The thread is made by hand: straight, 80 mm away, and known badly in its middle.
+The thread is made by hand: straight, 80 mm away, and known less well in its middle.
 """
 
 import threading
@@ -11,6 +11,7 @@ import pytest
 from agents.operator.operator import arm_and_stand_by, ask_for_grasp, hold, prompt
 from agents.perception.agent import Perception
 from agents.planner.agent import Planner
+from agents.planner.config import PlannerConfig
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.simulated import SimulatedPsm
 from schemas.codec import decode
@@ -62,7 +63,7 @@ class HandMadeThread:
                     control_points_camera=np.array([[-LENGTH_M / 2, 0, 0.08], [LENGTH_M / 2, 0, 0.08]]),
                     regions=ReliabilityRegions(NONE, np.zeros((0, 3)), np.zeros((0, 2)), NONE, NONE),
                     confidence_s=confidence_s,
-                    confidence=np.where(np.abs(confidence_s - 0.5) < 0.15, 0.3, 1.0),
+                    confidence=np.where(np.abs(confidence_s - 0.5) < 0.15, 0.7, 1.0),
                 ),
             )
         ]
@@ -81,6 +82,11 @@ def bridge(silence_s):
     return RobotBridge(patient, SimulatedPsm())
 
 
+def patient_planner():
+    """For the same reason."""
+    return Planner(PlannerConfig(arm_age_ms=1e3 * PATIENT_S))
+
+
 @pytest.fixture(autouse=True)
 def patient_operator(monkeypatch):
     """For the same reason."""
@@ -97,7 +103,10 @@ def modes():
 
 @pytest.fixture
 def connection(settings, bridge, modes, in_threads, until):
-    with in_threads(settings, HandMadeThread(), Planner(), bridge), connected(settings, PATIENT_S) as connection:
+    with (
+        in_threads(settings, HandMadeThread(), patient_planner(), bridge),
+        connected(settings, PATIENT_S) as connection,
+    ):
         connection.listen((ROBOT_STATE,), lambda tapped: modes.append(decode(RobotState, tapped.payload).mode))
         until(lambda: modes and ready(connection))
         yield connection
@@ -108,12 +117,18 @@ def ready(connection):
     return ask_for_grasp(connection, "psm1", Policy.DIRECT, s=0.2)[0].outcome is Outcome.ACCEPTED
 
 
-def planned(connection, policy, **goal):
-    """The plan for a goal that is accepted."""
-    answer, plan = ask_for_grasp(connection, "psm1", policy, **goal)
-    assert answer.outcome is Outcome.ACCEPTED, answer.reason
-    assert plan is not None
-    return plan
+@pytest.fixture
+def planned(until):
+    """The plan for a goal; on a busy machine thread or arm may be too old for a while."""
+
+    def ask(connection, policy, **goal):
+        def once():
+            answer, plan = ask_for_grasp(connection, "psm1", policy, **goal)
+            return plan if answer.outcome is Outcome.ACCEPTED else None
+
+        return until(once, "a plan or a rejection")
+
+    return ask
 
 
 def ended(connection, plan, told=lambda _: None):
@@ -123,7 +138,7 @@ def ended(connection, plan, told=lambda _: None):
     return stood.end
 
 
-def test_a_goal_is_planned_armed_and_carried_out_with_a_slide(connection, modes, until):
+def test_a_goal_is_planned_armed_and_carried_out_with_a_slide(connection, planned, modes, until):
     plan = planned(connection, Policy.CAPTURE_SLIDE_GRASP, s=0.5)
     assert plan.status is Status.OK, plan.reason
     assert plan.s_goal == pytest.approx(0.5)
@@ -138,7 +153,7 @@ def test_a_goal_is_planned_armed_and_carried_out_with_a_slide(connection, modes,
 
 
 @pytest.mark.parametrize("silence_s", [0.5])
-def test_leaving_disarms_and_the_arm_holds(connection, modes, until):
+def test_leaving_disarms_and_the_arm_holds(connection, planned, modes, until):
     plan = planned(connection, Policy.DIRECT, s=0.2)
     left = threading.Event()
     stood = arm_and_stand_by(connection, "psm1", plan.plan_id, left, lambda _: left.set())
@@ -147,7 +162,7 @@ def test_leaving_disarms_and_the_arm_holds(connection, modes, until):
     until(lambda: modes[-1] is RobotMode.HOLDING)
 
 
-def test_hold_ends_what_an_operator_stands_by(connection):
+def test_hold_ends_what_an_operator_stands_by(connection, planned):
     plan = planned(connection, Policy.DIRECT, s=0.2)
     held = []
 
@@ -162,7 +177,7 @@ def test_hold_ends_what_an_operator_stands_by(connection):
     assert (end.kind, end.code) == (ExecutionKind.HELD, "hold_command")
 
 
-def test_a_pixel_and_a_point_name_the_same_place_as_s(connection):
+def test_a_pixel_and_a_point_name_the_same_place_as_s(connection, planned):
     point = np.array([-LENGTH_M / 2 + 0.25 * LENGTH_M, 0.0, 0.08])
     pixel = 1000.0 * point[:2] / point[2] + [479.5, 269.5]
     at_s = planned(connection, Policy.DIRECT, s=0.25)
@@ -171,7 +186,7 @@ def test_a_pixel_and_a_point_name_the_same_place_as_s(connection):
     assert [plan.s_goal for plan in (at_s, at_pixel, at_point)] == pytest.approx([0.25] * 3, abs=2e-3)
 
 
-def test_what_cannot_be_done_is_refused_with_a_reason_or_rejected(connection, monkeypatch):
+def test_what_cannot_be_done_is_refused_with_a_reason_or_rejected(connection, planned, monkeypatch):
     monkeypatch.setattr("agents.operator.operator.PLAN_ARRIVES_S", 0.2)
     answer, plan = ask_for_grasp(connection, "psm9", Policy.DIRECT, s=0.5)
     assert (answer.outcome, answer.code, plan) == (Outcome.REFUSED, "unknown_arm", None)
@@ -198,10 +213,10 @@ def test_perception_answers_a_prompt(settings, in_threads, until):
         assert prompt(connection, None).outcome is Outcome.ACCEPTED
 
 
-def test_an_arm_that_falls_silent_is_left(settings, bridge, monkeypatch, in_threads, until):
+def test_an_arm_that_falls_silent_is_left(settings, planned, bridge, monkeypatch, in_threads, until):
     monkeypatch.setattr("agents.operator.operator.SILENCE_S", 0.5)
     with (
-        in_threads(settings, HandMadeThread(), Planner(), bridge) as (*_, runner),
+        in_threads(settings, HandMadeThread(), patient_planner(), bridge) as (*_, runner),
         connected(settings, PATIENT_S) as connection,
     ):
         until(lambda: ready(connection))

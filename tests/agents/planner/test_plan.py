@@ -14,7 +14,7 @@ from schemas.codec import decode, encode
 from schemas.messages import GraspPlan, Phase, Policy, Status
 
 CONFIG = PlannerConfig()
-UNSURE_NEAR_THE_END = [1.0] * 61 + [0.1] * 39
+UNSURE_NEAR_THE_END = [1.0] * 61 + [0.6] * 39
 
 
 def phases(plan, phase):
@@ -52,31 +52,55 @@ def test_an_oblique_thread_has_its_jaw_axis_along_it_and_its_fingers_in_the_plan
 
 
 def test_where_the_goal_is_uncertain_the_thread_is_captured_where_it_is_known_and_slid_along(bench):
-    goal, thread = bench.goal(s=0.9), bench.straight(confidence=UNSURE_NEAR_THE_END)
+    goal, thread = bench.goal(s=0.7), bench.straight(confidence=UNSURE_NEAR_THE_END)
     plan = plan_grasp(goal, thread, bench.arm(), CONFIG)
     assert plan.s_capture == pytest.approx(60 / 99)
-    assert plan.probability == pytest.approx(0.99**29)
-    assert plan.slide_m == pytest.approx(0.04 * (0.9 - 60 / 99))
-    assert (plan.s_goal, plan.policy) == (0.9, Policy.CAPTURE_SLIDE_GRASP)
+    assert plan.probability == pytest.approx(0.6 * 0.99**9), "with the least confidence on the way"
+    assert plan.slide_m == pytest.approx(0.04 * (0.7 - 60 / 99))
+    assert (plan.s_goal, plan.policy) == (0.7, Policy.CAPTURE_SLIDE_GRASP)
     slide = phases(plan, Phase.SLIDE)
-    np.testing.assert_allclose(np.array([w.s for w in slide]), [*(np.arange(61, 89) / 99), 0.9])
+    np.testing.assert_allclose(np.array([w.s for w in slide]), [*(np.arange(61, 69) / 99), 0.7])
     assert {round(np.degrees(w.jaw_rad)) for w in slide} == {20}
     x = [w.T_camera_tool[0, 3] + 0.0082 * w.T_camera_tool[0, 2] for w in slide]
     np.testing.assert_allclose(x, -0.02 + 0.04 * np.array([w.s for w in slide]), atol=1e-9)
 
 
-def test_a_direct_grasp_of_the_same_place_is_rejected_for_its_probability(bench):
-    goal, thread = bench.goal(s=0.9, policy=Policy.DIRECT), bench.straight(confidence=UNSURE_NEAR_THE_END)
-    plan = plan_grasp(goal, thread, bench.arm(), CONFIG)
+def test_where_a_slide_leaves_too_little_probability_a_less_likely_capture_with_enough_is_taken(bench):
+    """From s = 60 / 99 the paper's formula gives 0.99^15 = 0.86, but the thread is known by 0.58 on the way."""
+    thread = bench.straight(confidence=[1.0] * 61 + [0.58] * 39)
+    plan = plan_grasp(bench.goal(s=75 / 99), thread, bench.arm(), CONFIG)
+    assert plan.status is Status.OK
+    assert plan.s_capture == pytest.approx(75 / 99)
+    assert plan.probability == pytest.approx(0.58)
+
+
+@pytest.mark.parametrize("policy", Policy)
+@pytest.mark.parametrize(
+    "thread", [{"confidence": [1.0] * 70 + [0.1] * 30}, {"unseen": [(0.8, 1.0)]}], ids=["hardly known", "unseen"]
+)
+def test_no_grasp_ends_where_the_thread_is_unseen_or_hardly_known(bench, policy, thread):
+    plan = plan_grasp(bench.goal(s=0.9, policy=policy), bench.straight(**thread), bench.arm(), CONFIG)
     assert plan.status is Status.FAILED
-    assert plan.reason == "the best capture, at s = 0.900, succeeds with a probability of 0.10, and 0.50 is asked for"
-    assert (plan.probability, plan.s_goal, plan.waypoints) == (pytest.approx(0.1), 0.9, ())
+    assert "unseen" in plan.reason
+    assert (plan.probability, plan.s_goal, plan.waypoints) == (0, 0.9, ())
+
+
+@pytest.mark.parametrize(
+    "between", [{"confidence": [1.0] * 45 + [0.4] * 10 + [1.0] * 45}, {"unseen": [(0.45, 0.55)]}], ids=["known", "seen"]
+)
+def test_no_slide_leads_through_what_is_unseen_or_hardly_known(bench, between):
+    """Only before it is there room for the approach, 15 mm nearer to the camera."""
+    arm = bench.arm((0, 0, -0.01), reachable=lambda T: (T[:, 0, 3] < -0.003) | (T[:, 2, 3] > 0.045))
+    assert plan_grasp(bench.goal(s=0.7), bench.straight(), arm, CONFIG).s_capture is not None
+    plan = plan_grasp(bench.goal(s=0.7), bench.straight(**between), arm, CONFIG)
+    assert plan.status is Status.FAILED
+    assert "unseen or hardly known up to the goal" in plan.reason
 
 
 def test_phases_follow_each_other_and_the_tool_never_flips_while_it_slides(bench):
     x = np.linspace(-20, 20, 14)
     wavy = bench.thread(np.column_stack((x, 9 * np.sin(x / 5), 70 + 6 * np.cos(x / 8))), confidence=UNSURE_NEAR_THE_END)
-    plan = plan_grasp(bench.goal(s=1.0), wavy, bench.arm(), CONFIG)
+    plan = plan_grasp(bench.goal(s=0.7), wavy, bench.arm(), CONFIG)
     assert [w.phase.value for w in plan.waypoints] == sorted(w.phase.value for w in plan.waypoints)
     assert {w.phase for w in plan.waypoints} == set(Phase)
     R = np.array([w.T_camera_tool[:3, :3] for w in plan.waypoints])
@@ -111,19 +135,19 @@ def test_what_cannot_be_reached_along_the_viewing_ray_is_reached_along_the_base_
 
 
 def test_a_capture_out_of_reach_gives_way_to_one_within_and_is_told_of(bench):
-    confidence = [1.0] * 40 + [0.2] * 30 + [0.9] * 30
+    confidence = [1.0] * 40 + [0.6] * 30 + [0.9] * 30
     arm = bench.arm(reachable=lambda T: T[:, 0, 3] > -0.003)
     plan = plan_grasp(bench.goal(s=0.55), bench.straight(confidence=confidence), arm, CONFIG)
     assert plan.s_capture == pytest.approx(70 / 99)
     assert "unreachable" in {a.reason for a in plan.alternatives}
-    assert "lower probability" in {a.reason for a in plan.alternatives}
+    assert "another capture is better" in {a.reason for a in plan.alternatives}
 
 
-def test_nothing_is_captured_on_a_hidden_stretch_and_the_slide_may_lead_into_it(bench):
+def test_nothing_is_captured_on_a_hidden_stretch(bench):
     thread = bench.straight(unseen=[(0.4, 0.6)])
-    plan = plan_grasp(bench.goal(s=0.5), thread, bench.arm(), CONFIG)
-    assert plan.s_capture == pytest.approx(39 / 99)
-    assert "unseen" in {a.reason for a in plan.alternatives}
+    plan = plan_grasp(bench.goal(s=0.39), thread, bench.arm(), CONFIG)
+    assert plan.s_capture == 0.39
+    assert {a.reason for a in plan.alternatives} == {"unseen", "another capture is better"}
     direct = plan_grasp(bench.goal(s=0.5, policy=Policy.DIRECT), thread, bench.arm(), CONFIG)
     assert direct.reason == "the thread cannot be grasped directly at s = 0.500: unseen"
 
@@ -134,7 +158,7 @@ def loop(bench):
 
 def test_nothing_is_captured_at_a_crossing_or_slid_across_it(bench):
     """The strands meet at s = 20/105 and 90/105; open jaws reach 8.2 mm · tan 30° = 4.73 mm to each side."""
-    confidence = np.where(np.linspace(0, 1, 400) < 0.3, 0.3, 1)
+    confidence = np.where(np.linspace(0, 1, 400) < 0.3, 0.5, 1)
     plan = plan_grasp(bench.goal(s=16 / 105), loop(bench), bench.arm(), CONFIG)
     assert plan.status is Status.OK
     assert plan.s_capture is not None
@@ -145,6 +169,7 @@ def test_nothing_is_captured_at_a_crossing_or_slid_across_it(bench):
     # all of the right side is known well, yet it lies beyond the crossing
     blocked = plan_grasp(bench.goal(s=16 / 105), unsure, bench.arm(), CONFIG)
     assert blocked.status is Status.FAILED
+    assert "and 0.50 is asked for" in blocked.reason
     assert "another strand on the way to the goal" in {a.reason for a in blocked.alternatives}
 
 
@@ -163,7 +188,7 @@ def test_a_goal_on_a_crossing_is_rejected(bench):
         (lambda b: {"goal": b.goal(point_camera=(0, 0, 0.2))}, "140.0 mm off the thread"),
         (lambda b: {"arm": b.arm(reachable=lambda T: np.zeros(len(T), bool))}, "100 unreachable"),
         (lambda b: {"thread": b.straight((-20, 40, 60), (20, 40, 60))}, "100 unseen"),
-        (lambda b: {"thread": b.straight(confidence=[0.1, 0.2])}, "probability of 0.19, and 0.50 is asked for"),
+        (lambda b: {"thread": b.straight(confidence=[0.1, 0.2])}, "100 unseen or hardly known up to the goal"),
         (
             lambda b: {"thread": b.straight((0, 0, 50), (0.1, 0, 90)), "arm": b.arm(base_camera=(0, 0, -0.1))},
             "100 thread along the approach",
@@ -188,8 +213,8 @@ def test_a_corner_at_which_the_viewing_ray_would_swing_the_tool_is_slid_around_f
     ]
     across = unit_vectors(np.cross(legs[0], legs[1]))
     corner = np.array([0, 0, 75.0])
-    thread = bench.polyline(corner - 12 * legs[0], corner, corner + 12 * legs[1], confidence=[0.9] * 5 + [0.1] * 5)
-    plan = plan_grasp(bench.goal(s=0.9), thread, bench.arm(base_camera=1e-3 * corner - 0.3 * across), CONFIG)
+    thread = bench.polyline(corner - 12 * legs[0], corner, corner + 12 * legs[1], confidence=[0.9] * 5 + [0.6] * 5)
+    plan = plan_grasp(bench.goal(s=0.6), thread, bench.arm(base_camera=1e-3 * corner - 0.3 * across), CONFIG)
     assert plan.status is Status.OK
     R = np.array([w.T_camera_tool[:3, :3] for w in plan.waypoints])
     np.testing.assert_allclose(R[0, :, 2], across, atol=1e-9)
@@ -198,17 +223,19 @@ def test_a_corner_at_which_the_viewing_ray_would_swing_the_tool_is_slid_around_f
 
 
 def test_a_sharp_corner_is_not_slid_around(bench):
-    corner = bench.polyline((-10, -10, 60), (10, -10, 60), (10, 10, 60), confidence=[0.9] * 5 + [0.1] * 5)
-    plan = plan_grasp(bench.goal(s=0.9), corner, bench.arm(), CONFIG)
+    corner = bench.polyline((-10, -10, 60), (10, -10, 60), (10, 10, 60), confidence=[0.9] * 5 + [0.6] * 5)
+    plan = plan_grasp(bench.goal(s=0.6), corner, bench.arm(), CONFIG)
     assert "turns too sharply" in {a.reason for a in plan.alternatives}
-    assert plan.status is Status.FAILED
+    assert plan.s_capture is not None
+    assert plan.s_capture > 0.5
 
 
 def test_the_unit_of_the_calibration_makes_no_difference(bench):
-    goal, thread = bench.goal(s=0.9), bench.straight(confidence=UNSURE_NEAR_THE_END)
+    goal, thread = bench.goal(s=0.7), bench.straight(confidence=UNSURE_NEAR_THE_END)
     one = plan_grasp(goal, thread, bench.arm(), CONFIG)
     other = plan_grasp(goal, bench.in_unit(thread, 1.0), bench.arm(), CONFIG)
     assert other.slide_m == pytest.approx(one.slide_m)
+    assert one.slide_m > 0
     for a, b in zip(one.waypoints, other.waypoints, strict=True):
         np.testing.assert_allclose(a.T_camera_tool, b.T_camera_tool, atol=1e-9)
 

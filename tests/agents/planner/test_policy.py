@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agents.planner.policy import (
-    LESS_LIKELY,
+    BETTER_ELSEWHERE,
     Against,
     alternatives,
     candidates,
@@ -16,6 +16,7 @@ from agents.planner.policy import (
     counted_reasons,
     first_against,
     grasp_probability,
+    least_on_the_way,
     most_likely,
 )
 
@@ -57,6 +58,13 @@ def test_the_capture_is_the_best_of_all_by_brute_force(captured, data):
     else:
         assert chosen is not None
         assert grasp_probability(captured, goal, 0.99)[chosen] == pytest.approx(best_p, rel=1e-9)
+
+
+@given(SHARES, st.data())
+def test_the_least_on_the_way_is_that_of_the_samples_between(captured, data):
+    goal = data.draw(st.integers(0, len(captured) - 1))
+    expected = [captured[min(i, goal) : max(i, goal) + 1].min() for i in range(len(captured))]
+    np.testing.assert_array_equal(least_on_the_way(captured, goal), expected)
 
 
 @given(SHARES, st.data())
@@ -112,6 +120,6 @@ def test_alternatives_are_other_places_the_likeliest_first_apart_from_each_other
     assert chosen not in places
     for i, a in zip(places, found, strict=True):
         assert a.probability == probability[i]
-        assert a.reason == ("unseen" if i % 3 == 0 else LESS_LIKELY)
+        assert a.reason == ("unseen" if i % 3 == 0 else BETTER_ELSEWHERE)
     for i, place in enumerate(places):
         assert all(abs(place - other) >= 100 // (2 * count) for other in (*places[:i], chosen))
