@@ -36,6 +36,8 @@ from shared.runtime.replay import replay
 from shared.runtime.session import SessionSettings
 
 ATTEMPTS = 5
+# the fixture counts towards the first test, and may take several sessions of up to a minute
+pytestmark = pytest.mark.timeout(600)
 OPERATOR = "agents.operator.operator"
 PATIENT_S = 60.0
 PLAN_ID = "by-hand"

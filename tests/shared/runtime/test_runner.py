@@ -286,10 +286,12 @@ def test_a_tick_tells_the_time_and_comes_at_its_rate(running, until):
             return ()
 
     clock = Clock()
+    begun_ns = now_ns()
     running(clock)
-    # a busy machine is slower for a while
-    until(lambda: len(clock.ticks) > 30 and np.median(np.diff(clock.ticks[-30:])) == pytest.approx(0.02e9, rel=0.2))
-    assert np.diff(clock.ticks).min() > 0
+    ticks = until(lambda: len(clock.ticks) > 30 and clock.ticks)
+    assert np.diff(ticks).min() > 0
+    # a busy machine may be slower than the rate, and none is faster
+    assert len(ticks) <= (now_ns() - begun_ns) / 20e6 + 2
 
 
 def test_ticks_that_take_all_the_time_leave_every_arrival_its_turn(running, session, until):
