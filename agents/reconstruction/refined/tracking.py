@@ -98,8 +98,10 @@ def _begun(
 ) -> ThreadReconstruction:
     track = _track(alone.fit, observations, alone.reverse)
     if before is not None:
-        material_s, scale = _material(before, track)
-        track = replace(track, step=TrackStep.RESTARTED, reason=reason, material_s=material_s, length=scale)
+        track = replace(track, step=TrackStep.RESTARTED, reason=reason)
+        if _is_kept(observations, before):
+            material_s, scale = _material(before, track)
+            track = replace(track, material_s=material_s, length=scale)
     return replace(reconstruction(observations, METHOD, alone.fit, alone.held, alone.reverse), track=track)
 
 
@@ -114,12 +116,29 @@ def _alone(observations: ThreadObservations, before: ThreadTrack | None) -> _Alo
     left, right, camera = observations.centrelines_left, observations.centrelines_right, observations.camera
     course, fit = course_and_fit(left, right, camera)
     held = within_regions(fit, course, camera)
-    if before is None or not 0 <= _since(observations, before) <= KEPT_S:
+    if before is None or not _is_kept(observations, before):
         return _Alone(fit, held, starts_right(held.curve, observations))
-    at = np.linspace(0.0, 1.0, 50)
-    then, now = Curve(before.knots, before.control_points_camera).at(at), held.curve.at(at)
-    turned = np.linalg.norm(now[::-1] - then, axis=1).sum() < np.linalg.norm(now - then, axis=1).sum()
-    return _Alone(fit, held, bool(turned))
+    return _Alone(fit, held, _runs_against(held.curve, before))
+
+
+def _runs_against(curve: Curve, before: ThreadTrack) -> bool:
+    """Whether a new curve's first end is the last one of the track.
+
+    Where most of it lies on the last curve, that one's directions tell; a thread that was laid elsewhere keeps the
+    direction in which less of it has moved.
+    """
+    at = np.linspace(0.0, 1.0, 201)
+    then, now = Curve(before.knots, before.control_points_camera).at(at), curve.at(at)
+    distance, nearest = _nearest(then, now)
+    same = distance < SAME_THREAD_SHARE * before.length
+    if same.mean() > 0.5:
+        agree = (np.gradient(then, axis=0)[nearest[same]] * np.gradient(now, axis=0)[same]).sum()
+        return bool(agree < 0)
+    return bool(np.linalg.norm(now[::-1] - then, axis=1).sum() < np.linalg.norm(now - then, axis=1).sum())
+
+
+def _is_kept(observations: ThreadObservations, before: ThreadTrack) -> bool:
+    return 0 <= _since(observations, before) <= KEPT_S
 
 
 def _since(observations: ThreadObservations, before: ThreadTrack) -> float:

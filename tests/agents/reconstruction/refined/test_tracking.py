@@ -309,6 +309,38 @@ def test_a_thread_along_the_rows_that_both_eyes_show_is_seen():
         assert np.diff(thread.unseen).sum() < 0.03
 
 
+def hairpin(t):
+    """Down, around and up again beside itself."""
+    leg, width = 26.0, 8.0
+    along = t * (2 * leg + np.pi * width / 2)
+    angle = np.clip((along - leg) / (width / 2), 0.0, np.pi)
+    x = -width / 2 * np.cos(angle)
+    y = np.minimum(along, leg) + width / 2 * np.sin(angle) - np.maximum(along - leg - np.pi * width / 2, 0.0)
+    return np.column_stack((x + 0.15 * y, y - leg / 2 - 4, 95 + 3 * np.sin(3 * t)))
+
+
+@pytest.mark.parametrize("shown", [(0.0, 0.4), (0.6, 1.0), (0.3, 1.0), (0.0, 0.7)])
+def test_a_part_that_is_begun_anew_keeps_direction_and_scale(shown):
+    first = track_refined(seen(hairpin), None)
+    late = track_refined(seen(hairpin, (shown,), number=60), first)
+    assert track_of(late).step is TrackStep.RESTARTED
+    turned = np.linalg.norm(place(first, 0.0) - hairpin(np.zeros(1))[0]) > 1.0
+    truth = (1.0 - shown[1], 1.0 - shown[0]) if turned else shown
+    assert track_of(late).material_s == pytest.approx(truth, abs=0.02)
+    for s in (0.0, 1.0):
+        t = np.interp(s, (0, 1), truth)
+        assert np.linalg.norm(place(late, s) - hairpin(np.array([1.0 - t if turned else t]))[0]) < 1.0
+
+
+def test_after_ten_seconds_nothing_is_kept():
+    first = track_refined(seen(shown=((0.0, 0.6),)), None)
+    for number, kept in ((290, True), (310, False)):
+        late = track_refined(seen(number=number), first)
+        assert track_of(late).step is TrackStep.RESTARTED
+        assert (track_of(late).material_s.tolist() == [0.0, 1.0]) != kept
+        assert (track_of(late).length == track_of(first).length) == kept
+
+
 def test_another_camera_begins_another_track():
     first = track_refined(seen(), None)
     other = dataclasses.replace(CAMERA, baseline=5.0)
