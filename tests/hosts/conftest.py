@@ -16,6 +16,8 @@ from schemas.topics import COMMANDS, EXECUTION, HEALTH, LOG, OBSERVATIONS, PLAN,
 from shared.runtime.connection import connected
 
 DEADLINE_S = 60.0
+GOAL_DEADLINE_S = 120.0
+"""Until a goal gets its plan: what is busy starting refuses for a while."""
 HEARD = (HEALTH, LOG, OBSERVATIONS, THREAD, PLAN, EXECUTION, ROBOT_STATE, COMMANDS)
 
 
@@ -123,4 +125,4 @@ def listening():
 @pytest.fixture(scope="session")
 def hosts():
     """What tests of this folder share besides fixtures."""
-    return types.SimpleNamespace(small_rig=small_rig, DEADLINE_S=DEADLINE_S)
+    return types.SimpleNamespace(small_rig=small_rig, DEADLINE_S=DEADLINE_S, GOAL_DEADLINE_S=GOAL_DEADLINE_S)

@@ -16,6 +16,8 @@ AGENTS = {
     "robot-bridge": "robot_bridge",
 }
 """Commands, and the kinds of agents that they run."""
+# what it takes to start all processes, and to wait for a plan, may both fall to one test
+pytestmark = pytest.mark.timeout(600)
 FEEDS_THREADS = ("simulator", "camera", "perception", "reconstruction")
 
 
@@ -49,7 +51,7 @@ def threads(ear):
 
 
 @pytest.fixture
-def planned(ear, until):
+def planned(ear, hosts, until):
     """A plan that can be armed."""
 
     def ask():
@@ -59,7 +61,7 @@ def planned(ear, until):
                 return plan
         return None
 
-    return lambda: until(ask, "a plan")
+    return lambda: until(ask, "a plan", hosts.GOAL_DEADLINE_S)
 
 
 def test_the_robot_holds_when_the_operator_is_killed_in_mid_motion(ear, processes, planned, until):
