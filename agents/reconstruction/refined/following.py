@@ -197,8 +197,7 @@ def _steps_px(now: Curve, then: Curve, camera: RectifiedStereo) -> float:
 def _require_seen(seen: Associated, camera: RectifiedStereo, most_beyond: float = BEYOND_SHARE) -> None:
     within = f"within {GATE_SHARE * camera.image_width:.0f} px of where it was expected"
     left, right = seen.shown_shares
-    shown = min(left, right)
-    if max(seen.found_share, shown) < LEAST_SHARE or shown < LEAST_SHOWN:
+    if max(seen.found_share, 1.0 - seen.hidden_share) < LEAST_SHARE or min(left, right) < LEAST_SHOWN:
         raise LostError(
             f"only {seen.found_share:.0%} of the thread in both images lies {within}, and only {left:.0%} of the last "
             f"curve is seen there in the left image, {right:.0%} in the right one"
