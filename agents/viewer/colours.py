@@ -9,7 +9,7 @@ STOPS = np.array([[222, 45, 38], [255, 221, 51], [49, 190, 90]], dtype=np.float6
 """Colours at confidence 0, 0.5 and 1."""
 
 UNKNOWN = (170, 170, 175)
-"""Thread whose confidence nobody has estimated, or that no image shows."""
+"""Thread whose confidence nobody has estimated, or that not both images show."""
 
 BACKGROUND = (24, 24, 28)
 PANEL = (38, 38, 44)
@@ -71,5 +71,5 @@ def confidence_rgb(confidence: Float64[np.ndarray, "n"]) -> UInt8[np.ndarray, "n
 
 
 def thread_rgb(confidence: Float64[np.ndarray, "n"], unseen: Bool[np.ndarray, "n"]) -> UInt8[np.ndarray, "n 3"]:
-    """Colours of thread: by confidence, grey where that is unknown or where no image shows the thread."""
+    """Colours of thread: by confidence, grey where that is unknown or where not both images show the thread."""
     return confidence_rgb(np.where(unseen, np.nan, confidence))

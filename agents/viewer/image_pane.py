@@ -102,7 +102,7 @@ def draw_observations(
 
 
 def draw_thread(pane: Pane, thread: Polyline, thread_px: Float64[np.ndarray, "n 2"]) -> None:
-    """Draw the thread in the colours and thickness of its confidence, dashed and grey where no image shows it."""
+    """Draw the thread in the colours and thickness of its confidence, dashed and grey where not both images show it."""
     at = pane.fixed(thread_px).tolist()
     dashed = thread.unseen & (np.arange(len(at)) // 4 % 2 == 1)
     segments = np.flatnonzero(~dashed[:-1]).tolist()

@@ -85,7 +85,7 @@ def along_at(thread: Polyline, parameter: Float64[np.ndarray, "n"]) -> Float64[n
 def at_shares(
     thread: Polyline, along: Float64[np.ndarray, "n"]
 ) -> tuple[Float64[np.ndarray, "n"], Bool[np.ndarray, "n"]]:
-    """Confidence, and whether no image shows the thread, at shares of its length."""
+    """Confidence, and whether not both images show the thread, at shares of its length."""
     nearest = np.rint(along * (len(thread.along) - 1)).astype(int)
     return np.interp(along, thread.along, thread.confidence), thread.unseen[nearest]
 

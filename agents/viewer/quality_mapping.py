@@ -10,7 +10,7 @@
     share/…                     `unseen` of the thread in any image; `left_over_{side}` of the points of its centrelines
 
 Curve, tube and whiskers have the colours of confidence: whiskers are green where the curve runs through the middle of
-the thread's image, and red where it runs along its edge or farther out. Thread that no image shows is grey.
+the thread's image, and red where it runs along its edge or farther out. Thread that not both images show is grey.
 """
 
 import numpy as np

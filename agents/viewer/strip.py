@@ -52,7 +52,7 @@ def strip(
 
 
 def shade_unseen(axes: Axes, thread: Polyline) -> None:
-    """Mark the stretches that no image shows."""
+    """Mark the stretches that not both images show."""
     width = axes.plot.shape[1]
     columns = np.interp(np.arange(width), thread.along * (width - 1), thread.unseen.astype(float)) > 0.5
     axes.plot[:, columns] = (0.75 * axes.plot[:, columns] + 0.25 * np.array(colours.MUTED[::-1])).astype(np.uint8)

@@ -109,3 +109,8 @@ def test_a_strand_far_behind_does_not_count_and_one_at_a_noisy_depth_does(bench)
 def test_what_is_no_thread_before_an_endoscope_is_named(bench, change, said):
     with pytest.raises(NoGraspError, match=said):
         curve_of(change(bench))
+
+
+def test_a_hidden_stretch_that_reaches_an_end_hides_that_end(bench):
+    curve = curve_of(bench.straight(unseen=[(0.0, 0.2), (0.8, 1.0)]))
+    np.testing.assert_array_equal(seen(curve, np.array([0.0, 0.5, 1.0])), [False, True, False])
