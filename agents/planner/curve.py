@@ -87,10 +87,10 @@ def curve_of(thread: ThreadReconstruction) -> ThreadCurve:
 
 def seen(curve: ThreadCurve, s: Float64[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
     """Whether both images show the thread at s: within their borders, and on no stretch that is known to be hidden."""
-    start, end = curve.unseen.T
     # a stretch that reaches an end of the thread holds that end too
-    start, end = np.where(start <= 0, -1.0, start), np.where(end >= 1, 2.0, end)
-    hidden = ((s[:, None] > start) & (s[:, None] < end)).any(axis=1)
+    start: Float64[np.ndarray, "g"] = np.where(curve.unseen[:, 0] <= 0, -1.0, curve.unseen[:, 0])
+    end: Float64[np.ndarray, "g"] = np.where(curve.unseen[:, 1] >= 1, 2.0, curve.unseen[:, 1])
+    hidden: Bool[np.ndarray, "n"] = ((s[:, None] > start) & (s[:, None] < end)).any(axis=1)
     left_px, right_px = pixels(curve, curve.points(s))
     last = np.array([curve.camera.image_width, curve.camera.image_height]) - 0.5
     # comparisons with NaN, the pixel of what is behind the camera, are false
