@@ -469,13 +469,13 @@ def test_decoded_arrays_are_read_only(message):
             array[...] = 0
 
 
-@settings(max_examples=300)
+@settings(max_examples=120)
 @given(message_type=message_types, data=st.binary(max_size=200))
 def test_random_bytes_are_a_message_or_a_message_error(message_type, data):
     decoded_or_refused(message_type, data)
 
 
-@settings(max_examples=300)
+@settings(max_examples=120)
 @given(message=any_message, data=st.data())
 def test_damaged_encodings_are_a_message_or_a_message_error(message, data):
     damaged = bytearray(encode(message))
@@ -484,14 +484,14 @@ def test_damaged_encodings_are_a_message_or_a_message_error(message, data):
     decoded_or_refused(type(message), bytes(damaged))
 
 
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(message=any_message, data=st.data())
 def test_truncated_encodings_are_a_message_or_a_message_error(message, data):
     whole = encode(message)
     decoded_or_refused(type(message), whole[: data.draw(st.integers(0, len(whole)))])
 
 
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(message=any_message, garbage=st.binary(min_size=1, max_size=30))
 def test_trailing_garbage_never_passes_unnoticed(message, garbage):
     # garbage may happen to be well-formed known fields, which then are part of the message by protobuf's rules
@@ -501,7 +501,7 @@ def test_trailing_garbage_never_passes_unnoticed(message, garbage):
         assert encode(found) == reparsed.SerializeToString(deterministic=True)
 
 
-@settings(max_examples=100)
+@settings(max_examples=40)
 @given(message=any_message, message_type=message_types)
 def test_bytes_of_another_type_are_a_message_or_a_message_error(message, message_type):
     decoded_or_refused(message_type, encode(message))

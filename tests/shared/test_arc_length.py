@@ -111,7 +111,7 @@ def test_even_parameters_cut_a_curve_into_chords_of_one_length():
 
 
 @given(data=st.data(), m=st.integers(4, 12))
-@settings(max_examples=200)
+@settings(max_examples=80)
 def test_control_points_of_any_size_give_lengths_and_parameters_without_an_exception(data, m):
     P = data.draw(arrays(np.float64, (m, 3), elements=NUMBERS))
     knots, s = clamped_uniform_knots(m), np.linspace(0, 1, 9)

@@ -63,7 +63,7 @@ def test_an_image_of_another_size_than_it_says_is_refused(encoding):
         decode_image(dataclasses.replace(whole, width=82))
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(data=st.data(), encoding=st.sampled_from([ImageEncoding.PNG, ImageEncoding.JPEG]))
 def test_damaged_bytes_are_pixels_of_that_size_or_an_image_data_error(data, encoding):
     whole = encode_image(SMOOTH, encoding)

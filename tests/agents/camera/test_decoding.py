@@ -72,7 +72,7 @@ def test_no_descriptor_is_left_open() -> None:
     assert open_descriptors() == before
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=120, deadline=None)
 @given(
     suffix=st.sampled_from(sorted(ENCODED)),
     edits=st.lists(st.tuples(st.floats(0, 1), st.integers(0, 60), st.binary(max_size=8)), max_size=4),

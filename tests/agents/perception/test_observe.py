@@ -165,7 +165,7 @@ IMAGES = {
 kinds_of_mask, kinds_of_image = st.sampled_from(sorted(MASKS)), st.sampled_from(sorted(IMAGES))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(
     masks=st.tuples(kinds_of_mask, kinds_of_mask),
     images=st.tuples(kinds_of_image, kinds_of_image),

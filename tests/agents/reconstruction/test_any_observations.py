@@ -59,7 +59,7 @@ def anywhere():
 
 
 @given(data=st.data())
-@settings(max_examples=250, deadline=2000)
+@settings(max_examples=100, deadline=2000)
 def test_any_observations_end_as_a_status_in_bounded_time(camera, observe, check_sound, data):
     points = data.draw(wanderings(camera) | lines(camera) | anywhere())
     n = len(points)

@@ -95,7 +95,7 @@ def test_a_cut_off_recording_has_no_notes(whole, tmp_path):
     assert read_notes(path, "losses") is None
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(data=st.data())
 def test_damage_is_read_around_or_named_and_never_passes_for_a_message(whole, tmp_path_factory, data):
     entries, original = whole
@@ -128,7 +128,7 @@ def test_a_record_whose_kind_is_damaged_does_not_vanish_unnoticed(whole, tmp_pat
     assert records > 16
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(garbage=st.binary(max_size=200), magic=st.booleans())
 def test_anything_else_is_no_recording(tmp_path_factory, garbage, magic):
     path = Path(tmp_path_factory.getbasetemp() / "garbage.mcap")

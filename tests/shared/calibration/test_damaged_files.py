@@ -94,7 +94,7 @@ def test_every_file_is_read_before_it_is_damaged(folder: Path, name: str) -> Non
     assert reads_or_explains(written(folder, WHOLE[name]))
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=160, deadline=None)
 @given(
     name=st.sampled_from(sorted(WHOLE)),
     edits=st.lists(
@@ -111,7 +111,7 @@ def test_a_damaged_file_is_read_or_explained(folder: Path, name: str, edits: lis
     reads_or_explains(written(folder, content))
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(name=st.sampled_from(sorted(WHOLE)), number=st.integers(0, 40), value=st.floats() | st.integers())
 def test_any_number_in_any_place_is_read_or_explained(folder: Path, name: str, number: int, value: float) -> None:
     words = WHOLE[name].split(b" ")
@@ -120,7 +120,7 @@ def test_any_number_in_any_place_is_read_or_explained(folder: Path, name: str, n
     reads_or_explains(written(folder, b" ".join(words)))
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(content=st.binary(max_size=200) | st.text(max_size=200).map(str.encode))
 @example(b"[" * 5000)
 @example(b'{"a":' * 5000)
@@ -138,7 +138,7 @@ def test_no_calibration_at_all_is_explained(folder: Path, content: bytes) -> Non
     assert not reads_or_explains(written(folder, content))
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(
     name=st.sampled_from(("calib.left.intrinsics.txt", "calib.right.intrinsics.txt", "calib.l2r.txt")),
     content=st.binary(max_size=60) | st.text("0123456789.-+e, \n#naif", max_size=80).map(str.encode),

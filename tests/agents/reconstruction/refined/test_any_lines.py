@@ -101,7 +101,7 @@ def centrelines(draw):
 
 
 @given(data=st.data())
-@settings(max_examples=120)
+@settings(max_examples=48)
 @pytest.mark.filterwarnings("error")
 def test_any_centrelines_end_as_a_status(observe, data):
     left = data.draw(centrelines())
@@ -180,7 +180,7 @@ DRAWINGS = (scribble, broken_curve, dots, grid, loops, speckle, full)
 
 
 @given(drawing=st.sampled_from(DRAWINGS), seed=st.integers(0, 10**6), blur=st.sampled_from((0.0, 0.0, 1.0, 3.0)))
-@settings(max_examples=120)
+@settings(max_examples=48)
 @pytest.mark.filterwarnings("error")
 def test_any_masks_end_as_a_status(drawing, seed, blur):
     rng = np.random.default_rng(seed)
