@@ -88,9 +88,9 @@ def curve_of(thread: ThreadReconstruction) -> ThreadCurve:
 def seen(curve: ThreadCurve, s: Float64[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
     """Whether both images show the thread at s: within their borders, and on no stretch that is known to be hidden."""
     # a stretch that reaches an end of the thread holds that end too
-    start: Float64[np.ndarray, "g"] = np.where(curve.unseen[:, 0] <= 0, -1.0, curve.unseen[:, 0])
-    end: Float64[np.ndarray, "g"] = np.where(curve.unseen[:, 1] >= 1, 2.0, curve.unseen[:, 1])
-    hidden: Bool[np.ndarray, "n"] = np.asarray(((s[:, None] > start) & (s[:, None] < end)).any(axis=1))
+    start = np.where(curve.unseen[:, 0] <= 0, -1.0, curve.unseen[:, 0])
+    end = np.where(curve.unseen[:, 1] >= 1, 2.0, curve.unseen[:, 1])
+    hidden = np.asarray(((s[:, None] > start) & (s[:, None] < end)).any(axis=1))
     left_px, right_px = pixels(curve, curve.points(s))
     last = np.array([curve.camera.image_width, curve.camera.image_height]) - 0.5
     # comparisons with NaN, the pixel of what is behind the camera, are false
