@@ -4,6 +4,7 @@ A channel is one run (epoch) of one key's publisher; its metadata holds the epoc
 the order in which the messages were received, so a file is read from front to back, a cut-off one like a whole one.
 """
 
+import contextlib
 import os
 import struct
 from collections.abc import Generator, Iterator
@@ -84,6 +85,11 @@ class RecordingWriter:
         try:
             self._writer.finish()
         finally:
+            self._file.close()
+
+    def abandon(self) -> None:
+        """Close the file as it is, whatever the disk says to what is still to be written."""
+        with contextlib.suppress(OSError):
             self._file.close()
 
     def _channel(self, topic: Topic, entry: Entry) -> int:

@@ -97,6 +97,7 @@ class Recorder:
         lost = {key: str(count) for key, count in self.report().lost.items()}
         self._do(lambda: self._writer.note(LOSSES, lost | {"complete": str(self.report().complete)}))
         self._do(self._writer.close)
+        self._writer.abandon()
         return self.report()
 
     def report(self) -> RecordingReport:
