@@ -7,6 +7,11 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 LOCK := $(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras --no-header \
 	--no-emit-index-url --no-emit-find-links --no-emit-trusted-host --no-annotate
 
+# tests without processes, sockets and clocks: they take the second core meanwhile
+COMPUTING := tests/schemas tests/benchmarks tests/agents/perception tests/agents/planner tests/agents/reconstruction \
+	tests/shared/calibration tests/shared/kinematics tests/shared/scene
+COMPUTING_CACHE := .pytest_cache/computing
+
 .PHONY: help demo play example test check format protos lock clean
 help: ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
@@ -24,8 +29,14 @@ example: .venv/runtime.done ## a stereo pair becomes a thread in 3D, in a few se
 		--output out/thread.json --picture out/thread.png --rrd out/thread.rrd
 	@echo "Look at out/thread.png, or in 3D:  .venv/bin/rerun out/thread.rrd"
 
-test: .venv/dev.done ## all tests
+test: .venv/dev.done ## all tests, those that only compute beside those of running processes; ARGS="..." for some
+ifeq ($(ARGS),)
+	@mkdir -p out; $(BIN)/python -m pytest -o cache_dir=$(COMPUTING_CACHE) $(COMPUTING) > out/computing.log 2>&1 & computing=$$!; \
+	$(BIN)/python -m pytest $(addprefix --ignore=,$(COMPUTING)); running=$$?; \
+	wait $$computing; computing=$$?; cat out/computing.log; exit $$((running + computing))
+else
 	@$(BIN)/python -m pytest $(ARGS)
+endif
 
 check: .venv/dev.done ## format, lint, types, layers, generated code
 	@$(BIN)/ruff format --check .
