@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 
-from agents.cli.demo_goals import least_known
+from agents.cli.demo_goals import goals_of
 from agents.cli.demo_report import report
 from agents.cli.live import event_sentence, percent, plan_sentence
 from agents.cli.live_options import Demo
@@ -151,7 +151,7 @@ def _grasp(story: Story) -> GraspJudgement:
     threads = _threads(story, STEADY_THREADS)
     mean = sum(float(thread.confidence.mean()) for thread in threads) / len(threads)
     say(f"the thread is seen, with a mean confidence of {mean:.2f}")
-    goals = least_known(threads, GOALS)
+    goals = goals_of(threads, GOALS, LEAST_PROBABILITY)
     for left in reversed(range(ATTEMPTS)):
         plan = _plan(story, goals)
         stood = arm_and_stand_by(
@@ -185,12 +185,12 @@ def _threads(story: Story, count: int) -> list[ThreadReconstruction]:
 
 
 def _plan(story: Story, goals: list[tuple[float, float]]) -> GraspPlan:
-    """The first plan with a slide worth showing, beginning where the thread is known least; else any plan."""
+    """The first plan with a slide worth showing, in the order of the goals; else any plan."""
     without_slide, reason = None, "the thread states no confidence"
     deadline_s = monotonic_s() + PLANS_S
-    # what is known of a place changes from frame to frame, so each is asked for again
-    for s, confidence in GOAL_ROUNDS * goals:
-        if monotonic_s() > deadline_s:
+    # what is known of a place changes from frame to frame, so where none had a plan each is asked for again
+    for turn, (s, confidence) in enumerate(GOAL_ROUNDS * goals):
+        if monotonic_s() > deadline_s or (without_slide is not None and turn >= len(goals)):
             break
         _newer_thread(story)
         where = f"a grasp at {percent(s)}, where confidence is {confidence:.2f}"

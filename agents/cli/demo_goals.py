@@ -1,4 +1,7 @@
-"""Where the demo asks for a grasp: where the thread is known least, for that is what capturing elsewhere is for."""
+"""Where the demo asks for a grasp: where the thread is known least of what can be grasped at all.
+
+Capturing elsewhere is for such places; at places that are known too little no plan may end, so they come last.
+"""
 
 from collections.abc import Sequence
 
@@ -12,19 +15,21 @@ FROM_END = 0.1
 APART = 0.1
 
 
-def least_known(threads: Sequence[ThreadReconstruction], count: int) -> list[tuple[float, float]]:
-    """Up to so many places with the mean confidence there over some frames, the least confident first.
+def goals_of(threads: Sequence[ThreadReconstruction], count: int, enough: float) -> list[tuple[float, float]]:
+    """Up to so many places with the mean confidence there over some frames, those to be asked for first in front.
 
-    No two of them are near each other. There is none where no thread states its confidence.
+    First come places that every frame holds for at least `enough` likely, the least confident first, then all others,
+    the most confident first. No two of them are near each other. There is none where no thread states its confidence.
     """
     s = np.linspace(FROM_END, 1.0 - FROM_END, PLACES)
     stated = [np.interp(s, thread.confidence_s, thread.confidence) for thread in threads if len(thread.confidence_s)]
     if not stated:
         return []
-    confidence = np.mean(stated, axis=0)
+    confidence, least = np.mean(stated, axis=0), np.min(stated, axis=0)
+    turn = np.where(least >= enough, confidence, 2.0 - confidence)
     free, found = np.ones(PLACES, bool), list[tuple[float, float]]()
     while len(found) < count and free.any():
-        least = np.flatnonzero(free)[np.argmin(confidence[free])]
-        found.append((float(s[least]), float(confidence[least])))
-        free &= np.abs(s - s[least]) >= APART
+        next_one = np.flatnonzero(free)[np.argmin(turn[free])]
+        found.append((float(s[next_one]), float(confidence[next_one])))
+        free &= np.abs(s - s[next_one]) >= APART
     return found

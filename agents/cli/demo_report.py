@@ -2,8 +2,10 @@
 
 from collections import defaultdict
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 
 import numpy as np
+from jaxtyping import Float64
 
 from agents.cli.session_folder import SessionFolder
 from agents.recorder.mcap_file import RecordingError, read_recording
@@ -20,14 +22,15 @@ def report(folder: SessionFolder, came_of_it: str, recorder_said: str) -> Iterat
     yield ""
     yield came_of_it
     try:
-        latencies, healths = _read(folder)
+        stages, healths = _read(folder)
     except (RecordingError, OSError) as error:
         yield f"the recording cannot be read: {error}"
         return
     yield ""
-    yield "from capture until published, ms    p50    p99     messages"
-    for stage, ms in latencies.items():
-        yield f"  {stage:32}{np.percentile(ms, 50):7.1f}{np.percentile(ms, 99):7.1f}{len(ms):9d}"
+    yield "from capture until published, ms    p50    p99     messages  a second"
+    for stage, times in stages.items():
+        ms = times.latency_ms
+        yield f"  {stage:32}{np.percentile(ms, 50):7.1f}{np.percentile(ms, 99):7.1f}{len(ms):9d}{times.rate_hz:13.1f}"
     yield from _losses(healths)
     yield ""
     yield recorder_said
@@ -41,9 +44,28 @@ def report(folder: SessionFolder, came_of_it: str, recorder_said: str) -> Iterat
     yield "  make play       and in another terminal: .venv/bin/suturegrasp goal --s 0.4"
 
 
-def _read(folder: SessionFolder) -> tuple[dict[str, list[float]], dict[str, AgentHealth]]:
-    """Milliseconds from capture to publication by stage, and the last health of each agent."""
-    latencies: defaultdict[str, list[float]] = defaultdict(list)
+@dataclass
+class StageTimes:
+    """When the messages of one stage were captured and published."""
+
+    captured_ns: list[int] = field(default_factory=list[int])
+    published_ns: list[int] = field(default_factory=list[int])
+
+    @property
+    def latency_ms(self) -> Float64[np.ndarray, " n"]:
+        """Milliseconds from capture until publication."""
+        return (np.array(self.published_ns) - np.array(self.captured_ns)) * 1e-6
+
+    @property
+    def rate_hz(self) -> float:
+        """Messages a second from the first to the last; 0 for fewer than two."""
+        lasted_ns = max(self.published_ns) - min(self.published_ns)
+        return (len(self.published_ns) - 1) * 1e9 / lasted_ns if lasted_ns else 0.0
+
+
+def _read(folder: SessionFolder) -> tuple[dict[str, StageTimes], dict[str, AgentHealth]]:
+    """The times of each stage, and the last health of each agent."""
+    stages: defaultdict[str, StageTimes] = defaultdict(StageTimes)
     healths: dict[str, AgentHealth] = {}
     for entry in read_recording(folder.recording):
         topic = topic_of(entry.key)
@@ -56,8 +78,9 @@ def _read(folder: SessionFolder) -> tuple[dict[str, list[float]], dict[str, Agen
         if topic is HEALTH:
             healths[f"{message.agent} {message.instance}".removesuffix(" main")] = message
         else:
-            latencies[str(topic)].append((entry.published_ns - message.stamp.capture_left_ns) * 1e-6)
-    return dict(latencies), healths
+            stages[str(topic)].captured_ns.append(message.stamp.capture_left_ns)
+            stages[str(topic)].published_ns.append(entry.published_ns)
+    return dict(stages), healths
 
 
 def _losses(healths: dict[str, AgentHealth]) -> Iterator[str]:

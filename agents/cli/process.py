@@ -1,11 +1,13 @@
 """One agent, or a router, as a process: from configuration to a clean stop on SIGINT and SIGTERM."""
 
+import contextlib
 import logging
 import os
 import signal
 import sys
 import threading
 from collections.abc import Callable
+from pathlib import Path
 
 from agents.camera.image_files import ImageFileError
 from agents.camera.sources import SourceError
@@ -21,9 +23,12 @@ from shared.runtime.session import RouterError, open_router, runs_already
 from shared.scene.render import SceneError
 
 EXIT_OK, EXIT_GAVE_UP, EXIT_UNUSABLE = 0, 1, UNUSABLE
-YIELDING = ("camera",)
+YIELDING = ("perception", "reconstruction")
 NICENESS = 5
-"""What makes or shows images, most of which are left out for newer ones, steps back behind what moves an arm."""
+"""What takes all the time it gets, and leaves out images for newer ones, steps back behind what keeps time: the arm, the
+field and the camera."""
+AUTOGROUP = Path("/proc/self/autogroup")
+"""Where Linux shares time among sessions before it shares it among processes, which makes the niceness within one moot."""
 LINE = logging.Formatter("%(asctime)s %(name)s %(levelname)s: %(message)s", "%H:%M:%S")
 
 
@@ -60,6 +65,10 @@ def step_back() -> None:
     """Leave the processor to whatever is more urgent, where the system can."""
     if hasattr(os, "nice"):
         os.nice(NICENESS)
+    # a process of its own session is nice to nobody else's, so the session has to be
+    with contextlib.suppress(OSError):
+        if os.getsid(0) == os.getpid():
+            AUTOGROUP.write_text(str(NICENESS))
 
 
 def run_router(rig: RigConfig) -> int:

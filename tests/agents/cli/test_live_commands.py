@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from agents.cli.demo_goals import APART, FROM_END, least_known
+from agents.cli.demo_goals import APART, FROM_END, goals_of
 from agents.cli.doctor import clocks, examine
 from agents.cli.health_watch import HealthWatch, health_table
 from agents.cli.live import event_sentence
@@ -218,19 +218,29 @@ def known(confidence) -> Any:
     return SimpleNamespace(confidence=np.array(confidence), confidence_s=np.linspace(0, 1, len(confidence)))
 
 
-@given(st.lists(st.lists(st.floats(0, 1), min_size=2, max_size=20), min_size=1, max_size=4), st.integers(0, 12))
-def test_goals_are_apart_from_each_other_and_from_the_ends_and_the_first_is_known_least(confidences, count):
+@given(
+    st.lists(st.lists(st.floats(0, 1), min_size=2, max_size=20), min_size=1, max_size=4),
+    st.integers(0, 12),
+    st.floats(0, 1),
+)
+def test_goals_are_apart_and_begin_with_the_least_known_of_those_that_are_known_enough(confidences, count, enough):
     threads = [known(confidence) for confidence in confidences]
-    goals = least_known(threads, count)
+    goals = goals_of(threads, count, enough)
     places = sorted(s for s, _ in goals)
     assert len(goals) <= count
     assert all(FROM_END - 1e-9 <= s <= 1 - FROM_END + 1e-9 for s in places)
     assert (np.diff(places) >= APART - 1e-9).all()
-    assert [c for _, c in goals] == sorted(c for _, c in goals)
+    sure = [all(np.interp(s, t.confidence_s, t.confidence) >= enough for t in threads) for s, _ in goals]
+    first = [c for (_, c), is_sure in zip(goals, sure, strict=True) if is_sure]
+    last = [c for (_, c), is_sure in zip(goals, sure, strict=True) if not is_sure]
+    assert [c for _, c in goals] == sorted(first) + sorted(last, reverse=True)
 
 
-def test_goals_are_where_frames_agree_that_little_is_known():
+def test_goals_are_where_frames_agree_that_little_is_known_but_enough():
     dip_at_60 = [1, 1, 1, 1, 1, 1, 0.2, 1, 1, 1, 1]
-    (goal,) = least_known([known(dip_at_60), known([1.0] * 11)], 1)
+    threads = [known(dip_at_60), known([1.0] * 11)]
+    (goal,) = goals_of(threads, 1, 0.1)
     assert goal == pytest.approx((0.6, 0.6), abs=0.02)
-    assert least_known([known([])], 3) == []
+    ((s, confidence),) = goals_of(threads, 1, 0.6)
+    assert (abs(s - 0.6), confidence) == pytest.approx((0.05, 0.8), abs=0.05)
+    assert goals_of([known([])], 3, 0.5) == []

@@ -62,7 +62,7 @@ def test_the_demo_ends_with_a_judged_grasp_and_leaves_files_and_no_process(tmp_p
     if "no grasp was attempted: the thread was seen" in done.stdout:
         pytest.skip("this machine is too busy just now: frames are too old to plan from")
     (verdict,) = re.findall(r"^grasp (?:held|lost|missed): .*$", done.stdout, flags=re.M)
-    assert re.search(r"perception/observations +\d+\.\d +\d+\.\d +\d+", done.stdout)
+    assert re.search(r"perception/observations +\d+\.\d +\d+\.\d +\d+ +\d+\.\d", done.stdout)
     (folder,) = tmp_path.iterdir()
     assert str(folder) in done.stdout
     assert (folder / "rig.json").is_file()
