@@ -25,10 +25,10 @@ from shared.scene.render import SceneError
 EXIT_OK, EXIT_GAVE_UP, EXIT_UNUSABLE = 0, 1, UNUSABLE
 YIELDING = ("perception", "reconstruction")
 NICENESS = 5
-"""What takes all the time it gets, and leaves out images for newer ones, steps back behind what keeps time: the arm, the
-field and the camera."""
+"""What takes all the time it gets, and leaves out images for newer ones, steps back behind what keeps time: the arm,
+the field and the camera."""
 AUTOGROUP = Path("/proc/self/autogroup")
-"""Where Linux shares time among sessions before it shares it among processes, which makes the niceness within one moot."""
+"""Where Linux shares time among sessions before it does among processes, which makes niceness within one moot."""
 LINE = logging.Formatter("%(asctime)s %(name)s %(levelname)s: %(message)s", "%H:%M:%S")
 
 
