@@ -10,8 +10,10 @@ import tyro
 
 from agents.cli.live_options import LIVE_COMMANDS, Demo, OnRig
 from agents.cli.options import Reconstruct, UsageError
+from agents.cli.recorded_options import RECORDED_COMMANDS, OnRecording
 
-COMMANDS: dict[str, type[Reconstruct] | type[Demo] | type[OnRig]] = {"reconstruct": Reconstruct, **LIVE_COMMANDS}
+Options = Reconstruct | Demo | OnRig | OnRecording
+COMMANDS: dict[str, type[Options]] = {"reconstruct": Reconstruct, **LIVE_COMMANDS, **RECORDED_COMMANDS}
 
 HELP = ("-h", "--help")
 ESCAPE_SEQUENCE = re.compile(r"\x1b\[[0-9;]*m")
@@ -21,7 +23,7 @@ EXPLANATION_INDENT = 6
 FOOTER = "For full helptext"
 
 
-def parsed(arguments: list[str]) -> Reconstruct | Demo | OnRig:
+def parsed(arguments: list[str]) -> Options:
     """The options of the command that these arguments name; help is printed, and ends the program.
 
     Raises:

@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.cli.session_folder import SessionFolder
-from agents.recorder.mcap_file import RecordingError, read_recording
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import AgentHealth
 from schemas.topics import FRAMES, HEALTH, OBSERVATIONS, THREAD, topic_of
+from shared.recording.mcap_file import RecordingError, read_recording
 
 STAGES = (FRAMES, OBSERVATIONS, THREAD)
 

@@ -25,7 +25,6 @@ from agents.cli.rig import RigConfig, simulated_rig
 from agents.cli.session_folder import free_path
 from agents.cli.terminal import complain, say
 from agents.operator.operator import Stood, arm_and_stand_by, ask_for_grasp, hold, prompt
-from agents.recorder.recorder import Recorder, RecordingReport
 from schemas.messages import ExecutionEvent, ExecutionKind, GraspPlan, Outcome, Policy, Status
 from schemas.topics import MAIN, TOPICS
 from shared.runtime.config import ConfigError, load_config
@@ -52,6 +51,8 @@ def run_live(options: OnRig) -> int:
             case Router():
                 return run_router(rig)
             case Record():
+                from agents.cli.recording import record
+
                 return record(rig, free_path(options.output) if options.numbered else options.output)
             case View():
                 path = free_path(options.output) if options.numbered and options.output else options.output
@@ -78,35 +79,6 @@ def run_live(options: OnRig) -> int:
                 return run_agent(rig, AGENT_KINDS[type(options)], MAIN)
     except (ConfigError, NoRouterError) as error:
         return complain(str(error), EXIT_UNUSABLE)
-
-
-def record(rig: RigConfig, path: Path) -> int:
-    """Record until stopped, then say what the recording holds and what it lacks."""
-    if path.exists():
-        return complain(f"{path} exists already; give another name", EXIT_UNUSABLE)
-    stopped = threading.Event()
-    on_stop(stopped.set)
-    try:
-        recorder = Recorder(path)
-    except OSError as error:
-        return complain(f"{path} cannot be written: {error.strerror or error}", EXIT_UNUSABLE)
-    with contextlib.suppress(NoRouterError), connected(rig.session, None, stopped) as connection:
-        connection.listen(tuple(topic for topic in TOPICS if topic.recorded), recorder.put, recorder.missed)
-        stopped.wait()
-    say(recording_sentence(recorder.close()))
-    return EXIT_OK
-
-
-def recording_sentence(report: RecordingReport) -> str:
-    """What a recording holds and lacks, in one line."""
-    total = sum(report.received.values())
-    if report.complete:
-        return f"{report.path}: {total} messages on {len(report.received)} keys, complete"
-    gaps = ", ".join(f"{count} of {key}" for key, count in sorted(report.lost.items()))
-    unnumbered = f"; {report.unnumbered} came without a number" if report.unnumbered else ""
-    fault = f"; {report.fault}" if report.fault else ""
-    held = f"{report.path}: {total} messages on {len(report.received)} keys"
-    return f"{held}, not complete: lost {gaps or 'none'}{unnumbered}{fault}"
 
 
 def view(rig: RigConfig, path: Path | None, show: str) -> int:

@@ -1,5 +1,6 @@
 """The `suturegrasp` command and its sub-commands."""
 
+import importlib
 import os
 import sys
 
@@ -39,6 +40,7 @@ def _run(arguments: list[str]) -> int:
     from agents.cli.command_line import parsed
     from agents.cli.live_options import Demo
     from agents.cli.options import Reconstruct, UsageError
+    from agents.cli.recorded_options import RUNNERS, OnRecording
 
     try:
         options = parsed(arguments)
@@ -56,6 +58,8 @@ def _run(arguments: list[str]) -> int:
         from agents.cli.demo import demo
 
         return demo(options)
+    if isinstance(options, OnRecording):
+        return importlib.import_module(RUNNERS[type(options)]).run(options)
     from agents.cli.live import run_live
 
     return run_live(options)

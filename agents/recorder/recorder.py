@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from agents.recorder.mcap_file import Entry, RecordingWriter
+from shared.recording.mcap_file import Entry, RecordingWriter
 from schemas.topics import Topic, topic_of
 from shared.clock import monotonic_s, now_ns
 from shared.runtime.taps import KeyLosses, Tapped

@@ -9,10 +9,10 @@ import pytest
 from agents.perception.agent import Perception
 from agents.planner.agent import Planner
 from agents.reconstruction.agent import Reconstruction
-from agents.recorder.mcap_file import Entry, read_recording
 from schemas.codec import decode, encode
 from schemas.messages import GraspPlan, Status, ThreadReconstruction
 from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS, PLAN, THREAD, key, topic_of
+from shared.recording.mcap_file import Entry, read_recording
 from shared.runtime.replay import replay
 
 AGENTS = (Perception, Reconstruction, Planner)

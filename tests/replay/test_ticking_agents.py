@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from agents.operator.operator import arm_and_stand_by, hold
-from agents.recorder.mcap_file import read_recording
 from agents.recorder.recorder import Recorder
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.simulated import SimulatedPsm
@@ -28,6 +27,7 @@ from schemas.messages import (
     Waypoint,
 )
 from schemas.topics import EXECUTION, JUDGEMENT, MAIN, PLAN, ROBOT_STATE, SIMULATOR_STATE, TOPICS, topic_of
+from shared.recording.mcap_file import read_recording
 from shared.rigid_transforms import exp_so3, transform
 from shared.runtime.agent import Output
 from shared.runtime.commands import new_header

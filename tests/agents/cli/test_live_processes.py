@@ -11,7 +11,6 @@ from types import SimpleNamespace
 import psutil
 import pytest
 
-from agents.recorder.mcap_file import read_recording
 from schemas.codec import decode
 from schemas.messages import GraspJudgement, RobotMode, RobotState
 from schemas.topics import (
@@ -25,6 +24,7 @@ from schemas.topics import (
     THREAD,
     topic_of,
 )
+from shared.recording.mcap_file import read_recording
 from shared.runtime.connection import connected
 from shared.runtime.session import SessionSettings, free_local_endpoint
 

@@ -9,11 +9,11 @@ import threading
 import numpy as np
 import pytest
 
-from agents.recorder.mcap_file import RecordingWriter, read_notes, read_recording
 from agents.recorder.recorder import LOSSES, Recorder
 from schemas.codec import encode
 from schemas.messages import FrameStamp, Image, ImageEncoding, LogLevel, LogRecord, StereoFrame
 from schemas.topics import FRAMES, LOG, PLAN, TOPICS, key
+from shared.recording.mcap_file import RecordingWriter, read_notes, read_recording
 from shared.runtime.agent import Output
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.connection import connected

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from agents.recorder.mcap_file import Entry, RecordingError, RecordingWriter, read_notes, read_recording
 from schemas.codec import encode
 from schemas.messages import LogLevel, LogRecord
 from schemas.topics import COMMANDS, LOG, key
+from shared.recording.mcap_file import Entry, RecordingError, RecordingWriter, read_notes, read_recording
 
 DATA_END = 15
 KEY = key("lab", LOG, agent="camera")

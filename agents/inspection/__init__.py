@@ -1,0 +1,1 @@
+"""Inspection: what a recording holds, in the terminal, on a page, and as tables for other programs."""

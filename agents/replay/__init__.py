@@ -1,0 +1,1 @@
+"""Replay: a recorded session on the live keys again, or through one agent in this process."""
