@@ -49,6 +49,14 @@ class Entry:
     received_ns: int
 
 
+@dataclass(frozen=True)
+class Note:
+    """Facts about a recording, under the name that its recorder gave them."""
+
+    name: str
+    facts: dict[str, str]
+
+
 class RecordingWriter:
     """Writes one recording; `close` writes its summary, and what was flushed before a crash can still be read."""
 
@@ -110,6 +118,15 @@ def read_recording(path: Path) -> Iterator[Entry]:
         RecordingError: where the file is no recording, or damaged; in the midst of it, after the messages before.
         OSError: where it cannot be opened.
     """
+    return (record for record in read_with_notes(path) if isinstance(record, Entry))
+
+
+def read_with_notes(path: Path) -> Iterator[Entry | Note]:
+    """The messages of a recording, and its notes where they lie before, between or after them.
+
+    Raises:
+        RecordingError, OSError: as `read_recording`.
+    """
     channels: dict[int, Channel] = {}
     with _damage_named(path):
         for record in _records(path):
@@ -117,6 +134,18 @@ def read_recording(path: Path) -> Iterator[Entry]:
                 channels[record.id] = record
             elif isinstance(record, Message):
                 yield _entry(channels[record.channel_id], record)
+            elif isinstance(record, Metadata):
+                yield Note(record.name, record.metadata)
+
+
+def is_finished(path: Path) -> bool:
+    """Whether a recording was closed, so that nothing was cut off from its end.
+
+    Raises:
+        OSError: where it cannot be opened.
+    """
+    with path.open("rb") as file:
+        return _ends_as_it_should(file)
 
 
 def read_notes(path: Path, name: str) -> dict[str, str] | None:
@@ -150,7 +179,7 @@ def _records(path: Path) -> Iterator[McapRecord]:
 def _end_of_whole_records(file: BinaryIO, path: Path) -> int:
     """Where the last whole record of the data section ends."""
     size = file.seek(0, os.SEEK_END)
-    finished = size >= 2 * len(MCAP0_MAGIC) and file.seek(-len(MCAP0_MAGIC), os.SEEK_END) and file.read() == MCAP0_MAGIC
+    finished = _ends_as_it_should(file)
     file.seek(0)
     if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
         raise RecordingError(f"{path} is no recording; give an MCAP file that suturegrasp recorded")
@@ -164,6 +193,13 @@ def _end_of_whole_records(file: BinaryIO, path: Path) -> int:
         raise RecordingError(_damaged(path))
     file.seek(0)
     return end
+
+
+def _ends_as_it_should(file: BinaryIO) -> bool:
+    if file.seek(0, os.SEEK_END) < 2 * len(MCAP0_MAGIC):
+        return False
+    file.seek(-len(MCAP0_MAGIC), os.SEEK_END)
+    return file.read() == MCAP0_MAGIC
 
 
 class _Whole:

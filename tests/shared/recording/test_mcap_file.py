@@ -12,7 +12,16 @@ from mcap.writer import Writer
 from schemas.codec import encode
 from schemas.messages import LogLevel, LogRecord
 from schemas.topics import COMMANDS, LOG, key
-from shared.recording.mcap_file import Entry, RecordingError, RecordingWriter, read_notes, read_recording
+from shared.recording.mcap_file import (
+    Entry,
+    Note,
+    RecordingError,
+    RecordingWriter,
+    is_finished,
+    read_notes,
+    read_recording,
+    read_with_notes,
+)
 
 DATA_END = 15
 KEY = key("lab", LOG, agent="camera")
@@ -154,3 +163,19 @@ def test_a_recording_of_another_program_is_named_as_such(tmp_path):
 def test_a_file_that_is_not_there_is_the_systems_error(tmp_path):
     with pytest.raises(FileNotFoundError):
         list(read_recording(tmp_path / "none.mcap"))
+
+
+def test_notes_come_with_the_messages_in_one_reading(tmp_path):
+    entries = [entry(n) for n in range(3)]
+    path = written(tmp_path / "a.mcap", entries, {"complete": "True"})
+    read = list(read_with_notes(path))
+    # a note is in the file at once, and messages once their chunk is full
+    assert [one for one in read if isinstance(one, Note)] == [Note("losses", {"complete": "True"})]
+    assert [one for one in read if isinstance(one, Entry)] == entries
+
+
+def test_whether_a_recording_was_closed_is_told_from_its_end(whole, tmp_path):
+    path = tmp_path / "cut.mcap"
+    for length in (0, 7, 8, 16, len(whole[1]) // 2, len(whole[1]) - 1, len(whole[1])):
+        path.write_bytes(whole[1][:length])
+        assert is_finished(path) == (length == len(whole[1]))
