@@ -2,8 +2,9 @@
 
 A message's protobuf twin has the same name and the same field names. Protobuf accepts nearly anything (no bytes at
 all decode to zeros), so decoding trusts nothing: whatever arrives is either a message that passes its own checks,
-or a MessageError that says what is wrong with which field. Fields that this version does not know are refused too,
-since what they mean for a robot is unknown.
+or a MessageError that says what is wrong with which field. A field that this version does not know is damage, unless its
+number is above all that it knows: then a newer version has added it, and it is left out; but never from a message that
+leads to motion, since what it means for a robot is unknown (docs/decisions/0015).
 """
 
 import dataclasses
@@ -19,6 +20,10 @@ from google.protobuf.unknown_fields import UnknownFieldSet
 
 from schemas.checks import MessageError, fields_of, is_array, require, without_none
 from schemas.generated import suturegrasp_pb2
+from schemas.messages import Arm, GraspGoal, GraspPlan, Heartbeat, ReplayClock
+
+LEADING_TO_MOTION = (GraspGoal, GraspPlan, Arm, Heartbeat, ReplayClock)
+"""Messages that are understood in full or not at all. What stops a robot is not among them: it is always understood."""
 
 MAX_MESSAGE_BYTES = 1 << 28
 """256 MiB: above five times a raw stereo pair at 4K, and far below what would hurt a machine."""
@@ -57,7 +62,7 @@ def decode(message_type: type[M], data: bytes) -> M:
         raise MessageError(f"{name} cannot be read: its {len(data)} bytes are damaged or of another type") from error
     # Finite yet absurd numbers overflow in a message's own checks, which then fail as they should.
     with np.errstate(all="ignore"):
-        return _read(wire, message_type, name)
+        return _read(wire, message_type, name, in_full=message_type in LEADING_TO_MOTION)
 
 
 @functools.cache
@@ -96,10 +101,10 @@ def _write_array(wire: Any, array: np.ndarray, declared: Any) -> None:
     wire.data = array.astype(dtype, copy=False).tobytes()
 
 
-def _read(wire: Any, message_type: type[M], where: str) -> M:
-    _refuse_unknown_fields(wire, where)
+def _read(wire: Any, message_type: type[M], where: str, in_full: bool) -> M:
+    _refuse_unknown_fields(wire, where, in_full)
     values = {
-        name: _read_field(wire, name, annotation, f"{where}.{name}")
+        name: _read_field(wire, name, annotation, f"{where}.{name}", in_full)
         for name, annotation in fields_of(message_type).items()
     }
     try:
@@ -109,10 +114,10 @@ def _read(wire: Any, message_type: type[M], where: str) -> M:
         raise MessageError(f"{where}: {error}" if nested else str(error)) from error
 
 
-def _read_field(wire: Any, name: str, annotation: Any, where: str) -> Any:
+def _read_field(wire: Any, name: str, annotation: Any, where: str, in_full: bool) -> Any:
     declared = without_none(annotation)
     if item_type := _item_type(declared):
-        return tuple(_read(item, item_type, f"{where}[{i}]") for i, item in enumerate(getattr(wire, name)))
+        return tuple(_read(item, item_type, f"{where}[{i}]", in_full) for i, item in enumerate(getattr(wire, name)))
     optional = declared is not annotation
     if (optional or is_array(declared) or _is_message(declared)) and not wire.HasField(name):
         require(optional, f"{where} is missing")
@@ -121,7 +126,7 @@ def _read_field(wire: Any, name: str, annotation: Any, where: str) -> Any:
     if is_array(declared):
         return _read_array(value, declared, where)
     if _is_message(declared):
-        return _read(value, declared, where)
+        return _read(value, declared, where, in_full)
     return _read_enum(value, declared, where) if issubclass(declared, enum.Enum) else value
 
 
@@ -135,7 +140,7 @@ def _read_enum(number: int, declared: type[enum.Enum], where: str) -> enum.Enum:
 
 
 def _read_array(wire: Any, declared: Any, where: str) -> np.ndarray:
-    _refuse_unknown_fields(wire, where)
+    _refuse_unknown_fields(wire, where, in_full=True)
     dtype, axes, shape = _wire_dtype(declared), declared.dim_str.split(), tuple(wire.shape)
     require(wire.dtype == dtype.str, f"{where} must hold {dtype.str}, not {wire.dtype[:20]!r}")
     # Before any reshape: an array without elements may still claim axes too long for NumPy to index.
@@ -150,8 +155,11 @@ def _read_array(wire: Any, declared: Any, where: str) -> np.ndarray:
     return np.frombuffer(wire.data, dtype).reshape(shape)
 
 
-def _refuse_unknown_fields(wire: Any, where: str) -> None:
+def _refuse_unknown_fields(wire: Any, where: str, in_full: bool) -> None:
     unknown = sorted({field.field_number for field in UnknownFieldSet(wire)})
+    if not in_full:
+        last = max((field.number for field in wire.DESCRIPTOR.fields), default=0)
+        unknown = [number for number in unknown if number <= last]
     require(
         not unknown,
         f"{where} has fields that this version does not know (numbers {', '.join(map(str, unknown[:5]))}): "

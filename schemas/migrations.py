@@ -1,0 +1,79 @@
+"""What lifts messages of older released versions to this one, so that old recordings keep opening.
+
+A released schema only grows: fields and values of enums are added, with the next number, and never removed, renumbered
+or changed in kind. What was not there yet reads as absent, empty or zero. Where that is not what it meant then, a small
+pure function here says what it did mean; it works on the protobuf message before the codec looks at it.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from google.protobuf.message import DecodeError
+
+from schemas import __version__
+from schemas.generated import suturegrasp_pb2
+
+Version = tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Migration:
+    """One step of one message type.
+
+    Fields:
+        message: the type's name.
+        version: the first version whose messages need it no more.
+        lift: changes a protobuf message of that type in place.
+    """
+
+    message: str
+    version: Version
+    lift: Callable[[Any], None]
+
+
+MIGRATIONS: tuple[Migration, ...] = ()
+"""In the order of their versions."""
+
+
+class NewerVersionError(ValueError):
+    """Messages of a version that is newer than this program by more than added fields; the text says what to do."""
+
+
+def version_of(text: str) -> Version:
+    """The numbers of a version such as `0.1.0`.
+
+    Raises:
+        ValueError: where it is none.
+    """
+    return tuple(int(part) for part in text.split("."))
+
+
+def lifted(message: str, payload: bytes, version: Version, migrations: Sequence[Migration] = MIGRATIONS) -> bytes:
+    """The bytes of a message that a program of that version sent, as one of this version would have sent them.
+
+    Bytes that need nothing come back as they are, damaged ones too: to judge them is the codec's task.
+    """
+    due = [step for step in migrations if step.message == message and version < step.version]
+    if not due:
+        return payload
+    wire = getattr(suturegrasp_pb2, message)()
+    try:
+        wire.ParseFromString(payload)
+    except DecodeError:
+        return payload
+    for step in due:
+        step.lift(wire)
+    return wire.SerializeToString(deterministic=True)
+
+
+def check_readable(version: Version) -> None:
+    """Refuse messages of a version with another first number, whose fields may mean something else.
+
+    Raises:
+        NewerVersionError: where it is one.
+    """
+    own = version_of(__version__)
+    if version[0] > own[0]:
+        there, here = (".".join(map(str, v)) for v in (version, own))
+        raise NewerVersionError(f"made by version {there}, which this one ({here}) cannot read; update suturegrasp")
