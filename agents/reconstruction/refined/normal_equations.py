@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import scipy.linalg
 from jaxtyping import Float64, Int64
+from scipy.linalg import lapack
 
 from agents.reconstruction.refined.projection import DEGREE, Curve, basis_at, projected
 from agents.reconstruction.refined.sightings import Sightings
@@ -67,32 +67,36 @@ class Blocks:
 def linearised(curve: Curve, sight: Sightings, camera: RectifiedStereo, row_offset_px: float) -> Rows:
     """Residuals and their derivatives at this curve."""
     view = projected(curve, sight.s, sight.eye, camera, row_offset_px)
-    speed = np.maximum(np.linalg.norm(view.velocity_px, axis=1), 1e-12)
-    tangent = view.velocity_px / speed[:, None]
-    normal = np.column_stack((-tangent[:, 1], tangent[:, 0]))
-    off = view.point_px - sight.point_px
+    first, basis, _ = basis_at(curve.spans, sight.s)
+    u, v = view.velocity_px.T
+    speed = np.maximum(np.sqrt(u * u + v * v), 1e-12)
+    normal = np.column_stack((-v / speed, u / speed))
     end = np.flatnonzero(sight.is_end)
-    which = np.concatenate((np.arange(len(off)), end))
-    direction = np.concatenate((normal, tangent[end]))
+    which = np.concatenate((np.arange(len(u)), end))
     deviation = np.concatenate((sight.deviation_px, np.full(len(end), END_DEVIATION_PX)))
+    # in deviations, as all that follows from it
+    direction = np.concatenate((normal, view.velocity_px[end] / speed[end, None])) / deviation[:, None]
+    off = view.point_px - sight.point_px
     return Rows(
-        residual=(direction * off[which]).sum(axis=1) / deviation,
-        gradient=np.einsum("ni,nij->nj", direction, view.by_point[which]) / deviation[:, None],
-        by_row_offset=direction[:, 1] * sight.eye[which] / deviation,
-        first=view.first[which],
-        basis=view.basis[which],
+        residual=(direction * off[which]).sum(axis=1),
+        gradient=(direction[:, :, None] * view.by_point[which]).sum(axis=1),
+        by_row_offset=direction[:, 1] * sight.eye[which],
+        first=first[which],
+        basis=basis[which],
         sightings=len(off),
     )
 
 
 def data_blocks(rows: Rows, weight: Float64[np.ndarray, "n"], spans: int) -> Blocks:
-    """The blocks of the weighted sum of squares of residuals."""
-    design = (rows.basis[:, :, None] * rows.gradient[:, None, :]).reshape(-1, SIDE)
-    weighted = design * weight[:, None]
-    return Blocks(
-        _by_span(rows.first, design[:, :, None] * weighted[:, None, :], spans),
-        _by_span(rows.first, weighted * rows.residual[:, None], spans),
-    )
+    """The blocks of the weighted sum of squares of residuals; weights are not negative."""
+    n = len(rows.residual)
+    both = np.empty((n, SIDE + 1))
+    np.multiply(rows.basis[:, :, None], rows.gradient[:, None, :], out=both[:, :SIDE].reshape(n, DEGREE + 1, 3))
+    both[:, SIDE] = rows.residual
+    both *= np.sqrt(weight)[:, None]
+    stacked = _stacked(rows.first, both, spans)
+    squares = stacked.transpose(0, 2, 1) @ stacked
+    return Blocks(squares[:, :SIDE, :SIDE], squares[:, :SIDE, SIDE])
 
 
 def row_offset_column(rows: Rows, weight: Float64[np.ndarray, "n"], spans: int) -> Float64[np.ndarray, "spans 12"]:
@@ -103,14 +107,21 @@ def row_offset_column(rows: Rows, weight: Float64[np.ndarray, "n"], spans: int) 
 
 def damping_blocks(curve: Curve) -> Blocks:
     """What holds the curve back along itself."""
-    s = (np.arange(2 * curve.spans) + 0.5) / (2 * curve.spans)
-    first, basis, slope = basis_at(curve.spans, s)
-    near = curve.control_points[first[:, None] + np.arange(DEGREE + 1)]
-    velocity = np.einsum("nj,njk->nk", slope, near)
-    speed = np.maximum(np.linalg.norm(velocity, axis=1), 1e-12)
-    tangent = velocity / speed[:, None] * (curve.spans / (DAMPING * speed.mean()))
-    design = (basis[:, :, None] * tangent[:, None, :]).reshape(-1, SIDE)
-    return Blocks(_by_span(first, design[:, :, None] * design[:, None, :], curve.spans), np.zeros((curve.spans, SIDE)))
+    spans = curve.spans
+    basis, slope = _two_places(spans)
+    near = curve.control_points[np.arange(spans)[:, None] + np.arange(DEGREE + 1)]
+    velocity = slope @ near
+    speed = np.maximum(np.linalg.norm(velocity, axis=2, keepdims=True), 1e-12)
+    tangent = velocity / speed * (spans / (DAMPING * speed.mean()))
+    design = (basis[:, :, :, None] * tangent[:, :, None, :]).reshape(spans, 2, SIDE)
+    return Blocks(design.transpose(0, 2, 1) @ design, np.zeros((spans, SIDE)))
+
+
+@lru_cache(maxsize=64)
+def _two_places(spans: int) -> tuple[Float64[np.ndarray, "spans 2 4"], Float64[np.ndarray, "spans 2 4"]]:
+    """The basis functions and their derivatives a quarter from either end of each span."""
+    _, basis, slope = basis_at(spans, (np.arange(2 * spans) + 0.5) / (2 * spans))
+    return basis.reshape(spans, 2, DEGREE + 1), slope.reshape(spans, 2, DEGREE + 1)
 
 
 def roughness_blocks(curve: Curve, weight: Float64[np.ndarray, "spans"]) -> Blocks:
@@ -143,8 +154,13 @@ def third_differences(spans: int) -> Float64[np.ndarray, "spans m"]:
 def gradient(by_span: Float64[np.ndarray, "spans 12"]) -> Float64[np.ndarray, "v"]:
     """The vector over all control points (interleaved) of what is given by spans."""
     spans = len(by_span)
-    index = 3 * np.arange(spans)[:, None] + np.arange(SIDE)
-    return np.bincount(index.ravel(), by_span.ravel(), minlength=3 * (spans + DEGREE))
+    return np.bincount(_vector_index(spans), by_span.ravel(), minlength=3 * (spans + DEGREE))
+
+
+@lru_cache(maxsize=64)
+def _vector_index(spans: int) -> Int64[np.ndarray, "k"]:
+    """Where the entries of all spans belong in the vector."""
+    return (3 * np.arange(spans)[:, None] + np.arange(SIDE)).ravel()
 
 
 def band(blocks: Blocks) -> Float64[np.ndarray, "12 v"]:
@@ -168,12 +184,48 @@ def factored(blocks: Blocks) -> Float64[np.ndarray, "12 v"]:
     Raises:
         numpy.linalg.LinAlgError: where H is not positive definite.
     """
-    return np.asarray(scipy.linalg.cholesky_banded(band(blocks), lower=True, check_finite=False))
+    # LAPACK itself: checks and conversions take longer than the factorisation of a matrix this small
+    factor, info = lapack.dpbtrf(band(blocks), lower=1)
+    if info:
+        raise np.linalg.LinAlgError(f"the leading minor of order {info} is not positive definite")
+    return factor
 
 
 def solved(factor: Float64[np.ndarray, "12 v"], right: Float64[np.ndarray, "v *k"]) -> Float64[np.ndarray, "v *k"]:
     """H⁻¹ times a vector or matrix."""
-    return np.asarray(scipy.linalg.cho_solve_banded((factor, True), right, check_finite=False))
+    return lapack.dpbtrs(factor, right, lower=1)[0]
+
+
+def inverse(blocks: Blocks) -> Float64[np.ndarray, "v v"]:
+    """H⁻¹, all of it.
+
+    Raises:
+        numpy.linalg.LinAlgError: where H is not positive definite.
+    """
+    lower = band(blocks)
+    size = lower.shape[1]
+    dense = np.zeros((size, size))
+    for offset in range(SIDE):
+        dense.ravel()[offset * size :: size + 1][: size - offset] = lower[offset, : size - offset]
+    # a dense matrix of this size is inverted in half the time of solving the banded one for every column
+    factor, info = lapack.dpotrf(dense, lower=1)
+    if info:
+        raise np.linalg.LinAlgError(f"the leading minor of order {info} is not positive definite")
+    half = np.tril(lapack.dpotri(factor, lower=1)[0])
+    return half + np.tril(half, -1).T
+
+
+def _stacked(
+    first: Int64[np.ndarray, "n"], values: Float64[np.ndarray, "n k"], spans: int
+) -> Float64[np.ndarray, "spans most k"]:
+    """The rows of each span below each other, and zeros below those."""
+    order = np.argsort(first, kind="stable")
+    span = first[order]
+    count = np.bincount(first, minlength=spans)
+    below = np.arange(len(span)) - (np.cumsum(count) - count)[span]
+    stacked = np.zeros((spans, int(count.max(initial=0)), values.shape[1]))
+    stacked[span, below] = values[order]
+    return stacked
 
 
 def _by_span(

@@ -32,10 +32,17 @@ class Curve:
         centred = self.control_points - self.control_points.mean(axis=0)
         return float(np.linalg.norm(centred, axis=1).max())
 
+    @cached_property
+    def polynomials(self) -> Float64[np.ndarray, "4 3 spans"]:
+        """Coefficients (power, axis) of each span, over t from 0 to 1."""
+        near = self.control_points[np.arange(self.spans)[:, None] + np.arange(DEGREE + 1)]
+        return np.ascontiguousarray((_span_polynomials(self.spans) @ near).transpose(1, 2, 0))
+
     def at(self, s: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "n 3"]:
         """Points of the curve."""
-        first, values, _ = basis_at(self.spans, s)
-        return np.einsum("nj,njk->nk", values, self.control_points[first[:, None] + np.arange(DEGREE + 1)])
+        span, t = _span_of(self.spans, s)
+        a, b, c, d = self.polynomials[:, :, span]
+        return (((d * t + c) * t + b) * t + a).T
 
     def moved(self, step: Float64[np.ndarray, "m 3"]) -> "Curve":
         """The curve with its control points moved."""
@@ -49,14 +56,11 @@ class View:
     Fields:
         point_px, velocity_px: where, and its derivative by s.
         by_point: derivative of the pixel by the point of the curve.
-        first, basis: the basis functions there, as in `local_basis`.
     """
 
     point_px: Float64[np.ndarray, "n 2"]
     velocity_px: Float64[np.ndarray, "n 2"]
     by_point: Float64[np.ndarray, "n 2 3"]
-    first: Int64[np.ndarray, "n"]
-    basis: Float64[np.ndarray, "n 4"]
 
 
 def projected(
@@ -67,32 +71,38 @@ def projected(
     row_offset_px: float = 0.0,
 ) -> View:
     """The view of each place by the eye named for it; the right image may lie some rows too low."""
-    first, basis, slope = basis_at(curve.spans, s)
-    near = curve.control_points[first[:, None] + np.arange(DEGREE + 1)]
-    x, y, z = np.einsum("nj,njk->kn", basis, near)
-    velocity = np.einsum("nj,njk->nk", slope, near)
-    x = x - eye * camera.baseline
-    pixel = np.column_stack(
-        (camera.fx_px * x / z + camera.cx_px, camera.fy_px * y / z + camera.cy_px + row_offset_px * eye)
-    )
-    by_point = np.zeros((len(s), 2, 3))
-    by_point[:, 0, 0], by_point[:, 0, 2] = camera.fx_px / z, -camera.fx_px * x / z**2
-    by_point[:, 1, 1], by_point[:, 1, 2] = camera.fy_px / z, -camera.fy_px * y / z**2
-    return View(pixel, np.einsum("nij,nj->ni", by_point, velocity), by_point, first, basis)
+    span, t = _span_of(curve.spans, s)
+    a, b, c, d = curve.polynomials[:, :, span]
+    x, y, z = ((d * t + c) * t + b) * t + a
+    forward = ((3.0 * d * t + 2.0 * c) * t + b) * curve.spans
+    by_x, by_y = camera.fx_px / z, camera.fy_px / z
+    left_x, low_y = (x - eye * camera.baseline) / z, y / z
+    n = len(t)
+    pixel, velocity, by_point = np.empty((n, 2)), np.empty((n, 2)), np.zeros((n, 2, 3))
+    pixel[:, 0] = camera.fx_px * left_x + camera.cx_px
+    pixel[:, 1] = camera.fy_px * low_y + camera.cy_px + row_offset_px * eye
+    velocity[:, 0] = by_x * (forward[0] - left_x * forward[2])
+    velocity[:, 1] = by_y * (forward[1] - low_y * forward[2])
+    by_point[:, 0, 0], by_point[:, 0, 2] = by_x, -by_x * left_x
+    by_point[:, 1, 1], by_point[:, 1, 2] = by_y, -by_y * low_y
+    return View(pixel, velocity, by_point)
 
 
 def basis_at(
     spans: int, s: Float64[np.ndarray, "n"]
 ) -> tuple[Int64[np.ndarray, "n"], Float64[np.ndarray, "n 4"], Float64[np.ndarray, "n 4"]]:
     """`local_basis` of a clamped uniform cubic, by the polynomials of its spans, and the derivatives by s."""
-    place = np.clip(s, 0.0, 1.0) * spans
-    first = np.minimum(place.astype(np.int64), spans - 1)
-    t = place - first
-    coefficients = _span_polynomials(spans)[first]
-    one = np.ones_like(t)
-    values = np.einsum("np,npj->nj", np.column_stack((one, t, t * t, t * t * t)), coefficients)
-    slopes = np.einsum("np,npj->nj", np.column_stack((one, 2 * t, 3 * t * t)), coefficients[:, 1:])
-    return first, values, slopes * spans
+    span, t = _span_of(spans, s)
+    a, b, c, d = _span_polynomials(spans)[span].transpose(1, 0, 2)
+    t = t[:, None]
+    return span, ((d * t + c) * t + b) * t + a, ((3.0 * d * t + 2.0 * c) * t + b) * spans
+
+
+def _span_of(spans: int, s: Float64[np.ndarray, "n"]) -> tuple[Int64[np.ndarray, "n"], Float64[np.ndarray, "n"]]:
+    """The span of each parameter, and the share of it that lies before."""
+    place = np.minimum(np.maximum(s, 0.0), 1.0) * spans
+    span = np.minimum(place.astype(np.int64), spans - 1)
+    return span, place - span
 
 
 @lru_cache(maxsize=64)
@@ -143,8 +153,12 @@ def fitted(spans: int, points: Float64[np.ndarray, "n d"]) -> Float64[np.ndarray
 
 @lru_cache(maxsize=64)
 def _fit_matrix(spans: int) -> Float64[np.ndarray, "m n"]:
-    s = even_places(spans)
+    return np.linalg.pinv(_design(spans, even_places(spans)))
+
+
+def _design(spans: int, s: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "n m"]:
+    """The basis functions at s, one in each column."""
     first, values, _ = basis_at(spans, s)
     basis = np.zeros((len(s), spans + DEGREE))
     basis[np.arange(len(s))[:, None], first[:, None] + np.arange(DEGREE + 1)] = values
-    return np.linalg.pinv(basis)
+    return basis

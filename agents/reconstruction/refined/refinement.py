@@ -20,6 +20,7 @@ from agents.reconstruction.refined.normal_equations import (
     data_blocks,
     factored,
     gradient,
+    inverse,
     linearised,
     roughness_blocks,
     row_offset_column,
@@ -36,8 +37,6 @@ ROBUST = 2.5
 LEAST_SCALE, MOST_SCALE = 0.1, 4.0
 """Of the deviations that perception states, by the spread of the residuals."""
 LEAST_ROW_OFFSET_PX, CERTAIN = 0.08, 2.0
-SETTLED = 0.02
-"""Of a deviation: steps that move nothing by more are the last."""
 
 
 @dataclass(frozen=True)
@@ -63,9 +62,8 @@ class Refined:
     @cached_property
     def covariance(self) -> Float64[np.ndarray, "m 3 m 3"]:
         """Of the control points, by the fit alone."""
-        factor = factored(self.total)
-        size = factor.shape[1]
-        return solved(factor, np.eye(size)).reshape(size // 3, 3, size // 3, 3)
+        m = len(self.curve.control_points)
+        return inverse(self.total).reshape(m, 3, m, 3)
 
 
 @dataclass(frozen=True)

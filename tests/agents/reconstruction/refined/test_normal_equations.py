@@ -11,6 +11,7 @@ from agents.reconstruction.refined.normal_equations import (
     data_blocks,
     factored,
     gradient,
+    inverse,
     linearised,
     roughness_blocks,
     row_offset_column,
@@ -85,11 +86,24 @@ def test_the_banded_solution_is_the_dense_one(problem, spline):
     total = total + damping_blocks(spline) + roughness_blocks(spline, np.full(spline.spans, 50.0))
     g = gradient(total.g)
     np.testing.assert_allclose(solved(factored(total), g), np.linalg.solve(dense_of(total), g), rtol=1e-6)
+    np.testing.assert_allclose(inverse(total) @ dense_of(total), np.eye(len(g)), atol=1e-8)
 
 
 def test_equations_without_a_solution_are_told(spline):
     with pytest.raises(np.linalg.LinAlgError):
         factored(roughness_blocks(spline, np.ones(spline.spans)) * -1.0)
+    with pytest.raises(np.linalg.LinAlgError):
+        inverse(roughness_blocks(spline, np.ones(spline.spans)) * -1.0)
+
+
+@pytest.mark.parametrize("spans_seen", [(0, 1), (3, 4), (0, 3)])
+def test_spans_without_sightings_have_blocks_of_zeros(spline, sight_of, camera, spans_seen):
+    sight, (low, high) = sight_of(spline, 40), np.array(spans_seen) / spline.spans
+    seen = dataclasses.replace(sight, s=low + (high - low) * (0.05 + 0.9 * sight.s))
+    rows = linearised(spline, seen, camera, OFFSET_PX)
+    data = data_blocks(rows, np.ones(len(rows.residual)), spline.spans)
+    told = np.abs(data.H).max(axis=(1, 2)) > 0
+    assert told.tolist() == [spans_seen[0] <= k < spans_seen[1] for k in range(spline.spans)]
 
 
 def by_spans(spline, derivative):
