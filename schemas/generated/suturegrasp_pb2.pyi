@@ -561,6 +561,16 @@ class ReplayClock(_message.Message):
     rate: float
     def __init__(self, now_ns: _Optional[int] = ..., rate: _Optional[float] = ...) -> None: ...
 
+class Progress(_message.Message):
+    __slots__ = ("listens", "handled", "published")
+    LISTENS_FIELD_NUMBER: _ClassVar[int]
+    HANDLED_FIELD_NUMBER: _ClassVar[int]
+    PUBLISHED_FIELD_NUMBER: _ClassVar[int]
+    listens: str
+    handled: _containers.RepeatedCompositeFieldContainer[Consumed]
+    published: _containers.RepeatedCompositeFieldContainer[Consumed]
+    def __init__(self, listens: _Optional[str] = ..., handled: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ..., published: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
+
 class GraspGoal(_message.Message):
     __slots__ = ("header", "arm", "policy", "s", "pixel", "point_camera")
     HEADER_FIELD_NUMBER: _ClassVar[int]

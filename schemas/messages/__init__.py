@@ -45,6 +45,7 @@ from schemas.messages.running import (
     LogRecord,
     Outcome,
     OutputHealth,
+    Progress,
     ReplayClock,
 )
 from schemas.messages.simulation import (
@@ -99,6 +100,7 @@ __all__ = [
     "Over",
     "Phase",
     "Policy",
+    "Progress",
     "Prompt",
     "RectifiedStereo",
     "ReliabilityRegions",

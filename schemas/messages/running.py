@@ -171,3 +171,21 @@ class ReplayClock:
     def __post_init__(self) -> None:
         check_message(self)
         require(self.rate >= 0, f"ReplayClock.rate must not be negative, and is {self.rate}")
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a consumer has got, told to whoever asks: a fast replay waits for it.
+
+    Fields:
+        listens: the key expressions that it listens to, with spaces between.
+        handled: the newest message of each key that nothing more will follow from.
+        published: its own newest messages, those that followed included; none of what it says unasked.
+    """
+
+    listens: str
+    handled: tuple[Consumed, ...]
+    published: tuple[Consumed, ...]
+
+    def __post_init__(self) -> None:
+        check_message(self)
