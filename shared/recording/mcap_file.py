@@ -2,113 +2,41 @@
 
 A channel is one run (epoch) of one key's publisher; its metadata holds the epoch and the delivery class. Records lie in
 the order in which the messages were received, so a file is read from front to back, a cut-off one like a whole one.
+Channels without an epoch hold what was derived for other programs, and are left out.
 """
 
-import contextlib
 import os
 import struct
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, BinaryIO, cast
 
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Header, McapRecord, Message, Metadata
+from mcap.records import Attachment, Channel, Header, McapRecord, Message, Metadata
 from mcap.stream_reader import StreamReader
-from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
+from mcap.writer import MCAP0_MAGIC
 
-import schemas
-from schemas.generated import suturegrasp_pb2
-from schemas.topics import Topic
+from shared.recording.entry import PROFILE, Entry, Note, RecordingError
+from shared.recording.writer import RecordingWriter
 
-PROFILE = "suturegrasp"
-LIBRARY = f"suturegrasp {schemas.__version__}"
-CHUNK_BYTES = 1 << 20
+__all__ = [
+    "Entry",
+    "Note",
+    "RecordingError",
+    "RecordingWriter",
+    "is_finished",
+    "read_attachments",
+    "read_notes",
+    "read_recording",
+    "read_with_notes",
+]
+
 HEAD = struct.Struct("<BQ")
 """Before every record: its opcode and its length."""
-MASK = 0xFFFFFFFF
-"""MCAP keeps the lower 32 bits of a sequence number: years at the highest rate of one run."""
-
-
-class RecordingError(ValueError):
-    """A file that is no recording, or is damaged; the text says what is wrong with it."""
-
-
-@dataclass(frozen=True)
-class Entry:
-    """One recorded message; `epoch` tells the runs of its publisher apart."""
-
-    key: str
-    epoch: int
-    sequence: int
-    payload: bytes
-    published_ns: int
-    received_ns: int
-
-
-@dataclass(frozen=True)
-class Note:
-    """Facts about a recording, under the name that its recorder gave them."""
-
-    name: str
-    facts: dict[str, str]
-
-
-class RecordingWriter:
-    """Writes one recording; `close` writes its summary, and what was flushed before a crash can still be read."""
-
-    def __init__(self, path: Path) -> None:
-        self._file = path.open("wb")
-        self._writer = Writer(
-            self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4, enable_data_crcs=True
-        )
-        self._writer.start(profile=PROFILE, library=LIBRARY)
-        self._descriptors = _descriptor_set()
-        self._schemas: dict[str, int] = {}
-        self._channels: dict[tuple[str, int], int] = {}
-
-    def write(self, topic: Topic, entry: Entry) -> None:
-        """Add a message."""
-        self._writer.add_message(
-            channel_id=self._channel(topic, entry),
-            log_time=entry.received_ns,
-            publish_time=entry.published_ns,
-            sequence=entry.sequence & MASK,
-            data=entry.payload,
-        )
-
-    def note(self, name: str, facts: dict[str, str]) -> None:
-        """Add a record of facts about the recording."""
-        self._writer.add_metadata(name, facts)
-
-    def flush(self) -> None:
-        """Hand everything so far to the system, so that it outlives this process."""
-        self._writer.flush()
-
-    def close(self) -> None:
-        """Finish the file."""
-        try:
-            self._writer.finish()
-        finally:
-            self._file.close()
-
-    def abandon(self) -> None:
-        """Close the file as it is, whatever the disk says to what is still to be written."""
-        with contextlib.suppress(OSError):
-            self._file.close()
-
-    def _channel(self, topic: Topic, entry: Entry) -> int:
-        run = entry.key, entry.epoch
-        if run not in self._channels:
-            name = f"suturegrasp.v1.{topic.message.__name__}"
-            if name not in self._schemas:
-                self._schemas[name] = self._writer.register_schema(name, "protobuf", self._descriptors)
-            facts = {"epoch": str(entry.epoch), "delivery": topic.delivery.name.lower()}
-            self._channels[run] = self._writer.register_channel(entry.key, "protobuf", self._schemas[name], facts)
-        return self._channels[run]
+EPOCH = "epoch"
+"""What the channels of own messages tell; those that were derived for other programs do not."""
 
 
 def read_recording(path: Path) -> Iterator[Entry]:
@@ -133,7 +61,9 @@ def read_with_notes(path: Path) -> Iterator[Entry | Note]:
             if isinstance(record, Channel):
                 channels[record.id] = record
             elif isinstance(record, Message):
-                yield _entry(channels[record.channel_id], record)
+                channel = channels[record.channel_id]
+                if EPOCH in channel.metadata:
+                    yield _entry(channel, record)
             elif isinstance(record, Metadata):
                 yield Note(record.name, record.metadata)
 
@@ -160,6 +90,16 @@ def read_notes(path: Path, name: str) -> dict[str, str] | None:
             if isinstance(record, Metadata) and record.name == name:
                 found = record.metadata
     return found
+
+
+def read_attachments(path: Path) -> dict[str, bytes]:
+    """The files that belong to a recording, by name; the last of each name.
+
+    Raises:
+        RecordingError, OSError: as `read_recording`.
+    """
+    with _damage_named(path):
+        return {record.name: record.data for record in _records(path) if isinstance(record, Attachment)}
 
 
 def _records(path: Path) -> Iterator[McapRecord]:
@@ -221,8 +161,8 @@ def _damaged(path: Path) -> str:
 
 
 def _entry(channel: Channel, message: Message) -> Entry:
-    epoch = int(channel.metadata["epoch"])
-    return Entry(channel.topic, epoch, message.sequence, message.data, message.publish_time, message.log_time)
+    epoch, repeated = int(channel.metadata[EPOCH]), "repeated" in channel.metadata
+    return Entry(channel.topic, epoch, message.sequence, message.data, message.publish_time, message.log_time, repeated)
 
 
 @contextmanager
@@ -234,9 +174,3 @@ def _damage_named(path: Path) -> Generator[None]:
         raise
     except (McapError, struct.error, StopIteration, KeyError, ValueError, RuntimeError, MemoryError) as error:
         raise RecordingError(_damaged(path)) from error
-
-
-def _descriptor_set() -> bytes:
-    descriptors = FileDescriptorSet()
-    suturegrasp_pb2.DESCRIPTOR.CopyToProto(descriptors.file.add())
-    return descriptors.SerializeToString()
