@@ -19,7 +19,7 @@ from agents.robot_bridge.simulated import SimulatedPsm, waiting
 from agents.simulator.agent import Simulator, SimulatorConfig
 from schemas.messages import ImageEncoding, Severity, SimulatorState, StereoCalibration
 from schemas.topics import MAIN
-from shared.calibration import CalibrationError, read_calibration
+from shared.calibration import CalibrationError, ReadCalibration, read_calibration
 from shared.kinematics.simulated_setup import SIMULATED_BASES
 from shared.runtime.agent import Agent
 from shared.runtime.config import ConfigError
@@ -87,8 +87,16 @@ def _camera(section: CameraSection) -> Agent:
             return pair.left_bgr, pair.right_bgr
 
         return SceneCamera(render, lambda state: calibration_of(state.camera), config)
-    source, first = _source(section)
-    return Camera(source, _calibration(section, first), config)
+    if section.source == "bag":
+        # reading bags takes as long to load as all else
+        from agents.camera.bag import BagSource
+
+        bag = BagSource(Path(section.left or ""), section.left_topic, section.right_topic, section.loop)
+        size = bag.size()
+        read = _read_calibration(section, size) if section.calibration else bag.calibration(section.unit, size)
+        return Camera(bag, _usable(read), config)
+    source, size = _source(section)
+    return Camera(source, _usable(_read_calibration(section, size)), config)
 
 
 def _source(section: CameraSection) -> tuple[Source, tuple[int, int]]:
@@ -114,8 +122,11 @@ def _size_of_first(source: Source) -> tuple[int, int]:
     return pair[0].shape[1], pair[0].shape[0]
 
 
-def _calibration(section: CameraSection, size: tuple[int, int]) -> StereoCalibration:
-    read = read_calibration(section.calibration or Path(), unit=section.unit, image_size=size)
+def _read_calibration(section: CameraSection, size: tuple[int, int]) -> ReadCalibration:
+    return read_calibration(section.calibration or Path(), unit=section.unit, image_size=size)
+
+
+def _usable(read: ReadCalibration) -> StereoCalibration:
     for judgement in read.judgements:
         if judgement.severity is Severity.FAULT:
             raise CalibrationError(f"{judgement.finding}; {judgement.remedy}")

@@ -39,9 +39,11 @@ class RouterSection(Settings):
 class CameraSection(Settings):
     """Where frames come from; which of the other keys a source needs is checked when it is opened."""
 
-    source: Literal["scene", "images", "video", "pipe"] = "scene"
+    source: Literal["scene", "images", "video", "pipe", "bag"] = "scene"
     left: str | None = None
     right: str | None = None
+    left_topic: str | None = None
+    right_topic: str | None = None
     loop: bool = True
     width: int | None = Field(default=None, gt=0)
     height: int | None = Field(default=None, gt=0)
@@ -58,7 +60,7 @@ class CameraSection(Settings):
             return self
         if self.left is None:
             raise ValueError(f"source {self.source!r} needs left")
-        if self.calibration is None:
+        if self.calibration is None and self.source != "bag":
             raise ValueError(f"source {self.source!r} needs calibration")
         if self.source == "pipe" and (self.width is None or self.height is None):
             raise ValueError("source 'pipe' needs width and height of the side-by-side frame")

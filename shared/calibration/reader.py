@@ -7,9 +7,11 @@ import numpy as np
 
 from schemas.checks import MessageError
 from schemas.messages import Judgement, StereoCalibration
+from shared.calibration.documents import Document
 from shared.calibration.formats import stated_calibration
 from shared.calibration.judge import judgements, repaired_rotation
 from shared.calibration.pixel_convention import counted_from_centres
+from shared.calibration.ros_camera_info import camera_info, ros_pair
 from shared.calibration.stated import CalibrationError, ImageSize, StatedCalibration
 from shared.rigid_transforms import transform
 from shared.units import metres_per_unit
@@ -50,6 +52,22 @@ def read_calibration(
         return _judged(stated, _metres_per_unit(stated, unit), image_size, foreign)
     except (CalibrationError, MessageError) as error:
         raise CalibrationError(_one_line(f"{' and '.join(map(str, paths))}: {error}")) from None
+
+
+def calibration_of_camera_infos(
+    left: Document, right: Document, *, unit: str | None, image_size: tuple[int, int], name: str
+) -> ReadCalibration:
+    """The calibration that two camera_info messages of ROS state; `name` is what an error calls their source.
+
+    Raises:
+        CalibrationError: as `read_calibration`.
+    """
+    try:
+        stated = ros_pair(camera_info(left, "left"), camera_info(right, "right"))
+        _check_size(stated.size, image_size)
+        return _judged(stated, _metres_per_unit(stated, unit), image_size, foreign=True)
+    except (CalibrationError, MessageError) as error:
+        raise CalibrationError(_one_line(f"{name}: {error}")) from None
 
 
 def _one_line(sentence: str) -> str:
