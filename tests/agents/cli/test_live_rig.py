@@ -194,7 +194,7 @@ MISTAKES = {
     '[camera]\nsource = "images"': "camera: source 'images' needs left",
     '[camera]\nsource = "video"\nleft = "a"': "camera: source 'video' needs calibration",
     '[camera]\nsource = "pipe"\nleft = "-"\ncalibration = "c"': "needs width and height",
-    '[camera]\nsource = "magic"': "camera.source = 'magic': input should be 'scene', 'images', 'video' or 'pipe'",
+    '[camera]\nsource = "magic"': "camera.source = 'magic': input should be 'scene', 'images', 'video', 'pipe' or 'bag'",
     "[camera]\nrate_hz = 0": "camera.rate_hz = 0: input should be greater than 0",
     '[router]\nendpoint = "localhost"': "'localhost' is no endpoint; write protocol, host and port",
     '[router]\nendpoint = "tcp/127.0.0.1:99999"': "is no endpoint",
