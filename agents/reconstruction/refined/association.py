@@ -121,7 +121,7 @@ def _of_eye(
     found = np.column_stack((lines.point_px[index], weight * _double_angle(_directions(lines, index))))
     if not len(index):
         return _Eye(found[:, :2], np.zeros(0), np.zeros(0), np.zeros(0, bool), 0, np.zeros(2))
-    nearest = cKDTree(places).query(found)[1]
+    nearest = np.asarray(cKDTree(places, balanced_tree=False, compact_nodes=False).query(found)[1])
     off = found[:, :2] - moved[nearest]
     tangent = view.velocity_px[nearest] / np.maximum(np.linalg.norm(view.velocity_px[nearest], axis=1), 1e-9)[:, None]
     ahead = (off * tangent).sum(axis=1)
@@ -161,16 +161,19 @@ def _shift(
     if not len(points):
         return np.zeros(2)
     a, b = curve_px[:: max(1, len(curve_px) // VOTERS)], points[:: max(1, len(points) // VOTERS)]
-    by = (b[None] - a[:, None]).reshape(-1, 2)
-    by = by[(np.abs(by) < reach).all(axis=1)]
+    by_u, by_v = b[:, 0] - a[:, :1], b[:, 1] - a[:, 1:]
+    within = (np.abs(by_u) < reach) & (np.abs(by_v) < reach)
+    by = np.column_stack((by_u[within], by_v[within]))
     half = int(reach / size) + 2
     side = 2 * half + 1
     bins = np.rint(by / size).astype(int) + half
     votes = np.bincount(bins[:, 0] * side + bins[:, 1], minlength=side * side).reshape(side, side).astype(float)
-    padded = np.pad(votes, 1)
-    votes = sum(padded[i : i + side, j : j + side] for i in range(3) for j in range(3))
+    # in threes; no vote lies in the outermost bins
+    votes[1:-1] = votes[:-2] + votes[1:-1] + votes[2:]
+    votes[:, 1:-1] = votes[:, :-2] + votes[:, 1:-1] + votes[:, 2:]
     centre = (np.arange(side) - half) * size
-    votes *= np.exp(-0.5 * (centre[:, None] ** 2 + centre**2) / likely**2)
+    likelihood = np.exp(-0.5 * centre**2 / likely**2)
+    votes *= likelihood[:, None] * likelihood
     i, j = np.unravel_index(int(np.argmax(votes)), votes.shape)
     peak = np.array((centre[i], centre[j]))
     near = by[(np.abs(by - peak) <= 1.5 * size).all(axis=1)]
@@ -236,10 +239,11 @@ def _ends(
 ) -> tuple[Int64[np.ndarray, "n"], Float64[np.ndarray, "2"]]:
     """Which points are the thread's first (0) or last (1) end, -1 for none, and how far pieces go on past each end."""
     ends, beyond = np.full(len(index), -1), np.zeros(2)
-    is_end = np.isin(index, piece_ends(lines))
+    is_end = np.zeros(len(lines.piece), bool)
+    is_end[piece_ends(lines)] = True
     border = np.array([camera.image_width, camera.image_height]) - 1 - BORDER_PX
     inside = ((points >= BORDER_PX) & (points <= border)).all(axis=1)
-    candidates = np.flatnonzero(is_end & inside)
+    candidates = is_end[index] & inside
     if not kept.any():
         return ends, beyond
     for which, value in ((0, 0.0), (1, length_px)):
@@ -252,7 +256,7 @@ def _ends(
         past = float(np.linalg.norm(np.diff(points[np.append(outermost, tail)], axis=0), axis=1).sum())
         if past > 2 * GATE_SHARE * camera.image_width:
             beyond[which] = past
-        elif end in candidates:
+        elif candidates[end]:
             kept[end] = True
             ends[end] = which
     return ends, beyond

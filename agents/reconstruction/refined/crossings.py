@@ -77,15 +77,13 @@ def other_threads_px(
 
 def _crossing_pieces(px: Float64[np.ndarray, "n 2"]) -> tuple[np.ndarray, np.ndarray]:
     """The numbers of both pieces of each crossing of a polyline with itself, the earlier one first."""
-    start, along = px[:-1], np.diff(px, axis=0)
-
-    def side(of: Float64[np.ndarray, "k 2"]) -> Float64[np.ndarray, "n k"]:
-        offset = of[None] - start[:, None]
-        return along[:, None, 0] * offset[..., 1] - along[:, None, 1] * offset[..., 0]
-
-    parts = (side(px[:-1]) > 0) != (side(px[1:]) > 0)
+    # about their middle, so that products of places lose no digits
+    px = px - px.mean(axis=0)
+    across = np.column_stack((-np.diff(px[:, 1]), np.diff(px[:, 0])))
+    beside = across @ px.T > (across * px[:-1]).sum(axis=1)[:, None]
+    parts = beside[:, :-1] != beside[:, 1:]
     first, second = np.nonzero(parts & parts.T)
-    loop = second - first > SHORTEST_LOOP * len(start)
+    loop = second - first > SHORTEST_LOOP * len(across)
     return first[loop], second[loop]
 
 

@@ -15,6 +15,8 @@ Thread does not stretch: at the middle of each span, ‖B'‖ is the known lengt
 its length from this, and an end that is hidden its place.
 """
 
+from functools import lru_cache
+
 import numpy as np
 from jaxtyping import Float64
 
@@ -61,7 +63,9 @@ def prior(band: Band, noise: Float64[np.ndarray, "4"]) -> Precision:
     """
     cliques = _cliques(band) + np.kron(noise[np.abs(np.subtract.outer(np.arange(4), np.arange(4)))], np.eye(3))
     precision = np.linalg.inv(cliques)
-    precision[:-1, 3:, 3:] -= np.linalg.inv(cliques[:-1, 3:, 3:])
+    # less S⁻¹, which is Schur's complement in C⁻¹ of the control point that the next block lacks
+    lacks = precision[:-1, :3, 3:]
+    precision[:-1, 3:, 3:] = lacks.transpose(0, 2, 1) @ np.linalg.solve(precision[:-1, :3, :3], lacks)
     return 0.5 * (precision + precision.transpose(0, 2, 1))
 
 
@@ -74,7 +78,7 @@ def away_from(precision: Precision, curve: Curve, predicted: Curve) -> Blocks:
 
 def stretching(curve: Curve, length: float) -> Blocks:
     """½ Σ_k ((‖B'(s_k)‖ − length) / deviation)² about `curve`, s_k the middles of its spans."""
-    _, _, slope = basis_at(curve.spans, (np.arange(curve.spans) + 0.5) / curve.spans)
+    slope = _middle_slopes(curve.spans)
     velocity = np.einsum("kj,kja->ka", slope, by_span(curve.control_points).reshape(curve.spans, DEGREE + 1, 3))
     speed = np.maximum(np.linalg.norm(velocity, axis=1), 1e-12)
     design = (slope[:, :, None] * (velocity / speed[:, None])[:, None, :]).reshape(curve.spans, SIDE) / (
@@ -82,6 +86,12 @@ def stretching(curve: Curve, length: float) -> Blocks:
     )
     residual = (speed / length - 1.0) / STRETCH
     return Blocks(design[:, :, None] * design[:, None, :], design * residual[:, None])
+
+
+@lru_cache(maxsize=64)
+def _middle_slopes(spans: int) -> Float64[np.ndarray, "spans 4"]:
+    """The derivatives of the basis functions in the middle of each span."""
+    return basis_at(spans, (np.arange(spans) + 0.5) / spans)[2]
 
 
 def by_span(values: Float64[np.ndarray, "m 3"]) -> Float64[np.ndarray, "spans 12"]:
