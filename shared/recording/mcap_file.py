@@ -14,6 +14,7 @@ from typing import IO, BinaryIO, cast
 
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
 from mcap.records import Attachment, Channel, Header, McapRecord, Message, Metadata
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
@@ -95,10 +96,14 @@ def read_notes(path: Path, name: str) -> dict[str, str] | None:
 def read_attachments(path: Path) -> dict[str, bytes]:
     """The files that belong to a recording, by name; the last of each name.
 
+    Of a finished recording they are found by its index, without reading its messages.
+
     Raises:
         RecordingError, OSError: as `read_recording`.
     """
-    with _damage_named(path):
+    with _damage_named(path), path.open("rb") as file:
+        if _ends_as_it_should(file):
+            return {found.name: found.data for found in SeekingReader(file, validate_crcs=True).iter_attachments()}
         return {record.name: record.data for record in _records(path) if isinstance(record, Attachment)}
 
 
