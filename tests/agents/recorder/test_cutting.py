@@ -1,0 +1,156 @@
+"""A session of a few seconds, cut in all ways."""
+
+import numpy as np
+import pytest
+
+from agents.cli.main import main
+from agents.recorder.cutting import CUT, cut
+from schemas.codec import encode
+from schemas.messages import (
+    AgentHealth,
+    Consumed,
+    FrameStamp,
+    Image,
+    ImageEncoding,
+    RectifiedStereo,
+    Status,
+    StereoCalibration,
+    StereoFrame,
+    ThreadObservations,
+)
+from schemas.topics import CALIBRATION, FRAMES, HEALTH, OBSERVATIONS, key
+from shared.recording.completeness import completeness
+from shared.recording.entry import Entry
+from shared.recording.losses import COMPLETE, LOSSES
+from shared.recording.mcap_file import read_attachments, read_notes, read_recording
+from shared.recording.writer import RecordingWriter
+
+FRAME_NS, FRAME_COUNT, EVERY = 100_000_000, 20, 3
+START_NS = 1_700_000_000_000_000_000
+IMAGE = Image(ImageEncoding.RAW, 2, 1, 1, b"\0\xff")
+FRAMES_KEY = key("lab", FRAMES)
+
+
+def frame(n):
+    return StereoFrame(FrameStamp(n, n, n, "c"), IMAGE, IMAGE)
+
+
+def observations(n):
+    return ThreadObservations(
+        stamp=FrameStamp(n, n, n, "c"),
+        camera=RectifiedStereo(2, 1, 100.0, 100.0, 1.0, 0.5, 5.0, None),
+        status=Status.FAILED,
+        reason="none",
+        segmenter="truth",
+        points_camera=np.zeros((0, 3)),
+        half_size_px=np.zeros((0, 2)),
+        matched_px=np.zeros((0, 3)),
+        match_cost=np.zeros((0, 2)),
+        inlier=np.zeros(0, bool),
+        mask_left=IMAGE,
+        mask_right=IMAGE,
+        judgements=(),
+        consumed=(Consumed(FRAMES_KEY, 1, n),),
+    )
+
+
+def calibration():
+    K, T = np.array([[100.0, 0, 1], [0, 100, 0.5], [0, 0, 1]]), np.eye(4)
+    T[0, 3] = -5
+    return StereoCalibration(2, 1, K, K, np.zeros(0), np.zeros(0), T, None)
+
+
+@pytest.fixture
+def session(tmp_path):
+    """Frames at 10 Hz, of which perception took every third, with a calibration before."""
+    path = tmp_path / "session.mcap"
+    writer = RecordingWriter(path)
+    writer.note("run", {"protocol": "P1"})
+    writer.attach("rig.json", "application/json", b"{}", START_NS)
+    writer.write(CALIBRATION, Entry(key("lab", CALIBRATION), 1, 0, encode(calibration()), START_NS, START_NS))
+    for n in range(FRAME_COUNT):
+        at_ns = START_NS + n * FRAME_NS
+        writer.write(FRAMES, Entry(FRAMES_KEY, 1, n, encode(frame(n)), at_ns, at_ns))
+        if n % EVERY == 0:
+            entry = Entry(
+                key("lab", OBSERVATIONS), 1, n // EVERY, encode(observations(n)), at_ns, at_ns + FRAME_NS // 2
+            )
+            writer.write(OBSERVATIONS, entry)
+    writer.note(LOSSES, {COMPLETE: "True"})
+    writer.close()
+    return path
+
+
+def cut_seconds(session, tmp_path, begin_s, end_s, **options):
+    target = tmp_path / "short.mcap"
+    report = cut(session, target, START_NS + round(begin_s * 1e9), START_NS + round(end_s * 1e9), **options)
+    return report, list(read_recording(target)), target
+
+
+def test_a_stretch_begins_with_the_states_that_held_and_holds_what_was_received_within(session, tmp_path):
+    report, entries, target = cut_seconds(session, tmp_path, 0.5, 1.0)
+    before = {(e.key, e.sequence): e for e in read_recording(session)}
+    assert [(e.key.split("/")[-1], e.sequence, e.repeated) for e in entries] == [
+        ("calibration", 0, True),
+        *[("frames", n, False) for n in (5, 6)],
+        ("observations", 2, False),
+        *[("frames", n, False) for n in (7, 8, 9)],
+        ("observations", 3, False),
+        ("frames", 10, False),
+    ]
+    assert all(before[e.key, e.sequence].payload == e.payload for e in entries)
+    assert (report.kept, report.unused) == (len(entries), 0)
+    assert completeness(target).complete
+
+
+def test_frames_of_which_nothing_was_made_are_left_out_and_the_file_says_so(session, tmp_path):
+    report, entries, target = cut_seconds(session, tmp_path, 0.5, 1.0, only_used_frames=True)
+    assert [e.sequence for e in entries if e.key == FRAMES_KEY] == [6, 9]
+    assert report.unused == 4
+    assert completeness(target).complete is False
+    assert (read_notes(target, CUT) or {})["unused_frames"] == "4"
+
+
+def test_notes_and_attachments_come_along(session, tmp_path):
+    _, _, target = cut_seconds(session, tmp_path, 0.5, 1.0)
+    assert read_notes(target, "run") == {"protocol": "P1"}
+    assert (read_notes(target, CUT) or {})["of"] == "session.mcap"
+    assert read_attachments(target) == {"rig.json": b"{}"}
+
+
+def test_what_lacks_something_is_not_complete_when_it_is_cut(tmp_path):
+    path = tmp_path / "session.mcap"
+    writer = RecordingWriter(path)
+    health = AgentHealth("camera", "main", "host", "0.1.0", "hash", 0, 1.0, 1, None, None, (), (), "")
+    writer.write(HEALTH, Entry("suturegrasp/lab/camera/main/health", 1, 0, encode(health), START_NS, START_NS))
+    writer.note(LOSSES, {"suturegrasp/lab/camera/main/health": "1", COMPLETE: "False"})
+    writer.close()
+    _, entries, target = cut_seconds(path, tmp_path, 0, 1)
+    assert len(entries) == 1
+    assert completeness(target).complete is False
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--from", "9"], "--from 9 lies beyond the end of the recording, which lasts 1.9 s"),
+        (["--from", "soon"], "--from 'soon' is no moment"),
+        (["--output", "{session}"], "exists already; give another name"),
+    ],
+)
+def test_what_cannot_be_cut_gets_one_line(session, tmp_path, capsys, arguments, said):
+    given = [argument.format(session=session) for argument in arguments]
+    output = [] if "--output" in given else ["--output", str(tmp_path / "short.mcap")]
+    with pytest.raises(SystemExit, match="2"):
+        main(["cut", str(session), *given, *output])
+    complaint = capsys.readouterr().err
+    assert said in complaint
+    assert complaint.count("\n") == 1
+
+
+def test_the_command_says_what_the_new_file_holds(session, tmp_path, capsys):
+    with pytest.raises(SystemExit, match="0"):
+        main(["cut", str(session), "--output", str(tmp_path / "short.mcap"), "--to", "1", "--used"])
+    said = capsys.readouterr().out
+    assert "messages of 1.0 s" in said
+    assert "without 7 frames of which nothing was made" in said
