@@ -103,7 +103,10 @@ def read_attachments(path: Path) -> dict[str, bytes]:
     """
     with _damage_named(path), path.open("rb") as file:
         if _ends_as_it_should(file):
-            return {found.name: found.data for found in SeekingReader(file, validate_crcs=True).iter_attachments()}
+            file.seek(0)
+            reader = SeekingReader(file, validate_crcs=True)
+            _check_own(reader.get_header(), path)
+            return {found.name: found.data for found in reader.iter_attachments()}
         return {record.name: record.data for record in _records(path) if isinstance(record, Attachment)}
 
 
@@ -112,13 +115,16 @@ def _records(path: Path) -> Iterator[McapRecord]:
     with path.open("rb") as file:
         whole = _Whole(file, _end_of_whole_records(file, path))
         records = StreamReader(cast(IO[bytes], whole), validate_crcs=True).records
-        first = next(records)
-        if not isinstance(first, Header) or first.profile != PROFILE:
-            raise RecordingError(f"{path} is an MCAP file of another program; give one that suturegrasp recorded")
+        _check_own(next(records), path)
         try:
             yield from records
         except EndOfFile:
             return
+
+
+def _check_own(first: McapRecord, path: Path) -> None:
+    if not isinstance(first, Header) or first.profile != PROFILE:
+        raise RecordingError(f"{path} is an MCAP file of another program; give one that suturegrasp recorded")
 
 
 def _end_of_whole_records(file: BinaryIO, path: Path) -> int:

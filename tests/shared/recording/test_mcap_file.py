@@ -18,6 +18,7 @@ from shared.recording.mcap_file import (
     RecordingError,
     RecordingWriter,
     is_finished,
+    read_attachments,
     read_notes,
     read_recording,
     read_with_notes,
@@ -155,7 +156,11 @@ def test_a_recording_of_another_program_is_named_as_such(tmp_path):
         channel = writer.register_channel("/chatter", "cdr", schema)
         writer.add_message(channel, 1, b"1234", 1)
         writer.finish()
-    for read in (lambda: list(read_recording(path)), lambda: read_notes(path, "losses")):
+    for read in (
+        lambda: list(read_recording(path)),
+        lambda: read_notes(path, "losses"),
+        lambda: read_attachments(path),
+    ):
         with pytest.raises(RecordingError, match="MCAP file of another program"):
             read()
 
@@ -179,3 +184,16 @@ def test_whether_a_recording_was_closed_is_told_from_its_end(whole, tmp_path):
     for length in (0, 7, 8, 16, len(whole[1]) // 2, len(whole[1]) - 1, len(whole[1])):
         path.write_bytes(whole[1][:length])
         assert is_finished(path) == (length == len(whole[1]))
+
+
+@pytest.mark.parametrize("cut_off", [0, 1, 100])
+def test_attachments_are_found_whether_or_not_the_end_was_written(cut_off, tmp_path):
+    path = tmp_path / "a.mcap"
+    writer = RecordingWriter(path)
+    writer.attach("rig.json", "application/json", b"{}", at_ns=5)
+    writer.write(LOG, entry(0))
+    writer.attach("rig.json", "application/json", b"the last one", at_ns=6)
+    writer.flush()
+    writer.close()
+    path.write_bytes(path.read_bytes()[: path.stat().st_size - cut_off])
+    assert read_attachments(path) == {"rig.json": b"the last one"}
