@@ -14,10 +14,23 @@ def write_calibration(path: Path, calibration: StereoCalibration) -> None:
     Raises:
         CalibrationError: where its unit has no name, or the file cannot be written.
     """
+    text = calibration_text(calibration, str(path))
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise CalibrationError(f"{path}: it cannot be written ({error.strerror})") from None
+
+
+def calibration_text(calibration: StereoCalibration, name: str) -> str:
+    """What such a file holds; `name` is what messages call it.
+
+    Raises:
+        CalibrationError: where its unit has no name.
+    """
     unit = unit_name(calibration.metres_per_unit)
     if unit is None and calibration.metres_per_unit is not None:
         raise CalibrationError(
-            f"{path}: a unit of {calibration.metres_per_unit:g} m has no name; known are {', '.join(METRES_PER_UNIT)}"
+            f"{name}: a unit of {calibration.metres_per_unit:g} m has no name; known are {', '.join(METRES_PER_UNIT)}"
         )
     content = {
         "image_width": calibration.image_width,
@@ -30,7 +43,4 @@ def write_calibration(path: Path, calibration: StereoCalibration) -> None:
         "unit": unit,
     }
     lines = ",\n".join(f"  {json.dumps(name)}: {json.dumps(value)}" for name, value in content.items())
-    try:
-        path.write_text(f"{{\n{lines}\n}}\n", encoding="utf-8")
-    except OSError as error:
-        raise CalibrationError(f"{path}: it cannot be written ({error.strerror})") from None
+    return f"{{\n{lines}\n}}\n"

@@ -1,0 +1,111 @@
+"""What waits to be written, and what was lost before it could: whoever brings a message never waits.
+
+Room is bounded by number and by bytes, so that a disk that stands still takes no more memory than that.
+"""
+
+import threading
+from collections import defaultdict, deque
+from dataclasses import dataclass
+
+from schemas.topics import Topic, topic_of
+from shared.clock import now_ns
+from shared.recording.losses import NO_ROOM, ON_THE_WAY, TOLD_BY_ZENOH, Loss
+from shared.runtime.taps import Tapped
+
+QUEUE_LIMIT = 4000
+"""Messages that may wait for the disk, some seconds of everything; beyond that they are lost, and counted."""
+QUEUE_BYTES = 512 << 20
+
+
+@dataclass(frozen=True)
+class Waiting:
+    """A numbered message, and when it was received."""
+
+    tapped: Tapped
+    received_ns: int
+
+
+class Intake:
+    """Takes messages from any thread, and gives them to one."""
+
+    def __init__(self, limit: int = QUEUE_LIMIT, limit_bytes: int = QUEUE_BYTES) -> None:
+        self._limit, self._limit_bytes = limit, limit_bytes
+        self._waiting: deque[Waiting] = deque()
+        self._bytes = 0
+        self._changed = threading.Condition()
+        self._last: dict[str, tuple[int, int]] = {}
+        self._losses: list[Loss] = []
+        self._missed: defaultdict[str, int] = defaultdict(int)
+        self._gaps: defaultdict[str, int] = defaultdict(int)
+        self.unnumbered = 0
+        self.closed = False
+
+    def put(self, tapped: Tapped) -> None:
+        """Queue a message; never waits."""
+        with self._changed:
+            if self.closed:
+                return
+            if tapped.beside is None:
+                self.unnumbered += 1
+                return
+            # the time is read under the lock, so that the file is in the order of its times
+            at_ns = now_ns()
+            self._follow(tapped, at_ns)
+            size = len(tapped.payload)
+            if len(self._waiting) >= self._limit or (self._waiting and self._bytes + size > self._limit_bytes):
+                number = tapped.beside.sequence
+                self._losses.append(Loss(tapped.key, number, number, NO_ROOM, at_ns))
+                return
+            self._bytes += size
+            self._waiting.append(Waiting(tapped, at_ns))
+            self._changed.notify()
+
+    def missed(self, topic: Topic, count: int) -> None:
+        """Count messages that Zenoh reports as lost; most show as a gap too, once the next one comes."""
+        with self._changed:
+            self._missed[str(topic)] += count
+
+    def take(self, timeout_s: float) -> Waiting | None:
+        """The next message; None where none comes in time, or none will."""
+        with self._changed:
+            if not self._waiting and not self.closed:
+                self._changed.wait(timeout_s)
+            if not self._waiting:
+                return None
+            waiting = self._waiting.popleft()
+            self._bytes -= len(waiting.tapped.payload)
+            return waiting
+
+    def take_losses(self) -> list[Loss]:
+        """What was lost since this was asked last; once closed, also what Zenoh told of and no gap shows."""
+        with self._changed:
+            losses, self._losses = self._losses, []
+            if self.closed:
+                for name, count in self._missed.items():
+                    if (left := count - self._gaps.get(name, 0)) > 0:
+                        losses.append(Loss(name, 1, left, TOLD_BY_ZENOH, now_ns()))
+                self._missed.clear()
+            return losses
+
+    def close(self) -> None:
+        """Take nothing more; what waits can still be taken."""
+        with self._changed:
+            self.closed = True
+            self._changed.notify_all()
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing waits."""
+        with self._changed:
+            return not self._waiting
+
+    def _follow(self, tapped: Tapped, at_ns: int) -> None:
+        beside = tapped.beside
+        if beside is None:
+            return
+        epoch, last = self._last.get(tapped.key, (beside.epoch, beside.sequence - 1))
+        self._last[tapped.key] = (beside.epoch, beside.sequence)
+        # a publisher that restarted begins a new sequence
+        if epoch == beside.epoch and beside.sequence > last + 1:
+            self._losses.append(Loss(tapped.key, last + 1, beside.sequence - 1, ON_THE_WAY, at_ns))
+            self._gaps[str(topic_of(tapped.key))] += beside.sequence - last - 1
