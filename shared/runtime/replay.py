@@ -8,9 +8,12 @@ A recording may lack an input: it came before the recording began, or was lost o
 made from it cannot be repeated; it is handed out with what is missing, and is neither the same nor different. Of an
 agent that adds up what it is fed, the same holds for all outputs after it, and after an output that was lost, of which
 nobody knows what it listed. An agent that goes on from its own last output is fed that, so that only the next is lost.
+It is fed the recorded one each time, which tells of every step by itself; or, where asked to, only where the replay has
+none of its own, so that what a changed agent makes otherwise has the consequences that it would have had live.
 """
 
 import dataclasses
+import functools
 import logging
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -45,6 +48,7 @@ class Replayed:
         now: None where the replay made nothing.
         missing: what the output was made from and the recording does not hold; of an agent that adds up, all of it
             since the run began.
+        unrecorded: outputs of the same topic that the replay made of what was fed before, and the recording has not.
     """
 
     key: str
@@ -53,6 +57,7 @@ class Replayed:
     then: bytes
     now: bytes | None
     missing: tuple[Consumed, ...] = ()
+    unrecorded: int = 0
 
     @property
     def same(self) -> bool:
@@ -77,51 +82,68 @@ _Steps = dict[tuple[Consumed, ...], list[Recorded]]
 class _Run:
     """One run of the agent, from its start: what was fed to it, and what is missing since."""
 
-    def __init__(self, agent: Agent, messages: Mapping[_Place, Recorded]) -> None:
+    def __init__(self, agent: Agent, messages: Mapping[_Place, Recorded], from_own_state: bool) -> None:
         self._agent, self._messages, self._adds_up = agent, messages, adds_up(agent)
+        self._from_own_state = from_own_state
         self._fed: set[_Place] = set()
         self._missing: tuple[Consumed, ...] = ()
 
     def repeat(self, consumed: tuple[Consumed, ...], outputs: list[Recorded]) -> Iterator[Replayed]:
         """The outputs of a step beside what is made now, once what is new of its list has been fed."""
         made: list[Output] = []
-        for listed in consumed:
-            place, recorded = _place(listed), self._messages.get(_place(listed))
-            if is_tick(listed.key):
-                made += _outputs(self._agent, Tick(listed.sequence))
-            elif recorded is not None and place not in self._fed and self._is_fed(listed.key):
-                self._fed.add(place)
-                made += _outputs(self._agent, _arrived(recorded))
+        unrecorded: list[Output] = []
+        for arrived in self._still_to_feed(consumed):
+            # the last one is what the recorded outputs followed from
+            unrecorded += made
+            made = _outputs(self._agent, arrived)
         missing = tuple(c for c in consumed if not is_tick(c.key) and _place(c) not in self._messages)
         if missing or not self._adds_up:
             self._missing = (*self._missing, *missing) if self._adds_up else missing
         for output in outputs:
-            now = _next_of(made, str(topic_of(output.key)), consumed)
-            yield Replayed(*_place(output), output.payload, None if self._missing else now, self._missing)
+            topic = topic_of(output.key)
+            now = None if self._missing else _next_of(made, str(topic), consumed)
+            if self._from_own_state and now is not None and topic is state_topic(self._agent):
+                # its state is the agent's own from here on, and need not be fed
+                self._fed.add(_place(output))
+            more = sum(other.topic is topic for other in unrecorded)
+            yield Replayed(*_place(output), output.payload, now, self._missing, more)
+
+    def _still_to_feed(self, consumed: tuple[Consumed, ...]) -> Iterator[Received | Tick | Command]:
+        for listed in consumed:
+            place, recorded = _place(listed), self._messages.get(_place(listed))
+            if is_tick(listed.key):
+                yield Tick(listed.sequence)
+            elif recorded is not None and place not in self._fed and self._is_fed(listed.key):
+                self._fed.add(place)
+                yield _arrived(recorded)
 
     def _is_fed(self, key: str) -> bool:
         topic = topic_of(key)
         return topic not in self._agent.outputs or topic is state_topic(self._agent)
 
 
-def replay(build: Callable[[], Agent], recording: Iterable[Recorded]) -> Iterator[Replayed]:
+def replay(
+    build: Callable[[], Agent], recording: Iterable[Recorded], from_own_state: bool = False
+) -> Iterator[Replayed]:
     """Feed an agent what it consumed in a recording and compare each of its outputs, run by run.
 
     `build` gives the agent with the settings of the recorded one, as it was before its first step: one for each run, so
-    that an agent that was restarted begins anew.
+    that an agent that was restarted begins anew. With `from_own_state`, an agent that goes on from its last output goes
+    on from the one that this replay made, and from the recorded one only where that could not be repeated.
 
     Raises:
         ReplayError: where a command is of an unknown topic.
     """
     agent = build()
-    messages = {_place(r): r for r in recording if _concerns(agent, r.key)}
+    concern = functools.cache(functools.partial(_concerns, agent))
+    messages = {_place(r): r for r in recording if concern(r.key)}
     runs: dict[int, _Steps] = {}
     for recorded in messages.values():
         if _is_output(agent, recorded.key):
             consumed = decode(topic_of(recorded.key).message, recorded.payload).consumed
             runs.setdefault(recorded.epoch, {}).setdefault(consumed, []).append(recorded)
     for steps in runs.values():
-        run = _Run(build(), messages)
+        run = _Run(build(), messages, from_own_state)
         for consumed in _in_order(steps):
             yield from run.repeat(consumed, steps[consumed])
 

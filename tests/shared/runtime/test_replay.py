@@ -398,6 +398,46 @@ def test_what_an_agent_keeps_beside_the_output_that_it_goes_on_from_shows():
     assert not any(r.same for r in replay(Secretive, whole[8:]))
 
 
+class OnesMore(GoingOn):
+    """Adds one more at each frame: a changed agent."""
+
+    def step(self, arrived):
+        self.total += arrived.topic is FRAMES
+        yield from super().step(arrived)
+
+
+def reasons(replayed):
+    return [int(decode(GraspPlan, r.now).reason) for r in replayed]
+
+
+def test_a_changed_agent_goes_on_from_the_recorded_state_or_from_its_own():
+    recording = state_run(GoingOn(), 6)
+    sums = [0, 1, 3, 6, 10, 15]
+    assert reasons(replay(OnesMore, recording)) == [s + 1 for s in sums]
+    assert reasons(replay(OnesMore, recording, from_own_state=True)) == [s + n + 1 for n, s in enumerate(sums)]
+    assert all(r.same for r in replay(GoingOn, recording, from_own_state=True))
+
+
+@pytest.mark.parametrize("lost", range(5))
+def test_after_an_output_that_cannot_be_repeated_it_goes_on_from_the_recorded_one(lost):
+    recording = [e for e in state_run(GoingOn(), 8) if (e.key, e.sequence) != (FRAME_KEY, lost)]
+    replayed = {r.sequence: r for r in replay(OnesMore, recording, from_own_state=True)}
+    assert [n for n, r in replayed.items() if r.missing] == [lost]
+    after = [replayed[n] for n in range(lost + 1, 8)]
+    assert [decode(GraspPlan, r.then).reason for r in after] == [
+        str(total - more - 1) for more, total in enumerate(reasons(after))
+    ]
+
+
+def test_what_an_agent_makes_beyond_what_was_recorded_is_counted_and_taken_for_nothing_else():
+    # the recorded agent passed over frame 1, which this one answers
+    recording = [frame(n) for n in range(5)] + [plan(0, "2 number 0", (1, 1), (1, 2)), plan(1, "4 number 0", (1, 4))]
+    first, second = replay(Newest, recording)
+    assert first.same
+    assert second.same
+    assert (first.unrecorded, second.unrecorded) == (1, 0)
+
+
 def test_of_two_arms_in_a_recording_the_other_one_is_left_out():
     recording = run_of(Clockwork(), 3)
     other = [Entry(e.key.replace("psm1", "psm2"), e.epoch, e.sequence, b"\xff") for e in recording if "psm1" in e.key]
