@@ -53,7 +53,7 @@ def run_live(options: OnRig) -> int:
             case Record():
                 from agents.cli.recording import record
 
-                return record(rig, free_path(options.output) if options.numbered else options.output)
+                return record(rig, options)
             case View():
                 path = free_path(options.output) if options.numbered and options.output else options.output
                 return view(rig, path, options.show)

@@ -8,6 +8,7 @@ import tyro
 
 OptionalPath = Annotated[Path | None, tyro.conf.arg(metavar="PATH")]
 OptionalNumber = Annotated[float | None, tyro.conf.arg(metavar="NUMBER")]
+OptionalLabel = Annotated[str | None, tyro.conf.arg(metavar="ID")]
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,28 @@ class Record(OnRig):
     """The recording to write."""
     numbered: bool = False
     """Where that file exists, write session-2.mcap and so on beside it."""
+    split_size: OptionalNumber = None
+    """Begin another file, session_part2.mcap and so on, after so many MB."""
+    split_minutes: OptionalNumber = None
+    """Begin another file after so many minutes."""
+    pre_trigger: OptionalNumber = None
+    """Keep only events: so many seconds before each. Enter and SIGUSR1 make one too."""
+    post_trigger: OptionalNumber = None
+    """And so many seconds after it; without this option, as many as before."""
+    keep_free: OptionalNumber = None
+    """Stop while so many MB of the disk are free; without this option, 2 % of it or 500 MB."""
+    foxglove: bool = True
+    """Also write images, calibration and transforms as Foxglove and Rerun show them."""
+    protocol: OptionalLabel = None
+    """Id of the experiment's protocol."""
+    specimen: OptionalLabel = None
+    """Id of the specimen."""
+    operator: OptionalLabel = None
+    """Pseudonym of the operator, never a name."""
+    consent: OptionalLabel = None
+    """Class of the consent under which the recording is made."""
+    retention_days: Annotated[int | None, tyro.conf.arg(metavar="DAYS")] = None
+    """After how many days the recording is to be deleted."""
 
 
 @dataclass(frozen=True)

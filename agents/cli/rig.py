@@ -16,6 +16,8 @@ from shared.runtime.config import Settings
 from shared.runtime.session import LOCAL_ENDPOINT, SessionSettings
 
 Name = Annotated[str, Field(pattern=r"^[a-z0-9_]+$")]
+Label = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
+"""An identifier of a lab's own; names of people have spaces, and their addresses an @."""
 ENDPOINT = re.compile(r"(?:tcp|tls|quic|ws|udp)/.+:(?P<port>\d{1,5})")
 
 
@@ -107,9 +109,21 @@ class SimulatorSection(Settings):
 
 
 class RecorderSection(Settings):
-    """Where recordings go: a new folder in this one for every session."""
+    """Where recordings go, a new folder in this one for every session, how they are written, and what they are of."""
 
     folder: Path = Path("sessions")
+    split_size_mb: float | None = Field(default=None, gt=0)
+    split_minutes: float | None = Field(default=None, gt=0)
+    pre_trigger_s: float | None = Field(default=None, gt=0)
+    post_trigger_s: float | None = Field(default=None, ge=0)
+    pre_trigger_memory_mb: float = Field(default=1000.0, gt=0)
+    keep_free_mb: float | None = Field(default=None, ge=0)
+    foxglove: bool = True
+    protocol: Label | None = None
+    specimen: Label | None = None
+    operator: Label | None = None
+    consent: Label | None = None
+    retention_days: int | None = Field(default=None, ge=0, le=36500)
 
 
 class ViewerSection(Settings):

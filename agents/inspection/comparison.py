@@ -1,0 +1,120 @@
+"""Sessions side by side: rates, latencies, outcomes, and what they were run with where that differs."""
+
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from agents.inspection.session import Session
+from agents.inspection.stages import percentiles
+from agents.inspection.tables import Row, Table, decimal, short
+
+Value = float | None
+
+
+@dataclass(frozen=True)
+class _Figures:
+    """One table of figures: a row of names, and for each session a number by that name."""
+
+    title: str
+    of: Callable[[Session], dict[str, Value]]
+
+
+def comparison_tables(sessions: list[Session], names: list[str]) -> list[Table]:
+    """Tables with a column for each session; of two, also the change from the first to the second."""
+    figures = (
+        _Figures("in all", _overall),
+        _Figures("messages a second", lambda session: {short(one.key): one.rate_hz for one in session.contents}),
+        _Figures("lost messages", lambda session: {short(one.key): one.lost or None for one in session.contents}),
+        _Figures("from capture until published, ms", _latencies),
+        _Figures("times of a step, ms", _steps),
+        _Figures("left out for newer ones", _dropped),
+        _Figures("what became of the frames", _results),
+        _Figures("what came of the grasps", _outcomes),
+    )
+    tables = [_table(one.title, [one.of(session) for session in sessions], names) for one in figures]
+    return [table for table in (*tables, _differences(sessions, names)) if table.rows]
+
+
+def _table(title: str, figures: list[dict[str, Value]], names: list[str]) -> Table:
+    rows = [_row(name, [of.get(name) for of in figures]) for name in _union(figures)]
+    change = (" change",) if len(names) == 2 else ()
+    columns = ("", *(f" {name}" for name in names), *change)
+    # what none of them has is no news
+    return Table(title, columns, tuple(row for row in rows if any(cell not in ("", "-") for cell in row[1:])))
+
+
+def _row(name: str, values: list[Value]) -> Row:
+    change = (_change(*values),) if len(values) == 2 else ()
+    return (name, *(_number(value) for value in values), *change)
+
+
+def _number(value: Value) -> str:
+    if value is None:
+        return "-"
+    return str(value) if isinstance(value, int) else decimal(value)
+
+
+def _change(before: Value, after: Value) -> str:
+    if not before or after is None:
+        return ""
+    return f"{(after - before) / before:+.0%}"
+
+
+def _union(figures: Iterable[dict[str, Value]]) -> list[str]:
+    """All names in the order in which they first come."""
+    return list(dict.fromkeys(name for of in figures for name in of))
+
+
+def _overall(session: Session) -> dict[str, Value]:
+    return {
+        "duration, s": session.duration_s,
+        "size, MB": session.size_bytes * 1e-6,
+        "messages": sum(one.count for one in session.contents),
+        "known to be lost": sum(one.lost for one in session.contents),
+        "silences": sum(gap.lost == 0 for one in session.contents for gap in one.gaps),
+        "unreadable": sum(one.unreadable for one in session.contents),
+        "warnings, errors and faults": sum(one.count for one in session.remarks),
+    }
+
+
+def _latencies(session: Session) -> dict[str, Value]:
+    figures: dict[str, Value] = {}
+    for name, times in session.stages.items():
+        p50, _, p99, most = percentiles(times.latency_ms)
+        figures |= {f"{name} p50": p50, f"{name} p99": p99, f"{name} max": most}
+    return figures
+
+
+def _steps(session: Session) -> dict[str, Value]:
+    figures: dict[str, Value] = {}
+    for one in session.agents:
+        figures |= {f"{one.name} p50": one.step_ms_p50, f"{one.name} p99": one.step_ms_p99}
+    return figures
+
+
+def _dropped(session: Session) -> dict[str, Value]:
+    return {
+        f"{one.topic} by {one.agent}": one.dropped for agent in session.agents for one in agent.drops if one.dropped
+    }
+
+
+def _results(session: Session) -> dict[str, Value]:
+    quality = session.quality
+    figures: dict[str, Value] = {f"{topic} results": count for topic, count in sorted(quality.results.items())}
+    failed: Counter[str] = Counter()
+    for (topic, _), count in quality.failed.items():
+        failed[topic] += count
+    figures |= {f"{topic} failed": count for topic, count in sorted(failed.items())}
+    return figures | {f"track {step}": count for step, count in sorted(quality.steps.items())}
+
+
+def _outcomes(session: Session) -> dict[str, Value]:
+    return {"goals": len(session.grasps), **Counter(grasp.outcome for grasp in session.grasps)}
+
+
+def _differences(sessions: list[Session], names: list[str]) -> Table:
+    """Facts that are not the same in all sessions."""
+    facts = [session.facts for session in sessions]
+    rows = [(name, *(of.get(name, "-") for of in facts)) for name in dict.fromkeys(name for of in facts for name in of)]
+    differing = (row for row in rows if len(set(row[1:])) > 1)
+    return Table("run differently", ("", *names), tuple(differing))

@@ -1,0 +1,137 @@
+"""What a recording holds by key: how much, how often, and where something is missing."""
+
+from array import array
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Int64
+
+from schemas.topics import HEARTBEAT, Delivery, topic_of
+from shared.recording.mcap_file import Entry
+
+SILENT_PERIODS, SILENT_S = 5.0, 0.1
+"""A key is silent where nothing came for so many of its median intervals, and for so long."""
+SEQUENCE_RANGE = 1 << 32
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Between two messages of one run: numbers that are missing, or a silence in what comes regularly."""
+
+    from_ns: int
+    to_ns: int
+    lost: int
+
+
+@dataclass(frozen=True)
+class KeyContents:
+    """What lies under one key.
+
+    Fields:
+        topic: as in the table of topics; empty where this version has no such topic.
+        runs: of its publisher.
+        first_ns, last_ns: when the first and the last message were published.
+        rate_hz: between the first and the last message of each run; 0 for single messages.
+        lost: numbers missing from the sequences.
+        unreadable: messages that this version refuses, the first of them for this reason.
+    """
+
+    key: str
+    topic: str
+    count: int
+    payload_bytes: int
+    runs: int
+    first_ns: int
+    last_ns: int
+    rate_hz: float
+    gaps: tuple[Gap, ...]
+    lost: int
+    unreadable: int = 0
+    unreadable_reason: str = ""
+
+
+@dataclass
+class _Run:
+    published_ns: "array[int]" = field(default_factory=lambda: array("q"))
+    sequence: "array[int]" = field(default_factory=lambda: array("q"))
+
+
+@dataclass
+class _Key:
+    runs: dict[int, _Run] = field(default_factory=dict[int, _Run])
+    payload_bytes: int = 0
+    unreadable: int = 0
+    unreadable_reason: str = ""
+
+
+class ContentsCollector:
+    """Counts messages one by one; keeps 16 bytes of each."""
+
+    def __init__(self) -> None:
+        self._keys: dict[str, _Key] = {}
+
+    def add(self, entry: Entry) -> None:
+        """Count a message."""
+        one = self._keys.setdefault(entry.key, _Key())
+        one.payload_bytes += len(entry.payload)
+        run = one.runs.setdefault(entry.epoch, _Run())
+        run.published_ns.append(entry.published_ns)
+        run.sequence.append(entry.sequence)
+
+    def refuse(self, entry: Entry, reason: str) -> None:
+        """Note that a message that was counted cannot be read."""
+        one = self._keys[entry.key]
+        one.unreadable += 1
+        one.unreadable_reason = one.unreadable_reason or reason
+
+    def contents(self) -> tuple[KeyContents, ...]:
+        """What was counted, by key in alphabetical order."""
+        return tuple(_contents(key, one) for key, one in sorted(self._keys.items()))
+
+
+def _contents(key: str, one: _Key) -> KeyContents:
+    topic, is_regular = _topic(key)
+    runs = [(np.array(run.published_ns, np.int64), np.array(run.sequence, np.int64)) for run in one.runs.values()]
+    gaps = sorted((gap for run in runs for gap in gaps_of(*run, is_regular)), key=lambda gap: gap.from_ns)
+    lasted_s = sum(float(np.ptp(published)) for published, _ in runs) * 1e-9
+    intervals = sum(len(published) - 1 for published, _ in runs)
+    return KeyContents(
+        key=key,
+        topic=topic,
+        count=sum(len(published) for published, _ in runs),
+        payload_bytes=one.payload_bytes,
+        runs=len(runs),
+        first_ns=min(int(published.min()) for published, _ in runs),
+        last_ns=max(int(published.max()) for published, _ in runs),
+        rate_hz=intervals / lasted_s if lasted_s > 0 else 0.0,
+        gaps=tuple(gaps),
+        lost=sum(gap.lost for gap in gaps),
+        unreadable=one.unreadable,
+        unreadable_reason=one.unreadable_reason,
+    )
+
+
+def _topic(key: str) -> tuple[str, bool]:
+    """The topic's name, and whether its messages come at regular intervals as long as its publisher runs."""
+    try:
+        topic = topic_of(key)
+    except KeyError:
+        return "", False
+    # heartbeats come while an arm is armed, and not between two grasps
+    return str(topic), topic.delivery is Delivery.LATEST and topic.rate_hz is not None and topic is not HEARTBEAT
+
+
+def gaps_of(published_ns: Int64[np.ndarray, "n"], sequence: Int64[np.ndarray, "n"], is_regular: bool) -> list[Gap]:
+    """Where numbers of one run are missing and, of what comes regularly, where it was silent.
+
+    Numbers are those of the recording, of which 32 bits are kept; they may come out of order or twice.
+    """
+    relative = (sequence - sequence[0] + SEQUENCE_RANGE // 2) % SEQUENCE_RANGE - SEQUENCE_RANGE // 2
+    numbers, places = np.unique(relative, return_index=True)
+    if len(numbers) < 2:
+        return []
+    times_ns = published_ns[places]
+    lost, interval_ns = np.diff(numbers) - 1, np.diff(times_ns)
+    is_silent = interval_ns > max(SILENT_PERIODS * float(np.median(interval_ns)), SILENT_S * 1e9)
+    found = np.flatnonzero((lost > 0) | (is_silent & is_regular))
+    return [Gap(int(times_ns[i]), int(times_ns[i + 1]), int(lost[i])) for i in found]

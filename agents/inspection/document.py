@@ -1,0 +1,139 @@
+"""What a session tells as one JSON document, for other programs. Units stand in the names; times are ns since 1970."""
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+from agents.inspection.grasps import Arming, Grasp
+from agents.inspection.session import Session
+from agents.inspection.stages import BEFORE, PERCENTILES, StageTimes, added_ms, percentiles
+from schemas.messages import CommandAnswer, GraspGoal, GraspJudgement, GraspPlan
+
+FORM = 1
+"""Counts up where a name changes its meaning."""
+
+
+def document(session: Session) -> dict[str, Any]:
+    """The whole of it, in values that JSON knows."""
+    return {
+        "form": FORM,
+        "recording": str(session.path),
+        "size_bytes": session.size_bytes,
+        "finished": session.finished,
+        "damage": session.damage or None,
+        "complete": session.complete,
+        "losses": session.losses,
+        "start_ns": session.start_ns,
+        "duration_s": session.duration_s,
+        "contents": [dataclasses.asdict(one) for one in session.contents],
+        "stages": {name: _stage(session, name, times) for name, times in session.stages.items()},
+        "agents": [dataclasses.asdict(one) for one in session.agents],
+        "remarks": [dataclasses.asdict(one) for one in session.remarks],
+        "results": {
+            "count": dict(session.quality.results),
+            "failed": [
+                {"topic": topic, "reason": reason, "count": count}
+                for (topic, reason), count in session.quality.failed.most_common()
+            ],
+            "track": dict(session.quality.steps),
+        },
+        "grasps": [_grasp(grasp) for grasp in session.grasps],
+        "other_commands": [
+            {"at_ns": one.at_ns, "topic": one.topic, "answer": _answer(one.answer)} for one in session.other_commands
+        ],
+        "facts": session.facts,
+        "notes": [dataclasses.asdict(note) for note in session.notes],
+    }
+
+
+def _stage(session: Session, name: str, times: StageTimes) -> dict[str, Any]:
+    before = session.stages.get(BEFORE.get(name, ""))
+    return {
+        "count": len(times.captured),
+        "rate_hz": times.rate_hz,
+        "latency_ms": _named(percentiles(times.latency_ms)),
+        "added_ms": _named(percentiles(added_ms(before, times))) if before else None,
+    }
+
+
+def _named(values: tuple[float, ...]) -> dict[str, float] | None:
+    names = ["max" if p == 100 else f"p{p:.0f}" for p in PERCENTILES]
+    return dict(zip(names, values, strict=True)) if values else None
+
+
+def _grasp(grasp: Grasp) -> dict[str, Any]:
+    return {
+        "at_ns": grasp.at_ns,
+        "outcome": grasp.outcome,
+        "ended": grasp.ended,
+        "goal": None if grasp.goal is None else _goal(grasp.goal),
+        "answer": _answer(grasp.answer),
+        "plan": None if grasp.plan is None else _plan(grasp.plan, grasp.plan_ns),
+        "armings": [_arming(arming) for arming in grasp.armings],
+    }
+
+
+def _goal(goal: GraspGoal) -> dict[str, Any]:
+    return {
+        "id": goal.header.id,
+        "sender": goal.header.sender,
+        "arm": goal.arm,
+        "policy": goal.policy.name.lower(),
+        "s": goal.s,
+        "pixel": None if goal.pixel is None else goal.pixel.tolist(),
+        "point_camera_m": None if goal.point_camera is None else goal.point_camera.tolist(),
+    }
+
+
+def _answer(answer: CommandAnswer) -> dict[str, str]:
+    return {"outcome": answer.outcome.name.lower(), "code": answer.code, "reason": answer.reason}
+
+
+def _plan(plan: GraspPlan, published_ns: int | None) -> dict[str, Any]:
+    return {
+        "id": plan.plan_id,
+        "published_ns": published_ns,
+        "capture_left_ns": plan.stamp.capture_left_ns,
+        "reason": plan.reason or None,
+        "s_goal": plan.s_goal,
+        "s_capture": plan.s_capture,
+        "probability": plan.probability,
+        "slide_m": plan.slide_m,
+        "waypoints": len(plan.waypoints),
+    }
+
+
+def _arming(arming: Arming) -> dict[str, Any]:
+    events = [
+        {
+            "at_ns": event.at_ns,
+            "kind": event.kind.name.lower(),
+            "phase": event.phase.name.lower() if event.phase else None,
+            "code": event.code,
+            "reason": event.reason,
+        }
+        for event in arming.events
+    ]
+    judgement = None if arming.judgement is None else _judgement(arming.judgement)
+    answer = _answer(arming.answer)
+    return {"id": arming.arming_id, "at_ns": arming.at_ns, "answer": answer, "events": events, "judgement": judgement}
+
+
+def _judgement(judged: GraspJudgement) -> dict[str, Any]:
+    return {
+        "at_ns": judged.at_ns,
+        "verdict": judged.verdict.name.lower(),
+        "s_caught": judged.s_caught,
+        "slid_m": judged.slid_m,
+        "error_m": judged.error_m,
+        "sentence": judged.sentence,
+    }
+
+
+def names_of(paths: list[Path]) -> list[str]:
+    """A short name for each recording, by which it can be told from the others."""
+    for name in (lambda path: path.name, lambda path: f"{path.parent.name}/{path.name}", str):
+        names = [str(name(path)) for path in paths]
+        if len(set(names)) == len(names):
+            return names
+    return [f"{number}: {path}" for number, path in enumerate(paths, 1)]

@@ -1,0 +1,88 @@
+"""What a session was run with: what the recorder noted, versions, calibration, the simulated scene."""
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from agents.inspection.accounts import AgentAccount
+from agents.inspection.threads import ThreadQuality
+from schemas.messages import SimulatorState, StereoCalibration
+from shared.recording.mcap_file import Note
+
+LOSSES = "losses"
+"""The note of the recorder about what the recording lacks, which is no setting."""
+LONGEST_VALUE = 2000
+
+
+def noted_facts(notes: list[Note]) -> dict[str, str]:
+    """What was noted under all names but `losses`, one fact a line; JSON within a fact is taken apart."""
+    facts: dict[str, str] = {}
+    for note in notes:
+        if note.name != LOSSES:
+            for name, text in note.facts.items():
+                facts.update(_flat(f"{note.name}.{name}", _parsed(text)))
+    return facts
+
+
+def facts_of_messages(
+    calibration: StereoCalibration | None,
+    scene: SimulatorState | None,
+    agents: tuple[AgentAccount, ...],
+    quality: ThreadQuality,
+) -> dict[str, str]:
+    """What the messages themselves say of how the session was run."""
+    facts: dict[str, str] = {}
+    if calibration is not None:
+        facts |= _calibration_facts(calibration)
+    if scene is not None:
+        facts |= {
+            "scene.background": scene.background,
+            "scene.colour": scene.colour,
+            "scene.seed": str(scene.seed),
+            "scene.distance_mm": f"{scene.distance_m * 1e3:g}",
+        }
+    for kind in ("segmenter", "method"):
+        names = sorted(name for of, name in quality.methods if of == kind and name)
+        if names:
+            facts[f"thread.{kind}"] = ", ".join(names)
+    for name in ("version", "host", "config_hash"):
+        facts |= _common({f"{agent.name}.{name}": getattr(agent, name) for agent in agents}, f"agents.{name}")
+    return facts
+
+
+def _common(facts: dict[str, str], name: str) -> dict[str, str]:
+    """One fact under that name where all are the same, else each under its own; empty ones are left out."""
+    told = {key: value for key, value in facts.items() if value}
+    values = set(told.values())
+    return {name: values.pop()} if len(values) == 1 and len(told) == len(facts) else told
+
+
+def _calibration_facts(calibration: StereoCalibration) -> dict[str, str]:
+    unit = calibration.metres_per_unit
+    baseline = float(np.linalg.norm(calibration.T_right_left[:3, 3]))
+    return {
+        "calibration.image_px": f"{calibration.image_width}x{calibration.image_height}",
+        "calibration.focal_px": f"{calibration.K_left[0, 0]:.2f}",
+        "calibration.baseline_mm" if unit else "calibration.baseline": f"{baseline * (unit * 1e3 if unit else 1):.4g}",
+        "calibration.metres_per_unit": "unknown" if unit is None else f"{unit:g}",
+    }
+
+
+def _parsed(text: str) -> Any:
+    if text[:1] in ("{", "["):
+        try:
+            return json.loads(text)
+        except (ValueError, RecursionError):
+            return text
+    return text
+
+
+def _flat(name: str, value: Any) -> Iterator[tuple[str, str]]:
+    if isinstance(value, dict):
+        for key, one in value.items():
+            yield from _flat(f"{name}.{key}", one)
+    else:
+        text = value if isinstance(value, str) else json.dumps(value)
+        yield name, text if len(text) <= LONGEST_VALUE else f"{text[:LONGEST_VALUE]}…"

@@ -1,0 +1,149 @@
+"""One HTML file that holds all it shows: no script, and nothing from elsewhere; light or dark as its reader likes."""
+
+import html
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from agents.inspection.charts import Mark, Series, chart
+from agents.inspection.grasps import Grasp, event_name
+from agents.inspection.page_style import STYLE
+from agents.inspection.pictures import Picture
+from agents.inspection.session import Session
+from agents.inspection.tables import Table, all_printable, head_lines, printable, session_tables
+from schemas.topics import ROBOT_STATE
+
+POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+RATE_BIN_S = 1.0
+MOST_ROWS = 2000
+
+
+def session_page(session: Session, pictures: list[Picture]) -> Iterator[str]:
+    """The page of one session, piece by piece."""
+    yield _head(session.path.name)
+    yield from _paragraphs(head_lines(session))
+    yield from session_charts(session)
+    tables = session_tables(session)
+    of_grasps = [table for table in tables if table.title in ("grasps", "armed")]
+    for table in of_grasps:
+        yield table_html(table)
+    yield from _pictures(session, pictures)
+    for table in tables:
+        if table not in of_grasps:
+            yield table_html(table)
+    yield "</body></html>\n"
+
+
+def comparison_page(sessions: list[Session], names: list[str], tables: list[Table]) -> Iterator[str]:
+    """The page of sessions side by side, piece by piece."""
+    yield _head(" and ".join(names))
+    for session, name in zip(sessions, names, strict=True):
+        yield f"<h2>{_text(name)}</h2>"
+        yield from _paragraphs(head_lines(session))
+    yield from comparison_charts(sessions, names)
+    for table in tables:
+        yield table_html(table)
+    yield "</body></html>\n"
+
+
+def session_charts(session: Session) -> Iterator[str]:
+    """Latency, rate and confidence over time, with what happened to grasps."""
+    end_s, marks = session.duration_s, [mark for grasp in session.grasps for mark in _marks(session, grasp)]
+    yield "<h2>over time</h2>"
+    stages = [name for name in session.stages if not name.startswith(str(ROBOT_STATE))]
+    latency = [_latency(session, name, name) for name in stages]
+    yield chart("from capture until published, ms", latency, end_s, marks)
+    rates = [_rate(session, name, name) for name in stages if len(session.stages[name].captured) > 1]
+    yield chart("messages a second", rates, end_s, marks)
+    yield chart("mean confidence along the thread", [_confidence(session, "confidence")], end_s, marks, ceiling=1.0)
+    yield chart(*_length(session), end_s, marks)
+    arms = [name for name in session.stages if name not in stages]
+    if arms:
+        yield chart("state of the arm, ms after it was measured", [_latency(session, n, n) for n in arms], end_s, marks)
+
+
+def comparison_charts(sessions: list[Session], names: list[str]) -> Iterator[str]:
+    """A chart for each stage with a line for each session, from its own start."""
+    end_s = max(session.duration_s for session in sessions)
+    yield "<h2>over time, from the start of each</h2>"
+    for stage in dict.fromkeys(stage for session in sessions for stage in session.stages):
+        lines = [_latency(one, stage, name) for one, name in zip(sessions, names, strict=True) if stage in one.stages]
+        yield chart(f"{stage}, from capture until published, ms", lines, end_s, [])
+    confidence = [_confidence(session, name) for session, name in zip(sessions, names, strict=True)]
+    yield chart("mean confidence along the thread", confidence, end_s, [], ceiling=1.0)
+
+
+def table_html(table: Table) -> str:
+    """A table with its title."""
+    classes = [' class="figure"' if column.startswith(" ") else "" for column in table.columns]
+    head = "".join(f"<th{of}>{_text(name)}</th>" for of, name in zip(classes, table.columns, strict=True))
+    rows = (
+        "<tr>" + "".join(f"<td{of}>{html.escape(cell)}</td>" for of, cell in zip(classes, row, strict=True)) + "</tr>"
+        for row in all_printable(table.rows[:MOST_ROWS])
+    )
+    left = len(table.rows) - MOST_ROWS
+    more = f"<p>and {left} more, which --json shows</p>" if left > 0 else ""
+    body = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
+    return f'<h2>{_text(table.title)}</h2><div class="scroll">{body}</div>{more}\n'
+
+
+def _head(title: str) -> str:
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{_text(title)}</title><style>{STYLE}</style></head><body><h1>{_text(title)}</h1>\n"
+    )
+
+
+def _paragraphs(lines: Iterable[str]) -> Iterator[str]:
+    for line in lines:
+        yield f"<p>{_text(line)}</p>\n"
+
+
+def _pictures(session: Session, pictures: list[Picture]) -> Iterator[str]:
+    for number in sorted({picture.of.grasp for picture in pictures}):
+        ended = session.grasps[number - 1].ended
+        yield f'<h2>grasp {number}: {_text(ended)}</h2><div class="pictures">'
+        for picture in (one for one in pictures if one.of.grasp == number):
+            at = f"{picture.of.what}, {session.since_start_s(picture.captured_ns):.2f} s"
+            yield f'<figure><img src="{picture.uri}" alt="{_text(at)}"><figcaption>{_text(at)}</figcaption></figure>'
+        yield "</div>\n"
+
+
+def _marks(session: Session, grasp: Grasp) -> Iterator[Mark]:
+    yield Mark(session.since_start_s(grasp.at_ns), f"goal, {grasp.outcome}")
+    for arming in grasp.armings:
+        for event in arming.events:
+            yield Mark(session.since_start_s(event.at_ns), event_name(event))
+        if arming.judgement is not None:
+            yield Mark(session.since_start_s(arming.judgement.at_ns), arming.judgement.sentence)
+
+
+def _latency(session: Session, stage: str, name: str) -> Series:
+    times = session.stages[stage]
+    return Series(name, (times.published_ns - session.start_ns) * 1e-9, times.latency_ms)
+
+
+def _rate(session: Session, stage: str, name: str) -> Series:
+    """How many messages came in each whole second."""
+    bins = max(1, int(session.duration_s / RATE_BIN_S))
+    edges = np.arange(bins + 1) * RATE_BIN_S
+    at_s = (session.stages[stage].published_ns - session.start_ns) * 1e-9
+    counts = np.histogram(at_s, edges)[0] / RATE_BIN_S
+    return Series(name, edges[:-1] + 0.5 * RATE_BIN_S, counts)
+
+
+def _confidence(session: Session, name: str) -> Series:
+    return Series(name, (session.quality.captured_ns - session.start_ns) * 1e-9, session.quality.confidence)
+
+
+def _length(session: Session) -> tuple[str, list[Series]]:
+    unit = session.quality.metres_per_unit
+    title = "length of the thread, mm" if unit else "length of the thread, in the unit of the calibration"
+    at_s = (session.quality.captured_ns - session.start_ns) * 1e-9
+    return title, [Series("length", at_s, session.quality.length * (1e3 * unit if unit else 1.0))]
+
+
+def _text(text: str) -> str:
+    return html.escape(printable(text.strip()), quote=True)

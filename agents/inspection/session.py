@@ -1,0 +1,154 @@
+"""A recording, read once from front to back; images are looked at and not kept, so its length does not matter."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from agents.inspection.accounts import AccountCollector, AgentAccount, Remark
+from agents.inspection.contents import ContentsCollector, KeyContents
+from agents.inspection.facts import LOSSES, facts_of_messages, noted_facts
+from agents.inspection.grasps import Grasp, GraspCollector, OtherCommand
+from agents.inspection.stages import StageTimes, captured_ns, in_order, stage_of
+from agents.inspection.threads import ThreadQuality
+from schemas.checks import MessageError
+from schemas.codec import decode
+from schemas.messages import SimulatorState, StereoCalibration
+from schemas.topics import CALIBRATION, HEALTH, LOG, OBSERVATIONS, SIMULATOR_STATE, THREAD, Topic, topic_of
+from shared.recording.mcap_file import Entry, Note, RecordingError, is_finished, read_with_notes
+
+COMPLETE = "complete"
+
+
+@dataclass(frozen=True)
+class Session:
+    """What a recording tells.
+
+    Fields:
+        finished: whether the file was closed; one of a killed recorder was not.
+        damage: what broke the reading off; empty where all was read.
+        losses: by key, what the recorder knows to be missing; None where it did not come to note that.
+        complete: the recorder's own judgement; None as above.
+    """
+
+    path: Path
+    size_bytes: int
+    finished: bool
+    damage: str
+    notes: tuple[Note, ...]
+    losses: dict[str, int] | None
+    complete: bool | None
+    contents: tuple[KeyContents, ...]
+    stages: dict[str, StageTimes]
+    agents: tuple[AgentAccount, ...]
+    remarks: tuple[Remark, ...]
+    grasps: tuple[Grasp, ...]
+    other_commands: tuple[OtherCommand, ...]
+    quality: ThreadQuality
+    facts: dict[str, str]
+
+    @property
+    def start_ns(self) -> int:
+        """When the first message was published; 0 without any."""
+        return min((one.first_ns for one in self.contents), default=0)
+
+    @property
+    def end_ns(self) -> int:
+        """When the last message was published."""
+        return max((one.last_ns for one in self.contents), default=0)
+
+    @property
+    def duration_s(self) -> float:
+        """From the first to the last message."""
+        return (self.end_ns - self.start_ns) * 1e-9
+
+    def since_start_s(self, at_ns: int) -> float:
+        """A time as seconds from the first message."""
+        return (at_ns - self.start_ns) * 1e-9
+
+
+class _Reading:
+    def __init__(self) -> None:
+        self.contents, self.accounts, self.grasps = ContentsCollector(), AccountCollector(), GraspCollector()
+        self.stages: dict[str, StageTimes] = {}
+        self.quality = ThreadQuality()
+        self.notes: list[Note] = []
+        self.calibration: StereoCalibration | None = None
+        self.scene: SimulatorState | None = None
+
+    def add(self, entry: Entry) -> None:
+        self.contents.add(entry)
+        try:
+            topic = topic_of(entry.key)
+        except KeyError:
+            self.contents.refuse(entry, "this version has no such topic")
+            return
+        try:
+            message = decode(topic.message, entry.payload)
+            self._add_message(entry, topic, message)
+        except MessageError as error:
+            self.contents.refuse(entry, str(error))
+
+    def _add_message(self, entry: Entry, topic: Topic, message: Any) -> None:
+        if stage := stage_of(topic, entry.key.split("/")[3]):
+            self.stages.setdefault(stage, StageTimes()).add(captured_ns(message), entry.published_ns)
+        if topic is HEALTH:
+            self.accounts.add_health(entry.epoch, message)
+        elif topic is LOG:
+            self.accounts.add_log(message)
+        elif topic in (OBSERVATIONS, THREAD):
+            self.quality.add(str(topic), message)
+        elif topic is CALIBRATION:
+            self.calibration = message
+        elif topic is SIMULATOR_STATE:
+            self.scene = message
+        elif topic in GraspCollector.topics:
+            self.grasps.add(entry.published_ns, message)
+
+
+def read_session(path: Path) -> Session:
+    """All that a recording tells, as far as it can be read.
+
+    Raises:
+        RecordingError: where the file is no recording at all.
+        OSError: where it cannot be opened.
+    """
+    reading, damage, found = _Reading(), "", False
+    try:
+        for item in read_with_notes(path):
+            found = True
+            if isinstance(item, Note):
+                reading.notes.append(item)
+            else:
+                reading.add(item)
+    except RecordingError as error:
+        if not found:
+            raise
+        damage = str(error)
+    return _session(path, reading, damage)
+
+
+def _session(path: Path, reading: _Reading, damage: str) -> Session:
+    noted = next((note.facts for note in reversed(reading.notes) if note.name == LOSSES), None)
+    agents = reading.accounts.agents()
+    said = facts_of_messages(reading.calibration, reading.scene, agents, reading.quality)
+    return Session(
+        path=path,
+        size_bytes=path.stat().st_size,
+        finished=is_finished(path),
+        damage=damage,
+        notes=tuple(reading.notes),
+        losses=None if noted is None else _losses(noted),
+        complete=None if noted is None or COMPLETE not in noted else noted[COMPLETE].lower() == "true",
+        contents=reading.contents.contents(),
+        stages={name: reading.stages[name] for name in sorted(reading.stages, key=in_order)},
+        agents=agents,
+        remarks=reading.accounts.remarks(),
+        grasps=tuple(sorted(reading.grasps.grasps, key=lambda grasp: grasp.at_ns)),
+        other_commands=tuple(reading.grasps.others),
+        quality=reading.quality,
+        facts=noted_facts(reading.notes) | said,
+    )
+
+
+def _losses(noted: dict[str, str]) -> dict[str, int]:
+    return {key: int(count) for key, count in noted.items() if key != COMPLETE and count.isdecimal()}

@@ -1,0 +1,277 @@
+"""What a session tells as tables of text, the same for the terminal and for the page."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+from agents.inspection.contents import KeyContents
+from agents.inspection.grasps import Arming, Grasp, event_name
+from agents.inspection.session import Session
+from agents.inspection.stages import BEFORE, added_ms, percentiles
+from schemas.messages import CommandAnswer, GraspGoal, GraspPlan, Hold, Outcome, Prompt
+
+Row = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows under headings; those columns whose heading begins with a space hold figures, and stand to the right."""
+
+    title: str
+    columns: Row
+    rows: tuple[Row, ...]
+
+
+def session_tables(session: Session) -> list[Table]:
+    """All tables of a session that have rows."""
+    tables = (
+        recorded(session),
+        gaps(session),
+        latencies(session),
+        agents(session),
+        drops(session),
+        results(session),
+        grasps(session),
+        phases(session),
+        commands(session),
+        remarks(session),
+        Table("how it was run", ("name", "value"), tuple(session.facts.items())),
+    )
+    return [table for table in tables if table.rows]
+
+
+def head_lines(session: Session) -> list[str]:
+    """What kind of recording it is, and what it lacks, in sentences."""
+    began = datetime.fromtimestamp(session.start_ns * 1e-9, UTC).astimezone().strftime("%Y-%m-%d %H:%M:%S %z")
+    count = sum(one.count for one in session.contents)
+    lines = [f"{session.path}: {megabytes(session.size_bytes)} MB, {count} messages on {len(session.contents)} keys"]
+    if count:
+        lines.append(f"it began at {began} and lasted {session.duration_s:.1f} s")
+    return [*lines, completeness(session), *_unreadable(session)]
+
+
+def completeness(session: Session) -> str:
+    """Whether anything is known to be missing, in one sentence."""
+    if session.damage:
+        return session.damage
+    if not session.finished:
+        return "cut off: its recorder was killed, or is still at work; what was flushed until then is here"
+    if session.complete:
+        return "complete: its recorder missed nothing"
+    if session.complete is None:
+        return "its recorder did not note whether anything is missing"
+    lost = ", ".join(f"{count} of {short(key)}" for key, count in sorted((session.losses or {}).items()))
+    return f"not complete: its recorder missed {lost or 'something it could not name'}"
+
+
+def _unreadable(session: Session) -> list[str]:
+    return [
+        f"{one.unreadable} of {one.count} messages of {short(one.key)} cannot be read: {one.unreadable_reason}"
+        for one in session.contents
+        if one.unreadable
+    ]
+
+
+def recorded(session: Session) -> Table:
+    """Counts and rates by key."""
+    columns = (
+        "key",
+        " messages",
+        " a second",
+        " MB",
+        " runs",
+        " lost",
+        " gaps",
+        " longest s",
+        " first at s",
+        " last at s",
+    )
+    return Table("recorded", columns, tuple(_recorded_row(session, one) for one in session.contents))
+
+
+def _recorded_row(session: Session, one: KeyContents) -> Row:
+    longest_ns = max((gap.to_ns - gap.from_ns for gap in one.gaps), default=0)
+    return (
+        short(one.key),
+        str(one.count),
+        f"{one.rate_hz:.1f}" if one.rate_hz else "",
+        megabytes(one.payload_bytes),
+        str(one.runs),
+        str(one.lost) if one.lost else "",
+        str(len(one.gaps)) if one.gaps else "",
+        f"{longest_ns * 1e-9:.2f}" if one.gaps else "",
+        f"{session.since_start_s(one.first_ns):.2f}",
+        f"{session.since_start_s(one.last_ns):.2f}",
+    )
+
+
+def gaps(session: Session) -> Table:
+    """Where numbers are missing or a key was silent, the longest first."""
+    found = [(gap, short(one.key)) for one in session.contents for gap in one.gaps]
+    found.sort(key=lambda pair: pair[0].from_ns - pair[0].to_ns)
+    rows = (
+        (
+            key,
+            f"{session.since_start_s(gap.from_ns):.2f}",
+            f"{(gap.to_ns - gap.from_ns) * 1e-9:.3f}",
+            str(gap.lost) if gap.lost else "silent",
+        )
+        for gap, key in found
+    )
+    return Table("gaps, the longest first", ("key", " at s", " lasted s", " messages lost"), tuple(rows))
+
+
+def latencies(session: Session) -> Table:
+    """Percentiles of each stage, from capture and from the stage before."""
+    rows: list[Row] = []
+    for name, times in session.stages.items():
+        before = session.stages.get(BEFORE.get(name, ""))
+        added = percentiles(added_ms(before, times)) if before else ()
+        own = (f"{added[0]:.1f}", f"{added[2]:.1f}") if added else ("", "")
+        all_of_it = (f"{value:.1f}" for value in percentiles(times.latency_ms))
+        rows.append((name, str(len(times.captured)), f"{times.rate_hz:.1f}", *all_of_it, *own))
+    columns = ("stage", " messages", " a second", " p50", " p90", " p99", " max", " added p50", " added p99")
+    return Table("from capture until published, ms; added since the stage before", columns, tuple(rows))
+
+
+def agents(session: Session) -> Table:
+    """Step times as the agents report them."""
+    rows = (
+        (one.name, str(one.runs), decimal(one.step_ms_p50), decimal(one.step_ms_p99), one.version, one.host)
+        for one in session.agents
+    )
+    return Table("agents, times of a step", ("agent", " runs", " p50 ms", " p99 ms", "version", "host"), tuple(rows))
+
+
+def drops(session: Session) -> Table:
+    """Inputs of which something was left out."""
+    rows = (
+        (one.topic, one.agent, str(one.received), str(one.dropped), str(one.missed), str(one.refused))
+        for agent in session.agents
+        for one in agent.drops
+        if one.dropped or one.missed or one.refused
+    )
+    columns = ("topic", "taken by", " taken", " left out for newer", " lost", " not readable")
+    return Table("dropped", columns, tuple(sorted(rows)))
+
+
+def results(session: Session) -> Table:
+    """Failures of perception and reconstruction by reason, and what became of the track."""
+    quality = session.quality
+    rows = [(topic, str(count), "results") for topic, count in sorted(quality.results.items())]
+    rows += [(topic, str(count), f"failed: {reason}") for (topic, reason), count in quality.failed.most_common()]
+    rows += [("reconstruction/thread", str(count), f"track {step}") for step, count in quality.steps.most_common()]
+    return Table("what became of the frames", ("topic", " count", "what"), tuple(rows))
+
+
+def grasps(session: Session) -> Table:
+    """Each goal with its plan and how it ended."""
+    rows = tuple(_grasp_row(session, number, grasp) for number, grasp in enumerate(session.grasps, 1))
+    return Table("grasps", (" grasp", " at s", "goal", "plan", "came of it"), rows)
+
+
+def _grasp_row(session: Session, number: int, grasp: Grasp) -> Row:
+    at_s = f"{session.since_start_s(grasp.at_ns):.2f}"
+    return str(number), at_s, goal_text(grasp.goal), plan_text(grasp.plan), grasp.ended
+
+
+def goal_text(goal: GraspGoal | None) -> str:
+    """A goal in a few words."""
+    if goal is None:
+        return "not recorded"
+    if goal.s is not None:
+        where = f"s {goal.s:.3f}"
+    elif goal.pixel is not None:
+        where = f"pixel {goal.pixel[0]:.0f} {goal.pixel[1]:.0f}"
+    else:
+        where = (
+            f"point {' '.join(f'{1e3 * x:.1f}' for x in goal.point_camera)} mm" if goal.point_camera is not None else ""
+        )
+    return f"{goal.arm} {where} {goal.policy.name.lower()}"
+
+
+def plan_text(plan: GraspPlan | None) -> str:
+    """A plan in a few words; why there is none stands elsewhere."""
+    if plan is None or plan.reason:
+        return "none"
+    capture, goal = (f"{s:.3f}" if s is not None else "?" for s in (plan.s_capture, plan.s_goal))
+    return f"capture {capture}, slide {plan.slide_m * 1e3:.1f} mm, grasp {goal}, success {plan.probability:.0%}"
+
+
+def phases(session: Session) -> Table:
+    """Each arming with what followed, in seconds since the start of the recording."""
+    rows = (
+        _phase_row(session, number, arming)
+        for number, grasp in enumerate(session.grasps, 1)
+        for arming in grasp.armings
+    )
+    return Table("armed", (" grasp", " at s", "answer", "what followed, at s", "judgement"), tuple(rows))
+
+
+def _phase_row(session: Session, number: int, arming: Arming) -> Row:
+    followed = ", ".join(f"{event_name(event)} {session.since_start_s(event.at_ns):.2f}" for event in arming.events)
+    at_s = "" if arming.at_ns is None else f"{session.since_start_s(arming.at_ns):.2f}"
+    judged = arming.judgement.sentence if arming.judgement else ""
+    return str(number), at_s, answer_text(arming.answer), followed, judged
+
+
+def commands(session: Session) -> Table:
+    """Holds and prompts."""
+    rows = (
+        (f"{session.since_start_s(one.at_ns):.2f}", one.topic, _command_text(one.command), answer_text(one.answer))
+        for one in session.other_commands
+    )
+    return Table("other commands", (" at s", "command", "of", "answer"), tuple(rows))
+
+
+def _command_text(command: Hold | Prompt) -> str:
+    if isinstance(command, Hold):
+        return command.arm
+    return "any thread" if command.pixel is None else f"pixel {command.pixel[0]:.0f} {command.pixel[1]:.0f}"
+
+
+def answer_text(answer: CommandAnswer) -> str:
+    """An answer with its reason."""
+    if answer.outcome is Outcome.ACCEPTED:
+        return "accepted"
+    return f"{answer.outcome.name.lower()} ({answer.code}): {answer.reason}"
+
+
+def remarks(session: Session) -> Table:
+    """Warnings, errors and faults."""
+    rows = (
+        (f"{session.since_start_s(one.first_ns):.2f}", str(one.count), one.agent, one.level.lower(), one.text)
+        for one in session.remarks
+    )
+    return Table("warnings, errors and faults", (" first at s", " times", "agent", "level", "text"), tuple(rows))
+
+
+def short(key: str) -> str:
+    """A key without its root and its rig."""
+    parts = key.split("/")
+    return "/".join(parts[2:]) if len(parts) == 5 else key
+
+
+def megabytes(count: int) -> str:
+    """Bytes as megabytes."""
+    return f"{count * 1e-6:.1f}"
+
+
+def decimal(value: float | None) -> str:
+    """A number with one decimal, a dash for none."""
+    return "-" if value is None else f"{value:.1f}"
+
+
+def first_rows(table: Table, limit: int) -> tuple[tuple[Row, ...], int]:
+    """The first rows, and how many are left out."""
+    return table.rows[:limit], max(0, len(table.rows) - limit)
+
+
+def printable(text: str) -> str:
+    """Text without characters that move a cursor or begin an escape sequence, on one line."""
+    return "".join(char if char.isprintable() else "?" for char in " ".join(text.split()))
+
+
+def all_printable(rows: Iterable[Row]) -> tuple[Row, ...]:
+    """Rows that any terminal and any page can show."""
+    return tuple(tuple(printable(cell) for cell in row) for row in rows)
