@@ -23,7 +23,7 @@ def comparison_tables(sessions: list[Session], names: list[str]) -> list[Table]:
     """Tables with a column for each session; of two, also the change from the first to the second."""
     figures = (
         _Figures("in all", _overall),
-        _Figures("messages a second", lambda session: {short(one.key): one.rate_hz for one in session.contents}),
+        _Figures("messages a second", _rates),
         _Figures("lost messages", lambda session: {short(one.key): one.lost or None for one in session.contents}),
         _Figures("from capture until published, ms", _latencies),
         _Figures("times of a step, ms", _steps),
@@ -75,6 +75,11 @@ def _overall(session: Session) -> dict[str, Value]:
         "unreadable": sum(one.unreadable for one in session.contents),
         "warnings, errors and faults": sum(one.count for one in session.remarks),
     }
+
+
+def _rates(session: Session) -> dict[str, Value]:
+    """Of what comes regularly; how often something was said or asked for is no rate."""
+    return {short(one.key): one.rate_hz for one in session.contents if one.is_regular}
 
 
 def _latencies(session: Session) -> dict[str, Value]:

@@ -29,6 +29,7 @@ class KeyContents:
 
     Fields:
         topic: as in the table of topics; empty where this version has no such topic.
+        is_regular: its messages come at regular intervals for as long as its publisher runs.
         runs: of its publisher.
         first_ns, last_ns: when the first and the last message were published.
         rate_hz: between the first and the last message of each run; 0 for single messages.
@@ -38,6 +39,7 @@ class KeyContents:
 
     key: str
     topic: str
+    is_regular: bool
     count: int
     payload_bytes: int
     runs: int
@@ -98,6 +100,7 @@ def _contents(key: str, one: _Key) -> KeyContents:
     return KeyContents(
         key=key,
         topic=topic,
+        is_regular=is_regular,
         count=sum(len(published) for published, _ in runs),
         payload_bytes=one.payload_bytes,
         runs=len(runs),

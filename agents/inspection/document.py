@@ -132,7 +132,7 @@ def _judgement(judged: GraspJudgement) -> dict[str, Any]:
 
 def names_of(paths: list[Path]) -> list[str]:
     """A short name for each recording, by which it can be told from the others."""
-    for name in (lambda path: path.name, lambda path: f"{path.parent.name}/{path.name}", str):
+    for name in (lambda path: path.name, lambda path: path.resolve().parent.name, str):
         names = [str(name(path)) for path in paths]
         if len(set(names)) == len(names):
             return names

@@ -28,7 +28,7 @@ WIDTH_PX, JPEG_QUALITY = 400, 80
 MOST_PICTURES = 120
 CURVE_POINTS = 200
 PLANNED = "planned from"
-THREAD_BGR, CAPTURE_BGR, GOAL_BGR = (80, 255, 80), (0, 200, 255), (60, 60, 255)
+THREAD_BGR, CAPTURE_BGR, GOAL_BGR = (80, 255, 80), (0, 200, 255), (255, 255, 255)
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ def _shrunk(pixels: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h2 w2 3"]:
 def _draw_thread(
     small: UInt8[np.ndarray, "h w 3"], thread: ThreadReconstruction, plan: GraspPlan | None, full_width: int
 ) -> None:
-    """The curve in green, where the plan captures in yellow and where it grasps in red."""
+    """The curve in green, where the plan captures in yellow and where it grasps in white."""
     if thread.status is not Status.OK or thread.camera.image_width != full_width:
         return
     scale = small.shape[1] / full_width

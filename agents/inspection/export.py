@@ -1,0 +1,100 @@
+"""A recording as a folder of tables that any program reads."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from agents.inspection.export_blocks import Block, blocks, row_count
+from agents.inspection.export_files import FORMATS, TableFile
+from schemas.checks import MessageError
+from schemas.codec import decode
+from schemas.topics import COMMANDS, EXECUTION, JUDGEMENT, PLAN, ROBOT_STATE, THREAD, topic_of
+from shared.recording.mcap_file import Entry, RecordingError, read_recording
+
+EXPORTED = (THREAD, PLAN, ROBOT_STATE, COMMANDS, EXECUTION, JUDGEMENT)
+README = "README.txt"
+MEANING = """Tables of {source}, written by suturegrasp export.
+{damage}
+t_s       seconds since {zero_ns} ns after 1970, when the first message of the recording was published
+*_ns      nanoseconds since 1970
+*_m       metres; *_m2 square metres; *_rad radians; *_px pixels of the rectified left image, centres at whole numbers
+*_unit    lengths in the unit of the calibration, where nobody knows how many metres that is
+*_camera  in the rectified left camera's frame: x right, y down, z away from it
+*_base    in the frame of the arm's base
+q*        a unit quaternion, scalar part (w) first; tool_* is the pose of the tool: jaws along x, fingers along z
+s         share of the thread's length, from 0 at one end to 1 at the other
+seen      1 where both images show the thread
+deviation standard deviation of a point along its least certain direction; covariance_xy and so on are the whole of it
+          (empty or NaN where the method predicts none)
+confidence and probability lie between 0 and 1
+
+frames        one row a reconstruction: whether it succeeded, and the curve as a whole
+curves        {points} rows a reconstruction: the curve at places evenly spaced along it; `frame` leads to `frames`
+plans         one row a plan, or a rejection with its reason
+waypoints     the tool poses of each plan, in their order
+robot_states  one row a measurement of an arm; joint_3 is the insertion, in metres
+commands      goals, armings, holds and prompts with their answers
+outcomes      what happened to each armed plan; kind `judged` is the simulator's verdict (in `code`) and sentence
+
+"""
+
+
+@dataclass
+class Exported:
+    """What was written.
+
+    Fields:
+        rows: by table.
+        unreadable: messages that this version cannot read.
+        other_units: curves left out because their lengths are in another unit than those before.
+        damage: what broke the reading off; empty where all was read.
+    """
+
+    rows: dict[str, int] = field(default_factory=dict[str, int])
+    unreadable: int = 0
+    other_units: int = 0
+    damage: str = ""
+
+
+def export(source: Path, folder: Path, form: str, points: int) -> Exported:
+    """Write the tables of a recording, and a README that says what they hold, into a folder.
+
+    Raises:
+        RecordingError: where the file is no recording at all.
+        OSError: where it cannot be opened, or the folder cannot be written to.
+    """
+    exported, tables = Exported(), dict[str, tuple[TableFile, tuple[str, ...]]]()
+    zero_ns: int | None = None
+    try:
+        for entry in read_recording(source):
+            zero_ns = entry.published_ns if zero_ns is None else zero_ns
+            for name, block in _blocks(entry, zero_ns, points, exported):
+                if name not in tables:
+                    tables[name] = FORMATS[form](folder / name, tuple(block)), tuple(block)
+                table, columns = tables[name]
+                if tuple(block) != columns:
+                    exported.other_units += 1
+                    continue
+                table.add(block)
+                exported.rows[name] = exported.rows.get(name, 0) + row_count(block)
+    except RecordingError as error:
+        if zero_ns is None:
+            raise
+        exported.damage = str(error)
+    finally:
+        for table, _ in tables.values():
+            table.close()
+    text = MEANING.format(source=source.name, damage=exported.damage, zero_ns=zero_ns, points=points)
+    columns_of = (f"{table.path.name}: {', '.join(columns)}\n" for table, columns in tables.values())
+    (folder / README).write_text(text + "\n".join(columns_of), encoding="utf-8", errors="backslashreplace")
+    return exported
+
+
+def _blocks(entry: Entry, zero_ns: int, points: int, exported: Exported) -> list[tuple[str, Block]]:
+    try:
+        topic = topic_of(entry.key)
+        if topic not in EXPORTED:
+            return []
+        return list(blocks(decode(topic.message, entry.payload), entry.published_ns, zero_ns, points))
+    except (KeyError, MessageError):
+        exported.unreadable += 1
+        return []
