@@ -91,7 +91,20 @@ class Replay(OnRecording):
     rig: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """The rig on whose keys it is published. Default: the configured or else the recorded one."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
-    """The rig's configuration (TOML), which names the router; without it, the one on this machine."""
+    """The rig's configuration (TOML), which names the router; without it, the one on this machine. With --through: in
+    place of the recorded one."""
+    through: Annotated[str | None, tyro.conf.arg(metavar="AGENT[,AGENT ...]")] = None
+    """Publish nothing: feed these agents, in this process, exactly what they consumed, and compare what they say now
+    (docs/process_replay.md). Exit status then: 0 the same, 1 different, 2 nothing to compare."""
+    against: Annotated[str, tyro.conf.arg(metavar="recorded")] = "recorded"
+    """With --through: what the outputs are compared with."""
+    set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="KEY=VALUE")] = ()
+    """With --through: a setting that is to be otherwise, such as reconstruction.method=paper; may be given often."""
+    tolerances: Annotated[str, tyro.conf.arg(metavar="{auto,none,table}")] = "auto"
+    """With --through: whether differences below those of docs/process_replay.md pass. Default: where settings, versions
+    or the processor are not those of the recording."""
+    output: Annotated[Path | None, tyro.conf.arg(metavar="RRD|MCAP")] = None
+    """With --through: a Rerun recording of both side by side, or the recording with what the agents say now."""
 
 
 RECORDED_COMMANDS: dict[str, type[OnRecording]] = {"replay": Replay, "inspect": Inspect, "export": Export, "cut": Cut}
