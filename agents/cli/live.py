@@ -1,8 +1,6 @@
 """The commands that work on a running rig: agents as processes, the recorder, the viewer, the operator's commands."""
 
-import contextlib
 import threading
-from pathlib import Path
 
 import numpy as np
 
@@ -20,13 +18,12 @@ from agents.cli.live_options import (
     Up,
     View,
 )
-from agents.cli.process import EXIT_OK, EXIT_UNUSABLE, on_stop, run_agent, run_router, step_back
+from agents.cli.process import EXIT_OK, EXIT_UNUSABLE, on_stop, run_agent, run_router
 from agents.cli.rig import RigConfig, simulated_rig
-from agents.cli.session_folder import free_path
 from agents.cli.terminal import complain, say
 from agents.operator.operator import Stood, arm_and_stand_by, ask_for_grasp, hold, prompt
 from schemas.messages import ExecutionEvent, ExecutionKind, GraspPlan, Outcome, Policy, Status
-from schemas.topics import MAIN, TOPICS
+from schemas.topics import MAIN
 from shared.runtime.config import ConfigError, load_config
 from shared.runtime.connection import NoRouterError, connected
 
@@ -55,8 +52,7 @@ def run_live(options: OnRig) -> int:
 
                 return record(rig, options)
             case View():
-                path = free_path(options.output) if options.numbered and options.output else options.output
-                return view(rig, path, options.show)
+                return _view(rig, options)
             case Goal():
                 return goal(rig, options)
             case ArmPlan():
@@ -81,36 +77,12 @@ def run_live(options: OnRig) -> int:
         return complain(str(error), EXIT_UNUSABLE)
 
 
-def view(rig: RigConfig, path: Path | None, show: str) -> int:
-    """Show the rig until stopped, then say what was shown and what was dropped."""
+def _view(rig: RigConfig, options: View) -> int:
     try:
-        from agents.viewer.live import LiveViewer, ViewerError
+        from agents.cli.view_command import view
     except ImportError as error:
         return complain(f"the viewer cannot be loaded: {error}", EXIT_UNUSABLE)
-    step_back()
-    stopped = threading.Event()
-    on_stop(stopped.set)
-    # sessions that are opened together stay apart by the folder that each is in
-    session_id = f"{rig.rig} {path.resolve().parent.name}" if path is not None else rig.rig
-    try:
-        viewer = LiveViewer(path, show, session_id)
-    except ViewerError as error:
-        return complain(str(error), EXIT_UNUSABLE)
-    for note in viewer.notes:
-        say(note)
-    with contextlib.suppress(NoRouterError), connected(rig.session, None, stopped) as connection:
-        connection.listen(TOPICS, viewer.put)
-        stopped.wait()
-    report = viewer.close()
-    counts = {
-        "shown": report.shown,
-        "thinned": report.thinned,
-        "dropped": report.dropped,
-        "unreadable": report.unreadable,
-    }
-    told = ", ".join(f"{name} {sum(count.values())}" for name, count in counts.items())
-    say(f"messages {told}{f': {path}' if path else ''}")
-    return EXIT_OK
+    return view(rig, options)
 
 
 def goal(rig: RigConfig, options: Goal) -> int:

@@ -91,14 +91,24 @@ class Record(OnRig):
 
 @dataclass(frozen=True)
 class View(OnRig):
-    """Show a rig on Rerun until stopped."""
+    """Show on Rerun a rig that runs, until stopped, or a recording."""
 
+    recording: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="RECORDING")] = None
+    """A recording (MCAP) to show, instead of the rig."""
     output: OptionalPath = None
-    """Also write what is shown to this file (.rrd)."""
+    """Write what is shown to this file (.rrd): of a recording instead of a window, of a rig beside it."""
     numbered: bool = False
     """Where that file exists, write session-2.rrd and so on beside it."""
-    show: Literal["file", "native", "web"] = "native"
-    """`file` opens no viewer, `native` a window, `web` a page."""
+    show: Annotated[Literal["file", "native", "web"] | None, tyro.conf.arg(metavar="{file,native,web}")] = None
+    """`file` opens no viewer, `native` a window, `web` a page; a window, unless a recording goes to a file."""
+    layout: Literal["operate", "perception", "grasp", "timing"] = "operate"
+    """What the views are laid out for; all of them show the same."""
+    from_s: Annotated[float | None, tyro.conf.arg(name="from", metavar="SECONDS")] = None
+    """Show a recording from so long after its beginning."""
+    to_s: Annotated[float | None, tyro.conf.arg(name="to", metavar="SECONDS")] = None
+    """Show a recording until so long after its beginning."""
+    thin: bool = False
+    """Leave out of a recording what is faster than an eye can follow, as is done live."""
 
 
 @dataclass(frozen=True)

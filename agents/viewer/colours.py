@@ -30,9 +30,23 @@ BAD = (200, 45, 40)
 WARNING = (255, 190, 60)
 BAD_TEXT = (255, 125, 115)
 TRUTH = (150, 150, 158)
+CHOSEN = (110, 255, 150)
 TOOL = (205, 214, 230)
+SHAFT = (120, 128, 145)
 AXES = ((240, 80, 80), (90, 220, 110), (90, 140, 255))
 """Of the x, y and z axis."""
+
+REASONS = (
+    (255, 110, 90),
+    (255, 175, 60),
+    (120, 170, 255),
+    (235, 110, 255),
+    (90, 215, 225),
+    (190, 160, 120),
+    (255, 120, 190),
+    (150, 130, 255),
+)
+"""What speaks against a capture, in the order in which it was first said."""
 
 PHASES = {
     Phase.APPROACH: (150, 160, 255),
@@ -50,6 +64,9 @@ STATES = {
     "failed": BAD,
     "missed": BAD,
     "lost": BAD,
+    "started": BAND,
+    "continued": GOOD,
+    "restarted": WARNING,
     "fault": BAD,
     "holding": WARNING,
     "held": WARNING,

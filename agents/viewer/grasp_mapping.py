@@ -2,10 +2,11 @@
 
 world/plan/{arm}            `path` of the tool and its `fingers`, by phase of the grasp
 world/tool/{arm}            `fingers`, `shaft` and `axes` of the tool
+world/solid/{arm}           its body, for space alone: in the images it would hide the thread
 world/truth                 the simulated thread as it truly is
 plan/report                 the plan, or why there is none, with what else was considered
 lanes/{arm}                 mode and phase, as they change
-robot/{arm}                 joints and jaw
+robot/joints, jaw_deg       of each arm
 """
 
 import math
@@ -17,6 +18,7 @@ from jaxtyping import Float64
 from agents.viewer import colours
 from agents.viewer.mapping import Entity
 from agents.viewer.session_mapping import lane, said
+from agents.viewer.solids import tool_solid
 from agents.viewer.units import MM_PER_METRE
 from schemas.messages import (
     ExecutionEvent,
@@ -88,8 +90,8 @@ def robot_entities(state: RobotState, unit_known: bool) -> list[Entity]:
     """The tool where the bridge takes it to be, joints and jaw; no tool in a scene of unknown size."""
     arm = rr.escape_entity_path_part(state.arm)
     numbers: list[Entity] = [
-        (f"robot/{arm}/joints", [rr.Scalars(state.joints)]),
-        (f"robot/{arm}/jaw_deg", [rr.Scalars(math.degrees(state.jaw_rad))]),
+        (f"robot/joints/{arm}", [rr.Scalars(state.joints)]),
+        (f"robot/jaw_deg/{arm}", [rr.Scalars(math.degrees(state.jaw_rad))]),
     ]
     if not unit_known:
         return numbers
@@ -105,13 +107,14 @@ def robot_entities(state: RobotState, unit_known: bool) -> list[Entity]:
         (f"{tool}/fingers", [rr.LineStrips3D(list(MM_PER_METRE * fingers), colors=[colours.TOOL], radii=[-3.0])]),
         (f"{tool}/shaft", [rr.LineStrips3D([MM_PER_METRE * shaft], colors=[(*colours.TOOL, 110)], radii=[-2.0])]),
         (f"{tool}/axes", [axes]),
+        (f"world/solid/{arm}", [tool_solid(fingers, shaft)]),
         *numbers,
     ]
 
 
 def joint_names(arm: str) -> Entity:
     """What the curves of an arm's joints are called."""
-    return f"robot/{rr.escape_entity_path_part(arm)}/joints", [rr.SeriesLines(names=JOINT_NAMES)]
+    return f"robot/joints/{rr.escape_entity_path_part(arm)}", [rr.SeriesLines(names=JOINT_NAMES)]
 
 
 def mode_entities(state: RobotState) -> list[Entity]:

@@ -14,11 +14,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from agents.viewer.backlog import Backlog
-from agents.viewer.live_layout import live_layout
+from agents.viewer.live_layout import DEFAULT, live_layout
+from agents.viewer.panels import Scene
 from agents.viewer.screen import Screen
 from agents.viewer.showing import Showing
 from agents.viewer.sinks import Sink, ViewerError, file_sink
 from schemas.topics import Delivery
+from shared.clock import now_ns
 from shared.runtime.taps import Tapped
 
 __all__ = ["LiveViewer", "ViewerError", "ViewerReport"]
@@ -53,10 +55,15 @@ class ViewerReport:
     notes: tuple[str, ...]
 
 
+def report_of(path: Path | None, showing: Showing, dropped: dict[str, int], notes: tuple[str, ...]) -> ViewerReport:
+    """What became of all that was to be shown."""
+    return ViewerReport(path, dict(showing.shown), dropped, dict(showing.thinned), dict(showing.unreadable), notes)
+
+
 class LiveViewer:
     """Shows what is put into it until it is closed."""
 
-    def __init__(self, rrd_path: Path | None, show: str, session_id: str) -> None:
+    def __init__(self, rrd_path: Path | None, show: str, session_id: str, layout_name: str = DEFAULT) -> None:
         """Begin a file, where a path is given, and open a viewer: `file` opens none, `native` a window, `web` a page.
 
         Where no viewer can be opened, the notes say so, and the file is written all the same.
@@ -64,13 +71,13 @@ class LiveViewer:
         Raises:
             ViewerError: where the file cannot be written.
         """
-        layout = live_layout(None, "mm", raw_images=False)
+        layout = live_layout(layout_name, Scene())
         self._path = rrd_path
         self._file = None if rrd_path is None else file_sink(rrd_path, session_id, layout)
         self._notes: list[str] = []
         self._screen: Screen | None = None
-        self._showing = Showing(self._to_sinks)
-        self._backlog: Backlog[Tapped] = Backlog()
+        self._showing = Showing(self._to_sinks, layout_name)
+        self._backlog: Backlog[tuple[Tapped, int]] = Backlog()
         if show != "file":
             try:
                 self._screen = Screen(session_id, layout)
@@ -93,7 +100,7 @@ class LiveViewer:
     def put(self, tapped: Tapped) -> None:
         """Have a message shown; never waits."""
         room = ROOM_LATEST if tapped.topic.delivery is Delivery.LATEST else ROOM_LOSSLESS
-        self._backlog.put(tapped.key, tapped, room, str(tapped.topic))
+        self._backlog.put(tapped.key, (tapped, now_ns()), room, str(tapped.topic))
 
     def close(self) -> ViewerReport:
         """Show what waits, end the file, and say what was shown. A window stays open."""
@@ -104,19 +111,11 @@ class LiveViewer:
             self._note(f"the end is not shown: writing it takes longer than {DRAIN_S:.0f} s")
         if self._screen:
             self._screen.close()
-        showing = self._showing
-        return ViewerReport(
-            self._path,
-            dict(showing.shown),
-            self._dropped(),
-            dict(showing.thinned),
-            dict(showing.unreadable),
-            self.notes,
-        )
+        return report_of(self._path, self._showing, self._dropped(), self.notes)
 
     def _show_all(self) -> None:
-        while (tapped := self._backlog.take()) is not None:
-            self._showing.show(tapped)
+        while (taken := self._backlog.take()) is not None:
+            self._showing.show(*taken)
             self._showing.count(self._dropped())
         self._showing.count(self._dropped(), at_least_every_ns=0)
         if self._file:

@@ -1,103 +1,163 @@
-"""How the live view is laid out: space and both eyes above, curves, lanes and words below."""
+"""How a session is laid out, for what one is there for: operating, perception, a grasp, or timing."""
 
-import numpy as np
+from collections.abc import Callable
+
 import rerun.blueprint as rrb
-from jaxtyping import Float64
 
-from agents.viewer import colours
-from agents.viewer.recording_layout import FLAT, VIEWPOINT
-
-TYPICAL_MM = 95.0
-"""Where a thread is looked for before one has been seen: the middle of an endoscope's working range."""
-
-DRAWN_ON_IMAGES = (
-    "world/thread/curve",
-    "world/thread/ends",
-    "world/plan/**",
-    "world/tool/**",
-)
-
-
-HIDDEN_IN_SPACE = ("world/observations/matched", "world/thread/control_points")
-"""What crowds the thread; the eye symbol in the blueprint panel brings it back."""
+from agents.viewer import panels
+from agents.viewer.panels import Scene
 
 CLOSER = 0.75
 """How much nearer than in a picture of one reconstruction the eye is: there is less room."""
 
+DEFAULT = "operate"
 
-def live_layout(middle_camera: Float64[np.ndarray, "3"] | None, unit: str, raw_images: bool) -> rrb.Blueprint:
-    """The layout; `middle_camera` is what the eye turns about, in the unit of space."""
-    space = rrb.Spatial3DView(
-        origin="world",
-        name=f"space, {unit}",
-        contents=["$origin/**", *(f"- {path}" for path in FLAT)],
-        background=colours.BACKGROUND,
-        line_grid=False,
-        overrides={path: rrb.EntityBehavior(visible=False) for path in HIDDEN_IN_SPACE},
-        eye_controls=_eye(np.array([0.0, 0.0, TYPICAL_MM]) if middle_camera is None else middle_camera),
-    )
-    eyes = rrb.Vertical(*(_eye_view(side, raw_images) for side in ("left", "right")))
+
+def live_layout(name: str, scene: Scene) -> rrb.Blueprint:
+    """The layout of that name; all of them show the same recording, on one timeline."""
     return rrb.Blueprint(
-        rrb.Vertical(
-            rrb.Horizontal(space, eyes, column_shares=[3, 2]),
-            rrb.Horizontal(_quality(unit), _curves(), _lanes(), _words(), column_shares=[3, 3, 3, 4]),
-            row_shares=[5, 2],
-        ),
+        LAYOUTS[name](scene),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline="capture_time"),
     )
 
 
-def _eye(middle: Float64[np.ndarray, "3"]) -> rrb.EyeControls3D:
-    position = middle + CLOSER * middle[2] * np.array(VIEWPOINT)
-    return rrb.EyeControls3D(position=position, look_target=middle, eye_up=[0.0, -1.0, 0.0])
+SEEING = [f"lanes/{stage}" for stage in ("perception", "reconstruction", "track")]
+WORKING = ["$origin/**", "- lanes/track"]
+GRASPING = ["$origin/**", *(f"- {path}" for path in SEEING)]
 
 
-def _eye_view(side: str, raw_images: bool) -> rrb.View | rrb.Tabs:
-    shown = ["$origin/**", *DRAWN_ON_IMAGES, *(["world/observations/points"] if side == "left" else [])]
-    view = rrb.Spatial2DView(origin=f"world/{side}", name=side, contents=shown)
-    if not raw_images:
-        return view
-    return rrb.Tabs(rrb.Spatial2DView(origin=f"camera/raw/{side}", name=f"{side}, not rectified"), view)
-
-
-def _quality(unit: str) -> rrb.Tabs:
-    return rrb.Tabs(
-        _plot("residual_px", "residual, px"),
-        _plot("deviation", f"deviation, {unit}"),
-        _plot("share", "shares unseen, left over"),
-        rrb.BarChartView(origin="deviation/along_s", name=f"deviation along s, {unit}"),
-        rrb.BarChartView(origin="confidence", name="confidence along s"),
-        active_tab=0,
+def operate(scene: Scene) -> rrb.Vertical:
+    """Space and both eyes; below them trust, latency, what is going on, and the log."""
+    return rrb.Vertical(
+        rrb.Horizontal(
+            panels.space(scene, CLOSER),
+            rrb.Vertical(panels.eye("left", scene), panels.eye("right", scene)),
+            column_shares=[3, 2],
+        ),
+        rrb.Horizontal(
+            rrb.Tabs(
+                panels.curves("residual_px", "residual, px"),
+                panels.deviation(scene),
+                panels.shares(),
+                active_tab=0,
+            ),
+            rrb.Tabs(
+                panels.curves("latency", "latency since capture, ms"),
+                panels.curves("health/lost", "lost or refused, by input", legend=False),
+                panels.curves("viewer", "of the viewer"),
+                active_tab=0,
+            ),
+            rrb.Tabs(panels.lanes(contents=WORKING), panels.document("plan/report", "plan"), active_tab=0),
+            panels.words(),
+            column_shares=[3, 3, 4, 4],
+        ),
+        row_shares=[2, 1],
     )
 
 
-def _curves() -> rrb.Tabs:
-    return rrb.Tabs(
-        _plot("latency", "latency since capture, ms"),
-        _plot("step_ms", "step time, ms"),
-        _plot("health/rate_hz", "published, Hz"),
-        _plot("health/lost", "lost or refused"),
-        _plot("health/replaced", "replaced by newer"),
-        _plot("viewer", "of the viewer"),
-        _plot("robot", "joints, jaw"),
-        active_tab=0,
+def perception(scene: Scene) -> rrb.Vertical:
+    """Both images with what was seen in them, and how well the curve explains it."""
+    eyes = [panels.eye(side, scene, grasp=False) for side in ("left", "right")]
+    if scene.matched:
+        eyes.append(panels.match_cost())
+    along = [
+        panels.bars("deviation/along_s", f"deviation along s, {scene.unit}"),
+        panels.bars("confidence", "confidence along s"),
+    ]
+    if scene.matched:
+        costs = [panels.bars("match/histogram", "matches by cost", legend=True), panels.curves("match", "match costs")]
+        third: rrb.Container = rrb.Vertical(*costs)
+    else:
+        third = rrb.Vertical(*along)
+    return rrb.Vertical(
+        rrb.Horizontal(*eyes),
+        rrb.Horizontal(
+            rrb.Vertical(
+                panels.curves("residual_px", "residual, px"),
+                panels.shares(),
+            ),
+            third,
+            rrb.Vertical(
+                panels.deviation(scene),
+                along[1] if scene.matched else panels.curves("stage_ms", "stage times, ms"),
+            ),
+            rrb.Vertical(
+                panels.lanes(contents=SEEING),
+                panels.words("log of perception and reconstruction", ["log/perception/**", "log/reconstruction/**"]),
+            ),
+            column_shares=[3, 3, 3, 4],
+        ),
+        row_shares=[5, 4],
     )
 
 
-def _plot(origin: str, name: str) -> rrb.TimeSeriesView:
-    return rrb.TimeSeriesView(origin=origin, name=name)
-
-
-def _lanes() -> rrb.Tabs:
-    return rrb.Tabs(
-        rrb.StateTimelineView(origin="lanes", name="what is going on"),
-        rrb.TextDocumentView(origin="plan/report", name="plan"),
-        active_tab=0,
+def grasp(scene: Scene) -> rrb.Horizontal:
+    """The plan in space and in the left image, why others lost, and how the arm carries it out."""
+    return rrb.Horizontal(
+        rrb.Vertical(
+            panels.space(scene, 0.5, without=("world/surface",)),
+            rrb.Horizontal(
+                panels.lanes(contents=GRASPING),
+                panels.bars("plan/considered", "captures along s: success in %, by what lost them", legend=True),
+            ),
+            row_shares=[5, 3],
+        ),
+        rrb.Vertical(
+            panels.eye("left", scene),
+            panels.document("plan/report", "plan"),
+            rrb.Tabs(
+                panels.curves("robot/jaw_deg", "jaw, degrees"),
+                panels.curves("robot/joints", "joints, rad and m"),
+                panels.words(),
+                active_tab=0,
+            ),
+            row_shares=[5, 5, 4],
+        ),
+        column_shares=[3, 2],
     )
 
 
-def _words() -> rrb.TextLogView:
-    columns = rrb.TextLogColumns(timeline_columns=["capture_time"], text_log_columns=["LogLevel", "Body"])
-    return rrb.TextLogView(origin="log", name="log", columns=columns)
+def timing(_: Scene) -> rrb.Vertical:
+    """The dataflow with its rates, latencies, losses, clocks and health."""
+    return rrb.Vertical(
+        rrb.Horizontal(
+            panels.dataflow(),
+            rrb.Vertical(
+                panels.curves("latency", "latency since capture, ms"),
+                panels.curves("stage_ms", "from a stage's input to its result, ms"),
+            ),
+            column_shares=[3, 2],
+        ),
+        rrb.Horizontal(
+            rrb.Tabs(
+                panels.document("dataflow/table", "health"),
+                panels.curves("health/rate_hz", "published, Hz"),
+                panels.curves("health/step_ms", "step times, ms"),
+                active_tab=0,
+            ),
+            rrb.Tabs(
+                panels.curves("health/lost", "lost or refused, by input", legend=False),
+                panels.curves("health/replaced", "replaced by newer", legend=False),
+                panels.curves("viewer", "of the viewer"),
+                active_tab=0,
+            ),
+            rrb.Tabs(
+                panels.curves("clock", "arrival, ms"),
+                panels.curves("health/age_ms", "age of inputs, ms", legend=False),
+                active_tab=0,
+            ),
+            panels.words(),
+            column_shares=[5, 3, 3, 4],
+        ),
+        row_shares=[5, 3],
+    )
+
+
+LAYOUTS: dict[str, Callable[[Scene], rrb.Container]] = {
+    "operate": operate,
+    "perception": perception,
+    "grasp": grasp,
+    "timing": timing,
+}

@@ -11,6 +11,8 @@ import numpy as np
 import rerun as rr
 from jaxtyping import UInt8
 
+from agents.viewer.considered_mapping import Considered
+from agents.viewer.dataflow_mapping import Dataflow
 from agents.viewer.grasp_mapping import (
     execution_entities,
     joint_names,
@@ -29,10 +31,12 @@ from agents.viewer.mapping import (
     observation_entities,
     reconstruction_entities,
 )
+from agents.viewer.match_mapping import match_entities
 from agents.viewer.quality_mapping import curve_looks
 from agents.viewer.report import finding_text, findings
 from agents.viewer.session_mapping import command_entities, health_entities, lane, log_entities, said
 from agents.viewer.surface_mapping import surface_entities
+from agents.viewer.timing_mapping import end_to_end_name
 from agents.viewer.units import camera_in_mm, observations_in_mm, reconstruction_in_mm
 from schemas.messages import (
     AgentHealth,
@@ -53,6 +57,7 @@ from schemas.messages import (
     StereoFrame,
     ThreadObservations,
     ThreadReconstruction,
+    ThreadTrack,
     TissueSurface,
 )
 from shared.camera import is_rectified
@@ -78,6 +83,13 @@ class LiveMapping:
         self._shown: tuple[RectifiedStereo, float] | None = None
         self._before: dict[str, object] = {}
         self._observed: deque[ThreadObservations] = deque(maxlen=OBSERVED_MOST)
+        self._considered, self._dataflow = Considered(), Dataflow()
+        self._matched = False
+
+    @property
+    def matched(self) -> bool:
+        """Whether perception matches pixels, as far as is known."""
+        return self._matched
 
     @property
     def rectified(self) -> bool:
@@ -103,7 +115,7 @@ class LiveMapping:
             case ThreadReconstruction():
                 return self._reconstruction(reconstruction_in_mm(message))
             case GraspPlan():
-                return plan_entities(message)
+                return [*plan_entities(message), *self._considered.entities(message)]
             case RobotState():
                 return self._robot(message)
             case ExecutionEvent():
@@ -112,11 +124,14 @@ class LiveMapping:
                 return judgement_entities(message)
             case SimulatorState():
                 return [*self._camera(camera_in_mm(message.camera), None), *truth_entities(message)]
+            case AgentHealth():
+                return [*health_entities(message), *self._dataflow.entities(message)]
             case _:
                 return _about_the_session(message)
 
     def _observations(self, observations: ThreadObservations) -> list[Entity]:
         self._observed.append(observations)
+        self._matched |= len(observations.matched_px) > 0
         grave = [finding_text(judgement) for judgement in findings(observations)]
         words = [said("perception", text, rr.TextLogLevel.WARN) for text in grave]
         codes = tuple(judgement.code for judgement in findings(observations))
@@ -124,18 +139,21 @@ class LiveMapping:
             *self._camera(observations.camera, None),
             *mask_entities(_coverage(observations.mask_left), _coverage(observations.mask_right)),
             *observation_entities(observations, MOST_MATCHED),
+            *(match_entities(observations) if self._matched else []),
             *(words if self._changed("findings", codes) else []),
             *self._status("perception", observations.status, observations.reason),
         ]
 
     def _reconstruction(self, reconstruction: ThreadReconstruction) -> list[Entity]:
+        self._considered.saw(reconstruction)
         depths = reconstruction.control_points_camera[:, 2]
         same_frame = (observed for observed in self._observed if observed.stamp == reconstruction.stamp)
         return [
             *self._camera(reconstruction.camera, float(np.median(depths)) if (depths > 0).any() else None),
-            *(curve_looks() if self._changed("looks of curves", True) else []),
+            *([*curve_looks(), end_to_end_name()] if self._changed("looks of curves", True) else []),
             *reconstruction_entities(reconstruction, next(same_frame, None)),
             *self._status("reconstruction", reconstruction.status, reconstruction.reason),
+            *self._track(reconstruction.track),
         ]
 
     def _robot(self, state: RobotState) -> list[Entity]:
@@ -161,6 +179,13 @@ class LiveMapping:
             return []
         result = lane(stage, status.name.lower())
         return [result, said(stage, reason, rr.TextLogLevel.WARN)] if reason else [result]
+
+    def _track(self, track: ThreadTrack | None) -> list[Entity]:
+        """What became of the track, as it changes."""
+        if track is None or not self._changed("track", (track.step, track.reason)):
+            return []
+        step = lane("track", track.step.name.lower())
+        return [step, said("reconstruction", f"track: {track.reason}")] if track.reason else [step]
 
     def _changed(self, what: str, value: object) -> bool:
         changed = self._before.get(what) != value
@@ -197,8 +222,6 @@ def _coverage(mask: Image) -> UInt8[np.ndarray, "h w"]:
 
 def _about_the_session(message: object) -> list[Entity]:
     match message:
-        case AgentHealth():
-            return health_entities(message)
         case LogRecord():
             return log_entities(message)
         case CommandRecord():

@@ -34,11 +34,26 @@ SIDES = ("left", "right")
 
 def curve_looks() -> list[Entity]:
     """The colours of the curves over time, as in the picture: one for each image, the median thicker."""
-    return [
-        (f"residual_px/{side}/{what}", [rr.SeriesLines(colors=[rgb], widths=[width], names=[f"{side}, {called}"])])
+    residuals = [
+        (f"residual_px/{side}/{what}", _looks(rgb, width, f"{side}, {called}"))
         for side, rgb in zip(SIDES, (colours.LEFT_EYE, colours.RIGHT_EYE), strict=True)
         for what, called, width in (("median", "median", 2.0), ("percentile_95", "95 %", 1.0))
     ]
+    shares = [
+        (f"share/left_over_{side}", _looks(rgb, 1.0, f"left over, {side}"))
+        for side, rgb in zip(SIDES, (colours.LEFT_EYE, colours.RIGHT_EYE), strict=True)
+    ]
+    return [
+        *residuals,
+        *shares,
+        ("share/unseen", _looks(colours.UNKNOWN, 2.0, "unseen")),
+        ("deviation/mean", _looks(colours.KEPT, 2.0, "mean")),
+        ("deviation/worst", _looks(colours.WARNING, 1.0, "worst")),
+    ]
+
+
+def _looks(rgb: tuple[int, int, int], width: float, name: str) -> list[rr.AsComponents]:
+    return [rr.SeriesLines(colors=[rgb], widths=[width], names=[name])]
 
 
 def centreline_entities(observations: ThreadObservations) -> list[Entity]:

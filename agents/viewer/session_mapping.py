@@ -1,8 +1,6 @@
-"""How the dataflow fares, as Rerun shows it: latency, health, logs, commands, and what the viewer itself let go.
+"""How the dataflow fares, as Rerun shows it: health, logs, commands, and what the viewer itself let go.
 
-latency/{stage}             milliseconds from when the left eye saw a frame to when a stage published its result
-step_ms/{stage}             how long the stage's step took
-health/{what}/{agent}       published per second, lost and replaced inputs, step times
+health/{what}/{agent}       published per second, lost and replaced inputs and their ages, step times
 log/{who}                   everything that is said in words
 viewer/{what}/{topic}       messages shown, thinned, dropped and unreadable
 """
@@ -13,8 +11,7 @@ from agents.viewer import colours
 from agents.viewer.mapping import Entity
 from schemas.codec import decode, encoding_name
 from schemas.messages import AgentHealth, CommandRecord, GraspGoal, LogLevel, LogRecord, Outcome
-from schemas.topics import COMMANDS, SURFACE, TOPICS, Delivery, Topic
-from shared.runtime.attachment import Attachment
+from schemas.topics import COMMANDS, TOPICS, Delivery
 
 _LEVELS = {
     LogLevel.DEBUG: rr.TextLogLevel.DEBUG,
@@ -23,14 +20,6 @@ _LEVELS = {
     LogLevel.ERROR: rr.TextLogLevel.ERROR,
 }
 _COMMAND_TYPES = {encoding_name(topic.message): topic.message for topic in TOPICS if topic.delivery is Delivery.COMMAND}
-
-
-def latency_entities(topic: Topic, capture_ns: int, beside: Attachment) -> list[Entity]:
-    """How old a frame was when this was published, by the clocks of camera and publisher, and the step's time."""
-    latency_ms = (beside.published_ns - capture_ns) * 1e-6
-    # an agent's second output, with a latency of its own
-    stage = topic.name if topic == SURFACE else topic.agent
-    return [(f"latency/{stage}", [rr.Scalars(latency_ms)]), (f"step_ms/{stage}", [rr.Scalars(beside.step_ms)])]
 
 
 def health_entities(health: AgentHealth) -> list[Entity]:
@@ -44,6 +33,8 @@ def health_entities(health: AgentHealth) -> list[Entity]:
             (f"health/lost/{agent}/{_part(given.topic)}", [rr.Scalars(float(given.missed + given.refused))]),
             (f"health/replaced/{agent}/{_part(given.topic)}", [rr.Scalars(float(given.dropped))]),
         ]
+        if given.age_ms is not None:
+            entities.append((f"health/age_ms/{agent}/{_part(given.topic)}", [rr.Scalars(given.age_ms)]))
     for name, step_ms in (("p50", health.step_ms_p50), ("p99", health.step_ms_p99)):
         if step_ms is not None:
             entities.append((f"health/step_ms/{agent}/{name}", [rr.Scalars(step_ms)]))
@@ -88,6 +79,11 @@ def lane(path: str, state: str) -> Entity:
     known = colours.STATES
     looks = rr.StateConfiguration(values=list(known), labels=list(known), colors=list(known.values()))
     return f"lanes/{path}", [looks, rr.StateChange(state=state)]
+
+
+def nothing_yet() -> list[Entity]:
+    """What stands where something is told of that has not happened yet."""
+    return [("plan/report", [rr.TextDocument("No goal has been named yet.")])]
 
 
 def failure(key: str, why: str, count: int) -> Entity:

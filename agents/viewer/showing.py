@@ -6,13 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from agents.viewer.live_layout import live_layout
+from agents.viewer.live_layout import DEFAULT, live_layout
 from agents.viewer.live_mapping import LiveMapping
 from agents.viewer.mapping import Entity
+from agents.viewer.panels import Scene
 from agents.viewer.report import unit_text
-from agents.viewer.session_mapping import count_entities, failure, latency_entities
+from agents.viewer.session_mapping import count_entities, failure, nothing_yet
 from agents.viewer.sinks import Moment, Sink
 from agents.viewer.thinning import BY_FRAME, Thinning
+from agents.viewer.timing_mapping import Arrivals, StageTimes, latency_entities
 from agents.viewer.units import reconstruction_in_mm
 from schemas.codec import decode
 from schemas.messages import FrameStamp, Status, ThreadReconstruction
@@ -27,20 +29,26 @@ OWN_TIMES = ("at_ns", "measured_ns", "received_ns", "now_ns")
 class Showing:
     """Shows messages by way of `to_sinks`, which has something done to every stream."""
 
-    def __init__(self, to_sinks: Callable[[Callable[[Sink], None]], None]) -> None:
+    def __init__(
+        self, to_sinks: Callable[[Callable[[Sink], None]], None], layout: str = DEFAULT, thin: bool = True
+    ) -> None:
+        """Begin in the layout of that name; `thin` leaves out what is faster than an eye can follow."""
         self._to_sinks = to_sinks
-        self._mapping, self._thinning = LiveMapping(), Thinning()
+        self._mapping, self._thinning = LiveMapping(), Thinning() if thin else None
+        self._stages, self._arrivals = StageTimes(), Arrivals()
+        self._layout, self._scene = layout, Scene()
         self.shown: Counter[str] = Counter()
         self.thinned: Counter[str] = Counter()
         self.unreadable: Counter[str] = Counter()
         self._latest_ns = 0
         self._counted_ns = 0
-        self._laid_out = False
 
-    def show(self, tapped: Tapped) -> None:
-        """Show one message, or count why not."""
+    def show(self, tapped: Tapped, received_ns: int | None = None) -> None:
+        """Show one message that was received then, or count why not."""
         topic = str(tapped.topic)
         published_ns = tapped.beside.published_ns if tapped.beside else self._latest_ns
+        if received_ns is not None and tapped.beside:
+            self._log(Moment(published_ns), self._arrivals.count(tapped.key, published_ns, received_ns))
         try:
             shown = self._show(tapped, published_ns)
         except Exception as error:
@@ -63,34 +71,49 @@ class Showing:
 
     def _show(self, tapped: Tapped, published_ns: int) -> bool:
         by_frame = tapped.topic in BY_FRAME
-        if not by_frame and not self._thinning.keeps(tapped.topic, tapped.key, published_ns):
+        if not by_frame and not self._keeps(tapped, published_ns):
             return False
         message = decode(tapped.topic.message, tapped.payload)
         moment = moment_of(message, published_ns)
-        if by_frame and not self._thinning.keeps(tapped.topic, tapped.key, moment.capture_ns):
+        stage_ms = None
+        if moment.frame is not None and tapped.beside:
+            # of the frames that are left out too: what is made of them need not be
+            stage_ms = self._stages.saw(tapped.topic, moment.frame, published_ns)
+        if by_frame and not self._keeps(tapped, moment.capture_ns):
             return False
         entities = self._mapping.entities(message)
         if moment.frame is not None and tapped.beside:
-            entities += latency_entities(tapped.topic, moment.capture_ns, tapped.beside)
-        if isinstance(message, ThreadReconstruction) and not self._laid_out:
+            entities += latency_entities(tapped.topic, moment.capture_ns, tapped.beside, stage_ms)
+        if isinstance(message, ThreadReconstruction) and message.status is Status.OK:
             self._lay_out(message)
+        if not self.shown:
+            entities += nothing_yet()
         self._log(moment, entities)
         # not the latest of all: a single time in the far future must not end the counting
         self._latest_ns = published_ns if tapped.beside else moment.capture_ns
         return True
 
+    def _keeps(self, tapped: Tapped, at_ns: int) -> bool:
+        return self._thinning is None or self._thinning.keeps(tapped.topic, tapped.key, at_ns)
+
     def _lay_out(self, reconstruction: ThreadReconstruction) -> None:
-        """Turn the eye to the first thread that is seen."""
-        if reconstruction.status is not Status.OK:
-            return
-        self._laid_out = True
+        """Turn the eye to the first thread that is seen, and make room for what this session has."""
+        before = self._scene
         thread = reconstruction_in_mm(reconstruction)
-        middle = np.median(thread.control_points_camera, axis=0)
-        layout = live_layout(middle, unit_text(thread.camera.metres_per_unit), raw_images=not self._mapping.rectified)
+        if before.middle_camera is None:
+            middle, unit = np.median(thread.control_points_camera, axis=0), unit_text(thread.camera.metres_per_unit)
+        else:
+            middle, unit = before.middle_camera, before.unit
+        raw_images, matched = not self._mapping.rectified, self._mapping.matched
+        if before.middle_camera is not None and (raw_images, matched) == (before.raw_images, before.matched):
+            return
+        self._scene = Scene(middle, unit, raw_images, matched)
+        layout = live_layout(self._layout, self._scene)
         self._to_sinks(lambda sink: sink.lay_out(layout))
 
     def _log(self, moment: Moment, entities: list[Entity]) -> None:
-        self._to_sinks(lambda sink: sink.log(moment, entities))
+        if entities:
+            self._to_sinks(lambda sink: sink.log(moment, entities))
 
 
 def moment_of(message: Any, published_ns: int) -> Moment:

@@ -23,6 +23,8 @@ SERVER_MEMORY = "128MiB"
 """What is kept for a viewer that connects late; Rerun needs up to twice as much."""
 
 WEB_PORT = 9090
+WINDOW_OPTIONS: tuple[str, ...] = ()
+"""More options of Rerun's window; without a screen, `--headless` stands in for one."""
 WINDOW_OPENS_S = 1.5
 """A window that has no screen to open on is gone by then."""
 
@@ -86,18 +88,32 @@ def file_sink(path: pathlib.Path, session_id: str, layout: rrb.Blueprint) -> Sin
     return Sink(stream)
 
 
-def served_sink(session_id: str, layout: rrb.Blueprint) -> tuple[Sink, str]:
-    """A recording for viewers to connect to, and its address.
+def served_sink(session_id: str, layout: rrb.Blueprint, memory: str = SERVER_MEMORY) -> tuple[Sink, str]:
+    """A recording for viewers to connect to, and its address; `memory` is what it keeps for those that come late.
 
     Raises:
         ViewerError: where it cannot be served.
     """
     stream = rr.RecordingStream(APPLICATION, recording_id=session_id)
     try:
-        address = stream.serve_grpc(grpc_port=free_port(), default_blueprint=layout, server_memory_limit=SERVER_MEMORY)
+        address = stream.serve_grpc(grpc_port=free_port(), default_blueprint=layout, server_memory_limit=memory)
     except (OSError, RuntimeError) as error:
         raise ViewerError(f"no viewer can be served: {error}") from error
     return Sink(stream), address
+
+
+def window_sink(session_id: str, layout: rrb.Blueprint) -> tuple[Sink, subprocess.Popen[bytes], str]:
+    """A recording that goes straight into a window that is opened for it, which keeps all of it, and its address.
+
+    Raises:
+        ViewerError: where there is no screen, or no window opens.
+    """
+    port = free_port()
+    address = f"rerun+http://127.0.0.1:{port}/proxy"
+    window = _open(["--port", str(port)], "; write a file with --output instead, and open it elsewhere")
+    stream = rr.RecordingStream(APPLICATION, recording_id=session_id)
+    stream.connect_grpc(address, default_blueprint=layout)
+    return Sink(stream), window, address
 
 
 def open_window(address: str) -> subprocess.Popen[bytes]:
@@ -106,11 +122,15 @@ def open_window(address: str) -> subprocess.Popen[bytes]:
     Raises:
         ViewerError: where there is no screen, or no window opens.
     """
+    return _open(["--port", str(free_port()), address], f"; elsewhere, run: rerun {address}")
+
+
+def _open(arguments: list[str], remedy: str) -> subprocess.Popen[bytes]:
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise ViewerError(f"there is no screen here to open a window on; elsewhere, run: rerun {address}")
+        raise ViewerError(f"there is no screen here to open a window on{remedy}")
     # the `rerun` console script only wraps this binary, and ending the wrapper would orphan the viewer
     binary = pathlib.Path(rerun_cli.__file__).parent / ("rerun.exe" if sys.platform == "win32" else "rerun")
-    command = [binary, "--port", str(free_port()), address]
+    command = [binary, *WINDOW_OPTIONS, *arguments]
     try:
         window = subprocess.Popen(
             command,
@@ -125,9 +145,7 @@ def open_window(address: str) -> subprocess.Popen[bytes]:
         window.wait(WINDOW_OPENS_S)
     except subprocess.TimeoutExpired:
         return window
-    raise ViewerError(
-        f"Rerun's window closed at once, so its graphics may not work here; elsewhere, run: rerun {address}"
-    )
+    raise ViewerError(f"Rerun's window closed at once, so its graphics may not work here{remedy}")
 
 
 def open_page(address: str) -> str:

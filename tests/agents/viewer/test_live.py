@@ -114,7 +114,7 @@ def test_the_file_holds_the_field_the_images_and_the_state_of_the_session(whole_
         "/world/left/image", "/world/right/image", "/world/left/mask", "/world/right/mask", "/world/thread/curve",
         "/world/thread/regions", "/world/observations/points", "/world/plan/psm1/path", "/world/plan/psm1/fingers",
         "/world/tool/psm1/fingers", "/world/tool/psm1/shaft", "/world/truth", "/confidence", "/plan/report",
-        "/plan/probability", "/robot/psm1/joints", "/robot/psm1/jaw_deg", "/operator/psm1/heartbeat", "/replay/rate",
+        "/plan/probability", "/robot/joints/psm1", "/robot/jaw_deg/psm1", "/operator/psm1/heartbeat", "/replay/rate",
         "/health/step_ms/perception/p50", "/health/step_ms/perception/p99",
     ):  # fmt: skip
         assert entity in rows, entity
@@ -124,13 +124,13 @@ def test_the_file_holds_the_field_the_images_and_the_state_of_the_session(whole_
 def test_frames_and_what_descends_from_them_stand_at_their_capture_and_the_rest_at_its_own_time(whole_session, scene):
     _, rows = whole_session
     stamp = scene.observations.stamp
-    for entity in ("/world/left/image", "/world/thread/curve", "/world/left/mask", "/plan/report", "/latency/camera"):
+    for entity in ("/world/left/image", "/world/thread/curve", "/world/left/mask", "/plan/probability", "/latency/camera"):
         (row,) = [row for row in rows[entity] if row.get("capture_time") is not None]
         assert (row["capture_time"], row["frame"]) == (stamp.capture_left_ns, stamp.sequence), entity
-    for entity in ("/robot/psm1/jaw_deg", "/world/truth", "/log/perception", "/operator/psm1/heartbeat"):
+    for entity in ("/robot/jaw_deg/psm1", "/world/truth", "/log/perception", "/operator/psm1/heartbeat"):
         times = [row["capture_time"] for row in rows[entity] if row.get("frame") is None]
         assert stamp.capture_left_ns + 5_000_000 in times, entity
-        assert all(row.get("frame") is None for row in rows["/robot/psm1/jaw_deg"])
+        assert all(row.get("frame") is None for row in rows["/robot/jaw_deg/psm1"])
 
 
 def test_latency_is_from_capture_to_publication_for_each_stage(whole_session):
@@ -276,6 +276,7 @@ def test_health_is_shown_per_agent_and_topic(whole_session):
         "/health/rate_hz/perception/perception\\/observations": [28.0],
         "/health/lost/perception/camera\\/frames": [3.0],
         "/health/replaced/perception/camera\\/frames": [7.0],
+        "/health/age_ms/perception/camera\\/frames": [10.0],
         "/health/step_ms/perception/p50": [12.0],
         "/health/step_ms/perception/p99": [31.0],
     }
@@ -320,7 +321,7 @@ def test_a_thread_of_unknown_unit_is_shown_without_a_tool_of_known_size(session_
     )
     assert sum(report.shown.values()) == 3
     assert "/world/tool/psm1/fingers" not in rows
-    assert "/robot/psm1/joints" in rows
+    assert "/robot/joints/psm1" in rows
 
 
 def test_a_failure_empties_the_thread_and_its_lane_says_so(session_messages, failed, tapped, shown):

@@ -1,0 +1,165 @@
+"""A recording on the screen or as a Rerun file: by the same mapping as live, as fast as it goes, with nothing dropped.
+
+    entries ─▶ one thread decodes, maps, writes the file and feeds the window
+
+Whoever feeds it waits for it. A window that is frozen holds up only that thread, and gives way when the viewer is
+closed.
+"""
+
+import contextlib
+import math
+import subprocess
+import threading
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import rerun.blueprint as rrb
+
+from agents.viewer.live import ViewerReport, report_of
+from agents.viewer.live_layout import live_layout
+from agents.viewer.panels import Scene
+from agents.viewer.showing import Showing
+from agents.viewer.sinks import Sink, ViewerError, file_sink, open_page, served_sink, window_sink
+from schemas.topics import FRAMES, Delivery, topic_of
+from shared.recording.mcap_file import Entry
+from shared.runtime.attachment import Attachment
+from shared.runtime.taps import Tapped
+
+PAGE_MEMORY = "4GiB"
+"""What is kept for a page that is opened later."""
+
+STOP_S = 3.0
+UNKNOWN_MS = math.nan
+"""How long steps took is in no recording."""
+
+__all__ = ["RecordedViewer", "ViewerError"]
+
+
+class RecordedViewer:
+    """Shows the entries of a recording, from a thread of its own, until they end or it is closed.
+
+    Fields:
+        showed: payload bytes of the entries so far.
+        at_ns: when the last one of them was received; None before the first.
+        first_picture: set once an image was logged.
+        finished: set once all is shown, written and handed over, or something went wrong.
+        error: what ended it early; None where nothing did.
+        unknown: messages of keys that the table of topics does not have, by key.
+    """
+
+    def __init__(self, rrd_path: Path | None, show: str, session_id: str, layout: str, thin: bool) -> None:
+        """Open the window (`native`) or the page (`web`) before anything else, so that it fills while entries come.
+
+        Raises:
+            ViewerError: where the file cannot be written, or there is no screen and no file either.
+        """
+        self.showed, self.at_ns = 0, None
+        self.first_picture, self.finished = threading.Event(), threading.Event()
+        self.error: Exception | None = None
+        self.unknown: Counter[str] = Counter()
+        self._path, self._stopped = rrd_path, threading.Event()
+        self._sinks: list[Sink] = []
+        self._window: subprocess.Popen[bytes] | None = None
+        self.notes: list[str] = []
+        blueprint = live_layout(layout, Scene())
+        if rrd_path is not None:
+            self._sinks.append(file_sink(rrd_path, session_id, blueprint))
+        if show != "file":
+            try:
+                self._open(show, session_id, blueprint)
+            except ViewerError as error:
+                if rrd_path is None:
+                    raise
+                self.notes.append(str(error))
+        self._showing = Showing(self._to_sinks, layout, thin)
+
+    def _open(self, show: str, session_id: str, blueprint: rrb.Blueprint) -> None:
+        if show == "web":
+            sink, address = served_sink(session_id, blueprint, PAGE_MEMORY)
+            self.notes.append(f"the viewer's page is {open_page(address)}")
+        else:
+            sink, self._window, address = window_sink(session_id, blueprint)
+            self.notes.append(f"a viewer's window is open and fills: {address}")
+        self._sinks.append(sink)
+
+    @property
+    def window_closed(self) -> bool:
+        """Whether a window was opened, and someone has closed it."""
+        return self._window is not None and self._window.poll() is not None
+
+    def show(self, entries: Iterator[Entry]) -> None:
+        """Begin to show entries, in their order."""
+        threading.Thread(target=self._show_all, args=(entries,), name="viewer", daemon=True).start()
+
+    def close(self) -> ViewerReport:
+        """Stop where it has come to, end the file, and say what was shown. A window stays open, unless it is frozen."""
+        self._stopped.set()
+        if not self.finished.wait(STOP_S) and self._window is not None:
+            self._window.kill()
+            self._window.wait()
+            self.finished.wait(STOP_S)
+        return report_of(self._path, self._showing, {}, tuple(self.notes))
+
+    def _show_all(self, entries: Iterator[Entry]) -> None:
+        try:
+            for entry in entries:
+                if self._stopped.is_set():
+                    break
+                self._show(entry)
+            self._showing.count({}, at_least_every_ns=0)
+        except Exception as error:
+            self.error = error
+        finally:
+            with contextlib.suppress(Exception):
+                for sink in self._sinks:
+                    sink.close()
+            self.finished.set()
+
+    def _show(self, entry: Entry) -> None:
+        self.showed, self.at_ns = self.showed + len(entry.payload), entry.received_ns
+        tapped = tapped_of(entry)
+        if tapped is None:
+            self.unknown[entry.key] += 1
+            return
+        self._showing.show(tapped, entry.received_ns)
+        self._showing.count({})
+        if tapped.topic == FRAMES and self._showing.shown[str(FRAMES)]:
+            self.first_picture.set()
+
+    def _to_sinks(self, action: Callable[[Sink], None]) -> None:
+        for sink in self._sinks:
+            action(sink)
+
+
+def tapped_of(entry: Entry) -> Tapped | None:
+    """A recorded message as it travelled; None where the table of topics does not have its key."""
+    try:
+        topic = topic_of(entry.key)
+    except KeyError:
+        return None
+    return Tapped(
+        topic, entry.key, entry.payload, Attachment(entry.epoch, entry.sequence, entry.published_ns, UNKNOWN_MS)
+    )
+
+
+def between(entries: Iterator[Entry], from_s: float | None, to_s: float | None) -> Iterator[Entry]:
+    """The entries that were received so many seconds after the first one; and what still holds from before.
+
+    That is the last value of each key that lasts (the calibration): without it, later frames mean nothing.
+    """
+    begin_ns: int | None = None
+    lasting: dict[str, Entry] = {}
+    for entry in entries:
+        begin_ns = entry.received_ns if begin_ns is None else begin_ns
+        at_s = 1e-9 * (entry.received_ns - begin_ns)
+        if from_s is not None and at_s < from_s:
+            tapped = tapped_of(entry)
+            if tapped is not None and tapped.topic.delivery is Delivery.STATE:
+                lasting[entry.key] = entry
+            continue
+        if to_s is not None and at_s > to_s:
+            return
+        yield from lasting.values()
+        lasting.clear()
+        yield entry
