@@ -26,12 +26,13 @@ from schemas.messages import (
     Hold,
     Outcome,
     Phase,
+    ReplayClock,
     RobotMode,
     RobotState,
     Status,
 )
 from schemas.messages.grasping import check_pose
-from schemas.topics import ARM, EXECUTION, HEARTBEAT, HOLD, PLAN, ROBOT_STATE
+from schemas.topics import ARM, EXECUTION, HEARTBEAT, HOLD, PLAN, REPLAY_CLOCK, ROBOT_STATE
 from shared.kinematics.psm import forward
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
 from shared.runtime.agent import Command, Input, Output, Received, Tick
@@ -41,6 +42,12 @@ MEASUREMENT_AGE_S = 0.1
 """An arm that was measured longer ago than this is not ready."""
 CLOCK_TOLERANCE_S = 0.5
 """How far a plan's frame may lie in the future, or a heartbeat off its time, before clocks are said to disagree."""
+REPLAY_OVER_S = 2.0
+"""A replay that was not heard for so long is over."""
+
+REPLAYED = Refusal(
+    Code.REPLAY, "a recording is replayed on this rig, and this arm is real: end the replay, then set a goal and arm"
+)
 
 
 class RobotBridgeError(ValueError):
@@ -87,13 +94,16 @@ class RobotBridge:
     def __init__(self, config: RobotBridgeConfig, backend: Backend) -> None:
         """Stand ready, disarmed; nothing is asked of the backend before the first tick."""
         self.instance = config.arm
-        self.inputs = (Input(PLAN), Input(HEARTBEAT, config.arm))
+        self.accepts_replayed_time = backend.accepts_replayed_time
+        clock = () if backend.accepts_replayed_time else (Input(REPLAY_CLOCK, only_newest_counts=True),)
+        self.inputs = (Input(PLAN), Input(HEARTBEAT, config.arm), *clock)
         self.tick_hz = config.tick_hz
         self._config, self._backend = config, backend
         self._setup = Setup(backend.psm, config.T_camera_base, config.limits, 1 / config.tick_hz)
         self._plans: dict[str, GraspPlan] = {}
         self._unusable: dict[str, Refusal] = {}
         self._now_ns: int | None = None
+        self._replay_over_ns = 0
         self._arm_state: ArmState | None = None
         self._not_ready = "the arm has not been measured yet"
         self._execution: Execution | None = None
@@ -112,6 +122,8 @@ class RobotBridge:
                 self._keep(plan)
             case Received(message=Heartbeat() as heartbeat):
                 self._beat(heartbeat)
+            case Received(message=ReplayClock()):
+                return self._refuse_replay()
             case _:
                 pass
         return ()
@@ -187,6 +199,11 @@ class RobotBridge:
             if away_s <= self._config.dead_man_s + CLOCK_TOLERANCE_S:
                 execution.beat(heartbeat.at_ns, self._now_ns)
 
+    def _refuse_replay(self) -> list[Output]:
+        """A recording is replayed on this arm's rig: it stays where it is until that is over."""
+        self._replay_over_ns = (self._now_ns or 0) + round(REPLAY_OVER_S * 1e9)
+        return self._hold(REPLAYED, self._now_ns or 0) if self._execution else []
+
     def _keep(self, plan: GraspPlan) -> None:
         """Keep a plan that this arm could be armed with, or else why it could not."""
         self._plans.pop(plan.plan_id, None)
@@ -197,6 +214,8 @@ class RobotBridge:
         elif plan.status is not Status.OK:
             sentence = f"the planner rejected plan {plan.plan_id}: {plan.reason}"
             _keep_few(self._unusable, plan.plan_id, Refusal(Code.REJECTED_PLAN, sentence))
+        elif (self._now_ns or 0) < self._replay_over_ns:
+            _keep_few(self._unusable, plan.plan_id, REPLAYED)
         else:
             _keep_few(self._plans, plan.plan_id, plan)
 
@@ -219,6 +238,8 @@ class RobotBridge:
         plan = self._plans.get(message.plan_id)
         if refusal := self._wrong_arm(command, message.arm) or self._unusable.get(message.plan_id):
             return refusal
+        if command.now_ns < self._replay_over_ns:
+            return REPLAYED
         if self._execution:
             return Refusal(
                 Code.BUSY, f"the arm carries out plan {self._execution.plan_id}: let it end, or say hold, before arming"

@@ -39,9 +39,12 @@ class Backend(Protocol):
 
     Fields:
         psm: the arm's kinematics and limits.
+        accepts_replayed_time: whether the arm may live in the time of a recording that is replayed, as a simulated one
+            may; an arm that is real may not, and does not move meanwhile.
     """
 
     psm: Psm
+    accepts_replayed_time: bool = False
 
     def state(self, now_ns: int) -> ArmState:
         """The newest state; asked for once in every tick, before anything else."""

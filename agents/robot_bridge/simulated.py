@@ -22,8 +22,10 @@ def waiting(T_camera_base: Float64[np.ndarray, "4 4"]) -> tuple[float, ...]:
 class SimulatedPsm:
     """An arm that goes towards its set point as fast as its joints may, and stands still without one.
 
-    Time passes for it when its state is asked for.
+    Time passes for it when its state is asked for, so it may be that of a recording.
     """
+
+    accepts_replayed_time = True
 
     def __init__(
         self, joints: tuple[float, ...] = SIMULATED_START, jaw_rad: float = 0.0, psm: Psm = LARGE_NEEDLE_DRIVER

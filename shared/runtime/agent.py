@@ -72,6 +72,9 @@ class Agent(Protocol):
     Where it has `goes_on_from`, a topic among its outputs, all that counts of what it was fed before lies in its last
     message on that topic: a replay feeds it that message in place of all before, and needs no more of the past.
 
+    Where it has `accepts_replayed_time = False`, the time of a recording that is replayed on its rig does not become
+    its own, since it moves something real.
+
     Where it has `only_newest_tick_counts = True`, a tick that nothing followed has changed nothing, so that a replay
     may leave it out.
 

@@ -27,15 +27,15 @@ def ring_room(key: str) -> int:
     return _WILDCARD_RING if "*" in key else _RING
 
 
-def declare_publisher(session: zenoh.Session, key: str, topic: Topic) -> Any:
-    """A publisher of a topic that is not a command."""
+def declare_publisher(session: zenoh.Session, key: str, topic: Topic, waits: bool = False) -> Any:
+    """A publisher of a topic that is not a command; `waits` for the network even where the topic would rather drop."""
     encoding = encoding_name(topic.message)
     if topic.delivery is Delivery.LATEST:
         bulky = topic.message is StereoFrame
         return session.declare_publisher(
             key,
             encoding=encoding,
-            congestion_control=zenoh.CongestionControl.DROP,
+            congestion_control=zenoh.CongestionControl.BLOCK if waits else zenoh.CongestionControl.DROP,
             priority=zenoh.Priority.DATA_LOW if bulky else zenoh.Priority.REAL_TIME,
             express=not bulky,
         )

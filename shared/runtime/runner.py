@@ -1,9 +1,11 @@
 """Runs one agent: what arrives is decoded and stepped through, what follows is published, and health says how it goes.
 
 One loop, one thread: ticks, commands, events and newest messages are steps of the same object, one after another.
-Every output lists what it was made from (shared/runtime/fed.py), so that a replay can feed it again.
+Every output lists what it was made from (shared/runtime/fed.py), so that a replay can feed it again. While a recording
+is replayed on the rig, its time holds for the agent (shared/runtime/replayed_time.py).
 """
 
+import contextlib
 import dataclasses
 import logging
 import os
@@ -17,8 +19,17 @@ import zenoh
 import schemas
 from schemas.checks import MessageError
 from schemas.codec import decode, encode, encoding_name
-from schemas.messages import AgentHealth, CommandAnswer, CommandRecord, LogRecord, Outcome
-from schemas.topics import COMMANDS, HEALTH, LOG, MAIN, Delivery, Topic, key
+from schemas.messages import (
+    AgentHealth,
+    CommandAnswer,
+    CommandHeader,
+    CommandRecord,
+    Consumed,
+    LogRecord,
+    Outcome,
+    ReplayClock,
+)
+from schemas.topics import COMMANDS, HEALTH, LOG, MAIN, REPLAY_CLOCK, Delivery, Topic, key, key_root
 from shared.clock import Stopwatch, monotonic_s, now_ns
 from shared.runtime.accounts import InputAccount, OutputAccount, RingLosses, StepTimes
 from shared.runtime.agent import Agent, CannotGoOnError, Command, Input, Output, Received, Tick
@@ -29,6 +40,8 @@ from shared.runtime.delivery import declare_publisher, ring_room, subscribe
 from shared.runtime.fed import Fed, state_topic
 from shared.runtime.inbox import Arrival, Inbox
 from shared.runtime.log_topic import LogTopic
+from shared.runtime.progress import Handled, answer_progress
+from shared.runtime.replayed_time import AgentClock
 
 HEALTH_PERIOD_S = 1.0
 LONGEST_WAIT_S = 0.5
@@ -45,6 +58,7 @@ class Runner:
 
     def __init__(self, agent: Agent, session: zenoh.Session, rig: str, config_hash: str = "") -> None:
         self._agent, self._session, self._rig, self._config_hash = agent, session, rig, config_hash
+        self._clock, self._handled = AgentClock(), Handled()
         self._inbox = Inbox()
         self._stopped = threading.Event()
         self._epoch = int.from_bytes(os.urandom(7), "big")
@@ -77,11 +91,13 @@ class Runner:
             while not self._stopped.is_set():
                 self._heartbeat += 1
                 now_s = monotonic_s()
+                if change := self._clock.change():
+                    self._log.info(change)
                 if now_s >= next_health_s:
                     self._publish(HEALTH, self._health(now_s), 0.0)
                     next_health_s = now_s + HEALTH_PERIOD_S
                 if period_s is not None and now_s >= next_tick_s:
-                    self._tick(now_ns())
+                    self._tick(self._clock.now_ns())
                     # ticks that were missed are left out, not made up for
                     next_tick_s = max(next_tick_s + period_s, monotonic_s())
                 # even where ticks alone take all the time, what arrives has its turn after each
@@ -109,9 +125,33 @@ class Runner:
             selector = key(self._rig, topic, self._agent.instance if topic.per_arm else MAIN)
             self._kept.append(self._session.declare_queryable(selector, self._take_query(topic), complete=True))
         self._kept.append(answer_clock(self._session, self._rig, self._agent.kind, self._agent.instance))
-        alive = f"suturegrasp/{self._rig}/{self._agent.kind}/{self._agent.instance}"
+        self._follow_replays()
+        self._tell_progress()
+        alive = key_root(self._rig, self._agent.instance, self._agent.kind)
         self._kept.append(self._session.liveliness().declare_token(alive))
         self._log.info("started, version %s", schemas.__version__)
+
+    def _follow_replays(self) -> None:
+        if not getattr(self._agent, "accepts_replayed_time", True):
+            return
+
+        def hear(sample: zenoh.Sample) -> None:
+            # what says no time leaves the clock as it is
+            with contextlib.suppress(MessageError):
+                self._clock.hear(decode(ReplayClock, sample.payload.to_bytes()))
+
+        self._kept += subscribe(self._session, key(self._rig, REPLAY_CLOCK), REPLAY_CLOCK, hear, lambda _: None)
+
+    def _tell_progress(self) -> None:
+        def published() -> tuple[Consumed, ...]:
+            # an agent that ticks speaks unasked, and nobody can wait for the end of that
+            topics = self._agent.outputs if self._agent.tick_hz is None else ()
+            counts = [(self._key(topic), self._account(topic).published) for topic in topics]
+            return tuple(Consumed(name, self._epoch, count - 1) for name, count in counts if count)
+
+        root = key_root(self._rig, self._agent.instance, self._agent.kind)
+        listens = [key(self._rig, i.topic, i.instance) for i in self._agent.inputs]
+        self._kept.append(answer_progress(self._session, root, listens, self._handled, published))
 
     def _receiver(self, wanted: Input) -> Callable[[zenoh.Sample], None]:
         latest = wanted.topic.delivery is Delivery.LATEST
@@ -164,14 +204,17 @@ class Runner:
             if account.refused % LIKE_PER_LINE == 0:
                 self._log.warning("a message on %s was refused: %s", arrival.key, error)
             account.refuse(arrival.key, beside)
+            if beside is not None:
+                self._handled.note(arrival.key, beside.epoch, beside.sequence)
             return
-        account.arrived(arrival.key, beside, now_ns(), monotonic_s())
+        account.arrived(arrival.key, beside, self._clock.now_ns(), monotonic_s())
         only_newest_counts = str(arrival.topic) in self._newest_only
         self._fed.message(arrival.key, beside.epoch, beside.sequence, only_newest_counts)
         self._step(Received(arrival.topic, arrival.key, beside.sequence, message))
+        self._handled.note(arrival.key, beside.epoch, beside.sequence)
 
     def _carry_out(self, arrival: Arrival, answer: Callable[[CommandAnswer], None]) -> None:
-        payload, received_ns = arrival.payload(), now_ns()
+        payload, received_ns = arrival.payload(), self._clock.now_ns()
         try:
             message = decode(arrival.topic.message, payload)
         except MessageError as error:
@@ -182,7 +225,7 @@ class Runner:
         if before is not None:
             answer(before)
             return
-        refusal = None if arrival.topic.good_when_late else untimely(message.header, received_ns)
+        refusal = None if arrival.topic.good_when_late else _untimely(message.header, received_ns)
         outputs: list[Output] = []
         step_ms = 0.0
         if refusal is not None:
@@ -279,13 +322,13 @@ class Runner:
         """Publish a message; its number in the sequence of its key."""
         account, payload = self._account(topic), encode(message)
         with self._publishing:
-            beside = Attachment(self._epoch, account.published, now_ns(), step_ms)
+            beside = Attachment(self._epoch, account.published, self._clock.now_ns(), step_ms)
             account.count(monotonic_s())
             self._publishers[str(topic)].put(payload, attachment=pack(beside))
             return beside.sequence
 
     def _publish_log(self, record: LogRecord) -> None:
-        self._publish(LOG, record, 0.0)
+        self._publish(LOG, dataclasses.replace(record, at_ns=self._clock.now_ns()), 0.0)
 
     def _health(self, now_s: float) -> AgentHealth:
         return AgentHealth(
@@ -294,7 +337,7 @@ class Runner:
             host=socket.gethostname(),
             version=schemas.__version__,
             config_hash=self._config_hash,
-            at_ns=now_ns(),
+            at_ns=self._clock.now_ns(),
             uptime_s=now_s - self._started_s,
             heartbeat=self._heartbeat,
             step_ms_p50=self._steps.percentile(50),
@@ -323,3 +366,8 @@ class Runner:
         self._log.removeHandler(self._log_topic)
         for declared in (*self._kept, *self._publishers.values()):
             declared.undeclare()
+
+
+def _untimely(header: CommandHeader, received_ns: int) -> CommandAnswer | None:
+    """As `untimely`; while a recording is replayed, people who send commands live by this machine's clock still."""
+    return untimely(header, now_ns()) and untimely(header, received_ns)

@@ -3,15 +3,20 @@
 Losses are counted per key from sequence numbers: a recording is complete, or says where it is not.
 """
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import zenoh
 
-from schemas.topics import ANY_AGENT, Delivery, Topic
+from schemas.topics import ANY_AGENT, Delivery, Topic, key, key_root
 from shared.runtime.attachment import Attachment, unpack
 from shared.runtime.delivery import subscribe
+from shared.runtime.progress import Handled, answer_progress
+
+TAP = "tap"
+"""In the place of an agent, where a listener that is none tells how far it has got."""
 
 
 @dataclass(frozen=True)
@@ -53,23 +58,22 @@ def tap(
     to; they are recorded through `command`.
     """
     kept: list[Any] = []
+    handled, selectors = Handled(), list[str]()
     for topic in topics:
         if topic.delivery is Delivery.COMMAND:
             continue
-        agent = "*" if topic.agent == ANY_AGENT else topic.agent
-        kept += subscribe(
-            session,
-            f"suturegrasp/{rig}/{agent}/*/{topic.name}",
-            topic,
-            _receiver(topic, receive),
-            lambda count, topic=topic: missed(topic, count),
-        )
+        selectors.append(key(rig, topic, "*", "*" if topic.agent == ANY_AGENT else topic.agent))
+        receiver = _receiver(topic, receive, handled)
+        kept += subscribe(session, selectors[-1], topic, receiver, lambda count, topic=topic: missed(topic, count))
+    kept.append(answer_progress(session, key_root(rig, os.urandom(7).hex(), TAP), selectors, handled))
     return kept
 
 
-def _receiver(topic: Topic, receive: Callable[[Tapped], None]) -> Callable[[zenoh.Sample], None]:
+def _receiver(topic: Topic, receive: Callable[[Tapped], None], handled: Handled) -> Callable[[zenoh.Sample], None]:
     def hand_over(sample: zenoh.Sample) -> None:
         beside = unpack(sample.attachment.to_bytes()) if sample.attachment is not None else None
         receive(Tapped(topic, str(sample.key_expr), sample.payload.to_bytes(), beside))
+        if beside is not None:
+            handled.note(str(sample.key_expr), beside.epoch, beside.sequence)
 
     return hand_over
