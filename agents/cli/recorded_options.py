@@ -102,7 +102,7 @@ class Replay(OnRecording):
     """With --through: a setting that is to be otherwise, such as reconstruction.method=paper; may be given often."""
     tolerances: Annotated[str, tyro.conf.arg(metavar="{auto,none,table}")] = "auto"
     """With --through: whether differences below those of docs/process_replay.md pass. Default: where settings, versions
-    or the processor are not those of the recording."""
+    or the machine are not those of the recording."""
     output: Annotated[Path | None, tyro.conf.arg(metavar="RRD|MCAP")] = None
     """With --through: a Rerun recording of both side by side, or the recording with what the agents say now."""
 

@@ -1,0 +1,50 @@
+"""The table of what a replay says differently."""
+
+import math
+from collections import Counter
+
+from agents.replay.compare import OTHER
+from agents.replay.differences import Comparison, Row
+from schemas.topics import TOPICS
+
+HEADINGS = ("field", "messages", "beyond", "median", "worst", "tolerance", "", "the worst is at")
+
+
+def table(comparison: Comparison, began_ns: int) -> list[str]:
+    """A block of lines for each topic: what was compared, and a row for every field that differs anywhere."""
+    lines: list[str] = []
+    order = {str(topic): number for number, topic in enumerate(TOPICS)}
+    messages = Counter(output.topic for output in comparison.outputs)
+    differing = Counter(output.topic for output in comparison.outputs if not output.is_same)
+    for topic in sorted(messages, key=lambda name: order[name]):
+        rows = [row for row in comparison.rows if row.topic == topic]
+        lines += ["", f"{topic}: {messages[topic]} compared, {differing[topic]} not byte for byte the same"]
+        lines += _aligned([HEADINGS, *(_cells(row, began_ns) for row in rows)]) if rows else []
+    return [*lines, ""]
+
+
+def _cells(row: Row, began_ns: int) -> tuple[str, ...]:
+    mark = "!" if row.beyond else ""
+    numbers = (_shown(row.median), _shown(row.worst), _shown(row.rule.tolerance))
+    frame = "" if row.where.frame is None else f"frame {row.where.frame}, "
+    where = f"{frame}{1e-9 * (row.where.published_ns - began_ns):.2f} s"
+    unit = "" if math.isinf(row.worst) and not row.rule.tolerance else row.rule.unit
+    return (f"{row.field}{mark}", str(row.messages), str(row.beyond), *numbers, unit, where)
+
+
+def _shown(amount: float) -> str:
+    """A difference in few digits; what no number tells apart is called other."""
+    return "other" if amount == OTHER else f"{amount:.3g}"
+
+
+def _aligned(rows: list[tuple[str, ...]]) -> list[str]:
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    numeric = range(1, 6)
+    return [
+        "  "
+        + "  ".join(
+            cell.rjust(width) if column in numeric else cell.ljust(width)
+            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]

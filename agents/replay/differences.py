@@ -1,0 +1,142 @@
+"""What replayed outputs say differently from recorded ones: a row for each field, and the course of it over time."""
+
+import functools
+import math
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from agents.replay.compare import AS_IT_IS, OTHER, Difference, Rule, Rules, differences
+from agents.replay.tolerances import exact, tolerant
+from schemas.codec import decode
+from schemas.messages import FrameStamp
+from schemas.topics import TOPICS, topic_of
+from shared.runtime.replay import Replayed
+
+
+class At(NamedTuple):
+    """When an output was recorded, and the frame it descends from, if any."""
+
+    published_ns: int
+    capture_ns: int | None
+    frame: int | None
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One output beside what it is now: by how much each field differs, of those that do."""
+
+    topic: str
+    at: At
+    is_same: bool
+    fields: tuple[Difference, ...] = ()
+
+
+@dataclass(frozen=True)
+class Row:
+    """How one field differs over all outputs of a topic.
+
+    Fields:
+        messages: outputs that were compared, those of equal bytes included.
+        beyond: of them, those that differ by more than the tolerance.
+        median, worst: over all of them, in the rule's unit; infinite where no number tells the two apart.
+        where: of the worst one.
+    """
+
+    topic: str
+    field: str
+    rule: Rule
+    messages: int
+    beyond: int
+    median: float
+    worst: float
+    where: At
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What was compared, and what differs.
+
+    Fields:
+        outputs: in the order in which they were replayed.
+        made_no_more: outputs that were recorded, and that the replay does not make of the same.
+        unrecorded: outputs that the replay makes and that were not recorded.
+    """
+
+    outputs: tuple[Compared, ...]
+    rows: tuple[Row, ...]
+    made_no_more: int
+    unrecorded: int
+
+    @property
+    def is_same(self) -> bool:
+        """Whether nothing differs by more than its tolerance."""
+        return not (self.made_no_more or self.unrecorded or any(row.beyond for row in self.rows))
+
+
+def compared(outputs: Iterable[Replayed], published_ns: Callable[[Replayed], int], exactly: bool) -> Comparison:
+    """Compare what was replayed with what was recorded; what could not be repeated is left out.
+
+    Exactly: nothing may differ, not a byte; otherwise within the tolerances for other versions and settings.
+
+    Raises:
+        MessageError: where a recorded output cannot be read.
+    """
+    rules = functools.cache(exact if exactly else tolerant)
+    found: list[Compared] = []
+    made_no_more = unrecorded = 0
+    for output in outputs:
+        unrecorded += output.unrecorded
+        if output.missing:
+            continue
+        if output.now is None:
+            made_no_more += 1
+            continue
+        topic = topic_of(output.key)
+        # what is the same is decoded too: a curve of differences needs its time
+        then = decode(topic.message, output.then)
+        fields = () if output.same else _differences(then, output.now, rules(topic.message), exactly)
+        found.append(Compared(str(topic), _at(then, published_ns(output)), output.same, fields))
+    of_topic = {str(topic): rules(topic.message) for topic in TOPICS}
+    return Comparison(tuple(found), _rows(found, of_topic), made_no_more, unrecorded)
+
+
+def _differences(then: Any, payload: bytes, rules: Rules, exactly: bool) -> tuple[Difference, ...]:
+    fields = tuple(d for d in differences(then, decode(type(then), payload), rules) if d.amount)
+    # such as a zero of the other sign
+    return (Difference("bytes", OTHER),) if exactly and not fields else fields
+
+
+def _rows(outputs: list[Compared], rules: dict[str, Rules]) -> tuple[Row, ...]:
+    messages = Counter(output.topic for output in outputs)
+    found: defaultdict[tuple[str, str], list[tuple[float, At]]] = defaultdict(list)
+    for output in outputs:
+        for field, amount in output.fields:
+            found[output.topic, field].append((amount, output.at))
+    rows = [
+        _row(topic, field, rules[topic].get(field, AS_IT_IS), messages[topic], of)
+        for (topic, field), of in found.items()
+    ]
+    return tuple(sorted(rows, key=lambda row: (row.topic, -row.beyond, row.field)))
+
+
+def _row(topic: str, field: str, rule: Rule, messages: int, found: list[tuple[float, At]]) -> Row:
+    amounts = np.zeros(messages)
+    amounts[: len(found)] = [amount for amount, _ in found]
+    worst, where = max(found, key=lambda pair: pair[0])
+    return Row(topic, field, rule, messages, int((amounts > rule.tolerance).sum()), _median(amounts), worst, where)
+
+
+def _median(amounts: np.ndarray) -> float:
+    """The upper one of two: there is no mean of a number and of what is none."""
+    return float(np.sort(amounts)[len(amounts) // 2]) if len(amounts) else math.nan
+
+
+def _at(message: Any, published_ns: int) -> At:
+    stamp = getattr(message, "stamp", None)
+    if isinstance(stamp, FrameStamp):
+        return At(published_ns, stamp.capture_left_ns, stamp.sequence)
+    return At(published_ns, None, None)

@@ -1,0 +1,130 @@
+"""How much the outputs of two versions or settings may differ before it counts, by message type and field.
+
+Chosen between two figures, both of which `docs/process_replay.md` has with their commands: what another processor makes
+of the same session (well below), and what a small but real change makes of it (above). Fields without a rule must be
+the same. Of one version and installation everything must be: there these rules only say how differences are shown.
+"""
+
+from dataclasses import replace
+
+from agents.replay import measures
+from agents.replay.compare import Rule, Rules
+from schemas.messages import (
+    GraspPlan,
+    RobotState,
+    SimulatorState,
+    ThreadObservations,
+    ThreadReconstruction,
+    TissueSurface,
+)
+
+CONSUMED = {"consumed": Rule(ignored="it says what the output was made from, which a replay repeats as it was")}
+
+
+def _centrelines(side: str) -> dict[str, Rule]:
+    return {
+        f"{side}.point_px": Rule(0.1, "px", measures.most_apart),
+        f"{side}.width_px": Rule(0.05, "px", measures.medians_apart),
+        f"{side}.deviation_px": Rule(0.02, "px", measures.medians_apart),
+        f"{side}.piece": Rule(ignored="where pieces are cut depends on single pixels; their points are compared"),
+    }
+
+
+_OBSERVATIONS: dict[str, Rule] = {
+    "points": Rule(0.5, "mm", measures.points_apart_mm),
+    "points_camera": Rule(ignored="compared as `points`: a line may have other corners"),
+    "half_size_px": Rule(ignored="one for each point, of which there may be others"),
+    "matched_px": Rule(ignored="tens of thousands, of which the points are the sum"),
+    "match_cost": Rule(ignored="one for each matched pixel"),
+    "inlier": Rule(ignored="one for each matched pixel"),
+    "gaps": Rule(0.0, "gaps", measures.counts_apart),
+    "mask_left": Rule(5e-4, "share", measures.images_apart),
+    "mask_right": Rule(5e-4, "share", measures.images_apart),
+    "judgements": Rule(0.0, "", measures.findings_apart),
+    "reason": Rule(0.0, "", measures.words_apart),
+    "prompt_px": Rule(0.5, "px"),
+    **_centrelines("centrelines_left"),
+    **_centrelines("centrelines_right"),
+}
+
+_RECONSTRUCTION: dict[str, Rule] = {
+    "curve": Rule(0.2, "mm", measures.curves_apart_mm),
+    "ends": Rule(0.5, "mm", measures.ends_apart_mm),
+    "deviation": Rule(0.1, "mm", measures.deviation_apart_mm),
+    "confidence_along_s": Rule(0.1, "", measures.confidence_apart),
+    "knots": Rule(ignored="compared as `curve`: one curve has many descriptions"),
+    "control_points_camera": Rule(ignored="compared as `curve`"),
+    "posterior_s": Rule(ignored="compared as `deviation`"),
+    "posterior_covariance": Rule(ignored="compared as `deviation`"),
+    "confidence_s": Rule(ignored="compared as `confidence_along_s`"),
+    "confidence": Rule(ignored="compared as `confidence_along_s`"),
+    "regions": Rule(ignored="what the curve was made from, not what it is"),
+    "track.innovation": Rule(0.2, ""),
+    "track.found_share": Rule(0.05, "share"),
+    "track.reason": Rule(0.0, "", measures.words_apart),
+    "track.smoothing": Rule(ignored="a part of the fit, whose curve is compared"),
+    "track.span_weight": Rule(ignored="a part of the fit, whose curve is compared"),
+    "track.covariance": Rule(ignored="compared as `deviation`"),
+    "track.knots": Rule(ignored="compared as `curve`"),
+    "track.control_points_camera": Rule(ignored="compared as `curve`"),
+    "track.row_offset_px": Rule(0.05, "px"),
+    "track.length": Rule(0.02, "share", measures.relative),
+    "track.material_s": Rule(0.02, "s"),
+    "unseen": Rule(0.03, "s", measures.stretches_apart),
+    "crossings": Rule(0.02, "s", measures.crossings_apart),
+    "other_threads_px": Rule(0.0, "threads", measures.counts_apart),
+    "reason": Rule(0.0, "", measures.words_apart),
+}
+
+_PLAN: dict[str, Rule] = {
+    "tool_path": Rule(0.5, "mm", measures.tool_paths_apart_mm),
+    "tool_turned": Rule(5.0, "deg", measures.tool_turned_deg),
+    "waypoints": Rule(ignored="compared as `tool_path` and `tool_turned`"),
+    "alternatives": Rule(ignored="what was not chosen; that shows in `s_capture` and `probability`"),
+    "s_goal": Rule(0.01, "s"),
+    "s_capture": Rule(0.02, "s"),
+    "probability": Rule(0.05, ""),
+    "slide_m": Rule(0.5, "mm", measures.metres_in_mm),
+    "reason": Rule(0.0, "", measures.words_apart),
+}
+
+_SURFACE: dict[str, Rule] = {
+    "typical_depth": Rule(0.2, "mm", measures.depths_apart_mm),
+    "depth": Rule(ignored="compared as `typical_depth`: single cells may be matched otherwise"),
+    "valid": Rule(ignored="single cells may be matched otherwise"),
+}
+
+_ROBOT: dict[str, Rule] = {
+    "T_base_tool": Rule(1e-6, "m or 1"),
+    "joints": Rule(1e-6, "rad or m"),
+    "jaw_rad": Rule(1e-6, "rad"),
+}
+
+_FIELD: dict[str, Rule] = {
+    "control_points_camera": Rule(1e-6, "m"),
+    "knots": Rule(1e-9, ""),
+    "held": Rule(1e-6, "s"),
+}
+
+TOLERANCES: dict[type, dict[str, Rule]] = {
+    ThreadObservations: _OBSERVATIONS,
+    TissueSurface: _SURFACE,
+    ThreadReconstruction: _RECONSTRUCTION,
+    GraspPlan: _PLAN,
+    RobotState: _ROBOT,
+    SimulatorState: _FIELD,
+}
+
+
+def tolerant(message: type) -> Rules:
+    """The rules for comparing versions and settings."""
+    return {**TOLERANCES.get(message, {}), **CONSUMED}
+
+
+def exact(message: type) -> Rules:
+    """The rules for one version: nothing may differ, and what differs is shown as it is, and as what it stands for."""
+    stated = set(message.__dataclass_fields__)
+    shown = {
+        n: replace(r, tolerance=0.0) for n, r in TOLERANCES.get(message, {}).items() if n not in stated and "." not in n
+    }
+    return {**shown, **CONSUMED}
