@@ -2,12 +2,11 @@
 
 from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float64
 
 from agents.cli.session_folder import SessionFolder
+from agents.inspection.stages import StageTimes, captured_ns
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import AgentHealth
@@ -38,29 +37,11 @@ def report(folder: SessionFolder, came_of_it: str, recorder_said: str) -> Iterat
     yield f"{' and '.join(written)} {'lie' if len(written) > 1 else 'lies'} in {folder.path}"
     yield ""
     yield "to try next:"
+    yield f"  .venv/bin/suturegrasp inspect {folder.recording} --html report.html"
     if folder.rerun.exists():
         yield f"  .venv/bin/rerun {folder.rerun}"
     yield "  make demo SEED=2"
     yield "  make play       and in another terminal: .venv/bin/suturegrasp goal --s 0.4"
-
-
-@dataclass
-class StageTimes:
-    """When the messages of one stage were captured and published."""
-
-    captured_ns: list[int] = field(default_factory=list[int])
-    published_ns: list[int] = field(default_factory=list[int])
-
-    @property
-    def latency_ms(self) -> Float64[np.ndarray, " n"]:
-        """Milliseconds from capture until publication."""
-        return (np.array(self.published_ns) - np.array(self.captured_ns)) * 1e-6
-
-    @property
-    def rate_hz(self) -> float:
-        """Messages a second from the first to the last; 0 for fewer than two."""
-        lasted_ns = max(self.published_ns) - min(self.published_ns)
-        return (len(self.published_ns) - 1) * 1e9 / lasted_ns if lasted_ns else 0.0
 
 
 def _read(folder: SessionFolder) -> tuple[dict[str, StageTimes], dict[str, AgentHealth]]:
@@ -78,8 +59,7 @@ def _read(folder: SessionFolder) -> tuple[dict[str, StageTimes], dict[str, Agent
         if topic is HEALTH:
             healths[f"{message.agent} {message.instance}".removesuffix(" main")] = message
         else:
-            stages[str(topic)].captured_ns.append(message.stamp.capture_left_ns)
-            stages[str(topic)].published_ns.append(entry.published_ns)
+            stages[str(topic)].add(captured_ns(message), entry.published_ns)
     return dict(stages), healths
 
 

@@ -8,7 +8,7 @@ from agents.cli.recorded_options import Export
 from agents.cli.terminal import complain, say, warn
 from agents.inspection.export import export
 from agents.inspection.export_files import FORMATS
-from shared.recording.mcap_file import RecordingError
+from shared.recording.entry import RecordingError
 
 FEWEST_POINTS, MOST_POINTS = 2, 10_000
 

@@ -17,7 +17,7 @@ from agents.inspection.pictures import pictures_of
 from agents.inspection.session import Session, read_session
 from agents.inspection.tables import head_lines, session_tables
 from agents.inspection.terminal_report import lines
-from shared.recording.mcap_file import RecordingError
+from shared.recording.entry import RecordingError
 
 EXIT_DAMAGED = 3
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Int64
 
 from schemas.topics import HEARTBEAT, Delivery, topic_of
-from shared.recording.mcap_file import Entry
+from shared.recording.entry import Entry
 
 SILENT_PERIODS, SILENT_S = 5.0, 0.1
 """A key is silent where nothing came for so many of its median intervals, and for so long."""

@@ -8,7 +8,8 @@ from agents.inspection.export_files import FORMATS, TableFile
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.topics import COMMANDS, EXECUTION, JUDGEMENT, PLAN, ROBOT_STATE, THREAD, topic_of
-from shared.recording.mcap_file import Entry, RecordingError, read_recording
+from shared.recording.entry import Entry, RecordingError
+from shared.recording.mcap_file import read_recording
 
 EXPORTED = (THREAD, PLAN, ROBOT_STATE, COMMANDS, EXECUTION, JUDGEMENT)
 README = "README.txt"
@@ -66,6 +67,8 @@ def export(source: Path, folder: Path, form: str, points: int) -> Exported:
     zero_ns: int | None = None
     try:
         for entry in read_recording(source):
+            if entry.repeated:
+                continue
             zero_ns = entry.published_ns if zero_ns is None else zero_ns
             for name, block in _blocks(entry, zero_ns, points, exported):
                 if name not in tables:

@@ -1,7 +1,7 @@
 """What a session was run with: what the recorder noted, versions, calibration, the simulated scene."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -9,20 +9,42 @@ import numpy as np
 from agents.inspection.accounts import AgentAccount
 from agents.inspection.threads import ThreadQuality
 from schemas.messages import SimulatorState, StereoCalibration
-from shared.recording.mcap_file import Note
+from shared.recording.entry import Note
+from shared.recording.losses import AT, LOSSES
 
-LOSSES = "losses"
-"""The note of the recorder about what the recording lacks, which is no setting."""
+EPOCH = ".epoch"
+"""Which run it was is drawn by chance, and says nothing of how it was run."""
 LONGEST_VALUE = 2000
 
 
 def noted_facts(notes: list[Note]) -> dict[str, str]:
-    """What was noted under all names but `losses`, one fact a line; JSON within a fact is taken apart."""
+    """What was noted of the session as a whole, one fact a line; JSON within a fact is taken apart."""
     facts: dict[str, str] = {}
     for note in notes:
-        if note.name != LOSSES:
+        if note.name != LOSSES and not is_of_a_moment(note):
             for name, text in note.facts.items():
-                facts.update(_flat(f"{note.name}.{name}", _parsed(text)))
+                facts.update(_flat(f"{_name(note)}.{name}", _parsed(text)))
+    return {name: value for name, value in facts.items() if not name.endswith(EPOCH)}
+
+
+def _name(note: Note) -> str:
+    """The name of a note, with the agent that it is about, where there is one for each."""
+    agent = " ".join(note.facts[name] for name in ("agent", "instance") if name in note.facts)
+    return f"{note.name} {agent}".strip()
+
+
+def is_of_a_moment(note: Note) -> bool:
+    """Whether a note tells of something that happened at one time."""
+    return note.facts.get(AT, "").isdecimal()
+
+
+def attached_facts(files: Mapping[str, bytes]) -> dict[str, str]:
+    """What attached JSON files say, one fact a line, each under the name of its file without its suffix."""
+    facts: dict[str, str] = {}
+    for name, data in files.items():
+        document = _parsed(data.decode("utf-8", "replace").strip())
+        if not isinstance(document, str):
+            facts.update(_flat(name.removesuffix(".json"), document))
     return facts
 
 

@@ -21,7 +21,8 @@ from schemas.topics import CALIBRATION, FRAMES, THREAD, topic_of
 from shared.arc_length import length, parameters_at
 from shared.camera import is_rectified, project
 from shared.images import ImageDataError, decode_image
-from shared.recording.mcap_file import Entry, RecordingError, read_recording
+from shared.recording.entry import Entry, RecordingError
+from shared.recording.mcap_file import read_recording
 from shared.splines import evaluate
 
 WIDTH_PX, JPEG_QUALITY = 400, 80

@@ -1,12 +1,14 @@
 """A recording, read once from front to back; images are looked at and not kept, so its length does not matter."""
 
+import contextlib
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from agents.inspection.accounts import AccountCollector, AgentAccount, Remark
 from agents.inspection.contents import ContentsCollector, KeyContents
-from agents.inspection.facts import LOSSES, facts_of_messages, noted_facts
+from agents.inspection.facts import attached_facts, facts_of_messages, noted_facts
 from agents.inspection.grasps import Grasp, GraspCollector, OtherCommand
 from agents.inspection.stages import StageTimes, captured_ns, in_order, stage_of
 from agents.inspection.threads import ThreadQuality
@@ -14,9 +16,9 @@ from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import SimulatorState, StereoCalibration
 from schemas.topics import CALIBRATION, HEALTH, LOG, OBSERVATIONS, SIMULATOR_STATE, THREAD, Topic, topic_of
-from shared.recording.mcap_file import Entry, Note, RecordingError, is_finished, read_with_notes
-
-COMPLETE = "complete"
+from shared.recording.entry import Entry, Note, RecordingError
+from shared.recording.losses import AT, COMPLETE, LOSSES, LOST
+from shared.recording.mcap_file import is_finished, read_attachments, read_with_notes
 
 
 @dataclass(frozen=True)
@@ -26,8 +28,8 @@ class Session:
     Fields:
         finished: whether the file was closed; one of a killed recorder was not.
         damage: what broke the reading off; empty where all was read.
-        losses: by key, what the recorder knows to be missing; None where it did not come to note that.
-        complete: the recorder's own judgement; None as above.
+        losses: by key, what the recorder noted as missing, of a cut-off file until its end.
+        complete: the recorder's own judgement; None where it did not come to note that.
     """
 
     path: Path
@@ -35,7 +37,7 @@ class Session:
     finished: bool
     damage: str
     notes: tuple[Note, ...]
-    losses: dict[str, int] | None
+    losses: dict[str, int]
     complete: bool | None
     contents: tuple[KeyContents, ...]
     stages: dict[str, StageTimes]
@@ -76,6 +78,9 @@ class _Reading:
         self.scene: SimulatorState | None = None
 
     def add(self, entry: Entry) -> None:
+        if entry.repeated:
+            self._add_repeated(entry)
+            return
         self.contents.add(entry)
         try:
             topic = topic_of(entry.key)
@@ -87,6 +92,13 @@ class _Reading:
             self._add_message(entry, topic, message)
         except MessageError as error:
             self.contents.refuse(entry, str(error))
+
+    def _add_repeated(self, entry: Entry) -> None:
+        """Take what held before the file began, and counts in the part before it."""
+        with contextlib.suppress(KeyError, MessageError):
+            topic = topic_of(entry.key)
+            if topic in (CALIBRATION, SIMULATOR_STATE, *GraspCollector.topics):
+                self._add_message(entry, topic, decode(topic.message, entry.payload))
 
     def _add_message(self, entry: Entry, topic: Topic, message: Any) -> None:
         if stage := stage_of(topic, entry.key.split("/")[3]):
@@ -128,7 +140,8 @@ def read_session(path: Path) -> Session:
 
 
 def _session(path: Path, reading: _Reading, damage: str) -> Session:
-    noted = next((note.facts for note in reversed(reading.notes) if note.name == LOSSES), None)
+    noted = next((note for note in reversed(reading.notes) if note.name == LOSSES), None)
+    losses = _losses([noted] if noted else [note for note in reading.notes if note.name == LOST])
     agents = reading.accounts.agents()
     said = facts_of_messages(reading.calibration, reading.scene, agents, reading.quality)
     return Session(
@@ -137,8 +150,8 @@ def _session(path: Path, reading: _Reading, damage: str) -> Session:
         finished=is_finished(path),
         damage=damage,
         notes=tuple(reading.notes),
-        losses=None if noted is None else _losses(noted),
-        complete=None if noted is None or COMPLETE not in noted else noted[COMPLETE].lower() == "true",
+        losses=losses,
+        complete=None if noted is None or COMPLETE not in noted.facts else noted.facts[COMPLETE].lower() == "true",
         contents=reading.contents.contents(),
         stages={name: reading.stages[name] for name in sorted(reading.stages, key=in_order)},
         agents=agents,
@@ -146,9 +159,24 @@ def _session(path: Path, reading: _Reading, damage: str) -> Session:
         grasps=tuple(sorted(reading.grasps.grasps, key=lambda grasp: grasp.at_ns)),
         other_commands=tuple(reading.grasps.others),
         quality=reading.quality,
-        facts=noted_facts(reading.notes) | said,
+        facts=noted_facts(reading.notes) | said | _attached(path),
     )
 
 
-def _losses(noted: dict[str, str]) -> dict[str, int]:
-    return {key: int(count) for key, count in noted.items() if key != COMPLETE and count.isdecimal()}
+def _losses(notes: list[Note]) -> dict[str, int]:
+    """Lost messages by key; a fact begins with the number of them."""
+    counts: Counter[str] = Counter()
+    for note in notes:
+        for key, told in note.facts.items():
+            count = told.partition(":")[0]
+            if key not in (AT, COMPLETE) and count.isdecimal():
+                counts[key] += int(count)
+    return dict(counts)
+
+
+def _attached(path: Path) -> dict[str, str]:
+    """Facts from the files that are attached; none where they cannot be read."""
+    try:
+        return attached_facts(read_attachments(path))
+    except (RecordingError, OSError):
+        return {}

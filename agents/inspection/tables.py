@@ -5,10 +5,12 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from agents.inspection.contents import KeyContents
+from agents.inspection.facts import is_of_a_moment
 from agents.inspection.grasps import Arming, Grasp, event_name
 from agents.inspection.session import Session
 from agents.inspection.stages import BEFORE, added_ms, percentiles
 from schemas.messages import CommandAnswer, GraspGoal, GraspPlan, Hold, Outcome, Prompt
+from shared.recording.losses import AT
 
 Row = tuple[str, ...]
 
@@ -35,6 +37,7 @@ def session_tables(session: Session) -> list[Table]:
         phases(session),
         commands(session),
         remarks(session),
+        noted(session),
         Table("how it was run", ("name", "value"), tuple(session.facts.items())),
     )
     return [table for table in tables if table.rows]
@@ -54,13 +57,14 @@ def completeness(session: Session) -> str:
     """Whether anything is known to be missing, in one sentence."""
     if session.damage:
         return session.damage
+    lost = ", ".join(f"{count} of {short(key)}" for key, count in sorted(session.losses.items()))
     if not session.finished:
-        return "cut off: its recorder was killed, or is still at work; what was flushed until then is here"
+        known = f"; lost before: {lost}" if lost else ""
+        return f"cut off after {session.duration_s:.1f} s: its recorder was killed, or is still at work{known}"
     if session.complete:
         return "complete: its recorder missed nothing"
     if session.complete is None:
         return "its recorder did not note whether anything is missing"
-    lost = ", ".join(f"{count} of {short(key)}" for key, count in sorted((session.losses or {}).items()))
     return f"not complete: its recorder missed {lost or 'something it could not name'}"
 
 
@@ -244,6 +248,20 @@ def remarks(session: Session) -> Table:
         for one in session.remarks
     )
     return Table("warnings, errors and faults", (" first at s", " times", "agent", "level", "text"), tuple(rows))
+
+
+def noted(session: Session) -> Table:
+    """What the recorder noted on its way: losses, marks, clocks."""
+    rows = (
+        (
+            f"{session.since_start_s(int(note.facts[AT])):.2f}",
+            note.name,
+            ", ".join(f"{short(name)}: {text}" for name, text in note.facts.items() if name != AT),
+        )
+        for note in session.notes
+        if is_of_a_moment(note)
+    )
+    return Table("noted by the recorder", (" at s", "note", "facts"), tuple(rows))
 
 
 def short(key: str) -> str:
