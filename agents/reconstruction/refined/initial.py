@@ -24,6 +24,8 @@ ROUNDS = 4
 SPAN_SHARE = 0.021
 """Of the image's width: what one span of the spline covers at least, some widths of thread."""
 FEWEST, MOST = 12, 70
+MORE_SPANS = 1.3
+"""Fewer more than that change nothing."""
 IMAGE_SMOOTHING, DISPARITY_SMOOTHING = 1e-3, 1e-1
 ROBUST = 2.5
 LEAST_DISPARITY_PX = 0.3
@@ -35,8 +37,7 @@ EXTRAPOLATION = 0.3
 def initial_curve(left: Chain, aligned: Alignment, camera: RectifiedStereo) -> Curve:
     """A curve near the thread, with as many control points as its length in the image calls for."""
     length_px = float(left.along_px[-1])
-    count = int(np.clip(round(length_px / (SPAN_SHARE * camera.image_width)) + DEGREE, FEWEST, MOST))
-    spans = count - DEGREE
+    spans = _spans_for(length_px, camera)
     shown = _basis(spans, left.along_px / length_px)
     image = _smooth(shown, left.point_px, 1.0 / left.deviation_px**2, IMAGE_SMOOTHING)
     disparity = _disparity(_basis(spans, aligned.along_px / length_px), aligned)
@@ -45,8 +46,26 @@ def initial_curve(left: Chain, aligned: Alignment, camera: RectifiedStereo) -> C
     margin = max(2.0, EXTRAPOLATION * float(high - low))
     bounded = np.clip(basis @ disparity, max(LEAST_DISPARITY_PX, low - margin), high + margin)
     points = backproject(camera, basis @ image, depth_of_disparity(camera, bounded))
-    curve = Curve(clamped_uniform_knots(count, DEGREE), fitted(spans, points))
+    curve = Curve(clamped_uniform_knots(spans + DEGREE, DEGREE), fitted(spans, points))
     return at_constant_speed(curve, np.zeros(0))[0]
+
+
+def with_needed_spans(curve: Curve, camera: RectifiedStereo) -> Curve | None:
+    """The same curve with as many spans as it would have if it were seen from the side; None where that is no more.
+
+    What runs along the line of sight is short in the image, and so has too few spans to bend as the thread does.
+    """
+    points = curve.at(even_places(curve.spans))
+    chords = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    needed = _spans_for(float((chords * camera.fx_px / points[1:, 2]).sum()), camera)
+    if needed < MORE_SPANS * curve.spans:
+        return None
+    return Curve(clamped_uniform_knots(needed + DEGREE, DEGREE), fitted(needed, curve.at(even_places(needed))))
+
+
+def _spans_for(length_px: float, camera: RectifiedStereo) -> int:
+    """How many spans a thread needs that is so long in the image."""
+    return int(np.clip(round(length_px / (SPAN_SHARE * camera.image_width)), FEWEST - DEGREE, MOST - DEGREE))
 
 
 def _disparity(basis: Float64[np.ndarray, "k m"], aligned: Alignment) -> Float64[np.ndarray, "m"]:

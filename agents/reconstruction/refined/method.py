@@ -1,12 +1,13 @@
 """Method `refined`: one spline fitted to the sub-pixel centrelines of both images.
 
-1. `chains`: the pieces of the left centreline in their order along the thread, through crossings and behind tools.
-2. `alignment`: the right image's counterpart of each place, by dynamic programming along the rows.
+1. `covered_ends`: how far points beside what covers them may be off.
+2. `chains`: the pieces of the left centreline in their order along the thread, through crossings and behind tools.
+3. `alignment`: the right image's counterpart of each place, by dynamic programming along the rows.
    `continuation`: what only the right image shows beyond the left one's border.
-3. `initial`: a first curve from both.
-4. `refinement`: Gauss-Newton on its control points against both centrelines, smoothing chosen from the images.
-5. `constraints`: the reliability regions hold it, by a quadratic program.
-6. `posterior`: how well each place is known, and the confidence that follows.
+4. `initial`: a first curve from both.
+5. `refinement`: Gauss-Newton on its control points against both centrelines, smoothing chosen from the images.
+6. `constraints`: the reliability regions hold it, by a quadratic program.
+7. `posterior`: how well each place is known, and the confidence that follows.
 """
 
 from dataclasses import dataclass, replace
@@ -19,7 +20,8 @@ from agents.reconstruction.refined.alignment import Alignment, align
 from agents.reconstruction.refined.chains import Chain, chains
 from agents.reconstruction.refined.constraints import Held, held_to, regions_of
 from agents.reconstruction.refined.continuation import continued
-from agents.reconstruction.refined.initial import initial_curve
+from agents.reconstruction.refined.covered_ends import with_covered_ends
+from agents.reconstruction.refined.initial import initial_curve, with_needed_spans
 from agents.reconstruction.refined.plausibility import contradiction, implausible, unusable
 from agents.reconstruction.refined.refinement import Refined, Start, refined
 from agents.reconstruction.refined.result import reconstruction, starts_right
@@ -38,6 +40,8 @@ MOST_ROW_ROUNDS = 5
 ROWS_SETTLED_PX = 0.1
 """A calibration that is off leaves a constant offset between the rows; a change by less than this needs no further
 round of alignment."""
+FOLLOWED = 1.0
+"""Residuals larger than the points' own deviations, in the median: the curve cannot bend as the thread does."""
 
 
 class NoCurveError(ValueError):
@@ -96,6 +100,7 @@ def course_of(left: Centrelines, right: Centrelines, camera: RectifiedStereo, ro
     """
     if reason := unusable(left, right, camera):
         raise NoCurveError(reason)
+    left, right = with_covered_ends(left), with_covered_ends(right)
     found = chains(left, camera.image_width)
     if not found:
         raise NoCurveError("the left image shows no piece of thread that is longer than some widths of it")
@@ -116,7 +121,11 @@ def fitted(course: Course, camera: RectifiedStereo) -> Refined:
     """
     try:
         start = initial_curve(course.left, course.aligned, camera)
-        return refined(Start(start, course.sight, row_offset_px=course.row_offset_px), camera)
+        fit = refined(Start(start, course.sight, row_offset_px=course.row_offset_px), camera)
+        if fit.scale <= FOLLOWED:
+            return fit
+        denser = with_needed_spans(fit.curve, camera)
+        return fit if denser is None else refined(Start(denser, fit.sight, row_offset_px=fit.row_offset_px), camera)
     except np.linalg.LinAlgError as error:
         raise NoCurveError(f"no curve follows from both images ({error})") from error
 

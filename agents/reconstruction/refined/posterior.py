@@ -13,15 +13,19 @@ the thread's width.
 import numpy as np
 from jaxtyping import Float64
 
-from agents.reconstruction.refined.projection import DEGREE, basis_at
+from agents.reconstruction.refined.projection import DEGREE, Curve, basis_at
 from agents.reconstruction.refined.refinement import Refined
 from schemas.messages import RectifiedStereo
+from shared.splines import evaluate
 
 COMMON_DEVIATIONS, COMMON_WIDTHS, DIFFERENCE = 1.0, 0.02, 0.3
 """A shift of long stretches in both images: as a multiple of the points' deviation, and of the thread's width, whose
 shading causes it; and the share of it by which the two images differ."""
-MODEL = 2.5
+MODEL = 2.0
 """Of the fit's own variance: no thread is exactly as smooth everywhere as the nearby third differences say."""
+LEAST_SINE = 0.1
+"""Of the angle between thread and line of sight: nearer to that, depth is hardly an error across the thread."""
+LEAST = 1e-100
 
 
 def point_covariance(
@@ -32,7 +36,31 @@ def point_covariance(
     near = first[:, None] + np.arange(DEGREE + 1)
     blocks = fit.covariance[near[:, :, None], :, near[:, None, :], :]
     own = np.einsum("qi,qijab,qj->qab", basis, blocks, basis)
-    return MODEL * own + _shared_errors(fit, camera, s)
+    covariance = MODEL * own + _shared_errors(fit, camera, s)
+    return covariance + sliding(fit.curve, covariance, s)
+
+
+def sliding(
+    curve: Curve, covariance: Float64[np.ndarray, "q 3 3"], s: Float64[np.ndarray, "q"]
+) -> Float64[np.ndarray, "q 3 3"]:
+    """What an error of depth does to second order, where the thread is bent and runs at an angle to the line of sight.
+
+    Moved along the lines of sight, a curve also slides through the plane across it, by t = depth error times the
+    tangent of that angle, and what passes there then lies half t² times the curvature aside: the mean square of that
+    is 3/4 of the square of t's variance. Slides longer than the radius of curvature are cut off.
+    """
+    point, velocity, second = (evaluate(curve.knots, curve.control_points, DEGREE, s, order) for order in (0, 1, 2))
+    square = np.maximum((velocity**2).sum(axis=1), LEAST)
+    tangent = velocity / np.sqrt(square)[:, None]
+    curvature = (second - (second * tangent).sum(axis=1)[:, None] * tangent) / square[:, None]
+    ray = point / np.maximum(np.linalg.norm(point, axis=1), LEAST)[:, None]
+    along = (ray * tangent).sum(axis=1)
+    across = ray - along[:, None] * tangent
+    size = np.maximum(np.linalg.norm(across, axis=1), LEAST)
+    depth = np.einsum("qi,qij,qj->q", across, covariance, across) / size**2
+    slide = depth * (along / np.maximum(size, LEAST_SINE)) ** 2
+    slide = slide / (1.0 + slide * (curvature**2).sum(axis=1))
+    return 0.75 * slide[:, None, None] ** 2 * curvature[:, :, None] * curvature[:, None, :]
 
 
 def _shared_errors(fit: Refined, camera: RectifiedStereo, s: Float64[np.ndarray, "q"]) -> Float64[np.ndarray, "q 3 3"]:

@@ -36,7 +36,7 @@ ROBUST = 2.5
 """Residuals beyond so many deviations count less and less."""
 LEAST_SCALE, MOST_SCALE = 0.1, 4.0
 """Of the deviations that perception states, by the spread of the residuals."""
-LEAST_ROW_OFFSET_PX, CERTAIN = 0.08, 2.0
+LEAST_ROW_OFFSET_PX, CERTAIN = 0.08, 3.0
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,11 @@ from hypothesis.extra.numpy import arrays
 from scipy.integrate import dblquad
 from scipy.stats import norm
 
-from agents.reconstruction.refined.posterior import point_covariance
+from agents.reconstruction.refined.posterior import point_covariance, sliding
+from agents.reconstruction.refined.projection import Curve, fitted
 from agents.reconstruction.refined.refinement import Start, refined
 from agents.reconstruction.refined.result import TOLERANCE_M, confidence_of, stretches
+from shared.splines import clamped_uniform_knots
 
 ALONG_X = np.array([[1.0, 0.0, 0.0]])
 
@@ -78,3 +80,18 @@ def test_covariance_follows_the_unit(spline, sight_of, camera):
     s = np.linspace(0, 1, 20)
     found, wanted = point_covariance(other, in_metres, s), 1e-6 * point_covariance(fit, camera, s)
     np.testing.assert_allclose(found, wanted, rtol=1e-3, atol=1e-6 * wanted.max())
+
+
+def test_depth_errors_of_a_bent_thread_reach_aside_as_its_moved_circles_do():
+    radius, deviation, spans, place = 12.0, 0.7, 30, np.array([0.0, 0.0, 100.0])
+    tangent, normal = np.array([1.0, 0.0, 1.0]) / np.sqrt(2), np.array([0.0, 1.0, 0.0])
+    angle = np.linspace(-1.0, 1.0, 5 * (spans + 3))[:, None]
+    circle = place + radius * (np.sin(angle) * tangent + (1 - np.cos(angle)) * normal)
+    curve = Curve(clamped_uniform_knots(spans + 3), fitted(spans, circle))
+    across = np.array([0.0, 0.0, 1.0]) - tangent / np.sqrt(2)
+    (found,) = sliding(curve, deviation**2 * np.outer(across, across)[None], np.array([0.5]))
+    # each circle moved along the line of sight crosses the plane where it is off by this much towards its centre
+    slid = np.random.default_rng(0).normal(0, deviation, 200000) / np.sqrt(2)
+    aside = radius - np.sqrt(radius**2 - slid**2)
+    assert normal @ found @ normal == pytest.approx(np.mean(aside**2), rel=0.05)
+    assert np.trace(found) == pytest.approx(normal @ found @ normal, rel=1e-3)

@@ -1,0 +1,68 @@
+"""Where something covers one side of a thread, its middle is not in the middle of what is seen.
+
+A cover that hides m pixels of a thread's width moves the middle of the rest by m / 2 to the other side. That happens
+at the ends of pieces, where the thread goes under a tool or under its own strand at a small angle, and there it looks
+narrower than a little farther in. A thread's own tip is narrower too, but on both sides: its middle stays on the way
+that the thread has come. So the error is half of what is missing, times how far the middle follows that to one side.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from schemas.messages import Centrelines
+
+REACH_WIDTHS = 20.0
+"""Over so much of a piece its usual width is told."""
+NARROWER = 0.95
+"""Of that: what is less may be covered."""
+BEFORE_WIDTHS = 4.0
+"""Over so much of the thread farther in its way is told, and over as much as is narrower."""
+FEWEST_BEFORE = 4
+DOUBT = 0.15
+"""How well the way tells the share of what is missing by which the middle moves."""
+
+
+def with_covered_ends(lines: Centrelines) -> Centrelines:
+    """The same centrelines, with the error that a cover may cause in the deviations of points at the pieces' ends."""
+    error = np.zeros(len(lines.piece))
+    for piece in np.split(np.arange(len(lines.piece)), np.flatnonzero(np.diff(lines.piece)) + 1):
+        for inwards in (piece, piece[::-1]):
+            found = _errors_px(lines.point_px[inwards], lines.width_px[inwards])
+            error[inwards[: len(found)]] = np.maximum(error[inwards[: len(found)]], found)
+    return replace(lines, deviation_px=np.hypot(lines.deviation_px, error))
+
+
+def _errors_px(points: Float64[np.ndarray, "n 2"], width: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "k"]:
+    """Of a piece's first points, until it has all of its width."""
+    if not len(width):
+        return np.zeros(0)
+    along = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))))
+    usual = float(np.median(width[along <= REACH_WIDTHS * np.median(width)]))
+    narrow = width < NARROWER * usual
+    count = len(width) if narrow.all() else int(np.argmin(narrow))
+    if count < 2:
+        return np.zeros(0)
+    half = 0.5 * (usual - width[:count])
+    reach = along[count - 1] + max(BEFORE_WIDTHS * usual, float(along[count - 1]))
+    before = slice(count, int(np.searchsorted(along, reach)))
+    if before.stop - before.start < FEWEST_BEFORE:
+        return half
+    return half * min(1.0, DOUBT + abs(_one_sided(points, along, half, before)))
+
+
+def _one_sided(
+    points: Float64[np.ndarray, "n 2"],
+    along: Float64[np.ndarray, "n"],
+    half: Float64[np.ndarray, "k"],
+    before: slice,
+) -> float:
+    """How far the first points lie beside the parabola through those before them, as a multiple of half by which."""
+    origin, end = along[before.start], along[before.stop - 1]
+    powers = np.vander((along[: before.stop] - origin) / max(end - origin, 1e-9), 3)
+    way = np.linalg.lstsq(powers[before], points[before], rcond=None)[0]
+    direction = points[before.stop - 1] - points[before.start]
+    normal = np.array([-direction[1], direction[0]]) / max(float(np.linalg.norm(direction)), 1e-9)
+    side = (points[: len(half)] - powers[: len(half)] @ way) @ normal
+    return float(side @ half) / max(float(half @ half), 1e-12)

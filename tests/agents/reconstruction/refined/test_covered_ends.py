@@ -1,0 +1,85 @@
+"""Threads that a tool's edge covers obliquely, with the middle and the width of what remains of them in sight."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agents.reconstruction.refined.covered_ends import DOUBT, with_covered_ends
+from schemas.messages import Centrelines
+
+WIDTH, RADIUS, LENGTH = 5.0, 150.0, 120
+
+
+def bent(make_lines, radius=RADIUS):
+    """A thread on an arc, for every pixel a point and the unit vector across."""
+    angle = np.arange(LENGTH) / radius
+    out = np.column_stack((np.sin(angle), 1.0 - np.cos(angle)))
+    return make_lines(radius * out, width=WIDTH, deviation=0.02), np.column_stack((-np.sin(angle), np.cos(angle)))
+
+
+def narrowed(lines, across, missing, one_sided=1.0):
+    """The same points, with so much less width at the first and last of them, from one side or from both."""
+    moved = lines.point_px + 0.5 * one_sided * missing[:, None] * across
+    return dataclasses.replace(lines, point_px=moved, width_px=lines.width_px - missing)
+
+
+def at_both_ends(most, count, over):
+    missing = np.zeros(count)
+    missing[: over + 1] = np.linspace(most, 0.0, over + 1)
+    return np.maximum(missing, missing[::-1])
+
+
+@pytest.mark.parametrize("most", [1.5, 4.0])
+@pytest.mark.parametrize("over", [4, 12])
+def test_points_beside_a_cover_err_by_half_of_what_it_hides(make_lines, most, over):
+    lines, across = bent(make_lines)
+    across = across[: len(lines.piece)]
+    missing = at_both_ends(most, len(across), over)
+    found = with_covered_ends(narrowed(lines, across, missing))
+    wrong = missing > (1 - 0.95) * WIDTH
+    error = 0.5 * missing[wrong]
+    assert (found.deviation_px[wrong] > 0.75 * error).all()
+    assert (found.deviation_px[wrong] < 1.05 * np.hypot(error, 0.02)).all()
+    np.testing.assert_array_equal(found.deviation_px[~wrong], lines.deviation_px[~wrong])
+
+
+def test_a_tip_that_narrows_on_both_sides_is_where_it_seems(make_lines):
+    lines, across = bent(make_lines)
+    across = across[: len(lines.piece)]
+    missing = at_both_ends(4.0, len(across), 8)
+    found = with_covered_ends(narrowed(lines, across, missing, one_sided=0.0))
+    assert (found.deviation_px <= 1.01 * np.hypot(0.02, 1.5 * DOUBT * 0.5 * missing)).all()
+
+
+def test_pieces_are_judged_each_by_itself(make_lines):
+    one, across = bent(make_lines)
+    covered = narrowed(one, across[: len(one.piece)], at_both_ends(3.0, len(one.piece), 6))
+    both = make_lines(one.point_px, one.point_px + np.array([0.0, 50.0]), width=WIDTH, deviation=0.02)
+    count = len(one.piece)
+    both = dataclasses.replace(
+        both,
+        point_px=np.concatenate((covered.point_px, both.point_px[count:])),
+        width_px=np.concatenate((covered.width_px, both.width_px[count:])),
+    )
+    found = with_covered_ends(both).deviation_px
+    np.testing.assert_array_equal(found[:count], with_covered_ends(covered).deviation_px)
+    np.testing.assert_array_equal(found[count:], both.deviation_px[count:])
+
+
+@given(st.lists(st.integers(1, 9), min_size=0, max_size=4), st.integers(0, 2**31))
+def test_deviations_never_shrink_whatever_the_lines(counts, seed):
+    rng = np.random.default_rng(seed)
+    n = sum(counts)
+    lines = Centrelines(
+        rng.uniform(0, 100, (n, 2)),
+        np.repeat(np.arange(len(counts)), counts),
+        rng.uniform(0.1, 9, n),
+        rng.uniform(0.01, 1, n),
+    )
+    found = with_covered_ends(lines)
+    assert (found.deviation_px >= lines.deviation_px * (1 - 1e-12)).all()
+    assert np.isfinite(found.deviation_px).all()
+    np.testing.assert_array_equal(found.point_px, lines.point_px)
