@@ -1,6 +1,6 @@
 """How a session is laid out, for what one is there for: operating, perception, a grasp, or timing."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import rerun.blueprint as rrb
 
@@ -39,8 +39,8 @@ def operate(scene: Scene) -> rrb.Vertical:
         rrb.Horizontal(
             rrb.Tabs(
                 panels.curves("residual_px", "residual, px"),
-                panels.deviation(scene),
-                panels.shares(),
+                *([panels.deviation(scene)] if scene.posterior else []),
+                panels.shares(scene),
                 active_tab=0,
             ),
             rrb.Tabs(
@@ -60,36 +60,26 @@ def operate(scene: Scene) -> rrb.Vertical:
 def perception(scene: Scene) -> rrb.Vertical:
     """Both images with what was seen in them, and how well the curve explains it."""
     eyes = [panels.eye(side, scene, grasp=False) for side in ("left", "right")]
+    confidence = panels.bars("confidence", "confidence along s")
+    stages = panels.curves("stage_ms", "from a stage's input to its result, ms")
+    trust: list[Sequence[rrb.View]] = [[panels.curves("residual_px", "residual, px"), panels.shares(scene)]]
     if scene.matched:
         eyes.append(panels.match_cost())
-    along = [
-        panels.bars("deviation/along_s", f"deviation along s, {scene.unit}"),
-        panels.bars("confidence", "confidence along s"),
-    ]
-    if scene.matched:
-        costs = [panels.bars("match/histogram", "matches by cost", legend=True), panels.curves("match", "match costs")]
-        third: rrb.Container = rrb.Vertical(*costs)
+        costs = panels.curves("match/cost", "match costs, median of a frame")
+        trust.append(
+            [panels.bars("match/histogram", "matched pixels by cost", legend=True, corner=rrb.Corner2D.RightTop), costs]
+        )
+    if scene.posterior:
+        along = panels.bars("deviation/along_s", f"deviation along s, {scene.unit}")
+        trust += [[along, confidence], [panels.deviation(scene), stages]]
     else:
-        third = rrb.Vertical(*along)
+        trust.append([confidence, stages])
+    said = panels.words("log of perception and reconstruction", ["log/perception/**", "log/reconstruction/**"])
+    trust.append([panels.lanes(contents=SEEING), said])
     return rrb.Vertical(
         rrb.Horizontal(*eyes),
-        rrb.Horizontal(
-            rrb.Vertical(
-                panels.curves("residual_px", "residual, px"),
-                panels.shares(),
-            ),
-            third,
-            rrb.Vertical(
-                panels.deviation(scene),
-                along[1] if scene.matched else panels.curves("stage_ms", "stage times, ms"),
-            ),
-            rrb.Vertical(
-                panels.lanes(contents=SEEING),
-                panels.words("log of perception and reconstruction", ["log/perception/**", "log/reconstruction/**"]),
-            ),
-            column_shares=[3, 3, 3, 4],
-        ),
-        row_shares=[5, 4],
+        rrb.Horizontal(*(rrb.Vertical(*column) for column in trust), column_shares=[3] * (len(trust) - 1) + [4]),
+        row_shares=[4, 5] if scene.matched else [5, 4],
     )
 
 

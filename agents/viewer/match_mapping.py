@@ -20,8 +20,8 @@ from schemas.messages import ThreadObservations
 
 MOST_SHOWN = 3000
 BINS = 40
-RARE = 99.0
-"""Percentile of the second-best costs at which the histogram ends."""
+FAR = 4.0
+"""Where the histogram ends, as a multiple of the median of the second-best costs: a few cost a thousand times more."""
 
 
 def match_entities(observations: ThreadObservations) -> list[Entity]:
@@ -54,7 +54,7 @@ def distinctness(cost: Float64[np.ndarray, "p 2"]) -> Float64[np.ndarray, "p"]:
 
 def _histograms(cost: Float64[np.ndarray, "p 2"]) -> list[Entity]:
     finite: Bool[np.ndarray, "p 2"] = np.isfinite(cost)
-    last = float(np.percentile(cost[finite], RARE)) if finite.any() else 0.0
+    last = FAR * float(np.median(cost[finite[:, 1], 1])) if finite[:, 1].any() else 0.0
     edges = np.linspace(0.0, last if last > 0 else 1.0, BINS + 1)
     middles, widths = 0.5 * (edges[:-1] + edges[1:]), np.diff(edges)
     return [

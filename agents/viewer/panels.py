@@ -32,12 +32,14 @@ class Scene:
         unit: of space.
         raw_images: whether the camera's images are not rectified.
         matched: whether perception matches pixels, as the paper's method does.
+        posterior: whether the reconstruction predicts how far it may be off.
     """
 
     middle_camera: Float64[np.ndarray, "3"] | None = None
     unit: str = "mm"
     raw_images: bool = False
     matched: bool = False
+    posterior: bool = True
 
 
 def space(scene: Scene, closer: float, without: tuple[str, ...] = ()) -> rrb.Spatial3DView:
@@ -88,9 +90,10 @@ def curves(
     return rrb.TimeSeriesView(origin=origin, name=name, contents=contents, plot_legend=looks, axis_y=axis)
 
 
-def shares() -> rrb.TimeSeriesView:
-    """What of the thread is unseen, and what of the centrelines left over."""
-    return curves("share", "shares unseen, left over", between=(-0.02, 1.0))
+def shares(scene: Scene) -> rrb.TimeSeriesView:
+    """What of the thread is unseen, what of the centrelines left over, and what of the matched pixels kept."""
+    contents = ["$origin/**", *(["match/kept"] if scene.matched else [])]
+    return curves("share", "shares of the thread and its images", contents, between=(-0.02, 1.0))
 
 
 def deviation(scene: Scene) -> rrb.TimeSeriesView:
@@ -98,9 +101,9 @@ def deviation(scene: Scene) -> rrb.TimeSeriesView:
     return curves("deviation", f"deviation, {scene.unit}", ["deviation/mean", "deviation/worst"])
 
 
-def bars(origin: str, name: str, legend: bool = False) -> rrb.BarChartView:
+def bars(origin: str, name: str, legend: bool = False, corner: rrb.Corner2D = rrb.Corner2D.LeftTop) -> rrb.BarChartView:
     """A chart along the thread, or of how often what occurs."""
-    looks = rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend)
+    looks = rrb.PlotLegend(corner, visible=legend)
     return rrb.BarChartView(origin=origin, name=name, plot_legend=looks)
 
 

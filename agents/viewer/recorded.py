@@ -14,13 +14,11 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import rerun.blueprint as rrb
-
 from agents.viewer.live import ViewerReport, report_of
 from agents.viewer.live_layout import live_layout
 from agents.viewer.panels import Scene
 from agents.viewer.showing import Showing
-from agents.viewer.sinks import Sink, ViewerError, file_sink, open_page, served_sink, window_sink
+from agents.viewer.sinks import Layout, Sink, ViewerError, file_sink, open_page, served_sink, window_sink
 from schemas.topics import FRAMES, Delivery, topic_of
 from shared.recording.mcap_file import Entry
 from shared.runtime.attachment import Attachment
@@ -74,7 +72,7 @@ class RecordedViewer:
                 self.notes.append(str(error))
         self._showing = Showing(self._to_sinks, layout, thin)
 
-    def _open(self, show: str, session_id: str, blueprint: rrb.Blueprint) -> None:
+    def _open(self, show: str, session_id: str, blueprint: Layout) -> None:
         if show == "web":
             sink, address = served_sink(session_id, blueprint, PAGE_MEMORY)
             self.notes.append(f"the viewer's page is {open_page(address)}")

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,7 @@ class Showing:
         self._mapping, self._thinning = LiveMapping(), Thinning() if thin else None
         self._stages, self._arrivals = StageTimes(), Arrivals()
         self._layout, self._scene = layout, Scene()
+        self._laid_out: dict[str, bool] = {}
         self.shown: Counter[str] = Counter()
         self.thinned: Counter[str] = Counter()
         self.unreadable: Counter[str] = Counter()
@@ -98,16 +100,15 @@ class Showing:
 
     def _lay_out(self, reconstruction: ThreadReconstruction) -> None:
         """Turn the eye to the first thread that is seen, and make room for what this session has."""
-        before = self._scene
-        thread = reconstruction_in_mm(reconstruction)
-        if before.middle_camera is None:
-            middle, unit = np.median(thread.control_points_camera, axis=0), unit_text(thread.camera.metres_per_unit)
-        else:
-            middle, unit = before.middle_camera, before.unit
-        raw_images, matched = not self._mapping.rectified, self._mapping.matched
-        if before.middle_camera is not None and (raw_images, matched) == (before.raw_images, before.matched):
+        thread, scene = reconstruction_in_mm(reconstruction), self._scene
+        if scene.middle_camera is None:
+            middle = np.median(thread.control_points_camera, axis=0)
+            scene = replace(scene, middle_camera=middle, unit=unit_text(thread.camera.metres_per_unit))
+        posterior = len(thread.posterior_s) > 0
+        has = {"raw_images": not self._mapping.rectified, "matched": self._mapping.matched, "posterior": posterior}
+        if self._laid_out == has:
             return
-        self._scene = Scene(middle, unit, raw_images, matched)
+        self._laid_out, self._scene = has, replace(scene, **has)
         layout = live_layout(self._layout, self._scene)
         self._to_sinks(lambda sink: sink.lay_out(layout))
 

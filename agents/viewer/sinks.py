@@ -19,6 +19,8 @@ import rerun_cli
 
 from agents.viewer.mapping import APPLICATION, Entity
 
+Layout = rrb.Blueprint
+
 SERVER_MEMORY = "128MiB"
 """What is kept for a viewer that connects late; Rerun needs up to twice as much."""
 

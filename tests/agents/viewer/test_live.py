@@ -124,7 +124,8 @@ def test_the_file_holds_the_field_the_images_and_the_state_of_the_session(whole_
 def test_frames_and_what_descends_from_them_stand_at_their_capture_and_the_rest_at_its_own_time(whole_session, scene):
     _, rows = whole_session
     stamp = scene.observations.stamp
-    for entity in ("/world/left/image", "/world/thread/curve", "/world/left/mask", "/plan/probability", "/latency/camera"):
+    framed = "/world/left/image", "/world/thread/curve", "/world/left/mask", "/plan/probability", "/latency/camera"
+    for entity in framed:
         (row,) = [row for row in rows[entity] if row.get("capture_time") is not None]
         assert (row["capture_time"], row["frame"]) == (stamp.capture_left_ns, stamp.sequence), entity
     for entity in ("/robot/jaw_deg/psm1", "/world/truth", "/log/perception", "/operator/psm1/heartbeat"):
