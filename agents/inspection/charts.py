@@ -36,8 +36,8 @@ class Mark:
 
 def chart(title: str, series: list[Series], end_s: float, marks: list[Mark], ceiling: float | None = None) -> str:
     """A figure with all series in one frame, from 0 s until the end, and from 0 until the largest value."""
-    drawn = [one for one in series if len(one.values)]
-    top = ceiling or max((float(np.nanmax(one.values)) for one in drawn if np.isfinite(one.values).any()), default=1.0)
+    drawn = [one for one in series if np.isfinite(one.values).any()]
+    top = ceiling or max((float(np.nanmax(one.values)) for one in drawn), default=1.0)
     top, end_s = nice_ceiling(max(top, 1e-9)), max(end_s, 1e-3)
     parts = [_grid(end_s, top)]
     parts += [_mark(mark, end_s) for mark in marks if 0 <= mark.at_s <= end_s]

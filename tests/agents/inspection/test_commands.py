@@ -1,0 +1,169 @@
+"""`suturegrasp inspect` and `suturegrasp export` as a person, a pipe and another program meet them."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from mcap.writer import Writer
+
+from agents.cli.main import main
+from agents.inspection.session import read_session
+from agents.inspection.tables import head_lines, session_tables
+from agents.inspection.terminal_report import lines
+
+
+@pytest.fixture
+def suturegrasp(capfd):
+    """Runs the command within this process: its status, what it said, what it complained of."""
+
+    def run(*arguments):
+        capfd.readouterr()
+        with pytest.raises(SystemExit) as end:
+            main([str(argument) for argument in arguments])
+        said = capfd.readouterr()
+        return end.value.code, said.out, said.err
+
+    return run
+
+
+@pytest.fixture
+def damaged(recording, tmp_path):
+    data, path = bytearray(recording.read_bytes()), tmp_path / "bad.mcap"
+    data[len(data) // 2] ^= 0xFF
+    path.write_bytes(bytes(data))
+    return path
+
+
+def test_in_a_pipe_lines_are_whole_and_plain(suturegrasp, recording):
+    status, out, err = suturegrasp("inspect", recording)
+    assert (status, err) == (0, "")
+    assert "\x1b" not in out
+    assert "…" not in out
+    assert [line for line in out.splitlines() if line != line.rstrip()] == []
+    assert any("held" in line and "capture 0.400, slide 4.0 mm" in line for line in out.splitlines())
+    assert "goal refused (thread_stale): the thread was seen 2000 ms ago" in out
+    assert "<script>alert(1)</script> [bold]?[31m" in out
+
+
+@pytest.mark.parametrize("width", [60, 100, 200])
+def test_a_terminal_gets_lines_that_fit(recording, width):
+    session = read_session(recording)
+    plain = [drawn.plain for drawn in _texts(lines([], session_tables(session), width))]
+    assert max(map(len, plain)) <= width
+    assert "thread_stale" in "".join("".join(plain).split())
+
+
+def _texts(drawn):
+    from rich.text import Text
+
+    return [Text.from_ansi(line) for line in drawn]
+
+
+def test_json_is_one_document_that_says_the_same(suturegrasp, recording):
+    status, out, _ = suturegrasp("inspect", recording, "--json")
+    told = json.loads(out)
+    assert status == 0
+    assert told["stages"]["reconstruction/thread"]["latency_ms"]["p99"] == pytest.approx(60)
+    assert told["stages"]["reconstruction/thread"]["count"] == 57
+    assert [grasp["outcome"] for grasp in told["grasps"]] == ["goal refused", "held"]
+    assert told["grasps"][1]["armings"][0]["judgement"]["error_m"] == 0.001
+    assert told["contents"][0]["key"].startswith("suturegrasp/lab/")
+    assert told["complete"] is False
+
+
+def test_two_recordings_are_set_side_by_side(suturegrasp, recording, slower, tmp_path):
+    page = tmp_path / "both.html"
+    status, out, _ = suturegrasp("inspect", recording, slower, "--html", page)
+    rows = [line.split() for line in out.splitlines()]
+    assert status == 0
+    assert ["reconstruction/thread", "p50", "60.0", "110.0", "+83%"] in rows
+    assert ["run.settings.planner.depth_m", "0.002", "0.005"] in rows
+    assert not any(row and row[0] == "run.rig" for row in rows)
+    assert ["camera/main/frames", "3", "3", "+0%"] in rows
+    assert page.read_text().count("<svg") == 5
+    both = json.loads(suturegrasp("inspect", recording, slower, "--json")[1])
+    assert [one["recording"] for one in both] == [str(recording), str(slower)]
+
+
+def test_a_recording_beside_itself_differs_in_nothing(suturegrasp, recording):
+    status, out, _ = suturegrasp("inspect", recording, recording)
+    assert status == 0
+    assert "run differently" not in out
+    assert {line.split()[-1] for line in out.splitlines() if line.endswith("%") and line[:1].islower()} <= {"+0%"}
+
+
+def test_a_page_is_written_and_a_recording_is_not_overwritten(suturegrasp, recording, tmp_path):
+    page, before = tmp_path / "report.html", recording.read_bytes()
+    assert suturegrasp("inspect", recording, "--html", page)[0] == 0
+    assert page.read_text().startswith("<!doctype html>")
+    assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
+    for wrong, said in ((recording, "would overwrite"), (tmp_path, "is a folder"), (tmp_path / "no" / "a", "no")):
+        status, _, err = suturegrasp("inspect", recording, "--html", wrong)
+        assert (status, len(err.splitlines())) == (2, 1)
+        assert said in err
+    assert recording.read_bytes() == before
+
+
+def test_damage_is_said_once_and_what_can_be_read_is_told(suturegrasp, damaged, tmp_path):
+    status, out, err = suturegrasp("inspect", damaged)
+    assert (status, len(err.splitlines())) == (3, 1)
+    assert "is damaged; only what lies before the damage can be read" in err
+    assert "camera/main/frames" in out
+    status, out, err = suturegrasp("export", damaged, "--output", tmp_path / "out")
+    assert (status, len(err.splitlines())) == (3, 1)
+    assert (tmp_path / "out" / "frames.csv").is_file()
+
+
+@pytest.mark.parametrize("command", [("inspect",), ("export", "--output")])
+def test_what_is_no_recording_is_one_line(suturegrasp, command, tmp_path):
+    foreign, text = tmp_path / "foreign.mcap", tmp_path / "text.mcap"
+    with foreign.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2", library="other")
+        writer.finish()
+    text.write_text("a text")
+    more = [*command[1:], *([tmp_path / "out"] if len(command) > 1 else [])]
+    for path, said in ((foreign, "of another program"), (text, "no recording"), (tmp_path / "none", "none")):
+        status, out, err = suturegrasp(command[0], path, *more)
+        assert (status, out, len(err.splitlines())) == (2, "", 1)
+        assert said in err
+    assert not (tmp_path / "out").exists()
+
+
+def test_export_refuses_what_it_cannot_do(suturegrasp, recording, tmp_path):
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "a").touch()
+    for options, said in (
+        (("--output", tmp_path / "full"), "holds something already"),
+        (("--output", tmp_path / "full" / "a"), "is a file"),
+        (("--output", tmp_path / "out", "--format", "xlsx"), "choose from csv, npz, json"),
+        (("--output", tmp_path / "out", "--points", "1"), "must lie within 2 and 10000"),
+    ):
+        status, _, err = suturegrasp("export", recording, *options)
+        assert (status, len(err.splitlines())) == (2, 1)
+        assert said in err
+
+
+def test_head_lines_name_the_file_and_what_it_lacks(recording):
+    first, second, third = head_lines(read_session(recording))
+    assert first.startswith(str(recording))
+    assert "lasted 2.0 s" in second
+    assert third == "not complete: its recorder missed 3 of camera/main/frames"
+
+
+def test_the_page_of_the_manual_names_every_option_and_table_and_its_example_runs(
+    suturegrasp, recording, tmp_path, monkeypatch
+):
+    manual = (Path(__file__).parents[3] / "docs" / "inspect.md").read_text(encoding="utf-8")
+    for command in ("inspect", "export"):
+        for option in set(re.findall(r"--[a-z-]+", suturegrasp(command, "--help")[1])) - {"--help", "--no-json"}:
+            assert f"`{option}`" in manual, option
+    for table in session_tables(read_session(recording)):
+        assert table.title.split(",")[0] in manual
+    assert suturegrasp("export", recording, "--output", tmp_path / "tables", "--format", "npz")[0] == 0
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    exec(re.findall(r"```python\n(.*?)```", manual, re.DOTALL)[0], names)  # noqa: S102
+    assert names["points"].shape == (50, 3)
+    assert names["surest"] == pytest.approx([-0.02, 0, 0.1])

@@ -1,0 +1,192 @@
+"""What is read from a recording: contents, gaps, latencies, agents, grasps, facts; of files in every condition."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agents.inspection.contents import gaps_of
+from agents.inspection.session import read_session
+from agents.inspection.tables import head_lines, session_tables
+from schemas.codec import decode
+from schemas.messages import AgentHealth, CommandAnswer, CommandHeader, Hold, LogLevel, LogRecord, Outcome
+from schemas.topics import FRAMES, HEALTH, HOLD, LOG, key
+from shared.recording.entry import Entry, RecordingError
+
+FRAMES_KEY = key("lab", FRAMES)
+
+
+def by_key(session):
+    return {one.key: one for one in session.contents}
+
+
+def test_counts_rates_and_times_are_those_of_the_messages(recording):
+    session = read_session(recording)
+    frames = by_key(session)[FRAMES_KEY]
+    assert (frames.count, frames.topic, frames.runs) == (57, "camera/frames", 1)
+    assert frames.rate_hz == pytest.approx(56 / (59 / 30))
+    assert session.duration_s == pytest.approx(59 / 30 + 0.06)
+    assert session.size_bytes == recording.stat().st_size
+
+
+def test_lost_numbers_are_told_with_when_they_were_lost(recording):
+    session = read_session(recording)
+    (gap,) = by_key(session)[FRAMES_KEY].gaps
+    assert (gap.lost, session.since_start_s(gap.from_ns)) == (3, pytest.approx(19 / 30 + 0.01))
+    assert (gap.to_ns - gap.from_ns) * 1e-9 == pytest.approx(4 / 30)
+
+
+def test_what_the_recorder_noted_is_told(recording):
+    session = read_session(recording)
+    assert (session.complete, session.losses) == (False, {FRAMES_KEY: 3})
+    assert session.facts["run.settings.planner.depth_m"] == "0.002"
+    assert session.facts["calibration.baseline_mm"] == "5.5"
+    (noted,) = [table for table in session_tables(session) if table.title == "noted by the recorder"]
+    assert noted.rows == (("0.70", "lost", "camera/main/frames: 3: 20-22 on the way"),)
+
+
+def test_latency_is_from_capture_until_publication(recording):
+    stages = read_session(recording).stages
+    assert stages["camera/frames"].latency_ms == pytest.approx(np.full(57, 10.0))
+    assert stages["reconstruction/thread"].latency_ms == pytest.approx(np.full(57, 60.0))
+    assert stages["robot_bridge/state psm1"].latency_ms == pytest.approx(np.full(57, 2.0))
+
+
+def test_agents_tell_step_times_drops_and_faults(recording):
+    session = read_session(recording)
+    perception, planner = session.agents
+    assert (perception.name, planner.name) == ("perception", "planner")
+    assert (perception.step_ms_p50, perception.step_ms_p99) == (pytest.approx(2.6), pytest.approx(21.1))
+    assert [(one.topic, one.dropped) for one in perception.drops] == [("camera/frames", 4)]
+    assert [(one.level, one.count) for one in session.remarks] == [("WARNING", 1), ("FAULT", 1)]
+
+
+def test_drops_of_an_agent_that_was_restarted_are_added_up(a_session, tmp_path):
+    whole = a_session()
+    health = decode(AgentHealth, next(entry.payload for topic, entry in whole.entries if topic is HEALTH))
+    account = dataclasses.replace(health.inputs[0], dropped=7)
+    whole.put(HEALTH, dataclasses.replace(health, inputs=(account,)), 1.9, agent="perception", epoch=2)
+    perception = read_session(whole.write(tmp_path / "a.mcap")).agents[0]
+    assert (perception.runs, perception.drops[0].dropped, perception.drops[0].received) == (2, 11, 20)
+
+
+def test_a_refused_goal_and_a_held_grasp_are_put_together(recording):
+    refused, held = read_session(recording).grasps
+    assert (refused.outcome, refused.plan) == ("goal refused", None)
+    assert refused.ended == "goal refused (thread_stale): the thread was seen 2000 ms ago"
+    assert (held.outcome, held.ended) == ("held", "grasp held: caught at 50 %")
+    (arming,) = held.armings
+    assert [event.phase.name for event in arming.events if event.phase] == [
+        "APPROACH",
+        "CAPTURE",
+        "SLIDE",
+        "GRASP",
+        "RETREAT",
+    ]
+
+
+def test_failures_are_counted_by_reason_without_their_numbers(recording):
+    quality = read_session(recording).quality
+    assert quality.failed == {("reconstruction/thread", "only # observations"): 2}
+    assert quality.length == pytest.approx(np.full(55, 40.0))
+    assert quality.confidence == pytest.approx(np.full(55, 0.75))
+
+
+def test_a_grasp_whose_beginning_was_not_recorded_is_told_from_what_there_is(a_session, tmp_path):
+    whole = a_session()
+    late = [(topic, entry) for topic, entry in whole.entries if (entry.published_ns - 1_760_000_000 * 10**9) > 1.15e9]
+    whole.entries = late
+    (grasp,) = read_session(whole.write(tmp_path / "late.mcap")).grasps
+    assert (grasp.goal, grasp.plan, grasp.outcome) == (None, None, "held")
+    assert grasp.armings[0].answer.outcome is Outcome.UNKNOWN
+    assert len(grasp.armings[0].events) == 5
+
+
+def test_holds_are_told(maker, tmp_path):
+    hold = Hold(CommandHeader("h", 1, "operator"), "psm1")
+    maker.command(HOLD, hold, CommandAnswer("h", Outcome.ACCEPTED, "", ""), 0.5, "robot_bridge", "psm1")
+    session = read_session(maker.write(tmp_path / "a.mcap"))
+    (table,) = [table for table in session_tables(session) if table.title == "other commands"]
+    assert table.rows == (("0.00", "operator/hold", "psm1", "accepted"),)
+
+
+def test_a_cut_off_recording_says_so_and_what_there_is_is_told(recording, tmp_path):
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(recording.read_bytes()[: recording.stat().st_size // 2])
+    session = read_session(path)
+    assert not session.finished
+    assert 0 < sum(one.count for one in session.contents) < 200
+    assert session.complete is None
+    assert any(line.startswith("cut off after") for line in head_lines(session))
+    assert session_tables(session)
+
+
+def test_of_a_damaged_recording_what_lies_before_the_damage_is_told(recording, tmp_path):
+    data, path = bytearray(recording.read_bytes()), tmp_path / "bad.mcap"
+    data[len(data) // 2] ^= 0xFF
+    path.write_bytes(bytes(data))
+    session = read_session(path)
+    assert "is damaged" in session.damage
+    assert session.damage in head_lines(session)
+    assert by_key(session)[FRAMES_KEY].count > 5
+
+
+def test_an_empty_recording_is_told(maker, tmp_path):
+    session = read_session(maker.write(tmp_path / "empty.mcap"))
+    assert (session.contents, session.duration_s, session.grasps) == ((), 0.0, ())
+    assert "0 messages on 0 keys" in head_lines(session)[0]
+    assert session_tables(session) == []
+
+
+@pytest.mark.parametrize("data", [b"", b"no recording at all", b"\x89MCAP0\r\n"])
+def test_what_is_no_recording_is_refused(data, tmp_path):
+    path = tmp_path / "other.mcap"
+    path.write_bytes(data)
+    with pytest.raises(RecordingError, match=r"other\.mcap"):
+        read_session(path)
+
+
+def test_messages_that_cannot_be_read_are_counted_with_the_first_reason(maker, tmp_path):
+    for number in range(4):
+        maker.put(LOG, LogRecord(number, "camera", "main", LogLevel.INFO, "x"), 0.1 * number, agent="camera")
+    name = key("lab", LOG, agent="camera")
+    maker.entries += [(LOG, Entry(name, 1, 4 + n, b"\xff" * 9, 10**18, 10**18)) for n in range(2)]
+    maker.entries += [(LOG, Entry("suturegrasp/lab/camera/main/aura", 1, 0, b"", 10**18, 10**18))]
+    session = read_session(maker.write(tmp_path / "a.mcap"))
+    assert {one.key: (one.count, one.unreadable) for one in session.contents} == {
+        name: (6, 2),
+        "suturegrasp/lab/camera/main/aura": (1, 1),
+    }
+    told = " ".join(head_lines(session))
+    assert "2 of 6 messages of camera/main/log cannot be read: LogRecord cannot be read" in told
+    assert "camera/main/aura cannot be read: this version has no such topic" in told
+
+
+def test_what_was_repeated_from_before_the_file_began_counts_for_what_held_and_not_as_its_contents(a_session, tmp_path):
+    whole = a_session()
+    (topic, first), *others = whole.entries
+    whole.entries = [(topic, dataclasses.replace(first, published_ns=1, repeated=True)), *others]
+    session = read_session(whole.write(tmp_path / "part2.mcap"))
+    assert "suturegrasp/lab/camera/main/calibration" not in by_key(session)
+    assert session.facts["calibration.image_px"] == "96x54"
+    assert session.duration_s < 3
+
+
+@given(data=st.data())
+def test_of_any_run_the_lost_numbers_are_those_that_are_not_there(data):
+    begin = data.draw(st.integers(0, 2**32 - 1))
+    present = sorted(data.draw(st.sets(st.integers(0, 300), min_size=1)))
+    order = data.draw(st.permutations(present))
+    sequence = np.array([(begin + n) % 2**32 for n in order], np.int64)
+    found = gaps_of(np.array([n * 10**7 for n in order], np.int64), sequence, is_regular=False)
+    assert sum(gap.lost for gap in found) == present[-1] - present[0] + 1 - len(present)
+    assert all(gap.to_ns - gap.from_ns == (gap.lost + 1) * 10**7 for gap in found)
+
+
+def test_a_silence_of_what_comes_regularly_is_a_gap_without_losses():
+    at = np.concatenate((np.arange(50), np.arange(50) + 100)) * 10**7
+    (gap,) = gaps_of(at, np.arange(100), is_regular=True)
+    assert (gap.lost, gap.to_ns - gap.from_ns) == (0, 51 * 10**7)
+    assert gaps_of(at, np.arange(100), is_regular=False) == []
