@@ -2,11 +2,11 @@
 
     camera/left/image, camera/right/image            as captured, thinned; frames camera_left and camera_right
     camera/left/calibration, camera/right/calibration
-    transforms/cameras, transforms/psm1/...          camera (rectified left) ─▶ camera_left, camera_right, psm1_base
-                                                     psm1_base ─▶ psm1_tool
+    transforms/camera_left, camera_right, psm1_base  from camera (rectified left)
+    transforms/psm1_tool                             from psm1_base
 
 They are copies for the eye: at most 10 images and transforms a second, and of large images so few that they stay within
-4 MB/s. Lengths are in metres where the calibration says what its unit is.
+2 MB/s. Lengths are in metres where the calibration says what its unit is.
 """
 
 from collections.abc import Iterator
@@ -27,7 +27,7 @@ from shared.recording.foxglove_schemas import CameraCalibration, CompressedImage
 from shared.rigid_transforms import inverse, quaternion_from_rotation
 
 PERIOD_NS = 100_000_000
-BYTES_PER_SECOND = 4_000_000
+BYTES_PER_SECOND = 2_000_000
 CAMERA, EYES = "camera", ("left", "right")
 NS = 1_000_000_000
 PLUMB_BOB, RATIONAL = 5, 8

@@ -119,6 +119,8 @@ class Parts:
             repeated = replace(entry, repeated=True)
             writer.write(topic, repeated)
             self._copy(topic, repeated)
+        if self._number > 1:
+            writer.flush()
         return writer
 
     def _is_full(self, entry: Entry) -> bool:

@@ -80,6 +80,7 @@ class PreTrigger:
             self._parts.lose(list(self._losses), at_ns)
         for topic, entry in self._ring:
             self._parts.write(topic, entry)
+        self._parts.flush(at_ns)
 
     def note(self, note: Note) -> None:
         """Add facts to this file and to those that follow."""

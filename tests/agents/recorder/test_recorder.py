@@ -1,6 +1,5 @@
 """The recorder on messages put by hand, behind a real router, killed, and on a full disk."""
 
-import contextlib
 import pathlib
 import subprocess
 import sys
@@ -31,13 +30,6 @@ def tapped(number, name=CAMERA, epoch=1, numbered=True):
 
 def places(path):
     return [(entry.key, entry.epoch, entry.sequence) for entry in read_recording(path)]
-
-
-@pytest.fixture
-def record():
-    """Starts recorders, and closes them at the end."""
-    with contextlib.ExitStack() as stack:
-        yield lambda *a, **options: stack.enter_context(Recorder(*a, **options))
 
 
 @pytest.fixture

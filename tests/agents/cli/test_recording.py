@@ -1,0 +1,114 @@
+"""`suturegrasp record` as a process: what it is told, what it writes about the run, and events that a person makes."""
+
+import contextlib
+import json
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from agents.cli.live_options import Record
+from agents.cli.recording import section_of, settings_of
+from agents.cli.rig import RecorderSection, RigConfig
+from schemas.codec import encode
+from schemas.messages import LogLevel, LogRecord
+from schemas.topics import LOG, key
+from shared.recording.completeness import completeness
+from shared.recording.mcap_file import is_finished, read_attachments, read_notes, read_recording
+from shared.runtime.attachment import Attachment, pack
+from shared.runtime.config import ConfigError
+from shared.runtime.delivery import declare_publisher
+
+RIG = RigConfig(recorder=RecorderSection(split_size_mb=100, protocol="p-1"))
+
+
+def test_the_command_line_goes_before_the_configuration():
+    section = section_of(RIG, Record(split_size=5.0, operator="op-7", foxglove=False))
+    assert (section.split_size_mb, section.protocol, section.operator) == (5.0, "p-1", "op-7")
+    settings = settings_of(section)
+    assert (settings.files.split_bytes, settings.files.foxglove) == (5_000_000, False)
+    assert section_of(RigConfig(), Record()) == RecorderSection()
+
+
+def test_as_many_seconds_are_kept_after_an_event_as_before_unless_told():
+    both = (settings_of(RecorderSection(pre_trigger_s=30, post_trigger_s=after_s)).pre_trigger for after_s in (None, 0))
+    assert [(kept.before_s, kept.after_s) for kept in both if kept] == [(30, 30), (30, 0)]
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        (Record(operator="Jane Doe"), "operator"),
+        (Record(operator="jane@lab.org"), "operator"),
+        (Record(split_minutes=0.0), "split_minutes"),
+        (Record(retention_days=-1), "retention_days"),
+    ],
+)
+def test_what_no_configuration_may_hold_the_command_line_may_not_either(options, named):
+    with pytest.raises(ConfigError, match=named):
+        section_of(RIG, options)
+
+
+@pytest.fixture
+def recording(settings, session, tmp_path, heard_by_others):
+    """Starts `suturegrasp record` on a real router and publishes to it; all is ended at the end."""
+    config = tmp_path / "rig.json"
+    config.write_text(json.dumps({"rig": settings.rig, "router": {"endpoint": settings.endpoint, "start": False}}))
+    name = key(settings.rig, LOG, agent="camera")
+    with contextlib.ExitStack() as stack:
+
+        def start(*options):
+            arguments = ["record", "--config", str(config), "--output", str(tmp_path / "a.mcap"), *options]
+            process = subprocess.Popen(
+                [sys.executable, "-m", "agents.cli", *arguments], stdout=subprocess.PIPE, text=True
+            )
+            stack.enter_context(process)
+            stack.callback(process.kill)
+            heard_by_others(session, name)
+            publisher = declare_publisher(session, name, LOG)
+            stack.callback(publisher.undeclare)
+            for number in range(20):
+                text = encode(LogRecord(number, "camera", "main", LogLevel.INFO, "text"))
+                publisher.put(text, attachment=pack(Attachment(1, number, number, 0.0)))
+            return process
+
+        yield start
+
+
+def test_a_recording_tells_of_what_run_and_study_it_is(recording, tmp_path, until):
+    process = recording("--protocol", "p-1", "--operator", "op-7", "--consent", "research", "--retention-days", "10")
+    path = tmp_path / "a.mcap"
+    until(lambda: path.exists() and path.stat().st_size and len(list(read_recording(path))) == 20)
+    process.send_signal(signal.SIGTERM)
+    said, _ = process.communicate()
+    assert said.strip().endswith("20 messages on 1 keys, complete")
+    assert completeness(path).complete
+    run, study = (read_notes(path, name) or {} for name in ("run", "study"))
+    assert run["rig"] == "test"
+    assert run["python"] == sys.version.split()[0]
+    assert len(run["config_hash"]) == len(run["schema_hash"]) == 12
+    assert {name: study[name] for name in ("protocol", "operator", "consent", "retention_days")} == {
+        "protocol": "p-1",
+        "operator": "op-7",
+        "consent": "research",
+        "retention_days": "10",
+    }
+    assert study["delete_after"] > run["began"][:10]
+    assert json.loads(read_attachments(path)["configuration.json"])["rig"] == "test"
+
+
+def test_a_signal_keeps_the_last_seconds(recording, tmp_path, until):
+    process = recording("--pre-trigger", "60", "--post-trigger", "0")
+
+    def kept():
+        """A file with all messages: those that a first signal came before are in the seconds before a later one."""
+        process.send_signal(signal.SIGUSR1)
+        files = [path for path in tmp_path.glob("a_*_asked.mcap") if is_finished(path)]
+        return any([entry.sequence for entry in read_recording(path)] == list(range(20)) for path in files)
+
+    until(kept)
+    process.send_signal(signal.SIGTERM)
+    said, _ = process.communicate()
+    assert "asked: the " in said
+    assert not (tmp_path / "a.mcap").exists()

@@ -1,0 +1,133 @@
+"""What other programs see of a recording: the same images, cameras and poses."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from agents.recorder.foxglove import BYTES_PER_SECOND, FoxgloveCopies
+from agents.recorder.parts import FileSettings
+from agents.recorder.recorder import RecorderSettings
+from schemas.messages import Image, ImageEncoding
+from shared.recording import foxglove_schemas
+from shared.recording.entry import Entry
+from shared.recording.mcap_file import read_recording
+from shared.rigid_transforms import exp_so3, rotation_from_quaternion
+
+POINTS = np.array([[0.0, 0.0, 90.0], [8.0, -5.0, 100.0], [-10.0, 6.0, 80.0]])
+
+
+def copies(tapped, at_ns=0, maker=None):
+    entry = Entry(tapped.key, 1, 0, tapped.payload, at_ns, at_ns)
+    return {
+        one.channel: getattr(foxglove_schemas, one.schema.removeprefix("foxglove.")).FromString(one.payload)
+        for one in (maker or FoxgloveCopies()).of(tapped.topic, entry)
+    }
+
+
+def matrix(transform):
+    q, t = transform.rotation, transform.translation
+    T = np.eye(4)
+    T[:3, :3] = rotation_from_quaternion(np.array([q.w, q.x, q.y, q.z]))
+    T[:3, 3] = t.x, t.y, t.z
+    return T
+
+
+def test_images_are_those_of_the_frame(messages):
+    jpeg = Image(ImageEncoding.JPEG, 64, 48, 3, b"some jpeg")
+    raw = Image(ImageEncoding.RAW, 64, 48, 1, bytes(range(64)) * 48)
+    found = copies(messages.frame(5, (jpeg, raw)))
+    left, right = found["/camera/left/image"], found["/camera/right/image"]
+    assert (left.data, left.format, left.frame_id) == (b"some jpeg", "jpeg", "camera_left")
+    assert (left.timestamp.seconds, left.timestamp.nanos) == (1, 5)
+    assert (right.data, right.encoding, right.step, right.width, right.height) == (raw.data, "mono8", 64, 64, 48)
+    assert (right.timestamp.seconds, right.frame_id) == (2, "camera_right")
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_cameras_and_their_poses_project_points_as_the_calibration_does(messages, turned):
+    R = exp_so3(np.array([0.01, -0.03, 0.02])) if turned else np.eye(3)
+    found = copies(messages.calibration(R=R, distortion=(0.1, -0.05, 0.001, 0.002, 0.01) if turned else ()))
+    T_camera_left, T_camera_right = (matrix(found[f"/transforms/camera_{eye}"]) for eye in ("left", "right"))
+    T_right_left = np.linalg.inv(T_camera_right) @ T_camera_left
+    np.testing.assert_allclose(T_right_left[:3, :3], R, atol=1e-9)
+    # lengths are in metres, the calibration's are in millimetres
+    np.testing.assert_allclose(T_right_left[:3, 3], [-0.005, 0, 0], atol=1e-9)
+    for eye, T in (("left", T_camera_left), ("right", T_camera_right)):
+        camera = found[f"/camera/{eye}/calibration"]
+        K, R_rect = (np.array(values).reshape(3, 3) for values in (camera.K, camera.R))
+        P = np.array(camera.P).reshape(3, 4)
+        points_camera = 1e-3 * POINTS
+        points_eye = (np.linalg.inv(T) @ np.c_[points_camera, np.ones(3)].T)[:3].T
+        raw, _ = cv2.projectPoints(points_eye, np.zeros(3), np.zeros(3), K, np.array(camera.D))
+        rectified = cv2.undistortPoints(raw, K, np.array(camera.D), R=R_rect, P=P)[:, 0]
+        projected = (P @ np.c_[points_camera, np.ones(3)].T).T
+        np.testing.assert_allclose(rectified, projected[:, :2] / projected[:, 2:], atol=0.02)
+
+
+def test_poses_lead_from_the_camera_by_way_of_the_base_to_the_tool(messages):
+    T_camera_base, T_base_tool = np.eye(4), np.eye(4)
+    T_camera_base[:3, :3], T_camera_base[:3, 3] = exp_so3(np.array([0.4, 1.2, -0.3])), [0.1, -0.2, 0.3]
+    T_base_tool[:3, 3] = [0.01, 0.02, 0.03]
+    found = copies(messages.state(0, T_camera_base=T_camera_base, T_base_tool=T_base_tool))
+    base, tool = found["/transforms/psm1_base"], found["/transforms/psm1_tool"]
+    assert (base.parent_frame_id, base.child_frame_id) == ("camera", "psm1_base")
+    assert (tool.parent_frame_id, tool.child_frame_id) == ("psm1_base", "psm1_tool")
+    np.testing.assert_allclose(matrix(base), T_camera_base, atol=1e-12)
+    np.testing.assert_allclose(matrix(tool), T_base_tool, atol=1e-12)
+
+
+def test_copies_are_thinned_by_time_and_large_ones_more(messages):
+    maker = FoxgloveCopies()
+    small = [bool(copies(messages.state(n), n * 10_000_000, maker)) for n in range(100)]
+    assert sum(small) == 10
+    size = 1200
+    big = Image(ImageEncoding.RAW, size, size, 3, bytes(size * size * 3))
+    frame, period_ns = messages.frame(0, (big, big)), 33_000_000
+    count = sum(bool(copies(frame, n * period_ns, maker)) for n in range(300))
+    assert 1 <= count <= 300 * 0.033 * BYTES_PER_SECOND / len(frame.payload) + 1
+
+
+def test_what_cannot_be_read_has_no_copy_and_is_recorded_all_the_same(record, messages, tmp_path):
+    damaged = messages.frame(0)
+    damaged = type(damaged)(damaged.topic, damaged.key, b"no frame", damaged.beside)
+    recorder = record(tmp_path / "a.mcap")
+    recorder.put(damaged)
+    report = recorder.close()
+    assert report.complete
+    assert [entry.payload for entry in read_recording(report.path)] == [b"no frame"]
+
+
+def channels(path):
+    with path.open("rb") as file:
+        return {c.topic: s.name for s, c, _ in make_reader(file).iter_messages() if s}
+
+
+def test_own_messages_alone_are_read_back_and_copies_can_be_left_out(record, messages, tmp_path):
+    for name, foxglove in (("with", True), ("without", False)):
+        recorder = record(tmp_path / f"{name}.mcap", settings=RecorderSettings(FileSettings(foxglove=foxglove)))
+        put = [messages.calibration(), messages.state(0), messages.frame(0)]
+        for one in put:
+            recorder.put(one)
+        report = recorder.close()
+        assert [entry.key for entry in read_recording(report.path)] == [one.key for one in put]
+        assert ("/camera/left/image" in channels(report.path)) == foxglove
+    assert channels(tmp_path / "with.mcap")["/camera/left/calibration"] == "foxglove.CameraCalibration"
+
+
+def test_rerun_reads_images_cameras_and_transforms(record, messages, tmp_path):
+    recorder = record(tmp_path / "a.mcap")
+    jpeg = cv2.imencode(".jpg", np.full((48, 64, 3), 99, np.uint8))[1].tobytes()
+    image = Image(ImageEncoding.JPEG, 64, 48, 3, jpeg)
+    for one in (messages.calibration(), messages.state(0), messages.frame(0, (image, image))):
+        recorder.put(one)
+    report = recorder.close()
+    rerun, rrd = str(Path(sys.executable).with_name("rerun")), str(tmp_path / "a.rrd")
+    subprocess.run([rerun, "mcap", "convert", str(report.path), "-o", rrd], check=True, capture_output=True)
+    shown = subprocess.run([rerun, "rrd", "print", "-vvv", rrd], check=True, capture_output=True, text=True).stdout
+    for component in ("EncodedImage:blob", "Pinhole:image_from_camera", "Transform3D:translation"):
+        assert component in shown

@@ -1,0 +1,59 @@
+"""A loss is told and noted when it happens, so that a killed recorder's file says where it is not complete."""
+
+import pathlib
+import subprocess
+import sys
+
+from shared.recording.completeness import completeness
+from shared.recording.losses import LOST
+from shared.recording.mcap_file import Note, read_with_notes
+
+
+def lost_notes(path):
+    return [n.facts for n in read_with_notes(path) if isinstance(n, Note) and n.name == LOST]
+
+
+def test_a_gap_is_told_and_in_the_file_while_recording_goes_on(record, messages, tmp_path, until):
+    lines = []
+    recorder = record(tmp_path / "a.mcap", tell=lines.append)
+    for number in (0, 1, 5):
+        recorder.put(messages.log(number))
+    until(lambda: lines)
+    assert lines == [f"lost 3 of {messages.camera} (2-4 on the way)"]
+    (note,) = until(lambda: lost_notes(tmp_path / "a.mcap"))
+    assert note[messages.camera] == "3: 2-4 on the way"
+    told = completeness(tmp_path / "a.mcap")
+    assert (told.finished, told.complete, told.lost) == (False, False, {messages.camera: 3})
+    recorder.close()
+    told = completeness(tmp_path / "a.mcap")
+    assert (told.finished, told.complete, told.lost) == (True, False, {messages.camera: 3})
+
+
+def test_losses_that_come_fast_share_lines_and_none_is_left_out_of_the_file(record, messages, tmp_path):
+    lines = []
+    recorder = record(tmp_path / "a.mcap", tell=lines.append)
+    for number in range(0, 4000, 2):
+        recorder.put(messages.log(number))
+    report = recorder.close()
+    assert report.lost == {messages.camera: 1999}
+    assert len(lines) <= 2
+    counts = [int(facts[messages.camera].split(":")[0]) for facts in lost_notes(report.path)]
+    assert sum(counts) == 1999
+
+
+def test_a_recorder_killed_after_a_loss_leaves_a_file_that_says_so(tmp_path, until):
+    path = tmp_path / "a.mcap"
+    process = subprocess.Popen(
+        [sys.executable, str(pathlib.Path(__file__).with_name("recording_process.py")), str(path), "10", "14"],
+        stdout=subprocess.DEVNULL,
+    )
+    try:
+        until(lambda: path.exists() and path.stat().st_size > 100 and lost_notes(path), "the loss to be noted")
+    finally:
+        process.kill()
+        process.wait()
+    told = completeness(path)
+    assert (told.finished, told.complete) == (False, False)
+    assert list(told.lost.values()) == [4]
+    assert "cut off at " in told.sentence
+    assert "lost 4 of suturegrasp/lab/camera/main/log" in told.sentence

@@ -1,0 +1,63 @@
+"""What a file says of itself: whole, cut off, with losses that were told before."""
+
+import pytest
+
+from schemas.codec import encode
+from schemas.messages import LogLevel, LogRecord
+from schemas.topics import LOG, key
+from shared.recording.completeness import completeness
+from shared.recording.losses import LOSSES, ON_THE_WAY, Loss, as_note
+from shared.recording.mcap_file import Entry
+from shared.recording.writer import RecordingWriter
+
+KEY = key("lab", LOG, agent="camera")
+TEXT = encode(LogRecord(0, "camera", "main", LogLevel.INFO, "x" * 100))
+WHEN_NS = 1_800_000_000_000_000_000
+
+
+def written(path, lost=(), complete=None):
+    writer = RecordingWriter(path)
+    for number in range(5):
+        writer.write(LOG, Entry(KEY, 1, number, TEXT, WHEN_NS, WHEN_NS + number))
+    if lost:
+        note = as_note(lost, WHEN_NS)
+        writer.note(note.name, note.facts)
+    writer.flush()
+    size = path.stat().st_size
+    if complete is not None:
+        writer.note(LOSSES, {loss.key: str(loss.count) for loss in lost} | {"complete": str(complete)})
+    writer.close()
+    return size
+
+
+LOST = (Loss(KEY, 3, 5, ON_THE_WAY, 0),)
+
+
+def test_a_whole_recording_is_complete(tmp_path):
+    written(tmp_path / "a.mcap", complete=True)
+    told = completeness(tmp_path / "a.mcap")
+    assert (told.complete, told.lost, told.sentence) == (True, {}, "complete")
+
+
+def test_losses_are_told_once_though_the_file_holds_them_twice(tmp_path):
+    written(tmp_path / "a.mcap", LOST, complete=False)
+    told = completeness(tmp_path / "a.mcap")
+    assert (told.complete, told.lost, told.sentence) == (False, {KEY: 3}, f"lost 3 of {KEY}")
+
+
+@pytest.mark.parametrize(("lost", "complete"), [((), None), (LOST, False)])
+def test_a_recording_that_was_cut_off_says_until_when_and_is_never_complete(tmp_path, lost, complete):
+    path = tmp_path / "a.mcap"
+    size = written(path, lost, complete=True)
+    path.write_bytes(path.read_bytes()[:size])
+    told = completeness(path)
+    assert (told.finished, told.complete, told.last_ns) == (False, complete, WHEN_NS + 4)
+    assert told.sentence.startswith("cut off at 2027-01-1")
+    assert (f"lost 3 of {KEY}" in told.sentence) == bool(lost)
+
+
+def test_a_recording_that_does_not_say_is_not_taken_for_complete(tmp_path):
+    written(tmp_path / "a.mcap")
+    told = completeness(tmp_path / "a.mcap")
+    assert (told.finished, told.complete) == (True, None)
+    assert told.sentence != "complete"
