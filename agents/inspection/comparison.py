@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from agents.inspection.session import Session
 from agents.inspection.stages import percentiles
-from agents.inspection.tables import Row, Table, decimal, short
+from agents.inspection.table import Row, Table, decimal, short
 
 Value = float | None
 

@@ -3,7 +3,8 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from agents.inspection.export_blocks import Block, blocks, row_count
+from agents.inspection.export_blocks import blocks
+from agents.inspection.export_columns import Block, row_count
 from agents.inspection.export_files import FORMATS, TableFile
 from schemas.checks import MessageError
 from schemas.codec import decode

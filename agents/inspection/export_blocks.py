@@ -1,11 +1,12 @@
 """Messages as rows of tables: each gives a few columns of equal length, named with their units and frames."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float64
 
+from agents.inspection.export_columns import AXES, Block, Column, number, pose, seconds, whole
+from agents.inspection.export_curves import curve_rows, frame_row
 from agents.inspection.grasps import COMMAND_TYPES
 from schemas.codec import decode
 from schemas.messages import (
@@ -21,16 +22,7 @@ from schemas.messages import (
     Status,
     ThreadReconstruction,
 )
-from shared.arc_length import length, parameters_at
-from shared.camera import project
-from shared.rigid_transforms import compose, quaternion_from_rotation
-from shared.splines import evaluate
-
-Column = np.ndarray | list[str]
-Block = Mapping[str, Column]
-"""Columns of equal length, in their order."""
-AXES = ("x", "y", "z")
-UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+from shared.rigid_transforms import compose
 
 
 def blocks(message: Any, published_ns: int, zero_ns: int, points: int) -> Iterator[tuple[str, Block]]:
@@ -60,69 +52,22 @@ def blocks(message: Any, published_ns: int, zero_ns: int, points: int) -> Iterat
             return
 
 
-def frame_row(thread: ThreadReconstruction, published_ns: int, zero_ns: int) -> Block:
-    """One reconstruction as a whole."""
-    unit, factor = length_unit(thread)
-    ok = thread.status is Status.OK
-    total = length(thread.knots, thread.control_points_camera, thread.degree) * factor if ok else np.nan
-    stamp = thread.stamp
-    return {
-        "frame": _whole(stamp.sequence),
-        "capture_left_ns": _whole(stamp.capture_left_ns),
-        "capture_right_ns": _whole(stamp.capture_right_ns),
-        "published_ns": _whole(published_ns),
-        "t_s": _seconds(stamp.capture_left_ns, zero_ns),
-        "status": [thread.status.name.lower()],
-        "reason": [thread.reason],
-        "method": [thread.method],
-        "track": [thread.track.step.name.lower() if thread.track else ""],
-        f"length_{unit}": _number(total),
-        "confidence_mean": _number(float(thread.confidence.mean()) if len(thread.confidence) else None),
-        "unseen_share": _number(1 - float(seen(thread.unseen, np.linspace(0, 1, 1001)).mean()) if ok else None),
-        "crossings": _whole(len(thread.crossings)),
-    }
-
-
-def curve_rows(thread: ThreadReconstruction, zero_ns: int, points: int) -> Block:
-    """A curve at places evenly spaced along it, with the covariance of each place."""
-    unit, factor = length_unit(thread)
-    knots, control_points, degree = thread.knots, thread.control_points_camera, thread.degree
-    s = np.linspace(0.0, 1.0, points)
-    at = parameters_at(knots, control_points, degree, s * length(knots, control_points, degree))
-    curve = evaluate(knots, control_points, degree, at)
-    covariance = _interpolated(thread.posterior_s, thread.posterior_covariance, at) * factor**2
-    with np.errstate(all="ignore"):
-        left_px = project(thread.camera, curve)[0]
-    confidence = np.full(points, np.nan)
-    if len(thread.confidence):
-        confidence = np.interp(s, thread.confidence_s, thread.confidence)
-    rows: dict[str, Column] = {
-        "frame": np.full(points, thread.stamp.sequence),
-        "t_s": np.full(points, (thread.stamp.capture_left_ns - zero_ns) * 1e-9),
-        "s": s,
-    }
-    rows |= {f"{axis}_camera_{unit}": curve[:, i] * factor for i, axis in enumerate(AXES)}
-    rows |= {"u_left_px": left_px[:, 0], "v_left_px": left_px[:, 1], "confidence": confidence}
-    rows |= {"seen": seen(thread.unseen, s).astype(np.int64), f"deviation_{unit}": _largest_deviation(covariance)}
-    return rows | {f"covariance_{AXES[i]}{AXES[j]}_{unit}2": covariance[:, i, j] for i, j in UPPER}
-
-
 def plan_row(plan: GraspPlan, published_ns: int, zero_ns: int) -> Block:
     """A plan, or why there is none."""
     return {
         "plan_id": [plan.plan_id],
         "goal_id": [plan.goal_id],
         "arm": [plan.arm],
-        "frame": _whole(plan.stamp.sequence),
-        "published_ns": _whole(published_ns),
-        "t_s": _seconds(published_ns, zero_ns),
+        "frame": whole(plan.stamp.sequence),
+        "published_ns": whole(published_ns),
+        "t_s": seconds(published_ns, zero_ns),
         "status": [plan.status.name.lower()],
         "reason": [plan.reason],
         "policy": [plan.policy.name.lower()],
-        "s_goal": _number(plan.s_goal),
-        "s_capture": _number(plan.s_capture),
-        "probability": _number(plan.probability),
-        "slide_m": _number(plan.slide_m),
+        "s_goal": number(plan.s_goal),
+        "s_capture": number(plan.s_capture),
+        "probability": number(plan.probability),
+        "slide_m": number(plan.slide_m),
     }
 
 
@@ -135,26 +80,26 @@ def waypoint_rows(plan: GraspPlan) -> Block:
         "phase": [waypoint.phase.name.lower() for waypoint in waypoints],
         "s": np.array([np.nan if waypoint.s is None else waypoint.s for waypoint in waypoints]),
     }
-    rows |= _pose("tool", "camera", np.stack([waypoint.T_camera_tool for waypoint in waypoints]))
+    rows |= pose("tool", "camera", np.stack([waypoint.T_camera_tool for waypoint in waypoints]))
     return rows | {"jaw_rad": np.array([waypoint.jaw_rad for waypoint in waypoints], np.float64)}
 
 
 def robot_row(state: RobotState, zero_ns: int) -> Block:
     """An arm as measured; its third joint is a length, the others are angles."""
     joints: dict[str, Column] = {
-        f"joint_{i + 1}_{'m' if i == 2 else 'rad'}": _number(float(state.joints[i])) for i in range(len(state.joints))
+        f"joint_{i + 1}_{'m' if i == 2 else 'rad'}": number(float(state.joints[i])) for i in range(len(state.joints))
     }
     row: dict[str, Column] = {
         "arm": [state.arm],
-        "measured_ns": _whole(state.measured_ns),
-        "t_s": _seconds(state.measured_ns, zero_ns),
+        "measured_ns": whole(state.measured_ns),
+        "t_s": seconds(state.measured_ns, zero_ns),
         "mode": [state.mode.name.lower()],
         "plan_id": [state.plan_id],
         **joints,
-        "jaw_rad": _number(state.jaw_rad),
+        "jaw_rad": number(state.jaw_rad),
     }
-    row |= _pose("tool", "base", state.T_base_tool[None])
-    return {**row, **_pose("tool", "camera", compose(state.T_camera_base, state.T_base_tool)[None])}
+    row |= pose("tool", "base", state.T_base_tool[None])
+    return {**row, **pose("tool", "camera", compose(state.T_camera_base, state.T_base_tool)[None])}
 
 
 def command_row(record: CommandRecord, zero_ns: int) -> Block:
@@ -164,19 +109,19 @@ def command_row(record: CommandRecord, zero_ns: int) -> Block:
     pixel = command.pixel if isinstance(command, GraspGoal | Prompt) else None
     point = goal.point_camera if goal else None
     row: dict[str, Column] = {
-        "received_ns": _whole(record.received_ns),
-        "t_s": _seconds(record.received_ns, zero_ns),
+        "received_ns": whole(record.received_ns),
+        "t_s": seconds(record.received_ns, zero_ns),
         "command": [record.topic],
         "id": [command.header.id],
         "sender": [command.header.sender],
         "arm": [command.arm if isinstance(command, GraspGoal | Arm | Hold) else ""],
         "plan_id": [command.plan_id if isinstance(command, Arm) else ""],
         "policy": [goal.policy.name.lower() if goal else ""],
-        "s": _number(goal.s if goal else None),
-        "u_left_px": _number(None if pixel is None else float(pixel[0])),
-        "v_left_px": _number(None if pixel is None else float(pixel[1])),
+        "s": number(goal.s if goal else None),
+        "u_left_px": number(None if pixel is None else float(pixel[0])),
+        "v_left_px": number(None if pixel is None else float(pixel[1])),
     }
-    row |= {f"{a}_camera_m": _number(None if point is None else float(point[i])) for i, a in enumerate(AXES)}
+    row |= {f"{a}_camera_m": number(None if point is None else float(point[i])) for i, a in enumerate(AXES)}
     answer = record.answer
     return row | {"outcome": [answer.outcome.name.lower()], "code": [answer.code], "reason": [answer.reason]}
 
@@ -203,8 +148,8 @@ def _outcome(
     judged: GraspJudgement | None,
 ) -> Block:
     return {
-        "at_ns": _whole(of.at_ns),
-        "t_s": _seconds(of.at_ns, zero_ns),
+        "at_ns": whole(of.at_ns),
+        "t_s": seconds(of.at_ns, zero_ns),
         "plan_id": [of.plan_id],
         "arm": [of.arm],
         "arming_id": [arming_id],
@@ -212,60 +157,7 @@ def _outcome(
         "phase": [phase],
         "code": [code],
         "reason": [reason],
-        "s_caught": _number(judged.s_caught if judged else None),
-        "slid_m": _number(judged.slid_m if judged else None),
-        "error_m": _number(judged.error_m if judged else None),
+        "s_caught": number(judged.s_caught if judged else None),
+        "slid_m": number(judged.slid_m if judged else None),
+        "error_m": number(judged.error_m if judged else None),
     }
-
-
-def length_unit(thread: ThreadReconstruction) -> tuple[str, float]:
-    """The suffix of lengths and what they are multiplied with: metres where the calibration tells its unit."""
-    metres = thread.camera.metres_per_unit
-    return ("unit", 1.0) if metres is None else ("m", metres)
-
-
-def seen(unseen: Float64[np.ndarray, "g 2"], s: Float64[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
-    """Whether places lie outside of all stretches that not both images show."""
-    first, last = unseen.min(axis=1, initial=1.0), unseen.max(axis=1, initial=0.0)
-    return ~np.asarray(((s[:, None] >= first) & (s[:, None] <= last)).any(axis=1))
-
-
-def _interpolated(
-    at: Float64[np.ndarray, "q"], covariance: Float64[np.ndarray, "q 3 3"], s: Float64[np.ndarray, "n"]
-) -> Float64[np.ndarray, "n 3 3"]:
-    """Covariances between those that are told, entry by entry; NaN where none is."""
-    if not len(at):
-        return np.full((len(s), 3, 3), np.nan)
-    after = np.clip(np.searchsorted(at, s), 1, max(1, len(at) - 1))
-    before, after = after - 1, np.minimum(after, len(at) - 1)
-    span = at[after] - at[before]
-    share = np.clip(np.divide(s - at[before], span, out=np.zeros_like(s), where=span > 0), 0.0, 1.0)[:, None, None]
-    return (1 - share) * covariance[before] + share * covariance[after]
-
-
-def _largest_deviation(covariance: Float64[np.ndarray, "n 3 3"]) -> Float64[np.ndarray, "n"]:
-    variance = np.linalg.eigvalsh(np.nan_to_num(covariance))[:, -1]
-    return np.where(np.isfinite(covariance[:, 0, 0]), np.sqrt(np.maximum(variance, 0.0)), np.nan)
-
-
-def _pose(of: str, frame: str, T: Float64[np.ndarray, "n 4 4"]) -> Block:
-    q_wxyz = quaternion_from_rotation(T[:, :3, :3])
-    rows: dict[str, Column] = {f"{of}_{axis}_{frame}_m": T[:, i, 3] for i, axis in enumerate(AXES)}
-    return rows | {f"{of}_q{part}_{frame}": q_wxyz[:, i] for i, part in enumerate("wxyz")}
-
-
-def _whole(value: int) -> np.ndarray:
-    return np.array([value], np.int64)
-
-
-def _number(value: float | None) -> np.ndarray:
-    return np.array([np.nan if value is None else value], np.float64)
-
-
-def _seconds(at_ns: int, zero_ns: int) -> np.ndarray:
-    return np.array([(at_ns - zero_ns) * 1e-9])
-
-
-def row_count(block: Block) -> int:
-    """How many rows a block has."""
-    return len(next(iter(block.values())))

@@ -10,7 +10,7 @@ from typing import IO, Any, Protocol
 
 import numpy as np
 
-from agents.inspection.export_blocks import Block, row_count
+from agents.inspection.export_columns import Block, row_count
 
 
 class TableFile(Protocol):

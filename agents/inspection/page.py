@@ -10,7 +10,8 @@ from agents.inspection.grasps import Grasp, event_name
 from agents.inspection.page_style import STYLE
 from agents.inspection.pictures import Picture
 from agents.inspection.session import Session
-from agents.inspection.tables import Table, all_printable, head_lines, printable, session_tables
+from agents.inspection.table import Table, all_printable, printable
+from agents.inspection.tables import head_lines, session_tables
 from schemas.topics import ROBOT_STATE
 
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"

@@ -1,27 +1,14 @@
 """What a session tells as tables of text, the same for the terminal and for the page."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from agents.inspection.contents import KeyContents
 from agents.inspection.facts import is_of_a_moment
-from agents.inspection.grasps import Arming, Grasp, event_name
+from agents.inspection.grasp_tables import commands, grasps, phases
 from agents.inspection.session import Session
 from agents.inspection.stages import BEFORE, added_ms, percentiles
-from schemas.messages import CommandAnswer, GraspGoal, GraspPlan, Hold, Outcome, Prompt
+from agents.inspection.table import Row, Table, decimal, megabytes, short
 from shared.recording.losses import AT
-
-Row = tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Table:
-    """Rows under headings; those columns whose heading begins with a space hold figures, and stand to the right."""
-
-    title: str
-    columns: Row
-    rows: tuple[Row, ...]
 
 
 def session_tables(session: Session) -> list[Table]:
@@ -168,79 +155,6 @@ def results(session: Session) -> Table:
     return Table("what became of the frames", ("topic", " count", "what"), tuple(rows))
 
 
-def grasps(session: Session) -> Table:
-    """Each goal with its plan and how it ended."""
-    rows = tuple(_grasp_row(session, number, grasp) for number, grasp in enumerate(session.grasps, 1))
-    return Table("grasps", (" grasp", " at s", "goal", "plan", "came of it"), rows)
-
-
-def _grasp_row(session: Session, number: int, grasp: Grasp) -> Row:
-    at_s = f"{session.since_start_s(grasp.at_ns):.2f}"
-    return str(number), at_s, goal_text(grasp.goal), plan_text(grasp.plan), grasp.ended
-
-
-def goal_text(goal: GraspGoal | None) -> str:
-    """A goal in a few words."""
-    if goal is None:
-        return "not recorded"
-    if goal.s is not None:
-        where = f"s {goal.s:.3f}"
-    elif goal.pixel is not None:
-        where = f"pixel {goal.pixel[0]:.0f} {goal.pixel[1]:.0f}"
-    else:
-        where = (
-            f"point {' '.join(f'{1e3 * x:.1f}' for x in goal.point_camera)} mm" if goal.point_camera is not None else ""
-        )
-    return f"{goal.arm} {where} {goal.policy.name.lower()}"
-
-
-def plan_text(plan: GraspPlan | None) -> str:
-    """A plan in a few words; why there is none stands elsewhere."""
-    if plan is None or plan.reason:
-        return "none"
-    capture, goal = (f"{s:.3f}" if s is not None else "?" for s in (plan.s_capture, plan.s_goal))
-    return f"capture {capture}, slide {plan.slide_m * 1e3:.1f} mm, grasp {goal}, success {plan.probability:.0%}"
-
-
-def phases(session: Session) -> Table:
-    """Each arming with what followed, in seconds since the start of the recording."""
-    rows = (
-        _phase_row(session, number, arming)
-        for number, grasp in enumerate(session.grasps, 1)
-        for arming in grasp.armings
-    )
-    return Table("armed", (" grasp", " at s", "answer", "what followed, at s", "judgement"), tuple(rows))
-
-
-def _phase_row(session: Session, number: int, arming: Arming) -> Row:
-    followed = ", ".join(f"{event_name(event)} {session.since_start_s(event.at_ns):.2f}" for event in arming.events)
-    at_s = "" if arming.at_ns is None else f"{session.since_start_s(arming.at_ns):.2f}"
-    judged = arming.judgement.sentence if arming.judgement else ""
-    return str(number), at_s, answer_text(arming.answer), followed, judged
-
-
-def commands(session: Session) -> Table:
-    """Holds and prompts."""
-    rows = (
-        (f"{session.since_start_s(one.at_ns):.2f}", one.topic, _command_text(one.command), answer_text(one.answer))
-        for one in session.other_commands
-    )
-    return Table("other commands", (" at s", "command", "of", "answer"), tuple(rows))
-
-
-def _command_text(command: Hold | Prompt) -> str:
-    if isinstance(command, Hold):
-        return command.arm
-    return "any thread" if command.pixel is None else f"pixel {command.pixel[0]:.0f} {command.pixel[1]:.0f}"
-
-
-def answer_text(answer: CommandAnswer) -> str:
-    """An answer with its reason."""
-    if answer.outcome is Outcome.ACCEPTED:
-        return "accepted"
-    return f"{answer.outcome.name.lower()} ({answer.code}): {answer.reason}"
-
-
 def remarks(session: Session) -> Table:
     """Warnings, errors and faults."""
     rows = (
@@ -262,34 +176,3 @@ def noted(session: Session) -> Table:
         if is_of_a_moment(note)
     )
     return Table("noted by the recorder", (" at s", "note", "facts"), tuple(rows))
-
-
-def short(key: str) -> str:
-    """A key without its root and its rig."""
-    parts = key.split("/")
-    return "/".join(parts[2:]) if len(parts) == 5 else key
-
-
-def megabytes(count: int) -> str:
-    """Bytes as megabytes."""
-    return f"{count * 1e-6:.1f}"
-
-
-def decimal(value: float | None) -> str:
-    """A number with one decimal, a dash for none."""
-    return "-" if value is None else f"{value:.1f}"
-
-
-def first_rows(table: Table, limit: int) -> tuple[tuple[Row, ...], int]:
-    """The first rows, and how many are left out."""
-    return table.rows[:limit], max(0, len(table.rows) - limit)
-
-
-def printable(text: str) -> str:
-    """Text without characters that move a cursor or begin an escape sequence, on one line."""
-    return "".join(char if char.isprintable() else "?" for char in " ".join(text.split()))
-
-
-def all_printable(rows: Iterable[Row]) -> tuple[Row, ...]:
-    """Rows that any terminal and any page can show."""
-    return tuple(tuple(printable(cell) for cell in row) for row in rows)

@@ -7,7 +7,7 @@ import rich.table
 from rich.console import Console
 from rich.text import Text
 
-from agents.inspection.tables import Table, all_printable, first_rows, printable
+from agents.inspection.table import Table, all_printable, first_rows, printable
 
 ROWS_SHOWN = 40
 UNWRAPPED = 10_000

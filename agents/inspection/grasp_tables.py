@@ -1,0 +1,79 @@
+"""What became of goals, as tables of text."""
+
+from agents.inspection.grasps import Arming, Grasp, event_name
+from agents.inspection.session import Session
+from agents.inspection.table import Row, Table
+from schemas.messages import CommandAnswer, GraspGoal, GraspPlan, Hold, Outcome, Prompt
+
+
+def grasps(session: Session) -> Table:
+    """Each goal with its plan and how it ended."""
+    rows = tuple(_grasp_row(session, number, grasp) for number, grasp in enumerate(session.grasps, 1))
+    return Table("grasps", (" grasp", " at s", "goal", "plan", "came of it"), rows)
+
+
+def _grasp_row(session: Session, number: int, grasp: Grasp) -> Row:
+    at_s = f"{session.since_start_s(grasp.at_ns):.2f}"
+    return str(number), at_s, goal_text(grasp.goal), plan_text(grasp.plan), grasp.ended
+
+
+def goal_text(goal: GraspGoal | None) -> str:
+    """A goal in a few words."""
+    if goal is None:
+        return "not recorded"
+    if goal.s is not None:
+        where = f"s {goal.s:.3f}"
+    elif goal.pixel is not None:
+        where = f"pixel {goal.pixel[0]:.0f} {goal.pixel[1]:.0f}"
+    else:
+        where = (
+            f"point {' '.join(f'{1e3 * x:.1f}' for x in goal.point_camera)} mm" if goal.point_camera is not None else ""
+        )
+    return f"{goal.arm} {where} {goal.policy.name.lower()}"
+
+
+def plan_text(plan: GraspPlan | None) -> str:
+    """A plan in a few words; why there is none stands elsewhere."""
+    if plan is None or plan.reason:
+        return "none"
+    capture, goal = (f"{s:.3f}" if s is not None else "?" for s in (plan.s_capture, plan.s_goal))
+    return f"capture {capture}, slide {plan.slide_m * 1e3:.1f} mm, grasp {goal}, success {plan.probability:.0%}"
+
+
+def phases(session: Session) -> Table:
+    """Each arming with what followed, in seconds since the start of the recording."""
+    rows = (
+        _phase_row(session, number, arming)
+        for number, grasp in enumerate(session.grasps, 1)
+        for arming in grasp.armings
+    )
+    return Table("armed", (" grasp", " at s", "answer", "what followed, at s", "judgement"), tuple(rows))
+
+
+def _phase_row(session: Session, number: int, arming: Arming) -> Row:
+    followed = ", ".join(f"{event_name(event)} {session.since_start_s(event.at_ns):.2f}" for event in arming.events)
+    at_s = "" if arming.at_ns is None else f"{session.since_start_s(arming.at_ns):.2f}"
+    judged = arming.judgement.sentence if arming.judgement else ""
+    return str(number), at_s, answer_text(arming.answer), followed, judged
+
+
+def commands(session: Session) -> Table:
+    """Holds and prompts."""
+    rows = (
+        (f"{session.since_start_s(one.at_ns):.2f}", one.topic, _command_text(one.command), answer_text(one.answer))
+        for one in session.other_commands
+    )
+    return Table("other commands", (" at s", "command", "of", "answer"), tuple(rows))
+
+
+def _command_text(command: Hold | Prompt) -> str:
+    if isinstance(command, Hold):
+        return command.arm
+    return "any thread" if command.pixel is None else f"pixel {command.pixel[0]:.0f} {command.pixel[1]:.0f}"
+
+
+def answer_text(answer: CommandAnswer) -> str:
+    """An answer with its reason."""
+    if answer.outcome is Outcome.ACCEPTED:
+        return "accepted"
+    return f"{answer.outcome.name.lower()} ({answer.code}): {answer.reason}"
