@@ -1,5 +1,7 @@
 """`suturegrasp replay`: a recording on the live keys again."""
 
+import contextlib
+import os
 import sys
 
 from agents.cli.process import on_stop
@@ -36,7 +38,6 @@ class ReplayUsageError(ValueError):
 
 def run(options: Replay) -> int:
     """Replay until the end, or until stopped; the exit status."""
-    sys.setswitchinterval(SWITCH_S)
     try:
         return _replay(options)
     except OSError as error:
@@ -73,6 +74,7 @@ def _replay(options: Replay) -> int:
         player = Player(republisher, options.rate, controls, flow)
         commands = [c for c in contents.commands if c.topic in selection.commands]
         began_s, stuck = monotonic_s(), ""
+        _keep_time()
         with steered(controls, by_lines=options.step), player.telling_time(window[0]):
             try:
                 began_s = monotonic_s()
@@ -85,6 +87,13 @@ def _replay(options: Replay) -> int:
                 stuck = str(error)
             took_s = monotonic_s() - began_s
     return _told(options, player.played, took_s, flow, stuck or contents.damage)
+
+
+def _keep_time() -> None:
+    """Have this thread run before others when its moment has come, where the system lets it."""
+    sys.setswitchinterval(SWITCH_S)
+    with contextlib.suppress(OSError, AttributeError):
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(1))
 
 
 def _check(options: Replay) -> None:

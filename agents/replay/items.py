@@ -108,6 +108,11 @@ class ReadAhead:
         if self._fault is not None:
             raise self._fault
 
+    def fill(self, within_s: float) -> None:
+        """Wait until as much is read as may be, since reading and sending get in each other's way."""
+        with self._condition:
+            self._condition.wait_for(lambda: self._bytes >= self._most_bytes or self._ended, within_s)
+
     def close(self) -> None:
         """Read no further."""
         with self._condition:

@@ -23,6 +23,7 @@ TELL_PERIOD_S = 0.05
 """How often the replay's time is told; in between it goes on by itself."""
 LOOK_S = 0.1
 """How long nobody looks whether the replay is to be held or stopped."""
+FILL_S = 2.0
 LEAD_IN_S, LEAD_OUT_S = 0.5, 0.7
 """For agents to take over the replay's time, and for consumers to ask for events that they missed."""
 
@@ -107,6 +108,7 @@ class Player:
         self._timeline.jump(begin_ns, monotonic_s())
         ahead = ReadAhead(source)
         try:
+            ahead.fill(FILL_S)
             for item in ahead:
                 if not self._its_moment(item.at_ns):
                     return

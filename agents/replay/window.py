@@ -17,9 +17,9 @@ def moment_ns(option: str, written: str, begin_ns: int) -> int:
     Raises:
         WindowError: where it is none of these; the text names the option.
     """
-    if SECONDS.fullmatch(written):
-        return begin_ns + round(float(written) * 1e9)
     try:
+        if SECONDS.fullmatch(written):
+            return begin_ns + round(float(written) * 1e9)
         return _wall_ns(written, begin_ns)
     except (ValueError, OverflowError, OSError):
         examples = "seconds from the start (12.5), a time of its day (14:30:05), or both (2026-11-20T14:30:05)"

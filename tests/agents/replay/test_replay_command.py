@@ -1,0 +1,295 @@
+"""`suturegrasp replay` as a process of its own, on a real router, with real agents."""
+
+import signal
+import subprocess
+import sys
+import threading
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agents.cli.main import main
+from schemas.codec import decode
+from schemas.messages import LogRecord, RectifiedStereo, TissueSurface
+from schemas.topics import (
+    COMMANDS,
+    FRAMES,
+    LOG,
+    PROMPT,
+    ROBOT_STATE,
+    SURFACE,
+    TOPICS,
+    Delivery,
+    key,
+    topic_of,
+)
+from shared.clock import now_ns
+from shared.recording.mcap_file import RecordingWriter
+from shared.runtime.agent import Command, Input, Output, Tick
+from shared.runtime.attachment import Attachment, pack
+from shared.runtime.commands import accepted
+from shared.runtime.connection import connected
+
+SCRIPT = str(Path(sys.executable).with_name("suturegrasp"))
+DEADLINE_S = 60.0
+WIRE = tuple(topic for topic in TOPICS if topic.delivery is not Delivery.COMMAND)
+CAMERA = RectifiedStereo(4, 2, 4.0, 4.0, 1.5, 0.5, 5e-3, 1.0)
+NONE = np.zeros(0)
+
+
+class Slow:
+    """Takes a while for each message, and tells which it was."""
+
+    instance, commands, tick_hz = "main", (), None
+
+    def __init__(self, kind, listened, outputs=()):
+        self.kind, self.inputs, self.outputs = kind, (Input(listened, only_newest_counts=True),), outputs
+        self.taken = []
+
+    def step(self, arrived):
+        threading.Event().wait(0.03)
+        stamp = arrived.message.stamp
+        self.taken.append(stamp.sequence)
+        for topic in self.outputs:
+            yield Output(topic, TissueSurface(stamp, CAMERA, NONE, NONE, np.zeros((0, 0)), np.zeros((0, 0), bool)))
+
+
+class Prompted:
+    """Accepts prompts, and notes the time of its ticks."""
+
+    kind, instance, inputs, outputs, commands, tick_hz = "perception", "main", (), (), (PROMPT,), 50.0
+
+    def __init__(self):
+        self.now_ns, self.prompts = [], []
+
+    def step(self, arrived):
+        if isinstance(arrived, Command):
+            self.prompts.append(arrived)
+            yield accepted(arrived.message.header.id)
+        elif isinstance(arrived, Tick):
+            self.now_ns.append(arrived.now_ns)
+
+
+@pytest.fixture
+def replay(settings, tmp_path):
+    """The command, replaying on the rig of the tests; all that is started is ended."""
+    config, started = tmp_path / "rig.toml", []
+    config.write_text(f'rig = "{settings.rig}"\n[router]\nendpoint = "{settings.endpoint}"\nstart = false\n')
+
+    def start(path, *options, stdin=subprocess.DEVNULL):
+        command = [SCRIPT, "replay", str(path), "--config", str(config), *options]
+        pipe = subprocess.PIPE
+        process = subprocess.Popen(command, stdin=stdin, stdout=pipe, stderr=pipe, text=True)
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def done(process, said=None):
+    out, err = process.communicate(said, timeout=DEADLINE_S)
+    return process.returncode, out, err
+
+
+@pytest.fixture
+def heard(settings):
+    """Every message on the rig's keys, as it is heard."""
+    messages = []
+    with connected(settings, DEADLINE_S) as connection:
+        connection.listen(WIRE, messages.append)
+        yield messages
+
+
+def by_key(messages):
+    found = defaultdict(list)
+    for message in list(messages):
+        found[message.key].append(message)
+    return found
+
+
+def of_recording(recording, rig, left_out=("planner/main/plan", "somebody")):
+    """Payloads and times of publication by key, as a replay with nobody else there gives them."""
+    found = defaultdict(list)
+    for entry in recording.entries:
+        if not any(name in entry.key for name in left_out):
+            found[entry.key.replace("/recorded/", f"/{rig}/")].append((entry.payload, entry.published_ns))
+    return found
+
+
+def test_every_byte_is_published_again_in_order_under_a_run_of_its_own(replay, recording, heard, settings):
+    code, out, err = done(replay(recording.path, "--fast"))
+    assert (code, err) == (0, "")
+    messages = by_key(m for m in heard if "/replay/" not in m.key)
+    expected = of_recording(recording, settings.rig)
+    assert {k: [(m.payload, m.beside.published_ns) for m in ms] for k, ms in messages.items()} == expected
+    assert {m.beside.epoch for ms in messages.values() for m in ms} != {7}
+    assert len({m.beside.epoch for ms in messages.values() for m in ms}) == 1
+    assert all([m.beside.sequence for m in ms] == list(range(len(ms))) for ms in messages.values())
+    assert "left out, would be acted on: planner/plan, operator/prompt" in out
+    assert "waited for tap/" in out
+    assert any("/replay/main/clock" in m.key for m in heard)
+
+
+def test_at_its_own_spacing_nothing_is_changed_or_swapped_and_the_error_is_told(replay, recording, heard, settings):
+    code, out, _ = done(replay(recording.path, "--from", "0.5", "--to", "1.5", "--rate", "2"))
+    assert code == 0
+    assert "spacing error p50" in out
+    expected = of_recording(recording, settings.rig)
+    found = by_key(m for m in heard if "/replay/" not in m.key)
+    # a busy machine may drop states and frames on their way; events and what holds are not dropped
+    assert [m.payload for m in found[key(settings.rig, LOG, agent="camera")]] == [
+        f"line {n}".encode() for n in range(5, 16)
+    ]
+    for name, messages in found.items():
+        published = [m.beside.published_ns for m in messages]
+        assert published == sorted(published)
+        assert {(m.payload, m.beside.published_ns) for m in messages} <= set(expected[name])
+
+
+def test_fast_waits_for_all_that_follows_and_so_loses_nothing(replay, recording, settings, in_threads):
+    perception, reconstruction = Slow("perception", FRAMES, (SURFACE,)), Slow("reconstruction", SURFACE)
+    with in_threads(settings, perception, reconstruction):
+        code, out, err = done(replay(recording.path, "--fast"))
+    assert (code, err) == (0, "")
+    assert perception.taken == list(range(40))
+    assert reconstruction.taken == list(range(40))
+    assert "waited for perception/main, reconstruction/main" in out
+    assert "left out, perception/main is live: perception/health, perception/command" in out
+
+
+def test_agents_live_in_its_time_until_it_dies_and_nobody_else_replays_meanwhile(
+    replay, recording, settings, in_threads, heard, until
+):
+    agent = Prompted()
+    with in_threads(settings, agent):
+        first = replay(recording.path, "--loop", "--topics", "camera/frames", "camera/calibration")
+        until(lambda: agent.now_ns and agent.now_ns[-1] < recording.begin_ns + 3 * 10**9, "the recording's time")
+        since = len(agent.now_ns)
+        until(
+            lambda: any(b < a for a, b in zip(agent.now_ns[since:], agent.now_ns[since + 1 :], strict=False)), "a loop"
+        )
+        assert min(agent.now_ns) >= recording.begin_ns
+        code, _, err = done(replay(recording.path))
+        assert code == 2
+        assert "a recording is replayed on rig test already" in err
+        first.kill()
+        until(lambda: abs(agent.now_ns[-1] - now_ns()) < 10**9, "this machine's time")
+        said = [decode(LogRecord, m.payload) for m in list(heard) if topic_of(m.key) is LOG and "perception" in m.key]
+        until(lambda: "ended or died" in last_line(heard))
+    assert any("a recording is replayed" in record.text for record in said)
+
+
+def last_line(heard):
+    lines = [decode(LogRecord, m.payload).text for m in list(heard) if "/perception/main/log" in m.key]
+    return lines[-1]
+
+
+def test_a_command_is_sent_again_where_that_is_confirmed_and_is_timely_in_the_recordings_time(
+    replay, recording, settings, in_threads, heard, until
+):
+    agent = Prompted()
+    code, _, err = done(replay(recording.path, "--topics", "operator/prompt"))
+    assert (code, "agents would act on operator/prompt: add --yes-execute" in err) == (2, True)
+    with in_threads(settings, agent):
+        code, out, _ = done(replay(recording.path, "--topics", "operator/prompt", "--yes-execute", "--fast"))
+    assert code == 0
+    assert "operator/prompt: accepted" in out
+    (prompt,) = agent.prompts
+    assert prompt.message.header.id == "p1"
+    assert recording.begin_ns < prompt.now_ns < recording.begin_ns + 2 * 10**9
+    until(lambda: [m for m in list(heard) if m.key == key(settings.rig, COMMANDS, agent="perception")])
+
+
+def test_enter_steps_to_the_next_frame_and_the_end_of_input_ends_it(replay, recording, heard, settings, until):
+    process = replay(recording.path, "--step", stdin=subprocess.PIPE)
+    frames = lambda: [m for m in list(heard) if m.key == key(settings.rig, FRAMES)]  # noqa: E731
+    for count in (1, 2, 3):
+        process.stdin.write("\n")
+        process.stdin.flush()
+        until(lambda count=count: len(frames()) == count, f"frame {count}")
+    code, _, _ = done(process)
+    assert code == 0
+    assert len(frames()) == 3
+
+
+def test_two_publishers_of_a_topic_are_refused_before_anything_is_sent(
+    replay, recording, settings, session, in_threads, heard
+):
+    with in_threads(settings, Slow("camera", SURFACE)):
+        code, _, err = done(replay(recording.path, "--topics", "camera/*"))
+    assert code == 2
+    assert "camera/main is live on this rig and publishes camera/" in err
+    name, stopped = key(settings.rig, ROBOT_STATE, "psm1"), threading.Event()
+
+    def publish():
+        number = 0
+        while not stopped.wait(0.02):
+            session.put(name, b"mine", attachment=pack(Attachment(1, number := number + 1, 0, 0.0)))
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    code, _, err = done(replay(recording.path))
+    stopped.set()
+    thread.join()
+    assert code == 2
+    assert "somebody publishes robot_bridge/state on this rig already: stop it" in err
+    assert not [m for m in heard if "/replay/" in m.key]
+
+
+def test_of_a_damaged_recording_what_can_be_read_is_sent(replay, recording, heard, settings, tmp_path):
+    path = tmp_path / "damaged.mcap"
+    writer = RecordingWriter(path)
+    for count, entry in enumerate(recording.entries):
+        if topic := known(entry.key):
+            writer.write(topic, entry)
+        if count == 200:
+            writer.flush()
+            whole_until = path.stat().st_size
+    writer.close()
+    whole = bytearray(path.read_bytes())
+    whole[whole_until + 60] ^= 0xFF
+    path.write_bytes(whole)
+    code, _, err = done(replay(path, "--fast", "--topics", "robot_bridge/state"))
+    assert code == 1
+    assert "warning: " in err
+    assert "not all was replayed: " in err
+    states = [m.payload for m in heard if m.key == key(settings.rig, ROBOT_STATE, "psm1")]
+    assert 20 < len(states) < 200
+    assert states == [f"robot_bridge/state {n}".encode() for n in range(len(states))]
+
+
+def known(name):
+    try:
+        return topic_of(name)
+    except KeyError:
+        return None
+
+
+def test_what_cannot_be_replayed_is_said_in_one_line(recording, tmp_path, capsys):
+    foreign = tmp_path / "notes.mcap"
+    foreign.write_text("no recording")
+    for path, options, said in (
+        (tmp_path / "missing.mcap", (), "missing.mcap cannot be read: No such file"),
+        (foreign, (), "is no recording"),
+        (recording.path, ("--from", "60"), "--from 60 lies beyond the end of the recording, which lasts 2.0 s"),
+        (recording.path, ("--rate", "0"), "--rate 0 must lie above 0"),
+    ):
+        with pytest.raises(SystemExit) as ended:
+            main(["replay", str(path), *options])
+        out, err = capsys.readouterr()
+        assert (ended.value.code, out, err.count("\n")) == (2, "", 1)
+        assert said in err
+
+
+def test_a_replay_that_is_interrupted_says_what_was_sent(replay, recording, heard, until):
+    process = replay(recording.path, "--rate", "0.1")
+    until(lambda: len(heard) > 20, "the beginning")
+    process.send_signal(signal.SIGINT)
+    code, out, _ = done(process)
+    assert code == 0
+    assert "sent " in out
