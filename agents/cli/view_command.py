@@ -13,6 +13,7 @@ from agents.cli.session_folder import free_path
 from agents.cli.terminal import complain, say, show
 from agents.viewer.live import LiveViewer, ViewerError, ViewerReport
 from agents.viewer.recorded import RecordedViewer, between
+from agents.viewer.sinks import CLOSED_AT_ONCE, INSTEAD
 from schemas.topics import TOPICS
 from shared.clock import monotonic_s
 from shared.recording.mcap_file import RecordingError, read_recording
@@ -26,7 +27,6 @@ LOOK_S = 0.1
 def view(rig: RigConfig, options: View) -> int:
     """Show a recording, where one is named, or else the rig; the exit status."""
     output = free_path(options.output) if options.numbered and options.output else options.output
-    step_back()
     stopped = threading.Event()
     on_stop(stopped.set)
     if options.recording is not None:
@@ -39,6 +39,7 @@ def view(rig: RigConfig, options: View) -> int:
 
 def _view_rig(rig: RigConfig, output: Path | None, options: View, stopped: threading.Event) -> int:
     """Show the rig until stopped, then say what was shown and what was dropped."""
+    step_back()
     # sessions that are opened together stay apart by the folder that each is in
     session_id = f"{rig.rig} {output.resolve().parent.name}" if output is not None else rig.rig
     try:
@@ -80,6 +81,8 @@ def _view_recording(options: View, recording: Path, output: Path | None, stopped
         say(line)
     took = f"; it took {monotonic_s() - began_s:.1f} s"
     say(report_sentence(report) + took + (f", and was cut short: {cut_short}" if cut_short else ""))
+    if viewer.window_failed:
+        return complain(f"{CLOSED_AT_ONCE}{INSTEAD}", EXIT_UNUSABLE)
     if viewer.error is not None:
         return complain(_told(viewer.error, recording), EXIT_GAVE_UP)
     return EXIT_OK

@@ -59,6 +59,7 @@ class RecordedViewer:
         self._path, self._stopped = rrd_path, threading.Event()
         self._sinks: list[Sink] = []
         self._window: subprocess.Popen[bytes] | None = None
+        self._killed = False
         self.notes: list[str] = []
         blueprint = live_layout(layout, Scene())
         if rrd_path is not None:
@@ -86,6 +87,11 @@ class RecordedViewer:
         """Whether a window was opened, and someone has closed it."""
         return self._window is not None and self._window.poll() is not None
 
+    @property
+    def window_failed(self) -> bool:
+        """Whether the window ended with an error, as where there are no graphics."""
+        return self._window is not None and self._window.poll() not in (None, 0) and not self._killed
+
     def show(self, entries: Iterator[Entry]) -> None:
         """Begin to show entries, in their order."""
         threading.Thread(target=self._show_all, args=(entries,), name="viewer", daemon=True).start()
@@ -94,6 +100,7 @@ class RecordedViewer:
         """Stop where it has come to, end the file, and say what was shown. A window stays open, unless it is frozen."""
         self._stopped.set()
         if not self.finished.wait(STOP_S) and self._window is not None:
+            self._killed = True
             self._window.kill()
             self._window.wait()
             self.finished.wait(STOP_S)

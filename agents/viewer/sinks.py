@@ -27,6 +27,8 @@ SERVER_MEMORY = "128MiB"
 WEB_PORT = 9090
 WINDOW_OPTIONS: tuple[str, ...] = ()
 """More options of Rerun's window; without a screen, `--headless` stands in for one."""
+INSTEAD = "; write a file with --output instead, and open it elsewhere"
+CLOSED_AT_ONCE = "Rerun's window closed at once, so its graphics may not work here"
 WINDOW_OPENS_S = 1.5
 """A window that has no screen to open on is gone by then."""
 
@@ -112,7 +114,8 @@ def window_sink(session_id: str, layout: rrb.Blueprint) -> tuple[Sink, subproces
     """
     port = free_port()
     address = f"rerun+http://127.0.0.1:{port}/proxy"
-    window = _open(["--port", str(port)], "; write a file with --output instead, and open it elsewhere")
+    # one that closes at once is noticed later: what is logged until it has opened waits for it
+    window = _started(["--port", str(port)], INSTEAD)
     stream = rr.RecordingStream(APPLICATION, recording_id=session_id)
     stream.connect_grpc(address, default_blueprint=layout)
     return Sink(stream), window, address
@@ -128,13 +131,22 @@ def open_window(address: str) -> subprocess.Popen[bytes]:
 
 
 def _open(arguments: list[str], remedy: str) -> subprocess.Popen[bytes]:
+    window = _started(arguments, remedy)
+    try:
+        window.wait(WINDOW_OPENS_S)
+    except subprocess.TimeoutExpired:
+        return window
+    raise ViewerError(f"{CLOSED_AT_ONCE}{remedy}")
+
+
+def _started(arguments: list[str], remedy: str) -> subprocess.Popen[bytes]:
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise ViewerError(f"there is no screen here to open a window on{remedy}")
     # the `rerun` console script only wraps this binary, and ending the wrapper would orphan the viewer
     binary = pathlib.Path(rerun_cli.__file__).parent / ("rerun.exe" if sys.platform == "win32" else "rerun")
     command = [binary, *WINDOW_OPTIONS, *arguments]
     try:
-        window = subprocess.Popen(
+        return subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
@@ -143,11 +155,6 @@ def _open(arguments: list[str], remedy: str) -> subprocess.Popen[bytes]:
         )
     except OSError as error:
         raise ViewerError(f"Rerun's window cannot be opened: {error}") from error
-    try:
-        window.wait(WINDOW_OPENS_S)
-    except subprocess.TimeoutExpired:
-        return window
-    raise ViewerError(f"Rerun's window closed at once, so its graphics may not work here{remedy}")
 
 
 def open_page(address: str) -> str:
