@@ -12,7 +12,7 @@ COMPUTING := tests/schemas tests/benchmarks tests/agents/perception tests/agents
 	tests/shared/calibration tests/shared/kinematics tests/shared/scene
 COMPUTING_CACHE := .pytest_cache/computing
 
-.PHONY: help demo play example test check format protos lock clean
+.PHONY: help demo play example test bless check format protos lock clean
 help: ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
 
@@ -37,6 +37,9 @@ ifeq ($(ARGS),)
 else
 	@$(BIN)/python -m pytest $(ARGS)
 endif
+
+bless: .venv/dev.done ## what the agents make of the golden recordings now is right from now on; shows what changed
+	@$(BIN)/python -m tests.goldens.bless
 
 check: .venv/dev.done ## format, lint, types, layers, generated code
 	@$(BIN)/ruff format --check .

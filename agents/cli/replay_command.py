@@ -38,6 +38,11 @@ class ReplayUsageError(ValueError):
 
 def run(options: Replay) -> int:
     """Replay until the end, or until stopped; the exit status."""
+    if options.through is not None:
+        # the agents load OpenCV and SciPy, which takes a second
+        from agents.cli.replay_through import run_through
+
+        return run_through(options)
     try:
         return _replay(options)
     except OSError as error:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from agents.cli.difference_table import table
 from agents.replay.differences import Comparison
 from agents.replay.through import Outcome
-from shared.recording.mcap_file import Entry
+from shared.recording.mcap_file import Entry, Note
 
 
 @dataclass(frozen=True)
@@ -16,6 +16,7 @@ class ThroughResult:
 
     Fields:
         before, after: the recording, and the recording with the replayed outputs.
+        notes: of the recording.
         exactly: whether nothing may differ.
         otherwise: what is otherwise than when the recording was made.
         wall_s: from the first byte read to the last field compared.
@@ -23,6 +24,7 @@ class ThroughResult:
 
     before: list[Entry]
     after: list[Entry]
+    notes: list[Note]
     outcomes: list[Outcome]
     comparison: Comparison
     exactly: bool

@@ -4,9 +4,10 @@ Exit status: 0 where all is the same within tolerance, 1 where something differs
 """
 
 import functools
+import mimetypes
 import socket
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Protocol
@@ -24,7 +25,7 @@ from agents.viewer.sinks import ViewerError
 from schemas.checks import MessageError
 from schemas.topics import TOPICS, topic_of
 from shared.clock import monotonic_s
-from shared.recording.mcap_file import Entry, Note, RecordingError, RecordingWriter, read_with_notes
+from shared.recording.mcap_file import Entry, Note, RecordingError, RecordingWriter, read_attachments, read_with_notes
 from shared.runtime.config import ConfigError, load_config
 from shared.runtime.replay import ReplayError
 
@@ -77,7 +78,7 @@ def run_through(options: ThroughOptions) -> int:
         for line in report(result):
             show(line)
         if options.output is not None:
-            _write(options.output, result)
+            _write(options.output, options.recording, result)
     except (UnusableError, ConfigError, RecordingError, ReplayError, OutputError, ViewerError) as error:
         return complain(str(error), EXIT_UNUSABLE)
     except MessageError as error:
@@ -97,8 +98,8 @@ def replayed(options: ThroughOptions) -> ThroughResult:
     started_s = monotonic_s()
     recorded = load_config(options.config, RigConfig) if options.config else recorded_config(options.recording)
     config = changed(recorded, options.set)
-    entries, run = _read(options.recording)
-    otherwise = _otherwise(options, run)
+    entries, notes = _read(options.recording)
+    otherwise = _otherwise(options, next((note.facts for note in notes if note.name == RUN), {}))
     stages = _stages(config, (options.through or "").split(","), entries)
     outcomes, after = replay_through(stages, entries)
     _check_repeatable(outcomes)
@@ -106,20 +107,20 @@ def replayed(options: ThroughOptions) -> ThroughResult:
     outputs = [output for outcome in outcomes for output in outcome.outputs]
     exactly = options.tolerances == NONE or (options.tolerances == AUTO and not otherwise)
     comparison = compared(outputs, lambda r: published[r.key, r.epoch, r.sequence], exactly)
-    return ThroughResult(entries, after, outcomes, comparison, exactly, otherwise, monotonic_s() - started_s)
+    return ThroughResult(entries, after, notes, outcomes, comparison, exactly, otherwise, monotonic_s() - started_s)
 
 
-def _read(path: Path) -> tuple[list[Entry], dict[str, str]]:
-    """The messages whose keys are in the topic table (a newer version may have others), and the facts of the run."""
+def _read(path: Path) -> tuple[list[Entry], list[Note]]:
+    """The messages whose keys are in the topic table (a newer version may have others), and the notes."""
     entries: list[Entry] = []
-    run: dict[str, str] = {}
+    notes: list[Note] = []
     known = functools.cache(_is_known)
     for record in read_with_notes(path):
         if isinstance(record, Note):
-            run = record.facts if record.name == RUN else run
+            notes.append(record)
         elif known(record.key):
             entries.append(record)
-    return entries, run
+    return entries, notes
 
 
 def _otherwise(options: ThroughOptions, run: dict[str, str]) -> str:
@@ -195,10 +196,10 @@ def _check_output(options: ThroughOptions) -> None:
         raise UnusableError(f"--output {output} would overwrite the recording; give another name")
 
 
-def _write(path: Path, result: ThroughResult) -> None:
+def _write(path: Path, recording: Path, result: ThroughResult) -> None:
     if path.suffix == ".mcap":
         with whole_file(path) as unfinished:
-            write_recording(unfinished, result.after)
+            write_recording(unfinished, result.after, result.notes, read_attachments(recording))
     else:
         # the viewer's mapping loads Rerun, which takes longer than many a replay
         from agents.cli.side_by_side import write_side_by_side
@@ -208,17 +209,22 @@ def _write(path: Path, result: ThroughResult) -> None:
     say(f"wrote {path}")
 
 
-def write_recording(path: Path, entries: list[Entry]) -> None:
-    """Write a recording; the same entries always give the same bytes.
+def write_recording(
+    path: Path, entries: Iterable[Entry], notes: Iterable[Note] = (), attachments: Mapping[str, bytes] | None = None
+) -> None:
+    """Write a recording; the same content always gives the same bytes.
 
     Raises:
         OSError: where it cannot be written.
     """
     writer = RecordingWriter(path)
     try:
+        for note in notes:
+            writer.note(note.name, note.facts)
+        for name, data in (attachments or {}).items():
+            writer.attach(name, mimetypes.guess_type(name)[0] or "application/octet-stream", data, 0)
         for entry in entries:
             writer.write(topic_of(entry.key), entry)
-    except BaseException:
+        writer.close()
+    finally:
         writer.abandon()
-        raise
-    writer.close()

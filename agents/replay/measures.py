@@ -16,6 +16,7 @@ from schemas.messages import (
     GraspPlan,
     Image,
     Judgement,
+    Over,
     Phase,
     RectifiedStereo,
     ThreadObservations,
@@ -134,8 +135,12 @@ def stretches_apart(then: Float64[np.ndarray, "g 2"], now: Float64[np.ndarray, "
 
 
 def crossings_apart(then: tuple[Crossing, ...], now: tuple[Crossing, ...]) -> float:
-    """The largest difference of where the crossings lie along the thread; OTHER where other strands are above."""
-    if [c.over for c in then] != [c.over for c in now]:
+    """The largest difference of where the crossings lie along the thread; OTHER where another strand is above.
+
+    What one of both leaves undetermined contradicts nothing.
+    """
+    over = [{c.over for c in pair} - {Over.UNDETERMINED} for pair in zip(then, now, strict=False)]
+    if len(then) != len(now) or any(len(said) > 1 for said in over):
         return OTHER
     a, b = (np.array([(c.s_first, c.s_second) for c in crossings]) for crossings in (then, now))
     return float(np.abs(a - b).max(initial=0.0))

@@ -48,9 +48,9 @@ _OBSERVATIONS: dict[str, Rule] = {
 }
 
 _RECONSTRUCTION: dict[str, Rule] = {
-    "curve": Rule(0.2, "mm", measures.curves_apart_mm),
-    "ends": Rule(0.5, "mm", measures.ends_apart_mm),
-    "deviation": Rule(0.1, "mm", measures.deviation_apart_mm),
+    "curve": Rule(0.1, "mm", measures.curves_apart_mm),
+    "ends": Rule(0.2, "mm", measures.ends_apart_mm),
+    "deviation": Rule(0.15, "mm", measures.deviation_apart_mm),
     "confidence_along_s": Rule(0.1, "", measures.confidence_apart),
     "knots": Rule(ignored="compared as `curve`: one curve has many descriptions"),
     "control_points_camera": Rule(ignored="compared as `curve`"),

@@ -1,0 +1,270 @@
+"""`suturegrasp replay FILE --through AGENTS`: what it says, writes and ends with."""
+
+import dataclasses
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+from mcap.writer import Writer
+
+from agents.cli.recorded_config import changed, recorded_config
+from agents.cli.recorded_options import Replay
+from agents.cli.replay_through import EXIT_DIFFERENT, EXIT_SAME, EXIT_UNUSABLE, replayed, run_through, write_recording
+from agents.cli.rig import CameraSection, PerceptionSection, ReconstructionSection, simulated_rig
+from agents.cli.side_by_side import curves_of
+from agents.reconstruction.agent import Reconstruction
+from agents.replay.through import Stage, replay_through
+from schemas.codec import decode, encode
+from schemas.messages import GraspPlan, ThreadObservations, ThreadReconstruction
+from schemas.topics import CALIBRATION, OBSERVATIONS, PLAN, THREAD, topic_of
+from shared.recording.mcap_file import read_attachments, read_recording
+from shared.runtime.agent import Received
+from shared.runtime.config import ConfigError
+from tests.goldens.bless import GOLDENS, THROUGH, blessed
+
+
+@pytest.fixture(scope="module")
+def golden(tmp_path_factory):
+    """A golden recording as this machine makes it, whatever it rounds."""
+    path = tmp_path_factory.mktemp("golden") / "session.mcap"
+    path.write_bytes((GOLDENS / "crossing.mcap").read_bytes())
+    blessed(path)
+    return path
+
+
+@pytest.fixture
+def copied(golden, tmp_path):
+    """Writes a copy of the recording with each message changed by a function, or left out where that gives None."""
+
+    def copy(change, attached=True):
+        path = tmp_path / "changed.mcap"
+        entries = [entry for entry in map(change, read_recording(golden)) if entry is not None]
+        write_recording(path, entries, (), read_attachments(golden) if attached else {})
+        return path
+
+    return copy
+
+
+def ran(capsys, path, through=THROUGH, **options):
+    status = run_through(Replay(path, through=through, **options))
+    said = capsys.readouterr()
+    return status, said.out, said.err
+
+
+def without(topic, number=None):
+    return lambda e: None if topic_of(e.key) is topic and number in (None, e.sequence) else e
+
+
+def test_the_same_ends_with_0_and_says_how_long_it_took(golden, capsys):
+    status, out, err = ran(capsys, golden, "reconstruction,planner", tolerances="none")
+    assert (status, err) == (EXIT_SAME, "")
+    assert "reconstruction: 2 of 2 outputs repeated, 2 byte for byte the same" in out
+    assert "all that was compared is the same" in out
+    assert "times as long" in out.splitlines()[-1]
+
+
+def test_two_replays_give_identical_bytes(golden, tmp_path, capsys):
+    files = [tmp_path / name for name in ("a.mcap", "b.mcap")]
+    for file in files:
+        assert ran(capsys, golden, "perception,reconstruction", output=file)[0] == EXIT_SAME
+    assert files[0].read_bytes() == files[1].read_bytes() == golden.read_bytes()
+
+
+def test_another_setting_shows_where_and_by_how_much(golden, tmp_path, capsys):
+    output = tmp_path / "paper.mcap"
+    setting = ("reconstruction.method=paper",)
+    status, out, err = ran(capsys, golden, "perception,reconstruction", set=setting, output=output)
+    assert (status, err) == (EXIT_DIFFERENT, "")
+    assert "otherwise than recorded: --set reconstruction.method=paper; compared within tolerances" in out
+    row = next(line.split() for line in out.splitlines() if line.split()[:1] == ["method!"])
+    assert row[1:4] == ["2", "2", "other"]
+    threads = [decode(ThreadReconstruction, e.payload) for e in read_recording(output) if topic_of(e.key) is THREAD]
+    # the other method needs matched pixels, which perception of the same chain makes for it
+    assert [(t.method, t.status.name) for t in threads] == [("paper", "OK")] * 2
+
+
+def test_what_one_agent_says_otherwise_reaches_the_next(golden, copied):
+    def cut_short(entry):
+        """A recording whose observations were worse than what perception makes of its frames."""
+        if topic_of(entry.key) is not OBSERVATIONS:
+            return entry
+        seen = decode(ThreadObservations, entry.payload)
+        left = seen.centrelines_left
+        half = dataclasses.replace(left, **{f: getattr(left, f)[: len(left.piece) // 2] for f in left.__annotations__})
+        return dataclasses.replace(entry, payload=encode(dataclasses.replace(seen, centrelines_left=half)))
+
+    path = copied(cut_short)
+    alone, chained = (replayed(Replay(path, through=names)) for names in ("reconstruction", THROUGH))
+    good = {(e.key, e.sequence): e.payload for e in read_recording(golden)}
+    repaired = {(e.key, e.sequence): e.payload for e in chained.after}
+    assert not alone.comparison.is_same
+    assert not chained.comparison.is_same
+    assert {key for key in good if repaired[key] != good[key]} == set()
+
+
+def test_what_cannot_be_repeated_is_said_and_no_difference(copied, capsys):
+    status, out, _ = ran(capsys, copied(without(OBSERVATIONS, 0)), "reconstruction")
+    assert status == EXIT_SAME
+    assert "1 of 2 outputs repeated" in out
+    assert "1 cannot be repeated: the recording lacks 1 of suturegrasp/golden/perception/main/observations" in out
+
+
+def test_an_output_that_is_made_no_more_is_a_difference(golden):
+    class Silent(Reconstruction):
+        """Says nothing of frame 1."""
+
+        def step(self, arrived):
+            assert isinstance(arrived, Received)
+            made = list(super().step(arrived))
+            return [] if arrived.message.stamp.sequence == 1 else made
+
+    entries = list(read_recording(golden))
+    (outcome,), after = replay_through([Stage("reconstruction", Silent)], entries)
+    assert [output.now is None for output in outcome.outputs] == [False, True]
+    assert len(after) == len(entries) - 1
+
+
+def test_steps_that_fail_are_counted_with_their_first_reason(golden):
+    class Failing(Reconstruction):
+        """Cannot do what it should."""
+
+        def step(self, arrived):
+            assert isinstance(arrived, Received)
+            raise ZeroDivisionError(f"by {arrived.topic}")
+
+    (outcome,), _ = replay_through([Stage("reconstruction", Failing)], list(read_recording(golden)))
+    # fed with both observations, and with the recorded thread where it has made none of its own
+    assert (outcome.faults, outcome.first_fault) == (3, "ZeroDivisionError: by perception/observations")
+
+
+def test_both_sides_and_the_differences_are_in_one_rerun_file(golden, tmp_path, capsys):
+    from rerun.chunk import RrdReader
+
+    output = tmp_path / "diff.rrd"
+    changes = ("reconstruction.tracking=false",)
+    status, out, _ = ran(capsys, golden, "reconstruction", set=changes, output=output)
+    assert (status, f"wrote {output}" in out) == (EXIT_DIFFERENT, True)
+    result = replayed(Replay(golden, through="reconstruction", set=changes))
+    paths = {str(chunk.entity_path) for chunk in RrdReader(output).stream()}
+    for side in ("recorded", "replayed"):
+        assert {f"/{side}/world/left/image", f"/{side}/world/thread/curve", f"/{side}/world/left"} <= paths
+    assert {f"/difference/{curve}" for curve in curves_of(result.comparison)} <= paths
+
+
+def damaged(data):
+    middle = len(data) // 2
+    return data[:middle] + bytes(64) + data[middle + 64 :]
+
+
+def foreign(path):
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2", library="other")
+        writer.finish()
+
+
+@pytest.mark.parametrize(
+    ("through", "options", "says"),
+    [
+        ("perseption", {}, "'perseption' is no agent that can be replayed; choose from camera, perception"),
+        ("", {}, "'' is no agent that can be replayed"),
+        ("planner/left", {}, "has no planner/left"),
+        ("robot_bridge", {}, "has no robot_bridge; give another one by --config"),
+        ("perception", {"against": "other"}, "--against other is unknown"),
+        ("perception", {"tolerances": "few"}, "--tolerances few is unknown; choose from auto, none, table"),
+        ("perception", {"set": ("perception.segmentor=ridge",)}, "perception.segmentor is unknown; allowed here"),
+        ("perception", {"set": ("perception",)}, "must name a key and its value"),
+        ("perception", {"set": ("rig.name=x",)}, "rig is no section with keys of its own"),
+    ],
+)
+def test_what_cannot_be_replayed_is_said_in_one_line(through, options, says, golden, capsys):
+    status, out, err = ran(capsys, golden, through, **options)
+    assert (status, out, err.count("\n")) == (EXIT_UNUSABLE, "", 1)
+    assert says in err
+
+
+def test_a_file_that_cannot_be_used_is_said_in_one_line(golden, copied, tmp_path, capsys):
+    whole = golden.read_bytes()
+    bad = {
+        "damaged.mcap": (damaged(whole), "is damaged"),
+        "text.mcap": (b"no recording at all", "is no recording"),
+        "empty.mcap": (b"", "is no recording"),
+    }
+    for name, (data, says) in bad.items():
+        path = tmp_path / name
+        path.write_bytes(data)
+        status, out, err = ran(capsys, path)
+        assert (status, out, err.count("\n"), says in err) == (EXIT_UNUSABLE, "", 1, True), err
+    foreign(tmp_path / "foreign.mcap")
+    for path, says in (
+        (tmp_path / "foreign.mcap", "MCAP file of another program"),
+        (tmp_path / "none.mcap", "No such file"),
+        (copied(without(PLAN)), "holds no output of planner; it has some of: camera, perception, reconstruction"),
+    ):
+        status, out, err = ran(capsys, path)
+        assert (status, out, err.count("\n"), says in err) == (EXIT_UNUSABLE, "", 1, True), err
+
+
+def test_a_recording_without_anything_that_an_agent_consumed_is_unusable(copied, capsys):
+    status, _, err = ran(capsys, copied(without(CALIBRATION)), "perception")
+    assert status == EXIT_UNUSABLE
+    assert "none of perception's outputs can be repeated: the recording lacks 1 of" in err
+
+
+def test_a_message_that_cannot_be_read_is_named(copied, capsys):
+    spoil = lambda e: dataclasses.replace(e, payload=b"\xff\xff") if topic_of(e.key) is THREAD else e  # noqa: E731
+    status, _, err = ran(capsys, copied(spoil), "reconstruction")
+    assert (status, err.count("\n")) == (EXIT_UNUSABLE, 1)
+    assert "ThreadReconstruction cannot be read" in err
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.95])
+def test_a_recording_that_was_cut_off_is_replayed_as_far_as_it_goes(share, golden, tmp_path, capsys):
+    path = tmp_path / "session.mcap"
+    path.write_bytes(golden.read_bytes()[: int(share * golden.stat().st_size)])
+    (tmp_path / "rig.json").write_text(simulated_rig().model_dump_json())
+    status, out, err = ran(capsys, path, "perception")
+    assert status in (EXIT_SAME, EXIT_UNUSABLE)
+    assert (status == EXIT_UNUSABLE) == (err.count("\n") == 1)
+    assert status == EXIT_SAME or out == ""
+
+
+def test_an_output_is_not_written_over_the_recording_nor_into_nowhere(golden, tmp_path, capsys):
+    link = tmp_path / "link.mcap"
+    os.link(golden, link)
+    for output in (golden, link, tmp_path / "none" / "a.rrd", tmp_path / "a.txt"):
+        status, _, err = ran(capsys, golden, "reconstruction", output=output)
+        assert (status, err.count("\n"), f"--output {output}" in err) == (EXIT_UNUSABLE, 1, True)
+
+
+def test_the_configuration_is_the_attached_one_or_lies_beside(golden, copied):
+    assert recorded_config(golden).rig == "golden"
+    bare = copied(lambda entry: entry, attached=False)
+    with pytest.raises(ConfigError, match="holds no configuration, and no rig"):
+        recorded_config(bare)
+    (bare.parent / "rig.json").write_text(json.dumps({"rig": "beside"}))
+    assert recorded_config(bare).rig == "beside"
+
+
+def test_settings_are_read_as_in_toml_or_as_words():
+    settings = ("reconstruction.tracking=false", "camera.rate_hz = 12.5", "perception.segmenter=ridge")
+    rig = changed(simulated_rig(), settings)
+    assert rig.reconstruction == ReconstructionSection(tracking=False)
+    assert rig.camera == CameraSection(rate_hz=12.5)
+    assert rig.perception == PerceptionSection(segmenter="ridge")
+    assert changed(simulated_rig(), ()) == simulated_rig()
+
+
+def test_plans_name_the_same_goals_after_a_replay(golden):
+    result = replayed(Replay(golden, through=THROUGH))
+    plans = [decode(GraspPlan, e.payload).goal_id for e in result.after if topic_of(e.key) is PLAN]
+    assert plans == ["goal-0", "goal-1"]
+
+
+def test_the_command_itself_ends_with_the_status(golden):
+    command = [sys.executable, "-m", "agents.cli", "replay", str(golden), "--through", "planner"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (EXIT_SAME, "")
+    assert "planner: 2 of 2 outputs repeated" in done.stdout
