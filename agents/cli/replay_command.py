@@ -28,6 +28,8 @@ EXIT_OK, EXIT_INCOMPLETE, EXIT_UNUSABLE = 0, 1, 2
 FASTEST = 100.0
 LISTEN_S = 0.5
 """How long to listen whether anybody else publishes on a key, without being an agent."""
+KEPT_RATE = 2.0
+"""Up to here a replay mostly sleeps, and may go before others; a faster one would take a processor for itself."""
 SWITCH_S = 0.0005
 """How long the thread that reads ahead may keep the one that sends waiting."""
 
@@ -67,6 +69,8 @@ def _replay(options: Replay) -> int:
     settings = _settings(options, contents)
     controls = Controls(held=options.step)
     on_stop(controls.stop)
+    if not options.fast and options.rate <= KEPT_RATE:
+        _keep_time()
     with republishing(settings, waits=options.fast) as republisher:
         selection = _selection(options, contents, republisher, settings.rig)
         _agree(options, selection)
@@ -79,7 +83,6 @@ def _replay(options: Replay) -> int:
         player = Player(republisher, options.rate, controls, flow)
         commands = [c for c in contents.commands if c.topic in selection.commands]
         began_s, stuck = monotonic_s(), ""
-        _keep_time()
         with steered(controls, by_lines=options.step), player.telling_time(window[0]):
             try:
                 began_s = monotonic_s()
@@ -95,10 +98,14 @@ def _replay(options: Replay) -> int:
 
 
 def _keep_time() -> None:
-    """Have this thread run before others when its moment has come, where the system lets it."""
+    """Have this process run before others when its moment has come, where the system lets it.
+
+    All threads that are started from now on do so, since one that is kept waiting with the interpreter's lock in its
+    hand keeps the one that sends waiting too.
+    """
     sys.setswitchinterval(SWITCH_S)
     with contextlib.suppress(OSError, AttributeError):
-        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(1))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
 
 
 def _check(options: Replay) -> None:

@@ -1,0 +1,187 @@
+"""How well `suturegrasp replay` keeps the spacing of a recording, as the sender and as a subscriber see it.
+
+    python -m benchmarks.replaying [session.mcap] [--rate 1] [--json out/replaying.json]
+
+Router, replay and subscriber are processes of their own. Of two messages of one key that follow each other, recorded d
+apart, the error is how much more or less than d / rate apart they were sent, or came. Without a recording, one is made:
+ten seconds of 30 frames a second (240 kB each), the arm at 100 Hz, the field at 60 Hz and 30 results a second.
+"""
+
+import json
+import multiprocessing
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from collections import defaultdict
+from dataclasses import asdict, dataclass
+from multiprocessing.queues import Queue
+from multiprocessing.synchronize import Event
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from agents.replay.contents import contents_of, known_topic, readable
+from agents.replay.spacing import Spacing, spacing_errors_ms, spacing_of
+from schemas.topics import FRAMES, OBSERVATIONS, ROBOT_STATE, SIMULATOR_STATE, TOPICS, Topic, key
+from shared.clock import monotonic_s
+from shared.recording.mcap_file import Entry, RecordingWriter
+from shared.runtime.connection import connected
+from shared.runtime.session import SessionSettings, free_local_endpoint
+from shared.runtime.taps import Tapped
+
+RIG, SECONDS, WAIT_S = "replayed", 10, 30.0
+MADE: tuple[tuple[Topic, float, int, str], ...] = (
+    (FRAMES, 30.0, 240_000, "main"),
+    (OBSERVATIONS, 30.0, 30_000, "main"),
+    (SIMULATOR_STATE, 60.0, 4_000, "main"),
+    (ROBOT_STATE, 100.0, 600, "psm1"),
+)
+GOAL_P99_MS = 2.0
+BEGIN_NS = 1_700_000_000 * 10**9
+SAID = re.compile(r"spacing error p50 ([\d.]+) ms, p99 ([\d.]+) ms, worst ([\d.]+) ms")
+Heard = list[tuple[str, int, float]]
+"""Key, number and time of arrival of each message."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to replay, and how fast."""
+
+    recording: Annotated[Path | None, tyro.conf.Positional] = None
+    rate: float = 1.0
+    json: Path | None = None
+
+
+def main() -> None:
+    """Measure, print a table, and write JSON where asked to."""
+    options = tyro.cli(Options)
+    with tempfile.TemporaryDirectory() as folder:
+        measured = measure(options.recording or made(Path(folder) / "made.mcap"), options.rate, Path(folder))
+    print_row(measured)
+    if options.json is not None:
+        options.json.parent.mkdir(parents=True, exist_ok=True)
+        options.json.write_text(json.dumps(measured, indent=1) + "\n")
+
+
+def measure(recording: Path, rate: float, folder: Path) -> dict[str, Any]:
+    """Replay a recording once; errors of its spacing in milliseconds, of sender and subscriber, and what got lost."""
+    endpoint, load = free_local_endpoint(), os.getloadavg()[0]
+    config = folder / "rig.toml"
+    config.write_text(f'rig = "{RIG}"\n[router]\nendpoint = "{endpoint}"\n')
+    command = [sys.executable, "-m", "agents.cli"]
+    with subprocess.Popen([*command, "router", "--config", str(config)], stdout=subprocess.DEVNULL) as router:
+        try:
+            heard, said = _replayed(recording, rate, endpoint, [*command, "replay", "--config", str(config)])
+        finally:
+            router.terminate()
+    sent = SAID.search(said)
+    if sent is None:
+        raise SystemExit(f"the replay told no spacing: {said}")
+    came, total = _spacing_of_heard(recording, heard, rate)
+    return {
+        "rate": rate,
+        "messages": total,
+        "not heard": total - len(heard),
+        "sent": asdict(Spacing(came.pairs, *map(float, sent.groups()))),
+        "heard": asdict(came),
+        "load before": load,
+        "cores": os.cpu_count(),
+    }
+
+
+def print_row(measured: dict[str, Any]) -> None:
+    """One row: the error where it was sent, and where it was heard."""
+    table = Table(title="spacing of a replay: error in ms", title_justify="left")
+    for column in ("rate", "messages", "not heard", "sent p50", "p99", "worst", "heard p50", "p99", "worst", "load"):
+        table.add_column(column, justify="right")
+    figures = [
+        f"{measured[where][name]:.2f}" for where in ("sent", "heard") for name in ("p50_ms", "p99_ms", "worst_ms")
+    ]
+    counts = (f"{measured['rate']:g}", str(measured["messages"]), str(measured["not heard"]))
+    table.add_row(*counts, *figures, f"{measured['load before']:.1f}")
+    Console(width=140).print(table)
+    met = "met" if measured["sent"]["p99_ms"] <= GOAL_P99_MS else "not met"
+    print(f"goal on an idle machine: p99 at most {GOAL_P99_MS:g} ms as sent: {met}")
+
+
+def made(path: Path) -> Path:
+    """A recording of known spacing, with the jitter of a real one."""
+    rng, rows = np.random.default_rng(1), list[tuple[int, Topic, str, int, bytes]]()
+    for topic, rate_hz, size, instance in MADE:
+        payload = rng.bytes(size)
+        for number in range(int(SECONDS * rate_hz)):
+            at_ns = round((number + rng.uniform(0, 0.3)) / rate_hz * 1e9)
+            rows.append((at_ns, topic, key(RIG, topic, instance), number, payload))
+    writer = RecordingWriter(path)
+    for at_ns, topic, name, number, payload in sorted(rows, key=lambda row: row[0]):
+        writer.write(topic, Entry(name, 1, number, payload, BEGIN_NS + at_ns, BEGIN_NS + at_ns))
+    writer.close()
+    return path
+
+
+def _replayed(recording: Path, rate: float, endpoint: str, command: list[str]) -> tuple[Heard, str]:
+    context = multiprocessing.get_context("spawn")
+    ready, ended, results = context.Event(), context.Event(), context.Queue()
+    subscriber = context.Process(target=_subscribe, args=(endpoint, ready, ended, results))
+    subscriber.start()
+    try:
+        if not ready.wait(WAIT_S):
+            raise SystemExit("the subscriber did not come up")
+        done = subprocess.run(
+            [*command, str(recording), "--rate", str(rate)], capture_output=True, text=True, check=False
+        )
+        ended.set()
+        heard = results.get(timeout=WAIT_S)
+    finally:
+        ended.set()
+        subscriber.join(WAIT_S)
+    return heard, done.stdout + done.stderr
+
+
+def _subscribe(endpoint: str, ready: Event, ended: Event, results: "Queue[Heard]") -> None:
+    heard: Heard = []
+
+    def receive(tapped: Tapped) -> None:
+        if tapped.beside is not None:
+            heard.append((tapped.key, tapped.beside.sequence, monotonic_s()))
+
+    with connected(SessionSettings(RIG, endpoint), WAIT_S) as connection:
+        connection.listen(tuple(topic for topic in TOPICS if topic.recorded), receive)
+        ready.set()
+        ended.wait()
+    results.put(heard)
+
+
+def _spacing_of_heard(recording: Path, heard: Heard, rate: float) -> tuple[Spacing, int]:
+    """The spacing at the subscriber, where both neighbours came; and how many messages were to be sent."""
+    keys = {name: _on_rig(name) for name in contents_of(recording).counts}
+    times = defaultdict[str, list[int]](list)
+    for entry in readable(recording):
+        if entry.key in keys and known_topic(entry.key) is not None:
+            times[keys[entry.key]].append(entry.received_ns)
+    came = {(name, number): at_s for name, number, at_s in heard}
+    played = {name for name, _ in came}
+    errors = [np.empty(0)]
+    for name in played:
+        there = np.array([came.get((name, n), np.nan) for n in range(len(times[name]))])
+        one_run = np.zeros(len(there), dtype=np.int64)
+        errors.append(spacing_errors_ms(there, np.array(times[name]), one_run, rate))
+    spacing = spacing_of(np.concatenate(errors)[np.isfinite(np.concatenate(errors))])
+    if spacing is None:
+        raise SystemExit("nothing was heard")
+    return spacing, sum(len(times[name]) for name in played)
+
+
+def _on_rig(name: str) -> str:
+    parts = name.split("/")
+    return "/".join((parts[0], RIG, *parts[2:]))
+
+
+if __name__ == "__main__":
+    main()

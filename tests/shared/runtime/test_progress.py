@@ -1,0 +1,63 @@
+"""Consumers tell how far they have got."""
+
+import pytest
+
+from schemas.codec import encode
+from schemas.messages import Consumed, FrameStamp, Image, ImageEncoding, StereoFrame
+from schemas.topics import FRAMES, LOG, key
+from shared.runtime.agent import Input, Received
+from shared.runtime.attachment import Attachment, pack
+from shared.runtime.delivery import declare_publisher
+from shared.runtime.progress import ask_progress, matches
+from shared.runtime.taps import tap
+
+IMAGE = Image(ImageEncoding.RAW, 4, 2, 1, bytes(8))
+FRAME = encode(StereoFrame(FrameStamp(0, 0, 0, ""), IMAGE, IMAGE))
+NAME = key("test", FRAMES)
+
+
+class Perception:
+    """Looks at frames."""
+
+    kind, instance, inputs, outputs, commands, tick_hz = "perception", "main", (Input(FRAMES),), (), (), None
+
+    def step(self, arrived):
+        assert isinstance(arrived, Received)
+        return ()
+
+
+def test_an_agent_and_a_listener_tell_what_they_are_done_with_readable_or_not(running, session, until):
+    kept = tap(session, "test", (FRAMES, LOG), lambda _: None, lambda *_: None)
+    running(Perception())
+    until(lambda: "perception/main" in ask_progress(session, "test"))
+    publisher = declare_publisher(session, NAME, FRAMES, waits=True)
+    for number, payload in enumerate((FRAME, b"\xff", FRAME, b"\xff")):
+
+        def done(number=number, payload=payload):
+            # whoever has just declared a subscription may miss the first one
+            publisher.put(payload, attachment=pack(Attachment(5, number, 0, 0.0)))
+            said = ask_progress(session, "test")
+            return all(Consumed(NAME, 5, number) in progress.handled for progress in said.values()) and said
+
+        said = until(done)
+    taps = [name for name in said if name.startswith("tap/")]
+    assert sorted(said) == ["perception/main", *taps]
+    assert said["perception/main"].listens == NAME
+    assert said[taps[0]].listens.split() == ["suturegrasp/test/camera/*/frames", "suturegrasp/test/*/*/log"]
+    for declared in (*kept, publisher):
+        declared.undeclare()
+    until(lambda: list(ask_progress(session, "test")) == ["perception/main"])
+
+
+@pytest.mark.parametrize(
+    ("selector", "name", "does"),
+    [
+        ("a/b/c", "a/b/c", True),
+        ("a/*/c", "a/b/c", True),
+        ("a/*/c", "a/b/d", False),
+        ("a/*", "a/b/c", False),
+        ("a/*/c/d", "a/b/c", False),
+    ],
+)
+def test_a_star_stands_for_one_part_of_a_key(selector, name, does):
+    assert matches(selector, name) is does
