@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 
+from agents.perception.both_eyes import of_both
 from agents.perception.centrelines import thread_centrelines
 from agents.perception.clustering import Clusters, cluster_and_order
 from agents.perception.judge import correspondence_of_masks, correspondence_of_texture, judge
@@ -79,7 +80,7 @@ def observe(
         *segmented, segmenter
     )
     lines = (
-        (thread_centrelines(left, coverage_left), thread_centrelines(right, coverage_right))
+        of_both(thread_centrelines, (left, coverage_left), (right, coverage_right))
         if usable
         else (no_centrelines(), no_centrelines())
     )

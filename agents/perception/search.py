@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 
+from agents.perception.both_eyes import of_both
 from agents.perception.judge import correspondence_of_texture, judge
 from agents.perception.prompt import followed, meant_as_before, meant_at, meant_like
 from agents.perception.segmentation.choice import SEGMENTERS, suitable_segmenter
@@ -67,7 +68,7 @@ def look_everywhere(
     name = segmenter or suitable_segmenter(left)
     segment = SEGMENTERS[name]
     if prompt_px is None:
-        coverage = segment(left), segment(right)
+        coverage = of_both(segment, (left,), (right,))
         return Looked(coverage, name, sequence, is_brighter(left, coverage[0]), None, None)
     of_left = segment(left, None, meant_at(prompt_px, left.shape))
     if not of_left.any():
@@ -86,18 +87,26 @@ def look_near(images: Pair, last: ThreadObservations, sequence: int) -> Looked |
     latest = max(FRAMES_BETWEEN_LOOKS, LEAST_FRAMES_NEAR * since_last)
     if last.status is not Status.OK or since_last >= FRAMES_BETWEEN_LOOKS or not 0 < since_look < latest:
         return None
-    segment, found = SEGMENTERS[last.segmenter], list[np.ndarray]()
-    for image, mask, is_left in zip(images, (last.mask_left, last.mask_right), (True, False), strict=True):
-        before = decode_image(mask)
-        near = Near(near_thread(before), last.is_bright)
-        meant = None if last.prompt_px is None else meant_as_before(before, alone=is_left)
-        coverage = segment(image, near, meant)
-        if may_lack_thread(coverage, near.where, _pixels(before)):
-            return None
-        found.append(coverage)
-    prompt_px = None if last.prompt_px is None else followed(last.prompt_px, found[0])
+    found = of_both(
+        _look_near,
+        (images[0], decode_image(last.mask_left), last, True),
+        (images[1], decode_image(last.mask_right), last, False),
+    )
+    if found[0] is None or found[1] is None:
+        return None
     coverage = found[0], found[1]
+    prompt_px = None if last.prompt_px is None else followed(last.prompt_px, coverage[0])
     return Looked(coverage, last.segmenter, last.looked_sequence, last.is_bright, _carried_on(last), prompt_px)
+
+
+def _look_near(
+    image: UInt8[np.ndarray, "h w *c"], before: UInt8[np.ndarray, "h w"], last: ThreadObservations, is_left: bool
+) -> UInt8[np.ndarray, "h w"] | None:
+    """Coverage by thread near where it was in this eye's image; None where some may be missing."""
+    near = Near(near_thread(before), last.is_bright)
+    meant = None if last.prompt_px is None else meant_as_before(before, alone=is_left)
+    coverage = SEGMENTERS[last.segmenter](image, near, meant)
+    return None if may_lack_thread(coverage, near.where, _pixels(before)) else coverage
 
 
 def _carried_on(last: ThreadObservations) -> tuple[Judgement, ...]:

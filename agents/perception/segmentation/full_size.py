@@ -42,9 +42,13 @@ def at_full_size(
     beside = cv2.resize(wide, size, interpolation=cv2.INTER_NEAREST)
     edge = EDGE_SHARE * cv2.resize(level, size, interpolation=cv2.INTER_LINEAR)
     full_background = cv2.resize(background, size, interpolation=cv2.INTER_LINEAR)
-    lighter, darker = (image, full_background) if is_bright else (full_background, image)
-    clear = cv2.compare(mean_excess(lighter, darker), edge, cv2.CMP_GT)
-    coverage[full_rows, full_columns] = cv2.bitwise_and(clear, beside)
+    pixel = np.flatnonzero(beside)
+    seen, ground = (part.reshape(-1, 1, 3)[pixel] for part in (image, full_background))
+    lighter, darker = (seen, ground) if is_bright else (ground, seen)
+    clear = mean_excess(lighter, darker)[:, 0] > edge.ravel()[pixel]
+    part = np.zeros(image.shape[:2], np.uint8)
+    part.ravel()[pixel[clear]] = 255
+    coverage[full_rows, full_columns] = part
     return coverage
 
 

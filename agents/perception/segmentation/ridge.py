@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int32, UInt8
+from jaxtyping import Bool, Float32, Float64, Int32, Int64, UInt8
 
 from agents.perception.segmentation.full_size import at_full_size, mean_excess
 from agents.perception.segmentation.line_filter import RADIUS_PX, line_response, line_responses
@@ -47,6 +47,8 @@ LEAST_SHARE_OF_THREAD, MOSTLY_THREAD = 0.4, 0.8
 RAREST = 6.0
 """Deviations from the image's colours beyond which a colour is not rarer still."""
 LEAST_COLOUR_PIXELS = 8
+BLOCK = 16
+"""Values of which only the greatest counts while the strongest are looked for."""
 CROP_MARGIN_PX = 2 * (RADIUS_PX + BACKGROUND_WINDOW)
 """Around what is looked at: far enough for the filters and for the background to see what they see in a whole image.
 Even, so that the image for the background is reduced alike."""
@@ -58,18 +60,18 @@ class _View:
 
     Fields:
         rows, columns: where it lies in the reduced image.
-        near: which pixels of it may be thread.
+        near: which pixels of it may be thread; all, if it is None.
         meant: which of its ridges is.
         strong: how many pixels of the whole image are among its strongest.
     """
 
     rows: slice
     columns: slice
-    near: Bool[np.ndarray, "h w"]
+    near: Bool[np.ndarray, "h w"] | None
     meant: Meant | None
     strong: float
     colour: Float32[np.ndarray, "h w 3"]
-    ground: Float32[np.ndarray, "h w 3"]
+    ground: UInt8[np.ndarray, "h w 3"]
     rarity: Float32[np.ndarray, "h w"]
 
 
@@ -154,7 +156,7 @@ def _view(
 ) -> _View:
     colour = _lab(reduced[rows, columns])
     rarity = _rarity(colour, _lab(np.ascontiguousarray(reduced[::4, ::4])).reshape(-1, 3))
-    small = np.ones(rarity.shape, bool)
+    small = None
     if near is not None:
         whole = cv2.resize(near.astype(np.uint8), reduced.shape[1::-1], interpolation=cv2.INTER_NEAREST)
         small = np.asarray(whole)[rows, columns] > 0
@@ -168,7 +170,7 @@ def _view(
         meant=meant,
         strong=STRONG_SHARE * (reduced.shape[0] * reduced.shape[1] - 1),
         colour=colour,
-        ground=_lab(background),
+        ground=cv2.cvtColor(background, cv2.COLOR_BGR2Lab),
         rarity=rarity,
     )
 
@@ -186,28 +188,29 @@ def _rarity(colour: Float32[np.ndarray, "h w 3"], sample: Float32[np.ndarray, "p
     """Mahalanobis distance of each pixel's colour from those of a sample of the whole image, up to a limit."""
     from_mean = sample - sample.mean(axis=0)
     spread, axes = np.linalg.eigh(from_mean.T @ from_mean / len(sample) + 4.0 * np.eye(3))
+    # subtracted first: the usual colour then is not rare at all, not even by a rounding error
     away = colour - np.median(sample, axis=0)
     whitened = cv2.transform(away, (axes / np.sqrt(spread)).T.astype(np.float32))
-    first, second, third = cv2.split(cv2.multiply(whitened, whitened))
-    return np.sqrt(np.minimum(first + second + third, RAREST**2))
+    squared = cv2.transform(cv2.multiply(whitened, whitened), np.ones((1, 3), np.float32))
+    return np.sqrt(np.minimum(np.asarray(squared, np.float32), np.float32(RAREST**2)))
 
 
 def _thread_among(response: Float32[np.ndarray, "h w"], view: _View) -> _Found:
     """The thread among the ridges of one polarity."""
-    response = np.where(view.near, response, np.float32(0))
+    response = response if view.near is None else np.where(view.near, response, np.float32(0))
     score = response * view.rarity
-    strong = _from_top(score[view.near], view.strong)
+    strong = _from_top(score, view)
     ridges = _pieces(score > GROW_SHARE * strong, score > SEED_SHARE * strong, score)
     counting = ridges.weight if view.meant is None else _weight_meant(ridges, score * view.meant.weight)
     if not counting.any():
         return _Found(np.zeros(score.shape, bool), 0.0)
-    strong = _from_top(response[view.near], view.strong)
-    ridge = response > FAINT_SHARE * strong
-    piece = ridges.labels[ridge] == int(np.argmax(counting))
-    away = np.full(score.shape, np.inf, np.float32)
-    away[ridge] = _colour_distance(view.colour[ridge], view.ground[ridge], score[ridge], piece)
-    alike = away < GROWN_COLOUR_LIMIT
-    seeds = (response > SEED_SHARE * strong) & (away < COLOUR_LIMIT)
+    strong = _from_top(response, view)
+    ridge = np.flatnonzero(response > FAINT_SHARE * strong)
+    piece = ridges.labels.ravel()[ridge] == int(np.argmax(counting))
+    colour, ground = (part.reshape(-1, 3)[ridge] for part in (view.colour, view.ground))
+    away = _colour_distance(colour, ground, score.ravel()[ridge], piece)
+    alike = _of_pixels(ridge[away < GROWN_COLOUR_LIMIT], score.shape)
+    seeds = _of_pixels(ridge[away < COLOUR_LIMIT], score.shape) & (response > SEED_SHARE * strong)
     pieces = _pieces(alike, seeds, score)
     longest = pieces.extent[pieces.weight > 0].max(initial=0)
     kept = (pieces.weight > LEAST_WEIGHT_SHARE * pieces.weight.max()) & (pieces.extent > LEAST_EXTENT_SHARE * longest)
@@ -220,18 +223,30 @@ def _thread_among(response: Float32[np.ndarray, "h w"], view: _View) -> _Found:
     return _Found(kept[pieces.labels], float(clear.weight.max()))
 
 
+def _of_pixels(index: Int64[np.ndarray, "p"], shape: tuple[int, ...]) -> Bool[np.ndarray, "h w"]:
+    mask = np.zeros(shape, bool)
+    mask.ravel()[index] = True
+    return mask
+
+
 def _weight_meant(pieces: _Pieces, score: Float32[np.ndarray, "h w"]) -> Float64[np.ndarray, "c"]:
     """What speaks for each piece, of those that have weight."""
     total = np.bincount(pieces.labels.ravel(), weights=score.ravel(), minlength=len(pieces.weight))
     return np.where(pieces.weight > 0, total, 0.0)
 
 
-def _from_top(values: Float32[np.ndarray, "n"], places: float) -> float:
-    """The value so many places below the greatest, between its two neighbours; 0 where there are not so many."""
-    if places >= len(values) - 1:
-        return float(values.min(initial=0))
+def _from_top(values: Float32[np.ndarray, "h w"], view: _View) -> float:
+    """The value so many places below the greatest near the thread, between its neighbours; 0 where there are fewer."""
+    near = values.ravel() if view.near is None else values[view.near]
+    places = view.strong
+    if places >= len(near) - 1:
+        return float(near.min(initial=0))
     whole = int(places)
-    above, below = -np.partition(-values, (whole, whole + 1))[whole : whole + 2]
+    # so many blocks have a greatest value of at least this that no smaller value counts
+    blocks = near[: len(near) - len(near) % BLOCK].reshape(BLOCK, -1).max(axis=0)
+    if len(blocks) > whole + 1:
+        near = near[near >= -np.partition(-blocks, whole + 1)[whole + 1]]
+    above, below = -np.partition(-near, (whole, whole + 1))[whole : whole + 2]
     return float(above + (below - above) * (places - whole))
 
 
@@ -239,20 +254,30 @@ def _pieces(
     mask: Bool[np.ndarray, "h w"], seeds: Bool[np.ndarray, "h w"], score: Float32[np.ndarray, "h w"]
 ) -> _Pieces:
     """The connected pieces of a mask, of which only those that hold a seed have weight."""
-    count, labelled, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
-    extent = np.hypot(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT])
+    # OpenCV's own statistics of the pieces take several times as long as the pieces
+    count, labelled = cv2.connectedComponents(mask.view(np.uint8), connectivity=8)
     labels = np.asarray(labelled, np.int32)
-    weight = np.bincount(labels[mask], weights=score[mask], minlength=count)
+    of_pixel, pixel = labels.ravel(), np.flatnonzero(mask)
+    extent = np.hypot(*(_sides(of_pixel[pixel], at, count) for at in np.divmod(pixel, mask.shape[1])))
+    weight = np.bincount(of_pixel[pixel], weights=score.ravel()[pixel], minlength=count)
     seeded = np.zeros(count, bool)
-    seeded[labels[seeds & mask]] = True
+    seeded[of_pixel[np.flatnonzero(seeds & mask)]] = True
     weight[~seeded | (extent < LEAST_LENGTH_PX)] = 0.0
     weight[0] = 0.0
     return _Pieces(labels, weight, extent)
 
 
+def _sides(piece: Int32[np.ndarray, "p"], at: Int64[np.ndarray, "p"], count: int) -> Float64[np.ndarray, "c"]:
+    """How many rows, or columns, each piece reaches over; 0 where a piece has no pixel."""
+    first, last = np.full(count, np.iinfo(np.int64).max), np.full(count, -1)
+    np.minimum.at(first, piece, at)
+    np.maximum.at(last, piece, at)
+    return np.where(last >= 0, last - np.minimum(first, last) + 1.0, 0.0)
+
+
 def _colour_distance(
     colour: Float32[np.ndarray, "p 3"],
-    ground: Float32[np.ndarray, "p 3"],
+    ground: UInt8[np.ndarray, "p 3"],
     score: Float32[np.ndarray, "p"],
     piece: Bool[np.ndarray, "p"],
 ) -> Float32[np.ndarray, "p"]:
@@ -264,15 +289,20 @@ def _colour_distance(
     """
     own = piece & (score >= np.percentile(score[piece], 75, method="lower")) if piece.any() else piece
     away = np.full(len(colour), np.inf, np.float32)
+    channels, ground_channels = (np.ascontiguousarray(part.T, np.float32) for part in (colour, ground))
+    from_ground = channels - ground_channels
     for least in (1, LEAST_COLOUR_PIXELS):
-        if own.sum() < least:
+        if np.count_nonzero(own) < least:
             break
-        thread = np.median(colour[own], axis=0)
-        deviation = np.clip(1.4826 * np.median(np.abs(colour[own] - thread), axis=0), *COLOUR_DEVIATION_RANGE)
-        seen, whole = (colour - ground) / deviation, (thread - ground) / deviation
-        along = np.einsum("pc,pc->p", seen, whole) / np.maximum(np.einsum("pc,pc->p", whole, whole), 1e-6)
+        known = channels[:, own]
+        thread = np.median(known, axis=1, keepdims=True)
+        spread = 1.4826 * np.median(np.abs(known - thread), axis=1, keepdims=True)
+        per_deviation = 1 / np.clip(spread, *COLOUR_DEVIATION_RANGE[:, :, None])
+        seen, whole = from_ground * per_deviation, (thread - ground_channels) * per_deviation
+        along = (seen * whole).sum(axis=0) / np.maximum((whole * whole).sum(axis=0), 1e-6)
         share = np.clip(along, LEAST_SHARE_OF_THREAD, 1.0)
-        away = np.linalg.norm(seen - share[:, None] * whole, axis=1) / share
+        left = seen - share * whole
+        away = np.sqrt((left * left).sum(axis=0)) / share
         own = piece & (away < COLOUR_LIMIT) & (share > MOSTLY_THREAD)
     return away
 
