@@ -6,11 +6,13 @@ that only says yes or no has lost what is finer than a pixel, so there the edges
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int32, UInt8
+from jaxtyping import Bool, Float32, Float64, UInt8
 
 from agents.perception.centrelines.along import Pieces, directions, evenly_spaced, gaussian, local_quadratic, smoothed
 from agents.perception.centrelines.deviation import deviations
 from agents.perception.centrelines.edges import contrast_channel
+from agents.perception.centrelines.glints import without_glints
+from agents.perception.centrelines.local_width import local_widths
 from agents.perception.centrelines.profiles import sample
 from agents.perception.centrelines.refine import Curves, by_coverage, by_edges, tangent_sigma
 from agents.perception.centrelines.skeleton import Paths, skeleton_paths
@@ -25,10 +27,6 @@ WIDEST_PX = 40.0
 """Profiles reach no further for a thread wider than this."""
 LEAST_GRADED_SHARE = 0.1
 """Of the pixels beside the mask; of anti-aliased coverage most are partly thread, of a binary mask none."""
-GLINT_WIDENING, LONGEST_GLINT = 2.0, 8.0
-"""Of the usual width: what a strand with a filled hole may measure; of its square: the area of the largest hole."""
-MOST_HOLES = 200
-"""A mask with more is noise, of which nothing can be told."""
 LEAST_LENGTH = 1.5
 """Pieces shorter than so many widths are no line."""
 
@@ -57,21 +55,23 @@ def thread_centrelines(
 def _centrelines(
     image: UInt8[np.ndarray, "h w 3"], coverage: Float32[np.ndarray, "h w"], mask: Bool[np.ndarray, "h w"]
 ) -> Centrelines:
-    filled, depth = _without_glints(mask)
+    filled, depth = without_glints(mask)
+    coverage = np.where(filled & ~mask, np.float32(255), coverage)
     # never less than the thread's, and up to two pixels more
     width = min(WIDEST_PX, max(1.0, 4.0 * float(depth[filled].mean())))
     curves = _initial(skeleton_paths(filled, depth), width)
     if len(curves.point) == 0:
         return no_centrelines()
-    curves, _ = by_coverage(curves, coverage, width)
+    curves, _ = by_coverage(curves, coverage, local_widths(curves, depth, width)[0], width)
     curves = _extended(curves, coverage, width)
-    curves, seen = by_coverage(curves, coverage, width)
-    graded = _is_graded(coverage, mask)
+    local, wide = local_widths(curves, depth, width)
+    curves, seen = by_coverage(curves, coverage, local, width)
+    graded = _is_graded(coverage, filled)
     if graded:
-        curves, seen = by_coverage(curves, coverage, width)
+        curves, seen = by_coverage(curves, coverage, local, width)
     else:
-        curves, seen = by_edges(curves, seen, contrast_channel(image, mask), width)
-    return Centrelines(curves.point, curves.pieces.number, seen.width_px, deviations(curves, seen, graded))
+        curves, seen = by_edges(curves, seen, contrast_channel(image, filled), local, width)
+    return Centrelines(curves.point, curves.pieces.number, seen.width_px, deviations(curves, seen, wide, graded))
 
 
 def _is_graded(coverage: Float32[np.ndarray, "h w"], mask: Bool[np.ndarray, "h w"]) -> bool:
@@ -79,44 +79,6 @@ def _is_graded(coverage: Float32[np.ndarray, "h w"], mask: Bool[np.ndarray, "h w
     beside = np.asarray(cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8))) > 0
     outside = coverage[beside & ~mask]
     return len(outside) > 0 and float((outside > 0).mean()) > LEAST_GRADED_SHARE
-
-
-def _without_glints(mask: Bool[np.ndarray, "h w"]) -> tuple[Bool[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
-    """The mask with holes filled that lie within a single strand, and its distance transform."""
-    depth = _depth(mask)
-    # over a strip the distance to the nearest pixel beyond its edge averages a quarter of its width, and a half
-    width = max(1.0, 4.0 * float(depth[mask].mean()) - 2.0)
-    image = mask.astype(np.uint8)
-    outlines, hierarchy = cv2.findContours(image, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    outer = np.asarray(hierarchy, np.int64).reshape(-1, 4)[:, 3]
-    holes = [np.asarray(outlines[k]) for k in np.flatnonzero(outer >= 0).tolist()]
-    if len(holes) > MOST_HOLES:
-        return mask, depth
-    within = [hole for hole in holes if _is_within_a_strand(image, hole, width)]
-    if not within:
-        return mask, depth
-    cv2.drawContours(image, within, -1, 1, cv2.FILLED)
-    return image > 0, _depth(image > 0)
-
-
-def _is_within_a_strand(image: UInt8[np.ndarray, "h w"], hole: Int32[np.ndarray, "p 1 2"], width: float) -> bool:
-    """Whether the mask is no wider around a hole than one strand; beside a gap between two it is twice that."""
-    if cv2.contourArea(hole) > LONGEST_GLINT * width**2:
-        return False
-    margin = int(np.ceil(2 * width)) + 1
-    left, top = np.maximum(hole[:, 0].min(axis=0) - margin, 0)
-    right, bottom = hole[:, 0].max(axis=0) + margin + 1
-    inside = np.zeros((bottom - top, right - left), np.uint8)
-    cv2.drawContours(inside, [(hole - [[left, top]]).astype(np.int32)], -1, 1, cv2.FILLED)
-    around = image[top:bottom, left:right] | inside[: image.shape[0] - top, : image.shape[1] - left]
-    # beyond the cut-out the thread goes on, so that its border is no edge
-    depth = cv2.distanceTransform(np.pad(around, 1, mode="edge"), cv2.DIST_L2, 3)[1:-1, 1:-1]
-    return float(depth[inside[: depth.shape[0], : depth.shape[1]] > 0].max()) <= GLINT_WIDENING * width / 2 + 0.5
-
-
-def _depth(mask: Bool[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-    padded = np.pad(mask, 1).astype(np.uint8)
-    return np.asarray(cv2.distanceTransform(padded, cv2.DIST_L2, 3), np.float32)[1:-1, 1:-1]
 
 
 def _initial(paths: Paths, width: float) -> Curves:
