@@ -13,6 +13,8 @@ BINS = 600
 COLOURS = 6
 """The page's style names so many, `.c0` to `.c5`."""
 TICKS = 5
+EVEN, ROUND = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0), (1.0, 2.0, 5.0)
+"""With which digits an axis may end, and how far its marks may be apart."""
 GAP_FACTOR = 6.0
 """A line is broken where it has no value for so many of its median intervals."""
 
@@ -51,10 +53,10 @@ def chart(title: str, series: list[Series], end_s: float, marks: list[Mark], cei
     )
 
 
-def nice_ceiling(value: float) -> float:
-    """The next number of the form 1, 2 or 5 times a power of ten."""
+def nice_ceiling(value: float, digits: tuple[float, ...] = EVEN) -> float:
+    """The next number that is one of these digits times a power of ten."""
     power = 10.0 ** math.floor(math.log10(value))
-    return next((m * power for m in (1, 2, 5, 10) if m * power >= value * (1 - 1e-9)), 10 * power)
+    return next((m * power for m in digits if m * power >= value * (1 - 1e-9)), 10 * power)
 
 
 def thinned(
@@ -118,7 +120,7 @@ def _grid(end_s: float, top: float) -> str:
         y = float(_y(np.array([value]), top)[0])
         parts.append(f'<line class="grid" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{y:.1f}" y2="{y:.1f}"/>')
         parts.append(f'<text class="tick right" x="{LEFT - 6}" y="{y + 4:.1f}">{value:.4g}</text>')
-    step_s = nice_ceiling(end_s / 10)
+    step_s = nice_ceiling(end_s / 10, ROUND)
     for at_s in np.arange(0, end_s * (1 + 1e-9), step_s):
         x = float(_x(np.array([at_s]), end_s)[0])
         parts.append(f'<text class="tick middle" x="{x:.1f}" y="{HEIGHT - 6}">{at_s:g} s</text>')

@@ -12,6 +12,8 @@ from shared.recording.entry import Entry
 SILENT_PERIODS, SILENT_S = 5.0, 0.1
 """A key is silent where nothing came for so many of its median intervals, and for so long."""
 SEQUENCE_RANGE = 1 << 32
+LATEST_NS = (1 << 63) - 1
+"""The year 2262; a file may claim later ones."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,7 @@ class ContentsCollector:
         one = self._keys.setdefault(entry.key, _Key())
         one.payload_bytes += len(entry.payload)
         run = one.runs.setdefault(entry.epoch, _Run())
-        run.published_ns.append(entry.published_ns)
+        run.published_ns.append(min(entry.published_ns, LATEST_NS))
         run.sequence.append(entry.sequence)
 
     def refuse(self, entry: Entry, reason: str) -> None:

@@ -15,7 +15,7 @@ from agents.inspection.tables import head_lines, session_tables
 from schemas.topics import ROBOT_STATE
 
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
-RATE_BIN_S = 1.0
+RATE_BIN_S, MOST_BINS = 1.0, 600
 MOST_ROWS = 2000
 
 
@@ -127,12 +127,12 @@ def _latency(session: Session, stage: str, name: str) -> Series:
 
 
 def _rate(session: Session, stage: str, name: str) -> Series:
-    """How many messages came in each whole second."""
-    bins = max(1, int(session.duration_s / RATE_BIN_S))
-    edges = np.arange(bins + 1) * RATE_BIN_S
+    """How many messages came, a second, in each second, or in longer bins of a long session."""
+    # one clock that is not set makes a session of decades
+    bins = int(np.clip(session.duration_s / RATE_BIN_S, 1, MOST_BINS))
     at_s = (session.stages[stage].published_ns - session.start_ns) * 1e-9
-    counts = np.histogram(at_s, edges)[0] / RATE_BIN_S
-    return Series(name, edges[:-1] + 0.5 * RATE_BIN_S, counts)
+    counts, edges = np.histogram(at_s, bins, (0.0, max(session.duration_s, 1e-3)))
+    return Series(name, 0.5 * (edges[:-1] + edges[1:]), counts / np.diff(edges))
 
 
 def _confidence(session: Session, name: str) -> Series:

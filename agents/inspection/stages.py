@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from agents.inspection.contents import LATEST_NS
 from schemas.topics import FRAMES, OBSERVATIONS, PLAN, ROBOT_STATE, SURFACE, THREAD, Topic
 
 STAGES = (FRAMES, OBSERVATIONS, SURFACE, THREAD, PLAN)
@@ -29,7 +30,7 @@ class StageTimes:
     def add(self, captured_ns: int, published_ns: int) -> None:
         """Count a message."""
         self.captured.append(captured_ns)
-        self.published.append(published_ns)
+        self.published.append(min(published_ns, LATEST_NS))
 
     @property
     def captured_ns(self) -> Int64[np.ndarray, "n"]:

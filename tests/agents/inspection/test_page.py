@@ -1,6 +1,7 @@
 """The page: one file without anything from elsewhere, whatever the recording says; charts and pictures in it."""
 
 import base64
+import dataclasses
 import html.parser
 import re
 import xml.etree.ElementTree as ElementTree
@@ -120,3 +121,13 @@ def test_a_chart_of_nothing_known_has_axes_and_marks():
     figure = chart("nothing", [Series("a", np.array([1.0]), np.array([np.nan]))], 2.0, [Mark(1.0, "<b>")])
     assert "&lt;b&gt;" in figure
     assert "polyline" not in figure
+
+
+@pytest.mark.parametrize("wrong_ns", [0, 2**63 - 1, 2**64 - 1])
+def test_one_clock_that_is_decades_off_makes_no_page_of_decades(a_session, tmp_path, wrong_ns):
+    whole = a_session()
+    topic, entry = whole.entries[-1]
+    whole.entries[-1] = topic, dataclasses.replace(entry, published_ns=wrong_ns)
+    session = read_session(whole.write(tmp_path / "a.mcap"))
+    assert session.duration_s > 1e8
+    assert len("".join(session_page(session, []))) < 200_000
