@@ -24,11 +24,13 @@ def fields_of(message_type: type) -> dict[str, Any]:
     return {field.name: hints[field.name] for field in dataclasses.fields(message_type)}
 
 
+@functools.cache
 def is_array(annotation: Any) -> bool:
     """Whether an annotation is one of jaxtyping's array types."""
     return hasattr(annotation, "dim_str") and hasattr(annotation, "dtypes")
 
 
+@functools.cache
 def without_none(annotation: Any) -> Any:
     """The `X` of `X | None`; any other annotation as it is."""
     if type(None) in typing.get_args(annotation):

@@ -167,14 +167,17 @@ def _refuse_unknown_fields(wire: Any, where: str, in_full: bool) -> None:
     )
 
 
+@functools.cache
 def _wire_dtype(declared: Any) -> np.dtype:
     return np.dtype(declared.dtypes[0]).newbyteorder("<")
 
 
+@functools.cache
 def _is_message(declared: Any) -> bool:
     return dataclasses.is_dataclass(declared)
 
 
+@functools.cache
 def _item_type(declared: Any) -> type | None:
     """The X of `tuple[X, ...]`, and None for any other annotation."""
     return typing.get_args(declared)[0] if typing.get_origin(declared) is tuple else None
