@@ -30,7 +30,6 @@ def is_array(annotation: Any) -> bool:
     return hasattr(annotation, "dim_str") and hasattr(annotation, "dtypes")
 
 
-@functools.cache
 def without_none(annotation: Any) -> Any:
     """The `X` of `X | None`; any other annotation as it is."""
     if type(None) in typing.get_args(annotation):
