@@ -13,7 +13,7 @@ import zenoh
 LOCAL_ENDPOINT = "tcp/127.0.0.1:7447"
 LEASE_MS = 2000
 BATCHES_WAITING = 16
-"""Of real-time messages, for a busy machine's turn to send: Zenoh's own 2 are full within 20 ms at 100 Hz, and what
+"""Of states and results, for a busy machine's turn to send: Zenoh's own 2 are full within 20 ms at 100 Hz, and what
 finds no room for a millisecond is lost. Consumers take the newest of what comes late."""
 
 
@@ -82,6 +82,7 @@ def _config(settings: dict[str, object]) -> zenoh.Config:
         "scouting/multicast/enabled": False,
         "transport/link/tx/lease": LEASE_MS,
         "transport/link/tx/queue/size/real_time": BATCHES_WAITING,
+        "transport/link/tx/queue/size/data_high": BATCHES_WAITING,
     }
     for name, value in (common | settings).items():
         config.insert_json5(name, json.dumps(value))
