@@ -1,3 +1,5 @@
+from typing import Any
+
 from agents.replay.contents import PastCommand, contents_of, readable
 from agents.replay.items import Message, ReadAhead, items
 from schemas.topics import CALIBRATION, FRAMES, key
@@ -6,7 +8,7 @@ FRAME_KEY, CALIBRATION_KEY = key("recorded", FRAMES), key("recorded", CALIBRATIO
 MS = 10**6
 
 
-def sent(recording, keys, begin_ms=0, end_ms=2000, commands=()):
+def sent(recording, keys, begin_ms=0, end_ms=2000, commands=()) -> list[Any]:
     window = recording.begin_ns + begin_ms * MS, recording.begin_ns + end_ms * MS
     return list(items(readable(recording.path), keys, commands, window, "elsewhere"))
 

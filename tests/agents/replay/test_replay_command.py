@@ -243,7 +243,7 @@ def test_two_publishers_of_a_topic_are_refused_before_anything_is_sent(
 
 def test_of_a_damaged_recording_what_can_be_read_is_sent(replay, recording, heard, settings, tmp_path):
     path = tmp_path / "damaged.mcap"
-    writer = RecordingWriter(path)
+    writer, whole_until = RecordingWriter(path), 0
     for count, entry in enumerate(recording.entries):
         if topic := known(entry.key):
             writer.write(topic, entry)

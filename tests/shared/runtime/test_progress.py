@@ -31,6 +31,7 @@ def test_an_agent_and_a_listener_tell_what_they_are_done_with_readable_or_not(ru
     running(Perception())
     until(lambda: "perception/main" in ask_progress(session, "test"))
     publisher = declare_publisher(session, NAME, FRAMES, waits=True)
+    said = {}
     for number, payload in enumerate((FRAME, b"\xff", FRAME, b"\xff")):
 
         def done(number=number, payload=payload):
