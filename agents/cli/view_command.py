@@ -76,6 +76,9 @@ def _view_recording(options: View, recording: Path, output: Path | None, stopped
         progress.tell()
     progress.end()
     cut_short = "" if viewer.finished.is_set() else "the window was closed" if viewer.window_closed else "stopped"
+    if viewer.served and not cut_short:
+        say("all of it is on the page, which is served until Ctrl-C")
+        stopped.wait()
     report = viewer.close()
     for line in (*report.notes[len(viewer.notes) :], *_not_read(viewer, report)):
         say(line)

@@ -59,6 +59,7 @@ class RecordedViewer:
         self._path, self._stopped = rrd_path, threading.Event()
         self._sinks: list[Sink] = []
         self._window: subprocess.Popen[bytes] | None = None
+        self._page: Sink | None = None
         self._killed = False
         self.notes: list[str] = []
         blueprint = live_layout(layout, Scene())
@@ -76,11 +77,17 @@ class RecordedViewer:
     def _open(self, show: str, session_id: str, blueprint: Layout) -> None:
         if show == "web":
             sink, address = served_sink(session_id, blueprint, PAGE_MEMORY)
+            self._page = sink
             self.notes.append(f"the viewer's page is {open_page(address)}")
         else:
             sink, self._window, address = window_sink(session_id, blueprint)
             self.notes.append(f"a viewer's window is open and fills: {address}")
         self._sinks.append(sink)
+
+    @property
+    def served(self) -> bool:
+        """Whether a page is served from here, so that it ends when this does."""
+        return self._page is not None
 
     @property
     def window_closed(self) -> bool:
@@ -104,6 +111,8 @@ class RecordedViewer:
             self._window.kill()
             self._window.wait()
             self.finished.wait(STOP_S)
+        if self._page is not None:
+            self._page.close()
         return report_of(self._path, self._showing, {}, tuple(self.notes))
 
     def _show_all(self, entries: Iterator[Entry]) -> None:
@@ -118,7 +127,8 @@ class RecordedViewer:
         finally:
             with contextlib.suppress(Exception):
                 for sink in self._sinks:
-                    sink.close()
+                    if sink is not self._page:
+                        sink.close()
             self.finished.set()
 
     def _show(self, entry: Entry) -> None:
