@@ -67,7 +67,7 @@ clean: ## remove the virtual environment and outputs
 		{ echo "SutureGrasp needs Python 3.11 or newer; found $$($(PYTHON) --version). Try: make PYTHON=/path/to/python3.11" >&2; exit 2; }
 	@$(PYTHON) -m venv .venv
 
-.venv/runtime.done: requirements/runtime.lock pyproject.toml | .venv/bin/python
+.venv/runtime.done: requirements/runtime.lock pyproject.toml schemas/__init__.py | .venv/bin/python
 	@echo "installing (once) ..."
 	@$(INSTALL) --require-hashes -r requirements/runtime.lock
 	@$(INSTALL) --no-deps --no-build-isolation --editable .

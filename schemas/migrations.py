@@ -36,7 +36,7 @@ MIGRATIONS: tuple[Migration, ...] = ()
 """In the order of their versions."""
 
 
-class NewerVersionError(ValueError):
+class NewerVersionError(Exception):
     """Messages of a version that is newer than this program by more than added fields; the text says what to do."""
 
 
@@ -76,4 +76,4 @@ def check_readable(version: Version) -> None:
     own = version_of(__version__)
     if version[0] > own[0]:
         there, here = (".".join(map(str, v)) for v in (version, own))
-        raise NewerVersionError(f"made by version {there}, which this one ({here}) cannot read; update suturegrasp")
+        raise NewerVersionError(f"recorded by suturegrasp {there}, which {here} cannot read; update suturegrasp")

@@ -19,6 +19,8 @@ from mcap.records import Attachment, Channel, Header, McapRecord, Message, Metad
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
 
+from schemas.migrations import NewerVersionError, Version, check_readable, lifted, version_of
+from schemas.topics import topic_of
 from shared.recording.entry import PROFILE, Entry, Note, RecordingError
 from shared.recording.writer import RecordingWriter
 
@@ -32,6 +34,7 @@ __all__ = [
     "read_notes",
     "read_recording",
     "read_with_notes",
+    "recorded_by",
 ]
 
 HEAD = struct.Struct("<BQ")
@@ -58,15 +61,26 @@ def read_with_notes(path: Path) -> Iterator[Entry | Note]:
     """
     channels: dict[int, Channel] = {}
     with _damage_named(path):
+        version = recorded_by(path)
         for record in _records(path):
             if isinstance(record, Channel):
                 channels[record.id] = record
             elif isinstance(record, Message):
                 channel = channels[record.channel_id]
                 if EPOCH in channel.metadata:
-                    yield _entry(channel, record)
+                    yield _entry(channel, record, version)
             elif isinstance(record, Metadata):
                 yield Note(record.name, record.metadata)
+
+
+def recorded_by(path: Path) -> Version:
+    """The version of the program that recorded a file; its messages are read as those of this version.
+
+    Raises:
+        RecordingError, OSError: as `read_recording`; or where it is too new to be read.
+    """
+    with _damage_named(path), path.open("rb") as file:
+        return _check_own(next(StreamReader(cast(IO[bytes], file)).records), path)
 
 
 def is_finished(path: Path) -> bool:
@@ -122,9 +136,15 @@ def _records(path: Path) -> Iterator[McapRecord]:
             return
 
 
-def _check_own(first: McapRecord, path: Path) -> None:
+def _check_own(first: McapRecord, path: Path) -> Version:
     if not isinstance(first, Header) or first.profile != PROFILE:
         raise RecordingError(f"{path} is an MCAP file of another program; give one that suturegrasp recorded")
+    try:
+        version = version_of(first.library.split()[-1])
+        check_readable(version)
+    except NewerVersionError as error:
+        raise RecordingError(f"{path} was {error}") from None
+    return version
 
 
 def _end_of_whole_records(file: BinaryIO, path: Path) -> int:
@@ -171,9 +191,14 @@ def _damaged(path: Path) -> str:
     return f"{path} is damaged; only what lies before the damage can be read"
 
 
-def _entry(channel: Channel, message: Message) -> Entry:
+def _entry(channel: Channel, message: Message, version: Version) -> Entry:
     epoch, repeated = int(channel.metadata[EPOCH]), "repeated" in channel.metadata
-    return Entry(channel.topic, epoch, message.sequence, message.data, message.publish_time, message.log_time, repeated)
+    try:
+        payload = lifted(topic_of(channel.topic).message.__name__, message.data, version)
+    except KeyError:
+        # a topic that there no longer is: whoever reads says so
+        payload = message.data
+    return Entry(channel.topic, epoch, message.sequence, payload, message.publish_time, message.log_time, repeated)
 
 
 @contextmanager

@@ -22,6 +22,7 @@ from shared.recording.mcap_file import (
     read_notes,
     read_recording,
     read_with_notes,
+    recorded_by,
 )
 
 DATA_END = 15
@@ -197,3 +198,31 @@ def test_attachments_are_found_whether_or_not_the_end_was_written(cut_off, tmp_p
     writer.close()
     path.write_bytes(path.read_bytes()[: path.stat().st_size - cut_off])
     assert read_attachments(path) == {"rig.json": b"the last one"}
+
+
+def by_version(path, library, monkeypatch):
+    """A recording of one message that says it was made by that program."""
+    with monkeypatch.context() as patched:
+        patched.setattr("shared.recording.writer.LIBRARY", library)
+        return written(path, [entry(0)])
+
+
+def test_a_recording_of_an_older_version_is_read_as_one_of_this(tmp_path, monkeypatch):
+    path = by_version(tmp_path / "old.mcap", "suturegrasp 0.0.9", monkeypatch)
+    asked = []
+
+    def lifted(name, payload, version):
+        asked.append((name, version))
+        return payload + b""
+
+    monkeypatch.setattr("shared.recording.mcap_file.lifted", lifted)
+    assert list(read_recording(path)) == [entry(0)]
+    assert asked == [("LogRecord", (0, 0, 9))]
+    assert recorded_by(path) == (0, 0, 9)
+
+
+def test_a_recording_of_a_version_that_cannot_be_read_is_named(tmp_path, monkeypatch):
+    path = by_version(tmp_path / "new.mcap", "suturegrasp 9.1.0", monkeypatch)
+    for read in (lambda: list(read_recording(path)), lambda: recorded_by(path), lambda: read_notes(path, "losses")):
+        with pytest.raises(RecordingError, match=r"new.mcap was recorded by suturegrasp 9.1.0, .* update suturegrasp"):
+            read()
