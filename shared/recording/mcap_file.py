@@ -61,8 +61,9 @@ def read_with_notes(path: Path) -> Iterator[Entry | Note]:
     """
     channels: dict[int, Channel] = {}
     with _damage_named(path):
-        version = recorded_by(path)
-        for record in _records(path):
+        records = _records(path)
+        version = _check_own(next(records), path)
+        for record in records:
             if isinstance(record, Channel):
                 channels[record.id] = record
             elif isinstance(record, Message):
@@ -79,8 +80,8 @@ def recorded_by(path: Path) -> Version:
     Raises:
         RecordingError, OSError: as `read_recording`; or where it is too new to be read.
     """
-    with _damage_named(path), path.open("rb") as file:
-        return _check_own(next(StreamReader(cast(IO[bytes], file)).records), path)
+    with _damage_named(path):
+        return _check_own(next(_records(path)), path)
 
 
 def is_finished(path: Path) -> bool:
@@ -125,11 +126,13 @@ def read_attachments(path: Path) -> dict[str, bytes]:
 
 
 def _records(path: Path) -> Iterator[McapRecord]:
-    """The records of the data section, until its end or where the file was cut off."""
+    """The header, and the records of the data section until its end or where the file was cut off."""
     with path.open("rb") as file:
         whole = _Whole(file, _end_of_whole_records(file, path))
         records = StreamReader(cast(IO[bytes], whole), validate_crcs=True).records
-        _check_own(next(records), path)
+        first = next(records)
+        _check_own(first, path)
+        yield first
         try:
             yield from records
         except EndOfFile:
