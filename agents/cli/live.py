@@ -107,7 +107,7 @@ def goal(rig: RigConfig, options: Goal) -> int:
     if plan.status is not Status.OK:
         return complain(plan.reason, EXIT_REFUSED)
     say(plan_sentence(plan))
-    say(f"to carry it out: suturegrasp arm --plan {plan.plan_id} --arm {plan.arm}")
+    say(f"to carry it out: suturegrasp arm {plan.plan_id} --arm {plan.arm}")
     return EXIT_OK
 
 
@@ -127,7 +127,7 @@ def percent(s: float | None) -> str:
 def arm(rig: RigConfig, options: ArmPlan) -> int:
     """Arm a plan and stay with it until it ends; Ctrl-C ends the heartbeat, and the arm holds."""
     if not options.plan:
-        return complain("give --plan with the id that goal printed", EXIT_UNUSABLE)
+        return complain("give the id of a plan, as goal prints it", EXIT_UNUSABLE)
     stopped = threading.Event()
     on_stop(stopped.set)
     with connected(rig.session) as connection:

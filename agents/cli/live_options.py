@@ -156,7 +156,7 @@ class Goal(OnRig):
 class ArmPlan(OnRig):
     """Arm a plan and stand by it: its heartbeat runs while this command does; Ctrl-C disarms."""
 
-    plan: Annotated[str, tyro.conf.arg(metavar="PLAN")] = ""
+    plan: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="PLAN")] = ""
     """The plan's id, as `goal` prints it."""
     arm: str = "psm1"
     """Which arm carries it out."""

@@ -120,7 +120,10 @@ def _best(
         reason = f"the thread cannot be grasped directly at s = {s_goal:.3f}: {reason_of(int(against[at_goal]))}"
         return _rejected(goal, thread, reason, s_goal)
     if chosen is None:
-        reason = f"the thread cannot be captured anywhere for a goal at s = {s_goal:.3f}: {counted_reasons(against)}"
+        reason = (
+            f"the thread cannot be captured anywhere for a goal at s = {s_goal:.3f}; "
+            f"of {len(s)} places: {counted_reasons(against)}"
+        )
         return _rejected(goal, thread, reason, s_goal, 0.0, others)
     likely = float(probability[chosen])
     if likely < config.least_probability:

@@ -71,7 +71,7 @@ def test_the_robot_holds_when_the_operator_is_killed_in_mid_motion(ear, processe
     def in_motion():
         """The id of a plan that is carried out. On a machine that stalls, the arm may hold before it is looked at."""
         plan_id = planned().plan_id
-        arm = processes.start("arm", "--plan", plan_id)
+        arm = processes.start("arm", plan_id)
         until(
             lambda: arm.poll() is not None or any((s.plan_id, s.mode) == (plan_id, RobotMode.MOVING) for s in states())
         )

@@ -37,7 +37,7 @@ def nowhere(tmp_path):
     return path
 
 
-@pytest.mark.parametrize("command", ["goal --s 0.5", "goal --pixel 1 2", "arm --plan x", "hold", "prompt --pixel 1 2"])
+@pytest.mark.parametrize("command", ["goal --s 0.5", "goal --pixel 1 2", "arm x", "hold", "prompt --pixel 1 2"])
 def test_without_router_a_command_says_so_in_one_line(suturegrasp, nowhere, command, monkeypatch):
     monkeypatch.setattr("agents.cli.live.connected", lambda settings: connected(settings, within_s=0.2))
     ended = suturegrasp(*command.split(), "--config", nowhere)
@@ -52,7 +52,7 @@ def test_without_router_a_command_says_so_in_one_line(suturegrasp, nowhere, comm
         ("goal --s 0.5 --pixel 1 2", "give one of --s, --pixel and --point"),
         ("goal --s 1.5", "s runs from 0 to 1"),
         ("goal --s nan", "s runs from 0 to 1"),
-        ("arm", "give --plan with the id that goal printed"),
+        ("arm", "give the id of a plan, as goal prints it"),
         ("demo --view hologram", "--view"),
         ("up --restart maybe", "suturegrasp up --help"),
         ("planner --config none.toml", "none.toml cannot be read"),

@@ -224,7 +224,7 @@ def test_a_mistake_names_the_key_and_what_is_allowed(text):
     assert MISTAKES[text] in str(caught.value)
 
 
-@pytest.mark.parametrize("command", ["planner", "up", "doctor", "goal --s 0.5", "arm --plan x", "record"])
+@pytest.mark.parametrize("command", ["planner", "up", "doctor", "goal --s 0.5", "arm x", "record"])
 def test_every_command_tells_a_mistake_in_one_line(suturegrasp, tmp_path, command):
     config = tmp_path / "rig.toml"
     config.write_text("[planer]")
