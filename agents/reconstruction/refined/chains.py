@@ -23,6 +23,11 @@ GAP_SCALE_SHARE = 0.03
 """Of the image's width: a gap as long as this costs as much as one standard deviation of bending."""
 DEAREST_LINK = 40.0
 KINK = 12.0
+DISPARITY_DEVIATION_PX, DISPARITY_GRADIENT = 1.0, 0.25
+LEAST_LINK_SHARE = 0.25
+"""Of what a link costs in one image: what both show together makes it no cheaper."""
+COVERED = -1.0
+"""An end is taken for covered where that is so much likelier (in logarithms) than that it is a tip."""
 PRIZE_SHARE = 0.005
 JUNCTION_WIDTHS = 5.0
 SHARED_WIDTHS = 25.0
@@ -57,12 +62,25 @@ class Chain:
         return float(steps[np.diff(self.piece) == 0].sum())
 
 
-def chains(lines: Centrelines, image_width: int) -> list[Chain]:
-    """The threads of an image, the one that is seen longest first."""
+@dataclass(frozen=True)
+class Ends:
+    """What both images say of the ends of pieces, at the centrelines' points that are ends.
+
+    Fields:
+        tip: the logarithm of how much likelier the thread ends here than is covered; 0 where that is unknown.
+        disparity_px: not a number where that is unknown.
+    """
+
+    tip: Float64[np.ndarray, "n"]
+    disparity_px: Float64[np.ndarray, "n"]
+
+
+def chains(lines: Centrelines, image_width: int, known: Ends | None = None) -> list[Chain]:
+    """The threads of an image, the one that is seen longest first, by what both images say of the ends where known."""
     pieces = _pieces(lines)
     if not pieces:
         return []
-    links = _links(lines, pieces, image_width)
+    links = _links(lines, pieces, image_width, known)
     shared = _shared(lines, pieces)
     ends = np.concatenate((np.arange(2 * len(pieces)), *(np.array([2 * p, 2 * p + 1]) for p in shared)))
     links = links[np.ix_(ends, ends)]
@@ -106,14 +124,14 @@ def _length(points: Float64[np.ndarray, "n 2"]) -> float:
     return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
-def _links(lines: Centrelines, pieces: list[Int64[np.ndarray, "k"]], image_width: int) -> Float64[np.ndarray, "e e"]:
+def _links(
+    lines: Centrelines, pieces: list[Int64[np.ndarray, "k"]], image_width: int, known: Ends | None
+) -> Float64[np.ndarray, "e e"]:
     """The cost of going from end to end; end 2p is the first, 2p + 1 the last of piece p."""
     ends = np.array([end for p in pieces for end in (lines.point_px[p[0]], lines.point_px[p[-1]])])
     width = float(np.median(lines.width_px))
     reach = TANGENT_WIDTHS * width
-    outward = np.array(
-        [t for p in pieces for t in (_direction(lines.point_px[p], reach), _direction(lines.point_px[p[::-1]], reach))]
-    )
+    outward = np.array([direction_outward(lines.point_px[way], reach) for p in pieces for way in (p, p[::-1])])
     across = ends[None] - ends[:, None]
     gap = np.linalg.norm(across, axis=2)
     here = np.broadcast_to(outward[:, None], across.shape)
@@ -132,13 +150,38 @@ def _links(lines: Centrelines, pieces: list[Int64[np.ndarray, "k"]], image_width
     # beside each other rather than after each other
     backwards = ((across * here).sum(axis=2) < 0) | ((across * there).sum(axis=2) < 0)
     sideways = (gap > reach) & backwards
+    if known is not None:
+        index = np.array([end for p in pieces for end in (p[0], p[-1])])
+        tip, disparity = known.tip[index], known.disparity_px[index]
+        # at a crossing both images cut the thread at one place, as if it ended there
+        cost = _in_both_images(cost, gap, np.clip(gap / (2 * reach), 0.0, 1.0) * _evidence(tip), disparity)
+        # what is hidden may turn back
+        sideways &= ~((tip[:, None] < COVERED) & (tip[None] < COVERED))
     cost[sideways] = np.inf
     same = np.arange(len(ends)) // 2
     cost[same[:, None] == same[None]] = np.inf
     return np.where(cost <= DEAREST_LINK, cost, np.inf)
 
 
-def _direction(points: Float64[np.ndarray, "n 2"], reach: float) -> Float64[np.ndarray, "2"]:
+def _evidence(tip: Float64[np.ndarray, "e"]) -> Float64[np.ndarray, "e e"]:
+    """What speaks against a link from end to end: what is covered at one side of a gap is so at the other, too."""
+    less, more = np.minimum(tip[:, None], tip[None]), np.maximum(tip[:, None], tip[None])
+    return np.where(more > 0, more + np.maximum(less, 0.0), less + more)
+
+
+def _in_both_images(
+    cost: Float64[np.ndarray, "e e"],
+    gap: Float64[np.ndarray, "e e"],
+    evidence: Float64[np.ndarray, "e e"],
+    disparity: Float64[np.ndarray, "e"],
+) -> Float64[np.ndarray, "e e"]:
+    """The cost of links by one image, with what both together say; disparities that are unknown cost nothing."""
+    change = np.nan_to_num(disparity[None] - disparity[:, None])
+    steep = np.minimum(change**2 / (DISPARITY_DEVIATION_PX**2 + (DISPARITY_GRADIENT * gap) ** 2), KINK)
+    return np.maximum(cost + evidence, LEAST_LINK_SHARE * cost) + steep
+
+
+def direction_outward(points: Float64[np.ndarray, "n 2"], reach: float) -> Float64[np.ndarray, "2"]:
     """Outward at the first of these points."""
     along = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))))
     near = points[along <= max(reach, along[min(2, len(along) - 1)])]

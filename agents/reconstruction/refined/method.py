@@ -3,6 +3,7 @@
 1. `covered_ends`: how far points beside what covers them may be off.
 2. `chains`: the pieces of the left centreline in their order along the thread, through crossings and behind tools.
 3. `alignment`: the right image's counterpart of each place, by dynamic programming along the rows.
+   `tips`: which ends are covered; what that says of the course.
    `continuation`: what only the right image shows beyond the left one's border.
 4. `initial`: a first curve from both.
 5. `refinement`: Gauss-Newton on its control points against both centrelines, smoothing chosen from the images.
@@ -32,6 +33,7 @@ from agents.reconstruction.refined.sightings import (
     placed,
     sightings,
 )
+from agents.reconstruction.refined.tips import ends_of
 from schemas.messages import Centrelines, RectifiedStereo, Status, ThreadObservations, ThreadReconstruction
 from shared.camera import project
 
@@ -105,12 +107,26 @@ def course_of(left: Centrelines, right: Centrelines, camera: RectifiedStereo, ro
     if not found:
         raise NoCurveError("the left image shows no piece of thread that is longer than some widths of it")
     level = replace(right, point_px=right.point_px - (0.0, row_offset_px))
-    aligned = align(found[0], level, camera.image_width)
+    chain, aligned = _aligned(left, level, found, camera)
     reason = contradiction(aligned, camera)
     if aligned is None or reason:
         raise NoCurveError(reason)
-    chain, aligned = continued(found[0], level, aligned, camera)
+    chain, aligned = continued(chain, level, aligned, camera)
     return Course(chain, aligned, sightings(chain, right, aligned), row_offset_px)
+
+
+def _aligned(
+    left: Centrelines, right: Centrelines, found: list[Chain], camera: RectifiedStereo
+) -> tuple[Chain, Alignment | None]:
+    """The longest thread with its counterparts: sought again with what they tell of the ends of its pieces."""
+    aligned = align(found[0], right, camera.image_width)
+    if aligned is None or not (len(found) > 1 or np.diff(found[0].piece).any()):
+        return found[0], aligned
+    others = [(chain, align(chain, right, camera.image_width)) for chain in found[1:]]
+    again = chains(left, camera.image_width, ends_of(left, right, [(found[0], aligned), *others], camera))[0]
+    if any(np.array_equal(again.index[way], found[0].index) for way in (slice(None), slice(None, None, -1))):
+        return found[0], aligned
+    return again, align(again, right, camera.image_width)
 
 
 def fitted(course: Course, camera: RectifiedStereo) -> Refined:

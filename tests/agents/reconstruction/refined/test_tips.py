@@ -1,0 +1,83 @@
+"""Ends of a thread and ends of what is seen of it: a cover hides other places in the one image than in the other."""
+
+import numpy as np
+import pytest
+
+from agents.reconstruction.refined.alignment import align
+from agents.reconstruction.refined.chains import COVERED, chains
+from agents.reconstruction.refined.method import course_of
+from agents.reconstruction.refined.tips import MOST_EVIDENCE, ends_of
+
+WHOLE = 292.0
+"""Degrees of the circle that the hoop goes through, from 20 on."""
+
+
+def hoop(t):
+    """Most of a circle, a little askew, in millimetres."""
+    angle = np.radians(20.0 + WHOLE * t)
+    return np.column_stack((10 * np.cos(angle), 10 * np.sin(angle), 95 + 1.5 * np.cos(angle)))
+
+
+def hoop_shown(*degrees):
+    """Stretches of the hoop, from and to angles."""
+    return [((low - 20.0) / WHOLE, (high - 20.0) / WHOLE) for low, high in degrees]
+
+
+@pytest.fixture
+def told(camera):
+    """How much likelier tips than covered the ends of the left pieces are, in the order of the pieces."""
+
+    def of(left, right):
+        found = chains(left, camera.image_width)
+        matched = [(chain, align(chain, right, camera.image_width)) for chain in found]
+        ends = np.flatnonzero(np.diff(left.piece, prepend=-1, append=-1))
+        index = np.sort(np.concatenate((ends[:-1], ends[1:] - 1)))
+        return ends_of(left, right, matched, camera).tip[index]
+
+    return of
+
+
+@pytest.mark.parametrize("nearer", [0.02, 0.04, 0.06])
+def test_ends_at_a_cover_of_another_depth_are_covered_and_tips_are_tips(told, see, threads, nearer):
+    left = see(threads["winding"], 0, ((0.0, 0.42), (0.62, 1.0)))
+    right = see(threads["winding"], 1, ((0.0, 0.42 - nearer), (0.62 - nearer, 1.0)))
+    tip = told(left, right)
+    assert (tip[[0, 3]] > 1.0).all()
+    assert (tip[[1, 2]] < COVERED).all()
+    assert np.abs(tip).max() <= MOST_EVIDENCE
+
+
+def test_what_ends_at_one_place_in_both_images_is_not_covered(told, see, threads):
+    stretches = ((0.0, 0.42), (0.62, 1.0))
+    tip = told(*(see(threads["winding"], eye, stretches) for eye in (0, 1)))
+    assert (tip > 1.0).all()
+
+
+def test_ends_along_the_rows_say_nothing(told, make_lines):
+    # as far as the rows can tell, the right image may show any other part of the line
+    level = np.array([[300.0, 150.0], [500.0, 150.05]])
+    upright = np.array([[300.0, 200.0], [310.0, 400.0]])
+    tip = told(make_lines(upright, level), make_lines(upright - [55, 0], level - [70, 0]))
+    assert np.abs(tip[2:]).max() < 0.5
+
+
+def test_a_short_end_behind_a_tool_belongs_to_the_thread(see, camera):
+    left = see(hoop, 0, hoop_shown((20, 190), (300, 312)))
+    right = see(hoop, 1, hoop_shown((20, 184), (294, 312)))
+    assert len(chains(left, camera.image_width)) == 2
+    course = course_of(left, right, camera)
+    assert set(course.left.piece.tolist()) == {0, 1}
+    assert set(course.left.index[[0, -1]].tolist()) == {0, len(left.piece) - 1}
+
+
+def test_a_short_piece_with_two_tips_of_its_own_stays_outside(see, camera):
+    left, right = (see(hoop, eye, hoop_shown((20, 190), (300, 312))) for eye in (0, 1))
+    assert set(course_of(left, right, camera).left.piece.tolist()) == {0}
+
+
+def test_a_short_piece_of_another_depth_stays_outside(see, camera, make_lines):
+    left = see(hoop, 0, hoop_shown((20, 190), (300, 312)))
+    right = see(hoop, 1, hoop_shown((20, 184), (294, 312)))
+    moved = [right.point_px[right.piece == 0], right.point_px[right.piece == 1] - (90.0, 0.0)]
+    course = course_of(left, make_lines(*moved), camera)
+    assert set(course.left.piece.tolist()) == {0}
