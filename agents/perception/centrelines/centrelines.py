@@ -12,7 +12,6 @@ from agents.perception.centrelines.along import Pieces, directions, evenly_space
 from agents.perception.centrelines.deviation import deviations
 from agents.perception.centrelines.edges import contrast_channel
 from agents.perception.centrelines.glints import without_glints
-from agents.perception.centrelines.local_width import local_widths
 from agents.perception.centrelines.profiles import sample
 from agents.perception.centrelines.refine import Curves, by_coverage, by_edges, tangent_sigma
 from agents.perception.centrelines.skeleton import Paths, skeleton_paths
@@ -56,22 +55,22 @@ def _centrelines(
     image: UInt8[np.ndarray, "h w 3"], coverage: Float32[np.ndarray, "h w"], mask: Bool[np.ndarray, "h w"]
 ) -> Centrelines:
     filled, depth = without_glints(mask)
+    # a glint is thread, in what it covers and in its colour
     coverage = np.where(filled & ~mask, np.float32(255), coverage)
     # never less than the thread's, and up to two pixels more
     width = min(WIDEST_PX, max(1.0, 4.0 * float(depth[filled].mean())))
     curves = _initial(skeleton_paths(filled, depth), width)
     if len(curves.point) == 0:
         return no_centrelines()
-    curves, _ = by_coverage(curves, coverage, local_widths(curves, depth, width)[0], width)
+    curves, _ = by_coverage(curves, coverage, width)
     curves = _extended(curves, coverage, width)
-    local, wide = local_widths(curves, depth, width)
-    curves, seen = by_coverage(curves, coverage, local, width)
+    curves, seen = by_coverage(curves, coverage, width)
     graded = _is_graded(coverage, filled)
     if graded:
-        curves, seen = by_coverage(curves, coverage, local, width)
+        curves, seen = by_coverage(curves, coverage, width)
     else:
-        curves, seen = by_edges(curves, seen, contrast_channel(image, filled), local, width)
-    return Centrelines(curves.point, curves.pieces.number, seen.width_px, deviations(curves, seen, wide, graded))
+        curves, seen = by_edges(curves, seen, contrast_channel(image, filled), width)
+    return Centrelines(curves.point, curves.pieces.number, seen.width_px, deviations(curves, seen, graded))
 
 
 def _is_graded(coverage: Float32[np.ndarray, "h w"], mask: Bool[np.ndarray, "h w"]) -> bool:

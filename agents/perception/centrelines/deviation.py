@@ -28,16 +28,10 @@ BRIDGE_LENGTH, BRIDGE_SHARE = 8.0, 0.15
 """Of the width: how long two strands that cross at a slant may run as one, and how far from each its middle is."""
 
 
-def deviations(curves: Curves, seen: Evidence, wide: Bool[np.ndarray, "n"], graded: bool) -> Float64[np.ndarray, "n"]:
-    """Standard deviation of each point across the thread, in pixels.
-
-    Args:
-        wide: whether it is something wider than thread, as a needle, which has widths of its own.
-    """
+def deviations(curves: Curves, seen: Evidence, graded: bool) -> Float64[np.ndarray, "n"]:
+    """Standard deviation of each point across the thread, in pixels."""
     width = seen.width_px
-    span = 2 * REACH + 1
-    own = smoothed(width[:, None], curves.pieces, np.full(span, 1 / span))[:, 0]
-    usual = np.where(wide, np.maximum(own, _usual_width(width, curves.pieces)), _usual_width(width, curves.pieces))
+    usual = _usual_width(width, curves.pieces)
     at_sight = _of_coverage(curves, usual) if graded else SHADING_SHARE * usual
     parts = [
         at_sight,

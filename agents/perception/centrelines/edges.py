@@ -11,8 +11,6 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
 
-from agents.perception.centrelines.profiles import STEP_PX
-
 COLOUR_NOISE = 5.0
 """Grey levels; keeps the discriminant from trusting colours that hardly vary, as in grey images."""
 GAP_PX, BAND_PX = 2, 8
@@ -62,10 +60,9 @@ def find_edges(
     at: Float64[np.ndarray, "t"],
     middle_px: Float64[np.ndarray, "n"],
     width_px: Float64[np.ndarray, "n"],
-    reach_px: Float64[np.ndarray, "n"],
 ) -> Edges:
-    """Both edges on profiles of the contrast channel, looked for where the mask ends; none counts beyond its reach."""
-    gradient = np.gradient(profile, axis=1) * _sign(profile, at, middle_px, width_px, reach_px)[:, None]
+    """Both edges on profiles of the contrast channel, looked for where the mask ends."""
+    gradient = np.gradient(profile, axis=1) * _sign(profile, at, middle_px, width_px)[:, None]
     near, far = middle_px - width_px / 2, middle_px + width_px / 2
     rising, falling = np.maximum(gradient, 0) ** 2, np.maximum(-gradient, 0) ** 2
     return Edges(_settled(rising, at, near), _settled(falling, at, far))
@@ -76,13 +73,11 @@ def _sign(
     at: Float64[np.ndarray, "t"],
     middle_px: Float64[np.ndarray, "n"],
     width_px: Float64[np.ndarray, "n"],
-    reach_px: Float64[np.ndarray, "n"],
 ) -> Float32[np.ndarray, "n"]:
     """1 where the thread is brighter than the ground beside it in the channel, −1 where it is darker."""
     distance = np.abs(at.astype(np.float32) - middle_px.astype(np.float32)[:, None])
     half = np.maximum(0.5, width_px / 2).astype(np.float32)[:, None]
-    near = np.abs(at).astype(np.float32) < (reach_px + STEP_PX).astype(np.float32)[:, None]
-    inside, outside = distance <= half, (distance > half + 1) & near
+    inside, outside = distance <= half, distance > half + 1
     contrast = (profile * inside).sum(axis=1) / np.maximum(inside.sum(axis=1), 1)
     contrast -= (profile * outside).sum(axis=1) / np.maximum(outside.sum(axis=1), 1)
     return np.where(contrast < 0, np.float32(-1), np.float32(1))

@@ -66,21 +66,11 @@ def own_strand(profile: Float32[np.ndarray, "n t"]) -> Float32[np.ndarray, "n t"
     return own
 
 
-def within(
-    profile: Float32[np.ndarray, "n t"], at: Float64[np.ndarray, "t"], reach_px: Float64[np.ndarray, "n"]
-) -> Float32[np.ndarray, "n t"]:
-    """Profiles without what lies farther out than each one's reach, rounded up to a sample."""
-    return profile * (np.abs(at).astype(np.float32) < (reach_px + STEP_PX).astype(np.float32)[:, None])
-
-
-def middle(own: Float32[np.ndarray, "n t"], at: Float64[np.ndarray, "t"], reach_px: Float64[np.ndarray, "n"]) -> Middle:
-    """Centroid and width of profiles of coverage, 0 to 255, up to their reach; the offset is 0 where there is none."""
+def middle(own: Float32[np.ndarray, "n t"], at: Float64[np.ndarray, "t"]) -> Middle:
+    """Centroid and width of profiles of coverage, 0 to 255; the offset is 0 where there is none."""
     total = own.sum(axis=1, dtype=np.float64)
     offset = own @ at / np.maximum(total, 1e-6)
-    last = np.minimum(np.ceil(reach_px / STEP_PX).astype(np.int64), len(at) // 2)
-    each = np.arange(len(own))
-    outermost = np.maximum(own[each, len(at) // 2 - last], own[each, len(at) // 2 + last])
-    return Middle(offset, total * (STEP_PX / 255.0), outermost > RISE)
+    return Middle(offset, total * (STEP_PX / 255.0), np.maximum(own[:, 0], own[:, -1]) > RISE)
 
 
 def _until_rise(outward: Float32[np.ndarray, "n t"], inner: Float32[np.ndarray, "n"]) -> Float32[np.ndarray, "n t"]:

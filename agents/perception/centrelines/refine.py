@@ -15,7 +15,7 @@ from agents.perception.centrelines.along import (
     smoothed,
 )
 from agents.perception.centrelines.edges import find_edges
-from agents.perception.centrelines.profiles import middle, normals, offsets, own_strand, sample, within
+from agents.perception.centrelines.profiles import middle, normals, offsets, own_strand, sample
 
 MARGIN_PX = 2.0
 """Beyond the thread's own edge that a profile of coverage looks; one of the image looks twice as far."""
@@ -57,30 +57,18 @@ def tangent_sigma(width: float) -> float:
     return float(np.clip(0.5 * width, 2.0, 4.0))
 
 
-def by_coverage(
-    curves: Curves, coverage: Float32[np.ndarray, "h w"], local_width: Float64[np.ndarray, "n"], width: float
-) -> tuple[Curves, Evidence]:
-    """One round: every point to the centroid of the coverage across it.
-
-    Args:
-        local_width: how wide the strand is at most at each point, not less than `width`.
-        width: of the thread in general.
-    """
+def by_coverage(curves: Curves, coverage: Float32[np.ndarray, "h w"], width: float) -> tuple[Curves, Evidence]:
+    """One round: every point to the centroid of the coverage across it."""
     normal = normals(directions(curves.point, curves.pieces, gaussian(tangent_sigma(width))))
-    reach = local_width / 2 + MARGIN_PX
-    at = offsets(float(reach.max(initial=0)))
-    found = middle(within(own_strand(sample(coverage, curves.point, normal, at)), at, reach), at, reach)
-    shift = np.clip(found.offset_px, -local_width / 2, local_width / 2)
+    at = offsets(width / 2 + MARGIN_PX)
+    found = middle(own_strand(sample(coverage, curves.point, normal, at)), at)
+    shift = np.clip(found.offset_px, -width / 2, width / 2)
     moved = _moved(curves, normal, shift)
     return moved, Evidence(np.maximum(found.width_px, LEAST_WIDTH_PX), np.zeros(len(shift)), found.open)
 
 
 def by_edges(
-    curves: Curves,
-    mask: Evidence,
-    channel: Float32[np.ndarray, "h w"],
-    local_width: Float64[np.ndarray, "n"],
-    width: float,
+    curves: Curves, mask: Evidence, channel: Float32[np.ndarray, "h w"], width: float
 ) -> tuple[Curves, Evidence]:
     """Two rounds: every point to the middle between the thread's edges in the contrast channel.
 
@@ -88,11 +76,9 @@ def by_edges(
         curves: in the middle of the mask.
         mask: what a round by coverage saw at the same points.
         channel: higher in the thread than beside it.
-        local_width: how wide the strand is at most at each point, not less than `width`.
         width: of the thread in general.
     """
-    reach = local_width / 2 + 2 * MARGIN_PX
-    at, kernel = offsets(float(reach.max(initial=0))), gaussian(ALONG_PX)
+    at, kernel = offsets(width / 2 + 2 * MARGIN_PX), gaussian(ALONG_PX)
     mask_width = smoothed(mask.width_px[:, None], curves.pieces, kernel)[:, 0]
     seen_width, moved = mask_width, np.zeros(len(mask_width))
     # both edges may lie off the mask's, but in the same direction only as far as a mask is wrong
@@ -100,7 +86,7 @@ def by_edges(
     for _ in range(EDGE_ROUNDS):
         normal = normals(directions(curves.point, curves.pieces, gaussian(tangent_sigma(width))))
         seen = blurred(sample(channel, curves.point, normal, at, cv2.BORDER_REPLICATE), curves.pieces, kernel)
-        edges = find_edges(seen, at, -moved, mask_width, reach)
+        edges = find_edges(seen, at, -moved, mask_width)
         shift = np.clip((edges.near_px + edges.far_px) / 2, -limit - moved, limit - moved)
         seen_width, moved = edges.far_px - edges.near_px, moved + shift
         curves = _moved(curves, normal, shift)

@@ -5,16 +5,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import scipy.sparse
-from jaxtyping import Bool, Float32, Float64, Int64, UInt8
+from jaxtyping import Bool, Float32, Int64, UInt8
 from scipy.sparse import csgraph
 
 from agents.perception.centrelines.thinning import NEIGHBOURS, neighbour_codes, neighbour_offsets, thin, thin_corners
 
 SPUR_LENGTH = 1.5
 """Branches up to so many half widths long are bumps of the mask's border, no thread."""
-FOLD_LENGTH, FOLD_COSINE = 3.0, 0.5
-"""Up to so many half widths long is the end that two strands have in common, which leave it at so acute an angle: a
-thread folded back beside the needle that it hangs on."""
 CUT_RADIUS = 2.0
 """The skeleton is bent within so many half widths of a junction, and is cut there."""
 PRUNING_ROUNDS = 2
@@ -72,36 +69,10 @@ def _prune(image: UInt8[np.ndarray, "h w"], depth: Float32[np.ndarray, "h w"]) -
     np.maximum.at(limit, branch[beside[touching]], reach[touching])
     length = np.bincount(branch[~junction], minlength=count)
     spur = ends_freely & (limit > 0) & (length <= SPUR_LENGTH * limit + 1)
-    longer = ends_freely & (limit > 0) & ~spur & (length <= FOLD_LENGTH * limit + 1)
-    place = np.column_stack((index // image.shape[1], index % image.shape[1])).astype(np.float64)
-    for k in np.flatnonzero(longer).tolist():
-        foot = np.flatnonzero(junction)[(touching & (branch[beside] == k)).any(axis=1)]
-        spur[k] = _is_fold(place - place[foot].mean(axis=0), np.where(junction, -1, branch), k, float(limit[k]))
     removed = ~junction & spur[branch]
     flat[index[removed]] = 0
     thin_corners(flat, index[~removed], offsets, image.shape[1])
     return bool(removed.any())
-
-
-def _is_fold(
-    from_foot: Float64[np.ndarray, "p 2"], branch: Int64[np.ndarray, "p"], stub: int, half_width: float
-) -> bool:
-    """Whether the two branches beside a stub leave its foot side by side, away from it.
-
-    Args:
-        from_foot: the skeleton's pixels, from where the stub leaves.
-        branch: of each pixel; −1 in junctions.
-        stub: its branch.
-        half_width: of the thread at its foot.
-    """
-    distance = np.hypot(from_foot[:, 0], from_foot[:, 1])
-    meets = np.unique(branch[(distance <= half_width + 2) & (branch >= 0) & (branch != stub)])
-    near = distance <= 2 * FOLD_LENGTH * half_width
-    if len(meets) != 2:
-        return False
-    ways = [from_foot[near & (branch == k)].mean(axis=0) for k in (stub, *meets.tolist())]
-    away, one, other = (way / max(float(np.hypot(*way)), 1e-9) for way in ways)
-    return float(one @ other) > FOLD_COSINE and max(float(away @ one), float(away @ other)) < 0
 
 
 def _traced(image: UInt8[np.ndarray, "h w"], depth: Float32[np.ndarray, "h w"]) -> Paths:

@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Int64, UInt8
 
-from agents.perception.centrelines.glints import usual_width, without_glints
 from agents.perception.segmentation.near import Meant, Near, piece_meant
 
 BACKGROUND_SHARE = 0.06
@@ -23,10 +22,6 @@ FAINT_SHARE = 0.7
 """Of the least contrast: what still connects two clear stretches."""
 BRIDGE_PX = 4
 """How far from a clear stretch faint pixels may close a gap."""
-WIDEST_GLINT = 3.0
-"""Of the usual width: how wide what light leaves out of a needle may be."""
-LEAST_DEPTH_PX = 2.5
-"""Inside of a strand, where thin thread is nothing but edge."""
 LEAST_AREA_SHARE = 4e-5
 """Of the image: what is smaller is a speck."""
 
@@ -56,32 +51,10 @@ def segment_threshold(
     # a thread thinner than a pixel fades between two rows or columns; what is faint there closes the gap
     closed = cv2.morphologyEx(clear.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)) > 0
     kept = with_bridges(clear | (closed & connected), connected)
-    kept |= _shining(kept, connected, contrast)
     if meant is not None and meant.alone:
         kept = piece_meant(kept, meant.weight)
     coverage = np.clip(np.arange(256, dtype=np.float32) * (255.0 / full), 128.0, 255.0).astype(np.uint8)
     return np.where(kept, coverage[contrast], np.uint8(0))
-
-
-def _shining(
-    pieces: Bool[np.ndarray, "h w"], faint: Bool[np.ndarray, "h w"], contrast: UInt8[np.ndarray, "h w"]
-) -> Bool[np.ndarray, "h w"]:
-    """What is faint or missing inside of a strand, deeper than its blurred edge, and the faint edge beside it.
-
-    That is the light that a needle reflects.
-    """
-    if not pieces.any():
-        return pieces
-    usual = usual_width(pieces)
-    side = round(WIDEST_GLINT * usual)
-    between = cv2.morphologyEx(pieces.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((side, side), np.uint8)) > 0
-    seen = pieces | faint | (between & (contrast > FAINT_SHARE * LEAST_CONTRAST))
-    # a gap of one pixel in a needle's side is none
-    closed = cv2.morphologyEx(seen.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)) > 0
-    whole, depth = without_glints(closed)
-    shining = (seen | (whole & ~closed)) & (depth > max(1 + usual / 2, LEAST_DEPTH_PX)) & ~pieces
-    around = 2 * round(1 + usual / 2) + 1
-    return shining | (faint & (cv2.dilate(shining.astype(np.uint8), np.ones((around, around), np.uint8)) > 0))
 
 
 def with_bridges(pieces: Bool[np.ndarray, "h w"], faint: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
