@@ -91,24 +91,43 @@ def placed(sight: Sightings, curve: Curve, camera: RectifiedStereo, row_offset_p
 
 
 def folds(sight: Sightings, curve: Curve, camera: RectifiedStereo) -> Float64[np.ndarray, "f 2"]:
-    """Intervals of s where the curve leaves the left thread and comes back: a long way between places side by side.
+    """Intervals of s where the curve leaves the thread in an image and comes back: a long way between places side by
+    side.
 
     Where a thread runs along the rows, or ends, nothing else keeps a curve from going too far and returning.
     """
-    left = np.flatnonzero(sight.eye == 0)
-    left = left[: 1 + int(np.argmax(sight.s[left]))] if len(left) else left
-    if len(left) < 2:
-        return np.zeros((0, 2))
+    left, right = np.flatnonzero(sight.eye == 0), np.flatnonzero(sight.eye == 1)
     # in order along the chain; single points that are misplaced do not count
-    s = np.maximum.accumulate(scipy.ndimage.median_filter(sight.s[left], MEDIAN_POINTS, mode="nearest"))
+    left = left[: 1 + int(np.argmax(sight.s[left]))] if len(left) else left
+    places = scipy.ndimage.median_filter(sight.s[left], MEDIAN_POINTS, mode="nearest") if len(left) else sight.s[left]
+    found = _folds(np.maximum.accumulate(places), 0, curve, camera)
+    # what the right image alone shows of an end is a place of the curve as good as any
+    found_right = _folds(np.sort(sight.s[right]), 1, curve, camera)
+    return _joined(np.concatenate((found, found_right)))
+
+
+def _folds(s: Float64[np.ndarray, "n"], eye: int, curve: Curve, camera: RectifiedStereo) -> Float64[np.ndarray, "f 2"]:
+    """Of one eye, between neighbours of these places in order."""
+    if len(s) < 2:
+        return np.zeros((0, 2))
     dense = np.linspace(0.0, 1.0, DENSE * curve.spans + 1)
-    seen = projected(curve, dense, np.zeros(len(dense), np.int64), camera).point_px
+    seen = projected(curve, dense, np.full(len(dense), eye), camera).point_px
     along_px = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(seen, axis=0), axis=1))))
     placed_px = np.column_stack([np.interp(s, dense, seen[:, axis]) for axis in (0, 1)])
     apart_px = np.linalg.norm(np.diff(placed_px, axis=0), axis=1)
     way_px = np.diff(np.interp(s, dense, along_px))
     far = np.flatnonzero(way_px > FOLD_FACTOR * apart_px + FOLD_PX)
     return np.column_stack((s[far], s[far + 1]))
+
+
+def _joined(intervals: Float64[np.ndarray, "f 2"]) -> Float64[np.ndarray, "g 2"]:
+    """The same stretches as intervals that do not overlap, in order."""
+    if len(intervals) < 2:
+        return intervals
+    low, high = intervals[np.argsort(intervals[:, 0], kind="stable")].T
+    reach = np.maximum.accumulate(high)
+    first = np.concatenate(([0], 1 + np.flatnonzero(low[1:] > reach[:-1])))
+    return np.column_stack((low[first], np.maximum.reduceat(high, first)))
 
 
 def _spacing(along_px: Float64[np.ndarray, "n"]) -> float:
