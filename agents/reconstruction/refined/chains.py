@@ -153,6 +153,9 @@ def _links(
     if known is not None:
         index = np.array([end for p in pieces for end in (p[0], p[-1])])
         tip, disparity = known.tip[index], known.disparity_px[index]
+        # an end beside another piece's is cut, not covered, and rows that are off make either look covered
+        other = np.arange(len(ends))[:, None] // 2 != np.arange(len(ends))[None] // 2
+        tip = np.where(((gap < 2 * reach) & other).any(axis=1), np.maximum(tip, 0.0), tip)
         # at a crossing both images cut the thread at one place, as if it ended there
         cost = _in_both_images(cost, gap, np.clip(gap / (2 * reach), 0.0, 1.0) * _evidence(tip), disparity)
         # what is hidden may turn back
