@@ -18,7 +18,8 @@ import cv2
 
 from agents.cli.pipeline import PipelineResult, reconstruct_pair
 from agents.perception.centrelines import thread_centrelines
-from agents.reconstruction.methods import DEFAULT_METHOD, METHODS
+from agents.reconstruction.method_names import DEFAULT_METHOD
+from agents.reconstruction.methods import METHODS
 from agents.reconstruction.paper import METHOD as PAPER
 from agents.viewer.picture import draw_picture
 from benchmarks.goals import goals

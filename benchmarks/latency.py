@@ -29,11 +29,11 @@ from agents.cli.rig import RigConfig
 from agents.cli.session_folder import SessionFolder, new_session_folder
 from agents.cli.supervisor import Supervisor, supervised
 from agents.cli.up import start_all, write_config
-from shared.recording.mcap_file import read_recording
 from schemas.codec import decode
 from schemas.messages import AgentHealth
 from schemas.topics import FRAMES, HEALTH, OBSERVATIONS, THREAD, Topic, topic_of
 from shared.clock import now_ns
+from shared.recording.mcap_file import read_recording
 
 STAGES = (FRAMES, OBSERVATIONS, THREAD)
 

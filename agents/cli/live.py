@@ -18,7 +18,7 @@ from agents.cli.live_options import (
     Up,
     View,
 )
-from agents.cli.process import EXIT_OK, EXIT_UNUSABLE, on_stop, run_agent, run_router
+from agents.cli.process import EXIT_OK, EXIT_UNUSABLE, on_stop, run_router
 from agents.cli.rig import RigConfig, simulated_rig
 from agents.cli.terminal import complain, say
 from agents.operator.operator import Stood, arm_and_stand_by, ask_for_grasp, hold, prompt
@@ -70,9 +70,9 @@ def run_live(options: OnRig) -> int:
 
                 return doctor(rig)
             case RobotBridgeAgent():
-                return run_agent(rig, "robot_bridge", options.arm)
+                return _run_agent(rig, "robot_bridge", options.arm)
             case _:
-                return run_agent(rig, AGENT_KINDS[type(options)], MAIN)
+                return _run_agent(rig, AGENT_KINDS[type(options)], MAIN)
     except (ConfigError, NoRouterError) as error:
         return complain(str(error), EXIT_UNUSABLE)
 
@@ -83,6 +83,13 @@ def _view(rig: RigConfig, options: View) -> int:
     except ImportError as error:
         return complain(f"the viewer cannot be loaded: {error}", EXIT_UNUSABLE)
     return view(rig, options)
+
+
+def _run_agent(rig: RigConfig, kind: str, instance: str) -> int:
+    # an operator's command must not take a second of the processors from the agents that it talks to
+    from agents.cli.agent_process import run_agent
+
+    return run_agent(rig, kind, instance)
 
 
 def goal(rig: RigConfig, options: Goal) -> int:

@@ -8,13 +8,10 @@ from typing import Annotated
 
 import tyro
 
-from agents.cli.pipeline import GIVEN_MASKS
-from agents.cli.result_file import is_result
-from agents.perception.segmentation.choice import SEGMENTERS
-from agents.reconstruction.methods import DEFAULT_METHOD, METHODS
+from agents.perception.segmenter_names import GIVEN_MASKS, SEGMENTER_NAMES
+from agents.reconstruction.method_names import DEFAULT_METHOD, METHOD_NAMES
 from shared.units import METRES_PER_UNIT
 
-SEGMENTER_NAMES = (GIVEN_MASKS, *SEGMENTERS)
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
 CALIBRATION_SUFFIXES = (".yaml", ".yml", ".xml", ".json", ".txt")
 
@@ -56,7 +53,7 @@ class Reconstruct:
     segmenter: Annotated[str | None, tyro.conf.arg(metavar=_choice(SEGMENTER_NAMES))] = None
     """How thread is found: as the masks say, by contrast to a plain ground, or as ridges of one colour on tissue.
     Default: what suits the image."""
-    method: Annotated[str, tyro.conf.arg(metavar=_choice(METHODS))] = DEFAULT_METHOD
+    method: Annotated[str, tyro.conf.arg(metavar=_choice(METHOD_NAMES))] = DEFAULT_METHOD
     """How the curve is found."""
     picture: OptionalPath = None
     """Also draw both images with the thread, its confidence and its depth (PNG or JPEG)."""
@@ -100,7 +97,7 @@ def _check_names(options: Reconstruct) -> None:
     for option, name, known in (
         ("--unit", options.unit, METRES_PER_UNIT),
         ("--segmenter", options.segmenter, SEGMENTER_NAMES),
-        ("--method", options.method, METHODS),
+        ("--method", options.method, METHOD_NAMES),
     ):
         if name is not None and name not in known:
             raise UsageError(f"{option} {name} is unknown; choose from {', '.join(known)}")
@@ -145,6 +142,9 @@ def _check_nothing_is_overwritten(options: Reconstruct) -> None:
 
 def _calibration_files(paths: Iterable[Path]) -> Iterator[Path]:
     """The files of a calibration; of a folder, all that may belong to it, unless an earlier run has written them."""
+    # help and operator commands need none of what a result is made of
+    from agents.cli.result_file import is_result
+
     for path in paths:
         if path.is_dir():
             files = (file for file in path.iterdir() if file.suffix.lower() in CALIBRATION_SUFFIXES)

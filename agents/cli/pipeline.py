@@ -8,12 +8,13 @@ from jaxtyping import UInt8
 from agents.perception.observe import observe
 from agents.perception.rectification import rectification, rectify_image, rectify_mask
 from agents.perception.segmentation.choice import SEGMENTERS, suitable_segmenter
-from agents.reconstruction.methods import MATCHING_METHODS, METHODS
+from agents.perception.segmenter_names import GIVEN_MASKS
+from agents.reconstruction.method_names import MATCHING_METHODS
+from agents.reconstruction.methods import METHODS
 from schemas.messages import FrameStamp, StereoCalibration, ThreadObservations, ThreadReconstruction
 from shared.clock import Stopwatch
 
 STEPS = ("rectify", "segment", "match", "reconstruct")
-GIVEN_MASKS = "mask"
 
 Pair = tuple[UInt8[np.ndarray, "h w *c"], UInt8[np.ndarray, "h w *c"]]
 

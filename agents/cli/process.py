@@ -9,56 +9,18 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from agents.camera.image_files import ImageFileError
-from agents.camera.sources import SourceError
-from agents.cli.builders import build
 from agents.cli.rig import RigConfig
 from agents.cli.supervisor import SUPERVISED, UNUSABLE
 from agents.cli.terminal import complain
-from shared.calibration import CalibrationError
-from shared.runtime.config import ConfigError, config_hash
-from shared.runtime.connection import NoRouterError, open_when_there
-from shared.runtime.runner import Runner
-from shared.runtime.session import RouterError, open_router, runs_already
-from shared.scene.render import SceneError
+from shared.runtime.session import RouterError, open_router
 
 EXIT_OK, EXIT_GAVE_UP, EXIT_UNUSABLE = 0, 1, UNUSABLE
-YIELDING = ("perception", "reconstruction")
 NICENESS = 5
 """What takes all the time it gets, and leaves out images for newer ones, steps back behind what keeps time: the arm,
 the field and the camera."""
 AUTOGROUP = Path("/proc/self/autogroup")
 """Where Linux shares time among sessions before it does among processes, which makes niceness within one moot."""
 LINE = logging.Formatter("%(asctime)s %(name)s %(levelname)s: %(message)s", "%H:%M:%S")
-
-
-def run_agent(rig: RigConfig, kind: str, instance: str) -> int:
-    """Run one agent until it is told to stop; the exit status."""
-    log_to_console()
-    if kind in YIELDING:
-        step_back()
-    try:
-        agent = build(rig, kind, instance)
-    except (ConfigError, SourceError, ImageFileError, CalibrationError, SceneError, OSError) as error:
-        return complain(str(error), EXIT_UNUSABLE)
-    stopped = threading.Event()
-    on_stop(stopped.set)
-    try:
-        session = open_when_there(rig.session, stopped=stopped)
-    except NoRouterError as error:
-        return complain(str(error), EXIT_OK if stopped.is_set() else EXIT_UNUSABLE)
-    with session:
-        if runs_already(session, rig.rig, kind, instance):
-            return complain(f"{kind} {instance} of rig {rig.rig} runs already; stop that one first", EXIT_UNUSABLE)
-        runner = Runner(agent, session, rig.rig, config_hash(rig))
-        threading.Thread(target=_stop_after, args=(stopped, runner.stop), name="stop", daemon=True).start()
-        runner.run()
-    return complain(runner.gave_up, EXIT_GAVE_UP) if runner.gave_up else EXIT_OK
-
-
-def _stop_after(stopped: threading.Event, stop: Callable[[], None]) -> None:
-    stopped.wait()
-    stop()
 
 
 def step_back() -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.cli.pipeline import PipelineResult
-from agents.reconstruction.methods import MATCHING_METHODS
+from agents.reconstruction.method_names import MATCHING_METHODS
 from schemas.messages import Judgement, Status, ThreadReconstruction
 from shared.arc_length import length
 from shared.units import unit_name

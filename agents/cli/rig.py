@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from agents.cli.base_pose import BasePose, standing_apart
-from agents.reconstruction.methods import DEFAULT_METHOD, MATCHING_METHODS
+from agents.reconstruction.method_names import DEFAULT_METHOD, MATCHING_METHODS
 from agents.robot_bridge.limits import MAXIMUM_PLAN_AGE_S
 from shared.runtime.config import Settings
 from shared.runtime.session import LOCAL_ENDPOINT, SessionSettings

@@ -2,7 +2,8 @@
 
 from collections.abc import Iterable
 
-from agents.reconstruction.methods import DEFAULT_METHOD, METHODS, TRACKERS
+from agents.reconstruction.method_names import DEFAULT_METHOD
+from agents.reconstruction.methods import METHODS, TRACKERS
 from schemas.messages import CommandAnswer, ThreadReconstruction
 from schemas.topics import MAIN, OBSERVATIONS, THREAD, Topic
 from shared.runtime.agent import Command, Input, Output, Received, Tick

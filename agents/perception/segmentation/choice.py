@@ -8,6 +8,7 @@ from jaxtyping import UInt8
 from agents.perception.segmentation.near import Meant, Near
 from agents.perception.segmentation.ridge import segment_ridge
 from agents.perception.segmentation.threshold import LEAST_CONTRAST, local_contrast, segment_threshold
+from agents.perception.segmenter_names import RIDGE, THRESHOLD
 
 
 class Segmenter(Protocol):
@@ -25,7 +26,7 @@ class Segmenter(Protocol):
         ...
 
 
-SEGMENTERS: dict[str, Segmenter] = {"threshold": segment_threshold, "ridge": segment_ridge}
+SEGMENTERS: dict[str, Segmenter] = {THRESHOLD: segment_threshold, RIDGE: segment_ridge}
 
 PLAIN_SHARE = 0.75
 """An image is plain where at least this share of its pixels hardly differs from its local background."""

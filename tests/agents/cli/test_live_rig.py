@@ -14,7 +14,8 @@ from agents.camera.agent import Camera, SceneCamera
 from agents.cli.builders import build, configured, perception_config
 from agents.cli.in_the_way import in_the_way, taken
 from agents.cli.rig import ArmSection, ReconstructionSection, RigConfig, RouterSection, simulated_rig
-from agents.reconstruction.methods import DEFAULT_METHOD, METHODS
+from agents.reconstruction.method_names import DEFAULT_METHOD
+from agents.reconstruction.methods import METHODS
 from agents.robot_bridge.agent import RobotBridgeConfig
 from agents.robot_bridge.limits import MAXIMUM_PLAN_AGE_S
 from schemas.messages import ImageEncoding, StereoCalibration
@@ -194,7 +195,7 @@ MISTAKES = {
     '[camera]\nsource = "images"': "camera: source 'images' needs left",
     '[camera]\nsource = "video"\nleft = "a"': "camera: source 'video' needs calibration",
     '[camera]\nsource = "pipe"\nleft = "-"\ncalibration = "c"': "needs width and height",
-    '[camera]\nsource = "magic"': "camera.source = 'magic': input should be 'scene', 'images', 'video', 'pipe' or 'bag'",
+    '[camera]\nsource = "magic"': "source = 'magic': input should be 'scene', 'images', 'video', 'pipe' or 'bag'",
     "[camera]\nrate_hz = 0": "camera.rate_hz = 0: input should be greater than 0",
     '[router]\nendpoint = "localhost"': "'localhost' is no endpoint; write protocol, host and port",
     '[router]\nendpoint = "tcp/127.0.0.1:99999"': "is no endpoint",

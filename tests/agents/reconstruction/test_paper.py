@@ -5,7 +5,8 @@ import pytest
 from scipy.spatial.distance import cdist
 
 from agents.reconstruction import minimum_variation, paper
-from agents.reconstruction.methods import MATCHING_METHODS, METHODS
+from agents.reconstruction.method_names import MATCHING_METHODS, METHOD_NAMES
+from agents.reconstruction.methods import METHODS
 from agents.reconstruction.minimum_variation import MinimumVariationSpline, UnsolvedError
 from agents.reconstruction.paper import METHOD, reconstruct_paper
 from agents.reconstruction.plausibility import MOST_OBSERVATIONS, contradiction, implausible
@@ -99,6 +100,7 @@ def test_the_same_observations_give_the_same_reconstruction(observe, thread):
 def test_it_goes_by_its_name():
     assert METHODS["paper"] is reconstruct_paper
     assert METHOD in MATCHING_METHODS
+    assert set(METHOD_NAMES) == set(METHODS)
 
 
 def test_failed_observations_keep_their_reason(observe):

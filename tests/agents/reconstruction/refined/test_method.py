@@ -5,7 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from agents.reconstruction.methods import DEFAULT_METHOD, METHODS
+from agents.reconstruction.method_names import DEFAULT_METHOD
+from agents.reconstruction.methods import METHODS
 from agents.reconstruction.refined.method import METHOD, reconstruct_refined
 from schemas.codec import encode
 from schemas.messages import Status, no_centrelines
