@@ -1,8 +1,9 @@
 """Following the thread from frame to frame: the last posterior, with process noise, is the prior of the next frame.
 
 `following` goes on from the last curve where the innovation test allows it. Where it does not, the track is begun anew
-from the frame alone, and the message says why. So it is where that, tried once in VERIFY_FRAMES frames, explains the
-images better: a wrong course that was followed once would otherwise be followed for ever.
+from the frame alone, and the message says why. So it is where that, tried once a second, explains the images better, or
+as well with a curve that lies where the one that was followed claims not to be, and claims less itself: a wrong course,
+or a wrong smoothness, that was followed once would otherwise be followed for ever, and be believed.
 
 The curve keeps its direction and, as thread does not stretch, its length: what is hidden stays part of it, unseen, and
 an end counts only where the length stays. So a place s is the same piece of thread in every frame, as far as images can
@@ -23,13 +24,17 @@ from agents.reconstruction.refined.following import Followed, LostError, curve_l
 from agents.reconstruction.refined.method import METHOD, NoCurveError, course_and_fit, within_regions
 from agents.reconstruction.refined.motion import band_of
 from agents.reconstruction.refined.plausibility import unusable
-from agents.reconstruction.refined.posterior import MODEL
+from agents.reconstruction.refined.posterior import LEAST, MODEL, point_covariance
 from agents.reconstruction.refined.projection import Curve, projected
 from agents.reconstruction.refined.refinement import Refined
 from agents.reconstruction.refined.result import reconstruction, starts_right
-from schemas.messages import Status, ThreadObservations, ThreadReconstruction, ThreadTrack, TrackStep
+from schemas.messages import RectifiedStereo, Status, ThreadObservations, ThreadReconstruction, ThreadTrack, TrackStep
 
-VERIFY_FRAMES = 30
+VERIFY_S, VERIFY_FRAMES = 1.0, 30
+"""A frame is also reconstructed alone so often, or once in so many frames where they come faster."""
+OUTSIDE, MOST_OUTSIDE = 9.21, 0.1
+"""The square of the distance, in deviations of a normal distribution in the plane, beyond which 1 % lies; of a curve no
+more than that share may lie so far from the one that its frame shows alone."""
 LONGEST_S = 0.5
 """A curve that is older is no prediction."""
 KEPT_S = 10.0
@@ -77,7 +82,7 @@ def _continued(observations: ThreadObservations, before: ThreadTrack) -> ThreadR
     if not 0 <= elapsed_s <= LONGEST_S:
         raise LostError(f"the last curve is of {elapsed_s:.1f} s ago")
     now = followed(before, lines, observations.camera, elapsed_s)
-    if before.step is TrackStep.LOST or before.frames % VERIFY_FRAMES == VERIFY_FRAMES - 1:
+    if before.step is TrackStep.LOST or _is_due(before, elapsed_s):
         _verify(observations, before, now)
     no_regions = Regions(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0))
     held = Held(now.fit.curve, no_regions, np.zeros(0), np.zeros(0))
@@ -192,6 +197,11 @@ def _material(before: ThreadTrack, track: ThreadTrack) -> tuple[Float64[np.ndarr
     return np.array([start, start + share]), before.length
 
 
+def _is_due(before: ThreadTrack, elapsed_s: float) -> bool:
+    every = min(VERIFY_FRAMES, max(1, round(VERIFY_S / max(elapsed_s, 1e-3))))
+    return before.frames % every == every - 1
+
+
 def _verify(observations: ThreadObservations, before: ThreadTrack, now: Followed) -> None:
     """Raise a LostError where the frame alone shows a curve that explains both images better, or shows none.
 
@@ -213,6 +223,32 @@ def _verify(observations: ThreadObservations, before: ThreadTrack, now: Followed
     falls = float((np.diff(order[:: -1 if alone.reverse else 1]) < -10).mean())
     if falls > 0 and there >= here:
         raise LostError("begun anew, the curve takes another course")
+    outside = _claimed_too_much(now.fit, alone.fit, observations.camera)
+    if outside > MOST_OUTSIDE:
+        raise LostError(
+            f"begun anew, {outside:.0%} of the curve lies farther away than the followed one was said to be off at most"
+        )
+
+
+def _claimed_too_much(followed_fit: Refined, alone: Refined, camera: RectifiedStereo) -> float:
+    """The share of a curve that excludes the one of the frame alone, where that one itself is less sure.
+
+    Both rest on the same points there, so what makes them differ is only believed: how smooth the thread is.
+    """
+    at = np.linspace(0.0, 1.0, 101)
+    here, there = followed_fit.curve.at(at), alone.curve.at(at)
+    _, nearest = _nearest(there, here)
+    tangent = np.gradient(here, axis=0)
+    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), LEAST)
+    off = there[nearest] - here
+    off -= (off * tangent).sum(axis=1, keepdims=True) * tangent
+    across = np.eye(3) - tangent[:, :, None] * tangent[:, None, :]
+    own, other = (point_covariance(fit, camera, s) for fit, s in ((followed_fit, at), (alone, at[nearest])))
+    # along the thread nothing is compared, and a large variance there makes the inverse exist
+    wide = np.trace(own, axis1=1, axis2=2)[:, None, None] * tangent[:, :, None] * tangent[:, None, :]
+    apart = np.einsum("qi,qi->q", off, np.linalg.solve(across @ own @ across + wide, off[:, :, None])[:, :, 0])
+    less_sure = np.einsum("qij,qij->q", across, other) > np.einsum("qij,qij->q", across, own)
+    return float(((apart > OUTSIDE) & less_sure).mean())
 
 
 def _explained(observations: ThreadObservations, fit: Refined) -> float:

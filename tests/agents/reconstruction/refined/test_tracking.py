@@ -7,6 +7,8 @@ import pytest
 
 from agents.reconstruction.agent import Reconstruction
 from agents.reconstruction.methods import METHODS
+from agents.reconstruction.refined import tracking
+from agents.reconstruction.refined.following import Followed, LostError
 from agents.reconstruction.refined.tracking import track_refined
 from benchmarks.sequences import Kind, sequence
 from benchmarks.tracking import on_curve
@@ -307,6 +309,36 @@ def test_a_thread_along_the_rows_that_both_eyes_show_is_seen():
     for thread in (first, second):
         assert thread.status is Status.OK
         assert np.diff(thread.unseen).sum() < 0.03
+
+
+def rows_and_bends(t):
+    """Along the rows for its middle, of whose depth both images say little."""
+    bend = np.clip(np.abs(t - 0.5) - 0.25, 0.0, None)
+    return np.column_stack((-20 + 40 * t, 150 * bend**2, 95 + 2 * t))
+
+
+def test_a_curve_contradicts_its_frame_only_where_it_claims_more():
+    frame = seen(rows_and_bends)
+    before, fit = track_of(track_refined(frame, None)), tracking._alone(frame, None).fit
+    at = np.linspace(0.0, 1.0, len(fit.curve.control_points))
+    ray = fit.curve.control_points / fit.curve.control_points[:, 2:]
+    deeper_mm = 3.0 * np.exp(-(((at - 0.5) / 0.2) ** 2))
+    elsewhere = fit.curve.moved(ray * deeper_mm[:, None])
+    sure = dataclasses.replace(fit, curve=elsewhere, total=fit.total * 1e6)
+    doubtful = dataclasses.replace(fit, curve=elsewhere, total=fit.total * 1e-6)
+    with pytest.raises(LostError, match="lies farther away than the followed one was said to be off"):
+        tracking._verify(frame, before, Followed(sure, 0.0, 1.0, False))
+    tracking._verify(frame, before, Followed(doubtful, 0.0, 1.0, False))
+    tracking._verify(frame, before, Followed(fit, 0.0, 1.0, False))
+    assert tracking._claimed_too_much(fit, sure, CAMERA) == 0.0
+
+
+@pytest.mark.parametrize(("elapsed_s", "due"), [(0.001, 29), (1 / 30, 29), (0.1, 9), (0.4, 1), (2.0, 0)])
+def test_a_frame_is_looked_at_alone_once_a_second_and_in_thirty(elapsed_s, due):
+    track = track_of(track_refined(seen(), None))
+    every = [n for n in range(60) if tracking._is_due(dataclasses.replace(track, frames=n), elapsed_s)]
+    assert every[0] == due
+    assert set(np.diff(every)) == {due + 1}
 
 
 def hairpin(t):
