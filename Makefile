@@ -2,6 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 SEED ?= 1
+SESSION ?= docs/example/session.mcap
 VIEWER := $(if $(VIEW),$(if $(filter web,$(VIEW)),web,native),file)
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 LOCK := $(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras --no-header \
@@ -12,7 +13,7 @@ COMPUTING := tests/schemas tests/benchmarks tests/agents/perception tests/agents
 	tests/shared/calibration tests/shared/kinematics tests/shared/scene
 COMPUTING_CACHE := .pytest_cache/computing
 
-.PHONY: help demo play example test bless check format protos lock clean
+.PHONY: help demo play look example test bless check format protos lock clean
 help: ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
 
@@ -21,6 +22,15 @@ demo: .venv/runtime.done ## a simulated grasp from image to judgement, in under 
 
 play: .venv/runtime.done ## the simulated rig, running until Ctrl-C, for goals of your own
 	@$(BIN)/suturegrasp play
+
+look: .venv/runtime.done ## a recorded grasp that failed, on Rerun's timeline (docs/debugging.md); SESSION=session.mcap
+ifeq ($(DISPLAY)$(WAYLAND_DISPLAY),)
+	@mkdir -p out
+	@$(BIN)/suturegrasp view $(SESSION) --layout grasp --output out/session.rrd
+	@echo "no screen here; where there is one:  .venv/bin/rerun out/session.rrd"
+else
+	@$(BIN)/suturegrasp view $(SESSION) --layout grasp
+endif
 
 example: .venv/runtime.done ## a stereo pair becomes a thread in 3D, in a few seconds
 	@mkdir -p out
