@@ -15,7 +15,7 @@ from agents.cli.terminal import complain
 from shared.runtime.session import RouterError, open_router
 
 EXIT_OK, EXIT_GAVE_UP, EXIT_UNUSABLE = 0, 1, UNUSABLE
-NICENESS = 5
+NICENESS = 8
 """What takes all the time it gets, and leaves out images for newer ones, steps back behind what keeps time: the arm,
 the field and the camera."""
 AUTOGROUP = Path("/proc/self/autogroup")
