@@ -10,7 +10,8 @@ LOCK := $(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extr
 
 # tests without processes, sockets and clocks: they take the second core meanwhile
 COMPUTING := tests/schemas tests/benchmarks tests/agents/perception tests/agents/planner tests/agents/reconstruction \
-	tests/shared/calibration tests/shared/kinematics tests/shared/scene
+	tests/agents/camera tests/agents/inspection tests/agents/simulator tests/shared/calibration tests/shared/kinematics \
+	tests/shared/recording tests/shared/scene
 COMPUTING_CACHE := .pytest_cache/computing
 
 .PHONY: help demo play look example test bless check format protos lock clean
