@@ -201,7 +201,7 @@ def test_a_command_is_sent_again_where_that_is_confirmed_and_is_timely_in_the_re
     assert "operator/prompt: accepted" in out
     (prompt,) = agent.prompts
     assert prompt.message.header.id == "p1"
-    assert recording.begin_ns < prompt.now_ns < recording.begin_ns + 2 * 10**9
+    assert recording.begin_ns <= prompt.now_ns < recording.begin_ns + 2 * 10**9
     until(lambda: [m for m in list(heard) if m.key == key(settings.rig, COMMANDS, agent="perception")])
 
 
