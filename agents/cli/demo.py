@@ -42,7 +42,7 @@ LONGEST_S = 50.0
 FIRST_THREAD_S = 30.0
 STEADY_THREADS = 5
 """Threads that must have come before a goal is named: the first frames may find agents still starting."""
-LEAST_PROBABILITY = 0.85
+LEAST_PROBABILITY = 0.6
 GOALS, GOAL_ROUNDS, PLANS_S = 6, 4, 15.0
 ATTEMPTS = 3
 HEARTBEAT_LOST = "heartbeat_lost"
