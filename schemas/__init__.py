@@ -1,3 +1,3 @@
 """What crosses the wire: message definitions, their frozen dataclasses, and one codec for all of them."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

@@ -19,14 +19,18 @@ from google.protobuf.message import DecodeError
 from google.protobuf.unknown_fields import UnknownFieldSet
 
 from schemas.checks import MessageError, fields_of, is_array, require, without_none
+from schemas.framing import delimited
 from schemas.generated import suturegrasp_pb2
-from schemas.messages import Arm, GraspGoal, GraspPlan, Heartbeat, ReplayClock
+from schemas.messages import Arm, GraspGoal, GraspPlan, Heartbeat, ReplayClock, SetParameter
 
-LEADING_TO_MOTION = (GraspGoal, GraspPlan, Arm, Heartbeat, ReplayClock)
+LEADING_TO_MOTION = (GraspGoal, GraspPlan, Arm, Heartbeat, ReplayClock, SetParameter)
 """Messages that are understood in full or not at all. What stops a robot is not among them: it is always understood."""
 
 MAX_MESSAGE_BYTES = 1 << 28
 """256 MiB: above five times a raw stereo pair at 4K, and far below what would hurt a machine."""
+
+LARGE_BYTES = 1 << 13
+"""From here on, joining takes less than protobuf's library does: for an image of 1.5 MB 0.04 instead of 2.9 ms."""
 
 M = TypeVar("M")
 
@@ -42,8 +46,16 @@ def encode(message: Any) -> bytes:
     Raises:
         MessageError: where a value does not fit its field on the wire.
     """
+    return encode_joining(message, LARGE_BYTES)
+
+
+def encode_joining(message: Any, large_bytes: int) -> bytes:
+    """As `encode`; bytes and arrays of at least that size are joined to the rest, past protobuf's library."""
+    where = type(message).__name__
+    if _holds_large(message, large_bytes):
+        return b"".join(_parts(message, where, large_bytes))
     wire = _wire_type(type(message))()
-    _write(wire, message, type(message).__name__)
+    _write(wire, message, where)
     return wire.SerializeToString(deterministic=True)
 
 
@@ -72,19 +84,65 @@ def _wire_type(message_type: type) -> Any:
 
 def _write(wire: Any, message: Any, where: str) -> None:
     for name, annotation in fields_of(type(message)).items():
-        value, declared, here = getattr(message, name), without_none(annotation), f"{where}.{name}"
-        if value is None:
+        _write_field(wire, name, getattr(message, name), without_none(annotation), f"{where}.{name}")
+
+
+def _write_field(wire: Any, name: str, value: Any, declared: Any, where: str) -> None:
+    if value is None:
+        return
+    if is_array(declared):
+        _write_array(getattr(wire, name), value, declared)
+    elif _item_type(declared):
+        for index, item in enumerate(value):
+            _write(getattr(wire, name).add(), item, f"{where}[{index}]")
+    elif _is_message(declared):
+        getattr(wire, name).SetInParent()
+        _write(getattr(wire, name), value, where)
+    else:
+        _write_scalar(wire, name, value, where)
+
+
+def _holds_large(value: Any, large_bytes: int) -> bool:
+    """Whether bytes or an array of at least that size lie in a value, itself included."""
+    if isinstance(value, bytes):
+        return len(value) >= large_bytes
+    if isinstance(value, np.ndarray):
+        return value.nbytes >= large_bytes
+    if isinstance(value, tuple):
+        return any(_holds_large(item, large_bytes) for item in value)
+    # what is none of these is refused where it is written
+    return dataclasses.is_dataclass(value) and any(
+        _holds_large(getattr(value, name), large_bytes) for name in _roomy_fields(type(value))
+    )
+
+
+def _parts(message: Any, where: str, large_bytes: int) -> list[Any]:
+    """A message's bytes in parts; what is small between two large fields is left to protobuf's library."""
+    parts: list[Any] = []
+    small = _wire_type(type(message))()
+    for number, name, declared in _fields_by_number(type(message)):
+        value, here = getattr(message, name), f"{where}.{name}"
+        if not _holds_large(value, large_bytes):
+            _write_field(small, name, value, declared, here)
             continue
-        if is_array(declared):
-            _write_array(getattr(wire, name), value, declared)
-        elif _item_type(declared):
-            for index, item in enumerate(value):
-                _write(getattr(wire, name).add(), item, f"{here}[{index}]")
-        elif _is_message(declared):
-            getattr(wire, name).SetInParent()
-            _write(getattr(wire, name), value, here)
-        else:
-            _write_scalar(wire, name, value, here)
+        item_type = _item_type(declared)
+        for item, place in ((v, f"{here}[{i}]") for i, v in enumerate(value)) if item_type else ((value, here),):
+            parts.append(small.SerializeToString(deterministic=True))
+            small.Clear()
+            parts += delimited(number, _inner_parts(item, item_type or declared, place, large_bytes))
+    return [*parts, small.SerializeToString(deterministic=True)]
+
+
+def _inner_parts(value: Any, declared: Any, where: str, large_bytes: int) -> list[Any]:
+    if _is_message(declared):
+        return _parts(value, where, large_bytes)
+    if not is_array(declared):
+        return [value]
+    wire, dtype = suturegrasp_pb2.Array(), _wire_dtype(declared)
+    wire.dtype = dtype.str
+    wire.shape.extend(value.shape)
+    data = np.ascontiguousarray(value, dtype).reshape(-1).view(np.uint8)
+    return [wire.SerializeToString(deterministic=True), *delimited(wire.DATA_FIELD_NUMBER, [data])]
 
 
 def _write_scalar(wire: Any, name: str, value: Any, where: str) -> None:
@@ -165,6 +223,25 @@ def _refuse_unknown_fields(wire: Any, where: str, in_full: bool) -> None:
         f"{where} has fields that this version does not know (numbers {', '.join(map(str, unknown[:5]))}): "
         "it is damaged, or its sender is newer",
     )
+
+
+@functools.cache
+def _fields_by_number(message_type: type) -> list[tuple[int, str, Any]]:
+    """Number, name and type of each field, as they follow one another on the wire."""
+    declared = fields_of(message_type)
+    fields = sorted(_wire_type(message_type).DESCRIPTOR.fields, key=lambda field: field.number)
+    return [(field.number, field.name, without_none(declared[field.name])) for field in fields]
+
+
+@functools.cache
+def _roomy_fields(message_type: type) -> list[str]:
+    """The fields under which bytes or arrays may lie."""
+    declared = {name: without_none(annotation) for name, annotation in fields_of(message_type).items()}
+    return [name for name, type_ in declared.items() if _is_roomy(_item_type(type_) or type_)]
+
+
+def _is_roomy(declared: Any) -> bool:
+    return declared is bytes or is_array(declared) or (_is_message(declared) and bool(_roomy_fields(declared)))
 
 
 @functools.cache

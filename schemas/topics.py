@@ -11,6 +11,7 @@ import enum
 from dataclasses import dataclass
 
 from schemas.messages import (
+    AgentConfiguration,
     AgentHealth,
     Arm,
     CommandRecord,
@@ -20,10 +21,12 @@ from schemas.messages import (
     GraspPlan,
     Heartbeat,
     Hold,
+    HostClocks,
     LogRecord,
     Prompt,
     ReplayClock,
     RobotState,
+    SetParameter,
     SimulatorState,
     StereoCalibration,
     StereoFrame,
@@ -58,7 +61,8 @@ class Topic:
     Fields:
         name: without the agent, so that `planner/plan` has agent `planner` and name `plan`.
         agent: whose key it lies under; ANY_AGENT where every agent has one of its own.
-        receiver: for a command, the agent that answers it; otherwise empty.
+        receiver: for a command, the agent that answers it, ANY_AGENT where each answers under its own key; otherwise
+            empty.
         rate_hz: as expected; None where it comes by hand or on change.
         maximum_age_ms: beyond which consumers treat it as stale; None where age means nothing.
         per_arm: whether there is one per arm, so that the instance is the arm.
@@ -91,6 +95,7 @@ HOLD = Topic("operator", "hold", Hold, Delivery.COMMAND, receiver="robot_bridge"
 PROMPT = Topic("operator", "prompt", Prompt, Delivery.COMMAND, receiver="perception")
 HEARTBEAT = Topic("operator", "heartbeat", Heartbeat, Delivery.LATEST, rate_hz=20, maximum_age_ms=200, per_arm=True)
 PLAN = Topic("planner", "plan", GraspPlan, Delivery.EVENT)
+CLOCKS = Topic("planner", "clocks", HostClocks, Delivery.STATE)
 ROBOT_STATE = Topic("robot_bridge", "state", RobotState, Delivery.LATEST, rate_hz=100, maximum_age_ms=100, per_arm=True)
 EXECUTION = Topic("robot_bridge", "execution", ExecutionEvent, Delivery.EVENT, per_arm=True)
 SIMULATOR_STATE = Topic("simulator", "state", SimulatorState, Delivery.LATEST, rate_hz=60)
@@ -99,6 +104,8 @@ REPLAY_CLOCK = Topic("replay", "clock", ReplayClock, Delivery.LATEST, recorded=F
 COMMANDS = Topic(ANY_AGENT, "command", CommandRecord, Delivery.EVENT)
 HEALTH = Topic(ANY_AGENT, "health", AgentHealth, Delivery.LATEST, rate_hz=1, maximum_age_ms=3000)
 LOG = Topic(ANY_AGENT, "log", LogRecord, Delivery.EVENT)
+CONFIGURATION = Topic(ANY_AGENT, "configuration", AgentConfiguration, Delivery.STATE)
+SET = Topic(ANY_AGENT, "set", SetParameter, Delivery.COMMAND, receiver=ANY_AGENT)
 
 TOPICS = (
     FRAMES,
@@ -112,6 +119,7 @@ TOPICS = (
     PROMPT,
     HEARTBEAT,
     PLAN,
+    CLOCKS,
     ROBOT_STATE,
     EXECUTION,
     SIMULATOR_STATE,
@@ -120,6 +128,8 @@ TOPICS = (
     COMMANDS,
     HEALTH,
     LOG,
+    CONFIGURATION,
+    SET,
 )
 
 

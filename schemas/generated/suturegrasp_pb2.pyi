@@ -502,7 +502,7 @@ class OutputHealth(_message.Message):
     def __init__(self, topic: _Optional[str] = ..., rate_hz: _Optional[float] = ..., published: _Optional[int] = ...) -> None: ...
 
 class AgentHealth(_message.Message):
-    __slots__ = ("agent", "instance", "host", "version", "config_hash", "at_ns", "uptime_s", "heartbeat", "step_ms_p50", "step_ms_p99", "inputs", "outputs", "fault")
+    __slots__ = ("agent", "instance", "host", "version", "config_hash", "at_ns", "uptime_s", "heartbeat", "step_ms_p50", "step_ms_p99", "inputs", "outputs", "fault", "processor_share", "resident_bytes")
     AGENT_FIELD_NUMBER: _ClassVar[int]
     INSTANCE_FIELD_NUMBER: _ClassVar[int]
     HOST_FIELD_NUMBER: _ClassVar[int]
@@ -516,6 +516,8 @@ class AgentHealth(_message.Message):
     INPUTS_FIELD_NUMBER: _ClassVar[int]
     OUTPUTS_FIELD_NUMBER: _ClassVar[int]
     FAULT_FIELD_NUMBER: _ClassVar[int]
+    PROCESSOR_SHARE_FIELD_NUMBER: _ClassVar[int]
+    RESIDENT_BYTES_FIELD_NUMBER: _ClassVar[int]
     agent: str
     instance: str
     host: str
@@ -529,7 +531,9 @@ class AgentHealth(_message.Message):
     inputs: _containers.RepeatedCompositeFieldContainer[InputHealth]
     outputs: _containers.RepeatedCompositeFieldContainer[OutputHealth]
     fault: str
-    def __init__(self, agent: _Optional[str] = ..., instance: _Optional[str] = ..., host: _Optional[str] = ..., version: _Optional[str] = ..., config_hash: _Optional[str] = ..., at_ns: _Optional[int] = ..., uptime_s: _Optional[float] = ..., heartbeat: _Optional[int] = ..., step_ms_p50: _Optional[float] = ..., step_ms_p99: _Optional[float] = ..., inputs: _Optional[_Iterable[_Union[InputHealth, _Mapping]]] = ..., outputs: _Optional[_Iterable[_Union[OutputHealth, _Mapping]]] = ..., fault: _Optional[str] = ...) -> None: ...
+    processor_share: float
+    resident_bytes: int
+    def __init__(self, agent: _Optional[str] = ..., instance: _Optional[str] = ..., host: _Optional[str] = ..., version: _Optional[str] = ..., config_hash: _Optional[str] = ..., at_ns: _Optional[int] = ..., uptime_s: _Optional[float] = ..., heartbeat: _Optional[int] = ..., step_ms_p50: _Optional[float] = ..., step_ms_p99: _Optional[float] = ..., inputs: _Optional[_Iterable[_Union[InputHealth, _Mapping]]] = ..., outputs: _Optional[_Iterable[_Union[OutputHealth, _Mapping]]] = ..., fault: _Optional[str] = ..., processor_share: _Optional[float] = ..., resident_bytes: _Optional[int] = ...) -> None: ...
 
 class LogRecord(_message.Message):
     __slots__ = ("at_ns", "agent", "instance", "level", "text")
@@ -570,6 +574,108 @@ class Progress(_message.Message):
     handled: _containers.RepeatedCompositeFieldContainer[Consumed]
     published: _containers.RepeatedCompositeFieldContainer[Consumed]
     def __init__(self, listens: _Optional[str] = ..., handled: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ..., published: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
+
+class SettableParameter(_message.Message):
+    __slots__ = ("name", "allowed", "is_set")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    ALLOWED_FIELD_NUMBER: _ClassVar[int]
+    IS_SET_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    allowed: str
+    is_set: bool
+    def __init__(self, name: _Optional[str] = ..., allowed: _Optional[str] = ..., is_set: _Optional[bool] = ...) -> None: ...
+
+class AgentConfiguration(_message.Message):
+    __slots__ = ("agent", "instance", "at_ns", "parameters", "settable", "config_hash")
+    AGENT_FIELD_NUMBER: _ClassVar[int]
+    INSTANCE_FIELD_NUMBER: _ClassVar[int]
+    AT_NS_FIELD_NUMBER: _ClassVar[int]
+    PARAMETERS_FIELD_NUMBER: _ClassVar[int]
+    SETTABLE_FIELD_NUMBER: _ClassVar[int]
+    CONFIG_HASH_FIELD_NUMBER: _ClassVar[int]
+    agent: str
+    instance: str
+    at_ns: int
+    parameters: str
+    settable: _containers.RepeatedCompositeFieldContainer[SettableParameter]
+    config_hash: str
+    def __init__(self, agent: _Optional[str] = ..., instance: _Optional[str] = ..., at_ns: _Optional[int] = ..., parameters: _Optional[str] = ..., settable: _Optional[_Iterable[_Union[SettableParameter, _Mapping]]] = ..., config_hash: _Optional[str] = ...) -> None: ...
+
+class SetParameter(_message.Message):
+    __slots__ = ("header", "name", "value")
+    HEADER_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    VALUE_FIELD_NUMBER: _ClassVar[int]
+    header: CommandHeader
+    name: str
+    value: str
+    def __init__(self, header: _Optional[_Union[CommandHeader, _Mapping]] = ..., name: _Optional[str] = ..., value: _Optional[str] = ...) -> None: ...
+
+class AgentFacts(_message.Message):
+    __slots__ = ("agent", "instance", "host", "at_ns", "version", "schemas_hash", "config_hash", "python", "zenoh", "shared_memory", "shared_memory_reason", "realtime_asked", "realtime_granted", "realtime_reason", "writes_to", "disk_free_bytes", "calibrated_ns", "certificate_expires_ns", "processor_s", "resident_bytes")
+    AGENT_FIELD_NUMBER: _ClassVar[int]
+    INSTANCE_FIELD_NUMBER: _ClassVar[int]
+    HOST_FIELD_NUMBER: _ClassVar[int]
+    AT_NS_FIELD_NUMBER: _ClassVar[int]
+    VERSION_FIELD_NUMBER: _ClassVar[int]
+    SCHEMAS_HASH_FIELD_NUMBER: _ClassVar[int]
+    CONFIG_HASH_FIELD_NUMBER: _ClassVar[int]
+    PYTHON_FIELD_NUMBER: _ClassVar[int]
+    ZENOH_FIELD_NUMBER: _ClassVar[int]
+    SHARED_MEMORY_FIELD_NUMBER: _ClassVar[int]
+    SHARED_MEMORY_REASON_FIELD_NUMBER: _ClassVar[int]
+    REALTIME_ASKED_FIELD_NUMBER: _ClassVar[int]
+    REALTIME_GRANTED_FIELD_NUMBER: _ClassVar[int]
+    REALTIME_REASON_FIELD_NUMBER: _ClassVar[int]
+    WRITES_TO_FIELD_NUMBER: _ClassVar[int]
+    DISK_FREE_BYTES_FIELD_NUMBER: _ClassVar[int]
+    CALIBRATED_NS_FIELD_NUMBER: _ClassVar[int]
+    CERTIFICATE_EXPIRES_NS_FIELD_NUMBER: _ClassVar[int]
+    PROCESSOR_S_FIELD_NUMBER: _ClassVar[int]
+    RESIDENT_BYTES_FIELD_NUMBER: _ClassVar[int]
+    agent: str
+    instance: str
+    host: str
+    at_ns: int
+    version: str
+    schemas_hash: str
+    config_hash: str
+    python: str
+    zenoh: str
+    shared_memory: bool
+    shared_memory_reason: str
+    realtime_asked: int
+    realtime_granted: int
+    realtime_reason: str
+    writes_to: str
+    disk_free_bytes: int
+    calibrated_ns: int
+    certificate_expires_ns: int
+    processor_s: float
+    resident_bytes: int
+    def __init__(self, agent: _Optional[str] = ..., instance: _Optional[str] = ..., host: _Optional[str] = ..., at_ns: _Optional[int] = ..., version: _Optional[str] = ..., schemas_hash: _Optional[str] = ..., config_hash: _Optional[str] = ..., python: _Optional[str] = ..., zenoh: _Optional[str] = ..., shared_memory: _Optional[bool] = ..., shared_memory_reason: _Optional[str] = ..., realtime_asked: _Optional[int] = ..., realtime_granted: _Optional[int] = ..., realtime_reason: _Optional[str] = ..., writes_to: _Optional[str] = ..., disk_free_bytes: _Optional[int] = ..., calibrated_ns: _Optional[int] = ..., certificate_expires_ns: _Optional[int] = ..., processor_s: _Optional[float] = ..., resident_bytes: _Optional[int] = ...) -> None: ...
+
+class HostClock(_message.Message):
+    __slots__ = ("agent", "instance", "host", "ahead_ms", "within_ms")
+    AGENT_FIELD_NUMBER: _ClassVar[int]
+    INSTANCE_FIELD_NUMBER: _ClassVar[int]
+    HOST_FIELD_NUMBER: _ClassVar[int]
+    AHEAD_MS_FIELD_NUMBER: _ClassVar[int]
+    WITHIN_MS_FIELD_NUMBER: _ClassVar[int]
+    agent: str
+    instance: str
+    host: str
+    ahead_ms: float
+    within_ms: float
+    def __init__(self, agent: _Optional[str] = ..., instance: _Optional[str] = ..., host: _Optional[str] = ..., ahead_ms: _Optional[float] = ..., within_ms: _Optional[float] = ...) -> None: ...
+
+class HostClocks(_message.Message):
+    __slots__ = ("at_ns", "clocks")
+    AT_NS_FIELD_NUMBER: _ClassVar[int]
+    CLOCKS_FIELD_NUMBER: _ClassVar[int]
+    at_ns: int
+    clocks: _containers.RepeatedCompositeFieldContainer[HostClock]
+    def __init__(self, at_ns: _Optional[int] = ..., clocks: _Optional[_Iterable[_Union[HostClock, _Mapping]]] = ...) -> None: ...
 
 class GraspGoal(_message.Message):
     __slots__ = ("header", "arm", "policy", "s", "pixel", "point_camera")

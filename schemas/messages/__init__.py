@@ -33,6 +33,14 @@ from schemas.messages.imaging import (
     StereoCalibration,
     StereoFrame,
 )
+from schemas.messages.rig import (
+    AgentConfiguration,
+    AgentFacts,
+    HostClock,
+    HostClocks,
+    SetParameter,
+    SettableParameter,
+)
 from schemas.messages.running import (
     AgentHealth,
     ClockReading,
@@ -71,6 +79,8 @@ from schemas.messages.thread import (
 
 __all__ = [
     "ROTATION_TOLERANCE",
+    "AgentConfiguration",
+    "AgentFacts",
     "AgentHealth",
     "Alternative",
     "Arm",
@@ -89,6 +99,8 @@ __all__ = [
     "GraspPlan",
     "Heartbeat",
     "Hold",
+    "HostClock",
+    "HostClocks",
     "Image",
     "ImageEncoding",
     "InputHealth",
@@ -107,6 +119,8 @@ __all__ = [
     "ReplayClock",
     "RobotMode",
     "RobotState",
+    "SetParameter",
+    "SettableParameter",
     "Severity",
     "SimulatorState",
     "Status",

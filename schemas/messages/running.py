@@ -109,6 +109,8 @@ class AgentHealth:
         dropped (of an input): newer messages replaced them before they were looked at, which is how *latest* works.
         missed: sequence numbers that never arrived.
         refused: messages that could not be read.
+        processor_share: of one core, over the last second or so; resident_bytes: memory of the process. None in
+            recordings from before they were told.
     """
 
     agent: str
@@ -124,6 +126,8 @@ class AgentHealth:
     inputs: tuple[InputHealth, ...]
     outputs: tuple[OutputHealth, ...]
     fault: str
+    processor_share: float | None = None
+    resident_bytes: int | None = None
 
     def __post_init__(self) -> None:
         check_message(self)

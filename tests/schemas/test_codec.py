@@ -12,6 +12,8 @@ from schemas.checks import MessageError
 from schemas.codec import LEADING_TO_MOTION, MAX_MESSAGE_BYTES, decode, encode, encoding_name
 from schemas.generated import suturegrasp_pb2 as pb
 from schemas.messages import (
+    AgentConfiguration,
+    AgentFacts,
     AgentHealth,
     Alternative,
     Arm,
@@ -30,6 +32,8 @@ from schemas.messages import (
     GraspPlan,
     Heartbeat,
     Hold,
+    HostClock,
+    HostClocks,
     Image,
     ImageEncoding,
     InputHealth,
@@ -48,6 +52,8 @@ from schemas.messages import (
     ReplayClock,
     RobotMode,
     RobotState,
+    SetParameter,
+    SettableParameter,
     Severity,
     SimulatorState,
     Status,
@@ -267,9 +273,51 @@ healths = st.builds(
     inputs=st.lists(inputs, max_size=2).map(tuple),
     outputs=st.lists(outputs, max_size=2).map(tuple),
     fault=texts,
+    processor_share=st.none() | numbers,
+    resident_bytes=st.none() | uint64,
 )
 logs = st.builds(LogRecord, nanoseconds, texts, texts, st.sampled_from(LogLevel), texts)
 clocks = st.builds(ReplayClock, nanoseconds, st.floats(0, 1e6))
+settables = st.builds(SettableParameter, texts.filter(bool), texts, st.booleans())
+configurations = st.builds(
+    AgentConfiguration,
+    texts.filter(bool),
+    texts,
+    nanoseconds,
+    texts,
+    st.lists(settables, max_size=2).map(tuple),
+    texts,
+)
+priorities = st.none() | st.integers(0, 99)
+facts = st.builds(
+    AgentFacts,
+    agent=texts.filter(bool),
+    instance=texts,
+    host=texts.filter(bool),
+    at_ns=nanoseconds,
+    version=texts,
+    schemas_hash=texts,
+    config_hash=texts,
+    python=texts,
+    zenoh=texts,
+    shared_memory=st.booleans(),
+    shared_memory_reason=texts,
+    realtime_asked=priorities,
+    realtime_granted=priorities,
+    realtime_reason=texts,
+    writes_to=texts,
+    disk_free_bytes=st.none() | uint64,
+    calibrated_ns=st.none() | nanoseconds,
+    certificate_expires_ns=st.none() | nanoseconds,
+    processor_s=numbers,
+    resident_bytes=uint64,
+)
+
+
+@st.composite
+def host_clocks(draw):
+    offset = draw(st.just((None, None)) | st.tuples(numbers, positive))
+    return HostClock(draw(texts), draw(texts), draw(texts), *offset)
 
 
 @st.composite
@@ -394,6 +442,12 @@ MESSAGES = {
     LogRecord: logs,
     ReplayClock: clocks,
     Progress: st.builds(Progress, texts, consumed, consumed),
+    SettableParameter: settables,
+    AgentConfiguration: configurations,
+    SetParameter: st.builds(SetParameter, headers, texts.filter(bool), texts),
+    AgentFacts: facts,
+    HostClock: host_clocks(),
+    HostClocks: st.builds(HostClocks, nanoseconds, st.lists(host_clocks(), max_size=2).map(tuple)),
     GraspGoal: goals(),
     Arm: arms,
     Hold: holds,

@@ -17,10 +17,12 @@ from schemas.checks import fields_of
 from schemas.codec import encoding_name
 from schemas.topics import (
     ANY_AGENT,
+    CLOCKS,
     FRAMES,
     HEALTH,
     MAIN,
     PLAN,
+    SET,
     TOPICS,
     Delivery,
     key,
@@ -36,9 +38,14 @@ BESIDE_THE_AGENTS = ("operator", "replay")
 """Publish, and are no agents: a person's commands, and a replay."""
 
 
+def outputs_of(agent):
+    """What an agent publishes; its runner watches clocks for it."""
+    return (*agent.outputs, CLOCKS) if getattr(agent, "watches_clocks", False) else agent.outputs
+
+
 def published(agent):
     """The keys under which an agent publishes."""
-    instances = {topic: agent.instance if topic.per_arm else MAIN for topic in agent.outputs}
+    instances = {topic: agent.instance if topic.per_arm else MAIN for topic in outputs_of(agent)}
     return {key("lab", topic, instance) for topic, instance in instances.items()}
 
 
@@ -93,6 +100,9 @@ def test_every_command_has_one_receiver_which_answers_it():
         if topic.delivery is not Delivery.COMMAND:
             assert topic.receiver == ""
             continue
+        if topic is SET:
+            assert (topic.agent, topic.receiver) == (ANY_AGENT, ANY_AGENT)
+            continue
         answering = [agent for agent in AGENTS if topic in agent.commands]
         assert len(answering) == (len(ARMS) if topic.per_arm else 1)
         assert {agent.kind for agent in answering} <= {topic.receiver}
@@ -109,7 +119,7 @@ def test_every_topic_of_an_agent_is_published_by_it_and_by_nobody_else():
     for topic in TOPICS:
         if topic.delivery is Delivery.COMMAND or topic.agent in (*BESIDE_THE_AGENTS, ANY_AGENT):
             continue
-        assert {agent.kind for agent in AGENTS if topic in agent.outputs} == {topic.agent}
+        assert {agent.kind for agent in AGENTS if topic in outputs_of(agent)} == {topic.agent}
 
 
 @every_topic
