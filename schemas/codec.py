@@ -29,7 +29,7 @@ LEADING_TO_MOTION = (GraspGoal, GraspPlan, Arm, Heartbeat, ReplayClock, SetParam
 MAX_MESSAGE_BYTES = 1 << 28
 """256 MiB: above five times a raw stereo pair at 4K, and far below what would hurt a machine."""
 
-LARGE_BYTES = 1 << 13
+LARGE_BYTES = 1 << 16
 """From here on, joining takes less than protobuf's library does: for an image of 1.5 MB 0.04 instead of 2.9 ms."""
 
 M = TypeVar("M")

@@ -1,0 +1,64 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from schemas.checks import MessageError
+from schemas.codec import LARGE_BYTES, decode, encode, encode_joining
+from schemas.framing import varint
+from schemas.generated import suturegrasp_pb2 as pb
+from schemas.messages import FrameStamp, Image, ImageEncoding, StereoFrame, TissueSurface
+from tests.schemas.test_codec import MESSAGES, same
+
+NEVER = 1 << 40
+
+
+@pytest.mark.parametrize("message_type", MESSAGES)
+@settings(max_examples=15)
+@given(data=st.data(), large_bytes=st.integers(1, 48))
+def test_joined_bytes_are_those_of_protobufs_library(message_type, data, large_bytes):
+    message = data.draw(MESSAGES[message_type])
+    assert encode_joining(message, large_bytes) == encode_joining(message, NEVER)
+
+
+def picture(seed, width, height):
+    pixels = np.random.default_rng(seed).integers(0, 256, width * height * 3, np.uint8)
+    return Image(ImageEncoding.RAW, width, height, 3, pixels.tobytes())
+
+
+def frame(width, height):
+    return StereoFrame(FrameStamp(7, 8, 9, "c"), picture(1, width, height), picture(2, width, height))
+
+
+def test_a_large_frame_arrives_whole():
+    message = frame(320, 240)
+    assert len(message.left.data) > LARGE_BYTES
+    assert encode(message) == encode_joining(message, NEVER)
+    assert decode(StereoFrame, encode(message)) == message
+
+
+@settings(max_examples=15)
+@given(data=st.data(), order=st.sampled_from("<>"), step=st.sampled_from([-1, 2]))
+def test_strided_and_byte_swapped_arrays_are_joined_as_their_values(data, order, step):
+    surface = data.draw(MESSAGES[TissueSurface])
+    strided = np.repeat(surface.depth, 2, axis=1)[:, ::2].astype(f"{order}f8")[::step]
+    message = dataclasses.replace(
+        surface, depth=strided, valid=surface.valid[::step], v_px=surface.v_px[: len(strided)]
+    )
+    joined = encode_joining(message, 1)
+    assert joined == encode_joining(message, NEVER)
+    assert same(decode(TissueSurface, joined).depth, strided.astype("<f8"))
+
+
+def test_what_does_not_fit_is_refused_beside_large_bytes_too():
+    bad = dataclasses.replace(frame(320, 240), stamp=FrameStamp(1, 2**63, 0, "c"))
+    with pytest.raises(MessageError, match=r"StereoFrame\.stamp\.capture_left_ns cannot be sent"):
+        encode(bad)
+
+
+@given(st.integers(1, 2**64 - 1))
+def test_a_number_is_written_as_protobuf_writes_it(value):
+    head = varint(pb.FrameStamp.SEQUENCE_FIELD_NUMBER << 3)
+    assert head + varint(value) == pb.FrameStamp(sequence=value).SerializeToString()
