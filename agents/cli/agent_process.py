@@ -8,6 +8,7 @@ from agents.camera.sources import SourceError
 from agents.cli.builders import build
 from agents.cli.process import EXIT_GAVE_UP, EXIT_OK, EXIT_UNUSABLE, log_to_console, on_stop, step_back
 from agents.cli.rig import RigConfig
+from agents.cli.rig_hosts import run_name
 from agents.cli.terminal import complain
 from shared.calibration import CalibrationError
 from shared.runtime.config import ConfigError, config_hash
@@ -31,7 +32,7 @@ def run_agent(rig: RigConfig, kind: str, instance: str) -> int:
     stopped = threading.Event()
     on_stop(stopped.set)
     try:
-        session = open_when_there(rig.session, stopped=stopped)
+        session = open_when_there(rig.session_of(run_name(kind, instance)), stopped=stopped)
     except NoRouterError as error:
         return complain(str(error), EXIT_OK if stopped.is_set() else EXIT_UNUSABLE)
     with session:

@@ -10,6 +10,7 @@ from agents.camera.scene_source import SceneSource, calibration_of
 from agents.camera.sources import ImageSource, Pair, PipeSource, Source, SourceError
 from agents.camera.video import VideoSource
 from agents.cli.rig import ArmSection, CameraSection, PerceptionSection, PlannerSection, RigConfig, SimulatorSection
+from agents.cli.rig_hosts import run_name
 from agents.perception.agent import Perception, PerceptionConfig
 from agents.planner.agent import Planner
 from agents.planner.config import PlannerConfig
@@ -28,9 +29,10 @@ KINDS = ("camera", "perception", "reconstruction", "planner", "robot_bridge", "s
 
 
 def configured(rig: RigConfig) -> list[tuple[str, str]]:
-    """Kind and instance of every agent that the configuration has a section for, in the order of the dataflow."""
+    """Kind and instance of every agent that is to run on this machine, in the order of the dataflow."""
     sections = [(kind, MAIN) for kind in KINDS if kind != "robot_bridge" and getattr(rig, kind) is not None]
-    return [*sections, *(("robot_bridge", arm) for arm in rig.robot)]
+    agents = [*sections, *(("robot_bridge", arm) for arm in rig.robot)]
+    return [(kind, instance) for kind, instance in agents if rig.runs_here(run_name(kind, instance))]
 
 
 def build(rig: RigConfig, kind: str, instance: str) -> Agent:

@@ -131,12 +131,12 @@ def _rig(rig: RigConfig) -> Iterator[Finding]:
     """The router, and who is there."""
     try:
         with connected(rig.session, ROUTER_WAIT_S) as connection:
-            yield Finding("router", f"answers on {rig.router.endpoint}")
+            yield Finding("router", f"answers on {rig.router_endpoint}")
             yield Finding("running agents", ", ".join(connection.present()) or "none")
             yield from clocks(connection.clocks(), socket.gethostname())
     except NoRouterError:
-        none = f"none answers on {rig.router.endpoint}"
-        if rig.router.start:
+        none = f"none answers on {rig.router_endpoint}"
+        if rig.runs_here("router"):
             yield Finding("router", f"{none} yet; suturegrasp up starts one", in_the_way(rig))
         else:
             yield Finding("router", none, "start it: suturegrasp router")

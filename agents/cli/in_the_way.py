@@ -8,7 +8,7 @@ from agents.cli.builders import configured
 from agents.cli.rig import RigConfig
 from shared.runtime.connection import NoRouterError, connected
 
-TCP = re.compile(r"tcp/(?P<host>.+):(?P<port>\d+)")
+TCP = re.compile(r"(?:tcp|tls)/(?P<host>.+):(?P<port>\d+)")
 
 
 def in_the_way(rig: RigConfig) -> str:
@@ -22,17 +22,17 @@ def in_the_way(rig: RigConfig) -> str:
             "camera.left = '-' reads standard input, which up has none of: give a named pipe, or leave [camera] out "
             "and run suturegrasp camera behind the program that writes the frames"
         )
-    if rig.router.start and taken(rig.router.endpoint):
+    if rig.runs_here("router") and taken(rig.router_endpoint):
         return (
-            f"something listens on {rig.router.endpoint} already, perhaps another suturegrasp up: stop it, "
-            "give router.endpoint another port, or join it with router.start = false"
+            f"something listens on {rig.router_endpoint} already, perhaps another suturegrasp up: stop it, "
+            "give the router another port, or join it with router.start = false"
         )
     return ""
 
 
 def already_running(rig: RigConfig) -> str:
     """Which agents of the configuration run elsewhere already, in one line; two of a kind would act twice."""
-    if rig.router.start:
+    if rig.runs_here("router"):
         return ""
     try:
         with connected(rig.session) as connection:

@@ -21,6 +21,7 @@ from agents.cli.live_options import (
 from agents.cli.process import EXIT_OK, EXIT_UNUSABLE, on_stop, run_router
 from agents.cli.rig import RigConfig, simulated_rig
 from agents.cli.terminal import complain, say
+from agents.cli.this_host import at_host
 from agents.operator.operator import Stood, arm_and_stand_by, ask_for_grasp, hold, prompt
 from schemas.messages import ExecutionEvent, ExecutionKind, GraspPlan, Outcome, Policy, Status
 from schemas.topics import MAIN
@@ -37,7 +38,9 @@ def rig_of(options: OnRig) -> RigConfig:
     Raises:
         ConfigError: where its configuration cannot be used.
     """
-    return simulated_rig() if options.config is None else load_config(options.config, RigConfig)
+    if options.config is None:
+        return simulated_rig()
+    return at_host(load_config(options.config, RigConfig), options.host)
 
 
 def run_live(options: OnRig) -> int:

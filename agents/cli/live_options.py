@@ -8,6 +8,7 @@ import tyro
 
 OptionalPath = Annotated[Path | None, tyro.conf.arg(metavar="PATH")]
 OptionalNumber = Annotated[float | None, tyro.conf.arg(metavar="NUMBER")]
+OptionalName = Annotated[str | None, tyro.conf.arg(metavar="HOST")]
 OptionalLabel = Annotated[str | None, tyro.conf.arg(metavar="ID")]
 
 
@@ -17,6 +18,8 @@ class OnRig:
 
     config: OptionalPath = None
     """The rig's configuration (TOML); without it, everything simulated on this machine."""
+    host: OptionalName = None
+    """Which of the rig's hosts this machine is, where neither its file nor its address tells."""
 
 
 @dataclass(frozen=True)

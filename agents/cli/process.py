@@ -12,6 +12,8 @@ from pathlib import Path
 from agents.cli.rig import RigConfig
 from agents.cli.supervisor import SUPERVISED, UNUSABLE
 from agents.cli.terminal import complain
+from shared.runtime.access import access_control
+from shared.runtime.config import ConfigError
 from shared.runtime.session import RouterError, open_router
 
 EXIT_OK, EXIT_GAVE_UP, EXIT_UNUSABLE = 0, 1, UNUSABLE
@@ -38,12 +40,24 @@ def run_router(rig: RigConfig) -> int:
     stopped = threading.Event()
     on_stop(stopped.set)
     try:
-        with open_router(rig.router.endpoint):
-            print(f"router on {rig.router.endpoint}", flush=True)
+        with open_rig_router(rig):
+            print(f"router on {rig.router_endpoint}", flush=True)
             stopped.wait()
-    except RouterError as error:
+    except (RouterError, ConfigError) as error:
         return complain(str(error), EXIT_UNUSABLE)
     return EXIT_OK
+
+
+def open_rig_router(rig: RigConfig) -> contextlib.AbstractContextManager[object]:
+    """The router of a rig; with certificates, each may do what is its own and nothing else.
+
+    Raises:
+        RouterError: where its endpoint cannot be listened on.
+        IdentityError: where its certificate cannot be used.
+    """
+    identity = rig.identity_of("router")
+    access = None if identity is None else access_control(rig.rig, rig.common_names())
+    return open_router(rig.router_endpoint, identity, access)
 
 
 def on_stop(stop: Callable[[], None]) -> None:

@@ -18,7 +18,7 @@ from agents.recorder.disk import DiskGuard
 from agents.recorder.parts import FileSettings
 from agents.recorder.pre_trigger import PreTriggerSettings
 from agents.recorder.recorder import Recorder, RecorderSettings, RecordingReport
-from schemas.topics import TOPICS
+from schemas.topics import TOPICS, Topic
 from shared.runtime.config import parse_config
 from shared.runtime.connection import Connection, NoRouterError, connected
 
@@ -49,12 +49,18 @@ def record(rig: RigConfig, options: Record) -> int:
         say("Enter keeps the last seconds")
         threading.Thread(target=_ask_at_terminal, args=(recorder,), name="keys", daemon=True).start()
     _stop_when(recorder.ended, stopped.set)
-    with contextlib.suppress(NoRouterError), connected(rig.session, None, stopped) as connection:
-        connection.listen(tuple(topic for topic in TOPICS if topic.recorded), recorder.put, recorder.missed)
+    with contextlib.suppress(NoRouterError), connected(rig.session_of("recorder"), None, stopped) as connection:
+        connection.listen(recorded_topics(rig), recorder.put, recorder.missed)
         _note_clocks(connection, recorder, stopped)
     report = recorder.close()
     say(recording_sentence(report))
     return EXIT_UNUSABLE if report.fault else EXIT_OK
+
+
+def recorded_topics(rig: RigConfig) -> tuple[Topic, ...]:
+    """What is recorded: what the table says, unless the rig says otherwise."""
+    told = {name: section.recorded for name, section in rig.topics.items()}
+    return tuple(topic for topic in TOPICS if told.get(str(topic), topic.recorded))
 
 
 def section_of(rig: RigConfig, options: Record) -> RecorderSection:

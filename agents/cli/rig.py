@@ -1,6 +1,7 @@
 """The configuration of a rig: one TOML file, from which every agent of it is built.
 
-A section that is there means that `suturegrasp up` runs that agent on this machine; every agent reads the same file.
+A section that is there means that `suturegrasp up` runs that agent, on this machine or on the host whose `runs` names
+it; every agent reads the same file.
 """
 
 import re
@@ -10,14 +11,26 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from agents.cli.base_pose import BasePose, standing_apart
+from agents.cli.rig_hosts import (
+    OPERATOR,
+    HostName,
+    HostSection,
+    SecuritySection,
+    host_fault,
+    kind_and_instance,
+)
 from agents.reconstruction.method_names import DEFAULT_METHOD, MATCHING_METHODS
 from agents.robot_bridge.limits import MAXIMUM_PLAN_AGE_S
+from schemas.topics import MAIN, TOPICS
+from shared.runtime.access import common_name
 from shared.runtime.config import Settings
-from shared.runtime.session import LOCAL_ENDPOINT, SessionSettings
+from shared.runtime.identity import Identity, identity_in
+from shared.runtime.session import LOCAL_ENDPOINT, SessionSettings, on_loopback
 
 Name = Annotated[str, Field(pattern=r"^[a-z0-9_]+$")]
 Label = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
 """An identifier of a lab's own; names of people have spaces, and their addresses an @."""
+AGENT_SECTIONS = ("camera", "perception", "reconstruction", "planner", "simulator")
 ENDPOINT = re.compile(r"(?:tcp|tls|quic|ws|udp)/.+:(?P<port>\d{1,5})")
 
 
@@ -32,9 +45,11 @@ Endpoint = Annotated[str, AfterValidator(_reachable)]
 
 
 class RouterSection(Settings):
-    """Where the router is; `start` runs one here, a process of its own."""
+    """Where the router is: an endpoint, or one of the hosts; `start` runs ours, a process of its own."""
 
     endpoint: Endpoint = LOCAL_ENDPOINT
+    host: HostName | None = None
+    port: int = Field(default=7447, gt=0, lt=1 << 16)
     start: bool = True
 
 
@@ -132,6 +147,12 @@ class ViewerSection(Settings):
     show: Literal["file", "native", "web"] = "file"
 
 
+class TopicSection(Settings):
+    """What a rig does otherwise with a topic than the table says."""
+
+    recorded: bool
+
+
 class RigConfig(Settings):
     """A whole rig."""
 
@@ -145,6 +166,10 @@ class RigConfig(Settings):
     simulator: SimulatorSection | None = None
     recorder: RecorderSection | None = None
     viewer: ViewerSection | None = None
+    hosts: dict[HostName, HostSection] = Field(default_factory=dict)
+    host: HostName | None = None
+    security: SecuritySection | None = None
+    topics: dict[str, TopicSection] = Field(default_factory=dict)
 
     @field_validator("robot")
     @classmethod
@@ -159,15 +184,87 @@ class RigConfig(Settings):
             raise ValueError(f"reconstruction.method {method!r} needs perception.matching = true, or leave it out")
         return self
 
+    @field_validator("topics")
+    @classmethod
+    def _each_topic_is_of_the_table(cls, topics: dict[str, TopicSection]) -> dict[str, TopicSection]:
+        known = [str(topic) for topic in TOPICS]
+        for name in topics:
+            if name not in known:
+                raise ValueError(f"there is no topic {name!r}; known are {', '.join(known)}")
+        return topics
+
+    @model_validator(mode="after")
+    def _links_are_secured(self) -> "RigConfig":
+        if not self.hosts:
+            if self.router.host is not None or self.host is not None:
+                named = "router.host" if self.router.host is not None else "host"
+                raise ValueError(f"{named} names a host, and there are no [hosts]; describe them, or leave it out")
+            if self.router.endpoint.startswith("tls/") and self.security is None:
+                raise ValueError("router.endpoint is tls, which needs [security] with a folder of certificates")
+            if not on_loopback(self.router.endpoint) and not self.router.endpoint.startswith("tls/"):
+                raise ValueError(
+                    f"router.endpoint {self.router.endpoint!r} leaves this machine, which needs mutual TLS: describe "
+                    "[hosts] and [security], see docs/deployment.md"
+                )
+            return self
+        if self.router.endpoint != LOCAL_ENDPOINT:
+            raise ValueError("router.endpoint and [hosts] exclude each other; name router.host, and router.port")
+        if self.router.host is None:
+            raise ValueError(f"router.host is missing: which of {', '.join(self.hosts)} runs the router")
+        for key, named in (("router.host", self.router.host), ("host", self.host)):
+            if named is not None and named not in self.hosts:
+                raise ValueError(f"{key} = {named!r} is none of the hosts {', '.join(self.hosts)}")
+        if self.security is None:
+            raise ValueError("[security] is missing, which hosts need to trust each other; an empty section will do")
+        if fault := host_fault(self.hosts, self.processes()):
+            raise ValueError(fault)
+        return self
+
     @property
     def needs_matching(self) -> bool:
         """Whether the method of reconstruction needs matched pixels, as far as this configuration tells."""
         return self.reconstruction is not None and self.reconstruction.method in MATCHING_METHODS
 
+    def processes(self) -> list[str]:
+        """Everything that has a section, on whichever host, as `runs` writes it; the router is apart."""
+        agents = [kind for kind in AGENT_SECTIONS if getattr(self, kind) is not None]
+        arms = [f"robot_bridge {arm}" for arm in self.robot]
+        return [*agents, *arms, *(kind for kind in ("recorder", "viewer") if getattr(self, kind) is not None)]
+
+    def runs_here(self, name: str) -> bool:
+        """Whether a process, as `runs` writes it, or the `router`, is to run on this machine."""
+        if name == "router":
+            return self.router.start and (not self.hosts or self.router.host == self.host)
+        return name in self.processes() and (self.host is None or name in self.hosts[self.host].runs)
+
+    @property
+    def router_endpoint(self) -> str:
+        """Where the router listens, and where the others find it."""
+        if self.router.host is None:
+            return self.router.endpoint
+        address = self.hosts[self.router.host].address
+        return f"tls/{f'[{address}]' if ':' in address else address}:{self.router.port}"
+
     @property
     def session(self) -> SessionSettings:
-        """How the agents of this rig reach the dataflow."""
-        return SessionSettings(rig=self.rig, endpoint=self.router.endpoint)
+        """How a person's command reaches the dataflow, as this host's operator."""
+        return self.session_of(OPERATOR)
+
+    def session_of(self, name: str) -> SessionSettings:
+        """How a process, as `runs` writes it, reaches the dataflow."""
+        return SessionSettings(rig=self.rig, endpoint=self.router_endpoint, identity=self.identity_of(name))
+
+    def identity_of(self, name: str) -> Identity | None:
+        """The certificate that a process of this host shows; None on a rig without certificates."""
+        if self.security is None:
+            return None
+        return identity_in(self.security.certificates, common_name(*kind_and_instance(name, self.host or MAIN)))
+
+    def common_names(self) -> list[str]:
+        """The common names of everything that may reach the router, for which there are certificates."""
+        return [
+            common_name(*kind_and_instance(name, host)) for host, section in self.hosts.items() for name in section.runs
+        ]
 
 
 def simulated_rig() -> RigConfig:

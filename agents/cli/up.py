@@ -32,11 +32,11 @@ def start_all(supervisor: Supervisor, rig: RigConfig, config: Path, folder: Sess
     def start(name: str, role: Role, *arguments: str) -> None:
         supervisor.add(name, [*arguments, "--config", str(config)], folder.log(name), role)
 
-    if rig.router.start:
+    if rig.runs_here("router"):
         start("router", Role.ROUTER, "router")
-    if rig.recorder is not None:
+    if rig.runs_here("recorder"):
         start("recorder", Role.RECORDER, "record", "--output", str(folder.recording), "--numbered")
-    if rig.viewer is not None:
+    if rig.runs_here("viewer"):
         start("viewer", Role.VIEWER, "view", "--output", str(folder.rerun), "--numbered", "--show", show)
     for kind, instance in configured(rig):
         extra = ("--arm", instance) if kind == "robot_bridge" else ()

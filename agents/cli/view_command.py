@@ -48,7 +48,7 @@ def _view_rig(rig: RigConfig, output: Path | None, options: View, stopped: threa
         return complain(str(error), EXIT_UNUSABLE)
     for note in viewer.notes:
         say(note)
-    with contextlib.suppress(NoRouterError), connected(rig.session, None, stopped) as connection:
+    with contextlib.suppress(NoRouterError), connected(rig.session_of("viewer"), None, stopped) as connection:
         connection.listen(TOPICS, viewer.put)
         stopped.wait()
     say(report_sentence(viewer.close()))

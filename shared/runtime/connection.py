@@ -20,6 +20,7 @@ from shared.runtime.attachment import Attachment, pack
 from shared.runtime.clocks import ClockOffset, clock_offset
 from shared.runtime.commands import send_command
 from shared.runtime.delivery import declare_publisher
+from shared.runtime.identity import IdentityError
 from shared.runtime.session import SessionSettings, open_session
 from shared.runtime.taps import Tapped, tap
 
@@ -96,6 +97,7 @@ def connected(
 
     Raises:
         NoRouterError: where no router answers in time (None: as long as it takes), or before `stopped` is set.
+        IdentityError: where its certificate cannot be used.
     """
     with open_when_there(settings, within_s, stopped) as session:
         connection = Connection(session, settings)
@@ -118,7 +120,7 @@ def open_when_there(
     def wait() -> None:
         try:
             opened.put(open_session(settings))
-        except zenoh.ZError as error:
+        except (zenoh.ZError, IdentityError) as error:
             opened.put(error)
 
     threading.Thread(target=wait, name="connecting", daemon=True).start()
@@ -130,6 +132,8 @@ def open_when_there(
             if deadline_s is not None and monotonic_s() > deadline_s:
                 break
             continue
+        if isinstance(session, IdentityError):
+            raise session
         if isinstance(session, Exception):
             raise NoRouterError(f"{settings.endpoint} cannot be connected to: {session}")
         return session

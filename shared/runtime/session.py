@@ -1,20 +1,34 @@
 """A Zenoh session from a few settings, and the settings of a router.
 
 Agents are clients of one router: they wait for one that is not up yet, and come back within a fraction of a second
-when it restarts. Nothing is scouted for by multicast.
+when it restarts. Nothing is scouted for by multicast. Off loopback both sides of every link show a certificate.
 """
 
+import ipaddress
 import json
+import re
 import socket
 from dataclasses import dataclass
+from typing import Any
 
 import zenoh
+
+from shared.runtime.identity import Identity, IdentityError, check_identity
 
 LOCAL_ENDPOINT = "tcp/127.0.0.1:7447"
 LEASE_MS = 2000
 BATCHES_WAITING = 16
 """Of states and results, for a busy machine's turn to send: Zenoh's own 2 are full within 20 ms at 100 Hz, and what
 finds no room for a millisecond is lost. Consumers take the newest of what comes late."""
+COMMON: dict[str, Any] = {
+    "scouting/multicast/enabled": False,
+    "transport/link/tx/lease": LEASE_MS,
+    "transport/link/tx/queue/size/real_time": BATCHES_WAITING,
+    "transport/link/tx/queue/size/data_high": BATCHES_WAITING,
+}
+
+
+ENDPOINT = re.compile(r"(?P<protocol>[a-z-]+)/(?P<host>.+):(?P<port>\d{1,5})")
 
 
 class RouterError(RuntimeError):
@@ -28,14 +42,21 @@ class SessionSettings:
     Fields:
         rig: name of the rig, the second part of every key.
         endpoint: of the router, as Zenoh writes it.
+        identity: the certificate to show; None on loopback.
     """
 
     rig: str = "lab"
     endpoint: str = LOCAL_ENDPOINT
+    identity: Identity | None = None
 
 
 def open_session(settings: SessionSettings) -> zenoh.Session:
-    """A session of a client of the router; it waits for the router, and heeds no signal meanwhile."""
+    """A session of a client of the router; it waits for the router, and heeds no signal meanwhile.
+
+    Raises:
+        IdentityError: where the endpoint is off loopback and the certificate is missing or not valid.
+    """
+    check_security(settings.endpoint, settings.identity)
     config = _config(
         {
             "mode": "client",
@@ -44,23 +65,66 @@ def open_session(settings: SessionSettings) -> zenoh.Session:
             "connect/exit_on_failure": False,
             "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
         }
+        | _tls(settings.identity)
     )
     return zenoh.open(config)
 
 
-def open_router(endpoint: str) -> zenoh.Session:
+def router_settings(
+    endpoint: str, identity: Identity | None = None, access: dict[str, Any] | None = None
+) -> dict[str, Any]:
+    """What a router is told, ours or zenohd: keys of Zenoh's configuration, with `/` between their parts.
+
+    `access` is its access control; see `shared.runtime.access`.
+    """
+    # nobody is scouted for, so there is nobody to wait for
+    settings = COMMON | {"mode": "router", "listen/endpoints": [endpoint], "scouting/delay": 0} | _tls(identity)
+    return settings if access is None else settings | {"access_control": access}
+
+
+def open_router(endpoint: str, identity: Identity | None = None, access: dict[str, Any] | None = None) -> zenoh.Session:
     """A session that routes for others, listening on that endpoint.
 
     Raises:
         RouterError: where the endpoint cannot be listened on.
+        IdentityError: where the endpoint is off loopback and the certificate is missing or not valid.
     """
+    check_security(endpoint, identity)
     try:
-        # nobody is scouted for, so there is nobody to wait for
-        return zenoh.open(_config({"mode": "router", "listen/endpoints": [endpoint], "scouting/delay": 0}))
+        return zenoh.open(_config(router_settings(endpoint, identity, access)))
     except zenoh.ZError:
         raise RouterError(
             f"no router can listen on {endpoint}: another one may be running there; stop it, or use another endpoint"
         ) from None
+
+
+def check_security(endpoint: str, identity: Identity | None) -> None:
+    """Refuse what would leave this machine without certificates on both sides.
+
+    Raises:
+        IdentityError: where it would, or where the certificate cannot be used.
+    """
+    if identity is not None:
+        check_identity(identity)
+    if on_loopback(endpoint):
+        return
+    if identity is None or not endpoint.startswith("tls/"):
+        raise IdentityError(
+            f"{endpoint} leaves this machine, which needs certificates on both sides (mutual TLS): describe [hosts] "
+            "and [security] in the rig's file, see docs/deployment.md"
+        )
+
+
+def on_loopback(endpoint: str) -> bool:
+    """Whether an endpoint is of this machine alone."""
+    found = ENDPOINT.fullmatch(endpoint)
+    if found is None:
+        return False
+    host = found["host"].strip("[]")
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
 
 
 def runs_already(session: zenoh.Session, rig: str, kind: str, instance: str) -> bool:
@@ -76,14 +140,23 @@ def free_local_endpoint() -> str:
         return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
-def _config(settings: dict[str, object]) -> zenoh.Config:
-    config = zenoh.Config()
-    common = {
-        "scouting/multicast/enabled": False,
-        "transport/link/tx/lease": LEASE_MS,
-        "transport/link/tx/queue/size/real_time": BATCHES_WAITING,
-        "transport/link/tx/queue/size/data_high": BATCHES_WAITING,
+def _tls(identity: Identity | None) -> dict[str, Any]:
+    """Both sides show a certificate, and a link ends when that of the other side does."""
+    if identity is None:
+        return {}
+    own = {"certificate": str(identity.certificate), "private_key": str(identity.key)}
+    tls = {
+        "root_ca_certificate": str(identity.authority),
+        "enable_mtls": True,
+        "verify_name_on_connect": True,
+        "close_link_on_expiration": True,
     }
-    for name, value in (common | settings).items():
+    tls |= {f"{side}_{name}": path for side in ("listen", "connect") for name, path in own.items()}
+    return {"transport/link/tls": tls}
+
+
+def _config(settings: dict[str, Any]) -> zenoh.Config:
+    config = zenoh.Config()
+    for name, value in (COMMON | settings).items():
         config.insert_json5(name, json.dumps(value))
     return config

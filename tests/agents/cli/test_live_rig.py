@@ -257,6 +257,10 @@ def test_the_example_rig_is_the_simulated_one_spelt_out():
     assert example.session == SessionSettings("lab", expected.router.endpoint)
 
 
+NAMED_SECTIONS = {"robot": "robot.psm1", "hosts": "hosts.video", "topics": 'topics."camera/frames"'}
+"""As the page gives a name to sections that users name."""
+
+
 def sections(model, prefix=""):
     """Every section of the configuration with its keys."""
     keys, found = {}, {}
@@ -266,7 +270,7 @@ def sections(model, prefix=""):
         if section is None:
             keys[name] = field
         else:
-            title = f"{name}.psm1" if name == "robot" else name
+            title = {"robot": "robot.psm1", "hosts": "hosts.video", "topics": 'topics."camera/frames"'}.get(name, name)
             found |= sections(section, f"[{title}]")
     return {prefix: keys} | found
 

@@ -1,0 +1,94 @@
+"""Which machine runs what, as the `[hosts]` of a rig's configuration say, checked as a whole.
+
+An agent that publishes runs once: two would own one topic. Recorders, viewers and operators may be on several hosts.
+"""
+
+import ipaddress
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import AfterValidator, Field
+
+from schemas.topics import ANY_AGENT, MAIN, TOPICS
+from shared.runtime.config import Settings
+
+OPERATOR = "operator"
+BESIDE = (OPERATOR, "recorder", "viewer")
+"""What publishes nothing that another one could publish too; each host's own has the host's name as its instance."""
+HOST_NAME = re.compile(r"(?=.{1,253}$)[A-Za-z0-9]([A-Za-z0-9-]{0,62})(\.[A-Za-z0-9-]{1,63})*")
+HostName = Annotated[str, Field(pattern=r"^[a-z0-9_]+$")]
+"""A host of the rig as its own file calls it; it is part of keys and of certificates' names."""
+
+
+def _address(address: str) -> str:
+    try:
+        ip = ipaddress.ip_address(address)
+    except ValueError:
+        if HOST_NAME.fullmatch(address) is None or address.replace(".", "").isdigit():
+            raise ValueError(f"{address!r} is no address; write an IP address or a host name") from None
+        return address
+    if ip.is_unspecified or ip.is_loopback or ip.is_multicast:
+        raise ValueError(f"{address} is no address that other hosts reach this one by")
+    return address
+
+
+class HostSection(Settings):
+    """One machine: how others reach it, what runs on it, and whether what moves a robot gets real-time priority."""
+
+    address: Annotated[str, AfterValidator(_address)]
+    runs: tuple[Annotated[str, Field(pattern=r"^[a-z_]+( [a-z0-9_]+)?$")], ...] = ()
+    realtime: bool = False
+
+
+class SecuritySection(Settings):
+    """Where certificates lie on each host, and how long those of agents are valid."""
+
+    certificates: Path = Path("certificates")
+    leaf_days: int = Field(default=30, ge=1, le=397)
+    authority_days: int = Field(default=3650, ge=30, le=7300)
+
+
+def kind_and_instance(name: str, host: str = MAIN) -> tuple[str, str]:
+    """`robot_bridge psm1` as kind and instance; what has no instance is `main`, or of its host."""
+    kind, _, instance = name.partition(" ")
+    return kind, instance or (host if kind in BESIDE else MAIN)
+
+
+def run_name(kind: str, instance: str) -> str:
+    """A process as `runs` writes it."""
+    return kind if instance == MAIN else f"{kind} {instance}"
+
+
+def host_fault(hosts: Mapping[str, HostSection], configured: Iterable[str]) -> str:
+    """What is wrong with who runs where, in one sentence; empty where nothing is.
+
+    `configured` are the processes that the configuration has a section for, as `runs` writes them.
+    """
+    configured = set(configured)
+    counted = Counter(name for host in hosts.values() for name in host.runs)
+    for name in counted:
+        if name not in configured and name != OPERATOR:
+            return f"{_on(hosts, name)} runs {name!r}, for which there is no section; add it, or take it out of runs"
+        if counted[name] > 1 and name not in BESIDE:
+            twice = f"{name!r} runs on {_on(hosts, name)}: {_topic_of(name)} would have two owners"
+            return f"{twice}; leave it in the runs of one host"
+    if idle := sorted(configured - set(counted)):
+        return f"no host runs {idle[0]!r}; put it in the runs of one of {', '.join(hosts)}"
+    addresses = Counter(host.address for host in hosts.values())
+    if shared := [address for address, count in addresses.items() if count > 1]:
+        return f"two hosts have the address {shared[0]}; what runs on one machine belongs in one section"
+    return ""
+
+
+def _on(hosts: Mapping[str, HostSection], name: str) -> str:
+    return " and ".join(host for host, section in hosts.items() for run in section.runs if run == name)
+
+
+def _topic_of(name: str) -> str:
+    kind, instance = kind_and_instance(name)
+    own = next((topic for topic in TOPICS if topic.agent == kind), None)
+    own = own or next(topic for topic in TOPICS if topic.agent == ANY_AGENT)
+    return f"the topic {kind}/{instance}/{own.name}"

@@ -1,0 +1,45 @@
+"""Which of a rig's hosts this machine is: as the command or the file says, or by its name or address."""
+
+import socket
+from collections.abc import Mapping
+
+from agents.cli.rig import RigConfig
+from agents.cli.rig_hosts import HostSection
+from shared.runtime.config import ConfigError
+
+
+def at_host(rig: RigConfig, named: str | None) -> RigConfig:
+    """The rig as it is on this machine.
+
+    Raises:
+        ConfigError: where the rig has hosts, and none of them is told to be this one.
+    """
+    if not rig.hosts:
+        if named is not None:
+            raise ConfigError(f"--host {named}: the configuration has no [hosts]")
+        return rig
+    host = named or rig.host or _recognised(rig.hosts)
+    if host is None:
+        hosts = ", ".join(rig.hosts)
+        raise ConfigError(f"which of the hosts {hosts} is this one? say so with --host, or with host = ... in the file")
+    if host not in rig.hosts:
+        raise ConfigError(f"{host!r} is none of the rig's hosts {', '.join(rig.hosts)}")
+    return rig.model_copy(update={"host": host})
+
+
+def _recognised(hosts: Mapping[str, HostSection]) -> str | None:
+    """The one host of that name, or that has an address of this machine; None where there is none, or more than one."""
+    name = socket.gethostname()
+    found = {host for host, section in hosts.items() if host == name or name == section.address or _is_own(section)}
+    return found.pop() if len(found) == 1 else None
+
+
+def _is_own(section: HostSection) -> bool:
+    """Whether a socket can be bound to the address, as only one of this machine's own can be."""
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(section.address, 0, type=socket.SOCK_DGRAM)[0]
+        with socket.socket(family, kind, protocol) as probe:
+            probe.bind(address)
+    except OSError:
+        return False
+    return True

@@ -1,0 +1,77 @@
+"""Who may do what on a rig's router: access rules from the topic table, default deny.
+
+A certificate's common name is `{kind}.{instance}`, such as `camera.main`, `robot_bridge.psm1`, `operator.desk`. Every
+certificate of the rig may read all of it. It publishes, and answers, under its own key root alone; a command is
+answered by its receiver alone, and asked by operators alone. Chunks that begin with @ are not matched by `**`: the
+history and the recovery of states and events have rules of their own.
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from schemas.topics import ANY_AGENT, MAIN, ROOT, TOPICS, Delivery, Topic, key, key_root
+
+OPERATOR = "operator"
+READING = ("declare_subscriber", "declare_liveliness_subscriber", "liveliness_query")
+SPEAKING = ("put", "delete", "reply", "declare_queryable", "liveliness_token")
+HEARING = ("put", "delete", "reply", "query", *READING, "declare_queryable", "liveliness_token")
+ANSWERS = ("clock", "progress", "facts", "link")
+"""What each agent answers under its root, to every certificate of the rig."""
+ADVANCED = "@adv/**"
+
+
+def common_name(kind: str, instance: str = MAIN) -> str:
+    """What a certificate of that agent is called."""
+    return f"{kind}.{instance}"
+
+
+def access_control(rig: str, names: Iterable[str]) -> dict[str, Any]:
+    """Zenoh's `access_control` of a router: what each of these common names may do on that rig, and nothing else.
+
+    Raises:
+        ValueError: where a name is not `{kind}.{instance}`.
+    """
+    unique = sorted(set(names))
+    everything = [f"{ROOT}/{rig}/**", f"{ROOT}/{rig}/*/*/*/{ADVANCED}"]
+    rules = [
+        _rule("read", "ingress", READING, everything),
+        _rule("history", "ingress", ("query",), [f"{ROOT}/{rig}/*/*/*/{ADVANCED}"]),
+        _rule("questions", "ingress", ("query",), [f"{ROOT}/{rig}/*/*/{answer}" for answer in ANSWERS]),
+        # a subscriber that recovers what it missed announces itself beside the key that it hears
+        _rule("attend", "ingress", ("liveliness_token",), [f"{ROOT}/{rig}/*/*/*/@adv/sub/**"]),
+        _rule("hear", "egress", HEARING, everything),
+    ]
+    policies = [{"rules": [rule["id"] for rule in rules], "subjects": unique}]
+    for name in unique:
+        own = _own_rules(rig, name)
+        rules += own
+        policies.append({"rules": [rule["id"] for rule in own], "subjects": [name]})
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": [{"id": name, "cert_common_names": [name]} for name in unique],
+        "policies": policies,
+    }
+
+
+def _own_rules(rig: str, name: str) -> list[dict[str, Any]]:
+    kind, separator, instance = name.partition(".")
+    if not (kind and separator and instance):
+        raise ValueError(f"{name!r} is no agent; write its kind and instance, such as camera.main")
+    root = f"{ROOT}/{rig}/{OPERATOR}/*" if kind == OPERATOR else key_root(rig, instance, kind)
+    rules = [_rule(f"speak as {name}", "ingress", SPEAKING, [root, f"{root}/**", f"{root}/*/{ADVANCED}"])]
+    if kind == OPERATOR:
+        asked = [key(rig, topic, "*", "*" if topic.agent == ANY_AGENT else "") for topic in _commands()]
+        rules.append(_rule(f"command as {name}", "ingress", ("query",), asked))
+    elif received := [key(rig, t, instance if t.per_arm else MAIN) for t in _commands() if t.receiver == kind]:
+        rules.append(_rule(f"obey as {name}", "ingress", ("declare_queryable", "reply"), received))
+    return rules
+
+
+def _commands() -> list[Topic]:
+    return [topic for topic in TOPICS if topic.delivery is Delivery.COMMAND]
+
+
+def _rule(name: str, flow: str, messages: Sequence[str], keys: Sequence[str]) -> dict[str, Any]:
+    return {"id": name, "permission": "allow", "flows": [flow], "messages": list(messages), "key_exprs": list(keys)}

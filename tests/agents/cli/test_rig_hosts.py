@@ -1,0 +1,108 @@
+"""Which machine runs what: checked as a whole, with one sentence for what is wrong."""
+
+import pytest
+
+from agents.cli.builders import configured
+from agents.cli.recording import recorded_topics
+from agents.cli.rig import RigConfig
+from agents.cli.this_host import at_host
+from schemas.topics import FRAMES, TOPICS
+from shared.runtime.config import ConfigError, parse_config
+
+SECTIONS = """
+[camera]
+[perception]
+[robot.psm1]
+[recorder]
+"""
+HOSTS = """
+[hosts.video]
+address = "10.0.0.1"
+runs = ["camera", "recorder"]
+[hosts.strong]
+address = "10.0.0.2"
+runs = ["perception", "operator"]
+[hosts.robot]
+address = "robot.lab"
+runs = ["robot_bridge psm1"]
+realtime = true
+"""
+ROUTER = '[router]\nhost = "video"\n'
+WHOLE = f'rig = "lab"\n[security]\n{ROUTER}{SECTIONS}{HOSTS}'
+MISTAKES = {
+    WHOLE.replace('"perception", ', ""): "no host runs 'perception'",
+    WHOLE.replace('"camera", ', ""): "no host runs 'camera'",
+    WHOLE.replace('"perception", ', '"perception", "camera", '): "'camera' runs on video and strong",
+    WHOLE.replace('"perception", ', '"perception", "planner", '): "runs 'planner', for which there is no section",
+    WHOLE.replace('"robot_bridge psm1"', '"robot_bridge psm2"'): "robot_bridge psm2",
+    WHOLE.replace("10.0.0.2", "10.0.0.1"): "two hosts have the address 10.0.0.1",
+    WHOLE.replace("10.0.0.2", "127.0.0.1"): "no address that other hosts reach",
+    WHOLE.replace("10.0.0.2", "10.0.0"): "'10.0.0' is no address",
+    WHOLE.replace('host = "video"', 'host = "vide"'): "'vide' is none of the hosts video, strong, robot",
+    WHOLE.replace('host = "video"', ""): "router.host is missing",
+    WHOLE.replace('host = "video"', 'endpoint = "tcp/10.0.0.1:7447"'): "exclude each other",
+    WHOLE.replace("[security]\n", ""): "[security] is missing",
+    '[router]\nendpoint = "tcp/10.0.0.1:7447"': "which needs mutual TLS",
+    '[router]\nendpoint = "tls/10.0.0.1:7447"': "needs [security]",
+    '[router]\nhost = "video"': "there are no [hosts]",
+    '[topics."camera/frame"]\nrecorded = false': "there is no topic 'camera/frame'; known are camera/frames",
+}
+
+
+def rig(text):
+    return parse_config(text, RigConfig, "rig.toml")
+
+
+@pytest.mark.parametrize("text", MISTAKES, ids=list(MISTAKES.values()))
+def test_a_mistake_in_who_runs_where_is_one_sentence(text):
+    with pytest.raises(ConfigError) as caught:
+        rig(text)
+    assert MISTAKES[text] in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_each_host_runs_its_own_and_all_find_the_router():
+    video, strong = at_host(rig(WHOLE), "video"), at_host(rig(WHOLE), "strong")
+    assert configured(video) == [("camera", "main")]
+    assert configured(strong) == [("perception", "main")]
+    assert configured(at_host(rig(WHOLE), "robot")) == [("robot_bridge", "psm1")]
+    assert video.runs_here("router") and video.runs_here("recorder")
+    assert not strong.runs_here("router") and not strong.runs_here("recorder")
+    assert video.router_endpoint == strong.session.endpoint == "tls/10.0.0.1:7447"
+
+
+def test_each_process_shows_a_certificate_of_its_own():
+    strong = at_host(rig(WHOLE), "strong")
+    assert strong.common_names() == [
+        "camera.main", "recorder.video", "perception.main", "operator.strong", "robot_bridge.psm1",
+    ]  # fmt: skip
+    shown = {name: strong.identity_of(name) for name in ("operator", "perception", "router")}
+    assert {name: identity and str(identity.certificate) for name, identity in shown.items()} == {
+        "operator": "certificates/operator.strong.pem",
+        "perception": "certificates/perception.main.pem",
+        "router": "certificates/router.main.pem",
+    }
+    assert strong.session.identity == shown["operator"]
+
+
+def test_a_host_is_told_by_option_or_file_and_otherwise_asked_for():
+    assert at_host(rig(f'host = "robot"\n{WHOLE}'), None).host == "robot"
+    assert at_host(rig(f'host = "robot"\n{WHOLE}'), "strong").host == "strong"
+    with pytest.raises(ConfigError, match="which of the hosts video, strong, robot is this one"):
+        at_host(rig(WHOLE), None)
+    with pytest.raises(ConfigError, match="'vide' is none of the rig's hosts"):
+        at_host(rig(WHOLE), "vide")
+    with pytest.raises(ConfigError, match=r"has no \[hosts\]"):
+        at_host(rig(SECTIONS), "video")
+
+
+def test_without_hosts_everything_runs_here_and_shows_nothing():
+    alone = at_host(rig(SECTIONS), None)
+    assert len(configured(alone)) == 3
+    assert alone.runs_here("router") and alone.session.identity is None
+
+
+def test_a_rig_records_what_the_table_says_or_otherwise_what_it_says_itself():
+    less = rig('[topics."camera/frames"]\nrecorded = false')
+    assert recorded_topics(rig("")) == tuple(topic for topic in TOPICS if topic.recorded)
+    assert set(recorded_topics(rig(""))) - set(recorded_topics(less)) == {FRAMES}
