@@ -13,10 +13,10 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.spatial import cKDTree
 
-from agents.reconstruction.refined.alignment import piece_ends
-from agents.reconstruction.refined.projection import Curve, projected
-from agents.reconstruction.refined.sightings import CORRELATED_PX, Sightings
-from schemas.messages import Centrelines, RectifiedStereo
+from agents.reconstruction.refined.points import Points, double_angle
+from agents.reconstruction.refined.projection import Curve, chords, projected
+from agents.reconstruction.refined.sightings import Sightings
+from schemas.messages import RectifiedStereo
 
 REACH_SHARE = 0.034
 """Of the image's width: the farthest motion from frame to frame that is looked for."""
@@ -29,13 +29,10 @@ DIRECTION_SHARE = 0.01
 VOTERS = 80
 """Of each eye, of places and of points."""
 SAMPLES_PER_SPAN = 6
-DIRECTION_REACH = 4
 LEAP, LEAP_SHARE = 3.0, 0.008
 """Places of neighbours that are farther apart than so many times the points, and this share of the width, are no one
 strand's."""
 SHORTEST_RUN = 5
-BORDER_PX = 4.0
-"""What ends nearer to the image's border than this goes on outside."""
 
 
 @dataclass(frozen=True)
@@ -68,27 +65,21 @@ class _Eye:
 
 
 def associated(
-    curve: Curve,
-    lines: tuple[Centrelines, Centrelines],
-    camera: RectifiedStereo,
-    row_offset_px: float,
-    points: int,
-    votes: bool,
+    curve: Curve, points: tuple[Points, Points], camera: RectifiedStereo, row_offset_px: float, votes: bool
 ) -> Associated:
-    """The points of both centrelines with their places on a curve that is some pixels away from them.
+    """The points of both eyes with their places on a curve that is some pixels away from them.
 
     Args:
-        points: of each eye, about as many as are looked at.
         votes: whether the curve may be farther away as a whole.
     """
-    eyes = [_of_eye(curve, lines[eye], eye, camera, row_offset_px, points, votes) for eye in (0, 1)]
+    eyes = [_of_eye(curve, points[eye], eye, camera, row_offset_px, votes) for eye in (0, 1)]
     sight = Sightings(
         np.concatenate([e.point_px for e in eyes]),
         np.concatenate([e.deviation_px for e in eyes]),
         np.repeat([0, 1], [len(e.s) for e in eyes]),
         np.concatenate([e.s for e in eyes]),
         np.concatenate([e.is_end for e in eyes]),
-        float(np.median(lines[0].width_px)) if len(lines[0].width_px) else 0.0,
+        points[0].width_px,
     )
     total = sum(e.points for e in eyes)
     left, right = (_shown(e.s, 2 * curve.spans) for e in eyes)
@@ -108,49 +99,34 @@ def _shown(s: Float64[np.ndarray, "n"], places: int) -> Bool[np.ndarray, "places
     return np.bincount((s * places).astype(int).clip(0, places - 1), minlength=places) > 0
 
 
-def _of_eye(
-    curve: Curve, lines: Centrelines, eye: int, camera: RectifiedStereo, row_offset_px: float, points: int, votes: bool
-) -> _Eye:
+def _of_eye(curve: Curve, points: Points, eye: int, camera: RectifiedStereo, row_offset_px: float, votes: bool) -> _Eye:
+    if not len(points.piece):
+        return _Eye(points.point_px, points.deviation_px, np.zeros(0), points.is_end, 0, np.zeros(2))
     at = np.linspace(0.0, 1.0, SAMPLES_PER_SPAN * curve.spans + 1)
     view = projected(curve, at, np.full(len(at), eye), camera, row_offset_px)
-    index = _chosen(lines, points)
-    width = camera.image_width
-    moved = view.point_px + _shift(view.point_px, lines.point_px, width) if votes else view.point_px
-    weight = DIRECTION_SHARE * width
-    places = np.column_stack((moved, weight * _double_angle(view.velocity_px)))
-    found = np.column_stack((lines.point_px[index], weight * _double_angle(_directions(lines, index))))
-    if not len(index):
-        return _Eye(found[:, :2], np.zeros(0), np.zeros(0), np.zeros(0, bool), 0, np.zeros(2))
-    nearest = np.asarray(cKDTree(places, balanced_tree=False, compact_nodes=False).query(found)[1])
-    off = found[:, :2] - moved[nearest]
-    tangent = view.velocity_px[nearest] / np.maximum(np.linalg.norm(view.velocity_px[nearest], axis=1), 1e-9)[:, None]
-    ahead = (off * tangent).sum(axis=1)
-    last = len(at) - 1
-    outside = ((nearest == 0) & (ahead < 0)) | ((nearest == last) & (ahead > 0))
-    near = (np.linalg.norm(off, axis=1) <= GATE_SHARE * width) & ~outside
-    step = np.linalg.norm(np.diff(moved, axis=0), axis=1)
-    along = np.concatenate(([0.0], np.cumsum(step)))
+    width, found = camera.image_width, points.point_px
+    moved = view.point_px + _shift(view.point_px, points.all_px, width) if votes else view.point_px
+    nearest = _nearest(moved, view.velocity_px, points, DIRECTION_SHARE * width)
+    off, velocity = found - moved[nearest], view.velocity_px[nearest]
+    speed = np.sqrt(np.einsum("ni,ni->n", velocity, velocity))
+    ahead = np.einsum("ni,ni->n", off, velocity) / np.maximum(speed, 1e-9)
+    outside = ((nearest == 0) & (ahead < 0)) | ((nearest == len(at) - 1) & (ahead > 0))
+    near = (np.einsum("ni,ni->n", off, off) <= (GATE_SHARE * width) ** 2) & ~outside
+    along = np.concatenate(([0.0], np.cumsum(chords(moved))))
     place = along[nearest] + np.where(outside, 0.0, ahead)
-    piece = lines.piece[index]
-    kept = near & _in_order(place, piece, near, lines.point_px[index], width)
-    s = np.interp(place, along, at)
-    ends, beyond = _ends(index, kept, place, along[-1], found[:, :2], lines, camera)
-    spacing = max(
-        1.0, float(np.median(np.linalg.norm(np.diff(found[:, :2], axis=0), axis=1))) if len(index) > 1 else 1.0
-    )
-    correlated = np.sqrt(max(1.0, CORRELATED_PX / spacing))
-    s = np.where(ends == 0, 0.0, np.where(ends == 1, 1.0, s))
-    return _Eye(
-        found[kept, :2], lines.deviation_px[index][kept] * correlated, s[kept], (ends >= 0)[kept], len(index), beyond
-    )
+    kept = near & _in_order(place, points.piece, near, found, width)
+    ends, beyond = _ends(points, kept, place, along[-1], width)
+    s = np.where(ends < 0, np.interp(place, along, at), ends)
+    return _Eye(found[kept], points.deviation_px[kept], s[kept], (ends >= 0)[kept], len(found), beyond)
 
 
-def _chosen(lines: Centrelines, wanted: int) -> Int64[np.ndarray, "k"]:
-    """Points spread over all pieces, the ends of each among them."""
-    count = len(lines.piece)
-    if count == 0:
-        return np.zeros(0, np.int64)
-    return np.union1d(np.arange(0, count, max(2, -(-count // wanted))), piece_ends(lines))
+def _nearest(
+    moved: Float64[np.ndarray, "m 2"], velocity: Float64[np.ndarray, "m 2"], points: Points, weight: float
+) -> Int64[np.ndarray, "n"]:
+    """The place of the curve nearest to each point, a difference in direction counting as distance."""
+    places = np.column_stack((moved, weight * double_angle(velocity)))
+    found = np.column_stack((points.point_px, weight * points.direction))
+    return np.asarray(cKDTree(places, balanced_tree=False, compact_nodes=False).query(found)[1])
 
 
 def _shift(
@@ -180,20 +156,6 @@ def _shift(
     return near.mean(axis=0) if len(near) else np.zeros(2)
 
 
-def _directions(lines: Centrelines, index: Int64[np.ndarray, "k"]) -> Float64[np.ndarray, "k 2"]:
-    own = lines.piece[index]
-    low = np.maximum(index - DIRECTION_REACH, np.searchsorted(lines.piece, own, side="left"))
-    high = np.minimum(index + DIRECTION_REACH, np.searchsorted(lines.piece, own, side="right") - 1)
-    return lines.point_px[high] - lines.point_px[low]
-
-
-def _double_angle(direction: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2"]:
-    """The same for opposite directions, and opposite for directions at a right angle; of length 1."""
-    u, v = direction.T
-    square = np.maximum(u * u + v * v, 1e-18)
-    return np.column_stack(((u * u - v * v) / square, 2 * u * v / square))
-
-
 def _in_order(
     place: Float64[np.ndarray, "n"],
     piece: Int64[np.ndarray, "n"],
@@ -206,7 +168,7 @@ def _in_order(
     usable = np.flatnonzero(near)
     if not len(usable):
         return kept
-    step = np.linalg.norm(np.diff(points[usable], axis=0), axis=1)
+    step = chords(points[usable])
     change = np.diff(place[usable])
     leap = (np.abs(change) > LEAP * step + LEAP_SHARE * width) | (np.diff(piece[usable]) != 0)
     runs = [run for run in np.split(usable, np.flatnonzero(leap) + 1) if len(run) >= SHORTEST_RUN]
@@ -229,34 +191,23 @@ def _longest_chain(runs: list[Int64[np.ndarray, "k"]], place: Float64[np.ndarray
 
 
 def _ends(
-    index: Int64[np.ndarray, "n"],
-    kept: Bool[np.ndarray, "n"],
-    place: Float64[np.ndarray, "n"],
-    length_px: float,
-    points: Float64[np.ndarray, "n 2"],
-    lines: Centrelines,
-    camera: RectifiedStereo,
+    points: Points, kept: Bool[np.ndarray, "n"], place: Float64[np.ndarray, "n"], length_px: float, width: int
 ) -> tuple[Int64[np.ndarray, "n"], Float64[np.ndarray, "2"]]:
     """Which points are the thread's first (0) or last (1) end, -1 for none, and how far pieces go on past each end."""
-    ends, beyond = np.full(len(index), -1), np.zeros(2)
-    is_end = np.zeros(len(lines.piece), bool)
-    is_end[piece_ends(lines)] = True
-    border = np.array([camera.image_width, camera.image_height]) - 1 - BORDER_PX
-    inside = ((points >= BORDER_PX) & (points <= border)).all(axis=1)
-    candidates = is_end[index] & inside
+    ends, beyond = np.full(len(kept), -1), np.zeros(2)
     if not kept.any():
         return ends, beyond
     for which, value in ((0, 0.0), (1, length_px)):
         outermost = np.flatnonzero(kept)[np.argmin(np.abs(place[kept] - value))]
         gap = abs(place[outermost] - value)
-        if gap > 2 * GATE_SHARE * camera.image_width:
+        if gap > 2 * GATE_SHARE * width:
             continue
-        tail = _tail(outermost, lines.piece[index], kept)
+        tail = _tail(outermost, points.piece, kept)
         end = tail[-1] if len(tail) else outermost
-        past = float(np.linalg.norm(np.diff(points[np.append(outermost, tail)], axis=0), axis=1).sum())
-        if past > 2 * GATE_SHARE * camera.image_width:
+        past = float(chords(points.point_px[np.append(outermost, tail)]).sum())
+        if past > 2 * GATE_SHARE * width:
             beyond[which] = past
-        elif candidates[end]:
+        elif points.is_end[end]:
             kept[end] = True
             ends[end] = which
     return ends, beyond

@@ -5,28 +5,30 @@ differ by about the thread's thickness where they touch, so the nearer one is to
 some deviations of the posterior.
 """
 
+from itertools import pairwise
+
 import numpy as np
 from jaxtyping import Float64
-from scipy.spatial import KDTree
+from scipy.spatial import cKDTree
 
-from agents.reconstruction.refined.projection import DEGREE
+from agents.reconstruction.refined.projection import Curve
 from schemas.messages import Centrelines, Crossing, Over, RectifiedStereo
 from shared.camera import project
-from shared.splines import evaluate
 
 PLACES = 241
 SHORTEST_LOOP = 0.02
 """Of the thread's length: less between two crossing pieces is a kink of the curve."""
 CERTAIN = 2.0
 """Deviations by which the strands' depths differ before one is called nearer."""
+EVERY = 8
+"""Of the points of a piece, so that one is looked at in so many pixels."""
 STRANGE_WIDTHS, SHORTEST_WIDTHS = 3.0, 15.0
 """A piece of centreline is another thread's where it lies so far off, in the median, and is so long."""
 
 
 def crossings_of(
     camera: RectifiedStereo,
-    knots: Float64[np.ndarray, "k"],
-    control_points: Float64[np.ndarray, "m 3"],
+    curve: Curve,
     covariance_s: Float64[np.ndarray, "q"],
     covariance: Float64[np.ndarray, "q 3 3"],
 ) -> tuple[Crossing, ...]:
@@ -36,7 +38,7 @@ def crossings_of(
         covariance: of the curve's points at `covariance_s`; strands count as independent of each other.
     """
     s = np.linspace(0.0, 1.0, PLACES)
-    points = evaluate(knots, control_points, DEGREE, s)
+    points = curve.at(s)
     pixels, _ = project(camera, points)
     first, second = _crossing_pieces(pixels)
     share_first, share_second = _shares(pixels, first, second)
@@ -66,11 +68,14 @@ def other_threads_px(
     if not len(lines.piece):
         return np.zeros((0, 2))
     width = float(np.median(lines.width_px))
-    off = np.asarray(KDTree(curve_px).query(lines.point_px)[0])
+    bounds = np.concatenate(([0], np.flatnonzero(np.diff(lines.piece)) + 1, [len(lines.piece)]))
+    tree = cKDTree(curve_px, balanced_tree=False)
     found = [
-        lines.point_px[mine[len(mine) // 2]]
-        for mine in np.split(np.arange(len(lines.piece)), np.flatnonzero(np.diff(lines.piece)) + 1)
-        if len(mine) * spacing_px >= SHORTEST_WIDTHS * width and np.median(off[mine]) > STRANGE_WIDTHS * width
+        lines.point_px[first + (end - first) // 2]
+        for first, end in pairwise(bounds)
+        if (end - first) * spacing_px >= SHORTEST_WIDTHS * width
+        # a piece lies on the curve where most of some of its points do
+        and np.median(tree.query(lines.point_px[first:end:EVERY])[0]) > STRANGE_WIDTHS * width
     ]
     return np.array(found) if found else np.zeros((0, 2))
 
@@ -82,7 +87,7 @@ def _crossing_pieces(px: Float64[np.ndarray, "n 2"]) -> tuple[np.ndarray, np.nda
     across = np.column_stack((-np.diff(px[:, 1]), np.diff(px[:, 0])))
     beside = across @ px.T > (across * px[:-1]).sum(axis=1)[:, None]
     parts = beside[:, :-1] != beside[:, 1:]
-    first, second = np.nonzero(parts & parts.T)
+    first, second = np.divmod(np.flatnonzero(parts & parts.T), len(across))
     loop = second - first > SHORTEST_LOOP * len(across)
     return first[loop], second[loop]
 

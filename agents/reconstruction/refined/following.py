@@ -25,7 +25,8 @@ from agents.reconstruction.refined.normal_equations import (
     solved,
 )
 from agents.reconstruction.refined.plausibility import implausible
-from agents.reconstruction.refined.projection import Curve, at_constant_speed, projected
+from agents.reconstruction.refined.points import Points, chosen_points
+from agents.reconstruction.refined.projection import Curve, at_constant_speed, chords, projected
 from agents.reconstruction.refined.refinement import LEAST_SCALE, Refined, weighted
 from agents.reconstruction.refined.sightings import MOST_POINTS, Sightings, placed
 from agents.reconstruction.refined.smoothing import FINE, chosen_smoothing, local_weights
@@ -84,16 +85,18 @@ def followed(
     try:
         noise = process_noise(curve, camera, elapsed_s)
         prediction = _Prediction(last, curve, prior(last.covariance, noise), camera)
-        near, seen = curve, associated(curve, lines, camera, last.row_offset_px, FEW_POINTS, votes=True)
+        few = _points(lines, camera, FEW_POINTS)
+        near, seen = curve, associated(curve, few, camera, last.row_offset_px, votes=True)
         for left in reversed(range(ROUNDS)):
             _require_seen(seen, camera, FARTHEST_BEYOND)
             then, near = near, _moved(prediction, near, seen.sight)
             if not (np.isfinite(near.control_points).all() and (near.control_points[:, 2] > 0).all()):
                 raise LostError("the curve that was followed leaves the space before the cameras")
             small = _steps_px(near, then, camera) < NEAR_PX_SHARE * camera.image_width
-            points = MOST_POINTS if small or not left else FEW_POINTS
-            seen = associated(near, lines, camera, last.row_offset_px, points, votes=False)
-            if points == MOST_POINTS:
+            enough = small or not left
+            points = _points(lines, camera, MOST_POINTS) if enough else few
+            seen = associated(near, points, camera, last.row_offset_px, votes=False)
+            if enough:
                 break
         _require_seen(seen, camera)
         fit = _fit(prediction, near, seen.sight)
@@ -105,6 +108,10 @@ def followed(
     _require_fit(fit, innovation, camera)
     hidden_alike = seen.hidden_share > max(LEAST_HIDDEN, seen.alone_share)
     return Followed(fit, innovation, seen.found_share, hidden_alike)
+
+
+def _points(lines: tuple[Centrelines, Centrelines], camera: RectifiedStereo, wanted: int) -> tuple[Points, Points]:
+    return chosen_points(lines[0], camera, wanted), chosen_points(lines[1], camera, wanted)
 
 
 @dataclass(frozen=True)
@@ -224,7 +231,7 @@ def _innovation(curve: Curve, prediction: _Prediction) -> float:
 
 def curve_length(curve: Curve) -> float:
     """The length of the curve, by chords so short that a thread's bends do not count."""
-    return float(np.linalg.norm(np.diff(curve.at(np.linspace(0.0, 1.0, 8 * curve.spans + 1)), axis=0), axis=1).sum())
+    return float(chords(curve.at(np.linspace(0.0, 1.0, 8 * curve.spans + 1))).sum())
 
 
 def _is_of_another_length(fit: Refined, expected: float) -> bool:

@@ -16,7 +16,6 @@ from jaxtyping import Float64
 from agents.reconstruction.refined.projection import DEGREE, Curve, basis_at
 from agents.reconstruction.refined.refinement import Refined
 from schemas.messages import RectifiedStereo
-from shared.splines import evaluate
 
 COMMON_DEVIATIONS, COMMON_WIDTHS, DIFFERENCE = 1.0, 0.02, 0.3
 """A shift of long stretches in both images: as a multiple of the points' deviation, and of the thread's width, whose
@@ -49,7 +48,7 @@ def sliding(
     tangent of that angle, and what passes there then lies half t² times the curvature aside: the mean square of that
     is 3/4 of the square of t's variance. Slides longer than the radius of curvature are cut off.
     """
-    point, velocity, second = (evaluate(curve.knots, curve.control_points, DEGREE, s, order) for order in (0, 1, 2))
+    point, velocity, second = curve.derivatives(s)
     square = np.maximum((velocity**2).sum(axis=1), LEAST)
     tangent = velocity / np.sqrt(square)[:, None]
     curvature = (second - (second * tangent).sum(axis=1)[:, None] * tangent) / square[:, None]

@@ -44,6 +44,15 @@ class Curve:
         a, b, c, d = self.polynomials[:, :, span]
         return (((d * t + c) * t + b) * t + a).T
 
+    def derivatives(
+        self, s: Float64[np.ndarray, "n"]
+    ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
+        """Points of the curve, and their first and second derivatives by s."""
+        span, t = _span_of(self.spans, s)
+        a, b, c, d = self.polynomials[:, :, span]
+        point, velocity, second = ((d * t + c) * t + b) * t + a, (3.0 * d * t + 2.0 * c) * t + b, 6.0 * d * t + 2.0 * c
+        return point.T, velocity.T * self.spans, second.T * self.spans**2
+
     def moved(self, step: Float64[np.ndarray, "m 3"]) -> "Curve":
         """The curve with its control points moved."""
         return Curve(self.knots, self.control_points + step)
@@ -55,12 +64,22 @@ class View:
 
     Fields:
         point_px, velocity_px: where, and its derivative by s.
-        by_point: derivative of the pixel by the point of the curve.
+        scale: pixels for each unit of length at that depth, along u and v.
+        slope: of the line of sight, likewise.
     """
 
     point_px: Float64[np.ndarray, "n 2"]
     velocity_px: Float64[np.ndarray, "n 2"]
-    by_point: Float64[np.ndarray, "n 2 3"]
+    scale: Float64[np.ndarray, "2 n"]
+    slope: Float64[np.ndarray, "2 n"]
+
+    @cached_property
+    def by_point(self) -> Float64[np.ndarray, "n 2 3"]:
+        """The derivative of the pixel by the point of the curve."""
+        derivative = np.zeros((len(self.point_px), 2, 3))
+        derivative[:, 0, 0], derivative[:, 1, 1] = self.scale
+        derivative[:, :, 2] = -(self.scale * self.slope).T
+        return derivative
 
 
 def projected(
@@ -75,17 +94,13 @@ def projected(
     a, b, c, d = curve.polynomials[:, :, span]
     x, y, z = ((d * t + c) * t + b) * t + a
     forward = ((3.0 * d * t + 2.0 * c) * t + b) * curve.spans
-    by_x, by_y = camera.fx_px / z, camera.fy_px / z
-    left_x, low_y = (x - eye * camera.baseline) / z, y / z
-    n = len(t)
-    pixel, velocity, by_point = np.empty((n, 2)), np.empty((n, 2)), np.zeros((n, 2, 3))
-    pixel[:, 0] = camera.fx_px * left_x + camera.cx_px
-    pixel[:, 1] = camera.fy_px * low_y + camera.cy_px + row_offset_px * eye
-    velocity[:, 0] = by_x * (forward[0] - left_x * forward[2])
-    velocity[:, 1] = by_y * (forward[1] - low_y * forward[2])
-    by_point[:, 0, 0], by_point[:, 0, 2] = by_x, -by_x * left_x
-    by_point[:, 1, 1], by_point[:, 1, 2] = by_y, -by_y * low_y
-    return View(pixel, velocity, by_point)
+    slope = np.stack(((x - eye * camera.baseline) / z, y / z))
+    scale = np.array([[camera.fx_px], [camera.fy_px]]) / z
+    pixel, velocity = np.empty((len(t), 2)), np.empty((len(t), 2))
+    pixel[:, 0] = camera.fx_px * slope[0] + camera.cx_px
+    pixel[:, 1] = camera.fy_px * slope[1] + camera.cy_px + row_offset_px * eye
+    velocity[:] = (scale * (forward[:2] - slope * forward[2])).T
+    return View(pixel, velocity, scale, slope)
 
 
 def basis_at(
@@ -115,6 +130,12 @@ def _span_polynomials(spans: int) -> Float64[np.ndarray, "spans 4 4"]:
     return np.linalg.solve(np.vander(t, increasing=True)[None], values)
 
 
+def chords(points: Float64[np.ndarray, "n d"]) -> Float64[np.ndarray, "m"]:
+    """The distances between neighbouring points, one fewer than points."""
+    step = points[1:] - points[:-1]
+    return np.sqrt(np.einsum("nd,nd->n", step, step))
+
+
 def at_constant_speed(
     curve: Curve, s: Float64[np.ndarray, "n"], without: Float64[np.ndarray, "f 2"] | None = None
 ) -> tuple[Curve, Float64[np.ndarray, "n"]]:
@@ -128,7 +149,7 @@ def at_constant_speed(
     for low, high in cuts:
         dense = np.union1d(dense[(dense < low) | (dense > high)], (low, high))
     points = curve.at(dense)
-    along = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))))
+    along = np.concatenate(([0.0], np.cumsum(chords(points))))
     along /= max(along[-1], 1e-300)
     places = np.interp(even_places(curve.spans), along, dense)
     wanted = curve.at(places)

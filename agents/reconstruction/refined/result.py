@@ -8,7 +8,7 @@ from agents.reconstruction.confidence import assumed_unit
 from agents.reconstruction.refined.constraints import Held
 from agents.reconstruction.refined.crossings import crossings_of, other_threads_px
 from agents.reconstruction.refined.posterior import point_covariance
-from agents.reconstruction.refined.projection import DEGREE, DENSE, Curve, projected
+from agents.reconstruction.refined.projection import DEGREE, DENSE, Curve, chords, projected
 from agents.reconstruction.refined.refinement import Refined
 from schemas.messages import (
     RectifiedStereo,
@@ -16,9 +16,9 @@ from schemas.messages import (
     Status,
     ThreadObservations,
     ThreadReconstruction,
+    ThreadTrack,
 )
 from shared.camera import project
-from shared.splines import evaluate
 
 SAMPLES = 100
 TOLERANCE_M = 0.001
@@ -41,18 +41,18 @@ def reconstruction(
     fit: Refined,
     held: Held,
     reverse: bool,
+    track: ThreadTrack | None = None,
 ) -> ThreadReconstruction:
     """The message; `reverse` exchanges the thread's ends."""
     camera, curve, regions = observations.camera, held.curve, held.regions
     s = np.linspace(0.0, 1.0, SAMPLES)
     covariance = point_covariance(fit, camera, s)
     unit_m = camera.metres_per_unit or assumed_unit(curve.control_points[:, 2])
-    confidence = confidence_of(evaluate(curve.knots, curve.control_points, DEGREE, s, 1), covariance, unit_m)
+    confidence = confidence_of(curve.derivatives(s)[1], covariance, unit_m)
     unseen = stretches(~seen(fit, camera))
     order = np.argsort(held.s, kind="stable")
     way = slice(None, None, -1 if reverse else 1)
-    control_points, covariance = curve.control_points[way].copy(), covariance[way].copy()
-    pixels, _ = project(camera, evaluate(curve.knots, control_points, DEGREE, np.linspace(0.0, 1.0, UNSEEN_SAMPLES)))
+    turned, covariance = Curve(curve.knots, curve.control_points[way].copy()), covariance[way].copy()
     return ThreadReconstruction(
         stamp=observations.stamp,
         camera=camera,
@@ -61,7 +61,7 @@ def reconstruction(
         method=method,
         degree=DEGREE,
         knots=curve.knots,
-        control_points_camera=control_points,
+        control_points_camera=turned.control_points,
         regions=ReliabilityRegions(
             _turned(held.s[order], reverse),
             regions.centre_camera[order][way].copy(),
@@ -74,9 +74,14 @@ def reconstruction(
         posterior_s=s,
         posterior_covariance=covariance,
         unseen=np.clip(1.0 - unseen[::-1, ::-1], 0.0, 1.0) if reverse else unseen,
-        crossings=crossings_of(camera, curve.knots, control_points, s, covariance),
-        other_threads_px=other_threads_px(observations.centrelines_left, pixels),
+        track=track,
+        crossings=crossings_of(camera, turned, s, covariance),
+        other_threads_px=other_threads_px(observations.centrelines_left, _pixels(turned, camera)),
     )
+
+
+def _pixels(curve: Curve, camera: RectifiedStereo) -> Float64[np.ndarray, "n 2"]:
+    return project(camera, curve.at(np.linspace(0.0, 1.0, UNSEEN_SAMPLES)))[0]
 
 
 def starts_right(curve: Curve, observations: ThreadObservations) -> bool:
@@ -97,11 +102,14 @@ def confidence_of(
     by Gauss-Legendre quadrature over φ, which takes the root out of the ends.
     """
     plane = np.linalg.svd(tangents[:, None, :])[2][:, 1:]
-    variance = np.linalg.eigvalsh(np.einsum("qij,qjk,qlk->qil", plane, covariance, plane))
-    b, a = np.sqrt(np.maximum(variance, LEAST_VARIANCE)).T[:, :, None] * unit_m / TOLERANCE_M
+    (p, q), (_, r) = (plane @ covariance @ plane.transpose(0, 2, 1)).transpose(1, 2, 0)
+    middle, half = 0.5 * (p + r), np.hypot(0.5 * (p - r), q)
+    variance = np.stack((middle - half, middle + half))
+    b, a = np.sqrt(np.maximum(variance, LEAST_VARIANCE))[:, :, None] * unit_m / TOLERANCE_M
     # far narrower than the disc it is all inside, and the quadrature need not find it
     a, b = np.maximum(a, NARROWEST), np.maximum(b, NARROWEST)
-    angle, weight = 0.5 * np.pi * NODES, 0.5 * np.pi * WEIGHTS
+    # the same on both sides of none
+    angle, weight = 0.5 * np.pi * NODES[NODES > 0], np.pi * WEIGHTS[NODES > 0]
     density = np.exp(-0.5 * (np.sin(angle) / a) ** 2) / (np.sqrt(2.0 * np.pi) * a)
     inside = scipy.special.erf(np.cos(angle) / (np.sqrt(2.0) * b))
     return np.clip((density * inside * np.cos(angle)) @ weight, 0.0, 1.0)
@@ -135,7 +143,7 @@ def _along_image(
     """Parameters of the curve, and the shares of its image's length in one eye that lie before them."""
     dense = np.linspace(0.0, 1.0, DENSE * fit.curve.spans + 1)
     view = projected(fit.curve, dense, np.full(len(dense), eye), camera, fit.row_offset_px)
-    along = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(view.point_px, axis=0), axis=1))))
+    along = np.concatenate(([0.0], np.cumsum(chords(view.point_px))))
     return dense, along / max(along[-1], 1e-12)
 
 

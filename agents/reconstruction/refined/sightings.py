@@ -83,8 +83,9 @@ def placed(sight: Sightings, curve: Curve, camera: RectifiedStereo, row_offset_p
     limit = LONGEST_STEP_SPANS / curve.spans
     for _ in range(rounds):
         view = projected(curve, sight.s, sight.eye, camera, row_offset_px)
-        square = (view.velocity_px**2).sum(axis=1)
-        step = (view.velocity_px * (sight.point_px - view.point_px)).sum(axis=1) / np.maximum(square, 1e-12)
+        velocity, off = view.velocity_px, sight.point_px - view.point_px
+        square = np.einsum("ni,ni->n", velocity, velocity)
+        step = np.einsum("ni,ni->n", velocity, off) / np.maximum(square, 1e-12)
         moved = np.clip(sight.s + np.clip(step, -limit, limit), 0.0, 1.0)
         sight = replace(sight, s=np.where(sight.is_end, sight.s, moved))
     return sight

@@ -87,15 +87,19 @@ def _continued(observations: ThreadObservations, before: ThreadTrack) -> ThreadR
     no_regions = Regions(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0))
     held = Held(now.fit.curve, no_regions, np.zeros(0), np.zeros(0))
     track = replace(
-        _track(now.fit, observations, reverse=False),
+        before,
         step=TrackStep.CONTINUED,
+        reason="",
         frames=before.frames + 1,
         innovation=now.innovation,
         found_share=now.found_share,
-        length=before.length,
-        material_s=before.material_s,
+        stamp=observations.stamp,
+        control_points_camera=now.fit.curve.control_points,
+        covariance=MODEL * band_of(now.fit.covariance),
+        smoothing=now.fit.smoothing,
+        span_weight=now.fit.weight,
     )
-    return replace(reconstruction(observations, METHOD, now.fit, held, reverse=False), track=track)
+    return reconstruction(observations, METHOD, now.fit, held, reverse=False, track=track)
 
 
 def _begun(
@@ -107,7 +111,7 @@ def _begun(
         if _is_kept(observations, before):
             material_s, scale = _material(before, track)
             track = replace(track, material_s=material_s, length=scale)
-    return replace(reconstruction(observations, METHOD, alone.fit, alone.held, alone.reverse), track=track)
+    return reconstruction(observations, METHOD, alone.fit, alone.held, alone.reverse, track)
 
 
 def _lost(observations: ThreadObservations, reason: str, before: ThreadTrack | None) -> ThreadReconstruction:

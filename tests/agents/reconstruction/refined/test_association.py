@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from agents.reconstruction.refined.association import associated
+from agents.reconstruction.refined.points import chosen_points
 from agents.reconstruction.refined.projection import Curve, fitted
 from schemas.messages import Centrelines, RectifiedStereo
 from shared.camera import project
@@ -55,7 +56,8 @@ def off(seen, lines, places):
 
 
 def look(curve, lines, votes=True):
-    return associated(curve, lines, CAMERA, 0.0, 200, votes=votes)
+    points = chosen_points(lines[0], CAMERA, 200), chosen_points(lines[1], CAMERA, 200)
+    return associated(curve, points, CAMERA, 0.0, votes=votes)
 
 
 @pytest.mark.parametrize("shape", [winding, loop])
@@ -129,3 +131,14 @@ def test_no_points_find_no_place():
         none, point_px=np.ones((1, 2)), piece=np.zeros(1, np.int64), width_px=np.ones(1), deviation_px=np.ones(1)
     )
     assert look(curve, (one, none)).found_share == 0.0
+
+
+def test_a_point_takes_its_direction_from_its_own_piece():
+    across = np.column_stack((100.0 + np.arange(40.0), np.full(40, 50.0)))
+    down = np.column_stack((np.full(40, 140.0), 50.0 + np.arange(40.0)))
+    piece = np.repeat([0, 1], 40)
+    lines = Centrelines(np.concatenate((across, down)), piece, np.full(80, 3.0), np.full(80, 0.1))
+    points = chosen_points(lines, CAMERA, 20)
+    np.testing.assert_allclose(points.direction[points.piece == 0], [[1.0, 0.0]] * np.sum(points.piece == 0))
+    np.testing.assert_allclose(points.direction[points.piece == 1], [[-1.0, 0.0]] * np.sum(points.piece == 1))
+    np.testing.assert_array_equal(points.point_px[points.is_end], [across[0], across[-1], down[0], down[-1]])

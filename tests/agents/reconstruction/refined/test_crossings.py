@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from agents.reconstruction.refined.crossings import crossings_of, other_threads_px
+from agents.reconstruction.refined.projection import Curve
 from schemas.messages import Centrelines, Over, RectifiedStereo
 from shared.camera import project
 from shared.splines import basis_matrix, clamped_uniform_knots, evaluate
@@ -25,7 +26,7 @@ def loop(rise_mm):
 
 
 def found(control_points, deviation=0.1):
-    return crossings_of(CAMERA, KNOTS, control_points, S, np.tile(deviation**2 * np.eye(3), (len(S), 1, 1)))
+    return crossings_of(CAMERA, Curve(KNOTS, control_points), S, np.tile(deviation**2 * np.eye(3), (len(S), 1, 1)))
 
 
 def test_a_crossing_is_where_both_strands_are_seen_at_one_pixel():
