@@ -81,3 +81,18 @@ def test_a_short_piece_of_another_depth_stays_outside(see, camera, make_lines):
     moved = [right.point_px[right.piece == 0], right.point_px[right.piece == 1] - (90.0, 0.0)]
     course = course_of(left, make_lines(*moved), camera)
     assert set(course.left.piece.tolist()) == {0}
+
+
+@pytest.mark.parametrize("rows_off", [-5.0, 0.0, 5.0])
+def test_ends_beside_each_other_are_cut_where_rows_that_are_off_make_both_look_covered(camera, make_lines, rows_off):
+    # a needle lies back along the end of its thread; what is hidden might turn back, but here nothing is
+    t = np.linspace(0.0, 1.0, 400)[:, None]
+    thread = np.hstack((400.0 + 40.0 * np.sin(3.0 * (1 - t)), 60.0 + 340.0 * t))
+    needle = np.hstack((412.0 + 30.0 * t**2, 398.0 - 120.0 * t))
+    left = make_lines(thread, needle)
+    right = make_lines(*(piece - (55.0, 0.0) + (0.0, rows_off) for piece in (thread, needle)))
+    found = chains(left, camera.image_width)
+    known = ends_of(left, right, [(chain, align(chain, right, camera.image_width)) for chain in found], camera)
+    cut = int((left.piece == 0).sum())
+    assert (known.tip[[cut - 1, cut]] < COVERED).all() == (rows_off != 0)
+    assert set(chains(left, camera.image_width, known)[0].piece.tolist()) == {0}
