@@ -19,7 +19,7 @@ from google.protobuf.message import DecodeError
 from google.protobuf.unknown_fields import UnknownFieldSet
 
 from schemas.checks import MessageError, fields_of, is_array, require, without_none
-from schemas.framing import delimited
+from schemas.framing import NotCutError, cut, delimited
 from schemas.generated import suturegrasp_pb2
 from schemas.messages import Arm, GraspGoal, GraspPlan, Heartbeat, ReplayClock, SetParameter
 
@@ -60,26 +60,67 @@ def encode_joining(message: Any, large_bytes: int) -> bytes:
 
 
 def decode(message_type: type[M], data: bytes) -> M:
-    """The message of that type in these bytes. Its arrays are read-only views of what was received.
+    """The message of that type in these bytes. Its arrays, and bytes from LARGE_BYTES on, are read-only views of them.
 
     Raises:
         MessageError: where they hold none; the text names the field and what is wrong with it.
     """
+    return decode_cutting(message_type, data, LARGE_BYTES)
+
+
+def decode_cutting(message_type: type[M], data: bytes, large_bytes: int) -> M:
+    """As `decode`; bytes and arrays of at least that size are cut out of the rest, past protobuf's library."""
     name = message_type.__name__
-    wire = _wire_type(message_type)()
     require(len(data) <= MAX_MESSAGE_BYTES, f"{name} is too large: {len(data)} bytes, of {MAX_MESSAGE_BYTES} allowed")
     try:
-        wire.ParseFromString(data)
+        found = _parsed(message_type, data, large_bytes)
     except DecodeError as error:
         raise MessageError(f"{name} cannot be read: its {len(data)} bytes are damaged or of another type") from error
     # Finite yet absurd numbers overflow in a message's own checks, which then fail as they should.
     with np.errstate(all="ignore"):
-        return _read(wire, message_type, name, in_full=message_type in LEADING_TO_MOTION)
+        return _read(found, message_type, name, in_full=message_type in LEADING_TO_MOTION)
+
+
+@dataclasses.dataclass
+class _Found:
+    """What has arrived as a message: what protobuf's library has read, and what was cut out before, by name."""
+
+    wire: Any
+    large: dict[str, Any]
+
+    def has(self, name: str) -> bool:
+        return name in self.large or self.wire.HasField(name)
+
+    def value(self, name: str) -> Any:
+        return self.large[name] if name in self.large else getattr(self.wire, name)
+
+    def message(self, name: str) -> "_Found":
+        return self.large[name] if name in self.large else _Found(getattr(self.wire, name), {})
+
+
+def _parsed(message_type: Any, data: bytes, large_bytes: int) -> _Found:
+    if len(data) >= large_bytes:
+        try:
+            return _cut(message_type, memoryview(data), large_bytes)
+        except NotCutError:
+            pass
+    return _Found(_wire_type(message_type).FromString(data), {})
+
+
+def _cut(message_type: Any, data: memoryview, large_bytes: int) -> _Found:
+    fields = _single_roomy_fields(message_type)
+    rest, large = cut(data, fields, large_bytes)
+    named: dict[str, Any] = {}
+    for number, inside in large.items():
+        name, declared = fields[number]
+        holds_more = _is_message(declared) or is_array(declared)
+        named[name] = _cut(declared, inside, large_bytes) if holds_more else inside
+    return _Found(_wire_type(message_type).FromString(rest), named)
 
 
 @functools.cache
-def _wire_type(message_type: type) -> Any:
-    return getattr(suturegrasp_pb2, message_type.__name__)
+def _wire_type(message_type: Any) -> Any:
+    return suturegrasp_pb2.Array if is_array(message_type) else getattr(suturegrasp_pb2, message_type.__name__)
 
 
 def _write(wire: Any, message: Any, where: str) -> None:
@@ -104,7 +145,7 @@ def _write_field(wire: Any, name: str, value: Any, declared: Any, where: str) ->
 
 def _holds_large(value: Any, large_bytes: int) -> bool:
     """Whether bytes or an array of at least that size lie in a value, itself included."""
-    if isinstance(value, bytes):
+    if isinstance(value, bytes | memoryview):
         return len(value) >= large_bytes
     if isinstance(value, np.ndarray):
         return value.nbytes >= large_bytes
@@ -147,9 +188,15 @@ def _inner_parts(value: Any, declared: Any, where: str, large_bytes: int) -> lis
 
 def _write_scalar(wire: Any, name: str, value: Any, where: str) -> None:
     try:
-        setattr(wire, name, value.value if isinstance(value, enum.Enum) else value)
+        setattr(wire, name, _on_the_wire(value))
     except (TypeError, ValueError) as error:
         raise MessageError(f"{where} cannot be sent: {error}") from error
+
+
+def _on_the_wire(value: Any) -> Any:
+    if isinstance(value, enum.Enum):
+        return value.value
+    return bytes(value) if isinstance(value, memoryview) else value
 
 
 def _write_array(wire: Any, array: np.ndarray, declared: Any) -> None:
@@ -159,10 +206,10 @@ def _write_array(wire: Any, array: np.ndarray, declared: Any) -> None:
     wire.data = array.astype(dtype, copy=False).tobytes()
 
 
-def _read(wire: Any, message_type: type[M], where: str, in_full: bool) -> M:
-    _refuse_unknown_fields(wire, where, in_full)
+def _read(found: _Found, message_type: type[M], where: str, in_full: bool) -> M:
+    _refuse_unknown_fields(found.wire, where, in_full)
     values = {
-        name: _read_field(wire, name, annotation, f"{where}.{name}", in_full)
+        name: _read_field(found, name, annotation, f"{where}.{name}", in_full)
         for name, annotation in fields_of(message_type).items()
     }
     try:
@@ -172,19 +219,20 @@ def _read(wire: Any, message_type: type[M], where: str, in_full: bool) -> M:
         raise MessageError(f"{where}: {error}" if nested else str(error)) from error
 
 
-def _read_field(wire: Any, name: str, annotation: Any, where: str, in_full: bool) -> Any:
+def _read_field(found: _Found, name: str, annotation: Any, where: str, in_full: bool) -> Any:
     declared = without_none(annotation)
     if item_type := _item_type(declared):
-        return tuple(_read(item, item_type, f"{where}[{i}]", in_full) for i, item in enumerate(getattr(wire, name)))
+        items = enumerate(getattr(found.wire, name))
+        return tuple(_read(_Found(item, {}), item_type, f"{where}[{i}]", in_full) for i, item in items)
     optional = declared is not annotation
-    if (optional or is_array(declared) or _is_message(declared)) and not wire.HasField(name):
+    if (optional or is_array(declared) or _is_message(declared)) and not found.has(name):
         require(optional, f"{where} is missing")
         return None
-    value = getattr(wire, name)
     if is_array(declared):
-        return _read_array(value, declared, where)
+        return _read_array(found.message(name), declared, where)
     if _is_message(declared):
-        return _read(value, declared, where, in_full)
+        return _read(found.message(name), declared, where, in_full)
+    value = found.value(name)
     return _read_enum(value, declared, where) if issubclass(declared, enum.Enum) else value
 
 
@@ -197,20 +245,19 @@ def _read_enum(number: int, declared: type[enum.Enum], where: str) -> enum.Enum:
         raise MessageError(f"{where} {found}; it must be one of {known}") from error
 
 
-def _read_array(wire: Any, declared: Any, where: str) -> np.ndarray:
-    _refuse_unknown_fields(wire, where, in_full=True)
+def _read_array(found: _Found, declared: Any, where: str) -> np.ndarray:
+    _refuse_unknown_fields(found.wire, where, in_full=True)
+    wire, data = found.wire, found.value("data")
     dtype, axes, shape = _wire_dtype(declared), declared.dim_str.split(), tuple(wire.shape)
     require(wire.dtype == dtype.str, f"{where} must hold {dtype.str}, not {wire.dtype[:20]!r}")
     # Before any reshape: an array without elements may still claim axes too long for NumPy to index.
     fits = len(shape) == len(axes) and all(not a.isdigit() or int(a) == n for a, n in zip(axes, shape, strict=True))
     require(fits, f"{where} must have shape ({', '.join(axes)}), not {shape[:8]}")
     expected = math.prod(shape) * dtype.itemsize
-    require(
-        len(wire.data) == expected, f"{where} holds {len(wire.data)} bytes where its shape {shape} needs {expected}"
-    )
+    require(len(data) == expected, f"{where} holds {len(data)} bytes where its shape {shape} needs {expected}")
     if dtype.kind == "b":
-        require(not wire.data.strip(b"\0\1"), f"{where} holds bytes that are neither true (1) nor false (0)")
-    return np.frombuffer(wire.data, dtype).reshape(shape)
+        require(not bytes(data).strip(b"\0\1"), f"{where} holds bytes that are neither true (1) nor false (0)")
+    return np.frombuffer(data, dtype).reshape(shape)
 
 
 def _refuse_unknown_fields(wire: Any, where: str, in_full: bool) -> None:
@@ -238,6 +285,15 @@ def _roomy_fields(message_type: type) -> list[str]:
     """The fields under which bytes or arrays may lie."""
     declared = {name: without_none(annotation) for name, annotation in fields_of(message_type).items()}
     return [name for name, type_ in declared.items() if _is_roomy(_item_type(type_) or type_)]
+
+
+@functools.cache
+def _single_roomy_fields(message_type: Any) -> dict[int, tuple[str, Any]]:
+    """Name and type by number of the fields that are not repeated under which bytes or arrays may lie."""
+    if is_array(message_type):
+        return {suturegrasp_pb2.Array.DATA_FIELD_NUMBER: ("data", bytes)}
+    fields = _fields_by_number(message_type)
+    return {number: (name, type_) for number, name, type_ in fields if not _item_type(type_) and _is_roomy(type_)}
 
 
 def _is_roomy(declared: Any) -> bool:

@@ -90,7 +90,7 @@ def _raw(image: Image, at_ns: int, frame_id: str) -> Any:
         height=image.height,
         encoding="bgr8" if image.channels == 3 else "mono8",
         step=image.width * image.channels,
-        data=image.data,
+        data=bytes(image.data),
     )
 
 

@@ -26,7 +26,11 @@ class ImageEncoding(enum.Enum):
 
 @dataclass(frozen=True)
 class Image:
-    """An image as it travels: encoded bytes, with the size they decode to. Colour is blue first."""
+    """An image as it travels: encoded bytes, with the size they decode to. Colour is blue first.
+
+    Fields:
+        data: of a large raw image that was received, a read-only view of the message.
+    """
 
     encoding: ImageEncoding
     width: int
@@ -45,6 +49,7 @@ class Image:
                 f"Image.data holds {len(self.data)} bytes where a raw image of this size has {expected}",
             )
         else:
+            object.__setattr__(self, "data", bytes(self.data))
             require(len(self.data) > 0, "Image.data is empty")
 
 

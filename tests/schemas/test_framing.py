@@ -6,10 +6,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from schemas.checks import MessageError
-from schemas.codec import LARGE_BYTES, decode, encode, encode_joining
+from schemas.codec import LARGE_BYTES, decode, decode_cutting, encode, encode_joining
 from schemas.framing import varint
 from schemas.generated import suturegrasp_pb2 as pb
-from schemas.messages import FrameStamp, Image, ImageEncoding, StereoFrame, TissueSurface
+from schemas.messages import (
+    CommandRecord,
+    FrameStamp,
+    Image,
+    ImageEncoding,
+    StereoFrame,
+    ThreadObservations,
+    TissueSurface,
+)
 from tests.schemas.test_codec import MESSAGES, same
 
 NEVER = 1 << 40
@@ -21,6 +29,33 @@ NEVER = 1 << 40
 def test_joined_bytes_are_those_of_protobufs_library(message_type, data, large_bytes):
     message = data.draw(MESSAGES[message_type])
     assert encode_joining(message, large_bytes) == encode_joining(message, NEVER)
+
+
+def outcome(message_type, data, large_bytes):
+    """The bytes of what is decoded, or why it is refused."""
+    try:
+        return encode(decode_cutting(message_type, data, large_bytes))
+    except MessageError as error:
+        return str(error)
+
+
+@pytest.mark.parametrize("message_type", MESSAGES)
+@settings(max_examples=15)
+@given(data=st.data(), large_bytes=st.integers(1, 48))
+def test_what_is_cut_out_is_what_protobufs_library_reads(message_type, data, large_bytes):
+    whole = encode(data.draw(MESSAGES[message_type]))
+    assert encode(decode_cutting(message_type, whole, large_bytes)) == whole
+
+
+@pytest.mark.parametrize("message_type", [StereoFrame, TissueSurface, ThreadObservations, CommandRecord])
+@settings(max_examples=80)
+@given(data=st.data(), large_bytes=st.integers(1, 48))
+def test_damage_is_found_whether_or_not_fields_are_cut_out(message_type, data, large_bytes):
+    damaged = bytearray(encode(data.draw(MESSAGES[message_type])))
+    for place in data.draw(st.lists(st.integers(0, max(0, len(damaged) - 1)), max_size=3)):
+        damaged[place : place + 1] = data.draw(st.binary(max_size=3))
+    damaged += data.draw(st.sampled_from((b"", bytes(damaged), bytes(damaged[: len(damaged) // 2]))))
+    assert outcome(message_type, bytes(damaged), large_bytes) == outcome(message_type, bytes(damaged), NEVER)
 
 
 def picture(seed, width, height):
@@ -36,7 +71,10 @@ def test_a_large_frame_arrives_whole():
     message = frame(320, 240)
     assert len(message.left.data) > LARGE_BYTES
     assert encode(message) == encode_joining(message, NEVER)
-    assert decode(StereoFrame, encode(message)) == message
+    received = decode(StereoFrame, encode(message))
+    assert received == message
+    assert encode(received) == encode(message)
+    assert not np.frombuffer(received.left.data, np.uint8).flags.writeable
 
 
 @settings(max_examples=15)
