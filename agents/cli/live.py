@@ -21,7 +21,7 @@ from agents.cli.live_options import (
 from agents.cli.process import EXIT_OK, EXIT_UNUSABLE, on_stop, run_router
 from agents.cli.rig import RigConfig, simulated_rig
 from agents.cli.terminal import complain, say
-from agents.cli.this_host import at_host
+from agents.cli.this_host import at_host, certificates_of
 from agents.operator.operator import Stood, arm_and_stand_by, ask_for_grasp, hold, prompt
 from schemas.messages import ExecutionEvent, ExecutionKind, GraspPlan, Outcome, Policy, Status
 from schemas.topics import MAIN
@@ -40,7 +40,8 @@ def rig_of(options: OnRig) -> RigConfig:
     """
     if options.config is None:
         return simulated_rig()
-    return at_host(load_config(options.config, RigConfig), options.host)
+    rig = load_config(options.config, RigConfig)
+    return certificates_of(at_host(rig, options.host), options.config)
 
 
 def run_live(options: OnRig) -> int:

@@ -38,6 +38,7 @@ def _run(arguments: list[str]) -> int:
         return 0
     # Loading OpenCV and SciPy takes a second, during which Ctrl-C must end as quietly as later.
     from agents.cli.command_line import parsed
+    from agents.cli.lab_options import LAB_RUNNERS, Deploy
     from agents.cli.live_options import Demo
     from agents.cli.options import Reconstruct, UsageError
     from agents.cli.recorded_options import RUNNERS, OnRecording
@@ -60,6 +61,8 @@ def _run(arguments: list[str]) -> int:
         return demo(options)
     if isinstance(options, OnRecording):
         return importlib.import_module(RUNNERS[type(options)]).run(options)
+    if isinstance(options, Deploy):
+        return importlib.import_module(LAB_RUNNERS[type(options)]).run(options)
     from agents.cli.live import run_live
 
     return run_live(options)

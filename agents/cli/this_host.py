@@ -1,11 +1,16 @@
 """Which of a rig's hosts this machine is: as the command or the file says, or by its name or address."""
 
+import os
 import socket
 from collections.abc import Mapping
+from pathlib import Path
 
 from agents.cli.rig import RigConfig
 from agents.cli.rig_hosts import HostSection
 from shared.runtime.config import ConfigError
+
+CREDENTIALS = "CREDENTIALS_DIRECTORY"
+"""Where systemd puts what one unit alone may read."""
 
 
 def at_host(rig: RigConfig, named: str | None) -> RigConfig:
@@ -25,6 +30,15 @@ def at_host(rig: RigConfig, named: str | None) -> RigConfig:
     if host not in rig.hosts:
         raise ConfigError(f"{host!r} is none of the rig's hosts {', '.join(rig.hosts)}")
     return rig.model_copy(update={"host": host})
+
+
+def certificates_of(rig: RigConfig, config: Path) -> RigConfig:
+    """The rig with the folder of its certificates: as systemd or Compose give it, or beside the rig's file."""
+    if rig.security is None:
+        return rig
+    given = os.environ.get(CREDENTIALS)
+    folder = Path(given) if given else config.resolve().parent / rig.security.certificates
+    return rig.model_copy(update={"security": rig.security.model_copy(update={"certificates": folder})})
 
 
 def _recognised(hosts: Mapping[str, HostSection]) -> str | None:

@@ -286,7 +286,7 @@ def test_the_page_tells_every_key_with_its_default_and_what_it_may_be(title):
     for name, field in keys.items():
         default = (
             "-"
-            if field.default is None
+            if field.default is None or field.is_required()
             else str(field.default).lower()
             if isinstance(field.default, bool)
             else field.default

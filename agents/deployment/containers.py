@@ -1,0 +1,93 @@
+"""A Compose file of a host: our image for the agents, Eclipse Zenoh's for the router.
+
+Containers share the host's network, so that addresses are those of the rig, and its shared memory, through which
+Zenoh passes images. Each is given its own certificate alone, as secrets.
+"""
+
+import io
+from typing import Any
+
+from ruamel.yaml import YAML
+
+from agents.deployment.layout import ROUTER, Host, Process
+from agents.deployment.places import HOME, RIG_FILE, SECRETS, SESSIONS
+from agents.deployment.units import COMMANDS, PEOPLE, REALTIME_KINDS
+from shared.runtime.identity import AUTHORITY_FILE
+
+ZENOH_IMAGE = "eclipse/zenoh:1.10.2"
+IMAGE = "suturegrasp"
+ROUTER_FILE = "router.json5"
+
+
+def compose_file(rig: str, host: Host, calibration: str = "") -> str:
+    """The Compose file of a host, in YAML; `calibration` is where the camera's lies beside the rig's file."""
+    services = {_service_name(p): _service(host, p, calibration) for p in host.processes if p.kind != PEOPLE}
+    secrets = {
+        file: {"file": f"./certificates/{file}"}
+        for p in host.processes
+        if p.kind != PEOPLE
+        for file in (AUTHORITY_FILE, f"{p.common_name}.pem", f"{p.common_name}.key")
+    }
+    document = {
+        "services": services,
+        "secrets": {_secret(file): where for file, where in secrets.items()},
+        "volumes": {"sessions": {}},
+    }
+    text = io.StringIO()
+    yaml = YAML()
+    yaml.default_flow_style = False
+    yaml.dump(document, text)
+    return f"# rig {rig}, host {host.name}: docker compose up --detach\n{text.getvalue()}"
+
+
+def _service(host: Host, process: Process, calibration: str) -> dict[str, Any]:
+    name = process.common_name
+    service: dict[str, Any] = {
+        "image": IMAGE,
+        "restart": "unless-stopped",
+        "network_mode": "host",
+        # images go through the host's shared memory
+        "ipc": "host",
+        "read_only": True,
+        "cap_drop": ["ALL"],
+        "security_opt": ["no-new-privileges:true"],
+        "tmpfs": ["/tmp"],  # noqa: S108
+        "secrets": [
+            {"source": _secret(file), "target": file} for file in (AUTHORITY_FILE, f"{name}.pem", f"{name}.key")
+        ],
+        "volumes": [f"./{RIG_FILE}:{HOME / RIG_FILE}:ro"],
+        "environment": {"CREDENTIALS_DIRECTORY": str(SECRETS)},
+    }
+    if process.kind == ROUTER:
+        service["image"] = ZENOH_IMAGE
+        service["command"] = ["--config", f"/etc/zenoh/{ROUTER_FILE}"]
+        service["volumes"] = [f"./{ROUTER_FILE}:/etc/zenoh/{ROUTER_FILE}:ro"]
+        del service["environment"]
+        return service
+    asked = COMMANDS.get(process.kind, process.kind)
+    if process.kind == "viewer":
+        asked = "view --output {session} --numbered --show file"
+    ending = "rrd" if process.kind == "viewer" else "mcap"
+    command = asked.format(instance=process.instance, session=SESSIONS / f"session.{ending}")
+    service["working_dir"] = str(HOME)
+    service["command"] = [*command.split(), "--config", str(HOME / RIG_FILE), "--host", host.name]
+    if process.kind in ("recorder", "viewer"):
+        service["volumes"].append(f"sessions:{SESSIONS}")
+        service["working_dir"] = str(SESSIONS)
+    if process.kind == "camera":
+        service["device_cgroup_rules"] = ["c 81:* rmw"]
+        service["volumes"].append("/dev:/dev")
+        if calibration:
+            service["volumes"].append(f"./{calibration}:{HOME / calibration}:ro")
+    if host.realtime and process.kind in REALTIME_KINDS:
+        service["cap_add"] = ["SYS_NICE"]
+        service["ulimits"] = {"rtprio": 50}
+    return service
+
+
+def _service_name(process: Process) -> str:
+    return process.common_name.replace(".", "-")
+
+
+def _secret(file: str) -> str:
+    return file.replace(".", "-")

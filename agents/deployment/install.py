@@ -1,0 +1,184 @@
+"""Puts a host's part of the plan in its place: configuration, certificates and units; run on that host, as root."""
+
+import filecmp
+import os
+import shutil
+import subprocess
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+
+from agents.deployment.certificates import CERTIFICATES as CERTIFICATES_FOLDER
+from agents.deployment.places import CERTIFICATES, HOME, RIG_FILE, UNITS, USER
+from agents.deployment.plan import UNITS_FOLDER
+from agents.deployment.units import PEOPLE, TARGET
+from shared.runtime.identity import IdentityError, check_identity, identity_in
+
+UNIT_FILES = "suturegrasp-*.service"
+BEFORE_STEPS = 254
+"""systemd until then does not know RestartSteps= and RestartMaxDelaySec=, says so, and goes on."""
+
+
+class InstallError(RuntimeError):
+    """A host's part that cannot be installed; the text names what is wrong and the remedy."""
+
+
+@dataclass
+class Installed:
+    """What was done.
+
+    Fields:
+        changed: files that are new or other than before, as they are called on the host.
+        removed: units of processes that run elsewhere now.
+        notes: what could not be checked or done here.
+    """
+
+    changed: list[PurePosixPath] = field(default_factory=list[PurePosixPath])
+    removed: list[str] = field(default_factory=list[str])
+    notes: list[str] = field(default_factory=list[str])
+
+
+def install(folder: Path, root: Path = Path("/")) -> Installed:
+    """Install what the plan has for this host; everything is checked before anything is written.
+
+    `root` is another folder than / to see, or to pack, what would be installed; then nobody is made owner of anything,
+    and systemd is not told.
+
+    Raises:
+        InstallError: where the plan is not complete, or a unit would not be accepted.
+    """
+    done = Installed()
+    sources = _sources(folder)
+    _check_units(folder / UNITS_FOLDER, done)
+    real = root == Path("/")
+    if real and os.geteuid() != 0:
+        raise InstallError("only root may install: sudo suturegrasp deploy install ...")
+    if real:
+        _make_user()
+    for source, place in sources:
+        target = root / place.relative_to("/")
+        if not target.exists() or not filecmp.cmp(source, target, shallow=False):
+            done.changed.append(place)
+        _put(source, target, _mode(place), real)
+    _remove_stale(root / UNITS.relative_to("/"), folder / UNITS_FOLDER, done, real)
+    if real:
+        _tell_systemd(done)
+    else:
+        done.notes.append("systemd was not told, since this is not its root")
+    return done
+
+
+def _sources(folder: Path) -> list[tuple[Path, PurePosixPath]]:
+    """Every file of the plan for this host and its place."""
+    rig = folder / RIG_FILE
+    if not rig.is_file():
+        raise InstallError(
+            f"{folder} has no {RIG_FILE}; give the folder of this host that suturegrasp deploy plan wrote"
+        )
+    certificates, units = folder / CERTIFICATES_FOLDER, folder / UNITS_FOLDER
+    names = sorted(path.stem for path in certificates.glob("*.key"))
+    if not names:
+        raise InstallError(f"{certificates} holds no certificates; suturegrasp deploy certificates makes them")
+    for name in names:
+        try:
+            check_identity(identity_in(certificates, name))
+        except IdentityError as error:
+            raise InstallError(str(error)) from None
+    beside = [path for path in folder.rglob("*") if path.is_file() and _is_beside(path.relative_to(folder))]
+    return [
+        (rig, HOME / RIG_FILE),
+        *((path, HOME / PurePosixPath(path.relative_to(folder))) for path in sorted(beside)),
+        *((path, CERTIFICATES / path.name) for path in sorted(certificates.iterdir())),
+        *((path, UNITS / path.name) for path in sorted(units.iterdir())),
+    ]
+
+
+def _is_beside(relative: Path) -> bool:
+    """What the rig's file names, such as a calibration; containers have no part in this."""
+    first = relative.parts[0]
+    return first not in (CERTIFICATES_FOLDER, UNITS_FOLDER) and relative.name not in (
+        RIG_FILE,
+        "compose.yaml",
+        "router.json5",
+    )
+
+
+def _check_units(units: Path, done: Installed) -> None:
+    if shutil.which("systemd-analyze") is None:
+        done.notes.append("the units were not checked, for there is no systemd-analyze here")
+        return
+    complaints = verify(units)
+    if complaints:
+        raise InstallError(f"systemd would not take the units: {complaints[0]}")
+
+
+def verify(units: Path) -> list[str]:
+    """What `systemd-analyze verify` has against the units in a folder, but for the program not being there yet."""
+    files = sorted(str(path) for path in units.iterdir())
+    told = subprocess.run(["systemd-analyze", "verify", *files], capture_output=True, text=True, check=False)  # noqa: S607
+    own = [line for line in told.stderr.splitlines() if "suturegrasp" in line]
+    return [line for line in own if not _expected(line)]
+
+
+def _expected(line: str) -> bool:
+    unknown = "Unknown key" in line and ("'RestartSteps'" in line or "'RestartMaxDelaySec'" in line)
+    return (unknown and _systemd_version() < BEFORE_STEPS) or "is not executable" in line
+
+
+def _systemd_version() -> int:
+    told = subprocess.run(["systemd-analyze", "--version"], capture_output=True, text=True, check=True)  # noqa: S607
+    return int(told.stdout.split()[1])
+
+
+def _make_user() -> None:
+    # a system user who owns nothing and cannot log in; members of its group may give commands
+    known = subprocess.run(["id", USER], capture_output=True, check=False)  # noqa: S607
+    if known.returncode != 0:
+        made = ["useradd", "--system", "--user-group", "--no-create-home", "--shell", "/usr/sbin/nologin", USER]
+        subprocess.run(made, check=True)
+
+
+def _mode(place: PurePosixPath) -> int:
+    """People read the certificates by which they give commands; all others systemd hands out."""
+    if place.suffix == ".key":
+        return 0o640 if place.name.startswith(f"{PEOPLE}.") else 0o600
+    return 0o644
+
+
+def _put(source: Path, target: Path, mode: int, real: bool) -> None:
+    target.parent.mkdir(parents=True, exist_ok=True)
+    if target.parent.name == CERTIFICATES.name:
+        target.parent.chmod(0o750)
+        if real:
+            shutil.chown(target.parent, "root", USER)
+    beside = target.with_name(f".{target.name}.new")
+    beside.unlink(missing_ok=True)
+    beside.touch(mode=mode)
+    shutil.copyfile(source, beside)
+    beside.chmod(mode)
+    if real and mode == 0o640:
+        shutil.chown(beside, "root", USER)
+    beside.replace(target)
+
+
+def _remove_stale(units: Path, planned: Path, done: Installed, real: bool) -> None:
+    for path in sorted(units.glob(UNIT_FILES)):
+        if not (planned / path.name).exists():
+            if real:
+                _systemctl("stop", path.name)
+            path.unlink()
+            done.removed.append(path.name)
+
+
+def _tell_systemd(done: Installed) -> None:
+    if not Path("/run/systemd/system").exists():
+        done.notes.append("systemd does not run here; nothing was started")
+        return
+    _systemctl("daemon-reload")
+    _systemctl("enable", TARGET)
+    _systemctl("restart" if done.changed else "start", TARGET)
+
+
+def _systemctl(*arguments: str) -> None:
+    told = subprocess.run(["systemctl", *arguments], capture_output=True, text=True, check=False)  # noqa: S607
+    if told.returncode != 0:
+        raise InstallError(f"systemctl {' '.join(arguments)} failed: {told.stderr.strip()}")

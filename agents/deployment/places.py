@@ -1,0 +1,14 @@
+"""Where things lie on a host of the rig, and in a container."""
+
+from pathlib import PurePosixPath
+
+PROGRAM = PurePosixPath("/opt/suturegrasp/.venv/bin/suturegrasp")
+"""A checkout of this project lies in /opt/suturegrasp, with its virtual environment as `make install` makes it."""
+HOME = PurePosixPath("/etc/suturegrasp")
+RIG_FILE = "rig.toml"
+CERTIFICATES = HOME / "certificates"
+UNITS = PurePosixPath("/etc/systemd/system")
+USER = "suturegrasp"
+SESSIONS = PurePosixPath("/var/lib/suturegrasp")
+SECRETS = PurePosixPath("/run/secrets")
+"""Where Compose puts what a container alone may read."""

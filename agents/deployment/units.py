@@ -1,0 +1,119 @@
+"""systemd units of a host: one for each process, and a target for all of them.
+
+A process reads its own certificate only, through LoadCredential=, and says by sd_notify when it is ready and, from its
+loop, that it lives. Nothing gains privileges, and nothing but a recorder may write.
+"""
+
+from agents.deployment.layout import ROUTER, Host, Process
+from agents.deployment.places import CERTIFICATES, HOME, PROGRAM, RIG_FILE, SESSIONS, USER
+from shared.runtime.identity import AUTHORITY_FILE
+
+TARGET = "suturegrasp.target"
+WATCHDOG_S = 5
+"""A loop that says nothing for so long hangs; its longest wait is half a second."""
+REALTIME_KINDS = ("robot_bridge", "camera", "simulator")
+"""What keeps time; the others would take the processor from them."""
+REALTIME_PRIORITY = 50
+COMMANDS = {"robot_bridge": "robot-bridge --arm {instance}", "recorder": "record --output {session} --numbered"}
+PEOPLE = "operator"
+"""Has a certificate and no process: commands run as long as somebody needs them."""
+HARDENED = """\
+NoNewPrivileges=yes
+PrivateTmp=yes
+ProtectSystem=strict
+ProtectHome=yes
+ProtectHostname=yes
+ProtectClock=yes
+ProtectKernelTunables=yes
+ProtectKernelModules=yes
+ProtectKernelLogs=yes
+ProtectControlGroups=yes
+ProtectProc=invisible
+RestrictNamespaces=yes
+RestrictSUIDSGID=yes
+RestrictAddressFamilies=AF_UNIX AF_INET AF_INET6
+LockPersonality=yes
+RemoveIPC=no
+CapabilityBoundingSet=
+SystemCallArchitectures=native
+SystemCallFilter=@system-service
+UMask=0027
+"""
+
+
+def unit_name(process: Process) -> str:
+    """File name of the unit of a process."""
+    ending = f"-{process.instance}" if process.kind == "robot_bridge" else ""
+    return f"suturegrasp-{process.kind.replace('_', '-')}{ending}.service"
+
+
+def units(rig: str, host: Host) -> dict[str, str]:
+    """Every unit of a host, by file name."""
+    services = {unit_name(p): _service(rig, host, p) for p in host.processes if p.kind != PEOPLE}
+    target = (
+        "[Unit]\n"
+        f"Description=SutureGrasp, rig {rig}, host {host.name}\n"
+        f"Wants={' '.join(services)}\n\n"
+        "[Install]\nWantedBy=multi-user.target\n"
+    )
+    return {**services, TARGET: target}
+
+
+def _service(rig: str, host: Host, process: Process) -> str:
+    command = COMMANDS.get(process.kind, process.kind).format(
+        instance=process.instance, session=SESSIONS / "session.mcap"
+    )
+    if process.kind == "viewer":
+        command = f"view --output {SESSIONS / 'session.rrd'} --numbered --show file"
+    name = process.common_name
+    credentials = (AUTHORITY_FILE, f"{name}.pem", f"{name}.key")
+    sections = (
+        "[Unit]",
+        f"Description=SutureGrasp {process.kind} {process.instance} of rig {rig}",
+        "Wants=network-online.target",
+        "After=network-online.target time-sync.target",
+        f"PartOf={TARGET}",
+        "# it may be away for as long as it takes: nothing is given up",
+        "StartLimitIntervalSec=0",
+        "",
+        "[Service]",
+        "Type=notify",
+        f"ExecStart={PROGRAM} {command} --config {HOME / RIG_FILE} --host {host.name}",
+        f"User={USER}",
+        *(f"LoadCredential={file}:{CERTIFICATES / file}" for file in credentials),
+        "# ready once it has found the router, however long that takes",
+        "TimeoutStartSec=infinity",
+        f"WatchdogSec={WATCHDOG_S}",
+        "TimeoutStopSec=15",
+        "Restart=on-failure",
+        "# a configuration at fault is not mended by starting again",
+        "RestartPreventExitStatus=2",
+        "RestartSec=0.5",
+        "# systemd before 254 does not know the next two, says so, and waits half a second each time",
+        "RestartSteps=5",
+        "RestartMaxDelaySec=10",
+        *_priority(host, process),
+        *_storage(process),
+        *_devices(process),
+        HARDENED,
+    )
+    return "\n".join(sections)
+
+
+def _priority(host: Host, process: Process) -> tuple[str, ...]:
+    if host.realtime and process.kind in REALTIME_KINDS:
+        # it asks for itself, for the loop's thread alone
+        return (f"LimitRTPRIO={REALTIME_PRIORITY}",)
+    return ("RestrictRealtime=yes",)
+
+
+def _storage(process: Process) -> tuple[str, ...]:
+    if process.kind in ("recorder", "viewer"):
+        return (f"StateDirectory={SESSIONS.name}", f"WorkingDirectory={SESSIONS}")
+    return (f"WorkingDirectory={HOME}",)
+
+
+def _devices(process: Process) -> tuple[str, ...]:
+    if process.kind == "camera":
+        return ("DevicePolicy=closed", "DeviceAllow=char-video4linux rw", "SupplementaryGroups=video")
+    return ("PrivateDevices=yes",) if process.kind != ROUTER else ("PrivateDevices=yes", "LimitNOFILE=65536")

@@ -1,0 +1,265 @@
+"""From one file to each host's configuration, certificates, units and containers, as a person would do it."""
+
+import datetime
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from cryptography import x509
+
+from agents.cli.main import main
+from agents.cli.rig import RigConfig
+from agents.deployment.certificates import AuthorityError, issue
+from agents.deployment.install import verify
+from agents.deployment.layout import ROUTER, Host, Layout, Process
+from agents.deployment.plan import plan
+from shared.runtime.access import access_control
+from shared.runtime.config import load_config
+
+REPOSITORY = Path(__file__).parents[3]
+LAB = REPOSITORY / "deploy" / "lab.toml"
+IMAGES = 'source = "images"\nleft = "l"\ncalibration = "{}"'
+NOW = datetime.datetime(2026, 11, 22, 12, tzinfo=datetime.UTC)
+LAYOUT = Layout(
+    rig="lab",
+    endpoint="tls/10.0.0.1:7447",
+    hosts=(
+        Host("video", "10.0.0.1", (Process(ROUTER), Process("camera"), Process("recorder", "video"))),
+        Host("robot", "robot.lab", (Process("robot_bridge", "psm1"),), realtime=True),
+        Host("desk", "10.0.0.3", (Process("operator", "desk"),)),
+    ),
+    leaf_days=30,
+    authority_days=3650,
+)
+
+
+def suturegrasp(*arguments):
+    with pytest.raises(SystemExit) as ended:
+        main([str(argument) for argument in arguments])
+    return ended.value.code
+
+
+@pytest.fixture(scope="module")
+def deployed(tmp_path_factory):
+    """Everything that deploy plan and deploy certificates make of the example of a lab."""
+    folder = tmp_path_factory.mktemp("deployed")
+    for action in ("plan", "certificates"):
+        assert suturegrasp("deploy", action, "--config", LAB, "--folder", folder) == 0
+    return folder
+
+
+def test_every_host_gets_what_it_runs_and_nothing_else(deployed):
+    certificates = {host: sorted(p.name for p in (deployed / host / "certificates").glob("*.key")) for host in HOSTS}
+    assert certificates == {
+        "video": ["camera.main.key", "recorder.video.key", "router.main.key", "simulator.main.key"],
+        "strong": ["perception.main.key", "planner.main.key", "reconstruction.main.key"],
+        "robot": ["robot_bridge.psm1.key"],
+        "desk": ["operator.desk.key", "viewer.desk.key"],
+    }
+    assert {host for host in HOSTS if (deployed / host / "router.json5").exists()} == {"video"}
+    for host in HOSTS:
+        assert load_config(deployed / host / "rig.toml", RigConfig).host == host
+        assert all(p.stat().st_mode & 0o077 == 0 for p in (deployed / host / "certificates").glob("*.key"))
+
+
+HOSTS = ("video", "strong", "robot", "desk")
+
+
+@pytest.mark.parametrize("host", HOSTS)
+def test_systemd_takes_the_units(deployed, host):
+    if shutil.which("systemd-analyze") is None:
+        pytest.skip("there is no systemd-analyze here, which checks the units")
+    assert verify(deployed / host / "systemd") == []
+
+
+def test_a_unit_that_systemd_would_not_take_is_told(deployed, tmp_path):
+    if shutil.which("systemd-analyze") is None:
+        pytest.skip("there is no systemd-analyze here, which checks the units")
+    unit = (deployed / "robot" / "systemd" / "suturegrasp-robot-bridge-psm1.service").read_text()
+    (tmp_path / "suturegrasp-robot.service").write_text(unit.replace("Type=notify", "Type=notfy"))
+    assert any("notfy" in line for line in verify(tmp_path))
+
+
+def test_units_are_well_confined(deployed):
+    if shutil.which("systemd-analyze") is None:
+        pytest.skip("there is no systemd-analyze here, which rates the units")
+    for unit in deployed.glob("*/systemd/*.service"):
+        rated = subprocess.run(
+            ["systemd-analyze", "security", "--offline=yes", "--threshold=35", str(unit)],  # noqa: S607
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert rated.returncode == 0, (unit.name, rated.stdout.splitlines()[-1:], rated.stderr)
+
+
+@pytest.mark.parametrize("host", HOSTS)
+def test_compose_takes_the_containers(deployed, host):
+    compose = next((c for c in (["docker", "compose"], ["docker-compose"]) if _works(c)), None)
+    if compose is None:
+        pytest.skip("there is no docker compose here, which checks its own files")
+    told = subprocess.run(
+        [*compose, "-f", "compose.yaml", "config", "--quiet"],
+        cwd=deployed / host,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (told.returncode, told.stderr) == (0, "")
+
+
+def _works(command):
+    program: str = command[0]
+    return (
+        shutil.which(program) is not None
+        and subprocess.run([*command, "version"], capture_output=True, check=False).returncode == 0
+    )
+
+
+def test_the_containers_router_is_told_what_ours_is(deployed):
+    text = (deployed / "video" / "router.json5").read_text()
+    told = json.loads(text.split("\n", 1)[1])
+    names = load_config(LAB, RigConfig).common_names()
+    assert told["access_control"] == access_control("lab", names)
+    assert told["listen"]["endpoints"] == ["tls/10.0.0.11:7447"]
+    assert told["transport"]["link"]["tls"]["enable_mtls"] is True
+    assert told["transport"]["link"]["tx"]["lease"] == 2000
+
+
+def test_the_image_is_built_from_files_that_are_there():
+    lines = (REPOSITORY / "deploy" / "Dockerfile").read_text().splitlines()
+    copied = [name for line in lines if line.startswith("COPY ") for name in line.split()[1:-1] if name[0] != "-"]
+    assert copied
+    assert all((REPOSITORY / name).exists() for name in copied)
+
+
+def test_installing_puts_all_in_its_place_and_does_nothing_twice(deployed, tmp_path, capfd):
+    for expected in ("installed /etc/suturegrasp/rig.toml", "nothing has changed"):
+        assert suturegrasp("deploy", "install", "--folder", deployed / "desk", "--root", tmp_path) == 0
+        assert expected in capfd.readouterr().out
+    etc = tmp_path / "etc"
+    assert load_config(etc / "suturegrasp" / "rig.toml", RigConfig).host == "desk"
+    assert (etc / "suturegrasp/certificates/viewer.desk.key").stat().st_mode & 0o777 == 0o600
+    assert (etc / "suturegrasp/certificates/operator.desk.key").stat().st_mode & 0o777 == 0o640
+    assert sorted(p.name for p in (etc / "systemd" / "system").iterdir()) == [
+        "suturegrasp-viewer.service", "suturegrasp.target",
+    ]  # fmt: skip
+
+
+def test_what_runs_elsewhere_now_is_removed(deployed, tmp_path, capfd):
+    for host in ("strong", "desk"):
+        assert suturegrasp("deploy", "install", "--folder", deployed / host, "--root", tmp_path) == 0
+    assert "removed suturegrasp-planner.service" in capfd.readouterr().out
+    assert not (tmp_path / "etc/systemd/system/suturegrasp-planner.service").exists()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda host: shutil.rmtree(host / "certificates"), "holds no certificates; suturegrasp deploy certificates"),
+        (lambda host: (host / "rig.toml").unlink(), "has no rig.toml"),
+        (lambda host: (host / "certificates" / "viewer.desk.pem").unlink(), "viewer.desk.pem: No such file"),
+    ],
+)
+def test_what_is_not_complete_is_not_installed(deployed, tmp_path, capfd, spoil, said):
+    host = shutil.copytree(deployed / "desk", tmp_path / "desk")
+    spoil(host)
+    assert suturegrasp("deploy", "install", "--folder", host, "--root", tmp_path / "root") == 2
+    (complaint,) = capfd.readouterr().err.splitlines()
+    assert said in complaint
+    assert not (tmp_path / "root").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[camera]", "has no [hosts]"),
+        ('host = "video"\n' + LAB.read_text(), "the copy for host video"),
+        (
+            LAB.read_text().replace('source = "scene"', 'source = "images"\nleft = "l"\ncalibration = "c.yaml"'),
+            "c.yaml",
+        ),
+    ],
+)
+def test_a_rig_that_cannot_be_planned_is_one_sentence(tmp_path, capfd, text, said):
+    config = tmp_path / "rig.toml"
+    config.write_text(text)
+    assert suturegrasp("deploy", "plan", "--config", config, "--folder", tmp_path / "out") == 2
+    (complaint,) = capfd.readouterr().err.splitlines()
+    assert said in complaint
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_calibration_goes_to_the_cameras_host(tmp_path):
+    text = LAB.read_text().replace('source = "scene"', IMAGES.format("own/c.yaml"))
+    (tmp_path / "own").mkdir()
+    (tmp_path / "own" / "c.yaml").write_text("what it says is read on that host")
+    (tmp_path / "rig.toml").write_text(text)
+    assert suturegrasp("deploy", "plan", "--config", tmp_path / "rig.toml", "--folder", tmp_path / "out") == 0
+    found = [path.relative_to(tmp_path / "out") for path in (tmp_path / "out").rglob("c.yaml")]
+    assert found == [Path("video/own/c.yaml")]
+    assert "./own/c.yaml:/etc/suturegrasp/own/c.yaml:ro" in (tmp_path / "out/video/compose.yaml").read_text()
+
+
+def expiries(folder):
+    read = {p.name: x509.load_pem_x509_certificate(p.read_bytes()) for p in folder.rglob("*.pem")}
+    return {name: certificate.not_valid_after_utc - NOW for name, certificate in read.items()}
+
+
+def test_certificates_are_short_lived_and_made_anew_in_time(tmp_path):
+    assert {made.reason for made in issue(LAYOUT, tmp_path, NOW)} == {"it was missing"}
+    days = {name: left.days for name, left in expiries(tmp_path).items()}
+    assert days == {n: 3650 if n == "authority.pem" else 30 for n in days}
+    assert {made.reason for made in issue(LAYOUT, tmp_path, NOW + datetime.timedelta(days=19))} == {""}
+    later = issue(LAYOUT, tmp_path, NOW + datetime.timedelta(days=21))
+    assert {made.reason for made in later} == {"a third of its time was left"}
+    assert {made.reason for made in issue(LAYOUT, tmp_path, NOW + datetime.timedelta(days=90))} == {"it had expired"}
+    assert {made.reason for made in issue(LAYOUT, tmp_path, NOW, all_anew=True)} == {"all are made anew"}
+
+
+def test_a_certificate_that_does_not_fit_any_more_is_made_anew(tmp_path):
+    issue(LAYOUT, tmp_path, NOW)
+    video, robot, desk = LAYOUT.hosts
+    moved = Layout("lab", "tls/10.0.0.9:7447", (Host("video", "10.0.0.9", video.processes), robot, desk), 30, 3650)
+    (tmp_path / "video" / "certificates" / "camera.main.key").write_text("nothing")
+    robots, desks = tmp_path / "robot" / "certificates", tmp_path / "desk" / "certificates"
+    (robots / "robot_bridge.psm1.key").write_bytes((desks / "operator.desk.key").read_bytes())
+    reasons = {made.common_name: made.reason for made in issue(moved, tmp_path, NOW)}
+    assert reasons == {
+        "router.main": "its host's address has changed",
+        "camera.main": "it could not be read",
+        "recorder.video": "",
+        "robot_bridge.psm1": "its key was another one's",
+        "operator.desk": "",
+    }
+
+
+def test_what_left_a_host_leaves_no_key_there(tmp_path):
+    issue(LAYOUT, tmp_path, NOW)
+    video, robot, desk = LAYOUT.hosts
+    less = Layout("lab", LAYOUT.endpoint, (Host("video", "10.0.0.1", video.processes[:1]), robot, desk), 30, 3650)
+    issue(less, tmp_path, NOW)
+    assert [p.name for p in (tmp_path / "video" / "certificates").glob("*.key")] == ["router.main.key"]
+
+
+def test_an_authority_that_cannot_sign_is_told(tmp_path):
+    issue(LAYOUT, tmp_path, NOW)
+    with pytest.raises(AuthorityError, match="before a new certificate would"):
+        issue(LAYOUT, tmp_path, NOW + datetime.timedelta(days=3640))
+    (tmp_path / "authority" / "authority.key").unlink()
+    with pytest.raises(AuthorityError, match="put its two files back"):
+        issue(LAYOUT, tmp_path, NOW)
+
+
+def test_the_plan_of_a_host_has_its_realtime_and_its_own_certificate():
+    files = plan(LAYOUT, "")
+    texts = {path.name: text for path, text in files.items() if path.parts[0] == "robot"}
+    unit = texts["suturegrasp-robot-bridge-psm1.service"]
+    assert "LimitRTPRIO=50" in unit
+    assert "RestrictRealtime" not in unit
+    assert unit.count("LoadCredential=") == 3
+    camera = next(text for path, text in files.items() if path.name == "suturegrasp-camera.service")
+    assert "RestrictRealtime=yes" in camera
+    assert "char-video4linux" in camera
