@@ -35,7 +35,7 @@ class Planner:
     outputs: tuple[Topic, ...] = (PLAN,)
     commands: tuple[Topic, ...] = (GOAL,)
     tick_hz: float | None = None
-    watches_clocks = True
+    watches_clocks = ("camera",)
 
     def __init__(self, config: PlannerConfig | None = None, reaches: Reaches | None = None) -> None:
         self._config, self._reaches = config or PlannerConfig(), reaches or psm_reaches

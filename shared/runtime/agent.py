@@ -20,11 +20,15 @@ class Input:
         instance: whose; `*` for all.
         only_newest_counts: that the agent keeps nothing of earlier messages of this topic, so that a replay may leave
             them out.
+        only_remembered: that it does no more with a message of this topic than to remember the newest of each key: so
+            that one alone is decoded and fed, right before what the agent acts on. For *latest* topics of which only
+            the newest counts.
     """
 
     topic: Topic
     instance: str = MAIN
     only_newest_counts: bool = False
+    only_remembered: bool = False
 
 
 @dataclass(frozen=True)
@@ -77,6 +81,12 @@ class Agent(Protocol):
 
     Where it has `only_newest_tick_counts = True`, a tick that nothing followed has changed nothing, so that a replay
     may leave it out.
+
+    Where it has `config`, a frozen dataclass, everybody on the rig may read it; and where fields of that are declared
+    `settable` (shared/runtime/parameters.py), its method `configure` takes a config in which some of them have changed.
+
+    Where it has `watches_clocks`, kinds of agents, the runner measures the clocks of their hosts, and tells them on
+    `planner/clocks`.
 
     Fields:
         kind: the agent's name in keys, such as `perception`.

@@ -50,10 +50,10 @@ def answer_clock(session: zenoh.Session, rig: str, kind: str, instance: str) -> 
     return session.declare_queryable(f"{key_root(rig, instance, kind)}/{CLOCK}", answer)
 
 
-def clock_offset(session: zenoh.Session, rig: str, kind: str, instance: str) -> ClockOffset | None:
+def clock_offset(session: zenoh.Session, rig: str, kind: str, instance: str, trips: int = TRIPS) -> ClockOffset | None:
     """How far the clock of an agent's host is from this one's; None where it gives no answer."""
     best: ClockOffset | None = None
-    for _ in range(TRIPS):
+    for _ in range(trips):
         found = _one_trip(session, f"{key_root(rig, instance, kind)}/{CLOCK}")
         if found is None:
             break

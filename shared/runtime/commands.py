@@ -32,15 +32,26 @@ def new_header(sender: str, deadline_s: float = DEFAULT_DEADLINE_S) -> CommandHe
 
 
 def send_command(
-    session: zenoh.Session, rig: str, topic: Topic, message: Any, instance: str = MAIN, timeout_s: float = 3.0
+    session: zenoh.Session,
+    rig: str,
+    topic: Topic,
+    message: Any,
+    instance: str = MAIN,
+    timeout_s: float = 3.0,
+    agent: str = "",
 ) -> CommandAnswer:
-    """Send a command once and return its answer; where none comes, the status of its id, or UNKNOWN."""
-    selector = key(rig, topic, instance)
+    """Send a command once and return its answer; where none comes, the status of its id, or UNKNOWN.
+
+    `agent` says whom it is for, where every agent answers it under its own key.
+    """
+    selector = key(rig, topic, instance, agent)
     answer = _ask(session, selector, encode(message), encoding_name(topic.message), timeout_s)
     if answer is None:
         answer = _ask(session, f"{selector}?{STATUS}={message.header.id}", b"", "", 0.5 * timeout_s)
     if answer is None:
-        reason = f"no answer from the {topic.receiver} ({instance}): it may not be running; nothing is sent again"
+        reason = (
+            f"no answer from the {agent or topic.receiver} ({instance}): it may not be running; nothing is sent again"
+        )
         return CommandAnswer(message.header.id, Outcome.UNKNOWN, "no_answer", reason)
     return answer
 

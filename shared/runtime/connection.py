@@ -3,6 +3,8 @@
 Such a client is no agent: it has no inputs to replay. It knows the rig's keys and nothing of Zenoh.
 """
 
+import contextlib
+import json
 import os
 import queue
 import threading
@@ -12,19 +14,23 @@ from typing import Any
 
 import zenoh
 
-from schemas.codec import encode
-from schemas.messages import CommandAnswer
-from schemas.topics import MAIN, Topic, key
+from schemas.checks import MessageError
+from schemas.codec import decode, encode
+from schemas.messages import AgentConfiguration, AgentFacts, CommandAnswer, SetParameter
+from schemas.topics import CONFIGURATION, MAIN, SET, Topic, key
 from shared.clock import monotonic_s, now_ns
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.clocks import ClockOffset, clock_offset
-from shared.runtime.commands import send_command
+from shared.runtime.commands import new_header, send_command
 from shared.runtime.delivery import declare_publisher
+from shared.runtime.facts import ask_facts
 from shared.runtime.identity import IdentityError
+from shared.runtime.link import Link, measure_link
 from shared.runtime.session import SessionSettings, open_session
 from shared.runtime.taps import Tapped, tap
 
 ROUTER_WAIT_S = 3.0
+CONFIGURATION_WAIT_S = 1.0
 LOOK_S = 0.05
 
 
@@ -60,7 +66,38 @@ class Connection:
 
     def clocks(self) -> dict[str, ClockOffset | None]:
         """How far the clock of each agent's host is from this one's; None where the agent gives no answer."""
-        return {name: clock_offset(self._session, self._rig, *name.split("/")) for name in self.present()}
+        named = {name: name.split("/") for name in self.present()}
+        return {name: clock_offset(self._session, self._rig, kind, which) for name, (kind, which) in named.items()}
+
+    def facts(self) -> dict[str, AgentFacts]:
+        """Where each agent runs and what it was granted there, by `kind/instance`, of those that answer."""
+        return ask_facts(self._session, self._rig)
+
+    def link(self, kind: str, instance: str = MAIN) -> Link | None:
+        """How long a round trip to an agent takes and how fast much comes; None where it gives no answer."""
+        return measure_link(self._session, self._rig, kind, instance)
+
+    def set_parameter(self, kind: str, instance: str, name: str, value: Any, sender: str) -> CommandAnswer:
+        """Set a parameter of a running agent to a value that JSON can hold; its answer, UNKNOWN where none came."""
+        command = SetParameter(new_header(sender), name, json.dumps(value))
+        return send_command(self._session, self._rig, SET, command, instance, agent=kind)
+
+    def configurations(self, within_s: float = CONFIGURATION_WAIT_S) -> dict[str, AgentConfiguration]:
+        """What each agent that is there is set to, by `kind/instance`, of those of which it was heard in time."""
+        present, found, heard = set(self.present()), dict[str, AgentConfiguration](), threading.Condition()
+
+        def take(tapped: Tapped) -> None:
+            with contextlib.suppress(MessageError), heard:
+                found["/".join(tapped.key.split("/")[2:4])] = decode(AgentConfiguration, tapped.payload)
+                heard.notify()
+
+        listening = tap(self._session, self._rig, (CONFIGURATION,), take, lambda _topic, _count: None)
+        with heard:
+            heard.wait_for(lambda: present <= found.keys(), within_s)
+            told = dict(sorted(found.items()))
+        for declared in listening:
+            declared.undeclare()
+        return {name: configuration for name, configuration in told.items() if name in present}
 
     @contextmanager
     def repeating(

@@ -1,7 +1,8 @@
 """What has arrived for an agent and has not been looked at: newest-only slots and lossless queues.
 
 Filling it never waits, so Zenoh's threads are never held up by a slow agent. Events, states and commands are handed out
-first and in order; then, of each key of a *latest* topic, the newest message alone.
+first and in order; then, of each key of a *latest* topic, the newest message alone. What an agent only remembers waits
+aside until the agent acts on something else.
 """
 
 import threading
@@ -37,6 +38,7 @@ class Inbox:
         self._condition = threading.Condition()
         self._queue: deque[Arrival] = deque()
         self._newest: dict[str, Arrival] = {}
+        self._remembered: dict[str, Arrival] = {}
         self._woken = False
         self._dropped: dict[Any, int] = {}
 
@@ -53,6 +55,19 @@ class Inbox:
                 self._dropped[str(arrival.topic)] = self._dropped.get(str(arrival.topic), 0) + 1
             self._newest[arrival.key] = arrival
             self._condition.notify()
+
+    def remember(self, arrival: Arrival) -> None:
+        """Keep what nobody acts on, in place of an older arrival of its key; no `take` wakes up for it."""
+        with self._condition:
+            self._remembered[arrival.key] = arrival
+
+    def remembered(self) -> list[Arrival]:
+        """What was to be remembered since the last call, the newest of each key."""
+        if not self._remembered:
+            return []
+        with self._condition:
+            kept, self._remembered = self._remembered, {}
+        return list(kept.values())
 
     def take(self, timeout_s: float) -> Arrival | None:
         """The next arrival; None where none came in time, or where somebody called `wake`."""

@@ -22,9 +22,10 @@ from typing import NamedTuple, Protocol
 
 from schemas.codec import decode, encode
 from schemas.messages import CommandRecord, Consumed
-from schemas.topics import COMMANDS, TOPICS, topic_of
+from schemas.topics import COMMANDS, CONFIGURATION, TOPICS, topic_of
 from shared.runtime.agent import Agent, Command, Output, Received, Tick
 from shared.runtime.fed import adds_up, is_tick, state_topic
+from shared.runtime.parameters import Parameters
 
 
 class Recorded(Protocol):
@@ -84,6 +85,7 @@ class _Run:
 
     def __init__(self, agent: Agent, messages: Mapping[_Place, Recorded], from_own_state: bool) -> None:
         self._agent, self._messages, self._adds_up = agent, messages, adds_up(agent)
+        self._parameters = Parameters(agent)
         self._from_own_state = from_own_state
         self._fed: set[_Place] = set()
         self._missing: tuple[Consumed, ...] = ()
@@ -95,7 +97,7 @@ class _Run:
         for arrived in self._still_to_feed(consumed):
             # the last one is what the recorded outputs followed from
             unrecorded += made
-            made = _outputs(self._agent, arrived)
+            made = self._outputs(arrived)
         missing = tuple(c for c in consumed if not is_tick(c.key) and _place(c) not in self._messages)
         if missing or not self._adds_up:
             self._missing = (*self._missing, *missing) if self._adds_up else missing
@@ -116,6 +118,15 @@ class _Run:
             elif recorded is not None and place not in self._fed and self._is_fed(listed.key):
                 self._fed.add(place)
                 yield _arrived(recorded)
+
+    def _outputs(self, arrived: Received | Tick | Command) -> list[Output]:
+        """What a step gives; one that raises gives nothing and is logged, as in a live session."""
+        try:
+            return [output for output in self._parameters.step(arrived) if isinstance(output, Output)]
+        except Exception as error:
+            name = f"suturegrasp.{self._agent.kind}.{self._agent.instance}"
+            logging.getLogger(name).error("a step failed", exc_info=error)
+            return []
 
     def _is_fed(self, key: str) -> bool:
         topic = topic_of(key)
@@ -171,7 +182,7 @@ def _place(named: Recorded | Consumed) -> _Place:
 def _concerns(agent: Agent, key: str) -> bool:
     """Whether a message is an input, an output or a command of the agent; the rest need not be kept."""
     topic, (kind, instance) = topic_of(key), key.split("/")[2:4]
-    if topic is COMMANDS:
+    if topic in (COMMANDS, CONFIGURATION):
         return (kind, instance) == (agent.kind, agent.instance)
     listened = any(i.topic is topic and i.instance in ("*", instance) for i in agent.inputs)
     return listened or _is_output(agent, key)
@@ -180,15 +191,6 @@ def _concerns(agent: Agent, key: str) -> bool:
 def _is_output(agent: Agent, key: str) -> bool:
     topic = topic_of(key)
     return topic in agent.outputs and (not topic.per_arm or key.split("/")[3] == agent.instance)
-
-
-def _outputs(agent: Agent, arrived: Received | Tick | Command) -> list[Output]:
-    """What a step gives; one that raises gives nothing and is logged, as in a live session."""
-    try:
-        return [output for output in agent.step(arrived) if isinstance(output, Output)]
-    except Exception as error:
-        logging.getLogger(f"suturegrasp.{agent.kind}.{agent.instance}").error("a step failed", exc_info=error)
-        return []
 
 
 def _arrived(recorded: Recorded) -> Received | Command:

@@ -2,7 +2,8 @@
 
 One loop, one thread: ticks, commands, events and newest messages are steps of the same object, one after another.
 Every output lists what it was made from (shared/runtime/fed.py), so that a replay can feed it again. While a recording
-is replayed on the rig, its time holds for the agent (shared/runtime/replayed_time.py).
+is replayed on the rig, its time holds for the agent (shared/runtime/replayed_time.py). What it is set to is told when
+it starts and upon each change (shared/runtime/parameters.py).
 """
 
 import contextlib
@@ -20,28 +21,50 @@ import schemas
 from schemas.checks import MessageError
 from schemas.codec import decode, encode, encoding_name
 from schemas.messages import (
+    AgentFacts,
     AgentHealth,
     CommandAnswer,
     CommandHeader,
     CommandRecord,
     Consumed,
+    HostClock,
+    HostClocks,
     LogRecord,
     Outcome,
     ReplayClock,
 )
-from schemas.topics import COMMANDS, HEALTH, LOG, MAIN, REPLAY_CLOCK, Delivery, Topic, key, key_root
+from schemas.topics import (
+    CLOCKS,
+    COMMANDS,
+    CONFIGURATION,
+    HEALTH,
+    LOG,
+    MAIN,
+    REPLAY_CLOCK,
+    SET,
+    Delivery,
+    Topic,
+    key,
+    key_root,
+)
 from shared.clock import Stopwatch, monotonic_s, now_ns
 from shared.runtime.accounts import InputAccount, OutputAccount, RingLosses, StepTimes
 from shared.runtime.agent import Agent, CannotGoOnError, Command, Input, Output, Received, Tick
 from shared.runtime.attachment import Attachment, pack, unpack
+from shared.runtime.clock_watch import ClockWatch
 from shared.runtime.clocks import answer_clock
 from shared.runtime.commands import STATUS, Answered, refused, untimely
 from shared.runtime.delivery import declare_publisher, ring_room, subscribe
+from shared.runtime.facts import Surroundings, answer_facts, facts_of, realtime_priority
 from shared.runtime.fed import Fed, state_topic
 from shared.runtime.inbox import Arrival, Inbox
+from shared.runtime.link import answer_link
 from shared.runtime.log_topic import LogTopic
+from shared.runtime.parameters import Parameters
 from shared.runtime.progress import Handled, answer_progress
 from shared.runtime.replayed_time import AgentClock
+from shared.runtime.service_manager import ServiceManager
+from shared.runtime.usage import ProcessorShare, resident_bytes
 
 HEALTH_PERIOD_S = 1.0
 LONGEST_WAIT_S = 0.5
@@ -56,8 +79,17 @@ class Runner:
         gave_up: why the agent could not go on; empty where it was stopped.
     """
 
-    def __init__(self, agent: Agent, session: zenoh.Session, rig: str, config_hash: str = "") -> None:
+    def __init__(
+        self,
+        agent: Agent,
+        session: zenoh.Session,
+        rig: str,
+        config_hash: str = "",
+        around: Surroundings | None = None,
+    ) -> None:
         self._agent, self._session, self._rig, self._config_hash = agent, session, rig, config_hash
+        self._parameters, self._around, self._manager = Parameters(agent), around or Surroundings(), ServiceManager()
+        self._root = key_root(rig, agent.instance, agent.kind)
         self._clock, self._handled = AgentClock(), Handled()
         self._inbox = Inbox()
         self._stopped = threading.Event()
@@ -71,11 +103,12 @@ class Runner:
         self._newest_only = {str(i.topic) for i in agent.inputs if i.only_newest_counts}
         # log records come from other threads too, and must not share a sequence number
         self._publishing = threading.Lock()
-        self._steps = StepTimes()
+        self._steps, self._processor = StepTimes(), ProcessorShare()
         self._started_s, self._heartbeat, self._fault, self._faults = monotonic_s(), 0, "", 0
         self.gave_up = ""
         self._log = logging.getLogger(f"suturegrasp.{agent.kind}.{agent.instance}")
-        for topic in (*agent.outputs, HEALTH, LOG, COMMANDS):
+        self._watched = frozenset[str](getattr(agent, "watches_clocks", ()))
+        for topic in (*agent.outputs, HEALTH, LOG, COMMANDS, CONFIGURATION, *((CLOCKS,) if self._watched else ())):
             self._declare(topic)
         self._log_topic = LogTopic(agent.kind, agent.instance, self._publish_log)
         self._log.addHandler(self._log_topic)
@@ -87,23 +120,28 @@ class Runner:
         period_s = 1.0 / self._agent.tick_hz if self._agent.tick_hz else None
         next_tick_s = monotonic_s()
         next_health_s = monotonic_s()
+        longest_s = min(LONGEST_WAIT_S, self._manager.alive_every_s or LONGEST_WAIT_S)
         try:
             while not self._stopped.is_set():
                 self._heartbeat += 1
+                self._manager.alive()
                 now_s = monotonic_s()
                 if change := self._clock.change():
                     self._log.info(change)
                 if now_s >= next_health_s:
                     self._publish(HEALTH, self._health(now_s), 0.0)
+                    self._manager.status(self._fault or "running")
                     next_health_s = now_s + HEALTH_PERIOD_S
                 if period_s is not None and now_s >= next_tick_s:
+                    self._feed_remembered()
                     self._tick(self._clock.now_ns())
                     # ticks that were missed are left out, not made up for
                     next_tick_s = max(next_tick_s + period_s, monotonic_s())
                 # even where ticks alone take all the time, what arrives has its turn after each
                 until_s = next_health_s if period_s is None else min(next_health_s, next_tick_s)
-                arrival = self._inbox.take(min(LONGEST_WAIT_S, max(0.0, until_s - monotonic_s())))
+                arrival = self._inbox.take(min(longest_s, max(0.0, until_s - monotonic_s())))
                 if arrival is not None:
+                    self._feed_remembered()
                     self._handle(arrival)
         finally:
             self._end()
@@ -124,12 +162,29 @@ class Runner:
         for topic in self._agent.commands:
             selector = key(self._rig, topic, self._agent.instance if topic.per_arm else MAIN)
             self._kept.append(self._session.declare_queryable(selector, self._take_query(topic), complete=True))
-        self._kept.append(answer_clock(self._session, self._rig, self._agent.kind, self._agent.instance))
+        own = key(self._rig, SET, self._agent.instance, self._agent.kind)
+        self._kept.append(self._session.declare_queryable(own, self._take_query(SET), complete=True))
+        self._answer_questions()
         self._follow_replays()
-        self._tell_progress()
-        alive = key_root(self._rig, self._agent.instance, self._agent.kind)
-        self._kept.append(self._session.liveliness().declare_token(alive))
+        self._kept.append(self._session.liveliness().declare_token(self._root))
+        self._publish_configuration()
+        if self._watched:
+            self._kept.append(ClockWatch(self._session, self._rig, self._watched, self._publish_clocks))
         self._log.info("started, version %s", schemas.__version__)
+        self._manager.ready()
+
+    def _answer_questions(self) -> None:
+        """What is answered from Zenoh's threads, however long a step takes."""
+        granted, agent = realtime_priority(), self._agent
+
+        def facts() -> AgentFacts:
+            config_hash = self._parameters.hashed(self._config_hash)
+            return facts_of(self._session, agent.kind, agent.instance, config_hash, self._around, granted)
+
+        self._kept.append(answer_clock(self._session, self._rig, agent.kind, agent.instance))
+        self._kept.append(answer_facts(self._session, self._root, facts))
+        self._kept.append(answer_link(self._session, self._root))
+        self._tell_progress()
 
     def _follow_replays(self) -> None:
         if not getattr(self._agent, "accepts_replayed_time", True):
@@ -149,19 +204,31 @@ class Runner:
             counts = [(self._key(topic), self._account(topic).published) for topic in topics]
             return tuple(Consumed(name, self._epoch, count - 1) for name, count in counts if count)
 
-        root = key_root(self._rig, self._agent.instance, self._agent.kind)
         listens = [key(self._rig, i.topic, i.instance) for i in self._agent.inputs]
-        self._kept.append(answer_progress(self._session, root, listens, self._handled, published))
+        self._kept.append(answer_progress(self._session, self._root, listens, self._handled, published))
 
     def _receiver(self, wanted: Input) -> Callable[[zenoh.Sample], None]:
         latest = wanted.topic.delivery is Delivery.LATEST
         put = self._inbox.put_newest if latest else self._inbox.put
+        put = self._remember if wanted.only_remembered else put
 
         def receive(sample: zenoh.Sample) -> None:
             attachment = sample.attachment.to_bytes() if sample.attachment is not None else b""
             put(Arrival(wanted.topic, str(sample.key_expr), sample.payload.to_bytes, attachment))
 
         return receive
+
+    def _remember(self, arrival: Arrival) -> None:
+        """Keep what the agent only remembers; nothing follows from it until it acts on something else."""
+        self._inbox.remember(arrival)
+        beside = unpack(arrival.attachment)
+        if beside is not None:
+            self._inputs[str(arrival.topic)].arrived(arrival.key, beside, self._clock.now_ns(), monotonic_s())
+            self._handled.note(arrival.key, beside.epoch, beside.sequence)
+
+    def _feed_remembered(self) -> None:
+        for arrival in self._inbox.remembered():
+            self._handle(arrival, counted=True)
 
     def _miss_counter(self, topic: Topic) -> Callable[[int], None]:
         account = self._inputs[str(topic)]
@@ -190,7 +257,7 @@ class Runner:
 
         return take
 
-    def _handle(self, arrival: Arrival) -> None:
+    def _handle(self, arrival: Arrival, counted: bool = False) -> None:
         if arrival.answer is not None:
             self._carry_out(arrival, arrival.answer)
             return
@@ -207,7 +274,8 @@ class Runner:
             if beside is not None:
                 self._handled.note(arrival.key, beside.epoch, beside.sequence)
             return
-        account.arrived(arrival.key, beside, self._clock.now_ns(), monotonic_s())
+        if not counted:
+            account.arrived(arrival.key, beside, self._clock.now_ns(), monotonic_s())
         only_newest_counts = str(arrival.topic) in self._newest_only
         self._fed.message(arrival.key, beside.epoch, beside.sequence, only_newest_counts)
         self._step(Received(arrival.topic, arrival.key, beside.sequence, message))
@@ -243,6 +311,11 @@ class Runner:
             self._log.warning("an answer to %s could not be sent: %s", arrival.topic, error)
         record = CommandRecord(str(arrival.topic), encoding_name(arrival.topic.message), payload, received_ns, reply)
         self._publish(COMMANDS, record, 0.0)
+        if arrival.topic is SET and reply.outcome is Outcome.ACCEPTED:
+            self._log.info("%s was set to %s by %s", message.name, message.value, message.header.sender)
+            # listed from now on, so that a replay that knows nothing of the command knows what followed from it
+            sequence = self._publish_configuration()
+            self._fed.message(self._key(CONFIGURATION), self._epoch, sequence, only_newest_counts=True)
         if reply.outcome is not Outcome.ACCEPTED:
             self._log.info("refused %s: %s", arrival.topic, reply.reason)
         if outputs:
@@ -252,7 +325,7 @@ class Runner:
         watch = Stopwatch("step")
         try:
             with watch.step("step"):
-                replies = list(self._agent.step(command))
+                replies = list(self._parameters.step(command))
         except Exception as error:
             self._note_fault(error)
             return refused(command.message.header.id, "fault", self._fault), [], 0.0
@@ -270,7 +343,7 @@ class Runner:
         watch = Stopwatch("step")
         try:
             with watch.step("step"):
-                outputs = [o for o in self._agent.step(arrived) if isinstance(o, Output)]
+                outputs = [o for o in self._parameters.step(arrived) if isinstance(o, Output)]
         except Exception as error:
             self._note_fault(error)
             return
@@ -330,13 +403,20 @@ class Runner:
     def _publish_log(self, record: LogRecord) -> None:
         self._publish(LOG, dataclasses.replace(record, at_ns=self._clock.now_ns()), 0.0)
 
+    def _publish_configuration(self) -> int:
+        told = self._parameters.told(self._clock.now_ns(), self._config_hash)
+        return self._publish(CONFIGURATION, told, 0.0)
+
+    def _publish_clocks(self, clocks: tuple[HostClock, ...]) -> None:
+        self._publish(CLOCKS, HostClocks(self._clock.now_ns(), clocks), 0.0)
+
     def _health(self, now_s: float) -> AgentHealth:
         return AgentHealth(
             agent=self._agent.kind,
             instance=self._agent.instance,
             host=socket.gethostname(),
             version=schemas.__version__,
-            config_hash=self._config_hash,
+            config_hash=self._parameters.hashed(self._config_hash),
             at_ns=self._clock.now_ns(),
             uptime_s=now_s - self._started_s,
             heartbeat=self._heartbeat,
@@ -347,10 +427,13 @@ class Runner:
             ),
             outputs=tuple(self._account(topic).health(now_s) for topic in self._agent.outputs),
             fault=self._fault,
+            processor_share=self._processor.since_last(),
+            resident_bytes=resident_bytes(),
         )
 
     def _end(self) -> None:
         """Let the agent come to rest before it falls silent."""
+        self._manager.stopping()
         if self.gave_up:
             self._publish(HEALTH, self._health(monotonic_s()), 0.0)
         close = getattr(self._agent, "close", None)

@@ -1,0 +1,166 @@
+"""Where an agent runs and what it was granted there, told to whoever asks; from Zenoh's thread, not from the loop."""
+
+import functools
+import hashlib
+import importlib.metadata
+import os
+import platform
+import shutil
+import socket
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import zenoh
+
+import schemas
+from schemas.checks import MessageError
+from schemas.codec import decode, encode, encoding_name
+from schemas.generated import suturegrasp_pb2
+from schemas.messages import AgentFacts
+from schemas.topics import key_root
+from shared.clock import now_ns, processor_s
+from shared.runtime.usage import resident_bytes
+
+FACTS = "facts"
+"""The last part of the key under which an agent answers; nothing is published there."""
+ANSWER_WAIT_S = 2.0
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What an agent's process knows of its host that its agent does not.
+
+    Fields:
+        writes_to: the folder that it writes to, None where it writes nothing.
+        calibrated_ns: when the calibration that it uses was made, since 1970; None where nobody knows.
+        certificate_expires_ns: None where it runs without a certificate.
+        realtime_asked: the real-time priority that it asked for; None for none.
+        realtime_refused: why it was not granted; empty where it was, or nothing was asked for.
+    """
+
+    writes_to: Path | None = None
+    calibrated_ns: int | None = None
+    certificate_expires_ns: int | None = None
+    realtime_asked: int | None = None
+    realtime_refused: str = ""
+
+
+@functools.cache
+def schemas_hash() -> str:
+    """A short name of all messages that this version knows, which changes with any field of them."""
+    return hashlib.sha256(suturegrasp_pb2.DESCRIPTOR.serialized_pb).hexdigest()[:12]
+
+
+def ask_for_realtime(priority: int) -> str:
+    """Have this thread, and those that it starts from now on, run before all ordinary ones; why not, or empty."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except (OSError, AttributeError) as error:
+        said = error.strerror if isinstance(error, OSError) else "this system has no such scheduler"
+        return f"{said}: allow it, with LimitRTPRIO= in the unit or rtprio in limits.conf"
+    return ""
+
+
+def facts_of(
+    session: zenoh.Session, kind: str, instance: str, config_hash: str, around: Surroundings, granted: int | None
+) -> AgentFacts:
+    """The facts of this process now; `granted` is the real-time priority of its loop."""
+    shared_memory, why = _shared_memory(session)
+    return AgentFacts(
+        agent=kind,
+        instance=instance,
+        host=socket.gethostname(),
+        at_ns=now_ns(),
+        version=schemas.__version__,
+        schemas_hash=schemas_hash(),
+        config_hash=config_hash,
+        python=platform.python_version(),
+        zenoh=_zenoh_version(),
+        shared_memory=shared_memory,
+        shared_memory_reason=why,
+        realtime_asked=around.realtime_asked,
+        realtime_granted=granted,
+        realtime_reason=_realtime_reason(around, granted),
+        writes_to=str(around.writes_to.absolute()) if around.writes_to is not None else "",
+        disk_free_bytes=_free_bytes(around.writes_to) if around.writes_to is not None else None,
+        calibrated_ns=around.calibrated_ns,
+        certificate_expires_ns=around.certificate_expires_ns,
+        processor_s=processor_s(),
+        resident_bytes=resident_bytes(),
+    )
+
+
+def realtime_priority() -> int | None:
+    """The real-time priority of the thread that calls, None where it has none."""
+    try:
+        if os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK in (os.SCHED_FIFO, os.SCHED_RR):
+            return os.sched_getparam(0).sched_priority
+    except (OSError, AttributeError):
+        return None
+    return None
+
+
+def answer_facts(session: zenoh.Session, root: str, facts: Callable[[], AgentFacts]) -> Any:
+    """Have the facts told to whoever asks, under the root of an agent's keys; keep what is returned."""
+    own = f"{root}/{FACTS}"
+
+    def answer(query: zenoh.Query) -> None:
+        query.reply(own, encode(facts()), encoding=encoding_name(AgentFacts))
+        query.drop()
+
+    return session.declare_queryable(own, answer)
+
+
+def ask_facts(session: zenoh.Session, rig: str, kind: str = "*", instance: str = "*") -> dict[str, AgentFacts]:
+    """The facts of every agent that answers, by `kind/instance`."""
+    replies = session.get(
+        f"{key_root(rig, instance, kind)}/{FACTS}",
+        target=zenoh.QueryTarget.ALL,
+        consolidation=zenoh.ConsolidationMode.NONE,
+        timeout=ANSWER_WAIT_S,
+    )
+    found: dict[str, AgentFacts] = {}
+    for reply in replies:
+        if reply.ok is not None:
+            try:
+                told = decode(AgentFacts, reply.ok.payload.to_bytes())
+            except MessageError:
+                continue
+            found["/".join(str(reply.ok.key_expr).split("/")[2:4])] = told
+    return dict(sorted(found.items()))
+
+
+def _zenoh_version() -> str:
+    return importlib.metadata.version("eclipse-zenoh")
+
+
+def _shared_memory(session: zenoh.Session) -> tuple[bool, str]:
+    """Whether what this session sends and receives goes through shared memory, and why or why not."""
+    # what Zenoh's type stubs leave out is there where the wheel was built with shared memory
+    transports: list[Any] = session.info.transports()
+    if not transports:
+        return False, "no router is connected"
+    if all(transport.is_shm for transport in transports):
+        return True, "the router is on this host, and large messages pass through /dev/shm"
+    local = any(str(link.dst).split("/")[-1].startswith(("127.", "[::1]")) for link in session.info.links())
+    if local:
+        return False, "the router is on this host, and does not share /dev/shm with this process"
+    return False, "the router is on another host"
+
+
+def _realtime_reason(around: Surroundings, granted: int | None) -> str:
+    if around.realtime_asked is None:
+        return "" if granted is None else "given by whoever started it"
+    if granted is None:
+        return around.realtime_refused or "it was taken away again"
+    return ""
+
+
+def _free_bytes(folder: Path) -> int | None:
+    there = next((p for p in (folder.absolute(), *folder.absolute().parents) if p.exists()), None)
+    try:
+        return shutil.disk_usage(there).free if there is not None else None
+    except OSError:
+        return None

@@ -1,0 +1,74 @@
+"""What a process tells the service manager that started it (systemd's sd_notify): ready, alive, how it goes, stopping.
+
+One datagram each, to the socket that NOTIFY_SOCKET names; where that is unset, nobody is told anything.
+"""
+
+import os
+import socket
+from collections.abc import Mapping
+
+from shared.clock import monotonic_s
+
+
+class ServiceManager:
+    """The one that started this process, if any did.
+
+    Fields:
+        alive_every_s: how often it wants to hear that the process is alive, halved; None where it does not watch.
+    """
+
+    def __init__(self, environment: Mapping[str, str] | None = None) -> None:
+        asked = os.environ if environment is None else environment
+        self._address = _address(asked.get("NOTIFY_SOCKET", ""))
+        self.alive_every_s = _period_s(asked) if self._address is not None else None
+        self._alive_s: float | None = None
+        self._status = ""
+
+    def ready(self) -> None:
+        """The process listens."""
+        self._tell("READY=1")
+
+    def alive(self) -> None:
+        """A turn of the process's own loop: so one that hangs is noticed. Told at half the period that is watched."""
+        now_s = monotonic_s()
+        if self.alive_every_s is None or (self._alive_s is not None and now_s - self._alive_s < self.alive_every_s):
+            return
+        self._alive_s = now_s
+        self._tell("WATCHDOG=1")
+
+    def status(self, text: str) -> None:
+        """How it goes, in one line; said again only when it changes."""
+        line = text.replace("\n", " ")
+        if line != self._status:
+            self._status = line
+            self._tell(f"STATUS={line}")
+
+    def stopping(self) -> None:
+        """The process ends, as it was told to."""
+        self._tell("STOPPING=1")
+
+    def _tell(self, line: str) -> None:
+        if self._address is None:
+            return
+        try:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as sender:
+                sender.setblocking(False)
+                sender.sendto(line.encode(errors="replace"), self._address)
+        except OSError:
+            # a manager that does not listen, or is behind, must not hold the process up
+            return
+
+
+def _address(named: str) -> str | None:
+    """The address of a socket; a name that begins with @ is abstract, and begins with a zero byte."""
+    if named.startswith("@"):
+        return f"\0{named[1:]}"
+    return named if named.startswith("/") else None
+
+
+def _period_s(asked: Mapping[str, str]) -> float | None:
+    """Less than half of what WATCHDOG_USEC says, where it is meant for this process."""
+    period, meant_for = asked.get("WATCHDOG_USEC", ""), asked.get("WATCHDOG_PID", "")
+    if not period.isdigit() or int(period) == 0 or meant_for not in ("", str(os.getpid())):
+        return None
+    return 0.4e-6 * int(period)
