@@ -6,6 +6,7 @@ when it restarts. Nothing is scouted for by multicast. Off loopback both sides o
 
 import ipaddress
 import json
+import os
 import re
 import socket
 from dataclasses import dataclass
@@ -20,6 +21,9 @@ LEASE_MS = 2000
 BATCHES_WAITING = 16
 """Of states and results, for a busy machine's turn to send: Zenoh's own 2 are full within 20 ms at 100 Hz, and what
 finds no room for a millisecond is lost. Consumers take the newest of what comes late."""
+RUNTIME_VARIABLE, ROUTER_RUNTIME = "ZENOH_RUNTIME", "(rx: (worker_threads: 32))"
+"""Threads of a router that receive. Closing a link whose other end is gone holds one of them up for 10 s (SO_LINGER);
+with Zenoh's own 2, one host cut off, with three agents on it, left the whole rig unheard. A zenohd needs it too."""
 COMMON: dict[str, Any] = {
     "scouting/multicast/enabled": False,
     "transport/link/tx/lease": LEASE_MS,
@@ -90,6 +94,8 @@ def open_router(endpoint: str, identity: Identity | None = None, access: dict[st
         IdentityError: where the endpoint is off loopback and the certificate is missing or not valid.
     """
     check_security(endpoint, identity)
+    # read when the first session of a process is opened
+    os.environ.setdefault(RUNTIME_VARIABLE, ROUTER_RUNTIME)
     try:
         return zenoh.open(_config(router_settings(endpoint, identity, access)))
     except zenoh.ZError:
