@@ -51,12 +51,17 @@ def encode(message: Any) -> bytes:
 
 def encode_joining(message: Any, large_bytes: int) -> bytes:
     """As `encode`; bytes and arrays of at least that size are joined to the rest, past protobuf's library."""
+    return b"".join(encoded_parts(message, large_bytes))
+
+
+def encoded_parts(message: Any, large_bytes: int = LARGE_BYTES) -> list[Any]:
+    """What `encode` joins: more than one part only where bytes or arrays of at least that size are among them."""
     where = type(message).__name__
     if _holds_large(message, large_bytes):
-        return b"".join(_parts(message, where, large_bytes))
+        return _parts(message, where, large_bytes)
     wire = _wire_type(type(message))()
     _write(wire, message, where)
-    return wire.SerializeToString(deterministic=True)
+    return [wire.SerializeToString(deterministic=True)]
 
 
 def decode(message_type: type[M], data: bytes) -> M:

@@ -7,11 +7,12 @@ from typing import Any
 import zenoh
 from zenoh import ext
 
-from schemas.codec import encoding_name
+from schemas.codec import encoded_parts, encoding_name
 from schemas.messages import Heartbeat, RobotState, StereoFrame
 from schemas.topics import Delivery, Topic
 from shared.runtime.accounts import RingLosses
 from shared.runtime.attachment import unpack
+from shared.runtime.shared_memory import joined
 
 EVENT_CACHE = 1000
 """Events kept for those who were away: about a router's restart at the highest rate of events."""
@@ -28,6 +29,17 @@ and counted, in the inbox. Behind a key expression with a wildcard many keys sha
 def ring_room(key: str) -> int:
     """How many samples wait behind a key expression of a *latest* topic."""
     return _WILDCARD_RING if "*" in key else _RING
+
+
+def payload_of(topic: Topic, message: Any) -> Any:
+    """What a publisher of that topic puts for a message: large newest ones lie in shared memory from the start.
+
+    Raises:
+        MessageError: where a value does not fit its field on the wire.
+    """
+    parts = encoded_parts(message)
+    # a cache of what must not be lost would soon fill the pool
+    return joined(parts) if topic.delivery is Delivery.LATEST and len(parts) > 1 else b"".join(parts)
 
 
 def declare_publisher(session: zenoh.Session, key: str, topic: Topic, waits: bool = False) -> Any:
