@@ -54,7 +54,7 @@ from shared.runtime.attachment import Attachment, pack, unpack
 from shared.runtime.clock_watch import ClockWatch
 from shared.runtime.clocks import answer_clock
 from shared.runtime.commands import STATUS, Answered, refused, untimely
-from shared.runtime.delivery import declare_publisher, ring_room, subscribe
+from shared.runtime.delivery import declare_publisher, payload_of, ring_room, subscribe
 from shared.runtime.facts import Surroundings, answer_facts, facts_of, realtime_priority
 from shared.runtime.fed import Fed, state_topic
 from shared.runtime.inbox import Arrival, Inbox
@@ -63,6 +63,7 @@ from shared.runtime.log_topic import LogTopic
 from shared.runtime.parameters import Parameters
 from shared.runtime.progress import Handled, answer_progress
 from shared.runtime.replayed_time import AgentClock
+from shared.runtime.router_watch import RouterWatch
 from shared.runtime.service_manager import ServiceManager
 from shared.runtime.usage import ProcessorShare, resident_bytes
 
@@ -165,6 +166,7 @@ class Runner:
         own = key(self._rig, SET, self._agent.instance, self._agent.kind)
         self._kept.append(self._session.declare_queryable(own, self._take_query(SET), complete=True))
         self._answer_questions()
+        self._kept.append(RouterWatch(self._session, self._log.warning))
         self._follow_replays()
         self._kept.append(self._session.liveliness().declare_token(self._root))
         self._publish_configuration()
@@ -393,7 +395,7 @@ class Runner:
 
     def _publish(self, topic: Topic, message: Any, step_ms: float) -> int:
         """Publish a message; its number in the sequence of its key."""
-        account, payload = self._account(topic), encode(message)
+        account, payload = self._account(topic), payload_of(topic, message)
         with self._publishing:
             beside = Attachment(self._epoch, account.published, self._clock.now_ns(), step_ms)
             account.count(monotonic_s())
