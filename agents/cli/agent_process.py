@@ -13,6 +13,7 @@ from agents.cli.terminal import complain
 from shared.calibration import CalibrationError
 from shared.runtime.config import ConfigError, config_hash
 from shared.runtime.connection import NoRouterError, open_when_there
+from shared.runtime.memory import keep_freed_memory
 from shared.runtime.runner import Runner
 from shared.runtime.session import runs_already
 from shared.scene.render import SceneError
@@ -23,6 +24,7 @@ YIELDING = ("perception", "reconstruction")
 def run_agent(rig: RigConfig, kind: str, instance: str) -> int:
     """Run one agent until it is told to stop; the exit status."""
     log_to_console()
+    keep_freed_memory()
     if kind in YIELDING:
         step_back()
     try:
