@@ -18,8 +18,9 @@ from agents.cli.live_options import (
     Up,
     View,
 )
-from agents.cli.process import EXIT_OK, EXIT_UNUSABLE, on_stop, run_router
+from agents.cli.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.cli.rig import RigConfig, simulated_rig
+from agents.cli.router import run_router
 from agents.cli.terminal import complain, say
 from agents.cli.this_host import at_host, certificates_of
 from agents.operator.operator import Stood, arm_and_stand_by, ask_for_grasp, hold, prompt

@@ -1,4 +1,4 @@
-"""One agent, or a router, as a process: from configuration to a clean stop on SIGINT and SIGTERM."""
+"""What every process of a rig does alike: a clean stop on SIGINT and SIGTERM, its place in the queue, its log."""
 
 import contextlib
 import logging
@@ -9,12 +9,7 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from agents.cli.rig import RigConfig
 from agents.cli.supervisor import SUPERVISED, UNUSABLE
-from agents.cli.terminal import complain
-from shared.runtime.access import access_control
-from shared.runtime.config import ConfigError
-from shared.runtime.session import RouterError, open_router
 
 EXIT_OK, EXIT_GAVE_UP, EXIT_UNUSABLE = 0, 1, UNUSABLE
 NICENESS = 8
@@ -33,31 +28,6 @@ def step_back() -> None:
     with contextlib.suppress(OSError):
         if os.getsid(0) == os.getpid():
             AUTOGROUP.write_text(str(NICENESS))
-
-
-def run_router(rig: RigConfig) -> int:
-    """Run a router until it is told to stop; the exit status."""
-    stopped = threading.Event()
-    on_stop(stopped.set)
-    try:
-        with open_rig_router(rig):
-            print(f"router on {rig.router_endpoint}", flush=True)
-            stopped.wait()
-    except (RouterError, ConfigError) as error:
-        return complain(str(error), EXIT_UNUSABLE)
-    return EXIT_OK
-
-
-def open_rig_router(rig: RigConfig) -> contextlib.AbstractContextManager[object]:
-    """The router of a rig; with certificates, each may do what is its own and nothing else.
-
-    Raises:
-        RouterError: where its endpoint cannot be listened on.
-        IdentityError: where its certificate cannot be used.
-    """
-    identity = rig.identity_of("router")
-    access = None if identity is None else access_control(rig.rig, rig.common_names())
-    return open_router(rig.router_endpoint, identity, access)
 
 
 def on_stop(stop: Callable[[], None]) -> None:

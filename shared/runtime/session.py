@@ -35,6 +35,10 @@ COMMON: dict[str, Any] = {
 ENDPOINT = re.compile(r"(?P<protocol>[a-z-]+)/(?P<host>.+):(?P<port>\d{1,5})")
 
 
+Session = zenoh.Session
+"""For those who pass one on and know nothing of Zenoh."""
+
+
 class RouterError(RuntimeError):
     """A router that cannot be started; the text names the remedy."""
 
@@ -102,6 +106,12 @@ def open_router(endpoint: str, identity: Identity | None = None, access: dict[st
         raise RouterError(
             f"no router can listen on {endpoint}: another one may be running there; stop it, or use another endpoint"
         ) from None
+
+
+def have_links_logged() -> None:
+    """Have Zenoh say on standard output what is wrong with links, unless RUST_LOG asks for something else already."""
+    os.environ.setdefault("RUST_LOG", "zenoh_link_tls=warn,zenoh_transport=warn")
+    zenoh.try_init_log_from_env()
 
 
 def check_security(endpoint: str, identity: Identity | None) -> None:
