@@ -17,6 +17,7 @@ from schemas.topics import CALIBRATION, FRAMES, MAIN, SIMULATOR_STATE, Topic
 from shared.calibration.identity import calibration_id
 from shared.images import encode_image
 from shared.runtime.agent import CannotGoOnError, Command, Input, Output, Received, Tick
+from shared.runtime.settable import Between, settable
 
 Renderer = Callable[[SimulatorState, int], Pair]
 """A simulated field and a frame number to what the cameras see."""
@@ -32,7 +33,7 @@ class CameraConfig:
 
     rate_hz: float = 30.0
     encoding: ImageEncoding = ImageEncoding.JPEG
-    jpeg_quality: int = 95
+    jpeg_quality: int = settable(95, Between(1, 100))
     latency_ms: float = 0.0
 
 
@@ -48,8 +49,12 @@ class Camera:
 
     def __init__(self, source: Source, calibration: StereoCalibration, config: CameraConfig) -> None:
         self._source, self._calibration = source, calibration
-        self.tick_hz: float | None = config.rate_hz
+        self.config, self.tick_hz = config, config.rate_hz
         self._sender, self._announced = FrameSender(config), False
+
+    def configure(self, config: CameraConfig) -> None:
+        """Go on with another config, in which only what may be set while the agent runs has changed."""
+        self.config = self._sender.config = config
 
     def step(self, arrived: Received | Tick | Command) -> Iterable[Output | CommandAnswer]:
         """The calibration at the first tick, then one frame a tick; a source that fails is a fault.
@@ -81,7 +86,7 @@ class SceneCamera:
 
     kind = "camera"
     instance = MAIN
-    inputs = (Input(SIMULATOR_STATE, only_newest_counts=True),)
+    inputs = (Input(SIMULATOR_STATE, only_newest_counts=True, only_remembered=True),)
     outputs = (FRAMES, CALIBRATION)
     commands: tuple[Topic, ...] = ()
     only_newest_tick_counts = True
@@ -93,10 +98,14 @@ class SceneCamera:
         config: CameraConfig,
     ) -> None:
         self._render, self._calibration_of = render, calibration_of
-        self.tick_hz: float | None = config.rate_hz
+        self.config, self.tick_hz = config, config.rate_hz
         self._state: SimulatorState | None = None
         self._camera: RectifiedStereo | None = None
         self._sender = FrameSender(config)
+
+    def configure(self, config: CameraConfig) -> None:
+        """Go on with another config, in which only what may be set while the agent runs has changed."""
+        self.config = self._sender.config = config
 
     def step(self, arrived: Received | Tick | Command) -> Iterable[Output | CommandAnswer]:
         """The calibration once the field is known and whenever its camera changes, then one frame a tick."""
@@ -114,7 +123,7 @@ class FrameSender:
     """Turns pairs into numbered messages, which name the calibration they were taken with."""
 
     def __init__(self, config: CameraConfig) -> None:
-        self._config, self._calibration_id = config, ""
+        self.config, self._calibration_id = config, ""
         self.sent = 0
 
     def calibrated(self, calibration: StereoCalibration) -> None:
@@ -123,9 +132,9 @@ class FrameSender:
 
     def frame(self, pair: Pair, now_ns: int, taken_ns: tuple[int, int] = (0, 0)) -> StereoFrame:
         """The next frame, each image taken so long after now, and seen `latency_ms` before it was taken."""
-        latency_ns = round(self._config.latency_ms * 1e6)
+        latency_ns = round(self.config.latency_ms * 1e6)
         left_ns, right_ns = (now_ns + ns - latency_ns for ns in taken_ns)
         stamp = FrameStamp(self.sent, left_ns, right_ns, self._calibration_id)
         self.sent += 1
-        left, right = (encode_image(image, self._config.encoding, self._config.jpeg_quality) for image in pair)
+        left, right = (encode_image(image, self.config.encoding, self.config.jpeg_quality) for image in pair)
         return StereoFrame(stamp, left, right)

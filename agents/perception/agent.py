@@ -17,6 +17,7 @@ from agents.perception.rectification import (
     rectify_image,
 )
 from agents.perception.search import Looked, Pair, look_everywhere, look_near
+from agents.perception.segmenter_names import SEGMENTER_NAMES
 from agents.perception.surface import surface_is_due, tissue_surface
 from schemas.messages import (
     CommandAnswer,
@@ -36,6 +37,7 @@ from shared.calibration.identity import calibration_id
 from shared.images import ImageDataError, decode_image, encode_image
 from shared.runtime.agent import Command, Input, Output, Received, Tick
 from shared.runtime.commands import accepted, refused
+from shared.runtime.settable import OneOf, settable
 
 LARGEST_IMAGE_PIXELS = 1 << 26
 MS = 1_000_000
@@ -54,7 +56,7 @@ class PerceptionConfig:
         matching: whether pixels are matched as well, which takes the longest and only method `paper` needs.
     """
 
-    segmenter: str | None = None
+    segmenter: str | None = settable(None, OneOf((None, *SEGMENTER_NAMES)))
     matching: bool = False
 
 
@@ -74,7 +76,7 @@ class Perception:
     tick_hz = None
 
     def __init__(self, config: PerceptionConfig = PerceptionConfig()) -> None:
-        self._config = config
+        self.config = config
         self._calibration: StereoCalibration | None = None
         self._calibration_id = ""
         # made for the first frame of its size: a calibration may claim any size
@@ -82,6 +84,10 @@ class Perception:
         self._last: ThreadObservations | None = None
         self._prompt_px: Pixel | None = None
         self._frame: StereoFrame | None = None
+
+    def configure(self, config: PerceptionConfig) -> None:
+        """Go on with another config, in which only what may be set while the agent runs has changed."""
+        self.config = config
 
     def step(self, arrived: Received | Tick | Command) -> Iterable[Output | CommandAnswer]:
         """Observations for each frame once there is a calibration; an unusable frame is a failure with its reason."""
@@ -122,7 +128,7 @@ class Perception:
         observed = self._observed(stamp, pair, looked) if looked else None
         if observed is not None and observed.status is Status.OK:
             return observed
-        everything = look_everywhere(pair.images, stamp.sequence, self._config.segmenter, self._prompt_px)
+        everything = look_everywhere(pair.images, stamp.sequence, self.config.segmenter, self._prompt_px)
         return self._observed(stamp, pair, everything)
 
     def _observed(self, stamp: FrameStamp, pair: "_Rectified", looked: Looked) -> ThreadObservations:
@@ -133,7 +139,7 @@ class Perception:
             *looked.coverage,
             looked.segmenter,
             looked.judgements,
-            matching=self._config.matching,
+            matching=self.config.matching,
         )
         return replace(
             observed,
@@ -173,7 +179,7 @@ class Perception:
                 "outside",
                 f"({u:.0f}, {v:.0f}) lies outside the left image of {width}x{height} pixels",
             )
-        if not look_everywhere(pair.images, 0, self._config.segmenter, prompt.pixel).coverage[0].any():
+        if not look_everywhere(pair.images, 0, self.config.segmenter, prompt.pixel).coverage[0].any():
             reason = f"nothing like thread lies within {reach_px(width):.0f} px of ({u:.0f}, {v:.0f}) in the left image"
             return refused(prompt.header.id, "no_thread", reason)
         self._last, self._prompt_px = None, prompt.pixel

@@ -1,4 +1,4 @@
-"""The planner as an agent: it keeps the newest thread and the newest state of every arm, and answers goals."""
+"""The planner as an agent: it keeps the newest thread, state of every arm and account of clocks, and answers goals."""
 
 from collections.abc import Callable, Iterable
 
@@ -7,9 +7,9 @@ from jaxtyping import Bool, Float64
 
 from agents.planner.config import PlannerConfig
 from agents.planner.plan import ArmView, plan_grasp
-from agents.planner.refusal import RefusedGoalError, planned_from
-from schemas.messages import CommandAnswer, GraspGoal, Outcome, RobotState, ThreadReconstruction
-from schemas.topics import GOAL, MAIN, PLAN, ROBOT_STATE, THREAD, Topic
+from agents.planner.refusal import RefusedGoalError, clock_unknown, planned_from
+from schemas.messages import CommandAnswer, GraspGoal, HostClocks, Outcome, RobotState, ThreadReconstruction
+from schemas.topics import CLOCKS, GOAL, MAIN, PLAN, ROBOT_STATE, THREAD, Topic
 from shared.kinematics import psm
 from shared.rigid_transforms import compose, inverse
 from shared.runtime.agent import Command, Input, Output, Received, Tick
@@ -29,8 +29,9 @@ class Planner:
     kind: str = "planner"
     instance: str = MAIN
     inputs: tuple[Input, ...] = (
-        Input(THREAD, only_newest_counts=True),
-        Input(ROBOT_STATE, instance="*", only_newest_counts=True),
+        Input(THREAD, only_newest_counts=True, only_remembered=True),
+        Input(ROBOT_STATE, instance="*", only_newest_counts=True, only_remembered=True),
+        Input(CLOCKS, only_newest_counts=True),
     )
     outputs: tuple[Topic, ...] = (PLAN,)
     commands: tuple[Topic, ...] = (GOAL,)
@@ -38,9 +39,14 @@ class Planner:
     watches_clocks = ("camera",)
 
     def __init__(self, config: PlannerConfig | None = None, reaches: Reaches | None = None) -> None:
-        self._config, self._reaches = config or PlannerConfig(), reaches or psm_reaches
+        self.config, self._reaches = config or PlannerConfig(), reaches or psm_reaches
         self._thread: ThreadReconstruction | None = None
         self._arms: dict[str, RobotState] = {}
+        self._clocks: HostClocks | None = None
+
+    def configure(self, config: PlannerConfig) -> None:
+        """Go on with another config, in which only what may be set while the agent runs has changed."""
+        self.config = config
 
     def step(self, arrived: Received | Tick | Command) -> Iterable[Output | CommandAnswer]:
         """Remember what was received; answer a goal, and follow an acceptance with a plan or a rejection."""
@@ -53,16 +59,19 @@ class Planner:
     def _remember(self, arrived: Received) -> None:
         if arrived.topic is THREAD:
             self._thread = arrived.message
+        elif arrived.topic is CLOCKS:
+            self._clocks = arrived.message
         else:
             self._arms[arrived.message.arm] = arrived.message
 
     def _answer(self, goal: GraspGoal, now_ns: int) -> Iterable[Output | CommandAnswer]:
         try:
-            thread, arm = planned_from(goal, self._thread, self._arms, now_ns, self._config)
+            thread, arm = planned_from(goal, self._thread, self._arms, now_ns, self.config, self._clocks)
         except RefusedGoalError as error:
             return (CommandAnswer(goal.header.id, Outcome.REFUSED, error.code, str(error)),)
-        plan = plan_grasp(goal, thread, self._view(arm), self._config)
-        return CommandAnswer(goal.header.id, Outcome.ACCEPTED, "", ""), Output(PLAN, plan)
+        plan = plan_grasp(goal, thread, self._view(arm), self.config)
+        unknown = clock_unknown(self._clocks)
+        return CommandAnswer(goal.header.id, Outcome.ACCEPTED, "", unknown), Output(PLAN, plan)
 
     def _view(self, state: RobotState) -> ArmView:
         T_base_camera = inverse(state.T_camera_base)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from schemas.checks import require
 from shared.kinematics.psm import FINGER_M
+from shared.runtime.settable import Between, settable
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class PlannerConfig:
 
     samples: int = 100
     keep_probability: float = 0.99
-    least_probability: float = 0.5
+    least_probability: float = settable(0.5, Between(0.0, 1.0))
     goal_within_px: float = 20.0
     goal_within_m: float = 0.005
     depth_m: float = 0.002

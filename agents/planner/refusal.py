@@ -4,8 +4,11 @@ import math
 from collections.abc import Mapping
 
 from agents.planner.config import PlannerConfig
-from schemas.messages import GraspGoal, RobotState, ThreadReconstruction, TrackStep
-from schemas.topics import THREAD
+from schemas.messages import GraspGoal, HostClock, HostClocks, RobotState, ThreadReconstruction, TrackStep
+from schemas.topics import FRAMES, THREAD
+
+CLOCK_BOUND_MS = 100.0
+"""How far the clock of the camera's host may be off: half of what a heartbeat may take."""
 
 
 class RefusedGoalError(ValueError):
@@ -22,12 +25,18 @@ def planned_from(
     arms: Mapping[str, RobotState],
     now_ns: int,
     config: PlannerConfig,
+    clocks: HostClocks | None = None,
 ) -> tuple[ThreadReconstruction, RobotState]:
     """The thread and the state of the arm that a goal can be planned from.
+
+    Of clocks that nobody measured nothing is held against a goal.
 
     Raises:
         RefusedGoalError: where one of them is missing, too old, or of no use.
     """
+    if thread is not None:
+        # a wrong clock makes a thread look old, or yet to come, and that says less
+        _check_clocks(clocks)
     fresh = _fresh_thread(thread, now_ns)
     if goal.s is not None and fresh.track is not None and fresh.track.step is TrackStep.RESTARTED:
         raise RefusedGoalError(
@@ -36,6 +45,37 @@ def planned_from(
             "point",
         )
     return fresh, _fresh_arm(goal.arm, arms, now_ns, config)
+
+
+def clock_unknown(clocks: HostClocks | None) -> str:
+    """What cannot be told of the clocks that frames are stamped by; empty where nothing is left open."""
+    for clock in _of_cameras(clocks):
+        if clock.ahead_ms is None or clock.within_ms is None:
+            return f"the clock of the host of {clock.agent} {clock.instance} is unknown, for it gives no answer"
+        if abs(clock.ahead_ms) + clock.within_ms > CLOCK_BOUND_MS:
+            return (
+                f"whether the clock of {clock.host} is within {CLOCK_BOUND_MS:.0f} ms of the planner's cannot be told, "
+                f"for its answer takes {2 * clock.within_ms:.0f} ms"
+            )
+    return ""
+
+
+def _check_clocks(clocks: HostClocks | None) -> None:
+    """Refuse frames of a host whose clock is out of bounds for certain."""
+    for clock in _of_cameras(clocks):
+        if clock.ahead_ms is None or clock.within_ms is None:
+            continue
+        if abs(clock.ahead_ms) - clock.within_ms > CLOCK_BOUND_MS:
+            apart = f"{abs(clock.ahead_ms):.0f} ms {'ahead of' if clock.ahead_ms > 0 else 'behind'} the planner's"
+            raise RefusedGoalError(
+                "clock_out_of_bounds",
+                f"the frames come from {clock.host}, whose clock is {apart} (within {clock.within_ms:.1f} ms), and at "
+                f"most {CLOCK_BOUND_MS:.0f} ms are accepted; synchronise both hosts with chrony or PTP",
+            )
+
+
+def _of_cameras(clocks: HostClocks | None) -> tuple[HostClock, ...]:
+    return tuple(c for c in clocks.clocks if c.agent == FRAMES.agent) if clocks is not None else ()
 
 
 def _fresh_thread(thread: ThreadReconstruction | None, now_ns: int) -> ThreadReconstruction:

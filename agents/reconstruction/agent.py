@@ -1,12 +1,21 @@
 """The reconstruction agent: observations in, thread out."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 from agents.reconstruction.method_names import DEFAULT_METHOD
 from agents.reconstruction.methods import METHODS, TRACKERS
 from schemas.messages import CommandAnswer, ThreadReconstruction
 from schemas.topics import MAIN, OBSERVATIONS, THREAD, Topic
 from shared.runtime.agent import Command, Input, Output, Received, Tick
+
+
+@dataclass(frozen=True)
+class ReconstructionConfig:
+    """Which method makes threads, and whether it goes on from its last one."""
+
+    method: str
+    tracking: bool
 
 
 class Reconstruction:
@@ -24,6 +33,7 @@ class Reconstruction:
     tick_hz = None
 
     def __init__(self, method: str = DEFAULT_METHOD, tracking: bool = True) -> None:
+        self.config = ReconstructionConfig(method, tracking)
         self._method = METHODS[method]
         self._tracker = TRACKERS.get(method) if tracking else None
         self.goes_on_from = THREAD if self._tracker else None

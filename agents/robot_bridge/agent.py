@@ -36,6 +36,7 @@ from schemas.topics import ARM, EXECUTION, HEARTBEAT, HOLD, PLAN, REPLAY_CLOCK, 
 from shared.kinematics.psm import forward
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
 from shared.runtime.agent import Command, Input, Output, Received, Tick
+from shared.runtime.settable import Between, settable
 
 KEPT_PLANS = 8
 MEASUREMENT_AGE_S = 0.1
@@ -63,14 +64,15 @@ class RobotBridgeConfig:
         T_camera_base: where its base is, in the rectified left camera's frame, metres.
         dead_man_s: without a heartbeat for longer than this, the arm holds and is disarmed.
         first_heartbeat_s: how long the first one may take; nothing moves before it.
-        maximum_plan_age_s: since the frame that the plan was made from was captured.
+        maximum_plan_age_s: since the frame that the plan was made from was captured; while the arm runs it can only be
+            made smaller than it was configured.
     """
 
     arm: str = "psm1"
     T_camera_base: Float64[np.ndarray, "4 4"] = field(default_factory=lambda: SIMULATED_T_CAMERA_BASE)
     dead_man_s: float = 0.2
     first_heartbeat_s: float = 1.0
-    maximum_plan_age_s: float = MAXIMUM_PLAN_AGE_S
+    maximum_plan_age_s: float = settable(MAXIMUM_PLAN_AGE_S, Between(0.1))
     tick_hz: float = 100.0
     limits: MotionLimits = field(default_factory=MotionLimits)
 
@@ -98,7 +100,7 @@ class RobotBridge:
         clock = () if backend.accepts_replayed_time else (Input(REPLAY_CLOCK, only_newest_counts=True),)
         self.inputs = (Input(PLAN), Input(HEARTBEAT, config.arm), *clock)
         self.tick_hz = config.tick_hz
-        self._config, self._backend = config, backend
+        self.config, self._backend = config, backend
         self._setup = Setup(backend.psm, config.T_camera_base, config.limits, 1 / config.tick_hz)
         self._plans: dict[str, GraspPlan] = {}
         self._unusable: dict[str, Refusal] = {}
@@ -108,6 +110,10 @@ class RobotBridge:
         self._not_ready = "the arm has not been measured yet"
         self._execution: Execution | None = None
         self._holding = False
+
+    def configure(self, config: RobotBridgeConfig) -> None:
+        """Go on with another config, in which only what may be set while the agent runs has changed."""
+        self.config = config
 
     def step(self, arrived: Received | Tick | Command) -> Iterable[Output | CommandAnswer]:
         """What follows from one message, tick or command."""
@@ -192,11 +198,11 @@ class RobotBridge:
     def _beat(self, heartbeat: Heartbeat) -> None:
         execution = self._execution
         named = (heartbeat.arm, heartbeat.plan_id, heartbeat.arming_id)
-        ours = execution and named == (self._config.arm, execution.plan_id, execution.arming_id)
+        ours = execution and named == (self.config.arm, execution.plan_id, execution.arming_id)
         if execution and ours and self._now_ns is not None:
             # one that was long on its way, or is played again, does not tell that anybody is there now
             away_s = abs(self._now_ns - heartbeat.at_ns) * 1e-9
-            if away_s <= self._config.dead_man_s + CLOCK_TOLERANCE_S:
+            if away_s <= self.config.dead_man_s + CLOCK_TOLERANCE_S:
                 execution.beat(heartbeat.at_ns, self._now_ns)
 
     def _refuse_replay(self) -> list[Output]:
@@ -208,8 +214,8 @@ class RobotBridge:
         """Keep a plan that this arm could be armed with, or else why it could not."""
         self._plans.pop(plan.plan_id, None)
         self._unusable.pop(plan.plan_id, None)
-        if plan.arm != self._config.arm:
-            sentence = f"plan {plan.plan_id} is for {plan.arm}, and this is {self._config.arm}"
+        if plan.arm != self.config.arm:
+            sentence = f"plan {plan.plan_id} is for {plan.arm}, and this is {self.config.arm}"
             _keep_few(self._unusable, plan.plan_id, Refusal(Code.OTHER_ARM, sentence))
         elif plan.status is not Status.OK:
             sentence = f"the planner rejected plan {plan.plan_id}: {plan.reason}"
@@ -255,19 +261,19 @@ class RobotBridge:
         planned = plan_motion(plan.waypoints, self._arm_state.joints, self._arm_state.jaw_rad, self._setup)
         if isinstance(planned, Refusal):
             return planned
-        patience = Patience(self._config.first_heartbeat_s, self._config.dead_man_s)
+        patience = Patience(self.config.first_heartbeat_s, self.config.dead_man_s)
         return Execution(message, planned, self._now_ns, patience, self._backend.psm)
 
     def _wrong_arm(self, command: Command, arm: str) -> Refusal | None:
-        named = next((name for name in (arm, command.instance) if name != self._config.arm), None)
-        sentence = f"the command is for {named}, and this is {self._config.arm}"
+        named = next((name for name in (arm, command.instance) if name != self.config.arm), None)
+        sentence = f"the command is for {named}, and this is {self.config.arm}"
         return Refusal(Code.OTHER_ARM, sentence) if named is not None else None
 
     def _untimely(self, plan: GraspPlan, now_ns: int) -> Refusal | None:
         captured_ns = min(plan.stamp.capture_left_ns, plan.stamp.capture_right_ns)
         age_s = (now_ns - captured_ns) * 1e-9
-        if age_s > self._config.maximum_plan_age_s:
-            allowed = f"more than the {self._config.maximum_plan_age_s:g} s allowed: plan again"
+        if age_s > self.config.maximum_plan_age_s:
+            allowed = f"more than the {self.config.maximum_plan_age_s:g} s allowed: plan again"
             return Refusal(Code.STALE, f"the frame of plan {plan.plan_id} is {age_s:.1f} s old, {allowed}")
         if age_s < -CLOCK_TOLERANCE_S:
             future = f"the frame of plan {plan.plan_id} was captured {-age_s:.1f} s in the future"
@@ -276,13 +282,13 @@ class RobotBridge:
 
     def _robot_state(self, arm: ArmState) -> RobotState:
         return RobotState(
-            arm=self._config.arm,
+            arm=self.config.arm,
             measured_ns=arm.measured_ns,
             mode=self._mode(arm),
             T_base_tool=forward(arm.joints, self._backend.psm),
             joints=arm.joints,
             jaw_rad=arm.jaw_rad,
-            T_camera_base=self._config.T_camera_base,
+            T_camera_base=self.config.T_camera_base,
             plan_id=self._execution.plan_id if self._execution else "",
         )
 
@@ -303,7 +309,7 @@ class RobotBridge:
         phase: Phase | None = None,
     ) -> Output:
         code, reason = (why.code.value, why.sentence) if why else ("", "")
-        event = ExecutionEvent(plan_id, self._config.arm, at_ns, kind, phase, code, reason, arming_id)
+        event = ExecutionEvent(plan_id, self.config.arm, at_ns, kind, phase, code, reason, arming_id)
         return Output(EXECUTION, event)
 
 

@@ -90,7 +90,7 @@ class Simulator:
     tick_hz = 60.0
 
     def __init__(self, config: SimulatorConfig = SimulatorConfig()) -> None:
-        self._config = config
+        self.config = config
         in_mm = replace(config.camera, baseline=config.camera.baseline / MM, metres_per_unit=MM)
         field = field_of(in_mm, config.config, config.background, config.distance_mm, config.seed)
         self._world = World(field, field, {})
@@ -143,8 +143,8 @@ class Simulator:
         """The error of the arm's tool, drawn anew for each plan."""
         error = self._tool_errors.get(state.arm, _ToolError("", 0, np.zeros(3)))
         if state.plan_id not in ("", error.plan_id):
-            rng = np.random.default_rng([self._config.seed, zlib.crc32(state.arm.encode()), error.plans])
-            drawn = rng.normal(0.0, MM * self._config.tool_error_mm, 3)
+            rng = np.random.default_rng([self.config.seed, zlib.crc32(state.arm.encode()), error.plans])
+            drawn = rng.normal(0.0, MM * self.config.tool_error_mm, 3)
             error = _ToolError(state.plan_id, error.plans + 1, drawn)
             self._tool_errors[state.arm] = error
         return error.offset_camera
@@ -160,7 +160,7 @@ class Simulator:
         grasps = [waypoint for waypoint in plan.waypoints if waypoint.phase is Phase.GRASP]
         if not grasps:
             return
-        goal_tool = np.array([[0.0, 0.0, MM * self._config.grip_depth_mm]])
+        goal_tool = np.array([[0.0, 0.0, MM * self.config.grip_depth_mm]])
         goal_camera = apply(grasps[-1].T_camera_tool, goal_tool)[0]
         _remember(self._goal_error_m, plan.plan_id, distance_to_thread(self._world.field, goal_camera))
 
@@ -181,7 +181,7 @@ class Simulator:
         return Output(JUDGEMENT, judgement)
 
     def _state(self) -> SimulatorState:
-        config, field, held = self._config, self._world.field, held_sample(self._world)
+        config, field, held = self.config, self._world.field, held_sample(self._world)
         return SimulatorState(
             at_ns=self._now_ns,
             camera=config.camera,

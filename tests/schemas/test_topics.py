@@ -95,6 +95,12 @@ def test_an_input_of_which_only_the_newest_counts_is_no_event(agent):
     assert not [i for i in agent.inputs if i.only_newest_counts and i.topic.delivery is Delivery.EVENT]
 
 
+@every_agent
+def test_what_is_only_remembered_is_a_latest_topic_of_which_the_newest_counts(agent):
+    remembered = [i for i in agent.inputs if i.only_remembered]
+    assert all(i.only_newest_counts and i.topic.delivery is Delivery.LATEST for i in remembered)
+
+
 def test_every_command_has_one_receiver_which_answers_it():
     for topic in TOPICS:
         if topic.delivery is not Delivery.COMMAND:
