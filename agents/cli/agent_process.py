@@ -13,12 +13,16 @@ from agents.cli.terminal import complain
 from shared.calibration import CalibrationError
 from shared.runtime.config import ConfigError, config_hash
 from shared.runtime.connection import NoRouterError, open_when_there
+from shared.runtime.facts import Surroundings, ask_for_realtime
+from shared.runtime.identity import validity_ns
 from shared.runtime.memory import keep_freed_memory
 from shared.runtime.runner import Runner
 from shared.runtime.session import runs_already
 from shared.scene.render import SceneError
 
 YIELDING = ("perception", "reconstruction")
+KEEPING_TIME = ("robot_bridge", "camera", "simulator")
+REALTIME_PRIORITY = 50
 
 
 def run_agent(rig: RigConfig, kind: str, instance: str) -> int:
@@ -40,10 +44,21 @@ def run_agent(rig: RigConfig, kind: str, instance: str) -> int:
     with session:
         if runs_already(session, rig.rig, kind, instance):
             return complain(f"{kind} {instance} of rig {rig.rig} runs already; stop that one first", EXIT_UNUSABLE)
-        runner = Runner(agent, session, rig.rig, config_hash(rig))
+        runner = Runner(agent, session, rig.rig, config_hash(rig), surroundings(rig, kind, instance))
         threading.Thread(target=_stop_after, args=(stopped, runner.stop), name="stop", daemon=True).start()
         runner.run()
     return complain(runner.gave_up, EXIT_GAVE_UP) if runner.gave_up else EXIT_OK
+
+
+def surroundings(rig: RigConfig, kind: str, instance: str) -> Surroundings:
+    """What the agent's process knows of its host; where the rig wants it, real-time priority is asked for first."""
+    identity = rig.identity_of(run_name(kind, instance))
+    asked = REALTIME_PRIORITY if kind in KEEPING_TIME and rig.realtime_here else None
+    return Surroundings(
+        certificate_expires_ns=None if identity is None else validity_ns(identity.certificate)[1],
+        realtime_asked=asked,
+        realtime_refused="" if asked is None else ask_for_realtime(asked),
+    )
 
 
 def _stop_after(stopped: threading.Event, stop: Callable[[], None]) -> None:

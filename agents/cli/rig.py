@@ -238,6 +238,11 @@ class RigConfig(Settings):
         return name in self.processes() and (self.host is None or name in self.hosts[self.host].runs)
 
     @property
+    def realtime_here(self) -> bool:
+        """Whether what keeps time on this machine is to have real-time priority."""
+        return self.host is not None and self.hosts[self.host].realtime
+
+    @property
     def router_endpoint(self) -> str:
         """Where the router listens, and where the others find it."""
         if self.router.host is None:

@@ -11,7 +11,7 @@ from shared.runtime.access import access_control
 from shared.runtime.config import ConfigError
 from shared.runtime.log_publisher import logs_published
 from shared.runtime.refused_links import RefusedLinks
-from shared.runtime.service_manager import ServiceManager
+from shared.runtime.service_manager import serving
 from shared.runtime.session import RouterError, Session, open_router
 
 LOG = logging.getLogger("suturegrasp.router.main")
@@ -19,7 +19,7 @@ LOG = logging.getLogger("suturegrasp.router.main")
 
 def run_router(rig: RigConfig) -> int:
     """Run a router until it is told to stop; the exit status."""
-    stopped, manager = threading.Event(), ServiceManager()
+    stopped = threading.Event()
     on_stop(stopped.set)
     log_to_console()
     with contextlib.ExitStack() as stack:
@@ -32,9 +32,8 @@ def run_router(rig: RigConfig) -> int:
             return complain(str(error), EXIT_UNUSABLE)
         stack.enter_context(logs_published(session, rig.rig, "router", LOG))
         print(f"router on {rig.router_endpoint}", flush=True)
-        manager.ready()
-        stopped.wait()
-        manager.stopping()
+        with serving():
+            stopped.wait()
     return EXIT_OK
 
 

@@ -18,6 +18,7 @@ from schemas.topics import TOPICS
 from shared.clock import monotonic_s
 from shared.recording.mcap_file import RecordingError, read_recording
 from shared.runtime.connection import NoRouterError, connected
+from shared.runtime.service_manager import serving
 
 PROGRESS_S = 5.0
 """How often a line tells how far it has come; on a terminal, one line is kept up to date."""
@@ -50,7 +51,8 @@ def _view_rig(rig: RigConfig, output: Path | None, options: View, stopped: threa
         say(note)
     with contextlib.suppress(NoRouterError), connected(rig.session_of("viewer"), None, stopped) as connection:
         connection.listen(TOPICS, viewer.put)
-        stopped.wait()
+        with serving():
+            stopped.wait()
     say(report_sentence(viewer.close()))
     return EXIT_OK
 

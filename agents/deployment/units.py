@@ -9,8 +9,10 @@ from agents.deployment.places import CERTIFICATES, HOME, PROGRAM, RIG_FILE, SESS
 from shared.runtime.identity import AUTHORITY_FILE
 
 TARGET = "suturegrasp.target"
-WATCHDOG_S = 5
-"""A loop that says nothing for so long hangs; its longest wait is half a second."""
+AGENTS = ("camera", "perception", "reconstruction", "planner", "robot_bridge", "simulator")
+"""What has a loop of its own, from which it tells that it is alive."""
+WATCHDOG_S = 10
+"""A loop that says nothing for so long hangs; its longest wait is half a second, and its longest step a few."""
 REALTIME_KINDS = ("robot_bridge", "camera", "simulator")
 """What keeps time; the others would take the processor from them."""
 REALTIME_PRIORITY = 50
@@ -83,7 +85,7 @@ def _service(rig: str, host: Host, process: Process) -> str:
         *(f"LoadCredential={file}:{CERTIFICATES / file}" for file in credentials),
         "# ready once it has found the router, however long that takes",
         "TimeoutStartSec=infinity",
-        f"WatchdogSec={WATCHDOG_S}",
+        *((f"WatchdogSec={WATCHDOG_S}",) if process.kind in AGENTS else ()),
         "TimeoutStopSec=15",
         "Restart=on-failure",
         "# a configuration at fault is not mended by starting again",

@@ -3,9 +3,10 @@
 One datagram each, to the socket that NOTIFY_SOCKET names; where that is unset, nobody is told anything.
 """
 
+import contextlib
 import os
 import socket
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
 
 from shared.clock import monotonic_s
 
@@ -57,6 +58,15 @@ class ServiceManager:
         except OSError:
             # a manager that does not listen, or is behind, must not hold the process up
             return
+
+
+@contextlib.contextmanager
+def serving() -> Generator[None]:
+    """Ready from now on, and stopping afterwards: for what has no loop of its own that could hang."""
+    manager = ServiceManager()
+    manager.ready()
+    yield
+    manager.stopping()
 
 
 def _address(named: str) -> str | None:
