@@ -1,20 +1,24 @@
-"""The live dataflow of the demo, left running: latency and rate per stage, drops, and what each process takes.
+"""Latency: of one hop from process to process, and of the live dataflow of the demo, left running.
 
-    python -m benchmarks.latency [--seconds 20] [--json out/latency.json]
+    python -m benchmarks.latency [--only hops] [--only stages] [--seconds 20] [--json out/latency.json]
 
-The processes are those of `suturegrasp demo`, recorder and viewer included, on a router of their own; no goal is named.
-Latency is from capture until publication, both by this machine's clock, and read from the recording afterwards, so that
-measuring takes nothing. What happens in the first seconds, while processes start, is left out.
+Hops are those of benchmarks/hops.py, beside dora-rs in the same run where it can be had. Stages are latency and rate
+per stage, drops, frames that nobody accounts for, and what each process takes. The processes are those of `suturegrasp
+demo`, recorder and viewer included, on a router of their own; no goal is named. Latency is from capture until
+publication, both by this machine's clock, and read from the recording afterwards, so that measuring takes nothing. What
+happens in the first seconds, while processes start, is left out.
 """
 
+import bisect
 import json
 import os
+import statistics
 import tempfile
 import threading
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -29,6 +33,7 @@ from agents.cli.rig import RigConfig
 from agents.cli.session_folder import SessionFolder, new_session_folder
 from agents.cli.supervisor import Supervisor, supervised
 from agents.cli.up import start_all, write_config
+from benchmarks.hops import measure_hops, print_hops
 from schemas.codec import decode
 from schemas.messages import AgentHealth
 from schemas.topics import FRAMES, HEALTH, OBSERVATIONS, THREAD, Topic, topic_of
@@ -36,15 +41,24 @@ from shared.clock import now_ns
 from shared.recording.mcap_file import read_recording
 
 STAGES = (FRAMES, OBSERVATIONS, THREAD)
+COUNTS = 5
+"""Of a consumer, at either end of a time, whose median counts."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """How long to measure, and of which field.
+    """What to measure, how long, and of which field.
 
     Fields:
+        only: hops or stages; both where none is named.
         settle: seconds that are left out at the beginning.
+        rounds: of hops, whose medians count.
+        messages: of each kind of hop in each round.
     """
+
+    only: Literal["hops", "stages"] | None = None
+    rounds: int = 3
+    messages: int = 200
 
     seconds: float = 20.0
     settle: float = 12.0
@@ -55,8 +69,13 @@ class Options:
 def main() -> None:
     """Measure, print a table, and write JSON where asked to."""
     options = tyro.cli(Options)
-    measured = measure(demo_rig(Demo(seed=options.seed)), options)
-    print_tables(measured)
+    measured: dict[str, Any] = {}
+    if options.only != "stages":
+        measured["hops"] = measure_hops(options.rounds, options.messages)
+        print_hops(Console(width=130), measured["hops"])
+    if options.only != "hops":
+        measured |= measure(demo_rig(Demo(seed=options.seed)), options)
+        print_tables(measured)
     if options.json is not None:
         options.json.parent.mkdir(parents=True, exist_ok=True)
         options.json.write_text(json.dumps(measured, indent=1) + "\n")
@@ -76,7 +95,7 @@ def measure(rig: RigConfig, options: Options) -> dict[str, Any]:
             end_ns, after = now_ns(), _cpu_seconds(supervisor)
         seconds = 1e-9 * (end_ns - begin_ns)
         share = {name: (after[name] - before[name]) / seconds for name in after if name in before}
-        stages, drops = _of_recording(folder, begin_ns, end_ns)
+        stages, drops, lost = _of_recording(folder, begin_ns, end_ns)
     return {
         "seconds": seconds,
         "cores": os.cpu_count(),
@@ -84,6 +103,7 @@ def measure(rig: RigConfig, options: Options) -> dict[str, Any]:
         "load before": load_before,
         "stages": {str(topic): _summary(ms, seconds, share[topic.agent]) for topic, ms in stages.items()},
         "drops": drops,
+        "frames unaccounted for": lost,
         "cpu share": share,
     }
 
@@ -102,10 +122,13 @@ def _cpu_seconds(supervisor: Supervisor) -> dict[str, float]:
 
 def _of_recording(
     folder: SessionFolder, begin_ns: int, end_ns: int
-) -> tuple[dict[Topic, list[float]], dict[str, dict[str, int]]]:
-    """Milliseconds from capture by stage, and what each agent's health counts of its inputs, within a time."""
+) -> tuple[dict[Topic, list[float]], dict[str, dict[str, int]], int]:
+    """Within a time: milliseconds from capture by stage, what each agent counts of its inputs, and frames unaccounted
+    for by perception."""
     stages: defaultdict[Topic, list[float]] = defaultdict(list)
     counts: defaultdict[str, list[dict[str, int]]] = defaultdict(list)
+    published_ns: list[int] = []
+    told_at: list[tuple[int, int]] = []
     for entry in read_recording(folder.recording):
         topic = topic_of(entry.key)
         if not begin_ns <= entry.published_ns <= end_ns or topic not in (*STAGES, HEALTH):
@@ -113,15 +136,28 @@ def _of_recording(
         message = decode(topic.message, entry.payload)
         if isinstance(message, AgentHealth):
             for account in message.inputs:
-                names = ("received", "dropped", "missed", "refused")
-                counts[f"{message.agent} {message.instance} of {account.topic}"].append(
-                    {name: getattr(account, name) for name in names}
-                )
+                found = {name: getattr(account, name) for name in ("received", "dropped", "missed", "refused")}
+                counts[f"{message.agent} {message.instance} of {account.topic}"].append(found)
+                if (message.agent, account.topic) == (OBSERVATIONS.agent, str(FRAMES)):
+                    told_at.append((message.at_ns, sum(found.values())))
         else:
+            if topic is FRAMES:
+                published_ns.append(entry.published_ns)
             seen_ns = max(message.stamp.capture_left_ns, message.stamp.capture_right_ns)
             stages[topic].append(1e-6 * (entry.published_ns - seen_ns))
     drops = {who: {name: told[-1][name] - told[0][name] for name in told[0]} for who, told in sorted(counts.items())}
-    return {topic: stages[topic] for topic in STAGES if stages[topic]}, drops
+    found_stages = {topic: stages[topic] for topic in STAGES if stages[topic]}
+    return found_stages, drops, unaccounted(sorted(published_ns), told_at)
+
+
+def unaccounted(published_ns: list[int], told: list[tuple[int, int]]) -> int:
+    """Frames that were published in a time and that their consumer neither looked at nor counts as lost in some way.
+
+    `told` are the consumer's counts of both, with the time of each. What is on its way when the consumer counts is in
+    one count and not yet in the other, hence medians of several counts at the beginning and at the end.
+    """
+    ahead = [bisect.bisect_right(published_ns, at_ns) - count for at_ns, count in told]
+    return round(statistics.median(ahead[-COUNTS:]) - statistics.median(ahead[:COUNTS])) if ahead else 0
 
 
 def _summary(ms: list[float], seconds: float, share: float) -> dict[str, float]:
@@ -144,6 +180,7 @@ def print_tables(measured: dict[str, Any]) -> None:
     )
     _print(console, "from capture until published", measured["stages"])
     _print(console, "inputs", measured["drops"])
+    console.print(f"frames unaccounted for: {measured['frames unaccounted for']}")
     _print(console, "share of one core", {name: {"cpu": share} for name, share in measured["cpu share"].items()})
 
 

@@ -1,0 +1,170 @@
+"""The two ends of one hop, each a process: as agents send and receive, with the runtime's own parts.
+
+    python -m benchmarks.hop_ends '{"role": "receive", "endpoint": "tcp/127.0.0.1:7447", "load": {...}}'
+
+A frame goes the way of a *latest* topic (ring, receiving thread, inbox, loop), an event that of an *event* topic. The
+time begins before the message is encoded and ends when its pixels are NumPy arrays. Both ends read the machine's one
+monotonic clock; the sender's readings travel in the message, or are written beside it.
+"""
+
+import json
+import sys
+import threading
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from schemas.codec import decode
+from schemas.messages import FrameStamp, Image, ImageEncoding, LogLevel, LogRecord, StereoFrame
+from schemas.topics import FRAMES, LOG, Topic, key
+from shared.clock import monotonic_s
+from shared.images import decode_image
+from shared.runtime.attachment import Attachment, pack, unpack
+from shared.runtime.delivery import declare_publisher, payload_of, subscribe
+from shared.runtime.inbox import Arrival, Inbox
+from shared.runtime.memory import keep_freed_memory
+from shared.runtime.session import SessionSettings, open_session
+
+RIG, AGENT = "hop", "camera"
+EVENT_BYTES = 1000
+SETTLE_S = 0.5
+PATIENCE_S = 5.0
+WARM_UP = 20
+"""Messages at the beginning that do not count."""
+
+
+@dataclass(frozen=True)
+class Load:
+    """What goes over the hop.
+
+    Fields:
+        size: width and height of each raw colour image of a frame, in pixels; zeros for an event of 1 kB.
+        count: messages that count.
+    """
+
+    size: tuple[int, int]
+    count: int
+    rate_hz: float
+
+    @property
+    def is_frame(self) -> bool:
+        return self.size[0] > 0
+
+    @property
+    def bytes(self) -> int:
+        """Of what matters in a message."""
+        return 2 * 3 * self.size[0] * self.size[1] if self.is_frame else EVENT_BYTES
+
+    @property
+    def topic(self) -> Topic:
+        return FRAMES if self.is_frame else LOG
+
+    @property
+    def key(self) -> str:
+        return key(RIG, self.topic, agent=AGENT)
+
+
+@dataclass(frozen=True)
+class End:
+    """Which end it is, `send` or `receive`, and on which router."""
+
+    role: str
+    endpoint: str
+    load: Load
+
+    def to_json(self) -> str:
+        """As it is handed to the process."""
+        return json.dumps(asdict(self))
+
+
+def _end_of(text: str) -> End:
+    given = json.loads(text)
+    return End(given["role"], given["endpoint"], Load(**given["load"]))
+
+
+def main() -> None:
+    """Be the end that the first argument describes; readings are printed as one line of JSON."""
+    keep_freed_memory()
+    end = _end_of(sys.argv[1])
+    with open_session(SessionSettings(rig=RIG, endpoint=end.endpoint)) as session:
+        readings = receive(session, end.load) if end.role == "receive" else send(session, end.load)
+    print(json.dumps(readings), flush=True)
+
+
+def send(session: Any, load: Load) -> list[dict[str, float]]:
+    """Publish at the given rate; of each message when it was begun, encoded and handed to Zenoh, in seconds."""
+    publisher = declare_publisher(session, load.key, load.topic)
+    message = _message_of(load)
+    readings: list[dict[str, float]] = []
+    pause, next_s = threading.Event(), monotonic_s() + SETTLE_S
+    for sequence in range(load.count + WARM_UP):
+        pause.wait(max(0.0, next_s - monotonic_s()))
+        next_s += 1.0 / load.rate_hz
+        begun_s = monotonic_s()
+        payload = payload_of(load.topic, message(sequence))
+        encoded_s = monotonic_s()
+        publisher.put(payload, attachment=pack(Attachment(1, sequence, 0, 0.0)))
+        readings.append({"sequence": sequence, "begun": begun_s, "encoded": encoded_s, "put": monotonic_s()})
+    pause.wait(SETTLE_S)
+    return readings[WARM_UP:]
+
+
+def receive(session: Any, load: Load) -> list[dict[str, float]]:
+    """Of each message when it was received, taken up by the loop and decoded, in seconds."""
+    inbox = Inbox()
+    latest = load.is_frame
+    received: dict[int, float] = {}
+
+    def put_away(sample: Any) -> None:
+        at_s = monotonic_s()
+        attachment = sample.attachment.to_bytes()
+        (inbox.put_newest if latest else inbox.put)(Arrival(load.topic, load.key, sample.payload.to_bytes, attachment))
+        received[_sequence(attachment)] = at_s
+
+    kept = subscribe(session, load.key, load.topic, put_away, lambda _: None)
+    print("ready", flush=True)
+    readings: list[dict[str, float]] = []
+    quiet_until_s = monotonic_s() + 4 * PATIENCE_S
+    while monotonic_s() < quiet_until_s:
+        arrival = inbox.take(0.5)
+        if arrival is None:
+            continue
+        taken_s = monotonic_s()
+        _look_at(decode(load.topic.message, arrival.payload()), load)
+        decoded_s = monotonic_s()
+        sequence = _sequence(arrival.attachment)
+        readings.append({"sequence": sequence, "taken": taken_s, "decoded": decoded_s})
+        quiet_until_s = decoded_s + (PATIENCE_S if sequence < load.count + WARM_UP - 1 else 0.0)
+    for declared in kept:
+        declared.undeclare()
+    return [{**row, "received": received[int(row["sequence"])]} for row in readings if row["sequence"] >= WARM_UP]
+
+
+def _sequence(attachment: bytes) -> int:
+    beside = unpack(attachment)
+    assert beside is not None, "the sender's attachment is whole"
+    return beside.sequence
+
+
+def _message_of(load: Load) -> Any:
+    """A function from a message's number to the message; pixels are those of noise, and made beforehand."""
+    if not load.is_frame:
+        return lambda sequence: LogRecord(sequence, AGENT, "main", LogLevel.INFO, "x" * EVENT_BYTES)
+    width, height = load.size
+    random = np.random.default_rng(0)
+    left, right = (
+        Image(ImageEncoding.RAW, width, height, 3, random.integers(0, 256, width * height * 3, np.uint8).tobytes())
+        for _ in range(2)
+    )
+    return lambda sequence: StereoFrame(FrameStamp(sequence, 0, 0, "none"), left, right)
+
+
+def _look_at(message: Any, load: Load) -> None:
+    if isinstance(message, StereoFrame):
+        for image in (message.left, message.right):
+            assert decode_image(image).shape == (load.size[1], load.size[0], 3)
+
+
+if __name__ == "__main__":
+    main()

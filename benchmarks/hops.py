@@ -1,0 +1,151 @@
+"""One hop from process to process, step by step: through our router, by a direct link, and beside dora-rs.
+
+Rounds take turns, so that whatever else the machine does meets all of them; of each the median of the rounds counts.
+"""
+
+import contextlib
+import json
+import os
+import statistics
+import subprocess
+import sys
+from collections.abc import Generator
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.dora_hops import NoDoraError, dora_environment, dora_ms
+from benchmarks.hop_ends import End, Load
+from shared.runtime.session import free_local_endpoint
+
+LIMIT_S = 120.0
+SIZES = {"1 kB": (0, 0), "1.5 MB": (720, 360), "2.8 MB": (1280, 360)}
+"""A log record, which is an event, and stereo frames of raw colour images of that size."""
+CAMERA_HZ = 60.0
+"""About a camera's rate: processors fall asleep and caches go cold between two messages."""
+QUICK_HZ = {"1 kB": 1000.0, "1.5 MB": 250.0, "2.8 MB": 250.0}
+"""Neither happens: published figures of such systems are usually taken so."""
+ROUTER, DIRECT, DORA = "router", "direct link", "dora-rs"
+STEPS = {
+    "encode": ("begun", "encoded"),
+    "put": ("encoded", "put"),
+    "travel": ("encoded", "received"),
+    "hand over": ("received", "taken"),
+    "decode": ("taken", "decoded"),
+    "hop": ("begun", "decoded"),
+}
+"""Travelling begins with the put, which therefore does not count twice."""
+
+ROUTER_PROGRAM = """
+import sys
+from shared.runtime.session import open_router
+with open_router(sys.argv[1]):
+    print("up", flush=True)
+    sys.stdin.read()
+"""
+
+
+def measure_hops(rounds: int, count: int) -> dict[str, Any]:
+    """Milliseconds by rate, payload, way and step: medians over rounds of p50 and p99, and how many messages came."""
+    try:
+        environment, without = dora_environment(), ""
+    except NoDoraError as error:
+        environment, without = None, str(error)
+    taken: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
+    load_before = os.getloadavg()[0]
+    with _router() as endpoint:
+        for _ in range(rounds):
+            for payload, size in SIZES.items():
+                for rate_hz in (CAMERA_HZ, QUICK_HZ[payload]):
+                    load = Load(size, count, rate_hz)
+                    place = f"{rate_hz:.0f} Hz", payload
+                    taken.setdefault((*place, ROUTER), []).append(_summary(one_hop(endpoint, load)))
+                    if environment is not None:
+                        ms = dora_ms(environment, load)
+                        taken.setdefault((*place, DORA), []).append(_summary_of_hop(ms))
+    rows = [
+        {"rate": rate, "payload": payload, "way": way, **_over_rounds(summaries)}
+        for (rate, payload, way), summaries in taken.items()
+    ]
+    return {"load before": load_before, "rounds": rounds, "messages": count, "without dora": without, "hops": rows}
+
+
+def one_hop(endpoint: str, load: Load) -> list[dict[str, float]]:
+    """Of each message that arrived, in seconds, when it reached each step."""
+    receiver = _end(End("receive", endpoint, load))
+    assert receiver.stdout is not None
+    assert receiver.stdout.readline() == "ready\n", "the receiving end has not started"
+    sender = _end(End("send", endpoint, load))
+    sent, _ = sender.communicate(timeout=LIMIT_S)
+    received, _ = receiver.communicate(timeout=LIMIT_S)
+    of_sender = {row["sequence"]: row for row in json.loads(sent)}
+    return [of_sender[row["sequence"]] | row for row in json.loads(received)]
+
+
+@contextlib.contextmanager
+def _router() -> Generator[str]:
+    """The endpoint of a router that is a process of its own."""
+    endpoint = free_local_endpoint()
+    command = [sys.executable, "-c", ROUTER_PROGRAM, endpoint]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdin is not None
+        assert process.stdout.readline() == "up\n", "the router has not started"
+        try:
+            yield endpoint
+        finally:
+            process.stdin.close()
+
+
+def _end(end: End) -> "subprocess.Popen[str]":
+    command = [sys.executable, "-m", "benchmarks.hop_ends", end.to_json()]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+
+
+def _summary(rows: list[dict[str, float]]) -> dict[str, Any]:
+    steps = {name: [1e3 * (row[end] - row[begin]) for row in rows] for name, (begin, end) in STEPS.items()}
+    return {"arrived": len(rows), **{name: _percentiles(ms) for name, ms in steps.items()}}
+
+
+def _summary_of_hop(ms: list[float]) -> dict[str, Any]:
+    return {"arrived": len(ms), "hop": _percentiles(ms)}
+
+
+def _percentiles(ms: list[float]) -> dict[str, float]:
+    p50, p99 = np.percentile(ms, (50, 99))
+    return {"p50 ms": float(p50), "p99 ms": float(p99)}
+
+
+def _over_rounds(summaries: list[dict[str, Any]]) -> dict[str, Any]:
+    steps = [name for name in STEPS if name in summaries[0]]
+    return {
+        "arrived": [summary["arrived"] for summary in summaries],
+        **{
+            name: {p: statistics.median(summary[name][p] for summary in summaries) for p in ("p50 ms", "p99 ms")}
+            for name in steps
+        },
+    }
+
+
+def print_hops(console: Console, measured: dict[str, Any]) -> None:
+    """One line for each rate, payload and way, with each step's median and the ratio to dora-rs in the same run."""
+    table = Table("rate", "payload", "way", *(f"{step} p50" for step in STEPS), "hop p99", "to dora-rs", "arrived")
+    table.title, table.title_justify = "one hop, ms", "left"
+    for row in measured["hops"]:
+        medians = [f"{row[step]['p50 ms']:.2f}" if step in row else "" for step in STEPS]
+        ratio = _ratio_to_dora(row, measured["hops"])
+        arrived = " ".join(map(str, row["arrived"]))
+        table.add_row(row["rate"], row["payload"], row["way"], *medians, f"{row['hop']['p99 ms']:.2f}", ratio, arrived)
+    console.print(
+        f"{measured['rounds']} rounds of {measured['messages']} messages, load {measured['load before']:.1f} before the start"
+    )
+    console.print(table)
+    if measured["without dora"]:
+        console.print(f"without dora-rs to compare with: {measured['without dora']}")
+
+
+def _ratio_to_dora(row: dict[str, Any], rows: list[dict[str, Any]]) -> str:
+    same = [r for r in rows if r["way"] == DORA and (r["rate"], r["payload"]) == (row["rate"], row["payload"])]
+    return f"{row['hop']['p50 ms'] / same[0]['hop']['p50 ms']:.2f}" if same and row["way"] != DORA else ""
