@@ -5,6 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from agents.planner.agent import Planner, psm_reaches
 from agents.planner.config import PlannerConfig
@@ -13,6 +15,8 @@ from schemas.codec import encode
 from schemas.messages import (
     CommandAnswer,
     GraspPlan,
+    HostClock,
+    HostClocks,
     Outcome,
     Phase,
     RobotMode,
@@ -21,7 +25,7 @@ from schemas.messages import (
     ThreadTrack,
     TrackStep,
 )
-from schemas.topics import GOAL, PLAN, ROBOT_STATE, THREAD, key
+from schemas.topics import CLOCKS, GOAL, PLAN, ROBOT_STATE, THREAD, key
 from shared.kinematics import psm
 from shared.kinematics.simulated_setup import SIMULATED_BASES
 from shared.rigid_transforms import compose, inverse, transform
@@ -291,3 +295,40 @@ def test_a_tick_says_nothing(planner):
 def test_a_configuration_that_makes_no_sense_is_refused_by_name(wrong):
     with pytest.raises(MessageError, match=next(iter(wrong))):
         PlannerConfig(**wrong)
+
+
+def clocks_of(ahead_ms, within_ms=1.0, agent="camera"):
+    return HostClocks(0, (HostClock(agent, "main", "video-pc", ahead_ms, within_ms),))
+
+
+@pytest.mark.parametrize(("ahead_ms", "where"), [(340.0, "340 ms ahead of"), (-9000.0, "9000 ms behind")])
+def test_frames_of_a_host_whose_clock_is_out_of_bounds_are_refused_whatever_their_age(bench, planner, ahead_ms, where):
+    feed(planner, CLOCKS, clocks_of(ahead_ms))
+    for after_ms in (50, 20_000, -20_000):
+        (answer,) = ask(planner, bench, bench.goal(s=0.4), after_ms)
+        assert (answer.outcome, answer.code) == (Outcome.REFUSED, "clock_out_of_bounds")
+        for said in ("video-pc", where, "within 1.0 ms", "at most 100 ms", "chrony or PTP"):
+            assert said in answer.reason
+    feed(planner, CLOCKS, clocks_of(0.2))
+    assert ask(planner, bench, bench.goal(s=0.4))[0].outcome is Outcome.ACCEPTED
+
+
+@given(ahead_ms=st.floats(-1e5, 1e5), within_ms=st.floats(0, 1e5))
+def test_a_clock_is_refused_for_certain_only_and_what_cannot_be_told_is_said(bench, ahead_ms, within_ms):
+    planner = Planner()
+    feed(planner, THREAD, far_thread(bench))
+    feed(planner, ROBOT_STATE, state(bench), "psm1")
+    feed(planner, CLOCKS, clocks_of(ahead_ms, within_ms))
+    answer = ask(planner, bench, bench.goal(s=0.4))[0]
+    assert (answer.outcome is Outcome.REFUSED) == (abs(ahead_ms) - within_ms > 100)
+    certainly_well = abs(ahead_ms) + within_ms <= 100
+    assert (answer.reason == "") == certainly_well
+    assert ("cannot be told" in answer.reason) == (answer.outcome is Outcome.ACCEPTED and not certainly_well)
+
+
+def test_the_clocks_of_others_than_the_camera_are_not_held_against_a_goal_and_an_unknown_one_is_said(bench, planner):
+    feed(planner, CLOCKS, clocks_of(5000.0, agent="robot_bridge"))
+    assert ask(planner, bench, bench.goal(s=0.4))[0] == CommandAnswer("g1", Outcome.ACCEPTED, "", "")
+    feed(planner, CLOCKS, clocks_of(None, None))
+    answer = ask(planner, bench, bench.goal(s=0.4))[0]
+    assert (answer.outcome, "gives no answer" in answer.reason) == (Outcome.ACCEPTED, True)

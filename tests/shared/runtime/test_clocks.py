@@ -8,12 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from schemas.codec import encode
-from schemas.messages import ClockReading
+from schemas.codec import decode, encode
+from schemas.messages import ClockReading, HostClocks
+from schemas.topics import CLOCKS
 from shared.clock import now_ns
-from shared.runtime.agent import Output
+from shared.runtime.agent import Input, Output, Received
 from shared.runtime.clocks import CLOCK, ClockOffset, by_host, clock_offset, offset_of
 from shared.runtime.connection import connected
+from shared.runtime.taps import tap
 
 MS = 1_000_000
 
@@ -104,3 +106,46 @@ def test_of_each_host_the_worst_reading_counts_and_of_like_ones_the_most_exact()
         ClockOffset("b", 0.0, 0.1),
     ]
     assert by_host(readings) == [readings[1], readings[2]]
+
+
+class Watching(Idle):
+    """Keeps what it is told of the clocks of cameras."""
+
+    inputs, watches_clocks = (Input(CLOCKS, only_newest_counts=True),), ("camera",)
+
+    def __init__(self):
+        self.told = []
+
+    def step(self, arrived):
+        if isinstance(arrived, Received):
+            self.told.append(arrived.message)
+        return []
+
+
+def test_who_watches_clocks_is_told_of_those_of_its_kinds_and_so_is_everybody(
+    running, session, host_elsewhere, until, monkeypatch
+):
+    monkeypatch.setattr("shared.runtime.clock_watch.PERIOD_S", 0.1)
+    heard = []
+    kept = tap(session, "test", (CLOCKS,), heard.append, lambda *_: None)
+    host_elsewhere("camera", ahead_ms=340.0)
+    host_elsewhere("viewer", ahead_ms=-5.0)
+    watching = Watching()
+    running(watching)
+    told = until(lambda: next((t for t in reversed(watching.told) if t.clocks), None))
+    (clock,) = told.clocks
+    assert (clock.agent, clock.instance, clock.host) == ("camera", "main", "camera")
+    assert abs(clock.ahead_ms - 340.0) <= clock.within_ms
+    until(lambda: told in [decode(HostClocks, t.payload) for t in list(heard)])
+    for declared in kept:
+        declared.undeclare()
+
+
+def test_a_camera_that_does_not_tell_its_time_is_told_of_as_unknown(running, session, until):
+    alive = session.liveliness().declare_token("suturegrasp/test/camera/main")
+    watching = Watching()
+    until(lambda: any(r.ok for r in session.liveliness().get("suturegrasp/test/*/*", timeout=1.0)))
+    running(watching)
+    (clock,) = until(lambda: watching.told)[0].clocks
+    assert (clock.agent, clock.host, clock.ahead_ms, clock.within_ms) == ("camera", "", None, None)
+    alive.undeclare()

@@ -61,3 +61,13 @@ def test_wake_ends_a_wait():
     inbox.wake()
     waiting.join(60.0)
     assert found == [None]
+
+
+def test_what_is_remembered_wakes_nobody_and_of_each_key_the_newest_is_kept_for_whoever_asks():
+    inbox = Inbox()
+    for number, key in enumerate("aabab"):
+        inbox.remember(arrival(FRAMES, number, key))
+    assert inbox.take(0.0) is None
+    assert sorted(a.payload()[0] for a in inbox.remembered()) == [3, 4]
+    assert inbox.remembered() == []
+    assert inbox.dropped(FRAMES) == 0
