@@ -1,16 +1,18 @@
 """`suturegrasp record`: every recorded topic of a rig becomes a file, until stopped."""
 
-import contextlib
+import logging
 import os
 import signal
 import sys
 import threading
-from collections.abc import Callable
+from pathlib import Path
 
 from agents.cli.live_options import Record
 from agents.cli.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.cli.recording_facts import STUDY_FACTS, attached_to, clocks_note, notes_of
+from agents.cli.recordings import Recordings
 from agents.cli.rig import RecorderSection, RigConfig
+from agents.cli.rig_hosts import kind_and_instance
 from agents.cli.session_folder import free_path
 from agents.cli.supervisor import SUPERVISED
 from agents.cli.terminal import complain, say
@@ -18,12 +20,18 @@ from agents.recorder.disk import DiskGuard
 from agents.recorder.parts import FileSettings
 from agents.recorder.pre_trigger import PreTriggerSettings
 from agents.recorder.recorder import Recorder, RecorderSettings, RecordingReport
-from schemas.topics import TOPICS, Topic
-from shared.runtime.config import parse_config
+from schemas.topics import MAIN, TOPICS, Topic, key_root
+from shared.runtime.config import config_hash, parse_config
 from shared.runtime.connection import Connection, NoRouterError, connected
+from shared.runtime.service_manager import serving
 
 FIRST_CLOCKS_S, CLOCKS_EVERY_S = 3.0, 60.0
 MB = 1_000_000
+KIND = "recorder"
+LOGGER = logging.getLogger(f"suturegrasp.{KIND}")
+LOGGER.setLevel(logging.INFO)
+# what is told is printed in sentences of its own
+LOGGER.addHandler(logging.NullHandler())
 ASKED = "asked"
 """The event that a person makes, by Enter or SIGUSR1."""
 
@@ -40,21 +48,49 @@ def record(rig: RigConfig, options: Record) -> int:
     stopped = threading.Event()
     asks_at_terminal = settings.pre_trigger is not None and SUPERVISED not in os.environ and sys.stdin.isatty()
     on_stop(stopped.set)
+
+    def begun(path: Path) -> Recorder:
+        return Recorder(path, settings=settings, notes=notes_of(rig, section), attached=attached_to(rig), tell=_tell)
+
+    own = f"{key_root(rig.rig, _instance(rig), KIND)}/"
     try:
-        recorder = Recorder(path, settings=settings, notes=notes_of(rig, section), attached=attached_to(rig), tell=say)
+        recordings = Recordings(path, begun, DiskGuard(path.parent, settings.keep_free_bytes), LOGGER, own)
     except OSError as error:
         return complain(f"{path} cannot be written: {error.strerror or error}", EXIT_UNUSABLE)
-    signal.signal(signal.SIGUSR1, lambda *_: recorder.trigger(ASKED))
+    signal.signal(signal.SIGUSR1, lambda *_: recordings.trigger(ASKED))
     if asks_at_terminal:
         say("Enter keeps the last seconds")
-        threading.Thread(target=_ask_at_terminal, args=(recorder,), name="keys", daemon=True).start()
-    _stop_when(recorder.ended, stopped.set)
-    with contextlib.suppress(NoRouterError), connected(rig.session_of("recorder"), None, stopped) as connection:
-        connection.listen(recorded_topics(rig), recorder.put, recorder.missed)
-        _note_clocks(connection, recorder, stopped)
-    report = recorder.close()
+        threading.Thread(target=_ask_at_terminal, args=(recordings,), name="keys", daemon=True).start()
+    try:
+        with connected(rig.session_of("recorder"), None, stopped) as connection, serving():
+            _record_all(rig, connection, recordings, stopped)
+    except NoRouterError:
+        recordings.close(_say_end)
+    return EXIT_UNUSABLE if any(report.fault for report in recordings.reports) else EXIT_OK
+
+
+def _record_all(rig: RigConfig, connection: Connection, recordings: Recordings, stopped: threading.Event) -> None:
+    """Until stopped; what is told of it is told on the rig too."""
+    recording = (connection, recorded_topics(rig), stopped, _say_end)
+    with connection.reporting(KIND, _instance(rig), LOGGER, lambda: recordings.fault, config_hash(rig)):
+        thread = threading.Thread(target=recordings.run, args=recording, name="recordings")
+        thread.start()
+        _note_clocks(connection, recordings, stopped)
+        thread.join()
+
+
+def _instance(rig: RigConfig) -> str:
+    return kind_and_instance(KIND, rig.host or MAIN)[1]
+
+
+def _tell(sentence: str) -> None:
+    """Say it here and on the rig."""
+    say(sentence)
+    LOGGER.warning(sentence)
+
+
+def _say_end(report: RecordingReport) -> None:
     say(recording_sentence(report))
-    return EXIT_UNUSABLE if report.fault else EXIT_OK
 
 
 def recorded_topics(rig: RigConfig) -> tuple[Topic, ...]:
@@ -117,22 +153,14 @@ def recording_sentence(report: RecordingReport) -> str:
     return f"{held}, not complete: lost {gaps or 'none'}{unnumbered}{fault}"
 
 
-def _note_clocks(connection: Connection, recorder: Recorder, stopped: threading.Event) -> None:
+def _note_clocks(connection: Connection, recordings: Recordings, stopped: threading.Event) -> None:
     """Until stopped, ask the hosts' clocks from time to time."""
     wait_s = FIRST_CLOCKS_S
     while not stopped.wait(wait_s):
-        recorder.note(clocks_note(connection.clocks()))
+        recordings.note(clocks_note(connection.clocks()))
         wait_s = CLOCKS_EVERY_S
 
 
-def _stop_when(ended: threading.Event, stop: Callable[[], None]) -> None:
-    def wait() -> None:
-        ended.wait()
-        stop()
-
-    threading.Thread(target=wait, name="ended", daemon=True).start()
-
-
-def _ask_at_terminal(recorder: Recorder) -> None:
+def _ask_at_terminal(recordings: Recordings) -> None:
     for _ in sys.stdin:
-        recorder.trigger(ASKED)
+        recordings.trigger(ASKED)

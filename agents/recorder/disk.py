@@ -15,19 +15,29 @@ class DiskGuard:
 
     def problem(self) -> str:
         """Why nothing more should be written; empty where there is room, or the system does not tell."""
-        try:
-            disk = os.statvfs(self._folder)
-        except OSError:
-            return ""
-        free, total = disk.f_bavail * disk.f_frsize, disk.f_blocks * disk.f_frsize
-        keep = min(int(SHARE * total), MOST_BYTES) if self._keep_bytes is None else self._keep_bytes
-        # what has no size, such as /dev, is no disk that fills
-        if total == 0 or free >= keep:
+        free, keep = self._room()
+        if free is None or free >= keep:
             return ""
         return (
             f"{_mb(free)} are free where {self._folder} lies, and {_mb(keep)} are to stay free: "
             "make room, or record elsewhere"
         )
+
+    def has_room_again(self) -> bool:
+        """Whether there is twice the room that is to stay free, so that a recording may begin anew and last a while."""
+        free, keep = self._room()
+        return free is None or free >= 2 * keep
+
+    def _room(self) -> tuple[int | None, int]:
+        """Bytes that are free, None where the system does not tell or nothing can fill, and that are to stay free."""
+        try:
+            disk = os.statvfs(self._folder)
+        except OSError:
+            return None, 0
+        free, total = disk.f_bavail * disk.f_frsize, disk.f_blocks * disk.f_frsize
+        keep = min(int(SHARE * total), MOST_BYTES) if self._keep_bytes is None else self._keep_bytes
+        # what has no size, such as /dev, is no disk that fills
+        return (free if total else None), keep
 
 
 def _mb(size: int) -> str:

@@ -5,11 +5,12 @@ Such a client is no agent: it has no inputs to replay. It knows the rig's keys a
 
 import contextlib
 import json
+import logging
 import os
 import queue
 import threading
 from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 import zenoh
@@ -26,6 +27,7 @@ from shared.runtime.delivery import declare_publisher
 from shared.runtime.facts import ask_facts
 from shared.runtime.identity import IdentityError
 from shared.runtime.link import Link, measure_link
+from shared.runtime.reporting import reporting
 from shared.runtime.session import SessionSettings, open_session
 from shared.runtime.taps import Tapped, tap
 
@@ -57,6 +59,10 @@ class Connection:
     def command(self, topic: Topic, message: Any, instance: str = MAIN) -> CommandAnswer:
         """Send a command and return its answer; UNKNOWN where none came."""
         return send_command(self._session, self._rig, topic, message, instance)
+
+    def has_router(self) -> bool:
+        """Whether a router is connected now."""
+        return bool(self._session.info.routers_zid())
 
     def present(self) -> list[str]:
         """Which agents are there, as `kind/instance`."""
@@ -118,6 +124,12 @@ class Connection:
             stopped.set()
             thread.join()
             publisher.undeclare()
+
+    def reporting(
+        self, kind: str, instance: str, logger: logging.Logger, fault: Callable[[], str], config_hash: str = ""
+    ) -> AbstractContextManager[None]:
+        """Tell of this process as agents do, for as long as it lasts; see `shared.runtime.reporting`."""
+        return reporting(self._session, self._rig, kind, instance, logger, fault, config_hash)
 
     def close(self) -> None:
         """Stop listening."""
