@@ -201,9 +201,11 @@ class RobotBridge:
         ours = execution and named == (self.config.arm, execution.plan_id, execution.arming_id)
         if execution and ours and self._now_ns is not None:
             # one that was long on its way, or is played again, does not tell that anybody is there now
-            away_s = abs(self._now_ns - heartbeat.at_ns) * 1e-9
-            if away_s <= self.config.dead_man_s + CLOCK_TOLERANCE_S:
+            ahead_s = (heartbeat.at_ns - self._now_ns) * 1e-9
+            if abs(ahead_s) <= self.config.dead_man_s + CLOCK_TOLERANCE_S:
                 execution.beat(heartbeat.at_ns, self._now_ns)
+            else:
+                execution.untimely(ahead_s)
 
     def _refuse_replay(self) -> list[Output]:
         """A recording is replayed on this arm's rig: it stays where it is until that is over."""

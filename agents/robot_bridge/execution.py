@@ -53,6 +53,7 @@ class Execution:
         self.moving = False
         self._trajectory, self._patience, self._psm = trajectory, patience, psm
         self._alive_ns, self._beat_at_ns = armed_ns, None
+        self._off_s: float | None = None
         self._progress_s: float | None = None
         self._stop, self._waited_s = 0, 0.0
 
@@ -60,6 +61,11 @@ class Execution:
         """Take a heartbeat; one that is not newer than the one before, by its sender's clock, is none."""
         if self._beat_at_ns is None or beat_at_ns > self._beat_at_ns:
             self._beat_at_ns, self._alive_ns, self.moving = beat_at_ns, now_ns, True
+            self._off_s = None
+
+    def untimely(self, ahead_s: float) -> None:
+        """Note a heartbeat that counts for none, since its sender's clock is so far ahead (negative: behind)."""
+        self._off_s = ahead_s
 
     def next(self, arm: ArmState, now_ns: int, elapsed_s: float) -> SetPoint | Refusal | None:
         """The next set point, or why to hold; None while the first heartbeat is awaited."""
@@ -67,9 +73,7 @@ class Execution:
         if elapsed_s < 0:
             return Refusal(Code.CLOCK, "the clock went backwards")
         if now_ns - self._alive_ns > allowed_s * 1e9:
-            return Refusal(
-                Code.HEARTBEAT_LOST, f"no heartbeat came for {allowed_s:g} s: the operator must arm a plan again"
-            )
+            return Refusal(Code.HEARTBEAT_LOST, self._why_lost(allowed_s, elapsed_s))
         if not self.moving:
             return None
         reached = self._go_on(arm, elapsed_s)
@@ -77,6 +81,15 @@ class Execution:
         if self._waited_s > ARRIVAL_S or not self._near(arm, joints, FOLLOWING_M, FOLLOWING_RAD):
             return Refusal(Code.NOT_FOLLOWING, "the arm does not follow its set points: it may be blocked, or pushed")
         return SetPoint(joints, jaw_rad, reached, finished=self._stop == len(self._trajectory.stops))
+
+    def _why_lost(self, allowed_s: float, elapsed_s: float) -> str:
+        if elapsed_s > allowed_s:
+            passed = f"{elapsed_s:.1f} s passed between two turns of the bridge"
+            return f"{passed}: its clock was set, or it stood still; the operator must arm a plan again"
+        if self._off_s is not None:
+            where = f"{abs(self._off_s):.1f} s {'ahead' if self._off_s > 0 else 'behind'}"
+            return f"heartbeats come from a clock that is {where}: set the clocks of operator and bridge by each other"
+        return f"no heartbeat came for {allowed_s:g} s: the operator must arm a plan again"
 
     def _go_on(self, arm: ArmState, elapsed_s: float) -> tuple[Phase, ...]:
         """Go towards the next stop, which the first set point, where the trajectory begins, does not yet."""

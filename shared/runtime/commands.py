@@ -65,7 +65,8 @@ def untimely(header: CommandHeader, received_ns: int) -> CommandAnswer | None:
     """The refusal of a command that came after its deadline, or with one that lies too far ahead; None for others."""
     ahead_ns = header.deadline_ns - received_ns
     if ahead_ns < 0:
-        return refused(header.id, "late", f"it arrived {-ahead_ns * 1e-9:.2f} s after its deadline")
+        late = f"it arrived {-ahead_ns * 1e-9:.2f} s after its deadline"
+        return refused(header.id, "late", f"{late}: it was long on its way, or the clocks of the two hosts are apart")
     if ahead_ns > FARTHEST_DEADLINE_S * 1e9:
         ahead = f"its deadline lies {ahead_ns * 1e-9:.1f} s ahead, and {FARTHEST_DEADLINE_S:g} s are allowed"
         return refused(header.id, "far_deadline", f"{ahead}: set the clocks of sender and receiver by each other")

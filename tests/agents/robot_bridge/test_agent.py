@@ -332,6 +332,25 @@ def test_a_loop_that_was_stalled_for_longer_than_the_dead_man_time_holds() -> No
     assert drive.events()[-1].code == Code.HEARTBEAT_LOST
 
 
+@pytest.mark.parametrize(("off_s", "named"), [(10, "10.0 s ahead: set the clocks"), (-10, "10.0 s behind: set the")])
+def test_an_operator_whose_clock_is_set_in_mid_motion_is_told_that_the_clocks_are_apart(off_s: int, named: str) -> None:
+    drive = moving()
+    while drive.events()[-1].kind is not ExecutionKind.HELD:
+        drive.beat(at_ns=drive.now_ns + off_s * SECOND)
+        drive.tick()
+    assert drive.events()[-1].code == Code.HEARTBEAT_LOST
+    assert named in drive.events()[-1].reason
+
+
+@pytest.mark.parametrize(("jump_s", "named"), [(10, "its clock was set, or it stood still"), (-10, "went backwards")])
+def test_a_bridge_whose_clock_is_set_in_mid_motion_says_so(jump_s: int, named: str) -> None:
+    drive = moving()
+    drive.beat()
+    drive.tick(jump_s * SECOND)
+    assert drive.events()[-1].kind is ExecutionKind.HELD
+    assert named in drive.events()[-1].reason
+
+
 def test_a_hold_command_stops_at_once_and_disarms() -> None:
     drive = moving()
     before = drive.states()[-1]
