@@ -1,12 +1,13 @@
 """The two ends of one hop, each a process: as agents send and receive, with the runtime's own parts.
 
-    python -m benchmarks.hop_ends '{"role": "receive", "endpoint": "tcp/127.0.0.1:7447", "load": {...}}'
+    python -m benchmarks.hop_ends '{"role": "receive", "endpoint": "tcp/127.0.0.1:7447", "link": "", "load": {...}}'
 
 A frame goes the way of a *latest* topic (ring, receiving thread, inbox, loop), an event that of an *event* topic. The
 time begins before the message is encoded and ends when its pixels are NumPy arrays. Both ends read the machine's one
 monotonic clock; the sender's readings travel in the message, or are written beside it.
 """
 
+import contextlib
 import json
 import sys
 import threading
@@ -22,6 +23,12 @@ from shared.clock import monotonic_s
 from shared.images import decode_image
 from shared.runtime.attachment import Attachment, pack, unpack
 from shared.runtime.delivery import declare_publisher, payload_of, subscribe
+from shared.runtime.direct import (
+    DirectPublisher,
+    open_direct_consuming,
+    open_direct_publishing,
+    subscribe_directly,
+)
 from shared.runtime.inbox import Arrival, Inbox
 from shared.runtime.memory import keep_freed_memory
 from shared.runtime.session import SessionSettings, open_session
@@ -67,10 +74,11 @@ class Load:
 
 @dataclass(frozen=True)
 class End:
-    """Which end it is, `send` or `receive`, and on which router."""
+    """Which end it is, `send` or `receive`, on which router, and on which direct link, if any."""
 
     role: str
     endpoint: str
+    link: str
     load: Load
 
     def to_json(self) -> str:
@@ -80,21 +88,27 @@ class End:
 
 def _end_of(text: str) -> End:
     given = json.loads(text)
-    return End(given["role"], given["endpoint"], Load(**given["load"]))
+    return End(given["role"], given["endpoint"], given["link"], Load(**given["load"]))
 
 
 def main() -> None:
     """Be the end that the first argument describes; readings are printed as one line of JSON."""
     keep_freed_memory()
     end = _end_of(sys.argv[1])
-    with open_session(SessionSettings(rig=RIG, endpoint=end.endpoint)) as session:
-        readings = receive(session, end.load) if end.role == "receive" else send(session, end.load)
+    with contextlib.ExitStack() as stack:
+        session = stack.enter_context(open_session(SessionSettings(rig=RIG, endpoint=end.endpoint)))
+        readings = (receive if end.role == "receive" else send)(session, end, stack)
     print(json.dumps(readings), flush=True)
 
 
-def send(session: Any, load: Load) -> list[dict[str, float]]:
+def send(session: Any, end: End, stack: contextlib.ExitStack) -> list[dict[str, float]]:
     """Publish at the given rate; of each message when it was begun, encoded and handed to Zenoh, in seconds."""
-    publisher = declare_publisher(session, load.key, load.topic)
+    load = end.load
+    if end.link:
+        direct = stack.enter_context(open_direct_publishing(end.link))
+        publisher = DirectPublisher(session, direct, load.key, load.topic)
+    else:
+        publisher = declare_publisher(session, load.key, load.topic)
     message = _message_of(load)
     readings: list[dict[str, float]] = []
     pause, next_s = threading.Event(), monotonic_s() + SETTLE_S
@@ -110,9 +124,9 @@ def send(session: Any, load: Load) -> list[dict[str, float]]:
     return readings[WARM_UP:]
 
 
-def receive(session: Any, load: Load) -> list[dict[str, float]]:
+def receive(session: Any, end: End, stack: contextlib.ExitStack) -> list[dict[str, float]]:
     """Of each message when it was received, taken up by the loop and decoded, in seconds."""
-    inbox = Inbox()
+    load, inbox = end.load, Inbox()
     latest = load.is_frame
     received: dict[int, float] = {}
 
@@ -122,7 +136,11 @@ def receive(session: Any, load: Load) -> list[dict[str, float]]:
         (inbox.put_newest if latest else inbox.put)(Arrival(load.topic, load.key, sample.payload.to_bytes, attachment))
         received[_sequence(attachment)] = at_s
 
-    kept = subscribe(session, load.key, load.topic, put_away, lambda _: None)
+    if end.link:
+        direct = stack.enter_context(open_direct_consuming([end.link]))
+        kept = subscribe_directly(session, direct, load.key, load.topic, put_away)
+    else:
+        kept = subscribe(session, load.key, load.topic, put_away, lambda _: None)
     print("ready", flush=True)
     readings: list[dict[str, float]] = []
     quiet_until_s = monotonic_s() + 4 * PATIENCE_S

@@ -9,7 +9,9 @@ import os
 import statistics
 import subprocess
 import sys
+import tempfile
 from collections.abc import Generator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +19,9 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.dora_hops import NoDoraError, dora_environment, dora_ms
-from benchmarks.hop_ends import End, Load
+from benchmarks.hop_ends import AGENT, End, Load
+from schemas.topics import MAIN
+from shared.runtime.direct import socket_endpoint
 from shared.runtime.session import free_local_endpoint
 
 LIMIT_S = 120.0
@@ -62,6 +66,8 @@ def measure_hops(rounds: int, count: int) -> dict[str, Any]:
                     load = Load(size, count, rate_hz)
                     place = f"{rate_hz:.0f} Hz", payload
                     taken.setdefault((*place, ROUTER), []).append(_summary(one_hop(endpoint, load)))
+                    if load.is_frame:
+                        taken.setdefault((*place, DIRECT), []).append(_summary(one_hop(endpoint, load, direct=True)))
                     if environment is not None:
                         ms = dora_ms(environment, load)
                         taken.setdefault((*place, DORA), []).append(_summary_of_hop(ms))
@@ -72,14 +78,16 @@ def measure_hops(rounds: int, count: int) -> dict[str, Any]:
     return {"load before": load_before, "rounds": rounds, "messages": count, "without dora": without, "hops": rows}
 
 
-def one_hop(endpoint: str, load: Load) -> list[dict[str, float]]:
+def one_hop(endpoint: str, load: Load, direct: bool = False) -> list[dict[str, float]]:
     """Of each message that arrived, in seconds, when it reached each step."""
-    receiver = _end(End("receive", endpoint, load))
-    assert receiver.stdout is not None
-    assert receiver.stdout.readline() == "ready\n", "the receiving end has not started"
-    sender = _end(End("send", endpoint, load))
-    sent, _ = sender.communicate(timeout=LIMIT_S)
-    received, _ = receiver.communicate(timeout=LIMIT_S)
+    with tempfile.TemporaryDirectory() as sockets:
+        link = socket_endpoint(Path(sockets) / "hop", AGENT, MAIN) if direct else ""
+        receiver = _end(End("receive", endpoint, link, load))
+        assert receiver.stdout is not None
+        assert receiver.stdout.readline() == "ready\n", "the receiving end has not started"
+        sender = _end(End("send", endpoint, link, load))
+        sent, _ = sender.communicate(timeout=LIMIT_S)
+        received, _ = receiver.communicate(timeout=LIMIT_S)
     of_sender = {row["sequence"]: row for row in json.loads(sent)}
     return [of_sender[row["sequence"]] | row for row in json.loads(received)]
 
@@ -138,9 +146,8 @@ def print_hops(console: Console, measured: dict[str, Any]) -> None:
         ratio = _ratio_to_dora(row, measured["hops"])
         arrived = " ".join(map(str, row["arrived"]))
         table.add_row(row["rate"], row["payload"], row["way"], *medians, f"{row['hop']['p99 ms']:.2f}", ratio, arrived)
-    console.print(
-        f"{measured['rounds']} rounds of {measured['messages']} messages, load {measured['load before']:.1f} before the start"
-    )
+    run = f"{measured['rounds']} rounds of {measured['messages']} messages"
+    console.print(f"{run}, load {measured['load before']:.1f} before the start")
     console.print(table)
     if measured["without dora"]:
         console.print(f"without dora-rs to compare with: {measured['without dora']}")
