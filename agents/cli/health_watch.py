@@ -1,7 +1,8 @@
 """How the agents of a rig fare by their own account, as a table, and which of them are silent."""
 
+import dataclasses
 import threading
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 from rich.table import Table
@@ -16,9 +17,13 @@ from shared.runtime.taps import Tapped
 
 SILENT_S = 3.0
 """Health comes once a second; an agent that has been silent for longer is not well."""
+MISSING_S = 1.5
+"""Health that is younger shows an agent to be there, whatever was heard of its token."""
 STARTING_S = 10.0
 """How long an agent may take until its first health."""
-WELL = "well"
+WELL, STARTING, NEVER, SILENT = "well", "starting", "never heard of", "silent"
+ABSENT, GONE, HANGING = "absent", "gone", "hanging"
+LEFT = ("agent", "host", "state")
 
 
 @dataclass(frozen=True)
@@ -28,28 +33,48 @@ class Fare:
     Fields:
         health: its newest; None where none has come.
         silent_s: since then, or since the watch began, by the clock of this machine.
+        present: whether its session is there, as the router tells; None where nobody asked.
+        restarts: how often it began anew since the watch began.
+        expected: whether the rig's configuration has it; and on which of its hosts, empty where that is not told.
     """
 
     name: str
     health: AgentHealth | None
     silent_s: float
+    present: bool | None = None
+    restarts: int = 0
+    expected: bool = True
+    placed: str = ""
 
     @property
     def state(self) -> str:
         """How it is, in one or two words, or its fault."""
+        if self.present is False and (self.health is None or self.silent_s > MISSING_S):
+            return ABSENT if self.health is None else GONE
         if self.health is None:
-            return "starting" if self.silent_s < STARTING_S else "never heard of"
+            return STARTING if self.silent_s < STARTING_S else NEVER
         if self.silent_s > SILENT_S:
-            return "silent"
+            # its session lives in threads of its own, and health comes from its loop
+            return HANGING if self.present else SILENT
         return self.health.fault or WELL
+
+    @property
+    def host(self) -> str:
+        """Where it runs, by its own account or else by the rig's configuration."""
+        return self.health.host if self.health is not None else self.placed
 
 
 class HealthWatch:
     """The newest health of every agent, those that are expected and any other that reports."""
 
-    def __init__(self, connection: Connection, expected: Iterable[str] = ()) -> None:
+    def __init__(
+        self, connection: Connection, expected: Iterable[str] = (), placed: Mapping[str, str] | None = None
+    ) -> None:
+        """`placed` tells on which of the rig's hosts those that are expected run."""
         self._lock = threading.Lock()
-        self._newest: dict[str, tuple[AgentHealth | None, float]] = dict.fromkeys(expected, (None, monotonic_s()))
+        hosts = placed or {}
+        self._newest = {name: Fare(name, None, monotonic_s(), placed=hosts.get(name, "")) for name in expected}
+        """With the time at which each was heard in place of how long it has been silent."""
         self._told: dict[str, str] = {}
         connection.listen((HEALTH,), self._take)
 
@@ -58,21 +83,36 @@ class HealthWatch:
             health = decode(AgentHealth, tapped.payload)
         except MessageError:
             return
+        # the key is what the router lets its owner alone publish; the message could say anything
+        kind, instance = tapped.key.split("/")[2:4]
+        name = name_of(kind, instance)
         with self._lock:
-            self._newest[name_of(health.agent, health.instance)] = (health, monotonic_s())
+            before = self._newest.get(name) or Fare(name, None, 0.0, expected=False)
+            began = before.health is not None and health.uptime_s < before.health.uptime_s
+            restarts = before.restarts + began
+            self._newest[name] = dataclasses.replace(
+                before, health=health, silent_s=monotonic_s(), restarts=restarts, present=before.present
+            )
+
+    def note_present(self, present: Collection[str]) -> None:
+        """Take over whose sessions are there, as `kind/instance`."""
+        names = {name_of(*name.split("/")) for name in present}
+        with self._lock:
+            for name, fare in self._newest.items():
+                self._newest[name] = dataclasses.replace(fare, present=name in names)
 
     def fares(self) -> list[Fare]:
         """How each agent fares: the expected ones in their order, then those that nobody expected."""
         now_s = monotonic_s()
         with self._lock:
-            return [Fare(name, health, now_s - seen_s) for name, (health, seen_s) in self._newest.items()]
+            return [dataclasses.replace(fare, silent_s=now_s - fare.silent_s) for fare in self._newest.values()]
 
     def changes(self) -> list[str]:
         """Which agents fell silent, reported a fault or became well again since the last call, in plain words."""
         said: list[str] = []
         for fare in self.fares():
             before, self._told[fare.name] = self._told.get(fare.name, ""), fare.state
-            if fare.state == before or (before in ("", "starting") and fare.state in (WELL, "starting")):
+            if fare.state == before or (before in ("", STARTING) and fare.state in (WELL, STARTING)):
                 continue
             since = f" for {fare.silent_s:.0f} s" if fare.silent_s > SILENT_S else ""
             said.append(f"{fare.name}: {'well again' if fare.state == WELL else fare.state + since}")
@@ -85,22 +125,49 @@ def name_of(kind: str, instance: str) -> str:
 
 
 def health_table(fares: Iterable[Fare]) -> Table:
-    """A row an agent."""
+    """A row an agent; hosts have a column where there is more than one."""
+    fares = list(fares)
+    several = len({fare.host for fare in fares if fare.host}) > 1
+    rows = {fare.name: _row(fare) for fare in fares}
     table = Table(box=None, pad_edge=False)
-    for column in ("agent", "state", "step ms p50 / p99", "in Hz", "age ms", "dropped", "missed", "refused", "out Hz"):
-        table.add_column(column, justify="left" if column in ("agent", "state") else "right")
-    for fare in fares:
-        silent = "" if fare.silent_s <= SILENT_S else f" for {fare.silent_s:.0f} s"
-        table.add_row(fare.name, fare.state + silent, *_figures(fare.health))
+    columns = [name for name in _row(Fare("", None, 0.0)) if name != "host" or several]
+    for column in columns:
+        table.add_column(column, justify="left" if column in LEFT else "right", no_wrap=column != "state")
+    for row in rows.values():
+        table.add_row(*(row[column] for column in columns))
     return table
 
 
-def _figures(health: AgentHealth | None) -> tuple[str, ...]:
+def _row(fare: Fare) -> dict[str, str]:
+    """What is in the row of an agent, by column."""
+    silent = "" if fare.silent_s <= SILENT_S else f" for {span_of(fare.silent_s)}"
+    row = {"agent": fare.name, "host": fare.host or "-", "state": fare.state + silent}
+    return row | _figures(fare.health, fare.restarts)
+
+
+def _figures(health: AgentHealth | None, restarts: int) -> dict[str, str]:
+    columns = (
+        "up",
+        "restarts",
+        "CPU %",
+        "MB",
+        "ms p50/p99",
+        "in Hz",
+        "age ms",
+        "dropped",
+        "missed",
+        "refused",
+        "out Hz",
+    )
     if health is None:
-        return ("-",) * 7
-    steps = "-" if health.step_ms_p50 is None else f"{health.step_ms_p50:.1f} / {health.step_ms_p99 or 0:.1f}"
+        return dict.fromkeys(columns, "-")
+    steps = "-" if health.step_ms_p50 is None else f"{health.step_ms_p50:.1f}/{health.step_ms_p99 or 0:.1f}"
     ages = [i.age_ms for i in health.inputs if i.age_ms is not None]
-    return (
+    values = (
+        span_of(health.uptime_s),
+        str(restarts),
+        "-" if health.processor_share is None else f"{100 * health.processor_share:.0f}",
+        "-" if health.resident_bytes is None else f"{health.resident_bytes / 1e6:.0f}",
         steps,
         " ".join(f"{i.rate_hz:.0f}" for i in health.inputs) or "-",
         f"{max(ages):.0f}" if ages else "-",
@@ -109,3 +176,12 @@ def _figures(health: AgentHealth | None) -> tuple[str, ...]:
         str(sum(i.refused for i in health.inputs)),
         " ".join(f"{o.rate_hz:.0f}" for o in health.outputs) or "-",
     )
+    return dict(zip(columns, values, strict=True))
+
+
+def span_of(seconds: float) -> str:
+    """A span of time as people read it."""
+    for limit, unit, name in ((120, 1, "s"), (7200, 60, "min"), (172800, 3600, "h")):
+        if seconds < limit:
+            return f"{seconds / unit:.0f} {name}"
+    return f"{seconds / 86400:.0f} d"

@@ -13,8 +13,10 @@ from agents.cli.live_options import (
     OnRig,
     PromptThread,
     Record,
+    RigStatus,
     RobotBridgeAgent,
     Router,
+    SetInAgent,
     Up,
     View,
 )
@@ -22,7 +24,7 @@ from agents.cli.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.cli.rig import RigConfig, simulated_rig
 from agents.cli.router import run_router
 from agents.cli.terminal import complain, say
-from agents.cli.this_host import at_host, certificates_of
+from agents.cli.this_host import at_host, certificates_of, configured_file
 from agents.operator.operator import Stood, arm_and_stand_by, ask_for_grasp, hold, prompt
 from schemas.messages import ExecutionEvent, ExecutionKind, GraspPlan, Outcome, Policy, Status
 from schemas.topics import MAIN
@@ -39,10 +41,11 @@ def rig_of(options: OnRig) -> RigConfig:
     Raises:
         ConfigError: where its configuration cannot be used.
     """
-    if options.config is None:
+    config = options.config or configured_file()
+    if config is None:
         return simulated_rig()
-    rig = load_config(options.config, RigConfig)
-    return certificates_of(at_host(rig, options.host), options.config)
+    rig = load_config(config, RigConfig)
+    return certificates_of(at_host(rig, options.host), config)
 
 
 def run_live(options: OnRig) -> int:
@@ -73,7 +76,15 @@ def run_live(options: OnRig) -> int:
             case Doctor():
                 from agents.cli.doctor import doctor
 
-                return doctor(rig)
+                return doctor(rig, options)
+            case RigStatus():
+                from agents.cli.status_command import status
+
+                return status(rig, options)
+            case SetInAgent():
+                from agents.cli.set_command import set_parameter
+
+                return set_parameter(rig, options)
             case RobotBridgeAgent():
                 return _run_agent(rig, "robot_bridge", options.arm)
             case _:

@@ -17,7 +17,8 @@ class OnRig:
     """A command that reads the configuration of a rig."""
 
     config: OptionalPath = None
-    """The rig's configuration (TOML); without it, everything simulated on this machine."""
+    """The rig's configuration (TOML); without it the file that SUTUREGRASP_CONFIG names, or else everything simulated
+    on this machine."""
     host: OptionalName = None
     """Which of the rig's hosts this machine is, where neither its file nor its address tells."""
 
@@ -183,7 +184,31 @@ class PromptThread(OnRig):
 
 @dataclass(frozen=True)
 class Doctor(OnRig):
-    """Look for what would keep a rig from running, and name the remedy."""
+    """Look for what would keep a rig from running, here and across its hosts, and name the remedy."""
+
+    json: bool = False
+    """Print one JSON document instead."""
+
+
+@dataclass(frozen=True)
+class RigStatus(OnRig):
+    """Show live how a rig fares: agents, hosts, rates, ages, and in plain words what is wrong."""
+
+    json: bool = False
+    """Print a JSON document a second instead, each on a line."""
+    once: bool = False
+    """Look once; the exit status is 1 where something is wrong."""
+
+
+@dataclass(frozen=True)
+class SetInAgent(OnRig):
+    """Set a parameter of a running agent, or list what it is set to: set perception segmenter ridge."""
+
+    words: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(name="agent", metavar="AGENT [NAME VALUE]")
+    ] = ()
+    """The agent, such as `perception`, `robot_bridge psm1` or `robot_bridge/psm1`; then the parameter and its value,
+    as JSON or plain text."""
 
 
 LIVE_COMMANDS = {
@@ -194,6 +219,8 @@ LIVE_COMMANDS = {
     "arm": ArmPlan,
     "hold": HoldArm,
     "prompt": PromptThread,
+    "set": SetInAgent,
+    "status": RigStatus,
     "doctor": Doctor,
     "router": Router,
     "camera": CameraAgent,

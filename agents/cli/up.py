@@ -3,6 +3,7 @@
 import contextlib
 import sys
 import threading
+from collections.abc import Mapping
 from pathlib import Path
 
 from rich.console import Console
@@ -10,12 +11,14 @@ from rich.live import Live
 from rich.text import Text
 
 from agents.cli.builders import configured
-from agents.cli.health_watch import HealthWatch, health_table, name_of
+from agents.cli.health_watch import HealthWatch, name_of
 from agents.cli.in_the_way import already_running, in_the_way
 from agents.cli.live_options import Play, Up
 from agents.cli.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.cli.rig import RigConfig
 from agents.cli.session_folder import SessionFolder, new_session_folder
+from agents.cli.status_gathered import expected_rates
+from agents.cli.status_report import watched
 from agents.cli.supervisor import Change, Role, Supervisor, last_line, supervised
 from agents.cli.terminal import complain, say
 from shared.runtime.connection import connected
@@ -65,7 +68,7 @@ def up(rig: RigConfig, options: Up) -> int:
             say("name a goal in another terminal: suturegrasp goal --s 0.4")
         connection = stack.enter_context(connected(rig.session, FIRST_CONTACT_S, stopped))
         expected = [name_of(kind, instance) for kind, instance in configured(rig)]
-        status = _watch(supervisor, HealthWatch(connection, expected), stopped)
+        status = _watch(supervisor, HealthWatch(connection, expected), expected_rates(rig), stopped)
     say("every process was stopped")
     if rig.recorder is not None:
         say(last_line(folder.log("recorder")))
@@ -77,7 +80,7 @@ def write_config(path: Path, rig: RigConfig) -> None:
     path.write_text(rig.model_dump_json(indent=1, exclude_none=True) + "\n")
 
 
-def _watch(supervisor: Supervisor, health: HealthWatch, stopped: threading.Event) -> int:
+def _watch(supervisor: Supervisor, health: HealthWatch, rates_hz: Mapping[str, float], stopped: threading.Event) -> int:
     """Tell what happens, under a live table where there is a terminal, until stopped; the exit status."""
     on_terminal = sys.stdout.isatty()
     console = Console()
@@ -91,7 +94,7 @@ def _watch(supervisor: Supervisor, health: HealthWatch, stopped: threading.Event
             if over := _over(supervisor, changes):
                 return complain(*over)
             if live is not None:
-                live.update(health_table(health.fares()))
+                live.update(watched(health.fares(), rates_hz))
     return EXIT_OK
 
 

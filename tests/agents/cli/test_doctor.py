@@ -1,0 +1,324 @@
+"""The doctor: what it finds here, and across a rig on a real router, with certificates and without."""
+
+import contextlib
+import datetime
+import json
+from typing import Any
+
+import pytest
+
+from agents.cli.doctor import examine
+from agents.cli.doctor_finding import Finding
+from agents.cli.doctor_here import CHRONYC, examine_here, synchronisation
+from agents.cli.doctor_rig import clocks, granted, links, running, streams, versions
+from agents.cli.doctor_router import why_not
+from agents.cli.doctor_rules import verdict
+from agents.cli.health_watch import Fare
+from agents.cli.rig import PlannerSection, RigConfig, RouterSection, simulated_rig
+from agents.cli.rig_hosts import HostSection, SecuritySection
+from agents.cli.status_gathered import Gathered
+from agents.cli.status_session import certificate_names, reading_session
+from agents.deployment.certificates import issue
+from agents.deployment.layout import ROUTER, Host, Layout, Process
+from agents.planner.agent import Planner
+from schemas.messages import AgentFacts
+from shared.clock import now_ns
+from shared.runtime.access import access_control
+from shared.runtime.clocks import ClockOffset
+from shared.runtime.config import parse_config
+from shared.runtime.connection import connected
+from shared.runtime.facts import schemas_hash
+from shared.runtime.identity import identity_in
+from shared.runtime.link import Link
+from shared.runtime.rule_trial import Trial
+from shared.runtime.session import SessionSettings, free_local_endpoint, open_router
+
+RIG = "lab"
+DAY_NS = 86400 * 10**9
+NOW_NS = 1_800_000_000_000_000_000
+PROCESSES = (
+    Process(ROUTER), Process("camera"), Process("planner"), Process("operator"), Process("viewer"),
+)  # fmt: skip
+
+
+def by_what(findings):
+    return {finding.what: finding for finding in findings}
+
+
+def test_doctor_names_what_is_wrong_with_its_remedy(suturegrasp, tmp_path):
+    config = tmp_path / "rig.toml"
+    config.write_text(
+        f'[router]\nendpoint = "{free_local_endpoint()}"\nstart = false\n'
+        '[camera]\nsource = "images"\nleft = "nowhere"\ncalibration = "c"\n[planner]\n'
+    )
+    ended = suturegrasp("doctor", "--config", config)
+    lines = ended.out.splitlines()
+    assert (ended.status, ended.err) == (1, "")
+    assert [line for line in lines if line.startswith("WRONG")] == [
+        next(line for line in lines if "agent camera: cannot start" in line and "nowhere" in line),
+        next(line for line in lines if "router: none answers" in line and "suturegrasp router" in line),
+    ]
+    assert any(line.startswith("ok") and "agent planner: can start" in line for line in lines)
+
+
+@pytest.fixture
+def planned(router, in_threads, until):
+    """A rig of which the planner runs."""
+
+    @contextlib.contextmanager
+    def run(text="[planner]"):
+        plain = parse_config(text, RigConfig, "r.toml")
+        with router() as endpoint:
+            rig = plain.model_copy(update={"router": RouterSection(endpoint=endpoint)})
+            with in_threads(rig.session, Planner()), connected(rig.session, 60.0) as connection:
+                until(lambda: connection.facts() and "planner/main" in connection.present())
+                yield rig
+
+    return run
+
+
+def test_doctor_finds_the_router_and_who_is_there(planned):
+    with planned() as rig:
+        findings = by_what(examine(rig))
+    assert findings["router"].found == f"answers on {rig.router_endpoint}"
+    assert findings["running agents"].found == "planner"
+    assert findings["schemas"].found == f"{schemas_hash()} everywhere"
+    assert findings["link to planner"].found.endswith("MB/s")
+    assert "planner" in findings["shared memory"].found
+    assert findings["clocks of other hosts"].state == "?"
+    assert findings["access rules"].found.startswith("none are in force: the router listens on this machine alone")
+    assert [finding for finding in findings.values() if finding.remedy] == []
+
+
+def test_doctor_tells_json_and_who_does_not_run(planned, suturegrasp, tmp_path):
+    with planned() as rig:
+        config = tmp_path / "rig.toml"
+        config.write_text(f'[router]\nendpoint = "{rig.router_endpoint}"\n[planner]\n[perception]\n')
+        ended = suturegrasp("doctor", "--json", "--config", config)
+    told = json.loads(ended.out)
+    assert (ended.status, ended.err, told["rig"], told["well"]) == (1, "", "lab", False)
+    (wrong,) = [finding for finding in told["findings"] if finding["state"] == "wrong"]
+    assert (wrong["what"], wrong["found"]) == ("running agents", "planner")
+    assert wrong["remedy"].startswith("perception does not run")
+    assert {finding["state"] for finding in told["findings"]} == {"ok", "wrong", "unknown"}
+
+
+@pytest.mark.parametrize(
+    ("offset", "found", "wrong"),
+    [
+        (ClockOffset("b", 340.0, 2.0), "340 ms ahead of this host", True),
+        (ClockOffset("b", -340.0, 2.0), "340 ms behind this host", True),
+        (ClockOffset("b", 3.0, 0.5), "3 ms ahead of this host, give or take 0.5 ms", False),
+        (ClockOffset("b", 340.0, 300.0), "unknown, for its answer takes 600 ms", False),
+        (ClockOffset("here", 340.0, 2.0), "340 ms ahead of this host", True),
+    ],
+)
+def test_doctor_tells_a_clock_that_is_off_by_the_one_here(offset, found, wrong):
+    (finding,) = clocks({"planner/main": offset}, "here")
+    assert finding.what == f"clock of {offset.host}"
+    assert finding.found.startswith(found)
+    assert ("chrony" in finding.remedy) is wrong
+
+
+def test_doctor_says_that_clocks_are_unknown_where_nobody_answers_from_elsewhere():
+    assert [f.found for f in clocks({}, "here")] == ["unknown, for no agent answers from another host"]
+    silent, others = clocks({"camera/main": None, "planner/main": ClockOffset("here", 0.0, 0.1)}, "here")
+    assert (silent.what, silent.remedy) == ("clock of camera/main", "")
+    assert others.found.startswith("unknown")
+
+
+TRACKING = "C0A80001,ntp.lab,3,1700000000.1,{offset},0.0001,0.0001,1,0,0.01,0.02,0.001,64.2,{leap}"
+
+
+@pytest.mark.parametrize(
+    ("chrony", "systemd", "several", "state", "found"),
+    [
+        (TRACKING.format(offset="-0.000250", leap="Normal"), None, True, "ok", "by chrony with ntp.lab, 0.250 ms off"),
+        (TRACKING.format(offset="1", leap="Not synchronised"), "yes", True, "WRONG", "chrony runs and says 'Not"),
+        (None, "yes", True, "ok", "by the system's own service"),
+        (None, "no", True, "WRONG", "none, as timedatectl tells"),
+        (None, "no", False, "ok", "none, as timedatectl tells"),
+        ("506 Cannot talk to daemon", None, True, "?", "unknown"),
+        (None, None, True, "?", "unknown"),
+    ],
+)
+def test_what_keeps_the_clock_right_is_told_as_far_as_the_system_tells(chrony, systemd, several, state, found):
+    finding = synchronisation(several, lambda command: chrony if command == CHRONYC else systemd)
+    assert (finding.state, finding.found.startswith(found)) == (state, True), finding
+
+
+def hosts():
+    return {
+        "video": HostSection(address="10.0.0.1", runs=("camera",), realtime=True),
+        "desk": HostSection(address="10.0.0.2", runs=("planner", "operator")),
+    }
+
+
+def test_agents_are_told_by_host_and_those_missing_are_wrong_once_any_runs():
+    rig = simulated_rig().model_copy(update={"hosts": hosts()})
+    (none,) = running(rig, [Fare("camera", None, 1.0, False, placed="video")], "desk")
+    assert (none.state, none.found.split(";")[0]) == ("ok", "none")
+    there = Fare("planner", None, 1.0, True, placed="desk")
+    found = by_what(running(rig, [there], "desk"))
+    assert found["agents on desk (here)"] == Finding("agents on desk (here)", "planner")
+    assert found["agents on video"].remedy == "camera does not run; start it there"
+
+
+def facts(**told):
+    values: dict[str, Any] = {
+        "agent": "camera", "instance": "main", "host": "a", "at_ns": NOW_NS, "version": "0.2.0", "schemas_hash": "s",
+        "config_hash": "c", "python": "3.11", "zenoh": "1", "shared_memory": False, "shared_memory_reason": "it is far",
+        "realtime_asked": None, "realtime_granted": None, "realtime_reason": "", "writes_to": "",
+        "disk_free_bytes": None, "calibrated_ns": None, "certificate_expires_ns": None, "processor_s": 1.0,
+        "resident_bytes": 1,
+    }  # fmt: skip
+    return AgentFacts(**(values | told))
+
+
+def test_versions_that_differ_from_those_here_are_wrong():
+    told = {"camera/main": facts(version="0.1.0"), "robot_bridge/psm1": facts(schemas_hash="t", zenoh="2")}
+    found = by_what(versions(told, "0.2.0", "s", "1"))
+    assert found["versions"].found == "0.2.0 here, 0.1.0 on camera"
+    assert found["schemas"].found == "s here, t on robot_bridge psm1"
+    assert all(finding.remedy for finding in found.values())
+    assert all(not finding.remedy for finding in versions({"camera/main": facts()}, "0.2.0", "s", "1"))
+
+
+def test_links_that_are_slow_are_wrong_and_those_that_do_not_answer_unknown():
+    quick, slow, silent = links(
+        {"camera/main": Link(0.4, 1.2, 9e8), "planner/main": Link(90.0, 120.0, 1e6), "robot_bridge/psm1": None}
+    )
+    assert (quick.state, quick.found) == ("ok", "0.4 ms there and back (99 % within 1.2 ms), 900 MB/s")
+    assert (slow.state, silent.state, silent.what) == ("WRONG", "?", "link to robot_bridge psm1")
+
+
+def test_what_agents_were_granted_is_told_and_unknown_where_nobody_knows():
+    rig = simulated_rig().model_copy(update={"hosts": hosts()})
+    plain = by_what(granted({"camera/main": facts()}, rig, NOW_NS))
+    assert plain["shared memory"].found == "not used by camera: it is far"
+    assert plain["calibration of camera"].state == "?"
+    assert plain["real time for camera"].found.startswith("it has not asked for it")
+    told = facts(
+        realtime_asked=50, realtime_reason="allow it", calibrated_ns=NOW_NS - 12 * DAY_NS, disk_free_bytes=1,
+        writes_to="/data", certificate_expires_ns=NOW_NS + DAY_NS,
+    )  # fmt: skip
+    found = by_what(granted({"camera/main": told}, rig, NOW_NS))
+    assert found["real time for camera"] == Finding("real time for camera", "asked for 50, and not granted", "allow it")
+    assert found["calibration of camera"].found == "made 12 d ago"
+    assert found["disk of camera"].remedy
+    assert found["certificate that camera runs with"].remedy.startswith("renew it")
+    (had,) = [f for f in granted({"camera/main": facts(realtime_granted=50)}, rig, NOW_NS) if "real time" in f.what]
+    assert (had.state, had.found) == ("ok", "priority 50")
+
+
+def test_streams_are_told_and_what_status_finds_wrong_with_them():
+    told = Gathered(NOW_NS, RIG, "e", fares=(Fare("camera", None, 5.0, True),))
+    assert list(streams(told)) == []
+
+
+@pytest.mark.parametrize(
+    ("trial", "asked", "may_command", "state", "told"),
+    [
+        (Trial(True, (), 12), True, True, "ok", "and so did a command; 12 ways to speak for others were denied"),
+        (Trial(True, (), 12), False, False, "ok", "a command of it was denied"),
+        (Trial(True, (), 12), None, True, "ok", "commands were not tried, for no agent runs"),
+        (Trial(True, (), 12), True, False, "WRONG", "a command of it reached camera/main"),
+        (Trial(True, (), 12), False, True, "WRONG", "too narrow"),
+        (Trial(False, (), 12), None, True, "WRONG", "nothing is known of what it may not"),
+        (Trial(True, ("presence under camera/main",), 11), None, True, "WRONG", "presence under camera/main arrived"),
+    ],
+)
+def test_a_trial_shows_whether_rules_are_in_force(trial, asked, may_command, state, told):
+    finding = verdict("rules", trial, asked, may_command, "camera/main")
+    assert (finding.state, told in finding.found) == (state, True), finding
+
+
+class Secured:
+    """A rig with certificates on one machine, and a router with rules or with none."""
+
+    def __init__(self, folder, ruled=True, days_ago=0):
+        endpoint = free_local_endpoint().replace("tcp/", "tls/")
+        at = datetime.datetime.fromtimestamp(now_ns() * 1e-9, datetime.UTC) - datetime.timedelta(days=days_ago)
+        layout = Layout(RIG, endpoint, (Host("desk", "127.0.0.1", PROCESSES),), 30, 3650)
+        issue(layout, folder, at)
+        self.certificates = folder / "desk" / "certificates"
+        self.access = access_control(RIG, layout.common_names()) if ruled else None
+        self.rig = RigConfig(
+            rig=RIG,
+            router=RouterSection(endpoint=endpoint, start=False),
+            security=SecuritySection(certificates=self.certificates),
+            planner=PlannerSection(),
+        )
+
+    def router(self):
+        return open_router(self.rig.router_endpoint, identity_in(self.certificates, "router.main"), self.access)
+
+
+def test_rules_are_proved_by_trying_with_every_certificate_of_this_host(tmp_path, in_threads, until):
+    secured = Secured(tmp_path)
+    planner = SessionSettings(RIG, secured.rig.router_endpoint, secured.rig.identity_of("planner"))
+    with secured.router(), in_threads(planner, Planner()), connected(secured.rig.session, 60.0) as connection:
+        until(lambda: connection.facts() and "planner/main" in connection.present())
+        findings = by_what(examine(secured.rig))
+    told = {what: f for what, f in findings.items() if what.startswith("access rules")}
+    assert set(told) == {
+        f"access rules for {name}" for name in ("operator.main", "camera.main", "planner.main", "viewer.main")
+    }
+    assert all(finding.state == "ok" and "in force" in finding.found for finding in told.values()), told
+    assert "and so did a command; 4 ways" in told["access rules for operator.main"].found
+    assert "a command of it was denied; 4 ways" in told["access rules for camera.main"].found
+    assert {f.state for what, f in findings.items() if what.startswith("certificate ")} == {"ok"}
+    assert "certificate authority" in findings and "certificate router.main" in findings
+
+
+def test_a_router_without_rules_is_found_out(tmp_path):
+    secured = Secured(tmp_path, ruled=False)
+    with secured.router():
+        findings = by_what(examine(secured.rig))
+    finding = findings["access rules for operator.main"]
+    assert finding.state == "WRONG"
+    for way in ("message", "message of a history", "answer to a history", "presence"):
+        assert f"{way} under planner/main" in finding.found
+
+
+def test_a_certificate_that_a_router_does_not_know_is_told_as_that(tmp_path):
+    ours, theirs = Secured(tmp_path / "a"), Secured(tmp_path / "b")
+    with ours.router():
+        session = SessionSettings(RIG, ours.rig.router_endpoint, identity_in(theirs.certificates, "operator.main"))
+        assert "make certificates anew" in why_not(session)
+        mixed = identity_in(tmp_path, "mixed")
+        for file, source in (
+            (mixed.authority, ours.certificates / "authority.pem"),
+            (mixed.certificate, theirs.certificates / "operator.main.pem"),
+            (mixed.key, theirs.certificates / "operator.main.key"),
+        ):
+            file.write_bytes(source.read_bytes())
+        assert "it refuses the certificate here, which is of another authority" in why_not(
+            SessionSettings(RIG, ours.rig.router_endpoint, mixed)
+        )
+        assert why_not(ours.rig.session) == ""
+
+
+def test_expired_certificates_are_found_before_anything_is_tried(tmp_path):
+    expired = Secured(tmp_path, days_ago=31).rig
+    findings = by_what(examine(expired))
+    assert findings["certificate operator.main"].found == "has expired"
+    assert findings["certificate authority"].state == "ok"
+    assert "has expired; renew it" in findings["router"].remedy
+
+
+def test_a_host_without_operator_looks_with_what_it_has(tmp_path):
+    secured = Secured(tmp_path)
+    for name in ("operator.main.pem", "viewer.main.key"):
+        (secured.certificates / name).unlink()
+    assert certificate_names(secured.certificates) == ["camera.main", "planner.main"]
+    identity = reading_session(secured.rig).identity
+    assert identity is not None
+    assert identity.certificate.name == "camera.main.pem"
+    with secured.router(), connected(reading_session(secured.rig), 60.0) as connection:
+        assert connection.has_router()
+
+
+def test_a_folder_without_certificates_is_told(tmp_path):
+    rig = simulated_rig().model_copy(update={"security": SecuritySection(certificates=tmp_path / "none")})
+    assert "there are none in" in by_what(examine_here(rig))["certificates"].found
