@@ -34,17 +34,27 @@ from agents.viewer.mapping import (
 from agents.viewer.match_mapping import match_entities
 from agents.viewer.quality_mapping import curve_looks
 from agents.viewer.report import finding_text, findings
-from agents.viewer.session_mapping import command_entities, health_entities, lane, log_entities, said
+from agents.viewer.session_mapping import (
+    clock_entities,
+    command_entities,
+    configuration_entities,
+    health_entities,
+    lane,
+    log_entities,
+    said,
+)
 from agents.viewer.surface_mapping import surface_entities
 from agents.viewer.timing_mapping import end_to_end_name
 from agents.viewer.units import camera_in_mm, observations_in_mm, reconstruction_in_mm
 from schemas.messages import (
+    AgentConfiguration,
     AgentHealth,
     CommandRecord,
     ExecutionEvent,
     GraspJudgement,
     GraspPlan,
     Heartbeat,
+    HostClocks,
     Image,
     ImageEncoding,
     LogRecord,
@@ -226,6 +236,10 @@ def _about_the_session(message: object) -> list[Entity]:
             return log_entities(message)
         case CommandRecord():
             return command_entities(message)
+        case AgentConfiguration():
+            return configuration_entities(message)
+        case HostClocks():
+            return clock_entities(message)
         case Heartbeat():
             return [(f"operator/{rr.escape_entity_path_part(message.arm)}/heartbeat", [rr.Scalars(1.0)])]
         case ReplayClock():

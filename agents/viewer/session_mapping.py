@@ -1,6 +1,7 @@
 """How the dataflow fares, as Rerun shows it: health, logs, commands, and what the viewer itself let go.
 
-health/{what}/{agent}       published per second, lost and replaced inputs and their ages, step times
+health/{what}/{agent}       published per second, lost and replaced inputs and their ages, step times, what it uses of
+                            its machine, and how far the clock of its host is ahead
 log/{who}                   everything that is said in words
 viewer/{what}/{topic}       messages shown, thinned, dropped and unreadable
 """
@@ -10,7 +11,16 @@ import rerun as rr
 from agents.viewer import colours
 from agents.viewer.mapping import Entity
 from schemas.codec import decode, encoding_name
-from schemas.messages import AgentHealth, CommandRecord, GraspGoal, LogLevel, LogRecord, Outcome
+from schemas.messages import (
+    AgentConfiguration,
+    AgentHealth,
+    CommandRecord,
+    GraspGoal,
+    HostClocks,
+    LogLevel,
+    LogRecord,
+    Outcome,
+)
 from schemas.topics import COMMANDS, TOPICS, Delivery
 
 _LEVELS = {
@@ -38,9 +48,29 @@ def health_entities(health: AgentHealth) -> list[Entity]:
     for name, step_ms in (("p50", health.step_ms_p50), ("p99", health.step_ms_p99)):
         if step_ms is not None:
             entities.append((f"health/step_ms/{agent}/{name}", [rr.Scalars(step_ms)]))
+    if health.processor_share is not None:
+        entities.append((f"health/processor_percent/{agent}", [rr.Scalars(100.0 * health.processor_share)]))
+    if health.resident_bytes is not None:
+        entities.append((f"health/memory_mib/{agent}", [rr.Scalars(health.resident_bytes / (1 << 20))]))
     if health.fault:
         entities.append(said(f"{health.agent}/{health.instance}", health.fault, rr.TextLogLevel.ERROR))
     return entities
+
+
+def configuration_entities(configuration: AgentConfiguration) -> list[Entity]:
+    """What an agent is set to, in words."""
+    are_set = [parameter.name for parameter in configuration.settable if parameter.is_set]
+    since = f"{', '.join(are_set)} set since it started" if are_set else "as configured"
+    return [said(f"{configuration.agent}/{configuration.instance}", f"{since}: {configuration.parameters}")]
+
+
+def clock_entities(clocks: HostClocks) -> list[Entity]:
+    """How far the clocks of the hosts of agents are ahead, of those that answered."""
+    return [
+        (f"health/clock_ahead_ms/{_agent(clock.agent, clock.instance)}", [rr.Scalars(clock.ahead_ms)])
+        for clock in clocks.clocks
+        if clock.ahead_ms is not None
+    ]
 
 
 def log_entities(record: LogRecord) -> list[Entity]:

@@ -297,7 +297,7 @@ def test_a_configuration_that_makes_no_sense_is_refused_by_name(wrong):
         PlannerConfig(**wrong)
 
 
-def clocks_of(ahead_ms, within_ms=1.0, agent="camera"):
+def clocks_of(ahead_ms: float | None, within_ms: float | None = 1.0, agent="camera"):
     return HostClocks(0, (HostClock(agent, "main", "video-pc", ahead_ms, within_ms),))
 
 

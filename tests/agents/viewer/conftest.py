@@ -12,6 +12,7 @@ from scipy.interpolate import make_lsq_spline
 from schemas import topics
 from schemas.codec import encode, encoding_name
 from schemas.messages import (
+    AgentConfiguration,
     AgentHealth,
     Alternative,
     Centrelines,
@@ -25,6 +26,8 @@ from schemas.messages import (
     GraspJudgement,
     GraspPlan,
     Heartbeat,
+    HostClock,
+    HostClocks,
     Image,
     ImageEncoding,
     InputHealth,
@@ -40,6 +43,7 @@ from schemas.messages import (
     ReplayClock,
     RobotMode,
     RobotState,
+    SettableParameter,
     Severity,
     SimulatorState,
     Status,
@@ -358,7 +362,15 @@ def session_messages(scene):
         topics.HEALTH: AgentHealth(
             "perception", "main", "host", "0.0.1", "abc", at_ns, 3.0, 90, 12.0, 31.0,
             (InputHealth("camera/frames", 29.5, 10.0, 88, 7, 2, 1),),
-            (OutputHealth("perception/observations", 28.0, 84),), "the segmenter is slow",
+            (OutputHealth("perception/observations", 28.0, 84),), "the segmenter is slow", 0.25, 64 << 20,
         ),
         topics.LOG: LogRecord(at_ns, "planner", "main", LogLevel.WARNING, "nothing in reach"),
+        topics.CONFIGURATION: AgentConfiguration(
+            "camera", "main", at_ns, '{"jpeg_quality": 80}',
+            (SettableParameter("jpeg_quality", "a whole number from 1 to 100", True),), "abc",
+        ),
+        topics.CLOCKS: HostClocks(
+            at_ns,
+            (HostClock("camera", "main", "video", 3.5, 0.2), HostClock("robot_bridge", "psm1", "", None, None)),
+        ),
     }  # fmt: skip

@@ -280,6 +280,9 @@ def test_health_is_shown_per_agent_and_topic(whole_session):
         "/health/age_ms/perception/camera\\/frames": [10.0],
         "/health/step_ms/perception/p50": [12.0],
         "/health/step_ms/perception/p99": [31.0],
+        "/health/processor_percent/perception": [25.0],
+        "/health/memory_mib/perception": [64.0],
+        "/health/clock_ahead_ms/camera": [3.5],
     }
 
 

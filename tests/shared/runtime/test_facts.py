@@ -13,6 +13,7 @@ from schemas.codec import decode
 from schemas.messages import AgentHealth
 from schemas.topics import HEALTH
 from shared.clock import processor_s
+from shared.runtime.agent import Output
 from shared.runtime.connection import connected
 from shared.runtime.facts import Surroundings, ask_for_realtime, realtime_priority, schemas_hash
 from shared.runtime.link import BYTES, LINK, MOST_BYTES
@@ -27,7 +28,8 @@ DEADLINE_S = 60.0
 class Idle:
     kind, instance, inputs, outputs, commands, tick_hz = "planner", "main", (), (), (), None
 
-    def step(self, _arrived):
+    def step(self, arrived) -> list[Output]:
+        assert arrived
         return []
 
 
@@ -39,7 +41,8 @@ class Hung(Idle):
     def __init__(self):
         self.inside, self.ended = threading.Event(), threading.Event()
 
-    def step(self, _arrived):
+    def step(self, arrived) -> list[Output]:
+        assert arrived
         self.inside.set()
         self.ended.wait(DEADLINE_S)
         return []

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from schemas.checks import require
 from schemas.codec import decode, encode
 from schemas.messages import (
+    CommandAnswer,
     CommandRecord,
     ExecutionEvent,
     ExecutionKind,
@@ -66,9 +67,10 @@ class Counting:
         yield Output(EXECUTION, ExecutionEvent("p", "psm1", 0, ExecutionKind.HELD, None, "said", said, "a"))
 
 
-def asked(parameters, name, value):
+def asked(parameters, name, value) -> CommandAnswer:
     command = Command(SET, "psm1", SetParameter(new_header("a test"), name, value), 0)
     (answer,) = parameters.step(command)
+    assert isinstance(answer, CommandAnswer)
     return answer
 
 
@@ -115,11 +117,12 @@ def test_whatever_is_asked_the_config_stays_within_what_is_allowed(name, value):
     ],
 )
 def test_what_cannot_be_set_is_refused_in_a_sentence_and_nothing_changes(name, value, code, said):
-    agent = Counting()
+    as_configured = Config()
+    agent = Counting(as_configured)
     answer = asked(Parameters(agent), name, value)
     assert (answer.outcome, answer.code) == (Outcome.REFUSED, code)
     assert said in answer.reason
-    assert agent.config is Counting.__init__.__defaults__[0]
+    assert agent.config is as_configured
 
 
 def test_a_value_that_does_not_go_with_the_others_is_refused_by_the_config_itself():
@@ -166,6 +169,10 @@ def test_a_told_configuration_restores_what_was_set_and_nothing_else():
 def test_an_agent_without_config_has_no_parameters():
     class Bare:
         kind, instance, inputs, outputs, commands, tick_hz = "planner", "main", (), (), (), None
+
+        def step(self, arrived) -> list[Output]:
+            assert arrived
+            return []
 
     parameters = Parameters(Bare())
     assert parameters.told(1, "c0ffee").parameters == "{}"
