@@ -32,7 +32,9 @@ SLOPE_REACH = 4
 WORTHLESS_PX2 = 10.0
 """Variance of disparity at which a match is worth half as much as a certain one."""
 SKIP = 0.35
-OTHER_PIECE = 1.0
+OTHER_PIECE, CUT_PX = 1.0, 30.0
+"""What another right piece costs, but over a gap of the left image that is longer than this: what hides thread from the
+one eye hides it from the other as well."""
 OTHER_STRAND = 4.0
 NEAREST_SHARE = 0.25
 """Of the image's width: the largest disparity."""
@@ -92,11 +94,11 @@ def align(left: Chain, right: Centrelines, image_width: int) -> Alignment | None
         candidates = candidates[np.sort(np.argsort(candidates.variance_px2, kind="stable")[:MOST_CANDIDATES])]
     if len(candidates.sample) < 2:
         return None
-    chosen, score = _best_way(candidates, left.point_px[at], left.along_px[at])
+    chosen, score = _best_way(candidates, left.point_px[at], left.along_px[at], runs(left)[at])
     if len(chosen) < 2:
         return None
     way = candidates[chosen]
-    steep = np.abs(_slopes(left.point_px, _runs(left)))[at] >= STEEP
+    steep = np.abs(slopes(left.point_px, runs(left)))[at] >= STEEP
     steep[way.sample] = True
     return Alignment(
         left.along_px[at][way.sample],
@@ -120,7 +122,7 @@ def piece_ends(lines: Centrelines) -> Int64[np.ndarray, "e"]:
     return np.unique(np.concatenate((bounds[:-1], bounds[1:] - 1)))
 
 
-def _slopes(points: Float64[np.ndarray, "n 2"], run: Int64[np.ndarray, "n"]) -> Float64[np.ndarray, "n"]:
+def slopes(points: Float64[np.ndarray, "n 2"], run: Int64[np.ndarray, "n"]) -> Float64[np.ndarray, "n"]:
     """dv/dl over some pixels, within runs of points of the same never decreasing number."""
     index = np.arange(len(points))
     low = np.maximum(index - SLOPE_REACH, np.searchsorted(run, run, side="left"))
@@ -147,8 +149,8 @@ def _row_crossings(left: Chain, at: Int64[np.ndarray, "s"], right: Centrelines) 
     sample, k = np.nonzero(crossing)
     (u0, v0), (u1, v1) = right.point_px[k].T, right.point_px[k + 1].T
     share = (v[sample] - v0) / (v1 - v0)
-    slope_left = _slopes(left.point_px, _runs(left))[at[sample]]
-    slope_right = _slopes(right.point_px, right.piece)[k]
+    slope_left = slopes(left.point_px, runs(left))[at[sample]]
+    slope_right = slopes(right.point_px, right.piece)[k]
     slope = np.minimum(np.abs(slope_left), np.abs(slope_right))
     found = Candidates(
         sample=sample,
@@ -180,7 +182,7 @@ def _common_ends(left: Chain, samples: int, right: Centrelines) -> Candidates:
     return found[np.abs(right.point_px[index, 1] - point[:, 1]) <= END_ROWS_PX]
 
 
-def _runs(left: Chain) -> Int64[np.ndarray, "n"]:
+def runs(left: Chain) -> Int64[np.ndarray, "n"]:
     """Numbers of the chain's stretches without a gap, from 0."""
     return np.concatenate(([0], np.cumsum(np.diff(left.piece) != 0)))
 
@@ -191,11 +193,11 @@ def _along(lines: Centrelines) -> Float64[np.ndarray, "n"]:
 
 
 def _best_way(
-    c: Candidates, points: Float64[np.ndarray, "s 2"], along: Float64[np.ndarray, "s"]
+    c: Candidates, points: Float64[np.ndarray, "s 2"], along: Float64[np.ndarray, "s"], run: Int64[np.ndarray, "s"]
 ) -> tuple[Int64[np.ndarray, "k"], float]:
     """Indices of the candidates on the way with the best score."""
     best = 1.0 / (1.0 + c.variance_px2 / WORTHLESS_PX2)
-    cost = _step_costs(c, best, points, along)
+    cost = _step_costs(c, best, points, along, run)
     before = np.full(len(best), -1)
     starts = np.searchsorted(c.sample, np.arange(c.sample[-1] + 2))
     for first, last in itertools.pairwise(starts):
@@ -213,7 +215,11 @@ def _best_way(
 
 
 def _step_costs(
-    c: Candidates, worth: Float64[np.ndarray, "k"], points: Float64[np.ndarray, "s 2"], along: Float64[np.ndarray, "s"]
+    c: Candidates,
+    worth: Float64[np.ndarray, "k"],
+    points: Float64[np.ndarray, "s 2"],
+    along: Float64[np.ndarray, "s"],
+    run: Int64[np.ndarray, "s"],
 ) -> Float64[np.ndarray, "k k"]:
     """The cost of going on from each candidate (row) to each of a later sample (column)."""
 
@@ -235,5 +241,6 @@ def _step_costs(
     u, v = points[c.sample].T
     direct = np.hypot(change_of(u) - change, change_of(v))
     detour = np.abs(ahead) - direct > DETOUR_PX + DETOUR_SHARE * np.abs(step)
-    cost += np.where(change_of(c.piece) == 0, OTHER_STRAND * (back | detour), OTHER_PIECE)
+    cut = (change_of(run[c.sample]) != 0) & (step > CUT_PX)
+    cost += np.where(change_of(c.piece) == 0, OTHER_STRAND * (back | detour), np.where(cut, 0.0, OTHER_PIECE))
     return cost

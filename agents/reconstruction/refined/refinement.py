@@ -37,6 +37,8 @@ ROBUST = 2.5
 LEAST_SCALE, MOST_SCALE = 0.1, 4.0
 """Of the deviations that perception states, by the spread of the residuals."""
 LEAST_ROW_OFFSET_PX, CERTAIN = 0.08, 3.0
+LEAST_OWN_SHARE = 1e-3
+"""Of what the points say of a row offset, what must be left where depth is free: less is owed to smoothness alone."""
 
 
 @dataclass(frozen=True)
@@ -135,8 +137,9 @@ def _row_offset(
     """The change of the row offset and the motion with it; none where it is not certain."""
     column = gradient(row_offset_column(rows, weight, spans))
     follow = solved(factor, column)
-    information = float((weight * rows.by_row_offset**2).sum() - column @ follow)
-    if information <= 0:
+    alone = float((weight * rows.by_row_offset**2).sum())
+    information = alone - float(column @ follow)
+    if information <= LEAST_OWN_SHARE * alone:
         return 0.0, motion
     slope = float((weight * rows.by_row_offset * rows.residual).sum() + column @ motion)
     change = -slope / information

@@ -6,18 +6,17 @@ import numpy as np
 import scipy.ndimage
 from jaxtyping import Bool, Float64, Int64
 
-from agents.reconstruction.refined.alignment import Alignment, piece_ends
+from agents.reconstruction.refined.alignment import Alignment
 from agents.reconstruction.refined.chains import Chain
 from agents.reconstruction.refined.continuation import ADDED
 from agents.reconstruction.refined.projection import DENSE, Curve, projected
+from agents.reconstruction.refined.right_pieces import of_right
 from schemas.messages import Centrelines, RectifiedStereo
 
 MOST_POINTS = 420
 """Of each eye: more points of the same length say little more, since neighbours err together."""
 CORRELATED_PX = 6.0
 """Along a centreline, over so many pixels its errors are about the same."""
-BEYOND_PX = 10
-"""How far past its last matched point a right piece is taken to show the thread still."""
 LONGEST_STEP_SPANS = 2.0
 FOLD_FACTOR, FOLD_PX, MEDIAN_POINTS = 3.0, 8.0, 9
 """Of the way along the projected curve between the places of neighbouring points, against their distance."""
@@ -47,9 +46,9 @@ def sightings(left: Chain, right: Centrelines, aligned: Alignment) -> Sightings:
     """The left chain's points, and those of the right pieces between and beside their matched ones."""
     index, s = _of_left(left)
     last = len(left.point_px) - 1
-    parts = [
-        _of_right(piece, left, right, aligned) for piece in np.unique(right.piece[aligned.right_index.astype(int)])
-    ]
+    stride = _stride(len(left.point_px))
+    pieces = np.unique(right.piece[aligned.right_index.astype(int)])
+    parts = [of_right(int(piece), left, right, aligned, stride) for piece in pieces]
     parts.append(_of_right_alone(left))
     right_index = np.concatenate([part[0] for part in parts])
     correlated = np.sqrt(max(1.0, CORRELATED_PX / _spacing(left.along_px[index])))
@@ -155,31 +154,3 @@ def _of_right_alone(
     at_end = (added == 0) | (added == last)
     kept = at_end | (added % _stride(last) == 0)
     return left.index[added[kept]], left.along_px[added[kept]] / left.along_px[-1], at_end[kept]
-
-
-def _of_right(
-    piece: int, left: Chain, right: Centrelines, aligned: Alignment
-) -> tuple[Int64[np.ndarray, "k"], Float64[np.ndarray, "k"], Bool[np.ndarray, "k"]]:
-    """Indices of a piece's points, their parameters between those of the matches, and which are the thread's ends."""
-    matched = right.piece[aligned.right_index.astype(int)] == piece
-    t, s = aligned.right_index[matched], aligned.along_px[matched] / left.along_px[-1]
-    # a piece that two strands share is matched twice, and its points then belong to the longer match
-    order = np.argsort(t, kind="stable")
-    t, s = t[order], s[order]
-    index = np.flatnonzero(right.piece == piece)[:: _stride(len(left.point_px))]
-    index = index[(index >= t[0] - BEYOND_PX) & (index <= t[-1] + BEYOND_PX)]
-    index = np.setdiff1d(index, left.index[left.piece == ADDED])
-    place = np.interp(index, t, s)
-    if len(t) > 1 and t[-1] > t[0]:
-        pace = (s[-1] - s[0]) / (t[-1] - t[0])
-        place = np.where(index < t[0], s[0] + pace * (index - t[0]), place)
-        place = np.where(index > t[-1], s[-1] + pace * (index - t[-1]), place)
-    is_end = np.zeros(len(index), bool)
-    ends = piece_ends(right)
-    for which, value in ((0, 0.0), (-1, 1.0)):
-        at = aligned.right_index[which]
-        if matched[which] and aligned.along_px[which] == left.along_px[which] and at in ends:
-            index, place = np.append(index, int(at)), np.append(place, value)
-            is_end = np.append(is_end, True)
-    inside = (place >= -0.005) & (place <= 1.005)
-    return index[inside], np.clip(place[inside], 0.0, 1.0), is_end[inside]

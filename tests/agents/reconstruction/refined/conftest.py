@@ -83,6 +83,11 @@ def waving_spline():
 
 
 @pytest.fixture(scope="session")
+def make_spline():
+    return spline_of
+
+
+@pytest.fixture(scope="session")
 def make_lines():
     return lines_of
 

@@ -99,3 +99,16 @@ def test_the_covariance_is_the_spread_of_many_fits_where_the_images_decide(splin
     assert ratio.max() < 3.0
     # what is told also holds what this noise has not: errors that many points share
     assert np.linalg.eigvalsh(np.mean(told, axis=0) - own).min() > 0
+
+
+def test_an_offset_that_smoothness_alone_tells_from_depth_is_left_alone(make_spline, sight_of, camera):
+    """Held far straighter than it is, a thread oblique to the rows would have them off by many pixels."""
+
+    def oblique(t):
+        return np.column_stack((-20 + 34 * t + np.sin(5 * t), 16 - 30 * t, 105 + 5 * np.cos(4 * t)))
+
+    spline = make_spline(oblique)
+    sight = sight_of(spline, count=400, noise_px=0.1, row_offset_px=0.6)
+    sight = dataclasses.replace(sight, is_end=np.zeros(len(sight.s), bool))
+    fit = refined(Start(spline, sight, smoothing=1e8, weight=np.ones(spline.spans)), camera, steps=2)
+    assert fit.row_offset_px == 0.0
