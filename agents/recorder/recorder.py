@@ -175,7 +175,10 @@ class Recorder:
             reason = self._asked.get()
             self._do(lambda reason=reason: self._sink.trigger(reason, at_ns))
         self._do(lambda: self._sink.flush(at_ns))
-        if not self._fault and (problem := self._guard.problem()):
+        if self._fault:
+            # nothing more can be written, which must be told, not found out when the session is over
+            self._intake.close()
+        elif problem := self._guard.problem():
             self._stop(problem)
 
     def _tell_of(self, losses: list[Loss]) -> None:

@@ -34,6 +34,6 @@ def _watch(events: Any, tell: Callable[[str], None]) -> None:
                 down_s = down_s or monotonic_s()
             elif down_s is not None:
                 away_s, down_s = monotonic_s() - down_s, None
-                tell(f"the router was not reached for {away_s:.1f} s: it was away, or the network was")
+                tell(f"the link to the router broke, and was back after {away_s:.1f} s")
     except zenoh.ZError:
         return

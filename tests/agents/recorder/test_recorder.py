@@ -126,6 +126,20 @@ def test_a_full_disk_is_a_fault_and_what_is_not_written_is_counted(record):
     assert not report.complete
 
 
+def test_a_recorder_that_can_write_no_more_ends_so_that_somebody_is_told(record, until):
+    full = pathlib.Path("/dev/full")
+    if not full.exists():
+        pytest.skip("needs /dev/full")
+    recorder, numbers = record(full), iter(range(1_000_000))
+
+    def ended():
+        recorder.put(tapped(next(numbers)))
+        return recorder.ended.is_set()
+
+    until(ended)
+    assert recorder.report().fault
+
+
 def test_a_file_that_cannot_be_written_is_the_systems_error(tmp_path):
     with pytest.raises(FileNotFoundError):
         Recorder(tmp_path / "none" / "a.mcap")

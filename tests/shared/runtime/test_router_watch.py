@@ -19,4 +19,4 @@ def test_a_router_that_was_away_is_told_once(router, until):
         stack.enter_context(open_router(endpoint))
         until(lambda: said, "the sentence")
     (sentence,) = said
-    assert sentence.startswith("the router was not reached for ")
+    assert sentence.startswith("the link to the router broke")
