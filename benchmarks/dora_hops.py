@@ -11,6 +11,8 @@ from benchmarks.hop_ends import Load
 
 PACKAGES = ("dora-rs==1.1.0", "dora-rs-cli==1.1.0", "pyarrow", "numpy")
 INSTALL_LIMIT_S = 300.0
+NEWEST, EVERY = 1, 1000
+"""Messages that wait at dora's receiver: as ours, of frames the newest counts, and of events each one."""
 ENDS = Path(__file__).with_name("dora_ends.py")
 
 
@@ -49,7 +51,7 @@ def dora_ms(environment: Path, load: Load) -> list[float]:
         folder = Path(scratch)
         readings = folder / "readings.json"
         given = {"bytes": load.bytes, "count": load.count, "rate_hz": load.rate_hz, "readings": str(readings)}
-        (folder / "flow.yml").write_text(json.dumps(_dataflow(json.dumps(given))))
+        (folder / "flow.yml").write_text(json.dumps(_dataflow(json.dumps(given), NEWEST if load.is_frame else EVERY)))
         path = os.pathsep.join((str(environment / "bin"), os.environ["PATH"]))
         try:
             _run([str(environment / "bin" / "dora"), "run", "flow.yml"], folder, os.environ | {"PATH": path})
@@ -58,16 +60,12 @@ def dora_ms(environment: Path, load: Load) -> list[float]:
             raise NoDoraError(f"dora-rs does not run here: {error}") from error
 
 
-def _dataflow(given: str) -> dict[str, object]:
-    """JSON is YAML too. A queue of one is dora's way to the newest message."""
+def _dataflow(given: str, waiting: int) -> dict[str, object]:
+    """Two nodes; JSON is YAML too."""
     common = {"path": str(ENDS), "env": {"HOP": given}}
+    of = {"data": {"source": "send/data", "queue_size": waiting}}
     send = common | {"id": "send", "args": "send", "outputs": ["data"]}
-    receive = common | {
-        "id": "receive",
-        "args": "receive",
-        "inputs": {"data": {"source": "send/data", "queue_size": 1}},
-    }
-    return {"nodes": [send, receive]}
+    return {"nodes": [send, common | {"id": "receive", "args": "receive", "inputs": of}]}
 
 
 def _run(command: list[str], folder: Path | None = None, environment: dict[str, str] | None = None) -> None:
