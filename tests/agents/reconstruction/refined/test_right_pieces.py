@@ -26,7 +26,7 @@ def seen_twice(see, lower_px=0.0, cut=(0.42, 0.56)):
 
 
 def flat_places(course):
-    """Of the flat piece: the places of its ends on the course, the thread's own first, and of the right points there."""
+    """Of the flat piece: the places of its ends on the course, the thread's own first, and its right points'."""
     ends = course.left.along_px[course.left.piece == 1][[0, -1]] / course.left.along_px[-1]
     own, cut = sorted(ends, key=lambda s: min(s, 1.0 - s))
     right = course.sight.s[course.sight.eye == 1]
