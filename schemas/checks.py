@@ -4,6 +4,7 @@ The array annotations of a message are its specification. `Float64[np.ndarray, "
 the number of axes and their lengths; a name such as `n` means the same length wherever it stands in the message.
 """
 
+import copy
 import dataclasses
 import functools
 import math
@@ -37,6 +38,23 @@ def without_none(annotation: Any) -> Any:
     return annotation
 
 
+@functools.cache
+def _specification(message_type: type) -> tuple[tuple[str, Any, bool], ...]:
+    """Name, declared type and whether it may be None, of every field."""
+    declared = ((name, annotation, without_none(annotation)) for name, annotation in fields_of(message_type).items())
+    return tuple((name, inner, inner is not annotation) for name, annotation, inner in declared)
+
+
+@functools.cache
+def _holds(dtype: np.dtype, declared: Any) -> bool:
+    return dtype.name in declared.dtypes
+
+
+@functools.cache
+def _axes(dim_str: str) -> tuple[str, ...]:
+    return tuple(dim_str.split())
+
+
 def check_message(message: Any) -> None:
     """Check every field of a frozen message against its annotation and make its arrays read-only.
 
@@ -44,18 +62,24 @@ def check_message(message: Any) -> None:
         MessageError: naming the first field that does not fit.
     """
     sizes: dict[str, int] = {}
-    for name, annotation in fields_of(type(message)).items():
+    for name, declared, optional in _specification(type(message)):
         value = getattr(message, name)
         if value is None:
-            if without_none(annotation) is annotation:
+            if not optional:
                 raise MessageError(f"{type(message).__name__}.{name} is missing")
             continue
         where = f"{type(message).__name__}.{name}"
-        declared = without_none(annotation)
         if is_array(declared):
             object.__setattr__(message, name, _checked_array(where, value, declared, sizes))
         elif declared is float:
             _check_finite_number(where, value)
+
+
+def with_consumed(message: Any, consumed: tuple[Any, ...]) -> Any:
+    """A message that was checked when it was made, with the list of what it was made from: nothing is checked again."""
+    listed = copy.copy(message)
+    object.__setattr__(listed, "consumed", consumed)
+    return listed
 
 
 def require(condition: bool, message: str) -> None:
@@ -72,8 +96,11 @@ def _check_finite_number(where: str, value: Any) -> None:
 
 
 def _checked_array(where: str, value: Any, declared: Any, sizes: dict[str, int]) -> np.ndarray:
-    require(isinstance(value, np.ndarray), f"{where} must be a NumPy array, not {type(value).__name__}")
-    require(value.dtype.name in declared.dtypes, f"{where} must hold {declared.dtypes[0]}, not {value.dtype.name}")
+    # the texts are made for what is wrong alone: messages come a hundred times a second
+    if not isinstance(value, np.ndarray):
+        raise MessageError(f"{where} must be a NumPy array, not {type(value).__name__}")
+    if not _holds(value.dtype, declared):
+        raise MessageError(f"{where} must hold {declared.dtypes[0]}, not {value.dtype.name}")
     _check_shape(where, value.shape, declared.dim_str, sizes)
     if value.dtype.kind == "f":
         require(bool(np.isfinite(value).all()), f"{where} must be finite, but holds NaN or infinity")
@@ -83,11 +110,10 @@ def _checked_array(where: str, value: Any, declared: Any, sizes: dict[str, int])
 
 
 def _check_shape(where: str, shape: tuple[int, ...], dim_str: str, sizes: dict[str, int]) -> None:
-    axes = dim_str.split()
-    require(len(shape) == len(axes), f"{where} must have shape ({', '.join(axes)}), not {shape}")
+    axes = _axes(dim_str)
+    if len(shape) != len(axes):
+        raise MessageError(f"{where} must have shape ({', '.join(axes)}), not {shape}")
     for axis, length in zip(axes, shape, strict=True):
         expected = int(axis) if axis.isdigit() else sizes.setdefault(axis, length)
-        require(
-            length == expected,
-            f"{where} has shape {shape} where ({', '.join(axes)}) needs {axis} = {expected}",
-        )
+        if length != expected:
+            raise MessageError(f"{where} has shape {shape} where ({', '.join(axes)}) needs {axis} = {expected}")

@@ -18,7 +18,7 @@ from typing import Any
 import zenoh
 
 import schemas
-from schemas.checks import MessageError
+from schemas.checks import MessageError, with_consumed
 from schemas.codec import decode, encode, encoding_name
 from schemas.messages import (
     AgentFacts,
@@ -373,7 +373,7 @@ class Runner:
         fed, last = self._fed.listed(), None
         for output in outputs:
             try:
-                message = dataclasses.replace(output.message, consumed=fed)
+                message = with_consumed(output.message, fed)
                 place = self._key(output.topic), self._publish(output.topic, message, step_ms)
                 last = place if output.topic is (state_topic(self._agent) or output.topic) else last
             except MessageError as error:
