@@ -2,25 +2,29 @@
 
 import logging
 import threading
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
 from agents.cli.session_folder import free_path
 from agents.recorder.disk import DiskGuard
 from agents.recorder.recorder import Recorder, RecordingReport
-from schemas.topics import Topic
+from schemas.topics import Delivery, Topic
 from shared.recording.entry import Note
 from shared.runtime.connection import Connection
 from shared.runtime.taps import Tapped
 
 LOOK_S = 0.1
+EVENTS_HELD = 3000
+"""Of all publishers, some minutes of a busy rig; fewer than may wait for a recording's first write."""
 
 
 class Recordings:
     """Records what a connection hears until told to stop.
 
-    Subscribers get the events of the time before too, so a recording that begins anew lacks none. What the recorder
-    itself tells the rig is not recorded, for it lies in the recording's notes and losses.
+    The newest events and states stay in memory, and a recording that begins anew begins with them, so that it has those
+    of the meantime, and those that the full disk could not take. What the recorder itself tells the rig is not recorded:
+    it lies in the recording's notes and losses.
 
     Fields:
         fault: why nothing is recorded at the moment; empty while it is.
@@ -37,6 +41,8 @@ class Recordings:
         """
         self._path, self._make, self._guard, self._log, self._own = first, make, guard, log, own
         self._recorder = make(first)
+        self._lock = threading.Lock()
+        self._events, self._states = deque[Tapped](maxlen=EVENTS_HELD), dict[str, Tapped]()
         self.fault, self.reports = "", list[RecordingReport]()
 
     def note(self, note: Note) -> None:
@@ -55,11 +61,12 @@ class Recordings:
         ended: Callable[[RecordingReport], None],
     ) -> None:
         """Record until stopped; `ended` is told of each recording at its end."""
+        connection.listen(topics, self._put, self._missed)
         while True:
-            connection.listen(topics, self._put_into(self._recorder), self._recorder.missed)
             while not stopped.is_set() and not self._recorder.ended.wait(LOOK_S):
                 pass
-            connection.close()
+            if stopped.is_set():
+                connection.close()
             report = self.close(ended)
             if not report.fault:
                 return
@@ -77,12 +84,18 @@ class Recordings:
         ended(report)
         return report
 
-    def _put_into(self, recorder: Recorder) -> Callable[[Tapped], None]:
-        def put(tapped: Tapped) -> None:
-            if not tapped.key.startswith(self._own):
-                recorder.put(tapped)
+    def _put(self, tapped: Tapped) -> None:
+        if tapped.key.startswith(self._own):
+            return
+        with self._lock:
+            if tapped.topic.delivery is Delivery.EVENT:
+                self._events.append(tapped)
+            elif tapped.topic.delivery is Delivery.STATE:
+                self._states[tapped.key] = tapped
+            self._recorder.put(tapped)
 
-        return put
+    def _missed(self, topic: Topic, count: int) -> None:
+        self._recorder.missed(topic, count)
 
     def _begun_again(self, stopped: threading.Event) -> bool:
         """Wait for room and begin the next recording; False where told to stop before."""
@@ -91,9 +104,12 @@ class Recordings:
                 continue
             path = free_path(self._path)
             try:
-                self._recorder = self._make(path)
+                recorder = self._make(path)
             except OSError:
                 continue
-            self._path = path
+            with self._lock:
+                for tapped in (*self._states.values(), *self._events):
+                    recorder.put(tapped)
+                self._recorder, self._path = recorder, path
             return True
         return False
