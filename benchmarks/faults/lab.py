@@ -1,0 +1,171 @@
+"""A rig on four hosts and a router, with a probe on each host and an observer at the switch."""
+
+import contextlib
+import json
+import sys
+import threading
+from collections.abc import Callable, Generator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from benchmarks.faults.disk import Disk, small_disk
+from benchmarks.faults.network import OWN, Network, connected_hosts
+from benchmarks.faults.observer import Observer
+from benchmarks.faults.processes import Processes, faketime
+from benchmarks.faults.rig import CONFIG, HOSTS, MODULE, ROUTER, RUNS, describe, settings_at
+from schemas.messages import CommandAnswer, GraspPlan, RobotMode, Status
+from schemas.topics import HEALTH, PLAN, ROBOT_STATE, THREAD
+from shared.clock import monotonic_s
+from shared.runtime.connection import connected
+
+STARTS_S, PLANS_S, MOVES_S = 90.0, 60.0, 20.0
+LOOK_S = 0.02
+WATCH_S = 0.2
+ASK_S = 0.25
+AGENTS = 6
+
+
+class NotReachedError(RuntimeError):
+    """Something did not come in time; the text says what."""
+
+
+@dataclass
+class Lab:
+    """What a trial acts on."""
+
+    network: Network
+    processes: Processes
+    observer: Observer
+    disk: Disk
+    folder: Path
+    _watched_s: float = 0.0
+
+    def start(self, name: str) -> None:
+        """Start one of the rig's processes on its host, for the first time or again."""
+        host = next(host for host, names in RUNS.items() if name in names)
+        options = ("--output", str(self.recording), "--numbered") if name == "record" else ()
+        self.processes.start(host, name, *MODULE, name, "--config", str(self.config(host)), *options)
+
+    def start_probe(self, host: str) -> None:
+        """Start the one who says and hears events there."""
+        file = self.folder / f"probe-{host}.json"
+        self.processes.start(
+            host, f"probe-{host}", sys.executable, "-m", "benchmarks.faults.probe", str(self.config(host)), str(file)
+        )
+
+    def config(self, host: str) -> Path:
+        """A host's copy of the rig's configuration."""
+        return self.folder / host / CONFIG
+
+    @property
+    def recording(self) -> Path:
+        """Where the recorder writes: a disk of its own."""
+        return self.disk.folder / "session.mcap"
+
+    def wait(self, condition: Callable[[], Any], what: str, limit_s: float) -> Any:
+        """Wait until something holds, noting meanwhile what people are told; its value.
+
+        Raises:
+            NotReachedError: where it does not hold in time.
+        """
+        end_s, turn = monotonic_s() + limit_s, threading.Event()
+        while not (value := condition()):
+            if monotonic_s() > end_s:
+                ended = "; ".join(self.processes.all_ended())
+                raise NotReachedError(f"waited {limit_s:.0f} s for {what}{'; ' if ended else ''}{ended}")
+            if monotonic_s() > self._watched_s + WATCH_S:
+                self.observer.look()
+                self._watched_s = monotonic_s()
+            turn.wait(LOOK_S)
+        return value
+
+    def let_pass(self, seconds: float) -> None:
+        """Go on watching for so long."""
+        end_s = monotonic_s() + seconds
+        self.wait(lambda: monotonic_s() >= end_s, "", seconds + STARTS_S)
+
+    def until_well(self) -> None:
+        """Wait until every agent has reported, and a thread has come."""
+        begin_s = monotonic_s()
+
+        def well() -> bool:
+            if ended := self.processes.all_ended():
+                raise NotReachedError("; ".join(ended))
+            names = {heard.message.agent for heard in self.observer.messages(HEALTH, begin_s)}
+            return len(names) >= AGENTS and self.fresh_thread(begin_s) is not None
+
+        self.wait(well, "every agent's health and a thread", STARTS_S)
+
+    def fresh_thread(self, since_s: float) -> float | None:
+        """When the first thread came since then."""
+        heard = (h for h in self.observer.messages(THREAD, since_s) if h.message.status is Status.OK)
+        return next((h.at_s for h in heard), None)
+
+    def plan(self) -> GraspPlan:
+        """A plan that can be armed, as long as it takes to get one."""
+        asked: set[str] = set()
+        begin_s, next_s = monotonic_s(), [0.0]
+
+        def planned() -> GraspPlan | None:
+            for heard in self.observer.messages(PLAN, begin_s):
+                if heard.message.status is Status.OK and heard.message.goal_id in asked:
+                    return heard.message
+            if monotonic_s() >= next_s[0]:
+                asked.add(self.observer.ask(_heed_not))
+                next_s[0] = monotonic_s() + ASK_S
+            return None
+
+        return self.wait(planned, "a plan", PLANS_S)
+
+    def grasp_under_way(self) -> str:
+        """The id of a plan that an operator at the desk has armed, once the arm moves."""
+        plan_id, begin_s = self.plan().plan_id, monotonic_s()
+        self.processes.start("desk", "arm", *MODULE, "arm", plan_id, "--config", str(self.config("desk")))
+
+        def moving() -> bool:
+            states = self.observer.messages(ROBOT_STATE, begin_s)
+            return any((s.message.plan_id, s.message.mode) == (plan_id, RobotMode.MOVING) for s in states)
+
+        self.wait(lambda: moving() or self.processes.ended("arm"), "the arm to move", MOVES_S)
+        if said := self.processes.ended("arm"):
+            raise NotReachedError(f"no grasp came under way: {said}")
+        return plan_id
+
+    def probes(self) -> dict[str, Any]:
+        """What each probe has said and heard, as it last wrote it."""
+        files = {host: self.folder / f"probe-{host}.json" for host in HOSTS if host != ROUTER}
+        return {host: json.loads(path.read_text()) for host, path in files.items() if path.exists()}
+
+
+def _heed_not(_answer: CommandAnswer) -> None:
+    return
+
+
+@contextlib.contextmanager
+def laboratory(folder: Path, rate_hz: float = 5.0, clocks: bool = False, probes: bool = True) -> Generator[Lab]:
+    """A lab whose rig runs and has seen a thread; `clocks`: whose hosts' clocks can be set.
+
+    Raises:
+        CannotError: where this system cannot play it.
+    """
+    if clocks:
+        faketime()
+    with contextlib.ExitStack() as stack:
+        network = stack.enter_context(connected_hosts(HOSTS))
+        processes = stack.enter_context(contextlib.closing(Processes(network, folder, clocks)))
+        describe(network, rate_hz, folder)
+        # one who hears all from the beginning
+        processes.start(ROUTER, ROUTER, *MODULE, ROUTER, "--config", str(folder / ROUTER / CONFIG))
+        connection = stack.enter_context(connected(settings_at(folder / OWN / CONFIG), within_s=STARTS_S))
+        disk = stack.enter_context(small_disk(folder / "disk"))
+        observer = stack.enter_context(contextlib.closing(Observer(connection)))
+        lab = Lab(network, processes, observer, disk, folder)
+        for host, names in RUNS.items():
+            for name in names if host != ROUTER else ():
+                lab.start(name)
+        lab.until_well()
+        for host in RUNS if probes else ():
+            if host != ROUTER:
+                lab.start_probe(host)
+        yield lab

@@ -1,0 +1,201 @@
+"""Hosts that are network namespaces on a virtual switch, itself in one, and what can go wrong on the way between them.
+
+Everything lies in namespaces named after the process that made them, but for the port of that process itself, so that
+removing those few names removes everything; what a killed process left behind is removed by the next one.
+"""
+
+import os
+import random
+import re
+import shutil
+import subprocess
+from collections.abc import Generator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import psutil
+
+from benchmarks.faults.relay import relaying, send_whole_packets
+
+PREFIX, NETWORK = "sg", "10.213"
+SWITCH, OWN = "switch", "own"
+LIMIT_S = 60.0
+TABLE = "table bridge faults { chain through { type filter hook forward priority 0; }; }"
+
+
+class CannotError(RuntimeError):
+    """This system cannot play hosts, or a fault; the text says what is missing."""
+
+
+@dataclass(frozen=True)
+class Network:
+    """Hosts by name, each with an address, and a port of our own at the switch.
+
+    Fields:
+        owner: id of the process that made it.
+        network: the first three numbers of all addresses.
+    """
+
+    owner: int
+    network: str
+    hosts: tuple[str, ...]
+
+    def address(self, host: str) -> str:
+        """Where a host, or our own port, is reached by the others."""
+        return f"{self.network}.{1 if host == OWN else 2 + self.hosts.index(host)}"
+
+    def namespace(self, host: str) -> str:
+        """The namespace that stands for a host, or for the switch."""
+        return f"{PREFIX}{self.owner}{host}"
+
+    def inside(self, host: str) -> tuple[str, ...]:
+        """What comes before a command that is to run there, with the host's own name."""
+        named = ("unshare", "--uts", "sh", "-c", 'hostname "$0" && exec "$@"', host)
+        return ("ip", "netns", "exec", self.namespace(host), *named)
+
+    @contextmanager
+    def cut_off(self, host: str) -> Generator[None]:
+        """Nothing reaches a host, and nothing comes from it."""
+        with self._dropping(host, "drop"):
+            yield
+
+    @contextmanager
+    def losing(self, percent: int, hosts: tuple[str, ...]) -> Generator[None]:
+        """A share of all packets from and to these hosts is lost, by chance."""
+        with self._dropping(hosts, f"numgen random mod 100 < {percent} drop"):
+            yield
+
+    @contextmanager
+    def narrowed(self, megabits: int, hosts: tuple[str, ...]) -> Generator[None]:
+        """The links of these hosts carry so much per second, each way."""
+        shaped = [(SWITCH, host) for host in hosts] + [(host, "eth0") for host in hosts]
+        for namespace, device in shaped:
+            bucket = ("rate", f"{megabits}mbit", "burst", "32k", "latency", "50ms")
+            self._within(namespace, "tc", "qdisc", "add", "dev", device, "root", "tbf", *bucket)
+        try:
+            yield
+        finally:
+            for namespace, device in shaped:
+                _run("ip", "netns", "exec", self.namespace(namespace), "tc", "qdisc", "del", "dev", device, "root")
+
+    @contextmanager
+    def delayed(self, seconds: float, hosts: tuple[str, ...]) -> Generator[None]:
+        """Everything takes so much longer on the links of these hosts, each way."""
+        pairs = [(host, f"{host}-r") for host in hosts]
+        for host in hosts:
+            self._within(SWITCH, "ip", "link", "set", host, "nomaster")
+            self._within(SWITCH, "ip", "link", "set", f"{host}-b", "master", "bridge")
+        try:
+            with relaying(("ip", "netns", "exec", self.namespace(SWITCH)), pairs, seconds):
+                yield
+        finally:
+            for host in hosts:
+                self._within(SWITCH, "ip", "link", "set", f"{host}-b", "nomaster")
+                self._within(SWITCH, "ip", "link", "set", host, "master", "bridge")
+
+    @contextmanager
+    def _dropping(self, hosts: str | tuple[str, ...], verdict: str) -> Generator[None]:
+        ports = [port for host in ((hosts,) if isinstance(hosts, str) else hosts) for port in (host, f"{host}-b")]
+        listed = "{ " + ", ".join(f'"{port}"' for port in ports) + " }"
+        for direction in ("iifname", "oifname"):
+            self._within(SWITCH, "nft", f"add rule bridge faults through {direction} {listed} {verdict}")
+        try:
+            yield
+        finally:
+            self._within(SWITCH, "nft", "flush chain bridge faults through")
+
+    def _within(self, host: str, *command: str) -> None:
+        _must("ip", "netns", "exec", self.namespace(host), *command)
+
+
+@contextmanager
+def connected_hosts(hosts: tuple[str, ...]) -> Generator[Network]:
+    """Hosts on a switch, with a port for us, removed in the end.
+
+    Raises:
+        CannotError: where this system makes none.
+    """
+    _look()
+    for owner in _left_behind():
+        _tear_down(owner)
+    network = Network(os.getpid(), _free_network(), hosts)
+    try:
+        _build(network)
+        yield network
+    finally:
+        _tear_down(network.owner)
+
+
+def _look() -> None:
+    if os.geteuid() != 0:
+        raise CannotError("network namespaces need root")
+    for command, package in (("ip", "iproute2"), ("tc", "iproute2"), ("nft", "nftables"), ("unshare", "util-linux")):
+        if shutil.which(command) is None:
+            raise CannotError(f"there is no command {command} here (Debian: {package})")
+
+
+def _build(network: Network) -> None:
+    switch = network.namespace(SWITCH)
+    _must("ip", "netns", "add", switch)
+    _must("ip", "-n", switch, "link", "add", "bridge", "type", "bridge")
+    _must("ip", "-n", switch, "link", "set", "bridge", "up")
+    _must("ip", "netns", "exec", switch, "nft", TABLE)
+    for host in network.hosts:
+        _must("ip", "netns", "add", network.namespace(host))
+        _plug(network, host, "eth0", network.namespace(host), network.address(host))
+        # for a relay, which is put between a host's port and the bridge
+        ends = (f"{host}-r", f"{host}-b")
+        _must("ip", "-n", switch, "link", "add", ends[0], "type", "veth", "peer", "name", ends[1])
+        for end in ends:
+            _must("ip", "-n", switch, "link", "set", end, "up")
+    _plug(network, OWN, f"{PREFIX}{network.owner}", None, f"{network.network}.1")
+
+
+def _plug(network: Network, port: str, device: str, namespace: str | None, address: str) -> None:
+    """A cable from the switch to a namespace; None for our own."""
+    switch, made = network.namespace(SWITCH), f"{PREFIX}{network.owner}"
+    inside = ("ip",) if namespace is None else ("ip", "-n", namespace)
+    _must("ip", "link", "add", made, "type", "veth", "peer", "name", f"{made}s")
+    send_whole_packets((made, f"{made}s"))
+    _must("ip", "link", "set", f"{made}s", "netns", switch)
+    _must("ip", "-n", switch, "link", "set", f"{made}s", "name", port)
+    _must("ip", "-n", switch, "link", "set", port, "master", "bridge", "up")
+    if namespace is not None:
+        _must("ip", "link", "set", made, "netns", namespace)
+        _must(*inside, "link", "set", made, "name", device)
+        _must(*inside, "link", "set", "lo", "up")
+    _must(*inside, "address", "add", f"{address}/24", "dev", device)
+    _must(*inside, "link", "set", device, "up")
+
+
+def _tear_down(owner: int) -> None:
+    for path in Path("/run/netns").glob(f"{PREFIX}{owner}[a-z]*"):
+        _run("ip", "netns", "delete", path.name)
+    _run("ip", "link", "delete", f"{PREFIX}{owner}")
+
+
+def _left_behind() -> list[int]:
+    """The ids of processes that were killed before they could tear down."""
+    names = [path.name for path in (*Path("/run/netns").glob(f"{PREFIX}*"), *Path("/sys/class/net").glob(f"{PREFIX}*"))]
+    owners = {int(found[1]) for name in names if (found := re.fullmatch(rf"{PREFIX}(\d+)[a-z]*", name))}
+    return [owner for owner in owners if not psutil.pid_exists(owner)]
+
+
+def _free_network() -> str:
+    """The first three numbers of a network that no interface of this system is in."""
+    _, said = _run("ip", "-4", "-oneline", "address")
+    free = [f"{NETWORK}.{number}" for number in range(256) if f" {NETWORK}.{number}." not in said]
+    return random.SystemRandom().choice(free)
+
+
+def _run(*command: str) -> tuple[bool, str]:
+    """Whether a command succeeded, and what it said."""
+    done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S, check=False)
+    return done.returncode == 0, (done.stdout + done.stderr).strip()
+
+
+def _must(*command: str) -> None:
+    succeeded, said = _run(*command)
+    if not succeeded:
+        raise CannotError(f"this system makes no such network: {' '.join(command)}: {said}")

@@ -1,0 +1,142 @@
+"""The processes of a lab, each on its host, which can be killed, stopped, and given another clock."""
+
+import contextlib
+import os
+import signal
+import subprocess
+from collections.abc import Generator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from agents.cli.supervisor import SUPERVISED, ending
+from benchmarks.faults.network import CannotError, Network
+
+FAKETIME = "faketime/libfaketimeMT.so.1"
+FOLDERS = ("/usr/lib/x86_64-linux-gnu", "/usr/lib/aarch64-linux-gnu", "/usr/lib", "/usr/local/lib", "/usr/lib64")
+ENDS_S, STOPS_S = 5.0, 30.0
+
+
+def faketime() -> Path:
+    """The library that gives a process a clock of its own.
+
+    Raises:
+        CannotError: where it is not installed.
+    """
+    for folder in FOLDERS:
+        if (path := Path(folder) / FAKETIME).exists():
+            return path
+    raise CannotError("clocks are set with libfaketime, which is not installed (Debian: libfaketime)")
+
+
+@dataclass
+class Processes:
+    """What runs, by name; all of it ends with us, even where we are killed.
+
+    Fields:
+        folder: where each writes what it says.
+        clocks: whether each host has a clock that can be set.
+    """
+
+    network: Network
+    folder: Path
+    clocks: bool = False
+    _running: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict[str, "subprocess.Popen[bytes]"])
+
+    def start(self, host: str, name: str, *command: str) -> subprocess.Popen[bytes]:
+        """Start a command on a host; its output goes to the end of a file of its name."""
+        self.forget(name)
+        with self.log(name).open("ab") as log:
+            self._running[name] = subprocess.Popen(
+                [*self.network.inside(host), *command],
+                stdin=subprocess.PIPE,
+                stdout=log,
+                stderr=log,
+                env={**os.environ, SUPERVISED: "1", **self._clock_of(host)},
+            )
+        return self._running[name]
+
+    def kill(self, name: str) -> str:
+        """SIGKILL, which nothing in the process hears; what a supervisor would say of it."""
+        process = self._running[name]
+        if process.poll() is not None:
+            raise RuntimeError(f"{name} had ended before: {self.said(name)}")
+        process.kill()
+        said = f"{name} {ending(process.wait(ENDS_S), self.log(name))}"
+        self.forget(name)
+        return said
+
+    @contextlib.contextmanager
+    def stopped(self, name: str) -> Generator[None]:
+        """A process stands still."""
+        self._running[name].send_signal(signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            self._running[name].send_signal(signal.SIGCONT)
+
+    def set_clock(self, host: str, ahead_s: float) -> None:
+        """Set the clock of everything on a host, at once; the other clocks of this system stay as they are."""
+        path = self._clock_file(host)
+        fresh = path.with_suffix(".new")
+        fresh.write_text(f"{ahead_s:+g}s\n")
+        fresh.rename(path)
+
+    def log(self, name: str) -> Path:
+        """What a process printed."""
+        return self.folder / f"{name}.log"
+
+    def said(self, name: str) -> str:
+        """What a process printed, as text."""
+        return self.log(name).read_text(errors="replace") if self.log(name).exists() else ""
+
+    def ended(self, name: str) -> str:
+        """How a process ended by itself, in words; empty while it runs."""
+        process = self._running.get(name)
+        status = None if process is None else process.poll()
+        return "" if status is None else f"{name} {ending(status, self.log(name))}"
+
+    def all_ended(self) -> list[str]:
+        """All that have ended by themselves."""
+        return [said for name in self._running if (said := self.ended(name))]
+
+    def forget(self, name: str) -> None:
+        """End a process, if it is still there."""
+        process = self._running.pop(name, None)
+        if process is not None:
+            process.kill()
+            process.wait(ENDS_S)
+            if process.stdin is not None:
+                process.stdin.close()
+
+    def stop(self, name: str) -> None:
+        """Ask a process to end, and wait until it has."""
+        self._running[name].terminate()
+        self._running[name].wait(STOPS_S)
+        self.forget(name)
+
+    def close(self) -> None:
+        """Stop all, and end what does not stop."""
+        for process in self._running.values():
+            process.send_signal(signal.SIGCONT)
+            process.terminate()
+        for process in self._running.values():
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(ENDS_S)
+        for name in tuple(self._running):
+            self.forget(name)
+
+    def _clock_file(self, host: str) -> Path:
+        return self.folder / f"{host}.clock"
+
+    def _clock_of(self, host: str) -> dict[str, str]:
+        if not self.clocks:
+            return {}
+        if not self._clock_file(host).exists():
+            self.set_clock(host, 0.0)
+        return {
+            "LD_PRELOAD": str(faketime()),
+            "FAKETIME_TIMESTAMP_FILE": str(self._clock_file(host)),
+            # intervals within a process go on as they do when a real clock is set
+            "FAKETIME_DONT_FAKE_MONOTONIC": "1",
+            "FAKETIME_NO_CACHE": "1",
+        }

@@ -1,0 +1,71 @@
+"""Which host runs what, and how everybody reaches the router: the one place where endpoint and identity are chosen."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+from agents.cli.rig import ArmSection, CameraSection, RigConfig, RouterSection, SimulatorSection, simulated_rig
+from agents.cli.rig_hosts import OPERATOR, HostSection, SecuritySection
+from agents.cli.this_host import at_host, certificates_of
+from benchmarks.faults.network import OWN, CannotError, Network
+from shared.runtime.config import load_config
+from shared.runtime.session import SessionSettings
+
+ARM = "psm1"
+ROUTER = "router"
+PLANS_WAIT_S = 60.0
+"""How old a plan may be when it is armed: on two cores, a command takes a second to load."""
+RUNS = {
+    ROUTER: (ROUTER,),
+    "video": ("simulator", "camera"),
+    "strong": ("perception", "reconstruction", "planner"),
+    "robot": ("robot-bridge",),
+    "desk": ("record",),
+}
+"""Commands by host; the operator's own are at the desk too."""
+HOSTS = tuple(RUNS)
+KINDS = {"robot-bridge": "robot_bridge", "record": "recorder"}
+"""Names of agents in keys, where they are not the command's."""
+MODULE = (sys.executable, "-m", "agents.cli")
+CONFIG = "rig.json"
+LIMIT_S = 60.0
+
+
+def describe(network: Network, rate_hz: float, folder: Path) -> None:
+    """Write the rig on these hosts, and make its certificates: a folder for each host, and one for us at the switch.
+
+    Everything is simulated, with few enough frames for two cores, and an easy thread.
+
+    Raises:
+        CannotError: where no certificates can be made.
+    """
+    hosts = {name: HostSection(address=network.address(name), runs=_runs(name)) for name in (*HOSTS, OWN)}
+    sections = {
+        "router": RouterSection(host=ROUTER),
+        "hosts": hosts,
+        "security": SecuritySection(),
+        "camera": CameraSection(rate_hz=rate_hz),
+        "robot": {ARM: ArmSection(maximum_plan_age_s=PLANS_WAIT_S)},
+        "simulator": SimulatorSection(config="easy", background="plain"),
+        "viewer": None,
+    }
+    rig = simulated_rig().model_copy(update=sections).model_dump_json(exclude_none=True)
+    for name in hosts:
+        (folder / name).mkdir(parents=True)
+        (folder / name / CONFIG).write_text(rig)
+    made = [*MODULE, "deploy", "certificates", "--config", str(folder / OWN / CONFIG), "--folder", str(folder)]
+    done = subprocess.run(made, capture_output=True, text=True, timeout=LIMIT_S, check=False)
+    if done.returncode != 0:
+        raise CannotError(f"no certificates can be made: {done.stderr.strip()}")
+
+
+def settings_at(config: Path) -> SessionSettings:
+    """How an operator reaches the dataflow from the host whose copy of the configuration this is."""
+    rig = load_config(config, RigConfig)
+    return certificates_of(at_host(rig, config.parent.name), config).session
+
+
+def _runs(host: str) -> tuple[str, ...]:
+    """As a rig's file names what runs on a host; whoever probes is an operator to the others."""
+    named = {"robot-bridge": f"robot_bridge {ARM}", "record": "recorder"}
+    return (*(named.get(name, name) for name in RUNS.get(host, ()) if name != ROUTER), OPERATOR)
