@@ -23,7 +23,7 @@ class Recordings:
     """Records what a connection hears until told to stop.
 
     The newest events and states stay in memory, and a recording that begins anew begins with them, so that it has those
-    of the meantime, and those that the full disk could not take. What the recorder itself tells the rig is not recorded:
+    of the meantime, and those that the full disk could not take. What the recorder itself tells the rig is left out:
     it lies in the recording's notes and losses.
 
     Fields:
