@@ -13,6 +13,7 @@ from agents.deployment.layout import ROUTER, Host, Process
 from agents.deployment.places import HOME, RIG_FILE, SECRETS, SESSIONS
 from agents.deployment.units import COMMANDS, PEOPLE, REALTIME_KINDS
 from shared.runtime.identity import AUTHORITY_FILE
+from shared.runtime.session import ROUTER_RUNTIME, RUNTIME_VARIABLE
 
 ZENOH_IMAGE = "eclipse/zenoh:1.10.2"
 IMAGE = "suturegrasp"
@@ -62,7 +63,7 @@ def _service(host: Host, process: Process, calibration: str) -> dict[str, Any]:
         service["image"] = ZENOH_IMAGE
         service["command"] = ["--config", f"/etc/zenoh/{ROUTER_FILE}"]
         service["volumes"] = [f"./{ROUTER_FILE}:/etc/zenoh/{ROUTER_FILE}:ro"]
-        del service["environment"]
+        service["environment"] = {RUNTIME_VARIABLE: ROUTER_RUNTIME}
         return service
     asked = COMMANDS.get(process.kind, process.kind)
     if process.kind == "viewer":
