@@ -14,12 +14,14 @@ COMPUTING := tests/schemas tests/benchmarks tests/agents/perception tests/agents
 	tests/shared/recording tests/shared/scene tests/agents/viewer/test_recorded.py tests/agents/cli/test_reconstruct.py
 COMPUTING_CACHE := .pytest_cache/computing
 
-.PHONY: help demo play look example test bless check format protos lock clean
+.PHONY: help install demo play look example test bless check format protos lock clean
 help: ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
 
 demo: .venv/runtime.done ## a simulated grasp from image to judgement, in under a minute; SEED=2, VIEW=1, VIEW=web
 	@$(BIN)/suturegrasp demo --seed $(SEED) --view $(VIEWER)
+
+install: .venv/runtime.done ## what a machine of a rig needs (docs/deployment.md)
 
 play: .venv/runtime.done ## the simulated rig, running until Ctrl-C, for goals of your own
 	@$(BIN)/suturegrasp play

@@ -13,6 +13,16 @@ CREDENTIALS = "CREDENTIALS_DIRECTORY"
 """Where systemd puts what one unit alone may read."""
 
 
+CONFIG = "SUTUREGRASP_CONFIG"
+"""Names the rig's file for commands that are given none."""
+
+
+def configured_file() -> Path | None:
+    """The rig's file that this user's environment names, if it does."""
+    named = os.environ.get(CONFIG)
+    return Path(named) if named else None
+
+
 def at_host(rig: RigConfig, named: str | None) -> RigConfig:
     """The rig as it is on this machine.
 

@@ -113,7 +113,7 @@ def _check_units(units: Path, done: Installed) -> None:
 
 def verify(units: Path) -> list[str]:
     """What `systemd-analyze verify` has against the units in a folder, but for the program not being there yet."""
-    files = sorted(str(path) for path in units.iterdir())
+    files = sorted(str(path.resolve()) for path in units.iterdir())
     told = subprocess.run(["systemd-analyze", "verify", *files], capture_output=True, text=True, check=False)  # noqa: S607
     own = [line for line in told.stderr.splitlines() if "suturegrasp" in line]
     return [line for line in own if not _expected(line)]
@@ -175,7 +175,8 @@ def _tell_systemd(done: Installed) -> None:
         return
     _systemctl("daemon-reload")
     _systemctl("enable", TARGET)
-    _systemctl("restart" if done.changed else "start", TARGET)
+    # an agent is ready once it has found the router, whose host may come last
+    _systemctl("restart" if done.changed else "start", "--no-block", TARGET)
 
 
 def _systemctl(*arguments: str) -> None:

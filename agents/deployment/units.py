@@ -87,6 +87,8 @@ def _service(rig: str, host: Host, process: Process) -> str:
         "TimeoutStartSec=infinity",
         *((f"WatchdogSec={WATCHDOG_S}",) if process.kind in AGENTS else ()),
         "TimeoutStopSec=15",
+        "# Zenoh keeps the shared memory that images go through from being paged out",
+        "LimitMEMLOCK=infinity",
         "Restart=on-failure",
         "# a configuration at fault is not mended by starting again",
         "RestartPreventExitStatus=2",

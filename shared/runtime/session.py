@@ -102,9 +102,11 @@ def open_router(endpoint: str, identity: Identity | None = None, access: dict[st
     os.environ.setdefault(RUNTIME_VARIABLE, ROUTER_RUNTIME)
     try:
         return zenoh.open(_config(router_settings(endpoint, identity, access)))
-    except zenoh.ZError:
+    except zenoh.ZError as error:
+        said = str(error).split(" at /")[0]
         raise RouterError(
-            f"no router can listen on {endpoint}: another one may be running there; stop it, or use another endpoint"
+            f"no router can listen on {endpoint} ({said}): another one may be running there; stop it, or use another "
+            "endpoint"
         ) from None
 
 
