@@ -52,7 +52,8 @@ class Fare:
         if self.present is False and (self.health is None or self.silent_s > MISSING_S):
             return ABSENT if self.health is None else GONE
         if self.health is None:
-            return STARTING if self.silent_s < STARTING_S else NEVER
+            late = HANGING if self.present else NEVER
+            return STARTING if self.silent_s < STARTING_S else late
         if self.silent_s > SILENT_S:
             # its session lives in threads of its own, and health comes from its loop
             return HANGING if self.present else SILENT

@@ -18,7 +18,9 @@ from shared.runtime.connection import Connection
 from shared.runtime.identity import IdentityError, validity_ns
 from shared.runtime.taps import Tapped
 
-PRESENT_EVERY_S, CLOCKS_EVERY_S, FACTS_EVERY_S = 1.0, 10.0, 60.0
+PRESENT_EVERY_S, ARMS_EVERY_S, CLOCKS_EVERY_S, FACTS_EVERY_S = 1.0, 2.0, 10.0, 60.0
+STATES_WITHIN_S = 0.3
+"""States come every 10 ms, more slowly where a machine is busy."""
 ERRORS_KEPT = 20
 ENDS_S = 5.0
 
@@ -33,7 +35,9 @@ class StatusWatch:
         self._rates = expected_rates(rig)
         self._addresses = {name: host.address for name, host in rig.hosts.items()}
         self._lock = threading.Lock()
-        self._newest: dict[str, bytes] = {}
+        self._present: list[str] = []
+        self._planner_clocks: HostClocks | None = None
+        self._states: dict[str, RobotState] = {}
         self._events: dict[str, ExecutionEvent] = {}
         self._errors: deque[LogRecord] = deque(maxlen=ERRORS_KEPT)
         self._clocks: dict[str, ClockOffset | None] = {}
@@ -41,8 +45,7 @@ class StatusWatch:
         self._expires_ns = _own_expiry(rig)
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._ask_again_and_again, name="asking", daemon=True)
-        connection.listen((ROBOT_STATE, CLOCKS), self._keep)
-        connection.listen((EXECUTION, LOG), self._take)
+        connection.listen((EXECUTION, LOG, CLOCKS), self._take)
 
     def start(self) -> None:
         """Ask from now on, from a thread."""
@@ -57,6 +60,7 @@ class StatusWatch:
     def ask(self) -> None:
         """Ask for all that is asked for, once."""
         self._ask_who_is_there()
+        self._hear_arms()
         self._ask_facts()
         self._ask_clocks()
 
@@ -67,15 +71,8 @@ class StatusWatch:
     def gathered(self) -> Gathered:
         """All that is known now."""
         with self._lock:
-            newest, events = dict(self._newest), dict(self._events)
+            states, events, planner_clocks = dict(self._states), dict(self._events), self._planner_clocks
             clocks, facts, errors = dict(self._clocks), dict(self._facts), tuple(self._errors)
-        planner_clocks, states = None, dict[str, RobotState]()
-        for key, payload in newest.items():
-            with contextlib.suppress(MessageError):
-                if key.endswith(f"/{CLOCKS.name}"):
-                    planner_clocks = decode(HostClocks, payload)
-                else:
-                    states[_instance(key)] = decode(RobotState, payload)
         arms = sorted({*self._rig.robot, *states, *events})
         return Gathered(
             at_ns=now_ns(),
@@ -93,15 +90,13 @@ class StatusWatch:
             here_expires_ns=self._expires_ns,
         )
 
-    def _keep(self, tapped: Tapped) -> None:
-        """Keep the newest of each key as it came: states come at 100 Hz, and are looked at once a second."""
-        with self._lock:
-            self._newest[tapped.key] = tapped.payload
-
     def _take(self, tapped: Tapped) -> None:
         with contextlib.suppress(MessageError), self._lock:
             if tapped.topic is EXECUTION:
                 self._events[_instance(tapped.key)] = decode(ExecutionEvent, tapped.payload)
+                return
+            if tapped.topic is CLOCKS:
+                self._planner_clocks = decode(HostClocks, tapped.payload)
                 return
             record = decode(LogRecord, tapped.payload)
             if record.level in (LogLevel.WARNING, LogLevel.ERROR):
@@ -110,6 +105,7 @@ class StatusWatch:
     def _ask_again_and_again(self) -> None:
         due = {
             self._ask_who_is_there: PRESENT_EVERY_S,
+            self._hear_arms: ARMS_EVERY_S,
             self._ask_facts: FACTS_EVERY_S,
             self._ask_clocks: CLOCKS_EVERY_S,
         }
@@ -122,7 +118,28 @@ class StatusWatch:
             self._ended.wait(PRESENT_EVERY_S)
 
     def _ask_who_is_there(self) -> None:
-        self._health.note_present(self._connection.present())
+        self._present = self._connection.present()
+        self._health.note_present(self._present)
+
+    def _hear_arms(self) -> None:
+        """One state of each arm that is there: to hear all of them, at 100 Hz, would be most of the work here."""
+        arms = {name.split("/")[1] for name in self._present if name.startswith(f"{ROBOT_STATE.agent}/")}
+        newest, all_heard = dict[str, bytes](), threading.Event()
+
+        def hear(tapped: Tapped) -> None:
+            newest[_instance(tapped.key)] = tapped.payload
+            if arms <= newest.keys():
+                all_heard.set()
+
+        if arms:
+            with self._connection.listening((ROBOT_STATE,), hear):
+                all_heard.wait(STATES_WITHIN_S)
+        states = dict[str, RobotState]()
+        for arm, payload in list(newest.items()):
+            with contextlib.suppress(MessageError):
+                states[arm] = decode(RobotState, payload)
+        with self._lock:
+            self._states = states
 
     def _ask_facts(self) -> None:
         facts = self._connection.facts()

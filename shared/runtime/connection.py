@@ -56,6 +56,16 @@ class Connection:
         """Have every message of these topics handed over, from other threads, until the connection is closed."""
         self._kept += tap(self._session, self._rig, topics, receive, missed)
 
+    @contextmanager
+    def listening(self, topics: tuple[Topic, ...], receive: Callable[[Tapped], None]) -> Generator[None]:
+        """Have messages handed over as `listen` does, for as long as it is needed."""
+        declared = tap(self._session, self._rig, topics, receive, lambda _topic, _count: None)
+        try:
+            yield
+        finally:
+            for one in declared:
+                one.undeclare()
+
     def command(self, topic: Topic, message: Any, instance: str = MAIN) -> CommandAnswer:
         """Send a command and return its answer; UNKNOWN where none came."""
         return send_command(self._session, self._rig, topic, message, instance)
@@ -97,12 +107,9 @@ class Connection:
                 found["/".join(tapped.key.split("/")[2:4])] = decode(AgentConfiguration, tapped.payload)
                 heard.notify()
 
-        listening = tap(self._session, self._rig, (CONFIGURATION,), take, lambda _topic, _count: None)
-        with heard:
+        with self.listening((CONFIGURATION,), take), heard:
             heard.wait_for(lambda: present <= found.keys(), within_s)
             told = dict(sorted(found.items()))
-        for declared in listening:
-            declared.undeclare()
         return {name: configuration for name, configuration in told.items() if name in present}
 
     @contextmanager

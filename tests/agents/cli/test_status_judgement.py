@@ -96,6 +96,7 @@ def page(shown):
         (Fare("camera", None, 0.1, False, placed="video"), "absent", "camera on video does not run"),
         (fare(silent_s=5.0, present=False), "gone", "camera is gone, last heard 5 s ago"),
         (fare(silent_s=5.0), "hanging", "its loop has not turned for 5 s"),
+        (Fare("camera", None, 20.0, True), "hanging", "its loop has not turned for 20 s"),
         (fare(silent_s=5.0, present=None), "silent", "camera has been silent for 5 s"),
         (Fare("camera", None, 20.0, None), "silent", "camera was never heard of"),
         (fare(told=health(fault="a step failed: x")), "fault", "camera tells a fault: a step failed: x"),
