@@ -8,7 +8,9 @@ import zenoh
 from schemas.messages import HostClock
 from shared.runtime.clocks import clock_offset
 
-PERIOD_S = 5.0
+PERIOD_S, SOON_S = 5.0, 0.5
+APART_MS = 50.0
+"""Clocks so far apart are measured soon again: once they are set, nobody should wait for it to be seen."""
 TRIPS = 3
 """A few round trips tell enough: the next ones follow soon."""
 ENDS_S = 5.0
@@ -37,7 +39,8 @@ class ClockWatch:
             if self._ended.is_set():
                 return
             self._tell(clocks)
-            self._ended.wait(PERIOD_S)
+            apart = any(abs(clock.ahead_ms or 0.0) > APART_MS for clock in clocks)
+            self._ended.wait(SOON_S if apart else PERIOD_S)
 
     def _measured(self) -> tuple[HostClock, ...]:
         replies = self._session.liveliness().get(f"suturegrasp/{self._rig}/*/*", timeout=1.0)
