@@ -9,7 +9,7 @@ from benchmarks.faults.rig import HOSTS, KINDS, ROUTER, RUNS
 
 AWAY_S = 0.5
 """How long what was killed is away before it is started again, as `up` starts it."""
-CUT_S, LOSSY_S, NARROW_S, STOPPED_S, FULL_S, JUMPED_S = 3.0, 6.0, 6.0, 3.0, 4.0, 3.0
+CUT_S, LOSSY_S, NARROW_S, STOPPED_S, FULL_S, JUMPED_S = 3.0, 6.0, 6.0, 3.0, 4.0, 6.0
 LOSS_PERCENT, DELAY_S, MEGABITS = 5, 0.04, 10
 JUMPS_S = (10.0, -10.0)
 LAB_HOSTS = tuple(host for host in HOSTS if host != ROUTER)

@@ -132,6 +132,11 @@ class Lab:
             raise NotReachedError(f"no grasp came under way: {said}")
         return plan_id
 
+    def probes_hear_each_other(self) -> bool:
+        """Whether all are there: what came before somebody joined is the matter of no fault."""
+        told = self.probes()
+        return len(told) == len(HOSTS) - 1 and all(len(one["heard"]) == len(told) for one in told.values())
+
     def probes(self) -> dict[str, Any]:
         """What each probe has said and heard, as it last wrote it."""
         files = {host: self.folder / f"probe-{host}.json" for host in HOSTS if host != ROUTER}
@@ -168,4 +173,6 @@ def laboratory(folder: Path, rate_hz: float = 5.0, clocks: bool = False, probes:
         for host in RUNS if probes else ():
             if host != ROUTER:
                 lab.start_probe(host)
+        if probes:
+            lab.wait(lab.probes_hear_each_other, "the probes to hear each other", STARTS_S)
         yield lab

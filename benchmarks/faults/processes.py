@@ -108,11 +108,16 @@ class Processes:
             if process.stdin is not None:
                 process.stdin.close()
 
-    def stop(self, name: str) -> None:
-        """Ask a process to end, and wait until it has."""
+    def stop(self, name: str) -> bool:
+        """Ask a process to end; whether it did within a while, or had to be killed."""
         self._running[name].terminate()
-        self._running[name].wait(STOPS_S)
-        self.forget(name)
+        try:
+            self._running[name].wait(STOPS_S)
+        except subprocess.TimeoutExpired:
+            return False
+        finally:
+            self.forget(name)
+        return True
 
     def close(self) -> None:
         """Stop all, and end what does not stop."""

@@ -20,12 +20,13 @@ def missing_events(lab: Lab) -> tuple[int, dict[str, int]]:
             if beside is not None and OWN not in one.tapped.key:
                 heard[one.tapped.key, beside.epoch].add(beside.sequence)
     lab.let_pass(1.0)
-    lab.processes.stop("record")
+    missing: defaultdict[str, int] = defaultdict(int)
+    if not lab.processes.stop("record"):
+        missing["the recorder did not end when asked to"] = 1
     for path in sorted(lab.recording.parent.glob("*.mcap")):
         for entry in read_recording(path):
             if topic_of(entry.key) in EVENTS:
                 heard[entry.key, entry.epoch].discard(entry.sequence)
-    missing: defaultdict[str, int] = defaultdict(int)
     total = sum(1 for topic in EVENTS for _ in lab.observer.messages(topic))
     for (key, _), numbers in heard.items():
         missing[key] += len(numbers)

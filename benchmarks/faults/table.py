@@ -23,7 +23,7 @@ def table_of(seen: list[Seen], faults: list[Fault]) -> Table:
             "-" if one.startup_s is None else f"{one.startup_s:.1f}",
             _marked(_recovery(one), recovers_in_time(one)),
             _marked(str(sum(one.lost.values())), not one.lost),
-            one.name or "[red]nobody[/]",
+            one.name or ("nothing to name" if not one.said else "[red]nobody[/]"),
         )
     return table
 

@@ -178,9 +178,13 @@ def _lost_meanwhile(lab: Lab, before: dict[str, int]) -> dict[str, int]:
     """Those that were lost since, once all probes have heard what all have said by now, or had time enough."""
     said = {host: told["said"] for host, told in lab.probes().items()}
 
+    def lost() -> dict[str, int]:
+        return {name: n - before.get(name, 0) for name, n in _lost(lab).items() if n > before.get(name, 0)}
+
     def all_heard() -> bool:
         probes = lab.probes().values()
-        return all(told["heard"].get(host, (-1, 0))[0] >= n - 1 for told in probes for host, n in said.items())
+        newest = all(told["heard"].get(host, (-1, 0))[0] >= n - 1 for told in probes for host, n in said.items())
+        return newest and not lost()
 
     late: dict[str, int] = {}
     try:
@@ -189,5 +193,4 @@ def _lost_meanwhile(lab: Lab, before: dict[str, int]) -> dict[str, int]:
         for listener, told in lab.probes().items():
             behind = {host: n - 1 - told["heard"].get(host, (-1, 0))[0] for host, n in said.items()}
             late |= {f"{host} not at {listener} yet": n for host, n in behind.items() if n > RATE_HZ}
-    lost = {name: count - before.get(name, 0) for name, count in _lost(lab).items()}
-    return {name: count for name, count in lost.items() if count > 0} | late
+    return lost() | late
