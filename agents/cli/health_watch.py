@@ -32,7 +32,7 @@ class Fare:
 
     Fields:
         health: its newest; None where none has come.
-        silent_s: since then, or since the watch began, by the clock of this machine.
+        silent_s: since then, or since its session was first seen, or the watch began, by the clock of this machine.
         present: whether its session is there, as the router tells; None where nobody asked.
         restarts: how often it began anew since the watch began.
         expected: whether the rig's configuration has it; and on which of its hosts, empty where that is not told.
@@ -51,13 +51,12 @@ class Fare:
         """How it is, in one or two words, or its fault."""
         if self.present is False and (self.health is None or self.silent_s > MISSING_S):
             return ABSENT if self.health is None else GONE
-        if self.health is None:
-            late = HANGING if self.present else NEVER
-            return STARTING if self.silent_s < STARTING_S else late
-        if self.silent_s > SILENT_S:
+        if self.silent_s > SILENT_S and self.present:
             # its session lives in threads of its own, and health comes from its loop
-            return HANGING if self.present else SILENT
-        return self.health.fault or WELL
+            return HANGING
+        if self.health is None:
+            return STARTING if self.silent_s < STARTING_S else NEVER
+        return SILENT if self.silent_s > SILENT_S else self.health.fault or WELL
 
     @property
     def host(self) -> str:
@@ -100,7 +99,9 @@ class HealthWatch:
         names = {name_of(*name.split("/")) for name in present}
         with self._lock:
             for name, fare in self._newest.items():
-                self._newest[name] = dataclasses.replace(fare, present=name in names)
+                appeared = name in names and not fare.present and fare.health is None
+                since_s = monotonic_s() if appeared else fare.silent_s
+                self._newest[name] = dataclasses.replace(fare, present=name in names, silent_s=since_s)
 
     def fares(self) -> list[Fare]:
         """How each agent fares: the expected ones in their order, then those that nobody expected."""

@@ -1,6 +1,6 @@
 """What is wrong by the agents' own accounts and by their silence; `up` and `status` share this judgement."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from itertools import groupby
 
 from agents.cli.health_watch import ABSENT, GONE, HANGING, NEVER, SILENT, Fare, span_of
@@ -59,7 +59,7 @@ def _presence(fare: Fare) -> Iterator[Wrong]:
     match fare.state:
         case s if s == ABSENT:
             if fare.expected:
-                yield Wrong("absent", fare.name, f"{name} does not run")
+                yield Wrong("absent", fare.name, f"{name} is not there: it does not run, is stopped, or is cut off")
         case s if s == GONE:
             gone = f"{name} is gone, last heard {since} ago: its process has ended, is stopped, or is cut off"
             yield Wrong("gone", fare.name, gone, grave=fare.expected)
@@ -103,24 +103,23 @@ def _messages(count: int) -> str:
 
 def _slow(fares: tuple[Fare, ...], rates_hz: Mapping[str, float]) -> Iterator[Wrong]:
     """Topics that come too seldom, from agents that are there, each with what it waits for."""
-    reported = [f for f in fares if f.health is not None]
-    said = [(o.topic, 0.0 if f.state in AWAY else o.rate_hz) for f in reported if f.health for o in f.health.outputs]
-    slow = {topic for topic, hz in said if topic in rates_hz and hz < SLOW_SHARE * rates_hz[topic]}
-    for fare in reported:
-        health = fare.health
-        if health is None or fare.state in AWAY or health.uptime_s < SETTLED_S:
+    there = [(f.name, f.health) for f in fares if f.health is not None and f.state not in AWAY]
+    steady = {o.topic for _, h in there for o in h.outputs if o.rate_hz >= SLOW_SHARE * rates_hz.get(o.topic, 0.0)}
+    slow = rates_hz.keys() - steady
+    for name, health in there:
+        if health.uptime_s < SETTLED_S:
             continue
         for output in health.outputs:
             expected = rates_hz.get(output.topic, 0.0)
             if output.rate_hz >= SLOW_SHARE * expected:
                 continue
-            of = f"{output.topic} of {fare.name}" if " " in fare.name else output.topic
-            at = f"{output.rate_hz:.0f} Hz" if output.rate_hz >= 1 else f"{output.rate_hz:.1f} Hz"
+            of = f"{output.topic} of {name}" if " " in name else output.topic
+            at = f"{output.rate_hz:.1f} Hz" if 0 < output.rate_hz < 1 else f"{output.rate_hz:.0f} Hz"
             text = f"{of} comes at {at}, where {expected:.0f} Hz are expected"
             yield Wrong("slow", output.topic, text + _because(health, slow, expected))
 
 
-def _because(health: AgentHealth, slow: set[str], expected_hz: float) -> str:
+def _because(health: AgentHealth, slow: Collection[str], expected_hz: float) -> str:
     waits = [heard.topic for heard in health.inputs if heard.topic in slow]
     if waits:
         return f", for it waits for {listed(waits)}"

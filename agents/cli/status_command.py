@@ -9,6 +9,7 @@ from collections.abc import Callable, Generator
 from rich.console import Console
 from rich.live import Live
 
+from agents.cli.health_watch import SILENT_S
 from agents.cli.live_options import RigStatus
 from agents.cli.process import EXIT_OK, on_stop
 from agents.cli.rig import RigConfig
@@ -23,8 +24,8 @@ from shared.runtime.connection import ROUTER_WAIT_S, NoRouterError, connected
 
 EXIT_WRONG = 1
 EVERY_S = 1.0
-HEARD_WITHIN_S = 2.5
-"""Health comes once a second, and a little later where a machine is busy."""
+HEARD_WITHIN_S = SILENT_S + 0.5
+"""Health comes once a second; who is there and says nothing for so long hangs."""
 LOOK_S = 0.05
 PAGE_COLUMNS = 160
 """What is written to a file is not cut to a terminal's width."""

@@ -7,7 +7,7 @@ from agents.cli.status_agents import judge_agents
 from agents.cli.status_gathered import ArmHeard, Gathered
 from agents.cli.status_wrong import Wrong, listed
 from agents.robot_bridge.refusals import Code
-from schemas.messages import AgentFacts, ExecutionKind, LogLevel, RobotMode
+from schemas.messages import AgentFacts, ExecutionKind, LogLevel, LogRecord, RobotMode
 from shared.runtime.clocks import ClockOffset, by_host
 
 CLOCKS_APART_MS = 100.0
@@ -124,17 +124,22 @@ def _own_certificate(gathered: Gathered) -> Iterator[Wrong]:
 
 
 def _logged(gathered: Gathered) -> Iterator[Wrong]:
+    """Each error once, and the last warning of each agent; a router warns of links that it refused, which is grave."""
     faults = {fare.health.fault for fare in gathered.fares if fare.health is not None and fare.health.fault}
-    newest = {(record.agent, record.instance, record.text): record for record in gathered.said}
-    for (agent, instance, text), record in newest.items():
-        age_s = (gathered.at_ns - record.at_ns) / NS_PER_S
-        if age_s > SAID_S or text in faults:
-            continue
-        called, error = name_of(agent, instance), record.level is LogLevel.ERROR
-        when, first_line = span_of(max(0.0, age_s)), text.split("\n")[0]
-        said = f"{called} {'told an error' if error else 'warned'} {when} ago: {first_line}"
-        # a router warns of links that it refused
-        yield Wrong("error" if error else "warning", called, said, grave=error or agent == ROUTER)
+    ages = [(record, max(0.0, (gathered.at_ns - record.at_ns) / NS_PER_S)) for record in gathered.said]
+    recent = [(record, age_s) for record, age_s in ages if age_s <= SAID_S and record.text not in faults]
+    groups: dict[tuple[str, ...], list[tuple[LogRecord, float]]] = {}
+    for record, age_s in recent:
+        error = record.level is LogLevel.ERROR
+        group = (record.agent, record.instance, "error", record.text) if error else (record.agent, record.instance)
+        groups.setdefault(group, []).append((record, age_s))
+    for told in groups.values():
+        record, age_s = told[-1]
+        error, called = record.level is LogLevel.ERROR, name_of(record.agent, record.instance)
+        times = f" {len(told)} times, last" if len(told) > 1 else ""
+        first_line = record.text.split("\n")[0]
+        said = f"{called} {'told an error' if error else 'warned'}{times} {span_of(age_s)} ago: {first_line}"
+        yield Wrong("error" if error else "warning", called, said, grave=error or record.agent == ROUTER)
 
 
 def _called(name: str) -> str:

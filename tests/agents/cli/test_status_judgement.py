@@ -92,11 +92,11 @@ def page(shown):
 @pytest.mark.parametrize(
     ("one", "code", "told"),
     [
-        (Fare("camera", None, 0.1, False), "absent", "camera does not run"),
-        (Fare("camera", None, 0.1, False, placed="video"), "absent", "camera on video does not run"),
+        (Fare("camera", None, 0.1, False), "absent", "camera is not there"),
+        (Fare("camera", None, 0.1, False, placed="video"), "absent", "camera on video is not there"),
         (fare(silent_s=5.0, present=False), "gone", "camera is gone, last heard 5 s ago"),
         (fare(silent_s=5.0), "hanging", "its loop has not turned for 5 s"),
-        (Fare("camera", None, 20.0, True), "hanging", "its loop has not turned for 20 s"),
+        (Fare("camera", None, 4.0, True), "hanging", "its loop has not turned for 4 s"),
         (fare(silent_s=5.0, present=None), "silent", "camera has been silent for 5 s"),
         (Fare("camera", None, 20.0, None), "silent", "camera was never heard of"),
         (fare(told=health(fault="a step failed: x")), "fault", "camera tells a fault: a step failed: x"),
@@ -279,7 +279,7 @@ def test_errors_of_the_log_are_told_for_a_minute_once_each():
     )
     wrongs = judge(moment(fare(told=health(fault="a fault")), said=records))
     assert [(w.code, w.grave) for w in wrongs] == [("fault", True), ("error", True), ("warning", False)]
-    assert wrongs[1].text == "camera told an error 10 s ago: lost"
+    assert wrongs[1].text == "camera told an error 2 times, last 10 s ago: lost"
     (refused,) = judge(moment(said=(said(1, "a link was refused", LogLevel.WARNING, "router"),)))
     assert refused.grave
 
