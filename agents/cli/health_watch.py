@@ -60,8 +60,8 @@ class Fare:
 
     @property
     def host(self) -> str:
-        """Where it runs, by its own account or else by the rig's configuration."""
-        return self.health.host if self.health is not None else self.placed
+        """Where it runs: the host of the rig's configuration, or where that tells none, the name of its machine."""
+        return self.placed or (self.health.host if self.health is not None else "")
 
 
 class HealthWatch:
@@ -124,6 +124,12 @@ class HealthWatch:
 def name_of(kind: str, instance: str) -> str:
     """An agent as people call it."""
     return kind if instance == MAIN else f"{kind} {instance}"
+
+
+def key_of(name: str) -> str:
+    """An agent as people call it, as `kind/instance`."""
+    kind, _, instance = name.partition(" ")
+    return f"{kind}/{instance or MAIN}"
 
 
 def health_table(fares: Iterable[Fare]) -> Table:

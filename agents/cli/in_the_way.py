@@ -6,6 +6,7 @@ import socket
 
 from agents.cli.builders import configured
 from agents.cli.rig import RigConfig
+from agents.cli.status_session import reading_session
 from shared.runtime.connection import NoRouterError, connected
 
 TCP = re.compile(r"(?:tcp|tls)/(?P<host>.+):(?P<port>\d+)")
@@ -35,7 +36,7 @@ def already_running(rig: RigConfig) -> str:
     if rig.runs_here("router"):
         return ""
     try:
-        with connected(rig.session) as connection:
+        with connected(reading_session(rig)) as connection:
             present = connection.present()
     except NoRouterError:
         return ""

@@ -9,11 +9,11 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from agents.cli.health_watch import Fare, health_table
+from agents.cli.health_watch import Fare, health_table, key_of
 from agents.cli.status_agents import judge_agents
 from agents.cli.status_gathered import ArmHeard, Gathered
 from agents.cli.status_wrong import Wrong
-from shared.runtime.clocks import by_host
+from shared.runtime.clocks import ClockOffset, by_host
 
 WELL = "all is well"
 
@@ -53,17 +53,21 @@ def document(gathered: Gathered, wrongs: Iterable[Wrong]) -> dict[str, Any]:
 
 def hosts_of(gathered: Gathered) -> list[dict[str, Any]]:
     """Each host with its clock by the one here, and what runs there."""
-    agents: dict[str, list[str]] = {}
+    hosts: dict[str, list[Fare]] = {}
     for fare in gathered.fares:
         if fare.host:
-            agents.setdefault(fare.host, []).append(fare.name)
-    offsets = {o.host: o for o in by_host(o for o in gathered.clocks.values() if o is not None)}
-    hosts: list[dict[str, Any]] = []
-    for host in sorted({*agents, *offsets}):
-        offset = offsets.get(host)
-        clock = (None, None) if offset is None else (round(offset.ahead_ms, 3), round(offset.within_ms, 3))
-        hosts.append({"host": host, "agents": agents.get(host, []), "ahead_ms": clock[0], "within_ms": clock[1]})
-    return hosts
+            hosts.setdefault(fare.host, []).append(fare)
+    return [_host(host, hosts[host], gathered.clocks) for host in sorted(hosts)]
+
+
+def _host(host: str, fares: list[Fare], clocks: Mapping[str, ClockOffset | None]) -> dict[str, Any]:
+    told = [offset for fare in fares if (offset := clocks.get(key_of(fare.name))) is not None]
+    # two machines that were given one name show the worse of them
+    worst = max(by_host(told), key=lambda offset: offset.least_ms, default=None)
+    ahead_ms, within_ms = (None, None) if worst is None else (round(worst.ahead_ms, 3), round(worst.within_ms, 3))
+    machines = sorted({fare.health.host for fare in fares if fare.health is not None})
+    names = [fare.name for fare in fares]
+    return {"host": host, "machine": " ".join(machines), "agents": names, "ahead_ms": ahead_ms, "within_ms": within_ms}
 
 
 def _lines(wrongs: Iterable[Wrong]) -> list[Text]:
@@ -84,7 +88,7 @@ def _agent(fare: Fare, gathered: Gathered) -> dict[str, Any]:
     told = {
         "name": fare.name,
         "state": fare.state,
-        "host": fare.host or None,
+        "host": fare.health.host if fare.health is not None else None,
         "placed": fare.placed or None,
         "expected": fare.expected,
         "present": fare.present,
@@ -92,8 +96,7 @@ def _agent(fare: Fare, gathered: Gathered) -> dict[str, Any]:
         "heard_s": None if fare.health is None else round(fare.silent_s, 3),
     }
     health = None if fare.health is None else dataclasses.asdict(fare.health)
-    kind, _, instance = fare.name.partition(" ")
-    facts = gathered.facts.get(f"{kind}/{instance or 'main'}")
+    facts = gathered.facts.get(key_of(fare.name))
     return told | {"health": health, "facts": None if facts is None else dataclasses.asdict(facts)}
 
 

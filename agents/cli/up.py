@@ -19,6 +19,7 @@ from agents.cli.rig import RigConfig
 from agents.cli.session_folder import SessionFolder, new_session_folder
 from agents.cli.status_gathered import expected_rates
 from agents.cli.status_report import watched
+from agents.cli.status_session import reading_session
 from agents.cli.supervisor import Change, Role, Supervisor, last_line, supervised
 from agents.cli.terminal import complain, say
 from shared.runtime.connection import connected
@@ -66,7 +67,7 @@ def up(rig: RigConfig, options: Up) -> int:
         say(f"started {len(supervisor.children)} processes; their logs lie in {folder.path}; stop with Ctrl-C")
         if isinstance(options, Play):
             say("name a goal in another terminal: suturegrasp goal --s 0.4")
-        connection = stack.enter_context(connected(rig.session, FIRST_CONTACT_S, stopped))
+        connection = stack.enter_context(connected(reading_session(rig), FIRST_CONTACT_S, stopped))
         expected = [name_of(kind, instance) for kind, instance in configured(rig)]
         status = _watch(supervisor, HealthWatch(connection, expected), expected_rates(rig), stopped)
     say("every process was stopped")

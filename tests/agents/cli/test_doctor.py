@@ -14,6 +14,7 @@ from agents.cli.doctor_rig import clocks, granted, links, running, streams, vers
 from agents.cli.doctor_router import why_not
 from agents.cli.doctor_rules import verdict
 from agents.cli.health_watch import Fare
+from agents.cli.in_the_way import already_running
 from agents.cli.rig import PlannerSection, RigConfig, RouterSection, simulated_rig
 from agents.cli.rig_hosts import HostSection, SecuritySection
 from agents.cli.status_gathered import Gathered
@@ -21,7 +22,7 @@ from agents.cli.status_session import certificate_names, reading_session
 from agents.deployment.certificates import issue
 from agents.deployment.layout import ROUTER, Host, Layout, Process
 from agents.planner.agent import Planner
-from schemas.messages import AgentFacts
+from schemas.messages import AgentFacts, AgentHealth, InputHealth
 from shared.clock import now_ns
 from shared.runtime.access import access_control
 from shared.runtime.clocks import ClockOffset
@@ -212,8 +213,17 @@ def test_what_agents_were_granted_is_told_and_unknown_where_nobody_knows():
 
 
 def test_streams_are_told_and_what_status_finds_wrong_with_them():
-    told = Gathered(NOW_NS, RIG, "e", fares=(Fare("camera", None, 5.0, True),))
-    assert list(streams(told)) == []
+    inputs = (
+        InputHealth("camera/frames", 29.5, 8.25, 9, 0, 0, 0),
+        InputHealth("operator/heartbeat", 0.0, None, 0, 0, 0, 0),
+        InputHealth("camera/calibration", 0.0, 3.0, 1, 0, 0, 0),
+    )
+    health = AgentHealth("perception", "main", "a", "0.2.0", "", NOW_NS, 60.0, 7, None, None, inputs, (), "")
+    fares = (Fare("perception", health, 0.5, True), Fare("camera", None, 5.0, True))
+    frames, heartbeat, hanging = streams(Gathered(NOW_NS, RIG, "e", fares=fares))
+    assert frames == Finding("stream camera/frames to perception", "29.5 Hz, 8.2 ms after it was sent")
+    assert heartbeat.found == "does not come at the moment"
+    assert (hanging.what, hanging.state) == ("status (hanging)", "WRONG")
 
 
 @pytest.mark.parametrize(
@@ -317,6 +327,7 @@ def test_a_host_without_operator_looks_with_what_it_has(tmp_path):
     assert identity.certificate.name == "camera.main.pem"
     with secured.router(), connected(reading_session(secured.rig), 60.0) as connection:
         assert connection.has_router()
+        assert already_running(secured.rig) == ""
 
 
 def test_a_folder_without_certificates_is_told(tmp_path):
