@@ -23,6 +23,8 @@ from agents.recorder.recorder import Recorder, RecorderSettings, RecordingReport
 from schemas.topics import MAIN, TOPICS, Topic, key_root
 from shared.runtime.config import config_hash, parse_config
 from shared.runtime.connection import Connection, NoRouterError, connected
+from shared.runtime.facts import Surroundings
+from shared.runtime.identity import validity_ns
 from shared.runtime.service_manager import serving
 
 FIRST_CLOCKS_S, CLOCKS_EVERY_S = 3.0, 60.0
@@ -63,16 +65,21 @@ def record(rig: RigConfig, options: Record) -> int:
         threading.Thread(target=_ask_at_terminal, args=(recordings,), name="keys", daemon=True).start()
     try:
         with connected(rig.session_of("recorder"), None, stopped) as connection, serving():
-            _record_all(rig, connection, recordings, stopped)
+            _record_all(rig, connection, recordings, path.parent, stopped)
     except NoRouterError:
         recordings.close(_say_end)
     return EXIT_UNUSABLE if any(report.fault for report in recordings.reports) else EXIT_OK
 
 
-def _record_all(rig: RigConfig, connection: Connection, recordings: Recordings, stopped: threading.Event) -> None:
+def _record_all(
+    rig: RigConfig, connection: Connection, recordings: Recordings, folder: Path, stopped: threading.Event
+) -> None:
     """Until stopped; what is told of it is told on the rig too."""
     recording = (connection, recorded_topics(rig), stopped, _say_end)
-    with connection.reporting(KIND, _instance(rig), LOGGER, lambda: recordings.fault, config_hash(rig)):
+    identity = rig.identity_of(KIND)
+    expires_ns = None if identity is None else validity_ns(identity.certificate)[1]
+    around = Surroundings(writes_to=folder, certificate_expires_ns=expires_ns)
+    with connection.reporting(KIND, _instance(rig), LOGGER, lambda: recordings.fault, config_hash(rig), around):
         thread = threading.Thread(target=recordings.run, args=recording, name="recordings")
         thread.start()
         _note_clocks(connection, recordings, stopped)

@@ -24,7 +24,7 @@ from shared.runtime.attachment import Attachment, pack
 from shared.runtime.clocks import ClockOffset, clock_offset
 from shared.runtime.commands import new_header, send_command
 from shared.runtime.delivery import declare_publisher
-from shared.runtime.facts import ask_facts
+from shared.runtime.facts import Surroundings, ask_facts
 from shared.runtime.identity import IdentityError
 from shared.runtime.link import Link, measure_link
 from shared.runtime.reporting import reporting
@@ -133,10 +133,16 @@ class Connection:
             publisher.undeclare()
 
     def reporting(
-        self, kind: str, instance: str, logger: logging.Logger, fault: Callable[[], str], config_hash: str = ""
+        self,
+        kind: str,
+        instance: str,
+        logger: logging.Logger,
+        fault: Callable[[], str],
+        config_hash: str = "",
+        around: Surroundings | None = None,
     ) -> AbstractContextManager[None]:
         """Tell of this process as agents do, for as long as it lasts; see `shared.runtime.reporting`."""
-        return reporting(self._session, self._rig, kind, instance, logger, fault, config_hash)
+        return reporting(self._session, self._rig, kind, instance, logger, fault, config_hash, around)
 
     def close(self) -> None:
         """Stop listening."""

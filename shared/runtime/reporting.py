@@ -1,5 +1,5 @@
 """What is no agent of the dataflow, such as the recorder, tells of itself as agents do: that it is there, its health
-once a second, its log, and its host's clock where it is asked."""
+once a second, its log, and where it is asked its host's clock, its facts and what lies between."""
 
 import logging
 import os
@@ -20,6 +20,8 @@ from shared.clock import monotonic_s, now_ns
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.clocks import answer_clock
 from shared.runtime.delivery import declare_publisher
+from shared.runtime.facts import Surroundings, answer_facts, facts_of, realtime_priority
+from shared.runtime.link import answer_link
 from shared.runtime.log_topic import LogTopic
 from shared.runtime.router_watch import RouterWatch
 from shared.runtime.usage import ProcessorShare, resident_bytes
@@ -36,13 +38,17 @@ def reporting(
     logger: logging.Logger,
     fault: Callable[[], str],
     config_hash: str = "",
+    around: Surroundings | None = None,
 ) -> Generator[None]:
     """Tell all that for as long as it lasts; `fault` says what is wrong at the moment, or is empty."""
     tell_health, tell_log = (_Teller(session, rig, topic, kind, instance) for topic in (HEALTH, LOG))
     log_topic = LogTopic(kind, instance, tell_log)
+    root, surroundings, granted = key_root(rig, instance, kind), around or Surroundings(), realtime_priority()
     kept = [
-        session.liveliness().declare_token(key_root(rig, instance, kind)),
+        session.liveliness().declare_token(root),
         answer_clock(session, rig, kind, instance),
+        answer_facts(session, root, lambda: facts_of(session, kind, instance, config_hash, surroundings, granted)),
+        answer_link(session, root),
         RouterWatch(session, logger.warning),
     ]
     logger.addHandler(log_topic)

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import logging
 import re
 import signal
 import subprocess
@@ -12,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from agents.cli.builders import build
-from agents.cli.rig import PerceptionSection, PlannerSection, RigConfig, RouterSection, simulated_rig
+from agents.cli.rig import PerceptionSection, PlannerSection, RecorderSection, RigConfig, RouterSection, simulated_rig
 from agents.cli.status_judgement import judge
 from agents.cli.status_watch import StatusWatch
 from agents.operator.operator import hold
@@ -22,6 +23,7 @@ from shared.runtime.agent import Input
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.connection import connected
 from shared.runtime.delivery import declare_publisher
+from shared.runtime.facts import Surroundings
 from shared.runtime.session import free_local_endpoint, open_router
 
 SCRIPT = Path(sys.executable).with_name("suturegrasp")
@@ -168,6 +170,21 @@ def test_an_arm_that_holds_because_it_was_told_to_is_a_note(settings, running, w
         hold(connection, "psm1")
         held = until(lambda: wrongs().get(("held", "psm1")), "the arm to hold")
     assert held.grave is False
+
+
+def test_a_recorder_tells_where_it_writes_and_that_it_cannot(settings, watching, until, tmp_path):
+    rig = RigConfig(rig=RIG, router=RouterSection(endpoint=settings.endpoint), recorder=RecorderSection())
+    fault = [""]
+    with connected(settings, 60.0) as connection:
+        logger, around = logging.getLogger("suturegrasp.recorder.main"), Surroundings(writes_to=tmp_path)
+        with connection.reporting("recorder", "main", logger, lambda: fault[0], "", around):
+            facts = until(lambda: connection.facts().get("recorder/main"), "the recorder to tell its facts")
+            assert (facts.writes_to, facts.disk_free_bytes is not None) == (str(tmp_path), True)
+            assert connection.link("recorder") is not None
+            with watching(rig) as (wrongs, _, _):
+                fault[0] = "the disk is full"
+                full = until(lambda: wrongs().get(("fault", "recorder")), "the fault to be told")
+    assert full.text == "recorder tells a fault: the disk is full"
 
 
 def test_what_an_agent_cannot_read_is_told(settings, session, running, watching, until):
