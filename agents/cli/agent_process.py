@@ -1,7 +1,10 @@
 """One agent as a process: from configuration to a clean stop. What all agents are made of takes a second to load."""
 
+import os
+import tempfile
 import threading
 from collections.abc import Callable
+from pathlib import Path
 
 from agents.camera.image_files import ImageFileError
 from agents.camera.sources import SourceError
@@ -13,6 +16,8 @@ from agents.cli.terminal import complain
 from shared.calibration import CalibrationError
 from shared.runtime.config import ConfigError, config_hash
 from shared.runtime.connection import NoRouterError, open_when_there
+from shared.runtime.delivery import RouterLinks
+from shared.runtime.direct import DirectLinks
 from shared.runtime.facts import Surroundings, ask_for_realtime
 from shared.runtime.identity import validity_ns
 from shared.runtime.memory import keep_freed_memory
@@ -44,7 +49,9 @@ def run_agent(rig: RigConfig, kind: str, instance: str) -> int:
     with session:
         if runs_already(session, rig.rig, kind, instance):
             return complain(f"{kind} {instance} of rig {rig.rig} runs already; stop that one first", EXIT_UNUSABLE)
-        runner = Runner(agent, session, rig.rig, config_hash(rig), surroundings(rig, kind, instance))
+        runner = Runner(
+            agent, session, rig.rig, config_hash(rig), surroundings(rig, kind, instance), links(rig, kind, instance)
+        )
         threading.Thread(target=_stop_after, args=(stopped, runner.stop), name="stop", daemon=True).start()
         runner.run()
     return complain(runner.gave_up, EXIT_GAVE_UP) if runner.gave_up else EXIT_OK
@@ -59,6 +66,15 @@ def surroundings(rig: RigConfig, kind: str, instance: str) -> Surroundings:
         realtime_asked=asked,
         realtime_refused="" if asked is None else ask_for_realtime(asked),
     )
+
+
+def links(rig: RigConfig, kind: str, instance: str) -> RouterLinks | DirectLinks:
+    """By which ways the agent's messages go; sockets of direct links lie where this user's alone do."""
+    if not rig.links.direct:
+        return RouterLinks()
+    port = rig.router_endpoint.rsplit(":", 1)[1]
+    own = os.environ.get("XDG_RUNTIME_DIR") or str(Path(tempfile.gettempdir()) / f"suturegrasp-{os.getuid()}")
+    return DirectLinks(Path(own) / "suturegrasp" / f"{rig.rig}-{port}", kind, instance)
 
 
 def _stop_after(stopped: threading.Event, stop: Callable[[], None]) -> None:

@@ -141,6 +141,12 @@ class RecorderSection(Settings):
     retention_days: int | None = Field(default=None, ge=0, le=36500)
 
 
+class LinksSection(Settings):
+    """Ways past the router: whether agents on this machine hand images over by links of their own."""
+
+    direct: bool = False
+
+
 class ViewerSection(Settings):
     """Where the session is shown: `file` writes session.rrd alone; `native` and `web` also open a Rerun viewer."""
 
@@ -169,6 +175,7 @@ class RigConfig(Settings):
     hosts: dict[HostName, HostSection] = Field(default_factory=dict)
     host: HostName | None = None
     security: SecuritySection | None = None
+    links: LinksSection = LinksSection()
     topics: dict[str, TopicSection] = Field(default_factory=dict)
 
     @field_validator("robot")
@@ -192,6 +199,12 @@ class RigConfig(Settings):
             if name not in known:
                 raise ValueError(f"there is no topic {name!r}; known are {', '.join(known)}")
         return topics
+
+    @model_validator(mode="after")
+    def _direct_links_stay_on_one_machine(self) -> "RigConfig":
+        if self.links.direct and (self.hosts or self.security is not None):
+            raise ValueError("links.direct goes past the router, whose access rules see nothing of it; leave it out")
+        return self
 
     @model_validator(mode="after")
     def _links_are_secured(self) -> "RigConfig":

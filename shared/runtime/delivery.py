@@ -26,6 +26,29 @@ _RING, _WILDCARD_RING = 8, 64
 and counted, in the inbox. Behind a key expression with a wildcard many keys share one channel."""
 
 
+class RouterLinks:
+    """The ways of one agent's messages: all of them by the router."""
+
+    def publisher(self, session: zenoh.Session, key: str, topic: Topic) -> Any:
+        """A publisher of a topic that is not a command."""
+        return declare_publisher(session, key, topic)
+
+    def subscribe(
+        self,
+        session: zenoh.Session,
+        key: str,
+        topic: Topic,
+        receive: Callable[[zenoh.Sample], None],
+        missed: Callable[[int], None],
+        losses: RingLosses | None = None,
+    ) -> list[Any]:
+        """Have every sample of a topic that is not a command handed over."""
+        return subscribe(session, key, topic, receive, missed, losses)
+
+    def close(self) -> None:
+        """Nothing is held here."""
+
+
 def ring_room(key: str) -> int:
     """How many samples wait behind a key expression of a *latest* topic."""
     return _WILDCARD_RING if "*" in key else _RING

@@ -14,7 +14,7 @@ from typing import Any
 
 import zenoh
 
-from schemas.topics import Topic
+from schemas.topics import FRAMES, MAIN, Topic
 from shared.runtime.accounts import RingLosses
 from shared.runtime.attachment import unpack
 from shared.runtime.delivery import declare_publisher, ring_room, subscribe
@@ -58,6 +58,44 @@ def _direct_config(listen: list[str] | None = None, connect: list[str] | None = 
     for name, value in settings.items():
         config.insert_json5(name, json.dumps(value))
     return config
+
+
+class DirectLinks:
+    """The ways of one agent's messages: frames by a direct link where both ends have one, all else by the router."""
+
+    def __init__(self, folder: Path, kind: str, instance: str) -> None:
+        self._folder, self._own = folder, (kind, instance)
+        self._sessions: list[zenoh.Session] = []
+
+    def publisher(self, session: zenoh.Session, key: str, topic: Topic) -> Any:
+        """A publisher of a topic that is not a command, as `delivery.declare_publisher` makes it."""
+        if topic is not FRAMES:
+            return declare_publisher(session, key, topic)
+        direct = open_direct_publishing(socket_endpoint(self._folder, *self._own))
+        self._sessions.append(direct)
+        return DirectPublisher(session, direct, key, topic)
+
+    def subscribe(
+        self,
+        session: zenoh.Session,
+        key: str,
+        topic: Topic,
+        receive: Callable[[zenoh.Sample], None],
+        missed: Callable[[int], None],
+        losses: RingLosses | None = None,
+    ) -> list[Any]:
+        """Have every sample handed over once, as `delivery.subscribe` does."""
+        if topic is not FRAMES:
+            return subscribe(session, key, topic, receive, missed, losses)
+        direct = open_direct_consuming([socket_endpoint(self._folder, topic.agent, MAIN)])
+        self._sessions.append(direct)
+        return subscribe_directly(session, direct, key, topic, receive, losses)
+
+    def close(self) -> None:
+        """End the sessions of the direct links, once nothing is declared on them."""
+        for session in self._sessions:
+            session.close()
+        self._sessions = []
 
 
 class DirectPublisher:

@@ -54,7 +54,8 @@ from shared.runtime.attachment import Attachment, pack, unpack
 from shared.runtime.clock_watch import ClockWatch
 from shared.runtime.clocks import answer_clock
 from shared.runtime.commands import STATUS, Answered, refused, untimely
-from shared.runtime.delivery import declare_publisher, payload_of, ring_room, subscribe
+from shared.runtime.delivery import RouterLinks, payload_of, ring_room, subscribe
+from shared.runtime.direct import DirectLinks
 from shared.runtime.facts import Surroundings, answer_facts, facts_of, realtime_priority
 from shared.runtime.fed import Fed, state_topic
 from shared.runtime.inbox import Arrival, Inbox
@@ -87,7 +88,9 @@ class Runner:
         rig: str,
         config_hash: str = "",
         around: Surroundings | None = None,
+        links: RouterLinks | DirectLinks | None = None,
     ) -> None:
+        self._links = links or RouterLinks()
         self._agent, self._session, self._rig, self._config_hash = agent, session, rig, config_hash
         self._parameters, self._around, self._manager = Parameters(agent), around or Surroundings(), ServiceManager()
         self._root = key_root(rig, agent.instance, agent.kind)
@@ -159,7 +162,7 @@ class Runner:
                 account.ring = RingLosses(ring_room(selector))
             missed = self._miss_counter(wanted.topic)
             receiver = self._receiver(wanted)
-            self._kept += subscribe(self._session, selector, wanted.topic, receiver, missed, account.ring)
+            self._kept += self._links.subscribe(self._session, selector, wanted.topic, receiver, missed, account.ring)
         for topic in self._agent.commands:
             selector = key(self._rig, topic, self._agent.instance if topic.per_arm else MAIN)
             self._kept.append(self._session.declare_queryable(selector, self._take_query(topic), complete=True))
@@ -382,7 +385,7 @@ class Runner:
             self._fed.published(*last)
 
     def _declare(self, topic: Topic) -> None:
-        self._publishers[str(topic)] = declare_publisher(self._session, self._key(topic), topic)
+        self._publishers[str(topic)] = self._links.publisher(self._session, self._key(topic), topic)
         self._outputs[str(topic)] = OutputAccount(str(topic))
 
     def _key(self, topic: Topic) -> str:
@@ -451,6 +454,7 @@ class Runner:
         self._log.removeHandler(self._log_topic)
         for declared in (*self._kept, *self._publishers.values()):
             declared.undeclare()
+        self._links.close()
 
 
 def _untimely(header: CommandHeader, received_ns: int) -> CommandAnswer | None:

@@ -45,6 +45,7 @@ MISTAKES = {
     '[router]\nendpoint = "tcp/10.0.0.1:7447"': "which needs mutual TLS",
     '[router]\nendpoint = "tls/10.0.0.1:7447"': "needs [security]",
     '[router]\nhost = "video"': "there are no [hosts]",
+    WHOLE + "[links]\ndirect = true": "links.direct goes past the router",
     '[topics."camera/frame"]\nrecorded = false': "there is no topic 'camera/frame'; known are camera/frames",
 }
 

@@ -7,11 +7,12 @@ import sys
 
 import pytest
 
-from schemas.topics import FRAMES, key
+from schemas.topics import CALIBRATION, FRAMES, key
 from shared.runtime.accounts import RingLosses
 from shared.runtime.attachment import Attachment, pack, unpack
 from shared.runtime.delivery import declare_publisher, ring_room
 from shared.runtime.direct import (
+    DirectLinks,
     DirectPublisher,
     open_direct_consuming,
     open_direct_publishing,
@@ -23,7 +24,7 @@ from shared.runtime.session import open_session
 KEY = key("test", FRAMES)
 PUBLISHING = """
 import sys
-from schemas.topics import FRAMES, key
+from schemas.topics import CALIBRATION, FRAMES, key
 from shared.runtime.direct import DirectPublisher, open_direct_publishing
 from shared.runtime.session import SessionSettings, open_session
 with open_session(SessionSettings("test", sys.argv[1])) as routed, open_direct_publishing(sys.argv[2]) as direct:
@@ -127,3 +128,25 @@ def test_a_publisher_that_was_killed_is_heard_again_when_it_is_back(settings, en
 def test_nobody_else_may_enter_the_folder_of_the_sockets(endpoint, tmp_path):
     assert (tmp_path / "sockets").stat().st_mode & 0o777 == 0o700
     assert endpoint.startswith("unixsock-stream/")
+
+
+def test_the_links_of_two_agents_carry_frames_past_the_router_and_all_else_through_it(session, tmp_path, until):
+    camera, perception = (DirectLinks(tmp_path / "sockets", kind, "main") for kind in ("camera", "perception"))
+    calibration, heard, kept, told = key("test", CALIBRATION), [], [], []
+    for topic, heard_of in ((FRAMES, heard), (CALIBRATION, told)):
+        name = key("test", topic)
+
+        def receive(sample, heard_of=heard_of):
+            heard_of.append(sample.payload.to_bytes())
+
+        kept += perception.subscribe(session, name, topic, receive, lambda _: None)
+    frames, state = camera.publisher(session, KEY, FRAMES), camera.publisher(session, calibration, CALIBRATION)
+    by_router, numbers = declare_publisher(session, KEY, FRAMES), itertools.count()
+    publish_until(frames, numbers, lambda: heard and not by_router.matching_status.matching, until)
+    publish_until(frames, numbers, grown(heard, 5), until)
+    state.put(b"calibrated", attachment=pack(Attachment(1, 0, 0, 0.0)))
+    until(lambda: told == [b"calibrated"])
+    for declared in (*kept, frames, state, by_router):
+        declared.undeclare()
+    for links in (perception, camera):
+        links.close()
