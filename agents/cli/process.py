@@ -17,6 +17,7 @@ NICENESS = 8
 the field and the camera."""
 AUTOGROUP = Path("/proc/self/autogroup")
 """Where Linux shares time among sessions before it does among processes, which makes niceness within one moot."""
+LOGGER = logging.getLogger("suturegrasp")
 LINE = logging.Formatter("%(asctime)s %(name)s %(levelname)s: %(message)s", "%H:%M:%S")
 
 
@@ -49,8 +50,9 @@ def _stop_with_supervisor(stop: Callable[[], None]) -> None:
     stop()
 
 
-def log_to_console() -> None:
-    """Send this process's log lines to standard error too."""
+def log_to_console() -> logging.Handler:
+    """Send this process's log lines to standard error too, until the handler that returns is removed."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(LINE)
-    logging.getLogger("suturegrasp").addHandler(handler)
+    LOGGER.addHandler(handler)
+    return handler

@@ -4,7 +4,7 @@ import contextlib
 import logging
 import threading
 
-from agents.cli.process import EXIT_OK, EXIT_UNUSABLE, log_to_console, on_stop
+from agents.cli.process import EXIT_OK, EXIT_UNUSABLE, LOGGER, log_to_console, on_stop
 from agents.cli.rig import RigConfig
 from agents.cli.terminal import complain
 from shared.runtime.access import access_control
@@ -21,8 +21,8 @@ def run_router(rig: RigConfig) -> int:
     """Run a router until it is told to stop; the exit status."""
     stopped = threading.Event()
     on_stop(stopped.set)
-    log_to_console()
     with contextlib.ExitStack() as stack:
+        stack.callback(LOGGER.removeHandler, log_to_console())
         if rig.security is not None:
             stack.enter_context(contextlib.closing(RefusedLinks(LOG.warning)))
         try:
