@@ -120,7 +120,7 @@ def test_up_starts_again_what_is_killed_tells_of_it_and_stops_all_of_it(up, tmp_
     modes = []
     with connected(up.settings, DEADLINE_S) as connection:
         connection.listen((ROBOT_STATE,), lambda tapped: modes.append(decode(RobotState, tapped.payload).mode))
-        until(lambda: connection.present() == ["planner/main", "robot_bridge/psm1"])
+        until(lambda: connection.present() == ["planner/main", "recorder/main", "robot_bridge/psm1"])
         second = ended(SCRIPT, "up", "--config", str(up.config))
         assert (second.returncode, second.stdout, len(second.stderr.splitlines())) == (2, "", 1)
         assert "listens on" in second.stderr
