@@ -9,7 +9,6 @@ it starts and upon each change (shared/runtime/parameters.py).
 import contextlib
 import dataclasses
 import logging
-import os
 import socket
 import threading
 from collections.abc import Callable
@@ -19,7 +18,7 @@ import zenoh
 
 import schemas
 from schemas.checks import MessageError, with_consumed
-from schemas.codec import decode, encode, encoding_name
+from schemas.codec import decode, encoding_name
 from schemas.messages import (
     AgentFacts,
     AgentHealth,
@@ -48,19 +47,21 @@ from schemas.topics import (
     key_root,
 )
 from shared.clock import Stopwatch, monotonic_s, now_ns
-from shared.runtime.accounts import InputAccount, OutputAccount, RingLosses, StepTimes
+from shared.runtime.accounts import InputAccount, RingLosses, StepTimes
 from shared.runtime.agent import Agent, CannotGoOnError, Command, Input, Output, Received, Tick
-from shared.runtime.attachment import Attachment, pack, unpack
+from shared.runtime.attachment import unpack
 from shared.runtime.clock_watch import ClockWatch
 from shared.runtime.clocks import answer_clock
-from shared.runtime.commands import STATUS, Answered, refused, untimely
-from shared.runtime.delivery import RouterLinks, payload_of, ring_room, subscribe
+from shared.runtime.command_queries import taking
+from shared.runtime.commands import Answered, refused, untimely
+from shared.runtime.delivery import RouterLinks, ring_room, subscribe
 from shared.runtime.direct import DirectLinks
 from shared.runtime.facts import Surroundings, answer_facts, facts_of, realtime_priority
 from shared.runtime.fed import Fed, state_topic
 from shared.runtime.inbox import Arrival, Inbox
 from shared.runtime.link import answer_link
 from shared.runtime.log_topic import LogTopic
+from shared.runtime.outlets import Outlets
 from shared.runtime.parameters import Parameters
 from shared.runtime.progress import Handled, answer_progress
 from shared.runtime.replayed_time import AgentClock
@@ -95,25 +96,21 @@ class Runner:
         self._parameters, self._around, self._manager = Parameters(agent), around or Surroundings(), ServiceManager()
         self._root = key_root(rig, agent.instance, agent.kind)
         self._clock, self._handled = AgentClock(), Handled()
+        self._out = Outlets(session, rig, (agent.kind, agent.instance), self._links, self._clock)
         self._inbox = Inbox()
         self._stopped = threading.Event()
-        self._epoch = int.from_bytes(os.urandom(7), "big")
         self._answered = Answered()
         self._inputs = {str(i.topic): InputAccount(str(i.topic)) for i in agent.inputs}
-        self._outputs: dict[str, OutputAccount] = {}
-        self._publishers: dict[str, Any] = {}
         self._kept: list[Any] = []
-        self._fed = Fed(agent, rig, self._epoch)
+        self._fed = Fed(agent, rig, self._out.epoch)
         self._newest_only = {str(i.topic) for i in agent.inputs if i.only_newest_counts}
-        # log records come from other threads too, and must not share a sequence number
-        self._publishing = threading.Lock()
         self._steps, self._processor = StepTimes(), ProcessorShare()
         self._started_s, self._heartbeat, self._fault, self._faults = monotonic_s(), 0, "", 0
         self.gave_up = ""
         self._log = logging.getLogger(f"suturegrasp.{agent.kind}.{agent.instance}")
         self._watched = frozenset[str](getattr(agent, "watches_clocks", ()))
         for topic in (*agent.outputs, HEALTH, LOG, COMMANDS, CONFIGURATION, *((CLOCKS,) if self._watched else ())):
-            self._declare(topic)
+            self._out.declare(topic)
         self._log_topic = LogTopic(agent.kind, agent.instance, self._publish_log)
         self._log.addHandler(self._log_topic)
         self._log.setLevel(logging.INFO)
@@ -133,7 +130,7 @@ class Runner:
                 if change := self._clock.change():
                     self._log.info(change)
                 if now_s >= next_health_s:
-                    self._publish(HEALTH, self._health(now_s), 0.0)
+                    self._out.publish(HEALTH, self._health(now_s))
                     self._manager.status(self._fault or "running")
                     next_health_s = now_s + HEALTH_PERIOD_S
                 if period_s is not None and now_s >= next_tick_s:
@@ -163,11 +160,13 @@ class Runner:
             missed = self._miss_counter(wanted.topic)
             receiver = self._receiver(wanted)
             self._kept += self._links.subscribe(self._session, selector, wanted.topic, receiver, missed, account.ring)
-        for topic in self._agent.commands:
-            selector = key(self._rig, topic, self._agent.instance if topic.per_arm else MAIN)
-            self._kept.append(self._session.declare_queryable(selector, self._take_query(topic), complete=True))
-        own = key(self._rig, SET, self._agent.instance, self._agent.kind)
-        self._kept.append(self._session.declare_queryable(own, self._take_query(SET), complete=True))
+        commands = [
+            (topic, topic.agent, self._agent.instance if topic.per_arm else MAIN) for topic in self._agent.commands
+        ]
+        for topic, agent, instance in (*commands, (SET, self._agent.kind, self._agent.instance)):
+            take = taking(topic, self._inbox, self._answered)
+            selector = key(self._rig, topic, instance, agent)
+            self._kept.append(self._session.declare_queryable(selector, take, complete=True))
         self._answer_questions()
         self._kept.append(RouterWatch(self._session, self._log.warning))
         self._follow_replays()
@@ -206,8 +205,8 @@ class Runner:
         def published() -> tuple[Consumed, ...]:
             # an agent that ticks speaks unasked, and nobody can wait for the end of that
             topics = self._agent.outputs if self._agent.tick_hz is None else ()
-            counts = [(self._key(topic), self._account(topic).published) for topic in topics]
-            return tuple(Consumed(name, self._epoch, count - 1) for name, count in counts if count)
+            counts = [(self._out.key(topic), self._out.account(topic).published) for topic in topics]
+            return tuple(Consumed(name, self._out.epoch, count - 1) for name, count in counts if count)
 
         listens = [key(self._rig, i.topic, i.instance) for i in self._agent.inputs]
         self._kept.append(answer_progress(self._session, self._root, listens, self._handled, published))
@@ -243,24 +242,6 @@ class Runner:
             self._log.error("%d messages of %s were lost", missed, topic)
 
         return count
-
-    def _take_query(self, topic: Topic) -> Callable[[zenoh.Query], None]:
-        def take(query: zenoh.Query) -> None:
-            def answer(reply: CommandAnswer) -> None:
-                query.reply(query.key_expr, encode(reply), encoding=encoding_name(CommandAnswer))
-                query.drop()
-
-            asked = query.parameters.get(STATUS)
-            if asked:
-                unknown = CommandAnswer(
-                    asked, Outcome.UNKNOWN, "unknown_id", "no command of this id was carried out here"
-                )
-                answer(self._answered.recall(asked) or unknown)
-                return
-            payload = query.payload.to_bytes() if query.payload is not None else b""
-            self._inbox.put(Arrival(topic, str(query.key_expr), lambda: payload, b"", answer))
-
-        return take
 
     def _handle(self, arrival: Arrival, counted: bool = False) -> None:
         if arrival.answer is not None:
@@ -305,7 +286,7 @@ class Runner:
             reply = refusal
         else:
             record_key = key(self._rig, COMMANDS, self._agent.instance, self._agent.kind)
-            self._fed.message(record_key, self._epoch, self._account(COMMANDS).published)
+            self._fed.message(record_key, self._out.epoch, self._out.account(COMMANDS).published)
             command = Command(arrival.topic, arrival.key.split("/")[-2], message, received_ns)
             reply, outputs, step_ms = self._answer_of(command)
         self._answered.remember(reply)
@@ -315,12 +296,12 @@ class Runner:
             # whoever asked is gone; what was carried out is recorded all the same
             self._log.warning("an answer to %s could not be sent: %s", arrival.topic, error)
         record = CommandRecord(str(arrival.topic), encoding_name(arrival.topic.message), payload, received_ns, reply)
-        self._publish(COMMANDS, record, 0.0)
+        self._out.publish(COMMANDS, record)
         if arrival.topic is SET and reply.outcome is Outcome.ACCEPTED:
             self._log.info("%s was set to %s by %s", message.name, message.value, message.header.sender)
             # listed from now on, so that a replay that knows nothing of the command knows what followed from it
             sequence = self._publish_configuration()
-            self._fed.message(self._key(CONFIGURATION), self._epoch, sequence, only_newest_counts=True)
+            self._fed.message(self._out.key(CONFIGURATION), self._out.epoch, sequence, only_newest_counts=True)
         if reply.outcome is not Outcome.ACCEPTED:
             self._log.info("refused %s: %s", arrival.topic, reply.reason)
         if outputs:
@@ -377,43 +358,22 @@ class Runner:
         for output in outputs:
             try:
                 message = with_consumed(output.message, fed)
-                place = self._key(output.topic), self._publish(output.topic, message, step_ms)
+                place = self._out.key(output.topic), self._out.publish(output.topic, message, step_ms)
                 last = place if output.topic is (state_topic(self._agent) or output.topic) else last
             except MessageError as error:
                 self._note_fault(error)
         if last is not None:
             self._fed.published(*last)
 
-    def _declare(self, topic: Topic) -> None:
-        self._publishers[str(topic)] = self._links.publisher(self._session, self._key(topic), topic)
-        self._outputs[str(topic)] = OutputAccount(str(topic))
-
-    def _key(self, topic: Topic) -> str:
-        """The key under which this agent publishes a topic."""
-        instance = self._agent.instance if topic.per_arm or topic.agent == "*" else MAIN
-        return key(self._rig, topic, instance, self._agent.kind)
-
-    def _account(self, topic: Topic) -> OutputAccount:
-        return self._outputs[str(topic)]
-
-    def _publish(self, topic: Topic, message: Any, step_ms: float) -> int:
-        """Publish a message; its number in the sequence of its key."""
-        account, payload = self._account(topic), payload_of(topic, message)
-        with self._publishing:
-            beside = Attachment(self._epoch, account.published, self._clock.now_ns(), step_ms)
-            account.count(monotonic_s())
-            self._publishers[str(topic)].put(payload, attachment=pack(beside))
-            return beside.sequence
-
     def _publish_log(self, record: LogRecord) -> None:
-        self._publish(LOG, dataclasses.replace(record, at_ns=self._clock.now_ns()), 0.0)
+        self._out.publish(LOG, dataclasses.replace(record, at_ns=self._clock.now_ns()))
 
     def _publish_configuration(self) -> int:
         told = self._parameters.told(self._clock.now_ns(), self._config_hash)
-        return self._publish(CONFIGURATION, told, 0.0)
+        return self._out.publish(CONFIGURATION, told)
 
     def _publish_clocks(self, clocks: tuple[HostClock, ...]) -> None:
-        self._publish(CLOCKS, HostClocks(self._clock.now_ns(), clocks), 0.0)
+        self._out.publish(CLOCKS, HostClocks(self._clock.now_ns(), clocks))
 
     def _health(self, now_s: float) -> AgentHealth:
         return AgentHealth(
@@ -430,7 +390,7 @@ class Runner:
             inputs=tuple(
                 self._inputs[str(i.topic)].health(self._inbox.dropped(i.topic), now_s) for i in self._agent.inputs
             ),
-            outputs=tuple(self._account(topic).health(now_s) for topic in self._agent.outputs),
+            outputs=tuple(self._out.account(topic).health(now_s) for topic in self._agent.outputs),
             fault=self._fault,
             processor_share=self._processor.since_last(),
             resident_bytes=resident_bytes(),
@@ -440,7 +400,7 @@ class Runner:
         """Let the agent come to rest before it falls silent."""
         self._manager.stopping()
         if self.gave_up:
-            self._publish(HEALTH, self._health(monotonic_s()), 0.0)
+            self._out.publish(HEALTH, self._health(monotonic_s()))
         close = getattr(self._agent, "close", None)
         if close is not None:
             try:
@@ -452,7 +412,7 @@ class Runner:
     def _undeclare(self) -> None:
         self._log.info("stopped")
         self._log.removeHandler(self._log_topic)
-        for declared in (*self._kept, *self._publishers.values()):
+        for declared in (*self._kept, self._out):
             declared.undeclare()
         self._links.close()
 
