@@ -51,6 +51,7 @@ def layout_of(rig: RigConfig) -> Layout:
         rig.security.leaf_days,
         rig.security.authority_days,
         _relative_calibration(rig),
+        rig.sites,
     )
 
 

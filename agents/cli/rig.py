@@ -22,7 +22,7 @@ from agents.cli.rig_hosts import (
 from agents.reconstruction.method_names import DEFAULT_METHOD, MATCHING_METHODS
 from agents.robot_bridge.limits import MAXIMUM_PLAN_AGE_S
 from schemas.topics import MAIN, TOPICS
-from shared.runtime.access import common_name
+from shared.runtime.access import Sites, common_name
 from shared.runtime.config import Settings
 from shared.runtime.identity import Identity, identity_in
 from shared.runtime.session import LOCAL_ENDPOINT, SessionSettings, on_loopback
@@ -45,12 +45,18 @@ Endpoint = Annotated[str, AfterValidator(_reachable)]
 
 
 class RouterSection(Settings):
-    """Where the router is: an endpoint, or one of the hosts; `start` runs ours, a process of its own."""
+    """Where the router is: an endpoint, or one of the hosts; `start` runs ours, a process of its own.
+
+    The rest is about routers of other sites: whom it connects to, and which rigs are read across.
+    """
 
     endpoint: Endpoint = LOCAL_ENDPOINT
     host: HostName | None = None
     port: int = Field(default=7447, gt=0, lt=1 << 16)
     start: bool = True
+    connect: tuple[Endpoint, ...] = ()
+    reads: tuple[Name, ...] = ()
+    read_by_others: bool = False
 
 
 class CameraSection(Settings):
@@ -207,6 +213,15 @@ class RigConfig(Settings):
         return self
 
     @model_validator(mode="after")
+    def _sites_are_told_apart(self) -> "RigConfig":
+        if self.rig in self.router.reads:
+            raise ValueError(f"router.reads names {self.rig!r}, this rig itself; name rigs of other sites")
+        for endpoint in self.router.connect:
+            if not on_loopback(endpoint) and not (self.security is not None and endpoint.startswith("tls/")):
+                raise ValueError(f"router.connect {endpoint!r} leaves this machine, which needs tls and [security]")
+        return self
+
+    @model_validator(mode="after")
     def _links_are_secured(self) -> "RigConfig":
         if not self.hosts:
             if self.router.host is not None or self.host is not None:
@@ -262,6 +277,11 @@ class RigConfig(Settings):
             return self.router.endpoint
         address = self.hosts[self.router.host].address
         return f"tls/{f'[{address}]' if ':' in address else address}:{self.router.port}"
+
+    @property
+    def sites(self) -> Sites:
+        """What the router has to do with those of other sites."""
+        return Sites(self.router.connect, self.router.reads, self.router.read_by_others)
 
     @property
     def session(self) -> SessionSettings:

@@ -45,5 +45,5 @@ def open_rig_router(rig: RigConfig) -> Session:
         IdentityError: where its certificate cannot be used.
     """
     identity = rig.identity_of("router")
-    access = None if identity is None else access_control(rig.rig, rig.common_names())
-    return open_router(rig.router_endpoint, identity, access)
+    access = None if identity is None else access_control(rig.rig, rig.common_names(), rig.sites)
+    return open_router(rig.router_endpoint, identity, access, rig.sites.connect)

@@ -117,8 +117,7 @@ def _leaf(
     builder = _builder(_name(name), signer.certificate.subject, key.public_key(), at, layout.leaf_days)
     builder = builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
     builder = builder.add_extension(_usage(("digital_signature",)), critical=True)
-    roles = [ExtendedKeyUsageOID.SERVER_AUTH] if address else [ExtendedKeyUsageOID.CLIENT_AUTH]
-    builder = builder.add_extension(x509.ExtendedKeyUsage(roles), critical=False)
+    builder = builder.add_extension(x509.ExtendedKeyUsage(_roles(address)), critical=False)
     authority = x509.AuthorityKeyIdentifier.from_issuer_public_key(signer.key.public_key())
     builder = builder.add_extension(authority, critical=False)
     if address:
@@ -145,10 +144,18 @@ def _why_anew(certificate_file: Path, key_file: Path, signer: Signer, address: s
         return "it was another authority's"
     if address and _addresses(old) != [_alternative(address)]:
         return "its host's address has changed"
+    if old.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value != x509.ExtendedKeyUsage(_roles(address)):
+        return "it did not allow what it is needed for"
     left, whole = old.not_valid_after_utc - at, old.not_valid_after_utc - old.not_valid_before_utc
     if left <= datetime.timedelta():
         return "it had expired"
     return "a third of its time was left" if left < RENEWED_WITH_LEFT * whole else ""
+
+
+def _roles(address: str) -> list[x509.ObjectIdentifier]:
+    """All but the router only call; it calls routers of other sites."""
+    server = [ExtendedKeyUsageOID.SERVER_AUTH] if address else []
+    return [*server, ExtendedKeyUsageOID.CLIENT_AUTH]
 
 
 def _addresses(certificate: x509.Certificate) -> list[x509.GeneralName]:

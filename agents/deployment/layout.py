@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from schemas.topics import MAIN
-from shared.runtime.access import common_name
+from shared.runtime.access import ALONE, Sites, common_name
 
 ROUTER = "router"
 ROUTER_NAME = common_name(ROUTER)
@@ -51,6 +51,7 @@ class Layout:
         endpoint: of the router, as Zenoh writes it.
         leaf_days, authority_days: how long certificates are valid.
         calibration: of the camera, beside the rig's file; empty where there is none.
+        sites: what the router has to do with those of other sites.
     """
 
     rig: str
@@ -59,6 +60,7 @@ class Layout:
     leaf_days: int
     authority_days: int
     calibration: str = ""
+    sites: Sites = ALONE
 
     def common_names(self) -> list[str]:
         """The names of all that connects to the router."""

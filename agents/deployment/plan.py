@@ -35,8 +35,8 @@ def plan(layout: Layout, rig_text: str) -> dict[PurePosixPath, str]:
 def router_file(layout: Layout) -> str:
     """What zenohd is told in its container: the same that our own router is."""
     paths = [Path(SECRETS / file) for file in (AUTHORITY_FILE, f"{ROUTER_NAME}.pem", f"{ROUTER_NAME}.key")]
-    access = access_control(layout.rig, layout.common_names())
-    settings = router_settings(layout.endpoint, Identity(*paths), access)
+    access = access_control(layout.rig, layout.common_names(), layout.sites)
+    settings = router_settings(layout.endpoint, Identity(*paths), access, layout.sites.connect)
     return f"// rig {layout.rig}: for zenohd\n{json.dumps(nested(settings), indent=2)}\n"
 
 

@@ -30,7 +30,7 @@ COMMON: dict[str, Any] = {
     "transport/link/tx/queue/size/real_time": BATCHES_WAITING,
     "transport/link/tx/queue/size/data_high": BATCHES_WAITING,
 }
-
+RETRY = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5}
 
 ENDPOINT = re.compile(r"(?P<protocol>[a-z-]+)/(?P<host>.+):(?P<port>\d{1,5})")
 
@@ -71,7 +71,7 @@ def open_session(settings: SessionSettings) -> zenoh.Session:
             "connect/endpoints": [settings.endpoint],
             "connect/timeout_ms": -1,
             "connect/exit_on_failure": False,
-            "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
+            "connect/retry": RETRY,
         }
         | _tls(settings.identity)
     )
@@ -79,29 +79,41 @@ def open_session(settings: SessionSettings) -> zenoh.Session:
 
 
 def router_settings(
-    endpoint: str, identity: Identity | None = None, access: dict[str, Any] | None = None
+    endpoint: str,
+    identity: Identity | None = None,
+    access: dict[str, Any] | None = None,
+    others: tuple[str, ...] = (),
 ) -> dict[str, Any]:
     """What a router is told, ours or zenohd: keys of Zenoh's configuration, with `/` between their parts.
 
-    `access` is its access control; see `shared.runtime.access`.
+    `access` is its access control, see `shared.runtime.access`; `others` are endpoints of routers that it connects to,
+    again and again where one does not answer.
     """
     # nobody is scouted for, so there is nobody to wait for
     settings = COMMON | {"mode": "router", "listen/endpoints": [endpoint], "scouting/delay": 0} | _tls(identity)
+    if others:
+        settings |= {"connect/endpoints": list(others), "connect/retry": RETRY, "connect/exit_on_failure": False}
     return settings if access is None else settings | {"access_control": access}
 
 
-def open_router(endpoint: str, identity: Identity | None = None, access: dict[str, Any] | None = None) -> zenoh.Session:
-    """A session that routes for others, listening on that endpoint.
+def open_router(
+    endpoint: str,
+    identity: Identity | None = None,
+    access: dict[str, Any] | None = None,
+    others: tuple[str, ...] = (),
+) -> zenoh.Session:
+    """A session that routes for others, listening on that endpoint, and linked to routers of other endpoints.
 
     Raises:
         RouterError: where the endpoint cannot be listened on.
         IdentityError: where the endpoint is off loopback and the certificate is missing or not valid.
     """
-    check_security(endpoint, identity)
+    for one in (endpoint, *others):
+        check_security(one, identity)
     # read when the first session of a process is opened
     os.environ.setdefault(RUNTIME_VARIABLE, ROUTER_RUNTIME)
     try:
-        return zenoh.open(_config(router_settings(endpoint, identity, access)))
+        return zenoh.open(_config(router_settings(endpoint, identity, access, others)))
     except zenoh.ZError as error:
         said = str(error).split(" at /")[0]
         raise RouterError(
