@@ -300,9 +300,8 @@ class RigConfig(Settings):
 
     def common_names(self) -> list[str]:
         """The common names of everything that may reach the router, for which there are certificates."""
-        return [
-            common_name(*kind_and_instance(name, host)) for host, section in self.hosts.items() for name in section.runs
-        ]
+        runs = {host: section.runs for host, section in self.hosts.items()} or {MAIN: (*self.processes(), OPERATOR)}
+        return [common_name(*kind_and_instance(name, host)) for host, names in runs.items() for name in names]
 
 
 def simulated_rig() -> RigConfig:

@@ -107,3 +107,11 @@ def test_a_rig_records_what_the_table_says_or_otherwise_what_it_says_itself():
     less = rig('[topics."camera/frames"]\nrecorded = false')
     assert recorded_topics(rig("")) == tuple(topic for topic in TOPICS if topic.recorded)
     assert set(recorded_topics(rig(""))) - set(recorded_topics(less)) == {FRAMES}
+
+
+def test_certificates_without_hosts_are_for_all_that_is_configured():
+    alone = rig(f'[router]\nendpoint = "tls/127.0.0.1:7447"\n[security]\n{SECTIONS}')
+    assert alone.common_names() == [
+        "camera.main", "perception.main", "robot_bridge.psm1", "recorder.main", "operator.main",
+    ]  # fmt: skip
+    assert alone.identity_of("recorder") is not None
