@@ -10,6 +10,8 @@ from shared.runtime.attachment import Attachment
 
 WINDOW_S = 2.0
 STEPS_KEPT = 300
+MOST = 1 << 62
+"""Counts that follow from numbers that others claim are told up to here, and fit their field on the wire."""
 
 
 @dataclass
@@ -74,6 +76,7 @@ class InputAccount:
         ring: what the receiving ring tells, where newest messages alone count.
         skipped: sequence numbers between messages that were looked at.
         missed: events that Zenoh reports as lost.
+        unreadable: of those received, which an agent only remembers, and which could not be read when they were needed.
     """
 
     topic: str
@@ -83,6 +86,7 @@ class InputAccount:
     skipped: int = 0
     missed: int = 0
     refused: int = 0
+    unreadable: int = 0
     age_ms: float | None = None
     _last: dict[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])
 
@@ -93,9 +97,13 @@ class InputAccount:
         self.age_ms = (now_ns - beside.published_ns) * 1e-6
         self._follow(key, beside)
 
-    def refuse(self, key: str, beside: Attachment | None) -> None:
-        """Count a message that could not be read, which is refused, not missed."""
+    def refuse(self, key: str, beside: Attachment | None, counted: bool = False) -> None:
+        """Count a message that could not be read, which is refused, not missed; `counted`: as received, before."""
         self.refused += 1
+        if counted:
+            # another thread counts what is received
+            self.unreadable += 1
+            return
         if beside is not None:
             self._follow(key, beside)
 
@@ -111,7 +119,8 @@ class InputAccount:
             missed, dropped = self.ring.lost, dropped + self.ring.overwritten
         else:
             missed = max(self.missed, self.skipped - dropped)
-        return InputHealth(self.topic, self.rate.hz(now_s), self.age_ms, self.received, dropped, missed, self.refused)
+        received, dropped, missed = self.received - self.unreadable, min(dropped, MOST), min(missed, MOST)
+        return InputHealth(self.topic, self.rate.hz(now_s), self.age_ms, received, dropped, missed, self.refused)
 
 
 @dataclass

@@ -14,6 +14,8 @@ from collections.abc import Callable
 from shared.runtime.session import have_links_logged
 
 REFUSED = re.compile(r"WARN .*zenoh_link_tls\S*: (?P<reason>.*?)\.?(?: Hint: .*)?$")
+DETAILS = re.compile(r": verification time .*")
+"""Of a certificate that is out of date: seconds, which would make every refusal a reason of its own."""
 STYLE = re.compile(r"\x1b\[[0-9;]*m")
 LIKE_PER_LINE = 100
 """After the first, only every so many like refusals are told."""
@@ -54,7 +56,7 @@ class RefusedLinks:
         found = REFUSED.search(STYLE.sub("", line).rstrip())
         if found is None:
             return False
-        reason = found["reason"]
+        reason = DETAILS.sub("", found["reason"])
         self.counted[reason] += 1
         if self.counted[reason] % LIKE_PER_LINE == 1:
             self._tell(f"a link was refused: {reason} ({self.counted[reason]} so far)")

@@ -49,6 +49,7 @@ from schemas.topics import (
 from shared.clock import Stopwatch, monotonic_s, now_ns
 from shared.runtime.accounts import InputAccount, RingLosses, StepTimes
 from shared.runtime.agent import Agent, CannotGoOnError, Command, Input, Output, Received, Tick
+from shared.runtime.arms import check_arm
 from shared.runtime.attachment import unpack
 from shared.runtime.clock_watch import ClockWatch
 from shared.runtime.clocks import answer_clock
@@ -217,18 +218,23 @@ class Runner:
         put = self._remember if wanted.only_remembered else put
 
         def receive(sample: zenoh.Sample) -> None:
-            attachment = sample.attachment.to_bytes() if sample.attachment is not None else b""
-            put(Arrival(wanted.topic, str(sample.key_expr), sample.payload.to_bytes, attachment))
+            key, beside = str(sample.key_expr), sample.attachment
+            # one message for many keys is none of any of them
+            attachment = beside.to_bytes() if beside is not None and "*" not in key else b""
+            put(Arrival(wanted.topic, key, sample.payload.to_bytes, attachment))
 
         return receive
 
     def _remember(self, arrival: Arrival) -> None:
         """Keep what the agent only remembers; nothing follows from it until it acts on something else."""
-        self._inbox.remember(arrival)
         beside = unpack(arrival.attachment)
-        if beside is not None:
-            self._inputs[str(arrival.topic)].arrived(arrival.key, beside, self._clock.now_ns(), monotonic_s())
-            self._handled.note(arrival.key, beside.epoch, beside.sequence)
+        if beside is None:
+            # it will be refused, and must be counted even where another one takes its place
+            self._inbox.put(arrival)
+            return
+        self._inbox.remember(arrival)
+        self._inputs[str(arrival.topic)].arrived(arrival.key, beside, self._clock.now_ns(), monotonic_s())
+        self._handled.note(arrival.key, beside.epoch, beside.sequence)
 
     def _feed_remembered(self) -> None:
         for arrival in self._inbox.remembered():
@@ -253,10 +259,11 @@ class Runner:
             if beside is None:
                 raise MessageError("it came without the attachment that agents send")
             message = decode(arrival.topic.message, arrival.payload())
+            check_arm(arrival.topic, arrival.key, message)
         except MessageError as error:
             if account.refused % LIKE_PER_LINE == 0:
                 self._log.warning("a message on %s was refused: %s", arrival.key, error)
-            account.refuse(arrival.key, beside)
+            account.refuse(arrival.key, beside, counted)
             if beside is not None:
                 self._handled.note(arrival.key, beside.epoch, beside.sequence)
             return

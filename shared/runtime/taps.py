@@ -71,9 +71,11 @@ def tap(
 
 def _receiver(topic: Topic, receive: Callable[[Tapped], None], handled: Handled) -> Callable[[zenoh.Sample], None]:
     def hand_over(sample: zenoh.Sample) -> None:
-        beside = unpack(sample.attachment.to_bytes()) if sample.attachment is not None else None
-        receive(Tapped(topic, str(sample.key_expr), sample.payload.to_bytes(), beside))
+        key, attachment = str(sample.key_expr), sample.attachment
+        # one message for many keys has a number in the sequence of none of them
+        beside = unpack(attachment.to_bytes()) if attachment is not None and "*" not in key else None
+        receive(Tapped(topic, key, sample.payload.to_bytes(), beside))
         if beside is not None:
-            handled.note(str(sample.key_expr), beside.epoch, beside.sequence)
+            handled.note(key, beside.epoch, beside.sequence)
 
     return hand_over

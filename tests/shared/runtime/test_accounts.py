@@ -7,6 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from schemas.codec import decode, encode
+from schemas.messages import InputHealth
 from shared.runtime.accounts import InputAccount, OutputAccount, Rate, RingLosses, StepTimes
 from shared.runtime.attachment import Attachment
 
@@ -161,3 +163,25 @@ def test_step_times_are_percentiles_of_the_last_steps():
         times.add(ms)
     assert times.percentile(50) == pytest.approx(149.5)
     assert times.percentile(99) == pytest.approx(296.0, abs=0.1)
+
+
+@given(ahead=st.lists(st.integers(0, 2**64 - 1), min_size=1, max_size=20))
+def test_whatever_numbers_are_claimed_health_can_be_told(ahead):
+    ring = RingLosses(ROOM)
+    latest, event = InputAccount("t", ring), InputAccount("t")
+    for sequence in (*ahead, 0, 2**64 - 1, 0, 2**64 - 1):
+        ring.taken("a", beside(sequence))
+        ring.emptied()
+        arrived(latest, sequence)
+        arrived(event, sequence)
+    told = (latest.health(0, 0.0), event.health(0, 0.0))
+    assert [decode(InputHealth, encode(health)) for health in told] == list(told)
+    assert event.health(0, 0.0).missed > 2**60
+
+
+def test_what_was_remembered_and_could_not_be_read_when_it_was_needed_counts_once():
+    account = InputAccount("t")
+    arrived(account, 0, 1, 2)
+    account.refuse("a", beside(2), counted=True)
+    health = account.health(0, 0.0)
+    assert (health.received, health.refused, health.missed) == (2, 1, 0)
