@@ -141,24 +141,36 @@ def _print_rigs(rows: list[dict[str, Any]]) -> None:
 
 def _arrived(row: dict[str, Any]) -> dict[str, Any]:
     topics = row["topics"]
-    shown = {name: f"{t['delivered %']}, {t['p50 ms']} / {t['p99 ms']}" for name in SHOWN_TOPICS if (t := topics[name])}
+    shown = {name: _in_words(topics[name]) for name in SHOWN_TOPICS}
     lost = sum(round(t["sent"] * (100 - t["delivered %"]) / 100) for t in topics.values())
     told = sum(t["told lost"] for t in topics.values())
     return {"way": row["way"], "rigs": row["rigs"], **shown, "not heard": lost, "told lost": told}
 
 
+def _in_words(topic: dict[str, Any]) -> str:
+    return f"{topic['delivered %']}, {topic['p50 ms']} / {topic['p99 ms']}"
+
+
 def _print_narrow(rows: list[dict[str, Any]]) -> None:
     megabits = rows[0]["megabits"]
     wanted = {row["rigs"]: 8e-3 * sum(one["kB/s"] for one in rig_bytes()) * row["rigs"] for row in rows}
-    CONSOLE.print(f"a link of {megabits} Mbit/s; wanted: {', '.join(f'{n} rigs {w:.0f}' for n, w in wanted.items())}")
-    for row in rows:
-        _print(f"{row['rigs']} rigs behind it", ({"topic": name, **topic} for name, topic in row["topics"].items()))
+    loads = ", ".join(f"{row['load before']}" for row in rows)
+    wishes = ", ".join(f"{n} rigs {w:.0f}" for n, w in wanted.items())
+    CONSOLE.print(f"a link of {megabits} Mbit/s; wanted: {wishes}; load before {loads}")
+    shown = [
+        {"topic": name, **{f"{row['rigs']} rigs": _in_words(row["topics"][name]) for row in rows}}
+        for name in rows[0]["topics"]
+    ]
+    _print("what arrives: delivered %, p50 / p99 ms", shown)
 
 
 def _print_sites(rows: list[dict[str, Any]]) -> None:
     _print("over the link between two sites", (_without(row, "topics", "at the sites") for row in rows))
-    everything = [{"topic": name, **topic} for name, topic in rows[-1]["topics"].items()]
-    _print(f"what {rows[-1]['reader']} hears across", everything)
+    for row in rows:
+        if heard := row["topics"].values():
+            least, most_ms = min(t["delivered %"] for t in heard), max(t["p99 ms"] for t in heard)
+            CONSOLE.print(f"{row['reader']}: of each topic {least} % or more came, 99 % within {most_ms} ms")
+    CONSOLE.print()
 
 
 def _print_recorder(rows: list[dict[str, Any]]) -> None:
