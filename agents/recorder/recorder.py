@@ -15,6 +15,7 @@ from schemas.topics import Topic
 from shared.clock import monotonic_s, now_ns
 from shared.recording.entry import Entry, Note
 from shared.recording.losses import LOSSES, NOT_WRITTEN, Loss, by_key, sentence
+from shared.recording.writer import TooManyRunsError
 from shared.runtime.taps import Tapped
 
 __all__ = ["LOSSES", "Recorder", "RecorderSettings", "RecordingReport"]
@@ -200,11 +201,16 @@ class Recorder:
         self._sink.abandon()
 
     def _do(self, write: Callable[[], None]) -> bool:
-        """Write, unless the disk has failed before: the first fault is the cause of those that would follow."""
+        """Write, unless the disk has failed before: the first fault is the cause of those that would follow.
+
+        What alone cannot be written is no fault.
+        """
         if self._fault:
             return False
         try:
             write()
+        except TooManyRunsError:
+            return False
         except OSError as error:
             self._fault = f"{self._path} cannot be written: {error.strerror or error}"
             return False

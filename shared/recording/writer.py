@@ -20,6 +20,12 @@ LIBRARY = f"suturegrasp {schemas.__version__}"
 CHUNK_BYTES = 1 << 20
 MASK = 0xFFFFFFFF
 """MCAP keeps the lower 32 bits of a sequence number: years at the highest rate of one run."""
+MOST_RUNS = 50_000
+"""Runs of publishers in one file, each of which is a channel; MCAP numbers channels with 16 bits."""
+
+
+class TooManyRunsError(ValueError):
+    """A message of yet another run, as only somebody sends who makes runs up; it alone is not written."""
 
 
 class RecordingWriter:
@@ -43,7 +49,11 @@ class RecordingWriter:
         """Of messages; what the file holds besides is small."""
 
     def write(self, topic: Topic, entry: Entry) -> None:
-        """Add a message."""
+        """Add a message.
+
+        Raises:
+            TooManyRunsError: where the file has no room for its publisher's run.
+        """
         self._add(self._channel(topic, entry), entry, entry.sequence, entry.payload)
 
     def write_derived(self, channel: str, schema: str, descriptors: bytes, payload: bytes, entry: Entry) -> None:
@@ -95,6 +105,8 @@ class RecordingWriter:
     def _channel(self, topic: Topic, entry: Entry) -> int:
         run = entry.key, entry.epoch, entry.repeated
         if run not in self._channels:
+            if len(self._channels) >= MOST_RUNS:
+                raise TooManyRunsError(f"{entry.key}: more than {MOST_RUNS} runs of publishers are in this file")
             schema = self._schema(f"suturegrasp.v1.{topic.message.__name__}", self._descriptors)
             facts = {
                 "epoch": str(entry.epoch),

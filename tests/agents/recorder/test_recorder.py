@@ -224,3 +224,13 @@ def test_a_gap_between_publisher_and_recorder_is_counted(settings, session, reco
         until(lambda: sum(recorder.report().received.values()) == 3)
     assert recorder.close().lost == {key(settings.rig, PLAN): 3}
     publisher.undeclare()
+
+
+def test_runs_beyond_those_that_a_file_can_tell_apart_are_lost_alone_and_named(record, tmp_path, monkeypatch):
+    monkeypatch.setattr("shared.recording.writer.MOST_RUNS", 3)
+    recorder = record(tmp_path / "a.mcap")
+    for epoch in (1, 2, 3, 4, 5, 3):
+        recorder.put(tapped(epoch, epoch=epoch))
+    report = recorder.close()
+    assert [epoch for _, epoch, _ in places(report.path)] == [1, 2, 3, 3]
+    assert (report.lost, report.fault) == ({CAMERA: 2}, "")
