@@ -83,7 +83,7 @@ class Heard:
         kind = tapped.key.split("/")[2]
         if tapped.topic is HEALTH and message.agent == kind:
             self.health[kind] = message
-            if message.fault:
+            if message.fault.startswith("a step failed"):
                 self.faults[kind].add(message.fault)
         elif tapped.topic is LOG:
             self.logged.append((kind, message.text))
