@@ -9,7 +9,7 @@ from pathlib import Path
 from agents.camera.image_files import ImageFileError
 from agents.camera.sources import SourceError
 from agents.cli.builders import build
-from agents.cli.process import EXIT_GAVE_UP, EXIT_OK, EXIT_UNUSABLE, log_to_console, on_stop, step_back
+from agents.cli.process import EXIT_GAVE_UP, EXIT_OK, EXIT_UNUSABLE, LOGGER, log_to_console, on_stop, step_back
 from agents.cli.rig import RigConfig
 from agents.cli.rig_hosts import run_name
 from agents.cli.terminal import complain
@@ -32,7 +32,14 @@ REALTIME_PRIORITY = 50
 
 def run_agent(rig: RigConfig, kind: str, instance: str) -> int:
     """Run one agent until it is told to stop; the exit status."""
-    log_to_console()
+    handler = log_to_console()
+    try:
+        return _run(rig, kind, instance)
+    finally:
+        LOGGER.removeHandler(handler)
+
+
+def _run(rig: RigConfig, kind: str, instance: str) -> int:
     keep_freed_memory()
     if kind in YIELDING:
         step_back()
