@@ -45,11 +45,15 @@ class Moment:
     frame: int | None = None
 
 
+FLUSHED_EVERY = 100
+"""Messages after which Rerun is told to write: until then it keeps what it was given, and never lets go by itself."""
+
+
 class Sink:
     """A stream of entities that stamps every one with its moment."""
 
     def __init__(self, stream: rr.RecordingStream) -> None:
-        self._stream = stream
+        self._stream, self._logged = stream, 0
         stream.set_log_time_enabled(False)
 
     def log(self, moment: Moment, entities: Iterable[Entity]) -> None:
@@ -62,6 +66,10 @@ class Sink:
         for path, archetypes in entities:
             for archetype in archetypes:
                 self._stream.log(path, archetype, static=isinstance(archetype, STATIC))
+        self._logged += 1
+        if self._logged % FLUSHED_EVERY == 0:
+            # begun, and not waited for
+            self._stream.flush(timeout_sec=0.0)
 
     def lay_out(self, layout: rrb.Blueprint) -> None:
         """Arrange the views anew."""
