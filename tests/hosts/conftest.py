@@ -124,7 +124,7 @@ def listening():
         yield listen
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def lab(tmp_path_factory):
     """A rig on four hosts and a router, once a thread was seen; left out where this system cannot play it."""
     try:
