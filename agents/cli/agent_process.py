@@ -75,7 +75,7 @@ def surroundings(rig: RigConfig, kind: str, instance: str) -> Surroundings:
     )
 
 
-def links(rig: RigConfig, kind: str, instance: str) -> RouterLinks | DirectLinks:
+def links(rig: RigConfig, kind: str, instance: str) -> RouterLinks:
     """By which ways the agent's messages go; sockets of direct links lie where this user's alone do."""
     if not rig.links.direct:
         return RouterLinks()

@@ -8,7 +8,7 @@ import zenoh
 from zenoh import ext
 
 from schemas.codec import encoded_parts, encoding_name
-from schemas.messages import Heartbeat, RobotState, StereoFrame
+from schemas.messages import StereoFrame
 from schemas.topics import Delivery, Topic
 from shared.runtime.accounts import RingLosses
 from shared.runtime.attachment import unpack
@@ -18,9 +18,6 @@ EVENT_CACHE = 1000
 """Events kept for those who were away: about a router's restart at the highest rate of events."""
 MISS_HEARTBEAT_S = 0.5
 ENDS_S = 5.0
-URGENT = (RobotState, Heartbeat)
-PRIORITIES = {StereoFrame: zenoh.Priority.DATA_LOW} | dict.fromkeys(URGENT, zenoh.Priority.REAL_TIME)
-"""Of newest messages; the rest lies between."""
 _RING, _WILDCARD_RING = 8, 64
 """Newest samples that wait for the thread that puts them away, which takes microseconds: what is replaced is replaced,
 and counted, in the inbox. Behind a key expression with a wildcard many keys share one channel."""

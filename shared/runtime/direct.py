@@ -17,7 +17,7 @@ import zenoh
 from schemas.topics import FRAMES, MAIN, Topic
 from shared.runtime.accounts import RingLosses
 from shared.runtime.attachment import unpack
-from shared.runtime.delivery import declare_publisher, ring_room, subscribe
+from shared.runtime.delivery import RouterLinks, declare_publisher, ring_room, subscribe
 from shared.runtime.session import COMMON
 
 SOCKETS_MODE = 0o700
@@ -60,7 +60,7 @@ def _direct_config(listen: list[str] | None = None, connect: list[str] | None = 
     return config
 
 
-class DirectLinks:
+class DirectLinks(RouterLinks):
     """The ways of one agent's messages: frames by a direct link where both ends have one, all else by the router."""
 
     def __init__(self, folder: Path, kind: str, instance: str) -> None:
@@ -70,7 +70,7 @@ class DirectLinks:
     def publisher(self, session: zenoh.Session, key: str, topic: Topic) -> Any:
         """A publisher of a topic that is not a command, as `delivery.declare_publisher` makes it."""
         if topic is not FRAMES:
-            return declare_publisher(session, key, topic)
+            return super().publisher(session, key, topic)
         direct = open_direct_publishing(socket_endpoint(self._folder, *self._own))
         self._sessions.append(direct)
         return DirectPublisher(session, direct, key, topic)
@@ -86,7 +86,7 @@ class DirectLinks:
     ) -> list[Any]:
         """Have every sample handed over once, as `delivery.subscribe` does."""
         if topic is not FRAMES:
-            return subscribe(session, key, topic, receive, missed, losses)
+            return super().subscribe(session, key, topic, receive, missed, losses)
         direct = open_direct_consuming([socket_endpoint(self._folder, topic.agent, MAIN)])
         self._sessions.append(direct)
         return subscribe_directly(session, direct, key, topic, receive, losses)

@@ -11,7 +11,7 @@ LEVELS = ((logging.ERROR, LogLevel.ERROR), (logging.WARNING, LogLevel.WARNING), 
 class LogTopic(logging.Handler):
     """Hands each record of a logger over as a message."""
 
-    def __init__(self, agent: str, instance: str, publish: Callable[[LogRecord], None]) -> None:
+    def __init__(self, agent: str, instance: str, publish: Callable[[LogRecord], object]) -> None:
         super().__init__()
         self._agent, self._instance, self._publish = agent, instance, publish
 
@@ -21,3 +21,8 @@ class LogTopic(logging.Handler):
         # names of files may hold bytes that are no text, and messages hold text alone
         text = self.format(record).encode(errors="replace").decode()
         self._publish(LogRecord(round(record.created * 1e9), self._agent, self._instance, level, text))
+
+    def await_quiet(self) -> None:
+        """Return once no record is being published any more; for when the handler has been removed."""
+        self.acquire()
+        self.release()

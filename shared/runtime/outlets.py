@@ -9,7 +9,6 @@ from shared.clock import monotonic_s
 from shared.runtime.accounts import OutputAccount
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.delivery import RouterLinks, payload_of
-from shared.runtime.direct import DirectLinks
 from shared.runtime.replayed_time import AgentClock
 from shared.runtime.session import Session
 
@@ -26,7 +25,7 @@ class Outlets:
         session: Session,
         rig: str,
         own: tuple[str, str],
-        links: RouterLinks | DirectLinks,
+        links: RouterLinks,
         clock: AgentClock,
     ) -> None:
         self.epoch = int.from_bytes(os.urandom(7), "big")

@@ -2,7 +2,6 @@
 once a second, its log, and where it is asked its host's clock, its facts and what lies between."""
 
 import logging
-import os
 import socket
 import threading
 from collections.abc import Callable, Generator
@@ -13,16 +12,16 @@ from typing import Any
 import zenoh
 
 import schemas
-from schemas.codec import encode
-from schemas.messages import AgentHealth, LogRecord
-from schemas.topics import HEALTH, LOG, Topic, key, key_root
+from schemas.messages import AgentHealth
+from schemas.topics import HEALTH, LOG, key_root
 from shared.clock import monotonic_s, now_ns
-from shared.runtime.attachment import Attachment, pack
 from shared.runtime.clocks import answer_clock
-from shared.runtime.delivery import declare_publisher
+from shared.runtime.delivery import RouterLinks
 from shared.runtime.facts import Surroundings, answer_facts, facts_of, realtime_priority
 from shared.runtime.link import answer_link
 from shared.runtime.log_topic import LogTopic
+from shared.runtime.outlets import Outlets
+from shared.runtime.replayed_time import AgentClock
 from shared.runtime.router_watch import RouterWatch
 from shared.runtime.usage import ProcessorShare, resident_bytes
 
@@ -41,8 +40,10 @@ def reporting(
     around: Surroundings | None = None,
 ) -> Generator[None]:
     """Tell all that for as long as it lasts; `fault` says what is wrong at the moment, or is empty."""
-    tell_health, tell_log = (_Teller(session, rig, topic, kind, instance) for topic in (HEALTH, LOG))
-    log_topic = LogTopic(kind, instance, tell_log)
+    out = Outlets(session, rig, (kind, instance), RouterLinks(), AgentClock())
+    for topic in (HEALTH, LOG):
+        out.declare(topic)
+    log_topic = LogTopic(kind, instance, lambda record: out.publish(LOG, record))
     root, surroundings, granted = key_root(rig, instance, kind), around or Surroundings(), realtime_priority()
     kept = [
         session.liveliness().declare_token(root),
@@ -57,7 +58,7 @@ def reporting(
 
     def repeat() -> None:
         while not stopped.is_set():
-            tell_health(health.now())
+            out.publish(HEALTH, health.now())
             stopped.wait(PERIOD_S)
 
     thread = threading.Thread(target=repeat, name="health", daemon=True)
@@ -67,26 +68,11 @@ def reporting(
     finally:
         stopped.set()
         thread.join()
-        tell_health(health.now())
+        out.publish(HEALTH, health.now())
         logger.removeHandler(log_topic)
-        for declared in (*kept, tell_health, tell_log):
+        log_topic.await_quiet()
+        for declared in (*kept, out):
             declared.undeclare()
-
-
-class _Teller:
-    """Publishes messages of a topic, numbered, whichever thread they come from."""
-
-    def __init__(self, session: zenoh.Session, rig: str, topic: Topic, kind: str, instance: str) -> None:
-        self._publisher = declare_publisher(session, key(rig, topic, instance, kind), topic)
-        self._epoch, self._numbers, self._lock = int.from_bytes(os.urandom(7), "big"), count(), threading.Lock()
-
-    def __call__(self, message: AgentHealth | LogRecord) -> None:
-        with self._lock:
-            beside = Attachment(self._epoch, next(self._numbers), now_ns(), 0.0)
-            self._publisher.put(encode(message), attachment=pack(beside))
-
-    def undeclare(self) -> None:
-        self._publisher.undeclare()
 
 
 class _Health:

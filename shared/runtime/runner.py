@@ -56,7 +56,6 @@ from shared.runtime.clocks import answer_clock
 from shared.runtime.command_queries import taking
 from shared.runtime.commands import Answered, refused, untimely
 from shared.runtime.delivery import RouterLinks, ring_room, subscribe
-from shared.runtime.direct import DirectLinks
 from shared.runtime.facts import Surroundings, answer_facts, facts_of, realtime_priority
 from shared.runtime.fed import Fed, state_topic
 from shared.runtime.inbox import Arrival, Inbox
@@ -90,7 +89,7 @@ class Runner:
         rig: str,
         config_hash: str = "",
         around: Surroundings | None = None,
-        links: RouterLinks | DirectLinks | None = None,
+        links: RouterLinks | None = None,
     ) -> None:
         self._links = links or RouterLinks()
         self._agent, self._session, self._rig, self._config_hash = agent, session, rig, config_hash
