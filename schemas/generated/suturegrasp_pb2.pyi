@@ -310,13 +310,14 @@ class ThreadObservations(_message.Message):
     def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., segmenter: _Optional[str] = ..., points_camera: _Optional[_Union[Array, _Mapping]] = ..., half_size_px: _Optional[_Union[Array, _Mapping]] = ..., matched_px: _Optional[_Union[Array, _Mapping]] = ..., match_cost: _Optional[_Union[Array, _Mapping]] = ..., inlier: _Optional[_Union[Array, _Mapping]] = ..., mask_left: _Optional[_Union[Image, _Mapping]] = ..., mask_right: _Optional[_Union[Image, _Mapping]] = ..., judgements: _Optional[_Iterable[_Union[Judgement, _Mapping]]] = ..., gaps: _Optional[_Union[Array, _Mapping]] = ..., centrelines_left: _Optional[_Union[Centrelines, _Mapping]] = ..., centrelines_right: _Optional[_Union[Centrelines, _Mapping]] = ..., looked_sequence: _Optional[int] = ..., is_bright: _Optional[bool] = ..., prompt_px: _Optional[_Union[Array, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
 
 class TissueSurface(_message.Message):
-    __slots__ = ("stamp", "camera", "u_px", "v_px", "depth", "valid", "consumed")
+    __slots__ = ("stamp", "camera", "u_px", "v_px", "depth", "valid", "deviation", "consumed")
     STAMP_FIELD_NUMBER: _ClassVar[int]
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     U_PX_FIELD_NUMBER: _ClassVar[int]
     V_PX_FIELD_NUMBER: _ClassVar[int]
     DEPTH_FIELD_NUMBER: _ClassVar[int]
     VALID_FIELD_NUMBER: _ClassVar[int]
+    DEVIATION_FIELD_NUMBER: _ClassVar[int]
     CONSUMED_FIELD_NUMBER: _ClassVar[int]
     stamp: FrameStamp
     camera: RectifiedStereo
@@ -324,8 +325,9 @@ class TissueSurface(_message.Message):
     v_px: Array
     depth: Array
     valid: Array
+    deviation: Array
     consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
-    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., u_px: _Optional[_Union[Array, _Mapping]] = ..., v_px: _Optional[_Union[Array, _Mapping]] = ..., depth: _Optional[_Union[Array, _Mapping]] = ..., valid: _Optional[_Union[Array, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
+    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., u_px: _Optional[_Union[Array, _Mapping]] = ..., v_px: _Optional[_Union[Array, _Mapping]] = ..., depth: _Optional[_Union[Array, _Mapping]] = ..., valid: _Optional[_Union[Array, _Mapping]] = ..., deviation: _Optional[_Union[Array, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
 
 class ReliabilityRegions(_message.Message):
     __slots__ = ("s", "centre_camera", "bound_px", "bound_depth", "slack")
@@ -753,8 +755,28 @@ class Alternative(_message.Message):
     reason: str
     def __init__(self, s_capture: _Optional[float] = ..., probability: _Optional[float] = ..., reason: _Optional[str] = ...) -> None: ...
 
+class TissueClearance(_message.Message):
+    __slots__ = ("stamp", "unchecked", "known_share", "clearance_m", "deviation_m", "place_camera", "phase", "s")
+    STAMP_FIELD_NUMBER: _ClassVar[int]
+    UNCHECKED_FIELD_NUMBER: _ClassVar[int]
+    KNOWN_SHARE_FIELD_NUMBER: _ClassVar[int]
+    CLEARANCE_M_FIELD_NUMBER: _ClassVar[int]
+    DEVIATION_M_FIELD_NUMBER: _ClassVar[int]
+    PLACE_CAMERA_FIELD_NUMBER: _ClassVar[int]
+    PHASE_FIELD_NUMBER: _ClassVar[int]
+    S_FIELD_NUMBER: _ClassVar[int]
+    stamp: FrameStamp
+    unchecked: str
+    known_share: float
+    clearance_m: float
+    deviation_m: float
+    place_camera: Array
+    phase: Phase
+    s: float
+    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., unchecked: _Optional[str] = ..., known_share: _Optional[float] = ..., clearance_m: _Optional[float] = ..., deviation_m: _Optional[float] = ..., place_camera: _Optional[_Union[Array, _Mapping]] = ..., phase: _Optional[_Union[Phase, str]] = ..., s: _Optional[float] = ...) -> None: ...
+
 class GraspPlan(_message.Message):
-    __slots__ = ("plan_id", "arm", "goal_id", "stamp", "status", "reason", "policy", "s_goal", "s_capture", "probability", "slide_m", "waypoints", "alternatives", "consumed")
+    __slots__ = ("plan_id", "arm", "goal_id", "stamp", "status", "reason", "policy", "s_goal", "s_capture", "probability", "slide_m", "waypoints", "alternatives", "tissue", "consumed")
     PLAN_ID_FIELD_NUMBER: _ClassVar[int]
     ARM_FIELD_NUMBER: _ClassVar[int]
     GOAL_ID_FIELD_NUMBER: _ClassVar[int]
@@ -768,6 +790,7 @@ class GraspPlan(_message.Message):
     SLIDE_M_FIELD_NUMBER: _ClassVar[int]
     WAYPOINTS_FIELD_NUMBER: _ClassVar[int]
     ALTERNATIVES_FIELD_NUMBER: _ClassVar[int]
+    TISSUE_FIELD_NUMBER: _ClassVar[int]
     CONSUMED_FIELD_NUMBER: _ClassVar[int]
     plan_id: str
     arm: str
@@ -782,8 +805,9 @@ class GraspPlan(_message.Message):
     slide_m: float
     waypoints: _containers.RepeatedCompositeFieldContainer[Waypoint]
     alternatives: _containers.RepeatedCompositeFieldContainer[Alternative]
+    tissue: TissueClearance
     consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
-    def __init__(self, plan_id: _Optional[str] = ..., arm: _Optional[str] = ..., goal_id: _Optional[str] = ..., stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., policy: _Optional[_Union[Policy, str]] = ..., s_goal: _Optional[float] = ..., s_capture: _Optional[float] = ..., probability: _Optional[float] = ..., slide_m: _Optional[float] = ..., waypoints: _Optional[_Iterable[_Union[Waypoint, _Mapping]]] = ..., alternatives: _Optional[_Iterable[_Union[Alternative, _Mapping]]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
+    def __init__(self, plan_id: _Optional[str] = ..., arm: _Optional[str] = ..., goal_id: _Optional[str] = ..., stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., policy: _Optional[_Union[Policy, str]] = ..., s_goal: _Optional[float] = ..., s_capture: _Optional[float] = ..., probability: _Optional[float] = ..., slide_m: _Optional[float] = ..., waypoints: _Optional[_Iterable[_Union[Waypoint, _Mapping]]] = ..., alternatives: _Optional[_Iterable[_Union[Alternative, _Mapping]]] = ..., tissue: _Optional[_Union[TissueClearance, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
 
 class RobotState(_message.Message):
     __slots__ = ("arm", "measured_ns", "mode", "T_base_tool", "joints", "jaw_rad", "T_camera_base", "plan_id", "consumed")

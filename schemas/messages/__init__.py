@@ -22,6 +22,7 @@ from schemas.messages.grasping import (
     Prompt,
     RobotMode,
     RobotState,
+    TissueClearance,
     Waypoint,
 )
 from schemas.messages.imaging import (
@@ -129,6 +130,7 @@ __all__ = [
     "ThreadObservations",
     "ThreadReconstruction",
     "ThreadTrack",
+    "TissueClearance",
     "TissueSurface",
     "TrackStep",
     "Verdict",

@@ -134,10 +134,44 @@ class Alternative:
 
 
 @dataclass(frozen=True)
+class TissueClearance:
+    """How the jaws of a plan, or of the best that was rejected, stand to the tissue that perception saw.
+
+    Fields:
+        stamp: of the frame whose surface was looked at; None where there was none to look at.
+        unchecked: why not all of the way was checked against tissue; empty where all of it was.
+        known_share: of the places that the jaws pass, those with known tissue before or behind them.
+        clearance_m: the least of a jaw before the tissue, along the viewing ray; negative where it presses in, None
+            where nothing was checked.
+        deviation_m: its standard deviation.
+        place_camera: the place of the jaw that it is of, with the phase, and the s that the jaws are at.
+    """
+
+    stamp: FrameStamp | None
+    unchecked: str
+    known_share: float
+    clearance_m: float | None = None
+    deviation_m: float | None = None
+    place_camera: Float64[np.ndarray, "3"] | None = None
+    phase: Phase | None = None
+    s: float | None = None
+
+    def __post_init__(self) -> None:
+        check_message(self)
+        require(0 <= self.known_share <= 1, f"known_share must lie within 0 and 1, and is {self.known_share}")
+        require(self.deviation_m is None or self.deviation_m >= 0, "deviation_m must not be negative")
+        told = [v is None for v in (self.clearance_m, self.deviation_m, self.place_camera, self.phase, self.s)]
+        require(all(told) or not any(told), "a clearance comes with its deviation, place, phase and s")
+        require(all(told) == (self.known_share == 0), "a clearance is told where anything is known, else none")
+        require(not all(told) or self.unchecked != "", "where nothing was checked there is a reason")
+
+
+@dataclass(frozen=True)
 class GraspPlan:
     """A grasp as tool poses in the camera frame, or why there is none (status FAILED with a reason).
 
-    `stamp` is that of the frame whose thread the plan was made from.
+    `stamp` is that of the frame whose thread the plan was made from; `tissue` is None where a rejection came before
+    tissue was looked at, and from planners that never look at it.
     """
 
     plan_id: str
@@ -153,6 +187,7 @@ class GraspPlan:
     slide_m: float
     waypoints: tuple[Waypoint, ...]
     alternatives: tuple[Alternative, ...]
+    tissue: TissueClearance | None = None
     consumed: tuple[Consumed, ...] = ()
 
     def __post_init__(self) -> None:

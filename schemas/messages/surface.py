@@ -18,6 +18,8 @@ class TissueSurface:
         u_px, v_px: the middles of the grid's columns and rows.
         depth: z in the camera frame, in the calibration's unit; 0 where it is not known.
         valid: where it is known.
+        deviation: standard deviation of the depth, in its unit, 0 where that is not known; None from those who do not
+            tell it.
     """
 
     stamp: FrameStamp
@@ -26,6 +28,7 @@ class TissueSurface:
     v_px: Float64[np.ndarray, "r"]
     depth: Float64[np.ndarray, "r c"]
     valid: Bool[np.ndarray, "r c"]
+    deviation: Float64[np.ndarray, "r c"] | None = None
     consumed: tuple[Consumed, ...] = ()
 
     def __post_init__(self) -> None:
@@ -34,3 +37,7 @@ class TissueSurface:
             require(bool((np.diff(middles) > 0).all()), f"{name} of a surface must increase")
         require(bool(((self.depth > 0) == self.valid).all()), "depth must be positive where it is valid, else 0")
         require(bool((self.depth >= 0).all()), "depth must not be negative")
+        if self.deviation is not None:
+            uncertain = self.deviation > 0
+            require(bool((uncertain == self.valid).all()), "a deviation must be positive where depth is valid, else 0")
+            require(bool((self.deviation >= 0).all()), "a deviation must not be negative")

@@ -62,6 +62,7 @@ from schemas.messages import (
     ThreadObservations,
     ThreadReconstruction,
     ThreadTrack,
+    TissueClearance,
     TissueSurface,
     TrackStep,
     Verdict,
@@ -171,7 +172,9 @@ def surfaces(draw):
     depth = draw(array(r, c, elements=positive))
     valid = draw(arrays(np.bool_, (r, c)))
     grid = np.arange(c) * 8.0, np.arange(r) * 8.0
-    return TissueSurface(draw(stamps), draw(cameras), *grid, np.where(valid, depth, 0.0), valid, draw(consumed))
+    deviation = np.where(valid, draw(array(r, c, elements=positive)), 0.0) if draw(st.booleans()) else None
+    known = np.where(valid, depth, 0.0), valid
+    return TissueSurface(draw(stamps), draw(cameras), *grid, *known, deviation, draw(consumed))
 
 
 @st.composite
@@ -350,6 +353,16 @@ alternatives = st.builds(Alternative, numbers, numbers, texts)
 
 
 @st.composite
+def clearances(draw):
+    stamp, unchecked = draw(st.none() | stamps), draw(texts.filter(bool))
+    if draw(st.booleans()):
+        return TissueClearance(stamp, unchecked, 0.0)
+    share = draw(st.floats(0.01, 1))
+    found = draw(numbers), draw(positive), draw(array(3)), draw(st.sampled_from(Phase)), draw(shares_of_one)
+    return TissueClearance(stamp, unchecked if share < 1 else "", share, *found)
+
+
+@st.composite
 def plans(draw):
     status, reason = draw(outcomes)
     path = draw(st.lists(waypoints, min_size=1, max_size=3)) if status is Status.OK else []
@@ -367,6 +380,7 @@ def plans(draw):
         slide_m=draw(numbers),
         waypoints=tuple(sorted(path, key=lambda waypoint: waypoint.phase.value)),
         alternatives=tuple(draw(st.lists(alternatives, max_size=2))),
+        tissue=draw(st.none() | clearances()),
         consumed=draw(consumed),
     )
 
@@ -426,6 +440,7 @@ MESSAGES = {
     Judgement: judgements,
     Centrelines: centrelines(),
     ThreadObservations: observations(),
+    TissueClearance: clearances(),
     TissueSurface: surfaces(),
     ReliabilityRegions: regions(),
     ThreadReconstruction: reconstructions(),

@@ -83,7 +83,7 @@ def test_strided_and_byte_swapped_arrays_are_joined_as_their_values(data, order,
     surface = data.draw(MESSAGES[TissueSurface])
     strided = np.repeat(surface.depth, 2, axis=1)[:, ::2].astype(f"{order}f8")[::step]
     message = dataclasses.replace(
-        surface, depth=strided, valid=surface.valid[::step], v_px=surface.v_px[: len(strided)]
+        surface, depth=strided, valid=surface.valid[::step], deviation=None, v_px=surface.v_px[: len(strided)]
     )
     joined = encode_joining(message, 1)
     assert joined == encode_joining(message, NEVER)
