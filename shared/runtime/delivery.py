@@ -12,6 +12,7 @@ from schemas.messages import StereoFrame
 from schemas.topics import Delivery, Topic
 from shared.runtime.accounts import RingLosses
 from shared.runtime.attachment import unpack
+from shared.runtime.lossless import LosslessSubscriber
 from shared.runtime.shared_memory import joined
 
 EVENT_CACHE = 1000
@@ -102,17 +103,8 @@ def subscribe(
         room = ring_room(key)
         subscriber = session.declare_subscriber(key, zenoh.handlers.RingChannel(room))
         return [_Receiving(subscriber, key, receive, losses or RingLosses(room))]
-    newest = 1 if topic.delivery is Delivery.STATE else EVENT_CACHE
-    advanced = ext.declare_advanced_subscriber(
-        session,
-        key,
-        receive,
-        history=ext.HistoryConfig(detect_late_publishers=True, max_samples=newest),
-        recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
-        subscriber_detection=True,
-    )
-    listener = advanced.sample_miss_listener(lambda miss: missed(miss.nb))
-    return [advanced, listener]
+    is_event = topic.delivery is Delivery.EVENT
+    return [LosslessSubscriber(session, key, is_event, EVENT_CACHE if is_event else 1, receive, missed)]
 
 
 class _Receiving:
