@@ -55,7 +55,7 @@ class BoardEdge:
 
 def board_edge(left: Path, direction: str, index: int) -> BoardEdge:
     """One line of a board, by the number of its row or column of inner corners."""
-    images, camera, corners = _board(left)
+    images, camera, corners = rectified_board(left)
     lines = [grid[index] if direction == "row" else grid[:, index] for grid in corners]
     drawn = [draw_thread(image, edge_places(image, line)) for image, line in zip(images, lines, strict=True)]
     ends = [line[[0, -1]] for line in lines]
@@ -70,6 +70,18 @@ def board_edge(left: Path, direction: str, index: int) -> BoardEdge:
         corners_mm=float(np.linalg.norm(np.diff(np.column_stack((across, z)), axis=0))),
         slope_deg=float(np.degrees(np.arctan2(dv, du))),
     )
+
+
+@cache
+def rectified_board(
+    left: Path,
+) -> tuple[Pair, RectifiedStereo, tuple[Float64[np.ndarray, "r c 2"], Float64[np.ndarray, "r c 2"]]]:
+    """The rectified pair, its camera, and the inner corners in both images, one row of the board after the other."""
+    images = read_pair(left, left.with_name(left.name.replace("left", "right")))
+    height, width = images[0].shape[:2]
+    to_rectified = rectification(read_calibration(left.parent, unit="mm", image_size=(width, height)).calibration)
+    pair = rectify_image(images[0], to_rectified.map_left), rectify_image(images[1], to_rectified.map_right)
+    return pair, to_rectified.camera, (_corners(pair[0]), _corners(pair[1]))
 
 
 def edge_places(image: UInt8[np.ndarray, "h w 3"], corners: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "p 2"]:
@@ -123,18 +135,6 @@ def draw_thread(
     painted[window] = np.rint(cover[..., None] * THREAD_BGR + (1.0 - cover[..., None]) * image[window])
     mask[window] = np.rint(255.0 * cover)
     return painted, mask
-
-
-@cache
-def _board(
-    left: Path,
-) -> tuple[Pair, RectifiedStereo, tuple[Float64[np.ndarray, "r c 2"], Float64[np.ndarray, "r c 2"]]]:
-    """The rectified pair, its camera, and the inner corners in both images, one row of the board after the other."""
-    images = read_pair(left, left.with_name(left.name.replace("left", "right")))
-    height, width = images[0].shape[:2]
-    to_rectified = rectification(read_calibration(left.parent, unit="mm", image_size=(width, height)).calibration)
-    pair = rectify_image(images[0], to_rectified.map_left), rectify_image(images[1], to_rectified.map_right)
-    return pair, to_rectified.camera, (_corners(pair[0]), _corners(pair[1]))
 
 
 def _corners(image: UInt8[np.ndarray, "h w 3"]) -> Float64[np.ndarray, "r c 2"]:
