@@ -1,92 +1,107 @@
-"""Oriented line filters: a second derivative across a line, a long Gaussian along it, at every angle at once.
+"""Oriented line filters: a second derivative across a line, a long Gaussian along it, the best of several angles.
 
-They are applied as products of spectra. The two polarities, what is darker and what is brighter than its surroundings,
-are the real and the imaginary part of one complex image, and pass through together since the filters are real. Every
-filter stays the same when it is turned half round, so its spectrum is real too.
+A Gaussian that is longer along u than across v is a round one, blurred further along u, so that
+
+    ∂²/∂v² G(σ_v, σ_u) = (sin²θ ∂_xx − 2 sinθ cosθ ∂_xy + cos²θ ∂_yy) G(σ_v, σ_v) * L(√(σ_u² − σ_v²)),
+
+where L runs along the line at angle θ. The three derivatives are those of every angle, and L touches two pixels in each
+row or column alone, which is a tenth of the work of the whole filters or of products of spectra.
 """
 
 import functools
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import scipy.fft
 from jaxtyping import Float32
 
 ACROSS_PX, ALONG_PX = 1.1, 3.0
 """Standard deviations of the oriented filter: it answers best to a line 2.2 px wide, and well from 1 to 4."""
 ORIENTATIONS = 12
-RADIUS_PX = round(2.5 * ALONG_PX)
-STEP_PX = 32
-"""Of the sizes in which spectra are made."""
+ROUND_PX, ALONG_REACH_PX = 4, 7
+"""How far the derivatives, and the lines, reach."""
+RADIUS_PX = ROUND_PX + ALONG_REACH_PX
 
 
-def line_responses(
-    one: Float32[np.ndarray, "h w"], other: Float32[np.ndarray, "h w"]
-) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
-    """How much each pixel of two contrasts looks like part of a line, in their grey levels, by the best filter."""
-    shape = _padded_shape(one)
-    padded = np.zeros(shape, np.complex64)
-    _inner(padded, one)[:] = _with_border(one) + np.complex64(1j) * _with_border(other)
-    spectrum = scipy.fft.fft2(padded, overwrite_x=True)
-    strongest = np.zeros(shape, np.complex64)
-    for filter_spectrum in _filter_spectra(*shape):
-        answer = np.asarray(scipy.fft.ifft2(spectrum * filter_spectrum, overwrite_x=True))
-        # real and imaginary parts lie side by side, and each has a maximum of its own
-        np.maximum(strongest.view(np.float32), answer.view(np.float32), out=strongest.view(np.float32))
-    return _without_border(np.real(strongest), one), _without_border(np.imag(strongest), one)
+@dataclass(frozen=True)
+class _Filters:
+    """The filters in parts.
+
+    Fields:
+        derivatives: kernels along x and along y of ∂_xx, ∂_xy and ∂_yy of the round Gaussian.
+        mixed: how much of each derivative is in the filter of each angle.
+        lines: the kernel along the line at each angle.
+    """
+
+    derivatives: tuple[tuple[Float32[np.ndarray, "k"], Float32[np.ndarray, "k"]], ...]
+    mixed: Float32[np.ndarray, "a 3"]
+    lines: tuple[Float32[np.ndarray, "r c"], ...]
 
 
 def line_response(contrast: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-    """The same of one contrast alone, in half the time."""
-    shape = _padded_shape(contrast)
-    padded = np.zeros(shape, np.float32)
-    _inner(padded, contrast)[:] = _with_border(contrast)
-    spectrum = np.asarray(scipy.fft.rfft2(padded))
-    strongest = np.zeros(shape, np.float32)
-    for filter_spectrum in _filter_spectra(*shape):
-        half = spectrum * filter_spectrum[:, : spectrum.shape[1]]
-        np.maximum(strongest, np.asarray(scipy.fft.irfft2(half, s=shape, overwrite_x=True)), out=strongest)
-    return _without_border(strongest, contrast)
-
-
-def _padded_shape(contrast: np.ndarray) -> tuple[int, int]:
-    # few sizes, so that the filters' spectra need not be made anew whenever the part looked at grows by a pixel
-    height, width = (STEP_PX * -(-(side + 2 * RADIUS_PX) // STEP_PX) for side in contrast.shape)
-    return height, width
-
-
-def _inner(padded: np.ndarray, contrast: np.ndarray) -> np.ndarray:
-    return padded[: contrast.shape[0] + 2 * RADIUS_PX, : contrast.shape[1] + 2 * RADIUS_PX]
-
-
-def _without_border(padded: np.ndarray, contrast: np.ndarray) -> np.ndarray:
+    """How much each pixel of a contrast looks like part of a line, in its grey levels, by the best filter."""
+    filters = _filters()
+    padded = cv2.copyMakeBorder(contrast, RADIUS_PX, RADIUS_PX, RADIUS_PX, RADIUS_PX, cv2.BORDER_REFLECT)
+    xx, xy, yy = (cv2.sepFilter2D(padded, cv2.CV_32F, x, y) for x, y in filters.derivatives)
+    strongest = np.zeros(padded.shape, np.float32)
+    across, answer = np.empty_like(strongest), np.empty_like(strongest)
+    for (of_xx, of_xy, of_yy), line in zip(filters.mixed.tolist(), filters.lines, strict=True):
+        cv2.addWeighted(xx, of_xx, yy, of_yy, 0, dst=across)
+        cv2.scaleAdd(xy, of_xy, across, dst=across)
+        cv2.filter2D(across, cv2.CV_32F, line, dst=answer)
+        cv2.max(strongest, answer, dst=strongest)
     height, width = contrast.shape
-    return np.ascontiguousarray(padded[RADIUS_PX : RADIUS_PX + height, RADIUS_PX : RADIUS_PX + width])
-
-
-def _with_border(contrast: np.ndarray) -> np.ndarray:
-    return cv2.copyMakeBorder(contrast, RADIUS_PX, RADIUS_PX, RADIUS_PX, RADIUS_PX, cv2.BORDER_REFLECT)
+    return np.ascontiguousarray(strongest[RADIUS_PX : RADIUS_PX + height, RADIUS_PX : RADIUS_PX + width])
 
 
 def oriented_kernels() -> list[Float32[np.ndarray, "k k"]]:
-    """Second derivative across, Gaussian along; each sums to 0 and its magnitudes to 2."""
-    y, x = np.mgrid[-RADIUS_PX : RADIUS_PX + 1, -RADIUS_PX : RADIUS_PX + 1].astype(np.float32)
-    kernels: list[np.ndarray] = []
-    for angle in np.arange(ORIENTATIONS) * (np.pi / ORIENTATIONS):
-        u, v = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
-        kernel = (1 - (v / ACROSS_PX) ** 2) * np.exp(-0.5 * (v / ACROSS_PX) ** 2 - 0.5 * (u / ALONG_PX) ** 2)
-        kernel -= kernel.mean()
-        kernels.append((2 * kernel / np.abs(kernel).sum()).astype(np.float32))
-    return kernels
+    """The whole filter of each angle; each sums to 0 and its magnitudes to 2."""
+    filters = _filters()
+    return [_whole(filters.derivatives, *parts) for parts in zip(filters.mixed, filters.lines, strict=True)]
 
 
-@functools.lru_cache(maxsize=16)
-def _filter_spectra(height: int, width: int) -> list[Float32[np.ndarray, "h w"]]:
-    """The spectrum of each filter at this size, its middle at the origin."""
-    spectra: list[np.ndarray] = []
-    for kernel in oriented_kernels():
-        at_origin = np.zeros((height, width), np.float32)
-        at_origin[: kernel.shape[0], : kernel.shape[1]] = kernel
-        at_origin = np.roll(at_origin, (-RADIUS_PX, -RADIUS_PX), axis=(0, 1))
-        spectra.append(np.ascontiguousarray(np.asarray(scipy.fft.fft2(at_origin)).real))
-    return spectra
+@functools.cache
+def _filters() -> _Filters:
+    x = np.arange(-ROUND_PX, ROUND_PX + 1.0)
+    level = np.exp(-0.5 * (x / ACROSS_PX) ** 2)
+    slope, bend = -x / ACROSS_PX**2 * level, (x**2 / ACROSS_PX**2 - 1) / ACROSS_PX**2 * level
+    # a kernel cut short would see a line in an even ground
+    bend -= bend.sum() * level / level.sum()
+    level, slope, bend = (part.astype(np.float32) for part in (level, slope, bend))
+    derivatives = (bend, level), (slope, slope), (level, bend)
+    angles = np.arange(ORIENTATIONS) * (np.pi / ORIENTATIONS)
+    mixed = -np.column_stack((np.sin(angles) ** 2, -np.sin(2 * angles), np.cos(angles) ** 2)).astype(np.float32)
+    lines = [_line(angle) for angle in angles]
+    for k, line in enumerate(lines):
+        mixed[k] *= 2 / np.abs(_whole(derivatives, mixed[k], line)).sum()
+    return _Filters(derivatives, mixed, tuple(lines))
+
+
+def _line(angle: float) -> Float32[np.ndarray, "r c"]:
+    """A Gaussian along a line through the middle, each of its places shared between two pixels."""
+    if np.abs(np.sin(angle)) > np.abs(np.cos(angle)):
+        return np.ascontiguousarray(_line(np.pi / 2 - angle).T)
+    reach = round(ALONG_REACH_PX * abs(np.cos(angle)))
+    x = np.arange(-reach, reach + 1)
+    y = np.round(x * np.tan(angle), 9)
+    aside = int(np.ceil(np.abs(y).max()))
+    weight = np.exp(-0.5 * (x / np.cos(angle)) ** 2 / (ALONG_PX**2 - ACROSS_PX**2))
+    line = np.zeros((2 * aside + 1, 2 * reach + 1), np.float32)
+    below = np.floor(y).astype(int)
+    share = y - below
+    line[below + aside, x + reach] += weight * (1 - share)
+    line[np.minimum(below + aside + 1, 2 * aside), x + reach] += weight * share
+    return line
+
+
+def _whole(
+    derivatives: tuple[tuple[Float32[np.ndarray, "k"], Float32[np.ndarray, "k"]], ...],
+    mixed: Float32[np.ndarray, "3"],
+    line: Float32[np.ndarray, "r c"],
+) -> Float32[np.ndarray, "n n"]:
+    side = 2 * RADIUS_PX + 1
+    spot = np.zeros((side, side), np.float32)
+    spot[RADIUS_PX, RADIUS_PX] = 1
+    parts = [cv2.sepFilter2D(spot, cv2.CV_32F, x, y) for x, y in derivatives]
+    round_part = sum((share * part for share, part in zip(mixed, parts, strict=True)), np.zeros_like(spot))
+    return np.asarray(cv2.filter2D(round_part, cv2.CV_32F, line, borderType=cv2.BORDER_CONSTANT), np.float32)

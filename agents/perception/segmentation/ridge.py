@@ -21,13 +21,14 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int32, Int64, UInt8
 
 from agents.perception.segmentation.full_size import at_full_size, mean_excess
-from agents.perception.segmentation.line_filter import RADIUS_PX, line_response, line_responses
+from agents.perception.segmentation.line_filter import RADIUS_PX, line_response
 from agents.perception.segmentation.near import Meant, Near
 
 DETECTION_WIDTH_PX = 480
 """Width of the reduced image; the sizes in pixels below are of this image."""
-BACKGROUND_WINDOW = 7
-"""Of the median that is the local background, in pixels of twice the size: several times the thread's width."""
+BACKGROUND_STEP, BACKGROUND_WINDOW = 3, 5
+"""The local background is the median of so many pixels to a side, each as large as so many here: several times the
+thread's width. Medians of more pixels take ten times as long."""
 STRONG_SHARE = 0.003
 """Of the image's pixels: its strongest ridges."""
 SEED_SHARE, GROW_SHARE = 0.5, 0.25
@@ -49,9 +50,11 @@ RAREST = 6.0
 LEAST_COLOUR_PIXELS = 8
 BLOCK = 16
 """Values of which only the greatest counts while the strongest are looked for."""
-CROP_MARGIN_PX = 2 * (RADIUS_PX + BACKGROUND_WINDOW)
+FAINTEST_SHARE = 0.05
+"""Of the response of the image's strongest ridges: pixels with less are looked at no further."""
+CROP_MARGIN_PX = BACKGROUND_STEP * -(-(RADIUS_PX + BACKGROUND_STEP * BACKGROUND_WINDOW) // BACKGROUND_STEP)
 """Around what is looked at: far enough for the filters and for the background to see what they see in a whole image.
-Even, so that the image for the background is reduced alike."""
+A multiple of the background's step, so that the image for it is reduced alike."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +66,7 @@ class _View:
         near: which pixels of it may be thread; all, if it is None.
         meant: which of its ridges is.
         strong: how many pixels of the whole image are among its strongest.
+        rare: what makes a colour of the whole image rare.
     """
 
     rows: slice
@@ -70,22 +74,47 @@ class _View:
     near: Bool[np.ndarray, "h w"] | None
     meant: Meant | None
     strong: float
-    colour: Float32[np.ndarray, "h w 3"]
-    ground: UInt8[np.ndarray, "h w 3"]
-    rarity: Float32[np.ndarray, "h w"]
+    seen: UInt8[np.ndarray, "h w 3"]
+    background: UInt8[np.ndarray, "h w 3"]
+    rare: "_Rare"
+
+
+@dataclass(frozen=True)
+class _Rare:
+    """The usual colour of an image, and what takes differences from it to deviations."""
+
+    usual: Float32[np.ndarray, "3"]
+    whitening: Float32[np.ndarray, "3 3"]
+
+
+@dataclass(frozen=True)
+class _Ridges:
+    """The pixels of one polarity that look a little like part of a line, and nothing of the others.
+
+    Fields:
+        shape: of the part of the reduced image that is looked at.
+        pixel: indices in it.
+        response: to lines, score: the same, weighted by how rare the colour is.
+    """
+
+    shape: tuple[int, int]
+    pixel: Int64[np.ndarray, "p"]
+    response: Float32[np.ndarray, "p"]
+    score: Float32[np.ndarray, "p"]
+    colour: Float32[np.ndarray, "p 3"]
 
 
 @dataclass(frozen=True)
 class _Pieces:
-    """Connected pieces of a mask.
+    """Connected pieces among ridge pixels.
 
     Fields:
-        labels: of each pixel; 0 is the ground.
+        of: number of the piece of each ridge pixel; 0 of those in none.
         weight: the total score of each; 0 of the ground, of specks, and of what holds no seed.
         extent: the diagonal of each, in pixels.
     """
 
-    labels: Int32[np.ndarray, "h w"]
+    of: Int32[np.ndarray, "p"]
     weight: Float64[np.ndarray, "c"]
     extent: Float64[np.ndarray, "c"]
 
@@ -94,8 +123,11 @@ class _Pieces:
 class _Found:
     """Ridge pixels of one polarity that look like thread, and their strength."""
 
-    ridge: Bool[np.ndarray, "h w"]
+    pixel: Int64[np.ndarray, "p"]
     strength: float
+
+
+NOTHING = _Found(np.zeros(0, np.int64), 0.0)
 
 
 def segment_ridge(
@@ -111,27 +143,48 @@ def segment_ridge(
     if where is not None and not where.any():
         return np.zeros(image.shape[:2], np.uint8)
     reduced = _reduced(image, min(1.0, DETECTION_WIDTH_PX / image.shape[1]))
-    rows, columns = _box(where, reduced.shape)
-    seen = reduced[rows, columns]
-    background = _background(seen)
-    view = _view(reduced, background, where, meant, rows, columns)
-    if near is None:
-        darker, brighter = mean_excess(background, seen), mean_excess(seen, background)
-        of_dark, of_bright = line_responses(darker, brighter)
-        dark, bright = _thread_among(of_dark, view), _thread_among(of_bright, view)
-        is_bright = bright.strength > dark.strength
-        found, contrast = (bright, brighter) if is_bright else (dark, darker)
-    else:
-        is_bright = near.is_bright
-        contrast = mean_excess(*((seen, background) if is_bright else (background, seen)))
-        found = _thread_among(line_response(contrast), view)
-    background, ridge, contrast = (_in_whole(part, view, reduced.shape) for part in (background, found.ridge, contrast))
+    view = _view(reduced, where, meant)
+    darker = _of_polarity(view, False) if near is None or not near.is_bright else None
+    brighter = _of_polarity(view, True) if near is None or near.is_bright else None
+    is_bright = darker is None or (brighter is not None and brighter[0].strength > darker[0].strength)
+    found, contrast = brighter if is_bright and brighter else darker or (NOTHING, np.zeros(view.seen.shape[:2]))
+    ridge = _of_pixels(found.pixel, view.seen.shape[:2])
+    background, ridge, contrast = (_in_whole(part, view, reduced.shape) for part in (view.background, ridge, contrast))
     return at_full_size(image, background, ridge, contrast, is_bright)
+
+
+def _of_polarity(view: _View, is_bright: bool) -> tuple[_Found, Float32[np.ndarray, "h w"]]:
+    """The thread among what is brighter, or darker, than its surroundings, and by how much everything is."""
+    contrast = mean_excess(*((view.seen, view.background) if is_bright else (view.background, view.seen)))
+    return _thread_among(_ridges(line_response(contrast), view), view), contrast
 
 
 def _reduced(image: np.ndarray, share: float) -> np.ndarray:
     size = (max(1, round(image.shape[1] * share)), max(1, round(image.shape[0] * share)))
     return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+
+
+def _view(reduced: UInt8[np.ndarray, "H W 3"], near: Bool[np.ndarray, "H W"] | None, meant: Meant | None) -> _View:
+    small = None
+    if near is not None:
+        small = np.asarray(cv2.resize(near.view(np.uint8), reduced.shape[1::-1], interpolation=cv2.INTER_NEAREST)) > 0
+        # a place that falls between the pixels of the reduced image is looked at all the same
+        small = small if small.any() else np.ones(small.shape, bool)
+    rows, columns = _box(small, reduced.shape)
+    seen = reduced[rows, columns]
+    if meant is not None:
+        weight = cv2.resize(meant.weight, reduced.shape[1::-1], interpolation=cv2.INTER_AREA)
+        meant = Meant(np.asarray(weight)[rows, columns], meant.alone)
+    return _View(
+        rows=rows,
+        columns=columns,
+        near=None if small is None else small[rows, columns],
+        meant=meant,
+        strong=STRONG_SHARE * (reduced.shape[0] * reduced.shape[1] - 1),
+        seen=seen,
+        background=_background(seen),
+        rare=_rare(np.ascontiguousarray(reduced[::4, ::4])),
+    )
 
 
 def _box(near: Bool[np.ndarray, "h w"] | None, shape: tuple[int, ...]) -> tuple[slice, slice]:
@@ -140,87 +193,81 @@ def _box(near: Bool[np.ndarray, "h w"] | None, shape: tuple[int, ...]) -> tuple[
         return slice(0, shape[0]), slice(0, shape[1])
     sides: list[slice] = []
     for axis, size in ((1, shape[0]), (0, shape[1])):
-        hit = np.flatnonzero(near.any(axis=axis)) * (size / near.shape[1 - axis])
+        hit = np.flatnonzero(near.any(axis=axis))
         first = max(0, int(hit[0]) - CROP_MARGIN_PX)
-        sides.append(slice(first - first % 2, min(size, int(hit[-1]) + CROP_MARGIN_PX + 1)))
+        last = min(size, int(hit[-1]) + CROP_MARGIN_PX + 1)
+        sides.append(slice(first - first % BACKGROUND_STEP, min(size, last + -last % BACKGROUND_STEP)))
     return sides[0], sides[1]
 
 
-def _view(
-    reduced: UInt8[np.ndarray, "H W 3"],
-    background: UInt8[np.ndarray, "h w 3"],
-    near: Bool[np.ndarray, "h w"] | None,
-    meant: Meant | None,
-    rows: slice,
-    columns: slice,
-) -> _View:
-    colour = _lab(reduced[rows, columns])
-    rarity = _rarity(colour, _lab(np.ascontiguousarray(reduced[::4, ::4])).reshape(-1, 3))
-    small = None
-    if near is not None:
-        whole = cv2.resize(near.astype(np.uint8), reduced.shape[1::-1], interpolation=cv2.INTER_NEAREST)
-        small = np.asarray(whole)[rows, columns] > 0
-    if meant is not None:
-        weight = cv2.resize(meant.weight, reduced.shape[1::-1], interpolation=cv2.INTER_AREA)
-        meant = Meant(np.asarray(weight)[rows, columns], meant.alone)
-    return _View(
-        rows=rows,
-        columns=columns,
-        near=small,
-        meant=meant,
-        strong=STRONG_SHARE * (reduced.shape[0] * reduced.shape[1] - 1),
-        colour=colour,
-        ground=cv2.cvtColor(background, cv2.COLOR_BGR2Lab),
-        rarity=rarity,
-    )
-
-
 def _background(image: UInt8[np.ndarray, "h w 3"]) -> np.ndarray:
-    median = cv2.medianBlur(_reduced(image, 0.5), BACKGROUND_WINDOW)
-    return cv2.resize(median, image.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+    height, width = image.shape[:2]
+    size = max(1, width // BACKGROUND_STEP), max(1, height // BACKGROUND_STEP)
+    median = cv2.medianBlur(cv2.resize(image, size, interpolation=cv2.INTER_AREA), BACKGROUND_WINDOW)
+    return cv2.resize(median, (width, height), interpolation=cv2.INTER_LINEAR)
 
 
-def _lab(image: np.ndarray) -> Float32[np.ndarray, "h w 3"]:
-    return cv2.cvtColor(image, cv2.COLOR_BGR2Lab).astype(np.float32)
+def _lab(colour: UInt8[np.ndarray, "p 3"]) -> Float32[np.ndarray, "p 3"]:
+    if len(colour) == 0:
+        return np.zeros((0, 3), np.float32)
+    return np.asarray(cv2.cvtColor(colour[None], cv2.COLOR_BGR2Lab), np.float32)[0]
 
 
-def _rarity(colour: Float32[np.ndarray, "h w 3"], sample: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, "h w"]:
-    """Mahalanobis distance of each pixel's colour from those of a sample of the whole image, up to a limit."""
-    from_mean = sample - sample.mean(axis=0)
-    spread, axes = np.linalg.eigh(from_mean.T @ from_mean / len(sample) + 4.0 * np.eye(3))
+def _rare(sample: UInt8[np.ndarray, "h w 3"]) -> _Rare:
+    """From a sample of the whole image."""
+    colour = _lab(sample.reshape(-1, 3))
+    from_mean = colour - colour.mean(axis=0)
+    spread, axes = np.linalg.eigh(from_mean.T @ from_mean / len(colour) + 4.0 * np.eye(3))
+    usual = np.median(colour, axis=0).astype(np.float32)
+    return _Rare(usual, (axes / np.sqrt(spread)).astype(np.float32))
+
+
+def _rarity(colour: Float32[np.ndarray, "p 3"], rare: _Rare) -> Float32[np.ndarray, "p"]:
+    """Mahalanobis distance of each colour from those of the whole image, up to a limit."""
     # subtracted first: the usual colour then is not rare at all, not even by a rounding error
-    away = colour - np.median(sample, axis=0)
-    whitened = cv2.transform(away, (axes / np.sqrt(spread)).T.astype(np.float32))
-    squared = cv2.transform(cv2.multiply(whitened, whitened), np.ones((1, 3), np.float32))
-    return np.sqrt(np.minimum(np.asarray(squared, np.float32), np.float32(RAREST**2)))
+    away = (colour - rare.usual) @ rare.whitening
+    return np.minimum(np.sqrt(np.einsum("pc,pc->p", away, away)), np.float32(RAREST))
 
 
-def _thread_among(response: Float32[np.ndarray, "h w"], view: _View) -> _Found:
+def _ridges(response: Float32[np.ndarray, "h w"], view: _View) -> _Ridges:
+    if view.near is not None:
+        response = np.where(view.near, response, np.float32(0))
+    faintest = FAINTEST_SHARE * _from_top(response.ravel(), view.strong)
+    pixel = np.flatnonzero(response > faintest)
+    of_pixel = response.ravel()[pixel]
+    colour = _lab(view.seen.reshape(-1, 3)[pixel])
+    return _Ridges(response.shape, pixel, of_pixel, of_pixel * _rarity(colour, view.rare), colour)
+
+
+def _thread_among(ridges: _Ridges, view: _View) -> _Found:
     """The thread among the ridges of one polarity."""
-    response = response if view.near is None else np.where(view.near, response, np.float32(0))
-    score = response * view.rarity
-    strong = _from_top(score, view)
-    ridges = _pieces(score > GROW_SHARE * strong, score > SEED_SHARE * strong, score)
-    counting = ridges.weight if view.meant is None else _weight_meant(ridges, score * view.meant.weight)
+    if len(ridges.pixel) == 0:
+        return NOTHING
+    response, score = ridges.response, ridges.score
+    meant = None if view.meant is None else score * view.meant.weight.ravel()[ridges.pixel]
+    strong = _from_top(score, view.strong)
+    pieces = _pieces(ridges, score > GROW_SHARE * strong, score > SEED_SHARE * strong)
+    counting = pieces.weight if meant is None else _weight_meant(pieces, meant)
     if not counting.any():
-        return _Found(np.zeros(score.shape, bool), 0.0)
-    strong = _from_top(response, view)
-    ridge = np.flatnonzero(response > FAINT_SHARE * strong)
-    piece = ridges.labels.ravel()[ridge] == int(np.argmax(counting))
-    colour, ground = (part.reshape(-1, 3)[ridge] for part in (view.colour, view.ground))
-    away = _colour_distance(colour, ground, score.ravel()[ridge], piece)
-    alike = _of_pixels(ridge[away < GROWN_COLOUR_LIMIT], score.shape)
-    seeds = _of_pixels(ridge[away < COLOUR_LIMIT], score.shape) & (response > SEED_SHARE * strong)
-    pieces = _pieces(alike, seeds, score)
+        return NOTHING
+    strong = _from_top(response, view.strong)
+    visible = response > FAINT_SHARE * strong
+    away = np.full(len(response), np.inf, np.float32)
+    ground = _lab(view.background.reshape(-1, 3)[ridges.pixel[visible]])
+    piece = pieces.of[visible] == int(np.argmax(counting))
+    away[visible] = _colour_distance(ridges.colour[visible], ground, score[visible], piece)
+    alike = away < GROWN_COLOUR_LIMIT
+    seeds = (away < COLOUR_LIMIT) & (response > SEED_SHARE * strong)
+    pieces = _pieces(ridges, alike, seeds)
     longest = pieces.extent[pieces.weight > 0].max(initial=0)
     kept = (pieces.weight > LEAST_WEIGHT_SHARE * pieces.weight.max()) & (pieces.extent > LEAST_EXTENT_SHARE * longest)
-    if view.meant is not None:
-        counting = _weight_meant(pieces, score * view.meant.weight)
+    if view.meant is not None and meant is not None:
+        counting = _weight_meant(pieces, meant)
         chosen = kept & (counting == counting.max()) & (counting > 0)
-        return _Found((chosen if view.meant.alone else kept)[pieces.labels], float(counting.max()))
+        return _Found(ridges.pixel[(chosen if view.meant.alone else kept)[pieces.of]], float(counting.max()))
     # faint pixels would count for whichever polarity has more clutter to grow into
-    clear = _pieces(alike & (response > GROW_SHARE * strong), seeds, score)
-    return _Found(kept[pieces.labels], float(clear.weight.max()))
+    clear = _pieces(ridges, alike & (response > GROW_SHARE * strong), seeds)
+    return _Found(ridges.pixel[kept[pieces.of]], float(clear.weight.max()))
 
 
 def _of_pixels(index: Int64[np.ndarray, "p"], shape: tuple[int, ...]) -> Bool[np.ndarray, "h w"]:
@@ -229,42 +276,38 @@ def _of_pixels(index: Int64[np.ndarray, "p"], shape: tuple[int, ...]) -> Bool[np
     return mask
 
 
-def _weight_meant(pieces: _Pieces, score: Float32[np.ndarray, "h w"]) -> Float64[np.ndarray, "c"]:
+def _weight_meant(pieces: _Pieces, score: Float32[np.ndarray, "p"]) -> Float64[np.ndarray, "c"]:
     """What speaks for each piece, of those that have weight."""
-    total = np.bincount(pieces.labels.ravel(), weights=score.ravel(), minlength=len(pieces.weight))
+    total = np.bincount(pieces.of, weights=score, minlength=len(pieces.weight))
     return np.where(pieces.weight > 0, total, 0.0)
 
 
-def _from_top(values: Float32[np.ndarray, "h w"], view: _View) -> float:
-    """The value so many places below the greatest near the thread, between its neighbours; 0 where there are fewer."""
-    near = values.ravel() if view.near is None else values[view.near]
-    places = view.strong
-    if places >= len(near) - 1:
-        return float(near.min(initial=0))
+def _from_top(values: Float32[np.ndarray, "p"], places: float) -> float:
+    """The value so many places below the greatest, between its neighbours; the least where there are fewer."""
+    if places >= len(values) - 1:
+        return float(values.min(initial=0))
     whole = int(places)
     # so many blocks have a greatest value of at least this that no smaller value counts
-    blocks = near[: len(near) - len(near) % BLOCK].reshape(BLOCK, -1).max(axis=0)
+    blocks = values[: len(values) - len(values) % BLOCK].reshape(BLOCK, -1).max(axis=0)
     if len(blocks) > whole + 1:
-        near = near[near >= -np.partition(-blocks, whole + 1)[whole + 1]]
-    above, below = -np.partition(-near, (whole, whole + 1))[whole : whole + 2]
+        values = values[values >= -np.partition(-blocks, whole + 1)[whole + 1]]
+    above, below = -np.partition(-values, (whole, whole + 1))[whole : whole + 2]
     return float(above + (below - above) * (places - whole))
 
 
-def _pieces(
-    mask: Bool[np.ndarray, "h w"], seeds: Bool[np.ndarray, "h w"], score: Float32[np.ndarray, "h w"]
-) -> _Pieces:
-    """The connected pieces of a mask, of which only those that hold a seed have weight."""
+def _pieces(ridges: _Ridges, kept: Bool[np.ndarray, "p"], seeds: Bool[np.ndarray, "p"]) -> _Pieces:
+    """The connected pieces of the ridge pixels that are kept, of which only those that hold a seed have weight."""
+    mask = _of_pixels(ridges.pixel[kept], ridges.shape)
     # OpenCV's own statistics of the pieces take several times as long as the pieces
     count, labelled = cv2.connectedComponents(mask.view(np.uint8), connectivity=8)
-    labels = np.asarray(labelled, np.int32)
-    of_pixel, pixel = labels.ravel(), np.flatnonzero(mask)
-    extent = np.hypot(*(_sides(of_pixel[pixel], at, count) for at in np.divmod(pixel, mask.shape[1])))
-    weight = np.bincount(of_pixel[pixel], weights=score.ravel()[pixel], minlength=count)
+    piece = np.asarray(labelled, np.int32).ravel()[ridges.pixel]
+    extent = np.hypot(*(_sides(piece[kept], at, count) for at in np.divmod(ridges.pixel[kept], ridges.shape[1])))
+    weight = np.bincount(piece, weights=ridges.score, minlength=count)
     seeded = np.zeros(count, bool)
-    seeded[of_pixel[np.flatnonzero(seeds & mask)]] = True
+    seeded[piece[seeds]] = True
     weight[~seeded | (extent < LEAST_LENGTH_PX)] = 0.0
     weight[0] = 0.0
-    return _Pieces(labels, weight, extent)
+    return _Pieces(piece, weight, extent)
 
 
 def _sides(piece: Int32[np.ndarray, "p"], at: Int64[np.ndarray, "p"], count: int) -> Float64[np.ndarray, "c"]:

@@ -4,7 +4,14 @@ import cv2
 import numpy as np
 import pytest
 
-from agents.perception.segmentation.line_filter import line_response, line_responses, oriented_kernels
+from agents.perception.segmentation.line_filter import (
+    ACROSS_PX,
+    ALONG_PX,
+    ORIENTATIONS,
+    RADIUS_PX,
+    line_response,
+    oriented_kernels,
+)
 
 
 def test_the_response_to_a_line_is_greatest_on_it_whatever_its_direction():
@@ -13,18 +20,33 @@ def test_the_response_to_a_line_is_greatest_on_it_whatever_its_direction():
         v, u = np.mgrid[:61, :61] - 30.0
         across = u * direction[1] - v * direction[0]
         contrast = (50 * np.exp(-0.5 * across**2)).astype(np.float32)
-        response, of_nothing = line_responses(contrast, np.zeros_like(contrast))
+        response = line_response(contrast)
         middle = np.s_[15:46, 15:46]
         on, beside = np.abs(across[middle]) < 0.5, np.abs(across[middle]) > 3
         assert response[middle][on].min() > 20
         assert response[middle][beside].max() < 0.25 * response[middle][on].min()
-        assert of_nothing.max() < 1e-3
+    assert line_response(np.full((61, 61), 50, np.float32)).max() < 1e-3
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 40), (61, 83), (270, 480)])
-def test_both_responses_are_those_of_convolutions_one_by_one(shape):
-    contrasts = np.random.default_rng(1).uniform(0, 60, (2, *shape)).astype(np.float32)
-    for contrast, response in zip(contrasts, line_responses(*contrasts), strict=True):
-        answers = [cv2.filter2D(contrast, cv2.CV_32F, k, borderType=cv2.BORDER_REFLECT) for k in oriented_kernels()]
-        np.testing.assert_allclose(response, np.maximum(np.max(answers, axis=0), 0.0), atol=1e-3)
-        np.testing.assert_allclose(line_response(contrast), response, atol=1e-4)
+def test_the_response_is_that_of_the_whole_filters_one_by_one(shape):
+    contrast = np.random.default_rng(1).uniform(0, 60, shape).astype(np.float32)
+    answers = [cv2.filter2D(contrast, cv2.CV_32F, k, borderType=cv2.BORDER_REFLECT) for k in oriented_kernels()]
+    np.testing.assert_allclose(line_response(contrast), np.maximum(np.max(answers, axis=0), 0.0), atol=1e-3)
+
+
+def test_each_filter_is_a_second_derivative_across_a_longer_gaussian():
+    y, x = np.mgrid[-RADIUS_PX : RADIUS_PX + 1, -RADIUS_PX : RADIUS_PX + 1]
+    for kernel, angle in zip(oriented_kernels(), np.arange(ORIENTATIONS) * np.pi / ORIENTATIONS, strict=True):
+        u, v = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
+        ideal = (1 - (v / ACROSS_PX) ** 2) * np.exp(-0.5 * (v / ACROSS_PX) ** 2 - 0.5 * (u / ALONG_PX) ** 2)
+        ideal *= 2 / np.abs(ideal).sum()
+        assert kernel.sum() == pytest.approx(0.0, abs=1e-5)
+        assert (kernel * ideal).sum() > 0.98 * np.linalg.norm(kernel) * np.linalg.norm(ideal)
+
+
+def test_a_part_of_a_contrast_far_from_its_border_has_the_response_of_the_whole():
+    contrast = np.random.default_rng(2).uniform(0, 60, (90, 120)).astype(np.float32)
+    part = line_response(np.ascontiguousarray(contrast[10:80, 5:100]))
+    inner = np.s_[RADIUS_PX:-RADIUS_PX, RADIUS_PX:-RADIUS_PX]
+    np.testing.assert_allclose(part[inner], line_response(contrast)[10:80, 5:100][inner], atol=1e-4)
