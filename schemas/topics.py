@@ -64,6 +64,7 @@ class Topic:
         receiver: for a command, the agent that answers it, ANY_AGENT where each answers under its own key; otherwise
             empty.
         rate_hz: as expected; None where it comes by hand or on change.
+        resting_hz: as expected while nothing moves of what it tells; None where it makes no difference.
         maximum_age_ms: beyond which consumers treat it as stale; None where age means nothing.
         per_arm: whether there is one per arm, so that the instance is the arm.
         good_when_late: for a command, whether it is carried out even after its deadline, as stopping must be.
@@ -74,6 +75,7 @@ class Topic:
     message: type
     delivery: Delivery
     rate_hz: float | None = None
+    resting_hz: float | None = None
     maximum_age_ms: float | None = None
     recorded: bool = True
     receiver: str = ""
@@ -96,7 +98,16 @@ PROMPT = Topic("operator", "prompt", Prompt, Delivery.COMMAND, receiver="percept
 HEARTBEAT = Topic("operator", "heartbeat", Heartbeat, Delivery.LATEST, rate_hz=20, maximum_age_ms=200, per_arm=True)
 PLAN = Topic("planner", "plan", GraspPlan, Delivery.EVENT)
 CLOCKS = Topic("planner", "clocks", HostClocks, Delivery.STATE)
-ROBOT_STATE = Topic("robot_bridge", "state", RobotState, Delivery.LATEST, rate_hz=100, maximum_age_ms=100, per_arm=True)
+ROBOT_STATE = Topic(
+    "robot_bridge",
+    "state",
+    RobotState,
+    Delivery.LATEST,
+    rate_hz=100,
+    resting_hz=10,
+    maximum_age_ms=100,
+    per_arm=True,
+)
 EXECUTION = Topic("robot_bridge", "execution", ExecutionEvent, Delivery.EVENT, per_arm=True)
 SIMULATOR_STATE = Topic("simulator", "state", SimulatorState, Delivery.LATEST, rate_hz=60)
 JUDGEMENT = Topic("simulator", "judgement", GraspJudgement, Delivery.EVENT)

@@ -58,7 +58,8 @@ class Gathered:
 
 def expected_rates(rig: RigConfig) -> dict[str, float]:
     """How often topics that come steadily are expected: what follows from frames, as often as the camera films."""
-    rates = {str(t): t.rate_hz for t in TOPICS if t.rate_hz and t.delivery is Delivery.LATEST and t not in NOT_STEADY}
+    steady = [t for t in TOPICS if t.delivery is Delivery.LATEST and t not in NOT_STEADY]
+    rates = {str(t): rate_hz for t in steady if (rate_hz := t.resting_hz or t.rate_hz)}
     if rig.camera is not None:
         rates |= {str(topic): min(rates[str(topic)], rig.camera.rate_hz) for topic in PER_FRAME}
     return rates

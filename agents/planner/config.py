@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 from schemas.checks import require
+from schemas.topics import ROBOT_STATE
 from shared.kinematics.psm import FINGER_M
 from shared.runtime.settable import Between, settable
 
@@ -24,8 +25,8 @@ class PlannerConfig:
         base_clear_deg: the same for the ray from the instrument's base, which stands in for it.
         turn_deg: how far the tool may turn from one sample to the next.
         alternatives: how many other captures a plan tells of.
-        arm_age_ms: how old the state of an arm may be. A plan needs it for the place of the base alone, which seldom
-            moves, so this is more than the age that the bridge itself allows.
+        arm_age_ms: how old the state of an arm may be: as long as five states of one that rests take. A plan needs it
+            for the place of the base alone, which seldom moves, so this is more than the age that the bridge allows.
     """
 
     samples: int = 100
@@ -43,7 +44,7 @@ class PlannerConfig:
     base_clear_deg: float = 10.0
     turn_deg: float = 45.0
     alternatives: int = 5
-    arm_age_ms: float = 500.0
+    arm_age_ms: float = 5e3 / (ROBOT_STATE.resting_hz or 10.0)
 
     def __post_init__(self) -> None:
         require(self.samples >= 2, f"samples must be at least 2, not {self.samples}")

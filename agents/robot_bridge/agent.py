@@ -39,6 +39,10 @@ from shared.runtime.agent import Command, Input, Output, Received, Tick
 from shared.runtime.settable import Between, settable
 
 KEPT_PLANS = 8
+STILL = np.array([2e-3, 2e-3, 2e-4, 2e-3, 2e-3, 2e-3, 2e-3])
+"""An arm whose joints (rad, the third m) and jaw are this near to where they were a while ago has not moved."""
+RESTS_AFTER_S = 1.0
+"""So long after it was armed or moved last, an arm is at rest."""
 MEASUREMENT_AGE_S = 0.1
 """An arm that was measured longer ago than this is not ready."""
 CLOCK_TOLERANCE_S = 0.5
@@ -66,6 +70,7 @@ class RobotBridgeConfig:
         first_heartbeat_s: how long the first one may take; nothing moves before it.
         maximum_plan_age_s: since the frame that the plan was made from was captured; while the arm runs it can only be
             made smaller than it was configured.
+        tick_hz, resting_hz: turns a second while the arm is armed or moves, and while it is disarmed and still.
     """
 
     arm: str = "psm1"
@@ -73,7 +78,8 @@ class RobotBridgeConfig:
     dead_man_s: float = 0.2
     first_heartbeat_s: float = 1.0
     maximum_plan_age_s: float = settable(MAXIMUM_PLAN_AGE_S, Between(0.1))
-    tick_hz: float = 100.0
+    tick_hz: float = ROBOT_STATE.rate_hz or 100.0
+    resting_hz: float = ROBOT_STATE.resting_hz or 10.0
     limits: MotionLimits = field(default_factory=MotionLimits)
 
     def __post_init__(self) -> None:
@@ -81,7 +87,7 @@ class RobotBridgeConfig:
             check_pose("the arm's T_camera_base", self.T_camera_base)
         except MessageError as error:
             raise RobotBridgeError(str(error)) from error
-        for name in ("dead_man_s", "first_heartbeat_s", "maximum_plan_age_s", "tick_hz"):
+        for name in ("dead_man_s", "first_heartbeat_s", "maximum_plan_age_s", "tick_hz", "resting_hz"):
             if not 0 < getattr(self, name) < float("inf"):
                 raise RobotBridgeError(f"{name} must be positive and finite, not {getattr(self, name)}")
 
@@ -99,7 +105,6 @@ class RobotBridge:
         self.accepts_replayed_time = backend.accepts_replayed_time
         clock = () if backend.accepts_replayed_time else (Input(REPLAY_CLOCK, only_newest_counts=True),)
         self.inputs = (Input(PLAN), Input(HEARTBEAT, config.arm), *clock)
-        self.tick_hz = config.tick_hz
         self.config, self._backend = config, backend
         self._setup = Setup(backend.psm, config.T_camera_base, config.limits, 1 / config.tick_hz)
         self._plans: dict[str, GraspPlan] = {}
@@ -107,6 +112,8 @@ class RobotBridge:
         self._now_ns: int | None = None
         self._replay_over_ns = 0
         self._arm_state: ArmState | None = None
+        self._still_at = np.full(7, np.inf)
+        self._rests_from_ns = 0
         self._not_ready = "the arm has not been measured yet"
         self._execution: Execution | None = None
         self._holding = False
@@ -114,6 +121,15 @@ class RobotBridge:
     def configure(self, config: RobotBridgeConfig) -> None:
         """Go on with another config, in which only what may be set while the agent runs has changed."""
         self.config = config
+
+    @property
+    def tick_hz(self) -> float:
+        """All of its turns while the arm is armed or moves; few are enough for one that is disarmed and still."""
+        left_s = (self._rests_from_ns - (self._now_ns or 0)) * 1e-9
+        # where the clock was set back, nobody waits for it to be as late again
+        if self._execution or 0 < left_s <= RESTS_AFTER_S:
+            return self.config.tick_hz
+        return min(self.config.resting_hz, self.config.tick_hz)
 
     def step(self, arrived: Received | Tick | Command) -> Iterable[Output | CommandAnswer]:
         """What follows from one message, tick or command."""
@@ -152,6 +168,8 @@ class RobotBridge:
         elapsed_s = 0.0 if self._now_ns is None else (now_ns - self._now_ns) * 1e-9
         self._now_ns = now_ns
         arm = self._measure(now_ns)
+        if self._execution or (arm and self._has_moved(arm)):
+            self._rests_from_ns = now_ns + round(RESTS_AFTER_S * 1e9)
         events = self._carry_on(self._execution, arm, now_ns, elapsed_s) if self._execution else []
         return [Output(ROBOT_STATE, self._robot_state(arm)), *events] if arm else events
 
@@ -168,6 +186,13 @@ class RobotBridge:
         else:
             self._not_ready = f"the arm was not measured for {MEASUREMENT_AGE_S:g} s" if late else ""
         return state
+
+    def _has_moved(self, arm: ArmState) -> bool:
+        place = np.append(arm.joints, arm.jaw_rad)
+        if (np.abs(place - self._still_at) <= STILL).all():
+            return False
+        self._still_at = place
+        return True
 
     def _carry_on(self, execution: Execution, arm: ArmState | None, now_ns: int, elapsed_s: float) -> list[Output]:
         if self._not_ready or arm is None:
@@ -256,6 +281,10 @@ class RobotBridge:
             return Refusal(
                 Code.UNKNOWN_PLAN, f"no plan {message.plan_id} is among the last {KEPT_PLANS}: set a goal again"
             )
+        if self._now_ns is not None:
+            # between turns of an arm at rest much may have happened
+            self._now_ns = command.now_ns
+            self._measure(command.now_ns)
         if self._not_ready or self._arm_state is None or self._now_ns is None:
             return Refusal(Code.NOT_READY, self._not_ready)
         if refusal := self._untimely(plan, command.now_ns):

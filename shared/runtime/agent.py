@@ -91,7 +91,7 @@ class Agent(Protocol):
     Fields:
         kind: the agent's name in keys, such as `perception`.
         instance: `main`, or the arm's name.
-        tick_hz: how often it wants the time; None for never.
+        tick_hz: how often it wants the time; None for never. It may change with each step, but not from or to None.
     """
 
     @property

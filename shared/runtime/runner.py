@@ -9,6 +9,7 @@ it starts and upon each change (shared/runtime/parameters.py).
 import contextlib
 import dataclasses
 import logging
+import math
 import socket
 import threading
 from collections.abc import Callable
@@ -118,9 +119,8 @@ class Runner:
     def run(self) -> None:
         """Step until `stop` is called, which any thread or signal handler may do."""
         self._listen()
-        period_s = 1.0 / self._agent.tick_hz if self._agent.tick_hz else None
-        next_tick_s = monotonic_s()
         next_health_s = monotonic_s()
+        next_tick_s = next_health_s if self._agent.tick_hz else math.inf
         longest_s = min(LONGEST_WAIT_S, self._manager.alive_every_s or LONGEST_WAIT_S)
         try:
             while not self._stopped.is_set():
@@ -133,13 +133,15 @@ class Runner:
                     self._out.publish(HEALTH, self._health(now_s))
                     self._manager.status(self._fault or "running")
                     next_health_s = now_s + HEALTH_PERIOD_S
-                if period_s is not None and now_s >= next_tick_s:
+                # an agent that wants the time more often than before has not to wait for it
+                next_tick_s = min(next_tick_s, now_s + self._period_s())
+                if now_s >= next_tick_s:
                     self._feed_remembered()
                     self._tick(self._clock.now_ns())
                     # ticks that were missed are left out, not made up for
-                    next_tick_s = max(next_tick_s + period_s, monotonic_s())
+                    next_tick_s = max(next_tick_s + self._period_s(), monotonic_s())
                 # even where ticks alone take all the time, what arrives has its turn after each
-                until_s = next_health_s if period_s is None else min(next_health_s, next_tick_s)
+                until_s = min(next_health_s, next_tick_s)
                 arrival = self._inbox.take(min(longest_s, max(0.0, until_s - monotonic_s())))
                 if arrival is not None:
                     self._feed_remembered()
@@ -151,6 +153,9 @@ class Runner:
         """Let `run` return after the step it is in."""
         self._stopped.set()
         self._inbox.wake()
+
+    def _period_s(self) -> float:
+        return 1.0 / self._agent.tick_hz if self._agent.tick_hz else math.inf
 
     def _listen(self) -> None:
         for wanted in self._agent.inputs:

@@ -557,11 +557,49 @@ def test_two_runs_say_the_same_bytes() -> None:
 
 def test_the_bridge_is_named_after_its_arm_and_listens_to_that_arms_heartbeat() -> None:
     bridge = RobotBridge(RobotBridgeConfig(arm="psm2"), SimulatedPsm())
-    assert (bridge.kind, bridge.instance, bridge.tick_hz) == ("robot_bridge", "psm2", 100)
+    assert (bridge.kind, bridge.instance) == ("robot_bridge", "psm2")
     assert [(entry.topic, entry.instance) for entry in bridge.inputs] == [(PLAN, "main"), (HEARTBEAT, "psm2")]
 
 
-@pytest.mark.parametrize("name", ["dead_man_s", "first_heartbeat_s", "maximum_plan_age_s", "tick_hz"])
+def test_an_arm_has_all_turns_as_soon_as_it_is_armed_and_few_once_it_rests() -> None:
+    drive = Drive()
+    assert drive.bridge.tick_hz == 100
+    drive.tick(2 * SECOND)
+    assert drive.bridge.tick_hz == 10
+    drive.publish(plan(captured_ns=drive.now_ns))
+    drive.now_ns += SECOND // 20
+    assert drive.arm().outcome is Outcome.ACCEPTED
+    assert drive.bridge.tick_hz == 100
+    drive.run(2000)
+    assert drive.events()[-1].kind is ExecutionKind.FINISHED
+    assert drive.bridge.tick_hz == 100
+    drive.tick()
+    drive.tick(2 * SECOND)
+    assert drive.bridge.tick_hz == 10
+
+
+def test_an_arm_that_is_moved_by_others_has_all_turns() -> None:
+    drive = Drive()
+    drive.tick(2 * SECOND)
+    for step in range(5):
+        drive.backend.joints_read = lambda joints, step=step: joints + 1e-3 * (step + 1)
+        drive.tick(SECOND // 10)
+    assert drive.bridge.tick_hz == 100
+    drive.tick(2 * SECOND)
+    assert drive.bridge.tick_hz == 10
+
+
+def test_an_arm_that_broke_since_its_last_turn_is_not_armed() -> None:
+    drive = Drive()
+    drive.tick(2 * SECOND)
+    drive.publish(plan(captured_ns=drive.now_ns))
+    drive.now_ns += SECOND // 20
+    drive.backend.readiness = Readiness.DISABLED
+    answer = drive.arm()
+    assert (answer.outcome, answer.code) == (Outcome.REFUSED, "not_ready")
+
+
+@pytest.mark.parametrize("name", ["dead_man_s", "first_heartbeat_s", "maximum_plan_age_s", "tick_hz", "resting_hz"])
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf])
 def test_a_time_that_makes_no_sense_is_refused_by_name(name: str, value: float) -> None:
     with pytest.raises(RobotBridgeError, match=name):
