@@ -38,7 +38,7 @@ def meant_like(
     seen = cv2.cvtColor(image, cv2.COLOR_BGR2Lab)[coverage > 0]
     away = cv2.cvtColor(other, cv2.COLOR_BGR2Lab) - np.median(seen, axis=0)
     weight = np.exp(-0.5 * np.einsum("hwc,hwc->hw", away, away) / ALIKE**2)
-    return Meant(weight.astype(np.float32), alone=False)
+    return Meant(weight.astype(np.float32), alone=False, other_eye=coverage)
 
 
 def meant_as_before(coverage: UInt8[np.ndarray, "h w"], alone: bool) -> Meant:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float32, UInt8
 
 
 @dataclass(frozen=True)
@@ -27,10 +27,12 @@ class Meant:
     Fields:
         weight: of each pixel of the image that is to be segmented, from 0.
         alone: whether only that piece is kept; else also what looks like it.
+        other_eye: coverage by it in the left image, where only there it was said what is meant, and this is the right.
     """
 
     weight: Float32[np.ndarray, "h w"]
     alone: bool
+    other_eye: UInt8[np.ndarray, "h w"] | None = None
 
 
 def piece_meant(mask: Bool[np.ndarray, "h w"], weight: Float32[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
