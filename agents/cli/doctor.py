@@ -9,16 +9,18 @@ from collections.abc import Iterator
 import schemas
 from agents.cli.doctor_finding import Finding
 from agents.cli.doctor_here import examine_here
+from agents.cli.doctor_images import examine_frames, examine_images, wants_images
 from agents.cli.doctor_rig import clocks, granted, links, running, streams, versions
 from agents.cli.doctor_router import no_router
 from agents.cli.doctor_rules import examine_rules
 from agents.cli.live_options import Doctor
-from agents.cli.process import EXIT_OK
+from agents.cli.options import UsageError
+from agents.cli.process import EXIT_OK, EXIT_UNUSABLE
 from agents.cli.rig import RigConfig
 from agents.cli.status_command import gathered_on
 from agents.cli.status_session import reading_session
 from agents.cli.status_watch import StatusWatch
-from agents.cli.terminal import say, show
+from agents.cli.terminal import complain, say, show
 from shared.runtime.connection import Connection, NoRouterError, connected
 from shared.runtime.facts import schemas_hash
 from shared.runtime.identity import IdentityError
@@ -31,15 +33,20 @@ ROUTER_WAIT_S = 2.0
 def doctor(rig: RigConfig, options: Doctor) -> int:
     """Print every finding; the exit status is 1 where something is wrong."""
     findings: list[Finding] = []
-    for finding in examine(rig):
-        findings.append(finding)
-        if not options.json:
-            remedy = f"; {finding.remedy}" if finding.remedy else ""
-            say(f"{finding.state:5}  {finding.what}: {finding.found}{remedy}")
+    looked_at_images = wants_images(options)
+    try:
+        for finding in examine_images(options) if looked_at_images else examine(rig):
+            findings.append(finding)
+            if not options.json:
+                remedy = f"; {finding.remedy}" if finding.remedy else ""
+                say(f"{finding.state:5}  {finding.what}: {finding.found}{remedy}")
+    except UsageError as error:
+        return complain(str(error), EXIT_UNUSABLE)
     well = not any(finding.remedy for finding in findings)
     if options.json:
         told = [{"what": f.what, "state": _STATES[f.state], "found": f.found, "remedy": f.remedy} for f in findings]
-        show(json.dumps({"rig": rig.rig, "host": rig.host, "well": well, "findings": told}))
+        of = {} if looked_at_images else {"rig": rig.rig, "host": rig.host}
+        show(json.dumps({**of, "well": well, "findings": told}))
     return EXIT_OK if well else EXIT_FOUND
 
 
@@ -74,4 +81,5 @@ def _across(rig: RigConfig, connection: Connection) -> Iterator[Finding]:
     measured: dict[str, Link | None] = {name: connection.link(*name.split("/")) for name in facts}
     yield from links(measured)
     yield from streams(gathered)
+    yield from examine_frames(connection)
     yield from granted(facts, rig, gathered.at_ns)

@@ -184,8 +184,21 @@ class PromptThread(OnRig):
 
 @dataclass(frozen=True)
 class Doctor(OnRig):
-    """Look for what would keep a rig from running, here and across its hosts, and name the remedy."""
+    """Look for what would keep a rig from running, here and across its hosts, and name the remedy.
 
+    With a stereo pair (--left and --right, or --stereo) and its --calibration, that pair is looked at instead.
+    """
+
+    left: OptionalPath = None
+    """The left image of a pair."""
+    right: OptionalPath = None
+    """The right image."""
+    stereo: OptionalPath = None
+    """Both images side by side in one file, left first."""
+    calibration: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="PATH [PATH]")] = ()
+    """Of the camera that took the pair, in any format that `reconstruct` reads."""
+    unit: Annotated[str | None, tyro.conf.arg(metavar="UNIT")] = None
+    """The calibration's unit of length, where its file does not say."""
     json: bool = False
     """Print one JSON document instead."""
 

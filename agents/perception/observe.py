@@ -122,7 +122,7 @@ def _find(
         seen = correspondence_of_texture(left, right, segmented_left, segmented_right) or correspondence_of_masks(
             segmented_left, segmented_right
         )
-        judgements = judge(seen, camera.image_height)
+        judgements = judge(seen, left.shape)
     fault = next((j for j in judgements if j.severity is Severity.FAULT), None)
     if fault:
         return _Found(f"{fault.finding}; {fault.remedy}", judgements)

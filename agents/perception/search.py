@@ -76,7 +76,7 @@ def look_everywhere(
     coverage = of_left, segment(right, None, meant_like(left, of_left, right))
     # the right mask may hold threads that the left one leaves out, so that only the ground tells how the pair lies
     ground = correspondence_of_texture(left, right, coverage[0] > 0, coverage[1] > 0)
-    judgements = judge(ground, left.shape[0]) if ground else ()
+    judgements = judge(ground, left.shape) if ground else ()
     bright = is_brighter(left, of_left)
     return Looked(coverage, name, sequence, bright, judgements, followed(prompt_px, of_left))
 

@@ -7,7 +7,7 @@ import pytest
 from agents.perception.judge import Correspondence, correspondence_of_masks, correspondence_of_texture, judge
 from schemas.messages import Severity
 
-HEIGHT, WIDTH = 270, 480
+HEIGHT, WIDTH = SHAPE = 270, 480
 NOTHING = np.zeros((HEIGHT, WIDTH), bool)
 
 
@@ -58,12 +58,12 @@ def test_shifts_are_measured_on_any_ground(seen, disparity, rows):
 
 @both_grounds
 def test_a_clean_pair_is_not_judged(seen):
-    assert judge(seen(20, 0), HEIGHT) == ()
+    assert judge(seen(20, 0), SHAPE) == ()
 
 
 @both_grounds
 def test_exchanged_images_are_a_fault_with_its_remedy(seen):
-    findings = judge(seen(-20, 0), HEIGHT)
+    findings = judge(seen(-20, 0), SHAPE)
     assert codes(findings) == {"left_right_swapped": Severity.FAULT}
     assert "20 px further left" in findings[0].finding or seen is plain
     assert "exchange --left and --right" in findings[0].remedy
@@ -72,13 +72,13 @@ def test_exchanged_images_are_a_fault_with_its_remedy(seen):
 @both_grounds
 @pytest.mark.parametrize(("rows", "severity"), [(2, Severity.WARNING), (-2, Severity.WARNING), (8, Severity.FAULT)])
 def test_row_offsets_are_warnings_while_small_and_faults_beyond(seen, rows, severity):
-    findings = judge(seen(20, rows), HEIGHT)
+    findings = judge(seen(20, rows), SHAPE)
     assert codes(findings) == {"row_residual": severity}
     assert f"{abs(rows)}.0 px apart in rows" in findings[0].finding
 
 
 def test_what_is_unknown_is_not_judged():
-    assert judge(Correspondence(None, None), HEIGHT) == ()
+    assert judge(Correspondence(None, None), SHAPE) == ()
 
 
 def test_pairs_of_different_scenes_do_not_correspond():
@@ -117,5 +117,5 @@ def test_masks_of_different_threads_give_no_row_shift():
 
 
 def test_one_image_given_twice_is_no_stereo_pair():
-    (finding,) = judge(Correspondence(0.0, 0.0), 480)
+    (finding,) = judge(Correspondence(0.0, 0.0), (480, 640))
     assert (finding.code, finding.severity) == ("no_disparity", Severity.FAULT)

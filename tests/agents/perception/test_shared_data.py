@@ -47,7 +47,7 @@ def published(name):
 def codes(left, right, mask_left, mask_right):
     segmented = mask_left >= SEGMENTED_COVERAGE, mask_right >= SEGMENTED_COVERAGE
     seen = correspondence_of_texture(left, right, *segmented) or correspondence_of_masks(*segmented)
-    return [finding.code for finding in judge(seen, left.shape[0])]
+    return [finding.code for finding in judge(seen, left.shape)]
 
 
 def down(image, rows):

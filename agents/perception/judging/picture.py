@@ -1,0 +1,104 @@
+"""What one eye's picture tells by itself, or beside the other's: exposure, sharpness, interlacing."""
+
+import numpy as np
+from jaxtyping import UInt8
+
+from agents.perception.judging.answers import Answer, untold, well, wrong
+from agents.perception.judging.exposure import Exposure, exposure
+from agents.perception.judging.interlacing import combed
+from agents.perception.judging.sharpness import softness_px
+from schemas.messages import Severity
+
+EXPOSURE, SHARPNESS, INTERLACING = "exposure", "sharpness", "interlacing"
+DARK_LEVEL = 60.0
+"""Grey level: where 98 % of an image are below, little of it is told from noise."""
+ONE_COLOUR = 24.0
+"""Grey levels that noise alone spreads over."""
+BURNT_SHARE = 0.15
+CUT_OUT_SHARE, HALO_SHARE = 0.6, 0.005
+"""So much of one colour, and nothing nearly as bright beside it, was painted by a program."""
+APART = 0.35
+"""Between the eyes' grey levels, of the brighter one's."""
+SOFT_SHARE, SMEARED_SHARE = 0.0013, 0.0018
+"""Of the width: softness of edges that are out of focus, and that are smeared along one direction."""
+LEAST_WIDTH_PX = 800
+"""Smaller images are as soft as larger ones, in pixels."""
+SMEARED_RATIO = 1.6
+TEETH, MORE_THAN_ALONG_ROWS = 0.09, 2.5
+"""Of the steps along the columns, and as a multiple of those along the rows."""
+
+
+def about_exposure(left: Exposure, right: Exposure) -> Answer:
+    """Whether both images are bright enough, not too bright, and alike."""
+    for eye, seen in (("left", left), ("right", right)):
+        if answer := _one_exposure(eye, seen):
+            return answer
+    if max(left.one_value, right.one_value) > CUT_OUT_SHARE:
+        return untold(EXPOSURE, f"{max(left.one_value, right.one_value):.0%} of an image is of one plain colour")
+    brighter, darker = max(left.median, right.median), min(left.median, right.median)
+    if brighter > DARK_LEVEL / 2 and darker < (1 - APART) * brighter:
+        which = "left" if left.median < right.median else "right"
+        finding = (
+            f"the {which} image is darker than the other: half of it is below {darker:.0f} of 255, not {brighter:.0f}"
+        )
+        remedy = "clean that eye's window and its light, and set gain and exposure of both eyes alike"
+        return wrong(EXPOSURE, "exposures_differ", Severity.WARNING, finding, remedy)
+    return well(EXPOSURE, f"the images' median grey levels are {left.median:.0f} and {right.median:.0f} of 255")
+
+
+def _one_exposure(eye: str, seen: Exposure) -> Answer | None:
+    if seen.spread < ONE_COLOUR:
+        finding = f"the {eye} image shows nothing: it is of one colour, grey level {seen.median:.0f}"
+        remedy = "check that this eye's cable and input have a signal, and that its light is on"
+        return wrong(EXPOSURE, "no_picture", Severity.FAULT, finding, remedy)
+    if seen.bright < DARK_LEVEL:
+        finding = f"the {eye} image is too dark: 98 % of it are below {seen.bright:.0f} of 255"
+        remedy = "turn the light up, or raise exposure or gain of the camera"
+        return wrong(EXPOSURE, "too_dark", Severity.WARNING, finding, remedy)
+    cut_out = seen.one_value > CUT_OUT_SHARE and seen.nearly * (1 - seen.burnt) < HALO_SHARE
+    if seen.burnt > BURNT_SHARE and not cut_out:
+        finding = f"the {eye} image is too bright: {seen.burnt:.0%} of it is white and tells nothing"
+        remedy = "turn the light down, or lower exposure or gain of the camera"
+        return wrong(EXPOSURE, "too_bright", Severity.WARNING, finding, remedy)
+    return None
+
+
+def about_sharpness(left: UInt8[np.ndarray, "h w"], right: UInt8[np.ndarray, "h w"]) -> Answer:
+    """Whether both grey images have edges that are sharp, in every direction."""
+    softest = 0.0
+    for eye, image in (("left", left), ("right", right)):
+        across_rows, across_columns = softness_px(image)
+        if across_rows is None or across_columns is None:
+            return untold(SHARPNESS, f"the {eye} image has too few edges")
+        soft, smeared = sorted((across_rows, across_columns))
+        width = max(image.shape[1], LEAST_WIDTH_PX)
+        if soft > SOFT_SHARE * width:
+            finding = f"the {eye} image is out of focus: its sharpest edges are {soft:.1f} px soft"
+            remedy = "focus, and clean the window of the endoscope"
+            return wrong(SHARPNESS, "blurred", Severity.WARNING, finding, remedy)
+        if smeared > SMEARED_SHARE * width and smeared > SMEARED_RATIO * soft:
+            way = "left to right" if across_rows > across_columns else "up and down"
+            finding = (
+                f"the {eye} image is smeared {way}: edges are {smeared:.1f} px soft there, and {soft:.1f} px across"
+            )
+            return wrong(
+                SHARPNESS, "smeared", Severity.WARNING, finding, "move more slowly, or expose for a shorter time"
+            )
+        softest = max(softest, soft)
+    return well(SHARPNESS, f"edges are sharp, to {softest:.1f} px")
+
+
+def about_interlacing(left: UInt8[np.ndarray, "h w"], right: UInt8[np.ndarray, "h w"]) -> Answer:
+    """Whether a grey image is woven from two fields; while nothing moves, that cannot be seen."""
+    for eye, image in (("left", left), ("right", right)):
+        in_columns, in_rows = combed(image)
+        if in_columns > TEETH and in_columns > MORE_THAN_ALONG_ROWS * in_rows:
+            finding = f"the {eye} image is interlaced: every other row is of another moment"
+            remedy = "set the video output to progressive (p), or have the frame grabber deinterlace"
+            return wrong(INTERLACING, "interlaced", Severity.WARNING, finding, remedy)
+    return well(INTERLACING, "no combs; those of an interlaced image show only while something moves")
+
+
+def exposures(left: UInt8[np.ndarray, "h w *c"], right: UInt8[np.ndarray, "h w *c"]) -> tuple[Exposure, Exposure]:
+    """Of both images."""
+    return exposure(left), exposure(right)
