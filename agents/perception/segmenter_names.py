@@ -1,4 +1,6 @@
 """The names of the segmenters, for whoever configures one and runs none."""
 
-GIVEN_MASKS, THRESHOLD, RIDGE = "mask", "threshold", "ridge"
-SEGMENTER_NAMES = (GIVEN_MASKS, THRESHOLD, RIDGE)
+GIVEN_MASKS, THRESHOLD, RIDGE, NETWORK = "mask", "threshold", "ridge", "network"
+PROMPTABLE = "promptable"
+"""Needs the files of a network, which a user supplies."""
+SEGMENTER_NAMES = (GIVEN_MASKS, THRESHOLD, RIDGE, NETWORK, PROMPTABLE)

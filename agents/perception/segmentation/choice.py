@@ -1,14 +1,18 @@
 """The segmenters by name, and which of them suits an image that nobody has said anything about."""
 
+from collections.abc import Mapping
 from typing import Protocol
 
 import numpy as np
 from jaxtyping import UInt8
 
 from agents.perception.segmentation.near import Meant, Near
+from agents.perception.segmentation.network import segment_network
+from agents.perception.segmentation.promptable import PromptableSegmenter
+from agents.perception.segmentation.promptable_model import PromptableFiles, PromptableModel
 from agents.perception.segmentation.ridge import segment_ridge
 from agents.perception.segmentation.threshold import LEAST_CONTRAST, local_contrast, segment_threshold
-from agents.perception.segmenter_names import RIDGE, THRESHOLD
+from agents.perception.segmenter_names import NETWORK, PROMPTABLE, RIDGE, THRESHOLD
 
 
 class Segmenter(Protocol):
@@ -26,7 +30,25 @@ class Segmenter(Protocol):
         ...
 
 
-SEGMENTERS: dict[str, Segmenter] = {THRESHOLD: segment_threshold, RIDGE: segment_ridge}
+SEGMENTERS: dict[str, Segmenter] = {
+    THRESHOLD: segment_threshold,
+    RIDGE: segment_ridge,
+    NETWORK: segment_network,
+}
+
+
+def segmenters_with(promptable: PromptableFiles | None) -> Mapping[str, Segmenter]:
+    """All segmenters; the promptable one only with the files of its network.
+
+    Raises:
+        PromptableFileError: where those cannot be used.
+    """
+    return (
+        SEGMENTERS
+        if promptable is None
+        else SEGMENTERS | {PROMPTABLE: PromptableSegmenter(PromptableModel(promptable))}
+    )
+
 
 PLAIN_SHARE = 0.75
 """An image is plain where at least this share of its pixels hardly differs from its local background."""

@@ -1,0 +1,141 @@
+"""Thread on textured ground by a trained network, which OpenCV runs: docs/model_card.md says what it has learned.
+
+The network works at half resolution and loses nothing by it: the four pixels of each square go in side by side, and
+four coverages come out. So its answer has the image's own resolution at a quarter of the cost. Where it is known about
+where the thread is, only boxes around that are looked at.
+"""
+
+import functools
+from collections import deque
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int32, UInt8
+
+from agents.perception.segmentation.boxes import boxes_around
+from agents.perception.segmentation.near import Meant, Near, piece_meant
+
+WEIGHTS = Path(__file__).with_name("network.onnx")
+MULTIPLE_PX = 16
+"""Sides of what the network takes: it halves them four times."""
+WIDEST_PX, USUAL_WIDTH_PX = 1280, 960
+"""Wider images are looked at in the usual width, in which the network has learned how wide threads are."""
+SEGMENTED, SURE = 104, 192
+"""Coverage of a pixel that is thread, and that which each piece of thread must reach somewhere."""
+LEAST_EXTENT_PX = 16
+"""Shorter pieces are specks."""
+LEAST_THREAD_PX = 48
+"""An image whose pieces are all shorter shows no thread."""
+
+
+def segment_network(
+    image: UInt8[np.ndarray, "h w 3"], near: Near | None = None, meant: Meant | None = None
+) -> UInt8[np.ndarray, "h w"]:
+    """Coverage of each pixel by thread, 0 or 255: from where on the edges in the image tell its middle best.
+
+    Args:
+        near: where thread is looked for; anywhere, if it is None.
+        meant: which piece is meant; all pieces, if it is None.
+    """
+    where = None if near is None else near.where
+    if image.shape[1] > WIDEST_PX:
+        share = USUAL_WIDTH_PX / image.shape[1]
+        size = USUAL_WIDTH_PX, max(1, round(image.shape[0] * share))
+        small = None if where is None else cv2.resize(where.view(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+        score = thread_score(cv2.resize(image, size, interpolation=cv2.INTER_AREA), small)
+        score = np.asarray(cv2.resize(score, image.shape[1::-1], interpolation=cv2.INTER_LINEAR), np.uint8)
+    else:
+        score = thread_score(image, where)
+    thread = _thread_in(score if where is None else np.where(where, score, np.uint8(0)))
+    if meant is not None and meant.alone:
+        thread = piece_meant(thread, meant.weight)
+    return np.where(thread, np.uint8(255), np.uint8(0))
+
+
+def thread_score(
+    image: UInt8[np.ndarray, "h w 3"], where: Bool[np.ndarray, "h w"] | None = None
+) -> UInt8[np.ndarray, "h w"]:
+    """How much of each pixel the network holds to be thread, 0 to 255; 0 where it has not looked.
+
+    Args:
+        where: what is looked at, with what lies around; everything, if it is None.
+    """
+    if where is None:
+        return _looked_at(image)
+    score = np.zeros(image.shape[:2], np.uint8)
+    for box in boxes_around(where):
+        inner = box.inner
+        score[inner] = _looked_at(np.ascontiguousarray(image[box.outer]))[box.inner_in_outer]
+    return score
+
+
+def _thread_in(score: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """The pieces that are thread."""
+    count, labelled = cv2.connectedComponents((score >= SEGMENTED).view(np.uint8), connectivity=8)
+    labels = np.asarray(labelled, np.int32)
+    return _is_thread(labels, score, count)[labels]
+
+
+def _is_thread(labels: Int32[np.ndarray, "h w"], score: UInt8[np.ndarray, "h w"], count: int) -> Bool[np.ndarray, "c"]:
+    """Which of the connected pieces are; the ground, number 0, is not."""
+    pixel = np.flatnonzero(labels)
+    of_pixel = labels.ravel()[pixel]
+    extent = np.hypot(*(_sides(of_pixel, at, count) for at in np.divmod(pixel, labels.shape[1])))
+    best = np.zeros(count, np.uint8)
+    np.maximum.at(best, of_pixel, score.ravel()[pixel])
+    thread = (best >= SURE) & (extent >= LEAST_EXTENT_PX)
+    return thread & bool(extent[thread].max(initial=0.0) >= LEAST_THREAD_PX)
+
+
+def _sides(piece: Int32[np.ndarray, "p"], at: np.ndarray, count: int) -> Float64[np.ndarray, "c"]:
+    """How many rows, or columns, each piece reaches over; 0 where a piece has no pixel."""
+    first, last = np.full(count, np.iinfo(np.int64).max), np.full(count, -1)
+    np.minimum.at(first, piece, at)
+    np.maximum.at(last, piece, at)
+    return np.where(last >= 0, last - np.minimum(first, last) + 1.0, 0.0)
+
+
+def _looked_at(image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w"]:
+    height, width = image.shape[:2]
+    below, beside = -height % MULTIPLE_PX, -width % MULTIPLE_PX
+    padded = cv2.copyMakeBorder(image, 0, below, 0, beside, cv2.BORDER_REFLECT_101) if below or beside else image
+    return together(_forward(phases(padded)))[:height, :width]
+
+
+def phases(image: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "1 12 r c"]:
+    """An image as the network takes it: at half size, the four pixels of each square as channels, 0 to 1."""
+    rows, columns = image.shape[0] // 2, image.shape[1] // 2
+    apart = image.reshape(rows, 2, columns, 2, 3).transpose(1, 3, 4, 0, 2)
+    return np.multiply(apart, np.float32(1 / 255), dtype=np.float32, order="C").reshape(1, 12, rows, columns)
+
+
+def together(coverage: Float32[np.ndarray, "1 4 r c"]) -> UInt8[np.ndarray, "h w"]:
+    """Coverage as the network gives it, of 0 to 1, as an image of 0 to 255."""
+    rows, columns = coverage.shape[2:]
+    of_row = cv2.convertScaleAbs(coverage.reshape(4, -1), alpha=255).reshape(2, 2, rows, columns)
+    image = np.empty((2 * rows, 2 * columns), np.uint8)
+    for row, (even, odd) in enumerate(of_row):
+        image[row::2] = cv2.merge((even, odd)).reshape(rows, -1)
+    return image
+
+
+_idle: deque[cv2.dnn.Net] = deque()
+"""Both eyes are looked at at once, and one of OpenCV's networks can be run by one thread at a time."""
+
+
+def _forward(pixels: Float32[np.ndarray, "1 12 r c"]) -> Float32[np.ndarray, "1 4 r c"]:
+    try:
+        net = _idle.pop()
+    except IndexError:
+        # the newer engine is slower, and takes images of one size only
+        net = cv2.dnn.readNetFromONNX(_weights(), cv2.dnn.ENGINE_CLASSIC)
+    net.setInput(pixels)
+    coverage = np.asarray(net.forward(), np.float32)
+    _idle.append(net)
+    return coverage
+
+
+@functools.cache
+def _weights() -> UInt8[np.ndarray, "b"]:
+    return np.frombuffer(WEIGHTS.read_bytes(), np.uint8)
