@@ -10,7 +10,6 @@ from jaxtyping import Bool, Float32, Float64, UInt8
 
 from agents.perception.centrelines.along import Pieces, directions, evenly_spaced, gaussian, local_quadratic, smoothed
 from agents.perception.centrelines.deviation import deviations
-from agents.perception.centrelines.edges import contrast_channel
 from agents.perception.centrelines.glints import without_glints
 from agents.perception.centrelines.profiles import sample
 from agents.perception.centrelines.refine import Curves, by_coverage, by_edges, tangent_sigma
@@ -69,7 +68,7 @@ def _centrelines(
     if graded:
         curves, seen = by_coverage(curves, coverage, width)
     else:
-        curves, seen = by_edges(curves, seen, contrast_channel(image, filled), width)
+        curves, seen = by_edges(curves, seen, image, width)
     return Centrelines(curves.point, curves.pieces.number, seen.width_px, deviations(curves, seen, graded))
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, Float64
+from jaxtyping import Bool, Float32, Float64, UInt8
 
 STEP_PX = 0.5
 RISE = 40.0
@@ -40,12 +40,12 @@ def offsets(reach_px: float) -> Float64[np.ndarray, "t"]:
 
 
 def sample(
-    image: Float32[np.ndarray, "h w"],
+    image: Float32[np.ndarray, "h w"] | UInt8[np.ndarray, "h w c"],
     point: Float64[np.ndarray, "n 2"],
     direction: Float64[np.ndarray, "n 2"],
     at: Float64[np.ndarray, "t"],
     border: int = cv2.BORDER_CONSTANT,
-) -> Float32[np.ndarray, "n t"]:
+) -> Float32[np.ndarray, "n t *c"]:
     """The image, bilinear, at `at` pixels from each point along its direction; outside it is zero by default."""
     u = (point[:, :1] + direction[:, :1] * at).astype(np.float32)
     v = (point[:, 1:] + direction[:, 1:] * at).astype(np.float32)

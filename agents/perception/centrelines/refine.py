@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, Float64
+from jaxtyping import Bool, Float32, Float64, UInt8
 
 from agents.perception.centrelines.along import (
     Pieces,
@@ -23,7 +23,6 @@ ALONG_PX = 2.0
 """Standard deviation of the average of neighbouring profiles in which edges are looked for."""
 LIGHT_PX = 1.5
 """Standard deviation of the local parabolas that smooth corrected points."""
-EDGE_ROUNDS = 2
 LEAST_WIDTH_PX = 0.1
 
 
@@ -68,29 +67,26 @@ def by_coverage(curves: Curves, coverage: Float32[np.ndarray, "h w"], width: flo
 
 
 def by_edges(
-    curves: Curves, mask: Evidence, channel: Float32[np.ndarray, "h w"], width: float
+    curves: Curves, mask: Evidence, image: UInt8[np.ndarray, "h w 3"], width: float
 ) -> tuple[Curves, Evidence]:
-    """Two rounds: every point to the middle between the thread's edges in the contrast channel.
+    """One round: every point to the middle between the thread's edges in the image.
 
     Args:
         curves: in the middle of the mask.
         mask: what a round by coverage saw at the same points.
-        channel: higher in the thread than beside it.
         width: of the thread in general.
     """
     at, kernel = offsets(width / 2 + 2 * MARGIN_PX), gaussian(ALONG_PX)
     mask_width = smoothed(mask.width_px[:, None], curves.pieces, kernel)[:, 0]
-    seen_width, moved = mask_width, np.zeros(len(mask_width))
+    normal = normals(directions(curves.point, curves.pieces, gaussian(tangent_sigma(width))))
+    colour = sample(image, curves.point, normal, at, cv2.BORDER_REPLICATE)
+    seen = blurred(colour.reshape(len(colour), -1), curves.pieces, kernel).reshape(colour.shape)
+    edges = find_edges(seen, at, mask_width, curves.pieces)
     # both edges may lie off the mask's, but in the same direction only as far as a mask is wrong
     limit = 0.5 + 0.25 * width
-    for _ in range(EDGE_ROUNDS):
-        normal = normals(directions(curves.point, curves.pieces, gaussian(tangent_sigma(width))))
-        seen = blurred(sample(channel, curves.point, normal, at, cv2.BORDER_REPLICATE), curves.pieces, kernel)
-        edges = find_edges(seen, at, -moved, mask_width)
-        shift = np.clip((edges.near_px + edges.far_px) / 2, -limit - moved, limit - moved)
-        seen_width, moved = edges.far_px - edges.near_px, moved + shift
-        curves = _moved(curves, normal, shift)
-    return curves, Evidence(np.maximum(seen_width, LEAST_WIDTH_PX), np.abs(moved), mask.open)
+    shift = np.clip((edges.near_px + edges.far_px) / 2, -limit, limit)
+    width_px = np.maximum(edges.far_px - edges.near_px, LEAST_WIDTH_PX)
+    return _moved(curves, normal, shift), Evidence(width_px, np.abs(shift), mask.open)
 
 
 def _moved(curves: Curves, normal: Float64[np.ndarray, "n 2"], shift: Float64[np.ndarray, "n"]) -> Curves:

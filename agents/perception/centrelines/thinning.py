@@ -4,25 +4,26 @@ Only foreground pixels are visited, as a list of indices into a padded image, so
 not that of the image. Neighbours are numbered clockwise from the north; bit k of a code is neighbour k.
 """
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Int64, UInt8
 
 CODES = np.arange(256)
 
 
-def thin(mask: Bool[np.ndarray, "h w"]) -> Int64[np.ndarray, "p 2"]:
-    """Rows and columns of a skeleton of the mask: eight-connected, one pixel wide, of the same topology."""
-    padded = np.pad(mask, 1).astype(np.uint8)
+def thinned(mask: Bool[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h+2 w+2"]:
+    """A skeleton of the mask, as 1 in an image with a border: eight-connected, one pixel wide, of the same topology."""
+    padded = cv2.copyMakeBorder(mask.view(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
     flat, offsets = padded.ravel(), neighbour_offsets(padded.shape[1])
-    alive = np.flatnonzero(flat)
+    alive = np.flatnonzero(flat.view(bool))
     changed = True
     while changed:
         before = len(alive)
         for removable in GUO_HALL:
             alive = _without(flat, alive, removable[neighbour_codes(flat, alive, offsets)])
         changed = len(alive) < before
-    alive = thin_corners(flat, alive, offsets, padded.shape[1])
-    return np.column_stack((alive // padded.shape[1] - 1, alive % padded.shape[1] - 1))
+    thin_corners(flat, alive, offsets, padded.shape[1])
+    return padded
 
 
 def thin_corners(

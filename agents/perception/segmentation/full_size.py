@@ -8,8 +8,11 @@ from jaxtyping import Bool, Float32, Int64, UInt8
 
 EDGE_SHARE = 0.6
 """Of the contrast in the thread's middle: its edge. Blur and shadow widen the thread, so more than one half."""
+BLUR_PX, BLUR_SIDE_PX = 2.0, 13
+"""Standard deviation and window in which the contrast of the middle is averaged."""
 BLUR_MARGIN_PX = 24
-"""Around the ridge: more than three times as far as the blur of its contrast reaches."""
+"""Around the ridge: farther than the blur of its contrast reaches."""
+SHEET = 256
 MEAN_OF_CHANNELS = np.full((1, 3), 1 / 3, np.float32)
 EIGHT_NEIGHBOURS = np.ones((3, 3), np.uint8)
 
@@ -32,24 +35,39 @@ def at_full_size(
         _around(np.flatnonzero(ridge.any(axis=1 - axis)), ridge.shape[axis], image.shape[axis]) for axis in (0, 1)
     )
     background, ridge, contrast = (whole[rows, columns] for whole in (background, ridge, contrast))
-    image = image[full_rows, full_columns]
-    middle = cv2.dilate(np.where(ridge, contrast, np.float32(0)), EIGHT_NEIGHBOURS)
-    level = cv2.GaussianBlur(middle * ridge, (0, 0), 2.0) / np.maximum(
-        cv2.GaussianBlur(ridge.astype(np.float32), (0, 0), 2.0), 1e-3
-    )
-    size = image.shape[1::-1]
-    wide = cv2.dilate(255 * ridge.astype(np.uint8), EIGHT_NEIGHBOURS)
-    beside = cv2.resize(wide, size, interpolation=cv2.INTER_NEAREST)
-    edge = EDGE_SHARE * cv2.resize(level, size, interpolation=cv2.INTER_LINEAR)
-    full_background = cv2.resize(background, size, interpolation=cv2.INTER_LINEAR)
-    pixel = np.flatnonzero(beside)
-    seen, ground = (part.reshape(-1, 1, 3)[pixel] for part in (image, full_background))
+    full_size = full_columns.stop - full_columns.start, full_rows.stop - full_rows.start
+    wide = cv2.dilate(np.ascontiguousarray(ridge).view(np.uint8), EIGHT_NEIGHBOURS)
+    pixel = np.flatnonzero(cv2.resize(wide, full_size, interpolation=cv2.INTER_NEAREST).view(bool))
+    row, column = np.divmod(pixel, full_size[0])
+    share = ridge.shape[1] / full_size[0], ridge.shape[0] / full_size[1]
+    # where the middle of each pixel lies in the reduced image
+    place = (column + 0.5) * share[0] - 0.5, (row + 0.5) * share[1] - 0.5
+    edge = EDGE_SHARE * _at(_level(ridge, contrast), place)
+    ground = np.asarray(_at(background, place), np.uint8)
+    seen = image[full_rows.start + row, full_columns.start + column]
     lighter, darker = (seen, ground) if is_bright else (ground, seen)
-    clear = mean_excess(lighter, darker)[:, 0] > edge.ravel()[pixel]
-    part = np.zeros(image.shape[:2], np.uint8)
-    part.ravel()[pixel[clear]] = 255
-    coverage[full_rows, full_columns] = part
+    clear = mean_excess(lighter[None], darker[None])[0] > edge
+    coverage[full_rows.start + row[clear], full_columns.start + column[clear]] = 255
     return coverage
+
+
+def _level(ridge: Bool[np.ndarray, "h w"], contrast: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+    """The contrast of the ridge's middle, averaged along it and carried on beside it."""
+    middle = cv2.dilate(np.where(ridge, contrast, np.float32(0)), EIGHT_NEIGHBOURS)
+    both = np.dstack((middle * ridge, ridge.astype(np.float32)))
+    total, count = cv2.split(cv2.GaussianBlur(both, (BLUR_SIDE_PX, BLUR_SIDE_PX), BLUR_PX))
+    return np.asarray(total / np.maximum(count, 1e-3), np.float32)
+
+
+def _at(image: np.ndarray, place: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """The image at places (columns, rows) between its pixels."""
+    count = len(place[0])
+    # OpenCV takes no more than 32767 of them in a row
+    sheet = np.zeros((2, -(-count // SHEET), SHEET), np.float32)
+    for axis, values in enumerate(place):
+        sheet[axis].ravel()[:count] = values
+    found = np.asarray(cv2.remap(image, sheet[0], sheet[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+    return found.reshape(-1, *found.shape[2:])[:count]
 
 
 def _around(hit: Int64[np.ndarray, "n"], reduced: int, full: int) -> tuple[slice, slice]:
