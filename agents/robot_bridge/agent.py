@@ -113,6 +113,7 @@ class RobotBridge:
         self._replay_over_ns = 0
         self._arm_state: ArmState | None = None
         self._still_at = np.full(7, np.inf)
+        self._tool: tuple[np.ndarray, Float64[np.ndarray, "4 4"]] | None = None
         self._rests_from_ns = 0
         self._not_ready = "the arm has not been measured yet"
         self._execution: Execution | None = None
@@ -316,12 +317,18 @@ class RobotBridge:
             arm=self.config.arm,
             measured_ns=arm.measured_ns,
             mode=self._mode(arm),
-            T_base_tool=forward(arm.joints, self._backend.psm),
+            T_base_tool=self._tool_pose(arm),
             joints=arm.joints,
             jaw_rad=arm.jaw_rad,
             T_camera_base=self.config.T_camera_base,
             plan_id=self._execution.plan_id if self._execution else "",
         )
+
+    def _tool_pose(self, arm: ArmState) -> Float64[np.ndarray, "4 4"]:
+        """The pose of the tool, computed anew where the joints are others than the last time."""
+        if self._tool is None or not np.array_equal(self._tool[0], arm.joints):
+            self._tool = arm.joints.copy(), forward(arm.joints, self._backend.psm)
+        return self._tool[1]
 
     def _mode(self, arm: ArmState) -> RobotMode:
         if self._not_ready:
