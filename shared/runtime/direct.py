@@ -5,7 +5,6 @@ a second session, and hear the same topic through the router whenever that link 
 what goes over such a link: hence one host, one user, and only where the rig asks for it.
 """
 
-import json
 import queue
 import threading
 from collections.abc import Callable
@@ -18,7 +17,7 @@ from schemas.topics import FRAMES, MAIN, Topic
 from shared.runtime.accounts import RingLosses
 from shared.runtime.attachment import unpack
 from shared.runtime.delivery import RouterLinks, declare_publisher, ring_room, subscribe
-from shared.runtime.session import COMMON
+from shared.runtime.session import opened
 
 SOCKETS_MODE = 0o700
 ENDS_S = 5.0
@@ -35,17 +34,16 @@ def socket_endpoint(folder: Path, kind: str, instance: str) -> str:
 
 def open_direct_publishing(endpoint: str) -> zenoh.Session:
     """A session that consumers connect to; it knows no router."""
-    return zenoh.open(_direct_config(listen=[endpoint]))
+    return opened(_direct_settings(listen=[endpoint]))
 
 
 def open_direct_consuming(endpoints: list[str]) -> zenoh.Session:
     """A session that is linked with those of the endpoints that are there, and with the others once they come."""
-    return zenoh.open(_direct_config(connect=endpoints))
+    return opened(_direct_settings(connect=endpoints))
 
 
-def _direct_config(listen: list[str] | None = None, connect: list[str] | None = None) -> zenoh.Config:
-    config = zenoh.Config()
-    settings = COMMON | {
+def _direct_settings(listen: list[str] | None = None, connect: list[str] | None = None) -> dict[str, Any]:
+    return {
         "mode": "peer",
         "scouting/gossip/enabled": False,
         "scouting/delay": 0,
@@ -55,9 +53,6 @@ def _direct_config(listen: list[str] | None = None, connect: list[str] | None = 
         "connect/exit_on_failure": False,
         "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
     }
-    for name, value in settings.items():
-        config.insert_json5(name, json.dumps(value))
-    return config
 
 
 class DirectLinks(RouterLinks):

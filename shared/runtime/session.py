@@ -6,6 +6,7 @@ when it restarts. Nothing is scouted for by multicast. Off loopback both sides o
 
 import ipaddress
 import json
+import logging
 import os
 import re
 import socket
@@ -34,6 +35,11 @@ RETRY = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 
 
 ENDPOINT = re.compile(r"(?P<protocol>[a-z-]+)/(?P<host>.+):(?P<port>\d{1,5})")
 
+NO_SHARED_MEMORY = "shm"
+"""In what Zenoh says where it can make no shared memory."""
+REMEDY = "allow locked memory (LimitMEMLOCK=infinity in the unit, ulimit -l), and room in /dev/shm"
+
+LOG = logging.getLogger("suturegrasp.session")
 
 Session = zenoh.Session
 """For those who pass one on and know nothing of Zenoh."""
@@ -65,17 +71,14 @@ def open_session(settings: SessionSettings) -> zenoh.Session:
         IdentityError: where the endpoint is off loopback and the certificate is missing or not valid.
     """
     check_security(settings.endpoint, settings.identity)
-    config = _config(
-        {
-            "mode": "client",
-            "connect/endpoints": [settings.endpoint],
-            "connect/timeout_ms": -1,
-            "connect/exit_on_failure": False,
-            "connect/retry": RETRY,
-        }
-        | _tls(settings.identity)
-    )
-    return zenoh.open(config)
+    client = {
+        "mode": "client",
+        "connect/endpoints": [settings.endpoint],
+        "connect/timeout_ms": -1,
+        "connect/exit_on_failure": False,
+        "connect/retry": RETRY,
+    }
+    return opened(client | _tls(settings.identity))
 
 
 def router_settings(
@@ -113,7 +116,7 @@ def open_router(
     # read when the first session of a process is opened
     os.environ.setdefault(RUNTIME_VARIABLE, ROUTER_RUNTIME)
     try:
-        return zenoh.open(_config(router_settings(endpoint, identity, access, others)))
+        return opened(router_settings(endpoint, identity, access, others))
     except zenoh.ZError as error:
         said = str(error).split(" at /")[0]
         raise RouterError(
@@ -183,6 +186,18 @@ def _tls(identity: Identity | None) -> dict[str, Any]:
     }
     tls |= {f"{side}_{name}": path for side in ("listen", "connect") for name, path in own.items()}
     return {"transport/link/tls": tls}
+
+
+def opened(settings: dict[str, Any]) -> zenoh.Session:
+    """A session with these settings; where the system grants no shared memory, one that sends all by network."""
+    try:
+        return zenoh.open(_config(settings))
+    except zenoh.ZError as error:
+        if NO_SHARED_MEMORY not in str(error):
+            raise
+        said = str(error).split(" at /")[0]
+        LOG.warning("large messages go by network, for no memory can be shared (%s): %s", said, REMEDY)
+        return zenoh.open(_config(settings | {"transport/shared_memory/enabled": False}))
 
 
 def _config(settings: dict[str, Any]) -> zenoh.Config:

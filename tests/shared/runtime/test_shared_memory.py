@@ -2,6 +2,8 @@
 
 import json
 import platform
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -48,6 +50,32 @@ def test_a_frame_arrives_whole_whether_or_not_memory_is_shared(session, settings
             declared.undeclare()
     assert heard == [encode(sent)]
     assert decode(StereoFrame, heard[0]) == sent
+
+
+UNLOCKED = """
+import ctypes, os, resource, sys
+CAP_IPC_LOCK, PR_CAPBSET_DROP = 14, 24
+ctypes.CDLL(None).prctl(PR_CAPBSET_DROP, CAP_IPC_LOCK, 0, 0, 0)
+resource.setrlimit(resource.RLIMIT_MEMLOCK, (0, 0))
+os.execv(sys.executable, [sys.executable, "-c", sys.argv[1], sys.argv[2]])
+"""
+"""Begins a program that may lock no memory, which takes the right to do so from root as well."""
+ASKS = """
+import sys
+from shared.runtime.session import SessionSettings, open_session
+from shared.runtime.shared_memory import joined
+with open_session(SessionSettings("test", sys.argv[1])) as session:
+    print(len(session.info.routers_zid()), type(joined([b"x" * 10000])).__name__)
+"""
+
+
+def test_where_no_memory_may_be_shared_a_session_goes_by_network_and_says_so(settings):
+    done = subprocess.run(
+        [sys.executable, "-c", UNLOCKED, ASKS, settings.endpoint], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == ["1", "bytes"]
+    assert "large messages go by network" in done.stderr
+    assert "LimitMEMLOCK" in done.stderr
 
 
 def test_where_the_pool_is_full_a_payload_is_bytes():
