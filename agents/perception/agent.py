@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, UInt8
 
+from agents.perception.both_eyes import of_both
 from agents.perception.observe import observe
 from agents.perception.prompt import reach_px
 from agents.perception.rectification import (
@@ -22,6 +23,7 @@ from agents.perception.surface import surface_is_due, tissue_surface
 from schemas.messages import (
     CommandAnswer,
     FrameStamp,
+    Image,
     ImageEncoding,
     Judgement,
     Prompt,
@@ -153,13 +155,12 @@ class Perception:
         if reason := self._mismatch(frame, calibration):
             return reason
         try:
-            left, right = _colour(decode_image(frame.left)), _colour(decode_image(frame.right))
+            left, right = of_both(_decoded, (frame.left,), (frame.right,))
             self._rectification = self._rectification or rectification(calibration)
         except (ImageDataError, RectificationError) as error:
             return str(error)
-        left = rectify_image(left, self._rectification.map_left)
-        right = rectify_image(right, self._rectification.map_right)
-        return _Rectified(self._rectification.camera, (left, right))
+        maps = self._rectification.map_left, self._rectification.map_right
+        return _Rectified(self._rectification.camera, of_both(rectify_image, (left, maps[0]), (right, maps[1])))
 
     def _prompted(self, prompt: Prompt) -> CommandAnswer:
         """Whether something like thread lies near the prompt in the last frame; it is meant from the next one on."""
@@ -220,6 +221,10 @@ def _period_ns(stamp: FrameStamp, last: FrameStamp | None) -> float:
 class _Rectified:
     camera: RectifiedStereo
     images: Pair
+
+
+def _decoded(image: Image) -> UInt8[np.ndarray, "h w 3"]:
+    return _colour(decode_image(image))
 
 
 def _unusable(frame: StereoFrame, camera: RectifiedStereo, reason: str, prompt_px: Pixel | None) -> ThreadObservations:

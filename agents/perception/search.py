@@ -129,10 +129,10 @@ def near_thread(coverage: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     height, width = coverage.shape
     share = min(1.0, SMALL_WIDTH_PX / width)
     size = max(1, round(width * share)), max(1, round(height * share))
-    small = (cv2.resize(coverage, size, interpolation=cv2.INTER_AREA) > 0).astype(np.uint8)
+    small = (cv2.resize(coverage, size, interpolation=cv2.INTER_AREA) > 0).view(np.uint8)
     side = 2 * max(1, round(MARGIN_SHARE * size[0])) + 1
     wide = cv2.dilate(small, np.ones((side, side), np.uint8))
-    return cv2.resize(wide, (width, height), interpolation=cv2.INTER_NEAREST) > 0
+    return np.asarray(cv2.resize(wide, (width, height), interpolation=cv2.INTER_NEAREST)).view(bool)
 
 
 def may_lack_thread(coverage: UInt8[np.ndarray, "h w"], near: Bool[np.ndarray, "h w"], pixels_before: int) -> bool:
@@ -141,7 +141,7 @@ def may_lack_thread(coverage: UInt8[np.ndarray, "h w"], near: Bool[np.ndarray, "
     if found < LEAST_KEPT_SHARE * pixels_before:
         return True
     # beyond the image's own border there is nothing to look at
-    inside = cv2.erode(near.astype(np.uint8), np.ones((2 * BORDER_PX + 1,) * 2, np.uint8))
+    inside = cv2.erode(near.view(np.uint8), np.ones((2 * BORDER_PX + 1,) * 2, np.uint8))
     return _pixels(cv2.bitwise_and(coverage, coverage, mask=inside)) < found
 
 
