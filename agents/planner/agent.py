@@ -1,15 +1,27 @@
-"""The planner as an agent: it keeps the newest thread, state of every arm and account of clocks, and answers goals."""
+"""The planner as an agent: it keeps the newest thread, tissue, arms and account of clocks, and answers goals."""
 
 from collections.abc import Callable, Iterable
 
 import numpy as np
 from jaxtyping import Bool, Float64
 
+from agents.planner.captures import ArmView
 from agents.planner.config import PlannerConfig
-from agents.planner.plan import ArmView, plan_grasp
-from agents.planner.refusal import RefusedGoalError, clock_unknown, planned_from
-from schemas.messages import CommandAnswer, GraspGoal, HostClocks, Outcome, RobotState, ThreadReconstruction
-from schemas.topics import CLOCKS, GOAL, MAIN, PLAN, ROBOT_STATE, THREAD, Topic
+from agents.planner.plan import plan_grasp
+from agents.planner.refusal import RefusedGoalError, clock_unknown, planned_from, surface_unusable
+from agents.planner.standing import SeenTissue
+from agents.planner.tissue import tissue_of
+from agents.planner.tools import tool_cells
+from schemas.messages import (
+    CommandAnswer,
+    GraspGoal,
+    HostClocks,
+    Outcome,
+    RobotState,
+    ThreadReconstruction,
+    TissueSurface,
+)
+from schemas.topics import CLOCKS, GOAL, MAIN, PLAN, ROBOT_STATE, SURFACE, THREAD, Topic
 from shared.kinematics import psm
 from shared.rigid_transforms import compose, inverse
 from shared.runtime.agent import Command, Input, Output, Received, Tick
@@ -30,6 +42,7 @@ class Planner:
     instance: str = MAIN
     inputs: tuple[Input, ...] = (
         Input(THREAD, only_newest_counts=True, only_remembered=True),
+        Input(SURFACE, only_newest_counts=True, only_remembered=True),
         Input(ROBOT_STATE, instance="*", only_newest_counts=True, only_remembered=True),
         Input(CLOCKS, only_newest_counts=True),
     )
@@ -41,6 +54,7 @@ class Planner:
     def __init__(self, config: PlannerConfig | None = None, reaches: Reaches | None = None) -> None:
         self.config, self._reaches = config or PlannerConfig(), reaches or psm_reaches
         self._thread: ThreadReconstruction | None = None
+        self._surface: TissueSurface | None = None
         self._arms: dict[str, RobotState] = {}
         self._clocks: HostClocks | None = None
 
@@ -59,6 +73,8 @@ class Planner:
     def _remember(self, arrived: Received) -> None:
         if arrived.topic is THREAD:
             self._thread = arrived.message
+        elif arrived.topic is SURFACE:
+            self._surface = arrived.message
         elif arrived.topic is CLOCKS:
             self._clocks = arrived.message
         else:
@@ -69,9 +85,18 @@ class Planner:
             thread, arm = planned_from(goal, self._thread, self._arms, now_ns, self.config, self._clocks)
         except RefusedGoalError as error:
             return (CommandAnswer(goal.header.id, Outcome.REFUSED, error.code, str(error)),)
-        plan = plan_grasp(goal, thread, self._view(arm), self.config)
+        plan = plan_grasp(goal, thread, self._view(arm), self.config, self._seen_tissue(thread, now_ns))
         unknown = clock_unknown(self._clocks)
         return CommandAnswer(goal.header.id, Outcome.ACCEPTED, "", unknown), Output(PLAN, plan)
+
+    def _seen_tissue(self, thread: ThreadReconstruction, now_ns: int) -> SeenTissue:
+        surface = self._surface
+        why = surface_unusable(surface, thread, now_ns)
+        if surface is None or why:
+            return SeenTissue(None, surface.stamp if surface else None, why)
+        hidden = tool_cells(surface, self._arms.values(), self.config.tool_near_m)
+        tissue = tissue_of(surface, hidden)
+        return SeenTissue(tissue, surface.stamp, "" if tissue else "tools hide all that was measured")
 
     def _view(self, state: RobotState) -> ArmView:
         T_base_camera = inverse(state.T_camera_base)

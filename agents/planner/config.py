@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from schemas.checks import require
 from schemas.topics import ROBOT_STATE
 from shared.kinematics.psm import FINGER_M
-from shared.runtime.settable import Between, settable
+from shared.runtime.settable import Between, OneOf, settable
 
 
 @dataclass(frozen=True)
@@ -25,6 +25,13 @@ class PlannerConfig:
         base_clear_deg: the same for the ray from the instrument's base, which stands in for it.
         turn_deg: how far the tool may turn from one sample to the next.
         alternatives: how many other captures a plan tells of.
+        press_m: how deep the jaws may press into the tissue. It must be more than `depth_m`, by what the tissue slopes
+            over the width of the jaws: a thread on tissue is not reached otherwise.
+        tool_near_m: how far from the axis of an arm's tool, as measured, what perception takes for tissue is that tool.
+        sigmas: with how many deviations of the surface that depth counts.
+        tissue_required: whether nothing is grasped where tissue is not known, rather than said not to be checked.
+        finger_width_m, finger_thickness_m: of each finger, along the pin and away from the other one.
+        tilts_deg: by how much the approach may be turned about the thread, either way, where tissue is in its way.
         arm_age_ms: how old the state of an arm may be: as long as five states of one that rests take. A plan needs it
             for the place of the base alone, which seldom moves, so this is more than the age that the bridge allows.
     """
@@ -44,6 +51,13 @@ class PlannerConfig:
     base_clear_deg: float = 10.0
     turn_deg: float = 45.0
     alternatives: int = 5
+    press_m: float = settable(0.004, Between(0.0, 0.01))
+    sigmas: float = 2.0
+    tissue_required: bool = settable(False, OneOf((False, True)))
+    tool_near_m: float = 0.01
+    finger_width_m: float = 0.002
+    finger_thickness_m: float = 0.001
+    tilts_deg: tuple[float, ...] = (15.0, 30.0, 45.0)
     arm_age_ms: float = 5e3 / (ROBOT_STATE.resting_hz or 10.0)
 
     def __post_init__(self) -> None:
@@ -53,6 +67,9 @@ class PlannerConfig:
         require(0 <= self.depth_m < FINGER_M, f"depth_m must lie in [0, {FINGER_M}), the finger, not {self.depth_m}")
         require(self.standoff_m > 0 and self.retreat_m >= 0, "standoff_m must be positive and retreat_m not negative")
         require(self.closed_deg <= self.slide_deg <= self.open_deg, "closed_deg <= slide_deg <= open_deg must hold")
+        require(self.press_m >= 0 and self.sigmas >= 0, "press_m and sigmas must not be negative")
+        require(min(self.finger_width_m, self.finger_thickness_m) > 0, "a finger must have a width and a thickness")
+        require(all(0 < tilt < 90 for tilt in self.tilts_deg), f"tilts_deg must lie in (0, 90): {self.tilts_deg}")
         require(0 < self.base_clear_deg <= self.clear_deg < 90, "0 < base_clear_deg <= clear_deg < 90 must hold")
 
     @property

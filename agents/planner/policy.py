@@ -30,6 +30,8 @@ class Against(enum.Enum):
     ALONG_APPROACH = "thread along the approach"
     TURNS_TOO_SHARPLY = "turns too sharply"
     UNREACHABLE = "unreachable"
+    TISSUE_UNKNOWN = "tissue not known there"
+    IN_TISSUE = "jaws would press into the tissue"
 
 
 BETTER_ELSEWHERE = "another capture is better"

@@ -4,8 +4,16 @@ import math
 from collections.abc import Mapping
 
 from agents.planner.config import PlannerConfig
-from schemas.messages import GraspGoal, HostClock, HostClocks, RobotState, ThreadReconstruction, TrackStep
-from schemas.topics import FRAMES, THREAD
+from schemas.messages import (
+    GraspGoal,
+    HostClock,
+    HostClocks,
+    RobotState,
+    ThreadReconstruction,
+    TissueSurface,
+    TrackStep,
+)
+from schemas.topics import FRAMES, SURFACE, THREAD
 
 CLOCK_BOUND_MS = 100.0
 """How far the clock of the camera's host may be off: half of what a heartbeat may take."""
@@ -58,6 +66,22 @@ def clock_unknown(clocks: HostClocks | None) -> str:
                 f"for its answer takes {2 * clock.within_ms:.0f} ms"
             )
     return ""
+
+
+def surface_unusable(surface: TissueSurface | None, thread: ThreadReconstruction, now_ns: int) -> str:
+    """Why a plan for a thread cannot be checked against a surface; empty where it can."""
+    if surface is None:
+        return "perception has told of none yet"
+    if surface.camera != thread.camera or surface.stamp.calibration_id != thread.stamp.calibration_id:
+        return "it was seen with another calibration than the thread"
+    if surface.deviation is None:
+        return "perception does not tell how sure it is of it; update perception"
+    age_ms = 1e-6 * (now_ns - min(surface.stamp.capture_left_ns, surface.stamp.capture_right_ns))
+    oldest_ms = SURFACE.maximum_age_ms or math.inf
+    if abs(age_ms) > oldest_ms:
+        when = f"{age_ms:.0f} ms ago" if age_ms > 0 else f"{-age_ms:.0f} ms from now"
+        return f"it was seen {when}, and at most {oldest_ms:.0f} ms are accepted"
+    return "" if surface.valid.any() else "it has no texture that could be matched"
 
 
 def _check_clocks(clocks: HostClocks | None) -> None:

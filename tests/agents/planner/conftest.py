@@ -6,7 +6,9 @@ import types
 import numpy as np
 import pytest
 
-from agents.planner.plan import ArmView
+from agents.planner.captures import ArmView
+from agents.planner.standing import SeenTissue
+from agents.planner.tissue import tissue_of
 from schemas.messages import (
     CommandHeader,
     FrameStamp,
@@ -16,6 +18,7 @@ from schemas.messages import (
     ReliabilityRegions,
     Status,
     ThreadReconstruction,
+    TissueSurface,
 )
 
 CAMERA = RectifiedStereo(960, 540, 1000.0, 1000.0, 479.5, 269.5, 5.5, 1e-3)
@@ -97,6 +100,22 @@ def arm(base_camera=(0.05, -0.1, 0.0), tool=None, reachable=None):
     )
 
 
+def surface(depth_mm, known=None, deviation_mm=0.1, camera=CAMERA):
+    """Tissue as perception tells it: depth as a function of the pixel (u, v), or one everywhere."""
+    u, v = 24.0 * np.arange(40) + 11.5, 24.0 * np.arange(22) + 11.5
+    at = np.meshgrid(u, v)
+    depth = np.broadcast_to(depth_mm(*at) if callable(depth_mm) else float(depth_mm), at[0].shape)
+    valid = np.ones(depth.shape, bool) if known is None else np.asarray(known(*at))
+    stamp = FrameStamp(6, CAPTURED_NS, CAPTURED_NS, "bench")
+    return TissueSurface(stamp, camera, u, v, np.where(valid, depth, 0.0), valid, np.where(valid, deviation_mm, 0.0))
+
+
+def tissue(*args, **rest):
+    """The same as the planner has it."""
+    seen = surface(*args, **rest)
+    return SeenTissue(tissue_of(seen), seen.stamp, "")
+
+
 @pytest.fixture(scope="session")
 def bench():
     """All of the above."""
@@ -110,4 +129,6 @@ def bench():
         in_unit=in_unit,
         goal=goal,
         arm=arm,
+        surface=surface,
+        tissue=tissue,
     )

@@ -10,22 +10,25 @@ from hypothesis import strategies as st
 
 from agents.planner.agent import Planner, psm_reaches
 from agents.planner.config import PlannerConfig
+from agents.planner.tools import tool_cells
 from schemas.checks import MessageError
 from schemas.codec import encode
 from schemas.messages import (
     CommandAnswer,
+    FrameStamp,
     GraspPlan,
     HostClock,
     HostClocks,
     Outcome,
     Phase,
+    Policy,
     RobotMode,
     RobotState,
     Status,
     ThreadTrack,
     TrackStep,
 )
-from schemas.topics import CLOCKS, GOAL, PLAN, ROBOT_STATE, THREAD, key
+from schemas.topics import CLOCKS, GOAL, PLAN, ROBOT_STATE, SURFACE, THREAD, key
 from shared.kinematics import psm
 from shared.kinematics.simulated_setup import SIMULATED_BASES
 from shared.rigid_transforms import compose, inverse, transform
@@ -86,6 +89,84 @@ def test_a_goal_is_accepted_and_followed_by_its_plan(bench, planner):
     plan = output.message
     assert (plan.plan_id, plan.arm, plan.status, plan.s_goal) == ("plan-g1", "psm1", Status.OK, 0.4)
     assert {w.phase for w in plan.waypoints} == set(Phase) - {Phase.SLIDE}
+
+
+def feed_surface(planner, bench, depth_mm=85.0, **changes):
+    surface = dataclasses.replace(bench.surface(depth_mm), **changes)
+    feed(planner, SURFACE, surface)
+    return surface
+
+
+def test_a_plan_is_checked_against_the_newest_surface_and_names_its_frame(bench, planner):
+    feed_surface(planner, bench, 70.0)
+    surface = feed_surface(planner, bench, 83.0)
+    plan = ask(planner, bench, bench.goal(s=0.4))[1].message
+    assert (plan.status, plan.tissue.stamp, plan.tissue.unchecked) == (Status.OK, surface.stamp, "")
+    assert -0.002 < plan.tissue.clearance_m < 0.0005
+
+
+def test_a_goal_where_jaws_would_be_in_the_tissue_is_rejected(bench, planner):
+    feed_surface(planner, bench, 75.0)
+    answer, output = ask(planner, bench, bench.goal(s=0.4))
+    assert answer.outcome is Outcome.ACCEPTED
+    assert "jaws would press into the tissue" in output.message.reason
+
+
+OTHER_CALIBRATION = FrameStamp(6, 1_760_000_000_000_000_000, 1_760_000_000_000_000_000, "another")
+
+
+@pytest.mark.parametrize(
+    ("changes", "after_ms", "said"),
+    [
+        (None, 50, "perception has told of none yet"),
+        ({}, 3100, "it was seen 3100 ms ago, and at most 3000 ms are accepted"),
+        ({}, -3100, "it was seen 3100 ms from now, and at most 3000 ms are accepted"),
+        ({"stamp": OTHER_CALIBRATION}, 50, "another calibration"),
+        ({"deviation": None}, 50, "how sure"),
+        ({"valid": np.zeros((22, 40), bool), "depth": np.zeros((22, 40)), "deviation": None}, 50, "how sure"),
+        (
+            {key: np.zeros((22, 40), t) for key, t in (("valid", bool), ("depth", float), ("deviation", float))},
+            50,
+            "no",
+        ),
+    ],
+)
+def test_against_a_surface_of_no_use_nothing_is_checked_and_the_plan_says_why(bench, changes, after_ms, said):
+    planner = Planner()
+    stamp = FrameStamp(7, bench.CAPTURED_NS + after_ms * MS, bench.CAPTURED_NS + after_ms * MS, "bench")
+    feed(planner, THREAD, dataclasses.replace(far_thread(bench), stamp=stamp))
+    feed(planner, ROBOT_STATE, state(bench, late_ms=after_ms), "psm1")
+    if changes is not None:
+        # nothing fits before tissue so near
+        feed_surface(planner, bench, 60.0, **changes)
+    plan = ask(planner, bench, bench.goal(s=0.4), after_ms)[1].message
+    assert plan.status is Status.OK
+    assert plan.tissue.unchecked.startswith("not checked against tissue: ")
+    assert said in plan.tissue.unchecked
+    assert plan.tissue.clearance_m is None
+
+
+def test_tissue_can_be_required_while_the_planner_runs(bench, planner):
+    planner.configure(dataclasses.replace(planner.config, tissue_required=True))
+    plan = ask(planner, bench, bench.goal(s=0.4))[1].message
+    assert plan.status is Status.FAILED
+    assert "perception has told of none yet" in plan.reason
+
+
+def test_what_is_measured_where_a_tool_is_counts_as_no_tissue(bench):
+    """The tool stands in the view 2 cm before the thread, where the jaws are to go."""
+    planner, there = Planner(reaches=lambda T: np.ones(len(T), bool)), state(bench)
+    T_camera_tool = transform(compose(there.T_camera_base, there.T_base_tool)[:3, :3], np.array([0.0, 0.0, 0.062]))
+    there = dataclasses.replace(there, T_base_tool=compose(inverse(there.T_camera_base), T_camera_tool))
+    surface = bench.surface(lambda u, v: np.where(np.hypot(u - 479.5, v - 269.5) < 60, 62.0, 86.0))
+    feed(planner, THREAD, far_thread(bench))
+    feed(planner, SURFACE, surface)
+    feed(planner, ROBOT_STATE, there, "psm1")
+    np.testing.assert_array_equal(tool_cells(surface, [there], 0.01), surface.depth == 62.0)
+    goal = bench.goal(s=0.5, policy=Policy.DIRECT)
+    assert ask(planner, bench, goal)[1].message.status is Status.OK
+    planner.configure(dataclasses.replace(planner.config, tool_near_m=0.0))
+    assert "tissue" in ask(planner, bench, goal)[1].message.reason
 
 
 def test_every_waypoint_is_within_the_joints_of_the_arm_by_forward_kinematics(bench):

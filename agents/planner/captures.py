@@ -1,0 +1,138 @@
+"""All captures for one goal: how likely each is, what speaks against it, and how the tool can be held for it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from agents.planner.config import PlannerConfig
+from agents.planner.curve import ThreadCurve, seen, strand_distance
+from agents.planner.policy import (
+    Against,
+    candidates,
+    capture_probability,
+    first_against,
+    grasp_probability,
+    least_on_the_way,
+)
+from agents.planner.poses import turn_between
+from agents.planner.standing import SeenTissue, Standing, accepted, standings
+from agents.planner.ways import UNTILTED, Reachable, Ways, along_slide, reached, steps_along_slide, ways_along
+from schemas.messages import Policy, ThreadReconstruction
+from shared.kinematics.psm import FINGER_M
+
+
+@dataclass(frozen=True)
+class ArmView:
+    """An arm as a plan needs it: where its base and its tool are, and what it can reach."""
+
+    T_camera_base: Float64[np.ndarray, "4 4"]
+    T_camera_tool: Float64[np.ndarray, "4 4"]
+    reachable: Reachable
+
+
+@dataclass(frozen=True)
+class Captures:
+    """All captures for one goal.
+
+    Fields:
+        likelihood: of the whole grasp as the paper has it, by which captures are chosen.
+        probability: of the whole grasp with the least confidence on the way, which is stated.
+        against: what speaks against each, as in `first_against`.
+        usable: for each way to hold the tool, whether it leads from the capture to the goal, past the tissue too.
+        bound_m: of each approach, as in `Standing`; 0 where no tissue is known.
+    """
+
+    s: Float64[np.ndarray, "n"]
+    goal: int
+    likelihood: Float64[np.ndarray, "n"]
+    probability: Float64[np.ndarray, "n"]
+    against: Int64[np.ndarray, "n"]
+    ways: Ways
+    usable: Bool[np.ndarray, "w 2 n"]
+    bound_m: Float64[np.ndarray, "w n"]
+
+
+def captures_for(
+    curve: ThreadCurve,
+    s_goal: float,
+    policy: Policy,
+    thread: ThreadReconstruction,
+    arm: ArmView,
+    config: PlannerConfig,
+    tissue: SeenTissue,
+) -> Captures:
+    """Every capture that a goal can be reached from, and what speaks against it."""
+    s, goal = candidates(s_goal, config.samples)
+    points, tangents = curve.points(s), curve.tangents(s)
+    tilts_deg = config.tilts_deg if tissue.tissue is not None else ()
+    ways = ways_along(points, tangents, arm.T_camera_base[:3, 3], config, tilts_deg)
+    beside = strand_distance(curve, s, FINGER_M)
+    clear = along_slide(ways.clear, goal)
+    steady = clear & steps_along_slide(ways.steady, goal)
+    passable = steady[:, None] & reached(ways, goal, arm.reachable)
+    captured, is_seen = capture_probability(thread, s), seen(curve, s)
+    known = is_seen & (captured >= config.least_probability)
+    found = {
+        Against.UNSEEN: ~is_seen,
+        Against.UNKNOWN_ON_THE_WAY: ~along_slide(known, goal),
+        Against.STRAND_BESIDE: beside < config.half_opening_m(config.open_deg),
+        Against.STRAND_ON_THE_WAY: ~along_slide(beside >= config.half_opening_m(config.slide_deg), goal),
+        Against.ALONG_APPROACH: ~clear.any(axis=0),
+        Against.TURNS_TOO_SHARPLY: ~steady.any(axis=0),
+        Against.UNREACHABLE: ~passable.any(axis=(0, 1)),
+    }
+    asked = np.arange(len(s)) == goal if policy is Policy.DIRECT else np.ones(len(s), bool)
+    weighed = asked & ~np.stack(list(found.values())).any(axis=0)
+    past = _past_tissue(ways, goal, passable.any(axis=1) & weighed, config, tissue)
+    usable = passable & accepted(past, config)[:, None]
+    unknown = config.tissue_required & ~(passable & past.known[:, None]).any(axis=(0, 1))
+    found |= {
+        Against.TISSUE_UNKNOWN: weighed & unknown,
+        Against.IN_TISSUE: weighed & ~usable.any(axis=(0, 1)),
+    }
+    return Captures(
+        s=s,
+        goal=goal,
+        likelihood=grasp_probability(captured, goal, config.keep_probability),
+        probability=grasp_probability(least_on_the_way(captured, goal), goal, config.keep_probability),
+        against=first_against(found),
+        ways=ways,
+        usable=usable,
+        bound_m=past.bound_m,
+    )
+
+
+def way_of(captures: Captures, capture: int, arm: ArmView) -> tuple[int, int]:
+    """Which approach to take, and on which side of the jaws.
+
+    The viewing ray comes before the base's, and both before those that are tilted, of which the one farthest from the
+    tissue is taken; of the sides that to which the tool has to turn least.
+    """
+    usable = captures.usable[:, :, capture]
+    open_rays = np.asarray(usable.any(axis=1))
+    if open_rays[:UNTILTED].any():
+        ray = int(np.argmax(open_rays))
+    else:
+        ray = int(np.argmax(np.where(open_rays, captures.bound_m[:, capture], -np.inf)))
+    R_camera_tool = captures.ways.standoff[ray, :, capture, :3, :3]
+    turn = np.where(usable[ray], turn_between(R_camera_tool, arm.T_camera_tool[:3, :3]), np.inf)
+    return ray, int(np.argmin(turn))
+
+
+def least_pressed(captures: Captures) -> tuple[int, int] | None:
+    """The approach and the capture that would press least into the tissue, of those refused for that; None for none."""
+    refused = np.equal(captures.against, list(Against).index(Against.IN_TISSUE))
+    if not refused.any():
+        return None
+    bound = np.where(refused, captures.bound_m, -np.inf)
+    way, capture = divmod(int(np.argmax(bound)), bound.shape[1])
+    return way, capture
+
+
+def _past_tissue(
+    ways: Ways, goal: int, open_ways: Bool[np.ndarray, "w n"], config: PlannerConfig, tissue: SeenTissue
+) -> Standing:
+    if tissue.tissue is None:
+        return Standing(np.zeros(open_ways.shape), np.zeros(open_ways.shape, bool))
+    return standings(tissue.tissue, ways, goal, open_ways, config)

@@ -1,0 +1,138 @@
+"""The height field along the viewing rays: by closed forms on planes, and what follows from unknown cells."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from agents.planner.tissue import clearance, tissue_of
+from schemas.messages import TissueSurface
+from shared.rigid_transforms import exp_so3
+
+DEPTHS = arrays(np.float64, (22, 40), elements=st.floats(40, 120))
+PLACES = arrays(np.float64, (30, 3), elements=st.floats(-1, 1)).map(lambda p: p * (0.015, 0.01, 0.01) + (0, 0, 0.07))
+
+
+def replaced(surface, **changes):
+    return dataclasses.replace(surface, **changes)
+
+
+def slanted(u, v):
+    """The plane z = 80 + 0.5 x − 0.25 y in millimetres, where each ray meets it."""
+    return 80.0 / (1.0 - 0.5 * (u - 479.5) / 1000.0 + 0.25 * (v - 269.5) / 1000.0)
+
+
+@given(PLACES)
+def test_before_a_plane_the_clearance_is_the_way_along_the_ray(bench, places):
+    off, deviation = clearance(tissue_of(bench.surface(slanted)), places)
+    normal = np.array([-0.5, 0.25, 1.0])
+    stretch = 0.08 / (places @ normal)
+    np.testing.assert_allclose(off, (stretch - 1.0) * np.linalg.norm(places, axis=1), atol=1e-9)
+    assert (deviation > 0.9e-4).all()
+    assert (deviation < 1.3e-4).all()
+
+
+@given(DEPTHS, PLACES, st.floats(0.1, 20))
+def test_the_deeper_the_surface_the_greater_the_clearance(bench, depth, places, deeper):
+    surface = bench.surface(60.0)
+    here, _ = clearance(tissue_of(replaced(surface, depth=depth)), places)
+    deeper, _ = clearance(tissue_of(replaced(surface, depth=depth + deeper)), places)
+    assert (deeper > here).all()
+
+
+@settings(max_examples=30)
+@given(DEPTHS, PLACES, st.integers(1, 3))
+def test_a_scene_and_its_camera_turned_about_the_line_of_sight_have_the_same_clearances(bench, depth, places, quarters):
+    surface = replaced(bench.surface(60.0), depth=depth)
+    turned = surface
+    for _ in range(quarters):
+        camera = turned.camera
+        flipped = replaced(
+            camera,
+            image_width=camera.image_height,
+            image_height=camera.image_width,
+            cx_px=camera.image_height - 1 - camera.cy_px,
+            cy_px=camera.cx_px,
+        )
+        turned = TissueSurface(
+            turned.stamp,
+            flipped,
+            np.sort(camera.image_height - 1 - turned.v_px),
+            turned.u_px,
+            np.rot90(turned.depth, -1),
+            np.rot90(turned.valid, -1),
+            np.rot90(turned.deviation, -1),
+        )
+    R = exp_so3(np.array([0.0, 0.0, 0.5 * np.pi * quarters]))
+    for one, other in zip(
+        clearance(tissue_of(surface), places), clearance(tissue_of(turned), places @ R.T), strict=True
+    ):
+        np.testing.assert_allclose(one, other, atol=1e-9)
+
+
+def test_the_unit_makes_no_difference(bench):
+    surface, places = bench.surface(slanted), np.array([[0.004, 0.002, 0.06]])
+    metres = replaced(surface.camera, baseline=surface.camera.baseline * 1e-3, metres_per_unit=1.0)
+    same = replaced(surface, camera=metres, depth=surface.depth * 1e-3, deviation=surface.deviation * 1e-3)
+    np.testing.assert_allclose(clearance(tissue_of(surface), places), clearance(tissue_of(same), places))
+
+
+def without_columns(*gone):
+    """All is known but these columns of cells."""
+    return lambda u, _: ~np.isin(np.round((u - 11.5) / 24), gone)
+
+
+@pytest.mark.parametrize("gone", [(19,), (19, 20)])
+def test_what_a_thread_hides_is_known_from_both_sides_of_it(bench, gone):
+    places = np.array([[-0.001, 0.0, 0.06], [-0.001, 0.01, 0.06]])
+    whole, _ = clearance(tissue_of(bench.surface(slanted)), places)
+    off, deviation = clearance(tissue_of(bench.surface(slanted, known=without_columns(*gone))), places)
+    np.testing.assert_allclose(off, whole, atol=1e-9)
+    assert (deviation < 1.5e-4).all()
+
+
+def test_between_cells_a_rough_surface_is_unsure_and_a_smooth_one_is_not(bench):
+    rng, place = np.random.default_rng(1), np.array([[-0.0007, 0.0, 0.06]])
+    rough = bench.surface(lambda u, _: 80.0 + rng.normal(0, 2.0, u.shape), known=without_columns(19))
+    assert clearance(tissue_of(rough), place)[1] > 1e-3
+
+
+@given(arrays(np.bool_, (22, 40)))
+def test_unknown_stays_unknown_but_between_two_known_cells(bench, valid):
+    surface = bench.surface(slanted)
+    some = replaced(
+        surface,
+        depth=np.where(valid, surface.depth, 0),
+        valid=valid,
+        deviation=np.where(valid, surface.deviation, 0),
+    )
+    if not valid.any():
+        assert tissue_of(some) is None
+        return
+    tissue = tissue_of(some)
+    padded = np.pad(valid, 2)
+    sides = [
+        (padded[2 + k * a : 24 + k * a, 2 + k * b : 42 + k * b], padded[2 - k * a : 24 - k * a, 2 - k * b : 42 - k * b])
+        for k in (1, 2)
+        for a, b in ((0, 1), (1, 0), (1, 1), (1, -1))
+    ]
+    fillable = valid | np.any([one & other for one, other in sides], axis=0)
+    assert not (np.isfinite(tissue.inverse_depth) & ~fillable).any()
+    assert np.isfinite(tissue.inverse_depth[valid]).all()
+    assert (np.isfinite(tissue.inverse_depth) == np.isfinite(tissue.deviation)).all()
+
+
+def test_outside_of_the_grid_and_behind_the_camera_nothing_is_known(bench):
+    outside = np.array([[0.2, 0, 0.06], [0, -0.1, 0.06], [0, 0, -0.06], [0, 0, 0.0], [-0.0285, 0, 0.06]])
+    assert np.isnan(clearance(tissue_of(bench.surface(80.0)), outside)).all()
+
+
+def test_without_a_unit_a_deviation_or_a_cell_there_is_no_tissue(bench):
+    surface = bench.surface(80.0)
+    camera = replaced(surface.camera, metres_per_unit=None)
+    nothing = bench.surface(80.0, known=lambda u, _: np.zeros(u.shape, bool))
+    for useless in (replaced(surface, camera=camera), replaced(surface, deviation=None), nothing):
+        assert tissue_of(useless) is None
