@@ -58,7 +58,8 @@ from shared.runtime.command_queries import taking
 from shared.runtime.commands import Answered, refused, untimely
 from shared.runtime.delivery import RouterLinks, ring_room, subscribe
 from shared.runtime.facts import Surroundings, answer_facts, facts_of, realtime_priority
-from shared.runtime.fed import Fed, state_topic
+from shared.runtime.faults import LIKE_PER_LINE, Faults
+from shared.runtime.fed import TICK, Fed, state_topic
 from shared.runtime.inbox import Arrival, Inbox
 from shared.runtime.link import answer_link
 from shared.runtime.log_topic import LogTopic
@@ -72,8 +73,6 @@ from shared.runtime.usage import ProcessorShare, resident_bytes
 
 HEALTH_PERIOD_S = 1.0
 LONGEST_WAIT_S = 0.5
-LIKE_PER_LINE = 100
-"""After the first, only every so many unreadable messages of an input, or like failures, get a line in the log."""
 
 
 class Runner:
@@ -105,8 +104,9 @@ class Runner:
         self._kept: list[Any] = []
         self._fed = Fed(agent, rig, self._out.epoch)
         self._newest_only = {str(i.topic) for i in agent.inputs if i.only_newest_counts}
+        self._steady = {TICK, *(str(i.topic) for i in agent.inputs if i.topic.rate_hz is not None)}
         self._steps, self._processor = StepTimes(), ProcessorShare()
-        self._started_s, self._heartbeat, self._fault, self._faults = monotonic_s(), 0, "", 0
+        self._started_s, self._heartbeat, self._faults = monotonic_s(), 0, Faults()
         self.gave_up = ""
         self._log = logging.getLogger(f"suturegrasp.{agent.kind}.{agent.instance}")
         self._watched = frozenset[str](getattr(agent, "watches_clocks", ()))
@@ -130,8 +130,10 @@ class Runner:
                 if change := self._clock.change():
                     self._log.info(change)
                 if now_s >= next_health_s:
+                    if self._faults.ended(now_s):
+                        self._log.info("well again; steps that failed since it began: %d", self._faults.count)
                     self._out.publish(HEALTH, self._health(now_s))
-                    self._manager.status(self._fault or "running")
+                    self._manager.status(self._faults.text or "running")
                     next_health_s = now_s + HEALTH_PERIOD_S
                 # an agent that wants the time more often than before has not to wait for it
                 next_tick_s = min(next_tick_s, now_s + self._period_s())
@@ -316,7 +318,7 @@ class Runner:
         if reply.outcome is not Outcome.ACCEPTED:
             self._log.info("refused %s: %s", arrival.topic, reply.reason)
         if outputs:
-            self._publish_all(outputs, step_ms)
+            self._publish_all(outputs, step_ms, str(arrival.topic))
 
     def _answer_of(self, command: Command) -> tuple[CommandAnswer, list[Output], float]:
         watch = Stopwatch("step")
@@ -324,8 +326,8 @@ class Runner:
             with watch.step("step"):
                 replies = list(self._parameters.step(command))
         except Exception as error:
-            self._note_fault(error)
-            return refused(command.message.header.id, "fault", self._fault), [], 0.0
+            self._note_fault(error, str(command.topic))
+            return refused(command.message.header.id, "fault", self._faults.text), [], 0.0
         answers = [reply for reply in replies if isinstance(reply, CommandAnswer)]
         outputs = [reply for reply in replies if isinstance(reply, Output)]
         if len(answers) != 1:
@@ -337,44 +339,47 @@ class Runner:
         self._step(Tick(at_ns))
 
     def _step(self, arrived: Received | Tick) -> None:
+        of = TICK if isinstance(arrived, Tick) else str(arrived.topic)
         watch = Stopwatch("step")
         try:
             with watch.step("step"):
                 outputs = [o for o in self._parameters.step(arrived) if isinstance(o, Output)]
         except Exception as error:
-            self._note_fault(error)
+            self._note_fault(error, of)
             return
         self._steps.add(watch.ms["step"])
-        self._publish_all(outputs, watch.ms["step"])
+        if self._publish_all(outputs, watch.ms["step"], of):
+            self._faults.went_well(of)
 
-    def _note_fault(self, error: Exception) -> None:
-        """A step that raises is a bug; the agent goes on with the next message, and says so until it is restarted.
+    def _note_fault(self, error: Exception, of: str) -> None:
+        """A step that raises is a bug; the agent goes on with the next message, and says so until that is over.
 
         Unless it says itself that it cannot: then `run` ends, and the last health says why.
         """
         said = str(error).encode("utf-8", "backslashreplace").decode()
-        if isinstance(error, CannotGoOnError):
-            self.gave_up = self._fault = said
-            self._log.error(said)
+        gives_up = isinstance(error, CannotGoOnError)
+        fault = said if gives_up else f"a step failed: {type(error).__name__}: {said}"
+        is_new = self._faults.failed(of, fault, monotonic_s(), alone=of not in self._steady)
+        if gives_up:
+            self.gave_up = said
             self._stopped.set()
-            return
-        fault = f"a step failed: {type(error).__name__}: {said}"
-        self._faults = self._faults + 1 if fault == self._fault else 0
-        self._fault = fault
-        if self._faults % LIKE_PER_LINE == 0:
-            self._log.error(fault, exc_info=error)
+        if is_new:
+            self._log.error(fault, exc_info=None if gives_up else error)
 
-    def _publish_all(self, outputs: list[Output], step_ms: float) -> None:
-        fed, last = self._fed.listed(), None
+    def _publish_all(self, outputs: list[Output], step_ms: float, of: str) -> bool:
+        """Publish what followed from a step; whether all of it could be."""
+        fed, last, went_well = self._fed.listed(), None, True
         for output in outputs:
             try:
                 message = with_consumed(output.message, fed)
                 place = self._out.key(output.topic), self._out.publish(output.topic, message, step_ms)
                 last = place if output.topic is (state_topic(self._agent) or output.topic) else last
             except MessageError as error:
-                self._note_fault(error)
+                self._note_fault(error, of)
+                went_well = False
         if last is not None:
             self._fed.published(*last)
+        return went_well
 
     def _publish_log(self, record: LogRecord) -> None:
         self._out.publish(LOG, dataclasses.replace(record, at_ns=self._clock.now_ns()))
@@ -402,7 +407,7 @@ class Runner:
                 self._inputs[str(i.topic)].health(self._inbox.dropped(i.topic), now_s) for i in self._agent.inputs
             ),
             outputs=tuple(self._out.account(topic).health(now_s) for topic in self._agent.outputs),
-            fault=self._fault,
+            fault=self._faults.text,
             processor_share=self._processor.since_last(),
             resident_bytes=resident_bytes(),
         )
@@ -417,7 +422,7 @@ class Runner:
             try:
                 close()
             except Exception as error:
-                self._note_fault(error)
+                self._note_fault(error, "closing")
         self._undeclare()
 
     def _undeclare(self) -> None:

@@ -210,6 +210,34 @@ def test_a_step_that_raises_is_a_fault_that_health_names_and_the_agent_goes_on(r
     until(lambda: send_command(session, "test", GOAL, goal()).outcome is Outcome.ACCEPTED)
 
 
+class Stumbling(Camera):
+    """Raises for as long as it is told to."""
+
+    stumbles = True
+
+    def step(self, arrived):
+        if self.stumbles:
+            raise ValueError("a stone")
+        yield from super().step(arrived)
+
+
+def test_a_fault_holds_until_steps_go_well_again_and_the_log_says_how_many_failed(running, heard, until, monkeypatch):
+    monkeypatch.setattr("shared.runtime.faults.SHOWN_S", 0.1)
+    health, log = heard(HEALTH), heard(LOG)
+    agent = Stumbling()
+    running(agent)
+
+    def told():
+        return [decode(AgentHealth, t.payload).fault for t in health]
+
+    until(lambda: any("a stone" in fault for fault in told()))
+    agent.stumbles = False
+    until(lambda: told()[-1] == "")
+    texts = [decode(LogRecord, t.payload).text for t in log]
+    assert sum("a stone" in text for text in texts) >= 1
+    assert any(text.startswith("well again; steps that failed since it began: ") for text in texts)
+
+
 class Ending(Camera):
     """Breaks off after a few frames."""
 
