@@ -12,6 +12,7 @@ from agents.camera.video import VideoSource
 from agents.cli.rig import ArmSection, CameraSection, PerceptionSection, PlannerSection, RigConfig, SimulatorSection
 from agents.cli.rig_hosts import run_name
 from agents.perception.agent import Perception, PerceptionConfig
+from agents.perception.segmentation.promptable_model import PromptableFileError, PromptableFiles
 from agents.planner.agent import Planner
 from agents.planner.config import PlannerConfig
 from agents.reconstruction.agent import Reconstruction
@@ -49,7 +50,7 @@ def build(rig: RigConfig, kind: str, instance: str) -> Agent:
         case CameraSection():
             return _camera(section)
         case PerceptionSection():
-            return Perception(perception_config(section, rig.needs_matching))
+            return _perception(section, rig.needs_matching)
         case PlannerSection():
             return Planner(PlannerConfig(least_probability=section.least_probability))
         case ArmSection():
@@ -71,7 +72,27 @@ def perception_config(section: PerceptionSection, needs_matching: bool) -> Perce
     return PerceptionConfig(
         segmenter=None if section.segmenter == "auto" else section.segmenter,
         matching=needs_matching if section.matching is None else section.matching,
+        promptable=promptable_files(section),
     )
+
+
+def promptable_files(section: PerceptionSection) -> PromptableFiles | None:
+    """Where the network lies that segmenter `promptable` runs; None where none is configured."""
+    if section.promptable_encoder is None or section.promptable_decoder is None:
+        return None
+    return PromptableFiles(
+        section.promptable_encoder,
+        section.promptable_decoder,
+        section.promptable_encoder_sha256,
+        section.promptable_decoder_sha256,
+    )
+
+
+def _perception(section: PerceptionSection, needs_matching: bool) -> Agent:
+    try:
+        return Perception(perception_config(section, needs_matching))
+    except PromptableFileError as error:
+        raise ConfigError(f"[perception] {error}") from None
 
 
 def _camera(section: CameraSection) -> Agent:

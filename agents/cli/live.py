@@ -21,6 +21,7 @@ from agents.cli.live_options import (
     View,
 )
 from agents.cli.process import EXIT_OK, EXIT_UNUSABLE, on_stop
+from agents.cli.prompted_pixel import prompted_pixel
 from agents.cli.rig import RigConfig, simulated_rig
 from agents.cli.router import run_router
 from agents.cli.terminal import complain, say
@@ -193,9 +194,13 @@ def hold_arm(rig: RigConfig, name: str) -> int:
 
 def prompt_thread(rig: RigConfig, options: PromptThread) -> int:
     """Say which thread is meant."""
+    try:
+        pixel = prompted_pixel(options.pixel, options.at)
+    except ValueError as error:
+        return complain(str(error), EXIT_UNUSABLE)
     with connected(rig.session) as connection:
-        answer = prompt(connection, None if options.pixel is None else np.array(options.pixel))
+        answer = prompt(connection, None if pixel is None else np.array(pixel))
     if answer.outcome is not Outcome.ACCEPTED:
         return complain(answer.reason, EXIT_REFUSED)
-    say("perception chooses the thread" if options.pixel is None else "this thread is meant from the next frame on")
+    say("perception chooses the thread" if pixel is None else "this thread is meant from the next frame on")
     return EXIT_OK

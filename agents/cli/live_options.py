@@ -180,6 +180,8 @@ class PromptThread(OnRig):
 
     pixel: tuple[float, float] | None = None
     """U and v of a pixel on the thread; left out, perception chooses by itself."""
+    at: Annotated[str | None, tyro.conf.arg(metavar="U,V")] = None
+    """The same in one word: --at 412,230."""
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,8 @@ from typing import Annotated
 
 import tyro
 
-from agents.perception.segmenter_names import GIVEN_MASKS, SEGMENTER_NAMES
+from agents.cli.prompted_pixel import prompted_pixel
+from agents.perception.segmenter_names import GIVEN_MASKS, PROMPTABLE, SEGMENTER_NAMES
 from agents.reconstruction.method_names import DEFAULT_METHOD, METHOD_NAMES
 from shared.units import METRES_PER_UNIT
 
@@ -51,8 +52,19 @@ class Reconstruct:
     right_mask: OptionalPath = None
     """Coverage of the right image by thread."""
     segmenter: Annotated[str | None, tyro.conf.arg(metavar=_choice(SEGMENTER_NAMES))] = None
-    """How thread is found: as the masks say, by contrast to a plain ground, or as ridges of one colour on tissue.
+    """How thread is found: as the masks say, by contrast to a plain ground, or as ridges of one colour on tissue,
+    or by a network that is told which is meant.
     Default: what suits the image."""
+    at: Annotated[str | None, tyro.conf.arg(metavar="U,V")] = None
+    """A pixel of the rectified left image, on the thread that is meant."""
+    promptable_encoder: OptionalPath = None
+    """For segmenter `promptable`: the network's encoder, an ONNX file (docs/promptable.md)."""
+    promptable_decoder: OptionalPath = None
+    """And its decoder."""
+    promptable_encoder_sha256: Annotated[str | None, tyro.conf.arg(metavar="HEX")] = None
+    """What the encoder's hash must be."""
+    promptable_decoder_sha256: Annotated[str | None, tyro.conf.arg(metavar="HEX")] = None
+    """What the decoder's hash must be."""
     method: Annotated[str, tyro.conf.arg(metavar=_choice(METHOD_NAMES))] = DEFAULT_METHOD
     """How the curve is found."""
     picture: OptionalPath = None
@@ -75,6 +87,8 @@ class Reconstruct:
             "--stereo": self.stereo,
             "--left-mask": self.left_mask,
             "--right-mask": self.right_mask,
+            "--promptable-encoder": self.promptable_encoder,
+            "--promptable-decoder": self.promptable_decoder,
         }
         return {option: path for option, path in named.items() if path is not None}
 
@@ -84,6 +98,7 @@ def check(options: Reconstruct) -> None:
     _check_names(options)
     _check_images(options)
     _check_masks(options)
+    _check_prompt(options)
     if not 1 <= len(options.calibration) <= 2:
         raise UsageError(f"--calibration takes one path, or two (left and right), not {len(options.calibration)}")
     if options.picture is not None and options.picture.suffix.lower() not in PICTURE_SUFFIXES:
@@ -119,6 +134,20 @@ def _check_masks(options: Reconstruct) -> None:
         raise UsageError(
             f"masks are given, so --segmenter {options.segmenter} would not be used; give one or the other"
         )
+
+
+def _check_prompt(options: Reconstruct) -> None:
+    files = options.promptable_encoder, options.promptable_decoder
+    if files.count(None) == 1:
+        raise UsageError("give both --promptable-encoder and --promptable-decoder, or neither")
+    if options.segmenter == PROMPTABLE and files[0] is None:
+        raise UsageError("--segmenter promptable needs --promptable-encoder and --promptable-decoder")
+    if options.left_mask is not None and options.at is not None:
+        raise UsageError("masks are given, so --at would not be used; give one or the other")
+    try:
+        prompted_pixel(None, options.at)
+    except ValueError as error:
+        raise UsageError(str(error)) from None
 
 
 def _check_place(option: str, path: Path) -> None:

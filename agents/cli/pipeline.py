@@ -1,13 +1,15 @@
 """One stereo pair through perception and reconstruction in this process, without a router."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float64, UInt8
 
 from agents.perception.observe import observe
 from agents.perception.rectification import rectification, rectify_image, rectify_mask
-from agents.perception.segmentation.choice import SEGMENTERS, suitable_segmenter
+from agents.perception.search import look_everywhere
+from agents.perception.segmentation.choice import SEGMENTERS, Segmenter, suitable_segmenter
 from agents.perception.segmenter_names import GIVEN_MASKS
 from agents.reconstruction.method_names import MATCHING_METHODS
 from agents.reconstruction.methods import METHODS
@@ -35,7 +37,14 @@ class PipelineResult:
 
 
 def reconstruct_pair(
-    images: Pair, calibration: StereoCalibration, *, masks: Pair | None, segmenter: str | None, method: str
+    images: Pair,
+    calibration: StereoCalibration,
+    *,
+    masks: Pair | None,
+    segmenter: str | None,
+    method: str,
+    segmenters: Mapping[str, Segmenter] = SEGMENTERS,
+    prompt_px: Float64[np.ndarray, "2"] | None = None,
 ) -> PipelineResult:
     """The thread in one stereo pair.
 
@@ -45,6 +54,8 @@ def reconstruct_pair(
         masks: coverage by thread, 0 to 255, of the images as they are; None to segment.
         segmenter: name of a segmenter; None for the one that suits the left image. Given masks need none.
         method: name of a reconstruction method.
+        segmenters: by name.
+        prompt_px: u and v of a pixel of the rectified left image, on the thread that is meant; any is, if it is None.
 
     Raises:
         RectificationError: where the calibration cannot be rectified.
@@ -56,16 +67,21 @@ def reconstruct_pair(
         right = rectify_image(images[1], to_rectified.map_right)
         if masks is not None:
             masks = rectify_mask(masks[0], to_rectified.map_left), rectify_mask(masks[1], to_rectified.map_right)
-    if masks is None:
+    judged = None
+    if masks is not None:
+        segmenter = GIVEN_MASKS
+    elif prompt_px is not None:
+        with watch.step("segment"):
+            looked = look_everywhere((left, right), 0, segmenter, prompt_px, segmenters)
+            masks, segmenter, judged = looked.coverage, looked.segmenter, looked.judgements
+    else:
         with watch.step("segment"):
             segmenter = segmenter or suitable_segmenter(left)
-            masks = SEGMENTERS[segmenter](left), SEGMENTERS[segmenter](right)
-    else:
-        segmenter = GIVEN_MASKS
+            masks = segmenters[segmenter](left), segmenters[segmenter](right)
     with watch.step("match"):
         stamp = FrameStamp(sequence=0, capture_left_ns=0, capture_right_ns=0, calibration_id="")
         observations = observe(
-            stamp, to_rectified.camera, left, right, *masks, segmenter, matching=method in MATCHING_METHODS
+            stamp, to_rectified.camera, left, right, *masks, segmenter, judged, matching=method in MATCHING_METHODS
         )
     with watch.step("reconstruct"):
         reconstruction = METHODS[method](observations)

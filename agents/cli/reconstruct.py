@@ -1,14 +1,19 @@
 """`suturegrasp reconstruct`: a stereo pair from files becomes a thread in 3D, without a router."""
 
 import cv2
+import numpy as np
 
 from agents.camera.image_files import ImageFileError, read_mask, read_pair, read_side_by_side
 from agents.cli.options import Reconstruct, UsageError, check
 from agents.cli.pipeline import Pair, PipelineResult, reconstruct_pair
+from agents.cli.prompted_pixel import prompted_pixel
 from agents.cli.result_file import observed_points, result_text
 from agents.cli.terminal import complain, say, warn
 from agents.cli.whole_file import OutputError, whole_file
 from agents.perception.rectification import RectificationError
+from agents.perception.segmentation.choice import segmenters_with
+from agents.perception.segmentation.promptable_model import PromptableFileError, PromptableFiles
+from agents.perception.segmenter_names import PROMPTABLE
 from agents.viewer.picture import draw_picture
 from schemas.messages import Judgement, Severity, Status
 from shared.arc_length import length
@@ -25,11 +30,25 @@ def run(options: Reconstruct) -> int:
         images = _read_images(options)
         read = _read_calibration(options, images)
         masks = _read_masks(options, images)
+        pixel = prompted_pixel(None, options.at)
         result = reconstruct_pair(
-            images, read.calibration, masks=masks, segmenter=options.segmenter, method=options.method
+            images,
+            read.calibration,
+            masks=masks,
+            segmenter=options.segmenter,
+            method=options.method,
+            segmenters=segmenters_with(_promptable_files(options)),
+            prompt_px=None if pixel is None else np.array(pixel),
         )
         _write(options, result, read.judgements)
-    except (UsageError, ImageFileError, CalibrationError, RectificationError, OutputError) as error:
+    except (
+        UsageError,
+        ImageFileError,
+        CalibrationError,
+        RectificationError,
+        PromptableFileError,
+        OutputError,
+    ) as error:
         return complain(str(error), EXIT_UNUSABLE_INPUT)
     except MemoryError:
         return complain("the memory does not suffice for images of this size; give smaller ones", EXIT_UNUSABLE_INPUT)
@@ -68,6 +87,14 @@ def _read_masks(options: Reconstruct, images: Pair) -> Pair | None:
     height, width = images[0].shape[:2]
     left = read_mask(options.left_mask, "the left mask", width, height)
     return left, read_mask(options.right_mask, "the right mask", width, height)
+
+
+def _promptable_files(options: Reconstruct) -> PromptableFiles | None:
+    """Where the network lies, where its segmenter is to be used."""
+    if options.segmenter != PROMPTABLE or options.promptable_encoder is None or options.promptable_decoder is None:
+        return None
+    hashes = options.promptable_encoder_sha256, options.promptable_decoder_sha256
+    return PromptableFiles(options.promptable_encoder, options.promptable_decoder, *hashes)
 
 
 def _write(options: Reconstruct, result: PipelineResult, judgements: tuple[Judgement, ...]) -> None:

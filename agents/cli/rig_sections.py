@@ -16,6 +16,7 @@ from shared.runtime.session import LOCAL_ENDPOINT
 Name = Annotated[str, Field(pattern=r"^[a-z0-9_]+$")]
 Label = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
 """An identifier of a lab's own; names of people have spaces, and their addresses an @."""
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-fA-F]{64}$")]
 ENDPOINT = re.compile(r"(?:tcp|tls|quic|ws|udp)/.+:(?P<port>\d{1,5})")
 
 
@@ -76,10 +77,24 @@ class CameraSection(Settings):
 
 
 class PerceptionSection(Settings):
-    """How thread is found; `auto` takes what suits each image. `matching` unset is as the method needs it."""
+    """How thread is found; `auto` takes what suits each image. `matching` unset is as the method needs it.
 
-    segmenter: Literal["auto", "threshold", "ridge"] = "auto"
+    Segmenter `promptable` runs a network from two files of the user's own, whose hashes are compared where given.
+    """
+
+    segmenter: Literal["auto", "threshold", "ridge", "promptable"] = "auto"
     matching: bool | None = None
+    promptable_encoder: Path | None = None
+    promptable_decoder: Path | None = None
+    promptable_encoder_sha256: Sha256 | None = None
+    promptable_decoder_sha256: Sha256 | None = None
+
+    @model_validator(mode="after")
+    def _promptable_has_its_files(self) -> "PerceptionSection":
+        given = [name for name in ("promptable_encoder", "promptable_decoder") if getattr(self, name) is not None]
+        if len(given) == 1 or (self.segmenter == "promptable" and not given):
+            raise ValueError("segmenter 'promptable' needs promptable_encoder and promptable_decoder, two ONNX files")
+        return self
 
 
 class ReconstructionSection(Settings):

@@ -18,7 +18,9 @@ from agents.perception.rectification import (
     rectify_image,
 )
 from agents.perception.search import Looked, Pair, look_everywhere, look_near
-from agents.perception.segmenter_names import SEGMENTER_NAMES
+from agents.perception.segmentation.choice import segmenters_with
+from agents.perception.segmentation.promptable_model import PromptableFiles
+from agents.perception.segmenter_names import GIVEN_MASKS, PROMPTABLE, SEGMENTER_NAMES
 from agents.perception.surface import surface_is_due, tissue_surface
 from schemas.messages import (
     CommandAnswer,
@@ -56,10 +58,19 @@ class PerceptionConfig:
 
     Fields:
         matching: whether pixels are matched as well, which takes the longest and only method `paper` needs.
+        promptable: where the network lies that segmenter `promptable` needs.
+
+    Raises:
+        ValueError: where segmenter `promptable` lacks its network.
     """
 
-    segmenter: str | None = settable(None, OneOf((None, *SEGMENTER_NAMES)))
+    segmenter: str | None = settable(None, OneOf((None, *(name for name in SEGMENTER_NAMES if name != GIVEN_MASKS))))
     matching: bool = False
+    promptable: PromptableFiles | None = None
+
+    def __post_init__(self) -> None:
+        if self.segmenter == PROMPTABLE and self.promptable is None:
+            raise ValueError("it needs promptable_encoder and promptable_decoder in the configuration of perception")
 
 
 class Perception:
@@ -79,6 +90,7 @@ class Perception:
 
     def __init__(self, config: PerceptionConfig = PerceptionConfig()) -> None:
         self.config = config
+        self._segmenters = segmenters_with(config.promptable)
         self._calibration: StereoCalibration | None = None
         self._calibration_id = ""
         # made for the first frame of its size: a calibration may claim any size
@@ -126,11 +138,13 @@ class Perception:
         yield Output(OBSERVATIONS, observed)
 
     def _observe(self, stamp: FrameStamp, pair: "_Rectified") -> ThreadObservations:
-        looked = look_near(pair.images, self._last, stamp.sequence) if self._last else None
+        looked = look_near(pair.images, self._last, stamp.sequence, self._segmenters) if self._last else None
         observed = self._observed(stamp, pair, looked) if looked else None
         if observed is not None and observed.status is Status.OK:
             return observed
-        everything = look_everywhere(pair.images, stamp.sequence, self.config.segmenter, self._prompt_px)
+        everything = look_everywhere(
+            pair.images, stamp.sequence, self.config.segmenter, self._prompt_px, self._segmenters
+        )
         return self._observed(stamp, pair, everything)
 
     def _observed(self, stamp: FrameStamp, pair: "_Rectified", looked: Looked) -> ThreadObservations:
@@ -180,11 +194,15 @@ class Perception:
                 "outside",
                 f"({u:.0f}, {v:.0f}) lies outside the left image of {width}x{height} pixels",
             )
-        if not look_everywhere(pair.images, 0, self.config.segmenter, prompt.pixel).coverage[0].any():
+        # the answer cannot wait for such a network; where it finds nothing, the next observations say so
+        if self.config.segmenter != PROMPTABLE and not self._finds_thread_at(pair.images, prompt.pixel):
             reason = f"nothing like thread lies within {reach_px(width):.0f} px of ({u:.0f}, {v:.0f}) in the left image"
             return refused(prompt.header.id, "no_thread", reason)
         self._last, self._prompt_px = None, prompt.pixel
         return accepted(prompt.header.id)
+
+    def _finds_thread_at(self, images: Pair, pixel: Pixel) -> bool:
+        return bool(look_everywhere(images, 0, self.config.segmenter, pixel).coverage[0].any())
 
     def _mismatch(self, frame: StereoFrame, calibration: StereoCalibration) -> str:
         """Why a frame does not go with the calibration; empty where it does."""

@@ -7,6 +7,7 @@ chosen, and the pair judged, with each look at the whole.
 All that one frame needs of those before it is in the last observations, so that these are the agent's whole state.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import cv2
@@ -16,7 +17,7 @@ from jaxtyping import Bool, Float64, UInt8
 from agents.perception.both_eyes import of_both
 from agents.perception.judge import correspondence_of_texture, judge
 from agents.perception.prompt import followed, meant_as_before, meant_at, meant_like
-from agents.perception.segmentation.choice import SEGMENTERS, suitable_segmenter
+from agents.perception.segmentation.choice import SEGMENTERS, Segmenter, suitable_segmenter
 from agents.perception.segmentation.near import Near
 from schemas.messages import Judgement, Status, ThreadObservations
 from shared.images import decode_image
@@ -61,12 +62,16 @@ class Looked:
 
 
 def look_everywhere(
-    images: Pair, sequence: int, segmenter: str | None = None, prompt_px: Float64[np.ndarray, "2"] | None = None
+    images: Pair,
+    sequence: int,
+    segmenter: str | None = None,
+    prompt_px: Float64[np.ndarray, "2"] | None = None,
+    segmenters: Mapping[str, Segmenter] = SEGMENTERS,
 ) -> Looked:
     """Segment the whole of both images with a segmenter, or with the one that suits the left image."""
     left, right = images
     name = segmenter or suitable_segmenter(left)
-    segment = SEGMENTERS[name]
+    segment = segmenters[name]
     if prompt_px is None:
         coverage = of_both(segment, (left,), (right,))
         return Looked(coverage, name, sequence, is_brighter(left, coverage[0]), None, None)
@@ -81,16 +86,22 @@ def look_everywhere(
     return Looked(coverage, name, sequence, bright, judgements, followed(prompt_px, of_left))
 
 
-def look_near(images: Pair, last: ThreadObservations, sequence: int) -> Looked | None:
+def look_near(
+    images: Pair, last: ThreadObservations, sequence: int, segmenters: Mapping[str, Segmenter] = SEGMENTERS
+) -> Looked | None:
     """Segment what lies near the last thread; None where that does not do, and all must be looked at."""
     since_look, since_last = sequence - last.looked_sequence, sequence - last.stamp.sequence
     latest = max(FRAMES_BETWEEN_LOOKS, LEAST_FRAMES_NEAR * since_last)
     if last.status is not Status.OK or since_last >= FRAMES_BETWEEN_LOOKS or not 0 < since_look < latest:
         return None
+    # observations of another agent may come from a segmenter that this one was not given
+    segment = segmenters.get(last.segmenter)
+    if segment is None:
+        return None
     found = of_both(
         _look_near,
-        (images[0], decode_image(last.mask_left), last, True),
-        (images[1], decode_image(last.mask_right), last, False),
+        (images[0], decode_image(last.mask_left), last, True, segment),
+        (images[1], decode_image(last.mask_right), last, False, segment),
     )
     if found[0] is None or found[1] is None:
         return None
@@ -100,12 +111,16 @@ def look_near(images: Pair, last: ThreadObservations, sequence: int) -> Looked |
 
 
 def _look_near(
-    image: UInt8[np.ndarray, "h w *c"], before: UInt8[np.ndarray, "h w"], last: ThreadObservations, is_left: bool
+    image: UInt8[np.ndarray, "h w *c"],
+    before: UInt8[np.ndarray, "h w"],
+    last: ThreadObservations,
+    is_left: bool,
+    segment: Segmenter,
 ) -> UInt8[np.ndarray, "h w"] | None:
     """Coverage by thread near where it was in this eye's image; None where some may be missing."""
     near = Near(near_thread(before), last.is_bright)
     meant = None if last.prompt_px is None else meant_as_before(before, alone=is_left)
-    coverage = SEGMENTERS[last.segmenter](image, near, meant)
+    coverage = segment(image, near, meant)
     return None if may_lack_thread(coverage, near.where, _pixels(before)) else coverage
 
 

@@ -66,13 +66,15 @@ class PromptableSegmenter:
             near: where thread was; the ridges there are prompts.
             meant: which thread is; without one and without `near`, the ridges of the whole image are prompts.
         """
-        known = pointed_at(image, near, meant)
-        logits = along_thread(image, known, self._network)
-        thread = logits > 0
-        if meant is not None and meant.alone:
-            thread = piece_meant(thread, meant.weight)
-        level = 255.0 / (1.0 + np.exp(-logits))
-        return np.where(thread, np.maximum(level, 128.0), 0.0).astype(np.uint8)
+        for known in pointed_at(image, near, meant):
+            logits = along_thread(image, known, self._network)
+            thread = logits > 0
+            if meant is not None and meant.alone:
+                thread = piece_meant(thread, meant.weight)
+            if thread.any():
+                level = 255.0 / (1.0 + np.exp(-logits))
+                return np.where(thread, np.maximum(level, 128.0), 0.0).astype(np.uint8)
+        return np.zeros(image.shape[:2], np.uint8)
 
 
 def crop_side(shape: tuple[int, ...]) -> int:

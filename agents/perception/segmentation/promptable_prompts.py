@@ -2,6 +2,8 @@
 in which nobody pointed, at what lies in the rows of the thread that the other eye shows and looks like it.
 """
 
+from collections.abc import Iterator
+
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
@@ -27,27 +29,26 @@ DISPARITY_SPREAD_SHARE = 0.01
 
 def pointed_at(
     image: UInt8[np.ndarray, "h w 3"], near: Near | None = None, meant: Meant | None = None
-) -> Bool[np.ndarray, "h w"]:
-    """Pixels in the middle of what is taken for the thread before the network has looked; none where nothing is.
+) -> Iterator[Bool[np.ndarray, "h w"]]:
+    """Pixels in the middle of what may be the thread, one guess after the other, each for where those before find none.
 
     Args:
         near: where thread was; the ridges there are prompts.
-        meant: alone and without `near`, a person's pixel, where its weight is greatest; with what covers the other eye,
-            the thread there; else which ridge is.
+        meant: alone and without `near`, a person's pixel, where its weight is greatest, and the ridge next to it; with
+            what covers the other eye, the thread there; else which ridge is.
     """
-    nothing = np.zeros(image.shape[:2], bool)
     if meant is not None and not meant.weight.any():
-        return nothing
-    if meant is not None and near is None:
-        if meant.other_eye is not None:
-            return middle_of(in_rows_of(meant.other_eye, meant.weight))
-        if meant.alone:
-            nothing.ravel()[int(np.argmax(meant.weight))] = True
-            return nothing
-    ridge = segment_ridge(image, near, meant) > 0
-    if ridge.any() or meant is None:
-        return middle_of(ridge)
-    return middle_of(meant.weight > CREST_SHARE * meant.weight.max())
+        return
+    if meant is not None and near is None and meant.other_eye is not None:
+        yield middle_of(in_rows_of(meant.other_eye, meant.weight))
+        return
+    if meant is not None and near is None and meant.alone:
+        pixel = np.zeros(image.shape[:2], bool)
+        pixel.ravel()[int(np.argmax(meant.weight))] = True
+        yield pixel
+    yield middle_of(segment_ridge(image, near, meant) > 0)
+    if meant is not None and near is not None:
+        yield middle_of(meant.weight > CREST_SHARE * meant.weight.max())
 
 
 def in_rows_of(other: UInt8[np.ndarray, "h w"], alike: Float32[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from agents.perception.segmentation.choice import SEGMENTERS, suitable_segmenter
-from agents.perception.segmenter_names import GIVEN_MASKS, SEGMENTER_NAMES
+from agents.perception.segmenter_names import GIVEN_MASKS, PROMPTABLE, SEGMENTER_NAMES
 from shared.scene.__main__ import make_scene
 from shared.scene.render import render
 
@@ -30,4 +30,4 @@ def test_every_segmenter_gives_coverage_of_the_images_size():
 
 
 def test_every_segmenter_has_its_name():
-    assert {GIVEN_MASKS, *SEGMENTERS} == set(SEGMENTER_NAMES)
+    assert {GIVEN_MASKS, PROMPTABLE, *SEGMENTERS} == set(SEGMENTER_NAMES)
