@@ -46,6 +46,8 @@ SHIFT_PX = 0.5
 """Of the right image for the second matching."""
 MOST_APART_PX = 1.0
 """Two matchings that differ by more have found different places."""
+MOST_UNLIKE_PX = 2.0
+"""From a cell to that of its neighbours that is most like it."""
 MARGIN_PX = 4
 """Of disparities beyond those that the images show at half their size."""
 SLOPE_CAP = 31
@@ -176,7 +178,7 @@ def _cells(disparity: Float64[np.ndarray, "h w"]) -> _Cells:
     whole = disparity[: rows * CELL_PX, : columns * CELL_PX].reshape(rows, CELL_PX, columns, CELL_PX)
     cells = whole.transpose(0, 2, 1, 3).reshape(rows, columns, CELL_PX**2)
     enough = np.isfinite(cells).sum(axis=2) >= LEAST_SHARE * CELL_PX**2
-    medians = np.where(enough, _medians(cells), np.nan)
+    medians = _supported(np.where(enough, _medians(cells), np.nan))
     v, u = (offset.ravel() - 0.5 * (CELL_PX - 1) for offset in np.mgrid[:CELL_PX, :CELL_PX])
     across, down = (_slopes(medians, axis)[:, :, None] for axis in (1, 0))
     spread = NORMAL_MAD * _medians(np.abs(cells - medians[:, :, None] - across * u - down * v))
@@ -188,6 +190,16 @@ def _medians(cells: Float64[np.ndarray, "r c p"]) -> Float64[np.ndarray, "r c"]:
     ordered = np.sort(cells, axis=2)
     known = np.isfinite(cells).sum(axis=2)
     return np.take_along_axis(ordered, np.maximum(known - 1, 0)[:, :, None] // 2, axis=2)[:, :, 0]
+
+
+def _supported(medians: Float64[np.ndarray, "r c"]) -> Float64[np.ndarray, "r c"]:
+    """Without cells that are unlike all that lie beside them: tissue and tools go on there, false matches seldom do."""
+    rows, columns = medians.shape
+    around = np.pad(medians, 1, constant_values=np.nan)
+    like = np.zeros(medians.shape, bool)
+    for down, along in (place for place in np.ndindex(3, 3) if place != (1, 1)):
+        like |= np.abs(around[down : down + rows, along : along + columns] - medians) <= MOST_UNLIKE_PX
+    return np.where(like, medians, np.nan)
 
 
 def _slopes(medians: Float64[np.ndarray, "r c"], axis: int) -> Float64[np.ndarray, "r c"]:

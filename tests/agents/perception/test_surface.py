@@ -103,6 +103,17 @@ def test_the_grid_covers_the_image():
         assert size - step < middles[-1] + step / 2 + 0.5 <= size
 
 
+def test_no_cell_stands_alone():
+    """What matches nothing beside it is a false match: on each of these scenes one cell was off by centimetres."""
+    camera = dataclasses.replace(ENDOSCOPE, image_width=480, image_height=270, fx_px=500.0, fy_px=500.0)
+    camera = dataclasses.replace(camera, cx_px=239.5, cy_px=134.5)
+    for config, distance, seed in (("medium", 82.0, 2005), ("hard", 95.0, 2010)):
+        scene = make_scene(config, "tissue", seed, distance_mm=distance, camera=camera)
+        pair = render(scene)
+        surface = tissue_surface(STAMP, camera, pair.left_bgr, pair.right_bgr, pair.coverage_left > 0)
+        assert np.abs(surface.depth[surface.valid] - distance).max() < 15
+
+
 @pytest.mark.parametrize("shape", [(1, 1), (5, 700), (700, 5), (64, 64)])
 def test_images_of_any_size_give_a_surface(shape):
     camera = make_scene("easy", "tissue", 12).camera
