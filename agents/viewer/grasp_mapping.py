@@ -19,6 +19,7 @@ from agents.viewer import colours
 from agents.viewer.mapping import Entity
 from agents.viewer.session_mapping import lane, said
 from agents.viewer.solids import tool_solid
+from agents.viewer.surface_mapping import clearance_sentence
 from agents.viewer.units import MM_PER_METRE
 from schemas.messages import (
     ExecutionEvent,
@@ -80,6 +81,8 @@ def short(name: str) -> str:
 def plan_markdown(plan: GraspPlan) -> str:
     """A plan with what else was considered."""
     lines = ["## " + ("Plan" if plan.status is Status.OK else "No plan"), plan_sentence(plan)]
+    if plan.tissue is not None:
+        lines.append(f"Tissue: {clearance_sentence(plan.tissue)}.")
     if plan.alternatives:
         rows = [f"| {a.s_capture:.0%} | {a.probability:.0%} | {a.reason or '–'} |" for a in plan.alternatives]
         lines.append("\n".join(["| capture at | success | what speaks against it |", "|---|---|---|", *rows]))

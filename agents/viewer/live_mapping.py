@@ -43,7 +43,7 @@ from agents.viewer.session_mapping import (
     log_entities,
     said,
 )
-from agents.viewer.surface_mapping import surface_entities
+from agents.viewer.surface_mapping import contact_entities, surface_entities
 from agents.viewer.timing_mapping import end_to_end_name
 from agents.viewer.units import camera_in_mm, observations_in_mm, reconstruction_in_mm
 from schemas.messages import (
@@ -125,7 +125,7 @@ class LiveMapping:
             case ThreadReconstruction():
                 return self._reconstruction(reconstruction_in_mm(message))
             case GraspPlan():
-                return [*plan_entities(message), *self._considered.entities(message)]
+                return [*plan_entities(message), *contact_entities(message), *self._considered.entities(message)]
             case RobotState():
                 return self._robot(message)
             case ExecutionEvent():
