@@ -52,7 +52,13 @@ def build(rig: RigConfig, kind: str, instance: str) -> Agent:
         case PerceptionSection():
             return _perception(section, rig.needs_matching)
         case PlannerSection():
-            return Planner(PlannerConfig(least_probability=section.least_probability))
+            return Planner(
+                PlannerConfig(
+                    least_probability=section.least_probability,
+                    press_m=1e-3 * section.press_mm,
+                    tissue_required=section.tissue_required,
+                )
+            )
         case ArmSection():
             T_camera_base = (
                 SIMULATED_BASES[instance] if section.T_camera_base is None else np.array(section.T_camera_base)

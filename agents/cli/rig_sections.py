@@ -108,6 +108,8 @@ class PlannerSection(Settings):
     """How good a plan must be."""
 
     least_probability: float = Field(default=0.5, ge=0, le=1)
+    press_mm: float = Field(default=4.0, ge=0, le=10)
+    tissue_required: bool = False
 
 
 class ArmSection(Settings):

@@ -175,8 +175,10 @@ def relative(then: float, now: float) -> float:
     return abs(then - now) / max(abs(then), abs(now), 1e-12)
 
 
-def metres_in_mm(then: float, now: float) -> float:
-    """The difference of two lengths."""
+def metres_in_mm(then: float | None, now: float | None) -> float:
+    """The difference of two lengths, of which there may be none."""
+    if then is None or now is None:
+        return 0.0 if then is now else OTHER
     return MM_PER_METRE * abs(then - now)
 
 

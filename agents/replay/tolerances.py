@@ -85,6 +85,13 @@ _PLAN: dict[str, Rule] = {
     "s_capture": Rule(0.02, "s"),
     "probability": Rule(0.05, ""),
     "slide_m": Rule(0.5, "mm", measures.metres_in_mm),
+    "tissue.clearance_m": Rule(0.5, "mm", measures.metres_in_mm),
+    "tissue.deviation_m": Rule(0.2, "mm", measures.metres_in_mm),
+    "tissue.known_share": Rule(0.05, "share"),
+    "tissue.unchecked": Rule(0.0, "", measures.words_apart),
+    "tissue.place_camera": Rule(ignored="of places that are about as near another one may be the nearest"),
+    "tissue.phase": Rule(ignored="likewise"),
+    "tissue.s": Rule(ignored="likewise"),
     "reason": Rule(0.0, "", measures.words_apart),
 }
 
@@ -92,6 +99,7 @@ _SURFACE: dict[str, Rule] = {
     "typical_depth": Rule(0.2, "mm", measures.depths_apart_mm),
     "depth": Rule(ignored="compared as `typical_depth`: single cells may be matched otherwise"),
     "valid": Rule(ignored="single cells may be matched otherwise"),
+    "deviation": Rule(ignored="likewise"),
 }
 
 _ROBOT: dict[str, Rule] = {

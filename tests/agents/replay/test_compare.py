@@ -153,6 +153,12 @@ def test_a_number_beside_none_and_another_shape_are_no_numbers():
     assert apart(np.array([np.nan, 1.0]), np.array([np.nan, 3.0])) == 2.0
 
 
+def test_a_length_beside_none_is_no_number_and_none_beside_none_is_the_same():
+    assert measures.metres_in_mm(0.002, 0.0025) == pytest.approx(0.5)
+    assert measures.metres_in_mm(None, None) == 0.0
+    assert measures.metres_in_mm(0.0, None) == measures.metres_in_mm(None, 0.0) == OTHER
+
+
 def fields_below(message, prefix=""):
     for name, annotation in fields_of(message).items():
         yield f"{prefix}{name}"
