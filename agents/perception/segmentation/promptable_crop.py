@@ -34,11 +34,12 @@ def encoder_input(crop: UInt8[np.ndarray, "h w 3"], normalised: bool) -> Float32
     """
     height, width = enlarged_size((crop.shape[0], crop.shape[1]))
     how = cv2.INTER_LINEAR if height >= crop.shape[0] else cv2.INTER_AREA
-    enlarged = cv2.resize(crop, (width, height), interpolation=how)[:, :, ::-1].astype(np.float32)
+    enlarged = cv2.cvtColor(cv2.resize(crop, (width, height), interpolation=how), cv2.COLOR_BGR2RGB)
     if not normalised:
-        return enlarged
+        return enlarged.astype(np.float32)
     square = np.zeros((1, 3, SIDE_PX, SIDE_PX), np.float32)
-    square[0, :, :height, :width] = ((enlarged - MEAN) / DEVIATION).transpose(2, 0, 1)
+    for number, plane in enumerate(cv2.split(enlarged)):
+        square[0, number, :height, :width] = (plane - MEAN[number]) / DEVIATION[number]
     return square
 
 
