@@ -398,7 +398,7 @@ class Crossing(_message.Message):
     def __init__(self, s_first: _Optional[float] = ..., s_second: _Optional[float] = ..., point_px: _Optional[_Union[Array, _Mapping]] = ..., over: _Optional[_Union[Over, str]] = ..., depth_apart: _Optional[float] = ...) -> None: ...
 
 class ThreadTrack(_message.Message):
-    __slots__ = ("step", "reason", "frames", "innovation", "found_share", "stamp", "knots", "control_points_camera", "covariance", "smoothing", "span_weight", "row_offset_px", "length", "material_s")
+    __slots__ = ("step", "reason", "frames", "innovation", "found_share", "stamp", "knots", "control_points_camera", "covariance", "smoothing", "span_weight", "row_offset_px", "length", "material_s", "row_slopes_px")
     STEP_FIELD_NUMBER: _ClassVar[int]
     REASON_FIELD_NUMBER: _ClassVar[int]
     FRAMES_FIELD_NUMBER: _ClassVar[int]
@@ -413,6 +413,7 @@ class ThreadTrack(_message.Message):
     ROW_OFFSET_PX_FIELD_NUMBER: _ClassVar[int]
     LENGTH_FIELD_NUMBER: _ClassVar[int]
     MATERIAL_S_FIELD_NUMBER: _ClassVar[int]
+    ROW_SLOPES_PX_FIELD_NUMBER: _ClassVar[int]
     step: TrackStep
     reason: str
     frames: int
@@ -427,7 +428,8 @@ class ThreadTrack(_message.Message):
     row_offset_px: float
     length: float
     material_s: Array
-    def __init__(self, step: _Optional[_Union[TrackStep, str]] = ..., reason: _Optional[str] = ..., frames: _Optional[int] = ..., innovation: _Optional[float] = ..., found_share: _Optional[float] = ..., stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., knots: _Optional[_Union[Array, _Mapping]] = ..., control_points_camera: _Optional[_Union[Array, _Mapping]] = ..., covariance: _Optional[_Union[Array, _Mapping]] = ..., smoothing: _Optional[float] = ..., span_weight: _Optional[_Union[Array, _Mapping]] = ..., row_offset_px: _Optional[float] = ..., length: _Optional[float] = ..., material_s: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
+    row_slopes_px: Array
+    def __init__(self, step: _Optional[_Union[TrackStep, str]] = ..., reason: _Optional[str] = ..., frames: _Optional[int] = ..., innovation: _Optional[float] = ..., found_share: _Optional[float] = ..., stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., knots: _Optional[_Union[Array, _Mapping]] = ..., control_points_camera: _Optional[_Union[Array, _Mapping]] = ..., covariance: _Optional[_Union[Array, _Mapping]] = ..., smoothing: _Optional[float] = ..., span_weight: _Optional[_Union[Array, _Mapping]] = ..., row_offset_px: _Optional[float] = ..., length: _Optional[float] = ..., material_s: _Optional[_Union[Array, _Mapping]] = ..., row_slopes_px: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
 
 class Consumed(_message.Message):
     __slots__ = ("key", "epoch", "sequence")

@@ -163,7 +163,9 @@ class ThreadTrack:
         stamp: of the last frame that had a curve.
         knots, control_points_camera: of that curve, clamped and cubic, in the direction that the track keeps.
         covariance: [i, j] of control points i and i + j; zeros past the last one.
-        smoothing, span_weight, row_offset_px: of its fit.
+        smoothing, span_weight: of its fit.
+        row_offset_px: how many rows the right image lies lower than the left one, at the principal point.
+        row_slopes_px: by how many more for each focal length to the right, downward, and both; None where by none.
         length: of the curve when the track was begun, in the unit of the calibration.
         material_s: which places of the thread the ends of the curve are, on the scale of the first curve, of which
             they are 0 and 1.
@@ -183,6 +185,7 @@ class ThreadTrack:
     row_offset_px: float
     length: float
     material_s: Float64[np.ndarray, "2"]
+    row_slopes_px: Float64[np.ndarray, "3"] | None = None
 
     def __post_init__(self) -> None:
         check_message(self)

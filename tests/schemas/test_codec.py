@@ -220,6 +220,7 @@ def tracks(draw):
         row_offset_px=draw(numbers),
         length=draw(positive),
         material_s=np.array((first, np.nextafter(first, np.inf) + size)),
+        row_slopes_px=draw(st.none() | array(3)),
     )
 
 

@@ -25,6 +25,7 @@ GRADIENT = 0.25
 """Change of disparity per pixel along the thread that is common."""
 DEAREST_STEP = 12.0
 END_ROWS_PX = 1.5
+"""Rows of the two images of one end lie no farther apart than this, or than the thread is wide there."""
 END_DEVIATION_PX = 1.0
 BACKWARD_PX = 3.0
 DETOUR_PX, DETOUR_SHARE = 6.0, 0.5
@@ -170,16 +171,18 @@ def _common_ends(left: Chain, samples: int, right: Centrelines) -> Candidates:
     sample = np.repeat([0, samples - 1], len(ends))
     point = left.point_px[[0, -1]][(sample > 0).astype(int)]
     index = np.tile(ends, 2)
+    apart = np.abs(right.point_px[index, 1] - point[:, 1])
     found = Candidates(
         sample=sample,
         disparity_px=point[:, 0] - right.point_px[index, 0],
-        variance_px2=np.full(len(index), END_DEVIATION_PX**2),
+        # what is apart in rows is so along the thread
+        variance_px2=END_DEVIATION_PX**2 + apart**2,
         index=index.astype(np.float64),
         piece=right.piece[index],
         along_px=_along(right)[index],
         forward=np.zeros(len(index)),
     )
-    return found[np.abs(right.point_px[index, 1] - point[:, 1]) <= END_ROWS_PX]
+    return found[apart <= np.maximum(END_ROWS_PX, right.width_px[index])]
 
 
 def runs(left: Chain) -> Int64[np.ndarray, "n"]:

@@ -65,7 +65,11 @@ class _Eye:
 
 
 def associated(
-    curve: Curve, points: tuple[Points, Points], camera: RectifiedStereo, row_offset_px: float, votes: bool
+    curve: Curve,
+    points: tuple[Points, Points],
+    camera: RectifiedStereo,
+    row_offset_px: Float64[np.ndarray, "4"],
+    votes: bool,
 ) -> Associated:
     """The points of both eyes with their places on a curve that is some pixels away from them.
 
@@ -99,7 +103,14 @@ def _shown(s: Float64[np.ndarray, "n"], places: int) -> Bool[np.ndarray, "places
     return np.bincount((s * places).astype(int).clip(0, places - 1), minlength=places) > 0
 
 
-def _of_eye(curve: Curve, points: Points, eye: int, camera: RectifiedStereo, row_offset_px: float, votes: bool) -> _Eye:
+def _of_eye(
+    curve: Curve,
+    points: Points,
+    eye: int,
+    camera: RectifiedStereo,
+    row_offset_px: Float64[np.ndarray, "4"],
+    votes: bool,
+) -> _Eye:
     if not len(points.piece):
         return _Eye(points.point_px, points.deviation_px, np.zeros(0), points.is_end, 0, np.zeros(2))
     at = np.linspace(0.0, 1.0, SAMPLES_PER_SPAN * curve.spans + 1)

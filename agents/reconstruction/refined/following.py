@@ -26,7 +26,7 @@ from agents.reconstruction.refined.normal_equations import (
 )
 from agents.reconstruction.refined.plausibility import implausible
 from agents.reconstruction.refined.points import Points, chosen_points
-from agents.reconstruction.refined.projection import Curve, at_constant_speed, chords, projected
+from agents.reconstruction.refined.projection import LEVEL, Curve, at_constant_speed, chords, projected
 from agents.reconstruction.refined.refinement import LEAST_SCALE, Refined, weighted
 from agents.reconstruction.refined.sightings import MOST_POINTS, Sightings, placed
 from agents.reconstruction.refined.smoothing import FINE, chosen_smoothing, local_weights
@@ -86,7 +86,7 @@ def followed(
         noise = process_noise(curve, camera, elapsed_s)
         prediction = _Prediction(last, curve, prior(last.covariance, noise), camera)
         few = _points(lines, camera, FEW_POINTS)
-        near, seen = curve, associated(curve, few, camera, last.row_offset_px, votes=True)
+        near, seen = curve, associated(curve, few, camera, row_offset_of(last), votes=True)
         for left in reversed(range(ROUNDS)):
             _require_seen(seen, camera, FARTHEST_BEYOND)
             then, near = near, _moved(prediction, near, seen.sight)
@@ -95,7 +95,7 @@ def followed(
             small = _steps_px(near, then, camera) < NEAR_PX_SHARE * camera.image_width
             enough = small or not left
             points = _points(lines, camera, MOST_POINTS) if enough else few
-            seen = associated(near, points, camera, last.row_offset_px, votes=False)
+            seen = associated(near, points, camera, row_offset_of(last), votes=False)
             if enough:
                 break
         _require_seen(seen, camera)
@@ -140,7 +140,7 @@ class _Prediction:
 def _moved(prediction: _Prediction, curve: Curve, sight: Sightings) -> Curve:
     """The curve after the first step, which leads over the motion of a frame: beside it, every deviation is small."""
     last = prediction.last
-    rows = linearised(curve, sight, prediction.camera, last.row_offset_px)
+    rows = linearised(curve, sight, prediction.camera, row_offset_of(last))
     scale = max(1.4826 * float(np.median(np.abs(rows.residual[: rows.sightings]))), LEAST_SCALE)
     data = data_blocks(rows, np.full(len(rows.residual), scale**-2), curve.spans) + damping_blocks(curve)
     total = data + prediction.about(curve)
@@ -151,7 +151,7 @@ def _moved(prediction: _Prediction, curve: Curve, sight: Sightings) -> Curve:
 
 def _fit(prediction: _Prediction, curve: Curve, sight: Sightings) -> Refined:
     last, camera = prediction.last, prediction.camera
-    smoothing, weight, row_offset = last.smoothing, last.span_weight, last.row_offset_px
+    smoothing, weight, row_offset = last.smoothing, last.span_weight, row_offset_of(last)
     choose = last.frames % CHOICE_FRAMES == CHOICE_FRAMES - 1
     sight, damping, shown = (
         placed(sight, curve, camera, row_offset, rounds=2),
@@ -229,6 +229,11 @@ def _innovation(curve: Curve, prediction: _Prediction) -> float:
     return float(moved @ gradient(away_from(prediction.precision, curve, prediction.curve).g)) / len(moved)
 
 
+def row_offset_of(track: ThreadTrack) -> Float64[np.ndarray, "4"]:
+    """All terms of the rows' offset, see `rows`."""
+    return np.append(track.row_offset_px, LEVEL[1:] if track.row_slopes_px is None else track.row_slopes_px)
+
+
 def curve_length(curve: Curve) -> float:
     """The length of the curve, by chords so short that a thread's bends do not count."""
     return float(chords(curve.at(np.linspace(0.0, 1.0, 8 * curve.spans + 1))).sum())
@@ -240,7 +245,7 @@ def _is_of_another_length(fit: Refined, expected: float) -> bool:
 
 def _without_false_ends(prediction: _Prediction, curve: Curve, sight: Sightings) -> Refined:
     """The fit without the ends that the thread's length contradicts: where a tool begins, a piece ends too."""
-    camera, row_offset = prediction.camera, prediction.last.row_offset_px
+    camera, row_offset = prediction.camera, row_offset_of(prediction.last)
     fit = _fit(prediction, curve, replace(sight, is_end=np.zeros(len(sight.s), bool)))
     view = projected(fit.curve, sight.s, sight.eye, camera, row_offset)
     off = np.linalg.norm(view.point_px - sight.point_px, axis=1)

@@ -14,6 +14,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float64
 
 from agents.reconstruction.minimum_variation import UnsolvedError
 from agents.reconstruction.paper import failed
@@ -23,7 +24,8 @@ from agents.reconstruction.refined.constraints import Held, held_to, regions_of
 from agents.reconstruction.refined.continuation import continued
 from agents.reconstruction.refined.covered_ends import with_covered_ends
 from agents.reconstruction.refined.initial import initial_curve, with_needed_spans
-from agents.reconstruction.refined.plausibility import contradiction, implausible, unusable
+from agents.reconstruction.refined.plausibility import LARGEST_RESIDUAL_SHARE, contradiction, implausible, unusable
+from agents.reconstruction.refined.projection import LEVEL, Curve, projected, row_offsets_px
 from agents.reconstruction.refined.refinement import Refined, Start, refined
 from agents.reconstruction.refined.result import reconstruction, starts_right
 from agents.reconstruction.refined.sightings import (
@@ -40,8 +42,8 @@ from shared.camera import project
 METHOD = "refined"
 MOST_ROW_ROUNDS = 5
 ROWS_SETTLED_PX = 0.1
-"""A calibration that is off leaves a constant offset between the rows; a change by less than this needs no further
-round of alignment."""
+"""A calibration that is off leaves rows apart; where they change by less than this, no further round of alignment is
+needed."""
 FOLLOWED = 1.0
 """Residuals larger than the points' own deviations, in the median: the curve cannot bend as the thread does."""
 
@@ -57,7 +59,7 @@ class Course:
     left: Chain
     aligned: Alignment
     sight: Sightings
-    row_offset_px: float
+    row_offset_px: Float64[np.ndarray, "4"]
 
 
 def reconstruct_refined(observations: ThreadObservations) -> ThreadReconstruction:
@@ -85,7 +87,7 @@ def course_and_fit(left: Centrelines, right: Centrelines, camera: RectifiedStere
     course = course_of(left, right, camera)
     fit = fitted(course, camera)
     for _ in range(MOST_ROW_ROUNDS):
-        if abs(fit.row_offset_px - course.row_offset_px) < ROWS_SETTLED_PX:
+        if _rows_apart_px(fit, course, camera) < ROWS_SETTLED_PX:
             break
         course = course_of(left, right, camera, fit.row_offset_px)
         fit = fitted(course, camera)
@@ -94,7 +96,9 @@ def course_and_fit(left: Centrelines, right: Centrelines, camera: RectifiedStere
     return course, fit
 
 
-def course_of(left: Centrelines, right: Centrelines, camera: RectifiedStereo, row_offset_px: float = 0.0) -> Course:
+def course_of(
+    left: Centrelines, right: Centrelines, camera: RectifiedStereo, row_offset_px: Float64[np.ndarray, "4"] = LEVEL
+) -> Course:
     """The longest thread of the left image that the right one shows too, so many rows lower.
 
     Raises:
@@ -106,13 +110,20 @@ def course_of(left: Centrelines, right: Centrelines, camera: RectifiedStereo, ro
     found = chains(left, camera.image_width)
     if not found:
         raise NoCurveError("the left image shows no piece of thread that is longer than some widths of it")
-    level = replace(right, point_px=right.point_px - (0.0, row_offset_px))
+    lower_px = row_offsets_px(right.point_px, row_offset_px, camera)
+    level = replace(right, point_px=right.point_px - lower_px[:, None] * (0.0, 1.0))
     chain, aligned = _aligned(left, level, found, camera)
     reason = contradiction(aligned, camera)
     if aligned is None or reason:
         raise NoCurveError(reason)
     chain, aligned = continued(chain, level, aligned, camera)
     return Course(chain, aligned, sightings(chain, right, aligned), row_offset_px)
+
+
+def _rows_apart_px(fit: Refined, course: Course, camera: RectifiedStereo) -> float:
+    """By how much the rows of a point of the right image are elsewhere than the course was sought with, at most."""
+    right = fit.sight.point_px[fit.sight.eye == 1]
+    return float(np.abs(row_offsets_px(right, fit.row_offset_px - course.row_offset_px, camera)).max(initial=0.0))
 
 
 def _aligned(
@@ -136,14 +147,23 @@ def fitted(course: Course, camera: RectifiedStereo) -> Refined:
         NoCurveError: where the equations have no solution.
     """
     try:
-        start = initial_curve(course.left, course.aligned, camera)
-        fit = refined(Start(start, course.sight, row_offset_px=course.row_offset_px), camera)
+        start, s = initial_curve(course.left, course.aligned, course.sight.s, camera)
+        sight = course.sight if _leads_to_places(course, start, camera) else replace(course.sight, s=s)
+        fit = refined(Start(start, sight, row_offset_px=course.row_offset_px), camera)
         if fit.scale <= FOLLOWED:
             return fit
         denser = with_needed_spans(fit.curve, camera)
         return fit if denser is None else refined(Start(denser, fit.sight, row_offset_px=fit.row_offset_px), camera)
     except np.linalg.LinAlgError as error:
         raise NoCurveError(f"no curve follows from both images ({error})") from error
+
+
+def _leads_to_places(course: Course, start: Curve, camera: RectifiedStereo) -> bool:
+    """Whether shares of the image's length are near enough to shares of the curve's for places to be found."""
+    sight = placed(course.sight, start, camera, course.row_offset_px, rounds=3)
+    view = projected(start, sight.s, sight.eye, camera, course.row_offset_px)
+    off_px = np.linalg.norm(view.point_px - sight.point_px, axis=1)
+    return bool(np.median(off_px) <= LARGEST_RESIDUAL_SHARE * camera.image_width)
 
 
 def within_regions(fit: Refined, course: Course, camera: RectifiedStereo) -> Held:
@@ -155,7 +175,7 @@ def within_regions(fit: Refined, course: Course, camera: RectifiedStereo) -> Hel
     regions, share = regions_of(course.left, course.aligned, camera)
     pixels, _ = project(camera, regions.centre_camera)
     along = parameters_of_course(course.sight, fit.sight, share)
-    s = placed(left_sightings(pixels, along), fit.curve, camera, 0.0, rounds=2).s
+    s = placed(left_sightings(pixels, along), fit.curve, camera, fit.row_offset_px, rounds=2).s
     try:
         return held_to(regions, s, fit.curve, fit.total, camera)
     except UnsolvedError as error:

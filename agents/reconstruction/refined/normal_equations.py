@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 from scipy.linalg import lapack
 
-from agents.reconstruction.refined.projection import DEGREE, Curve, basis_at, projected
+from agents.reconstruction.refined.projection import DEGREE, Curve, basis_at, projected, row_terms
 from agents.reconstruction.refined.sightings import Sightings
 from schemas.messages import RectifiedStereo
 from shared.splines import clamped_uniform_knots, difference_matrix
@@ -38,13 +38,13 @@ class Rows:
     Fields:
         first, basis: where each acts, as in `local_basis`.
         gradient: (n, 3), by the point of the curve.
-        by_row_offset: by an offset of the right image's rows.
+        by_row_offset: by each term of an offset of the right image's rows.
         sightings: how many of them are distances across the thread, the first ones.
     """
 
     residual: Float64[np.ndarray, "n"]
     gradient: Float64[np.ndarray, "n 3"]
-    by_row_offset: Float64[np.ndarray, "n"]
+    by_row_offset: Float64[np.ndarray, "n 4"]
     first: Int64[np.ndarray, "n"]
     basis: Float64[np.ndarray, "n 4"]
     sightings: int
@@ -64,7 +64,9 @@ class Blocks:
         return Blocks(self.H * factor, self.g * factor)
 
 
-def linearised(curve: Curve, sight: Sightings, camera: RectifiedStereo, row_offset_px: float) -> Rows:
+def linearised(
+    curve: Curve, sight: Sightings, camera: RectifiedStereo, row_offset_px: Float64[np.ndarray, "4"]
+) -> Rows:
     """Residuals and their derivatives at this curve."""
     view = projected(curve, sight.s, sight.eye, camera, row_offset_px)
     first, basis, _ = basis_at(curve.spans, sight.s)
@@ -80,7 +82,7 @@ def linearised(curve: Curve, sight: Sightings, camera: RectifiedStereo, row_offs
     return Rows(
         residual=np.einsum("ni,ni->n", direction, off[which]),
         gradient=np.einsum("ni,nia->na", direction, view.by_point[which]),
-        by_row_offset=direction[:, 1] * sight.eye[which],
+        by_row_offset=(direction[:, 1] * (sight.eye[which] - 0.5))[:, None] * row_terms(view.slope[:, which]),
         first=first[which],
         basis=basis[which],
         sightings=len(off),
@@ -99,10 +101,10 @@ def data_blocks(rows: Rows, weight: Float64[np.ndarray, "n"], spans: int) -> Blo
     return Blocks(squares[:, :SIDE, :SIDE], squares[:, :SIDE, SIDE])
 
 
-def row_offset_column(rows: Rows, weight: Float64[np.ndarray, "n"], spans: int) -> Float64[np.ndarray, "spans 12"]:
-    """Mixed derivatives by the control points and the row offset."""
+def row_offset_columns(rows: Rows, weight: Float64[np.ndarray, "n"], spans: int) -> Float64[np.ndarray, "spans 12 4"]:
+    """Mixed derivatives by the control points and the terms of the row offset."""
     design = (rows.basis[:, :, None] * rows.gradient[:, None, :]).reshape(-1, SIDE)
-    return _by_span(rows.first, design * (weight * rows.by_row_offset)[:, None], spans)
+    return _by_span(rows.first, design[:, :, None] * (weight[:, None] * rows.by_row_offset)[:, None, :], spans)
 
 
 def damping_blocks(curve: Curve) -> Blocks:
@@ -151,9 +153,11 @@ def third_differences(spans: int) -> Float64[np.ndarray, "spans m"]:
     return difference_matrix(clamped_uniform_knots(spans + DEGREE, DEGREE), DEGREE, 3) / spans**3
 
 
-def gradient(by_span: Float64[np.ndarray, "spans 12"]) -> Float64[np.ndarray, "v"]:
-    """The vector over all control points (interleaved) of what is given by spans."""
+def gradient(by_span: Float64[np.ndarray, "spans 12 *k"]) -> Float64[np.ndarray, "v *k"]:
+    """The vector over all control points (interleaved) of what is given by spans; of several, one in each column."""
     spans = len(by_span)
+    if by_span.ndim == 3:
+        return np.column_stack([gradient(column) for column in by_span.transpose(2, 0, 1)])
     return np.bincount(_vector_index(spans), by_span.ravel(), minlength=3 * (spans + DEGREE))
 
 

@@ -10,6 +10,8 @@ from schemas.messages import RectifiedStereo
 from shared.splines import clamped_uniform_knots, local_basis
 
 DEGREE = 3
+LEVEL = np.zeros(4)
+"""Rows that are not apart: no term of the row offset, see `rows`."""
 DENSE = 12
 """Chords to a span, for lengths."""
 
@@ -66,12 +68,14 @@ class View:
         point_px, velocity_px: where, and its derivative by s.
         scale: pixels for each unit of length at that depth, along u and v.
         slope: of the line of sight, likewise.
+        lean: how the row offset changes with the pixel, along u and v.
     """
 
     point_px: Float64[np.ndarray, "n 2"]
     velocity_px: Float64[np.ndarray, "n 2"]
     scale: Float64[np.ndarray, "2 n"]
     slope: Float64[np.ndarray, "2 n"]
+    lean: Float64[np.ndarray, "2 n"] | None = None
 
     @cached_property
     def by_point(self) -> Float64[np.ndarray, "n 2 3"]:
@@ -79,6 +83,8 @@ class View:
         derivative = np.zeros((len(self.point_px), 2, 3))
         derivative[:, 0, 0], derivative[:, 1, 1] = self.scale
         derivative[:, :, 2] = -(self.scale * self.slope).T
+        if self.lean is not None:
+            derivative[:, 1] += np.einsum("un,nua->na", self.lean, derivative)
         return derivative
 
 
@@ -87,9 +93,9 @@ def projected(
     s: Float64[np.ndarray, "n"],
     eye: Int64[np.ndarray, "n"],
     camera: RectifiedStereo,
-    row_offset_px: float = 0.0,
+    row_offset_px: Float64[np.ndarray, "4"] = LEVEL,
 ) -> View:
-    """The view of each place by the eye named for it; the right image may lie some rows too low."""
+    """The view of each place by the eye named for it; the right image may lie some rows lower than the left one."""
     span, t = _span_of(curve.spans, s)
     a, b, c, d = curve.polynomials[:, :, span]
     x, y, z = ((d * t + c) * t + b) * t + a
@@ -98,9 +104,30 @@ def projected(
     scale = np.array([[camera.fx_px], [camera.fy_px]]) / z
     pixel, velocity = np.empty((len(t), 2)), np.empty((len(t), 2))
     pixel[:, 0] = camera.fx_px * slope[0] + camera.cx_px
-    pixel[:, 1] = camera.fy_px * slope[1] + camera.cy_px + row_offset_px * eye
+    half = eye - 0.5
+    pixel[:, 1] = camera.fy_px * slope[1] + camera.cy_px + row_offset_px[0] * half
     velocity[:] = (scale * (forward[:2] - slope * forward[2])).T
-    return View(pixel, velocity, scale, slope)
+    if not row_offset_px[1:].any():
+        return View(pixel, velocity, scale, slope)
+    terms = half[:, None] * row_terms(slope)
+    pixel[:, 1] += terms[:, 1:] @ row_offset_px[1:]
+    _, by_x, by_y, by_both = row_offset_px
+    lean = half * np.stack(((by_x + by_both * slope[1]) / camera.fx_px, (by_y + by_both * slope[0]) / camera.fy_px))
+    velocity[:, 1] += (lean * velocity.T).sum(axis=0)
+    return View(pixel, velocity, scale, slope, lean)
+
+
+def row_terms(slope: Float64[np.ndarray, "2 n"]) -> Float64[np.ndarray, "n 4"]:
+    """What each term of a row offset is multiplied by: 1, x, y and x y, for lines of sight of these slopes."""
+    return np.column_stack((np.ones(slope.shape[1]), slope[0], slope[1], slope[0] * slope[1]))
+
+
+def row_offsets_px(
+    point_px: Float64[np.ndarray, "n 2"], row_offset_px: Float64[np.ndarray, "4"], camera: RectifiedStereo
+) -> Float64[np.ndarray, "n"]:
+    """How many rows too low the right image shows what it has at these pixels."""
+    slope = (point_px - (camera.cx_px, camera.cy_px)) / (camera.fx_px, camera.fy_px)
+    return row_terms(slope.T) @ row_offset_px
 
 
 def basis_at(

@@ -3,11 +3,11 @@
     min  ½ Σ ρ(r_i) + ½ λ Σ_k w_k ‖Δ³P_k‖²
 
 ρ is Cauchy's, so that wrong points lose their say. Between steps the curve is brought back to constant speed, and each
-sighting to the place nearest to it. A constant offset between the rows of both images is estimated and taken out where
+sighting to the place nearest to it. How far apart the rows of both images are is estimated (`rows`) and taken out where
 it is certain: a calibration that is a little off would otherwise bend the depth.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -23,22 +23,19 @@ from agents.reconstruction.refined.normal_equations import (
     inverse,
     linearised,
     roughness_blocks,
-    row_offset_column,
     solved,
 )
-from agents.reconstruction.refined.projection import Curve, at_constant_speed
+from agents.reconstruction.refined.projection import LEVEL, Curve, at_constant_speed
+from agents.reconstruction.refined.rows import row_change, row_doubt, rows_information
 from agents.reconstruction.refined.sightings import Sightings, folds, placed
 from agents.reconstruction.refined.smoothing import COARSE, FINE, chosen_smoothing, local_weights
 from schemas.messages import RectifiedStereo
 
 STEPS = 7
-ROBUST = 2.5
-"""Residuals beyond so many deviations count less and less."""
+ROBUST, ROBUST_END = 2.5, 10.0
+"""Residuals beyond so many deviations count less and less: of points, and of the thread's end along it."""
 LEAST_SCALE, MOST_SCALE = 0.1, 4.0
 """Of the deviations that perception states, by the spread of the residuals."""
-LEAST_ROW_OFFSET_PX, CERTAIN = 0.08, 3.0
-LEAST_OWN_SHARE = 1e-3
-"""Of what the points say of a row offset, what must be left where depth is free: less is owed to smoothness alone."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +45,9 @@ class Refined:
     Fields:
         scale: of the stated deviations, by the residuals.
         smoothing, weight: λ, and w of each span.
+        row_offset_px: how many rows the right image lies lower, by the terms of `rows`.
         total: the quadratic function at the solution; the inverse of its matrix is the posterior covariance.
+        row_doubt: factor of what uncertain rows add to that; None where they are taken as they are.
     """
 
     curve: Curve
@@ -58,14 +57,18 @@ class Refined:
     scale: float
     smoothing: float
     weight: Float64[np.ndarray, "spans"]
-    row_offset_px: float
+    row_offset_px: Float64[np.ndarray, "4"]
     total: Blocks
+    row_doubt: Float64[np.ndarray, "v k"] | None = None
 
     @cached_property
     def covariance(self) -> Float64[np.ndarray, "m 3 m 3"]:
         """Of the control points, by the fit alone."""
         m = len(self.curve.control_points)
-        return inverse(self.total).reshape(m, 3, m, 3)
+        covariance = inverse(self.total)
+        if self.row_doubt is not None:
+            covariance += self.row_doubt @ self.row_doubt.T
+        return covariance.reshape(m, 3, m, 3)
 
 
 @dataclass(frozen=True)
@@ -76,7 +79,7 @@ class Start:
     sight: Sightings
     smoothing: float | None = None
     weight: Float64[np.ndarray, "spans"] | None = None
-    row_offset_px: float = 0.0
+    row_offset_px: Float64[np.ndarray, "4"] = field(default_factory=LEVEL.copy)
 
 
 def refined(start: Start, camera: RectifiedStereo, steps: int | None = None) -> Refined:
@@ -102,20 +105,24 @@ def refined(start: Start, camera: RectifiedStereo, steps: int | None = None) -> 
             total = data + roughness_blocks(curve, smoothing * weight)
         factor = factored(total)
         motion = -solved(factor, gradient(total.g))
-        if step in (1, 3):
-            change, motion = _row_offset(rows, robust / scale**2, curve.spans, factor, motion)
-            row_offset += change
+        if step in (1, 3) or (step > 3 and row_offset[1:].any()):
+            said = rows_information(rows, robust / scale**2, factor, motion)
+            change = row_change(said, row_offset, camera, constant_alone=step == 1)
+            row_offset, motion = row_offset + change, motion - said.follow @ change
         curve = curve.moved(motion.reshape(-1, 3))
         curve, s = at_constant_speed(curve, sight.s, folds(sight, curve, camera))
         sight = placed(replace(sight, s=s), curve, camera, row_offset)
     rows, robust, scale = weighted(curve, sight, camera, row_offset)
     data = data_blocks(rows, robust / scale**2, curve.spans) + damping_blocks(curve)
     total = data + roughness_blocks(curve, smoothing * weight)
-    return Refined(curve, sight, rows, robust, scale, smoothing, weight, row_offset, total)
+    doubt = None
+    if row_offset.any():
+        doubt = row_doubt(rows_information(rows, robust / scale**2, factored(total)), row_offset, camera)
+    return Refined(curve, sight, rows, robust, scale, smoothing, weight, row_offset, total, doubt)
 
 
 def weighted(
-    curve: Curve, sight: Sightings, camera: RectifiedStereo, row_offset_px: float
+    curve: Curve, sight: Sightings, camera: RectifiedStereo, row_offset_px: Float64[np.ndarray, "4"]
 ) -> tuple[Rows, Float64[np.ndarray, "n"], float]:
     """Linearised residuals, what each has to say still, and the spread of them all."""
     rows = linearised(curve, sight, camera, row_offset_px)
@@ -128,21 +135,7 @@ def weighted(
     # the left chain's ends say how far the curve goes, and nothing else does: they keep their say
     end = np.flatnonzero(sight.is_end)
     robust[rows.sightings + np.flatnonzero(sight.eye[end] == 0)] = 1.0
+    # as they are the same ends, those of the right one share in that unless they are far away
+    right = rows.sightings + np.flatnonzero(sight.eye[end] == 1)
+    robust[right] = 1.0 / (1.0 + (rows.residual[right] / (ROBUST_END * scale)) ** 2)
     return rows, robust, scale
-
-
-def _row_offset(
-    rows: Rows, weight: Float64[np.ndarray, "n"], spans: int, factor: np.ndarray, motion: Float64[np.ndarray, "v"]
-) -> tuple[float, Float64[np.ndarray, "v"]]:
-    """The change of the row offset and the motion with it; none where it is not certain."""
-    column = gradient(row_offset_column(rows, weight, spans))
-    follow = solved(factor, column)
-    alone = float((weight * rows.by_row_offset**2).sum())
-    information = alone - float(column @ follow)
-    if information <= LEAST_OWN_SHARE * alone:
-        return 0.0, motion
-    slope = float((weight * rows.by_row_offset * rows.residual).sum() + column @ motion)
-    change = -slope / information
-    if abs(change) < max(LEAST_ROW_OFFSET_PX, CERTAIN / np.sqrt(information)):
-        return 0.0, motion
-    return change, motion - follow * change

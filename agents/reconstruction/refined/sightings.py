@@ -77,7 +77,9 @@ def parameters_of_course(start: Sightings, now: Sightings, share: Float64[np.nda
     return np.interp(share, start.s[left], np.maximum.accumulate(now.s[left]))
 
 
-def placed(sight: Sightings, curve: Curve, camera: RectifiedStereo, row_offset_px: float, rounds: int = 1) -> Sightings:
+def placed(
+    sight: Sightings, curve: Curve, camera: RectifiedStereo, row_offset_px: Float64[np.ndarray, "4"], rounds: int = 1
+) -> Sightings:
     """The same sightings at the parameters nearest to them, by Newton steps along the projected curve."""
     limit = LONGEST_STEP_SPANS / curve.spans
     for _ in range(rounds):

@@ -171,7 +171,8 @@ def _track(fit: Refined, observations: ThreadObservations, reverse: bool) -> Thr
         covariance=_turned(band) if reverse else band,
         smoothing=fit.smoothing,
         span_weight=fit.weight[way].copy(),
-        row_offset_px=fit.row_offset_px,
+        row_offset_px=float(fit.row_offset_px[0]),
+        row_slopes_px=fit.row_offset_px[1:] if fit.row_offset_px[1:].any() else None,
         length=curve_length(curve),
         material_s=np.array([0.0, 1.0]),
     )

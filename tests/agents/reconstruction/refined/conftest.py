@@ -55,7 +55,7 @@ def sightings_of(spline, count=150, noise_px=0.0, deviation_px=0.1, seed=0, row_
     """Points of both images at known parameters, the ends marked as such."""
     s = np.linspace(0, 1, count)
     px = np.concatenate(project(camera, spline.at(s)))
-    px[count:, 1] += row_offset_px
+    px[:, 1] += np.repeat([-0.5, 0.5], count) * row_offset_px
     px += np.random.default_rng(seed).normal(0, noise_px, px.shape)
     is_end = np.zeros(2 * count, bool)
     is_end[[0, count - 1, count, 2 * count - 1]] = True

@@ -7,7 +7,7 @@ import pytest
 
 from agents.reconstruction.refined.association import associated
 from agents.reconstruction.refined.points import chosen_points
-from agents.reconstruction.refined.projection import Curve, fitted
+from agents.reconstruction.refined.projection import LEVEL, Curve, fitted
 from schemas.messages import Centrelines, RectifiedStereo
 from shared.camera import project
 from shared.splines import clamped_uniform_knots
@@ -57,7 +57,7 @@ def off(seen, lines, places):
 
 def look(curve, lines, votes=True):
     points = chosen_points(lines[0], CAMERA, 200), chosen_points(lines[1], CAMERA, 200)
-    return associated(curve, points, CAMERA, 0.0, votes=votes)
+    return associated(curve, points, CAMERA, LEVEL, votes=votes)
 
 
 @pytest.mark.parametrize("shape", [winding, loop])

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from agents.reconstruction.refined.projection import at_constant_speed, basis_at, projected
+from agents.reconstruction.refined.projection import (
+    LEVEL,
+    at_constant_speed,
+    basis_at,
+    projected,
+    row_offsets_px,
+)
 from shared.camera import project
 from shared.splines import clamped_uniform_knots, local_basis
 
@@ -29,20 +35,30 @@ def test_a_view_is_the_projection_of_the_curve_in_both_eyes(spline, camera):
     s = np.linspace(0, 1, 37)
     points = BSpline(spline.knots, spline.control_points, 3)(s)
     left, right = project(camera, points)
-    for eye, px in ((0, left), (1, right + np.array([0.0, 0.4]))):
-        view = projected(spline, s, np.full(37, eye), camera, row_offset_px=0.4)
+    for eye, px in ((0, left - np.array([0.0, 0.2])), (1, right + np.array([0.0, 0.2]))):
+        view = projected(spline, s, np.full(37, eye), camera, np.array([0.4, 0.0, 0.0, 0.0]))
         np.testing.assert_allclose(view.point_px, px, atol=1e-9)
 
 
+def test_each_image_has_half_of_how_far_rows_are_apart_where_it_shows_the_point(spline, camera):
+    s, offset_px = np.linspace(0, 1, 37), np.array([0.4, -3.0, 2.0, 5.0])
+    for eye, px in enumerate(project(camera, BSpline(spline.knots, spline.control_points, 3)(s))):
+        view = projected(spline, s, np.full(37, eye), camera, offset_px)
+        apart_px = row_offsets_px(px, offset_px, camera)
+        assert np.ptp(apart_px) > 0.5
+        np.testing.assert_allclose(view.point_px - px, np.outer((eye - 0.5) * apart_px, (0, 1)), atol=1e-9)
+
+
+@pytest.mark.parametrize("offset_px", [LEVEL, np.array([0.4, -30.0, 20.0, 50.0])], ids=["level", "apart"])
 @pytest.mark.parametrize("eye", [0, 1])
-def test_derivatives_are_finite_differences(spline, camera, eye):
+def test_derivatives_are_finite_differences(spline, camera, eye, offset_px):
     s, eyes = np.linspace(0.02, 0.98, 23), np.full(23, eye)
-    view = projected(spline, s, eyes, camera)
-    ahead, behind = (projected(spline, s + step, eyes, camera).point_px for step in (STEP, -STEP))
+    view = projected(spline, s, eyes, camera, offset_px)
+    ahead, behind = (projected(spline, s + step, eyes, camera, offset_px).point_px for step in (STEP, -STEP))
     np.testing.assert_allclose(view.velocity_px, (ahead - behind) / (2 * STEP), rtol=1e-5, atol=1e-3)
     for axis in range(3):
         push = 1e-4 * np.eye(3)[axis]
-        further, back = (projected(spline.moved(sign * push), s, eyes, camera).point_px for sign in (1, -1))
+        further, back = (projected(spline.moved(sign * push), s, eyes, camera, offset_px).point_px for sign in (1, -1))
         np.testing.assert_allclose(view.by_point[:, :, axis], (further - back) / 2e-4, rtol=1e-6, atol=1e-5)
 
 

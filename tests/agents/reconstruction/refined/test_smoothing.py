@@ -12,6 +12,7 @@ from agents.reconstruction.refined.normal_equations import (
     roughness_blocks,
     third_differences,
 )
+from agents.reconstruction.refined.projection import LEVEL
 from agents.reconstruction.refined.smoothing import (
     LEAST_WEIGHT,
     MOST_WEIGHT,
@@ -33,7 +34,7 @@ def dense_of(blocks):
 
 @pytest.fixture(params=[0.0, 0.2], ids=["exact", "noisy"])
 def data(request, spline, sight_of, camera):
-    rows = linearised(spline, sight_of(spline, noise_px=request.param), camera, 0.0)
+    rows = linearised(spline, sight_of(spline, noise_px=request.param), camera, LEVEL)
     return data_blocks(rows, np.ones(len(rows.residual)), spline.spans) + damping_blocks(spline)
 
 

@@ -1,0 +1,66 @@
+"""Rows that a calibration leaves apart: as a turned camera has them, found from a thread, and left alone without."""
+
+import dataclasses
+
+import cv2
+import numpy as np
+import pytest
+
+from agents.reconstruction.refined import rows
+from agents.reconstruction.refined.projection import row_offsets_px
+from agents.reconstruction.refined.refinement import Start, refined
+from shared.curve_distance import curve_distance
+
+DENSE = np.linspace(0, 1, 2000)
+TURN = np.radians(0.15)
+
+
+def turned(px, camera, axis):
+    """Where a camera that is turned by a small angle sees what it would see at these pixels."""
+    K = np.array([[camera.fx_px, 0, camera.cx_px], [0, camera.fy_px, camera.cy_px], [0, 0, 1]])
+    R, _ = cv2.Rodrigues(TURN * np.eye(3)["xyz".index(axis)])
+    seen = np.column_stack((px, np.ones(len(px)))) @ (K @ R @ np.linalg.inv(K)).T
+    return seen[:, :2] / seen[:, 2:]
+
+
+@pytest.mark.parametrize(("axis", "terms"), [("x", (-1, 0, 0, 0)), ("y", (0, 0, 0, 1)), ("z", (0, 1, 0, 0))])
+def test_a_turned_camera_moves_rows_as_the_terms_say(camera, axis, terms):
+    rng = np.random.default_rng(0)
+    px = rng.uniform(0, 1, (200, 2)) * (camera.image_width, camera.image_height)
+    lower_px = turned(px, camera, axis)[:, 1] - px[:, 1]
+    told_px = row_offsets_px(px, TURN * camera.fy_px * np.array(terms, float), camera)
+    assert np.abs(lower_px).max() > 0.25
+    assert np.abs(lower_px - told_px).max() < (0.25 if axis == "x" else 0.02)
+
+
+def seen_by_turned_cameras(sight, camera, axis):
+    """The same sightings with half the turn in either camera, as a rectification leaves it."""
+    px = sight.point_px.copy()
+    for eye, sign in ((0, -0.5), (1, 0.5)):
+        here = sight.eye == eye
+        px[here] += sign * (turned(px[here], camera, axis) - px[here])
+    return dataclasses.replace(sight, point_px=px)
+
+
+def test_rows_of_a_camera_turned_about_the_line_of_sight_are_taken_out(waving_spline, sight_of, camera, monkeypatch):
+    sight = seen_by_turned_cameras(sight_of(waving_spline, count=300, noise_px=0.1), camera, "z")
+    fit = refined(Start(waving_spline, sight), camera)
+    assert fit.row_offset_px[1] == pytest.approx(TURN * camera.fx_px, rel=0.4)
+    # a thread that winds its way across tells x from y poorly
+    assert np.abs(fit.row_offset_px[[0, 3]]).max() < 0.3
+    monkeypatch.setattr(rows, "CONVINCING", np.inf)
+    constant = refined(Start(waving_spline, sight), camera)
+    assert not constant.row_offset_px[1:].any()
+    with_terms, without = (curve_distance(f.curve.at(DENSE), waving_spline.at(DENSE)).mean for f in (fit, constant))
+    assert with_terms < 0.6 * without
+    # what they leave uncertain is part of the posterior
+    assert fit.row_doubt is not None
+    assert np.linalg.eigvalsh(fit.row_doubt.T @ fit.row_doubt).min() > 0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_rows_that_are_level_stay_so(waving_spline, sight_of, camera, seed):
+    sight = sight_of(waving_spline, count=300, noise_px=0.2, deviation_px=0.2, seed=seed)
+    fit = refined(Start(waving_spline, sight), camera)
+    assert not fit.row_offset_px.any()
+    assert fit.row_doubt is None
