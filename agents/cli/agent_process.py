@@ -48,7 +48,7 @@ def _run(rig: RigConfig, kind: str, instance: str) -> int:
     except (ConfigError, SourceError, ImageFileError, CalibrationError, SceneError, OSError) as error:
         return complain(str(error), EXIT_UNUSABLE)
     stopped = threading.Event()
-    on_stop(stopped.set)
+    on_stop(stopped.set, for_sure=True)
     try:
         session = open_when_there(rig.session_of(run_name(kind, instance)), stopped=stopped)
     except NoRouterError as error:

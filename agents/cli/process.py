@@ -1,6 +1,7 @@
 """What every process of a rig does alike: a clean stop on SIGINT and SIGTERM, its place in the queue, its log."""
 
 import contextlib
+import faulthandler
 import logging
 import os
 import signal
@@ -12,6 +13,8 @@ from pathlib import Path
 from agents.cli.supervisor import SUPERVISED, UNUSABLE
 
 EXIT_OK, EXIT_GAVE_UP, EXIT_UNUSABLE = 0, 1, UNUSABLE
+ENDS_WITHIN_S, STANDARD_ERROR = 20.0, 2
+"""Less than a service manager waits before it kills."""
 NICENESS = 8
 """What takes all the time it gets, and leaves out images for newer ones, steps back behind what keeps time: the arm,
 the field and the camera."""
@@ -31,17 +34,25 @@ def step_back() -> None:
             AUTOGROUP.write_text(str(NICENESS))
 
 
-def on_stop(stop: Callable[[], None]) -> None:
-    """Have SIGINT and SIGTERM call this, and the end of the supervisor, if there is one."""
+def on_stop(stop: Callable[[], None], for_sure: bool = False) -> None:
+    """Have SIGINT and SIGTERM call this, and the end of the supervisor, if there is one.
+
+    `for_sure`: a process that has not ended ENDS_WITHIN_S later says where each of its threads is, and ends with
+    EXIT_GAVE_UP. On a busy machine, the closing of a session has stood still for longer than anybody waits.
+    """
 
     def from_another_thread(*_: object) -> None:
+        if for_sure:
+            faulthandler.dump_traceback_later(ENDS_WITHIN_S, exit=True, file=STANDARD_ERROR)
         # the main thread may be holding the very lock that stop needs
         threading.Thread(target=stop, name="stop", daemon=True).start()
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, from_another_thread)
     if os.environ.pop(SUPERVISED, ""):
-        threading.Thread(target=_stop_with_supervisor, args=(stop,), name="supervisor", daemon=True).start()
+        threading.Thread(
+            target=_stop_with_supervisor, args=(from_another_thread,), name="supervisor", daemon=True
+        ).start()
 
 
 def _stop_with_supervisor(stop: Callable[[], None]) -> None:

@@ -49,7 +49,7 @@ def record(rig: RigConfig, options: Record) -> int:
         return complain(f"nothing is recorded: {problem}", EXIT_UNUSABLE)
     stopped = threading.Event()
     asks_at_terminal = settings.pre_trigger is not None and SUPERVISED not in os.environ and sys.stdin.isatty()
-    on_stop(stopped.set)
+    on_stop(stopped.set, for_sure=True)
 
     def begun(path: Path) -> Recorder:
         return Recorder(path, settings=settings, notes=notes_of(rig, section), attached=attached_to(rig), tell=_tell)

@@ -20,7 +20,7 @@ LOG = logging.getLogger("suturegrasp.router.main")
 def run_router(rig: RigConfig) -> int:
     """Run a router until it is told to stop; the exit status."""
     stopped = threading.Event()
-    on_stop(stopped.set)
+    on_stop(stopped.set, for_sure=True)
     with contextlib.ExitStack() as stack:
         stack.callback(LOGGER.removeHandler, log_to_console())
         if rig.security is not None:
