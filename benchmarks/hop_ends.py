@@ -11,10 +11,12 @@ import contextlib
 import json
 import sys
 import threading
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+import zenoh
 
 from schemas.codec import decode
 from schemas.messages import FrameStamp, Image, ImageEncoding, LogLevel, LogRecord, StereoFrame
@@ -74,12 +76,17 @@ class Load:
 
 @dataclass(frozen=True)
 class End:
-    """Which end it is, `send` or `receive`, on which router, and on which direct link, if any."""
+    """Which end it is, `send` or `receive`, on which router, and on which direct link, if any.
+
+    Fields:
+        bare: whether bytes alone go over it, by Zenoh's Python interface and nothing of ours.
+    """
 
     role: str
     endpoint: str
     link: str
     load: Load
+    bare: bool = False
 
     def to_json(self) -> str:
         """As it is handed to the process."""
@@ -88,7 +95,7 @@ class End:
 
 def _end_of(text: str) -> End:
     given = json.loads(text)
-    return End(given["role"], given["endpoint"], given["link"], Load(**given["load"]))
+    return End(given["role"], given["endpoint"], given["link"], Load(**given["load"]), given["bare"])
 
 
 def main() -> None:
@@ -97,7 +104,10 @@ def main() -> None:
     end = _end_of(sys.argv[1])
     with contextlib.ExitStack() as stack:
         session = stack.enter_context(open_session(SessionSettings(rig=RIG, endpoint=end.endpoint)))
-        readings = (receive if end.role == "receive" else send)(session, end, stack)
+        if end.bare:
+            readings = (receive_bare if end.role == "receive" else send_bare)(session, end.load)
+        else:
+            readings = (receive if end.role == "receive" else send)(session, end, stack)
     print(json.dumps(readings), flush=True)
 
 
@@ -111,17 +121,23 @@ def send(session: Any, end: End, stack: contextlib.ExitStack) -> list[dict[str, 
         publisher = declare_publisher(session, load.key, load.topic)
     message = _message_of(load)
     readings: list[dict[str, float]] = []
-    pause, next_s = threading.Event(), monotonic_s() + SETTLE_S
-    for sequence in range(load.count + WARM_UP):
-        pause.wait(max(0.0, next_s - monotonic_s()))
-        next_s += 1.0 / load.rate_hz
+    for sequence in _paced(load):
         begun_s = monotonic_s()
         payload = payload_of(load.topic, message(sequence))
         encoded_s = monotonic_s()
         publisher.put(payload, attachment=pack(Attachment(1, sequence, 0, 0.0)))
         readings.append({"sequence": sequence, "begun": begun_s, "encoded": encoded_s, "put": monotonic_s()})
-    pause.wait(SETTLE_S)
     return readings[WARM_UP:]
+
+
+def _paced(load: Load) -> Iterator[int]:
+    """The number of each message when it is time for it."""
+    pause, next_s = threading.Event(), monotonic_s() + SETTLE_S
+    for sequence in range(load.count + WARM_UP):
+        pause.wait(max(0.0, next_s - monotonic_s()))
+        next_s += 1.0 / load.rate_hz
+        yield sequence
+    pause.wait(SETTLE_S)
 
 
 def receive(session: Any, end: End, stack: contextlib.ExitStack) -> list[dict[str, float]]:
@@ -157,6 +173,52 @@ def receive(session: Any, end: End, stack: contextlib.ExitStack) -> list[dict[st
     for declared in kept:
         declared.undeclare()
     return [{**row, "received": received[int(row["sequence"])]} for row in readings if row["sequence"] >= WARM_UP]
+
+
+def send_bare(session: Any, load: Load) -> list[dict[str, float]]:
+    """Publish as many bytes at that rate, made beforehand; of each message when it was begun, in seconds."""
+    bulky, key_of_bytes = load.is_frame, load.key
+    publisher = session.declare_publisher(
+        key_of_bytes,
+        congestion_control=zenoh.CongestionControl.DROP if bulky else zenoh.CongestionControl.BLOCK,
+        express=not bulky,
+    )
+    payload, readings = bytes(load.bytes), list[dict[str, float]]()
+    for sequence in _paced(load):
+        readings.append({"sequence": sequence, "begun": monotonic_s()})
+        publisher.put(payload, attachment=sequence.to_bytes(8, "big"))
+    return readings[WARM_UP:]
+
+
+def receive_bare(session: Any, load: Load) -> list[dict[str, float]]:
+    """Of each message when its bytes were there, in seconds: frames out of a ring, events in a callback."""
+    came: list[dict[str, float]] = []
+    newest, turn = [monotonic_s() + 4 * PATIENCE_S], threading.Event()
+
+    def take(sample: Any) -> None:
+        assert len(sample.payload.to_bytes()) == load.bytes
+        at_s = monotonic_s()
+        came.append({"sequence": int.from_bytes(sample.attachment.to_bytes(), "big"), "decoded": at_s})
+        newest[0] = at_s + PATIENCE_S
+        if came[-1]["sequence"] == load.count + WARM_UP - 1:
+            turn.set()
+
+    if load.is_frame:
+        subscriber = session.declare_subscriber(load.key, zenoh.handlers.RingChannel(1))
+        threading.Thread(target=_empty, args=(subscriber.handler, take), daemon=True).start()
+    else:
+        subscriber = session.declare_subscriber(load.key, take)
+    print("ready", flush=True)
+    while not turn.is_set() and monotonic_s() < newest[0]:
+        turn.wait(0.5)
+    subscriber.undeclare()
+    return [row for row in came if row["sequence"] >= WARM_UP]
+
+
+def _empty(channel: Any, take: Callable[[Any], None]) -> None:
+    with contextlib.suppress(zenoh.ZError):
+        while True:
+            take(channel.recv())
 
 
 def _sequence(attachment: bytes) -> int:

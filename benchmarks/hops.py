@@ -1,5 +1,7 @@
 """One hop from process to process, step by step: through our router, by a direct link, and beside dora-rs.
 
+What is Zenoh's and its Python interface's own shows in a row of the same bytes without anything of ours.
+
 Rounds take turns, so that whatever else the machine does meets all of them; of each the median of the rounds counts.
 """
 
@@ -31,7 +33,7 @@ CAMERA_HZ = 60.0
 """About a camera's rate: processors fall asleep and caches go cold between two messages."""
 QUICK_HZ = {"1 kB": 1000.0, "1.5 MB": 250.0, "2.8 MB": 250.0}
 """Neither happens: published figures of such systems are usually taken so."""
-ROUTER, DIRECT, DORA = "router", "direct link", "dora-rs"
+ROUTER, DIRECT, BARE, DORA = "router", "direct link", "bare Zenoh", "dora-rs"
 STEPS = {
     "encode": ("begun", "encoded"),
     "put": ("encoded", "put"),
@@ -68,6 +70,7 @@ def measure_hops(rounds: int, count: int) -> dict[str, Any]:
                     taken.setdefault((*place, ROUTER), []).append(_summary(one_hop(endpoint, load)))
                     if load.is_frame:
                         taken.setdefault((*place, DIRECT), []).append(_summary(one_hop(endpoint, load, direct=True)))
+                    taken.setdefault((*place, BARE), []).append(_summary_of_hop(bare_ms(endpoint, load)))
                     if environment is not None:
                         ms = dora_ms(environment, load)
                         taken.setdefault((*place, DORA), []).append(_summary_of_hop(ms))
@@ -82,12 +85,21 @@ def one_hop(endpoint: str, load: Load, direct: bool = False) -> list[dict[str, f
     """Of each message that arrived, in seconds, when it reached each step."""
     with tempfile.TemporaryDirectory() as sockets:
         link = socket_endpoint(Path(sockets) / "hop", AGENT, MAIN) if direct else ""
-        receiver = _end(End("receive", endpoint, link, load))
-        assert receiver.stdout is not None
-        assert receiver.stdout.readline() == "ready\n", "the receiving end has not started"
-        sender = _end(End("send", endpoint, link, load))
-        sent, _ = sender.communicate(timeout=LIMIT_S)
-        received, _ = receiver.communicate(timeout=LIMIT_S)
+        return _between(*(End(role, endpoint, link, load) for role in ("receive", "send")))
+
+
+def bare_ms(endpoint: str, load: Load) -> list[float]:
+    """Milliseconds of each hop of as many bytes by Zenoh's Python interface alone, by way of the router."""
+    rows = _between(*(End(role, endpoint, "", load, bare=True) for role in ("receive", "send")))
+    return [1e3 * (row["decoded"] - row["begun"]) for row in rows]
+
+
+def _between(receiving: End, sending: End) -> list[dict[str, float]]:
+    receiver = _end(receiving)
+    assert receiver.stdout is not None
+    assert receiver.stdout.readline() == "ready\n", "the receiving end has not started"
+    sent, _ = _end(sending).communicate(timeout=LIMIT_S)
+    received, _ = receiver.communicate(timeout=LIMIT_S)
     of_sender = {row["sequence"]: row for row in json.loads(sent)}
     return [of_sender[row["sequence"]] | row for row in json.loads(received)]
 
