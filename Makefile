@@ -15,7 +15,7 @@ COMPUTING := tests/schemas tests/benchmarks tests/agents/perception tests/agents
 	tests/shared/runtime/test_access.py tests/shared/runtime/test_sites.py tests/agents/cli/test_reconstruct.py
 COMPUTING_CACHE := .pytest_cache/computing
 
-.PHONY: help install demo play look example test bless check format protos lock clean
+.PHONY: help install demo play look example test bless check format protos lock sim clean
 help: ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
 
@@ -72,6 +72,10 @@ protos: .venv/dev.done ## generate schemas/generated from schemas/proto
 lock: .venv/dev.done ## renew requirements/*.lock (names, versions and hashes only)
 	@$(LOCK) --extra build --output-file requirements/runtime.lock pyproject.toml
 	@$(LOCK) --extra build --extra dev --output-file requirements/dev.lock pyproject.toml
+	@cp requirements/runtime.lock requirements/sim.lock # what both need, in the same versions
+	@$(LOCK) --extra build --extra sim --output-file requirements/sim.lock pyproject.toml
+
+sim: .venv/sim.done ## the path tracer of suturegrasp scenes render (docs/scene.md)
 
 clean: ## remove the virtual environment and outputs
 	@rm -rf .venv out
@@ -90,4 +94,9 @@ clean: ## remove the virtual environment and outputs
 .venv/dev.done: requirements/dev.lock .venv/runtime.done
 	@echo "installing the development tools (once) ..."
 	@$(INSTALL) --require-hashes -r requirements/dev.lock
+	@touch $@
+
+.venv/sim.done: requirements/sim.lock .venv/runtime.done
+	@echo "installing the path tracer (once) ..."
+	@$(INSTALL) --require-hashes -r requirements/sim.lock
 	@touch $@

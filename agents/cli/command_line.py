@@ -12,9 +12,16 @@ from agents.cli.lab_options import LAB_COMMANDS, Deploy
 from agents.cli.live_options import LIVE_COMMANDS, Demo, OnRig
 from agents.cli.options import Reconstruct, UsageError
 from agents.cli.recorded_options import RECORDED_COMMANDS, OnRecording
+from agents.cli.scenes_options import SCENE_COMMANDS, Scenes
 
-Options = Reconstruct | Demo | OnRig | OnRecording | Deploy
-COMMANDS: dict[str, type[Options]] = {"reconstruct": Reconstruct, **LIVE_COMMANDS, **RECORDED_COMMANDS, **LAB_COMMANDS}
+Options = Reconstruct | Demo | OnRig | OnRecording | Deploy | Scenes
+COMMANDS: dict[str, type[Options]] = {
+    "reconstruct": Reconstruct,
+    **LIVE_COMMANDS,
+    **RECORDED_COMMANDS,
+    **LAB_COMMANDS,
+    **SCENE_COMMANDS,
+}
 
 HELP = ("-h", "--help")
 ESCAPE_SEQUENCE = re.compile(r"\x1b\[[0-9;]*m")

@@ -42,6 +42,7 @@ def _run(arguments: list[str]) -> int:
     from agents.cli.live_options import Demo
     from agents.cli.options import Reconstruct, UsageError
     from agents.cli.recorded_options import RUNNERS, OnRecording
+    from agents.cli.scenes_options import Scenes
 
     try:
         options = parsed(arguments)
@@ -63,6 +64,10 @@ def _run(arguments: list[str]) -> int:
         return importlib.import_module(RUNNERS[type(options)]).run(options)
     if isinstance(options, Deploy):
         return importlib.import_module(LAB_RUNNERS[type(options)]).run(options)
+    if isinstance(options, Scenes):
+        from agents.cli.scenes_command import run as render_scenes
+
+        return render_scenes(options)
     from agents.cli.live import run_live
 
     return run_live(options)

@@ -1,0 +1,47 @@
+"""The options of `suturegrasp scenes`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+Config = Literal[
+    "easy", "medium", "hard", "singularity", "occlusion", "crossing", "several", "needle", "none", "varied"
+]
+Extra = Literal["tools", "stains", "smoke", "blur", "interlaced"]
+
+
+@dataclass(frozen=True)
+class Scenes:
+    """Make stereo images of thread with known truth, by path tracing (docs/scene.md); needs the extra `sim`.
+
+    What lies in the folder already is kept, so that a batch that was interrupted goes on where it was. Exit status: 0
+    all are there, 2 not as asked.
+    """
+
+    action: Annotated[Literal["render"], tyro.conf.Positional]
+    """What to do."""
+    output: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
+    """Where the pairs go, as NAME_left.png, NAME_right.png, masks, NAME.json and NAME.npy."""
+    config: tuple[Config, ...] = ("easy",)
+    """How the thread lies, one or several; `varied` draws everything, for training."""
+    background: tuple[Literal["chicken", "paper"], ...] = ("chicken",)
+    """What it lies on: raw flesh, or a print of it."""
+    extras: Annotated[tuple[Extra, ...], tyro.conf.arg(name="with")] = ()
+    """What else is in view, or wrong with it."""
+    colour: Literal["violet", "blue", "green", "black", "undyed"] | None = None
+    """Of the thread; drawn by the seed if not given."""
+    count: int = 1
+    """How many of each configuration on each background, with seeds that follow one another."""
+    seed: int = 1
+    """Of the first."""
+    samples: int = 4
+    """Samples of each pixel for each lamp; 2 will do for training."""
+    workers: int = 1
+    """How many processes work at once; each takes a core and about a gigabyte."""
+    width: int = 960
+    """Of the images, in pixels, at 16 to 9; the field of view stays."""
+
+
+SCENE_COMMANDS: dict[str, type[Scenes]] = {"scenes": Scenes}

@@ -1,0 +1,1 @@
+"""Path-traced stereo scenes of suture thread (Mitsuba, extra `sim`), with exactly known centrelines."""

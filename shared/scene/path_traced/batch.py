@@ -1,0 +1,77 @@
+"""Many pairs in parallel processes; what lies there already is left as it is, so that a batch can be taken up again."""
+
+import multiprocessing
+from collections.abc import Generator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from schemas.messages import RectifiedStereo
+from shared.clock import processor_s
+from shared.scene.path_traced.engine import engine
+from shared.scene.path_traced.pair import TracedPair, traced_pair
+from shared.scene.path_traced.pair_files import is_written, write_traced
+from shared.scene.path_traced.recipe import Recipe
+
+
+@dataclass(frozen=True)
+class Job:
+    """A pair to be made: where, under which name, of which recipe, seen by which camera, with how many samples."""
+
+    folder: Path
+    name: str
+    recipe: Recipe
+    camera: RectifiedStereo
+    samples: int
+
+
+@dataclass(frozen=True)
+class Done:
+    """A pair that was made: how far its masks lie from its truth (NaN without thread), and processor seconds."""
+
+    name: str
+    mask_offset_px: float
+    processor_s: float
+
+
+def outstanding(jobs: list[Job]) -> list[Job]:
+    """Those that do not lie there yet."""
+    return [job for job in jobs if not is_written(job.folder, job.name)]
+
+
+def make(job: Job) -> Done:
+    """Make one pair.
+
+    Raises:
+        SceneError: where it cannot be arranged, traced or written.
+    """
+    begun = processor_s()
+    pair = traced_pair(job.recipe, job.camera, job.samples)
+    write_traced(job.folder, job.name, pair)
+    return Done(job.name, mean_offset(pair), processor_s() - begun)
+
+
+def make_all(jobs: list[Job], workers: int) -> Generator[Done]:
+    """Make pairs in so many processes, and tell of each as it is done.
+
+    Raises:
+        SceneError: as `make`, at the first that fails; what was made stays.
+    """
+    if workers == 1:
+        yield from map(make, jobs)
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(workers, len(jobs)), context, initializer=engine) as pool:
+        try:
+            for future in as_completed([pool.submit(make, job) for job in jobs]):
+                yield future.result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def mean_offset(pair: TracedPair) -> float:
+    """Mean distance between masks and projected truth in both images, in px."""
+    every = np.abs(np.concatenate(pair.offsets_px))
+    return float(every.mean()) if len(every) else float("nan")

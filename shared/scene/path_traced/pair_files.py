@@ -1,0 +1,91 @@
+"""A traced pair on disk, in the form of the published renders: images, masks, the camera, the true centrelines."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from shared.camera import camera_matrix
+from shared.scene.path_traced.pair import StrandTruth, TracedPair
+from shared.scene.render import SceneError
+
+COLUMNS = ("x", "y", "z", "arclength", "visible_left", "visible_right")
+
+
+def is_written(folder: Path, name: str) -> bool:
+    """Whether the pair lies there already: its document is written last."""
+    return (folder / f"{name}.json").is_file()
+
+
+def write_traced(folder: Path, name: str, pair: TracedPair) -> None:
+    """Write NAME_left.png, NAME_right.png, the masks, NAME.npy of the first thread, NAME.json last.
+
+    Raises:
+        SceneError: where a file cannot be written; the text names the folder.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for side, images in zip(("left", "right"), pair.images, strict=True):
+            _write_image(folder / f"{name}_{side}.png", images.bgr)
+            for kind, cover in (("mask", images.thread), ("tool", images.tool), ("needle", images.needle)):
+                if kind == "mask" or cover.any():
+                    _write_image(folder / f"{name}_{kind}_{side}.png", np.rint(255.0 * cover).astype(np.uint8))
+        tables = [_table(strand) for strand in pair.strands] or [np.zeros((0, 6), dtype=np.float32)]
+        for index, table in enumerate(tables):
+            np.save(folder / (f"{name}_thread{index + 1}.npy" if index else f"{name}.npy"), table)
+        text = json.dumps(document(name, pair), indent=1)
+        unfinished = folder / f".{name}.json"
+        unfinished.write_text(text + "\n", encoding="utf-8")
+        unfinished.replace(folder / f"{name}.json")
+    except OSError as error:
+        raise SceneError(f"cannot write into {folder} ({error.strerror}); choose a folder you may write to") from error
+
+
+def document(name: str, pair: TracedPair) -> dict[str, object]:
+    """What is known about the pair, in the keys of the published renders, and the other threads beside the first."""
+    field = pair.arranged.field
+    threads = [
+        {
+            "radius_mm": strand.radius_mm,
+            "color": strand.dye,
+            "length_mm": float(truth.arc_mm[-1]),
+            "visible_left": float(truth.seen[0].mean()),
+            "visible_right": float(truth.seen[1].mean()),
+            "control_points": strand.curve.control_points.tolist(),
+        }
+        for strand, truth in zip(field.strands, pair.strands, strict=True)
+    ]
+    first = threads[0] if threads else {"radius_mm": 0.0, "color": "none", "length_mm": 0.0, "control_points": []}
+    return {
+        "name": name,
+        "seed": pair.recipe.seed,
+        "config": pair.arranged.config,
+        "background": pair.recipe.background,
+        "extras": list(pair.arranged.extras),
+        "width": field.camera.image_width,
+        "height": field.camera.image_height,
+        "K": camera_matrix(field.camera).tolist(),
+        "pixel_convention": "integer coordinate = pixel centre",
+        "baseline_mm": field.camera.baseline,
+        "right_camera": "P_right = P_left - [baseline,0,0]",
+        "Z0": pair.arranged.distance_mm,
+        "spp": pair.samples,
+        "post": pair.arranged.effects.as_document(),
+        "mask_offset_px": [float(np.abs(part).mean()) if len(part) else 0.0 for part in pair.offsets_px],
+        "mask_bias_px": [float(part.mean()) if len(part) else 0.0 for part in pair.offsets_px],
+        "threads": len(threads),
+        **first,
+        "other_threads": threads[1:],
+        "npy_columns": list(COLUMNS),
+    }
+
+
+def _table(strand: StrandTruth) -> np.ndarray:
+    left, right = strand.seen
+    return np.column_stack((strand.points, strand.arc_mm, left, right)).astype(np.float32)
+
+
+def _write_image(path: Path, image: np.ndarray) -> None:
+    _, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 6])
+    path.write_bytes(data.tobytes())

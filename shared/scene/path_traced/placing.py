@@ -1,0 +1,123 @@
+"""Where instruments and needles go: over the thread where they are to hide it, beside it otherwise."""
+
+import numpy as np
+from jaxtyping import Float64, UInt8
+
+from shared.camera import project
+from shared.scene.path_traced.field import Field
+from shared.scene.path_traced.solids import SIDES, Needle, Solid, instrument, needle_from, pose_towards, silhouette
+from shared.scene.path_traced.splines import end_directions, sampled
+from shared.scene.path_traced.strands import Strand
+from shared.scene.surface import depth_at_points
+
+HIDDEN_SHARE = (0.30, 0.50)
+"""The paper's scenario hides a large portion of the thread: 30 % of its length or more, in either eye."""
+
+STRAY_SHARE = 0.12
+NEAR_TIPS_MM = 4.0
+ATTEMPTS = 300
+
+
+def occluders(field: Field, rng: np.random.Generator) -> list[Solid]:
+    """One or two instruments over the middle of the first strand, or none where no place was found."""
+    points, _ = sampled(field.strands[0].curve, 0.5)
+    pixels = project(field.camera, points)
+    for attempt in range(ATTEMPTS):
+        centre = points[int(rng.uniform(0.3, 0.7) * len(points))]
+        tools: list[Solid] = []
+        for _ in range(1 + (attempt % 3 == 2)):
+            aside = np.array([*rng.uniform(-14.0, 14.0, 2), -rng.uniform(10.0, 26.0)])
+            tools += _drawn_instrument(centre + aside, rng)
+        shares = [
+            _hidden(silhouette(field.camera, tools, eye), seen)
+            for eye, seen in zip((0.0, field.camera.baseline), pixels, strict=True)
+        ]
+        if min(shares) >= HIDDEN_SHARE[0] + 0.01 and max(shares) <= HIDDEN_SHARE[1] and _clear_of(tools, field):
+            return tools
+    return []
+
+
+def bystanders(field: Field, rng: np.random.Generator, count: int, above_mm: float) -> list[Solid]:
+    """Instruments in view that hide little of any strand; fewer where there is no room."""
+    camera = field.camera
+    seen = [project(camera, sampled(strand.curve, 0.5)[0])[0] for strand in field.strands]
+    depth = float(np.median(field.ground.surface.depth_mm))
+    kept: list[Solid] = []
+    for _ in range(count):
+        for _ in range(40):
+            pixel = rng.uniform(0.1, 0.9, 2) * (camera.image_width, camera.image_height)
+            z = depth - above_mm - rng.uniform(0.0, 22.0)
+            x, y = (pixel - (camera.cx_px, camera.cy_px)) * z / camera.fx_px
+            tools = _drawn_instrument(np.array([x, y, z]), rng)
+            cover = silhouette(camera, tools)
+            most = max((_hidden(cover, pixels) for pixels in seen), default=0.0)
+            if most < STRAY_SHARE and _clear_of(tools, field) and 0.01 < float((cover > 0).mean()) < 0.25:
+                kept += tools
+                break
+    return kept
+
+
+def needle_on(field: Field, rng: np.random.Generator) -> Needle | None:
+    """A needle at the end of the first strand that stays above the ground and within the image, or None."""
+    strand = field.strands[0]
+    end = strand.curve.at(np.array([float(strand.curve.spans)]))[0]
+    outward = end_directions(strand.curve)[1]
+    for _ in range(60):
+        roll = rng.uniform(-np.pi, np.pi)
+        side = np.cross(outward, [0.0, 0.0, 1.0])
+        side /= np.linalg.norm(side)
+        up = np.cos(roll) * side + np.sin(roll) * np.cross(outward, side)
+        arc_radius, arc = rng.uniform(5.0, 9.0), np.radians(rng.uniform(135.0, 190.0))
+        needle = needle_from(end, outward, up, arc_radius, arc, max(1.4 * strand.radius_mm, rng.uniform(0.25, 0.45)))
+        points, _ = sampled(needle.curve, 0.2)
+        gap = depth_at_points(field.ground.surface, points[:, :2]) - points[:, 2] - needle.radius_mm
+        if gap.min() > -0.1 and np.median(gap) < 9.0 and _within(field, points):
+            return needle
+    return None
+
+
+def _drawn_instrument(tip: Float64[np.ndarray, "3"], rng: np.random.Generator) -> list[Solid]:
+    pose = pose_towards(tip, rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.25, 0.9), rng.uniform(0.0, np.pi))
+    metal = str(rng.choice(("dark", "steel", "bright"), p=(0.5, 0.35, 0.15)))
+    opening = float(rng.choice((0.0, 1.0)) * rng.uniform(0.1, 0.9))
+    return instrument(pose, float(rng.uniform(2.4, 4.2)), opening, metal, rng)
+
+
+def _hidden(cover: UInt8[np.ndarray, "h w"], pixels: Float64[np.ndarray, "n 2"]) -> float:
+    """The share of these pixels that are covered."""
+    rows, columns = cover.shape
+    column = np.clip(np.rint(pixels[:, 0]).astype(int), 0, columns - 1)
+    row = np.clip(np.rint(pixels[:, 1]).astype(int), 0, rows - 1)
+    return float((cover[row, column] > 0).mean())
+
+
+def _clear_of(tools: list[Solid], field: Field) -> bool:
+    """Whether no tool dips into the ground within the field, nor comes nearer to the lens than it focuses."""
+    for tool in tools:
+        points = tool.vertices
+        seen = points[points[:, 2] > 0]
+        if len(seen) and (depth_at_points(field.ground.surface, seen[:, :2]) - seen[:, 2]).min() < 0.5:
+            return False
+    return all(_apart(tools, strand) for strand in field.strands)
+
+
+def _apart(tools: list[Solid], strand: Strand) -> bool:
+    points, _ = sampled(strand.curve, 0.5)
+    for tool in tools:
+        centres = tool.vertices[:-2].reshape(-1, SIDES, 3)
+        middle, reach = (
+            centres.mean(axis=1),
+            np.linalg.norm(centres - centres.mean(axis=1, keepdims=True), axis=2).max(axis=1),
+        )
+        start, way = middle[:-1], np.diff(middle, axis=0)
+        share = np.einsum("nsd,sd->ns", points[:, None] - start, way) / np.maximum((way**2).sum(axis=1), 1e-12)
+        foot = start + np.clip(share, 0.0, 1.0)[..., None] * way
+        gap = np.linalg.norm(points[:, None] - foot, axis=2) - np.maximum(reach[:-1], reach[1:])
+        if gap.min() < strand.radius_mm + 0.3:
+            return False
+    return True
+
+
+def _within(field: Field, points: Float64[np.ndarray, "n 3"]) -> bool:
+    last = np.array([field.camera.image_width, field.camera.image_height]) - 6.0
+    return all(bool(((pixels > 5.0) & (pixels < last)).all()) for pixels in project(field.camera, points))

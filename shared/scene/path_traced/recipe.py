@@ -1,0 +1,203 @@
+"""What a scene is asked to be, and its field drawn accordingly; the same recipe makes the same scene."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from schemas.messages import RectifiedStereo
+from shared.scene.path_traced.camera_effects import Effects, drawn_effects
+from shared.scene.path_traced.field import Field, Lamp
+from shared.scene.path_traced.flesh import flesh_ground
+from shared.scene.path_traced.ground import Ground
+from shared.scene.path_traced.paper import paper_ground
+from shared.scene.path_traced.placing import NEAR_TIPS_MM, bystanders, needle_on, occluders
+from shared.scene.path_traced.solids import Needle, Solid
+from shared.scene.path_traced.stains import stained
+from shared.scene.path_traced.strands import DYES, Strand, drawn_strand, laid_over
+from shared.scene.render import SceneError
+from shared.scene.thread_shapes import ShapeError
+
+CONFIGS = (
+    "easy",
+    "medium",
+    "hard",
+    "singularity",
+    "occlusion",
+    "crossing",
+    "several",
+    "needle",
+    "none",
+)
+BACKGROUNDS = {"chicken": flesh_ground, "paper": paper_ground}
+EXTRAS = ("tools", "stains", "smoke", "blur", "interlaced")
+VARIED = "varied"
+DISTANCES_MM = (72.0, 112.0)
+REACH_MM = 95.0
+SHAPES = ("easy", "medium", "hard", "singularity", "crossing")
+ATTEMPTS = 12
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A configuration (or `varied`), a background, what is added to it, the dye where it is not drawn, and the seed."""
+
+    config: str
+    background: str
+    seed: int
+    extras: tuple[str, ...] = ()
+    dye: str | None = None
+
+    def __post_init__(self) -> None:
+        _known("configuration", (self.config,), (*CONFIGS, VARIED))
+        _known("background", (self.background,), tuple(BACKGROUNDS))
+        _known("extra", self.extras, EXTRAS)
+        if self.dye is not None:
+            _known("thread", (self.dye,), tuple(DYES))
+
+
+@dataclass(frozen=True)
+class Arranged:
+    """A field, the camera's effects, and which configuration and extras it came to."""
+
+    field: Field
+    effects: Effects
+    config: str
+    extras: tuple[str, ...]
+    distance_mm: float
+
+
+def arranged(recipe: Recipe, camera: RectifiedStereo) -> Arranged:
+    """The field of a recipe.
+
+    Raises:
+        SceneError: where the camera sees too little for its threads.
+    """
+    # the shape's own seed differs by background, so that a scene on paper is not one on flesh with another picture
+    rng = np.random.default_rng([recipe.seed, 7, list(BACKGROUNDS).index(recipe.background), _number(recipe.config)])
+    wide = recipe.config == VARIED
+    config = _drawn_config(rng) if wide else recipe.config
+    extras = _drawn_extras(rng, config) if wide else recipe.extras
+    problem: ShapeError | None = None
+    for _ in range(ATTEMPTS):
+        distance = float(rng.uniform(*DISTANCES_MM))
+        ground = BACKGROUNDS[recipe.background](camera, distance, rng)
+        try:
+            strands = _strands(config, camera, ground, rng, recipe.dye, wide)
+        except ShapeError as error:
+            problem = error
+            continue
+        field = Field(camera, ground, strands, lamps=_lamps(camera, rng, wide))
+        field = _with_solids(field, config, extras, rng)
+        if field is None:
+            continue
+        if "stains" in extras:
+            field = replace(field, ground=stained(field.ground, rng))
+        return Arranged(field, _effects(rng, wide, extras), config, extras, distance)
+    raise SceneError(
+        f"no {config} scene of seed {recipe.seed} fits into the images of this camera"
+        f"{f': {problem}' if problem else ''}; use another seed or a wider view"
+    )
+
+
+def _known(what: str, chosen: tuple[str, ...], known: tuple[str, ...]) -> None:
+    for name in chosen:
+        if name not in known:
+            raise SceneError(f"unknown {what} {name!r}; known: {', '.join(known)}")
+
+
+def _number(config: str) -> int:
+    return (*CONFIGS, VARIED).index(config)
+
+
+def _drawn_config(rng: np.random.Generator) -> str:
+    shares = {
+        "easy": 9,
+        "medium": 9,
+        "hard": 9,
+        "singularity": 5,
+        "occlusion": 8,
+        "crossing": 10,
+        "several": 9,
+        "needle": 8,
+    }
+    total = sum(shares.values()) * 1.5
+    names = [*shares, "none"]
+    odds = np.array([*shares.values(), 0.5 * sum(shares.values())]) / total
+    return str(rng.choice(names, p=odds))
+
+
+def _drawn_extras(rng: np.random.Generator, config: str) -> tuple[str, ...]:
+    odds = {"tools": 0.65 if config == "none" else 0.4, "stains": 0.35, "smoke": 0.12, "blur": 0.12, "interlaced": 0.05}
+    return tuple(name for name, share in odds.items() if rng.uniform() < share)
+
+
+def _strands(
+    config: str, camera: RectifiedStereo, ground: Ground, rng: np.random.Generator, dye: str | None, wide: bool
+) -> list[Strand]:
+    if config == "none":
+        return []
+    kinds = {"occlusion": ("easy", "medium"), "needle": ("easy", "medium"), "several": SHAPES[:3]}
+    choices = kinds.get(config, (config,))
+    count = int(rng.integers(2, 4)) if config == "several" else 1
+    strands: list[Strand] = []
+    for _ in range(count):
+        # 3 to 7 px across at 960 wide, and where it is not for training, what sutures of 3-0 to 5-0 have
+        radius = float(rng.uniform(0.14, 0.33) if wide else rng.uniform(0.15, 0.25))
+        one = drawn_strand(
+            camera,
+            ground.surface,
+            str(rng.choice(choices)),
+            int(rng.integers(2**31)),
+            radius,
+            dye or str(rng.choice(list(DYES))),
+        )
+        strands.append(laid_over(one, strands))
+    return strands
+
+
+def _lamps(camera: RectifiedStereo, rng: np.random.Generator, wide: bool) -> list[Lamp]:
+    """Two beside the lens, unlike each other by a little, and a faint one from aside for what the walls reflect."""
+    apart, below = rng.uniform(5.0, 16.0), rng.uniform(-3.0, 4.0)
+    balance = float(np.clip(rng.normal(1.0, 0.3 if wide else 0.1), 0.3, 1.7))
+    warmth = float(np.clip(rng.normal(1.0, 0.06 if wide else 0.02), 0.8, 1.2))
+    middle = 0.5 * camera.baseline
+    aside = rng.choice((-1.0, 1.0), 2) * rng.uniform(15.0, 45.0, 2)
+    places = (
+        (middle - 0.5 * apart, below, 0.0, 0.5 * (2.0 - balance)),
+        (middle + 0.5 * apart, below, 0.0, 0.5 * balance),
+        (middle + aside[0], aside[1], -20.0, rng.uniform(0.04, 0.25)),
+    )
+    lamps: list[Lamp] = []
+    for x, y, z, share in places:
+        strength = float(share * np.pi * REACH_MM**2)
+        lamps.append(Lamp((float(x), float(y), z), (warmth * strength, strength, (2.0 - warmth) * strength)))
+    return lamps
+
+
+def _with_solids(field: Field, config: str, extras: tuple[str, ...], rng: np.random.Generator) -> Field | None:
+    """The field with what is made of metal, or None where it found no place."""
+    needle: Needle | None = None
+    tools: list[Solid] = []
+    if config == "needle":
+        needle = needle_on(field, rng)
+        if needle is None:
+            return None
+    if config == "occlusion":
+        tools = occluders(field, rng)
+        if not tools:
+            return None
+    if "tools" in extras:
+        tools = [*tools, *bystanders(field, rng, int(rng.integers(1, 3)), NEAR_TIPS_MM)]
+    return replace(field, needle=needle, tools=tools)
+
+
+def _effects(rng: np.random.Generator, wide: bool, extras: tuple[str, ...]) -> Effects:
+    effects = drawn_effects(rng, wide)
+    if "smoke" in extras:
+        effects = replace(effects, smoke=float(rng.uniform(0.3, 0.75)))
+    if "blur" in extras:
+        length, angle = rng.uniform(2.5, 7.0), rng.uniform(0.0, np.pi)
+        effects = replace(effects, motion_px=(float(length * np.cos(angle)), float(length * np.sin(angle))))
+    if "interlaced" in extras:
+        effects = replace(effects, interlace_px=float(rng.choice((-1.0, 1.0)) * rng.uniform(1.0, 4.0)))
+    return effects

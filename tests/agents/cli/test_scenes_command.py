@@ -1,0 +1,58 @@
+"""`suturegrasp scenes render`, run as a user runs it."""
+
+import importlib.util
+import re
+import subprocess
+import sys
+
+import pytest
+
+TRACES = importlib.util.find_spec("mitsuba") is not None
+
+
+def scenes(*arguments):
+    command = [sys.executable, "-m", "agents.cli", "scenes", "render", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=170, check=False)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--count", "0"), "--count 0: give 1 or more"),
+        (("--workers", "-1"), "--workers -1: give 1 or more"),
+        (("--width", "20"), "--width 20: give 64 to 3840"),
+        (("--config", "knot"), "config"),
+    ],
+)
+def test_what_makes_no_batch_is_said_in_one_sentence(tmp_path, arguments, said):
+    ended = scenes("--output", tmp_path, *arguments)
+    assert ended.returncode == 2
+    assert said in ended.stderr
+    assert len(ended.stderr.splitlines()) == 1
+
+
+def test_a_file_in_place_of_the_folder_is_said(tmp_path):
+    (tmp_path / "file").write_text("")
+    ended = scenes("--output", tmp_path / "file")
+    assert ended.returncode == 2
+    assert "is a file; name a folder" in ended.stderr
+
+
+@pytest.mark.skipif(TRACES, reason="the extra sim is installed")
+def test_without_the_path_tracer_its_remedy_is_said(tmp_path):
+    ended = scenes("--output", tmp_path)
+    assert ended.returncode == 2
+    assert "make sim" in ended.stderr
+
+
+@pytest.mark.skipif(not TRACES, reason="path tracing needs the extra sim: make sim")
+def test_a_batch_is_made_by_two_processes_and_taken_up_again(tmp_path):
+    batch = ("--output", tmp_path, "--config", "easy", "--width", 160, "--samples", 1, "--seed", 3)
+    first = scenes(*batch, "--count", 2, "--workers", 2)
+    assert first.returncode == 0, first.stderr
+    assert re.search(r"2 pairs in .*, 2 of them new: [\d.]+ s of processor time each", first.stdout)
+    made = {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
+    assert {"easy_chicken_0003.json", "easy_chicken_0004_mask_right.png"} <= set(made)
+    again = scenes(*batch, "--count", 2)
+    assert "all were there already" in again.stdout
+    assert {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == made

@@ -1,0 +1,75 @@
+"""The truth of a traced pair is what its images show; needs the extra `sim`."""
+
+import json
+
+import numpy as np
+import pytest
+
+from agents.cli.scenes_command import endoscope
+from shared.scene.path_traced.batch import Job, make, mean_offset, outstanding
+from shared.scene.path_traced.pair import traced_pair
+from shared.scene.path_traced.recipe import BACKGROUNDS, Recipe
+from shared.scene.path_traced.splines import Curve, sampled
+
+pytest.importorskip("mitsuba", reason="path tracing needs the extra sim: make sim")
+
+SMALL = endoscope(320)
+
+
+@pytest.fixture(scope="module")
+def crossing():
+    return traced_pair(Recipe("crossing", "chicken", 3), SMALL, 1)
+
+
+def test_the_masks_lie_on_the_true_centreline(crossing):
+    assert min(len(part) for part in crossing.offsets_px) > 60
+    assert mean_offset(crossing) < 0.05
+    for part in crossing.offsets_px:
+        assert abs(part.mean()) < 0.02
+
+
+def test_the_image_is_dark_where_the_mask_is_and_both_eyes_see_the_same_thread(crossing):
+    for images in crossing.images:
+        assert images.bgr.shape == (180, 320, 3)
+        assert 0.002 < images.thread.mean() < 0.05
+    left, right = (images.thread.sum() for images in crossing.images)
+    assert abs(left - right) < 0.1 * left
+
+
+def test_a_strand_over_another_is_seen_and_hides_it_only_there(crossing):
+    (truth,) = crossing.strands
+    for seen in truth.seen:
+        assert 0.9 < seen.mean() < 1.0
+
+
+def test_an_instrument_hides_thirty_percent_of_the_thread_from_both_eyes():
+    pair = traced_pair(Recipe("occlusion", "paper", 1), SMALL, 1)
+    for seen, images in zip(pair.strands[0].seen, pair.images, strict=True):
+        assert 0.4 < seen.mean() <= 0.72
+        assert images.tool.mean() > 0.02
+
+
+def test_a_pair_on_disk_has_the_form_of_the_published_renders_and_is_not_made_twice(tmp_path):
+    job = Job(tmp_path, "one", Recipe("easy", "paper", 5, dye="undyed"), SMALL, 1)
+    make(job)
+    assert outstanding([job]) == []
+    document = json.loads((tmp_path / "one.json").read_text())
+    table = np.load(tmp_path / "one.npy")
+    assert table.shape[1] == len(document["npy_columns"]) == 6
+    assert document["color"] == "undyed"
+    assert document["K"][0][2] == 159.5
+    control_points = np.array(document["control_points"])
+    points, arc = sampled(Curve(control_points))
+    np.testing.assert_allclose(table[:, :3], points, atol=1e-4)
+    np.testing.assert_allclose(table[:, 3], arc, atol=1e-3)
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names >= {f"one_{kind}{side}.png" for kind in ("", "mask_") for side in ("left", "right")}
+
+
+@pytest.mark.parametrize("background", BACKGROUNDS)
+def test_a_field_without_thread_has_empty_masks_and_still_an_image(background):
+    pair = traced_pair(Recipe("none", background, 2), SMALL, 1)
+    for images in pair.images:
+        assert not images.thread.any()
+        assert 40 < images.bgr.mean() < 200
+    assert pair.strands == []
