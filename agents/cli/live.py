@@ -4,6 +4,7 @@ import threading
 
 import numpy as np
 
+from agents.cli.calibrate_options import Calibrate
 from agents.cli.live_options import (
     AGENT_KINDS,
     ArmPlan,
@@ -78,6 +79,10 @@ def run_live(options: OnRig) -> int:
                 from agents.cli.doctor import doctor
 
                 return doctor(rig, options)
+            case Calibrate():
+                from agents.cli.calibrate_command import calibrate
+
+                return calibrate(rig, options)
             case RigStatus():
                 from agents.cli.status_command import status
 

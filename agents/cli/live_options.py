@@ -6,21 +6,8 @@ from typing import Annotated, Literal
 
 import tyro
 
-OptionalPath = Annotated[Path | None, tyro.conf.arg(metavar="PATH")]
-OptionalNumber = Annotated[float | None, tyro.conf.arg(metavar="NUMBER")]
-OptionalName = Annotated[str | None, tyro.conf.arg(metavar="HOST")]
-OptionalLabel = Annotated[str | None, tyro.conf.arg(metavar="ID")]
-
-
-@dataclass(frozen=True)
-class OnRig:
-    """A command that reads the configuration of a rig."""
-
-    config: OptionalPath = None
-    """The rig's configuration (TOML); without it the file that SUTUREGRASP_CONFIG names, or else everything simulated
-    on this machine."""
-    host: OptionalName = None
-    """Which of the rig's hosts this machine is, where neither its file nor its address tells."""
+from agents.cli.calibrate_options import Calibrate
+from agents.cli.on_rig import OnRig, OptionalLabel, OptionalNumber, OptionalPath
 
 
 @dataclass(frozen=True)
@@ -237,6 +224,7 @@ LIVE_COMMANDS = {
     "set": SetInAgent,
     "status": RigStatus,
     "doctor": Doctor,
+    "calibrate": Calibrate,
     "router": Router,
     "camera": CameraAgent,
     "perception": PerceptionAgent,

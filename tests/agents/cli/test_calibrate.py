@@ -1,0 +1,135 @@
+"""`suturegrasp calibrate`: from images in folders, from a running camera, and as a check of what is there."""
+
+import cv2
+import numpy as np
+import pytest
+
+from agents.camera.agent import Camera, CameraConfig
+from benchmarks.rendered_boards import endoscope, rendered, standings
+from schemas.messages import ImageEncoding
+from shared.calibration import read_calibration, write_calibration
+from shared.calibration.estimation.board import Board
+
+CAMERA = endoscope(640, 360)
+BOARD = Board(8, 6, 4.0, 3.0)
+MARKER = ("--marker", 3)
+SQUARES = ("--squares", 8, 6, "--square", 4, *MARKER)
+VIEWS = 7
+
+
+@pytest.fixture(scope="module")
+def pairs():
+    return [rendered(CAMERA, BOARD, T, k) for k, T in enumerate(standings(VIEWS, BOARD, 8, away=60.0))]
+
+
+@pytest.fixture(scope="module")
+def folders(pairs, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("views")
+    for eye, side in enumerate(("left", "right")):
+        (folder / side).mkdir()
+        for k, pair in enumerate(pairs):
+            cv2.imwrite(str(folder / side / f"{k}.png"), pair[eye])
+    return "--left", folder / "left", "--right", folder / "right"
+
+
+def test_folders_become_a_calibration_in_three_forms_with_a_report(suturegrasp, folders, tmp_path):
+    ended = suturegrasp("calibrate", "stereo", *SQUARES, *folders, "--output", tmp_path / "out")
+    assert ended.status == 0, ended.err
+    out = tmp_path / "out"
+    found = [
+        read_calibration(paths, unit=None, image_size=(640, 360)).calibration
+        for paths in (out / "calibration.json", out / "opencv.yaml", (out / "ros/left.yaml", out / "ros/right.yaml"))
+    ]
+    assert [c.metres_per_unit for c in found] == [1e-3, 1e-3, 1.0]
+    for calibration in found:
+        assert calibration.K_left[0, 0] == pytest.approx(CAMERA.K_left[0, 0], rel=0.03)
+        assert calibration.metres_per_unit is not None
+        baseline_mm = 1e3 * calibration.metres_per_unit * np.linalg.norm(calibration.T_right_left[:3, 3])
+        assert baseline_mm == pytest.approx(5.6, rel=0.03)
+    page = (out / "report.html").read_text()
+    pictures = sorted(path.name for path in (out / "pictures").iterdir())
+    assert len(pictures) == VIEWS + 3 and all(f'src="pictures/{name}"' in page for name in pictures)
+    assert "What the views lack" in page and "held out" in page
+    assert any("on views held out: reprojection" in line for line in ended.out.splitlines())
+    assert "more would make it surer" in ended.err
+
+
+def test_a_calibration_is_checked_against_views(suturegrasp, folders, tmp_path):
+    write_calibration(tmp_path / "right.json", CAMERA)
+    ended = suturegrasp("calibrate", "check", *SQUARES, *folders, "--calibration", tmp_path / "right.json")
+    assert (ended.status, ended.err) == (0, "")
+    assert "squares are right to 0." in ended.out.splitlines()[-1]
+    larger = ("--squares", 8, 6, "--square", 4.2, *MARKER)
+    ended = suturegrasp("calibrate", "check", *larger, *folders, "--calibration", tmp_path / "right.json")
+    assert ended.status == 1 and "squares are off by" in ended.err
+
+
+def test_the_laparoscope_is_as_good_as_its_makers_say(suturegrasp, data, tmp_path):
+    folder = data / "storz_calibration"
+    for eye in ("left", "right"):
+        (tmp_path / eye).mkdir()
+        for path in folder.glob(f"calib.{eye}.images.*.png"):
+            (tmp_path / eye / path.name).symlink_to(path)
+    images = "--left", tmp_path / "left", "--right", tmp_path / "right"
+    ended = suturegrasp("calibrate", "check", "--squares", 14, 9, "--square", 3, *images, "--calibration", folder)
+    assert (ended.status, ended.err) == (0, "")
+    told = ended.out.splitlines()[-1].split()
+    rows_px, squares = float(told[2]), float(told[-1].rstrip("%")) / 100
+    assert rows_px <= 0.25
+    assert squares <= 0.01
+
+
+class Held:
+    """A camera before which a board is held still, and then elsewhere."""
+
+    taken_ns = 0, 0
+
+    def __init__(self, pairs):
+        self._pairs, self._frame = pairs, 0
+
+    def read(self):
+        self._frame += 1
+        left, right = self._pairs[self._frame // 8 % len(self._pairs)]
+        return cv2.cvtColor(left, cv2.COLOR_GRAY2BGR), cv2.cvtColor(right, cv2.COLOR_GRAY2BGR)
+
+    def close(self):
+        pass
+
+
+def test_live_frames_become_a_calibration(suturegrasp, pairs, settings, in_threads, tmp_path):
+    config = tmp_path / "rig.toml"
+    config.write_text(f'rig = "test"\n[router]\nendpoint = "{settings.endpoint}"\nstart = false\n')
+    camera = Camera(Held(pairs), CAMERA, CameraConfig(rate_hz=15.0, encoding=ImageEncoding.PNG))
+    out = tmp_path / "out"
+    with in_threads(settings, camera):
+        ended = suturegrasp(
+            "calibrate", "stereo", *SQUARES, "--live", "--views", 6, "--output", out, "--config", config
+        )
+    assert ended.status == 0, ended.err
+    assert len(list((out / "left").iterdir())) == len(list((out / "right").iterdir())) == 6
+    assert any("is kept; " in line for line in ended.out.splitlines())
+    assert (out / "calibration.json").exists() and (out / "report.html").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "sentence"),
+    [
+        (("stereo",), 2, "give --output"),
+        (("stereo", "--output", "{tmp}/new"), 2, "give --left and --right, or --stereo, or --live"),
+        (("stereo", "--output", "{tmp}"), 2, "is not empty"),
+        (("stereo", "--output", "{tmp}/new", "--unit", "ell"), 2, "--unit ell is unknown"),
+        (("stereo", "--output", "{tmp}/new", "--marker", "9"), 2, "a marker must be smaller"),
+        (("stereo", "--output", "{tmp}/new", "--stereo", "{tmp}/none"), 2, "is no folder"),
+        (("stereo", "--output", "{tmp}/new", "--calibration", "c"), 2, "say calibrate check"),
+        (("stereo", "--output", "{tmp}/new", "--stereo", "{tmp}/plain"), 3, "0 views are too few"),
+        (("check", "--stereo", "{tmp}/plain"), 2, "give the --calibration"),
+        (("check", "--live"), 2, "leave --live and --output out"),
+    ],
+)
+def test_what_cannot_be_carried_out_is_said_in_one_line(suturegrasp, tmp_path, arguments, status, sentence):
+    (tmp_path / "plain").mkdir()
+    cv2.imwrite(str(tmp_path / "plain/0.png"), np.full((90, 320), 120, np.uint8))
+    told = [argument.format(tmp=tmp_path) for argument in arguments]
+    ended = suturegrasp("calibrate", told[0], *SQUARES, *told[1:])
+    assert ended.status == status
+    assert sentence in ended.err.splitlines()[-1]

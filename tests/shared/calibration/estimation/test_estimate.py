@@ -1,0 +1,158 @@
+"""Cameras are recovered from what they see of a board, to stated bounds; what spoils an estimate is named."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from benchmarks.rendered_boards import endoscope, standings
+from shared.calibration import CalibrationError, read_calibration
+from shared.calibration.estimation.board import Board
+from shared.calibration.estimation.checking import checked, held_out, rotation_deg
+from shared.calibration.estimation.collecting import why_not
+from shared.calibration.estimation.coverage import coverage, lacking
+from shared.calibration.estimation.estimate import estimated, residuals_px
+from shared.calibration.estimation.views import View
+from shared.calibration.written import camera_info_texts, opencv_text
+from shared.rigid_transforms import exp_so3, transform
+
+CAMERA, SIZE, MM = endoscope(), (960, 540), 1e-3
+BOARD = Board(14, 10, 3.0)
+NOISE_PX = 0.15
+
+
+def views_of(camera, count, seed, noise_px=NOISE_PX):
+    """What a camera sees of a board whose corners lie a little off, without images."""
+    rng = np.random.default_rng(seed)
+    views = []
+    for k, T in enumerate(standings(count, BOARD, seed)):
+        number = np.arange(len(BOARD.points))
+        none = View(f"view{k:02d}", number, np.zeros((len(number), 2)), np.zeros((len(number), 2)))
+        left, right = (-residual for residual in residuals_px(camera, none, BOARD, T))
+        inside = ((left > 0) & (right > 0) & (left < SIZE) & (right < SIZE)).all(axis=1)
+        off = rng.normal(0, noise_px, (2, len(number), 2))
+        views.append(View(none.name, number[inside], (left + off[0])[inside], (right + off[1])[inside]))
+    return tuple(views)
+
+
+@settings(max_examples=6, deadline=None)
+@given(st.integers(0, 10_000), st.floats(0.85, 1.2), st.floats(-40, 40), st.floats(3.5, 9.0), st.floats(-0.02, 0.02))
+def test_a_camera_is_recovered_from_its_views(seed, zoom, off_centre_px, baseline_mm, turned):
+    T = CAMERA.T_right_left.copy()
+    T[:3, 3] *= baseline_mm / 5.6
+    K_left, K_right = CAMERA.K_left.copy(), CAMERA.K_right.copy()
+    for K in (K_left, K_right):
+        K[0, 0] *= zoom
+        K[1, 1] *= zoom
+        K[0, 2] += off_centre_px
+    bent = CAMERA.distortion_left * (1 + 5 * turned)
+    camera = replace(CAMERA, K_left=K_left, K_right=K_right, T_right_left=T, distortion_left=bent)
+    found = estimated(views_of(camera, 20, seed), BOARD, SIZE, MM).calibration
+    for seen, true in ((found.K_left, camera.K_left), (found.K_right, camera.K_right)):
+        assert seen[0, 0] == pytest.approx(true[0, 0], rel=0.006)
+        assert seen[1, 1] == pytest.approx(true[1, 1], rel=0.006)
+        assert np.abs(seen[:2, 2] - true[:2, 2]).max() < 4.0
+    np.testing.assert_allclose(found.T_right_left[:3, 3], T[:3, 3], atol=0.012 * baseline_mm)
+    assert rotation_deg(found.T_right_left @ np.linalg.inv(T)) < 0.12
+    # what counts is what the camera makes of a board that it has never seen
+    (new,) = views_of(camera, 1, seed + 1, noise_px=0.0)
+    one = checked(new, BOARD, found)
+    assert np.median(np.abs(one.rows_px)) < 0.1
+    assert one.size == pytest.approx(1.0, abs=0.006)
+
+
+def test_held_out_views_tell_the_noise_of_corners_and_what_they_were_made_from():
+    views = views_of(CAMERA, 14, 1)
+    found = held_out(views, BOARD, SIZE, MM)
+    assert {one.view.name for one in found} == {view.name for view in views}
+    # the root mean square over both axes of the noise is sqrt(2) times that of one
+    assert np.median([one.rms_px for one in found]) == pytest.approx(np.sqrt(2) * NOISE_PX, rel=0.15)
+    assert np.median(np.abs(np.concatenate([one.rows_px for one in found]))) < 2 * NOISE_PX
+
+
+def test_a_view_that_moved_between_the_eyes_is_named_and_left_out():
+    views = list(views_of(CAMERA, 16, 2))
+    views[5] = replace(views[5], right=views[5].right + np.array([0.0, 9.0]))
+    estimate = estimated(tuple(views), BOARD, SIZE, MM)
+    assert [name for name, _ in estimate.left_out] == ["view05"]
+    assert "view05" not in {view.name for view in estimate.views}
+    assert estimate.calibration.K_left[0, 0] == pytest.approx(CAMERA.K_left[0, 0], rel=0.006)
+
+
+def test_views_without_outliers_are_all_kept():
+    assert estimated(views_of(CAMERA, 12, 3), BOARD, SIZE, MM).left_out == ()
+
+
+@pytest.mark.parametrize("count", [0, 1, 4])
+def test_too_few_views_are_refused_with_what_to_do(count):
+    with pytest.raises(CalibrationError, match="take at least 5"):
+        estimated(views_of(CAMERA, count, 0), BOARD, SIZE, MM)
+
+
+def test_nothing_is_held_out_where_too_little_is_left():
+    assert held_out(views_of(CAMERA, 5, 0), BOARD, SIZE, MM) == ()
+
+
+def test_a_calibration_of_another_camera_fails_the_check():
+    T = CAMERA.T_right_left.copy()
+    T[:3, 3] *= 1.05
+    (view,) = views_of(CAMERA, 1, 4, noise_px=0.0)
+    right, wrong = checked(view, BOARD, CAMERA), checked(view, BOARD, replace(CAMERA, T_right_left=T))
+    assert right.size == pytest.approx(1.0, abs=1e-4) and right.rms_px < 1e-3
+    assert wrong.size == pytest.approx(1.05, abs=1e-3)
+
+
+def test_what_views_lack_is_said_until_they_lack_nothing():
+    assert lacking(coverage((), BOARD, SIZE)) == ["no view yet: show the whole board to both eyes"]
+    views = views_of(CAMERA, 40, 5)
+    told = " ".join(lacking(coverage(views[:1], BOARD, SIZE)))
+    for words in ("too few corners in the left image's", "tilt it so", "from one distance", "14 more"):
+        assert words in told
+    assert lacking(coverage(views, BOARD, SIZE)) == []
+
+
+def test_a_tilted_board_is_seen_to_be_tilted_to_its_nearer_side():
+    def tilted(about_x, about_y):
+        R = exp_so3(np.array([about_x, about_y, 0.0]))
+        T = transform(R, np.array([0.0, 0.0, 80.0]) - R @ np.array([21.0, 15.0, 0.0]))
+        number = np.arange(len(BOARD.points))
+        none = View("", number, np.zeros((len(number), 2)), np.zeros((len(number), 2)))
+        left, right = (-residual for residual in residuals_px(CAMERA, none, BOARD, T))
+        return coverage((View("", number, left, right),), BOARD, SIZE).tilt[0]
+
+    # y points down and z away: turning about y by a positive angle takes the right side nearer
+    assert tilted(0.0, 0.4)[0] > 0.1 > abs(tilted(0.0, 0.4)[1])
+    assert tilted(0.0, -0.4)[0] < -0.1
+    assert tilted(-0.4, 0.0)[1] > 0.1 > abs(tilted(-0.4, 0.0)[0])
+
+
+def test_a_live_view_is_kept_when_the_board_is_still_and_elsewhere():
+    one, other = views_of(CAMERA, 2, 6)
+    nearly = replace(one, left=one.left + 1.0)
+    assert why_not(one, None, (), 960) == "hold the board still"
+    assert why_not(one, other, (), 960) == "hold the board still"
+    assert why_not(one, nearly, (), 960) == ""
+    assert why_not(one, nearly, (nearly,), 960).startswith("move or tilt")
+    assert why_not(one, nearly, (other,), 960) == ""
+
+
+def test_opencv_and_ros_read_back_what_was_written(tmp_path):
+    (tmp_path / "opencv.yaml").write_text(opencv_text(CAMERA))
+    read = read_calibration(tmp_path / "opencv.yaml", unit=None, image_size=SIZE).calibration
+    assert read.metres_per_unit == MM
+    for name in ("K_left", "K_right", "distortion_left", "distortion_right"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(CAMERA, name))
+    np.testing.assert_allclose(read.T_right_left, CAMERA.T_right_left, atol=1e-12)
+    for side, text in zip(("left", "right"), camera_info_texts(CAMERA), strict=True):
+        (tmp_path / f"{side}.yaml").write_text(text)
+    ros = read_calibration((tmp_path / "left.yaml", tmp_path / "right.yaml"), unit=None, image_size=SIZE).calibration
+    np.testing.assert_array_equal(ros.K_right, CAMERA.K_right)
+    np.testing.assert_allclose(ros.T_right_left[:3, 3], CAMERA.T_right_left[:3, 3] * MM, atol=1e-9)
+    np.testing.assert_allclose(ros.T_right_left[:3, :3], CAMERA.T_right_left[:3, :3], atol=1e-9)
+
+
+def test_ros_needs_a_unit():
+    with pytest.raises(CalibrationError, match="name it with --unit"):
+        camera_info_texts(replace(CAMERA, metres_per_unit=None))
