@@ -28,6 +28,7 @@ from agents.cli.router import run_router
 from agents.cli.terminal import complain, say
 from agents.cli.this_host import at_host, certificates_of, configured_file
 from agents.operator.operator import Stood, arm_and_stand_by, ask_for_grasp, hold, prompt
+from agents.viewer.clearance import clearance_sentence
 from schemas.messages import ExecutionEvent, ExecutionKind, GraspPlan, Outcome, Policy, Status
 from schemas.topics import MAIN
 from shared.runtime.config import ConfigError, load_config
@@ -145,7 +146,8 @@ def plan_sentence(plan: GraspPlan) -> str:
     how = f"capture at {percent(plan.s_capture)}, slide {plan.slide_m * 1e3:.0f} mm, grasp at {percent(plan.s_goal)}"
     if plan.slide_m == 0:
         how = f"grasp at {percent(plan.s_goal)} without a slide"
-    return f"plan {plan.plan_id}: {how}; success {plan.probability:.0%}"
+    tissue = "" if plan.tissue is None else f"; {clearance_sentence(plan.tissue)}"
+    return f"plan {plan.plan_id}: {how}; success {plan.probability:.0%}{tissue}"
 
 
 def percent(s: float | None) -> str:

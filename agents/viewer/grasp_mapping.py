@@ -16,10 +16,10 @@ import rerun as rr
 from jaxtyping import Float64
 
 from agents.viewer import colours
+from agents.viewer.clearance import clearance_sentence
 from agents.viewer.mapping import Entity
 from agents.viewer.session_mapping import lane, said
 from agents.viewer.solids import tool_solid
-from agents.viewer.surface_mapping import clearance_sentence
 from agents.viewer.units import MM_PER_METRE
 from schemas.messages import (
     ExecutionEvent,

@@ -8,10 +8,11 @@ import numpy as np
 import rerun as rr
 
 from agents.viewer import colours
+from agents.viewer.clearance import clearance_sentence
 from agents.viewer.entity import Entity
 from agents.viewer.mapping import FAINT
 from agents.viewer.units import MM_PER_METRE, camera_in_mm
-from schemas.messages import GraspPlan, Status, TissueClearance, TissueSurface
+from schemas.messages import GraspPlan, Status, TissueSurface
 from shared.camera import backproject
 
 HALF_SURE = 0.004
@@ -49,13 +50,3 @@ def contact_entities(plan: GraspPlan) -> list[Entity]:
         show_labels=True,
     )
     return [(path, [place])]
-
-
-def clearance_sentence(tissue: TissueClearance) -> str:
-    """How the jaws stand to the tissue, in words."""
-    if tissue.clearance_m is None or tissue.deviation_m is None or tissue.phase is None or tissue.s is None:
-        return tissue.unchecked
-    off, sure = MM_PER_METRE * tissue.clearance_m, MM_PER_METRE * tissue.deviation_m
-    where = f"in {tissue.phase.name.lower()} at {tissue.s:.0%}"
-    near = f"jaws {abs(off):.1f} ± {sure:.1f} mm {'before' if off >= 0 else 'into'} the tissue, {where}"
-    return f"{near}; {tissue.unchecked}" if tissue.unchecked else near
