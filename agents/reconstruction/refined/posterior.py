@@ -7,7 +7,8 @@ the rows, along the line of sight, or out of sight.
 Points of a centreline also err together, over longer stretches than the fit averages over: shading and glints move the
 middle of a thread's image to one side. A shift common to both images moves the thread sideways, a difference between
 them moves its depth, and no residual shows either. Both are taken in proportion to the deviation of the points and to
-the thread's width.
+the thread's width. Where the residuals are smaller than the points' deviations say, the points do not err less: what is
+missing is what neighbours err together, in each image by itself.
 """
 
 import numpy as np
@@ -25,6 +26,7 @@ MODEL = 2.0
 LEAST_SINE = 0.1
 """Of the angle between thread and line of sight: nearer to that, depth is hardly an error across the thread."""
 LEAST = 1e-100
+SQRT_2 = np.sqrt(2.0)
 
 
 def point_covariance(
@@ -64,12 +66,15 @@ def sliding(
 
 def _shared_errors(fit: Refined, camera: RectifiedStereo, s: Float64[np.ndarray, "q"]) -> Float64[np.ndarray, "q 3 3"]:
     """What long stretches err together, from (u, v, disparity) to the camera frame."""
-    deviation_px = COMMON_DEVIATIONS * fit.scale * float(np.median(fit.sight.deviation_px))
-    shift_px = np.hypot(deviation_px, COMMON_WIDTHS * fit.sight.width_px)
+    stated_px = float(np.median(fit.sight.deviation_px))
+    shift_px = np.hypot(COMMON_DEVIATIONS * fit.scale * stated_px, COMMON_WIDTHS * fit.sight.width_px)
+    # errors of two images by themselves: half their variance is that of the mean, and twice it that of the difference
+    unseen_px = stated_px * np.sqrt(max(0.0, 1.0 - fit.scale**2))
+    aside_px, apart_px = np.hypot(shift_px, unseen_px / SQRT_2), np.hypot(DIFFERENCE * shift_px, SQRT_2 * unseen_px)
     x, y, z = fit.curve.at(s).T
     by_disparity = -(z**2) / (camera.fx_px * camera.baseline)
     columns = np.zeros((len(s), 3, 3))
-    columns[:, 0, 0] = z / camera.fx_px
-    columns[:, 1, 1] = z / camera.fy_px
-    columns[:, :, 2] = DIFFERENCE * (by_disparity / z)[:, None] * np.column_stack((x, y, z))
-    return shift_px**2 * np.einsum("qij,qkj->qik", columns, columns)
+    columns[:, 0, 0] = aside_px * z / camera.fx_px
+    columns[:, 1, 1] = aside_px * z / camera.fy_px
+    columns[:, :, 2] = apart_px * (by_disparity / z)[:, None] * np.column_stack((x, y, z))
+    return np.einsum("qij,qkj->qik", columns, columns)
