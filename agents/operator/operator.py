@@ -40,6 +40,10 @@ ARMING_S = 5.0
 """The same while arming, whose answer may take as long."""
 PLAN_ARRIVES_S = 1.0
 UNKNOWN_PLAN = "unknown_plan"
+BUSY_S = 120.0
+"""A network of the user's own may need so long for a frame on a small machine."""
+UNHEARD = "unknown_id", "late"
+"""What a command comes to that its receiver has not taken up in time."""
 SILENCE_S = 2.0
 """An arm that reports a hundred times a second and has not for so long is not there any more."""
 END = (ExecutionKind.FINISHED, ExecutionKind.HELD)
@@ -170,5 +174,12 @@ def hold(connection: Connection, arm: str) -> CommandAnswer:
 
 
 def prompt(connection: Connection, pixel: Float64[np.ndarray, "2"] | None) -> CommandAnswer:
-    """Tell perception which thread is meant, by a pixel of the rectified left image; None for any again."""
-    return connection.command(PROMPT, Prompt(new_header(SENDER), pixel))
+    """Tell perception which thread is meant, by a pixel of the rectified left image; None for any again.
+
+    It is told again, under another id, while perception is there and too busy with a frame to hear it in time.
+    """
+    deadline_s = monotonic_s() + BUSY_S
+    while True:
+        answer = connection.command(PROMPT, Prompt(new_header(SENDER), pixel))
+        if answer.code not in UNHEARD or monotonic_s() > deadline_s:
+            return answer

@@ -28,15 +28,17 @@ from schemas.messages import (
     Status,
     ThreadReconstruction,
 )
-from schemas.topics import MAIN, ROBOT_STATE, THREAD
+from schemas.topics import MAIN, PROMPT, ROBOT_STATE, THREAD
 from shared.runtime.agent import Output, Tick
-from shared.runtime.commands import new_header
+from shared.runtime.commands import accepted, new_header
 from shared.runtime.connection import connected
 
 NONE = np.zeros(0)
 LENGTH_M = 0.04
 PATIENT_S = 60.0
 NEVER = threading.Event()
+LONG_S = 3.5
+"""Longer than a command waits for its answer."""
 
 
 class HandMadeThread:
@@ -211,6 +213,35 @@ def test_perception_answers_a_prompt(settings, in_threads, until):
         until(lambda: "perception/main" in connection.present())
         assert prompt(connection, np.array([5.0, 5.0])).code == "no_frame"
         assert prompt(connection, None).outcome is Outcome.ACCEPTED
+
+
+class BusyPerception:
+    """In the place of perception with a network that needs longer for a frame than a prompt waits."""
+
+    kind, instance = "perception", MAIN
+    inputs, outputs, commands = (), (), (PROMPT,)
+    tick_hz = 20.0
+
+    def __init__(self):
+        self.busy, self.prompted = threading.Event(), []
+
+    def step(self, arrived):
+        if isinstance(arrived, Tick):
+            if not self.busy.is_set():
+                self.busy.set()
+                NEVER.wait(LONG_S)
+            return []
+        self.prompted.append(arrived.message.pixel.tolist())
+        return [accepted(arrived.message.header.id)]
+
+
+def test_a_prompt_is_told_again_while_perception_is_busy_with_a_frame(settings, in_threads):
+    perception = BusyPerception()
+    with in_threads(settings, perception), connected(settings, PATIENT_S) as connection:
+        assert perception.busy.wait(PATIENT_S)
+        assert prompt(connection, np.array([5.0, 6.0])).outcome is Outcome.ACCEPTED
+    # one that is told again may be carried out twice, which is as good
+    assert {tuple(pixel) for pixel in perception.prompted} == {(5.0, 6.0)}
 
 
 def test_an_arm_that_falls_silent_is_left(settings, planned, bridge, monkeypatch, in_threads, until):
