@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import tyro
 
 Config = Literal[
-    "easy", "medium", "hard", "singularity", "occlusion", "crossing", "several", "needle", "none", "varied"
+    "easy", "medium", "hard", "singularity", "occlusion", "crossing", "several", "needle", "rod", "none", "varied"
 ]
 Extra = Literal["tools", "stains", "smoke", "blur", "interlaced"]
 

@@ -1,10 +1,13 @@
 """Where instruments and needles go: over the thread where they are to hide it, beside it otherwise."""
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float64, UInt8
 
 from shared.camera import project
 from shared.scene.path_traced.field import Field
+from shared.scene.path_traced.pinned import Pinned
 from shared.scene.path_traced.solids import SIDES, Needle, Solid, instrument, needle_from, pose_towards, silhouette
 from shared.scene.path_traced.splines import end_directions, sampled
 from shared.scene.path_traced.strands import Strand
@@ -63,17 +66,54 @@ def needle_on(field: Field, rng: np.random.Generator) -> Needle | None:
     end = strand.curve.at(np.array([float(strand.curve.spans)]))[0]
     outward = end_directions(strand.curve)[1]
     for _ in range(60):
-        roll = rng.uniform(-np.pi, np.pi)
-        side = np.cross(outward, [0.0, 0.0, 1.0])
-        side /= np.linalg.norm(side)
-        up = np.cos(roll) * side + np.sin(roll) * np.cross(outward, side)
-        arc_radius, arc = rng.uniform(5.0, 9.0), np.radians(rng.uniform(135.0, 190.0))
-        needle = needle_from(end, outward, up, arc_radius, arc, max(1.4 * strand.radius_mm, rng.uniform(0.25, 0.45)))
-        points, _ = sampled(needle.curve, 0.2)
-        gap = depth_at_points(field.ground.surface, points[:, :2]) - points[:, 2] - needle.radius_mm
-        if gap.min() > -0.1 and np.median(gap) < 9.0 and _within(field, points):
+        needle = _arc_at(end, outward, rng.uniform(-np.pi, np.pi), strand.radius_mm, rng)
+        if _lies_above(field, needle, 0.1) and _within(field, sampled(needle.curve, 0.2)[0]):
             return needle
     return None
+
+
+def _arc_at(
+    end: Float64[np.ndarray, "3"],
+    outward: Float64[np.ndarray, "3"],
+    roll: float,
+    thread_radius_mm: float,
+    rng: np.random.Generator,
+) -> Needle:
+    """A needle that goes on where a thread ends; at roll 0 and π its arc lies in the image plane."""
+    side = np.cross(outward, [0.0, 0.0, 1.0])
+    side /= np.linalg.norm(side)
+    up = np.cos(roll) * side + np.sin(roll) * np.cross(outward, side)
+    arc_radius, arc = rng.uniform(5.0, 9.0), np.radians(rng.uniform(135.0, 190.0))
+    return needle_from(end, outward, up, arc_radius, arc, max(1.4 * thread_radius_mm, rng.uniform(0.25, 0.45)))
+
+
+def _lies_above(field: Field, needle: Needle, deepest_mm: float) -> bool:
+    points, _ = sampled(needle.curve, 0.2)
+    gap = depth_at_points(field.ground.surface, points[:, :2]) - points[:, 2] - needle.radius_mm
+    return bool(gap.min() > -deepest_mm and np.median(gap) < 9.0)
+
+
+def with_ending(field: Field, pinned: Pinned, rng: np.random.Generator) -> Field:
+    """The field with what holds the end of a thread: a needle that lies there, or the jaws of an instrument."""
+    end = pinned.strand.curve.at(np.array([float(pinned.strand.curve.spans)]))[0]
+    # threads are brought nearer where they would pass through each other, and their ends with them
+    end = end + field.strands[-1].curve.control_points[0] - pinned.strand.curve.control_points[0]
+    if pinned.ending == "needle" and field.needle is None:
+        for _ in range(30):
+            roll = rng.choice((0.0, np.pi)) + rng.normal(0.0, 0.35)
+            needle = _arc_at(end, pinned.direction, roll, pinned.strand.radius_mm, rng)
+            if _lies_above(field, needle, 0.3):
+                return replace(field, needle=needle)
+    if pinned.ending == "gripper":
+        for _ in range(30):
+            pose = pose_towards(end, rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.25, 0.8), rng.uniform(0.0, np.pi))
+            held = replace(pose, tip=end - 2.5 * pose.towards_shaft)
+            tools = instrument(held, float(rng.uniform(2.4, 4.0)), 0.0, str(rng.choice(("dark", "steel"))), rng)
+            cover = silhouette(field.camera, tools)
+            pixels = project(field.camera, sampled(field.strands[-1].curve, 0.5)[0])[0]
+            if _above_ground(tools, field) and _hidden(cover, pixels) < STRAY_SHARE:
+                return replace(field, tools=[*field.tools, *tools])
+    return field
 
 
 def _drawn_instrument(tip: Float64[np.ndarray, "3"], rng: np.random.Generator) -> list[Solid]:
@@ -92,13 +132,18 @@ def _hidden(cover: UInt8[np.ndarray, "h w"], pixels: Float64[np.ndarray, "n 2"])
 
 
 def _clear_of(tools: list[Solid], field: Field) -> bool:
-    """Whether no tool dips into the ground within the field, nor comes nearer to the lens than it focuses."""
+    """Whether no tool dips into the ground or passes through a thread."""
+    return _above_ground(tools, field) and all(_apart(tools, strand) for strand in field.strands)
+
+
+def _above_ground(tools: list[Solid], field: Field) -> bool:
+    """Whether no tool dips into the ground."""
     for tool in tools:
         points = tool.vertices
         seen = points[points[:, 2] > 0]
         if len(seen) and (depth_at_points(field.ground.surface, seen[:, :2]) - seen[:, 2]).min() < 0.5:
             return False
-    return all(_apart(tools, strand) for strand in field.strands)
+    return True
 
 
 def _apart(tools: list[Solid], strand: Strand) -> bool:

@@ -8,12 +8,11 @@ from schemas.messages import RectifiedStereo
 from shared.scene.path_traced.camera_effects import Effects, drawn_effects
 from shared.scene.path_traced.field import Field, Lamp
 from shared.scene.path_traced.flesh import flesh_ground
-from shared.scene.path_traced.ground import Ground
 from shared.scene.path_traced.paper import paper_ground
-from shared.scene.path_traced.placing import NEAR_TIPS_MM, bystanders, needle_on, occluders
-from shared.scene.path_traced.solids import Needle, Solid
+from shared.scene.path_traced.pinned import pinned_strand
+from shared.scene.path_traced.placing import NEAR_TIPS_MM, bystanders, needle_on, occluders, with_ending
 from shared.scene.path_traced.stains import stained
-from shared.scene.path_traced.strands import DYES, Strand, drawn_strand, laid_over
+from shared.scene.path_traced.strands import DYES, drawn_strand, laid_over
 from shared.scene.render import SceneError
 from shared.scene.thread_shapes import ShapeError
 
@@ -26,6 +25,7 @@ CONFIGS = (
     "crossing",
     "several",
     "needle",
+    "rod",
     "none",
 )
 BACKGROUNDS = {"chicken": flesh_ground, "paper": paper_ground}
@@ -82,12 +82,11 @@ def arranged(recipe: Recipe, camera: RectifiedStereo) -> Arranged:
         distance = float(rng.uniform(*DISTANCES_MM))
         ground = BACKGROUNDS[recipe.background](camera, distance, rng)
         try:
-            strands = _strands(config, camera, ground, rng, recipe.dye, wide)
+            field = _laid(Field(camera, ground, [], lamps=_lamps(camera, rng, wide)), config, rng, recipe.dye, wide)
         except ShapeError as error:
             problem = error
             continue
-        field = Field(camera, ground, strands, lamps=_lamps(camera, rng, wide))
-        field = _with_solids(field, config, extras, rng)
+        field = None if field is None else _with_tools(field, config, extras, rng)
         if field is None:
             continue
         if "stains" in extras:
@@ -119,6 +118,7 @@ def _drawn_config(rng: np.random.Generator) -> str:
         "crossing": 10,
         "several": 9,
         "needle": 8,
+        "rod": 24,
     }
     total = sum(shares.values()) * 1.5
     names = [*shares, "none"]
@@ -131,28 +131,32 @@ def _drawn_extras(rng: np.random.Generator, config: str) -> tuple[str, ...]:
     return tuple(name for name, share in odds.items() if rng.uniform() < share)
 
 
-def _strands(
-    config: str, camera: RectifiedStereo, ground: Ground, rng: np.random.Generator, dye: str | None, wide: bool
-) -> list[Strand]:
+def _laid(field: Field, config: str, rng: np.random.Generator, dye: str | None, wide: bool) -> Field | None:
+    """The field with its threads, and what holds them; None where what holds them found no place."""
     if config == "none":
-        return []
-    kinds = {"occlusion": ("easy", "medium"), "needle": ("easy", "medium"), "several": SHAPES[:3]}
+        return field
+    kinds = {"occlusion": ("easy", "medium"), "needle": ("easy", "medium"), "several": (*SHAPES[:3], "rod")}
     choices = kinds.get(config, (config,))
     count = int(rng.integers(2, 4)) if config == "several" else 1
-    strands: list[Strand] = []
     for _ in range(count):
         # 3 to 7 px across at 960 wide, and where it is not for training, what sutures of 3-0 to 5-0 have
         radius = float(rng.uniform(0.14, 0.33) if wide else rng.uniform(0.15, 0.25))
-        one = drawn_strand(
-            camera,
-            ground.surface,
-            str(rng.choice(choices)),
-            int(rng.integers(2**31)),
-            radius,
-            dye or str(rng.choice(list(DYES))),
-        )
-        strands.append(laid_over(one, strands))
-    return strands
+        of_dye = dye or str(rng.choice(list(DYES)))
+        shape = str(rng.choice(choices))
+        if shape == "rod":
+            share = float(rng.choice((1.0, 0.55))) if wide else 1.0
+            pinned = pinned_strand(field.camera, field.ground.surface, rng, radius, of_dye, share)
+            field = with_ending(
+                replace(field, strands=[*field.strands, laid_over(pinned.strand, field.strands)]), pinned, rng
+            )
+            continue
+        seed = int(rng.integers(2**31))
+        one = drawn_strand(field.camera, field.ground.surface, shape, seed, radius, of_dye)
+        field = replace(field, strands=[*field.strands, laid_over(one, field.strands)])
+    if config != "needle":
+        return field
+    needle = needle_on(field, rng)
+    return None if needle is None else replace(field, needle=needle)
 
 
 def _lamps(camera: RectifiedStereo, rng: np.random.Generator, wide: bool) -> list[Lamp]:
@@ -174,21 +178,16 @@ def _lamps(camera: RectifiedStereo, rng: np.random.Generator, wide: bool) -> lis
     return lamps
 
 
-def _with_solids(field: Field, config: str, extras: tuple[str, ...], rng: np.random.Generator) -> Field | None:
-    """The field with what is made of metal, or None where it found no place."""
-    needle: Needle | None = None
-    tools: list[Solid] = []
-    if config == "needle":
-        needle = needle_on(field, rng)
-        if needle is None:
-            return None
+def _with_tools(field: Field, config: str, extras: tuple[str, ...], rng: np.random.Generator) -> Field | None:
+    """The field with instruments, or None where one that is to hide the thread found no place."""
     if config == "occlusion":
-        tools = occluders(field, rng)
-        if not tools:
+        hiding = occluders(field, rng)
+        if not hiding:
             return None
+        field = replace(field, tools=hiding)
     if "tools" in extras:
-        tools = [*tools, *bystanders(field, rng, int(rng.integers(1, 3)), NEAR_TIPS_MM)]
-    return replace(field, needle=needle, tools=tools)
+        field = replace(field, tools=[*field.tools, *bystanders(field, rng, int(rng.integers(1, 3)), NEAR_TIPS_MM)])
+    return field
 
 
 def _effects(rng: np.random.Generator, wide: bool, extras: tuple[str, ...]) -> Effects:

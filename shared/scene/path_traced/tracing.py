@@ -16,7 +16,8 @@ from shared.scene.path_traced.world import LAMP, shape_names
 PARTS = 4
 """Each pixel is looked at in this many rows and columns, at a random place of each part."""
 
-OWN_DEPTH_RADII = 3.0
+LEAST_SLANT = 0.25
+RELIEF_MM = 0.05
 
 
 @dataclass(frozen=True)
@@ -93,8 +94,13 @@ def visible(
     inside = (column >= 0) & (column < parts * eye.width) & (row >= 0) & (row < parts * eye.height)
     column, row = np.where(inside, column, 0), np.where(inside, row, 0)
     own = seen.covers(name)[row, column]
-    gap = np.linalg.norm(relative, axis=1) - radius_mm - seen.distance_mm[row, column]
-    return inside & own & (np.abs(gap) < OWN_DEPTH_RADII * radius_mm)
+    distance = np.linalg.norm(relative, axis=1)
+    along = np.gradient(points, axis=0)
+    cosine = np.einsum("ij,ij->i", along, relative) / (np.linalg.norm(along, axis=1) * distance)
+    # a ray to the axis enters a tube that it meets at a slant so much before
+    ahead = radius_mm / np.sqrt(np.maximum(1.0 - cosine**2, LEAST_SLANT**2))
+    gap = distance - ahead - seen.distance_mm[row, column]
+    return inside & own & (np.abs(gap) < 0.5 * ahead + RELIEF_MM)
 
 
 def offset_from_truth(

@@ -73,3 +73,11 @@ def test_a_field_without_thread_has_empty_masks_and_still_an_image(background):
         assert not images.thread.any()
         assert 40 < images.bgr.mean() < 200
     assert pair.strands == []
+
+
+def test_a_thread_at_rest_comes_out_of_the_tissue_and_is_where_its_mask_says():
+    pair = traced_pair(Recipe("rod", "chicken", 3), SMALL, 1)
+    assert mean_offset(pair) < 0.05
+    for seen in pair.strands[0].seen:
+        assert not seen[0]
+        assert seen.mean() > 0.6
