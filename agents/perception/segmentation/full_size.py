@@ -13,6 +13,9 @@ BLUR_PX, BLUR_SIDE_PX = 2.0, 13
 BLUR_MARGIN_PX = 24
 """Around the ridge: farther than the blur of its contrast reaches."""
 SHEET = 256
+GLINT_SHARE, MOST_IN_SPECKS = 0.03, 0.25
+"""Of the image's width: bright pieces up to that long are glints on wet tissue. Of the thread: if more of it lies in
+such pieces, it is a thread that shows in pieces."""
 MEAN_OF_CHANNELS = np.full((1, 3), 1 / 3, np.float32)
 EIGHT_NEIGHBOURS = np.ones((3, 3), np.uint8)
 
@@ -48,7 +51,21 @@ def at_full_size(
     lighter, darker = (seen, ground) if is_bright else (ground, seen)
     clear = mean_excess(lighter[None], darker[None])[0] > edge
     coverage[full_rows.start + row[clear], full_columns.start + column[clear]] = 255
+    if is_bright:
+        part = coverage[full_rows, full_columns]
+        coverage[full_rows, full_columns] = without_specks(part, GLINT_SHARE * image.shape[1])
     return coverage
+
+
+def without_specks(coverage: UInt8[np.ndarray, "h w"], longest_px: float) -> UInt8[np.ndarray, "h w"]:
+    """Coverage without its pieces up to that long, unless much of the thread would go with them."""
+    _, labelled, stats, _ = cv2.connectedComponentsWithStats(coverage, connectivity=8)
+    kept = np.hypot(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT]) > longest_px
+    kept[0] = False
+    area = stats[1:, cv2.CC_STAT_AREA]
+    if area[~kept[1:]].sum() > MOST_IN_SPECKS * area.sum():
+        return coverage
+    return np.where(kept[np.asarray(labelled, np.int32)], coverage, np.uint8(0))
 
 
 def _level(ridge: Bool[np.ndarray, "h w"], contrast: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from agents.perception.segmentation import full_size
-from agents.perception.segmentation.full_size import at_full_size
+from agents.perception.segmentation.full_size import at_full_size, without_specks
 
 
 @pytest.mark.parametrize("size", [(960, 540), (1280, 720), (480, 270), (641, 479)])
@@ -27,3 +27,20 @@ def test_around_a_ridge_the_pixels_are_those_of_the_whole_image(size, is_bright,
 def test_without_a_ridge_there_is_no_thread():
     image = np.zeros((54, 96, 3), np.uint8)
     assert not at_full_size(image, image[::2, ::2], np.zeros((27, 48), bool), np.ones((27, 48), np.float32), True).any()
+
+
+def pieces(*lengths):
+    coverage = np.zeros((20 * len(lengths), 300), np.uint8)
+    for k, length in enumerate(lengths):
+        coverage[20 * k + 10, 5 : 5 + length] = 255
+    return coverage
+
+
+def test_specks_are_left_out_and_pieces_of_a_thread_are_not():
+    np.testing.assert_array_equal(without_specks(pieces(200, 12, 9), 20.0), pieces(200, 0, 0))
+    np.testing.assert_array_equal(without_specks(pieces(200, 25, 9), 20.0), pieces(200, 25, 0))
+
+
+def test_a_thread_that_shows_in_specks_alone_is_kept():
+    np.testing.assert_array_equal(without_specks(pieces(12, 9, 15, 30), 20.0), pieces(12, 9, 15, 30))
+    assert not without_specks(pieces(0), 20.0).any()
