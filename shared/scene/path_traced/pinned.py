@@ -18,7 +18,7 @@ from shared.scene.thread_shapes import ShapeError
 Ending = Literal["free", "stitch", "needle", "gripper"]
 ENDINGS: tuple[Ending, ...] = ("free", "stitch", "needle", "gripper")
 EDGE_MM = 0.8
-DEPTH_OF_STITCH_MM = 0.5
+DEPTH_OF_STITCH_MM = 0.8
 BURIED = 2
 MARGIN_PX = 20.0
 ATTEMPTS = 14
