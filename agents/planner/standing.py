@@ -137,5 +137,5 @@ def pressed_sentence(found: TissueClearance, config: PlannerConfig) -> str:
     return (
         f"the jaws would come {depth} the tissue at s = {found.s:.3f} in the phase {found.phase.name.lower()}, and at "
         f"most {MM_PER_M * config.press_m:.1f} mm are accepted with {config.sigmas:g} deviations; name another place, "
-        "turn the camera to look more squarely at it, or lift the thread there"
+        "lift the thread there, or, if it truly lies on the tissue, check the calibration: its depth is wrong then"
     )
