@@ -33,9 +33,15 @@ def is_array(annotation: Any) -> bool:
 
 def without_none(annotation: Any) -> Any:
     """The `X` of `X | None`; any other annotation as it is."""
-    if type(None) in typing.get_args(annotation):
-        return next(part for part in typing.get_args(annotation) if part is not type(None))
-    return annotation
+    inner = _optional(annotation)
+    return annotation if inner is None else inner
+
+
+@functools.cache
+def _optional(annotation: Any) -> Any:
+    """The `X` of `X | None`, None of any other annotation: equal ones share a cache, and must not be swapped."""
+    parts = typing.get_args(annotation)
+    return next(part for part in parts if part is not type(None)) if type(None) in parts else None
 
 
 @functools.cache

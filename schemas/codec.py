@@ -266,7 +266,10 @@ def _read_array(found: _Found, declared: Any, where: str) -> np.ndarray:
 
 
 def _refuse_unknown_fields(wire: Any, where: str, in_full: bool) -> None:
-    unknown = sorted({field.field_number for field in UnknownFieldSet(wire)})
+    left = UnknownFieldSet(wire)
+    if len(left) == 0:
+        return
+    unknown = sorted({field.field_number for field in left})
     if not in_full:
         last = max((field.number for field in wire.DESCRIPTOR.fields), default=0)
         unknown = [number for number in unknown if number <= last]
