@@ -181,7 +181,8 @@ def print_tables(measured: dict[str, Any]) -> None:
     _print(console, "from capture until published", measured["stages"])
     _print(console, "inputs", measured["drops"])
     console.print(f"frames unaccounted for: {measured['frames unaccounted for']}")
-    _print(console, "share of one core", {name: {"cpu": share} for name, share in measured["cpu share"].items()})
+    shares = {name: {"cpu %": 100.0 * share} for name, share in measured["cpu share"].items()}
+    _print(console, "share of one core; of agents that wait for a goal, planner and bridge, 1 % is the goal", shares)
 
 
 def _print(console: Console, title: str, rows: dict[str, dict[str, float]]) -> None:
