@@ -5,12 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool
 
-CONTEXT_PX = 32
-"""Around a box that is looked at too, so that what is found in it is about what would be found in the whole image."""
+CONTEXT_PX = 8
+"""Around a box that is looked at too. What is looked for lies far from the border of where it is looked for already."""
 MULTIPLE_PX = 16
 """Of which the outer sides are, and where they begin, wherever the image allows it."""
-WORTH_SHARE = 0.85
-"""Two boxes instead of one must leave out so much of its area."""
+WORTH_SHARE = 0.95
+"""Of the area of one box: two are worth their while where they have less."""
+SMALLEST_PX = 64
+"""Boxes of this side and less are not divided."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ def _boxes(where: Bool[np.ndarray, "h w"], top: int, left: int, shape: tuple[int
         (slice(top, top + inside.shape[0]), slice(left, left + inside.shape[1])),
         (_wider(top, inside.shape[0], shape[0]), _wider(left, inside.shape[1], shape[1])),
     )
-    if whole.area <= (4 * CONTEXT_PX) ** 2:
+    if whole.area <= SMALLEST_PX**2:
         return [whole]
     middle = [side // 2 for side in inside.shape]
     if inside.shape[0] > inside.shape[1]:

@@ -17,13 +17,17 @@ ACROSS = 2
 
 
 def batches(
-    views: Sequence[View], size: int, seed: int
+    folders: Sequence[Sequence[View]], size: int, seed: int
 ) -> Iterator[tuple[Float32[np.ndarray, "n 12 r c"], Float32[np.ndarray, "n 4 r c"]]]:
-    """Varied crops as the network takes them, and the coverage that it should give, 0 to 1."""
+    """Varied crops as the network takes them, and the coverage that it should give, 0 to 1.
+
+    Each folder of views is drawn from alike, so that few costly scenes count as much as many cheap ones.
+    """
     rng = np.random.default_rng([seed, 21])
-    threads = [np.flatnonzero(view.coverage.ravel() > 127) for view in views]
+    threads = [[np.flatnonzero(view.coverage.ravel() > 127) for view in views] for views in folders]
     while True:
-        crops = [_crop(views[k], threads[k], rng) for k in rng.integers(len(views), size=size).tolist()]
+        chosen = [(k, int(rng.integers(len(folders[k])))) for k in rng.integers(len(folders), size=size).tolist()]
+        crops = [_crop(folders[k][view], threads[k][view], rng) for k, view in chosen]
         yield (
             np.concatenate([phases(image) for image, _ in crops]),
             np.stack([coverage_phases(coverage) for _, coverage in crops]),

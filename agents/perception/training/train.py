@@ -17,7 +17,6 @@ from agents.perception.training.scenes import View, views_in
 from shared.clock import monotonic_s
 
 BATCH = 8
-STEEPEST_STEP = 3e-3
 WARM_UP_SHARE = 0.05
 """Of the whole training, in which the steps grow to the steepest; then they shrink to nothing along a cosine."""
 WEIGHT_DECAY = 1e-4
@@ -32,6 +31,7 @@ class Chosen:
 
     Fields:
         minutes: after which training ends, whatever steps are left; the step size follows whichever is further.
+        steepest: the greatest step size.
         start: a checkpoint to go on from; new weights, if it is None.
     """
 
@@ -41,11 +41,12 @@ class Chosen:
     steps: int
     minutes: float
     seed: int
+    steepest: float
     start: Path | None
 
 
-def train(views: list[View], chosen: Chosen) -> ThreadNet:
-    """The network after so many steps or minutes on varied crops of the views; checkpoints on the way."""
+def train(folders: list[list[View]], chosen: Chosen) -> ThreadNet:
+    """The network after so many steps or minutes on varied crops of the views in folders; checkpoints on the way."""
     torch.manual_seed(chosen.seed)
     torch.set_num_threads(1)
     network = ThreadNet()
@@ -55,15 +56,15 @@ def train(views: list[View], chosen: Chosen) -> ThreadNet:
     kept = torch.optim.swa_utils.AveragedModel(
         network, multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(MOVING_AVERAGE), use_buffers=True
     )
-    optimiser = torch.optim.AdamW(network.parameters(), lr=STEEPEST_STEP, weight_decay=WEIGHT_DECAY)
+    optimiser = torch.optim.AdamW(network.parameters(), lr=chosen.steepest, weight_decay=WEIGHT_DECAY)
     loss_of, losses = LOSSES[chosen.loss], []
     began = monotonic_s()
-    for step, (pixels, coverage) in enumerate(batches(views, BATCH, chosen.seed)):
+    for step, (pixels, coverage) in enumerate(batches(folders, BATCH, chosen.seed)):
         done = max(step / chosen.steps, (monotonic_s() - began) / 60 / chosen.minutes)
         if done >= 1:
             break
         for group in optimiser.param_groups:
-            group["lr"] = STEEPEST_STEP * step_share(done)
+            group["lr"] = chosen.steepest * step_share(done)
         seen = torch.from_numpy(pixels).to(memory_format=torch.channels_last)
         with torch.autocast("cpu", torch.bfloat16):
             logit = network(seen)
@@ -92,15 +93,18 @@ def step_share(done: float) -> float:
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line, train, keep the weights; returns the exit status."""
     parser = argparse.ArgumentParser(prog="python -m agents.perception.training.train", description=__doc__)
-    parser.add_argument("--scenes", type=Path, nargs="+", required=True, help="folders of rendered scenes")
+    parser.add_argument(
+        "--scenes", type=Path, nargs="+", required=True, help="folders of rendered scenes, each drawn from alike"
+    )
     parser.add_argument("--output", type=Path, required=True, help="where the weights go, as PyTorch keeps them")
     parser.add_argument("--loss", choices=sorted(LOSSES), default="bce+dice")
     parser.add_argument("--steps", type=int, default=4000, help="of eight crops each")
     parser.add_argument("--minutes", type=float, default=1e9, help="after which training ends in any case")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--steepest", type=float, default=3e-3, help="the greatest step size")
     parser.add_argument("--start", type=Path, default=None, help="weights to go on from")
     chosen = Chosen(**vars(parser.parse_args(arguments)))
-    train(views_in(chosen.scenes), chosen)
+    train([views_in([folder]) for folder in chosen.scenes], chosen)
     return 0
 
 

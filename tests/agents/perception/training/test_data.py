@@ -72,7 +72,7 @@ def test_the_network_s_four_coverages_are_the_image_s_pixels():
 
 def test_batches_follow_from_their_seed():
     view = View("drawn_left", *drawn(400))
-    first, again, other = (next(batches([view], 3, seed)) for seed in (1, 1, 2))
+    first, again, other = (next(batches([[view]], 3, seed)) for seed in (1, 1, 2))
     assert first[0].shape == (3, 12, CROP_PX // 2, CROP_PX // 2)
     assert first[1].shape == (3, 4, CROP_PX // 2, CROP_PX // 2)
     for one, same, differing in zip(first, again, other, strict=True):

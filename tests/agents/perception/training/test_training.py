@@ -38,7 +38,7 @@ def test_a_skeleton_is_a_line_along_the_middle_of_a_strip():
 
 def test_opencv_gives_what_pytorch_gives_with_the_weights_that_training_keeps(tmp_path):
     weights, onnx = tmp_path / "network.pt", tmp_path / "network.onnx"
-    train([view()], Chosen([], weights, "bce", 1, 5.0, 1, None))
+    train([[view()]], Chosen([], weights, "bce", 1, 5.0, 1, 3e-3, None))
     network = ThreadNet()
     network.load_state_dict(torch.load(weights, weights_only=True))
     export(weights, onnx)
