@@ -9,9 +9,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from agents.cli.process import EXIT_OK, EXIT_UNUSABLE
 from agents.cli.scenes_options import Scenes
 from agents.cli.terminal import complain, say
-from schemas.messages import RectifiedStereo
+from schemas.messages import RectifiedStereo, Severity
+from shared.calibration import CalibrationError, read_calibration
 from shared.scene.path_traced.batch import Done, Job, make_all, outstanding
 from shared.scene.path_traced.engine import engine
+from shared.scene.path_traced.eyes import Rig, calibrated_rig, rectified_rig
 from shared.scene.path_traced.recipe import Recipe
 from shared.scene.render import SceneError
 
@@ -42,13 +44,13 @@ def jobs_of(options: Scenes) -> list[Job]:
     Raises:
         SceneError: where the options name something unknown.
     """
-    camera = endoscope(options.width)
+    rig = rig_of(options)
     return [
         Job(
             options.output,
             f"{config}_{background}_{seed:04d}",
             Recipe(config, background, seed, options.extras, options.colour),
-            camera,
+            rig,
             options.samples,
         )
         for seed in range(options.seed, options.seed + options.count)
@@ -57,11 +59,29 @@ def jobs_of(options: Scenes) -> list[Job]:
     ]
 
 
-def endoscope(width: int) -> RectifiedStereo:
-    """The rectified camera of the published renders, with images of that width."""
-    height = round(width * 9 / 16)
+def rig_of(options: Scenes) -> Rig:
+    """The camera of a calibration, or the rectified one of the published renders.
+
+    Raises:
+        SceneError: where the calibration cannot be used.
+    """
+    if not options.calibration:
+        return endoscope(*options.size)
+    try:
+        read = read_calibration(options.calibration, unit=options.unit, image_size=options.size)
+    except CalibrationError as error:
+        raise SceneError(str(error)) from error
+    for judgement in read.judgements:
+        if judgement.severity is Severity.FAULT:
+            raise SceneError(f"the calibration cannot be used: {judgement.finding}; {judgement.remedy}")
+    return calibrated_rig(read.calibration)
+
+
+def endoscope(width: int, height: int) -> Rig:
+    """The rectified camera of the published renders, with images of that size."""
     focal = FOCAL_WIDTHS * width
-    return RectifiedStereo(width, height, focal, focal, 0.5 * (width - 1), 0.5 * (height - 1), BASELINE_MM, 1e-3)
+    middle = (0.5 * (width - 1), 0.5 * (height - 1))
+    return rectified_rig(RectifiedStereo(width, height, focal, focal, *middle, BASELINE_MM, 1e-3))
 
 
 def _check(options: Scenes) -> None:
@@ -75,8 +95,8 @@ def _check(options: Scenes) -> None:
             raise SceneError(f"--{name} {value}: give {least} or more")
     if options.seed < 0:
         raise SceneError(f"--seed {options.seed}: give 0 or more")
-    if not LEAST_PX <= options.width <= MOST_PX:
-        raise SceneError(f"--width {options.width}: give {LEAST_PX} to {MOST_PX}")
+    if not all(LEAST_PX <= length <= MOST_PX for length in options.size):
+        raise SceneError(f"--size {options.size[0]} {options.size[1]}: give {LEAST_PX} to {MOST_PX} for either")
     if options.output.exists() and not options.output.is_dir():
         raise SceneError(f"--output {options.output} is a file; name a folder")
 

@@ -40,8 +40,12 @@ class Scenes:
     """Samples of each pixel for each lamp; 2 will do for training."""
     workers: int = 1
     """How many processes work at once; each takes a core and about a gigabyte."""
-    width: int = 960
-    """Of the images, in pixels, at 16 to 9; the field of view stays."""
+    size: Annotated[tuple[int, int], tyro.conf.arg(metavar="WIDTH HEIGHT")] = (960, 540)
+    """Of the images, in pixels; the horizontal field of view stays."""
+    calibration: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="PATH [PATH]")] = ()
+    """See through this camera instead, distorted and unrectified as it is; --size must be that of its images."""
+    unit: str | None = None
+    """The calibration's unit of length, where its file does not say."""
 
 
 SCENE_COMMANDS: dict[str, type[Scenes]] = {"scenes": Scenes}

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from schemas.messages import RectifiedStereo
 from shared.clock import processor_s
 from shared.scene.path_traced.engine import engine
+from shared.scene.path_traced.eyes import Rig
 from shared.scene.path_traced.pair import TracedPair, traced_pair
 from shared.scene.path_traced.pair_files import is_written, write_traced
 from shared.scene.path_traced.recipe import Recipe
@@ -23,7 +23,7 @@ class Job:
     folder: Path
     name: str
     recipe: Recipe
-    camera: RectifiedStereo
+    rig: Rig
     samples: int
 
 
@@ -48,7 +48,7 @@ def make(job: Job) -> Done:
         SceneError: where it cannot be arranged, traced or written.
     """
     begun = processor_s()
-    pair = traced_pair(job.recipe, job.camera, job.samples)
+    pair = traced_pair(job.recipe, job.rig, job.samples)
     write_traced(job.folder, job.name, pair)
     return Done(job.name, mean_offset(pair), processor_s() - begun)
 

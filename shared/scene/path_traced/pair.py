@@ -5,20 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
 
-from schemas.messages import RectifiedStereo
 from shared.scene.path_traced.camera_effects import developed, gain_for
+from shared.scene.path_traced.eyes import Eye, Rig
+from shared.scene.path_traced.own_check import offset_from_truth
 from shared.scene.path_traced.recipe import Arranged, Recipe, arranged
 from shared.scene.path_traced.splines import sampled
-from shared.scene.path_traced.tracing import (
-    Eye,
-    Sight,
-    coverage,
-    eyes_of,
-    offset_from_truth,
-    sight,
-    traced_light,
-    visible,
-)
+from shared.scene.path_traced.tracing import Sight, coverage, sight, traced_light, visible
 from shared.scene.path_traced.world import NEEDLE, STRAND, TOOL, build
 
 
@@ -46,6 +38,7 @@ class TracedPair:
     """A pair with all that is known about it; `offsets_px` is how far the mask lies from the truth, left and right."""
 
     recipe: Recipe
+    rig: Rig
     arranged: Arranged
     images: tuple[EyeImages, EyeImages]
     strands: list[StrandTruth]
@@ -53,15 +46,15 @@ class TracedPair:
     samples: int
 
 
-def traced_pair(recipe: Recipe, camera: RectifiedStereo, samples: int) -> TracedPair:
+def traced_pair(recipe: Recipe, rig: Rig, samples: int) -> TracedPair:
     """Trace a recipe with so many samples of each pixel.
 
     Raises:
         SceneError: where it cannot be arranged for this camera, or Mitsuba is missing.
     """
-    scenery = arranged(recipe, camera)
+    scenery = arranged(recipe, rig)
     scene = build(scenery.field)
-    eyes = eyes_of(camera)
+    eyes = rig.eyes
     sights = [sight(scene, eye, 2 * recipe.seed + k) for k, eye in enumerate(eyes)]
     lights = [traced_light(scene, scenery.field.lamps, eye, samples, 2 * recipe.seed + k) for k, eye in enumerate(eyes)]
     gain = gain_for(lights[0], scenery.effects)
@@ -72,7 +65,7 @@ def traced_pair(recipe: Recipe, camera: RectifiedStereo, samples: int) -> Traced
     ]
     strands = [_truth(scenery, index, sights, eyes) for index in range(len(scenery.field.strands))]
     offsets = [_offsets(scenery, strands, seen, eye, k) for k, (seen, eye) in enumerate(zip(sights, eyes, strict=True))]
-    return TracedPair(recipe, scenery, (images[0], images[1]), strands, (offsets[0], offsets[1]), samples)
+    return TracedPair(recipe, rig, scenery, (images[0], images[1]), strands, (offsets[0], offsets[1]), samples)
 
 
 def _images(bgr: UInt8[np.ndarray, "h w 3"], seen: Sight, eye: Eye) -> EyeImages:

@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from shared.camera import camera_matrix
+from shared.scene.path_traced.eyes import Rig
 from shared.scene.path_traced.pair import StrandTruth, TracedPair
 from shared.scene.render import SceneError
 
@@ -63,12 +63,12 @@ def document(name: str, pair: TracedPair) -> dict[str, object]:
         "config": pair.arranged.config,
         "background": pair.recipe.background,
         "extras": list(pair.arranged.extras),
-        "width": field.camera.image_width,
-        "height": field.camera.image_height,
-        "K": camera_matrix(field.camera).tolist(),
+        "width": pair.rig.eyes[0].width,
+        "height": pair.rig.eyes[0].height,
+        "K": pair.rig.eyes[0].K.tolist(),
         "pixel_convention": "integer coordinate = pixel centre",
-        "baseline_mm": field.camera.baseline,
-        "right_camera": "P_right = P_left - [baseline,0,0]",
+        "baseline_mm": pair.rig.baseline_mm,
+        **_right_camera(pair.rig),
         "Z0": pair.arranged.distance_mm,
         "spp": pair.samples,
         "post": pair.arranged.effects.as_document(),
@@ -78,6 +78,20 @@ def document(name: str, pair: TracedPair) -> dict[str, object]:
         **first,
         "other_threads": threads[1:],
         "npy_columns": list(COLUMNS),
+    }
+
+
+def _right_camera(rig: Rig) -> dict[str, object]:
+    if rig.is_rectified:
+        return {"right_camera": "P_right = P_left - [baseline,0,0]"}
+    left, right = rig.eyes
+    return {
+        "right_camera": "P_right = R_right_left P_left + t_right_left_mm",
+        "K_right": right.K.tolist(),
+        "distortion_left": left.distortion.tolist(),
+        "distortion_right": right.distortion.tolist(),
+        "R_right_left": right.R_eye_left.tolist(),
+        "t_right_left_mm": right.t_eye_left.tolist(),
     }
 
 

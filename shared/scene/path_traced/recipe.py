@@ -6,11 +6,13 @@ import numpy as np
 
 from schemas.messages import RectifiedStereo
 from shared.scene.path_traced.camera_effects import Effects, drawn_effects
+from shared.scene.path_traced.eyes import Rig
 from shared.scene.path_traced.field import Field, Lamp
 from shared.scene.path_traced.flesh import flesh_ground
 from shared.scene.path_traced.paper import paper_ground
 from shared.scene.path_traced.pinned import pinned_strand
 from shared.scene.path_traced.placing import NEAR_TIPS_MM, bystanders, needle_on, occluders, with_ending
+from shared.scene.path_traced.splines import sampled
 from shared.scene.path_traced.stains import stained
 from shared.scene.path_traced.strands import DYES, drawn_strand, laid_over
 from shared.scene.render import SceneError
@@ -33,6 +35,8 @@ EXTRAS = ("tools", "stains", "smoke", "blur", "interlaced")
 VARIED = "varied"
 DISTANCES_MM = (72.0, 112.0)
 REACH_MM = 95.0
+USUAL_FOCAL_WIDTHS = 1000.0 / 960.0
+INSIDE_SHARE, LEAST_SHARE = 0.97, 0.5
 SHAPES = ("easy", "medium", "hard", "singularity", "crossing")
 ATTEMPTS = 12
 
@@ -66,7 +70,7 @@ class Arranged:
     distance_mm: float
 
 
-def arranged(recipe: Recipe, camera: RectifiedStereo) -> Arranged:
+def arranged(recipe: Recipe, rig: Rig) -> Arranged:
     """The field of a recipe.
 
     Raises:
@@ -77,9 +81,12 @@ def arranged(recipe: Recipe, camera: RectifiedStereo) -> Arranged:
     wide = recipe.config == VARIED
     config = _drawn_config(rng) if wide else recipe.config
     extras = _drawn_extras(rng, config) if wide else recipe.extras
+    camera = rig.near_enough
+    # as much of the field as the published renders show
+    nearness = camera.fx_px / camera.image_width / USUAL_FOCAL_WIDTHS
     problem: ShapeError | None = None
     for _ in range(ATTEMPTS):
-        distance = float(rng.uniform(*DISTANCES_MM))
+        distance = float(rng.uniform(*DISTANCES_MM)) * nearness
         ground = BACKGROUNDS[recipe.background](camera, distance, rng)
         try:
             field = _laid(Field(camera, ground, [], lamps=_lamps(camera, rng, wide)), config, rng, recipe.dye, wide)
@@ -87,7 +94,7 @@ def arranged(recipe: Recipe, camera: RectifiedStereo) -> Arranged:
             problem = error
             continue
         field = None if field is None else _with_tools(field, config, extras, rng)
-        if field is None:
+        if field is None or not _both_see(rig, field, LEAST_SHARE if wide else INSIDE_SHARE):
             continue
         if "stains" in extras:
             field = replace(field, ground=stained(field.ground, rng))
@@ -96,6 +103,18 @@ def arranged(recipe: Recipe, camera: RectifiedStereo) -> Arranged:
         f"no {config} scene of seed {recipe.seed} fits into the images of this camera"
         f"{f': {problem}' if problem else ''}; use another seed or a wider view"
     )
+
+
+def _both_see(rig: Rig, field: Field, share: float) -> bool:
+    """Whether the eyes as they are show so much of each thread, hidden or not."""
+    for strand in field.strands:
+        points, _ = sampled(strand.curve, 0.5)
+        for eye in rig.eyes:
+            pixels = eye.project(points)
+            inside = ((pixels > 1.0) & (pixels < (eye.width - 2.0, eye.height - 2.0))).all(axis=1)
+            if inside.mean() < share:
+                return False
+    return True
 
 
 def _known(what: str, chosen: tuple[str, ...], known: tuple[str, ...]) -> None:

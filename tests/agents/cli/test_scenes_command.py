@@ -20,7 +20,7 @@ def scenes(*arguments):
     [
         (("--count", "0"), "--count 0: give 1 or more"),
         (("--workers", "-1"), "--workers -1: give 1 or more"),
-        (("--width", "20"), "--width 20: give 64 to 3840"),
+        (("--size", "20", "960"), "--size 20 960: give 64 to 3840 for either"),
         (("--config", "knot"), "config"),
     ],
 )
@@ -47,7 +47,7 @@ def test_without_the_path_tracer_its_remedy_is_said(tmp_path):
 
 @pytest.mark.skipif(not TRACES, reason="path tracing needs the extra sim: make sim")
 def test_a_batch_is_made_by_two_processes_and_taken_up_again(tmp_path):
-    batch = ("--output", tmp_path, "--config", "easy", "--width", 160, "--samples", 1, "--seed", 3)
+    batch = ("--output", tmp_path, "--config", "easy", "--size", 160, 90, "--samples", 1, "--seed", 3)
     first = scenes(*batch, "--count", 2, "--workers", 2)
     assert first.returncode == 0, first.stderr
     assert re.search(r"2 pairs in .*, 2 of them new: [\d.]+ s of processor time each", first.stdout)

@@ -13,7 +13,7 @@ from shared.scene.path_traced.splines import Curve, sampled
 
 pytest.importorskip("mitsuba", reason="path tracing needs the extra sim: make sim")
 
-SMALL = endoscope(320)
+SMALL = endoscope(320, 180)
 
 
 @pytest.fixture(scope="module")

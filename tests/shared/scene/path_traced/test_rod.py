@@ -34,7 +34,7 @@ def test_a_rod_that_keeps_a_curvature_lies_as_a_circle():
 
 def test_it_lies_on_the_surface_and_ends_where_it_is_held():
     rng = np.random.default_rng(3)
-    bed = Bed(undulating(empty_surface(endoscope(960), 95.0), rng, {14.0: 1.0}))
+    bed = Bed(undulating(empty_surface(endoscope(960, 540).near_enough, 95.0), rng, {14.0: 1.0}))
     start = np.array([-20.0, 0.0, 90.0])
     end = np.array([15.0, 5.0, 91.0])
     rod = Rod(0.8, 0.2, 30.0)
@@ -50,7 +50,7 @@ def test_it_lies_on_the_surface_and_ends_where_it_is_held():
 
 def test_the_gradient_is_that_of_the_energy():
     rng = np.random.default_rng(5)
-    bed = Bed(undulating(empty_surface(endoscope(960), 95.0), rng, {14.0: 1.0}))
+    bed = Bed(undulating(empty_surface(endoscope(960, 540).near_enough, 95.0), rng, {14.0: 1.0}))
     rod = Rod(2.0, 0.2, 30.0, kept_curvature=0.03)
     held = Held(np.array([0.0, 0.0, 94.5]), ALONG_X, np.array([9.0, 3.0, 94.0]), ALONG_X)
     flat = (np.tile([0.6, 0.4, 0.05], (14, 1)) + 0.3 * rng.standard_normal((14, 3))).ravel()
