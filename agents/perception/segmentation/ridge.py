@@ -39,6 +39,9 @@ LEAST_LENGTH_PX = 12
 """Pieces shorter than this are specks."""
 LEAST_WEIGHT_SHARE, LEAST_EXTENT_SHARE = 0.06, 0.2
 """Pieces with less response, or less extent, than this share of the greatest are clutter."""
+LEAST_THREAD_PX, LEAST_SHARE_OF_LENGTH, LEAST_RESPONSE = 48, 0.2, 6.0
+"""What cannot be thread alone: pieces of which the longest is shorter, or has less of the length of all together, as in
+a field of glints; and ridges of fewer grey levels in the median, as in folds and noise."""
 COLOUR_LIMIT, GROWN_COLOUR_LIMIT = 3.0, 4.5
 """Deviations from the thread's colour up to which a pixel seeds, or extends, a piece of thread."""
 COLOUR_DEVIATION_RANGE = np.array([[8.0, 4.0, 4.0], [24.0, 8.0, 8.0]], np.float32)
@@ -265,6 +268,10 @@ def _thread_among(ridges: _Ridges, view: _View) -> _Found:
         counting = _weight_meant(pieces, meant)
         chosen = kept & (counting == counting.max()) & (counting > 0)
         return _Found(ridges.pixel[(chosen if view.meant.alone else kept)[pieces.of]], float(counting.max()))
+    if longest < max(LEAST_THREAD_PX, LEAST_SHARE_OF_LENGTH * pieces.extent[kept].sum()):
+        return NOTHING
+    if np.median(response[kept[pieces.of]]) < LEAST_RESPONSE:
+        return NOTHING
     # faint pixels would count for whichever polarity has more clutter to grow into
     clear = _pieces(ridges, alike & (response > GROW_SHARE * strong), seeds)
     return _Found(ridges.pixel[kept[pieces.of]], float(clear.weight.max()))

@@ -9,7 +9,8 @@ import pytest
 from agents.perception.segmentation.near import Near
 from agents.perception.segmentation.ridge import LEAST_LENGTH_PX, segment_ridge
 from shared.scene.__main__ import make_scene
-from shared.scene.render import RenderedPair, render
+from shared.scene.render import RenderedPair, render, render_backdrop
+from shared.scene.sensor import Sensor, expose, grain
 
 
 @functools.cache
@@ -45,6 +46,15 @@ def test_white_thread_is_found_among_glints_of_its_colour(config, seed):
     recall, precision = recall_and_precision(segment_ridge(pair.left_bgr), pair.coverage_left)
     assert recall > 0.85
     assert precision > 0.6
+
+
+@pytest.mark.parametrize("seed", [61, 62, 63])
+def test_tissue_without_thread_shows_none(seed):
+    camera = make_scene("medium", "tissue", seed, "black").camera
+    backdrop = render_backdrop(camera, "tissue", 80.0 + 10 * (seed - 60), seed)
+    shape = camera.image_height, camera.image_width
+    for image, number in ((backdrop.left_bgr, 0), (backdrop.right_bgr, 1)):
+        assert not segment_ridge(expose(image, Sensor(), grain(shape, 2 * seed + number))).any()
 
 
 def test_the_width_found_is_about_the_true_one():
