@@ -5,8 +5,14 @@ for such an edge by itself: from one corner to the next, across the line between
 where the brightness changes. Along these places a dark thread is drawn into the image and into its mask. So its course
 carries the errors of a real lens, sensor and calibration, and nothing of the board's geometry but which corners it
 runs between.
+
+A camera's sharpening and blooming make white squares larger or smaller, in these images by up to half a pixel on each
+side, and in the left one otherwise than in the right one. As black and white change sides from square to square, that
+bends a straight edge into a zigzag. It is told by just that, one number for all edges of a direction in an image, and
+taken out; what is left is not touched.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
@@ -56,8 +62,9 @@ class BoardEdge:
 def board_edge(left: Path, direction: str, index: int) -> BoardEdge:
     """One line of a board, by the number of its row or column of inner corners."""
     images, camera, corners = rectified_board(left)
-    lines = [grid[index] if direction == "row" else grid[:, index] for grid in corners]
-    drawn = [draw_thread(image, edge_places(image, line)) for image, line in zip(images, lines, strict=True)]
+    lines = [_line(grid, direction, index) for grid in corners]
+    blooms = _blooms(left, direction)
+    drawn = [draw_thread(*of) for of in zip(images, map(edge_places, images, lines, blooms), strict=True)]
     ends = [line[[0, -1]] for line in lines]
     z = camera.fx_px * camera.baseline / (ends[0][:, 0] - ends[1][:, 0])
     across = (ends[0] - (camera.cx_px, camera.cy_px)) * z[:, None] / camera.fx_px
@@ -84,14 +91,44 @@ def rectified_board(
     return pair, to_rectified.camera, (_corners(pair[0]), _corners(pair[1]))
 
 
-def edge_places(image: UInt8[np.ndarray, "h w 3"], corners: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "p 2"]:
+def edge_places(
+    image: UInt8[np.ndarray, "h w 3"], corners: Float64[np.ndarray, "n 2"], bloom_px: float = 0.0
+) -> Float64[np.ndarray, "p 2"]:
     """Where the brightness changes between neighbouring corners, one place to a pixel of length; the ends are corners.
 
-    Each is the centroid of the squared slope of the brightness across the line.
+    Each is the centroid of the squared slope of the brightness across the line, less how far white has bloomed.
     """
+    places = [corners[:1]]
+    for on_line, normal, offset, brighter in _crossings(image, corners):
+        # white that is larger moves the edge to the dark side
+        places.append(on_line + (offset + bloom_px * brighter)[:, None] * normal)
+    return np.vstack((*places, corners[-1:]))
+
+
+@cache
+def _blooms(left: Path, direction: str) -> tuple[float, float]:
+    """How many pixels white squares are too large on each side, in the left and in the right image."""
+    images, _, grids = rectified_board(left)
+    found: list[float] = []
+    for image, grid in zip(images, grids, strict=True):
+        lines = [_line(grid, direction, index) for along, index in LINES if along == direction]
+        moved = [-brighter * offset.mean() for line in lines for *_, offset, brighter in _crossings(image, line)]
+        found.append(float(np.mean(moved)))
+    return found[0], found[1]
+
+
+def _line(grid: Float64[np.ndarray, "r c 2"], direction: str, index: int) -> Float64[np.ndarray, "n 2"]:
+    return grid[index] if direction == "row" else grid[:, index]
+
+
+Crossed = tuple[Float64[np.ndarray, "k 2"], Float64[np.ndarray, "2"], Float64[np.ndarray, "k"], int]
+
+
+def _crossings(image: UInt8[np.ndarray, "h w 3"], corners: Float64[np.ndarray, "n 2"]) -> Iterator[Crossed]:
+    """For each square: places on the line between its corners, its normal, how far along that the edge lies, and on
+    which side it is brighter."""
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.float32)
     across = np.arange(-ACROSS_PX, ACROSS_PX + 0.25, 0.5)
-    places = [corners[:1]]
     for start, end in pairwise(corners):
         length = float(np.linalg.norm(end - start))
         along = (end - start) / length
@@ -100,10 +137,10 @@ def edge_places(image: UInt8[np.ndarray, "h w 3"], corners: Float64[np.ndarray, 
         on_line = start + at[:, None] * along
         grid = (on_line[:, None] + across[:, None] * normal).astype(np.float32)
         u, v = np.ascontiguousarray(grid[..., 0]), np.ascontiguousarray(grid[..., 1])
-        steepness = np.gradient(cv2.remap(grey, u, v, cv2.INTER_LINEAR).astype(np.float64), axis=1) ** 2
+        profile = cv2.remap(grey, u, v, cv2.INTER_LINEAR).astype(np.float64)
+        steepness = np.gradient(profile, axis=1) ** 2
         offset = steepness @ across / np.maximum(steepness.sum(axis=1), 1e-9)
-        places.append(on_line + offset[:, None] * normal)
-    return np.vstack((*places, corners[-1:]))
+        yield on_line, normal, offset, 1 if profile[:, -1].mean() > profile[:, 0].mean() else -1
 
 
 def draw_thread(

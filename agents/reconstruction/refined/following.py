@@ -19,6 +19,7 @@ from agents.reconstruction.refined.normal_equations import (
     damping_blocks,
     data_blocks,
     factored,
+    finite,
     gradient,
     linearised,
     roughness_blocks,
@@ -166,7 +167,7 @@ def _fit(prediction: _Prediction, curve: Curve, sight: Sightings) -> Refined:
             smoothing = chosen_smoothing(curve, data, weight, smoothing * FINE)
             weight = local_weights(curve, data + roughness_blocks(curve, smoothing * weight), smoothing, weight)
         total = data + roughness_blocks(curve, smoothing * weight * shown)
-        motion = -solved(factored(total), gradient(total.g))
+        motion = finite(-solved(factored(total), gradient(total.g)))
         curve, s = at_constant_speed(curve.moved(motion.reshape(-1, 3)), sight.s)
         sight = placed(replace(sight, s=s), curve, camera, row_offset)
     rows, robust, scale = weighted(curve, sight, camera, row_offset)

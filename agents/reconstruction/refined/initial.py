@@ -8,6 +8,7 @@ from jaxtyping import Float64
 
 from agents.reconstruction.refined.alignment import Alignment
 from agents.reconstruction.refined.chains import Chain
+from agents.reconstruction.refined.normal_equations import finite
 from agents.reconstruction.refined.projection import (
     DEGREE,
     Curve,
@@ -52,7 +53,7 @@ def initial_curve(
     margin = max(2.0, EXTRAPOLATION * float(high - low))
     bounded = np.clip(basis @ disparity, max(LEAST_DISPARITY_PX, low - margin), high + margin)
     points = backproject(camera, basis @ image, depth_of_disparity(camera, bounded))
-    curve = Curve(clamped_uniform_knots(spans + DEGREE, DEGREE), fitted(spans, points))
+    curve = Curve(clamped_uniform_knots(spans + DEGREE, DEGREE), fitted(spans, finite(points)))
     return at_constant_speed(curve, share)
 
 

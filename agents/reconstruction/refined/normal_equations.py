@@ -200,6 +200,17 @@ def solved(factor: Float64[np.ndarray, "12 v"], right: Float64[np.ndarray, "v *k
     return lapack.dpbtrs(factor, right, lower=1)[0]
 
 
+def finite(numbers: Float64[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
+    """The same numbers.
+
+    Raises:
+        numpy.linalg.LinAlgError: where one is none.
+    """
+    if not np.isfinite(numbers).all():
+        raise np.linalg.LinAlgError("what solves the equations is no number")
+    return numbers
+
+
 def inverse(blocks: Blocks) -> Float64[np.ndarray, "v v"]:
     """H⁻¹, all of it.
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from agents.reconstruction.refined.alignment import Alignment
 from agents.reconstruction.refined.refinement import Refined
-from schemas.messages import Centrelines, RectifiedStereo
+from schemas.messages import Centrelines, RectifiedStereo, ThreadTrack
 
 FEWEST_POINTS = 12
 LEAST_MATCHED_SHARE = 0.3
@@ -14,6 +14,8 @@ LARGEST_RESIDUAL_SHARE = 0.004
 LARGEST_NUMBER = 1e30
 """Of a calibration; so is its inverse the least. Beyond that, squares leave the range of a float."""
 LEAST_SIZE_PX = 1e-6
+FARTHEST_CENTRE = 1000.0
+"""Of the image: no principal point, and no image of a thread that was followed, lies farther away."""
 FARTHEST_SHARE = 1000.0
 """Of the baseline: beyond that, disparity is below what can be told from none."""
 
@@ -24,6 +26,8 @@ def unusable(left: Centrelines, right: Centrelines, camera: RectifiedStereo) -> 
     for what in (camera.baseline, camera.fx_px, camera.fy_px, camera.metres_per_unit or 1.0):
         if not 1 / LARGEST_NUMBER <= what <= LARGEST_NUMBER:
             return f"a calibration with a length of {what:.3g} cannot be computed with; check its unit"
+    if (np.abs((camera.cx_px, camera.cy_px)) > FARTHEST_CENTRE * size_px).any():
+        return f"a principal point at ({camera.cx_px:.3g}, {camera.cy_px:.3g}) px is no camera's; check the calibration"
     for name, lines in (("left", left), ("right", right)):
         if len(lines.point_px) < FEWEST_POINTS:
             return (
@@ -36,6 +40,29 @@ def unusable(left: Centrelines, right: Centrelines, camera: RectifiedStereo) -> 
             if what.min() < LEAST_SIZE_PX or what.max() > size_px.max():
                 return f"no thread in the {name} image is {what.min():.3g} to {what.max():.3g} px wide or uncertain"
     return ""
+
+
+def is_usable_track(track: ThreadTrack, camera: RectifiedStereo) -> bool:
+    """Whether a track's numbers are those of a thread, so that a next frame can be predicted from them."""
+    points = track.control_points_camera
+    if points[:, 2].min() < camera.baseline / LARGEST_NUMBER or np.abs(points).max() > camera.baseline * LARGEST_NUMBER:
+        return False
+    # without dividing by a depth that is next to nothing
+    if (np.abs(points[:, :2]) * camera.fx_px > FARTHEST_CENTRE * camera.image_width * points[:, 2:]).any():
+        return False
+    size = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    rows = np.append(track.row_offset_px, () if track.row_slopes_px is None else track.row_slopes_px)
+    told = (
+        (track.length, 1e-3 * size, 1e3 * size),
+        (float(np.diff(track.material_s)[0]), 1e-6, 1e6),
+        (1.0 + float(np.abs(track.material_s).max()), 0.0, 1e6),
+        (track.smoothing, 1 / LARGEST_NUMBER, LARGEST_NUMBER),
+        (float(track.span_weight.min()), 1 / LARGEST_NUMBER, LARGEST_NUMBER),
+        (float(track.span_weight.max()), 1 / LARGEST_NUMBER, LARGEST_NUMBER),
+        (float(np.sqrt(np.abs(track.covariance).max())), 0.0, 1e6 * size),
+        (float(np.abs(rows).max()), 0.0, float(camera.image_width)),
+    )
+    return all(low <= value <= high for value, low, high in told)
 
 
 def contradiction(aligned: Alignment | None, camera: RectifiedStereo) -> str:

@@ -19,6 +19,7 @@ from agents.reconstruction.refined.normal_equations import (
     damping_blocks,
     data_blocks,
     factored,
+    finite,
     gradient,
     inverse,
     linearised,
@@ -109,7 +110,7 @@ def refined(start: Start, camera: RectifiedStereo, steps: int | None = None) -> 
             said = rows_information(rows, robust / scale**2, factor, motion)
             change = row_change(said, row_offset, camera, constant_alone=step == 1)
             row_offset, motion = row_offset + change, motion - said.follow @ change
-        curve = curve.moved(motion.reshape(-1, 3))
+        curve = curve.moved(finite(motion).reshape(-1, 3))
         curve, s = at_constant_speed(curve, sight.s, folds(sight, curve, camera))
         sight = placed(replace(sight, s=s), curve, camera, row_offset)
     rows, robust, scale = weighted(curve, sight, camera, row_offset)

@@ -32,8 +32,9 @@ from agents.reconstruction.refined.projection import DEGREE, LEVEL
 from schemas.messages import RectifiedStereo
 
 LEAST_ROW_OFFSET_PX, CERTAIN = 0.08, 3.0
-LEAST_OWN_SHARE = 1e-3
-"""Of what the points say of a row offset, what must be left where depth is free: less is owed to smoothness alone."""
+LEAST_OWN_SHARE, LEAST_TERMS_SHARE = 1e-3, 0.03
+"""Of what the points say of a row offset, and of its further terms, what must be left where depth is free: less is owed
+to smoothness alone."""
 TURN, FOCAL = 1.75e-3, 1.5e-3
 """Deviations of a calibration: of an angle, 0.1°, and of the ratio of two focal lengths."""
 CONVINCING = 5.0
@@ -82,9 +83,11 @@ def row_change(
     information = said.matrix[0, 0]
     if information <= LEAST_OWN_SHARE * said.alone[0, 0]:
         return change
-    if not constant_alone and (row_offset_px[1:].any() or _evidence(said, camera) > CONVINCING):
+    if not constant_alone:
         precision = _precision(camera)
-        return -np.linalg.solve(said.matrix + precision, said.slope + precision @ row_offset_px)
+        terms = -np.linalg.solve(said.matrix + precision, said.slope + precision @ row_offset_px)
+        if row_offset_px[1:].any() or _are_told(said, terms, camera):
+            return terms
     constant = -said.slope[0] / information
     if abs(constant) >= max(LEAST_ROW_OFFSET_PX, CERTAIN / np.sqrt(information)):
         change[0] = constant
@@ -105,11 +108,25 @@ def _precision(camera: RectifiedStereo) -> Float64[np.ndarray, "4 4"]:
     return np.diag(np.concatenate(([0.0], (camera.fx_px * np.array([TURN, FOCAL, TURN])) ** -2)))
 
 
-def _evidence(said: RowsInformation, camera: RectifiedStereo) -> float:
-    """How much more probable the further terms make the images, against a constant that is as free."""
-    M, slope, prior = said.matrix, said.slope, _precision(camera)[1:, 1:]
-    # the constant integrated out: its prior is flat, and the same on both sides
-    left = M[1:, 1:] - np.outer(M[1:, 0], M[0, 1:]) / M[0, 0]
-    b = slope[1:] - M[1:, 0] * slope[0] / M[0, 0]
+def _are_told(said: RowsInformation, terms: Float64[np.ndarray, "4"], camera: RectifiedStereo) -> bool:
+    """Whether the images visibly need the further terms beside a constant, and not smoothness alone."""
+    M, alone, further = _without_constant(said.matrix), _without_constant(said.alone), terms[1:]
+    square = float(further @ alone @ further)
+    return (
+        square > LEAST_ROW_OFFSET_PX**2 * said.alone[0, 0]
+        and float(further @ M @ further) > LEAST_TERMS_SHARE * square
+        and _evidence(M, said, camera) > CONVINCING
+    )
+
+
+def _without_constant(matrix: Float64[np.ndarray, "4 4"]) -> Float64[np.ndarray, "3 3"]:
+    """The constant integrated out."""
+    return matrix[1:, 1:] - np.outer(matrix[1:, 0], matrix[0, 1:]) / matrix[0, 0]
+
+
+def _evidence(left: Float64[np.ndarray, "3 3"], said: RowsInformation, camera: RectifiedStereo) -> float:
+    """How much more probable the further terms make the images: the constant has a flat prior on both sides."""
+    prior = _precision(camera)[1:, 1:]
+    b = said.slope[1:] - said.matrix[1:, 0] * said.slope[0] / said.matrix[0, 0]
     gain = 0.5 * b @ np.linalg.solve(left + prior, b)
     return float(gain - 0.5 * np.linalg.slogdet(np.eye(len(b)) + np.linalg.solve(prior, left))[1])

@@ -23,7 +23,7 @@ from agents.reconstruction.refined.constraints import Held
 from agents.reconstruction.refined.following import Followed, LostError, curve_length, followed
 from agents.reconstruction.refined.method import METHOD, NoCurveError, course_and_fit, within_regions
 from agents.reconstruction.refined.motion import band_of
-from agents.reconstruction.refined.plausibility import unusable
+from agents.reconstruction.refined.plausibility import is_usable_track, unusable
 from agents.reconstruction.refined.posterior import LEAST, MODEL, point_covariance
 from agents.reconstruction.refined.projection import Curve, projected
 from agents.reconstruction.refined.refinement import Refined
@@ -60,6 +60,8 @@ def track_refined(observations: ThreadObservations, last: ThreadReconstruction |
     Never raises for any valid observations: a failure is a status with its reason, and keeps the track in mind.
     """
     before = last.track if last is not None and last.camera == observations.camera else None
+    if before is not None and not is_usable_track(before, observations.camera):
+        before = None
     if observations.status is not Status.OK:
         return _lost(observations, observations.reason, before)
     reason = ""

@@ -6,12 +6,13 @@ import itertools
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from agents.perception.observe import observe as observe_pair
 from agents.reconstruction.refined.method import reconstruct_refined
 from agents.reconstruction.refined.tracking import track_refined
+from schemas.checks import MessageError
 from schemas.codec import encode
 from schemas.messages import Centrelines, FrameStamp, RectifiedStereo, Status, TrackStep
 
@@ -136,6 +137,45 @@ def test_numbers_of_no_image_lose_a_track(observe, eyes, what, scale):
     )
     assert thread.track is not None
     assert (thread.status, thread.track.step) == (Status.FAILED, TrackStep.LOST)
+
+
+ABSURD = (5e-324, 1e-300, 1e-30, 1e-9, 1e9, 1e18, 2.0**63, 1e30, 1e300, 1.7e308)
+OF_TRACK = ("control_points_camera", "covariance", "smoothing", "span_weight", "row_offset_px", "length", "material_s")
+OF_CAMERA = ("fx_px", "fy_px", "cx_px", "cy_px", "baseline")
+
+
+def spoilt(message, name, number, rng):
+    """The message with a field, one of its numbers or a share of them replaced; None where no such message is valid."""
+    value = getattr(message, name)
+    if isinstance(value, np.ndarray):
+        value = value.copy()
+        value[rng.random(value.shape) < rng.choice((0.01, 0.1, 1.0))] = number
+        value.flat[rng.integers(value.size)] = number
+    else:
+        value = number
+    try:
+        return dataclasses.replace(message, **{name: value})
+    except MessageError:
+        return None
+
+
+@given(
+    of_track=st.sampled_from(OF_TRACK),
+    of_camera=st.sampled_from((None, *OF_CAMERA)),
+    number=st.sampled_from(ABSURD),
+    negative=st.booleans(),
+    seed=st.integers(0, 1000),
+)
+@settings(max_examples=24)
+def test_absurd_but_valid_tracks_and_cameras_end_as_a_status(observe, of_track, of_camera, number, negative, seed):
+    rng, number = np.random.default_rng(seed), -number if negative else number
+    lines, last = last_thread(observe, CAMERA)
+    camera = CAMERA if of_camera is None else spoilt(CAMERA, of_camera, number, rng)
+    track = spoilt(last.track, of_track, number, rng)
+    assume(camera is not None and track is not None)
+    last = dataclasses.replace(last, camera=camera, track=track)
+    with np.errstate(all="ignore"):
+        checked(observe(np.zeros((0, 3)), camera, centrelines_left=lines[0], centrelines_right=lines[1]), last)
 
 
 def scribble(mask, rng):
