@@ -4,6 +4,7 @@ Points are in the left eye's frame and in mm; integer pixel coordinates are pixe
 """
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -54,22 +55,24 @@ class Eye:
         none = np.zeros(3)
         return np.asarray(cv2.projectPoints(own, none, none, self.K, self.distortion)[0])[:, 0]
 
+    @cached_property
     def ray_slopes(self) -> Float32[np.ndarray, "h w 2"]:
         """x/z and y/z of the ray of every pixel."""
         v, u = np.indices((self.height, self.width), dtype=np.float64)
         pixels = np.dstack((u, v)).reshape(-1, 1, 2)
         distortion = self.distortion if len(self.distortion) else np.zeros(5)
-        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-9)
+        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 1e-8)
         slopes = cv2.undistortPoints(pixels, self.K, distortion, criteria=criteria)
         return np.asarray(slopes, dtype=np.float32).reshape(self.height, self.width, 2)
 
 
 @dataclass(frozen=True)
 class Rig:
-    """Both eyes, and a rectified camera much like them, by which scenes are arranged."""
+    """Both eyes; a rectified camera much like them, by which scenes are arranged; and one that sees all they see."""
 
     eyes: tuple[Eye, Eye]
     near_enough: RectifiedStereo
+    widest: RectifiedStereo
 
     @property
     def baseline_mm(self) -> float:
@@ -87,7 +90,7 @@ class Rig:
 def rectified_rig(camera: RectifiedStereo) -> Rig:
     """The eyes of a rectified camera, lengths in mm."""
     size = (camera.image_width, camera.image_height, camera_matrix(camera))
-    return Rig((Eye(*size), Eye(*size, t_eye_left=np.array([-camera.baseline, 0.0, 0.0]))), camera)
+    return Rig((Eye(*size), Eye(*size, t_eye_left=np.array([-camera.baseline, 0.0, 0.0]))), camera, camera)
 
 
 def calibrated_rig(calibration: StereoCalibration) -> Rig:
@@ -105,11 +108,19 @@ def calibrated_rig(calibration: StereoCalibration) -> Rig:
     left = Eye(*size, calibration.K_left, calibration.distortion_left)
     right = Eye(*size, calibration.K_right, calibration.distortion_right, R, to_mm * T[:3, 3])
     for eye in (left, right):
-        widest = float(np.abs(eye.ray_slopes()).max())
+        widest = float(np.abs(eye.ray_slopes).max())
         if not widest < WIDEST:
             raise SceneError(
                 f"the calibration's distortion spreads rays to a slope of {widest:.1f}; check its coefficients"
             )
     K, baseline = calibration.K_left, float(np.linalg.norm(right.t_eye_left))
     near_enough = RectifiedStereo(*size, K[0, 0], K[1, 1], K[0, 2], K[1, 2], baseline, 1e-3)
-    return Rig((left, right), near_enough)
+    return Rig((left, right), near_enough, _seeing_all(left, right, near_enough))
+
+
+def _seeing_all(left: Eye, right: Eye, like: RectifiedStereo) -> RectifiedStereo:
+    slopes = [np.dstack((eye.ray_slopes, np.ones((eye.height, eye.width)))) @ eye.R_eye_left for eye in (left, right)]
+    aside, down = np.max([np.abs(rays[..., :2] / rays[..., 2:]).max(axis=(0, 1)) for rays in slopes], axis=0)
+    middle = (0.5 * (like.image_width - 1), 0.5 * (like.image_height - 1))
+    focal = (0.5 * like.image_width / aside, 0.5 * like.image_height / down)
+    return RectifiedStereo(like.image_width, like.image_height, *focal, *middle, like.baseline, like.metres_per_unit)

@@ -87,7 +87,7 @@ def arranged(recipe: Recipe, rig: Rig) -> Arranged:
     problem: ShapeError | None = None
     for _ in range(ATTEMPTS):
         distance = float(rng.uniform(*DISTANCES_MM)) * nearness
-        ground = BACKGROUNDS[recipe.background](camera, distance, rng)
+        ground = BACKGROUNDS[recipe.background](rig.widest, distance, rng)
         try:
             field = _laid(Field(camera, ground, [], lamps=_lamps(camera, rng, wide)), config, rng, recipe.dye, wide)
         except ShapeError as error:

@@ -17,10 +17,11 @@ from shared.scene.path_traced.field import Lamp
 from shared.scene.path_traced.world import LAMP, shape_names
 
 FINEST_PX = 3840
-MOST_PARTS, LEAST_PARTS = 4, 2
+MOST_PARTS, LEAST_PARTS = 4, 3
 """Each pixel is looked at in so many rows and columns, at a random place of each part; fewer in large images."""
 
 FINER_LENS = 2
+RAYS_AT_ONCE = 5_000_000
 LEAST_SLANT = 0.25
 RELIEF_MM = 0.05
 
@@ -48,19 +49,27 @@ def traced_light(scene: Any, lamps: list[Lamp], eye: Eye, samples: int, seed: in
     integrator = mi.load_dict({"type": "direct", "emitter_samples": 1, "bsdf_samples": 0})
     parameters = mi.traverse(scene)
     lens, parts = (eye, 1) if eye.is_plain else (_covering(eye), 2)
+    turns = _turns(max(samples // parts, 1), parts**2 * lens.width * lens.height)
     total = np.zeros((parts * lens.height, parts * lens.width, 3), dtype=np.float32)
     for index, lamp in enumerate(lamps):
         parameters[f"{LAMP}.to_world"] = mi.Transform4f().translate(list(lamp.place_mm))
         parameters[f"{LAMP}.intensity.value"] = mi.Color3f(list(lamp.intensity))
         parameters.update()
-        each = max(samples // parts, 1)
-        image = mi.render(scene, sensor=_sensor(lens, parts), integrator=integrator, spp=each, seed=3 * seed + index)
-        total += np.array(image, dtype=np.float32)[..., :3]
+        for turn, spp in enumerate(turns):
+            number = len(turns) * (len(lamps) * seed + index) + turn
+            image = mi.render(scene, sensor=_sensor(lens, parts), integrator=integrator, spp=spp, seed=number)
+            total += np.float32(spp / sum(turns)) * np.array(image, dtype=np.float32)[..., :3]
     if eye.is_plain:
         return total
     u, v = _where(eye, parts, lens, parts)
     sampled = cv2.remap(total, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return cv2.resize(sampled, (eye.width, eye.height), interpolation=cv2.INTER_AREA).astype(np.float32)
+
+
+def _turns(samples: int, pixels: int) -> list[int]:
+    """Samples in as many turns as keep few enough rays in memory at once."""
+    most = max(RAYS_AT_ONCE // pixels, 1)
+    return [min(most, samples - begun) for begun in range(0, samples, most)]
 
 
 def sight(scene: Any, eye: Eye, seed: int) -> Sight:
@@ -69,9 +78,15 @@ def sight(scene: Any, eye: Eye, seed: int) -> Sight:
     parts = int(np.clip(FINEST_PX // eye.width, LEAST_PARTS, MOST_PARTS))
     lens, lens_parts = (eye, parts) if eye.is_plain else (_covering(eye), parts + FINER_LENS)
     integrator = mi.load_dict({"type": "aov", "aovs": "distance:depth,shape:shape_index"})
-    values = np.array(mi.render(scene, sensor=_sensor(lens, lens_parts), integrator=integrator, spp=1, seed=seed))
-    # the last two channels are the two asked for; colour comes before them where the version adds it
-    distance, index = values[..., -2].astype(np.float32), values[..., -1].astype(np.float32)
+    rows, columns = lens_parts * lens.height, lens_parts * lens.width
+    distance, index = np.empty((2, rows, columns), dtype=np.float32)
+    band = max(RAYS_AT_ONCE // columns, 1)
+    for first in range(0, rows, band):
+        height = min(band, rows - first)
+        sensor = _sensor(lens, lens_parts, first, height)
+        values = np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=1, seed=rows * seed + first))
+        # the last two channels are the two asked for; colour comes before them where the version adds it
+        distance[first : first + height], index[first : first + height] = values[..., -2], values[..., -1]
     if not eye.is_plain:
         u, v = _where(eye, parts, lens, lens_parts)
         distance, index = (
@@ -108,7 +123,7 @@ def visible(
 
 def _covering(eye: Eye) -> Eye:
     """A plain pinhole at the same place that sees all that the eye sees, about as finely."""
-    aside, down = np.abs(eye.ray_slopes()).reshape(-1, 2).max(axis=0)
+    aside, down = np.abs(eye.ray_slopes).reshape(-1, 2).max(axis=0)
     focal = float(max(eye.K[0, 0], eye.K[1, 1]))
     width, height = (2 * int(np.ceil(focal * reach + 2.0)) for reach in (aside, down))
     K = np.array([[focal, 0.0, 0.5 * (width - 1)], [0.0, focal, 0.5 * (height - 1)], [0.0, 0.0, 1.0]])
@@ -119,7 +134,7 @@ def _where(
     eye: Eye, parts: int, lens: Eye, lens_parts: int
 ) -> tuple[Float32[np.ndarray, "H W"], Float32[np.ndarray, "H W"]]:
     """Column and row, in the parts of the lens's image, of the middle of every part of the eye's pixels."""
-    slopes = eye.ray_slopes()
+    slopes = eye.ray_slopes
     # slopes change smoothly, so that what lies between pixel centres is interpolated; borders go on straight
     padded = cv2.copyMakeBorder(slopes, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
     padded[0], padded[-1] = 2 * padded[1] - padded[2], 2 * padded[-2] - padded[-3]
@@ -130,7 +145,7 @@ def _where(
     return u.astype(np.float32), v.astype(np.float32)
 
 
-def _sensor(eye: Eye, parts: int) -> Any:
+def _sensor(eye: Eye, parts: int, first_row: int = 0, rows: int | None = None) -> Any:
     mi = engine()
     # Mitsuba's camera looks along +z with +y up and +x to the left; this turns it into the OpenCV frame
     pose = np.eye(4)
@@ -148,6 +163,10 @@ def _sensor(eye: Eye, parts: int) -> Any:
                 "type": "hdrfilm",
                 "width": parts * eye.width,
                 "height": parts * eye.height,
+                "crop_offset_x": 0,
+                "crop_offset_y": first_row,
+                "crop_width": parts * eye.width,
+                "crop_height": parts * eye.height if rows is None else rows,
                 "rfilter": {"type": "box"},
                 "pixel_format": "rgb",
                 "component_format": "float32",

@@ -24,7 +24,7 @@ def calibration(metres_per_unit: float | None = 1e-3):
 
 def test_rays_of_pixels_lead_back_to_them():
     for eye in calibrated_rig(calibration()).eyes:
-        slopes = eye.ray_slopes()[10::30, 10::30].reshape(-1, 2).astype(np.float64)
+        slopes = eye.ray_slopes[10::30, 10::30].reshape(-1, 2).astype(np.float64)
         points = np.column_stack((slopes, np.ones(len(slopes)))) * 90.0
         in_left = (points - eye.t_eye_left) @ eye.R_eye_left
         v, u = np.indices((180, 320))[:, 10::30, 10::30].reshape(2, -1)
