@@ -1,11 +1,15 @@
 """One stereo pair through perception and reconstruction in this process, without a router."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64, UInt8
 
+from agents.perception.judging.answers import judgements
+from agents.perception.judging.picture import about_exposure, exposures
+from agents.perception.judging.rows import moved_up
+from agents.perception.judging.whole import judge_whole
 from agents.perception.observe import observe
 from agents.perception.rectification import rectification, rectify_image, rectify_mask
 from agents.perception.search import look_everywhere
@@ -67,13 +71,18 @@ def reconstruct_pair(
         right = rectify_image(images[1], to_rectified.map_right)
         if masks is not None:
             masks = rectify_mask(masks[0], to_rectified.map_left), rectify_mask(masks[1], to_rectified.map_right)
-    judged = None
+        whole = judge_whole((left, right), images)
+        left, right = whole.images
+        if masks is not None:
+            masks = masks[0], moved_up(masks[1], whole.rows_moved_up)
+    judged = whole.alignment
     if masks is not None:
         segmenter = GIVEN_MASKS
     elif prompt_px is not None:
         with watch.step("segment"):
             looked = look_everywhere((left, right), 0, segmenter, prompt_px, segmenters)
-            masks, segmenter, judged = looked.coverage, looked.segmenter, looked.judgements
+            masks, segmenter = looked.coverage, looked.segmenter
+            judged = judged if looked.judgements is None else looked.judgements
     else:
         with watch.step("segment"):
             segmenter = segmenter or suitable_segmenter(left)
@@ -83,6 +92,13 @@ def reconstruct_pair(
         observations = observe(
             stamp, to_rectified.camera, left, right, *masks, segmenter, judged, matching=method in MATCHING_METHODS
         )
+        found = (
+            *whole.offset,
+            *observations.judgements,
+            *whole.pictures,
+            *judgements([about_exposure(*exposures(left, right))]),
+        )
+        observations = replace(observations, judgements=found, rows_moved_up=whole.rows_moved_up)
     with watch.step("reconstruct"):
         reconstruction = METHODS[method](observations)
     return PipelineResult((left, right), observations, reconstruction, watch.ms)

@@ -8,6 +8,9 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from agents.perception.both_eyes import of_both
+from agents.perception.judging.each_frame import judge_each, lasting, one_eye_stands_still, pictured
+from agents.perception.judging.rows import moved_up
+from agents.perception.judging.whole import judge_whole
 from agents.perception.observe import observe
 from agents.perception.prompt import reach_px
 from agents.perception.rectification import (
@@ -125,27 +128,49 @@ class Perception:
     def _seen(self, frame: StereoFrame, calibration: StereoCalibration) -> Iterable[Output]:
         """What follows from a frame; the observations last, since the next frame goes on from them."""
         last = self._last
-        pair = _apart(frame.stamp, last.stamp if last else None) or self._rectified(frame, calibration)
+        pictures = pictured(frame, last)
+        pair = (
+            _apart(frame.stamp, last.stamp if last else None)
+            or one_eye_stands_still(pictures)
+            or self._rectified(frame, calibration)
+        )
         if isinstance(pair, str):
             camera = _nominal_camera(calibration) if self._rectification is None else self._rectification.camera
             observed = _unusable(frame, camera, pair, self._prompt_px)
         else:
             observed = self._observe(frame.stamp, pair)
+            judgements = (*lasting(observed.judgements), *judge_each(pictures, pair.images))
+            observed = replace(observed, judgements=judgements)
             if surface_is_due(frame.stamp, last.stamp if last else None):
                 thread = decode_image(observed.mask_left) > 0
-                yield Output(SURFACE, tissue_surface(frame.stamp, pair.camera, *pair.images, thread))
+                images = pair.moved_up(observed.rows_moved_up).images
+                yield Output(SURFACE, tissue_surface(frame.stamp, pair.camera, *images, thread))
+        observed = replace(
+            observed,
+            picture_left=pictures.left,
+            picture_right=pictures.right,
+            picture_left_since=pictures.left_since,
+            picture_right_since=pictures.right_since,
+        )
         self._go_on_from(observed)
         yield Output(OBSERVATIONS, observed)
 
     def _observe(self, stamp: FrameStamp, pair: "_Rectified") -> ThreadObservations:
-        looked = look_near(pair.images, self._last, stamp.sequence, self._segmenters) if self._last else None
-        observed = self._observed(stamp, pair, looked) if looked else None
+        rows = self._last.rows_moved_up if self._last else 0
+        near = pair.moved_up(rows)
+        looked = look_near(near.images, self._last, stamp.sequence, self._segmenters) if self._last else None
+        observed = self._observed(stamp, near, looked) if looked else None
         if observed is not None and observed.status is Status.OK:
-            return observed
+            return replace(observed, rows_moved_up=rows)
+        whole = judge_whole(pair.images, pair.raw, rows)
         everything = look_everywhere(
-            pair.images, stamp.sequence, self.config.segmenter, self._prompt_px, self._segmenters
+            whole.images, stamp.sequence, self.config.segmenter, self._prompt_px, self._segmenters
         )
-        return self._observed(stamp, pair, everything)
+        if everything.judgements is None:
+            everything = replace(everything, judgements=whole.alignment)
+        observed = self._observed(stamp, replace(pair, images=whole.images), everything)
+        judgements = (*whole.offset, *observed.judgements, *whole.pictures)
+        return replace(observed, judgements=judgements, rows_moved_up=whole.rows_moved_up)
 
     def _observed(self, stamp: FrameStamp, pair: "_Rectified", looked: Looked) -> ThreadObservations:
         observed = observe(
@@ -174,7 +199,8 @@ class Perception:
         except (ImageDataError, RectificationError) as error:
             return str(error)
         maps = self._rectification.map_left, self._rectification.map_right
-        return _Rectified(self._rectification.camera, of_both(rectify_image, (left, maps[0]), (right, maps[1])))
+        images = of_both(rectify_image, (left, maps[0]), (right, maps[1]))
+        return _Rectified(self._rectification.camera, images, (left, right))
 
     def _prompted(self, prompt: Prompt) -> CommandAnswer:
         """Whether something like thread lies near the prompt in the last frame; it is meant from the next one on."""
@@ -239,6 +265,11 @@ def _period_ns(stamp: FrameStamp, last: FrameStamp | None) -> float:
 class _Rectified:
     camera: RectifiedStereo
     images: Pair
+    raw: Pair
+
+    def moved_up(self, rows: int) -> "_Rectified":
+        """The pair with the right image's rows moved."""
+        return replace(self, images=(self.images[0], moved_up(self.images[1], rows))) if rows else self
 
 
 def _decoded(image: Image) -> UInt8[np.ndarray, "h w 3"]:

@@ -266,7 +266,7 @@ class Centrelines(_message.Message):
     def __init__(self, point_px: _Optional[_Union[Array, _Mapping]] = ..., piece: _Optional[_Union[Array, _Mapping]] = ..., width_px: _Optional[_Union[Array, _Mapping]] = ..., deviation_px: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
 
 class ThreadObservations(_message.Message):
-    __slots__ = ("stamp", "camera", "status", "reason", "segmenter", "points_camera", "half_size_px", "matched_px", "match_cost", "inlier", "mask_left", "mask_right", "judgements", "gaps", "centrelines_left", "centrelines_right", "looked_sequence", "is_bright", "prompt_px", "consumed")
+    __slots__ = ("stamp", "camera", "status", "reason", "segmenter", "points_camera", "half_size_px", "matched_px", "match_cost", "inlier", "mask_left", "mask_right", "judgements", "gaps", "centrelines_left", "centrelines_right", "looked_sequence", "is_bright", "prompt_px", "rows_moved_up", "picture_left", "picture_right", "picture_left_since", "picture_right_since", "consumed")
     STAMP_FIELD_NUMBER: _ClassVar[int]
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     STATUS_FIELD_NUMBER: _ClassVar[int]
@@ -286,6 +286,11 @@ class ThreadObservations(_message.Message):
     LOOKED_SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     IS_BRIGHT_FIELD_NUMBER: _ClassVar[int]
     PROMPT_PX_FIELD_NUMBER: _ClassVar[int]
+    ROWS_MOVED_UP_FIELD_NUMBER: _ClassVar[int]
+    PICTURE_LEFT_FIELD_NUMBER: _ClassVar[int]
+    PICTURE_RIGHT_FIELD_NUMBER: _ClassVar[int]
+    PICTURE_LEFT_SINCE_FIELD_NUMBER: _ClassVar[int]
+    PICTURE_RIGHT_SINCE_FIELD_NUMBER: _ClassVar[int]
     CONSUMED_FIELD_NUMBER: _ClassVar[int]
     stamp: FrameStamp
     camera: RectifiedStereo
@@ -306,8 +311,13 @@ class ThreadObservations(_message.Message):
     looked_sequence: int
     is_bright: bool
     prompt_px: Array
+    rows_moved_up: int
+    picture_left: int
+    picture_right: int
+    picture_left_since: int
+    picture_right_since: int
     consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
-    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., segmenter: _Optional[str] = ..., points_camera: _Optional[_Union[Array, _Mapping]] = ..., half_size_px: _Optional[_Union[Array, _Mapping]] = ..., matched_px: _Optional[_Union[Array, _Mapping]] = ..., match_cost: _Optional[_Union[Array, _Mapping]] = ..., inlier: _Optional[_Union[Array, _Mapping]] = ..., mask_left: _Optional[_Union[Image, _Mapping]] = ..., mask_right: _Optional[_Union[Image, _Mapping]] = ..., judgements: _Optional[_Iterable[_Union[Judgement, _Mapping]]] = ..., gaps: _Optional[_Union[Array, _Mapping]] = ..., centrelines_left: _Optional[_Union[Centrelines, _Mapping]] = ..., centrelines_right: _Optional[_Union[Centrelines, _Mapping]] = ..., looked_sequence: _Optional[int] = ..., is_bright: _Optional[bool] = ..., prompt_px: _Optional[_Union[Array, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
+    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., segmenter: _Optional[str] = ..., points_camera: _Optional[_Union[Array, _Mapping]] = ..., half_size_px: _Optional[_Union[Array, _Mapping]] = ..., matched_px: _Optional[_Union[Array, _Mapping]] = ..., match_cost: _Optional[_Union[Array, _Mapping]] = ..., inlier: _Optional[_Union[Array, _Mapping]] = ..., mask_left: _Optional[_Union[Image, _Mapping]] = ..., mask_right: _Optional[_Union[Image, _Mapping]] = ..., judgements: _Optional[_Iterable[_Union[Judgement, _Mapping]]] = ..., gaps: _Optional[_Union[Array, _Mapping]] = ..., centrelines_left: _Optional[_Union[Centrelines, _Mapping]] = ..., centrelines_right: _Optional[_Union[Centrelines, _Mapping]] = ..., looked_sequence: _Optional[int] = ..., is_bright: _Optional[bool] = ..., prompt_px: _Optional[_Union[Array, _Mapping]] = ..., rows_moved_up: _Optional[int] = ..., picture_left: _Optional[int] = ..., picture_right: _Optional[int] = ..., picture_left_since: _Optional[int] = ..., picture_right_since: _Optional[int] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
 
 class TissueSurface(_message.Message):
     __slots__ = ("stamp", "camera", "u_px", "v_px", "depth", "valid", "deviation", "consumed")

@@ -83,6 +83,10 @@ class ThreadObservations:
             judged anew; later frames are looked at near the thread alone.
         is_bright: whether the thread is brighter than what lies beside it, as seen then.
         prompt_px: (u, v) in the rectified left image, on the thread that an operator means; None where any is meant.
+        rows_moved_up: by how many rows the rectified right image was moved up before anything was looked for in it,
+            so that what corresponds shares its row; masks and centrelines are of the moved image.
+        picture_left, picture_right: checksums of the frame's pictures, by which one is known that stands still.
+        picture_left_since, picture_right_since: sequence of the first frame in turn with the same picture.
     """
 
     stamp: FrameStamp
@@ -104,6 +108,11 @@ class ThreadObservations:
     looked_sequence: int = 0
     is_bright: bool = False
     prompt_px: Float64[np.ndarray, "2"] | None = None
+    rows_moved_up: int = 0
+    picture_left: int = 0
+    picture_right: int = 0
+    picture_left_since: int = 0
+    picture_right_since: int = 0
     consumed: tuple[Consumed, ...] = ()
 
     def __post_init__(self) -> None:

@@ -63,15 +63,21 @@ def _one_exposure(eye: str, seen: Exposure) -> Answer | None:
     return None
 
 
-def about_sharpness(left: UInt8[np.ndarray, "h w"], right: UInt8[np.ndarray, "h w"]) -> Answer:
-    """Whether both grey images have edges that are sharp, in every direction."""
+def about_sharpness(
+    left: UInt8[np.ndarray, "h w"], right: UInt8[np.ndarray, "h w"], whole_width: int | None = None
+) -> Answer:
+    """Whether both grey images have edges that are sharp, in every direction.
+
+    Args:
+        whole_width: of the images that these are parts of, if they are.
+    """
     softest = 0.0
     for eye, image in (("left", left), ("right", right)):
         across_rows, across_columns = softness_px(image)
         if across_rows is None or across_columns is None:
             return untold(SHARPNESS, f"the {eye} image has too few edges")
         soft, smeared = sorted((across_rows, across_columns))
-        width = max(image.shape[1], LEAST_WIDTH_PX)
+        width = max(whole_width or image.shape[1], LEAST_WIDTH_PX)
         if soft > SOFT_SHARE * width:
             finding = f"the {eye} image is out of focus: its sharpest edges are {soft:.1f} px soft"
             remedy = "focus, and clean the window of the endoscope"
