@@ -11,6 +11,8 @@ from agents.cli.scenes_options import Scenes
 from agents.cli.terminal import complain, say
 from schemas.messages import RectifiedStereo, Severity
 from shared.calibration import CalibrationError, read_calibration
+from shared.scene.backdrop_files import write_backdrop
+from shared.scene.path_traced.backdrop import traced_backdrop
 from shared.scene.path_traced.batch import Done, Job, make_all, outstanding
 from shared.scene.path_traced.engine import engine
 from shared.scene.path_traced.eyes import Rig, calibrated_rig, rectified_rig
@@ -26,6 +28,8 @@ def run(options: Scenes) -> int:
     """Render what is missing; the exit status."""
     try:
         _check(options)
+        if options.action == "backdrop":
+            return _backdrop(options)
         jobs = jobs_of(options)
         missing = outstanding(jobs)
         if missing:
@@ -35,6 +39,16 @@ def run(options: Scenes) -> int:
     except SceneError as error:
         return complain(str(error), EXIT_UNUSABLE)
     say(_summary(options, len(jobs), made))
+    return EXIT_OK
+
+
+def _backdrop(options: Scenes) -> int:
+    """One field of the first background and the seed."""
+    rig, background = rig_of(options), options.background[0]
+    made = traced_backdrop(background, options.seed, rig, options.samples)
+    write_backdrop(options.output, rig.near_enough, made, {"background": background, "seed": options.seed})
+    size = sum(path.stat().st_size for path in options.output.iterdir()) / 1e6
+    say(f"a field of {background}, seed {options.seed}, in {options.output}: {size:.1f} MB")
     return EXIT_OK
 
 

@@ -20,8 +20,8 @@ class Scenes:
     all are there, 2 not as asked.
     """
 
-    action: Annotated[Literal["render"], tyro.conf.Positional]
-    """What to do."""
+    action: Annotated[Literal["render", "backdrop"], tyro.conf.Positional]
+    """Render pairs; or one field without thread, over which the light renderer lays threads."""
     output: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """Where the pairs go, as NAME_left.png, NAME_right.png, masks, NAME.json and NAME.npy."""
     config: tuple[Config, ...] = ("easy",)

@@ -1,0 +1,74 @@
+"""A field without thread on disk, for the light renderer to lay threads over: images of both eyes, and the surface."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from schemas.messages import RectifiedStereo
+from shared.scene.render import Backdrop, SceneError
+from shared.scene.surface import Surface, meet_rays, ray_tangents
+
+DOCUMENT, SURFACE, SIDES = "backdrop.json", "surface.npz", ("left", "right")
+QUALITY = 93
+DEPTH_STEP_MM = 0.005
+CAMERA_KEYS = ("image_width", "image_height", "fx_px", "fy_px", "cx_px", "cy_px", "baseline")
+
+
+def write_backdrop(folder: Path, camera: RectifiedStereo, backdrop: Backdrop, origin: dict[str, object]) -> None:
+    """Write the images as JPEG, the surface's grid in steps of 5 µm, and the camera; `origin` says where it is from.
+
+    Raises:
+        SceneError: where a file cannot be written.
+    """
+    surface = backdrop.surface
+    levels = np.rint(surface.depth_mm / DEPTH_STEP_MM).astype(np.uint16)
+    seen_with = {key: getattr(camera, key) for key in CAMERA_KEYS}
+    document = {"camera": seen_with, "unit": "mm", "origin": origin}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for side, image in zip(SIDES, (backdrop.left_bgr, backdrop.right_bgr), strict=True):
+            _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+            (folder / f"{side}.jpg").write_bytes(data.tobytes())
+        grid = np.array([surface.x0_mm, surface.y0_mm, surface.step_mm])
+        np.savez_compressed(folder / SURFACE, depth=levels, grid=grid)
+        (folder / DOCUMENT).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise SceneError(f"cannot write into {folder} ({error.strerror}); choose a folder you may write to") from error
+
+
+def read_backdrop(folder: Path, camera: RectifiedStereo) -> Backdrop:
+    """The field in a folder, for that camera alone.
+
+    Raises:
+        SceneError: where there is none, or it was made for another camera; the text says which.
+    """
+    try:
+        document = json.loads((folder / DOCUMENT).read_text(encoding="utf-8"))
+        made_for = document["camera"]
+        with np.load(folder / SURFACE) as stored:
+            depth, (x0, y0, step) = stored["depth"], stored["grid"].tolist()
+        images = [cv2.imread(str(folder / f"{side}.jpg"), cv2.IMREAD_COLOR) for side in SIDES]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise SceneError(
+            f"{folder} holds no rendered field ({error}); make one by suturegrasp scenes backdrop"
+        ) from error
+    other = [key for key in CAMERA_KEYS if not np.isclose(made_for.get(key, np.nan), getattr(camera, key), rtol=1e-6)]
+    if other:
+        raise SceneError(
+            f"{folder} was rendered for another camera, which differs in {', '.join(other)}; render it again"
+        )
+    left, right = images
+    if left is None or right is None:
+        raise SceneError(f"{folder} lacks left.jpg or right.jpg; make it again by suturegrasp scenes backdrop")
+    surface = Surface((depth * DEPTH_STEP_MM).astype(np.float32), x0, y0, step)
+    p, q = ray_tangents(camera)
+    return Backdrop(
+        surface,
+        np.asarray(left, dtype=np.uint8),
+        np.asarray(right, dtype=np.uint8),
+        meet_rays(surface, p, q, 0.0),
+        meet_rays(surface, p, q, camera.baseline),
+        shadows=True,
+    )

@@ -1,0 +1,36 @@
+"""A path-traced field without thread, as the light renderer takes it: noise is added later, when a frame is exposed."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from shared.scene.path_traced.camera_effects import developed, gain_for
+from shared.scene.path_traced.eyes import Rig
+from shared.scene.path_traced.recipe import Recipe, arranged
+from shared.scene.path_traced.tracing import traced_light
+from shared.scene.path_traced.world import build
+from shared.scene.render import Backdrop, SceneError
+from shared.scene.surface import Surface, meet_rays, ray_tangents
+
+STRIDE = 4
+
+
+def traced_backdrop(background: str, seed: int, rig: Rig, samples: int) -> Backdrop:
+    """The field of a seed in both eyes.
+
+    Raises:
+        SceneError: for an unknown background, or a camera that is not rectified.
+    """
+    if not rig.is_rectified:
+        raise SceneError("a backdrop is for a rectified camera; leave out --calibration or give a rectified one")
+    scenery = arranged(Recipe("none", background, seed), rig)
+    effects = replace(scenery.effects, read_noise=0.0, shot_noise=0.0, jpeg_quality=0)
+    scene = build(scenery.field)
+    lights = [traced_light(scene, scenery.field.lamps, eye, samples, 2 * seed + k) for k, eye in enumerate(rig.eyes)]
+    gain = gain_for(lights[0], effects)
+    left, right = (developed(light, effects, gain, np.random.default_rng(seed)) for light in lights)
+    surface = scenery.field.ground.surface
+    coarse = Surface(surface.depth_mm[::STRIDE, ::STRIDE], surface.x0_mm, surface.y0_mm, STRIDE * surface.step_mm)
+    p, q = ray_tangents(rig.near_enough)
+    depths = [meet_rays(coarse, p, q, eye_x_mm) for eye_x_mm in (0.0, rig.baseline_mm)]
+    return Backdrop(coarse, left, right, depths[0], depths[1], shadows=True)
