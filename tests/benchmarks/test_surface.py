@@ -61,5 +61,5 @@ def test_of_one_surface_the_planner_tells_the_truth_and_of_deeper_thread_it_want
     assert [one.without for one in told] == [True, True]
     assert [one.accepted for one in told] == [True, False]
     assert told[0].true_mm == pytest.approx(told[0].stated_mm)
-    assert told[1].stated_mm < -4.0
+    assert (told[1].stated_mm or 0.0) < -4.0
     assert simulated_arm().reachable(simulated_arm().T_camera_tool[None]).all()

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from typing import Any
 
 import cv2
 import numpy as np
@@ -17,7 +18,7 @@ STAMP = FrameStamp(4, 5, 6, "made up")
 
 
 @functools.cache
-def measured(config, seed, background="tissue"):
+def measured(config, seed, background="tissue") -> Any:
     scene = make_scene(config, background, seed)
     pair = render(scene)
     thread = pair.coverage_left > 0
@@ -55,8 +56,12 @@ def shifted_noise(disparity, shape=(270, 480)):
     rng = np.random.default_rng(3)
     wide = cv2.GaussianBlur(rng.uniform(0, 255, (shape[0], shape[1] + 200)), (0, 0), 2.0)
     wide = (wide - wide.mean()) / wide.std() * 40 + 128
-    eyes = [cv2.warpAffine(wide, np.float32([[1, 0, -100 - by], [0, 1, 0]]), shape[::-1]) for by in (0.0, disparity)]
-    return [np.clip(np.rint(eye), 0, 255).astype(np.uint8)[..., None].repeat(3, axis=2) for eye in eyes]
+    eyes = [
+        cv2.warpAffine(wide, np.array([[1.0, 0.0, -100.0 - by], [0.0, 1.0, 0.0]]), shape[::-1])
+        for by in (0.0, disparity)
+    ]
+    left, right = (np.clip(np.rint(eye), 0, 255).astype(np.uint8)[..., None].repeat(3, axis=2) for eye in eyes)
+    return left, right
 
 
 @pytest.mark.parametrize("disparity", [20.0, 20.25, 20.5, 20.75, 41.3])

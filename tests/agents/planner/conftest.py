@@ -2,6 +2,7 @@
 
 import dataclasses
 import types
+from typing import Any
 
 import numpy as np
 import pytest
@@ -100,11 +101,12 @@ def arm(base_camera=(0.05, -0.1, 0.0), tool=None, reachable=None):
     )
 
 
-def surface(depth_mm, known=None, deviation_mm=0.1, camera=CAMERA):
+def surface(depth_mm: Any, known=None, deviation_mm=0.1, camera=CAMERA):
     """Tissue as perception tells it: depth as a function of the pixel (u, v), or one everywhere."""
     u, v = 24.0 * np.arange(40) + 11.5, 24.0 * np.arange(22) + 11.5
     at = np.meshgrid(u, v)
-    depth = np.broadcast_to(depth_mm(*at) if callable(depth_mm) else float(depth_mm), at[0].shape)
+    told: Any = depth_mm(*at) if callable(depth_mm) else depth_mm
+    depth = np.broadcast_to(np.asarray(told, np.float64), at[0].shape)
     valid = np.ones(depth.shape, bool) if known is None else np.asarray(known(*at))
     stamp = FrameStamp(6, CAPTURED_NS, CAPTURED_NS, "bench")
     return TissueSurface(stamp, camera, u, v, np.where(valid, depth, 0.0), valid, np.where(valid, deviation_mm, 0.0))

@@ -1,6 +1,7 @@
 """Plans against tissue: what is said of it, what is refused and why, and which other way is taken."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ UNSURE_NEAR_THE_END = [1.0] * 61 + [0.6] * 39
 every_policy = pytest.mark.parametrize("policy", Policy)
 
 
-def planned(bench, tissue, config=CONFIG, s=0.5, policy=Policy.DIRECT, thread=None, arm=None):
+def planned(bench, tissue, config=CONFIG, s=0.5, policy=Policy.DIRECT, thread=None, arm=None) -> Any:
     """A plan for a thread along x, 60 mm away."""
     thread, arm = thread or bench.straight(), arm or bench.arm()
     plan = plan_grasp(bench.goal(s=s, policy=policy), thread, arm, config, tissue)

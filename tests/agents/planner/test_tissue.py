@@ -1,6 +1,7 @@
 """The height field along the viewing rays: by closed forms on planes, and what follows from unknown cells."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +21,11 @@ def replaced(surface, **changes):
     return dataclasses.replace(surface, **changes)
 
 
+def known_tissue(surface) -> Any:
+    """What the planner makes of a surface, or None."""
+    return tissue_of(surface)
+
+
 def slanted(u, v):
     """The plane z = 80 + 0.5 x − 0.25 y in millimetres, where each ray meets it."""
     return 80.0 / (1.0 - 0.5 * (u - 479.5) / 1000.0 + 0.25 * (v - 269.5) / 1000.0)
@@ -27,7 +33,7 @@ def slanted(u, v):
 
 @given(PLACES)
 def test_before_a_plane_the_clearance_is_the_way_along_the_ray(bench, places):
-    off, deviation = clearance(tissue_of(bench.surface(slanted)), places)
+    off, deviation = clearance(known_tissue(bench.surface(slanted)), places)
     normal = np.array([-0.5, 0.25, 1.0])
     stretch = 0.08 / (places @ normal)
     np.testing.assert_allclose(off, (stretch - 1.0) * np.linalg.norm(places, axis=1), atol=1e-9)
@@ -38,8 +44,8 @@ def test_before_a_plane_the_clearance_is_the_way_along_the_ray(bench, places):
 @given(DEPTHS, PLACES, st.floats(0.1, 20))
 def test_the_deeper_the_surface_the_greater_the_clearance(bench, depth, places, deeper):
     surface = bench.surface(60.0)
-    here, _ = clearance(tissue_of(replaced(surface, depth=depth)), places)
-    deeper, _ = clearance(tissue_of(replaced(surface, depth=depth + deeper)), places)
+    here, _ = clearance(known_tissue(replaced(surface, depth=depth)), places)
+    deeper, _ = clearance(known_tissue(replaced(surface, depth=depth + deeper)), places)
     assert (deeper > here).all()
 
 
@@ -47,7 +53,7 @@ def test_the_deeper_the_surface_the_greater_the_clearance(bench, depth, places, 
 @given(DEPTHS, PLACES, st.integers(1, 3))
 def test_a_scene_and_its_camera_turned_about_the_line_of_sight_have_the_same_clearances(bench, depth, places, quarters):
     surface = replaced(bench.surface(60.0), depth=depth)
-    turned = surface
+    turned: Any = surface
     for _ in range(quarters):
         camera = turned.camera
         flipped = replaced(
@@ -68,7 +74,7 @@ def test_a_scene_and_its_camera_turned_about_the_line_of_sight_have_the_same_cle
         )
     R = exp_so3(np.array([0.0, 0.0, 0.5 * np.pi * quarters]))
     for one, other in zip(
-        clearance(tissue_of(surface), places), clearance(tissue_of(turned), places @ R.T), strict=True
+        clearance(known_tissue(surface), places), clearance(known_tissue(turned), places @ R.T), strict=True
     ):
         np.testing.assert_allclose(one, other, atol=1e-9)
 
@@ -77,7 +83,7 @@ def test_the_unit_makes_no_difference(bench):
     surface, places = bench.surface(slanted), np.array([[0.004, 0.002, 0.06]])
     metres = replaced(surface.camera, baseline=surface.camera.baseline * 1e-3, metres_per_unit=1.0)
     same = replaced(surface, camera=metres, depth=surface.depth * 1e-3, deviation=surface.deviation * 1e-3)
-    np.testing.assert_allclose(clearance(tissue_of(surface), places), clearance(tissue_of(same), places))
+    np.testing.assert_allclose(clearance(known_tissue(surface), places), clearance(known_tissue(same), places))
 
 
 def without_columns(*gone):
@@ -88,8 +94,8 @@ def without_columns(*gone):
 @pytest.mark.parametrize("gone", [(19,), (19, 20)])
 def test_what_a_thread_hides_is_known_from_both_sides_of_it(bench, gone):
     places = np.array([[-0.001, 0.0, 0.06], [-0.001, 0.01, 0.06]])
-    whole, _ = clearance(tissue_of(bench.surface(slanted)), places)
-    off, deviation = clearance(tissue_of(bench.surface(slanted, known=without_columns(*gone))), places)
+    whole, _ = clearance(known_tissue(bench.surface(slanted)), places)
+    off, deviation = clearance(known_tissue(bench.surface(slanted, known=without_columns(*gone))), places)
     np.testing.assert_allclose(off, whole, atol=1e-9)
     assert (deviation < 1.5e-4).all()
 
@@ -97,7 +103,7 @@ def test_what_a_thread_hides_is_known_from_both_sides_of_it(bench, gone):
 def test_between_cells_a_rough_surface_is_unsure_and_a_smooth_one_is_not(bench):
     rng, place = np.random.default_rng(1), np.array([[-0.0007, 0.0, 0.06]])
     rough = bench.surface(lambda u, _: 80.0 + rng.normal(0, 2.0, u.shape), known=without_columns(19))
-    assert clearance(tissue_of(rough), place)[1] > 1e-3
+    assert clearance(known_tissue(rough), place)[1] > 1e-3
 
 
 @given(arrays(np.bool_, (22, 40)))
@@ -110,9 +116,9 @@ def test_unknown_stays_unknown_but_between_two_known_cells(bench, valid):
         deviation=np.where(valid, surface.deviation, 0),
     )
     if not valid.any():
-        assert tissue_of(some) is None
+        assert known_tissue(some) is None
         return
-    tissue = tissue_of(some)
+    tissue = known_tissue(some)
     padded = np.pad(valid, 2)
     sides = [
         (padded[2 + k * a : 24 + k * a, 2 + k * b : 42 + k * b], padded[2 - k * a : 24 - k * a, 2 - k * b : 42 - k * b])
@@ -127,7 +133,7 @@ def test_unknown_stays_unknown_but_between_two_known_cells(bench, valid):
 
 def test_outside_of_the_grid_and_behind_the_camera_nothing_is_known(bench):
     outside = np.array([[0.2, 0, 0.06], [0, -0.1, 0.06], [0, 0, -0.06], [0, 0, 0.0], [-0.0285, 0, 0.06]])
-    assert np.isnan(clearance(tissue_of(bench.surface(80.0)), outside)).all()
+    assert np.isnan(clearance(known_tissue(bench.surface(80.0)), outside)).all()
 
 
 def test_without_a_unit_a_deviation_or_a_cell_there_is_no_tissue(bench):
@@ -135,4 +141,4 @@ def test_without_a_unit_a_deviation_or_a_cell_there_is_no_tissue(bench):
     camera = replaced(surface.camera, metres_per_unit=None)
     nothing = bench.surface(80.0, known=lambda u, _: np.zeros(u.shape, bool))
     for useless in (replaced(surface, camera=camera), replaced(surface, deviation=None), nothing):
-        assert tissue_of(useless) is None
+        assert known_tissue(useless) is None

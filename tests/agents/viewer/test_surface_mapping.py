@@ -1,6 +1,7 @@
 """Cells with a known depth become points at that depth; and a plan's nearest place to the tissue is shown."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -46,7 +47,7 @@ def test_the_surer_a_cell_the_greener_it_is_and_grey_where_nobody_tells():
     assert len(set(map(tuple, colours_of(cloud)))) == 1
 
 
-def contact(plan):
+def contact(plan) -> Any:
     entities = dict(LiveMapping().entities(plan))
     (points,) = entities["world/plan/psm1/contact"]
     return points
