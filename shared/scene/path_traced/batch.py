@@ -1,8 +1,10 @@
 """Many pairs in parallel processes; what lies there already is left as it is, so that a batch can be taken up again."""
 
 import multiprocessing
+import signal
 from collections.abc import Generator
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +16,7 @@ from shared.scene.path_traced.eyes import Rig
 from shared.scene.path_traced.pair import TracedPair, traced_pair
 from shared.scene.path_traced.pair_files import is_written, write_traced
 from shared.scene.path_traced.recipe import Recipe
+from shared.scene.render import SceneError
 
 
 @dataclass(frozen=True)
@@ -57,18 +60,29 @@ def make_all(jobs: list[Job], workers: int) -> Generator[Done]:
     """Make pairs in so many processes, and tell of each as it is done.
 
     Raises:
-        SceneError: as `make`, at the first that fails; what was made stays.
+        SceneError: as `make`, at the first that fails, or where a worker dies; what was made stays.
     """
-    if workers == 1:
+    if workers == 1 or not jobs:
         yield from map(make, jobs)
         return
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(workers, len(jobs)), context, initializer=engine) as pool:
+    with ProcessPoolExecutor(min(workers, len(jobs)), context, initializer=_ready) as pool:
         try:
             for future in as_completed([pool.submit(make, job) for job in jobs]):
                 yield future.result()
+        except BrokenProcessPool as error:
+            raise SceneError(
+                "a worker ended before its pair was made, as one does for want of memory; "
+                "give fewer --workers, and the same command goes on where this one was"
+            ) from error
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _ready() -> None:
+    """Prepare a worker: Ctrl-C is the parent's, which lets it finish the pair at hand."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    engine()
 
 
 def mean_offset(pair: TracedPair) -> float:
