@@ -82,7 +82,7 @@ class PerceptionSection(Settings):
     Segmenter `promptable` runs a network from two files of the user's own, whose hashes are compared where given.
     """
 
-    segmenter: Literal["auto", "threshold", "ridge", "promptable"] = "auto"
+    segmenter: Literal["auto", "threshold", "ridge", "network", "promptable"] = "auto"
     matching: bool | None = None
     promptable_encoder: Path | None = None
     promptable_decoder: Path | None = None
