@@ -16,6 +16,7 @@ from shared.scene.surface import depth_at_points
 HIDDEN_SHARE = (0.30, 0.50)
 """The paper's scenario hides a large portion of the thread: 30 % of its length or more, in either eye."""
 
+TIP_SHARE = 0.12
 STRAY_SHARE = 0.12
 NEAR_TIPS_MM = 4.0
 ATTEMPTS = 300
@@ -31,11 +32,15 @@ def occluders(field: Field, rng: np.random.Generator) -> list[Solid]:
         for _ in range(1 + (attempt % 3 == 2)):
             aside = np.array([*rng.uniform(-14.0, 14.0, 2), -rng.uniform(10.0, 26.0)])
             tools += _drawn_instrument(centre + aside, rng)
-        shares = [
-            _hidden(silhouette(field.camera, tools, eye), seen)
-            for eye, seen in zip((0.0, field.camera.baseline), pixels, strict=True)
-        ]
-        if min(shares) >= HIDDEN_SHARE[0] + 0.01 and max(shares) <= HIDDEN_SHARE[1] and _clear_of(tools, field):
+        covers = [silhouette(field.camera, tools, eye) for eye in (0.0, field.camera.baseline)]
+        shares = [_hidden(cover, seen) for cover, seen in zip(covers, pixels, strict=True)]
+        if min(shares) < HIDDEN_SHARE[0] + 0.01 or max(shares) > HIDDEN_SHARE[1]:
+            continue
+        # it hides the middle: where the thread goes under and comes out again is there to be seen
+        tips = round(TIP_SHARE * len(points))
+        ends = [np.vstack((seen[:tips], seen[-tips:])) for seen in pixels]
+        covered = [_hidden(cover, end) for cover, end in zip(covers, ends, strict=True)]
+        if max(covered) == 0 and _clear_of(tools, field):
             return tools
     return []
 

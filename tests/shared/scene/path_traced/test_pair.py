@@ -42,10 +42,12 @@ def test_a_strand_over_another_is_seen_and_hides_it_only_there(crossing):
         assert 0.9 < seen.mean() < 1.0
 
 
-def test_an_instrument_hides_thirty_percent_of_the_thread_from_both_eyes():
+def test_instruments_hide_thirty_percent_of_the_thread_but_not_its_ends_from_both_eyes():
     pair = traced_pair(Recipe("occlusion", "paper", 1), SMALL, 1)
     for seen, images in zip(pair.strands[0].seen, pair.images, strict=True):
         assert 0.4 < seen.mean() <= 0.72
+        assert seen[: len(seen) // 10].mean() > 0.95
+        assert seen[-len(seen) // 10 :].mean() > 0.95
         assert images.tool.mean() > 0.02
 
 
