@@ -82,7 +82,14 @@ def test_help_names_every_option_and_choice(suturegrasp):
     said = suturegrasp("reconstruct", "--help").out
     for option in ("left", "right", "stereo", "calibration", "unit", "left-mask", "right-mask", "segmenter", "method"):
         assert f"--{option}" in said
-    for option in ("--output", "--picture", "--rrd", "{m,cm,mm,um}", "{mask,threshold,ridge}", "{paper,refined}"):
+    for option in (
+        "--output",
+        "--picture",
+        "--rrd",
+        "{m,cm,mm,um}",
+        "{mask,threshold,ridge,network,promptable}",
+        "{paper,refined}",
+    ):
         assert option in said
 
 
