@@ -42,6 +42,13 @@ def engine() -> Any:
     return mitsuba
 
 
+def reinterpreted(pointers: Any) -> Any:
+    """Pointers of the compiled variant as the numbers that stand for them in images."""
+    import drjit  # pyright: ignore[reportMissingImports]
+
+    return drjit.reinterpret_array(engine().UInt32, pointers)
+
+
 def llvm_library() -> Path | None:
     """LLVM's library: named by DRJIT_LIBLLVM_PATH, or LLVM 19 where Debian puts it; older ones abort the process.
 

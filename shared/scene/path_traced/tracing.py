@@ -28,15 +28,16 @@ RELIEF_MM = 0.05
 
 @dataclass(frozen=True)
 class Sight:
-    """What every part of every pixel sees: an index into `names`, and the distance along its ray in mm."""
+    """What every part of every pixel sees: the number of a shape in `names`, or 0, and how far away it is in mm."""
 
-    names: list[str]
+    names: dict[int, str]
     index: Int32[np.ndarray, "H W"]
     distance_mm: Float32[np.ndarray, "H W"]
 
     def covers(self, kind: str) -> Bool[np.ndarray, "H W"]:
         """Which parts see a shape whose name begins so."""
-        chosen = np.array([bool(name) and name.startswith(kind) for name in self.names])
+        chosen = np.zeros(1 + max(int(self.index.max()), *self.names), dtype=bool)
+        chosen[[number for number, name in self.names.items() if name.startswith(kind)]] = True
         return chosen[self.index]
 
 

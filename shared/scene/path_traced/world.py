@@ -7,7 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from shared.scene.path_traced.engine import engine
+from shared.scene.path_traced.engine import engine, reinterpreted
 from shared.scene.path_traced.field import Field
 from shared.scene.path_traced.ground import Ground, grid_axes
 from shared.scene.path_traced.solids import METALS, Needle, Solid
@@ -33,9 +33,16 @@ def build(field: Field) -> Any:
         return mi.load_dict(parts)
 
 
-def shape_names(scene: Any) -> list[str]:
-    """What each value of the `shape_index` of a ray's hit stands for; 0 is nothing."""
-    return ["", *(str(shape.id()) for shape in scene.shapes())]
+def shape_names(scene: Any) -> dict[int, str]:
+    """What each value of the `shape_index` of a ray's hit stands for; 0 is nothing.
+
+    The compiled variant counts shapes in the order in which it happened to make them, the other in the scene's.
+    """
+    mi = engine()
+    shapes = list(scene.shapes())
+    if not hasattr(mi, "ShapePtr"):
+        return {number: str(shape.id()) for number, shape in enumerate(shapes, start=1)}
+    return {int(np.array(reinterpreted(mi.ShapePtr(shape)))[0]): str(shape.id()) for shape in shapes}
 
 
 def _lamp() -> dict[str, Any]:

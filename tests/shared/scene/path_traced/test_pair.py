@@ -42,6 +42,30 @@ def test_a_strand_over_another_is_seen_and_hides_it_only_there(crossing):
         assert 0.9 < seen.mean() < 1.0
 
 
+@pytest.mark.parametrize(("config", "seed"), [("needle", 1), ("several", 1), ("several", 2)])
+def test_threads_and_needle_are_told_apart(config, seed):
+    pair = traced_pair(Recipe(config, "chicken", seed), SMALL, 1)
+    for eye, images, side in zip(SMALL.eyes, pair.images, (0, 1), strict=True):
+        for strand in pair.strands:
+            assert strand.seen[side].mean() > 0.6
+            assert on(images.thread, eye, strand.points[strand.seen[side]]).mean() > 0.95
+        needle = pair.arranged.field.needle
+        if needle is None:
+            assert not images.needle.any()
+            continue
+        points, _ = sampled(needle.curve)
+        middle = points[len(points) // 4 : len(points) // 2]
+        assert on(images.needle, eye, middle).mean() > 0.7
+        assert on(images.thread, eye, middle).mean() < 0.3
+
+
+def on(cover, eye, points):
+    """What a mask holds at the pixels of points."""
+    u, v = np.rint(eye.project(points)).astype(int).T
+    inside = (u >= 0) & (u < eye.width) & (v >= 0) & (v < eye.height)
+    return cover[v[inside], u[inside]] > 0
+
+
 def test_instruments_hide_thirty_percent_of_the_thread_but_not_its_ends_from_both_eyes():
     pair = traced_pair(Recipe("occlusion", "paper", 1), SMALL, 1)
     for seen, images in zip(pair.strands[0].seen, pair.images, strict=True):
