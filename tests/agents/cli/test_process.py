@@ -20,6 +20,7 @@ def ended(stop):
     with subprocess.Popen(
         [sys.executable, "-c", PROGRAM.format(stop=stop)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
+        assert process.stdout is not None
         assert process.stdout.readline() == "up\n"
         process.send_signal(signal.SIGTERM)
         _, said = process.communicate(timeout=60.0)
