@@ -18,7 +18,7 @@ LLVM_PLACES = (
 
 @lru_cache(maxsize=1)
 def engine() -> Any:
-    """Mitsuba with a variant set: compiled by LLVM where its library is found, three times slower without.
+    """Mitsuba with a variant set: compiled by LLVM where its library is found, several times slower without.
 
     Raises:
         SceneError: where Mitsuba is not installed, or cannot start; the text names the remedy.
