@@ -55,6 +55,6 @@ PLAIN_SHARE = 0.75
 
 
 def suitable_segmenter(image: UInt8[np.ndarray, "h w 3"]) -> str:
-    """`threshold` for a thread on a plain ground, such as synthetic scenes and cut-out threads; `ridge` for tissue."""
+    """`threshold` for thread on a plain ground, such as synthetic scenes and cut-out threads; `network` for tissue."""
     plain = float((local_contrast(image) < LEAST_CONTRAST).mean())
-    return "threshold" if plain >= PLAIN_SHARE else "ridge"
+    return THRESHOLD if plain >= PLAIN_SHARE else NETWORK

@@ -22,9 +22,13 @@ MULTIPLE_PX = 16
 WIDEST_PX, USUAL_WIDTH_PX = 1280, 960
 """Wider images are looked at in the usual width, in which the network has learned how wide threads are."""
 SEGMENTED, SURE = 104, 192
-"""Coverage of a pixel that is thread, and that which each piece of thread must reach somewhere."""
-LEAST_EXTENT_PX = 16
+"""Score of a pixel that is thread, and that which each piece of thread must reach somewhere."""
+LEAST_MEAN = 160
+"""Score of a piece of thread: what is none may look like it in places, but seldom as a whole."""
+LEAST_EXTENT_PX = 24
 """Shorter pieces are specks."""
+GAP_PX = 24
+"""So near to thread a piece is thread too though it is fainter or shorter: shade and glints interrupt a thread."""
 LEAST_THREAD_PX = 48
 """An image whose pieces are all shorter shows no thread."""
 
@@ -74,17 +78,25 @@ def _thread_in(score: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     """The pieces that are thread."""
     count, labelled = cv2.connectedComponents((score >= SEGMENTED).view(np.uint8), connectivity=8)
     labels = np.asarray(labelled, np.int32)
-    return _is_thread(labels, score, count)[labels]
+    thread = _is_thread(labels, score, count)
+    if not thread.any() or thread[1:].all():
+        return thread[labels]
+    reach = np.ones((2 * GAP_PX + 1, 2 * GAP_PX + 1), np.uint8)
+    thread[labels[cv2.dilate(thread[labels].view(np.uint8), reach) > 0]] = True
+    thread[0] = False
+    return thread[labels]
 
 
 def _is_thread(labels: Int32[np.ndarray, "h w"], score: UInt8[np.ndarray, "h w"], count: int) -> Bool[np.ndarray, "c"]:
-    """Which of the connected pieces are; the ground, number 0, is not."""
+    """Which of the connected pieces are beyond doubt; the ground, number 0, is not."""
     pixel = np.flatnonzero(labels)
     of_pixel = labels.ravel()[pixel]
     extent = np.hypot(*(_sides(of_pixel, at, count) for at in np.divmod(pixel, labels.shape[1])))
     best = np.zeros(count, np.uint8)
     np.maximum.at(best, of_pixel, score.ravel()[pixel])
-    thread = (best >= SURE) & (extent >= LEAST_EXTENT_PX)
+    total = np.bincount(of_pixel, weights=score.ravel()[pixel], minlength=count)
+    mean = total / np.maximum(np.bincount(of_pixel, minlength=count), 1)
+    thread = (best >= SURE) & (mean >= LEAST_MEAN) & (extent >= LEAST_EXTENT_PX)
     return thread & bool(extent[thread].max(initial=0.0) >= LEAST_THREAD_PX)
 
 

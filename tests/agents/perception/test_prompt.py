@@ -27,7 +27,7 @@ from shared.runtime.agent import Command, Received
 WIDTH, HEIGHT, DISPARITY = 640, 360, 30
 BLACK, GREEN = (150.0, 120.0), (360.0, 120.0)
 """Where the two threads cross row 120."""
-SEGMENTERS = pytest.mark.parametrize("segmenter", ["threshold", "ridge"])
+SEGMENTERS = pytest.mark.parametrize("segmenter", ["threshold", "ridge", "network"])
 
 
 def calibration():

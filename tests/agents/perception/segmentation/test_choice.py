@@ -9,8 +9,8 @@ from shared.scene.__main__ import make_scene
 from shared.scene.render import render
 
 
-@pytest.mark.parametrize(("background", "expected"), [("plain", "threshold"), ("tissue", "ridge")])
-def test_plain_ground_is_thresholded_and_tissue_is_searched_for_ridges(background, expected):
+@pytest.mark.parametrize(("background", "expected"), [("plain", "threshold"), ("tissue", "network")])
+def test_plain_ground_is_thresholded_and_tissue_is_given_to_the_network(background, expected):
     pair = render(make_scene("medium", background, 7))
     assert suitable_segmenter(pair.left_bgr) == expected
     assert suitable_segmenter(pair.right_bgr) == expected
