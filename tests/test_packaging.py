@@ -35,7 +35,7 @@ def test_the_version_is_that_of_the_installed_distribution():
     assert importlib.metadata.version("suturegrasp") == schemas.__version__
 
 
-@pytest.mark.parametrize("lock", ["runtime", "dev"])
+@pytest.mark.parametrize("lock", ["runtime", "dev", "train"])
 def test_locks_hold_names_versions_and_hashes_and_no_address(lock):
     lines = (ROOT / "requirements" / f"{lock}.lock").read_text().splitlines()
     pinned = re.compile(r"[a-z0-9._-]+==[^ ]+ \\|    --hash=sha256:[0-9a-f]{64}( \\)?|(# [^/]*)?")
