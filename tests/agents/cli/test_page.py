@@ -38,7 +38,7 @@ def test_every_field_is_described(result: Path) -> None:
 
 
 def test_every_option_is_described(suturegrasp) -> None:
-    options = set(re.findall(r"--[a-z-]+", suturegrasp("reconstruct", "--help").out)) - {"--help"}
+    options = set(re.findall(r"--[a-z0-9-]+", suturegrasp("reconstruct", "--help").out)) - {"--help"}
     assert len(options) >= 12
     for option in options:
         assert f"`{option}`" in PAGE, option
