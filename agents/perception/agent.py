@@ -2,38 +2,27 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Float64
 
-from agents.perception.both_eyes import of_both
+from agents.perception.frame_checks import apart, mismatch
 from agents.perception.judging.each_frame import judge_each, lasting, one_eye_stands_still, pictured
-from agents.perception.judging.rows import moved_up
 from agents.perception.judging.whole import judge_whole
 from agents.perception.observe import observe
 from agents.perception.prompt import reach_px
-from agents.perception.rectification import (
-    Rectification,
-    RectificationError,
-    rectification,
-    rectified_camera,
-    rectify_image,
-)
+from agents.perception.rectification import Rectification, RectificationError, rectification
+from agents.perception.rectified_pair import RectifiedPair, decoded_pair, rectified_pair
 from agents.perception.search import Looked, Pair, look_everywhere, look_near
 from agents.perception.segmentation.choice import segmenters_with
 from agents.perception.segmentation.promptable_model import PromptableFiles
 from agents.perception.segmenter_names import GIVEN_MASKS, PROMPTABLE, SEGMENTER_NAMES
 from agents.perception.surface import surface_is_due, tissue_surface
+from agents.perception.unusable import nominal_camera, unusable
 from schemas.messages import (
     CommandAnswer,
     FrameStamp,
-    Image,
-    ImageEncoding,
-    Judgement,
     Prompt,
-    RectifiedStereo,
-    Severity,
     Status,
     StereoCalibration,
     StereoFrame,
@@ -41,17 +30,11 @@ from schemas.messages import (
 )
 from schemas.topics import CALIBRATION, FRAMES, MAIN, OBSERVATIONS, PROMPT, SURFACE, Topic
 from shared.calibration.identity import calibration_id
-from shared.images import ImageDataError, decode_image, encode_image
+from shared.images import ImageDataError, decode_image
 from shared.runtime.agent import Command, Input, Output, Received, Tick
 from shared.runtime.commands import accepted, refused
 from shared.runtime.settable import OneOf, settable
 
-LARGEST_IMAGE_PIXELS = 1 << 26
-MS = 1_000_000
-UNKNOWN_PERIOD_NS = 40 * MS
-"""Taken for the frame period where no frame before tells it: that of the slowest usual video, 25 Hz."""
-LONGEST_PERIOD_NS = round((FRAMES.maximum_age_ms or 0) * MS)
-"""A camera that gives nothing for longer has paused: the way from frame to frame is no period then."""
 Pixel = Float64[np.ndarray, "2"]
 
 
@@ -130,13 +113,13 @@ class Perception:
         last = self._last
         pictures = pictured(frame, last)
         pair = (
-            _apart(frame.stamp, last.stamp if last else None)
+            apart(frame.stamp, last.stamp if last else None)
             or one_eye_stands_still(pictures)
             or self._rectified(frame, calibration)
         )
         if isinstance(pair, str):
-            camera = _nominal_camera(calibration) if self._rectification is None else self._rectification.camera
-            observed = _unusable(frame, camera, pair, self._prompt_px)
+            camera = nominal_camera(calibration) if self._rectification is None else self._rectification.camera
+            observed = unusable(frame, camera, pair, self._prompt_px)
         else:
             observed = self._observe(frame.stamp, pair)
             judgements = (*lasting(observed.judgements), *judge_each(pictures, pair.images))
@@ -155,7 +138,7 @@ class Perception:
         self._go_on_from(observed)
         yield Output(OBSERVATIONS, observed)
 
-    def _observe(self, stamp: FrameStamp, pair: "_Rectified") -> ThreadObservations:
+    def _observe(self, stamp: FrameStamp, pair: RectifiedPair) -> ThreadObservations:
         rows = self._last.rows_moved_up if self._last else 0
         near = pair.moved_up(rows)
         looked = look_near(near.images, self._last, stamp.sequence, self._segmenters) if self._last else None
@@ -172,7 +155,7 @@ class Perception:
         judgements = (*whole.offset, *observed.judgements, *whole.pictures)
         return replace(observed, judgements=judgements, rows_moved_up=whole.rows_moved_up)
 
-    def _observed(self, stamp: FrameStamp, pair: "_Rectified", looked: Looked) -> ThreadObservations:
+    def _observed(self, stamp: FrameStamp, pair: RectifiedPair, looked: Looked) -> ThreadObservations:
         observed = observe(
             stamp,
             pair.camera,
@@ -189,18 +172,16 @@ class Perception:
             prompt_px=looked.prompt_px,
         )
 
-    def _rectified(self, frame: StereoFrame, calibration: StereoCalibration) -> "_Rectified | str":
+    def _rectified(self, frame: StereoFrame, calibration: StereoCalibration) -> RectifiedPair | str:
         """The rectified pair, or why there is none."""
-        if reason := self._mismatch(frame, calibration):
+        if reason := mismatch(frame, calibration, self._calibration_id):
             return reason
         try:
-            left, right = of_both(_decoded, (frame.left,), (frame.right,))
+            raw = decoded_pair(frame)
             self._rectification = self._rectification or rectification(calibration)
         except (ImageDataError, RectificationError) as error:
             return str(error)
-        maps = self._rectification.map_left, self._rectification.map_right
-        images = of_both(rectify_image, (left, maps[0]), (right, maps[1]))
-        return _Rectified(self._rectification.camera, images, (left, right))
+        return rectified_pair(raw, self._rectification)
 
     def _prompted(self, prompt: Prompt) -> CommandAnswer:
         """Whether something like thread lies near the prompt in the last frame; it is meant from the next one on."""
@@ -229,82 +210,3 @@ class Perception:
 
     def _finds_thread_at(self, images: Pair, pixel: Pixel) -> bool:
         return bool(look_everywhere(images, 0, self.config.segmenter, pixel).coverage[0].any())
-
-    def _mismatch(self, frame: StereoFrame, calibration: StereoCalibration) -> str:
-        """Why a frame does not go with the calibration; empty where it does."""
-        taken_with = frame.stamp.calibration_id
-        if taken_with not in ("", self._calibration_id):
-            return f"the frame was taken with calibration {taken_with}, and the newest known is {self._calibration_id}"
-        size, wanted = (frame.left.width, frame.left.height), (calibration.image_width, calibration.image_height)
-        if size != wanted:
-            return f"the images are {size[0]}x{size[1]} and the calibration is for {wanted[0]}x{wanted[1]}"
-        return ""
-
-
-def _apart(stamp: FrameStamp, last: FrameStamp | None) -> str:
-    """Why the images of a pair do not go together in time; empty where they do."""
-    between_ns = abs(stamp.capture_left_ns - stamp.capture_right_ns)
-    most_ns = _period_ns(stamp, last)
-    if between_ns <= most_ns:
-        return ""
-    return (
-        f"the eyes were captured {between_ns / MS:.0f} ms apart, and at most a frame period of {most_ns / MS:.0f} ms "
-        "is accepted; synchronise the eyes of the camera"
-    )
-
-
-def _period_ns(stamp: FrameStamp, last: FrameStamp | None) -> float:
-    """How long a frame of the camera lasts, by the left eye; a constant where the frame before does not tell."""
-    if last is None or stamp.sequence <= last.sequence:
-        return UNKNOWN_PERIOD_NS
-    period_ns = (stamp.capture_left_ns - last.capture_left_ns) / (stamp.sequence - last.sequence)
-    return period_ns if 0 < period_ns <= LONGEST_PERIOD_NS else UNKNOWN_PERIOD_NS
-
-
-@dataclass(frozen=True)
-class _Rectified:
-    camera: RectifiedStereo
-    images: Pair
-    raw: Pair
-
-    def moved_up(self, rows: int) -> "_Rectified":
-        """The pair with the right image's rows moved."""
-        return replace(self, images=(self.images[0], moved_up(self.images[1], rows))) if rows else self
-
-
-def _decoded(image: Image) -> UInt8[np.ndarray, "h w 3"]:
-    return _colour(decode_image(image))
-
-
-def _unusable(frame: StereoFrame, camera: RectifiedStereo, reason: str, prompt_px: Pixel | None) -> ThreadObservations:
-    """No observations, because the frame or the calibration cannot be used, and why."""
-    # a calibration may claim any size, and then nothing of that size is made
-    pixels = camera.image_height * camera.image_width
-    shape = (camera.image_height, camera.image_width) if pixels <= LARGEST_IMAGE_PIXELS else (1, 1)
-    nothing = encode_image(np.zeros(shape, np.uint8), ImageEncoding.PNG)
-    return ThreadObservations(
-        stamp=frame.stamp,
-        camera=camera,
-        status=Status.FAILED,
-        reason=reason,
-        segmenter="",
-        points_camera=np.zeros((0, 3)),
-        half_size_px=np.zeros((0, 2)),
-        matched_px=np.zeros((0, 3)),
-        match_cost=np.zeros((0, 2)),
-        inlier=np.zeros(0, bool),
-        mask_left=nothing,
-        mask_right=nothing,
-        judgements=(Judgement("unusable_input", Severity.FAULT, reason, "check the camera and its calibration"),),
-        prompt_px=prompt_px,
-    )
-
-
-def _nominal_camera(calibration: StereoCalibration) -> RectifiedStereo:
-    """What the rectified camera would be, were the images rectified: for messages about those that cannot be."""
-    baseline = float(np.linalg.norm(calibration.T_right_left[:3, 3]))
-    return rectified_camera(calibration, calibration.K_left, baseline)
-
-
-def _colour(pixels: Any) -> Any:
-    return pixels if pixels.ndim == 3 else pixels[:, :, None].repeat(3, axis=2)
