@@ -4,11 +4,19 @@ A replay says again and again which time it is in the recording, and how fast th
 itself; once nothing has been said for a while, the replay has ended or died, and this machine's clock holds again.
 """
 
+import contextlib
 import threading
 from datetime import UTC, datetime
+from typing import Any
 
+import zenoh
+
+from schemas.checks import MessageError
+from schemas.codec import decode
 from schemas.messages import ReplayClock
+from schemas.topics import REPLAY_CLOCK, key
 from shared.clock import monotonic_s, now_ns
+from shared.runtime.delivery import subscribe
 
 SILENCE_S = 1.0
 """Without a word for longer than this, a replay is over."""
@@ -79,3 +87,14 @@ def _written(at_ns: int) -> str:
         return datetime.fromtimestamp(at_ns * 1e-9, UTC).isoformat(" ", "milliseconds")
     except (ValueError, OverflowError, OSError):
         return f"{at_ns} ns since 1970"
+
+
+def follow_replays(session: zenoh.Session, rig: str, clock: AgentClock) -> list[Any]:
+    """Let a clock hear of the replays on a rig; what is returned is undeclared in the end."""
+
+    def hear(sample: zenoh.Sample) -> None:
+        # what says no time leaves the clock as it is
+        with contextlib.suppress(MessageError):
+            clock.hear(decode(ReplayClock, sample.payload.to_bytes()))
+
+    return subscribe(session, key(rig, REPLAY_CLOCK), REPLAY_CLOCK, hear, lambda _: None)

@@ -6,7 +6,6 @@ is replayed on the rig, its time holds for the agent (shared/runtime/replayed_ti
 it starts and upon each change (shared/runtime/parameters.py).
 """
 
-import contextlib
 import dataclasses
 import logging
 import math
@@ -31,7 +30,6 @@ from schemas.messages import (
     HostClocks,
     LogRecord,
     Outcome,
-    ReplayClock,
 )
 from schemas.topics import (
     CLOCKS,
@@ -40,33 +38,31 @@ from schemas.topics import (
     HEALTH,
     LOG,
     MAIN,
-    REPLAY_CLOCK,
     SET,
-    Delivery,
-    Topic,
     key,
     key_root,
 )
 from shared.clock import Stopwatch, monotonic_s, now_ns
-from shared.runtime.accounts import InputAccount, RingLosses, StepTimes
-from shared.runtime.agent import Agent, CannotGoOnError, Command, Input, Output, Received, Tick
+from shared.runtime.accounts import StepTimes
+from shared.runtime.agent import Agent, CannotGoOnError, Command, Output, Received, Tick
 from shared.runtime.arms import check_arm
 from shared.runtime.attachment import unpack
 from shared.runtime.clock_watch import ClockWatch
 from shared.runtime.clocks import answer_clock
 from shared.runtime.command_queries import taking
 from shared.runtime.commands import Answered, refused, untimely
-from shared.runtime.delivery import RouterLinks, ring_room, subscribe
+from shared.runtime.delivery import RouterLinks
 from shared.runtime.facts import Surroundings, answer_facts, facts_of, realtime_priority
 from shared.runtime.faults import LIKE_PER_LINE, Faults
 from shared.runtime.fed import TICK, Fed, state_topic
-from shared.runtime.inbox import Arrival, Inbox
+from shared.runtime.inbox import Arrival
+from shared.runtime.intake import Intake
 from shared.runtime.link import answer_link
 from shared.runtime.log_topic import LogTopic
 from shared.runtime.outlets import Outlets
 from shared.runtime.parameters import Parameters
-from shared.runtime.progress import Handled, answer_progress
-from shared.runtime.replayed_time import AgentClock
+from shared.runtime.progress import answer_progress
+from shared.runtime.replayed_time import AgentClock, follow_replays
 from shared.runtime.router_watch import RouterWatch
 from shared.runtime.service_manager import ServiceManager
 from shared.runtime.usage import ProcessorShare, resident_bytes
@@ -95,12 +91,10 @@ class Runner:
         self._agent, self._session, self._rig, self._config_hash = agent, session, rig, config_hash
         self._parameters, self._around, self._manager = Parameters(agent), around or Surroundings(), ServiceManager()
         self._root = key_root(rig, agent.instance, agent.kind)
-        self._clock, self._handled = AgentClock(), Handled()
+        self._clock = AgentClock()
         self._out = Outlets(session, rig, (agent.kind, agent.instance), self._links, self._clock)
-        self._inbox = Inbox()
         self._stopped = threading.Event()
         self._answered = Answered()
-        self._inputs = {str(i.topic): InputAccount(str(i.topic)) for i in agent.inputs}
         self._kept: list[Any] = []
         self._fed = Fed(agent, rig, self._out.epoch)
         self._newest_only = {str(i.topic) for i in agent.inputs if i.only_newest_counts}
@@ -109,6 +103,7 @@ class Runner:
         self._started_s, self._heartbeat, self._faults = monotonic_s(), 0, Faults()
         self.gave_up = ""
         self._log = logging.getLogger(f"suturegrasp.{agent.kind}.{agent.instance}")
+        self._intake = Intake(agent, self._clock, self._log)
         self._watched = frozenset[str](getattr(agent, "watches_clocks", ()))
         for topic in (*agent.outputs, HEALTH, LOG, COMMANDS, CONFIGURATION, *((CLOCKS,) if self._watched else ())):
             self._out.declare(topic)
@@ -144,7 +139,7 @@ class Runner:
                     next_tick_s = max(next_tick_s + self._period_s(), monotonic_s())
                 # even where ticks alone take all the time, what arrives has its turn after each
                 until_s = min(next_health_s, next_tick_s)
-                arrival = self._inbox.take(min(longest_s, max(0.0, until_s - monotonic_s())))
+                arrival = self._intake.inbox.take(min(longest_s, max(0.0, until_s - monotonic_s())))
                 if arrival is not None:
                     self._feed_remembered()
                     self._handle(arrival)
@@ -154,29 +149,24 @@ class Runner:
     def stop(self) -> None:
         """Let `run` return after the step it is in."""
         self._stopped.set()
-        self._inbox.wake()
+        self._intake.inbox.wake()
 
     def _period_s(self) -> float:
         return 1.0 / self._agent.tick_hz if self._agent.tick_hz else math.inf
 
     def _listen(self) -> None:
-        for wanted in self._agent.inputs:
-            selector, account = key(self._rig, wanted.topic, wanted.instance), self._inputs[str(wanted.topic)]
-            if wanted.topic.delivery is Delivery.LATEST:
-                account.ring = RingLosses(ring_room(selector))
-            missed = self._miss_counter(wanted.topic)
-            receiver = self._receiver(wanted)
-            self._kept += self._links.subscribe(self._session, selector, wanted.topic, receiver, missed, account.ring)
+        self._kept += self._intake.listen(self._session, self._rig, self._links)
         commands = [
             (topic, topic.agent, self._agent.instance if topic.per_arm else MAIN) for topic in self._agent.commands
         ]
         for topic, agent, instance in (*commands, (SET, self._agent.kind, self._agent.instance)):
-            take = taking(topic, self._inbox, self._answered)
+            take = taking(topic, self._intake.inbox, self._answered)
             selector = key(self._rig, topic, instance, agent)
             self._kept.append(self._session.declare_queryable(selector, take, complete=True))
         self._answer_questions()
         self._kept.append(RouterWatch(self._session, self._log.warning))
-        self._follow_replays()
+        if getattr(self._agent, "accepts_replayed_time", True):
+            self._kept += follow_replays(self._session, self._rig, self._clock)
         self._kept.append(self._session.liveliness().declare_token(self._root))
         self._publish_configuration()
         if self._watched:
@@ -197,17 +187,6 @@ class Runner:
         self._kept.append(answer_link(self._session, self._root))
         self._tell_progress()
 
-    def _follow_replays(self) -> None:
-        if not getattr(self._agent, "accepts_replayed_time", True):
-            return
-
-        def hear(sample: zenoh.Sample) -> None:
-            # what says no time leaves the clock as it is
-            with contextlib.suppress(MessageError):
-                self._clock.hear(decode(ReplayClock, sample.payload.to_bytes()))
-
-        self._kept += subscribe(self._session, key(self._rig, REPLAY_CLOCK), REPLAY_CLOCK, hear, lambda _: None)
-
     def _tell_progress(self) -> None:
         def published() -> tuple[Consumed, ...]:
             # an agent that ticks speaks unasked, and nobody can wait for the end of that
@@ -216,50 +195,17 @@ class Runner:
             return tuple(Consumed(name, self._out.epoch, count - 1) for name, count in counts if count)
 
         listens = [key(self._rig, i.topic, i.instance) for i in self._agent.inputs]
-        self._kept.append(answer_progress(self._session, self._root, listens, self._handled, published))
-
-    def _receiver(self, wanted: Input) -> Callable[[zenoh.Sample], None]:
-        latest = wanted.topic.delivery is Delivery.LATEST
-        put = self._inbox.put_newest if latest else self._inbox.put
-        put = self._remember if wanted.only_remembered else put
-
-        def receive(sample: zenoh.Sample) -> None:
-            key, beside = str(sample.key_expr), sample.attachment
-            # one message for many keys is none of any of them
-            attachment = beside.to_bytes() if beside is not None and "*" not in key else b""
-            put(Arrival(wanted.topic, key, sample.payload.to_bytes, attachment))
-
-        return receive
-
-    def _remember(self, arrival: Arrival) -> None:
-        """Keep what the agent only remembers; nothing follows from it until it acts on something else."""
-        beside = unpack(arrival.attachment)
-        if beside is None:
-            # it will be refused, and must be counted even where another one takes its place
-            self._inbox.put(arrival)
-            return
-        self._inbox.remember(arrival)
-        self._inputs[str(arrival.topic)].arrived(arrival.key, beside, self._clock.now_ns(), monotonic_s())
-        self._handled.note(arrival.key, beside.epoch, beside.sequence)
+        self._kept.append(answer_progress(self._session, self._root, listens, self._intake.handled, published))
 
     def _feed_remembered(self) -> None:
-        for arrival in self._inbox.remembered():
+        for arrival in self._intake.inbox.remembered():
             self._handle(arrival, counted=True)
-
-    def _miss_counter(self, topic: Topic) -> Callable[[int], None]:
-        account = self._inputs[str(topic)]
-
-        def count(missed: int) -> None:
-            account.missed += missed
-            self._log.error("%d messages of %s were lost", missed, topic)
-
-        return count
 
     def _handle(self, arrival: Arrival, counted: bool = False) -> None:
         if arrival.answer is not None:
             self._carry_out(arrival, arrival.answer)
             return
-        account = self._inputs[str(arrival.topic)]
+        account = self._intake.account(arrival.topic)
         beside = unpack(arrival.attachment)
         try:
             if beside is None:
@@ -271,14 +217,14 @@ class Runner:
                 self._log.warning("a message on %s was refused: %s", arrival.key, error)
             account.refuse(arrival.key, beside, counted)
             if beside is not None:
-                self._handled.note(arrival.key, beside.epoch, beside.sequence)
+                self._intake.handled.note(arrival.key, beside.epoch, beside.sequence)
             return
         if not counted:
-            account.arrived(arrival.key, beside, self._clock.now_ns(), monotonic_s())
+            self._intake.arrived(arrival.topic, arrival.key, beside)
         only_newest_counts = str(arrival.topic) in self._newest_only
         self._fed.message(arrival.key, beside.epoch, beside.sequence, only_newest_counts)
         self._step(Received(arrival.topic, arrival.key, beside.sequence, message))
-        self._handled.note(arrival.key, beside.epoch, beside.sequence)
+        self._intake.handled.note(arrival.key, beside.epoch, beside.sequence)
 
     def _carry_out(self, arrival: Arrival, answer: Callable[[CommandAnswer], None]) -> None:
         payload, received_ns = arrival.payload(), self._clock.now_ns()
@@ -403,9 +349,7 @@ class Runner:
             heartbeat=self._heartbeat,
             step_ms_p50=self._steps.percentile(50),
             step_ms_p99=self._steps.percentile(99),
-            inputs=tuple(
-                self._inputs[str(i.topic)].health(self._inbox.dropped(i.topic), now_s) for i in self._agent.inputs
-            ),
+            inputs=self._intake.health(now_s),
             outputs=tuple(self._out.account(topic).health(now_s) for topic in self._agent.outputs),
             fault=self._faults.text,
             processor_share=self._processor.since_last(),

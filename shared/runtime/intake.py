@@ -1,0 +1,88 @@
+"""What an agent hears: its inputs are subscribed to, counted from Zenoh's threads, and wait in the inbox."""
+
+import logging
+from collections.abc import Callable
+from typing import Any
+
+import zenoh
+
+from schemas.messages import InputHealth
+from schemas.topics import Delivery, Topic, key
+from shared.clock import monotonic_s
+from shared.runtime.accounts import InputAccount, RingLosses
+from shared.runtime.agent import Agent, Input
+from shared.runtime.attachment import Attachment, unpack
+from shared.runtime.delivery import RouterLinks, ring_room
+from shared.runtime.inbox import Arrival, Inbox
+from shared.runtime.progress import Handled
+from shared.runtime.replayed_time import AgentClock
+
+
+class Intake:
+    """The inputs of one agent and what became of their messages.
+
+    Fields:
+        inbox: what has arrived and has not been looked at.
+        handled: how far each key has been worked off.
+    """
+
+    def __init__(self, agent: Agent, clock: AgentClock, log: logging.Logger) -> None:
+        self.inbox, self.handled = Inbox(), Handled()
+        self._inputs, self._clock, self._log = agent.inputs, clock, log
+        self._accounts = {str(i.topic): InputAccount(str(i.topic)) for i in agent.inputs}
+
+    def listen(self, session: zenoh.Session, rig: str, links: RouterLinks) -> list[Any]:
+        """Subscribe to every input; what is returned is undeclared in the end."""
+        declared: list[Any] = []
+        for wanted in self._inputs:
+            selector, account = key(rig, wanted.topic, wanted.instance), self.account(wanted.topic)
+            if wanted.topic.delivery is Delivery.LATEST:
+                account.ring = RingLosses(ring_room(selector))
+            missed = self._miss_counter(wanted.topic)
+            declared += links.subscribe(session, selector, wanted.topic, self._receiver(wanted), missed, account.ring)
+        return declared
+
+    def account(self, topic: Topic) -> InputAccount:
+        """The counts of one input."""
+        return self._accounts[str(topic)]
+
+    def arrived(self, topic: Topic, key: str, beside: Attachment) -> None:
+        """Count a message that is looked at, or that will only be remembered."""
+        self.account(topic).arrived(key, beside, self._clock.now_ns(), monotonic_s())
+
+    def health(self, now_s: float) -> tuple[InputHealth, ...]:
+        """How every input does."""
+        return tuple(self.account(i.topic).health(self.inbox.dropped(i.topic), now_s) for i in self._inputs)
+
+    def _receiver(self, wanted: Input) -> Callable[[zenoh.Sample], None]:
+        latest = wanted.topic.delivery is Delivery.LATEST
+        put = self.inbox.put_newest if latest else self.inbox.put
+        put = self._remember if wanted.only_remembered else put
+
+        def receive(sample: zenoh.Sample) -> None:
+            key, beside = str(sample.key_expr), sample.attachment
+            # one message for many keys is none of any of them
+            attachment = beside.to_bytes() if beside is not None and "*" not in key else b""
+            put(Arrival(wanted.topic, key, sample.payload.to_bytes, attachment))
+
+        return receive
+
+    def _remember(self, arrival: Arrival) -> None:
+        """Keep what the agent only remembers; nothing follows from it until it acts on something else."""
+        beside = unpack(arrival.attachment)
+        if beside is None:
+            # it will be refused, and must be counted even where another one takes its place
+            self.inbox.put(arrival)
+            return
+        self.inbox.remember(arrival)
+        self.arrived(arrival.topic, arrival.key, beside)
+        self.handled.note(arrival.key, beside.epoch, beside.sequence)
+
+    def _miss_counter(self, topic: Topic) -> Callable[[int], None]:
+        account = self.account(topic)
+
+        def count(missed: int) -> None:
+            account.missed += missed
+            self._log.error("%d messages of %s were lost", missed, topic)
+
+        return count
