@@ -27,6 +27,13 @@ class Severity(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     SEVERITY_WARNING: _ClassVar[Severity]
     SEVERITY_FAULT: _ClassVar[Severity]
 
+class Occluder(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    OCCLUDER_UNSPECIFIED: _ClassVar[Occluder]
+    OCCLUDER_TOOL: _ClassVar[Occluder]
+    OCCLUDER_NEEDLE: _ClassVar[Occluder]
+    OCCLUDER_UNKNOWN: _ClassVar[Occluder]
+
 class Over(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
     OVER_UNSPECIFIED: _ClassVar[Over]
@@ -107,6 +114,10 @@ SEVERITY_UNSPECIFIED: Severity
 SEVERITY_NOTE: Severity
 SEVERITY_WARNING: Severity
 SEVERITY_FAULT: Severity
+OCCLUDER_UNSPECIFIED: Occluder
+OCCLUDER_TOOL: Occluder
+OCCLUDER_NEEDLE: Occluder
+OCCLUDER_UNKNOWN: Occluder
 OVER_UNSPECIFIED: Over
 OVER_FIRST: Over
 OVER_SECOND: Over
@@ -265,8 +276,30 @@ class Centrelines(_message.Message):
     deviation_px: Array
     def __init__(self, point_px: _Optional[_Union[Array, _Mapping]] = ..., piece: _Optional[_Union[Array, _Mapping]] = ..., width_px: _Optional[_Union[Array, _Mapping]] = ..., deviation_px: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
 
+class ThreadCandidate(_message.Message):
+    __slots__ = ("score", "left_px", "right_px", "width_px", "colour_bgr")
+    SCORE_FIELD_NUMBER: _ClassVar[int]
+    LEFT_PX_FIELD_NUMBER: _ClassVar[int]
+    RIGHT_PX_FIELD_NUMBER: _ClassVar[int]
+    WIDTH_PX_FIELD_NUMBER: _ClassVar[int]
+    COLOUR_BGR_FIELD_NUMBER: _ClassVar[int]
+    score: float
+    left_px: Array
+    right_px: Array
+    width_px: float
+    colour_bgr: Array
+    def __init__(self, score: _Optional[float] = ..., left_px: _Optional[_Union[Array, _Mapping]] = ..., right_px: _Optional[_Union[Array, _Mapping]] = ..., width_px: _Optional[float] = ..., colour_bgr: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
+
+class Occluders(_message.Message):
+    __slots__ = ("left", "right")
+    LEFT_FIELD_NUMBER: _ClassVar[int]
+    RIGHT_FIELD_NUMBER: _ClassVar[int]
+    left: Image
+    right: Image
+    def __init__(self, left: _Optional[_Union[Image, _Mapping]] = ..., right: _Optional[_Union[Image, _Mapping]] = ...) -> None: ...
+
 class ThreadObservations(_message.Message):
-    __slots__ = ("stamp", "camera", "status", "reason", "segmenter", "points_camera", "half_size_px", "matched_px", "match_cost", "inlier", "mask_left", "mask_right", "judgements", "gaps", "centrelines_left", "centrelines_right", "looked_sequence", "is_bright", "prompt_px", "rows_moved_up", "picture_left", "picture_right", "picture_left_since", "picture_right_since", "consumed")
+    __slots__ = ("stamp", "camera", "status", "reason", "segmenter", "points_camera", "half_size_px", "matched_px", "match_cost", "inlier", "mask_left", "mask_right", "judgements", "gaps", "centrelines_left", "centrelines_right", "looked_sequence", "is_bright", "prompt_px", "rows_moved_up", "picture_left", "picture_right", "picture_left_since", "picture_right_since", "candidates", "occluders", "score_map", "consumed")
     STAMP_FIELD_NUMBER: _ClassVar[int]
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     STATUS_FIELD_NUMBER: _ClassVar[int]
@@ -291,6 +324,9 @@ class ThreadObservations(_message.Message):
     PICTURE_RIGHT_FIELD_NUMBER: _ClassVar[int]
     PICTURE_LEFT_SINCE_FIELD_NUMBER: _ClassVar[int]
     PICTURE_RIGHT_SINCE_FIELD_NUMBER: _ClassVar[int]
+    CANDIDATES_FIELD_NUMBER: _ClassVar[int]
+    OCCLUDERS_FIELD_NUMBER: _ClassVar[int]
+    SCORE_MAP_FIELD_NUMBER: _ClassVar[int]
     CONSUMED_FIELD_NUMBER: _ClassVar[int]
     stamp: FrameStamp
     camera: RectifiedStereo
@@ -316,8 +352,11 @@ class ThreadObservations(_message.Message):
     picture_right: int
     picture_left_since: int
     picture_right_since: int
+    candidates: _containers.RepeatedCompositeFieldContainer[ThreadCandidate]
+    occluders: Occluders
+    score_map: Image
     consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
-    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., segmenter: _Optional[str] = ..., points_camera: _Optional[_Union[Array, _Mapping]] = ..., half_size_px: _Optional[_Union[Array, _Mapping]] = ..., matched_px: _Optional[_Union[Array, _Mapping]] = ..., match_cost: _Optional[_Union[Array, _Mapping]] = ..., inlier: _Optional[_Union[Array, _Mapping]] = ..., mask_left: _Optional[_Union[Image, _Mapping]] = ..., mask_right: _Optional[_Union[Image, _Mapping]] = ..., judgements: _Optional[_Iterable[_Union[Judgement, _Mapping]]] = ..., gaps: _Optional[_Union[Array, _Mapping]] = ..., centrelines_left: _Optional[_Union[Centrelines, _Mapping]] = ..., centrelines_right: _Optional[_Union[Centrelines, _Mapping]] = ..., looked_sequence: _Optional[int] = ..., is_bright: _Optional[bool] = ..., prompt_px: _Optional[_Union[Array, _Mapping]] = ..., rows_moved_up: _Optional[int] = ..., picture_left: _Optional[int] = ..., picture_right: _Optional[int] = ..., picture_left_since: _Optional[int] = ..., picture_right_since: _Optional[int] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
+    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., segmenter: _Optional[str] = ..., points_camera: _Optional[_Union[Array, _Mapping]] = ..., half_size_px: _Optional[_Union[Array, _Mapping]] = ..., matched_px: _Optional[_Union[Array, _Mapping]] = ..., match_cost: _Optional[_Union[Array, _Mapping]] = ..., inlier: _Optional[_Union[Array, _Mapping]] = ..., mask_left: _Optional[_Union[Image, _Mapping]] = ..., mask_right: _Optional[_Union[Image, _Mapping]] = ..., judgements: _Optional[_Iterable[_Union[Judgement, _Mapping]]] = ..., gaps: _Optional[_Union[Array, _Mapping]] = ..., centrelines_left: _Optional[_Union[Centrelines, _Mapping]] = ..., centrelines_right: _Optional[_Union[Centrelines, _Mapping]] = ..., looked_sequence: _Optional[int] = ..., is_bright: _Optional[bool] = ..., prompt_px: _Optional[_Union[Array, _Mapping]] = ..., rows_moved_up: _Optional[int] = ..., picture_left: _Optional[int] = ..., picture_right: _Optional[int] = ..., picture_left_since: _Optional[int] = ..., picture_right_since: _Optional[int] = ..., candidates: _Optional[_Iterable[_Union[ThreadCandidate, _Mapping]]] = ..., occluders: _Optional[_Union[Occluders, _Mapping]] = ..., score_map: _Optional[_Union[Image, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
 
 class TissueSurface(_message.Message):
     __slots__ = ("stamp", "camera", "u_px", "v_px", "depth", "valid", "deviation", "consumed")
@@ -354,7 +393,7 @@ class ReliabilityRegions(_message.Message):
     def __init__(self, s: _Optional[_Union[Array, _Mapping]] = ..., centre_camera: _Optional[_Union[Array, _Mapping]] = ..., bound_px: _Optional[_Union[Array, _Mapping]] = ..., bound_depth: _Optional[_Union[Array, _Mapping]] = ..., slack: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
 
 class ThreadReconstruction(_message.Message):
-    __slots__ = ("stamp", "camera", "status", "reason", "method", "degree", "knots", "control_points_camera", "regions", "confidence_s", "confidence", "posterior_s", "posterior_covariance", "unseen", "consumed", "track", "crossings", "other_threads_px")
+    __slots__ = ("stamp", "camera", "status", "reason", "method", "degree", "knots", "control_points_camera", "regions", "confidence_s", "confidence", "posterior_s", "posterior_covariance", "unseen", "consumed", "track", "crossings", "other_threads_px", "hidden", "ends_hidden", "other_threads")
     STAMP_FIELD_NUMBER: _ClassVar[int]
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     STATUS_FIELD_NUMBER: _ClassVar[int]
@@ -373,6 +412,9 @@ class ThreadReconstruction(_message.Message):
     TRACK_FIELD_NUMBER: _ClassVar[int]
     CROSSINGS_FIELD_NUMBER: _ClassVar[int]
     OTHER_THREADS_PX_FIELD_NUMBER: _ClassVar[int]
+    HIDDEN_FIELD_NUMBER: _ClassVar[int]
+    ENDS_HIDDEN_FIELD_NUMBER: _ClassVar[int]
+    OTHER_THREADS_FIELD_NUMBER: _ClassVar[int]
     stamp: FrameStamp
     camera: RectifiedStereo
     status: Status
@@ -391,7 +433,10 @@ class ThreadReconstruction(_message.Message):
     track: ThreadTrack
     crossings: _containers.RepeatedCompositeFieldContainer[Crossing]
     other_threads_px: Array
-    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., method: _Optional[str] = ..., degree: _Optional[int] = ..., knots: _Optional[_Union[Array, _Mapping]] = ..., control_points_camera: _Optional[_Union[Array, _Mapping]] = ..., regions: _Optional[_Union[ReliabilityRegions, _Mapping]] = ..., confidence_s: _Optional[_Union[Array, _Mapping]] = ..., confidence: _Optional[_Union[Array, _Mapping]] = ..., posterior_s: _Optional[_Union[Array, _Mapping]] = ..., posterior_covariance: _Optional[_Union[Array, _Mapping]] = ..., unseen: _Optional[_Union[Array, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ..., track: _Optional[_Union[ThreadTrack, _Mapping]] = ..., crossings: _Optional[_Iterable[_Union[Crossing, _Mapping]]] = ..., other_threads_px: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
+    hidden: Array
+    ends_hidden: Array
+    other_threads: _containers.RepeatedCompositeFieldContainer[ThreadCandidate]
+    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., method: _Optional[str] = ..., degree: _Optional[int] = ..., knots: _Optional[_Union[Array, _Mapping]] = ..., control_points_camera: _Optional[_Union[Array, _Mapping]] = ..., regions: _Optional[_Union[ReliabilityRegions, _Mapping]] = ..., confidence_s: _Optional[_Union[Array, _Mapping]] = ..., confidence: _Optional[_Union[Array, _Mapping]] = ..., posterior_s: _Optional[_Union[Array, _Mapping]] = ..., posterior_covariance: _Optional[_Union[Array, _Mapping]] = ..., unseen: _Optional[_Union[Array, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ..., track: _Optional[_Union[ThreadTrack, _Mapping]] = ..., crossings: _Optional[_Iterable[_Union[Crossing, _Mapping]]] = ..., other_threads_px: _Optional[_Union[Array, _Mapping]] = ..., hidden: _Optional[_Union[Array, _Mapping]] = ..., ends_hidden: _Optional[_Union[Array, _Mapping]] = ..., other_threads: _Optional[_Iterable[_Union[ThreadCandidate, _Mapping]]] = ...) -> None: ...
 
 class Crossing(_message.Message):
     __slots__ = ("s_first", "s_second", "point_px", "over", "depth_apart")

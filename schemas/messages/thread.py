@@ -68,6 +68,48 @@ def no_centrelines() -> Centrelines:
 
 
 @dataclass(frozen=True)
+class ThreadCandidate:
+    """One of the threads that a pair shows.
+
+    Fields:
+        score: from 0 to 1, the higher the surer; no probability.
+        left_px, right_px: (u, v) of places along its middle in either rectified image, in order, as far as it is seen.
+        width_px: apparent width, median.
+        colour_bgr: of its middle, median; blue, green, red, 0 to 255.
+    """
+
+    score: float
+    left_px: Float64[np.ndarray, "n 2"]
+    right_px: Float64[np.ndarray, "m 2"]
+    width_px: float
+    colour_bgr: Int64[np.ndarray, "3"]
+
+    def __post_init__(self) -> None:
+        check_message(self)
+        require(0 <= self.score <= 1, "the score of a candidate must lie within 0 and 1")
+        require(self.width_px > 0, "the width of the thread must be positive")
+
+
+class Occluder(enum.Enum):
+    """What may hide thread; UNKNOWN is something that does, and of which nobody can tell what it is."""
+
+    TOOL = 1
+    NEEDLE = 2
+    UNKNOWN = 3
+
+
+@dataclass(frozen=True)
+class Occluders:
+    """What may hide thread: smaller copies of both rectified images, each pixel the number of an `Occluder`, or 0."""
+
+    left: Image
+    right: Image
+
+    def __post_init__(self) -> None:
+        check_message(self)
+
+
+@dataclass(frozen=True)
 class ThreadObservations:
     """What perception saw of the thread in one stereo pair: ordered points, and the matches behind them.
 
@@ -87,6 +129,10 @@ class ThreadObservations:
             so that what corresponds shares its row; masks and centrelines are of the moved image.
         picture_left, picture_right: checksums of the frame's pictures, by which one is known that stands still.
         picture_left_since, picture_right_since: sequence of the first frame in turn with the same picture.
+        candidates: the threads that the pair shows, the one that is meant first, the others by score. The centrelines
+            leave out those that are certainly not meant.
+        occluders: None where nobody has looked for any.
+        score_map: how much of a pixel of the left image the segmenter takes for thread, 0 to 255, in a smaller copy.
     """
 
     stamp: FrameStamp
@@ -113,6 +159,9 @@ class ThreadObservations:
     picture_right: int = 0
     picture_left_since: int = 0
     picture_right_since: int = 0
+    candidates: tuple[ThreadCandidate, ...] = ()
+    occluders: Occluders | None = None
+    score_map: Image | None = None
     consumed: tuple[Consumed, ...] = ()
 
     def __post_init__(self) -> None:
@@ -251,6 +300,9 @@ class ThreadReconstruction:
         track: where the thread is followed from frame to frame.
         crossings: where the thread crosses itself in the left image.
         other_threads_px: a left pixel (u, v) on each longer piece of thread that is none of this one.
+        hidden: stretches of arc length behind what perception took for an occluder; None where nobody has looked.
+        ends_hidden: whether the thread may go on, hidden, at s = 0 and at s = 1; None where nobody has looked.
+        other_threads: candidates of perception that are none of this thread, by score.
     A failed reconstruction has a reason and no control points.
     """
 
@@ -272,6 +324,9 @@ class ThreadReconstruction:
     track: ThreadTrack | None = None
     crossings: tuple[Crossing, ...] = ()
     other_threads_px: Float64[np.ndarray, "t 2"] = field(default_factory=lambda: _no_numbers(0, 2))
+    hidden: Float64[np.ndarray, "h 2"] | None = None
+    ends_hidden: Bool[np.ndarray, "2"] | None = None
+    other_threads: tuple[ThreadCandidate, ...] = ()
 
     def __post_init__(self) -> None:
         check_message(self)
@@ -283,6 +338,8 @@ class ThreadReconstruction:
         _check_within_thread("confidence_s", self.confidence_s)
         _check_within_thread("posterior_s", self.posterior_s)
         _check_within_thread("unseen", self.unseen)
+        if self.hidden is not None:
+            _check_within_thread("hidden", self.hidden)
         if self.status is Status.OK:
             _check_clamped_spline(self.degree, self.knots, len(self.control_points_camera))
         else:

@@ -40,6 +40,7 @@ from schemas.messages import (
     Judgement,
     LogLevel,
     LogRecord,
+    Occluders,
     Outcome,
     OutputHealth,
     Over,
@@ -59,6 +60,7 @@ from schemas.messages import (
     Status,
     StereoCalibration,
     StereoFrame,
+    ThreadCandidate,
     ThreadObservations,
     ThreadReconstruction,
     ThreadTrack,
@@ -124,6 +126,17 @@ def centrelines(draw):
     return Centrelines(draw(array(n, 2)), piece, draw(array(n, elements=positive)), draw(array(n, elements=positive)))
 
 
+candidates = st.builds(
+    ThreadCandidate,
+    st.floats(0, 1),
+    st.integers(0, 3).flatmap(lambda n: array(n, 2)),
+    st.integers(0, 3).flatmap(lambda n: array(n, 2)),
+    positive,
+    arrays(np.int64, 3, elements=st.integers(0, 255)),
+)
+occluders = st.builds(Occluders, images(), images())
+
+
 @st.composite
 def observations(draw):
     n, p = draw(st.integers(0, 4)), draw(st.integers(0, 5))
@@ -151,6 +164,9 @@ def observations(draw):
         looked_sequence=draw(uint64),
         is_bright=draw(st.booleans()),
         prompt_px=draw(st.none() | array(2)),
+        candidates=tuple(draw(st.lists(candidates, max_size=2))),
+        occluders=draw(st.none() | occluders),
+        score_map=draw(st.none() | images()),
         consumed=draw(consumed),
     )
 
@@ -249,6 +265,9 @@ def reconstructions(draw):
         track=draw(st.none() | tracks()),
         crossings=tuple(draw(st.lists(crossings(), max_size=2))),
         other_threads_px=draw(array(g, 2)),
+        hidden=draw(st.none() | array(g, 2, elements=st.floats(0, 1))),
+        ends_hidden=draw(st.none() | arrays(np.bool_, 2)),
+        other_threads=tuple(draw(st.lists(candidates, max_size=2))),
     )
 
 
@@ -440,6 +459,8 @@ MESSAGES = {
     RectifiedStereo: cameras,
     Judgement: judgements,
     Centrelines: centrelines(),
+    ThreadCandidate: candidates,
+    Occluders: occluders,
     ThreadObservations: observations(),
     TissueClearance: clearances(),
     TissueSurface: surfaces(),

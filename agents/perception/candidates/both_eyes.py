@@ -1,0 +1,98 @@
+"""Which pieces of the right image belong to which thread of the left one.
+
+The same row of both images holds the same places of a thread, moved left by the disparity. All thread lies at about one
+depth, so the disparities between alike points of the same rows heap up about one value; chance spreads its own evenly.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from agents.perception.candidates.appearance import Looks, unlikeness
+from agents.perception.candidates.threads import Threads
+from schemas.messages import Centrelines
+
+EVERY = 6
+"""Of the points, which lie a pixel apart, so many as are looked at."""
+LARGEST_SHARE = 0.2
+"""Of the image's width: the largest disparity."""
+ABOUT_SHARE = 0.04
+"""Of the image's width: disparities so far from the usual one are those of the same threads."""
+UNALIKE = 16.0
+"""Pieces that look so different (see `unlikeness`) belong to no one thread, were they in the right place."""
+ELSEWHERE = 12.0
+"""How much it speaks against a piece that no row of it holds any of the thread, in the same measure."""
+LEAST_IN_ROWS = 0.3
+
+
+@dataclass(frozen=True)
+class BothEyes:
+    """What the right image shows of the threads of the left one.
+
+    Fields:
+        thread: of each right piece, the left thread that it belongs to; −1 where none.
+        against: how much speaks against each thread (rows) for each right piece (columns).
+        share: of each thread's points, those which the right image shows.
+    """
+
+    thread: Int64[np.ndarray, "p"]
+    against: Float64[np.ndarray, "t p"]
+    share: Float64[np.ndarray, "t"]
+
+
+def in_both_eyes(
+    left: Centrelines,
+    threads: Threads,
+    right: Centrelines,
+    pieces: list[Int64[np.ndarray, "k"]],
+    looks: Looks,
+    image_width: int,
+) -> BothEyes:
+    """The left thread that each right piece belongs to.
+
+    Args:
+        pieces, looks: of the right image.
+    """
+    count = len(threads.points), len(pieces)
+    if 0 in count:
+        return BothEyes(np.full(count[1], -1), np.zeros(count), np.zeros(count[0]))
+    unlike = unlikeness(threads.looks, looks)
+    left_at, thread = _sampled(threads.points)
+    right_at, piece = _sampled(pieces)
+    same = _same_place(
+        left.point_px[left_at], right.point_px[right_at], unlike[thread][:, piece] < UNALIKE, image_width
+    )
+    of_thread = np.logical_or.reduceat(same, np.flatnonzero(np.diff(thread, prepend=-1)), axis=0)
+    in_rows = np.array([np.bincount(piece, row, count[1]) for row in of_thread]) / np.bincount(piece)
+    against = unlike + ELSEWHERE * (1.0 - in_rows)
+    best = np.argmin(against, axis=0)
+    here = np.arange(count[1])
+    found = (in_rows[best, here] >= LEAST_IN_ROWS) & (unlike[best, here] < UNALIKE)
+    mine = np.where(found, best, -1)
+    shown = (same & (mine[piece][None] == thread[:, None])).any(axis=1)
+    return BothEyes(mine, against, np.bincount(thread, shown, count[0]) / np.bincount(thread))
+
+
+def _sampled(parts: list[Int64[np.ndarray, "k"]]) -> tuple[Int64[np.ndarray, "n"], Int64[np.ndarray, "n"]]:
+    """Some indices of each part, and the part's number."""
+    some = [part[min(len(part) // 2, EVERY // 2) :: EVERY] for part in parts]
+    return np.concatenate(some), np.repeat(np.arange(len(some)), [len(part) for part in some])
+
+
+def _same_place(
+    left_px: Float64[np.ndarray, "n 2"],
+    right_px: Float64[np.ndarray, "m 2"],
+    alike: Bool[np.ndarray, "n m"],
+    image_width: int,
+) -> Bool[np.ndarray, "n m"]:
+    """Which points may be one place: in one row, and about as far from each other as most such points are."""
+    disparity = left_px[:, None, 0] - right_px[None, :, 0]
+    same_row = np.abs(left_px[:, None, 1] - right_px[None, :, 1]) <= 0.5 * EVERY + 0.5
+    may_be = same_row & alike & (disparity > 1.0) & (disparity < LARGEST_SHARE * image_width)
+    if not may_be.any():
+        return may_be
+    bin_px = 0.25 * ABOUT_SHARE * image_width
+    heap = np.bincount((disparity[may_be] / bin_px).astype(np.intp))
+    usual = (float(np.argmax(np.convolve(heap, np.ones(5), mode="same"))) + 0.5) * bin_px
+    return may_be & (np.abs(disparity - usual) <= ABOUT_SHARE * image_width)
