@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float64, Int64, UInt8
+from jaxtyping import Float64, Int64, UInt8
 from scipy.spatial import cKDTree
 
 from agents.perception.candidates.appearance import looks_of, unlikeness
@@ -132,7 +132,7 @@ def _rather(
 
 def _without(lines: Centrelines, points: Int64[np.ndarray, "k"]) -> Centrelines:
     """The centrelines without these points, which are whole pieces."""
-    kept: Bool[np.ndarray, "n"] = np.ones(len(lines.piece), bool)
+    kept = np.ones(len(lines.piece), bool)
     kept[points] = False
     number = np.cumsum(np.diff(lines.piece[kept], prepend=-1) > 0) - 1
     return Centrelines(lines.point_px[kept], number, lines.width_px[kept], lines.deviation_px[kept])
