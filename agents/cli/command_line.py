@@ -8,19 +8,21 @@ from collections.abc import Generator
 
 import tyro
 
+from agents.cli.emulate_options import EMULATE_COMMANDS, Emulate
 from agents.cli.lab_options import LAB_COMMANDS, Deploy
 from agents.cli.live_options import LIVE_COMMANDS, Demo, OnRig
 from agents.cli.options import Reconstruct, UsageError
 from agents.cli.recorded_options import RECORDED_COMMANDS, OnRecording
 from agents.cli.scenes_options import SCENE_COMMANDS, Scenes
 
-Options = Reconstruct | Demo | OnRig | OnRecording | Deploy | Scenes
+Options = Reconstruct | Demo | OnRig | OnRecording | Deploy | Scenes | Emulate
 COMMANDS: dict[str, type[Options]] = {
     "reconstruct": Reconstruct,
     **LIVE_COMMANDS,
     **RECORDED_COMMANDS,
     **LAB_COMMANDS,
     **SCENE_COMMANDS,
+    **EMULATE_COMMANDS,
 }
 
 HELP = ("-h", "--help")

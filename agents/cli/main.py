@@ -38,6 +38,7 @@ def _run(arguments: list[str]) -> int:
         return 0
     # Loading OpenCV and SciPy takes a second, during which Ctrl-C must end as quietly as later.
     from agents.cli.command_line import parsed
+    from agents.cli.emulate_options import Emulate
     from agents.cli.lab_options import LAB_RUNNERS, Deploy
     from agents.cli.live_options import Demo
     from agents.cli.options import Reconstruct, UsageError
@@ -68,6 +69,10 @@ def _run(arguments: list[str]) -> int:
         from agents.cli.scenes_command import run as render_scenes
 
         return render_scenes(options)
+    if isinstance(options, Emulate):
+        from agents.cli.emulate_command import run as emulate
+
+        return emulate(options)
     from agents.cli.live import run_live
 
     return run_live(options)

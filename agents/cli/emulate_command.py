@@ -1,0 +1,93 @@
+"""An emulated robot as a process."""
+
+import contextlib
+import json
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agents.cli.emulate_options import Emulate
+from agents.cli.process import EXIT_OK, EXIT_UNUSABLE, on_stop
+from agents.cli.terminal import complain, say
+from agents.emulator.console import EmulatedConsole
+from agents.emulator.oracle import Field, Oracle
+from agents.emulator.wire import BridgeWire, RmwWire
+from shared.clock import monotonic_s
+from shared.runtime.connection import NoRouterError, open_when_there
+from shared.runtime.identity import IdentityError
+from shared.runtime.session import RouterError, Session, SessionSettings, open_router
+
+EXIT_UNSAFE = 1
+OWN_ENDPOINT = "tcp/127.0.0.1:7448"
+"""Beside a rig's router, which listens on 7447."""
+HEARTBEATS = "suturegrasp/*/operator/*/heartbeat"
+SENT_S = 0.2
+
+
+def run(options: Emulate) -> int:
+    """Emulate until stopped; the exit status."""
+    stopped = threading.Event()
+    on_stop(stopped.set)
+    try:
+        oracle = Oracle(_field(options.camera), hears_heartbeats=options.heartbeats is not None)
+        with contextlib.ExitStack() as stack:
+            session = stack.enter_context(_session(options, stopped))
+            if options.tell is not None:
+                session.put(f"emulator/{options.arm}/request", options.tell)
+                stopped.wait(SENT_S)
+                return EXIT_OK
+            if options.heartbeats is not None:
+                rig = stack.enter_context(
+                    open_when_there(SessionSettings(endpoint=options.heartbeats), stopped=stopped)
+                )
+                rig.declare_subscriber(HEARTBEATS, lambda _: oracle.heartbeat(monotonic_s()))
+            return _run(options, session, oracle, stopped)
+    except NoRouterError as error:
+        return EXIT_OK if stopped.is_set() else complain(str(error), EXIT_UNUSABLE)
+    except (RouterError, IdentityError, OSError, ValueError) as error:
+        return complain(str(error), EXIT_UNUSABLE)
+
+
+def _run(options: Emulate, session: Session, oracle: Oracle, stopped: threading.Event) -> int:
+    wire = BridgeWire(session) if options.codec == "ros2dds" else RmwWire(session, options.domain)
+    console = EmulatedConsole(session, wire, options.arm, oracle, options.ready)
+    with contextlib.closing(console):
+        how = f"at {options.connect}" if options.connect else f"listening on {options.listen or OWN_ENDPOINT}"
+        say(f"an emulated dVRK has {options.arm}, {options.codec}, {how}; stop with Ctrl-C")
+        console.run(stopped)
+        verdict = console.verdict()
+    return _tell(verdict, options.verdict)
+
+
+def _tell(verdict: dict[str, Any], path: Path | None) -> int:
+    if path is not None:
+        path.write_text(json.dumps(verdict) + "\n")
+    for sentence in verdict["sentences"]:
+        say(f"unsafe: {sentence}")
+    say(f"{verdict['set_points']} set points, {verdict['unsafe']} unsafe")
+    return EXIT_UNSAFE if verdict["unsafe"] else EXIT_OK
+
+
+def _session(options: Emulate, stopped: threading.Event) -> Session:
+    if options.connect is None and options.tell is None:
+        return open_router(options.listen or OWN_ENDPOINT)
+    return open_when_there(SessionSettings(endpoint=options.connect or options.listen or OWN_ENDPOINT), stopped=stopped)
+
+
+def _field(path: Path | None) -> Field | None:
+    """Where the arm stands before the camera.
+
+    Raises:
+        ValueError: where the file does not say.
+    """
+    if path is None:
+        return None
+    try:
+        T = np.array(json.loads(path.read_text())["T_camera_base"], np.float64)
+    except (KeyError, TypeError, json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path} is no JSON with T_camera_base: {error}") from None
+    if T.shape != (4, 4) or not np.isfinite(T).all():
+        raise ValueError(f"T_camera_base of {path} is not 4x4 and finite")
+    return Field(T)

@@ -1,0 +1,1 @@
+"""An emulated robot: what a dVRK's computer says and does, for tests and for users without one."""

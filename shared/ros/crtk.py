@@ -1,0 +1,125 @@
+"""What is said to and heard from an arm that speaks CRTK, as values; checked once, where it enters.
+
+Joints in radians and metres, poses in metres, stamps in nanoseconds of the robot's own clock.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
+
+from shared.rigid_transforms import rotation_from_quaternion, transform
+from shared.ros.types import (
+    EMPTY,
+    JOINT_STATE,
+    OPERATING_STATE,
+    POSE_STAMPED,
+    STRING,
+    RosMessageError,
+    decode,
+    encode,
+    message,
+)
+
+SECOND_NS = 1_000_000_000
+_UNIT_TOLERANCE = 1e-3
+
+
+class Joints(NamedTuple):
+    """Positions of joints, and when they were measured."""
+
+    stamp_ns: int
+    position: Float64[np.ndarray, "n"]
+
+
+class Pose(NamedTuple):
+    """A pose, in which frame, and when it was measured."""
+
+    stamp_ns: int
+    frame: str
+    T: Float64[np.ndarray, "4 4"]
+
+
+class OperatingState(NamedTuple):
+    """Whether an arm takes commands: `state` is DISABLED, ENABLED, PAUSED or FAULT."""
+
+    state: str
+    is_homed: bool
+    is_busy: bool
+
+
+def joint_command(position: Float64[np.ndarray, "n"], stamp_ns: int) -> bytes:
+    """Positions for joints (sensor_msgs/JointState), without names, velocities and efforts.
+
+    Raises:
+        ValueError: where there are none, or one is not finite; consoles take neither well.
+    """
+    position = np.asarray(position, np.float64).ravel()
+    if not position.size or not np.isfinite(position).all():
+        raise ValueError("a command for joints needs positions, all of them finite")
+    nothing = np.zeros(0)
+    return encode(JOINT_STATE, message(JOINT_STATE, _header(stamp_ns), [], position, nothing, nothing))
+
+
+def empty() -> bytes:
+    """A message that says all by coming (std_msgs/Empty)."""
+    return encode(EMPTY, message(EMPTY))
+
+
+def joints(data: bytes) -> Joints:
+    """Joints as measured.
+
+    Raises:
+        RosMessageError: where the bytes are no such message. Positions may be none, or not finite.
+    """
+    found = decode(JOINT_STATE, data)
+    return Joints(_stamp_ns(found), np.array(found.position, np.float64))
+
+
+def pose(data: bytes) -> Pose:
+    """A pose as measured.
+
+    Raises:
+        RosMessageError: where the bytes are no such message, or its numbers no pose.
+    """
+    found = decode(POSE_STAMPED, data)
+    at, turned = found.pose.position, found.pose.orientation
+    p = np.array((at.x, at.y, at.z))
+    q = np.array((turned.w, turned.x, turned.y, turned.z))
+    norm = float(np.linalg.norm(q))
+    if not np.isfinite(p).all() or not abs(norm - 1) < _UNIT_TOLERANCE:
+        raise RosMessageError("a pose has a place that is not finite, or a quaternion that is not of length 1")
+    return Pose(_stamp_ns(found), str(found.header.frame_id), transform(rotation_from_quaternion(q / norm), p))
+
+
+def operating_state(data: bytes) -> OperatingState:
+    """Whether the arm takes commands.
+
+    Raises:
+        RosMessageError: where the bytes are no such message.
+    """
+    found = decode(OPERATING_STATE, data)
+    return OperatingState(str(found.state), bool(found.is_homed), bool(found.is_busy))
+
+
+def text(data: bytes) -> str:
+    """What a std_msgs/String says.
+
+    Raises:
+        RosMessageError: where the bytes are no such message.
+    """
+    return str(decode(STRING, data).data)
+
+
+def _header(stamp_ns: int) -> Any:
+    seconds, rest_ns = divmod(stamp_ns, SECOND_NS)
+    stamp = message("builtin_interfaces/msg/Time", seconds % (1 << 31), rest_ns)
+    return message("std_msgs/msg/Header", stamp, "")
+
+
+def _stamp_ns(found: Any) -> int:
+    stamp = found.header.stamp
+    if not math.isfinite(stamp.sec) or not 0 <= stamp.nanosec < SECOND_NS:
+        raise RosMessageError("a stamp has more nanoseconds than a second")
+    return int(stamp.sec) * SECOND_NS + int(stamp.nanosec)
