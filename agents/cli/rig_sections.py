@@ -112,12 +112,35 @@ class PlannerSection(Settings):
     tissue_required: bool = False
 
 
-class ArmSection(Settings):
-    """What drives an arm, and where it stands; psm1 and psm2 have a place without being told one."""
+class DvrkSection(Settings):
+    """How an arm of a da Vinci research kit is reached, and whether it is moved at all."""
 
-    backend: Literal["simulated"] = "simulated"
+    endpoint: Endpoint
+    arm: Annotated[str, Field(pattern=r"^[A-Za-z0-9_]+$")] = "PSM1"
+    codec: Literal["ros2dds", "rmw_zenoh"] = "ros2dds"
+    domain: int = Field(default=0, ge=0, le=232)
+    type_hashes: bool = True
+    tool: str = "LARGE_NEEDLE_DRIVER:400006"
+    set_point_hz: float = Field(default=200.0, ge=50, le=500)
+    dry_run: bool = True
+
+
+class ArmSection(Settings):
+    """What drives an arm, and where it stands; simulated psm1 and psm2 have a place without being told one."""
+
+    backend: Literal["simulated", "dvrk"] = "simulated"
+    speed_share: float = Field(default=1.0, ge=0.01, le=1)
     maximum_plan_age_s: float = Field(default=MAXIMUM_PLAN_AGE_S, gt=0)
     T_camera_base: BasePose | None = None
+    dvrk: DvrkSection | None = None
+
+    @model_validator(mode="after")
+    def _has_what_its_backend_needs(self) -> "ArmSection":
+        if (self.backend == "dvrk") != (self.dvrk is not None):
+            raise ValueError("backend 'dvrk' and a section dvrk with its endpoint go together")
+        if self.backend == "dvrk" and self.T_camera_base is None:
+            raise ValueError("backend 'dvrk' needs T_camera_base, which only the lab can have measured: docs/dvrk.md")
+        return self
 
 
 class SimulatorSection(Settings):
@@ -125,7 +148,7 @@ class SimulatorSection(Settings):
 
     seed: int = Field(default=1, ge=0)
     config: Literal["easy", "medium", "hard", "singularity", "crossing"] = "medium"
-    background: Literal["tissue", "plain"] = "tissue"
+    background: Literal["rendered", "tissue", "plain"] = "rendered"
     colour: Literal["violet", "black", "blue", "green", "white", "grey"] = "violet"
     distance_mm: float = Field(default=95.0, gt=50, lt=200)
     tool_error_mm: float = Field(default=0.3, ge=0)

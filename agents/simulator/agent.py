@@ -58,7 +58,7 @@ class SimulatorConfig:
 
     seed: int = 0
     config: str = "medium"
-    background: str = "tissue"
+    background: str = "rendered"
     colour: str = "violet"
     distance_mm: float = 95.0
     tool_error_mm: float = 0.3

@@ -1,19 +1,32 @@
 """A field without thread on disk, for the light renderer to lay threads over: images of both eyes, and the surface."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
+from jaxtyping import UInt8
 
 from schemas.messages import RectifiedStereo
-from shared.scene.render import Backdrop, SceneError
+from shared.scene.backdrop import Backdrop, Light, SceneError
 from shared.scene.surface import Surface, meet_rays, ray_tangents
 
 DOCUMENT, SURFACE, SIDES = "backdrop.json", "surface.npz", ("left", "right")
 QUALITY = 93
 DEPTH_STEP_MM = 0.005
 CAMERA_KEYS = ("image_width", "image_height", "fx_px", "fy_px", "cx_px", "cy_px", "baseline")
+
+
+@dataclass(frozen=True)
+class StoredField:
+    """A field as it lies on disk: for which camera, in mm, its surface, both images, and the lamps beside the lens."""
+
+    camera: RectifiedStereo
+    surface: Surface
+    left_bgr: UInt8[np.ndarray, "h w 3"]
+    right_bgr: UInt8[np.ndarray, "h w 3"]
+    lights: tuple[Light, ...]
 
 
 def write_backdrop(folder: Path, camera: RectifiedStereo, backdrop: Backdrop, origin: dict[str, object]) -> None:
@@ -25,7 +38,8 @@ def write_backdrop(folder: Path, camera: RectifiedStereo, backdrop: Backdrop, or
     surface = backdrop.surface
     levels = np.rint(surface.depth_mm / DEPTH_STEP_MM).astype(np.uint16)
     seen_with = {key: getattr(camera, key) for key in CAMERA_KEYS}
-    document = {"camera": seen_with, "unit": "mm", "origin": origin}
+    lights = [[*light.place_mm, light.share] for light in backdrop.lights]
+    document = {"camera": seen_with, "unit": "mm", "lights": lights, "origin": origin}
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for side, image in zip(SIDES, (backdrop.left_bgr, backdrop.right_bgr), strict=True):
@@ -38,15 +52,16 @@ def write_backdrop(folder: Path, camera: RectifiedStereo, backdrop: Backdrop, or
         raise SceneError(f"cannot write into {folder} ({error.strerror}); choose a folder you may write to") from error
 
 
-def read_backdrop(folder: Path, camera: RectifiedStereo) -> Backdrop:
-    """The field in a folder, for that camera alone.
+def stored_field(folder: Path) -> StoredField:
+    """The field in a folder, as it was rendered.
 
     Raises:
-        SceneError: where there is none, or it was made for another camera; the text says which.
+        SceneError: where there is none; the text says what is wrong.
     """
     try:
         document = json.loads((folder / DOCUMENT).read_text(encoding="utf-8"))
-        made_for = document["camera"]
+        camera = RectifiedStereo(**{key: document["camera"][key] for key in CAMERA_KEYS}, metres_per_unit=1e-3)
+        lights = tuple(Light((x, y, z), share) for x, y, z, share in document.get("lights", ()))
         with np.load(folder / SURFACE) as stored:
             depth, (x0, y0, step) = stored["depth"], stored["grid"].tolist()
         images = [cv2.imread(str(folder / f"{side}.jpg"), cv2.IMREAD_COLOR) for side in SIDES]
@@ -54,21 +69,26 @@ def read_backdrop(folder: Path, camera: RectifiedStereo) -> Backdrop:
         raise SceneError(
             f"{folder} holds no rendered field ({error}); make one by suturegrasp scenes backdrop"
         ) from error
-    other = [key for key in CAMERA_KEYS if not np.isclose(made_for.get(key, np.nan), getattr(camera, key), rtol=1e-6)]
-    if other:
-        raise SceneError(
-            f"{folder} was rendered for another camera, which differs in {', '.join(other)}; render it again"
-        )
     left, right = images
     if left is None or right is None:
         raise SceneError(f"{folder} lacks left.jpg or right.jpg; make it again by suturegrasp scenes backdrop")
     surface = Surface((depth * DEPTH_STEP_MM).astype(np.float32), x0, y0, step)
+    return StoredField(camera, surface, np.asarray(left, dtype=np.uint8), np.asarray(right, dtype=np.uint8), lights)
+
+
+def read_backdrop(folder: Path, camera: RectifiedStereo) -> Backdrop:
+    """The field in a folder, for that camera alone.
+
+    Raises:
+        SceneError: where there is none, or it was made for another camera; the text says which.
+    """
+    field = stored_field(folder)
+    made_for = field.camera
+    other = [key for key in CAMERA_KEYS if not np.isclose(getattr(made_for, key), getattr(camera, key), rtol=1e-6)]
+    if other:
+        raise SceneError(
+            f"{folder} was rendered for another camera, which differs in {', '.join(other)}; render it again"
+        )
     p, q = ray_tangents(camera)
-    return Backdrop(
-        surface,
-        np.asarray(left, dtype=np.uint8),
-        np.asarray(right, dtype=np.uint8),
-        meet_rays(surface, p, q, 0.0),
-        meet_rays(surface, p, q, camera.baseline),
-        shadows=True,
-    )
+    depths = [meet_rays(field.surface, p, q, eye_x_mm) for eye_x_mm in (0.0, camera.baseline)]
+    return Backdrop(field.surface, field.left_bgr, field.right_bgr, depths[0], depths[1], True, field.lights)

@@ -5,6 +5,7 @@ import numpy as np
 from jaxtyping import Float64, Int64, UInt8
 
 from schemas.messages import RectifiedStereo
+from shared.scene.backdrop import Light
 from shared.scene.centreline import NEAR_MM, Centreline
 from shared.scene.surface import Surface, depth_at_points
 from shared.scene.tissue import light_positions
@@ -58,22 +59,32 @@ def cast_shadow(
     centreline: Centreline,
     radius_mm: float,
     eye_x_mm: float,
+    lights: tuple[Light, ...] = (),
 ) -> None:
-    """Darken, in place, where the thread keeps either light from the surface; the centreline is in the left frame."""
+    """Darken, in place, where the thread keeps a light from the surface; the centreline is in the left frame.
+
+    Without `lights` it is the light renderer's two.
+    """
     points = centreline.points_camera[::SHADOW_STEPS]
     points = points[points[:, 2] > NEAR_MM]
     if len(points) < 2:
         return
     dark = np.zeros(image.shape[:2], dtype=np.uint8)
-    for source in light_positions(camera):
-        shadow = _thrown_on(surface, points, source)
+    for light in lights or own_lights(camera):
+        shadow = _thrown_on(surface, points, np.array(light.place_mm))
         one = np.zeros_like(dark)
         _draw(one, camera, shadow, radius_mm, eye_x_mm)
-        dark = cv2.addWeighted(dark, 1.0, one, 0.5, 0.0)
+        dark = cv2.addWeighted(dark, 1.0, one, light.share, 0.0)
     box = _box_of(dark, round(4 * SHADOW_SIGMA_PX))
     soft = cv2.GaussianBlur(dark[box], (0, 0), SHADOW_SIGMA_PX)
     keep = cv2.merge([cv2.convertScaleAbs(soft, alpha=-2.0 * SHADOW_STRENGTH, beta=255.0)] * 3)
     image[box] = cv2.multiply(image[box], keep, scale=1.0 / 255.0)
+
+
+def own_lights(camera: RectifiedStereo) -> tuple[Light, ...]:
+    """The light renderer's bundles beside the lens, which are alike."""
+    places = light_positions(camera).tolist()
+    return tuple(Light((x, y, z), 1.0 / len(places)) for x, y, z in places)
 
 
 def _thrown_on(

@@ -3,11 +3,13 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import UInt8
 
 from schemas.messages import RectifiedStereo
+from shared.scene.backdrop import Backdrop, SceneError
 from shared.scene.centreline import Thread, sample_centreline, shifted_to_right
 from shared.scene.compositing import cast_shadow, lay_over, shade_tube
+from shared.scene.rendered_fields import rendered_backdrop, rendered_surface
 from shared.scene.sensor import Sensor, expose, grain
 from shared.scene.surface import Surface, flat_surface, tissue_surface
 from shared.scene.tissue import GAMMA, PLAIN_GREY, tissue_texture, tissue_view, vignette
@@ -23,11 +25,9 @@ COLOURS = {
 }
 """Threads as they are sold (white is undyed), blue first, as they look where they face the light."""
 
-BACKGROUNDS = ("tissue", "plain")
-
-
-class SceneError(ValueError):
-    """A scene that cannot be rendered: the text names what is wrong and what would do."""
+TISSUE, PLAIN, RENDERED = "tissue", "plain", "rendered"
+BACKGROUNDS = (TISSUE, PLAIN, RENDERED)
+"""Tissue that is drawn here, a uniform grey, or one of the path-traced fields that come with the project."""
 
 
 @dataclass(frozen=True)
@@ -46,18 +46,6 @@ class Scene:
         if self.colour not in COLOURS:
             raise SceneError(f"unknown thread colour {self.colour!r}; known colours: {', '.join(COLOURS)}")
         check_background(self.background)
-
-
-@dataclass(frozen=True)
-class Backdrop:
-    """What lies behind the thread, seen by both cameras, without noise; depths in mm along each camera's axis."""
-
-    surface: Surface
-    left_bgr: UInt8[np.ndarray, "h w 3"]
-    right_bgr: UInt8[np.ndarray, "h w 3"]
-    depth_left_mm: Float32[np.ndarray, "h w"]
-    depth_right_mm: Float32[np.ndarray, "h w"]
-    shadows: bool
 
 
 @dataclass(frozen=True)
@@ -87,15 +75,19 @@ def check_background(name: str) -> None:
 def surface_of(camera: RectifiedStereo, background: str, distance_mm: float, seed: int) -> Surface:
     """The surface that a background puts behind the thread."""
     check_background(background)
-    if background == "plain":
+    if background == PLAIN:
         return flat_surface(distance_mm)
+    if background == RENDERED:
+        return rendered_surface(distance_mm, seed)
     return tissue_surface(camera, distance_mm, seed)
 
 
 def render_backdrop(camera: RectifiedStereo, background: str, distance_mm: float, seed: int) -> Backdrop:
     """The background in both cameras: most of a second, so keep it while only the thread moves."""
+    if background == RENDERED:
+        return rendered_backdrop(camera, distance_mm, seed)
     surface = surface_of(camera, background, distance_mm, seed)
-    if background == "plain":
+    if background == PLAIN:
         shape = (camera.image_height, camera.image_width)
         grey = np.full((*shape, 3), PLAIN_GREY, dtype=np.uint8)
         depth = np.full(shape, distance_mm, dtype=np.float32)
@@ -117,7 +109,7 @@ def render_thread(camera: RectifiedStereo, thread: Thread, colour: str, backdrop
     for eye_x_mm, behind, seen in eyes:
         image = behind.copy()
         if backdrop.shadows:
-            cast_shadow(image, camera, backdrop.surface, centreline, thread.radius_mm, eye_x_mm)
+            cast_shadow(image, camera, backdrop.surface, centreline, thread.radius_mm, eye_x_mm, backdrop.lights)
         tube = tube_pixels(camera, seen, thread.radius_mm)
         light = _light_on(camera, tube) if backdrop.shadows else 1.0
         lay_over(image, tube, shade_tube(tube, COLOURS[colour], light))
