@@ -1,18 +1,23 @@
-"""Boxes that hold everything that is to be looked at, and little else: few where it is compact, more where it winds."""
+"""Boxes that hold everything that is to be looked at, and little else: few where it is compact, more where it winds.
+
+What is to be looked at is divided, in cells of some pixels, where two boxes have least to look at; each part likewise,
+as long as that is less than before.
+"""
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float64, Int64
 
 CONTEXT_PX = 8
 """Around a box that is looked at too. What is looked for lies far from the border of where it is looked for already."""
 MULTIPLE_PX = 16
 """Of which the outer sides are, and where they begin, wherever the image allows it."""
-WORTH_SHARE = 0.95
-"""Of the area of one box: two are worth their while where they have less."""
-SMALLEST_PX = 64
-"""Boxes of this side and less are not divided."""
+CELL_PX = 8
+"""Boxes begin and end between cells of so many pixels."""
+COST_PX = 2000.0
+"""As much as looking at so many pixels is what a box costs by itself."""
 
 
 @dataclass(frozen=True)
@@ -44,33 +49,67 @@ class Box:
 
 def boxes_around(where: Bool[np.ndarray, "h w"]) -> list[Box]:
     """Boxes without common inner pixels that hold every pixel that is set."""
-    return _boxes(where, 0, 0)
+    return [_box(rows, columns, where.shape) for rows, columns in _parts(_cells(where), 0, 0)]
 
 
-def _boxes(where: Bool[np.ndarray, "h w"], top: int, left: int, shape: tuple[int, ...] | None = None) -> list[Box]:
-    shape = shape or where.shape
-    rows, columns = (np.flatnonzero(where.any(axis=1 - axis)) for axis in (0, 1))
+def _cells(where: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "r c"]:
+    """Which cells hold a pixel that is set."""
+    below, beside = (-side % CELL_PX for side in where.shape)
+    padded = cv2.copyMakeBorder(where.view(np.uint8), 0, below, 0, beside, cv2.BORDER_CONSTANT, value=0)
+    of_rows = padded.reshape(-1, CELL_PX, padded.shape[1]).max(axis=1)
+    return of_rows.reshape(len(of_rows), -1, CELL_PX).max(axis=2).view(bool)
+
+
+def _parts(cells: Bool[np.ndarray, "r c"], top: int, left: int) -> list[tuple[slice, slice]]:
+    """Rows and columns of cells, without empty ones at their sides, divided as long as that leaves less to look at."""
+    rows, columns = np.flatnonzero(cells.any(axis=1)), np.flatnonzero(cells.any(axis=0))
     if len(rows) == 0:
         return []
-    inside = where[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    cells = cells[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
     top, left = top + int(rows[0]), left + int(columns[0])
-    whole = Box(
-        (slice(top, top + inside.shape[0]), slice(left, left + inside.shape[1])),
-        (_wider(top, inside.shape[0], shape[0]), _wider(left, inside.shape[1], shape[1])),
-    )
-    if whole.area <= SMALLEST_PX**2:
-        return [whole]
-    middle = [side // 2 for side in inside.shape]
-    if inside.shape[0] > inside.shape[1]:
-        parts = (inside[: middle[0]], top, left), (inside[middle[0] :], top + middle[0], left)
-    else:
-        parts = (inside[:, : middle[1]], top, left), (inside[:, middle[1] :], top, left + middle[1])
-    apart = [box for part in parts for box in _boxes(*part, shape)]
-    return apart if sum(box.area for box in apart) < WORTH_SHARE * whole.area else [whole]
+    by_row, by_column = _costs_divided(cells), _costs_divided(cells.T)
+    best = min(by_row.min(initial=np.inf), by_column.min(initial=np.inf))
+    if best >= _cost(*(np.array(side) for side in cells.shape)):
+        return [(slice(top, top + cells.shape[0]), slice(left, left + cells.shape[1]))]
+    if by_row.min(initial=np.inf) == best:
+        cut = int(by_row.argmin()) + 1
+        return _parts(cells[:cut], top, left) + _parts(cells[cut:], top + cut, left)
+    cut = int(by_column.argmin()) + 1
+    return _parts(cells[:, :cut], top, left) + _parts(cells[:, cut:], top, left + cut)
 
 
-def _wider(first: int, length: int, size: int) -> slice:
-    start = max(0, first - CONTEXT_PX)
+def _costs_divided(cells: Bool[np.ndarray, "r c"]) -> Float64[np.ndarray, "r-1"]:
+    """What two boxes cost that are divided after each row but the last; the first and the last row hold something."""
+    count, width = cells.shape
+    row = np.arange(count)
+    filled = cells.any(axis=1)
+    first = np.where(filled, cells.argmax(axis=1), width)
+    last = np.where(filled, width - 1 - cells[:, ::-1].argmax(axis=1), -1)
+    # of the rows so far, and of those that are left
+    above = np.maximum.accumulate(last) - np.minimum.accumulate(first) + 1
+    below = (np.maximum.accumulate(last[::-1]) - np.minimum.accumulate(first[::-1]) + 1)[::-1]
+    end_above = np.maximum.accumulate(np.where(filled, row, -1)) + 1
+    start_below = np.minimum.accumulate(np.where(filled, row, count)[::-1])[::-1]
+    return _cost(end_above, above)[:-1] + _cost(count - start_below, below)[1:]
+
+
+def _cost(rows: Int64[np.ndarray, "*n"], columns: Int64[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
+    """What a box of so many cells costs, in pixels; as much is added around it as rounding does on average."""
+    around = 2 * CONTEXT_PX + MULTIPLE_PX / 2
+    return (CELL_PX * rows + around) * (CELL_PX * columns + around) + COST_PX
+
+
+def _box(rows: slice, columns: slice, shape: tuple[int, ...]) -> Box:
+    inner = [
+        slice(CELL_PX * side.start, min(size, CELL_PX * side.stop))
+        for side, size in zip((rows, columns), shape, strict=True)
+    ]
+    outer = [_wider(side, size) for side, size in zip(inner, shape, strict=True)]
+    return Box((inner[0], inner[1]), (outer[0], outer[1]))
+
+
+def _wider(inner: slice, size: int) -> slice:
+    start = max(0, inner.start - CONTEXT_PX)
     start -= start % MULTIPLE_PX
-    stop = first + length + CONTEXT_PX
+    stop = inner.stop + CONTEXT_PX
     return slice(start, min(size, stop + -(stop - start) % MULTIPLE_PX))

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int32, UInt8
+from jaxtyping import Bool, Float32, Float64, Int32, Int64, UInt8
 
 from agents.perception.segmentation.boxes import boxes_around
 from agents.perception.segmentation.near import Meant, Near, piece_meant
@@ -42,6 +42,13 @@ def segment_network(
         near: where thread is looked for; anywhere, if it is None.
         meant: which piece is meant; all pieces, if it is None.
     """
+    return segment_and_score(image, near, meant)[0]
+
+
+def segment_and_score(
+    image: UInt8[np.ndarray, "h w 3"], near: Near | None = None, meant: Meant | None = None
+) -> tuple[UInt8[np.ndarray, "h w"], UInt8[np.ndarray, "h w"]]:
+    """As `segment_network`, with the network's score of each pixel, 0 to 255."""
     where = None if near is None else near.where
     if image.shape[1] > WIDEST_PX:
         share = USUAL_WIDTH_PX / image.shape[1]
@@ -54,7 +61,7 @@ def segment_network(
     thread = _thread_in(score if where is None else np.where(where, score, np.uint8(0)))
     if meant is not None and meant.alone:
         thread = piece_meant(thread, meant.weight)
-    return np.where(thread, np.uint8(255), np.uint8(0))
+    return np.multiply(thread, np.uint8(255), dtype=np.uint8)
 
 
 def thread_score(
@@ -76,26 +83,36 @@ def thread_score(
 
 def _thread_in(score: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     """The pieces that are thread."""
-    count, labelled = cv2.connectedComponents((score >= SEGMENTED).view(np.uint8), connectivity=8)
-    labels = np.asarray(labelled, np.int32)
-    thread = _is_thread(labels, score, count)
-    if not thread.any() or thread[1:].all():
-        return thread[labels]
+    high_enough = score >= SEGMENTED
+    count, labelled = cv2.connectedComponents(high_enough.view(np.uint8), connectivity=8)
+    # few pixels are that high, and looking at them alone takes a third of the time
+    pixel = np.flatnonzero(high_enough)
+    piece = np.asarray(labelled, np.int32).ravel()[pixel]
+    sure = _is_thread(pixel, piece, score, count)
+    thread = _of_pixels(pixel[sure[piece]], score.shape)
+    if not thread.any() or sure[1:].all():
+        return thread
     reach = np.ones((2 * GAP_PX + 1, 2 * GAP_PX + 1), np.uint8)
-    thread[labels[cv2.dilate(thread[labels].view(np.uint8), reach) > 0]] = True
-    thread[0] = False
-    return thread[labels]
+    beside = np.asarray(cv2.dilate(thread.view(np.uint8), reach)).view(bool)
+    sure[piece[beside.ravel()[pixel]]] = True
+    return _of_pixels(pixel[sure[piece]], score.shape)
 
 
-def _is_thread(labels: Int32[np.ndarray, "h w"], score: UInt8[np.ndarray, "h w"], count: int) -> Bool[np.ndarray, "c"]:
-    """Which of the connected pieces are beyond doubt; the ground, number 0, is not."""
-    pixel = np.flatnonzero(labels)
-    of_pixel = labels.ravel()[pixel]
-    extent = np.hypot(*(_sides(of_pixel, at, count) for at in np.divmod(pixel, labels.shape[1])))
+def _of_pixels(pixel: Int64[np.ndarray, "p"], shape: tuple[int, ...]) -> Bool[np.ndarray, "h w"]:
+    mask = np.zeros(shape, bool)
+    mask.ravel()[pixel] = True
+    return mask
+
+
+def _is_thread(
+    pixel: Int64[np.ndarray, "p"], piece: Int32[np.ndarray, "p"], score: UInt8[np.ndarray, "h w"], count: int
+) -> Bool[np.ndarray, "c"]:
+    """Which of the connected pieces of those pixels are beyond doubt; the ground, number 0, is not."""
+    extent = np.hypot(*(_sides(piece, at, count) for at in np.divmod(pixel, score.shape[1])))
+    of_pixel = score.ravel()[pixel]
     best = np.zeros(count, np.uint8)
-    np.maximum.at(best, of_pixel, score.ravel()[pixel])
-    total = np.bincount(of_pixel, weights=score.ravel()[pixel], minlength=count)
-    mean = total / np.maximum(np.bincount(of_pixel, minlength=count), 1)
+    np.maximum.at(best, piece, of_pixel)
+    mean = np.bincount(piece, weights=of_pixel, minlength=count) / np.maximum(np.bincount(piece, minlength=count), 1)
     thread = (best >= SURE) & (mean >= LEAST_MEAN) & (extent >= LEAST_EXTENT_PX)
     return thread & bool(extent[thread].max(initial=0.0) >= LEAST_THREAD_PX)
 
