@@ -61,7 +61,7 @@ def segment_and_score(
     thread = _thread_in(score if where is None else np.where(where, score, np.uint8(0)))
     if meant is not None and meant.alone:
         thread = piece_meant(thread, meant.weight)
-    return np.multiply(thread, np.uint8(255), dtype=np.uint8)
+    return np.multiply(thread, np.uint8(255), dtype=np.uint8), score
 
 
 def thread_score(
