@@ -1,5 +1,6 @@
 """Agents from the configuration of a rig."""
 
+import dataclasses
 import sys
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from agents.planner.agent import Planner
 from agents.planner.config import PlannerConfig
 from agents.reconstruction.agent import Reconstruction
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
+from agents.robot_bridge.limits import MotionLimits
 from agents.robot_bridge.simulated import SimulatedPsm, waiting
 from agents.simulator.agent import Simulator, SimulatorConfig
 from schemas.messages import ImageEncoding, Severity, SimulatorState, StereoCalibration
@@ -25,6 +27,7 @@ from shared.calibration import CalibrationError, ReadCalibration, read_calibrati
 from shared.kinematics.simulated_setup import SIMULATED_BASES
 from shared.runtime.agent import Agent
 from shared.runtime.config import ConfigError
+from shared.runtime.session import SessionSettings
 
 KINDS = ("camera", "perception", "reconstruction", "planner", "robot_bridge", "simulator")
 
@@ -60,17 +63,34 @@ def build(rig: RigConfig, kind: str, instance: str) -> Agent:
                 )
             )
         case ArmSection():
-            T_camera_base = (
-                SIMULATED_BASES[instance] if section.T_camera_base is None else np.array(section.T_camera_base)
-            )
-            config = RobotBridgeConfig(instance, T_camera_base, maximum_plan_age_s=section.maximum_plan_age_s)
-            return RobotBridge(config, SimulatedPsm(waiting(T_camera_base)))
+            return _robot_bridge(rig, instance, section)
         case SimulatorSection():
             return Simulator(SimulatorConfig(**section.model_dump()))
         case None:
             raise ConfigError(f"the configuration has no section [{kind}]; add one, or run that agent elsewhere")
         case _:
             return Reconstruction(section.method, section.tracking)
+
+
+def _robot_bridge(rig: RigConfig, arm: str, section: ArmSection) -> RobotBridge:
+    T_camera_base = SIMULATED_BASES[arm] if section.T_camera_base is None else np.array(section.T_camera_base)
+    config = RobotBridgeConfig(
+        arm,
+        T_camera_base,
+        maximum_plan_age_s=section.maximum_plan_age_s,
+        limits=MotionLimits().slowed(section.speed_share),
+    )
+    if section.dvrk is None:
+        return RobotBridge(config, SimulatedPsm(waiting(T_camera_base)))
+    # reading ROS messages takes as long to load as all else
+    from agents.robot_bridge.dvrk.psm import DvrkPsm
+    from shared.ros.naming import RmwZenoh, Ros2dds
+
+    told = section.dvrk
+    reached = SessionSettings(rig.rig, told.endpoint, rig.identity_of(run_name("robot_bridge", arm)))
+    naming = Ros2dds() if told.codec == "ros2dds" else RmwZenoh(told.domain, told.type_hashes)
+    backend = DvrkPsm(told.arm, reached, naming, told.tool, told.dry_run)
+    return RobotBridge(dataclasses.replace(config, tick_hz=told.set_point_hz), backend)
 
 
 def perception_config(section: PerceptionSection, needs_matching: bool) -> PerceptionConfig:

@@ -96,6 +96,17 @@ class RigConfig(Settings):
         return self
 
     @model_validator(mode="after")
+    def _robots_are_reached_safely(self) -> "RigConfig":
+        for arm, section in self.robot.items():
+            endpoint = section.dvrk.endpoint if section.dvrk is not None else LOCAL_ENDPOINT
+            if not on_loopback(endpoint) and not (self.security is not None and endpoint.startswith("tls/")):
+                raise ValueError(
+                    f"robot.{arm}.dvrk.endpoint {endpoint!r} leaves this machine, which needs tls and [security]; or "
+                    "run the bridge on the robot's computer: docs/dvrk.md"
+                )
+        return self
+
+    @model_validator(mode="after")
     def _links_are_secured(self) -> "RigConfig":
         if not self.hosts:
             if self.router.host is not None or self.host is not None:

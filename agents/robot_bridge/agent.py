@@ -70,7 +70,8 @@ class RobotBridgeConfig:
         first_heartbeat_s: how long the first one may take; nothing moves before it.
         maximum_plan_age_s: since the frame that the plan was made from was captured; while the arm runs it can only be
             made smaller than it was configured.
-        tick_hz, resting_hz: turns a second while the arm is armed or moves, and while it is disarmed and still.
+        tick_hz, resting_hz: turns a second while the arm is armed or moves, and while it is disarmed and still; each
+            turn of a motion sends a set point.
     """
 
     arm: str = "psm1"
@@ -118,6 +119,7 @@ class RobotBridge:
         self._not_ready = "the arm has not been measured yet"
         self._execution: Execution | None = None
         self._holding = False
+        self._turns = 0
 
     def configure(self, config: RobotBridgeConfig) -> None:
         """Go on with another config, in which only what may be set while the agent runs has changed."""
@@ -154,7 +156,7 @@ class RobotBridge:
     def close(self) -> None:
         """Have the arm stop where it is; nothing follows any more."""
         self._execution = None
-        self._backend.hold()
+        self._backend.close()
 
     def _tick(self, now_ns: int) -> list[Output]:
         """One turn; where anything in it fails, the arm holds and is disarmed before the failure is passed on."""
@@ -172,13 +174,18 @@ class RobotBridge:
         if self._execution or (arm and self._has_moved(arm)):
             self._rests_from_ns = now_ns + round(RESTS_AFTER_S * 1e9)
         events = self._carry_on(self._execution, arm, now_ns, elapsed_s) if self._execution else []
-        return [Output(ROBOT_STATE, self._robot_state(arm)), *events] if arm else events
+        return [Output(ROBOT_STATE, self._robot_state(arm)), *events] if arm and (self._tells() or events) else events
+
+    def _tells(self) -> bool:
+        """Whether the state is told in this turn; where set points go out faster than it, not in each."""
+        self._turns += 1
+        return self._turns % max(1, round(self.tick_hz / (ROBOT_STATE.rate_hz or self.tick_hz))) == 0
 
     def _measure(self, now_ns: int) -> ArmState | None:
         """The newest finite state, noting why the arm is not ready."""
         state = self._backend.state(now_ns)
         if not (np.isfinite(state.joints).all() and np.isfinite(state.jaw_rad)):
-            self._not_ready = "the arm reports a joint that is not finite"
+            self._not_ready = state.reason or "the arm reports a joint that is not finite"
             return self._arm_state
         self._arm_state = state
         late = abs(now_ns - state.measured_ns) > MEASUREMENT_AGE_S * 1e9
@@ -293,6 +300,9 @@ class RobotBridge:
         planned = plan_motion(plan.waypoints, self._arm_state.joints, self._arm_state.jaw_rad, self._setup)
         if isinstance(planned, Refusal):
             return planned
+        if self._backend.dry_run:
+            would = f"the motion of {planned.duration_s:.1f} s passes every check, and nothing was sent"
+            return Refusal(Code.DRY_RUN, f"{would}: this is a dry run (dry_run of the arm's configuration)")
         patience = Patience(self.config.first_heartbeat_s, self.config.dead_man_s)
         return Execution(message, planned, self._now_ns, patience, self._backend.psm)
 

@@ -41,10 +41,12 @@ class Backend(Protocol):
         psm: the arm's kinematics and limits.
         accepts_replayed_time: whether the arm may live in the time of a recording that is replayed, as a simulated one
             may; an arm that is real may not, and does not move meanwhile.
+        dry_run: nothing is sent, so that arming ends with what would be.
     """
 
     psm: Psm
     accepts_replayed_time: bool = False
+    dry_run: bool = False
 
     def state(self, now_ns: int) -> ArmState:
         """The newest state; asked for once in every tick, before anything else."""
@@ -56,4 +58,8 @@ class Backend(Protocol):
 
     def hold(self) -> None:
         """Stop where the arm is, and stay there."""
+        ...
+
+    def close(self) -> None:
+        """Stop where the arm is, if it was moved, and let go of it; nothing follows."""
         ...

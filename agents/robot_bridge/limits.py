@@ -1,5 +1,6 @@
 """How fast, where and how long an arm may move, and where it stands."""
 
+import dataclasses
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -35,6 +36,19 @@ class MotionLimits:
     joint_share: float = 0.8
     workspace_camera: Float64[np.ndarray, "2 3"] = field(default_factory=_before_the_camera)
     maximum_duration_s: float = 120.0
+
+    def slowed(self, share: float) -> "MotionLimits":
+        """The same at a share of full speed, so that all of a motion takes 1 / share as long."""
+        return dataclasses.replace(
+            self,
+            speed=self.speed * share,
+            acceleration=self.acceleration * share**2,
+            angular_speed=self.angular_speed * share,
+            angular_acceleration=self.angular_acceleration * share**2,
+            jaw_speed=self.jaw_speed * share,
+            joint_share=self.joint_share * share,
+            maximum_duration_s=self.maximum_duration_s / share,
+        )
 
 
 @dataclass(frozen=True, eq=False)

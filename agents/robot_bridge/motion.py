@@ -43,6 +43,11 @@ class Trajectory:
     jaw_rad: Float64[np.ndarray, "n"]
     stops: tuple[Stop, ...]
 
+    @property
+    def duration_s(self) -> float:
+        """From the first tick to the last."""
+        return (len(self.joints) - 1) * self.period_s
+
     def at(self, seconds: float) -> tuple[Float64[np.ndarray, "6"], float]:
         """Joints and jaw so long after the start."""
         last = len(self.joints) - 1

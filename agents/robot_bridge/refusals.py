@@ -25,6 +25,7 @@ class Code(enum.StrEnum):
     HEARTBEAT_LOST = "heartbeat_lost"
     HOLD_COMMAND = "hold_command"
     NOT_FOLLOWING = "not_following"
+    DRY_RUN = "dry_run"
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ class SimulatedPsm:
     """
 
     accepts_replayed_time = True
+    dry_run = False
 
     def __init__(
         self, joints: tuple[float, ...] = SIMULATED_START, jaw_rad: float = 0.0, psm: Psm = LARGE_NEEDLE_DRIVER
@@ -53,3 +54,7 @@ class SimulatedPsm:
     def hold(self) -> None:
         """Head for nowhere."""
         self._set_point = self._position
+
+    def close(self) -> None:
+        """Stay."""
+        self.hold()

@@ -17,6 +17,7 @@ from zenoh import ext
 from shared.clock import now_ns
 from shared.ros.naming import GID_BYTES, Naming, Role
 from shared.runtime.connection import NoRouterError, open_when_there
+from shared.runtime.identity import IdentityError
 from shared.runtime.session import SessionSettings
 
 ENDS_S = 5.0
@@ -52,6 +53,9 @@ class Said:
 class RosLink:
     """Hears and says ROS topics, from `open` until `close`.
 
+    Fields:
+        failed: why there will be no session; empty while there is one, or may be.
+
     Args:
         owner_changed: is told of each publisher of `watched` topics, other than this link, that comes (True) or goes.
     """
@@ -68,6 +72,7 @@ class RosLink:
         self._settings, self._naming, self._heard = settings, naming, heard
         self._said = {one.topic: one for one in said}
         self._watched, self._owner_changed = watched, owner_changed
+        self.failed = ""
         self._gid, self._session, self._kept = os.urandom(GID_BYTES), None, []
         self._stopped, self._thread = threading.Event(), threading.Thread(target=self._run, name="ros", daemon=True)
 
@@ -98,7 +103,8 @@ class RosLink:
     def _run(self) -> None:
         try:
             session = open_when_there(self._settings, stopped=self._stopped)
-        except NoRouterError:
+        except (NoRouterError, IdentityError) as error:
+            self.failed = str(error)
             return
         self._session = session
         self._announce(session)

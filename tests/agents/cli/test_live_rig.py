@@ -191,6 +191,7 @@ def test_a_base_that_was_typed_in_with_few_digits_is_a_rotation():
     assert np.degrees(np.arctan2(T[1, 0], T[0, 0])) == pytest.approx(30.0, abs=0.05)
 
 
+DVRK = '[robot.psm1]\nbackend = "dvrk"\n[robot.psm1.dvrk]\n'
 MISTAKES = {
     '[camera]\nsource = "images"': "camera: source 'images' needs left",
     '[camera]\nsource = "video"\nleft = "a"': "camera: source 'video' needs calibration",
@@ -201,8 +202,12 @@ MISTAKES = {
     '[router]\nendpoint = "tcp/127.0.0.1:99999"': "is no endpoint",
     'rig = "my rig"': "rig = 'my rig'",
     "[robot.PSM1]": "robot.PSM1",
-    '[robot.psm1]\nbackend = "dvrk"': "robot.psm1.backend = 'dvrk': input should be 'simulated'",
-    "[robot.psm1]\nbakend = 1": "robot.psm1.bakend is unknown; allowed here: backend, maximum_plan_age_s",
+    '[robot.psm1]\nbackend = "ros"': "robot.psm1.backend = 'ros': input should be 'simulated' or 'dvrk'",
+    '[robot.psm1]\nbackend = "dvrk"': "robot.psm1: backend 'dvrk' and a section dvrk with its endpoint go together",
+    f'{DVRK}endpoint = "tcp/127.0.0.1:7448"': "backend 'dvrk' needs T_camera_base",
+    f"{DVRK}[planner]": "robot.psm1.dvrk.endpoint is missing",
+    f'{base(ASIDE)}\nbackend = "dvrk"\n[robot.psm1.dvrk]\nendpoint = "tcp/10.0.0.9:7"': "needs tls and [security]; or",
+    "[robot.psm1]\nbakend = 1": "robot.psm1.bakend is unknown; allowed here: backend, speed_share",
     "[robot.psm3]": "robot: psm3 needs T_camera_base; only psm1 and psm2 have a place of their own",
     base("[1, 2, 3]"): "robot.psm1.T_camera_base: write four rows of four numbers",
     base("[[1, 0, 0], [0, 1, 0], [0, 0, 1]]"): "write four rows of four numbers",
@@ -257,8 +262,13 @@ def test_the_example_rig_is_the_simulated_one_spelt_out():
     assert example.session == SessionSettings("lab", expected.router.endpoint)
 
 
-NAMED_SECTIONS = {"robot": "robot.psm1", "hosts": "hosts.video", "topics": 'topics."camera/frames"'}
-"""As the page gives a name to sections that users name."""
+NAMED_SECTIONS = {
+    "robot": "robot.psm1",
+    "dvrk": "robot.psm1.dvrk",
+    "hosts": "hosts.video",
+    "topics": 'topics."camera/frames"',
+}
+"""As the page gives a name to sections that users name, and to those within."""
 
 
 def sections(model, prefix=""):
@@ -270,7 +280,7 @@ def sections(model, prefix=""):
         if section is None:
             keys[name] = field
         else:
-            title = {"robot": "robot.psm1", "hosts": "hosts.video", "topics": 'topics."camera/frames"'}.get(name, name)
+            title = NAMED_SECTIONS.get(name, name)
             found |= sections(section, f"[{title}]")
     return {prefix: keys} | found
 

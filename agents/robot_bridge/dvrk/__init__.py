@@ -1,0 +1,1 @@
+"""A PSM of a da Vinci research kit as a backend of the bridge."""

@@ -1,0 +1,98 @@
+"""A PSM behind a console that speaks CRTK: joint set points out, measurements and the console's own state in.
+
+Set points go to `servo_jp` and `jaw/servo_jp` at every tick, never to `move_*`: a console makes a joint-space
+trajectory of those, and mixing one with the other has slammed arms. The last set point is held by the console when none
+follows, for it knows no time-out.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float64
+
+from agents.robot_bridge.backend import ArmState
+from agents.robot_bridge.dvrk.readings import KINDS, Readings
+from shared.clock import now_ns as clock_ns
+from shared.kinematics.psm import LARGE_NEEDLE_DRIVER, Psm
+from shared.ros import crtk
+from shared.ros.link import Heard, RosLink, Said
+from shared.ros.naming import Naming
+from shared.ros.types import EMPTY, JOINT_STATE, OPERATING_STATE, POSE_STAMPED, STRING, STRING_STAMPED
+from shared.runtime.session import SessionSettings
+
+MOTIONS = {
+    **dict.fromkeys(
+        ("servo_jp", "move_jp", "servo_jr", "move_jr", "jaw/servo_jp", "jaw/move_jp", "servo_jf"), JOINT_STATE
+    ),
+    **dict.fromkeys(("servo_cp", "move_cp"), POSE_STAMPED),
+}
+"""Whoever publishes one of these beside us is another owner of the arm."""
+STOPS = {"hold": EMPTY, "free": EMPTY, "state_command": STRING_STAMPED}
+"""Whoever sends one of these wants us to stop; that somebody could does not."""
+
+
+class DvrkPsm:
+    """One PSM; in a dry run, or until it is opened, nothing is ever sent."""
+
+    accepts_replayed_time = False
+
+    def __init__(
+        self,
+        name: str,
+        settings: SessionSettings,
+        naming: Naming,
+        tool: str,
+        dry_run: bool,
+        psm: Psm = LARGE_NEEDLE_DRIVER,
+    ) -> None:
+        """The arm of that name on the console that is reached so; `tool` as Readings has it."""
+        self.psm, self.dry_run, self._name = psm, dry_run, name
+        self._readings = readings = Readings(name, tool, psm)
+        self._commanded_ns = 0
+        heard = (
+            *(self._measurement(kind) for kind in KINDS),
+            Heard(f"{name}/operating_state", OPERATING_STATE, readings.hear_state, latched=True),
+            Heard(f"{name}/error", STRING, readings.hear_error, latched=True),
+            Heard(f"{name}/tool_type", STRING, readings.hear_tool, latched=True),
+            *(
+                Heard(f"{name}/{topic}", ros_type, self._another(topic), others_only=True)
+                for topic, ros_type in (MOTIONS | STOPS).items()
+            ),
+        )
+        says = {"servo_jp": JOINT_STATE, "jaw/servo_jp": JOINT_STATE, "hold": EMPTY}
+        said = () if dry_run else tuple(Said(f"{name}/{topic}", ros_type) for topic, ros_type in says.items())
+        watched = tuple(f"{name}/{topic}" for topic in MOTIONS)
+        self._link = RosLink(settings, naming, heard, said, watched, readings.owner_changed)
+
+    def state(self, now_ns: int) -> ArmState:
+        """The newest that was heard; the first time, the connection is begun."""
+        self._link.open()
+        measured = self._readings.measured()
+        readiness, reason = self._readings.judge(measured, self._commanded_ns, now_ns)
+        return ArmState(measured.measured_ns, measured.joints, measured.jaw_rad, readiness, self._link.failed or reason)
+
+    def move(self, joints: Float64[np.ndarray, "6"], jaw_rad: float) -> None:
+        """Send a set point for the arm and one for its jaw."""
+        if self.dry_run:
+            return
+        self._commanded_ns = clock_ns()
+        self._link.say(f"{self._name}/servo_jp", crtk.joint_command(joints, self._commanded_ns))
+        self._link.say(f"{self._name}/jaw/servo_jp", crtk.joint_command(np.array([jaw_rad]), self._commanded_ns))
+
+    def hold(self) -> None:
+        """Have the console stop the arm where it is."""
+        if not self.dry_run:
+            self._link.say(f"{self._name}/hold", crtk.empty())
+
+    def close(self) -> None:
+        """Hold what we moved, and let go; an arm that we did not move may be somebody else's by now."""
+        if self._commanded_ns:
+            self.hold()
+        self._link.close()
+
+    def _measurement(self, kind: str) -> Heard:
+        ros_type = POSE_STAMPED if kind.endswith("_cp") else JOINT_STATE
+        return Heard(f"{self._name}/{kind}", ros_type, lambda data, at_ns: self._readings.hear(kind, data, at_ns))
+
+    def _another(self, topic: str) -> Callable[[bytes, int], None]:
+        return lambda _data, at_ns: self._readings.hear_other(f"{self._name}/{topic}", at_ns)

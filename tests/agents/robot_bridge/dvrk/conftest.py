@@ -1,0 +1,159 @@
+"""A bridge with a real backend, an emulated console behind a real router, and somebody who stands by."""
+
+import contextlib
+import threading
+from typing import Any
+
+import numpy as np
+import pytest
+import zenoh
+
+from agents.emulator.console import EmulatedConsole
+from agents.emulator.oracle import Field, Oracle
+from agents.emulator.wire import BridgeWire, RmwWire
+from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
+from agents.robot_bridge.dvrk.psm import DvrkPsm
+from agents.robot_bridge.limits import MotionLimits
+from schemas.messages import (
+    Arm,
+    CommandAnswer,
+    CommandHeader,
+    ExecutionEvent,
+    FrameStamp,
+    GraspPlan,
+    Heartbeat,
+    Phase,
+    Policy,
+    RobotState,
+    Status,
+    Waypoint,
+)
+from schemas.topics import ARM, EXECUTION, HEARTBEAT, PLAN, ROBOT_STATE
+from shared.clock import monotonic_s, now_ns
+from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
+from shared.rigid_transforms import exp_so3, transform
+from shared.ros.naming import RmwZenoh, Ros2dds
+from shared.runtime.agent import Command, Output, Received, Tick
+from shared.runtime.session import SessionSettings, free_local_endpoint, open_router, open_session
+
+DEADLINE_S = 20.0
+NAME, TOOL = "PSM1", "LARGE_NEEDLE_DRIVER:400006"
+HZ = 200.0
+PATIENT_S = 1.0
+"""A test machine may stall; how soon silence ends a motion is measured by benchmarks/robot.py."""
+
+BRISK = MotionLimits(0.1, 1.0, 3.0, 20.0, 4.0, contact_share=0.8)
+
+
+def waypoint(place_mm: tuple[float, float, float], jaw_rad: float, phase: Phase, roll: float = 0.3) -> Waypoint:
+    T = transform(exp_so3(np.array((0.1, 0, roll))), np.array(place_mm) / 1e3)
+    return Waypoint(T, jaw_rad, phase, None)
+
+
+WAYPOINTS = (
+    waypoint((30, 8, 72), 1.0, Phase.APPROACH),
+    waypoint((30, 8, 75), 0.3, Phase.CAPTURE),
+    waypoint((31, 8, 75), 0.3, Phase.SLIDE, 0.4),
+    waypoint((32, 8.5, 75), 0.3, Phase.SLIDE, 0.5),
+    waypoint((32, 8.5, 75), -0.2, Phase.GRASP, 0.5),
+)
+
+
+def plan(plan_id: str, captured_ns: int) -> GraspPlan:
+    stamp = FrameStamp(1, captured_ns, captured_ns, "c")
+    values: dict[str, Any] = {
+        "status": Status.OK,
+        "reason": "",
+        "waypoints": WAYPOINTS,
+        "s_goal": 0.5,
+        "s_capture": 0.4,
+    }
+    values |= {"policy": Policy.CAPTURE_SLIDE_GRASP, "probability": 0.9, "slide_m": 0.002, "alternatives": ()}
+    return GraspPlan(plan_id=plan_id, arm="psm1", goal_id="g", stamp=stamp, **values)
+
+
+class Lab:
+    """Everything of one arm; the bridge turns in `turn`, as its runner would have it."""
+
+    def __init__(self, console: EmulatedConsole, session: zenoh.Session, backend: DvrkPsm) -> None:
+        self.console, self.session, self.backend = console, session, backend
+        config = RobotBridgeConfig(tick_hz=HZ, dead_man_s=PATIENT_S, first_heartbeat_s=PATIENT_S, limits=BRISK)
+        self.bridge = RobotBridge(config, backend)
+        self.said: list[Output | CommandAnswer] = []
+        self.armings, self.stands_by = 0, True
+        self._next_s = monotonic_s()
+        self._oracle: Oracle = console._oracle
+
+    def turn(self) -> None:
+        """One turn of the bridge and of whoever stands by."""
+        threading.Event().wait(max(0.0, self._next_s - monotonic_s()))
+        self._next_s = max(self._next_s + 1 / HZ, monotonic_s())
+        if self.stands_by and self.armings:
+            self._oracle.heartbeat(monotonic_s())
+            beat = Heartbeat("psm1", "p", now_ns(), f"arming-{self.armings}")
+            self.said += self.bridge.step(Received(HEARTBEAT, "", 0, beat))
+        self.said += self.bridge.step(Tick(now_ns()))
+
+    def until(self, condition: Any) -> None:
+        """Turn until a condition is true."""
+        deadline_s = monotonic_s() + DEADLINE_S
+        while not condition():
+            assert monotonic_s() < deadline_s, (self.arm(), [e.reason for e in self.events()], self.verdict())
+            self.turn()
+
+    def arm(self) -> CommandAnswer:
+        """Publish a plan and arm it."""
+        self.said += self.bridge.step(Received(PLAN, "", 0, plan("p", now_ns())))
+        self.armings += 1
+        message = Arm(CommandHeader(f"arming-{self.armings}", now_ns() + 10**9, "ann"), "psm1", "p")
+        said = list(self.bridge.step(Command(ARM, "psm1", message, now_ns())))
+        self.said += said
+        assert isinstance(said[0], CommandAnswer)
+        return said[0]
+
+    def ready(self) -> None:
+        """Wait until the arm may be armed."""
+        self.until(lambda: self.backend.state(now_ns()).reason == "")
+
+    def events(self) -> list[ExecutionEvent]:
+        return [o.message for o in self.said if isinstance(o, Output) and o.topic is EXECUTION]
+
+    def states(self) -> list[RobotState]:
+        return [o.message for o in self.said if isinstance(o, Output) and o.topic is ROBOT_STATE]
+
+    def verdict(self) -> dict[str, Any]:
+        return self.console.verdict()
+
+    def ask(self, word: str) -> None:
+        """Have the emulated console do something."""
+        self.session.put(f"emulator/{NAME}/request", word)
+
+
+@pytest.fixture
+def codec() -> str:
+    return "ros2dds"
+
+
+@pytest.fixture
+def dry_run() -> bool:
+    return False
+
+
+@pytest.fixture
+def lab(codec: str, dry_run: bool, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("agents.robot_bridge.agent.MEASUREMENT_AGE_S", PATIENT_S)
+    endpoint, stopped = free_local_endpoint(), threading.Event()
+    oracle = Oracle(Field(SIMULATED_T_CAMERA_BASE), hears_heartbeats=True)
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(open_router(endpoint))
+        session = stack.enter_context(open_session(SessionSettings(endpoint=endpoint)))
+        wire = BridgeWire(session) if codec == "ros2dds" else RmwWire(session, 3)
+        console = stack.enter_context(contextlib.closing(EmulatedConsole(session, wire, NAME, oracle, ready=True)))
+        running = threading.Thread(target=console.run, args=(stopped,))
+        running.start()
+        stack.callback(lambda: (stopped.set(), running.join()))
+        naming = Ros2dds() if codec == "ros2dds" else RmwZenoh(3)
+        backend = DvrkPsm(NAME, SessionSettings(endpoint=endpoint), naming, TOOL, dry_run)
+        made = Lab(console, session, backend)
+        stack.enter_context(contextlib.closing(made.bridge))
+        yield made

@@ -1,0 +1,138 @@
+"""A plan on an emulated dVRK by either codec, and everything for which the bridge must not move it, or stop."""
+
+import re
+
+import numpy as np
+import pytest
+
+from agents.robot_bridge.dvrk.robot_clock import WINDOW_NS, RobotClock
+from schemas.messages import ExecutionKind, Outcome, Phase, RobotMode
+from shared.clock import now_ns
+from shared.ros import crtk
+from shared.ros.naming import RmwZenoh, Role
+from shared.ros.types import JOINT_STATE
+
+SECOND_NS = 10**9
+
+
+def moves(lab):
+    """Arm a plan and wait until the arm moves."""
+    lab.ready()
+    answer = lab.arm()
+    assert answer.outcome is Outcome.ACCEPTED, answer.reason
+    lab.until(lambda: lab.verdict()["set_points"] > 40)
+
+
+def held(lab):
+    """Wait until the bridge holds; the event."""
+    lab.until(lambda: any(e.kind is ExecutionKind.HELD for e in lab.events()))
+    return next(e for e in lab.events() if e.kind is ExecutionKind.HELD)
+
+
+@pytest.mark.parametrize("codec", ["ros2dds", "rmw_zenoh"])
+def test_capture_slide_and_grasp_without_an_unsafe_set_point(lab):
+    moves(lab)
+    lab.until(lambda: lab.events()[-1].kind is ExecutionKind.FINISHED)
+    reached = [e.phase for e in lab.events() if e.kind is ExecutionKind.PHASE_REACHED]
+    assert reached == [Phase.APPROACH, Phase.CAPTURE, Phase.SLIDE, Phase.GRASP]
+    verdict = lab.verdict()
+    assert verdict["unsafe"] == 0, verdict["sentences"]
+    assert verdict["position"][6] == pytest.approx(-0.2, abs=5e-3)
+    state = lab.states()[-1]
+    assert np.abs(state.joints - verdict["position"][:6]).max() < 1e-3
+    told, sent = len(lab.states()), verdict["set_points"] / 2
+    assert 0.4 * sent < told < 0.8 * sent, "the state is told half as often as set points go out"
+    # nothing executes later
+    lab.stands_by = False
+    ended_ns = now_ns()
+    lab.until(lambda: now_ns() - ended_ns > 0.3 * SECOND_NS)
+    assert lab.verdict()["set_point_ns"] < ended_ns + 0.05 * SECOND_NS
+
+
+@pytest.mark.parametrize(
+    ("word", "reason", "mode"),
+    [
+        ("fault", "an error was asked for", RobotMode.FAULT),
+        ("error", "an error was asked for", RobotMode.FAULT),
+        ("mute", "was not measured|does not follow", RobotMode.FAULT),
+        ("stick", "does not follow", RobotMode.HOLDING),
+    ],
+)
+def test_what_goes_wrong_at_the_robot_stops_the_motion(lab, word, reason, mode):
+    moves(lab)
+    lab.ask(word)
+    event = held(lab)
+    assert re.search(reason, event.reason)
+    lab.until(lambda: lab.states()[-1].mode is mode)
+    count = lab.verdict()["set_points"]
+    lab.until(lambda: lab.verdict()["held_ns"])
+    assert lab.arm().outcome is Outcome.REFUSED or word in ("error", "stick")
+    assert lab.verdict()["unsafe"] == 0 or word == "fault", "set points on their way when the console failed"
+    assert lab.verdict()["set_points"] <= count + 2
+
+
+@pytest.mark.parametrize(
+    ("topic", "ros"), [("jaw/move_jp", crtk.joint_command(np.array([0.5]), 0)), ("hold", crtk.empty())]
+)
+def test_another_one_who_commands_ends_ours_and_keeps_us_out(lab, topic, ros):
+    moves(lab)
+    lab.session.put(f"PSM1/{topic}", ros)
+    assert f"somebody else commands it by PSM1/{topic}" in held(lab).reason
+    answer = lab.arm()
+    assert (answer.outcome, answer.code) == (Outcome.REFUSED, "not_ready")
+
+
+@pytest.mark.parametrize("codec", ["ros2dds", "rmw_zenoh"])
+def test_another_one_who_could_command_is_enough_to_refuse(lab, codec):
+    lab.ready()
+    announced = "@/abc/@ros2_lv/MP/PSM1§servo_jp/sensor_msgs§msg§JointState/:::"
+    if codec == "rmw_zenoh":
+        announced = RmwZenoh(3).token("abc", 7, Role.PUBLISHER, "PSM1/servo_cp", JOINT_STATE, False) or ""
+    with lab.session.liveliness().declare_token(announced):
+        lab.until(lambda: lab.arm().code == "not_ready")
+        assert "somebody else could command it" in lab.arm().reason
+    lab.ready()
+
+
+@pytest.mark.parametrize("dry_run", [True])
+def test_a_dry_run_checks_all_of_a_motion_and_sends_nothing(lab):
+    lab.ready()
+    answer = lab.arm()
+    assert (answer.outcome, answer.code) == (Outcome.REFUSED, "dry_run")
+    assert "passes every check" in answer.reason
+    lab.until(lambda: len(lab.states()) > 3)
+    verdict = lab.verdict()
+    assert (verdict["set_points"], verdict["held_ns"]) == (0, 0)
+
+
+def test_a_console_that_is_disabled_has_another_tool_or_is_elsewhere_is_not_armed(lab):
+    lab.ready()
+    arm = lab.console._arm
+    for word, reason in (("disable", "DISABLED, not ENABLED"), ("enable", ""), ("pause", "PAUSED"), ("resume", "")):
+        arm.command(word)
+        lab.until(lambda reason=reason: reason in lab.backend.state(now_ns()).reason)
+    lab.ready()
+    arm.is_homed = False
+    lab.until(lambda: lab.arm().reason.endswith("it is not homed"))
+    arm.is_homed = True
+    lab.ready()
+    lab.backend._readings.hear_tool(b"", 0)
+    assert "its tool is something not readable" in lab.arm().reason
+    lab.backend._readings._tool = ""
+    lab.backend._readings.hear("local/measured_cp", b"\0\1\0\0", 0)
+    lab.ready()
+
+
+def test_when_something_was_measured_is_told_by_the_robots_own_clock():
+    clock, ahead = RobotClock(), 5_000 * SECOND_NS
+    for i in range(100):
+        stamp, delay = i * 10**7, 10**6 + (i % 7) * 10**5
+        assert 0 <= clock.measured_ns(stamp + ahead, stamp + delay) - stamp <= 1.7e6
+    # a link that kept messages back lets them go at once
+    late = 101 * 10**7
+    assert late + SECOND_NS - clock.measured_ns(late + ahead, late + SECOND_NS) > 0.99 * SECOND_NS
+    # a slow link that stays slow is soon taken for what it is
+    starts = [2 * SECOND_NS + i * (WINDOW_NS + 1) for i in range(3)]
+    after = [clock.measured_ns(at + ahead, at + 5 * 10**7) - at for at in starts]
+    assert after[-1] == 5 * 10**7
+    assert clock.measured_ns(0, 12) == 12
