@@ -10,6 +10,7 @@ from agents.cli.live_options import (
     ArmPlan,
     Doctor,
     Goal,
+    Guard,
     HoldArm,
     OnRig,
     PromptThread,
@@ -70,6 +71,10 @@ def run_live(options: OnRig) -> int:
                 return arm(rig, options)
             case HoldArm():
                 return hold_arm(rig, options.arm)
+            case Guard():
+                from agents.cli.guard_command import guard
+
+                return guard(rig, options)
             case PromptThread():
                 return prompt_thread(rig, options)
             case Up():

@@ -162,6 +162,14 @@ class HoldArm(OnRig):
 
 
 @dataclass(frozen=True)
+class Guard(OnRig):
+    """Watch a real arm from its own computer, and have it held when bridge, link or operator is gone (docs/dvrk.md)."""
+
+    arm: str = "psm1"
+    """Name of the arm, as in the configuration."""
+
+
+@dataclass(frozen=True)
 class PromptThread(OnRig):
     """Say which thread is meant: the one at a pixel of the rectified left image. Without a pixel: any again."""
 
@@ -231,6 +239,7 @@ LIVE_COMMANDS = {
     "reconstruction": ReconstructionAgent,
     "planner": PlannerAgent,
     "robot-bridge": RobotBridgeAgent,
+    "guard": Guard,
     "simulator": SimulatorAgent,
     "record": Record,
     "view": View,

@@ -27,8 +27,8 @@ from agents.emulator.geometry import (
     tool,
 )
 
-STANDING_BY_S = 0.3
-"""The dead man's 0.2 s, and what one heartbeat may be late by."""
+STANDING_BY_S = 0.4
+"""The dead man's 0.2 s, and as much for a heartbeat's way here on a busy machine."""
 SLACK_S = 0.05
 WINDOW_S = 0.1
 ROUNDING = 1e-9

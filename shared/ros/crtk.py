@@ -16,6 +16,7 @@ from shared.ros.types import (
     OPERATING_STATE,
     POSE_STAMPED,
     STRING,
+    STRING_STAMPED,
     RosMessageError,
     decode,
     encode,
@@ -65,6 +66,11 @@ def joint_command(position: Float64[np.ndarray, "n"], stamp_ns: int) -> bytes:
 def empty() -> bytes:
     """A message that says all by coming (std_msgs/Empty)."""
     return encode(EMPTY, message(EMPTY))
+
+
+def state_command(word: str, stamp_ns: int) -> bytes:
+    """`enable`, `disable`, `pause`, `resume` or `home` (crtk_msgs/StringStamped)."""
+    return encode(STRING_STAMPED, message(STRING_STAMPED, _header(stamp_ns), word))
 
 
 def joints(data: bytes) -> Joints:

@@ -39,6 +39,7 @@ def test_what_the_console_says_is_read_as_it_was_said(stamp_ns, word, names, num
     assert crtk.joints(stated.serialize()).position.tolist() == numbers
     state = others.OperatingState(at, word, one, other)
     assert crtk.operating_state(state.serialize()) == (word, one, other)
+    assert crtk.state_command("home", stamp_ns) == others.StringStamped(others.header(stamp_ns), "home").serialize()
     assert crtk.text(others.String(word).serialize()) == word
     for name, theirs in (
         (types.JOINT_STATE, stated),

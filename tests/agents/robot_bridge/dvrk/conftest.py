@@ -157,3 +157,9 @@ def lab(codec: str, dry_run: bool, monkeypatch: pytest.MonkeyPatch):
         made = Lab(console, session, backend)
         stack.enter_context(contextlib.closing(made.bridge))
         yield made
+
+
+@pytest.fixture
+def plan_of():
+    """Makes a plan of an id for a frame of a time."""
+    return plan
