@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 
 from agents.perception.both_eyes import of_both
+from agents.perception.handing_over import FASTER_NEAR, find_the_same
 from agents.perception.judge import correspondence_of_texture, judge
 from agents.perception.prompt import followed, meant_as_before, meant_at, meant_like
 from agents.perception.segmentation.choice import SEGMENTERS, Segmenter, suitable_segmenter
@@ -98,16 +99,33 @@ def look_near(
     segment = segmenters.get(last.segmenter)
     if segment is None:
         return None
-    found = of_both(
+    faster = _faster(last)
+    left, right = of_both(
         _look_near,
-        (images[0], decode_image(last.mask_left), last, True, segment),
-        (images[1], decode_image(last.mask_right), last, False, segment),
+        (images[0], decode_image(last.mask_left), last, True, segment, segmenters.get(faster)),
+        (images[1], decode_image(last.mask_right), last, False, segment, segmenters.get(faster)),
     )
-    if found[0] is None or found[1] is None:
+    if left is None or right is None:
         return None
-    coverage = found[0], found[1]
+    name, coverage = last.segmenter, (left.coverage, right.coverage)
+    if left.faster is not None and right.faster is not None:
+        name, coverage = faster, (left.faster, right.faster)
     prompt_px = None if last.prompt_px is None else followed(last.prompt_px, coverage[0])
-    return Looked(coverage, last.segmenter, last.looked_sequence, last.is_bright, _carried_on(last), prompt_px)
+    return Looked(coverage, name, last.looked_sequence, last.is_bright, _carried_on(last), prompt_px)
+
+
+def _faster(last: ThreadObservations) -> str:
+    """The segmenter that may go on from the last frame in place of its own, if there is one."""
+    was_whole = last.looked_sequence == last.stamp.sequence
+    return FASTER_NEAR.get(last.segmenter, "") if was_whole and last.prompt_px is None else ""
+
+
+@dataclass(frozen=True)
+class _Near:
+    """Coverage of one eye's image by thread; and by a faster segmenter, where there is one and it finds the same."""
+
+    coverage: UInt8[np.ndarray, "h w"]
+    faster: UInt8[np.ndarray, "h w"] | None
 
 
 def _look_near(
@@ -116,12 +134,17 @@ def _look_near(
     last: ThreadObservations,
     is_left: bool,
     segment: Segmenter,
-) -> UInt8[np.ndarray, "h w"] | None:
+    faster: Segmenter | None,
+) -> _Near | None:
     """Coverage by thread near where it was in this eye's image; None where some may be missing."""
     near = Near(near_thread(before), last.is_bright)
     meant = None if last.prompt_px is None else meant_as_before(before, alone=is_left)
     coverage = segment(image, near, meant)
-    return None if may_lack_thread(coverage, near.where, _pixels(before)) else coverage
+    if may_lack_thread(coverage, near.where, _pixels(before)):
+        return None
+    by_faster = None if faster is None else faster(image, near, None)
+    alike = by_faster is not None and find_the_same(image, coverage, by_faster)
+    return _Near(coverage, by_faster if alike else None)
 
 
 def _carried_on(last: ThreadObservations) -> tuple[Judgement, ...]:
