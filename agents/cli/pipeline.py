@@ -15,6 +15,7 @@ from agents.perception.rectification import rectification, rectify_image, rectif
 from agents.perception.search import look_everywhere
 from agents.perception.segmentation.choice import SEGMENTERS, Segmenter, suitable_segmenter
 from agents.perception.segmenter_names import GIVEN_MASKS
+from agents.perception.told_apart import told_apart
 from agents.reconstruction.method_names import MATCHING_METHODS
 from agents.reconstruction.methods import METHODS
 from schemas.messages import FrameStamp, StereoCalibration, ThreadObservations, ThreadReconstruction
@@ -75,7 +76,7 @@ def reconstruct_pair(
         left, right = whole.images
         if masks is not None:
             masks = masks[0], moved_up(masks[1], whole.rows_moved_up)
-    judged = whole.alignment
+    judged, score = whole.alignment, None
     if masks is not None:
         segmenter = GIVEN_MASKS
     elif prompt_px is not None:
@@ -86,11 +87,15 @@ def reconstruct_pair(
     else:
         with watch.step("segment"):
             segmenter = segmenter or suitable_segmenter(left)
-            masks = segmenters[segmenter](left), segmenters[segmenter](right)
+            looked = look_everywhere((left, right), 0, segmenter, None, segmenters)
+            masks, score = looked.coverage, looked.score
     with watch.step("match"):
         stamp = FrameStamp(sequence=0, capture_left_ns=0, capture_right_ns=0, calibration_id="")
         observations = observe(
             stamp, to_rectified.camera, left, right, *masks, segmenter, judged, matching=method in MATCHING_METHODS
+        )
+        observations = told_apart(
+            replace(observations, prompt_px=prompt_px), (left, right), masks, last=None, score=score
         )
         found = (
             *whole.offset,

@@ -18,6 +18,7 @@ from agents.perception.segmentation.choice import segmenters_with
 from agents.perception.segmentation.promptable_model import PromptableFiles
 from agents.perception.segmenter_names import GIVEN_MASKS, PROMPTABLE, SEGMENTER_NAMES
 from agents.perception.surface import surface_is_due, tissue_surface
+from agents.perception.told_apart import told_apart
 from agents.perception.unusable import nominal_camera, unusable
 from schemas.messages import (
     CommandAnswer,
@@ -165,12 +166,13 @@ class Perception:
             looked.judgements,
             matching=self.config.matching,
         )
-        return replace(
+        observed = replace(
             observed,
             looked_sequence=looked.looked_sequence,
             is_bright=looked.is_bright,
             prompt_px=looked.prompt_px,
         )
+        return told_apart(observed, pair.images, looked.coverage, self._last, looked.score)
 
     def _rectified(self, frame: StereoFrame, calibration: StereoCalibration) -> RectifiedPair | str:
         """The rectified pair, or why there is none."""

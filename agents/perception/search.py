@@ -18,7 +18,7 @@ from agents.perception.both_eyes import of_both
 from agents.perception.handing_over import FASTER_NEAR, find_the_same
 from agents.perception.judge import correspondence_of_texture, judge
 from agents.perception.prompt import followed, meant_as_before, meant_at, meant_like
-from agents.perception.segmentation.choice import SEGMENTERS, Segmenter, suitable_segmenter
+from agents.perception.segmentation.choice import SCORED, SEGMENTERS, Segmenter, suitable_segmenter
 from agents.perception.segmentation.near import Near
 from schemas.messages import Judgement, Status, ThreadObservations
 from shared.images import decode_image
@@ -52,6 +52,7 @@ class Looked:
         is_bright: whether the thread was brighter than what lay beside it then.
         judgements: made then, each saying when, or just now; None where the pair is to be judged from these masks.
         prompt_px: on the thread that is meant; None where any is.
+        score: of the left image's pixels by the segmenter; None where it has none, or not the whole was looked at.
     """
 
     coverage: Pair
@@ -60,6 +61,7 @@ class Looked:
     is_bright: bool
     judgements: tuple[Judgement, ...] | None
     prompt_px: Float64[np.ndarray, "2"] | None
+    score: UInt8[np.ndarray, "h w"] | None = None
 
 
 def look_everywhere(
@@ -74,8 +76,8 @@ def look_everywhere(
     name = segmenter or suitable_segmenter(left)
     segment = segmenters[name]
     if prompt_px is None:
-        coverage = of_both(segment, (left,), (right,))
-        return Looked(coverage, name, sequence, is_brighter(left, coverage[0]), None, None)
+        coverage, score = _everywhere(segment, left, right)
+        return Looked(coverage, name, sequence, is_brighter(left, coverage[0]), None, None, score)
     of_left = segment(left, None, meant_at(prompt_px, left.shape))
     if not of_left.any():
         return Looked((of_left, of_left), name, sequence, False, (), prompt_px)
@@ -85,6 +87,17 @@ def look_everywhere(
     judgements = judge(ground, left.shape) if ground else ()
     bright = is_brighter(left, of_left)
     return Looked(coverage, name, sequence, bright, judgements, followed(prompt_px, of_left))
+
+
+def _everywhere(
+    segment: Segmenter, left: UInt8[np.ndarray, "h w 3"], right: UInt8[np.ndarray, "h w 3"]
+) -> tuple[Pair, UInt8[np.ndarray, "h w"] | None]:
+    """The coverage of both images, and the left one's score where the segmenter has one."""
+    with_score = SCORED.get(segment)
+    if with_score is None:
+        return of_both(segment, (left,), (right,)), None
+    (of_left, score), (of_right, _) = of_both(with_score, (left,), (right,))
+    return (of_left, of_right), score
 
 
 def look_near(

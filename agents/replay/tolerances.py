@@ -43,6 +43,10 @@ _OBSERVATIONS: dict[str, Rule] = {
     "judgements": Rule(0.0, "", measures.findings_apart),
     "reason": Rule(0.0, "", measures.words_apart),
     "prompt_px": Rule(0.5, "px"),
+    "candidates": Rule(0.0, "threads", measures.counts_apart),
+    "occluders.left": Rule(5e-3, "share", measures.images_apart),
+    "occluders.right": Rule(5e-3, "share", measures.images_apart),
+    "score_map": Rule(0.02, "share", measures.images_apart),
     **_centrelines("centrelines_left"),
     **_centrelines("centrelines_right"),
 }
@@ -74,6 +78,8 @@ _RECONSTRUCTION: dict[str, Rule] = {
     "unseen": Rule(0.03, "s", measures.stretches_apart),
     "crossings": Rule(0.02, "s", measures.crossings_apart),
     "other_threads_px": Rule(0.0, "threads", measures.counts_apart),
+    "other_threads": Rule(0.0, "threads", measures.counts_apart),
+    "hidden": Rule(0.03, "s", measures.stretches_apart),
     "reason": Rule(0.0, "", measures.words_apart),
 }
 

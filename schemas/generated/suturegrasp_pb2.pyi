@@ -291,12 +291,14 @@ class ThreadCandidate(_message.Message):
     def __init__(self, score: _Optional[float] = ..., left_px: _Optional[_Union[Array, _Mapping]] = ..., right_px: _Optional[_Union[Array, _Mapping]] = ..., width_px: _Optional[float] = ..., colour_bgr: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
 
 class Occluders(_message.Message):
-    __slots__ = ("left", "right")
+    __slots__ = ("left", "right", "sequence")
     LEFT_FIELD_NUMBER: _ClassVar[int]
     RIGHT_FIELD_NUMBER: _ClassVar[int]
+    SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     left: Image
     right: Image
-    def __init__(self, left: _Optional[_Union[Image, _Mapping]] = ..., right: _Optional[_Union[Image, _Mapping]] = ...) -> None: ...
+    sequence: int
+    def __init__(self, left: _Optional[_Union[Image, _Mapping]] = ..., right: _Optional[_Union[Image, _Mapping]] = ..., sequence: _Optional[int] = ...) -> None: ...
 
 class ThreadObservations(_message.Message):
     __slots__ = ("stamp", "camera", "status", "reason", "segmenter", "points_camera", "half_size_px", "matched_px", "match_cost", "inlier", "mask_left", "mask_right", "judgements", "gaps", "centrelines_left", "centrelines_right", "looked_sequence", "is_bright", "prompt_px", "rows_moved_up", "picture_left", "picture_right", "picture_left_since", "picture_right_since", "candidates", "occluders", "score_map", "consumed")

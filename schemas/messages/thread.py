@@ -100,10 +100,15 @@ class Occluder(enum.Enum):
 
 @dataclass(frozen=True)
 class Occluders:
-    """What may hide thread: smaller copies of both rectified images, each pixel the number of an `Occluder`, or 0."""
+    """What may hide thread: smaller copies of both rectified images, each pixel the number of an `Occluder`, or 0.
+
+    Fields:
+        sequence: of the frame in which they were looked for.
+    """
 
     left: Image
     right: Image
+    sequence: int
 
     def __post_init__(self) -> None:
         check_message(self)
@@ -131,7 +136,7 @@ class ThreadObservations:
         picture_left_since, picture_right_since: sequence of the first frame in turn with the same picture.
         candidates: the threads that the pair shows, the one that is meant first, the others by score. The centrelines
             leave out those that are certainly not meant.
-        occluders: None where nobody has looked for any.
+        occluders: None where nobody has looked for any, or the image does not tell.
         score_map: how much of a pixel of the left image the segmenter takes for thread, 0 to 255, in a smaller copy.
     """
 

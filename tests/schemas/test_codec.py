@@ -134,7 +134,7 @@ candidates = st.builds(
     positive,
     arrays(np.int64, 3, elements=st.integers(0, 255)),
 )
-occluders = st.builds(Occluders, images(), images())
+occluders = st.builds(Occluders, images(), images(), uint64)
 
 
 @st.composite

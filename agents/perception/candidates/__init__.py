@@ -1,5 +1,6 @@
 """Several threads: which pieces of the middle belong together, how sure each thread is, and which one is meant."""
 
 from agents.perception.candidates.candidates import Candidates, candidates_in
+from agents.perception.candidates.followed import candidates_followed
 
-__all__ = ["Candidates", "candidates_in"]
+__all__ = ["Candidates", "candidates_followed", "candidates_in"]

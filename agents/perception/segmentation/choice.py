@@ -1,13 +1,13 @@
 """The segmenters by name, and which of them suits an image that nobody has said anything about."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Protocol
 
 import numpy as np
 from jaxtyping import UInt8
 
 from agents.perception.segmentation.near import Meant, Near
-from agents.perception.segmentation.network import segment_network
+from agents.perception.segmentation.network import segment_and_score, segment_network
 from agents.perception.segmentation.promptable import PromptableSegmenter
 from agents.perception.segmentation.promptable_model import PromptableFiles, PromptableModel
 from agents.perception.segmentation.ridge import segment_ridge
@@ -35,6 +35,11 @@ SEGMENTERS: dict[str, Segmenter] = {
     RIDGE: segment_ridge,
     NETWORK: segment_network,
 }
+
+
+Scored = tuple[UInt8[np.ndarray, "h w"], UInt8[np.ndarray, "h w"]]
+SCORED: dict[Segmenter, Callable[[UInt8[np.ndarray, "h w 3"]], Scored]] = {segment_network: segment_and_score}
+"""Of the segmenters that have a score of each pixel: what gives the coverage and the score, both 0 to 255."""
 
 
 def segmenters_with(promptable: PromptableFiles | None) -> Mapping[str, Segmenter]:

@@ -1,4 +1,6 @@
-"""Where something covers one side of a thread, its middle is not in the middle of what is seen.
+"""What something that lies before a thread does to it: to its middle beside the cover, and to what is seen of it.
+
+Where something covers one side of a thread, its middle is not in the middle of what is seen.
 
 A cover that hides m pixels of a thread's width moves the middle of the rest by m / 2 to the other side. That happens
 at the ends of pieces, where the thread goes under a tool or under its own strand at a small angle, and there it looks
@@ -6,12 +8,14 @@ narrower than a little farther in. A thread's own tip is narrower too, but on bo
 that the thread has come. So the error is half of what is missing, times how far the middle follows that to one side.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 
-from schemas.messages import Centrelines
+from schemas.messages import Centrelines, Occluders
+from shared.images import ImageDataError, decode_image
+from shared.occluded import hidden_ends, is_occluded
 
 REACH_WIDTHS = 20.0
 """Over so much of a piece its usual width is told."""
@@ -32,6 +36,46 @@ def with_covered_ends(lines: Centrelines) -> Centrelines:
             found = _errors_px(lines.point_px[inwards], lines.width_px[inwards])
             error[inwards[: len(found)]] = np.maximum(error[inwards[: len(found)]], found)
     return replace(lines, deviation_px=np.hypot(lines.deviation_px, error))
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """What occluders hide of a curve.
+
+    Fields:
+        places: which of some places along it they hide.
+        ends: whether the curve may go on, hidden, at its first and at its last end.
+    """
+
+    places: Bool[np.ndarray, "n"]
+    ends: Bool[np.ndarray, "2"]
+
+
+def hidden_of(
+    pixels: tuple[Float64[np.ndarray, "n 2"], Float64[np.ndarray, "n 2"]],
+    unseen: Bool[np.ndarray, "n"],
+    occluders: Occluders | None,
+    image_width: int,
+) -> Hidden | None:
+    """What occluders hide of a curve; None where nobody knows of any.
+
+    Args:
+        pixels: places along the curve, in order, in the left and in the right image.
+        unseen: which of these not both images show.
+    """
+    if occluders is None:
+        return None
+    try:
+        maps = decode_image(occluders.left), decode_image(occluders.right)
+    except ImageDataError:
+        return None
+    if any(found.ndim != 2 for found in maps):
+        return None
+    places, ends = np.zeros(len(unseen), bool), np.zeros(2, bool)
+    for line_px, found in zip(pixels, maps, strict=True):
+        places |= is_occluded(line_px, found, image_width)
+        ends |= hidden_ends(line_px, found, image_width)
+    return Hidden(places & unseen, ends)
 
 
 def _errors_px(points: Float64[np.ndarray, "n 2"], width: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "k"]:

@@ -12,7 +12,7 @@ from jaxtyping import Float64
 from scipy.spatial import cKDTree
 
 from agents.reconstruction.refined.projection import Curve
-from schemas.messages import Centrelines, Crossing, Over, RectifiedStereo
+from schemas.messages import Centrelines, Crossing, Over, RectifiedStereo, ThreadCandidate
 from shared.camera import project
 
 PLACES = 241
@@ -78,6 +78,19 @@ def other_threads_px(
         and np.median(tree.query(lines.point_px[first:end:EVERY])[0]) > STRANGE_WIDTHS * width
     ]
     return np.array(found) if found else np.zeros((0, 2))
+
+
+def other_threads(
+    candidates: tuple[ThreadCandidate, ...], curve_px: Float64[np.ndarray, "n 2"]
+) -> tuple[ThreadCandidate, ...]:
+    """The candidates that are none of the projected curve, by score."""
+    tree = cKDTree(curve_px, balanced_tree=False)
+    found = [
+        candidate
+        for candidate in candidates
+        if np.median(tree.query(candidate.left_px)[0]) > STRANGE_WIDTHS * candidate.width_px
+    ]
+    return tuple(sorted(found, key=lambda candidate: -candidate.score))
 
 
 def _crossing_pieces(px: Float64[np.ndarray, "n 2"]) -> tuple[np.ndarray, np.ndarray]:

@@ -6,7 +6,8 @@ from jaxtyping import Bool, Float64
 
 from agents.reconstruction.confidence import assumed_unit
 from agents.reconstruction.refined.constraints import Held
-from agents.reconstruction.refined.crossings import crossings_of, other_threads_px
+from agents.reconstruction.refined.covered_ends import hidden_of
+from agents.reconstruction.refined.crossings import crossings_of, other_threads, other_threads_px
 from agents.reconstruction.refined.posterior import point_covariance
 from agents.reconstruction.refined.projection import DEGREE, DENSE, Curve, chords, projected
 from agents.reconstruction.refined.refinement import Refined
@@ -49,7 +50,9 @@ def reconstruction(
     covariance = point_covariance(fit, camera, s)
     unit_m = camera.metres_per_unit or assumed_unit(curve.control_points[:, 2])
     confidence = confidence_of(curve.derivatives(s)[1], covariance, unit_m)
-    unseen = stretches(~seen(fit, camera))
+    not_seen = ~seen(fit, camera)
+    unseen = stretches(not_seen)
+    hidden = hidden_of(project(camera, curve.at(_places())), not_seen, observations.occluders, camera.image_width)
     order = np.argsort(held.s, kind="stable")
     way = slice(None, None, -1 if reverse else 1)
     turned, covariance = Curve(curve.knots, curve.control_points[way].copy()), covariance[way].copy()
@@ -73,10 +76,13 @@ def reconstruction(
         confidence=confidence[way].copy(),
         posterior_s=s,
         posterior_covariance=covariance,
-        unseen=np.clip(1.0 - unseen[::-1, ::-1], 0.0, 1.0) if reverse else unseen,
+        unseen=_stretches_turned(unseen, reverse),
         track=track,
         crossings=crossings_of(camera, turned, s, covariance),
         other_threads_px=other_threads_px(observations.centrelines_left, _pixels(turned, camera)),
+        hidden=None if hidden is None else _stretches_turned(stretches(hidden.places), reverse),
+        ends_hidden=None if hidden is None else hidden.ends[way].copy(),
+        other_threads=other_threads(observations.candidates, _pixels(turned, camera)),
     )
 
 
@@ -120,7 +126,7 @@ def seen(fit: Refined, camera: RectifiedStereo) -> Bool[np.ndarray, "g"]:
 
     Gaps are measured along the image of the curve in that eye: along the line of sight, few pixels are much thread.
     """
-    at = (np.arange(UNSEEN_SAMPLES) + 0.5) / UNSEEN_SAMPLES
+    at = _places()
     good = fit.robust[: fit.rows.sightings] > OUTLIER
     shown = np.ones(UNSEEN_SAMPLES, bool)
     for eye in (0, 1):
@@ -137,6 +143,10 @@ def seen(fit: Refined, camera: RectifiedStereo) -> Bool[np.ndarray, "g"]:
     return shown
 
 
+def _places() -> Float64[np.ndarray, "g"]:
+    return (np.arange(UNSEEN_SAMPLES) + 0.5) / UNSEEN_SAMPLES
+
+
 def _along_image(
     fit: Refined, camera: RectifiedStereo, eye: int
 ) -> tuple[Float64[np.ndarray, "d"], Float64[np.ndarray, "d"]]:
@@ -151,6 +161,10 @@ def stretches(hidden: Bool[np.ndarray, "g"]) -> Float64[np.ndarray, "k 2"]:
     """Runs of true values among evenly spaced places, as intervals within 0 and 1."""
     edge = np.diff(np.concatenate(([0], hidden.astype(int), [0])))
     return np.column_stack((np.flatnonzero(edge == 1), np.flatnonzero(edge == -1))) / len(hidden)
+
+
+def _stretches_turned(found: Float64[np.ndarray, "k 2"], reverse: bool) -> Float64[np.ndarray, "k 2"]:
+    return np.clip(1.0 - found[::-1, ::-1], 0.0, 1.0) if reverse else found
 
 
 def _turned(s: Float64[np.ndarray, "n"], reverse: bool) -> Float64[np.ndarray, "n"]:

@@ -1,0 +1,90 @@
+"""What of a pair's centrelines is the thread that is meant, what is other threads, and what may hide either.
+
+All of it is found at looks at the whole. In the frames between, the candidates are followed; what may hide thread is
+looked for anew every few of them, since instruments move by themselves.
+"""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+
+from agents.perception.both_eyes import of_both
+from agents.perception.candidates import candidates_followed, candidates_in
+from agents.perception.occluders import occluders_in
+from schemas.messages import Image, ImageEncoding, Occluders, Status, ThreadObservations
+from shared.images import decode_image
+
+Pair = tuple[UInt8[np.ndarray, "h w *c"], UInt8[np.ndarray, "h w *c"]]
+
+FRAMES_BETWEEN_OCCLUDERS = 6
+"""Of the camera: a fifth of a second, in which an instrument moves by about its own width."""
+SCORE_WIDTH_PX = 240
+"""Of the copy of a segmenter's score that travels."""
+SCORE_QUALITY = 80
+
+
+def told_apart(
+    observed: ThreadObservations,
+    images: Pair,
+    coverage: Pair,
+    last: ThreadObservations | None,
+    score: UInt8[np.ndarray, "h w"] | None = None,
+) -> ThreadObservations:
+    """The observations with candidates and occluders, their centrelines without threads that are certainly not meant.
+
+    Args:
+        images: rectified, as the centrelines are.
+        coverage: by thread, as observed.
+        last: the observations before, None where there are none.
+        score: of the left image by the segmenter, where it gives one and the whole was looked at.
+    """
+    if observed.status is not Status.OK:
+        return observed
+    whole = observed.looked_sequence == observed.stamp.sequence
+    before = () if last is None else last.candidates
+    occluders = _occluders(observed.stamp.sequence, images, coverage, whole, last)
+    of_left = None if occluders is None else decode_image(occluders.left)
+    lines = observed.centrelines_left, observed.centrelines_right
+    if whole:
+        meant_px = before[0].left_px if before else None
+        if observed.prompt_px is not None:
+            meant_px = observed.prompt_px[None]
+        found = candidates_in(images, lines, meant_px, score, of_left)
+    else:
+        found = candidates_followed(before, lines, of_left, observed.camera.image_width)
+    return replace(
+        observed,
+        centrelines_left=found.left,
+        centrelines_right=found.right,
+        candidates=found.listed,
+        occluders=occluders,
+        score_map=None if score is None else _small(score),
+    )
+
+
+def _occluders(
+    sequence: int, images: Pair, coverage: Pair, whole: bool, last: ThreadObservations | None
+) -> Occluders | None:
+    """Those of the last frames, or new ones; None where the images do not tell."""
+    before = None if last is None else last.occluders
+    if not whole and (before is None or 0 <= sequence - before.sequence < FRAMES_BETWEEN_OCCLUDERS):
+        return before
+    left, right = of_both(occluders_in, (images[0], coverage[0]), (images[1], coverage[1]))
+    return None if left is None or right is None else Occluders(_as_png(left), _as_png(right), sequence)
+
+
+def _as_png(occluders: UInt8[np.ndarray, "r c"]) -> Image:
+    height, width = occluders.shape
+    return Image(ImageEncoding.PNG, width, height, 1, cv2.imencode(".png", occluders)[1].tobytes())
+
+
+def _small(score: UInt8[np.ndarray, "h w"]) -> Image:
+    """A small copy, in which a thin thread keeps its score: of each of its pixels the largest counts."""
+    height = max(1, round(score.shape[0] * SCORE_WIDTH_PX / score.shape[1]))
+    side = max(1, round(score.shape[1] / SCORE_WIDTH_PX))
+    largest = cv2.dilate(score, np.ones((side, side), np.uint8))
+    small = cv2.resize(largest, (SCORE_WIDTH_PX, height), interpolation=cv2.INTER_AREA)
+    data = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, SCORE_QUALITY])[1].tobytes()
+    return Image(ImageEncoding.JPEG, SCORE_WIDTH_PX, height, 1, data)
