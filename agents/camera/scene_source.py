@@ -1,8 +1,8 @@
 """The simulator's published field as a camera would see it: tissue, thread and noise, but no tool.
 
 What costs time is kept for as long as it holds: the tissue as long as tissue and camera are the same, the image without
-noise as long as nothing in the field moves. Noise is cut out of one larger grain at a place that the frame's number
-decides, so that a frame is a function of state and number alone.
+noise, and how strong its noise is, as long as nothing in the field moves. Noise is cut out of one larger grain at a
+place that the frame's number decides, so that a frame is a function of state and number alone.
 """
 
 from dataclasses import dataclass, replace
@@ -15,7 +15,7 @@ from schemas.messages import RectifiedStereo, SimulatorState, StereoCalibration
 from shared.camera import camera_matrix
 from shared.scene.centreline import Thread
 from shared.scene.render import COLOURS, Backdrop, SceneError, render_backdrop, render_thread
-from shared.scene.sensor import Sensor, expose, grain
+from shared.scene.sensor import Sensor, grain, noise_deviation, with_noise
 
 METRES_PER_MM = 1e-3
 GRAIN_MARGIN_PX = 64
@@ -44,10 +44,12 @@ class _Tissue:
 
 @dataclass(frozen=True)
 class _Clean:
-    """A pair without noise, blurred as the lens does, and the state it shows."""
+    """A pair without noise, blurred as the lens does, the deviation of its noise, and the state it shows."""
 
     state: SimulatorState
     pair: ScenePair
+    deviation_left: Float32[np.ndarray, "h w 3"]
+    deviation_right: Float32[np.ndarray, "h w 3"]
 
 
 class SceneSource:
@@ -66,13 +68,16 @@ class SceneSource:
         """
         tissue = self._tissue_of(state)
         if self._clean is None or not _looks_alike(self._clean.state, state):
-            self._clean = _Clean(state, self._without_noise(state, tissue))
-        clean = self._clean.pair
-        noise = replace(self._sensor, blur_px=0.0)
-        shape = clean.left_bgr.shape[:2]
-        left = expose(clean.left_bgr, noise, _window(tissue.grain, shape, 2 * frame))
-        right = expose(clean.right_bgr, noise, _window(tissue.grain, shape, 2 * frame + SHIFT_RIGHT))
-        return ScenePair(left, right)
+            pair = self._without_noise(state, tissue)
+            deviations = (noise_deviation(image, self._sensor) for image in (pair.left_bgr, pair.right_bgr))
+            self._clean = _Clean(state, pair, *deviations)
+        clean = self._clean
+        shape = clean.pair.left_bgr.shape[:2]
+        left, right = (_window(tissue.grain, shape, number) for number in (2 * frame, 2 * frame + SHIFT_RIGHT))
+        return ScenePair(
+            with_noise(clean.pair.left_bgr, clean.deviation_left, left),
+            with_noise(clean.pair.right_bgr, clean.deviation_right, right),
+        )
 
     def _tissue_of(self, state: SimulatorState) -> _Tissue:
         if state.colour not in COLOURS:

@@ -27,12 +27,25 @@ def grain(shape: tuple[int, int], seed: int) -> Float32[np.ndarray, "h w 3"]:
 def expose(
     image: UInt8[np.ndarray, "h w 3"], sensor: Sensor, deviates: Float32[np.ndarray, "h w 3"]
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """The image as the sensor reads it. Shot noise grows as the root of the grey level."""
+    """The image as the sensor reads it."""
     if sensor.blur_px > 0:
         image = cv2.GaussianBlur(image, (5, 5), sensor.blur_px)
     if sensor.read_noise == 0 and sensor.shot_noise == 0:
         return image.copy()
+    return with_noise(image, noise_deviation(image, sensor), deviates)
+
+
+def noise_deviation(image: UInt8[np.ndarray, "h w 3"], sensor: Sensor) -> Float32[np.ndarray, "h w 3"]:
+    """Standard deviation of each pixel's noise, in grey levels; that of shots grows as the root of the grey level."""
     levels = np.arange(256, dtype=np.float32) / 255.0
     deviation = np.sqrt(sensor.read_noise**2 + sensor.shot_noise**2 * levels).astype(np.float32)
-    noise = cv2.multiply(cv2.LUT(image, deviation), deviates)
-    return cv2.add(image, noise, dtype=cv2.CV_8U)
+    return np.asarray(cv2.LUT(image, deviation), np.float32)
+
+
+def with_noise(
+    image: UInt8[np.ndarray, "h w 3"],
+    deviation: Float32[np.ndarray, "h w 3"],
+    deviates: Float32[np.ndarray, "h w 3"],
+) -> UInt8[np.ndarray, "h w 3"]:
+    """The image with noise of that deviation."""
+    return np.asarray(cv2.add(image, cv2.multiply(deviation, deviates), dtype=cv2.CV_8U), np.uint8)
