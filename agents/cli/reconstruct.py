@@ -60,6 +60,8 @@ def run(options: Reconstruct) -> int:
     # whoever has the result written to standard output wants nothing else there
     if options.output.is_file():
         say(_summary(options, result))
+        if further := _further(result):
+            say(further)
     return EXIT_OK
 
 
@@ -115,6 +117,17 @@ def _write(options: Reconstruct, result: PipelineResult, judgements: tuple[Judge
 
 def _finding_and_remedy(judgement: Judgement) -> str:
     return f"{judgement.finding.rstrip('.')}; {judgement.remedy[:1].lower()}{judgement.remedy[1:].rstrip('.')}"
+
+
+def _further(result: PipelineResult) -> str:
+    """That other threads were seen, and how to mean one of them; empty where there are none."""
+    others = result.reconstruction.other_threads
+    if not others:
+        return ""
+    middles = (other.left_px[len(other.left_px) // 2] for other in others)
+    places = ", ".join(f"--at {u:.0f},{v:.0f} (score {o.score:.2f})" for o, (u, v) in zip(others, middles, strict=True))
+    count = "1 further thread was" if len(others) == 1 else f"{len(others)} further threads were"
+    return f"{count} seen; choose with {places}"
 
 
 def _summary(options: Reconstruct, result: PipelineResult) -> str:

@@ -42,6 +42,18 @@ def result_document(result: PipelineResult, judgements: tuple[Judgement, ...]) -
         "method": thread.method,
         "segmenter": observations.segmenter,
         "other_threads_px": thread.other_threads_px.tolist(),
+        "hidden": None if thread.hidden is None else thread.hidden.tolist(),
+        "ends_hidden": None if thread.ends_hidden is None else thread.ends_hidden.tolist(),
+        "score": observations.candidates[0].score if observations.candidates else None,
+        "other_threads": [
+            {
+                "score": other.score,
+                "width_px": other.width_px,
+                "left_px": other.left_px.tolist(),
+                "right_px": other.right_px.tolist(),
+            }
+            for other in thread.other_threads
+        ],
         "camera": _camera(thread),
         "judgements": [
             {"code": j.code, "severity": j.severity.name.lower(), "finding": j.finding, "remedy": j.remedy}

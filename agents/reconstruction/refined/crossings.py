@@ -93,6 +93,19 @@ def other_threads(
     return tuple(sorted(found, key=lambda candidate: -candidate.score))
 
 
+def with_middles(
+    found_px: Float64[np.ndarray, "t 2"], others: tuple[ThreadCandidate, ...]
+) -> Float64[np.ndarray, "u 2"]:
+    """Pixels on other threads, with one on each candidate that none of them lies on."""
+    missing = [
+        candidate.left_px[len(candidate.left_px) // 2]
+        for candidate in others
+        if not len(found_px)
+        or np.min(cKDTree(candidate.left_px).query(found_px)[0]) > STRANGE_WIDTHS * candidate.width_px + EVERY
+    ]
+    return np.vstack((found_px, *missing))
+
+
 def _crossing_pieces(px: Float64[np.ndarray, "n 2"]) -> tuple[np.ndarray, np.ndarray]:
     """The numbers of both pieces of each crossing of a polyline with itself, the earlier one first."""
     # about their middle, so that products of places lose no digits

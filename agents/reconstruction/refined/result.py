@@ -7,7 +7,12 @@ from jaxtyping import Bool, Float64
 from agents.reconstruction.confidence import assumed_unit
 from agents.reconstruction.refined.constraints import Held
 from agents.reconstruction.refined.covered_ends import hidden_of
-from agents.reconstruction.refined.crossings import crossings_of, other_threads, other_threads_px
+from agents.reconstruction.refined.crossings import (
+    crossings_of,
+    other_threads,
+    other_threads_px,
+    with_middles,
+)
 from agents.reconstruction.refined.posterior import point_covariance
 from agents.reconstruction.refined.projection import DEGREE, DENSE, Curve, chords, projected
 from agents.reconstruction.refined.refinement import Refined
@@ -56,6 +61,8 @@ def reconstruction(
     order = np.argsort(held.s, kind="stable")
     way = slice(None, None, -1 if reverse else 1)
     turned, covariance = Curve(curve.knots, curve.control_points[way].copy()), covariance[way].copy()
+    pixels = _pixels(turned, camera)
+    others = other_threads(observations.candidates, pixels)
     return ThreadReconstruction(
         stamp=observations.stamp,
         camera=camera,
@@ -79,10 +86,10 @@ def reconstruction(
         unseen=_stretches_turned(unseen, reverse),
         track=track,
         crossings=crossings_of(camera, turned, s, covariance),
-        other_threads_px=other_threads_px(observations.centrelines_left, _pixels(turned, camera)),
+        other_threads_px=with_middles(other_threads_px(observations.centrelines_left, pixels), others),
         hidden=None if hidden is None else _stretches_turned(stretches(hidden.places), reverse),
         ends_hidden=None if hidden is None else hidden.ends[way].copy(),
-        other_threads=other_threads(observations.candidates, _pixels(turned, camera)),
+        other_threads=others,
     )
 
 
