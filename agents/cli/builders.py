@@ -83,13 +83,12 @@ def _robot_bridge(rig: RigConfig, arm: str, section: ArmSection) -> RobotBridge:
     if section.dvrk is None:
         return RobotBridge(config, SimulatedPsm(waiting(T_camera_base)))
     # reading ROS messages takes as long to load as all else
+    from agents.cli.guard_command import naming_of
     from agents.robot_bridge.dvrk.psm import DvrkPsm
-    from shared.ros.naming import RmwZenoh, Ros2dds
 
     told = section.dvrk
     reached = SessionSettings(rig.rig, told.endpoint, rig.identity_of(run_name("robot_bridge", arm)))
-    naming = Ros2dds() if told.codec == "ros2dds" else RmwZenoh(told.domain, told.type_hashes)
-    backend = DvrkPsm(told.arm, reached, naming, told.tool, told.dry_run)
+    backend = DvrkPsm(told.arm, reached, naming_of(told), told.tool, told.dry_run, told.through_guard)
     return RobotBridge(dataclasses.replace(config, tick_hz=told.set_point_hz), backend)
 
 

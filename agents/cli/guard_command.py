@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import threading
+from collections.abc import Callable
 
 from agents.cli.live_options import Guard
 from agents.cli.process import EXIT_OK, on_stop
@@ -11,7 +12,8 @@ from agents.cli.rig_hosts import run_name
 from agents.cli.rig_sections import DvrkSection
 from agents.cli.status_session import reading_session
 from agents.cli.terminal import say
-from agents.guard.watch import Action, Heard, Watch
+from agents.guard.gate import Gate
+from agents.guard.watch import NOBODY_NS, Action, Heard, Watch
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import RobotMode, RobotState
@@ -19,8 +21,8 @@ from schemas.topics import HEARTBEAT, ROBOT_STATE
 from shared.clock import now_ns
 from shared.ros import crtk
 from shared.ros import link as ros
-from shared.ros.naming import Naming, RmwZenoh, Ros2dds
-from shared.ros.types import EMPTY, JOINT_STATE, STRING_STAMPED
+from shared.ros.naming import ALIVE, GUARD_NODE, GUARDED, NODE, Naming, RmwZenoh, Ros2dds
+from shared.ros.types import EMPTY, JOINT_STATE, STRING_STAMPED, RosMessageError
 from shared.runtime.config import ConfigError
 from shared.runtime.connection import NoRouterError, connected
 from shared.runtime.session import SessionSettings
@@ -30,9 +32,9 @@ TURNS_HZ = 100.0
 SERVOS = ("servo_jp", "jaw/servo_jp")
 
 
-def naming_of(section: DvrkSection) -> Naming:
+def naming_of(section: DvrkSection, node: str = NODE) -> Naming:
     """How the console's computer carries ROS."""
-    return Ros2dds() if section.codec == "ros2dds" else RmwZenoh(section.domain, section.type_hashes)
+    return Ros2dds() if section.codec == "ros2dds" else RmwZenoh(section.domain, section.type_hashes, node)
 
 
 def guard(rig: RigConfig, options: Guard) -> int:
@@ -46,21 +48,29 @@ def guard(rig: RigConfig, options: Guard) -> int:
         raise ConfigError(f"the configuration has no section [robot.{options.arm}.dvrk]: there is nothing to guard")
     stopped = threading.Event()
     on_stop(stopped.set)
-    ears = _Ears(options.arm)
+    ears = _Ears(options.arm, section.arm)
     reached = SessionSettings(rig.rig, section.endpoint, rig.identity_of(run_name("robot_bridge", options.arm)))
-    heard = tuple(ros.Heard(f"{section.arm}/{servo}", JOINT_STATE, ears.hear_set_point) for servo in SERVOS)
-    said = (
-        ros.Said(f"{section.arm}/{Action.HOLD.value}", EMPTY),
-        ros.Said(f"{section.arm}/state_command", STRING_STAMPED),
-    )
     listening = threading.Thread(target=_listen, args=(rig, ears, stopped), name="listen", daemon=True)
-    with contextlib.closing(ros.RosLink(reached, naming_of(section), heard, said)) as link:
+    with contextlib.closing(_link(section, reached, ears)) as link:
+        ears.pass_on = link.say if section.through_guard else None
         link.open()
         listening.start()
         say(f"guards {section.arm} at {section.endpoint}; stop with Ctrl-C")
         _watch(section.arm, ears, link, stopped)
     listening.join()
     return EXIT_OK
+
+
+def _link(section: DvrkSection, reached: SessionSettings, ears: "_Ears") -> ros.RosLink:
+    arm, through = section.arm, f"{GUARDED}/{section.arm}"
+    heard = [ros.Heard(f"{arm}/{servo}", JOINT_STATE, ears.hear_set_point, others_only=True) for servo in SERVOS]
+    heard.append(ros.Heard(f"{arm}/{Action.HOLD.value}", EMPTY, ears.hear_hold, others_only=True))
+    said = [ros.Said(f"{arm}/{Action.HOLD.value}", EMPTY), ros.Said(f"{arm}/state_command", STRING_STAMPED)]
+    if section.through_guard:
+        heard += [ros.Heard(f"{through}/{servo}", JOINT_STATE, ears.gating(servo)) for servo in SERVOS]
+        heard.append(ros.Heard(f"{through}/{ALIVE}", JOINT_STATE, ears.hear_alive))
+        said += [ros.Said(f"{arm}/{servo}", JOINT_STATE) for servo in SERVOS]
+    return ros.RosLink(reached, naming_of(section, GUARD_NODE), tuple(heard), tuple(said))
 
 
 def _watch(arm: str, ears: "_Ears", link: ros.RosLink, stopped: threading.Event) -> None:
@@ -85,15 +95,46 @@ def _listen(rig: RigConfig, ears: "_Ears", stopped: threading.Event) -> None:
 
 
 class _Ears:
-    """When what was heard last; filled from other threads."""
+    """When what was heard last, and what of it is passed on; filled from other threads.
 
-    def __init__(self, arm: str) -> None:
-        self._arm, self._heard, self._state = arm, Heard(), b""
-        self._lock = threading.Lock()
+    Fields:
+        pass_on: says a set point to the console; None where the bridge does that itself.
+    """
+
+    def __init__(self, arm: str, console: str) -> None:
+        self._arm, self._console, self._heard, self._state = arm, console, Heard(), (b"", 0)
+        self._gate, self._lock = Gate(), threading.Lock()
+        self.pass_on: Callable[[str, bytes], None] | None = None
 
     def hear_set_point(self, _data: bytes, at_ns: int) -> None:
         with self._lock:
-            self._heard = dataclasses.replace(self._heard, set_point_ns=at_ns)
+            name = "stranger_ns" if self.pass_on is not None else "set_point_ns"
+            self._heard = dataclasses.replace(self._heard, **{name: at_ns})
+
+    def hear_hold(self, _data: bytes, at_ns: int) -> None:
+        with self._lock:
+            self._heard = dataclasses.replace(self._heard, over_ns=at_ns)
+
+    def hear_alive(self, data: bytes, at_ns: int) -> None:
+        with contextlib.suppress(RosMessageError):
+            stamp_ns = crtk.joints(data).stamp_ns
+            with self._lock:
+                self._gate.alive(stamp_ns, at_ns)
+
+    def gating(self, servo: str) -> Callable[[bytes, int], None]:
+        """Passes on what is fresh while somebody stands by."""
+
+        def hear(data: bytes, at_ns: int) -> None:
+            with contextlib.suppress(RosMessageError):
+                stamp_ns = crtk.joints(data).stamp_ns
+                with self._lock:
+                    fresh, nobody = self._gate.passes(stamp_ns, at_ns), at_ns - self._heard.heartbeat_ns > NOBODY_NS
+                    if not fresh or nobody or self.pass_on is None:
+                        return
+                    self._heard = dataclasses.replace(self._heard, set_point_ns=at_ns)
+                self.pass_on(f"{self._console}/{servo}", data)
+
+        return hear
 
     def hear_rig(self, tapped: Tapped) -> None:
         if f"/{self._arm}/" not in tapped.key:
@@ -103,13 +144,13 @@ class _Ears:
             if tapped.topic is HEARTBEAT:
                 self._heard = dataclasses.replace(self._heard, heartbeat_ns=at_ns)
             else:
-                self._heard, self._state = dataclasses.replace(self._heard, state_ns=at_ns), tapped.payload
+                self._state = tapped.payload, at_ns
 
     def heard(self) -> Heard:
         with self._lock:
-            heard, state = self._heard, self._state
-        if now_ns() - heard.set_point_ns > 10**9:
-            return heard
-        with contextlib.suppress(MessageError):
-            return dataclasses.replace(heard, moving=decode(RobotState, state).mode is RobotMode.MOVING)
+            heard, (state, at_ns) = self._heard, self._state
+        if at_ns > heard.set_point_ns and now_ns() - heard.set_point_ns < 10**9:
+            with contextlib.suppress(MessageError):
+                if decode(RobotState, state).mode is RobotMode.IDLE:
+                    return dataclasses.replace(heard, over_ns=at_ns)
         return heard

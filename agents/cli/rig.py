@@ -104,6 +104,9 @@ class RigConfig(Settings):
                     f"robot.{arm}.dvrk.endpoint {endpoint!r} leaves this machine, which needs tls and [security]; or "
                     "run the bridge on the robot's computer: docs/dvrk.md"
                 )
+            if not on_loopback(endpoint) and section.dvrk is not None and not section.dvrk.through_guard:
+                kept = f"robot.{arm}.dvrk: what a link off this machine keeps back must not move the arm later"
+                raise ValueError(f"{kept}; set through_guard = true, and run suturegrasp guard on the robot's computer")
         return self
 
     @model_validator(mode="after")

@@ -122,6 +122,7 @@ class DvrkSection(Settings):
     type_hashes: bool = True
     tool: str = "LARGE_NEEDLE_DRIVER:400006"
     set_point_hz: float = Field(default=200.0, ge=50, le=500)
+    through_guard: bool = False
     dry_run: bool = True
 
 

@@ -53,6 +53,7 @@ class EmulatedConsole:
         self._arm = EmulatedArm(ready, self._warn)
         self._told: tuple[object, ...] = ()
         self._times = {"moved_ns": 0, "set_point_ns": 0, "held_ns": 0}
+        self._holds_ns: list[int] = []
         self._arrivals: list[float] = []
         self._held = True
         self._outlets: dict[str, Outlet] = {}
@@ -108,7 +109,7 @@ class EmulatedConsole:
         with self._lock:
             told = self._oracle.verdict() | self._times | {"state": self._arm.state}
             told["position"], told["goal"] = self._arm.position.tolist(), self._arm.goal.tolist()
-            return told | {"arrivals_s": self._arrivals[-20_000:]}
+            return told | {"arrivals_s": self._arrivals[-20_000:], "holds_ns": self._holds_ns[-1000:]}
 
     def close(self) -> None:
         """Say nothing more."""
@@ -138,6 +139,7 @@ class EmulatedConsole:
         with self._lock:
             self._arm.hold()
             self._times["held_ns"], self._held = now_ns(), True
+            self._holds_ns.append(self._times["held_ns"])
 
     def _hear_command(self, data: bytes) -> None:
         with self._lock:

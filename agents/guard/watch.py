@@ -11,8 +11,6 @@ FLOW_NS = 100_000_000
 """Set points that came so recently still flow."""
 NOBODY_NS = 230_000_000
 """So long after a heartbeat nobody stands by: a little more than the bridge's own 0.2 s, which comes first."""
-SILENCE_NS = 150_000_000
-"""An arm in motion tells its state every 10 ms; after so long its bridge, or the link, is gone."""
 OBEYS_NS = 100_000_000
 """So long after a hold no set point may come."""
 
@@ -29,18 +27,19 @@ class Action(enum.Enum):
 
 @dataclass(frozen=True)
 class Heard:
-    """When each was heard last, and whether the bridge said then that it moves the arm.
+    """When each was heard last.
 
     Fields:
-        set_point_ns: by anybody, for the arm or its jaw; 0 for never, as below.
+        set_point_ns: that the console gets too, for the arm or its jaw; 0 for never, as below.
         heartbeat_ns: of an operator who stands by this arm.
-        state_ns: of the bridge's own state.
+        over_ns: that the motion is over: the bridge says that it ended as it should, or somebody has sent a hold.
+        stranger_ns: a set point that is neither the bridge's nor passed on by the guard.
     """
 
     set_point_ns: int = 0
     heartbeat_ns: int = 0
-    state_ns: int = 0
-    moving: bool = False
+    over_ns: int = 0
+    stranger_ns: int = 0
 
 
 class Watch:
@@ -64,12 +63,12 @@ class Watch:
             return None
         if self._flows_from_ns and not stands_by and now_ns - self._flows_from_ns > GRACE_NS:
             return self._hold(now_ns, "set points come and nobody stands by")
+        if self._armed and now_ns - heard.stranger_ns < FLOW_NS:
+            return self._hold(now_ns, "somebody else sends set points too")
         if self._armed and not flows:
-            if now_ns - heard.state_ns > SILENCE_NS:
-                return self._hold(now_ns, "the bridge has fallen silent in mid-motion")
-            if not heard.moving:
-                # it says itself that the motion is over
-                self._armed = False
+            if heard.over_ns < heard.set_point_ns:
+                return self._hold(now_ns, "set points have ended, and not as a motion should")
+            self._armed = False
         return None
 
     def _hold(self, now_ns: int, why: str) -> tuple[Action, str]:

@@ -16,7 +16,9 @@ from typing import Protocol
 
 from shared.ros.types import type_hash
 
-NODE = "suturegrasp"
+NODE, GUARD_NODE = "suturegrasp", "suturegrasp_guard"
+GUARDED, ALIVE = "guarded", "alive"
+"""Where set points go that the guard is to pass on, and what tells it all the time how long the way there takes."""
 NO_HASH = "TypeHashNotSupported"
 """What stands in place of a type's hash in ROS Humble."""
 GID_BYTES = 16
@@ -89,10 +91,12 @@ class RmwZenoh:
     Fields:
         domain: ROS_DOMAIN_ID.
         hashed: whether keys name the hash of a type, as from ROS Iron on; in Humble they do not.
+        node: what our node is called.
     """
 
     domain: int = 0
     hashed: bool = True
+    node: str = NODE
 
     def key(self, topic: str, ros_type: str) -> str:
         """Domain, topic, type and hash."""
@@ -108,7 +112,7 @@ class RmwZenoh:
 
     def token(self, session: str, entity: int, role: Role, topic: str, ros_type: str, latched: bool) -> str | None:
         """Who it is and what of; entity 0 is the node."""
-        head = f"@ros2_lv/{self.domain}/{session}/0/{entity}/{role.value}/%/%/{NODE}"
+        head = f"@ros2_lv/{self.domain}/{session}/0/{entity}/{role.value}/%/%/{self.node}"
         if role is Role.NODE:
             return head
         return f"{head}/%{topic.replace('/', '%')}/{_dds(ros_type)}/{self._hash(ros_type)}/{_QOS[latched]}"

@@ -16,7 +16,7 @@ from shared.clock import now_ns as clock_ns
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER, Psm
 from shared.ros import crtk
 from shared.ros.link import Heard, RosLink, Said
-from shared.ros.naming import Naming
+from shared.ros.naming import ALIVE, GUARD_NODE, GUARDED, Naming
 from shared.ros.types import EMPTY, JOINT_STATE, OPERATING_STATE, POSE_STAMPED, STRING, STRING_STAMPED
 from shared.runtime.session import SessionSettings
 
@@ -27,6 +27,7 @@ MOTIONS = {
     **dict.fromkeys(("servo_cp", "move_cp"), POSE_STAMPED),
 }
 """Whoever publishes one of these beside us is another owner of the arm."""
+SERVOS = ("servo_jp", "jaw/servo_jp")
 STOPS = {"hold": EMPTY, "free": EMPTY, "state_command": STRING_STAMPED}
 """Whoever sends one of these wants us to stop; that somebody could does not."""
 
@@ -43,10 +44,15 @@ class DvrkPsm:
         naming: Naming,
         tool: str,
         dry_run: bool,
+        through_guard: bool = False,
         psm: Psm = LARGE_NEEDLE_DRIVER,
     ) -> None:
-        """The arm of that name on the console that is reached so; `tool` as Readings has it."""
+        """The arm of that name on the console that is reached so; `tool` as Readings has it.
+
+        `through_guard`: set points go to the guard on the robot's computer, which passes on what is fresh.
+        """
         self.psm, self.dry_run, self._name = psm, dry_run, name
+        self._to, self._tells_guard = (f"{GUARDED}/{name}" if through_guard else name), through_guard and not dry_run
         self._readings = readings = Readings(name, tool, psm)
         self._commanded_ns = 0
         heard = (
@@ -57,16 +63,20 @@ class DvrkPsm:
             *(
                 Heard(f"{name}/{topic}", ros_type, self._another(topic), others_only=True)
                 for topic, ros_type in (MOTIONS | STOPS).items()
+                if not (through_guard and topic in SERVOS)
             ),
         )
-        says = {"servo_jp": JOINT_STATE, "jaw/servo_jp": JOINT_STATE, "hold": EMPTY}
-        said = () if dry_run else tuple(Said(f"{name}/{topic}", ros_type) for topic, ros_type in says.items())
+        servos = (*SERVOS, ALIVE) if through_guard else SERVOS
+        says = (*(Said(f"{self._to}/{servo}", JOINT_STATE) for servo in servos), Said(f"{name}/hold", EMPTY))
+        said = () if dry_run else says
         watched = tuple(f"{name}/{topic}" for topic in MOTIONS)
-        self._link = RosLink(settings, naming, heard, said, watched, readings.owner_changed)
+        self._link = RosLink(settings, naming, heard, said, watched, self._owner_changed)
 
     def state(self, now_ns: int) -> ArmState:
         """The newest that was heard; the first time, the connection is begun."""
         self._link.open()
+        if self._tells_guard:
+            self._link.say(f"{self._to}/{ALIVE}", crtk.joint_command(np.zeros(1), clock_ns()))
         measured = self._readings.measured()
         readiness, reason = self._readings.judge(measured, self._commanded_ns, now_ns)
         return ArmState(measured.measured_ns, measured.joints, measured.jaw_rad, readiness, self._link.failed or reason)
@@ -76,8 +86,8 @@ class DvrkPsm:
         if self.dry_run:
             return
         self._commanded_ns = clock_ns()
-        self._link.say(f"{self._name}/servo_jp", crtk.joint_command(joints, self._commanded_ns))
-        self._link.say(f"{self._name}/jaw/servo_jp", crtk.joint_command(np.array([jaw_rad]), self._commanded_ns))
+        self._link.say(f"{self._to}/servo_jp", crtk.joint_command(joints, self._commanded_ns))
+        self._link.say(f"{self._to}/jaw/servo_jp", crtk.joint_command(np.array([jaw_rad]), self._commanded_ns))
 
     def hold(self) -> None:
         """Have the console stop the arm where it is."""
@@ -89,6 +99,11 @@ class DvrkPsm:
         if self._commanded_ns:
             self.hold()
         self._link.close()
+
+    def _owner_changed(self, token: str, comes: bool) -> None:
+        """Note who else could command the arm; the guard does so for us."""
+        if f"/{GUARD_NODE}/" not in token:
+            self._readings.owner_changed(token, comes)
 
     def _measurement(self, kind: str) -> Heard:
         ros_type = POSE_STAMPED if kind.endswith("_cp") else JOINT_STATE

@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.robot_bridge.backend import Readiness
-from agents.robot_bridge.dvrk.robot_clock import RobotClock
 from shared.kinematics.psm import Psm, forward
 from shared.rigid_transforms import log_so3
 from shared.ros import crtk
+from shared.ros.far_clock import FarClock
 from shared.ros.types import RosMessageError
 
 SECOND_NS = 1_000_000_000
@@ -66,7 +66,7 @@ class Readings:
         """An arm by its console's name, and the type of tool whose kinematics are used; empty for any."""
         self._arm, self._tool, self._psm = arm, tool, psm
         self._lock, self._said = threading.Lock(), _Said()
-        self._clocks = {kind: RobotClock() for kind in KINDS}
+        self._clocks = {kind: FarClock() for kind in KINDS}
         self._stamps = dict.fromkeys(KINDS, 0)
         self._decoded = dict.fromkeys(KINDS, _Raw(b"", 0))
         self._newest: dict[str, tuple[int, np.ndarray]] = {}

@@ -152,7 +152,7 @@ AT = np.append(START, 0.0)
     [
         ("", {}),
         ("state", {"arm": Circumstances(AT, takes_commands=False)}),
-        ("nobody", {"now_s": 1.4}),
+        ("nobody", {"now_s": 1.5}),
         ("values", {"values": START[:5]}),
         ("values", {"values": START + np.nan}),
         ("limits", {"values": START + np.array((0, 0, 0, 0, 1.4, 0))}),

@@ -58,7 +58,7 @@ def test_a_bridge_that_is_killed_leaves_the_arm_at_its_last_set_point_and_the_gu
     router, robot, stopped = free_local_endpoint(), free_local_endpoint(), threading.Event()
     base = {"T_camera_base": SIMULATED_T_CAMERA_BASE.tolist()}
     (tmp_path / "base.json").write_text(json.dumps(base))
-    arm = base | {"backend": "dvrk", "dvrk": {"endpoint": robot, "dry_run": False}}
+    arm = base | {"backend": "dvrk", "dvrk": {"endpoint": robot, "dry_run": False, "through_guard": True}}
     rig = {"router": {"endpoint": router, "start": False}, "robot": {"psm1": arm}}
     config = tmp_path / "rig.json"
     config.write_text(json.dumps(rig))
@@ -104,4 +104,4 @@ def test_a_bridge_that_is_killed_leaves_the_arm_at_its_last_set_point_and_the_gu
         emulator.terminate()
         assert emulator.wait(DEADLINE_S) == 0
     assert json.loads((tmp_path / "verdict.json").read_text())["unsafe"] == 0
-    assert "hold, for the bridge has fallen silent" in (tmp_path / "guard.log").read_text()
+    assert "hold, for set points have ended" in (tmp_path / "guard.log").read_text()

@@ -5,10 +5,10 @@ import re
 import numpy as np
 import pytest
 
-from agents.robot_bridge.dvrk.robot_clock import WINDOW_NS, RobotClock
 from schemas.messages import ExecutionKind, Outcome, Phase, RobotMode
 from shared.clock import now_ns
 from shared.ros import crtk
+from shared.ros.far_clock import WINDOW_NS, FarClock
 from shared.ros.naming import RmwZenoh, Role
 from shared.ros.types import JOINT_STATE
 
@@ -124,7 +124,7 @@ def test_a_console_that_is_disabled_has_another_tool_or_is_elsewhere_is_not_arme
 
 
 def test_when_something_was_measured_is_told_by_the_robots_own_clock():
-    clock, ahead = RobotClock(), 5_000 * SECOND_NS
+    clock, ahead = FarClock(), 5_000 * SECOND_NS
     for i in range(100):
         stamp, delay = i * 10**7, 10**6 + (i % 7) * 10**5
         assert 0 <= clock.measured_ns(stamp + ahead, stamp + delay) - stamp <= 1.7e6

@@ -1,7 +1,7 @@
-"""When something was measured, on this host's clock, from the stamp of a robot whose clock is another.
+"""When something was measured, on this host's clock, from the stamp of a sender whose clock is another.
 
-With stamp s by the robot's clock and arrival a by ours, a - s is the clocks' offset and the delay on the way. The delay
-is never negative, so the least a - s of the last while is the offset and the least delay, and s plus that least is when
+With stamp s by the sender's clock and arrival a by ours, a - s is the clocks' offset and the delay on the way. That is
+never negative, so the least a - s of the last while is the offset and the least delay, and s plus that least is when
 the message would have come had nothing held it up: after the measurement by the least delay, a millisecond or so. What
 a link kept back for a while so shows its age, however different the clocks are.
 """
@@ -10,7 +10,7 @@ WINDOW_NS = 30_000_000_000
 """Clocks drift apart by a millisecond in that time, at 30 ppm."""
 
 
-class RobotClock:
+class FarClock:
     """The least offset of one to two windows back."""
 
     def __init__(self) -> None:
@@ -31,5 +31,5 @@ class RobotClock:
         return stamp_ns + min(self._least)
 
     def forget(self) -> None:
-        """The robot's clock was set."""
+        """The sender's clock was set."""
         self._least = []

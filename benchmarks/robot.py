@@ -1,0 +1,106 @@
+"""The way to a real robot, measured without one: messages, kinematics, set points, and how soon an arm stands still.
+
+    .venv/bin/python -m benchmarks.robot [--repeats 3] [--json FILE]
+
+Messages are compared with cyclonedds's own library too where that is installed. Everything runs on this machine; what
+it does meanwhile shows in the times.
+"""
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import tyro
+from rich.table import Table
+
+from benchmarks.robot_messages import CYCLONE, PYCDR2, compared, others
+from benchmarks.robot_stops import LOSSES, stopped_after
+from benchmarks.tables import CONSOLE
+from shared.clock import processor_s
+from shared.kinematics.psm import INSERTION, LARGE_NEEDLE_DRIVER, forward, inverse
+
+POSES, ROUNDS = 20_000, 3
+GOAL_ERROR, GOAL_MICROSECONDS, GOAL_STANDS_MS = 1e-12, 50.0, 250.0
+
+
+@dataclass(frozen=True)
+class Options:
+    """What is measured."""
+
+    repeats: int = 1
+    """Motions for each loss and codec."""
+    only: Literal["all", "messages", "kinematics", "stops"] = "all"
+    """One part alone."""
+    json: Path | None = None
+    """Write everything there."""
+
+
+def main() -> None:
+    """Measure and print."""
+    options = tyro.cli(Options)
+    found: dict[str, Any] = {"load": os.getloadavg()[0], "processors": os.cpu_count()}
+    if options.only in ("all", "messages"):
+        found["messages"] = compared()
+        _print("CDR, byte for byte", found["messages"])
+        if CYCLONE not in others():
+            CONSOLE.print(f"  {CYCLONE} is not installed here; compared with {PYCDR2} alone")
+    if options.only in ("all", "kinematics"):
+        found["kinematics"] = kinematics()
+        _print("Kinematics of the PSM", [found["kinematics"]])
+    if options.only in ("all", "stops"):
+        codecs = ("ros2dds", "rmw_zenoh")
+        turns = [(loss, codec) for _ in range(options.repeats) for codec in codecs for loss in LOSSES]
+        found["stops"] = [stopped_after(*turn) for turn in turns]
+        _print(f"Lost in mid-motion; goal: it stands within {GOAL_STANDS_MS:.0f} ms", found["stops"])
+    if options.json is not None:
+        options.json.write_text(json.dumps(found, indent=1) + "\n")
+
+
+def kinematics() -> dict[str, Any]:
+    """How well the inverse undoes the forward kinematics over the joints' whole range, and how long each takes."""
+    limits = LARGE_NEEDLE_DRIVER.limits.copy()
+    limits[INSERTION, 0] = LARGE_NEEDLE_DRIVER.shaft_clearance - LARGE_NEEDLE_DRIVER.shaft_offset
+    joints = limits[:, 0] + np.random.default_rng(3).random((POSES, 6)) * np.diff(limits, axis=1)[:, 0]
+    T = forward(joints)
+    solved = inverse(T)
+    # beyond half a turn the roll comes back by whole turns, which lead to the same pose
+    error = float(np.abs(forward(solved.joints) - T).max())
+    taken = {"forward µs": _microseconds(lambda: forward(joints)), "inverse µs": _microseconds(lambda: inverse(T))}
+    return {
+        "poses": POSES,
+        "unsolved": int(np.isnan(solved.joints).any(axis=1).sum()),
+        "error": error,
+        **taken,
+        "met": error <= GOAL_ERROR and max(taken.values()) <= GOAL_MICROSECONDS,
+    }
+
+
+def _microseconds(work: Any) -> float:
+    taken: list[float] = []
+    for _ in range(ROUNDS):
+        begun_s = processor_s()
+        work()
+        taken.append((processor_s() - begun_s) / POSES * 1e6)
+    return min(taken)
+
+
+def _print(title: str, rows: list[dict[str, Any]]) -> None:
+    table = Table(title=title, title_justify="left")
+    for column in rows[0]:
+        table.add_column(column, justify="right")
+    for row in rows:
+        table.add_row(*(_shown(value) for value in row.values()))
+    CONSOLE.print(table)
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.1e}" if 0 < abs(value) < 1e-3 else f"{value:.1f}"
+    return "-" if value is None else str(value)
+
+
+if __name__ == "__main__":
+    main()
