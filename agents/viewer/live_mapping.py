@@ -90,11 +90,12 @@ class LiveMapping:
 
     def __init__(self) -> None:
         self._rectified = False
-        self._shown: tuple[RectifiedStereo, float] | None = None
+        self._shown: tuple[RectifiedStereo, int, float] | None = None
         self._before: dict[str, object] = {}
         self._observed: deque[ThreadObservations] = deque(maxlen=OBSERVED_MOST)
         self._considered, self._dataflow = Considered(), Dataflow()
         self._matched = False
+        self._rows_down = 0
 
     @property
     def matched(self) -> bool:
@@ -141,14 +142,16 @@ class LiveMapping:
 
     def _observations(self, observations: ThreadObservations) -> list[Entity]:
         self._observed.append(observations)
+        # the right image is shown as the camera gives it, and was moved before anything was found in it
+        self._rows_down = observations.rows_moved_up if self._rectified else 0
         self._matched |= len(observations.matched_px) > 0
         grave = [finding_text(judgement) for judgement in findings(observations)]
         words = [said("perception", text, rr.TextLogLevel.WARN) for text in grave]
         codes = tuple(judgement.code for judgement in findings(observations))
         return [
             *self._camera(observations.camera, None),
-            *mask_entities(_coverage(observations.mask_left), _coverage(observations.mask_right)),
-            *observation_entities(observations, MOST_MATCHED),
+            *mask_entities(_coverage(observations.mask_left), _coverage(observations.mask_right), self._rows_down),
+            *observation_entities(observations, MOST_MATCHED, self._rows_down),
             *(match_entities(observations) if self._matched else []),
             *(words if self._changed("findings", codes) else []),
             *self._status("perception", observations.status, observations.reason),
@@ -161,7 +164,7 @@ class LiveMapping:
         return [
             *self._camera(reconstruction.camera, float(np.median(depths)) if (depths > 0).any() else None),
             *([*curve_looks(), end_to_end_name()] if self._changed("looks of curves", True) else []),
-            *reconstruction_entities(reconstruction, next(same_frame, None)),
+            *reconstruction_entities(reconstruction, next(same_frame, None), self._rows_down),
             *self._status("reconstruction", reconstruction.status, reconstruction.reason),
             *self._track(reconstruction.track),
         ]
@@ -174,15 +177,15 @@ class LiveMapping:
 
     def _camera(self, camera: RectifiedStereo, distance: float | None) -> list[Entity]:
         """The cameras, where they are new or the thread has moved so far that the backdrop must follow."""
-        if self._shown is not None and self._shown[0] == camera:
-            shown = self._shown[1]
+        if self._shown is not None and self._shown[:2] == (camera, self._rows_down):
+            shown = self._shown[2]
             if distance is None or 0.8 < BACKDROP * distance / shown < 1.25:
                 return []
         away = BACKDROP * (
             camera.fx_px * camera.baseline / (0.05 * camera.image_width) if distance is None else distance
         )
-        self._shown = (camera, away)
-        return camera_entities(camera, away)
+        self._shown = (camera, self._rows_down, away)
+        return camera_entities(camera, away, self._rows_down)
 
     def _status(self, stage: str, status: Status, reason: str) -> list[Entity]:
         if not self._changed(f"status of {stage}", (status, reason)):

@@ -12,6 +12,7 @@ there. A message always gives the same paths, so that a failed frame empties wha
 
 import pathlib
 from collections.abc import Iterable
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -54,13 +55,18 @@ FAINT = 70
 """Opacity, of 255, of what stands behind the thread."""
 
 
-def camera_entities(camera: RectifiedStereo, distance: float) -> list[Entity]:
-    """Both cameras; the left one's image plane is at that distance, as a backdrop, the right one's close by."""
+def camera_entities(camera: RectifiedStereo, distance: float, rows_down: int = 0) -> list[Entity]:
+    """Both cameras; the left one's image plane is at that distance, as a backdrop, the right one's close by.
+
+    Args:
+        rows_down: by how many everything lies further down in the right image that is shown than in a rectified one.
+    """
     right = rr.Transform3D(translation=[camera.baseline, 0.0, 0.0])
+    lower = replace(camera, cy_px=camera.cy_px + rows_down)
     return [
         ("world", [rr.ViewCoordinates.RDF]),
         ("world/left", [_pinhole(camera, distance)]),
-        ("world/right", [right, _pinhole(camera, 0.2 * distance)]),
+        ("world/right", [right, _pinhole(lower, 0.2 * distance)]),
     ]
 
 
@@ -69,13 +75,25 @@ def image_entities(left_bgr: UInt8[np.ndarray, "h w *c"], right_bgr: UInt8[np.nd
     return [("world/left/image", [_jpeg(left_bgr)]), ("world/right/image", [_jpeg(right_bgr)])]
 
 
-def mask_entities(left: UInt8[np.ndarray, "h w"] | None, right: UInt8[np.ndarray, "h w"] | None) -> list[Entity]:
-    """The outlines of both masks, given their coverage: they cost a viewer little, and hide nothing of the thread."""
-    return [("world/left/mask", [_outline(left)]), ("world/right/mask", [_outline(right)])]
+def mask_entities(
+    left: UInt8[np.ndarray, "h w"] | None, right: UInt8[np.ndarray, "h w"] | None, rows_down: int = 0
+) -> list[Entity]:
+    """The outlines of both masks, given their coverage: they cost a viewer little, and hide nothing of the thread.
+
+    Args:
+        rows_down: by how many the right one's is drawn further down.
+    """
+    return [("world/left/mask", [_outline(left)]), ("world/right/mask", [_outline(right, rows_down)])]
 
 
-def observation_entities(observations: ThreadObservations, most_matched: int | None = None) -> list[Entity]:
-    """The observations with their bounds in the left image, and the matched pixels in space, or that many of them."""
+def observation_entities(
+    observations: ThreadObservations, most_matched: int | None = None, rows_down: int = 0
+) -> list[Entity]:
+    """The observations with their bounds in the left image, and the matched pixels in space, or that many of them.
+
+    Args:
+        rows_down: by how many the centreline of the right image is drawn further down.
+    """
     points, camera = observations.points_camera, observations.camera
     observed_px, _ = project(camera, points)
     matched = observations.matched_px[observations.inlier & (observations.matched_px[:, 2] > 0)]
@@ -93,12 +111,12 @@ def observation_entities(observations: ThreadObservations, most_matched: int | N
         ("world/left/bounds", [bounds]),
         ("world/observations/points", [rr.Points3D(points, colors=[colours.OBSERVATION], radii=[-2.0])]),
         ("world/observations/matched", [rr.Points3D(matched_points, colors=[(*colours.KEPT, FAINT)], radii=[-1.0])]),
-        *centreline_entities(observations),
+        *centreline_entities(observations, rows_down),
     ]
 
 
 def reconstruction_entities(
-    reconstruction: ThreadReconstruction, observations: ThreadObservations | None
+    reconstruction: ThreadReconstruction, observations: ThreadObservations | None, rows_down: int = 0
 ) -> list[Entity]:
     """The thread by confidence, its ends, control points and regions, and how far it can be trusted.
 
@@ -114,7 +132,7 @@ def reconstruction_entities(
         ("world/thread/regions", [boxes]),
         ("confidence", [_confidence_bars(thread)]),
         *posterior_entities(cross_sections(reconstruction, thread)),
-        *residual_entities(observations, thread),
+        *residual_entities(observations, thread, rows_down),
     ]
 
 
@@ -195,11 +213,12 @@ def _jpeg(image: UInt8[np.ndarray, "h w *c"]) -> rr.EncodedImage:
     return rr.EncodedImage(contents=data, media_type="image/jpeg")
 
 
-def _outline(coverage: UInt8[np.ndarray, "h w"] | None) -> rr.LineStrips2D:
+def _outline(coverage: UInt8[np.ndarray, "h w"] | None, rows_down: int = 0) -> rr.LineStrips2D:
     if coverage is None:
         return rr.LineStrips2D([])
     lines, _ = cv2.findContours((coverage >= 128).astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)
-    closed = [np.concatenate((line, line[:1])).reshape(-1, 2) + HALF_PX for line in lines]
+    middle = np.array([HALF_PX, HALF_PX + rows_down])
+    closed = [np.concatenate((line, line[:1])).reshape(-1, 2) + middle for line in lines]
     return rr.LineStrips2D(closed, colors=[colours.MASK], radii=[-0.6])
 
 

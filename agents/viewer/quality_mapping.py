@@ -56,10 +56,12 @@ def _looks(rgb: tuple[int, int, int], width: float, name: str) -> list[rr.AsComp
     return [rr.SeriesLines(colors=[rgb], widths=[width], names=[name])]
 
 
-def centreline_entities(observations: ThreadObservations) -> list[Entity]:
-    """The pieces of both centrelines as thin lines in the images."""
-    lines = observations.centrelines_left, observations.centrelines_right
-    return [(f"world/{side}/centrelines", [_pieces(line)]) for side, line in zip(SIDES, lines, strict=True)]
+def centreline_entities(observations: ThreadObservations, rows_down: int = 0) -> list[Entity]:
+    """The pieces of both centrelines as thin lines in the images; the right one's so many rows further down."""
+    return [
+        ("world/left/centrelines", [_pieces(observations.centrelines_left)]),
+        ("world/right/centrelines", [_pieces(observations.centrelines_right, rows_down)]),
+    ]
 
 
 def posterior_entities(sections: CrossSections) -> list[Entity]:
@@ -73,15 +75,21 @@ def posterior_entities(sections: CrossSections) -> list[Entity]:
     ]
 
 
-def residual_entities(observations: ThreadObservations | None, thread: Polyline | None) -> list[Entity]:
-    """The residuals in both images, in pixels and in numbers; empty where there is no thread, or nothing to compare."""
+def residual_entities(
+    observations: ThreadObservations | None, thread: Polyline | None, rows_down: int = 0
+) -> list[Entity]:
+    """The residuals in both images, in pixels and in numbers; empty where there is no thread, or nothing to compare.
+
+    Args:
+        rows_down: by how many those of the right image are drawn further down.
+    """
     share = None if thread is None else float(thread.unseen.mean())
     entities: list[Entity] = [("share/unseen", [_scalar(share)])]
     found = (None, None) if observations is None or thread is None else both_residuals(observations, thread)
-    for side, of_side in zip(SIDES, found, strict=True):
+    for side, of_side, down in zip(SIDES, found, (0, rows_down), strict=True):
         numbers = None if of_side is None else summary(of_side)
         entities += [
-            (f"world/{side}/residuals_x{EXAGGERATION}", [_whiskers(of_side)]),
+            (f"world/{side}/residuals_x{EXAGGERATION}", [_whiskers(of_side, down)]),
             (f"residual_px/{side}/median", [_scalar(numbers and numbers.median_px)]),
             (f"residual_px/{side}/percentile_95", [_scalar(numbers and numbers.percentile_95_px)]),
             (f"share/left_over_{side}", [_scalar(numbers and numbers.left_over)]),
@@ -94,17 +102,18 @@ def _scalar(value: float | None) -> rr.Scalars:
     return rr.Scalars(np.nan if value is None else value)
 
 
-def _pieces(line: Centrelines) -> rr.LineStrips2D:
+def _pieces(line: Centrelines, rows_down: int = 0) -> rr.LineStrips2D:
     cuts = np.flatnonzero(np.diff(line.piece)) + 1
-    strips = np.split(line.point_px + HALF_PX, cuts) if len(line.piece) else []
+    points = line.point_px + np.array([HALF_PX, HALF_PX + rows_down])
+    strips = np.split(points, cuts) if len(line.piece) else []
     return rr.LineStrips2D(strips, colors=[colours.CENTRELINE], radii=[-0.6])
 
 
-def _whiskers(found: Residuals | None) -> rr.LineStrips2D:
+def _whiskers(found: Residuals | None, rows_down: int) -> rr.LineStrips2D:
     if found is None or not len(found.along):
         return rr.LineStrips2D([])
     some = slice(None, None, 1 + len(found.along) // WHISKERS_ABOUT)
-    lines = (whiskers(found)[some] + HALF_PX).astype(np.float32)
+    lines = (whiskers(found)[some] + np.array([HALF_PX, HALF_PX + rows_down])).astype(np.float32)
     return rr.LineStrips2D(lines, colors=colours.confidence_rgb(closeness(found)[some]), radii=[-0.8])
 
 

@@ -259,6 +259,25 @@ def test_the_outline_of_a_mask_surrounds_what_it_covers(whole_session, scene):
     assert 1 < off.mean() < 4
 
 
+def test_what_was_found_in_a_right_image_that_was_moved_lies_on_the_image_as_it_came(
+    refined, session_messages, tapped, shown
+):
+    calibration = session_messages[topics.CALIBRATION]
+    shows = []
+    for rows_up in (0, 3):
+        observed = dataclasses.replace(refined.observations, rows_moved_up=rows_up)
+        messages = ((topics.CALIBRATION, calibration), (topics.OBSERVATIONS, observed))
+        _, rows = shown(*(tapped(*one) for one in messages), tapped(topics.THREAD, refined.reconstruction))
+        shows.append(rows)
+    for what in ("mask", "centrelines", "residuals_x20"):
+        for side, down in (("left", 0), ("right", 3)):
+            before, after = (values(rows, f"/world/{side}/{what}", "LineStrips2D:strips")[0] for rows in shows)
+            for line, moved in zip(before, after, strict=True):
+                assert np.allclose(np.array(moved) - line, [0, down], atol=1e-3)
+    before, after = (np.array(values(rows, "/world/right", "Pinhole:image_from_camera")[0]).ravel() for rows in shows)
+    assert (after - before)[7] == 3
+
+
 def test_words_of_every_kind_are_in_the_log(whole_session):
     said = words(whole_session[1])
     for text in (
