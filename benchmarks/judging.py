@@ -1,6 +1,6 @@
 """How often the input judge is right: no alarm on undamaged pairs, and every damage found at its size.
 
-    python -m benchmarks.judging [--data ../shared/data] [--scenes N] [--json PATH]
+    python -m benchmarks.judging [--data ../shared/data] [--scenes N] [--workers N] [--json PATH]
 
 Damages are done to the images as the camera gives them. `found` counts the pairs of which one of the codes that fit
 the damage was said; `faults` those that were refused. A pair tells nothing of a damage that it cannot show: a plain
@@ -10,7 +10,10 @@ ground has no texture, so the published scenes count in a table of their own.
 import argparse
 import json
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import lru_cache
+from multiprocessing import get_context
 from pathlib import Path
 
 import cv2
@@ -24,7 +27,9 @@ from schemas.messages import Severity, StereoCalibration
 from shared.calibration import read_calibration
 
 Pair = tuple[np.ndarray, np.ndarray]
-TEXTURED, PLAIN, STORZ = "renders", "published", "laparoscope"
+Named = tuple[str, str, Pair, StereoCalibration]
+"""Kind, name, images and calibration."""
+KINDS = TEXTURED, PLAIN, STORZ = "renders", "published", "laparoscope"
 
 
 @dataclass(frozen=True)
@@ -42,8 +47,8 @@ class Damage:
     do: Callable[[Pair, Pair], Pair]
 
 
-def undamaged(data: Path) -> Iterator[tuple[str, str, Pair, StereoCalibration]]:
-    """Kind, name, images and calibration of every pair of the shared data."""
+def undamaged(data: Path) -> Iterator[Named]:
+    """Every pair of the shared data."""
     for name, group, load in scenes(data):
         if group in (SIM, REAL) or (group in RENDERS and not group.startswith("hidden")):
             scene = load()
@@ -72,8 +77,12 @@ def turned(image: np.ndarray, degrees: float, larger: float = 1.0) -> np.ndarray
 
 def noisy(image: np.ndarray) -> np.ndarray:
     """With noise of 2 grey levels, which a sensor adds after whatever blurs."""
-    noise = np.random.default_rng(0).normal(0.0, 2.0, image.shape)
-    return np.clip(np.rint(image + noise), 0, 255).astype(np.uint8)
+    return np.asarray(cv2.add(image, _noise(image.shape), dtype=cv2.CV_8U))
+
+
+@lru_cache(maxsize=4)
+def _noise(shape: tuple[int, ...]) -> np.ndarray:
+    return 2.0 * np.random.default_rng(0).standard_normal(shape, dtype=np.float32)
 
 
 def out_of_focus(image: np.ndarray, px: float) -> np.ndarray:
@@ -175,23 +184,37 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--scenes", type=int, default=0, help="every so many of them, to be quick; 0 takes all")
+    parser.add_argument("--workers", type=int, default=2, help="processes, each of which takes a core")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
-    pairs = list(undamaged(options.data))
-    clean, found = _clean(pairs), _found(pairs[:: max(options.scenes, 1)])
+    # a fresh interpreter for each, since OpenCV's threads do not outlive a fork
+    pool = ProcessPoolExecutor(options.workers, get_context("spawn"), _load, (options.data, max(options.scenes, 1)))
+    with pool:
+        clean = _clean(pool)
+        found = _found(pool)
     if options.json:
         options.json.write_text(json.dumps({"undamaged": clean, "damaged": found}, indent=1))
 
 
-def _clean(pairs: list[tuple[str, str, Pair, StereoCalibration]]) -> dict[str, dict[str, list[str]]]:
+_pairs: list[Named] = []
+"""Of a worker: what it was started with."""
+_step: list[int] = []
+
+
+def _load(data: Path, step: int) -> None:
+    cv2.setNumThreads(1)
+    _pairs.extend(undamaged(data))
+    _step.append(step)
+
+
+def _clean(pool: ProcessPoolExecutor) -> dict[str, dict[str, list[str]]]:
     """Every alarm on an undamaged pair, and how often nothing could be told."""
     print(
         "| undamaged pairs | pairs | false alarms | of which faults | answers | not told by the images |\n"
         "|---|---|---|---|---|---|"
     )
     said: dict[str, dict[str, list[str]]] = {}
-    for kind in (TEXTURED, PLAIN, STORZ):
-        answers = {name: answers_about(images, calibration) for k, name, images, calibration in pairs if k == kind}
+    for kind, answers in zip(KINDS, pool.map(_answers_of, KINDS), strict=True):
         said[kind] = {
             name: [f"{c} ({s.name})" for c, s in codes_of(a).items()] for name, a in answers.items() if codes_of(a)
         }
@@ -199,38 +222,45 @@ def _clean(pairs: list[tuple[str, str, Pair, StereoCalibration]]) -> dict[str, d
         of_all = [answer for some in answers.values() for answer in some]
         untold = sum(not answer.is_known for answer in of_all)
         faults = sum("FAULT" in alarm for alarm in alarms)
-        print(f"| {kind} | {len(answers)} | {len(alarms)} | {faults} | {len(of_all)} | {untold} |")
+        print(f"| {kind} | {len(answers)} | {len(alarms)} | {faults} | {len(of_all)} | {untold} |", flush=True)
     for kind in said.values():
         for name, alarms in kind.items():
             print(f"  false alarm on {name}: {', '.join(alarms)}")
     return said
 
 
-def _found(pairs: list[tuple[str, str, Pair, StereoCalibration]]) -> list[dict[str, str | int]]:
+def _answers_of(kind: str) -> dict[str, list[Answer]]:
+    return {name: answers_about(images, calibration) for k, name, images, calibration in _pairs if k == kind}
+
+
+def _found(pool: ProcessPoolExecutor) -> list[dict[str, str | int]]:
     """Of each damage, how many pairs it was found in, by kind."""
-    print(
-        "\n| damage | size | "
-        + " | ".join(f"{kind}: found / refused / pairs" for kind in (TEXTURED, PLAIN, STORZ))
-        + " |"
-    )
+    print("\n| damage | size | " + " | ".join(f"{kind}: found / refused / pairs" for kind in KINDS) + " |")
     print("|---|---|---|---|---|")
     table: list[dict[str, str | int]] = []
-    for damage in damages():
+    every = list(damages())
+    for damage, counts in zip(every, pool.map(_counts_of, range(len(every))), strict=True):
         row: dict[str, str | int] = {"damage": damage.name, "size": damage.size}
-        cells: list[str] = []
-        for kind in (TEXTURED, PLAIN, STORZ):
-            some = [(images, calibration) for k, _, images, calibration in pairs if k == kind]
-            said = [
-                codes_of(answers_about(damage.do(images, some[(i + 1) % len(some)][0]), calibration))
-                for i, (images, calibration) in enumerate(some)
-            ]
-            found = sum(bool(damage.codes & codes.keys()) for codes in said)
-            refused = sum(Severity.FAULT in codes.values() for codes in said)
-            row |= {f"{kind} found": found, f"{kind} refused": refused, f"{kind} pairs": len(some)}
-            cells.append(f"{found} / {refused} / {len(some)}")
+        for kind, (found, refused, number) in counts.items():
+            row |= {f"{kind} found": found, f"{kind} refused": refused, f"{kind} pairs": number}
         table.append(row)
-        print(f"| {damage.name} | {damage.size} | {' | '.join(cells)} |", flush=True)
+        cells = " | ".join(" / ".join(map(str, counts[kind])) for kind in KINDS)
+        print(f"| {damage.name} | {damage.size} | {cells} |", flush=True)
     return table
+
+
+def _counts_of(number: int) -> dict[str, tuple[int, int, int]]:
+    """Of the damage of that number, by kind: found, refused, and of how many pairs."""
+    damage, counts = list(damages())[number], {}
+    for kind in KINDS:
+        some = [(images, calibration) for k, _, images, calibration in _pairs[:: _step[0]] if k == kind]
+        said = [
+            codes_of(answers_about(damage.do(images, some[(i + 1) % len(some)][0]), calibration))
+            for i, (images, calibration) in enumerate(some)
+        ]
+        found = sum(bool(damage.codes & codes.keys()) for codes in said)
+        counts[kind] = (found, sum(Severity.FAULT in codes.values() for codes in said), len(some))
+    return counts
 
 
 if __name__ == "__main__":
