@@ -68,6 +68,7 @@ def stopped_after(loss: str, codec: str) -> dict[str, Any]:
             ),
             "set points": final["set_points"],
             "unsafe": final["unsafe"],
+            "rules": " ".join(final["rules"]) or "-",
             "later": final["set_points"] - after["set_points"],
             "moved later": final["moved_ns"] > after["moved_ns"],
             "interval ms p50": float(np.median(came)),

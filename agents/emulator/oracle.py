@@ -29,6 +29,7 @@ from agents.emulator.geometry import (
 
 STANDING_BY_S = 0.4
 """The dead man's 0.2 s, and as much for a heartbeat's way here on a busy machine."""
+LATE_S = 0.2
 SLACK_S = 0.05
 WINDOW_S = 0.1
 ROUNDING = 1e-9
@@ -86,10 +87,15 @@ class Oracle:
     sentences: deque[str] = field(default_factory=lambda: deque(maxlen=KEPT))
     _before: dict[str, deque[tuple[float, np.ndarray]]] = field(default_factory=dict)
     _heartbeat_s: float = -np.inf
+    _alone: deque[tuple[float, str]] = field(default_factory=deque)
 
     def heartbeat(self, now_s: float) -> None:
-        """Somebody stands by."""
+        """Somebody stands by, and has since LATE_S ago: it came by another way than the set points that it allowed."""
         self._heartbeat_s = now_s
+        while self._alone:
+            at_s, sentence = self._alone.popleft()
+            if now_s - at_s > LATE_S:
+                self._note("nobody", sentence)
 
     def judge(self, name: str, values: np.ndarray, now_s: float, arm: Circumstances) -> None:
         """One set point for the `arm` or the `jaw`."""
@@ -100,7 +106,8 @@ class Oracle:
         if not arm.takes_commands:
             self._note("state", f"a set point for the {name} came while the arm took none")
         if self.hears_heartbeats and now_s - self._heartbeat_s > STANDING_BY_S:
-            self._note("nobody", f"a set point for the {name} came {now_s - self._heartbeat_s:.2f} s after a heartbeat")
+            sentence = f"a set point for the {name} came {now_s - self._heartbeat_s:.2f} s after a heartbeat"
+            self._alone.append((now_s, sentence))
         if values.shape != _LOWER[part].shape or not np.isfinite(values).all():
             self._note("values", f"a set point for the {name} has {values.size} positions, or one is not finite")
             return
@@ -115,11 +122,12 @@ class Oracle:
 
     def verdict(self) -> dict[str, Any]:
         """What was counted, as JSON can hold it."""
+        alone = Counter({"nobody": len(self._alone)}) if self._alone else Counter[str]()
         return {
             "set_points": self.set_points,
-            "unsafe": sum(self.unsafe.values()),
-            "rules": dict(self.unsafe),
-            "sentences": list(self.sentences),
+            "unsafe": sum(self.unsafe.values()) + len(self._alone),
+            "rules": dict(self.unsafe + alone),
+            "sentences": [*self.sentences, *(sentence for _, sentence in self._alone)][:KEPT],
         }
 
     def _place(self, joints: np.ndarray) -> None:

@@ -175,6 +175,15 @@ def test_the_oracle_finds_what_is_unsafe_and_nothing_else(rule, changes):
     json.dumps(found)
 
 
+def test_a_heartbeat_that_comes_just_after_the_set_points_that_it_allowed_is_in_time():
+    oracle = Oracle(hears_heartbeats=True)
+    for now_s in (1.0, 5.0):
+        oracle.judge("arm", START, now_s, Circumstances(AT))
+    assert oracle.verdict()["rules"] == {"nobody": 2}
+    oracle.heartbeat(5.1)
+    assert oracle.verdict()["rules"] == {"nobody": 1}
+
+
 def test_an_arm_that_is_stuck_or_at_fault_stays_where_it_is():
     arm = EmulatedArm(ready=True, warn=lambda _: None)
     assert arm.head("arm", START, moving=False)
