@@ -156,7 +156,7 @@ def _look_near(
     if may_lack_thread(coverage, near.where, _pixels(before)):
         return None
     by_faster = None if faster is None else faster(image, near, None)
-    alike = by_faster is not None and find_the_same(image, coverage, by_faster)
+    alike = by_faster is not None and find_the_same(coverage, by_faster)
     return _Near(coverage, by_faster if alike else None)
 
 
