@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 
-from schemas.messages import Phase
+from schemas.messages import Occluder, Phase
 
 STOPS = np.array([[222, 45, 38], [255, 221, 51], [49, 190, 90]], dtype=np.float64)
 """Colours at confidence 0, 0.5 and 1."""
@@ -48,6 +48,19 @@ REASONS = (
 )
 """What speaks against a capture, in the order in which it was first said."""
 
+CANDIDATES = (
+    (70, 225, 240),
+    (255, 150, 215),
+    (255, 185, 90),
+    (165, 150, 255),
+    (190, 225, 120),
+    (225, 225, 225),
+)
+"""Of the threads that perception tells apart, the one that is meant first."""
+
+OCCLUDERS = {Occluder.TOOL: (95, 130, 255), Occluder.NEEDLE: (255, 220, 90), Occluder.UNKNOWN: (200, 110, 230)}
+"""Of what may hide thread."""
+
 PHASES = {
     Phase.APPROACH: (150, 160, 255),
     Phase.CAPTURE: (255, 170, 60),
@@ -77,6 +90,11 @@ STATES = {
     **{phase.name.lower(): rgb for phase, rgb in PHASES.items()},
 }
 """What lanes show."""
+
+
+def candidate_rgb(number: int) -> tuple[int, int, int]:
+    """The colour of a candidate, from 0 on; they repeat."""
+    return CANDIDATES[number % len(CANDIDATES)]
 
 
 def confidence_rgb(confidence: Float64[np.ndarray, "n"]) -> UInt8[np.ndarray, "n 3"]:

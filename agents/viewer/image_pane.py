@@ -75,6 +75,37 @@ def tint_mask(pane: Pane, mask: UInt8[np.ndarray, "h w"]) -> None:
     cv2.drawContours(pane.canvas, outlines, -1, colours.MASK[::-1], 1, cv2.LINE_AA)
 
 
+def enlarged(region: Bool[np.ndarray, "r c"], size: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
+    """A region of a small copy, in an image of that width and height."""
+    return np.asarray(cv2.resize(region.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)) >= 0.5
+
+
+def draw_occluders(pane: Pane, kinds: UInt8[np.ndarray, "r c"]) -> None:
+    """Tint what may hide thread."""
+    height, width = pane.canvas.shape[:2]
+    for kind, rgb in colours.OCCLUDERS.items():
+        region = enlarged(kinds == kind.value, (width, height))
+        pane.canvas[region] = (0.7 * pane.canvas[region] + 0.3 * np.array(rgb[::-1])).astype(np.uint8)
+
+
+def draw_candidates(pane: Pane, lines_px: list[Float64[np.ndarray, "n 2"]], labels: list[str]) -> None:
+    """Draw the threads that are not meant, which begin with number 2, with a label at the middle of each.
+
+    Args:
+        labels: one for each line, or none.
+    """
+    for number, line in enumerate(lines_px, 1):
+        if len(line) < 2:
+            continue
+        bgr, at = colours.candidate_rgb(number)[::-1], pane.fixed(line)
+        cv2.polylines(pane.canvas, [at], False, (0, 0, 0), 4, cv2.LINE_AA, SHIFT)
+        cv2.polylines(pane.canvas, [at], False, bgr, 2, cv2.LINE_AA, SHIFT)
+        if labels:
+            u, v = at[len(at) // 2] // 2**SHIFT
+            text = labels[number - 1]
+            draw_label(pane, text, (int(u) + 8, int(v) - 10, int(u) + 16 + text_width(text), int(v) + 10))
+
+
 def draw_matches(pane: Pane, matched_px: Float64[np.ndarray, "p 2"], kept: Bool[np.ndarray, "p"]) -> None:
     """Mark matched pixels, those that were kept over those that were rejected."""
     height, width = pane.canvas.shape[:2]

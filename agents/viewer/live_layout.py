@@ -62,7 +62,9 @@ def perception(scene: Scene) -> rrb.Vertical:
     eyes = [panels.eye(side, scene, grasp=False) for side in ("left", "right")]
     confidence = panels.bars("confidence", "confidence along s")
     stages = panels.curves("stage_ms", "from a stage's input to its result, ms")
-    trust: list[Sequence[rrb.View]] = [[panels.curves("residual_px", "residual, px"), panels.shares(scene)]]
+    trust: list[Sequence[rrb.View | rrb.Container]] = [
+        [panels.curves("residual_px", "residual, px"), panels.shares(scene)]
+    ]
     if scene.matched:
         eyes.append(panels.match_cost())
         costs = panels.curves("match/cost", "match costs, median of a frame")
@@ -75,7 +77,8 @@ def perception(scene: Scene) -> rrb.Vertical:
     else:
         trust.append([confidence, stages])
     said = panels.words("log of perception and reconstruction", ["log/perception/**", "log/reconstruction/**"])
-    trust.append([panels.lanes(contents=SEEING), said])
+    words = rrb.Tabs(panels.document("perception/verdict", "verdict on the images, and threads"), said, active_tab=0)
+    trust.append([rrb.Tabs(panels.score(), panels.lanes(contents=SEEING), active_tab=0), words])
     return rrb.Vertical(
         rrb.Horizontal(*eyes),
         rrb.Horizontal(*(rrb.Vertical(*column) for column in trust), column_shares=[3] * (len(trust) - 1) + [4]),

@@ -11,6 +11,13 @@ import numpy as np
 import rerun as rr
 from jaxtyping import UInt8
 
+from agents.viewer.candidate_mapping import (
+    candidate_entities,
+    occluder_entities,
+    score_entities,
+    verdict,
+    verdict_entities,
+)
 from agents.viewer.considered_mapping import Considered
 from agents.viewer.dataflow_mapping import Dataflow
 from agents.viewer.grasp_mapping import (
@@ -148,10 +155,15 @@ class LiveMapping:
         grave = [finding_text(judgement) for judgement in findings(observations)]
         words = [said("perception", text, rr.TextLogLevel.WARN) for text in grave]
         codes = tuple(judgement.code for judgement in findings(observations))
+        seen = None if observations.occluders is None else observations.occluders.sequence
         return [
             *self._camera(observations.camera, None),
             *mask_entities(_coverage(observations.mask_left), _coverage(observations.mask_right), self._rows_down),
             *observation_entities(observations, MOST_MATCHED, self._rows_down),
+            *candidate_entities(observations, self._rows_down),
+            *(occluder_entities(observations) if self._changed("occluders", seen) else []),
+            *score_entities(observations),
+            *(verdict_entities(observations) if self._changed("verdict", verdict(observations)) else []),
             *(match_entities(observations) if self._matched else []),
             *(words if self._changed("findings", codes) else []),
             *self._status("perception", observations.status, observations.reason),

@@ -20,6 +20,7 @@ import rerun as rr
 from jaxtyping import Float64, UInt8
 
 from agents.viewer import colours
+from agents.viewer.candidate_mapping import candidate_entities, occluder_entities, score_entities
 from agents.viewer.cross_sections import cross_sections
 from agents.viewer.entity import HALF_PX, Entity
 from agents.viewer.image_pane import decoded_mask
@@ -171,6 +172,9 @@ def write_rrd(
         *image_entities(left_bgr, right_bgr),
         *mask_entities(decoded_mask(observations.mask_left), decoded_mask(observations.mask_right)),
         *observation_entities(observations),
+        *candidate_entities(observations),
+        *occluder_entities(observations),
+        *score_entities(observations),
         *curve_looks(),
         *reconstruction_entities(reconstruction, observations),
         *report_entities(observations, reconstruction),

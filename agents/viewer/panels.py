@@ -68,6 +68,11 @@ def eye(
     return rrb.Tabs(rrb.Spatial2DView(origin=f"camera/raw/{side}", name=f"{side}, not rectified"), view)
 
 
+def score() -> rrb.Spatial2DView:
+    """How much of each pixel the segmenter takes for thread."""
+    return rrb.Spatial2DView(origin="perception/score", name="score of the segmenter, left")
+
+
 def match_cost() -> rrb.Spatial2DView:
     """The matched pixels over the left image, and nothing else."""
     return rrb.Spatial2DView(

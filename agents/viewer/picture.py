@@ -10,10 +10,12 @@ from agents.viewer.depth_strip import DepthBand, DepthMarks, depth_strip
 from agents.viewer.image_pane import (
     Pane,
     decoded_mask,
+    draw_candidates,
     draw_centrelines,
     draw_label,
     draw_matches,
     draw_observations,
+    draw_occluders,
     draw_residuals,
     draw_thread,
     image_pane,
@@ -25,7 +27,7 @@ from agents.viewer.polyline import Polyline, along_at, thread_polyline
 from agents.viewer.quality_strips import deviation_strip, residual_strip
 from agents.viewer.report import facts, finding_text, findings, missed, reasons, unit_text
 from agents.viewer.residuals import EXAGGERATION, Residuals, both_residuals
-from schemas.messages import Image, Severity, Status, ThreadObservations, ThreadReconstruction
+from schemas.messages import Image, Occluder, Severity, Status, ThreadObservations, ThreadReconstruction
 from shared.camera import project
 
 WIDTH_PX = 1600
@@ -108,6 +110,11 @@ def _both_eyes(
     left, right = (image_pane(image, width, TALLEST_PANE_PX) for image in (left_bgr, right_bgr))
     for pane, mask in ((left, observations.mask_left), (right, observations.mask_right)):
         _tint(pane, mask)
+    if observations.occluders is not None:
+        for pane, image in ((left, observations.occluders.left), (right, observations.occluders.right)):
+            kinds = decoded_mask(image)
+            if kinds is not None:
+                draw_occluders(pane, kinds)
     if thread is None or found is None:
         draw_centrelines(left, observations.centrelines_left)
         draw_centrelines(right, observations.centrelines_right)
@@ -120,6 +127,10 @@ def _both_eyes(
             draw_residuals(pane, of_side)
             draw_thread(pane, thread, thread_px)
     draw_observations(left, project(observations.camera, observations.points_camera)[0], observations.half_size_px)
+    others = observations.candidates[1:]
+    labels = [f"{number}: {other.score:.2f}" for number, other in enumerate(others, 2)]
+    draw_candidates(left, [other.left_px for other in others], labels)
+    draw_candidates(right, [other.right_px for other in others], [])
     _label_panes(left, right, observations, thread)
     return _side_by_side(left.canvas, right.canvas)
 
@@ -166,6 +177,10 @@ def _legend(observations: ThreadObservations, reconstruction: ThreadReconstructi
     if len(observations.centrelines_left.piece) + len(observations.centrelines_right.piece):
         compared = f"residuals, {EXAGGERATION} times as long; red beyond the thread's edge", colours.WARNING
         entries.append(("middle of the thread", colours.CENTRELINE) if thread is None else compared)
+    if len(observations.candidates) > 1:
+        entries.append(("other threads", colours.candidate_rgb(1)))
+    if observations.occluders is not None and thread is not None and len(thread.points_camera):
+        entries.append(("instrument", colours.OCCLUDERS[Occluder.TOOL]))
     if thread is None and len(observations.matched_px):
         entries += [("matched pixels, kept", colours.KEPT), ("matched pixels, rejected", colours.REJECTED)]
     canvas, x = _blank(LINE_HEIGHT_PX + 14), MARGIN_PX

@@ -16,7 +16,18 @@ VIEWPOINT = (0.55, -0.4, -0.75)
 FLAT = (
     "world/left/bounds",
     "world/right/image",
-    *(f"world/{side}/{what}" for side in SIDES for what in ("mask", "centrelines", f"residuals_x{EXAGGERATION}")),
+    *(
+        f"world/{side}/{what}"
+        for side in SIDES
+        for what in (
+            "mask",
+            "centrelines",
+            "candidates",
+            "candidates/scores",
+            "occluders",
+            f"residuals_x{EXAGGERATION}",
+        )
+    ),
 )
 """What belongs to the images alone, and would only hide the thread in space."""
 
@@ -40,6 +51,7 @@ def layout(reconstruction: ThreadReconstruction) -> rrb.Blueprint:
     chart = rrb.Tabs(
         rrb.BarChartView(origin="deviation/along_s", name=f"deviation across the thread along s, {unit}"),
         rrb.BarChartView(origin="confidence", name="confidence along s"),
+        rrb.Spatial2DView(origin="perception/score", name="score of the segmenter"),
         active_tab=0 if len(reconstruction.posterior_s) else 1,
     )
     words = rrb.TextDocumentView(origin="report", name="report")

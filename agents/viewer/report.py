@@ -3,9 +3,21 @@
 import numpy as np
 from jaxtyping import Bool
 
+from agents.viewer.image_pane import decoded_mask
 from agents.viewer.polyline import Polyline
-from schemas.messages import Judgement, ReliabilityRegions, Severity, Status, ThreadObservations, ThreadReconstruction
+from schemas.messages import (
+    Image,
+    Judgement,
+    ReliabilityRegions,
+    Severity,
+    Status,
+    ThreadObservations,
+    ThreadReconstruction,
+)
 from shared.units import unit_name
+
+LEAST_SAID = 0.005
+"""Share of the thread from which on it is said to be hidden."""
 
 MISSED = 1e-3
 """Slack from which a region counts as missed, as a multiple of its bounds; less is a solver's tolerance."""
@@ -34,6 +46,10 @@ def facts(observations: ThreadObservations, reconstruction: ThreadReconstruction
         lines.append(f"confidence {low:.2f} to {high:.2f}")
     if outside := int(missed(reconstruction.regions).sum()):
         lines.append(f"{outside} of {len(reconstruction.regions.s)} regions missed")
+    if hidden := hidden_text(reconstruction):
+        lines.append(hidden)
+    if others := len(reconstruction.other_threads):
+        lines.append(f"{others} further thread{'s' if others > 1 else ''}")
     lines.append(f"method {reconstruction.method or 'unnamed'}")
     lines.append(f"segmenter {observations.segmenter or 'unnamed'}")
     return lines
@@ -68,11 +84,47 @@ def finding_text(judgement: Judgement) -> str:
     return f"{judgement.severity.name} {judgement.code}: {judgement.finding}{remedy}"
 
 
+def threads_text(observations: ThreadObservations) -> list[str]:
+    """Which threads perception tells apart, and what may hide them, a sentence each."""
+    lines = [
+        f"Thread {number}{' (meant)' if number == 1 else ''}: score {candidate.score:.2f}, "
+        f"{candidate.width_px:.1f} px wide"
+        for number, candidate in enumerate(observations.candidates, 1)
+    ]
+    if observations.occluders is None:
+        return [*lines, "What may hide thread is not known: nobody looked, or the ground is grey."]
+    covered = " and ".join(
+        f"{share:.0%} of the {side} image"
+        for side, image in (("left", observations.occluders.left), ("right", observations.occluders.right))
+        if (share := _covered_share(image)) > 0
+    )
+    return [*lines, f"Instruments cover {covered}." if covered else "No instrument is in view."]
+
+
+def hidden_text(reconstruction: ThreadReconstruction) -> str:
+    """What of the thread is hidden, empty where nothing is or nobody knows."""
+    if reconstruction.hidden is None or reconstruction.ends_hidden is None:
+        return ""
+    share = float(np.diff(reconstruction.hidden).sum())
+    ends = [name for name, hidden in zip(("s=0", "s=1"), reconstruction.ends_hidden, strict=True) if hidden]
+    said = [f"{share:.0%} hidden by instruments"] if share >= LEAST_SAID else []
+    if ends:
+        said.append(f"may go on hidden at {' and '.join(ends)}")
+    return "; ".join(said)
+
+
+def _covered_share(image: Image) -> float:
+    kinds = decoded_mask(image)
+    return 0.0 if kinds is None else float((kinds > 0).mean())
+
+
 def markdown(observations: ThreadObservations, reconstruction: ThreadReconstruction, thread: Polyline | None) -> str:
     """Everything above as one document."""
     lines = [f"## {'OK' if reconstruction.status is Status.OK else 'FAILED'}"]
     lines += [f"**{reason}**" for reason in reasons(observations, reconstruction)]
     lines.append(" · ".join(facts(observations, reconstruction, thread)))
+    if observations.candidates:
+        lines += threads_text(observations)
     for judgement in sorted(observations.judgements, key=lambda judgement: -judgement.severity.value):
         lines.append(f"**{judgement.severity.name} {judgement.code}:** {judgement.finding} *{judgement.remedy}*")
     return "\n\n".join(lines)

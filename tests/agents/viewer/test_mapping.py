@@ -3,15 +3,19 @@ import pathlib
 import subprocess
 import sys
 
+import cv2
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
 from agents.viewer import mapping
+from agents.viewer.candidate_mapping import verdict
 from agents.viewer.colours import UNKNOWN, confidence_rgb
 from agents.viewer.cross_sections import CORNERS
+from agents.viewer.picture import draw_picture
 from agents.viewer.report import facts
-from schemas.messages import Image, ImageEncoding
+from schemas.messages import Image, ImageEncoding, Occluder, Occluders, ThreadCandidate
+from shared.images import encode_image
 
 SPACE = {
     "/world",
@@ -30,6 +34,11 @@ SPACE = {
     "/world/thread/regions",
     "/world/left/centrelines",
     "/world/right/centrelines",
+    "/world/left/candidates",
+    "/world/left/candidates/scores",
+    "/world/right/candidates",
+    "/world/left/occluders",
+    "/world/right/occluders",
     "/world/left/residuals_x20",
     "/world/right/residuals_x20",
     "/world/thread/posterior",
@@ -171,6 +180,34 @@ def test_a_failure_gives_the_same_entities_so_that_it_empties_the_last_frame(sce
     assert "FAILED" in text
     assert "is the thread in focus?" in text
     assert "No pixel was segmented as thread." in text
+
+
+def test_several_threads_what_hides_them_and_the_score_are_shown_and_said(scene, tmp_path):
+    thread = ThreadCandidate(0.9, np.array([[5.0, 5.0], [9.0, 7.0]]), np.zeros((0, 2)), 4.0, np.array([20, 30, 40]))
+    other = dataclasses.replace(thread, score=0.25, left_px=np.array([[50.0, 60.0], [70.0, 65.0]]))
+    tool = np.zeros((54, 96), np.uint8)
+    tool[:20, :30] = Occluder.TOOL.value
+    image, nothing = encode_image(tool, ImageEncoding.PNG), encode_image(np.zeros_like(tool), ImageEncoding.PNG)
+    score = encode_image(tool, ImageEncoding.JPEG)
+    occluders = Occluders(image, nothing, 0)
+    seen = dataclasses.replace(scene.observations, candidates=(thread, other), occluders=occluders, score_map=score)
+    hidden = dataclasses.replace(
+        scene.reconstruction, hidden=np.array([[0.2, 0.5]]), ends_hidden=np.array([False, True]), other_threads=(other,)
+    )
+    path = tmp_path / "several.rrd"
+    mapping.write_rrd(path, scene.left, scene.right, seen, hidden)
+    assert len(columns(path, "/world/left/candidates")["LineStrips2D:strips"]) == 2
+    assert columns(path, "/world/left/candidates/scores")["Points2D:labels"] == ["1: 0.90", "2: 0.25"]
+    drawn = np.frombuffer(bytes(columns(path, "/world/left/occluders")["EncodedImage:blob"][0]), np.uint8)
+    alpha = cv2.imdecode(drawn, cv2.IMREAD_UNCHANGED)[..., 3]
+    assert (alpha > 0).mean() == pytest.approx(20 * 30 / tool.size, rel=0.05)
+    assert not any("blob" in name for name in columns(path, "/world/right/occluders"))
+    assert columns(path, "/perception/score")["EncodedImage:media_type"] == ["image/jpeg"]
+    words = verdict(seen)
+    assert "Thread 1 (meant): score 0.90" in words
+    assert "Instruments cover 12% of the left image." in words
+    assert {"30% hidden by instruments; may go on hidden at s=1", "1 further thread"} <= set(facts(seen, hidden, None))
+    draw_picture(scene.left, scene.right, seen, hidden)
 
 
 def test_odd_images_and_masks_do_not_stop_a_recording(scene, failed, tmp_path):

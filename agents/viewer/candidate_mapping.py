@@ -1,0 +1,99 @@
+"""Several threads, what may hide them, and what is judged of the input, as Rerun shows it.
+
+world/{side}/candidates     the threads that perception tells apart, each in its colour; the left ones with their score
+world/{side}/occluders      what may hide thread, as translucent regions: tool, needle, unknown
+perception/score            how much of each pixel the segmenter takes for thread, when the whole was last looked at
+perception/verdict          in words: what is judged of the images, which threads there are, what hides them
+"""
+
+import cv2
+import numpy as np
+import rerun as rr
+
+from agents.viewer import colours
+from agents.viewer.entity import HALF_PX, Entity
+from agents.viewer.image_pane import decoded_mask, enlarged
+from agents.viewer.report import finding_text, findings, threads_text
+from schemas.messages import Image, ImageEncoding, Status, ThreadCandidate, ThreadObservations
+
+SIDES = ("left", "right")
+OPACITY = 60
+"""Of 255."""
+LARGEST_PIXELS = 1 << 26
+THICK = 1.2
+"""In pixels of the screen; the reconstructed curve lies over the candidate that it is."""
+
+
+def candidate_entities(observations: ThreadObservations, rows_down: int = 0) -> list[Entity]:
+    """Every candidate as a line of its own colour, with its number and score in the left image.
+
+    Args:
+        rows_down: by how many those of the right image are drawn further down.
+    """
+    listed = observations.candidates
+    down = np.array([0.0, rows_down])
+    return [
+        ("world/left/candidates", [_lines([c.left_px for c in listed])]),
+        ("world/left/candidates/scores", [_scores(listed)]),
+        ("world/right/candidates", [_lines([c.right_px + down for c in listed])]),
+    ]
+
+
+def occluder_entities(observations: ThreadObservations) -> list[Entity]:
+    """Regions that may hide thread, over each image; empty where there are none."""
+    found = observations.occluders
+    maps = (None, None) if found is None else (found.left, found.right)
+    size = observations.camera.image_width, observations.camera.image_height
+    return [(f"world/{side}/occluders", [_regions(image, size)]) for side, image in zip(SIDES, maps, strict=True)]
+
+
+def score_entities(observations: ThreadObservations) -> list[Entity]:
+    """The map of the segmenter's score, where the message has one: the last one stands until the next."""
+    score = observations.score_map
+    if score is None or score.encoding is ImageEncoding.RAW:
+        return []
+    media_type = "image/jpeg" if score.encoding is ImageEncoding.JPEG else "image/png"
+    return [("perception/score", [rr.EncodedImage(contents=score.data, media_type=media_type)])]
+
+
+def verdict_entities(observations: ThreadObservations) -> list[Entity]:
+    """What is judged of the input, and what was seen, in words."""
+    return [("perception/verdict", [rr.TextDocument(verdict(observations), media_type=rr.MediaType.MARKDOWN)])]
+
+
+def verdict(observations: ThreadObservations) -> str:
+    """The same as text, in Markdown."""
+    said = [f"**{finding_text(judgement)}**" for judgement in findings(observations)]
+    if observations.status is not Status.OK:
+        said.insert(0, f"**No thread:** {observations.reason}")
+    elif not said:
+        said = ["Nothing is wrong with the images."]
+    return "\n\n".join([*said, *threads_text(observations)])
+
+
+def _lines(lines: list[np.ndarray]) -> rr.LineStrips2D:
+    rgb = [colours.candidate_rgb(number) for number in range(len(lines))]
+    return rr.LineStrips2D([line + HALF_PX for line in lines], colors=rgb, radii=[-THICK])
+
+
+def _scores(listed: tuple[ThreadCandidate, ...]) -> rr.Points2D:
+    """Number and score at a place on each thread, another one for each, so that they do not meet where threads do."""
+    places = [c.left_px[int((len(c.left_px) - 1) * (k + 1) / (len(listed) + 1))] for k, c in enumerate(listed)]
+    return rr.Points2D(
+        np.array(places).reshape(-1, 2) + HALF_PX,
+        colors=[colours.candidate_rgb(number) for number in range(len(listed))],
+        labels=[f"{number}: {candidate.score:.2f}" for number, candidate in enumerate(listed, 1)],
+        show_labels=True,
+        radii=[-2.0],
+    )
+
+
+def _regions(image: Image | None, size: tuple[int, int]) -> rr.AsComponents:
+    kinds = None if image is None else decoded_mask(image)
+    # a camera may claim any size
+    if kinds is None or not kinds.any() or size[0] * size[1] > LARGEST_PIXELS:
+        return rr.Clear(recursive=False)
+    drawn = np.zeros((size[1], size[0], 4), np.uint8)
+    for kind, rgb in colours.OCCLUDERS.items():
+        drawn[enlarged(kinds == kind.value, size)] = (*rgb[::-1], OPACITY)
+    return rr.EncodedImage(contents=cv2.imencode(".png", drawn)[1].tobytes(), media_type="image/png", draw_order=1.0)
