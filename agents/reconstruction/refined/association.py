@@ -84,6 +84,7 @@ def associated(
         np.concatenate([e.s for e in eyes]),
         np.concatenate([e.is_end for e in eyes]),
         points[0].width_px,
+        np.repeat([points[eye].raised for eye in (0, 1)], [len(e.s) for e in eyes]),
     )
     total = sum(e.points for e in eyes)
     left, right = (_shown(e.s, 2 * curve.spans) for e in eyes)

@@ -28,7 +28,7 @@ from agents.reconstruction.refined.normal_equations import (
 from agents.reconstruction.refined.plausibility import implausible
 from agents.reconstruction.refined.points import Points, chosen_points
 from agents.reconstruction.refined.projection import LEVEL, Curve, at_constant_speed, chords, projected
-from agents.reconstruction.refined.refinement import LEAST_SCALE, Refined, weighted
+from agents.reconstruction.refined.refinement import LEAST_SCALE, LOOSER, Refined, weighted
 from agents.reconstruction.refined.sightings import MOST_POINTS, Sightings, placed
 from agents.reconstruction.refined.smoothing import FINE, chosen_smoothing, local_weights
 from schemas.messages import Centrelines, RectifiedStereo, ThreadTrack
@@ -175,8 +175,10 @@ def _fit(prediction: _Prediction, curve: Curve, sight: Sightings) -> Refined:
     # lengths and smoothness help to find the curve, but where an eye is blind they tell nothing new in each frame: they
     # would soon make a guessed depth certain
     both = np.minimum(*(_shown_by(sight, curve, eye) for eye in (0, 1)))
-    total = data + prediction.remembered(curve) + roughness_blocks(curve, smoothing * weight * both)
-    return Refined(curve, sight, rows, robust, scale, smoothing, weight, row_offset, total)
+    smooth, known = roughness_blocks(curve, smoothing * weight * both), data + prediction.remembered(curve)
+    total, loose = known + smooth, known + smooth * (1.0 / LOOSER)
+    alone = data + roughness_blocks(curve, smoothing * weight / LOOSER)
+    return Refined(curve, sight, rows, robust, scale, smoothing, weight, row_offset, total, loose, alone, follows=True)
 
 
 def _shown(sight: Sightings, curve: Curve) -> Float64[np.ndarray, "spans"]:

@@ -24,6 +24,7 @@ class Points:
         is_end: whether a piece ends there, away from the image's border.
         all_px: the whole centreline.
         width_px: of the thread, in the median; 0 where there is none.
+        raised: by which factor deviations are more than perception states, since neighbours err together.
     """
 
     point_px: Float64[np.ndarray, "n 2"]
@@ -33,6 +34,7 @@ class Points:
     is_end: Bool[np.ndarray, "n"]
     all_px: Float64[np.ndarray, "k 2"]
     width_px: float
+    raised: float
 
 
 def chosen_points(lines: Centrelines, camera: RectifiedStereo, wanted: int) -> Points:
@@ -46,15 +48,17 @@ def chosen_points(lines: Centrelines, camera: RectifiedStereo, wanted: int) -> P
     points = lines.point_px[index]
     spacing = max(1.0, float(np.median(chords(points)))) if len(points) > 1 else 1.0
     border = np.array([camera.image_width, camera.image_height]) - 1 - BORDER_PX
+    raised = float(np.sqrt(max(1.0, CORRELATED_PX / spacing)))
     inside = ((points >= BORDER_PX) & (points <= border)).all(axis=1)
     return Points(
         points,
-        lines.deviation_px[index] * np.sqrt(max(1.0, CORRELATED_PX / spacing)),
+        lines.deviation_px[index] * raised,
         double_angle(_directions(lines.point_px, np.flatnonzero(bound), index)),
         lines.piece[index],
         is_bound[index] & inside,
         lines.point_px,
         float(np.median(lines.width_px)) if len(lines.width_px) else 0.0,
+        raised,
     )
 
 

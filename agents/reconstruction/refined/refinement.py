@@ -35,6 +35,8 @@ from schemas.messages import RectifiedStereo
 STEPS = 7
 ROBUST, ROBUST_END = 2.5, 10.0
 """Residuals beyond so many deviations count less and less: of points, and of the thread's end along it."""
+LOOSER = 3.5
+"""No thread is as smooth everywhere as the third differences nearby say: in the posterior they count so much less."""
 LEAST_SCALE, MOST_SCALE = 0.1, 4.0
 """Of the deviations that perception states, by the spread of the residuals."""
 
@@ -47,7 +49,10 @@ class Refined:
         scale: of the stated deviations, by the residuals.
         smoothing, weight: λ, and w of each span.
         row_offset_px: how many rows the right image lies lower, by the terms of `rows`.
-        total: the quadratic function at the solution; the inverse of its matrix is the posterior covariance.
+        total: the quadratic function at the solution.
+        loose: the same for a thread that need not be as smooth; the inverse of its matrix is the posterior covariance.
+        alone: of that, what this frame says by itself.
+        follows: whether frames before have a say in the others.
         row_doubt: factor of what uncertain rows add to that; None where they are taken as they are.
     """
 
@@ -60,13 +65,16 @@ class Refined:
     weight: Float64[np.ndarray, "spans"]
     row_offset_px: Float64[np.ndarray, "4"]
     total: Blocks
+    loose: Blocks
+    alone: Blocks
+    follows: bool = False
     row_doubt: Float64[np.ndarray, "v k"] | None = None
 
     @cached_property
     def covariance(self) -> Float64[np.ndarray, "m 3 m 3"]:
         """Of the control points, by the fit alone."""
         m = len(self.curve.control_points)
-        covariance = inverse(self.total)
+        covariance = inverse(self.loose)
         if self.row_doubt is not None:
             covariance += self.row_doubt @ self.row_doubt.T
         return covariance.reshape(m, 3, m, 3)
@@ -115,11 +123,14 @@ def refined(start: Start, camera: RectifiedStereo, steps: int | None = None) -> 
         sight = placed(replace(sight, s=s), curve, camera, row_offset)
     rows, robust, scale = weighted(curve, sight, camera, row_offset)
     data = data_blocks(rows, robust / scale**2, curve.spans) + damping_blocks(curve)
-    total = data + roughness_blocks(curve, smoothing * weight)
+    smooth = roughness_blocks(curve, smoothing * weight)
+    total, loose = data + smooth, data + smooth * (1.0 / LOOSER)
     doubt = None
     if row_offset.any():
         doubt = row_doubt(rows_information(rows, robust / scale**2, factored(total)), row_offset, camera)
-    return Refined(curve, sight, rows, robust, scale, smoothing, weight, row_offset, total, doubt)
+    return Refined(
+        curve, sight, rows, robust, scale, smoothing, weight, row_offset, total, loose, loose, row_doubt=doubt
+    )
 
 
 def weighted(

@@ -32,6 +32,7 @@ class Sightings:
         s: parameter of the curve.
         is_end: the thread ends here, so the point holds the curve along itself as well.
         width_px: of the thread, in the median.
+        raised: by which factor deviations are more than perception states, since neighbours err together.
     """
 
     point_px: Float64[np.ndarray, "n 2"]
@@ -40,6 +41,7 @@ class Sightings:
     s: Float64[np.ndarray, "n"]
     is_end: Bool[np.ndarray, "n"]
     width_px: float = 0.0
+    raised: Float64[np.ndarray, "n"] | float = 1.0
 
 
 def sightings(left: Chain, right: Centrelines, aligned: Alignment) -> Sightings:
@@ -51,7 +53,7 @@ def sightings(left: Chain, right: Centrelines, aligned: Alignment) -> Sightings:
     parts = [of_right(int(piece), left, right, aligned, stride) for piece in pieces]
     parts.append(_of_right_alone(left))
     right_index = np.concatenate([part[0] for part in parts])
-    correlated = np.sqrt(max(1.0, CORRELATED_PX / _spacing(left.along_px[index])))
+    correlated = float(np.sqrt(max(1.0, CORRELATED_PX / _spacing(left.along_px[index]))))
     return Sightings(
         np.concatenate((left.point_px[index], right.point_px[right_index])),
         np.concatenate((left.deviation_px[index], right.deviation_px[right_index])) * correlated,
@@ -59,6 +61,7 @@ def sightings(left: Chain, right: Centrelines, aligned: Alignment) -> Sightings:
         np.concatenate((s, *(part[1] for part in parts))),
         np.concatenate(((index == 0) | (index == last), *(part[2] for part in parts))),
         float(np.median(left.width_px)),
+        correlated,
     )
 
 

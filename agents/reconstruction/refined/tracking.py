@@ -24,7 +24,7 @@ from agents.reconstruction.refined.following import Followed, LostError, curve_l
 from agents.reconstruction.refined.method import METHOD, NoCurveError, course_and_fit, within_regions
 from agents.reconstruction.refined.motion import band_of
 from agents.reconstruction.refined.plausibility import is_usable_track, unusable
-from agents.reconstruction.refined.posterior import LEAST, MODEL, point_covariance
+from agents.reconstruction.refined.posterior import ALIKE, LEAST, point_covariance
 from agents.reconstruction.refined.projection import Curve, projected
 from agents.reconstruction.refined.refinement import Refined
 from agents.reconstruction.refined.result import reconstruction, starts_right
@@ -97,7 +97,7 @@ def _continued(observations: ThreadObservations, before: ThreadTrack) -> ThreadR
         found_share=now.found_share,
         stamp=observations.stamp,
         control_points_camera=now.fit.curve.control_points,
-        covariance=MODEL * band_of(now.fit.covariance),
+        covariance=ALIKE * band_of(now.fit.covariance),
         smoothing=now.fit.smoothing,
         span_weight=now.fit.weight,
     )
@@ -160,7 +160,7 @@ def _track(fit: Refined, observations: ThreadObservations, reverse: bool) -> Thr
     """A track that begins with this fit."""
     way = slice(None, None, -1 if reverse else 1)
     curve = fit.curve.moved(np.zeros(3)) if not reverse else Curve(fit.curve.knots, fit.curve.control_points[::-1])
-    band = MODEL * band_of(fit.covariance)
+    band = ALIKE * band_of(fit.covariance)
     return ThreadTrack(
         step=TrackStep.STARTED,
         reason="",

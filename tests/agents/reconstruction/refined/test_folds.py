@@ -30,7 +30,12 @@ def overshooting(sight_of, threads):
 def kept(sight, chosen):
     """Only these of the sightings."""
     return dataclasses.replace(
-        sight, **{f.name: getattr(sight, f.name)[chosen] for f in dataclasses.fields(sight) if f.name != "width_px"}
+        sight,
+        **{
+            f.name: getattr(sight, f.name)[chosen]
+            for f in dataclasses.fields(sight)
+            if f.name not in ("width_px", "raised")
+        },
     )
 
 

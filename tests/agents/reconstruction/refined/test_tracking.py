@@ -324,8 +324,8 @@ def test_a_curve_contradicts_its_frame_only_where_it_claims_more():
     ray = fit.curve.control_points / fit.curve.control_points[:, 2:]
     deeper_mm = 3.0 * np.exp(-(((at - 0.5) / 0.2) ** 2))
     elsewhere = fit.curve.moved(ray * deeper_mm[:, None])
-    sure = dataclasses.replace(fit, curve=elsewhere, total=fit.total * 1e6)
-    doubtful = dataclasses.replace(fit, curve=elsewhere, total=fit.total * 1e-6)
+    sure = dataclasses.replace(fit, curve=elsewhere, loose=fit.loose * 1e6, alone=fit.alone * 1e6)
+    doubtful = dataclasses.replace(fit, curve=elsewhere, loose=fit.loose * 1e-6, alone=fit.alone * 1e-6)
     with pytest.raises(LostError, match="lies farther away than the followed one was said to be off"):
         tracking._verify(frame, before, Followed(sure, 0.0, 1.0, False))
     tracking._verify(frame, before, Followed(doubtful, 0.0, 1.0, False))
