@@ -161,11 +161,7 @@ class BagSource:
         return 0.5 * self._reader.duration / max(1, most - 1)
 
     def _image(self, side: int, frame: _Frame) -> np.ndarray:
-        try:
-            return np.ascontiguousarray(message_to_cvimage(_without_padding(frame.message), "bgr8"), np.uint8)
-        except (ImageError, AssertionError, TypeError, ValueError, cv2.error) as error:
-            topic = self._topics[side].topic
-            raise SourceError(f"{self._path}: an image of {topic} cannot be decoded: {error or 'damaged'}") from error
+        return decoded_image(frame.message, f"{self._path}: an image of {self._topics[side].topic}")
 
     def _connection(self, side: str, name: str | None) -> Connection:
         images = [c for c in self._reader.connections if c.msgtype in IMAGES]
@@ -177,20 +173,46 @@ class BagSource:
         raise SourceError(f"{self._path} {what}; give {side}_topic, one of: {known}")
 
     def _camera_info(self, image_topic: str) -> dict[str, Any]:
-        namespace = image_topic.removesuffix("/compressed").rpartition("/")[0]
+        wanted = camera_info_topic(image_topic)
         beside = [c for c in self._reader.connections if c.msgtype == CAMERA_INFO]
-        found = [c for c in beside if c.topic == f"{namespace}/camera_info"]
+        found = [c for c in beside if c.topic == wanted]
         if not found:
             known = ", ".join(sorted({c.topic for c in beside})) or "none"
             raise CalibrationError(
-                f"{self._path} has no {namespace}/camera_info beside {image_topic} (its camera_info topics: {known}); "
+                f"{self._path} has no {wanted} beside {image_topic} (its camera_info topics: {known}); "
                 "give a calibration"
             )
         _, _, data = next(self._reader.messages(found[:1]))
-        info = vars(self._reader.deserialize(data, CAMERA_INFO))
-        stated = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in info.items()}
-        image = image_topic[len(namespace) :]
-        return _of_rectified_images(stated) if RECTIFIED in image else stated
+        return stated_camera_info(self._reader.deserialize(data, CAMERA_INFO), image_topic)
+
+
+def camera_info_topic(image_topic: str) -> str:
+    """Where ROS publishes the calibration that goes with an image topic."""
+    return f"{_namespace(image_topic)}/camera_info"
+
+
+def stated_camera_info(info: Any, image_topic: str) -> dict[str, Any]:
+    """What a camera_info message states of the images of that topic, which may be rectified already."""
+    fields = vars(info).items()
+    stated = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in fields}
+    image = image_topic[len(_namespace(image_topic)) :]
+    return _of_rectified_images(stated) if RECTIFIED in image else stated
+
+
+def decoded_image(message: Any, what: str) -> np.ndarray:
+    """An image message as blue, green, red; `what` is what an error calls it.
+
+    Raises:
+        SourceError: where it cannot be decoded.
+    """
+    try:
+        return np.ascontiguousarray(message_to_cvimage(_without_padding(message), "bgr8"), np.uint8)
+    except (ImageError, AssertionError, TypeError, ValueError, cv2.error) as error:
+        raise SourceError(f"{what} cannot be decoded: {error or 'damaged'}") from error
+
+
+def _namespace(image_topic: str) -> str:
+    return image_topic.removesuffix("/compressed").rpartition("/")[0]
 
 
 def _opened(path: Path) -> AnyReader:

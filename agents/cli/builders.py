@@ -51,7 +51,7 @@ def build(rig: RigConfig, kind: str, instance: str) -> Agent:
     section = rig.robot[instance] if kind == "robot_bridge" else getattr(rig, kind)
     match section:
         case CameraSection():
-            return _camera(section)
+            return _camera(section, SessionSettings(rig.rig, section.endpoint or "", rig.identity_of("camera")))
         case PerceptionSection():
             return _perception(section, rig.needs_matching)
         case PlannerSection():
@@ -120,7 +120,7 @@ def _perception(section: PerceptionSection, needs_matching: bool) -> Agent:
         raise ConfigError(f"[perception] {error}") from None
 
 
-def _camera(section: CameraSection) -> Agent:
+def _camera(section: CameraSection, reached: SessionSettings) -> Agent:
     config = CameraConfig(
         rate_hz=section.rate_hz,
         encoding=ImageEncoding[section.encoding.upper()],
@@ -143,8 +143,21 @@ def _camera(section: CameraSection) -> Agent:
         size = bag.size()
         read = _read_calibration(section, size) if section.calibration else bag.calibration(section.unit, size)
         return Camera(bag, _usable(read), config)
+    if section.source == "ros":
+        from agents.camera.ros import RosSource
+        from agents.cli.guard_command import naming_of
+
+        ros = RosSource(reached, naming_of(section), _topic(section.left_topic), _topic(section.right_topic))
+        size = ros.size()
+        read = _read_calibration(section, size) if section.calibration else ros.calibration(section.unit, size)
+        return Camera(ros, _usable(read), config)
     source, size = _source(section)
     return Camera(source, _usable(_read_calibration(section, size)), config)
+
+
+def _topic(name: str | None) -> str:
+    """As keys have it, where ROS writes a slash before it."""
+    return (name or "").strip("/")
 
 
 def _source(section: CameraSection) -> tuple[Source, tuple[int, int]]:

@@ -9,7 +9,7 @@ from agents.cli.live_options import Guard
 from agents.cli.process import EXIT_OK, on_stop
 from agents.cli.rig import RigConfig
 from agents.cli.rig_hosts import run_name
-from agents.cli.rig_sections import DvrkSection
+from agents.cli.rig_sections import CameraSection, DvrkSection
 from agents.cli.status_session import reading_session
 from agents.cli.terminal import say
 from agents.guard.gate import Gate
@@ -32,8 +32,8 @@ TURNS_HZ = 100.0
 SERVOS = ("servo_jp", "jaw/servo_jp")
 
 
-def naming_of(section: DvrkSection, node: str = NODE) -> Naming:
-    """How the console's computer carries ROS."""
+def naming_of(section: DvrkSection | CameraSection, node: str = NODE) -> Naming:
+    """How the robot's computer carries ROS."""
     return Ros2dds() if section.codec == "ros2dds" else RmwZenoh(section.domain, section.type_hashes, node)
 
 

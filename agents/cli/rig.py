@@ -97,14 +97,17 @@ class RigConfig(Settings):
 
     @model_validator(mode="after")
     def _robots_are_reached_safely(self) -> "RigConfig":
-        for arm, section in self.robot.items():
-            endpoint = section.dvrk.endpoint if section.dvrk is not None else LOCAL_ENDPOINT
+        camera = self.camera.endpoint if self.camera is not None else None
+        arms = {arm: section.dvrk for arm, section in self.robot.items() if section.dvrk is not None}
+        named = {f"robot.{arm}.dvrk.endpoint": dvrk.endpoint for arm, dvrk in arms.items()}
+        for name, endpoint in (named | ({"camera.endpoint": camera} if camera is not None else {})).items():
             if not on_loopback(endpoint) and not (self.security is not None and endpoint.startswith("tls/")):
                 raise ValueError(
-                    f"robot.{arm}.dvrk.endpoint {endpoint!r} leaves this machine, which needs tls and [security]; or "
-                    "run the bridge on the robot's computer: docs/dvrk.md"
+                    f"{name} {endpoint!r} leaves this machine, which needs tls and [security]; or run what needs it on "
+                    "the robot's computer: docs/dvrk.md"
                 )
-            if not on_loopback(endpoint) and section.dvrk is not None and not section.dvrk.through_guard:
+        for arm, dvrk in arms.items():
+            if not on_loopback(dvrk.endpoint) and not dvrk.through_guard:
                 kept = f"robot.{arm}.dvrk: what a link off this machine keeps back must not move the arm later"
                 raise ValueError(f"{kept}; set through_guard = true, and run suturegrasp guard on the robot's computer")
         return self

@@ -48,11 +48,15 @@ class RouterSection(Settings):
 class CameraSection(Settings):
     """Where frames come from; which of the other keys a source needs is checked when it is opened."""
 
-    source: Literal["scene", "images", "video", "pipe", "bag"] = "scene"
+    source: Literal["scene", "images", "video", "pipe", "bag", "ros"] = "scene"
     left: str | None = None
     right: str | None = None
     left_topic: str | None = None
     right_topic: str | None = None
+    endpoint: Endpoint | None = None
+    codec: Literal["ros2dds", "rmw_zenoh"] = "ros2dds"
+    domain: int = Field(default=0, ge=0, le=232)
+    type_hashes: bool = True
     loop: bool = True
     width: int | None = Field(default=None, gt=0)
     height: int | None = Field(default=None, gt=0)
@@ -66,6 +70,10 @@ class CameraSection(Settings):
     @model_validator(mode="after")
     def _has_what_its_source_needs(self) -> "CameraSection":
         if self.source == "scene":
+            return self
+        if self.source == "ros":
+            if self.endpoint is None or self.left_topic is None or self.right_topic is None:
+                raise ValueError("source 'ros' needs endpoint, left_topic and right_topic")
             return self
         if self.left is None:
             raise ValueError(f"source {self.source!r} needs left")
