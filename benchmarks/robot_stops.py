@@ -36,6 +36,8 @@ PAST_GUARD = "link, past the guard"
 LOSSES = ("operator", "router", "link", PAST_GUARD, "bridge")
 RUNS_FOR_S, STANDS_S = 1.0, 1.0
 """How long the arm moves before the loss, and how long it must not move to be said to stand."""
+MOVES_NS = 50_000_000
+"""An arm that got a set point so recently moves."""
 DEADLINE_S, LOOK_S = 60.0, 0.05
 RIG, ARM, CONSOLE = "bench", "psm1", "PSM1"
 TURNS = 6
@@ -110,9 +112,12 @@ class _Lab:
             count, started_s = self.verdict()["set_points"], monotonic_s()
             while self._running["operator"].poll() is None and monotonic_s() - started_s < DEADLINE_S:
                 threading.Event().wait(LOOK_S)
-                if count and self.verdict()["set_points"] > count + 2 * 200 * RUNS_FOR_S:
-                    return
-                count = count or self.verdict()["set_points"]
+                now = self.verdict()
+                if count and now["set_points"] > count + 2 * 200 * RUNS_FOR_S:
+                    if now_ns() - now["set_point_ns"] < MOVES_NS:
+                        return
+                    break
+                count = count or now["set_points"]
         raise NotMovingError("\n".join(path.read_text() for path in sorted(self._folder.glob("*.log"))))
 
     def lose(self, what: str) -> None:

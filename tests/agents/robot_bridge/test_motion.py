@@ -255,3 +255,13 @@ def test_any_waypoint_gives_a_motion_within_all_limits_or_a_reason(
     assert (joint_problem(planned.joints) == 0).all()
     assert (np.abs(np.diff(planned.joints, axis=0)) <= LARGE_NEEDLE_DRIVER.max_speeds * SETUP.period_s).all()
     np.testing.assert_allclose(forward(planned.joints[-1]), inverse(SIMULATED_T_CAMERA_BASE) @ T, atol=1e-9)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.1])
+def test_a_slowed_motion_goes_the_same_way_and_takes_as_much_longer(share: float) -> None:
+    full = motion(grasp())
+    slowed = motion(grasp(), dataclasses.replace(SETUP, limits=LIMITS.slowed(share)))
+    assert slowed.duration_s == pytest.approx(full.duration_s / share, rel=0.02)
+    samples = [int(i) for i in np.linspace(0, len(full.joints) - 1, 40)]
+    between = np.array([slowed.at(i * SETUP.period_s / share)[0] for i in samples])
+    assert np.abs(between - full.joints[samples]).max() < 0.03

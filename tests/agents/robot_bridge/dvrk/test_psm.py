@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+import zenoh
 
 from schemas.messages import ExecutionKind, Outcome, Phase, RobotMode
 from shared.clock import now_ns
@@ -11,6 +12,7 @@ from shared.ros import crtk
 from shared.ros.far_clock import WINDOW_NS, FarClock
 from shared.ros.naming import RmwZenoh, Role
 from shared.ros.types import JOINT_STATE
+from shared.runtime.access import access_control
 
 SECOND_NS = 10**9
 
@@ -136,3 +138,11 @@ def test_when_something_was_measured_is_told_by_the_robots_own_clock():
     after = [clock.measured_ns(at + ahead, at + 5 * 10**7) - at for at in starts]
     assert after[-1] == 5 * 10**7
     assert clock.measured_ns(0, 12) == 12
+
+
+def test_the_rigs_access_rules_allow_nothing_of_the_robots_keys():
+    names = ["robot_bridge.psm1", "operator.desk", "planner.main", "viewer.desk"]
+    allowed = [zenoh.KeyExpr(k) for rule in access_control("lab", names)["rules"] for k in rule["key_exprs"]]
+    robots = ("PSM1/servo_jp", "guarded/PSM1/servo_jp", RmwZenoh().key("PSM1/servo_jp", JOINT_STATE))
+    assert allowed
+    assert not any(one.intersects(zenoh.KeyExpr(robot)) for one in allowed for robot in robots)
