@@ -38,8 +38,12 @@ THREAD_MARGIN_PX = 3
 """Beside the thread, in the reduced image: half the window, and what blur adds."""
 FRAMES_BETWEEN_SURFACES = 10
 """Of the camera."""
-LEAST_FRAMES_WITHOUT = 4
-"""For each surface so many frames at least are looked at, where many of the camera's are left out."""
+LEAST_FRAMES_WITHOUT, USUAL_FRAMES_WITHOUT = 4, 8
+"""For each surface so many frames at least are looked at, where many of the camera's are left out, and as many as is
+usual where it does not grow old by that."""
+OLD_FRAMES = 45
+"""Of the camera: a surface lasts no longer than that where enough frames are looked at; the planner takes one of three
+seconds at most."""
 PARTS_OF_A_PIXEL = 16
 """StereoSGBM gives disparities in these."""
 SHIFT_PX = 0.5
@@ -71,7 +75,9 @@ def surface_is_due(stamp: FrameStamp, before: FrameStamp | None) -> bool:
     if before is None:
         # the first frame of all already takes longest
         return False
-    period = max(FRAMES_BETWEEN_SURFACES, LEAST_FRAMES_WITHOUT * abs(stamp.sequence - before.sequence))
+    step = abs(stamp.sequence - before.sequence)
+    unhurried = min(USUAL_FRAMES_WITHOUT * step, OLD_FRAMES)
+    period = max(FRAMES_BETWEEN_SURFACES, LEAST_FRAMES_WITHOUT * step, unhurried)
     return before.sequence // period != stamp.sequence // period
 
 

@@ -128,10 +128,8 @@ def test_images_of_any_size_give_a_surface(shape):
     assert decode(TissueSurface, encode(surface)).depth.shape == surface.valid.shape
 
 
-@pytest.mark.parametrize(("left_out", "surfaces"), [(0, 11), (2, 9), (9, 2), (14, 1)])
-def test_a_surface_is_due_once_in_so_many_frames_of_which_four_were_looked_at_and_not_with_the_very_first(
-    left_out, surfaces
-):
+@pytest.mark.parametrize(("left_out", "surfaces"), [(0, 11), (2, 4), (9, 2), (14, 1)])
+def test_a_surface_is_due_once_in_so_many_frames_that_were_looked_at_and_not_with_the_very_first(left_out, surfaces):
     stamps = [FrameStamp(number, 0, 0, "") for number in range(0, 120, left_out + 1)]
     due = [surface_is_due(now, before) for before, now in zip([None, *stamps], stamps, strict=False)]
     assert sum(due) == surfaces
