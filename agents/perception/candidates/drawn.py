@@ -15,7 +15,8 @@ Piece = Int64[np.ndarray, "k"]
 
 def thinned(points: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "k 2"]:
     """Fewer of them, both ends included."""
-    return points[np.unique(np.append(np.arange(0, len(points), SPACING_PX), len(points) - 1))]
+    some = points[::SPACING_PX]
+    return some if (len(points) - 1) % SPACING_PX == 0 else np.concatenate((some, points[-1:]))
 
 
 def along(
@@ -30,13 +31,15 @@ def along(
     if not pieces:
         return np.zeros((0, 2))
     points = [thinned(lines.point_px[piece]) for piece in pieces]
-    shift = np.zeros(2)
-    if shifted:
-        shift[0] = np.median(line_px[:, 0]) - np.median(np.concatenate(points)[:, 0])
-    tree = cKDTree(line_px)
-    places = [np.asarray(tree.query(piece + shift)[1]) for piece in points]
-    turned = [piece if at[-1] >= at[0] else piece[::-1] for piece, at in zip(points, places, strict=True)]
-    return np.concatenate([turned[k] for k in np.argsort([np.median(at) for at in places], kind="stable")])
+    every = np.concatenate(points)
+    shift = np.median(line_px[:, 0]) - np.median(every[:, 0]) if shifted else 0.0
+    place = np.asarray(cKDTree(line_px).query(every + np.array((shift, 0.0)))[1], np.intp)
+    last = np.cumsum(np.array([len(piece) for piece in points], np.intp))
+    first = np.concatenate((np.zeros(1, np.intp), last[:-1]))
+    turned = [piece[:: -1 if place[j - 1] < place[i] else 1] for piece, i, j in zip(points, first, last, strict=True)]
+    # pieces of one line do not overlap, so that where each has its middle tells their order
+    order = np.argsort(place[(first + last) // 2], kind="stable")
+    return np.concatenate([turned[k] for k in order])
 
 
 def without(lines: Centrelines, pieces: list[Piece]) -> Centrelines:

@@ -1,12 +1,13 @@
 """Which candidates are certainly not the thread that is meant.
 
-That is one that looks different; and one that looks the same where not both have an end that something may hide, so
-that neither can go on as the other.
+That is one that looks different; and one that looks the same and cannot be how the other goes on: not both have an end
+that something may hide, and neither ends at the other, where a crossing may have been read wrongly.
 """
 
 import cv2
 import numpy as np
 from jaxtyping import UInt8
+from scipy.spatial import cKDTree
 
 from agents.perception.candidates.appearance import Looks, unlikeness
 from schemas.messages import ThreadCandidate
@@ -14,6 +15,9 @@ from shared.occluded import hidden_ends
 
 ANOTHER = 14.0
 """What looks so unlike the thread that is meant (see `unlikeness`) is another one."""
+
+AT_WIDTHS = 6.0
+"""So near, in widths, an end lies at another thread: lines are cut some widths before they cross."""
 
 
 def certainly_others(
@@ -29,7 +33,20 @@ def certainly_others(
     looks = looks_of_candidates(listed)
     unlike = unlikeness(looks, looks)[0]
     goes_on = [occluders is None or bool(hidden_ends(c.left_px, occluders, image_width).any()) for c in listed]
-    return [k for k in range(1, len(listed)) if unlike[k] >= ANOTHER or not (goes_on[0] and goes_on[k])]
+    return [
+        k
+        for k in range(1, len(listed))
+        if unlike[k] >= ANOTHER or not ((goes_on[0] and goes_on[k]) or _one_ends_at(listed[0], listed[k]))
+    ]
+
+
+def _one_ends_at(one: ThreadCandidate, other: ThreadCandidate) -> bool:
+    """Whether an end of either lies at the other."""
+    near = AT_WIDTHS * max(one.width_px, other.width_px)
+    return any(
+        float(np.min(cKDTree(line.left_px).query(ends.left_px[[0, -1]])[0])) <= near
+        for line, ends in ((one, other), (other, one))
+    )
 
 
 def looks_of_candidates(listed: tuple[ThreadCandidate, ...]) -> Looks:

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.reconstruction.refined.covered_ends import DOUBT, with_covered_ends
-from schemas.messages import Centrelines
+from agents.reconstruction.refined.covered_ends import DOUBT, hidden_of, with_covered_ends
+from schemas.messages import Centrelines, Image, ImageEncoding, Occluder, Occluders
+from shared.images import encode_image
 
 WIDTH, RADIUS, LENGTH = 5.0, 150.0, 120
 
@@ -69,6 +70,21 @@ def test_pieces_are_judged_each_by_itself(make_lines):
     np.testing.assert_array_equal(found[count:], both.deviation_px[count:])
 
 
+def test_a_short_piece_that_is_covered_all_along_is_told_by_the_width_of_the_thread(make_lines):
+    long, across = bent(make_lines)
+    count, shift = 30, np.array([0.0, 50.0])
+    missing = 1.0 + at_both_ends(1.5, count, 10)
+    both = make_lines(long.point_px, long.point_px[:count] + shift, width=WIDTH, deviation=0.02)
+    short = np.flatnonzero(both.piece == 1)[:count]
+    point, width = both.point_px.copy(), both.width_px.copy()
+    point[short] += 0.5 * missing[:, None] * across[:count]
+    width[short] -= missing
+    found = with_covered_ends(dataclasses.replace(both, point_px=point, width_px=width)).deviation_px
+    assert (found[short] >= 0.5 * missing * DOUBT).all()
+    assert np.median(found[short] / missing) > 0.4
+    np.testing.assert_array_equal(found[both.piece == 0], both.deviation_px[both.piece == 0])
+
+
 @given(st.lists(st.integers(1, 9), min_size=0, max_size=4), st.integers(0, 2**31))
 def test_deviations_never_shrink_whatever_the_lines(counts, seed):
     rng = np.random.default_rng(seed)
@@ -83,3 +99,31 @@ def test_deviations_never_shrink_whatever_the_lines(counts, seed):
     assert (found.deviation_px >= lines.deviation_px * (1 - 1e-12)).all()
     assert np.isfinite(found.deviation_px).all()
     np.testing.assert_array_equal(found.point_px, lines.point_px)
+
+
+def encoded(regions):
+    return encode_image(regions, ImageEncoding.PNG)
+
+
+def test_what_is_unseen_upon_an_instrument_is_hidden_and_an_end_before_one_may_go_on():
+    tool = np.zeros((54, 96), np.uint8)
+    tool[:, 40:50], tool[:, 80:] = Occluder.TOOL.value, Occluder.UNKNOWN.value
+    line = np.column_stack((np.arange(100.0, 796.0, 4.0), np.full(174, 270.0)))
+    unseen = (line[:, 0] > 300) & (line[:, 0] < 450)
+    nothing = np.zeros_like(tool)
+    found = hidden_of((line, line), unseen, Occluders(encoded(tool), encoded(nothing), 0), 960)
+    assert found is not None
+    np.testing.assert_array_equal(found.places, (line[:, 0] >= 400) & (line[:, 0] < 450))
+    assert found.ends.tolist() == [False, True]
+    turned = hidden_of((line[::-1], line[::-1]), unseen, Occluders(encoded(nothing), encoded(tool), 0), 960)
+    assert turned is not None
+    assert turned.ends.tolist() == [True, False]
+
+
+def test_without_a_word_on_instruments_or_with_a_broken_one_nothing_is_called_hidden():
+    line, unseen = np.column_stack((np.arange(9.0), np.zeros(9))), np.ones(9, bool)
+    broken = Image(ImageEncoding.PNG, 9, 9, 1, b"no image")
+    colour = encoded(np.zeros((5, 9, 3), np.uint8))
+    assert hidden_of((line, line), unseen, None, 960) is None
+    assert hidden_of((line, line), unseen, Occluders(broken, broken, 0), 960) is None
+    assert hidden_of((line, line), unseen, Occluders(colour, colour, 0), 960) is None
