@@ -97,7 +97,7 @@ def replayed(options: ThroughOptions) -> ThroughResult:
     _check(options)
     started_s = monotonic_s()
     recorded = load_config(options.config, RigConfig) if options.config else recorded_config(options.recording)
-    config = changed(recorded, options.set)
+    config = with_simulated_arms(changed(recorded, options.set))
     entries, notes = _read(options.recording)
     otherwise = _otherwise(options, next((note.facts for note in notes if note.name == RUN), {}))
     stages = _stages(config, (options.through or "").split(","), entries)
@@ -108,6 +108,12 @@ def replayed(options: ThroughOptions) -> ThroughResult:
     exactly = options.tolerances == NONE or (options.tolerances == AUTO and not otherwise)
     comparison = compared(outputs, lambda r: published[r.key, r.epoch, r.sequence], exactly)
     return ThroughResult(entries, after, notes, outcomes, comparison, exactly, otherwise, monotonic_s() - started_s)
+
+
+def with_simulated_arms(config: RigConfig) -> RigConfig:
+    """The configuration with a simulated arm in place of each real one, which no replay may reach."""
+    simulated = {"backend": "simulated", "dvrk": None}
+    return config.model_copy(update={"robot": {a: s.model_copy(update=simulated) for a, s in config.robot.items()}})
 
 
 def _read(path: Path) -> tuple[list[Entry], list[Note]]:

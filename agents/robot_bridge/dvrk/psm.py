@@ -10,8 +10,8 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float64
 
-from agents.robot_bridge.backend import ArmState
-from agents.robot_bridge.dvrk.readings import KINDS, Readings
+from agents.robot_bridge.backend import ArmState, Readiness
+from agents.robot_bridge.dvrk.readings import KINDS, NOTHING, Readings
 from shared.clock import now_ns as clock_ns
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER, Psm
 from shared.ros import crtk
@@ -30,6 +30,8 @@ MOTIONS = {
 SERVOS = ("servo_jp", "jaw/servo_jp")
 STOPS = {"hold": EMPTY, "free": EMPTY, "state_command": STRING_STAMPED}
 """Whoever sends one of these wants us to stop; that somebody could does not."""
+
+NOW_NS = 2_000_000_000
 
 
 class DvrkPsm:
@@ -54,7 +56,7 @@ class DvrkPsm:
         self.psm, self.dry_run, self._name = psm, dry_run, name
         self._to, self._tells_guard = (f"{GUARDED}/{name}" if through_guard else name), through_guard and not dry_run
         self._readings = readings = Readings(name, tool, psm)
-        self._commanded_ns = 0
+        self._commanded_ns, self._replayed = 0, False
         heard = (
             *(self._measurement(kind) for kind in KINDS),
             Heard(f"{name}/operating_state", OPERATING_STATE, readings.hear_state, latched=True),
@@ -73,7 +75,13 @@ class DvrkPsm:
         self._link = RosLink(settings, naming, heard, said, watched, self._owner_changed)
 
     def state(self, now_ns: int) -> ArmState:
-        """The newest that was heard; the first time, the connection is begun."""
+        """The newest that was heard; the first time, the connection is begun.
+
+        Whoever gives a time that is not now replays something, and reaches no robot.
+        """
+        self._replayed = abs(now_ns - clock_ns()) > NOW_NS
+        if self._replayed:
+            return ArmState(0, NOTHING.joints, NOTHING.jaw_rad, Readiness.DISABLED, "it is real, and the time is not")
         self._link.open()
         if self._tells_guard:
             self._link.say(f"{self._to}/{ALIVE}", crtk.joint_command(np.zeros(1), clock_ns()))
@@ -83,7 +91,7 @@ class DvrkPsm:
 
     def move(self, joints: Float64[np.ndarray, "6"], jaw_rad: float) -> None:
         """Send a set point for the arm and one for its jaw."""
-        if self.dry_run:
+        if self.dry_run or self._replayed:
             return
         self._commanded_ns = clock_ns()
         self._link.say(f"{self._to}/servo_jp", crtk.joint_command(joints, self._commanded_ns))
@@ -91,7 +99,7 @@ class DvrkPsm:
 
     def hold(self) -> None:
         """Have the console stop the arm where it is."""
-        if not self.dry_run:
+        if not self.dry_run and not self._replayed:
             self._link.say(f"{self._name}/hold", crtk.empty())
 
     def close(self) -> None:

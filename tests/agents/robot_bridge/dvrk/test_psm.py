@@ -1,20 +1,28 @@
 """A plan on an emulated dVRK by either codec, and everything for which the bridge must not move it, or stop."""
 
 import re
+import threading
 
 import numpy as np
 import pytest
 import zenoh
 
+from agents.cli.builders import build
+from agents.cli.replay_through import with_simulated_arms
+from agents.cli.rig import RigConfig
+from agents.robot_bridge.agent import RobotBridge
+from agents.robot_bridge.backend import Readiness
+from agents.robot_bridge.simulated import SimulatedPsm
 from schemas.messages import ExecutionKind, Outcome, Phase, RobotMode
-from shared.clock import now_ns
+from shared.clock import monotonic_s, now_ns
+from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
 from shared.ros import crtk
 from shared.ros.far_clock import WINDOW_NS, FarClock
 from shared.ros.naming import RmwZenoh, Role
 from shared.ros.types import JOINT_STATE
 from shared.runtime.access import access_control
 
-SECOND_NS = 10**9
+SECOND_NS, DEADLINE_S = 10**9, 20.0
 
 
 def moves(lab):
@@ -138,6 +146,39 @@ def test_when_something_was_measured_is_told_by_the_robots_own_clock():
     after = [clock.measured_ns(at + ahead, at + 5 * 10**7) - at for at in starts]
     assert after[-1] == 5 * 10**7
     assert clock.measured_ns(0, 12) == 12
+
+
+def test_a_replayed_time_reaches_no_robot_and_no_replay_has_one(lab):
+    lab.backend.state(now_ns() - 3600 * SECOND_NS)
+    lab.backend.move(np.zeros(6), 0.0)
+    lab.backend.hold()
+    assert lab.backend.state(0).readiness is Readiness.DISABLED
+    dvrk = {
+        "backend": "dvrk",
+        "T_camera_base": SIMULATED_T_CAMERA_BASE.tolist(),
+        "dvrk": {"endpoint": "tcp/127.0.0.1:7"},
+    }
+    config = with_simulated_arms(RigConfig.model_validate({"robot": {"psm1": arm}}))
+    bridge = build(config, "robot_bridge", "psm1")
+    assert isinstance(bridge, RobotBridge)
+    assert isinstance(bridge._backend, SimulatedPsm)
+    verdict = lab.verdict()
+    assert (verdict["set_points"], verdict["held_ns"]) == (0, 0)
+
+
+def test_a_bridge_that_is_stopped_in_mid_motion_holds(lab):
+    moves(lab)
+    lab.bridge.close()
+    until(lambda: lab.verdict()["held_ns"])
+    assert lab.verdict()["unsafe"] == 0
+
+
+def until(condition):
+    """Wait for a condition without a turn of the bridge."""
+    deadline_s, turn = monotonic_s() + DEADLINE_S, threading.Event()
+    while not condition():
+        assert monotonic_s() < deadline_s
+        turn.wait(0.01)
 
 
 def test_the_rigs_access_rules_allow_nothing_of_the_robots_keys():
