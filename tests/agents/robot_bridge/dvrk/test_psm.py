@@ -153,11 +153,8 @@ def test_a_replayed_time_reaches_no_robot_and_no_replay_has_one(lab):
     lab.backend.move(np.zeros(6), 0.0)
     lab.backend.hold()
     assert lab.backend.state(0).readiness is Readiness.DISABLED
-    dvrk = {
-        "backend": "dvrk",
-        "T_camera_base": SIMULATED_T_CAMERA_BASE.tolist(),
-        "dvrk": {"endpoint": "tcp/127.0.0.1:7"},
-    }
+    base, endpoint = SIMULATED_T_CAMERA_BASE.tolist(), {"endpoint": "tcp/127.0.0.1:7"}
+    arm = {"backend": "dvrk", "T_camera_base": base, "dvrk": endpoint}
     config = with_simulated_arms(RigConfig.model_validate({"robot": {"psm1": arm}}))
     bridge = build(config, "robot_bridge", "psm1")
     assert isinstance(bridge, RobotBridge)
