@@ -19,6 +19,8 @@ from shared.occluded import hidden_ends, is_occluded
 
 REACH_WIDTHS = 20.0
 """Over so much of a piece its usual width is told."""
+WHOLE_WIDTHS = 10.0
+"""A piece that has its usual width over less than this may be covered all along: the thread's width counts."""
 NARROWER = 0.95
 """Of that: what is less may be covered."""
 BEFORE_WIDTHS = 4.0
@@ -30,10 +32,10 @@ DOUBT = 0.15
 
 def with_covered_ends(lines: Centrelines) -> Centrelines:
     """The same centrelines, with the error that a cover may cause in the deviations of points at the pieces' ends."""
-    error = np.zeros(len(lines.piece))
+    error, whole = np.zeros(len(lines.piece)), float(np.median(lines.width_px)) if len(lines.width_px) else 0.0
     for piece in np.split(np.arange(len(lines.piece)), np.flatnonzero(np.diff(lines.piece)) + 1):
         for inwards in (piece, piece[::-1]):
-            found = _errors_px(lines.point_px[inwards], lines.width_px[inwards])
+            found = _errors_px(lines.point_px[inwards], lines.width_px[inwards], whole)
             error[inwards[: len(found)]] = np.maximum(error[inwards[: len(found)]], found)
     return replace(lines, deviation_px=np.hypot(lines.deviation_px, error))
 
@@ -78,12 +80,17 @@ def hidden_of(
     return Hidden(places & unseen, ends)
 
 
-def _errors_px(points: Float64[np.ndarray, "n 2"], width: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "k"]:
-    """Of a piece's first points, until it has all of its width."""
+def _errors_px(
+    points: Float64[np.ndarray, "n 2"], width: Float64[np.ndarray, "n"], whole: float
+) -> Float64[np.ndarray, "k"]:
+    """Of a piece's first points, until it has all of its width; `whole` is that of the thread."""
     if not len(width):
         return np.zeros(0)
     along = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))))
     usual = float(np.median(width[along <= REACH_WIDTHS * np.median(width)]))
+    step = np.diff(along, append=along[-1])
+    if step[width >= NARROWER * usual].sum() < WHOLE_WIDTHS * whole:
+        usual = max(usual, whole)
     narrow = width < NARROWER * usual
     count = len(width) if narrow.all() else int(np.argmin(narrow))
     if count < 2:

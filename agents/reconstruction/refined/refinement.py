@@ -35,7 +35,7 @@ from schemas.messages import RectifiedStereo
 STEPS = 7
 ROBUST, ROBUST_END = 2.5, 10.0
 """Residuals beyond so many deviations count less and less: of points, and of the thread's end along it."""
-LOOSER = 3.5
+LOOSER = 3.0
 """No thread is as smooth everywhere as the third differences nearby say: in the posterior they count so much less."""
 LEAST_SCALE, MOST_SCALE = 0.1, 4.0
 """Of the deviations that perception states, by the spread of the residuals."""
