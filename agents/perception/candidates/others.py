@@ -1,23 +1,25 @@
 """Which candidates are certainly not the thread that is meant.
 
 That is one that looks different; and one that looks the same and cannot be how the other goes on: not both have an end
-that something may hide, and neither ends at the other, where a crossing may have been read wrongly.
+that something may hide, and neither ends where the other is cut, at a crossing that may have been read wrongly.
 """
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float64, UInt8
 from scipy.spatial import cKDTree
 
 from agents.perception.candidates.appearance import Looks, unlikeness
+from agents.perception.candidates.drawn import SPACING_PX
 from schemas.messages import ThreadCandidate
 from shared.occluded import hidden_ends
 
 ANOTHER = 14.0
 """What looks so unlike the thread that is meant (see `unlikeness`) is another one."""
 
-AT_WIDTHS = 6.0
-"""So near, in widths, an end lies at another thread: lines are cut some widths before they cross."""
+AT_WIDTHS = 5.0
+"""So near, in widths, an end lies at a cut: lines are cut some widths before they cross."""
+GAP = 1.05
 
 
 def certainly_others(
@@ -36,17 +38,23 @@ def certainly_others(
     return [
         k
         for k in range(1, len(listed))
-        if unlike[k] >= ANOTHER or not ((goes_on[0] and goes_on[k]) or _one_ends_at(listed[0], listed[k]))
+        if unlike[k] >= ANOTHER or not ((goes_on[0] and goes_on[k]) or _one_ends_at_a_cut(listed[0], listed[k]))
     ]
 
 
-def _one_ends_at(one: ThreadCandidate, other: ThreadCandidate) -> bool:
-    """Whether an end of either lies at the other."""
+def _one_ends_at_a_cut(one: ThreadCandidate, other: ThreadCandidate) -> bool:
+    """Whether an end of either lies where the other ends or is cut."""
     near = AT_WIDTHS * max(one.width_px, other.width_px)
     return any(
-        float(np.min(cKDTree(line.left_px).query(ends.left_px[[0, -1]])[0])) <= near
+        float(np.min(cKDTree(_cuts(line.left_px)).query(ends.left_px[[0, -1]])[0])) <= near
         for line, ends in ((one, other), (other, one))
     )
+
+
+def _cuts(line_px: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "k 2"]:
+    """Both ends of a line and of every gap in it, where points are farther apart than those that travel."""
+    gap = np.flatnonzero(np.linalg.norm(np.diff(line_px, axis=0), axis=1) > GAP * SPACING_PX)
+    return line_px[np.concatenate((np.array([0, len(line_px) - 1]), gap, gap + 1))]
 
 
 def looks_of_candidates(listed: tuple[ThreadCandidate, ...]) -> Looks:

@@ -1,6 +1,7 @@
 """From files to a thread in 3D, in every form that images, masks and calibrations come in, against the truth."""
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -296,3 +297,27 @@ def test_warnings_name_what_is_doubtful_and_stand_in_the_result(suturegrasp, pai
     assert "warning: The baseline of 55 mm is not one of an endoscope" in ended.err
     judgements = json.loads((small / "out.json").read_text())["judgements"]
     assert [judgement["code"] for judgement in judgements] == ["baseline_implausible"]
+
+
+def test_another_thread_is_told_with_where_to_point_and_pointing_there_means_it(suturegrasp, pair, small):
+    height, width = read_image(small / "left.png").shape[:2]
+    ends = np.array(((0.1 * width, 0.1 * height), (0.6 * width, 0.2 * height)))
+    for name, disparity in (("left.png", 0.0), ("right.png", 0.05 * width)):
+        image = read_image(small / name)
+        start, end = np.rint(ends - (disparity, 0.0)).astype(int).tolist()
+        cv2.line(image, start, end, (40, 120, 30), 4, cv2.LINE_AA)
+        cv2.imwrite(str(small / name), image)
+    ended = suturegrasp(*pair(small), "--output", small / "out.json")
+    assert ended.status == 0
+    told = re.search(r"1 further thread was seen; choose with --at (\d+,\d+) \(score 0\.\d\d\)", ended.out)
+    assert told is not None, ended.out
+    (other,) = json.loads((small / "out.json").read_text())["other_threads"]
+    distance = cKDTree(np.linspace(*ends, 500)).query(np.array(other["left_px"]))[0]
+    assert np.median(distance) < 1
+    assert suturegrasp(*pair(small), "--at", told[1], "--output", small / "meant.json").status == 0
+    meant = json.loads((small / "meant.json").read_text())
+    assert meant["score"] == pytest.approx(other["score"], abs=0.1)
+    assert all(
+        np.linalg.norm(np.array(left["left_px"]).mean(axis=0) - ends.mean(axis=0)) > 9
+        for left in meant["other_threads"]
+    )
