@@ -1,18 +1,21 @@
 """Sub-pixel centrelines: skeleton, then three rounds of correction across the normal, and the ends after the first.
 
 Anti-aliased coverage is corrected by its centroid, which hardly depends on where a strip lies on the pixel grid. A mask
-that only says yes or no has lost what is finer than a pixel, so there the edges in the image tell.
+that only says yes or no has lost what is finer than a pixel, so there the edges in the image tell, and after them what
+has been learned of how light misleads them.
 """
+
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
 
 from agents.perception.centrelines.along import Pieces, directions, evenly_spaced, gaussian, local_quadratic, smoothed
-from agents.perception.centrelines.deviation import deviations
+from agents.perception.centrelines.deviation import deviations, of_coverage, of_edges
 from agents.perception.centrelines.glints import without_glints
 from agents.perception.centrelines.profiles import sample
-from agents.perception.centrelines.refine import Curves, by_coverage, by_edges, tangent_sigma
+from agents.perception.centrelines.refine import Curves, Evidence, by_coverage, by_edges, by_learning, tangent_sigma
 from agents.perception.centrelines.skeleton import Paths, skeleton_paths
 from schemas.messages import Centrelines, no_centrelines
 
@@ -27,6 +30,16 @@ LEAST_GRADED_SHARE = 0.1
 """Of the pixels beside the mask; of anti-aliased coverage most are partly thread, of a binary mask none."""
 LEAST_LENGTH = 1.5
 """Pieces shorter than so many widths are no line."""
+
+
+@dataclass(frozen=True)
+class Followed:
+    """Curves along the thread, with what the last round saw, the width in general, and whether coverage was graded."""
+
+    curves: Curves
+    seen: Evidence
+    width: float
+    graded: bool
 
 
 def thread_centrelines(
@@ -53,6 +66,23 @@ def thread_centrelines(
 def _centrelines(
     image: UInt8[np.ndarray, "h w 3"], coverage: Float32[np.ndarray, "h w"], mask: Bool[np.ndarray, "h w"]
 ) -> Centrelines:
+    found = followed(image, coverage, mask)
+    if found is None:
+        return no_centrelines()
+    curves, seen = found.curves, found.seen
+    if found.graded:
+        at_sight = of_coverage(curves, seen)
+    elif (learned := by_learning(curves, seen, image, found.width)) is None:
+        at_sight = of_edges(curves, seen)
+    else:
+        curves, seen, at_sight = learned
+    return Centrelines(curves.point, curves.pieces.number, seen.width_px, deviations(curves, seen, at_sight))
+
+
+def followed(
+    image: UInt8[np.ndarray, "h w 3"], coverage: Float32[np.ndarray, "h w"], mask: Bool[np.ndarray, "h w"]
+) -> Followed | None:
+    """Curves along the thread as coverage and edges have it, without what is learned; None where there is none."""
     filled, depth = without_glints(mask)
     # a glint is thread, in what it covers and in its colour
     coverage = np.where(filled & ~mask, np.float32(255), coverage)
@@ -60,16 +90,13 @@ def _centrelines(
     width = min(WIDEST_PX, max(1.0, 4.0 * float(depth[filled].mean())))
     curves = _initial(skeleton_paths(filled, depth), width)
     if len(curves.point) == 0:
-        return no_centrelines()
+        return None
     curves, _ = by_coverage(curves, coverage, width)
     curves = _extended(curves, coverage, width)
     curves, seen = by_coverage(curves, coverage, width)
     graded = _is_graded(coverage, filled)
-    if graded:
-        curves, seen = by_coverage(curves, coverage, width)
-    else:
-        curves, seen = by_edges(curves, seen, image, width)
-    return Centrelines(curves.point, curves.pieces.number, seen.width_px, deviations(curves, seen, graded))
+    curves, seen = by_coverage(curves, coverage, width) if graded else by_edges(curves, seen, image, width)
+    return Followed(curves, seen, width, graded)
 
 
 def _is_graded(coverage: Float32[np.ndarray, "h w"], mask: Bool[np.ndarray, "h w"]) -> bool:

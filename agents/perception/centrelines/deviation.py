@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from agents.perception.centrelines.along import REACH, Pieces, directions, gaussian, smoothed
-from agents.perception.centrelines.refine import Curves, Evidence
+from agents.perception.centrelines.refine import Curves, Evidence, to_ends
 
 GRADED_PX = 0.005
 PIXEL_SHARE = 0.05
@@ -16,7 +16,7 @@ PIXEL_SHARE = 0.05
 ROW_PX, ROW_SLOPE = 0.06, 0.05
 """A thread along the rows or columns meets their borders alike for many pixels, so that the error does not average."""
 SHADING_SHARE = 0.038
-"""Of the width: light from one side, shadows and glints shift what looks like an edge."""
+"""Of the width: shadows and glints shift what looks like an edge."""
 DOUBT_SHARE = 0.5
 """Of the distance between the middle of the mask and that of the edges."""
 USUAL_SHARE, UNUSUAL_SHARE = 0.15, 0.6
@@ -28,25 +28,34 @@ BRIDGE_LENGTH, BRIDGE_SHARE = 8.0, 0.15
 """Of the width: how long two strands that cross at a slant may run as one, and how far from each its middle is."""
 
 
-def deviations(curves: Curves, seen: Evidence, graded: bool) -> Float64[np.ndarray, "n"]:
-    """Standard deviation of each point across the thread, in pixels."""
+def deviations(curves: Curves, seen: Evidence, at_sight: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "n"]:
+    """Standard deviation of each point across the thread, in pixels.
+
+    Args:
+        at_sight: that of what the last round saw, by itself.
+    """
     width = seen.width_px
     usual = _usual_width(width, curves.pieces)
-    at_sight = _of_coverage(curves, usual) if graded else SHADING_SHARE * usual
     parts = [
         at_sight,
-        DOUBT_SHARE * seen.doubt_px,
+        DOUBT_SHARE * seen.aside_px,
         UNUSUAL_SHARE * np.maximum(np.abs(width - usual) - USUAL_SHARE * usual, 0),
-        END_SHARE * usual * (1 - _closeness(curves, usual, loose=True)),
-        CUT_SHARE * usual * (1 - _closeness(curves, 2 * usual, loose=False)),
+        END_SHARE * usual * (1 - np.minimum(to_ends(curves, loose=True) / usual, 1)),
+        CUT_SHARE * usual * (1 - np.minimum(to_ends(curves, loose=False) / (2 * usual), 1)),
         np.where(seen.open, 0.5 * usual, 0),
         np.where(_is_bridge(curves, usual), BRIDGE_SHARE * usual, 0),
     ]
     return np.sqrt(np.sum([part**2 for part in parts], axis=0))
 
 
-def _of_coverage(curves: Curves, usual: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "n"]:
+def of_edges(curves: Curves, seen: Evidence) -> Float64[np.ndarray, "n"]:
+    """What remains unknown where the edges in the image tell."""
+    return SHADING_SHARE * _usual_width(seen.width_px, curves.pieces)
+
+
+def of_coverage(curves: Curves, seen: Evidence) -> Float64[np.ndarray, "n"]:
     """What remains unknown where nothing but anti-aliased coverage tells."""
+    usual = _usual_width(seen.width_px, curves.pieces)
     slope = np.abs(directions(curves.point, curves.pieces, gaussian(2.0))).min(axis=1)
     return np.hypot(GRADED_PX + PIXEL_SHARE / usual, ROW_PX / (1 + (slope / ROW_SLOPE) ** 2))
 
@@ -57,14 +66,6 @@ def _usual_width(width: Float64[np.ndarray, "n"], pieces: Pieces) -> Float64[np.
     clipped = np.clip(width, 0.7 * typical, 1.2 * typical)
     span = 2 * REACH + 1
     return smoothed(clipped[:, None], pieces, np.full(span, 1 / span))[:, 0].clip(0.7 * typical, 1.2 * typical)
-
-
-def _closeness(curves: Curves, reach: Float64[np.ndarray, "n"], loose: bool) -> Float64[np.ndarray, "n"]:
-    """Distance to the piece's nearest end of the kind, as a share of `reach`, 1 at most."""
-    pieces = curves.pieces
-    start = np.where(curves.loose_start[pieces.number] == loose, pieces.before, np.inf)
-    end = np.where(curves.loose_end[pieces.number] == loose, pieces.after, np.inf)
-    return np.minimum(np.minimum(start, end) / reach, 1.0)
 
 
 def _is_bridge(curves: Curves, usual: Float64[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:

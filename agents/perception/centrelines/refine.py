@@ -15,7 +15,15 @@ from agents.perception.centrelines.along import (
     smoothed,
 )
 from agents.perception.centrelines.edges import find_edges
+from agents.perception.centrelines.learned import learned_middles
 from agents.perception.centrelines.profiles import middle, normals, offsets, own_strand, sample
+from agents.perception.centrelines.straightened import (
+    has_plain_ground,
+    reach_px,
+    seen_across,
+    straightened,
+    usual_width_px,
+)
 
 MARGIN_PX = 2.0
 """Beyond the thread's own edge that a profile of coverage looks; one of the image looks twice as far."""
@@ -24,6 +32,11 @@ ALONG_PX = 2.0
 LIGHT_PX = 1.5
 """Standard deviation of the local parabolas that smooth corrected points."""
 LEAST_WIDTH_PX = 0.1
+ASIDE_ALONG_PX, USUAL_ASIDE_PX = 8.0, 0.15
+FROM_CUT_WIDTHS = 2.0
+"""From half as far to half as far again the edges give way to what is learned."""
+LEARNED_ALONG_PX, LEARNED_STRIDE = 1.0, 2
+"""Profiles are averaged along the thread a little, and every second is looked at."""
 
 
 @dataclass(frozen=True)
@@ -42,18 +55,26 @@ class Evidence:
 
     Fields:
         width_px: of the thread.
-        doubt_px: how far apart different views of the middle lie.
+        aside_px: how far different views of the middle lie apart, to one side or the other.
         open: whether the thread fills its profile to the end.
     """
 
     width_px: Float64[np.ndarray, "n"]
-    doubt_px: Float64[np.ndarray, "n"]
+    aside_px: Float64[np.ndarray, "n"]
     open: Bool[np.ndarray, "n"]
 
 
 def tangent_sigma(width: float) -> float:
     """Over how many points a direction is taken: a wide thread bends slowly, and its skeleton jitters more."""
     return float(np.clip(0.5 * width, 2.0, 4.0))
+
+
+def to_ends(curves: Curves, loose: bool) -> Float64[np.ndarray, "n"]:
+    """How many points lie between each point and its piece's nearest end of the kind; infinite without one."""
+    pieces = curves.pieces
+    start = np.where(curves.loose_start[pieces.number] == loose, pieces.before, np.inf)
+    end = np.where(curves.loose_end[pieces.number] == loose, pieces.after, np.inf)
+    return np.minimum(start, end)
 
 
 def by_coverage(curves: Curves, coverage: Float32[np.ndarray, "h w"], width: float) -> tuple[Curves, Evidence]:
@@ -86,7 +107,40 @@ def by_edges(
     limit = 0.5 + 0.25 * width
     shift = np.clip((edges.near_px + edges.far_px) / 2, -limit, limit)
     width_px = np.maximum(edges.far_px - edges.near_px, LEAST_WIDTH_PX)
-    return _moved(curves, normal, shift), Evidence(width_px, np.abs(shift), mask.open)
+    return _moved(curves, normal, shift), Evidence(width_px, shift, mask.open)
+
+
+def by_learning(
+    curves: Curves, edges: Evidence, image: UInt8[np.ndarray, "h w 3"], width: float
+) -> tuple[Curves, Evidence, Float64[np.ndarray, "n"]] | None:
+    """One round: every point to where the network holds the middle to be; and the standard deviation of that.
+
+    None over a plain ground, which casts no light on a thread and shows no edges but the thread's: nothing beats those.
+
+    Args:
+        curves: in the middle between the edges.
+        edges: what a round by edges saw at the same points.
+        width: of the thread in general.
+    """
+    pieces = curves.pieces
+    usual = usual_width_px(edges.width_px, pieces)
+    normal = normals(directions(curves.point, pieces, gaussian(tangent_sigma(width))))
+    colour = seen_across(image, curves.point, normal, reach_px(usual))
+    colour = blurred(colour.reshape(len(colour), -1), pieces, gaussian(LEARNED_ALONG_PX)).reshape(colour.shape)
+    # what neighbours see they hardly see apart
+    some = np.flatnonzero((pieces.before % LEARNED_STRIDE == 0) | (pieces.after == 0))
+    colour, thinned = colour[some], Pieces(pieces.number[some])
+    if has_plain_ground(colour, usual[some]):
+        return None
+    found = learned_middles(straightened(colour, usual[some], thinned), normal[some], thinned)
+    offset, deviation = (np.interp(np.arange(len(usual)), some, part) for part in (found.offset_px, found.deviation_px))
+    limit = 0.5 + 0.25 * width
+    # beside a cut the profile also holds the strand that is crossed
+    apart = np.clip(to_ends(curves, loose=False) / (FROM_CUT_WIDTHS * usual) - 0.5, 0, 1)
+    # single profiles of a mask and of an image differ by chance, and the network has seen by how much an image misleads
+    aside = smoothed(edges.aside_px[:, None], pieces, gaussian(ASIDE_ALONG_PX))[:, 0]
+    aside = np.sign(aside) * np.maximum(np.abs(aside) - USUAL_ASIDE_PX, 0)
+    return _moved(curves, normal, apart * np.clip(offset, -limit, limit)), replace(edges, aside_px=aside), deviation
 
 
 def _moved(curves: Curves, normal: Float64[np.ndarray, "n 2"], shift: Float64[np.ndarray, "n"]) -> Curves:

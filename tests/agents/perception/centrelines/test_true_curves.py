@@ -81,9 +81,9 @@ def test_true_coverage_gives_hundredths_of_a_pixel(name):
 
 
 @pytest.mark.parametrize("name", ["cfg_medium_paper", "sample_06"])
-def test_the_edges_of_a_segmented_thread_give_tenths_of_a_pixel(name):
+def test_what_is_learned_of_a_segmented_thread_gives_less_than_a_tenth_of_a_pixel(name):
     image, _, curve = rendered(name)
-    assert check(thread_centrelines(image, segment_ridge(image)), curve, 0.25, 0.9) > 0.9
+    assert check(thread_centrelines(image, segment_ridge(image)), curve, 0.09, 0.35) > 0.9
 
 
 @pytest.mark.parametrize("name", ["scene_1_1", "scene_3_1", "scene_7_4", "scene_9_2"])

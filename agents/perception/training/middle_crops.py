@@ -1,0 +1,152 @@
+"""Varied profiles across threads to learn their middle from: drawn aside, in other light, mirrored and turned round.
+
+Mirroring hides nothing here, as it does from a network that sees whole images: how the middle follows from what is
+seen is learned, and in a mirror it follows alike. Which side the light is on must be told by the profiles themselves.
+"""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64
+
+from agents.perception.centrelines.along import Pieces, blurred, gaussian
+from agents.perception.centrelines.refine import LEARNED_ALONG_PX, LEARNED_STRIDE
+from agents.perception.centrelines.straightened import BEYOND_PX, PLACES, straightened
+from agents.perception.training.middle_drawn import SHADOW_WIDTHS, drawn_view, shadow_band
+from agents.perception.training.middle_views import WIDE_PLACES, MiddleView
+
+VIEWS, STRETCHES, LENGTH = 8, 8, 96
+"""Of a batch: stretches of so many points from each of so many views, since the light is that of the whole view."""
+ASIDE_PX, JITTER_PX, MOST_ASIDE_PX = 0.4, 0.08, 1.2
+"""Standard deviations of how far a rough middle is drawn aside, at most, over long and within short distances."""
+KNOT_POINTS = 16
+WIDTH_SPREAD = 0.06
+MORE_LIGHT, SHADOW_SHARE, MORE_SHADOW, BLUR_SHARE = 0.12, 0.4, 0.4, 0.25
+"""Of light across the thread; of views that get another shadow; how deep that is at most; of views that are blurred."""
+DRAWN, NEWLY_DRAWN_SHARE = 48, 0.1
+"""One view of each batch is drawn; the last so many are kept, and so often there is another."""
+Batch = tuple[
+    Float32[np.ndarray, "v k n c"],
+    Float32[np.ndarray, "v k n"],
+    Float32[np.ndarray, "v k n 2"],
+    Bool[np.ndarray, "v k n"],
+]
+"""Profiles, offset of the middle in pixels, normal, whether the offset is known."""
+
+
+def batches(views: Sequence[MiddleView], seed: int) -> Iterator[Batch]:
+    """Batches without end, the same for the same seed."""
+    rng = np.random.default_rng([seed, 22])
+    usable = [view for view in views if len(_starts(view))]
+    drawn: list[MiddleView] = []
+    while True:
+        if not drawn or rng.uniform() < NEWLY_DRAWN_SHARE:
+            drawn = [*drawn[1 - DRAWN :], drawn_view(rng)]
+        chosen = [drawn[rng.integers(len(drawn))], *(usable[k] for k in rng.integers(len(usable), size=VIEWS - 1))]
+        parts = [_varied(view, rng.choice(_starts(view), STRETCHES), rng) for view in chosen]
+        shown, offset, normal, known = (np.stack(part) for part in zip(*parts, strict=True))
+        yield shown, offset.astype(np.float32), normal.astype(np.float32), known
+
+
+def profiles_of(view: MiddleView) -> tuple[Float32[np.ndarray, "m c"], np.ndarray, Pieces]:
+    """What the network takes of a whole view as it is, of which points, and their pieces."""
+    n, pieces = len(view.width_px), view.pieces
+    colour = _resampled(view.colour, np.broadcast_to(PLACES, (n, len(PLACES))))
+    colour = _averaged(colour, pieces)
+    some = np.flatnonzero((pieces.before % LEARNED_STRIDE == 0) | (pieces.after == 0))
+    thinned = Pieces(pieces.number[some])
+    return straightened(colour[some], view.width_px[some], thinned), some, thinned
+
+
+def _starts(view: MiddleView) -> np.ndarray:
+    return np.flatnonzero(view.pieces.after >= LENGTH - 1)
+
+
+def _varied(
+    view: MiddleView, start: np.ndarray, rng: np.random.Generator
+) -> tuple[Float32[np.ndarray, "k n c"], np.ndarray, np.ndarray, np.ndarray]:
+    at = (start[:, None] + np.arange(LENGTH)).ravel()
+    width = view.width_px[at]
+    taken_for = width * np.exp(rng.normal(0, WIDTH_SPREAD))
+    aside = _drawn_aside(rng)
+    places = (PLACES * (taken_for + BEYOND_PX)[:, None] + aside[:, None]) / (width + BEYOND_PX)[:, None]
+    colour = _averaged(_resampled(view.colour[at], places), _stretches(LENGTH))[::LEARNED_STRIDE]
+    at, aside, width = (part[::LEARNED_STRIDE] for part in (at, aside, taken_for))
+    offset, known, normal = view.offset_px[at] - aside, view.known[at], view.normal[at]
+    colour = _relit(_shaded(colour, offset, width, normal, rng), rng)
+    if rng.uniform() < 0.5:
+        colour, offset, normal = colour[:, ::-1], -offset, normal * [-1.0, 1.0]
+    each = STRETCHES, LENGTH // LEARNED_STRIDE
+    if rng.uniform() < 0.5:
+        back = np.arange(len(at)).reshape(each)[:, ::-1].ravel()
+        colour, offset, normal = colour[back, ::-1], -offset[back], -normal[back]
+        known, width = known[back], width[back]
+    shown = straightened(np.ascontiguousarray(colour, np.float32), width, _stretches(each[1]))
+    return shown.reshape(*each, -1), offset.reshape(each), normal.reshape(*each, 2), known.reshape(each)
+
+
+def _stretches(length: int) -> Pieces:
+    return Pieces(np.repeat(np.arange(STRETCHES), length))
+
+
+def _averaged(colour: Float32[np.ndarray, "n t 3"], pieces: Pieces) -> Float32[np.ndarray, "n t 3"]:
+    return blurred(colour.reshape(len(colour), -1), pieces, gaussian(LEARNED_ALONG_PX)).reshape(colour.shape)
+
+
+def _resampled(colour: np.ndarray, places: Float64[np.ndarray, "n t"]) -> Float32[np.ndarray, "n t 3"]:
+    """Profiles that were seen at WIDE_PLACES, at others."""
+    step = float(WIDE_PLACES[1] - WIDE_PLACES[0])
+    where = np.clip((places - float(WIDE_PLACES[0])) / step, 0, len(WIDE_PLACES) - 1.001)
+    before = where.astype(np.int64)
+    share = (where - before)[..., None].astype(np.float32)
+    flat = colour.astype(np.float32).reshape(-1, 3)
+    before += np.arange(len(colour))[:, None] * len(WIDE_PLACES)
+    return flat[before] * (1 - share) + flat[before + 1] * share
+
+
+def _drawn_aside(rng: np.random.Generator) -> Float64[np.ndarray, "n"]:
+    knots = rng.normal(0, 0.5 * ASIDE_PX * rng.uniform(0, 2), (STRETCHES, LENGTH // KNOT_POINTS + 1))
+    x = np.arange(LENGTH) / KNOT_POINTS
+    before = x.astype(np.int64)
+    share = x - before
+    share = share * share * (3 - 2 * share)
+    aside = knots[:, before] * (1 - share) + knots[:, before + 1] * share
+    aside += rng.normal(0, rng.uniform(0, JITTER_PX), aside.shape)
+    return np.clip(aside, -MOST_ASIDE_PX, MOST_ASIDE_PX).ravel()
+
+
+def _shaded(
+    colour: Float32[np.ndarray, "n t 3"],
+    offset: Float64[np.ndarray, "n"],
+    width: Float64[np.ndarray, "n"],
+    normal: Float64[np.ndarray, "n 2"],
+    rng: np.random.Generator,
+) -> Float32[np.ndarray, "n t 3"]:
+    """More light from one side, at times a shadow beside the thread, at times more blur across it."""
+    towards = rng.uniform(0, 2 * np.pi)
+    across = normal @ np.array([np.cos(towards), np.sin(towards)])
+    x = (PLACES * (width + BEYOND_PX)[:, None] - offset[:, None]) / (width[:, None] / 2)
+    light = 1 + rng.normal(0, MORE_LIGHT) * across[:, None] * np.tanh(x)
+    if rng.uniform() < SHADOW_SHARE:
+        aside = across * np.exp(rng.uniform(*np.log(SHADOW_WIDTHS)))
+        shadow = rng.uniform(0, MORE_SHADOW) * shadow_band(x, aside, rng.uniform(0.2, 0.6))
+        light *= np.where(np.abs(x) > 1, 1 - shadow, 1)
+    colour = (colour * light[..., None]).astype(np.float32)
+    if rng.uniform() < BLUR_SHARE:
+        kernel = gaussian(rng.uniform(0.3, 1.2))
+        beyond = len(kernel) // 2
+        padded = np.pad(colour, ((0, 0), (beyond, beyond), (0, 0)), mode="edge")
+        windows = np.lib.stride_tricks.sliding_window_view(padded, len(kernel), axis=1)
+        colour = (windows @ kernel).astype(np.float32)
+    return colour
+
+
+def _relit(colour: Float32[np.ndarray, "n t 3"], rng: np.random.Generator) -> Float32[np.ndarray, "n t 3"]:
+    """Another tone curve, exposure, white balance; at times channels that mix, and noise."""
+    gain = np.exp(rng.normal(0, 0.1, 3) + rng.normal(0, 0.15))
+    shown = 255 * gain * (np.maximum(colour, 0) / 255) ** np.exp(rng.normal(0, 0.15)) + rng.normal(0, 6)
+    if rng.uniform() < 0.3:
+        mixed = np.eye(3) + rng.normal(0, 0.12, (3, 3))
+        shown = shown @ (mixed / mixed.sum(axis=1, keepdims=True)).T
+    shown = np.clip(shown, 0, 255)
+    return shown + rng.normal(0, rng.uniform(0, 4), shown.shape) if rng.uniform() < 0.5 else shown

@@ -1,0 +1,104 @@
+"""How far the middle between the edges and the learned one lie from the true one, in rendered views that are held out.
+
+python -m agents.perception.training.middle_evaluate --scenes DIR [--weights OTHER.npz] [--all] [--each]
+"""
+
+import argparse
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+
+from agents.perception.centrelines.learned import Weights, learned_middles, own_weights, weights_in
+from agents.perception.training.middle_crops import profiles_of
+from agents.perception.training.middle_views import MiddleView, middle_views
+
+WINDOW_POINTS = 60
+"""Over so many points errors are averaged, to tell what neighbours share: that bends a curve, the rest averages out."""
+NORMAL = 0.6745
+"""Of a standard deviation lie half of all errors within."""
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Of one view, in pixels: errors, those that neighbours share, and the mean across to the right, before and after.
+
+    Fields:
+        inside: share of points within the deviation that is said.
+    """
+
+    off: tuple[float, float]
+    shared: tuple[float, float]
+    aside: tuple[float, float]
+    inside: float
+
+
+def figures_of(view: MiddleView, weights: Weights) -> Figures | None:
+    """The errors in one view; None where too little of its truth is known."""
+    shown, some, pieces = profiles_of(view)
+    found = learned_middles(shown, view.normal[some], pieces, weights)
+    everywhere = np.arange(len(view.width_px))
+    offset, deviation = (np.interp(everywhere, some, part) for part in (found.offset_px, found.deviation_px))
+    known = view.known
+    if known.sum() < WINDOW_POINTS:
+        return None
+    before, after = view.offset_px[known].astype(np.float64), (view.offset_px - offset)[known]
+    rightwards = view.normal[known, 0]
+    return Figures(
+        (_robust(before), _robust(after)),
+        (_shared(before), _shared(after)),
+        (abs(float(np.mean(before * rightwards))), abs(float(np.mean(after * rightwards)))),
+        float((np.abs(after) < deviation[known]).mean()),
+    )
+
+
+def line_of(name: str, views: Iterable[MiddleView], weights: Weights) -> str:
+    """One line of medians over views."""
+    found = [figures for view in views if (figures := figures_of(view, weights)) is not None]
+    if not found:
+        return f"{name}: nothing is known of any view\n"
+    off, shared, aside = (
+        np.median([getattr(one, what) for one in found], axis=0) for what in ("off", "shared", "aside")
+    )
+    inside = float(np.median([one.inside for one in found]))
+    return (
+        f"{name}, {len(found)} views: off {off[0]:.3f} px before, {off[1]:.3f} px after; "
+        f"shared by {WINDOW_POINTS} points {shared[0]:.3f}, {shared[1]:.3f} px; "
+        f"to one side {aside[0]:.3f}, {aside[1]:.3f} px; "
+        f"{inside:.0%} within the deviation\n"
+    )
+
+
+def _robust(error: Float64[np.ndarray, "n"]) -> float:
+    return float(np.median(np.abs(error)) / NORMAL)
+
+
+def _shared(error: Float64[np.ndarray, "n"]) -> float:
+    windows = len(error) // WINDOW_POINTS
+    mean = error[: windows * WINDOW_POINTS].reshape(windows, -1).mean(axis=1)
+    return float(np.sqrt(np.mean(mean**2)))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Parse the command line and print the figures; returns the exit status."""
+    parser = argparse.ArgumentParser(prog="python -m agents.perception.training.middle_evaluate", description=__doc__)
+    parser.add_argument("--scenes", type=Path, nargs="+", required=True, help="folders of rendered scenes")
+    parser.add_argument("--weights", type=Path, default=None, help="in place of the project's own")
+    parser.add_argument("--all", action="store_true", help="all views, where none of the folders was learned from")
+    parser.add_argument("--each", action="store_true", help="a line for each view as well")
+    chosen = parser.parse_args(arguments)
+    weights = own_weights() if chosen.weights is None else weights_in(chosen.weights)
+    views = middle_views(chosen.scenes, held_out=True)
+    if chosen.all:
+        views += middle_views(chosen.scenes, held_out=False, scaled=False)
+    for view in views if chosen.each else []:
+        sys.stdout.write(line_of(view.name, [view], weights))
+    sys.stdout.write(line_of("all", views, weights))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,80 @@
+"""The network of `centrelines/learned.py` as it is trained, and its weights as NumPy takes them."""
+# pyright: reportMissingImports=false, reportUntypedBaseClass=false
+# PyTorch is there for training alone (extra `train`), so that the checks of everyone else run without it.
+
+import numpy as np
+import torch
+from jaxtyping import Float32
+from torch import nn
+
+from agents.perception.centrelines.learned import DILATIONS, LEAST_SPREAD
+from agents.perception.centrelines.straightened import CHANNELS, NUMBERS, PLACES
+
+STATES, LIGHTS, TAPS = 40, 6, 5
+DROPPED = 0.1
+"""Of the first states, while it learns."""
+FEATURES = CHANNELS * len(PLACES) + NUMBERS
+
+
+class MiddleNet(nn.Module):
+    """Profiles (v, k, n, c) of stretches of views and their normals (v, k, n, 2) to offsets and logarithms of scale."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.first = nn.Linear(FEATURES, STATES)
+        # what is lopsided: the difference of both sides, which changes its sign with the direction of the curve
+        self.register_buffer("sides", torch.from_numpy(_difference_of_sides()))
+        self.light = nn.Linear(len(_difference_of_sides()), LIGHTS, bias=False)
+        self.from_light = nn.Linear(LIGHTS, STATES, bias=False)
+        self.along = nn.ModuleList([nn.Conv1d(STATES, STATES, TAPS, dilation=d) for d in DILATIONS])
+        self.out = nn.Conv1d(STATES, 2, 1)
+        nn.init.zeros_(self.out.weight)
+        nn.init.zeros_(self.out.bias)
+
+    def forward(self, shown: torch.Tensor, normal: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Offset of the middle in pixels, and the logarithm of its mean error, both (v, k, n)."""
+        views, stretches, points, _ = shown.shape
+        light = self._light(shown.flatten(1, 2), normal.flatten(1, 2))
+        of_light = torch.einsum("vknd,vdm->vknm", normal, light)
+        state = torch.relu(self.first(shown) + self.from_light(of_light))
+        state = nn.functional.dropout(state, DROPPED, self.training)
+        state = state.reshape(views * stretches, points, -1).transpose(1, 2)
+        for layer, dilation in zip(self.along, DILATIONS, strict=True):
+            beyond = dilation * (TAPS - 1) // 2
+            state = state + torch.relu(layer(nn.functional.pad(state, (beyond, beyond), mode="replicate")))
+        offset, scale = self.out(state).reshape(views, stretches, 2, points).unbind(2)
+        return offset, scale
+
+    def _light(self, shown: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
+        """What is lopsided of each view as far as it follows a direction, by least squares."""
+        across = torch.tanh(self.light(shown @ self.sides.T))
+        count = normal.shape[1]
+        spread = torch.einsum("vnd,vne->vde", normal, normal) / count + LEAST_SPREAD * torch.eye(2)
+        return torch.linalg.solve(spread, torch.einsum("vnd,vnm->vdm", normal, across) / count)
+
+
+def weights_of(network: MiddleNet) -> dict[str, Float32[np.ndarray, "..."]]:
+    """The weights as `learned_middles` takes them."""
+    state = network.state_dict()
+    weights = {
+        "first": state["first.weight"].T,
+        "first_bias": state["first.bias"],
+        "light": (state["light.weight"] @ state["sides"]).T,
+        "from_light": state["from_light.weight"].T,
+        "out": state["out.weight"][:, :, 0].T,
+        "out_bias": state["out.bias"],
+    }
+    for index in range(len(DILATIONS)):
+        weights[f"along{index}"] = state[f"along.{index}.weight"].permute(2, 1, 0).reshape(-1, STATES)
+        weights[f"along{index}_bias"] = state[f"along.{index}.bias"]
+    return {name: value.numpy() for name, value in weights.items()}
+
+
+def _difference_of_sides() -> np.ndarray:
+    half = len(PLACES) // 2
+    sides = np.zeros((half * CHANNELS, FEATURES), np.float32)
+    row = np.arange(half * CHANNELS)
+    place, channel = np.divmod(row, CHANNELS)
+    sides[row, row] = 1
+    sides[row, (len(PLACES) - 1 - place) * CHANNELS + channel] = -1
+    return sides

@@ -1,0 +1,57 @@
+"""What the middle is learned from, and what was learned: drawn threads in light from any side."""
+
+import numpy as np
+import pytest
+
+from agents.perception.centrelines.along import Pieces
+from agents.perception.centrelines.learned import learned_middles
+from agents.perception.training.middle_crops import LENGTH, STRETCHES, VIEWS, batches, profiles_of
+from agents.perception.training.middle_drawn import drawn_view
+from agents.perception.training.middle_views import Truth, offsets_to
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    rng = np.random.default_rng(81)
+    return [drawn_view(rng) for _ in range(16)]
+
+
+def learned(view):
+    shown, some, pieces = profiles_of(view)
+    return learned_middles(shown, view.normal[some], pieces), some
+
+
+def test_the_middle_is_learned_in_light_from_any_side_and_as_well_as_is_said(drawn):
+    error, deviation = [], []
+    for view in drawn:
+        found, some = learned(view)
+        error.append(np.abs(found.offset_px - view.offset_px[some]))
+        deviation.append(found.deviation_px)
+    error, deviation = np.concatenate(error), np.concatenate(deviation)
+    assert np.median(error) < 0.13
+    assert 0.5 < np.mean(error < deviation) < 0.9
+
+
+def test_other_pieces_beside_a_thread_change_what_is_learned_of_it_by_their_light_alone(drawn):
+    shown, some, pieces = profiles_of(drawn[0])
+    normal = drawn[0].normal[some]
+    alone = learned_middles(shown, normal, pieces)
+    twice = Pieces(np.repeat([0, 1], len(some)))
+    both = learned_middles(np.tile(shown, (2, 1)), np.tile(normal, (2, 1)), twice)
+    np.testing.assert_allclose(both.offset_px, np.tile(alone.offset_px, 2), atol=1e-4)
+
+
+def test_batches_follow_from_their_seed(drawn):
+    one, other = (next(batches(drawn, seed=5)) for _ in range(2))
+    for part, same in zip(one, other, strict=True):
+        np.testing.assert_array_equal(part, same)
+    assert one[0].shape[:3] == (VIEWS, STRETCHES, LENGTH // 2)
+
+
+def test_offsets_lead_from_points_to_the_truth_whichever_way_either_runs():
+    x = np.arange(0, 50, 0.1)
+    truth = Truth(np.column_stack((x, 0 * x + 3)), np.tile([-1.0, 0.0], (len(x), 1)), x < 40)
+    point, tangent = np.array([[10.0, 2.5], [20.0, 3.2], [45.0, 3.0]]), np.tile([1.0, 0.0], (3, 1))
+    offset, known = offsets_to(truth, point, tangent)
+    np.testing.assert_allclose(offset, [0.5, -0.2, 0.0], atol=1e-9)
+    assert known.tolist() == [True, True, False]
