@@ -42,7 +42,7 @@ HZ = 200.0
 PATIENT_S = 1.0
 """A test machine may stall; how soon silence ends a motion is measured by benchmarks/robot.py."""
 
-BRISK = MotionLimits(0.1, 1.0, 3.0, 20.0, 4.0, contact_share=0.8)
+BRISK = MotionLimits(0.1, 4.0, 3.0, 60.0, 6.0, contact_share=1.0)
 
 
 def waypoint(place_mm: tuple[float, float, float], jaw_rad: float, phase: Phase, roll: float = 0.3) -> Waypoint:
