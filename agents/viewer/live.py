@@ -18,7 +18,7 @@ from agents.viewer.live_layout import DEFAULT, live_layout
 from agents.viewer.panels import Scene
 from agents.viewer.screen import Screen
 from agents.viewer.showing import Showing
-from agents.viewer.sinks import Sink, ViewerError, file_sink
+from agents.viewer.sinks import PART_BYTES, Sink, ViewerError, file_sink
 from schemas.topics import Delivery
 from shared.clock import now_ns
 from shared.runtime.taps import Tapped
@@ -73,7 +73,7 @@ class LiveViewer:
         """
         layout = live_layout(layout_name, Scene())
         self._path = rrd_path
-        self._file = None if rrd_path is None else file_sink(rrd_path, session_id, layout)
+        self._file = None if rrd_path is None else file_sink(rrd_path, session_id, layout, PART_BYTES)
         self._notes: list[str] = []
         self._screen: Screen | None = None
         self._showing = Showing(self._to_sinks, layout_name)

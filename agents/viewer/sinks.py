@@ -4,6 +4,7 @@ Each is a stream of its own, and is to be used from one thread of its own: a vie
 that logs to it, and must hold up nothing else.
 """
 
+import logging
 import os
 import pathlib
 import socket
@@ -11,6 +12,7 @@ import subprocess
 import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -31,6 +33,9 @@ INSTEAD = "; write a file with --output instead, and open it elsewhere"
 CLOSED_AT_ONCE = "Rerun's window closed at once, so its graphics may not work here"
 WINDOW_OPENS_S = 1.5
 """A window that has no screen to open on is gone by then."""
+
+
+_log = logging.getLogger("suturegrasp.viewer")
 
 
 class ViewerError(Exception):
@@ -85,8 +90,52 @@ STATIC = (rr.SeriesLines, rr.StateConfiguration, rr.ViewCoordinates)
 """What holds at all times."""
 
 
-def file_sink(path: pathlib.Path, session_id: str, layout: rrb.Blueprint) -> Sink:
-    """A recording in a file.
+class PartedFile(Sink):
+    """A recording in files that follow each other; Rerun opens all of them together as one.
+
+    While a file is open, Rerun keeps nearly as much in memory as it writes.
+    """
+
+    def __init__(self, stream: rr.RecordingStream, path: pathlib.Path, layout: Layout, part_bytes: int) -> None:
+        super().__init__(stream)
+        self._paths, self._layout, self._part_bytes = [path], layout, part_bytes
+        self._holds: dict[tuple[str, type], Any] = {}
+        stream.set_sinks(rr.FileSink(path), default_blueprint=layout)
+
+    def log(self, moment: Moment, entities: Iterable[Entity]) -> None:
+        """Log entities of one moment, and begin another file where this one is full."""
+        logged = list(entities)
+        super().log(moment, logged)
+        self._holds |= {(path, type(one)): one for path, all_of in logged for one in all_of if isinstance(one, STATIC)}
+        if self._logged % FLUSHED_EVERY == 0 and self._paths[-1].stat().st_size >= self._part_bytes:
+            self._begin_another()
+
+    def lay_out(self, layout: Layout) -> None:
+        """Arrange the views anew, in the files that follow as well."""
+        self._layout = layout
+        super().lay_out(layout)
+
+    def _begin_another(self) -> None:
+        first = self._paths[0]
+        path = first.with_stem(f"{first.stem}_part{len(self._paths) + 1}")
+        self._stream.flush()
+        try:
+            self._stream.set_sinks(rr.FileSink(path), default_blueprint=self._layout)
+        except (OSError, RuntimeError) as error:
+            _log.warning("%s cannot be begun: %s; %s goes on", path, error, self._paths[-1].name)
+            self._part_bytes = sys.maxsize
+            return
+        self._paths.append(path)
+        for (entity, _), archetype in self._holds.items():
+            self._stream.log(entity, archetype, static=True)
+
+
+PART_BYTES = 1 << 29
+"""Of a file of what runs live; a session of a day would take the memory of the machine otherwise."""
+
+
+def file_sink(path: pathlib.Path, session_id: str, layout: Layout, part_bytes: int | None = None) -> Sink:
+    """A recording in a file, or in several of about so many bytes.
 
     Raises:
         ViewerError: where it cannot be written.
@@ -94,6 +143,8 @@ def file_sink(path: pathlib.Path, session_id: str, layout: rrb.Blueprint) -> Sin
     stream = rr.RecordingStream(APPLICATION, recording_id=session_id)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        if part_bytes is not None:
+            return PartedFile(stream, path, layout, part_bytes)
         stream.set_sinks(rr.FileSink(path), default_blueprint=layout)
     except (OSError, RuntimeError) as error:
         raise ViewerError(f"{path} cannot be written: {error}; name another file") from error

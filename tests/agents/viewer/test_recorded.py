@@ -21,10 +21,10 @@ SECONDS = 4
 STATES_HZ = 100
 
 
-@pytest.fixture
-def recording(session_messages, scene, tmp_path):
+@pytest.fixture(scope="module")
+def recording(session_messages, scene, tmp_path_factory):
     """Four seconds of a session: every topic at first, then an arm's state a hundred times a second."""
-    path = tmp_path / "session.mcap"
+    path = tmp_path_factory.mktemp("recording") / "session.mcap"
     captured_ns = scene.observations.stamp.capture_left_ns
     writer = RecordingWriter(path)
 
@@ -64,14 +64,14 @@ def test_every_message_of_a_recording_is_shown_unless_thinning_is_asked_for(reco
     assert thin.shown["robot_bridge/state"] == pytest.approx(20 * SECONDS, abs=1)
 
 
-def test_a_recording_is_shown_as_the_rig_was(recording, tmp_path):
+def test_a_recording_is_shown_as_the_rig_was(recording, rows, tmp_path):
     live = LiveViewer(tmp_path / "live.rrd", "file", "session")
     first = [entry for entry in read_recording(recording) if entry.sequence == 0]
     for entry in first:
         tapped = tapped_of(entry)
         assert tapped is not None
         live.put(tapped)
-    seen_live, seen_later = rows_of(live.close().path), rows_of(show(recording, tmp_path / "later.rrd")[1].path)
+    seen_live, seen_later = rows_of(live.close().path), rows
     assert set(seen_live) <= set(seen_later)
     for entity, component in (
         ("/world/thread/curve", "LineStrips3D:strips"),
@@ -99,14 +99,18 @@ def test_part_of_a_recording_has_what_still_holds_from_before_it(recording, sess
     assert len(some) == pytest.approx(0.5 * STATES_HZ, abs=2)
 
 
-def test_step_times_that_are_in_no_recording_are_left_out(recording, tmp_path):
-    rows = rows_of(show(recording, tmp_path / "session.rrd")[1].path)
+@pytest.fixture(scope="module")
+def rows(recording, tmp_path_factory):
+    """What the viewer is given of the whole recording."""
+    return rows_of(show(recording, tmp_path_factory.mktemp("shown") / "session.rrd")[1].path)
+
+
+def test_step_times_that_are_in_no_recording_are_left_out(rows):
     assert not [entity for entity in rows if entity.startswith("/step_ms/")]
     assert values(rows, "/latency/reconstruction", "Scalars:scalars") == [[30.0]]
 
 
-def test_what_it_took_to_arrive_is_the_least_of_a_second(recording, tmp_path):
-    rows = rows_of(show(recording, tmp_path / "session.rrd")[1].path)
+def test_what_it_took_to_arrive_is_the_least_of_a_second(rows):
     took = values(rows, "/clock/arrival_ms/robot_bridge/psm1", "Scalars:scalars")
     assert [value for (value,) in took] == pytest.approx([2.0] * (SECONDS - 1), abs=1e-6)
 
