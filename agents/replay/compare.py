@@ -83,6 +83,8 @@ def apart(a: Any, b: Any) -> float:
         return abs(float(a - b)) if a != b else 0.0
     if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
         return _arrays_apart(a, b)
+    if a is None or b is None:
+        return 0.0 if a is b else OTHER
     return 0.0 if a == b else OTHER
 
 

@@ -120,8 +120,10 @@ def profiles_apart(
     return float(np.abs(np.interp(at, s, value) - np.interp(at, other_s, other)).max())
 
 
-def images_apart(then: Image, now: Image) -> float:
+def images_apart(then: Image | None, now: Image | None) -> float:
     """The mean difference of the pixels, as a share of black to white."""
+    if then is None or now is None:
+        return 0.0 if then is now else OTHER
     try:
         a, b = decode_image(then), decode_image(now)
     except ImageDataError:
@@ -129,8 +131,10 @@ def images_apart(then: Image, now: Image) -> float:
     return OTHER if a.shape != b.shape else float(np.abs(a.astype(np.int16) - b).mean() / 255.0)
 
 
-def stretches_apart(then: Float64[np.ndarray, "g 2"], now: Float64[np.ndarray, "g 2"]) -> float:
+def stretches_apart(then: Float64[np.ndarray, "g 2"] | None, now: Float64[np.ndarray, "g 2"] | None) -> float:
     """The difference of the summed lengths of stretches."""
+    if then is None or now is None:
+        return 0.0 if then is now else OTHER
     return abs(float(np.diff(then).sum() - np.diff(now).sum()))
 
 

@@ -148,6 +148,9 @@ def test_any_two_values_are_as_far_apart_either_way_and_none_from_itself(a, b):
 
 def test_a_number_beside_none_and_another_shape_are_no_numbers():
     assert apart(0.0, None) == OTHER
+    assert apart(None, np.zeros(2)) == apart(np.zeros(2), None) == OTHER
+    assert measures.images_apart(None, None) == measures.stretches_apart(None, None) == 0.0
+    assert measures.stretches_apart(None, np.zeros((0, 2))) == OTHER
     assert apart(np.zeros(3), np.zeros(4)) == OTHER
     assert apart((1, 2), (1,)) == OTHER
     assert apart(np.array([np.nan, 1.0]), np.array([np.nan, 3.0])) == 2.0
