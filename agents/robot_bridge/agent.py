@@ -3,6 +3,8 @@
 Everything it does follows from what it is fed; the time is that of the ticks and commands.
 """
 
+import logging
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
@@ -49,6 +51,8 @@ CLOCK_TOLERANCE_S = 0.5
 """How far a plan's frame may lie in the future, or a heartbeat off its time, before clocks are said to disagree."""
 REPLAY_OVER_S = 2.0
 """A replay that was not heard for so long is over."""
+
+FIGURES = re.compile(r"[\d.]+")
 
 REPLAYED = Refusal(
     Code.REPLAY, "a recording is replayed on this rig, and this arm is real: end the replay, then set a goal and arm"
@@ -120,6 +124,7 @@ class RobotBridge:
         self._execution: Execution | None = None
         self._holding = False
         self._turns = 0
+        self._log, self._logged = logging.getLogger(f"suturegrasp.{self.kind}.{config.arm}"), ""
 
     def configure(self, config: RobotBridgeConfig) -> None:
         """Go on with another config, in which only what may be set while the agent runs has changed."""
@@ -186,6 +191,7 @@ class RobotBridge:
         state = self._backend.state(now_ns)
         if not (np.isfinite(state.joints).all() and np.isfinite(state.jaw_rad)):
             self._not_ready = state.reason or "the arm reports a joint that is not finite"
+            self._tell_readiness()
             return self._arm_state
         self._arm_state = state
         late = abs(now_ns - state.measured_ns) > MEASUREMENT_AGE_S * 1e9
@@ -193,7 +199,15 @@ class RobotBridge:
             self._not_ready = f"the arm is {state.readiness.name}: {state.reason}"
         else:
             self._not_ready = f"the arm was not measured for {MEASUREMENT_AGE_S:g} s" if late else ""
+        self._tell_readiness()
         return state
+
+    def _tell_readiness(self) -> None:
+        """Log why the arm is not ready, and that it is again; not each change of a figure in it."""
+        words = FIGURES.sub("", self._not_ready)
+        if words != self._logged:
+            self._logged = words
+            self._log.warning("%s", self._not_ready) if words else self._log.info("the arm is ready")
 
     def _has_moved(self, arm: ArmState) -> bool:
         place = np.append(arm.joints, arm.jaw_rad)

@@ -115,13 +115,20 @@ def test_a_dry_run_checks_all_of_a_motion_and_sends_nothing(lab):
     assert (verdict["set_points"], verdict["held_ns"]) == (0, 0)
 
 
-def test_a_console_that_is_disabled_has_another_tool_or_is_elsewhere_is_not_armed(lab):
+def test_a_console_that_is_disabled_has_another_tool_or_is_elsewhere_is_not_armed(lab, caplog):
+    caplog.set_level("INFO", "suturegrasp.robot_bridge.psm1")
     lab.ready()
     arm = lab.console._arm
     for word, reason in (("disable", "DISABLED, not ENABLED"), ("enable", ""), ("pause", "PAUSED"), ("resume", "")):
         arm.command(word)
         lab.until(lambda reason=reason: reason in lab.backend.state(now_ns()).reason)
+        lab.turn()
     lab.ready()
+    lab.turn()
+    told = [record.getMessage() for record in caplog.records if record.name == "suturegrasp.robot_bridge.psm1"]
+    assert any("PAUSED" in line for line in told)
+    assert told[-1] == "the arm is ready"
+    assert len(told) < 20, "not at every turn"
     arm.is_homed = False
     lab.until(lambda: lab.arm().reason.endswith("it is not homed"))
     arm.is_homed = True
