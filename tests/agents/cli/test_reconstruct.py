@@ -312,7 +312,7 @@ def test_another_thread_is_told_with_where_to_point_and_pointing_there_means_it(
     told = re.search(r"1 further thread was seen; choose with --at (\d+,\d+) \(score 0\.\d\d\)", ended.out)
     assert told is not None, ended.out
     (other,) = json.loads((small / "out.json").read_text())["other_threads"]
-    distance = cKDTree(np.linspace(*ends, 500)).query(np.array(other["left_px"]))[0]
+    distance = cKDTree(np.linspace(ends[0], ends[1], 500)).query(np.array(other["left_px"]))[0]
     assert np.median(distance) < 1
     assert suturegrasp(*pair(small), "--at", told[1], "--output", small / "meant.json").status == 0
     meant = json.loads((small / "meant.json").read_text())

@@ -25,9 +25,9 @@ def drawn(threads, tools=(), shift=0):
     image = np.full((HEIGHT, WIDTH, 3), GROUND, np.uint8)
     coverage = np.zeros((HEIGHT, WIDTH), np.uint8)
     for (start, end), colour, width in threads:
-        ends = [(u - shift, v) for u, v in (start, end)]
-        cv2.line(image, *ends, colour, width, cv2.LINE_AA)
-        cv2.line(coverage, *ends, 255, width, cv2.LINE_AA)
+        first, last = ((u - shift, v) for u, v in (start, end))
+        cv2.line(image, first, last, colour, width, cv2.LINE_AA)
+        cv2.line(coverage, first, last, 255, width, cv2.LINE_AA)
     for corners in tools:
         inside = [np.array(corners) - np.array((shift, 0))]
         cv2.fillPoly(image, inside, STEEL)
@@ -38,8 +38,14 @@ def drawn(threads, tools=(), shift=0):
 
 def seen(threads, tools=()):
     left, right = drawn(threads, tools), drawn(threads, tools, DISPARITY)
-    lines = tuple(thread_centrelines(*eye) for eye in (left, right))
-    return (left[0], right[0]), lines, occluders_in(*left)
+    lines = thread_centrelines(*left), thread_centrelines(*right)
+    return (left[0], right[0]), lines, told(*left)
+
+
+def told(image, coverage):
+    found = occluders_in(image, coverage)
+    assert found is not None
+    return found
 
 
 def lies_on(points, line, within=3.0):
@@ -112,15 +118,15 @@ def test_an_instrument_leaves_the_image_and_what_thread_lies_upon_is_unknown():
     tool, within = ((0, 40), (220, 60), (220, 110), (0, 130)), ((300, 200), (420, 200), (420, 260), (300, 260))
     image, _ = drawn((), (tool, within))
     nothing = np.zeros((HEIGHT, WIDTH), np.uint8)
-    found = occluders_in(image, nothing)
+    found = told(image, nothing)
     assert found[85 * 240 // 640, 100 * 240 // 640] == Occluder.TOOL.value
     assert found[230 * 240 // 640, 360 * 240 // 640] == Occluder.UNKNOWN.value
     assert (found > 0).mean() == pytest.approx((220 * 70 + 120 * 60) / (WIDTH * HEIGHT), rel=0.1)
     cv2.line(nothing, (0, 85), (220, 85), 255, 4)
-    assert occluders_in(image, nothing)[60 * 240 // 640, 100 * 240 // 640] == Occluder.UNKNOWN.value
+    assert told(image, nothing)[60 * 240 // 640, 100 * 240 // 640] == Occluder.UNKNOWN.value
 
 
 def test_nothing_is_told_on_grey_ground_and_nothing_found_without_instruments():
     nothing = np.zeros((HEIGHT, WIDTH), np.uint8)
     assert occluders_in(np.full((HEIGHT, WIDTH, 3), 128, np.uint8), nothing) is None
-    assert not occluders_in(drawn(())[0], nothing).any()
+    assert not told(drawn(())[0], nothing).any()

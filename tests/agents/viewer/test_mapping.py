@@ -199,7 +199,7 @@ def test_several_threads_what_hides_them_and_the_score_are_shown_and_said(scene,
     assert len(columns(path, "/world/left/candidates")["LineStrips2D:strips"]) == 2
     assert columns(path, "/world/left/candidates/scores")["Points2D:labels"] == ["1: 0.90", "2: 0.25"]
     drawn = np.frombuffer(bytes(columns(path, "/world/left/occluders")["EncodedImage:blob"][0]), np.uint8)
-    alpha = cv2.imdecode(drawn, cv2.IMREAD_UNCHANGED)[..., 3]
+    alpha = np.asarray(cv2.imdecode(drawn, cv2.IMREAD_UNCHANGED))[..., 3]
     assert (alpha > 0).mean() == pytest.approx(20 * 30 / tool.size, rel=0.05)
     assert not any("blob" in name for name in columns(path, "/world/right/occluders"))
     assert columns(path, "/perception/score")["EncodedImage:media_type"] == ["image/jpeg"]
