@@ -2,6 +2,7 @@
 
 import re
 import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,8 +22,10 @@ from shared.ros.far_clock import WINDOW_NS, FarClock
 from shared.ros.naming import RmwZenoh, Role
 from shared.ros.types import JOINT_STATE
 from shared.runtime.access import access_control
+from shared.runtime.config import load_config
 
 SECOND_NS, DEADLINE_S = 10**9, 20.0
+REPOSITORY = Path(__file__).parents[4]
 
 
 def moves(lab):
@@ -168,6 +171,13 @@ def test_a_replayed_time_reaches_no_robot_and_no_replay_has_one(lab):
     assert isinstance(bridge._backend, SimulatedPsm)
     verdict = lab.verdict()
     assert (verdict["set_points"], verdict["held_ns"]) == (0, 0)
+
+
+def test_the_example_with_an_emulated_arm_has_it_where_the_simulated_one_stands():
+    arm = load_config(REPOSITORY / "deploy" / "emulated.toml", RigConfig).robot["psm1"]
+    assert arm.dvrk is not None
+    assert arm.T_camera_base is not None
+    assert np.abs(np.array(arm.T_camera_base) - SIMULATED_T_CAMERA_BASE).max() < 1e-8
 
 
 def test_a_bridge_that_is_stopped_in_mid_motion_holds(lab):
