@@ -41,7 +41,16 @@ def main() -> None:
     parser.add_argument("--segmenters", nargs="+", choices=OF_TISSUE, default=list(OF_TISSUE))
     parser.add_argument("--only", default="", help="run only scenes whose name contains this")
     parser.add_argument("--empty", type=int, default=50, help="thread-free frames that are rendered and looked at")
+    parser.add_argument(
+        "--thread-free",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="DIR",
+        help="folders of path-traced scenes, of which those without thread are looked at too",
+    )
     parser.add_argument("--seed", type=int, default=0, help="of the thread-free frames")
+    parser.add_argument("--no-scenes", action="store_true", help="look at thread-free frames alone")
     parser.add_argument("--no-times", action="store_true", help="measure no times, which takes the longest")
     parser.add_argument("--json", type=Path, default=Path("out/perception.json"), help="where the figures go")
     parser.add_argument("--pictures", type=Path, help="folder for a picture of what was found, missed and false")
@@ -49,17 +58,21 @@ def main() -> None:
     chosen = [
         load
         for name, group, load in scenes(arguments.data)
-        if group in (CLEAR, CROSSING, OCCLUSION) and arguments.only in name
+        if group in (CLEAR, CROSSING, OCCLUSION) and arguments.only in name and not arguments.no_scenes
     ]
-    if not chosen:
+    if not (chosen or arguments.no_scenes):
         parser.error(f"no render under {arguments.data} has a name that contains {arguments.only!r}")
     measured: dict[str, dict[str, Any]] = {}
     for segmenter in arguments.segmenters:
         rows = [row_of(load(), segmenter, not arguments.no_times, arguments.pictures) for load in chosen]
-        empty = false_threads(arguments.empty, segmenter, arguments.seed) if arguments.empty else None
+        empty = (
+            false_threads(arguments.empty, segmenter, arguments.seed, arguments.thread_free, arguments.pictures)
+            if arguments.empty
+            else None
+        )
         measured[segmenter] = {"rows": rows, "thread-free": empty}
     console = Console(width=180)
-    for segmenter, found in measured.items():
+    for segmenter, found in measured.items() if chosen else ():
         print_scenes(console, segmenter, found["rows"])
     for segmenter, found in measured.items():
         print_goals(console, segmenter, found["rows"], found["thread-free"])

@@ -1,16 +1,27 @@
-"""Stereo pairs in which there is no thread, so that everything that is found in them is false."""
+"""Stereo pairs in which there is no thread, so that everything that is found in them is false.
 
-from collections.abc import Iterator
+Tissue that is drawn, the rendered fields that come with the project, and path-traced scenes of folders, with
+instruments, stains and smoke, take the same number of frames each. Every frame is its own chance to be wrong: another
+tissue or distance, mirrored, upside down, in other light, under other noise.
+"""
 
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
 import numpy as np
 from rich.progress import track
 
+from agents.camera.image_files import read_pair
 from agents.cli.pipeline import reconstruct_pair
 from agents.reconstruction.method_names import DEFAULT_METHOD
+from benchmarks.perception_pictures import save_false
 from benchmarks.scenes import Pair
 from schemas.messages import RectifiedStereo, Status, StereoCalibration
+from shared.calibration import read_calibration
 from shared.camera import camera_matrix
-from shared.scene.render import render_backdrop
+from shared.scene.render import RENDERED, TISSUE, render_backdrop
 from shared.scene.sensor import Sensor, expose, grain
 
 CAMERA = RectifiedStereo(960, 540, 1000.0, 1000.0, 479.5, 269.5, 5.5, 1e-3)
@@ -18,29 +29,120 @@ NEAREST_MM, FARTHEST_MM = 70.0, 120.0
 FRAMES_OF_ONE_TISSUE = 5
 """The same tissue under other noise is cheaper to render, and each frame is a chance of its own to be wrong."""
 SALT = 91
+GAINS, TINT = (0.75, 1.3), 0.05
+"""Of the light, in display values, and the deviation of each channel's."""
+FAINT = Sensor(blur_px=0.0, read_noise=0.7, shot_noise=1.1)
+"""Path-traced images have a camera's blur and noise already; this only makes two frames differ."""
+
+Counts = dict[str, dict[str, int]]
 
 
-def false_threads(frames: int, segmenter: str, seed: int = 0) -> dict[str, int]:
-    """How often perception, and reconstruction after it, takes something in so many thread-free frames for thread."""
-    counts = {"frames": 0, "perception": 0, "reconstruction": 0}
-    for pair in track(thread_free(frames, seed), f"thread-free frames, {segmenter}", frames, transient=True):
-        result = reconstruct_pair(pair, calibration(), masks=None, segmenter=segmenter, method=DEFAULT_METHOD)
-        counts["frames"] += 1
-        counts["perception"] += result.observations.status is Status.OK
-        counts["reconstruction"] += result.reconstruction.status is Status.OK
+@dataclass(frozen=True)
+class Empty:
+    """A pair without thread, and what kind of scene it shows."""
+
+    kind: str
+    images: Pair
+    calibration: StereoCalibration
+
+
+def false_threads(
+    frames: int, segmenter: str, seed: int = 0, folders: Sequence[Path] = (), pictures: Path | None = None
+) -> Counts:
+    """How often perception, and reconstruction after it, takes something for thread, by kind of scene.
+
+    Args:
+        pictures: folder for a picture of each false thread.
+    """
+    counts: Counts = {}
+    every = thread_free(frames, seed, folders)
+    for number, one in enumerate(track(every, f"thread-free frames, {segmenter}", frames, transient=True)):
+        result = reconstruct_pair(one.images, one.calibration, masks=None, segmenter=segmenter, method=DEFAULT_METHOD)
+        of_kind = counts.setdefault(one.kind, {"frames": 0, "perception": 0, "reconstruction": 0})
+        of_kind["frames"] += 1
+        of_kind["perception"] += result.observations.status is Status.OK
+        of_kind["reconstruction"] += result.reconstruction.status is Status.OK
+        if pictures is not None and result.observations.status is Status.OK:
+            save_false(pictures / f"{segmenter} {one.kind} {number}.png", result)
     return counts
 
 
-def thread_free(frames: int, seed: int) -> Iterator[Pair]:
-    """Rendered tissue without a thread: another one, at another distance, every few frames."""
-    shape = (CAMERA.image_height, CAMERA.image_width)
+def thread_free(frames: int, seed: int, folders: Sequence[Path] = ()) -> Iterator[Empty]:
+    """So many pairs without thread, of every kind as many, or one more.
+
+    Raises:
+        ValueError: for a folder without thread-free scenes.
+    """
+    kinds = 2 + bool(folders)
+    shares = [len(range(kind, frames, kinds)) for kind in range(kinds)]
+    yield from _drawn(shares[0], seed)
+    yield from _over_fields(shares[1], seed)
+    if folders:
+        yield from _stored(shares[2], seed, folders)
+
+
+def _drawn(frames: int, seed: int) -> Iterator[Empty]:
+    """Drawn tissue: another one, at another distance, every few frames."""
     for tissue in range(-(-frames // FRAMES_OF_ONE_TISSUE)):
         rng = np.random.default_rng([seed, tissue, SALT])
         distance_mm = float(rng.uniform(NEAREST_MM, FARTHEST_MM))
-        backdrop = render_backdrop(CAMERA, "tissue", distance_mm, int(rng.integers(1 << 30)))
+        backdrop = render_backdrop(CAMERA, TISSUE, distance_mm, int(rng.integers(1 << 30)))
         for _ in range(min(FRAMES_OF_ONE_TISSUE, frames - tissue * FRAMES_OF_ONE_TISSUE)):
-            noise = [grain(shape, int(rng.integers(1 << 30))) for _ in range(2)]
-            yield expose(backdrop.left_bgr, Sensor(), noise[0]), expose(backdrop.right_bgr, Sensor(), noise[1])
+            images = backdrop.left_bgr, backdrop.right_bgr
+            yield Empty("drawn tissue", _exposed(images, Sensor(), rng), calibration())
+
+
+def _over_fields(frames: int, seed: int) -> Iterator[Empty]:
+    """The fields in turn, each time from another distance."""
+    for frame in range(frames):
+        rng = np.random.default_rng([seed, frame, SALT + 1])
+        backdrop = render_backdrop(CAMERA, RENDERED, float(rng.uniform(NEAREST_MM, FARTHEST_MM)), 1 + frame)
+        images = _varied((backdrop.left_bgr, backdrop.right_bgr), rng)
+        yield Empty("rendered fields", _exposed(images, Sensor(), rng), calibration())
+
+
+def _stored(frames: int, seed: int, folders: Sequence[Path]) -> Iterator[Empty]:
+    """The scenes of the folders in turn, the first time as they are."""
+    scenes = [path for folder in folders for path in sorted(folder.glob("**/*_left.png")) if _has_no_thread(path)]
+    if not scenes:
+        said = ", ".join(map(str, folders))
+        raise ValueError(f"no thread-free scene in {said}; make some by suturegrasp scenes render --config none")
+    for frame in range(frames):
+        left = scenes[frame % len(scenes)]
+        right = left.with_name(left.name.replace("_left.png", "_right.png"))
+        pair = read_pair(left, right)
+        rng = np.random.default_rng([seed, frame, SALT + 2])
+        if frame >= len(scenes):
+            pair = _exposed(_varied(pair, rng), FAINT, rng)
+        about = left.with_name(left.name.replace("_left.png", ".json"))
+        size = pair[0].shape[1], pair[0].shape[0]
+        yield Empty("path-traced scenes", pair, read_calibration(about, unit=None, image_size=size).calibration)
+
+
+def _has_no_thread(left: Path) -> bool:
+    """Whether it is the left image of a scene whose mask is empty."""
+    if "_mask_" in left.name:
+        return False
+    mask = cv2.imread(str(left.with_name(left.name.replace("_left.png", "_mask_left.png"))), cv2.IMREAD_GRAYSCALE)
+    return mask is not None and not np.any(mask)
+
+
+def _varied(images: Pair, rng: np.random.Generator) -> Pair:
+    """The pair as it is or upside down, as it is or mirrored (so that the eyes change places), in another light."""
+    left, right = images
+    if rng.integers(2):
+        left, right = left[::-1], right[::-1]
+    if rng.integers(2):
+        left, right = right[:, ::-1], left[:, ::-1]
+    gain = rng.uniform(*GAINS) * rng.normal(1.0, TINT, 3)
+    left, right = (np.clip(np.rint(gain * image), 0, 255).astype(np.uint8) for image in (left, right))
+    return left, right
+
+
+def _exposed(images: Pair, sensor: Sensor, rng: np.random.Generator) -> Pair:
+    shape = images[0].shape[0], images[0].shape[1]
+    left, right = (expose(image, sensor, grain(shape, int(rng.integers(1 << 30)))) for image in images)
+    return left, right
 
 
 def calibration() -> StereoCalibration:

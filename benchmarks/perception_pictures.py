@@ -28,6 +28,18 @@ def save_finding(path: Path, scene: Scene, result: PipelineResult) -> None:
     cv2.imwrite(str(path), np.hstack(drawn))
 
 
+def save_false(path: Path, result: PipelineResult) -> None:
+    """Write both images of a scene without thread side by side, with what was taken for thread in yellow."""
+    seen, nowhere = result.observations, np.zeros((0, 2))
+    lines = seen.centrelines_left, seen.centrelines_right
+    drawn = [
+        drawn_over(image, of_eye, nowhere, np.zeros(0, bool))
+        for image, of_eye in zip(result.images, lines, strict=True)
+    ]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    cv2.imwrite(str(path), np.hstack(drawn))
+
+
 def drawn_over(
     image: UInt8[np.ndarray, "h w 3"],
     lines: Centrelines,
@@ -38,11 +50,12 @@ def drawn_over(
     points, true = lines.point_px, truth_px[visible]
     drawn = image.copy()
     missed = np.ones(len(true), bool)
+    false = np.ones(len(points), bool)
     if len(points) and len(true):
         missed = np.asarray(KDTree(points).query(true)[0]) > NEAR_PX
         false = np.asarray(KDTree(true).query(points)[0]) > NEAR_PX
-        _dots(drawn, points[~false], RIGHT)
-        _dots(drawn, points[false], FALSE)
+    _dots(drawn, points[~false], RIGHT)
+    _dots(drawn, points[false], FALSE)
     _dots(drawn, true[missed], MISSED)
     return drawn
 

@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.goals import Goal, topology_is_right
+from benchmarks.perception_empty import Counts
 from benchmarks.scenes import CLEAR, CROSSING
 from benchmarks.tables import coverage_of, shown, topology_of
 
@@ -50,10 +51,11 @@ def print_scenes(console: Console, segmenter: str, rows: list[Row]) -> None:
             console.print(f"  {row['scene']}: {row['reason']}")
 
 
-def print_goals(console: Console, segmenter: str, rows: list[Row], empty: dict[str, int] | None) -> None:
+def print_goals(console: Console, segmenter: str, rows: list[Row], empty: Counts | None) -> None:
     """The table of goals of one segmenter."""
     table = Table("what", "goal", "here", "", title=f"goals, {segmenter}", title_justify="left")
-    found = [*_shares(rows), *_curves(rows), *_believed(rows), *_empty(empty), *_times(segmenter, rows)]
+    of_scenes = [*_shares(rows), *_curves(rows), *_believed(rows)] if rows else []
+    found = [*of_scenes, *_empty(empty), *_times(segmenter, rows)]
     for goal in found:
         verdict = {True: "[green]met[/]", False: "[red]not met[/]", None: ""}[goal.met]
         table.add_row(goal.what, goal.goal, goal.figure, verdict)
@@ -146,12 +148,19 @@ def _believed(rows: list[Row]) -> list[Goal]:
     ]
 
 
-def _empty(empty: dict[str, int] | None) -> list[Goal]:
+def _empty(empty: Counts | None) -> list[Goal]:
     if empty is None:
         return []
-    met = empty["perception"] <= FALSE_PER_FRAME * max(empty["frames"], 1 / FALSE_PER_FRAME)
-    figure = f"{empty['perception']} of {empty['frames']}, {empty['reconstruction']} of them with a curve"
-    return [Goal("false threads in thread-free frames", "", "≤ 1 of 1000", figure, met)]
+    every = {
+        name: sum(of_kind[name] for of_kind in empty.values()) for name in ("frames", "perception", "reconstruction")
+    }
+    met = every["perception"] <= FALSE_PER_FRAME * max(every["frames"], 1 / FALSE_PER_FRAME)
+    result = [Goal("false threads in thread-free frames", "", "≤ 1 of 1000", _said(every), met)]
+    return result + [Goal(f"of these, in {kind}", "", "", _said(of_kind), None) for kind, of_kind in empty.items()]
+
+
+def _said(counts: dict[str, int]) -> str:
+    return f"{counts['perception']} of {counts['frames']}, {counts['reconstruction']} of them with a curve"
 
 
 def _times(segmenter: str, rows: list[Row]) -> list[Goal]:

@@ -8,10 +8,11 @@ import sys
 import numpy as np
 import pytest
 
+from agents.cli.image_answers import answers_about
 from benchmarks import perception
 from benchmarks.centreline_share import shares
 from benchmarks.perception_empty import thread_free
-from schemas.messages import Centrelines
+from schemas.messages import Centrelines, Severity
 
 DATA = pathlib.Path(__file__).parents[2] / "../shared/data"
 ONE = np.ones
@@ -54,15 +55,33 @@ def test_nothing_found_is_no_recall_and_no_precision():
     assert found.true == pytest.approx(101, abs=1)
 
 
+def apart(one, other):
+    return np.abs(one.images[0].astype(int) - other.images[0]).mean()
+
+
 def test_thread_free_frames_differ_and_come_again():
-    first, again = list(thread_free(6, 3)), list(thread_free(6, 3))
-    assert len(first) == 6
-    assert all((a[0] == b[0]).all() and (a[1] == b[1]).all() for a, b in zip(first, again, strict=True))
-    assert (first[0][0] != first[1][0]).any()
-    # another tissue, not only other noise
-    assert (
-        np.abs(first[0][0].astype(int) - first[5][0]).mean() > 3 * np.abs(first[0][0].astype(int) - first[1][0]).mean()
-    )
+    first, again = list(thread_free(13, 3)), list(thread_free(13, 3))
+    assert [one.kind for one in first] == 7 * ["drawn tissue"] + 6 * ["rendered fields"]
+    assert all(apart(a, b) == 0 for a, b in zip(first, again, strict=True))
+    noise = apart(first[0], first[1])
+    assert noise > 0
+    # another tissue, and another view of the same field, not only other noise
+    assert apart(first[0], first[5]) > 3 * noise
+    assert apart(first[7], first[11]) > 3 * noise
+
+
+def test_a_mirrored_pair_is_still_a_stereo_pair():
+    drawn = (one for one in thread_free(40, 1) if one.kind == "rendered fields")
+    for one in (next(drawn) for _ in range(6)):
+        answers = answers_about(one.images, one.calibration)
+        assert not [
+            answer for answer in answers if answer.wrong is not None and answer.wrong.severity is Severity.FAULT
+        ]
+
+
+def test_a_folder_without_thread_free_scenes_is_said_to_be_one(tmp_path):
+    with pytest.raises(ValueError, match="scenes render --config none"):
+        list(thread_free(3, 1, [tmp_path]))
 
 
 def test_one_scene_is_run_with_its_goals(monkeypatch, tmp_path, capsys):
@@ -77,6 +96,6 @@ def test_one_scene_is_run_with_its_goals(monkeypatch, tmp_path, capsys):
     assert row["found"] / row["true"] > 0.9
     assert row["right"] / row["given"] > 0.9
     assert row["times_ms"]["near"] > 0
-    assert found["thread-free"]["frames"] == 1
+    assert found["thread-free"]["drawn tissue"]["frames"] == 1
     assert "centreline within 2 px, recall, worst scene" in capsys.readouterr().out
     assert (tmp_path / "ridge cfg_easy_paper.png").is_file()
