@@ -47,17 +47,22 @@ def drawn_over(
     visible: Bool[np.ndarray, "m"],
 ) -> UInt8[np.ndarray, "h w 3"]:
     """One image with the places that were found in it, and those of the visible truth that were missed."""
-    points, true = lines.point_px, truth_px[visible]
     drawn = image.copy()
-    missed = np.ones(len(true), bool)
-    false = np.ones(len(points), bool)
-    if len(points) and len(true):
-        missed = np.asarray(KDTree(points).query(true)[0]) > NEAR_PX
-        false = np.asarray(KDTree(true).query(points)[0]) > NEAR_PX
-    _dots(drawn, points[~false], RIGHT)
-    _dots(drawn, points[false], FALSE)
-    _dots(drawn, true[missed], MISSED)
+    for points, colour in zip(told_apart(lines, truth_px, visible), (RIGHT, FALSE, MISSED), strict=True):
+        _dots(drawn, points, colour)
     return drawn
+
+
+def told_apart(
+    lines: Centrelines, truth_px: Float64[np.ndarray, "m 2"], visible: Bool[np.ndarray, "m"]
+) -> tuple[Float64[np.ndarray, "r 2"], Float64[np.ndarray, "f 2"], Float64[np.ndarray, "k 2"]]:
+    """What was found in one image: right and false places of it, and those of the visible truth that were missed."""
+    points, true = lines.point_px, truth_px[visible]
+    if not (len(points) and len(true)):
+        return np.zeros((0, 2)), points, true
+    missed = np.asarray(KDTree(points).query(true)[0]) > NEAR_PX
+    false = np.asarray(KDTree(true).query(points)[0]) > NEAR_PX
+    return points[~false], points[false], true[missed]
 
 
 def _dots(image: UInt8[np.ndarray, "h w 3"], points: Float64[np.ndarray, "n 2"], colour: tuple[int, int, int]) -> None:

@@ -12,6 +12,7 @@ from agents.cli.image_answers import answers_about
 from benchmarks import perception
 from benchmarks.centreline_share import shares
 from benchmarks.perception_empty import thread_free
+from benchmarks.perception_real import over
 from schemas.messages import Centrelines, Severity
 
 DATA = pathlib.Path(__file__).parents[2] / "../shared/data"
@@ -82,6 +83,18 @@ def test_a_mirrored_pair_is_still_a_stereo_pair():
 def test_a_folder_without_thread_free_scenes_is_said_to_be_one(tmp_path):
     with pytest.raises(ValueError, match="scenes render --config none"):
         list(thread_free(3, 1, [tmp_path]))
+
+
+def test_a_thread_on_white_is_laid_over_another_ground_in_its_own_colour():
+    image = np.full((40, 60, 3), 255, np.uint8)
+    image[18:23] = 30, 20, 160
+    laid, cover = over(image, np.full_like(image, 120), np.zeros(image.shape, np.float32))
+    assert (laid[20] == (30, 20, 160)).all()
+    assert (laid[:16] == 120).all()
+    assert (cover[20] == 255).all()
+    assert (cover[:16] == 0).all()
+    # where thread and ground mix, nothing of the white ground is left
+    assert laid[..., :2].max() == 120
 
 
 def test_one_scene_is_run_with_its_goals(monkeypatch, tmp_path, capsys):
