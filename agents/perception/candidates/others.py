@@ -1,7 +1,8 @@
 """Which candidates are certainly not the thread that is meant.
 
-That is one that looks different; and one that looks the same and cannot be how the other goes on: not both have an end
-that something may hide, and neither ends where the other is cut, at a crossing that may have been read wrongly.
+That is one of another colour, unless it begins where the other ends and leads on: light takes the colour from parts of
+a thread. And one that looks the same and cannot be how the other goes on: not both have an end that something may hide,
+and neither ends where the other is cut, at a crossing that may have been read wrongly.
 """
 
 import cv2
@@ -20,6 +21,8 @@ ANOTHER = 14.0
 AT_WIDTHS = 5.0
 """So near, in widths, an end lies at a cut: lines are cut some widths before they cross."""
 GAP = 1.05
+ALONG, STRAIGHT = 4, 0.8
+"""Points that tell the direction of an end; the cosine of the largest turn where a line leads on."""
 
 
 def certainly_others(
@@ -38,8 +41,26 @@ def certainly_others(
     return [
         k
         for k in range(1, len(listed))
-        if unlike[k] >= ANOTHER or not ((goes_on[0] and goes_on[k]) or _one_ends_at_a_cut(listed[0], listed[k]))
+        if not _leads_on(listed[0], listed[k])
+        and (unlike[k] >= ANOTHER or not ((goes_on[0] and goes_on[k]) or _one_ends_at_a_cut(listed[0], listed[k])))
     ]
+
+
+def _leads_on(one: ThreadCandidate, other: ThreadCandidate) -> bool:
+    """Whether the other begins, or ends, near an end of the one, and in the same direction."""
+    ends, others = _ends(one.left_px), _ends(other.left_px)
+    near = AT_WIDTHS * max(one.width_px, other.width_px)
+    gap = np.linalg.norm(ends[:, None, 0] - others[None, :, 0], axis=2)
+    straight = -(ends[:, None, 1] * others[None, :, 1]).sum(axis=2)
+    return bool(((gap <= near) & (straight >= STRAIGHT)).any())
+
+
+def _ends(line_px: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "2 2 2"]:
+    """Both ends of a line, each with its direction outward."""
+    few = line_px[:ALONG], line_px[::-1][:ALONG]
+    outward = np.array([end[0] - end[-1] for end in few])
+    outward = outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
+    return np.stack((line_px[[0, -1]], outward), axis=1)
 
 
 def _one_ends_at_a_cut(one: ThreadCandidate, other: ThreadCandidate) -> bool:

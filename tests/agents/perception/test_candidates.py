@@ -78,6 +78,18 @@ def test_a_thread_behind_a_tool_is_one_and_of_one_colour_so_is_what_may_go_on_th
     assert lies_on(found.left.point_px, LEVEL)
 
 
+def test_a_stretch_that_light_has_bleached_is_the_thread_that_it_leads_on():
+    halves = (((60, 180), (300, 180)), BLACK, 5), (((308, 180), (580, 180)), WHITE, 5)
+    images, lines, occluders = seen(halves)
+    found = candidates_in(images, lines, occluders=occluders)
+    assert len(found.left.point_px) == len(lines[0].point_px)
+    assert len(found.right.point_px) == len(lines[1].point_px)
+    aside = (halves[0], (((308, 260), (580, 260)), WHITE, 5))
+    images, lines, occluders = seen(aside)
+    found = candidates_in(images, lines, np.array(((60.0, 180.0),)), occluders=occluders)
+    assert lies_on(found.left.point_px, ((60, 180), (300, 180)))
+
+
 def test_a_longer_thread_scores_higher_and_one_that_a_single_eye_sees_not_at_all():
     short = ((100, 320), (220, 330))
     images, lines, _ = seen(((LEVEL, BLACK, 5), (short, GREEN, 5)))
