@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from agents.cli.image_answers import answers_about
-from benchmarks.judging import STORZ, TEXTURED, codes_of, damages, undamaged
+from benchmarks.judging import STORZ, TEXTURED, codes_of, undamaged
+from benchmarks.judging_damages import damages
 from schemas.messages import Severity
 
 DATA = Path(__file__).parents[2] / "../shared/data"
