@@ -73,12 +73,13 @@ def thread_free(frames: int, seed: int, folders: Sequence[Path] = ()) -> Iterato
     Raises:
         ValueError: for a folder without thread-free scenes.
     """
+    stored = _stored(folders)
     kinds = 2 + bool(folders)
     shares = [len(range(kind, frames, kinds)) for kind in range(kinds)]
     yield from _drawn(shares[0], seed)
     yield from _over_fields(shares[1], seed)
     if folders:
-        yield from _stored(shares[2], seed, folders)
+        yield from _again(shares[2], seed, stored)
 
 
 def _drawn(frames: int, seed: int) -> Iterator[Empty]:
@@ -101,12 +102,21 @@ def _over_fields(frames: int, seed: int) -> Iterator[Empty]:
         yield Empty("rendered fields", _exposed(images, Sensor(), rng), calibration())
 
 
-def _stored(frames: int, seed: int, folders: Sequence[Path]) -> Iterator[Empty]:
-    """The scenes of the folders in turn, the first time as they are."""
+def _stored(folders: Sequence[Path]) -> list[Path]:
+    """The left images of the folders' scenes without thread.
+
+    Raises:
+        ValueError: where there is none.
+    """
     scenes = [path for folder in folders for path in sorted(folder.glob("**/*_left.png")) if _has_no_thread(path)]
-    if not scenes:
+    if folders and not scenes:
         said = ", ".join(map(str, folders))
         raise ValueError(f"no thread-free scene in {said}; make some by suturegrasp scenes render --config none")
+    return scenes
+
+
+def _again(frames: int, seed: int, scenes: Sequence[Path]) -> Iterator[Empty]:
+    """The scenes in turn, the first time as they are."""
     for frame in range(frames):
         left = scenes[frame % len(scenes)]
         right = left.with_name(left.name.replace("_left.png", "_right.png"))
@@ -120,11 +130,9 @@ def _stored(frames: int, seed: int, folders: Sequence[Path]) -> Iterator[Empty]:
 
 
 def _has_no_thread(left: Path) -> bool:
-    """Whether it is the left image of a scene whose mask is empty."""
-    if "_mask_" in left.name:
-        return False
-    mask = cv2.imread(str(left.with_name(left.name.replace("_left.png", "_mask_left.png"))), cv2.IMREAD_GRAYSCALE)
-    return mask is not None and not np.any(mask)
+    """Whether it is the left image of a scene whose mask is empty; there are masks of instruments beside it too."""
+    path = left.with_name(left.name.replace("_left.png", "_mask_left.png"))
+    return path.is_file() and not np.any(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
 
 
 def _varied(images: Pair, rng: np.random.Generator) -> Pair:
