@@ -1,14 +1,17 @@
 """Operations along ordered points of several pieces at once: smoothing, direction, even spacing."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Float32, Float64, Int64, UInt8
 
+KERNELS_KEPT = 64
+"""Two threads of a pair, seen again and again, need a few each."""
 REACH = 12
 """Points by which pieces are continued beyond their ends: half the longest kernel."""
+ONE, SHORTEST = np.ones(1), 1e-9
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,13 @@ class Pieces:
         return self.last[self.number] - np.arange(len(self.number))
 
     @cached_property
+    def beside(self) -> tuple[Int64[np.ndarray, "n"], Int64[np.ndarray, "n"]]:
+        """The point after each and the one before, in its piece; at an end the point itself."""
+        ahead, behind = np.arange(len(self.number)) + 1, np.arange(len(self.number)) - 1
+        ahead[self.last], behind[self.first] = self.last, self.first
+        return ahead, behind
+
+    @cached_property
     def continued(self) -> "Continued":
         """The pieces in a row, each with REACH points more at both ends."""
         length = self.last - self.first + 1
@@ -48,21 +58,26 @@ class Pieces:
         mirrored = np.clip(np.where(local < 0, -local, np.where(local > last, 2 * last - local, local)), 0, last)
         nearest = np.clip(local, 0, last)
         first = self.first[owner]
-        return Continued(first + mirrored, first + nearest, np.flatnonzero(local == nearest))
+        beyond = np.flatnonzero(local != nearest)
+        return Continued(first + mirrored, np.flatnonzero(local == nearest), beyond, (first + nearest)[beyond])
 
 
 @dataclass(frozen=True)
 class Continued:
-    """For each place of pieces that go on beyond their ends: the point it mirrors, and the point nearest to it.
+    """For each place of pieces that go on beyond their ends, the point it mirrors; within them, the point itself.
 
-    `inside` says at which places the points themselves stand.
+    Fields:
+        inside: at which places the points themselves stand.
+        beyond, end: the other places, and the end that each lies beyond.
     """
 
     mirrored: Int64[np.ndarray, "q"]
-    nearest: Int64[np.ndarray, "q"]
     inside: Int64[np.ndarray, "n"]
+    beyond: Int64[np.ndarray, "b"]
+    end: Int64[np.ndarray, "b"]
 
 
+@lru_cache(KERNELS_KEPT)
 def gaussian(sigma: float) -> Float64[np.ndarray, "m"]:
     """A normalised kernel out to three standard deviations."""
     x = np.arange(-np.ceil(3 * sigma), np.ceil(3 * sigma) + 1)
@@ -70,6 +85,7 @@ def gaussian(sigma: float) -> Float64[np.ndarray, "m"]:
     return kernel / kernel.sum()
 
 
+@lru_cache(KERNELS_KEPT)
 def local_quadratic(sigma: float) -> Float64[np.ndarray, "m"]:
     """A Gaussian kernel of fourth order: a curve that bends evenly is not drawn inwards."""
     x = np.arange(-np.ceil(3 * sigma), np.ceil(3 * sigma) + 1)
@@ -84,31 +100,41 @@ def smoothed(
     """Values convolved along each piece, which goes on at its ends as its reflection through the end point."""
     if len(values) == 0:
         return values
-    at = pieces.continued
-    mirrored = values[at.mirrored]
-    # beyond an end, the point that lies as far behind it as the mirrored one before it; within, the point itself
-    padded = mirrored + 2 * np.where((at.mirrored != at.nearest)[:, None], values[at.nearest] - mirrored, 0)
-    return np.column_stack([np.convolve(column, kernel, mode="same")[at.inside] for column in padded.T])
+    at, columns = pieces.continued, values.T
+    padded = columns.take(at.mirrored, axis=1)
+    # beyond an end, the point that lies as far behind it as the mirrored one before it
+    padded[:, at.beyond] = 2 * columns.take(at.end, axis=1) - padded.take(at.beyond, axis=1)
+    along = cv2.sepFilter2D(padded, cv2.CV_64F, kernel, ONE, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(along).take(at.inside, axis=1).T
 
 
 def blurred(
-    rows: Float32[np.ndarray, "n t"], pieces: Pieces, kernel: Float64[np.ndarray, "m"]
-) -> Float32[np.ndarray, "n t"]:
-    """Rows averaged with their neighbours along each piece, which goes on at its ends as in a mirror."""
+    values: Float32[np.ndarray, "t n *c"] | UInt8[np.ndarray, "t n *c"],
+    pieces: Pieces,
+    kernel: Float64[np.ndarray, "m"],
+    some: Int64[np.ndarray, "s"] | None = None,
+) -> Float32[np.ndarray, "t s *c"]:
+    """Columns averaged with their neighbours along each piece, which goes on at its ends as in a mirror.
+
+    Args:
+        some: the points at which they are needed; all, if it is None.
+    """
     at = pieces.continued
-    return np.asarray(cv2.sepFilter2D(rows[at.mirrored], cv2.CV_32F, np.ones(1), kernel), np.float32)[at.inside]
+    along = cv2.sepFilter2D(values.take(at.mirrored, axis=1), cv2.CV_32F, kernel, ONE)
+    return np.asarray(along, np.float32).take(at.inside if some is None else at.inside[some], axis=1)
 
 
 def directions(
     point: Float64[np.ndarray, "n 2"], pieces: Pieces, kernel: Float64[np.ndarray, "m"]
 ) -> Float64[np.ndarray, "n 2"]:
     """Unit tangents of the smoothed points; (1, 0) where a piece has a single one."""
-    smooth = smoothed(point, pieces, kernel)
-    ahead, behind = np.arange(len(point)) + 1, np.arange(len(point)) - 1
-    ahead[pieces.last], behind[pieces.first] = pieces.last, pieces.first
-    step = smooth[ahead] - smooth[behind]
-    length = np.hypot(step[:, 0], step[:, 1])
-    return np.where(length[:, None] > 1e-9, step / np.maximum(length, 1e-9)[:, None], [1.0, 0.0])
+    smooth = smoothed(point, pieces, kernel).T
+    ahead, behind = pieces.beside
+    step = smooth.take(ahead, axis=1) - smooth.take(behind, axis=1)
+    length = np.sqrt((step * step).sum(axis=0))
+    tangent = step / np.maximum(length, SHORTEST)
+    tangent[:, length <= SHORTEST] = np.array([[1.0], [0.0]])
+    return tangent.T
 
 
 def evenly_spaced(

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float32, Float64, UInt8
 
 from agents.perception.centrelines.along import Pieces, directions, evenly_spaced, gaussian, local_quadratic, smoothed
 from agents.perception.centrelines.deviation import deviations, of_coverage, of_edges
-from agents.perception.centrelines.glints import without_glints
+from agents.perception.centrelines.glints import mean_depth, without_glints
 from agents.perception.centrelines.profiles import sample
 from agents.perception.centrelines.refine import Curves, Evidence, by_coverage, by_edges, by_learning, tangent_sigma
 from agents.perception.centrelines.skeleton import Paths, skeleton_paths
@@ -28,6 +28,8 @@ WIDEST_PX = 40.0
 """Profiles reach no further for a thread wider than this."""
 LEAST_GRADED_SHARE = 0.1
 """Of the pixels beside the mask; of anti-aliased coverage most are partly thread, of a binary mask none."""
+HALF = 127.5
+AROUND = np.ones((3, 3), np.uint8)
 LEAST_LENGTH = 1.5
 """Pieces shorter than so many widths are no line."""
 
@@ -85,9 +87,10 @@ def followed(
     """Curves along the thread as coverage and edges have it, without what is learned; None where there is none."""
     filled, depth = without_glints(mask)
     # a glint is thread, in what it covers and in its colour
-    coverage = np.where(filled & ~mask, np.float32(255), coverage)
+    if filled is not mask:
+        coverage = np.where(filled & ~mask, np.float32(255), coverage)
     # never less than the thread's, and up to two pixels more
-    width = min(WIDEST_PX, max(1.0, 4.0 * float(depth[filled].mean())))
+    width = min(WIDEST_PX, max(1.0, 4.0 * mean_depth(depth, filled)))
     curves = _initial(skeleton_paths(filled, depth), width)
     if len(curves.point) == 0:
         return None
@@ -101,9 +104,10 @@ def followed(
 
 def _is_graded(coverage: Float32[np.ndarray, "h w"], mask: Bool[np.ndarray, "h w"]) -> bool:
     """Whether the coverage fades at the mask's border, as anti-aliased coverage does; if not, it has no sub-pixels."""
-    beside = np.asarray(cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8))) > 0
-    outside = coverage[beside & ~mask]
-    return len(outside) > 0 and float((outside > 0).mean()) > LEAST_GRADED_SHARE
+    thread = mask.view(np.uint8)
+    beside = cv2.subtract(cv2.dilate(thread, AROUND), thread)
+    faint = cv2.bitwise_and(beside, (coverage > 0).view(np.uint8))
+    return cv2.countNonZero(faint) > LEAST_GRADED_SHARE * cv2.countNonZero(beside)
 
 
 def _initial(paths: Paths, width: float) -> Curves:
@@ -128,35 +132,44 @@ def _initial(paths: Paths, width: float) -> Curves:
 
 def _extended(curves: Curves, coverage: Float32[np.ndarray, "h w"], width: float) -> Curves:
     """Curves continued straight to where the coverage ends, at loose ends."""
-    tangent = directions(curves.point, curves.pieces, gaussian(tangent_sigma(width)))
-    at = np.arange(0.0, 2 * width + 4, 0.25)
-    none = np.zeros((0, 2))
+    pieces, point = curves.pieces, curves.point
+    tangent = directions(point, pieces, gaussian(tangent_sigma(width)))
+    first, last = pieces.first, pieces.last
+    ends, outward = np.concatenate((first, last)), np.concatenate((-tangent[first], tangent[last]))
+    reach = _reach(coverage, point[ends], outward, np.arange(0.0, 2 * width + 4, 0.25))
+    reach[~np.concatenate((curves.loose_start, curves.loose_end))] = 0.0
     parts: list[Float64[np.ndarray, "m 2"]] = []
     lengths: list[int] = []
-    for k, (a, b) in enumerate(zip(curves.pieces.first.tolist(), curves.pieces.last.tolist(), strict=True)):
-        before = _continuation(coverage, curves.point[a], -tangent[a], at)[::-1] if curves.loose_start[k] else none
-        after = _continuation(coverage, curves.point[b], tangent[b], at) if curves.loose_end[k] else none
-        parts += [before, curves.point[a : b + 1], after]
+    for k, (a, b) in enumerate(zip(first.tolist(), last.tolist(), strict=True)):
+        before = _continuation(point[a], outward[k], float(reach[k]))[::-1]
+        after = _continuation(point[b], outward[k + len(first)], float(reach[k + len(first)]))
+        parts += [before, point[a : b + 1], after]
         lengths.append(len(before) + b + 1 - a + len(after))
-    pieces = Pieces(np.repeat(np.arange(len(lengths)), lengths))
-    point, pieces = evenly_spaced(np.concatenate(parts), pieces, SPACING_PX)
-    return Curves(point, pieces, curves.loose_start, curves.loose_end)
+    longer = Pieces(np.repeat(np.arange(len(lengths)), lengths))
+    return Curves(*evenly_spaced(np.concatenate(parts), longer, SPACING_PX), curves.loose_start, curves.loose_end)
+
+
+def _reach(
+    coverage: Float32[np.ndarray, "h w"],
+    start: Float64[np.ndarray, "k 2"],
+    direction: Float64[np.ndarray, "k 2"],
+    at: Float64[np.ndarray, "t"],
+) -> Float64[np.ndarray, "k"]:
+    """How far beyond each start, at the most to the last of `at`, the coverage falls below one half."""
+    along = sample(coverage, start, direction, at)
+    below = along < HALF
+    k, here = np.argmax(below, axis=0), np.arange(len(start))
+    inside, outside = along[np.maximum(k - 1, 0), here], along[k, here]
+    share = (inside - HALF) / np.maximum(inside - outside, 1e-6)
+    reach = at[k - 1] + share * (at[k] - at[k - 1])
+    return np.where(below.any(axis=0), np.where(k > 0, reach, at[0]), at[-1])
 
 
 def _continuation(
-    coverage: Float32[np.ndarray, "h w"],
-    start: Float64[np.ndarray, "2"],
-    direction: Float64[np.ndarray, "2"],
-    at: Float64[np.ndarray, "t"],
+    start: Float64[np.ndarray, "2"], direction: Float64[np.ndarray, "2"], reach: float
 ) -> Float64[np.ndarray, "m 2"]:
-    """Points after `start`, a pixel apart, the last where the coverage falls below one half."""
-    along = sample(coverage, start[None], direction[None], at)[0]
-    below = np.flatnonzero(along < 127.5)
-    reach = float(at[below[0]] if len(below) else at[-1])
-    if len(below) and below[0] > 0:
-        k = below[0]
-        reach = at[k - 1] + (along[k - 1] - 127.5) / max(along[k - 1] - along[k], 1e-6) * (at[k] - at[k - 1])
+    """Points after `start`, a pixel apart, the last at the end of its reach."""
     steps = np.arange(1.0, float(np.floor(reach)) + 1)
-    if reach - np.floor(reach) > 0.05 and reach > 0:
+    if reach - np.floor(reach) > 0.05:
         steps = np.append(steps, reach)
     return start + steps[:, None] * direction

@@ -41,7 +41,7 @@ class Edges:
 
 
 def find_edges(
-    seen: Float32[np.ndarray, "n t 3"], at: Float64[np.ndarray, "t"], width_px: Float64[np.ndarray, "n"], pieces: Pieces
+    seen: Float32[np.ndarray, "3 t n"], at: Float64[np.ndarray, "t"], width_px: Float64[np.ndarray, "n"], pieces: Pieces
 ) -> Edges:
     """Both edges on profiles of the image, looked for where the mask ends.
 
@@ -49,67 +49,77 @@ def find_edges(
         at: where the profiles are seen, from the middle of the mask.
         width_px: of the mask.
     """
-    gradient = np.gradient(share_of_thread(seen, at, width_px, pieces), axis=1)
-    rising, falling = np.maximum(gradient, 0) ** 2, np.maximum(-gradient, 0) ** 2
+    gradient = np.gradient(share_of_thread(seen, at, width_px, pieces), axis=0)
+    energy = gradient * gradient
+    rising, falling = energy * (gradient > 0), energy * (gradient < 0)
     return Edges(_settled(rising, at, -width_px / 2), _settled(falling, at, width_px / 2))
 
 
 def share_of_thread(
-    seen: Float32[np.ndarray, "n t 3"], at: Float64[np.ndarray, "t"], width_px: Float64[np.ndarray, "n"], pieces: Pieces
-) -> Float32[np.ndarray, "n t"]:
+    seen: Float32[np.ndarray, "3 t n"], at: Float64[np.ndarray, "t"], width_px: Float64[np.ndarray, "n"], pieces: Pieces
+) -> Float32[np.ndarray, "t n"]:
     """How much of each place on profiles of the image is thread, from 0 to 1, by its colour."""
-    half = np.maximum(1.0, width_px)[:, None] / 2
-    places = np.abs(at) <= half / 2 + 0.25, at < -half - GAP_PX, at > half + GAP_PX
+    half = np.maximum(1.0, width_px) / 2
+    place = at[:, None]
+    places = np.abs(place) <= half / 2 + 0.25, place < -half - GAP_PX, place > half + GAP_PX
     thread, near, far = _colours(seen, places, pieces)
-    channels = np.ascontiguousarray(seen.transpose(2, 0, 1))
     middle = int(np.searchsorted(at, 0.0))
-    sides = (channels[:, :, :middle], near), (channels[:, :, middle:], far)
-    return np.concatenate([_share(part, thread, ground) for part, ground in sides], axis=1)
+    sides = (seen[:, :middle], near), (seen[:, middle:], far)
+    return np.concatenate([_share(part, thread, ground) for part, ground in sides])
 
 
 def _colours(
-    seen: Float32[np.ndarray, "n t 3"], where: tuple[Bool[np.ndarray, "n t"], ...], pieces: Pieces
-) -> Float64[np.ndarray, "k n 3"]:
+    seen: Float32[np.ndarray, "3 t n"], where: tuple[Bool[np.ndarray, "t n"], ...], pieces: Pieces
+) -> Float64[np.ndarray, "k 3 n"]:
     """The mean colours at some places of the profiles hereabouts."""
-    weight = np.stack(where, axis=1).astype(np.float32)
-    total = (weight @ seen).reshape(len(seen), -1)
-    both = blurred(np.concatenate((total, weight.sum(axis=2)), axis=1), pieces, gaussian(ALONG_PX)).astype(np.float64)
-    colour = both[:, : total.shape[1]].reshape(len(seen), -1, 3) / np.maximum(both[:, total.shape[1] :, None], LEAST)
-    return colour.transpose(1, 0, 2)
+    parts = [part for places in where for part in (*_totals(seen, places), places.sum(axis=0, dtype=np.float32))]
+    both = blurred(np.stack(parts), pieces, gaussian(ALONG_PX)).astype(np.float64).reshape(len(where), 4, -1)
+    return both[:, :3] / np.maximum(both[:, 3:], LEAST)
+
+
+def _totals(seen: Float32[np.ndarray, "3 t n"], places: Bool[np.ndarray, "t n"]) -> Float32[np.ndarray, "3 n"]:
+    """The sums of the colours at some places; rows that have none of them are left out."""
+    rows = np.flatnonzero(places.any(axis=1))
+    some = slice(rows[0], rows[-1] + 1) if len(rows) else slice(0)
+    return (seen[:, some] * places[some]).sum(axis=1)
 
 
 def _share(
-    seen: Float32[np.ndarray, "3 n t"], thread: Float64[np.ndarray, "n 3"], ground: Float64[np.ndarray, "n 3"]
-) -> Float32[np.ndarray, "n t"]:
+    seen: Float32[np.ndarray, "3 t n"], thread: Float64[np.ndarray, "3 n"], ground: Float64[np.ndarray, "3 n"]
+) -> Float32[np.ndarray, "t n"]:
     """The share of thread in mixtures of it with the ground: a and b are linear in the colour that is seen."""
     even, t, g = 1 / LIGHT**2, thread / COLOUR_NOISE, ground / COLOUR_NOISE
-    tt, gg, tg = ((one * other).sum(axis=1) + even for one, other in ((t, t), (g, g), (t, g)))
+    tt, gg, tg = ((one * other).sum(axis=0) + even for one, other in ((t, t), (g, g), (t, g)))
     # without the ones, colours that are the same would have no solution
     tt, gg = tt + 1, gg + 1
     scale = 1 / (tt * gg - tg**2)
-    of_thread = _positive(seen, t * (gg * scale)[:, None] - g * (tg * scale)[:, None], even * (gg - tg) * scale)
-    of_ground = _positive(seen, g * (tt * scale)[:, None] - t * (tg * scale)[:, None], even * (tt - tg) * scale)
+    of_thread = _positive(seen, t * (gg * scale) - g * (tg * scale), even * (gg - tg) * scale)
+    of_ground = _positive(seen, g * (tt * scale) - t * (tg * scale), even * (tt - tg) * scale)
     return of_thread / np.maximum(of_thread + of_ground, np.float32(LEAST))
 
 
 def _positive(
-    seen: Float32[np.ndarray, "3 n t"], weight: Float64[np.ndarray, "n 3"], level: Float64[np.ndarray, "n"]
-) -> Float32[np.ndarray, "n t"]:
+    seen: Float32[np.ndarray, "3 t n"], weight: Float64[np.ndarray, "3 n"], level: Float64[np.ndarray, "n"]
+) -> Float32[np.ndarray, "t n"]:
     """What is above 0 of a weighted sum of the channels."""
-    columns = (weight / COLOUR_NOISE).astype(np.float32).T[:, :, None]
-    total = seen[0] * columns[0] + level.astype(np.float32)[:, None]
-    for channel, column in zip(seen[1:], columns[1:], strict=True):
-        total += channel * column
-    return np.maximum(total, np.float32(0))
+    of_channel = (weight / COLOUR_NOISE).astype(np.float32)
+    total = seen[0] * of_channel[0]
+    total += level.astype(np.float32)
+    for channel, share in zip(seen[1:], of_channel[1:], strict=True):
+        total += channel * share
+    return np.maximum(total, np.float32(0), out=total)
 
 
 def _settled(
-    energy: Float32[np.ndarray, "n t"], at: Float64[np.ndarray, "t"], start: Float64[np.ndarray, "n"]
+    energy: Float32[np.ndarray, "t n"], at: Float64[np.ndarray, "t"], start: Float64[np.ndarray, "n"]
 ) -> Float64[np.ndarray, "n"]:
     edge, steps = start, at.astype(np.float32)
+    places = steps[:, None] * np.float32(1 / REACH_PX)
     for _ in range(ROUNDS):
-        distance = (steps - edge.astype(np.float32)[:, None]) * np.float32(1 / REACH_PX)
-        weight = np.square(np.maximum(1 - distance * distance, 0)) * energy
-        total = weight.sum(axis=1, dtype=np.float64)
-        edge = (weight @ steps + WEAK * start) / (total + WEAK)
+        distance = places - (edge / REACH_PX).astype(np.float32)
+        weight = np.maximum(1 - distance * distance, 0)
+        weight *= weight
+        weight *= energy
+        total = weight.sum(axis=0, dtype=np.float64)
+        edge = (steps @ weight + WEAK * start) / (total + WEAK)
     return np.clip(edge, start - REACH_PX, start + REACH_PX)

@@ -15,7 +15,7 @@ def without_glints(mask: Bool[np.ndarray, "h w"]) -> tuple[Bool[np.ndarray, "h w
     """The mask with holes filled that lie within a single strand, and its distance transform."""
     depth = _depth(mask)
     # over a strip the distance to the nearest pixel beyond its edge averages a quarter of its width, and a half
-    usual = max(1.0, 4.0 * float(depth[mask].mean()) - 2.0)
+    usual = max(1.0, 4.0 * mean_depth(depth, mask) - 2.0)
     # an outline of a hole runs on the mask's pixels: around a hole one pixel wide it encloses twice its area
     holes = _short_holes(mask, 2 * LONGEST * usual**2)
     left, top, columns, rows = cv2.boundingRect(holes)
@@ -29,6 +29,11 @@ def without_glints(mask: Bool[np.ndarray, "h w"]) -> tuple[Bool[np.ndarray, "h w
     filled = mask.copy()
     filled[box] |= glints
     return filled, _depth(filled)
+
+
+def mean_depth(depth: Float32[np.ndarray, "h w"], mask: Bool[np.ndarray, "h w"]) -> float:
+    """Over the mask: a quarter of the width of a strip."""
+    return float(cv2.mean(depth, mask.view(np.uint8))[0])
 
 
 def _glints(mask: Bool[np.ndarray, "h w"], holes: Bool[np.ndarray, "h w"], usual: float) -> Bool[np.ndarray, "h w"]:

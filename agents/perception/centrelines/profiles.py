@@ -9,8 +9,10 @@ from jaxtyping import Bool, Float32, Float64, UInt8
 STEP_PX = 0.5
 RISE = 40.0
 """A profile that rises again by so much (of 255) after it has fallen belongs to another strand from there on."""
-MOST_ROWS = 30_000
-"""OpenCV resamples at most 32767 rows at once."""
+AT_MIDDLE = 2
+"""Places from the middle outwards at which a profile counts as what it is nearby: a curve may lie beside a ridge."""
+MOST_COLUMNS = 30_000
+"""OpenCV resamples at most 32767 columns at once."""
 
 
 @dataclass(frozen=True)
@@ -43,39 +45,49 @@ def sample(
     image: Float32[np.ndarray, "h w"] | UInt8[np.ndarray, "h w c"],
     point: Float64[np.ndarray, "n 2"],
     direction: Float64[np.ndarray, "n 2"],
-    at: Float64[np.ndarray, "t"],
+    at: Float64[np.ndarray, "t *n"],
     border: int = cv2.BORDER_CONSTANT,
-) -> Float32[np.ndarray, "n t *c"]:
-    """The image, bilinear, at `at` pixels from each point along its direction; outside it is zero by default."""
-    u = (point[:, :1] + direction[:, :1] * at).astype(np.float32)
-    v = (point[:, 1:] + direction[:, 1:] * at).astype(np.float32)
+) -> np.ndarray:
+    """The image, bilinear, at `at` pixels from each point along its direction; outside it is zero by default.
+
+    Points lie along the columns, since there are many more of them than places: operations on whole rows are fast.
+
+    Args:
+        at: of all points alike, or of each.
+
+    Returns:
+        Values as the image has them: (t, n, *c).
+    """
+    steps = np.asarray(at, np.float32).reshape(len(at), -1)
+    u, v = (point[:, k].astype(np.float32) + steps * direction[:, k].astype(np.float32) for k in (0, 1))
     parts = [
-        cv2.remap(image, u[i : i + MOST_ROWS], v[i : i + MOST_ROWS], cv2.INTER_LINEAR, borderMode=border)
-        for i in range(0, len(u), MOST_ROWS)
+        cv2.remap(image, u[:, i : i + MOST_COLUMNS], v[:, i : i + MOST_COLUMNS], cv2.INTER_LINEAR, borderMode=border)
+        for i in range(0, len(point), MOST_COLUMNS)
     ]
-    return np.concatenate([np.asarray(part, np.float32) for part in parts]) if parts else np.zeros_like(u)
+    return np.concatenate(parts, axis=1) if len(parts) > 1 else np.asarray(parts[0])
 
 
-def own_strand(profile: Float32[np.ndarray, "n t"]) -> Float32[np.ndarray, "n t"]:
-    """Profiles without what lies beyond a gap or a valley, seen from their middle sample."""
-    centre = profile.shape[1] // 2
-    inner = profile[:, max(0, centre - 2) : centre + 3].max(axis=1)
-    own = np.empty_like(profile)
-    own[:, centre:] = _until_rise(profile[:, centre:], inner)
-    own[:, centre::-1] = _until_rise(profile[:, centre::-1], inner)
-    return own
+def own_strand(profile: Float32[np.ndarray, "t n"]) -> Float32[np.ndarray, "t n"]:
+    """Profiles, an odd number of places each, without what lies beyond a gap or a valley, seen from their middle."""
+    centre = len(profile) // 2
+    inner = profile[max(0, centre - 2) : centre + 3].max(axis=0)
+    kept = _until_rise(np.stack((profile[centre:], profile[centre::-1]), axis=1), inner)
+    return np.concatenate((kept[:0:-1, 1], kept[:, 0]))
 
 
-def middle(own: Float32[np.ndarray, "n t"], at: Float64[np.ndarray, "t"]) -> Middle:
+def middle(own: Float32[np.ndarray, "t n"], at: Float64[np.ndarray, "t"]) -> Middle:
     """Centroid and width of profiles of coverage, 0 to 255; the offset is 0 where there is none."""
-    total = own.sum(axis=1, dtype=np.float64)
-    offset = own @ at / np.maximum(total, 1e-6)
-    return Middle(offset, total * (STEP_PX / 255.0), np.maximum(own[:, 0], own[:, -1]) > RISE)
+    total = own.sum(axis=0, dtype=np.float64)
+    offset = (at.astype(np.float32) @ own) / np.maximum(total, 1e-6)
+    return Middle(offset, total * (STEP_PX / 255.0), np.maximum(own[0], own[-1]) > RISE)
 
 
-def _until_rise(outward: Float32[np.ndarray, "n t"], inner: Float32[np.ndarray, "n"]) -> Float32[np.ndarray, "n t"]:
-    start = np.maximum(outward, 0.0)
-    start[:, :2] = np.maximum(start[:, :2], inner[:, None])
-    lowest = np.minimum.accumulate(start, axis=1)
-    other = np.logical_or.accumulate((outward > lowest + RISE) | (lowest <= 0), axis=1)
-    return np.where(other, np.float32(0), outward)
+def _until_rise(outward: Float32[np.ndarray, "t 2 n"], inner: Float32[np.ndarray, "n"]) -> Float32[np.ndarray, "t 2 n"]:
+    """Place by place outwards, on both sides at once: many times faster than NumPy's own accumulation."""
+    kept = np.empty_like(outward)
+    lowest, own = np.maximum(outward[0], inner), np.ones(outward.shape[1:], bool)
+    for k, here in enumerate(outward):
+        np.minimum(lowest, np.maximum(here, inner) if k < AT_MIDDLE else here, out=lowest)
+        own &= (here <= lowest + np.float32(RISE)) & (lowest > 0)
+        np.multiply(here, own, out=kept[k])
+    return kept

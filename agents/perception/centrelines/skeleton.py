@@ -55,7 +55,7 @@ def _prune(image: UInt8[np.ndarray, "h w"], depth: Float32[np.ndarray, "h w"]) -
     if not junction.any():
         return False
     flat, offsets = image.ravel(), neighbour_offsets(image.shape[1])
-    neighbours = _neighbours(index, offsets)
+    neighbours = _neighbours(flat, index, offsets)
     count, branch = _connected(neighbours, ~junction)
     ends_freely = np.bincount(branch[(degree <= 1) & ~junction], minlength=count) > 0
     # a branch may touch several pixels of a junction: the deepest says how wide the thread is there
@@ -81,8 +81,7 @@ def _traced(image: UInt8[np.ndarray, "h w"], depth: Float32[np.ndarray, "h w"]) 
         cv2.circle(kept, (column, row), int(np.ceil(CUT_RADIUS * depth[row, column])), 0, cv2.FILLED)
     whole = kept.ravel()[index] > 0
     image &= kept
-    offsets = neighbour_offsets(stride)
-    order, path = _walk(_neighbours(index[whole], offsets))
+    order, path = _walk(_neighbours(image.ravel(), index[whole], neighbour_offsets(stride)))
     at = index[whole][order]
     loose = degree[whole][order] == 1
     first = np.flatnonzero(np.diff(path, prepend=-1))
@@ -99,15 +98,22 @@ def _pixels(image: UInt8[np.ndarray, "h w"]) -> tuple[Int64[np.ndarray, "p"], In
     return index, NEIGHBOURS[neighbour_codes(flat, index, neighbour_offsets(image.shape[1]))]
 
 
-def _neighbours(index: Int64[np.ndarray, "p"], offsets: Int64[np.ndarray, "8"]) -> Int64[np.ndarray, "p 8"]:
-    """The number of each pixel's eight neighbours among these pixels, −1 for none.
+def _neighbours(
+    flat: UInt8[np.ndarray, "a"], index: Int64[np.ndarray, "p"], offsets: Int64[np.ndarray, "8"]
+) -> Int64[np.ndarray, "p 8"]:
+    """The number of each pixel's eight neighbours among the pixels of an image that are set, −1 for none.
 
     Args:
-        index: of the pixels in their image, ascending.
+        index: of the pixels that are set.
     """
+    # only the places of these pixels are ever written or read, so that nothing else of it costs anything
+    number = np.empty(len(flat), np.int64)
+    number[index] = np.arange(len(index))
     wanted = index[:, None] + offsets
-    place = np.minimum(np.searchsorted(index, wanted), len(index) - 1)
-    return np.where(index[place] == wanted, place, -1)
+    found = np.full(wanted.shape, -1)
+    is_set = flat[wanted] > 0
+    found[is_set] = number[wanted[is_set]]
+    return found
 
 
 def _connected(neighbours: Int64[np.ndarray, "p 8"], kept: Bool[np.ndarray, "p"]) -> tuple[int, Int64[np.ndarray, "p"]]:

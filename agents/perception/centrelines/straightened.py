@@ -5,6 +5,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
 
 from agents.perception.centrelines.along import Pieces, blurred, gaussian, smoothed
+from agents.perception.centrelines.profiles import sample
 
 PLACES = np.linspace(-1.0, 1.0, 25, dtype=np.float32)
 """Where a profile is seen, as shares of its reach."""
@@ -49,81 +50,78 @@ def seen_across(
     normal: Float64[np.ndarray, "n 2"],
     reach: Float64[np.ndarray, "n"],
     places: Float32[np.ndarray, "t"] = PLACES,
-) -> Float32[np.ndarray, "n t 3"]:
+) -> UInt8[np.ndarray, "t n 3"]:
     """Colours across each point, from -reach to reach along its normal."""
-    at = reach[:, None] * places
-    u, v = ((point[:, k, None] + normal[:, k, None] * at).astype(np.float32) for k in (0, 1))
-    return np.asarray(cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32)
+    return sample(image, point, normal, places[:, None] * reach, cv2.BORDER_REPLICATE)
 
 
-def has_plain_ground(colour: Float32[np.ndarray, "n t 3"], width_px: Float64[np.ndarray, "n"]) -> bool:
+def has_plain_ground(colour: Float32[np.ndarray, "t n 3"], width_px: Float64[np.ndarray, "n"]) -> bool:
     """Whether the ground is of one colour everywhere beside the thread."""
-    some, width = colour[::PLAIN_STRIDE], width_px[::PLAIN_STRIDE, None]
-    ground = some[np.abs(PLACES) * reach_px(width) > width / 2 + GROUND_FROM_PX]
-    return bool(np.median(np.abs(ground - np.median(ground, axis=0)).mean(axis=1)) < PLAIN)
+    some, width = colour[:, ::PLAIN_STRIDE], width_px[::PLAIN_STRIDE]
+    ground = some[np.abs(PLACES)[:, None] * reach_px(width) > width / 2 + GROUND_FROM_PX]
+    channels = np.ascontiguousarray(ground.T)
+    away = np.abs(channels - np.median(channels, axis=1, keepdims=True))
+    return bool(np.median(away.mean(axis=0)) < PLAIN)
 
 
 def straightened(
-    colour: Float32[np.ndarray, "n t 3"], width_px: Float64[np.ndarray, "n"], pieces: Pieces
+    colour: Float32[np.ndarray, "t n 3"], width_px: Float64[np.ndarray, "n"], pieces: Pieces
 ) -> Float32[np.ndarray, "n c"]:
     """Profiles in units that all threads share; their reach is that of their width.
 
     Of each place: its colour less the ground's, over the contrast; its brightness against the ground's; and how much of
     the thread's colour and of the ground's it shows. Then both colours and their contrast, and the width.
     """
-    width = width_px[:, None].astype(np.float32)
-    off = np.abs(PLACES) * (width + np.float32(BEYOND_PX))
-    ground = _mean(colour, off > width / 2 + GROUND_FROM_PX, pieces)
-    thread = _mean(colour, off < width * THREAD_SHARE + THREAD_PX, pieces)
-    contrast = (np.sqrt(np.square(thread - ground).mean(axis=1)) + LEAST_CONTRAST)[:, None]
-    n, t = colour.shape[:2]
-    seen = np.empty((n, CHANNELS * t + NUMBERS), np.float32)
-    shares = seen[:, : CHANNELS * t].reshape(n, t, CHANNELS)
-    weights, offsets = _mixing(thread, ground, contrast)
-    np.matmul(colour, weights, out=shares)
-    shares += offsets[:, None]
-    np.clip(shares, LEAST_SHARE, MOST_SHARE, out=shares)
-    of_ground = ground.mean(axis=1, keepdims=True)
-    seen[:, CHANNELS * t :] = np.concatenate(
+    width, channels = width_px.astype(np.float32), np.stack(cv2.split(colour))
+    off = np.abs(PLACES)[:, None] * (width + np.float32(BEYOND_PX))
+    ground = _mean(channels, off > width / 2 + GROUND_FROM_PX, pieces)
+    thread = _mean(channels, off < width * THREAD_SHARE + THREAD_PX, pieces)
+    contrast = np.sqrt(np.square(thread - ground).mean(axis=0)) + LEAST_CONTRAST
+    t, n = colour.shape[:2]
+    seen = np.empty((CHANNELS * t + NUMBERS, n), np.float32)
+    places = seen[: CHANNELS * t].reshape(t, CHANNELS, n).swapaxes(0, 1)
+    for place, channel, of_ground in zip(places, channels, ground, strict=False):
+        np.multiply(channel - of_ground, 1 / contrast, out=place)
+    for place, (weight, offset) in zip(places[3:], _mixing(thread, ground), strict=True):
+        np.add(sum(share * channel for share, channel in zip(weight, channels, strict=True)), offset, out=place)
+    np.clip(seen[: CHANNELS * t], LEAST_SHARE, MOST_SHARE, out=seen[: CHANNELS * t])
+    of_ground = ground.mean(axis=0)
+    seen[CHANNELS * t :] = np.concatenate(
         (
-            np.log(width / USUAL_WIDTH_PX),
-            np.log(contrast / USUAL_CONTRAST),
+            np.log(width / USUAL_WIDTH_PX)[None],
+            np.log(contrast / USUAL_CONTRAST)[None],
             (thread - ground) / contrast,
             ground / (of_ground + LEAST_CONTRAST) - 1,
-            of_ground / USUAL_LEVEL - 1,
-        ),
-        axis=1,
+            of_ground[None] / USUAL_LEVEL - 1,
+        )
     )
-    return seen
+    return seen.T
 
 
 def _mixing(
-    thread: Float32[np.ndarray, "n 3"], ground: Float32[np.ndarray, "n 3"], contrast: Float32[np.ndarray, "n 1"]
-) -> tuple[Float32[np.ndarray, "n 3 k"], Float32[np.ndarray, "n k"]]:
-    """Weights of a colour's channels, and what is added, for everything that is told of a place.
+    thread: Float32[np.ndarray, "3 n"], ground: Float32[np.ndarray, "3 n"]
+) -> list[tuple[Float32[np.ndarray, "3 n"], Float32[np.ndarray, "n"]]]:
+    """Weights of a colour's channels, and what is added: for the brightness, and for the share of either colour.
 
     The shares of both colours are those that explain the colour best where both, in an even light, sum to one: as for
     edges.
     """
-    even, t, g = 1 / LIGHT**2, thread / COLOUR_NOISE, ground / COLOUR_NOISE
-    tt, gg, tg = ((one * other).sum(axis=1, keepdims=True) + even for one, other in ((t, t), (g, g), (t, g)))
+    even, t, g = np.float32(1 / LIGHT**2), thread / COLOUR_NOISE, ground / COLOUR_NOISE
+    tt, gg, tg = ((one * other).sum(axis=0) + even for one, other in ((t, t), (g, g), (t, g)))
     tt, gg = tt + 1, gg + 1
     scale = 1 / (tt * gg - tg**2)
-    weights = np.zeros((len(t), 3, CHANNELS), np.float32)
-    weights[:, (0, 1, 2), (0, 1, 2)] = 1 / contrast
-    weights[:, :, 3] = 1 / (ground.sum(axis=1, keepdims=True) + 3 * LEAST_CONTRAST)
-    weights[:, :, 4] = (t * gg - g * tg) * (scale / COLOUR_NOISE)
-    weights[:, :, 5] = (g * tt - t * tg) * (scale / COLOUR_NOISE)
-    return weights, np.concatenate(
-        (-ground / contrast, np.full_like(scale, -1), even * (gg - tg) * scale, even * (tt - tg) * scale), axis=1
-    )
+    brightness = 1 / (ground.sum(axis=0) + 3 * LEAST_CONTRAST)
+    return [
+        (np.stack((brightness,) * 3), np.full_like(scale, -1)),
+        ((t * gg - g * tg) * (scale / COLOUR_NOISE), even * (gg - tg) * scale),
+        ((g * tt - t * tg) * (scale / COLOUR_NOISE), even * (tt - tg) * scale),
+    ]
 
 
 def _mean(
-    colour: Float32[np.ndarray, "n t 3"], where: Bool[np.ndarray, "n t"], pieces: Pieces
-) -> Float32[np.ndarray, "n 3"]:
+    channels: Float32[np.ndarray, "3 t n"], where: Bool[np.ndarray, "t n"], pieces: Pieces
+) -> Float32[np.ndarray, "3 n"]:
     """The mean colour of some places of the profiles hereabouts."""
-    weight = where.astype(np.float32)
-    total = np.concatenate(((weight[:, None] @ colour)[:, 0], weight.sum(axis=1, keepdims=True)), axis=1)
+    total = np.stack((*(channels * where).sum(axis=1), where.sum(axis=0, dtype=np.float32)))
     both = blurred(total, pieces, gaussian(ALONG))
-    return both[:, :3] / np.maximum(both[:, 3:], np.float32(LEAST))
+    return both[:3] / np.maximum(both[3], np.float32(LEAST))

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
 from agents.perception.centrelines.along import Pieces, blurred, gaussian
-from agents.perception.centrelines.refine import LEARNED_ALONG_PX, LEARNED_STRIDE
+from agents.perception.centrelines.refine import LEARNED_ALONG_PX, STRIDE, every_second
 from agents.perception.centrelines.straightened import BEYOND_PX, PLACES, straightened
 from agents.perception.training.middle_drawn import SHADOW_WIDTHS, drawn_view, shadow_band
 from agents.perception.training.middle_views import WIDE_PLACES, MiddleView
@@ -53,9 +53,8 @@ def profiles_of(view: MiddleView) -> tuple[Float32[np.ndarray, "m c"], np.ndarra
     n, pieces = len(view.width_px), view.pieces
     colour = _resampled(view.colour, np.broadcast_to(PLACES, (n, len(PLACES))))
     colour = _averaged(colour, pieces)
-    some = np.flatnonzero((pieces.before % LEARNED_STRIDE == 0) | (pieces.after == 0))
-    thinned = Pieces(pieces.number[some])
-    return straightened(colour[some], view.width_px[some], thinned), some, thinned
+    some, thinned = every_second(pieces)
+    return straightened(_across(colour[some]), view.width_px[some], thinned), some, thinned
 
 
 def _starts(view: MiddleView) -> np.ndarray:
@@ -70,18 +69,18 @@ def _varied(
     taken_for = width * np.exp(rng.normal(0, WIDTH_SPREAD))
     aside = _drawn_aside(rng)
     places = (PLACES * (taken_for + BEYOND_PX)[:, None] + aside[:, None]) / (width + BEYOND_PX)[:, None]
-    colour = _averaged(_resampled(view.colour[at], places), _stretches(LENGTH))[::LEARNED_STRIDE]
-    at, aside, width = (part[::LEARNED_STRIDE] for part in (at, aside, taken_for))
+    colour = _averaged(_resampled(view.colour[at], places), _stretches(LENGTH))[::STRIDE]
+    at, aside, width = (part[::STRIDE] for part in (at, aside, taken_for))
     offset, known, normal = view.offset_px[at] - aside, view.known[at], view.normal[at]
     colour = _relit(_shaded(colour, offset, width, normal, rng), rng)
     if rng.uniform() < 0.5:
         colour, offset, normal = colour[:, ::-1], -offset, normal * [-1.0, 1.0]
-    each = STRETCHES, LENGTH // LEARNED_STRIDE
+    each = STRETCHES, LENGTH // STRIDE
     if rng.uniform() < 0.5:
         back = np.arange(len(at)).reshape(each)[:, ::-1].ravel()
         colour, offset, normal = colour[back, ::-1], -offset[back], -normal[back]
         known, width = known[back], width[back]
-    shown = straightened(np.ascontiguousarray(colour, np.float32), width, _stretches(each[1]))
+    shown = straightened(_across(colour), width, _stretches(each[1]))
     return shown.reshape(*each, -1), offset.reshape(each), normal.reshape(*each, 2), known.reshape(each)
 
 
@@ -90,7 +89,11 @@ def _stretches(length: int) -> Pieces:
 
 
 def _averaged(colour: Float32[np.ndarray, "n t 3"], pieces: Pieces) -> Float32[np.ndarray, "n t 3"]:
-    return blurred(colour.reshape(len(colour), -1), pieces, gaussian(LEARNED_ALONG_PX)).reshape(colour.shape)
+    return blurred(_across(colour), pieces, gaussian(LEARNED_ALONG_PX)).swapaxes(0, 1)
+
+
+def _across(colour: np.ndarray) -> Float32[np.ndarray, "t n 3"]:
+    return np.ascontiguousarray(colour.swapaxes(0, 1), np.float32)
 
 
 def _resampled(colour: np.ndarray, places: Float64[np.ndarray, "n t"]) -> Float32[np.ndarray, "n t 3"]:

@@ -157,7 +157,7 @@ def _view(name: str, image: Image, truth: Truth) -> list[MiddleView]:
     width_px = usual_width_px(rough.seen.width_px, pieces)
     tangent = directions(point, pieces, gaussian(tangent_sigma(rough.width)))
     normal = normals(tangent)
-    colour = seen_across(image, point, normal, reach_px(width_px), WIDE_PLACES)
+    colour = seen_across(image, point, normal, reach_px(width_px), WIDE_PLACES).swapaxes(0, 1)
     offset_px, known = offsets_to(truth, point, tangent)
     known &= np.abs(offset_px) < np.maximum(FARTHEST_PX, FARTHEST_SHARE * width_px)
     return [MiddleView(name, pieces, normal, width_px, colour.astype(np.uint8), offset_px.astype(np.float32), known)]
