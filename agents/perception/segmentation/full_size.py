@@ -70,10 +70,10 @@ def without_specks(coverage: UInt8[np.ndarray, "h w"], longest_px: float) -> UIn
 
 def _level(ridge: Bool[np.ndarray, "h w"], contrast: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
     """The contrast of the ridge's middle, averaged along it and carried on beside it."""
-    middle = cv2.dilate(np.where(ridge, contrast, np.float32(0)), EIGHT_NEIGHBOURS)
-    both = np.dstack((middle * ridge, ridge.astype(np.float32)))
-    total, count = cv2.split(cv2.GaussianBlur(both, (BLUR_SIDE_PX, BLUR_SIDE_PX), BLUR_PX))
-    return np.asarray(total / np.maximum(count, 1e-3), np.float32)
+    on_ridge = ridge.astype(np.float32)
+    middle = cv2.multiply(cv2.dilate(cv2.multiply(contrast, on_ridge), EIGHT_NEIGHBOURS), on_ridge)
+    total, count = (cv2.GaussianBlur(part, (BLUR_SIDE_PX, BLUR_SIDE_PX), BLUR_PX) for part in (middle, on_ridge))
+    return np.asarray(total / np.maximum(count, np.float32(1e-3)), np.float32)
 
 
 def _at(image: np.ndarray, place: tuple[np.ndarray, np.ndarray]) -> np.ndarray:

@@ -38,10 +38,17 @@ class _Filters:
     lines: tuple[Float32[np.ndarray, "r c"], ...]
 
 
-def line_response(contrast: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-    """How much each pixel of a contrast looks like part of a line, in its grey levels, by the best filter."""
+def line_response(
+    contrast: Float32[np.ndarray, "h w"], rows: slice = slice(None), columns: slice = slice(None)
+) -> Float32[np.ndarray, "r c"]:
+    """How much each pixel of some rows and columns of a contrast looks like part of a line.
+
+    It is in the contrast's grey levels, by the best filter.
+    """
     filters = _filters()
     padded = cv2.copyMakeBorder(contrast, RADIUS_PX, RADIUS_PX, RADIUS_PX, RADIUS_PX, cv2.BORDER_REFLECT)
+    (top, bottom, _), (left, right, _) = rows.indices(contrast.shape[0]), columns.indices(contrast.shape[1])
+    padded = padded[top : bottom + 2 * RADIUS_PX, left : right + 2 * RADIUS_PX]
     xx, xy, yy = (cv2.sepFilter2D(padded, cv2.CV_32F, x, y) for x, y in filters.derivatives)
     strongest = np.zeros(padded.shape, np.float32)
     across, answer = np.empty_like(strongest), np.empty_like(strongest)
@@ -50,8 +57,7 @@ def line_response(contrast: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "
         cv2.scaleAdd(xy, of_xy, across, dst=across)
         cv2.filter2D(across, cv2.CV_32F, line, dst=answer)
         cv2.max(strongest, answer, dst=strongest)
-    height, width = contrast.shape
-    return np.ascontiguousarray(strongest[RADIUS_PX : RADIUS_PX + height, RADIUS_PX : RADIUS_PX + width])
+    return np.ascontiguousarray(strongest[RADIUS_PX:-RADIUS_PX, RADIUS_PX:-RADIUS_PX])
 
 
 def oriented_kernels() -> list[Float32[np.ndarray, "k k"]]:

@@ -70,6 +70,7 @@ class _View:
         meant: which of its ridges is.
         strong: how many pixels of the whole image are among its strongest.
         rare: what makes a colour of the whole image rare.
+        both: whether dark and bright thread are both looked for, so that it counts how strong each is.
     """
 
     rows: slice
@@ -80,6 +81,7 @@ class _View:
     seen: UInt8[np.ndarray, "h w 3"]
     background: UInt8[np.ndarray, "h w 3"]
     rare: "_Rare"
+    both: bool
 
 
 @dataclass(frozen=True)
@@ -146,7 +148,7 @@ def segment_ridge(
     if where is not None and not where.any():
         return np.zeros(image.shape[:2], np.uint8)
     reduced = _reduced(image, min(1.0, DETECTION_WIDTH_PX / image.shape[1]))
-    view = _view(reduced, where, meant)
+    view = _view(reduced, near, meant)
     darker = _of_polarity(view, False) if near is None or not near.is_bright else None
     brighter = _of_polarity(view, True) if near is None or near.is_bright else None
     is_bright = darker is None or (brighter is not None and brighter[0].strength > darker[0].strength)
@@ -159,7 +161,18 @@ def segment_ridge(
 def _of_polarity(view: _View, is_bright: bool) -> tuple[_Found, Float32[np.ndarray, "h w"]]:
     """The thread among what is brighter, or darker, than its surroundings, and by how much everything is."""
     contrast = mean_excess(*((view.seen, view.background) if is_bright else (view.background, view.seen)))
-    return _thread_among(_ridges(line_response(contrast), view), view), contrast
+    return _thread_among(_ridges(_response(contrast, view.near), view), view), contrast
+
+
+def _response(contrast: Float32[np.ndarray, "h w"], near: Bool[np.ndarray, "h w"] | None) -> Float32[np.ndarray, "h w"]:
+    """The response to lines where thread may be, 0 elsewhere."""
+    if near is None:
+        return line_response(contrast)
+    left, top, columns, rows = cv2.boundingRect(near.view(np.uint8))
+    box = np.s_[top : top + rows, left : left + columns]
+    response = np.zeros_like(contrast)
+    np.multiply(line_response(contrast, *box), near[box], out=response[box])
+    return response
 
 
 def _reduced(image: np.ndarray, share: float) -> np.ndarray:
@@ -167,10 +180,12 @@ def _reduced(image: np.ndarray, share: float) -> np.ndarray:
     return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
 
 
-def _view(reduced: UInt8[np.ndarray, "H W 3"], near: Bool[np.ndarray, "H W"] | None, meant: Meant | None) -> _View:
+def _view(reduced: UInt8[np.ndarray, "H W 3"], near: Near | None, meant: Meant | None) -> _View:
     small = None
     if near is not None:
-        small = np.asarray(cv2.resize(near.view(np.uint8), reduced.shape[1::-1], interpolation=cv2.INTER_NEAREST)) > 0
+        small = (
+            np.asarray(cv2.resize(near.where.view(np.uint8), reduced.shape[1::-1], interpolation=cv2.INTER_NEAREST)) > 0
+        )
         # a place that falls between the pixels of the reduced image is looked at all the same
         small = small if small.any() else np.ones(small.shape, bool)
     rows, columns = _box(small, reduced.shape)
@@ -187,6 +202,7 @@ def _view(reduced: UInt8[np.ndarray, "H W 3"], near: Bool[np.ndarray, "H W"] | N
         seen=seen,
         background=_background(seen),
         rare=_rare(np.ascontiguousarray(reduced[::4, ::4])),
+        both=near is None,
     )
 
 
@@ -218,10 +234,10 @@ def _lab(colour: UInt8[np.ndarray, "p 3"]) -> Float32[np.ndarray, "p 3"]:
 
 def _rare(sample: UInt8[np.ndarray, "h w 3"]) -> _Rare:
     """From a sample of the whole image."""
-    colour = _lab(sample.reshape(-1, 3))
-    from_mean = colour - colour.mean(axis=0)
-    spread, axes = np.linalg.eigh(from_mean.T @ from_mean / len(colour) + 4.0 * np.eye(3))
-    usual = np.median(colour, axis=0).astype(np.float32)
+    channels = np.ascontiguousarray(_lab(sample.reshape(-1, 3)).T)
+    from_mean = channels - channels.mean(axis=1, keepdims=True)
+    spread, axes = np.linalg.eigh(from_mean @ from_mean.T / channels.shape[1] + 4.0 * np.eye(3))
+    usual = np.median(channels, axis=1).astype(np.float32)
     return _Rare(usual, (axes / np.sqrt(spread)).astype(np.float32))
 
 
@@ -233,8 +249,6 @@ def _rarity(colour: Float32[np.ndarray, "p 3"], rare: _Rare) -> Float32[np.ndarr
 
 
 def _ridges(response: Float32[np.ndarray, "h w"], view: _View) -> _Ridges:
-    if view.near is not None:
-        response = np.where(view.near, response, np.float32(0))
     faintest = FAINTEST_SHARE * _from_top(response.ravel(), view.strong)
     pixel = np.flatnonzero(response > faintest)
     of_pixel = response.ravel()[pixel]
@@ -272,6 +286,8 @@ def _thread_among(ridges: _Ridges, view: _View) -> _Found:
         return NOTHING
     if np.median(response[kept[pieces.of]]) < LEAST_RESPONSE:
         return NOTHING
+    if not view.both:
+        return _Found(ridges.pixel[kept[pieces.of]], 0.0)
     # faint pixels would count for whichever polarity has more clutter to grow into
     clear = _pieces(ridges, alike & (response > GROW_SHARE * strong), seeds)
     return _Found(ridges.pixel[kept[pieces.of]], float(clear.weight.max()))
