@@ -57,7 +57,7 @@ def occluders_in(
     small = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
     thread = np.asarray(cv2.resize(coverage, size, interpolation=cv2.INTER_AREA)) > 0
     red = redness(small)
-    told = ~thread & (small.max(axis=2) < GLINT)
+    told = ~thread & (_brightest(small) < GLINT)
     order = np.cumsum(np.bincount(red[told], minlength=256))
     ground, low = (int(np.searchsorted(order, share * order[-1])) - ZERO for share in (0.5, LOW_SHARE))
     if order[-1] == 0 or ground * STEP < LEAST_RED:
@@ -84,6 +84,12 @@ def redness(image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w"]:
     """The logarithm of red over the mean of green and blue, in steps of 1/64 about 80."""
     others = np.asarray(cv2.addWeighted(image[..., 0], 0.5, image[..., 1], 0.5, 0.0), np.uint8)
     return np.rint(_OF_RED[image[..., 2]] - _OF_OTHERS[others]).clip(0, 255).astype(np.uint8)
+
+
+def _brightest(image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w"]:
+    """The greatest channel of each pixel: over an axis of three, NumPy takes twenty times as long."""
+    blue, green, red = cv2.split(image)
+    return np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
 
 
 def _is_instrument(

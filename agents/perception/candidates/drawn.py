@@ -33,13 +33,13 @@ def along(
     points = [thinned(lines.point_px[piece]) for piece in pieces]
     every = np.concatenate(points)
     shift = np.median(line_px[:, 0]) - np.median(every[:, 0]) if shifted else 0.0
-    place = np.asarray(cKDTree(line_px).query(every + np.array((shift, 0.0)))[1], np.intp)
     last = np.cumsum(np.array([len(piece) for piece in points], np.intp))
     first = np.concatenate((np.zeros(1, np.intp), last[:-1]))
-    turned = [piece[:: -1 if place[j - 1] < place[i] else 1] for piece, i, j in zip(points, first, last, strict=True)]
+    told = every[np.concatenate((first, (first + last) // 2, last - 1))] + np.array((shift, 0.0))
+    begins, middle, ends = np.asarray(cKDTree(line_px).query(told)[1], np.intp).reshape(3, -1)
+    turned = [piece[::-1] if back else piece for piece, back in zip(points, ends < begins, strict=True)]
     # pieces of one line do not overlap, so that where each has its middle tells their order
-    order = np.argsort(place[(first + last) // 2], kind="stable")
-    return np.concatenate([turned[k] for k in order])
+    return np.concatenate([turned[k] for k in np.argsort(middle, kind="stable")])
 
 
 def without(lines: Centrelines, pieces: list[Piece]) -> Centrelines:

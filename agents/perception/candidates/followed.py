@@ -34,11 +34,13 @@ def candidates_followed(
         return Candidates((), left, right)
     lefts = _nearest(left, [candidate.left_px for candidate in last], image_width)
     rights = _nearest(right, [candidate.right_px for candidate in last], image_width)
-    now = [replace(c, left_px=along(c.left_px, left, mine, shifted=False)) for c, mine in zip(last, lefts, strict=True)]
-    seen = [k for k, candidate in enumerate(now) if len(candidate.left_px) > 1]
+    now = [along(candidate.left_px, left, mine, shifted=False) for candidate, mine in zip(last, lefts, strict=True)]
+    seen = [k for k, line_px in enumerate(now) if len(line_px) > 1]
     if 0 not in seen:
         return Candidates((), left, right)
-    listed = tuple(replace(now[k], right_px=along(now[k].left_px, right, rights[k], shifted=True)) for k in seen)
+    listed = tuple(
+        replace(last[k], left_px=now[k], right_px=along(now[k], right, rights[k], shifted=True)) for k in seen
+    )
     others = [seen[k] for k in certainly_others(listed, occluders, image_width)]
     return Candidates(
         listed,
