@@ -40,8 +40,8 @@ def skeleton_paths(mask: Bool[np.ndarray, "h w"], depth: Float32[np.ndarray, "h 
         mask: the thread.
         depth: distance of each of its pixels to the nearest pixel outside.
     """
-    image = thinned(mask)
     padded_depth = cv2.copyMakeBorder(depth, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
+    image = thinned(mask, padded_depth)
     for _ in range(PRUNING_ROUNDS):
         if not _prune(image, padded_depth):
             break
