@@ -36,7 +36,7 @@ from tests.goldens.lockstep import RIG, Lockstep
 SMALL = RectifiedStereo(480, 270, 500.0, 500.0, 239.5, 134.5, 5.5e-3, 1.0)
 KEPT = (FRAMES, CALIBRATION, OBSERVATIONS, SURFACE, THREAD, ROBOT_STATE, COMMANDS, PLAN)
 SCENES = {
-    "tissue": (SimulatorConfig(seed=3, config="medium", background="tissue", distance_mm=85.0, camera=SMALL), 0.7),
+    "tissue": (SimulatorConfig(seed=3, config="medium", background="tissue", distance_mm=85.0, camera=SMALL), 0.5),
     "crossing": (SimulatorConfig(seed=2, config="crossing", background="plain", colour="blue", camera=SMALL), 0.3),
 }
 """What is filmed, and for how many seconds."""
