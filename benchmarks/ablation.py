@@ -28,6 +28,7 @@ from agents.reconstruction.refined import (
     method,
     normal_equations,
     refinement,
+    rows,
     sightings,
     smoothing,
 )
@@ -55,7 +56,7 @@ STEPS: dict[str, tuple[Change, ...]] = {
     "no bending in the roughness": ((normal_equations, "BENDING", 0.0),),
     "folds stay": ((sightings, "FOLD_FACTOR", 1e9),),
     "no region holds the curve": ((constraints, "SLACK_PRICE", 1e-6),),
-    "rows taken as they are": ((refinement, "LEAST_ROW_OFFSET_PX", 1e9), (method, "MOST_ROW_ROUNDS", 0)),
+    "rows taken as they are": ((rows, "LEAST_ROW_OFFSET_PX", 1e9), (method, "MOST_ROW_ROUNDS", 0)),
 }
 
 
