@@ -44,7 +44,7 @@ STEPS: dict[str, tuple[Change, ...]] = {
     "all of it": (),
     "first curve alone: no refinement against both images": ((refinement, "STEPS", 0),),
     "one round of refinement": ((refinement, "STEPS", 1),),
-    "no common ends": ((alignment, "piece_ends", lambda lines: np.zeros(0, np.int64)),),
+    "no common ends": ((alignment, "piece_ends", lambda _: np.zeros(0, np.int64)),),
     "no robust weights": ((refinement, "ROBUST", 1e6),),
     "one smoothing for the whole thread": ((smoothing, "LEAST_WEIGHT", 1.0), (smoothing, "MOST_WEIGHT", 1.0)),
     "smoothing fixed, not chosen": (
