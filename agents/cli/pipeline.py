@@ -13,7 +13,7 @@ from agents.perception.judging.whole import judge_whole
 from agents.perception.observe import observe
 from agents.perception.rectification import rectification, rectify_image, rectify_mask
 from agents.perception.search import look_everywhere
-from agents.perception.segmentation.choice import SEGMENTERS, Segmenter, suitable_segmenter
+from agents.perception.segmentation.choice import SEGMENTERS, Segmenter
 from agents.perception.segmenter_names import GIVEN_MASKS
 from agents.perception.told_apart import told_apart
 from agents.reconstruction.method_names import MATCHING_METHODS
@@ -79,16 +79,11 @@ def reconstruct_pair(
     judged, score = whole.alignment, None
     if masks is not None:
         segmenter = GIVEN_MASKS
-    elif prompt_px is not None:
-        with watch.step("segment"):
-            looked = look_everywhere((left, right), 0, segmenter, prompt_px, segmenters)
-            masks, segmenter = looked.coverage, looked.segmenter
-            judged = judged if looked.judgements is None else looked.judgements
     else:
         with watch.step("segment"):
-            segmenter = segmenter or suitable_segmenter(left)
-            looked = look_everywhere((left, right), 0, segmenter, None, segmenters)
-            masks, score = looked.coverage, looked.score
+            looked = look_everywhere((left, right), 0, segmenter, prompt_px, segmenters)
+        masks, segmenter, score = looked.coverage, looked.segmenter, looked.score
+        judged = judged if looked.judgements is None else looked.judgements
     with watch.step("match"):
         stamp = FrameStamp(sequence=0, capture_left_ns=0, capture_right_ns=0, calibration_id="")
         observations = observe(

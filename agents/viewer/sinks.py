@@ -4,6 +4,7 @@ Each is a stream of its own, and is to be used from one thread of its own: a vie
 that logs to it, and must hold up nothing else.
 """
 
+import contextlib
 import logging
 import os
 import pathlib
@@ -107,13 +108,19 @@ class PartedFile(Sink):
         logged = list(entities)
         super().log(moment, logged)
         self._holds |= {(path, type(one)): one for path, all_of in logged for one in all_of if isinstance(one, STATIC)}
-        if self._logged % FLUSHED_EVERY == 0 and self._paths[-1].stat().st_size >= self._part_bytes:
+        if self._logged % FLUSHED_EVERY == 0 and self._is_full():
             self._begin_another()
 
     def lay_out(self, layout: Layout) -> None:
         """Arrange the views anew, in the files that follow as well."""
         self._layout = layout
         super().lay_out(layout)
+
+    def _is_full(self) -> bool:
+        # somebody may have taken the file away, and the screen goes on all the same
+        with contextlib.suppress(OSError):
+            return self._paths[-1].stat().st_size >= self._part_bytes
+        return False
 
     def _begin_another(self) -> None:
         first = self._paths[0]
