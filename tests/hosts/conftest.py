@@ -124,9 +124,12 @@ def listening():
         yield listen
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="package")
 def lab(tmp_path_factory):
-    """A rig on four hosts and a router, once a thread was seen; left out where this system cannot play it."""
+    """A rig on four hosts and a router, once a thread was seen; left out where this system cannot play it.
+
+    It runs until this folder's tests end, so they come last in it.
+    """
     try:
         with laboratory(tmp_path_factory.mktemp("lab")) as started:
             yield started
