@@ -112,6 +112,7 @@ class Perception:
     def _seen(self, frame: StereoFrame, calibration: StereoCalibration) -> Iterable[Output]:
         """What follows from a frame; the observations last, since the next frame goes on from them."""
         last = self._last
+        before, surface_sequence = (last.stamp.sequence, last.surface_sequence) if last else (None, None)
         pictures = pictured(frame, last)
         pair = (
             apart(frame.stamp, last.stamp if last else None)
@@ -125,7 +126,8 @@ class Perception:
             observed = self._observe(frame.stamp, pair)
             judgements = (*lasting(observed.judgements), *judge_each(pictures, pair.images))
             observed = replace(observed, judgements=judgements)
-            if surface_is_due(frame.stamp, last.stamp if last else None):
+            if surface_is_due(frame.stamp.sequence, before, surface_sequence):
+                surface_sequence = frame.stamp.sequence
                 thread = decode_image(observed.mask_left) > 0
                 images = pair.moved_up(observed.rows_moved_up).images
                 yield Output(SURFACE, tissue_surface(frame.stamp, pair.camera, *images, thread))
@@ -135,6 +137,7 @@ class Perception:
             picture_right=pictures.right,
             picture_left_since=pictures.left_since,
             picture_right_since=pictures.right_since,
+            surface_sequence=surface_sequence,
         )
         self._go_on_from(observed)
         yield Output(OBSERVATIONS, observed)

@@ -70,15 +70,21 @@ class _Cells:
     deviation_px: Float64[np.ndarray, "r c"]
 
 
-def surface_is_due(stamp: FrameStamp, before: FrameStamp | None) -> bool:
-    """Whether a frame is the first of so many for which a surface is made; `before` was looked at before it."""
+def surface_is_due(sequence: int, before: int | None, newest: int | None) -> bool:
+    """Whether a surface is made for a frame: for the second that is looked at, and then for one in so many.
+
+    Args:
+        sequence: of the frame.
+        before: sequence of the frame that was looked at before it; None for the first, which already takes longest.
+        newest: sequence of the frame of the newest surface; None where none has been made yet.
+    """
     if before is None:
-        # the first frame of all already takes longest
         return False
-    step = abs(stamp.sequence - before.sequence)
+    if newest is None or newest > sequence:
+        return True
+    step = abs(sequence - before)
     unhurried = min(USUAL_FRAMES_WITHOUT * step, OLD_FRAMES)
-    period = max(FRAMES_BETWEEN_SURFACES, LEAST_FRAMES_WITHOUT * step, unhurried)
-    return before.sequence // period != stamp.sequence // period
+    return sequence - newest >= max(FRAMES_BETWEEN_SURFACES, LEAST_FRAMES_WITHOUT * step, unhurried)
 
 
 def tissue_surface(

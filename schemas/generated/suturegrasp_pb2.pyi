@@ -301,7 +301,7 @@ class Occluders(_message.Message):
     def __init__(self, left: _Optional[_Union[Image, _Mapping]] = ..., right: _Optional[_Union[Image, _Mapping]] = ..., sequence: _Optional[int] = ...) -> None: ...
 
 class ThreadObservations(_message.Message):
-    __slots__ = ("stamp", "camera", "status", "reason", "segmenter", "points_camera", "half_size_px", "matched_px", "match_cost", "inlier", "mask_left", "mask_right", "judgements", "gaps", "centrelines_left", "centrelines_right", "looked_sequence", "is_bright", "prompt_px", "rows_moved_up", "picture_left", "picture_right", "picture_left_since", "picture_right_since", "candidates", "occluders", "score_map", "consumed")
+    __slots__ = ("stamp", "camera", "status", "reason", "segmenter", "points_camera", "half_size_px", "matched_px", "match_cost", "inlier", "mask_left", "mask_right", "judgements", "gaps", "centrelines_left", "centrelines_right", "looked_sequence", "is_bright", "prompt_px", "rows_moved_up", "picture_left", "picture_right", "picture_left_since", "picture_right_since", "candidates", "occluders", "score_map", "surface_sequence", "consumed")
     STAMP_FIELD_NUMBER: _ClassVar[int]
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     STATUS_FIELD_NUMBER: _ClassVar[int]
@@ -329,6 +329,7 @@ class ThreadObservations(_message.Message):
     CANDIDATES_FIELD_NUMBER: _ClassVar[int]
     OCCLUDERS_FIELD_NUMBER: _ClassVar[int]
     SCORE_MAP_FIELD_NUMBER: _ClassVar[int]
+    SURFACE_SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     CONSUMED_FIELD_NUMBER: _ClassVar[int]
     stamp: FrameStamp
     camera: RectifiedStereo
@@ -357,8 +358,9 @@ class ThreadObservations(_message.Message):
     candidates: _containers.RepeatedCompositeFieldContainer[ThreadCandidate]
     occluders: Occluders
     score_map: Image
+    surface_sequence: int
     consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
-    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., segmenter: _Optional[str] = ..., points_camera: _Optional[_Union[Array, _Mapping]] = ..., half_size_px: _Optional[_Union[Array, _Mapping]] = ..., matched_px: _Optional[_Union[Array, _Mapping]] = ..., match_cost: _Optional[_Union[Array, _Mapping]] = ..., inlier: _Optional[_Union[Array, _Mapping]] = ..., mask_left: _Optional[_Union[Image, _Mapping]] = ..., mask_right: _Optional[_Union[Image, _Mapping]] = ..., judgements: _Optional[_Iterable[_Union[Judgement, _Mapping]]] = ..., gaps: _Optional[_Union[Array, _Mapping]] = ..., centrelines_left: _Optional[_Union[Centrelines, _Mapping]] = ..., centrelines_right: _Optional[_Union[Centrelines, _Mapping]] = ..., looked_sequence: _Optional[int] = ..., is_bright: _Optional[bool] = ..., prompt_px: _Optional[_Union[Array, _Mapping]] = ..., rows_moved_up: _Optional[int] = ..., picture_left: _Optional[int] = ..., picture_right: _Optional[int] = ..., picture_left_since: _Optional[int] = ..., picture_right_since: _Optional[int] = ..., candidates: _Optional[_Iterable[_Union[ThreadCandidate, _Mapping]]] = ..., occluders: _Optional[_Union[Occluders, _Mapping]] = ..., score_map: _Optional[_Union[Image, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
+    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., segmenter: _Optional[str] = ..., points_camera: _Optional[_Union[Array, _Mapping]] = ..., half_size_px: _Optional[_Union[Array, _Mapping]] = ..., matched_px: _Optional[_Union[Array, _Mapping]] = ..., match_cost: _Optional[_Union[Array, _Mapping]] = ..., inlier: _Optional[_Union[Array, _Mapping]] = ..., mask_left: _Optional[_Union[Image, _Mapping]] = ..., mask_right: _Optional[_Union[Image, _Mapping]] = ..., judgements: _Optional[_Iterable[_Union[Judgement, _Mapping]]] = ..., gaps: _Optional[_Union[Array, _Mapping]] = ..., centrelines_left: _Optional[_Union[Centrelines, _Mapping]] = ..., centrelines_right: _Optional[_Union[Centrelines, _Mapping]] = ..., looked_sequence: _Optional[int] = ..., is_bright: _Optional[bool] = ..., prompt_px: _Optional[_Union[Array, _Mapping]] = ..., rows_moved_up: _Optional[int] = ..., picture_left: _Optional[int] = ..., picture_right: _Optional[int] = ..., picture_left_since: _Optional[int] = ..., picture_right_since: _Optional[int] = ..., candidates: _Optional[_Iterable[_Union[ThreadCandidate, _Mapping]]] = ..., occluders: _Optional[_Union[Occluders, _Mapping]] = ..., score_map: _Optional[_Union[Image, _Mapping]] = ..., surface_sequence: _Optional[int] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
 
 class TissueSurface(_message.Message):
     __slots__ = ("stamp", "camera", "u_px", "v_px", "depth", "valid", "deviation", "consumed")

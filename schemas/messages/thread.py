@@ -138,6 +138,7 @@ class ThreadObservations:
             leave out those that are certainly not meant.
         occluders: None where nobody has looked for any, or the image does not tell.
         score_map: how much of a pixel of the left image the segmenter takes for thread, 0 to 255, in a smaller copy.
+        surface_sequence: of the frame of the newest surface of the tissue; None where none has been made yet.
     """
 
     stamp: FrameStamp
@@ -167,6 +168,7 @@ class ThreadObservations:
     candidates: tuple[ThreadCandidate, ...] = ()
     occluders: Occluders | None = None
     score_map: Image | None = None
+    surface_sequence: int | None = None
     consumed: tuple[Consumed, ...] = ()
 
     def __post_init__(self) -> None:

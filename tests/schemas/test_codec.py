@@ -167,6 +167,7 @@ def observations(draw):
         candidates=tuple(draw(st.lists(candidates, max_size=2))),
         occluders=draw(st.none() | occluders),
         score_map=draw(st.none() | images()),
+        surface_sequence=draw(st.none() | uint64),
         consumed=draw(consumed),
     )
 

@@ -26,7 +26,7 @@ from schemas.messages import (
 from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS, SURFACE, key
 from shared.calibration.identity import calibration_id
 from shared.images import encode_image
-from shared.runtime.agent import Received, Tick
+from shared.runtime.agent import Output, Received, Tick
 from shared.scene.__main__ import make_scene
 from shared.scene.render import render
 
@@ -190,6 +190,21 @@ def test_a_warning_is_carried_on_with_its_frame_until_the_pair_is_judged_again()
     fresh, first, second, again = (o.judgements[0].finding for o in found)
     assert first == second == f"{fresh} (judged in frame 0)"
     assert again == fresh
+
+
+def test_the_second_frame_brings_a_surface_and_the_observations_say_which_frame_had_one():
+    agent = Perception(PerceptionConfig("threshold"))
+    list(agent.step(Received(CALIBRATION, key("lab", CALIBRATION), 0, calibration())))
+    frames = [Received(FRAMES, key("lab", FRAMES), k, frame(sequence=k)) for k in (3, 5, 6, 20, 21)]
+    outputs = [[out for out in agent.step(arrived) if isinstance(out, Output)] for arrived in frames]
+    assert [[output.topic for output in step] for step in outputs] == [
+        [OBSERVATIONS],
+        [SURFACE, OBSERVATIONS],
+        [OBSERVATIONS],
+        [OBSERVATIONS],
+        [SURFACE, OBSERVATIONS],
+    ]
+    assert [step[-1].message.surface_sequence for step in outputs] == [None, 5, 5, 5, 21]
 
 
 def test_a_new_calibration_has_the_pair_judged_again():

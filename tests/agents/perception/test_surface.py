@@ -128,9 +128,16 @@ def test_images_of_any_size_give_a_surface(shape):
     assert decode(TissueSurface, encode(surface)).depth.shape == surface.valid.shape
 
 
-@pytest.mark.parametrize(("left_out", "surfaces"), [(0, 11), (2, 4), (9, 2), (14, 1)])
-def test_a_surface_is_due_once_in_so_many_frames_that_were_looked_at_and_not_with_the_very_first(left_out, surfaces):
-    stamps = [FrameStamp(number, 0, 0, "") for number in range(0, 120, left_out + 1)]
-    due = [surface_is_due(now, before) for before, now in zip([None, *stamps], stamps, strict=False)]
-    assert sum(due) == surfaces
-    assert not due[0]
+@pytest.mark.parametrize(("left_out", "surfaces"), [(0, 12), (2, 5), (9, 3), (14, 2)])
+def test_a_surface_is_due_with_the_second_frame_that_is_looked_at_and_then_once_in_so_many(left_out, surfaces):
+    frames = list(range(7, 127, left_out + 1))
+    before, newest, due = None, None, []
+    for frame in frames:
+        if surface_is_due(frame, before, newest):
+            newest = frame
+            due.append(frame)
+        before = frame
+    assert len(due) == surfaces
+    assert due[0] == frames[1]
+    # another run of the camera counts from 0 again
+    assert surface_is_due(0, before, newest)
