@@ -16,6 +16,9 @@ SHEET = 256
 GLINT_SHARE, MOST_IN_SPECKS = 0.03, 0.25
 """Of the image's width: bright pieces up to that long are glints on wet tissue. Of the thread: if more of it lies in
 such pieces, it is a thread that shows in pieces."""
+SHINE = 1.0
+"""Pixels of the reduced image on either side of a streak of light along a dark thread: between its dark edges, what is
+as unlike the ground as they are is thread too, however bright."""
 MEAN_OF_CHANNELS = np.full((1, 3), 1 / 3, np.float32)
 EIGHT_NEIGHBOURS = np.ones((3, 3), np.uint8)
 
@@ -49,12 +52,24 @@ def at_full_size(
     ground = np.asarray(_at(background, place), np.uint8)
     seen = image[full_rows.start + row, full_columns.start + column]
     lighter, darker = (seen, ground) if is_bright else (ground, seen)
-    clear = mean_excess(lighter[None], darker[None])[0] > edge
+    excess = mean_excess(lighter[None], darker[None])[0]
+    clear = excess > edge
     coverage[full_rows.start + row[clear], full_columns.start + column[clear]] = 255
+    part = coverage[full_rows, full_columns]
     if is_bright:
-        part = coverage[full_rows, full_columns]
         coverage[full_rows, full_columns] = without_specks(part, GLINT_SHARE * image.shape[1])
+        return coverage
+    unlike = excess + mean_excess(darker[None], lighter[None])[0] > edge
+    shiny = unlike & (_closed(part, 1 / share[0])[row, column] > 0)
+    part[row[shiny], column[shiny]] = 255
     return coverage
+
+
+def _closed(coverage: UInt8[np.ndarray, "h w"], pixels: float) -> UInt8[np.ndarray, "h w"]:
+    """Coverage with gaps up to so many pixels to either side closed."""
+    side = 2 * round(SHINE * pixels) + 1
+    around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+    return np.asarray(cv2.morphologyEx(coverage, cv2.MORPH_CLOSE, around), np.uint8)
 
 
 def without_specks(coverage: UInt8[np.ndarray, "h w"], longest_px: float) -> UInt8[np.ndarray, "h w"]:

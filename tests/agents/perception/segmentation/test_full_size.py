@@ -29,6 +29,19 @@ def test_without_a_ridge_there_is_no_thread():
     assert not at_full_size(image, image[::2, ::2], np.zeros((27, 48), bool), np.ones((27, 48), np.float32), True).any()
 
 
+@pytest.mark.parametrize("streak", [(200, 120, 200), (90, 110, 160)], ids=["thread's", "ground's"])
+def test_a_streak_of_light_along_a_dark_thread_is_thread_and_a_streak_of_ground_is_not(streak):
+    background = np.full((270, 480, 3), (90, 110, 160), np.uint8)
+    image = np.full((540, 960, 3), (90, 110, 160), np.uint8)
+    # blue first: a violet thread, and in its middle something as bright as the ground
+    cv2.line(image, (100, 270), (800, 270), (80, 30, 70), 7)
+    cv2.line(image, (100, 270), (800, 270), streak, 1)
+    reduced = cv2.resize(image, (480, 270), interpolation=cv2.INTER_AREA)
+    contrast = np.maximum(background.astype(np.float32) - reduced, 0).mean(axis=2)
+    thread = at_full_size(image, background, contrast > 30, contrast, is_bright=False)
+    assert (thread[268:273, 150:750] == 255).all() == (streak[0] > 90)
+
+
 def pieces(*lengths):
     coverage = np.zeros((20 * len(lengths), 300), np.uint8)
     for k, length in enumerate(lengths):
