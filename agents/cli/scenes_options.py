@@ -30,8 +30,8 @@ class Scenes:
     """What it lies on: raw flesh, or a print of it."""
     extras: Annotated[tuple[Extra, ...], tyro.conf.arg(name="with")] = ()
     """What else is in view, or wrong with it."""
-    colour: Literal["violet", "blue", "green", "black", "undyed"] | None = None
-    """Of the thread; drawn by the seed if not given."""
+    colour: Literal["violet", "blue", "green", "black", "undyed", "red"] | None = None
+    """Of the thread; drawn by the seed if not given, and then never red."""
     count: int = 1
     """How many of each configuration on each background, with seeds that follow one another."""
     seed: int = 1

@@ -14,7 +14,7 @@ from shared.scene.path_traced.pinned import pinned_strand
 from shared.scene.path_traced.placing import NEAR_TIPS_MM, bystanders, needle_on, occluders, with_ending
 from shared.scene.path_traced.splines import sampled
 from shared.scene.path_traced.stains import stained
-from shared.scene.path_traced.strands import DYES, drawn_strand, laid_over
+from shared.scene.path_traced.strands import DYES, USUAL_DYES, drawn_strand, laid_over
 from shared.scene.render import SceneError
 from shared.scene.thread_shapes import ShapeError
 
@@ -160,7 +160,7 @@ def _laid(field: Field, config: str, rng: np.random.Generator, dye: str | None, 
     for _ in range(count):
         # 3 to 7 px across at 960 wide, and where it is not for training, what sutures of 3-0 to 5-0 have
         radius = float(rng.uniform(0.14, 0.33) if wide else rng.uniform(0.15, 0.25))
-        of_dye = dye or str(rng.choice(list(DYES)))
+        of_dye = dye or str(rng.choice(USUAL_DYES))
         shape = str(rng.choice(choices))
         if shape == "rod":
             share = float(rng.choice((1.0, 0.55))) if wide else 1.0

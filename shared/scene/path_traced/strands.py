@@ -19,8 +19,11 @@ DYES = {
     "green": (0.020, 0.085, 0.040),
     "black": (0.012, 0.012, 0.014),
     "undyed": (0.72, 0.69, 0.61),
+    "red": (0.330, 0.022, 0.024),
 }
 """Linear reflectance of the yarn, red first."""
+USUAL_DYES = tuple(dye for dye in DYES if dye != "red")
+"""One of these is drawn by a seed; red thread, which only its edges and its sheen tell from a vessel, is asked for."""
 
 GAP_MM = 0.05
 FINE = 1200
