@@ -118,7 +118,8 @@ def hidden(scene: Scene, again: int) -> Scene:
 
 def _kind(path: Path) -> str:
     about = json.loads(path.read_text())
-    if about["crossings_left"]:
+    # renders of `suturegrasp scenes render` do not count their crossings
+    if about.get("crossings_left", about["config"] == "crossing"):
         return CROSSING
     return OCCLUSION if about["config"] == "occlusion" else CLEAR
 
