@@ -35,7 +35,6 @@ from schemas.messages import (
 )
 from schemas.messages.grasping import check_pose
 from schemas.topics import ARM, EXECUTION, HEARTBEAT, HOLD, PLAN, REPLAY_CLOCK, ROBOT_STATE
-from shared.kinematics.psm import forward
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
 from shared.runtime.agent import Command, Input, Output, Received, Tick
 from shared.runtime.settable import Between, settable
@@ -111,7 +110,7 @@ class RobotBridge:
         clock = () if backend.accepts_replayed_time else (Input(REPLAY_CLOCK, only_newest_counts=True),)
         self.inputs = (Input(PLAN), Input(HEARTBEAT, config.arm), *clock)
         self.config, self._backend = config, backend
-        self._setup = Setup(backend.psm, config.T_camera_base, config.limits, 1 / config.tick_hz)
+        self._setup = Setup(backend.kinematics, config.T_camera_base, config.limits, 1 / config.tick_hz)
         self._plans: dict[str, GraspPlan] = {}
         self._unusable: dict[str, Refusal] = {}
         self._now_ns: int | None = None
@@ -318,7 +317,7 @@ class RobotBridge:
             would = f"the motion of {planned.duration_s:.1f} s passes every check, and nothing was sent"
             return Refusal(Code.DRY_RUN, f"{would}: this is a dry run (dry_run of the arm's configuration)")
         patience = Patience(self.config.first_heartbeat_s, self.config.dead_man_s)
-        return Execution(message, planned, self._now_ns, patience, self._backend.psm)
+        return Execution(message, planned, self._now_ns, patience, self._backend.kinematics)
 
     def _wrong_arm(self, command: Command, arm: str) -> Refusal | None:
         named = next((name for name in (arm, command.instance) if name != self.config.arm), None)
@@ -351,7 +350,7 @@ class RobotBridge:
     def _tool_pose(self, arm: ArmState) -> Float64[np.ndarray, "4 4"]:
         """The pose of the tool, computed anew where the joints are others than the last time."""
         if self._tool is None or not np.array_equal(self._tool[0], arm.joints):
-            self._tool = arm.joints.copy(), forward(arm.joints, self._backend.psm)
+            self._tool = arm.joints.copy(), self._backend.kinematics.forward(arm.joints)
         return self._tool[1]
 
     def _mode(self, arm: ArmState) -> RobotMode:

@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import Float64
 
-from shared.kinematics.psm import Psm
+from shared.kinematics.arm import ArmKinematics
 
 
 class Readiness(enum.Enum):
@@ -38,13 +38,13 @@ class Backend(Protocol):
     """An arm. Its methods return at once, and what cannot be had shows in the state, not as an exception.
 
     Fields:
-        psm: the arm's kinematics and limits.
+        kinematics: the arm's geometry and limits.
         accepts_replayed_time: whether the arm may live in the time of a recording that is replayed, as a simulated one
             may; an arm that is real may not, and does not move meanwhile.
         dry_run: nothing is sent, so that arming ends with what would be.
     """
 
-    psm: Psm
+    kinematics: ArmKinematics
     accepts_replayed_time: bool = False
     dry_run: bool = False
 

@@ -10,7 +10,7 @@ from agents.robot_bridge.motion import Trajectory
 from agents.robot_bridge.path import angles_between
 from agents.robot_bridge.refusals import Code, Refusal
 from schemas.messages import Arm, Phase
-from shared.kinematics.psm import Psm, forward
+from shared.kinematics.arm import ArmKinematics
 
 LONGEST_STEP_PERIODS = 2
 """After a late tick the motion goes on where it was, and does not make up for lost time."""
@@ -47,11 +47,13 @@ class Execution:
         moving: a heartbeat has come, so that set points follow.
     """
 
-    def __init__(self, armed: Arm, trajectory: Trajectory, armed_ns: int, patience: Patience, psm: Psm) -> None:
+    def __init__(
+        self, armed: Arm, trajectory: Trajectory, armed_ns: int, patience: Patience, kinematics: ArmKinematics
+    ) -> None:
         """Arm a plan; nothing moves before the first heartbeat."""
         self.plan_id, self.arming_id = armed.plan_id, armed.header.id
         self.moving = False
-        self._trajectory, self._patience, self._psm = trajectory, patience, psm
+        self._trajectory, self._patience, self._kinematics = trajectory, patience, kinematics
         self._alive_ns, self._beat_at_ns = armed_ns, None
         self._off_s: float | None = None
         self._progress_s: float | None = None
@@ -120,6 +122,6 @@ class Execution:
         return stops[min(self._stop, len(stops) - 1)].sample * self._trajectory.period_s
 
     def _near(self, arm: ArmState, joints: Float64[np.ndarray, "6"], metres: float, radians: float) -> bool:
-        T = forward(np.stack((arm.joints, joints)), self._psm)
+        T = self._kinematics.forward(np.stack((arm.joints, joints)))
         distance = np.linalg.norm(T[0, :3, 3] - T[1, :3, 3])
         return bool(distance <= metres and angles_between(T[:1, :3, :3], T[1:, :3, :3])[0] <= radians)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float64
 
-from shared.kinematics.psm import Psm
+from shared.kinematics.arm import ArmKinematics
 
 MAXIMUM_PLAN_AGE_S = 30.0
 """Since the frame that a plan was made from was captured, unless a rig says otherwise: docs/decisions/0011."""
@@ -21,19 +21,29 @@ class MotionLimits:
     """What a motion must keep to. SI units.
 
     Fields:
+        rounding_s: over how long a bend is rounded, at full speed (path.py).
         contact_share: the share of full speed while there may be thread between the fingers.
         joint_share: the share of the joints' greatest speeds, so that an arm has some left to catch up with.
+        dexterity: the least that an arm's kinematics may tell of a pose, 0 being a singular one.
+        press_m: how far behind the tissue's measured surface a finger may come, beyond what is uncertain of it.
         workspace_camera: the lower and the upper corner of the box that the pin of the jaw must stay in.
         maximum_duration_s: of one plan.
     """
 
     speed: float = 0.05
     acceleration: float = 0.2
+    jerk: float = 4.0
     angular_speed: float = 1.5
     angular_acceleration: float = 6.0
+    angular_jerk: float = 120.0
     jaw_speed: float = 2.0
+    jaw_acceleration: float = 16.0
+    jaw_jerk: float = 320.0
+    rounding_s: float = 0.1
     contact_share: float = 0.4
     joint_share: float = 0.8
+    dexterity: float = 0.2
+    press_m: float = 0.004
     workspace_camera: Float64[np.ndarray, "2 3"] = field(default_factory=_before_the_camera)
     maximum_duration_s: float = 120.0
 
@@ -43,9 +53,14 @@ class MotionLimits:
             self,
             speed=self.speed * share,
             acceleration=self.acceleration * share**2,
+            jerk=self.jerk * share**3,
             angular_speed=self.angular_speed * share,
             angular_acceleration=self.angular_acceleration * share**2,
+            angular_jerk=self.angular_jerk * share**3,
             jaw_speed=self.jaw_speed * share,
+            jaw_acceleration=self.jaw_acceleration * share**2,
+            jaw_jerk=self.jaw_jerk * share**3,
+            rounding_s=self.rounding_s / share,
             joint_share=self.joint_share * share,
             maximum_duration_s=self.maximum_duration_s / share,
         )
@@ -55,7 +70,7 @@ class MotionLimits:
 class Setup:
     """An arm, where its base is, what it must keep to, and the time between two of its set points."""
 
-    psm: Psm
+    kinematics: ArmKinematics
     T_camera_base: Float64[np.ndarray, "4 4"]
     limits: MotionLimits
     period_s: float

@@ -1,9 +1,13 @@
 """From a plan's waypoints to the joints of every tick, all of them checked before the first is sent.
 
 The way is cut into legs, between which the arm rests: from where the arm is to the first waypoint, then one leg for
-each phase. What comes out above a limit of speed in any sample of a leg slows down the whole leg.
+each phase. What comes out above a limit of speed, acceleration or jerk in any sample of a leg slows down the whole leg.
+
+The jaws are the same after half a turn about the fingers, so both ways round are tried, always with all waypoints
+alike: first the one to which the tool turns the less, and the other where that is refused.
 """
 
+import dataclasses
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,10 +17,9 @@ from jaxtyping import Float64
 
 from agents.robot_bridge.checks import excess_speed, joints_of, start_refusal, waypoint_refusal
 from agents.robot_bridge.limits import Setup
-from agents.robot_bridge.path import Poses, smooth_path
+from agents.robot_bridge.path import Poses, angles_between, smooth_path
 from agents.robot_bridge.refusals import Code, Refusal
 from schemas.messages import Phase, Waypoint
-from shared.kinematics.psm import ROLL, forward
 from shared.rigid_transforms import inverse
 
 MAXIMUM_WAYPOINTS = 1000
@@ -24,6 +27,7 @@ _CONTACT = (Phase.CAPTURE, Phase.SLIDE, Phase.GRASP)
 _LEAST_SLOWING = 1.02
 """Slowing a leg moves its samples, so that the factor that was too fast before may not quite do."""
 _ROUNDING = 1e-9
+_HALF_TURN = np.diag((-1.0, -1.0, 1.0, 1.0))
 
 
 @dataclass(frozen=True)
@@ -36,12 +40,17 @@ class Stop:
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """The joints and the jaw of every tick; the first are where the arm was, the last are those of the last stop."""
+    """The joints and the jaw of every tick; the first are where the arm was, the last are those of the last stop.
+
+    Fields:
+        turned: the jaws are half a turn about the fingers from where the waypoints have them.
+    """
 
     period_s: float
     joints: Float64[np.ndarray, "n 6"]
     jaw_rad: Float64[np.ndarray, "n"]
     stops: tuple[Stop, ...]
+    turned: bool = False
 
     @property
     def duration_s(self) -> float:
@@ -76,11 +85,43 @@ def plan_motion(
         return Refusal(Code.TOO_LONG, f"the plan has {len(waypoints)} waypoints, where {possible}")
     T_camera_tool = np.stack([waypoint.T_camera_tool for waypoint in waypoints])
     jaw = np.array([waypoint.jaw_rad for waypoint in waypoints])
-    if refusal := waypoint_refusal(T_camera_tool, jaw, setup) or start_refusal(joints, setup.psm):
+    phases = [waypoint.phase for waypoint in waypoints]
+    if refusal := start_refusal(joints, setup.kinematics):
         return refusal
-    T_base_tool = np.concatenate((forward(joints, setup.psm)[None], inverse(setup.T_camera_base) @ T_camera_tool))
-    legs = _legs(Poses(T_base_tool, np.append(jaw_rad, jaw)), [waypoint.phase for waypoint in waypoints])
-    return _follow(legs, joints, jaw_rad, setup)
+    turns = sorted((False, True), key=lambda turned: _first_turn(T_camera_tool, turned, joints, setup))
+    refusals: dict[bool, Refusal] = {}
+    for turned in turns:
+        planned = _plan(T_camera_tool @ _HALF_TURN if turned else T_camera_tool, jaw, phases, joints, jaw_rad, setup)
+        if isinstance(planned, Trajectory):
+            return dataclasses.replace(planned, turned=turned)
+        refusals[turned] = planned
+    return refusals[False]
+
+
+def _first_turn(
+    T_camera_tool: Float64[np.ndarray, "n 4 4"], turned: bool, joints: Float64[np.ndarray, "6"], setup: Setup
+) -> float:
+    """How far the tool turns on its way to the first waypoint."""
+    T_camera_here = setup.T_camera_base @ setup.kinematics.forward(joints)
+    first = T_camera_tool[:1] @ _HALF_TURN if turned else T_camera_tool[:1]
+    if not np.isfinite(first).all():
+        return 0.0
+    return float(angles_between(T_camera_here[None, :3, :3], first[:, :3, :3])[0])
+
+
+def _plan(
+    T_camera_tool: Float64[np.ndarray, "n 4 4"],
+    jaw: Float64[np.ndarray, "n"],
+    phases: Sequence[Phase],
+    joints: Float64[np.ndarray, "6"],
+    jaw_rad: float,
+    setup: Setup,
+) -> Trajectory | Refusal:
+    if refusal := waypoint_refusal(T_camera_tool, jaw, setup):
+        return refusal
+    here = setup.kinematics.forward(joints)[None]
+    T_base_tool = np.concatenate((here, inverse(setup.T_camera_base) @ T_camera_tool))
+    return _follow(_legs(Poses(T_base_tool, np.append(jaw_rad, jaw)), phases), joints, jaw_rad, setup)
 
 
 def _legs(poses: Poses, phases: Sequence[Phase]) -> list[_Leg]:
@@ -104,7 +145,7 @@ def _follow(
     last = 0
     for leg in legs:
         left_s = setup.limits.maximum_duration_s - last * setup.period_s
-        samples = _sample(leg, float(all_joints[-1][-1, ROLL]), left_s, setup)
+        samples = _sample(leg, all_joints[-1][-1], left_s, setup)
         if isinstance(samples, Refusal):
             return samples
         if samples is not None:
@@ -116,7 +157,7 @@ def _follow(
 
 
 def _sample(
-    leg: _Leg, roll_before: float, left_s: float, setup: Setup
+    leg: _Leg, before: Float64[np.ndarray, "6"], left_s: float, setup: Setup
 ) -> tuple[Float64[np.ndarray, "n 6"], Float64[np.ndarray, "n"]] | Refusal | None:
     """Joints and jaw of every tick after the leg's start; None where it leads nowhere."""
     share = setup.limits.contact_share if leg.phase in _CONTACT else 1.0
@@ -125,7 +166,7 @@ def _sample(
         return None
     while path.duration_s * slowing <= left_s:
         poses = path.sample(setup.period_s, slowing)
-        joints = joints_of(poses.T_base_tool, roll_before, f"on the way to the end of {leg.phase.name}", setup)
+        joints = joints_of(poses, before, f"on the way to the end of {leg.phase.name}", setup)
         if isinstance(joints, Refusal):
             return joints
         excess = excess_speed(poses, joints, share, setup)

@@ -20,6 +20,8 @@ class Code(enum.StrEnum):
     WORKSPACE = "workspace"
     UNREACHABLE = "unreachable"
     REMOTE_CENTRE = "remote_centre"
+    SINGULAR = "singular"
+    WRIST_FLIP = "wrist_flip"
     JAW_LIMIT = "jaw_limit"
     TOO_LONG = "too_long"
     HEARTBEAT_LOST = "heartbeat_lost"

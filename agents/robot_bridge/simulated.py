@@ -4,7 +4,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.robot_bridge.backend import ArmState
-from shared.kinematics.psm import LARGE_NEEDLE_DRIVER, Psm
+from shared.kinematics.arm import ArmKinematics
+from shared.kinematics.psm import LARGE_NEEDLE_DRIVER
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
 
 __all__ = ["SIMULATED_START", "SIMULATED_T_CAMERA_BASE", "SimulatedPsm"]
@@ -29,12 +30,15 @@ class SimulatedPsm:
     dry_run = False
 
     def __init__(
-        self, joints: tuple[float, ...] = SIMULATED_START, jaw_rad: float = 0.0, psm: Psm = LARGE_NEEDLE_DRIVER
+        self,
+        joints: tuple[float, ...] = SIMULATED_START,
+        jaw_rad: float = 0.0,
+        kinematics: ArmKinematics = LARGE_NEEDLE_DRIVER,
     ) -> None:
         """Stand at these joints."""
-        self.psm = psm
-        self._limits = np.vstack((psm.limits, psm.jaw_limit))
-        self._max_speeds = np.append(psm.max_speeds, psm.jaw_max_speed)
+        self.kinematics = kinematics
+        self._limits = np.vstack((kinematics.limits, kinematics.jaw_limit))
+        self._max_speeds = np.append(kinematics.max_speeds, kinematics.jaw_max_speed)
         self._position = np.append(np.array(joints), jaw_rad)
         self._set_point = self._position
         self._now_ns: int | None = None

@@ -21,7 +21,6 @@ taken so deep into its trocar that c comes near the origin.
 Source of the numbers: jhu-dvrk/sawIntuitiveResearchKit, PSM Classic with Large Needle Driver 400006.
 """
 
-import enum
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -29,6 +28,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from shared.kinematics.arm import Problem, Solution
 from shared.rigid_transforms import orthonormality_error, transform
 
 YAW, PITCH, INSERTION, ROLL, WRIST_PITCH, WRIST_YAW = range(6)
@@ -40,22 +40,6 @@ FINGER_M = 0.0102
 _ROTATION_TOLERANCE = 1e-6
 _LIMIT_TOLERANCE = 1e-9
 """Rounding of the inverse at a limit does not make a pose unreachable."""
-
-
-class Problem(enum.IntEnum):
-    """Why a pose, or a set of joints, is not for this arm. Every value above NONE is a fault."""
-
-    NONE = 0
-    NOT_FINITE = 1
-    NO_ROTATION = 2
-    WRIST_FOLDED = 3
-    REMOTE_CENTRE = 4
-    YAW = 5
-    PITCH = 6
-    INSERTION = 7
-    ROLL = 8
-    WRIST_PITCH = 9
-    WRIST_YAW = 10
 
 
 class Link(NamedTuple):
@@ -103,6 +87,36 @@ class Psm:
         """From the remote centre to the shaft's end at insertion 0; negative where the end is then outside."""
         return self.links[INSERTION].d + self.links[ROLL].d
 
+    def forward(self, joints: Float64[np.ndarray, "*batch 6"]) -> Float64[np.ndarray, "*batch 4 4"]:
+        """`T_base_tool`, where these joints bring the tool."""
+        return forward(joints, self)
+
+    def reach(self, T_base_tool: Float64[np.ndarray, "*batch 4 4"]) -> Solution:
+        """The joints that bring the tool to each pose, the roll within ±π."""
+        return inverse(T_base_tool, self)
+
+    def follow(self, T_base_tool: Float64[np.ndarray, "n 4 4"], before: Float64[np.ndarray, "6"]) -> Solution:
+        """The joints along a way: there is one set for each pose but for whole turns of the roll, which goes on."""
+        joints, problem = inverse(T_base_tool, self)
+        if not problem.any():
+            joints[:, ROLL] = np.unwrap(np.append(before[ROLL], joints[:, ROLL]))[1:]
+            problem = joint_problem(joints, self)
+        return Solution(joints, problem)
+
+    def problems(self, joints: Float64[np.ndarray, "*batch 6"]) -> Int64[np.ndarray, "*batch"]:
+        """The first Problem of each set of joints."""
+        return joint_problem(joints, self)
+
+    def explain(self, problem: Problem, joints: Float64[np.ndarray, "6"]) -> str:
+        """A problem of these joints in a sentence."""
+        return describe(problem, joints, self)
+
+    def dexterity(self, joints: Float64[np.ndarray, "*batch 6"]) -> Float64[np.ndarray, "*batch"]:
+        """0 where the wrist is bent at a right angle, so that its yaw turns about the shaft as the roll does, or where
+        the shaft lies along the yaw axis; the determinant of the Jacobian but for the depth and its sign.
+        """
+        return np.cos(joints[..., PITCH]) * np.cos(joints[..., WRIST_PITCH])
+
 
 _QUARTER = math.pi / 2
 _THREE_TURNS = 6 * math.pi
@@ -122,13 +136,6 @@ LARGE_NEEDLE_DRIVER = Psm(
     shaft_clearance=0.045,
 )
 """PSM Classic with the Large Needle Driver 400006."""
-
-
-class Solution(NamedTuple):
-    """Joints that bring the tool to a pose, and the Problem that forbids them; NaN where there are none at all."""
-
-    joints: Float64[np.ndarray, "*batch 6"]
-    problem: Int64[np.ndarray, "*batch"]
 
 
 def forward(

@@ -13,7 +13,8 @@ from jaxtyping import Float64
 from agents.robot_bridge.backend import ArmState, Readiness
 from agents.robot_bridge.dvrk.readings import KINDS, NOTHING, Readings
 from shared.clock import now_ns as clock_ns
-from shared.kinematics.psm import LARGE_NEEDLE_DRIVER, Psm
+from shared.kinematics.arm import ArmKinematics
+from shared.kinematics.psm import LARGE_NEEDLE_DRIVER
 from shared.ros import crtk
 from shared.ros.link import Heard, RosLink, Said
 from shared.ros.naming import ALIVE, GUARD_NODE, GUARDED, Naming
@@ -47,15 +48,15 @@ class DvrkPsm:
         tool: str,
         dry_run: bool,
         through_guard: bool = False,
-        psm: Psm = LARGE_NEEDLE_DRIVER,
+        kinematics: ArmKinematics = LARGE_NEEDLE_DRIVER,
     ) -> None:
         """The arm of that name on the console that is reached so; `tool` as Readings has it.
 
         `through_guard`: set points go to the guard on the robot's computer, which passes on what is fresh.
         """
-        self.psm, self.dry_run, self._name = psm, dry_run, name
+        self.kinematics, self.dry_run, self._name = kinematics, dry_run, name
         self._to, self._tells_guard = (f"{GUARDED}/{name}" if through_guard else name), through_guard and not dry_run
-        self._readings = readings = Readings(name, tool, psm)
+        self._readings = readings = Readings(name, tool, kinematics)
         self._commanded_ns, self._replayed = 0, False
         heard = (
             *(self._measurement(kind) for kind in KINDS),

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.robot_bridge.backend import Readiness
-from shared.kinematics.psm import Psm, forward
+from shared.kinematics.arm import ArmKinematics
 from shared.rigid_transforms import log_so3
 from shared.ros import crtk
 from shared.ros.far_clock import FarClock
@@ -62,9 +62,9 @@ NOTHING = Measured(0, np.full(6, np.nan), float("nan"))
 class Readings:
     """Takes what comes from other threads; `measured` and `judge` are for the bridge's own."""
 
-    def __init__(self, arm: str, tool: str, psm: Psm) -> None:
+    def __init__(self, arm: str, tool: str, kinematics: ArmKinematics) -> None:
         """An arm by its console's name, and the type of tool whose kinematics are used; empty for any."""
-        self._arm, self._tool, self._psm = arm, tool, psm
+        self._arm, self._tool, self._kinematics = arm, tool, kinematics
         self._lock, self._said = threading.Lock(), _Said()
         self._clocks = {kind: FarClock() for kind in KINDS}
         self._stamps = dict.fromkeys(KINDS, 0)
@@ -152,7 +152,7 @@ class Readings:
         at_ns, T = self._newest.get("local/measured_cp", (0, np.eye(4)))
         if now_ns - at_ns > POSE_AGE_NS:
             return Readiness.FAULT, "its local/measured_cp does not come, by which the kinematics are checked"
-        ours = forward(measured.joints, self._psm)
+        ours = self._kinematics.forward(measured.joints)
         apart_m = float(np.linalg.norm(T[:3, 3] - ours[:3, 3]))
         apart_rad = float(np.linalg.norm(log_so3(T[:3, :3].T @ ours[:3, :3])))
         if apart_m > SAME_M or apart_rad > SAME_RAD:

@@ -15,7 +15,7 @@ from agents.robot_bridge.simulated import SIMULATED_START
 from schemas.messages import Phase, Waypoint
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER, forward, joint_problem
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
-from shared.rigid_transforms import exp_so3, inverse, log_so3, transform
+from shared.rigid_transforms import exp_so3, log_so3, transform
 
 START = np.array(SIMULATED_START)
 LIMITS = MotionLimits()
@@ -55,8 +55,23 @@ def refusal(waypoints: tuple[Waypoint, ...], setup: Setup = SETUP, joints: np.nd
     return planned
 
 
+HALF_TURN = np.diag((-1.0, -1.0, 1.0, 1.0))
+
+
 def camera_poses(trajectory: Trajectory) -> np.ndarray:
-    return SIMULATED_T_CAMERA_BASE @ forward(trajectory.joints)
+    """As the waypoints have them: jaws are the same after half a turn about their fingers."""
+    poses = SIMULATED_T_CAMERA_BASE @ forward(trajectory.joints)
+    return poses @ HALF_TURN if trajectory.turned else poses
+
+
+def changes(rows: np.ndarray, period_s: float) -> list[np.ndarray]:
+    """Sizes of the first three derivatives of rows, from rest to rest."""
+    found, derivative = list[np.ndarray](), rows
+    rest = np.zeros((1, rows.shape[1]))
+    for ends in ((), (rest,), (rest,)):
+        derivative = np.diff(np.concatenate((*ends, derivative, *ends)), axis=0) / period_s
+        found.append(np.linalg.norm(derivative, axis=1))
+    return found
 
 
 def test_the_motion_begins_where_the_arm_is_and_passes_every_waypoint() -> None:
@@ -82,21 +97,75 @@ def test_every_phase_ends_at_its_last_waypoint_in_order() -> None:
         assert trajectory.jaw_rad[sample] == pytest.approx(last[phase].jaw_rad)
 
 
-def test_speeds_and_accelerations_keep_to_their_limits_and_contact_is_slower() -> None:
-    trajectory = motion(grasp())
-    poses, period = camera_poses(trajectory), SETUP.period_s
-    velocity = np.diff(poses[:, :3, 3], axis=0) / period
-    speed = np.linalg.norm(velocity, axis=1)
-    turning = np.linalg.norm(log_so3(np.swapaxes(poses[:-1, :3, :3], 1, 2) @ poses[1:, :3, :3]), axis=1) / period
-    joint_speeds = np.abs(np.diff(trajectory.joints, axis=0)) / period
-    assert speed.max() <= LIMITS.speed * (1 + 1e-6)
-    assert speed.max() > 0.8 * LIMITS.speed
-    assert np.linalg.norm(np.diff(velocity, axis=0), axis=1).max() / period <= LIMITS.acceleration * (1 + 1e-6)
-    assert turning.max() <= LIMITS.angular_speed * (1 + 1e-6)
+@pytest.mark.parametrize("period_s", [0.01, 0.005])
+def test_speeds_accelerations_and_jerks_keep_to_their_limits_and_contact_is_slower(period_s: float) -> None:
+    trajectory = motion(grasp(), dataclasses.replace(SETUP, period_s=period_s))
+    poses = camera_poses(trajectory)
+    speed, acceleration, jerk = changes(poses[:, :3, 3], period_s)
+    assert 0.8 * LIMITS.speed < speed.max() <= LIMITS.speed * (1 + 1e-6)
+    assert acceleration.max() <= LIMITS.acceleration * (1 + 1e-6)
+    assert 0.3 * LIMITS.jerk < jerk.max() <= LIMITS.jerk * (1 + 1e-6)
+    R = poses[:, :3, :3]
+    turning = np.einsum("nij,nj->ni", R[:-1], log_so3(np.swapaxes(R[:-1], 1, 2) @ R[1:])) / period_s
+    turned = np.concatenate((np.zeros((1, 3)), np.cumsum(turning, axis=0) * period_s))
+    for found, limit in zip(
+        changes(turned, period_s),
+        (LIMITS.angular_speed, LIMITS.angular_acceleration, LIMITS.angular_jerk),
+        strict=True,
+    ):
+        assert found.max() <= limit * (1 + 1e-6)
+    for found, limit in zip(
+        changes(trajectory.jaw_rad[:, None], period_s),
+        (LIMITS.jaw_speed, LIMITS.jaw_acceleration, LIMITS.jaw_jerk),
+        strict=True,
+    ):
+        assert found.max() <= limit * (1 + 1e-6)
+    joint_speeds = np.abs(np.diff(trajectory.joints, axis=0)) / period_s
     assert (joint_speeds <= 0.8 * LARGE_NEEDLE_DRIVER.max_speeds + 1e-6).all()
-    assert np.abs(np.diff(trajectory.jaw_rad)).max() / period <= LIMITS.jaw_speed * (1 + 1e-6)
     approach, _, slide, *_ = [stop.sample for stop in trajectory.stops if stop.phase]
     assert speed[approach:slide].max() <= LIMITS.contact_share * LIMITS.speed * (1 + 1e-6)
+
+
+def test_the_jaws_go_the_shorter_way_round_and_the_other_one_where_that_is_refused() -> None:
+    here = SIMULATED_T_CAMERA_BASE @ forward(START)
+    lift = pose(0, 0, 0)
+    lift[2, 3] = -0.005
+    near, far = lift @ here, lift @ here @ HALF_TURN
+    for target, turned in ((near, False), (far, True)):
+        trajectory = motion((waypoint(target), waypoint(pose(3, 0, 0) @ target)))
+        assert trajectory.turned is turned
+        assert np.ptp(trajectory.joints[:, 3]) < 0.3, "a wrist that had nothing to turn for stays as it is"
+        np.testing.assert_allclose(camera_poses(trajectory)[-1], pose(3, 0, 0) @ target, atol=1e-9)
+    # a roll near its end cannot go on the shorter way
+    wound = START.copy()
+    wound[3] = 4.4
+    target = SIMULATED_T_CAMERA_BASE @ forward(wound + np.array((0, 0, 0.01, 0.4, 0, 0)))
+    planned = plan_motion((waypoint(target),), wound, 0.0, SETUP)
+    assert isinstance(planned, Trajectory), planned
+    assert planned.turned
+    assert (joint_problem(planned.joints) == 0).all()
+    np.testing.assert_allclose(camera_poses(planned)[-1], target, atol=1e-9)
+
+
+def test_no_joint_jumps_along_a_slide() -> None:
+    trajectory = motion(grasp())
+    _, capture, slide, *_ = [stop.sample for stop in trajectory.stops if stop.phase]
+    steps = np.abs(np.diff(trajectory.joints[capture : slide + 1], axis=0))
+    assert steps.max() < 0.05
+    assert np.ptp(trajectory.joints[capture : slide + 1, 3]) < 1.0
+
+
+def test_a_way_near_a_singular_pose_is_refused() -> None:
+    bent = np.array((0.1, 0.0, 0.13, 0.0, 1.385, 0.0))
+    roomy = MotionLimits(workspace_camera=np.array(((-1.0, -1, -1), (1, 1, 1))))
+    setup = dataclasses.replace(SETUP, limits=roomy)
+    target = waypoint(SIMULATED_T_CAMERA_BASE @ forward(bent))
+    assert waypoint_refusal(target.T_camera_tool[None], np.zeros(1), setup) is None
+    refused = refusal((target,), setup)
+    assert (refused.code, "dexterity" in refused.sentence) == (Code.SINGULAR, True)
+    # who is there already may leave
+    left = plan_motion((waypoint(SIMULATED_T_CAMERA_BASE @ forward(bent * (1, 1, 1, 1, 0.9, 1))),), bent, 0.0, setup)
+    assert isinstance(left, Trajectory), left
 
 
 def test_the_arm_rests_at_every_stop() -> None:
@@ -109,9 +178,9 @@ def test_the_arm_rests_at_every_stop() -> None:
 
 def test_a_joint_that_would_be_too_fast_slows_the_leg_down() -> None:
     links = tuple(link._replace(max_speed=link.max_speed / 50) for link in LARGE_NEEDLE_DRIVER.links)
-    slow = dataclasses.replace(SETUP, psm=dataclasses.replace(LARGE_NEEDLE_DRIVER, links=links))
+    slow = dataclasses.replace(SETUP, kinematics=dataclasses.replace(LARGE_NEEDLE_DRIVER, links=links))
     trajectory = motion(grasp(), slow)
-    shares = np.abs(np.diff(trajectory.joints, axis=0)) / SETUP.period_s / slow.psm.max_speeds
+    shares = np.abs(np.diff(trajectory.joints, axis=0)) / SETUP.period_s / slow.kinematics.max_speeds
     assert 0.7 < shares.max() <= 0.8 + 1e-6
     assert len(trajectory.joints) > 1.5 * len(motion(grasp()).joints)
 
@@ -158,8 +227,8 @@ def test_a_path_stays_between_neighbouring_waypoints_and_ends_at_the_last(
     samples = path.sample(0.01)
     np.testing.assert_allclose(samples.T_base_tool[[0, -1]], T[[0, -1]], atol=1e-7)
     inside = np.all(
-        (samples.T_base_tool[:, None, :3, 3] >= np.minimum(T[:-1], T[1:])[:, :3, 3] - 1e-9)
-        & (samples.T_base_tool[:, None, :3, 3] <= np.maximum(T[:-1], T[1:])[:, :3, 3] + 1e-9),
+        (samples.T_base_tool[:, None, :3, 3] >= np.minimum(T[:-1], T[1:])[:, :3, 3] - 5e-4)
+        & (samples.T_base_tool[:, None, :3, 3] <= np.maximum(T[:-1], T[1:])[:, :3, 3] + 5e-4),
         axis=2,
     )
     assert inside.any(axis=1).all()
@@ -213,7 +282,7 @@ def test_a_way_that_leaves_the_workspace_between_good_waypoints_is_refused() -> 
 
 def test_a_way_through_poses_that_the_wrist_cannot_take_is_refused() -> None:
     tilted = [pose(0, 0, 80, (0, 0.9, 0)), pose(0, 0, 80, (0, -0.9, 0))]
-    far = [SIMULATED_T_CAMERA_BASE @ forward(START + np.array((0, 0, 0, roll, 0, 0))) for roll in (1.5, 3.0, 4.4, 4.6)]
+    far = [SIMULATED_T_CAMERA_BASE @ forward(START + np.array((0, 0, 0, roll, 0, 0))) for roll in (1, 3, 5, 7, 8.5)]
     assert plan_motion([waypoint(T) for T in tilted], START, 0.0, SETUP).__class__ is Trajectory
     refused = refusal(tuple(waypoint(T) for T in far))
     assert refused.code is Code.UNREACHABLE
@@ -254,7 +323,7 @@ def test_any_waypoint_gives_a_motion_within_all_limits_or_a_reason(
         return
     assert (joint_problem(planned.joints) == 0).all()
     assert (np.abs(np.diff(planned.joints, axis=0)) <= LARGE_NEEDLE_DRIVER.max_speeds * SETUP.period_s).all()
-    np.testing.assert_allclose(forward(planned.joints[-1]), inverse(SIMULATED_T_CAMERA_BASE) @ T, atol=1e-9)
+    np.testing.assert_allclose(camera_poses(planned)[-1], T, atol=1e-9)
 
 
 @pytest.mark.parametrize("share", [0.5, 0.1])

@@ -42,7 +42,19 @@ HZ = 200.0
 PATIENT_S = 1.0
 """A test machine may stall; how soon silence ends a motion is measured by benchmarks/robot.py."""
 
-BRISK = MotionLimits(0.1, 4.0, 3.0, 60.0, 6.0, contact_share=1.0)
+BRISK = MotionLimits(
+    speed=0.1,
+    acceleration=4.0,
+    jerk=400.0,
+    angular_speed=3.0,
+    angular_acceleration=60.0,
+    angular_jerk=6000.0,
+    jaw_speed=6.0,
+    jaw_acceleration=240.0,
+    jaw_jerk=24000.0,
+    rounding_s=0.02,
+    contact_share=1.0,
+)
 
 
 def waypoint(place_mm: tuple[float, float, float], jaw_rad: float, phase: Phase, roll: float = 0.3) -> Waypoint:
