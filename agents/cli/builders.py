@@ -4,12 +4,11 @@ import dataclasses
 import sys
 from pathlib import Path
 
-import numpy as np
-
 from agents.camera.agent import Camera, CameraConfig, SceneCamera
 from agents.camera.scene_source import SceneSource, calibration_of
 from agents.camera.sources import ImageSource, Pair, PipeSource, Source, SourceError
 from agents.camera.video import VideoSource
+from agents.cli.base_file import base_of
 from agents.cli.rig import ArmSection, CameraSection, PerceptionSection, PlannerSection, RigConfig, SimulatorSection
 from agents.cli.rig_hosts import run_name
 from agents.perception.agent import Perception, PerceptionConfig
@@ -24,7 +23,7 @@ from agents.simulator.agent import Simulator, SimulatorConfig
 from schemas.messages import ImageEncoding, Severity, SimulatorState, StereoCalibration
 from schemas.topics import MAIN
 from shared.calibration import CalibrationError, ReadCalibration, read_calibration
-from shared.kinematics.simulated_setup import SIMULATED_BASES
+from shared.calibration.hand_eye.file import Reference
 from shared.runtime.agent import Agent
 from shared.runtime.config import ConfigError
 from shared.runtime.session import SessionSettings
@@ -73,7 +72,10 @@ def build(rig: RigConfig, kind: str, instance: str) -> Agent:
 
 
 def _robot_bridge(rig: RigConfig, arm: str, section: ArmSection) -> RobotBridge:
-    T_camera_base = SIMULATED_BASES[arm] if section.T_camera_base is None else np.array(section.T_camera_base)
+    base = base_of(arm, section)
+    if base.reference is Reference.ECM_BASE:
+        raise ConfigError(f"robot.{arm}.T_camera_base_file tells the base from an ECM, which is not followed yet")
+    T_camera_base = base.before_camera()
     config = RobotBridgeConfig(
         arm,
         T_camera_base,

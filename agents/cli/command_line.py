@@ -8,6 +8,7 @@ from collections.abc import Generator
 
 import tyro
 
+from agents.cli.calibrate_hand_eye_options import HAND_EYE_COMMANDS, HandEye
 from agents.cli.emulate_options import EMULATE_COMMANDS, Emulate
 from agents.cli.lab_options import LAB_COMMANDS, Deploy
 from agents.cli.live_options import LIVE_COMMANDS, Demo, OnRig
@@ -15,7 +16,7 @@ from agents.cli.options import Reconstruct, UsageError
 from agents.cli.recorded_options import RECORDED_COMMANDS, OnRecording
 from agents.cli.scenes_options import SCENE_COMMANDS, Scenes
 
-Options = Reconstruct | Demo | OnRig | OnRecording | Deploy | Scenes | Emulate
+Options = Reconstruct | Demo | OnRig | OnRecording | Deploy | Scenes | Emulate | HandEye
 COMMANDS: dict[str, type[Options]] = {
     "reconstruct": Reconstruct,
     **LIVE_COMMANDS,
@@ -23,7 +24,9 @@ COMMANDS: dict[str, type[Options]] = {
     **LAB_COMMANDS,
     **SCENE_COMMANDS,
     **EMULATE_COMMANDS,
+    **HAND_EYE_COMMANDS,
 }
+IN_TWO_WORDS = {tuple(name.split("-", 1)): name for name in HAND_EYE_COMMANDS}
 
 HELP = ("-h", "--help")
 ESCAPE_SEQUENCE = re.compile(r"\x1b\[[0-9;]*m")
@@ -39,6 +42,8 @@ def parsed(arguments: list[str]) -> Options:
     Raises:
         UsageError: where the arguments are no command with its options.
     """
+    if joined := IN_TWO_WORDS.get(tuple(arguments[:2])):
+        arguments = [joined, *arguments[2:]]
     _check_command(arguments)
     said = io.StringIO()
     try:

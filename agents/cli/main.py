@@ -37,6 +37,7 @@ def _run(arguments: list[str]) -> int:
         print(f"suturegrasp {__version__}")
         return 0
     # Loading OpenCV and SciPy takes a second, during which Ctrl-C must end as quietly as later.
+    from agents.cli.calibrate_hand_eye_options import HandEye
     from agents.cli.command_line import parsed
     from agents.cli.emulate_options import Emulate
     from agents.cli.lab_options import LAB_RUNNERS, Deploy
@@ -73,6 +74,10 @@ def _run(arguments: list[str]) -> int:
         from agents.cli.emulate_command import run as emulate
 
         return emulate(options)
+    if isinstance(options, HandEye):
+        from agents.cli.calibrate_hand_eye import run as calibrate_hand_eye
+
+        return calibrate_hand_eye(options)
     from agents.cli.live import run_live
 
     return run_live(options)

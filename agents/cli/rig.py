@@ -61,7 +61,9 @@ class RigConfig(Settings):
     @field_validator("robot")
     @classmethod
     def _each_arm_has_a_place_of_its_own(cls, robot: dict[str, ArmSection]) -> dict[str, ArmSection]:
-        standing_apart({arm: section.T_camera_base for arm, section in robot.items()})
+        # what a file tells is known where the arm is, on the host of its bridge
+        told = {arm: section for arm, section in robot.items() if section.T_camera_base_file is None}
+        standing_apart({arm: section.T_camera_base for arm, section in told.items()})
         return robot
 
     @model_validator(mode="after")

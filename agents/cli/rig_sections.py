@@ -141,14 +141,21 @@ class ArmSection(Settings):
     speed_share: float = Field(default=1.0, ge=0.01, le=1)
     maximum_plan_age_s: float = Field(default=MAXIMUM_PLAN_AGE_S, gt=0)
     T_camera_base: BasePose | None = None
+    T_camera_base_file: Path | None = None
+    T_camera_base_axes: Literal["opencv", "da_vinci"] | None = None
     dvrk: DvrkSection | None = None
 
     @model_validator(mode="after")
     def _has_what_its_backend_needs(self) -> "ArmSection":
         if (self.backend == "dvrk") != (self.dvrk is not None):
             raise ValueError("backend 'dvrk' and a section dvrk with its endpoint go together")
-        if self.backend == "dvrk" and self.T_camera_base is None:
-            raise ValueError("backend 'dvrk' needs T_camera_base, which only the lab can have measured: docs/dvrk.md")
+        if self.T_camera_base is not None and self.T_camera_base_file is not None:
+            raise ValueError("T_camera_base and T_camera_base_file exclude each other; keep one")
+        if self.backend == "dvrk" and self.T_camera_base is None and self.T_camera_base_file is None:
+            raise ValueError(
+                "backend 'dvrk' needs T_camera_base or T_camera_base_file, which only the lab can have measured: "
+                "docs/hand_eye.md"
+            )
         return self
 
 
