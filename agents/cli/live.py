@@ -5,6 +5,7 @@ import threading
 import numpy as np
 
 from agents.cli.calibrate_options import Calibrate
+from agents.cli.experiment_options import Experiment
 from agents.cli.live_options import (
     AGENT_KINDS,
     ArmPlan,
@@ -69,6 +70,10 @@ def run_live(options: OnRig) -> int:
                 return goal(rig, options)
             case ArmPlan():
                 return arm(rig, options)
+            case Experiment():
+                from agents.cli.experiment_command import experiment
+
+                return experiment(rig, options)
             case HoldArm():
                 return hold_arm(rig, options.arm)
             case Guard():

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import tyro
 
 from agents.cli.calibrate_options import Calibrate
+from agents.cli.experiment_options import Experiment
 from agents.cli.on_rig import OnRig, OptionalLabel, OptionalNumber, OptionalPath
 
 
@@ -227,6 +228,7 @@ LIVE_COMMANDS = {
     "up": Up,
     "goal": Goal,
     "arm": ArmPlan,
+    "experiment": Experiment,
     "hold": HoldArm,
     "prompt": PromptThread,
     "set": SetInAgent,

@@ -26,6 +26,7 @@ from schemas.messages import (
 from schemas.topics import EXECUTION, JUDGEMENT, MAIN, PLAN, ROBOT_STATE, SIMULATOR_STATE, Topic
 from shared.rigid_transforms import apply, compose
 from shared.runtime.agent import Command, Input, Output, Received, Tick
+from shared.runtime.settable import Between, settable
 
 ENDOSCOPE = RectifiedStereo(
     image_width=960,
@@ -54,6 +55,7 @@ class SimulatorConfig:
         tool_error_mm: deviation of each axis of the error in the tool's position, which is drawn for each plan.
         grip_depth_mm: where along the fingers, from the pin, a plan puts the reconstructed goal.
         camera: in metres.
+        laid: how often the thread has been laid again as it was drawn, out of any jaw; setting it does so.
     """
 
     seed: int = 0
@@ -64,6 +66,7 @@ class SimulatorConfig:
     tool_error_mm: float = 0.3
     grip_depth_mm: float = 8.2
     camera: RectifiedStereo = ENDOSCOPE
+    laid: int = settable(0, Between(0, 1_000_000))
 
 
 @dataclass(frozen=True)
@@ -93,6 +96,7 @@ class Simulator:
         self.config = config
         in_mm = replace(config.camera, baseline=config.camera.baseline / MM, metres_per_unit=MM)
         field = field_of(in_mm, config.config, config.background, config.distance_mm, config.seed)
+        self._drawn = field
         self._world = World(field, field, {})
         self._tool_errors: dict[str, _ToolError] = {}
         self._goal_error_m: dict[str, float] = {}
@@ -100,6 +104,14 @@ class Simulator:
         self._begun: dict[str, tuple[str, Grip]] = {}
         self._finished_ns: dict[str, int] = {}
         self._now_ns = 0
+
+    def configure(self, config: SimulatorConfig) -> None:
+        """Go on with another config, in which only what may be set while the agent runs has changed."""
+        if config.laid != self.config.laid:
+            # arms are followed from where they are seen next
+            self._world = World(self._drawn, self._drawn, {})
+            self._begun.clear()
+        self.config = config
 
     def step(self, arrived: Received | Tick | Command) -> Iterable[Output | CommandAnswer]:
         """The field at each tick, and a judgement when a grasp is settled."""
