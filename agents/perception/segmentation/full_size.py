@@ -17,8 +17,10 @@ GLINT_SHARE, MOST_IN_SPECKS = 0.03, 0.25
 """Of the image's width: bright pieces up to that long are glints on wet tissue. Of the thread: if more of it lies in
 such pieces, it is a thread that shows in pieces."""
 SHINE = 1.0
-"""Pixels of the reduced image on either side of a streak of light along a dark thread: between its dark edges, what is
-as unlike the ground as they are is thread too, however bright."""
+"""Pixels of the reduced image to either side of the middle of a streak of light along a dark thread: what lies between
+its dark edges is thread too where it is as unlike the ground as they are, or they are edges of a single strand."""
+WIDENING = 2.0
+"""Of the usual width: what a strand with a streak of light may measure."""
 MEAN_OF_CHANNELS = np.full((1, 3), 1 / 3, np.float32)
 EIGHT_NEIGHBOURS = np.ones((3, 3), np.uint8)
 
@@ -59,16 +61,39 @@ def at_full_size(
     if is_bright:
         coverage[full_rows, full_columns] = without_specks(part, GLINT_SHARE * image.shape[1])
         return coverage
-    unlike = excess + mean_excess(darker[None], lighter[None])[0] > edge
-    shiny = unlike & (_closed(part, 1 / share[0])[row, column] > 0)
-    part[row[shiny], column[shiny]] = 255
+    gaps, narrow = _gaps(part, 1 / share[0])
+    unlike = np.zeros(part.shape, bool)
+    unlike[row, column] = excess + mean_excess(darker[None], lighter[None])[0] > edge
+    part[gaps & (narrow | unlike)] = 255
     return coverage
 
 
-def _closed(coverage: UInt8[np.ndarray, "h w"], pixels: float) -> UInt8[np.ndarray, "h w"]:
-    """Coverage with gaps up to so many pixels to either side closed."""
-    side = 2 * round(SHINE * pixels) + 1
-    around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+def _gaps(coverage: UInt8[np.ndarray, "h w"], pixels: float) -> tuple[Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
+    """The gaps of up to so many pixels to either side, and which of them lie within a single strand.
+
+    Between two strands, what is covered with the gap is wider than both of them.
+    """
+    radius = round(SHINE * pixels)
+    margin = 2 * radius + 1
+    padded = cv2.copyMakeBorder(coverage, margin, margin, margin, margin, cv2.BORDER_CONSTANT, value=0)
+    gaps = _closed(padded, radius) > padded
+    # where two strands part, the gap is closed further on, so that its end does not make them look narrow
+    further = _closed(padded, 2 * radius)
+    count, labelled = cv2.connectedComponents(gaps.view(np.uint8), connectivity=8)
+    depth = cv2.distanceTransform(padded, cv2.DIST_L2, 3)
+    # over a strip the distance to the nearest pixel beyond its edge averages a quarter of its width, and a half
+    usual = max(1.0, 4.0 * float(cv2.mean(depth, padded)[0]) - 2.0)
+    pixel = np.flatnonzero(gaps)
+    of, width = np.asarray(labelled, np.int32).ravel()[pixel], np.zeros(count)
+    np.maximum.at(width, of, 2 * cv2.distanceTransform(further, cv2.DIST_L2, 3).ravel()[pixel] - 1)
+    narrow = gaps.copy()
+    narrow.ravel()[pixel] = (width <= WIDENING * usual)[of]
+    inner = np.s_[margin:-margin, margin:-margin]
+    return gaps[inner], narrow[inner]
+
+
+def _closed(coverage: UInt8[np.ndarray, "h w"], radius: int) -> UInt8[np.ndarray, "h w"]:
+    around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
     return np.asarray(cv2.morphologyEx(coverage, cv2.MORPH_CLOSE, around), np.uint8)
 
 
