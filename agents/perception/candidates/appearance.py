@@ -15,6 +15,8 @@ from schemas.messages import Centrelines
 
 HUE, BRIGHTNESS, WIDTH = 2.5, 24.0, 0.14
 """Standard deviations of the difference of two pieces of one thread: of a and b, of L, and of the width's logarithm."""
+SHEEN, GREY = 1.0, 128.0
+"""How much paler a thread is by its sheen, for each share of the way to white; a and b of what has no colour."""
 SHORT_WIDTHS = 6.0
 """A piece of so many widths is told half as well: what lies beside it and glints colour its few pixels."""
 DEAREST_LOOKS = 30.0
@@ -54,6 +56,21 @@ def looks_of(image: UInt8[np.ndarray, "h w 3"], lines: Centrelines, pieces: list
 def unlikeness(one: Looks, other: Looks) -> Float64[np.ndarray, "p q"]:
     """How unlike pieces look: the square of their difference, in the variances of pieces of one thread."""
     doubt = 1.0 + SHORT_WIDTHS / one.length[:, None] + SHORT_WIDTHS / other.length[None]
-    apart = (one.lab[:, None] - other.lab[None]) / (BRIGHTNESS, HUE, HUE)
+    brighter = (one.lab[:, None, 0] - other.lab[None, :, 0]) / BRIGHTNESS
     wider = np.log(one.width_px[:, None] / other.width_px[None]) / WIDTH
-    return np.minimum(((apart**2).sum(axis=2) + wider**2) / doubt, DEAREST_LOOKS)
+    hue = _hue_apart(one.lab, other.lab) / HUE
+    return np.minimum((brighter**2 + hue**2 + wider**2) / doubt, DEAREST_LOOKS)
+
+
+def _hue_apart(one: Float64[np.ndarray, "p 3"], other: Float64[np.ndarray, "q 3"]) -> Float64[np.ndarray, "p q"]:
+    """How far apart a and b lie, besides what the sheen of the brighter piece may have taken from its colour.
+
+    A thread mirrors white light, most where it is brightest: there it is paler, in the same hue.
+    """
+    one, other = np.broadcast_arrays(one[:, None], other[None])
+    first = (one[..., :1] > other[..., :1]).repeat(3, axis=2)
+    bright, dark = np.where(first, one, other), np.where(first, other, one)
+    body, seen = dark[..., 1:] - GREY, bright[..., 1:] - GREY
+    palest = 1.0 - np.minimum(SHEEN * (bright[..., 0] - dark[..., 0]) / (255.0 - dark[..., 0] + 1e-9), 1.0)
+    share = (body * seen).sum(axis=2) / np.maximum((body**2).sum(axis=2), 1e-9)
+    return np.linalg.norm(seen - np.clip(share, palest, 1.0)[..., None] * body, axis=2)
