@@ -11,7 +11,8 @@ import numpy as np
 from agents.cli.emulate_options import Emulate
 from agents.cli.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.cli.terminal import complain, say
-from agents.emulator.console import EmulatedConsole
+from agents.emulator.asked import answering
+from agents.emulator.console import Behaviour, EmulatedConsole
 from agents.emulator.oracle import Field, Oracle
 from agents.emulator.wire import BridgeWire, RmwWire
 from shared.clock import monotonic_s
@@ -52,8 +53,9 @@ def run(options: Emulate) -> int:
 
 def _run(options: Emulate, session: Session, oracle: Oracle, stopped: threading.Event) -> int:
     wire = BridgeWire(session) if options.codec == "ros2dds" else RmwWire(session, options.domain)
-    console = EmulatedConsole(session, wire, options.arm, oracle, options.ready)
-    with contextlib.closing(console):
+    behaviour = Behaviour(options.ready, lag_s=1e-3 * options.lag_ms)
+    console = EmulatedConsole(wire, options.arm, oracle, behaviour)
+    with contextlib.closing(console), answering(session, console):
         how = f"at {options.connect}" if options.connect else f"listening on {options.listen or OWN_ENDPOINT}"
         say(f"an emulated dVRK has {options.arm}, {options.codec}, {how}; stop with Ctrl-C")
         console.run(stopped)

@@ -6,7 +6,10 @@ from typing import Annotated, Literal
 
 import tyro
 
-Words = Literal["fault", "error", "stick", "loose", "mute", "speak"]
+Words = Literal[
+    "fault", "error", "stick", "loose", "mute", "speak",
+    "camera", "camera_back", "setup", "setup_back", "clutch", "unclutch",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -30,13 +33,15 @@ class Emulate:
     """Be a client of the Zenoh router there instead."""
     ready: bool = False
     """Begin enabled and homed."""
+    lag_ms: float = 0.0
+    """How far behind a steady motion its joints come, as joints with inertia do."""
     camera: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """JSON with T_camera_base (4x4, metres), by which the place of the tool before the camera is judged too."""
     heartbeats: Annotated[str | None, tyro.conf.arg(metavar="ENDPOINT")] = None
     """The rig's router: set points without an operator's heartbeat there are unsafe."""
     verdict: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write the verdict there at the end (JSON)."""
-    tell: Annotated[Words | None, tyro.conf.arg(metavar="{fault,error,stick,loose,mute,speak}")] = None
+    tell: Annotated[Words | None, tyro.conf.arg(metavar="{fault,error,stick,camera,setup,clutch,...}")] = None
     """Have a running one do this, and end."""
 
 

@@ -2,7 +2,12 @@
 
 As of a da Vinci research kit: commands are ignored unless it is enabled and homed; joints are clipped to their limits
 without a word; a set point is held for ever, for there is no time-out; `move` goes in a straight line in joint space,
-busy until it is there. It has no inertia, and goes towards a set point as fast as its joints may.
+busy until it is there. Without a lag it has no inertia, and goes towards a set point as fast as its joints may. With
+one each joint follows what it is told as a critically damped mass on a spring does,
+
+    x'' = ω² (told - x) - 2 ω x',    ω = 2 / lag,
+
+so that it comes behind a steady motion by the lag.
 """
 
 from collections.abc import Callable
@@ -15,6 +20,9 @@ ENABLED, DISABLED, PAUSED, FAULT = "ENABLED", "DISABLED", "PAUSED", "FAULT"
 START = (0.18, 0.04, 0.132, 0.0, 0.0, 0.0)
 """Beside the field of view of the simulated rig's camera."""
 HOMING_S = 0.5
+_STILL = 1e-12
+_ARRIVED = 1e-3
+"""A trajectory is over where the joints, lagging behind it, are as near as that to its end (rad, m)."""
 MOVE_SHARE = 0.3
 """Of the greatest speeds, which trajectories use."""
 _ALL_LIMITS = np.vstack((LIMITS, JAW_LIMITS))
@@ -27,16 +35,19 @@ class EmulatedArm:
 
     Fields:
         state, is_homed: as it tells them.
-        position: six joints and the jaw, in radians and metres.
+        position: six joints and the jaw as measured, in radians and metres.
         goal: where it heads, which is what it was told last.
         stuck: it is blocked, and does not follow.
     """
 
-    def __init__(self, ready: bool, warn: Callable[[str], None], start: tuple[float, ...] = START) -> None:
+    def __init__(
+        self, ready: bool, warn: Callable[[str], None], start: tuple[float, ...] = START, lag_s: float = 0.0
+    ) -> None:
         """Stand still; `ready` is enabled and homed."""
         self.state, self.is_homed = (ENABLED, True) if ready else (DISABLED, False)
         self.position = np.array((*start, 0.0))
         self.goal, self.stuck = self.position.copy(), False
+        self._told, self._velocity, self._lag_s = self.position.copy(), np.zeros(len(self.position)), lag_s
         self._warn, self._ratio = warn, 1.0
         self._moves = {"arm": False, "jaw": False}
         self._homing_s = 0.0
@@ -61,19 +72,35 @@ class EmulatedArm:
         if self._homing_s > 0:
             self._homing_s -= elapsed_s
             self.is_homed = self._homing_s <= 0
-        before = self.position
-        left = self.goal - before
-        if self.stuck or self.state == FAULT or not left.any():
+        if self.stuck or self.state == FAULT:
+            self._velocity[:] = 0.0
             return False
-        reach = _ALL_SPEEDS * elapsed_s
+        before = self.position
+        self._told = self._told + self._on_the_way(elapsed_s)
+        self.position = self._following(elapsed_s) if self._lag_s > 0 else self._told
+        return bool((np.abs(self.position - before) > _STILL).any())
+
+    def _on_the_way(self, elapsed_s: float) -> np.ndarray:
+        """How far what the joints are told goes towards the goal in that time."""
+        left, reach = self.goal - self._told, _ALL_SPEEDS * elapsed_s
         for part, name in ((ARM, "arm"), (JAW, "jaw")):
             if self._moves[name]:
                 # along a line in joint space, as slowly as its slowest joint has to
-                slowest = float(np.max(np.abs(left[part]) / (reach[part] * MOVE_SHARE * self._ratio)))
-                self._moves[name] = slowest > 1
+                slowest = float(np.max(np.abs(left[part]) / (reach[part] * MOVE_SHARE * self._ratio + _STILL)))
+                arrived = slowest <= 1 and np.abs(self.position[part] - self.goal[part]).max() <= _ARRIVED
+                self._moves[name] = not arrived
                 left[part] = left[part] / max(1.0, slowest)
-        self.position = before + np.clip(left, -reach, reach)
-        return True
+        return np.clip(left, -reach, reach)
+
+    def _following(self, elapsed_s: float) -> np.ndarray:
+        """Where mass and spring bring the joints, in steps that are short beside the lag."""
+        steps = int(np.ceil(elapsed_s / (0.1 * self._lag_s)))
+        omega, position = 2 / self._lag_s, self.position
+        for _ in range(steps):
+            pull = omega**2 * (self._told - position) - 2 * omega * self._velocity
+            self._velocity = np.clip(self._velocity + pull * elapsed_s / steps, -_ALL_SPEEDS, _ALL_SPEEDS)
+            position = position + self._velocity * elapsed_s / steps
+        return position
 
     def head(self, name: str, values: np.ndarray, moving: bool) -> bool:
         """Head for joints of the `arm` or the `jaw`, by a trajectory of its own where `moving`; whether it does."""
@@ -91,7 +118,7 @@ class EmulatedArm:
 
     def hold(self) -> None:
         """Stay where it is."""
-        self.goal = self.position.copy()
+        self.goal, self._told = self.position.copy(), self.position.copy()
         self._moves = dict.fromkeys(self._moves, False)
 
     def slow_down(self, ratio: float) -> None:

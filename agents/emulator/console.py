@@ -1,24 +1,24 @@
-"""The computer of an emulated dVRK: one arm, its topics, the oracle, and what may be asked of it.
+"""The computer of an emulated dVRK: one arm, its topics and the oracle; a console with two arms has two of these.
 
-Beside the topics of CRTK it answers, under `emulator/{arm}/`, `verdict` (JSON: the oracle's, and when what happened),
-and takes on `request` a word: `fault`, `error`, `stick`, `loose`, `mute`, `speak`.
+Joints and poses are taken both ways, at once (`servo_`) or by a trajectory in joint space (`move_`).
 """
 
-import json
 import threading
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import zenoh
 
-from agents.emulator.arm import EmulatedArm
+from agents.emulator import poses
+from agents.emulator.arm import START, EmulatedArm
 from agents.emulator.geometry import tool
 from agents.emulator.messages import (
     Bool,
     Empty,
     Float64,
     JointState,
+    Joy,
     OperatingState,
     Point,
     Pose,
@@ -30,33 +30,59 @@ from agents.emulator.messages import (
 )
 from agents.emulator.oracle import Circumstances, Oracle
 from agents.emulator.wire import Outlet, Wire
-from shared.clock import monotonic_s, now_ns
+from shared import clock
 
 STATE_HZ, TURNS_PER_STATE = 100.0, 2
 JOINTS = ["outer_yaw", "outer_pitch", "outer_insertion", "outer_roll", "outer_wrist_pitch", "outer_wrist_yaw"]
 TOOL_TYPE = "LARGE_NEEDLE_DRIVER:400006"
 SENSOR, STD, CRTK, GEOMETRY = (f"{name}_msgs::msg::dds_::" for name in ("sensor", "std", "crtk", "geometry"))
+STEP_M = 0.005
+CLUTCH, TIP = "footpedals/clutch", "ECM/local/measured_cp"
 MOTIONS = {
     "servo_jp": ("arm", False),
     "move_jp": ("arm", True),
     "jaw/servo_jp": ("jaw", False),
     "jaw/move_jp": ("jaw", True),
 }
+POSES = {"servo_cp": False, "move_cp": True}
+
+
+@dataclass(frozen=True)
+class Behaviour:
+    """How an emulated arm is, beside its geometry.
+
+    Fields:
+        ready: it begins enabled and homed.
+        lag_s: how far behind a steady motion its joints come; 0 for none.
+        start: its joints to begin with.
+        now_ns, monotonic_s: the clocks that it lives by.
+    """
+
+    ready: bool = False
+    lag_s: float = 0.0
+    start: tuple[float, ...] = START
+    now_ns: Callable[[], int] = clock.now_ns
+    monotonic_s: Callable[[], float] = clock.monotonic_s
 
 
 class EmulatedConsole:
     """One arm on a wire, from construction until `close`; `run` lets its time pass."""
 
-    def __init__(self, session: zenoh.Session, wire: Wire, name: str, oracle: Oracle, ready: bool) -> None:
-        self._wire, self._name, self._oracle = wire, name, oracle
+    def __init__(self, wire: Wire, name: str, oracle: Oracle, behaviour: Behaviour) -> None:
+        self.name, self._wire, self._oracle = name, wire, oracle
+        self._now_ns, self._monotonic_s = behaviour.now_ns, behaviour.monotonic_s
         self._lock, self._muted = threading.Lock(), False
-        self._arm = EmulatedArm(ready, self._warn)
+        self._arm = EmulatedArm(behaviour.ready, self._warn, behaviour.start, behaviour.lag_s)
         self._told: tuple[object, ...] = ()
         self._times = {"moved_ns": 0, "set_point_ns": 0, "held_ns": 0}
         self._holds_ns: list[int] = []
         self._arrivals: list[float] = []
-        self._held = True
-        self._outlets: dict[str, Outlet] = {}
+        self._held, self._turns = True, 0
+        self._moved_m = {"camera": 0.0, "setup": 0.0}
+        self._outlets: dict[str, Outlet] = {
+            TIP: wire.publish(TIP, f"{GEOMETRY}PoseStamped_", False),
+            CLUTCH: wire.publish(CLUTCH, f"{SENSOR}Joy_", False),
+        }
         for topic, kind, latched in (
             ("measured_js", f"{SENSOR}JointState_", False),
             ("setpoint_js", f"{SENSOR}JointState_", False),
@@ -76,33 +102,35 @@ class EmulatedConsole:
         self._tell_state()
         for topic in MOTIONS:
             wire.subscribe(f"{name}/{topic}", f"{SENSOR}JointState_", self._motion(topic))
+        for topic in POSES:
+            wire.subscribe(f"{name}/{topic}", f"{GEOMETRY}PoseStamped_", self._pose(topic))
         wire.subscribe(f"{name}/hold", f"{STD}Empty_", self._hear_hold)
         wire.subscribe(f"{name}/state_command", f"{CRTK}StringStamped_", self._hear_command)
         wire.subscribe(f"{name}/trajectory_j/set_ratio", f"{STD}Float64_", self._hear_ratio)
-        own = f"emulator/{name}"
-        self._asked = [
-            session.declare_queryable(f"{own}/verdict", self._answer),
-            session.declare_subscriber(f"{own}/request", self._request),
-        ]
 
     def run(self, stopped: threading.Event) -> None:
         """Let time pass until stopped."""
-        period_s, turn, before_s = 1 / (STATE_HZ * TURNS_PER_STATE), 0, monotonic_s()
+        period_s, before_s = 1 / (STATE_HZ * TURNS_PER_STATE), self._monotonic_s()
         next_s = before_s
-        while not stopped.wait(max(0.0, next_s - monotonic_s())):
-            now_s = monotonic_s()
-            with self._lock:
-                busy = self._arm.is_busy
-                if self._arm.step(now_s - before_s):
-                    self._times["moved_ns"] = now_ns()
-                arrived = busy and not self._arm.is_busy
-            self._tell_state()
-            if arrived:
-                self._say("goal_reached", Bool(True))
-            if turn % TURNS_PER_STATE == 0:
-                self._tell_where()
-            turn, before_s = turn + 1, now_s
+        while not stopped.wait(max(0.0, next_s - self._monotonic_s())):
+            now_s = self._monotonic_s()
+            self.turn(now_s - before_s)
+            before_s = now_s
             next_s = max(next_s + period_s, now_s)
+
+    def turn(self, elapsed_s: float) -> None:
+        """Let so much time pass at once; every second time it tells where it is."""
+        with self._lock:
+            busy = self._arm.is_busy
+            if self._arm.step(elapsed_s):
+                self._times["moved_ns"] = self._now_ns()
+            arrived = busy and not self._arm.is_busy
+        self._tell_state()
+        if arrived:
+            self._say("goal_reached", Bool(True))
+        if self._turns % TURNS_PER_STATE == 0:
+            self._tell_where()
+        self._turns += 1
 
     def verdict(self) -> dict[str, Any]:
         """The oracle's, and when the arm moved, was sent a set point, and was held last (ns since 1970; 0: never)."""
@@ -111,34 +139,61 @@ class EmulatedConsole:
             told["position"], told["goal"] = self._arm.position.tolist(), self._arm.goal.tolist()
             return told | {"arrivals_s": self._arrivals[-20_000:], "holds_ns": self._holds_ns[-1000:]}
 
+    def request(self, word: str) -> None:
+        """Have it do something.
+
+        `fault`, `error`; `stick` and `loose`; `mute` and `speak`; `camera` and `setup` (endoscope and set-up joints
+        move by STEP_M, `camera_back` and `setup_back` back again); `clutch` and `unclutch` (the pedal).
+        """
+        with self._lock:
+            if word == "fault":
+                self._arm.fail()
+            self._arm.stuck = {"stick": True, "loose": False}.get(word, self._arm.stuck)
+            self._muted = {"mute": True, "speak": False}.get(word, self._muted)
+            what, _, back = word.partition("_")
+            if what in self._moved_m:
+                self._moved_m[what] = 0.0 if back else STEP_M
+        if word in ("fault", "error"):
+            self._say("error", String(f"{self.name}: an error was asked for"))
+        if word in ("clutch", "unclutch"):
+            self._say(CLUTCH, Joy(header(self._now_ns()), [], [int(word == "clutch")]))
+
     def close(self) -> None:
         """Say nothing more."""
-        for one in self._asked:
-            one.undeclare()
         self._wire.close()
 
     def _motion(self, topic: str) -> Callable[[bytes], None]:
         name, moving = MOTIONS[topic]
 
         def hear(data: bytes) -> None:
-            at_s, values = monotonic_s(), np.array(JointState.deserialize(data).position)
-            with self._lock:
-                arm = self._arm
-                mixed = name == "jaw" and arm.moves and not moving
-                now = Circumstances(arm.position, arm.takes_commands, self._held, moving, mixed)
-                self._oracle.judge(name, values, at_s, now)
-                self._times["set_point_ns"], self._held = now_ns(), False
-                if name == "arm":
-                    self._arrivals.append(at_s)
-                arm.head(name, values, moving)
+            self._head(name, np.array(JointState.deserialize(data).position), moving)
 
         return hear
+
+    def _pose(self, topic: str) -> Callable[[bytes], None]:
+        def hear(data: bytes) -> None:
+            R, pin = poses.read(PoseStamped.deserialize(data).pose)
+            self._head("arm", poses.joints_at(R, pin, self._arm.goal[:6]), POSES[topic])
+
+        return hear
+
+    def _head(self, name: str, values: np.ndarray, moving: bool) -> None:
+        at_s = self._monotonic_s()
+        with self._lock:
+            arm = self._arm
+            mixed = name == "jaw" and arm.moves and not moving
+            now = Circumstances(arm.position, arm.takes_commands, self._held, moving, mixed)
+            self._oracle.judge(name, values, at_s, now)
+            self._times["set_point_ns"], self._held = self._now_ns(), False
+            if name == "arm":
+                self._arrivals.append(at_s)
+            arm.head(name, values, moving)
 
     def _hear_hold(self, data: bytes) -> None:
         Empty.deserialize(data)
         with self._lock:
             self._arm.hold()
-            self._times["held_ns"], self._held = now_ns(), True
+            self._times["held_ns"], self._held = self._now_ns(), True
             self._holds_ns.append(self._times["held_ns"])
 
     def _hear_command(self, data: bytes) -> None:
@@ -149,33 +204,20 @@ class EmulatedConsole:
         with self._lock:
             self._arm.slow_down(Float64.deserialize(data).data)
 
-    def _request(self, sample: zenoh.Sample) -> None:
-        word = sample.payload.to_string()
-        with self._lock:
-            if word == "fault":
-                self._arm.fail()
-            self._arm.stuck = {"stick": True, "loose": False}.get(word, self._arm.stuck)
-            self._muted = {"mute": True, "speak": False}.get(word, self._muted)
-        if word in ("fault", "error"):
-            self._say("error", String(f"{self._name}: an error was asked for"))
-
-    def _answer(self, query: zenoh.Query) -> None:
-        query.reply(query.key_expr, json.dumps(self.verdict()))
-
     def _warn(self, text: str) -> None:
-        self._say("warning", String(f"{self._name}: {text}"))
+        self._say("warning", String(f"{self.name}: {text}"))
 
     def _tell_state(self) -> None:
         arm = self._arm
         told = arm.state, arm.is_homed, arm.is_busy
         if told != self._told:
             self._told = told
-            self._say("operating_state", OperatingState(header(now_ns()), *told))
+            self._say("operating_state", OperatingState(header(self._now_ns()), *told))
 
     def _tell_where(self) -> None:
         with self._lock:
             position, goal = self._arm.position.copy(), self._arm.goal.copy()
-        at = header(now_ns())
+        at = header(self._now_ns())
         for topic, values, names in (
             ("measured_js", position[:6], JOINTS),
             ("setpoint_js", goal[:6], JOINTS),
@@ -185,27 +227,25 @@ class EmulatedConsole:
             if self._outlets[topic].wanted():
                 none = [0.0] * len(names)
                 self._say(topic, JointState(at, names, values.tolist(), none, none))
-        for topic, joints in (("local/measured_cp", position), ("measured_cp", position), ("setpoint_cp", goal)):
+        setup_m = self._moved_m["setup"]
+        for topic, joints, aside_m in (
+            ("local/measured_cp", position, 0.0),
+            ("measured_cp", position, setup_m),
+            ("setpoint_cp", goal, setup_m),
+        ):
             if self._outlets[topic].wanted():
-                self._say(topic, PoseStamped(header(now_ns(), f"{self._name}_base"), _pose(joints[:6])))
+                self._say(topic, PoseStamped(header(self._now_ns(), f"{self.name}_base"), _pose(joints[:6], aside_m)))
+        if self._outlets[TIP].wanted():
+            # the endoscope, its tip 100 mm beyond its remote centre, moves to its side
+            tip = Pose(Point(self._moved_m["camera"], 0.0, -0.1), Quaternion(1.0, 0.0, 0.0, 0.0))
+            self._say(TIP, PoseStamped(header(self._now_ns(), "ECM_base"), tip))
 
     def _say(self, topic: str, message: Any) -> None:
         outlet = self._outlets[topic]
         if not self._muted and outlet.wanted():
-            outlet.put(message.serialize(), now_ns())
+            outlet.put(message.serialize(), self._now_ns())
 
 
-def _pose(joints: np.ndarray) -> Pose:
-    R, p = tool(joints)
-    # Shepperd's choice: the largest of the four squares is divided by
-    squares = np.array((np.trace(R), R[0, 0], R[1, 1], R[2, 2]))
-    largest = int(np.argmax(squares))
-    if largest == 0:
-        q = np.array((1 + squares[0], R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]))
-    else:
-        i, j, k = largest - 1, largest % 3, (largest + 1) % 3
-        q = np.zeros(4)
-        q[0], q[i + 1] = R[k, j] - R[j, k], 1 + R[i, i] - R[j, j] - R[k, k]
-        q[j + 1], q[k + 1] = R[j, i] + R[i, j], R[k, i] + R[i, k]
-    w, x, y, z = (float(value) for value in q / np.linalg.norm(q))
-    return Pose(Point(*(float(value) for value in p)), Quaternion(x, y, z, w))
+def _pose(joints: np.ndarray, aside_m: float) -> Pose:
+    R, pin = tool(joints)
+    return poses.told(R, pin + np.array((aside_m, 0.0, 0.0)))

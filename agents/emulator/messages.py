@@ -13,10 +13,12 @@ if TYPE_CHECKING:
     float64: TypeAlias = float
     words: TypeAlias = list[str]
     numbers: TypeAlias = list[float]
+    floats: TypeAlias = list[float]
+    counts: TypeAlias = list[int]
 else:
-    from pycdr2.types import float64, int32, sequence, uint8, uint32
+    from pycdr2.types import float32, float64, int32, sequence, uint8, uint32
 
-    words, numbers = sequence[str], sequence[float64]
+    words, numbers, floats, counts = sequence[str], sequence[float64], sequence[float32], sequence[int32]
 
 SECOND_NS = 1_000_000_000
 
@@ -81,6 +83,15 @@ class PoseStamped(IdlStruct, typename="geometry_msgs/msg/PoseStamped"):
 
     header: Header = field(default_factory=Header)
     pose: Pose = field(default_factory=Pose)
+
+
+@dataclass
+class Joy(IdlStruct, typename="sensor_msgs/msg/Joy"):
+    """Buttons, of which a console has one in each message."""
+
+    header: Header = field(default_factory=Header)
+    axes: floats = field(default_factory=list)
+    buttons: counts = field(default_factory=list)
 
 
 @dataclass

@@ -9,10 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from shared.rigid_transforms import rotation_from_quaternion, transform
+from shared.rigid_transforms import quaternion_from_rotation, rotation_from_quaternion, transform
 from shared.ros.types import (
     EMPTY,
+    FLOAT64,
     JOINT_STATE,
+    JOY,
     OPERATING_STATE,
     POSE_STAMPED,
     STRING,
@@ -63,6 +65,25 @@ def joint_command(position: Float64[np.ndarray, "n"], stamp_ns: int) -> bytes:
     return encode(JOINT_STATE, message(JOINT_STATE, _header(stamp_ns), [], position, nothing, nothing))
 
 
+def pose_command(T: Float64[np.ndarray, "4 4"], stamp_ns: int) -> bytes:
+    """A pose for the tool (geometry_msgs/PoseStamped).
+
+    Raises:
+        ValueError: where it is not finite.
+    """
+    if not np.isfinite(T).all():
+        raise ValueError("a command for a pose needs one that is finite")
+    w, x, y, z = (float(value) for value in quaternion_from_rotation(T[:3, :3]))
+    at = message("geometry_msgs/msg/Point", *(float(value) for value in T[:3, 3]))
+    pose = message("geometry_msgs/msg/Pose", at, message("geometry_msgs/msg/Quaternion", x, y, z, w))
+    return encode(POSE_STAMPED, message(POSE_STAMPED, _header(stamp_ns), pose))
+
+
+def ratio(share: float) -> bytes:
+    """The share of full speed that a console's own trajectories have (std_msgs/Float64)."""
+    return encode(FLOAT64, message(FLOAT64, float(share)))
+
+
 def empty() -> bytes:
     """A message that says all by coming (std_msgs/Empty)."""
     return encode(EMPTY, message(EMPTY))
@@ -107,6 +128,18 @@ def operating_state(data: bytes) -> OperatingState:
     """
     found = decode(OPERATING_STATE, data)
     return OperatingState(str(found.state), bool(found.is_homed), bool(found.is_busy))
+
+
+def button(data: bytes) -> bool:
+    """Whether a button is pressed (sensor_msgs/Joy, of which the first button is 1).
+
+    Raises:
+        RosMessageError: where the bytes are no such message, or it has no button.
+    """
+    buttons = decode(JOY, data).buttons
+    if not len(buttons):
+        raise RosMessageError("a sensor_msgs/Joy has no button")
+    return int(buttons[0]) == 1
 
 
 def text(data: bytes) -> str:

@@ -20,6 +20,7 @@ EMPTY = "std_msgs/msg/Empty"
 FLOAT64 = "std_msgs/msg/Float64"
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
+JOY = "sensor_msgs/msg/Joy"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 
 HEADER_BYTES = 4

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from agents.emulator.arm import EmulatedArm
-from agents.emulator.console import EmulatedConsole
+from agents.emulator.asked import answering
+from agents.emulator.console import Behaviour, EmulatedConsole
 from agents.emulator.geometry import LIMITS, tool
 from agents.emulator.oracle import Circumstances, Field, Oracle
+from agents.emulator.poses import joints_at
 from agents.emulator.wire import BridgeWire, RmwWire
 from shared.clock import monotonic_s
 from shared.kinematics.psm import forward
@@ -61,6 +63,9 @@ def console(request):
     said = (
         Said(f"{ARM}/servo_jp", types.JOINT_STATE),
         Said(f"{ARM}/move_jp", types.JOINT_STATE),
+        Said(f"{ARM}/servo_cp", types.POSE_STAMPED),
+        Said(f"{ARM}/move_cp", types.POSE_STAMPED),
+        Said(f"{ARM}/trajectory_j/set_ratio", types.FLOAT64),
         Said(f"{ARM}/hold", types.EMPTY),
         Said(f"{ARM}/state_command", types.STRING_STAMPED),
     )
@@ -69,7 +74,8 @@ def console(request):
         stack.enter_context(open_router(endpoint))
         session = stack.enter_context(open_session(SessionSettings(endpoint=endpoint)))
         wire = RmwWire(session, 7) if rmw else BridgeWire(session)
-        emulated = stack.enter_context(contextlib.closing(EmulatedConsole(session, wire, ARM, Oracle(), ready=False)))
+        emulated = stack.enter_context(contextlib.closing(EmulatedConsole(wire, ARM, Oracle(), Behaviour())))
+        stack.enter_context(answering(session, emulated))
         running = threading.Thread(target=emulated.run, args=(stopped,))
         running.start()
         stack.callback(lambda: (stopped.set(), running.join()))
@@ -113,6 +119,20 @@ def test_a_console_is_enabled_and_homed_moves_is_held_and_pauses(console):
     until(lambda: np.abs(ears.last("local/measured_cp").T - forward(ears.last("measured_js").position)).max() < 1e-9)
     assert emulated.verdict()["rules"] == {"state": 1, "limits": 1, "speed": 2}
 
+    # poses, at once and by a trajectory that is slowed down
+    here = np.array(emulated.verdict()["position"][:6])
+    near = here + np.array((-0.002, 0.001, 0.0005, 0.01, 0.01, -0.01))
+    link.say(f"{ARM}/servo_cp", crtk.pose_command(forward(near), 0))
+    until(lambda: np.abs(emulated.verdict()["position"][:6] - near).max() < 1e-9)
+    link.say(f"{ARM}/trajectory_j/set_ratio", crtk.ratio(0.02))
+    link.say(f"{ARM}/move_cp", crtk.pose_command(forward(start), 0))
+    until(lambda: ears.last("operating_state").is_busy and emulated.verdict()["position"][0] < near[0] - 1e-3)
+    assert abs(emulated.verdict()["position"][0] - start[0]) > 1.0, "at a fiftieth of its speed it takes minutes"
+    link.say(f"{ARM}/trajectory_j/set_ratio", crtk.ratio(1.0))
+    until(lambda: np.abs(emulated.verdict()["position"][:6] - start).max() < 1e-9)
+    until(lambda: not ears.last("operating_state").is_busy)
+    assert emulated.verdict()["rules"] == {"state": 1, "limits": 1, "speed": 2}
+
     command(link, "pause")
     until(lambda: ears.last("operating_state").state == "PAUSED")
 
@@ -140,6 +160,28 @@ def test_two_ways_of_computing_where_joints_lead_agree():
     expected = forward(joints)
     assert max(np.abs(R - T[:3, :3]).max() for (R, _), T in zip(found, expected, strict=True)) < 1e-12
     assert max(np.abs(p - T[:3, 3]).max() for (_, p), T in zip(found, expected, strict=True)) < 1e-12
+
+
+def test_joints_of_a_pose_are_found_again():
+    share = np.random.default_rng(6).random((200, 6))
+    joints = LIMITS[:, 0] + share * np.diff(LIMITS, axis=1)[:, 0]
+    joints[:, 2] = 0.06 + 0.9 * (joints[:, 2] - 0.06).clip(0)
+    found = [joints_at(*tool(q), q) for q in joints]
+    assert max(np.abs(a - b).max() for a, b in zip(found, joints, strict=True)) < 1e-9
+    assert np.isnan(joints_at(np.full((3, 3), np.nan), np.zeros(3), joints[0])).all()
+
+
+def test_joints_with_a_lag_come_that_much_behind_a_steady_motion_and_stand_where_they_should():
+    arm, speed, period_s = EmulatedArm(ready=True, warn=lambda _: None, lag_s=0.04), 0.2, 0.005
+    start = arm.position.copy()
+    for turn in range(1, 201):
+        arm.head("arm", start[:6] + np.eye(6)[0] * speed * turn * period_s, moving=False)
+        arm.step(period_s)
+    behind_s = (start[0] + speed * 200 * period_s - arm.position[0]) / speed
+    assert 0.03 < behind_s < 0.05
+    for _ in range(200):
+        arm.step(period_s)
+    assert abs(arm.position[0] - start[0] - speed) < 1e-4
 
 
 BASE = np.array([[-1.0, 0, 0, 0.045], [0, 1, 0, 0.01], [0, 0, -1, -0.05], [0, 0, 0, 1]])

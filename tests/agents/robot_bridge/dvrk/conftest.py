@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import zenoh
 
-from agents.emulator.console import EmulatedConsole
+from agents.emulator.asked import answering
+from agents.emulator.console import Behaviour, EmulatedConsole
 from agents.emulator.oracle import Field, Oracle
 from agents.emulator.wire import BridgeWire, RmwWire
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
@@ -116,6 +117,10 @@ class Lab:
     def arm(self) -> CommandAnswer:
         """Publish a plan and arm it."""
         self.said += self.bridge.step(Received(PLAN, "", 0, plan("p", now_ns())))
+        return self.arm_again()
+
+    def arm_again(self) -> CommandAnswer:
+        """Arm the plan that was published last."""
         self.armings += 1
         message = Arm(CommandHeader(f"arming-{self.armings}", now_ns() + 10**9, "ann"), "psm1", "p")
         said = list(self.bridge.step(Command(ARM, "psm1", message, now_ns())))
@@ -160,7 +165,8 @@ def lab(codec: str, dry_run: bool, monkeypatch: pytest.MonkeyPatch):
         stack.enter_context(open_router(endpoint))
         session = stack.enter_context(open_session(SessionSettings(endpoint=endpoint)))
         wire = BridgeWire(session) if codec == "ros2dds" else RmwWire(session, 3)
-        console = stack.enter_context(contextlib.closing(EmulatedConsole(session, wire, NAME, oracle, ready=True)))
+        console = stack.enter_context(contextlib.closing(EmulatedConsole(wire, NAME, oracle, Behaviour(ready=True))))
+        stack.enter_context(answering(session, console))
         running = threading.Thread(target=console.run, args=(stopped,))
         running.start()
         stack.callback(lambda: (stopped.set(), running.join()))
