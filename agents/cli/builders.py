@@ -4,6 +4,8 @@ import dataclasses
 import sys
 from pathlib import Path
 
+import numpy as np
+
 from agents.camera.agent import Camera, CameraConfig, SceneCamera
 from agents.camera.scene_source import SceneSource, calibration_of
 from agents.camera.sources import ImageSource, Pair, PipeSource, Source, SourceError
@@ -73,9 +75,8 @@ def build(rig: RigConfig, kind: str, instance: str) -> Agent:
 
 def _robot_bridge(rig: RigConfig, arm: str, section: ArmSection) -> RobotBridge:
     base = base_of(arm, section)
-    if base.reference is Reference.ECM_BASE:
-        raise ConfigError(f"robot.{arm}.T_camera_base_file tells the base from an ECM, which is not followed yet")
-    T_camera_base = base.before_camera()
+    # an arm whose base is told from the ECM is not ready before that is heard
+    T_camera_base = base.before_camera(np.eye(4) if base.reference is Reference.ECM_BASE else None)
     config = RobotBridgeConfig(
         arm,
         T_camera_base,
@@ -90,7 +91,7 @@ def _robot_bridge(rig: RigConfig, arm: str, section: ArmSection) -> RobotBridge:
 
     told = section.dvrk
     reached = SessionSettings(rig.rig, told.endpoint, rig.identity_of(run_name("robot_bridge", arm)))
-    backend = DvrkPsm(told.arm, reached, naming_of(told), told.tool, told.dry_run, told.through_guard)
+    backend = DvrkPsm(told.arm, reached, naming_of(told), told.tool, told.dry_run, told.through_guard, base=base)
     return RobotBridge(dataclasses.replace(config, tick_hz=told.set_point_hz), backend)
 
 

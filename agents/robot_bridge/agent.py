@@ -3,6 +3,7 @@
 Everything it does follows from what it is fed; the time is that of the ticks and commands.
 """
 
+import dataclasses
 import logging
 import re
 from collections.abc import Iterable
@@ -193,6 +194,8 @@ class RobotBridge:
             self._tell_readiness()
             return self._arm_state
         self._arm_state = state
+        if state.T_camera_base is not None:
+            self._setup = dataclasses.replace(self._setup, T_camera_base=state.T_camera_base)
         late = abs(now_ns - state.measured_ns) > MEASUREMENT_AGE_S * 1e9
         if state.readiness is not Readiness.READY:
             self._not_ready = f"the arm is {state.readiness.name}: {state.reason}"
@@ -330,6 +333,9 @@ class RobotBridge:
         if age_s > self.config.maximum_plan_age_s:
             allowed = f"more than the {self.config.maximum_plan_age_s:g} s allowed: plan again"
             return Refusal(Code.STALE, f"the frame of plan {plan.plan_id} is {age_s:.1f} s old, {allowed}")
+        if self._arm_state is not None and captured_ns < self._arm_state.still_since_ns:
+            moved = "camera, set-up joints or arm were moved by hand"
+            return Refusal(Code.MOVED, f"{moved} after the frame of plan {plan.plan_id} was captured: plan again")
         if age_s < -CLOCK_TOLERANCE_S:
             future = f"the frame of plan {plan.plan_id} was captured {-age_s:.1f} s in the future"
             return Refusal(Code.CLOCK, f"{future}: set the clocks of camera and bridge by each other")
@@ -343,7 +349,7 @@ class RobotBridge:
             T_base_tool=self._tool_pose(arm),
             joints=arm.joints,
             jaw_rad=arm.jaw_rad,
-            T_camera_base=self.config.T_camera_base,
+            T_camera_base=self._setup.T_camera_base,
             plan_id=self._execution.plan_id if self._execution else "",
         )
 

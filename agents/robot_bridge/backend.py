@@ -25,6 +25,8 @@ class ArmState:
     Fields:
         measured_ns: when, on the bridge's clock.
         reason: why it is not ready; empty where it is.
+        still_since_ns: what a camera saw before is elsewhere now: camera, set-up joints or the arm were moved.
+        T_camera_base: where its base is now; None where that is as configured.
     """
 
     measured_ns: int
@@ -32,6 +34,8 @@ class ArmState:
     jaw_rad: float
     readiness: Readiness = Readiness.READY
     reason: str = ""
+    still_since_ns: int = 0
+    T_camera_base: Float64[np.ndarray, "4 4"] | None = None
 
 
 class Backend(Protocol):

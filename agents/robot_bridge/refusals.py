@@ -14,6 +14,7 @@ class Code(enum.StrEnum):
     NOT_READY = "not_ready"
     STALE = "stale"
     CLOCK = "clock"
+    MOVED = "moved"
     REPLAY = "replay"
     NOT_FINITE = "not_finite"
     NOT_A_POSE = "not_a_pose"

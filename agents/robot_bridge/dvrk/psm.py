@@ -11,7 +11,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.robot_bridge.backend import ArmState, Readiness
+from agents.robot_bridge.dvrk.frames_moved import FramesWatch
 from agents.robot_bridge.dvrk.readings import KINDS, NOTHING, Readings
+from shared.calibration.hand_eye.file import HandEye
 from shared.clock import now_ns as clock_ns
 from shared.kinematics.arm import ArmKinematics
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER
@@ -49,17 +51,21 @@ class DvrkPsm:
         dry_run: bool,
         through_guard: bool = False,
         kinematics: ArmKinematics = LARGE_NEEDLE_DRIVER,
+        base: HandEye | None = None,
     ) -> None:
         """The arm of that name on the console that is reached so; `tool` as Readings has it.
 
         `through_guard`: set points go to the guard on the robot's computer, which passes on what is fresh.
+        `base`: where it is, to follow it where that is told from the ECM.
         """
         self.kinematics, self.dry_run, self._name = kinematics, dry_run, name
         self._to, self._tells_guard = (f"{GUARDED}/{name}" if through_guard else name), through_guard and not dry_run
         self._readings = readings = Readings(name, tool, kinematics)
         self._commanded_ns, self._replayed = 0, False
+        self._frames = FramesWatch(name, base)
         heard = (
             *(self._measurement(kind) for kind in KINDS),
+            *self._frames.heard(),
             Heard(f"{name}/operating_state", OPERATING_STATE, readings.hear_state, latched=True),
             Heard(f"{name}/error", STRING, readings.hear_error, latched=True),
             Heard(f"{name}/tool_type", STRING, readings.hear_tool, latched=True),
@@ -88,7 +94,18 @@ class DvrkPsm:
             self._link.say(f"{self._to}/{ALIVE}", crtk.joint_command(np.zeros(1), clock_ns()))
         measured = self._readings.measured()
         readiness, reason = self._readings.judge(measured, self._commanded_ns, now_ns)
-        return ArmState(measured.measured_ns, measured.joints, measured.jaw_rad, readiness, self._link.failed or reason)
+        moved = self._frames.judge(now_ns)
+        if readiness is Readiness.READY and moved:
+            readiness, reason = Readiness.DISABLED, moved
+        return ArmState(
+            measured.measured_ns,
+            measured.joints,
+            measured.jaw_rad,
+            readiness,
+            self._link.failed or reason,
+            self._frames.still_since_ns,
+            self._frames.T_camera_base,
+        )
 
     def move(self, joints: Float64[np.ndarray, "6"], jaw_rad: float) -> None:
         """Send a set point for the arm and one for its jaw."""
