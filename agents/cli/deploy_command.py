@@ -13,8 +13,10 @@ from agents.deployment.certificates import AUTHORITY_FOLDER, CERTIFICATES, Autho
 from agents.deployment.install import InstallError, install
 from agents.deployment.layout import ROUTER, Host, Layout, Process
 from agents.deployment.plan import hosts_in_words, plan
+from agents.deployment.robot_zenoh import ROBOT_ZENOH, ReachedArm
 from shared.clock import now_ns
 from shared.runtime.config import ConfigError, load_config
+from shared.runtime.session import on_loopback
 
 
 def run(options: Deploy) -> int:
@@ -59,7 +61,23 @@ def _host(rig: RigConfig, name: str, section: HostSection) -> Host:
     processes = [Process(*kind_and_instance(run, name)) for run in section.runs]
     if rig.router.host == name:
         processes.insert(0, Process(ROUTER))
-    return Host(name, section.address, tuple(processes), section.realtime)
+    arms = _arms_at(rig, name, section)
+    if arms and not on_loopback(arms[0].endpoint):
+        processes.append(Process(ROBOT_ZENOH, name))
+    return Host(name, section.address, tuple(processes), section.realtime, arms)
+
+
+def _arms_at(rig: RigConfig, name: str, section: HostSection) -> tuple[ReachedArm, ...]:
+    """The arms whose consoles run on a host.
+
+    Raises:
+        ConfigError: where they are not reached alike, for one Zenoh is there for all of them.
+    """
+    told = {arm: s.dvrk for arm, s in rig.robot.items() if s.dvrk is not None and f"guard {arm}" in section.runs}
+    alike = {(dvrk.endpoint, dvrk.codec, dvrk.domain) for dvrk in told.values()}
+    if len(alike) > 1:
+        raise ConfigError(f"{', '.join(told)} on {name} must have one endpoint, codec and domain: one Zenoh is there")
+    return tuple(ReachedArm(arm, d.arm, d.endpoint, d.codec, d.domain, d.through_guard) for arm, d in told.items())
 
 
 def _plan(options: Deploy, rig: RigConfig, layout: Layout) -> int:

@@ -10,7 +10,7 @@ import schemas
 from agents.cli.doctor_finding import Finding
 from agents.cli.doctor_here import examine_here
 from agents.cli.doctor_images import examine_frames, examine_images, wants_images
-from agents.cli.doctor_rig import clocks, granted, links, running, streams, versions
+from agents.cli.doctor_rig import clocks, granted, guards, links, running, streams, versions
 from agents.cli.doctor_router import no_router
 from agents.cli.doctor_rules import examine_rules
 from agents.cli.live_options import Doctor
@@ -74,6 +74,7 @@ def _across(rig: RigConfig, connection: Connection) -> Iterator[Finding]:
     with contextlib.closing(StatusWatch(connection, rig)) as watch:
         gathered = gathered_on(watch)
     yield from running(rig, gathered.fares, rig.host or "")
+    yield from guards(rig, gathered)
     facts = gathered.facts
     zenoh = importlib.metadata.version("eclipse-zenoh")
     yield from versions(facts, schemas.__version__, schemas_hash(), zenoh)

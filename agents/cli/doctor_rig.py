@@ -36,6 +36,27 @@ def running(rig: RigConfig, fares: Iterable[Fare], here: str) -> Iterator[Findin
         yield Finding(what, ", ".join(names) or "none", remedy)
 
 
+def guards(rig: RigConfig, gathered: Gathered) -> Iterator[Finding]:
+    """Whether a guard stands by each arm that needs one and answers; of a rig that nobody has started, nothing."""
+    fares = {fare.name: fare for fare in gathered.fares if fare.state not in AWAY}
+    if not fares:
+        return
+    for arm, section in rig.robot.items():
+        if section.dvrk is None or section.dvrk.dry_run:
+            continue
+        what, name = f"guard of {arm}", f"guard {arm}"
+        there, told = fares.get(name), gathered.facts.get(f"guard/{arm}")
+        if there is None:
+            run = f"run suturegrasp guard --arm {arm} on the robot's computer, before anything is armed"
+            yield Finding(what, "none stands by", run)
+        elif there.health is None or told is None:
+            yield Finding(what, "is there and gives no answer", "restart it, and arm nothing until it answers")
+        elif there.health.fault:
+            yield Finding(what, f"stands by on {told.host}, and guards nothing", there.health.fault)
+        else:
+            yield Finding(what, f"stands by on {told.host}, reaches the arm's Zenoh, and answers")
+
+
 def versions(facts: Mapping[str, AgentFacts], version: str, schemas_hash: str, zenoh: str) -> Iterator[Finding]:
     """Whether all agents run what is installed here, given its versions."""
     if not facts:

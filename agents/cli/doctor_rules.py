@@ -35,7 +35,7 @@ def _tried(rig: RigConfig, name: str, listener: str, present: list[str]) -> Find
     what, own = f"access rules for {name}", name.replace(".", "/", 1)
     kind = name.split(".")[0]
     others = [root for root in _roots(rig) if root != own and not root.startswith(f"{OPERATOR}/")]
-    agents = [root for root in present if root != own and root.split("/")[0] not in BESIDE]
+    agents = [root for root in present if root != own and root.split("/")[0] not in (*BESIDE, "guard")]
     with contextlib.ExitStack() as stack:
         try:
             trier, hearer = (stack.enter_context(_opened(rig, which)) for which in (name, listener))

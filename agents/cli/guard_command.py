@@ -2,15 +2,15 @@
 
 import contextlib
 import dataclasses
+import logging
 import threading
 from collections.abc import Callable
 
 from agents.cli.live_options import Guard
 from agents.cli.process import EXIT_OK, on_stop
 from agents.cli.rig import RigConfig
-from agents.cli.rig_hosts import run_name
+from agents.cli.rig_hosts import kind_and_instance, run_name
 from agents.cli.rig_sections import CameraSection, DvrkSection
-from agents.cli.status_session import reading_session
 from agents.cli.terminal import say
 from agents.guard.gate import Gate
 from agents.guard.watch import NOBODY_NS, Action, Heard, Watch
@@ -23,12 +23,19 @@ from shared.ros import crtk
 from shared.ros import link as ros
 from shared.ros.naming import ALIVE, GUARD_NODE, GUARDED, NODE, Naming, RmwZenoh, Ros2dds
 from shared.ros.types import EMPTY, JOINT_STATE, STRING_STAMPED, RosMessageError
-from shared.runtime.config import ConfigError
+from shared.runtime.config import ConfigError, config_hash
 from shared.runtime.connection import NoRouterError, connected
-from shared.runtime.session import SessionSettings
+from shared.runtime.facts import Surroundings, ask_for_realtime
+from shared.runtime.identity import validity_ns
+from shared.runtime.service_manager import ServiceManager
+from shared.runtime.session import SessionSettings, check_security
 from shared.runtime.taps import Tapped
 
+KIND = "guard"
 TURNS_HZ = 100.0
+REALTIME_PRIORITY = 50
+"""As a bridge has on the same computer."""
+LOGGER = logging.getLogger(f"suturegrasp.{KIND}")
 SERVOS = ("servo_jp", "jaw/servo_jp")
 
 
@@ -49,11 +56,14 @@ def guard(rig: RigConfig, options: Guard) -> int:
     stopped = threading.Event()
     on_stop(stopped.set)
     ears = _Ears(options.arm, section.arm)
-    reached = SessionSettings(rig.rig, section.endpoint, rig.identity_of(run_name("robot_bridge", options.arm)))
-    listening = threading.Thread(target=_listen, args=(rig, ears, stopped), name="listen", daemon=True)
+    own = run_name(KIND, options.arm)
+    reached = SessionSettings(rig.rig, section.endpoint, rig.identity_of(own))
+    check_security(section.endpoint, reached.identity)
+    refused = ask_for_realtime(REALTIME_PRIORITY) if rig.realtime_here else ""
     with contextlib.closing(_link(section, reached, ears)) as link:
         ears.pass_on = link.say if section.through_guard else None
         link.open()
+        listening = threading.Thread(target=_listen, args=(rig, own, ears, link, refused, stopped), name="listen")
         listening.start()
         say(f"guards {section.arm} at {section.endpoint}; stop with Ctrl-C")
         _watch(section.arm, ears, link, stopped)
@@ -74,8 +84,11 @@ def _link(section: DvrkSection, reached: SessionSettings, ears: "_Ears") -> ros.
 
 
 def _watch(arm: str, ears: "_Ears", link: ros.RosLink, stopped: threading.Event) -> None:
-    watch = Watch()
+    watch, manager = Watch(), ServiceManager()
+    # it guards whatever comes, whether rig and robot are there yet or not
+    manager.ready()
     while not stopped.wait(1 / TURNS_HZ):
+        manager.alive()
         following = watch.turn(ears.heard(), now_ns())
         if following is None:
             continue
@@ -85,13 +98,30 @@ def _watch(arm: str, ears: "_Ears", link: ros.RosLink, stopped: threading.Event)
         else:
             link.say(f"{arm}/state_command", crtk.state_command(action.value, now_ns()))
         say(f"{arm}: {action.value}, for {why}")
+        LOGGER.warning("%s: %s, for %s", arm, action.value, why)
+    manager.stopping()
 
 
-def _listen(rig: RigConfig, ears: "_Ears", stopped: threading.Event) -> None:
-    """Hear the rig for as long as it is there; without it nobody stands by."""
-    with contextlib.suppress(NoRouterError), connected(reading_session(rig), None, stopped) as connection:
+def _listen(rig: RigConfig, own: str, ears: "_Ears", link: ros.RosLink, refused: str, stopped: threading.Event) -> None:
+    """Hear the rig for as long as it is there, and tell it how the guard fares; without it nobody stands by."""
+    kind, arm = kind_and_instance(own)
+    settings = rig.session_of(own)
+    expires_ns = None if settings.identity is None else validity_ns(settings.identity.certificate)[1]
+    around = Surroundings(
+        certificate_expires_ns=expires_ns,
+        realtime_asked=REALTIME_PRIORITY if rig.realtime_here else None,
+        realtime_refused=refused,
+    )
+    with contextlib.suppress(NoRouterError), connected(settings, None, stopped) as connection:
         connection.listen((HEARTBEAT, ROBOT_STATE), ears.hear_rig)
-        stopped.wait()
+        with connection.reporting(kind, arm, LOGGER, lambda: _fault(link), config_hash(rig), around):
+            stopped.wait()
+
+
+def _fault(link: ros.RosLink) -> str:
+    if link.reaches():
+        return ""
+    return link.failed or "the robot's Zenoh is not reached: nothing is guarded; see that it runs on this computer"
 
 
 class _Ears:

@@ -34,7 +34,7 @@ from schemas.topics import MAIN, TOPICS
 from shared.runtime.access import Sites, common_name
 from shared.runtime.config import Settings
 from shared.runtime.identity import Identity, identity_in
-from shared.runtime.session import LOCAL_ENDPOINT, SessionSettings, on_loopback
+from shared.runtime.session import LOCAL_ENDPOINT, SessionSettings, host_of, on_loopback
 
 AGENT_SECTIONS = ("camera", "perception", "reconstruction", "planner", "simulator")
 
@@ -115,6 +115,21 @@ class RigConfig(Settings):
         return self
 
     @model_validator(mode="after")
+    def _guards_sit_at_their_robots(self) -> "RigConfig":
+        for arm, section in self.robot.items():
+            name, at = f"guard {arm}", "" if section.dvrk is None else host_of(section.dvrk.endpoint)
+            sits = [host for host, told in self.hosts.items() if name in told.runs]
+            robots = [host for host, told in self.hosts.items() if told.address == at]
+            # whatever answers on loopback answers the bridge on the bridge's own host
+            robots = robots or [host for host, told in self.hosts.items() if f"robot_bridge {arm}" in told.runs]
+            if sits and robots and sits != robots:
+                raise ValueError(
+                    f"{name!r} must run on {robots[0]}, the robot's computer, not on {sits[0]}: a guard that "
+                    "is elsewhere is lost with the link"
+                )
+        return self
+
+    @model_validator(mode="after")
     def _links_are_secured(self) -> "RigConfig":
         if not self.hosts:
             if self.router.host is not None or self.host is not None:
@@ -150,7 +165,8 @@ class RigConfig(Settings):
         """Everything that has a section, on whichever host, as `runs` writes it; the router is apart."""
         agents = [kind for kind in AGENT_SECTIONS if getattr(self, kind) is not None]
         arms = [f"robot_bridge {arm}" for arm in self.robot]
-        return [*agents, *arms, *(kind for kind in ("recorder", "viewer") if getattr(self, kind) is not None)]
+        guards = [f"guard {arm}" for arm, section in self.robot.items() if section.dvrk is not None]
+        return [*agents, *arms, *guards, *(kind for kind in ("recorder", "viewer") if getattr(self, kind) is not None)]
 
     def runs_here(self, name: str) -> bool:
         """Whether a process, as `runs` writes it, or the `router`, is to run on this machine."""

@@ -9,6 +9,8 @@ from schemas.messages import AgentHealth, InputHealth
 from schemas.topics import TOPICS
 
 AWAY = (ABSENT, GONE, SILENT, NEVER)
+GUARD = "guard "
+"""What the name of a guard begins with; its arm follows."""
 SLOW_SHARE = 0.5
 """Below this share of its rate a topic is too slow."""
 SETTLED_S = 5.0
@@ -56,6 +58,11 @@ def _host_away(host: str, address: str, away: tuple[Fare, ...]) -> Wrong:
 def _presence(fare: Fare) -> Iterator[Wrong]:
     name = f"{fare.name} on {fare.placed}" if fare.placed else fare.name
     since = span_of(fare.silent_s)
+    if fare.expected and fare.name.startswith(GUARD) and fare.state in AWAY:
+        arm = fare.name.removeprefix(GUARD)
+        heard = f"{name} was last heard {since} ago" if fare.health is not None else f"nothing is heard of {name}"
+        yield Wrong("guard", fare.name, f"no guard stands by {arm}: {heard}; run suturegrasp guard on its computer")
+        return
     match fare.state:
         case s if s == ABSENT:
             if fare.expected:

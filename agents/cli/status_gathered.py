@@ -67,7 +67,9 @@ def expected_rates(rig: RigConfig) -> dict[str, float]:
 
 def placed_agents(rig: RigConfig) -> dict[str, str]:
     """Every agent of a rig's configuration that tells how it fares, as people call it, with the host that runs it."""
-    quiet = ("viewer", OPERATOR)
+    # nobody need guard an arm that nothing is sent to
+    still = (f"guard {arm}" for arm, section in rig.robot.items() if section.dvrk is not None and section.dvrk.dry_run)
+    quiet = ("viewer", OPERATOR, *still)
     if not rig.hosts:
         return dict.fromkeys((name for name in rig.processes() if name not in quiet), "")
     return {

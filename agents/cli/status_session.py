@@ -4,6 +4,7 @@ from pathlib import Path
 
 from agents.cli.rig import RigConfig
 from agents.cli.rig_hosts import OPERATOR
+from agents.deployment.layout import SERVERS
 from shared.runtime.identity import AUTHORITY_FILE, identity_in
 from shared.runtime.session import SessionSettings
 
@@ -26,9 +27,9 @@ def session_as(rig: RigConfig, name: str) -> SessionSettings:
 
 
 def certificate_names(folder: Path) -> list[str]:
-    """The common names that this host has certificates and keys of, the router's left out; operators come first."""
+    """The common names that this host has certificates and keys of, those of routers left out; operators come first."""
     if not folder.is_dir():
         return []
     names = [p.stem for p in folder.glob("*.pem") if p.name != AUTHORITY_FILE and p.with_suffix(KEY_SUFFIX).exists()]
-    agents = [name for name in names if "." in name and not name.startswith("router.")]
+    agents = [name for name in names if "." in name and name.split(".")[0] not in SERVERS]
     return sorted(agents, key=lambda name: (not name.startswith(f"{OPERATOR}."), name))

@@ -16,7 +16,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.types import PublicKeyTypes
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from agents.deployment.layout import ROUTER, Layout
+from agents.deployment.layout import SERVERS, Layout
 from shared.runtime.identity import AUTHORITY_FILE
 
 AUTHORITY_FOLDER = "authority"
@@ -67,8 +67,7 @@ def issue(layout: Layout, folder: Path, at: datetime.datetime, all_anew: bool = 
         home.mkdir(parents=True, exist_ok=True, mode=0o700)
         _write(home / AUTHORITY_FILE, _pem(signer.certificate))
         for process in host.processes:
-            # the router alone is looked up by its address; all others only call
-            address = host.address if process.kind == ROUTER else ""
+            address = host.address if process.kind in SERVERS else ""
             issued.append(_leaf(layout, signer, home, process.common_name, address, at, host.name, all_anew))
         _remove_others(home, {process.common_name for process in host.processes})
     return issued

@@ -11,7 +11,7 @@ from ruamel.yaml import YAML
 
 from agents.deployment.layout import ROUTER, Host, Process
 from agents.deployment.places import HOME, RIG_FILE, SECRETS, SESSIONS
-from agents.deployment.units import COMMANDS, PEOPLE, REALTIME_KINDS
+from agents.deployment.units import COMMANDS, NOT_OURS, REALTIME_KINDS, REALTIME_PRIORITY
 from shared.runtime.identity import AUTHORITY_FILE
 from shared.runtime.session import ROUTER_RUNTIME, RUNTIME_VARIABLE
 
@@ -22,11 +22,11 @@ ROUTER_FILE = "router.json5"
 
 def compose_file(rig: str, host: Host, calibration: str = "") -> str:
     """The Compose file of a host, in YAML; `calibration` is where the camera's lies beside the rig's file."""
-    services = {_service_name(p): _service(host, p, calibration) for p in host.processes if p.kind != PEOPLE}
+    services = {_service_name(p): _service(host, p, calibration) for p in host.processes if p.kind not in NOT_OURS}
     secrets = {
         file: {"file": f"./certificates/{file}"}
         for p in host.processes
-        if p.kind != PEOPLE
+        if p.kind not in NOT_OURS
         for file in (AUTHORITY_FILE, f"{p.common_name}.pem", f"{p.common_name}.key")
     }
     document = {
@@ -82,7 +82,7 @@ def _service(host: Host, process: Process, calibration: str) -> dict[str, Any]:
             service["volumes"].append(f"./{calibration}:{HOME / calibration}:ro")
     if host.realtime and process.kind in REALTIME_KINDS:
         service["cap_add"] = ["SYS_NICE"]
-        service["ulimits"] = {"rtprio": 50}
+        service["ulimits"] = {"rtprio": REALTIME_PRIORITY}
     return service
 
 

@@ -2,11 +2,14 @@
 
 from dataclasses import dataclass
 
+from agents.deployment.robot_zenoh import ROBOT_ZENOH, ReachedArm
 from schemas.topics import MAIN
 from shared.runtime.access import ALONE, Sites, common_name
 
 ROUTER = "router"
 ROUTER_NAME = common_name(ROUTER)
+SERVERS = (ROUTER, ROBOT_ZENOH)
+"""What others look up by its host's address; all others only call."""
 
 
 @dataclass(frozen=True)
@@ -35,12 +38,14 @@ class Host:
         address: by which the others reach it.
         processes: what runs on it, the router included.
         realtime: whether its agents are given real-time priority.
+        arms: whose consoles run there.
     """
 
     name: str
     address: str
     processes: tuple[Process, ...]
     realtime: bool = False
+    arms: tuple[ReachedArm, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -64,4 +69,4 @@ class Layout:
 
     def common_names(self) -> list[str]:
         """The names of all that connects to the router."""
-        return [p.common_name for host in self.hosts for p in host.processes if p.kind != ROUTER]
+        return [p.common_name for host in self.hosts for p in host.processes if p.kind not in SERVERS]

@@ -2,12 +2,13 @@
 
 import json
 from pathlib import Path, PurePosixPath
-from typing import Any
 
 from agents.deployment.containers import ROUTER_FILE, compose_file
 from agents.deployment.layout import ROUTER, ROUTER_NAME, Host, Layout
 from agents.deployment.places import RIG_FILE, SECRETS
-from agents.deployment.units import units
+from agents.deployment.robot_zenoh import FILE as ROBOT_ZENOH_FILE
+from agents.deployment.robot_zenoh import nested, robot_zenoh_file
+from agents.deployment.units import OF_AN_ARM, units
 from shared.runtime.access import access_control
 from shared.runtime.identity import AUTHORITY_FILE, Identity
 from shared.runtime.session import router_settings
@@ -29,6 +30,8 @@ def plan(layout: Layout, rig_text: str) -> dict[PurePosixPath, str]:
         files |= {home / UNITS_FOLDER / name: text for name, text in units(layout.rig, host).items()}
         if any(process.kind == ROUTER for process in host.processes):
             files[home / ROUTER_FILE] = router_file(layout)
+        if host.arms:
+            files[home / ROBOT_ZENOH_FILE] = robot_zenoh_file(layout.rig, host.name, host.arms)
     return files
 
 
@@ -40,23 +43,11 @@ def router_file(layout: Layout) -> str:
     return f"// rig {layout.rig}: for zenohd\n{json.dumps(nested(settings), indent=2)}\n"
 
 
-def nested(settings: dict[str, Any]) -> dict[str, Any]:
-    """Settings whose names have `/` between their parts, as a tree."""
-    tree: dict[str, Any] = {}
-    for name, value in settings.items():
-        *path, last = name.split("/")
-        branch = tree
-        for part in path:
-            branch = branch.setdefault(part, {})
-        branch[last] = {**branch[last], **value} if isinstance(branch.get(last), dict) else value
-    return tree
-
-
 def hosts_in_words(layout: Layout) -> list[str]:
     """One line for each host."""
     return [f"{host.name} ({host.address}): {_processes_of(host)}" for host in layout.hosts]
 
 
 def _processes_of(host: Host) -> str:
-    named = [p.kind if p.kind != "robot_bridge" else f"{p.kind} {p.instance}" for p in host.processes]
+    named = [p.kind if p.kind not in OF_AN_ARM else f"{p.kind} {p.instance}" for p in host.processes]
     return ", ".join(named) or "nothing"

@@ -6,19 +6,27 @@ loop, that it lives. Nothing gains privileges, and nothing but a recorder may wr
 
 from agents.deployment.layout import ROUTER, Host, Process
 from agents.deployment.places import CERTIFICATES, HOME, PROGRAM, RIG_FILE, SESSIONS, USER
+from agents.deployment.robot_zenoh import ROBOT_ZENOH
 from shared.runtime.identity import AUTHORITY_FILE
 
 TARGET = "suturegrasp.target"
-AGENTS = ("camera", "perception", "reconstruction", "planner", "robot_bridge", "simulator")
+GUARD = "guard"
+AGENTS = ("camera", "perception", "reconstruction", "planner", "robot_bridge", "simulator", GUARD)
 """What has a loop of its own, from which it tells that it is alive."""
 WATCHDOG_S = 10
 """A loop that says nothing for so long hangs; its longest wait is half a second, and its longest step a few."""
-REALTIME_KINDS = ("robot_bridge", "camera", "simulator")
+REALTIME_KINDS = ("robot_bridge", "camera", "simulator", GUARD)
 """What keeps time; the others would take the processor from them."""
 REALTIME_PRIORITY = 50
-COMMANDS = {"robot_bridge": "robot-bridge --arm {instance}", "recorder": "record --output {session} --numbered"}
+OF_AN_ARM = ("robot_bridge", GUARD)
+COMMANDS = {
+    "robot_bridge": "robot-bridge --arm {instance}",
+    GUARD: "guard --arm {instance}",
+    "recorder": "record --output {session} --numbered",
+}
 PEOPLE = "operator"
-"""Has a certificate and no process: commands run as long as somebody needs them."""
+NOT_OURS = (PEOPLE, ROBOT_ZENOH)
+"""Has a certificate and no process of ours: commands run as long as somebody needs them, the robot's Zenoh by ROS."""
 HARDENED = """\
 NoNewPrivileges=yes
 PrivateTmp=yes
@@ -45,13 +53,13 @@ UMask=0027
 
 def unit_name(process: Process) -> str:
     """File name of the unit of a process."""
-    ending = f"-{process.instance}" if process.kind == "robot_bridge" else ""
+    ending = f"-{process.instance}" if process.kind in OF_AN_ARM else ""
     return f"suturegrasp-{process.kind.replace('_', '-')}{ending}.service"
 
 
 def units(rig: str, host: Host) -> dict[str, str]:
     """Every unit of a host, by file name."""
-    services = {unit_name(p): _service(rig, host, p) for p in host.processes if p.kind != PEOPLE}
+    services = {unit_name(p): _service(rig, host, p) for p in host.processes if p.kind not in NOT_OURS}
     target = (
         "[Unit]\n"
         f"Description=SutureGrasp, rig {rig}, host {host.name}\n"
@@ -75,6 +83,7 @@ def _service(rig: str, host: Host, process: Process) -> str:
         "Wants=network-online.target",
         "After=network-online.target time-sync.target",
         f"PartOf={TARGET}",
+        *_order(host, process),
         "# it may be away for as long as it takes: nothing is given up",
         "StartLimitIntervalSec=0",
         "",
@@ -102,6 +111,12 @@ def _service(rig: str, host: Host, process: Process) -> str:
         HARDENED,
     )
     return "\n".join(sections)
+
+
+def _order(host: Host, process: Process) -> tuple[str, ...]:
+    """A guard is there before the bridge that it guards, and goes after it."""
+    guarded = Process("robot_bridge", process.instance)
+    return (f"Before={unit_name(guarded)}",) if process.kind == GUARD and guarded in host.processes else ()
 
 
 def _priority(host: Host, process: Process) -> tuple[str, ...]:

@@ -87,6 +87,11 @@ class RosLink:
         if said.publisher is not None:
             said.publisher.put(payload, attachment=self._naming.attachment(next(said.sequence), now_ns(), self._gid))
 
+    def reaches(self) -> bool:
+        """Whether the Zenoh of the other end is connected now."""
+        session = self._session
+        return session is not None and bool(session.info.routers_zid() or session.info.peers_zid())
+
     def close(self) -> None:
         """Say and hear nothing more."""
         self._stopped.set()

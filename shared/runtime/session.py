@@ -148,12 +148,15 @@ def check_security(endpoint: str, identity: Identity | None) -> None:
         )
 
 
+def host_of(endpoint: str) -> str:
+    """The address that an endpoint names; empty where it is no endpoint."""
+    found = ENDPOINT.fullmatch(endpoint)
+    return "" if found is None else found["host"].strip("[]")
+
+
 def on_loopback(endpoint: str) -> bool:
     """Whether an endpoint is of this machine alone."""
-    found = ENDPOINT.fullmatch(endpoint)
-    if found is None:
-        return False
-    host = found["host"].strip("[]")
+    host = host_of(endpoint)
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:

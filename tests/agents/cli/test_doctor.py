@@ -10,7 +10,7 @@ import pytest
 from agents.cli.doctor import examine
 from agents.cli.doctor_finding import Finding
 from agents.cli.doctor_here import CHRONYC, examine_here, synchronisation
-from agents.cli.doctor_rig import clocks, granted, links, running, streams, versions
+from agents.cli.doctor_rig import clocks, granted, guards, links, running, streams, versions
 from agents.cli.doctor_router import why_not
 from agents.cli.doctor_rules import verdict
 from agents.cli.health_watch import Fare
@@ -163,6 +163,30 @@ def test_agents_are_told_by_host_and_those_missing_are_wrong_once_any_runs():
     found = by_what(running(rig, [there], "desk"))
     assert found["agents on desk (here)"] == Finding("agents on desk (here)", "planner")
     assert found["agents on video"].remedy == "camera does not run; start it there"
+
+
+def test_a_guard_is_wrong_where_it_is_needed_and_is_not_there_reaches_nothing_or_does_not_answer():
+    dvrk = {"endpoint": "tcp/127.0.0.1:7448", "dry_run": False}
+    arm = {"backend": "dvrk", "dvrk": dvrk, "T_camera_base": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}
+    rig = parse_config(json.dumps({"robot": {"psm1": arm}}), RigConfig, "rig.json")
+
+    def found(*fares, **answers):
+        gathered = Gathered(
+            NOW_NS, RIG, "", fares=fares, facts={name.replace("_", "/"): f for name, f in answers.items()}
+        )
+        return [(finding.found, finding.remedy) for finding in guards(rig, gathered)]
+
+    def guard(fault=""):
+        told = AgentHealth("guard", "psm1", "robot", "0.2.0", "h", NOW_NS, 9.0, 1, None, None, (), (), fault)
+        return Fare("guard psm1", told, 0.1, True)
+
+    bridge = Fare("robot_bridge psm1", None, 0.1, True)
+    answers = {"guard_psm1": facts(agent="guard", host="robot")}
+    assert found() == []
+    assert [found for found, remedy in found(bridge) if "before anything is armed" in remedy] == ["none stands by"]
+    assert found(bridge, guard(), **answers) == [("stands by on robot, reaches the arm's Zenoh, and answers", "")]
+    assert found(guard("its Zenoh is away"), **answers)[0][1] == "its Zenoh is away"
+    assert "no answer" in found(guard())[0][0]
 
 
 def facts(**told):

@@ -29,6 +29,14 @@ realtime = true
 """
 ROUTER = '[router]\nhost = "video"\n'
 WHOLE = f'rig = "lab"\n[security]\n{ROUTER}{SECTIONS}{HOSTS}'
+DVRK = """[robot.psm1]
+backend = "dvrk"
+T_camera_base = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+[robot.psm1.dvrk]
+endpoint = "tls/robot.lab:7447"
+through_guard = true
+"""
+FAR = WHOLE.replace("[robot.psm1]\n", DVRK)
 MISTAKES = {
     WHOLE.replace('"perception", ', ""): "no host runs 'perception'",
     WHOLE.replace('"camera", ', ""): "no host runs 'camera'",
@@ -45,6 +53,10 @@ MISTAKES = {
     '[router]\nendpoint = "tcp/10.0.0.1:7447"': "which needs mutual TLS",
     '[router]\nendpoint = "tls/10.0.0.1:7447"': "needs [security]",
     '[router]\nhost = "video"': "there are no [hosts]",
+    FAR: "no host runs 'guard psm1'",
+    FAR.replace('"perception", ', '"perception", "guard psm1", '): "'guard psm1' must run on robot",
+    FAR.replace("tls/robot", "tcp/robot"): "leaves this machine, which needs tls",
+    FAR.replace("through_guard = true", ""): "set through_guard = true",
     WHOLE + "[links]\ndirect = true": "links.direct goes past the router",
     '[topics."camera/frame"]\nrecorded = false': "there is no topic 'camera/frame'; known are camera/frames",
 }

@@ -108,6 +108,19 @@ def test_an_agent_that_is_not_well_is_named_with_how(one, code, told):
     assert told in wrong.text
 
 
+@pytest.mark.parametrize(
+    ("one", "told"),
+    [
+        (Fare("guard psm1", None, 9.0, False, placed="robot"), "nothing is heard of guard psm1 on robot"),
+        (fare("guard psm1", silent_s=7.0, present=False), "guard psm1 was last heard 7 s ago"),
+    ],
+)
+def test_an_arm_by_which_no_guard_stands_is_named(one, told):
+    (wrong,) = judge(moment(one))
+    assert (wrong.code, wrong.about, wrong.grave) == ("guard", "guard psm1", True)
+    assert wrong.text == f"no guard stands by psm1: {told}; run suturegrasp guard on its computer"
+
+
 @pytest.mark.parametrize("present", [True, False, None])
 def test_an_agent_that_was_heard_just_now_is_there_whatever_is_told_of_its_session(present):
     assert judge(moment(fare(silent_s=0.5, present=present))) == []
@@ -304,6 +317,15 @@ def test_agents_are_placed_as_the_rig_says():
         }
     )
     assert placed_agents(rig) == {"camera": "video", "recorder video": "video", "robot_bridge psm1": "desk"}
+
+
+@pytest.mark.parametrize(
+    ("dry_run", "expected"), [(False, {"robot_bridge psm1", "guard psm1"}), (True, {"robot_bridge psm1"})]
+)
+def test_a_guard_is_expected_where_something_is_sent_to_the_arm(dry_run, expected):
+    dvrk = {"endpoint": "tcp/127.0.0.1:7448", "dry_run": dry_run}
+    arm = {"backend": "dvrk", "dvrk": dvrk, "T_camera_base": np.eye(4).tolist()}
+    assert set(placed_agents(RigConfig.model_validate({"robot": {"psm1": arm}}))) == expected
 
 
 def test_up_shows_the_same_judgement_below_its_table():

@@ -82,10 +82,10 @@ def test_a_unit_that_systemd_would_not_take_is_told(deployed, tmp_path):
     assert any("notfy" in line for line in verify(tmp_path))
 
 
-def test_units_are_well_confined(deployed):
+def test_units_are_well_confined(deployed, deployed_far):
     if shutil.which("systemd-analyze") is None:
         pytest.skip("there is no systemd-analyze here, which rates the units")
-    for unit in deployed.glob("*/systemd/*.service"):
+    for unit in (*deployed.glob("*/systemd/*.service"), *deployed_far.glob("robot/systemd/*.service")):
         rated = subprocess.run(
             ["systemd-analyze", "security", "--offline=yes", "--threshold=35", str(unit)],  # noqa: S607
             capture_output=True,
@@ -93,6 +93,60 @@ def test_units_are_well_confined(deployed):
             check=False,
         )
         assert rated.returncode == 0, (unit.name, rated.stdout.splitlines()[-1:], rated.stderr)
+
+
+ARM = """[robot.psm1]
+backend = "dvrk"
+T_camera_base = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+[robot.psm1.dvrk]
+endpoint = "tls/10.0.0.13:7448"
+through_guard = true
+dry_run = false
+"""
+
+
+@pytest.fixture(scope="module")
+def deployed_far(tmp_path_factory):
+    """The same, with an arm whose bridge is not on its computer, but its guard is."""
+    folder = tmp_path_factory.mktemp("far")
+    text = LAB.read_text().replace('[robot.psm1]\nbackend = "simulated"\n', ARM)
+    text = text.replace('"robot_bridge psm1"', '"guard psm1"').replace('"planner"]', '"planner", "robot_bridge psm1"]')
+    (folder / "rig.toml").write_text(text)
+    for action in ("plan", "certificates"):
+        assert suturegrasp("deploy", action, "--config", folder / "rig.toml", "--folder", folder) == 0
+    return folder
+
+
+def test_the_robots_computer_gets_its_guard_and_what_its_zenoh_is_told(deployed_far):
+    robot = deployed_far / "robot"
+    assert sorted(p.name for p in (robot / "systemd").iterdir()) == [
+        "suturegrasp-guard-psm1.service",
+        "suturegrasp.target",
+    ]
+    unit = (robot / "systemd" / "suturegrasp-guard-psm1.service").read_text()
+    assert "guard --arm psm1 --config" in unit
+    assert "WatchdogSec=10" in unit
+    assert sorted(p.name for p in (robot / "certificates").glob("*.key")) == ["guard.psm1.key", "robot_zenoh.robot.key"]
+    assert "guard-psm1:" in (robot / "compose.yaml").read_text()
+    server = x509.load_pem_x509_certificate((robot / "certificates" / "robot_zenoh.robot.pem").read_bytes())
+    names = server.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    assert [str(name.value) for name in names] == ["10.0.0.13"]
+    told = json.loads((robot / "robot-zenoh.json5").read_text().split("\n", 1)[1])
+    assert told["listen"]["endpoints"] == ["tls/10.0.0.13:7448"]
+    assert told["transport"]["link"]["tls"]["enable_mtls"] is True
+    assert {s["id"] for s in told["access_control"]["subjects"]} == {"robot_bridge.psm1", "guard.psm1"}
+    assert "/PSM1/jaw/servo_jp" in told["plugins"]["ros2dds"]["allow"]["subscribers"]
+
+
+def test_a_guard_beside_its_bridge_is_there_first_and_systemd_takes_both(deployed_far, tmp_path):
+    text = (deployed_far / "rig.toml").read_text().replace('"planner", "robot_bridge psm1"]', '"planner"]')
+    (tmp_path / "rig.toml").write_text(text.replace('"guard psm1"', '"guard psm1", "robot_bridge psm1"'))
+    assert suturegrasp("deploy", "plan", "--config", tmp_path / "rig.toml", "--folder", tmp_path) == 0
+    units = tmp_path / "robot" / "systemd"
+    assert "Before=suturegrasp-robot-bridge-psm1.service" in (units / "suturegrasp-guard-psm1.service").read_text()
+    if shutil.which("systemd-analyze") is None:
+        pytest.skip("there is no systemd-analyze here, which checks the units")
+    assert verify(units) == []
 
 
 @pytest.mark.parametrize("host", HOSTS)
