@@ -139,6 +139,13 @@ class EmulatedConsole:
             told["position"], told["goal"] = self._arm.position.tolist(), self._arm.goal.tolist()
             return told | {"arrivals_s": self._arrivals[-20_000:], "holds_ns": self._holds_ns[-1000:]}
 
+    def place(self, joints: np.ndarray) -> None:
+        """Have the arm stand at these joints, as if it had been carried there."""
+        with self._lock:
+            self._arm.position[:6] = joints
+            self._arm.hold()
+            self._held = True
+
     def request(self, word: str) -> None:
         """Have it do something.
 

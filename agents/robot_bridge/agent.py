@@ -5,20 +5,16 @@ Everything it does follows from what it is fed; the time is that of the ticks an
 
 import dataclasses
 import logging
-import re
 from collections.abc import Iterable
-from dataclasses import dataclass, field
-from typing import Any
-
-import numpy as np
-from jaxtyping import Float64
 
 from agents.robot_bridge.backend import ArmState, Backend, Readiness
+from agents.robot_bridge.config import RobotBridgeConfig, RobotBridgeError
 from agents.robot_bridge.execution import Execution, Patience
-from agents.robot_bridge.limits import MAXIMUM_PLAN_AGE_S, MotionLimits, Setup
+from agents.robot_bridge.limits import Setup
+from agents.robot_bridge.measuring import Measuring
 from agents.robot_bridge.motion import plan_motion
-from agents.robot_bridge.refusals import Code, Refusal
-from schemas.checks import MessageError
+from agents.robot_bridge.plans import CLOCK_TOLERANCE_S, Plans, untimely
+from agents.robot_bridge.refusals import REPLAYED, Code, Refusal
 from schemas.messages import (
     Arm,
     CommandAnswer,
@@ -32,69 +28,16 @@ from schemas.messages import (
     ReplayClock,
     RobotMode,
     RobotState,
-    Status,
 )
-from schemas.messages.grasping import check_pose
 from schemas.topics import ARM, EXECUTION, HEARTBEAT, HOLD, PLAN, REPLAY_CLOCK, ROBOT_STATE
-from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
 from shared.runtime.agent import Command, Input, Output, Received, Tick
-from shared.runtime.settable import Between, settable
 
-KEPT_PLANS = 8
-STILL = np.array([2e-3, 2e-3, 2e-4, 2e-3, 2e-3, 2e-3, 2e-3])
-"""An arm whose joints (rad, the third m) and jaw are this near to where they were a while ago has not moved."""
+__all__ = ["RobotBridge", "RobotBridgeConfig", "RobotBridgeError"]
+
 RESTS_AFTER_S = 1.0
 """So long after it was armed or moved last, an arm is at rest."""
-MEASUREMENT_AGE_S = 0.1
-"""An arm that was measured longer ago than this is not ready."""
-CLOCK_TOLERANCE_S = 0.5
-"""How far a plan's frame may lie in the future, or a heartbeat off its time, before clocks are said to disagree."""
 REPLAY_OVER_S = 2.0
 """A replay that was not heard for so long is over."""
-
-FIGURES = re.compile(r"[\d.]+")
-
-REPLAYED = Refusal(
-    Code.REPLAY, "a recording is replayed on this rig, and this arm is real: end the replay, then set a goal and arm"
-)
-
-
-class RobotBridgeError(ValueError):
-    """A configuration that no arm can be driven with; the text names the setting."""
-
-
-@dataclass(frozen=True, eq=False)
-class RobotBridgeConfig:
-    """One arm and how it is driven.
-
-    Fields:
-        arm: its name, which is the instance in its keys.
-        T_camera_base: where its base is, in the rectified left camera's frame, metres.
-        dead_man_s: without a heartbeat for longer than this, the arm holds and is disarmed.
-        first_heartbeat_s: how long the first one may take; nothing moves before it.
-        maximum_plan_age_s: since the frame that the plan was made from was captured; while the arm runs it can only be
-            made smaller than it was configured.
-        tick_hz, resting_hz: turns a second while the arm is armed or moves, and while it is disarmed and still; each
-            turn of a motion sends a set point.
-    """
-
-    arm: str = "psm1"
-    T_camera_base: Float64[np.ndarray, "4 4"] = field(default_factory=lambda: SIMULATED_T_CAMERA_BASE)
-    dead_man_s: float = 0.2
-    first_heartbeat_s: float = 1.0
-    maximum_plan_age_s: float = settable(MAXIMUM_PLAN_AGE_S, Between(0.1))
-    tick_hz: float = ROBOT_STATE.rate_hz or 100.0
-    resting_hz: float = ROBOT_STATE.resting_hz or 10.0
-    limits: MotionLimits = field(default_factory=MotionLimits)
-
-    def __post_init__(self) -> None:
-        try:
-            check_pose("the arm's T_camera_base", self.T_camera_base)
-        except MessageError as error:
-            raise RobotBridgeError(str(error)) from error
-        for name in ("dead_man_s", "first_heartbeat_s", "maximum_plan_age_s", "tick_hz", "resting_hz"):
-            if not 0 < getattr(self, name) < float("inf"):
-                raise RobotBridgeError(f"{name} must be positive and finite, not {getattr(self, name)}")
 
 
 class RobotBridge:
@@ -112,23 +55,23 @@ class RobotBridge:
         self.inputs = (Input(PLAN), Input(HEARTBEAT, config.arm), *clock)
         self.config, self._backend = config, backend
         self._setup = Setup(backend.kinematics, config.T_camera_base, config.limits, 1 / config.tick_hz)
-        self._plans: dict[str, GraspPlan] = {}
-        self._unusable: dict[str, Refusal] = {}
+        self._plans = Plans(config.arm)
         self._now_ns: int | None = None
         self._replay_over_ns = 0
-        self._arm_state: ArmState | None = None
-        self._still_at = np.full(7, np.inf)
-        self._tool: tuple[np.ndarray, Float64[np.ndarray, "4 4"]] | None = None
         self._rests_from_ns = 0
-        self._not_ready = "the arm has not been measured yet"
         self._execution: Execution | None = None
         self._holding = False
         self._turns = 0
-        self._log, self._logged = logging.getLogger(f"suturegrasp.{self.kind}.{config.arm}"), ""
+        self._measured = Measuring(backend, logging.getLogger(f"suturegrasp.{self.kind}.{config.arm}"))
 
     def configure(self, config: RobotBridgeConfig) -> None:
         """Go on with another config, in which only what may be set while the agent runs has changed."""
         self.config = config
+
+    @property
+    def executes(self) -> bool:
+        """Whether a plan is armed, or being carried out."""
+        return self._execution is not None
 
     @property
     def tick_hz(self) -> float:
@@ -149,7 +92,7 @@ class RobotBridge:
             case Command(message=Hold() as message):
                 return self._answer_hold(arrived, message)
             case Received(message=GraspPlan() as plan):
-                self._keep(plan)
+                self._plans.keep(plan, replayed=(self._now_ns or 0) < self._replay_over_ns)
             case Received(message=Heartbeat() as heartbeat):
                 self._beat(heartbeat)
             case Received(message=ReplayClock()):
@@ -176,7 +119,7 @@ class RobotBridge:
         elapsed_s = 0.0 if self._now_ns is None else (now_ns - self._now_ns) * 1e-9
         self._now_ns = now_ns
         arm = self._measure(now_ns)
-        if self._execution or (arm and self._has_moved(arm)):
+        if self._execution or (arm and self._measured.has_moved(arm)):
             self._rests_from_ns = now_ns + round(RESTS_AFTER_S * 1e9)
         events = self._carry_on(self._execution, arm, now_ns, elapsed_s) if self._execution else []
         return [Output(ROBOT_STATE, self._robot_state(arm)), *events] if arm and (self._tells() or events) else events
@@ -187,41 +130,16 @@ class RobotBridge:
         return self._turns % max(1, round(self.tick_hz / (ROBOT_STATE.rate_hz or self.tick_hz))) == 0
 
     def _measure(self, now_ns: int) -> ArmState | None:
-        """The newest finite state, noting why the arm is not ready."""
-        state = self._backend.state(now_ns)
-        if not (np.isfinite(state.joints).all() and np.isfinite(state.jaw_rad)):
-            self._not_ready = state.reason or "the arm reports a joint that is not finite"
-            self._tell_readiness()
-            return self._arm_state
-        self._arm_state = state
-        if state.T_camera_base is not None:
-            self._setup = dataclasses.replace(self._setup, T_camera_base=state.T_camera_base)
-        late = abs(now_ns - state.measured_ns) > MEASUREMENT_AGE_S * 1e9
-        if state.readiness is not Readiness.READY:
-            self._not_ready = f"the arm is {state.readiness.name}: {state.reason}"
-        else:
-            self._not_ready = f"the arm was not measured for {MEASUREMENT_AGE_S:g} s" if late else ""
-        self._tell_readiness()
-        return state
-
-    def _tell_readiness(self) -> None:
-        """Log why the arm is not ready, and that it is again; not each change of a figure in it."""
-        words = FIGURES.sub("", self._not_ready)
-        if words != self._logged:
-            self._logged = words
-            self._log.warning("%s", self._not_ready) if words else self._log.info("the arm is ready")
-
-    def _has_moved(self, arm: ArmState) -> bool:
-        place = np.append(arm.joints, arm.jaw_rad)
-        if (np.abs(place - self._still_at) <= STILL).all():
-            return False
-        self._still_at = place
-        return True
+        """The newest state, and where its base is by that."""
+        arm = self._measured.measure(now_ns)
+        if arm and arm.T_camera_base is not None:
+            self._setup = dataclasses.replace(self._setup, T_camera_base=arm.T_camera_base)
+        return arm
 
     def _carry_on(self, execution: Execution, arm: ArmState | None, now_ns: int, elapsed_s: float) -> list[Output]:
-        if self._not_ready or arm is None:
-            return self._hold(Refusal(Code.NOT_READY, self._not_ready), now_ns)
-        following = execution.next(arm, now_ns, elapsed_s)
+        if self._measured.not_ready or arm is None:
+            return self._hold(Refusal(Code.NOT_READY, self._measured.not_ready), now_ns)
+        following = execution.next(arm, now_ns, elapsed_s, self.config.ratio)
         if following is None:
             return []
         if isinstance(following, Refusal):
@@ -231,7 +149,7 @@ class RobotBridge:
         events = [self._event(*of, ExecutionKind.PHASE_REACHED, now_ns, phase=p) for p in following.reached]
         if following.finished:
             self._execution = None
-            self._plans.pop(execution.plan_id, None)
+            self._plans.forget(execution.plan_id)
             events.append(self._event(*of, ExecutionKind.FINISHED, now_ns))
         return events
 
@@ -261,21 +179,6 @@ class RobotBridge:
         self._replay_over_ns = (self._now_ns or 0) + round(REPLAY_OVER_S * 1e9)
         return self._hold(REPLAYED, self._now_ns or 0) if self._execution else []
 
-    def _keep(self, plan: GraspPlan) -> None:
-        """Keep a plan that this arm could be armed with, or else why it could not."""
-        self._plans.pop(plan.plan_id, None)
-        self._unusable.pop(plan.plan_id, None)
-        if plan.arm != self.config.arm:
-            sentence = f"plan {plan.plan_id} is for {plan.arm}, and this is {self.config.arm}"
-            _keep_few(self._unusable, plan.plan_id, Refusal(Code.OTHER_ARM, sentence))
-        elif plan.status is not Status.OK:
-            sentence = f"the planner rejected plan {plan.plan_id}: {plan.reason}"
-            _keep_few(self._unusable, plan.plan_id, Refusal(Code.REJECTED_PLAN, sentence))
-        elif (self._now_ns or 0) < self._replay_over_ns:
-            _keep_few(self._unusable, plan.plan_id, REPLAYED)
-        else:
-            _keep_few(self._plans, plan.plan_id, plan)
-
     def _answer_arm(self, command: Command, message: Arm) -> list[Output | CommandAnswer]:
         armed, of = self._arm(command, message), (message.plan_id, message.header.id)
         if isinstance(armed, Refusal):
@@ -292,28 +195,25 @@ class RobotBridge:
         return [CommandAnswer(message.header.id, Outcome.ACCEPTED, "", ""), *held]
 
     def _arm(self, command: Command, message: Arm) -> Execution | Refusal:
-        plan = self._plans.get(message.plan_id)
-        if refusal := self._wrong_arm(command, message.arm) or self._unusable.get(message.plan_id):
+        if refusal := self._wrong_arm(command, message.arm) or self._plans.unusable(message.plan_id):
             return refusal
         if command.now_ns < self._replay_over_ns:
             return REPLAYED
         if self._execution:
-            return Refusal(
-                Code.BUSY, f"the arm carries out plan {self._execution.plan_id}: let it end, or say hold, before arming"
-            )
-        if plan is None:
-            return Refusal(
-                Code.UNKNOWN_PLAN, f"no plan {message.plan_id} is among the last {KEPT_PLANS}: set a goal again"
-            )
+            return self._busy()
+        plan = self._plans.find(message.plan_id)
+        if isinstance(plan, Refusal):
+            return plan
         if self._now_ns is not None:
             # between turns of an arm at rest much may have happened
             self._now_ns = command.now_ns
             self._measure(command.now_ns)
-        if self._not_ready or self._arm_state is None or self._now_ns is None:
-            return Refusal(Code.NOT_READY, self._not_ready)
-        if refusal := self._untimely(plan, command.now_ns):
+        arm = self._measured.state
+        if self._measured.not_ready or arm is None or self._now_ns is None:
+            return Refusal(Code.NOT_READY, self._measured.not_ready)
+        if refusal := untimely(plan, command.now_ns, arm.still_since_ns, self.config.maximum_plan_age_s):
             return refusal
-        planned = plan_motion(plan.waypoints, self._arm_state.joints, self._arm_state.jaw_rad, self._setup)
+        planned = plan_motion(plan.waypoints, arm.joints, arm.jaw_rad, self._setup)
         if isinstance(planned, Refusal):
             return planned
         if self._backend.dry_run:
@@ -327,40 +227,24 @@ class RobotBridge:
         sentence = f"the command is for {named}, and this is {self.config.arm}"
         return Refusal(Code.OTHER_ARM, sentence) if named is not None else None
 
-    def _untimely(self, plan: GraspPlan, now_ns: int) -> Refusal | None:
-        captured_ns = min(plan.stamp.capture_left_ns, plan.stamp.capture_right_ns)
-        age_s = (now_ns - captured_ns) * 1e-9
-        if age_s > self.config.maximum_plan_age_s:
-            allowed = f"more than the {self.config.maximum_plan_age_s:g} s allowed: plan again"
-            return Refusal(Code.STALE, f"the frame of plan {plan.plan_id} is {age_s:.1f} s old, {allowed}")
-        if self._arm_state is not None and captured_ns < self._arm_state.still_since_ns:
-            moved = "camera, set-up joints or arm were moved by hand"
-            return Refusal(Code.MOVED, f"{moved} after the frame of plan {plan.plan_id} was captured: plan again")
-        if age_s < -CLOCK_TOLERANCE_S:
-            future = f"the frame of plan {plan.plan_id} was captured {-age_s:.1f} s in the future"
-            return Refusal(Code.CLOCK, f"{future}: set the clocks of camera and bridge by each other")
-        return None
+    def _busy(self) -> Refusal:
+        carries_out = f"the arm carries out plan {self._execution.plan_id}" if self._execution else ""
+        return Refusal(Code.BUSY, f"{carries_out}: let it end, or say hold, before arming")
 
     def _robot_state(self, arm: ArmState) -> RobotState:
         return RobotState(
             arm=self.config.arm,
             measured_ns=arm.measured_ns,
             mode=self._mode(arm),
-            T_base_tool=self._tool_pose(arm),
+            T_base_tool=self._measured.tool_pose(arm),
             joints=arm.joints,
             jaw_rad=arm.jaw_rad,
             T_camera_base=self._setup.T_camera_base,
             plan_id=self._execution.plan_id if self._execution else "",
         )
 
-    def _tool_pose(self, arm: ArmState) -> Float64[np.ndarray, "4 4"]:
-        """The pose of the tool, computed anew where the joints are others than the last time."""
-        if self._tool is None or not np.array_equal(self._tool[0], arm.joints):
-            self._tool = arm.joints.copy(), self._backend.kinematics.forward(arm.joints)
-        return self._tool[1]
-
     def _mode(self, arm: ArmState) -> RobotMode:
-        if self._not_ready:
+        if self._measured.not_ready:
             return RobotMode.DISABLED if arm.readiness is Readiness.DISABLED else RobotMode.FAULT
         if self._execution and self._execution.moving:
             return RobotMode.MOVING
@@ -382,10 +266,3 @@ class RobotBridge:
 
 def _refused(command_id: str, why: Refusal) -> CommandAnswer:
     return CommandAnswer(command_id, Outcome.REFUSED, why.code.value, why.sentence)
-
-
-def _keep_few(kept: dict[str, Any], plan_id: str, value: Any) -> None:
-    """Keep the newest ones; a dict remembers in which order they came."""
-    kept[plan_id] = value
-    if len(kept) > KEPT_PLANS:
-        del kept[next(iter(kept))]

@@ -14,6 +14,8 @@ from shared.kinematics.arm import ArmKinematics
 
 LONGEST_STEP_PERIODS = 2
 """After a late tick the motion goes on where it was, and does not make up for lost time."""
+RATIO_PER_S = 2.0
+"""How fast the share of the planned speed changes: from all to half of it in a quarter of a second."""
 FOLLOWING_M, FOLLOWING_RAD = 0.005, 0.2
 """Farther than this from where the arm is measured, no set point is sent."""
 ARRIVED_M, ARRIVED_RAD = 5e-4, 0.02
@@ -57,7 +59,7 @@ class Execution:
         self._alive_ns, self._beat_at_ns = armed_ns, None
         self._off_s: float | None = None
         self._progress_s: float | None = None
-        self._stop, self._waited_s = 0, 0.0
+        self._stop, self._waited_s, self._ratio = 0, 0.0, 1.0
 
     def beat(self, beat_at_ns: int, now_ns: int) -> None:
         """Take a heartbeat; one that is not newer than the one before, by its sender's clock, is none."""
@@ -69,8 +71,11 @@ class Execution:
         """Note a heartbeat that counts for none, since its sender's clock is so far ahead (negative: behind)."""
         self._off_s = ahead_s
 
-    def next(self, arm: ArmState, now_ns: int, elapsed_s: float) -> SetPoint | Refusal | None:
-        """The next set point, or why to hold; None while the first heartbeat is awaited."""
+    def next(self, arm: ArmState, now_ns: int, elapsed_s: float, ratio: float = 1.0) -> SetPoint | Refusal | None:
+        """The next set point, or why to hold; None while the first heartbeat is awaited.
+
+        `ratio` is the share of the planned speed to go on with; another than before is gone over to within a while.
+        """
         allowed_s = self._patience.dead_man_s if self.moving else self._patience.first_heartbeat_s
         if elapsed_s < 0:
             return Refusal(Code.CLOCK, "the clock went backwards")
@@ -78,7 +83,7 @@ class Execution:
             return Refusal(Code.HEARTBEAT_LOST, self._why_lost(allowed_s, elapsed_s))
         if not self.moving:
             return None
-        reached = self._go_on(arm, elapsed_s)
+        reached = self._go_on(arm, elapsed_s, ratio)
         joints, jaw_rad = self._trajectory.at(self._progress_s or 0.0)
         if self._waited_s > ARRIVAL_S or not self._near(arm, joints, FOLLOWING_M, FOLLOWING_RAD):
             return Refusal(Code.NOT_FOLLOWING, "the arm does not follow its set points: it may be blocked, or pushed")
@@ -93,12 +98,15 @@ class Execution:
             return f"heartbeats come from a clock that is {where}: set the clocks of operator and bridge by each other"
         return f"no heartbeat came for {allowed_s:g} s: the operator must arm a plan again"
 
-    def _go_on(self, arm: ArmState, elapsed_s: float) -> tuple[Phase, ...]:
+    def _go_on(self, arm: ArmState, elapsed_s: float, ratio: float) -> tuple[Phase, ...]:
         """Go towards the next stop, which the first set point, where the trajectory begins, does not yet."""
         if self._progress_s is None:
-            self._progress_s = 0.0
+            self._progress_s, self._ratio = 0.0, ratio
         elif self._progress_s < self._stop_s():
             step_s = min(elapsed_s, LONGEST_STEP_PERIODS * self._trajectory.period_s)
+            change = RATIO_PER_S * step_s
+            self._ratio += min(max(ratio - self._ratio, -change), change)
+            step_s *= self._ratio
             self._progress_s = min(self._progress_s + step_s, self._stop_s())
         else:
             return self._reached(arm, elapsed_s)

@@ -37,3 +37,8 @@ class Refusal:
 
     code: Code
     sentence: str
+
+
+REPLAYED = Refusal(
+    Code.REPLAY, "a recording is replayed on this rig, and this arm is real: end the replay, then set a goal and arm"
+)

@@ -6,6 +6,7 @@ follows, for it knows no time-out.
 """
 
 from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float64
@@ -37,6 +38,24 @@ STOPS = {"hold": EMPTY, "free": EMPTY, "state_command": STRING_STAMPED}
 NOW_NS = 2_000_000_000
 
 
+class Linked(Protocol):
+    """As much of a RosLink as an arm needs."""
+
+    failed: str
+
+    def open(self) -> None:
+        """Begin to hear."""
+        ...
+
+    def say(self, topic: str, payload: bytes) -> None:
+        """Speak on a topic."""
+        ...
+
+    def close(self) -> None:
+        """Neither hear nor speak any more."""
+        ...
+
+
 class DvrkPsm:
     """One PSM; in a dry run, or until it is opened, nothing is ever sent."""
 
@@ -52,16 +71,19 @@ class DvrkPsm:
         through_guard: bool = False,
         kinematics: ArmKinematics = LARGE_NEEDLE_DRIVER,
         base: HandEye | None = None,
+        linked: Callable[..., Linked] = RosLink,
+        clock: Callable[[], int] = clock_ns,
     ) -> None:
         """The arm of that name on the console that is reached so; `tool` as Readings has it.
 
         `through_guard`: set points go to the guard on the robot's computer, which passes on what is fresh.
         `base`: where it is, to follow it where that is told from the ECM.
+        `linked`, `clock`: what else makes a link of what RosLink is made of, and tells the time.
         """
         self.kinematics, self.dry_run, self._name = kinematics, dry_run, name
         self._to, self._tells_guard = (f"{GUARDED}/{name}" if through_guard else name), through_guard and not dry_run
         self._readings = readings = Readings(name, tool, kinematics)
-        self._commanded_ns, self._replayed = 0, False
+        self._commanded_ns, self._replayed, self._clock_ns = 0, False, clock
         self._frames = FramesWatch(name, base)
         heard = (
             *(self._measurement(kind) for kind in KINDS),
@@ -79,19 +101,19 @@ class DvrkPsm:
         says = (*(Said(f"{self._to}/{servo}", JOINT_STATE) for servo in servos), Said(f"{name}/hold", EMPTY))
         said = () if dry_run else says
         watched = tuple(f"{name}/{topic}" for topic in MOTIONS)
-        self._link = RosLink(settings, naming, heard, said, watched, self._owner_changed)
+        self._link = linked(settings, naming, heard, said, watched, self._owner_changed)
 
     def state(self, now_ns: int) -> ArmState:
         """The newest that was heard; the first time, the connection is begun.
 
         Whoever gives a time that is not now replays something, and reaches no robot.
         """
-        self._replayed = abs(now_ns - clock_ns()) > NOW_NS
+        self._replayed = abs(now_ns - self._clock_ns()) > NOW_NS
         if self._replayed:
             return ArmState(0, NOTHING.joints, NOTHING.jaw_rad, Readiness.DISABLED, "it is real, and the time is not")
         self._link.open()
         if self._tells_guard:
-            self._link.say(f"{self._to}/{ALIVE}", crtk.joint_command(np.zeros(1), clock_ns()))
+            self._link.say(f"{self._to}/{ALIVE}", crtk.joint_command(np.zeros(1), self._clock_ns()))
         measured = self._readings.measured()
         readiness, reason = self._readings.judge(measured, self._commanded_ns, now_ns)
         moved = self._frames.judge(now_ns)
@@ -111,7 +133,7 @@ class DvrkPsm:
         """Send a set point for the arm and one for its jaw."""
         if self.dry_run or self._replayed:
             return
-        self._commanded_ns = clock_ns()
+        self._commanded_ns = self._clock_ns()
         self._link.say(f"{self._to}/servo_jp", crtk.joint_command(joints, self._commanded_ns))
         self._link.say(f"{self._to}/jaw/servo_jp", crtk.joint_command(np.array([jaw_rad]), self._commanded_ns))
 

@@ -248,6 +248,23 @@ def test_irregular_ticks_make_it_late_but_never_fast() -> None:
     assert drive.events()[-1].kind is ExecutionKind.FINISHED
 
 
+def test_a_motion_goes_over_to_another_ratio_smoothly_and_takes_as_much_longer() -> None:
+    drives = [Drive(RobotBridgeConfig(ratio=ratio)) for ratio in (1.0, 0.5, 0.5)]
+    for drive in drives:
+        drive.publish(plan())
+        drive.arm()
+        drive.run(40)
+    drives[2].bridge.configure(RobotBridgeConfig(ratio=1.0))
+    for drive in drives:
+        drive.run(4000)
+        assert drive.events()[-1].kind is ExecutionKind.FINISHED
+        places = np.stack([state.T_base_tool[:3, 3] for state in drive.states()])
+        assert np.linalg.norm(np.diff(places, 2, axis=0), axis=1).max() * 100**2 <= 1.5 * MotionLimits().acceleration
+    full, half, changed = (len(drive.states()) for drive in drives)
+    assert half > 1.9 * full
+    assert full < changed < full + 60
+
+
 def test_nothing_moves_between_arming_and_the_first_heartbeat() -> None:
     drive = Drive()
     drive.publish(plan())

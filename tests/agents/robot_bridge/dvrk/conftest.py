@@ -158,7 +158,7 @@ def dry_run() -> bool:
 
 @pytest.fixture
 def lab(codec: str, dry_run: bool, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("agents.robot_bridge.agent.MEASUREMENT_AGE_S", PATIENT_S)
+    monkeypatch.setattr("agents.robot_bridge.measuring.MEASUREMENT_AGE_S", PATIENT_S)
     endpoint, stopped = free_local_endpoint(), threading.Event()
     oracle = Oracle(Field(SIMULATED_T_CAMERA_BASE), hears_heartbeats=True)
     with contextlib.ExitStack() as stack:

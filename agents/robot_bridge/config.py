@@ -1,0 +1,55 @@
+"""What a robot bridge is told: one arm, and how it is driven."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float64
+
+from agents.robot_bridge.limits import MAXIMUM_PLAN_AGE_S, MotionLimits
+from schemas.checks import MessageError
+from schemas.messages.grasping import check_pose
+from schemas.topics import ROBOT_STATE
+from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
+from shared.runtime.settable import Between, settable
+
+
+class RobotBridgeError(ValueError):
+    """A configuration that no arm can be driven with; the text names the setting."""
+
+
+@dataclass(frozen=True, eq=False)
+class RobotBridgeConfig:
+    """One arm and how it is driven.
+
+    Fields:
+        arm: its name, which is the instance in its keys.
+        T_camera_base: where its base is, in the rectified left camera's frame, metres.
+        dead_man_s: without a heartbeat for longer than this, the arm holds and is disarmed.
+        first_heartbeat_s: how long the first one may take; nothing moves before it.
+        maximum_plan_age_s: since the frame that the plan was made from was captured; while the arm runs it can only be
+            made smaller than it was configured.
+        ratio: of the speed that a motion was planned with; a motion that is under way goes over to another smoothly.
+        tick_hz, resting_hz: turns a second while the arm is armed or moves, and while it is disarmed and still; each
+            turn of a motion sends a set point.
+    """
+
+    arm: str = "psm1"
+    T_camera_base: Float64[np.ndarray, "4 4"] = field(default_factory=lambda: SIMULATED_T_CAMERA_BASE)
+    dead_man_s: float = 0.2
+    first_heartbeat_s: float = 1.0
+    maximum_plan_age_s: float = settable(MAXIMUM_PLAN_AGE_S, Between(0.1))
+    ratio: float = settable(1.0, Between(0.05, 1.0))
+    tick_hz: float = ROBOT_STATE.rate_hz or 100.0
+    resting_hz: float = ROBOT_STATE.resting_hz or 10.0
+    limits: MotionLimits = field(default_factory=MotionLimits)
+
+    def __post_init__(self) -> None:
+        try:
+            check_pose("the arm's T_camera_base", self.T_camera_base)
+        except MessageError as error:
+            raise RobotBridgeError(str(error)) from error
+        for name in ("dead_man_s", "first_heartbeat_s", "maximum_plan_age_s", "ratio", "tick_hz", "resting_hz"):
+            if not 0 < getattr(self, name) < float("inf"):
+                raise RobotBridgeError(f"{name} must be positive and finite, not {getattr(self, name)}")
+        if self.ratio > 1:
+            raise RobotBridgeError(f"ratio must not be above 1, and is {self.ratio}")
