@@ -46,7 +46,7 @@ class ThroughOptions(Protocol):
     """What is replayed, and how.
 
     Fields:
-        through: the agents, separated by commas, in the order of the dataflow.
+        through: the agents, separated by commas; they take turns in the order of the dataflow.
         against: what their outputs are compared with.
         config: in place of the recorded one.
         set: single settings that are to be otherwise.
@@ -150,7 +150,7 @@ def _is_known(key: str) -> bool:
 
 
 def _stages(config: RigConfig, names: Sequence[str], entries: list[Entry]) -> list[Stage]:
-    found: list[Stage] = []
+    found: dict[tuple[str, str], Stage] = {}
     for name in (name.strip() for name in names):
         kind, _, instance = name.partition("/")
         if kind not in KINDS:
@@ -158,8 +158,8 @@ def _stages(config: RigConfig, names: Sequence[str], entries: list[Entry]) -> li
         instances = [i for k, i in configured(config) if k == kind and instance in ("", i)]
         if not instances:
             raise ConfigError(f"the configuration of this recording has no {name}; give another one by --config")
-        found += [_stage(config, kind, i, entries) for i in instances]
-    return found
+        found |= {(kind, i): _stage(config, kind, i, entries) for i in instances}
+    return [found[named] for named in sorted(found, key=lambda named: KINDS.index(named[0]))]
 
 
 def _stage(config: RigConfig, kind: str, instance: str, entries: list[Entry]) -> Stage:

@@ -240,7 +240,8 @@ def _verify(observations: ThreadObservations, before: ThreadTrack, now: Followed
 def _claimed_too_much(followed_fit: Refined, alone: Refined, camera: RectifiedStereo) -> float:
     """The share of a curve that excludes the one of the frame alone, where that one itself is less sure.
 
-    Both rest on the same points there, so what makes them differ is only believed: how smooth the thread is.
+    Both rest on the same points there, so what makes them differ is only believed: how smooth the thread is, and where
+    it was before.
     """
     at = np.linspace(0.0, 1.0, 101)
     here, there = followed_fit.curve.at(at), alone.curve.at(at)
@@ -253,9 +254,24 @@ def _claimed_too_much(followed_fit: Refined, alone: Refined, camera: RectifiedSt
     own, other = (point_covariance(fit, camera, s) for fit, s in ((followed_fit, at), (alone, at[nearest])))
     # along the thread nothing is compared, and a large variance there makes the inverse exist
     wide = np.trace(own, axis1=1, axis2=2)[:, None, None] * tangent[:, :, None] * tangent[:, None, :]
-    apart = np.einsum("qi,qi->q", off, np.linalg.solve(across @ own @ across + wide, off[:, :, None])[:, :, 0])
+    apart = _apart(off, across @ own @ across + wide, across @ other @ across + wide)
     less_sure = np.einsum("qij,qij->q", across, other) > np.einsum("qij,qij->q", across, own)
     return float(((apart > OUTSIDE) & less_sure).mean())
+
+
+def _apart(
+    off: Float64[np.ndarray, "q 3"], own: Float64[np.ndarray, "q 3 3"], other: Float64[np.ndarray, "q 3 3"]
+) -> Float64[np.ndarray, "q"]:
+    """How far places are apart, squared, in what they may be.
+
+    What a smaller set of the same data says differs from what all of it says by the one's covariance less the other's
+    (Hausman 1978). Where that is less than the followed curve's own, that own counts: both are estimates themselves.
+    """
+    lower = np.linalg.cholesky(own)
+    white = np.linalg.solve(lower, np.linalg.solve(lower, other).transpose(0, 2, 1))
+    share, axes = np.linalg.eigh((white + white.transpose(0, 2, 1)) / 2)
+    along = np.einsum("qij,qi->qj", axes, np.linalg.solve(lower, off[:, :, None])[:, :, 0])
+    return (along**2 / np.maximum(share - 1, 1.0)).sum(axis=1)
 
 
 def _explained(observations: ThreadObservations, fit: Refined) -> float:

@@ -9,6 +9,7 @@ from agents.reconstruction.agent import Reconstruction
 from agents.reconstruction.methods import METHODS
 from agents.reconstruction.refined import tracking
 from agents.reconstruction.refined.following import Followed, LostError
+from agents.reconstruction.refined.posterior import point_covariance
 from agents.reconstruction.refined.tracking import track_refined
 from benchmarks.sequences import Kind, sequence
 from benchmarks.tracking import on_curve
@@ -317,20 +318,26 @@ def rows_and_bends(t):
     return np.column_stack((-20 + 40 * t, 150 * bend**2, 95 + 2 * t))
 
 
-def test_a_curve_contradicts_its_frame_only_where_it_claims_more():
+def test_a_curve_contradicts_its_frame_only_where_it_claims_more_and_the_frame_can_tell():
     frame = seen(rows_and_bends)
     before, fit = track_of(track_refined(frame, None)), tracking._alone(frame, None).fit
     at = np.linspace(0.0, 1.0, len(fit.curve.control_points))
     ray = fit.curve.control_points / fit.curve.control_points[:, 2:]
-    deeper_mm = 3.0 * np.exp(-(((at - 0.5) / 0.2) ** 2))
-    elsewhere = fit.curve.moved(ray * deeper_mm[:, None])
-    sure = dataclasses.replace(fit, curve=elsewhere, loose=fit.loose * 1e6, alone=fit.alone * 1e6)
-    doubtful = dataclasses.replace(fit, curve=elsewhere, loose=fit.loose * 1e-6, alone=fit.alone * 1e-6)
+    middle = point_covariance(fit, CAMERA, np.array([0.5]))[0]
+    deviation_mm = np.sqrt(np.linalg.eigvalsh(middle)[-1])
+    assert 3.0 < deviation_mm < 4.0
+
+    def followed(deviations, information, width):
+        deeper_mm = deviations * deviation_mm * np.exp(-(((at - 0.5) / width) ** 2))
+        elsewhere = fit.curve.moved(ray * deeper_mm[:, None])
+        changed = dataclasses.replace(fit, loose=fit.loose * information, alone=fit.alone * information)
+        return dataclasses.replace(changed, curve=elsewhere)
+
     with pytest.raises(LostError, match="lies farther away than the followed one was said to be off"):
-        tracking._verify(frame, before, Followed(sure, 0.0, 1.0, False))
-    tracking._verify(frame, before, Followed(doubtful, 0.0, 1.0, False))
-    tracking._verify(frame, before, Followed(fit, 0.0, 1.0, False))
-    assert tracking._claimed_too_much(fit, sure, CAMERA) == 0.0
+        tracking._verify(frame, before, Followed(followed(2.0, 1e6, 0.25), 0.0, 1.0, False))
+    for at_one in (followed(1.0, 1e6, 0.2), followed(2.0, 1e-6, 0.25), fit):
+        tracking._verify(frame, before, Followed(at_one, 0.0, 1.0, False))
+    assert tracking._claimed_too_much(fit, followed(1.0, 1e6, 0.2), CAMERA) == 0.0
 
 
 @pytest.mark.parametrize(("elapsed_s", "due"), [(0.001, 29), (1 / 30, 29), (0.1, 9), (0.4, 1), (2.0, 0)])
