@@ -18,7 +18,7 @@ from agents.emulator.wire import BridgeWire, RmwWire
 from shared.clock import monotonic_s
 from shared.runtime.connection import NoRouterError, open_when_there
 from shared.runtime.identity import IdentityError
-from shared.runtime.session import RouterError, Session, SessionSettings, open_router
+from shared.runtime.session import RouterError, Session, SessionSettings, open_from, open_router
 
 EXIT_UNSAFE = 1
 OWN_ENDPOINT = "tcp/127.0.0.1:7448"
@@ -56,7 +56,8 @@ def _run(options: Emulate, session: Session, oracle: Oracle, stopped: threading.
     behaviour = Behaviour(options.ready, lag_s=1e-3 * options.lag_ms)
     console = EmulatedConsole(wire, options.arm, oracle, behaviour)
     with contextlib.closing(console), answering(session, console):
-        how = f"at {options.connect}" if options.connect else f"listening on {options.listen or OWN_ENDPOINT}"
+        where = f"as {options.zenoh} says" if options.zenoh else f"listening on {options.listen or OWN_ENDPOINT}"
+        how = f"at {options.connect}" if options.connect else where
         say(f"an emulated dVRK has {options.arm}, {options.codec}, {how}; stop with Ctrl-C")
         console.run(stopped)
         verdict = console.verdict()
@@ -73,6 +74,8 @@ def _tell(verdict: dict[str, Any], path: Path | None) -> int:
 
 
 def _session(options: Emulate, stopped: threading.Event) -> Session:
+    if options.zenoh is not None and options.tell is None:
+        return open_from(options.zenoh)
     if options.connect is None and options.tell is None:
         return open_router(options.listen or OWN_ENDPOINT)
     return open_when_there(SessionSettings(endpoint=options.connect or options.listen or OWN_ENDPOINT), stopped=stopped)

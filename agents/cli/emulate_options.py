@@ -31,6 +31,8 @@ class Emulate:
     """Be a Zenoh router there, as the robot's own computer has one: tcp/127.0.0.1:7448, without --connect."""
     connect: Annotated[str | None, tyro.conf.arg(metavar="ENDPOINT")] = None
     """Be a client of the Zenoh router there instead."""
+    zenoh: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Be the Zenoh that this file says instead, as deploy plan writes one for the robot's computer."""
     ready: bool = False
     """Begin enabled and homed."""
     lag_ms: float = 0.0

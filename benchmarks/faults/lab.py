@@ -148,8 +148,10 @@ def _heed_not(_answer: CommandAnswer) -> None:
 
 
 @contextlib.contextmanager
-def laboratory(folder: Path, rate_hz: float = 5.0, clocks: bool = False, probes: bool = True) -> Generator[Lab]:
-    """A lab whose rig runs and has seen a thread; `clocks`: whose hosts' clocks can be set.
+def laboratory(
+    folder: Path, rate_hz: float = 5.0, clocks: bool = False, probes: bool = True, emulated: bool = False
+) -> Generator[Lab]:
+    """A lab whose rig runs and has seen a thread; `clocks`: whose hosts' clocks can be set; `emulated` as `describe`.
 
     Raises:
         CannotError: where this system cannot play it.
@@ -159,7 +161,7 @@ def laboratory(folder: Path, rate_hz: float = 5.0, clocks: bool = False, probes:
     with contextlib.ExitStack() as stack:
         network = stack.enter_context(connected_hosts(HOSTS))
         processes = stack.enter_context(contextlib.closing(Processes(network, folder, clocks)))
-        describe(network, rate_hz, folder)
+        describe(network, rate_hz, folder, emulated)
         # one who hears all from the beginning
         processes.start(ROUTER, ROUTER, *MODULE, ROUTER, "--config", str(folder / ROUTER / CONFIG))
         connection = stack.enter_context(connected(settings_at(folder / OWN / CONFIG), within_s=STARTS_S))

@@ -6,12 +6,16 @@ from pathlib import Path
 
 from agents.cli.rig import ArmSection, CameraSection, RigConfig, RouterSection, SimulatorSection, simulated_rig
 from agents.cli.rig_hosts import OPERATOR, HostSection, SecuritySection
+from agents.cli.rig_sections import DvrkSection
 from agents.cli.this_host import at_host, certificates_of
 from benchmarks.faults.network import OWN, CannotError, Network
+from shared.kinematics.simulated_setup import SIMULATED_BASES
 from shared.runtime.config import load_config
 from shared.runtime.session import SessionSettings
 
 ARM = "psm1"
+EMULATED = "psm2"
+CONSOLE_PORT = 7448
 ROUTER = "router"
 PLANS_WAIT_S = 60.0
 """How old a plan may be when it is armed: on two cores, a command takes a second to load."""
@@ -24,6 +28,7 @@ RUNS = {
 }
 """Commands by host; the operator's own are at the desk too."""
 HOSTS = tuple(RUNS)
+OF_EMULATED = {"robot": (f"guard {EMULATED}",), "strong": (f"robot_bridge {EMULATED}",)}
 KINDS = {"robot-bridge": "robot_bridge", "record": "recorder"}
 """Names of agents in keys, where they are not the command's."""
 MODULE = (sys.executable, "-m", "agents.cli")
@@ -31,21 +36,29 @@ CONFIG = "rig.json"
 LIMIT_S = 60.0
 
 
-def describe(network: Network, rate_hz: float, folder: Path) -> None:
+def describe(network: Network, rate_hz: float, folder: Path, emulated: bool = False) -> None:
     """Write the rig on these hosts, and make its certificates: a folder for each host, and one for us at the switch.
 
-    Everything is simulated, with few enough frames for two cores, and an easy thread.
+    Everything is simulated, with few enough frames for two cores, and an easy thread; `emulated`: but for a second arm,
+    whose console is at the host of the robot, and its bridge is not. Nothing of that arm is started with the others.
 
     Raises:
         CannotError: where no certificates can be made.
     """
-    hosts = {name: HostSection(address=network.address(name), runs=_runs(name)) for name in (*HOSTS, OWN)}
+    more = OF_EMULATED if emulated else {}
+    hosts = {
+        name: HostSection(address=network.address(name), runs=(*_runs(name), *more.get(name, ())))
+        for name in (*HOSTS, OWN)
+    }
+    arms = {ARM: ArmSection(maximum_plan_age_s=PLANS_WAIT_S)}
+    if emulated:
+        arms[EMULATED] = _emulated_arm(network)
     sections = {
         "router": RouterSection(host=ROUTER),
         "hosts": hosts,
         "security": SecuritySection(),
         "camera": CameraSection(rate_hz=rate_hz),
-        "robot": {ARM: ArmSection(maximum_plan_age_s=PLANS_WAIT_S)},
+        "robot": arms,
         "simulator": SimulatorSection(config="easy", background="plain"),
         "viewer": None,
     }
@@ -63,6 +76,14 @@ def settings_at(config: Path) -> SessionSettings:
     """How an operator reaches the dataflow from the host whose copy of the configuration this is."""
     rig = load_config(config, RigConfig)
     return certificates_of(at_host(rig, config.parent.name), config).session
+
+
+def _emulated_arm(network: Network) -> ArmSection:
+    dvrk = DvrkSection(endpoint=f"tls/{network.address('robot')}:{CONSOLE_PORT}", through_guard=True, dry_run=False)
+    base = SIMULATED_BASES[EMULATED].tolist()
+    return ArmSection.model_validate(
+        {"backend": "dvrk", "dvrk": dvrk, "T_camera_base": base, "maximum_plan_age_s": PLANS_WAIT_S}
+    )
 
 
 def _runs(host: str) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ import os
 import re
 import socket
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import zenoh
@@ -123,6 +124,19 @@ def open_router(
             f"no router can listen on {endpoint} ({said}): another one may be running there; stop it, or use another "
             "endpoint"
         ) from None
+
+
+def open_from(file: Path) -> zenoh.Session:
+    """A session as a file of Zenoh's own says, such as one that is written for zenohd.
+
+    Raises:
+        RouterError: where it cannot be read, or says what cannot be done.
+    """
+    os.environ.setdefault(RUNTIME_VARIABLE, ROUTER_RUNTIME)
+    try:
+        return zenoh.open(zenoh.Config.from_file(str(file)))
+    except zenoh.ZError as error:
+        raise RouterError(f"{file} is no configuration that Zenoh takes: {str(error).split(' at /')[0]}") from None
 
 
 def have_links_logged() -> None:

@@ -131,7 +131,7 @@ def lab(tmp_path_factory):
     It runs until this folder's tests end, so they come last in it.
     """
     try:
-        with laboratory(tmp_path_factory.mktemp("lab")) as started:
+        with laboratory(tmp_path_factory.mktemp("lab"), emulated=True) as started:
             yield started
     except CannotError as error:
         pytest.skip(str(error))

@@ -1,13 +1,17 @@
 """The dataflow on four hosts with the router on a fifth, secured as in a lab; network namespaces are the hosts."""
 
 import itertools
+import json
+import os
 import subprocess
 
 import pytest
 
-from benchmarks.faults.rig import MODULE, ROUTER, RUNS
+from benchmarks.faults.network import OWN
+from benchmarks.faults.rig import EMULATED, MODULE, ROUTER, RUNS
 from schemas.messages import Status
-from schemas.topics import HEALTH, PLAN
+from schemas.topics import HEALTH, PLAN, ROBOT_STATE
+from shared.kinematics.simulated_setup import SIMULATED_BASES
 
 PORT = 7447
 # what it takes to start all processes, and to wait for a plan, may both fall to one test
@@ -47,3 +51,70 @@ def test_no_agent_ended_and_nothing_was_lost_unaccounted(lab):
     newest = {heard.message.agent: heard.message for heard in lab.observer.messages(HEALTH)}
     assert not [health.fault for health in newest.values() if health.fault]
     assert not [i for health in newest.values() for i in health.inputs if i.refused]
+
+
+@pytest.fixture
+def console(lab, until, tmp_path):
+    """An emulated console at the host of the robot, the Zenoh that deploy plan writes for it, guard and bridge.
+
+    The bridge is on another host. What the console says in the end is in the file that is given.
+    """
+    planned = [*MODULE, "deploy", "plan", "--config", str(lab.config(OWN)), "--folder", str(tmp_path)]
+    subprocess.run(planned, check=True, capture_output=True, timeout=60.0)
+    zenoh, base, verdict = tmp_path / "robot" / "robot-zenoh.json5", tmp_path / "base.json", tmp_path / "verdict.json"
+    zenoh.write_text(zenoh.read_text().replace("/etc/suturegrasp", str(lab.folder / "robot")))
+    base.write_text(json.dumps({"T_camera_base": SIMULATED_BASES[EMULATED].tolist()}))
+    told = ("--zenoh", str(zenoh), "--camera", str(base), "--verdict", str(verdict))
+    arm = ("--arm", EMULATED, "--config")
+    lab.processes.start("robot", "emulate", *MODULE, "emulate", "dvrk", "--ready", *told)
+    lab.processes.start("robot", "guard", *MODULE, "guard", *arm, str(lab.config("robot")))
+    lab.processes.start("strong", "far-bridge", *MODULE, "robot-bridge", *arm, str(lab.config("strong")))
+
+    def ready():
+        guards = [h.message for h in lab.observer.messages(HEALTH) if h.message.agent == "guard"]
+        return bool(guards) and not guards[-1].fault and EMULATED in {h.message.arm for h in states()}
+
+    def states():
+        return lab.observer.messages(ROBOT_STATE)
+
+    until(ready, "the emulated arm and its guard")
+    yield verdict
+    lab.processes.forget("far-bridge")
+    lab.processes.forget("guard")
+
+
+def test_an_arm_on_another_host_grasps_in_an_experiment_and_no_set_point_is_unsafe(lab, console, tmp_path):
+    """Goal, plan, arming, TLS and the gate of the guard, capture, slide and grasp, and the simulator's verdict."""
+    folder = tmp_path / "experiment"
+    asked = ("--threads", "easy/plain", "--goals", "1", "--arm", EMULATED, "--verdicts", "simulated")
+    command = [*lab.network.inside("desk"), *MODULE, "experiment", str(folder), *asked]
+    log, status = answered([*command, "--config", str(lab.config("desk"))])
+    assert status == 0, log
+    lab.processes.stop("emulate")
+    judged = json.loads(console.read_text())
+    assert (judged["unsafe"], judged["set_points"] > 500) == (0, True), judged["sentences"]
+    attempts = json.loads((folder / "results.json").read_text())["attempts"]
+    moved = {a["trial"]["policy"]: a for a in attempts if a["outcome"] in ("held", "failed")}
+    assert set(moved) == {"direct", "robust"}, log
+    assert moved["robust"]["slide_m"] > 0
+    assert "psm2: capture\npsm2: slide\npsm2: grasp" in log
+
+
+def answered(command):
+    """What a command said, and its exit status, where each of its questions is answered as somebody would."""
+    answers = {b"Ctrl-C holds it; a plans anew: ": b"\n", b"n: try it again: ": b"n\n", b"Enter goes on: ": b"\n"}
+    answers |= {b"Enter tries again: ": b"\n"}
+    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, bufsize=0, env=environment
+    ) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        said, done = b"", 0
+        while more := process.stdout.read(10_000):
+            said += more
+            for question, answer in answers.items():
+                if said[done:].endswith(question):
+                    process.stdin.write(answer)
+                    done = len(said)
+        return said.decode(), process.wait(60.0)

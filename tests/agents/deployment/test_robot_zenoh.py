@@ -1,0 +1,69 @@
+"""The Zenoh of a robot's computer, as its file says: who gets in, and what each may say, by trying."""
+
+import contextlib
+import datetime
+import json
+import queue
+
+import pytest
+
+from agents.deployment.certificates import issue
+from agents.deployment.layout import Host, Layout, Process
+from agents.deployment.robot_zenoh import ROBOT_ZENOH, ReachedArm, robot_zenoh
+from shared.clock import now_ns
+from shared.ros.naming import RmwZenoh, Ros2dds
+from shared.ros.types import JOINT_STATE
+from shared.runtime.connection import NoRouterError, open_when_there
+from shared.runtime.identity import identity_in
+from shared.runtime.session import RouterError, SessionSettings, free_local_endpoint, open_from
+
+BRIDGE, GUARD, ANOTHER = "robot_bridge.psm1", "guard.psm1", "camera.main"
+SERVO, PASSED = "PSM1/servo_jp", "guarded/PSM1/servo_jp"
+MAY_SAY = [
+    ("ros2dds", True, {BRIDGE: {PASSED}, GUARD: {SERVO}}),
+    ("rmw_zenoh", True, {BRIDGE: {PASSED}, GUARD: {SERVO}}),
+    ("ros2dds", False, {BRIDGE: {SERVO}, GUARD: set[str]()}),
+]
+
+
+@pytest.mark.parametrize(("codec", "through_guard", "may_say"), MAY_SAY, ids=["ros2dds", "rmw_zenoh", "beside"])
+def test_only_an_arms_bridge_and_guard_get_in_and_each_says_what_is_its_own(tmp_path, codec, through_guard, may_say):
+    processes = tuple(Process(*name.split(".")) for name in (BRIDGE, GUARD, ANOTHER, f"{ROBOT_ZENOH}.robot"))
+    layout = Layout("lab", "tls/127.0.0.1:1", (Host("robot", "127.0.0.1", processes),), 30, 3650)
+    issue(layout, tmp_path, datetime.datetime.fromtimestamp(now_ns() * 1e-9, datetime.UTC))
+    certificates, endpoint = tmp_path / "robot" / "certificates", free_local_endpoint().replace("tcp", "tls")
+    arms = (ReachedArm("psm1", "PSM1", endpoint, codec, 3, through_guard),)
+    file = tmp_path / "zenoh.json5"
+    file.write_text(json.dumps(robot_zenoh(arms, identity_in(certificates, f"{ROBOT_ZENOH}.robot"))))
+    naming, heard = Ros2dds() if codec == "ros2dds" else RmwZenoh(3), queue.Queue()
+    with contextlib.ExitStack() as stack:
+        robot = stack.enter_context(open_from(file))
+        robot.declare_subscriber("**", lambda sample: heard.put(sample.payload.to_string()))
+        for name in (ANOTHER, BRIDGE, GUARD):
+            settings = SessionSettings(endpoint=endpoint, identity=identity_in(certificates, name))
+            session = stack.enter_context(open_when_there(settings, 20.0))
+            for topic in (SERVO, PASSED):
+                session.put(naming.key(topic, JOINT_STATE), f"{name} {topic}")
+            # each may say this, or nothing at all
+            session.put(naming.key("PSM1/hold", "std_msgs/msg/Empty"), f"{name} hold")
+        said = [heard.get(timeout=20.0)]
+        while f"{GUARD} hold" not in said:
+            said.append(heard.get(timeout=20.0))
+    assert sorted(said) == sorted(f"{name} {topic}" for name, topics in may_say.items() for topic in (*topics, "hold"))
+
+
+def test_without_a_certificate_nobody_gets_in(tmp_path):
+    processes = (Process(ROBOT_ZENOH, "robot"),)
+    layout = Layout("lab", "tls/127.0.0.1:1", (Host("robot", "127.0.0.1", processes),), 30, 3650)
+    issue(layout, tmp_path, datetime.datetime.fromtimestamp(now_ns() * 1e-9, datetime.UTC))
+    endpoint, file = free_local_endpoint().replace("tcp", "tls"), tmp_path / "zenoh.json5"
+    own = identity_in(tmp_path / "robot" / "certificates", f"{ROBOT_ZENOH}.robot")
+    file.write_text(json.dumps(robot_zenoh((ReachedArm("psm1", "PSM1", endpoint, "ros2dds", 0, True),), own)))
+    with open_from(file), pytest.raises(NoRouterError):
+        open_when_there(SessionSettings(endpoint=endpoint), 1.0)
+
+
+def test_a_file_that_zenoh_does_not_take_is_told_in_one_sentence(tmp_path):
+    (tmp_path / "zenoh.json5").write_text("{ mode: ")
+    with pytest.raises(RouterError, match=r"zenoh\.json5 is no configuration that Zenoh takes"):
+        open_from(tmp_path / "zenoh.json5")
