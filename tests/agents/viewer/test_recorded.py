@@ -1,12 +1,12 @@
 import dataclasses
 import itertools
-import os
 import subprocess
 import sys
 
 import numpy as np
 import pytest
 
+from agents.cli.main import main
 from agents.viewer.live import LiveViewer
 from agents.viewer.live_layout import LAYOUTS
 from agents.viewer.recorded import RecordedViewer, between, tapped_of
@@ -154,13 +154,15 @@ def test_the_command_names_messages_that_are_none(session_messages, tmp_path):
         (("{recording}",), "there is no screen here"),
     ],
 )
-def test_what_cannot_be_shown_is_refused_in_one_line(arguments, said, recording):
-    given = [str(argument).replace("{recording}", str(recording)) for argument in arguments]
-    bare = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
-    seen = run_view(*given, env=bare)
-    assert seen.returncode == 2
-    assert said in seen.stderr
-    assert len(seen.stderr.strip().splitlines()) == 1
+def test_what_cannot_be_shown_is_refused_in_one_line(arguments, said, recording, monkeypatch, capfd):
+    for screen in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(screen, raising=False)
+    with pytest.raises(SystemExit) as end:
+        main(["view", *(str(argument).replace("{recording}", str(recording)) for argument in arguments)])
+    assert end.value.code == 2
+    told = capfd.readouterr().err
+    assert said in told
+    assert len(told.strip().splitlines()) == 1
 
 
 def test_a_viewer_that_is_closed_ends_the_file_where_it_has_come_to(recording, tmp_path):
