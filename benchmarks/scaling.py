@@ -1,10 +1,10 @@
 """Ten rigs on one router, a link that is too narrow, two sites, and a central recorder: what each costs, what breaks.
 
     python -m benchmarks.scaling [--rigs 1 2 5 10] [--seconds 10] [--only bytes rigs narrow sites recorder]
-        [--json out/scaling.json]
+        [--session SESSION] [--json out/scaling.json]
 
 A rig is two processes: one publishes what its agents publish, by the runtime's own delivery classes, with the payloads
-of docs/example/session.mcap at the rates of the topic table; one hears what its agents hear. The router is a third. All
+of a recorded session at the rates of the topic table; one hears what its agents hear. The router is a third. All
 share this machine's processors, so what they take counts, and ratios, more than what is still well at which number.
 Namespaces, for the narrow link and the two sites, need root.
 """
@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.faults.network import CannotError
-from benchmarks.scaling_load import AUDIENCES, rate_hz, streams
+from benchmarks.scaling_load import AUDIENCES, SESSION, rate_hz, streams
 from benchmarks.scaling_narrow import measure_narrow
 from benchmarks.scaling_record import measure_recorder
 from benchmarks.scaling_rigs import WAYS, measure
@@ -46,6 +46,7 @@ class Options:
     Fields:
         narrow_rigs, megabits: of the link that is too narrow.
         recorded_rigs: how many rigs one recorder records.
+        session: whose payloads are sent; docs/example/session.mcap where unset.
     """
 
     only: tuple[Part, ...] = ("bytes", "rigs", "narrow", "sites", "recorder")
@@ -54,12 +55,15 @@ class Options:
     narrow_rigs: tuple[int, ...] = (1, 2, 3)
     megabits: int = 100
     recorded_rigs: tuple[int, ...] = (1, 5, 10)
+    session: Path | None = None
     json: Path | None = None
 
 
 def main() -> None:
     """Measure, print tables, and write JSON where asked to."""
     options = tyro.cli(Options)
+    if options.session:
+        os.environ[SESSION] = str(options.session)
     measured: dict[str, Any] = {}
     CONSOLE.print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} before the start")
     with tempfile.TemporaryDirectory() as folder:

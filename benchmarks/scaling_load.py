@@ -10,6 +10,7 @@ prints what it sent or heard. Frames are those of a camera as JPEG; payloads are
 import contextlib
 import functools
 import json
+import os
 import sys
 import threading
 from collections import defaultdict
@@ -45,7 +46,9 @@ from shared.runtime.identity import identity_in
 from shared.runtime.memory import keep_freed_memory
 from shared.runtime.session import SessionSettings, open_session
 
-RECORDED = Path(__file__).parents[1] / "docs" / "example" / "session.mcap"
+EXAMPLE = Path(__file__).parents[1] / "docs" / "example" / "session.mcap"
+SESSION = "SUTUREGRASP_SCALING_SESSION"
+"""Environment: another recording whose payloads are sent, for all processes of a run."""
 EVENT_HZ = 2.0
 """Of each event: a grasp has about ten of all kinds together, in a few seconds."""
 HEALTH_HZ = 1.0
@@ -125,7 +128,7 @@ class Stream:
 def streams() -> tuple[Stream, ...]:
     """What one rig publishes, with the sizes of the recorded session and the rates of the topic table."""
     recorded: defaultdict[tuple[Topic, str], list[bytes]] = defaultdict(list)
-    for entry in read_recording(RECORDED):
+    for entry in read_recording(Path(os.environ.get(SESSION, EXAMPLE))):
         topic, agent = topic_of(entry.key), entry.key.split("/")[2]
         # no rig of a lab has a simulator
         if agent != "simulator":
