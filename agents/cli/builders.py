@@ -86,13 +86,15 @@ def _robot_bridge(rig: RigConfig, arm: str, section: ArmSection) -> RobotBridge:
     if section.dvrk is None:
         return RobotBridge(config, SimulatedPsm(waiting(T_camera_base)))
     # reading ROS messages takes as long to load as all else
+    from agents.cli.audit import AuditedBridge, audit_of
     from agents.cli.guard_command import naming_of
     from agents.robot_bridge.dvrk.psm import DvrkPsm
 
     told = section.dvrk
     reached = SessionSettings(rig.rig, told.endpoint, rig.identity_of(run_name("robot_bridge", arm)))
     backend = DvrkPsm(told.arm, reached, naming_of(told), told.tool, told.dry_run, told.through_guard, base=base)
-    return RobotBridge(dataclasses.replace(config, tick_hz=told.set_point_hz), backend)
+    audit = audit_of(rig, run_name("robot_bridge", arm))
+    return AuditedBridge(dataclasses.replace(config, tick_hz=told.set_point_hz), backend, audit)
 
 
 def perception_config(section: PerceptionSection, needs_matching: bool) -> PerceptionConfig:

@@ -28,7 +28,7 @@ from shared.runtime.connection import Connection
 from shared.runtime.taps import Tapped
 
 PATIENCE_S, VERDICT_S, LOOK_S = 60.0, 5.0, 0.2
-PASSING = ("stale", "not_ready", "busy", "clock", "unknown_plan", "replay", "dry_run", "no_answer", "late")
+PASSING = ("stale", "not_ready", "busy", "clock", "moved", "unknown_plan", "replay", "dry_run", "no_answer", "late")
 """Codes of a refusal to arm that speak against the moment, not against the plan."""
 SENDER = "suturegrasp experiment"
 CAUSE_OF: dict[Verdict, Cause] = {Verdict.MISSED: "missed", Verdict.LOST: "slipped"}

@@ -6,6 +6,7 @@ import logging
 import threading
 from collections.abc import Callable
 
+from agents.cli.audit import AuditError, AuditLog, audit_of
 from agents.cli.live_options import Guard
 from agents.cli.process import EXIT_OK, on_stop
 from agents.cli.rig import RigConfig
@@ -66,7 +67,7 @@ def guard(rig: RigConfig, options: Guard) -> int:
         listening = threading.Thread(target=_listen, args=(rig, own, ears, link, refused, stopped), name="listen")
         listening.start()
         say(f"guards {section.arm} at {section.endpoint}; stop with Ctrl-C")
-        _watch(section.arm, ears, link, stopped)
+        _watch(section.arm, ears, link, audit_of(rig, own), stopped)
     listening.join()
     return EXIT_OK
 
@@ -83,7 +84,7 @@ def _link(section: DvrkSection, reached: SessionSettings, ears: "_Ears") -> ros.
     return ros.RosLink(reached, naming_of(section, GUARD_NODE), tuple(heard), tuple(said))
 
 
-def _watch(arm: str, ears: "_Ears", link: ros.RosLink, stopped: threading.Event) -> None:
+def _watch(arm: str, ears: "_Ears", link: ros.RosLink, audit: AuditLog, stopped: threading.Event) -> None:
     watch, manager = Watch(), ServiceManager()
     # it guards whatever comes, whether rig and robot are there yet or not
     manager.ready()
@@ -99,6 +100,11 @@ def _watch(arm: str, ears: "_Ears", link: ros.RosLink, stopped: threading.Event)
             link.say(f"{arm}/state_command", crtk.state_command(action.value, now_ns()))
         say(f"{arm}: {action.value}, for {why}")
         LOGGER.warning("%s: %s, for %s", arm, action.value, why)
+        try:
+            audit.add(action.value, now_ns(), reason=why)
+        except AuditError as error:
+            # an arm is held all the same
+            LOGGER.warning("%s", error)
     manager.stopping()
 
 

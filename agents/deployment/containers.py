@@ -11,7 +11,7 @@ from ruamel.yaml import YAML
 
 from agents.deployment.layout import ROUTER, Host, Process
 from agents.deployment.places import HOME, RIG_FILE, SECRETS, SESSIONS
-from agents.deployment.units import COMMANDS, NOT_OURS, REALTIME_KINDS, REALTIME_PRIORITY
+from agents.deployment.units import COMMANDS, NOT_OURS, OF_AN_ARM, REALTIME_KINDS, REALTIME_PRIORITY
 from shared.runtime.identity import AUTHORITY_FILE
 from shared.runtime.session import ROUTER_RUNTIME, RUNTIME_VARIABLE
 
@@ -75,6 +75,9 @@ def _service(host: Host, process: Process, calibration: str) -> dict[str, Any]:
     if process.kind in ("recorder", "viewer"):
         service["volumes"].append(f"sessions:{SESSIONS}")
         service["working_dir"] = str(SESSIONS)
+    if process.kind in OF_AN_ARM:
+        service["volumes"].append(f"sessions:{SESSIONS}")
+        service["environment"]["STATE_DIRECTORY"] = str(SESSIONS)
     if process.kind == "camera":
         service["device_cgroup_rules"] = ["c 81:* rmw"]
         service["volumes"].append("/dev:/dev")

@@ -18,7 +18,10 @@ from shared.runtime.session import on_loopback, router_settings
 
 ROBOT_ZENOH = "robot_zenoh"
 FILE = "robot-zenoh.json5"
-HEARD = ("measured_js", "jaw/measured_js", "local/measured_cp", "operating_state", "error", "tool_type")
+HEARD = ("measured_js", "jaw/measured_js", "measured_cp", "local/measured_cp", "operating_state", "error", "tool_type")
+MOVED = ("/ECM/local/measured_cp", "/footpedals/(camera|clutch)", "/ECM/io/(manip|suj)_clutch")
+"""What tells beside the arm's own that it stands on something that has moved."""
+BUTTONS = "io/(manip|suj)_clutch"
 SERVOS = ("servo_jp", "jaw/servo_jp")
 MOTIONS = "(jaw/)?(servo|move)_(jp|jr|jf|cp)"
 """Of which another's are to be seen, with hold, free and state_command: somebody else then owns the arm."""
@@ -83,7 +86,10 @@ def _allowed(arms: tuple[ReachedArm, ...]) -> dict[str, list[str]]:
     names = [re.escape(reached.console) for reached in arms]
     return {
         "subscribers": [f"/{name}/{topic}" for name in names for topic in (*SERVOS, "hold", "state_command")],
-        "publishers": [f"/{name}/{topic}" for name in names for topic in (*HEARD, MOTIONS, *STOPS)],
+        "publishers": [
+            *(f"/{name}/{topic}" for name in names for topic in (*HEARD, MOTIONS, *STOPS, BUTTONS)),
+            *MOVED,
+        ],
     }
 
 

@@ -129,6 +129,9 @@ def _priority(host: Host, process: Process) -> tuple[str, ...]:
 def _storage(process: Process) -> tuple[str, ...]:
     if process.kind in ("recorder", "viewer"):
         return (f"StateDirectory={SESSIONS.name}", f"WorkingDirectory={SESSIONS}")
+    if process.kind in OF_AN_ARM:
+        # for the audit log
+        return (f"StateDirectory={SESSIONS.name}", f"WorkingDirectory={HOME}")
     return (f"WorkingDirectory={HOME}",)
 
 

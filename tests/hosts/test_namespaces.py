@@ -7,6 +7,7 @@ import subprocess
 
 import pytest
 
+from agents.cli.audit import STATE_DIRECTORY
 from benchmarks.faults.network import OWN
 from benchmarks.faults.rig import EMULATED, MODULE, ROUTER, RUNS
 from schemas.messages import Status
@@ -54,13 +55,14 @@ def test_no_agent_ended_and_nothing_was_lost_unaccounted(lab):
 
 
 @pytest.fixture
-def console(lab, until, tmp_path):
+def console(lab, until, tmp_path, monkeypatch):
     """An emulated console at the host of the robot, the Zenoh that deploy plan writes for it, guard and bridge.
 
     The bridge is on another host. What the console says in the end is in the file that is given.
     """
     planned = [*MODULE, "deploy", "plan", "--config", str(lab.config(OWN)), "--folder", str(tmp_path)]
     subprocess.run(planned, check=True, capture_output=True, timeout=60.0)
+    monkeypatch.setenv(STATE_DIRECTORY, str(tmp_path))
     zenoh, base, verdict = tmp_path / "robot" / "robot-zenoh.json5", tmp_path / "base.json", tmp_path / "verdict.json"
     zenoh.write_text(zenoh.read_text().replace("/etc/suturegrasp", str(lab.folder / "robot")))
     base.write_text(json.dumps({"T_camera_base": SIMULATED_BASES[EMULATED].tolist()}))
@@ -98,6 +100,13 @@ def test_an_arm_on_another_host_grasps_in_an_experiment_and_no_set_point_is_unsa
     assert set(moved) == {"direct", "robust"}, log
     assert moved["robust"]["slide_m"] > 0
     assert "psm2: capture\npsm2: slide\npsm2: grasp" in log
+    audit = [
+        json.loads(line) for line in (tmp_path / "audit" / f"robot_bridge-{EMULATED}.jsonl").read_text().splitlines()
+    ]
+    armed = [line for line in audit if line.get("kind") == "accepted"]
+    assert {a["plan_id"] for a in moved.values()} <= {line["plan_id"] for line in armed}
+    ids = {line["id"] for line in audit if line["what"] == "command"}
+    assert ids == {line["id"] for line in audit if line["what"] == "answer"} >= {line["arming_id"] for line in armed}
 
 
 def answered(command):

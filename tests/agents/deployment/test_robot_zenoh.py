@@ -4,13 +4,16 @@ import contextlib
 import datetime
 import json
 import queue
+import re
 
 import pytest
 
 from agents.deployment.certificates import issue
 from agents.deployment.layout import Host, Layout, Process
 from agents.deployment.robot_zenoh import ROBOT_ZENOH, ReachedArm, robot_zenoh
+from agents.robot_bridge.dvrk.psm import DvrkPsm
 from shared.clock import now_ns
+from shared.ros.link import RosLink
 from shared.ros.naming import RmwZenoh, Ros2dds
 from shared.ros.types import JOINT_STATE
 from shared.runtime.connection import NoRouterError, open_when_there
@@ -50,6 +53,17 @@ def test_only_an_arms_bridge_and_guard_get_in_and_each_says_what_is_its_own(tmp_
         while f"{GUARD} hold" not in said:
             said.append(heard.get(timeout=20.0))
     assert sorted(said) == sorted(f"{name} {topic}" for name, topics in may_say.items() for topic in (*topics, "hold"))
+
+
+def test_whatever_the_bridge_hears_and_says_on_the_robots_side_is_let_across():
+    arms = (ReachedArm("psm1", "PSM1", "tcp/127.0.0.1:7448", "ros2dds", 0, through_guard=False),)
+    allow = robot_zenoh(arms, None)["plugins"]["ros2dds"]["allow"]
+    backend = DvrkPsm("PSM1", SessionSettings(), Ros2dds(), "", dry_run=False)
+    assert isinstance(backend._link, RosLink)
+    for side, topics in (("publishers", {h.topic for h in backend._link._heard}), ("subscribers", backend._link._said)):
+        assert topics
+        missing = [t for t in topics if not any(re.fullmatch(regex, f"/{t}") for regex in allow[side])]
+        assert not missing, side
 
 
 def test_without_a_certificate_nobody_gets_in(tmp_path):

@@ -33,7 +33,7 @@ def started(tmp_path):
     def start(*arguments):
         with (tmp_path / f"{arguments[0]}.log").open("ab") as log:
             command = [sys.executable, "-m", "agents.cli", *map(str, arguments)]
-            environment = {**os.environ, SUPERVISED: "1"}
+            environment = {**os.environ, SUPERVISED: "1", "STATE_DIRECTORY": str(tmp_path)}
             running.append(subprocess.Popen(command, stdin=subprocess.PIPE, stdout=log, stderr=log, env=environment))
         return running[-1]
 

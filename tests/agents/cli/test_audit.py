@@ -1,0 +1,91 @@
+"""The audit log of a real arm: what it holds, that it is only added to, and that nothing is carried out without it."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from agents.cli.audit import AuditedBridge, AuditError, AuditLog
+from agents.robot_bridge.agent import RobotBridgeConfig
+from agents.robot_bridge.simulated import SimulatedPsm, waiting
+from schemas.messages import Arm, CommandHeader, Hold
+from schemas.topics import ARM, HOLD
+from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
+from shared.runtime.agent import Command, Tick
+
+NOW_NS = 1_800_000_000_000_000_000
+FOREVER = """
+import itertools, sys
+from pathlib import Path
+from agents.cli.audit import AuditLog
+log = AuditLog(Path(sys.argv[1]))
+for number in itertools.count():
+    log.add("command", number, reason="x" * 500)
+    print(number, flush=True)
+"""
+
+
+def bridge_with(path):
+    made = AuditedBridge(RobotBridgeConfig(), SimulatedPsm(waiting(SIMULATED_T_CAMERA_BASE)), AuditLog(path))
+    list(made.step(Tick(NOW_NS)))
+    return made
+
+
+def lines(path):
+    return [json.loads(line) for line in path.read_text().splitlines()]
+
+
+def test_every_command_its_sender_and_its_answer_are_written_and_only_added(tmp_path):
+    path = tmp_path / "audit" / "psm1.jsonl"
+    for _ in range(2):
+        bridge = bridge_with(path)
+        for topic, message in (
+            (ARM, Arm(CommandHeader("a", NOW_NS, "ann"), "psm1", "p")),
+            (HOLD, Hold(CommandHeader("b", NOW_NS, "ben"), "psm1")),
+        ):
+            list(bridge.step(Command(topic, "psm1", message, NOW_NS)))
+        bridge.close()
+    told = lines(path)
+    one = [
+        (line["what"], line.get("sender") or line.get("code") or line.get("outcome", ""))
+        for line in told[: len(told) // 2]
+    ]
+    assert one == [
+        ("started", ""),
+        ("command", "ann"),
+        ("answer", "unknown_plan"),
+        ("event", "unknown_plan"),
+        ("command", "ben"),
+        ("answer", "accepted"),
+        ("stopped", ""),
+    ]
+    assert [line["what"] for line in told] == 2 * [what for what, _ in one]
+    assert path.stat().st_mode & 0o777 == 0o640
+
+
+def test_what_was_answered_before_a_kill_is_in_the_file(tmp_path):
+    path = tmp_path / "psm1.jsonl"
+    with subprocess.Popen([sys.executable, "-c", FOREVER, str(path)], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        said = [int(process.stdout.readline()) for _ in range(200)]
+        process.kill()
+        said += [int(line) for line in process.stdout]
+    assert [line["at_ns"] for line in lines(path)][: len(said)] == said
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
+def test_a_command_that_cannot_be_written_down_is_not_carried_out(tmp_path):
+    bridge = bridge_with(tmp_path / "psm1.jsonl")
+    full = os.open("/dev/full", os.O_WRONLY)
+    bridge._audit._file = full
+    try:
+        with pytest.raises(AuditError, match=r"psm1\.jsonl cannot be written: No space left"):
+            bridge.step(Command(HOLD, "psm1", Hold(CommandHeader("b", NOW_NS, "ben"), "psm1"), NOW_NS))
+    finally:
+        os.close(full)
+    (tmp_path / "folder.jsonl").mkdir()
+    with pytest.raises(AuditError, match="Is a directory"):
+        bridge_with(tmp_path / "folder.jsonl")
