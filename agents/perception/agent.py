@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
+from agents.perception.following.pair import follow_pair
 from agents.perception.frame_checks import apart, mismatch
 from agents.perception.judging.each_frame import judge_each, lasting, one_eye_stands_still, pictured
 from agents.perception.judging.whole import judge_whole
@@ -16,7 +17,7 @@ from agents.perception.rectified_pair import RectifiedPair, decoded_pair, rectif
 from agents.perception.search import Looked, Pair, look_everywhere, look_near
 from agents.perception.segmentation.choice import segmenters_with
 from agents.perception.segmentation.promptable_model import PromptableFiles
-from agents.perception.segmenter_names import GIVEN_MASKS, PROMPTABLE, SEGMENTER_NAMES
+from agents.perception.segmenter_names import GIVEN_MASKS, NETWORK, PROMPTABLE, RIDGE, SEGMENTER_NAMES
 from agents.perception.surface import surface_is_due, tissue_surface
 from agents.perception.told_apart import told_apart
 from agents.perception.unusable import nominal_camera, unusable
@@ -37,6 +38,8 @@ from shared.runtime.commands import accepted, refused
 from shared.runtime.settable import OneOf, settable
 
 Pixel = Float64[np.ndarray, "2"]
+FOLLOWED = NETWORK, RIDGE
+"""Segmenters for tissue, whose thread may be followed in between; `threshold` takes no longer than that."""
 
 
 @dataclass(frozen=True)
@@ -145,6 +148,8 @@ class Perception:
     def _observe(self, stamp: FrameStamp, pair: RectifiedPair) -> ThreadObservations:
         rows = self._last.rows_moved_up if self._last else 0
         near = pair.moved_up(rows)
+        if self._last and (followed := self._followed(stamp, near, self._last)) is not None:
+            return followed
         looked = look_near(near.images, self._last, stamp.sequence, self._segmenters) if self._last else None
         observed = self._observed(stamp, near, looked) if looked else None
         if observed is not None and observed.status is Status.OK:
@@ -158,6 +163,13 @@ class Perception:
         observed = self._observed(stamp, replace(pair, images=whole.images), everything)
         judgements = (*whole.offset, *observed.judgements, *whole.pictures)
         return replace(observed, judgements=judgements, rows_moved_up=whole.rows_moved_up)
+
+    def _followed(self, stamp: FrameStamp, pair: RectifiedPair, last: ThreadObservations) -> ThreadObservations | None:
+        """The thread followed from the last observations; None where it is to be looked for."""
+        if self.config.matching or last.segmenter not in FOLLOWED:
+            return None
+        found = follow_pair(stamp, pair.camera, pair.images, last)
+        return None if found is None else told_apart(found.observed, pair.images, found.coverage, last)
 
     def _observed(self, stamp: FrameStamp, pair: RectifiedPair, looked: Looked) -> ThreadObservations:
         observed = observe(

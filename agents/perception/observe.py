@@ -5,26 +5,26 @@ Every expected failure ends as a status with a reason in the result; nothing her
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 
 from agents.perception.both_eyes import of_both
-from agents.perception.centrelines import thread_centrelines
+from agents.perception.centrelines.centrelines import NO_LINES, thread_lines
 from agents.perception.clustering import Clusters, cluster_and_order
+from agents.perception.following.follow import trail_of
 from agents.perception.judge import correspondence_of_masks, correspondence_of_texture, judge
+from agents.perception.mask_image import mask_image
 from agents.perception.matching import Matches, is_inlier, largest_disparity_px, match_pixels
 from schemas.messages import (
     Centrelines,
     FrameStamp,
     Image,
-    ImageEncoding,
     Judgement,
     RectifiedStereo,
     Severity,
     Status,
     ThreadObservations,
-    no_centrelines,
+    Trail,
 )
 from shared.camera import backproject, depth_of_disparity
 
@@ -33,8 +33,6 @@ SEGMENTED_COVERAGE = 96
 falls between two still counts."""
 LARGEST_SEGMENTED_SHARE = 0.05
 """Of the image; a mask that covers more shows no thread, which rarely covers 2 %, and would take seconds to match."""
-MASK_ENCODING = (cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE)
-"""Rows as they are: the next frame decodes them in an eighth of the time that OpenCV's usual filters take."""
 LEAST_OBSERVATIONS = 4
 """A cubic has four control points."""
 
@@ -65,6 +63,7 @@ class _Shown:
 
     mask: Image
     centrelines: Centrelines
+    trail: Trail
 
 
 def observe(
@@ -108,6 +107,9 @@ def observe(
         gaps=gaps,
         centrelines_left=of_left.centrelines,
         centrelines_right=of_right.centrelines,
+        trail_left=of_left.trail,
+        trail_right=of_right.trail,
+        segmented_sequence=stamp.sequence,
     )
 
 
@@ -196,9 +198,6 @@ def _observations(
 
 
 def _shown(image: UInt8[np.ndarray, "h w 3"], coverage: UInt8[np.ndarray, "h w"], usable: bool) -> _Shown:
-    return _Shown(_encoded_mask(coverage), thread_centrelines(image, coverage) if usable else no_centrelines())
-
-
-def _encoded_mask(coverage: UInt8[np.ndarray, "h w"]) -> Image:
-    height, width = coverage.shape
-    return Image(ImageEncoding.PNG, width, height, 1, cv2.imencode(".png", coverage, MASK_ENCODING)[1].tobytes())
+    found = thread_lines(image, coverage) if usable else NO_LINES
+    trail = trail_of(image, found.centrelines, found.loose_start, found.loose_end)
+    return _Shown(mask_image(coverage), found.centrelines, trail)

@@ -104,9 +104,7 @@ def look_near(
     images: Pair, last: ThreadObservations, sequence: int, segmenters: Mapping[str, Segmenter] = SEGMENTERS
 ) -> Looked | None:
     """Segment what lies near the last thread; None where that does not do, and all must be looked at."""
-    since_look, since_last = sequence - last.looked_sequence, sequence - last.stamp.sequence
-    latest = max(FRAMES_BETWEEN_LOOKS, LEAST_FRAMES_NEAR * since_last)
-    if last.status is not Status.OK or since_last >= FRAMES_BETWEEN_LOOKS or not 0 < since_look < latest:
+    if not near_is_enough(last, sequence):
         return None
     # observations of another agent may come from a segmenter that this one was not given
     segment = segmenters.get(last.segmenter)
@@ -124,7 +122,14 @@ def look_near(
     if left.faster is not None and right.faster is not None:
         name, coverage = faster, (left.faster, right.faster)
     prompt_px = None if last.prompt_px is None else followed(last.prompt_px, coverage[0])
-    return Looked(coverage, name, last.looked_sequence, last.is_bright, _carried_on(last), prompt_px)
+    return Looked(coverage, name, last.looked_sequence, last.is_bright, carried_on(last), prompt_px)
+
+
+def near_is_enough(last: ThreadObservations, sequence: int) -> bool:
+    """Whether the whole need not be looked at: it was not long ago, and thread was observed just before."""
+    since_look, since_last = sequence - last.looked_sequence, sequence - last.stamp.sequence
+    latest = max(FRAMES_BETWEEN_LOOKS, LEAST_FRAMES_NEAR * since_last)
+    return last.status is Status.OK and since_last < FRAMES_BETWEEN_LOOKS and 0 < since_look < latest
 
 
 def _faster(last: ThreadObservations) -> str:
@@ -160,7 +165,7 @@ def _look_near(
     return _Near(coverage, by_faster if alike else None)
 
 
-def _carried_on(last: ThreadObservations) -> tuple[Judgement, ...]:
+def carried_on(last: ThreadObservations) -> tuple[Judgement, ...]:
     """The judgements of the last look at the whole, each saying when it was made."""
     if last.stamp.sequence != last.looked_sequence:
         return last.judgements

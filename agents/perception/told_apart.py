@@ -54,6 +54,9 @@ def told_apart(
         found = candidates_in(images, lines, meant_px, score, of_left)
     else:
         found = candidates_followed(before, lines, of_left, observed.camera.image_width)
+    if found.left is not lines[0] or found.right is not lines[1]:
+        # what is left out of the centrelines would not be followed
+        observed = replace(observed, trail_left=None, trail_right=None)
     return replace(
         observed,
         centrelines_left=found.left,

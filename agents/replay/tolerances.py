@@ -30,6 +30,13 @@ def _centrelines(side: str) -> dict[str, Rule]:
     }
 
 
+def _trail(side: str) -> dict[str, Rule]:
+    return {
+        f"{side}.{name}": Rule(ignored="what the next frame is followed by; its centrelines are compared")
+        for name in ("loose_start", "loose_end", "length_px", "colour_bgr")
+    }
+
+
 _OBSERVATIONS: dict[str, Rule] = {
     "points": Rule(0.5, "mm", measures.points_apart_mm),
     "points_camera": Rule(ignored="compared as `points`: a line may have other corners"),
@@ -49,6 +56,8 @@ _OBSERVATIONS: dict[str, Rule] = {
     "score_map": Rule(0.02, "share", measures.images_apart),
     **_centrelines("centrelines_left"),
     **_centrelines("centrelines_right"),
+    **_trail("trail_left"),
+    **_trail("trail_right"),
 }
 
 _RECONSTRUCTION: dict[str, Rule] = {

@@ -78,6 +78,7 @@ from schemas.messages.thread import (
     ThreadReconstruction,
     ThreadTrack,
     TrackStep,
+    Trail,
     no_centrelines,
 )
 
@@ -139,6 +140,7 @@ __all__ = [
     "TissueClearance",
     "TissueSurface",
     "TrackStep",
+    "Trail",
     "Verdict",
     "Waypoint",
     "no_centrelines",

@@ -4,7 +4,7 @@ import enum
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Bool, Float64, Int64, UInt8
 
 from schemas.checks import check_message, require
 from schemas.messages.imaging import FrameStamp, Image, RectifiedStereo
@@ -115,6 +115,28 @@ class Occluders:
 
 
 @dataclass(frozen=True)
+class Trail:
+    """What the next frame finds the centrelines of one image again by.
+
+    Fields:
+        loose_start, loose_end: whether each piece begins and ends at an end of the thread; else a crossing cuts it.
+        length_px: of each piece when it was last looked for pixel by pixel.
+        colour_bgr: of the thread and of the ground on either side, at every fourth point of each piece and at its last.
+    """
+
+    loose_start: Bool[np.ndarray, "k"]
+    loose_end: Bool[np.ndarray, "k"]
+    length_px: Float64[np.ndarray, "k"]
+    colour_bgr: UInt8[np.ndarray, "m 3 3"]
+
+    def __post_init__(self) -> None:
+        check_message(self)
+        require(
+            len(self.loose_start) == len(self.loose_end) == len(self.length_px), "every piece has two ends and a length"
+        )
+
+
+@dataclass(frozen=True)
 class ThreadObservations:
     """What perception saw of the thread in one stereo pair: ordered points, and the matches behind them.
 
@@ -139,6 +161,10 @@ class ThreadObservations:
         occluders: None where nobody has looked for any, or the image does not tell.
         score_map: how much of a pixel of the left image the segmenter takes for thread, 0 to 255, in a smaller copy.
         surface_sequence: of the frame of the newest surface of the tissue; None where none has been made yet.
+        trail_left, trail_right: what the next frame follows the centrelines by; None where it is to look for thread.
+        segmented_sequence: of the frame in which thread was last looked for pixel by pixel. Where that is another one,
+            the centrelines were followed from it, frame by frame, the masks are drawn along them, and no thread that
+            has come into view since is told; None where nobody says.
     """
 
     stamp: FrameStamp
@@ -169,6 +195,9 @@ class ThreadObservations:
     occluders: Occluders | None = None
     score_map: Image | None = None
     surface_sequence: int | None = None
+    trail_left: Trail | None = None
+    trail_right: Trail | None = None
+    segmented_sequence: int | None = None
     consumed: tuple[Consumed, ...] = ()
 
     def __post_init__(self) -> None:

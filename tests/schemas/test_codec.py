@@ -67,6 +67,7 @@ from schemas.messages import (
     TissueClearance,
     TissueSurface,
     TrackStep,
+    Trail,
     Verdict,
     Waypoint,
 )
@@ -138,6 +139,14 @@ occluders = st.builds(Occluders, images(), images(), uint64)
 
 
 @st.composite
+def trails(draw):
+    pieces = draw(st.integers(0, 3))
+    loose = arrays(np.bool_, pieces)
+    colours = arrays(np.uint8, (draw(st.integers(0, 4)), 3, 3))
+    return Trail(draw(loose), draw(loose), draw(array(pieces)), draw(colours))
+
+
+@st.composite
 def observations(draw):
     n, p = draw(st.integers(0, 4)), draw(st.integers(0, 5))
     g = draw(st.integers(0, 3)) if n > 1 else 0
@@ -168,6 +177,9 @@ def observations(draw):
         occluders=draw(st.none() | occluders),
         score_map=draw(st.none() | images()),
         surface_sequence=draw(st.none() | uint64),
+        trail_left=draw(st.none() | trails()),
+        trail_right=draw(st.none() | trails()),
+        segmented_sequence=draw(st.none() | uint64),
         consumed=draw(consumed),
     )
 
@@ -462,6 +474,7 @@ MESSAGES = {
     Centrelines: centrelines(),
     ThreadCandidate: candidates,
     Occluders: occluders,
+    Trail: trails(),
     ThreadObservations: observations(),
     TissueClearance: clearances(),
     TissueSurface: surfaces(),

@@ -96,7 +96,8 @@ def test_arrays_are_declared_with_one_element_type_of_that_the_codec_knows():
         for field, annotation in fields_of(message_type).items():
             if is_array(without_none(annotation)):
                 dtypes = {np.dtype(dtype) for dtype in without_none(annotation).dtypes}
-                assert dtypes in ({np.dtype("f8")}, {np.dtype("i8")}, {np.dtype("?")}), f"{name}.{field}"
+                known = ({np.dtype("f8")}, {np.dtype("i8")}, {np.dtype("?")}, {np.dtype("u1")})
+                assert dtypes in known, f"{name}.{field}"
 
 
 def test_the_committed_code_is_what_protoc_generates(tmp_path):

@@ -5,7 +5,7 @@ that only says yes or no has lost what is finer than a pixel, so there the edges
 has been learned of how light misleads them.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -44,11 +44,25 @@ class Followed:
     graded: bool
 
 
-def thread_centrelines(
-    image: UInt8[np.ndarray, "h w 3"],
-    coverage: UInt8[np.ndarray, "h w"],
-) -> Centrelines:
-    """The middle of the thread in one rectified image.
+@dataclass(frozen=True)
+class Lines:
+    """Centrelines, and of each piece whether it begins and ends at an end of the thread; else it is cut there."""
+
+    centrelines: Centrelines
+    loose_start: Bool[np.ndarray, "k"]
+    loose_end: Bool[np.ndarray, "k"]
+
+
+NO_LINES = Lines(no_centrelines(), np.zeros(0, bool), np.zeros(0, bool))
+
+
+def thread_centrelines(image: UInt8[np.ndarray, "h w 3"], coverage: UInt8[np.ndarray, "h w"]) -> Centrelines:
+    """The middle of the thread in one rectified image, as `thread_lines` has it."""
+    return thread_lines(image, coverage).centrelines
+
+
+def thread_lines(image: UInt8[np.ndarray, "h w 3"], coverage: UInt8[np.ndarray, "h w"]) -> Lines:
+    """The middle of the thread in one rectified image, and what its pieces end at.
 
     Args:
         image: BGR.
@@ -57,20 +71,21 @@ def thread_centrelines(
     mask = coverage >= SEGMENTED_COVERAGE
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if len(rows) == 0:
-        return no_centrelines()
+        return NO_LINES
     corner = np.array([max(columns[0] - GROUND_PX, 0), max(rows[0] - GROUND_PX, 0)])
     box = np.s_[corner[1] : rows[-1] + 1 + GROUND_PX, corner[0] : columns[-1] + 1 + GROUND_PX]
-    found = _centrelines(image[box], np.ascontiguousarray(coverage[box], np.float32), mask[box])
-    inside = np.clip(found.point_px + corner, 0.0, np.array(coverage.shape[::-1]) - 1.0)
-    return Centrelines(inside, found.piece, found.width_px, found.deviation_px)
+    found = _lines(image[box], np.ascontiguousarray(coverage[box], np.float32), mask[box])
+    lines = found.centrelines
+    inside = np.clip(lines.point_px + corner, 0.0, np.array(coverage.shape[::-1]) - 1.0)
+    return replace(found, centrelines=replace(lines, point_px=inside))
 
 
-def _centrelines(
+def _lines(
     image: UInt8[np.ndarray, "h w 3"], coverage: Float32[np.ndarray, "h w"], mask: Bool[np.ndarray, "h w"]
-) -> Centrelines:
+) -> Lines:
     found = followed(image, coverage, mask)
     if found is None:
-        return no_centrelines()
+        return NO_LINES
     curves, seen = found.curves, found.seen
     if found.graded:
         at_sight = of_coverage(curves, seen)
@@ -78,7 +93,8 @@ def _centrelines(
         at_sight = of_edges(curves, seen)
     else:
         curves, seen, at_sight = learned
-    return Centrelines(curves.point, curves.pieces.number, seen.width_px, deviations(curves, seen, at_sight))
+    lines = Centrelines(curves.point, curves.pieces.number, seen.width_px, deviations(curves, seen, at_sight))
+    return Lines(lines, curves.loose_start, curves.loose_end)
 
 
 def followed(

@@ -1,0 +1,98 @@
+"""By how far each point of a centreline has moved across it since the frame before.
+
+Profiles show how much of each place is thread, by the colours of the frame before. The thread is where a strip of its
+width is thread and what lies beside it is not; neighbours along the thread move alike.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float32, Float64, UInt8
+
+from agents.perception.centrelines.along import Pieces, blurred, gaussian, smoothed
+from agents.perception.centrelines.profiles import STEP_PX, offsets, sample
+from agents.perception.following.appearance import Colours, share_of_thread
+
+BAND_PX = 14.0
+"""How far to either side thread is looked for."""
+INSIDE_SHARE, LEAST_INSIDE_PX = 0.4, 0.75
+"""Of the width: how far from its middle a strip is thread for certain."""
+BESIDE_PX, BESIDE_TO_PX = 1.0, 3.5
+"""Beyond the thread's edges: what is not thread any more."""
+ALONG, CALM = 2.0, 1.5
+"""Standard deviations, in points that are looked at, of averages along the thread: of what is seen, and of the move."""
+RATHER_NEAR = 0.1
+"""How much more a place at the border of the band must look like thread than one where the thread was."""
+NEIGHBOURS, ASTRAY_PX = 5, 1.5
+"""A point that moves by so much more or less than the middle one of so many neighbours has not found the thread."""
+
+
+@dataclass(frozen=True)
+class Captured:
+    """Where the thread was found on each profile.
+
+    Fields:
+        move_px: along the normal.
+        clear: how much more of it is thread than of what lies beside it, up to 1.
+        astray: whether its neighbours have moved by another way.
+    """
+
+    move_px: Float64[np.ndarray, "m"]
+    clear: Float32[np.ndarray, "m"]
+    astray: np.ndarray
+
+
+def captured(
+    image: UInt8[np.ndarray, "h w 3"],
+    point: Float64[np.ndarray, "m 2"],
+    normal: Float64[np.ndarray, "m 2"],
+    width: float,
+    colours: Colours,
+    pieces: Pieces,
+) -> Captured:
+    """The thread found again across points where it was.
+
+    Args:
+        width: of the thread in general, in pixels.
+    """
+    margin = width / 2 + BESIDE_TO_PX
+    at = offsets(BAND_PX + margin)
+    seen = sample(image, point, normal, at, cv2.BORDER_REPLICATE)
+    clear = blurred(clearness(share_of_thread(seen, colours), width), pieces, gaussian(ALONG))
+    edge = (len(at) - 1 - 2 * round(BAND_PX / STEP_PX)) // 2
+    inner, places = clear[edge : len(at) - edge], at[edge : len(at) - edge]
+    score = inner - np.float32(RATHER_NEAR) * ((places / BAND_PX) ** 2).astype(np.float32)[:, None]
+    best = np.argmax(score, axis=0)
+    here = np.arange(len(point))
+    move = places[best] + STEP_PX * _between(score, best, here)
+    usual = np.median(move[_beside(pieces)], axis=1)
+    astray = np.abs(move - usual) > ASTRAY_PX
+    calm = smoothed(np.where(astray, usual, move)[:, None], pieces, gaussian(CALM))[:, 0]
+    return Captured(calm, inner[best, here], astray | (np.abs(move) >= BAND_PX))
+
+
+def clearness(share: Float32[np.ndarray, "t m"], width: float) -> Float32[np.ndarray, "t m"]:
+    """How much more of a strip of the thread's width is thread than of what lies beside it, at each place."""
+    inside = round(max(LEAST_INSIDE_PX, INSIDE_SHARE * width) / STEP_PX)
+    first, last = (round((width / 2 + beyond) / STEP_PX) for beyond in (BESIDE_PX, BESIDE_TO_PX))
+    k = np.arange(-last, last + 1)
+    own, beside = np.abs(k) <= inside, np.abs(k) >= first
+    kernel = own / own.sum() - beside / max(1, beside.sum())
+    return np.asarray(cv2.filter2D(share, cv2.CV_32F, kernel[:, None], borderType=cv2.BORDER_REPLICATE))
+
+
+def _between(score: Float32[np.ndarray, "t m"], best: np.ndarray, here: np.ndarray) -> Float64[np.ndarray, "m"]:
+    """Where between places the parabola through the best one and its neighbours is highest, in steps."""
+    inner = np.clip(best, 1, len(score) - 2)
+    before, top, after = (score[inner + k, here].astype(np.float64) for k in (-1, 0, 1))
+    bend = before - 2 * top + after
+    step = 0.5 * (before - after) / np.where(bend < 0, bend, -np.inf)
+    return np.where(inner == best, np.clip(step, -0.5, 0.5), 0.0)
+
+
+def _beside(pieces: Pieces) -> np.ndarray:
+    """The indices of each point's neighbours on its piece, which goes on at its ends for ever."""
+    first, last = pieces.first[pieces.number], pieces.last[pieces.number]
+    steps = np.arange(NEIGHBOURS) - NEIGHBOURS // 2
+    return np.clip(np.arange(len(first))[:, None] + steps, first[:, None], last[:, None])

@@ -1,0 +1,156 @@
+"""Centrelines of the frame before, found again in this one; or why they cannot be.
+
+1. `capture` tells by how far each point has moved across the line.
+2. `ends` tells where pieces end now.
+3. The rounds by edges and by what is learned are those of every frame, so that nothing adds up from frame to frame.
+
+A frame counts as followed only where nearly all profiles show a thread as wide and as clear as before, neighbours have
+moved alike, and every end is found within reach. Whatever else happened needs a look at the pixels.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64, UInt8
+
+from agents.perception.centrelines.along import Pieces, directions, gaussian, local_quadratic, smoothed
+from agents.perception.centrelines.deviation import deviations, of_edges
+from agents.perception.centrelines.profiles import normals
+from agents.perception.centrelines.refine import LIGHT_PX, Curves, Evidence, by_edges, by_learning, tangent_sigma
+from agents.perception.centrelines.straightened import usual_width_px
+from agents.perception.following.appearance import colours_across, some_of
+from agents.perception.following.capture import Captured, captured
+from agents.perception.following.ends import cuts_moved, ends_of, with_ends
+from schemas.messages import Centrelines, Trail
+
+LEAST_CLEAR, CLEAR_SHARE = 0.25, 0.95
+"""How much more of a profile is thread than of what lies beside it, and at how many of them at least."""
+ASTRAY_SHARE = 0.08
+LONGEST_UNCLEAR_WIDTHS = 3.0
+"""Stretches that do not show the thread as it was are hidden, and no chance."""
+LEAST_WIDTH, MOST_WIDTH, WIDTH_SHARE = 0.7, 1.4, 0.92
+"""Of the width before, and at how many points at least it must be like that."""
+LEAST_LENGTH_PX = 12
+"""Of a piece: what is shorter has no direction of its own."""
+OTHER_LENGTH_PX, OTHER_LENGTH_SHARE = 10.0, 0.02
+"""A piece that has become so much longer or shorter than when it was looked for may have gone astray at its ends."""
+TOGETHER_WIDTHS = 5.0
+"""Ends that are cut so near to each other are so by one crossing."""
+
+
+@dataclass(frozen=True)
+class Followed:
+    """Centrelines of one eye, and what the next frame follows them by."""
+
+    lines: Centrelines
+    trail: Trail
+
+
+def trail_of(
+    image: UInt8[np.ndarray, "h w 3"],
+    lines: Centrelines,
+    loose_start: Bool[np.ndarray, "k"],
+    loose_end: Bool[np.ndarray, "k"],
+    length_px: Float64[np.ndarray, "k"] | None = None,
+) -> Trail:
+    """What the next frame follows these centrelines by.
+
+    Args:
+        length_px: of each piece when it was last looked for pixel by pixel; just now, if it is None.
+    """
+    pieces = pieces_of(lines)
+    some = some_of(pieces)
+    if len(some) == 0:
+        return Trail(loose_start, loose_end, np.zeros(0), np.zeros((0, 3, 3), np.uint8))
+    width = float(np.median(lines.width_px))
+    normal = normals(directions(lines.point_px, pieces, gaussian(tangent_sigma(width))))
+    usual = usual_width_px(lines.width_px, pieces)[some]
+    colours = colours_across(image, lines.point_px[some], normal[some], usual, Pieces(pieces.number[some]))
+    return Trail(loose_start, loose_end, lengths_px(pieces) if length_px is None else length_px, colours)
+
+
+def lengths_px(pieces: Pieces) -> Float64[np.ndarray, "k"]:
+    """Of each piece, whose points lie a pixel apart."""
+    return (pieces.last - pieces.first).astype(np.float64)
+
+
+def pieces_of(lines: Centrelines) -> Pieces:
+    """The pieces of centrelines, numbered without gaps."""
+    return Pieces(np.cumsum(np.diff(lines.piece, prepend=-1) > 0) - 1)
+
+
+def follow(image: UInt8[np.ndarray, "h w 3"], last: Followed) -> Followed | str:
+    """The centrelines in this eye's next image; or why they were not found."""
+    before, point, trail = last.lines, last.lines.point_px, last.trail
+    pieces = pieces_of(before)
+    if len(point) == 0 or int((pieces.last - pieces.first).min()) < LEAST_LENGTH_PX:
+        return "short pieces"
+    width = float(np.median(before.width_px))
+    kernel = gaussian(tangent_sigma(width))
+    tangent = directions(point, pieces, kernel)
+    some = some_of(pieces)
+    sampled = Pieces(pieces.number[some])
+    found = captured(image, point[some], normals(tangent)[some], width, trail.colour_bgr, sampled)
+    if reason := _unclear(found, width):
+        return reason
+    move = np.interp(np.arange(len(point)), some, found.move_px)[:, None] * normals(tangent)
+    moved = smoothed(point + move, pieces, local_quadratic(LIGHT_PX))
+    tangent = directions(moved, pieces, kernel)
+    outward = np.concatenate((-tangent[pieces.first], tangent[pieces.last]))
+    tips = np.concatenate((pieces.first, pieces.last))
+    ends = ends_of(image, moved[tips], outward, width, trail.colour_bgr[np.searchsorted(some, tips)])
+    loose = np.concatenate((trail.loose_start, trail.loose_end))
+    if (ends.lost & loose).any():
+        return f"{int((ends.lost & loose).sum())} ends out of reach"
+    cut, reach = np.flatnonzero(~loose), ends.reach_px.copy()
+    reach[cut] = cuts_moved(moved[tips[cut]], outward[cut], move[tips[cut]], TOGETHER_WIDTHS * width)
+    place, now = with_ends(moved, pieces, outward, reach)
+    if (np.abs(lengths_px(now) - trail.length_px) > OTHER_LENGTH_PX + OTHER_LENGTH_SHARE * trail.length_px).any():
+        return "a piece has another length"
+    curves = Curves(place, now, trail.loose_start, trail.loose_end)
+    usual = _carried(usual_width_px(before.width_px, pieces), pieces, now)
+    return _refined(image, curves, usual, width, trail.length_px)
+
+
+def _unclear(found: Captured, width: float) -> str:
+    """Why what was found is not the thread as it was; empty where it is."""
+    unclear = found.clear < LEAST_CLEAR
+    if unclear.mean() > 1 - CLEAR_SHARE:
+        return f"{unclear.mean():.2f} unclear"
+    if found.astray.mean() > ASTRAY_SHARE:
+        return f"{found.astray.mean():.2f} astray"
+    longest = max(2, round(LONGEST_UNCLEAR_WIDTHS * width / 4))
+    bad = (unclear | found.astray).astype(np.int64)
+    run = np.convolve(bad, np.ones(longest, np.int64), "valid")
+    return "a stretch is hidden" if (run == longest).any() else ""
+
+
+def _carried(values: Float64[np.ndarray, "n"], pieces: Pieces, now: Pieces) -> Float64[np.ndarray, "m"]:
+    """Values along pieces at the places of pieces that are a little longer or shorter."""
+    length = pieces.last - pieces.first
+    share = now.before / np.maximum(1, now.before + now.after)
+    return np.interp(pieces.first[now.number] + share * length[now.number], np.arange(len(values)), values)
+
+
+def _refined(
+    image: UInt8[np.ndarray, "h w 3"],
+    curves: Curves,
+    width_px: Float64[np.ndarray, "n"],
+    width: float,
+    length_px: Float64[np.ndarray, "k"],
+) -> Followed | str:
+    nothing = np.zeros(len(width_px))
+    mask = Evidence(width_px, nothing, nothing > 0)
+    curves, seen = by_edges(curves, mask, image, width + 1.5)
+    alike = (seen.width_px > LEAST_WIDTH * width_px) & (seen.width_px < MOST_WIDTH * width_px)
+    if alike.mean() < WIDTH_SHARE:
+        return f"{1 - alike.mean():.2f} of other width"
+    if (learned := by_learning(curves, seen, image, width + 1.5)) is None:
+        at_sight = of_edges(curves, seen)
+    else:
+        curves, seen, at_sight = learned
+    deviation = deviations(curves, seen, at_sight)
+    height, columns = image.shape[:2]
+    point = np.clip(curves.point, 0.0, np.array((columns - 1.0, height - 1.0)))
+    lines = Centrelines(point, curves.pieces.number, seen.width_px, deviation)
+    return Followed(lines, trail_of(image, lines, curves.loose_start, curves.loose_end, length_px))

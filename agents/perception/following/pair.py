@@ -1,0 +1,76 @@
+"""Both eyes' centrelines followed from the last observations: the quick way through most frames.
+
+All that it goes on from is in those. Where either eye's thread is not found again for certain, thread is looked for
+pixel by pixel in the same frame.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import UInt8
+
+from agents.perception.both_eyes import of_both
+from agents.perception.following.drawn import mask_along
+from agents.perception.following.follow import Followed, follow
+from agents.perception.mask_image import mask_image
+from agents.perception.prompt import followed as followed_prompt
+from agents.perception.search import carried_on, near_is_enough
+from schemas.messages import FrameStamp, RectifiedStereo, ThreadObservations
+
+Pair = tuple[UInt8[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w 3"]]
+
+
+@dataclass(frozen=True)
+class FollowedPair:
+    """A pair in which the thread was followed.
+
+    Fields:
+        observed: without candidates and occluders.
+        coverage: by thread, as drawn.
+    """
+
+    observed: ThreadObservations
+    coverage: Pair
+
+
+def follow_pair(
+    stamp: FrameStamp, camera: RectifiedStereo, images: Pair, last: ThreadObservations
+) -> FollowedPair | None:
+    """Observations of a pair by following the last ones; None where thread is to be looked for.
+
+    Args:
+        images: rectified, their rows moved as they were for the last observations.
+    """
+    if last.trail_left is None or last.trail_right is None or not near_is_enough(last, stamp.sequence):
+        return None
+    left, right = of_both(
+        follow,
+        (images[0], Followed(last.centrelines_left, last.trail_left)),
+        (images[1], Followed(last.centrelines_right, last.trail_right)),
+    )
+    if isinstance(left, str) or isinstance(right, str):
+        return None
+    coverage = mask_along(left, images[0].shape), mask_along(right, images[1].shape)
+    mask_left, mask_right = (mask_image(mask) for mask in coverage)
+    nothing = np.zeros((0, 3))
+    observed = replace(
+        last,
+        stamp=stamp,
+        camera=camera,
+        points_camera=nothing,
+        half_size_px=nothing[:, :2],
+        matched_px=nothing,
+        match_cost=nothing[:, :2],
+        inlier=np.zeros(0, bool),
+        gaps=np.zeros(0, np.int64),
+        mask_left=mask_left,
+        mask_right=mask_right,
+        judgements=carried_on(last),
+        centrelines_left=left.lines,
+        centrelines_right=right.lines,
+        trail_left=left.trail,
+        trail_right=right.trail,
+        prompt_px=None if last.prompt_px is None else followed_prompt(last.prompt_px, coverage[0]),
+        consumed=(),
+    )
+    return FollowedPair(observed, coverage)
