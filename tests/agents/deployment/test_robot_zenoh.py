@@ -7,6 +7,7 @@ import queue
 import re
 
 import pytest
+import zenoh
 
 from agents.deployment.certificates import issue
 from agents.deployment.layout import Host, Layout, Process
@@ -39,12 +40,19 @@ def test_only_an_arms_bridge_and_guard_get_in_and_each_says_what_is_its_own(tmp_
     file = tmp_path / "zenoh.json5"
     file.write_text(json.dumps(robot_zenoh(arms, identity_in(certificates, f"{ROBOT_ZENOH}.robot"))))
     naming, heard = Ros2dds() if codec == "ros2dds" else RmwZenoh(3), queue.Queue()
+    overheard: list[str] = []
+
+    def overhear(sample: zenoh.Sample) -> None:
+        overheard.append(sample.payload.to_string())
+
     with contextlib.ExitStack() as stack:
         robot = stack.enter_context(open_from(file))
         robot.declare_subscriber("**", lambda sample: heard.put(sample.payload.to_string()))
         for name in (ANOTHER, BRIDGE, GUARD):
             settings = SessionSettings(endpoint=endpoint, identity=identity_in(certificates, name))
             session = stack.enter_context(open_when_there(settings, 20.0))
+            if name == ANOTHER:
+                session.declare_subscriber("**", overhear, allowed_origin=zenoh.Locality.REMOTE)
             for topic in (SERVO, PASSED):
                 session.put(naming.key(topic, JOINT_STATE), f"{name} {topic}")
             # each may say this, or nothing at all
@@ -52,6 +60,7 @@ def test_only_an_arms_bridge_and_guard_get_in_and_each_says_what_is_its_own(tmp_
         said = [heard.get(timeout=20.0)]
         while f"{GUARD} hold" not in said:
             said.append(heard.get(timeout=20.0))
+    assert not overheard
     assert sorted(said) == sorted(f"{name} {topic}" for name, topics in may_say.items() for topic in (*topics, "hold"))
 
 
