@@ -1,12 +1,13 @@
 """The way to a real robot, measured without one: messages, kinematics, set points, and how soon an arm stands still.
 
-    .venv/bin/python -m benchmarks.robot [--repeats 3] [--json FILE]
+    .venv/bin/python -m benchmarks.robot [--repeats 3] [--hostile 10000] [--json FILE]
 
 Messages are compared with cyclonedds's own library too where that is installed. Everything runs on this machine; what
 it does meanwhile shows in the times.
 """
 
 import json
+import logging
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ import numpy as np
 import tyro
 from rich.table import Table
 
+from benchmarks.robot_hostile import hostile
 from benchmarks.robot_messages import CYCLONE, PYCDR2, compared, others
 from benchmarks.robot_stops import LOSSES, stopped_after
 from benchmarks.tables import CONSOLE
@@ -32,7 +34,9 @@ class Options:
 
     repeats: int = 1
     """Motions for each loss and codec."""
-    only: Literal["all", "messages", "kinematics", "stops"] = "all"
+    hostile: int = 1000
+    """Random and hostile plans and commands."""
+    only: Literal["all", "messages", "kinematics", "hostile", "stops"] = "all"
     """One part alone."""
     json: Path | None = None
     """Write everything there."""
@@ -50,6 +54,12 @@ def main() -> None:
     if options.only in ("all", "kinematics"):
         found["kinematics"] = kinematics()
         _print("Kinematics of the PSM", [found["kinematics"]])
+    if options.only in ("all", "hostile"):
+        logging.disable(logging.WARNING)
+        found["hostile"] = hostile(options.hostile)
+        shown = {name: value for name, value in found["hostile"].items() if name != "sentences"}
+        _print("Hostile plans and commands; goal: nothing unsafe, nothing wrongly accepted, no step failed", [shown])
+        logging.disable(logging.NOTSET)
     if options.only in ("all", "stops"):
         codecs = ("ros2dds", "rmw_zenoh")
         turns = [(loss, codec) for _ in range(options.repeats) for codec in codecs for loss in LOSSES]

@@ -7,7 +7,7 @@ one each joint follows what it is told as a critically damped mass on a spring d
 
     x'' = ω² (told - x) - 2 ω x',    ω = 2 / lag,
 
-so that it comes behind a steady motion by the lag.
+so that it comes behind a steady motion by the lag; solved as if what it is told stood still for each step.
 """
 
 from collections.abc import Callable
@@ -93,14 +93,11 @@ class EmulatedArm:
         return np.clip(left, -reach, reach)
 
     def _following(self, elapsed_s: float) -> np.ndarray:
-        """Where mass and spring bring the joints, in steps that are short beside the lag."""
-        steps = int(np.ceil(elapsed_s / (0.1 * self._lag_s)))
-        omega, position = 2 / self._lag_s, self.position
-        for _ in range(steps):
-            pull = omega**2 * (self._told - position) - 2 * omega * self._velocity
-            self._velocity = np.clip(self._velocity + pull * elapsed_s / steps, -_ALL_SPEEDS, _ALL_SPEEDS)
-            position = position + self._velocity * elapsed_s / steps
-        return position
+        """Where mass and spring bring the joints while what they are told stays."""
+        omega, away = 2 / self._lag_s, self.position - self._told
+        push, left = self._velocity + omega * away, np.exp(-omega * elapsed_s)
+        self._velocity = (self._velocity - omega * push * elapsed_s) * left
+        return self._told + (away + push * elapsed_s) * left
 
     def head(self, name: str, values: np.ndarray, moving: bool) -> bool:
         """Head for joints of the `arm` or the `jaw`, by a trajectory of its own where `moving`; whether it does."""

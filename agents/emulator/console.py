@@ -135,7 +135,8 @@ class EmulatedConsole:
     def verdict(self) -> dict[str, Any]:
         """The oracle's, and when the arm moved, was sent a set point, and was held last (ns since 1970; 0: never)."""
         with self._lock:
-            told = self._oracle.verdict() | self._times | {"state": self._arm.state}
+            told = self._oracle.verdict() | self._times
+            told |= {"state": self._arm.state, "is_homed": self._arm.is_homed}
             told["position"], told["goal"] = self._arm.position.tolist(), self._arm.goal.tolist()
             return told | {"arrivals_s": self._arrivals[-20_000:], "holds_ns": self._holds_ns[-1000:]}
 

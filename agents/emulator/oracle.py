@@ -8,7 +8,8 @@ A set point is unsafe where
 - the shaft would end too near the remote centre, or the pin would leave the box that it must stay in;
 - it is farther from one that came a while ago (from where the arm is, where none did) than the joints can go in that
   time and SLACK_S;
-- it is a set point for the jaw while the arm is on a trajectory of its own.
+- it is a set point for the jaw while the arm is on a trajectory of its own;
+- somebody else, of whom the oracle was told, has commanded the arm a moment ago.
 """
 
 from collections import Counter, deque
@@ -30,6 +31,8 @@ from agents.emulator.geometry import (
 STANDING_BY_S = 0.4
 """The dead man's 0.2 s, and as much for a heartbeat's way here on a busy machine."""
 LATE_S = 0.2
+ALONE_S, YIELDS_S = 1.0, 0.02
+"""So long after somebody else's command no set point may come, from when there was time to stop."""
 SLACK_S = 0.05
 WINDOW_S = 0.1
 ROUNDING = 1e-9
@@ -87,6 +90,7 @@ class Oracle:
     sentences: deque[str] = field(default_factory=lambda: deque(maxlen=KEPT))
     _before: dict[str, deque[tuple[float, np.ndarray]]] = field(default_factory=dict)
     _heartbeat_s: float = -np.inf
+    _stranger_s: float = -np.inf
     _alone: deque[tuple[float, str]] = field(default_factory=deque)
 
     def heartbeat(self, now_s: float) -> None:
@@ -96,6 +100,10 @@ class Oracle:
             at_s, sentence = self._alone.popleft()
             if now_s - at_s > LATE_S:
                 self._note("nobody", sentence)
+
+    def stranger(self, now_s: float) -> None:
+        """Somebody commands the arm who is not the one whose set points are judged."""
+        self._stranger_s = now_s
 
     def judge(self, name: str, values: np.ndarray, now_s: float, arm: Circumstances) -> None:
         """One set point for the `arm` or the `jaw`."""
@@ -113,6 +121,8 @@ class Oracle:
             return
         if ((values < _LOWER[part] - ROUNDING) | (values > _UPPER[part] + ROUNDING)).any():
             self._note("limits", f"a set point for the {name} is outside its limits: {values.round(4).tolist()}")
+        if YIELDS_S < now_s - self._stranger_s < ALONE_S:
+            self._note("owners", f"a set point for the {name} came although somebody else commands the arm")
         if arm.mixed:
             self._note("mixed", f"a set point for the {name} came while the other was on a trajectory")
         if name == "arm":

@@ -7,10 +7,10 @@ from jaxtyping import Float64
 
 from agents.robot_bridge.backend import ArmState
 from agents.robot_bridge.motion import Trajectory
-from agents.robot_bridge.path import angles_between
 from agents.robot_bridge.refusals import Code, Refusal
 from schemas.messages import Arm, Phase
 from shared.kinematics.arm import ArmKinematics
+from shared.rigid_transforms import angle_between
 
 LONGEST_STEP_PERIODS = 2
 """After a late tick the motion goes on where it was, and does not make up for lost time."""
@@ -132,4 +132,4 @@ class Execution:
     def _near(self, arm: ArmState, joints: Float64[np.ndarray, "6"], metres: float, radians: float) -> bool:
         T = self._kinematics.forward(np.stack((arm.joints, joints)))
         distance = np.linalg.norm(T[0, :3, 3] - T[1, :3, 3])
-        return bool(distance <= metres and angles_between(T[:1, :3, :3], T[1:, :3, :3])[0] <= radians)
+        return bool(distance <= metres and angle_between(T[0, :3, :3], T[1, :3, :3]) <= radians)

@@ -17,17 +17,18 @@ from jaxtyping import Float64
 
 from agents.robot_bridge.checks import excess_speed, joints_of, start_refusal, waypoint_refusal
 from agents.robot_bridge.limits import Setup
-from agents.robot_bridge.path import Poses, angles_between, smooth_path
+from agents.robot_bridge.path import Poses, smooth_path
 from agents.robot_bridge.refusals import Code, Refusal
 from schemas.messages import Phase, Waypoint
-from shared.rigid_transforms import inverse
+from shared.rigid_transforms import angle_between, inverse
 
 MAXIMUM_WAYPOINTS = 1000
 _CONTACT = (Phase.CAPTURE, Phase.SLIDE, Phase.GRASP)
 _LEAST_SLOWING = 1.02
 """Slowing a leg moves its samples, so that the factor that was too fast before may not quite do."""
 _ROUNDING = 1e-9
-_HALF_TURN = np.diag((-1.0, -1.0, 1.0, 1.0))
+_HALF_TURN = np.array((-1.0, -1.0, 1.0, 1.0))
+"""Of the columns of a pose, about z."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +92,7 @@ def plan_motion(
     turns = sorted((False, True), key=lambda turned: _first_turn(T_camera_tool, turned, joints, setup))
     refusals: dict[bool, Refusal] = {}
     for turned in turns:
-        planned = _plan(T_camera_tool @ _HALF_TURN if turned else T_camera_tool, jaw, phases, joints, jaw_rad, setup)
+        planned = _plan(T_camera_tool * _HALF_TURN if turned else T_camera_tool, jaw, phases, joints, jaw_rad, setup)
         if isinstance(planned, Trajectory):
             return dataclasses.replace(planned, turned=turned)
         refusals[turned] = planned
@@ -103,10 +104,10 @@ def _first_turn(
 ) -> float:
     """How far the tool turns on its way to the first waypoint."""
     T_camera_here = setup.T_camera_base @ setup.kinematics.forward(joints)
-    first = T_camera_tool[:1] @ _HALF_TURN if turned else T_camera_tool[:1]
+    first = T_camera_tool[:1] * _HALF_TURN if turned else T_camera_tool[:1]
     if not np.isfinite(first).all():
         return 0.0
-    return float(angles_between(T_camera_here[None, :3, :3], first[:, :3, :3])[0])
+    return float(angle_between(T_camera_here[:3, :3], first[0, :3, :3]))
 
 
 def _plan(

@@ -29,7 +29,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import uniform_filter1d
 
 from agents.robot_bridge.limits import MotionLimits
-from shared.rigid_transforms import log_so3, quaternion_from_rotation, rotation_from_quaternion, transform
+from shared.rigid_transforms import angle_between, quaternion_from_rotation, rotation_from_quaternion, transform
 
 _NO_WAY_S = 1e-9
 """Waypoints nearer than this in ξ are the same."""
@@ -94,11 +94,6 @@ def smooth_path(waypoints: Poses, limits: MotionLimits, share: float) -> Path | 
     return Path(curve, float(xi[-1]), *_peak_and_ramp(float(xi[-1]), limits), limits.rounding_s)
 
 
-def angles_between(R_a: Float64[np.ndarray, "n 3 3"], R_b: Float64[np.ndarray, "n 3 3"]) -> Float64[np.ndarray, "n"]:
-    """The angle of the rotation that leads from each a to each b, 0 to π."""
-    return np.linalg.norm(log_so3(np.swapaxes(R_a, -1, -2) @ R_b), axis=-1)
-
-
 def _peak_and_ramp(xi_end: float, limits: MotionLimits) -> tuple[float, float]:
     """The peak of ξ's rate, and how long it takes to get there."""
     speeds = np.array((limits.speed, limits.angular_speed, limits.jaw_speed))
@@ -133,5 +128,5 @@ def _full_speed_steps(waypoints: Poses, limits: MotionLimits) -> Float64[np.ndar
     R, p = waypoints.T_base_tool[:, :3, :3], waypoints.T_base_tool[:, :3, 3]
     distance = np.linalg.norm(np.diff(p, axis=0), axis=1)
     jaw = np.abs(np.diff(waypoints.jaw_rad))
-    turn = angles_between(R[:-1], R[1:])
+    turn = angle_between(R[:-1], R[1:])
     return np.max((distance / limits.speed, turn / limits.angular_speed, jaw / limits.jaw_speed), axis=0)

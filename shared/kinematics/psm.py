@@ -21,6 +21,7 @@ taken so deep into its trocar that c comes near the origin.
 Source of the numbers: jhu-dvrk/sawIntuitiveResearchKit, PSM Classic with Large Needle Driver 400006.
 """
 
+import functools
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -142,9 +143,10 @@ def forward(
     joints: Float64[np.ndarray, "*batch 6"], psm: Psm = LARGE_NEEDLE_DRIVER
 ) -> Float64[np.ndarray, "*batch 4 4"]:
     """`T_base_tool`, where these joints bring the tool. Limits are not looked at."""
-    T_base_link = np.broadcast_to(np.eye(4), (*joints.shape[:-1], 4, 4))
-    for index, link in enumerate(psm.links):
-        T_base_link = T_base_link @ _link_transform(link, joints[..., index])
+    T_before_link = _link_transforms(joints, _rows(psm))
+    T_base_link = T_before_link[..., 0, :, :]
+    for index in range(1, len(psm.links)):
+        T_base_link = T_base_link @ T_before_link[..., index, :, :]
     R_base_tool = T_base_link[..., :3, :3] @ np.array(psm.R_wrist_tool, dtype=np.float64)
     return transform(R_base_tool, T_base_link[..., :3, 3])
 
@@ -203,12 +205,29 @@ def describe(problem: Problem, joints: Float64[np.ndarray, "6"], psm: Psm = LARG
     }[problem]
 
 
-def _link_transform(link: Link, value: Float64[np.ndarray, "*batch"]) -> Float64[np.ndarray, "*batch 4 4"]:
-    theta = np.broadcast_to(link.theta, value.shape) if link.slides else value + link.theta
-    d = value + link.d if link.slides else np.broadcast_to(link.d, value.shape)
-    ca, sa, c, s = math.cos(link.alpha), math.sin(link.alpha), np.cos(theta), np.sin(theta)
-    T = np.zeros((*value.shape, 4, 4))
-    T[..., 0, 0], T[..., 0, 1], T[..., 0, 3] = c, -s, link.a
+class _Rows(NamedTuple):
+    """The table by its columns; `cos_alpha` and `sin_alpha` of each link, and 1 in `slides` where it does."""
+
+    cos_alpha: Float64[np.ndarray, "6"]
+    sin_alpha: Float64[np.ndarray, "6"]
+    a: Float64[np.ndarray, "6"]
+    theta: Float64[np.ndarray, "6"]
+    d: Float64[np.ndarray, "6"]
+    slides: Float64[np.ndarray, "6"]
+
+
+@functools.cache
+def _rows(psm: Psm) -> _Rows:
+    alpha, a, theta, d, slides = np.array([link[:5] for link in psm.links], dtype=np.float64).T
+    return _Rows(np.cos(alpha), np.sin(alpha), a, theta, d, slides)
+
+
+def _link_transforms(joints: Float64[np.ndarray, "*batch 6"], rows: _Rows) -> Float64[np.ndarray, "*batch 6 4 4"]:
+    """Each link's frame in that of the one before it."""
+    theta, d = rows.theta + (1 - rows.slides) * joints, rows.d + rows.slides * joints
+    c, s, ca, sa = np.cos(theta), np.sin(theta), rows.cos_alpha, rows.sin_alpha
+    T = np.zeros((*joints.shape, 4, 4))
+    T[..., 0, 0], T[..., 0, 1], T[..., 0, 3] = c, -s, rows.a
     T[..., 1, 0], T[..., 1, 1], T[..., 1, 2], T[..., 1, 3] = s * ca, c * ca, -sa, -d * sa
     T[..., 2, 0], T[..., 2, 1], T[..., 2, 2], T[..., 2, 3] = s * sa, c * sa, ca, d * ca
     T[..., 3, 3] = 1

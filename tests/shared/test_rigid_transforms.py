@@ -6,6 +6,7 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from shared.rigid_transforms import (
+    angle_between,
     apply,
     compose,
     exp_se3,
@@ -61,6 +62,13 @@ def test_logarithm_of_a_half_turn_is_a_vector_of_length_pi_that_gives_the_rotati
     logarithms = log_so3(rotations)
     np.testing.assert_allclose(np.linalg.norm(logarithms, axis=1), np.pi, atol=1e-14)
     np.testing.assert_allclose(exp_so3(logarithms), rotations, atol=1e-14)
+
+
+@pytest.mark.parametrize("angle", ANGLES)
+def test_the_angle_between_two_rotations_is_that_of_the_logarithm(angle: float) -> None:
+    turned = exp_so3(rotation_vectors(angle))
+    other = exp_so3(np.array((0.3, -2.0, 1.1)))
+    np.testing.assert_allclose(angle_between(other, other @ turned), angle, rtol=1e-6, atol=1e-15)
 
 
 def test_logarithm_of_the_identity_is_zero() -> None:

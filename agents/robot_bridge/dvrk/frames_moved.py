@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from shared.calibration.hand_eye.file import HandEye, Reference
-from shared.rigid_transforms import inverse, log_so3
+from shared.rigid_transforms import angle_between, inverse
 from shared.ros import crtk
 from shared.ros.link import Heard
 from shared.ros.types import JOY, POSE_STAMPED, RosMessageError
@@ -57,7 +57,7 @@ class Apart(NamedTuple):
 
 def apart(one: Float64[np.ndarray, "4 4"], other: Float64[np.ndarray, "4 4"]) -> Apart:
     """The distance of the origins, and the angle between the axes."""
-    turned = float(np.linalg.norm(log_so3(one[:3, :3].T @ other[:3, :3])))
+    turned = float(angle_between(one[:3, :3], other[:3, :3]))
     return Apart(float(np.linalg.norm(one[:3, 3] - other[:3, 3])), turned)
 
 

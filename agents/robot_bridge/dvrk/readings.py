@@ -9,7 +9,7 @@ from jaxtyping import Float64
 
 from agents.robot_bridge.backend import Readiness
 from shared.kinematics.arm import ArmKinematics
-from shared.rigid_transforms import log_so3
+from shared.rigid_transforms import angle_between
 from shared.ros import crtk
 from shared.ros.far_clock import FarClock
 from shared.ros.types import RosMessageError
@@ -154,7 +154,7 @@ class Readings:
             return Readiness.FAULT, "its local/measured_cp does not come, by which the kinematics are checked"
         ours = self._kinematics.forward(measured.joints)
         apart_m = float(np.linalg.norm(T[:3, 3] - ours[:3, 3]))
-        apart_rad = float(np.linalg.norm(log_so3(T[:3, :3].T @ ours[:3, :3])))
+        apart_rad = float(angle_between(T[:3, :3], ours[:3, :3]))
         if apart_m > SAME_M or apart_rad > SAME_RAD:
             where = f"{1e3 * apart_m:.1f} mm and {apart_rad:.2f} rad"
             return (

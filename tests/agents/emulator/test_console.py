@@ -120,14 +120,15 @@ def test_a_console_is_enabled_and_homed_moves_is_held_and_pauses(console):
     assert emulated.verdict()["rules"] == {"state": 1, "limits": 1, "speed": 2}
 
     # poses, at once and by a trajectory that is slowed down
-    here = np.array(emulated.verdict()["position"][:6])
+    here = start + np.array((0.2, 0.1, 0, 0, 0, 0))
+    emulated.place(here)
     near = here + np.array((-0.002, 0.001, 0.0005, 0.01, 0.01, -0.01))
     link.say(f"{ARM}/servo_cp", crtk.pose_command(forward(near), 0))
     until(lambda: np.abs(emulated.verdict()["position"][:6] - near).max() < 1e-9)
     link.say(f"{ARM}/trajectory_j/set_ratio", crtk.ratio(0.02))
     link.say(f"{ARM}/move_cp", crtk.pose_command(forward(start), 0))
     until(lambda: ears.last("operating_state").is_busy and emulated.verdict()["position"][0] < near[0] - 1e-3)
-    assert abs(emulated.verdict()["position"][0] - start[0]) > 1.0, "at a fiftieth of its speed it takes minutes"
+    assert emulated.verdict()["position"][0] - start[0] > 0.1, "at a fiftieth of its speed it takes half a minute"
     link.say(f"{ARM}/trajectory_j/set_ratio", crtk.ratio(1.0))
     until(lambda: np.abs(emulated.verdict()["position"][:6] - start).max() < 1e-9)
     until(lambda: not ears.last("operating_state").is_busy)

@@ -1,0 +1,238 @@
+"""What the robot bridge must stand: a function for each kind of plan or command that is bad, or comes at a bad time."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from benchmarks.robot_hostile_plans import any_plan, set_out, waypoints
+from benchmarks.robot_world import EPOCH_NS, NAME, RIG_ARM, SECOND_NS, TICK_NS, World
+from schemas.checks import MessageError
+from schemas.codec import decode, encode
+from schemas.messages import FrameStamp, GraspPlan, Heartbeat, Outcome, ReplayClock, Status, Waypoint
+from schemas.topics import REPLAY_CLOCK
+from shared.rigid_transforms import exp_so3, transform
+from shared.ros import crtk
+from shared.ros.types import STRING
+from shared.ros.types import encode as ros_bytes
+from shared.ros.types import message as ros_message
+from shared.runtime.agent import Received
+
+
+class Found(NamedTuple):
+    """What a case came to: its kind, whether its plan was accepted, and whether that was allowed."""
+
+    kind: str
+    accepted: bool
+    allowed: bool
+
+
+def _as_it_comes(world: World, rng: np.random.Generator) -> Found:
+    """A plan that may be good."""
+    return Found("any plan", set_out(world, any_plan(world, rng), int(rng.integers(1, 120))), True)
+
+
+def _far_jumps(world: World, rng: np.random.Generator) -> Found:
+    """Waypoints far from each other, any way round, or all but the same."""
+    points = list(waypoints(rng, int(rng.integers(2, 12))))
+    for index in range(len(points)):
+        match int(rng.integers(3)):
+            case 0:
+                pose = transform(exp_so3(rng.normal(size=3) * 3), rng.uniform((-0.1, -0.08, 0.0), (0.1, 0.08, 0.16)))
+            case 1:
+                pose = points[index].T_camera_tool + 1e-12 * np.eye(4, k=3)
+            case _:
+                pose = points[index].T_camera_tool
+        points[index] = Waypoint(pose, float(rng.uniform(-0.69, 1.39)), points[index].phase, None)
+    return Found(
+        "far jumps", set_out(world, any_plan(world, rng, waypoints=tuple(points)), int(rng.integers(1, 80))), True
+    )
+
+
+def _bad_numbers(world: World, rng: np.random.Generator) -> Found:
+    """A number of a waypoint that no arm can go to; past the codec, which would refuse most."""
+    points = list(waypoints(rng))
+    index = int(rng.integers(len(points)))
+    T, jaw = points[index].T_camera_tool.copy(), points[index].jaw_rad
+    bad = [np.nan, np.inf, -np.inf, 1e308, -1e9, 10.0][rng.integers(6)]
+    if rng.random() < 0.3:
+        jaw = float(bad)
+    else:
+        T[tuple(rng.integers(0, (3, 4)))] = bad
+    broken = object.__new__(Waypoint)
+    for name, value in {"T_camera_tool": T, "jaw_rad": jaw, "phase": points[index].phase, "s": None}.items():
+        object.__setattr__(broken, name, value)
+    points[index] = broken
+    plan = any_plan(world, rng)
+    object.__setattr__(plan, "waypoints", tuple(points))
+    return Found("bad numbers", set_out(world, plan, 20), False)
+
+
+def _bad_bytes(world: World, rng: np.random.Generator) -> Found:
+    """A plan of which some bytes are others."""
+    data = bytearray(encode(any_plan(world, rng)))
+    for _ in range(int(rng.integers(1, 6))):
+        data[rng.integers(len(data))] = rng.integers(256)
+    try:
+        plan = decode(GraspPlan, bytes(data))
+    except MessageError:
+        return Found("bad bytes", False, True)
+    return Found("bad bytes", set_out(world, plan, int(rng.integers(1, 60))), True)
+
+
+def _not_now(world: World, rng: np.random.Generator) -> Found:
+    """A plan that is too old, of the future, for another arm, rejected, or too long."""
+    old_ns = world.now_ns - int(rng.integers(31, 10_000)) * SECOND_NS
+    coming_ns = world.now_ns + int(rng.integers(1, 10_000)) * SECOND_NS
+    many = waypoints(rng, 1) * 1001
+    changes: list[dict[str, Any]] = [
+        {"stamp": FrameStamp(1, old_ns, old_ns, "c")},
+        {"stamp": FrameStamp(1, world.now_ns, old_ns, "c")},
+        {"stamp": FrameStamp(1, coming_ns, coming_ns, "c")},
+        {"arm": "psm2"},
+        {"status": Status.FAILED, "reason": "no", "waypoints": ()},
+        {"waypoints": many},
+    ]
+    return Found("not now", set_out(world, any_plan(world, rng, **changes[rng.integers(len(changes))]), 20), False)
+
+
+def _replayed_command(world: World, rng: np.random.Generator) -> Found:
+    """A plan that was carried out already, an unknown one, or one for another arm or another bridge."""
+    plan = any_plan(world, rng)
+    match int(rng.integers(3)):
+        case 0:
+            answer = world.arm("nobody knows it")
+        case 1:
+            world.publish(plan)
+            answer = world.arm(plan.plan_id, arm="psm2")
+        case _:
+            world.publish(plan)
+            answer = world.arm(plan.plan_id, instance="psm2")
+    world.tick(5)
+    return Found("replayed command", answer is None or answer.outcome is Outcome.ACCEPTED, False)
+
+
+def _bad_heartbeats(world: World, rng: np.random.Generator) -> Found:
+    """Nobody stands by, and heartbeats come all the same: old ones, of the future, of another arming, plan or arm."""
+    plan = any_plan(world, rng)
+    accepted = set_out(world, plan, int(rng.integers(1, 40)))
+    world.stands_by = False
+    last = Heartbeat(RIG_ARM, world.plan_id, world.now_ns, world.arming_id)
+    far_ns = int(rng.integers(2, 1000)) * SECOND_NS
+    kinds = (
+        lambda: last,
+        lambda: replace(last, at_ns=max(0, world.now_ns - far_ns)),
+        lambda: replace(last, at_ns=world.now_ns + far_ns),
+        lambda: replace(last, at_ns=world.now_ns, arming_id="another"),
+        lambda: replace(last, at_ns=world.now_ns, plan_id="another"),
+        lambda: replace(last, at_ns=world.now_ns, arm="psm2"),
+    )
+    kind = kinds[rng.integers(len(kinds))]
+    for _ in range(110):
+        world.beat(kind())
+        world.tick()
+    return Found("bad heartbeats", accepted and world.moves, False)
+
+
+def _console_fails(world: World, rng: np.random.Generator) -> Found:
+    """In mid-motion the console is at fault, disabled, paused, silent, stuck, or has another tool."""
+    accepted = set_out(world, any_plan(world, rng), int(rng.integers(1, 80)))
+    words = ("fault", "error", "mute", "stick", "disable", "pause", "home", "tool")
+    word = words[rng.integers(len(words))]
+    if word in ("disable", "pause", "home"):
+        world.topics.tell_console(f"{NAME}/state_command", crtk.state_command(word, world.now_ns))
+        world.console.turn(0.0)
+    elif word == "tool":
+        world.topics.tell_bridge(f"{NAME}/tool_type", ros_bytes(STRING, ros_message(STRING, "SCISSORS:1")))
+    else:
+        world.console.request(word)
+    world.tick(40)
+    # an arm that is stuck where it is to be shows that only when it should move on
+    return Found("console fails", accepted and world.moves and word not in ("stick",), False)
+
+
+def _bad_measurements(world: World, rng: np.random.Generator) -> Found:
+    """In mid-motion what is measured is not finite, too much, too little, no message, of another time, or elsewhere."""
+    accepted = set_out(world, any_plan(world, rng), int(rng.integers(1, 60)))
+    topic = ("measured_js", "jaw/measured_js")[rng.integers(2)]
+    good = world.console.verdict()["position"]
+    values = np.array(good[:6] if topic == "measured_js" else good[6:])
+    for _ in range(10):
+        match int(rng.integers(5)):
+            case 0:
+                data = crtk.joint_command(np.append(values, values), world.now_ns)
+            case 1:
+                data = bytearray(crtk.joint_command(values, world.now_ns))
+                data[-8 * len(values) - 8 : -8] = bytes([0xFF]) * (8 * len(values))
+                data = bytes(data)
+            case 2:
+                data = bytes(rng.integers(0, 256, int(rng.integers(0, 80)), np.uint8))
+            case 3:
+                data = crtk.joint_command(values, world.now_ns + int(rng.integers(-(10**12), 10**12)))
+            case _:
+                data = crtk.joint_command(values + rng.normal(size=len(values)), world.now_ns)
+        world.topics.tell_bridge(f"{NAME}/{topic}", data)
+        world.tick(int(rng.integers(1, 4)))
+    return Found("bad measurements", accepted, True)
+
+
+def _two_owners(world: World, rng: np.random.Generator) -> Found:
+    """In mid-motion, or just before, somebody else commands the arm, stops it, or could command it."""
+    late = rng.random() < 0.7
+    accepted = set_out(world, any_plan(world, rng), int(rng.integers(1, 80))) if late else False
+    topics = ("servo_jp", "move_jp", "servo_cp", "jaw/servo_jp", "hold", "free", "state_command", "")
+    topic = topics[rng.integers(len(topics))]
+    if topic:
+        world.topics.tell_bridge(f"{NAME}/{topic}", crtk.empty())
+    else:
+        world.topics.owner_changed("somebody", True)
+    world.oracle.stranger(world.now_ns * 1e-9)
+    world.tick(30)
+    if not late:
+        accepted = set_out(world, any_plan(world, rng), 20)
+    return Found("two owners", accepted and (world.moves or not late), False)
+
+
+def _odd_clock(world: World, rng: np.random.Generator) -> Found:
+    """In mid-motion a turn comes late, time stands, goes back or jumps, or a recording is replayed on the rig."""
+    accepted = set_out(world, any_plan(world, rng), int(rng.integers(1, 80)))
+    jumps = (0, 3 * TICK_NS, 19 * TICK_NS, 100 * TICK_NS, -TICK_NS, -SECOND_NS, 3600 * SECOND_NS)
+    jump_ns = jumps[rng.integers(len(jumps))]
+    if rng.random() < 0.3:
+        world.step(Received(REPLAY_CLOCK, "", 0, ReplayClock(EPOCH_NS, 1.0)))
+    elif world.now_ns + jump_ns > EPOCH_NS:
+        world.stands_by = jump_ns in (0, 3 * TICK_NS)
+        world.tick(1, jump_ns)
+    world.tick(30)
+    return Found("odd clock", accepted, True)
+
+
+def _armed_twice(world: World, rng: np.random.Generator) -> Found:
+    """In mid-motion another plan, or the same once more, is armed."""
+    first, second = any_plan(world, rng), any_plan(world, rng)
+    accepted = set_out(world, first, int(rng.integers(1, 60)))
+    moves = world.moves
+    world.publish(second)
+    before = world.plan_id, world.arming_id
+    answer = world.arm((first if rng.random() < 0.5 else second).plan_id)
+    if moves:
+        world.plan_id, world.arming_id = before
+    world.tick(20)
+    return Found("armed twice", bool(accepted and moves and answer and answer.outcome is Outcome.ACCEPTED), False)
+
+
+CASES: tuple[Callable[[World, np.random.Generator], Found], ...] = (
+    _as_it_comes,
+    _far_jumps,
+    _bad_numbers,
+    _bad_bytes,
+    _not_now,
+    _replayed_command,
+    _bad_heartbeats,
+    _console_fails,
+    _bad_measurements,
+    _two_owners,
+    _odd_clock,
+    _armed_twice,
+)
