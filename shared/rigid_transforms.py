@@ -54,7 +54,8 @@ def angle_between(
 
     Rotations an angle θ apart differ by a matrix of Frobenius norm 2√2 sin(θ/2).
     """
-    chord = np.sqrt(np.square(R_a - R_b).sum(axis=(-2, -1)))
+    with np.errstate(over="ignore"):
+        chord = np.sqrt(np.square(R_a - R_b).sum(axis=(-2, -1)))
     return 2 * np.arcsin(np.minimum(chord / math.sqrt(8), 1.0))
 
 

@@ -49,6 +49,8 @@ def _run(rig: RigConfig, kind: str, instance: str) -> int:
         return complain(str(error), EXIT_UNUSABLE)
     stopped = threading.Event()
     on_stop(stopped.set, for_sure=True)
+    # before the session is opened, so that its threads have the priority too: the loop waits for them at times
+    around = surroundings(rig, kind, instance)
     try:
         session = open_when_there(rig.session_of(run_name(kind, instance)), stopped=stopped)
     except NoRouterError as error:
@@ -56,18 +58,19 @@ def _run(rig: RigConfig, kind: str, instance: str) -> int:
     with session:
         if runs_already(session, rig.rig, kind, instance):
             return complain(f"{kind} {instance} of rig {rig.rig} runs already; stop that one first", EXIT_UNUSABLE)
-        runner = Runner(
-            agent, session, rig.rig, config_hash(rig), surroundings(rig, kind, instance), links(rig, kind, instance)
-        )
+        runner = Runner(agent, session, rig.rig, config_hash(rig), around, links(rig, kind, instance))
         threading.Thread(target=_stop_after, args=(stopped, runner.stop), name="stop", daemon=True).start()
         runner.run()
     return complain(runner.gave_up, EXIT_GAVE_UP) if runner.gave_up else EXIT_OK
 
 
 def surroundings(rig: RigConfig, kind: str, instance: str) -> Surroundings:
-    """What the agent's process knows of its host; where the rig wants it, real-time priority is asked for first."""
+    """What the agent's process knows of its host; real-time priority is asked for first where a real arm is driven,
+    and where the rig wants it.
+    """
     identity = rig.identity_of(run_name(kind, instance))
-    asked = REALTIME_PRIORITY if kind in KEEPING_TIME and rig.realtime_here else None
+    drives = kind == "robot_bridge" and rig.robot[instance].dvrk is not None
+    asked = REALTIME_PRIORITY if drives or (kind in KEEPING_TIME and rig.realtime_here) else None
     return Surroundings(
         certificate_expires_ns=None if identity is None else validity_ns(identity.certificate)[1],
         realtime_asked=asked,

@@ -14,9 +14,11 @@ from agents.emulator import poses
 from agents.emulator.arm import START, EmulatedArm
 from agents.emulator.geometry import tool
 from agents.emulator.messages import (
+    SECOND_NS,
     Bool,
     Empty,
     Float64,
+    Header,
     JointState,
     Joy,
     OperatingState,
@@ -33,6 +35,7 @@ from agents.emulator.wire import Outlet, Wire
 from shared import clock
 
 STATE_HZ, TURNS_PER_STATE = 100.0, 2
+KEPT = 20_000
 JOINTS = ["outer_yaw", "outer_pitch", "outer_insertion", "outer_roll", "outer_wrist_pitch", "outer_wrist_yaw"]
 TOOL_TYPE = "LARGE_NEEDLE_DRIVER:400006"
 SENSOR, STD, CRTK, GEOMETRY = (f"{name}_msgs::msg::dds_::" for name in ("sensor", "std", "crtk", "geometry"))
@@ -77,6 +80,7 @@ class EmulatedConsole:
         self._times = {"moved_ns": 0, "set_point_ns": 0, "held_ns": 0}
         self._holds_ns: list[int] = []
         self._arrivals: list[float] = []
+        self._sent_ns: list[int] = []
         self._held, self._turns = True, 0
         self._moved_m = {"camera": 0.0, "setup": 0.0}
         self._outlets: dict[str, Outlet] = {
@@ -138,7 +142,8 @@ class EmulatedConsole:
             told = self._oracle.verdict() | self._times
             told |= {"state": self._arm.state, "is_homed": self._arm.is_homed}
             told["position"], told["goal"] = self._arm.position.tolist(), self._arm.goal.tolist()
-            return told | {"arrivals_s": self._arrivals[-20_000:], "holds_ns": self._holds_ns[-1000:]}
+            told |= {"arrivals_s": self._arrivals[-KEPT:], "sent_ns": self._sent_ns[-KEPT:]}
+            return told | {"holds_ns": self._holds_ns[-1000:]}
 
     def place(self, joints: np.ndarray) -> None:
         """Have the arm stand at these joints, as if it had been carried there."""
@@ -174,18 +179,20 @@ class EmulatedConsole:
         name, moving = MOTIONS[topic]
 
         def hear(data: bytes) -> None:
-            self._head(name, np.array(JointState.deserialize(data).position), moving)
+            said = JointState.deserialize(data)
+            self._head(name, np.array(said.position), moving, said.header)
 
         return hear
 
     def _pose(self, topic: str) -> Callable[[bytes], None]:
         def hear(data: bytes) -> None:
-            R, pin = poses.read(PoseStamped.deserialize(data).pose)
-            self._head("arm", poses.joints_at(R, pin, self._arm.goal[:6]), POSES[topic])
+            said = PoseStamped.deserialize(data)
+            R, pin = poses.read(said.pose)
+            self._head("arm", poses.joints_at(R, pin, self._arm.goal[:6]), POSES[topic], said.header)
 
         return hear
 
-    def _head(self, name: str, values: np.ndarray, moving: bool) -> None:
+    def _head(self, name: str, values: np.ndarray, moving: bool, said: Header) -> None:
         at_s = self._monotonic_s()
         with self._lock:
             arm = self._arm
@@ -195,6 +202,7 @@ class EmulatedConsole:
             self._times["set_point_ns"], self._held = self._now_ns(), False
             if name == "arm":
                 self._arrivals.append(at_s)
+                self._sent_ns.append(said.stamp.sec * SECOND_NS + said.stamp.nanosec)
             arm.head(name, values, moving)
 
     def _hear_hold(self, data: bytes) -> None:

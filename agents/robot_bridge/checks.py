@@ -126,7 +126,7 @@ def _workspace_refusal(where: str, point: Float64[np.ndarray, "3"], limits: Moti
 
 
 def _millimetres(point: Float64[np.ndarray, "3"]) -> str:
-    return "(" + ", ".join(f"{1e3 * value:.4g}" for value in point) + ")"
+    return "(" + ", ".join(f"{1e3 * float(value):.4g}" for value in point) + ")"
 
 
 def _kinematic_refusal(
