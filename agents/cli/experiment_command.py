@@ -138,8 +138,14 @@ def _tried(rig: RigConfig, options: Experiment, folder: Path, journal: Journal) 
                 _thread_tried(rig, options, thread, kept, stopped)
     except (LeftError, ExperimentError, NoRouterError) as error:
         report(folder, kept.journal)
-        return complain(f"{error}; to go on: suturegrasp experiment {folder}", EXIT_LEFT)
+        return complain(f"{error}; to go on: {_again(options, folder)}", EXIT_LEFT)
     return report(folder, kept.journal)
+
+
+def _again(options: Experiment, folder: Path) -> str:
+    """The command that goes on with it."""
+    where = f" --config {options.config}" if options.config is not None else ""
+    return f"suturegrasp experiment {folder}{where}{' --start' if options.start else ''}"
 
 
 class _Kept:

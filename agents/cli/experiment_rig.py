@@ -8,7 +8,7 @@ from pathlib import Path
 
 from agents.cli.experiment_options import Experiment
 from agents.cli.experiment_trial import ExperimentError
-from agents.cli.rig import CameraSection, RigConfig, RouterSection, SimulatorSection, simulated_rig
+from agents.cli.rig import CameraSection, PlannerSection, RigConfig, RouterSection, SimulatorSection, simulated_rig
 from agents.cli.session_folder import SessionFolder, new_session_folder
 from agents.cli.supervisor import Role, Supervisor, last_line, supervised
 from agents.cli.terminal import say
@@ -19,7 +19,7 @@ from shared.runtime.connection import ROUTER_WAIT_S, Connection, connected
 from shared.runtime.session import SessionSettings, free_local_endpoint
 
 RECORDER = "recorder"
-FRAMES_HZ = 10.0
+FRAMES_HZ = 5.0
 """Of a simulated thread, which lies still until a plan is carried out."""
 
 
@@ -80,6 +80,8 @@ def simulated(thread: str, protocol: Protocol, records: bool) -> RigConfig:
         "router": RouterSection(endpoint=free_local_endpoint()),
         "simulator": field,
         "camera": CameraSection(rate_hz=FRAMES_HZ),
+        # the paper grasped wherever it was asked to
+        "planner": PlannerSection(least_probability=0.0),
         "viewer": None,
         **({} if records else {"recorder": None}),
     }

@@ -35,7 +35,10 @@ def _declined(results: Results) -> list[str]:
     if not any(counts.values()):
         return []
     told = " and ".join(f"{count} with {policy}" for policy, count in counts.items())
-    return [f"Declined before anything moved, and in no rate: {told}."]
+    totals = {policy: results.rates[policy][-1] for policy in POLICIES}
+    asked = {policy: Rate(rate.held, rate.tried + rate.declined, 0, None) for policy, rate in totals.items()}
+    failures = " and ".join(f"{_shown(rate)} with {policy}" for policy, rate in asked.items())
+    return [f"Declined before anything moved, and in no rate: {told}. Were they failures: {failures}."]
 
 
 def _compared(results: Results) -> list[str]:

@@ -72,7 +72,9 @@ def test_an_experiment_that_was_killed_goes_on_where_it_was_and_ends_where_nobod
         process.kill()
     done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
     assert done.returncode == 3
-    assert done.stderr.splitlines()[-1].endswith(f"nobody answers; to go on: suturegrasp experiment {tried}")
+    assert done.stderr.splitlines()[-1].endswith(
+        f"nobody answers; to go on: suturegrasp experiment {tried} --config {config}"
+    )
     after = Journal.model_validate_json((tried / JOURNAL).read_text())
     assert after.attempts == before.attempts
     assert after.begun == (before.left(THREADS[0])[0], 1)

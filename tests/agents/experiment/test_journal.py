@@ -67,6 +67,7 @@ def test_the_rates_are_counts_of_what_was_tried():
     assert results.pairs == (33, 2, 4, 0)
     assert results.p_value == pytest.approx(2 * (1 + 6 + 15) / 2**6)
     assert results.difference == pytest.approx(38 / 40 - 35 / 39)
+    assert "1 with direct and 0 with robust. Were they failures: 87.5 % (35/40) with direct" in page(results)
     assert results.causes == {"direct": {"missed": 4}, "robust": {"missed": 2}}
 
 
