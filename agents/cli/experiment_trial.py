@@ -30,6 +30,8 @@ from shared.runtime.taps import Tapped
 PATIENCE_S, VERDICT_S, LOOK_S = 60.0, 5.0, 0.2
 PASSING = ("stale", "not_ready", "busy", "clock", "moved", "unknown_plan", "replay", "dry_run", "no_answer", "late")
 """Codes of a refusal to arm that speak against the moment, not against the plan."""
+SETTLED_THREADS = 4
+"""Seen after a thread was laid; tracking may need a few to leave the one before."""
 SENDER = "suturegrasp experiment"
 CAUSE_OF: dict[Verdict, Cause] = {Verdict.MISSED: "missed", Verdict.LOST: "slipped"}
 
@@ -149,6 +151,8 @@ def _lay(rig: Rig) -> None:
 def _plan(trial: Trial, rig: Rig) -> GraspPlan | str:
     """A plan from a thread that was seen from now on, or why the planner would rather have none."""
     deadline_s, from_ns, why = monotonic_s() + PATIENCE_S, now_ns(), ""
+    for _ in range(SETTLED_THREADS - 1):
+        _wait_for_thread(rig, from_ns, deadline_s)
     while monotonic_s() < deadline_s:
         # a goal right after a thread has come is not refused for its age
         why = _wait_for_thread(rig, from_ns, deadline_s) or why
