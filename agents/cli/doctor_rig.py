@@ -52,9 +52,9 @@ def guards(rig: RigConfig, gathered: Gathered) -> Iterator[Finding]:
         elif there.health is None or told is None:
             yield Finding(what, "is there and gives no answer", "restart it, and arm nothing until it answers")
         elif there.health.fault:
-            yield Finding(what, f"stands by on {told.host}, and guards nothing", there.health.fault)
+            yield Finding(what, f"stands by on {there.host}, and guards nothing", there.health.fault)
         else:
-            yield Finding(what, f"stands by on {told.host}, reaches the arm's Zenoh, and answers")
+            yield Finding(what, f"stands by on {there.host}, reaches the arm's Zenoh, and answers")
 
 
 def versions(facts: Mapping[str, AgentFacts], version: str, schemas_hash: str, zenoh: str) -> Iterator[Finding]:

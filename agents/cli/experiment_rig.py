@@ -96,6 +96,10 @@ def _recording(rig: RigConfig, connection: Connection, supervisor: Supervisor, s
     if any(name.startswith(f"{RECORDER}/") for name in connection.present()):
         say("a recorder of the rig's own keeps this session")
         return False
+    identity = rig.identity_of(RECORDER)
+    if identity is not None and not identity.certificate.exists():
+        say("this session is not recorded, for this host has no certificate of a recorder: put one into its runs")
+        return False
     config = session.path / "rig.json"
     write_config(config, rig)
     arguments = ["record", "--output", str(session.recording), "--config", str(config)]
