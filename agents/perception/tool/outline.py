@@ -243,9 +243,8 @@ def _pixels(camera: RectifiedStereo, points: Float64[np.ndarray, "n 3"], eye_x: 
 
 
 def _in_view(camera: RectifiedStereo, px: Float64[np.ndarray, "n 2"], margin: float) -> Bool[np.ndarray, "n"]:
-    upper = (camera.image_width - margin, camera.image_height - margin)
-    within: Bool[np.ndarray, "n"] = ((px >= margin) & (px < upper)).all(axis=1)
-    return within
+    within = (px >= margin) & (px < (camera.image_width - margin, camera.image_height - margin))
+    return within[:, 0] & within[:, 1]
 
 
 def _mask(camera: RectifiedStereo, polygon: Float64[np.ndarray, "n 2"]) -> np.ndarray:
