@@ -17,6 +17,7 @@ from agents.perception.centrelines.glints import mean_depth, without_glints
 from agents.perception.centrelines.profiles import sample
 from agents.perception.centrelines.refine import Curves, Evidence, by_coverage, by_edges, by_learning, tangent_sigma
 from agents.perception.centrelines.skeleton import Paths, skeleton_paths
+from agents.perception.centrelines.tips import to_tips
 from schemas.messages import Centrelines, no_centrelines
 
 SEGMENTED_COVERAGE = 96
@@ -94,6 +95,9 @@ def _lines(
     else:
         curves, seen, at_sight = learned
     lines = Centrelines(curves.point, curves.pieces.number, seen.width_px, deviations(curves, seen, at_sight))
+    if not found.graded:
+        # where a mask that says yes or no ends, only the image tells within a pixel
+        lines = to_tips(lines, image, curves.loose_start, curves.loose_end)
     return Lines(lines, curves.loose_start, curves.loose_end)
 
 
