@@ -23,6 +23,7 @@ FIRST_MS, NEAR_MS = {"network": 80.0, "ridge": 30.0}, {"network": 20.0, "ridge":
 TIMES = {
     "first": "first frame, both images to centrelines",
     "near": "around the last thread, both images to centrelines",
+    "pixels near": "the same where it is not followed",
     "step first": "the agent's step for a first frame, raw images to message",
     "step near": "the agent's step around the last thread, raw images to message",
 }

@@ -13,6 +13,7 @@ import numpy as np
 from agents.perception.agent import Perception, PerceptionConfig
 from agents.perception.both_eyes import of_both
 from agents.perception.centrelines import thread_centrelines
+from agents.perception.following.pair import FollowedPair, follow_pair
 from agents.perception.observe import observe
 from agents.perception.search import Looked, look_everywhere, look_near
 from benchmarks.scenes import Pair, Scene
@@ -33,23 +34,39 @@ Result = TypeVar("Result")
 def times_ms(scene: Scene, camera: RectifiedStereo, segmenter: str) -> dict[str, float]:
     """Milliseconds of one scene whose images are rectified; those whose names end in `cpu` are of the processor.
 
-    `first` leads from the whole of both images to centrelines, `near` does so around the last thread; `step first` and
-    `step near` are what the agent takes in all for a frame of raw images, from message to message, with masks,
-    judgement and surface. `tracked` counts the frames that were looked at near the last thread alone.
+    `first` leads from the whole of both images to centrelines, `near` does so around the last thread, followed where
+    it can be; `pixels near` where it may not be followed. `step first` and `step near` are what the agent takes in all
+    for a frame of raw images, from message to message, with masks, judgement and surface. `tracked` counts the frames
+    that were looked at near the last thread alone, `followed` those of them in which it was followed.
     """
     found: dict[str, float] = {}
     looked, found["first"], found["first cpu"] = _least(lambda: _first(scene.images, segmenter))
-    last = _observed(0, camera, scene.images, looked)
-    near: list[tuple[float, float]] = []
+    first = _observed(0, camera, scene.images, looked)
+    near, followed = _tracked(scene.images, first)
+    pixels, _ = _tracked(scene.images, replace(first, trail_left=None, trail_right=None))
+    found |= {"tracked": float(len(near)), "followed": float(followed)}
+    return found | _medians("near", near) | _medians("pixels near", pixels) | _of_agent(scene, segmenter)
+
+
+def _tracked(images: Pair, last: ThreadObservations) -> tuple[list[tuple[float, float]], int]:
+    """Times of frames around the last thread, as long as they do without a look at the whole; how many were followed.
+
+    Thread is followed only where the first observations say by what.
+    """
+    times: list[tuple[float, float]] = []
+    followed, may_follow = 0, last.trail_left is not None
     for number in range(1, FRAMES_TRACKED + 1):
-        images, before = moved(scene.images, number), last
-        seen, *times = _least(lambda images=images, before=before, number=number: _near(images, before, number))
+        now, before = moved(images, number), last
+        seen, *took = _least(lambda now=now, before=before, number=number: _near(now, before, number))
         if seen is None:
             break
-        near.append((times[0], times[1]))
-        last = _observed(number, camera, images, seen)
-    found["tracked"] = float(len(near))
-    return found | _medians("near", near) | _of_agent(scene, segmenter)
+        times.append((took[0], took[1]))
+        if isinstance(seen, FollowedPair):
+            last, followed = seen.observed, followed + 1
+        else:
+            last = _observed(number, before.camera, now, seen)
+            last = last if may_follow else replace(last, trail_left=None, trail_right=None)
+    return times, followed
 
 
 def moved(images: Pair, frames: int) -> Pair:
@@ -64,7 +81,9 @@ def _first(images: Pair, segmenter: str) -> Looked:
     return looked
 
 
-def _near(images: Pair, last: ThreadObservations, number: int) -> Looked | None:
+def _near(images: Pair, last: ThreadObservations, number: int) -> FollowedPair | Looked | None:
+    if (followed := follow_pair(_stamp(number), last.camera, images, last)) is not None:
+        return followed
     looked = look_near(images, last, number)
     if looked is not None:
         _lines(images, looked)

@@ -34,6 +34,8 @@ SMALL_WIDTH_PX = 240
 """Of the image in which the margin is laid around the thread."""
 LEAST_KEPT_SHARE = 0.8
 """Of the thread's pixels in the frame before; fewer mean that some of it has been lost."""
+DRAWN_SHARE = 0.8
+"""Of a mask that was drawn along a followed thread, as wide as its edges lie apart: segmenters cover that at least."""
 BESIDE_PX = 5, 13
 """Sides of the windows that make the ring beside the thread."""
 BORDER_PX = 9
@@ -158,7 +160,8 @@ def _look_near(
     near = Near(near_thread(before), last.is_bright)
     meant = None if last.prompt_px is None else meant_as_before(before, alone=is_left)
     coverage = segment(image, near, meant)
-    if may_lack_thread(coverage, near.where, _pixels(before)):
+    drawn = last.segmented_sequence not in (None, last.stamp.sequence)
+    if may_lack_thread(coverage, near.where, round(_pixels(before) * (DRAWN_SHARE if drawn else 1.0))):
         return None
     by_faster = None if faster is None else faster(image, near, None)
     alike = by_faster is not None and find_the_same(coverage, by_faster)

@@ -33,7 +33,7 @@ def _centrelines(side: str) -> dict[str, Rule]:
 def _trail(side: str) -> dict[str, Rule]:
     return {
         f"{side}.{name}": Rule(ignored="what the next frame is followed by; its centrelines are compared")
-        for name in ("loose_start", "loose_end", "length_px", "colour_bgr")
+        for name in ("loose_start", "loose_end", "length_px", "colour_bgr", "told_start", "told_end")
     }
 
 

@@ -301,16 +301,20 @@ class Occluders(_message.Message):
     def __init__(self, left: _Optional[_Union[Image, _Mapping]] = ..., right: _Optional[_Union[Image, _Mapping]] = ..., sequence: _Optional[int] = ...) -> None: ...
 
 class Trail(_message.Message):
-    __slots__ = ("loose_start", "loose_end", "length_px", "colour_bgr")
+    __slots__ = ("loose_start", "loose_end", "length_px", "colour_bgr", "told_start", "told_end")
     LOOSE_START_FIELD_NUMBER: _ClassVar[int]
     LOOSE_END_FIELD_NUMBER: _ClassVar[int]
     LENGTH_PX_FIELD_NUMBER: _ClassVar[int]
     COLOUR_BGR_FIELD_NUMBER: _ClassVar[int]
+    TOLD_START_FIELD_NUMBER: _ClassVar[int]
+    TOLD_END_FIELD_NUMBER: _ClassVar[int]
     loose_start: Array
     loose_end: Array
     length_px: Array
     colour_bgr: Array
-    def __init__(self, loose_start: _Optional[_Union[Array, _Mapping]] = ..., loose_end: _Optional[_Union[Array, _Mapping]] = ..., length_px: _Optional[_Union[Array, _Mapping]] = ..., colour_bgr: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
+    told_start: Array
+    told_end: Array
+    def __init__(self, loose_start: _Optional[_Union[Array, _Mapping]] = ..., loose_end: _Optional[_Union[Array, _Mapping]] = ..., length_px: _Optional[_Union[Array, _Mapping]] = ..., colour_bgr: _Optional[_Union[Array, _Mapping]] = ..., told_start: _Optional[_Union[Array, _Mapping]] = ..., told_end: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
 
 class ThreadObservations(_message.Message):
     __slots__ = ("stamp", "camera", "status", "reason", "segmenter", "points_camera", "half_size_px", "matched_px", "match_cost", "inlier", "mask_left", "mask_right", "judgements", "gaps", "centrelines_left", "centrelines_right", "looked_sequence", "is_bright", "prompt_px", "rows_moved_up", "picture_left", "picture_right", "picture_left_since", "picture_right_since", "candidates", "occluders", "score_map", "surface_sequence", "trail_left", "trail_right", "segmented_sequence", "consumed")

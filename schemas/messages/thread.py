@@ -122,18 +122,20 @@ class Trail:
         loose_start, loose_end: whether each piece begins and ends at an end of the thread; else a crossing cuts it.
         length_px: of each piece when it was last looked for pixel by pixel.
         colour_bgr: of the thread and of the ground on either side, at every fourth point of each piece and at its last.
+        told_start, told_end: whether the image itself shows that a piece ends there; other ends move as what is near.
     """
 
     loose_start: Bool[np.ndarray, "k"]
     loose_end: Bool[np.ndarray, "k"]
     length_px: Float64[np.ndarray, "k"]
     colour_bgr: UInt8[np.ndarray, "m 3 3"]
+    told_start: Bool[np.ndarray, "k"]
+    told_end: Bool[np.ndarray, "k"]
 
     def __post_init__(self) -> None:
         check_message(self)
-        require(
-            len(self.loose_start) == len(self.loose_end) == len(self.length_px), "every piece has two ends and a length"
-        )
+        parts = self.loose_start, self.loose_end, self.length_px, self.told_start, self.told_end
+        require(len({len(part) for part in parts}) == 1, "every piece has two ends and a length")
 
 
 @dataclass(frozen=True)

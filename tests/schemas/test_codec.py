@@ -143,7 +143,7 @@ def trails(draw):
     pieces = draw(st.integers(0, 3))
     loose = arrays(np.bool_, pieces)
     colours = arrays(np.uint8, (draw(st.integers(0, 4)), 3, 3))
-    return Trail(draw(loose), draw(loose), draw(array(pieces)), draw(colours))
+    return Trail(draw(loose), draw(loose), draw(array(pieces)), draw(colours), draw(loose), draw(loose))
 
 
 @st.composite

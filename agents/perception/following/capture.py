@@ -11,11 +11,11 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
 from agents.perception.centrelines.along import Pieces, blurred, gaussian, smoothed
-from agents.perception.centrelines.profiles import STEP_PX, offsets, sample
+from agents.perception.centrelines.profiles import sample
 from agents.perception.following.appearance import Colours, share_of_thread
 
-BAND_PX = 14.0
-"""How far to either side thread is looked for."""
+BAND_PX = 14
+"""How far to either side thread is looked for, pixel by pixel; between these a parabola tells."""
 INSIDE_SHARE, LEAST_INSIDE_PX = 0.4, 0.75
 """Of the width: how far from its middle a strip is thread for certain."""
 BESIDE_PX, BESIDE_TO_PX = 1.0, 3.5
@@ -56,16 +56,15 @@ def captured(
     Args:
         width: of the thread in general, in pixels.
     """
-    margin = width / 2 + BESIDE_TO_PX
-    at = offsets(BAND_PX + margin)
+    margin = int(np.ceil(width / 2 + BESIDE_TO_PX))
+    at = np.arange(-BAND_PX - margin, BAND_PX + margin + 1.0)
     seen = sample(image, point, normal, at, cv2.BORDER_REPLICATE)
     clear = blurred(clearness(share_of_thread(seen, colours), width), pieces, gaussian(ALONG))
-    edge = (len(at) - 1 - 2 * round(BAND_PX / STEP_PX)) // 2
-    inner, places = clear[edge : len(at) - edge], at[edge : len(at) - edge]
+    inner, places = clear[margin : len(at) - margin], at[margin : len(at) - margin]
     score = inner - np.float32(RATHER_NEAR) * ((places / BAND_PX) ** 2).astype(np.float32)[:, None]
     best = np.argmax(score, axis=0)
     here = np.arange(len(point))
-    move = places[best] + STEP_PX * _between(score, best, here)
+    move = places[best] + _between(score, best, here)
     usual = np.median(move[_beside(pieces)], axis=1)
     astray = np.abs(move - usual) > ASTRAY_PX
     calm = smoothed(np.where(astray, usual, move)[:, None], pieces, gaussian(CALM))[:, 0]
@@ -74,12 +73,17 @@ def captured(
 
 def clearness(share: Float32[np.ndarray, "t m"], width: float) -> Float32[np.ndarray, "t m"]:
     """How much more of a strip of the thread's width is thread than of what lies beside it, at each place."""
-    inside = round(max(LEAST_INSIDE_PX, INSIDE_SHARE * width) / STEP_PX)
-    first, last = (round((width / 2 + beyond) / STEP_PX) for beyond in (BESIDE_PX, BESIDE_TO_PX))
-    k = np.arange(-last, last + 1)
-    own, beside = np.abs(k) <= inside, np.abs(k) >= first
-    kernel = own / own.sum() - beside / max(1, beside.sum())
+    inside = max(LEAST_INSIDE_PX, INSIDE_SHARE * width)
+    first, last = (width / 2 + beyond for beyond in (BESIDE_PX, BESIDE_TO_PX))
+    away = np.abs(np.arange(-np.ceil(last), np.ceil(last) + 1))
+    own, beside = _within(away, inside), _within(away, last) - _within(away, first)
+    kernel = own / own.sum() - beside / beside.sum()
     return np.asarray(cv2.filter2D(share, cv2.CV_32F, kernel[:, None], borderType=cv2.BORDER_REPLICATE))
+
+
+def _within(away_px: Float64[np.ndarray, "t"], reach_px: float) -> Float64[np.ndarray, "t"]:
+    """How much of each place's own pixel lies within that distance."""
+    return np.clip(reach_px - away_px + 0.5, 0.0, 1.0)
 
 
 def _between(score: Float32[np.ndarray, "t m"], best: np.ndarray, here: np.ndarray) -> Float64[np.ndarray, "m"]:

@@ -13,8 +13,10 @@ from agents.perception.following.appearance import GROUND_PX, THREAD_SHARES, Col
 REACH_PX, STEP_PX = 12.0, 0.5
 """How far an end may have moved, either way, from one frame to the next."""
 HALF = 0.5
-STIFF = 0.05
-"""Against motion that nothing shows, in numbers of strands that do."""
+NEAR_PX = 40.0
+"""So far around a place, all moves alike."""
+STIFF = 0.02
+"""Against motion that nothing shows, as a share of what does."""
 LEAST_CLEAR = 0.2
 """How much more of a strip is thread than of what lies beside it, at least, where a thread goes on."""
 
@@ -60,24 +62,24 @@ def ends_of(
     return Ends(at[last] + np.clip(share_px, 0, STEP_PX), (so_far[last, every] <= 0) | (last == len(at) - 1))
 
 
-def cuts_moved(
-    point: Float64[np.ndarray, "e 2"],
+def carried_along(
+    tips: Float64[np.ndarray, "e 2"],
     outward: Float64[np.ndarray, "e 2"],
-    move: Float64[np.ndarray, "e 2"],
-    near_px: float,
+    point: Float64[np.ndarray, "m 2"],
+    normal: Float64[np.ndarray, "m 2"],
+    move_px: Float64[np.ndarray, "m"],
 ) -> Float64[np.ndarray, "e"]:
-    """How far the crossings that cut these ends have moved along them.
+    """How far ends that the image does not show, such as at crossings, have moved along their lines.
 
-    Where strands meet, all that is near has moved by one vector, of which each shows the part across itself.
+    What lies near has moved by one vector there, of which every point shows the part across its line.
 
     Args:
-        move: of each end, across it.
+        point, normal, move_px: what has moved by how much along its normal.
     """
-    beside = np.linalg.norm(point[:, None] - point[None], axis=2) <= near_px
-    across = normals(outward)
-    moved = (move * across).sum(axis=1)
-    together = np.einsum("ij,ja,jb->iab", beside, across, across) + STIFF * np.eye(2)
-    whole = np.linalg.solve(together, np.einsum("ij,ja,j->ia", beside, across, moved)[..., None])[..., 0]
+    beside = (np.linalg.norm(tips[:, None] - point[None], axis=2) <= NEAR_PX).astype(np.float64)
+    twice = (normal[:, :, None] * normal[:, None, :]).reshape(-1, 4)
+    together = (beside @ twice).reshape(-1, 2, 2) + STIFF * (1 + beside.sum(axis=1))[:, None, None] * np.eye(2)
+    whole = np.linalg.solve(together, (beside @ (normal * move_px[:, None]))[..., None])[..., 0]
     return (whole * outward).sum(axis=1).clip(-REACH_PX, REACH_PX)
 
 

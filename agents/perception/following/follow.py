@@ -8,19 +8,19 @@ A frame counts as followed only where nearly all profiles show a thread as wide 
 moved alike, and every end is found within reach. Whatever else happened needs a look at the pixels.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float64, UInt8
+from jaxtyping import Bool, Float64, Int64, UInt8
 
 from agents.perception.centrelines.along import Pieces, directions, gaussian, local_quadratic, smoothed
 from agents.perception.centrelines.deviation import deviations, of_edges
 from agents.perception.centrelines.profiles import normals
 from agents.perception.centrelines.refine import LIGHT_PX, Curves, Evidence, by_edges, by_learning, tangent_sigma
 from agents.perception.centrelines.straightened import usual_width_px
-from agents.perception.following.appearance import colours_across, some_of
+from agents.perception.following.appearance import Colours, colours_across, some_of
 from agents.perception.following.capture import Captured, captured
-from agents.perception.following.ends import cuts_moved, ends_of, with_ends
+from agents.perception.following.ends import REACH_PX, carried_along, ends_of, with_ends
 from schemas.messages import Centrelines, Trail
 
 LEAST_CLEAR, CLEAR_SHARE = 0.25, 0.95
@@ -30,12 +30,14 @@ LONGEST_UNCLEAR_WIDTHS = 3.0
 """Stretches that do not show the thread as it was are hidden, and no chance."""
 LEAST_WIDTH, MOST_WIDTH, WIDTH_SHARE = 0.7, 1.4, 0.92
 """Of the width before, and at how many points at least it must be like that."""
-LEAST_LENGTH_PX = 12
+LEAST_LENGTH_PX = 3
 """Of a piece: what is shorter has no direction of its own."""
 OTHER_LENGTH_PX, OTHER_LENGTH_SHARE = 10.0, 0.02
 """A piece that has become so much longer or shorter than when it was looked for may have gone astray at its ends."""
-TOGETHER_WIDTHS = 5.0
-"""Ends that are cut so near to each other are so by one crossing."""
+CUT_WIDTHS = 2.5
+"""So near to a cut, profiles hold what crosses there too."""
+TOLD_PX = 4.0
+"""From where thread ends by its mask to where the image shows that it ends."""
 
 
 @dataclass(frozen=True)
@@ -51,22 +53,37 @@ def trail_of(
     lines: Centrelines,
     loose_start: Bool[np.ndarray, "k"],
     loose_end: Bool[np.ndarray, "k"],
-    length_px: Float64[np.ndarray, "k"] | None = None,
 ) -> Trail:
-    """What the next frame follows these centrelines by.
-
-    Args:
-        length_px: of each piece when it was last looked for pixel by pixel; just now, if it is None.
-    """
+    """What the next frame follows centrelines by that were looked for pixel by pixel."""
     pieces = pieces_of(lines)
     some = some_of(pieces)
     if len(some) == 0:
-        return Trail(loose_start, loose_end, np.zeros(0), np.zeros((0, 3, 3), np.uint8))
+        return Trail(loose_start, loose_end, np.zeros(0), np.zeros((0, 3, 3), np.uint8), loose_start, loose_end)
     width = float(np.median(lines.width_px))
-    normal = normals(directions(lines.point_px, pieces, gaussian(tangent_sigma(width))))
+    tangent = directions(lines.point_px, pieces, gaussian(tangent_sigma(width)))
+    colours = _colours(image, lines, pieces, some, tangent)
+    tips, outward = _tips(pieces, tangent)
+    ends = ends_of(image, lines.point_px[tips], outward, width, colours[np.searchsorted(some, tips)])
+    long = np.tile(lengths_px(pieces) >= 2 * REACH_PX, 2)
+    told = np.concatenate((loose_start, loose_end)) & long & ~ends.lost & (np.abs(ends.reach_px) <= TOLD_PX)
+    return Trail(loose_start, loose_end, lengths_px(pieces), colours, *np.split(told, 2))
+
+
+def _tips(pieces: Pieces, tangent: Float64[np.ndarray, "n 2"]) -> tuple[Int64[np.ndarray, "e"], np.ndarray]:
+    """The first points of all pieces and then their last ones, and the directions outwards."""
+    tips = np.concatenate((pieces.first, pieces.last))
+    return tips, np.concatenate((-tangent[pieces.first], tangent[pieces.last]))
+
+
+def _colours(
+    image: UInt8[np.ndarray, "h w 3"],
+    lines: Centrelines,
+    pieces: Pieces,
+    some: Int64[np.ndarray, "m"],
+    tangent: Float64[np.ndarray, "n 2"],
+) -> Colours:
     usual = usual_width_px(lines.width_px, pieces)[some]
-    colours = colours_across(image, lines.point_px[some], normal[some], usual, Pieces(pieces.number[some]))
-    return Trail(loose_start, loose_end, lengths_px(pieces) if length_px is None else length_px, colours)
+    return colours_across(image, lines.point_px[some], normals(tangent)[some], usual, Pieces(pieces.number[some]))
 
 
 def lengths_px(pieces: Pieces) -> Float64[np.ndarray, "k"]:
@@ -81,46 +98,52 @@ def pieces_of(lines: Centrelines) -> Pieces:
 
 def follow(image: UInt8[np.ndarray, "h w 3"], last: Followed) -> Followed | str:
     """The centrelines in this eye's next image; or why they were not found."""
-    before, point, trail = last.lines, last.lines.point_px, last.trail
+    before, trail = last.lines, last.trail
     pieces = pieces_of(before)
-    if len(point) == 0 or int((pieces.last - pieces.first).min()) < LEAST_LENGTH_PX:
+    if len(before.piece) == 0 or int((pieces.last - pieces.first).min()) < LEAST_LENGTH_PX:
         return "short pieces"
     width = float(np.median(before.width_px))
-    kernel = gaussian(tangent_sigma(width))
-    tangent = directions(point, pieces, kernel)
+    tangent = directions(before.point_px, pieces, gaussian(tangent_sigma(width)))
     some = some_of(pieces)
-    sampled = Pieces(pieces.number[some])
-    found = captured(image, point[some], normals(tangent)[some], width, trail.colour_bgr, sampled)
-    if reason := _unclear(found, width):
+    normal, sampled = normals(tangent), Pieces(pieces.number[some])
+    found = captured(image, before.point_px[some], normal[some], width, trail.colour_bgr, sampled)
+    if reason := _unclear(found, _counts(pieces, trail, width)[some], width):
         return reason
-    move = np.interp(np.arange(len(point)), some, found.move_px)[:, None] * normals(tangent)
-    moved = smoothed(point + move, pieces, local_quadratic(LIGHT_PX))
-    tangent = directions(moved, pieces, kernel)
-    outward = np.concatenate((-tangent[pieces.first], tangent[pieces.last]))
-    tips = np.concatenate((pieces.first, pieces.last))
+    move = np.interp(np.arange(len(normal)), some, found.move_px)[:, None] * normal
+    moved = smoothed(before.point_px + move, pieces, local_quadratic(LIGHT_PX))
+    tips, outward = _tips(pieces, directions(moved, pieces, gaussian(tangent_sigma(width))))
     ends = ends_of(image, moved[tips], outward, width, trail.colour_bgr[np.searchsorted(some, tips)])
-    loose = np.concatenate((trail.loose_start, trail.loose_end))
-    if (ends.lost & loose).any():
-        return f"{int((ends.lost & loose).sum())} ends out of reach"
-    cut, reach = np.flatnonzero(~loose), ends.reach_px.copy()
-    reach[cut] = cuts_moved(moved[tips[cut]], outward[cut], move[tips[cut]], TOGETHER_WIDTHS * width)
-    place, now = with_ends(moved, pieces, outward, reach)
+    told = np.concatenate((trail.told_start, trail.told_end))
+    if (ends.lost & told).any():
+        return f"{int((ends.lost & told).sum())} ends out of reach"
+    along = carried_along(moved[tips], outward, before.point_px[some], normal[some], found.move_px)
+    place, now = with_ends(moved, pieces, outward, np.where(told, ends.reach_px, along))
     if (np.abs(lengths_px(now) - trail.length_px) > OTHER_LENGTH_PX + OTHER_LENGTH_SHARE * trail.length_px).any():
         return "a piece has another length"
     curves = Curves(place, now, trail.loose_start, trail.loose_end)
     usual = _carried(usual_width_px(before.width_px, pieces), pieces, now)
-    return _refined(image, curves, usual, width, trail.length_px)
+    return _refined(image, curves, usual, width, trail)
 
 
-def _unclear(found: Captured, width: float) -> str:
+def _counts(pieces: Pieces, trail: Trail, width: float) -> Bool[np.ndarray, "n"]:
+    """Where profiles show the thread alone: not beside a cut, where they hold what crosses too, nor on short pieces."""
+    near = CUT_WIDTHS * width
+    beside = ((pieces.before < near) & ~trail.loose_start[pieces.number]) | (
+        (pieces.after < near) & ~trail.loose_end[pieces.number]
+    )
+    return ~beside & (pieces.before + pieces.after >= 2 * REACH_PX)
+
+
+def _unclear(found: Captured, counts: Bool[np.ndarray, "m"], width: float) -> str:
     """Why what was found is not the thread as it was; empty where it is."""
-    unclear = found.clear < LEAST_CLEAR
-    if unclear.mean() > 1 - CLEAR_SHARE:
-        return f"{unclear.mean():.2f} unclear"
-    if found.astray.mean() > ASTRAY_SHARE:
-        return f"{found.astray.mean():.2f} astray"
+    unclear, astray = (found.clear < LEAST_CLEAR) & counts, found.astray & counts
+    total = max(1, int(counts.sum()))
+    if unclear.sum() > (1 - CLEAR_SHARE) * total:
+        return "the thread is not clear"
+    if astray.sum() > ASTRAY_SHARE * total:
+        return "neighbours move otherwise"
     longest = max(2, round(LONGEST_UNCLEAR_WIDTHS * width / 4))
-    bad = (unclear | found.astray).astype(np.int64)
+    bad = (unclear | astray).astype(np.int64)
     run = np.convolve(bad, np.ones(longest, np.int64), "valid")
     return "a stretch is hidden" if (run == longest).any() else ""
 
@@ -137,7 +160,7 @@ def _refined(
     curves: Curves,
     width_px: Float64[np.ndarray, "n"],
     width: float,
-    length_px: Float64[np.ndarray, "k"],
+    trail: Trail,
 ) -> Followed | str:
     nothing = np.zeros(len(width_px))
     mask = Evidence(width_px, nothing, nothing > 0)
@@ -153,4 +176,6 @@ def _refined(
     height, columns = image.shape[:2]
     point = np.clip(curves.point, 0.0, np.array((columns - 1.0, height - 1.0)))
     lines = Centrelines(point, curves.pieces.number, seen.width_px, deviation)
-    return Followed(lines, trail_of(image, lines, curves.loose_start, curves.loose_end, length_px))
+    tangent = directions(point, curves.pieces, gaussian(tangent_sigma(width)))
+    colours = _colours(image, lines, curves.pieces, some_of(curves.pieces), tangent)
+    return Followed(lines, replace(trail, colour_bgr=colours))
