@@ -15,6 +15,7 @@ from schemas.generated import suturegrasp_pb2
 from schemas.messages import (
     AgentConfiguration,
     Arm,
+    ChangeState,
     GraspGoal,
     Heartbeat,
     Hold,
@@ -26,6 +27,7 @@ from schemas.messages import (
     Prompt,
     ReplayClock,
     SetParameter,
+    StateWord,
 )
 from schemas.topics import TOPICS, Topic, topic_of
 from shared.clock import now_ns
@@ -47,6 +49,7 @@ def valid_messages(arm: str, plan_id: str = "p") -> dict[Topic, Callable[[], byt
         GraspGoal: lambda: GraspGoal(new_header("x"), arm, Policy.CAPTURE_SLIDE_GRASP, 0.5, None, None),
         Arm: lambda: Arm(new_header("x"), arm, plan_id),
         Hold: lambda: Hold(new_header("x"), arm),
+        ChangeState: lambda: ChangeState(new_header("x"), arm, StateWord.PAUSE),
         Prompt: lambda: Prompt(new_header("x"), np.array([10.0, 20.0])),
         SetParameter: lambda: SetParameter(new_header("x"), "least_probability", "0.5"),
         Heartbeat: lambda: Heartbeat(arm, plan_id, now_ns(), "a"),

@@ -50,8 +50,8 @@ def jitter(seconds: float, realtime: bool) -> dict[str, Any]:
                 held += 1
                 lab.move()
         verdict = lab.verdict()
-        sent = np.diff(np.array(verdict["sent_ns"][begun:])) * 1e-6
-        came = np.diff(np.array(verdict["arrivals_s"][begun:])) * 1e3
+        sent = np.diff(np.array(verdict["sent_ns"][begun:], np.int64)).astype(np.float64) * 1e-6
+        came = np.diff(np.array(verdict["arrivals_s"][begun:], np.float64)) * 1e3
         return {
             "real time": scheduled,
             "set points": len(sent) + 1,

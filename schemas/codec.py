@@ -21,9 +21,9 @@ from google.protobuf.unknown_fields import UnknownFieldSet
 from schemas.checks import MessageError, fields_of, is_array, require, without_none
 from schemas.framing import NotCutError, cut, delimited
 from schemas.generated import suturegrasp_pb2
-from schemas.messages import Arm, GraspGoal, GraspPlan, Heartbeat, ReplayClock, SetParameter
+from schemas.messages import Arm, ChangeState, GraspGoal, GraspPlan, Heartbeat, ReplayClock, SetParameter
 
-LEADING_TO_MOTION = (GraspGoal, GraspPlan, Arm, Heartbeat, ReplayClock, SetParameter)
+LEADING_TO_MOTION = (GraspGoal, GraspPlan, Arm, ChangeState, Heartbeat, ReplayClock, SetParameter)
 """Messages that are understood in full or not at all. What stops a robot is not among them: it is always understood."""
 
 MAX_MESSAGE_BYTES = 1 << 28

@@ -14,6 +14,7 @@ from schemas.messages import (
     AgentConfiguration,
     AgentHealth,
     Arm,
+    ChangeState,
     CommandRecord,
     ExecutionEvent,
     GraspGoal,
@@ -94,6 +95,7 @@ THREAD = Topic("reconstruction", "thread", ThreadReconstruction, Delivery.LATEST
 GOAL = Topic("operator", "goal", GraspGoal, Delivery.COMMAND, receiver="planner")
 ARM = Topic("operator", "arm", Arm, Delivery.COMMAND, receiver="robot_bridge", per_arm=True)
 HOLD = Topic("operator", "hold", Hold, Delivery.COMMAND, receiver="robot_bridge", per_arm=True, good_when_late=True)
+CHANGE_STATE = Topic("operator", "state", ChangeState, Delivery.COMMAND, receiver="robot_bridge", per_arm=True)
 PROMPT = Topic("operator", "prompt", Prompt, Delivery.COMMAND, receiver="perception")
 HEARTBEAT = Topic("operator", "heartbeat", Heartbeat, Delivery.LATEST, rate_hz=20, maximum_age_ms=200, per_arm=True)
 PLAN = Topic("planner", "plan", GraspPlan, Delivery.EVENT)
@@ -127,6 +129,7 @@ TOPICS = (
     GOAL,
     ARM,
     HOLD,
+    CHANGE_STATE,
     PROMPT,
     HEARTBEAT,
     PLAN,

@@ -14,7 +14,7 @@ import schemas
 from agents.cli.rig import RigConfig
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.backend import Backend
-from schemas.messages import Arm, CommandAnswer, ExecutionEvent
+from schemas.messages import Arm, ChangeState, CommandAnswer, ExecutionEvent
 from schemas.topics import EXECUTION
 from shared.clock import now_ns
 from shared.runtime.agent import Command, Output, Received, Tick
@@ -95,6 +95,8 @@ class AuditedBridge(RobotBridge):
         message = command.message
         told = {"topic": str(command.topic), "id": message.header.id, "sender": message.header.sender}
         plan = {"plan_id": message.plan_id} if isinstance(message, Arm) else {}
+        if isinstance(message, ChangeState):
+            told["word"] = message.word.name.lower()
         self._audit.add("command", command.now_ns, **told, arm=getattr(message, "arm", command.instance), **plan)
 
     def _note_output(self, output: Output | CommandAnswer) -> None:

@@ -9,6 +9,7 @@ from agents.cli.experiment_options import Experiment
 from agents.cli.live_options import (
     AGENT_KINDS,
     ArmPlan,
+    ChangeArmState,
     Doctor,
     Goal,
     Guard,
@@ -29,9 +30,9 @@ from agents.cli.rig import RigConfig, simulated_rig
 from agents.cli.router import run_router
 from agents.cli.terminal import complain, say
 from agents.cli.this_host import at_host, certificates_of, configured_file
-from agents.operator.operator import Stood, arm_and_stand_by, ask_for_grasp, hold, prompt
+from agents.operator.operator import Stood, arm_and_stand_by, ask_for_grasp, change_state, hold, prompt
 from agents.viewer.clearance import clearance_sentence
-from schemas.messages import ExecutionEvent, ExecutionKind, GraspPlan, Outcome, Policy, Status
+from schemas.messages import ExecutionEvent, ExecutionKind, GraspPlan, Outcome, Policy, StateWord, Status
 from schemas.topics import MAIN
 from shared.runtime.config import ConfigError, load_config
 from shared.runtime.connection import NoRouterError, connected
@@ -76,6 +77,8 @@ def run_live(options: OnRig) -> int:
                 return experiment(rig, options)
             case HoldArm():
                 return hold_arm(rig, options.arm)
+            case ChangeArmState():
+                return change_arm_state(rig, options)
             case Guard():
                 from agents.cli.guard_command import guard
 
@@ -206,6 +209,16 @@ def hold_arm(rig: RigConfig, name: str) -> int:
     if answer.outcome is not Outcome.ACCEPTED:
         return complain(answer.reason, EXIT_REFUSED)
     say(f"{name}: holds")
+    return EXIT_OK
+
+
+def change_arm_state(rig: RigConfig, options: ChangeArmState) -> int:
+    """Have an arm's console change its state."""
+    with connected(rig.session) as connection:
+        answer = change_state(connection, options.arm, StateWord[options.word.upper()])
+    if answer.outcome is not Outcome.ACCEPTED:
+        return complain(answer.reason, EXIT_REFUSED)
+    say(f"{options.arm}: {options.word} was sent to its console; suturegrasp status tells what became of it")
     return EXIT_OK
 
 

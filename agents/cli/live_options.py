@@ -163,6 +163,19 @@ class HoldArm(OnRig):
 
 
 @dataclass(frozen=True)
+class ChangeArmState(OnRig):
+    """Have the console of a real arm, which must be disarmed, enable, disable, pause, resume or home it.
+
+    Homing moves the arm: have its tool in free space, and a hand at the emergency stop.
+    """
+
+    word: Annotated[Literal["enable", "disable", "pause", "resume", "home"], tyro.conf.Positional]
+    """What to do."""
+    arm: str = "psm1"
+    """Which arm."""
+
+
+@dataclass(frozen=True)
 class Guard(OnRig):
     """Watch a real arm from its own computer, and have it held when bridge, link or operator is gone (docs/dvrk.md)."""
 
@@ -230,6 +243,7 @@ LIVE_COMMANDS = {
     "arm": ArmPlan,
     "experiment": Experiment,
     "hold": HoldArm,
+    "state": ChangeArmState,
     "prompt": PromptThread,
     "set": SetInAgent,
     "status": RigStatus,

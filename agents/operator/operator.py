@@ -12,6 +12,7 @@ from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import (
     Arm,
+    ChangeState,
     CommandAnswer,
     ExecutionEvent,
     ExecutionKind,
@@ -22,8 +23,9 @@ from schemas.messages import (
     Outcome,
     Policy,
     Prompt,
+    StateWord,
 )
-from schemas.topics import ARM, EXECUTION, GOAL, HEARTBEAT, HOLD, PLAN, PROMPT, ROBOT_STATE, Topic
+from schemas.topics import ARM, CHANGE_STATE, EXECUTION, GOAL, HEARTBEAT, HOLD, PLAN, PROMPT, ROBOT_STATE, Topic
 from shared.clock import monotonic_s
 from shared.runtime.commands import new_header
 from shared.runtime.connection import Connection
@@ -171,6 +173,11 @@ def _armed(connection: Connection, arm: str, plan_id: str, arming_id: list[str])
 def hold(connection: Connection, arm: str) -> CommandAnswer:
     """Have an arm stop where it is, disarmed."""
     return connection.command(HOLD, Hold(new_header(SENDER), arm), arm)
+
+
+def change_state(connection: Connection, arm: str, word: StateWord) -> CommandAnswer:
+    """Have the console of a real arm that is disarmed change its state; homing moves the arm."""
+    return connection.command(CHANGE_STATE, ChangeState(new_header(SENDER), arm, word), arm)
 
 
 def prompt(connection: Connection, pixel: Float64[np.ndarray, "2"] | None) -> CommandAnswer:

@@ -17,6 +17,7 @@ from agents.robot_bridge.plans import CLOCK_TOLERANCE_S, Plans, untimely
 from agents.robot_bridge.refusals import REPLAYED, Code, Refusal
 from schemas.messages import (
     Arm,
+    ChangeState,
     CommandAnswer,
     ExecutionEvent,
     ExecutionKind,
@@ -29,7 +30,7 @@ from schemas.messages import (
     RobotMode,
     RobotState,
 )
-from schemas.topics import ARM, EXECUTION, HEARTBEAT, HOLD, PLAN, REPLAY_CLOCK, ROBOT_STATE
+from schemas.topics import ARM, CHANGE_STATE, EXECUTION, HEARTBEAT, HOLD, PLAN, REPLAY_CLOCK, ROBOT_STATE
 from shared.runtime.agent import Command, Input, Output, Received, Tick
 
 __all__ = ["RobotBridge", "RobotBridgeConfig", "RobotBridgeError"]
@@ -45,7 +46,7 @@ class RobotBridge:
 
     kind = "robot_bridge"
     outputs = (ROBOT_STATE, EXECUTION)
-    commands = (ARM, HOLD)
+    commands = (ARM, HOLD, CHANGE_STATE)
 
     def __init__(self, config: RobotBridgeConfig, backend: Backend) -> None:
         """Stand ready, disarmed; nothing is asked of the backend before the first tick."""
@@ -91,6 +92,8 @@ class RobotBridge:
                 return self._answer_arm(arrived, message)
             case Command(message=Hold() as message):
                 return self._answer_hold(arrived, message)
+            case Command(message=ChangeState() as message):
+                return [self._change_state(arrived, message)]
             case Received(message=GraspPlan() as plan):
                 self._plans.keep(plan, replayed=(self._now_ns or 0) < self._replay_over_ns)
             case Received(message=Heartbeat() as heartbeat):
@@ -193,6 +196,25 @@ class RobotBridge:
             return [_refused(message.header.id, refusal)]
         held = self._hold(Refusal(Code.HOLD_COMMAND, f"{message.header.sender} said hold"), command.now_ns)
         return [CommandAnswer(message.header.id, Outcome.ACCEPTED, "", ""), *held]
+
+    def _change_state(self, command: Command, message: ChangeState) -> CommandAnswer:
+        """A person has the console enable, home, pause: while nothing is armed, of an arm whose time is this one."""
+        of, word = message.header.id, message.word.name.lower()
+        if refusal := self._wrong_arm(command, message.arm):
+            return _refused(of, refusal)
+        if command.now_ns < self._replay_over_ns:
+            return _refused(of, REPLAYED)
+        if self._execution:
+            return _refused(of, self._busy())
+        if self._backend.dry_run:
+            would = f"{word} was not sent: this is a dry run (dry_run of the arm's configuration)"
+            return _refused(of, Refusal(Code.DRY_RUN, would))
+        self._now_ns = command.now_ns
+        self._measure(command.now_ns)
+        self._backend.slow_down(self.config.ratio)
+        if why := self._backend.change_state(message.word, command.now_ns):
+            return _refused(of, Refusal(Code.NO_STATES, f"{word} was not sent: {why}"))
+        return CommandAnswer(of, Outcome.ACCEPTED, "", "")
 
     def _arm(self, command: Command, message: Arm) -> Execution | Refusal:
         if refusal := self._wrong_arm(command, message.arm) or self._plans.unusable(message.plan_id):

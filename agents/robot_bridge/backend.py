@@ -7,6 +7,7 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import Float64
 
+from schemas.messages import StateWord
 from shared.kinematics.arm import ArmKinematics
 
 
@@ -62,6 +63,14 @@ class Backend(Protocol):
 
     def hold(self) -> None:
         """Stop where the arm is, and stay there."""
+        ...
+
+    def change_state(self, word: StateWord, now_ns: int) -> str:
+        """Have the arm change its state, as a person wants it, while it is disarmed; why not, or empty."""
+        ...
+
+    def slow_down(self, ratio: float) -> None:
+        """Have motions that the arm makes by itself, such as homing, take this share of their speed."""
         ...
 
     def close(self) -> None:

@@ -29,6 +29,7 @@ class Code(enum.StrEnum):
     HOLD_COMMAND = "hold_command"
     NOT_FOLLOWING = "not_following"
     DRY_RUN = "dry_run"
+    NO_STATES = "no_states"
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.robot_bridge.backend import ArmState
+from schemas.messages import StateWord
 from shared.kinematics.arm import ArmKinematics
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
@@ -58,6 +59,13 @@ class SimulatedPsm:
     def hold(self) -> None:
         """Head for nowhere."""
         self._set_point = self._position
+
+    def change_state(self, word: StateWord, now_ns: int) -> str:  # noqa: ARG002
+        """It has no states but one."""
+        return "a simulated arm is always enabled and homed"
+
+    def slow_down(self, ratio: float) -> None:
+        """It makes no motion by itself."""
 
     def close(self) -> None:
         """Stay."""

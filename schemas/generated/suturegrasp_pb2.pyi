@@ -70,6 +70,15 @@ class Policy(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     POLICY_DIRECT: _ClassVar[Policy]
     POLICY_CAPTURE_SLIDE_GRASP: _ClassVar[Policy]
 
+class StateWord(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    STATE_WORD_UNSPECIFIED: _ClassVar[StateWord]
+    STATE_WORD_ENABLE: _ClassVar[StateWord]
+    STATE_WORD_DISABLE: _ClassVar[StateWord]
+    STATE_WORD_PAUSE: _ClassVar[StateWord]
+    STATE_WORD_RESUME: _ClassVar[StateWord]
+    STATE_WORD_HOME: _ClassVar[StateWord]
+
 class Phase(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
     PHASE_UNSPECIFIED: _ClassVar[Phase]
@@ -139,6 +148,12 @@ LOG_LEVEL_ERROR: LogLevel
 POLICY_UNSPECIFIED: Policy
 POLICY_DIRECT: Policy
 POLICY_CAPTURE_SLIDE_GRASP: Policy
+STATE_WORD_UNSPECIFIED: StateWord
+STATE_WORD_ENABLE: StateWord
+STATE_WORD_DISABLE: StateWord
+STATE_WORD_PAUSE: StateWord
+STATE_WORD_RESUME: StateWord
+STATE_WORD_HOME: StateWord
 PHASE_UNSPECIFIED: Phase
 PHASE_APPROACH: Phase
 PHASE_CAPTURE: Phase
@@ -795,6 +810,16 @@ class Hold(_message.Message):
     header: CommandHeader
     arm: str
     def __init__(self, header: _Optional[_Union[CommandHeader, _Mapping]] = ..., arm: _Optional[str] = ...) -> None: ...
+
+class ChangeState(_message.Message):
+    __slots__ = ("header", "arm", "word")
+    HEADER_FIELD_NUMBER: _ClassVar[int]
+    ARM_FIELD_NUMBER: _ClassVar[int]
+    WORD_FIELD_NUMBER: _ClassVar[int]
+    header: CommandHeader
+    arm: str
+    word: StateWord
+    def __init__(self, header: _Optional[_Union[CommandHeader, _Mapping]] = ..., arm: _Optional[str] = ..., word: _Optional[_Union[StateWord, str]] = ...) -> None: ...
 
 class Prompt(_message.Message):
     __slots__ = ("header", "pixel")

@@ -11,6 +11,7 @@ those again.
 from schemas.messages.grasping import (
     Alternative,
     Arm,
+    ChangeState,
     ExecutionEvent,
     ExecutionKind,
     GraspGoal,
@@ -22,6 +23,7 @@ from schemas.messages.grasping import (
     Prompt,
     RobotMode,
     RobotState,
+    StateWord,
     TissueClearance,
     Waypoint,
 )
@@ -90,6 +92,7 @@ __all__ = [
     "Alternative",
     "Arm",
     "Centrelines",
+    "ChangeState",
     "ClockReading",
     "CommandAnswer",
     "CommandHeader",
@@ -130,6 +133,7 @@ __all__ = [
     "SettableParameter",
     "Severity",
     "SimulatorState",
+    "StateWord",
     "Status",
     "StereoCalibration",
     "StereoFrame",

@@ -67,6 +67,29 @@ class Hold:
         _check_arm(self.arm)
 
 
+class StateWord(enum.Enum):
+    """What a person has a real arm's console do with its state (CRTK's state_command)."""
+
+    ENABLE = 1
+    DISABLE = 2
+    PAUSE = 3
+    RESUME = 4
+    HOME = 5
+
+
+@dataclass(frozen=True)
+class ChangeState:
+    """Have the console of an arm that is disarmed change its state; homing moves the arm."""
+
+    header: CommandHeader
+    arm: str
+    word: StateWord
+
+    def __post_init__(self) -> None:
+        check_message(self)
+        _check_arm(self.arm)
+
+
 @dataclass(frozen=True)
 class Prompt:
     """Which thread is meant: the one at a pixel (u, v) of the rectified left image; None for any again."""

@@ -18,6 +18,7 @@ from schemas.messages import (
     Alternative,
     Arm,
     Centrelines,
+    ChangeState,
     ClockReading,
     CommandAnswer,
     CommandHeader,
@@ -57,6 +58,7 @@ from schemas.messages import (
     SettableParameter,
     Severity,
     SimulatorState,
+    StateWord,
     Status,
     StereoCalibration,
     StereoFrame,
@@ -379,6 +381,7 @@ def goals(draw):
 
 arms = st.builds(Arm, headers, names, texts.filter(bool))
 holds = st.builds(Hold, headers, names)
+state_changes = st.builds(ChangeState, headers, names, st.sampled_from(StateWord))
 prompts = st.builds(Prompt, headers, st.none() | array(2))
 heartbeats = st.builds(Heartbeat, names, texts, nanoseconds, texts.filter(bool))
 waypoints = st.builds(Waypoint, poses(), numbers, st.sampled_from(Phase), st.none() | numbers)
@@ -502,6 +505,7 @@ MESSAGES = {
     GraspGoal: goals(),
     Arm: arms,
     Hold: holds,
+    ChangeState: state_changes,
     Prompt: prompts,
     Heartbeat: heartbeats,
     Waypoint: waypoints,

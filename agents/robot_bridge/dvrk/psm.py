@@ -14,6 +14,7 @@ from jaxtyping import Float64
 from agents.robot_bridge.backend import ArmState, Readiness
 from agents.robot_bridge.dvrk.frames_moved import FramesWatch
 from agents.robot_bridge.dvrk.readings import KINDS, NOTHING, Readings
+from schemas.messages import StateWord
 from shared.calibration.hand_eye.file import HandEye
 from shared.clock import now_ns as clock_ns
 from shared.kinematics.arm import ArmKinematics
@@ -21,7 +22,7 @@ from shared.kinematics.psm import LARGE_NEEDLE_DRIVER
 from shared.ros import crtk
 from shared.ros.link import Heard, RosLink, Said
 from shared.ros.naming import ALIVE, GUARD_NODE, GUARDED, Naming
-from shared.ros.types import EMPTY, JOINT_STATE, OPERATING_STATE, POSE_STAMPED, STRING, STRING_STAMPED
+from shared.ros.types import EMPTY, FLOAT64, JOINT_STATE, OPERATING_STATE, POSE_STAMPED, STRING, STRING_STAMPED
 from shared.runtime.session import SessionSettings
 
 MOTIONS = {
@@ -99,6 +100,10 @@ class DvrkPsm:
         )
         servos = (*SERVOS, ALIVE) if through_guard else SERVOS
         says = (*(Said(f"{self._to}/{servo}", JOINT_STATE) for servo in servos), Said(f"{name}/hold", EMPTY))
+        says += (
+            Said(f"{name}/state_command", STRING_STAMPED),
+            Said(f"{name}/trajectory_j/set_ratio", FLOAT64),
+        )
         said = () if dry_run else says
         watched = tuple(f"{name}/{topic}" for topic in MOTIONS)
         self._link = linked(settings, naming, heard, said, watched, self._owner_changed)
@@ -141,6 +146,21 @@ class DvrkPsm:
         """Have the console stop the arm where it is."""
         if not self.dry_run and not self._replayed:
             self._link.say(f"{self._name}/hold", crtk.empty())
+
+    def change_state(self, word: StateWord, now_ns: int) -> str:
+        """Send the word to the console; what it makes of it shows in the state."""
+        if self.dry_run or self._replayed:
+            return "nothing is sent in a dry run" if self.dry_run else "it is real, and the time is not"
+        if why := self._link.failed or self._readings.changeable(word, now_ns):
+            return why
+        self._commanded_ns = self._clock_ns()
+        self._link.say(f"{self._name}/state_command", crtk.state_command(word.name.lower(), self._commanded_ns))
+        return ""
+
+    def slow_down(self, ratio: float) -> None:
+        """Tell the console the share of their speed that its own trajectories have."""
+        if not self.dry_run and not self._replayed:
+            self._link.say(f"{self._name}/trajectory_j/set_ratio", crtk.ratio(ratio))
 
     def close(self) -> None:
         """Hold what we moved, and let go; an arm that we did not move may be somebody else's by now."""

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.robot_bridge.backend import Readiness
+from schemas.messages import StateWord
 from shared.kinematics.arm import ArmKinematics
 from shared.rigid_transforms import angle_between
 from shared.ros import crtk
@@ -146,6 +147,23 @@ class Readings:
         if operating.is_busy and now_ns - commanded_ns > OWN_NS:
             return Readiness.DISABLED, "it is busy with a motion that is not ours"
         return self._same_place(measured, now_ns)
+
+    def changeable(self, word: StateWord, now_ns: int) -> str:
+        """Why the arm's state must not be changed in this way now; empty where it may."""
+        with self._lock:
+            said = self._said
+            operating, other, publishers = said.operating, said.other, sorted(said.publishers)
+        if operating is None:
+            return f"nothing was heard of {self._arm} yet: see that its console and Zenoh run there"
+        if word is StateWord.PAUSE or word is StateWord.DISABLE:
+            return ""
+        if publishers or now_ns - other[1] < OTHERS_NS:
+            return f"somebody else has to do with it: {publishers[0] if publishers else other[0]}; have one owner only"
+        allowed = {StateWord.ENABLE: ("DISABLED", "FAULT"), StateWord.RESUME: ("PAUSED",), StateWord.HOME: ("ENABLED",)}
+        if operating.state not in allowed[word]:
+            needed = " or ".join(allowed[word])
+            return f"its operating state is {operating.state}, where {word.name.lower()} needs {needed}"
+        return "it is busy with another motion" if operating.is_busy else ""
 
     def _same_place(self, measured: Measured, now_ns: int) -> tuple[Readiness, str]:
         """Whether the console's own pose of the tool is where our kinematics have it."""

@@ -11,8 +11,8 @@ import pytest
 from agents.cli.audit import AuditedBridge, AuditError, AuditLog
 from agents.robot_bridge.agent import RobotBridgeConfig
 from agents.robot_bridge.simulated import SimulatedPsm, waiting
-from schemas.messages import Arm, CommandHeader, Hold
-from schemas.topics import ARM, HOLD
+from schemas.messages import Arm, ChangeState, CommandHeader, Hold, StateWord
+from schemas.topics import ARM, CHANGE_STATE, HOLD
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
 from shared.runtime.agent import Command, Tick
 
@@ -45,6 +45,7 @@ def test_every_command_its_sender_and_its_answer_are_written_and_only_added(tmp_
         for topic, message in (
             (ARM, Arm(CommandHeader("a", NOW_NS, "ann"), "psm1", "p")),
             (HOLD, Hold(CommandHeader("b", NOW_NS, "ben"), "psm1")),
+            (CHANGE_STATE, ChangeState(CommandHeader("c", NOW_NS, "ann"), "psm1", StateWord.HOME)),
         ):
             list(bridge.step(Command(topic, "psm1", message, NOW_NS)))
         bridge.close()
@@ -60,8 +61,11 @@ def test_every_command_its_sender_and_its_answer_are_written_and_only_added(tmp_
         ("event", "unknown_plan"),
         ("command", "ben"),
         ("answer", "accepted"),
+        ("command", "ann"),
+        ("answer", "no_states"),
         ("stopped", ""),
     ]
+    assert [line["word"] for line in told if "word" in line] == ["home"] * 2
     assert [line["what"] for line in told] == 2 * [what for what, _ in one]
     assert path.stat().st_mode & 0o777 == 0o640
 

@@ -16,6 +16,7 @@ from agents.robot_bridge.simulated import SimulatedPsm
 from schemas.codec import encode
 from schemas.messages import (
     Arm,
+    ChangeState,
     CommandAnswer,
     CommandHeader,
     ExecutionEvent,
@@ -29,10 +30,11 @@ from schemas.messages import (
     Policy,
     RobotMode,
     RobotState,
+    StateWord,
     Status,
     Waypoint,
 )
-from schemas.topics import ARM, EXECUTION, HEARTBEAT, HOLD, PLAN, ROBOT_STATE
+from schemas.topics import ARM, CHANGE_STATE, EXECUTION, HEARTBEAT, HOLD, PLAN, ROBOT_STATE
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER, forward
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
 from shared.rigid_transforms import exp_so3, transform
@@ -246,6 +248,18 @@ def test_irregular_ticks_make_it_late_but_never_fast() -> None:
         moved = np.linalg.norm(after.T_base_tool[:3, 3] - before.T_base_tool[:3, 3])
         assert moved <= MotionLimits().speed * 2 * TICK * 1e-9 * 1.001
     assert drive.events()[-1].kind is ExecutionKind.FINISHED
+
+
+def test_an_arm_that_is_armed_or_simulated_or_another_one_changes_no_state() -> None:
+    def change(drive: Drive, arm: str = "psm1") -> CommandAnswer:
+        message = ChangeState(CommandHeader("c", drive.now_ns + SECOND, "ann"), arm, StateWord.HOME)
+        answer = drive.feed(Command(CHANGE_STATE, "psm1", message, drive.now_ns))[0]
+        assert isinstance(answer, CommandAnswer)
+        return answer
+
+    assert change(moving()).code == Code.BUSY
+    assert change(Drive()).code == Code.NO_STATES
+    assert change(Drive(), "psm2").code == Code.OTHER_ARM
 
 
 def test_a_motion_goes_over_to_another_ratio_smoothly_and_takes_as_much_longer() -> None:

@@ -14,7 +14,8 @@ from agents.cli.rig import RigConfig
 from agents.robot_bridge.agent import RobotBridge
 from agents.robot_bridge.backend import Readiness
 from agents.robot_bridge.simulated import SimulatedPsm
-from schemas.messages import ExecutionKind, Outcome, Phase, RobotMode
+from schemas.messages import ChangeState, CommandHeader, ExecutionKind, Outcome, Phase, RobotMode, StateWord
+from schemas.topics import CHANGE_STATE
 from shared.clock import monotonic_s, now_ns
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
 from shared.ros import crtk
@@ -22,6 +23,7 @@ from shared.ros.far_clock import WINDOW_NS, FarClock
 from shared.ros.naming import RmwZenoh, Role
 from shared.ros.types import JOINT_STATE
 from shared.runtime.access import access_control
+from shared.runtime.agent import Command
 from shared.runtime.config import load_config
 
 SECOND_NS, DEADLINE_S = 10**9, 20.0
@@ -141,6 +143,33 @@ def test_a_console_that_is_disabled_has_another_tool_or_is_elsewhere_is_not_arme
     lab.backend._readings._tool = ""
     lab.backend._readings.hear("local/measured_cp", b"\0\1\0\0", 0)
     lab.ready()
+
+
+def test_a_person_may_change_an_arms_state_while_it_is_disarmed_and_nobody_else_has_it(lab):
+    def change(word):
+        header = CommandHeader(f"{word}-{now_ns()}", now_ns() + SECOND_NS, "ann")
+        said = lab.bridge.step(Command(CHANGE_STATE, "psm1", ChangeState(header, "psm1", StateWord[word]), now_ns()))
+        return next(iter(said))
+
+    lab.ready()
+    arm = lab.console._arm
+    assert "PAUSED" in change("RESUME").reason, "it is not paused"
+    for word, state in (("PAUSE", "PAUSED"), ("RESUME", "ENABLED"), ("DISABLE", "DISABLED"), ("ENABLE", "ENABLED")):
+        lab.until(lambda word=word: change(word).outcome is Outcome.ACCEPTED)
+        lab.until(lambda state=state: arm.state == state)
+    lab.until(lambda: change("HOME").outcome is Outcome.ACCEPTED)
+    lab.until(lambda: not arm.is_homed)
+    assert lab.arm().code == "not_ready"
+    lab.until(lambda: arm.is_homed)
+    lab.ready()
+    with lab.session.liveliness().declare_token("@/abc/@ros2_lv/MP/PSM1§servo_jp/sensor_msgs§msg§JointState/:::"):
+        lab.until(lambda: "somebody else" in change("HOME").reason)
+    lab.ready()
+    moves(lab)
+    answer = change("HOME")
+    assert (answer.outcome, answer.code) == (Outcome.REFUSED, "busy")
+    assert arm.is_homed
+    assert lab.verdict()["unsafe"] == 0
 
 
 def test_when_something_was_measured_is_told_by_the_robots_own_clock():
