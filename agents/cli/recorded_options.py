@@ -107,11 +107,42 @@ class Replay(OnRecording):
     """With --through: a Rerun recording of both side by side, or the recording with what the agents say now."""
 
 
-RECORDED_COMMANDS: dict[str, type[OnRecording]] = {"replay": Replay, "inspect": Inspect, "export": Export, "cut": Cut}
+@dataclass(frozen=True)
+class TrackTool(OnRecording):
+    """Find an arm's instrument in recorded images, and say how far it is from where registration and joints have it.
+
+    Exit status: 0, 1 where the registration is more than --limit off, 2 for no such recording, 3 where the instrument
+    was not found or lost (docs/tool_tracking.md).
+    """
+
+    recording: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MCAP")]
+    """A recording with frames, calibration and the arm's states."""
+    arm: str = "psm1"
+    """Whose instrument."""
+    delay_ms: float = 0.0
+    """How late the camera's stamps are by the joints' clock, as `calibrate hand-eye` tells."""
+    limit: Annotated[float, tyro.conf.arg(metavar="MM")] = 3.0
+    """How far the tip may be off before the registration is said to have drifted."""
+    output: OptionalPath = None
+    """Write the corrected T_camera_base there, for T_camera_base_file of a rig."""
+    tips: Annotated[Path | None, tyro.conf.arg(metavar="CSV")] = None
+    """Write where the tip was before the camera, for `calibrate hand-eye --tips` with the same recording."""
+    pictures: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
+    """Draw outlines into each looked-at frame: yellow as told, green as found."""
+
+
+RECORDED_COMMANDS: dict[str, type[OnRecording]] = {
+    "replay": Replay,
+    "inspect": Inspect,
+    "export": Export,
+    "cut": Cut,
+    "track-tool": TrackTool,
+}
 RUNNERS: dict[type[OnRecording], str] = {
     Replay: "agents.cli.replay_command",
     Inspect: "agents.cli.inspect_command",
     Export: "agents.cli.export_command",
     Cut: "agents.cli.cut_command",
+    TrackTool: "agents.cli.track_tool_command",
 }
 """A module with `run(options) -> int`, the exit status; loaded when its command is given."""

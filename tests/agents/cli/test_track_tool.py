@@ -1,0 +1,67 @@
+"""`track-tool`: a recorded instrument is found, the registration said to be off, and put right."""
+
+import json
+
+import numpy as np
+import pytest
+
+from benchmarks.drawn_tool import JAW, joints, pair
+from schemas.codec import encode
+from schemas.messages import FrameStamp, ImageEncoding, RobotMode, RobotState, StereoCalibration, StereoFrame
+from schemas.topics import CALIBRATION, FRAMES, ROBOT_STATE, key
+from shared.images import encode_image
+from shared.kinematics.psm import LARGE_NEEDLE_DRIVER as PSM
+from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE as T_TRUE
+from shared.recording.entry import Entry
+from shared.recording.writer import RecordingWriter
+from shared.rigid_transforms import exp_se3
+
+ZERO_NS = 1_760_000_000_000_000_000
+EVERY_S = 0.2
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    """Three seconds of a drawn tool, which is told 7 mm from where it is."""
+    path = tmp_path_factory.mktemp("recorded") / "session.mcap"
+    wrong = exp_se3(np.array((0.005, -0.004, 0.003, 0.0, 0.0, 0.0))) @ T_TRUE
+    K = np.array([[660.0, 0, 319.5], [0, 660.0, 179.5], [0, 0, 1]])
+    shift = np.eye(4)
+    shift[0, 3] = -5.5
+    none = np.zeros(0)
+    writer, number = RecordingWriter(path), 0
+
+    def put(topic, message, at_ns, instance="main"):
+        nonlocal number
+        number += 1
+        writer.write(topic, Entry(key("lab", topic, instance), 1, number, encode(message), at_ns, at_ns))
+
+    put(CALIBRATION, StereoCalibration(640, 360, K, K, none, none, shift, 1e-3), ZERO_NS)
+    for i in range(11):
+        at_ns, q = ZERO_NS + round(1e9 * EVERY_S * i), joints(EVERY_S * i)
+        state = RobotState("psm1", at_ns, RobotMode.IDLE, PSM.forward(q), q, JAW, wrong, "")
+        put(ROBOT_STATE, state, at_ns, "psm1")
+        left, right = (encode_image(one, ImageEncoding.JPEG) for one in pair(EVERY_S * i, i))
+        put(FRAMES, StereoFrame(FrameStamp(i, at_ns, at_ns, "c"), left, right), at_ns)
+    writer.close()
+    return path
+
+
+def test_it_tells_by_how_much_the_registration_is_off_and_writes_what_it_should_be(suturegrasp, recording, tmp_path):
+    corrected, tips, pictures = tmp_path / "psm1.json", tmp_path / "tips.csv", tmp_path / "pictures"
+    files = ("--output", corrected, "--tips", tips, "--pictures", pictures)
+    ended = suturegrasp("track-tool", recording, *files)
+    assert ended.status == 1, ended.err
+    assert "followed" in ended.out
+    assert "the registration is more than 3 mm off" in ended.err
+    T = np.array(json.loads(corrected.read_text())["T_camera_base"])
+    pin = PSM.forward(joints(2.0))
+    assert np.linalg.norm((T @ pin)[:3, 3] - (T_TRUE @ pin)[:3, 3]) < 1e-3
+    assert len(tips.read_text().splitlines()) > 3
+    assert list(pictures.glob("*.jpg"))
+
+
+def test_an_arm_that_is_not_there_is_told_in_one_line(suturegrasp, recording):
+    ended = suturegrasp("track-tool", recording, "--arm", "psm7")
+    assert (ended.status, len(ended.complaints)) == (2, 1)
+    assert "no state of an arm 'psm7'" in ended.complaints[0]
