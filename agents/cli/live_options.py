@@ -162,7 +162,7 @@ class HoldArm(OnRig):
     """Which arm."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ChangeArmState(OnRig):
     """Have the console of a real arm, which must be disarmed, enable, disable, pause, resume or home it.
 
