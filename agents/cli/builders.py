@@ -2,6 +2,7 @@
 
 import dataclasses
 import sys
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,9 @@ from schemas.messages import ImageEncoding, Severity, SimulatorState, StereoCali
 from schemas.topics import MAIN
 from shared.calibration import CalibrationError, ReadCalibration, read_calibration
 from shared.calibration.hand_eye.file import Reference
+from shared.kinematics.arm import JOINTS
+from shared.kinematics.dh import DhArm
+from shared.kinematics.dh_file import read_dh
 from shared.runtime.agent import Agent
 from shared.runtime.config import ConfigError
 from shared.runtime.session import SessionSettings
@@ -83,6 +87,9 @@ def _robot_bridge(rig: RigConfig, arm: str, section: ArmSection) -> RobotBridge:
         maximum_plan_age_s=section.maximum_plan_age_s,
         limits=MotionLimits().slowed(section.speed_share),
     )
+    if section.kinematics is not None:
+        kinematics, start = _other_arm(section.kinematics)
+        return RobotBridge(config, SimulatedPsm(start, kinematics=kinematics))
     if section.dvrk is None:
         return RobotBridge(config, SimulatedPsm(waiting(T_camera_base)))
     # reading ROS messages takes as long to load as all else
@@ -95,6 +102,18 @@ def _robot_bridge(rig: RigConfig, arm: str, section: ArmSection) -> RobotBridge:
     backend = DvrkPsm(told.arm, reached, naming_of(told), told.tool, told.dry_run, told.through_guard, base=base)
     audit = audit_of(rig, run_name("robot_bridge", arm))
     return AuditedBridge(dataclasses.replace(config, tick_hz=told.set_point_hz), backend, audit)
+
+
+def _other_arm(path: Path) -> tuple[DhArm, tuple[float, ...]]:
+    """Kinematics and joints to begin with of an arm that a file describes."""
+    try:
+        told = tomllib.loads(path.read_text())
+        arm, start = read_dh(told), tuple(float(value) for value in told["start"])
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise ConfigError(f"{path} describes no arm: {error}") from None
+    if len(start) != JOINTS or arm.problems(np.array(start)):
+        raise ConfigError(f"start of {path} must be {JOINTS} joints within their limits")
+    return arm, start
 
 
 def perception_config(section: PerceptionSection, needs_matching: bool) -> PerceptionConfig:

@@ -143,6 +143,7 @@ class ArmSection(Settings):
     T_camera_base: BasePose | None = None
     T_camera_base_file: Path | None = None
     T_camera_base_axes: Literal["opencv", "da_vinci"] | None = None
+    kinematics: Path | None = None
     dvrk: DvrkSection | None = None
 
     @model_validator(mode="after")
@@ -151,6 +152,8 @@ class ArmSection(Settings):
             raise ValueError("backend 'dvrk' and a section dvrk with its endpoint go together")
         if self.T_camera_base is not None and self.T_camera_base_file is not None:
             raise ValueError("T_camera_base and T_camera_base_file exclude each other; keep one")
+        if self.kinematics is not None and (self.backend != "simulated" or self.T_camera_base is None):
+            raise ValueError("an arm of another kinematics is a simulated one, and needs T_camera_base")
         if self.backend == "dvrk" and self.T_camera_base is None and self.T_camera_base_file is None:
             raise ValueError(
                 "backend 'dvrk' needs T_camera_base or T_camera_base_file, which only the lab can have measured: "

@@ -42,7 +42,7 @@ class MotionLimits:
     rounding_s: float = 0.1
     contact_share: float = 0.4
     joint_share: float = 0.8
-    dexterity: float = 0.2
+    dexterity: float = 0.3
     press_m: float = 0.004
     workspace_camera: Float64[np.ndarray, "2 3"] = field(default_factory=_before_the_camera)
     maximum_duration_s: float = 120.0

@@ -113,10 +113,15 @@ class Psm:
         return describe(problem, joints, self)
 
     def dexterity(self, joints: Float64[np.ndarray, "*batch 6"]) -> Float64[np.ndarray, "*batch"]:
-        """0 where the wrist is bent at a right angle, so that its yaw turns about the shaft as the roll does, or where
-        the shaft lies along the yaw axis; the determinant of the Jacobian but for the depth and its sign.
+        """How far the pin is from pointing at the remote centre, and the shaft from the yaw axis: a product of sines.
+
+        With the link's length a, the shaft's l and the wrist's bend q, the pin's place at right angles to the pin is
+        a + l cos q long; where that is 0, roll and wrist yaw move the tool alike (the module's derivation fails there).
         """
-        return np.cos(joints[..., PITCH]) * np.cos(joints[..., WRIST_PITCH])
+        a, shaft = self.links[WRIST_YAW].a, joints[..., INSERTION] + self.shaft_offset
+        across, along = a + shaft * np.cos(joints[..., WRIST_PITCH]), shaft * np.sin(joints[..., WRIST_PITCH])
+        distance = np.maximum(np.hypot(across, along), _LIMIT_TOLERANCE)
+        return np.cos(joints[..., PITCH]) * np.abs(across) / distance
 
 
 _QUARTER = math.pi / 2
