@@ -118,7 +118,7 @@ def _bad_heartbeats(world: World, rng: np.random.Generator) -> Found:
     plan = any_plan(world, rng)
     accepted = set_out(world, plan, int(rng.integers(1, 40)))
     world.stands_by = False
-    last = Heartbeat(RIG_ARM, world.plan_id, world.now_ns, world.arming_id)
+    last = Heartbeat(RIG_ARM, world.plan_id or "none", world.now_ns, world.arming_id or "none")
     far_ns = int(rng.integers(2, 1000)) * SECOND_NS
     kinds = (
         lambda: last,
