@@ -26,6 +26,8 @@ SERVOS = ("servo_jp", "jaw/servo_jp")
 MOTIONS = "(jaw/)?(servo|move)_(jp|jr|jf|cp)"
 """Of which another's are to be seen, with hold, free and state_command: somebody else then owns the arm."""
 STOPS = ("hold", "free", "state_command")
+BRIDGES = ("hold", "state_command", "trajectory_j/set_ratio")
+"""What a bridge says of its own beside set points: stops, a person's change of the arm's state, slow trajectories."""
 TOKENS = ("@ros2_lv/**", "@/*/@ros2_lv/**")
 GUARDED = "guarded"
 
@@ -85,7 +87,7 @@ def _allowed(arms: tuple[ReachedArm, ...]) -> dict[str, list[str]]:
     """Which topics cross between ROS and Zenoh, as regular expressions; all else stays where it is."""
     names = [re.escape(reached.console) for reached in arms]
     return {
-        "subscribers": [f"/{name}/{topic}" for name in names for topic in (*SERVOS, "hold", "state_command")],
+        "subscribers": [f"/{name}/{topic}" for name in names for topic in (*SERVOS, *BRIDGES)],
         "publishers": [
             *(f"/{name}/{topic}" for name in names for topic in (*HEARD, MOTIONS, *STOPS, BUTTONS)),
             *MOVED,
@@ -125,8 +127,8 @@ def _said(reached: ReachedArm) -> dict[str, list[str]]:
     own, guards = keys(reached.console, SERVOS), keys(reached.console, ("hold", "state_command"))
     if reached.through_guard:
         passed = keys(f"{GUARDED}/{reached.console}", (*SERVOS, "alive"))
-        return {bridge: [*passed, *keys(reached.console, ("hold",))], guard: [*own, *guards]}
-    return {bridge: [*own, *keys(reached.console, ("hold",))], guard: guards}
+        return {bridge: [*passed, *keys(reached.console, BRIDGES)], guard: [*own, *guards]}
+    return {bridge: [*own, *keys(reached.console, BRIDGES)], guard: guards}
 
 
 def _rule(name: str, flow: str, messages: tuple[str, ...], keys: list[str]) -> dict[str, Any]:

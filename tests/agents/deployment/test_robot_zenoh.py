@@ -64,11 +64,17 @@ def test_only_an_arms_bridge_and_guard_get_in_and_each_says_what_is_its_own(tmp_
     assert sorted(said) == sorted(f"{name} {topic}" for name, topics in may_say.items() for topic in (*topics, "hold"))
 
 
-def test_whatever_the_bridge_hears_and_says_on_the_robots_side_is_let_across():
-    arms = (ReachedArm("psm1", "PSM1", "tcp/127.0.0.1:7448", "ros2dds", 0, through_guard=False),)
-    allow = robot_zenoh(arms, None)["plugins"]["ros2dds"]["allow"]
-    backend = DvrkPsm("PSM1", SessionSettings(), Ros2dds(), "", dry_run=False)
+@pytest.mark.parametrize("through_guard", [False, True])
+def test_whatever_the_bridge_hears_and_says_on_the_robots_side_is_let_across(through_guard, tmp_path):
+    arms = (ReachedArm("psm1", "PSM1", "tls/10.0.0.13:7448", "ros2dds", 0, through_guard),)
+    told = robot_zenoh(arms, identity_in(tmp_path, ROBOT_ZENOH))
+    backend = DvrkPsm("PSM1", SessionSettings(), Ros2dds(), "", dry_run=False, through_guard=through_guard)
     assert isinstance(backend._link, RosLink)
+    speaks = next(rule for rule in told["access_control"]["rules"] if rule["id"] == f"speak as {BRIDGE}")
+    assert set(backend._link._said) == set(speaks["key_exprs"])
+    if through_guard:
+        return
+    allow = told["plugins"]["ros2dds"]["allow"]
     for side, topics in (("publishers", {h.topic for h in backend._link._heard}), ("subscribers", backend._link._said)):
         assert topics
         missing = [t for t in topics if not any(re.fullmatch(regex, f"/{t}") for regex in allow[side])]
