@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from agents.emulator.arm import start_of
 from agents.emulator.console import Behaviour, EmulatedConsole
 from agents.emulator.oracle import Field, Oracle
 from agents.emulator.wire import Outlet
@@ -25,7 +26,7 @@ from schemas.messages import (
     Outcome,
 )
 from schemas.topics import ARM, EXECUTION, HEARTBEAT, PLAN, Topic
-from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
+from shared.kinematics.simulated_setup import SIMULATED_BASES
 from shared.ros.link import Heard, Said
 from shared.ros.naming import Ros2dds
 from shared.runtime.agent import Command, Output, Received, Tick
@@ -132,14 +133,17 @@ class World:
         faults: how often a step of the bridge failed.
     """
 
-    def __init__(self, limits: MotionLimits, lag_s: float) -> None:
+    def __init__(self, limits: MotionLimits, lag_s: float, arm: str = RIG_ARM, topics: Topics | None = None) -> None:
+        """One arm of a rig; arms that share their topics are those of one console."""
         self.now_ns, self.stands_by, self.faults = EPOCH_NS, False, 0
-        self.topics = Topics()
-        self.oracle = Oracle(Field(SIMULATED_T_CAMERA_BASE), hears_heartbeats=True)
-        behaviour = Behaviour(True, lag_s, now_ns=lambda: self.now_ns, monotonic_s=lambda: self.now_ns * 1e-9)
-        self.console = EmulatedConsole(self.topics, NAME, self.oracle, behaviour)
+        self.topics, self._arm, name, base = topics or Topics(), arm, arm.upper(), SIMULATED_BASES[arm]
+        self.oracle = Oracle(Field(base), hears_heartbeats=True)
+        behaviour = Behaviour(
+            True, lag_s, start_of(name), now_ns=lambda: self.now_ns, monotonic_s=lambda: self.now_ns * 1e-9
+        )
+        self.console = EmulatedConsole(self.topics, name, self.oracle, behaviour)
         self.backend = DvrkPsm(
-            NAME,
+            name,
             SessionSettings(),
             Ros2dds(),
             TOOL,
@@ -147,7 +151,7 @@ class World:
             linked=self.topics.link(lambda: self.now_ns),
             clock=lambda: self.now_ns,
         )
-        self.bridge = RobotBridge(RobotBridgeConfig(tick_hz=HZ, limits=limits), self.backend)
+        self.bridge = RobotBridge(RobotBridgeConfig(arm, base, tick_hz=HZ, limits=limits), self.backend)
         self.armings, self.plan_id, self.arming_id, self._beat_ns = 0, "", "", 0
         self.events: list[ExecutionEvent] = []
         self.tick(20)
@@ -165,7 +169,7 @@ class World:
             if self.stands_by and self.now_ns - self._beat_ns >= BEAT_NS:
                 self._beat_ns = self.now_ns
                 self.oracle.heartbeat(self.now_ns * 1e-9)
-                self.beat(Heartbeat(RIG_ARM, self.plan_id, self.now_ns, self.arming_id))
+                self.beat(Heartbeat(self._arm, self.plan_id, self.now_ns, self.arming_id))
             self.step(Tick(self.now_ns))
 
     def beat(self, heartbeat: Heartbeat) -> None:
@@ -176,18 +180,18 @@ class World:
         """Have the bridge hear a plan."""
         self.step(Received(PLAN, "", 0, plan))
 
-    def arm(self, plan_id: str, arm: str = RIG_ARM, instance: str = RIG_ARM) -> CommandAnswer | None:
-        """Arm a plan; None where the step failed."""
+    def arm(self, plan_id: str, arm: str = "", instance: str = "") -> CommandAnswer | None:
+        """Arm a plan, under another arm's name where one is given; None where the step failed."""
         self.armings += 1
         header = CommandHeader(f"arming-{self.armings}", self.now_ns + 10**9, "ann")
-        answer = self.command(ARM, Arm(header, arm, plan_id), instance)
+        answer = self.command(ARM, Arm(header, arm or self._arm, plan_id), instance)
         if answer is not None and answer.outcome is Outcome.ACCEPTED:
             self.plan_id, self.arming_id, self._beat_ns = plan_id, header.id, 0
         return answer
 
-    def command(self, topic: Topic, message: Any, instance: str = RIG_ARM) -> CommandAnswer | None:
+    def command(self, topic: Topic, message: Any, instance: str = "") -> CommandAnswer | None:
         """A command of an operator and its answer; None where the step failed."""
-        said = self.step(Command(topic, instance, message, self.now_ns))
+        said = self.step(Command(topic, instance or self._arm, message, self.now_ns))
         return next((one for one in said if isinstance(one, CommandAnswer)), None)
 
     def step(self, arrived: Received | Tick | Command) -> list[Output | CommandAnswer]:

@@ -22,7 +22,7 @@ class Emulate:
     robot: Annotated[Literal["dvrk"], tyro.conf.Positional]
     """Which robot."""
     arm: str = "PSM1"
-    """The arm's name, as its console writes it."""
+    """The arm's name, as its console writes it; `PSM1,PSM2` for two of one console."""
     codec: Literal["ros2dds", "rmw_zenoh"] = "ros2dds"
     """How ROS is carried: by zenoh-bridge-ros2dds, or by rmw_zenoh."""
     domain: int = 0

@@ -30,6 +30,12 @@ _ALL_SPEEDS = np.append(SPEEDS, JAW_SPEED)
 ARM, JAW = slice(0, 6), slice(6, 7)
 
 
+def start_of(name: str) -> tuple[float, ...]:
+    """Joints to begin with of an arm of that name: the second stands on the other side of the endoscope."""
+    yaw, *others = START
+    return (-yaw if name.endswith("2") else yaw, *others)
+
+
 class EmulatedArm:
     """The arm; time passes for it in `step`.
 

@@ -4,10 +4,13 @@ import numpy as np
 import pytest
 
 from agents.robot_bridge.limits import MotionLimits
-from benchmarks.robot_hostile import hostile
+from benchmarks.robot_hostile import BRISK, hostile
 from benchmarks.robot_hostile_cases import CASES
-from benchmarks.robot_world import World
+from benchmarks.robot_hostile_plans import any_plan
+from benchmarks.robot_world import Topics, World
+from schemas.messages import ExecutionKind, Heartbeat, Outcome, Phase, Waypoint
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER
+from shared.rigid_transforms import exp_so3, transform
 
 
 def test_of_random_and_hostile_plans_and_commands_none_is_unsafe():
@@ -34,3 +37,37 @@ def test_a_set_point_that_no_bridge_should_send_is_found(rule):
             world.console.request("fault")
     world.backend.move(here, 0.0)
     assert rule in world.oracle.verdict()["rules"]
+
+
+def test_two_arms_of_one_console_move_at_once_and_neither_hears_the_others_operator():
+    topics, rng = Topics(), np.random.default_rng(3)
+    worlds = [World(BRISK, 0.0, arm, topics) for arm in ("psm1", "psm2")]
+    for world, arm in zip(worlds, ("psm1", "psm2"), strict=True):
+        side = 0.012 if arm == "psm1" else -0.012
+        T = [transform(exp_so3(np.array((0.1, 0, 0.3))), np.array((side, 0.001 * y, 0.08))) for y in range(6)]
+        points = tuple(Waypoint(pose, 0.5, Phase.APPROACH, None) for pose in T)
+        plan = any_plan(world, rng, arm=arm, waypoints=points)
+        for one in worlds:
+            one.publish(plan)
+        others = worlds[1 - worlds.index(world)].arm(plan.plan_id)
+        assert others is not None
+        assert others.code in ("other_arm", "busy")
+        answer = world.arm(plan.plan_id)
+        assert answer is not None
+        assert answer.outcome is Outcome.ACCEPTED, answer.reason
+    worlds[0].stands_by = worlds[1].stands_by = True
+    for _ in range(60):
+        for world in worlds:
+            world.tick()
+    assert all(world.moves for world in worlds)
+    # the operator of the second goes: the second holds, the first goes on to its end
+    worlds[1].stands_by = False
+    for _ in range(1200):
+        for world in worlds:
+            world.tick()
+        worlds[1].beat(Heartbeat("psm1", worlds[0].plan_id, worlds[1].now_ns, worlds[0].arming_id))
+        if not worlds[0].moves:
+            break
+    assert [world.events[-1].kind for world in worlds] == [ExecutionKind.FINISHED, ExecutionKind.HELD]
+    assert [world.oracle.verdict()["unsafe"] for world in worlds] == [0, 0]
+    assert min(world.oracle.verdict()["set_points"] for world in worlds) > 100
