@@ -105,3 +105,10 @@ def test_a_bridge_that_is_killed_leaves_the_arm_at_its_last_set_point_and_the_gu
         assert emulator.wait(DEADLINE_S) == 0
     assert json.loads((tmp_path / "verdict.json").read_text())["unsafe"] == 0
     assert "hold, for set points have ended" in (tmp_path / "guard.log").read_text()
+    bridges, guards = (
+        [json.loads(line) for line in (tmp_path / "audit" / f"{name}-psm1.jsonl").read_text().splitlines()]
+        for name in ("robot_bridge", "guard")
+    )
+    assert "accepted" in {line.get("kind") for line in bridges}, "what a killed bridge was armed for is written down"
+    assert "stopped" not in {line["what"] for line in bridges}
+    assert guards[-1]["what"] == "hold"
