@@ -109,14 +109,23 @@ class Replay(OnRecording):
 
 @dataclass(frozen=True)
 class TrackTool(OnRecording):
-    """Find an arm's instrument in recorded images, and say how far it is from where registration and joints have it.
+    """Find an arm's instrument in the images, and say how far it is from where registration and joints have it.
 
-    Exit status: 0, 1 where the registration is more than --limit off, 2 for no such recording, 3 where the instrument
-    was not found or lost (docs/tool_tracking.md).
+    In a recording, or with --live on the running rig until stopped; it warns whenever that is more than --limit.
+    Exit status: 0, 1 where it was so at the end, 2 for nothing to look at, 3 where the instrument was not found or lost
+    (docs/tool_tracking.md).
     """
 
-    recording: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MCAP")]
+    recording: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[MCAP]")] = None
     """A recording with frames, calibration and the arm's states."""
+    live: bool = False
+    """Look at the running rig instead."""
+    config: OptionalPath = None
+    """With --live: the rig's configuration (TOML)."""
+    host: Annotated[str | None, tyro.conf.arg(metavar="HOST")] = None
+    """With --live: which of the rig's hosts this machine is."""
+    views: Annotated[int | None, tyro.conf.arg(metavar="COUNT")] = None
+    """End after so many frames were looked at."""
     arm: str = "psm1"
     """Whose instrument."""
     delay_ms: float = 0.0

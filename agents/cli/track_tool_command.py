@@ -1,24 +1,31 @@
-"""`suturegrasp track-tool`: where a recorded tool is in the images, and what that says of the registration."""
+"""`suturegrasp track-tool`: where a tool is in the images, and what that says of the registration."""
 
 import csv
 import json
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
 from jaxtyping import Float64
 
-from agents.cli.process import EXIT_OK, EXIT_UNUSABLE
+from agents.cli.live import rig_of
+from agents.cli.on_rig import OnRig
+from agents.cli.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.cli.recorded_options import TrackTool
 from agents.cli.terminal import complain, say, warn
-from agents.cli.track_tool_input import Seen, seen_in
+from agents.cli.track_tool_input import Seen, seen_in, seen_live
 from agents.perception.tool.acquisition import soft_pair
+from agents.perception.tool.correction import Correction
 from agents.perception.tool.outline import outline
 from agents.perception.tool.refinement import View
 from agents.perception.tool.track import Following, Track, begun, followed
 from shared.kinematics.psm import FINGER_M
 from shared.recording.entry import RecordingError
 from shared.rigid_transforms import apply, log_so3
+from shared.runtime.config import ConfigError
+from shared.runtime.connection import NoRouterError, connected
 
 EXIT_DRIFTED, EXIT_NOT_FOUND = 1, 3
 FOLLOWING_S, SEARCHING_S = 0.2, 0.4
@@ -27,64 +34,105 @@ BEFORE, AFTER = (0, 220, 255), (0, 255, 0)
 
 
 def run(options: TrackTool) -> int:
-    """Follow the tool through the recording, and tell; the exit status."""
+    """Follow the tool, and tell; the exit status."""
     for path in (options.output, options.tips):
         if path is not None and path.exists():
             return complain(f"{path} exists already; give another name", EXIT_UNUSABLE)
+    if options.live == (options.recording is not None):
+        return complain("give a recording, or --live", EXIT_UNUSABLE)
+    told = _Told(options)
     try:
-        track, last, tips = _through(options)
-    except (RecordingError, OSError) as error:
+        for seen in _seen(options):
+            told.look(seen)
+            if told.views == options.views:
+                break
+    except (RecordingError, ConfigError, NoRouterError, OSError) as error:
         return complain(str(error), EXIT_UNUSABLE)
-    if last is None or track is None:
-        return complain(f"{options.recording}: no frame has a state of {options.arm} of its time", EXIT_UNUSABLE)
     if options.tips is not None:
-        _write_tips(options.tips, tips)
-    if track.state is not Following.FOLLOWED or track.correction is None:
-        return complain(f"the tool of {options.arm} was not found, or was lost: {track.reason}", EXIT_NOT_FOUND)
-    off_m, off_rad, deviation_m = _off(track, last)
-    told = f"{1e3 * off_m:.1f} mm and {np.degrees(off_rad):.1f} degrees"
-    say(f"the tool is {told} from where registration and joints have it (deviation {1e3 * deviation_m:.1f} mm)")
-    if options.output is not None:
-        corrected = {"T_camera_base": (track.correction.matrix @ last.state.T_camera_base).tolist(), "unit": "m"}
-        options.output.write_text(json.dumps(corrected) + "\n", encoding="utf-8")
-        say(f"written to {options.output}, corrected; set T_camera_base_file to it in the arm's section of the rig")
-    if off_m > 1e-3 * options.limit:
-        warn(f"the registration is more than {options.limit:g} mm off: calibrate it again, or use the corrected one")
-        return EXIT_DRIFTED
-    return EXIT_OK
+        _write_tips(options.tips, told.tips)
+    return told.conclusion()
 
 
-def _through(options: TrackTool) -> tuple[Track | None, Seen | None, list[list[float]]]:
-    """The track and the frame at the end, and the tip before the camera whenever it was followed."""
-    track, last, tips, before, next_s = None, None, list[list[float]](), Following.LOST, -np.inf
-    for seen in seen_in(options.recording, options.arm, options.delay_ms):
-        if seen.at_s < next_s:
-            # looking at a frame takes about that long where it runs beside the camera
-            continue
-        state, waited_s = seen.state, FOLLOWING_S if last is None else max(seen.at_s - last.at_s, 0.0)
+def _seen(options: TrackTool) -> Iterator[Seen]:
+    """Frames of the recording, or of the rig until stopped."""
+    if options.recording is not None:
+        yield from seen_in(options.recording, options.arm, options.delay_ms)
+        return
+    stopped = threading.Event()
+    on_stop(stopped.set)
+    with connected(rig_of(OnRig(config=options.config, host=options.host)).session) as connection:
+        yield from seen_live(connection, options.arm, options.delay_ms, stopped)
+
+
+class _Told:
+    """What was seen so far, and what was said of it."""
+
+    def __init__(self, options: TrackTool) -> None:
+        self._options, self.tips = options, list[list[float]]()
+        self._track: Track | None = None
+        self._last: Seen | None = None
+        self._next_s, self._said, self._drifted, self.views = -np.inf, "", False, 0
+
+    def look(self, seen: Seen) -> None:
+        """Look at a frame, unless it came while the one before would still be looked at."""
+        if seen.at_s < self._next_s:
+            return
+        state, last = seen.state, self._last
         view = View(seen.camera, (), state.T_camera_base, state.T_base_tool, state.jaw_rad)
-        track = followed(track or begun(view), soft_pair(seen.left, seen.right), view, waited_s, 0)
-        next_s = seen.at_s + (FOLLOWING_S if track.state is Following.FOLLOWED else SEARCHING_S)
-        last = seen
-        if track.state is not before:
-            before = track.state
-            say(f"{seen.at_s:.2f} s: {before.name.lower()}{': ' + track.reason if track.reason else ''}")
+        waited_s = FOLLOWING_S if last is None else max(seen.at_s - last.at_s, 0.0)
+        track = followed(self._track or begun(view), soft_pair(seen.left, seen.right), view, waited_s, 0)
+        self._next_s = seen.at_s + (FOLLOWING_S if track.state is Following.FOLLOWED else SEARCHING_S)
+        self._track, self._last, self.views = track, seen, self.views + 1
+        if (said := track.state.name.lower()) != self._said:
+            self._said = said
+            say(f"{seen.at_s:.2f} s: {said}{': ' + track.reason if track.reason else ''}")
         if track.consistent and track.correction is not None:
             tip = apply(track.correction.matrix @ state.T_camera_base @ state.T_base_tool, TIP)[0]
-            tips.append([seen.at_s, *tip.tolist()])
-        if options.pictures is not None:
-            _draw(options.pictures, seen, view, track)
-    return track, last, tips
+            self.tips.append([seen.at_s, *tip.tolist()])
+            self._judge(_off(track.correction, seen)[0])
+        if self._options.pictures is not None:
+            _draw(self._options.pictures, seen, view, track)
+
+    def _judge(self, off_m: float) -> None:
+        """Warn once when the registration is off, and say when it no longer is."""
+        limit_m = 1e-3 * self._options.limit
+        if not self._drifted and off_m > limit_m:
+            self._drifted = True
+            warn(
+                f"the registration is {1e3 * off_m:.1f} mm off, more than the {self._options.limit:g} mm allowed: "
+                "calibrate it again, or use the corrected one"
+            )
+        elif self._drifted and off_m < 0.8 * limit_m:
+            self._drifted = False
+            say(f"the registration is {1e3 * off_m:.1f} mm off again, which is allowed")
+
+    def conclusion(self) -> int:
+        """Say how it stands at the end; the exit status."""
+        options, track, last = self._options, self._track, self._last
+        if last is None or track is None:
+            return complain(f"no frame has a state of {options.arm} of its time", EXIT_UNUSABLE)
+        if track.state is not Following.FOLLOWED or track.correction is None:
+            return complain(f"the tool of {options.arm} was not found, or was lost: {track.reason}", EXIT_NOT_FOUND)
+        off_m, off_rad, deviation_m = _off(track.correction, last)
+        told = f"{1e3 * off_m:.1f} mm and {np.degrees(off_rad):.1f} degrees"
+        say(f"the tool is {told} from where registration and joints have it (deviation {1e3 * deviation_m:.1f} mm)")
+        if options.output is not None:
+            corrected = {"T_camera_base": (track.correction.matrix @ last.state.T_camera_base).tolist(), "unit": "m"}
+            options.output.write_text(json.dumps(corrected) + "\n", encoding="utf-8")
+            say(f"written to {options.output}, corrected; set T_camera_base_file to it in the arm's section of the rig")
+        return EXIT_DRIFTED if self._drifted else EXIT_OK
 
 
-def _off(track: Track, last: Seen) -> tuple[float, float, float]:
+def _off(correction: Correction, last: Seen) -> tuple[float, float, float]:
     """How far the tip and the tool's axes are off, and the tip's deviation."""
-    C = track.correction
-    assert C is not None  # noqa: S101 - only what is followed is told
     before = apply(last.state.T_camera_base @ last.state.T_base_tool, TIP)
-    after = apply(C.matrix, before)[0]
-    turned = float(np.linalg.norm(log_so3(C.matrix[:3, :3])))
-    return float(np.linalg.norm(after - before[0])), turned, float(np.sqrt(np.trace(C.point_covariance(after))))
+    after = apply(correction.matrix, before)[0]
+    turned = float(np.linalg.norm(log_so3(correction.matrix[:3, :3])))
+    return (
+        float(np.linalg.norm(after - before[0])),
+        turned,
+        float(np.sqrt(np.trace(correction.point_covariance(after)))),
+    )
 
 
 def _write_tips(path: Path, tips: list[list[float]]) -> None:

@@ -1,6 +1,9 @@
-"""Frames and an arm's states out of a recording, rectified and in metres, for looking for the arm's tool."""
+"""Frames and an arm's states, of a recording or a running rig, rectified and in metres: to look for the arm's tool."""
 
+import contextlib
 import dataclasses
+import threading
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -12,11 +15,16 @@ from agents.perception.rectification import Rectification, RectificationError, r
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import RectifiedStereo, RobotState, StereoCalibration, StereoFrame
-from schemas.topics import CALIBRATION, FRAMES, ROBOT_STATE, topic_of
+from schemas.topics import CALIBRATION, FRAMES, ROBOT_STATE, Topic, topic_of
+from shared.clock import monotonic_s
 from shared.images import ImageDataError, decode_image
 from shared.recording.entry import RecordingError
 from shared.recording.mcap_file import read_recording
+from shared.runtime.connection import Connection
+from shared.runtime.taps import Tapped
 
+KEPT_STATES = 300
+SILENT_S = 3.0
 APART_NS = 60_000_000
 """A state that was measured so far from a frame's time tells nothing of it; one at rest comes ten times a second."""
 
@@ -40,39 +48,79 @@ def seen_in(path: Path, arm: str, delay_ms: float) -> Iterator[Seen]:
     states = [decode(RobotState, entry.payload) for entry in read_recording(path) if _is_state(entry.key, arm)]
     if not states:
         raise RecordingError(f"{path}: it holds no state of an arm {arm!r}")
-    times = np.array([state.measured_ns for state in states])
     ready: Rectification | None = None
     for entry in read_recording(path):
         topic = topic_of(entry.key)
         if topic is CALIBRATION:
-            ready = _rectification(path, decode(StereoCalibration, entry.payload))
-        if topic is not FRAMES or ready is None:
-            continue
-        try:
-            frame = decode(StereoFrame, entry.payload)
-            left, right = (decode_image(image) for image in (frame.left, frame.right))
-        except (MessageError, ImageDataError):
-            continue
-        at_ns = frame.stamp.capture_left_ns - round(1e6 * delay_ms)
-        nearest = int(np.argmin(np.abs(times - at_ns)))
-        if abs(int(times[nearest]) - at_ns) <= APART_NS and left.ndim == 3:
-            images = rectify_image(left, ready.map_left), rectify_image(right, ready.map_right)
-            yield Seen(at_ns * 1e-9, *images, states[nearest], _in_metres(ready.camera))
+            ready = _rectification(str(path), decode(StereoCalibration, entry.payload))
+        if topic is FRAMES and ready is not None and (seen := _seen(entry.payload, states, ready, delay_ms)):
+            yield seen
     if ready is None:
         raise RecordingError(f"{path}: it holds no calibration of a camera")
+
+
+def seen_live(connection: Connection, arm: str, delay_ms: float, stopped: threading.Event) -> Iterator[Seen]:
+    """The newest frame whenever the one before was looked at, until stopped; of a running rig.
+
+    Raises:
+        RecordingError: where no frame, calibration or state comes.
+    """
+    states, newest, came = deque[RobotState](maxlen=KEPT_STATES), dict[Topic, bytes](), threading.Event()
+
+    def take(tapped: Tapped) -> None:
+        if tapped.topic is ROBOT_STATE:
+            with contextlib.suppress(MessageError):
+                state = decode(RobotState, tapped.payload)
+                if state.arm == arm:
+                    states.append(state)
+            return
+        newest[tapped.topic] = tapped.payload
+        if tapped.topic is FRAMES:
+            came.set()
+
+    ready, shown, began_s = None, b"", monotonic_s()
+    with connection.listening((FRAMES, CALIBRATION, ROBOT_STATE), take):
+        while not stopped.is_set():
+            if not came.wait(SILENT_S):
+                raise RecordingError("no frame comes: start the rig with suturegrasp up")
+            came.clear()
+            if not states or CALIBRATION not in newest:
+                if monotonic_s() - began_s > SILENT_S:
+                    raise RecordingError(f"no {'calibration' if states else f'state of {arm}'} comes: is it running?")
+                continue
+            if newest[CALIBRATION] != shown:
+                shown = newest[CALIBRATION]
+                ready = _rectification("the camera's calibration", decode(StereoCalibration, shown))
+            if ready is not None and (seen := _seen(newest[FRAMES], list(states), ready, delay_ms)):
+                yield seen
+
+
+def _seen(payload: bytes, states: list[RobotState], ready: Rectification, delay_ms: float) -> Seen | None:
+    """A frame with the state nearest to it; None where there is none, or it cannot be read."""
+    try:
+        frame = decode(StereoFrame, payload)
+        left, right = (decode_image(image) for image in (frame.left, frame.right))
+    except (MessageError, ImageDataError):
+        return None
+    at_ns = frame.stamp.capture_left_ns - round(1e6 * delay_ms)
+    state = min(states, key=lambda one: abs(one.measured_ns - at_ns))
+    if abs(state.measured_ns - at_ns) > APART_NS or left.ndim != 3:
+        return None
+    images = rectify_image(left, ready.map_left), rectify_image(right, ready.map_right)
+    return Seen(at_ns * 1e-9, *images, state, _in_metres(ready.camera))
 
 
 def _is_state(name: str, arm: str) -> bool:
     return topic_of(name) is ROBOT_STATE and name.split("/")[3] == arm
 
 
-def _rectification(path: Path, calibration: StereoCalibration) -> Rectification:
+def _rectification(name: str, calibration: StereoCalibration) -> Rectification:
     if calibration.metres_per_unit is None:
-        raise RecordingError(f"{path}: its calibration does not say its unit of length")
+        raise RecordingError(f"{name}: its calibration does not say its unit of length")
     try:
         return rectification(calibration)
     except RectificationError as error:
-        raise RecordingError(f"{path}: {error}") from None
+        raise RecordingError(f"{name}: {error}") from None
 
 
 def _in_metres(camera: RectifiedStereo) -> RectifiedStereo:
