@@ -16,6 +16,8 @@ def base_of(arm: str, section: ArmSection) -> HandEye:
         ConfigError: where the file is none, or tells the base from an ECM, which only a console has.
     """
     if section.T_camera_base_file is None:
+        if section.T_camera_base is None and arm not in SIMULATED_BASES:
+            raise ConfigError(f"robot.{arm} needs T_camera_base: only {' and '.join(SIMULATED_BASES)} have a place")
         return HandEye(SIMULATED_BASES[arm] if section.T_camera_base is None else np.array(section.T_camera_base))
     axes = None if section.T_camera_base_axes is None else Axes(section.T_camera_base_axes)
     try:

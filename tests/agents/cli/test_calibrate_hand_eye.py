@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from agents.cli.builders import build
+from agents.cli.replay_through import with_simulated_arms
 from agents.cli.rig import RigConfig
 from agents.robot_bridge.agent import RobotBridge
 from schemas.messages import RectifiedStereo
@@ -72,6 +73,16 @@ def test_bad_input_gets_one_sentence(suturegrasp, recorded, change, said, status
     ended = suturegrasp("calibrate", "hand-eye", *files, "--calibration", recorded / "camera.json")
     assert (ended.status, len(ended.complaints)) == (status, 1)
     assert said in ended.complaints[0]
+
+
+def test_a_replay_does_without_the_file_of_a_real_arm():
+    text = "T_camera_base_file = 'elsewhere.json'\nbackend = 'dvrk'\ndvrk = {endpoint = 'tcp/127.0.0.1:7'}"
+    real = {arm: parse_config(f"[robot.{arm}]\n{text}", RigConfig, "rig") for arm in ("psm1", "left")}
+    bridge = build(with_simulated_arms(real["psm1"]), "robot_bridge", "psm1")
+    assert isinstance(bridge, RobotBridge)
+    np.testing.assert_array_equal(bridge.config.T_camera_base, X)
+    with pytest.raises(ConfigError, match="left needs T_camera_base"):
+        build(with_simulated_arms(real["left"]), "robot_bridge", "left")
 
 
 @pytest.mark.parametrize(
