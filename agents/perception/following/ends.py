@@ -13,6 +13,7 @@ from agents.perception.following.appearance import GROUND_PX, THREAD_SHARES, Col
 REACH_PX, STEP_PX = 12.0, 0.5
 """How far an end may have moved, either way, from one frame to the next."""
 HALF = 0.5
+LEAST_SPACING_PX = 0.3
 NEAR_PX = 40.0
 """So far around a place, all moves alike."""
 STIFF = 0.02
@@ -90,13 +91,22 @@ def with_ends(
     reach_px: Float64[np.ndarray, "e"],
 ) -> tuple[Float64[np.ndarray, "m 2"], Pieces]:
     """Pieces, with points a pixel apart, that end where the thread does."""
+    count = len(pieces.first)
     parts: list[Float64[np.ndarray, "k 2"]] = []
     lengths: list[int] = []
-    count = len(pieces.first)
     for k, (a, b) in enumerate(zip(pieces.first.tolist(), pieces.last.tolist(), strict=True)):
-        drop = [max(0, int(np.ceil(-reach))) for reach in (reach_px[k], reach_px[count + k])]
-        part = point[a + drop[0] : b + 1 - drop[1]]
+        turned = _before(point[a : b + 1][::-1], outward[k], reach_px[k])
+        part = _before(turned[::-1], outward[count + k], reach_px[count + k]) if len(turned) else turned
         tips = point[a] + reach_px[k] * outward[k], point[b] + reach_px[count + k] * outward[count + k]
         parts += [tips[0][None], part, tips[1][None]]
         lengths.append(len(part) + 2)
     return evenly_spaced(np.concatenate(parts), Pieces(np.repeat(np.arange(count), lengths)), 1.0)
+
+
+def _before(
+    part: Float64[np.ndarray, "k 2"], outward: Float64[np.ndarray, "2"], reach_px: float
+) -> Float64[np.ndarray, "j 2"]:
+    """Points without the last ones that lie beyond where the thread ends, or hardly before it."""
+    last = part[-round(2 * REACH_PX) :]
+    inside = np.flatnonzero((last - part[-1]) @ outward < reach_px - LEAST_SPACING_PX)
+    return part[: len(part) - len(last) + (int(inside[-1]) + 1 if len(inside) else 0)]

@@ -18,6 +18,7 @@ from agents.perception.centrelines.deviation import deviations, of_edges
 from agents.perception.centrelines.profiles import normals
 from agents.perception.centrelines.refine import LIGHT_PX, Curves, Evidence, by_edges, by_learning, tangent_sigma
 from agents.perception.centrelines.straightened import usual_width_px
+from agents.perception.centrelines.tips import to_tips
 from agents.perception.following.appearance import Colours, colours_across, some_of
 from agents.perception.following.capture import Captured, captured
 from agents.perception.following.ends import REACH_PX, carried_along, ends_of, with_ends
@@ -32,8 +33,9 @@ LEAST_WIDTH, MOST_WIDTH, WIDTH_SHARE = 0.7, 1.4, 0.92
 """Of the width before, and at how many points at least it must be like that."""
 LEAST_LENGTH_PX = 3
 """Of a piece: what is shorter has no direction of its own."""
-OTHER_LENGTH_PX, OTHER_LENGTH_SHARE = 10.0, 0.02
-"""A piece that has become so much longer or shorter than when it was looked for may have gone astray at its ends."""
+OTHER_LENGTH_PX, OTHER_LENGTH_UNTOLD_PX, OTHER_LENGTH_SHARE = 6.0, 15.0, 0.005
+"""A piece that has become so much longer or shorter than when it was looked for may have gone astray at its ends; one
+with an end that the image does not show may have lost it by a little more."""
 CUT_WIDTHS = 2.5
 """So near to a cut, profiles hold what crosses there too."""
 TOLD_PX = 4.0
@@ -118,11 +120,18 @@ def follow(image: UInt8[np.ndarray, "h w 3"], last: Followed) -> Followed | str:
         return f"{int((ends.lost & told).sum())} ends out of reach"
     along = carried_along(moved[tips], outward, before.point_px[some], normal[some], found.move_px)
     place, now = with_ends(moved, pieces, outward, np.where(told, ends.reach_px, along))
-    if (np.abs(lengths_px(now) - trail.length_px) > OTHER_LENGTH_PX + OTHER_LENGTH_SHARE * trail.length_px).any():
+    if _has_another_length(now, trail):
         return "a piece has another length"
     curves = Curves(place, now, trail.loose_start, trail.loose_end)
     usual = _carried(usual_width_px(before.width_px, pieces), pieces, now)
     return _refined(image, curves, usual, width, trail)
+
+
+def _has_another_length(pieces: Pieces, trail: Trail) -> bool:
+    """Whether a piece has become longer or shorter than threads do within a second."""
+    both_told = trail.told_start & trail.told_end
+    most = np.where(both_told, OTHER_LENGTH_PX, OTHER_LENGTH_UNTOLD_PX) + OTHER_LENGTH_SHARE * trail.length_px
+    return bool((np.abs(lengths_px(pieces) - trail.length_px) > most).any())
 
 
 def _counts(pieces: Pieces, trail: Trail, width: float) -> Bool[np.ndarray, "n"]:
@@ -176,6 +185,8 @@ def _refined(
     height, columns = image.shape[:2]
     point = np.clip(curves.point, 0.0, np.array((columns - 1.0, height - 1.0)))
     lines = Centrelines(point, curves.pieces.number, seen.width_px, deviation)
-    tangent = directions(point, curves.pieces, gaussian(tangent_sigma(width)))
-    colours = _colours(image, lines, curves.pieces, some_of(curves.pieces), tangent)
+    lines = to_tips(lines, image, trail.told_start, trail.told_end)
+    pieces = Pieces(lines.piece)
+    tangent = directions(lines.point_px, pieces, gaussian(tangent_sigma(width)))
+    colours = _colours(image, lines, pieces, some_of(pieces), tangent)
     return Followed(lines, replace(trail, colour_bgr=colours))
