@@ -20,7 +20,7 @@ from shared.clock import monotonic_s
 
 HZ = 200.0
 PRIORITY = 50
-MOST_TURNS = 80
+MOST_TURNS = 40
 PIPELINE: dict[str, Any] = {
     "camera": {},
     "perception": {},
@@ -28,7 +28,7 @@ PIPELINE: dict[str, Any] = {
     "planner": {},
     "simulator": {"config": "easy", "background": "plain"},
 }
-TURNS_A_SECOND = 1.3
+TURNS_A_SECOND = 0.4
 LOOK_S = 0.5
 GAP_MS = 200.0
 """As long as that no motion lasts without a set point: the bridge holds, and is armed again."""

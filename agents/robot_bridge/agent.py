@@ -29,8 +29,9 @@ from schemas.messages import (
     ReplayClock,
     RobotMode,
     RobotState,
+    TissueSurface,
 )
-from schemas.topics import ARM, CHANGE_STATE, EXECUTION, HEARTBEAT, HOLD, PLAN, REPLAY_CLOCK, ROBOT_STATE
+from schemas.topics import ARM, CHANGE_STATE, EXECUTION, HEARTBEAT, HOLD, PLAN, REPLAY_CLOCK, ROBOT_STATE, SURFACE
 from shared.runtime.agent import Command, Input, Output, Received, Tick
 
 __all__ = ["RobotBridge", "RobotBridgeConfig", "RobotBridgeError"]
@@ -53,10 +54,12 @@ class RobotBridge:
         self.instance = config.arm
         self.accepts_replayed_time = backend.accepts_replayed_time
         clock = () if backend.accepts_replayed_time else (Input(REPLAY_CLOCK, only_newest_counts=True),)
-        self.inputs = (Input(PLAN), Input(HEARTBEAT, config.arm), *clock)
+        tissue = Input(SURFACE, only_newest_counts=True, only_remembered=True)
+        self.inputs = (Input(PLAN), Input(HEARTBEAT, config.arm), tissue, *clock)
         self.config, self._backend = config, backend
         self._setup = Setup(backend.kinematics, config.T_camera_base, config.limits, 1 / config.tick_hz)
         self._plans = Plans(config.arm)
+        self._surface: TissueSurface | None = None
         self._now_ns: int | None = None
         self._replay_over_ns = 0
         self._rests_from_ns = 0
@@ -98,6 +101,8 @@ class RobotBridge:
                 self._plans.keep(plan, replayed=(self._now_ns or 0) < self._replay_over_ns)
             case Received(message=Heartbeat() as heartbeat):
                 self._beat(heartbeat)
+            case Received(message=TissueSurface() as surface):
+                self._surface = surface
             case Received(message=ReplayClock()):
                 return self._refuse_replay()
             case _:
@@ -235,7 +240,7 @@ class RobotBridge:
             return Refusal(Code.NOT_READY, self._measured.not_ready)
         if refusal := untimely(plan, command.now_ns, arm.still_since_ns, self.config.maximum_plan_age_s):
             return refusal
-        planned = plan_motion(plan.waypoints, arm.joints, arm.jaw_rad, self._setup)
+        planned = plan_motion(plan.waypoints, arm.joints, arm.jaw_rad, self._with_tissue(command.now_ns))
         if isinstance(planned, Refusal):
             return planned
         if self._backend.dry_run:
@@ -248,6 +253,13 @@ class RobotBridge:
         named = next((name for name in (arm, command.instance) if name != self.config.arm), None)
         sentence = f"the command is for {named}, and this is {self.config.arm}"
         return Refusal(Code.OTHER_ARM, sentence) if named is not None else None
+
+    def _with_tissue(self, now_ns: int) -> Setup:
+        """With the tissue as it was seen last, where that is no older than a plan may be."""
+        surface = self._surface
+        if surface is None or now_ns - surface.stamp.capture_left_ns > self.config.maximum_plan_age_s * 1e9:
+            return self._setup
+        return dataclasses.replace(self._setup, surface=surface)
 
     def _busy(self) -> Refusal:
         carries_out = f"the arm carries out plan {self._execution.plan_id}" if self._execution else ""

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float64
 
+from schemas.messages import TissueSurface
 from shared.kinematics.arm import ArmKinematics
 
 MAXIMUM_PLAN_AGE_S = 30.0
@@ -68,9 +69,14 @@ class MotionLimits:
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """An arm, where its base is, what it must keep to, and the time between two of its set points."""
+    """An arm, where its base is, what it must keep to, and the time between two of its set points.
+
+    Fields:
+        surface: the tissue as it was measured last; None where it was not, or too long ago.
+    """
 
     kinematics: ArmKinematics
     T_camera_base: Float64[np.ndarray, "4 4"]
     limits: MotionLimits
     period_s: float
+    surface: TissueSurface | None = None

@@ -19,6 +19,7 @@ from agents.robot_bridge.checks import excess_speed, joints_of, start_refusal, w
 from agents.robot_bridge.limits import Setup
 from agents.robot_bridge.path import Poses, smooth_path
 from agents.robot_bridge.refusals import Code, Refusal
+from agents.robot_bridge.tissue import tissue_refusal
 from schemas.messages import Phase, Waypoint
 from shared.rigid_transforms import angle_between, inverse
 
@@ -146,7 +147,7 @@ def _follow(
     last = 0
     for leg in legs:
         left_s = setup.limits.maximum_duration_s - last * setup.period_s
-        samples = _sample(leg, all_joints[-1][-1], left_s, setup)
+        samples = _sample(leg, all_joints[-1][-1], legs[0].poses.T_base_tool[0], left_s, setup)
         if isinstance(samples, Refusal):
             return samples
         if samples is not None:
@@ -158,7 +159,11 @@ def _follow(
 
 
 def _sample(
-    leg: _Leg, before: Float64[np.ndarray, "6"], left_s: float, setup: Setup
+    leg: _Leg,
+    before: Float64[np.ndarray, "6"],
+    here: Float64[np.ndarray, "4 4"],
+    left_s: float,
+    setup: Setup,
 ) -> tuple[Float64[np.ndarray, "n 6"], Float64[np.ndarray, "n"]] | Refusal | None:
     """Joints and jaw of every tick after the leg's start; None where it leads nowhere."""
     share = setup.limits.contact_share if leg.phase in _CONTACT else 1.0
@@ -172,7 +177,15 @@ def _sample(
             return joints
         excess = excess_speed(poses, joints, share, setup)
         if excess <= 1 + _ROUNDING:
-            return joints[1:], poses.jaw_rad[1:]
+            return _in_tissue(poses, here, leg, setup) or (joints[1:], poses.jaw_rad[1:])
         slowing *= max(excess, _LEAST_SLOWING)
     longest = setup.limits.maximum_duration_s
     return Refusal(Code.TOO_LONG, f"the plan would take longer than the {longest:g} s that a motion may last")
+
+
+def _in_tissue(poses: Poses, here: Float64[np.ndarray, "4 4"], leg: _Leg, setup: Setup) -> Refusal | None:
+    if setup.surface is None:
+        return None
+    seen = Poses(setup.T_camera_base @ poses.T_base_tool, poses.jaw_rad)
+    where = f"on the way to the end of {leg.phase.name}"
+    return tissue_refusal(setup.surface, setup.T_camera_base @ here, seen, setup.limits, where)

@@ -22,6 +22,7 @@ class Code(enum.StrEnum):
     UNREACHABLE = "unreachable"
     REMOTE_CENTRE = "remote_centre"
     SINGULAR = "singular"
+    TISSUE = "tissue"
     WRIST_FLIP = "wrist_flip"
     JAW_LIMIT = "jaw_limit"
     TOO_LONG = "too_long"

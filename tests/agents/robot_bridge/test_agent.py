@@ -34,7 +34,7 @@ from schemas.messages import (
     Status,
     Waypoint,
 )
-from schemas.topics import ARM, CHANGE_STATE, EXECUTION, HEARTBEAT, HOLD, PLAN, ROBOT_STATE
+from schemas.topics import ARM, CHANGE_STATE, EXECUTION, HEARTBEAT, HOLD, PLAN, ROBOT_STATE, SURFACE
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER, forward
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
 from shared.rigid_transforms import exp_so3, transform
@@ -591,7 +591,8 @@ def test_two_runs_say_the_same_bytes() -> None:
 def test_the_bridge_is_named_after_its_arm_and_listens_to_that_arms_heartbeat() -> None:
     bridge = RobotBridge(RobotBridgeConfig(arm="psm2"), SimulatedPsm())
     assert (bridge.kind, bridge.instance) == ("robot_bridge", "psm2")
-    assert [(entry.topic, entry.instance) for entry in bridge.inputs] == [(PLAN, "main"), (HEARTBEAT, "psm2")]
+    heard = [(entry.topic, entry.instance) for entry in bridge.inputs]
+    assert heard == [(PLAN, "main"), (HEARTBEAT, "psm2"), (SURFACE, "main")]
 
 
 def test_an_arm_has_all_turns_as_soon_as_it_is_armed_and_few_once_it_rests() -> None:

@@ -12,7 +12,7 @@ from agents.robot_bridge.motion import MAXIMUM_WAYPOINTS, Trajectory, plan_motio
 from agents.robot_bridge.path import Poses, smooth_path
 from agents.robot_bridge.refusals import Code, Refusal
 from agents.robot_bridge.simulated import SIMULATED_START
-from schemas.messages import Phase, Waypoint
+from schemas.messages import FrameStamp, Phase, RectifiedStereo, TissueSurface, Waypoint
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER, forward, joint_problem
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
 from shared.rigid_transforms import exp_so3, log_so3, transform
@@ -334,3 +334,22 @@ def test_a_slowed_motion_goes_the_same_way_and_takes_as_much_longer(share: float
     samples = [int(i) for i in np.linspace(0, len(full.joints) - 1, 40)]
     between = np.array([slowed.at(i * SETUP.period_s / share)[0] for i in samples])
     assert np.abs(between - full.joints[samples]).max() < 0.03
+
+
+def test_a_finger_that_would_go_into_the_tissue_is_refused_and_one_before_it_is_not() -> None:
+    camera = RectifiedStereo(640, 480, 600.0, 600.0, 320.0, 240.0, 0.005, 1.0)
+    u, v = np.arange(5.0, 640, 10), np.arange(5.0, 480, 10)
+    stamp, shape = FrameStamp(1, 1, 1, "c"), (len(v), len(u))
+    flat = TissueSurface(stamp, camera, u, v, np.full(shape, 0.095), np.ones(shape, bool), np.full(shape, 1e-4))
+    setup = dataclasses.replace(SETUP, surface=flat)
+    # fingers end 10.2 mm beyond the pin
+    shallow, deep = (waypoint(pose(10, 5, z_mm), 0.0) for z_mm in (85, 92))
+    assert isinstance(plan_motion((shallow,), START, 0.0, setup), Trajectory)
+    refused = refusal((shallow, deep), setup)
+    assert (refused.code, "behind the tissue" in refused.sentence) == (Code.TISSUE, True)
+    unknown = dataclasses.replace(flat, valid=~flat.valid, depth=0 * flat.depth, deviation=np.zeros(shape))
+    assert isinstance(plan_motion((deep,), START, 0.0, dataclasses.replace(SETUP, surface=unknown)), Trajectory)
+    # whoever is in it may leave
+    inside = plan_motion((deep,), START, 0.0, SETUP)
+    assert isinstance(inside, Trajectory)
+    assert isinstance(plan_motion((shallow,), inside.joints[-1], 0.0, setup), Trajectory)
