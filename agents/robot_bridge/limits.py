@@ -26,7 +26,8 @@ class MotionLimits:
         contact_share: the share of full speed while there may be thread between the fingers.
         joint_share: the share of the joints' greatest speeds, so that an arm has some left to catch up with.
         dexterity: the least that an arm's kinematics may tell of a pose, 0 being a singular one.
-        press_m: how far behind the tissue's measured surface a finger may come, beyond what is uncertain of it.
+        press_m: how far behind the tissue's measured surface a finger may come, beyond what is uncertain of it: as far as
+            a planner may be told to press (docs/planner.md).
         workspace_camera: the lower and the upper corner of the box that the pin of the jaw must stay in.
         maximum_duration_s: of one plan.
     """
@@ -44,7 +45,7 @@ class MotionLimits:
     contact_share: float = 0.4
     joint_share: float = 0.8
     dexterity: float = 0.3
-    press_m: float = 0.004
+    press_m: float = 0.01
     workspace_camera: Float64[np.ndarray, "2 3"] = field(default_factory=_before_the_camera)
     maximum_duration_s: float = 120.0
 

@@ -343,7 +343,7 @@ def test_a_finger_that_would_go_into_the_tissue_is_refused_and_one_before_it_is_
     flat = TissueSurface(stamp, camera, u, v, np.full(shape, 0.095), np.ones(shape, bool), np.full(shape, 1e-4))
     setup = dataclasses.replace(SETUP, surface=flat)
     # fingers end 10.2 mm beyond the pin
-    shallow, deep = (waypoint(pose(10, 5, z_mm), 0.0) for z_mm in (85, 92))
+    shallow, deep = (waypoint(pose(10, 5, z_mm), 0.0) for z_mm in (85, 97))
     assert isinstance(plan_motion((shallow,), START, 0.0, setup), Trajectory)
     refused = refusal((shallow, deep), setup)
     assert (refused.code, "behind the tissue" in refused.sentence) == (Code.TISSUE, True)
