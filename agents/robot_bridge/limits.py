@@ -26,8 +26,8 @@ class MotionLimits:
         contact_share: the share of full speed while there may be thread between the fingers.
         joint_share: the share of the joints' greatest speeds, so that an arm has some left to catch up with.
         dexterity: the least that an arm's kinematics may tell of a pose, 0 being a singular one.
-        press_m: how far behind the tissue's measured surface a finger may come, beyond what is uncertain of it: as far as
-            a planner may be told to press (docs/planner.md).
+        press_m: how far behind the tissue's measured surface a finger may come, beyond what is uncertain of it: as far
+            as a planner may be told to press (docs/planner.md).
         workspace_camera: the lower and the upper corner of the box that the pin of the jaw must stay in.
         maximum_duration_s: of one plan.
     """
