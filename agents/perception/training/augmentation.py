@@ -8,8 +8,10 @@ import numpy as np
 from jaxtyping import UInt8
 
 from agents.perception.training.clutter import Coverage, Image, with_glints, with_smoke, with_tools, with_vessels
+from agents.perception.training.dyeing import with_other_dye
 
 RESAMPLED_SHARE = 0.55
+DYED_SHARE = 0.45
 SCALE = 0.6, 1.7
 """Of a resampled crop: the same thread is nearer or farther, or the camera has more or fewer pixels."""
 
@@ -17,6 +19,8 @@ SCALE = 0.6, 1.7
 def varied(image: Image, coverage: Coverage, rng: np.random.Generator) -> tuple[Image, Coverage]:
     """A square view and its coverage, varied in everything but their size and place."""
     image, coverage = _mirrored(image, coverage, rng)
+    if rng.uniform() < DYED_SHARE:
+        image = with_other_dye(image, coverage, rng)
     if rng.uniform() < 0.25:
         image = with_vessels(image, coverage, rng)
     if rng.uniform() < 0.25:

@@ -8,6 +8,7 @@ from agents.perception.segmentation.network import together
 from agents.perception.training.augmentation import crop_of, varied
 from agents.perception.training.clutter import with_glints, with_tools, with_vessels
 from agents.perception.training.crops import CROP_PX, batches, coverage_phases
+from agents.perception.training.dyeing import with_other_dye
 from agents.perception.training.light_scenes import scenes_over_one_backdrop, write_scenes
 from agents.perception.training.scenes import SceneFolderError, View, views_in
 from schemas.messages import RectifiedStereo
@@ -30,12 +31,30 @@ def test_what_is_covered_still_shows_the_thread_after_a_variation(seed):
     image, coverage = varied(*crop_of(*drawn(), np.array([120.0, 120.0]), 256, rng), rng)
     assert image.shape == (256, 256, 3)
     assert coverage.shape == (256, 256)
-    grey = cv2.GaussianBlur(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), (0, 0), 1.0).astype(float)
+    seen = cv2.GaussianBlur(image, (0, 0), 1.0).astype(float)
     inside = coverage > 200
     beside = cv2.dilate(coverage, np.ones((25, 25), np.uint8)) > 0
     outside = beside & (cv2.dilate(coverage, np.ones((9, 9), np.uint8)) == 0)
     if inside.sum() > 100:
-        assert np.median(grey[inside]) < np.median(grey[outside]) - 5
+        # dyed anew it may be brighter than the ground
+        assert np.abs(np.median(seen[inside], axis=0) - np.median(seen[outside], axis=0)).max() > 5
+
+
+def test_another_dye_leaves_the_ground_and_the_edges_as_they_are():
+    image, coverage = drawn()
+    colours = []
+    for seed in range(8):
+        dyed = with_other_dye(image, coverage, np.random.default_rng(seed)).astype(float)
+        np.testing.assert_array_equal(dyed[coverage == 0], image[coverage == 0])
+        thread, ground = (np.median(dyed[part], axis=0) for part in (coverage == 255, coverage == 0))
+        colours.append(thread)
+        assert np.abs(thread - ground).max() > 20
+        # a half covered pixel still shows half of each
+        half = (coverage > 110) & (coverage < 145)
+        np.testing.assert_allclose(np.median(dyed[half], axis=0), (thread + ground) / 2, atol=25)
+    assert np.ptp(colours, axis=0).min() > 60
+    no_thread = np.zeros_like(coverage)
+    np.testing.assert_array_equal(with_other_dye(image, no_thread, np.random.default_rng(1)), image)
 
 
 def test_a_crop_that_is_not_resampled_is_exact():
