@@ -166,7 +166,7 @@ class World:
         for _ in range(count):
             self.now_ns += elapsed_ns
             self.console.turn(max(elapsed_ns, 0) * 1e-9)
-            if self.stands_by and self.now_ns - self._beat_ns >= BEAT_NS:
+            if self.stands_by and self.arming_id and self.now_ns - self._beat_ns >= BEAT_NS:
                 self._beat_ns = self.now_ns
                 self.oracle.heartbeat(self.now_ns * 1e-9)
                 self.beat(Heartbeat(self._arm, self.plan_id, self.now_ns, self.arming_id))
