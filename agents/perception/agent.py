@@ -152,8 +152,8 @@ class Perception:
             return followed
         looked = look_near(near.images, self._last, stamp.sequence, self._segmenters) if self._last else None
         observed = self._observed(stamp, near, looked) if looked else None
-        if observed is not None and observed.status is Status.OK:
-            return replace(observed, rows_moved_up=rows)
+        if self._last and observed is not None and observed.status is Status.OK:
+            return replace(observed, rows_moved_up=rows, frames_since_look=self._last.frames_since_look + 1)
         whole = judge_whole(pair.images, pair.raw, rows)
         everything = look_everywhere(
             whole.images, stamp.sequence, self.config.segmenter, self._prompt_px, self._segmenters

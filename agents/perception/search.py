@@ -26,8 +26,8 @@ from shared.images import decode_image
 FRAMES_BETWEEN_LOOKS = 30
 """Of the camera: about a second, after which thread that came into view elsewhere is seen too."""
 LEAST_FRAMES_NEAR = 4
-"""How many frames in turn at least are looked at near the thread, where so many of the camera's are left out that the
-time between two looks at the whole has fewer: else whoever is slow already would do most of the work most often."""
+"""How many frames at least are looked at near the thread between two looks at the whole, also where so many of the
+camera's are left out that a second has fewer: else whoever is slow already would do most of the work most often."""
 MARGIN_SHARE = 0.04
 """Of the width: how far from where it was thread is looked for. It may move so far between two frames."""
 SMALL_WIDTH_PX = 240
@@ -127,11 +127,15 @@ def look_near(
     return Looked(coverage, name, last.looked_sequence, last.is_bright, carried_on(last), prompt_px)
 
 
-def near_is_enough(last: ThreadObservations, sequence: int) -> bool:
-    """Whether the whole need not be looked at: it was not long ago, and thread was observed just before."""
+def near_is_enough(last: ThreadObservations, sequence: int, longest: int = FRAMES_BETWEEN_LOOKS) -> bool:
+    """Whether the whole need not be looked at: it was not long ago, and thread was observed just before.
+
+    Args:
+        longest: how many of the camera's frames later than the last observations is too late.
+    """
     since_look, since_last = sequence - last.looked_sequence, sequence - last.stamp.sequence
-    latest = max(FRAMES_BETWEEN_LOOKS, LEAST_FRAMES_NEAR * since_last)
-    return last.status is Status.OK and since_last < FRAMES_BETWEEN_LOOKS and 0 < since_look < latest
+    is_early = since_look < FRAMES_BETWEEN_LOOKS or last.frames_since_look < LEAST_FRAMES_NEAR
+    return last.status is Status.OK and since_last < longest and since_look > 0 and is_early
 
 
 def _faster(last: ThreadObservations) -> str:

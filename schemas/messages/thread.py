@@ -167,6 +167,7 @@ class ThreadObservations:
         segmented_sequence: of the frame in which thread was last looked for pixel by pixel. Where that is another one,
             the centrelines were followed from it, frame by frame, the masks are drawn along them, and no thread that
             has come into view since is told; None where nobody says.
+        frames_since_look: how many frames were looked at since that of looked_sequence, this one included.
     """
 
     stamp: FrameStamp
@@ -200,6 +201,7 @@ class ThreadObservations:
     trail_left: Trail | None = None
     trail_right: Trail | None = None
     segmented_sequence: int | None = None
+    frames_since_look: int = 0
     consumed: tuple[Consumed, ...] = ()
 
     def __post_init__(self) -> None:

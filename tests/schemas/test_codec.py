@@ -182,6 +182,7 @@ def observations(draw):
         trail_left=draw(st.none() | trails()),
         trail_right=draw(st.none() | trails()),
         segmented_sequence=draw(st.none() | uint64),
+        frames_since_look=draw(uint64),
         consumed=draw(consumed),
     )
 

@@ -17,6 +17,10 @@ from agents.perception.prompt import followed as followed_prompt
 from agents.perception.search import carried_on, near_is_enough
 from schemas.messages import FrameStamp, RectifiedStereo, ThreadObservations
 
+LONGEST_PAUSE = 150
+"""Of the camera's frames: about five seconds. Whether the thread still lies where it was, its profiles say; who looked
+at the whole after each pause in which a slow machine sees nothing would be slow for that."""
+
 Pair = tuple[UInt8[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w 3"]]
 
 
@@ -41,7 +45,7 @@ def follow_pair(
     Args:
         images: rectified, their rows moved as they were for the last observations.
     """
-    if last.trail_left is None or last.trail_right is None or not near_is_enough(last, stamp.sequence):
+    if last.trail_left is None or last.trail_right is None or not near_is_enough(last, stamp.sequence, LONGEST_PAUSE):
         return None
     left, right = of_both(
         follow,
@@ -71,6 +75,7 @@ def follow_pair(
         trail_left=left.trail,
         trail_right=right.trail,
         prompt_px=None if last.prompt_px is None else followed_prompt(last.prompt_px, coverage[0]),
+        frames_since_look=last.frames_since_look + 1,
         consumed=(),
     )
     return FollowedPair(observed, coverage)

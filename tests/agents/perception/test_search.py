@@ -125,10 +125,11 @@ def test_who_is_slow_looks_at_the_whole_no_more_often_than_at_every_fourth_frame
     first = seen(images, look_everywhere(images, 0))
     looked = look_near(images, first, 25)
     assert looked is not None
-    second = seen(images, looked, 25)
-    # as slow as before, and then faster again when a second has passed since the last look at the whole
-    assert look_near(images, second, 45) is not None
-    assert look_near(images, second, 31) is None
+    # a second has passed since the last look at the whole, and then so many frames too
+    few, enough = (dataclasses.replace(seen(images, looked, 25), frames_since_look=count) for count in (3, 4))
+    assert look_near(images, few, 45) is not None
+    assert look_near(images, enough, 45) is None
+    assert look_near(images, enough, 29) is not None
 
 
 def test_near_reaches_a_margin_around_the_thread_and_no_further():
