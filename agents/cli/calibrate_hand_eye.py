@@ -48,7 +48,8 @@ def run(options: HandEye) -> int:
         warn(f"the sighting at {sightings.time_s[index]:.3f} s contradicts the others, or has no pose; it was left out")
     if (error_m := float(np.median(found.held_out_m))) > GRASPING_M:
         warn(
-            f"{1e3 * error_m:.1f} mm is coarser than a thread: have the tool corrected from images, docs/tool_tracking.md"
+            f"{1e3 * error_m:.1f} mm is coarser than a thread: "
+            "have the tool corrected from images, docs/tool_tracking.md"
         )
     if options.output is not None:
         options.output.write_text(_file(found), encoding="utf-8")

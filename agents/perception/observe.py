@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 
-from agents.perception.both_eyes import of_both
 from agents.perception.centrelines.centrelines import NO_LINES, thread_lines
 from agents.perception.clustering import Clusters, cluster_and_order
 from agents.perception.following.follow import trail_of
@@ -89,7 +88,7 @@ def observe(
     usable = not any(judgement.severity is Severity.FAULT for judgement in found.judgements) and not _unusable_masks(
         *segmented, segmenter
     )
-    of_left, of_right = of_both(_shown, (left, coverage_left, usable), (right, coverage_right, usable))
+    of_left, of_right = _shown(left, coverage_left, usable), _shown(right, coverage_right, usable)
     return ThreadObservations(
         stamp=stamp,
         camera=camera,

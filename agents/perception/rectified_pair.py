@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 
-from agents.perception.both_eyes import of_both
 from agents.perception.judging.rows import moved_up
 from agents.perception.rectification import Rectification, rectify_image
 from schemas.messages import Image, RectifiedStereo, StereoFrame
@@ -39,13 +38,13 @@ def decoded_pair(frame: StereoFrame) -> Pair:
     Raises:
         ImageDataError: where one cannot be decoded.
     """
-    return of_both(_decoded, (frame.left,), (frame.right,))
+    return _decoded(frame.left), _decoded(frame.right)
 
 
 def rectified_pair(raw: Pair, to_rectified: Rectification) -> RectifiedPair:
     """Images of the size that the rectification is for, rectified."""
     left, right = raw
-    images = of_both(rectify_image, (left, to_rectified.map_left), (right, to_rectified.map_right))
+    images = rectify_image(left, to_rectified.map_left), rectify_image(right, to_rectified.map_right)
     return RectifiedPair(to_rectified.camera, images, raw)
 
 

@@ -23,8 +23,11 @@ from agents.perception.segmentation.near import Near
 from schemas.messages import Judgement, Status, ThreadObservations
 from shared.images import decode_image
 
-FRAMES_BETWEEN_LOOKS = 30
-"""Of the camera: about a second, after which thread that came into view elsewhere is seen too."""
+FRAMES_BETWEEN_LOOKS = 60
+"""Of the camera: about two seconds, after which thread that came into view elsewhere is seen too. A look takes as long
+as some six frames near the thread."""
+LONGEST_GAP = 30
+"""Of the camera's frames, after which thread may lie anywhere."""
 LEAST_FRAMES_NEAR = 4
 """How many frames at least are looked at near the thread between two looks at the whole, also where so many of the
 camera's are left out that a second has fewer: else whoever is slow already would do most of the work most often."""
@@ -113,11 +116,8 @@ def look_near(
     if segment is None:
         return None
     faster = _faster(last)
-    left, right = of_both(
-        _look_near,
-        (images[0], decode_image(last.mask_left), last, True, segment, segmenters.get(faster)),
-        (images[1], decode_image(last.mask_right), last, False, segment, segmenters.get(faster)),
-    )
+    left = _look_near(images[0], decode_image(last.mask_left), last, True, segment, segmenters.get(faster))
+    right = _look_near(images[1], decode_image(last.mask_right), last, False, segment, segmenters.get(faster))
     if left is None or right is None:
         return None
     name, coverage = last.segmenter, (left.coverage, right.coverage)
@@ -127,7 +127,7 @@ def look_near(
     return Looked(coverage, name, last.looked_sequence, last.is_bright, carried_on(last), prompt_px)
 
 
-def near_is_enough(last: ThreadObservations, sequence: int, longest: int = FRAMES_BETWEEN_LOOKS) -> bool:
+def near_is_enough(last: ThreadObservations, sequence: int, longest: int = LONGEST_GAP) -> bool:
     """Whether the whole need not be looked at: it was not long ago, and thread was observed just before.
 
     Args:

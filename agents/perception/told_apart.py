@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from agents.perception.both_eyes import of_both
 from agents.perception.candidates import candidates_followed, candidates_in
 from agents.perception.occluders import occluders_in
 from schemas.messages import Image, ImageEncoding, Occluders, Status, ThreadObservations
@@ -74,7 +73,7 @@ def _occluders(
     before = None if last is None else last.occluders
     if not whole and (before is None or 0 <= sequence - before.sequence < FRAMES_BETWEEN_OCCLUDERS):
         return before
-    left, right = of_both(occluders_in, (images[0], coverage[0]), (images[1], coverage[1]))
+    left, right = (occluders_in(image, thread) for image, thread in zip(images, coverage, strict=True))
     return None if left is None or right is None else Occluders(_as_png(left), _as_png(right), sequence)
 
 

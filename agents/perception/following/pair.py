@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import UInt8
 
-from agents.perception.both_eyes import of_both
 from agents.perception.following.drawn import mask_along
 from agents.perception.following.follow import Followed, follow
 from agents.perception.mask_image import mask_image
@@ -47,12 +46,11 @@ def follow_pair(
     """
     if last.trail_left is None or last.trail_right is None or not near_is_enough(last, stamp.sequence, LONGEST_PAUSE):
         return None
-    left, right = of_both(
-        follow,
-        (images[0], Followed(last.centrelines_left, last.trail_left)),
-        (images[1], Followed(last.centrelines_right, last.trail_right)),
-    )
-    if isinstance(left, str) or isinstance(right, str):
+    left = follow(images[0], Followed(last.centrelines_left, last.trail_left))
+    if isinstance(left, str):
+        return None
+    right = follow(images[1], Followed(last.centrelines_right, last.trail_right))
+    if isinstance(right, str):
         return None
     coverage = mask_along(left, images[0].shape), mask_along(right, images[1].shape)
     mask_left, mask_right = (mask_image(mask) for mask in coverage)

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import UInt8
 
-from agents.perception.both_eyes import of_both
 from agents.perception.judge import judge
 from agents.perception.judging.answers import judgements
 from agents.perception.judging.correspondence import texture_of
@@ -46,7 +45,7 @@ def judge_whole(rectified: Pair, raw: Pair, rows_before: int = 0) -> Whole:
         raw: the pair as the camera gave it, by which interlacing is told.
         rows_before: by how many rows its right image was moved up at the last look.
     """
-    left, right = of_both(grey, (rectified[0],), (rectified[1],))
+    left, right = grey(rectified[0]), grey(rectified[1])
     shape = left.shape
     sharpness = about_sharpness(_middle(left), _middle(right), shape[1])
     pictures = judgements([sharpness, about_interlacing(_middle(grey(raw[0])), _middle(grey(raw[1])))])

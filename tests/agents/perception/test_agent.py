@@ -184,7 +184,7 @@ def test_without_matching_there_are_centrelines_alone():
 
 
 def test_a_warning_is_carried_on_with_its_frame_until_the_pair_is_judged_again():
-    found = fed(Perception(), tissue()[0], *(over_tissue(k) for k in (0, 1, 2, 3, 4, 40)))
+    found = fed(Perception(), tissue()[0], *(over_tissue(k) for k in (0, 1, 2, 3, 4, 70)))
     # by the last frame both pictures have stood still for long
     assert [[j.code for j in o.judgements] for o in found] == [["row_offset"]] * 5 + [["row_offset", "frozen"]]
     fresh, *carried, again = (o.judgements[0].finding for o in found)

@@ -78,7 +78,7 @@ def test_rows_that_are_apart_are_put_in_line_and_said_to_be(rows):
 
 
 def test_rows_come_back_when_the_camera_does():
-    found = fed(*(frame(k, 3) for k in range(5)), frame(40), frame(41))
+    found = fed(*(frame(k, 3) for k in range(5)), frame(70), frame(71))
     assert [o.rows_moved_up for o in found] == [3, 3, 3, 3, 3, 0, 0]
     assert [codes(o) for o in found[5:]] == [{}, {}]
 

@@ -123,13 +123,16 @@ def test_after_so_many_frames_and_after_a_restart_of_the_camera_everything_is_lo
 def test_who_is_slow_looks_at_the_whole_no_more_often_than_at_every_fourth_frame():
     images = tissue()
     first = seen(images, look_everywhere(images, 0))
-    looked = look_near(images, first, 25)
+    looked = look_near(images, first, 29)
     assert looked is not None
-    # a second has passed since the last look at the whole, and then so many frames too
-    few, enough = (dataclasses.replace(seen(images, looked, 25), frames_since_look=count) for count in (3, 4))
-    assert look_near(images, few, 45) is not None
-    assert look_near(images, enough, 45) is None
-    assert look_near(images, enough, 29) is not None
+    # it is time again, and then so many frames were looked at near too
+    few, enough = (
+        dataclasses.replace(seen(images, looked, FRAMES_BETWEEN_LOOKS - 10), frames_since_look=count)
+        for count in (3, 4)
+    )
+    assert look_near(images, few, FRAMES_BETWEEN_LOOKS) is not None
+    assert look_near(images, enough, FRAMES_BETWEEN_LOOKS) is None
+    assert look_near(images, enough, FRAMES_BETWEEN_LOOKS - 1) is not None
 
 
 def test_near_reaches_a_margin_around_the_thread_and_no_further():
