@@ -1,0 +1,1 @@
+"""Rigs of several hosts: their lab runs until the last test of this package."""
