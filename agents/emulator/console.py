@@ -232,8 +232,9 @@ class EmulatedConsole:
 
     def _tell_where(self) -> None:
         with self._lock:
-            position, goal = self._arm.position.copy(), self._arm.goal.copy()
-        at = header(self._now_ns())
+            # a process that stalls after this tells late, and of the time when it was so
+            at_ns, position, goal = self._now_ns(), self._arm.position.copy(), self._arm.goal.copy()
+        at = header(at_ns)
         for topic, values, names in (
             ("measured_js", position[:6], JOINTS),
             ("setpoint_js", goal[:6], JOINTS),
@@ -250,11 +251,11 @@ class EmulatedConsole:
             ("setpoint_cp", goal, setup_m),
         ):
             if self._outlets[topic].wanted():
-                self._say(topic, PoseStamped(header(self._now_ns(), f"{self.name}_base"), _pose(joints[:6], aside_m)))
+                self._say(topic, PoseStamped(header(at_ns, f"{self.name}_base"), _pose(joints[:6], aside_m)))
         if self._outlets[TIP].wanted():
             # the endoscope, its tip 100 mm beyond its remote centre, moves to its side
             tip = Pose(Point(self._moved_m["camera"], 0.0, -0.1), Quaternion(1.0, 0.0, 0.0, 0.0))
-            self._say(TIP, PoseStamped(header(self._now_ns(), "ECM_base"), tip))
+            self._say(TIP, PoseStamped(header(at_ns, "ECM_base"), tip))
 
     def _say(self, topic: str, message: Any) -> None:
         outlet = self._outlets[topic]

@@ -67,8 +67,9 @@ def test_capture_slide_and_grasp_without_an_unsafe_set_point(lab):
 @pytest.mark.parametrize(
     ("word", "reason", "mode"),
     [
-        ("fault", "an error was asked for", RobotMode.FAULT),
-        ("error", "an error was asked for", RobotMode.FAULT),
+        # state and error come as two messages
+        ("fault", "an error was asked for|state is FAULT", RobotMode.FAULT),
+        ("error", "an error was asked for|state is FAULT", RobotMode.FAULT),
         ("mute", "was not measured|does not follow", RobotMode.FAULT),
         ("stick", "does not follow", RobotMode.HOLDING),
     ],
@@ -79,11 +80,11 @@ def test_what_goes_wrong_at_the_robot_stops_the_motion(lab, word, reason, mode):
     event = held(lab)
     assert re.search(reason, event.reason)
     lab.until(lambda: lab.states()[-1].mode is mode)
-    count = lab.verdict()["set_points"]
     lab.until(lambda: lab.verdict()["held_ns"])
     assert lab.arm().outcome is Outcome.REFUSED or word in ("error", "stick")
     assert lab.verdict()["unsafe"] == 0 or word == "fault", "set points on their way when the console failed"
-    assert lab.verdict()["set_points"] <= count + 2
+    # what was on its way may come later
+    assert max(lab.verdict()["sent_ns"]) <= event.at_ns
 
 
 @pytest.mark.parametrize(
@@ -158,7 +159,7 @@ def test_a_person_may_change_an_arms_state_while_it_is_disarmed_and_nobody_else_
         lab.until(lambda word=word: change(word).outcome is Outcome.ACCEPTED)
         lab.until(lambda state=state: arm.state == state)
     lab.until(lambda: change("HOME").outcome is Outcome.ACCEPTED)
-    lab.until(lambda: not arm.is_homed)
+    lab.until(lambda: not arm.is_homed and "not homed" in lab.backend.state(now_ns()).reason)
     assert lab.arm().code == "not_ready"
     lab.until(lambda: arm.is_homed)
     lab.ready()
