@@ -50,9 +50,10 @@ def test_capture_slide_and_grasp_without_an_unsafe_set_point(lab):
     lab.until(lambda: lab.events()[-1].kind is ExecutionKind.FINISHED)
     reached = [e.phase for e in lab.events() if e.kind is ExecutionKind.PHASE_REACHED]
     assert reached == [Phase.APPROACH, Phase.CAPTURE, Phase.SLIDE, Phase.GRASP]
+    # a joint follows the last set point a little late
+    lab.until(lambda: abs(lab.verdict()["position"][6] + 0.2) < 5e-3)
     verdict = lab.verdict()
     assert verdict["unsafe"] == 0, verdict["sentences"]
-    assert verdict["position"][6] == pytest.approx(-0.2, abs=5e-3)
     state = lab.states()[-1]
     assert np.abs(state.joints - verdict["position"][:6]).max() < 1e-3
     told, sent = len(lab.states()), verdict["set_points"] / 2
