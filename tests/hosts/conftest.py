@@ -124,12 +124,9 @@ def listening():
         yield listen
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def lab(tmp_path_factory):
-    """A rig on four hosts and a router, once a thread was seen; left out where this system cannot play it.
-
-    It runs until this folder's tests end, so they come last in it.
-    """
+    """A rig on four hosts and a router, once a thread was seen; left out where this system cannot play it."""
     try:
         with laboratory(tmp_path_factory.mktemp("lab"), emulated=True) as started:
             yield started

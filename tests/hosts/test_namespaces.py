@@ -1,4 +1,7 @@
-"""The dataflow on four hosts with the router on a fifth, secured as in a lab; network namespaces are the hosts."""
+"""The dataflow on four hosts with the router on a fifth, secured as in a lab; network namespaces are the hosts.
+
+At the end come faults in the middle of a grasp; `python -m benchmarks.faults` tries many more.
+"""
 
 import itertools
 import json
@@ -8,13 +11,18 @@ import subprocess
 import pytest
 
 from agents.cli.audit import STATE_DIRECTORY
+from benchmarks.faults.faults import cut_off, full_disk
 from benchmarks.faults.network import OWN
+from benchmarks.faults.recorded import missing_events
 from benchmarks.faults.rig import EMULATED, MODULE, ROUTER, RUNS
+from benchmarks.faults.trial import trial
 from schemas.messages import Status
 from schemas.topics import HEALTH, PLAN, ROBOT_STATE
 from shared.kinematics.simulated_setup import SIMULATED_BASES
 
 PORT = 7447
+LEASE_S = 2.0
+"""After so long of silence, the router closes the links of a host."""
 # what it takes to start all processes, and to wait for a plan, may both fall to one test
 pytestmark = pytest.mark.timeout(600)
 SIDES = tuple(host for host in RUNS if host != ROUTER)
@@ -127,3 +135,34 @@ def answered(command):
                     process.stdin.write(answer)
                     done = len(said)
         return said.decode(), process.wait(60.0)
+
+
+def test_while_the_links_of_a_host_that_was_cut_off_are_closed_the_router_hears_the_others(lab):
+    fault = cut_off("strong")
+    seen = trial(lab, fault)
+    dead_s = [at_s for at_s, sentence in seen.said if sentence.startswith("perception: ")]
+    assert dead_s
+    states = [h for h in lab.observer.messages(ROBOT_STATE) if 0 <= h.at_s - seen.begin_s - LEASE_S <= 0.5]
+    later = [h for h in lab.observer.messages(ROBOT_STATE) if 0.5 <= h.at_s - seen.begin_s - LEASE_S <= 1.0]
+    assert states
+    assert later
+    assert None not in seen.recovery_s.values()
+    assert not seen.lost
+
+
+def test_an_arm_that_is_cut_off_from_its_operator_holds_and_comes_back(lab):
+    seen = trial(lab, cut_off("robot"))
+    assert seen.ended == "heartbeat_lost"
+    assert None not in seen.recovery_s.values()
+    assert not seen.lost
+    assert seen.name
+
+
+def test_a_recorder_whose_disk_is_full_says_so_and_goes_on_where_there_is_room_with_all_events(lab):
+    seen = trial(lab, full_disk())
+    assert seen.name
+    assert None not in seen.recovery_s.values()
+    assert len(list(lab.recording.parent.glob("*.mcap"))) > 1
+    heard, missing = missing_events(lab)
+    assert heard
+    assert not missing
