@@ -29,6 +29,18 @@ class Problem(enum.IntEnum):
     WRIST_YAW = 10
 
 
+class Link(NamedTuple):
+    """One row of a Denavit-Hartenberg table; the joint's own value is added to θ, or to d where it slides."""
+
+    alpha: float
+    a: float
+    theta: float
+    d: float
+    slides: bool
+    limit: tuple[float, float]
+    max_speed: float
+
+
 class Solution(NamedTuple):
     """Joints that bring the tool to a pose, and the Problem that forbids them; NaN where there are none at all."""
 

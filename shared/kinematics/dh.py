@@ -12,12 +12,11 @@ refused.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from shared.kinematics.arm import JOINTS, Problem, Solution
+from shared.kinematics.arm import JOINTS, Link, Problem, Solution
 from shared.rigid_transforms import log_so3, orthonormality_error
 
 STRIDE = 20
@@ -31,18 +30,6 @@ _TOLERANCE = 1e-9
 _ROTATION_TOLERANCE = 1e-6
 
 
-class Row(NamedTuple):
-    """One row of the table; the joint's own value is added to θ, or to d where it slides."""
-
-    alpha: float
-    a: float
-    theta: float
-    d: float
-    slides: bool
-    limit: tuple[float, float]
-    max_speed: float
-
-
 @dataclass(frozen=True, eq=False)
 class DhArm:
     """An arm as data.
@@ -53,7 +40,7 @@ class DhArm:
         length_m: by which positions are divided to be weighed against angles; the arm's reach, or so.
     """
 
-    rows: tuple[Row, ...]
+    rows: tuple[Link, ...]
     T_last_tool: Float64[np.ndarray, "4 4"]
     jaw_limit: tuple[float, float]
     jaw_max_speed: float

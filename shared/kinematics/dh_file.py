@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from shared.kinematics.arm import JOINTS
-from shared.kinematics.dh import DhArm, Row, pose_problem
+from shared.kinematics.arm import JOINTS, Link
+from shared.kinematics.dh import DhArm, pose_problem
 
 ANGLES_AND_LENGTHS = ("alpha", "a", "theta", "d")
 
@@ -32,9 +32,9 @@ def read_dh(told: dict[str, Any]) -> DhArm:
     return DhArm(rows, T_last_tool, jaw_limit, jaw_speed, length_m)
 
 
-def _row(joint: dict[str, Any]) -> Row:
+def _row(joint: dict[str, Any]) -> Link:
     alpha, a, theta, d = (float(joint.get(name, 0.0)) for name in ANGLES_AND_LENGTHS)
-    return Row(alpha, a, theta, d, bool(joint.get("slides", False)), _pair(joint["limit"]), float(joint["max_speed"]))
+    return Link(alpha, a, theta, d, bool(joint.get("slides", False)), _pair(joint["limit"]), float(joint["max_speed"]))
 
 
 def _pair(values: Any) -> tuple[float, float]:

@@ -29,7 +29,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from shared.kinematics.arm import Problem, Solution
+from shared.kinematics.arm import Link, Problem, Solution
 from shared.rigid_transforms import orthonormality_error, transform
 
 YAW, PITCH, INSERTION, ROLL, WRIST_PITCH, WRIST_YAW = range(6)
@@ -41,18 +41,6 @@ FINGER_M = 0.0102
 _ROTATION_TOLERANCE = 1e-6
 _LIMIT_TOLERANCE = 1e-9
 """Rounding of the inverse at a limit does not make a pose unreachable."""
-
-
-class Link(NamedTuple):
-    """One row of the table; the joint's own value is added to θ, or to d where it slides."""
-
-    alpha: float
-    a: float
-    theta: float
-    d: float
-    slides: bool
-    limit: tuple[float, float]
-    max_speed: float
 
 
 @dataclass(frozen=True)

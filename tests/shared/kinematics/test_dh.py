@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from shared.kinematics.arm import Problem
-from shared.kinematics.dh import DhArm, Row
+from shared.kinematics.dh import DhArm
 from shared.kinematics.dh_file import read_dh
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER, forward
 from shared.rigid_transforms import transform
@@ -16,7 +16,7 @@ FILE = Path(__file__).parents[3] / "deploy" / "generic_arm.toml"
 TOLD = tomllib.loads(FILE.read_text())
 ARM, START = read_dh(TOLD), np.array(TOLD["start"])
 PSM = DhArm(
-    tuple(Row(*link) for link in LARGE_NEEDLE_DRIVER.links),
+    LARGE_NEEDLE_DRIVER.links,
     transform(np.array(LARGE_NEEDLE_DRIVER.R_wrist_tool, float), np.zeros(3)),
     LARGE_NEEDLE_DRIVER.jaw_limit,
     LARGE_NEEDLE_DRIVER.jaw_max_speed,

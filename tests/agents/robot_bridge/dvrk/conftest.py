@@ -2,6 +2,7 @@
 
 import contextlib
 import threading
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from agents.emulator.oracle import Field, Oracle
 from agents.emulator.wire import BridgeWire, RmwWire
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.dvrk.psm import DvrkPsm
-from agents.robot_bridge.limits import MotionLimits
+from benchmarks.robot_hostile import BRISK
 from schemas.messages import (
     Arm,
     CommandAnswer,
@@ -43,19 +44,7 @@ HZ = 200.0
 PATIENT_S = 1.0
 """A test machine may stall; how soon silence ends a motion is measured by benchmarks/robot.py."""
 
-BRISK = MotionLimits(
-    speed=0.1,
-    acceleration=4.0,
-    jerk=400.0,
-    angular_speed=3.0,
-    angular_acceleration=60.0,
-    angular_jerk=6000.0,
-    jaw_speed=6.0,
-    jaw_acceleration=240.0,
-    jaw_jerk=24000.0,
-    rounding_s=0.02,
-    contact_share=1.0,
-)
+AT_ONCE = replace(BRISK, contact_share=1.0)
 
 
 def waypoint(place_mm: tuple[float, float, float], jaw_rad: float, phase: Phase, roll: float = 0.3) -> Waypoint:
@@ -90,7 +79,7 @@ class Lab:
 
     def __init__(self, console: EmulatedConsole, session: zenoh.Session, backend: DvrkPsm) -> None:
         self.console, self.session, self.backend = console, session, backend
-        config = RobotBridgeConfig(tick_hz=HZ, dead_man_s=PATIENT_S, first_heartbeat_s=PATIENT_S, limits=BRISK)
+        config = RobotBridgeConfig(tick_hz=HZ, dead_man_s=PATIENT_S, first_heartbeat_s=PATIENT_S, limits=AT_ONCE)
         self.bridge = RobotBridge(config, backend)
         self.said: list[Output | CommandAnswer] = []
         self.armings, self.stands_by = 0, True
