@@ -30,7 +30,7 @@ LONGEST_GAP = 30
 """Of the camera's frames, after which thread may lie anywhere."""
 LEAST_FRAMES_NEAR = 4
 """How many frames at least are looked at near the thread between two looks at the whole, also where so many of the
-camera's are left out that a second has fewer: else whoever is slow already would do most of the work most often."""
+camera's are left out that two seconds have fewer: else whoever is slow already would do most of the work most often."""
 MARGIN_SHARE = 0.04
 """Of the width: how far from where it was thread is looked for. It may move so far between two frames."""
 SMALL_WIDTH_PX = 240

@@ -1,4 +1,4 @@
-"""What is judged whenever the whole of both images is looked at, about once a second.
+"""What is judged whenever the whole of both images is looked at, about every two seconds.
 
 Sharpness and interlacing are told by the middle of the images, where the thread is and where lenses draw best.
 """
