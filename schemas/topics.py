@@ -17,6 +17,7 @@ from schemas.messages import (
     ChangeState,
     CommandRecord,
     ExecutionEvent,
+    GraspCheck,
     GraspGoal,
     GraspJudgement,
     GraspPlan,
@@ -99,6 +100,7 @@ CHANGE_STATE = Topic("operator", "state", ChangeState, Delivery.COMMAND, receive
 PROMPT = Topic("operator", "prompt", Prompt, Delivery.COMMAND, receiver="perception")
 HEARTBEAT = Topic("operator", "heartbeat", Heartbeat, Delivery.LATEST, rate_hz=20, maximum_age_ms=200, per_arm=True)
 PLAN = Topic("planner", "plan", GraspPlan, Delivery.EVENT)
+CHECK = Topic("planner", "check", GraspCheck, Delivery.EVENT)
 CLOCKS = Topic("planner", "clocks", HostClocks, Delivery.STATE)
 ROBOT_STATE = Topic(
     "robot_bridge",
@@ -133,6 +135,7 @@ TOPICS = (
     PROMPT,
     HEARTBEAT,
     PLAN,
+    CHECK,
     CLOCKS,
     ROBOT_STATE,
     EXECUTION,

@@ -21,7 +21,7 @@ from schemas.messages import (
     ThreadReconstruction,
     TissueSurface,
 )
-from schemas.topics import CLOCKS, GOAL, MAIN, PLAN, ROBOT_STATE, SURFACE, THREAD, Topic
+from schemas.topics import CHECK, CLOCKS, GOAL, MAIN, PLAN, ROBOT_STATE, SURFACE, THREAD, Topic
 from shared.kinematics import psm
 from shared.rigid_transforms import compose, inverse
 from shared.runtime.agent import Command, Input, Output, Received, Tick
@@ -46,7 +46,7 @@ class Planner:
         Input(ROBOT_STATE, instance="*", only_newest_counts=True, only_remembered=True),
         Input(CLOCKS, only_newest_counts=True),
     )
-    outputs: tuple[Topic, ...] = (PLAN,)
+    outputs: tuple[Topic, ...] = (PLAN, CHECK)
     commands: tuple[Topic, ...] = (GOAL,)
     tick_hz: float | None = None
     watches_clocks = ("camera",)

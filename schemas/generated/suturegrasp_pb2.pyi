@@ -88,6 +88,13 @@ class Phase(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     PHASE_GRASP: _ClassVar[Phase]
     PHASE_RETREAT: _ClassVar[Phase]
 
+class Checked(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    CHECKED_UNSPECIFIED: _ClassVar[Checked]
+    CHECKED_HELD: _ClassVar[Checked]
+    CHECKED_MISSED: _ClassVar[Checked]
+    CHECKED_UNKNOWN: _ClassVar[Checked]
+
 class RobotMode(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
     ROBOT_MODE_UNSPECIFIED: _ClassVar[RobotMode]
@@ -112,6 +119,7 @@ class Verdict(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     VERDICT_HELD: _ClassVar[Verdict]
     VERDICT_MISSED: _ClassVar[Verdict]
     VERDICT_LOST: _ClassVar[Verdict]
+    VERDICT_FORCE_EXCEEDED: _ClassVar[Verdict]
 IMAGE_ENCODING_UNSPECIFIED: ImageEncoding
 IMAGE_ENCODING_RAW: ImageEncoding
 IMAGE_ENCODING_PNG: ImageEncoding
@@ -160,6 +168,10 @@ PHASE_CAPTURE: Phase
 PHASE_SLIDE: Phase
 PHASE_GRASP: Phase
 PHASE_RETREAT: Phase
+CHECKED_UNSPECIFIED: Checked
+CHECKED_HELD: Checked
+CHECKED_MISSED: Checked
+CHECKED_UNKNOWN: Checked
 ROBOT_MODE_UNSPECIFIED: RobotMode
 ROBOT_MODE_DISABLED: RobotMode
 ROBOT_MODE_IDLE: RobotMode
@@ -176,6 +188,7 @@ VERDICT_UNSPECIFIED: Verdict
 VERDICT_HELD: Verdict
 VERDICT_MISSED: Verdict
 VERDICT_LOST: Verdict
+VERDICT_FORCE_EXCEEDED: Verdict
 
 class Array(_message.Message):
     __slots__ = ("dtype", "shape", "data")
@@ -780,20 +793,22 @@ class HostClocks(_message.Message):
     def __init__(self, at_ns: _Optional[int] = ..., clocks: _Optional[_Iterable[_Union[HostClock, _Mapping]]] = ...) -> None: ...
 
 class GraspGoal(_message.Message):
-    __slots__ = ("header", "arm", "policy", "s", "pixel", "point_camera")
+    __slots__ = ("header", "arm", "policy", "s", "pixel", "point_camera", "attempts")
     HEADER_FIELD_NUMBER: _ClassVar[int]
     ARM_FIELD_NUMBER: _ClassVar[int]
     POLICY_FIELD_NUMBER: _ClassVar[int]
     S_FIELD_NUMBER: _ClassVar[int]
     PIXEL_FIELD_NUMBER: _ClassVar[int]
     POINT_CAMERA_FIELD_NUMBER: _ClassVar[int]
+    ATTEMPTS_FIELD_NUMBER: _ClassVar[int]
     header: CommandHeader
     arm: str
     policy: Policy
     s: float
     pixel: Array
     point_camera: Array
-    def __init__(self, header: _Optional[_Union[CommandHeader, _Mapping]] = ..., arm: _Optional[str] = ..., policy: _Optional[_Union[Policy, str]] = ..., s: _Optional[float] = ..., pixel: _Optional[_Union[Array, _Mapping]] = ..., point_camera: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
+    attempts: int
+    def __init__(self, header: _Optional[_Union[CommandHeader, _Mapping]] = ..., arm: _Optional[str] = ..., policy: _Optional[_Union[Policy, str]] = ..., s: _Optional[float] = ..., pixel: _Optional[_Union[Array, _Mapping]] = ..., point_camera: _Optional[_Union[Array, _Mapping]] = ..., attempts: _Optional[int] = ...) -> None: ...
 
 class Arm(_message.Message):
     __slots__ = ("header", "arm", "plan_id")
@@ -885,8 +900,22 @@ class TissueClearance(_message.Message):
     s: float
     def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., unchecked: _Optional[str] = ..., known_share: _Optional[float] = ..., clearance_m: _Optional[float] = ..., deviation_m: _Optional[float] = ..., place_camera: _Optional[_Union[Array, _Mapping]] = ..., phase: _Optional[_Union[Phase, str]] = ..., s: _Optional[float] = ...) -> None: ...
 
+class ThreadClearance(_message.Message):
+    __slots__ = ("obstructed", "clearance_m", "place_camera", "phase", "s")
+    OBSTRUCTED_FIELD_NUMBER: _ClassVar[int]
+    CLEARANCE_M_FIELD_NUMBER: _ClassVar[int]
+    PLACE_CAMERA_FIELD_NUMBER: _ClassVar[int]
+    PHASE_FIELD_NUMBER: _ClassVar[int]
+    S_FIELD_NUMBER: _ClassVar[int]
+    obstructed: str
+    clearance_m: float
+    place_camera: Array
+    phase: Phase
+    s: float
+    def __init__(self, obstructed: _Optional[str] = ..., clearance_m: _Optional[float] = ..., place_camera: _Optional[_Union[Array, _Mapping]] = ..., phase: _Optional[_Union[Phase, str]] = ..., s: _Optional[float] = ...) -> None: ...
+
 class GraspPlan(_message.Message):
-    __slots__ = ("plan_id", "arm", "goal_id", "stamp", "status", "reason", "policy", "s_goal", "s_capture", "probability", "slide_m", "waypoints", "alternatives", "tissue", "consumed")
+    __slots__ = ("plan_id", "arm", "goal_id", "stamp", "status", "reason", "policy", "s_goal", "s_capture", "probability", "slide_m", "waypoints", "alternatives", "tissue", "consumed", "thread", "attempt", "attempts", "policy_model")
     PLAN_ID_FIELD_NUMBER: _ClassVar[int]
     ARM_FIELD_NUMBER: _ClassVar[int]
     GOAL_ID_FIELD_NUMBER: _ClassVar[int]
@@ -902,6 +931,10 @@ class GraspPlan(_message.Message):
     ALTERNATIVES_FIELD_NUMBER: _ClassVar[int]
     TISSUE_FIELD_NUMBER: _ClassVar[int]
     CONSUMED_FIELD_NUMBER: _ClassVar[int]
+    THREAD_FIELD_NUMBER: _ClassVar[int]
+    ATTEMPT_FIELD_NUMBER: _ClassVar[int]
+    ATTEMPTS_FIELD_NUMBER: _ClassVar[int]
+    POLICY_MODEL_FIELD_NUMBER: _ClassVar[int]
     plan_id: str
     arm: str
     goal_id: str
@@ -917,7 +950,45 @@ class GraspPlan(_message.Message):
     alternatives: _containers.RepeatedCompositeFieldContainer[Alternative]
     tissue: TissueClearance
     consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
-    def __init__(self, plan_id: _Optional[str] = ..., arm: _Optional[str] = ..., goal_id: _Optional[str] = ..., stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., policy: _Optional[_Union[Policy, str]] = ..., s_goal: _Optional[float] = ..., s_capture: _Optional[float] = ..., probability: _Optional[float] = ..., slide_m: _Optional[float] = ..., waypoints: _Optional[_Iterable[_Union[Waypoint, _Mapping]]] = ..., alternatives: _Optional[_Iterable[_Union[Alternative, _Mapping]]] = ..., tissue: _Optional[_Union[TissueClearance, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
+    thread: ThreadClearance
+    attempt: int
+    attempts: int
+    policy_model: str
+    def __init__(self, plan_id: _Optional[str] = ..., arm: _Optional[str] = ..., goal_id: _Optional[str] = ..., stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., policy: _Optional[_Union[Policy, str]] = ..., s_goal: _Optional[float] = ..., s_capture: _Optional[float] = ..., probability: _Optional[float] = ..., slide_m: _Optional[float] = ..., waypoints: _Optional[_Iterable[_Union[Waypoint, _Mapping]]] = ..., alternatives: _Optional[_Iterable[_Union[Alternative, _Mapping]]] = ..., tissue: _Optional[_Union[TissueClearance, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ..., thread: _Optional[_Union[ThreadClearance, _Mapping]] = ..., attempt: _Optional[int] = ..., attempts: _Optional[int] = ..., policy_model: _Optional[str] = ...) -> None: ...
+
+class GraspCheck(_message.Message):
+    __slots__ = ("plan_id", "arm", "goal_id", "verdict", "before", "after", "tool_moved_m", "thread_moved_m", "deviation_m", "held_probability", "attempt", "attempts", "next_plan_id", "sentence", "consumed")
+    PLAN_ID_FIELD_NUMBER: _ClassVar[int]
+    ARM_FIELD_NUMBER: _ClassVar[int]
+    GOAL_ID_FIELD_NUMBER: _ClassVar[int]
+    VERDICT_FIELD_NUMBER: _ClassVar[int]
+    BEFORE_FIELD_NUMBER: _ClassVar[int]
+    AFTER_FIELD_NUMBER: _ClassVar[int]
+    TOOL_MOVED_M_FIELD_NUMBER: _ClassVar[int]
+    THREAD_MOVED_M_FIELD_NUMBER: _ClassVar[int]
+    DEVIATION_M_FIELD_NUMBER: _ClassVar[int]
+    HELD_PROBABILITY_FIELD_NUMBER: _ClassVar[int]
+    ATTEMPT_FIELD_NUMBER: _ClassVar[int]
+    ATTEMPTS_FIELD_NUMBER: _ClassVar[int]
+    NEXT_PLAN_ID_FIELD_NUMBER: _ClassVar[int]
+    SENTENCE_FIELD_NUMBER: _ClassVar[int]
+    CONSUMED_FIELD_NUMBER: _ClassVar[int]
+    plan_id: str
+    arm: str
+    goal_id: str
+    verdict: Checked
+    before: FrameStamp
+    after: FrameStamp
+    tool_moved_m: float
+    thread_moved_m: float
+    deviation_m: float
+    held_probability: float
+    attempt: int
+    attempts: int
+    next_plan_id: str
+    sentence: str
+    consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
+    def __init__(self, plan_id: _Optional[str] = ..., arm: _Optional[str] = ..., goal_id: _Optional[str] = ..., verdict: _Optional[_Union[Checked, str]] = ..., before: _Optional[_Union[FrameStamp, _Mapping]] = ..., after: _Optional[_Union[FrameStamp, _Mapping]] = ..., tool_moved_m: _Optional[float] = ..., thread_moved_m: _Optional[float] = ..., deviation_m: _Optional[float] = ..., held_probability: _Optional[float] = ..., attempt: _Optional[int] = ..., attempts: _Optional[int] = ..., next_plan_id: _Optional[str] = ..., sentence: _Optional[str] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
 
 class RobotState(_message.Message):
     __slots__ = ("arm", "measured_ns", "mode", "T_base_tool", "joints", "jaw_rad", "T_camera_base", "plan_id", "consumed")
@@ -990,7 +1061,7 @@ class SimulatorState(_message.Message):
     def __init__(self, at_ns: _Optional[int] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., background: _Optional[str] = ..., colour: _Optional[str] = ..., seed: _Optional[int] = ..., distance_m: _Optional[float] = ..., radius_m: _Optional[float] = ..., knots: _Optional[_Union[Array, _Mapping]] = ..., control_points_camera: _Optional[_Union[Array, _Mapping]] = ..., held: _Optional[float] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
 
 class GraspJudgement(_message.Message):
-    __slots__ = ("plan_id", "arm", "at_ns", "verdict", "s_caught", "slid_m", "error_m", "sentence", "consumed")
+    __slots__ = ("plan_id", "arm", "at_ns", "verdict", "s_caught", "slid_m", "error_m", "sentence", "peak_tissue_force_n", "slipped_m", "code", "consumed")
     PLAN_ID_FIELD_NUMBER: _ClassVar[int]
     ARM_FIELD_NUMBER: _ClassVar[int]
     AT_NS_FIELD_NUMBER: _ClassVar[int]
@@ -999,6 +1070,9 @@ class GraspJudgement(_message.Message):
     SLID_M_FIELD_NUMBER: _ClassVar[int]
     ERROR_M_FIELD_NUMBER: _ClassVar[int]
     SENTENCE_FIELD_NUMBER: _ClassVar[int]
+    PEAK_TISSUE_FORCE_N_FIELD_NUMBER: _ClassVar[int]
+    SLIPPED_M_FIELD_NUMBER: _ClassVar[int]
+    CODE_FIELD_NUMBER: _ClassVar[int]
     CONSUMED_FIELD_NUMBER: _ClassVar[int]
     plan_id: str
     arm: str
@@ -1008,5 +1082,8 @@ class GraspJudgement(_message.Message):
     slid_m: float
     error_m: float
     sentence: str
+    peak_tissue_force_n: float
+    slipped_m: float
+    code: str
     consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
-    def __init__(self, plan_id: _Optional[str] = ..., arm: _Optional[str] = ..., at_ns: _Optional[int] = ..., verdict: _Optional[_Union[Verdict, str]] = ..., s_caught: _Optional[float] = ..., slid_m: _Optional[float] = ..., error_m: _Optional[float] = ..., sentence: _Optional[str] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
+    def __init__(self, plan_id: _Optional[str] = ..., arm: _Optional[str] = ..., at_ns: _Optional[int] = ..., verdict: _Optional[_Union[Verdict, str]] = ..., s_caught: _Optional[float] = ..., slid_m: _Optional[float] = ..., error_m: _Optional[float] = ..., sentence: _Optional[str] = ..., peak_tissue_force_n: _Optional[float] = ..., slipped_m: _Optional[float] = ..., code: _Optional[str] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...

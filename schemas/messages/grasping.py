@@ -24,7 +24,11 @@ class Policy(enum.Enum):
 
 @dataclass(frozen=True)
 class GraspGoal:
-    """Where to grasp: exactly one of s along the thread, a rectified left-image pixel, or a point, camera frame."""
+    """Where to grasp: exactly one of s along the thread, a rectified left-image pixel, or a point, camera frame.
+
+    Fields:
+        attempts: how often the planner may plan for it, the first plan included; None for what it is set to.
+    """
 
     header: CommandHeader
     arm: str
@@ -32,6 +36,7 @@ class GraspGoal:
     s: float | None
     pixel: Float64[np.ndarray, "2"] | None
     point_camera: Float64[np.ndarray, "3"] | None
+    attempts: int | None = None
 
     def __post_init__(self) -> None:
         check_message(self)
@@ -39,6 +44,7 @@ class GraspGoal:
         given = sum(value is not None for value in (self.s, self.pixel, self.point_camera))
         require(given == 1, f"a goal names one of s, pixel and point, not {given} of them")
         require(self.s is None or 0 <= self.s <= 1, f"a goal's s must lie within 0 and 1, and is {self.s}")
+        require(self.attempts is None or self.attempts >= 1, "a goal has at least one attempt")
 
 
 @dataclass(frozen=True)
@@ -190,11 +196,38 @@ class TissueClearance:
 
 
 @dataclass(frozen=True)
+class ThreadClearance:
+    """How the instrument of a plan stands to the thread outside of the grasp, before, during and after it.
+
+    Fields:
+        obstructed: where the instrument cannot keep clear of it, and what that may do; empty where it does.
+        clearance_m: the least between the surfaces of both on the way; negative where they overlap, None where no
+            thread lies outside of the grasp.
+        place_camera: the place on the thread that is nearest, with the phase, and its share s of the thread's length.
+    """
+
+    obstructed: str
+    clearance_m: float | None = None
+    place_camera: Float64[np.ndarray, "3"] | None = None
+    phase: Phase | None = None
+    s: float | None = None
+
+    def __post_init__(self) -> None:
+        check_message(self)
+        told = [value is None for value in (self.clearance_m, self.place_camera, self.phase, self.s)]
+        require(all(told) or not any(told), "a clearance comes with its place, phase and s")
+
+
+@dataclass(frozen=True)
 class GraspPlan:
     """A grasp as tool poses in the camera frame, or why there is none (status FAILED with a reason).
 
     `stamp` is that of the frame whose thread the plan was made from; `tissue` is None where a rejection came before
-    tissue was looked at, and from planners that never look at it.
+    tissue was looked at, and from planners that never look at it, and so is `thread`.
+
+    Fields:
+        attempt: the how many-th for its goal, of at most `attempts`; 0 from planners that do not count them.
+        policy_model: what the probability comes from, `paper` or `geometric`; empty from planners that do not tell.
     """
 
     plan_id: str
@@ -212,6 +245,10 @@ class GraspPlan:
     alternatives: tuple[Alternative, ...]
     tissue: TissueClearance | None = None
     consumed: tuple[Consumed, ...] = ()
+    thread: ThreadClearance | None = None
+    attempt: int = 0
+    attempts: int = 0
+    policy_model: str = ""
 
     def __post_init__(self) -> None:
         check_message(self)
@@ -221,8 +258,59 @@ class GraspPlan:
         )
         require((self.status is Status.OK) == (len(self.waypoints) > 0), "a plan has waypoints, and a rejection none")
         require(0 <= self.probability <= 1, f"a probability must lie within 0 and 1, and is {self.probability}")
+        require(self.attempt <= self.attempts, f"attempt {self.attempt} of {self.attempts}")
         phases = [waypoint.phase.value for waypoint in self.waypoints]
         require(phases == sorted(phases), "the phases of a plan must follow each other in order")
+
+
+class Checked(enum.Enum):
+    """What the planner saw after a grasp: the thread moved with the tool, stayed behind, or cannot be told."""
+
+    HELD = 1
+    MISSED = 2
+    UNKNOWN = 3
+
+
+@dataclass(frozen=True)
+class GraspCheck:
+    """Whether the thread moved with the tool after the jaws had closed, as two reconstructions tell.
+
+    Fields:
+        before, after: the frames that are compared; None where there was none.
+        tool_moved_m: how far the tool moved between the two with the jaws closed.
+        thread_moved_m: how far the thread near the jaws moved the same way; None where it was not seen.
+        deviation_m: the standard deviation of that.
+        held_probability: that the thread moved with the tool rather than stayed; None where nothing was compared.
+        attempt, attempts: as in the plan.
+        next_plan_id: the plan, or rejection, that follows from a miss; empty where none does.
+        sentence: the same in plain words.
+    """
+
+    plan_id: str
+    arm: str
+    goal_id: str
+    verdict: Checked
+    before: FrameStamp | None
+    after: FrameStamp | None
+    tool_moved_m: float | None
+    thread_moved_m: float | None
+    deviation_m: float | None
+    held_probability: float | None
+    attempt: int
+    attempts: int
+    next_plan_id: str
+    sentence: str
+    consumed: tuple[Consumed, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_message(self)
+        _check_arm(self.arm)
+        require(self.attempt <= self.attempts, f"attempt {self.attempt} of {self.attempts}")
+        require(self.deviation_m is None or self.deviation_m >= 0, "deviation_m must not be negative")
+        likely = self.held_probability
+        require(likely is None or 0 <= likely <= 1, f"a probability must lie within 0 and 1, and is {likely}")
+        told = None not in (self.tool_moved_m, self.thread_moved_m, self.deviation_m, self.held_probability)
+        require(told or self.verdict is Checked.UNKNOWN, "what was not compared is unknown")
 
 
 class RobotMode(enum.Enum):

@@ -44,11 +44,12 @@ class SimulatorState:
 
 
 class Verdict(enum.Enum):
-    """Whether the thread was caught."""
+    """Whether the thread was caught, and without more force on the tissue than was allowed."""
 
     HELD = 1
     MISSED = 2
     LOST = 3
+    FORCE_EXCEEDED = 4
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,10 @@ class GraspJudgement:
         slid_m: how far along the thread it slid since capture.
         error_m: how far the reconstructed goal was from the true thread; None where the plan is not known.
         sentence: the same in plain words.
+        peak_tissue_force_n: the most force that the fingers put on the tissue; None where no forces were computed.
+        slipped_m: how far the thread slipped through the closed fingers while they lifted it; None likewise.
+        code: the reason in one word for counting, such as HELD, BESIDE, BEYOND_TIPS or SLIPPED_ON_SLIDE
+            (docs/simulator.md lists them); empty in recordings from before there were any.
     """
 
     plan_id: str
@@ -70,6 +75,9 @@ class GraspJudgement:
     slid_m: float
     error_m: float | None
     sentence: str
+    peak_tissue_force_n: float | None = None
+    slipped_m: float | None = None
+    code: str = ""
     consumed: tuple[Consumed, ...] = ()
 
     def __post_init__(self) -> None:

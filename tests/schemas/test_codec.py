@@ -19,6 +19,7 @@ from schemas.messages import (
     Arm,
     Centrelines,
     ChangeState,
+    Checked,
     ClockReading,
     CommandAnswer,
     CommandHeader,
@@ -28,6 +29,7 @@ from schemas.messages import (
     ExecutionEvent,
     ExecutionKind,
     FrameStamp,
+    GraspCheck,
     GraspGoal,
     GraspJudgement,
     GraspPlan,
@@ -63,6 +65,7 @@ from schemas.messages import (
     StereoCalibration,
     StereoFrame,
     ThreadCandidate,
+    ThreadClearance,
     ThreadObservations,
     ThreadReconstruction,
     ThreadTrack,
@@ -377,7 +380,8 @@ def goals(draw):
     s = draw(shares_of_one) if given == "s" else None
     pixel = draw(array(2)) if given == "pixel" else None
     point = draw(array(3)) if given == "point_camera" else None
-    return GraspGoal(draw(headers), draw(names), draw(st.sampled_from(Policy)), s, pixel, point)
+    attempts = draw(st.none() | st.integers(1, 9))
+    return GraspGoal(draw(headers), draw(names), draw(st.sampled_from(Policy)), s, pixel, point, attempts)
 
 
 arms = st.builds(Arm, headers, names, texts.filter(bool))
@@ -400,6 +404,33 @@ def clearances(draw):
 
 
 @st.composite
+def thread_clearances(draw):
+    found = (draw(numbers), draw(array(3)), draw(st.sampled_from(Phase)), draw(shares_of_one))
+    return ThreadClearance(draw(texts), *found) if draw(st.booleans()) else ThreadClearance(draw(texts))
+
+
+@st.composite
+def checks(draw):
+    verdict, attempt = draw(st.sampled_from(Checked)), draw(st.integers(0, 3))
+    given = verdict is not Checked.UNKNOWN or draw(st.booleans())
+    found = (draw(numbers), draw(numbers), draw(positive), draw(shares_of_one)) if given else (None,) * 4
+    return GraspCheck(
+        draw(texts),
+        draw(names),
+        draw(texts),
+        verdict,
+        draw(st.none() | stamps),
+        draw(st.none() | stamps),
+        *found,
+        attempt=attempt,
+        attempts=attempt + draw(st.integers(0, 3)),
+        next_plan_id=draw(texts),
+        sentence=draw(texts),
+        consumed=draw(consumed),
+    )
+
+
+@st.composite
 def plans(draw):
     status, reason = draw(outcomes)
     path = draw(st.lists(waypoints, min_size=1, max_size=3)) if status is Status.OK else []
@@ -419,6 +450,10 @@ def plans(draw):
         alternatives=tuple(draw(st.lists(alternatives, max_size=2))),
         tissue=draw(st.none() | clearances()),
         consumed=draw(consumed),
+        thread=draw(st.none() | thread_clearances()),
+        attempt=draw(st.integers(0, 2)),
+        attempts=draw(st.integers(2, 4)),
+        policy_model=draw(texts),
     )
 
 
@@ -465,6 +500,9 @@ verdicts = st.builds(
     slid_m=numbers,
     error_m=st.none() | numbers,
     sentence=texts,
+    peak_tissue_force_n=st.none() | numbers,
+    slipped_m=st.none() | numbers,
+    code=texts,
     consumed=consumed,
 )
 
@@ -481,6 +519,8 @@ MESSAGES = {
     Trail: trails(),
     ThreadObservations: observations(),
     TissueClearance: clearances(),
+    ThreadClearance: thread_clearances(),
+    GraspCheck: checks(),
     TissueSurface: surfaces(),
     ReliabilityRegions: regions(),
     ThreadReconstruction: reconstructions(),
