@@ -171,6 +171,11 @@ class SimulatorSection(Settings):
     colour: Literal["violet", "black", "blue", "green", "white", "grey"] = "violet"
     distance_mm: float = Field(default=95.0, gt=50, lt=200)
     tool_error_mm: float = Field(default=0.3, ge=0)
+    hand_eye_error_mm: float = Field(default=0.0, ge=0)
+    hand_eye_error_deg: float = Field(default=0.0, ge=0, lt=90)
+    error_seed: int | None = Field(default=None, ge=0)
+    physics: Literal["geometric", "contact"] = "geometric"
+    tissue_force_limit_n: float = Field(default=1.0, gt=0)
 
 
 class RecorderSection(Settings):

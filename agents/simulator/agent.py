@@ -3,7 +3,7 @@
 import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float64
@@ -53,6 +53,12 @@ class SimulatorConfig:
         config, background, colour, seed: as of shared.scene.
         distance_mm: from the camera to the tissue.
         tool_error_mm: deviation of each axis of the error in the tool's position, which is drawn for each plan.
+        hand_eye_error_mm, hand_eye_error_deg: the most by which an arm's tool is shifted, and turned about the middle
+            of the thread, against where it is measured; drawn once for each arm, and constant from then on.
+        error_seed: that these errors are drawn with; that of the field where it is None.
+        physics: "geometric" judges by where the fingers pass, "contact" by the forces between thread, fingers and
+            tissue, which needs MuJoCo (extra `sim`).
+        tissue_force_limit_n: above which a grasp has failed, whatever it holds; only contact physics computes forces.
         grip_depth_mm: where along the fingers, from the pin, a plan puts the reconstructed goal.
         camera: in metres.
         laid: how often the thread has been laid again as it was drawn, out of any jaw; setting it does so.
@@ -64,6 +70,11 @@ class SimulatorConfig:
     colour: str = "violet"
     distance_mm: float = 95.0
     tool_error_mm: float = 0.3
+    hand_eye_error_mm: float = 0.0
+    hand_eye_error_deg: float = 0.0
+    error_seed: int | None = None
+    physics: Literal["geometric", "contact"] = "geometric"
+    tissue_force_limit_n: float = 1.0
     grip_depth_mm: float = 8.2
     camera: RectifiedStereo = ENDOSCOPE
     laid: int = settable(0, Between(0, 1_000_000))
