@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from agents.experiment.journal import POLICIES, Attempt, Journal, PolicyName
-from agents.experiment.published import TOTALS, published_rate
-from agents.experiment.statistics import Interval, difference, difference_over_threads, mcnemar, wilson
+from shared.published_rates import TOTALS, published_rate
+from shared.success_rates import Interval, difference, difference_over_threads, mcnemar, wilson
 
 DIRECT, ROBUST = POLICIES
 

@@ -2,7 +2,7 @@
 
 from agents.experiment.journal import POLICIES, PolicyName
 from agents.experiment.results import Rate, Results
-from agents.experiment.statistics import FEWEST_THREADS, Interval
+from shared.success_rates import FEWEST_THREADS, Interval
 
 
 def page(results: Results) -> str:

@@ -31,8 +31,9 @@ from schemas.topics import (
     topic_of,
 )
 from shared.recording.mcap_file import Note
-from tests.goldens.lockstep import RIG, Lockstep
+from shared.runtime.lockstep import Lockstep
 
+RIG = "golden"
 SMALL = RectifiedStereo(480, 270, 500.0, 500.0, 239.5, 134.5, 5.5e-3, 1.0)
 KEPT = (FRAMES, CALIBRATION, OBSERVATIONS, SURFACE, THREAD, ROBOT_STATE, COMMANDS, PLAN)
 SCENES = {
@@ -60,6 +61,7 @@ def session(scene, seconds, rate_hz=5.0, jpeg_quality=75):
         RobotBridge(RobotBridgeConfig(tick_hz=10.0), SimulatedPsm()),
         SceneCamera(rendered, lambda state: calibration_of(state.camera), config),
         *(build(RIG_CONFIG, kind, "main") for kind in ("perception", "reconstruction", "planner")),
+        rig=RIG,
     )
     lockstep.run(seconds)
     for number, policy in enumerate(Policy):

@@ -6,7 +6,7 @@ from collections import Counter
 import pytest
 
 from agents.experiment.journal import Attempt, Journal, Protocol, order
-from agents.experiment.published import published_rate
+from shared.published_rates import published_rate
 from agents.experiment.results import document, results_of
 from agents.experiment.table import page
 

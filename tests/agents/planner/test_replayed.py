@@ -12,8 +12,8 @@ from schemas.topics import GOAL, PLAN, ROBOT_STATE, SURFACE, THREAD, topic_of
 from shared.kinematics import psm
 from shared.kinematics.simulated_setup import SIMULATED_BASES
 from shared.runtime.agent import Output, Tick
+from shared.runtime.lockstep import Lockstep
 from shared.runtime.replay import replay
-from tests.goldens.lockstep import Lockstep
 
 JOINTS = np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0])
 
@@ -49,6 +49,7 @@ def session(bench):
         Told(SURFACE, "main", [bench.surface(87.0), None, bench.surface(80.0)]),
         Told(ROBOT_STATE, "psm1", [state] * 4),
         Planner(),
+        rig="golden",
     )
     for name in ("first", "second"):
         steps.run(0.15)

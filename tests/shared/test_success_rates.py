@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
-from agents.experiment.statistics import difference_over_threads, mcnemar, wilson
+from shared.success_rates import difference_over_threads, mcnemar, wilson
 
 
 @given(st.integers(1, 300).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))

@@ -1,0 +1,130 @@
+"""Agents in step, without router and clocks: every message reaches whoever listens before the next tick.
+
+What comes of it is a recording like those of live sessions, and the same every time.
+"""
+
+import dataclasses
+from collections import Counter, deque
+from collections.abc import Iterable
+from typing import Any
+
+from schemas.codec import decode, encode, encoding_name
+from schemas.messages import CommandAnswer, CommandRecord
+from schemas.topics import COMMANDS, MAIN, Topic, key
+from shared.recording.mcap_file import Entry
+from shared.runtime.agent import Agent, Command, Input, Output, Received, Tick
+from shared.runtime.fed import Fed, state_topic
+
+STEP_NS = 10_000_000
+BEGAN_NS = 1_767_225_600_000_000_000
+"""The first moment of 2026."""
+
+
+class _Seat:
+    """One agent, what it was fed since its last output, and when it ticks."""
+
+    def __init__(self, agent: Agent, rig: str, epoch: int) -> None:
+        self.agent, self.epoch, self.fed = agent, epoch, Fed(agent, rig, epoch)
+        self.due_ns = BEGAN_NS
+
+    def listens(self, topic: Topic, instance: str) -> list[Input]:
+        return [i for i in self.agent.inputs if i.topic is topic and i.instance in ("*", instance)]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Sent:
+    """A message under way."""
+
+    topic: Topic
+    instance: str
+    key: str
+    epoch: int
+    sequence: int
+    message: Any
+    payload: bytes | None
+
+
+class Lockstep:
+    """A session.
+
+    Fields:
+        entries: what a recorder would have written; nothing where nothing is `recorded`.
+        last: the newest message of each topic.
+        now_ns: the virtual time.
+    """
+
+    def __init__(self, *agents: Agent, rig: str, recorded: bool = True) -> None:
+        self._rig, self._recorded, self._own_epoch = rig, recorded, len(agents) + 1
+        self._seats = [_Seat(agent, rig, epoch) for epoch, agent in enumerate(agents, start=1)]
+        self.entries: list[Entry] = []
+        self.last: dict[Topic, Any] = {}
+        self.now_ns = BEGAN_NS
+        self._numbers: Counter[str] = Counter()
+        self._waiting: deque[_Sent] = deque()
+
+    def run(self, seconds: float) -> None:
+        """Let time pass."""
+        for _ in range(round(seconds * 1e9 / STEP_NS)):
+            self.now_ns += STEP_NS
+            for seat in self._seats:
+                if seat.agent.tick_hz is not None and self.now_ns >= seat.due_ns:
+                    seat.due_ns += round(1e9 / seat.agent.tick_hz)
+                    seat.fed.tick(self.now_ns)
+                    self._step(seat, Tick(self.now_ns))
+
+    def command(self, topic: Topic, message: Any) -> CommandAnswer:
+        """Have a command carried out; its answer."""
+        (seat,) = [seat for seat in self._seats if topic in seat.agent.commands]
+        name = key(self._rig, COMMANDS, seat.agent.instance, seat.agent.kind)
+        seat.fed.message(name, seat.epoch, self._numbers[name])
+        replies = list(seat.agent.step(Command(topic, seat.agent.instance, message, self.now_ns)))
+        (answer,) = [reply for reply in replies if isinstance(reply, CommandAnswer)]
+        record = CommandRecord(str(topic), encoding_name(type(message)), encode(message), self.now_ns, answer)
+        self._publish(seat.epoch, COMMANDS, seat.agent.instance, name, record)
+        self._publish_all(seat, [reply for reply in replies if isinstance(reply, Output)])
+        self._deliver()
+        return answer
+
+    def tell(self, outputs: Iterable[Output], instance: str = MAIN) -> None:
+        """Publish what somebody says who has no seat."""
+        for output in outputs:
+            name = key(self._rig, output.topic, instance)
+            self._publish(self._own_epoch, output.topic, instance, name, output.message)
+            self._deliver()
+
+    def _step(self, seat: _Seat, arrived: Received | Tick) -> None:
+        self._publish_all(seat, [reply for reply in seat.agent.step(arrived) if isinstance(reply, Output)])
+        self._deliver()
+
+    def _publish_all(self, seat: _Seat, outputs: list[Output]) -> None:
+        listed, last = seat.fed.listed() if outputs and self._recorded else (), None
+        for output in outputs:
+            instance = seat.agent.instance if output.topic.per_arm else MAIN
+            name = key(self._rig, output.topic, instance)
+            message = dataclasses.replace(output.message, consumed=listed) if self._recorded else output.message
+            place = name, self._publish(seat.epoch, output.topic, instance, name, message)
+            last = place if output.topic is (state_topic(seat.agent) or output.topic) else last
+        if last is not None:
+            seat.fed.published(*last)
+
+    def _publish(self, epoch: int, topic: Topic, instance: str, name: str, message: Any) -> int:
+        number = self._numbers[name]
+        self._numbers[name] += 1
+        self.last[topic] = message
+        heard = any(seat.listens(topic, instance) for seat in self._seats)
+        payload = encode(message) if self._recorded or heard else None
+        if self._recorded and payload is not None and topic.recorded:
+            self.entries.append(Entry(name, epoch, number, payload, self.now_ns, self.now_ns))
+        if heard:
+            self._waiting.append(_Sent(topic, instance, name, epoch, number, message, payload))
+        return number
+
+    def _deliver(self) -> None:
+        while self._waiting:
+            sent = self._waiting.popleft()
+            for seat in self._seats:
+                for wanted in seat.listens(sent.topic, sent.instance):
+                    seat.fed.message(sent.key, sent.epoch, sent.sequence, wanted.only_newest_counts)
+                    # as it would arrive: arrays that lie otherwise in memory are added up otherwise
+                    message = decode(sent.topic.message, sent.payload or b"")
+                    self._step(seat, Received(sent.topic, sent.key, sent.sequence, message))
