@@ -35,6 +35,7 @@ from schemas.messages import (
     ThreadObservations,
     ThreadReconstruction,
     TissueSurface,
+    ToolCorrection,
 )
 
 ROOT = "suturegrasp"
@@ -92,6 +93,7 @@ FRAMES = Topic("camera", "frames", StereoFrame, Delivery.LATEST, rate_hz=30, max
 CALIBRATION = Topic("camera", "calibration", StereoCalibration, Delivery.STATE)
 OBSERVATIONS = Topic("perception", "observations", ThreadObservations, Delivery.LATEST, rate_hz=30, maximum_age_ms=1000)
 SURFACE = Topic("perception", "surface", TissueSurface, Delivery.LATEST, rate_hz=3, maximum_age_ms=3000)
+TOOL = Topic("perception", "tool", ToolCorrection, Delivery.LATEST, rate_hz=5, maximum_age_ms=1000, per_arm=True)
 THREAD = Topic("reconstruction", "thread", ThreadReconstruction, Delivery.LATEST, rate_hz=30, maximum_age_ms=1000)
 GOAL = Topic("operator", "goal", GraspGoal, Delivery.COMMAND, receiver="planner")
 ARM = Topic("operator", "arm", Arm, Delivery.COMMAND, receiver="robot_bridge", per_arm=True)
@@ -127,6 +129,7 @@ TOPICS = (
     CALIBRATION,
     OBSERVATIONS,
     SURFACE,
+    TOOL,
     THREAD,
     GOAL,
     ARM,

@@ -104,6 +104,13 @@ class RobotMode(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     ROBOT_MODE_HOLDING: _ClassVar[RobotMode]
     ROBOT_MODE_FAULT: _ClassVar[RobotMode]
 
+class ToolStatus(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    TOOL_STATUS_UNSPECIFIED: _ClassVar[ToolStatus]
+    TOOL_STATUS_CONVERGING: _ClassVar[ToolStatus]
+    TOOL_STATUS_CONVERGED: _ClassVar[ToolStatus]
+    TOOL_STATUS_LOST: _ClassVar[ToolStatus]
+
 class ExecutionKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
     EXECUTION_KIND_UNSPECIFIED: _ClassVar[ExecutionKind]
@@ -178,6 +185,10 @@ ROBOT_MODE_IDLE: RobotMode
 ROBOT_MODE_MOVING: RobotMode
 ROBOT_MODE_HOLDING: RobotMode
 ROBOT_MODE_FAULT: RobotMode
+TOOL_STATUS_UNSPECIFIED: ToolStatus
+TOOL_STATUS_CONVERGING: ToolStatus
+TOOL_STATUS_CONVERGED: ToolStatus
+TOOL_STATUS_LOST: ToolStatus
 EXECUTION_KIND_UNSPECIFIED: ExecutionKind
 EXECUTION_KIND_ACCEPTED: ExecutionKind
 EXECUTION_KIND_PHASE_REACHED: ExecutionKind
@@ -991,7 +1002,7 @@ class GraspCheck(_message.Message):
     def __init__(self, plan_id: _Optional[str] = ..., arm: _Optional[str] = ..., goal_id: _Optional[str] = ..., verdict: _Optional[_Union[Checked, str]] = ..., before: _Optional[_Union[FrameStamp, _Mapping]] = ..., after: _Optional[_Union[FrameStamp, _Mapping]] = ..., tool_moved_m: _Optional[float] = ..., thread_moved_m: _Optional[float] = ..., deviation_m: _Optional[float] = ..., held_probability: _Optional[float] = ..., attempt: _Optional[int] = ..., attempts: _Optional[int] = ..., next_plan_id: _Optional[str] = ..., sentence: _Optional[str] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
 
 class RobotState(_message.Message):
-    __slots__ = ("arm", "measured_ns", "mode", "T_base_tool", "joints", "jaw_rad", "T_camera_base", "plan_id", "consumed")
+    __slots__ = ("arm", "measured_ns", "mode", "T_base_tool", "joints", "jaw_rad", "T_camera_base", "plan_id", "consumed", "T_camera_base_registered", "kinematics")
     ARM_FIELD_NUMBER: _ClassVar[int]
     MEASURED_NS_FIELD_NUMBER: _ClassVar[int]
     MODE_FIELD_NUMBER: _ClassVar[int]
@@ -1001,6 +1012,8 @@ class RobotState(_message.Message):
     T_CAMERA_BASE_FIELD_NUMBER: _ClassVar[int]
     PLAN_ID_FIELD_NUMBER: _ClassVar[int]
     CONSUMED_FIELD_NUMBER: _ClassVar[int]
+    T_CAMERA_BASE_REGISTERED_FIELD_NUMBER: _ClassVar[int]
+    KINEMATICS_FIELD_NUMBER: _ClassVar[int]
     arm: str
     measured_ns: int
     mode: RobotMode
@@ -1010,7 +1023,71 @@ class RobotState(_message.Message):
     T_camera_base: Array
     plan_id: str
     consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
-    def __init__(self, arm: _Optional[str] = ..., measured_ns: _Optional[int] = ..., mode: _Optional[_Union[RobotMode, str]] = ..., T_base_tool: _Optional[_Union[Array, _Mapping]] = ..., joints: _Optional[_Union[Array, _Mapping]] = ..., jaw_rad: _Optional[float] = ..., T_camera_base: _Optional[_Union[Array, _Mapping]] = ..., plan_id: _Optional[str] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
+    T_camera_base_registered: Array
+    kinematics: str
+    def __init__(self, arm: _Optional[str] = ..., measured_ns: _Optional[int] = ..., mode: _Optional[_Union[RobotMode, str]] = ..., T_base_tool: _Optional[_Union[Array, _Mapping]] = ..., joints: _Optional[_Union[Array, _Mapping]] = ..., jaw_rad: _Optional[float] = ..., T_camera_base: _Optional[_Union[Array, _Mapping]] = ..., plan_id: _Optional[str] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ..., T_camera_base_registered: _Optional[_Union[Array, _Mapping]] = ..., kinematics: _Optional[str] = ...) -> None: ...
+
+class ToolCandidate(_message.Message):
+    __slots__ = ("twist", "covariance", "table", "expected", "fits", "quality", "residual_px")
+    TWIST_FIELD_NUMBER: _ClassVar[int]
+    COVARIANCE_FIELD_NUMBER: _ClassVar[int]
+    TABLE_FIELD_NUMBER: _ClassVar[int]
+    EXPECTED_FIELD_NUMBER: _ClassVar[int]
+    FITS_FIELD_NUMBER: _ClassVar[int]
+    QUALITY_FIELD_NUMBER: _ClassVar[int]
+    RESIDUAL_PX_FIELD_NUMBER: _ClassVar[int]
+    twist: Array
+    covariance: Array
+    table: Array
+    expected: int
+    fits: float
+    quality: float
+    residual_px: float
+    def __init__(self, twist: _Optional[_Union[Array, _Mapping]] = ..., covariance: _Optional[_Union[Array, _Mapping]] = ..., table: _Optional[_Union[Array, _Mapping]] = ..., expected: _Optional[int] = ..., fits: _Optional[float] = ..., quality: _Optional[float] = ..., residual_px: _Optional[float] = ...) -> None: ...
+
+class ToolCorrection(_message.Message):
+    __slots__ = ("arm", "stamp", "measured_ns", "status", "reason", "T_correction", "pivot_camera", "tip_camera", "tip_off_m", "turned_rad", "tip_deviation_m", "turn_deviation_rad", "registered_left_px", "found_left_px", "found_right_px", "candidates", "attempts", "misses", "looks", "consumed")
+    ARM_FIELD_NUMBER: _ClassVar[int]
+    STAMP_FIELD_NUMBER: _ClassVar[int]
+    MEASURED_NS_FIELD_NUMBER: _ClassVar[int]
+    STATUS_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    T_CORRECTION_FIELD_NUMBER: _ClassVar[int]
+    PIVOT_CAMERA_FIELD_NUMBER: _ClassVar[int]
+    TIP_CAMERA_FIELD_NUMBER: _ClassVar[int]
+    TIP_OFF_M_FIELD_NUMBER: _ClassVar[int]
+    TURNED_RAD_FIELD_NUMBER: _ClassVar[int]
+    TIP_DEVIATION_M_FIELD_NUMBER: _ClassVar[int]
+    TURN_DEVIATION_RAD_FIELD_NUMBER: _ClassVar[int]
+    REGISTERED_LEFT_PX_FIELD_NUMBER: _ClassVar[int]
+    FOUND_LEFT_PX_FIELD_NUMBER: _ClassVar[int]
+    FOUND_RIGHT_PX_FIELD_NUMBER: _ClassVar[int]
+    CANDIDATES_FIELD_NUMBER: _ClassVar[int]
+    ATTEMPTS_FIELD_NUMBER: _ClassVar[int]
+    MISSES_FIELD_NUMBER: _ClassVar[int]
+    LOOKS_FIELD_NUMBER: _ClassVar[int]
+    CONSUMED_FIELD_NUMBER: _ClassVar[int]
+    arm: str
+    stamp: FrameStamp
+    measured_ns: int
+    status: ToolStatus
+    reason: str
+    T_correction: Array
+    pivot_camera: Array
+    tip_camera: Array
+    tip_off_m: float
+    turned_rad: float
+    tip_deviation_m: float
+    turn_deviation_rad: float
+    registered_left_px: Array
+    found_left_px: Array
+    found_right_px: Array
+    candidates: _containers.RepeatedCompositeFieldContainer[ToolCandidate]
+    attempts: int
+    misses: int
+    looks: int
+    consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
+    def __init__(self, arm: _Optional[str] = ..., stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., measured_ns: _Optional[int] = ..., status: _Optional[_Union[ToolStatus, str]] = ..., reason: _Optional[str] = ..., T_correction: _Optional[_Union[Array, _Mapping]] = ..., pivot_camera: _Optional[_Union[Array, _Mapping]] = ..., tip_camera: _Optional[_Union[Array, _Mapping]] = ..., tip_off_m: _Optional[float] = ..., turned_rad: _Optional[float] = ..., tip_deviation_m: _Optional[float] = ..., turn_deviation_rad: _Optional[float] = ..., registered_left_px: _Optional[_Union[Array, _Mapping]] = ..., found_left_px: _Optional[_Union[Array, _Mapping]] = ..., found_right_px: _Optional[_Union[Array, _Mapping]] = ..., candidates: _Optional[_Iterable[_Union[ToolCandidate, _Mapping]]] = ..., attempts: _Optional[int] = ..., misses: _Optional[int] = ..., looks: _Optional[int] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
 
 class ExecutionEvent(_message.Message):
     __slots__ = ("plan_id", "arm", "at_ns", "kind", "phase", "code", "reason", "arming_id", "consumed")

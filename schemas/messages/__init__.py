@@ -86,6 +86,7 @@ from schemas.messages.thread import (
     Trail,
     no_centrelines,
 )
+from schemas.messages.tool import ToolCandidate, ToolCorrection, ToolStatus
 
 __all__ = [
     "ROTATION_TOLERANCE",
@@ -149,6 +150,9 @@ __all__ = [
     "ThreadTrack",
     "TissueClearance",
     "TissueSurface",
+    "ToolCandidate",
+    "ToolCorrection",
+    "ToolStatus",
     "TrackStep",
     "Trail",
     "Verdict",

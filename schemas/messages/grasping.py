@@ -40,7 +40,7 @@ class GraspGoal:
 
     def __post_init__(self) -> None:
         check_message(self)
-        _check_arm(self.arm)
+        check_arm(self.arm)
         given = sum(value is not None for value in (self.s, self.pixel, self.point_camera))
         require(given == 1, f"a goal names one of s, pixel and point, not {given} of them")
         require(self.s is None or 0 <= self.s <= 1, f"a goal's s must lie within 0 and 1, and is {self.s}")
@@ -57,7 +57,7 @@ class Arm:
 
     def __post_init__(self) -> None:
         check_message(self)
-        _check_arm(self.arm)
+        check_arm(self.arm)
         require(self.plan_id != "", "arming names a plan")
 
 
@@ -70,7 +70,7 @@ class Hold:
 
     def __post_init__(self) -> None:
         check_message(self)
-        _check_arm(self.arm)
+        check_arm(self.arm)
 
 
 class StateWord(enum.Enum):
@@ -93,7 +93,7 @@ class ChangeState:
 
     def __post_init__(self) -> None:
         check_message(self)
-        _check_arm(self.arm)
+        check_arm(self.arm)
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ class Heartbeat:
 
     def __post_init__(self) -> None:
         check_message(self)
-        _check_arm(self.arm)
+        check_arm(self.arm)
         require(self.arming_id != "", "a heartbeat names its arming")
 
 
@@ -252,7 +252,7 @@ class GraspPlan:
 
     def __post_init__(self) -> None:
         check_message(self)
-        _check_arm(self.arm)
+        check_arm(self.arm)
         require(
             (self.status is Status.OK) == (self.reason == ""), "a rejected grasp needs a reason, and a plan has none"
         )
@@ -304,7 +304,7 @@ class GraspCheck:
 
     def __post_init__(self) -> None:
         check_message(self)
-        _check_arm(self.arm)
+        check_arm(self.arm)
         require(self.attempt <= self.attempts, f"attempt {self.attempt} of {self.attempts}")
         require(self.deviation_m is None or self.deviation_m >= 0, "deviation_m must not be negative")
         likely = self.held_probability
@@ -325,7 +325,13 @@ class RobotMode(enum.Enum):
 
 @dataclass(frozen=True)
 class RobotState:
-    """An arm as measured, in its base frame, with where the bridge takes the base to be."""
+    """An arm as measured, in its base frame, with where the bridge takes the base to be.
+
+    Fields:
+        T_camera_base_registered: where its registration has the base, where the bridge corrects that by images; else
+            None.
+        kinematics: what kind of arm it is; empty for a PSM.
+    """
 
     arm: str
     measured_ns: int
@@ -336,12 +342,16 @@ class RobotState:
     T_camera_base: Float64[np.ndarray, "4 4"]
     plan_id: str
     consumed: tuple[Consumed, ...] = ()
+    T_camera_base_registered: Float64[np.ndarray, "4 4"] | None = None
+    kinematics: str = ""
 
     def __post_init__(self) -> None:
         check_message(self)
-        _check_arm(self.arm)
+        check_arm(self.arm)
         check_pose("RobotState.T_base_tool", self.T_base_tool)
         check_pose("RobotState.T_camera_base", self.T_camera_base)
+        if self.T_camera_base_registered is not None:
+            check_pose("RobotState.T_camera_base_registered", self.T_camera_base_registered)
 
 
 class ExecutionKind(enum.Enum):
@@ -374,7 +384,7 @@ class ExecutionEvent:
 
     def __post_init__(self) -> None:
         check_message(self)
-        _check_arm(self.arm)
+        check_arm(self.arm)
         stopped = self.kind in (ExecutionKind.REFUSED, ExecutionKind.HELD)
         require(stopped == (self.code != ""), "what is refused or held has a code, and nothing else has")
 
@@ -387,5 +397,5 @@ def check_pose(where: str, T: Float64[np.ndarray, "4 4"]) -> None:
     require(bool(orthonormal), f"{where} holds no rotation")
 
 
-def _check_arm(arm: str) -> None:
+def check_arm(arm: str) -> None:
     require(arm != "" and "/" not in arm and "*" not in arm, f"{arm!r} is no name of an arm")

@@ -71,6 +71,9 @@ from schemas.messages import (
     ThreadTrack,
     TissueClearance,
     TissueSurface,
+    ToolCandidate,
+    ToolCorrection,
+    ToolStatus,
     TrackStep,
     Trail,
     Verdict,
@@ -458,8 +461,48 @@ def plans(draw):
 
 
 robot_states = st.builds(
-    RobotState, names, nanoseconds, st.sampled_from(RobotMode), poses(), array(6), numbers, poses(), texts, consumed
+    RobotState,
+    names,
+    nanoseconds,
+    st.sampled_from(RobotMode),
+    poses(),
+    array(6),
+    numbers,
+    poses(),
+    texts,
+    consumed,
+    st.none() | poses(),
+    texts,
 )
+tables = arrays(np.uint8, (16, 16, 16), elements=st.integers(0, 255), fill=st.integers(0, 255))
+tool_candidates = st.builds(
+    ToolCandidate, array(6), array(6, 6), tables, st.integers(0, 2**32 - 1), st.floats(0, 1), numbers, numbers
+)
+
+
+@st.composite
+def corrections(draw):
+    status = draw(st.sampled_from(ToolStatus))
+    misses = draw(st.integers(0, 2))
+    usable = status is ToolStatus.CONVERGED and misses == 0
+    followed = status is ToolStatus.CONVERGED
+    return ToolCorrection(
+        draw(names),
+        draw(stamps),
+        draw(nanoseconds),
+        status,
+        "" if usable else draw(texts.filter(bool)),
+        draw(poses()) if usable else None,
+        draw(array(3)),
+        draw(array(3)),
+        *(draw(numbers) for _ in range(4)),
+        *(draw(array(draw(st.integers(0, 3)), 2)) for _ in range(3)),
+        tuple(draw(st.lists(tool_candidates, min_size=followed, max_size=1))),
+        draw(st.integers(0, 9)),
+        misses,
+        draw(uint64),
+        draw(consumed),
+    )
 
 
 @st.composite
@@ -553,6 +596,8 @@ MESSAGES = {
     Alternative: alternatives,
     GraspPlan: plans(),
     RobotState: robot_states,
+    ToolCandidate: tool_candidates,
+    ToolCorrection: corrections(),
     ExecutionEvent: events(),
     SimulatorState: fields(),
     GraspJudgement: verdicts,
