@@ -925,8 +925,18 @@ class ThreadClearance(_message.Message):
     s: float
     def __init__(self, obstructed: _Optional[str] = ..., clearance_m: _Optional[float] = ..., place_camera: _Optional[_Union[Array, _Mapping]] = ..., phase: _Optional[_Union[Phase, str]] = ..., s: _Optional[float] = ...) -> None: ...
 
+class ThreadAround(_message.Message):
+    __slots__ = ("s", "points_camera", "covariance")
+    S_FIELD_NUMBER: _ClassVar[int]
+    POINTS_CAMERA_FIELD_NUMBER: _ClassVar[int]
+    COVARIANCE_FIELD_NUMBER: _ClassVar[int]
+    s: Array
+    points_camera: Array
+    covariance: Array
+    def __init__(self, s: _Optional[_Union[Array, _Mapping]] = ..., points_camera: _Optional[_Union[Array, _Mapping]] = ..., covariance: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
+
 class GraspPlan(_message.Message):
-    __slots__ = ("plan_id", "arm", "goal_id", "stamp", "status", "reason", "policy", "s_goal", "s_capture", "probability", "slide_m", "waypoints", "alternatives", "tissue", "consumed", "thread", "attempt", "attempts", "policy_model")
+    __slots__ = ("plan_id", "arm", "goal_id", "stamp", "status", "reason", "policy", "s_goal", "s_capture", "probability", "slide_m", "waypoints", "alternatives", "tissue", "consumed", "thread", "attempt", "attempts", "policy_model", "goal", "around", "depth_m", "offset_camera", "offset_covariance")
     PLAN_ID_FIELD_NUMBER: _ClassVar[int]
     ARM_FIELD_NUMBER: _ClassVar[int]
     GOAL_ID_FIELD_NUMBER: _ClassVar[int]
@@ -946,6 +956,11 @@ class GraspPlan(_message.Message):
     ATTEMPT_FIELD_NUMBER: _ClassVar[int]
     ATTEMPTS_FIELD_NUMBER: _ClassVar[int]
     POLICY_MODEL_FIELD_NUMBER: _ClassVar[int]
+    GOAL_FIELD_NUMBER: _ClassVar[int]
+    AROUND_FIELD_NUMBER: _ClassVar[int]
+    DEPTH_M_FIELD_NUMBER: _ClassVar[int]
+    OFFSET_CAMERA_FIELD_NUMBER: _ClassVar[int]
+    OFFSET_COVARIANCE_FIELD_NUMBER: _ClassVar[int]
     plan_id: str
     arm: str
     goal_id: str
@@ -965,7 +980,12 @@ class GraspPlan(_message.Message):
     attempt: int
     attempts: int
     policy_model: str
-    def __init__(self, plan_id: _Optional[str] = ..., arm: _Optional[str] = ..., goal_id: _Optional[str] = ..., stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., policy: _Optional[_Union[Policy, str]] = ..., s_goal: _Optional[float] = ..., s_capture: _Optional[float] = ..., probability: _Optional[float] = ..., slide_m: _Optional[float] = ..., waypoints: _Optional[_Iterable[_Union[Waypoint, _Mapping]]] = ..., alternatives: _Optional[_Iterable[_Union[Alternative, _Mapping]]] = ..., tissue: _Optional[_Union[TissueClearance, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ..., thread: _Optional[_Union[ThreadClearance, _Mapping]] = ..., attempt: _Optional[int] = ..., attempts: _Optional[int] = ..., policy_model: _Optional[str] = ...) -> None: ...
+    goal: GraspGoal
+    around: ThreadAround
+    depth_m: float
+    offset_camera: Array
+    offset_covariance: Array
+    def __init__(self, plan_id: _Optional[str] = ..., arm: _Optional[str] = ..., goal_id: _Optional[str] = ..., stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., policy: _Optional[_Union[Policy, str]] = ..., s_goal: _Optional[float] = ..., s_capture: _Optional[float] = ..., probability: _Optional[float] = ..., slide_m: _Optional[float] = ..., waypoints: _Optional[_Iterable[_Union[Waypoint, _Mapping]]] = ..., alternatives: _Optional[_Iterable[_Union[Alternative, _Mapping]]] = ..., tissue: _Optional[_Union[TissueClearance, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ..., thread: _Optional[_Union[ThreadClearance, _Mapping]] = ..., attempt: _Optional[int] = ..., attempts: _Optional[int] = ..., policy_model: _Optional[str] = ..., goal: _Optional[_Union[GraspGoal, _Mapping]] = ..., around: _Optional[_Union[ThreadAround, _Mapping]] = ..., depth_m: _Optional[float] = ..., offset_camera: _Optional[_Union[Array, _Mapping]] = ..., offset_covariance: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
 
 class GraspCheck(_message.Message):
     __slots__ = ("plan_id", "arm", "goal_id", "verdict", "before", "after", "tool_moved_m", "thread_moved_m", "deviation_m", "held_probability", "attempt", "attempts", "next_plan_id", "sentence", "consumed")

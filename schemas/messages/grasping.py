@@ -219,6 +219,22 @@ class ThreadClearance:
 
 
 @dataclass(frozen=True)
+class ThreadAround:
+    """The thread about the goal as it was planned on, in metres, so that it can be told whether it moved afterwards.
+
+    Fields:
+        s: shares of the thread's length, increasing; points_camera and covariance are of the points there.
+    """
+
+    s: Float64[np.ndarray, "n"]
+    points_camera: Float64[np.ndarray, "n 3"]
+    covariance: Float64[np.ndarray, "n 3 3"]
+
+    def __post_init__(self) -> None:
+        check_message(self)
+
+
+@dataclass(frozen=True)
 class GraspPlan:
     """A grasp as tool poses in the camera frame, or why there is none (status FAILED with a reason).
 
@@ -228,6 +244,10 @@ class GraspPlan:
     Fields:
         attempt: the how many-th for its goal, of at most `attempts`; 0 from planners that do not count them.
         policy_model: what the probability comes from, `paper` or `geometric`; empty from planners that do not tell.
+        goal: that it answers; around: the thread near that. None from planners that do not tell.
+        depth_m: how far the tips of the closed fingers reach beyond the thread; None for a rejection.
+        offset_camera, offset_covariance: what earlier misses told of where the fingers are, against where they are
+            measured to be; None for a first attempt.
     """
 
     plan_id: str
@@ -249,6 +269,11 @@ class GraspPlan:
     attempt: int = 0
     attempts: int = 0
     policy_model: str = ""
+    goal: GraspGoal | None = None
+    around: ThreadAround | None = None
+    depth_m: float | None = None
+    offset_camera: Float64[np.ndarray, "3"] | None = None
+    offset_covariance: Float64[np.ndarray, "3 3"] | None = None
 
     def __post_init__(self) -> None:
         check_message(self)

@@ -64,6 +64,7 @@ from schemas.messages import (
     Status,
     StereoCalibration,
     StereoFrame,
+    ThreadAround,
     ThreadCandidate,
     ThreadClearance,
     ThreadObservations,
@@ -413,6 +414,12 @@ def thread_clearances(draw):
 
 
 @st.composite
+def threads_around(draw):
+    n = draw(st.integers(0, 3))
+    return ThreadAround(draw(array(n)), draw(array(n, 3)), draw(array(n, 3, 3)))
+
+
+@st.composite
 def checks(draw):
     verdict, attempt = draw(st.sampled_from(Checked)), draw(st.integers(0, 3))
     given = verdict is not Checked.UNKNOWN or draw(st.booleans())
@@ -457,6 +464,11 @@ def plans(draw):
         attempt=draw(st.integers(0, 2)),
         attempts=draw(st.integers(2, 4)),
         policy_model=draw(texts),
+        goal=draw(st.none() | goals()),
+        around=draw(st.none() | threads_around()),
+        depth_m=draw(st.none() | numbers),
+        offset_camera=draw(st.none() | array(3)),
+        offset_covariance=draw(st.none() | array(3, 3)),
     )
 
 
@@ -562,6 +574,7 @@ MESSAGES = {
     Trail: trails(),
     ThreadObservations: observations(),
     TissueClearance: clearances(),
+    ThreadAround: threads_around(),
     ThreadClearance: thread_clearances(),
     GraspCheck: checks(),
     TissueSurface: surfaces(),
