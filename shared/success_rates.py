@@ -61,6 +61,20 @@ def difference_over_threads(counts: Int64[np.ndarray, "threads 4"], seed: int = 
     return Interval(float(low), float(high))
 
 
+def rate_over_threads(counts: Int64[np.ndarray, "threads 2"], seed: int = 0) -> Interval | None:
+    """The 95 % interval of a success rate, threads being drawn anew; the columns: successes and trials.
+
+    None where there are fewer than two threads that were tried on.
+    """
+    usable = counts[counts[:, 1] > 0]
+    if len(usable) < FEWEST_THREADS:
+        return None
+    rng = np.random.default_rng(seed)
+    drawn = usable[rng.integers(len(usable), size=(RESAMPLES, len(usable)))].sum(axis=1)
+    low, high = np.percentile(drawn[:, 0] / drawn[:, 1], [(100 - SHARE) / 2, (100 + SHARE) / 2])
+    return Interval(float(low), float(high))
+
+
 def difference(counts: Int64[np.ndarray, "n 4"]) -> Float64[np.ndarray, "n"]:
     """The second policy's success rate less the first's, of each row of counts as above."""
     return counts[:, 2] / counts[:, 3] - counts[:, 0] / counts[:, 1]

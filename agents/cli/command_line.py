@@ -10,19 +10,21 @@ import tyro
 
 from agents.cli.calibrate_hand_eye_options import HAND_EYE_COMMANDS, HandEye
 from agents.cli.emulate_options import EMULATE_COMMANDS, Emulate
+from agents.cli.evaluate_options import EVALUATE_COMMANDS, Evaluate
 from agents.cli.lab_options import LAB_COMMANDS, Deploy
 from agents.cli.live_options import LIVE_COMMANDS, Demo, OnRig
 from agents.cli.options import Reconstruct, UsageError
 from agents.cli.recorded_options import RECORDED_COMMANDS, OnRecording
 from agents.cli.scenes_options import SCENE_COMMANDS, Scenes
 
-Options = Reconstruct | Demo | OnRig | OnRecording | Deploy | Scenes | Emulate | HandEye
+Options = Reconstruct | Demo | OnRig | OnRecording | Deploy | Scenes | Evaluate | Emulate | HandEye
 COMMANDS: dict[str, type[Options]] = {
     "reconstruct": Reconstruct,
     **LIVE_COMMANDS,
     **RECORDED_COMMANDS,
     **LAB_COMMANDS,
     **SCENE_COMMANDS,
+    **EVALUATE_COMMANDS,
     **EMULATE_COMMANDS,
     **HAND_EYE_COMMANDS,
 }

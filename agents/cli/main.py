@@ -40,6 +40,7 @@ def _run(arguments: list[str]) -> int:
     from agents.cli.calibrate_hand_eye_options import HandEye
     from agents.cli.command_line import parsed
     from agents.cli.emulate_options import Emulate
+    from agents.cli.evaluate_options import Evaluate
     from agents.cli.lab_options import LAB_RUNNERS, Deploy
     from agents.cli.live_options import Demo
     from agents.cli.options import Reconstruct, UsageError
@@ -70,6 +71,10 @@ def _run(arguments: list[str]) -> int:
         from agents.cli.scenes_command import run as render_scenes
 
         return render_scenes(options)
+    if isinstance(options, Evaluate):
+        from agents.cli.evaluate_command import run as evaluate
+
+        return evaluate(options)
     if isinstance(options, Emulate):
         from agents.cli.emulate_command import run as emulate
 

@@ -1,0 +1,144 @@
+"""`suturegrasp evaluate grasping`: the paper's experiment in closed loop, taken up again where it was left."""
+
+import contextlib
+import fcntl
+import importlib.util
+import json
+from collections.abc import Generator, Iterable
+from pathlib import Path
+from typing import Literal
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from agents.cli.evaluate_options import Evaluate
+from agents.cli.evaluate_workers import WorkError, all_tried
+from agents.cli.process import EXIT_OK, EXIT_UNUSABLE
+from agents.cli.terminal import complain, say, show
+from agents.cli.whole_file import whole_file
+from agents.evaluation.came import Came
+from agents.evaluation.document import document
+from agents.evaluation.journal import Journal
+from agents.evaluation.protocol import Protocol, threads_of, trials_on
+from agents.evaluation.results import results_of
+from agents.evaluation.table import page
+from shared.runtime.config import ConfigError, parse_config
+from shared.scene.render import SceneError
+
+EXIT_LEFT = 3
+JOURNAL, DOCUMENT, PAGE = "journal.jsonl", "results.json", "results.md"
+THREADS, GOALS = (1, 3), (5, 20)
+"""Quick, and not."""
+
+
+def run(options: Evaluate) -> int:
+    """Try what is left; the exit status."""
+    try:
+        options.output.mkdir(parents=True, exist_ok=True)
+        with _alone(options.output):
+            return _evaluated(options)
+    except (ConfigError, SceneError, WorkError) as error:
+        return complain(str(error), EXIT_UNUSABLE)
+    except OSError as error:
+        return complain(f"{options.output} cannot be used: {error.strerror or error}", EXIT_UNUSABLE)
+
+
+def _evaluated(options: Evaluate) -> int:
+    journal = Journal(options.output / JOURNAL, None if options.report else protocol_of(options))
+    work = [(laid, journal.left(trials_on(journal.protocol, laid))) for laid in threads_of(journal.protocol)]
+    left = sum(len(trials) for _, trials in work)
+    total = left + len(journal.came)
+    try:
+        if not options.report:
+            todo = [(laid, trials) for laid, trials in work if trials]
+            for came in _shown(all_tried(journal.protocol, todo, options.jobs, options.output), total, total - left):
+                journal.note(came)
+                left -= 1
+    except KeyboardInterrupt:
+        say("interrupted; the same command goes on where this one was")
+    write_results(options.output, journal.protocol, journal.came)
+    where = options.output
+    say(f"{where / PAGE}, {where / DOCUMENT} are written; {f'{left} trials are left' if left else 'all was tried'}")
+    return EXIT_LEFT if left else EXIT_OK
+
+
+def protocol_of(options: Evaluate) -> Protocol:
+    """What the options ask for.
+
+    Raises:
+        ConfigError: where they ask for nothing that can be tried.
+    """
+    if options.jobs < 1:
+        raise ConfigError(f"--jobs {options.jobs}: give 1 or more")
+    share, most_mm = options.inject
+    told = {
+        "seed": options.seed,
+        "scenarios": [f"{config}/{background}" for config in options.config for background in options.background],
+        "threads": options.threads if options.threads is not None else THREADS[not options.quick],
+        "goals": options.goals if options.goals is not None else GOALS[not options.quick],
+        "policies": options.policies,
+        "methods": options.methods,
+        "images": images_of(options),
+        "judge": options.judge,
+        "tool_errors_mm": options.tool_error,
+        "hand_eye_mm": options.hand_eye[0],
+        "hand_eye_deg": options.hand_eye[1],
+        "injected_share": share,
+        "injected_mm": most_mm,
+        "attempts": options.attempts,
+    }
+    if options.judge == "contact" and not _is_there("mujoco"):
+        raise ConfigError("--judge contact needs MuJoCo: install the extra sim (pip install suturegrasp[sim])")
+    return parse_config(json.dumps(told), Protocol, "of the evaluation.json")
+
+
+def images_of(options: Evaluate) -> Literal["traced", "light"]:
+    """Which renderer makes the images.
+
+    Raises:
+        ConfigError: where it is not there.
+    """
+    asked = options.images or ("light" if options.quick else "auto")
+    if asked == "auto":
+        return "traced" if _is_there("mitsuba") else "light"
+    if asked == "traced" and not _is_there("mitsuba"):
+        raise ConfigError("--images traced needs Mitsuba: install the extra sim, or give --images light")
+    return asked
+
+
+def write_results(folder: Path, protocol: Protocol, came: list[Came]) -> None:
+    """Write what the trials come to, and show it."""
+    every = [results_of(protocol, came, tool_error_mm) for tool_error_mm in protocol.tool_errors_mm]
+    with whole_file(folder / DOCUMENT) as path:
+        path.write_text(json.dumps(document(protocol, every), indent=1) + "\n", encoding="utf-8")
+    text = "\n".join(page(results) for results in every)
+    with whole_file(folder / PAGE) as path:
+        path.write_text(text, encoding="utf-8")
+    for line in text.splitlines():
+        show(line)
+
+
+def _is_there(module: str) -> bool:
+    return importlib.util.find_spec(module) is not None
+
+
+def _shown(came: Iterable[Came], total: int, before: int) -> Generator[Came]:
+    """The same, with a bar on standard error where that is a terminal."""
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+        bar = progress.add_task("grasping", total=total, completed=before)
+        for one in came:
+            progress.update(bar, advance=1, description=one.trial.laid.name)
+            yield one
+
+
+@contextlib.contextmanager
+def _alone(folder: Path) -> Generator[None]:
+    """Two of one folder would try everything twice."""
+    with (folder / ".lock").open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ConfigError(f"another evaluation runs in {folder}") from None
+        yield

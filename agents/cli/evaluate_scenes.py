@@ -1,0 +1,108 @@
+"""The fields that an evaluation looks at: drawn by the light renderer, or path-traced."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from agents.camera.scene_source import SceneSource, calibration_of, camera_in_mm
+from agents.camera.sources import Pair
+from agents.evaluation.protocol import Laid, Protocol, scene_seed
+from agents.simulator.agent import Simulator, SimulatorConfig
+from schemas.messages import SimulatorState, StereoCalibration
+from schemas.topics import SIMULATOR_STATE
+from shared.runtime.agent import Output, Tick
+from shared.scene.centreline import Thread
+from shared.scene.path_traced.field import Field as TracedField
+from shared.scene.path_traced.ground import Ground
+from shared.scene.path_traced.placing import occluders
+from shared.scene.path_traced.solids import Solid
+from shared.scene.path_traced.strands import strand_of
+from shared.scene.render import SceneError, surface_of
+from shared.scene.tool_view import Instrument, draw_solids
+
+NEAR_MM, FAR_MM = 75.0, 110.0
+TRIES = 40
+BACKGROUND = {"paper": "tissue", "chicken": "rendered"}
+"""What stands for the paper's backgrounds in the light renderer: drawn tissue for the print, path-traced flesh."""
+COLOURS = ("violet", "blue", "green", "black")
+
+
+@dataclass(frozen=True)
+class Scenery:
+    """What a thread is looked at and grasped in.
+
+    Fields:
+        simulated: the field as the simulator is told of it, without any errors.
+        images: left and right before the grasp, blue first.
+    """
+
+    simulated: SimulatorConfig
+    images: Pair
+    calibration: StereoCalibration
+
+
+def scenery_of(protocol: Protocol, laid: Laid, folder: Path) -> Scenery:  # noqa: ARG001
+    """The field of a thread, with its images, which are kept in a folder where they take long.
+
+    Raises:
+        SceneError: where it cannot be laid or rendered.
+    """
+    return light_scenery(protocol, laid)
+
+
+def light_scenery(protocol: Protocol, laid: Laid) -> Scenery:
+    """A field of the light renderer.
+
+    Raises:
+        SceneError: where none of the fields that are drawn for the thread fits into the view.
+    """
+    rng = np.random.default_rng([scene_seed(protocol, laid), 21])
+    for _ in range(TRIES):
+        config = str(rng.choice(("easy", "medium"))) if laid.config == "occlusion" else laid.config
+        simulated = SimulatorConfig(
+            seed=int(rng.integers(2**31)),
+            config=config,
+            background=BACKGROUND[laid.background],
+            colour=str(rng.choice(COLOURS)),
+            distance_mm=float(rng.uniform(NEAR_MM, FAR_MM)),
+        )
+        try:
+            state = first_state(simulated)
+        except ValueError:
+            continue
+        hiding = _over(state, simulated, rng) if laid.config == "occlusion" else []
+        if laid.config == "occlusion" and not hiding:
+            continue
+        pair = SceneSource().render(state, 0)
+        images = _behind((pair.left_bgr, pair.right_bgr), state, hiding)
+        return Scenery(simulated, images, calibration_of(state.camera))
+    raise SceneError(f"no {laid.name} of this seed fits into the view; use another seed")
+
+
+def first_state(simulated: SimulatorConfig) -> SimulatorState:
+    """The field before anything has moved."""
+    (output,) = [o for o in Simulator(simulated).step(Tick(0)) if isinstance(o, Output) and o.topic is SIMULATOR_STATE]
+    return output.message
+
+
+def _over(state: SimulatorState, simulated: SimulatorConfig, rng: np.random.Generator) -> list[Solid]:
+    """Instruments over the middle of the thread; none where no place was found."""
+    camera = camera_in_mm(state.camera)
+    surface = surface_of(camera, simulated.background, simulated.distance_mm, simulated.seed)
+    nothing = np.zeros((1, 1), np.float32)
+    ground = Ground(surface, np.zeros((1, 1, 3), np.float32), nothing, nothing)
+    thread = Thread(state.knots, 1e3 * state.control_points_camera, 1e3 * state.radius_m)
+    return occluders(TracedField(camera, ground, [strand_of(thread, "violet")]), rng)
+
+
+def _behind(images: Pair, state: SimulatorState, hiding: list[Solid]) -> Pair:
+    """The images with instruments before them."""
+    if not hiding:
+        return images
+    camera = camera_in_mm(state.camera)
+    drawn = [
+        draw_solids(image, camera, hiding, Instrument(), eye_x_mm, state.seed)[0]
+        for image, eye_x_mm in zip(images, (0.0, camera.baseline), strict=True)
+    ]
+    return drawn[0], drawn[1]

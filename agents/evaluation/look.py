@@ -1,0 +1,68 @@
+"""One look at the field: a frame through perception and reconstruction, and where goals lie on what they found."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from schemas.messages import Status, StereoCalibration, StereoFrame, ThreadReconstruction
+from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS, THREAD, Topic, key
+from shared.runtime.agent import Agent, Output, Received
+
+FINE = 4001
+
+
+@dataclass(frozen=True)
+class Look:
+    """What was published of one frame, the thread last."""
+
+    said: tuple[Output, ...]
+    thread: ThreadReconstruction
+
+    def moved(self, by_m: Float64[np.ndarray, "3"]) -> "Look":
+        """The same with the thread moved as a whole, in metres."""
+        if self.thread.status is not Status.OK or not by_m.any():
+            return self
+        by = by_m / (self.thread.camera.metres_per_unit or 1.0)
+        thread = replace(self.thread, control_points_camera=self.thread.control_points_camera + by)
+        return Look((*self.said[:-1], Output(THREAD, thread)), thread)
+
+
+def looked(perception: Agent, reconstruction: Agent, calibration: StereoCalibration, frame: StereoFrame) -> Look:
+    """What perception and reconstruction make of a frame."""
+    said = [Output(CALIBRATION, calibration), Output(FRAMES, frame)]
+    for output in _fed(perception, CALIBRATION, calibration) + _fed(perception, FRAMES, frame):
+        said.append(output)
+        if output.topic is OBSERVATIONS:
+            said += _fed(reconstruction, OBSERVATIONS, output.message)
+    # perception may tell of the surface after it has told of the thread
+    said.sort(key=lambda output: output.topic is THREAD)
+    return Look(tuple(said), said[-1].message)
+
+
+def seen_places(thread: ThreadReconstruction, count: int) -> Float64[np.ndarray, "n"]:
+    """So many s, evenly along what both images show of a thread; none where there is none."""
+    if thread.status is not Status.OK:
+        return np.zeros(0)
+    s = np.linspace(0.0, 1.0, FINE)
+    hidden = _within(s, thread.unseen)
+    if thread.hidden is not None:
+        hidden |= _within(s, thread.hidden)
+    travelled = np.cumsum(~hidden)
+    if not travelled[-1]:
+        return np.zeros(0)
+    return s[np.searchsorted(travelled, (np.arange(count) + 0.5) / count * travelled[-1])]
+
+
+def _within(s: Float64[np.ndarray, "n"], stretches: Iterable[Any]) -> Any:
+    inside = np.zeros(len(s), bool)
+    for start, end in stretches:
+        inside |= (s >= start) & (s <= end)
+    return inside
+
+
+def _fed(agent: Agent, topic: Topic, message: Any) -> list[Output]:
+    received = Received(topic, key("evaluation", topic, "main"), 0, message)
+    return [output for output in agent.step(received) if isinstance(output, Output)]

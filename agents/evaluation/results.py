@@ -1,0 +1,171 @@
+"""What the trials of an evaluation come to: counts and rates of each row of the table, and how sure they are.
+
+Goals on one thread share its reconstruction and are not independent, so intervals come from drawing whole threads anew
+(shared/success_rates.py). McNemar's test of paired goals stands beside them, and takes goals for independent.
+"""
+
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from agents.evaluation.came import Came
+from agents.evaluation.protocol import Protocol
+from shared.published_rates import TOTALS, published_rate
+from shared.success_rates import Interval, difference_over_threads, mcnemar, rate_over_threads, wilson
+
+Row = tuple[str, str]
+"""Method and policy."""
+
+
+@dataclass(frozen=True)
+class Rate:
+    """Successes among the trials that came to a grasp; `declined` are apart."""
+
+    held: int
+    tried: int
+    declined: int
+    over_threads: Interval | None = None
+
+    @property
+    def share(self) -> float | None:
+        """None where nothing was tried."""
+        return self.held / self.tried if self.tried else None
+
+    @property
+    def asked(self) -> float | None:
+        """As if what was declined had failed."""
+        every = self.tried + self.declined
+        return self.held / every if every else None
+
+    @property
+    def interval(self) -> Interval | None:
+        """Wilson's, 95 %."""
+        return wilson(self.held, self.tried)
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Two rows on the goals that both tried: both held, the first alone, the second alone, neither."""
+
+    first: Row
+    second: Row
+    pairs: tuple[int, int, int, int]
+    difference: float | None
+    over_threads: Interval | None
+
+    @property
+    def p_value(self) -> float | None:
+        """Of McNemar's exact test."""
+        return mcnemar(self.pairs[1], self.pairs[2])
+
+
+@dataclass(frozen=True)
+class Durations:
+    """Mean seconds from armed to finished, the least that the speed limits allow, and the mean share of the two."""
+
+    took_s: float
+    least_s: float
+    ratio: float
+
+
+@dataclass(frozen=True)
+class Results:
+    """Everything that the table says, for one size of the tool's error.
+
+    Fields:
+        rates: of each row by scenario, then of all.
+        published: of each policy by scenario, then of all, in percent.
+    """
+
+    tool_error_mm: float
+    scenarios: tuple[str, ...]
+    rows: tuple[Row, ...]
+    rates: dict[Row, tuple[Rate, ...]]
+    published: dict[str, tuple[float | None, ...]]
+    compared: tuple[Compared, ...]
+    causes: dict[Row, dict[str, int]]
+    declined: dict[Row, dict[str, int]]
+    durations: dict[Row, Durations | None]
+
+
+def results_of(protocol: Protocol, came: Sequence[Came], tool_error_mm: float) -> Results:
+    """What the trials with one size of the tool's error have come to so far."""
+    own = [one for one in came if one.trial.tool_error_mm == tool_error_mm]
+    rows = tuple((method, policy) for method in protocol.methods for policy in protocol.policies)
+    by_row = {row: [one for one in own if (one.trial.method, one.trial.policy) == row] for row in rows}
+    return Results(
+        tool_error_mm=tool_error_mm,
+        scenarios=protocol.scenarios,
+        rows=rows,
+        rates={row: _rates(protocol, by_row[row]) for row in rows},
+        published={policy: _published(protocol, policy) for policy in protocol.policies},
+        compared=tuple(_compared(protocol, by_row, *pair) for pair in _pairs(rows)),
+        causes={row: _codes(by_row[row], "failed") for row in rows},
+        declined={row: _codes(by_row[row], "declined") for row in rows},
+        durations={row: _durations(by_row[row]) for row in rows},
+    )
+
+
+def rate_of(came: Iterable[Came], seed: int) -> Rate:
+    """Of some trials."""
+    counts: defaultdict[str, Counter[str]] = defaultdict(Counter)
+    for one in came:
+        counts[one.trial.laid.name][one.outcome] += 1
+    table = np.array([[c["held"], c["held"] + c["failed"], c["declined"]] for c in counts.values()], np.int64)
+    table = table.reshape(-1, 3)
+    held, tried, declined = (int(count) for count in table.sum(axis=0))
+    return Rate(held, tried, declined, rate_over_threads(table[:, :2], seed))
+
+
+def _rates(protocol: Protocol, came: list[Came]) -> tuple[Rate, ...]:
+    each = (rate_of([o for o in came if o.trial.laid.scenario == name], protocol.seed) for name in protocol.scenarios)
+    return (*each, rate_of(came, protocol.seed))
+
+
+def _published(protocol: Protocol, policy: str) -> tuple[float | None, ...]:
+    each = (published_rate(policy, *name.split("/")) for name in protocol.scenarios)
+    return (*each, TOTALS[policy])
+
+
+def _pairs(rows: tuple[Row, ...]) -> list[tuple[Row, Row]]:
+    """Rows that differ in the policy alone, and those that differ in the method alone."""
+    found = [(a, b) for i, a in enumerate(rows) for b in rows[i + 1 :]]
+    return [(a, b) for a, b in found if (a[0] == b[0]) != (a[1] == b[1])]
+
+
+def _compared(protocol: Protocol, by_row: dict[Row, list[Came]], first: Row, second: Row) -> Compared:
+    outcomes: defaultdict[tuple[str, int], dict[Row, bool]] = defaultdict(dict)
+    for row in (first, second):
+        for one in by_row[row]:
+            if one.outcome != "declined":
+                outcomes[one.trial.laid.name, one.trial.goal][row] = one.outcome == "held"
+    both = {place: pair for place, pair in outcomes.items() if len(pair) == 2}
+    seen = Counter((pair[first], pair[second]) for pair in both.values())
+    threads: defaultdict[str, list[int]] = defaultdict(lambda: [0, 0, 0, 0])
+    for (name, _), pair in both.items():
+        counts = threads[name]
+        for i, row in enumerate((first, second)):
+            counts[2 * i] += pair[row]
+            counts[2 * i + 1] += 1
+    total = len(both)
+    gained = seen[False, True] - seen[True, False]
+    return Compared(
+        first,
+        second,
+        (seen[True, True], seen[True, False], seen[False, True], seen[False, False]),
+        gained / total if total else None,
+        difference_over_threads(np.array(list(threads.values()), np.int64).reshape(-1, 4), protocol.seed),
+    )
+
+
+def _codes(came: list[Came], outcome: str) -> dict[str, int]:
+    return dict(Counter(one.code for one in came if one.outcome == outcome).most_common())
+
+
+def _durations(came: list[Came]) -> Durations | None:
+    took = np.array([(o.took_s, o.least_s) for o in came if o.took_s and o.least_s], np.float64).reshape(-1, 2)
+    if not len(took):
+        return None
+    return Durations(float(took[:, 0].mean()), float(took[:, 1].mean()), float((took[:, 0] / took[:, 1]).mean()))
