@@ -1,28 +1,39 @@
 """The fields that an evaluation looks at: drawn by the light renderer, or path-traced."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
+from jaxtyping import Float64
 
 from agents.camera.scene_source import SceneSource, calibration_of, camera_in_mm
 from agents.camera.sources import Pair
+from agents.cli.scenes_command import endoscope
 from agents.evaluation.protocol import Laid, Protocol, scene_seed
-from agents.simulator.agent import Simulator, SimulatorConfig
+from agents.simulator.agent import ENDOSCOPE, Simulator, SimulatorConfig
+from agents.simulator.field import DEGREE, Field, field_with, starting_first
 from schemas.messages import SimulatorState, StereoCalibration
 from schemas.topics import SIMULATOR_STATE
 from shared.runtime.agent import Output, Tick
 from shared.scene.centreline import Thread
+from shared.scene.path_traced.batch import Job, make
 from shared.scene.path_traced.field import Field as TracedField
 from shared.scene.path_traced.ground import Ground
+from shared.scene.path_traced.pair_files import is_written
 from shared.scene.path_traced.placing import occluders
+from shared.scene.path_traced.recipe import Recipe, arranged
 from shared.scene.path_traced.solids import Solid
+from shared.scene.path_traced.splines import Curve
 from shared.scene.path_traced.strands import strand_of
 from shared.scene.render import SceneError, surface_of
 from shared.scene.tool_view import Instrument, draw_solids
+from shared.splines import basis_matrix, clamped_uniform_knots
 
 NEAR_MM, FAR_MM = 75.0, 110.0
 TRIES = 40
+IMAGES, SAMPLES, FINE = "images", 4, 4001
+"""Where path-traced images lie in an evaluation's folder, and rays of each pixel for each lamp."""
 BACKGROUND = {"paper": "tissue", "chicken": "rendered"}
 """What stands for the paper's backgrounds in the light renderer: drawn tissue for the print, path-traced flesh."""
 COLOURS = ("violet", "blue", "green", "black")
@@ -35,20 +46,61 @@ class Scenery:
     Fields:
         simulated: the field as the simulator is told of it, without any errors.
         images: left and right before the grasp, blue first.
+        field: where the simulator does not draw it itself.
     """
 
     simulated: SimulatorConfig
     images: Pair
     calibration: StereoCalibration
+    field: Field | None = None
 
 
-def scenery_of(protocol: Protocol, laid: Laid, folder: Path) -> Scenery:  # noqa: ARG001
-    """The field of a thread, with its images, which are kept in a folder where they take long.
+def scenery_of(protocol: Protocol, laid: Laid, folder: Path) -> Scenery:
+    """The field of a thread, with its images; those that are path-traced are kept in the folder.
 
     Raises:
         SceneError: where it cannot be laid or rendered.
     """
-    return light_scenery(protocol, laid)
+    return light_scenery(protocol, laid) if protocol.images == "light" else traced_scenery(protocol, laid, folder)
+
+
+def traced_scenery(protocol: Protocol, laid: Laid, folder: Path) -> Scenery:
+    """A path-traced field, as `suturegrasp scenes render` makes it, rendered where it is not there yet.
+
+    Raises:
+        SceneError: where the scene cannot be arranged, traced or written.
+    """
+    job = traced_job(protocol, laid, folder)
+    if not is_written(job.folder, job.name):
+        make(job)
+    left, right = (cv2.imread(str(job.folder / f"{job.name}_{side}.png")) for side in ("left", "right"))
+    if left is None or right is None:
+        raise SceneError(f"the images of {job.name} in {job.folder} cannot be read; delete {job.name}.json there")
+    scenery = arranged(job.recipe, job.rig)
+    camera = replace(scenery.field.camera, baseline=1e-3 * scenery.field.camera.baseline, metres_per_unit=1.0)
+    strand = scenery.field.strands[0]
+    thread = starting_first(camera, Thread(*_clamped(strand.curve), strand.radius_mm))
+    simulated = SimulatorConfig(
+        seed=job.recipe.seed, background="plain", distance_mm=scenery.distance_mm, camera=camera
+    )
+    field = field_with(thread, scenery.field.ground.surface)
+    return Scenery(simulated, (left, right), calibration_of(camera), field)
+
+
+def traced_job(protocol: Protocol, laid: Laid, folder: Path) -> Job:
+    """What is rendered for a thread, and where it goes."""
+    seed = scene_seed(protocol, laid)
+    recipe = Recipe(laid.config, laid.background, seed)
+    name = f"{laid.config}_{laid.background}_{seed:04d}"
+    return Job(folder / IMAGES, name, recipe, endoscope(ENDOSCOPE.image_width, ENDOSCOPE.image_height), SAMPLES)
+
+
+def _clamped(curve: Curve) -> tuple[Float64[np.ndarray, "k"], Float64[np.ndarray, "m 3"]]:
+    """The same curve as a clamped B-spline on as many spans: knots from 0 to 1, control points in mm."""
+    knots = clamped_uniform_knots(len(curve.control_points), DEGREE)
+    x = np.linspace(0.0, 1.0, FINE)
+    points = curve.at(x * curve.spans)
+    return knots, np.linalg.lstsq(basis_matrix(knots, DEGREE, x), points, rcond=None)[0]
 
 
 def light_scenery(protocol: Protocol, laid: Laid) -> Scenery:

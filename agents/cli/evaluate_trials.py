@@ -75,7 +75,7 @@ class Table:
         return Cast(
             planner=build(rig, PLANNER, "main"),
             bridge=build(rig, BRIDGE, ARM),
-            simulator=Simulator(self._simulated(trial)),
+            simulator=Simulator(self._simulated(trial), self.scenery.field),
             limits=speed_limits(),
         )
 

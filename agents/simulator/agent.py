@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float64
 
-from agents.simulator.field import MM, distance_to_thread, field_of, s_of
+from agents.simulator.field import MM, Field, distance_to_thread, field_of, s_of
 from agents.simulator.judgement import Grip, never_closed, sentence, slid_m
 from agents.simulator.world import World, held_sample, moved, thread_carried
 from schemas.messages import (
@@ -103,10 +103,12 @@ class Simulator:
     commands: tuple[Topic, ...] = ()
     tick_hz = 60.0
 
-    def __init__(self, config: SimulatorConfig = SimulatorConfig()) -> None:
+    def __init__(self, config: SimulatorConfig = SimulatorConfig(), field: Field | None = None) -> None:
+        """Lay the thread: the one that the configuration draws, or of a field that is given."""
         self.config = config
         in_mm = replace(config.camera, baseline=config.camera.baseline / MM, metres_per_unit=MM)
-        field = field_of(in_mm, config.config, config.background, config.distance_mm, config.seed)
+        if field is None:
+            field = field_of(in_mm, config.config, config.background, config.distance_mm, config.seed)
         self._drawn = field
         self._world = World(field, field, {})
         self._tool_errors: dict[str, _ToolError] = {}

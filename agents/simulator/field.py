@@ -59,7 +59,7 @@ def field_of(camera: RectifiedStereo, config: str, background: str, distance_mm:
         SceneError, ShapeError: where there is no such background or configuration, or it does not fit the view.
     """
     surface = surface_of(camera, background, distance_mm, seed)
-    return field_with(_starting_first(camera, thread_on(camera, surface, config, seed)), surface)
+    return field_with(starting_first(camera, thread_on(camera, surface, config, seed)), surface)
 
 
 def field_with(thread: Thread, surface: Surface) -> Field:
@@ -136,7 +136,7 @@ def _fitted(field: Field, points: Float64[np.ndarray, "n 3"]) -> Field:
     return replace(field, knots=knots, control_points=control_points, points=basis @ control_points)
 
 
-def _starting_first(camera: RectifiedStereo, thread: Thread) -> Thread:
+def starting_first(camera: RectifiedStereo, thread: Thread) -> Thread:
     """The thread from the end with the smaller u in the left image, by which the project counts s (ties: smaller v)."""
     ends, _ = project(camera, thread.control_points[[0, -1]])
     if tuple(ends[0]) <= tuple(ends[1]):
