@@ -5,21 +5,18 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
+from agents.planner.chances import PAPER, Known, chances
 from agents.planner.config import PlannerConfig
 from agents.planner.curve import ThreadCurve, seen, strand_distance
-from agents.planner.policy import (
-    Against,
-    candidates,
-    capture_probability,
-    first_against,
-    grasp_probability,
-    least_on_the_way,
-)
+from agents.planner.policy import Against, first_against
 from agents.planner.poses import turn_between
 from agents.planner.standing import SeenTissue, Standing, accepted, standings
 from agents.planner.ways import UNTILTED, Reachable, Ways, along_slide, reached, steps_along_slide, ways_along
-from schemas.messages import Policy, ThreadReconstruction
+from schemas.messages import Policy
 from shared.kinematics.psm import FINGER_M
+
+AS_LIKELY = 0.002
+"""Ways whose probabilities differ by less are equals."""
 
 
 @dataclass(frozen=True)
@@ -33,11 +30,12 @@ class ArmView:
 
 @dataclass(frozen=True)
 class Captures:
-    """All captures for one goal.
+    """All captures for one goal with one depth and opening of the jaws.
 
     Fields:
-        likelihood: of the whole grasp as the paper has it, by which captures are chosen.
-        probability: of the whole grasp with the least confidence on the way, which is stated.
+        likelihood: of the whole grasp, by which captures are chosen.
+        probability: of the whole grasp, which is stated.
+        by_way: the same for each way to hold the tool; None where that makes no difference.
         against: what speaks against each, as in `first_against`.
         usable: for each way to hold the tool, whether it leads from the capture to the goal, past the tissue too.
         bound_m: of each approach, as in `Standing`; 0 where no tissue is known.
@@ -47,6 +45,7 @@ class Captures:
     goal: int
     likelihood: Float64[np.ndarray, "n"]
     probability: Float64[np.ndarray, "n"]
+    by_way: Float64[np.ndarray, "w n"] | None
     against: Int64[np.ndarray, "n"]
     ways: Ways
     usable: Bool[np.ndarray, "w 2 n"]
@@ -55,15 +54,15 @@ class Captures:
 
 def captures_for(
     curve: ThreadCurve,
-    s_goal: float,
+    s: Float64[np.ndarray, "n"],
+    goal: int,
     policy: Policy,
-    thread: ThreadReconstruction,
+    known: Known,
     arm: ArmView,
     config: PlannerConfig,
     tissue: SeenTissue,
 ) -> Captures:
-    """Every capture that a goal can be reached from, and what speaks against it."""
-    s, goal = candidates(s_goal, config.samples)
+    """Every capture that a goal can be reached from, with the jaws of a config, and what speaks against it."""
     points, tangents = curve.points(s), curve.tangents(s)
     tilts_deg = config.tilts_deg if tissue.tissue is not None else ()
     ways = ways_along(points, tangents, arm.T_camera_base[:3, 3], config, tilts_deg)
@@ -71,11 +70,11 @@ def captures_for(
     clear = along_slide(ways.clear, goal)
     steady = clear & steps_along_slide(ways.steady, goal)
     passable = steady[:, None] & reached(ways, goal, arm.reachable)
-    captured, is_seen = capture_probability(thread, s), seen(curve, s)
-    known = is_seen & (captured >= config.least_probability)
+    likely, is_seen = chances(known, ways, goal, config), seen(curve, s)
+    known_enough = is_seen & (likely.here.max(axis=0) >= config.least_probability)
     found = {
         Against.UNSEEN: ~is_seen,
-        Against.UNKNOWN_ON_THE_WAY: ~along_slide(known, goal),
+        Against.UNKNOWN_ON_THE_WAY: ~along_slide(known_enough, goal),
         Against.STRAND_BESIDE: beside < config.half_opening_m(config.open_deg),
         Against.STRAND_ON_THE_WAY: ~along_slide(beside >= config.half_opening_m(config.slide_deg), goal),
         Against.ALONG_APPROACH: ~clear.any(axis=0),
@@ -91,11 +90,13 @@ def captures_for(
         Against.TISSUE_UNKNOWN: weighed & unknown,
         Against.IN_TISSUE: weighed & ~usable.any(axis=(0, 1)),
     }
+    possible = np.asarray(usable.any(axis=1))
     return Captures(
         s=s,
         goal=goal,
-        likelihood=grasp_probability(captured, goal, config.keep_probability),
-        probability=grasp_probability(least_on_the_way(captured, goal), goal, config.keep_probability),
+        likelihood=_best_way(likely.likelihood, possible),
+        probability=_best_way(likely.probability, possible),
+        by_way=None if known.model == PAPER else likely.probability,
         against=first_against(found),
         ways=ways,
         usable=usable,
@@ -106,11 +107,14 @@ def captures_for(
 def way_of(captures: Captures, capture: int, arm: ArmView) -> tuple[int, int]:
     """Which approach to take, and on which side of the jaws.
 
-    The viewing ray comes before the base's, and both before those that are tilted, of which the one farthest from the
-    tissue is taken; of the sides that to which the tool has to turn least.
+    The likeliest to succeed. Among equals the viewing ray comes before the base's, and both before those that are
+    tilted, of which the one farthest from the tissue is taken; of the sides that to which the tool has to turn least.
     """
     usable = captures.usable[:, :, capture]
     open_rays = np.asarray(usable.any(axis=1))
+    if captures.by_way is not None:
+        likely = np.where(open_rays, captures.by_way[:, capture], -1.0)
+        open_rays &= likely >= likely.max() - AS_LIKELY
     if open_rays[:UNTILTED].any():
         ray = int(np.argmax(open_rays))
     else:
@@ -118,6 +122,12 @@ def way_of(captures: Captures, capture: int, arm: ArmView) -> tuple[int, int]:
     R_camera_tool = captures.ways.standoff[ray, :, capture, :3, :3]
     turn = np.where(usable[ray], turn_between(R_camera_tool, arm.T_camera_tool[:3, :3]), np.inf)
     return ray, int(np.argmin(turn))
+
+
+def _best_way(by_way: Float64[np.ndarray, "w n"], possible: Bool[np.ndarray, "w n"]) -> Float64[np.ndarray, "n"]:
+    """Of the ways that are possible the likeliest, and of all where none is."""
+    best = np.where(possible, by_way, -1.0).max(axis=0)
+    return np.where(best < 0, by_way.max(axis=0), best)
 
 
 def least_pressed(captures: Captures) -> tuple[int, int] | None:

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 from schemas.checks import require
 from schemas.topics import ROBOT_STATE
@@ -32,6 +33,14 @@ class PlannerConfig:
         tissue_required: whether nothing is grasped where tissue is not known, rather than said not to be checked.
         finger_width_m, finger_thickness_m: of each finger, along the pin and away from the other one.
         tilts_deg: by how much the approach may be turned about the thread, either way, where tissue is in its way.
+        policy_model: what success is judged by, `geometric` or `paper` (chances.py).
+        tool_error_m: deviation of each axis of the error of the tool's tip, new with each attempt.
+        hand_eye_error_m: the most that registration is wrong by about the working point, the same for all attempts.
+        give_m: how far a thread that is loose gives way to a finger before it slips out over the tip.
+        correlation_m: how far along the thread errors of its reconstruction go together.
+        depths_m, opens_deg, slides_deg: what is chosen from in place of depth_m, open_deg and slide_deg by the
+            geometric model.
+        attempts: how often a goal is planned for, the first plan included, where a check tells of a miss.
         arm_age_ms: how old the state of an arm may be: as long as five states of one that rests take. A plan needs it
             for the place of the base alone, which seldom moves, so this is more than the age that the bridge allows.
     """
@@ -58,6 +67,15 @@ class PlannerConfig:
     finger_width_m: float = 0.002
     finger_thickness_m: float = 0.001
     tilts_deg: tuple[float, ...] = (15.0, 30.0, 45.0)
+    policy_model: Literal["geometric", "paper"] = "geometric"
+    tool_error_m: float = 0.0007
+    hand_eye_error_m: float = 0.0015
+    give_m: float = 0.001
+    correlation_m: float = 0.006
+    depths_m: tuple[float, ...] = (0.002, 0.003, 0.004, 0.0051)
+    opens_deg: tuple[float, ...] = (60.0, 45.0, 75.0)
+    slides_deg: tuple[float, ...] = (20.0, 30.0, 40.0)
+    attempts: int = 3
     arm_age_ms: float = 5e3 / (ROBOT_STATE.resting_hz or 10.0)
 
     def __post_init__(self) -> None:
@@ -70,6 +88,10 @@ class PlannerConfig:
         require(self.press_m >= 0 and self.sigmas >= 0, "press_m and sigmas must not be negative")
         require(min(self.finger_width_m, self.finger_thickness_m) > 0, "a finger must have a width and a thickness")
         require(all(0 < tilt < 90 for tilt in self.tilts_deg), f"tilts_deg must lie in (0, 90): {self.tilts_deg}")
+        require(min(self.tool_error_m, self.hand_eye_error_m, self.give_m) >= 0, "errors must not be negative")
+        require(self.correlation_m > 0, "correlation_m must be positive")
+        require(bool(self.depths_m and self.opens_deg and self.slides_deg), "there must be something to choose from")
+        require(self.attempts >= 1, f"attempts must be at least 1, not {self.attempts}")
         require(0 < self.base_clear_deg <= self.clear_deg < 90, "0 < base_clear_deg <= clear_deg < 90 must hold")
 
     @property

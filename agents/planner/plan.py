@@ -2,11 +2,13 @@
 
 import numpy as np
 
-from agents.planner.captures import ArmView, Captures, captures_for, least_pressed, way_of
+from agents.planner.captures import ArmView, Captures, least_pressed, way_of
+from agents.planner.chances import Known, known_along
+from agents.planner.choice import Choice, best_choice
 from agents.planner.config import PlannerConfig
 from agents.planner.curve import NoGraspError, ThreadCurve, curve_of
 from agents.planner.goal import goal_on_thread
-from agents.planner.policy import Against, alternatives, counted_reasons, most_likely, reason_of
+from agents.planner.policy import Against, alternatives, candidates, counted_reasons, reason_of
 from agents.planner.standing import NOTHING_SEEN, SeenTissue, clearance_of, pressed_sentence
 from agents.planner.waypoints import waypoints
 from schemas.messages import (
@@ -31,10 +33,12 @@ def plan_grasp(
     try:
         curve = curve_of(thread)
         s_goal = goal_on_thread(goal, curve, config)
-        captures = captures_for(curve, s_goal, goal.policy, thread, arm, config, tissue)
+        s, at_goal = candidates(s_goal, config.samples)
+        known = known_along(thread, curve, s, config)
+        choice = best_choice(curve, s, at_goal, goal.policy, known, arm, config, tissue)
     except NoGraspError as error:
         return _rejected(goal, thread, str(error))
-    return _best(goal, thread, arm, config, curve, captures, tissue)
+    return _best(goal, thread, arm, curve, known, choice, tissue)
 
 
 def plan_id(goal: GraspGoal) -> str:
@@ -46,17 +50,14 @@ def _best(
     goal: GraspGoal,
     thread: ThreadReconstruction,
     arm: ArmView,
-    config: PlannerConfig,
     curve: ThreadCurve,
-    captures: Captures,
+    known: Known,
+    choice: Choice,
     tissue: SeenTissue,
 ) -> GraspPlan:
+    captures, chosen, config = choice.captures, choice.chosen, choice.config
     s, at_goal, probability, against = captures.s, captures.goal, captures.probability, captures.against
     direct = goal.policy is Policy.DIRECT
-    allowed = (against < 0) & ((np.arange(len(s)) == at_goal) | (not direct))
-    chosen = most_likely(captures.likelihood, allowed & (probability >= config.least_probability), at_goal)
-    if chosen is None:
-        chosen = most_likely(probability, allowed, at_goal)
     others = () if direct else alternatives(s, probability, against, at_goal, chosen, config.alternatives)
     s_goal = float(s[at_goal])
     if chosen is None:
@@ -92,6 +93,9 @@ def _best(
         waypoints=waypoints(captures.ways, (ray, side), s, chosen, at_goal, config),
         alternatives=others,
         tissue=clearance_of(tissue, captures.ways, ray, s, chosen, at_goal, config),
+        policy_model=known.model,
+        goal=goal,
+        depth_m=config.depth_m,
     )
 
 

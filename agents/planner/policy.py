@@ -67,11 +67,17 @@ def least_on_the_way(captured: Float64[np.ndarray, "n"], goal: int) -> Float64[n
     return np.concatenate((before[:-1], after))
 
 
-def most_likely(probability: Float64[np.ndarray, "n"], allowed: Bool[np.ndarray, "n"], near: int) -> int | None:
-    """The allowed sample with the largest probability, of equals the nearest to `near`; None where none is allowed."""
+def most_likely(
+    probability: Float64[np.ndarray, "n"], allowed: Bool[np.ndarray, "n"], near: int, as_likely: float = 0.0
+) -> int | None:
+    """The allowed sample with the largest probability, of equals the nearest to `near`; None where none is allowed.
+
+    Args:
+        as_likely: how far below the largest a probability equals it.
+    """
     if not allowed.any():
         return None
-    best = np.flatnonzero(allowed & (probability == probability[allowed].max()))
+    best = np.flatnonzero(allowed & (probability >= probability[allowed].max() - as_likely))
     return int(best[np.argmin(np.abs(best - near))])
 
 

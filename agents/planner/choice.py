@@ -1,0 +1,106 @@
+"""Which capture, way to hold the tool, depth and opening of the jaws a plan takes.
+
+With the paper's model depth and openings are set. With the geometric one each combination of a depth, an opening for
+the approach and one for the slide is a grip of its own; the grips are gone through from the likeliest, as if nothing
+were in the way, until none of the rest can be likelier than what was found. So tissue is looked at for few of them.
+"""
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from agents.planner.captures import ArmView, Captures, captures_for
+from agents.planner.chances import PAPER, Known, chances
+from agents.planner.config import PlannerConfig
+from agents.planner.curve import ThreadCurve
+from agents.planner.policy import most_likely
+from agents.planner.standing import SeenTissue
+from agents.planner.ways import ways_along
+from schemas.messages import Policy
+
+BETTER = 0.002
+"""By how much a grip must be likelier to be taken instead of one that was looked at before."""
+BEGIN_DEG = 5.0
+"""The fingers close by so much at least when they capture."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What a plan is made of.
+
+    Fields:
+        captures: all of them for the chosen grip, or for the first where nothing can be chosen.
+        chosen: the capture; None where there is none.
+        config: that of the planner with the chosen depth and openings.
+    """
+
+    captures: Captures
+    chosen: int | None
+    config: PlannerConfig
+
+    @property
+    def probability(self) -> float:
+        """Of success; -1 where nothing is chosen."""
+        return -1.0 if self.chosen is None else float(self.captures.probability[self.chosen])
+
+
+def best_choice(
+    curve: ThreadCurve,
+    s: np.ndarray,
+    goal: int,
+    policy: Policy,
+    known: Known,
+    arm: ArmView,
+    config: PlannerConfig,
+    tissue: SeenTissue,
+) -> Choice:
+    """The likeliest that nothing speaks against."""
+    best: Choice | None = None
+    for bound, grip in _grips(curve, s, goal, policy, known, arm, config):
+        if best is not None and best.probability >= bound - BETTER:
+            break
+        captures = captures_for(curve, s, goal, policy, known, arm, grip, tissue)
+        found = Choice(captures, _chosen(captures, policy, grip), grip)
+        if best is None or found.probability > best.probability + BETTER:
+            best = found
+    assert best is not None  # noqa: S101 - there is at least one grip
+    return best
+
+
+def _chosen(captures: Captures, policy: Policy, config: PlannerConfig) -> int | None:
+    allowed = captures.against < 0
+    if policy is Policy.DIRECT:
+        allowed = allowed & (np.arange(len(captures.s)) == captures.goal)
+    enough = allowed & (captures.probability >= config.least_probability)
+    # what an instrument need not slide it should not
+    as_likely = 0.0 if captures.by_way is None else BETTER
+    chosen = most_likely(captures.likelihood, enough, captures.goal, as_likely)
+    return most_likely(captures.probability, allowed, captures.goal) if chosen is None else chosen
+
+
+def _grips(
+    curve: ThreadCurve,
+    s: np.ndarray,
+    goal: int,
+    policy: Policy,
+    known: Known,
+    arm: ArmView,
+    config: PlannerConfig,
+) -> Iterator[tuple[float, PlannerConfig]]:
+    """Configs with a depth and openings each, and what is likeliest at best with them, in falling order."""
+    if known.model == PAPER:
+        yield 1.0, config
+        return
+    asked = [goal] if policy is Policy.DIRECT else slice(None)
+    found: list[tuple[float, PlannerConfig]] = []
+    points, tangents = curve.points(s), curve.tangents(s)
+    for depth_m in config.depths_m:
+        deep = replace(config, depth_m=depth_m)
+        ways = ways_along(points, tangents, arm.T_camera_base[:3, 3], deep)
+        for open_deg, slide_deg in itertools.product(config.opens_deg, config.slides_deg):
+            if slide_deg <= open_deg - BEGIN_DEG:
+                grip = replace(deep, open_deg=open_deg, slide_deg=slide_deg)
+                found.append((float(chances(known, ways, goal, grip).probability[:, asked].max()), grip))
+    yield from sorted(found, key=lambda one: -one[0])
