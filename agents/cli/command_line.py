@@ -14,6 +14,7 @@ from agents.cli.evaluate_options import EVALUATE_COMMANDS, Evaluate
 from agents.cli.lab_options import LAB_COMMANDS, Deploy
 from agents.cli.live_options import LIVE_COMMANDS, Demo, OnRig
 from agents.cli.options import Reconstruct, UsageError
+from agents.cli.page_options import PAGE_COMMANDS
 from agents.cli.recorded_options import RECORDED_COMMANDS, OnRecording
 from agents.cli.scenes_options import SCENE_COMMANDS, Scenes
 
@@ -21,6 +22,7 @@ Options = Reconstruct | Demo | OnRig | OnRecording | Deploy | Scenes | Evaluate 
 COMMANDS: dict[str, type[Options]] = {
     "reconstruct": Reconstruct,
     **LIVE_COMMANDS,
+    **PAGE_COMMANDS,
     **RECORDED_COMMANDS,
     **LAB_COMMANDS,
     **SCENE_COMMANDS,

@@ -44,6 +44,7 @@ def _run(arguments: list[str]) -> int:
     from agents.cli.lab_options import LAB_RUNNERS, Deploy
     from agents.cli.live_options import Demo
     from agents.cli.options import Reconstruct, UsageError
+    from agents.cli.page_options import Page
     from agents.cli.recorded_options import RUNNERS, OnRecording
     from agents.cli.scenes_options import Scenes
 
@@ -83,6 +84,10 @@ def _run(arguments: list[str]) -> int:
         from agents.cli.calibrate_hand_eye import run as calibrate_hand_eye
 
         return calibrate_hand_eye(options)
+    if isinstance(options, Page):
+        from agents.cli.page_command import run as serve_page
+
+        return serve_page(options)
     from agents.cli.live import run_live
 
     return run_live(options)

@@ -11,6 +11,7 @@ import queue
 import threading
 from collections.abc import Callable, Generator
 from contextlib import AbstractContextManager, contextmanager
+from itertools import count
 from typing import Any
 
 import zenoh
@@ -121,15 +122,28 @@ class Connection:
         `message` is given the time, and gives None where nothing is to be published this time.
         """
         stopped = threading.Event()
+        with self.publishing(topic, instance) as publish:
+            repeat = (publish, stopped, rate_hz, message)
+            thread = threading.Thread(target=_repeat, args=repeat, name=f"repeat {topic}", daemon=True)
+            thread.start()
+            try:
+                yield stopped
+            finally:
+                stopped.set()
+                thread.join()
+
+    @contextmanager
+    def publishing(self, topic: Topic, instance: str = MAIN) -> Generator[Callable[[Any, int], None]]:
+        """A way to publish messages of a topic, each with the time that it is of; one at a time."""
         publisher = declare_publisher(self._session, key(self._rig, topic, instance), topic)
-        repeat = (publisher, stopped, rate_hz, message)
-        thread = threading.Thread(target=_repeat, args=repeat, name=f"repeat {topic}", daemon=True)
-        thread.start()
+        epoch, sequence = int.from_bytes(os.urandom(7), "big"), count()
+
+        def publish(message: Any, at_ns: int) -> None:
+            publisher.put(encode(message), attachment=pack(Attachment(epoch, next(sequence), at_ns, 0.0)))
+
         try:
-            yield stopped
+            yield publish
         finally:
-            stopped.set()
-            thread.join()
             publisher.undeclare()
 
     def reporting(
@@ -202,12 +216,15 @@ def open_when_there(
     raise NoRouterError(f"no router answers on {settings.endpoint}; is suturegrasp up running there?")
 
 
-def _repeat(publisher: Any, stopped: threading.Event, rate_hz: float, message: Callable[[int], Any | None]) -> None:
-    epoch, sequence = int.from_bytes(os.urandom(7), "big"), 0
+def _repeat(
+    publish: Callable[[Any, int], None],
+    stopped: threading.Event,
+    rate_hz: float,
+    message: Callable[[int], Any | None],
+) -> None:
     while not stopped.is_set():
         at_ns = now_ns()
         said = message(at_ns)
         if said is not None:
-            publisher.put(encode(said), attachment=pack(Attachment(epoch, sequence, at_ns, 0.0)))
-            sequence += 1
+            publish(said, at_ns)
         stopped.wait(1.0 / rate_hz)

@@ -1,0 +1,235 @@
+"""What the page draws, as plain numbers: the thread with its confidence, a plan's way, the tool, the tissue.
+
+Everything is projected into the rectified left image (pixels) and told in the camera frame too (mm), for the view in
+space. Rounded to what can be seen.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from schemas.messages import (
+    GraspPlan,
+    RectifiedStereo,
+    RobotState,
+    Status,
+    ThreadObservations,
+    ThreadReconstruction,
+    TissueSurface,
+    Waypoint,
+)
+from shared import arc_length, splines
+from shared.camera import backproject, project
+from shared.kinematics.psm import FINGER_M
+from shared.rigid_transforms import apply, exp_so3, log_so3
+
+PLACES = 201
+"""Along the thread: a place every few pixels."""
+MM = 1e3
+FARTHEST_PX = 20_000.0
+STEPS_MM, TURN_DEG = 0.6, 4.0
+"""A plan's way is told so densely that lines between its poses look like the way itself."""
+MOST_STEPS = 160
+SURFACE_CELLS = 1100
+OBSERVED_MOST = 250
+
+
+@dataclass(frozen=True)
+class DrawnThread:
+    """The thread of one frame as evenly spaced places.
+
+    Fields:
+        px: of the rectified left image; along: s of each.
+        points_mm: in the camera frame; in the calibration's own unit where nobody knows what that is.
+        confidence: NaN where none is stated.
+        unseen: not both images show it.
+        to_mm: what takes the calibration's unit to mm; None where it is unknown.
+    """
+
+    frame: int
+    capture_ns: int
+    camera: RectifiedStereo
+    px: Float64[np.ndarray, "n 2"]
+    points_mm: Float64[np.ndarray, "n 3"]
+    along: Float64[np.ndarray, "n"]
+    confidence: Float64[np.ndarray, "n"]
+    unseen: Bool[np.ndarray, "n"]
+    length_mm: float
+    to_mm: float | None
+    crossings: tuple[dict[str, Any], ...]
+
+    def document(self) -> dict[str, Any]:
+        """For the page."""
+        known = np.where(np.isfinite(self.confidence), self.confidence, -1.0)
+        return {
+            "frame": self.frame,
+            "capture_ms": self.capture_ns * 1e-6,
+            "px": self.px.round(1).tolist(),
+            "mm": self.points_mm.round(2).tolist(),
+            "confidence": known.round(3).tolist(),
+            "unseen": self.unseen.astype(int).tolist(),
+            "length_mm": round(self.length_mm, 2),
+            "unit_known": self.to_mm is not None,
+            "crossings": list(self.crossings),
+        }
+
+
+def millimetres(camera: RectifiedStereo) -> float | None:
+    """What takes the calibration's unit to mm."""
+    return None if camera.metres_per_unit is None else MM * camera.metres_per_unit
+
+
+def draw_thread(thread: ThreadReconstruction) -> DrawnThread | None:
+    """The thread of a reconstruction; None where it failed, or is no curve before the camera."""
+    if thread.status is Status.FAILED:
+        return None
+    knots, control, degree = thread.knots, thread.control_points_camera, thread.degree
+    with np.errstate(all="ignore"):
+        parameters = arc_length.even_parameters(knots, control, degree, PLACES)
+        points = splines.evaluate(knots, control, degree, parameters)
+        length = arc_length.length(knots, control, degree)
+        if not (np.isfinite(points).all() and np.isfinite(length) and (points[:, 2] > 0).all()):
+            return None
+        px, _ = project(thread.camera, points)
+    along, to_mm = np.linspace(0.0, 1.0, PLACES), millimetres(thread.camera)
+    order = np.argsort(thread.confidence_s)
+    stated = len(order) > 0
+    confidence = (
+        np.interp(along, thread.confidence_s[order], thread.confidence[order]) if stated else np.full(PLACES, np.nan)
+    )
+    begins, ends = thread.unseen[:, :1], thread.unseen[:, 1:]
+    crossings = tuple(
+        {
+            "px": [round(float(v), 1) for v in crossing.point_px],
+            "s": [round(crossing.s_first, 3), round(crossing.s_second, 3)],
+            "over": crossing.over.name.lower(),
+        }
+        for crossing in thread.crossings
+    )
+    return DrawnThread(
+        frame=thread.stamp.sequence,
+        capture_ns=min(thread.stamp.capture_left_ns, thread.stamp.capture_right_ns),
+        camera=thread.camera,
+        px=np.clip(px, -FARTHEST_PX, FARTHEST_PX),
+        points_mm=points * (to_mm or 1.0),
+        along=along,
+        confidence=confidence,
+        unseen=np.logical_or.reduce((begins <= along) & (along <= ends), axis=0) if len(begins) else along < 0,
+        length_mm=float(length) * (to_mm or 1.0),
+        to_mm=to_mm,
+        crossings=crossings,
+    )
+
+
+def draw_plan(plan: GraspPlan, camera: RectifiedStereo) -> dict[str, Any]:
+    """A plan: what it promises, its way pose by pose, and what else was considered."""
+    told: dict[str, Any] = {
+        "id": plan.plan_id,
+        "arm": plan.arm,
+        "goal_id": plan.goal_id,
+        "ok": plan.status is Status.OK,
+        "reason": plan.reason,
+        "policy": plan.policy.name.lower().replace("_", "-"),
+        "s_goal": plan.s_goal,
+        "s_capture": plan.s_capture,
+        "probability": round(plan.probability, 4),
+        "slide_mm": round(MM * plan.slide_m, 2),
+        "alternatives": [
+            {"s": round(each.s_capture, 4), "probability": round(each.probability, 4), "reason": each.reason}
+            for each in plan.alternatives
+        ],
+        "way": [],
+    }
+    if plan.tissue is not None and plan.tissue.clearance_m is not None:
+        told["clearance_mm"] = round(MM * plan.tissue.clearance_m, 1)
+    if plan.tissue is not None and plan.tissue.unchecked:
+        told["unchecked"] = plan.tissue.unchecked
+    if plan.waypoints and camera.metres_per_unit is not None:
+        told["way"] = way_of(plan.waypoints, camera)
+    return told
+
+
+def way_of(waypoints: Sequence[Waypoint], camera: RectifiedStereo) -> list[dict[str, Any]]:
+    """Both fingers along a plan's way, evenly in distance and turn, with the phase and the share of the way before."""
+    poses = np.array([waypoint.T_camera_tool for waypoint in waypoints])
+    jaws = np.array([waypoint.jaw_rad for waypoint in waypoints])
+    weights = _weights(poses, jaws)
+    spread = min(1.0, MOST_STEPS / max(1.0, float(np.ceil(weights).sum())))
+    counts = np.maximum(1, np.ceil(weights * spread)).astype(int) if len(weights) else np.zeros(0, int)
+    told = [_posed(poses[0], float(jaws[0]), waypoints[0], camera)]
+    for i, count in enumerate(counts.tolist()):
+        turn = log_so3(poses[i, :3, :3].T @ poses[i + 1, :3, :3])
+        for share in np.linspace(0.0, 1.0, count + 1)[1:].tolist():
+            pose = np.eye(4)
+            pose[:3, :3] = poses[i, :3, :3] @ exp_so3(share * turn)
+            pose[:3, 3] = (1 - share) * poses[i, :3, 3] + share * poses[i + 1, :3, 3]
+            jaw = (1 - share) * jaws[i] + share * jaws[i + 1]
+            told.append(_posed(pose, float(jaw), waypoints[i + 1], camera))
+    return told
+
+
+def _weights(poses: Float64[np.ndarray, "n 4 4"], jaws: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "m"]:
+    """How many steps each leg of a way deserves."""
+    moved = MM * np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1) / STEPS_MM
+    R = poses[:, :3, :3]
+    turned = np.degrees(np.linalg.norm(log_so3(np.swapaxes(R[:-1], 1, 2) @ R[1:]), axis=-1)) / TURN_DEG
+    return np.maximum(np.maximum(moved, turned), np.abs(np.degrees(np.diff(jaws))) / TURN_DEG)
+
+
+def _posed(pose: Float64[np.ndarray, "4 4"], jaw: float, waypoint: Waypoint, camera: RectifiedStereo) -> dict[str, Any]:
+    return {"phase": waypoint.phase.name.lower(), "s": waypoint.s, **_fingers(pose, jaw, camera)}
+
+
+def _fingers(pose: Float64[np.ndarray, "4 4"], jaw: float, camera: RectifiedStereo) -> dict[str, Any]:
+    """Tip, pin and tip of a jaw; empty where a part of it is not before the camera."""
+    half = 0.5 * jaw * np.array([1.0, -1.0])
+    tips = FINGER_M * np.stack((np.zeros(2), np.sin(half), np.cos(half)), axis=1)
+    points = apply(pose, np.stack((tips[0], np.zeros(3), tips[1])))
+    return _line(points, camera)
+
+
+def _line(points_m: Float64[np.ndarray, "n 3"], camera: RectifiedStereo) -> dict[str, Any]:
+    if camera.metres_per_unit is None or not (points_m[:, 2] > 0).all():
+        return {"px": [], "mm": []}
+    px, _ = project(camera, points_m / camera.metres_per_unit)
+    return {"px": np.clip(px, -FARTHEST_PX, FARTHEST_PX).round(1).tolist(), "mm": (MM * points_m).round(2).tolist()}
+
+
+def draw_tool(state: RobotState, camera: RectifiedStereo) -> dict[str, Any]:
+    """The jaw where the bridge takes it to be, and what the arm is doing."""
+    pose = state.T_camera_base @ state.T_base_tool
+    return {
+        "arm": state.arm,
+        "mode": state.mode.name.lower(),
+        "plan_id": state.plan_id,
+        "at_ms": state.measured_ns * 1e-6,
+        "jaw_deg": round(float(np.degrees(state.jaw_rad)), 1),
+        **_fingers(pose, state.jaw_rad, camera),
+        "shaft": _line(apply(pose, np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -0.0091]])), camera)["px"],
+    }
+
+
+def draw_surface(surface: TissueSurface) -> list[list[float]]:
+    """Places of the tissue in the camera frame, mm, thinned to a grid that a page can turn."""
+    to_mm = millimetres(surface.camera) or 1.0
+    step = max(1, int(np.ceil(np.sqrt(surface.depth.size / SURFACE_CELLS))))
+    depth, valid = surface.depth[::step, ::step], surface.valid[::step, ::step]
+    v, u = np.meshgrid(surface.v_px[::step], surface.u_px[::step], indexing="ij")
+    points = backproject(surface.camera, np.column_stack((u[valid], v[valid])), depth[valid])
+    return (points * to_mm).round(1).tolist()
+
+
+def draw_observations(observations: ThreadObservations) -> dict[str, Any]:
+    """What perception saw: observations and centreline in the left image."""
+    points = observations.points_camera
+    px = project(observations.camera, points)[0] if len(points) else np.zeros((0, 2))
+    line = observations.centrelines_left
+    every = max(1, len(line.point_px) // OBSERVED_MOST)
+    return {
+        "frame": observations.stamp.sequence,
+        "px": np.clip(px[:OBSERVED_MOST], -FARTHEST_PX, FARTHEST_PX).round(1).tolist(),
+        "centreline": line.point_px[::every].round(1).tolist(),
+    }

@@ -1,0 +1,153 @@
+"""What is known of the field: image, thread, tools, tissue, plans, and what was said, as the page is told it."""
+
+from collections import OrderedDict
+from typing import Any
+
+import numpy as np
+
+from agents.operator.drawn import (
+    DrawnThread,
+    draw_observations,
+    draw_plan,
+    draw_surface,
+    draw_thread,
+    draw_tool,
+)
+from agents.operator.heard import Heard
+from agents.operator.pictures import Resample
+from agents.operator.surroundings import Surroundings
+from agents.operator.words import Seen
+from schemas.messages import (
+    GraspPlan,
+    RectifiedStereo,
+    RobotMode,
+    RobotState,
+    Severity,
+    StereoFrame,
+    ThreadObservations,
+)
+from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS, ROBOT_STATE, SURFACE, THREAD
+from shared.clock import now_ns
+
+THREADS_KEPT = 90
+OLDEST_S = 60.0
+"""Plans from older frames are history that came with the connection, and are not shown."""
+
+
+class FieldSeen:
+    """The newest of everything; filled from `Heard` by one thread at a time."""
+
+    def __init__(self, heard: Heard, around: Surroundings) -> None:
+        self._heard, self._around = heard, around
+        self.frame: StereoFrame | None = None
+        self.resample: Resample | None = None
+        self.camera: RectifiedStereo | None = None
+        self.threads: OrderedDict[int, DrawnThread] = OrderedDict()
+        self.thread: DrawnThread | None = None
+        self.states: dict[str, tuple[RobotState, int]] = {}
+        self.surface: tuple[int, list[list[float]]] | None = None
+        self.observed: dict[str, Any] | None = None
+        self.judgements: list[dict[str, str]] = []
+        self.plans: dict[str, dict[str, Any]] = {}
+        self.said = ""
+
+    def take_frame(self) -> StereoFrame | None:
+        """The newest frame."""
+        for calibration in self._heard.newest(CALIBRATION):
+            self.resample = self._around.resample(calibration)
+        for frame in self._heard.newest(FRAMES):
+            self.frame = frame
+        return self.frame
+
+    def take_thread(self) -> None:
+        """The newest thread, as it is drawn."""
+        for thread in self._heard.newest(THREAD):
+            self.camera = thread.camera
+            drawn = draw_thread(thread)
+            self.said = "" if drawn is not None else thread.reason
+            if drawn is None:
+                self.thread = None
+                continue
+            self.thread = self.threads[drawn.frame] = drawn
+            while len(self.threads) > THREADS_KEPT:
+                self.threads.popitem(last=False)
+
+    def take_states(self) -> None:
+        """The newest state of each arm."""
+        for state in self._heard.newest(ROBOT_STATE):
+            self.states[state.arm] = state, now_ns()
+
+    def take_surface(self) -> None:
+        """The newest surface of the tissue."""
+        for surface in self._heard.newest(SURFACE):
+            self.camera = self.camera or surface.camera
+            self.surface = surface.stamp.sequence, draw_surface(surface)
+
+    def take_observations(self) -> None:
+        """What perception saw last, and what it says of its input."""
+        for observations in self._heard.newest(OBSERVATIONS):
+            self.observed = draw_observations(observations)
+            self.judgements = _judgements(observations)
+
+    def note_plan(self, plan: GraspPlan) -> bool:
+        """Keep a plan; False where it is long past."""
+        age_s = (now_ns() - plan.stamp.capture_left_ns) * 1e-9
+        if age_s > OLDEST_S or self.camera is None:
+            return False
+        drawn = draw_plan(plan, self.camera)
+        self.plans[plan.arm] = drawn | {"captured_ms": plan.stamp.capture_left_ns * 1e-6}
+        return True
+
+    def arms(self) -> list[str]:
+        """Arms that are configured or that report."""
+        return sorted({*self._around.arms, *self.states})
+
+    def tools(self) -> list[dict[str, Any]]:
+        """Every arm's jaw."""
+        camera = self.camera
+        return [] if camera is None else [draw_tool(state, camera) for state, _ in self.states.values()]
+
+    def mode(self, arm: str) -> str:
+        """What an arm is doing; empty where it has not been heard lately."""
+        state, heard_ns = self.states.get(arm, (None, 0))
+        if state is None or (now_ns() - heard_ns) * 1e-9 > 2.0:
+            return ""
+        return state.mode.name.lower()
+
+    def moves(self, arm: str) -> bool:
+        """Whether an arm is carrying something out."""
+        state, _ = self.states.get(arm, (None, 0))
+        return state is not None and state.mode is RobotMode.MOVING
+
+    def seen(self, arm: str) -> Seen:
+        """What sentences are made of."""
+        plan = self.plans.get(arm)
+        return Seen(
+            frame_age_s=None if self.frame is None else _age_s(self.frame.stamp.capture_left_ns),
+            thread_age_s=None if self.thread is None else _age_s(self.thread.capture_ns),
+            mode=self.mode(arm),
+            plan=plan,
+            plan_age_s=None if plan is None else _age_s(round(plan["captured_ms"] * 1e6)),
+            said=self.said,
+        )
+
+    def mean_confidence(self) -> float | None:
+        """Of the thread that is seen."""
+        if self.thread is None or not np.isfinite(self.thread.confidence).any():
+            return None
+        return round(float(np.nanmean(self.thread.confidence)), 3)
+
+
+def _age_s(at_ns: int) -> float:
+    return (now_ns() - at_ns) * 1e-9
+
+
+def _judgements(observations: ThreadObservations) -> list[dict[str, str]]:
+    told = [
+        {"code": j.code, "severity": j.severity.name.lower(), "finding": j.finding, "remedy": j.remedy}
+        for j in observations.judgements
+        if j.severity is not Severity.NOTE
+    ]
+    if observations.reason:
+        told.insert(0, {"code": "none", "severity": "fault", "finding": observations.reason, "remedy": ""})
+    return told

@@ -1,0 +1,172 @@
+// Everything that is said in words.
+
+const percent = (value) => (value === null || value === undefined ? "?" : `${Math.round(100 * value)} %`);
+
+export class Panel {
+  constructor($) {
+    this.$ = $;
+    this.state = null;
+    this.prompting = false;
+    this.kept = {};
+  }
+
+  // set text or markup only where it changes: screen readers read out what does
+  put(id, text, property = "textContent") {
+    if (this.kept[id + property] === text) return;
+    this.kept[id + property] = text;
+    this.$(id)[property] = text;
+  }
+
+  take(state) {
+    this.state = state;
+    const $ = this.$;
+    const arms = state.arms.map((each) => each.arm);
+    if (this.arms !== arms.join()) {
+      this.arms = arms.join();
+      const before = $("arm").value;
+      $("arm").replaceChildren(...arms.map((name) => new Option(name, name, false, name === before)));
+    }
+    const mine = state.controller === state.you;
+    this.put("rig", `of ${state.rig}`);
+    this.put("control", mine ? `${state.you}: you control` : `${state.you}: you watch`);
+    $("control").className = mine ? "mine" : "";
+    this.put("words", state.words[$("arm").value] ?? Object.values(state.words)[0] ?? "No arm is configured.");
+    this.put("lines", state.lines.map((line) => `<li>${escaped(line)}</li>`).join(""), "innerHTML");
+    this.bad(state);
+    this.agents(state.wellbeing);
+    this.recording(state.recording);
+    this.trials(state);
+    this.put("screens", screensSentence(state));
+    $("take").hidden = mine;
+    $("give").hidden = !(mine && state.asking);
+    $("keep").hidden = !(mine && state.asking);
+    if (mine && state.asking) $("give").textContent = `Hand over to ${state.asking}`;
+    for (const id of ["again", "meant", "any", "next"]) $(id).disabled = !mine;
+  }
+
+  show(plan, goal, down) {
+    const $ = this.$;
+    if (!this.state) return;
+    const press = this.state.press;
+    const mine = this.state.controller === this.state.you;
+    const armed = press && press.stage !== "pressing";
+    $("press").disabled = !mine || !plan?.ok;
+    $("press").classList.toggle("armed", Boolean(armed && down));
+    const name = plan?.arm ?? $("arm").value;
+    this.put("press-text", armed && down ? `${name} moves: keep pressing` : down ? "Keep pressing ..." : `Press and hold to arm ${name}`);
+    this.put("goal", goalMarkup(plan, goal, this.note), "innerHTML");
+  }
+
+  refused(text) {
+    this.note = text;
+    this.noteUntil = performance.now() + 8000;
+  }
+
+  bad(state) {
+    if (this.note && performance.now() > this.noteUntil) this.note = "";
+    const told = state.judgements.map((j) => `<p class="${j.severity}"><strong>${j.severity === "fault" ? "Bad input" : "Input"}:</strong> ${escaped(j.finding)}${j.remedy ? `. ${escaped(j.remedy)}` : ""}</p>`);
+    this.put("bad", told.join(""), "innerHTML");
+  }
+
+  agents(wellbeing) {
+    const wrong = wellbeing.wrong ?? [];
+    this.put("wrong", wrong.map((w) => `<li class="${w.grave ? "grave" : ""}">${escaped(w.text)}</li>`).join(""), "innerHTML");
+    const rows = (wellbeing.agents ?? []).map((a) => `<tr><td>${escaped(a.name)}</td><td>${escaped(a.state)}</td><td>${escaped(a.rates)}</td></tr>`);
+    this.put("agents", rows.length ? `<tr><th>agent</th><th>state</th><th>out, Hz</th></tr>${rows.join("")}` : "", "innerHTML");
+  }
+
+  recording(recording) {
+    this.put("recording", recording.text ?? "nobody has told yet");
+    this.$("record").hidden = !recording.can;
+    this.put("record", recording.on ? "End the recording" : "Record");
+  }
+
+  trials(state) {
+    const trials = state.trials;
+    this.$("trials").hidden = !trials.text;
+    this.put("trials-text", trials.text ?? "");
+    this.$("verdict").hidden = !state.to_judge;
+    const causes = Object.entries(trials.causes ?? {});
+    this.put("causes", causes.map(([cause, words]) => `<button type="button" data-cause="${escaped(cause)}" title="${escaped(words)}">${escaped(cause)}</button>`).join(""), "innerHTML");
+  }
+
+  pictured(header, thread) {
+    const state = this.state;
+    const older = thread && header ? Math.round(header.capture_ms - thread.capture_ms) : null;
+    const parts = [];
+    if (state?.behind_ms !== null && state?.behind_ms !== undefined) parts.push(`image ${state.behind_ms} ms behind capture`);
+    if (older !== null) parts.push(`thread ${older} ms older than the image`);
+    if (state?.level) parts.push(`picture level ${state.level} of 5 for a slow link`);
+    this.put("latency", parts.join("; "));
+  }
+
+  tip(event, thread, i) {
+    const tip = this.$("tip");
+    tip.hidden = !thread;
+    if (!thread) return;
+    const s = i / (thread.px.length - 1);
+    const known = thread.confidence[i];
+    const sure = thread.unseen[i] ? "not seen by both eyes" : known < 0 ? "confidence unknown" : `confidence ${percent(known)}`;
+    tip.textContent = `s = ${s.toFixed(2)}, ${(s * thread.length_mm).toFixed(0)} ${thread.unit_known ? "mm" : "units"} along, ${sure}`;
+    const box = this.$("frame").getBoundingClientRect();
+    const left = event.clientX - box.left;
+    tip.style.left = `${left > box.width - 320 ? left - tip.offsetWidth - 14 : left + 18}px`;
+    tip.style.top = `${Math.max(4, event.clientY - box.top - 40)}px`;
+  }
+
+  stale(is) {
+    this.$("stale").hidden = !is;
+    if (is) this.put("stale", this.shutText ?? "No new image comes");
+  }
+
+  lost() {
+    this.shutText = "The connection is lost; arms hold. Trying again ...";
+    this.put("words", this.shutText);
+    this.$("press").disabled = true;
+    setTimeout(() => { this.shutText = null; }, 1500);
+  }
+
+  shut(text) {
+    this.shutText = text;
+    this.put("words", text);
+    this.put("control", "");
+    this.$("press").disabled = true;
+  }
+}
+
+function screensSentence(state) {
+  const others = state.screens.filter((name) => name !== state.you);
+  const who = state.controller ? `${state.controller} controls` : "nobody controls";
+  const asks = state.asking ? `; ${state.asking} asks for control` : "";
+  return `${state.screens.length} connected, ${who}${asks}.${others.length ? ` Others: ${others.join(", ")}.` : ""}`;
+}
+
+function goalMarkup(plan, goal, note) {
+  const told = note ? `<p class="refused">${escaped(note)}</p>` : "";
+  if (!goal) return `${told}<p>No goal yet. Click the thread, or focus the image and use the arrow keys.</p>`;
+  const at = goal.at;
+  const off = at.off_mm ? ` (${at.off_mm.toFixed(1)} mm from your click)` : "";
+  const rows = [
+    ["place", `s = ${at.s.toFixed(3)}, ${at.along_mm.toFixed(1)} mm along${off}`],
+    ["confidence", at.unseen ? "not seen by both eyes" : percent(at.confidence)],
+  ];
+  const strands = goal.others.map((o) => `<button type="button" data-s="${o.s}">other strand, s = ${o.s.toFixed(2)}</button>`).join("");
+  let success = `<p>${escaped(goal.text)}</p>`;
+  if (plan && !goal.text) {
+    success = plan.ok ? `<p class="success">${percent(plan.probability)} <small>predicted success</small></p>` : `<p class="refused">No grasp: ${escaped(plan.reason)}</p>`;
+    if (plan.ok) {
+      const slide = plan.slide_mm > 0 ? `capture at s = ${plan.s_capture.toFixed(2)}, slide ${plan.slide_mm.toFixed(0)} mm, ` : "";
+      rows.push(["plan", `${slide}grasp at s = ${plan.s_goal.toFixed(2)}`]);
+      if (plan.clearance_mm !== undefined) rows.push(["tissue", plan.clearance_mm < 0 ? `jaws press ${-plan.clearance_mm} mm in` : `jaws stay ${plan.clearance_mm} mm before it`]);
+      if (plan.unchecked) rows.push(["tissue", plan.unchecked]);
+    }
+    const best = plan.alternatives.filter((a) => !a.reason).length;
+    rows.push(["considered", `${plan.alternatives.length} captures, ${best} possible`]);
+  }
+  const list = rows.map(([name, words]) => `<dt>${name}</dt><dd>${escaped(words)}</dd>`).join("");
+  return `${told}${success}<dl>${list}</dl>${strands}`;
+}
+
+function escaped(text) {
+  return String(text).replace(/[&<>"']/g, (c) => `&#${c.charCodeAt(0)};`);
+}

@@ -1,0 +1,107 @@
+"""Pictures on their way to the pages: the newest frame, with what is drawn over it in the same message."""
+
+import asyncio
+import contextlib
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from agents.operator.field_seen import FieldSeen
+from agents.operator.pictures import LEVELS, encoded
+from agents.operator.screen import Screen
+from agents.operator.wire import Shown
+from schemas.messages import StereoFrame
+from schemas.topics import FRAMES, THREAD, Topic
+from shared.clock import monotonic_s, now_ns
+from shared.images import ImageDataError
+
+Aside = Callable[[Callable[[], Any]], Awaitable[Any]]
+
+
+class Showing:
+    """Sends each page the newest picture as soon as it has shown the last."""
+
+    def __init__(self, field: FieldSeen, screens: dict[str, Screen], aside: Aside) -> None:
+        self._field, self._screens, self._aside = field, screens, aside
+        self._frame_came, self._thread_came, self._newest = asyncio.Event(), asyncio.Event(), -1
+
+    def woken(self, topic: Topic) -> None:
+        """A message of a topic has come."""
+        if topic is FRAMES:
+            self._frame_came.set()
+        elif topic is THREAD:
+            self._thread_came.set()
+
+    def ready(self) -> None:
+        """A page can take a picture."""
+        self._frame_came.set()
+
+    def shown(self, screen: Screen, said: Shown) -> None:
+        """A picture is on a page's screen."""
+        if said.frame != screen.frame or screen.ready:
+            return
+        screen.pace.took(1e3 * (monotonic_s() - screen.sent_s))
+        screen.behind_ms = now_ns() * 1e-6 - screen.capture_ms
+        screen.ready = True
+        self.ready()
+
+    async def run(self) -> None:
+        """Until cancelled."""
+        await asyncio.gather(self._show_frames(), self._draw_threads())
+
+    async def _draw_threads(self) -> None:
+        while True:
+            await self._thread_came.wait()
+            self._thread_came.clear()
+            if self._screens:
+                await self._aside(self._field.take_thread)
+
+    async def _show_frames(self) -> None:
+        while True:
+            await self._frame_came.wait()
+            self._frame_came.clear()
+            if not any(screen.ready for screen in self._screens.values()):
+                continue
+            frame = await self._aside(self._field.take_frame)
+            waiting = [screen for screen in self._screens.values() if screen.ready]
+            if frame is not None and any(screen.frame != frame.stamp.sequence for screen in waiting):
+                await self._show(frame, [s for s in waiting if s.frame != frame.stamp.sequence])
+
+    async def _show(self, frame: StereoFrame, waiting: list[Screen]) -> None:
+        levels = {screen.pace.level for screen in waiting}
+
+        def prepare() -> dict[int, bytes]:
+            self._field.take_states()
+            if any(screen.look.space for screen in waiting):
+                self._field.take_surface()
+            if any(screen.look.observations for screen in waiting):
+                self._field.take_observations()
+            return {level: encoded(frame.left, LEVELS[level], self._field.resample) for level in levels}
+
+        with contextlib.suppress(ImageDataError):
+            jpegs = await self._aside(prepare)
+            tools = self._field.tools()
+            for screen in waiting:
+                # a page may have coarsened meanwhile, or be gone
+                level = screen.pace.level if screen.pace.level in jpegs else min(jpegs)
+                self._send(screen, frame, jpegs[level], tools)
+
+    def _send(self, screen: Screen, frame: StereoFrame, jpeg: bytes, tools: list[dict[str, Any]]) -> None:
+        stamp, field = frame.stamp, self._field
+        header: dict[str, Any] = {
+            "frame": stamp.sequence,
+            "capture_ms": stamp.capture_left_ns * 1e-6,
+            "sent_ms": now_ns() * 1e-6,
+            "width": frame.left.width,
+            "height": frame.left.height,
+            "tools": tools,
+        }
+        thread_frame = -1 if field.thread is None else field.thread.frame
+        if thread_frame != screen.thread_frame:
+            header["thread"] = None if field.thread is None else field.thread.document()
+            screen.thread_frame = thread_frame
+        if screen.look.observations and field.observed and field.observed["frame"] != screen.observed_frame:
+            header["observed"], screen.observed_frame = field.observed, field.observed["frame"]
+        if screen.look.space and field.surface and field.surface[0] != screen.surface_frame:
+            header["surface"], screen.surface_frame = field.surface[1], field.surface[0]
+        screen.frame, screen.capture_ms, screen.sent_s = stamp.sequence, stamp.capture_left_ns * 1e-6, monotonic_s()
+        screen.show(header, jpeg)

@@ -1,0 +1,82 @@
+"""What the page is doing, in words that a screen reader can read out."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from agents.operator.control import Control, Stage
+from schemas.messages import ExecutionEvent, ExecutionKind
+
+STALE_S = 1.0
+OLD_PLAN_S = 25.0
+"""The bridge refuses plans from frames older than 30 s."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a sentence is made of, for the arm that a page looks at.
+
+    Fields:
+        frame_age_s, thread_age_s: since the newest came; None where none did.
+        plan: as drawn; plan_age_s: since its frame.
+    """
+
+    frame_age_s: float | None
+    thread_age_s: float | None
+    mode: str
+    plan: dict[str, Any] | None
+    plan_age_s: float | None
+    said: str
+
+
+def sentence(screen: str, control: Control, arm: str, seen: Seen) -> str:
+    """What is going on, and what can be done next."""
+    press = control.press
+    if press is not None:
+        if press.stage is Stage.ARMED:
+            whose = "while you keep the button pressed" if press.screen == screen else f"while {press.screen} presses"
+            return f"{press.arm} carries out its plan {whose}. Let go and it holds."
+        if press.stage is Stage.ARMING:
+            return f"{press.arm} is being armed."
+        return "Keep the button pressed to arm." if press.screen == screen else f"{press.screen} presses to arm."
+    if seen.frame_age_s is None or seen.frame_age_s > STALE_S:
+        return "No image comes." if seen.frame_age_s is None else f"The image is {seen.frame_age_s:.0f} s old."
+    if seen.mode in ("fault", "disabled"):
+        return f"{arm} is in state {seen.mode} and cannot be armed."
+    if seen.thread_age_s is None or seen.thread_age_s > STALE_S:
+        return f"No thread is seen now. {seen.said}".strip()
+    if screen != control.controller:
+        return f"You watch; {control.controller or 'nobody'} controls. Hold works for everybody."
+    if seen.plan is not None and seen.plan["ok"]:
+        if seen.plan_age_s is not None and seen.plan_age_s > OLD_PLAN_S:
+            return "The plan is too old to be armed. Plan again."
+        return f"{plan_words(seen.plan)} Look at it, then press and hold to arm {arm}."
+    if seen.plan is not None:
+        return f"No grasp is planned: {seen.plan['reason']}. Click another place."
+    return f"{arm} is {seen.mode or 'silent'}. Click the thread where it is to be grasped."
+
+
+def plan_words(plan: dict[str, Any]) -> str:
+    """A plan in one sentence."""
+    where = f"grasp at {_percent(plan['s_goal'])}"
+    if plan["slide_mm"] > 0:
+        where = f"capture at {_percent(plan['s_capture'])}, slide {plan['slide_mm']:.0f} mm, {where}"
+    return f"Planned: {where}; success {plan['probability']:.0%}."
+
+
+def event_words(event: ExecutionEvent) -> str:
+    """An event of an execution."""
+    match event.kind:
+        case ExecutionKind.ACCEPTED:
+            return f"{event.arm} is armed."
+        case ExecutionKind.PHASE_REACHED:
+            return f"{event.arm}: {event.phase.name.lower() if event.phase else 'next phase'} done."
+        case ExecutionKind.FINISHED:
+            return f"{event.arm} has finished."
+        case ExecutionKind.REFUSED:
+            return f"{event.arm} refused ({event.code}): {event.reason}."
+        case ExecutionKind.HELD:
+            return f"{event.arm} holds ({event.code}): {event.reason}."
+
+
+def _percent(s: float | None) -> str:
+    return "?" if s is None else f"{s:.0%}"
