@@ -40,6 +40,8 @@ class PlannerConfig:
         correlation_m: how far along the thread errors of its reconstruction go together.
         depths_m, opens_deg, slides_deg: what is chosen from in place of depth_m, open_deg and slide_deg by the
             geometric model.
+        thread_clear_m: how near the instrument may come to thread outside of the grasp.
+        thread_radius_m: of the thread; grasp_arc_m: how far along it from the jaws it counts as being grasped.
         attempts: how often a goal is planned for, the first plan included, where a check tells of a miss.
         arm_age_ms: how old the state of an arm may be: as long as five states of one that rests take. A plan needs it
             for the place of the base alone, which seldom moves, so this is more than the age that the bridge allows.
@@ -75,6 +77,9 @@ class PlannerConfig:
     depths_m: tuple[float, ...] = (0.002, 0.003, 0.004, 0.0051)
     opens_deg: tuple[float, ...] = (60.0, 45.0, 75.0)
     slides_deg: tuple[float, ...] = (20.0, 30.0, 40.0)
+    thread_clear_m: float = 0.0005
+    thread_radius_m: float = 0.0002
+    grasp_arc_m: float = 0.005
     attempts: int = 3
     arm_age_ms: float = 5e3 / (ROBOT_STATE.resting_hz or 10.0)
 

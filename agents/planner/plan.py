@@ -2,15 +2,15 @@
 
 import numpy as np
 
-from agents.planner.captures import ArmView, Captures, least_pressed, way_of
+from agents.planner.captures import ArmView, Captures, least_pressed
 from agents.planner.chances import Known, known_along
 from agents.planner.choice import Choice, best_choice
+from agents.planner.clear_way import clear_way
 from agents.planner.config import PlannerConfig
 from agents.planner.curve import NoGraspError, ThreadCurve, curve_of
 from agents.planner.goal import goal_on_thread
 from agents.planner.policy import Against, alternatives, candidates, counted_reasons, reason_of
 from agents.planner.standing import NOTHING_SEEN, SeenTissue, clearance_of, pressed_sentence
-from agents.planner.waypoints import waypoints
 from schemas.messages import (
     Alternative,
     GraspGoal,
@@ -77,7 +77,7 @@ def _best(
             f"and {config.least_probability:.2f} is asked for"
         )
         return _rejected(goal, thread, reason, s_goal, likely, others)
-    ray, side = way_of(captures, chosen, arm)
+    led = clear_way(choice, chosen, goal.policy, curve, arm)
     return GraspPlan(
         plan_id=plan_id(goal),
         arm=goal.arm,
@@ -87,12 +87,13 @@ def _best(
         reason="",
         policy=goal.policy,
         s_goal=s_goal,
-        s_capture=float(s[chosen]),
-        probability=likely,
-        slide_m=float(abs(s[chosen] - s_goal) * curve.length_m),
-        waypoints=waypoints(captures.ways, (ray, side), s, chosen, at_goal, config),
+        s_capture=float(s[led.capture]),
+        probability=min(led.probability, 1.0),
+        slide_m=float(abs(s[led.capture] - s_goal) * curve.length_m),
+        waypoints=led.waypoints,
         alternatives=others,
-        tissue=clearance_of(tissue, captures.ways, ray, s, chosen, at_goal, config),
+        tissue=clearance_of(tissue, captures.ways, led.way[0], s, led.capture, at_goal, config),
+        thread=led.thread,
         policy_model=known.model,
         goal=goal,
         depth_m=config.depth_m,

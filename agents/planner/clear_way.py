@@ -1,0 +1,72 @@
+"""The way of a plan that keeps clear of the thread outside of the grasp, if there is one.
+
+The likeliest capture and way come first. Where the instrument cannot keep clear of the thread there, the other ways of
+that capture are tried, and then other captures, as long as they are not much less likely. Where all of them are
+obstructed the likeliest is taken after all, and the plan says so.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from agents.planner.captures import ArmView, Captures, way_of
+from agents.planner.choice import Choice
+from agents.planner.curve import ThreadCurve
+from agents.planner.entanglement import thread_clearance
+from agents.planner.waypoints import waypoints
+from schemas.messages import Policy, ThreadClearance, Waypoint
+
+WORTH = 0.05
+"""How much probability clearance is worth."""
+TRIED = 24
+
+
+@dataclass(frozen=True)
+class ClearWay:
+    """What is carried out: capture, way and side of the jaws, with its waypoints and how they stand to the thread."""
+
+    capture: int
+    way: tuple[int, int]
+    probability: float
+    waypoints: tuple[Waypoint, ...]
+    thread: ThreadClearance
+
+
+def clear_way(choice: Choice, chosen: int, policy: Policy, curve: ThreadCurve, arm: ArmView) -> ClearWay:
+    """The chosen capture, or what stands in for it."""
+    captures, config = choice.captures, choice.config
+    first: ClearWay | None = None
+    for capture, way in _candidates(captures, chosen, policy, arm):
+        led = waypoints(captures.ways, way, captures.s, capture, captures.goal, config)
+        stands = thread_clearance(curve, led, arm.T_camera_base, config)
+        by_way = captures.probability[capture] if captures.by_way is None else captures.by_way[way[0], capture]
+        found = ClearWay(capture, way, float(by_way), led, stands)
+        if not stands.obstructed:
+            return found
+        first = first or found
+    assert first is not None  # noqa: S101 - the chosen capture is the first candidate
+    return first
+
+
+def _candidates(captures: Captures, chosen: int, policy: Policy, arm: ArmView) -> Iterator[tuple[int, tuple[int, int]]]:
+    best = way_of(captures, chosen, arm)
+    yield chosen, best
+    if captures.by_way is None:
+        return
+    here = np.arange(len(captures.s)) == chosen
+    open_here = captures.usable & (captures.against < 0)
+    if policy is Policy.DIRECT:
+        open_here = open_here & here
+    likely = np.where(open_here, captures.by_way[:, None], -1.0)
+    enough = likely >= max(captures.by_way[best[0], chosen] - WORTH, 0.0)
+    # other ways of the same capture first, then captures by how likely they are
+    ranked = sorted(
+        ((not here[i], -likely[w, side, i], abs(i - captures.goal), w, side, i) for w, side, i in np.argwhere(enough)),
+    )
+    others = [(int(i), (int(w), int(side))) for *_, w, side, i in ranked if (i, (w, side)) != (chosen, best)]
+    at_chosen = [one for one in others if one[0] == chosen]
+    elsewhere = [one for one in others if one[0] != chosen]
+    few = elsewhere[:: max(1, len(elsewhere) // TRIED)][:TRIED]
+    yield from at_chosen
+    yield from few
