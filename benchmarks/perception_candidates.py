@@ -1,10 +1,11 @@
-"""How well several threads are told apart, and instruments found: path-traced scenes of folders, whole pipeline.
+"""How well several threads are told apart, and instruments and needles found: path-traced scenes, whole pipeline.
 
-    suturegrasp scenes render --config several --background chicken paper --count 10 --seed 9000 --output DIR
+    suturegrasp scenes render --config several needle --background chicken paper --count 10 --seed 9000 --output DIR
     .venv/bin/python -m benchmarks.perception_candidates --scenes DIR
 
 A scene of several threads counts as right where the curve lies on one true thread, from end to end, and every other
-thread is listed beside it. Everything runs without masks, as `suturegrasp reconstruct` would run it.
+thread is listed beside it; a curve ends at a needle where at most 2 % of it lie on that, or within 3 px. Everything
+runs without masks, as `suturegrasp reconstruct` would run it.
 """
 
 import argparse
@@ -37,6 +38,8 @@ WHOLE, PURE = 0.95, 0.95
 LISTED_WHOLE, LISTED_PURE = 0.8, 0.9
 """Of a thread that is listed: it is cut before every crossing, and no curve bridges what hides it."""
 PLACES = 800
+MOST_ON_NEEDLE, BESIDE_NEEDLE_PX = 0.02, 3
+"""Of the curve: half of that is how well tips are found."""
 
 Line = Float64[np.ndarray, "n 2"]
 
@@ -74,7 +77,8 @@ def row_of(path: Path) -> dict[str, Any]:
     threads = true_threads(path, about)
     row = {"name": path.stem, "ground": about["background"], "config": about["config"], "threads": len(threads)}
     row["listed"] = len(result.reconstruction.other_threads)
-    return row | of_curve(result, threads) | of_instruments(left, Path(f"{stem}_tool_left.png"))
+    row |= of_curve(result, threads) | of_needle(result, Path(f"{stem}_needle_left.png"))
+    return row | of_instruments(left, Path(f"{stem}_tool_left.png"))
 
 
 def true_threads(path: Path, about: dict[str, Any]) -> list[TrueThread]:
@@ -112,6 +116,19 @@ def _is_listed(thread: TrueThread, listed_px: Line) -> bool:
     # what is listed has a place every 6 px
     whole = share_near(thread.px[thread.visible], listed_px, NEAR_PX + 3)
     return whole >= LISTED_WHOLE and share_near(listed_px, thread.px) >= LISTED_PURE
+
+
+def of_needle(result: PipelineResult, truth: Path) -> dict[str, Any]:
+    """The share of the curve that lies on a needle; nothing where there is none."""
+    thread = result.reconstruction
+    if not truth.is_file() or thread.status is not Status.OK:
+        return {"on needle": None}
+    coverage = np.asarray(cv2.imread(str(truth), cv2.IMREAD_GRAYSCALE))
+    wide = cv2.dilate(coverage, np.ones((2 * BESIDE_NEEDLE_PX + 1,) * 2, np.uint8))
+    points = evaluate(thread.knots, thread.control_points_camera, thread.degree, np.linspace(0, 1, PLACES))
+    at = np.rint(project(thread.camera, points)[0]).astype(np.intp)
+    u, v = at[:, 0].clip(0, wide.shape[1] - 1), at[:, 1].clip(0, wide.shape[0] - 1)
+    return {"on needle": float(np.mean(np.asarray(wide)[v, u] > 128))}
 
 
 def of_instruments(left: np.ndarray, truth: Path) -> dict[str, Any]:
@@ -163,6 +180,13 @@ def print_tables(console: Console, rows: list[dict[str, Any]]) -> None:
             f"{np.mean(false):.1%} / {np.max(false):.1%} of the image",
         )
     console.print(table)
+    shares = [row["on needle"] for row in rows if row["on needle"] is not None]
+    if shares:
+        ended = sum(share <= MOST_ON_NEEDLE for share in shares)
+        console.print(
+            f"needles: {ended} of {len(shares)} curves end where it begins; "
+            f"on it, mean / worst: {np.mean(shares):.1%} / {np.max(shares):.1%} of the curve"
+        )
     for row in rows:
         if row["threads"] and not (row["one thread"] and (row["threads"] == 1 or row["others listed"])):
             console.print(

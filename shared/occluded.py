@@ -6,6 +6,8 @@ Occluders come as a smaller copy of an image that is not 0 where something may h
 import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 
+from schemas.messages import Occluder
+
 OVER_SHARE = 0.012
 """Of the image's width: over so much of a line the direction of its end is told."""
 BEYOND_SHARE = 0.02
@@ -29,6 +31,8 @@ def hidden_ends(
 ) -> Bool[np.ndarray, "2"]:
     """Whether the first and the last end of a line go on into an occluder.
 
+    At a needle a thread ends: it is swaged into it.
+
     Args:
         line_px: places in order, at least two.
     """
@@ -38,4 +42,5 @@ def hidden_ends(
     outward = outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
     beyond = np.linspace(0.0, BEYOND_SHARE * image_width, STEPS)
     places = line_px[[0, -1]][:, None] + beyond[None, :, None] * outward[:, None]
-    return np.asarray(is_occluded(places, occluders, image_width).any(axis=1))
+    hides = np.where(occluders == Occluder.NEEDLE.value, np.uint8(0), occluders)
+    return np.asarray(is_occluded(places, hides, image_width).any(axis=1))

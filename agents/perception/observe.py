@@ -14,6 +14,8 @@ from agents.perception.following.follow import trail_of
 from agents.perception.judge import correspondence_of_masks, correspondence_of_texture, judge
 from agents.perception.mask_image import mask_image
 from agents.perception.matching import Matches, is_inlier, largest_disparity_px, match_pixels
+from agents.perception.needles import Stretch, needle_map, without_needles
+from agents.perception.segmenter_names import GIVEN_MASKS
 from schemas.messages import (
     Centrelines,
     FrameStamp,
@@ -58,11 +60,12 @@ class _Found:
 
 @dataclass(frozen=True)
 class _Shown:
-    """What one image shows, as it travels."""
+    """What one image shows, as it travels; and the needles in it."""
 
     mask: Image
     centrelines: Centrelines
     trail: Trail
+    needles: list[Stretch]
 
 
 def observe(
@@ -88,7 +91,12 @@ def observe(
     usable = not any(judgement.severity is Severity.FAULT for judgement in found.judgements) and not _unusable_masks(
         *segmented, segmenter
     )
-    of_left, of_right = _shown(left, coverage_left, usable), _shown(right, coverage_right, usable)
+    # who gives a mask says what is thread
+    may_be_needles = segmenter != GIVEN_MASKS
+    of_left, of_right = (
+        _shown(image, coverage, usable, may_be_needles)
+        for image, coverage in ((left, coverage_left), (right, coverage_right))
+    )
     return ThreadObservations(
         stamp=stamp,
         camera=camera,
@@ -109,6 +117,7 @@ def observe(
         trail_left=of_left.trail,
         trail_right=of_right.trail,
         segmented_sequence=stamp.sequence,
+        occluders=needle_map(left.shape, of_left.needles, of_right.needles, stamp.sequence),
     )
 
 
@@ -196,7 +205,11 @@ def _observations(
     return backproject(camera, clusters.centroid_px, depth), clusters.half_size_px, gaps
 
 
-def _shown(image: UInt8[np.ndarray, "h w 3"], coverage: UInt8[np.ndarray, "h w"], usable: bool) -> _Shown:
-    found = thread_lines(image, coverage) if usable else NO_LINES
+def _shown(
+    image: UInt8[np.ndarray, "h w 3"], coverage: UInt8[np.ndarray, "h w"], usable: bool, may_be_needles: bool
+) -> _Shown:
+    found, needles = thread_lines(image, coverage) if usable else NO_LINES, list[Stretch]()
+    if may_be_needles:
+        found, needles = without_needles(image, found)
     trail = trail_of(image, found.centrelines, found.loose_start, found.loose_end)
-    return _Shown(mask_image(coverage), found.centrelines, trail)
+    return _Shown(mask_image(coverage), found.centrelines, trail, needles)

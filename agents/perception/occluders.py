@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, UInt8
 
-from schemas.messages import Occluder
+from schemas.messages import Image, ImageEncoding, Occluder
 
 WIDTH_PX = 240
 """Of the copy in which regions are looked for."""
@@ -53,7 +53,7 @@ def occluders_in(
     Args:
         coverage: by thread, 0 to 255.
     """
-    size = WIDTH_PX, max(1, round(image.shape[0] * WIDTH_PX / image.shape[1]))
+    size = map_shape(image.shape)[::-1]
     small = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
     thread = np.asarray(cv2.resize(coverage, size, interpolation=cv2.INTER_AREA)) > 0
     red = redness(small)
@@ -78,6 +78,24 @@ def occluders_in(
             kind = Occluder.UNKNOWN if upon or not _leaves(region) else Occluder.TOOL
             found[region > 0] = kind.value
     return found
+
+
+def map_shape(image_shape: tuple[int, ...]) -> tuple[int, int]:
+    """Rows and columns of a map of occluders."""
+    return max(1, round(image_shape[0] * WIDTH_PX / image_shape[1])), WIDTH_PX
+
+
+def with_needles(occluders: UInt8[np.ndarray, "r c"], needles: UInt8[np.ndarray, "r c"]) -> UInt8[np.ndarray, "r c"]:
+    """Occluders, and the needles of another map where nothing else is known to be."""
+    if needles.shape != occluders.shape:
+        return occluders
+    return np.where((needles == Occluder.NEEDLE.value) & (occluders == 0), needles, occluders)
+
+
+def map_image(occluders: UInt8[np.ndarray, "r c"]) -> Image:
+    """A map of occluders as it travels."""
+    height, width = occluders.shape
+    return Image(ImageEncoding.PNG, width, height, 1, cv2.imencode(".png", occluders)[1].tobytes())
 
 
 def redness(image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w"]:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from agents.perception.candidates import candidates_followed, candidates_in
-from agents.perception.occluders import occluders_in
+from agents.perception.occluders import map_image, occluders_in, with_needles
 from schemas.messages import Image, ImageEncoding, Occluders, Status, ThreadObservations
 from shared.images import decode_image
 
@@ -34,6 +34,7 @@ def told_apart(
     """The observations with candidates and occluders, their centrelines without threads that are certainly not meant.
 
     Args:
+        observed: with the needles alone among its occluders, or with those of the frame before.
         images: rectified, as the centrelines are.
         coverage: by thread, as observed.
         last: the observations before, None where there are none.
@@ -43,7 +44,7 @@ def told_apart(
         return observed
     whole = observed.looked_sequence == observed.stamp.sequence
     before = () if last is None else last.candidates
-    occluders = _occluders(observed.stamp.sequence, images, coverage, whole, last)
+    occluders = _occluders(observed, images, coverage, whole, last)
     of_left = None if occluders is None else decode_image(occluders.left)
     lines = observed.centrelines_left, observed.centrelines_right
     if whole:
@@ -67,19 +68,20 @@ def told_apart(
 
 
 def _occluders(
-    sequence: int, images: Pair, coverage: Pair, whole: bool, last: ThreadObservations | None
+    observed: ThreadObservations, images: Pair, coverage: Pair, whole: bool, last: ThreadObservations | None
 ) -> Occluders | None:
-    """Those of the last frames, or new ones; None where the images do not tell."""
-    before = None if last is None else last.occluders
+    """Those of the last frames, or new ones, needles among them; None where the images do not tell."""
+    before, sequence = None if last is None else last.occluders, observed.stamp.sequence
     if not whole and (before is None or 0 <= sequence - before.sequence < FRAMES_BETWEEN_OCCLUDERS):
         return before
     left, right = (occluders_in(image, thread) for image, thread in zip(images, coverage, strict=True))
-    return None if left is None or right is None else Occluders(_as_png(left), _as_png(right), sequence)
-
-
-def _as_png(occluders: UInt8[np.ndarray, "r c"]) -> Image:
-    height, width = occluders.shape
-    return Image(ImageEncoding.PNG, width, height, 1, cv2.imencode(".png", occluders)[1].tobytes())
+    if left is None or right is None:
+        return None
+    # of a followed thread, those are still what was found with it
+    known = observed.occluders
+    if known is not None:
+        left, right = with_needles(left, decode_image(known.left)), with_needles(right, decode_image(known.right))
+    return Occluders(map_image(left), map_image(right), sequence)
 
 
 def _small(score: UInt8[np.ndarray, "h w"]) -> Image:
