@@ -20,17 +20,6 @@ BEGAN_NS = 1_767_225_600_000_000_000
 """The first moment of 2026."""
 
 
-class _Seat:
-    """One agent, what it was fed since its last output, and when it ticks."""
-
-    def __init__(self, agent: Agent, rig: str, epoch: int) -> None:
-        self.agent, self.epoch, self.fed = agent, epoch, Fed(agent, rig, epoch)
-        self.due_ns = BEGAN_NS
-
-    def listens(self, topic: Topic, instance: str) -> list[Input]:
-        return [i for i in self.agent.inputs if i.topic is topic and i.instance in ("*", instance)]
-
-
 @dataclasses.dataclass(frozen=True)
 class _Sent:
     """A message under way."""
@@ -42,6 +31,18 @@ class _Sent:
     sequence: int
     message: Any
     payload: bytes | None
+
+
+class _Seat:
+    """One agent, what it was fed since its last output, what it has yet to remember, and when it ticks."""
+
+    def __init__(self, agent: Agent, rig: str, epoch: int) -> None:
+        self.agent, self.epoch, self.fed = agent, epoch, Fed(agent, rig, epoch)
+        self.due_ns = BEGAN_NS
+        self.to_remember: dict[str, _Sent] = {}
+
+    def listens(self, topic: Topic, instance: str) -> list[Input]:
+        return [i for i in self.agent.inputs if i.topic is topic and i.instance in ("*", instance)]
 
 
 class Lockstep:
@@ -69,6 +70,7 @@ class Lockstep:
             for seat in self._seats:
                 if seat.agent.tick_hz is not None and self.now_ns >= seat.due_ns:
                     seat.due_ns += round(1e9 / seat.agent.tick_hz)
+                    self._remember(seat)
                     seat.fed.tick(self.now_ns)
                     self._step(seat, Tick(self.now_ns))
 
@@ -76,6 +78,7 @@ class Lockstep:
         """Have a command carried out; its answer."""
         (seat,) = [seat for seat in self._seats if topic in seat.agent.commands]
         name = key(self._rig, COMMANDS, seat.agent.instance, seat.agent.kind)
+        self._remember(seat)
         seat.fed.message(name, seat.epoch, self._numbers[name])
         replies = list(seat.agent.step(Command(topic, seat.agent.instance, message, self.now_ns)))
         (answer,) = [reply for reply in replies if isinstance(reply, CommandAnswer)]
@@ -124,7 +127,20 @@ class Lockstep:
             sent = self._waiting.popleft()
             for seat in self._seats:
                 for wanted in seat.listens(sent.topic, sent.instance):
-                    seat.fed.message(sent.key, sent.epoch, sent.sequence, wanted.only_newest_counts)
-                    # as it would arrive: arrays that lie otherwise in memory are added up otherwise
-                    message = decode(sent.topic.message, sent.payload or b"")
-                    self._step(seat, Received(sent.topic, sent.key, sent.sequence, message))
+                    if wanted.only_remembered:
+                        seat.to_remember[sent.key] = sent
+                    else:
+                        self._remember(seat)
+                        self._feed(seat, sent, wanted.only_newest_counts)
+
+    def _remember(self, seat: _Seat) -> None:
+        """Feed the newest of what is only remembered, right before what the agent acts on."""
+        while seat.to_remember:
+            name = next(iter(seat.to_remember))
+            self._feed(seat, seat.to_remember.pop(name), only_newest_counts=True)
+
+    def _feed(self, seat: _Seat, sent: _Sent, only_newest_counts: bool) -> None:
+        seat.fed.message(sent.key, sent.epoch, sent.sequence, only_newest_counts)
+        # as it would arrive: arrays that lie otherwise in memory are added up otherwise
+        message = decode(sent.topic.message, sent.payload or b"")
+        self._step(seat, Received(sent.topic, sent.key, sent.sequence, message))
