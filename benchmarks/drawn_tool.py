@@ -4,6 +4,7 @@ import dataclasses
 
 import cv2
 import numpy as np
+from jaxtyping import Float64
 
 from schemas.messages import RectifiedStereo
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER as PSM
@@ -36,8 +37,15 @@ def joints(at_s: float) -> np.ndarray:
 
 def pair(at_s: float, seed: int, shown: bool = True) -> tuple[np.ndarray, np.ndarray]:
     """Both images of a time, with noise of a seed; without the tool where it is not `shown`."""
+    return pair_of(PSM.forward(joints(at_s)), JAW, seed, shown)
+
+
+def pair_of(
+    T_base_tool: Float64[np.ndarray, "4 4"], jaw_rad: float, seed: int, shown: bool = True
+) -> tuple[np.ndarray, np.ndarray]:
+    """Both images of a tool there."""
     tool = Instrument(shaft_metal="dark", stains=2)
-    solids = solids_of(T_TRUE, PSM.forward(joints(at_s)), JAW, tool)
+    solids = solids_of(T_TRUE, T_base_tool, jaw_rad, tool)
     images = [draw_solids(BEHIND, IN_MM, solids, tool, x, seed)[0] if shown else BEHIND for x in (0.0, 5.5)]
     noisy = [expose(one, Sensor(), grain(one.shape[:2], 2 * seed + k)) for k, one in enumerate(images)]
     return noisy[0], noisy[1]

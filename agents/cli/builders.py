@@ -16,10 +16,12 @@ from agents.cli.rig import ArmSection, CameraSection, PerceptionSection, Planner
 from agents.cli.rig_hosts import run_name
 from agents.perception.agent import Perception, PerceptionConfig
 from agents.perception.segmentation.promptable_model import PromptableFileError, PromptableFiles
+from agents.perception.tool.agent import ToolTracker, ToolTrackerConfig
 from agents.planner.agent import Planner
 from agents.planner.config import PlannerConfig
 from agents.reconstruction.agent import Reconstruction
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
+from agents.robot_bridge.correction import CorrectionLimits
 from agents.robot_bridge.limits import MotionLimits
 from agents.robot_bridge.simulated import SimulatedPsm, waiting
 from agents.simulator.agent import Simulator, SimulatorConfig
@@ -40,7 +42,8 @@ KINDS = ("camera", "perception", "reconstruction", "planner", "robot_bridge", "s
 def configured(rig: RigConfig) -> list[tuple[str, str]]:
     """Kind and instance of every agent that is to run on this machine, in the order of the dataflow."""
     sections = [(kind, MAIN) for kind in KINDS if kind != "robot_bridge" and getattr(rig, kind) is not None]
-    agents = [*sections, *(("robot_bridge", arm) for arm in rig.robot)]
+    tracked = rig.perception.track_tool if rig.perception is not None else ()
+    agents = [*sections, *(("perception", arm) for arm in tracked), *(("robot_bridge", arm) for arm in rig.robot)]
     return [(kind, instance) for kind, instance in agents if rig.runs_here(run_name(kind, instance))]
 
 
@@ -57,6 +60,8 @@ def build(rig: RigConfig, kind: str, instance: str) -> Agent:
     match section:
         case CameraSection():
             return _camera(section, SessionSettings(rig.rig, section.endpoint or "", rig.identity_of("camera")))
+        case PerceptionSection() if instance != MAIN:
+            return _tool_tracker(section, instance)
         case PerceptionSection():
             return _perception(section, rig.needs_matching)
         case PlannerSection():
@@ -86,6 +91,7 @@ def _robot_bridge(rig: RigConfig, arm: str, section: ArmSection) -> RobotBridge:
         T_camera_base,
         maximum_plan_age_s=section.maximum_plan_age_s,
         limits=MotionLimits().slowed(section.speed_share),
+        correction=correction_limits(section),
     )
     if section.kinematics is not None:
         kinematics, start = _other_arm(section.kinematics)
@@ -102,6 +108,13 @@ def _robot_bridge(rig: RigConfig, arm: str, section: ArmSection) -> RobotBridge:
     backend = DvrkPsm(told.arm, reached, naming_of(told), told.tool, told.dry_run, told.through_guard, base=base)
     audit = audit_of(rig, run_name("robot_bridge", arm))
     return AuditedBridge(dataclasses.replace(config, tick_hz=told.set_point_hz), backend, audit)
+
+
+def correction_limits(section: ArmSection) -> CorrectionLimits | None:
+    """How far the images may correct where an arm's base is; None where they do not."""
+    if section.correction == "none":
+        return None
+    return CorrectionLimits(1e-3 * section.correction_limit_mm, float(np.radians(section.correction_limit_deg)))
 
 
 def _other_arm(path: Path) -> tuple[DhArm, tuple[float, ...]]:
@@ -142,6 +155,13 @@ def _perception(section: PerceptionSection, needs_matching: bool) -> Agent:
         return Perception(perception_config(section, needs_matching))
     except PromptableFileError as error:
         raise ConfigError(f"[perception] {error}") from None
+
+
+def _tool_tracker(section: PerceptionSection, arm: str) -> Agent:
+    if arm not in section.track_tool:
+        named = ", ".join(section.track_tool) or "nothing"
+        raise ConfigError(f"perception.track_tool names {named}, and not {arm!r}; add it")
+    return ToolTracker(ToolTrackerConfig(arm))
 
 
 def _camera(section: CameraSection, reached: SessionSettings) -> Agent:

@@ -8,7 +8,7 @@ import tyro
 
 Words = Literal[
     "fault", "error", "stick", "loose", "mute", "speak",
-    "camera", "camera_back", "setup", "setup_back", "clutch", "unclutch",
+    "camera", "camera_back", "setup", "setup_back", "clutch", "unclutch", "unreached",
 ]  # fmt: skip
 
 

@@ -15,6 +15,7 @@ from agents.cli.live_options import (
     Guard,
     HoldArm,
     OnRig,
+    PerceptionAgent,
     PromptThread,
     Record,
     RigStatus,
@@ -105,6 +106,8 @@ def run_live(options: OnRig) -> int:
                 from agents.cli.set_command import set_parameter
 
                 return set_parameter(rig, options)
+            case PerceptionAgent(arm=str(arm_name)):
+                return _run_agent(rig, "perception", arm_name)
             case RobotBridgeAgent():
                 return _run_agent(rig, "robot_bridge", options.arm)
             case _:

@@ -23,7 +23,10 @@ class CameraAgent(OnRig):
 
 @dataclass(frozen=True)
 class PerceptionAgent(OnRig):
-    """Run perception: frames become ordered observations of the thread."""
+    """Run perception: frames become ordered observations of the thread; or, with --arm, where that arm's tool is."""
+
+    arm: OptionalLabel = None
+    """Look for the tool of this arm instead, which the configuration's track_tool names."""
 
 
 @dataclass(frozen=True)

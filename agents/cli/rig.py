@@ -73,6 +73,19 @@ class RigConfig(Settings):
             raise ValueError(f"reconstruction.method {method!r} needs perception.matching = true, or leave it out")
         return self
 
+    @model_validator(mode="after")
+    def _tools_are_of_arms(self) -> "RigConfig":
+        tracked = self.perception.track_tool if self.perception is not None else ()
+        for arm in tracked:
+            if arm not in self.robot:
+                raise ValueError(f"perception.track_tool names {arm!r}, and the arms are {', '.join(self.robot)}")
+            if self.robot[arm].kinematics is not None:
+                raise ValueError(f"perception.track_tool names {arm!r}, whose tool is no PSM's; leave it out")
+        for arm, section in self.robot.items():
+            if section.correction == "perception" and arm not in tracked:
+                raise ValueError(f"robot.{arm}.correction = 'perception' needs perception.track_tool = [\"{arm}\"]")
+        return self
+
     @field_validator("topics")
     @classmethod
     def _each_topic_is_of_the_table(cls, topics: dict[str, TopicSection]) -> dict[str, TopicSection]:
@@ -164,7 +177,8 @@ class RigConfig(Settings):
     def processes(self) -> list[str]:
         """Everything that has a section, on whichever host, as `runs` writes it; the router is apart."""
         agents = [kind for kind in AGENT_SECTIONS if getattr(self, kind) is not None]
-        arms = [f"robot_bridge {arm}" for arm in self.robot]
+        tracked = self.perception.track_tool if self.perception is not None else ()
+        arms = [*(f"perception {arm}" for arm in tracked), *(f"robot_bridge {arm}" for arm in self.robot)]
         guards = [f"guard {arm}" for arm, section in self.robot.items() if section.dvrk is not None]
         return [*agents, *arms, *guards, *(kind for kind in ("recorder", "viewer") if getattr(self, kind) is not None)]
 

@@ -9,6 +9,7 @@ from pydantic import AfterValidator, Field, model_validator
 from agents.cli.base_pose import BasePose
 from agents.cli.rig_hosts import HostName
 from agents.reconstruction.method_names import DEFAULT_METHOD
+from agents.robot_bridge.correction import CORRECTION_LIMIT_DEG, CORRECTION_LIMIT_MM
 from agents.robot_bridge.limits import MAXIMUM_PLAN_AGE_S
 from shared.runtime.config import Settings
 from shared.runtime.session import LOCAL_ENDPOINT
@@ -87,10 +88,12 @@ class CameraSection(Settings):
 class PerceptionSection(Settings):
     """How thread is found; `auto` takes what suits each image. `matching` unset is as the method needs it.
 
+    `track_tool` names arms whose instrument is looked for too, each by a process of its own.
     Segmenter `promptable` runs a network from two files of the user's own, whose hashes are compared where given.
     """
 
     segmenter: Literal["auto", "threshold", "ridge", "network", "promptable"] = "auto"
+    track_tool: tuple[Name, ...] = ()
     matching: bool | None = None
     promptable_encoder: Path | None = None
     promptable_decoder: Path | None = None
@@ -140,6 +143,9 @@ class ArmSection(Settings):
     backend: Literal["simulated", "dvrk"] = "simulated"
     speed_share: float = Field(default=1.0, ge=0.01, le=1)
     maximum_plan_age_s: float = Field(default=MAXIMUM_PLAN_AGE_S, gt=0)
+    correction: Literal["none", "perception"] = "none"
+    correction_limit_mm: float = Field(default=CORRECTION_LIMIT_MM, gt=0, le=30)
+    correction_limit_deg: float = Field(default=CORRECTION_LIMIT_DEG, gt=0, le=15)
     T_camera_base: BasePose | None = None
     T_camera_base_file: Path | None = None
     T_camera_base_axes: Literal["opencv", "da_vinci"] | None = None

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from agents.perception.rectification import Rectification, RectificationError, rectification, rectify_image
+from agents.perception.tool.placed import APART_NS, in_metres, registered
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import RectifiedStereo, RobotState, StereoCalibration, StereoFrame
@@ -25,8 +26,6 @@ from shared.runtime.taps import Tapped
 
 KEPT_STATES = 300
 SILENT_S = 3.0
-APART_NS = 60_000_000
-"""A state that was measured so far from a frame's time tells nothing of it; one at rest comes ten times a second."""
 
 
 class Seen(NamedTuple):
@@ -107,7 +106,8 @@ def _seen(payload: bytes, states: list[RobotState], ready: Rectification, delay_
     if abs(state.measured_ns - at_ns) > APART_NS or left.ndim != 3:
         return None
     images = rectify_image(left, ready.map_left), rectify_image(right, ready.map_right)
-    return Seen(at_ns * 1e-9, *images, state, _in_metres(ready.camera))
+    as_registered = dataclasses.replace(state, T_camera_base=registered(state))
+    return Seen(at_ns * 1e-9, *images, as_registered, in_metres(ready.camera))
 
 
 def _is_state(name: str, arm: str) -> bool:
@@ -121,7 +121,3 @@ def _rectification(name: str, calibration: StereoCalibration) -> Rectification:
         return rectification(calibration)
     except RectificationError as error:
         raise RecordingError(f"{name}: {error}") from None
-
-
-def _in_metres(camera: RectifiedStereo) -> RectifiedStereo:
-    return dataclasses.replace(camera, baseline=camera.baseline * (camera.metres_per_unit or 1.0), metres_per_unit=1.0)

@@ -22,6 +22,7 @@ from agents.cli.status_report import watched
 from agents.cli.status_session import reading_session
 from agents.cli.supervisor import Change, Role, Supervisor, last_line, supervised
 from agents.cli.terminal import complain, say
+from schemas.topics import MAIN
 from shared.runtime.connection import connected
 
 EXIT_ALL_ENDED = 1
@@ -43,7 +44,7 @@ def start_all(supervisor: Supervisor, rig: RigConfig, config: Path, folder: Sess
     if rig.runs_here("viewer"):
         start("viewer", Role.VIEWER, "view", "--output", str(folder.rerun), "--numbered", "--show", show)
     for kind, instance in configured(rig):
-        extra = ("--arm", instance) if kind == "robot_bridge" else ()
+        extra = ("--arm", instance) if instance != MAIN else ()
         start(name_of(kind, instance), Role.AGENT, kind.replace("_", "-"), *extra)
 
 

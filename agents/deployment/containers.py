@@ -11,7 +11,7 @@ from ruamel.yaml import YAML
 
 from agents.deployment.layout import ROUTER, Host, Process
 from agents.deployment.places import HOME, RIG_FILE, SECRETS, SESSIONS
-from agents.deployment.units import COMMANDS, NOT_OURS, OF_AN_ARM, REALTIME_KINDS, REALTIME_PRIORITY
+from agents.deployment.units import NOT_OURS, OF_AN_ARM, REALTIME_KINDS, REALTIME_PRIORITY, command_of
 from shared.runtime.identity import AUTHORITY_FILE
 from shared.runtime.session import ROUTER_RUNTIME, RUNTIME_VARIABLE
 
@@ -65,7 +65,7 @@ def _service(host: Host, process: Process, calibration: str) -> dict[str, Any]:
         service["volumes"] = [f"./{ROUTER_FILE}:/etc/zenoh/{ROUTER_FILE}:ro"]
         service["environment"] = {RUNTIME_VARIABLE: ROUTER_RUNTIME}
         return service
-    asked = COMMANDS.get(process.kind, process.kind)
+    asked = command_of(process)
     if process.kind == "viewer":
         asked = "view --output {session} --numbered --show file"
     ending = "rrd" if process.kind == "viewer" else "mcap"

@@ -8,7 +8,7 @@ from agents.deployment.layout import ROUTER, ROUTER_NAME, Host, Layout
 from agents.deployment.places import RIG_FILE, SECRETS
 from agents.deployment.robot_zenoh import FILE as ROBOT_ZENOH_FILE
 from agents.deployment.robot_zenoh import nested, robot_zenoh_file
-from agents.deployment.units import OF_AN_ARM, units
+from agents.deployment.units import names_its_arm, units
 from shared.runtime.access import access_control
 from shared.runtime.identity import AUTHORITY_FILE, Identity
 from shared.runtime.session import router_settings
@@ -49,5 +49,5 @@ def hosts_in_words(layout: Layout) -> list[str]:
 
 
 def _processes_of(host: Host) -> str:
-    named = [p.kind if p.kind not in OF_AN_ARM else f"{p.kind} {p.instance}" for p in host.processes]
+    named = [f"{p.kind} {p.instance}" if names_its_arm(p) else p.kind for p in host.processes]
     return ", ".join(named) or "nothing"

@@ -18,7 +18,8 @@ from shared.runtime.session import on_loopback, router_settings
 
 ROBOT_ZENOH = "robot_zenoh"
 FILE = "robot-zenoh.json5"
-HEARD = ("measured_js", "jaw/measured_js", "measured_cp", "local/measured_cp", "operating_state", "error", "tool_type")
+MEASURED = ("measured_js", "jaw/measured_js", "measured_cp", "local/measured_cp")
+HEARD = (*MEASURED, "operating_state", "error", "goal_reached", "tool_type")
 MOVED = ("/ECM/local/measured_cp", "/footpedals/(camera|clutch)", "/ECM/io/(manip|suj)_clutch")
 """What tells beside the arm's own that it stands on something that has moved."""
 BUTTONS = "io/(manip|suj)_clutch"

@@ -7,6 +7,7 @@ loop, that it lives. Nothing gains privileges, and nothing but a recorder may wr
 from agents.deployment.layout import ROUTER, Host, Process
 from agents.deployment.places import CERTIFICATES, HOME, PROGRAM, RIG_FILE, SESSIONS, USER
 from agents.deployment.robot_zenoh import ROBOT_ZENOH
+from schemas.topics import MAIN
 from shared.runtime.identity import AUTHORITY_FILE
 
 TARGET = "suturegrasp.target"
@@ -19,6 +20,8 @@ REALTIME_KINDS = ("robot_bridge", "camera", "simulator", GUARD)
 """What keeps time; the others would take the processor from them."""
 REALTIME_PRIORITY = 50
 OF_AN_ARM = ("robot_bridge", GUARD)
+TOOL_TRACKER = "perception"
+"""One beside the thread's own for each arm whose instrument is looked for; its instance is the arm."""
 COMMANDS = {
     "robot_bridge": "robot-bridge --arm {instance}",
     GUARD: "guard --arm {instance}",
@@ -51,9 +54,21 @@ UMask=0027
 """
 
 
+def names_its_arm(process: Process) -> bool:
+    """Whether a process is one of an arm's."""
+    return process.kind in OF_AN_ARM or (process.kind == TOOL_TRACKER and process.instance != MAIN)
+
+
+def command_of(process: Process) -> str:
+    """What a process is started by, with places for its instance and the session's file."""
+    if process.kind == TOOL_TRACKER and process.instance != MAIN:
+        return "perception --arm {instance}"
+    return COMMANDS.get(process.kind, process.kind)
+
+
 def unit_name(process: Process) -> str:
     """File name of the unit of a process."""
-    ending = f"-{process.instance}" if process.kind in OF_AN_ARM else ""
+    ending = f"-{process.instance}" if names_its_arm(process) else ""
     return f"suturegrasp-{process.kind.replace('_', '-')}{ending}.service"
 
 
@@ -70,9 +85,7 @@ def units(rig: str, host: Host) -> dict[str, str]:
 
 
 def _service(rig: str, host: Host, process: Process) -> str:
-    command = COMMANDS.get(process.kind, process.kind).format(
-        instance=process.instance, session=SESSIONS / "session.mcap"
-    )
+    command = command_of(process).format(instance=process.instance, session=SESSIONS / "session.mcap")
     if process.kind == "viewer":
         command = f"view --output {SESSIONS / 'session.rrd'} --numbered --show file"
     name = process.common_name

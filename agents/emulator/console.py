@@ -155,8 +155,9 @@ class EmulatedConsole:
     def request(self, word: str) -> None:
         """Have it do something.
 
-        `fault`, `error`; `stick` and `loose`; `mute` and `speak`; `camera` and `setup` (endoscope and set-up joints
-        move by STEP_M, `camera_back` and `setup_back` back again); `clutch` and `unclutch` (the pedal).
+        `fault`, `error`, `unreached` (a motion of its own has failed); `stick` and `loose`; `mute` and `speak`;
+        `camera` and `setup` (endoscope and set-up joints move by STEP_M, `camera_back` and `setup_back` back again);
+        `clutch` and `unclutch` (the pedal).
         """
         with self._lock:
             if word == "fault":
@@ -168,6 +169,8 @@ class EmulatedConsole:
                 self._moved_m[what] = 0.0 if back else STEP_M
         if word in ("fault", "error"):
             self._say("error", String(f"{self.name}: an error was asked for"))
+        if word == "unreached":
+            self._say("goal_reached", Bool(False))
         if word in ("clutch", "unclutch"):
             self._say(CLUTCH, Joy(header(self._now_ns()), [], [int(word == "clutch")]))
 
@@ -208,9 +211,12 @@ class EmulatedConsole:
     def _hear_hold(self, data: bytes) -> None:
         Empty.deserialize(data)
         with self._lock:
+            cut_short = self._arm.moves
             self._arm.hold()
             self._times["held_ns"], self._held = self._now_ns(), True
             self._holds_ns.append(self._times["held_ns"])
+        if cut_short:
+            self._say("goal_reached", Bool(False))
 
     def _hear_command(self, data: bytes) -> None:
         with self._lock:

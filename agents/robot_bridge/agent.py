@@ -3,41 +3,38 @@
 Everything it does follows from what it is fed; the time is that of the ticks and commands.
 """
 
-import dataclasses
 import logging
 from collections.abc import Iterable
 
-from agents.robot_bridge.backend import ArmState, Backend, Readiness
+from agents.robot_bridge.backend import ArmState, Backend
 from agents.robot_bridge.config import RobotBridgeConfig, RobotBridgeError
 from agents.robot_bridge.execution import Execution, Patience
-from agents.robot_bridge.limits import Setup
-from agents.robot_bridge.measuring import Measuring
 from agents.robot_bridge.motion import plan_motion
 from agents.robot_bridge.plans import CLOCK_TOLERANCE_S, Plans, untimely
 from agents.robot_bridge.refusals import REPLAYED, Code, Refusal
+from agents.robot_bridge.standing import Standing
+from agents.robot_bridge.telling import accepted, event_of, mode_of, refused, robot_state
 from schemas.messages import (
     Arm,
     ChangeState,
     CommandAnswer,
-    ExecutionEvent,
     ExecutionKind,
     GraspPlan,
     Heartbeat,
     Hold,
-    Outcome,
-    Phase,
     ReplayClock,
-    RobotMode,
     RobotState,
     TissueSurface,
+    ToolCorrection,
 )
-from schemas.topics import ARM, CHANGE_STATE, EXECUTION, HEARTBEAT, HOLD, PLAN, REPLAY_CLOCK, ROBOT_STATE, SURFACE
+from schemas.topics import ARM, CHANGE_STATE, EXECUTION, HEARTBEAT, HOLD, PLAN, REPLAY_CLOCK, ROBOT_STATE, SURFACE, TOOL
 from shared.runtime.agent import Command, Input, Output, Received, Tick
 
 __all__ = ["RobotBridge", "RobotBridgeConfig", "RobotBridgeError"]
 
 RESTS_AFTER_S = 1.0
 """So long after it was armed or moved last, an arm is at rest."""
+UNMEASURED = Refusal(Code.NOT_READY, "the arm has not been measured yet")
 REPLAY_OVER_S = 2.0
 """A replay that was not heard for so long is over."""
 
@@ -55,18 +52,18 @@ class RobotBridge:
         self.accepts_replayed_time = backend.accepts_replayed_time
         clock = () if backend.accepts_replayed_time else (Input(REPLAY_CLOCK, only_newest_counts=True),)
         tissue = Input(SURFACE, only_newest_counts=True, only_remembered=True)
-        self.inputs = (Input(PLAN), Input(HEARTBEAT, config.arm), tissue, *clock)
+        images = Input(TOOL, config.arm, only_newest_counts=True, only_remembered=True)
+        corrections = () if config.correction is None else (images,)
+        self.inputs = (Input(PLAN), Input(HEARTBEAT, config.arm), tissue, *corrections, *clock)
         self.config, self._backend = config, backend
-        self._setup = Setup(backend.kinematics, config.T_camera_base, config.limits, 1 / config.tick_hz)
         self._plans = Plans(config.arm)
-        self._surface: TissueSurface | None = None
         self._now_ns: int | None = None
         self._replay_over_ns = 0
         self._rests_from_ns = 0
         self._execution: Execution | None = None
         self._holding = False
         self._turns = 0
-        self._measured = Measuring(backend, logging.getLogger(f"suturegrasp.{self.kind}.{config.arm}"))
+        self._stands = Standing(config, backend, logging.getLogger(f"suturegrasp.{self.kind}.{config.arm}"))
 
     def configure(self, config: RobotBridgeConfig) -> None:
         """Go on with another config, in which only what may be set while the agent runs has changed."""
@@ -101,8 +98,8 @@ class RobotBridge:
                 self._plans.keep(plan, replayed=(self._now_ns or 0) < self._replay_over_ns)
             case Received(message=Heartbeat() as heartbeat):
                 self._beat(heartbeat)
-            case Received(message=TissueSurface() as surface):
-                self._surface = surface
+            case Received(message=(TissueSurface() | ToolCorrection()) as told):
+                self._stands.hear(told, armed=self.executes)
             case Received(message=ReplayClock()):
                 return self._refuse_replay()
             case _:
@@ -126,27 +123,20 @@ class RobotBridge:
     def _turn(self, now_ns: int) -> list[Output]:
         elapsed_s = 0.0 if self._now_ns is None else (now_ns - self._now_ns) * 1e-9
         self._now_ns = now_ns
-        arm = self._measure(now_ns)
-        if self._execution or (arm and self._measured.has_moved(arm)):
+        arm = self._stands.measure(now_ns)
+        if self._execution or (arm and self._stands.measured.has_moved(arm)):
             self._rests_from_ns = now_ns + round(RESTS_AFTER_S * 1e9)
         events = self._carry_on(self._execution, arm, now_ns, elapsed_s) if self._execution else []
-        return [Output(ROBOT_STATE, self._robot_state(arm)), *events] if arm and (self._tells() or events) else events
+        return [Output(ROBOT_STATE, self._told(arm)), *events] if arm and (self._tells() or events) else events
 
     def _tells(self) -> bool:
         """Whether the state is told in this turn; where set points go out faster than it, not in each."""
         self._turns += 1
         return self._turns % max(1, round(self.tick_hz / (ROBOT_STATE.rate_hz or self.tick_hz))) == 0
 
-    def _measure(self, now_ns: int) -> ArmState | None:
-        """The newest state, and where its base is by that."""
-        arm = self._measured.measure(now_ns)
-        if arm and arm.T_camera_base is not None:
-            self._setup = dataclasses.replace(self._setup, T_camera_base=arm.T_camera_base)
-        return arm
-
     def _carry_on(self, execution: Execution, arm: ArmState | None, now_ns: int, elapsed_s: float) -> list[Output]:
-        if self._measured.not_ready or arm is None:
-            return self._hold(Refusal(Code.NOT_READY, self._measured.not_ready), now_ns)
+        if (why := self._stands.broken(now_ns)) or arm is None:
+            return self._hold(why or UNMEASURED, now_ns)
         following = execution.next(arm, now_ns, elapsed_s, self.config.ratio)
         if following is None:
             return []
@@ -154,11 +144,13 @@ class RobotBridge:
             return self._hold(following, now_ns)
         self._backend.move(following.joints, following.jaw_rad)
         of = execution.plan_id, execution.arming_id
-        events = [self._event(*of, ExecutionKind.PHASE_REACHED, now_ns, phase=p) for p in following.reached]
+        events = [
+            event_of(self.config.arm, *of, ExecutionKind.PHASE_REACHED, now_ns, phase=p) for p in following.reached
+        ]
         if following.finished:
             self._execution = None
             self._plans.forget(execution.plan_id)
-            events.append(self._event(*of, ExecutionKind.FINISHED, now_ns))
+            events.append(event_of(self.config.arm, *of, ExecutionKind.FINISHED, now_ns))
         return events
 
     def _hold(self, why: Refusal, now_ns: int) -> list[Output]:
@@ -168,7 +160,7 @@ class RobotBridge:
         execution, self._execution = self._execution, None
         if execution is None:
             return []
-        return [self._event(execution.plan_id, execution.arming_id, ExecutionKind.HELD, now_ns, why)]
+        return [event_of(self.config.arm, execution.plan_id, execution.arming_id, ExecutionKind.HELD, now_ns, why)]
 
     def _beat(self, heartbeat: Heartbeat) -> None:
         execution = self._execution
@@ -190,36 +182,36 @@ class RobotBridge:
     def _answer_arm(self, command: Command, message: Arm) -> list[Output | CommandAnswer]:
         armed, of = self._arm(command, message), (message.plan_id, message.header.id)
         if isinstance(armed, Refusal):
-            refused = self._event(*of, ExecutionKind.REFUSED, command.now_ns, armed)
-            return [_refused(message.header.id, armed), refused]
+            event = event_of(self.config.arm, *of, ExecutionKind.REFUSED, command.now_ns, armed)
+            return [refused(message.header.id, armed), event]
         self._execution, self._holding = armed, False
-        accepted = self._event(*of, ExecutionKind.ACCEPTED, command.now_ns)
-        return [CommandAnswer(message.header.id, Outcome.ACCEPTED, "", ""), accepted]
+        event = event_of(self.config.arm, *of, ExecutionKind.ACCEPTED, command.now_ns)
+        return [accepted(message.header.id), event]
 
     def _answer_hold(self, command: Command, message: Hold) -> list[Output | CommandAnswer]:
         if refusal := self._wrong_arm(command, message.arm):
-            return [_refused(message.header.id, refusal)]
+            return [refused(message.header.id, refusal)]
         held = self._hold(Refusal(Code.HOLD_COMMAND, f"{message.header.sender} said hold"), command.now_ns)
-        return [CommandAnswer(message.header.id, Outcome.ACCEPTED, "", ""), *held]
+        return [accepted(message.header.id), *held]
 
     def _change_state(self, command: Command, message: ChangeState) -> CommandAnswer:
         """A person has the console enable, home, pause: while nothing is armed, of an arm whose time is this one."""
         of, word = message.header.id, message.word.name.lower()
         if refusal := self._wrong_arm(command, message.arm):
-            return _refused(of, refusal)
+            return refused(of, refusal)
         if command.now_ns < self._replay_over_ns:
-            return _refused(of, REPLAYED)
+            return refused(of, REPLAYED)
         if self._execution:
-            return _refused(of, self._busy())
+            return refused(of, self._busy())
         if self._backend.dry_run:
             would = f"{word} was not sent: this is a dry run (dry_run of the arm's configuration)"
-            return _refused(of, Refusal(Code.DRY_RUN, would))
+            return refused(of, Refusal(Code.DRY_RUN, would))
         self._now_ns = command.now_ns
-        self._measure(command.now_ns)
+        self._stands.measure(command.now_ns)
         self._backend.slow_down(self.config.ratio)
         if why := self._backend.change_state(message.word, command.now_ns):
-            return _refused(of, Refusal(Code.NO_STATES, f"{word} was not sent: {why}"))
-        return CommandAnswer(of, Outcome.ACCEPTED, "", "")
+            return refused(of, Refusal(Code.NO_STATES, f"{word} was not sent: {why}"))
+        return accepted(of)
 
     def _arm(self, command: Command, message: Arm) -> Execution | Refusal:
         if refusal := self._wrong_arm(command, message.arm) or self._plans.unusable(message.plan_id):
@@ -234,13 +226,14 @@ class RobotBridge:
         if self._now_ns is not None:
             # between turns of an arm at rest much may have happened
             self._now_ns = command.now_ns
-            self._measure(command.now_ns)
-        arm = self._measured.state
-        if self._measured.not_ready or arm is None or self._now_ns is None:
-            return Refusal(Code.NOT_READY, self._measured.not_ready)
+            self._stands.measure(command.now_ns)
+        arm, why = self._stands.measured.state, self._stands.refusal(command.now_ns)
+        if why or arm is None or self._now_ns is None:
+            return why or UNMEASURED
         if refusal := untimely(plan, command.now_ns, arm.still_since_ns, self.config.maximum_plan_age_s):
             return refusal
-        planned = plan_motion(plan.waypoints, arm.joints, arm.jaw_rad, self._with_tissue(command.now_ns))
+        setup = self._stands.with_tissue(command.now_ns, self.config.maximum_plan_age_s)
+        planned = plan_motion(plan.waypoints, arm.joints, arm.jaw_rad, setup)
         if isinstance(planned, Refusal):
             return planned
         if self._backend.dry_run:
@@ -254,49 +247,12 @@ class RobotBridge:
         sentence = f"the command is for {named}, and this is {self.config.arm}"
         return Refusal(Code.OTHER_ARM, sentence) if named is not None else None
 
-    def _with_tissue(self, now_ns: int) -> Setup:
-        """With the tissue as it was seen last, where that is no older than a plan may be."""
-        surface = self._surface
-        if surface is None or now_ns - surface.stamp.capture_left_ns > self.config.maximum_plan_age_s * 1e9:
-            return self._setup
-        return dataclasses.replace(self._setup, surface=surface)
-
     def _busy(self) -> Refusal:
         carries_out = f"the arm carries out plan {self._execution.plan_id}" if self._execution else ""
         return Refusal(Code.BUSY, f"{carries_out}: let it end, or say hold, before arming")
 
-    def _robot_state(self, arm: ArmState) -> RobotState:
-        return RobotState(
-            arm=self.config.arm,
-            measured_ns=arm.measured_ns,
-            mode=self._mode(arm),
-            T_base_tool=self._measured.tool_pose(arm),
-            joints=arm.joints,
-            jaw_rad=arm.jaw_rad,
-            T_camera_base=self._setup.T_camera_base,
-            plan_id=self._execution.plan_id if self._execution else "",
-        )
-
-    def _mode(self, arm: ArmState) -> RobotMode:
-        if self._measured.not_ready:
-            return RobotMode.DISABLED if arm.readiness is Readiness.DISABLED else RobotMode.FAULT
-        if self._execution and self._execution.moving:
-            return RobotMode.MOVING
-        return RobotMode.HOLDING if self._holding else RobotMode.IDLE
-
-    def _event(
-        self,
-        plan_id: str,
-        arming_id: str,
-        kind: ExecutionKind,
-        at_ns: int,
-        why: Refusal | None = None,
-        phase: Phase | None = None,
-    ) -> Output:
-        code, reason = (why.code.value, why.sentence) if why else ("", "")
-        event = ExecutionEvent(plan_id, self.config.arm, at_ns, kind, phase, code, reason, arming_id)
-        return Output(EXECUTION, event)
-
-
-def _refused(command_id: str, why: Refusal) -> CommandAnswer:
-    return CommandAnswer(command_id, Outcome.REFUSED, why.code.value, why.sentence)
+    def _told(self, arm: ArmState) -> RobotState:
+        execution = self._execution
+        moving = execution is not None and execution.moving
+        mode = mode_of(arm, self._stands, moving, self._holding)
+        return robot_state(self.config.arm, arm, self._stands, mode, execution.plan_id if execution else "")

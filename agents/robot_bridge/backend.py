@@ -7,6 +7,7 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import Float64
 
+from agents.robot_bridge.refusals import Code
 from schemas.messages import StateWord
 from shared.kinematics.arm import ArmKinematics
 
@@ -25,7 +26,8 @@ class ArmState:
 
     Fields:
         measured_ns: when, on the bridge's clock.
-        reason: why it is not ready; empty where it is.
+        reason, code: why it is not ready; empty where it is.
+        busy: it makes a motion of its own.
         still_since_ns: what a camera saw before is elsewhere now: camera, set-up joints or the arm were moved.
         T_camera_base: where its base is now; None where that is as configured.
     """
@@ -35,6 +37,8 @@ class ArmState:
     jaw_rad: float
     readiness: Readiness = Readiness.READY
     reason: str = ""
+    code: Code = Code.NOT_READY
+    busy: bool = False
     still_since_ns: int = 0
     T_camera_base: Float64[np.ndarray, "4 4"] | None = None
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float64
 
+from agents.robot_bridge.correction import CorrectionLimits
 from agents.robot_bridge.limits import MAXIMUM_PLAN_AGE_S, MotionLimits
 from schemas.checks import MessageError
 from schemas.messages.grasping import check_pose
@@ -31,6 +32,7 @@ class RobotBridgeConfig:
         ratio: of the speed that a motion was planned with; a motion that is under way goes over to another smoothly.
         tick_hz, resting_hz: turns a second while the arm is armed or moves, and while it is disarmed and still; each
             turn of a motion sends a set point.
+        correction: how far perception may correct where the base is, by its tool in the images; None where it may not.
     """
 
     arm: str = "psm1"
@@ -42,6 +44,7 @@ class RobotBridgeConfig:
     tick_hz: float = ROBOT_STATE.rate_hz or 100.0
     resting_hz: float = ROBOT_STATE.resting_hz or 10.0
     limits: MotionLimits = field(default_factory=MotionLimits)
+    correction: CorrectionLimits | None = None
 
     def __post_init__(self) -> None:
         try:

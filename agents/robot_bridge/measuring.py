@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.robot_bridge.backend import ArmState, Backend, Readiness
+from agents.robot_bridge.refusals import Code, Refusal
 
 STILL = np.array([2e-3, 2e-3, 2e-4, 2e-3, 2e-3, 2e-3, 2e-3])
 """An arm whose joints (rad, the third m) and jaw are this near to where they were a while ago has not moved."""
@@ -21,12 +22,12 @@ class Measuring:
 
     Fields:
         state: the newest that is finite; None before the first.
-        not_ready: why it must not be moved now; empty where it may be.
+        not_ready: why it must not be moved now; None where it may be.
     """
 
     def __init__(self, backend: Backend, log: logging.Logger) -> None:
         self.state: ArmState | None = None
-        self.not_ready = "the arm has not been measured yet"
+        self.not_ready: Refusal | None = Refusal(Code.NOT_READY, "the arm has not been measured yet")
         self._backend, self._log, self._logged = backend, log, ""
         self._still_at = np.full(7, np.inf)
         self._tool: tuple[np.ndarray, Float64[np.ndarray, "4 4"]] | None = None
@@ -35,15 +36,17 @@ class Measuring:
         """The newest finite state, noting why the arm is not ready."""
         state = self._backend.state(now_ns)
         if not (np.isfinite(state.joints).all() and np.isfinite(state.jaw_rad)):
-            self.not_ready = state.reason or "the arm reports a joint that is not finite"
+            why = state.reason or "the arm reports a joint that is not finite"
+            self.not_ready = Refusal(state.code, why)
             self._tell_readiness()
             return self.state
         self.state = state
         late = abs(now_ns - state.measured_ns) > MEASUREMENT_AGE_S * 1e9
         if state.readiness is not Readiness.READY:
-            self.not_ready = f"the arm is {state.readiness.name}: {state.reason}"
+            self.not_ready = Refusal(state.code, f"the arm is {state.readiness.name}: {state.reason}")
         else:
-            self.not_ready = f"the arm was not measured for {MEASUREMENT_AGE_S:g} s" if late else ""
+            silent = f"the arm was not measured for {MEASUREMENT_AGE_S:g} s"
+            self.not_ready = Refusal(Code.STALE_STATE, silent) if late else None
         self._tell_readiness()
         return state
 
@@ -63,7 +66,8 @@ class Measuring:
 
     def _tell_readiness(self) -> None:
         """Log why the arm is not ready, and that it is again; not each change of a figure in it."""
-        words = FIGURES.sub("", self.not_ready)
+        sentence = self.not_ready.sentence if self.not_ready else ""
+        words = FIGURES.sub("", sentence)
         if words != self._logged:
             self._logged = words
-            self._log.warning("%s", self.not_ready) if words else self._log.info("the arm is ready")
+            self._log.warning("%s", sentence) if words else self._log.info("the arm is ready")

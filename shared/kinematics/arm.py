@@ -5,7 +5,7 @@ is the arm's own. Joints are in radians, or in metres where they slide. Any numb
 """
 
 import enum
-from typing import NamedTuple, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -50,6 +50,9 @@ class Solution(NamedTuple):
 
 class ArmKinematics(Protocol):
     """One arm with its tool, as data."""
+
+    name: ClassVar[str]
+    """What kind of arm it is, as its state tells it; empty for a PSM."""
 
     @property
     def limits(self) -> Float64[np.ndarray, "6 2"]:

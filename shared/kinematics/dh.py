@@ -12,6 +12,7 @@ refused.
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -45,6 +46,8 @@ class DhArm:
     jaw_limit: tuple[float, float]
     jaw_max_speed: float
     length_m: float
+
+    name: ClassVar[str] = "dh"
 
     @property
     def limits(self) -> Float64[np.ndarray, "6 2"]:

@@ -24,7 +24,7 @@ Source of the numbers: jhu-dvrk/sawIntuitiveResearchKit, PSM Classic with Large 
 import functools
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -60,6 +60,8 @@ class Psm:
     jaw_limit: tuple[float, float]
     jaw_max_speed: float
     shaft_clearance: float
+
+    name: ClassVar[str] = ""
 
     @property
     def limits(self) -> Float64[np.ndarray, "6 2"]:

@@ -11,6 +11,7 @@ from jaxtyping import Float64
 
 from shared.rigid_transforms import quaternion_from_rotation, rotation_from_quaternion, transform
 from shared.ros.types import (
+    BOOL,
     EMPTY,
     FLOAT64,
     JOINT_STATE,
@@ -128,6 +129,15 @@ def operating_state(data: bytes) -> OperatingState:
     """
     found = decode(OPERATING_STATE, data)
     return OperatingState(str(found.state), bool(found.is_homed), bool(found.is_busy))
+
+
+def flag(data: bytes) -> bool:
+    """Whether something is so (std_msgs/Bool).
+
+    Raises:
+        RosMessageError: where the bytes are no such message.
+    """
+    return bool(decode(BOOL, data).data)
 
 
 def button(data: bytes) -> bool:

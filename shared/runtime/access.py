@@ -88,9 +88,15 @@ def _own_rules(rig: str, name: str) -> list[dict[str, Any]]:
     if kind == OPERATOR:
         asked = [key(rig, topic, "*", "*" if topic.agent == ANY_AGENT else "") for topic in _commands()]
         rules.append(_rule(f"command as {name}", "ingress", ("query",), asked))
-    elif received := [key(rig, t, instance if t.per_arm else MAIN) for t in _commands() if t.receiver == kind]:
+    elif received := _received(rig, kind, instance):
         rules.append(_rule(f"obey as {name}", "ingress", ("declare_queryable", "reply"), received))
     return rules
+
+
+def _received(rig: str, kind: str, instance: str) -> list[str]:
+    """The commands that are for that instance."""
+    commands = (t for t in _commands() if t.receiver == kind and (t.per_arm or instance == MAIN))
+    return [key(rig, topic, instance) for topic in commands]
 
 
 def _routers(sites: Sites) -> tuple[str, ...]:

@@ -84,7 +84,9 @@ class _Run:
     """One run of the agent, from its start: what was fed to it, and what is missing since."""
 
     def __init__(self, agent: Agent, messages: Mapping[_Place, Recorded], from_own_state: bool) -> None:
-        self._agent, self._messages, self._adds_up = agent, messages, adds_up(agent)
+        self._agent, self._messages = agent, messages
+        # what goes on from its last output alone loses no more than the next one
+        self._adds_up = adds_up(agent) and state_topic(agent) is None
         self._parameters = Parameters(agent)
         self._from_own_state = from_own_state
         self._fed: set[_Place] = set()

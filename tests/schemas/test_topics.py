@@ -8,9 +8,11 @@ import pytest
 import schemas.messages
 from agents.camera.agent import Camera, SceneCamera
 from agents.perception.agent import Perception
+from agents.perception.tool.agent import ToolTracker, ToolTrackerConfig
 from agents.planner.agent import Planner
 from agents.reconstruction.agent import Reconstruction
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
+from agents.robot_bridge.correction import CorrectionLimits
 from agents.robot_bridge.simulated import SimulatedPsm
 from agents.simulator.agent import Simulator
 from schemas.checks import fields_of
@@ -30,8 +32,9 @@ from schemas.topics import (
 )
 
 ARMS = ("psm1", "psm2")
-BRIDGES = [RobotBridge(RobotBridgeConfig(arm=arm), SimulatedPsm()) for arm in ARMS]
-AGENTS = [Camera, SceneCamera, Perception(), Reconstruction(), Planner(), Simulator(), *BRIDGES]
+BRIDGES = [RobotBridge(RobotBridgeConfig(arm=arm, correction=CorrectionLimits()), SimulatedPsm()) for arm in ARMS]
+TRACKERS = [ToolTracker(ToolTrackerConfig(arm)) for arm in ARMS]
+AGENTS = [Camera, SceneCamera, Perception(), *TRACKERS, Reconstruction(), Planner(), Simulator(), *BRIDGES]
 every_agent = pytest.mark.parametrize("agent", AGENTS, ids=lambda a: f"{a.kind}-{a.instance}-{AGENTS.index(a)}")
 every_topic = pytest.mark.parametrize("topic", TOPICS, ids=str)
 BESIDE_THE_AGENTS = ("operator", "replay")

@@ -98,6 +98,15 @@ def followed(track: Track, soft: Soft, view: View, elapsed_s: float, seed: int) 
     return _searched(track, soft, view, seed)
 
 
+def missed(track: Track, why: str) -> Track:
+    """The track after a view in which the tool was not seen."""
+    if track.state is not Following.FOLLOWED:
+        return replace(track, reason=why)
+    if track.misses + 1 >= MISSES:
+        return Track(track.pivot, Following.LOST, f"lost: {why}", views=track.views)
+    return replace(track, misses=track.misses + 1, reason=why)
+
+
 def _followed(track: Track, correction: Correction, table: Table, soft: Soft, view: View, elapsed_s: float) -> Track:
     before = correction.spread(elapsed_s, WALK)
     looked = looking(view, soft, table)
@@ -106,10 +115,7 @@ def _followed(track: Track, correction: Correction, table: Table, soft: Soft, vi
         # one start a view, so that a view takes no longer than two refinements
         seen = elsewhere(looked, seen, (STEPS_M[track.views % len(STEPS_M)],))
     if why := _doubt(seen):
-        misses = track.misses + 1
-        if misses >= MISSES:
-            return Track(track.pivot, Following.LOST, f"lost: {why}", views=track.views)
-        return replace(track, correction=before, misses=misses, reason=why)
+        return missed(replace(track, correction=before), why)
     return replace(
         track, correction=seen.correction, refined=seen, misses=0, reason="", table=_relearnt(table, soft, view, seen)
     )

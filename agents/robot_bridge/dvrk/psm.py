@@ -14,6 +14,8 @@ from jaxtyping import Float64
 from agents.robot_bridge.backend import ArmState, Readiness
 from agents.robot_bridge.dvrk.frames_moved import FramesWatch
 from agents.robot_bridge.dvrk.readings import KINDS, NOTHING, Readings
+from agents.robot_bridge.dvrk.said import Judged
+from agents.robot_bridge.refusals import Code
 from schemas.messages import StateWord
 from shared.calibration.hand_eye.file import HandEye
 from shared.clock import now_ns as clock_ns
@@ -22,7 +24,7 @@ from shared.kinematics.psm import LARGE_NEEDLE_DRIVER
 from shared.ros import crtk
 from shared.ros.link import Heard, RosLink, Said
 from shared.ros.naming import ALIVE, GUARD_NODE, GUARDED, Naming
-from shared.ros.types import EMPTY, FLOAT64, JOINT_STATE, OPERATING_STATE, POSE_STAMPED, STRING, STRING_STAMPED
+from shared.ros.types import BOOL, EMPTY, FLOAT64, JOINT_STATE, OPERATING_STATE, POSE_STAMPED, STRING, STRING_STAMPED
 from shared.runtime.session import SessionSettings
 
 MOTIONS = {
@@ -91,6 +93,7 @@ class DvrkPsm:
             *self._frames.heard(),
             Heard(f"{name}/operating_state", OPERATING_STATE, readings.hear_state, latched=True),
             Heard(f"{name}/error", STRING, readings.hear_error, latched=True),
+            Heard(f"{name}/goal_reached", BOOL, readings.hear_goal),
             Heard(f"{name}/tool_type", STRING, readings.hear_tool, latched=True),
             *(
                 Heard(f"{name}/{topic}", ros_type, self._another(topic), others_only=True)
@@ -120,16 +123,18 @@ class DvrkPsm:
         if self._tells_guard:
             self._link.say(f"{self._to}/{ALIVE}", crtk.joint_command(np.zeros(1), self._clock_ns()))
         measured = self._readings.measured()
-        readiness, reason = self._readings.judge(measured, self._commanded_ns, now_ns)
+        judged = self._readings.judge(measured, self._commanded_ns, now_ns)
         moved = self._frames.judge(now_ns)
-        if readiness is Readiness.READY and moved:
-            readiness, reason = Readiness.DISABLED, moved
+        if judged.readiness is Readiness.READY and moved:
+            judged = Judged(Readiness.DISABLED, Code.MOVED, moved)
         return ArmState(
             measured.measured_ns,
             measured.joints,
             measured.jaw_rad,
-            readiness,
-            self._link.failed or reason,
+            judged.readiness,
+            self._link.failed or judged.reason,
+            judged.code,
+            self._readings.busy,
             self._frames.still_since_ns,
             self._frames.T_camera_base,
         )

@@ -1,13 +1,15 @@
 """What a console has told of one arm, and what speaks against moving it."""
 
+import dataclasses
 import threading
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
 
 from agents.robot_bridge.backend import Readiness
+from agents.robot_bridge.dvrk.said import SECOND_NS, Judged, Raw, Said, others, own_word, unchangeable, unready
+from agents.robot_bridge.refusals import Code
 from schemas.messages import StateWord
 from shared.kinematics.arm import ArmKinematics
 from shared.rigid_transforms import angle_between
@@ -15,33 +17,14 @@ from shared.ros import crtk
 from shared.ros.far_clock import FarClock
 from shared.ros.types import RosMessageError
 
-SECOND_NS = 1_000_000_000
-ERROR_NS, OTHERS_NS, OWN_NS = 1 * SECOND_NS, 2 * SECOND_NS, 1 * SECOND_NS
-"""How long an error, another's command, and a command of our own count after they came."""
 CLOCK_SET_NS = 1 * SECOND_NS
 """A stamp this far before the last one tells that the robot's clock was set, a smaller step that messages overtook."""
 POSE_AGE_NS = SECOND_NS // 2
 SAME_M, SAME_RAD = 0.003, 0.1
 """How near the console's own pose must be to that of our kinematics: an arm moves meanwhile, and tools differ more."""
+
+
 KINDS: tuple[str, ...] = ("measured_js", "jaw/measured_js", "local/measured_cp")
-
-
-class _Raw(NamedTuple):
-    data: bytes
-    arrived_ns: int
-
-
-@dataclass
-class _Said:
-    """What the console has said, and others; each with when it came."""
-
-    raw: dict[str, _Raw] = field(default_factory=dict)
-    operating: crtk.OperatingState | None = None
-    left_ready: str = ""
-    error: tuple[str, int] = ("", 0)
-    tool: str = ""
-    other: tuple[str, int] = ("", 0)
-    publishers: set[str] = field(default_factory=set)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,17 +49,17 @@ class Readings:
     def __init__(self, arm: str, tool: str, kinematics: ArmKinematics) -> None:
         """An arm by its console's name, and the type of tool whose kinematics are used; empty for any."""
         self._arm, self._tool, self._kinematics = arm, tool, kinematics
-        self._lock, self._said = threading.Lock(), _Said()
+        self._lock, self._said = threading.Lock(), Said()
         self._clocks = {kind: FarClock() for kind in KINDS}
         self._stamps = dict.fromkeys(KINDS, 0)
-        self._decoded = dict.fromkeys(KINDS, _Raw(b"", 0))
+        self._decoded = dict.fromkeys(KINDS, Raw(b"", 0))
         self._newest: dict[str, tuple[int, np.ndarray]] = {}
         self._faulty = ""
 
     def hear(self, kind: str, data: bytes, arrived_ns: int) -> None:
         """Keep the newest measurement of a kind, unread."""
         with self._lock:
-            self._said.raw[kind] = _Raw(data, arrived_ns)
+            self._said.raw[kind] = Raw(data, arrived_ns)
 
     def hear_state(self, data: bytes, _arrived_ns: int) -> None:
         """Note the operating state, and that the arm was not ready even where it soon is again."""
@@ -87,12 +70,22 @@ class Readings:
             state = crtk.OperatingState("not readable", False, False)
         with self._lock:
             self._said.operating = state
-            self._said.left_ready = _unready(state) or self._said.left_ready
+            self._said.left_ready = unready(state) or self._said.left_ready
 
     def hear_error(self, data: bytes, arrived_ns: int) -> None:
         """Note an error."""
         with self._lock:
             self._said.error = _text(data), arrived_ns
+
+    def hear_goal(self, data: bytes, arrived_ns: int) -> None:
+        """Note that a goal was not reached; what cannot be read may say so."""
+        try:
+            reached = crtk.flag(data)
+        except RosMessageError:
+            reached = False
+        if not reached:
+            with self._lock:
+                self._said.missed_ns = arrived_ns
 
     def hear_tool(self, data: bytes, _arrived_ns: int) -> None:
         """Note which tool is mounted."""
@@ -123,65 +116,62 @@ class Readings:
             return NOTHING
         return Measured(min(joints[0], jaw[0]), joints[1], float(jaw[1][0]))
 
-    def judge(self, measured: Measured, commanded_ns: int, now_ns: int) -> tuple[Readiness, str]:
+    def judge(self, measured: Measured, commanded_ns: int, now_ns: int) -> Judged:
         """Whether the arm would follow, and may be moved by us; and if not, why. What is over by now is told once."""
         with self._lock:
-            said = self._said
-            left, said.left_ready = said.left_ready, ""
-            operating, error, tool, other = said.operating, said.error, said.tool, said.other
-            publishers = sorted(said.publishers)
-        if operating is None or measured is NOTHING:
-            return Readiness.DISABLED, f"nothing was heard of {self._arm} yet: see that its console and Zenoh run there"
-        if now_ns - error[1] < ERROR_NS:
-            return Readiness.FAULT, f"its console says: {error[0]}"
-        if why := _unready(operating) or left:
-            return (Readiness.FAULT if "FAULT" in why else Readiness.DISABLED), why
-        if self._faulty:
-            return Readiness.FAULT, self._faulty
-        if self._tool and tool != self._tool:
-            return Readiness.DISABLED, f"its tool is {tool or 'not told'}, and the kinematics are of {self._tool}"
-        if publishers:
-            return Readiness.DISABLED, f"somebody else could command it: {publishers[0]}; have one owner only"
-        if now_ns - other[1] < OTHERS_NS:
-            return Readiness.DISABLED, f"somebody else commands it by {other[0]}; have one owner only"
-        if operating.is_busy and now_ns - commanded_ns > OWN_NS:
-            return Readiness.DISABLED, "it is busy with a motion that is not ours"
-        return self._same_place(measured, now_ns)
+            said = dataclasses.replace(self._said, publishers=set(self._said.publishers))
+            self._said.left_ready = None
+        if said.operating is None or measured is NOTHING:
+            silent = f"nothing was heard of {self._arm} yet: see that its console and Zenoh run there"
+            return Judged(Readiness.DISABLED, Code.NOT_READY, silent)
+        return (
+            own_word(said, said.operating, now_ns)
+            or self._reading()
+            or self._tool_mounted(said)
+            or others(said, commanded_ns, now_ns)
+            or self._same_place(measured, now_ns)
+            or Judged(Readiness.READY)
+        )
+
+    @property
+    def busy(self) -> bool:
+        """Whether the console says that the arm makes a motion of its own."""
+        operating = self._said.operating
+        return operating is not None and operating.is_busy
 
     def changeable(self, word: StateWord, now_ns: int) -> str:
         """Why the arm's state must not be changed in this way now; empty where it may."""
         with self._lock:
-            said = self._said
-            operating, other, publishers = said.operating, said.other, sorted(said.publishers)
-        if operating is None:
+            said = dataclasses.replace(self._said, publishers=set(self._said.publishers))
+        if said.operating is None:
             return f"nothing was heard of {self._arm} yet: see that its console and Zenoh run there"
-        if word is StateWord.PAUSE or word is StateWord.DISABLE:
-            return ""
-        if publishers or now_ns - other[1] < OTHERS_NS:
-            return f"somebody else has to do with it: {publishers[0] if publishers else other[0]}; have one owner only"
-        allowed = {StateWord.ENABLE: ("DISABLED", "FAULT"), StateWord.RESUME: ("PAUSED",), StateWord.HOME: ("ENABLED",)}
-        if operating.state not in allowed[word]:
-            needed = " or ".join(allowed[word])
-            return f"its operating state is {operating.state}, where {word.name.lower()} needs {needed}"
-        return "it is busy with another motion" if operating.is_busy else ""
+        return unchangeable(said, said.operating, word, now_ns)
 
-    def _same_place(self, measured: Measured, now_ns: int) -> tuple[Readiness, str]:
+    def _reading(self) -> Judged | None:
+        return Judged(Readiness.FAULT, Code.ERROR_STATE, self._faulty) if self._faulty else None
+
+    def _tool_mounted(self, said: Said) -> Judged | None:
+        if not self._tool or said.tool == self._tool:
+            return None
+        other = f"its tool is {said.tool or 'not told'}, and the kinematics are of {self._tool}"
+        return Judged(Readiness.DISABLED, Code.WRONG_TOOL, other)
+
+    def _same_place(self, measured: Measured, now_ns: int) -> Judged | None:
         """Whether the console's own pose of the tool is where our kinematics have it."""
         at_ns, T = self._newest.get("local/measured_cp", (0, np.eye(4)))
         if now_ns - at_ns > POSE_AGE_NS:
-            return Readiness.FAULT, "its local/measured_cp does not come, by which the kinematics are checked"
+            silent = "its local/measured_cp does not come, by which the kinematics are checked"
+            return Judged(Readiness.FAULT, Code.STALE_STATE, silent)
         ours = self._kinematics.forward(measured.joints)
         apart_m = float(np.linalg.norm(T[:3, 3] - ours[:3, 3]))
         apart_rad = float(angle_between(T[:3, :3], ours[:3, :3]))
-        if apart_m > SAME_M or apart_rad > SAME_RAD:
-            where = f"{1e3 * apart_m:.1f} mm and {apart_rad:.2f} rad"
-            return (
-                Readiness.FAULT,
-                f"its console has the tool {where} from where our kinematics do: another arm or tool",
-            )
-        return Readiness.READY, ""
+        if apart_m <= SAME_M and apart_rad <= SAME_RAD:
+            return None
+        where = f"{1e3 * apart_m:.1f} mm and {apart_rad:.2f} rad"
+        other = f"its console has the tool {where} from where our kinematics do: another arm or tool"
+        return Judged(Readiness.FAULT, Code.WRONG_TOOL, other)
 
-    def _read(self, kind: str, newest: _Raw) -> None:
+    def _read(self, kind: str, newest: Raw) -> None:
         try:
             if kind == "local/measured_cp":
                 stamp_ns, _, values = crtk.pose(newest.data)
@@ -201,13 +191,6 @@ class Readings:
                 return
             self._clocks[kind].forget()
         self._newest[kind] = self._clocks[kind].measured_ns(stamp_ns, newest.arrived_ns), values
-
-
-def _unready(state: crtk.OperatingState) -> str:
-    """Why an arm in this state takes no commands; empty where it does."""
-    if state.state != "ENABLED":
-        return f"its operating state is {state.state}, not ENABLED"
-    return "" if state.is_homed else "it is not homed"
 
 
 def _text(data: bytes) -> str:

@@ -547,7 +547,7 @@ def test_an_arm_that_was_measured_too_long_ago_is_held() -> None:
     drive.backend.late_ns = SECOND // 5
     drive.beat()
     assert drive.state().mode is RobotMode.FAULT
-    assert drive.events()[-1].code == "not_ready"
+    assert drive.events()[-1].code == "stale_state"
 
 
 def test_an_arm_that_is_pushed_away_from_its_set_points_is_held() -> None:

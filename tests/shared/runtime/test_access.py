@@ -23,9 +23,9 @@ from shared.runtime.session import SessionSettings, free_local_endpoint, open_ro
 RIG = "lab"
 ARM = "psm1"
 PROCESSES = (
-    Process(ROUTER), Process("camera"), Process("perception"), Process("reconstruction"), Process("planner"),
-    Process("robot_bridge", ARM), Process("simulator"), Process("recorder", "desk"), Process("operator", "desk"),
-    Process("viewer", "desk"),
+    Process(ROUTER), Process("camera"), Process("perception"), Process("perception", ARM), Process("reconstruction"),
+    Process("planner"), Process("robot_bridge", ARM), Process("simulator"), Process("recorder", "desk"),
+    Process("operator", "desk"), Process("viewer", "desk"),
 )  # fmt: skip
 LISTENER = "viewer.desk"
 """Forges nothing: what a session publishes itself, its own subscribers hear without any router."""
@@ -72,7 +72,9 @@ def published():
         yield topic, owner, instance
 
 
-def certificate(kind):
+def certificate(kind, instance=MAIN):
+    if instance == ARM and kind == "perception":
+        return f"{kind}.{ARM}"
     return {"robot_bridge": f"robot_bridge.{ARM}", "operator": "operator.desk"}.get(kind, f"{kind}.main")
 
 
@@ -94,7 +96,7 @@ def test_a_topic_is_heard_from_its_owner_alone(secured, row):
         if process.kind != owner and process.common_name != LISTENER:
             declared.append(declare_publisher(secured.session(process.common_name), name, topic))
             declared[-1].put(b"forged", attachment=beside)
-    own = declare_publisher(secured.session(certificate(owner)), name, topic)
+    own = declare_publisher(secured.session(certificate(owner, instance)), name, topic)
     declared.append(own)
     deadline_s = monotonic_s() + ARRIVES_WITHIN_S
     while not arrived.wait(0.02) and monotonic_s() < deadline_s:
@@ -158,7 +160,7 @@ def test_a_command_is_obeyed_by_its_receiver_and_asked_by_operators_alone(secure
     for process in PROCESSES[1:]:
         if process.kind not in ("operator", receiver):
             # its own queryable would answer it within its own process
-            kept[[p.kind for p in PROCESSES[1:] if p.kind != "operator"].index(process.kind)].undeclare()
+            kept[[p for p in PROCESSES[1:] if p.kind != "operator"].index(process)].undeclare()
             _get(secured.session(process.common_name), name, b"intruder")
     threading.Event().wait(NEVER_AFTER_S)
     for queryable in kept:

@@ -1,5 +1,7 @@
 """A drawn instrument is found from 8 mm and 3 degrees off, followed, and lost with a reason; its outline is its own."""
 
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
@@ -8,7 +10,8 @@ from agents.perception.tool.acquisition import soft_pair
 from agents.perception.tool.correction import Correction, about, twist_about
 from agents.perception.tool.outline import SHAFT, outline, silhouette, tubes
 from agents.perception.tool.refinement import View
-from agents.perception.tool.track import MISSES, Following, Track, begun, followed
+from agents.perception.tool.told import track_of
+from agents.perception.tool.track import MISSES, Following, Track, followed
 from benchmarks.drawn_tool import BEHIND, CAMERA, IN_MM, JAW, joints, pair
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER as PSM
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE as T_TRUE
@@ -49,22 +52,10 @@ def test_a_correction_turns_about_its_pivot():
     np.testing.assert_allclose(apply(only_turned, pivot[None])[0], pivot, atol=1e-12)
 
 
-@pytest.fixture(scope="module")
-def registered() -> np.ndarray:
-    """Where the base is told to be: 8 mm and 3 degrees off, about the tip."""
-    tip = apply(T_TRUE @ PSM.forward(joints(0)), TIP)[0]
-    return about(tip, np.array((0.005, -0.004, 0.0048, 0.03, -0.03, 0.03))) @ T_TRUE
-
-
-@pytest.fixture(scope="module")
-def found(registered: np.ndarray) -> tuple[Track, float]:
+@pytest.fixture
+def found(begun_session: Any) -> tuple[Track, float]:
     """A track that follows, and the time of its last view."""
-    track, at_s = begun(seen(0, registered)), 0.0
-    while track.state is not Following.FOLLOWED:
-        assert at_s < 3, track.reason
-        track = followed(track, soft_pair(*pair(at_s, round(10 * at_s))), seen(at_s, registered), 0.4, 5)
-        at_s += 0.4
-    return track, at_s
+    return track_of(begun_session.found), 0.2
 
 
 def test_it_is_found_and_followed_to_within_its_covariance(found: tuple[Track, float], registered: np.ndarray):

@@ -96,7 +96,7 @@ def test_another_one_who_commands_ends_ours_and_keeps_us_out(lab, topic, ros):
     lab.session.put(f"PSM1/{topic}", ros)
     assert f"somebody else commands it by PSM1/{topic}" in held(lab).reason
     answer = lab.arm()
-    assert (answer.outcome, answer.code) == (Outcome.REFUSED, "not_ready")
+    assert (answer.outcome, answer.code) == (Outcome.REFUSED, "other_owner")
 
 
 @pytest.mark.parametrize("codec", ["ros2dds", "rmw_zenoh"])
@@ -106,7 +106,7 @@ def test_another_one_who_could_command_is_enough_to_refuse(lab, codec):
     if codec == "rmw_zenoh":
         announced = RmwZenoh(3).token("abc", 7, Role.PUBLISHER, "PSM1/servo_cp", JOINT_STATE, False) or ""
     with lab.session.liveliness().declare_token(announced):
-        lab.until(lambda: lab.arm().code == "not_ready")
+        lab.until(lambda: lab.arm().code == "other_owner")
         assert "somebody else could command it" in lab.arm().reason
     lab.ready()
 
@@ -126,10 +126,12 @@ def test_a_console_that_is_disabled_has_another_tool_or_is_elsewhere_is_not_arme
     caplog.set_level("INFO", "suturegrasp.robot_bridge.psm1")
     lab.ready()
     arm = lab.console._arm
-    for word, reason in (("disable", "DISABLED, not ENABLED"), ("enable", ""), ("pause", "PAUSED"), ("resume", "")):
+    for word, back, reason in (("disable", "enable", "DISABLED, not ENABLED"), ("pause", "resume", "PAUSED")):
         arm.command(word)
-        lab.until(lambda reason=reason: reason in lab.backend.state(now_ns()).reason)
-        lab.turn()
+        lab.until(lambda: lab.arm().code == "not_enabled")
+        assert reason in lab.arm().reason
+        arm.command(back)
+        lab.ready()
     lab.ready()
     lab.turn()
     told = [record.getMessage() for record in caplog.records if record.name == "suturegrasp.robot_bridge.psm1"]
@@ -137,14 +139,24 @@ def test_a_console_that_is_disabled_has_another_tool_or_is_elsewhere_is_not_arme
     assert told[-1] == "the arm is ready"
     assert len(told) < 20, "not at every turn"
     arm.is_homed = False
-    lab.until(lambda: lab.arm().reason.endswith("it is not homed"))
+    lab.until(lambda: lab.arm().code == "not_homed")
     arm.is_homed = True
+    lab.ready()
+    lab.ask("unreached")
+    lab.until(lambda: lab.arm().code == "goal_not_reached")
     lab.ready()
     lab.backend._readings.hear_tool(b"", 0)
     assert "its tool is something not readable" in lab.arm().reason
+    assert lab.arm().code == "wrong_tool"
     lab.backend._readings._tool = ""
     lab.backend._readings.hear("local/measured_cp", b"\0\1\0\0", 0)
     lab.ready()
+    lab.ask("fault")
+    lab.until(lambda: lab.arm().code == "error_state")
+    arm.command("enable")
+    lab.ready()
+    lab.ask("mute")
+    lab.until(lambda: lab.arm().code == "stale_state")
 
 
 def test_a_person_may_change_an_arms_state_while_it_is_disarmed_and_nobody_else_has_it(lab):
@@ -161,7 +173,7 @@ def test_a_person_may_change_an_arms_state_while_it_is_disarmed_and_nobody_else_
         lab.until(lambda state=state: arm.state == state)
     lab.until(lambda: change("HOME").outcome is Outcome.ACCEPTED)
     lab.until(lambda: not arm.is_homed and "not homed" in lab.backend.state(now_ns()).reason)
-    assert lab.arm().code == "not_ready"
+    assert lab.arm().code == "not_homed"
     lab.until(lambda: arm.is_homed)
     lab.ready()
     with lab.session.liveliness().declare_token("@/abc/@ros2_lv/MP/PSM1§servo_jp/sensor_msgs§msg§JointState/:::"):

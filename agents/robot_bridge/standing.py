@@ -1,0 +1,64 @@
+"""How an arm stands: where it was measured, where its base is, what is around it, and why it must not be moved."""
+
+import dataclasses
+import logging
+
+from agents.robot_bridge.backend import ArmState, Backend
+from agents.robot_bridge.config import RobotBridgeConfig
+from agents.robot_bridge.correction import Correcting
+from agents.robot_bridge.limits import Setup
+from agents.robot_bridge.measuring import Measuring
+from agents.robot_bridge.refusals import Refusal
+from schemas.messages import TissueSurface, ToolCorrection
+
+
+class Standing:
+    """One arm.
+
+    Fields:
+        measured: what it says of itself.
+        registered: where its base is registered, and with it the tool by the joints alone.
+        setup: what motions are planned with; its base is corrected where the images correct it.
+        corrected: whether they do.
+    """
+
+    def __init__(self, config: RobotBridgeConfig, backend: Backend, log: logging.Logger) -> None:
+        self.measured = Measuring(backend, log)
+        self.registered, self.corrected = config.T_camera_base, False
+        self.setup = Setup(backend.kinematics, config.T_camera_base, config.limits, 1 / config.tick_hz)
+        self._correcting = Correcting(config.correction)
+        self._surface: TissueSurface | None = None
+
+    def measure(self, now_ns: int) -> ArmState | None:
+        """The newest state, and where its base is by that and by the images."""
+        arm = self.measured.measure(now_ns)
+        if arm and arm.T_camera_base is not None:
+            self.registered = arm.T_camera_base
+        by_images = self._correcting.corrected(self.registered)
+        self.corrected = by_images is not None
+        base = self.registered if by_images is None else by_images
+        if base is not self.setup.T_camera_base:
+            self.setup = dataclasses.replace(self.setup, T_camera_base=base)
+        return arm
+
+    def hear(self, told: TissueSurface | ToolCorrection, armed: bool) -> None:
+        """Take the newest tissue, or the newest correction; while a plan is armed the base stays where it is."""
+        if isinstance(told, ToolCorrection):
+            self._correcting.hear(told, armed)
+        else:
+            self._surface = told
+
+    def refusal(self, now_ns: int) -> Refusal | None:
+        """Why no motion may begin now, whichever it is."""
+        return self.measured.not_ready or self._correcting.refusal(now_ns)
+
+    def broken(self, now_ns: int) -> Refusal | None:
+        """Why a motion must not go on."""
+        return self.measured.not_ready or self._correcting.broken(now_ns)
+
+    def with_tissue(self, now_ns: int, maximum_age_s: float) -> Setup:
+        """With the tissue as it was seen last, where that is no older than that."""
+        surface = self._surface
+        if surface is None or now_ns - surface.stamp.capture_left_ns > maximum_age_s * 1e9:
+            return self.setup
+        return dataclasses.replace(self.setup, surface=surface)
