@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from jaxtyping import Bool, Float64
 
+from agents.planner.attempt import next_attempt
 from agents.planner.captures import ArmView
 from agents.planner.config import PlannerConfig
 from agents.planner.plan import plan_grasp
@@ -12,16 +13,18 @@ from agents.planner.refusal import RefusedGoalError, clock_unknown, planned_from
 from agents.planner.standing import SeenTissue
 from agents.planner.tissue import tissue_of
 from agents.planner.tools import tool_cells
+from agents.planner.watch import Watch, check_of, goal_again
 from schemas.messages import (
     CommandAnswer,
     GraspGoal,
+    GraspPlan,
     HostClocks,
     Outcome,
     RobotState,
     ThreadReconstruction,
     TissueSurface,
 )
-from schemas.topics import CHECK, CLOCKS, GOAL, MAIN, PLAN, ROBOT_STATE, SURFACE, THREAD, Topic
+from schemas.topics import CHECK, CLOCKS, EXECUTION, GOAL, MAIN, PLAN, ROBOT_STATE, SURFACE, THREAD, Topic
 from shared.kinematics import psm
 from shared.rigid_transforms import compose, inverse
 from shared.runtime.agent import Command, Input, Output, Received, Tick
@@ -41,12 +44,14 @@ class Planner:
     kind: str = "planner"
     instance: str = MAIN
     inputs: tuple[Input, ...] = (
-        Input(THREAD, only_newest_counts=True, only_remembered=True),
+        Input(THREAD, only_newest_counts=True),
         Input(SURFACE, only_newest_counts=True, only_remembered=True),
         Input(ROBOT_STATE, instance="*", only_newest_counts=True, only_remembered=True),
         Input(CLOCKS, only_newest_counts=True),
+        Input(EXECUTION, instance="*"),
     )
     outputs: tuple[Topic, ...] = (PLAN, CHECK)
+    goes_on_from = PLAN
     commands: tuple[Topic, ...] = (GOAL,)
     tick_hz: float | None = None
     watches_clocks = ("camera",)
@@ -57,17 +62,23 @@ class Planner:
         self._surface: TissueSurface | None = None
         self._arms: dict[str, RobotState] = {}
         self._clocks: HostClocks | None = None
+        self._watch = Watch()
 
     def configure(self, config: PlannerConfig) -> None:
         """Go on with another config, in which only what may be set while the agent runs has changed."""
         self.config = config
 
     def step(self, arrived: Received | Tick | Command) -> Iterable[Output | CommandAnswer]:
-        """Remember what was received; answer a goal, and follow an acceptance with a plan or a rejection."""
+        """Remember what was received; answer a goal, and follow an acceptance with a plan or a rejection.
+
+        The first thread that is seen after a grasp brings a check, and after a miss the next plan.
+        """
         if isinstance(arrived, Command):
             return self._answer(arrived.message, arrived.now_ns)
         if isinstance(arrived, Received):
             self._remember(arrived)
+            if arrived.topic is THREAD:
+                return self._check(arrived.message)
         return ()
 
     def _remember(self, arrived: Received) -> None:
@@ -77,6 +88,11 @@ class Planner:
             self._surface = arrived.message
         elif arrived.topic is CLOCKS:
             self._clocks = arrived.message
+        elif arrived.topic is EXECUTION:
+            self._watch.told(arrived.message)
+        elif arrived.topic is PLAN:
+            # in a replay: its own last output, in which all lies that it goes on from
+            self._watch.planned(arrived.message)
         else:
             self._arms[arrived.message.arm] = arrived.message
 
@@ -86,8 +102,31 @@ class Planner:
         except RefusedGoalError as error:
             return (CommandAnswer(goal.header.id, Outcome.REFUSED, error.code, str(error)),)
         plan = plan_grasp(goal, thread, self._view(arm), self.config, self._seen_tissue(thread, now_ns))
+        self._watch.planned(plan)
         unknown = clock_unknown(self._clocks)
         return CommandAnswer(goal.header.id, Outcome.ACCEPTED, "", unknown), Output(PLAN, plan)
+
+    def _check(self, thread: ThreadReconstruction) -> Iterable[Output]:
+        """Of each grasp that ended before the thread was seen, whether it holds it."""
+        for ended in self._watch.due(thread, self.config):
+            state = self._arms.get(ended.plan.arm)
+            T_camera_tool = compose(state.T_camera_base, state.T_base_tool) if state else None
+            check = check_of(ended, thread, T_camera_tool, self.config)
+            if check is None:
+                continue
+            self._watch.done(ended)
+            yield Output(CHECK, check)
+            if check.next_plan_id and state is not None:
+                yield Output(PLAN, self._again(ended.plan, thread, state))
+
+    def _again(self, missed: GraspPlan, thread: ThreadReconstruction, state: RobotState) -> GraspPlan:
+        """The next attempt at the goal of a plan that missed."""
+        attempt, goal = next_attempt(missed, self.config), goal_again(missed, thread)
+        assert attempt is not None and goal is not None  # noqa: S101 - the check has named it
+        tissue = self._seen_tissue(thread, max(thread.stamp.capture_left_ns, thread.stamp.capture_right_ns))
+        plan = plan_grasp(goal, thread, self._view(state), self.config, tissue, attempt)
+        self._watch.planned(plan)
+        return plan
 
     def _seen_tissue(self, thread: ThreadReconstruction, now_ns: int) -> SeenTissue:
         surface = self._surface

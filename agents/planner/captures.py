@@ -63,7 +63,7 @@ def captures_for(
     tissue: SeenTissue,
 ) -> Captures:
     """Every capture that a goal can be reached from, with the jaws of a config, and what speaks against it."""
-    points, tangents = curve.points(s), curve.tangents(s)
+    points, tangents = curve.points(s) + known.aim_camera, curve.tangents(s)
     tilts_deg = config.tilts_deg if tissue.tissue is not None else ()
     ways = ways_along(points, tangents, arm.T_camera_base[:3, 3], config, tilts_deg)
     beside = strand_distance(curve, s, FINGER_M)

@@ -13,7 +13,7 @@ from jaxtyping import Float64
 
 from agents.planner.config import PlannerConfig
 from agents.planner.curve import ThreadCurve
-from agents.planner.errors import Offset, across_jaw, thread_covariance, tool_covariance, unknown_offset
+from agents.planner.errors import Offset, across_jaw, thread_covariance, tool_covariance
 from agents.planner.policy import capture_probability, grasp_probability, least_on_the_way
 from agents.planner.slide import drawn_errors, keep_probability
 from agents.planner.ways import Ways
@@ -31,13 +31,18 @@ class Known:
         confidence: as the reconstruction states it.
         covariance: in m²; None where the paper's model is used.
         errors: as `drawn_errors` gives them; None likewise.
-        offset: of the fingers.
+        offset: of the fingers; where they are aimed makes up for its mean.
     """
 
     confidence: Float64[np.ndarray, "n"]
     covariance: Float64[np.ndarray, "n 3 3"] | None
     errors: Float64[np.ndarray, "m n 3"] | None
     offset: Offset
+
+    @property
+    def aim_camera(self) -> Float64[np.ndarray, "3"]:
+        """By how much the tool is aimed beside the thread."""
+        return -self.offset.mean_camera
 
     @property
     def model(self) -> str:
@@ -65,11 +70,10 @@ def known_along(
     curve: ThreadCurve,
     s: Float64[np.ndarray, "n"],
     config: PlannerConfig,
-    offset: Offset | None = None,
+    offset: Offset,
 ) -> Known:
-    """What a reconstruction tells of these places; `offset` is what earlier misses have told of the fingers."""
+    """What a reconstruction tells of these places, with what is known of the fingers."""
     covariance = thread_covariance(thread, curve, s) if config.policy_model == GEOMETRIC else None
-    offset = offset or unknown_offset(config)
     errors = None
     if covariance is not None:
         errors = drawn_errors(covariance, offset, curve.length_m / max(len(s) - 1, 1), config)
@@ -89,7 +93,8 @@ def chances(known: Known, ways: Ways, goal: int, config: PlannerConfig) -> Chanc
         return Chances(alike(grasp_probability(captured, goal, keep)), alike(stated), alike(captured))
     R_camera_tool = ways.on_thread[:, 0, :, :3, :3]
     total = known.covariance + known.offset.covariance + tool_covariance(config)
-    mean, covariance = across_jaw(R_camera_tool, total, known.offset.mean_camera, config.setback_m)
+    covariance = across_jaw(R_camera_tool, total)
+    mean = np.broadcast_to(np.array([0.0, config.setback_m]), covariance.shape[:-1])
     captured = wedge_probability(mean, covariance, np.radians(config.open_deg))
     here = wedge_probability(mean, covariance, np.radians(config.slide_deg), config.give_m)
     whole = captured * keep_probability(known.errors, R_camera_tool, goal, config)

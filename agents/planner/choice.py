@@ -95,7 +95,7 @@ def _grips(
         return
     asked = [goal] if policy is Policy.DIRECT else slice(None)
     found: list[tuple[float, PlannerConfig]] = []
-    points, tangents = curve.points(s), curve.tangents(s)
+    points, tangents = curve.points(s) + known.aim_camera, curve.tangents(s)
     for depth_m in config.depths_m:
         deep = replace(config, depth_m=depth_m)
         ways = ways_along(points, tangents, arm.T_camera_base[:3, 3], deep)

@@ -43,6 +43,10 @@ class PlannerConfig:
         thread_clear_m: how near the instrument may come to thread outside of the grasp.
         thread_radius_m: of the thread; grasp_arc_m: how far along it from the jaws it counts as being grasped.
         attempts: how often a goal is planned for, the first plan included, where a check tells of a miss.
+        settle_m: how far thread shifts in the jaws as they close, or beside them, without being held or missed for it.
+        sure: how likely a grasp must be held, or missed, for a check to say so.
+        check_after_ms, check_within_ms: after the end of a grasp, how old frames must be at least to be taken of what
+            lies still again, clocks of other hosts included, and until when a check is waited for.
         arm_age_ms: how old the state of an arm may be: as long as five states of one that rests take. A plan needs it
             for the place of the base alone, which seldom moves, so this is more than the age that the bridge allows.
     """
@@ -81,6 +85,10 @@ class PlannerConfig:
     thread_radius_m: float = 0.0002
     grasp_arc_m: float = 0.005
     attempts: int = 3
+    settle_m: float = 0.0007
+    sure: float = 0.99
+    check_after_ms: float = 150.0
+    check_within_ms: float = 2000.0
     arm_age_ms: float = 5e3 / (ROBOT_STATE.resting_hz or 10.0)
 
     def __post_init__(self) -> None:
@@ -96,6 +104,8 @@ class PlannerConfig:
         require(min(self.tool_error_m, self.hand_eye_error_m, self.give_m) >= 0, "errors must not be negative")
         require(self.correlation_m > 0, "correlation_m must be positive")
         require(bool(self.depths_m and self.opens_deg and self.slides_deg), "there must be something to choose from")
+        require(0.5 < self.sure < 1, f"sure must lie in (0.5, 1), not {self.sure}")
+        require(0 <= self.check_after_ms <= self.check_within_ms, "a check ends after it begins")
         require(self.attempts >= 1, f"attempts must be at least 1, not {self.attempts}")
         require(0 < self.base_clear_deg <= self.clear_deg < 90, "0 < base_clear_deg <= clear_deg < 90 must hold")
 

@@ -57,12 +57,8 @@ def thread_covariance(
 
 
 def across_jaw(
-    R_camera_tool: Float64[np.ndarray, "*n 3 3"],
-    covariance: Float64[np.ndarray, "*n 3 3"],
-    offset_camera: Float64[np.ndarray, "3"],
-    setback_m: float,
-) -> tuple[Float64[np.ndarray, "*n 2"], Float64[np.ndarray, "*n 2 2"]]:
-    """Mean and covariance of the thread in y and z of the tool, whose origin is meant to be that far before it."""
+    R_camera_tool: Float64[np.ndarray, "*n 3 3"], covariance: Float64[np.ndarray, "*n 3 3"]
+) -> Float64[np.ndarray, "*n 2 2"]:
+    """A covariance in y and z of the tool: the way the fingers open, and along them."""
     plane = R_camera_tool[..., :, 1:]
-    mean = -np.einsum("...ij,i->...j", plane, offset_camera) + np.array([0.0, setback_m])
-    return mean, np.einsum("...ki,...kl,...lj->...ij", plane, covariance, plane)
+    return np.einsum("...ki,...kl,...lj->...ij", plane, covariance, plane)

@@ -2,8 +2,10 @@
 
 import numpy as np
 
+from agents.planner.attempt import Attempt, first_attempt, offset_for, plan_id
 from agents.planner.captures import ArmView, Captures, least_pressed
 from agents.planner.chances import Known, known_along
+from agents.planner.check import SAMPLES_BEFORE, around
 from agents.planner.choice import Choice, best_choice
 from agents.planner.clear_way import clear_way
 from agents.planner.config import PlannerConfig
@@ -28,27 +30,25 @@ def plan_grasp(
     arm: ArmView,
     config: PlannerConfig,
     tissue: SeenTissue = NOTHING_SEEN,
+    attempt: Attempt | None = None,
 ) -> GraspPlan:
     """The grasp that most likely succeeds, or a rejection with its reason. Never raises for valid messages."""
+    attempt = attempt or first_attempt(goal, config)
     try:
         curve = curve_of(thread)
         s_goal = goal_on_thread(goal, curve, config)
         s, at_goal = candidates(s_goal, config.samples)
-        known = known_along(thread, curve, s, config)
+        known = known_along(thread, curve, s, config, offset_for(attempt, config))
         choice = best_choice(curve, s, at_goal, goal.policy, known, arm, config, tissue)
     except NoGraspError as error:
-        return _rejected(goal, thread, str(error))
-    return _best(goal, thread, arm, curve, known, choice, tissue)
-
-
-def plan_id(goal: GraspGoal) -> str:
-    """The name of the plan for a goal, of which there is one."""
-    return f"plan-{goal.header.id}"
+        return _rejected(goal, thread, attempt, str(error))
+    return _best(goal, thread, attempt, arm, curve, known, choice, tissue)
 
 
 def _best(
     goal: GraspGoal,
     thread: ThreadReconstruction,
+    attempt: Attempt,
     arm: ArmView,
     curve: ThreadCurve,
     known: Known,
@@ -69,17 +69,17 @@ def _best(
                 f"of {len(s)} places: {counted_reasons(against)}"
             )
         pressed, why = _at_tissue(captures, config, tissue)
-        return _rejected(goal, thread, reason + why, s_goal, 0.0, others, pressed)
+        return _rejected(goal, thread, attempt, reason + why, s_goal, 0.0, others, pressed)
     likely = float(probability[chosen])
     if likely < config.least_probability:
         reason = (
             f"the best capture, at s = {s[chosen]:.3f}, succeeds with a probability of {likely:.2f}, "
             f"and {config.least_probability:.2f} is asked for"
         )
-        return _rejected(goal, thread, reason, s_goal, likely, others)
+        return _rejected(goal, thread, attempt, reason, s_goal, likely, others)
     led = clear_way(choice, chosen, goal.policy, curve, arm)
     return GraspPlan(
-        plan_id=plan_id(goal),
+        plan_id=plan_id(goal, attempt),
         arm=goal.arm,
         goal_id=goal.header.id,
         stamp=thread.stamp,
@@ -97,6 +97,11 @@ def _best(
         policy_model=known.model,
         goal=goal,
         depth_m=config.depth_m,
+        around=around(thread, SAMPLES_BEFORE),
+        attempt=attempt.number,
+        attempts=attempt.of,
+        offset_camera=attempt.offset.mean_camera if attempt.offset else None,
+        offset_covariance=attempt.offset.covariance if attempt.offset else None,
     )
 
 
@@ -115,6 +120,7 @@ def _at_tissue(captures: Captures, config: PlannerConfig, tissue: SeenTissue) ->
 def _rejected(
     goal: GraspGoal,
     thread: ThreadReconstruction,
+    attempt: Attempt,
     reason: str,
     s_goal: float | None = None,
     probability: float = 0.0,
@@ -122,7 +128,7 @@ def _rejected(
     tissue: TissueClearance | None = None,
 ) -> GraspPlan:
     return GraspPlan(
-        plan_id=plan_id(goal),
+        plan_id=plan_id(goal, attempt),
         arm=goal.arm,
         goal_id=goal.header.id,
         stamp=thread.stamp,
@@ -136,4 +142,7 @@ def _rejected(
         waypoints=(),
         alternatives=others,
         tissue=tissue,
+        goal=goal,
+        attempt=attempt.number,
+        attempts=attempt.of,
     )

@@ -4,7 +4,7 @@ What is off at the capture is mostly off everywhere: the errors of tool and regi
 slide, and only the error of the reconstruction changes along the thread. So a grasp is followed for a fixed set of
 errors drawn from one distribution,
 
-    e(s) = c + L(s) ξ(s),   L Lᵀ = Σ(s),   c ~ N(−offset, Σ_offset + Σ_tool),
+    e(s) = c + L(s) ξ(s),   L Lᵀ = Σ(s),   c ~ N(0, Σ_offset + Σ_tool),
 
 with ξ a Gauss-Markov sequence, E ξ(s) ξ(s')ᵀ = exp(−|s − s'| length / ℓ) I: two places farther apart than ℓ are wrong
 independently. The share of those captured at s_i that lie within the opening of the slide at every sample from s_i to
@@ -34,7 +34,7 @@ def drawn_errors(
         step_m: the way along the thread from one sample to the next.
     """
     common, along = _normals(len(covariance))
-    constant = common @ _root(offset.covariance + tool_covariance(config)).T - offset.mean_camera
+    constant = common @ _root(offset.covariance + tool_covariance(config)).T
     kept = np.exp(-step_m / config.correlation_m)
     field = along.copy()
     for k in range(1, len(covariance)):

@@ -18,7 +18,12 @@ MOST_LISTED = 1000
 
 
 def adds_up(agent: Agent) -> bool:
-    """Whether what an agent says follows from more than the newest of each input: from all that it was ever fed."""
+    """Whether what an agent says follows from more than the newest of each input: from all that it was ever fed.
+
+    Of one that goes on from its last output, all that counts of earlier inputs lies there.
+    """
+    if state_topic(agent) is not None:
+        return False
     return agent.tick_hz is not None or not all(i.only_newest_counts for i in agent.inputs)
 
 

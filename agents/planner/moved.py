@@ -1,0 +1,107 @@
+"""How far the thread at the goal moved, the way the tool did, between two reconstructions.
+
+Reconstructions of two frames may differ as a whole: tissue breathes, and calibration or matching can be wrong by the
+same everywhere. So the displacement common to thread that is too far away to have been lifted is found first, by
+nearest points in a few rounds with weights that fall off for what does not fit, and is taken off. What counts then is
+where the later curve passes through the plane across the thread at the goal:
+
+    m = u · (x − b − t),   σ² = uᵀ (Σ_before + Σ_after + Σ_t) u,
+
+with b the goal before, t the common displacement, x the passage that is nearest to the way from b to b + d, and u the
+direction of d, the tool's motion across the thread.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from agents.planner.curve import unit_vectors
+from schemas.messages import ThreadAround
+
+FAR_M, ENOUGH_FAR = 0.02, 6
+"""Thread at least so far along it from the goal lies still while a few millimetres are lifted."""
+ROUNDS, FITS_M = 12, 0.0015
+COMMON_M, UNSEEN_COMMON_M = 0.01, 0.001
+"""Deviations of the common displacement: before it is looked for, and where nothing is far enough to tell it."""
+TOGETHER_M = 0.006
+"""Errors of one reconstruction go together so far along the thread."""
+BESIDE_M = 0.006
+"""A passage farther from the way of the tool is another part of the thread, or none."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How far thread and tool moved, the way that the tool moved across the thread, in metres.
+
+    Fields:
+        deviation_m: of `thread_m`, from both reconstructions.
+        beside_m: how far the thread is from the straight way of the tool.
+    """
+
+    tool_m: float
+    thread_m: float
+    deviation_m: float
+    beside_m: float
+
+
+def motion(
+    before: ThreadAround,
+    goal: int,
+    after: ThreadAround,
+    tool_moved: Float64[np.ndarray, "3"],
+) -> Motion | None:
+    """What became of a sample of the thread; None where the later reconstruction has nothing there.
+
+    Args:
+        before, after: both with samples as dense as thread bends, in metres and the camera frame.
+    """
+    points = before.points_camera
+    tangents = unit_vectors(np.gradient(points, axis=0))
+    common, common_covariance = _common(before, goal, tangents, after)
+    tangent = tangents[goal]
+    across = tool_moved - (tool_moved @ tangent) * tangent
+    lifted = float(np.linalg.norm(across))
+    way = across / max(lifted, 1e-9)
+    offset = after.points_camera - points[goal] - common
+    ahead = offset @ tangent
+    passes = np.flatnonzero((ahead[:-1] <= 0) != (ahead[1:] <= 0))
+    if not len(passes):
+        return None
+    share = ahead[passes] / (ahead[passes] - ahead[passes + 1])
+    at = offset[passes] + share[:, None] * (offset[passes + 1] - offset[passes])
+    along = at @ way
+    beside = np.linalg.norm(at - along[:, None] * way, axis=1)
+    off = np.hypot(beside, np.maximum(np.maximum(-along, along - lifted), 0.0))
+    nearest = int(np.argmin(off))
+    if off[nearest] > BESIDE_M:
+        return None
+    covariance = before.covariance[goal] + after.covariance[passes[nearest]] + common_covariance
+    deviation = float(np.sqrt(max(way @ covariance @ way, 0.0)))
+    return Motion(lifted, float(along[nearest]), deviation, float(beside[nearest]))
+
+
+def _common(
+    before: ThreadAround, goal: int, tangents: Float64[np.ndarray, "n 3"], after: ThreadAround
+) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3 3"]]:
+    """The displacement of all that lies still, and its covariance."""
+    points = before.points_camera
+    arc = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))))
+    far = np.flatnonzero(np.abs(arc - arc[goal]) >= FAR_M)
+    if len(far) < ENOUGH_FAR:
+        return np.zeros(3), UNSEEN_COMMON_M**2 * np.eye(3)
+    spacing_m = arc[-1] / max(len(arc) - 1, 1)
+    normal = np.eye(3) - tangents[far, :, None] * tangents[far, None, :]
+    common, prior = np.zeros(3), np.eye(3) / COMMON_M**2
+    information = prior
+    for _ in range(ROUNDS):
+        offset = after.points_camera[None] - (points[far] + common)[:, None]
+        nearest = np.argmin((offset**2).sum(axis=2), axis=1)
+        left = np.einsum("nij,nj->ni", normal, offset[np.arange(len(far)), nearest])
+        scale = (FITS_M**2) * np.eye(3)
+        weight = np.linalg.inv(before.covariance[far] + after.covariance[nearest] + scale)
+        weight = normal @ weight @ normal * (1.0 / (1.0 + (left**2).sum(axis=1) / FITS_M**2))[:, None, None]
+        information = weight.sum(axis=0) + prior
+        common = common + np.linalg.solve(information, np.einsum("nij,nj->i", weight, left) - prior @ common)
+    together = max(TOGETHER_M / max(spacing_m, 1e-6), 1.0)
+    return common, np.linalg.inv(information / together + prior)
