@@ -158,7 +158,7 @@ class Control:
             return [Noted(screen, "refused", "the button is pressed already")]
         self.press = Press(screen, arm, plan_id, now_s, now_s)
         self._challenges, self._next_s = {}, now_s
-        return [Noted(screen, "press", f"{screen} presses on {plan_id} for {arm}")]
+        return [Noted(screen, "press", f"{screen} presses to arm {arm}")]
 
     def challenge(self, now_s: float) -> tuple[str, str] | None:
         """What is to be sent now, and to whom; None where nothing is."""

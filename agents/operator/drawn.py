@@ -19,6 +19,7 @@ from schemas.messages import (
     ThreadObservations,
     ThreadReconstruction,
     TissueSurface,
+    ToolCorrection,
     Waypoint,
 )
 from shared import arc_length, splines
@@ -35,6 +36,7 @@ STEPS_MM, TURN_DEG = 0.6, 4.0
 MOST_STEPS = 160
 SURFACE_CELLS = 1100
 OBSERVED_MOST = 250
+OUTLINE_MOST = 200
 
 
 @dataclass(frozen=True)
@@ -210,6 +212,18 @@ def draw_tool(state: RobotState, camera: RectifiedStereo) -> dict[str, Any]:
         **_fingers(pose, state.jaw_rad, camera),
         "shaft": _line(apply(pose, np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -0.0091]])), camera)["px"],
     }
+
+
+def draw_correction(correction: ToolCorrection | None) -> dict[str, Any]:
+    """Where the images show the tool, and how far that is from where registration and joints have it."""
+    if correction is None:
+        return {}
+    outline = correction.found_left_px[:: max(1, len(correction.found_left_px) // OUTLINE_MOST)]
+    told: dict[str, Any] = {"tracking": correction.status.name.lower(), "reason": correction.reason}
+    if correction.T_correction is not None:
+        told["off_mm"] = round(MM * correction.tip_off_m, 2)
+        told["sure_mm"] = round(MM * correction.tip_deviation_m, 2)
+    return told | {"outline": np.clip(outline, -FARTHEST_PX, FARTHEST_PX).round(1).tolist()}
 
 
 def draw_surface(surface: TissueSurface) -> list[list[float]]:

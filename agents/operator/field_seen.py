@@ -7,6 +7,7 @@ import numpy as np
 
 from agents.operator.drawn import (
     DrawnThread,
+    draw_correction,
     draw_observations,
     draw_plan,
     draw_surface,
@@ -18,6 +19,7 @@ from agents.operator.pictures import Resample
 from agents.operator.surroundings import Surroundings
 from agents.operator.words import Seen
 from schemas.messages import (
+    GraspCheck,
     GraspPlan,
     RectifiedStereo,
     RobotMode,
@@ -25,8 +27,9 @@ from schemas.messages import (
     Severity,
     StereoFrame,
     ThreadObservations,
+    ToolCorrection,
 )
-from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS, ROBOT_STATE, SURFACE, THREAD
+from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS, ROBOT_STATE, SURFACE, THREAD, TOOL
 from shared.clock import now_ns
 
 THREADS_KEPT = 90
@@ -49,6 +52,8 @@ class FieldSeen:
         self.observed: dict[str, Any] | None = None
         self.judgements: list[dict[str, str]] = []
         self.plans: dict[str, dict[str, Any]] = {}
+        self.checks: dict[str, str] = {}
+        self.corrections: dict[str, ToolCorrection] = {}
         self.said = ""
 
     def take_frame(self) -> StereoFrame | None:
@@ -76,6 +81,8 @@ class FieldSeen:
         """The newest state of each arm."""
         for state in self._heard.newest(ROBOT_STATE):
             self.states[state.arm] = state, now_ns()
+        for correction in self._heard.newest(TOOL):
+            self.corrections[correction.arm] = correction
 
     def take_surface(self) -> None:
         """The newest surface of the tissue."""
@@ -95,7 +102,16 @@ class FieldSeen:
         if age_s > OLDEST_S or self.camera is None:
             return False
         drawn = draw_plan(plan, self.camera)
+        self.checks.pop(plan.arm, None)
         self.plans[plan.arm] = drawn | {"captured_ms": plan.stamp.capture_left_ns * 1e-6}
+        return True
+
+    def note_check(self, check: GraspCheck) -> bool:
+        """Keep what a look after a grasp found; False where it is of no plan that is shown."""
+        plan = self.plans.get(check.arm)
+        if plan is None or check.plan_id != plan["id"]:
+            return False
+        self.checks[check.arm] = check.sentence
         return True
 
     def arms(self) -> list[str]:
@@ -105,7 +121,12 @@ class FieldSeen:
     def tools(self) -> list[dict[str, Any]]:
         """Every arm's jaw."""
         camera = self.camera
-        return [] if camera is None else [draw_tool(state, camera) for state, _ in self.states.values()]
+        if camera is None:
+            return []
+        return [
+            draw_tool(state, camera) | draw_correction(self.corrections.get(arm))
+            for arm, (state, _) in list(self.states.items())
+        ]
 
     def mode(self, arm: str) -> str:
         """What an arm is doing; empty where it has not been heard lately."""

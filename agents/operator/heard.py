@@ -13,6 +13,7 @@ from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.topics import (
     CALIBRATION,
+    CHECK,
     EXECUTION,
     FRAMES,
     JUDGEMENT,
@@ -22,13 +23,14 @@ from schemas.topics import (
     ROBOT_STATE,
     SURFACE,
     THREAD,
+    TOOL,
     Topic,
 )
 from shared.runtime.connection import Connection
 from shared.runtime.taps import Tapped
 
-NEWEST = (FRAMES, CALIBRATION, OBSERVATIONS, SURFACE, THREAD, ROBOT_STATE)
-EVENTS = (PLAN, EXECUTION, JUDGEMENT, LOG)
+NEWEST = (FRAMES, CALIBRATION, OBSERVATIONS, SURFACE, THREAD, ROBOT_STATE, TOOL)
+EVENTS = (PLAN, EXECUTION, JUDGEMENT, CHECK, LOG)
 WAKING = (FRAMES, THREAD, *EVENTS)
 EVENTS_KEPT = 500
 

@@ -48,10 +48,15 @@ class Snapped:
 
 
 def snapped(thread: DrawnThread, pixel: tuple[float, float]) -> list[Snapped]:
-    """The places of the thread that a click may mean, the nearest first; none where it is far from all of it."""
+    """The places of the thread that a click may mean, the nearest first; none where it is far from all of it.
+
+    Each is nearer than what lies beside it on its strand.
+    """
     scale = thread.camera.image_width / IMAGE_WIDTH
     place, off_px = _feet(thread.px, np.array(pixel))
-    order = np.argsort(off_px)
+    beside = np.pad(off_px, 1, constant_values=np.inf)
+    strands = np.flatnonzero((off_px <= beside[:-2]) & (off_px <= beside[2:]))
+    order = strands[np.argsort(off_px[strands])]
     nearest = float(off_px[order[0]])
     if not nearest <= WITHIN_PX * scale:
         return []

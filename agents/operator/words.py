@@ -43,7 +43,9 @@ def sentence(screen: str, control: Control, arm: str, seen: Seen) -> str:
     if seen.mode in ("fault", "disabled"):
         return f"{arm} is in state {seen.mode} and cannot be armed."
     if seen.thread_age_s is None or seen.thread_age_s > STALE_S:
-        return f"No thread is seen now. {seen.said}".strip()
+        if seen.said or seen.thread_age_s is None:
+            return f"No thread is seen: {seen.said}." if seen.said else "No thread has been seen yet."
+        return f"The thread was seen {seen.thread_age_s:.0f} s ago; frames wait for perception."
     if screen != control.controller:
         return f"You watch; {control.controller or 'nobody'} controls. Hold works for everybody."
     if seen.plan is not None and seen.plan["ok"]:

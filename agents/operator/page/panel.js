@@ -31,7 +31,7 @@ export class Panel {
     this.put("control", mine ? `${state.you}: you control` : `${state.you}: you watch`);
     $("control").className = mine ? "mine" : "";
     this.put("words", state.words[$("arm").value] ?? Object.values(state.words)[0] ?? "No arm is configured.");
-    this.put("lines", state.lines.map((line) => `<li>${escaped(line)}</li>`).join(""), "innerHTML");
+    this.put("lines", state.lines.toReversed().map((line) => `<li>${escaped(line)}</li>`).join(""), "innerHTML");
     this.bad(state);
     this.agents(state.wellbeing);
     this.recording(state.recording);
@@ -54,7 +54,7 @@ export class Panel {
     $("press").classList.toggle("armed", Boolean(armed && down));
     const name = plan?.arm ?? $("arm").value;
     this.put("press-text", armed && down ? `${name} moves: keep pressing` : down ? "Keep pressing ..." : `Press and hold to arm ${name}`);
-    this.put("goal", goalMarkup(plan, goal, this.note), "innerHTML");
+    this.put("goal", goalMarkup(plan, goal, this.note, this.state.checks[name]), "innerHTML");
   }
 
   refused(text) {
@@ -141,7 +141,7 @@ function screensSentence(state) {
   return `${state.screens.length} connected, ${who}${asks}.${others.length ? ` Others: ${others.join(", ")}.` : ""}`;
 }
 
-function goalMarkup(plan, goal, note) {
+function goalMarkup(plan, goal, note, check) {
   const told = note ? `<p class="refused">${escaped(note)}</p>` : "";
   if (!goal) return `${told}<p>No goal yet. Click the thread, or focus the image and use the arrow keys.</p>`;
   const at = goal.at;
@@ -160,9 +160,11 @@ function goalMarkup(plan, goal, note) {
       if (plan.clearance_mm !== undefined) rows.push(["tissue", plan.clearance_mm < 0 ? `jaws press ${-plan.clearance_mm} mm in` : `jaws stay ${plan.clearance_mm} mm before it`]);
       if (plan.unchecked) rows.push(["tissue", plan.unchecked]);
     }
-    const best = plan.alternatives.filter((a) => !a.reason).length;
-    rows.push(["considered", `${plan.alternatives.length} captures, ${best} possible`]);
+    const others = [...plan.alternatives].sort((a, b) => b.probability - a.probability);
+    rows.push(["considered", `${others.length} captures`]);
+    for (const a of others.slice(0, 3)) rows.push(["", `s = ${a.s.toFixed(2)}: ${percent(a.probability)}${a.reason ? `, ${a.reason}` : ""}`]);
   }
+  if (check) rows.push(["check", check]);
   const list = rows.map(([name, words]) => `<dt>${name}</dt><dd>${escaped(words)}</dd>`).join("");
   return `${told}${success}<dl>${list}</dl>${strands}`;
 }

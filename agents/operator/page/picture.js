@@ -98,8 +98,8 @@ export class Picture {
     this.thin = dense / s;
     c.lineCap = "round";
     c.lineJoin = "round";
-    if (this.observations && this.observed) this.paintObserved();
     if (this.thread) this.paintThread();
+    if (this.observations && this.observed) this.paintObserved();
     if (this.plan) this.paintPlan();
     for (const tool of this.tools) this.paintTool(tool);
     if (this.goal) this.paintGoal(this.goal.at, "goal");
@@ -145,13 +145,12 @@ export class Picture {
 
   paintObserved() {
     const c = this.context;
-    c.fillStyle = "#ffffffb0";
-    for (const [u, v] of this.observed.centreline) c.fillRect(u - 0.5, v - 0.5, 1, 1);
     c.fillStyle = "#fff";
+    for (const [u, v] of this.observed.centreline) c.fillRect(u - 0.5 * this.thin, v - 0.5 * this.thin, this.thin, this.thin);
     c.strokeStyle = "#000";
     for (const [u, v] of this.observed.px) {
       c.beginPath();
-      c.arc(u, v, 3 * this.thin, 0, 2 * Math.PI);
+      c.arc(u, v, 3.5 * this.thin, 0, 2 * Math.PI);
       c.fill();
       c.lineWidth = this.thin;
       c.stroke();
@@ -185,7 +184,7 @@ export class Picture {
       if (way[i].px.length && way[i + 1].px.length)
         this.line([middle(way[i].px), middle(way[i + 1].px)], PHASES[way[i + 1].phase], 2, [], i % 8 ? null : "#0006");
     }
-    if (capture !== null && this.thread) this.text("capture", this.placeOf(capture), 16, PHASES.capture, 12);
+    if (capture !== null && this.thread && Math.abs(capture - this.plan.s_goal) > 0.01) this.text("capture", this.placeOf(capture), 16, PHASES.capture, 12);
     const pose = this.previewed();
     if (pose?.px.length) this.line(pose.px, PHASES[pose.phase], 5);
     if (pose) this.text(`preview: ${pose.phase}`, middle(pose.px), 26, PHASES[pose.phase], 13);
@@ -199,10 +198,16 @@ export class Picture {
   }
 
   paintTool(tool) {
+    if (tool.outline?.length) {
+      const c = this.context;
+      c.fillStyle = "#ffe9a8";
+      for (const [u, v] of tool.outline) c.fillRect(u - this.thin, v - this.thin, 2 * this.thin, 2 * this.thin);
+    }
     if (!tool.px.length) return;
     this.line(tool.shaft, "#8d93a3", 7);
     this.line(tool.px, TOOL, 4);
-    this.text(`${tool.arm} ${tool.mode}`, tool.px[1], 18, TOOL, 12);
+    const off = tool.off_mm === undefined ? "" : `, ${tool.off_mm.toFixed(1)} mm off its registration`;
+    this.text(`${tool.arm} ${tool.mode}${off}`, tool.px[1], 34, TOOL, 12);
   }
 
   paintGoal(at, words) {

@@ -48,7 +48,7 @@ export class Space {
     const box = canvas.getBoundingClientRect();
     const [width, height] = [Math.round(box.width * dense), Math.round(box.height * dense)];
     if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
-    c.fillStyle = "#101014";
+    c.fillStyle = "#3c3c44";
     c.fillRect(0, 0, width, height);
     const { thread, plan, tools } = picture;
     if (!thread) return this.word("no thread to show", width, height, dense);
@@ -87,7 +87,7 @@ export class Space {
     const c = this.context;
     for (const point of this.surface) {
       const [u, v, away] = this.at(point);
-      const light = Math.max(50, Math.min(130, 95 - 35 * away / this.reach));
+      const light = Math.max(85, Math.min(165, 125 - 40 * away / this.reach));
       c.fillStyle = `rgb(${light + 22},${light},${light})`;
       c.fillRect(u, v, 2 * dense, 2 * dense);
     }

@@ -1,0 +1,95 @@
+"""Goals: from a click, a place or an experiment's list to a plan, and which thread is meant."""
+
+import asyncio
+from typing import Any
+
+import numpy as np
+
+from agents.operator.carrying_out import POLICIES, Commands
+from agents.operator.field_seen import FieldSeen
+from agents.operator.snapping import Snapped, at_place, snapped
+from agents.operator.voice import Voice
+from agents.operator.wire import Click
+from schemas.messages import CommandAnswer, Outcome
+from shared.clock import monotonic_s
+
+PASSING = ("no_thread", "thread_stale", "thread_restarted", "arm_stale")
+AGAIN_S, AGAIN_FOR_S = 0.15, 3.0
+
+
+class Choosing:
+    """The goal of each arm.
+
+    Fields:
+        goals: as pages show them, by arm; `text` says what is still awaited, or why there is no plan.
+    """
+
+    def __init__(self, field: FieldSeen, commands: Commands, voice: Voice) -> None:
+        self._field, self._commands, self._voice = field, commands, voice
+        self.goals: dict[str, dict[str, Any]] = {}
+
+    async def clicked(self, screen: str, said: Click) -> None:
+        """A goal at the thread's place nearest to a click, on the thread that the page showed."""
+        thread = self._field.threads.get(said.frame) or self._field.thread
+        found = [] if thread is None else snapped(thread, said.pixel)
+        if found:
+            await self._choose(screen, said.arm, said.policy, found)
+        else:
+            self._voice.refuse(screen, "no thread is near that place; click on the thread")
+
+    async def placed(self, screen: str, arm: str, policy: str, s: float) -> None:
+        """A goal at s."""
+        if self._field.thread is None or not 0 <= s <= 1:
+            self._voice.refuse(screen, "there is no such place on a thread that is seen now")
+        else:
+            await self._choose(screen, arm, policy, [at_place(self._field.thread, s)])
+
+    async def prompt(self, screen: str, pixel: tuple[float, float] | None) -> None:
+        """Say which thread is meant."""
+        voice = self._voice
+        if not voice.written(screen, "prompt", pixel=pixel):
+            return
+        voice.say(
+            "Telling perception which thread is meant." if pixel else "Telling perception that any thread will do."
+        )
+        answer = await self._commands.prompt(None if pixel is None else np.array(pixel))
+        accepted = answer.outcome is Outcome.ACCEPTED
+        voice.say("Perception has heard it." if accepted else f"Perception refused: {answer.reason}")
+
+    def planned(self, arm: str, goal_id: str) -> None:
+        """A plan, or a rejection, has come for a goal."""
+        goal = self.goals.get(arm)
+        if goal is not None and goal["goal_id"] in ("", goal_id):
+            goal |= {"text": "", "goal_id": goal_id}
+
+    async def _choose(self, screen: str, arm: str, policy: str, found: list[Snapped]) -> None:
+        voice = self._voice
+        if arm not in self._field.arms() or policy not in POLICIES:
+            voice.refuse(screen, "there is no such arm or policy")
+            return
+        if not voice.written(screen, "goal", arm=arm, s=round(found[0].s, 4), policy=policy):
+            return
+        others = [each.document() for each in found[1:]]
+        goal = {"at": found[0].document(), "others": others, "policy": policy, "text": "Planning ...", "goal_id": ""}
+        self.goals[arm] = goal
+        voice.changed.set()
+        goal_id, answer = await self._asked(goal, arm, found[0].s)
+        if self.goals[arm] is not goal:
+            return
+        if answer.outcome is not Outcome.ACCEPTED:
+            goal["text"] = f"No plan: {answer.reason}"
+            voice.say(f"The planner refused: {answer.reason}")
+        elif not goal["goal_id"]:
+            goal["goal_id"] = goal_id
+        voice.changed.set()
+
+    async def _asked(self, goal: dict[str, Any], arm: str, s: float) -> tuple[str, CommandAnswer]:
+        """The planner's answer; what only speaks against the moment is asked again for a while."""
+        deadline_s = monotonic_s() + AGAIN_FOR_S
+        while True:
+            goal_id, answer = await self._commands.goal(arm, goal["policy"], s)
+            if answer.code not in PASSING or monotonic_s() > deadline_s or self.goals[arm] is not goal:
+                return goal_id, answer
+            goal["text"] = f"Planning ... ({answer.reason})"
+            self._voice.changed.set()
+            await asyncio.sleep(AGAIN_S)
