@@ -7,23 +7,22 @@ of the piece shows. With the log-likelihoods of both at each point, the needle e
 greatest.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 
-from agents.perception.centrelines.along import Pieces, directions, gaussian
 from agents.perception.centrelines.centrelines import Lines
-from agents.perception.centrelines.profiles import normals, sample
 from agents.perception.occluders import map_image, map_shape
+from agents.perception.steel import GREY, Looks, colour_of, looks_along, without
 from schemas.messages import Centrelines, Occluder, Occluders
 
 HUE, BRIGHTNESS, WIDTH = 3.0, 25.0, 0.14
 """Standard deviations along a thread: of a and b (OpenCV's 8-bit Lab), of L, and of the width's logarithm."""
 STEEL_HUE, STEEL_WIDER, STEEL_WIDTH = 2.5, 1.9, 0.4
 """Of steel: of a and b about grey; how much wider than the thread a needle is, and the deviation of its logarithm."""
-GREY, LEVELS = 128.0, 255.0
+LEVELS = 255.0
 FARTHEST = 9.0
 """No point counts for more than three deviations."""
 LEAST, CERTAIN = 25.0, 150.0
@@ -38,8 +37,6 @@ LEAST_WIDTHS = 4.0
 """The length of a needle at least, in widths of the thread."""
 LARGEST_SHARE = 0.5
 """Of a piece: what is more than the half of it is what that piece is."""
-BESIDE_PX = 4.0
-"""Beyond the edges, where the ground is looked at."""
 GROUND_SHARE, BEGINNING_WIDTHS = 0.5, 12.0
 """Of how coloured the ground beside the thread is, and over how many widths where the needle begins: what begins with
 another ground, such as an instrument's steel, may be thread whose edges are seen otherwise there."""
@@ -60,15 +57,6 @@ class Stretch:
 
 
 @dataclass(frozen=True)
-class _Looks:
-    """What each point of the centrelines shows, and how coloured the ground beside it is."""
-
-    lab: Float64[np.ndarray, "n 3"]
-    width: Float64[np.ndarray, "n"]
-    ground: Float64[np.ndarray, "n"]
-
-
-@dataclass(frozen=True)
 class _Thread:
     """How thread looks: medians of L, a, b, of the width, and of how coloured the ground is."""
 
@@ -82,7 +70,7 @@ def without_needles(image: UInt8[np.ndarray, "h w 3"], found: Lines) -> tuple[Li
     lines = found.centrelines
     if not len(lines.piece):
         return found, []
-    looks = _looks(image, lines)
+    looks = looks_along(image, lines)
     pieces = [np.flatnonzero(lines.piece == number) for number in np.unique(lines.piece)]
     needle = np.zeros(len(lines.piece), bool)
     stretches: list[Stretch] = []
@@ -93,7 +81,7 @@ def without_needles(image: UInt8[np.ndarray, "h w 3"], found: Lines) -> tuple[Li
             needle[part] = True
             stretches.append(Stretch(lines.point_px[part], float(np.median(lines.width_px[part]))))
             stretches.extend(_parts_beyond(lines, looks, pieces, thread, part, needle))
-    return (_cut(found, needle), stretches) if stretches else (found, [])
+    return (without(found, needle), stretches) if stretches else (found, [])
 
 
 def needle_map(
@@ -115,30 +103,7 @@ def _drawn(stretches: list[Stretch], image_shape: tuple[int, ...]) -> UInt8[np.n
     return found
 
 
-def _looks(image: UInt8[np.ndarray, "h w 3"], lines: Centrelines) -> _Looks:
-    at = np.rint(lines.point_px).astype(np.intp)
-    seen = image[at[:, 1].clip(0, image.shape[0] - 1), at[:, 0].clip(0, image.shape[1] - 1)]
-    across = normals(
-        directions(lines.point_px, Pieces(np.cumsum(np.diff(lines.piece, prepend=-1) > 0) - 1), gaussian(2.0))
-    )
-    # no wider than thread: a width that grew over a reflex would look for the ground elsewhere
-    beyond = np.minimum(lines.width_px, 2 * np.median(lines.width_px)) / 2 + BESIDE_PX
-    beside = sample(image, lines.point_px, across, np.stack((-beyond, beyond)), cv2.BORDER_REPLICATE)
-    ground = _lab(np.rint(beside).astype(np.uint8))
-    coloured = _colour(ground) / (ground[..., 0] + 1.0)
-    return _Looks(_lab(seen[None])[0], lines.width_px, coloured.min(axis=0))
-
-
-def _lab(bgr: UInt8[np.ndarray, "k n 3"]) -> Float64[np.ndarray, "k n 3"]:
-    return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2Lab), np.float64)
-
-
-def _colour(lab: Float64[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n"]:
-    """How far from grey."""
-    return np.hypot(lab[..., 1] - GREY, lab[..., 2] - GREY)
-
-
-def _thread_of(looks: _Looks, points: np.ndarray) -> _Thread:
+def _thread_of(looks: Looks, points: np.ndarray) -> _Thread:
     return _Thread(
         np.median(looks.lab[points], axis=0),
         float(np.median(looks.width[points])),
@@ -146,7 +111,7 @@ def _thread_of(looks: _Looks, points: np.ndarray) -> _Thread:
     )
 
 
-def _rather_steel(looks: _Looks, points: np.ndarray, thread: _Thread) -> Float64[np.ndarray, "n"]:
+def _rather_steel(looks: Looks, points: np.ndarray, thread: _Thread) -> Float64[np.ndarray, "n"]:
     """The log-likelihood of steel, less that of thread; of points a width apart, since neighbours look alike."""
     lab, wider = looks.lab[points], np.log(looks.width[points] / thread.width)
     own = _far((lab[:, 1:] - thread.lab[1:]) / HUE).sum(axis=1)
@@ -160,7 +125,7 @@ def _far(deviations: np.ndarray) -> np.ndarray:
     return np.minimum(deviations**2, FARTHEST)
 
 
-def _needle_ends(looks: _Looks, points: np.ndarray, thread: _Thread) -> list[tuple[int, bool]]:
+def _needle_ends(looks: Looks, points: np.ndarray, thread: _Thread) -> list[tuple[int, bool]]:
     """How many points at the start and at the end of a piece run along a needle, where any do, and which end it is.
 
     The thread is what is left, so that it is told once more without what was taken for a needle.
@@ -184,7 +149,7 @@ def _needle_ends(looks: _Looks, points: np.ndarray, thread: _Thread) -> list[tup
     return found
 
 
-def _is_needle(looks: _Looks, points: np.ndarray, thread: _Thread, likelihood: float) -> bool:
+def _is_needle(looks: Looks, points: np.ndarray, thread: _Thread, likelihood: float) -> bool:
     if likelihood < LEAST or len(points) < LEAST_WIDTHS * thread.width:
         return False
     lab = looks.lab[points]
@@ -192,13 +157,13 @@ def _is_needle(looks: _Looks, points: np.ndarray, thread: _Thread, likelihood: f
     wider = float(np.percentile(looks.width[points], WIDER_SHARE)) >= LEAST_WIDER * thread.width
     first = looks.ground[points[-round(BEGINNING_WIDTHS * thread.width) :]]
     on_ground = float(np.median(first)) >= GROUND_SHARE * thread.ground
-    grey = float(np.median(_colour(lab))) <= MOST_HUE
+    grey = float(np.median(colour_of(lab))) <= MOST_HUE
     return bool(bright - dark >= LEAST_SPREAD and grey and on_ground and (wider or likelihood >= CERTAIN))
 
 
 def _parts_beyond(
     lines: Centrelines,
-    looks: _Looks,
+    looks: Looks,
     pieces: list[np.ndarray],
     thread: _Thread,
     part: np.ndarray,
@@ -215,19 +180,3 @@ def _parts_beyond(
             needle[points] = True
             found.append(Stretch(lines.point_px[points], float(np.median(lines.width_px[points]))))
     return found
-
-
-def _cut(found: Lines, needle: Bool[np.ndarray, "n"]) -> Lines:
-    """Without what runs along needles; where they begin, the thread ends."""
-    lines, keep = found.centrelines, ~needle
-    numbers, first = np.unique(lines.piece, return_index=True)
-    last = np.append(first[1:], len(lines.piece)) - 1
-    stays = np.isin(numbers, lines.piece[keep])
-    cut = replace(
-        lines,
-        point_px=lines.point_px[keep],
-        piece=lines.piece[keep],
-        width_px=lines.width_px[keep],
-        deviation_px=lines.deviation_px[keep],
-    )
-    return Lines(cut, (found.loose_start | needle[first])[stays], (found.loose_end | needle[last])[stays])

@@ -15,6 +15,8 @@ from agents.perception.judge import correspondence_of_masks, correspondence_of_t
 from agents.perception.mask_image import mask_image
 from agents.perception.matching import Matches, is_inlier, largest_disparity_px, match_pixels
 from agents.perception.needles import Stretch, needle_map, without_needles
+from agents.perception.occluders import occluders_in
+from agents.perception.reflexes import without_reflexes
 from agents.perception.segmenter_names import GIVEN_MASKS
 from schemas.messages import (
     Centrelines,
@@ -92,9 +94,9 @@ def observe(
         *segmented, segmenter
     )
     # who gives a mask says what is thread
-    may_be_needles = segmenter != GIVEN_MASKS
+    may_be_steel = segmenter != GIVEN_MASKS
     of_left, of_right = (
-        _shown(image, coverage, usable, may_be_needles)
+        _shown(image, coverage, usable, may_be_steel)
         for image, coverage in ((left, coverage_left), (right, coverage_right))
     )
     return ThreadObservations(
@@ -206,10 +208,11 @@ def _observations(
 
 
 def _shown(
-    image: UInt8[np.ndarray, "h w 3"], coverage: UInt8[np.ndarray, "h w"], usable: bool, may_be_needles: bool
+    image: UInt8[np.ndarray, "h w 3"], coverage: UInt8[np.ndarray, "h w"], usable: bool, may_be_steel: bool
 ) -> _Shown:
     found, needles = thread_lines(image, coverage) if usable else NO_LINES, list[Stretch]()
-    if may_be_needles:
+    if may_be_steel:
         found, needles = without_needles(image, found)
+        found = without_reflexes(image, found, occluders_in(image, coverage))
     trail = trail_of(image, found.centrelines, found.loose_start, found.loose_end)
     return _Shown(mask_image(coverage), found.centrelines, trail, needles)
