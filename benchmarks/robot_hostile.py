@@ -7,16 +7,23 @@ or a motion is met in its midst by what should end it. Beside what the oracle ca
 accepted that had to be refused, and how often a step of the bridge failed.
 """
 
+import contextlib
+import logging
+import multiprocessing
+import os
+import sys
 from collections import Counter
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from agents.robot_bridge.limits import MotionLimits
-from benchmarks.robot_hostile_cases import CASES, Found
+from benchmarks.robot_hostile_cases import CASES
 from benchmarks.robot_world import NAME, RIG_ARM, SECOND_NS, TOOL, World
 from schemas.messages import CommandHeader, Hold
 from schemas.topics import HOLD
+from shared.clock import monotonic_s
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER
 from shared.ros import crtk
 from shared.ros.types import STRING
@@ -24,6 +31,7 @@ from shared.ros.types import encode as ros_bytes
 from shared.ros.types import message as ros_message
 
 CASES_PER_WORLD = 50
+TOLD_EVERY_S = 10.0
 BRISK = MotionLimits(
     speed=0.1,
     acceleration=4.0,
@@ -40,35 +48,86 @@ LIMITS = (MotionLimits(), MotionLimits().slowed(0.3), BRISK)
 LAGS_S = (0.0, 0.0, 0.02)
 
 
-def hostile(count: int, seed: int = 0) -> dict[str, Any]:
-    """So many cases; what the oracle, and the rules of what must be refused, found."""
-    rng = np.random.default_rng(seed)
-    found, unsafe, sentences = list[Found](), Counter[str](), list[str]()
-    set_points = faults = moving = 0
-    while len(found) < count:
-        world = World(LIMITS[rng.integers(len(LIMITS))], LAGS_S[rng.integers(len(LAGS_S))])
-        for _ in range(min(CASES_PER_WORLD, count - len(found))):
-            case = CASES[rng.integers(len(CASES))]
-            found.append(case(world, rng))
-            moving += world.moves
-            _put_right(world, rng)
-        verdict = world.oracle.verdict()
-        set_points, faults = set_points + verdict["set_points"], faults + world.faults
-        unsafe.update(verdict["rules"])
-        sentences += verdict["sentences"]
-    wrongly = Counter(one.kind for one in found if one.accepted and not one.allowed)
-    return {
-        "cases": len(found),
-        "accepted": sum(one.accepted for one in found),
-        "still moving at the end": moving,
-        "set points": set_points,
-        "unsafe": sum(unsafe.values()),
-        "rules": " ".join(unsafe) or "-",
-        "wrongly accepted": sum(wrongly.values()),
-        "of": " ".join(wrongly) or "-",
-        "failed steps": faults,
-        "sentences": sentences[:10],
-    }
+def hostile(count: int, seed: int = 0, processes: int | None = None) -> dict[str, Any]:
+    """So many cases, on all processors; what the oracle, and the rules of what must be refused, found."""
+    worlds = [(seed, k, min(CASES_PER_WORLD, count - at)) for k, at in enumerate(range(0, count, CASES_PER_WORLD))]
+    processes = min(len(worlds), processes or os.cpu_count() or 1)
+    total, said_s = _Total(), monotonic_s()
+    with contextlib.ExitStack() as stack:
+        run = map if processes == 1 else stack.enter_context(_pool(processes)).imap_unordered
+        for one in run(_world, worlds):
+            total.add(one)
+            if monotonic_s() - said_s > TOLD_EVERY_S:
+                said_s = monotonic_s()
+                print(f"  {total.cases} of {count} cases, {total.unsafe.total()} unsafe", file=sys.stderr, flush=True)
+    return total.told()
+
+
+def _pool(processes: int) -> Any:
+    return multiprocessing.get_context("spawn").Pool(
+        processes, initializer=logging.disable, initargs=(logging.WARNING,)
+    )
+
+
+@dataclass
+class _Total:
+    """What worlds found, added up."""
+
+    found: Counter[tuple[str, bool, bool]] = field(default_factory=Counter)
+    unsafe: Counter[str] = field(default_factory=Counter)
+    sentences: list[str] = field(default_factory=list)
+    set_points: int = 0
+    faults: int = 0
+    moving: int = 0
+
+    @property
+    def cases(self) -> int:
+        return self.found.total()
+
+    def add(self, other: "_Total") -> None:
+        """Add those of another."""
+        self.found += other.found
+        self.unsafe += other.unsafe
+        self.sentences += other.sentences
+        self.set_points += other.set_points
+        self.faults += other.faults
+        self.moving += other.moving
+
+    def told(self) -> dict[str, Any]:
+        """As a row of the table, and what the oracle said of the first."""
+        wrongly = Counter[str]()
+        for (kind, accepted, allowed), times in self.found.items():
+            wrongly[kind] += times * (accepted and not allowed)
+        kinds = [kind for kind, times in wrongly.items() if times]
+        return {
+            "cases": self.cases,
+            "accepted": sum(times for (_, accepted, _), times in self.found.items() if accepted),
+            "still moving at the end": self.moving,
+            "set points": self.set_points,
+            "unsafe": self.unsafe.total(),
+            "rules": " ".join(sorted(self.unsafe)) or "-",
+            "wrongly accepted": wrongly.total(),
+            "of": " ".join(sorted(kinds)) or "-",
+            "failed steps": self.faults,
+            "sentences": self.sentences[:10],
+        }
+
+
+def _world(given: tuple[int, int, int]) -> _Total:
+    """One world's cases, of a seed, a number and how many."""
+    *seeds, count = given
+    rng, total = np.random.default_rng(seeds), _Total()
+    world = World(LIMITS[rng.integers(len(LIMITS))], LAGS_S[rng.integers(len(LAGS_S))])
+    for _ in range(count):
+        case = CASES[rng.integers(len(CASES))](world, rng)
+        total.found[case.kind, case.accepted, case.allowed] += 1
+        total.moving += world.moves
+        _put_right(world, rng)
+    verdict = world.oracle.verdict()
+    total.set_points, total.faults = verdict["set_points"], world.faults
+    total.unsafe.update(verdict["rules"])
+    total.sentences += verdict["sentences"]
+    return total
 
 
 def _put_right(world: World, rng: np.random.Generator) -> None:

@@ -2,11 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
+from benchmarks.robot_hostile_found import Found
 from benchmarks.robot_hostile_plans import any_plan, set_out, waypoints
+from benchmarks.robot_hostile_states import STATE_CASES
 from benchmarks.robot_world import EPOCH_NS, NAME, RIG_ARM, SECOND_NS, TICK_NS, World
 from schemas.checks import MessageError
 from schemas.codec import decode, encode
@@ -18,14 +20,6 @@ from shared.ros.types import STRING
 from shared.ros.types import encode as ros_bytes
 from shared.ros.types import message as ros_message
 from shared.runtime.agent import Received
-
-
-class Found(NamedTuple):
-    """What a case came to: its kind, whether its plan was accepted, and whether that was allowed."""
-
-    kind: str
-    accepted: bool
-    allowed: bool
 
 
 def _as_it_comes(world: World, rng: np.random.Generator) -> Found:
@@ -235,4 +229,5 @@ CASES: tuple[Callable[[World, np.random.Generator], Found], ...] = (
     _two_owners,
     _odd_clock,
     _armed_twice,
+    *STATE_CASES,
 )

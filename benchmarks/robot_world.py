@@ -57,7 +57,8 @@ class Topics:
                 self._latched[topic] = data
             self.tell_bridge(topic, data)
 
-        return Outlet(lambda: True, put)
+        # a console publishes only while somebody subscribes, but for what it keeps for who comes later
+        return Outlet(lambda: latched or topic in self._bridge, put)
 
     def subscribe(self, topic: str, kind: str, receive: Callable[[bytes], None]) -> None:  # noqa: ARG002
         """A topic for the console to hear."""

@@ -81,6 +81,7 @@ class FramesWatch:
         self._last: dict[str, Float64[np.ndarray, "4 4"]] = {}
         self._first: dict[str, Float64[np.ndarray, "4 4"]] = {}
         self._what = ""
+        self._read: dict[str, tuple[_Raw, crtk.Pose | None]] = {}
 
     def heard(self) -> tuple[Heard, ...]:
         """The topics to hear; that there are none of them says nothing."""
@@ -127,7 +128,7 @@ class FramesWatch:
 
     def _tip(self, raw: dict[str, _Raw], now_ns: int) -> str:
         """What the endoscope's own arm says."""
-        tip = _pose(raw.get(TIP))
+        tip = self._pose(TIP, raw)
         fresh = tip is not None and now_ns - raw[TIP].arrived_ns < ECM_AGE_NS
         if self._base is not None and not fresh:
             return "its base is told from the ECM, whose local/measured_cp does not come"
@@ -141,7 +142,7 @@ class FramesWatch:
 
     def _reference(self, raw: dict[str, _Raw], now_ns: int) -> str:
         """What the arm's pose in two frames says; it holds an ECM's motion too, where the ECM itself is not told."""
-        measured, local = _pose(raw.get(MEASURED)), _pose(raw.get(LOCAL))
+        measured, local = self._pose(MEASURED, raw), self._pose(LOCAL, raw)
         if measured is None or local is None or abs(measured.stamp_ns - local.stamp_ns) > SAME_TIME_NS:
             return ""
         if self._base is not None:
@@ -150,6 +151,15 @@ class FramesWatch:
         T_reference_base = measured.T @ inverse(local.T)
         from_first = self._compared(MEASURED, T_reference_base, now_ns, "set-up joints or the camera moved")
         return _elsewhere("the base, by its set-up joints or the camera's,", from_first)
+
+    def _pose(self, kind: str, raw: dict[str, _Raw]) -> crtk.Pose | None:
+        """The newest pose of a kind; None where there is none, or it cannot be read, which others report."""
+        newest = raw.get(kind)
+        if newest is None:
+            return None
+        if kind not in self._read or self._read[kind][0] is not newest:
+            self._read[kind] = newest, _read(newest)
+        return self._read[kind][1]
 
     def _compared(self, kind: str, T: Float64[np.ndarray, "4 4"], now_ns: int, what: str) -> Apart:
         """Note a motion; how far it is from where it was first."""
@@ -168,9 +178,8 @@ def _elsewhere(what: str, from_first: Apart) -> str:
     return f"{what} is {from_first} from where it was: put it back, or register anew and start the bridge again"
 
 
-def _pose(raw: _Raw | None) -> crtk.Pose | None:
-    """A pose; None where there is none, or it cannot be read, which others report."""
+def _read(raw: _Raw) -> crtk.Pose | None:
     try:
-        return None if raw is None else crtk.pose(raw.data)
+        return crtk.pose(raw.data)
     except RosMessageError:
         return None
