@@ -68,6 +68,10 @@ def build(rig: RigConfig, kind: str, instance: str) -> Agent:
             return Planner(
                 PlannerConfig(
                     least_probability=section.least_probability,
+                    policy_model=section.policy_model,
+                    tool_error_m=1e-3 * section.tool_error_mm,
+                    hand_eye_error_m=1e-3 * section.hand_eye_error_mm,
+                    attempts=section.attempts,
                     press_m=1e-3 * section.press_mm,
                     tissue_required=section.tissue_required,
                 )

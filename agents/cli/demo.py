@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 
+from agents.cli.attempts import Attempts
 from agents.cli.demo_goals import goals_of
 from agents.cli.demo_report import report
 from agents.cli.live import event_sentence, percent, plan_sentence
@@ -44,7 +45,8 @@ STEADY_THREADS = 5
 """Threads that must have come before a goal is named: the first frames may find agents still starting."""
 LEAST_PROBABILITY = 0.6
 GOALS, GOAL_ROUNDS, PLANS_S = 6, 4, 15.0
-ATTEMPTS = 3
+ARMINGS = 5
+"""At most, heartbeats that came late and further attempts included."""
 HEARTBEAT_LOST = "heartbeat_lost"
 WORTH_SHOWING_M = 0.003
 """A plan with a shorter slide is kept for the case that no place needs a longer one."""
@@ -99,7 +101,7 @@ def demo(options: Demo) -> int:
         folder = new_session_folder(options.sessions)
     except OSError as error:
         return complain(f"no session can be kept in {options.sessions}: {error.strerror}", EXIT_UNUSABLE)
-    came_of_it, failure = _run(rig, folder, options.view, stopped)
+    came_of_it, failure = _run(rig, folder, options.view, options.attempts, stopped)
     if interrupted.is_set():
         return complain("interrupted; every process was stopped", EXIT_INTERRUPTED)
     for line in report(folder, came_of_it, last_line(folder.log("recorder"))):
@@ -117,7 +119,7 @@ def demo_rig(options: Demo) -> RigConfig:
     return simulated_rig().model_copy(update=sections)
 
 
-def _run(rig: RigConfig, folder: SessionFolder, view: str, stopped: threading.Event) -> tuple[str, str]:
+def _run(rig: RigConfig, folder: SessionFolder, view: str, attempts: int, stopped: threading.Event) -> tuple[str, str]:
     """What came of the grasp, and what broke, if anything did; every process has ended by then."""
     config = folder.path / "rig.json"
     write_config(config, rig)
@@ -128,7 +130,7 @@ def _run(rig: RigConfig, folder: SessionFolder, view: str, stopped: threading.Ev
         stack.enter_context(_no_longer_than(LONGEST_S, stopped.set))
         try:
             connection = stack.enter_context(connected(rig.session, FIRST_CONTACT_S, stopped))
-            return _grasp(Story(connection, supervisor, stopped, queue.Queue(), queue.Queue())).sentence, ""
+            return _grasp(Story(connection, supervisor, stopped, queue.Queue(), queue.Queue()), attempts).sentence, ""
         except NothingToGraspError as error:
             return str(error), ""
         except (DemoError, NoRouterError) as error:
@@ -145,23 +147,34 @@ def _no_longer_than(seconds: float, stop: Callable[[], None]) -> Generator[None]
         timer.cancel()
 
 
-def _grasp(story: Story) -> GraspJudgement:
+def _grasp(story: Story, attempts: int) -> GraspJudgement:
     story.connection.listen((THREAD,), story.threads.put)
     story.connection.listen((JUDGEMENT,), story.verdicts.put)
     threads = _threads(story, STEADY_THREADS)
     mean = sum(float(thread.confidence.mean()) for thread in threads) / len(threads)
     say(f"the thread is seen, with a mean confidence of {mean:.2f}")
     goals = goals_of(threads, GOALS, LEAST_PROBABILITY)
-    for left in reversed(range(ATTEMPTS)):
-        plan = _plan(story, goals)
+    plan, grasps = _plan(story, goals), Attempts(story.connection)
+    for left in reversed(range(ARMINGS)):
         stood = arm_and_stand_by(
             story.connection, ARM, plan.plan_id, story.stopped, lambda event: say(event_sentence(event))
         )
         story.check()
         # on a busy machine a heartbeat may come late, and the arm holds, as it should
         if left and stood.end is not None and stood.end.code == HEARTBEAT_LOST:
+            plan = _plan(story, goals)
             continue
-        return _verdict(story, plan.plan_id, stood)
+        verdict = _verdict(story, plan.plan_id, stood)
+        check = grasps.check_of(plan.plan_id)
+        if check is not None:
+            say(f"the planner's own check: {check.sentence}")
+        attempts -= 1
+        again = grasps.plan_after(check) if attempts > 0 and left else None
+        if again is None:
+            return verdict
+        say(verdict.sentence)
+        say(plan_sentence(again))
+        plan = again
     raise DemoError("no plan was carried out")
 
 

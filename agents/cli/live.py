@@ -4,6 +4,7 @@ import threading
 
 import numpy as np
 
+from agents.cli.attempts import Attempts
 from agents.cli.calibrate_options import Calibrate
 from agents.cli.experiment_options import Experiment
 from agents.cli.live_options import (
@@ -33,7 +34,7 @@ from agents.cli.terminal import complain, say
 from agents.cli.this_host import at_host, certificates_of, configured_file
 from agents.operator.operator import Stood, arm_and_stand_by, ask_for_grasp, change_state, hold, prompt
 from agents.viewer.clearance import clearance_sentence
-from schemas.messages import ExecutionEvent, ExecutionKind, GraspPlan, Outcome, Policy, StateWord, Status
+from schemas.messages import Checked, ExecutionEvent, ExecutionKind, GraspPlan, Outcome, Policy, StateWord, Status
 from schemas.topics import MAIN
 from shared.runtime.config import ConfigError, load_config
 from shared.runtime.connection import NoRouterError, connected
@@ -145,6 +146,7 @@ def goal(rig: RigConfig, options: Goal) -> int:
             s=options.s,
             pixel=None if options.pixel is None else np.array(options.pixel),
             point_camera=None if options.point is None else np.array(options.point),
+            attempts=options.attempts,
         )
     if answer.outcome is not Outcome.ACCEPTED:
         return complain(answer.reason, EXIT_REFUSED)
@@ -163,7 +165,9 @@ def plan_sentence(plan: GraspPlan) -> str:
     if plan.slide_m == 0:
         how = f"grasp at {percent(plan.s_goal)} without a slide"
     tissue = "" if plan.tissue is None else f"; {clearance_sentence(plan.tissue)}"
-    return f"plan {plan.plan_id}: {how}; success {plan.probability:.0%}{tissue}"
+    thread = f"; {plan.thread.obstructed}" if plan.thread is not None and plan.thread.obstructed else ""
+    which = f" (attempt {plan.attempt} of {plan.attempts})" if plan.attempt > 1 else ""
+    return f"plan {plan.plan_id}{which}: {how}; success {plan.probability:.0%}{tissue}{thread}"
 
 
 def percent(s: float | None) -> str:
@@ -172,14 +176,31 @@ def percent(s: float | None) -> str:
 
 
 def arm(rig: RigConfig, options: ArmPlan) -> int:
-    """Arm a plan and stay with it until it ends; Ctrl-C ends the heartbeat, and the arm holds."""
-    if not options.plan:
-        return complain("give the id of a plan, as goal prints it", EXIT_UNUSABLE)
-    stopped = threading.Event()
+    """Arm a plan and stay with it until it ends; Ctrl-C ends the heartbeat, and the arm holds.
+
+    What the planner sees afterwards is told; after a miss its next plan is armed too, where so many attempts were asked
+    for.
+    """
+    if not options.plan or options.attempts < 1:
+        return complain("give the id of a plan, as goal prints it, and at least one attempt", EXIT_UNUSABLE)
+    stopped, plan_id = threading.Event(), options.plan
     on_stop(stopped.set)
     with connected(rig.session) as connection:
-        stood = arm_and_stand_by(connection, options.arm, options.plan, stopped, lambda e: say(event_sentence(e)))
-    return _outcome(stood)
+        attempts = Attempts(connection)
+        for left in reversed(range(options.attempts)):
+            stood = arm_and_stand_by(connection, options.arm, plan_id, stopped, lambda e: say(event_sentence(e)))
+            outcome = _outcome(stood)
+            if outcome != EXIT_OK:
+                return outcome
+            check = attempts.check_of(plan_id)
+            if check is not None:
+                say(f"{options.arm}: {check.sentence}")
+            again = attempts.plan_after(check) if left and not stopped.is_set() else None
+            if again is None:
+                return EXIT_REFUSED if check is not None and check.verdict is Checked.MISSED else EXIT_OK
+            say(plan_sentence(again))
+            plan_id = again.plan_id
+    return EXIT_OK
 
 
 def _outcome(stood: Stood) -> int:

@@ -125,6 +125,8 @@ class Demo:
 
     seed: int = 1
     """Varies the thread, the tissue and the tool's error, an honest miss included."""
+    attempts: int = 1
+    """How many grasps are tried where the planner sees that one missed."""
     view: Literal["file", "native", "web"] = "file"
     """Also open a Rerun viewer."""
     sessions: Annotated[Path, tyro.conf.arg(metavar="PATH")] = Path("sessions")
@@ -145,6 +147,8 @@ class Goal(OnRig):
     """Which arm is to grasp."""
     policy: Literal["robust", "direct"] = "robust"
     """`robust` captures where the thread is known best and slides to the goal; `direct` grasps at the goal."""
+    attempts: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """How often the planner may plan for it where it sees that a grasp missed; each plan must be armed all the same."""
 
 
 @dataclass(frozen=True)
@@ -155,6 +159,8 @@ class ArmPlan(OnRig):
     """The plan's id, as `goal` prints it."""
     arm: str = "psm1"
     """Which arm carries it out."""
+    attempts: int = 1
+    """How many attempts are armed: after a miss, the next plan too, as long as this command runs."""
 
 
 @dataclass(frozen=True)

@@ -116,9 +116,13 @@ class ReconstructionSection(Settings):
 
 
 class PlannerSection(Settings):
-    """How good a plan must be."""
+    """How good a plan must be, by what its success is judged, and how often a goal is tried."""
 
     least_probability: float = Field(default=0.5, ge=0, le=1)
+    policy_model: Literal["geometric", "paper"] = "geometric"
+    tool_error_mm: float = Field(default=0.7, ge=0, le=5)
+    hand_eye_error_mm: float = Field(default=1.5, ge=0, le=10)
+    attempts: int = Field(default=3, ge=1, le=10)
     press_mm: float = Field(default=4.0, ge=0, le=10)
     tissue_required: bool = False
 

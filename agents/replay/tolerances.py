@@ -10,6 +10,7 @@ from dataclasses import replace
 from agents.replay import measures
 from agents.replay.compare import Rule, Rules
 from schemas.messages import (
+    GraspCheck,
     GraspPlan,
     RobotState,
     SimulatorState,
@@ -109,6 +110,25 @@ _PLAN: dict[str, Rule] = {
     "tissue.phase": Rule(ignored="likewise"),
     "tissue.s": Rule(ignored="likewise"),
     "reason": Rule(0.0, "", measures.words_apart),
+    "thread.clearance_m": Rule(0.5, "mm", measures.metres_in_mm),
+    "thread.obstructed": Rule(0.0, "", measures.words_apart),
+    "thread.place_camera": Rule(ignored="of places that are about as near another one may be the nearest"),
+    "thread.phase": Rule(ignored="likewise"),
+    "thread.s": Rule(ignored="likewise"),
+    "around.s": Rule(1e-9, "s"),
+    "around.points_camera": Rule(ignored="the thread that was planned on, which is compared where it is made"),
+    "around.covariance": Rule(ignored="likewise"),
+    "depth_m": Rule(1.0, "mm", measures.metres_in_mm),
+    "offset_camera": Rule(0.0005, "m"),
+    "offset_covariance": Rule(1e-6, "m²"),
+}
+
+_CHECK: dict[str, Rule] = {
+    "tool_moved_m": Rule(0.2, "mm", measures.metres_in_mm),
+    "thread_moved_m": Rule(0.5, "mm", measures.metres_in_mm),
+    "deviation_m": Rule(0.3, "mm", measures.metres_in_mm),
+    "held_probability": Rule(0.05, ""),
+    "sentence": Rule(ignored="the same in words"),
 }
 
 _SURFACE: dict[str, Rule] = {
@@ -135,6 +155,7 @@ TOLERANCES: dict[type, dict[str, Rule]] = {
     TissueSurface: _SURFACE,
     ThreadReconstruction: _RECONSTRUCTION,
     GraspPlan: _PLAN,
+    GraspCheck: _CHECK,
     RobotState: _ROBOT,
     SimulatorState: _FIELD,
 }

@@ -31,6 +31,7 @@ PLACES = {
     "reconstruction/thread": (6, 1),
     "planner": (6, 2),
     "planner/plan": (4, 2),
+    "planner/check": (5, 2.6),
     "operator": (4, 3),
     "operator/heartbeat": (3, 2.7),
     "robot_bridge": (2, 2),

@@ -5,7 +5,8 @@ world/tool/{arm}            `fingers`, `shaft` and `axes` of the tool
 world/solid/{arm}           its body, for space alone: in the images it would hide the thread
 world/truth                 the simulated thread as it truly is
 plan/report                 the plan, or why there is none, with what else was considered
-lanes/{arm}                 mode and phase, as they change
+plan/check                  what the planner saw after the grasp
+lanes/{arm}                 mode, phase and what was seen after it, as they change
 robot/joints, jaw_deg       of each arm
 """
 
@@ -22,8 +23,10 @@ from agents.viewer.session_mapping import lane, said
 from agents.viewer.solids import tool_solid
 from agents.viewer.units import MM_PER_METRE
 from schemas.messages import (
+    Checked,
     ExecutionEvent,
     ExecutionKind,
+    GraspCheck,
     GraspJudgement,
     GraspPlan,
     RobotState,
@@ -83,6 +86,10 @@ def plan_markdown(plan: GraspPlan) -> str:
     lines = ["## " + ("Plan" if plan.status is Status.OK else "No plan"), plan_sentence(plan)]
     if plan.tissue is not None:
         lines.append(f"Tissue: {clearance_sentence(plan.tissue)}.")
+    if plan.thread is not None and plan.thread.obstructed:
+        lines.append(f"Thread: {plan.thread.obstructed}.")
+    if plan.attempt > 1:
+        lines.append(f"Attempt {plan.attempt} of {plan.attempts}.")
     if plan.alternatives:
         rows = [f"| {a.s_capture:.0%} | {a.probability:.0%} | {a.reason or '–'} |" for a in plan.alternatives]
         lines.append("\n".join(["| capture at | success | what speaks against it |", "|---|---|---|", *rows]))
@@ -163,6 +170,21 @@ def judgement_entities(judgement: GraspJudgement) -> list[Entity]:
     return [
         lane(f"{rr.escape_entity_path_part(judgement.arm)}/verdict", verdict),
         said("simulator", judgement.sentence or verdict, level),
+    ]
+
+
+def check_entities(check: GraspCheck) -> list[Entity]:
+    """What the planner itself saw after a grasp."""
+    verdict = check.verdict.name.lower()
+    level = rr.TextLogLevel.INFO if check.verdict is Checked.HELD else rr.TextLogLevel.WARN
+    attempt = f"attempt {check.attempt} of {check.attempts}" if check.attempts > 1 else "the only attempt"
+    lines = [f"## Seen after the grasp: {verdict}", f"{check.sentence} ({attempt})."]
+    if check.next_plan_id:
+        lines.append(f"Next: plan {short(check.next_plan_id)}, which has to be armed like any other.")
+    return [
+        lane(f"{rr.escape_entity_path_part(check.arm)}/checked", verdict),
+        ("plan/check", [rr.TextDocument("\n\n".join(lines), media_type=rr.MediaType.MARKDOWN)]),
+        said("planner", f"{short(check.plan_id)} {check.sentence}", level),
     ]
 
 

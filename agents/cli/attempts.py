@@ -1,0 +1,37 @@
+"""What a planner's own check says of a grasp that was carried out, and the plan for the next attempt."""
+
+from agents.operator.operator import Events
+from schemas.messages import Checked, GraspCheck, GraspPlan, Status
+from schemas.topics import CHECK, PLAN
+from shared.clock import monotonic_s
+from shared.runtime.connection import Connection
+
+CHECK_S, NEXT_PLAN_S = 5.0, 2.0
+"""How long a check may take after the end of a grasp: the planner waits 2 s for a frame that tells."""
+
+
+class Attempts:
+    """Checks and plans as they come; listening begins before anything is armed."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._checks, self._plans = Events(connection, CHECK), Events(connection, PLAN)
+
+    def check_of(self, plan_id: str) -> GraspCheck | None:
+        """What was seen after a plan; None where nothing comes."""
+        deadline_s = monotonic_s() + CHECK_S
+        while (left_s := deadline_s - monotonic_s()) > 0:
+            check = self._checks.next(left_s)
+            if isinstance(check, GraspCheck) and check.plan_id == plan_id:
+                return check
+        return None
+
+    def plan_after(self, check: GraspCheck | None) -> GraspPlan | None:
+        """The plan that follows from a miss; None where there is none, or it is a rejection."""
+        if check is None or check.verdict is not Checked.MISSED or not check.next_plan_id:
+            return None
+        deadline_s = monotonic_s() + NEXT_PLAN_S
+        while (left_s := deadline_s - monotonic_s()) > 0:
+            plan = self._plans.next(left_s)
+            if isinstance(plan, GraspPlan) and plan.plan_id == check.next_plan_id:
+                return plan if plan.status is Status.OK else None
+        return None
