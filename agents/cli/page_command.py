@@ -9,8 +9,6 @@ import webbrowser
 from collections.abc import Callable, Generator
 from typing import Any
 
-from aiohttp import web
-
 from agents.cli.audit import audit_of
 from agents.cli.health_watch import Fare
 from agents.cli.in_the_way import already_running, in_the_way
@@ -26,9 +24,9 @@ from agents.cli.status_watch import StatusWatch
 from agents.cli.supervisor import Supervisor, supervised
 from agents.cli.terminal import complain, say
 from agents.cli.up import FIRST_CONTACT_S, start_all, write_config
-from agents.operator.access import Access, Addresses
+from agents.operator.access import Access
 from agents.operator.desk import Desk
-from agents.operator.page_server import PageServer, server_tls
+from agents.operator.page_server import server_tls, serving
 from agents.operator.pictures import Resample
 from agents.operator.surroundings import Surroundings
 from agents.perception.rectification import RectificationError, rectification, rectify_image
@@ -77,31 +75,15 @@ def run(options: Page) -> int:
 async def _serve(
     connection: Connection, around: Surroundings, options: Page, tls: ssl.SSLContext | None, until: Callable[[], bool]
 ) -> None:
-    desk = Desk(connection, around)
-    scheme = "http" if tls is None else "https"
-    access = Access()
-    server = PageServer(desk, access)
-    runner = web.AppRunner(server.application, access_log=None, shutdown_timeout=1.0)
-    await runner.setup()
-    running = asyncio.ensure_future(desk.run())
-    try:
-        site = web.TCPSite(runner, options.listen or LOOPBACK, options.port, ssl_context=tls)
-        await site.start()
-        port = runner.addresses[0][1]
-        names = LOCAL_NAMES if options.listen is None else (_in_address(options.listen),)
-        server.addresses = Addresses(scheme, tuple(f"{name}:{port}" for name in names))
-        address = f"{scheme}://{server.addresses.hosts[0]}/#token="
-        access.changed = lambda link: say(f"for another screen, open {address}{link}")
-        say(f"the operator's page: {address}{access.link}")
+    access, listen = Access(), options.listen or LOOPBACK
+    names = LOCAL_NAMES if options.listen is None else (_in_address(options.listen),)
+    async with serving(Desk(connection, around), access, listen, options.port, names, tls) as (_, address):
+        access.changed = lambda link: say(f"for another screen, open {address}#token={link}")
+        say(f"the operator's page: {address}#token={access.link}")
         if options.open and any(os.environ.get(name) for name in SCREENS):
-            webbrowser.open(f"{address}{access.link}")
-        while not until() and not running.done():
+            webbrowser.open(f"{address}#token={access.link}")
+        while not until():
             await asyncio.sleep(LOOK_S)
-    finally:
-        running.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await running
-        await runner.cleanup()
 
 
 def _tls(rig: RigConfig, listen: str | None) -> ssl.SSLContext | None:

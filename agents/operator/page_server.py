@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import json
 import ssl
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncGenerator, Awaitable, Callable
 from dataclasses import dataclass
 from importlib.resources import files
 
@@ -157,6 +157,40 @@ class PageServer:
                     return
                 continue
             self._desk.take(name, said)
+
+
+@contextlib.asynccontextmanager
+async def serving(
+    desk: Desk,
+    access: Access,
+    listen: str,
+    port: int,
+    names: tuple[str, ...],
+    tls: ssl.SSLContext | None = None,
+) -> AsyncGenerator[tuple[PageServer, str]]:
+    """Serve a desk and keep it running; the server, and the address that it is found at.
+
+    Args:
+        names: of this host, as browsers may write them; the first is told.
+
+    Raises:
+        OSError: where that address cannot be listened on.
+    """
+    server, scheme = PageServer(desk, access), "http" if tls is None else "https"
+    runner = web.AppRunner(server.application, access_log=None, shutdown_timeout=1.0)
+    await runner.setup()
+    running = asyncio.ensure_future(desk.run())
+    try:
+        site = web.TCPSite(runner, listen, port, ssl_context=tls)
+        await site.start()
+        found = runner.addresses[0][1]
+        server.addresses = Addresses(scheme, tuple(f"{name}:{found}" for name in names))
+        yield server, f"{scheme}://{server.addresses.hosts[0]}/"
+    finally:
+        await runner.cleanup()
+        running.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await running
 
 
 def _ended(task: "asyncio.Future[None]") -> None:

@@ -42,16 +42,16 @@ def sentence(screen: str, control: Control, arm: str, seen: Seen) -> str:
         return "No image comes." if seen.frame_age_s is None else f"The image is {seen.frame_age_s:.0f} s old."
     if seen.mode in ("fault", "disabled"):
         return f"{arm} is in state {seen.mode} and cannot be armed."
-    if seen.thread_age_s is None or seen.thread_age_s > STALE_S:
-        if seen.said or seen.thread_age_s is None:
-            return f"No thread is seen: {seen.said}." if seen.said else "No thread has been seen yet."
-        return f"The thread was seen {seen.thread_age_s:.0f} s ago; frames wait for perception."
     if screen != control.controller:
         return f"You watch; {control.controller or 'nobody'} controls. Hold works for everybody."
     if seen.plan is not None and seen.plan["ok"]:
         if seen.plan_age_s is not None and seen.plan_age_s > OLD_PLAN_S:
             return "The plan is too old to be armed. Plan again."
         return f"{plan_words(seen.plan)} Look at it, then press and hold to arm {arm}."
+    if seen.thread_age_s is None or seen.thread_age_s > STALE_S:
+        if seen.said or seen.thread_age_s is None:
+            return f"No thread is seen: {seen.said}." if seen.said else "No thread has been seen yet."
+        return f"The thread was seen {seen.thread_age_s:.0f} s ago; frames wait for perception."
     if seen.plan is not None:
         return f"No grasp is planned: {seen.plan['reason']}. Click another place."
     return f"{arm} is {seen.mode or 'silent'}. Click the thread where it is to be grasped."

@@ -17,58 +17,23 @@ from agents.robot_bridge.simulated import SimulatedPsm
 from schemas.codec import decode
 from schemas.messages import (
     ExecutionKind,
-    FrameStamp,
     Outcome,
     Phase,
     Policy,
-    RectifiedStereo,
-    ReliabilityRegions,
     RobotMode,
     RobotState,
     Status,
-    ThreadReconstruction,
 )
-from schemas.topics import MAIN, PROMPT, ROBOT_STATE, THREAD
-from shared.runtime.agent import Output, Tick
+from schemas.topics import MAIN, PROMPT, ROBOT_STATE
+from shared.runtime.agent import Tick
 from shared.runtime.commands import accepted, new_header
 from shared.runtime.connection import connected
 
-NONE = np.zeros(0)
 LENGTH_M = 0.04
 PATIENT_S = 60.0
 NEVER = threading.Event()
 LONG_S = 3.5
 """Longer than a command waits for its answer."""
-
-
-class HandMadeThread:
-    """In the place of camera, perception and reconstruction."""
-
-    kind, instance = "reconstruction", MAIN
-    inputs, outputs, commands = (), (THREAD,), ()
-    tick_hz = 20.0
-
-    def step(self, arrived):
-        assert isinstance(arrived, Tick)
-        confidence_s = np.linspace(0, 1, 11)
-        return [
-            Output(
-                THREAD,
-                ThreadReconstruction(
-                    stamp=FrameStamp(1, arrived.now_ns, arrived.now_ns, "hand"),
-                    camera=RectifiedStereo(960, 540, 1000.0, 1000.0, 479.5, 269.5, 0.0055, 1.0),
-                    status=Status.OK,
-                    reason="",
-                    method="by hand",
-                    degree=1,
-                    knots=np.array([0.0, 0.0, 1.0, 1.0]),
-                    control_points_camera=np.array([[-LENGTH_M / 2, 0, 0.08], [LENGTH_M / 2, 0, 0.08]]),
-                    regions=ReliabilityRegions(NONE, np.zeros((0, 3)), np.zeros((0, 2)), NONE, NONE),
-                    confidence_s=confidence_s,
-                    confidence=np.where(np.abs(confidence_s - 0.5) < 0.15, 0.7, 1.0),
-                ),
-            )
-        ]
 
 
 @pytest.fixture
@@ -104,9 +69,9 @@ def modes():
 
 
 @pytest.fixture
-def connection(settings, bridge, modes, in_threads, until):
+def connection(settings, bridge, modes, in_threads, until, hand_made_thread):
     with (
-        in_threads(settings, HandMadeThread(), patient_planner(), bridge),
+        in_threads(settings, hand_made_thread(), patient_planner(), bridge),
         connected(settings, PATIENT_S) as connection,
     ):
         connection.listen((ROBOT_STATE,), lambda tapped: modes.append(decode(RobotState, tapped.payload).mode))
@@ -244,10 +209,10 @@ def test_a_prompt_is_told_again_while_perception_is_busy_with_a_frame(settings, 
     assert {tuple(pixel) for pixel in perception.prompted} == {(5.0, 6.0)}
 
 
-def test_an_arm_that_falls_silent_is_left(settings, planned, bridge, monkeypatch, in_threads, until):
+def test_an_arm_that_falls_silent_is_left(settings, planned, bridge, monkeypatch, in_threads, until, hand_made_thread):
     monkeypatch.setattr("agents.operator.operator.SILENCE_S", 0.5)
     with (
-        in_threads(settings, HandMadeThread(), patient_planner(), bridge) as (*_, runner),
+        in_threads(settings, hand_made_thread(), patient_planner(), bridge) as (*_, runner),
         connected(settings, PATIENT_S) as connection,
     ):
         until(lambda: ready(connection))

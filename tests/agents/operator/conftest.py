@@ -1,0 +1,77 @@
+"""A field made by hand: a straight thread 80 mm away that is known less well in its middle, and its images."""
+
+import numpy as np
+import pytest
+
+from schemas.messages import (
+    FrameStamp,
+    ImageEncoding,
+    RectifiedStereo,
+    ReliabilityRegions,
+    Status,
+    StereoFrame,
+    ThreadReconstruction,
+)
+from schemas.topics import FRAMES, MAIN, THREAD
+from shared.images import encode_image
+from shared.runtime.agent import Output, Tick
+
+NONE = np.zeros(0)
+LENGTH_M = 0.04
+
+
+class HandMadeThread:
+    """In the place of camera, perception and reconstruction."""
+
+    kind, instance = "reconstruction", MAIN
+    inputs, outputs, commands = (), (THREAD,), ()
+    tick_hz = 20.0
+
+    def step(self, arrived):
+        assert isinstance(arrived, Tick)
+        confidence_s = np.linspace(0, 1, 11)
+        return [
+            Output(
+                THREAD,
+                ThreadReconstruction(
+                    stamp=FrameStamp(1, arrived.now_ns, arrived.now_ns, "hand"),
+                    camera=RectifiedStereo(960, 540, 1000.0, 1000.0, 479.5, 269.5, 0.0055, 1.0),
+                    status=Status.OK,
+                    reason="",
+                    method="by hand",
+                    degree=1,
+                    knots=np.array([0.0, 0.0, 1.0, 1.0]),
+                    control_points_camera=np.array([[-LENGTH_M / 2, 0, 0.08], [LENGTH_M / 2, 0, 0.08]]),
+                    regions=ReliabilityRegions(NONE, np.zeros((0, 3)), np.zeros((0, 2)), NONE, NONE),
+                    confidence_s=confidence_s,
+                    confidence=np.where(np.abs(confidence_s - 0.5) < 0.15, 0.7, 1.0),
+                ),
+            )
+        ]
+
+
+class HandMadeCamera:
+    """Ten grey images a second."""
+
+    kind, instance = "camera", MAIN
+    inputs, outputs, commands = (), (FRAMES,), ()
+    tick_hz = 10.0
+
+    def __init__(self):
+        self._frame, self._image = 0, encode_image(np.full((540, 960, 3), 90, np.uint8), ImageEncoding.JPEG)
+
+    def step(self, arrived):
+        assert isinstance(arrived, Tick)
+        self._frame += 1
+        stamp = FrameStamp(self._frame, arrived.now_ns, arrived.now_ns, "hand")
+        return [Output(FRAMES, StereoFrame(stamp, self._image, self._image))]
+
+
+@pytest.fixture(scope="session")
+def hand_made_thread():
+    return HandMadeThread
+
+
+@pytest.fixture(scope="session")
+def hand_made_camera():
+    return HandMadeCamera

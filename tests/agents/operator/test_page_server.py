@@ -1,0 +1,253 @@
+"""The page's server before a real planner, a real bridge and real clients of a WebSocket; and hostile ones."""
+
+import asyncio
+import contextlib
+import json
+import random
+import struct
+
+import aiohttp
+import pytest
+import yarl
+
+from agents.operator.access import Access
+from agents.operator.desk import Desk
+from agents.operator.page_server import serving
+from agents.operator.surroundings import Surroundings
+from agents.operator.wire import KINDS
+from agents.planner.agent import Planner
+from agents.planner.config import PlannerConfig
+from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
+from agents.robot_bridge.simulated import SimulatedPsm
+from schemas.codec import decode
+from schemas.messages import CommandRecord, ExecutionEvent, ExecutionKind
+from schemas.topics import COMMANDS, EXECUTION
+from shared.runtime.commands import new_header
+from shared.runtime.connection import connected
+
+PATIENT_S = 60.0
+BEAT_S = 3.0
+"""A test machine may stall."""
+HOSTILE = 300
+
+
+@pytest.fixture(autouse=True)
+def patience(monkeypatch):
+    for name in ("BEAT_S", "CHALLENGE_EVERY_S"):
+        monkeypatch.setattr(f"agents.operator.control.{name}", {"BEAT_S": BEAT_S}.get(name, 0.05))
+    monkeypatch.setattr("agents.operator.choosing.AGAIN_FOR_S", PATIENT_S)
+    monkeypatch.setattr("agents.operator.carrying_out.PLAN_ARRIVES_S", PATIENT_S)
+    monkeypatch.setattr("agents.operator.carrying_out.new_header", lambda sender: new_header(sender, PATIENT_S))
+    monkeypatch.setattr("shared.runtime.commands.FARTHEST_DEADLINE_S", 2 * PATIENT_S)
+
+
+@pytest.fixture
+def rig(settings, in_threads, hand_made_thread, hand_made_camera):
+    """Agents in threads, whose bridge waits longer for heartbeats than anybody who tests: what holds is the server."""
+    slow = RobotBridgeConfig(dead_man_s=PATIENT_S, first_heartbeat_s=PATIENT_S, maximum_plan_age_s=PATIENT_S)
+    planner = Planner(PlannerConfig(arm_age_ms=1e3 * PATIENT_S))
+    with in_threads(settings, hand_made_thread(), hand_made_camera(), planner, RobotBridge(slow, SimulatedPsm())):
+        yield settings
+
+
+class Served:
+    """A server with what it wrote down, and what reached the agents."""
+
+    def __init__(self, server, address, access, audit, connection):
+        self.server, self.address, self.access, self.audit = server, address, access, audit
+        self.commands, self.events = [], []
+        connection.listen((COMMANDS,), lambda t: self.commands.append(decode(CommandRecord, t.payload).topic))
+        connection.listen((EXECUTION,), lambda t: self.events.append(decode(ExecutionEvent, t.payload)))
+
+    @contextlib.asynccontextmanager
+    async def page(self, **headers):
+        """A page that has entered."""
+        origin = {"Origin": self.address.rstrip("/")} | headers
+        async with aiohttp.ClientSession(headers=origin) as session:
+            answer = await session.post(f"{self.address}session", json={"token": self.access.link})
+            secret = (await answer.json())["secret"]
+            async with session.ws_connect(f"{self.address}ws") as socket:
+                page = Client(socket)
+                await page.say("hello", secret=secret)
+                page.secret = (await page.heard(lambda m: m["kind"] == "welcome"))["secret"]
+                yield page
+
+
+class Client:
+    """What the page's own code does, as far as it matters here."""
+
+    def __init__(self, socket):
+        self.socket, self.answers, self.pictures, self.secret = socket, True, 0, ""
+
+    async def say(self, kind, **rest):
+        await self.socket.send_json({"kind": kind} | rest)
+
+    async def heard(self, wanted):
+        """The next message that is wanted; challenges are answered and pictures shown meanwhile."""
+        async with asyncio.timeout(PATIENT_S):
+            while True:
+                message = await self.socket.receive()
+                if message.type is aiohttp.WSMsgType.BINARY:
+                    (length,) = struct.unpack("<I", message.data[:4])
+                    header = json.loads(message.data[4 : 4 + length])
+                    assert message.data[4 + length :][:2] == b"\xff\xd8"
+                    self.pictures += 1
+                    await self.say("shown", frame=header["frame"], at_ms=0)
+                    continue
+                assert message.type is aiohttp.WSMsgType.TEXT, message
+                said = json.loads(message.data)
+                if said["kind"] == "challenge" and self.answers:
+                    await self.say("beat", challenge=said["challenge"])
+                if wanted(said):
+                    return said
+
+    async def state(self, wanted):
+        """The next state that is wanted."""
+        return await self.heard(lambda said: said["kind"] == "state" and wanted(said))
+
+    async def planned(self):
+        """Ask for a grasp until there is a plan."""
+        await self.state(lambda s: s["arms"])
+        while True:
+            await self.say("place", s=0.2, arm="psm1", policy="direct")
+            said = await self.heard(lambda m: m["kind"] in ("plan", "refused"))
+            if said["kind"] == "plan" and said["plan"]["ok"]:
+                return said["plan"]
+
+    async def armed(self):
+        """Press until the arm is armed."""
+        plan = await self.planned()
+        await self.say("press", arm="psm1", plan_id=plan["id"])
+        await self.state(lambda s: s["press"] and s["press"]["stage"] == "armed")
+        return plan
+
+
+def served(rig, scenario):
+    """Run a scenario against a server of its own."""
+
+    async def run():
+        audit = []
+        with connected(rig, PATIENT_S) as connection:
+            around = Surroundings("test", ("psm1",), lambda what, **told: audit.append((what, told)))
+            access = Access()
+            async with serving(Desk(connection, around), access, "127.0.0.1", 0, ("127.0.0.1",)) as (server, address):
+                await scenario(Served(server, address, access, audit, connection))
+
+    asyncio.run(run())
+
+
+async def held(served, code):
+    """Wait until the arm holds, and why."""
+    async with asyncio.timeout(PATIENT_S):
+        while not [event for event in served.events if event.kind is ExecutionKind.HELD]:
+            await asyncio.sleep(0.02)
+    assert {event.code for event in served.events if event.kind is ExecutionKind.HELD} == {code}
+
+
+def test_a_press_is_carried_out_while_it_is_answered_and_everything_is_written_down(rig):
+    async def scenario(served):
+        async with served.page() as page:
+            plan = await page.armed()
+            await page.state(lambda s: "has finished" in " ".join(s["lines"]))
+            assert page.pictures > 0
+        told = [what for what, _ in served.audit]
+        assert [what for what in told if what in ("goal", "pressed", "arm", "answer")][-3:] == [
+            "pressed",
+            "arm",
+            "answer",
+        ]
+        assert ("pressed", {"screen": "screen 1", "arm": "psm1", "plan_id": plan["id"]}) in served.audit
+
+    served(rig, scenario)
+
+
+@pytest.mark.parametrize("end", ["released", "closed", "silent", "another's hold"])
+def test_however_a_press_ends_the_server_holds_the_arm(rig, end):
+    async def scenario(served):
+        async with served.page() as watching, served.page() as page:
+            if end != "another's hold":
+                await watching.say("give", yes=True)  # whoever came first controls
+                await watching.socket.close()
+                await page.state(lambda s: s["controller"] == "")
+                await page.say("take")
+                page_armed = page
+            else:
+                page_armed = watching
+            await page_armed.armed()
+            if end == "released":
+                await page.say("release", why="the button was released")
+            elif end == "closed":
+                await page.socket.close()
+            elif end == "silent":
+                page.answers = False
+                await page.state(lambda s: s["press"] is None)
+            else:
+                await page.say("hold")
+            await held(served, "hold_command")
+
+    served(rig, scenario)
+
+
+def test_pages_that_do_not_control_move_nothing_and_control_is_handed_over(rig):
+    async def scenario(served):
+        async with served.page() as first, served.page() as second:
+            plan = await first.planned()
+            for said in ({"kind": "press", "arm": "psm1", "plan_id": plan["id"]}, {"kind": "prompt", "pixel": None}):
+                await second.socket.send_json(said)
+                assert "screen 1 controls" in (await second.heard(lambda m: m["kind"] == "refused"))["text"]
+            await second.say("take")
+            await first.state(lambda s: s["asking"] == "screen 2")
+            await first.say("give", yes=True)
+            await second.state(lambda s: s["controller"] == "screen 2")
+
+    served(rig, scenario)
+
+
+def test_what_is_hostile_gets_no_command_through(rig):
+    async def scenario(served):
+        address, rng = served.address, random.Random(7)
+        used = served.access.link
+        async with served.page() as page:
+            await page.state(lambda s: s["arms"])
+            before = list(served.commands)
+            old_secret = page.secret
+            async with aiohttp.ClientSession() as session:
+                ours = {"Origin": address.rstrip("/")}
+                for headers in (
+                    {},
+                    {"Origin": "http://evil.example"},
+                    {"Origin": "null"},
+                    ours | {"Host": "evil.example"},
+                ):
+                    answer = await session.post(
+                        f"{address}session", json={"token": served.access.link}, headers=headers
+                    )
+                    assert answer.status in (403, 421)
+                    with pytest.raises(aiohttp.WSServerHandshakeError):
+                        await session.ws_connect(f"{address}ws", headers=headers)
+                replay = await session.post(f"{address}session", json={"token": used}, headers=ours)
+                assert replay.status == 403
+                for path in ("%2e%2e%2fdesk.py", "..%2fdesk.py", "__init__.py", "%00", "page.css%2f"):
+                    assert (await session.get(yarl.URL(f"{address}page/{path}", encoded=True))).status == 404
+                for _ in range(HOSTILE):
+                    body = rng.randbytes(rng.randrange(200))
+                    answer = await session.post(f"{address}session", data=body, headers=ours)
+                    assert answer.status in (400, 403)
+                for first in (old_secret[::-1], "", "\ud800", None):
+                    async with session.ws_connect(f"{address}ws", headers=ours) as socket:
+                        await socket.send_str(json.dumps({"kind": "hello", "secret": first}))
+                        assert (await socket.receive()).type is aiohttp.WSMsgType.CLOSE
+                for _ in range(HOSTILE // 3):
+                    async with session.ws_connect(f"{address}ws", headers=ours) as socket:
+                        kind = rng.choice(list(KINDS))
+                        with contextlib.suppress(ConnectionError):
+                            await socket.send_str(json.dumps({"kind": kind, "arm": "psm1", "plan_id": "x", "s": 0.5}))
+                            await socket.send_bytes(rng.randbytes(50))
+            for _ in range(3):
+                await page.socket.send_bytes(b"\0" * 100)
+            with pytest.raises(AssertionError):
+                await page.state(lambda _: False)  # it was thrown out
+        assert served.commands == before
+        assert not [what for what, _ in served.audit if what in ("goal", "arm", "prompt", "pressed", "hold")]
+
+    served(rig, scenario)
