@@ -6,22 +6,23 @@ from dataclasses import dataclass, field
 from agents.cli.health_watch import Fare
 from agents.cli.rig import RigConfig
 from agents.cli.rig_hosts import BESIDE, OPERATOR, kind_and_instance
-from schemas.messages import AgentFacts, ExecutionEvent, HostClocks, LogRecord, RobotState
-from schemas.topics import FRAMES, HEALTH, HEARTBEAT, OBSERVATIONS, SURFACE, THREAD, TOPICS, Delivery
+from schemas.messages import AgentFacts, ExecutionEvent, HostClocks, LogRecord, RobotState, ToolCorrection
+from schemas.topics import FRAMES, HEALTH, HEARTBEAT, OBSERVATIONS, SURFACE, THREAD, TOOL, TOPICS, Delivery
 from shared.runtime.clocks import ClockOffset
 
 PER_FRAME = (FRAMES, OBSERVATIONS, THREAD)
-NOT_STEADY = (SURFACE, HEARTBEAT, HEALTH)
+NOT_STEADY = (SURFACE, TOOL, HEARTBEAT, HEALTH)
 """Topics that have a rate, and come only while there is something to say."""
 
 
 @dataclass(frozen=True)
 class ArmHeard:
-    """What was last heard of an arm; None where nothing was."""
+    """What was last heard of an arm, and of its tool in the images; None where nothing was."""
 
     arm: str
     state: RobotState | None = None
     event: ExecutionEvent | None = None
+    tool: ToolCorrection | None = None
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from agents.cli.health_watch import name_of, span_of
 from agents.cli.status_agents import judge_agents
 from agents.cli.status_gathered import ArmHeard, Gathered
+from agents.cli.status_tool import judge_tool
 from agents.cli.status_wrong import Wrong, listed
 from agents.robot_bridge.refusals import Code
 from schemas.messages import AgentFacts, ExecutionKind, LogLevel, LogRecord, RobotMode
@@ -64,6 +65,8 @@ def _arms(gathered: Gathered) -> Iterator[Wrong]:
         elif mode in (RobotMode.FAULT, RobotMode.DISABLED):
             word = "has a fault" if mode is RobotMode.FAULT else "is disabled"
             yield Wrong("arm", arm.arm, f"{arm.arm} {word} and cannot be armed; its controller says why{_why(arm)}")
+
+        yield from judge_tool(arm, gathered.at_ns)
 
 
 def _held(arm: ArmHeard, at_ns: int) -> Wrong:

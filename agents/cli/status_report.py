@@ -12,6 +12,7 @@ from rich.text import Text
 from agents.cli.health_watch import Fare, health_table, key_of
 from agents.cli.status_agents import judge_agents
 from agents.cli.status_gathered import ArmHeard, Gathered
+from agents.cli.status_tool import tool_told
 from agents.cli.status_wrong import Wrong
 from shared.runtime.clocks import ClockOffset, by_host
 
@@ -107,7 +108,8 @@ def _arm(arm: ArmHeard) -> dict[str, Any]:
         last = {"kind": event.kind.name.lower(), "at_ns": event.at_ns, "plan_id": event.plan_id}
         last |= {"code": event.code, "reason": event.reason}
     mode = None if state is None else state.mode.name.lower()
-    return {"arm": arm.arm, "mode": mode, "plan_id": state.plan_id if state else "", "last_event": last}
+    told = {"arm": arm.arm, "mode": mode, "plan_id": state.plan_id if state else "", "last_event": last}
+    return told | {"tool": tool_told(arm)}
 
 
 def _wrong(wrong: Wrong) -> dict[str, str]:

@@ -10,8 +10,8 @@ from agents.cli.status_gathered import ArmHeard, Gathered, expected_rates, place
 from agents.cli.status_session import reading_session
 from schemas.checks import MessageError
 from schemas.codec import decode
-from schemas.messages import AgentFacts, ExecutionEvent, HostClocks, LogLevel, LogRecord, RobotState
-from schemas.topics import CLOCKS, EXECUTION, LOG, ROBOT_STATE
+from schemas.messages import AgentFacts, ExecutionEvent, HostClocks, LogLevel, LogRecord, RobotState, ToolCorrection
+from schemas.topics import CLOCKS, EXECUTION, LOG, ROBOT_STATE, TOOL
 from shared.clock import monotonic_s, now_ns
 from shared.runtime.clocks import ClockOffset
 from shared.runtime.connection import Connection
@@ -45,7 +45,8 @@ class StatusWatch:
         self._expires_ns = _own_expiry(rig)
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._ask_again_and_again, name="asking", daemon=True)
-        connection.listen((EXECUTION, LOG, CLOCKS), self._take)
+        self._tools: dict[str, ToolCorrection] = {}
+        connection.listen((EXECUTION, LOG, CLOCKS, TOOL), self._take)
 
     def start(self) -> None:
         """Ask from now on, from a thread."""
@@ -73,6 +74,7 @@ class StatusWatch:
         with self._lock:
             states, events, planner_clocks = dict(self._states), dict(self._events), self._planner_clocks
             clocks, facts, errors = dict(self._clocks), dict(self._facts), tuple(self._errors)
+            tools = dict(self._tools)
         arms = sorted({*self._rig.robot, *states, *events})
         return Gathered(
             at_ns=now_ns(),
@@ -84,7 +86,7 @@ class StatusWatch:
             rates_hz=self._rates,
             clocks=clocks,
             planner_clocks=planner_clocks,
-            arms=tuple(ArmHeard(arm, states.get(arm), events.get(arm)) for arm in arms),
+            arms=tuple(ArmHeard(arm, states.get(arm), events.get(arm), tools.get(arm)) for arm in arms),
             facts=facts,
             said=errors,
             here_expires_ns=self._expires_ns,
@@ -94,6 +96,9 @@ class StatusWatch:
         with contextlib.suppress(MessageError), self._lock:
             if tapped.topic is EXECUTION:
                 self._events[_instance(tapped.key)] = decode(ExecutionEvent, tapped.payload)
+                return
+            if tapped.topic is TOOL:
+                self._tools[_instance(tapped.key)] = decode(ToolCorrection, tapped.payload)
                 return
             if tapped.topic is CLOCKS:
                 self._planner_clocks = decode(HostClocks, tapped.payload)

@@ -41,6 +41,7 @@ def operate(scene: Scene) -> rrb.Vertical:
                 panels.curves("residual_px", "residual, px"),
                 *([panels.deviation(scene)] if scene.posterior else []),
                 panels.shares(scene),
+                *([panels.curves("tool", "tools: off their registration, and deviation, mm")] if scene.tracked else []),
                 active_tab=0,
             ),
             rrb.Tabs(

@@ -21,6 +21,7 @@ from agents.viewer.candidate_mapping import (
 from agents.viewer.considered_mapping import Considered
 from agents.viewer.dataflow_mapping import Dataflow
 from agents.viewer.grasp_mapping import (
+    check_entities,
     execution_entities,
     joint_names,
     judgement_entities,
@@ -52,12 +53,14 @@ from agents.viewer.session_mapping import (
 )
 from agents.viewer.surface_mapping import contact_entities, surface_entities
 from agents.viewer.timing_mapping import end_to_end_name
+from agents.viewer.tool_mapping import tool_entities
 from agents.viewer.units import camera_in_mm, observations_in_mm, reconstruction_in_mm
 from schemas.messages import (
     AgentConfiguration,
     AgentHealth,
     CommandRecord,
     ExecutionEvent,
+    GraspCheck,
     GraspJudgement,
     GraspPlan,
     Heartbeat,
@@ -76,6 +79,7 @@ from schemas.messages import (
     ThreadReconstruction,
     ThreadTrack,
     TissueSurface,
+    ToolCorrection,
 )
 from shared.camera import is_rectified
 from shared.images import ImageDataError, decode_image, encode_image
@@ -101,13 +105,18 @@ class LiveMapping:
         self._before: dict[str, object] = {}
         self._observed: deque[ThreadObservations] = deque(maxlen=OBSERVED_MOST)
         self._considered, self._dataflow = Considered(), Dataflow()
-        self._matched = False
+        self._matched = self._tracked = False
         self._rows_down = 0
 
     @property
     def matched(self) -> bool:
         """Whether perception matches pixels, as far as is known."""
         return self._matched
+
+    @property
+    def tracked(self) -> bool:
+        """Whether an instrument is looked for in the images, as far as is known."""
+        return self._tracked
 
     @property
     def rectified(self) -> bool:
@@ -130,6 +139,10 @@ class LiveMapping:
                 return self._observations(observations_in_mm(message))
             case TissueSurface():
                 return surface_entities(message)
+            case ToolCorrection():
+                self._tracked = True
+                changed = self._changed(f"tool of {message.arm}", (message.status, message.T_correction is None))
+                return tool_entities(message, changed)
             case ThreadReconstruction():
                 return self._reconstruction(reconstruction_in_mm(message))
             case GraspPlan():
@@ -140,6 +153,8 @@ class LiveMapping:
                 return execution_entities(message)
             case GraspJudgement():
                 return judgement_entities(message)
+            case GraspCheck():
+                return check_entities(message)
             case SimulatorState():
                 return [*self._camera(camera_in_mm(message.camera), None), *truth_entities(message)]
             case AgentHealth():

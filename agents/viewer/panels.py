@@ -18,7 +18,7 @@ OF_GRASP = ("world/plan/**", "world/tool/**")
 HIDDEN_IN_SPACE = ("world/observations/matched", "world/thread/control_points")
 """What crowds the thread; the eye symbol in the blueprint panel brings it back."""
 
-ONLY_ON_IMAGES = (*FLAT, "world/left/match_cost")
+ONLY_ON_IMAGES = (*FLAT, "world/left/match_cost", "world/left/tool/**", "world/right/tool/**")
 NEWEST_FREE = rrb.Corner2D.LeftTop
 """Where a legend hides what is oldest."""
 
@@ -33,6 +33,7 @@ class Scene:
         raw_images: whether the camera's images are not rectified.
         matched: whether perception matches pixels, as the paper's method does.
         posterior: whether the reconstruction predicts how far it may be off.
+        tracked: whether an instrument is looked for in the images.
     """
 
     middle_camera: Float64[np.ndarray, "3"] | None = None
@@ -40,6 +41,7 @@ class Scene:
     raw_images: bool = False
     matched: bool = False
     posterior: bool = True
+    tracked: bool = False
 
 
 def space(scene: Scene, closer: float, without: tuple[str, ...] = ()) -> rrb.Spatial3DView:

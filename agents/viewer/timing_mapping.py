@@ -15,16 +15,17 @@ from collections import OrderedDict
 import rerun as rr
 
 from agents.viewer.entity import Entity
-from schemas.topics import FRAMES, OBSERVATIONS, PLAN, SURFACE, THREAD, Topic
+from schemas.topics import FRAMES, OBSERVATIONS, PLAN, SURFACE, THREAD, TOOL, Topic
 from shared.runtime.attachment import Attachment
 
-FROM = {OBSERVATIONS: FRAMES, SURFACE: FRAMES, THREAD: OBSERVATIONS, PLAN: THREAD}
+FROM = {OBSERVATIONS: FRAMES, SURFACE: FRAMES, TOOL: FRAMES, THREAD: OBSERVATIONS, PLAN: THREAD}
 """What each stage makes its result from."""
 
 NAMES = {
     FRAMES: "camera",
     OBSERVATIONS: "perception",
     SURFACE: "surface",
+    TOOL: "tool",
     THREAD: "reconstruction",
     PLAN: "planner",
 }

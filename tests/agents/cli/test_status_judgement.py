@@ -1,5 +1,6 @@
 """What status judges: from what was heard of a rig to sentences, without sockets."""
 
+import dataclasses
 import json
 import re
 from typing import Any
@@ -22,6 +23,7 @@ from schemas.messages import (
     AgentHealth,
     ExecutionEvent,
     ExecutionKind,
+    FrameStamp,
     HostClock,
     HostClocks,
     InputHealth,
@@ -30,6 +32,9 @@ from schemas.messages import (
     OutputHealth,
     RobotMode,
     RobotState,
+    ToolCandidate,
+    ToolCorrection,
+    ToolStatus,
 )
 from shared.runtime.clocks import ClockOffset
 
@@ -256,6 +261,37 @@ def test_an_arm_that_stands_still_says_why(arm, grave, told):
     (wrong,) = judge(moment(arms=(arm,)))
     assert (wrong.about, wrong.grave) == ("psm1", grave)
     assert told in wrong.text
+
+
+def tool(status=ToolStatus.CONVERGED, off_m=0.001, age_ns=10**8):
+    usable, stamp = status is ToolStatus.CONVERGED, FrameStamp(1, NOW_NS - age_ns, NOW_NS - age_ns, "c")
+    px, place = np.zeros((0, 2)), np.zeros(3)
+    found = ToolCandidate(np.zeros(6), np.eye(6), np.zeros((16, 16, 16), np.uint8), 9, 0.9, 0.8, 0.5)
+    figures = np.eye(4) if usable else None, place, place, off_m, 0.0, 0.0, 0.0, px, px, px, (found,), 0, 0, 1
+    return ToolCorrection("psm1", stamp, 0, status, "" if usable else "it is not in view", *figures)
+
+
+@pytest.mark.parametrize(
+    ("heard", "corrected", "grave", "told"),
+    [
+        (
+            tool(off_m=0.006),
+            None,
+            True,
+            "the registration of psm1 is 6.0 mm and 0.0 degrees off by the images (drifted)",
+        ),
+        (tool(off_m=0.006), np.eye(4), False, "which its bridge corrects"),
+        (tool(ToolStatus.LOST), None, True, "the tool of psm1 is not followed in the images: it is not in view"),
+        (tool(ToolStatus.CONVERGING), None, False, "it is not in view"),
+        (tool(age_ns=9 * 10**9), None, True, "was last looked for 9 s ago"),
+        (tool(), None, None, ""),
+    ],
+)
+def test_a_tool_that_is_lost_in_the_images_or_off_its_registration_is_told(heard, corrected, grave, told):
+    state = dataclasses.replace(robot(RobotMode.IDLE), T_camera_base_registered=corrected)
+    wrongs = judge(moment(arms=(ArmHeard("psm1", state, tool=heard),)))
+    assert [wrong.grave for wrong in wrongs] == ([] if grave is None else [grave])
+    assert all(told in wrong.text for wrong in wrongs)
 
 
 @pytest.mark.parametrize("mode", [RobotMode.IDLE, RobotMode.MOVING])

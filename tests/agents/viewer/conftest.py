@@ -52,6 +52,9 @@ from schemas.messages import (
     ThreadObservations,
     ThreadReconstruction,
     TissueSurface,
+    ToolCandidate,
+    ToolCorrection,
+    ToolStatus,
     Verdict,
     Waypoint,
 )
@@ -353,6 +356,11 @@ def session_messages(scene):
         ),
         topics.SURFACE: TissueSurface(
             STAMP, camera, np.arange(8.0), np.arange(4.0), np.full((4, 8), 0.1), np.ones((4, 8), bool)
+        ),
+        topics.TOOL: ToolCorrection(
+            "psm1", STAMP, at_ns, ToolStatus.CONVERGED, "", np.eye(4), np.array((0, 0, 0.1)), np.array((0, 0, 0.11)),
+            0.004, 0.02, 3e-4, 0.01, np.ones((3, 2)), np.full((4, 2), 20.0), np.full((5, 2), 10.0),
+            (ToolCandidate(np.zeros(6), np.eye(6), np.zeros((16, 16, 16), np.uint8), 9, 0.9, 0.8, 0.5),), 0, 0, 5,
         ),
         topics.REPLAY_CLOCK: ReplayClock(at_ns, 1.0),
         topics.COMMANDS: CommandRecord(

@@ -1,0 +1,33 @@
+"""An instrument's outlines lie over the images, its figures are in millimetres, and a change of status is said."""
+
+import dataclasses
+
+import numpy as np
+
+from agents.viewer.live_mapping import LiveMapping
+from schemas import topics
+from schemas.messages import ToolStatus
+
+
+def test_an_instrument_is_drawn_where_it_was_found_and_is_told_lost_once(session_messages):
+    told, mapping = session_messages[topics.TOOL], LiveMapping()
+    entities = dict(mapping.entities(told))
+    assert mapping.tracked
+    for path, px in (
+        ("world/left/tool/psm1/registered", told.registered_left_px),
+        ("world/left/tool/psm1/found", told.found_left_px),
+        ("world/right/tool/psm1/found", told.found_right_px),
+    ):
+        (points,) = entities[path]
+        np.testing.assert_allclose(points.positions.as_arrow_array().to_pylist(), px)
+    (off,) = entities["tool/off/psm1"]
+    assert off.scalars.as_arrow_array().to_pylist() == [4.0]
+    assert "lanes/tool_psm1" in entities
+    assert "lanes/tool_psm1" not in dict(mapping.entities(told)), "it is the same still"
+    lost = dataclasses.replace(
+        told, status=ToolStatus.LOST, reason="lost: too little in view", T_correction=None, candidates=()
+    )
+    entities = dict(mapping.entities(lost))
+    (words,) = entities["log/perception/psm1"]
+    assert "too little in view" in words.text.as_arrow_array().to_pylist()[0]
+    assert "tool/off/psm1" not in entities
