@@ -21,7 +21,7 @@ from agents.evaluation.document import document
 from agents.evaluation.journal import Journal
 from agents.evaluation.protocol import Protocol, threads_of, trials_on
 from agents.evaluation.results import results_of
-from agents.evaluation.table import page
+from agents.evaluation.table import overview
 from shared.runtime.config import ConfigError, parse_config
 from shared.scene.render import SceneError
 
@@ -109,9 +109,10 @@ def images_of(options: Evaluate) -> Literal["traced", "light"]:
 def write_results(folder: Path, protocol: Protocol, came: list[Came]) -> None:
     """Write what the trials come to, and show it."""
     every = [results_of(protocol, came, tool_error_mm) for tool_error_mm in protocol.tool_errors_mm]
+    whole = results_of(protocol, came)
     with whole_file(folder / DOCUMENT) as path:
-        path.write_text(json.dumps(document(protocol, every), indent=1) + "\n", encoding="utf-8")
-    text = "\n".join(page(results) for results in every)
+        path.write_text(json.dumps(document(protocol, every, whole), indent=1) + "\n", encoding="utf-8")
+    text = overview(protocol, every, whole)
     with whole_file(folder / PAGE) as path:
         path.write_text(text, encoding="utf-8")
     for line in text.splitlines():

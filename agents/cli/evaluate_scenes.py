@@ -5,7 +5,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, UInt8
 
 from agents.camera.scene_source import SceneSource, calibration_of, camera_in_mm
 from agents.camera.sources import Pair
@@ -27,6 +27,8 @@ from shared.scene.path_traced.solids import Solid
 from shared.scene.path_traced.splines import Curve
 from shared.scene.path_traced.strands import strand_of
 from shared.scene.render import SceneError, surface_of
+from shared.scene.surface import Surface
+from shared.scene.thread_shapes import ShapeError
 from shared.scene.tool_view import Instrument, draw_solids
 from shared.splines import basis_matrix, clamped_uniform_knots
 
@@ -40,6 +42,15 @@ COLOURS = ("violet", "blue", "green", "black")
 
 
 @dataclass(frozen=True)
+class Traced:
+    """Of a path-traced pair: the surface in mm, the thread's dye, and what is thread or tool, left and right."""
+
+    surface: Surface
+    dye: str
+    masks: Pair
+
+
+@dataclass(frozen=True)
 class Scenery:
     """What a thread is looked at and grasped in.
 
@@ -47,12 +58,14 @@ class Scenery:
         simulated: the field as the simulator is told of it, without any errors.
         images: left and right before the grasp, blue first.
         field: where the simulator does not draw it itself.
+        traced: what else is known of path-traced images.
     """
 
     simulated: SimulatorConfig
     images: Pair
     calibration: StereoCalibration
     field: Field | None = None
+    traced: Traced | None = None
 
 
 def scenery_of(protocol: Protocol, laid: Laid, folder: Path) -> Scenery:
@@ -83,8 +96,19 @@ def traced_scenery(protocol: Protocol, laid: Laid, folder: Path) -> Scenery:
     simulated = SimulatorConfig(
         seed=job.recipe.seed, background="plain", distance_mm=scenery.distance_mm, camera=camera
     )
-    field = field_with(thread, scenery.field.ground.surface)
-    return Scenery(simulated, (left, right), calibration_of(camera), field)
+    surface = scenery.field.ground.surface
+    traced = Traced(surface, strand.dye, (_mask(job, "left", left), _mask(job, "right", right)))
+    return Scenery(simulated, (left, right), calibration_of(camera), field_with(thread, surface), traced)
+
+
+def _mask(job: Job, side: str, image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w"]:
+    """What is thread or tool in an image."""
+    covered = np.zeros(image.shape[:2], np.uint8)
+    for kind in ("mask", "tool"):
+        path = job.folder / f"{job.name}_{kind}_{side}.png"
+        read = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) if path.is_file() else None
+        covered = covered if read is None else np.maximum(covered, read)
+    return covered
 
 
 def traced_job(protocol: Protocol, laid: Laid, folder: Path) -> Job:
@@ -121,7 +145,7 @@ def light_scenery(protocol: Protocol, laid: Laid) -> Scenery:
         )
         try:
             state = first_state(simulated)
-        except ValueError:
+        except ShapeError:
             continue
         hiding = _over(state, simulated, rng) if laid.config == "occlusion" else []
         if laid.config == "occlusion" and not hiding:
@@ -132,9 +156,11 @@ def light_scenery(protocol: Protocol, laid: Laid) -> Scenery:
     raise SceneError(f"no {laid.name} of this seed fits into the view; use another seed")
 
 
-def first_state(simulated: SimulatorConfig) -> SimulatorState:
+def first_state(simulated: SimulatorConfig, field: Field | None = None) -> SimulatorState:
     """The field before anything has moved."""
-    (output,) = [o for o in Simulator(simulated).step(Tick(0)) if isinstance(o, Output) and o.topic is SIMULATOR_STATE]
+    (output,) = [
+        o for o in Simulator(simulated, field).step(Tick(0)) if isinstance(o, Output) and o.topic is SIMULATOR_STATE
+    ]
     return output.message
 
 

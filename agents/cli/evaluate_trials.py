@@ -1,31 +1,39 @@
 """The trials of one thread: its images, what perception and reconstruction make of them, and grasp by grasp."""
 
+import itertools
 from collections.abc import Generator
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float64
 
 from agents.camera.agent import CameraConfig, FrameSender
 from agents.camera.sources import Pair
 from agents.cli.builders import build
-from agents.cli.evaluate_scenes import Scenery, scenery_of
-from agents.cli.rig import PlannerSection, ReconstructionSection, RigConfig, simulated_rig
+from agents.cli.evaluate_scenes import Scenery, first_state, scenery_of
+from agents.cli.evaluate_views import FieldView
+from agents.cli.rig import ReconstructionSection, RigConfig, simulated_rig
 from agents.evaluation.came import Came
 from agents.evaluation.least_time import SpeedLimits
 from agents.evaluation.look import Look, looked, seen_places
 from agents.evaluation.protocol import Laid, MethodName, Protocol, Trial, injected_m, tool_seed
-from agents.evaluation.trial import CAPTURED_NS, Cast, Told, carried_out
+from agents.evaluation.trial import CAPTURED_NS, Again, Cast, Told, carried_out
+from agents.planner.agent import Planner
+from agents.planner.config import PlannerConfig
 from agents.robot_bridge.limits import MotionLimits
 from agents.simulator.agent import Simulator, SimulatorConfig
-from schemas.messages import ImageEncoding, Status, StereoCalibration
+from agents.simulator.field import DEGREE
+from schemas.messages import ImageEncoding, SimulatorState, Status, StereoCalibration
 from shared.arc_length import even_parameters
 from shared.camera import project
 from shared.clock import processor_s
 from shared.splines import evaluate
 
 ARM = "psm1"
-PERCEPTION, RECONSTRUCTION, PLANNER, BRIDGE = "perception", "reconstruction", "planner", "robot_bridge"
+PLACES, FINE = 2001, 20_001
+PERCEPTION, RECONSTRUCTION, BRIDGE = "perception", "reconstruction", "robot_bridge"
 
 
 class Table:
@@ -40,6 +48,7 @@ class Table:
         self.protocol, self.laid = protocol, laid
         self.scenery: Scenery = scenery_of(protocol, laid, folder)
         self._looks: dict[MethodName, Look] = {}
+        self._view = FieldView(self.scenery)
 
     def look(self, method: MethodName) -> Look:
         """What a method makes of the field before the grasp."""
@@ -61,19 +70,44 @@ class Table:
             )
             return Told(came, [])
         s, by_m = float(places[trial.goal]), injected_m(self.protocol, trial)
-        told = carried_out(trial, s, look.moved(by_m), self._cast(trial), recorded)
+        again = self._again(trial) if self.protocol.attempts > 1 else None
+        told = carried_out(trial, s, look.moved(by_m), self._cast(trial), again, recorded)
         more = {
             "goal_px": _pixel(look, told.came.s),
             "capture_px": _pixel(look, told.came.s_capture),
+            "error_m": self._error_m(look.moved(by_m), told.came.s),
+            "capture_error_m": self._error_m(look.moved(by_m), told.came.s_capture),
             "injected_m": float(np.linalg.norm(by_m)),
             "processor_s": processor_s() - began_s,
         }
         return replace(told, came=told.came.model_copy(update=more))
 
+    def _error_m(self, look: Look, s: float | None) -> float | None:
+        """How far a place on the reconstructed thread is from the true one."""
+        return None if s is None else float(np.linalg.norm(self._true_points - _point(look, s), axis=1).min())
+
+    @cached_property
+    def _true_points(self) -> Float64[np.ndarray, "n 3"]:
+        state = first_state(self.scenery.simulated, self.scenery.field)
+        s = np.linspace(0.0, 1.0, FINE)
+        return evaluate(state.knots, state.control_points_camera, DEGREE, s)
+
+    def _again(self, trial: Trial) -> Again:
+        """Looks at the field after a grasp, which find the thread moved as often as the first one."""
+        looks = itertools.count(1)
+
+        def look(state: SimulatorState, now_ns: int) -> Look:
+            number = next(looks)
+            images = self._view.pair(state, number)
+            seen = look_at(images, self.scenery.calibration, trial.method, now_ns, number)
+            return seen.moved(injected_m(self.protocol, trial, number))
+
+        return look
+
     def _cast(self, trial: Trial) -> Cast:
         rig = rig_for(trial.method)
         return Cast(
-            planner=build(rig, PLANNER, "main"),
+            planner=Planner(planner_config(self.protocol, trial)),
             bridge=build(rig, BRIDGE, ARM),
             simulator=Simulator(self._simulated(trial), self.scenery.field),
             limits=speed_limits(),
@@ -112,12 +146,22 @@ def look_at(images: Pair, calibration: StereoCalibration, method: MethodName, ca
 
 
 def rig_for(method: MethodName) -> RigConfig:
-    """The simulated rig, which grasps wherever it is asked to, as the paper did."""
-    sections = {
-        "planner": PlannerSection(least_probability=0.0),
-        "reconstruction": ReconstructionSection(method=method),
-    }
-    return simulated_rig().model_copy(update=sections)
+    """The simulated rig with a method of reconstruction."""
+    return simulated_rig().model_copy(update={"reconstruction": ReconstructionSection(method=method)})
+
+
+def planner_config(protocol: Protocol, trial: Trial) -> PlannerConfig:
+    """The paper's policy with the paper's method, ours with ours, which is told the deviations of the errors.
+
+    Either grasps wherever it is asked to, as the paper did.
+    """
+    return PlannerConfig(
+        least_probability=0.0,
+        policy_model="paper" if trial.method == "paper" else "geometric",
+        tool_error_m=1e-3 * trial.tool_error_mm,
+        hand_eye_error_m=1e-3 * protocol.hand_eye_mm,
+        attempts=protocol.attempts,
+    )
 
 
 def speed_limits() -> SpeedLimits:
@@ -130,8 +174,11 @@ def _pixel(look: Look, s: float | None) -> tuple[float, float] | None:
     """Where a place on the reconstructed thread is in the left image."""
     if s is None:
         return None
-    thread = look.thread
-    parameter = even_parameters(thread.knots, thread.control_points_camera, thread.degree, 1001)[round(1000 * s)]
-    point = evaluate(thread.knots, thread.control_points_camera, thread.degree, np.array([parameter]))
-    left, _ = project(thread.camera, point)
+    left, _ = project(look.thread.camera, _point(look, s)[None])
     return float(left[0, 0]), float(left[0, 1])
+
+
+def _point(look: Look, s: float) -> Float64[np.ndarray, "3"]:
+    thread = look.thread
+    parameter = even_parameters(thread.knots, thread.control_points_camera, thread.degree, PLACES)
+    return evaluate(thread.knots, thread.control_points_camera, thread.degree, parameter[[round((PLACES - 1) * s)]])[0]

@@ -17,10 +17,10 @@ class Came(Settings):
         s, s_capture: of the reconstruction; s_caught: of the true thread.
         goal_px: where the goal was in the left image, as reconstructed; capture_px likewise.
         probability: of success, as the plan promised.
-        error_m: how far the reconstructed goal was from the true thread.
+        error_m, capture_error_m: how far the reconstructed goal, and capture, were from the true thread.
         injected_m: by how much the thread was moved before it was planned for.
         took_s, least_s: from armed to finished, and what the limits of speed alone ask for.
-        attempts: how many grasps were tried; said_held: what the planner's own check said of the last one.
+        attempts: how many grasps were tried; said: what the planner's own check said of the last one.
     """
 
     trial: Trial
@@ -35,11 +35,12 @@ class Came(Settings):
     probability: float | None = None
     slide_m: float | None = None
     error_m: float | None = None
+    capture_error_m: float | None = None
     injected_m: float = 0.0
     took_s: float | None = None
     least_s: float | None = None
     peak_force_n: float | None = None
     slipped_m: float | None = None
     attempts: int = 1
-    said_held: bool | None = None
+    said: str | None = None
     processor_s: float = 0.0

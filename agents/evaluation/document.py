@@ -3,13 +3,31 @@
 from typing import Any
 
 from agents.evaluation.protocol import Protocol
+from agents.evaluation.reliability import Reliability
 from agents.evaluation.results import Compared, Rate, Results
+from agents.evaluation.sweep import Sweep, sweeps
 from agents.evaluation.table import named
 
 
-def document(protocol: Protocol, every: list[Results]) -> dict[str, Any]:
-    """One entry for each size of the tool's error."""
-    return {"protocol": protocol.model_dump(), "results": [_told(results) for results in every]}
+def document(protocol: Protocol, every: list[Results], whole: Results) -> dict[str, Any]:
+    """One entry for each size of the tool's error, and what is told of all of them."""
+    return {
+        "protocol": protocol.model_dump(),
+        "results": [_told(results) for results in every],
+        "sweep": [_sweep(sweep) for sweep in sweeps(every)],
+        "reliability": {named(row): _reliability(found) for row, found in whole.reliability.items() if found},
+    }
+
+
+def _sweep(sweep: Sweep) -> dict[str, Any]:
+    shares = [rate.share for rate in sweep.rates]
+    told = {"row": named(sweep.row), "errors_mm": sweep.errors_mm, "shares": shares}
+    return told | {"falls_to_95_percent_at_mm": sweep.falls_at_mm}
+
+
+def _reliability(found: Reliability) -> dict[str, Any]:
+    told = {"trials": found.trials, "brier": found.brier, "skill": found.skill, "worst_off": found.worst_off}
+    return told | {"bins": [vars(b) for b in found.bins]}
 
 
 def _told(results: Results) -> dict[str, Any]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from agents.evaluation.came import Came
 from agents.evaluation.protocol import Protocol
+from agents.evaluation.reliability import Reliability, reliability
 from shared.published_rates import TOTALS, published_rate
 from shared.success_rates import Interval, difference_over_threads, mcnemar, rate_over_threads, wilson
 
@@ -72,27 +73,28 @@ class Durations:
 
 @dataclass(frozen=True)
 class Results:
-    """Everything that the table says, for one size of the tool's error.
+    """Everything that the table says, for one size of the tool's error, or all (None).
 
     Fields:
         rates: of each row by scenario, then of all.
         published: of each policy by scenario, then of all, in percent.
     """
 
-    tool_error_mm: float
+    tool_error_mm: float | None
     scenarios: tuple[str, ...]
     rows: tuple[Row, ...]
     rates: dict[Row, tuple[Rate, ...]]
     published: dict[str, tuple[float | None, ...]]
     compared: tuple[Compared, ...]
+    reliability: dict[Row, Reliability | None]
     causes: dict[Row, dict[str, int]]
     declined: dict[Row, dict[str, int]]
     durations: dict[Row, Durations | None]
 
 
-def results_of(protocol: Protocol, came: Sequence[Came], tool_error_mm: float) -> Results:
-    """What the trials with one size of the tool's error have come to so far."""
-    own = [one for one in came if one.trial.tool_error_mm == tool_error_mm]
+def results_of(protocol: Protocol, came: Sequence[Came], tool_error_mm: float | None = None) -> Results:
+    """What the trials with one size of the tool's error have come to so far, or with any."""
+    own = [one for one in came if tool_error_mm in (None, one.trial.tool_error_mm)]
     rows = tuple((method, policy) for method in protocol.methods for policy in protocol.policies)
     by_row = {row: [one for one in own if (one.trial.method, one.trial.policy) == row] for row in rows}
     return Results(
@@ -102,6 +104,7 @@ def results_of(protocol: Protocol, came: Sequence[Came], tool_error_mm: float) -
         rates={row: _rates(protocol, by_row[row]) for row in rows},
         published={policy: _published(protocol, policy) for policy in protocol.policies},
         compared=tuple(_compared(protocol, by_row, *pair) for pair in _pairs(rows)),
+        reliability={row: reliability(by_row[row]) for row in rows},
         causes={row: _codes(by_row[row], "failed") for row in rows},
         declined={row: _codes(by_row[row], "declined") for row in rows},
         durations={row: _durations(by_row[row]) for row in rows},
@@ -136,15 +139,16 @@ def _pairs(rows: tuple[Row, ...]) -> list[tuple[Row, Row]]:
 
 
 def _compared(protocol: Protocol, by_row: dict[Row, list[Came]], first: Row, second: Row) -> Compared:
-    outcomes: defaultdict[tuple[str, int], dict[Row, bool]] = defaultdict(dict)
+    outcomes: defaultdict[tuple[str, int, float], dict[Row, bool]] = defaultdict(dict)
     for row in (first, second):
         for one in by_row[row]:
             if one.outcome != "declined":
-                outcomes[one.trial.laid.name, one.trial.goal][row] = one.outcome == "held"
+                place = one.trial.laid.name, one.trial.goal, one.trial.tool_error_mm
+                outcomes[place][row] = one.outcome == "held"
     both = {place: pair for place, pair in outcomes.items() if len(pair) == 2}
     seen = Counter((pair[first], pair[second]) for pair in both.values())
     threads: defaultdict[str, list[int]] = defaultdict(lambda: [0, 0, 0, 0])
-    for (name, _), pair in both.items():
+    for (name, *_), pair in both.items():
         counts = threads[name]
         for i, row in enumerate((first, second)):
             counts[2 * i] += pair[row]

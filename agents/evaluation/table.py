@@ -1,6 +1,10 @@
 """The results as Markdown: Table I with the paper's rows beside ours, and what the figures are worth."""
 
+from collections.abc import Sequence
+
+from agents.evaluation.protocol import Protocol
 from agents.evaluation.results import Compared, Durations, Rate, Results, Row
+from agents.evaluation.sweep import Sweep, sweeps
 from shared.success_rates import Interval
 
 
@@ -8,6 +12,72 @@ def page(results: Results) -> str:
     """Table and sentences for one size of the tool's error."""
     told = (*_compared(results), *_causes(results), *_durations(results), *_declined(results))
     return "\n".join([*table(results), "", *(f"- {sentence}" for sentence in told)]) + "\n"
+
+
+def overview(protocol: Protocol, every: Sequence[Results], whole: Results) -> str:
+    """Everything: a page for each size of the tool's error, the sweep over them, and how far promises hold."""
+    lines = [*what_was_tried(protocol), ""]
+    for results in every:
+        lines += [f"## Tool error of {results.tool_error_mm:g} mm", "", page(results)]
+    lines += sweep_table(sweeps(every)) + reliability_table(whole)
+    return "\n".join(lines)
+
+
+def sweep_table(found: Sequence[Sweep]) -> list[str]:
+    """Rates over the tool's error; nothing where one size was tried."""
+    if not found:
+        return []
+    columns = [f"{error:g} mm" for error in found[0].errors_mm]
+    lines = ["## Over the tool's error", "", f"| method, policy | {' | '.join(columns)} | falls to 95 % at |"]
+    lines.append(f"|---|{'---|' * (len(columns) + 1)}")
+    for sweep in found:
+        falls = "-" if sweep.falls_at_mm is None else f"{sweep.falls_at_mm:.2f} mm"
+        lines.append(f"| {named(sweep.row)} | {' | '.join(map(shown, sweep.rates))} | {falls} |")
+    return [*lines, ""]
+
+
+def reliability_table(results: Results) -> list[str]:
+    """How often promises came true, for each row."""
+    lines = ["## Promised and held", ""]
+    for row, found in results.reliability.items():
+        if found is None:
+            continue
+        skill = "-" if found.skill is None else f"{found.skill:.2f}"
+        lines += [
+            f"`{named(row)}`: Brier score {found.brier:.4f}, skill {skill} against the base rate, "
+            f"{found.trials} trials.",
+            "",
+            "| promised | trials | mean promise | held | off |",
+            "|---|---|---|---|---|",
+            *(
+                f"| {b.low:g} to {b.high:g} | {b.trials} | {100 * b.promised:.1f} % | {100 * b.held:.1f} % | "
+                f"{100 * b.off:+.1f} % |"
+                for b in found.bins
+            ),
+            "",
+        ]
+    return lines
+
+
+def what_was_tried(protocol: Protocol) -> list[str]:
+    """The protocol in sentences."""
+    images = "path-traced images" if protocol.images == "traced" else "images of the light renderer"
+    errors = (
+        f"tool tip {', '.join(f'{e:g}' for e in protocol.tool_errors_mm)} mm on each axis, registration up to "
+        f"{protocol.hand_eye_mm:g} mm and {protocol.hand_eye_deg:g} degrees"
+    )
+    lines = [
+        f"{len(protocol.scenarios)} scenarios, {protocol.threads} threads of each, {protocol.goals} goals on each, "
+        f"seed {protocol.seed}; {images}; grasps judged by {protocol.judge} means; errors: {errors}."
+    ]
+    if protocol.injected_share:
+        lines.append(
+            f"Of {100 * protocol.injected_share:g} % of the goals the reconstructed thread was moved as a whole by up "
+            f"to {protocol.injected_mm:g} mm."
+        )
+    if protocol.attempts > 1:
+        lines.append(f"Up to {protocol.attempts} attempts at each goal.")
+    return lines
 
 
 def table(results: Results) -> list[str]:

@@ -1,6 +1,6 @@
 """One trial: planner, robot bridge and simulator in lockstep, from a look at the field to the judgement of a grasp."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +15,7 @@ from schemas.messages import (
     CommandHeader,
     ExecutionEvent,
     ExecutionKind,
+    GraspCheck,
     GraspGoal,
     GraspJudgement,
     GraspPlan,
@@ -23,17 +24,20 @@ from schemas.messages import (
     Phase,
     Policy,
     RobotState,
+    SimulatorState,
     Status,
     Verdict,
 )
 from schemas.topics import (
     ARM,
+    CHECK,
     EXECUTION,
     GOAL,
     HEARTBEAT,
     JUDGEMENT,
     PLAN,
     ROBOT_STATE,
+    SIMULATOR_STATE,
     SURFACE,
     THREAD,
     Topic,
@@ -52,6 +56,8 @@ SEES_S = 0.05
 LOOK_S = 0.1
 LONGEST_S = 150.0
 JUDGED_S = 1.0
+STILL_S = (0.3, 2.0)
+"""After the end of a grasp, before it is looked at; and once more where that tells nothing."""
 POLICY = {"direct": Policy.DIRECT, "robust": Policy.CAPTURE_SLIDE_GRASP}
 CONTACT = (Phase.CAPTURE, Phase.SLIDE, Phase.GRASP)
 END = (ExecutionKind.FINISHED, ExecutionKind.HELD)
@@ -96,22 +102,55 @@ class Told:
     entries: list[Entry]
 
 
-def carried_out(trial: Trial, s: float, look: Look, cast: Cast, recorded: bool = False) -> Told:
-    """One trial with a goal at s of the thread that a look shows."""
+Again = Callable[[SimulatorState, int], Look]
+"""A look at the field as it is, at a time."""
+
+
+def carried_out(trial: Trial, s: float, look: Look, cast: Cast, again: Again | None, recorded: bool = False) -> Told:
+    """One trial with a goal at s of the thread that a look shows.
+
+    Args:
+        again: looks at the field after each grasp; without it, there is one attempt, and nobody looks.
+    """
     attendant = Attendant(cast.bridge.instance)
     steps = Lockstep(cast.planner, cast.bridge, cast.simulator, attendant, rig=RIG, recorded=recorded)
     steps.run(SETTLED_S + SEES_S)
-    steps.tell(look.said if recorded else [said for said in look.said if said.topic in (SURFACE, THREAD)])
-    came = _planned(trial, s, steps, attendant, cast)
-    return Told(came, steps.entries)
-
-
-def _planned(trial: Trial, s: float, steps: Lockstep, attendant: Attendant, cast: Cast) -> Came:
+    _tell(steps, look, recorded)
     header = CommandHeader(f"{trial.goal}-{trial.policy}", steps.now_ns + 10**9, OPERATOR)
-    goal = GraspGoal(header, attendant.instance, POLICY[trial.policy], s, None, None)
-    answer = steps.command(GOAL, goal)
+    answer = steps.command(GOAL, GraspGoal(header, attendant.instance, POLICY[trial.policy], s, None, None))
     if answer.outcome is not Outcome.ACCEPTED:
-        return _declined(trial, s, answer)
+        return Told(_declined(trial, s, answer), steps.entries)
+    came, attempts, said = _grasped(trial, s, steps, attendant, cast), 1, None
+    while again is not None and came.outcome != "declined":
+        check = _checked(steps, again, recorded)
+        said = check.verdict.name if check else None
+        plan: GraspPlan = steps.last[PLAN]
+        if check is None or plan.plan_id != check.next_plan_id or plan.status is not Status.OK:
+            break
+        following = _grasped(trial, s, steps, attendant, cast)
+        if following.outcome == "declined":
+            break
+        came, attempts = following, attempts + 1
+    return Told(came.model_copy(update={"attempts": attempts, "said": said}), steps.entries)
+
+
+def _tell(steps: Lockstep, look: Look, recorded: bool) -> None:
+    steps.tell(look.said if recorded else [said for said in look.said if said.topic in (SURFACE, THREAD)])
+
+
+def _checked(steps: Lockstep, again: Again, recorded: bool) -> GraspCheck | None:
+    """What the planner says of the grasp that has ended, once the field was looked at again."""
+    for still_s in STILL_S:
+        steps.run(still_s)
+        _tell(steps, again(steps.last[SIMULATOR_STATE], steps.now_ns), recorded)
+        check: GraspCheck | None = steps.last.get(CHECK)
+        if check is not None and check.plan_id == steps.last[EXECUTION].plan_id:
+            return check
+    return None
+
+
+def _grasped(trial: Trial, s: float, steps: Lockstep, attendant: Attendant, cast: Cast) -> Came:
+    """What comes of the plan that was published last."""
     plan: GraspPlan = steps.last[PLAN]
     known = {"s": s, "s_capture": plan.s_capture, "probability": plan.probability, "slide_m": plan.slide_m}
     if plan.status is not Status.OK:
@@ -157,7 +196,6 @@ def _judged(steps: Lockstep, plan: GraspPlan, end: ExecutionEvent | None) -> dic
         "code": judgement.code or judgement.verdict.name,
         "sentence": judgement.sentence,
         "s_caught": judgement.s_caught,
-        "error_m": judgement.error_m,
         "peak_force_n": judgement.peak_tissue_force_n,
         "slipped_m": judgement.slipped_m,
     }

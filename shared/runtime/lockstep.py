@@ -104,7 +104,9 @@ class Lockstep:
         for output in outputs:
             instance = seat.agent.instance if output.topic.per_arm else MAIN
             name = key(self._rig, output.topic, instance)
-            message = dataclasses.replace(output.message, consumed=listed) if self._recorded else output.message
+            message = output.message
+            if self._recorded and hasattr(message, "consumed"):
+                message = dataclasses.replace(message, consumed=listed)
             place = name, self._publish(seat.epoch, output.topic, instance, name, message)
             last = place if output.topic is (state_topic(seat.agent) or output.topic) else last
         if last is not None:
