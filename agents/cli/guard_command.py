@@ -8,11 +8,11 @@ from collections.abc import Callable
 
 from agents.cli.audit import AuditError, AuditLog, audit_of
 from agents.cli.live_options import Guard
-from agents.cli.process import EXIT_OK, on_stop
+from agents.cli.process import EXIT_GAVE_UP, EXIT_OK, on_stop
 from agents.cli.rig import RigConfig
 from agents.cli.rig_hosts import kind_and_instance, run_name
 from agents.cli.rig_sections import CameraSection, DvrkSection
-from agents.cli.terminal import say
+from agents.cli.terminal import complain, say
 from agents.guard.gate import Gate
 from agents.guard.watch import NOBODY_NS, Action, Heard, Watch
 from schemas.checks import MessageError
@@ -25,7 +25,7 @@ from shared.ros import link as ros
 from shared.ros.naming import ALIVE, GUARD_NODE, GUARDED, NODE, Naming, RmwZenoh, Ros2dds
 from shared.ros.types import EMPTY, JOINT_STATE, STRING_STAMPED, RosMessageError
 from shared.runtime.config import ConfigError, config_hash
-from shared.runtime.connection import NoRouterError, connected
+from shared.runtime.connection import Connection, NoRouterError, connected
 from shared.runtime.facts import Surroundings, ask_for_realtime
 from shared.runtime.identity import validity_ns
 from shared.runtime.service_manager import ServiceManager
@@ -38,6 +38,7 @@ REALTIME_PRIORITY = 50
 """As a bridge has on the same computer."""
 LOGGER = logging.getLogger(f"suturegrasp.{KIND}")
 SERVOS = ("servo_jp", "jaw/servo_jp")
+TWIN_S = 2.0
 
 
 def naming_of(section: DvrkSection | CameraSection, node: str = NODE) -> Naming:
@@ -69,7 +70,7 @@ def guard(rig: RigConfig, options: Guard) -> int:
         say(f"guards {section.arm} at {section.endpoint}; stop with Ctrl-C")
         _watch(section.arm, ears, link, audit_of(rig, own), stopped)
     listening.join()
-    return EXIT_OK
+    return complain(ears.second, EXIT_GAVE_UP) if ears.second else EXIT_OK
 
 
 def _link(section: DvrkSection, reached: SessionSettings, ears: "_Ears") -> ros.RosLink:
@@ -120,8 +121,17 @@ def _listen(rig: RigConfig, own: str, ears: "_Ears", link: ros.RosLink, refused:
     )
     with contextlib.suppress(NoRouterError), connected(settings, None, stopped) as connection:
         connection.listen((HEARTBEAT, ROBOT_STATE), ears.hear_rig)
+        if _another(connection, f"{kind}/{arm}", stopped):
+            ears.second = f"another guard of {arm} runs already, which goes on; stop that one first"
+            stopped.set()
+            return
         with connection.reporting(kind, arm, LOGGER, lambda: _fault(link), config_hash(rig), around):
             stopped.wait()
+
+
+def _another(connection: Connection, name: str, stopped: threading.Event) -> bool:
+    """Whether another guard of the arm is there, and stays: one that was killed is seen for a moment longer."""
+    return name in connection.present() and not stopped.wait(TWIN_S) and name in connection.present()
 
 
 def _fault(link: ros.RosLink) -> str:
@@ -135,12 +145,14 @@ class _Ears:
 
     Fields:
         pass_on: says a set point to the console; None where the bridge does that itself.
+        second: why this guard must not go on; empty where it may.
     """
 
     def __init__(self, arm: str, console: str) -> None:
         self._arm, self._console, self._heard, self._state = arm, console, Heard(), (b"", 0)
         self._gate, self._lock = Gate(), threading.Lock()
         self.pass_on: Callable[[str, bytes], None] | None = None
+        self.second = ""
 
     def hear_set_point(self, _data: bytes, at_ns: int) -> None:
         with self._lock:

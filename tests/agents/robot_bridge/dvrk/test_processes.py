@@ -97,6 +97,8 @@ def test_a_bridge_that_is_killed_leaves_the_arm_at_its_last_set_point_and_the_gu
         bridge.send_signal(signal.SIGKILL)
         until(lambda: verdict()["held_ns"] > killed_ns, lambda: (tmp_path / "guard.log").read_text())
         until(lambda: now_ns() - verdict()["moved_ns"] > STILL_MS * 10**6, verdict)
+        second = started("guard", "--config", config)
+        assert second.wait(DEADLINE_S) == 1, "one guard goes on, and the other one ends"
         last = verdict()
         assert last["position"] == last["goal"], "the last set point is held"
         assert (last["unsafe"], last["state"]) == (0, "ENABLED"), last["sentences"]
@@ -105,6 +107,7 @@ def test_a_bridge_that_is_killed_leaves_the_arm_at_its_last_set_point_and_the_gu
         assert emulator.wait(DEADLINE_S) == 0
     assert json.loads((tmp_path / "verdict.json").read_text())["unsafe"] == 0
     assert "hold, for set points have ended" in (tmp_path / "guard.log").read_text()
+    assert "another guard of psm1 runs already" in (tmp_path / "guard.log").read_text()
     bridges, guards = (
         [json.loads(line) for line in (tmp_path / "audit" / f"{name}-psm1.jsonl").read_text().splitlines()]
         for name in ("robot_bridge", "guard")
