@@ -8,25 +8,32 @@ from collections.abc import Generator, Iterable
 from pathlib import Path
 from typing import Literal
 
+import cv2
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from agents.cli.evaluate_options import Evaluate
+from agents.cli.evaluate_pictures import field_pictures, moments, strip
+from agents.cli.evaluate_trials import Table
 from agents.cli.evaluate_workers import WorkError, all_tried
 from agents.cli.process import EXIT_OK, EXIT_UNUSABLE
+from agents.cli.replay_through import write_recording
 from agents.cli.terminal import complain, say, show
 from agents.cli.whole_file import whole_file
 from agents.evaluation.came import Came
 from agents.evaluation.document import document
 from agents.evaluation.journal import Journal
 from agents.evaluation.protocol import Protocol, threads_of, trials_on
+from agents.evaluation.report import report
 from agents.evaluation.results import results_of
 from agents.evaluation.table import overview
+from agents.evaluation.trial import RIG
+from shared.recording.mcap_file import Note
 from shared.runtime.config import ConfigError, parse_config
 from shared.scene.render import SceneError
 
 EXIT_LEFT = 3
-JOURNAL, DOCUMENT, PAGE = "journal.jsonl", "results.json", "results.md"
+JOURNAL, DOCUMENT, PAGE, REPORT = "journal.jsonl", "results.json", "results.md", "report.html"
 THREADS, GOALS = (1, 3), (5, 20)
 """Quick, and not."""
 
@@ -44,6 +51,8 @@ def run(options: Evaluate) -> int:
 
 
 def _evaluated(options: Evaluate) -> int:
+    if options.record is not None:
+        return _recorded(options, options.record)
     journal = Journal(options.output / JOURNAL, None if options.report else protocol_of(options))
     work = [(laid, journal.left(trials_on(journal.protocol, laid))) for laid in threads_of(journal.protocol)]
     left = sum(len(trials) for _, trials in work)
@@ -58,8 +67,31 @@ def _evaluated(options: Evaluate) -> int:
         say("interrupted; the same command goes on where this one was")
     write_results(options.output, journal.protocol, journal.came)
     where = options.output
-    say(f"{where / PAGE}, {where / DOCUMENT} are written; {f'{left} trials are left' if left else 'all was tried'}")
+    say(
+        f"{where / PAGE}, {DOCUMENT} and {REPORT} are written; {f'{left} trials are left' if left else 'all was tried'}"
+    )
     return EXIT_LEFT if left else EXIT_OK
+
+
+def _recorded(options: Evaluate, name: str) -> int:
+    """Carry out one trial of the folder's evaluation again, and keep all that is said in it."""
+    journal = options.output / JOURNAL
+    protocol = Journal(journal, None if journal.exists() else protocol_of(options)).protocol
+    trials = [trial for laid in threads_of(protocol) for trial in trials_on(protocol, laid) if trial.name == name]
+    if not trials:
+        example = next(trials_on(protocol, threads_of(protocol)[0])).name
+        raise ConfigError(f"--record {name} is no trial of this evaluation; one is {example}")
+    table = Table(protocol, trials[0].laid, options.output)
+    told = table.tried(trials[0], recorded=True)
+    path = options.output / "recorded" / f"{name.replace('/', '_')}.mcap"
+    path.parent.mkdir(exist_ok=True)
+    with whole_file(path) as unfinished:
+        write_recording(unfinished, told.entries, (Note("run", {"rig": RIG}),))
+    shown = moments(table.view, told.entries)
+    if shown:
+        cv2.imwrite(str(path.with_suffix(".png")), strip(shown))
+    say(f"{told.came.outcome}: {told.came.sentence}; {path} is written, for suturegrasp view {path}")
+    return EXIT_OK
 
 
 def protocol_of(options: Evaluate) -> Protocol:
@@ -115,6 +147,9 @@ def write_results(folder: Path, protocol: Protocol, came: list[Came]) -> None:
     text = overview(protocol, every, whole)
     with whole_file(folder / PAGE) as path:
         path.write_text(text, encoding="utf-8")
+    pictures = field_pictures(protocol, came, folder)
+    with whole_file(folder / REPORT) as path:
+        path.write_text(report(protocol, came, every, whole, pictures), encoding="utf-8")
     for line in text.splitlines():
         show(line)
 

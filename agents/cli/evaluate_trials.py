@@ -48,7 +48,7 @@ class Table:
         self.protocol, self.laid = protocol, laid
         self.scenery: Scenery = scenery_of(protocol, laid, folder)
         self._looks: dict[MethodName, Look] = {}
-        self._view = FieldView(self.scenery)
+        self.view = FieldView(self.scenery)
 
     def look(self, method: MethodName) -> Look:
         """What a method makes of the field before the grasp."""
@@ -98,7 +98,7 @@ class Table:
 
         def look(state: SimulatorState, now_ns: int) -> Look:
             number = next(looks)
-            images = self._view.pair(state, number)
+            images = self.view.pair(state, number)
             seen = look_at(images, self.scenery.calibration, trial.method, now_ns, number)
             return seen.moved(injected_m(self.protocol, trial, number))
 
