@@ -175,6 +175,7 @@ class Browser:
         with contextlib.suppress(ProcessLookupError, PermissionError):
             self.signal(signal.SIGKILL)
         self.process.wait()
+        await self._socket.close()
 
     async def _read(self) -> None:
         async for message in self._socket:
@@ -200,7 +201,8 @@ async def chromium(*flags: str) -> AsyncGenerator[Browser]:
         _process(path, profile, *flags) as (process, address),
     ):
         async with aiohttp.ClientSession() as session:
-            browser = Browser(await session.ws_connect(address, max_msg_size=LARGEST_MESSAGE), process)
+            limit = aiohttp.ClientWSTimeout(ws_close=1.0)
+            browser = Browser(await session.ws_connect(address, max_msg_size=LARGEST_MESSAGE, timeout=limit), process)
             try:
                 yield browser
             finally:
