@@ -32,14 +32,16 @@ from agents.cli.rig import RigConfig, simulated_rig
 from agents.cli.router import run_router
 from agents.cli.terminal import complain, say
 from agents.cli.this_host import at_host, certificates_of, configured_file
-from agents.operator.operator import Stood, arm_and_stand_by, ask_for_grasp, change_state, hold, prompt
+from agents.operator.operator import Events, Stood, arm_and_stand_by, ask_for_grasp, change_state, hold, prompt
 from agents.viewer.clearance import clearance_sentence
 from schemas.messages import Checked, ExecutionEvent, ExecutionKind, GraspPlan, Outcome, Policy, StateWord, Status
-from schemas.topics import MAIN
+from schemas.topics import EXECUTION, MAIN
+from shared.clock import monotonic_s
 from shared.runtime.config import ConfigError, load_config
 from shared.runtime.connection import NoRouterError, connected
 
 EXIT_REFUSED = 3
+LOOK_S, STATE_WITHIN_S = 0.2, 65.0
 POLICIES = {"robust": Policy.CAPTURE_SLIDE_GRASP, "direct": Policy.DIRECT}
 
 
@@ -239,11 +241,21 @@ def hold_arm(rig: RigConfig, name: str) -> int:
 def change_arm_state(rig: RigConfig, options: ChangeArmState) -> int:
     """Have an arm's console change its state."""
     with connected(rig.session) as connection:
+        events = Events(connection, EXECUTION)
         answer = change_state(connection, options.arm, StateWord[options.word.upper()])
-    if answer.outcome is not Outcome.ACCEPTED:
-        return complain(answer.reason, EXIT_REFUSED)
-    say(f"{options.arm}: {options.word} was sent to its console; suturegrasp status tells what became of it")
-    return EXIT_OK
+        if answer.outcome is not Outcome.ACCEPTED:
+            return complain(answer.reason, EXIT_REFUSED)
+        say(f"{options.arm}: {options.word} was sent to its console")
+        until_s = monotonic_s() + STATE_WITHIN_S
+        while monotonic_s() < until_s:
+            event = events.next(LOOK_S)
+            if not isinstance(event, ExecutionEvent) or event.arming_id != answer.id:
+                continue
+            if event.kind is ExecutionKind.FINISHED:
+                say(f"{options.arm}: {options.word} has come about, by its console")
+                return EXIT_OK
+            return complain(event.reason, EXIT_REFUSED)
+    return complain(f"{options.arm} has not told what became of {options.word}; look at its bridge", EXIT_REFUSED)
 
 
 def prompt_thread(rig: RigConfig, options: PromptThread) -> int:

@@ -13,6 +13,7 @@ from agents.robot_bridge.motion import plan_motion
 from agents.robot_bridge.plans import CLOCK_TOLERANCE_S, Plans, untimely
 from agents.robot_bridge.refusals import REPLAYED, Code, Refusal
 from agents.robot_bridge.standing import Standing
+from agents.robot_bridge.state_changes import StateChanges
 from agents.robot_bridge.telling import accepted, event_of, mode_of, refused, robot_state
 from schemas.messages import (
     Arm,
@@ -56,7 +57,7 @@ class RobotBridge:
         corrections = () if config.correction is None else (images,)
         self.inputs = (Input(PLAN), Input(HEARTBEAT, config.arm), tissue, *corrections, *clock)
         self.config, self._backend = config, backend
-        self._plans = Plans(config.arm)
+        self._plans, self._states = Plans(config.arm), StateChanges(config.arm, backend)
         self._now_ns: int | None = None
         self._replay_over_ns = 0
         self._rests_from_ns = 0
@@ -126,7 +127,9 @@ class RobotBridge:
         arm = self._stands.measure(now_ns)
         if self._execution or (arm and self._stands.measured.has_moved(arm)):
             self._rests_from_ns = now_ns + round(RESTS_AFTER_S * 1e9)
-        events = self._carry_on(self._execution, arm, now_ns, elapsed_s) if self._execution else []
+        events = self._states.turn(now_ns)
+        if self._execution:
+            events += self._carry_on(self._execution, arm, now_ns, elapsed_s)
         return [Output(ROBOT_STATE, self._told(arm)), *events] if arm and (self._tells() or events) else events
 
     def _tells(self) -> bool:
@@ -196,22 +199,16 @@ class RobotBridge:
 
     def _change_state(self, command: Command, message: ChangeState) -> CommandAnswer:
         """A person has the console enable, home, pause: while nothing is armed, of an arm whose time is this one."""
-        of, word = message.header.id, message.word.name.lower()
+        of = message.header.id
         if refusal := self._wrong_arm(command, message.arm):
             return refused(of, refusal)
         if command.now_ns < self._replay_over_ns:
             return refused(of, REPLAYED)
         if self._execution:
             return refused(of, self._busy())
-        if self._backend.dry_run:
-            would = f"{word} was not sent: this is a dry run (dry_run of the arm's configuration)"
-            return refused(of, Refusal(Code.DRY_RUN, would))
         self._now_ns = command.now_ns
         self._stands.measure(command.now_ns)
-        self._backend.slow_down(self.config.ratio)
-        if why := self._backend.change_state(message.word, command.now_ns):
-            return refused(of, Refusal(Code.NO_STATES, f"{word} was not sent: {why}"))
-        return accepted(of)
+        return self._states.answer(message, command.now_ns, self.config.ratio)
 
     def _arm(self, command: Command, message: Arm) -> Execution | Refusal:
         if refusal := self._wrong_arm(command, message.arm) or self._plans.unusable(message.plan_id):

@@ -73,6 +73,10 @@ class Backend(Protocol):
         """Have the arm change its state, as a person wants it, while it is disarmed; why not, or empty."""
         ...
 
+    def reached_state(self, word: StateWord) -> bool:
+        """Whether the state that this leads to has come about since `change_state`, and the arm makes no motion."""
+        ...
+
     def slow_down(self, ratio: float) -> None:
         """Have motions that the arm makes by itself, such as homing, take this share of their speed."""
         ...

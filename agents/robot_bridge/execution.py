@@ -83,7 +83,7 @@ class Execution:
             return Refusal(Code.HEARTBEAT_LOST, self._why_lost(allowed_s, elapsed_s))
         if not self.moving:
             return None
-        reached = self._go_on(arm, elapsed_s, ratio)
+        reached = self._go_on(arm, elapsed_s, ratio, now_ns)
         joints, jaw_rad = self._trajectory.at(self._progress_s or 0.0)
         if self._waited_s > ARRIVAL_S or not self._near(arm, joints, FOLLOWING_M, FOLLOWING_RAD):
             return Refusal(Code.NOT_FOLLOWING, "the arm does not follow its set points: it may be blocked, or pushed")
@@ -98,7 +98,7 @@ class Execution:
             return f"heartbeats come from a clock that is {where}: set the clocks of operator and bridge by each other"
         return f"no heartbeat came for {allowed_s:g} s: the operator must arm a plan again"
 
-    def _go_on(self, arm: ArmState, elapsed_s: float, ratio: float) -> tuple[Phase, ...]:
+    def _go_on(self, arm: ArmState, elapsed_s: float, ratio: float, now_ns: int) -> tuple[Phase, ...]:
         """Go towards the next stop, which the first set point, where the trajectory begins, does not yet."""
         if self._progress_s is None:
             self._progress_s, self._ratio = 0.0, ratio
@@ -109,14 +109,16 @@ class Execution:
             step_s *= self._ratio
             self._progress_s = min(self._progress_s + step_s, self._stop_s())
         else:
-            return self._reached(arm, elapsed_s)
+            return self._reached(arm, elapsed_s, now_ns)
         return ()
 
-    def _reached(self, arm: ArmState, elapsed_s: float) -> tuple[Phase, ...]:
+    def _reached(self, arm: ArmState, elapsed_s: float, now_ns: int) -> tuple[Phase, ...]:
         """The phases that end here, where the arm has been sent already, once it has arrived."""
         joints, _ = self._trajectory.at(self._stop_s())
         self._waited_s += elapsed_s
-        if not self._near(arm, joints, ARRIVED_M, ARRIVED_RAD):
+        # as it was measured before it was sent here it may have come by on its way
+        since_ns = now_ns - round(self._waited_s * 1e9)
+        if arm.busy or arm.measured_ns < since_ns or not self._near(arm, joints, ARRIVED_M, ARRIVED_RAD):
             return ()
         here_s, self._waited_s, reached = self._stop_s(), 0.0, list[Phase]()
         while self._stop < len(self._trajectory.stops) and self._stop_s() == here_s:

@@ -36,6 +36,7 @@ class Code(enum.StrEnum):
     HEARTBEAT_LOST = "heartbeat_lost"
     HOLD_COMMAND = "hold_command"
     NOT_FOLLOWING = "not_following"
+    STATE_NOT_REACHED = "state_not_reached"
     CORRECTION_LOST = "correction_lost"
     CORRECTION_JUMPED = "correction_jumped"
     CORRECTION_LIMIT = "correction_limit"

@@ -39,6 +39,8 @@ STOPS = {"hold": EMPTY, "free": EMPTY, "state_command": STRING_STAMPED}
 """Whoever sends one of these wants us to stop; that somebody could does not."""
 
 NOW_NS = 2_000_000_000
+BEGINS_NS = 300_000_000
+"""A console that was told to home an arm that is homed already says for a moment longer that it is."""
 
 
 class Linked(Protocol):
@@ -161,6 +163,11 @@ class DvrkPsm:
         self._commanded_ns = self._clock_ns()
         self._link.say(f"{self._name}/state_command", crtk.state_command(word.name.lower(), self._commanded_ns))
         return ""
+
+    def reached_state(self, word: StateWord) -> bool:
+        """By the console's operating state, once it has had time to begin."""
+        began = self._clock_ns() - self._commanded_ns > (BEGINS_NS if word is StateWord.HOME else 0)
+        return began and self._readings.reached(word)
 
     def slow_down(self, ratio: float) -> None:
         """Tell the console the share of their speed that its own trajectories have."""

@@ -8,7 +8,17 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.robot_bridge.backend import Readiness
-from agents.robot_bridge.dvrk.said import SECOND_NS, Judged, Raw, Said, others, own_word, unchangeable, unready
+from agents.robot_bridge.dvrk.said import (
+    LEADS_TO,
+    SECOND_NS,
+    Judged,
+    Raw,
+    Said,
+    others,
+    own_word,
+    unchangeable,
+    unready,
+)
 from agents.robot_bridge.refusals import Code
 from schemas.messages import StateWord
 from shared.kinematics.arm import ArmKinematics
@@ -138,6 +148,13 @@ class Readings:
         """Whether the console says that the arm makes a motion of its own."""
         operating = self._said.operating
         return operating is not None and operating.is_busy
+
+    def reached(self, word: StateWord) -> bool:
+        """Whether the console's operating state is the one that a word leads to, and it is not busy."""
+        operating = self._said.operating
+        if operating is None or operating.is_busy or operating.state != LEADS_TO[word]:
+            return False
+        return operating.is_homed or word is not StateWord.HOME
 
     def changeable(self, word: StateWord, now_ns: int) -> str:
         """Why the arm's state must not be changed in this way now; empty where it may."""

@@ -13,6 +13,15 @@ ERROR_NS, OTHERS_NS, OWN_NS = 1 * SECOND_NS, 2 * SECOND_NS, 1 * SECOND_NS
 """How long an error, another's command, and a command of our own count after they came."""
 
 
+LEADS_TO = {
+    StateWord.ENABLE: "ENABLED",
+    StateWord.RESUME: "ENABLED",
+    StateWord.HOME: "ENABLED",
+    StateWord.PAUSE: "PAUSED",
+    StateWord.DISABLE: "DISABLED",
+}
+
+
 class Judged(NamedTuple):
     """Whether an arm may be moved, and if not, why."""
 

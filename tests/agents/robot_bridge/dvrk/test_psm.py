@@ -159,7 +159,7 @@ def test_a_console_that_is_disabled_has_another_tool_or_is_elsewhere_is_not_arme
     lab.until(lambda: lab.arm().code == "stale_state")
 
 
-def test_a_person_may_change_an_arms_state_while_it_is_disarmed_and_nobody_else_has_it(lab):
+def test_a_person_may_change_an_arms_state_while_it_is_disarmed_and_nobody_else_has_it(lab, monkeypatch):
     def change(word):
         header = CommandHeader(f"{word}-{now_ns()}", now_ns() + SECOND_NS, "ann")
         said = lab.bridge.step(Command(CHANGE_STATE, "psm1", ChangeState(header, "psm1", StateWord[word]), now_ns()))
@@ -174,8 +174,13 @@ def test_a_person_may_change_an_arms_state_while_it_is_disarmed_and_nobody_else_
     lab.until(lambda: change("HOME").outcome is Outcome.ACCEPTED)
     lab.until(lambda: not arm.is_homed and "not homed" in lab.backend.state(now_ns()).reason)
     assert lab.arm().code == "not_homed"
-    lab.until(lambda: arm.is_homed)
+    lab.until(lambda: lab.events() and lab.events()[-1].plan_id == "state home")
+    assert (lab.events()[-1].kind, arm.is_homed) == (ExecutionKind.FINISHED, True)
     lab.ready()
+    arm.command = lambda _word: None
+    assert change("PAUSE").outcome is Outcome.ACCEPTED
+    monkeypatch.setattr("agents.robot_bridge.state_changes.LIMIT_S", 0.1)
+    lab.until(lambda: lab.events()[-1].code == "state_not_reached")
     with lab.session.liveliness().declare_token("@/abc/@ros2_lv/MP/PSM1§servo_jp/sensor_msgs§msg§JointState/:::"):
         lab.until(lambda: "somebody else" in change("HOME").reason)
     lab.ready()
