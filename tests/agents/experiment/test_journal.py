@@ -6,9 +6,9 @@ from collections import Counter
 import pytest
 
 from agents.experiment.journal import Attempt, Journal, Protocol, order
-from shared.published_rates import published_rate
 from agents.experiment.results import document, results_of
 from agents.experiment.table import page
+from shared.published_rates import published_rate
 
 PROTOCOL = Protocol(seed=7, goals=20, threads=("hard/chicken", "easy/paper"), arm="psm1", verdicts="operator")
 

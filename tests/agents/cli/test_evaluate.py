@@ -1,0 +1,69 @@
+"""`suturegrasp evaluate grasping` with real agents on drawn fields: trials, resuming, recording and refusals."""
+
+import json
+
+import pytest
+
+from agents.cli.evaluate_trials import Table
+from agents.cli.main import main
+from agents.evaluation.protocol import Protocol, threads_of, trials_on
+
+SMALL = ("--images", "light", "--config", "easy", "--background", "chicken", "--threads", "1", "--goals", "1")
+FEW = (*SMALL, "--methods", "refined", "--policies", "direct")
+
+
+def status_of(*arguments):
+    with pytest.raises(SystemExit) as ended:
+        main(["evaluate", "grasping", *map(str, arguments)])
+    return ended.value.code
+
+
+def test_a_goal_is_grasped_from_its_image_to_the_lift_and_is_not_tried_twice(tmp_path, capsys):
+    folder = tmp_path / "e"
+    assert status_of("--output", folder, *FEW) == 0
+    told = json.loads((folder / "results.json").read_text())
+    (results,) = told["results"]
+    assert results["rates"]["refined, direct"]["total"]["tried"] == 1
+    assert results["durations"]["refined, direct"]["ratio"] > 1
+    lines = (folder / "journal.jsonl").read_text().splitlines()
+    assert status_of("--output", folder, *FEW) == 0
+    assert (folder / "journal.jsonl").read_text().splitlines() == lines
+    assert "published, direct" in capsys.readouterr().out
+    assert "data:image/jpeg" in (folder / "report.html").read_text()
+    assert status_of("--output", folder, "--record", "easy/chicken/1/0/direct/refined") == 0
+    assert (folder / "recorded" / "easy_chicken_1_0_direct_refined.mcap").stat().st_size > 100_000
+    assert json.loads(lines[1])["sentence"] in capsys.readouterr().out
+
+
+def test_after_a_grasp_the_thread_is_looked_at_again(tmp_path):
+    told = {"scenarios": ("easy/chicken",), "seed": 1, "threads": 1, "goals": 3, "policies": ("direct",)}
+    told |= {"methods": ("refined",), "images": "light", "judge": "geometric", "tool_errors_mm": (0.7,)}
+    protocol = Protocol.model_validate(told | {"hand_eye_mm": 0, "hand_eye_deg": 0, "attempts": 2})
+    laid = threads_of(protocol)[0]
+    came = Table(protocol, laid, tmp_path).tried(list(trials_on(protocol, laid))[1]).came
+    assert came.said in ("HELD", "MISSED", "UNKNOWN")
+    assert 1 <= came.attempts <= 2
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (("--jobs", "0"), "--jobs 0: give 1 or more"),
+        (("--goals", "0"), "goals"),
+        (("--tool-error", "-1"), "tool_errors_mm"),
+        (("--report",), "there is nothing to tell"),
+        (("--record", "easy/chicken/9/0/direct/refined"), "is no trial of this evaluation; one is easy/chicken/1/0"),
+    ],
+)
+def test_what_cannot_be_tried_ends_with_one_sentence(tmp_path, capsys, options, sentence):
+    assert status_of("--output", tmp_path / "e", *FEW[:6], *options, "--images", "light") == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert sentence in line
+
+
+def test_an_evaluation_with_other_options_needs_another_folder(tmp_path, capsys):
+    folder = tmp_path / "e"
+    folder.mkdir()
+    (folder / "journal.jsonl").write_text("no journal\n")
+    assert status_of("--output", folder, *FEW) == 2
+    assert "is no journal of an evaluation" in capsys.readouterr().err

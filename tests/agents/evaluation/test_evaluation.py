@@ -1,0 +1,162 @@
+"""An evaluation: what it draws, what its journal survives, and what its figures are, against closed forms."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from agents.evaluation.came import Came
+from agents.evaluation.journal import Journal
+from agents.evaluation.least_time import SpeedLimits, least_time_s
+from agents.evaluation.protocol import Protocol, Trial, injected_m, threads_of, tool_seed, trials_on
+from agents.evaluation.reliability import reliability
+from agents.evaluation.report import as_html, report
+from agents.evaluation.results import results_of
+from agents.evaluation.sweep import falls_at, sweeps
+from agents.evaluation.table import overview
+from shared.runtime.config import ConfigError
+
+TOLD = {
+    "seed": 1,
+    "scenarios": ("easy/paper", "hard/chicken"),
+    "threads": 2,
+    "goals": 4,
+    "policies": ("direct", "robust"),
+    "methods": ("paper", "refined"),
+    "images": "light",
+    "judge": "geometric",
+    "tool_errors_mm": (0.7,),
+    "hand_eye_mm": 1.5,
+    "hand_eye_deg": 1.0,
+}
+
+
+def protocol_with(**others):
+    return Protocol.model_validate(TOLD | others)
+
+
+def all_trials(protocol):
+    return [trial for laid in threads_of(protocol) for trial in trials_on(protocol, laid)]
+
+
+def came_of(trial, outcome, **others):
+    return Came(trial=trial, outcome=outcome, code="X", sentence="as told", **others)
+
+
+def test_every_goal_is_tried_with_both_policies_and_methods_and_all_scenarios_come_first():
+    protocol = protocol_with()
+    trials = all_trials(protocol)
+    assert len({trial.name for trial in trials}) == len(trials) == 2 * 2 * 4 * 2 * 2
+    assert [laid.name for laid in threads_of(protocol)][:2] == ["easy/paper/1", "hard/chicken/1"]
+
+
+def test_errors_are_the_same_for_both_methods_and_others_for_each_policy():
+    protocol = protocol_with(injected_share=0.5, injected_mm=10.0)
+    seeds = {}
+    for trial in all_trials(protocol):
+        place = trial.laid.name, trial.goal, trial.policy
+        assert seeds.setdefault(place, tool_seed(protocol, trial)) == tool_seed(protocol, trial)
+    assert len(set(seeds.values())) == len(seeds)
+
+
+def test_as_many_threads_are_moved_as_was_asked_for_and_none_further():
+    protocol = protocol_with(goals=200, injected_share=0.1, injected_mm=10.0, methods=("refined",))
+    moved = np.array([np.linalg.norm(injected_m(protocol, trial)) for trial in all_trials(protocol)])
+    assert 0.05 < (moved > 0).mean() < 0.15
+    assert moved.max() <= 0.010
+
+
+def test_a_journal_goes_on_where_it_was_cut_off(tmp_path):
+    protocol, path = protocol_with(), tmp_path / "journal.jsonl"
+    first, second, *_ = all_trials(protocol)
+    journal = Journal(path, protocol)
+    journal.note(came_of(first, "held", probability=0.5))
+    journal.note(came_of(second, "failed"))
+    path.write_bytes(path.read_bytes()[:-20])
+    again = Journal(path, protocol)
+    assert [one.trial for one in again.came] == [first]
+    assert again.left([first, second]) == [second]
+    again.note(came_of(second, "declined"))
+    assert [one.outcome for one in Journal(path, None).came] == ["held", "declined"]
+
+
+def test_a_journal_of_another_protocol_says_what_differs(tmp_path):
+    Journal(tmp_path / "j", protocol_with())
+    with pytest.raises(ConfigError, match=r"goals 4, not 5; give another folder"):
+        Journal(tmp_path / "j", protocol_with(goals=5))
+    with pytest.raises(ConfigError, match="nothing to tell"):
+        Journal(tmp_path / "none", None)
+    (tmp_path / "other").write_text("some other file\n")
+    with pytest.raises(ConfigError, match="no journal"):
+        Journal(tmp_path / "other", None)
+
+
+def test_the_least_time_of_a_straight_way_is_its_length_over_the_speed():
+    T = np.tile(np.eye(4), (3, 1, 1))
+    T[1, 0, 3], T[2, 0, 3] = 0.1, 0.12
+    limits = SpeedLimits(speed=0.05, angular_speed=1.0, jaw_speed=2.0, contact_share=0.4)
+    jaw = np.array([0.0, 0.0, 1.2])
+    assert least_time_s(T, jaw, np.array([False, False, True]), limits) == pytest.approx(2.0 + 0.6 / 0.4)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.tuples(st.floats(0, 1), st.booleans()), min_size=1, max_size=60))
+def test_bins_hold_every_trial_once_and_the_score_is_that_of_its_definition(told):
+    trial = all_trials(protocol_with())[0]
+    found = reliability([came_of(trial, "held" if held else "failed", probability=p) for p, held in told])
+    assert found is not None
+    promised, held = np.array([p for p, _ in told]), np.array([h for _, h in told], float)
+    assert sum(b.trials for b in found.bins) == len(told)
+    assert found.brier == pytest.approx(np.mean((promised - held) ** 2))
+    assert sum(b.trials * b.off for b in found.bins) == pytest.approx(np.sum(held - promised), abs=1e-9)
+    share = held.mean()
+    assert found.base == pytest.approx(share * (1 - share))
+
+
+def test_promises_that_hold_have_skill_and_the_base_rate_has_none():
+    trial = all_trials(protocol_with())[0]
+    sure = [came_of(trial, "held", probability=1.0), came_of(trial, "failed", probability=0.0)]
+    unsure = [one.model_copy(update={"probability": 0.5}) for one in sure]
+    assert [found.skill for found in map(reliability, (sure, unsure)) if found] == [1.0, 0.0]
+    assert reliability([came_of(trial, "declined")]) is None
+
+
+def test_where_a_curve_falls_to_a_share_lies_on_the_line_between_two_sizes():
+    assert falls_at([(0.0, 1.0), (1.0, 1.0), (2.0, 0.9)], 0.95) == pytest.approx(1.5)
+    assert falls_at([(0.0, 1.0), (1.0, 0.99)], 0.95) is None
+    assert falls_at([(0.0, 0.9), (1.0, 0.8)], 0.95) is None
+
+
+def test_the_page_tells_rates_pairs_and_what_was_declined_and_its_html_escapes():
+    protocol = protocol_with(tool_errors_mm=(0.5, 1.0), methods=("refined",))
+    came = []
+    for trial in all_trials(protocol):
+        outcome = "declined" if trial.goal == 0 else "failed" if (trial.goal, trial.policy) == (1, "direct") else "held"
+        came.append(
+            came_of(trial, outcome, probability=0.9, took_s=4.0, least_s=2.0).model_copy(update={"code": "<b>"})
+        )
+    every = [results_of(protocol, came, error) for error in protocol.tool_errors_mm]
+    whole = results_of(protocol, came)
+    direct, robust = every[0].rates.values()
+    assert (direct[-1].held, direct[-1].tried, direct[-1].declined) == (8, 12, 4)
+    assert (robust[-1].held, robust[-1].tried) == (12, 12)
+    (compared,) = every[0].compared
+    assert compared.pairs == (8, 0, 4, 0)
+    assert compared.difference == pytest.approx(1 / 3)
+    assert [sweep.falls_at_mm for sweep in sweeps(every)] == [None, None]
+    text = overview(protocol, every, whole)
+    assert "| refined, direct | 66.7 % (4/6) | 66.7 % (4/6) | 66.7 % (8/12) |" in text
+    assert "| published, robust | 100 % | 100 % | 97 % | - |" in text
+    assert "were they failures, 50.0 % held" in text
+    html = report(protocol, came, every, whole, [])
+    assert "<b>" not in html
+    assert as_html("| a | b |\n|---|---|\n| 1 | `2` |") == ("<table><tr><th>a<th>b<tr><td>1<td><code>2</code></table>")
+    json.dumps([results.rates["refined", "direct"][0].held for results in every])
+
+
+def test_a_trial_is_named_as_it_is_asked_for():
+    trial = all_trials(protocol_with())[-1]
+    assert isinstance(trial, Trial)
+    assert trial.name == "hard/chicken/2/3/robust/refined"
