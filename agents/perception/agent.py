@@ -113,9 +113,10 @@ class Perception:
         self._last, self._prompt_px = last, last.prompt_px if last else None
 
     def _seen(self, frame: StereoFrame, calibration: StereoCalibration) -> Iterable[Output]:
-        """What follows from a frame; the observations last, since the next frame goes on from them."""
+        """What follows from a frame; the observations first, since reconstruction waits for them."""
         last = self._last
         before, surface_sequence = (last.stamp.sequence, last.surface_sequence) if last else (None, None)
+        surface_due = False
         pictures = pictured(frame, last)
         pair = (
             apart(frame.stamp, last.stamp if last else None)
@@ -129,21 +130,21 @@ class Perception:
             observed = self._observe(frame.stamp, pair)
             judgements = (*lasting(observed.judgements), *judge_each(pictures, pair.images))
             observed = replace(observed, judgements=judgements)
-            if surface_is_due(frame.stamp.sequence, before, surface_sequence):
-                surface_sequence = frame.stamp.sequence
-                thread = decode_image(observed.mask_left) > 0
-                images = pair.moved_up(observed.rows_moved_up).images
-                yield Output(SURFACE, tissue_surface(frame.stamp, pair.camera, *images, thread))
+            surface_due = surface_is_due(frame.stamp.sequence, before, surface_sequence)
         observed = replace(
             observed,
             picture_left=pictures.left,
             picture_right=pictures.right,
             picture_left_since=pictures.left_since,
             picture_right_since=pictures.right_since,
-            surface_sequence=surface_sequence,
+            surface_sequence=frame.stamp.sequence if surface_due else surface_sequence,
         )
         self._go_on_from(observed)
         yield Output(OBSERVATIONS, observed)
+        if surface_due and not isinstance(pair, str):
+            thread = decode_image(observed.mask_left) > 0
+            images = pair.moved_up(observed.rows_moved_up).images
+            yield Output(SURFACE, tissue_surface(frame.stamp, pair.camera, *images, thread))
 
     def _observe(self, stamp: FrameStamp, pair: RectifiedPair) -> ThreadObservations:
         rows = self._last.rows_moved_up if self._last else 0

@@ -11,7 +11,7 @@ import logging
 import math
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import zenoh
@@ -240,14 +240,14 @@ class Runner:
             return
         refusal = None if arrival.topic.good_when_late else _untimely(message.header, received_ns)
         outputs: list[Output] = []
-        step_ms = 0.0
+        watch = Stopwatch("step")
         if refusal is not None:
             reply = refusal
         else:
             record_key = key(self._rig, COMMANDS, self._agent.instance, self._agent.kind)
             self._fed.message(record_key, self._out.epoch, self._out.account(COMMANDS).published)
             command = Command(arrival.topic, arrival.key.split("/")[-2], message, received_ns)
-            reply, outputs, step_ms = self._answer_of(command)
+            reply, outputs, watch = self._answer_of(command)
         self._answered.remember(reply)
         try:
             answer(reply)
@@ -264,21 +264,21 @@ class Runner:
         if reply.outcome is not Outcome.ACCEPTED:
             self._log.info("refused %s: %s", arrival.topic, reply.reason)
         if outputs:
-            self._publish_all(outputs, step_ms, str(arrival.topic))
+            self._publish_all(outputs, watch, str(arrival.topic))
 
-    def _answer_of(self, command: Command) -> tuple[CommandAnswer, list[Output], float]:
+    def _answer_of(self, command: Command) -> tuple[CommandAnswer, list[Output], Stopwatch]:
         watch = Stopwatch("step")
         try:
             with watch.step("step"):
                 replies = list(self._parameters.step(command))
         except Exception as error:
             self._note_fault(error, str(command.topic))
-            return refused(command.message.header.id, "fault", self._faults.text), [], 0.0
+            return refused(command.message.header.id, "fault", self._faults.text), [], watch
         answers = [reply for reply in replies if isinstance(reply, CommandAnswer)]
         outputs = [reply for reply in replies if isinstance(reply, Output)]
         if len(answers) != 1:
-            return refused(command.message.header.id, "fault", "the agent gave no answer"), outputs, watch.ms["step"]
-        return answers[0], outputs, watch.ms["step"]
+            return refused(command.message.header.id, "fault", "the agent gave no answer"), outputs, watch
+        return answers[0], outputs, watch
 
     def _tick(self, at_ns: int) -> None:
         self._fed.tick(at_ns)
@@ -288,14 +288,24 @@ class Runner:
         of = TICK if isinstance(arrived, Tick) else str(arrived.topic)
         watch = Stopwatch("step")
         try:
-            with watch.step("step"):
-                outputs = [o for o in self._parameters.step(arrived) if isinstance(o, Output)]
+            went_well = self._publish_all(self._outputs_of(arrived, watch), watch, of)
         except Exception as error:
             self._note_fault(error, of)
             return
         self._steps.add(watch.ms["step"])
-        if self._publish_all(outputs, watch.ms["step"], of):
+        if went_well:
             self._faults.went_well(of)
+
+    def _outputs_of(self, arrived: Received | Tick, watch: Stopwatch) -> Iterator[Output]:
+        """What follows from a step, each as soon as the agent has it, so that nobody waits for what comes after."""
+        replies = iter(self._parameters.step(arrived))
+        while True:
+            with watch.step("step"):
+                reply = next(replies, None)
+            if reply is None:
+                return
+            if isinstance(reply, Output):
+                yield reply
 
     def _note_fault(self, error: Exception, of: str) -> None:
         """A step that raises is a bug; the agent goes on with the next message, and says so until that is over.
@@ -312,19 +322,21 @@ class Runner:
         if is_new:
             self._log.error(fault, exc_info=None if gives_up else error)
 
-    def _publish_all(self, outputs: list[Output], step_ms: float, of: str) -> bool:
-        """Publish what followed from a step; whether all of it could be."""
+    def _publish_all(self, outputs: Iterable[Output], watch: Stopwatch, of: str) -> bool:
+        """Publish what follows from a step that the watch times; whether all of it could be."""
         fed, last, went_well = self._fed.listed(), None, True
-        for output in outputs:
-            try:
-                message = with_consumed(output.message, fed)
-                place = self._out.key(output.topic), self._out.publish(output.topic, message, step_ms)
-                last = place if output.topic is (state_topic(self._agent) or output.topic) else last
-            except MessageError as error:
-                self._note_fault(error, of)
-                went_well = False
-        if last is not None:
-            self._fed.published(*last)
+        try:
+            for output in outputs:
+                try:
+                    message = with_consumed(output.message, fed)
+                    place = self._out.key(output.topic), self._out.publish(output.topic, message, watch.ms["step"])
+                    last = place if output.topic is (state_topic(self._agent) or output.topic) else last
+                except MessageError as error:
+                    self._note_fault(error, of)
+                    went_well = False
+        finally:
+            if last is not None:
+                self._fed.published(*last)
         return went_well
 
     def _publish_log(self, record: LogRecord) -> None:

@@ -199,12 +199,12 @@ def test_the_second_frame_brings_a_surface_and_the_observations_say_which_frame_
     outputs = [[out for out in agent.step(arrived) if isinstance(out, Output)] for arrived in frames]
     assert [[output.topic for output in step] for step in outputs] == [
         [OBSERVATIONS],
-        [SURFACE, OBSERVATIONS],
+        [OBSERVATIONS, SURFACE],
         [OBSERVATIONS],
         [OBSERVATIONS],
-        [SURFACE, OBSERVATIONS],
+        [OBSERVATIONS, SURFACE],
     ]
-    assert [step[-1].message.surface_sequence for step in outputs] == [None, 5, 5, 5, 21]
+    assert [step[0].message.surface_sequence for step in outputs] == [None, 5, 5, 5, 21]
 
 
 def test_a_new_calibration_has_the_pair_judged_again():

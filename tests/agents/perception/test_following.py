@@ -92,7 +92,7 @@ def seen(agent, sequence, right=0, hide=None):
     left, right = (encode_image(image, ImageEncoding.RAW) for image in images)
     frame = StereoFrame(FrameStamp(sequence, 0, 0, ""), left, right)
     outputs = [out for out in agent.step(Received(FRAMES, str(FRAMES), sequence, frame)) if isinstance(out, Output)]
-    return decode(ThreadObservations, encode(outputs[-1].message))
+    return decode(ThreadObservations, encode(outputs[0].message))
 
 
 def with_calibration():
