@@ -175,7 +175,8 @@ class Browser:
         with contextlib.suppress(ProcessLookupError, PermissionError):
             self.signal(signal.SIGKILL)
         self.process.wait()
-        await self._socket.close()
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self._socket.close(), 1.0)
 
     async def _read(self) -> None:
         async for message in self._socket:
@@ -201,8 +202,7 @@ async def chromium(*flags: str) -> AsyncGenerator[Browser]:
         _process(path, profile, *flags) as (process, address),
     ):
         async with aiohttp.ClientSession() as session:
-            limit = aiohttp.ClientWSTimeout(ws_close=1.0)
-            browser = Browser(await session.ws_connect(address, max_msg_size=LARGEST_MESSAGE, timeout=limit), process)
+            browser = Browser(await session.ws_connect(address, max_msg_size=LARGEST_MESSAGE), process)
             try:
                 yield browser
             finally:

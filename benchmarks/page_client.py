@@ -12,7 +12,7 @@ import yarl
 
 @contextlib.asynccontextmanager
 async def client(link: str) -> AsyncGenerator[None]:
-    """One connected page, which looks at tissue and observations too."""
+    """One connected page, which looks at tissue too, as the page does unless it is told otherwise."""
     url = yarl.URL(link)
     origin = str(url.origin())
     async with aiohttp.ClientSession(headers={"Origin": origin}) as session:
@@ -21,7 +21,7 @@ async def client(link: str) -> AsyncGenerator[None]:
             secret = (await answer.json())["secret"]
         async with session.ws_connect(f"{origin}/ws", max_msg_size=1 << 24) as socket:
             await socket.send_json({"kind": "hello", "secret": secret})
-            await socket.send_json({"kind": "look", "observations": True, "space": True})
+            await socket.send_json({"kind": "look", "observations": False, "space": True})
             taking = asyncio.ensure_future(_take(socket))
             try:
                 yield

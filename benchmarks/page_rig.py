@@ -15,7 +15,7 @@ from agents.cli.up import write_config
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import AgentHealth, RobotMode, RobotState
-from schemas.topics import COMMANDS, HEALTH, ROBOT_STATE, THREAD
+from schemas.topics import COMMANDS, FRAMES, HEALTH, ROBOT_STATE, THREAD
 from shared.clock import monotonic_s, now_ns
 from shared.runtime.connection import Connection, connected
 from shared.runtime.session import free_local_endpoint
@@ -37,15 +37,20 @@ class Heard:
         thread_ms: how old each thread was when it came, with the time.
         health: newest of each agent.
         commands: how many were received by agents.
+        published: frames, by their numbers.
     """
 
     states: list[tuple[int, RobotMode]] = field(default_factory=list[tuple[int, RobotMode]])
     thread_ms: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
     health: dict[str, AgentHealth] = field(default_factory=dict[str, AgentHealth])
     commands: int = 0
+    published: int = 0
 
     def take(self, tapped: Tapped) -> None:
         """Put a message away."""
+        if tapped.topic is FRAMES:
+            self.published = max(self.published, 0 if tapped.beside is None else tapped.beside.sequence + 1)
+            return
         with contextlib.suppress(MessageError):
             message: Any = decode(tapped.topic.message, tapped.payload)
             match message:
@@ -122,7 +127,7 @@ def running(folder: Path, rate_hz: float) -> Generator[Rig]:
         for name in AGENTS:
             start(name, name)
         with connected(rig.session, STARTS_S) as connection:
-            connection.listen((ROBOT_STATE, HEALTH, THREAD, COMMANDS), heard.take)
+            connection.listen((FRAMES, ROBOT_STATE, HEALTH, THREAD, COMMANDS), heard.take)
             until(lambda: {n.replace("-", "_") for n in AGENTS} <= heard.health.keys(), "all agents")
             camera = start("camera", "camera")
             server = start("page", "page", "--no-open", "--port", "0", role=Role.VIEWER)
@@ -136,7 +141,6 @@ def frames_unaccounted(rig: Rig) -> tuple[int, dict[str, int]]:
     assert rig.camera.process is not None
     rig.camera.process.terminate()
     rig.camera.process.wait()
-    published = sum(o.published for o in rig.heard.health["camera"].outputs if o.topic.endswith("frames"))
 
     def account() -> dict[str, int]:
         inputs = [i for i in rig.heard.health["perception"].inputs if i.topic.endswith("frames")]
@@ -147,4 +151,5 @@ def frames_unaccounted(rig: Rig) -> tuple[int, dict[str, int]]:
         turn.wait(0.1)
         if (now := account()) != settled:
             settled, at_s = now, monotonic_s()
+    published = rig.heard.published
     return published - sum(settled.values()), settled | {"published": published}

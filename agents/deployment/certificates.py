@@ -16,7 +16,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.types import PublicKeyTypes
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from agents.deployment.layout import SERVERS, Layout
+from agents.deployment.layout import ANSWERING, Layout
 from shared.runtime.identity import AUTHORITY_FILE
 
 AUTHORITY_FOLDER = "authority"
@@ -67,7 +67,7 @@ def issue(layout: Layout, folder: Path, at: datetime.datetime, all_anew: bool = 
         home.mkdir(parents=True, exist_ok=True, mode=0o700)
         _write(home / AUTHORITY_FILE, _pem(signer.certificate))
         for process in host.processes:
-            address = host.address if process.kind in SERVERS else ""
+            address = host.address if process.kind in ANSWERING else ""
             issued.append(_leaf(layout, signer, home, process.common_name, address, at, host.name, all_anew))
         _remove_others(home, {process.common_name for process in host.processes})
     return issued
@@ -152,7 +152,7 @@ def _why_anew(certificate_file: Path, key_file: Path, signer: Signer, address: s
 
 
 def _roles(address: str) -> list[x509.ObjectIdentifier]:
-    """All but the router only call; it calls routers of other sites."""
+    """All but routers and the operator's page only call; they call too."""
     server = [ExtendedKeyUsageOID.SERVER_AUTH] if address else []
     return [*server, ExtendedKeyUsageOID.CLIENT_AUTH]
 

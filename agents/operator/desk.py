@@ -69,6 +69,7 @@ class Desk:
         self._choosing = Choosing(self.field, self._commands, self._voice)
         self._beside = Beside(around, self.field, self._commands, self._voice)
         self._standing_by = StandingBy(self.control, self._commands, self._voice)
+        self._turning = asyncio.Event()
         self._has_trials = around.trials is not None
 
     async def run(self) -> None:
@@ -148,6 +149,7 @@ class Desk:
             self._voice.refuse(name, f"that is not the newest plan for {arm}; look at the new one first")
         elif self._voice.written(name, "pressed", arm=arm, plan_id=plan_id):
             self._standing_by.follow(self.control.begin(name, arm, plan_id, now_s))
+            self._turning.set()
 
     def _hold_all(self, name: str) -> None:
         """Stopping needs neither control nor a log that can be written."""
@@ -156,13 +158,21 @@ class Desk:
         for arm in self.field.arms():
             self._standing_by.follow([HoldNow(name, arm, f"{name} said hold")])
 
+    def _turn(self) -> None:
+        now_s = monotonic_s()
+        self._standing_by.follow(self.control.turn(now_s))
+        if (due := self.control.challenge(now_s)) is not None and due[0] in self.screens:
+            self.screens[due[0]].say({"kind": "challenge", "challenge": due[1]})
+
     async def _turns(self) -> None:
         while True:
-            now_s = monotonic_s()
-            self._standing_by.follow(self.control.turn(now_s))
-            if (due := self.control.challenge(now_s)) is not None and due[0] in self.screens:
-                self.screens[due[0]].say({"kind": "challenge", "challenge": due[1]})
-            await asyncio.sleep(TURN_S)
+            self._turn()
+            if self.control.press is None:
+                self._turning.clear()
+                with contextlib.suppress(TimeoutError):
+                    await asyncio.wait_for(self._turning.wait(), STATE_S)
+            else:
+                await asyncio.sleep(TURN_S)
 
     async def _states(self) -> None:
         while True:

@@ -2,17 +2,23 @@
 
 import asyncio
 import contextlib
+import datetime
 import json
 import random
+import ssl
 import struct
 
 import aiohttp
 import pytest
 import yarl
 
+from agents.cli.page_command import run
+from agents.cli.page_options import Page
+from agents.deployment.certificates import issue
+from agents.deployment.layout import Host, Layout, Process
 from agents.operator.access import Access
 from agents.operator.desk import Desk
-from agents.operator.page_server import serving
+from agents.operator.page_server import server_tls, serving
 from agents.operator.surroundings import Surroundings
 from agents.operator.wire import KINDS
 from agents.planner.agent import Planner
@@ -24,9 +30,10 @@ from schemas.messages import CommandRecord, ExecutionEvent, ExecutionKind
 from schemas.topics import COMMANDS, EXECUTION
 from shared.runtime.commands import new_header
 from shared.runtime.connection import connected
+from shared.runtime.identity import AUTHORITY_FILE
 
 PATIENT_S = 60.0
-BEAT_S = 3.0
+BEAT_S = 2.0
 """A test machine may stall."""
 HOSTILE = 300
 
@@ -122,15 +129,15 @@ class Client:
         return plan
 
 
-def served(rig, scenario):
+def served(rig, scenario, tls=None):
     """Run a scenario against a server of its own."""
 
     async def run():
-        audit = []
+        audit, here = [], "127.0.0.1"
         with connected(rig, PATIENT_S) as connection:
             around = Surroundings("test", ("psm1",), lambda what, **told: audit.append((what, told)))
             access = Access()
-            async with serving(Desk(connection, around), access, "127.0.0.1", 0, ("127.0.0.1",)) as (server, address):
+            async with serving(Desk(connection, around), access, here, 0, (here,), tls) as (server, address):
                 await scenario(Served(server, address, access, audit, connection))
 
     asyncio.run(run())
@@ -251,3 +258,26 @@ def test_what_is_hostile_gets_no_command_through(rig):
         assert not [what for what, _ in served.audit if what in ("goal", "arm", "prompt", "pressed", "hold")]
 
     served(rig, scenario)
+
+
+def test_off_loopback_it_is_served_with_the_operators_certificate_which_browsers_accept(settings, tmp_path):
+    host = Host("desk", "127.0.0.1", (Process("operator", "desk"),))
+    issue(Layout("test", "", (host,), leaf_days=30, authority_days=365), tmp_path, datetime.datetime.now(datetime.UTC))  # noqa: TID251
+    home = tmp_path / "desk" / "certificates"
+    tls = server_tls(str(home / "operator.desk.pem"), str(home / "operator.desk.key"))
+
+    async def scenario(served):
+        assert served.address.startswith("https://127.0.0.1:")
+        trusting = ssl.create_default_context(cafile=home / AUTHORITY_FILE)
+        async with aiohttp.ClientSession() as session:
+            answer = await session.get(served.address, ssl=trusting)
+            assert "SutureGrasp" in await answer.text()
+            with pytest.raises(aiohttp.ClientConnectorError):
+                await session.get(served.address, ssl=ssl.create_default_context())
+
+    served(settings, scenario, tls)
+
+
+def test_off_loopback_without_certificates_it_is_not_served(capsys):
+    assert run(Page(listen="192.0.2.1", open=False)) == 2
+    assert "leaves this machine, which needs TLS" in capsys.readouterr().err
