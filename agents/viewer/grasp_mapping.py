@@ -108,7 +108,7 @@ def robot_entities(state: RobotState, unit_known: bool) -> list[Entity]:
     T_camera_tool = state.T_camera_base @ state.T_base_tool
     tool = f"world/tool/{arm}"
     fingers = apply(T_camera_tool, finger_lines(state.jaw_rad).reshape(-1, 3)).reshape(2, 2, 3)
-    shaft = apply(state.T_camera_base, shaft_line(state.T_base_tool))
+    shaft = apply(state.T_camera_base, shaft_line(state.T_base_tool, of_psm=state.kinematics == ""))
     pin, directions = T_camera_tool[:3, 3], T_camera_tool[:3, :3].T
     axes = rr.Arrows3D(
         origins=[MM_PER_METRE * pin] * 3, vectors=MM_PER_METRE * AXIS_M * directions, colors=colours.AXES, radii=[-1.0]
@@ -122,9 +122,10 @@ def robot_entities(state: RobotState, unit_known: bool) -> list[Entity]:
     ]
 
 
-def joint_names(arm: str) -> Entity:
+def joint_names(arm: str, of_psm: bool = True) -> Entity:
     """What the curves of an arm's joints are called."""
-    return f"robot/joints/{rr.escape_entity_path_part(arm)}", [rr.SeriesLines(names=JOINT_NAMES)]
+    names = JOINT_NAMES if of_psm else [f"joint {i}" for i in range(1, 7)]
+    return f"robot/joints/{rr.escape_entity_path_part(arm)}", [rr.SeriesLines(names=names)]
 
 
 def mode_entities(state: RobotState) -> list[Entity]:
@@ -139,12 +140,15 @@ def finger_lines(jaw_rad: float) -> Float64[np.ndarray, "2 2 3"]:
     return np.stack((np.zeros((2, 3)), tips), axis=1)
 
 
-def shaft_line(T_base_tool: Float64[np.ndarray, "4 4"]) -> Float64[np.ndarray, "3 3"]:
-    """From the pin over the wrist up the shaft, in the base frame, whose origin every shaft passes through.
+def shaft_line(T_base_tool: Float64[np.ndarray, "4 4"], of_psm: bool = True) -> Float64[np.ndarray, "3 3"]:
+    """From the pin over the wrist up the shaft, in the base frame, whose origin every PSM's shaft passes through.
 
-    The wrist's link is at right angles to the pin and in one plane with the shaft (shared/kinematics/psm.py).
+    The wrist's link is at right angles to the pin and in one plane with the shaft (shared/kinematics/psm.py). Of an arm
+    that is no PSM nothing is known but the tool: a line straight behind it.
     """
     pin, axis = T_base_tool[:3, 3], T_base_tool[:3, 0]
+    if not of_psm:
+        return pin - np.array((0.0, 0.5, 1.0))[:, None] * SHAFT_M * T_base_tool[:3, 2]
     wrist = pin - LARGE_NEEDLE_DRIVER.links[WRIST_YAW].a * _unit(pin - (pin @ axis) * axis)
     return np.stack((pin, wrist, wrist - SHAFT_M * _unit(wrist)))
 

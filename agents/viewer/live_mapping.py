@@ -198,7 +198,7 @@ class LiveMapping:
 
     def _robot(self, state: RobotState) -> list[Entity]:
         unit_known = self._shown is None or self._shown[0].metres_per_unit is not None
-        first = [joint_names(state.arm)] if self._changed(f"arm {state.arm}", True) else []
+        first = [joint_names(state.arm, state.kinematics == "")] if self._changed(f"arm {state.arm}", True) else []
         changed = self._changed(f"mode of {state.arm}", state.mode)
         return [*first, *robot_entities(state, unit_known), *(mode_entities(state) if changed else [])]
 

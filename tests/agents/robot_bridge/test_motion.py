@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from agents.robot_bridge.checks import waypoint_refusal
+from agents.robot_bridge.checks import joints_of, waypoint_refusal
 from agents.robot_bridge.limits import MotionLimits, Setup
 from agents.robot_bridge.motion import MAXIMUM_WAYPOINTS, Trajectory, plan_motion
 from agents.robot_bridge.path import Poses, smooth_path
@@ -153,6 +153,21 @@ def test_no_joint_jumps_along_a_slide() -> None:
     steps = np.abs(np.diff(trajectory.joints[capture : slide + 1], axis=0))
     assert steps.max() < 0.05
     assert np.ptp(trajectory.joints[capture : slide + 1, 3]) < 1.0
+
+
+@given(st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(0.13, 0.19), st.floats(-1.2, 1.2), st.floats(-1, 1))
+def test_a_way_on_which_the_wrist_would_have_to_flip_within_a_tick_is_refused(
+    yaw: float, pitch: float, insertion: float, roll: float, wrist: float
+) -> None:
+    roomy = dataclasses.replace(SETUP, limits=MotionLimits(workspace_camera=np.array(((-1.0, -1, -1), (1, 1, 1)))))
+    joints = np.array((yaw, pitch, insertion, roll, 0.3 * wrist, wrist))
+    here = forward(joints)
+    # the jaws half a turn about the fingers look the same, and need a wrist that stands otherwise
+    flipped = here @ transform(np.diag((-1.0, -1.0, 1.0)), np.zeros(3))
+    found = joints_of(Poses(np.stack((here, flipped)), np.zeros(2)), joints, "on the way", roomy)
+    assert isinstance(found, Refusal)
+    assert found.code is Code.WRIST_FLIP, found.sentence
+    assert not isinstance(joints_of(Poses(np.stack((here, here)), np.zeros(2)), joints, "on the way", roomy), Refusal)
 
 
 def test_a_way_near_a_singular_pose_is_refused() -> None:

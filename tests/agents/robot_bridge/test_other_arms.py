@@ -77,6 +77,7 @@ def test_another_arm_carries_out_a_plan_from_its_table() -> None:
     assert events[-1].kind is ExecutionKind.FINISHED, events[-1].reason
     states = [o.message for o in said if o.topic is ROBOT_STATE]
     assert isinstance(states[-1], RobotState)
+    assert states[-1].kinematics == "dh"
     joints = np.stack([state.joints for state in states])
     assert np.abs(np.diff(joints, axis=0)).max() < 0.05, "it keeps to its posture"
     assert not KINEMATICS.problems(joints).any()

@@ -31,3 +31,13 @@ def test_an_instrument_is_drawn_where_it_was_found_and_is_told_lost_once(session
     (words,) = entities["log/perception/psm1"]
     assert "too little in view" in words.text.as_arrow_array().to_pylist()[0]
     assert "tool/off/psm1" not in entities
+
+
+def test_an_arm_that_is_no_psm_has_a_straight_shaft_and_numbered_joints(session_messages):
+    state = dataclasses.replace(session_messages[topics.ROBOT_STATE], kinematics="dh")
+    entities = dict(LiveMapping().entities(state))
+    (line,) = entities["world/tool/psm1/shaft"]
+    (strip,) = line.strips.as_arrow_array().to_pylist()
+    steps = np.diff(np.array(strip), axis=0)
+    behind = -(state.T_camera_base @ state.T_base_tool)[:3, 2]
+    np.testing.assert_allclose(steps / np.linalg.norm(steps, axis=1)[:, None], [behind, behind], atol=1e-6)
