@@ -76,5 +76,5 @@ def trials_of(folder: Path) -> JournalTrials:
         return JournalTrials(folder, parse_config(path.read_text(encoding="utf-8"), Journal, str(path)))
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is no text in UTF-8"
-        begin = f"begin it with suturegrasp experiment {folder} --threads ... --report"
+        begin = f"begin it with suturegrasp experiment {folder} --threads ..., and leave it with Ctrl-C"
         raise ConfigError(f"the journal {path} cannot be read: {reason}; {begin}") from None

@@ -47,8 +47,9 @@ export function legend(list) {
   ];
   for (const [colour, dash, width, words] of entries) {
     const item = document.createElement("li");
-    item.innerHTML = `<svg width="42" height="14" aria-hidden="true"><line x1="3" x2="39" y1="7" y2="7" stroke="${colour}"
-      stroke-width="${width}" stroke-dasharray="${dash}"/></svg>`;
+    const line = (stroke, wide) => `<line x1="3" x2="39" y1="7" y2="7" stroke="${stroke}" stroke-width="${wide}" stroke-dasharray="${dash}"/>`;
+    const edge = words.startsWith("unsure") ? line("#fff", width + 2.5) : "";
+    item.innerHTML = `<svg width="42" height="14" aria-hidden="true">${edge}${line(colour, width)}</svg>`;
     item.append(words);
     list.append(item);
   }

@@ -37,7 +37,7 @@ export class Panel {
     this.recording(state.recording);
     this.trials(state);
     this.put("screens", screensSentence(state));
-    $("take").hidden = mine;
+    $("take").hidden = mine || state.asking === state.you;
     $("give").hidden = !(mine && state.asking);
     $("keep").hidden = !(mine && state.asking);
     if (mine && state.asking) $("give").textContent = `Hand over to ${state.asking}`;

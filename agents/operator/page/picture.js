@@ -128,7 +128,8 @@ export class Picture {
     for (const run of this.runs) {
       const places = px.slice(run.begin, run.end + 1);
       const middle = confidence[(run.begin + run.end) >> 1];
-      this.line(places, confidenceColour(run.kind.sample === null ? null : middle), run.kind.width, run.kind.dash);
+      const halo = run.kind.name === "unsure" ? "#ffffffd0" : "#000b"; // dark on a light edge, light on a dark one
+      this.line(places, confidenceColour(run.kind.sample === null ? null : middle), run.kind.width, run.kind.dash, halo);
     }
     const c = this.context;
     for (const crossing of crossings) {

@@ -57,7 +57,9 @@ export class Space {
     c.lineCap = "round";
     for (const run of runsOf(thread)) {
       const confidence = run.kind.sample === null ? null : thread.confidence[(run.begin + run.end) >> 1];
-      this.line(thread.mm.slice(run.begin, run.end + 1), confidenceColour(confidence), run.kind.width * dense * 0.8, run.kind.dash);
+      const places = thread.mm.slice(run.begin, run.end + 1);
+      if (run.kind.name === "unsure") this.line(places, "#ffffffb0", run.kind.width * dense * 1.3, run.kind.dash);
+      this.line(places, confidenceColour(confidence), run.kind.width * dense * 0.8, run.kind.dash);
     }
     const way = plan?.way ?? [];
     for (let i = 0; i + 1 < way.length; i++)
