@@ -1,8 +1,9 @@
 """Which capture, way to hold the tool, depth and opening of the jaws a plan takes.
 
 With the paper's model depth and openings are set. With the geometric one each combination of a depth, an opening for
-the approach and one for the slide is a grip of its own; the grips are gone through from the likeliest, as if nothing
-were in the way, until none of the rest can be likelier than what was found. So tissue is looked at for few of them.
+the approach and one for the slide is a grip of its own. Of each depth the likeliest, as if nothing were in the way, is
+looked at, from the likeliest on, until none of the rest can be likelier than what was found; so tissue is looked at for
+few of them. Where nothing is found, the narrowest openings are tried, which other strands leave more room.
 """
 
 import itertools
@@ -60,7 +61,7 @@ def best_choice(
     best: Choice | None = None
     for bound, grip in _grips(curve, s, goal, policy, known, arm, config):
         if best is not None and best.probability >= bound - BETTER:
-            break
+            continue
         captures = captures_for(curve, s, goal, policy, known, arm, grip, tissue)
         found = Choice(captures, _chosen(captures, policy, grip), grip)
         if best is None or found.probability > best.probability + BETTER:
@@ -99,8 +100,19 @@ def _grips(
     for depth_m in config.depths_m:
         deep = replace(config, depth_m=depth_m)
         ways = ways_along(points, tangents, arm.T_camera_base[:3, 3], deep)
-        for open_deg, slide_deg in itertools.product(config.opens_deg, config.slides_deg):
+        slides_deg = config.slides_deg[:1] if policy is Policy.DIRECT else config.slides_deg
+        for open_deg, slide_deg in itertools.product(config.opens_deg, slides_deg):
             if slide_deg <= open_deg - BEGIN_DEG:
                 grip = replace(deep, open_deg=open_deg, slide_deg=slide_deg)
                 found.append((float(chances(known, ways, goal, grip).probability[:, asked].max()), grip))
-    yield from sorted(found, key=lambda one: -one[0])
+    found.sort(key=lambda one: -one[0])
+    likeliest: dict[float, tuple[float, PlannerConfig]] = {}
+    for one in found:
+        likeliest.setdefault(one[1].depth_m, one)
+    yield from likeliest.values()
+    narrowest = min(grip.open_deg for _, grip in found)
+    spare: dict[float, tuple[float, PlannerConfig]] = {}
+    for one in found:
+        if one[1].open_deg == narrowest and one not in likeliest.values():
+            spare.setdefault(one[1].depth_m, one)
+    yield from spare.values()

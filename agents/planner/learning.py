@@ -18,7 +18,7 @@ from schemas.messages import GraspPlan, Phase, Waypoint
 from shared.kinematics.psm import FINGER_M
 
 DRAWS, SEED = 2048, 20251122
-OTHERWISE = 0.1
+OTHERWISE = 0.02
 """ε."""
 
 
