@@ -113,7 +113,7 @@ def carried_out(trial: Trial, s: float, look: Look, cast: Cast, again: Again | N
         again: looks at the field after each grasp; without it, there is one attempt, and nobody looks.
     """
     attendant = Attendant(cast.bridge.instance)
-    steps = Lockstep(cast.planner, cast.bridge, cast.simulator, attendant, rig=RIG, recorded=recorded)
+    steps = Lockstep(cast.planner, cast.bridge, cast.simulator, attendant, rig=RIG, recorded=recorded, as_sent=True)
     steps.run(SETTLED_S + SEES_S)
     _tell(steps, look, recorded)
     header = CommandHeader(f"{trial.goal}-{trial.policy}", steps.now_ns + 10**9, OPERATOR)

@@ -54,8 +54,14 @@ class Lockstep:
         now_ns: the virtual time.
     """
 
-    def __init__(self, *agents: Agent, rig: str, recorded: bool = True) -> None:
-        self._rig, self._recorded, self._own_epoch = rig, recorded, len(agents) + 1
+    def __init__(self, *agents: Agent, rig: str, recorded: bool = True, as_sent: bool = False) -> None:
+        """Seat the agents.
+
+        Args:
+            as_sent: hand messages on as they are, rather than as they would arrive: a third faster. Arrays that lie
+                otherwise in memory are added up otherwise, so a replay of the recording may differ in last digits.
+        """
+        self._rig, self._recorded, self._as_sent, self._own_epoch = rig, recorded, as_sent, len(agents) + 1
         self._seats = [_Seat(agent, rig, epoch) for epoch, agent in enumerate(agents, start=1)]
         self.entries: list[Entry] = []
         self.last: dict[Topic, Any] = {}
@@ -117,7 +123,7 @@ class Lockstep:
         self._numbers[name] += 1
         self.last[topic] = message
         heard = any(seat.listens(topic, instance) for seat in self._seats)
-        payload = encode(message) if self._recorded or heard else None
+        payload = encode(message) if self._recorded or (heard and not self._as_sent) else None
         if self._recorded and payload is not None and topic.recorded:
             self.entries.append(Entry(name, epoch, number, payload, self.now_ns, self.now_ns))
         if heard:
@@ -143,6 +149,5 @@ class Lockstep:
 
     def _feed(self, seat: _Seat, sent: _Sent, only_newest_counts: bool) -> None:
         seat.fed.message(sent.key, sent.epoch, sent.sequence, only_newest_counts)
-        # as it would arrive: arrays that lie otherwise in memory are added up otherwise
-        message = decode(sent.topic.message, sent.payload or b"")
+        message = sent.message if self._as_sent else decode(sent.topic.message, sent.payload or b"")
         self._step(seat, Received(sent.topic, sent.key, sent.sequence, message))
