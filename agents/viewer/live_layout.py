@@ -50,7 +50,12 @@ def operate(scene: Scene) -> rrb.Vertical:
                 panels.curves("viewer", "of the viewer"),
                 active_tab=0,
             ),
-            rrb.Tabs(panels.lanes(contents=WORKING), panels.document("plan/report", "plan"), active_tab=0),
+            rrb.Tabs(
+                panels.lanes(contents=WORKING),
+                panels.document("plan/report", "plan"),
+                panels.document("plan/check", "seen after the grasp"),
+                active_tab=0,
+            ),
             panels.words(),
             column_shares=[3, 3, 4, 4],
         ),
@@ -100,7 +105,11 @@ def grasp(scene: Scene) -> rrb.Horizontal:
         ),
         rrb.Vertical(
             panels.eye("left", scene),
-            panels.document("plan/report", "plan"),
+            rrb.Tabs(
+                panels.document("plan/report", "plan"),
+                panels.document("plan/check", "seen after the grasp"),
+                active_tab=0,
+            ),
             rrb.Tabs(
                 panels.curves("robot/jaw_deg", "jaw, degrees"),
                 panels.curves("robot/joints", "joints, rad and m"),

@@ -113,7 +113,10 @@ def lane(path: str, state: str) -> Entity:
 
 def nothing_yet() -> list[Entity]:
     """What stands where something is told of that has not happened yet."""
-    return [("plan/report", [rr.TextDocument("No goal has been named yet.")])]
+    return [
+        ("plan/report", [rr.TextDocument("No goal has been named yet.")]),
+        ("plan/check", [rr.TextDocument("No grasp was carried out yet.")]),
+    ]
 
 
 def failure(key: str, why: str, count: int) -> Entity:
