@@ -11,7 +11,7 @@ from agents.robot_bridge.config import RobotBridgeConfig, RobotBridgeError
 from agents.robot_bridge.execution import Execution, Patience
 from agents.robot_bridge.motion import plan_motion
 from agents.robot_bridge.plans import CLOCK_TOLERANCE_S, Plans, untimely
-from agents.robot_bridge.refusals import REPLAYED, Code, Refusal
+from agents.robot_bridge.refusals import REPLAYED, UNMEASURED, Code, Refusal, other_arm
 from agents.robot_bridge.standing import Standing
 from agents.robot_bridge.state_changes import StateChanges
 from agents.robot_bridge.telling import accepted, event_of, mode_of, refused, robot_state
@@ -35,7 +35,6 @@ __all__ = ["RobotBridge", "RobotBridgeConfig", "RobotBridgeError"]
 
 RESTS_AFTER_S = 1.0
 """So long after it was armed or moved last, an arm is at rest."""
-UNMEASURED = Refusal(Code.NOT_READY, "the arm has not been measured yet")
 REPLAY_OVER_S = 2.0
 """A replay that was not heard for so long is over."""
 
@@ -147,9 +146,8 @@ class RobotBridge:
             return self._hold(following, now_ns)
         self._backend.move(following.joints, following.jaw_rad)
         of = execution.plan_id, execution.arming_id
-        events = [
-            event_of(self.config.arm, *of, ExecutionKind.PHASE_REACHED, now_ns, phase=p) for p in following.reached
-        ]
+        reached = ExecutionKind.PHASE_REACHED
+        events = [event_of(self.config.arm, *of, reached, now_ns, phase=phase) for phase in following.reached]
         if following.finished:
             self._execution = None
             self._plans.forget(execution.plan_id)
@@ -192,7 +190,7 @@ class RobotBridge:
         return [accepted(message.header.id), event]
 
     def _answer_hold(self, command: Command, message: Hold) -> list[Output | CommandAnswer]:
-        if refusal := self._wrong_arm(command, message.arm):
+        if refusal := other_arm(self.config.arm, message.arm, command.instance):
             return [refused(message.header.id, refusal)]
         held = self._hold(Refusal(Code.HOLD_COMMAND, f"{message.header.sender} said hold"), command.now_ns)
         return [accepted(message.header.id), *held]
@@ -200,7 +198,7 @@ class RobotBridge:
     def _change_state(self, command: Command, message: ChangeState) -> CommandAnswer:
         """A person has the console enable, home, pause: while nothing is armed, of an arm whose time is this one."""
         of = message.header.id
-        if refusal := self._wrong_arm(command, message.arm):
+        if refusal := other_arm(self.config.arm, message.arm, command.instance):
             return refused(of, refusal)
         if command.now_ns < self._replay_over_ns:
             return refused(of, REPLAYED)
@@ -211,7 +209,9 @@ class RobotBridge:
         return self._states.answer(message, command.now_ns, self.config.ratio)
 
     def _arm(self, command: Command, message: Arm) -> Execution | Refusal:
-        if refusal := self._wrong_arm(command, message.arm) or self._plans.unusable(message.plan_id):
+        if refusal := other_arm(self.config.arm, message.arm, command.instance) or self._plans.unusable(
+            message.plan_id
+        ):
             return refusal
         if command.now_ns < self._replay_over_ns:
             return REPLAYED
@@ -238,11 +238,6 @@ class RobotBridge:
             return Refusal(Code.DRY_RUN, f"{would}: this is a dry run (dry_run of the arm's configuration)")
         patience = Patience(self.config.first_heartbeat_s, self.config.dead_man_s)
         return Execution(message, planned, self._now_ns, patience, self._backend.kinematics)
-
-    def _wrong_arm(self, command: Command, arm: str) -> Refusal | None:
-        named = next((name for name in (arm, command.instance) if name != self.config.arm), None)
-        sentence = f"the command is for {named}, and this is {self.config.arm}"
-        return Refusal(Code.OTHER_ARM, sentence) if named is not None else None
 
     def _busy(self) -> Refusal:
         carries_out = f"the arm carries out plan {self._execution.plan_id}" if self._execution else ""

@@ -55,3 +55,10 @@ class Refusal:
 REPLAYED = Refusal(
     Code.REPLAY, "a recording is replayed on this rig, and this arm is real: end the replay, then set a goal and arm"
 )
+UNMEASURED = Refusal(Code.NOT_READY, "the arm has not been measured yet")
+
+
+def other_arm(mine: str, *named: str) -> Refusal | None:
+    """Why a command is not for this arm; None where all that it names is."""
+    other = next((name for name in named if name != mine), None)
+    return None if other is None else Refusal(Code.OTHER_ARM, f"the command is for {other}, and this is {mine}")

@@ -11,16 +11,15 @@ lead to the least robust sum of squares over all unknowns (soft l1; scipy's leas
 OUTLIER deviations off is left out and named. Covariance is s² (JᵀJ)⁻¹ of what is left.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64
-from scipy.optimize import least_squares
 
+from shared.calibration.hand_eye.fit import Fit, covariance, deviation, fitted, rigid_fit
 from shared.calibration.hand_eye.samples import Motion, Sightings
 from shared.calibration.stated import CalibrationError
-from shared.rigid_transforms import apply, exp_se3, nearest_rotation, transform
+from shared.rigid_transforms import apply
 
 LEAST = 12
 """Sightings; with fewer, what is held out says nothing."""
@@ -34,7 +33,6 @@ LARGEST_SHARE_OUT = 0.3
 LARGEST_SHARE_LEFT = 0.2
 """Of the spread of places: where more than that is left over, poses and sightings have nothing in common."""
 FOLDS = 5
-_IRLS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,17 +68,6 @@ class Estimate:
         return float(np.sqrt(np.trace(J @ self.covariance @ J.T)))
 
 
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    """Unknowns with the Jacobian of the plain residuals; X = exp(twist) X0."""
-
-    X: Float64[np.ndarray, "4 4"]
-    delay_s: float
-    point: Float64[np.ndarray, "3"]
-    residual: Float64[np.ndarray, "n d"]
-    J: Float64[np.ndarray, "r p"]
-
-
 def estimated(
     sightings: Sightings, motion: Motion, point_tool: Float64[np.ndarray, "3"], point_known: bool = True
 ) -> Estimate:
@@ -95,19 +82,19 @@ def estimated(
     _check_spread(sightings.points_camera, "the sightings lie")
     _check_spread(motion.at(sightings.time_s, point_tool), "the robot's poses lie")
     delay, begun = _begun(sightings, motion, point_tool)
-    fit = _fitted(sightings, motion, begun, delay, point_tool, point_known, True)
+    fit = fitted(sightings, motion, begun, delay, point_tool, point_known, True)
     kept = _consistent(fit.residual)
     if kept.mean() < 1 - LARGEST_SHARE_OUT:
         raise CalibrationError(
             f"{1 - kept.mean():.0%} of the sightings contradict the rest: is it the same point of the tool, seen at "
             "the time that is told, and in the calibration's images?"
         )
-    fit = _fitted(sightings.only(kept), motion, fit.X, fit.delay_s, fit.point, point_known, True)
-    deviation = float(np.sqrt(_covariance(fit)[6, 6]))
-    told = deviation <= DELAY_TOLD_S
+    fit = fitted(sightings.only(kept), motion, fit.X, fit.delay_s, fit.point, point_known, True)
+    delay_deviation_s = float(np.sqrt(covariance(fit)[6, 6]))
+    told = delay_deviation_s <= DELAY_TOLD_S
     if not told:
-        fit = _fitted(sightings.only(kept), motion, fit.X, 0.0, fit.point, point_known, False)
-    if _deviation(fit.residual) > LARGEST_SHARE_LEFT * _spread(sightings.seen)[1]:
+        fit = fitted(sightings.only(kept), motion, fit.X, 0.0, fit.point, point_known, False)
+    if deviation(fit.residual) > LARGEST_SHARE_LEFT * _spread(sightings.seen)[1]:
         raise CalibrationError(
             "sightings and poses do not move alike: is it this arm's tool, and are both times of one clock, in seconds?"
         )
@@ -118,35 +105,14 @@ def estimated(
     return Estimate(
         fit.X,
         fit.delay_s if told else None,
-        deviation,
+        delay_deviation_s,
         fit.point,
-        _covariance(fit)[:6, :6],
+        covariance(fit)[:6, :6],
         residual,
         apart,
         used,
         *_held_out(final, motion, fit, point_known, told),
     )
-
-
-def rigid_fit(
-    points_base: Float64[np.ndarray, "n 3"], points_camera: Float64[np.ndarray, "n 3"]
-) -> Float64[np.ndarray, "4 4"]:
-    """The rigid transform of the least sum of distances, as least squares that are weighted anew."""
-    found = _weighted_fit(points_base, points_camera, np.ones(len(points_base)))
-    for _ in range(_IRLS):
-        apart = np.linalg.norm(apply(found, points_base) - points_camera, axis=1)
-        weight = 1 / np.maximum(apart, max(1e-6, 0.5 * float(np.median(apart))))
-        found = _weighted_fit(points_base, points_camera, weight)
-    return found
-
-
-def _weighted_fit(
-    points_base: Float64[np.ndarray, "n 3"], points_camera: Float64[np.ndarray, "n 3"], weight: Float64[np.ndarray, "n"]
-) -> Float64[np.ndarray, "4 4"]:
-    share = weight / weight.sum()
-    a, b = share @ points_base, share @ points_camera
-    R = nearest_rotation((points_camera - b).T @ (share[:, None] * (points_base - a)))
-    return transform(R, b - R @ a)
 
 
 def _covered(sightings: Sightings, motion: Motion) -> Bool[np.ndarray, "n"]:
@@ -187,7 +153,7 @@ def _begun(sightings: Sightings, motion: Motion, point: Float64[np.ndarray, "3"]
     return delay, best
 
 
-def _left(sightings: Sightings, motion: Motion, fit: _Fit) -> tuple[Float64[np.ndarray, "n"], Float64[np.ndarray, "n"]]:
+def _left(sightings: Sightings, motion: Motion, fit: Fit) -> tuple[Float64[np.ndarray, "n"], Float64[np.ndarray, "n"]]:
     """What is left of each sighting: in pixels (root mean square over both images) or metres, and in metres."""
     points = apply(fit.X, motion.at(sightings.time_s - fit.delay_s, fit.point))
     apart = np.linalg.norm(sightings.points_camera - points, axis=1)
@@ -196,81 +162,18 @@ def _left(sightings: Sightings, motion: Motion, fit: _Fit) -> tuple[Float64[np.n
     return np.sqrt(((sightings.predicted(points) - sightings.seen) ** 2).mean(axis=1)), apart
 
 
-def _fitted(
-    sightings: Sightings,
-    motion: Motion,
-    X0: Float64[np.ndarray, "4 4"],
-    delay_s: float,
-    point: Float64[np.ndarray, "3"],
-    point_known: bool,
-    delay_free: bool,
-) -> _Fit:
-    """The unknowns of the least robust sum; the twist is in metres and tenths of a radian, times in tenths of a second.
-
-    The scale of the robust loss is what the residuals' median absolute deviation makes of it, found twice.
-    """
-    scale = np.concatenate(
-        (np.ones(3), np.full(3, 0.1), [0.1 if delay_free else 0.0], np.full(3, 0.0 if point_known else 1.0))
-    )
-    free = np.flatnonzero(scale)
-
-    def unknowns(x: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
-        full = np.zeros(10)
-        full[free] = x * scale[free]
-        return exp_se3(full[:6]) @ X0, delay_s + float(full[6]), point + full[7:]
-
-    def residual(x: np.ndarray) -> np.ndarray:
-        X, delay, o = unknowns(x)
-        return sightings.predicted(apply(X, motion.at(sightings.time_s - delay, o))) - sightings.seen
-
-    x, spread = np.zeros(len(free)), _deviation(residual(np.zeros(len(free))))
-    for _ in range(2):
-        solved = least_squares(lambda x, s=spread: residual(x).ravel() / s, x, loss="soft_l1", x_scale=1e-3)
-        x, spread = solved.x, _deviation(residual(solved.x))
-    X, delay, o = unknowns(x)
-    J = np.zeros((sightings.seen.size, 10))
-    J[:, free] = np.stack([_slope(residual, x, i) for i in range(len(free))], axis=1) / scale[free]
-    return _Fit(X, delay, o, residual(x), J)
-
-
-def _slope(residual: Callable[[np.ndarray], np.ndarray], x: np.ndarray, i: int) -> np.ndarray:
-    """One column of the Jacobian, by central differences."""
-    step = np.zeros(len(x))
-    step[i] = 1e-5
-    return (residual(x + step) - residual(x - step)).ravel() / 2e-5
-
-
-def _deviation(residual: np.ndarray) -> float:
-    """Of normal residuals, by the median of their sizes."""
-    return max(1.4826 * float(np.median(np.abs(residual))), 1e-9)
-
-
-def _covariance(fit: _Fit) -> Float64[np.ndarray, "10 10"]:
-    """Of twist, delay and point; unknowns that were not free have none."""
-    free = np.flatnonzero(np.abs(fit.J).max(axis=0) > 0)
-    J, values = fit.J[:, free], fit.residual.ravel()
-    s2 = float(values @ values) / max(len(values) - len(free), 1)
-    # unknowns differ in size by orders of magnitude, which must not look like one that cannot be told
-    size = np.linalg.norm(J, axis=0)
-    C = np.zeros((10, 10))
-    C[np.ix_(free, free)] = s2 * np.linalg.pinv((J / size).T @ (J / size)) / np.outer(size, size)
-    if 6 not in free:
-        C[6, 6] = np.inf
-    return C
-
-
 def _consistent(residual: Float64[np.ndarray, "n d"]) -> Bool[np.ndarray, "n"]:
-    return np.abs(residual).max(axis=1) <= OUTLIER * np.maximum(_deviation(residual), 1e-9)
+    return np.abs(residual).max(axis=1) <= OUTLIER * np.maximum(deviation(residual), 1e-9)
 
 
 def _held_out(
-    sightings: Sightings, motion: Motion, fit: _Fit, point_known: bool, delay_free: bool
+    sightings: Sightings, motion: Motion, fit: Fit, point_known: bool, delay_free: bool
 ) -> tuple[Float64[np.ndarray, "k"], Float64[np.ndarray, "k"]]:
     """What is left of sightings in an estimate without them, stretch of time by stretch."""
     order = np.argsort(sightings.time_s)
     left = []
     for out in np.array_split(order, FOLDS):
         rest = np.setdiff1d(order, out)
-        without = _fitted(sightings.only(rest), motion, fit.X, fit.delay_s, fit.point, point_known, delay_free)
+        without = fitted(sightings.only(rest), motion, fit.X, fit.delay_s, fit.point, point_known, delay_free)
         left.append(_left(sightings.only(out), motion, without))
     return np.concatenate([one for one, _ in left]), np.concatenate([apart for _, apart in left])

@@ -14,8 +14,19 @@ from agents.cli.rig import RigConfig
 from agents.robot_bridge.agent import RobotBridge
 from agents.robot_bridge.backend import Readiness
 from agents.robot_bridge.simulated import SimulatedPsm
-from schemas.messages import ChangeState, CommandHeader, ExecutionKind, Outcome, Phase, RobotMode, StateWord
-from schemas.topics import CHANGE_STATE
+from schemas.messages import (
+    ChangeState,
+    CommandHeader,
+    ExecutionKind,
+    FrameStamp,
+    Outcome,
+    Phase,
+    RectifiedStereo,
+    RobotMode,
+    StateWord,
+    TissueSurface,
+)
+from schemas.topics import CHANGE_STATE, SURFACE
 from shared.clock import monotonic_s, now_ns
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
 from shared.ros import crtk
@@ -23,7 +34,7 @@ from shared.ros.far_clock import WINDOW_NS, FarClock
 from shared.ros.naming import RmwZenoh, Role
 from shared.ros.types import JOINT_STATE
 from shared.runtime.access import access_control
-from shared.runtime.agent import Command
+from shared.runtime.agent import Command, Received
 from shared.runtime.config import load_config
 
 SECOND_NS, DEADLINE_S = 10**9, 20.0
@@ -109,6 +120,24 @@ def test_another_one_who_could_command_is_enough_to_refuse(lab, codec):
         lab.until(lambda: lab.arm().code == "other_owner")
         assert "somebody else could command it" in lab.arm().reason
     lab.ready()
+
+
+def test_a_grasp_whose_fingers_would_go_through_the_tissue_is_refused_and_nothing_is_sent(lab):
+    def seen_at(depth_m):
+        camera, at_ns = RectifiedStereo(640, 480, 600.0, 600.0, 320.0, 240.0, 0.005, 1.0), now_ns()
+        u, v = np.arange(5.0, 640, 10), np.arange(5.0, 480, 10)
+        depth = np.full((len(v), len(u)), depth_m)
+        surface = TissueSurface(FrameStamp(1, at_ns, at_ns, "c"), camera, u, v, depth, depth > 0, 1e-3 * depth)
+        lab.said += lab.bridge.step(Received(SURFACE, "", 0, surface))
+
+    lab.ready()
+    seen_at(0.07)
+    answer = lab.arm()
+    assert (answer.outcome, answer.code) == (Outcome.REFUSED, "tissue")
+    assert "behind the tissue" in answer.reason
+    assert lab.verdict()["set_points"] == 0
+    seen_at(0.09)
+    assert lab.arm().outcome is Outcome.ACCEPTED
 
 
 @pytest.mark.parametrize("dry_run", [True])
