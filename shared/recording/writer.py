@@ -5,9 +5,10 @@ time that writing raw images takes, and saved none of their bytes.
 """
 
 import contextlib
+import functools
 from pathlib import Path
 
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.descriptor_pb2 import FileDescriptorProto, FileDescriptorSet
 from mcap.writer import CompressionType, Writer
 
 import schemas
@@ -41,7 +42,6 @@ class RecordingWriter:
             self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE, enable_data_crcs=True
         )
         self._writer.start(profile=PROFILE, library=LIBRARY)
-        self._descriptors = _descriptor_set()
         self._schemas: dict[str, int] = {}
         self._channels: dict[tuple[str, int, bool], int] = {}
         self._derived: dict[str, int] = {}
@@ -107,7 +107,8 @@ class RecordingWriter:
         if run not in self._channels:
             if len(self._channels) >= MOST_RUNS:
                 raise TooManyRunsError(f"{entry.key}: more than {MOST_RUNS} runs of publishers are in this file")
-            schema = self._schema(f"suturegrasp.v1.{topic.message.__name__}", self._descriptors)
+            name = topic.message.__name__
+            schema = self._schema(f"suturegrasp.v1.{name}", _descriptor_set(name))
             facts = {
                 "epoch": str(entry.epoch),
                 "delivery": topic.delivery.name.lower(),
@@ -124,7 +125,20 @@ class RecordingWriter:
         return self._schemas[name]
 
 
-def _descriptor_set() -> bytes:
-    descriptors = FileDescriptorSet()
-    suturegrasp_pb2.DESCRIPTOR.CopyToProto(descriptors.file.add())
-    return descriptors.SerializeToString()
+@functools.cache
+def _descriptor_set(message: str) -> bytes:
+    """A message with all that it holds; the whole of the file, for each type again, was a third of short ones."""
+    whole = FileDescriptorProto()
+    suturegrasp_pb2.DESCRIPTOR.CopyToProto(whole)
+    messages = {one.name: one for one in whole.message_type}
+    needed, waiting = set[str](), [message]
+    while waiting:
+        name = waiting.pop()
+        if name not in needed:
+            needed.add(name)
+            fields = messages[name].field if name in messages else ()
+            waiting += [field.type_name.split(".")[-1] for field in fields if field.type_name]
+    part = FileDescriptorProto(name=whole.name, package=whole.package, syntax=whole.syntax)
+    part.message_type.extend(one for one in whole.message_type if one.name in needed)
+    part.enum_type.extend(one for one in whole.enum_type if one.name in needed)
+    return FileDescriptorSet(file=[part]).SerializeToString(deterministic=True)
