@@ -39,6 +39,7 @@ def _told(results: Results) -> dict[str, Any]:
         "compared": [_compared(compared) for compared in results.compared],
         "causes": {named(row): causes for row, causes in results.causes.items()},
         "declined": {named(row): codes for row, codes in results.declined.items()},
+        "checks": {named(row): vars(checks) if checks else None for row, checks in results.checks.items()},
         "durations": {named(row): vars(took) if took else None for row, took in results.durations.items()},
     }
 

@@ -72,6 +72,22 @@ class Durations:
 
 
 @dataclass(frozen=True)
+class Checks:
+    """What the planner's own checks said of last attempts.
+
+    Fields:
+        said: how many checks said HELD, MISSED, UNKNOWN.
+        falsely_held, falsely_missed: how many of those that said so were wrong.
+        attempts: how many goals took how many attempts.
+    """
+
+    said: dict[str, int]
+    falsely_held: int
+    falsely_missed: int
+    attempts: dict[int, int]
+
+
+@dataclass(frozen=True)
 class Results:
     """Everything that the table says, for one size of the tool's error, or all (None).
 
@@ -90,6 +106,7 @@ class Results:
     causes: dict[Row, dict[str, int]]
     declined: dict[Row, dict[str, int]]
     durations: dict[Row, Durations | None]
+    checks: dict[Row, Checks | None]
 
 
 def results_of(protocol: Protocol, came: Sequence[Came], tool_error_mm: float | None = None) -> Results:
@@ -108,6 +125,7 @@ def results_of(protocol: Protocol, came: Sequence[Came], tool_error_mm: float | 
         causes={row: _codes(by_row[row], "failed") for row in rows},
         declined={row: _codes(by_row[row], "declined") for row in rows},
         durations={row: _durations(by_row[row]) for row in rows},
+        checks={row: _checks(by_row[row]) for row in rows},
     )
 
 
@@ -173,3 +191,15 @@ def _durations(came: list[Came]) -> Durations | None:
     if not len(took):
         return None
     return Durations(float(took[:, 0].mean()), float(took[:, 1].mean()), float((took[:, 0] / took[:, 1]).mean()))
+
+
+def _checks(came: list[Came]) -> Checks | None:
+    checked = [one for one in came if one.said is not None]
+    if not checked:
+        return None
+    return Checks(
+        said=dict(Counter(one.said for one in checked if one.said).most_common()),
+        falsely_held=sum(one.said == "HELD" and one.outcome == "failed" for one in checked),
+        falsely_missed=sum(one.said == "MISSED" and one.outcome == "held" for one in checked),
+        attempts=dict(sorted(Counter(one.attempts for one in came if one.outcome != "declined").items())),
+    )

@@ -10,7 +10,7 @@ from shared.success_rates import Interval
 
 def page(results: Results) -> str:
     """Table and sentences for one size of the tool's error."""
-    told = (*_compared(results), *_causes(results), *_durations(results), *_declined(results))
+    told = (*_compared(results), *_causes(results), *_durations(results), *_checks(results), *_declined(results))
     return "\n".join([*table(results), "", *(f"- {sentence}" for sentence in told)]) + "\n"
 
 
@@ -140,6 +140,21 @@ def _durations(results: Results) -> list[str]:
 def _duration(row: Row, took: Durations) -> str:
     least = f"{took.least_s:.1f} s that the speed limits alone ask for"
     return f"`{named(row)}` took {took.took_s:.1f} s on average, {took.ratio:.2f} times the {least}."
+
+
+def _checks(results: Results) -> list[str]:
+    told: list[str] = []
+    for row, checks in results.checks.items():
+        if checks is None:
+            continue
+        said = ", ".join(f"{verdict} {count}" for verdict, count in checks.said.items())
+        took = ", ".join(f"{attempts}: {count}" for attempts, count in checks.attempts.items())
+        share = 100 * checks.falsely_held / sum(checks.said.values())
+        told.append(
+            f"Checks of `{named(row)}` said {said}; falsely held {checks.falsely_held} ({share:.2f} % of checks), "
+            f"falsely missed {checks.falsely_missed}. Goals by attempts: {took}."
+        )
+    return told
 
 
 def _declined(results: Results) -> list[str]:
