@@ -1,6 +1,5 @@
 """The simulator agent: the field that the scene camera renders, and the judgement of every grasp in it."""
 
-import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -8,9 +7,11 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float64
 
+from agents.simulator.contact.physics import ContactPhysics
+from agents.simulator.errors import ToolError, hand_eye_error, tool_error
 from agents.simulator.field import MM, Field, distance_to_thread, field_of, s_of
-from agents.simulator.judgement import Grip, never_closed, sentence, slid_m
-from agents.simulator.world import World, held_sample, moved, thread_carried
+from agents.simulator.geometric import GeometricPhysics
+from agents.simulator.outcome import MeasuredArm, Outcome, Physics
 from schemas.messages import (
     CommandAnswer,
     ExecutionEvent,
@@ -21,7 +22,6 @@ from schemas.messages import (
     RectifiedStereo,
     RobotState,
     SimulatorState,
-    Verdict,
 )
 from schemas.topics import EXECUTION, JUDGEMENT, MAIN, PLAN, ROBOT_STATE, SIMULATOR_STATE, Topic
 from shared.rigid_transforms import apply, compose
@@ -56,6 +56,7 @@ class SimulatorConfig:
         hand_eye_error_mm, hand_eye_error_deg: the most by which an arm's tool is shifted, and turned about the middle
             of the thread, against where it is measured; drawn once for each arm, and constant from then on.
         error_seed: that these errors are drawn with; that of the field where it is None.
+        hand_eye_seed: that the error of registration is drawn with, where it is to be another one.
         physics: "geometric" judges by where the fingers pass, "contact" by the forces between thread, fingers and
             tissue, which needs MuJoCo (extra `sim`).
         tissue_force_limit_n: above which a grasp has failed, whatever it holds; only contact physics computes forces.
@@ -73,6 +74,7 @@ class SimulatorConfig:
     hand_eye_error_mm: float = 0.0
     hand_eye_error_deg: float = 0.0
     error_seed: int | None = None
+    hand_eye_seed: int | None = None
     physics: Literal["geometric", "contact"] = "geometric"
     tissue_force_limit_n: float = 1.0
     grip_depth_mm: float = 8.2
@@ -80,20 +82,12 @@ class SimulatorConfig:
     laid: int = settable(0, Between(0, 1_000_000))
 
 
-@dataclass(frozen=True)
-class _ToolError:
-    """How far an arm's tool is from where it is measured, while it carries out its n-th plan."""
-
-    plan_id: str
-    plans: int
-    offset_camera: Float64[np.ndarray, "3"]
-
-
 class Simulator:
     """A thread on tissue, what the jaws do to it, and a judgement of each plan that is carried out.
 
     Raises:
         SceneError, ShapeError: where the configuration names no field that can be drawn.
+        PhysicsError: where it asks for contact physics, and MuJoCo is not installed.
     """
 
     kind = "simulator"
@@ -109,21 +103,27 @@ class Simulator:
         in_mm = replace(config.camera, baseline=config.camera.baseline / MM, metres_per_unit=MM)
         if field is None:
             field = field_of(in_mm, config.config, config.background, config.distance_mm, config.seed)
-        self._drawn = field
-        self._world = World(field, field, {})
-        self._tool_errors: dict[str, _ToolError] = {}
+        self._physics: Physics = (
+            GeometricPhysics(field)
+            if config.physics == "geometric"
+            else ContactPhysics(field, config.tissue_force_limit_n)
+        )
+        self._middle_camera = field.points.mean(axis=0)
+        self._hand_eye: dict[str, Float64[np.ndarray, "4 4"]] = {}
+        self._tool_errors: dict[str, ToolError] = {}
         self._goal_error_m: dict[str, float] = {}
         # plans that were begun and have no verdict yet, and when those of them ended that have
-        self._begun: dict[str, tuple[str, Grip]] = {}
+        self._begun: dict[str, tuple[str, Outcome]] = {}
+        self._judged: dict[str, str] = {}
         self._finished_ns: dict[str, int] = {}
         self._now_ns = 0
 
     def configure(self, config: SimulatorConfig) -> None:
         """Go on with another config, in which only what may be set while the agent runs has changed."""
         if config.laid != self.config.laid:
-            # arms are followed from where they are seen next
-            self._world = World(self._drawn, self._drawn, {})
+            self._physics.lay()
             self._begun.clear()
+            self._judged.clear()
         self.config = config
 
     def step(self, arrived: Received | Tick | Command) -> Iterable[Output | CommandAnswer]:
@@ -143,36 +143,40 @@ class Simulator:
         for plan_id in late:
             del self._finished_ns[plan_id]
             if plan_id in self._begun:
-                arm, grip = self._begun.pop(plan_id)
-                yield self._judgement(arm, plan_id, never_closed(grip))
-        self._world = thread_carried(self._world)
+                arm, outcome = self._begun.pop(plan_id)
+                yield self._judgement(arm, plan_id, outcome)
+        self._physics.carry()
         yield Output(SIMULATOR_STATE, self._state())
 
     def _follow(self, state: RobotState) -> Iterable[Output]:
         """Take in a measured pose; a judgement where it settles the grasp."""
-        T_camera_tool = compose(state.T_camera_base, state.T_base_tool)
-        T_camera_tool[:3, 3] += self._tool_error(state)
-        before = self._world.arms.get(state.arm)
-        settled = before is not None and before.plan_id == state.plan_id and before.grip.verdict is not None
-        self._world = moved(self._world, state.arm, state.plan_id, T_camera_tool, state.jaw_rad)
-        grip = self._world.arms[state.arm].grip
-        if not state.plan_id or settled:
+        arm = MeasuredArm(state.arm, state.plan_id, self._true_pose(state), state.jaw_rad, state.measured_ns)
+        outcome = self._physics.follow(arm)
+        if not state.plan_id or self._judged.get(state.arm) == state.plan_id:
             return
         self._begun.pop(state.plan_id, None)
-        if grip.verdict is None:
-            _remember(self._begun, state.plan_id, (state.arm, grip))
+        if not outcome.settled:
+            _remember(self._begun, state.plan_id, (state.arm, outcome))
         else:
-            yield self._judgement(state.arm, state.plan_id, grip)
+            self._judged[state.arm] = state.plan_id
+            yield self._judgement(state.arm, state.plan_id, outcome)
 
-    def _tool_error(self, state: RobotState) -> Float64[np.ndarray, "3"]:
-        """The error of the arm's tool, drawn anew for each plan."""
-        error = self._tool_errors.get(state.arm, _ToolError("", 0, np.zeros(3)))
+    def _true_pose(self, state: RobotState) -> Float64[np.ndarray, "4 4"]:
+        """Where the arm's tool is, as opposed to where it is measured."""
+        config = self.config
+        seed = config.seed if config.error_seed is None else config.error_seed
+        if state.arm not in self._hand_eye:
+            registered = seed if config.hand_eye_seed is None else config.hand_eye_seed
+            self._hand_eye[state.arm] = hand_eye_error(
+                registered, state.arm, config.hand_eye_error_mm, config.hand_eye_error_deg, self._middle_camera
+            )
+        error = self._tool_errors.get(state.arm, ToolError("", 0, np.zeros(3)))
         if state.plan_id not in ("", error.plan_id):
-            rng = np.random.default_rng([self.config.seed, zlib.crc32(state.arm.encode()), error.plans])
-            drawn = rng.normal(0.0, MM * self.config.tool_error_mm, 3)
-            error = _ToolError(state.plan_id, error.plans + 1, drawn)
+            error = tool_error(seed, state.arm, state.plan_id, error.plans, config.tool_error_mm)
             self._tool_errors[state.arm] = error
-        return error.offset_camera
+        T_camera_tool = compose(self._hand_eye[state.arm], compose(state.T_camera_base, state.T_base_tool))
+        T_camera_tool[:3, 3] += error.offset_camera
+        return T_camera_tool
 
     def _note_end(self, event: ExecutionEvent) -> None:
         if event.kind is ExecutionKind.FINISHED:
@@ -187,26 +191,27 @@ class Simulator:
             return
         goal_tool = np.array([[0.0, 0.0, MM * self.config.grip_depth_mm]])
         goal_camera = apply(grasps[-1].T_camera_tool, goal_tool)[0]
-        _remember(self._goal_error_m, plan.plan_id, distance_to_thread(self._world.field, goal_camera))
+        _remember(self._goal_error_m, plan.plan_id, distance_to_thread(self._physics.field, goal_camera))
 
-    def _judgement(self, name: str, plan_id: str, grip: Grip) -> Output:
-        verdict, error_m = grip.verdict, self._goal_error_m.get(plan_id)
-        assert verdict is not None  # noqa: S101 - only settled grasps are judged
-        caught = grip.sample if verdict is Verdict.HELD else None
+    def _judgement(self, name: str, plan_id: str, outcome: Outcome) -> Output:
+        error_m = self._goal_error_m.get(plan_id)
         judgement = GraspJudgement(
             plan_id=plan_id,
             arm=name,
             at_ns=self._now_ns,
-            verdict=verdict,
-            s_caught=None if caught is None else s_of(caught),
-            slid_m=slid_m(grip, self._world.field),
+            verdict=outcome.verdict,
+            s_caught=outcome.s_caught,
+            slid_m=outcome.slid_m,
             error_m=error_m,
-            sentence=sentence(grip, self._world.field, error_m),
+            sentence=outcome.sentence + ("" if error_m is None else f"; true error {1e3 * error_m:.1f} mm"),
+            peak_tissue_force_n=outcome.peak_tissue_force_n,
+            slipped_m=outcome.slipped_m,
+            code=outcome.code,
         )
         return Output(JUDGEMENT, judgement)
 
     def _state(self) -> SimulatorState:
-        config, field, held = self.config, self._world.field, held_sample(self._world)
+        config, field, held = self.config, self._physics.field, self._physics.held_sample
         return SimulatorState(
             at_ns=self._now_ns,
             camera=config.camera,

@@ -9,6 +9,7 @@ only, and its free ends are drawn in or pushed out. Tissue does not give: no par
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float64
@@ -130,10 +131,23 @@ def _floor(surface: Surface, points: Float64[np.ndarray, "n 3"]) -> Float64[np.n
 
 def _fitted(field: Field, points: Float64[np.ndarray, "n 3"]) -> Field:
     """The field with the spline nearest to the points as its thread."""
-    knots = clamped_uniform_knots(max(round(field.length_m / CONTROL_SPACING_M), 1) + DEGREE, DEGREE)
-    basis = basis_matrix(knots, DEGREE, np.linspace(0.0, 1.0, SAMPLES))
+    control = fitted_control_points(field.length_m)
+    basis = fitting_basis(control)
     control_points = np.linalg.solve(basis.T @ basis, basis.T @ points)
+    knots = clamped_uniform_knots(control, DEGREE)
     return replace(field, knots=knots, control_points=control_points, points=basis @ control_points)
+
+
+def fitted_control_points(length_m: float) -> int:
+    """How many control points the spline of a thread that has moved has."""
+    return max(round(length_m / CONTROL_SPACING_M), 1) + DEGREE
+
+
+@lru_cache(maxsize=16)
+def fitting_basis(control_points: int) -> Float64[np.ndarray, "n m"]:
+    """From control points of a clamped uniform spline to the SAMPLES places along it."""
+    knots = clamped_uniform_knots(control_points, DEGREE)
+    return basis_matrix(knots, DEGREE, np.linspace(0.0, 1.0, SAMPLES))
 
 
 def starting_first(camera: RectifiedStereo, thread: Thread) -> Thread:

@@ -92,20 +92,35 @@ def slid_m(grip: Grip, field: Field) -> float:
     return abs(s_of(grip.sample) - s_of(grip.captured)) * field.length_m
 
 
-def sentence(grip: Grip, field: Field, error_m: float | None) -> str:
+def code(grip: Grip) -> str:
+    """The reason in one word."""
+    if grip.verdict is Verdict.HELD:
+        return "HELD"
+    if grip.verdict is Verdict.LOST:
+        return "SLIPPED_ON_SLIDE"
+    if grip.offset is None:
+        return "NEVER_CLOSED" if _was_open(grip) else "NEVER_OPENED"
+    return where_code(grip.offset.where)
+
+
+def where_code(where: str) -> str:
+    """In one word, where a thread lay that was missed."""
+    return where.removesuffix(" of the fingers").removesuffix(" the fingers").upper().replace(" ", "_")
+
+
+def sentence(grip: Grip, field: Field) -> str:
     """What became of the grasp, in plain words."""
-    error = "" if error_m is None else f"; true error {1e3 * error_m:.1f} mm"
     at = "" if grip.sample is None else f"at {100 * s_of(grip.sample):.0f} %"
     slid = 1e3 * slid_m(grip, field)
     if grip.verdict is Verdict.HELD:
-        return f"grasp held: caught {at}{f', slid {slid:.0f} mm' if slid >= 0.5 else ''}{error}"
+        return f"grasp held: caught {at}{f', slid {slid:.0f} mm' if slid >= 0.5 else ''}"
     if grip.verdict is Verdict.LOST:
-        return f"grasp lost: the thread slipped out {at} after sliding {slid:.0f} mm{error}"
+        return f"grasp lost: the thread slipped out {at} after sliding {slid:.0f} mm"
     if grip.offset is None:
-        return f"grasp missed: the fingers never {'closed' if _was_open(grip) else 'opened'}{error}"
+        return f"grasp missed: the fingers never {'closed' if _was_open(grip) else 'opened'}"
     if grip.offset.distance_m == 0:
-        return f"grasp missed: the thread lay {grip.offset.where}{error}"
-    return f"grasp missed: the thread lay {1e3 * grip.offset.distance_m:.1f} mm {grip.offset.where}{error}"
+        return f"grasp missed: the thread lay {grip.offset.where}"
+    return f"grasp missed: the thread lay {1e3 * grip.offset.distance_m:.1f} mm {grip.offset.where}"
 
 
 def fingertip(T_camera_tool: Float64[np.ndarray, "4 4"]) -> Float64[np.ndarray, "3"]:
