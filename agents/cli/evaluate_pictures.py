@@ -63,13 +63,17 @@ def moments(view: FieldView, entries: Sequence[Entry]) -> list[tuple[str, Bgr]]:
 
 
 def strip(named: Sequence[tuple[str, Bgr]]) -> Bgr:
-    """Pictures side by side, each under its name."""
-    told: list[Bgr] = []
+    """Pictures side by side, each under its name; what begins again with the first name is a row of its own."""
+    rows: list[list[Bgr]] = []
     for name, image in named:
         under = image.copy()
         cv2.putText(under, name, (8, 22), cv2.FONT_HERSHEY_SIMPLEX, 0.6, WHITE, 2, cv2.LINE_AA)
-        told.append(under)
-    return np.hstack(told)
+        if name == named[0][0]:
+            rows.append([])
+        rows[-1].append(under)
+    longest = max(map(len, rows))
+    blank = np.full_like(named[0][1], 255)
+    return np.vstack([np.hstack([*row, *[blank] * (longest - len(row))]) for row in rows])
 
 
 def _around(pair: Pair, arm: RobotState, field: SimulatorState) -> Bgr:

@@ -18,7 +18,7 @@ from agents.cli.rig import ReconstructionSection, RigConfig, simulated_rig
 from agents.evaluation.came import Came
 from agents.evaluation.least_time import SpeedLimits
 from agents.evaluation.look import Look, looked, seen_places
-from agents.evaluation.protocol import Laid, MethodName, Protocol, Trial, injected_m, tool_seed
+from agents.evaluation.protocol import Laid, MethodName, Protocol, Trial, hand_eye_seed, injected_m, tool_seed
 from agents.evaluation.trial import CAPTURED_NS, Again, Cast, Told, carried_out
 from agents.planner.agent import Planner
 from agents.planner.config import PlannerConfig
@@ -120,6 +120,7 @@ class Table:
             hand_eye_error_mm=self.protocol.hand_eye_mm,
             hand_eye_error_deg=self.protocol.hand_eye_deg,
             error_seed=tool_seed(self.protocol, trial),
+            hand_eye_seed=hand_eye_seed(self.protocol, self.laid),
             physics=self.protocol.judge,
         )
 
