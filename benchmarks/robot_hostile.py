@@ -11,6 +11,7 @@ import contextlib
 import logging
 import multiprocessing
 import os
+import signal
 import sys
 from collections import Counter
 from dataclasses import dataclass, field
@@ -53,7 +54,8 @@ def hostile(count: int, seed: int = 0, processes: int | None = None) -> dict[str
     worlds = [(seed, k, min(CASES_PER_WORLD, count - at)) for k, at in enumerate(range(0, count, CASES_PER_WORLD))]
     processes = min(len(worlds), processes or os.cpu_count() or 1)
     total, said_s = _Total(), monotonic_s()
-    with contextlib.ExitStack() as stack:
+    with contextlib.ExitStack() as stack, contextlib.suppress(KeyboardInterrupt):
+        # whoever does not wait for the end is told what was found until then
         run = map if processes == 1 else stack.enter_context(_pool(processes)).imap_unordered
         for one in run(_world, worlds):
             total.add(one)
@@ -64,9 +66,13 @@ def hostile(count: int, seed: int = 0, processes: int | None = None) -> dict[str
 
 
 def _pool(processes: int) -> Any:
-    return multiprocessing.get_context("spawn").Pool(
-        processes, initializer=logging.disable, initargs=(logging.WARNING,)
-    )
+    return multiprocessing.get_context("spawn").Pool(processes, initializer=_begin)
+
+
+def _begin() -> None:
+    """Say nothing of what hostile plans make a bridge say, and leave Ctrl-C to who started this."""
+    logging.disable(logging.WARNING)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 @dataclass
