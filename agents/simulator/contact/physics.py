@@ -1,6 +1,7 @@
 """Grasps by contact, as the agent sees them: arms that are measured, and what comes of it."""
 
 from agents.simulator.contact.grasp import Attempt, noted, outcome
+from agents.simulator.contact.material import SUTURE, Material
 from agents.simulator.contact.world import ContactWorld, Pose
 from agents.simulator.field import MM, Field
 from agents.simulator.outcome import MeasuredArm, Outcome
@@ -16,9 +17,9 @@ class ContactPhysics:
         PhysicsError: where MuJoCo is not installed.
     """
 
-    def __init__(self, field: Field, tissue_force_limit_n: float) -> None:
+    def __init__(self, field: Field, tissue_force_limit_n: float, material: Material = SUTURE) -> None:
         self._limit_n = tissue_force_limit_n
-        self._world = ContactWorld(field)
+        self._world = ContactWorld(field, material)
         self._grasps: dict[str, tuple[str, Attempt]] = {}
         self._measured_ns: dict[str, int] = {}
 
