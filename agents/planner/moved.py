@@ -5,10 +5,13 @@ same everywhere. So the displacement common to thread that is too far away to ha
 nearest points in a few rounds with weights that fall off for what does not fit, and is taken off. What counts then is
 where the later curve passes through the plane across the thread at the goal:
 
-    m = u · (x − b − t),   σ² = uᵀ (Σ_before + Σ_after + Σ_t) u,
+    m = u · (x − b − t),   σ² = f uᵀ (Σ_before + Σ_after + Σ_t) u,
 
 with b the goal before, t the common displacement, x the passage that is nearest to the way from b to b + d, and u the
-direction of d, the tool's motion across the thread.
+direction of d, the tool's motion across the thread. Much of what a reconstruction may be wrong by is the same in both
+and falls out of their difference. How much, the thread that lies still tells: f is the mean square of what is left of
+its displacement over what both covariances allow for, one more independent piece taken to be as wrong as they say, and
+at most 1.
 """
 
 from dataclasses import dataclass
@@ -26,6 +29,8 @@ COMMON_M, UNSEEN_COMMON_M = 0.01, 0.001
 """Deviations of the common displacement: before it is looked for, and where nothing is far enough to tell it."""
 TOGETHER_M = 0.006
 """Errors of one reconstruction go together so far along the thread."""
+LEAST_M = 0.0002
+"""No two reconstructions are compared more finely: thread shifts a little wherever it is pulled at."""
 BESIDE_M = 0.006
 """A passage farther from the way of the tool is another part of the thread, or none."""
 
@@ -58,7 +63,7 @@ def motion(
     """
     points = before.points_camera
     tangents = unit_vectors(np.gradient(points, axis=0))
-    common, common_covariance = _common(before, goal, tangents, after)
+    common, common_covariance, repeated = _common(before, goal, tangents, after)
     tangent = tangents[goal]
     across = tool_moved - (tool_moved @ tangent) * tangent
     lifted = float(np.linalg.norm(across))
@@ -77,31 +82,36 @@ def motion(
     if off[nearest] > BESIDE_M:
         return None
     covariance = before.covariance[goal] + after.covariance[passes[nearest]] + common_covariance
-    deviation = float(np.sqrt(max(way @ covariance @ way, 0.0)))
+    deviation = float(np.sqrt(max(repeated * (way @ covariance @ way), 0.0)))
     return Motion(lifted, float(along[nearest]), deviation, float(beside[nearest]))
 
 
 def _common(
     before: ThreadAround, goal: int, tangents: Float64[np.ndarray, "n 3"], after: ThreadAround
-) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3 3"]]:
-    """The displacement of all that lies still, and its covariance."""
+) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3 3"], float]:
+    """The displacement of all that lies still, its covariance, and by how much variances are too large for it."""
     points = before.points_camera
     arc = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))))
     far = np.flatnonzero(np.abs(arc - arc[goal]) >= FAR_M)
     if len(far) < ENOUGH_FAR:
-        return np.zeros(3), UNSEEN_COMMON_M**2 * np.eye(3)
+        return np.zeros(3), UNSEEN_COMMON_M**2 * np.eye(3), 1.0
     spacing_m = arc[-1] / max(len(arc) - 1, 1)
     normal = np.eye(3) - tangents[far, :, None] * tangents[far, None, :]
     common, prior = np.zeros(3), np.eye(3) / COMMON_M**2
-    information = prior
+    information, squares = prior, np.ones(len(far))
     for _ in range(ROUNDS):
         offset = after.points_camera[None] - (points[far] + common)[:, None]
         nearest = np.argmin((offset**2).sum(axis=2), axis=1)
         left = np.einsum("nij,nj->ni", normal, offset[np.arange(len(far)), nearest])
         scale = (FITS_M**2) * np.eye(3)
-        weight = np.linalg.inv(before.covariance[far] + after.covariance[nearest] + scale)
+        allowed = before.covariance[far] + after.covariance[nearest]
+        # across the thread there are two directions
+        squares = 0.5 * np.einsum("ni,nij,nj->n", left, np.linalg.inv(allowed + LEAST_M**2 * np.eye(3)), left)
+        weight = np.linalg.inv(allowed + scale)
         weight = normal @ weight @ normal * (1.0 / (1.0 + (left**2).sum(axis=1) / FITS_M**2))[:, None, None]
         information = weight.sum(axis=0) + prior
         common = common + np.linalg.solve(information, np.einsum("nij,nj->i", weight, left) - prior @ common)
     together = max(TOGETHER_M / max(spacing_m, 1e-6), 1.0)
-    return common, np.linalg.inv(information / together + prior)
+    pieces = len(far) / together
+    repeated = min((float(squares.mean()) * pieces + 1.0) / (pieces + 1.0), 1.0)
+    return common, np.linalg.inv(information / together + prior), repeated
