@@ -126,14 +126,17 @@ class Table:
 
 
 def tried_on(protocol: Protocol, laid: Laid, trials: list[Trial], folder: Path) -> Generator[Came]:
-    """What comes of each of the trials of a thread.
+    """What comes of each of the trials of a thread; an agent that raises has failed, and says why.
 
     Raises:
         SceneError: where the thread cannot be laid.
     """
     table = Table(protocol, laid, folder)
     for trial in trials:
-        yield table.tried(trial).came
+        try:
+            yield table.tried(trial).came
+        except Exception as error:
+            yield Came(trial=trial, outcome="failed", code="FAULT", sentence=f"{type(error).__name__}: {error}")
 
 
 def look_at(images: Pair, calibration: StereoCalibration, method: MethodName, captured_ns: int, sequence: int) -> Look:
