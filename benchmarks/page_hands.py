@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import json
 import shutil
 import signal
 import subprocess
@@ -23,7 +24,8 @@ GOAL_PLACE = f"""(() => {{
   const [u, v] = thread.px[Math.round({SHARE} * (thread.px.length - 1))];
   return [box.x + (u + 0.5) * box.width / header.width, box.y + (v + 0.5) * box.height / header.height];
 }})()"""
-PLANNED = "suturegrasp.panel.state.goals.psm1?.text === '' && suturegrasp.plans.psm1?.ok"
+PLANNED = "suturegrasp.panel.state.goals.psm1?.text === '' && suturegrasp.plans.psm1?.ok && suturegrasp.plans.psm1.id"
+NEWER = f"((id) => id && id !== BEFORE && id)({PLANNED})"
 TABLE = "paged_cut"
 
 
@@ -52,8 +54,9 @@ async def moving(page: Page, rig: Rig) -> tuple[float, float]:
                 await page.click("#take")
                 await page.until("suturegrasp.panel.state.controller === suturegrasp.panel.state.you", 20.0)
             await page.value("document.getElementById('picture').scrollIntoView()")
+            before = json.dumps(await page.value("suturegrasp.plans.psm1?.id"))
             await page.click_at(*await page.value(GOAL_PLACE))
-            await page.until(PLANNED, 6.0)
+            await page.until(NEWER.replace("BEFORE", before), 6.0)
             x, y = await page.middle("#press")
             await page.mouse("mouseMoved", x, y)
             await page.mouse("mousePressed", x, y)

@@ -60,7 +60,9 @@ class Beside:
             self._voice.refuse(screen, str(error))
             return
         self.finished.pop(arm, None)
-        await choosing.placed(screen, arm, policy, s)
+        planning = choosing.placed(screen, arm, policy, s)
+        if planning is not None:
+            await planning
 
     async def judge(self, screen: str, held: bool, cause: str, note: str) -> None:
         """Whether the grasp that has finished held."""

@@ -1,6 +1,7 @@
 """Goals: from a click, a place or an experiment's list to a plan, and which thread is meant."""
 
 import asyncio
+from collections.abc import Coroutine
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,8 @@ from shared.clock import monotonic_s
 PASSING = ("no_thread", "thread_stale", "thread_restarted", "arm_stale")
 AGAIN_S, AGAIN_FOR_S = 0.15, 3.0
 
+Awaiting = Coroutine[Any, Any, None] | None
+
 
 class Choosing:
     """The goal of each arm.
@@ -28,21 +31,21 @@ class Choosing:
         self._field, self._commands, self._voice = field, commands, voice
         self.goals: dict[str, dict[str, Any]] = {}
 
-    async def clicked(self, screen: str, said: Click) -> None:
-        """A goal at the thread's place nearest to a click, on the thread that the page showed."""
+    def clicked(self, screen: str, said: Click) -> Awaiting:
+        """A goal at the thread's place nearest to a click, on the thread that the page showed; what is then to do."""
         thread = self._field.threads.get(said.frame) or self._field.thread
         found = [] if thread is None else snapped(thread, said.pixel)
         if found:
-            await self._choose(screen, said.arm, said.policy, found)
-        else:
-            self._voice.refuse(screen, "no thread is near that place; click on the thread")
+            return self._choose(screen, said.arm, said.policy, found)
+        self._voice.refuse(screen, "no thread is near that place; click on the thread")
+        return None
 
-    async def placed(self, screen: str, arm: str, policy: str, s: float) -> None:
-        """A goal at s."""
-        if self._field.thread is None or not 0 <= s <= 1:
-            self._voice.refuse(screen, "there is no such place on a thread that is seen now")
-        else:
-            await self._choose(screen, arm, policy, [at_place(self._field.thread, s)])
+    def placed(self, screen: str, arm: str, policy: str, s: float) -> Awaiting:
+        """A goal at s; what is then to do."""
+        if self._field.thread is not None and 0 <= s <= 1:
+            return self._choose(screen, arm, policy, [at_place(self._field.thread, s)])
+        self._voice.refuse(screen, "there is no such place on a thread that is seen now")
+        return None
 
     async def prompt(self, screen: str, pixel: tuple[float, float] | None) -> None:
         """Say which thread is meant."""
@@ -62,18 +65,24 @@ class Choosing:
         if goal is not None and goal["goal_id"] in ("", goal_id):
             goal |= {"text": "", "goal_id": goal_id}
 
-    async def _choose(self, screen: str, arm: str, policy: str, found: list[Snapped]) -> None:
+    def _choose(self, screen: str, arm: str, policy: str, found: list[Snapped]) -> Awaiting:
         voice = self._voice
         if arm not in self._field.arms() or policy not in POLICIES:
             voice.refuse(screen, "there is no such arm or policy")
-            return
+            return None
         if not voice.written(screen, "goal", arm=arm, s=round(found[0].s, 4), policy=policy):
-            return
+            return None
         others = [each.document() for each in found[1:]]
         goal = {"at": found[0].document(), "others": others, "policy": policy, "text": "Planning ...", "goal_id": ""}
         self.goals[arm] = goal
+        # from now on nobody is to arm the plan of another goal
+        self._field.plans.pop(arm, None)
         voice.changed.set()
-        goal_id, answer = await self._asked(goal, arm, found[0].s)
+        return self._plan(goal, arm, found[0].s)
+
+    async def _plan(self, goal: dict[str, Any], arm: str, s: float) -> None:
+        voice = self._voice
+        goal_id, answer = await self._asked(goal, arm, s)
         if self.goals[arm] is not goal:
             return
         if answer.outcome is not Outcome.ACCEPTED:

@@ -128,10 +128,10 @@ class Desk:
             return
         start, choosing, beside = self._standing_by.start, self._choosing, self._beside
         match said:
-            case Click():
-                start(choosing.clicked(name, said))
-            case Place(s, arm, policy):
-                start(choosing.placed(name, arm, policy, s))
+            case Click() if planning := choosing.clicked(name, said):
+                start(planning)
+            case Place(s, arm, policy) if planning := choosing.placed(name, arm, policy, s):
+                start(planning)
             case PromptAt(pixel):
                 start(choosing.prompt(name, pixel))
             case Record(on):
@@ -201,6 +201,7 @@ class Desk:
             "arms": [{"arm": arm, "mode": field.mode(arm)} for arm in field.arms()],
             "press": pressed,
             "goals": self._choosing.goals,
+            "plan_ids": {arm: plan["id"] for arm, plan in field.plans.items()},
             "judgements": field.judgements,
             "checks": field.checks,
             "to_judge": bool(self._beside.finished) and self._has_trials,

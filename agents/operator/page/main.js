@@ -48,7 +48,11 @@ link = await connect({
     picture.take(header, blob);
   },
   plan({ plan }) { plans[plan.arm] = plan; refresh(); },
-  state(state) { panel.take(state); refresh(); },
+  state(state) {
+    for (const name of Object.keys(plans)) if (plans[name].id !== state.plan_ids[name]) delete plans[name];
+    panel.take(state);
+    refresh();
+  },
   refused({ text }) { panel.refused(text); deadman?.release("it was refused"); },
   lost() { deadman?.release("the connection was lost"); panel.lost(); },
   shut(text) { panel.shut(text); },

@@ -40,12 +40,14 @@ config = "easy"
 folder = "{folder}"
 """
 GOAL_PLACE = """(() => {
+  scrollTo(0, 0);
   const { thread, canvas, header } = suturegrasp.picture;
   const box = canvas.getBoundingClientRect();
   const [u, v] = thread.px[Math.round(SHARE * (thread.px.length - 1))];
   return [box.x + (u + 0.5) * box.width / header.width, box.y + (v + 0.5) * box.height / header.height];
 })()"""
-PLANNED = "suturegrasp.panel.state.goals.psm1?.text === '' && suturegrasp.plans.psm1?.ok"
+PLANNED = "suturegrasp.panel.state.goals.psm1?.text === '' && suturegrasp.plans.psm1?.ok && suturegrasp.plans.psm1.id"
+NEWER = f"((id) => id && id !== BEFORE && id)({PLANNED})"
 MOVES = "suturegrasp.panel.state.arms[0].mode === 'moving'"
 
 
@@ -108,9 +110,10 @@ async def planned(page, share):
     """Click the thread until there is a plan: on a busy machine thread or arm may be too old for the planner."""
     for _ in range(20):
         await page.until("suturegrasp.picture.thread", STARTS_S)
+        before = json.dumps(await page.value("suturegrasp.plans.psm1?.id"))
         await page.click_at(*await page.value(GOAL_PLACE.replace("SHARE", str(share))))
         try:
-            return await page.until(PLANNED, 5.0)
+            return await page.until(NEWER.replace("BEFORE", before), 5.0)
         except BrowserError:
             continue
     raise AssertionError(await page.words())
@@ -128,7 +131,7 @@ async def armed(page, share=0.4):
             return x, y
         except BrowserError:
             await page.mouse("mouseReleased", x, y)
-    raise AssertionError(await page.words())
+    raise AssertionError(await page.value("[...suturegrasp.panel.state.lines, suturegrasp.panel.note].join(' | ')"))
 
 
 def test_a_person_sees_clicks_previews_arms_and_holds(rig):

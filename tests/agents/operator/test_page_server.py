@@ -202,6 +202,10 @@ def test_pages_that_do_not_control_move_nothing_and_control_is_handed_over(rig):
             for said in ({"kind": "press", "arm": "psm1", "plan_id": plan["id"]}, {"kind": "prompt", "pixel": None}):
                 await second.socket.send_json(said)
                 assert "screen 1 controls" in (await second.heard(lambda m: m["kind"] == "refused"))["text"]
+            # nor does whoever controls, once another goal was named
+            await first.say("place", s=0.8, arm="psm1", policy="direct")
+            await first.say("press", arm="psm1", plan_id=plan["id"])
+            assert "not the newest plan" in (await first.heard(lambda m: m["kind"] == "refused"))["text"]
             await second.say("take")
             await first.state(lambda s: s["asking"] == "screen 2")
             await first.say("give", yes=True)
