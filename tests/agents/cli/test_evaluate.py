@@ -1,7 +1,9 @@
 """`suturegrasp evaluate grasping` with real agents on drawn fields: trials, resuming, recording and refusals."""
 
 import json
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from agents.cli.evaluate_trials import Table
@@ -35,14 +37,40 @@ def test_a_goal_is_grasped_from_its_image_to_the_lift_and_is_not_tried_twice(tmp
     assert json.loads(lines[1])["sentence"] in capsys.readouterr().out
 
 
-def test_after_a_grasp_the_thread_is_looked_at_again(tmp_path):
+@pytest.fixture(scope="module")
+def table(tmp_path_factory):
+    """One thread on a field, goals on which may be tried twice."""
     told = {"scenarios": ("easy/chicken",), "seed": 1, "threads": 1, "goals": 3, "policies": ("direct",)}
     told |= {"methods": ("refined",), "images": "light", "judge": "geometric", "tool_errors_mm": (0.7,)}
     protocol = Protocol.model_validate(told | {"hand_eye_mm": 0, "hand_eye_deg": 0, "attempts": 2})
-    laid = threads_of(protocol)[0]
-    came = Table(protocol, laid, tmp_path).tried(list(trials_on(protocol, laid))[1]).came
+    return Table(protocol, threads_of(protocol)[0], tmp_path_factory.mktemp("evaluated"))
+
+
+@pytest.fixture
+def trial(table):
+    return list(trials_on(table.protocol, table.laid))[1]
+
+
+def test_after_a_grasp_the_thread_is_looked_at_again(table, trial):
+    came = table.tried(trial).came
     assert came.said in ("HELD", "MISSED", "UNKNOWN")
     assert 1 <= came.attempts <= 2
+
+
+def test_a_thread_out_of_reach_is_declined_with_a_reason(table, trial, monkeypatch):
+    monkeypatch.setitem(table._looks, "refined", table.look("refined").moved(np.array([0.0, 0.0, 0.3])))
+    came = table.tried(trial).came
+    assert (came.outcome, came.code) == ("declined", "rejected")
+    assert "unreachable" in came.sentence
+
+
+def test_an_empty_field_is_declined_with_a_reason(table, trial, monkeypatch):
+    grey = np.full_like(table.scenery.images[0], 110)
+    monkeypatch.setattr(table, "scenery", replace(table.scenery, images=(grey, grey)))
+    monkeypatch.setattr(table, "_looks", {})
+    came = table.tried(trial).came
+    assert (came.outcome, came.code) == ("declined", "no_thread")
+    assert came.sentence
 
 
 @pytest.mark.parametrize(
