@@ -116,16 +116,19 @@ class PageServer:
             await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=b"this link was used")
             return socket
         name, secret = entered
+        # whoever has the newest secret is that page, come back before its old connection was found to be dead
+        self._desk.leave(name)
         screen = Screen(name, socket.send_str, socket.send_bytes)
         screen.say({"kind": "welcome", "you": name, "secret": secret})
         self._desk.join(screen)
         sending = asyncio.ensure_future(screen.send_all())
         sending.add_done_callback(_ended)
         try:
-            await self._listen(socket, name)
+            await self._listen(socket, screen)
         finally:
             # nothing that may wait comes before this
-            self._desk.leave(name)
+            if self._desk.screens.get(name) is screen:
+                self._desk.leave(name)
             sending.cancel()
             with contextlib.suppress(ConnectionError, TimeoutError):
                 await socket.close()
@@ -138,12 +141,13 @@ class PageServer:
             said = parsed(message.data) if message.type is WSMsgType.TEXT else None
         except (TimeoutError, WireError):
             return None
-        entered = self._access.enter(said.secret) if isinstance(said, Hello) else None
-        return entered if entered is not None and entered[0] not in self._desk.screens else None
+        return self._access.enter(said.secret) if isinstance(said, Hello) else None
 
-    async def _listen(self, socket: web.WebSocketResponse, name: str) -> None:
+    async def _listen(self, socket: web.WebSocketResponse, screen: Screen) -> None:
         malformed = 0
         async for message in socket:
+            if self._desk.screens.get(screen.name) is not screen:
+                return
             try:
                 if message.type is not WSMsgType.TEXT:
                     raise WireError("pages send text")
@@ -156,7 +160,7 @@ class PageServer:
                 if malformed >= MOST_MALFORMED:
                     return
                 continue
-            self._desk.take(name, said)
+            self._desk.take(screen.name, said)
 
 
 @contextlib.asynccontextmanager

@@ -214,6 +214,23 @@ def test_pages_that_do_not_control_move_nothing_and_control_is_handed_over(rig):
     served(rig, scenario)
 
 
+def test_a_page_that_comes_back_takes_the_place_of_its_dead_connection_which_is_let_go_of(rig):
+    async def scenario(served):
+        async with served.page() as page, aiohttp.ClientSession(headers={"Origin": served.address[:-1]}) as session:
+            await page.armed()
+            async with session.ws_connect(f"{served.address}ws") as socket:
+                again = Client(socket)
+                await again.say("hello", secret=page.secret)
+                assert (await again.heard(lambda m: m["kind"] == "welcome"))["you"] == "screen 1"
+                await held(served, "hold_command")
+                await page.say("place", s=0.8, arm="psm1", policy="direct")  # nobody listens to it any more
+                state = await again.state(lambda s: s["controller"] == "screen 1")
+                assert state["screens"] == ["screen 1"]
+                assert (await again.planned())["s_goal"] == pytest.approx(0.2)
+
+    served(rig, scenario)
+
+
 def test_what_is_hostile_gets_no_command_through(rig):
     async def scenario(served):
         address, rng = served.address, random.Random(7)
