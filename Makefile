@@ -75,7 +75,7 @@ lock: .venv/dev.done ## renew requirements/*.lock (names, versions and hashes on
 	@cp requirements/runtime.lock requirements/sim.lock # what both need, in the same versions
 	@$(LOCK) --extra build --extra sim --output-file requirements/sim.lock pyproject.toml
 
-sim: .venv/sim.done ## the path tracer of suturegrasp scenes render (docs/scene.md)
+sim: .venv/sim.done ## path tracer and contact physics, for suturegrasp scenes render and evaluate grasping
 
 clean: ## remove the virtual environment and outputs
 	@rm -rf .venv out
@@ -97,6 +97,6 @@ clean: ## remove the virtual environment and outputs
 	@touch $@
 
 .venv/sim.done: requirements/sim.lock .venv/runtime.done
-	@echo "installing the path tracer (once) ..."
+	@echo "installing the path tracer and contact physics (once) ..."
 	@$(INSTALL) --require-hashes -r requirements/sim.lock
 	@touch $@

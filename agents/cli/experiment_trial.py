@@ -33,7 +33,7 @@ PASSING = ("stale", "not_ready", "busy", "clock", "moved", "unknown_plan", "repl
 SETTLED_THREADS = 4
 """Seen after a thread was laid; tracking may need a few to leave the one before."""
 SENDER = "suturegrasp experiment"
-CAUSE_OF: dict[Verdict, Cause] = {Verdict.MISSED: "missed", Verdict.LOST: "slipped"}
+CAUSE_OF: dict[Verdict, Cause] = {Verdict.MISSED: "missed", Verdict.LOST: "slipped", Verdict.FORCE_EXCEEDED: "tissue"}
 
 
 class ExperimentError(RuntimeError):

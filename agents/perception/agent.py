@@ -11,6 +11,7 @@ from agents.perception.frame_checks import apart, mismatch
 from agents.perception.judging.each_frame import judge_each, lasting, one_eye_stands_still, pictured
 from agents.perception.judging.whole import judge_whole
 from agents.perception.observe import observe
+from agents.perception.occluders import instruments_in
 from agents.perception.prompt import reach_px
 from agents.perception.rectification import Rectification, RectificationError, rectification
 from agents.perception.rectified_pair import RectifiedPair, decoded_pair, rectified_pair
@@ -143,6 +144,8 @@ class Perception:
         yield Output(OBSERVATIONS, observed)
         if surface_due and not isinstance(pair, str):
             thread = decode_image(observed.mask_left) > 0
+            if observed.occluders is not None:
+                thread |= instruments_in(decode_image(observed.occluders.left), thread.shape)
             images = pair.moved_up(observed.rows_moved_up).images
             yield Output(SURFACE, tissue_surface(frame.stamp, pair.camera, *images, thread))
 

@@ -92,6 +92,12 @@ def with_needles(occluders: UInt8[np.ndarray, "r c"], needles: UInt8[np.ndarray,
     return np.where((needles == Occluder.NEEDLE.value) & (occluders == 0), needles, occluders)
 
 
+def instruments_in(occluders: UInt8[np.ndarray, "r c"], shape: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
+    """Where certainly an instrument or a needle lies in an image, by its map of occluders."""
+    known = np.isin(occluders, (Occluder.TOOL.value, Occluder.NEEDLE.value)).astype(np.uint8)
+    return np.asarray(cv2.resize(known, shape[::-1], interpolation=cv2.INTER_NEAREST)) > 0
+
+
 def map_image(occluders: UInt8[np.ndarray, "r c"]) -> Image:
     """A map of occluders as it travels."""
     height, width = occluders.shape

@@ -97,7 +97,7 @@ def tissue_surface(
     """The depth of the tissue that both eyes see, in cells of the left image.
 
     Args:
-        thread: pixels of the left image that are thread.
+        thread: pixels of the left image that are thread, or an instrument.
     """
     share = min(1.0, WIDTH_PX / camera.image_width)
     disparity = _disparity(_reduced(left, share), _reduced(right, share), share * camera.image_width)

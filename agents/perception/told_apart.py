@@ -12,13 +12,15 @@ from jaxtyping import UInt8
 
 from agents.perception.candidates import candidates_followed, candidates_in
 from agents.perception.occluders import map_image, occluders_in, with_needles
-from schemas.messages import Image, ImageEncoding, Occluders, Status, ThreadObservations
+from schemas.messages import Centrelines, Image, ImageEncoding, Occluders, Status, ThreadObservations
 from shared.images import decode_image
 
 Pair = tuple[UInt8[np.ndarray, "h w *c"], UInt8[np.ndarray, "h w *c"]]
 
 FRAMES_BETWEEN_OCCLUDERS = 6
 """Of the camera: a fifth of a second, in which an instrument moves by about its own width."""
+OVER_WIDTHS = 2.0
+"""Of the thread: its coverage is no wider."""
 SCORE_WIDTH_PX = 240
 """Of the copy of a segmenter's score that travels."""
 SCORE_QUALITY = 80
@@ -74,7 +76,10 @@ def _occluders(
     before, sequence = None if last is None else last.occluders, observed.stamp.sequence
     if not whole and (before is None or 0 <= sequence - before.sequence < FRAMES_BETWEEN_OCCLUDERS):
         return before
-    left, right = (occluders_in(image, thread) for image, thread in zip(images, coverage, strict=True))
+    lines = observed.centrelines_left, observed.centrelines_right
+    left, right = (
+        occluders_in(image, _along(line, thread)) for image, line, thread in zip(images, lines, coverage, strict=True)
+    )
     if left is None or right is None:
         return None
     # of a followed thread, those are still what was found with it
@@ -82,6 +87,17 @@ def _occluders(
     if known is not None:
         left, right = with_needles(left, decode_image(known.left)), with_needles(right, decode_image(known.right))
     return Occluders(map_image(left), map_image(right), sequence)
+
+
+def _along(lines: Centrelines, coverage: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
+    """The coverage along these lines: what else was segmented, such as a reflex of an instrument, is no thread."""
+    if not len(lines.piece):
+        return np.zeros_like(coverage)
+    about = np.zeros(coverage.shape, np.uint8)
+    wide = round(OVER_WIDTHS * float(np.median(lines.width_px)))
+    pieces = np.split(np.rint(lines.point_px).astype(np.int32), np.flatnonzero(np.diff(lines.piece)) + 1)
+    cv2.polylines(about, [piece[:, None] for piece in pieces], False, 255, max(1, wide))
+    return np.asarray(cv2.bitwise_and(coverage, coverage, mask=about), np.uint8)
 
 
 def _small(score: UInt8[np.ndarray, "h w"]) -> Image:

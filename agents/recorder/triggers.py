@@ -25,7 +25,7 @@ class Triggers:
         match message:
             case ExecutionEvent(kind=(ExecutionKind.HELD | ExecutionKind.REFUSED) as kind):
                 return kind.name.lower()
-            case GraspJudgement(verdict=(Verdict.MISSED | Verdict.LOST) as verdict):
+            case GraspJudgement(verdict=verdict) if verdict is not Verdict.HELD:
                 return verdict.name.lower()
             case RobotState():
                 return self._begins(key, message.mode is RobotMode.FAULT)

@@ -45,7 +45,7 @@ SHAFT_M = 0.06
 """How much of the shaft is drawn."""
 
 _LEVEL = {ExecutionKind.REFUSED: rr.TextLogLevel.WARN, ExecutionKind.HELD: rr.TextLogLevel.WARN}
-_VERDICT_LEVEL = {Verdict.MISSED: rr.TextLogLevel.WARN, Verdict.LOST: rr.TextLogLevel.WARN}
+_VERDICT_LEVEL = dict.fromkeys(set(Verdict) - {Verdict.HELD}, rr.TextLogLevel.WARN)
 
 
 def plan_entities(plan: GraspPlan) -> list[Entity]:
