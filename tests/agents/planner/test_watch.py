@@ -102,7 +102,7 @@ def test_a_miss_moves_the_offset_to_where_the_fingers_would_have_missed_and_the_
     assert known.mean_camera @ approach < -0.1 * MM
     attempt = next_attempt(plan, config)
     again = plan_grasp(goal, thread, bench.arm(), config, attempt=attempt)
-    first, second = (p.waypoints[1].T_camera_tool @ [0, 0, FINGER_M - p.depth_m, 1] for p in (plan, again))
+    first, second = (p.waypoints[1].T_camera_tool @ [0, 0, FINGER_M - (p.depth_m or 0.0), 1] for p in (plan, again))
     np.testing.assert_allclose((second - first)[:3], -known.mean_camera, atol=1e-9)
     assert (again.attempt, again.attempts, again.plan_id) == (2, 3, "plan-g1-2")
 
@@ -126,7 +126,7 @@ class Bench:
 
     def plan(self, attempts=None, after_ms=50) -> GraspPlan:
         goal = dataclasses.replace(self.bench.goal(s=0.5, policy=Policy.DIRECT), attempts=attempts)
-        _, output = self.planner.step(Command(GOAL, "main", goal, self.bench.CAPTURED_NS + after_ms * MS))
+        _, output = list[Any](self.planner.step(Command(GOAL, "main", goal, self.bench.CAPTURED_NS + after_ms * MS)))
         return output.message
 
     def carry_out(self, plan, after_ms):

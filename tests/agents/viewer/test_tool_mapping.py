@@ -1,6 +1,7 @@
 """An instrument's outlines lie over the images, its figures are in millimetres, and a change of status is said."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
@@ -9,9 +10,14 @@ from schemas import topics
 from schemas.messages import ToolStatus
 
 
+def shown(mapping, message) -> dict[str, Any]:
+    """What is logged of a message, by path."""
+    return dict(mapping.entities(message))
+
+
 def test_an_instrument_is_drawn_where_it_was_found_and_is_told_lost_once(session_messages):
     told, mapping = session_messages[topics.TOOL], LiveMapping()
-    entities = dict(mapping.entities(told))
+    entities = shown(mapping, told)
     assert mapping.tracked
     for path, px in (
         ("world/left/tool/psm1/registered", told.registered_left_px),
@@ -23,11 +29,11 @@ def test_an_instrument_is_drawn_where_it_was_found_and_is_told_lost_once(session
     (off,) = entities["tool/off/psm1"]
     assert off.scalars.as_arrow_array().to_pylist() == [4.0]
     assert "lanes/tool_psm1" in entities
-    assert "lanes/tool_psm1" not in dict(mapping.entities(told)), "it is the same still"
+    assert "lanes/tool_psm1" not in shown(mapping, told), "it is the same still"
     lost = dataclasses.replace(
         told, status=ToolStatus.LOST, reason="lost: too little in view", T_correction=None, candidates=()
     )
-    entities = dict(mapping.entities(lost))
+    entities = shown(mapping, lost)
     (words,) = entities["log/perception/psm1"]
     assert "too little in view" in words.text.as_arrow_array().to_pylist()[0]
     assert "tool/off/psm1" not in entities
@@ -35,7 +41,7 @@ def test_an_instrument_is_drawn_where_it_was_found_and_is_told_lost_once(session
 
 def test_an_arm_that_is_no_psm_has_a_straight_shaft_and_numbered_joints(session_messages):
     state = dataclasses.replace(session_messages[topics.ROBOT_STATE], kinematics="dh")
-    entities = dict(LiveMapping().entities(state))
+    entities = shown(LiveMapping(), state)
     (line,) = entities["world/tool/psm1/shaft"]
     (strip,) = line.strips.as_arrow_array().to_pylist()
     steps = np.diff(np.array(strip), axis=0)

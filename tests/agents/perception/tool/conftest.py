@@ -19,7 +19,7 @@ from shared.images import encode_image
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER as PSM
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE as T_TRUE
 from shared.rigid_transforms import apply
-from shared.runtime.agent import Input, Output, Received, Tick
+from shared.runtime.agent import Command, Input, Output, Received, Tick
 from shared.runtime.lockstep import Lockstep
 
 TIP = np.array([[0.0, 0.0, 0.0102]])
@@ -37,9 +37,10 @@ class DrawnCamera:
     def __init__(self) -> None:
         self.shown, self._state, self._sequence = True, None, 0
 
-    def step(self, arrived: Received | Tick):
+    def step(self, arrived: Received | Tick | Command):
         if isinstance(arrived, Received):
             self._state = arrived.message
+        if not isinstance(arrived, Tick):
             return
         if self._sequence == 0:
             yield Output(CALIBRATION, CALIBRATED)
@@ -47,8 +48,9 @@ class DrawnCamera:
         if isinstance(self._state, RobotState):
             state = self._state
             images = pair_of(state.T_base_tool, state.jaw_rad, self._sequence, self.shown)
+            left, right = (encode_image(one, ImageEncoding.RAW) for one in images)
             stamp = FrameStamp(self._sequence, arrived.now_ns, arrived.now_ns, calibration_id(CALIBRATED))
-            yield Output(FRAMES, StereoFrame(stamp, *(encode_image(one, ImageEncoding.RAW) for one in images)))
+            yield Output(FRAMES, StereoFrame(stamp, left, right))
 
 
 @pytest.fixture(scope="session")
