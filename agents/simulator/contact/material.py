@@ -20,6 +20,8 @@ class Material:
     finger_friction: between thread and the serrated faces of the fingers.
     tissue_friction: between thread and wet tissue.
     tissue_modulus: Young's modulus of the tissue, which is incompressible.
+    stitch_mm: radius of the tissue that yields with the end of the thread that is stitched into it.
+    grip_n: force at the tips with which the jaw closes at most.
     segment_mm: length of the rod's segments, about.
     step_s: the time step; `joint_steps`: in how many of them a bent joint of the rod relaxes.
     """
@@ -29,6 +31,8 @@ class Material:
     finger_friction: float = 0.5
     tissue_friction: float = 0.3
     tissue_modulus: float = 15e3
+    stitch_mm: float = 1.5
+    grip_n: float = 3.0
     segment_mm: float = 3.0
     step_s: float = 5e-4
     joint_steps: float = 2.5
@@ -54,6 +58,11 @@ class Material:
     def line_stiffness(self, length_mm: float) -> float:
         """Force that presses a line of that length a millimetre into the tissue, in g/s²; Johnson (1985), chapter 5."""
         return 0.25 * np.pi * self.plane_strain_modulus * length_mm
+
+    @property
+    def stitch_stiffness(self) -> float:
+        """Force that draws a stitch a millimetre out of its place, in g/s²: as a disc of that radius (Sneddon 1965)."""
+        return 2.0 * self.plane_strain_modulus * self.stitch_mm
 
     def foundation(self, area_mm2: float) -> float:
         """Pressure per depth under a flat punch of that area, in g/(mm² s²).

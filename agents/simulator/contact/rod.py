@@ -1,9 +1,10 @@
-"""The thread as a chain of capsules on ball joints, clamped in the tissue where its lower end is.
+"""The thread as a chain of capsules on ball joints, stitched into the tissue where its lower end is.
 
 A joint between two segments of length L resists bending with K = E I / L. At rest the chain has the shape in which the
 thread was drawn, so that only gravity and contact bend it. Segments weigh so little that a joint would swing thousands
 of times a second, so each is given an inertia K τ² of its own, and critical damping 2 K τ: it then comes to rest within
-a few τ, which is a few milliseconds. Equilibria do not depend on it.
+a few τ, which is a few milliseconds. Equilibria do not depend on it. The segment in the stitch cannot turn, but soft
+tissue follows it: three springs, damped in the same way, let it be drawn out of its place.
 """
 
 from dataclasses import dataclass
@@ -15,16 +16,13 @@ from agents.simulator.contact.material import Material
 from agents.simulator.field import MM, SAMPLES, Field
 from shared.scene.surface import depth_at_points
 
-CLAMPED = ' contype="0" conaffinity="2"'
-"""The clamped segment meets tools alone: MuJoCo would have the next one collide with it."""
-
 
 @dataclass(frozen=True)
 class Rod:
     """The chain as drawn, in millimetres.
 
     Fields:
-        nodes: its joints and ends, from the clamped end on.
+        nodes: its joints and ends, from the stitched end on.
         backwards: that end is s = 1 of the thread.
     """
 
@@ -39,7 +37,7 @@ class Rod:
 
 
 def rod_of(field: Field, material: Material) -> Rod:
-    """The chain along a field's thread; the end that lies nearer to the tissue is clamped, as where a stitch ends."""
+    """The chain along a field's thread; the end that lies nearer to the tissue is stitched into it."""
     points = field.points / MM
     height = depth_at_points(field.surface, points[[0, -1], :2]) - points[[0, -1], 2]
     backwards = bool(height[1] < height[0])
@@ -66,17 +64,26 @@ def rod_xml(rod: Rod, material: Material) -> str:
     inertia = stiffness * material.joint_s**2
     damping = 2.0 * stiffness * material.joint_s
     joint = f'<joint type="ball" stiffness="{stiffness!r}" damping="{damping!r}" armature="{inertia!r}"/>'
+    stitch = _stitch_xml(material)
     opened = []
     for i, (length, turn) in enumerate(zip(lengths, turns, strict=True)):
         at = rod.nodes[0] if i == 0 else np.array([lengths[i - 1], 0.0, 0.0])
         opened.append(
-            f'<body name="segment{i}" pos="{_text(at)}" quat="{_text(turn)}">{joint if i else ""}'
-            f'<geom class="thread" name="segment{i}" type="capsule" fromto="0 0 0 {float(length)!r} 0 0"'
-            f"{'' if i else CLAMPED}/>"
+            f'<body name="segment{i}" pos="{_text(at)}" quat="{_text(turn)}">{joint if i else stitch}'
+            f'<geom class="thread" name="segment{i}" type="capsule" fromto="0 0 0 {float(length)!r} 0 0"/>'
             f'<geom class="foot" name="foot{i}" type="sphere" pos="{0.5 * float(length)!r} 0 0"/>'
         )
     tip = f'<site name="tip" pos="{float(lengths[-1])!r} 0 0"/>'
     return "".join(opened) + tip + "</body>" * len(opened)
+
+
+def _stitch_xml(material: Material) -> str:
+    stiffness = material.stitch_stiffness
+    own = (
+        f'stiffness="{stiffness!r}" damping="{2.0 * stiffness * material.joint_s!r}" '
+        f'armature="{stiffness * material.joint_s**2!r}"'
+    )
+    return "".join(f'<joint type="slide" axis="{axis}" {own}/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
 
 
 def _text(values: Float64[np.ndarray, "n"]) -> str:

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from agents.simulator.contact.engine import engine
 from agents.simulator.contact.material import GRAVITY, NEWTON, SUTURE, Material
-from agents.simulator.contact.model import FINGER_MM, PARKED, WRIST_MM, Model, model_of
+from agents.simulator.contact.model import FINGER_MM, PARKED, STITCH, WRIST_MM, Model, model_of
 from agents.simulator.contact.rod import rod_of
 from agents.simulator.contact.tissue import planes_beneath, press_n
 from agents.simulator.field import DEGREE, MM, SAMPLES, Field, fitted_control_points, fitting_basis
@@ -23,6 +23,8 @@ NEAR_MM = 2.5
 LONGEST_S = 0.1
 """Of one stretch between two poses; an arm that is heard of less often is taken to have moved in that time."""
 SAME_MM = 1e-4
+OPPOSITE = 1.0
+"""Samples of the thread within which two places on it are opposite each other."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,9 @@ class Touch:
         if not self.left or not self.right:
             return None
         pairs = [(abs(a - b), 0.5 * (a + b)) for a in self.left for b in self.right]
-        return min(pairs)[1]
+        nearest = min(pairs)[0]
+        # each bar of a finger touches it, opposite to one of the other finger
+        return float(np.mean([middle for apart, middle in pairs if apart <= nearest + OPPOSITE]))
 
 
 class ContactWorld:
@@ -152,7 +156,7 @@ class ContactWorld:
         height = planes_beneath(self._drawn.surface, middles)[0][:, 2] - rod.radius - middles[:, 2]
         moving = 0.5 * float(data.qvel[: self._model.thread_qvel] @ self._momentum())
         stiffness = material.bending_modulus * material.second_moment(rod.radius) / material.segment_mm
-        turned = 2.0 * np.arccos(np.clip(np.abs(data.qpos[: self._model.thread_qpos : 4]), 0.0, 1.0))
+        turned = 2.0 * np.arccos(np.clip(np.abs(data.qpos[STITCH : self._model.thread_qpos : 4]), 0.0, 1.0))
         return (mass * GRAVITY * float(height.sum()) + moving + 0.5 * stiffness * float((turned**2).sum())) * 1e-9
 
     def _momentum(self) -> Float64[np.ndarray, "v"]:
@@ -188,7 +192,7 @@ class ContactWorld:
         data.qpos[at : at + 3] = pose.T_camera_tool[:3, 3]
         data.qpos[at + 3 : at + 7] = Rotation.from_matrix(pose.T_camera_tool[:3, :3]).as_quat(scalar_first=True)
         data.qpos[hinge : hinge + 2] = 0.5 * max(pose.jaw_rad, 0.0)
-        data.ctrl[2 * tool : 2 * tool + 2] = 0.5 * max(pose.jaw_rad, 0.0)
+        data.ctrl[2 * tool] = max(pose.jaw_rad, 0.0)
         at = model.tool_qvel[tool]
         data.qvel[at : at + 8] = 0.0
 
@@ -203,7 +207,7 @@ class ContactWorld:
         attitudes = (Rotation.from_rotvec(share * turn) * start).as_quat(scalar_first=True)
         speed = (after.T_camera_tool[:3, 3] - before.T_camera_tool[:3, 3]) / (steps * step_s)
         spin = start.inv().apply(turn) / (steps * step_s)
-        jaw = 0.5 * np.maximum(before.jaw_rad + share[:, 0] * (after.jaw_rad - before.jaw_rad), 0.0)
+        jaw = np.maximum(before.jaw_rad + share[:, 0] * (after.jaw_rad - before.jaw_rad), 0.0)
         at, moving = model.tool_qpos[tool], model.tool_qvel[tool]
         others = [i for i in range(len(self._tools)) if i != tool]
         held = data.qpos.copy()
@@ -212,7 +216,7 @@ class ContactWorld:
         mj_step = engine().mj_step
         for k in range(steps):
             data.qvel[moving : moving + 3], data.qvel[moving + 3 : moving + 6] = speed, spin
-            data.ctrl[2 * tool : 2 * tool + 2] = jaw[k]
+            data.ctrl[2 * tool] = jaw[k]
             mj_step(compiled, data)
             data.qpos[at : at + 3], data.qpos[at + 3 : at + 7] = places[k], attitudes[k]
             for other in others:

@@ -10,7 +10,7 @@ import pytest
 from agents.simulator.agent import Simulator, SimulatorConfig
 from agents.simulator.contact.engine import PhysicsError
 from agents.simulator.contact.material import NEWTON, SUTURE, Material
-from agents.simulator.contact.model import WIDTH_MM
+from agents.simulator.contact.model import FINGER_MM, WIDTH_MM
 from agents.simulator.contact.tissue import planes_beneath, press_n
 from agents.simulator.contact.world import ContactWorld, Pose
 from agents.simulator.errors import hand_eye_error
@@ -72,7 +72,8 @@ def test_closed_fingers_lift_a_thread_without_slip_and_open_ones_let_it_fall():
         world.move("psm1", Pose(over(30.0), float(jaw)), 0.01)
     gripped = world.touch("psm1")
     assert gripped.between is not None
-    assert gripped.squeeze_n > 50 * SUTURE.weight(0.2) * 60.0 / NEWTON
+    # a jaw of limited torque, 8.2 mm from its pin
+    assert gripped.squeeze_n == pytest.approx(SUTURE.grip_n * FINGER_MM / 8.2, rel=0.05)
     for lift in np.linspace(0.0, 4.0, 40):
         world.move("psm1", Pose(over(30.0, lift), 0.0), 0.01)
     held = world.touch("psm1")
@@ -87,6 +88,24 @@ def test_closed_fingers_lift_a_thread_without_slip_and_open_ones_let_it_fall():
     # what falls ends with less than it had, and what is gone stays gone
     assert energies[-1] < 0.9 * energies[0]
     assert all(after < before + 0.05 * energies[0] for before, after in pairwise(energies))
+
+
+@needs_mujoco
+def test_a_held_thread_does_not_creep_and_slips_when_pulled_with_the_friction_of_both_fingers():
+    weak = replace(SUTURE, grip_n=0.2)
+    world = ContactWorld(straight(0.05), weak)
+    for jaw in np.linspace(0.4, 0.0, 30):
+        world.move("psm1", Pose(over(30.0), float(jaw)), 0.01)
+    squeeze_n, first = world.touch("psm1").squeeze_n, world.touch("psm1").between
+    drawn_n = []
+    for pulled in np.linspace(0.0, 6.0, 60):
+        world.move("psm1", Pose(over(30.0 + float(pulled)), 0.0), 0.01)
+        # the stitch is the spring balance
+        drawn_n.append(1e3 * world.field.points[0, 0] * weak.stitch_stiffness / NEWTON)
+        if drawn_n[-1] < 0.8 * 2 * weak.finger_friction * squeeze_n:
+            assert world.touch("psm1").between == pytest.approx(first, abs=2)
+    assert max(drawn_n) == pytest.approx(2 * weak.finger_friction * squeeze_n, rel=0.2)
+    assert pulled > max(drawn_n) * NEWTON / weak.stitch_stiffness + 1.0
 
 
 @needs_mujoco
