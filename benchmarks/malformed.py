@@ -16,6 +16,9 @@ from schemas.messages import (
     AgentConfiguration,
     Arm,
     ChangeState,
+    Checked,
+    FrameStamp,
+    GraspCheck,
     GraspGoal,
     Heartbeat,
     Hold,
@@ -28,6 +31,9 @@ from schemas.messages import (
     ReplayClock,
     SetParameter,
     StateWord,
+    ToolCandidate,
+    ToolCorrection,
+    ToolStatus,
 )
 from schemas.topics import TOPICS, Topic, topic_of
 from shared.clock import now_ns
@@ -54,6 +60,8 @@ def valid_messages(arm: str, plan_id: str = "p") -> dict[Topic, Callable[[], byt
         SetParameter: lambda: SetParameter(new_header("x"), "least_probability", "0.5"),
         Heartbeat: lambda: Heartbeat(arm, plan_id, now_ns(), "a"),
         ReplayClock: lambda: ReplayClock(now_ns(), 1.0),
+        GraspCheck: lambda: _checked(arm, plan_id),
+        ToolCorrection: lambda: _followed(arm),
         LogRecord: lambda: LogRecord(now_ns(), "x", "main", LogLevel.INFO, "a line"),
         HostClocks: lambda: HostClocks(now_ns(), (HostClock("camera", "main", "desk", 0.1, 0.05),)),
         AgentConfiguration: lambda: AgentConfiguration("x", "main", now_ns(), "{}", (), "abc"),
@@ -64,6 +72,23 @@ def valid_messages(arm: str, plan_id: str = "p") -> dict[Topic, Callable[[], byt
         else (lambda topic=topic: recorded[topic])
         for topic in TOPICS
     }
+
+
+def _checked(arm: str, plan_id: str) -> GraspCheck:
+    stamp = FrameStamp(7, now_ns(), now_ns(), "calibration")
+    moved = 0.005, 0.0049, 0.0003, 0.99
+    return GraspCheck(plan_id, arm, "goal", Checked.HELD, stamp, stamp, *moved, 1, 3, "", "held: the thread moved")
+
+
+def _followed(arm: str) -> ToolCorrection:
+    stamp, tip = FrameStamp(7, now_ns(), now_ns(), "calibration"), np.array((0.0, 0.0, 0.1))
+    outline, score = np.ones((3, 2)), np.zeros((16, 16, 16), np.uint8)
+    candidate = ToolCandidate(np.zeros(6), np.eye(6), score, 9, 0.9, 0.8, 0.5)
+    off, outlines = (0.004, 0.02, 3e-4, 0.01), (outline, outline, outline)
+    turned = np.eye(4), tip, tip
+    return ToolCorrection(
+        arm, stamp, now_ns(), ToolStatus.CONVERGED, "", *turned, *off, *outlines, (candidate,), 0, 0, 5
+    )
 
 
 def malformed(topic: Topic, valid: Callable[[], bytes], draw: np.random.Generator) -> Iterator[bytes]:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from agents.cli.rig import ArmSection, CameraSection, RigConfig, RouterSection, SimulatorSection, simulated_rig
 from agents.cli.rig_hosts import OPERATOR, HostSection, SecuritySection
-from agents.cli.rig_sections import DvrkSection
+from agents.cli.rig_sections import DvrkSection, PlannerSection
 from agents.cli.this_host import at_host, certificates_of
 from benchmarks.faults.network import OWN, CannotError, Network
 from shared.kinematics.simulated_setup import SIMULATED_BASES
@@ -60,6 +60,8 @@ def describe(network: Network, rate_hz: float, folder: Path, emulated: bool = Fa
         "camera": CameraSection(rate_hz=rate_hz),
         "robot": arms,
         "simulator": SimulatorSection(config="easy", background="plain"),
+        # by geometry, easy thread is grasped directly nearly everywhere, and nothing would slide
+        "planner": PlannerSection(policy_model="paper"),
         "viewer": None,
     }
     rig = simulated_rig().model_copy(update=sections).model_dump_json(exclude_none=True)
