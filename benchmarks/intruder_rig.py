@@ -22,7 +22,7 @@ from agents.deployment.certificates import AUTHORITY_FOLDER, CERTIFICATES, issue
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import AgentHealth
-from schemas.topics import COMMANDS, CONFIGURATION, HEALTH, LOG, PLAN, TOPICS, Delivery, Topic, key_root
+from schemas.topics import COMMANDS, CONFIGURATION, HEALTH, LOG, PLAN, TOOL, TOPICS, Delivery, Topic, key_root
 from shared.clock import monotonic_s, now_ns
 from shared.runtime.connection import Connection, connected
 from shared.runtime.identity import identity_in
@@ -199,7 +199,11 @@ def _described(folder: Path) -> RigConfig:
 
 
 def owned_topics() -> list[tuple[Topic, str]]:
-    """Every topic that is published, with each kind of agent that owns a key of it; replays are not on this rig."""
+    """Every topic that is published, with each kind of agent that owns a key of it.
+
+    Replays are not on this rig, and nobody looks for a tool, so that nobody has a certificate for it.
+    """
     kinds = ("camera", "perception", "reconstruction", "planner", "robot_bridge", "simulator")
-    found = [(t, t.agent) for t in TOPICS if t.delivery is not Delivery.COMMAND and t.agent in (*kinds, OPERATOR)]
+    found = [(t, t.agent) for t in TOPICS if t.delivery is not Delivery.COMMAND and t is not TOOL]
+    found = [(t, kind) for t, kind in found if kind in (*kinds, OPERATOR)]
     return found + [(t, kind) for t in (HEALTH, LOG, COMMANDS, CONFIGURATION) for kind in kinds]
