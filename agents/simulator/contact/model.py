@@ -25,9 +25,11 @@ WRIST_RADIUS_MM, WRIST_MM = 2.5, 9.0
 STIFFNESS, INERTIA = 3e9, 2e3
 """Of the jaw's servos, in g mm²/s², and of a finger, in g mm². So stiff a servo squeezes with all of its torque where a
 thread keeps the jaw open by a hundredth of a radian; the inertia keeps it slow enough for the time step."""
-TOOL_MASS, TOOL_INERTIA = 1e7, 1e9
+TOOL_MASS, TOOL_INERTIA = 1e5, 1e7
 """Of a tool, in g and g mm². It is put back where the arm is after each step; at 100 g a pull of 0.3 N carries it away
 by 1.5 mm/s within the steps, and the thread creeps out of it as fast."""
+SOLVED_INERTIA = 1.0
+"""In g mm²; that of a joint of the thread."""
 SQUASH = 1e8
 """Stiffness of a contact of the thread with a bar of a finger, in g/s²: 3 N on four bars flatten it by 0.01 mm."""
 SOFT = 0.98
@@ -86,6 +88,8 @@ def model_of(rod: Rod, tools: int, material: Material) -> Model:
     tissue, body = geoms("tissue"), np.array([compiled.body(f"segment{i}").id for i in range(n)])
     # these are moved, so they must not count as lying where their body does
     compiled.geom_sameframe[tissue] = 0
+    # by default the solver's tolerance is relative to the mean inertia, which here is the tools': it would stop at once
+    compiled.stat.meaninertia = SOLVED_INERTIA
     _make_soft(compiled, rod, material, body)
     _make_hard(compiled, material, body, geoms("segment"))
     free = [compiled.joint(f"tool{tool}") for tool in range(tools)]

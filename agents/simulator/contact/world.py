@@ -109,9 +109,10 @@ class ContactWorld:
         near = self._is_near(before) or self._is_near(pose)
         tool = list(self._tools).index(name)
         pressed = 0.0
-        if still or (self._quiet and not near):
+        if self._quiet and not near:
             self._put(tool, pose)
-        else:
+        elif not still:
+            # a tool that stands keeps its fingers as they are: put shut, they would cut into what they hold
             pressed = self._step_to(tool, before, pose, min(max(elapsed_s, self._material.step_s), LONGEST_S))
         self._tools[name] = pose
         half = 0.5 * max(pose.jaw_rad, 0.0)

@@ -97,6 +97,13 @@ def test_a_held_thread_does_not_creep_and_slips_when_pulled_with_the_friction_of
     for jaw in np.linspace(0.4, 0.0, 30):
         world.move("psm1", Pose(over(30.0), float(jaw)), 0.01)
     squeeze_n, first = world.touch("psm1").squeeze_n, world.touch("psm1").between
+    for _ in range(20):
+        world.move("psm1", Pose(over(30.0), 0.0), 0.01)
+    # nothing was computed at last, and nothing has come of that
+    stood = world.stepped_s
+    world.move("psm1", Pose(over(30.0), 0.0), 0.01)
+    assert world.stepped_s == stood
+    assert world.touch("psm1").squeeze_n == pytest.approx(squeeze_n, rel=0.02)
     drawn_n = []
     for pulled in np.linspace(0.1, 6.0, 60):
         world.move("psm1", Pose(over(30.0 + float(pulled)), 0.0), 0.01)
