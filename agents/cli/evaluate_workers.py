@@ -1,8 +1,10 @@
 """Processes that share the threads of an evaluation among them, and tell of each trial as it ends."""
 
 import multiprocessing
+import os
 import queue
 import signal
+import threading
 from collections.abc import Generator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -74,6 +76,15 @@ def _ready(told: Any) -> None:
     global _told  # noqa: PLW0603 - a worker has no other place for what its pool hands it
     _told = told
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """Whoever has killed the evaluation wants its workers to end too, and nobody hears what they still find."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _work(protocol: Protocol, laid: Laid, trials: list[Trial], folder: Path) -> None:
