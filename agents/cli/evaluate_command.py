@@ -1,7 +1,5 @@
 """`suturegrasp evaluate grasping`: the paper's experiment in closed loop, taken up again where it was left."""
 
-import contextlib
-import fcntl
 import importlib.util
 import json
 from collections.abc import Generator, Iterable
@@ -12,6 +10,7 @@ import cv2
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from agents.cli.alone import alone
 from agents.cli.evaluate_options import Evaluate
 from agents.cli.evaluate_pictures import field_pictures, moments, strip
 from agents.cli.evaluate_trials import Table
@@ -42,7 +41,7 @@ def run(options: Evaluate) -> int:
     """Try what is left; the exit status."""
     try:
         options.output.mkdir(parents=True, exist_ok=True)
-        with _alone(options.output):
+        with alone(options.output, "evaluation"):
             return _evaluated(options)
     except (ConfigError, SceneError, WorkError) as error:
         return complain(str(error), EXIT_UNUSABLE)
@@ -167,14 +166,3 @@ def _shown(came: Iterable[Came], total: int, before: int) -> Generator[Came]:
         for one in came:
             progress.update(bar, advance=1, description=one.trial.laid.name)
             yield one
-
-
-@contextlib.contextmanager
-def _alone(folder: Path) -> Generator[None]:
-    """Two of one folder would try everything twice."""
-    with (folder / ".lock").open("w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise ConfigError(f"another evaluation runs in {folder}") from None
-        yield

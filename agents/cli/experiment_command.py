@@ -1,11 +1,11 @@
 """`suturegrasp experiment`: the paper's protocol on a rig, with a journal that survives whatever ends it."""
 
-import contextlib
 import json
 import threading
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from pathlib import Path
 
+from agents.cli.alone import alone
 from agents.cli.experiment_options import Experiment
 from agents.cli.experiment_rig import on_rig
 from agents.cli.experiment_terminal import LeftError, Nobody, Person, outcome_sentence
@@ -43,7 +43,7 @@ def experiment(rig: RigConfig, options: Experiment) -> int:
         write(options.folder, journal)
         if options.report:
             return report(options.folder, journal)
-        with _alone(options.folder):
+        with alone(options.folder, "experiment"):
             return _tried(rig, options, options.folder, journal)
     except OutputError as error:
         return complain(str(error), EXIT_UNUSABLE)
@@ -112,19 +112,6 @@ def _read(path: Path) -> Journal:
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is no text in UTF-8"
         raise ConfigError(f"the journal {path} cannot be read: {reason}") from None
-
-
-@contextlib.contextmanager
-def _alone(folder: Path) -> Generator[None]:
-    """Two of one folder would try everything twice."""
-    import fcntl
-
-    with (folder / ".lock").open("w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise ConfigError(f"another experiment runs in {folder}") from None
-        yield
 
 
 def _tried(rig: RigConfig, options: Experiment, folder: Path, journal: Journal) -> int:
