@@ -2,7 +2,6 @@
 
 import dataclasses
 import sys
-import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ from agents.camera.scene_source import SceneSource, calibration_of
 from agents.camera.sources import ImageSource, Pair, PipeSource, Source, SourceError
 from agents.camera.video import VideoSource
 from agents.cli.base_file import base_of
+from agents.cli.other_arms import other_arm, other_arms
 from agents.cli.rig import ArmSection, CameraSection, PerceptionSection, PlannerSection, RigConfig, SimulatorSection
 from agents.cli.rig_hosts import run_name
 from agents.perception.agent import Perception, PerceptionConfig
@@ -29,9 +29,6 @@ from schemas.messages import ImageEncoding, Severity, SimulatorState, StereoCali
 from schemas.topics import MAIN
 from shared.calibration import CalibrationError, ReadCalibration, read_calibration
 from shared.calibration.hand_eye.file import Reference
-from shared.kinematics.arm import JOINTS
-from shared.kinematics.dh import DhArm
-from shared.kinematics.dh_file import read_dh
 from shared.runtime.agent import Agent
 from shared.runtime.config import ConfigError
 from shared.runtime.session import SessionSettings
@@ -74,7 +71,8 @@ def build(rig: RigConfig, kind: str, instance: str) -> Agent:
                     attempts=section.attempts,
                     press_m=1e-3 * section.press_mm,
                     tissue_required=section.tissue_required,
-                )
+                ),
+                others=other_arms(rig),
             )
         case ArmSection():
             return _robot_bridge(rig, instance, section)
@@ -98,7 +96,7 @@ def _robot_bridge(rig: RigConfig, arm: str, section: ArmSection) -> RobotBridge:
         correction=correction_limits(section),
     )
     if section.kinematics is not None:
-        kinematics, start = _other_arm(section.kinematics)
+        kinematics, start = other_arm(section.kinematics)
         return RobotBridge(config, SimulatedPsm(start, kinematics=kinematics))
     if section.dvrk is None:
         return RobotBridge(config, SimulatedPsm(waiting(T_camera_base)))
@@ -119,18 +117,6 @@ def correction_limits(section: ArmSection) -> CorrectionLimits | None:
     if section.correction == "none":
         return None
     return CorrectionLimits(1e-3 * section.correction_limit_mm, float(np.radians(section.correction_limit_deg)))
-
-
-def _other_arm(path: Path) -> tuple[DhArm, tuple[float, ...]]:
-    """Kinematics and joints to begin with of an arm that a file describes."""
-    try:
-        told = tomllib.loads(path.read_text())
-        arm, start = read_dh(told), tuple(float(value) for value in told["start"])
-    except (OSError, KeyError, TypeError, ValueError) as error:
-        raise ConfigError(f"{path} describes no arm: {error}") from None
-    if len(start) != JOINTS or arm.problems(np.array(start)):
-        raise ConfigError(f"start of {path} must be {JOINTS} joints within their limits")
-    return arm, start
 
 
 def perception_config(section: PerceptionSection, needs_matching: bool) -> PerceptionConfig:

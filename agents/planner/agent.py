@@ -1,6 +1,6 @@
 """The planner as an agent: it keeps the newest thread, tissue, arms and account of clocks, and answers goals."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -26,6 +26,7 @@ from schemas.messages import (
 )
 from schemas.topics import CHECK, CLOCKS, EXECUTION, GOAL, MAIN, PLAN, ROBOT_STATE, SURFACE, THREAD, Topic
 from shared.kinematics import psm
+from shared.kinematics.arm import ArmKinematics
 from shared.rigid_transforms import compose, inverse
 from shared.runtime.agent import Command, Input, Output, Received, Tick
 
@@ -56,8 +57,14 @@ class Planner:
     tick_hz: float | None = None
     watches_clocks = ("camera",)
 
-    def __init__(self, config: PlannerConfig | None = None, reaches: Reaches | None = None) -> None:
-        self.config, self._reaches = config or PlannerConfig(), reaches or psm_reaches
+    def __init__(
+        self,
+        config: PlannerConfig | None = None,
+        reaches: Reaches | None = None,
+        others: Mapping[str, ArmKinematics] | None = None,
+    ) -> None:
+        """`reaches` is asked of PSMs; `others` are the arms that are none, by their names."""
+        self.config, self._reaches, self._others = config or PlannerConfig(), reaches or psm_reaches, others or {}
         self._thread: ThreadReconstruction | None = None
         self._surface: TissueSurface | None = None
         self._arms: dict[str, RobotState] = {}
@@ -103,7 +110,7 @@ class Planner:
             return (CommandAnswer(goal.header.id, Outcome.REFUSED, error.code, str(error)),)
         plan = plan_grasp(goal, thread, self._view(arm), self.config, self._seen_tissue(thread, now_ns))
         self._watch.planned(plan)
-        unknown = clock_unknown(self._clocks)
+        unknown = "; ".join(filter(None, (clock_unknown(self._clocks), self._reach_unknown(arm))))
         return CommandAnswer(goal.header.id, Outcome.ACCEPTED, "", unknown), Output(PLAN, plan)
 
     def _check(self, thread: ThreadReconstruction) -> Iterable[Output]:
@@ -137,10 +144,27 @@ class Planner:
         tissue = tissue_of(surface, hidden)
         return SeenTissue(tissue, surface.stamp, "" if tissue else "tools hide all that was measured")
 
+    def _reaches_of(self, state: RobotState) -> Reaches | None:
+        """Whether an arm reaches poses, by what kind of arm it says it is; None where nothing tells its geometry."""
+        if not state.kinematics:
+            return self._reaches
+        other = self._others.get(state.arm)
+        if other is None or other.name != state.kinematics:
+            return None
+        return lambda T_base_tool: other.reach(T_base_tool).problem == psm.Problem.NONE
+
+    def _reach_unknown(self, state: RobotState) -> str:
+        if self._reaches_of(state) is not None:
+            return ""
+        kind = f"{state.arm} is of kind {state.kinematics!r}, whose geometry the planner was not told"
+        return f"whether the arm reaches the plan is not known before it is armed: {kind}"
+
     def _view(self, state: RobotState) -> ArmView:
         T_base_camera = inverse(state.T_camera_base)
+        # what nobody can tell is not held against a goal: the arm's bridge refuses what it cannot reach
+        reaches = self._reaches_of(state) or (lambda T: np.ones(len(T), dtype=bool))
         return ArmView(
             T_camera_base=state.T_camera_base,
             T_camera_tool=compose(state.T_camera_base, state.T_base_tool),
-            reachable=lambda T_camera_tool: self._reaches(compose(T_base_camera, T_camera_tool)),
+            reachable=lambda T_camera_tool: reaches(compose(T_base_camera, T_camera_tool)),
         )

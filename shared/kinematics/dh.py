@@ -66,6 +66,23 @@ class DhArm:
     def reach(self, T_base_tool: Float64[np.ndarray, "*batch 4 4"]) -> Solution:
         """Joints that bring the tool to each pose, from whichever of a few postures leads there."""
         poses = T_base_tool.reshape(-1, 4, 4)
+        joints, problem = np.full((len(poses), JOINTS), np.nan), pose_problem(poses)
+        with np.errstate(invalid="ignore"):
+            far = np.linalg.norm(poses[:, :3, 3], axis=1) > self._farthest_m()
+        near = ~far & (problem == Problem.NONE)
+        problem = np.where(far & (problem == Problem.NONE), Problem.WRIST_FOLDED, problem)
+        if near.any():
+            joints[near], problem[near] = self._reached(poses[near])
+        batch = T_base_tool.shape[:-2]
+        return Solution(joints.reshape(*batch, JOINTS), problem.reshape(batch))
+
+    def _farthest_m(self) -> float:
+        """No joints bring the tool farther from the base than this."""
+        slides = [max(abs(row.d + limit) for limit in row.limit) if row.slides else abs(row.d) for row in self.rows]
+        links = [float(np.hypot(row.a, d)) for row, d in zip(self.rows, slides, strict=True)]
+        return sum(links) + float(np.linalg.norm(self.T_last_tool[:3, 3]))
+
+    def _reached(self, poses: Float64[np.ndarray, "n 4 4"]) -> Solution:
         limits = self.limits
         drawn = limits[:, 0] + np.random.default_rng(0).random((STARTS, JOINTS)) * np.diff(limits, axis=1)[:, 0]
         found = self._solved(poses, np.broadcast_to(drawn[0], (len(poses), JOINTS)).copy())
@@ -76,8 +93,7 @@ class DhArm:
             better = again.problem == Problem.NONE
             found.joints[np.flatnonzero(bad)[better]] = again.joints[better]
             found.problem[np.flatnonzero(bad)[better]] = Problem.NONE
-        batch = T_base_tool.shape[:-2]
-        return Solution(found.joints.reshape(*batch, JOINTS), found.problem.reshape(batch))
+        return found
 
     def follow(self, T_base_tool: Float64[np.ndarray, "n 4 4"], before: Float64[np.ndarray, "6"]) -> Solution:
         """The joints along a way, in the posture that the arm has before it."""

@@ -1,6 +1,8 @@
 """The planner as an agent: what it remembers, what it refuses, and that it answers the same again."""
 
 import dataclasses
+import tomllib
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,6 +32,7 @@ from schemas.messages import (
 )
 from schemas.topics import CLOCKS, GOAL, PLAN, ROBOT_STATE, SURFACE, THREAD, key
 from shared.kinematics import psm
+from shared.kinematics.dh_file import read_dh
 from shared.kinematics.simulated_setup import SIMULATED_BASES
 from shared.rigid_transforms import compose, inverse, transform
 from shared.runtime.agent import Command, Output, Received, Tick
@@ -195,6 +198,45 @@ def test_reachability_is_asked_for_in_the_frame_of_the_base(bench):
     for waypoint in plan.waypoints:
         T_base_tool = np.linalg.inv(state(bench).T_camera_base) @ waypoint.T_camera_tool
         assert np.abs(np.concatenate(asked) - T_base_tool).max(axis=(1, 2)).min() < 1e-9
+
+
+def generic_arm(bench):
+    """An arm from its table, and its state with the tool 15 mm before the middle of the thread."""
+    told = tomllib.loads((Path(__file__).parents[3] / "deploy" / "generic_arm.toml").read_text())
+    arm = read_dh(told)
+    there = transform(np.eye(3), np.array([0.0, 0.0, 0.06]))
+    T_base_tool = arm.forward(np.array(told["start"]))
+    changed = {
+        "kinematics": arm.name,
+        "T_base_tool": T_base_tool,
+        "T_camera_base": compose(there, inverse(T_base_tool)),
+    }
+    return arm, dataclasses.replace(state(bench), **changed)
+
+
+def test_an_arm_that_is_no_psm_is_asked_by_its_own_geometry(bench):
+    arm, there = generic_arm(bench)
+    planner = Planner(PlannerConfig(least_probability=0.0), others={"psm1": arm})
+    feed(planner, THREAD, far_thread(bench))
+    feed(planner, ROBOT_STATE, there, "psm1")
+    answer, output = ask(planner, bench, bench.goal(s=0.4))
+    assert (answer.outcome, answer.reason) == (Outcome.ACCEPTED, "")
+    assert output.message.status is Status.OK, output.message.reason
+    poses = np.array([w.T_camera_tool for w in output.message.waypoints])
+    assert not arm.reach(compose(inverse(there.T_camera_base), poses)).problem.any()
+    away = dataclasses.replace(there, T_camera_base=transform(np.eye(3), np.array([2.0, 0.0, 0.0])))
+    feed(planner, ROBOT_STATE, away, "psm1")
+    assert "unreachable" in ask(planner, bench, bench.goal(s=0.4))[1].message.reason
+
+
+def test_of_an_arm_whose_geometry_nobody_told_the_answer_says_that_reach_is_not_known(bench):
+    _, there = generic_arm(bench)
+    planner = Planner(PlannerConfig(least_probability=0.0))
+    feed(planner, THREAD, far_thread(bench))
+    feed(planner, ROBOT_STATE, dataclasses.replace(there, T_camera_base=np.eye(4)), "psm1")
+    answer, output = ask(planner, bench, bench.goal(s=0.4))
+    assert "whether the arm reaches the plan is not known" in answer.reason
+    assert output.message.status is Status.OK, output.message.reason
 
 
 def test_the_jaws_take_the_side_that_the_tool_is_on_now(bench):

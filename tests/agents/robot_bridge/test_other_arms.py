@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from agents.cli.builders import build
+from agents.cli.other_arms import other_arms
 from agents.cli.rig import RigConfig
 from agents.robot_bridge.agent import RobotBridge
 from agents.robot_bridge.limits import MotionLimits
@@ -86,6 +87,18 @@ def test_another_arm_carries_out_a_plan_from_its_table() -> None:
     assert min(turned) < 1e-6
     places = np.stack([state.T_base_tool[:3, 3] for state in states])
     assert np.linalg.norm(np.diff(places, axis=0), axis=1).max() <= 1.001 * MotionLimits().speed * 0.01
+
+
+def test_the_planner_is_told_the_geometry_where_the_file_is(tmp_path: Path) -> None:
+    arms = {
+        arm: {"kinematics": str(file), "T_camera_base": np.eye(4).tolist()}
+        for arm, file in (("psm1", FILE), ("psm2", tmp_path / "arm.toml"))
+    }
+    desk = {"address": "10.0.0.1", "runs": ["planner", "operator", "robot_bridge psm1"]}
+    robot = {"address": "10.0.0.2", "runs": ["robot_bridge psm2"]}
+    hosts = {"hosts": {"desk": desk, "robot": robot}, "router": {"host": "desk"}, "host": "desk", "security": {}}
+    told = other_arms(RigConfig.model_validate({"robot": arms, "planner": {}, **hosts}))
+    assert {name: one.name for name, one in told.items()} == {"psm1": "dh"}
 
 
 def test_a_file_that_is_no_arm_and_one_without_a_place_are_refused(tmp_path: Path) -> None:
