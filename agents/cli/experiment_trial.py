@@ -10,6 +10,7 @@ from agents.cli.live import POLICIES, event_sentence, plan_sentence
 from agents.cli.terminal import say
 from agents.experiment.journal import Attempt, Cause, Trial
 from agents.operator.operator import Stood, arm_and_stand_by, ask_for_grasp
+from agents.robot_bridge.refusals import AGAINST_PLAN
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import (
@@ -28,8 +29,6 @@ from shared.runtime.connection import Connection
 from shared.runtime.taps import Tapped
 
 PATIENCE_S, VERDICT_S, LOOK_S = 60.0, 5.0, 0.2
-PASSING = ("stale", "not_ready", "busy", "clock", "moved", "unknown_plan", "replay", "dry_run", "no_answer", "late")
-"""Codes of a refusal to arm that speak against the moment, not against the plan."""
 SETTLED_THREADS = 4
 """Seen after a thread was laid; tracking may need a few to leave the one before."""
 SENDER = "suturegrasp experiment"
@@ -94,10 +93,10 @@ def _moved(trial: Trial, plan: GraspPlan, rig: Rig) -> Attempt | None:
     if rig.stopped.is_set():
         raise LeftError("interrupted; the arm holds")
     if stood.answer.outcome is not Outcome.ACCEPTED:
-        if stood.answer.code in PASSING or stood.answer.outcome is Outcome.UNKNOWN:
-            rig.attendant.stuck(stood.answer.reason)
-            return None
-        return made.model_copy(update={"outcome": "declined", "note": stood.answer.reason})
+        if declines(stood.answer):
+            return made.model_copy(update={"outcome": "declined", "note": stood.answer.reason})
+        rig.attendant.stuck(stood.answer.reason)
+        return None
     if stood.end is None:
         rig.attendant.stuck(stood.left)
         return None
@@ -108,6 +107,11 @@ def _moved(trial: Trial, plan: GraspPlan, rig: Rig) -> Attempt | None:
     return made.model_copy(
         update={"outcome": outcome, "cause": cause or "", "note": note, "execution_s": round(took_s, 3)}
     )
+
+
+def declines(answer: CommandAnswer) -> bool:
+    """Whether a refusal to arm speaks against the plan, and not against the moment."""
+    return answer.outcome is Outcome.REFUSED and answer.code in AGAINST_PLAN
 
 
 def _stopped(made: Attempt, stood: Stood, rig: Rig) -> Attempt | None:

@@ -44,6 +44,24 @@ class Code(enum.StrEnum):
     NO_STATES = "no_states"
 
 
+AGAINST_PLAN = frozenset(
+    {
+        Code.REJECTED_PLAN,
+        Code.NOT_FINITE,
+        Code.NOT_A_POSE,
+        Code.WORKSPACE,
+        Code.UNREACHABLE,
+        Code.REMOTE_CENTRE,
+        Code.SINGULAR,
+        Code.TISSUE,
+        Code.WRIST_FLIP,
+        Code.JAW_LIMIT,
+        Code.TOO_LONG,
+    }
+)
+"""What speaks against a plan itself; all others speak against the moment, and the same plan may do later."""
+
+
 @dataclass(frozen=True)
 class Refusal:
     """One reason not to move."""

@@ -1,5 +1,6 @@
 """An experiment as a person meets it: mistakes, what is asked, and that a killed one goes on where it was."""
 
+import dataclasses
 import json
 import subprocess
 import sys
@@ -7,9 +8,17 @@ import sys
 import pytest
 
 from agents.cli.experiment_command import JOURNAL, write
+from agents.cli.experiment_trial import declines
 from agents.experiment.journal import Attempt, Journal, Protocol
+from agents.robot_bridge.refusals import Code
+from schemas.messages import CommandAnswer, Outcome
 from shared.runtime.session import free_local_endpoint
 
+SPEAKS_AGAINST_A_PLAN = (
+    *("rejected_plan", "not_finite", "not_a_pose", "workspace", "unreachable", "remote_centre"),
+    *("singular", "tissue", "wrist_flip", "jaw_limit", "too_long"),
+)
+"""What docs/robot_bridge.md has as reasons to choose another goal, or to see to the planner."""
 THREADS = ("easy/paper", "hard/chicken")
 
 
@@ -47,6 +56,13 @@ def test_a_mistake_is_one_line_that_names_the_remedy(suturegrasp, tried, tmp_pat
     ended = suturegrasp("experiment", *named)
     assert (ended.status, len(ended.complaints)) == (2, 1)
     assert told in ended.err
+
+
+@pytest.mark.parametrize("code", [*Code, "late", "no_answer", "far_deadline", "unknown_id"])
+def test_a_refusal_counts_against_a_trial_only_where_it_speaks_against_the_plan(code):
+    refused = CommandAnswer("c", Outcome.REFUSED, code, "why")
+    assert declines(refused) == (code in SPEAKS_AGAINST_A_PLAN)
+    assert not declines(dataclasses.replace(refused, outcome=Outcome.UNKNOWN))
 
 
 def test_what_was_tried_so_far_can_be_reported_at_any_time(suturegrasp, tried):

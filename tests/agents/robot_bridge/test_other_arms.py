@@ -90,9 +90,10 @@ def test_another_arm_carries_out_a_plan_from_its_table() -> None:
 
 
 def test_the_planner_is_told_the_geometry_where_the_file_is(tmp_path: Path) -> None:
+    files = {"psm1": FILE, "psm2": tmp_path / "arm.toml"}
     arms = {
-        arm: {"kinematics": str(file), "T_camera_base": np.eye(4).tolist()}
-        for arm, file in (("psm1", FILE), ("psm2", tmp_path / "arm.toml"))
+        arm: {"kinematics": str(file), "T_camera_base": transform(np.eye(3), np.full(3, 0.1 * i)).tolist()}
+        for i, (arm, file) in enumerate(files.items())
     }
     desk = {"address": "10.0.0.1", "runs": ["planner", "operator", "robot_bridge psm1"]}
     robot = {"address": "10.0.0.2", "runs": ["robot_bridge psm2"]}
