@@ -22,8 +22,9 @@ COLOUR_NOISE, LIGHT = 5.0, 0.15
 """Standard deviations of a colour, in grey levels, and of how bright thread and ground are."""
 GAP_PX = 2.0
 """The ground is what lies farther than that from the mask."""
-ALONG_PX = 8.0
-"""Standard deviation of the average along the thread in which its colour and the ground's are seen."""
+ALONG = 4.0
+"""Standard deviation, in points that lie two pixels apart, of the average along the thread in which its colour and the
+ground's are seen."""
 REACH_PX = 3.5
 """How far from where it was looked for an edge may draw, with a weight that falls to zero there."""
 ROUNDS = 3
@@ -46,6 +47,7 @@ def find_edges(
     """Both edges on profiles of the image, looked for where the mask ends.
 
     Args:
+        seen: at every second point of a curve.
         at: where the profiles are seen, from the middle of the mask.
         width_px: of the mask.
     """
@@ -73,7 +75,7 @@ def _colours(
 ) -> Float64[np.ndarray, "k 3 n"]:
     """The mean colours at some places of the profiles hereabouts."""
     parts = [part for places in where for part in (*_totals(seen, places), places.sum(axis=0, dtype=np.float32))]
-    both = blurred(np.stack(parts), pieces, gaussian(ALONG_PX)).astype(np.float64).reshape(len(where), 4, -1)
+    both = blurred(np.stack(parts), pieces, gaussian(ALONG)).astype(np.float64).reshape(len(where), 4, -1)
     return both[:, :3] / np.maximum(both[:, 3:], LEAST)
 
 

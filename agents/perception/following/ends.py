@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float64, UInt8
 from agents.perception.centrelines.along import Pieces, evenly_spaced
 from agents.perception.centrelines.profiles import normals, sample
 from agents.perception.following.appearance import GROUND_PX, THREAD_SHARES, Colours, share_of_thread
+from agents.perception.following.stacked import Eyes
 
 REACH_PX, STEP_PX = 12.0, 0.5
 """How far an end may have moved, either way, from one frame to the next."""
@@ -40,8 +41,9 @@ def ends_of(
     outward: Float64[np.ndarray, "e 2"],
     width: float,
     colours: Colours,
+    eyes: Eyes,
 ) -> Ends:
-    """Where the thread ends along straight lines through each end."""
+    """Where the thread ends along straight lines through each end, in an image that holds some eyes."""
     at = np.arange(-REACH_PX, REACH_PX + STEP_PX / 2, STEP_PX)
     places = (point[None] + at[:, None, None] * outward).reshape(-1, 2)
     across = np.repeat(normals(outward)[None], len(at), axis=0).reshape(-1, 2)
@@ -51,8 +53,7 @@ def ends_of(
     share = share_of_thread(seen, np.tile(colours, (len(at), 1, 1))).reshape(len(steps), len(at), -1)
     own, beside = share[:3].mean(axis=0), share[3:].mean(axis=0)
     own, beside = (np.asarray(cv2.blur(part, (1, 3), borderType=cv2.BORDER_REPLICATE)) for part in (own, beside))
-    height, columns = image.shape[:2]
-    within = ((places >= 0) & (places <= (columns - 1, height - 1))).all(axis=1).reshape(len(at), -1)
+    within = eyes.within(places).reshape(len(at), -1)
     level = np.where(within, np.minimum(own - HALF, own - beside - LEAST_CLEAR), -HALF)
     # as much thread before the end as there can be, and nothing of it after: single places may mislead
     so_far = np.cumsum(level.clip(-LEAST_CLEAR, LEAST_CLEAR), axis=0)

@@ -5,9 +5,11 @@
 3. The rounds by edges and by what is learned are those of every frame, so that nothing adds up from frame to frame.
 
 A frame counts as followed only where nearly all profiles show a thread as wide and as clear as before, neighbours have
-moved alike, and every end is found within reach. Whatever else happened needs a look at the pixels.
+moved alike, and every end is found within reach. Whatever else happened needs a look at the pixels. Both eyes are
+worked on at once, in one image that holds both (`stacked`), and each is judged by itself.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +24,14 @@ from agents.perception.centrelines.tips import to_tips
 from agents.perception.following.appearance import Colours, colours_across, some_of
 from agents.perception.following.capture import Captured, captured
 from agents.perception.following.ends import REACH_PX, carried_along, ends_of, with_ends
+from agents.perception.following.stacked import (
+    Eyes,
+    lines_of,
+    stacked_images,
+    stacked_lines,
+    stacked_trails,
+    trail_of_eye,
+)
 from schemas.messages import Centrelines, Trail
 
 LEAST_CLEAR, CLEAR_SHARE = 0.25, 0.95
@@ -65,7 +75,8 @@ def trail_of(
     tangent = directions(lines.point_px, pieces, gaussian(tangent_sigma(width)))
     colours = _colours(image, lines, pieces, some, tangent)
     tips, outward = _tips(pieces, tangent)
-    ends = ends_of(image, lines.point_px[tips], outward, width, colours[np.searchsorted(some, tips)])
+    eye = Eyes(image.shape[0], image.shape[1], 1)
+    ends = ends_of(image, lines.point_px[tips], outward, width, colours[np.searchsorted(some, tips)], eye)
     long = np.tile(lengths_px(pieces) >= 2 * REACH_PX, 2)
     told = np.concatenate((loose_start, loose_end)) & long & ~ends.lost & (np.abs(ends.reach_px) <= TOLD_PX)
     return Trail(loose_start, loose_end, lengths_px(pieces), colours, *np.split(told, 2))
@@ -98,23 +109,50 @@ def pieces_of(lines: Centrelines) -> Pieces:
     return Pieces(np.cumsum(np.diff(lines.piece, prepend=-1) > 0) - 1)
 
 
-def follow(image: UInt8[np.ndarray, "h w 3"], last: Followed) -> Followed | str:
-    """The centrelines in this eye's next image; or why they were not found."""
-    before, trail = last.lines, last.trail
-    pieces = pieces_of(before)
-    if len(before.piece) == 0 or int((pieces.last - pieces.first).min()) < LEAST_LENGTH_PX:
+def follow(images: Sequence[UInt8[np.ndarray, "h w 3"]], last: Sequence[Followed]) -> tuple[Followed, ...] | str:
+    """The centrelines in the next images of some eyes, all of one size; or why those of one were not found."""
+    if any(_is_short(eye.lines) for eye in last):
         return "short pieces"
+    image, eyes = stacked_images(images)
+    before, eye = stacked_lines([each.lines for each in last], eyes)
+    found = _follow(image, eyes, eye, before, stacked_trails([each.trail for each in last]))
+    if isinstance(found, str):
+        return found
+    pieces = Pieces(found.lines.piece)
+    of_colour = eye[pieces.number[some_of(pieces)]]
+    return tuple(
+        Followed(lines_of(found.lines, eye, k, eyes), trail_of_eye(found.trail, eye == k, of_colour == k))
+        for k in range(len(images))
+    )
+
+
+def _is_short(lines: Centrelines) -> bool:
+    pieces = pieces_of(lines)
+    return len(lines.piece) == 0 or int((pieces.last - pieces.first).min()) < LEAST_LENGTH_PX
+
+
+def _follow(
+    image: UInt8[np.ndarray, "h w 3"], eyes: Eyes, eye: Int64[np.ndarray, "k"], before: Centrelines, trail: Trail
+) -> Followed | str:
+    """The same in an image that holds all eyes.
+
+    Args:
+        eye: of each piece.
+    """
+    pieces = pieces_of(before)
     width = float(np.median(before.width_px))
     tangent = directions(before.point_px, pieces, gaussian(tangent_sigma(width)))
     some = some_of(pieces)
     normal, sampled = normals(tangent), Pieces(pieces.number[some])
     found = captured(image, before.point_px[some], normal[some], width, trail.colour_bgr, sampled)
-    if reason := _unclear(found, _counts(pieces, trail, width)[some], width):
-        return reason
+    counts, of_eye = _counts(pieces, trail, width)[some], eye[sampled.number]
+    for k in range(eyes.count):
+        if reason := _unclear(found, counts, of_eye == k, width):
+            return reason
     move = np.interp(np.arange(len(normal)), some, found.move_px)[:, None] * normal
     moved = smoothed(before.point_px + move, pieces, local_quadratic(LIGHT_PX))
     tips, outward = _tips(pieces, directions(moved, pieces, gaussian(tangent_sigma(width))))
-    ends = ends_of(image, moved[tips], outward, width, trail.colour_bgr[np.searchsorted(some, tips)])
+    ends = ends_of(image, moved[tips], outward, width, trail.colour_bgr[np.searchsorted(some, tips)], eyes)
     told = np.concatenate((trail.told_start, trail.told_end))
     if (ends.lost & told).any():
         return f"{int((ends.lost & told).sum())} ends out of reach"
@@ -124,7 +162,7 @@ def follow(image: UInt8[np.ndarray, "h w 3"], last: Followed) -> Followed | str:
         return "a piece has another length"
     curves = Curves(place, now, trail.loose_start, trail.loose_end)
     usual = _carried(usual_width_px(before.width_px, pieces), pieces, now)
-    return _refined(image, curves, usual, width, trail)
+    return _refined(image, eyes, eye, curves, usual, width, trail)
 
 
 def _has_another_length(pieces: Pieces, trail: Trail) -> bool:
@@ -143,9 +181,14 @@ def _counts(pieces: Pieces, trail: Trail, width: float) -> Bool[np.ndarray, "n"]
     return ~beside & (pieces.before + pieces.after >= 2 * REACH_PX)
 
 
-def _unclear(found: Captured, counts: Bool[np.ndarray, "m"], width: float) -> str:
-    """Why what was found is not the thread as it was; empty where it is."""
-    unclear, astray = (found.clear < LEAST_CLEAR) & counts, found.astray & counts
+def _unclear(found: Captured, counts: Bool[np.ndarray, "m"], here: Bool[np.ndarray, "m"], width: float) -> str:
+    """Why what was found in one eye is not the thread as it was; empty where it is.
+
+    Args:
+        here: which points lie in that eye.
+    """
+    counts = counts[here]
+    unclear, astray = (found.clear[here] < LEAST_CLEAR) & counts, found.astray[here] & counts
     total = max(1, int(counts.sum()))
     if unclear.sum() > (1 - CLEAR_SHARE) * total:
         return "the thread is not clear"
@@ -166,6 +209,8 @@ def _carried(values: Float64[np.ndarray, "n"], pieces: Pieces, now: Pieces) -> F
 
 def _refined(
     image: UInt8[np.ndarray, "h w 3"],
+    eyes: Eyes,
+    eye: Int64[np.ndarray, "k"],
     curves: Curves,
     width_px: Float64[np.ndarray, "n"],
     width: float,
@@ -175,16 +220,16 @@ def _refined(
     mask = Evidence(width_px, nothing, nothing > 0)
     curves, seen = by_edges(curves, mask, image, width + 1.5)
     alike = (seen.width_px > LEAST_WIDTH * width_px) & (seen.width_px < MOST_WIDTH * width_px)
-    if alike.mean() < WIDTH_SHARE:
-        return f"{1 - alike.mean():.2f} of other width"
+    of_eye = eye[curves.pieces.number]
+    share = np.bincount(of_eye, alike) / np.maximum(np.bincount(of_eye), 1)
+    if share.min() < WIDTH_SHARE:
+        return f"{1 - share.min():.2f} of other width"
     if (learned := by_learning(curves, seen, image, width + 1.5)) is None:
         at_sight = of_edges(curves, seen)
     else:
         curves, seen, at_sight = learned
     deviation = deviations(curves, seen, at_sight)
-    height, columns = image.shape[:2]
-    point = np.clip(curves.point, 0.0, np.array((columns - 1.0, height - 1.0)))
-    lines = Centrelines(point, curves.pieces.number, seen.width_px, deviation)
+    lines = Centrelines(eyes.clipped(curves.point), curves.pieces.number, seen.width_px, deviation)
     lines = to_tips(lines, image, trail.told_start, trail.told_end)
     pieces = Pieces(lines.piece)
     tangent = directions(lines.point_px, pieces, gaussian(tangent_sigma(width)))

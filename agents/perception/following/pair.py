@@ -46,12 +46,11 @@ def follow_pair(
     """
     if last.trail_left is None or last.trail_right is None or not near_is_enough(last, stamp.sequence, LONGEST_PAUSE):
         return None
-    left = follow(images[0], Followed(last.centrelines_left, last.trail_left))
-    if isinstance(left, str):
+    before = Followed(last.centrelines_left, last.trail_left), Followed(last.centrelines_right, last.trail_right)
+    found = follow(images, before)
+    if isinstance(found, str):
         return None
-    right = follow(images[1], Followed(last.centrelines_right, last.trail_right))
-    if isinstance(right, str):
-        return None
+    left, right = found
     coverage = mask_along(left, images[0].shape), mask_along(right, images[1].shape)
     mask_left, mask_right = (mask_image(mask) for mask in coverage)
     nothing = np.zeros((0, 3))

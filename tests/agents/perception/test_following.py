@@ -41,12 +41,18 @@ def moved(image, right, down):
     return np.roll(image, (down, right), axis=(0, 1))
 
 
+def followed(image, last):
+    """What one eye's image shows of its thread, or why it shows none."""
+    found = follow([image], [last])
+    return found if isinstance(found, str) else found[0]
+
+
 @pytest.mark.parametrize("config", ["medium", "crossing"])
 def test_a_thread_that_moves_stays_followed_to_a_fraction_of_a_pixel(config):
     image, found = looked_for(config)
     now = found
     for step in range(1, 13):
-        now = follow(moved(image, 3 * step, -2 * step), now)
+        now = followed(moved(image, 3 * step, -2 * step), now)
         assert not isinstance(now, str), now
     there = found.lines.point_px + np.array((36, -24))
     away = np.asarray(KDTree(there).query(now.lines.point_px)[0])
@@ -69,10 +75,10 @@ def covered(image, point, radius):
 def test_what_hides_part_of_the_thread_or_its_end_ends_the_following():
     image, found = looked_for()
     point = found.lines.point_px
-    assert follow(covered(image, point[len(point) // 2], 25), found) == "a stretch is hidden"
-    assert isinstance(follow(covered(image, point[0], 25), found), str)
-    assert isinstance(follow(moved(image, 0, 60), found), str)
-    assert isinstance(follow(np.full_like(image, 120), found), str)
+    assert followed(covered(image, point[len(point) // 2], 25), found) == "a stretch is hidden"
+    assert isinstance(followed(covered(image, point[0], 25), found), str)
+    assert isinstance(followed(moved(image, 0, 60), found), str)
+    assert isinstance(followed(np.full_like(image, 120), found), str)
 
 
 def test_the_mask_of_a_followed_thread_is_about_the_one_that_was_found():
