@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from agents.perception.tool.correction import about
-from agents.perception.tool.outline import FINGER, outline, tubes
+from agents.perception.tool.outline import outline
+from agents.perception.tool.tubes import FINGER, tubes
 from agents.simulator.agent import ENDOSCOPE
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER as PSM
 from shared.kinematics.simulated_setup import SIMULATED_BASES

@@ -6,58 +6,26 @@ its axis, and b at right angles to d and to the line of sight, it is touched (to
     p ± (w² (b·x) x + t² (b·y) y) / h - (ρ² / D) e,     h² = w² (b·x)² + t² (b·y)²,
 
 e leading from the camera to the axis at the distance D, at right angles to d, and ρ² = h²: a thick shaft near the lens
-shows less than half of itself. Shapes: the Large Needle Driver's, in metres (shared/kinematics/psm.py).
+shows less than half of itself.
 """
 
+import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 
+from agents.perception.tool.tubes import FINGER, SHAFT, Tube
 from schemas.messages import RectifiedStereo
-from shared.kinematics.psm import FINGER_M
 
-WRIST_M = 0.0091
-SHAFT, WRIST, FINGER, TIP, END = range(5)
+TIP, END = range(3, 5)
 RIM = 40
 NEAREST_M = 0.012
 MASK_SHARE = 0.25
-
-
-Gathered = tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray], list[np.ndarray]]
-
-
-@dataclass(frozen=True)
-class Shape:
-    """Half-axes of an instrument's parts, metres; `shaft_m` is how much of the shaft is looked at."""
-
-    shaft_radius: float = 0.0042
-    shaft_m: float = 0.07
-    finger_half_width: float = 0.0019
-    finger_half_thickness: float = 0.00085
-
-
-DRIVER = Shape()
-"""The Large Needle Driver."""
-
-
-@dataclass(frozen=True, eq=False)
-class Tube:
-    """A part: places along its axis, its two half-axes there, and the directions that these have."""
-
-    part: int
-    places: Float64[np.ndarray, "k 3"]
-    wide: Float64[np.ndarray, "k"]
-    thick: Float64[np.ndarray, "k"]
-    wide_way: Float64[np.ndarray, "3"]
-    thick_way: Float64[np.ndarray, "3"]
-
-    def moved(self, T: Float64[np.ndarray, "4 4"]) -> "Tube":
-        """The same elsewhere."""
-        R = T[:3, :3]
-        places = self.places @ R.T + T[:3, 3]
-        return Tube(self.part, places, self.wide, self.thick, R @ self.wide_way, R @ self.thick_way)
+PLACES = 100
+"""More than an edge has."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,61 +35,19 @@ class Outline:
     Fields:
         points_camera: in the left camera's frame, metres.
         px, normal: pixels, and the unit normal in the image, outward.
-        part: SHAFT, WRIST, FINGER or TIP.
+        part: SHAFT, WRIST, FINGER, TIP or END.
+        place: which place of the instrument it is, the same in both eyes.
     """
 
     points_camera: Float64[np.ndarray, "n 3"]
     px: Float64[np.ndarray, "n 2"]
     normal: Float64[np.ndarray, "n 2"]
     part: Int64[np.ndarray, "n"]
+    place: Int64[np.ndarray, "n"]
 
     def only(self, kept: Bool[np.ndarray, "n"]) -> "Outline":
         """Some of its points."""
-        return Outline(self.points_camera[kept], self.px[kept], self.normal[kept], self.part[kept])
-
-
-def shaft_and_pin(T_base_tool: Float64[np.ndarray, "4 4"]) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
-    """The shaft's end and the jaw's pin in the base's frame."""
-    pin, axis = T_base_tool[:3, 3], -T_base_tool[:3, 0]
-    x = pin - (pin @ axis) * axis
-    return pin - WRIST_M * x / np.linalg.norm(x), pin
-
-
-def tubes(
-    T_camera_base: Float64[np.ndarray, "4 4"],
-    T_base_tool: Float64[np.ndarray, "4 4"],
-    jaw_rad: float,
-    shape: Shape = DRIVER,
-) -> tuple[Tube, ...]:
-    """The parts in the camera's frame: shaft, wrist, and two fingers that open by half the jaw's angle about x."""
-    R, t = T_camera_base[:3, :3], T_camera_base[:3, 3]
-    end, pin = (R @ p + t for p in shaft_and_pin(T_base_tool))
-    x_tool, z_tool = R @ T_base_tool[:3, 0], R @ T_base_tool[:3, 2]
-    u = end - t
-    u = u / np.linalg.norm(u)
-    aside = np.cross(u, x_tool)
-    aside /= np.linalg.norm(aside)
-    s = np.arange(0.0005, shape.shaft_m, 0.002)
-    round_shaft = np.full(len(s), shape.shaft_radius)
-    x = (pin - end) / np.linalg.norm(pin - end)
-    k = np.linspace(0.1, 0.95, 9)
-    size = shape.shaft_radius * np.interp(k, (0.0, 0.3, 1.0), (0.93, 0.8, 0.7))
-    found = [
-        Tube(SHAFT, end - s[:, None] * u, round_shaft, round_shaft, aside, np.cross(u, aside)),
-        Tube(WRIST, end + WRIST_M * k[:, None] * x, size, size, x_tool, np.cross(x, x_tool)),
-    ]
-    f = np.linspace(0.35, 0.97, 10)
-    taper = np.sqrt(1 - f**8) * (1 - 0.5 * f)
-    for side in (-1.0, 1.0):
-        half = 0.5 * jaw_rad * side
-        along = np.cos(half) * z_tool - np.sin(half) * np.cross(x_tool, z_tool)
-        across = np.cross(x_tool, along)
-        centre = (
-            pin + FINGER_M * f[:, None] * along - (side * 0.9 * shape.finger_half_thickness * taper)[:, None] * across
-        )
-        wide, thick = shape.finger_half_width * taper, shape.finger_half_thickness * taper
-        found.append(Tube(FINGER, centre, wide, thick, x_tool, across))
-    return tuple(found)
+        return Outline(self.points_camera[kept], self.px[kept], self.normal[kept], self.part[kept], self.place[kept])
 
 
 def outline(camera: RectifiedStereo, parts: tuple[Tube, ...], eye_x: float) -> Outline:
@@ -129,27 +55,16 @@ def outline(camera: RectifiedStereo, parts: tuple[Tube, ...], eye_x: float) -> O
     sides = [_sides(part, eye_x) for part in parts]
     polygons = [_polygon(camera, part, pair, eye_x) for part, pair in zip(parts, sides, strict=True)]
     covers = [_mask(camera, polygon) for polygon in polygons]
-    points, px, normals, kinds = [], [], [], []
-    for i, (part, (one, other)) in enumerate(zip(parts, sides, strict=True)):
+    found = list[Outline]()
+    for i, part in enumerate(parts):
         others = np.max([cover for j, cover in enumerate(covers) if j != i], axis=0)
-        axis_px = _pixels(camera, part.places, eye_x)
-        for edge in (one, other):
-            at = _pixels(camera, edge, eye_x)
-            tangent = np.gradient(at, axis=0)
-            normal = np.column_stack((tangent[:, 1], -tangent[:, 0]))
-            normal *= np.sign(np.einsum("ij,ij->i", normal, at - axis_px))[:, None]
-            normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
-            free = (edge[:, 2] > NEAREST_M) & _in_view(camera, at, 3.0) & ~_covered(others, at)
-            points.append(edge[free])
-            px.append(at[free])
-            normals.append(normal[free])
-            kinds.append(np.full(int(free.sum()), part.part))
-        into = (points, px, normals, kinds)
-        if part.part == FINGER:
-            _add_tip(camera, part, eye_x, others, into)
-        if part.part == SHAFT:
-            _add_rim(camera, part, eye_x, others, into)
-    return Outline(np.concatenate(points), np.concatenate(px), np.concatenate(normals), np.concatenate(kinds))
+        pieces = [*_along(camera, part, sides[i], eye_x), *_across(camera, part, eye_x)]
+        for j, piece in enumerate(pieces):
+            free = (piece.points_camera[:, 2] > NEAREST_M) & _in_view(camera, piece.px, 3.0)
+            numbered = dataclasses.replace(piece, place=piece.place + PLACES * (3 * i + j))
+            found.append(numbered.only(free & ~_covered(others, piece.px)))
+    fields = [field.name for field in dataclasses.fields(Outline)]
+    return Outline(*(np.concatenate([getattr(one, name) for one in found]) for name in fields))
 
 
 def silhouette(
@@ -163,40 +78,64 @@ def silhouette(
     return mask
 
 
-def _add_tip(camera: RectifiedStereo, finger: Tube, eye_x: float, others: np.ndarray, into: Gathered) -> None:
+def _along(
+    camera: RectifiedStereo, part: Tube, sides: tuple[np.ndarray, np.ndarray], eye_x: float
+) -> tuple[Outline, Outline]:
+    """Both edges of a part."""
+    axis_px = _pixels(camera, part.places, eye_x)
+    one, other = (_edge(camera, side, axis_px, part.part, eye_x, np.gradient) for side in sides)
+    return one, other
+
+
+def _across(camera: RectifiedStereo, part: Tube, eye_x: float) -> tuple[Outline, ...]:
+    """The end of a finger, or of the shaft."""
+    if part.part == FINGER:
+        return (_tip(camera, part, eye_x),)
+    return (_far_rim(camera, part, eye_x),) if part.part == SHAFT else ()
+
+
+def _tip(camera: RectifiedStereo, finger: Tube, eye_x: float) -> Outline:
     """The end of a finger, whose outline runs across it."""
     along = finger.places[-1] - finger.places[0]
     tip = finger.places[-1] + 0.0003 * along / np.linalg.norm(along)
     at = _pixels(camera, np.stack((finger.places[-3], tip)), eye_x)
-    way = at[1] - at[0]
+    way = at[1:] - at[:1]
     length = float(np.linalg.norm(way))
-    if length > 4.0 and _in_view(camera, at[1:], 3.0)[0] and not _covered(others, at[1:])[0]:
-        points, px, normals, kinds = into
-        points.append(tip[None])
-        px.append(at[1:])
-        normals.append(way[None] / length)
-        kinds.append(np.full(1, TIP))
+    found = Outline(tip[None], at[1:], way / max(length, 1e-9), np.full(1, TIP), np.zeros(1, np.int64))
+    return found.only(np.array([length > 4.0]))
 
 
-def _add_rim(camera: RectifiedStereo, shaft: Tube, eye_x: float, others: np.ndarray, into: Gathered) -> None:
+def _far_rim(camera: RectifiedStereo, shaft: Tube, eye_x: float) -> Outline:
     """The far half of the circle in which the shaft ends, which is its outline where it points away from the lens."""
     circle, u = _rim(shaft)
-    if circle.mean(axis=0) @ u < eye_x * u[0]:
-        return
-    at = _pixels(camera, circle, eye_x)
     axis = _pixels(camera, shaft.places[1::-1], eye_x)
-    tangent = np.roll(at, -1, axis=0) - np.roll(at, 1, axis=0)
-    normal = np.column_stack((tangent[:, 1], -tangent[:, 0]))
-    normal *= np.sign(np.einsum("ij,ij->i", normal, at - at.mean(axis=0)))[:, None]
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
     way = axis[1] - axis[0]
-    away = normal @ way > 0.25 * np.linalg.norm(way)
-    free = away & (circle[:, 2] > NEAREST_M) & _in_view(camera, at, 3.0) & ~_covered(others, at)
-    points, px, normals, kinds = into
-    points.append(circle[free])
-    px.append(at[free])
-    normals.append(normal[free])
-    kinds.append(np.full(int(free.sum()), END))
+    middle = np.broadcast_to(_pixels(camera, circle, eye_x).mean(axis=0), (RIM, 2))
+    found = _edge(camera, circle, middle, END, eye_x, _around)
+    away = circle.mean(axis=0) @ u >= eye_x * u[0]
+    return found.only(away & (found.normal @ way > 0.25 * np.linalg.norm(way)))
+
+
+def _edge(
+    camera: RectifiedStereo,
+    points: Float64[np.ndarray, "n 3"],
+    inside_px: Float64[np.ndarray, "n 2"],
+    part: int,
+    eye_x: float,
+    slope: Callable[..., np.ndarray],
+) -> Outline:
+    """Points along an edge, their normals away from what is inside of it."""
+    at = _pixels(camera, points, eye_x)
+    tangent = slope(at, axis=0)
+    normal = np.column_stack((tangent[:, 1], -tangent[:, 0]))
+    normal *= np.sign(np.einsum("ij,ij->i", normal, at - inside_px))[:, None]
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
+    return Outline(points, at, normal, np.full(len(at), part), np.arange(len(at)))
+
+
+def _around(at: Float64[np.ndarray, "n 2"], axis: int) -> Float64[np.ndarray, "n 2"]:
+    """The slope along a closed line."""
+    return np.roll(at, -1, axis) - np.roll(at, 1, axis)
 
 
 def _rim(shaft: Tube) -> tuple[Float64[np.ndarray, "r 3"], Float64[np.ndarray, "3"]]:

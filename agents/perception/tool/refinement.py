@@ -17,7 +17,8 @@ from jaxtyping import Float64
 
 from agents.perception.tool.correction import Correction, about, point_slope, twist_about
 from agents.perception.tool.evidence import Eye, edges
-from agents.perception.tool.outline import DRIVER, SHAFT, Outline, Shape, Tube, outline, tubes
+from agents.perception.tool.outline import Outline, outline
+from agents.perception.tool.tubes import DRIVER, SHAFT, Shape, Tube, tubes
 from schemas.messages import RectifiedStereo
 
 SIGMA_PX = 0.8

@@ -13,7 +13,8 @@ from jaxtyping import Float32, Float64
 
 from agents.perception.tool.correction import about
 from agents.perception.tool.evidence import SHRINK
-from agents.perception.tool.outline import FINGER, SHAFT, Tube, silhouette
+from agents.perception.tool.outline import silhouette
+from agents.perception.tool.tubes import FINGER, SHAFT, Tube
 from schemas.messages import RectifiedStereo
 
 DRAWN, KEPT, ROUNDS = 320, 0.1, 6

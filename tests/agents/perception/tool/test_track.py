@@ -8,10 +8,11 @@ import pytest
 
 from agents.perception.tool.acquisition import soft_pair
 from agents.perception.tool.correction import Correction, about, twist_about
-from agents.perception.tool.outline import SHAFT, outline, silhouette, tubes
+from agents.perception.tool.outline import outline, silhouette
 from agents.perception.tool.refinement import View
 from agents.perception.tool.told import track_of
 from agents.perception.tool.track import MISSES, Following, Track, followed
+from agents.perception.tool.tubes import SHAFT, tubes
 from benchmarks.drawn_tool import BEHIND, CAMERA, IN_MM, JAW, joints, pair
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER as PSM
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE as T_TRUE

@@ -1,0 +1,90 @@
+"""An instrument as tubes along lines: shaft, wrist and two fingers, in metres and the camera's frame.
+
+Shapes: the Large Needle Driver's (shared/kinematics/psm.py).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from shared.kinematics.psm import FINGER_M
+
+WRIST_M = 0.0091
+SHAFT, WRIST, FINGER = range(3)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Half-axes of an instrument's parts, metres; `shaft_m` is how much of the shaft is looked at."""
+
+    shaft_radius: float = 0.0042
+    shaft_m: float = 0.07
+    finger_half_width: float = 0.0019
+    finger_half_thickness: float = 0.00085
+
+
+DRIVER = Shape()
+"""The Large Needle Driver."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tube:
+    """A part: places along its axis, its two half-axes there, and the directions that these have."""
+
+    part: int
+    places: Float64[np.ndarray, "k 3"]
+    wide: Float64[np.ndarray, "k"]
+    thick: Float64[np.ndarray, "k"]
+    wide_way: Float64[np.ndarray, "3"]
+    thick_way: Float64[np.ndarray, "3"]
+
+    def moved(self, T: Float64[np.ndarray, "4 4"]) -> "Tube":
+        """The same elsewhere."""
+        R = T[:3, :3]
+        places = self.places @ R.T + T[:3, 3]
+        return Tube(self.part, places, self.wide, self.thick, R @ self.wide_way, R @ self.thick_way)
+
+
+def shaft_and_pin(T_base_tool: Float64[np.ndarray, "4 4"]) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
+    """The shaft's end and the jaw's pin in the base's frame."""
+    pin, axis = T_base_tool[:3, 3], -T_base_tool[:3, 0]
+    x = pin - (pin @ axis) * axis
+    return pin - WRIST_M * x / np.linalg.norm(x), pin
+
+
+def tubes(
+    T_camera_base: Float64[np.ndarray, "4 4"],
+    T_base_tool: Float64[np.ndarray, "4 4"],
+    jaw_rad: float,
+    shape: Shape = DRIVER,
+) -> tuple[Tube, ...]:
+    """The parts in the camera's frame: shaft, wrist, and two fingers that open by half the jaw's angle about x."""
+    R, t = T_camera_base[:3, :3], T_camera_base[:3, 3]
+    end, pin = (R @ p + t for p in shaft_and_pin(T_base_tool))
+    x_tool, z_tool = R @ T_base_tool[:3, 0], R @ T_base_tool[:3, 2]
+    u = end - t
+    u = u / np.linalg.norm(u)
+    aside = np.cross(u, x_tool)
+    aside /= np.linalg.norm(aside)
+    s = np.arange(0.0005, shape.shaft_m, 0.002)
+    round_shaft = np.full(len(s), shape.shaft_radius)
+    x = (pin - end) / np.linalg.norm(pin - end)
+    k = np.linspace(0.1, 0.95, 9)
+    size = shape.shaft_radius * np.interp(k, (0.0, 0.3, 1.0), (0.93, 0.8, 0.7))
+    found = [
+        Tube(SHAFT, end - s[:, None] * u, round_shaft, round_shaft, aside, np.cross(u, aside)),
+        Tube(WRIST, end + WRIST_M * k[:, None] * x, size, size, x_tool, np.cross(x, x_tool)),
+    ]
+    f = np.linspace(0.35, 0.97, 10)
+    taper = np.sqrt(1 - f**8) * (1 - 0.5 * f)
+    for side in (-1.0, 1.0):
+        half = 0.5 * jaw_rad * side
+        along = np.cos(half) * z_tool - np.sin(half) * np.cross(x_tool, z_tool)
+        across = np.cross(x_tool, along)
+        centre = (
+            pin + FINGER_M * f[:, None] * along - (side * 0.9 * shape.finger_half_thickness * taper)[:, None] * across
+        )
+        wide, thick = shape.finger_half_width * taper, shape.finger_half_thickness * taper
+        found.append(Tube(FINGER, centre, wide, thick, x_tool, across))
+    return tuple(found)
