@@ -76,9 +76,9 @@ def parameters_at(
     low, high = start, table[cell + 1]
     s = np.interp(arc_lengths, lengths, table)
     for _ in range(REFINEMENTS):
-        excess = before + _piece_lengths(knots, control_points, degree, start, s) - arc_lengths
+        pieces, speed = _pieces_and_speed(knots, control_points, degree, start, s)
+        excess = before + pieces - arc_lengths
         low, high = np.where(excess < 0, s, low), np.where(excess > 0, s, high)
-        speed = np.linalg.norm(evaluate(knots, control_points, degree, s, 1), axis=1)
         step = np.divide(excess, speed, out=np.zeros_like(s), where=speed > 0)
         bracketed = (s - step >= low) & (s - step <= high)
         s = np.where(bracketed, s - step, 0.5 * (low + high))
@@ -98,7 +98,19 @@ def _piece_lengths(
     start: Float64[np.ndarray, "n"],
     end: Float64[np.ndarray, "n"],
 ) -> Float64[np.ndarray, "n"]:
+    return _pieces_and_speed(knots, control_points, degree, start, end)[0]
+
+
+def _pieces_and_speed(
+    knots: Float64[np.ndarray, "k"],
+    control_points: Float64[np.ndarray, "m d"],
+    degree: int,
+    start: Float64[np.ndarray, "n"],
+    end: Float64[np.ndarray, "n"],
+) -> tuple[Float64[np.ndarray, "n"], Float64[np.ndarray, "n"]]:
+    """The lengths of pieces, and the speed at their ends, of one evaluation of the curve."""
     half = 0.5 * (end - start)
     s = (0.5 * (end + start))[:, None] + half[:, None] * NODES
-    speed = np.linalg.norm(evaluate(knots, control_points, degree, s.ravel(), 1), axis=1).reshape(s.shape)
-    return half * (speed @ WEIGHTS)
+    velocity = evaluate(knots, control_points, degree, np.concatenate((s.ravel(), end)), 1)
+    speed = np.linalg.norm(velocity, axis=1)
+    return half * (speed[: s.size].reshape(s.shape) @ WEIGHTS), speed[s.size :]

@@ -59,7 +59,33 @@ def evaluate(
 ) -> Float64[np.ndarray, "n d"]:
     """Points of the curve, or of a derivative of it, at the parameters s (clipped to the knots' range)."""
     differences = difference_matrix(knots, degree, derivative) @ control_points if derivative else control_points
-    return _design_matrix(knots, degree, s, derivative) @ differences
+    first, values = _basis(knots[derivative : len(knots) - derivative], degree - derivative, s)
+    points = values[0][:, None] * differences[first]
+    for k in range(1, len(values)):
+        points += values[k][:, None] * differences[first + k]
+    return points
+
+
+def _basis(
+    knots: Float64[np.ndarray, "k"], degree: int, s: Float64[np.ndarray, "n"]
+) -> tuple[Int64[np.ndarray, "n"], list[Float64[np.ndarray, "n"]]]:
+    """The basis functions that are not zero at each s, as in `local_basis`, one by one.
+
+    In the order of operations of SciPy's own, so to the last bit the same, without the cost of a sparse matrix: curves
+    are evaluated hundreds of times for one plan.
+    """
+    inside = np.clip(np.asarray(s, dtype=np.float64), knots[0], knots[-1])
+    span = np.clip(np.searchsorted(knots, inside, side="right") - 1, degree, len(knots) - degree - 2)
+    values = [np.ones(inside.shape)]
+    for d in range(1, degree + 1):
+        lower, values, carried = values, [], np.zeros(inside.shape)
+        for n in range(1, d + 1):
+            after, before = knots[span + n], knots[span + n - d]
+            share = lower[n - 1] / (after - before)
+            values.append(carried + share * (after - inside))
+            carried = share * (inside - before)
+        values.append(carried)
+    return span - degree, values
 
 
 def _design_matrix(
