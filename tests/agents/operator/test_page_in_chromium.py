@@ -1,38 +1,49 @@
-"""The real page in a headless Chromium before a running simulated rig: click, preview, arm, hold, a lost tab.
+"""The real page in a headless Chromium before all of the running demo: click, preview, arm, hold, a lost tab.
 
-The rig is that of the demo, as processes, except that its thread is made by hand: a thread that perception sees may be
-too old for the planner where a test machine is busy. `benchmarks.page` does the same with all of the demo.
+Everything runs as `make play` starts it, perception and reconstruction too. A test machine may be busy, and no limit of
+the rig is any looser for it: the camera is slow, so that perception keeps up, the arm is slow, so that it still moves
+when the hand is lost, and what a busy machine refuses (a thread too old, an answer too late) a person tries again.
+Rig and browser go before whatever else the machine does, as far as the system lets them.
 """
 
 import asyncio
+import contextlib
 import json
+import os
 import re
 import signal
 import subprocess
 import sys
 import threading
+from pathlib import Path
 
 import pytest
 
 from benchmarks.browser import BrowserError, chromium, found
 from schemas.codec import decode
 from schemas.messages import ExecutionEvent, ExecutionKind, RobotMode, RobotState
-from schemas.topics import EXECUTION, ROBOT_STATE
+from schemas.topics import EXECUTION, ROBOT_STATE, THREAD
 from shared.runtime.connection import connected
 from shared.runtime.session import SessionSettings, free_local_endpoint
 
 pytestmark = pytest.mark.skipif(found() is None, reason="there is no chromium here (apt-get install chromium)")
 
-STARTS_S, PATIENT_S = 90.0, 60.0
+STARTS_S, PATIENT_S, TRIES = 90.0, 60.0, 20
+ANSWERED_S = 5.0
+"""The page asks a planner that refuses a thread for its age for 3 s."""
+FIRST = -10
 RIG = """
 rig = "paged"
 [router]
 endpoint = "{endpoint}"
 [camera]
-rate_hz = 10
+rate_hz = 6
+[perception]
+[reconstruction]
 [planner]
 least_probability = 0.0
 [robot.psm1]
+speed_share = 0.3
 [simulator]
 seed = 3
 config = "easy"
@@ -48,16 +59,35 @@ GOAL_PLACE = """(() => {
 })()"""
 PLANNED = "suturegrasp.panel.state.goals.psm1?.text === '' && suturegrasp.plans.psm1?.ok && suturegrasp.plans.psm1.id"
 NEWER = f"((id) => id && id !== BEFORE && id)({PLANNED})"
-MOVES = "suturegrasp.panel.state.arms[0].mode === 'moving'"
+MOVES = "suturegrasp.panel.state.arms[0].mode === 'moving' && suturegrasp.panel.state.press?.stage === 'armed'"
+CONTROLS = "suturegrasp.panel.state.controller === suturegrasp.panel.state.you"
+FRESH = (
+    "suturegrasp.picture.thread && suturegrasp.picture.header.capture_ms - suturegrasp.picture.thread.capture_ms < 700"
+)
+SAID = "[...suturegrasp.panel.state.lines, suturegrasp.panel.note].join(' | ')"
+
+
+def put_first(*pids):
+    """Have sessions of processes go before others; without the right to that at least not after them."""
+    for pid in pids:
+        for niceness in (FIRST, 0):
+            with contextlib.suppress(OSError):
+                Path(f"/proc/{pid}/autogroup").write_text(str(niceness))
+                os.setpriority(os.PRIO_PROCESS, pid, niceness)
+                break
+
+
+def children(pid):
+    """Of a process."""
+    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
 
 class Rig:
     """The page's server with all that it started, its links and what its arm tells."""
 
-    def __init__(self, process, settings, audit):
-        self.audit = audit
-        self.process, self.settings, self.links = process, settings, []
-        self.modes, self.ends = [], []
+    def __init__(self, process, audit):
+        self.process, self.links, self.modes, self.ends, self.threads = process, [], [], [], []
+        self._audit = audit
         threading.Thread(target=self._read, daemon=True).start()
 
     def _read(self):
@@ -67,31 +97,36 @@ class Rig:
     def hear(self, connection):
         connection.listen((ROBOT_STATE,), lambda t: self.modes.append(decode(RobotState, t.payload).mode))
         connection.listen((EXECUTION,), lambda t: self.ends.append(decode(ExecutionEvent, t.payload)))
+        connection.listen((THREAD,), lambda t: self.threads.append(t.key))
+
+    def written(self):
+        """What stands in the audit log."""
+        return [json.loads(line) for line in self._audit.read_text().splitlines()]
+
+    def held(self):
+        """The arm holds, and has said that it does."""
+        said = any(event.kind is ExecutionKind.HELD for event in self.ends)
+        return said and self.modes[-1] is RobotMode.HOLDING
 
 
 @pytest.fixture(scope="module")
-def rig(tmp_path_factory, until, in_threads, hand_made_thread):
+def rig(tmp_path_factory, until):
     folder = tmp_path_factory.mktemp("paged")
     endpoint, config = free_local_endpoint(), folder / "rig.toml"
     config.write_text(RIG.format(endpoint=endpoint, folder=folder))
-    command = [
-        sys.executable,
-        "-m",
-        "agents.cli",
-        "page",
-        "--start",
-        "--no-open",
-        "--port",
-        "0",
-        "--config",
-        str(config),
-    ]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    command = [sys.executable, "-m", "agents.cli", "page", "--start", "--no-open", "--port", "0"]
+    own = {"stdout": subprocess.PIPE, "text": True, "start_new_session": True}
+    with subprocess.Popen([*command, "--config", str(config)], **own) as process:
         try:
-            rig = Rig(process, SessionSettings("paged", endpoint), folder / "audit" / "operator-page.jsonl")
+            put_first(process.pid)
+            rig = Rig(process, folder / "audit" / "operator-page.jsonl")
             until(lambda: rig.links, "the page's link", STARTS_S)
-            with in_threads(rig.settings, hand_made_thread()), connected(rig.settings, STARTS_S) as connection:
+            put_first(*children(process.pid))
+            with connected(SessionSettings("paged", endpoint), STARTS_S) as connection:
                 rig.hear(connection)
+                until(lambda: rig.threads, "a thread", STARTS_S)
+                # by now those have stepped back that do
+                put_first(*children(process.pid))
                 yield rig
         finally:
             process.send_signal(signal.SIGINT)
@@ -100,45 +135,65 @@ def rig(tmp_path_factory, until, in_threads, hand_made_thread):
 
 async def eventually(condition, what, seconds=PATIENT_S):
     """Wait for something outside of the browser."""
-    async with asyncio.timeout(seconds):
-        while not condition():
-            await asyncio.sleep(0.02)
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(seconds):
+            while not condition():
+                await asyncio.sleep(0.02)
     assert condition(), what
+
+
+async def opened(browser, rig):
+    """A page that shows pictures and has control."""
+    page = await browser.open(rig.links[-1])
+    await page.until("window.suturegrasp?.presented.length > 5 && suturegrasp.panel.state", STARTS_S)
+    if not await page.value(CONTROLS):
+        await page.click("#take")
+        await page.until(CONTROLS)
+    return page
 
 
 async def planned(page, share):
     """Click the thread until there is a plan: on a busy machine thread or arm may be too old for the planner."""
-    for _ in range(20):
-        await page.until("suturegrasp.picture.thread", STARTS_S)
+    for _ in range(TRIES):
+        await page.until(FRESH, STARTS_S)
         before = json.dumps(await page.value("suturegrasp.plans.psm1?.id"))
         await page.click_at(*await page.value(GOAL_PLACE.replace("SHARE", str(share))))
-        try:
-            return await page.until(NEWER.replace("BEFORE", before), 5.0)
-        except BrowserError:
-            continue
-    raise AssertionError(await page.words())
+        with contextlib.suppress(BrowserError):
+            return await page.until(NEWER.replace("BEFORE", before), ANSWERED_S)
+    raise AssertionError(await page.value(SAID))
 
 
-async def armed(page, share=0.4):
+async def armed(page, rig):
     """Press until the arm moves: on a busy machine a page may not answer in time, and is let go of, as it should."""
-    for _ in range(20):
-        await planned(page, share)
+    for _ in range(TRIES):
+        await planned(page, 0.4)
+        rig.ends.clear()
         x, y = await page.middle("#press")
         await page.mouse("mouseMoved", x, y)
         await page.mouse("mousePressed", x, y)
-        try:
+        with contextlib.suppress(BrowserError):
             await page.until(MOVES, 4.0)
             return x, y
-        except BrowserError:
-            await page.mouse("mouseReleased", x, y)
-    raise AssertionError(await page.value("[...suturegrasp.panel.state.lines, suturegrasp.panel.note].join(' | ')"))
+        await page.mouse("mouseReleased", x, y)
+    raise AssertionError(await page.value(SAID))
+
+
+async def held_for(rig, why, lose):
+    """Lose a hand that presses, until the arm holds for that very reason and not for a challenge answered too late."""
+    for _ in range(TRIES):
+        before = len(rig.written())
+        await lose()
+        await eventually(rig.held, f"the arm holds: {why}")
+        if any(re.search(why, line["why"]) for line in rig.written()[before:] if line["what"] == "hold"):
+            return
+    raise AssertionError([line for line in rig.written() if line["what"] == "hold"])
 
 
 def test_a_person_sees_clicks_previews_arms_and_holds(rig):
     async def person():
         async with chromium("--window-size=1100,800") as browser:
-            page = await browser.open(rig.links[-1])
-            await page.until("window.suturegrasp?.presented.length > 5", STARTS_S)
+            put_first(browser.process.pid)
+            page = await opened(browser, rig)
             await planned(page, 0.5)
             goal = await page.value("document.getElementById('goal').textContent")
             assert re.search(r"predicted success.*s = 0\.\d+, [\d.]+ mm along", goal), goal
@@ -146,28 +201,37 @@ def test_a_person_sees_clicks_previews_arms_and_holds(rig):
             way = await page.value("[suturegrasp.plans.psm1.way.length, suturegrasp.picture.previewed() !== null]")
             assert way[0] > 10, "the preview has a way to go"
             assert way[1]
-            x, y = await armed(page)
-            await page.mouse("mouseReleased", x, y)
-            await eventually(lambda: rig.modes[-1] is RobotMode.HOLDING, "the arm holds")
+
+            async def released():
+                await page.mouse("mouseReleased", *await armed(page, rig))
+
+            await held_for(rig, "the button was released", released)
             await page.until("document.getElementById('lines').textContent.includes('psm1 holds')")
-            # a lost tab is as good as a hand that lets go
-            await armed(page)
-            rig.ends.clear()
             other = await browser.open(rig.links[-1])
-            await other.until("window.suturegrasp?.panel.state")
-            await page.close()
-            await eventually(lambda: any(e.kind is ExecutionKind.HELD for e in rig.ends), "the arm holds")
+            await other.until("window.suturegrasp?.panel.state", STARTS_S)
+
+            # a lost tab is as good as a hand that lets go
+            tabs = [page]
+
+            async def closed():
+                pressing = tabs.pop() if tabs else await opened(browser, rig)
+                await armed(pressing, rig)
+                await pressing.close()
+
+            await held_for(rig, r"the page was (left|hidden)|its connection ended|lost the focus", closed)
             # the other page watched, and is told that nobody controls now
             await other.until("document.getElementById('screens').textContent.includes('nobody controls')")
             await other.click("#take")
             await other.until("document.getElementById('control').textContent.includes('you control')")
-            await armed(other)
-            rig.ends.clear()
-            await other.key("keyDown", " ", "Space", 32)
-            await other.key("keyUp", " ", "Space", 32)
-            await eventually(lambda: any(e.kind is ExecutionKind.HELD for e in rig.ends), "Space holds the arm")
+
+            async def space():
+                await armed(other, rig)
+                await other.key("keyDown", " ", "Space", 32)
+                await other.key("keyUp", " ", "Space", 32)
+
+            await held_for(rig, "said hold", space)
             assert page.errors + other.errors == []
 
     asyncio.run(person())
-    written = [json.loads(line)["what"] for line in rig.audit.read_text().splitlines()]
-    assert {"started", "goal", "pressed", "arm", "answer", "hold", "released", "control"} <= set(written)
+    told = {line["what"] for line in rig.written()}
+    assert {"started", "goal", "pressed", "arm", "answer", "hold", "released", "control"} <= told
