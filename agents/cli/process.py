@@ -15,23 +15,23 @@ from agents.cli.supervisor import SUPERVISED, UNUSABLE
 EXIT_OK, EXIT_GAVE_UP, EXIT_UNUSABLE = 0, 1, UNUSABLE
 ENDS_WITHIN_S, STANDARD_ERROR = 20.0, 2
 """Less than a service manager waits before it kills."""
-NICENESS = 8
+NICENESS, ONLOOKER = 8, 15
 """What takes all the time it gets, and leaves out images for newer ones, steps back behind what keeps time: the arm,
-the field and the camera."""
+the field and the camera. What only shows them steps back farther."""
 AUTOGROUP = Path("/proc/self/autogroup")
 """Where Linux shares time among sessions before it does among processes, which makes niceness within one moot."""
 LOGGER = logging.getLogger("suturegrasp")
 LINE = logging.Formatter("%(asctime)s %(name)s %(levelname)s: %(message)s", "%H:%M:%S")
 
 
-def step_back() -> None:
+def step_back(niceness: int = NICENESS) -> None:
     """Leave the processor to whatever is more urgent, where the system can."""
     if hasattr(os, "nice"):
-        os.nice(NICENESS)
+        os.nice(niceness)
     # a process of its own session is nice to nobody else's, so the session has to be
     with contextlib.suppress(OSError):
         if os.getsid(0) == os.getpid():
-            AUTOGROUP.write_text(str(NICENESS))
+            AUTOGROUP.write_text(str(niceness))
 
 
 def on_stop(stop: Callable[[], None], for_sure: bool = False) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from agents.cli.live_options import View
-from agents.cli.process import EXIT_GAVE_UP, EXIT_OK, EXIT_UNUSABLE, on_stop, step_back
+from agents.cli.process import EXIT_GAVE_UP, EXIT_OK, EXIT_UNUSABLE, ONLOOKER, on_stop, step_back
 from agents.cli.rig import RigConfig
 from agents.cli.session_folder import free_path
 from agents.cli.terminal import complain, say, show
@@ -40,7 +40,7 @@ def view(rig: RigConfig, options: View) -> int:
 
 def _view_rig(rig: RigConfig, output: Path | None, options: View, stopped: threading.Event) -> int:
     """Show the rig until stopped, then say what was shown and what was dropped."""
-    step_back()
+    step_back(ONLOOKER)
     # sessions that are opened together stay apart by the folder that each is in
     session_id = f"{rig.rig} {output.resolve().parent.name}" if output is not None else rig.rig
     try:
