@@ -2,7 +2,7 @@
 # pyright: reportMissingImports=false, reportUntypedBaseClass=false
 # PyTorch is there for training alone (extra `train`), so that the checks of everyone else run without it.
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import nn
@@ -41,6 +41,14 @@ class ThreadNet(nn.Module):
         quarter = self.again_at_quarter(self.to_quarter(eighth) + quarter)
         half = self.again_at_half(self.to_half(quarter) + half)
         return self.coverage(half)
+
+
+def network_of(state: Mapping[str, torch.Tensor]) -> ThreadNet:
+    """The network whose weights these are, as wide as they say."""
+    convolutions = "at_half.0", "at_quarter.0.0", "at_eighth.0.0", "at_sixteenth.0.0"
+    network = ThreadNet([len(state[f"{name}.weight"]) for name in convolutions])
+    network.load_state_dict(state)
+    return network
 
 
 def _layer(inputs: int, outputs: int, stride: int = 1) -> nn.Module:

@@ -1,126 +1,120 @@
-"""Variations of a view that keep what is thread: place, size and turn; light and colour; lens, motion and sensor.
+"""Variations of crops that keep what is thread: dye and ground; light and colour; lens, motion and sensor.
 
-About half of the crops are only mirrored and turned by right angles, so that their coverage stays as sharp as rendered.
+Crops are (n, 3, s, s), blue first, and their coverage (n, 1, s, s), 0 to 255, on any device: all of a batch is varied
+at once.
 """
+# pyright: reportMissingImports=false
+# PyTorch is there for training alone (extra `train`), so that the checks of everyone else run without it.
 
-import cv2
-import numpy as np
-from jaxtyping import UInt8
+from collections.abc import Iterator
 
-from agents.perception.training.clutter import Coverage, Image, with_glints, with_smoke, with_tools, with_vessels
-from agents.perception.training.dyeing import with_other_dye
+import torch
 
-RESAMPLED_SHARE = 0.55
-DYED_SHARE = 0.45
-SCALE = 0.6, 1.7
-"""Of a resampled crop: the same thread is nearer or farther, or the camera has more or fewer pixels."""
+from agents.perception.training.blurring import blurred, moved
+from agents.perception.training.clutter import with_blood, with_glints, with_smoke, with_tools, with_vessels
+from agents.perception.training.drawn_layers import Layers
+from agents.perception.training.dyeing import with_other_dye, with_second_strand
+from agents.perception.training.jpeg import compressed
+from agents.perception.training.lots import Lots
 
-
-def varied(image: Image, coverage: Coverage, rng: np.random.Generator) -> tuple[Image, Coverage]:
-    """A square view and its coverage, varied in everything but their size and place."""
-    image, coverage = _mirrored(image, coverage, rng)
-    if rng.uniform() < DYED_SHARE:
-        image = with_other_dye(image, coverage, rng)
-    if rng.uniform() < 0.25:
-        image = with_vessels(image, coverage, rng)
-    if rng.uniform() < 0.25:
-        image = with_glints(image, coverage, rng)
-    if rng.uniform() < 0.25:
-        image, coverage = with_tools(image, coverage, rng)
-    image = _recoloured(image, rng)
-    if rng.uniform() < 0.1:
-        image = with_smoke(image, rng)
-    if rng.uniform() < 0.06:
-        image, coverage = _interlaced(image, coverage, rng)
-    return _seen_by_sensor(image, rng), coverage
+DYED_SHARE, STRANDS_SHARE = 0.6, 0.15
+VESSELS_SHARE, BLOOD_SHARE, GLINTS_SHARE, TOOLS_SHARE, SMOKE_SHARE = 0.3, 0.3, 0.3, 0.25, 0.1
+GREY_SHARE, INTERLACED_SHARE, MOVED_SHARE = 0.05, 0.06, 0.12
 
 
-def crop_of(
-    image: Image, coverage: Coverage, centre: np.ndarray, side: int, rng: np.random.Generator
-) -> tuple[Image, Coverage]:
-    """A square around a pixel (x, y), turned and scaled at random in part of the cases; mirrored at the border."""
-    resampled = rng.uniform() < RESAMPLED_SHARE
-    scale = float(np.exp(rng.uniform(*np.log(SCALE)))) if resampled else 1.0
-    turn = rng.uniform(0, 2 * np.pi) if resampled else 0.0
-    if scale < 0.8:
-        # what is drawn smaller is averaged first
-        sigma = 0.35 / scale
-        image, coverage = cv2.GaussianBlur(image, (0, 0), sigma), cv2.GaussianBlur(coverage, (0, 0), sigma)
-    towards = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]) / scale
-    middle = np.full(2, (side - 1) / 2)
-    at = centre if resampled else np.rint(centre + 0.5) - 0.5
-    move = np.column_stack((towards, at - towards @ middle))
-    how = (cv2.INTER_LINEAR if resampled else cv2.INTER_NEAREST) | cv2.WARP_INVERSE_MAP
-    seen, covered = (
-        cv2.warpAffine(part, move, (side, side), flags=how, borderMode=cv2.BORDER_REFLECT_101)
-        for part in (image, coverage)
-    )
-    return np.asarray(seen, np.uint8), np.asarray(covered, np.uint8)
+def varied(
+    image: torch.Tensor, coverage: torch.Tensor, lots: Lots, layers: Layers, red_share: float
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """The crops, varied in everything but their size and place."""
+    for few in _some(image, DYED_SHARE, lots):
+        image[few] = with_other_dye(image[few], coverage[few], red_share, lots)
+    for few in _some(image, STRANDS_SHARE, lots):
+        image, coverage = with_second_strand(image, coverage, few, lots)
+    for share, clutter, drawn in (
+        (VESSELS_SHARE, with_vessels, layers.vessels),
+        (BLOOD_SHARE, with_blood, layers.blood),
+        (GLINTS_SHARE, with_glints, layers.glints),
+    ):
+        for few in _some(image, share, lots):
+            image[few] = clutter(image[few], coverage[few], drawn, lots)
+    for few in _some(image, TOOLS_SHARE, lots):
+        image[few], coverage[few] = with_tools(image[few], coverage[few], lots)
+    image = _recoloured(image, lots)
+    for few in _some(image, SMOKE_SHARE, lots):
+        image[few] = with_smoke(image[few], lots)
+    for few in _some(image, INTERLACED_SHARE, lots):
+        shift = int(lots.rng.integers(1, 4))
+        for part in (image, coverage):
+            # odd rows are seen a little later than even ones
+            part[few, :, 1::2] = torch.roll(part[few, :, 1::2], shift, 3)
+    return _seen_by_sensor(image, lots), coverage
 
 
-def _mirrored(image: Image, coverage: Coverage, rng: np.random.Generator) -> tuple[Image, Coverage]:
-    quarter_turns, flipped = int(rng.integers(4)), rng.uniform() < 0.5
-    turned = (np.rot90(part, quarter_turns) for part in (image, coverage))
-    seen, covered = (np.ascontiguousarray(part[:, ::-1] if flipped else part) for part in turned)
-    return seen, covered
+def _some(image: torch.Tensor, share: float, lots: Lots) -> Iterator[torch.Tensor]:
+    """The numbers of a share of the crops; nothing, where that is none."""
+    few = lots.some(len(image), share)
+    if len(few):
+        yield few
 
 
-def _recoloured(image: Image, rng: np.random.Generator) -> Image:
+def _recoloured(image: torch.Tensor, lots: Lots) -> torch.Tensor:
     """Another lamp, white balance, exposure and tone curve; another hue of everything; colours stronger or weaker."""
-    if rng.uniform() < 0.5:
-        hsv = cv2.cvtColor(image, cv2.COLOR_BGR2HSV).astype(np.float32)
-        hsv[..., 0] = np.mod(hsv[..., 0] + rng.normal(0, 8), 180)
-        hsv[..., 1] = np.clip(hsv[..., 1] * np.exp(rng.normal(0, 0.35)), 0, 255)
-        image = cv2.cvtColor(hsv.astype(np.uint8), cv2.COLOR_HSV2BGR)
-    if rng.uniform() < 0.05:
-        image = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
-    level = np.arange(256, dtype=np.float32) / 255
-    gain = np.exp(rng.normal(0, 0.12, 3) + rng.normal(0, 0.15))
-    gamma, lift = np.exp(rng.normal(0, 0.22)), rng.uniform(-0.04, 0.06)
-    curves = np.clip(gain * level[:, None] ** gamma + lift, 0, 1)
-    return np.asarray(cv2.LUT(image, np.rint(255 * curves).astype(np.uint8).reshape(256, 1, 3)), np.uint8)
+    count = len(image)
+    for few in _some(image, 0.5, lots):
+        image[few] = _other_hue(image[few], lots)
+    for few in _some(image, GREY_SHARE, lots):
+        image[few] = image[few].mean(dim=1, keepdim=True).expand(-1, 3, -1, -1)
+    gain = torch.exp(lots.normal(0.12, count, 3, 1, 1) + lots.normal(0.15, count, 1, 1, 1))
+    gamma, lift = torch.exp(lots.normal(0.22, count, 1, 1, 1)), lots.uniform(-0.04, 0.06, count, 1, 1, 1)
+    curved = gain * torch.clamp(image / 255, 0, 1) ** gamma + lift
+    return 255 * torch.clamp(curved, 0, 1)
 
 
-def _interlaced(image: Image, coverage: Coverage, rng: np.random.Generator) -> tuple[Image, Coverage]:
-    """Odd rows seen a little later than even ones."""
-    shift = int(rng.integers(1, 4))
-    image, coverage = image.copy(), coverage.copy()
-    for part in (image, coverage):
-        part[1::2] = np.roll(part[1::2], shift, axis=1)
-    return image, coverage
+def _other_hue(image: torch.Tensor, lots: Lots) -> torch.Tensor:
+    """Colours turned about grey, and drawn towards it or away."""
+    count = len(image)
+    turn, strength = lots.normal(0.28, count, 1), torch.exp(lots.normal(0.35, count, 1))
+    grey = torch.full((3, 3), 1 / 3, device=image.device)
+    # of a turn about the axis of greys: the part in its plane, and the part across
+    plane = torch.eye(3, device=image.device) - grey
+    across = torch.tensor([[0.0, -1.0, 1.0], [1.0, 0.0, -1.0], [-1.0, 1.0, 0.0]], device=image.device) / 3**0.5
+    mixed = strength[..., None] * (torch.cos(turn)[..., None] * plane + torch.sin(turn)[..., None] * across) + grey
+    return torch.clamp(torch.einsum("nij,njrc->nirc", mixed, image), 0, 255)
 
 
-def _seen_by_sensor(image: Image, rng: np.random.Generator) -> Image:
+def _seen_by_sensor(image: torch.Tensor, lots: Lots) -> torch.Tensor:
     """Out of focus or moved, noisy, sharpened and compressed, each at times."""
-    if rng.uniform() < 0.5:
-        image = cv2.GaussianBlur(image, (0, 0), float(rng.uniform(0.3, 1.4)))
-    if rng.uniform() < 0.08:
-        image = _moved(image, rng)
-    if rng.uniform() < 0.6:
-        image = _noisy(image, rng)
-    if rng.uniform() < 0.2:
-        amount = rng.uniform(0.2, 1.0)
-        image = cv2.addWeighted(image, 1 + amount, cv2.GaussianBlur(image, (0, 0), 1.2), -amount, 0)
-    if rng.uniform() < 0.4:
-        packed = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(40, 96))])[1]
-        image = np.asarray(cv2.imdecode(packed, cv2.IMREAD_COLOR))
-    return np.asarray(image, np.uint8)
+    for share, change in (
+        (0.5, _out_of_focus),
+        (MOVED_SHARE, _moved),
+        (0.6, _noisy),
+        (0.2, _sharpened),
+        (0.4, compressed),
+    ):
+        for few in _some(image, share, lots):
+            image[few] = change(image[few], lots)
+    return torch.clamp(image, 0, 255).round()
 
 
-def _moved(image: Image, rng: np.random.Generator) -> Image:
-    length, turn = int(rng.integers(3, 9)) | 1, rng.uniform(0, np.pi)
-    kernel = np.zeros((length, length), np.float32)
-    reach = (length // 2) * np.array([np.cos(turn), np.sin(turn)])
-    ends = [tuple(np.rint(length // 2 + sign * reach).astype(int).tolist()) for sign in (-1, 1)]
-    cv2.line(kernel, ends[0], ends[1], 1.0)
-    return np.asarray(cv2.filter2D(image, -1, kernel / kernel.sum()), np.uint8)
+def _out_of_focus(image: torch.Tensor, lots: Lots) -> torch.Tensor:
+    return blurred(image, lots.uniform(0.3, 1.4, len(image)), 4)
 
 
-def _noisy(image: Image, rng: np.random.Generator) -> UInt8[np.ndarray, "h w 3"]:
-    read, shot = rng.uniform(0, 6), rng.uniform(0, 9)
-    deviation = np.sqrt(read**2 + shot**2 * image.astype(np.float32) / 255)
-    grain = rng.standard_normal(image.shape, np.float32)
-    if rng.uniform() < 0.3:
+def _moved(image: torch.Tensor, lots: Lots) -> torch.Tensor:
+    return moved(image, lots.uniform(2, 11, len(image)), lots.uniform(0, torch.pi, len(image)), 6)
+
+
+def _noisy(image: torch.Tensor, lots: Lots) -> torch.Tensor:
+    count = len(image)
+    read, shot = lots.uniform(0, 6, count, 1, 1, 1), lots.uniform(0, 9, count, 1, 1, 1)
+    grain = lots.normal(1.0, *image.shape)
+    for smooth in _some(image, 0.3, lots):
         # video smooths its noise
-        grain = cv2.GaussianBlur(grain, (0, 0), 0.7) * 1.8
-    return np.clip(image + deviation * grain + 0.5, 0, 255).astype(np.uint8)
+        grain[smooth] = 1.8 * blurred(grain[smooth], torch.full((len(smooth),), 0.7, device=image.device), 2)
+    return torch.clamp(image + torch.sqrt(read**2 + shot**2 * image / 255) * grain, 0, 255)
+
+
+def _sharpened(image: torch.Tensor, lots: Lots) -> torch.Tensor:
+    amount = lots.uniform(0.2, 1.0, len(image), 1, 1, 1)
+    wide = blurred(image, torch.full((len(image),), 1.2, device=image.device), 4)
+    return torch.clamp(image + amount * (image - wide), 0, 255)

@@ -1,132 +1,138 @@
-"""What is no thread and looks like it, or hides it: glints, vessels, tool edges, smoke. Laid over a view at random.
+"""What is no thread and looks like it, or hides it: glints, vessels, blood, tool edges, smoke, laid over crops.
 
-Glints and vessels are laid beneath the thread, since they belong to the tissue; tools lie over it and take it away.
+Glints, vessels and blood are laid beneath the thread, since they belong to the tissue; tools lie over it and take it
+away, or beneath it as well. Crops are (n, 3, s, s) and their coverage (n, 1, s, s), 0 to 255.
 """
+# pyright: reportMissingImports=false
+# PyTorch is there for training alone (extra `train`), so that the checks of everyone else run without it.
 
-import cv2
 import numpy as np
-from jaxtyping import Float32, UInt8
+import torch
+from torch.nn import functional
 
-Image = UInt8[np.ndarray, "h w 3"]
-Coverage = UInt8[np.ndarray, "h w"]
-SHIFT = 4
-"""Of OpenCV's drawing: sixteenths of a pixel."""
+from agents.perception.training.blurring import blurred
+from agents.perception.training.lots import Lots
 
-
-def with_glints(image: Image, coverage: Coverage, rng: np.random.Generator) -> Image:
-    """Short bright streaks and specks in a common direction, such as light makes on wet tissue."""
-    layer = np.zeros(coverage.shape, np.uint8)
-    turn = rng.uniform(0, np.pi)
-    for _ in range(int(rng.integers(3, 30))):
-        start = rng.uniform(0, 1, 2) * coverage.shape[::-1]
-        length, bend = rng.gamma(1.5, 6.0), rng.normal(0, 0.03)
-        heading = turn + rng.normal(0, 0.5) + bend * np.linspace(0, length, 8)
-        line = start + np.cumsum(np.column_stack((np.cos(heading), np.sin(heading))) * (length / 8), axis=0)
-        _draw(layer, line, int(rng.integers(1, 5)), int(rng.integers(150, 256)))
-    alpha = _beneath(cv2.GaussianBlur(layer, (0, 0), float(rng.uniform(0.5, 1.2))), coverage)
-    return _blended(image, np.array([250.0, 252.0, 255.0], np.float32) * rng.uniform(0.85, 1.0), alpha)
+Rod = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
+"""Tip (n, 2), the way it goes from there, radius there, and how much that grows on the way."""
 
 
-def with_vessels(image: Image, coverage: Coverage, rng: np.random.Generator) -> Image:
-    """Branching lines that stain the tissue, which stays visible in them: vessels, fibres, and ink on cloth."""
-    stain = np.zeros(coverage.shape, np.float32)
-    for _ in range(int(rng.integers(1, 5))):
-        layer = np.zeros(coverage.shape, np.uint8)
-        width = rng.uniform(1.0, 5.0)
-        for _ in range(int(rng.integers(1, 4))):
-            _draw(layer, _wander(coverage.shape, rng), max(1, round(width)), 255)
-            width *= 0.7
-        soft = cv2.GaussianBlur(layer, (0, 0), float(rng.uniform(0.6, 2.5)))
-        stain = np.maximum(stain, soft.astype(np.float32) * rng.uniform(0.25, 0.85))
-    alpha = _beneath(stain, coverage)[..., None]
+def with_glints(image: torch.Tensor, coverage: torch.Tensor, layers: torch.Tensor, lots: Lots) -> torch.Tensor:
+    """Light that wet tissue mirrors, over the ground."""
+    alpha = _laid(layers, len(image), image.shape[-1], lots) * _bare(coverage)
+    white = torch.tensor([250.0, 252.0, 255.0], device=image.device)[:, None, None]
+    return image + alpha * (white * lots.uniform(0.85, 1.0, len(image), 1, 1, 1) - image)
+
+
+def with_vessels(image: torch.Tensor, coverage: torch.Tensor, layers: torch.Tensor, lots: Lots) -> torch.Tensor:
+    """Lines that stain the ground, which stays visible in them."""
+    count = len(image)
+    stain = _laid(layers, count, image.shape[-1], lots) * lots.uniform(0.3, 0.9, count, 1, 1, 1) * _bare(coverage)
     # a stain takes light away, most from blue and green; a pale fibre adds some
-    keep = rng.uniform([0.2, 0.15, 0.4], [0.8, 0.7, 0.95]) if rng.uniform() < 0.75 else rng.uniform(1.1, 1.5, 3)
-    return np.clip(image * (1 + alpha * (keep.astype(np.float32) - 1)), 0, 255).astype(np.uint8)
+    low, high = (
+        torch.tensor(part, device=image.device)[:, None, None] for part in ([0.2, 0.15, 0.4], [0.8, 0.7, 0.95])
+    )
+    dark = low + (high - low) * lots.uniform(0, 1, count, 3, 1, 1)
+    pale = lots.uniform(1.1, 1.5, count, 3, 1, 1)
+    keep = torch.where(lots.uniform(0, 1, count, 1, 1, 1) < 0.75, dark, pale)
+    return torch.clamp(image * (1 + stain * (keep - 1)), 0, 255)
 
 
-def with_tools(image: Image, coverage: Coverage, rng: np.random.Generator) -> tuple[Image, Coverage]:
+def with_blood(image: torch.Tensor, coverage: torch.Tensor, layers: torch.Tensor, lots: Lots) -> torch.Tensor:
+    """Streaks and drops that hide the ground and mirror lamps; most of blood, some of other juices."""
+    count, side = len(image), image.shape[-1]
+    shape = _laid(layers, count, side, lots)
+    light = image.mean(dim=(1, 2, 3), keepdim=True) / 110
+    red = torch.cat([lots.uniform(*bounds, count, 1, 1, 1) for bounds in ((2, 55), (0, 45), (50, 175))], dim=1)
+    other = lots.uniform(5, 170, count, 3, 1, 1)
+    colour = torch.where(lots.uniform(0, 1, count, 1, 1, 1) < 0.8, red, other) * light
+    # it stands up over the ground, so that one side of it mirrors the lamp
+    height = blurred(shape, lots.uniform(1.0, 3.0, count), 9)
+    down, right = (
+        functional.pad(part, pad)
+        for part, pad in zip(
+            (height[:, :, 2:] - height[:, :, :-2], height[..., 2:] - height[..., :-2]),
+            ((0, 0, 1, 1), (1, 1, 0, 0)),
+            strict=True,
+        )
+    )
+    turn = lots.uniform(0, 2 * np.pi, count, 1, 1, 1)
+    slope = (down * torch.sin(turn) + right * torch.cos(turn)) / (height.amax(dim=(2, 3), keepdim=True) * 0.3 + 1e-3)
+    shade = torch.clamp(1 + lots.uniform(-0.5, 0.9, count, 1, 1, 1) * slope, 0.3, 1.8)
+    narrow = lots.uniform(0.04, 0.25, count, 1, 1, 1)
+    glint = torch.exp(-0.5 * ((slope - lots.uniform(0.1, 0.8, count, 1, 1, 1)) / narrow) ** 2)
+    patch = functional.interpolate(lots.normal(1.0, count, 1, 20, 20), size=(side, side), mode="bilinear")
+    mirrored = (
+        glint
+        * torch.clamp(patch - lots.uniform(-0.5, 1.5, count, 1, 1, 1), 0, 1)
+        * lots.uniform(0, 220, count, 1, 1, 1)
+    )
+    alpha = shape * lots.uniform(0.6, 1.0, count, 1, 1, 1) * _bare(coverage)
+    return torch.clamp(image + alpha * (colour * shade + mirrored - image), 0, 255)
+
+
+def with_tools(image: torch.Tensor, coverage: torch.Tensor, lots: Lots) -> tuple[torch.Tensor, torch.Tensor]:
     """Shaded rods, cones and jaws, over everything or beneath the thread; what they cover is thread no longer."""
-    for _ in range(int(rng.choice((1, 1, 2, 3)))):
-        tip, turn, radius = rng.uniform(0, 1, 2) * coverage.shape[::-1], rng.uniform(0, 2 * np.pi), rng.uniform(4, 45)
-        steel = rng.uniform(20, 200) * rng.normal(1, 0.05, 3)
-        parts = [(tip, turn, radius, rng.uniform(0, 0.15) if rng.uniform() < 0.3 else 0.0)]
-        if rng.uniform() < 0.35:
-            # two jaws open from the rod's end
-            spread = rng.uniform(0.05, 0.5)
-            parts += [
-                (tip + 3.0 * radius * _towards(turn + np.pi + sign * spread), turn + sign * spread, radius / 2.5, 0.1)
-                for sign in (-1, 1)
-            ]
-        is_over = rng.uniform() < 0.5
-        for part in parts:
-            image, coverage = _with_rod(image, coverage, part, steel, is_over, rng)
+    count, side = len(image), image.shape[-1]
+    tip, turn = lots.uniform(0, side, count, 2), lots.uniform(0, 2 * np.pi, count)
+    radius = torch.exp(lots.uniform(np.log(4), np.log(45), count))
+    taper = lots.uniform(0, 0.15, count) * (lots.uniform(0, 1, count) < 0.3)
+    rods: list[Rod] = [(tip, turn, radius, taper)]
+    if lots.rng.uniform() < 0.5:
+        # two jaws open from the rod's end
+        opening = lots.uniform(0.05, 0.5, count)
+        for sign in (-1, 1):
+            back = turn + np.pi + sign * opening
+            end = tip + 3 * radius[:, None] * torch.stack((torch.cos(back), torch.sin(back)), dim=1)
+            rods.append((end, turn + sign * opening, radius / 2.5, torch.full_like(radius, 0.1)))
+    steel = lots.uniform(20, 200, count, 1, 1, 1) * (1 + lots.normal(0.05, count, 3, 1, 1))
+    is_over = (lots.uniform(0, 1, count, 1, 1, 1) < 0.5).float()
+    for rod in rods:
+        image, coverage = _with_rod(image, coverage, rod, steel, is_over, lots)
     return image, coverage
 
 
 def _with_rod(
-    image: Image,
-    coverage: Coverage,
-    rod: tuple[np.ndarray, float, float, float],
-    steel: np.ndarray,
-    is_over: bool,
-    rng: np.random.Generator,
-) -> tuple[Image, Coverage]:
-    """One rod: its tip, the way it goes from there, its radius there, and how much that grows on the way."""
+    image: torch.Tensor, coverage: torch.Tensor, rod: Rod, steel: torch.Tensor, is_over: torch.Tensor, lots: Lots
+) -> tuple[torch.Tensor, torch.Tensor]:
     tip, turn, radius, taper = rod
-    y, x = np.mgrid[: coverage.shape[0], : coverage.shape[1]].astype(np.float32)
-    along = (x - tip[0]) * np.cos(turn) + (y - tip[1]) * np.sin(turn)
-    wide = (radius + taper * np.maximum(along, 0)).astype(np.float32)
-    across = ((x - tip[0]) * np.sin(turn) - (y - tip[1]) * np.cos(turn)) / wide
+    count, at = len(image), torch.arange(image.shape[-1], device=image.device)
+    x, y = at - tip[:, 0, None, None], at[:, None] - tip[:, 1, None, None]
+    cosine, sine = torch.cos(turn)[:, None, None], torch.sin(turn)[:, None, None]
+    along = x * cosine + y * sine
+    wide = radius[:, None, None] + taper[:, None, None] * torch.clamp(along, min=0)
+    across = (x * sine - y * cosine) / wide
     # a round end, as steep as the drawing of lots says
-    away = np.hypot(across, np.minimum(along, 0) / (wide * rng.uniform(0.05, 1.5)))
-    alpha = np.clip((1 - away) * wide + 0.5, 0, 1).astype(np.float32)
-    light = rng.uniform(0.1, 0.7) + rng.uniform(0.3, 1.0) * np.sqrt(np.clip(1 - away**2, 0, 1))
-    light += rng.uniform(0, 0.8) * np.exp(-0.5 * ((across - rng.uniform(-0.6, 0.6)) / rng.uniform(0.03, 0.4)) ** 2)
-    metal = np.clip(light[..., None] * steel, 0, 255).astype(np.float32)
-    shadow = cv2.GaussianBlur(alpha, (0, 0), float(rng.uniform(2, 10))) * rng.uniform(0, 0.6)
-    if not is_over:
-        bare = 1 - coverage.astype(np.float32) / 255
-        alpha, shadow = alpha * bare, shadow * bare
-    image = np.clip(image * (1 - shadow[..., None]), 0, 255)
-    mixed = image + alpha[..., None] * (metal - image)
-    left = coverage if not is_over else np.rint(coverage * (1 - alpha)).astype(np.uint8)
-    return np.clip(mixed, 0, 255).astype(np.uint8), left
+    away = torch.hypot(across, torch.clamp(along, max=0) / (wide * lots.uniform(0.05, 1.5, count, 1, 1)))
+    alpha = torch.clamp((1 - away) * wide + 0.5, 0, 1)[:, None]
+    round_light = torch.sqrt(torch.clamp(1 - away**2, min=0))
+    light = lots.uniform(0.1, 0.7, count, 1, 1) + lots.uniform(0.3, 1.0, count, 1, 1) * round_light
+    off = (across - lots.uniform(-0.6, 0.6, count, 1, 1)) / lots.uniform(0.03, 0.4, count, 1, 1)
+    light = light + lots.uniform(0, 0.8, count, 1, 1) * torch.exp(-0.5 * off**2)
+    shadow = blurred(alpha, lots.uniform(2, 10, count), 20) * lots.uniform(0, 0.6, count, 1, 1, 1)
+    bare = 1 - (1 - is_over) * coverage / 255
+    ground = image * (1 - shadow * bare)
+    mixed = ground + alpha * bare * (torch.clamp(light[:, None] * steel, 0, 255) - ground)
+    return torch.clamp(mixed, 0, 255), coverage * (1 - alpha * is_over)
 
 
-def _towards(turn: float) -> np.ndarray:
-    return np.array([np.cos(turn), np.sin(turn)])
-
-
-def with_smoke(image: Image, rng: np.random.Generator) -> Image:
+def with_smoke(image: torch.Tensor, lots: Lots) -> torch.Tensor:
     """A veil of cloudy grey light."""
-    size = int(rng.integers(2, 6))
-    cloud = cv2.resize(
-        rng.uniform(0, 1, (size, size)).astype(np.float32), image.shape[1::-1], interpolation=cv2.INTER_CUBIC
-    )
-    alpha = np.clip(cloud * rng.uniform(0.1, 0.6), 0, 0.65)
-    return _blended(image, np.full(3, rng.uniform(140, 230), np.float32), alpha)
+    count, cells = len(image), int(lots.rng.integers(2, 6))
+    cloud = functional.interpolate(lots.uniform(0, 1, count, 1, cells, cells), size=image.shape[-2:], mode="bicubic")
+    alpha = torch.clamp(cloud * lots.uniform(0.1, 0.6, count, 1, 1, 1), 0, 0.65)
+    return image + alpha * (lots.uniform(140, 230, count, 1, 1, 1) - image)
 
 
-def _beneath(layer: np.ndarray, coverage: Coverage) -> Float32[np.ndarray, "h w"]:
-    """The opacity that is left of a layer, 0 to 255, where thread lies over it."""
-    around = cv2.GaussianBlur(coverage, (0, 0), 1.0)
-    return layer.astype(np.float32) * (1 - np.clip(around.astype(np.float32) / 128, 0, 1)) / 255
+def _laid(layers: torch.Tensor, count: int, side: int, lots: Lots) -> torch.Tensor:
+    """Parts of layers, mirrored and turned, 0 to 1."""
+    row, column = (int(part) for part in lots.rng.integers(layers.shape[-1] - side + 1, size=2))
+    parts = layers[lots.indices(len(layers), count), :, row : row + side, column : column + side]
+    parts = parts.rot90(int(lots.rng.integers(4)), (2, 3))
+    return (parts.flip(3) if lots.rng.uniform() < 0.5 else parts).float() / 255
 
 
-def _blended(image: Image, colour: np.ndarray, alpha: Float32[np.ndarray, "h w"]) -> Image:
-    mixed = image + alpha[..., None] * (colour.astype(np.float32) - image)
-    return np.clip(mixed, 0, 255).astype(np.uint8)
-
-
-def _wander(shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
-    """A curve that changes its direction slowly, from somewhere in the view."""
-    steps = int(rng.integers(20, 120))
-    heading = rng.uniform(0, 2 * np.pi) + np.cumsum(np.cumsum(rng.normal(0, 0.02, steps)) + rng.normal(0, 0.1, steps))
-    return rng.uniform(0, 1, 2) * shape[1::-1] + np.cumsum(
-        3 * np.column_stack((np.cos(heading), np.sin(heading))), axis=0
-    )
-
-
-def _draw(layer: np.ndarray, line: np.ndarray, width: int, value: int) -> None:
-    points = np.rint(line * (1 << SHIFT)).astype(np.int32).reshape(-1, 1, 2)
-    cv2.polylines(layer, [points], False, value, width, cv2.LINE_AA, SHIFT)
+def _bare(coverage: torch.Tensor) -> torch.Tensor:
+    """How much of what is beneath the thread is seen."""
+    around = blurred(coverage, torch.ones(len(coverage), device=coverage.device), 3)
+    return 1 - torch.clamp(around / 128, 0, 1)

@@ -1,51 +1,184 @@
 """Batches of crops, endlessly: most of them on thread, the others anywhere, so that the ground is learned as well."""
+# pyright: reportMissingImports=false
+# PyTorch is there for training alone (extra `train`), so that the checks of everyone else run without it.
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32
+import torch
+from jaxtyping import Float64
 
-from agents.perception.segmentation.network import phases
-from agents.perception.training.augmentation import crop_of, varied
-from agents.perception.training.clutter import Coverage
+from agents.perception.training.augmentation import varied
+from agents.perception.training.drawn_layers import Layers, drawn_layers
+from agents.perception.training.lots import Lots, lots_of
 from agents.perception.training.scenes import View
 
 ON_THREAD_SHARE = 0.6
 CROP_PX = 256
 ACROSS = 2
 """The network gives so many pixels a side for each pixel of its own."""
+RESAMPLED_SHARE = 0.55
+SCALE = 0.6, 1.7
+"""Of a resampled crop: the same thread is nearer or farther, or the camera has more or fewer pixels."""
+AVERAGED_SCALE = 0.8
+"""What is drawn smaller than this is averaged of four samples for each pixel."""
+POINTS_KEPT = 512
+"""Places on thread of each view, one of which a crop may have near its middle."""
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """All pixels of views, one behind the other on the device, so that crops of views of any size are one step.
+
+    Fields:
+        pixels: blue, green, red and coverage, (p, 4), 0 to 255.
+        start, height, width: of each view, the number of its first pixel and its size.
+        folders: the first view of each folder, and how many there are.
+        points: places (x, y) on the thread of each view; none, where it has none.
+        sizes: of each view, rows and columns.
+    """
+
+    pixels: torch.Tensor
+    start: torch.Tensor
+    height: torch.Tensor
+    width: torch.Tensor
+    folders: list[tuple[int, int]]
+    points: list[Float64[np.ndarray, "k 2"]]
+    sizes: list[tuple[int, int]]
+
+
+def pixels_of(folders: Sequence[Sequence[View]], device: torch.device, seed: int) -> Pixels:
+    """The views of some folders, on a device."""
+    rng = np.random.default_rng([seed, 20])
+    views = [view for folder in folders for view in folder]
+    sizes = [view.coverage.shape for view in views]
+    counts = np.array([height * width for height, width in sizes])
+    starts = np.concatenate(([0], np.cumsum(counts)))
+    pixels = torch.empty((int(starts[-1]), 4), dtype=torch.uint8, device=device)
+    for view, first, after in zip(views, starts[:-1], starts[1:], strict=True):
+        both = np.concatenate((view.image, view.coverage[..., None]), axis=2)
+        pixels[int(first) : int(after)] = torch.from_numpy(both.reshape(-1, 4)).to(device)
+    ends = np.cumsum([len(folder) for folder in folders]).tolist()
+    of_view = torch.tensor(np.column_stack((starts[:-1], np.array(sizes))), device=device)
+    start, height, width = of_view.unbind(1)
+    return Pixels(
+        pixels=pixels,
+        start=start,
+        height=height,
+        width=width,
+        folders=[(end - len(folder), len(folder)) for end, folder in zip(ends, folders, strict=True)],
+        points=[_points(view, rng) for view in views],
+        sizes=[(int(height), int(width)) for height, width in sizes],
+    )
+
+
+def _points(view: View, rng: np.random.Generator) -> Float64[np.ndarray, "k 2"]:
+    thread = np.flatnonzero(view.coverage.ravel() > 127)
+    kept = thread if len(thread) <= POINTS_KEPT else rng.choice(thread, POINTS_KEPT, replace=False)
+    row, column = np.divmod(kept, view.coverage.shape[1])
+    return np.column_stack((column, row)).astype(np.float64)
 
 
 def batches(
-    folders: Sequence[Sequence[View]], size: int, seed: int
-) -> Iterator[tuple[Float32[np.ndarray, "n 12 r c"], Float32[np.ndarray, "n 4 r c"]]]:
-    """Varied crops as the network takes them, and the coverage that it should give, 0 to 1.
+    folders: Sequence[Sequence[View]], size: int, seed: int, device: torch.device, red_share: float
+) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
+    """Varied crops as the network takes them (n, 12, r, c), and the coverage that it should give (n, 4, r, c), 0 to 1.
 
     Each folder of views is drawn from alike, so that few costly scenes count as much as many cheap ones.
+
+    Args:
+        red_share: of the colours in which thread is dyed anew.
     """
-    rng = np.random.default_rng([seed, 21])
-    threads = [[np.flatnonzero(view.coverage.ravel() > 127) for view in views] for views in folders]
+    pixels, lots, layers = pixels_of(folders, device, seed), lots_of(seed, device), drawn_layers(seed, device)
     while True:
-        chosen = [(k, int(rng.integers(len(folders[k])))) for k in rng.integers(len(folders), size=size).tolist()]
-        crops = [_crop(folders[k][view], threads[k][view], rng) for k, view in chosen]
-        yield (
-            np.concatenate([phases(image) for image, _ in crops]),
-            np.stack([coverage_phases(coverage) for _, coverage in crops]),
-        )
+        yield one_batch(pixels, size, lots, layers, red_share)
 
 
-def coverage_phases(coverage: Coverage) -> Float32[np.ndarray, "4 r c"]:
-    """Coverage at half size, the four pixels of each square as channels, 0 to 1."""
-    rows, columns = (side // ACROSS for side in coverage.shape)
-    apart = coverage.reshape(rows, ACROSS, columns, ACROSS).transpose(1, 3, 0, 2)
-    return apart.reshape(-1, rows, columns).astype(np.float32) / 255
+def one_batch(
+    pixels: Pixels, size: int, lots: Lots, layers: Layers, red_share: float
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """So many varied crops and their coverage, as the network takes and gives them."""
+    with torch.no_grad():
+        image, coverage = varied(*crops_of(pixels, size, lots), lots, layers, red_share)
+        return phases_of(image / 255), phases_of(coverage / 255)
 
 
-def _crop(view: View, thread: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    height, width = view.coverage.shape
-    if len(thread) and rng.uniform() < ON_THREAD_SHARE:
-        pixel = int(rng.choice(thread))
-        centre = np.array([pixel % width, pixel // width]) + rng.uniform(-0.3, 0.3, 2) * CROP_PX
-    else:
-        centre = rng.uniform(0, 1, 2) * (width, height)
-    return varied(*crop_of(view.image, view.coverage, centre, CROP_PX, rng), rng)
+def phases_of(image: torch.Tensor) -> torch.Tensor:
+    """At half size, the four pixels of each square as channels: (n, c, h, w) to (n, 4 c, h/2, w/2)."""
+    count, channels, height, width = image.shape
+    apart = image.reshape(count, channels, height // ACROSS, ACROSS, width // ACROSS, ACROSS)
+    return apart.permute(0, 3, 5, 1, 2, 4).reshape(count, -1, height // ACROSS, width // ACROSS)
+
+
+def crops_of(pixels: Pixels, size: int, lots: Lots) -> tuple[torch.Tensor, torch.Tensor]:
+    """Images (n, 3, s, s) and coverage (n, 1, s, s), 0 to 255; mirrored, turned, and part of them turned freely."""
+    rng = lots.rng
+    chosen = [
+        (folder, int(rng.integers(pixels.folders[folder][1])))
+        for folder in rng.integers(len(pixels.folders), size=size).tolist()
+    ]
+    view = np.array([pixels.folders[folder][0] + number for folder, number in chosen])
+    resampled = rng.uniform(size=size) < RESAMPLED_SHARE
+    scale = np.where(resampled, np.exp(rng.uniform(np.log(SCALE[0]), np.log(SCALE[1]), size)), 1.0)
+    turn = np.where(resampled, rng.uniform(0, 2 * np.pi, size), rng.integers(4, size=size) * np.pi / 2)
+    centre = np.stack([_centre(pixels, int(number), rng) for number in view])
+    centre = np.where(resampled[:, None], centre, np.rint(centre + 0.5) - 0.5)
+    rows = np.stack((np.cos(turn), -np.sin(turn), np.sin(turn), np.cos(turn)), axis=1).reshape(size, 2, 2)
+    rows[..., 0] *= rng.choice((-1, 1), size)[:, None]
+    towards = rows / scale[:, None, None]
+    seen = torch.empty((size, CROP_PX, CROP_PX, 4), device=lots.device)
+    for few, aside in ((scale < AVERAGED_SCALE, (-0.25, 0.25)), (scale >= AVERAGED_SCALE, (0.0,))):
+        which = np.flatnonzero(few)
+        if len(which):
+            at = torch.from_numpy(which).to(lots.device)
+            seen[at] = _sampled(pixels, view[which], centre[which], towards[which], aside)
+    shown = seen.permute(0, 3, 1, 2)
+    return shown[:, :3].contiguous(), shown[:, 3:].contiguous()
+
+
+def _centre(pixels: Pixels, view: int, rng: np.random.Generator) -> Float64[np.ndarray, "2"]:
+    points, (height, width) = pixels.points[view], pixels.sizes[view]
+    if len(points) and rng.uniform() < ON_THREAD_SHARE:
+        return points[int(rng.integers(len(points)))] + rng.uniform(-0.3, 0.3, 2) * CROP_PX
+    return rng.uniform(0, 1, 2) * (width, height)
+
+
+def _sampled(
+    pixels: Pixels, view: np.ndarray, centre: np.ndarray, towards: np.ndarray, aside: Sequence[float]
+) -> torch.Tensor:
+    """Crops (n, s, s, 4) by bilinear interpolation, the mean of a sample at each offset in pixels of the crop."""
+    device = pixels.pixels.device
+    number = torch.from_numpy(view).to(device)
+    start, height, width = (part[number][:, None, None] for part in (pixels.start, pixels.height, pixels.width))
+    middle = torch.from_numpy(centre.astype(np.float32)).to(device)
+    move = torch.from_numpy(towards.astype(np.float32)).to(device)
+    steps = torch.arange(CROP_PX, device=device) - (CROP_PX - 1) / 2
+    packed = pixels.pixels.view(torch.int32)[:, 0]
+    total = torch.zeros((len(view), CROP_PX, CROP_PX, 4), device=device)
+    for down in aside:
+        for right in aside:
+            place = torch.stack(torch.meshgrid(steps + down, steps + right, indexing="ij")[::-1], dim=-1)
+            at = middle[:, None, None] + torch.einsum("nij,rcj->nrci", move, place)
+            # what is exact but for rounding stays exact
+            at = torch.where((at - at.round()).abs() < 1e-3, at.round(), at)
+            low = at.floor()
+            share = at - low
+            for row in (0, 1):
+                for column in (0, 1):
+                    x = _inside(low[..., 0].long() + column, width)
+                    y = _inside(low[..., 1].long() + row, height)
+                    weight = (share[..., 0] if column else 1 - share[..., 0]) * (
+                        share[..., 1] if row else 1 - share[..., 1]
+                    )
+                    # all four bytes of a pixel are fetched at once
+                    found = packed[start + y * width + x].view(torch.uint8).reshape(total.shape)
+                    total += weight[..., None] * found
+    return total / len(aside) ** 2
+
+
+def _inside(index: torch.Tensor, count: torch.Tensor) -> torch.Tensor:
+    """Mirrored at the borders."""
+    period = 2 * (count - 1)
+    within = torch.remainder(index, period)
+    return torch.where(within < count, within, period - within)

@@ -18,8 +18,7 @@ from scipy.spatial import cKDTree
 from agents.perception.centrelines import thread_centrelines
 from agents.perception.segmentation import network
 from agents.perception.segmentation.choice import SEGMENTERS
-from agents.perception.training.clutter import Coverage, Image
-from agents.perception.training.scenes import View, views_in
+from agents.perception.training.scenes import Coverage, Image, View, views_in
 
 NEAR_PX = 2.0
 

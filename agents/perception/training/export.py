@@ -9,7 +9,7 @@ from pathlib import Path
 
 import torch
 
-from agents.perception.training.architecture import COLOURS, PHASES, ThreadNet
+from agents.perception.training.architecture import COLOURS, PHASES, network_of
 
 OPSET = 13
 ROWS, COLUMNS = 272, 480
@@ -18,8 +18,7 @@ ROWS, COLUMNS = 272, 480
 
 def export(weights: Path, output: Path) -> None:
     """Write the network, batch normalisation folded in, a sigmoid at its end: pixels in, coverage of 0 to 1 out."""
-    network = ThreadNet()
-    network.load_state_dict(torch.load(weights, weights_only=True))
+    network = network_of(torch.load(weights, weights_only=True, map_location="cpu"))
     whole = torch.nn.Sequential(network, torch.nn.Sigmoid()).eval()
     pixels = torch.zeros(1, PHASES * COLOURS, ROWS, COLUMNS)
     with warnings.catch_warnings():

@@ -22,8 +22,7 @@ from agents.perception.centrelines.profiles import normals
 from agents.perception.centrelines.refine import tangent_sigma
 from agents.perception.centrelines.straightened import reach_px, seen_across, usual_width_px
 from agents.perception.segmentation.network import segment_network
-from agents.perception.training.clutter import Coverage, Image
-from agents.perception.training.scenes import EYES, View, views_in
+from agents.perception.training.scenes import EYES, Coverage, Image, View, views_in
 
 WIDE_PLACES = np.linspace(-1.5, 1.5, 61, dtype=np.float32)
 """Wider and finer than the network looks, so that profiles can be drawn aside and made wider or narrower."""

@@ -1,6 +1,7 @@
 """Folders of rendered scenes as views to learn from: one eye's image, and the true coverage by thread."""
 
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,6 +10,8 @@ import numpy as np
 from jaxtyping import UInt8
 
 EYES = "left", "right"
+Image = UInt8[np.ndarray, "h w 3"]
+Coverage = UInt8[np.ndarray, "h w"]
 
 
 class SceneFolderError(ValueError):
@@ -20,8 +23,8 @@ class View:
     """One eye's image and how much of each pixel is visible thread, 0 to 255."""
 
     name: str
-    image: UInt8[np.ndarray, "h w 3"]
-    coverage: UInt8[np.ndarray, "h w"]
+    image: Image
+    coverage: Coverage
 
 
 def views_in(folders: Iterable[Path]) -> list[View]:
@@ -32,7 +35,9 @@ def views_in(folders: Iterable[Path]) -> list[View]:
     """
     views: list[View] = []
     for folder in folders:
-        found = [view for path in sorted(folder.rglob("*.png")) if (view := _view_of(path)) is not None]
+        # decoding leaves Python's lock, and thousands of views take minutes in one thread
+        with ThreadPoolExecutor() as threads:
+            found = [view for view in threads.map(_view_of, sorted(folder.rglob("*.png"))) if view is not None]
         if not found:
             raise SceneFolderError(f"{folder} has no NAME_left.png beside a NAME_mask_left.png; render scenes into it")
         views += found

@@ -6,7 +6,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 
-from agents.perception.training.architecture import ThreadNet  # noqa: E402
+from agents.perception.training.architecture import network_of  # noqa: E402
 from agents.perception.training.export import export  # noqa: E402
 from agents.perception.training.losses import LOSSES, soft_skeleton  # noqa: E402
 from agents.perception.training.scenes import View  # noqa: E402
@@ -38,9 +38,8 @@ def test_a_skeleton_is_a_line_along_the_middle_of_a_strip():
 
 def test_opencv_gives_what_pytorch_gives_with_the_weights_that_training_keeps(tmp_path):
     weights, onnx = tmp_path / "network.pt", tmp_path / "network.onnx"
-    train([[view()]], Chosen([], weights, "bce", 1, 5.0, 1, 3e-3, None))
-    network = ThreadNet()
-    network.load_state_dict(torch.load(weights, weights_only=True))
+    train([[view()]], Chosen([], weights, "bce", steps=1, batch=2, channels=(4, 6, 8, 10)))
+    network = network_of(torch.load(weights, weights_only=True))
     export(weights, onnx)
     pixels = torch.rand(1, 12, 48, 64)
     with torch.no_grad():
