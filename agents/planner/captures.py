@@ -5,15 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from agents.planner.chances import PAPER, Known, chances
+from agents.planner.chances import PAPER, chances
 from agents.planner.config import PlannerConfig
-from agents.planner.curve import ThreadCurve, seen, strand_distance
+from agents.planner.places import Places
 from agents.planner.policy import Against, first_against
 from agents.planner.poses import turn_between
 from agents.planner.standing import SeenTissue, Standing, accepted, standings
 from agents.planner.ways import UNTILTED, Reachable, Ways, along_slide, reached, steps_along_slide, ways_along
-from schemas.messages import Policy
-from shared.kinematics.psm import FINGER_M
 
 AS_LIKELY = 0.002
 """Ways whose probabilities differ by less are equals."""
@@ -52,28 +50,18 @@ class Captures:
     bound_m: Float64[np.ndarray, "w n"]
 
 
-def captures_for(
-    curve: ThreadCurve,
-    s: Float64[np.ndarray, "n"],
-    goal: int,
-    policy: Policy,
-    known: Known,
-    arm: ArmView,
-    config: PlannerConfig,
-    tissue: SeenTissue,
-) -> Captures:
+def captures_for(places: Places, arm: ArmView, config: PlannerConfig, tissue: SeenTissue) -> Captures:
     """Every capture that a goal can be reached from, with the jaws of a config, and what speaks against it."""
-    points, tangents = curve.points(s) + known.aim_camera, curve.tangents(s)
+    s, goal, beside = places.s, places.goal, places.beside_m
     tilts_deg = config.tilts_deg if tissue.tissue is not None else ()
-    ways = ways_along(points, tangents, arm.T_camera_base[:3, 3], config, tilts_deg)
-    beside = strand_distance(curve, s, FINGER_M)
+    ways = ways_along(places.aims_camera, places.tangents, arm.T_camera_base[:3, 3], config, tilts_deg)
     clear = along_slide(ways.clear, goal)
     steady = clear & steps_along_slide(ways.steady, goal)
     passable = steady[:, None] & reached(ways, goal, arm.reachable)
-    likely, is_seen = chances(known, ways, goal, config), seen(curve, s)
-    known_enough = is_seen & (likely.here.max(axis=0) >= config.least_probability)
+    likely = chances(places.known, ways, goal, config)
+    known_enough = places.seen & (likely.here.max(axis=0) >= config.least_probability)
     found = {
-        Against.UNSEEN: ~is_seen,
+        Against.UNSEEN: ~places.seen,
         Against.UNKNOWN_ON_THE_WAY: ~along_slide(known_enough, goal),
         Against.STRAND_BESIDE: beside < config.half_opening_m(config.open_deg),
         Against.STRAND_ON_THE_WAY: ~along_slide(beside >= config.half_opening_m(config.slide_deg), goal),
@@ -81,8 +69,7 @@ def captures_for(
         Against.TURNS_TOO_SHARPLY: ~steady.any(axis=0),
         Against.UNREACHABLE: ~passable.any(axis=(0, 1)),
     }
-    asked = np.arange(len(s)) == goal if policy is Policy.DIRECT else np.ones(len(s), bool)
-    weighed = asked & ~np.stack(list(found.values())).any(axis=0)
+    weighed = np.asarray(~np.stack(list(found.values())).any(axis=0))
     past = _past_tissue(ways, goal, passable.any(axis=1) & weighed, config, tissue)
     usable = passable & accepted(past, config)[:, None]
     unknown = config.tissue_required & ~(passable & past.known[:, None]).any(axis=(0, 1))
@@ -96,7 +83,7 @@ def captures_for(
         goal=goal,
         likelihood=_best_way(likely.likelihood, possible),
         probability=_best_way(likely.probability, possible),
-        by_way=None if known.model == PAPER else likely.probability,
+        by_way=None if places.known.model == PAPER else likely.probability,
         against=first_against(found),
         ways=ways,
         usable=usable,

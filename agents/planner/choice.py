@@ -10,12 +10,10 @@ import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from agents.planner.captures import ArmView, Captures, captures_for
-from agents.planner.chances import PAPER, Known, chances
+from agents.planner.chances import PAPER, aimed_with
 from agents.planner.config import PlannerConfig
-from agents.planner.curve import ThreadCurve
+from agents.planner.places import Places
 from agents.planner.policy import most_likely
 from agents.planner.standing import SeenTissue
 from agents.planner.ways import ways_along
@@ -47,33 +45,22 @@ class Choice:
         return -1.0 if self.chosen is None else float(self.captures.probability[self.chosen])
 
 
-def best_choice(
-    curve: ThreadCurve,
-    s: np.ndarray,
-    goal: int,
-    policy: Policy,
-    known: Known,
-    arm: ArmView,
-    config: PlannerConfig,
-    tissue: SeenTissue,
-) -> Choice:
+def best_choice(places: Places, policy: Policy, arm: ArmView, config: PlannerConfig, tissue: SeenTissue) -> Choice:
     """The likeliest that nothing speaks against."""
     best: Choice | None = None
-    for bound, grip in _grips(curve, s, goal, policy, known, arm, config):
+    for bound, grip in _grips(places, policy, arm, config):
         if best is not None and best.probability >= bound - BETTER:
             continue
-        captures = captures_for(curve, s, goal, policy, known, arm, grip, tissue)
-        found = Choice(captures, _chosen(captures, policy, grip), grip)
+        captures = captures_for(places, arm, grip, tissue)
+        found = Choice(captures, _chosen(captures, grip), grip)
         if best is None or found.probability > best.probability + BETTER:
             best = found
     assert best is not None  # noqa: S101 - there is at least one grip
     return best
 
 
-def _chosen(captures: Captures, policy: Policy, config: PlannerConfig) -> int | None:
+def _chosen(captures: Captures, config: PlannerConfig) -> int | None:
     allowed = captures.against < 0
-    if policy is Policy.DIRECT:
-        allowed = allowed & (np.arange(len(captures.s)) == captures.goal)
     enough = allowed & (captures.probability >= config.least_probability)
     # what an instrument need not slide it should not
     as_likely = 0.0 if captures.by_way is None else BETTER
@@ -82,29 +69,23 @@ def _chosen(captures: Captures, policy: Policy, config: PlannerConfig) -> int | 
 
 
 def _grips(
-    curve: ThreadCurve,
-    s: np.ndarray,
-    goal: int,
-    policy: Policy,
-    known: Known,
-    arm: ArmView,
-    config: PlannerConfig,
+    places: Places, policy: Policy, arm: ArmView, config: PlannerConfig
 ) -> Iterator[tuple[float, PlannerConfig]]:
     """Configs with a depth and openings each, and what is likeliest at best with them, in falling order."""
+    known = places.known
     if known.model == PAPER:
         yield 1.0, config
         return
-    asked = [goal] if policy is Policy.DIRECT else slice(None)
-    found: list[tuple[float, PlannerConfig]] = []
-    points, tangents = curve.points(s) + known.aim_camera, curve.tangents(s)
-    for depth_m in config.depths_m:
-        deep = replace(config, depth_m=depth_m)
-        ways = ways_along(points, tangents, arm.T_camera_base[:3, 3], deep)
-        slides_deg = config.slides_deg[:1] if policy is Policy.DIRECT else config.slides_deg
-        for open_deg, slide_deg in itertools.product(config.opens_deg, slides_deg):
-            if slide_deg <= open_deg - BEGIN_DEG:
-                grip = replace(deep, open_deg=open_deg, slide_deg=slide_deg)
-                found.append((float(chances(known, ways, goal, grip).probability[:, asked].max()), grip))
+    slides_deg = config.slides_deg[:1] if policy is Policy.DIRECT else config.slides_deg
+    grips = [
+        replace(config, depth_m=depth_m, open_deg=open_deg, slide_deg=slide_deg)
+        for depth_m, open_deg, slide_deg in itertools.product(config.depths_m, config.opens_deg, slides_deg)
+        if slide_deg <= open_deg - BEGIN_DEG
+    ]
+    # how the jaws are turned is the same at every depth
+    ways = ways_along(places.aims_camera, places.tangents, arm.T_camera_base[:3, 3], config)
+    likely = aimed_with(known, ways, config).whole(places.goal, grips)
+    found = [(float(one.max()), grip) for one, grip in zip(likely, grips, strict=True)]
     found.sort(key=lambda one: -one[0])
     likeliest: dict[float, tuple[float, PlannerConfig]] = {}
     for one in found:

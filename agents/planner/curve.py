@@ -1,7 +1,7 @@
 """The thread as it is planned on: in metres, by arc length, where it is seen, and where strands lie side by side."""
 
 import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -35,10 +35,16 @@ class ThreadCurve:
     control_points_camera: Float64[np.ndarray, "m 3"]
     length_m: float
     unseen: Float64[np.ndarray, "g 2"]
+    _asked: dict[bytes, Float64[np.ndarray, "n"]] = field(default_factory=dict, compare=False, repr=False)
 
     def parameters(self, s: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "n"]:
-        """The spline's parameters at these shares of the arc length."""
-        return parameters_at(self.knots, self.control_points_camera, self.degree, s * self.length_m)
+        """The spline's parameters at these shares of the arc length; the same shares are asked for again and again."""
+        asked = s.tobytes()
+        if asked not in self._asked:
+            found = parameters_at(self.knots, self.control_points_camera, self.degree, s * self.length_m)
+            found.flags.writeable = False
+            self._asked[asked] = found
+        return self._asked[asked]
 
     def points(self, s: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "n 3"]:
         """Points at these shares of the arc length, in the camera frame."""
@@ -117,13 +123,13 @@ def strand_distance(curve: ThreadCurve, s: Float64[np.ndarray, "n"], within_dept
     along = np.linspace(0.0, 1.0, STRAND_POINTS)
     points, others = curve.points(s), curve.points(along)
     rays = unit_vectors(points)
-    offset = others[None] - points[:, None]
-    depth = np.einsum("nmi,ni->nm", offset, rays)
-    way = np.linalg.norm(offset, axis=2)
-    sideways = np.sqrt(np.maximum(way**2 - depth**2, 0.0))
+    x, y, z = (others[:, axis] - points[:, axis, None] for axis in range(3))
+    depth = x * rays[:, 0, None] + y * rays[:, 1, None] + z * rays[:, 2, None]
+    way_squared = x**2 + y**2 + z**2
+    sideways_squared = np.maximum(way_squared - depth**2, 0.0)
     arc = np.abs(s[:, None] - along) * curve.length_m
-    other_strand = (arc > np.maximum(FOLDED * way, LEAST_LOOP_M)) & (np.abs(depth) < within_depth_m)
-    return np.where(other_strand, sideways, np.inf).min(axis=1)
+    other_strand = (arc**2 > np.maximum(FOLDED**2 * way_squared, LEAST_LOOP_M**2)) & (np.abs(depth) < within_depth_m)
+    return np.sqrt(np.where(other_strand, sideways_squared, np.inf).min(axis=1))
 
 
 def unit_vectors(vectors: Float64[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:

@@ -11,6 +11,7 @@ from agents.planner.clear_way import clear_way
 from agents.planner.config import PlannerConfig
 from agents.planner.curve import NoGraspError, ThreadCurve, curve_of
 from agents.planner.goal import goal_on_thread
+from agents.planner.places import asked_of, places_along
 from agents.planner.policy import Against, alternatives, candidates, counted_reasons, reason_of
 from agents.planner.standing import NOTHING_SEEN, SeenTissue, clearance_of, pressed_sentence
 from schemas.messages import (
@@ -38,8 +39,9 @@ def plan_grasp(
         curve = curve_of(thread)
         s_goal = goal_on_thread(goal, curve, config)
         s, at_goal = candidates(s_goal, config.samples)
-        known = known_along(thread, curve, s, config, offset_for(attempt, config))
-        choice = best_choice(curve, s, at_goal, goal.policy, known, arm, config, tissue)
+        asked = asked_of(at_goal, goal.policy)
+        known = known_along(thread, curve, s, config, offset_for(attempt, config), asked)
+        choice = best_choice(places_along(curve, s, at_goal, goal.policy, known), goal.policy, arm, config, tissue)
     except NoGraspError as error:
         return _rejected(goal, thread, attempt, str(error))
     return _best(goal, thread, attempt, arm, curve, known, choice, tissue)

@@ -13,13 +13,14 @@ compared differs by geometry alone, and a plan is repeated exactly.
 """
 
 import functools
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, Int64, UInt8
 
 from agents.planner.config import PlannerConfig
 from agents.planner.errors import Offset, tool_covariance
-from agents.planner.wedge import within_wedge
+from agents.planner.wedge import face_half_width, tips_half_width
 
 DRAWS, SEED = 256, 20251122
 TINY_M2 = 1e-18
@@ -42,26 +43,61 @@ def drawn_errors(
     return constant[:, None] + np.einsum("nij,mnj->mni", _root(covariance), field)
 
 
+@dataclass(frozen=True)
+class Spread:
+    """Where drawn errors put the thread in the plane across the pin, for each way and sample, m draws each.
+
+    Fields:
+        beside_m: to either side of the middle between the fingers, without a sign.
+        beyond_m: along the fingers, less where the thread is meant to be.
+    """
+
+    beside_m: Float64[np.ndarray, "w n m"]
+    beyond_m: Float64[np.ndarray, "w n m"]
+
+
+def spread(errors: Float64[np.ndarray, "m n 3"], R_camera_tool: Float64[np.ndarray, "w n 3 3"]) -> Spread:
+    """Drawn errors as the jaws see them."""
+    plane = np.swapaxes(R_camera_tool[..., 1:], -1, -2) @ np.ascontiguousarray(errors.transpose(1, 2, 0))
+    return Spread(np.abs(plane[..., 0, :]), plane[..., 1, :])
+
+
+class Swept:
+    """Jaws whose pin is so far before where the thread is meant to be, and which of the draws they have between them.
+
+    Draws are bits of bytes, so that all openings for the approach can be put beside all for the slide.
+    """
+
+    def __init__(self, drawn: Spread, setback_m: float, goal: int) -> None:
+        self._beside_m, self._z_m, self._goal = drawn.beside_m, drawn.beyond_m + setback_m, goal
+        self._before_tips = (self._z_m > 0) & (self._beside_m <= tips_half_width(self._z_m))
+
+    def captured(self, opening_rad: float) -> UInt8[np.ndarray, "w n m_8"]:
+        """Between fingers of that opening."""
+        return np.packbits(self._within(opening_rad, 0.0), axis=-1)
+
+    def kept(self, opening_rad: float, give_m: float) -> UInt8[np.ndarray, "w n m_8"]:
+        """The same at every sample from each one to the goal, though a thread gives way by so much."""
+        holds = np.packbits(self._within(opening_rad, give_m), axis=-1)
+        after = np.bitwise_and.accumulate(holds[:, self._goal :], axis=1)
+        before = np.bitwise_and.accumulate(holds[:, self._goal :: -1], axis=1)[:, ::-1]
+        return np.concatenate((before[:, :-1], after), axis=1)
+
+    def _within(self, opening_rad: float, give_m: float) -> Bool[np.ndarray, "w n m"]:
+        return self._before_tips & (self._beside_m <= face_half_width(self._z_m, 0.5 * opening_rad, give_m))
+
+
 def keep_probability(
-    errors: Float64[np.ndarray, "m n 3"],
-    R_camera_tool: Float64[np.ndarray, "w n 3 3"],
-    goal: int,
-    config: PlannerConfig,
+    captured: UInt8[np.ndarray, "w n m_8"], kept: UInt8[np.ndarray, "w n m_8"], goal: int
 ) -> Float64[np.ndarray, "w n"]:
     """That a thread captured at each sample is still between the fingers at the goal; 1 at the goal itself."""
-    plane = np.einsum("mni,wnij->wmnj", errors, R_camera_tool[..., 1:], optimize=True)
-    y, z = plane[..., 0], plane[..., 1] + config.setback_m
-    captured = within_wedge(y, z, np.radians(config.open_deg))
-    kept = _to_goal(within_wedge(y, z, np.radians(config.slide_deg), config.give_m), goal)
-    share = (captured & kept).sum(axis=1) / np.maximum(captured.sum(axis=1), 1)
+    share = _count(captured & kept) / np.maximum(_count(captured), 1)
     share[:, goal] = 1.0
     return share
 
 
-def _to_goal(holds: Bool[np.ndarray, "w m n"], goal: int) -> Bool[np.ndarray, "w m n"]:
-    after = np.logical_and.accumulate(holds[..., goal:], axis=-1)
-    before = np.logical_and.accumulate(holds[..., goal::-1], axis=-1)[..., ::-1]
-    return np.concatenate((before[..., :-1], after), axis=-1)
+def _count(bits: UInt8[np.ndarray, "w n m_8"]) -> Int64[np.ndarray, "w n"]:
+    return np.bitwise_count(bits).sum(axis=-1, dtype=np.int64)
 
 
 @functools.cache

@@ -54,13 +54,16 @@ def wedge_probability(
     for start, end in ((0.0, corner), (corner, length_m)):
         for side_low, side_high in ((low, mean_z), (mean_z, high)):
             a, b = np.clip(side_low, start, end), np.clip(side_high, start, end)
+            if not (b > a).any():
+                continue
             z = 0.5 * (a + b)[..., None] + 0.5 * (b - a)[..., None] * NODES
             off = z - mean_z[..., None]
             width = half_width(z, half, give_m, length_m)
             middle = mean_y[..., None] + slope[..., None] * off
             inside = ndtr((width - middle) / rest[..., None]) - ndtr((-width - middle) / rest[..., None])
             density = np.exp(-0.5 * (off / sigma_z[..., None]) ** 2) / (np.sqrt(2.0 * np.pi) * sigma_z[..., None])
-            total += 0.5 * (b - a) * ((inside * density) @ WEIGHTS)
+            # summed one by one: a product of matrices rounds by how many there are, and of equals one must win
+            total += 0.5 * (b - a) * (inside * density * WEIGHTS).sum(axis=-1)
     return np.clip(total, 0.0, 1.0)
 
 
@@ -74,8 +77,17 @@ def half_width(
     z: Float64[np.ndarray, "*n"], half_rad: float, give_m: float, length_m: float = FINGER_M
 ) -> Float64[np.ndarray, "*n"]:
     """Half the width of the wedge at a distance from the pin along the closed fingers; the tips move on a circle."""
-    beside_face = z * np.tan(min(half_rad, STEEPEST_RAD)) + give_m / np.cos(min(half_rad, STEEPEST_RAD))
-    return np.minimum(beside_face, np.sqrt(np.maximum(length_m**2 - z**2, 0.0)))
+    return np.minimum(face_half_width(z, half_rad, give_m), tips_half_width(z, length_m))
+
+
+def face_half_width(z: Float64[np.ndarray, "*n"], half_rad: float, give_m: float) -> Float64[np.ndarray, "*n"]:
+    """The same of faces without an end."""
+    return z * np.tan(min(half_rad, STEEPEST_RAD)) + give_m / np.cos(min(half_rad, STEEPEST_RAD))
+
+
+def tips_half_width(z: Float64[np.ndarray, "*n"], length_m: float = FINGER_M) -> Float64[np.ndarray, "*n"]:
+    """The same of the circle on which the tips move."""
+    return np.sqrt(np.maximum(length_m**2 - z**2, 0.0))
 
 
 def within_wedge(

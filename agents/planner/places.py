@@ -1,0 +1,58 @@
+"""The places along the thread that a goal is planned with: where they are, and what makes no difference to the jaws."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from agents.planner.chances import Known
+from agents.planner.curve import ThreadCurve, seen, strand_distance
+from schemas.messages import Policy
+from shared.kinematics.psm import FINGER_M
+
+
+@dataclass(frozen=True)
+class Places:
+    """Candidates for the capture, one of which is the goal, and what every depth and opening of the jaws shares.
+
+    Fields:
+        goal: the index of the goal.
+        aims_camera: where the tool is aimed for each of them.
+        beside_m: how far to the side another strand passes, as `strand_distance` has it.
+        seen: whether both images show it.
+    """
+
+    s: Float64[np.ndarray, "n"]
+    goal: int
+    aims_camera: Float64[np.ndarray, "n 3"]
+    tangents: Float64[np.ndarray, "n 3"]
+    beside_m: Float64[np.ndarray, "n"]
+    seen: Bool[np.ndarray, "n"]
+    known: Known
+
+
+def places_along(curve: ThreadCurve, s: Float64[np.ndarray, "n"], goal: int, policy: Policy, known: Known) -> Places:
+    """All of s where the thread may be slid along, and the goal alone where it may not.
+
+    Args:
+        known: at the same places.
+
+    Raises:
+        NoGraspError: where the curve has no direction.
+    """
+    asked = asked_of(goal, policy)
+    tangents = curve.tangents(s)[asked]
+    return Places(
+        s=s[asked],
+        goal=0 if policy is Policy.DIRECT else goal,
+        aims_camera=curve.points(s)[asked] + known.aim_camera,
+        tangents=tangents,
+        beside_m=strand_distance(curve, s[asked], FINGER_M),
+        seen=seen(curve, s)[asked],
+        known=known,
+    )
+
+
+def asked_of(goal: int, policy: Policy) -> slice:
+    """Which of the candidates a policy can capture at."""
+    return slice(goal, goal + 1) if policy is Policy.DIRECT else slice(None)
