@@ -16,20 +16,20 @@ from shared.runtime.session import SessionSettings
 ARM = "psm1"
 EMULATED = "psm2"
 CONSOLE_PORT = 7448
-ROUTER = "router"
+ROUTER, BRIDGE = "router", "robot-bridge"
 PLANS_WAIT_S = 60.0
 """How old a plan may be when it is armed: on two cores, a command takes a second to load."""
 RUNS = {
     ROUTER: (ROUTER,),
     "video": ("simulator", "camera"),
     "strong": ("perception", "reconstruction", "planner"),
-    "robot": ("robot-bridge",),
+    "robot": (BRIDGE,),
     "desk": ("record",),
 }
 """Commands by host; the operator's own are at the desk too."""
 HOSTS = tuple(RUNS)
 OF_EMULATED = {"robot": (f"guard {EMULATED}",), "strong": (f"robot_bridge {EMULATED}",)}
-KINDS = {"robot-bridge": "robot_bridge", "record": "recorder"}
+KINDS = {BRIDGE: "robot_bridge", "record": "recorder"}
 """Names of agents in keys, where they are not the command's."""
 MODULE = (sys.executable, "-m", "agents.cli")
 CONFIG = "rig.json"

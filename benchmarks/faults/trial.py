@@ -8,14 +8,14 @@ from benchmarks.faults.faults import Fault
 from benchmarks.faults.lab import ASK_S, Lab, NotReachedError
 from benchmarks.faults.observer import Heard
 from benchmarks.faults.probe import RATE_HZ
-from benchmarks.faults.rig import KINDS, ROUTER
+from benchmarks.faults.rig import BRIDGE, KINDS, ROUTER
 from schemas.messages import CommandAnswer, ExecutionKind, Outcome, Status
 from schemas.topics import EXECUTION, HEALTH, LOG, PLAN, ROBOT_STATE, THREAD, Topic
 from shared.clock import monotonic_s, now_ns
 
 FRESH_NS = {THREAD: 1_000_000_000, ROBOT_STATE: 100_000_000}
 """How old what flows may be to count as flowing again."""
-READY_S, RECOVERS_S, SETTLES_S, NAMED_S = 30.0, 30.0, 15.0, 4.0
+READY_S, RECOVERS_S, SETTLES_S, NAMED_S, GRASP_S = 30.0, 30.0, 15.0, 4.0, 15.0
 HELD_S = 1.0
 
 
@@ -80,7 +80,7 @@ def trial(lab: Lab, fault: Fault) -> Seen:
     seen.recovery_s = _recovered(lab, fault, goals, ready_s, ended_ns + shift_ns)
     lab.let_pass(max(0.0, begin_s + NAMED_S - monotonic_s()))
     seen.lost = _lost_meanwhile(lab, lost_before)
-    seen.held_ms, seen.ended = _end_of(lab, plan_id, begin_s, begin_ns, fault.wants_clocks)
+    seen.held_ms, seen.ended = _awaited_end(lab, fault, plan_id, begin_s, begin_ns)
     held = [(h.at_s, f"{h.message.arm}: {h.message.reason}") for h in _events(lab, plan_id) if h.message.reason]
     said = sorted(lab.observer.told(begin_s) + goals.said + held)
     seen.said = [(round(at_s - begin_s, 2), sentence) for at_s, sentence in said]
@@ -153,15 +153,28 @@ def _events(lab: Lab, plan_id: str) -> list[Heard]:
     return [h for h in lab.observer.messages(EXECUTION) if h.message.plan_id == plan_id]
 
 
-def _end_of(lab: Lab, plan_id: str, begin_s: float, begin_ns: int, by_arrival: bool) -> tuple[float | None, str]:
-    """When the arm held, by its own clock unless that is set, and how its grasp ended."""
+def _awaited_end(lab: Lab, fault: Fault, plan_id: str, begin_s: float, begin_ns: int) -> tuple[float | None, str]:
+    """How the grasp ended, which nobody tells where the arm's own bridge was killed; else it is waited for."""
+    if fault.restarts == BRIDGE:
+        return _end_of(lab, plan_id, begin_s, begin_ns, fault.wants_clocks) or (None, "ended with its bridge")
+    try:
+        found: tuple[float | None, str] = lab.wait(
+            lambda: _end_of(lab, plan_id, begin_s, begin_ns, fault.wants_clocks), "the grasp to end", GRASP_S
+        )
+    except NotReachedError:
+        return None, f"no end within {GRASP_S:.0f} s"
+    return found
+
+
+def _end_of(lab: Lab, plan_id: str, begin_s: float, begin_ns: int, by_arrival: bool) -> tuple[float | None, str] | None:
+    """When the arm held, by its own clock unless that is set, and how its grasp ended; None where it has not."""
     for heard in _events(lab, plan_id):
         if heard.message.kind is ExecutionKind.HELD:
             arrived_ms, by_arm_ms = 1e3 * (heard.at_s - begin_s), 1e-6 * (heard.message.at_ns - begin_ns)
             return arrived_ms if by_arrival else by_arm_ms, heard.message.code
         if heard.message.kind is ExecutionKind.FINISHED:
             return None, "finished"
-    return None, "ended with its bridge"
+    return None
 
 
 def _lost(lab: Lab) -> dict[str, int]:
