@@ -2,12 +2,12 @@
 
 import asyncio
 import contextlib
-import json
 from typing import Any
 
 from agents.operator.beside import Beside
 from agents.operator.carrying_out import Commands
 from agents.operator.choosing import Choosing
+from agents.operator.compact import compact, joined
 from agents.operator.control import Control, HoldNow
 from agents.operator.field_seen import FieldSeen
 from agents.operator.heard import Heard
@@ -180,9 +180,9 @@ class Desk:
                 await asyncio.wait_for(self._voice.changed.wait(), 2 * STATE_S)
             self._voice.changed.clear()
             self.field.take_states()
-            shared = self._shared()
+            shared = {key: compact(told) for key, told in self._shared().items()}
             for screen in list(self.screens.values()):
-                screen.tell_state(json.dumps(shared | self._own(screen), separators=(",", ":")))
+                screen.tell_state(joined(self._own(screen), shared))
                 for arm, plan in self.field.plans.items():
                     if screen.plans.get(arm) != plan["id"]:
                         screen.plans[arm] = plan["id"]
@@ -193,7 +193,6 @@ class Desk:
         control, press, field = self.control, self.control.press, self.field
         pressed = press and {"screen": press.screen, "arm": press.arm, "stage": press.stage.value}
         return {
-            "kind": "state",
             "rig": self._rig,
             "controller": control.controller,
             "asking": control.asking,
@@ -212,7 +211,7 @@ class Desk:
     def _own(self, screen: Screen) -> dict[str, Any]:
         words = {a: sentence(screen.name, self.control, a, self.field.seen(a)) for a in self.field.arms()}
         behind = None if screen.behind_ms is None else round(screen.behind_ms)
-        return {"you": screen.name, "words": words, "behind_ms": behind, "level": screen.pace.level}
+        return {"kind": "state", "you": screen.name, "words": words, "behind_ms": behind, "level": screen.pace.level}
 
     def _wake(self, topic: Topic) -> None:
         """From Zenoh's threads."""

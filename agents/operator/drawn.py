@@ -1,129 +1,36 @@
-"""What the page draws, as plain numbers: the thread with its confidence, a plan's way, the tool, the tissue.
+"""What the page draws besides the thread, as plain numbers: a plan's way, the tool, the tissue, observations.
 
 Everything is projected into the rectified left image (pixels) and told in the camera frame too (mm), for the view in
 space. Rounded to what can be seen.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Float64
 
+from agents.operator.drawn_thread import FARTHEST_PX, MM, millimetres
 from schemas.messages import (
     GraspPlan,
     RectifiedStereo,
     RobotState,
     Status,
     ThreadObservations,
-    ThreadReconstruction,
     TissueSurface,
     ToolCorrection,
     Waypoint,
 )
-from shared import arc_length, splines
 from shared.camera import backproject, project
 from shared.kinematics.psm import FINGER_M
 from shared.rigid_transforms import apply, exp_so3, log_so3
 
-PLACES = 201
-"""Along the thread: a place every few pixels."""
-MM = 1e3
-FARTHEST_PX = 20_000.0
 STEPS_MM, TURN_DEG = 0.6, 4.0
 """A plan's way is told so densely that lines between its poses look like the way itself."""
 MOST_STEPS = 160
 SURFACE_CELLS = 1100
 OBSERVED_MOST = 250
 OUTLINE_MOST = 200
-
-
-@dataclass(frozen=True)
-class DrawnThread:
-    """The thread of one frame as evenly spaced places.
-
-    Fields:
-        px: of the rectified left image; along: s of each.
-        points_mm: in the camera frame; in the calibration's own unit where nobody knows what that is.
-        confidence: NaN where none is stated.
-        unseen: not both images show it.
-        to_mm: what takes the calibration's unit to mm; None where it is unknown.
-    """
-
-    frame: int
-    capture_ns: int
-    camera: RectifiedStereo
-    px: Float64[np.ndarray, "n 2"]
-    points_mm: Float64[np.ndarray, "n 3"]
-    along: Float64[np.ndarray, "n"]
-    confidence: Float64[np.ndarray, "n"]
-    unseen: Bool[np.ndarray, "n"]
-    length_mm: float
-    to_mm: float | None
-    crossings: tuple[dict[str, Any], ...]
-
-    def document(self) -> dict[str, Any]:
-        """For the page."""
-        known = np.where(np.isfinite(self.confidence), self.confidence, -1.0)
-        return {
-            "frame": self.frame,
-            "capture_ms": self.capture_ns * 1e-6,
-            "px": self.px.round(1).tolist(),
-            "mm": self.points_mm.round(2).tolist(),
-            "confidence": known.round(3).tolist(),
-            "unseen": self.unseen.astype(int).tolist(),
-            "length_mm": round(self.length_mm, 2),
-            "unit_known": self.to_mm is not None,
-            "crossings": list(self.crossings),
-        }
-
-
-def millimetres(camera: RectifiedStereo) -> float | None:
-    """What takes the calibration's unit to mm."""
-    return None if camera.metres_per_unit is None else MM * camera.metres_per_unit
-
-
-def draw_thread(thread: ThreadReconstruction) -> DrawnThread | None:
-    """The thread of a reconstruction; None where it failed, or is no curve before the camera."""
-    if thread.status is Status.FAILED:
-        return None
-    knots, control, degree = thread.knots, thread.control_points_camera, thread.degree
-    with np.errstate(all="ignore"):
-        parameters = arc_length.even_parameters(knots, control, degree, PLACES)
-        points = splines.evaluate(knots, control, degree, parameters)
-        length = arc_length.length(knots, control, degree)
-        if not (np.isfinite(points).all() and np.isfinite(length) and (points[:, 2] > 0).all()):
-            return None
-        px, _ = project(thread.camera, points)
-    along, to_mm = np.linspace(0.0, 1.0, PLACES), millimetres(thread.camera)
-    order = np.argsort(thread.confidence_s)
-    stated = len(order) > 0
-    confidence = (
-        np.interp(along, thread.confidence_s[order], thread.confidence[order]) if stated else np.full(PLACES, np.nan)
-    )
-    begins, ends = thread.unseen[:, :1], thread.unseen[:, 1:]
-    crossings = tuple(
-        {
-            "px": [round(float(v), 1) for v in crossing.point_px],
-            "s": [round(crossing.s_first, 3), round(crossing.s_second, 3)],
-            "over": crossing.over.name.lower(),
-        }
-        for crossing in thread.crossings
-    )
-    return DrawnThread(
-        frame=thread.stamp.sequence,
-        capture_ns=min(thread.stamp.capture_left_ns, thread.stamp.capture_right_ns),
-        camera=thread.camera,
-        px=np.clip(px, -FARTHEST_PX, FARTHEST_PX),
-        points_mm=points * (to_mm or 1.0),
-        along=along,
-        confidence=confidence,
-        unseen=np.logical_or.reduce((begins <= along) & (along <= ends), axis=0) if len(begins) else along < 0,
-        length_mm=float(length) * (to_mm or 1.0),
-        to_mm=to_mm,
-        crossings=crossings,
-    )
 
 
 def draw_plan(plan: GraspPlan, camera: RectifiedStereo) -> dict[str, Any]:

@@ -1,19 +1,14 @@
 """What is known of the field: image, thread, tools, tissue, plans, and what was said, as the page is told it."""
 
 from collections import OrderedDict
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
 
-from agents.operator.drawn import (
-    DrawnThread,
-    draw_correction,
-    draw_observations,
-    draw_plan,
-    draw_surface,
-    draw_thread,
-    draw_tool,
-)
+from agents.operator.compact import compact
+from agents.operator.drawn import draw_correction, draw_observations, draw_plan, draw_surface, draw_tool
+from agents.operator.drawn_thread import DrawnThread, draw_thread
 from agents.operator.heard import Heard
 from agents.operator.pictures import Resample
 from agents.operator.surroundings import Surroundings
@@ -38,7 +33,11 @@ OLDEST_S = 60.0
 
 
 class FieldSeen:
-    """The newest of everything; filled from `Heard` by one thread at a time."""
+    """The newest of everything; filled from `Heard` by one thread at a time.
+
+    Fields:
+        surface, observed: of which frame, and as text for pages.
+    """
 
     def __init__(self, heard: Heard, around: Surroundings) -> None:
         self._heard, self._around = heard, around
@@ -48,18 +47,22 @@ class FieldSeen:
         self.threads: OrderedDict[int, DrawnThread] = OrderedDict()
         self.thread: DrawnThread | None = None
         self.states: dict[str, tuple[RobotState, int]] = {}
-        self.surface: tuple[int, list[list[float]]] | None = None
-        self.observed: dict[str, Any] | None = None
+        self.surface: tuple[int, str] | None = None
+        self.observed: tuple[int, str] | None = None
         self.judgements: list[dict[str, str]] = []
         self.plans: dict[str, dict[str, Any]] = {}
         self.checks: dict[str, str] = {}
         self.corrections: dict[str, ToolCorrection] = {}
+        self._tools: tuple[list[Any], str] | None = None
         self.said = ""
+
+    def take_calibration(self) -> None:
+        """The newest calibration; may take a while."""
+        for calibration in self._heard.newest(CALIBRATION):
+            self.resample = self._around.resample(calibration)
 
     def take_frame(self) -> StereoFrame | None:
         """The newest frame."""
-        for calibration in self._heard.newest(CALIBRATION):
-            self.resample = self._around.resample(calibration)
         for frame in self._heard.newest(FRAMES):
             self.frame = frame
         return self.frame
@@ -88,12 +91,12 @@ class FieldSeen:
         """The newest surface of the tissue."""
         for surface in self._heard.newest(SURFACE):
             self.camera = self.camera or surface.camera
-            self.surface = surface.stamp.sequence, draw_surface(surface)
+            self.surface = surface.stamp.sequence, compact(draw_surface(surface))
 
     def take_observations(self) -> None:
         """What perception saw last, and what it says of its input."""
         for observations in self._heard.newest(OBSERVATIONS):
-            self.observed = draw_observations(observations)
+            self.observed = observations.stamp.sequence, compact(draw_observations(observations))
             self.judgements = _judgements(observations)
 
     def note_plan(self, plan: GraspPlan) -> bool:
@@ -118,15 +121,16 @@ class FieldSeen:
         """Arms that are configured or that report."""
         return sorted({*self._around.arms, *self.states})
 
-    def tools(self) -> list[dict[str, Any]]:
-        """Every arm's jaw."""
+    def tools(self) -> str:
+        """Every arm's jaw, as text for pages; an arm that rests tells of itself more rarely than a camera does."""
         camera = self.camera
         if camera is None:
-            return []
-        return [
-            draw_tool(state, camera) | draw_correction(self.corrections.get(arm))
-            for arm, (state, _) in list(self.states.items())
-        ]
+            return "[]"
+        told = [(state, self.corrections.get(arm)) for arm, (state, _) in list(self.states.items())]
+        made_of = [camera, *(each for pair in told for each in pair)]
+        if self._tools is None or any(a is not b for a, b in zip_longest(self._tools[0], made_of)):
+            self._tools = made_of, compact([draw_tool(state, camera) | draw_correction(found) for state, found in told])
+        return self._tools[1]
 
     def mode(self, arm: str) -> str:
         """What an arm is doing; empty where it has not been heard lately."""

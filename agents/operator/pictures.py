@@ -42,15 +42,21 @@ WIDEST_PX = 1600
 """More is not seen on a screen, and only costs."""
 
 
+def as_it_came(image: Image, level: Level, resample: Resample | None) -> bool:
+    """Whether a picture goes out at a level with the camera's own bytes."""
+    finest = level is LEVELS[0] and image.width <= WIDEST_PX
+    return finest and resample is None and image.encoding is ImageEncoding.JPEG
+
+
 def encoded(image: Image, level: Level, resample: Resample | None) -> bytes:
     """A picture as JPEG at a level; the camera's own bytes at the finest one, where they are a rectified JPEG.
 
     Raises:
         ImageDataError: where the image is none.
     """
-    scale = level.scale * min(1.0, WIDEST_PX / image.width)
-    if resample is None and scale == 1.0 and level is LEVELS[0] and image.encoding is ImageEncoding.JPEG:
+    if as_it_came(image, level, resample):
         return image.data
+    scale = level.scale * min(1.0, WIDEST_PX / image.width)
     pixels = decode_image(image)
     if resample is not None:
         pixels = resample(pixels)

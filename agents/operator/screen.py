@@ -1,13 +1,13 @@
 """One connected page: what waits to be sent to it, and what it has been shown."""
 
 import asyncio
-import json
 import struct
 from collections import deque
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from agents.operator.compact import compact
 from agents.operator.pictures import Pace
 from agents.operator.wire import Look
 
@@ -47,7 +47,7 @@ class Screen:
 
     def say(self, document: dict[str, Any]) -> None:
         """Have a message sent."""
-        self._waiting.append(json.dumps(document, separators=(",", ":")))
+        self._waiting.append(compact(document))
         self._woken.set()
 
     def tell_state(self, state: str) -> None:
@@ -55,9 +55,9 @@ class Screen:
         self._state = state
         self._woken.set()
 
-    def show(self, header: dict[str, Any], jpeg: bytes) -> None:
-        """Have a picture sent, once what is small has gone."""
-        head = json.dumps(header, separators=(",", ":")).encode()
+    def show(self, header: str, jpeg: bytes) -> None:
+        """Have a picture sent, once what is small has gone; its header is JSON."""
+        head = header.encode()
         self._picture, self.ready = LENGTH.pack(len(head)) + head + jpeg, False
         self._woken.set()
 

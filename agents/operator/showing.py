@@ -5,12 +5,13 @@ import contextlib
 from collections.abc import Awaitable, Callable
 from typing import Any
 
+from agents.operator.compact import joined
 from agents.operator.field_seen import FieldSeen
-from agents.operator.pictures import LEVELS, encoded
+from agents.operator.pictures import LEVELS, as_it_came, encoded
 from agents.operator.screen import Screen
 from agents.operator.wire import Shown
 from schemas.messages import StereoFrame
-from schemas.topics import FRAMES, THREAD, Topic
+from schemas.topics import CALIBRATION, FRAMES, THREAD, Topic
 from shared.clock import monotonic_s, now_ns
 from shared.images import ImageDataError
 
@@ -22,12 +23,15 @@ class Showing:
 
     def __init__(self, field: FieldSeen, screens: dict[str, Screen], aside: Aside) -> None:
         self._field, self._screens, self._aside = field, screens, aside
-        self._frame_came, self._thread_came, self._newest = asyncio.Event(), asyncio.Event(), -1
+        self._frame_came, self._thread_came = asyncio.Event(), asyncio.Event()
+        self._calibrated = True
 
     def woken(self, topic: Topic) -> None:
         """A message of a topic has come."""
         if topic is FRAMES:
             self._frame_came.set()
+        elif topic is CALIBRATION:
+            self._calibrated = True
         elif topic is THREAD:
             self._thread_came.set()
 
@@ -61,47 +65,51 @@ class Showing:
             self._frame_came.clear()
             if not any(screen.ready for screen in self._screens.values()):
                 continue
-            frame = await self._aside(self._field.take_frame)
+            if self._calibrated:
+                self._calibrated = False
+                await self._aside(self._field.take_calibration)
+            frame = self._field.take_frame()
             waiting = [screen for screen in self._screens.values() if screen.ready]
             if frame is not None and any(screen.frame != frame.stamp.sequence for screen in waiting):
                 await self._show(frame, [s for s in waiting if s.frame != frame.stamp.sequence])
 
     async def _show(self, frame: StereoFrame, waiting: list[Screen]) -> None:
+        image, resample = frame.left, self._field.resample
         levels = {screen.pace.level for screen in waiting}
 
         def prepare() -> dict[int, bytes]:
+            return {level: encoded(image, LEVELS[level], resample) for level in levels}
+
+        with contextlib.suppress(ImageDataError):
+            as_they_came = all(as_it_came(image, LEVELS[level], resample) for level in levels)
+            jpegs = prepare() if as_they_came else await self._aside(prepare)
             self._field.take_states()
             if any(screen.look.space for screen in waiting):
                 self._field.take_surface()
             if any(screen.look.observations for screen in waiting):
                 self._field.take_observations()
-            return {level: encoded(frame.left, LEVELS[level], self._field.resample) for level in levels}
-
-        with contextlib.suppress(ImageDataError):
-            jpegs = await self._aside(prepare)
-            tools = self._field.tools()
             for screen in waiting:
                 # a page may have coarsened meanwhile, or be gone
                 level = screen.pace.level if screen.pace.level in jpegs else min(jpegs)
-                self._send(screen, frame, jpegs[level], tools)
+                self._send(screen, frame, jpegs[level])
 
-    def _send(self, screen: Screen, frame: StereoFrame, jpeg: bytes, tools: list[dict[str, Any]]) -> None:
+    def _send(self, screen: Screen, frame: StereoFrame, jpeg: bytes) -> None:
         stamp, field = frame.stamp, self._field
-        header: dict[str, Any] = {
+        header = {
             "frame": stamp.sequence,
             "capture_ms": stamp.capture_left_ns * 1e-6,
             "sent_ms": now_ns() * 1e-6,
             "width": frame.left.width,
             "height": frame.left.height,
-            "tools": tools,
         }
+        parts = {"tools": field.tools()}
         thread_frame = -1 if field.thread is None else field.thread.frame
         if thread_frame != screen.thread_frame:
-            header["thread"] = None if field.thread is None else field.thread.document()
+            parts["thread"] = "null" if field.thread is None else field.thread.told
             screen.thread_frame = thread_frame
-        if screen.look.observations and field.observed and field.observed["frame"] != screen.observed_frame:
-            header["observed"], screen.observed_frame = field.observed, field.observed["frame"]
+        if screen.look.observations and field.observed and field.observed[0] != screen.observed_frame:
+            screen.observed_frame, parts["observed"] = field.observed
         if screen.look.space and field.surface and field.surface[0] != screen.surface_frame:
-            header["surface"], screen.surface_frame = field.surface[1], field.surface[0]
+            screen.surface_frame, parts["surface"] = field.surface
         screen.frame, screen.capture_ms, screen.sent_s = stamp.sequence, stamp.capture_left_ns * 1e-6, monotonic_s()
-        screen.show(header, jpeg)
+        screen.show(joined(header, parts), jpeg)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from agents.operator.drawn import DrawnThread
+from agents.operator.drawn_thread import DrawnThread
 
 WITHIN_PX = 60.0
 """Of an image 960 pixels wide; a click farther off names nothing."""

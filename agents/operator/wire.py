@@ -163,6 +163,8 @@ KINDS: dict[str, type[Said]] = {
     "judged": Judged,
 }
 
+_DECLARED = {kind: typing.get_type_hints(kind) for kind in KINDS.values()}
+
 
 def parsed(text: str) -> Said:
     """The message that a text is.
@@ -181,7 +183,7 @@ def parsed(text: str) -> Said:
     kind = KINDS.get(document.pop("kind"))
     if kind is None:
         raise WireError("its kind is unknown")
-    declared = typing.get_type_hints(kind)
+    declared = _DECLARED[kind]
     if document.keys() != declared.keys():
         raise WireError(f"a {kind.__name__} has {', '.join(declared) or 'no fields'}")
     return kind(**{field.name: _value(document[field.name], declared[field.name]) for field in fields(kind)})

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.operator.drawn import MOST_STEPS, PLACES, draw_surface, draw_thread, way_of
+from agents.operator.drawn import MOST_STEPS, draw_surface, way_of
+from agents.operator.drawn_thread import PLACES, draw_thread, evenly
 from agents.operator.pictures import FAST_MS, JUDGED_AFTER, LEVELS, SLOW_MS, Pace, encoded
 from agents.operator.snapping import WITHIN_PX, at_place, snapped
 from schemas.messages import (
@@ -20,6 +21,7 @@ from schemas.messages import (
     TissueSurface,
     Waypoint,
 )
+from shared import arc_length, splines
 from shared.images import decode_image, encode_image
 
 NONE = np.zeros(0)
@@ -67,6 +69,17 @@ def test_the_thread_is_drawn_evenly_with_its_confidence_and_what_is_unseen():
     assert not drawn.unseen[0]
     document = drawn.document()
     assert len(document["px"]) == len(document["mm"]) == len(document["confidence"]) == PLACES
+
+
+def test_places_are_as_even_as_arc_length_has_them():
+    control = np.array(
+        [[-20.0, 0, 80], [-15, 9, 78], [-1, -12, 84], [3, 11, 90], [11, -3, 80], [12, 4, 70], [25, 0, 80]]
+    )
+    knots = splines.clamped_uniform_knots(len(control))
+    points, length = evenly(knots, control, 3, PLACES)
+    assert length == pytest.approx(arc_length.length(knots, control, 3), rel=1e-4)
+    exact = splines.evaluate(knots, control, 3, arc_length.even_parameters(knots, control, 3, PLACES))
+    assert np.abs(points - exact).max() < 2e-3, "mm, of 90"
 
 
 def test_a_thread_of_unknown_unit_is_drawn_and_says_so():

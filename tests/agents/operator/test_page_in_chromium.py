@@ -114,9 +114,9 @@ def rig(tmp_path_factory, until):
     folder = tmp_path_factory.mktemp("paged")
     endpoint, config = free_local_endpoint(), folder / "rig.toml"
     config.write_text(RIG.format(endpoint=endpoint, folder=folder))
-    command = [sys.executable, "-m", "agents.cli", "page", "--start", "--no-open", "--port", "0"]
-    own = {"stdout": subprocess.PIPE, "text": True, "start_new_session": True}
-    with subprocess.Popen([*command, "--config", str(config)], **own) as process:
+    options = ["--start", "--no-open", "--port", "0", "--config", str(config)]
+    command = [sys.executable, "-m", "agents.cli", "page", *options]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True) as process:
         try:
             put_first(process.pid)
             rig = Rig(process, folder / "audit" / "operator-page.jsonl")
