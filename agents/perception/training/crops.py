@@ -49,17 +49,19 @@ class Pixels:
 
 
 def pixels_of(folders: Sequence[Sequence[View]], device: torch.device, seed: int) -> Pixels:
-    """The views of some folders, on a device."""
+    """The views of some folders, on a device; a folder that is named again is there but once."""
     rng = np.random.default_rng([seed, 20])
-    views = [view for folder in folders for view in folder]
+    distinct = {id(folder): folder for folder in folders}
+    views = [view for folder in distinct.values() for view in folder]
     sizes = [view.coverage.shape for view in views]
     counts = np.array([height * width for height, width in sizes])
     starts = np.concatenate(([0], np.cumsum(counts)))
     pixels = torch.empty((int(starts[-1]), 4), dtype=torch.uint8, device=device)
-    for view, first, after in zip(views, starts[:-1], starts[1:], strict=True):
+    for view, begin, after in zip(views, starts[:-1], starts[1:], strict=True):
         both = np.concatenate((view.image, view.coverage[..., None]), axis=2)
-        pixels[int(first) : int(after)] = torch.from_numpy(both.reshape(-1, 4)).to(device)
-    ends = np.cumsum([len(folder) for folder in folders]).tolist()
+        pixels[int(begin) : int(after)] = torch.from_numpy(both.reshape(-1, 4)).to(device)
+    ends = np.cumsum([len(folder) for folder in distinct.values()]).tolist()
+    first = {number: end - len(folder) for (number, folder), end in zip(distinct.items(), ends, strict=True)}
     of_view = torch.tensor(np.column_stack((starts[:-1], np.array(sizes))), device=device)
     start, height, width = of_view.unbind(1)
     return Pixels(
@@ -67,7 +69,7 @@ def pixels_of(folders: Sequence[Sequence[View]], device: torch.device, seed: int
         start=start,
         height=height,
         width=width,
-        folders=[(end - len(folder), len(folder)) for end, folder in zip(ends, folders, strict=True)],
+        folders=[(first[id(folder)], len(folder)) for folder in folders],
         points=[_points(view, rng) for view in views],
         sizes=[(int(height), int(width)) for height, width in sizes],
     )

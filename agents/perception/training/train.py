@@ -106,7 +106,11 @@ def main(arguments: list[str] | None = None) -> int:
     """Parse the command line, train, keep the weights, also as ONNX; returns the exit status."""
     parser = argparse.ArgumentParser(prog="python -m agents.perception.training.train", description=__doc__)
     parser.add_argument(
-        "--scenes", type=Path, nargs="+", required=True, help="folders of rendered scenes, each drawn from alike"
+        "--scenes",
+        type=Path,
+        nargs="+",
+        required=True,
+        help="folders of rendered scenes, each drawn from alike, and twice where named twice",
     )
     parser.add_argument("--output", type=Path, required=True, help="where the weights go, as PyTorch keeps them")
     parser.add_argument("--loss", choices=sorted(LOSSES), default="bce+dice")
@@ -120,7 +124,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--red-share", type=float, default=0.5, help="of the colours in which thread is dyed anew")
     parser.add_argument("--device", default="cpu", help="as PyTorch names it, such as cuda; none is needed")
     chosen = Chosen(**vars(parser.parse_args(arguments)))
-    train([views_in([folder]) for folder in chosen.scenes], chosen)
+    views = {folder: views_in([folder]) for folder in chosen.scenes}
+    train([views[folder] for folder in chosen.scenes], chosen)
     export(chosen.output, chosen.output.with_suffix(".onnx"))
     return 0
 
