@@ -45,7 +45,7 @@ class Planner:
     kind: str = "planner"
     instance: str = MAIN
     inputs: tuple[Input, ...] = (
-        Input(THREAD, only_newest_counts=True),
+        Input(THREAD, only_newest_counts=True, only_remembered=True),
         Input(SURFACE, only_newest_counts=True, only_remembered=True),
         Input(ROBOT_STATE, instance="*", only_newest_counts=True, only_remembered=True),
         Input(CLOCKS, only_newest_counts=True),
@@ -74,6 +74,10 @@ class Planner:
     def configure(self, config: PlannerConfig) -> None:
         """Go on with another config, in which only what may be set while the agent runs has changed."""
         self.config = config
+
+    def acts_on(self, topic: Topic) -> bool:
+        """Whether more follows from what is only remembered otherwise: threads, while a grasp waits for its check."""
+        return topic is THREAD and self._watch.waits
 
     def step(self, arrived: Received | Tick | Command) -> Iterable[Output | CommandAnswer]:
         """Remember what was received; answer a goal, and follow an acceptance with a plan or a rejection.

@@ -48,6 +48,11 @@ class Watch:
         elif event.kind is ExecutionKind.ACCEPTED:
             self._ended.pop(event.arm, None)
 
+    @property
+    def waits(self) -> bool:
+        """Whether a grasp has ended that is not checked yet."""
+        return bool(self._ended)
+
     def due(self, thread: Thread, config: PlannerConfig) -> list[Ended]:
         """What can be checked now that a thread was seen."""
         return [ended for ended in self._ended.values() if _age_ms(ended, thread) >= config.check_after_ms]

@@ -22,7 +22,7 @@ class Input:
             them out.
         only_remembered: that it does no more with a message of this topic than to remember the newest of each key: so
             that one alone is decoded and fed, right before what the agent acts on. For *latest* topics of which only
-            the newest counts.
+            the newest counts. An agent that acts on it at times has a method `acts_on`.
     """
 
     topic: Topic
@@ -82,6 +82,8 @@ class Agent(Protocol):
     Where it has `only_newest_tick_counts = True`, a tick that nothing followed has changed nothing, so that a replay
     may leave it out.
 
+    Where it has `acts_on(topic)`, what is only remembered otherwise is fed as it comes for as long as that says so.
+
     Where it has `config`, a frozen dataclass, everybody on the rig may read it; and where fields of that are declared
     `settable` (shared/runtime/parameters.py), its method `configure` takes a config in which some of them have changed.
 
@@ -110,3 +112,9 @@ class Agent(Protocol):
     def step(self, arrived: Received | Tick | Command) -> Iterable[Output | CommandAnswer]:
         """What follows from one message, tick or command; deterministic in everything that was fed to the agent."""
         ...
+
+
+def only_remembers(agent: Agent, wanted: Input) -> bool:
+    """Whether the agent would do no more with a message of this input, came it now, than to remember it."""
+    acts_on = getattr(agent, "acts_on", None)
+    return wanted.only_remembered and not (acts_on is not None and acts_on(wanted.topic))

@@ -10,7 +10,7 @@ from schemas.messages import InputHealth
 from schemas.topics import Delivery, Topic, key
 from shared.clock import monotonic_s
 from shared.runtime.accounts import InputAccount, RingLosses
-from shared.runtime.agent import Agent, Input
+from shared.runtime.agent import Agent, Input, only_remembers
 from shared.runtime.attachment import Attachment, unpack
 from shared.runtime.delivery import RouterLinks, ring_room
 from shared.runtime.inbox import Arrival, Inbox
@@ -28,7 +28,7 @@ class Intake:
 
     def __init__(self, agent: Agent, clock: AgentClock, log: logging.Logger) -> None:
         self.inbox, self.handled = Inbox(), Handled()
-        self._inputs, self._clock, self._log = agent.inputs, clock, log
+        self._agent, self._inputs, self._clock, self._log = agent, agent.inputs, clock, log
         self._accounts = {str(i.topic): InputAccount(str(i.topic)) for i in agent.inputs}
 
     def listen(self, session: zenoh.Session, rig: str, links: RouterLinks) -> list[Any]:
@@ -57,13 +57,13 @@ class Intake:
     def _receiver(self, wanted: Input) -> Callable[[zenoh.Sample], None]:
         latest = wanted.topic.delivery is Delivery.LATEST
         put = self.inbox.put_newest if latest else self.inbox.put
-        put = self._remember if wanted.only_remembered else put
 
         def receive(sample: zenoh.Sample) -> None:
             key, beside = str(sample.key_expr), sample.attachment
             # one message for many keys is none of any of them
             attachment = beside.to_bytes() if beside is not None and "*" not in key else b""
-            put(Arrival(wanted.topic, key, sample.payload.to_bytes, attachment))
+            arrival = Arrival(wanted.topic, key, sample.payload.to_bytes, attachment)
+            (self._remember if only_remembers(self._agent, wanted) else put)(arrival)
 
         return receive
 

@@ -12,7 +12,7 @@ from schemas.codec import decode, encode, encoding_name
 from schemas.messages import CommandAnswer, CommandRecord
 from schemas.topics import COMMANDS, MAIN, Topic, key
 from shared.recording.mcap_file import Entry
-from shared.runtime.agent import Agent, Command, Input, Output, Received, Tick
+from shared.runtime.agent import Agent, Command, Input, Output, Received, Tick, only_remembers
 from shared.runtime.fed import Fed, state_topic
 
 STEP_NS = 10_000_000
@@ -135,7 +135,7 @@ class Lockstep:
             sent = self._waiting.popleft()
             for seat in self._seats:
                 for wanted in seat.listens(sent.topic, sent.instance):
-                    if wanted.only_remembered:
+                    if only_remembers(seat.agent, wanted):
                         seat.to_remember[sent.key] = sent
                     else:
                         self._remember(seat)

@@ -303,6 +303,29 @@ def test_only_the_newest_of_an_input_that_says_so_is_listed(running, heard, sess
     assert len([c for c in plan.consumed if c.key == key("test", FRAMES)]) == 1
 
 
+class Remembering(Planner):
+    """Remembers frames, and acts on them from the first goal on."""
+
+    def __init__(self):
+        super().__init__()
+        self.inputs = (Input(FRAMES, only_newest_counts=True, only_remembered=True),)
+
+    def acts_on(self, topic):
+        return topic is FRAMES and self.goals > 0
+
+
+def test_what_is_only_remembered_is_fed_before_a_command_and_as_it_comes_while_the_agent_acts_on_it(
+    running, heard, session, until
+):
+    frames, planner, camera = heard(FRAMES), Remembering(), Camera()
+    running(planner)
+    running(camera)
+    until(lambda: len(frames) > 10)
+    assert planner.frames == 0
+    assert send_command(session, "test", GOAL, goal()).outcome is Outcome.ACCEPTED
+    until(lambda: planner.frames > 5)
+
+
 def test_a_tick_tells_the_time_and_comes_at_its_rate(running, until):
     class Clock:
         kind, instance, inputs, outputs, commands, tick_hz = "camera", "main", (), (), (), 50.0
