@@ -12,7 +12,7 @@ LOCK := $(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extr
 COMPUTING := tests/schemas tests/benchmarks tests/agents/perception tests/agents/planner tests/agents/reconstruction \
 	tests/agents/camera tests/agents/inspection tests/agents/simulator tests/shared/calibration tests/shared/kinematics \
 	tests/shared/recording tests/shared/scene tests/agents/viewer tests/agents/robot_bridge tests/agents/deployment \
-	tests/shared/runtime/test_access.py tests/shared/runtime/test_sites.py tests/agents/cli/test_reconstruct.py
+	tests/shared/runtime/test_access.py tests/shared/runtime/test_sites.py tests/shared/test_both_eyes.py tests/agents/cli/test_reconstruct.py
 COMPUTING_CACHE := .pytest_cache/computing
 
 .PHONY: help install demo play look example test bless check format protos lock sim clean

@@ -11,7 +11,6 @@ from typing import TypeVar
 import numpy as np
 
 from agents.perception.agent import Perception, PerceptionConfig
-from agents.perception.both_eyes import of_both
 from agents.perception.centrelines import thread_centrelines
 from agents.perception.following.pair import FollowedPair, follow_pair
 from agents.perception.observe import observe
@@ -19,6 +18,7 @@ from agents.perception.search import Looked, look_everywhere, look_near
 from benchmarks.scenes import Pair, Scene
 from schemas.messages import FrameStamp, ImageEncoding, RectifiedStereo, StereoFrame, ThreadObservations
 from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS
+from shared.both_eyes import of_both
 from shared.clock import Stopwatch, processor_s
 from shared.images import encode_image
 from shared.runtime.agent import Output, Received

@@ -14,6 +14,7 @@ from schemas.messages import (
     StereoFrame,
 )
 from schemas.topics import CALIBRATION, FRAMES, MAIN, SIMULATOR_STATE, Topic
+from shared.both_eyes import of_both
 from shared.calibration.identity import calibration_id
 from shared.images import encode_image
 from shared.runtime.agent import CannotGoOnError, Command, Input, Output, Received, Tick
@@ -136,5 +137,7 @@ class FrameSender:
         left_ns, right_ns = (now_ns + ns - latency_ns for ns in taken_ns)
         stamp = FrameStamp(self.sent, left_ns, right_ns, self._calibration_id)
         self.sent += 1
-        left, right = (encode_image(image, self.config.encoding, self.config.jpeg_quality) for image in pair)
+        left, right = of_both(
+            encode_image, *((image, self.config.encoding, self.config.jpeg_quality) for image in pair)
+        )
         return StereoFrame(stamp, left, right)

@@ -9,6 +9,7 @@ from jaxtyping import UInt8
 from agents.perception.judging.rows import moved_up
 from agents.perception.rectification import Rectification, rectify_image
 from schemas.messages import Image, RectifiedStereo, StereoFrame
+from shared.both_eyes import of_both
 from shared.images import decode_image
 
 Pair = tuple[UInt8[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w 3"]]
@@ -38,7 +39,7 @@ def decoded_pair(frame: StereoFrame) -> Pair:
     Raises:
         ImageDataError: where one cannot be decoded.
     """
-    return _decoded(frame.left), _decoded(frame.right)
+    return of_both(_decoded, (frame.left,), (frame.right,))
 
 
 def rectified_pair(raw: Pair, to_rectified: Rectification) -> RectifiedPair:

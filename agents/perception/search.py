@@ -14,13 +14,13 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 
-from agents.perception.both_eyes import of_both
 from agents.perception.handing_over import FASTER_NEAR, find_the_same
 from agents.perception.judge import correspondence_of_texture, judge
 from agents.perception.prompt import followed, meant_as_before, meant_at, meant_like
 from agents.perception.segmentation.choice import SCORED, SEGMENTERS, Segmenter, suitable_segmenter
 from agents.perception.segmentation.near import Near
 from schemas.messages import Judgement, Status, ThreadObservations
+from shared.both_eyes import of_both
 from shared.images import decode_image
 
 FRAMES_BETWEEN_LOOKS = 60

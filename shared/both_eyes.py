@@ -1,8 +1,8 @@
 """The same work for both eyes at once, on two cores.
 
-It pays where single operations take milliseconds, as when a whole image is segmented. Where they take microseconds, as
-along centrelines, two threads wait for Python's lock more than they work, and both eyes take longer than one after the
-other: twice the time of the processor, and a third more of the clock's.
+It pays where single operations take milliseconds, as when an image is coded or segmented. Where they take microseconds,
+as along centrelines, two threads wait for Python's lock more than they work, and both eyes take longer than one after
+the other: twice the time of the processor, and a third more of the clock's.
 """
 
 from collections.abc import Callable

@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from agents.perception.both_eyes import of_both
+from shared.both_eyes import of_both
 
 
 def test_each_eye_has_its_own_result_and_both_are_worked_on_at_once():
