@@ -1,18 +1,17 @@
 """The operator's page measured with a real browser before the demo's processes, all on this machine.
 
-    python -m benchmarks.page [--seconds 20] [--times 3] [--hostile 10000] [--rate-hz 30] [--json out/page.json]
+    python -m benchmarks.page [--only cost] [--seconds 10] [--rounds 3] [--times 3] [--hostile 10000] [--json FILE]
 
-How far what is on the screen is behind capture; what three pages cost the pipeline; how soon the arm holds when whoever
-presses is lost; what of hostile clients reaches a command. Network cuts need root and nftables, and are left out where
-there are none.
+How far what is on the screen is behind capture; what three pages cost the pipeline (page_cost.py); how soon the arm
+holds when whoever presses is lost; what of hostile clients reaches a command. Network cuts need root and nftables, and
+are left out where there are none.
 """
 
 import asyncio
-import contextlib
 import itertools
 import json
 import tempfile
-from collections.abc import AsyncGenerator, Callable, Coroutine
+from collections.abc import Callable, Coroutine
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -25,14 +24,13 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.browser import chromium, found
-from benchmarks.page_client import client
+from benchmarks.page_cost import BROWSERS, CLIENTS, ELSEWHERE, LIGHT, NOBODY, measured, row_of, within
 from benchmarks.page_hands import FLAGS, all_cuts, pictures
 from benchmarks.page_hostile import attacked
 from benchmarks.page_rig import Rig, frames_unaccounted, running
-from shared.clock import monotonic_s
 
 GOAL_IMAGE_MS, GOAL_HOLD_MS = 80.0, 250.0
-CLIENTS, TURNS = 3, 2
+RANGED = (("p50_ms", 0), ("hz", 1))
 CONSOLE = Console(width=140)
 
 
@@ -41,13 +39,14 @@ class Options:
     """How much of it.
 
     Fields:
-        seconds: of pictures, and of each turn with and without pages.
+        seconds: of pictures, and of each run with and without pages; rounds: of five such runs.
         times: each loss.
         hostile: requests, and as many frames; a tenth of it of each other attack.
         only: `image`, `cost`, `hands` or `hostile` alone.
     """
 
-    seconds: float = 20.0
+    seconds: float = 10.0
+    rounds: int = 3
     times: int = 3
     hostile: int = 10_000
     rate_hz: float = 30.0
@@ -60,7 +59,7 @@ def main() -> None:
     options = tyro.cli(Options)
     if found() is None:
         raise SystemExit("nothing was measured: there is no chromium here (apt-get install chromium)")
-    measured: dict[str, Any] = {}
+    figures: dict[str, Any] = {}
     for name, measure in MEASURES.items():
         if options.only not in ("", name):
             continue
@@ -69,10 +68,10 @@ def main() -> None:
             tempfile.TemporaryDirectory(prefix="suturegrasp-page-") as scratch,
             running(Path(scratch), options.rate_hz) as rig,
         ):
-            measured[name] = asyncio.run(measure(rig, options))
+            figures[name] = asyncio.run(measure(rig, options))
     if options.json is not None:
         options.json.parent.mkdir(parents=True, exist_ok=True)
-        options.json.write_text(json.dumps(measured, indent=1) + "\n")
+        options.json.write_text(json.dumps(figures, indent=1) + "\n")
 
 
 async def _hands(rig: Rig, options: Options) -> list[dict[str, Any]]:
@@ -101,37 +100,32 @@ async def _image(rig: Rig, options: Options) -> dict[str, float]:
     return told
 
 
-@contextlib.asynccontextmanager
-async def _clients(rig: Rig, count: int) -> AsyncGenerator[None]:
-    """Pages as programs, which take what they are sent at once: a browser would take this machine's own time."""
-    async with contextlib.AsyncExitStack() as stack:
-        for _ in range(count):
-            await stack.enter_async_context(client(rig.link()))
-        yield
-
-
 async def _cost(rig: Rig, options: Options) -> dict[str, Any]:
-    ages: dict[int, list[float]] = {0: [], CLIENTS: []}
-    seconds = options.seconds
-    for _ in range(TURNS):
-        for count, of_count in ages.items():
-            async with _clients(rig, count):
-                await asyncio.sleep(2.0)
-                began_s = monotonic_s()
-                await asyncio.sleep(seconds)
-                of_count += [ms for at_s, ms in rig.heard.thread_ms if at_s >= began_s]
+    runs = await measured(rig, options.seconds, options.rounds, rig.folder)
     unaccounted, account = await asyncio.to_thread(frames_unaccounted, rig)
-    table = Table(title=f"the pipeline with and without {CLIENTS} pages", title_justify="left")
-    for column in ("pages", "thread behind capture, p50 ms", "p95 ms", "threads a second"):
+    title = (
+        f"the pipeline with {CLIENTS} pages and without: medians of runs (lowest to highest); processor in % of a core"
+    )
+    table = Table(title=title, title_justify="left")
+    for column in ("who looks", "runs", "thread behind capture, p50 ms", "p95 ms", "threads a second"):
+        table.add_column(column, justify="left" if column == "who looks" else "right")
+    for column in ("server", "pipeline", "lookers", "cores idle"):
         table.add_column(column, justify="right")
-    rows: dict[str, Any] = {}
-    for count, of_count in ages.items():
-        p50, p95 = (float(v) for v in np.percentile(of_count, (50, 95)))
-        rows[str(count)] = {"p50_ms": p50, "p95_ms": p95, "hz": len(of_count) / (TURNS * seconds)}
-        table.add_row(str(count), f"{p50:.0f}", f"{p95:.0f}", f"{len(of_count) / (TURNS * seconds):.1f}")
+    rows = {name: row_of(of_name) for name, of_name in runs.items()}
+    for name, row in rows.items():
+        ranged = (f"{row[n]:.{d}f} ({' to '.join(f'{v:.{d}f}' for v in row[f'{n}_range'])})" for n, d in RANGED)
+        p50, hz = ranged
+        shares = (f"{row[n]:.0f}" for n in ("server", "pipeline", "lookers", "idle"))
+        table.add_row(name, str(len(runs[name])), p50, f"{row['p95_ms']:.0f}", hz, *shares)
     CONSOLE.print(table)
+    each = (rows[LIGHT]["server"] - rows[NOBODY]["server"]) / CLIENTS
+    CONSOLE.print(f"the server takes {each:.1f} % of a core for each of {CLIENTS} pages")
+    for name, noise in ((LIGHT, NOBODY), (BROWSERS, ELSEWHERE)):
+        judged = "within" if within(runs[name], runs[noise]) else "beyond"
+        CONSOLE.print(f"{name}: latency {judged} that of the runs with {noise}")
     CONSOLE.print(f"frames: {', '.join(f'{n} {v}' for n, v in account.items())}; unaccounted {unaccounted}")
-    return rows | {"unaccounted": unaccounted, "account": account}
+    told = {name: [asdict(run) for run in of_name] for name, of_name in runs.items()}
+    return {"runs": told, "server_each": each, "unaccounted": unaccounted, "account": account}
 
 
 async def _hostile(rig: Rig, options: Options) -> dict[str, Any]:

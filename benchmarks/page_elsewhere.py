@@ -1,0 +1,103 @@
+"""A page that shows as much and belongs to no rig: what one page was sent is kept, and sent again to whoever looks.
+
+Browsers before it take the time that showing takes, and nobody serves them from the rig. As a program it serves what
+a file holds, and prints its address.
+"""
+
+import asyncio
+import base64
+import contextlib
+import json
+import struct
+import sys
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+from aiohttp import WSMsgType, web
+
+from agents.operator.page_server import TYPES
+from shared.clock import monotonic_s
+
+HERE = "127.0.0.1"
+
+
+async def kept(socket: aiohttp.ClientWebSocketResponse, seconds: float) -> list[tuple[float, str, str]]:
+    """What comes within that time: when, a header or text, and a picture in base 64; each picture is acknowledged."""
+    messages: list[tuple[float, str, str]] = []
+    began_s = monotonic_s()
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(seconds):
+            async for message in socket:
+                at_s = monotonic_s() - began_s
+                if message.type is WSMsgType.TEXT:
+                    messages.append((at_s, message.data, ""))
+                elif message.type is WSMsgType.BINARY:
+                    (length,) = struct.unpack("<I", message.data[:4])
+                    header, picture = message.data[4 : 4 + length].decode(), message.data[4 + length :]
+                    messages.append((at_s, header, base64.b64encode(picture).decode()))
+                    await socket.send_json({"kind": "shown", "frame": json.loads(header)["frame"], "at_ms": 0})
+    return messages
+
+
+class Elsewhere:
+    """Sends what was kept over and over, a picture once the last is shown, as the rig's page does."""
+
+    def __init__(self, messages: list[tuple[float, str, str]]) -> None:
+        self._messages = messages
+        self.application = web.Application()
+        self.application.router.add_get("/", self._file)
+        self.application.router.add_get("/page/{name}", self._file)
+        self.application.router.add_post("/session", self._session)
+        self.application.router.add_get("/ws", self._websocket)
+
+    async def _file(self, request: web.Request) -> web.StreamResponse:
+        name = request.match_info.get("name", "index.html")
+        kind = next(kind for ending, kind in TYPES.items() if name.endswith(ending))
+        page = files("agents.operator").joinpath("page", name)
+        return web.Response(body=page.read_bytes(), content_type=kind, charset="utf-8")
+
+    async def _session(self, _request: web.Request) -> web.StreamResponse:
+        return web.json_response({"secret": "none"})
+
+    async def _websocket(self, request: web.Request) -> web.StreamResponse:
+        socket, shown = web.WebSocketResponse(), asyncio.Event()
+        await socket.prepare(request)
+        sending = asyncio.ensure_future(self._send(socket, shown))
+        async for message in socket:
+            if message.type is WSMsgType.TEXT and '"shown"' in message.data:
+                shown.set()
+        sending.cancel()
+        return socket
+
+    async def _send(self, socket: web.WebSocketResponse, shown: asyncio.Event) -> None:
+        shown.set()
+        while True:
+            began_s, lasts = monotonic_s(), dict[str, Any]()
+            for at_s, text, picture in self._messages:
+                await asyncio.sleep(max(0.0, began_s + at_s - monotonic_s()))
+                if not picture:
+                    await socket.send_str(text)
+                    continue
+                # a thread or a surface that comes with a picture that is left out comes with the next
+                lasts |= {k: v for k, v in json.loads(text).items() if k in ("thread", "surface")}
+                if shown.is_set():
+                    shown.clear()
+                    header = json.dumps(json.loads(text) | lasts, separators=(",", ":")).encode()
+                    lasts.clear()
+                    await socket.send_bytes(struct.pack("<I", len(header)) + header + base64.b64decode(picture))
+
+
+async def serve(path: Path) -> None:
+    """Serve what a file holds, until killed."""
+    runner = web.AppRunner(Elsewhere(json.loads(path.read_text())).application, access_log=None)
+    await runner.setup()
+    site = web.TCPSite(runner, HERE, 0)
+    await site.start()
+    print(f"http://{HERE}:{runner.addresses[0][1]}/#token=none", flush=True)
+    await asyncio.Event().wait()
+
+
+if __name__ == "__main__":
+    asyncio.run(serve(Path(sys.argv[1])))
