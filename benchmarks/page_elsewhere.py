@@ -18,6 +18,7 @@ import aiohttp
 from aiohttp import WSMsgType, web
 
 from agents.operator.page_server import TYPES
+from agents.operator.pictures import due
 from shared.clock import monotonic_s
 
 HERE = "127.0.0.1"
@@ -42,10 +43,12 @@ async def kept(socket: aiohttp.ClientWebSocketResponse, seconds: float) -> list[
 
 
 class Elsewhere:
-    """Sends what was kept over and over, a picture once the last is shown, as the rig's page does."""
+    """Sends what was kept over and over as the rig's page does: a picture once the last is shown, and fewer to those
+    who only watch, which are all but the first.
+    """
 
     def __init__(self, messages: list[tuple[float, str, str]]) -> None:
-        self._messages = messages
+        self._messages, self._pages = messages, 0
         self.application = web.Application()
         self.application.router.add_get("/", self._file)
         self.application.router.add_get("/page/{name}", self._file)
@@ -64,15 +67,17 @@ class Elsewhere:
     async def _websocket(self, request: web.Request) -> web.StreamResponse:
         socket, shown = web.WebSocketResponse(), asyncio.Event()
         await socket.prepare(request)
-        sending = asyncio.ensure_future(self._send(socket, shown))
+        self._pages += 1
+        sending = asyncio.ensure_future(self._send(socket, shown, self._pages == 1))
         async for message in socket:
             if message.type is WSMsgType.TEXT and '"shown"' in message.data:
                 shown.set()
         sending.cancel()
         return socket
 
-    async def _send(self, socket: web.WebSocketResponse, shown: asyncio.Event) -> None:
+    async def _send(self, socket: web.WebSocketResponse, shown: asyncio.Event, controls: bool) -> None:
         shown.set()
+        sent_s = 0.0
         while True:
             began_s, lasts = monotonic_s(), dict[str, Any]()
             for at_s, text, picture in self._messages:
@@ -82,8 +87,9 @@ class Elsewhere:
                     continue
                 # a thread or a surface that comes with a picture that is left out comes with the next
                 lasts |= {k: v for k, v in json.loads(text).items() if k in ("thread", "surface")}
-                if shown.is_set():
+                if shown.is_set() and due(controls, monotonic_s() - sent_s):
                     shown.clear()
+                    sent_s = monotonic_s()
                     header = json.dumps(json.loads(text) | lasts, separators=(",", ":")).encode()
                     lasts.clear()
                     await socket.send_bytes(struct.pack("<I", len(header)) + header + base64.b64decode(picture))

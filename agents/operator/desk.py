@@ -65,7 +65,7 @@ class Desk:
         self._commands = Commands(connection, around.audit)
         self._heard = Heard(connection, self._wake)
         self.field = FieldSeen(self._heard, around)
-        self._showing = Showing(self.field, self.screens, self._commands.aside)
+        self._showing = Showing(self.field, self.screens, self._commands.aside, lambda s: s == self.control.controller)
         self._choosing = Choosing(self.field, self._commands, self._voice)
         self._beside = Beside(around, self.field, self._commands, self._voice)
         self._standing_by = StandingBy(self.control, self._commands, self._voice)

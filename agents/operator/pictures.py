@@ -40,6 +40,14 @@ it did not help; doubled each time."""
 MOST_PATIENCE = 960
 WIDEST_PX = 1600
 """More is not seen on a screen, and only costs."""
+WATCHING_S = 0.055
+"""Between the pictures of a page that only watches: every second one of a camera at 30 Hz. Each picture costs its
+browser, and the machine that this runs on, as much as it costs the page that controls."""
+
+
+def due(controls: bool, since_s: float) -> bool:
+    """Whether a page that is ready is sent the next picture, so long after the last."""
+    return controls or since_s >= WATCHING_S
 
 
 def as_it_came(image: Image, level: Level, resample: Resample | None) -> bool:

@@ -7,7 +7,7 @@ from typing import Any
 
 from agents.operator.compact import joined
 from agents.operator.field_seen import FieldSeen
-from agents.operator.pictures import LEVELS, as_it_came, encoded
+from agents.operator.pictures import LEVELS, as_it_came, due, encoded
 from agents.operator.screen import Screen
 from agents.operator.wire import Shown
 from schemas.messages import StereoFrame
@@ -21,8 +21,10 @@ Aside = Callable[[Callable[[], Any]], Awaitable[Any]]
 class Showing:
     """Sends each page the newest picture as soon as it has shown the last."""
 
-    def __init__(self, field: FieldSeen, screens: dict[str, Screen], aside: Aside) -> None:
-        self._field, self._screens, self._aside = field, screens, aside
+    def __init__(
+        self, field: FieldSeen, screens: dict[str, Screen], aside: Aside, controls: Callable[[str], bool]
+    ) -> None:
+        self._field, self._screens, self._aside, self._controls = field, screens, aside, controls
         self._frame_came, self._thread_came = asyncio.Event(), asyncio.Event()
         self._calibrated = True
 
@@ -63,15 +65,23 @@ class Showing:
         while True:
             await self._frame_came.wait()
             self._frame_came.clear()
-            if not any(screen.ready for screen in self._screens.values()):
+            if not self._waiting():
                 continue
             if self._calibrated:
                 self._calibrated = False
                 await self._aside(self._field.take_calibration)
             frame = self._field.take_frame()
-            waiting = [screen for screen in self._screens.values() if screen.ready]
+            waiting = self._waiting()
             if frame is not None and any(screen.frame != frame.stamp.sequence for screen in waiting):
                 await self._show(frame, [s for s in waiting if s.frame != frame.stamp.sequence])
+
+    def _waiting(self) -> list[Screen]:
+        now_s = monotonic_s()
+        return [
+            screen
+            for screen in self._screens.values()
+            if screen.ready and due(self._controls(screen.name), now_s - screen.sent_s)
+        ]
 
     async def _show(self, frame: StereoFrame, waiting: list[Screen]) -> None:
         image, resample = frame.left, self._field.resample

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from agents.operator.drawn import MOST_STEPS, draw_surface, way_of
 from agents.operator.drawn_thread import PLACES, draw_thread, evenly
-from agents.operator.pictures import FAST_MS, JUDGED_AFTER, LEVELS, SLOW_MS, Pace, encoded
+from agents.operator.pictures import FAST_MS, JUDGED_AFTER, LEVELS, SLOW_MS, Pace, due, encoded
 from agents.operator.snapping import WITHIN_PX, at_place, snapped
 from schemas.messages import (
     FrameStamp,
@@ -181,6 +181,15 @@ def test_a_link_that_becomes_fast_gets_the_finest_pictures_again():
     pace = Pace()
     paced(pace, lambda level: SLOW_MS * 4 * 0.4**level, 200)
     assert paced(pace, lambda _: FAST_MS / 2, 400) == 0
+
+
+@pytest.mark.parametrize(("controls", "rate_hz", "shown"), [(True, 30, 60), (False, 30, 30), (False, 15, 30)])
+def test_who_only_watches_gets_every_second_picture_of_a_fast_camera(controls, rate_hz, shown):
+    sent_s, sent = -1.0, 0
+    for at_s in np.arange(2 * rate_hz) / rate_hz:
+        if due(controls, at_s - sent_s):
+            sent_s, sent = at_s, sent + 1
+    assert sent == shown
 
 
 def test_a_level_is_judged_only_after_some_pictures():
