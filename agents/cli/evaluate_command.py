@@ -27,6 +27,7 @@ from agents.evaluation.report import report
 from agents.evaluation.results import results_of
 from agents.evaluation.table import overview
 from agents.evaluation.trial import RIG
+from schemas.messages import ImageEncoding
 from shared.recording.mcap_file import Note
 from shared.runtime.config import ConfigError, parse_config
 from shared.scene.render import SceneError
@@ -80,7 +81,7 @@ def _recorded(options: Evaluate, name: str) -> int:
     if not trials:
         example = next(trials_on(protocol, threads_of(protocol)[0])).name
         raise ConfigError(f"--record {name} is no trial of this evaluation; one is {example}")
-    table = Table(protocol, trials[0].laid, options.output)
+    table = Table(protocol, trials[0].laid, options.output, ImageEncoding.PNG)
     told = table.tried(trials[0], recorded=True)
     path = options.output / "recorded" / f"{name.replace('/', '_')}.mcap"
     path.parent.mkdir(exist_ok=True)

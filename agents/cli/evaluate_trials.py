@@ -25,7 +25,7 @@ from agents.planner.config import PlannerConfig
 from agents.robot_bridge.limits import MotionLimits
 from agents.simulator.agent import Simulator, SimulatorConfig
 from agents.simulator.field import DEGREE
-from schemas.messages import ImageEncoding, SimulatorState, Status, StereoCalibration
+from schemas.messages import ImageEncoding, SimulatorState, Status
 from shared.arc_length import even_parameters
 from shared.camera import project
 from shared.clock import processor_s
@@ -39,22 +39,46 @@ PERCEPTION, RECONSTRUCTION, BRIDGE = "perception", "reconstruction", "robot_brid
 class Table:
     """One thread with all that trials on it share."""
 
-    def __init__(self, protocol: Protocol, laid: Laid, folder: Path) -> None:
+    def __init__(
+        self, protocol: Protocol, laid: Laid, folder: Path, encoding: ImageEncoding = ImageEncoding.RAW
+    ) -> None:
         """Lay the thread; nothing is looked at before it has to be.
+
+        Args:
+            encoding: of frames, without loss; one that takes time is of use where they are recorded.
 
         Raises:
             SceneError: where the thread cannot be laid.
         """
-        self.protocol, self.laid = protocol, laid
+        self.protocol, self.laid, self._encoding = protocol, laid, encoding
         self.scenery: Scenery = scenery_of(protocol, laid, folder)
         self._looks: dict[MethodName, Look] = {}
+        self._evenly: dict[MethodName, Float64[np.ndarray, n]] = {}
         self.view = FieldView(self.scenery)
 
     def look(self, method: MethodName) -> Look:
         """What a method makes of the field before the grasp."""
         if method not in self._looks:
-            self._looks[method] = look_at(self.scenery.images, self.scenery.calibration, method, CAPTURED_NS, 0)
+            self._looks[method] = self._seen(self.scenery.images, method, CAPTURED_NS, 0)
         return self._looks[method]
+
+    def _seen(self, images: Pair, method: MethodName, captured_ns: int, sequence: int) -> Look:
+        """What perception and reconstruction make of images, as if they had never seen any before."""
+        rig = rig_for(method)
+        sender = FrameSender(CameraConfig(encoding=self._encoding))
+        sender.calibrated(self.scenery.calibration)
+        sender.sent = sequence
+        frame = sender.frame(images, captured_ns)
+        agents = build(rig, PERCEPTION, "main"), build(rig, RECONSTRUCTION, "main")
+        return looked(*agents, self.scenery.calibration, frame)
+
+    def _point(self, look: Look, method: MethodName, s: float) -> Float64[np.ndarray, "3"]:
+        """A place on the thread of the first look, or of that moved as a whole, which moves no parameter."""
+        if method not in self._evenly:
+            first = self.look(method).thread
+            self._evenly[method] = even_parameters(first.knots, first.control_points_camera, first.degree, PLACES)
+        thread, at = look.thread, self._evenly[method][[round((PLACES - 1) * s)]]
+        return evaluate(thread.knots, thread.control_points_camera, thread.degree, at)[0]
 
     def tried(self, trial: Trial, recorded: bool = False) -> Told:
         """Carry out one trial."""
@@ -71,20 +95,30 @@ class Table:
             return Told(came, [])
         s, by_m = float(places[trial.goal]), injected_m(self.protocol, trial)
         again = self._again(trial) if self.protocol.attempts > 1 else None
-        told = carried_out(trial, s, look.moved(by_m), self._cast(trial), again, recorded)
+        moved = look.moved(by_m)
+        told = carried_out(trial, s, moved, self._cast(trial), again, recorded)
         more = {
-            "goal_px": _pixel(look, told.came.s),
-            "capture_px": _pixel(look, told.came.s_capture),
-            "error_m": self._error_m(look.moved(by_m), told.came.s),
-            "capture_error_m": self._error_m(look.moved(by_m), told.came.s_capture),
+            "goal_px": self._pixel(look, trial.method, told.came.s),
+            "capture_px": self._pixel(look, trial.method, told.came.s_capture),
+            "error_m": self._error_m(moved, trial.method, told.came.s),
+            "capture_error_m": self._error_m(moved, trial.method, told.came.s_capture),
             "injected_m": float(np.linalg.norm(by_m)),
             "processor_s": processor_s() - began_s,
         }
         return replace(told, came=told.came.model_copy(update=more))
 
-    def _error_m(self, look: Look, s: float | None) -> float | None:
+    def _error_m(self, look: Look, method: MethodName, s: float | None) -> float | None:
         """How far a place on the reconstructed thread is from the true one."""
-        return None if s is None else float(np.linalg.norm(self._true_points - _point(look, s), axis=1).min())
+        if s is None:
+            return None
+        return float(np.linalg.norm(self._true_points - self._point(look, method, s), axis=1).min())
+
+    def _pixel(self, look: Look, method: MethodName, s: float | None) -> tuple[float, float] | None:
+        """Where a place on the reconstructed thread is in the left image."""
+        if s is None:
+            return None
+        left, _ = project(look.thread.camera, self._point(look, method, s)[None])
+        return float(left[0, 0]), float(left[0, 1])
 
     @cached_property
     def _true_points(self) -> Float64[np.ndarray, "n 3"]:
@@ -99,7 +133,7 @@ class Table:
         def look(state: SimulatorState, now_ns: int) -> Look:
             number = next(looks)
             images = self.view.pair(state, number)
-            seen = look_at(images, self.scenery.calibration, trial.method, now_ns, number)
+            seen = self._seen(images, trial.method, now_ns, number)
             return seen.moved(injected_m(self.protocol, trial, number))
 
         return look
@@ -139,16 +173,6 @@ def tried_on(protocol: Protocol, laid: Laid, trials: list[Trial], folder: Path) 
             yield Came(trial=trial, outcome="failed", code="FAULT", sentence=f"{type(error).__name__}: {error}")
 
 
-def look_at(images: Pair, calibration: StereoCalibration, method: MethodName, captured_ns: int, sequence: int) -> Look:
-    """What perception and reconstruction make of images, as if they had never seen any before."""
-    rig = rig_for(method)
-    sender = FrameSender(CameraConfig(encoding=ImageEncoding.PNG))
-    sender.calibrated(calibration)
-    sender.sent = sequence
-    frame = sender.frame(images, captured_ns)
-    return looked(build(rig, PERCEPTION, "main"), build(rig, RECONSTRUCTION, "main"), calibration, frame)
-
-
 def rig_for(method: MethodName) -> RigConfig:
     """The simulated rig with a method of reconstruction."""
     return simulated_rig().model_copy(update={"reconstruction": ReconstructionSection(method=method)})
@@ -172,17 +196,3 @@ def speed_limits() -> SpeedLimits:
     """Those of the simulated arm's bridge."""
     limits = MotionLimits()
     return SpeedLimits(limits.speed, limits.angular_speed, limits.jaw_speed, limits.contact_share)
-
-
-def _pixel(look: Look, s: float | None) -> tuple[float, float] | None:
-    """Where a place on the reconstructed thread is in the left image."""
-    if s is None:
-        return None
-    left, _ = project(look.thread.camera, _point(look, s)[None])
-    return float(left[0, 0]), float(left[0, 1])
-
-
-def _point(look: Look, s: float) -> Float64[np.ndarray, "3"]:
-    thread = look.thread
-    parameter = even_parameters(thread.knots, thread.control_points_camera, thread.degree, PLACES)
-    return evaluate(thread.knots, thread.control_points_camera, thread.degree, parameter[[round((PLACES - 1) * s)]])[0]
