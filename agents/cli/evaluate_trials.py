@@ -53,7 +53,7 @@ class Table:
         self.protocol, self.laid, self._encoding = protocol, laid, encoding
         self.scenery: Scenery = scenery_of(protocol, laid, folder)
         self._looks: dict[MethodName, Look] = {}
-        self._evenly: dict[MethodName, Float64[np.ndarray, n]] = {}
+        self._evenly: dict[MethodName, np.ndarray] = {}
         self.view = FieldView(self.scenery)
 
     def look(self, method: MethodName) -> Look:
