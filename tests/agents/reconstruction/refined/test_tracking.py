@@ -325,7 +325,7 @@ def test_a_curve_contradicts_its_frame_only_where_it_claims_more_and_the_frame_c
     ray = fit.curve.control_points / fit.curve.control_points[:, 2:]
     middle = point_covariance(fit, CAMERA, np.array([0.5]))[0]
     deviation_mm = np.sqrt(np.linalg.eigvalsh(middle)[-1])
-    assert 3.0 < deviation_mm < 4.0
+    assert 1.5 < deviation_mm < 2.0
 
     def followed(deviations, information, width):
         deeper_mm = deviations * deviation_mm * np.exp(-(((at - 0.5) / width) ** 2))
