@@ -15,6 +15,7 @@ from shared.scene.tool_view import Instrument, draw_solids, solids_of
 CAMERA = RectifiedStereo(640, 360, 660.0, 660.0, 319.5, 179.5, 0.0055, 1.0)
 IN_MM = dataclasses.replace(CAMERA, baseline=5.5, metres_per_unit=1e-3)
 JAW = 0.6
+TOOL = Instrument(shaft_metal="dark", stains=2)
 
 
 def tissue(seed: int) -> np.ndarray:
@@ -41,10 +42,9 @@ def pair(at_s: float, seed: int, shown: bool = True) -> tuple[np.ndarray, np.nda
 
 
 def pair_of(
-    T_base_tool: Float64[np.ndarray, "4 4"], jaw_rad: float, seed: int, shown: bool = True
+    T_base_tool: Float64[np.ndarray, "4 4"], jaw_rad: float, seed: int, shown: bool = True, tool: Instrument = TOOL
 ) -> tuple[np.ndarray, np.ndarray]:
     """Both images of a tool there."""
-    tool = Instrument(shaft_metal="dark", stains=2)
     solids = solids_of(T_TRUE, T_base_tool, jaw_rad, tool)
     images = [draw_solids(BEHIND, IN_MM, solids, tool, x, seed)[0] if shown else BEHIND for x in (0.0, 5.5)]
     noisy = [expose(one, Sensor(), grain(one.shape[:2], 2 * seed + k)) for k, one in enumerate(images)]

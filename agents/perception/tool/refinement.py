@@ -3,28 +3,33 @@
 With e the signed distance of an edge from the expected outline, along its normal n and outward in pixels, and J the
 slope of that outline with the twist, each step minimises
 
-    Σ ρ((e - J ξ - β) / σ) + (ξ + ξ₀ - ξ₋)ᵀ P⁻¹ (ξ + ξ₀ - ξ₋) + |β / σ_β|²,
+    Σ ρ((e - J ξ - β - s) / σ) + Σ (s / σ_s)² + Σ (β / σ_β)² + (ξ + ξ₀ - ξ₋)ᵀ P⁻¹ (ξ + ξ₀ - ξ₋),
 
 ρ being Tukey's biweight: an iterated extended Kalman filter's update (Bell and Cathey, 1993) against outliers. β is by
-how much outlines of one part look wider than they are (blur, light, a shape known to half a millimetre); it is the same
-in both eyes, and is eliminated. Neighbouring edges err alike, so that each counts for 1 / ALIKE of a measurement.
+how much the outline of one kind of part looks wider than it is (blur, light, a tool made a little thicker), and s by
+how much one place of it lies beside where the shape has it. Both are the same in both eyes and are eliminated: depth
+then comes from the difference between the eyes, in which they cancel, and hardly from how wide the shaft looks, of
+which a pixel in 90 is a millimetre at 90 mm. Neighbouring edges err alike, so that each counts for 1 / ALIKE of a
+measurement.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64, Int64
 
 from agents.perception.tool.correction import Correction, about, point_slope, twist_about
 from agents.perception.tool.evidence import Eye, edges
 from agents.perception.tool.outline import Outline, outline
-from agents.perception.tool.tubes import DRIVER, SHAFT, Shape, Tube, tubes
+from agents.perception.tool.tubes import DRIVER, Shape, Tube, tubes
 from schemas.messages import RectifiedStereo
 
-SIGMA_PX = 0.8
+SIGMA_PX, PLACE_PX = 0.4, 0.7
 ALIKE = 16.0
-WIDER_PX = (0.4, 1.0)
-"""Deviation of β, of the shaft and of the other parts."""
+WIDER_PX = (1.0, 1.0, 1.0)
+"""Deviation of β: of the shaft, of the wrist and the shaft's end, of the fingers."""
+GROUP = np.array((0, 1, 2, 2, 1))
+"""Which of them is of SHAFT, WRIST, FINGER, TIP and END."""
 TUKEY_PX = 4.0
 FITS_PX = 2.5
 ROUNDS = 6
@@ -85,13 +90,12 @@ def refined(view: View, before: Correction, rounds: int = ROUNDS, first_reach_px
     px_per_m = view.camera.fx_px / max(float(pivot[2]), 0.02)
     spread = px_per_m * float(np.sqrt(np.trace(before.covariance[:3, :3]) / 3))
     reach = first_reach_px or float(np.clip(3 * spread, *REACH_PX))
-    total, gathered = information, None
+    total = information
     for _ in range(rounds):
         C = about(pivot, twist)
-        gathered = _gathered(view, C, pivot, reach, spread)
-        e, J, group, found = gathered
-        weight = np.where(found, _tukey(e, max(TUKEY_PX, 0.5 * reach)), 0.0) / (ALIKE * SIGMA_PX**2)
-        total, right = _normal(e, J, group, weight)
+        seen = _gathered(view, C, pivot, reach, spread)
+        weight = np.where(seen.found, _tukey(seen.distance, max(TUKEY_PX, 0.5 * reach)), 0.0)
+        total, right = _normal(seen, weight)
         offset = twist_about(pivot, C) - before.twist
         total, right = total + information, right - information @ offset
         step = np.linalg.solve(total, right)
@@ -100,7 +104,8 @@ def refined(view: View, before: Correction, rounds: int = ROUNDS, first_reach_px
         spread = max(1.0, 0.5 * spread)
         if np.abs(step[:3]).max() < 2e-6 and np.abs(step[3:]).max() < 2e-5 and reach <= REACH_PX[0]:
             break
-    e, _, _, found = _gathered(view, about(pivot, twist), pivot, REACH_PX[0], 2.0)
+    seen = _gathered(view, about(pivot, twist), pivot, REACH_PX[0], 2.0)
+    e, found = seen.distance, seen.found
     fitting = found & (np.abs(e) < FITS_PX)
     change = twist - before.twist
     return Refined(
@@ -134,11 +139,20 @@ def elsewhere(view: View, found: Refined, steps_m: tuple[float, ...]) -> Refined
     return best
 
 
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """Edges of both eyes: distances, their slopes with twist and β, the place of each, and which were found."""
+
+    distance: Float64[np.ndarray, "n"]
+    slope: Float64[np.ndarray, "n k"]
+    place: Int64[np.ndarray, "n"]
+    found: Bool[np.ndarray, "n"]
+
+
 def _gathered(
     view: View, C: Float64[np.ndarray, "4 4"], pivot: Float64[np.ndarray, "3"], reach: float, spread: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Distances of edges in both eyes, their slopes with the twist, the group of β of each, and which were found."""
-    camera, told = view.camera, []
+) -> _Seen:
+    camera, told = view.camera, list[_Seen]()
     for image, expected, eye_x in zip(view.eyes, view.expected(C), (0.0, camera.baseline), strict=True):
         found = edges(image, expected, reach, spread)
         x, y, z = (expected.points_camera - (eye_x, 0.0, 0.0)).T
@@ -147,24 +161,26 @@ def _gathered(
         v = np.column_stack((zero, camera.fy_px / z, -camera.fy_px * y / z**2))
         across = expected.normal[:, :1] * u + expected.normal[:, 1:] * v
         J = np.einsum("ni,nij->nj", across, point_slope(expected.points_camera, pivot))
-        told.append((found.distance, J, (expected.part != SHAFT).astype(np.int64), found.contrast > 0))
-    e, slope, group, found = (np.concatenate(one) for one in zip(*told, strict=True))
-    return e, slope, group, found
+        wider = GROUP[expected.part][:, None] == np.arange(len(WIDER_PX))
+        told.append(_Seen(found.distance, np.hstack((J, wider)), expected.place, found.contrast > 0))
+    return _Seen(*(np.concatenate([getattr(one, f.name) for one in told]) for f in fields(_Seen)))
 
 
 def _normal(
-    e: np.ndarray, J: np.ndarray, group: np.ndarray, weight: np.ndarray
+    seen: _Seen, weight: Float64[np.ndarray, "n"]
 ) -> tuple[Float64[np.ndarray, "6 6"], Float64[np.ndarray, "6"]]:
-    """Normal equations of the twist, β eliminated (Schur)."""
-    JW = J * weight[:, None]
-    total, right = JW.T @ J, JW.T @ e
-    for i, deviation in enumerate(WIDER_PX):
-        mine = group == i
-        own = float(weight[mine].sum()) + 1 / (ALIKE * deviation**2)
-        with_twist = JW[mine].sum(axis=0)
-        total = total - np.outer(with_twist, with_twist) / own
-        right = right - with_twist * float(weight[mine] @ e[mine]) / own
-    return total, right
+    """Normal equations of the twist; what each place and each part has in common is eliminated (Schur)."""
+    w = weight / (ALIKE * SIGMA_PX**2)
+    index = np.unique(seen.place, return_inverse=True)[1]
+    regress = np.column_stack((seen.slope, seen.distance))
+    of_place = np.zeros((int(index.max(initial=-1)) + 1, regress.shape[1]))
+    np.add.at(of_place, index, w[:, None] * regress)
+    own = np.bincount(index, w, len(of_place)) + 1 / (ALIKE * PLACE_PX**2)
+    total = (regress * w[:, None]).T @ regress - (of_place / own[:, None]).T @ of_place
+    N, right = total[:-1, :-1], total[:-1, -1]
+    N[6:, 6:] += np.diag(1 / (ALIKE * np.square(WIDER_PX)))
+    gain = np.linalg.solve(N[6:, 6:], N[6:, :6]).T
+    return N[:6, :6] - gain @ N[6:, :6], right[:6] - gain @ right[6:]
 
 
 def _tukey(e: np.ndarray, limit: float) -> np.ndarray:

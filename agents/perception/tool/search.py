@@ -1,10 +1,12 @@
-"""The first correction of a tool, from nothing but how much pixels look like an instrument.
+"""The first correction of a tool, by a search over six numbers.
 
-Points within the instrument should look like one, and points beside and beyond it should not. Of corrections drawn from
-what is known beforehand, the best are kept and others drawn around them, again and again (the cross-entropy method:
-Rubinstein, 1999), in both eyes at once. Several starts guard against a wrong one.
+Of corrections drawn from what is known beforehand, the best are kept and others drawn around them, again and again (the
+cross-entropy method: Rubinstein, 1999), in both eyes at once. What counts is here how much pixels look like an
+instrument: points within it should, and points beside and beyond it should not. Several starts guard against a wrong
+one; lines.py begins with something else.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -24,6 +26,10 @@ SMOOTHED = 0.6
 """Of the new spread in each round; the rest is of the one before."""
 
 
+Scores = Callable[[Float64[np.ndarray, "m 6"]], Float64[np.ndarray, "m"]]
+"""How well each of some twists fits the images."""
+
+
 @dataclass(frozen=True, eq=False)
 class _Probe:
     """Points that move with the tool, what each counts for, and that they add up to 1 inside and -1 outside."""
@@ -32,39 +38,46 @@ class _Probe:
     weight: Float64[np.ndarray, "n"]
 
 
-def searched(
+def likely(
     camera: RectifiedStereo,
     maps: tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]],
     parts: tuple[Tube, ...],
-    deviation: Float64[np.ndarray, "6"],
     pivot: Float64[np.ndarray, "3"],
-    rng: np.random.Generator,
-    begun: Float64[np.ndarray, "6"] | None = None,
-) -> tuple[Float64[np.ndarray, "6"], float]:
-    """The twist that fits best, and how well: 1 where all inside looks like a tool and nothing outside.
+) -> Scores:
+    """By how much pixels look like an instrument: 1 where all inside does and nothing outside.
 
     Args:
         parts: where the tool is without any twist.
-        deviation: of the twist, around `begun`, which is none unless told.
     """
-    around = np.zeros(6) if begun is None else begun
     small = tuple(_shrunk(one) for one in maps)
     probe = _probe(parts)
-    mean, spread = around, deviation.copy()
+    return lambda twists: _scores(camera, small, probe, twists, pivot)
+
+
+def searched(
+    scores: Scores,
+    deviation: Float64[np.ndarray, "6"],
+    rng: np.random.Generator,
+    begun: Float64[np.ndarray, "6"],
+    held: float,
+) -> Float64[np.ndarray, "6"]:
+    """The twist that fits best, of those that deviate so much from where it is begun.
+
+    Args:
+        held: what a twist loses for the square of each of its deviations.
+    """
+    mean, spread = begun, deviation.copy()
     best, best_score = mean, -np.inf
     for _ in range(ROUNDS):
         twists = mean + spread * rng.standard_normal((DRAWN, 6))
-        scores = _scores(camera, small, probe, twists, pivot) - 0.01 * (((twists - around) / deviation) ** 2).sum(
-            axis=1
-        )
-        order = np.argsort(-scores)[: round(KEPT * DRAWN)]
-        if scores[order[0]] > best_score:
-            best, best_score = twists[order[0]], float(scores[order[0]])
+        found = scores(twists) - held * (((twists - begun) / deviation) ** 2).sum(axis=1)
+        order = np.argsort(-found)[: round(KEPT * DRAWN)]
+        if found[order[0]] > best_score:
+            best, best_score = twists[order[0]], float(found[order[0]])
         mean = twists[order].mean(axis=0)
         spread = SMOOTHED * twists[order].std(axis=0) + (1 - SMOOTHED) * spread
-    found = np.stack((mean, best))
-    scores = _scores(camera, small, probe, found, pivot)
-    return found[int(np.argmax(scores))], float(scores.max())
+    both = np.stack((mean, best))
+    return both[int(np.argmax(scores(both)))]
 
 
 def probably_within(

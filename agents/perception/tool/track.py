@@ -1,7 +1,7 @@
 """An instrument followed from view to view: searched for, followed, lost, and why.
 
-A track begins with several searches, of which each begins anew and with other random numbers, and alternately with and
-without taking instruments for grey. What was found before is looked at again in each new view, in which the tool has
+A track begins with several searches, of which each begins anew and with other random numbers, and by turns with what
+instruments are taken to look like. What was found before is looked at again in each new view, in which the tool has
 moved, so that a wrong fit does not last. Once two agree, or enough were made, the one whose outline fits best is
 followed, by one refinement a view. In between the lumped error walks by WALK a root of a second: what joints are wrong
 by changes with where the arm is.
@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float64
 
-from agents.perception.tool.acquisition import Soft, acquired, looking, prior
+from agents.perception.tool.acquisition import Begin, Soft, acquired, looking, prior
 from agents.perception.tool.correction import Correction
 from agents.perception.tool.evidence import SHRINK, Table, learnt
 from agents.perception.tool.outline import silhouette
@@ -137,7 +137,8 @@ def _searched(track: Track, soft: Soft, view: View, seed: int) -> Track:
     steps_m = STEPS_M[:2] if track.views % 2 else STEPS_M[2:]
     again = [_again(candidate, soft, view, steps_m) for candidate in track.candidates]
     rng = np.random.default_rng([seed, track.views])
-    new = Candidate(*acquired(soft, view, prior(track.pivot, PRIOR_M, PRIOR_RAD), rng, track.attempts % 2 == 0))
+    begin = Begin(track.attempts % len(Begin))
+    new = Candidate(*acquired(soft, view, prior(track.pivot, PRIOR_M, PRIOR_RAD), rng, begin))
     candidates = sorted((*again, new), key=lambda one: -one.found.quality)[:BEST]
     attempts = track.attempts + 1
     best, others = candidates[0], candidates[1:]

@@ -1,22 +1,25 @@
 """A drawn instrument is found from 8 mm and 3 degrees off, followed, and lost with a reason; its outline is its own."""
 
+import dataclasses
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
-from agents.perception.tool.acquisition import soft_pair
+from agents.perception.tool.acquisition import Begin, acquired, looking, prior, soft_pair
 from agents.perception.tool.correction import Correction, about, twist_about
+from agents.perception.tool.evidence import SHRINK, learnt
+from agents.perception.tool.lines import lined
 from agents.perception.tool.outline import outline, silhouette
-from agents.perception.tool.refinement import View
+from agents.perception.tool.refinement import View, refined
 from agents.perception.tool.told import track_of
 from agents.perception.tool.track import MISSES, Following, Track, followed
 from agents.perception.tool.tubes import SHAFT, tubes
-from benchmarks.drawn_tool import BEHIND, CAMERA, IN_MM, JAW, joints, pair
+from benchmarks.drawn_tool import BEHIND, CAMERA, IN_MM, JAW, TOOL, joints, pair, pair_of
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER as PSM
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE as T_TRUE
-from shared.rigid_transforms import apply, exp_se3
+from shared.rigid_transforms import apply, exp_se3, inverse
 from shared.scene.tool_view import Instrument, draw_solids, solids_of
 
 TIP = np.array([[0.0, 0.0, 0.0102]])
@@ -88,6 +91,41 @@ def test_it_is_lost_with_a_reason_where_it_is_not_seen_or_goes_elsewhere(
     track = followed(found[0], soft_pair(*pair(at_s, 2)), seen(at_s, jumped), 0.2, 9)
     assert not track.consistent
     assert track.reason
+
+
+def depth_error_mm(shaft_radius: float) -> float:
+    """How much too far an instrument of that radius is taken to be, which is thought to have 4.2 mm."""
+    T_base_tool = PSM.forward(joints(0))
+    tool = dataclasses.replace(TOOL, shaft_radius=shaft_radius)
+    soft, view = soft_pair(*pair_of(T_base_tool, JAW, 3, tool=tool)), seen(0.0, T_TRUE)
+    size = CAMERA.image_height // SHRINK, CAMERA.image_width // SHRINK
+    parts = view.parts(np.eye(4))
+    within = (silhouette(CAMERA, parts, eye_x, size).astype(np.float32) for eye_x in (0.0, CAMERA.baseline))
+    before = prior((T_TRUE @ T_base_tool)[:3, 3], 0.003, 0.03)
+    found = refined(looking(view, soft, learnt(soft, tuple(within), False)), before)
+    tip = apply(T_TRUE @ T_base_tool, TIP)
+    return 1e3 * float((apply(found.correction.matrix, tip) - tip)[0, 2])
+
+
+def test_depth_is_by_what_differs_between_the_eyes_and_not_by_how_thick_a_shaft_looks():
+    assert abs(depth_error_mm(4.3) - depth_error_mm(4.1)) < 0.3, "by its width alone it would be four millimetres"
+
+
+def test_edges_find_what_colour_cannot(registered: np.ndarray):
+    """Over tissue as grey as the instrument."""
+    T_base_tool = PSM.forward(joints(0))
+    grey = [np.repeat(one[..., 1:2], 3, axis=2) for one in pair_of(T_base_tool, JAW, 3)]
+    view = seen(0.0, registered)
+    pivot = (registered @ T_base_tool)[:3, 3]
+    soft = soft_pair(grey[0], grey[1])
+    scores = lined(CAMERA, soft, view.parts(np.eye(4)), pivot)
+    truth = twist_about(pivot, T_TRUE @ inverse(registered))
+    drawn = np.repeat((0.006, 0.045), 3) * np.random.default_rng(0).standard_normal((300, 6))
+    assert scores(truth[None])[0] > np.percentile(scores(drawn), 99)
+    found, _ = acquired(soft, view, prior(pivot, 0.006, 0.045), np.random.default_rng(1), Begin.LINES)
+    beside = found.correction.twist[:3] - truth[:3]
+    assert np.linalg.norm(beside[:2]) < 1e-3
+    assert abs(beside[2]) < 4 * np.sqrt(found.correction.covariance[2, 2])
 
 
 def test_uncertainty_grows_while_nothing_is_seen():
