@@ -165,4 +165,4 @@ def _wellbeing(watch: StatusWatch) -> dict[str, Any]:
 
 def _rates(fare: Fare) -> str:
     outputs = fare.health.outputs if fare.health is not None else ()
-    return " ".join(f"{output.rate_hz:.0f}" for output in outputs if output.rate_hz > 0)
+    return ", ".join(f"{o.topic.rpartition('/')[2]} {o.rate_hz:.0f}" for o in outputs if o.rate_hz > 0)

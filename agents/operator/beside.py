@@ -18,13 +18,18 @@ class Beside:
 
     Fields:
         told: for every page.
-        finished: plan and duration of what each arm has carried out and nobody has judged yet.
+        finished: plan as drawn and duration of what each arm has carried out and nobody has judged yet.
     """
 
     def __init__(self, around: Surroundings, field: FieldSeen, commands: Commands, voice: Voice) -> None:
         self._around, self._field, self._commands, self._voice = around, field, commands, voice
         self.told: dict[str, Any] = {"wellbeing": {}, "recording": {}, "trials": {}}
-        self.finished: dict[str, tuple[str, float | None]] = {}
+        self.finished: dict[str, tuple[dict[str, Any], float | None]] = {}
+
+    def planned(self, arm: str, goal_id: str) -> None:
+        """A plan for another goal has come; one for the same goal, after a miss, leaves that miss to be judged."""
+        if arm in self.finished and self.finished[arm][0]["goal_id"] != goal_id:
+            del self.finished[arm]
 
     async def run(self) -> None:
         """Until cancelled."""
@@ -67,11 +72,10 @@ class Beside:
     async def judge(self, screen: str, held: bool, cause: str, note: str) -> None:
         """Whether the grasp that has finished held."""
         trials, voice = self._around.trials, self._voice
-        arm, (plan_id, took_s) = next(iter(self.finished.items()), ("", ("", None)))
-        plan = self._field.plans.get(arm)
-        if trials is None or plan is None or plan["id"] != plan_id:
+        arm, (plan, took_s) = next(iter(self.finished.items()), ("", ({}, None)))
+        if trials is None or not plan:
             voice.refuse(screen, "nothing has finished that could be judged")
-        elif voice.written(screen, "verdict", plan_id=plan_id, held=held, cause=cause, note=note):
+        elif voice.written(screen, "verdict", plan_id=plan["id"], held=held, cause=cause, note=note):
             try:
                 voice.say(await self._commands.aside(lambda: trials.judged(plan, held, cause, note, took_s)))
                 self.finished.pop(arm, None)

@@ -10,6 +10,7 @@ from agents.operator.choosing import Choosing
 from agents.operator.compact import compact, joined
 from agents.operator.control import Control, HoldNow
 from agents.operator.field_seen import FieldSeen
+from agents.operator.happened import Happened
 from agents.operator.heard import Heard
 from agents.operator.screen import Screen
 from agents.operator.showing import Showing
@@ -33,24 +34,12 @@ from agents.operator.wire import (
     Shown,
     Take,
 )
-from agents.operator.words import event_words, sentence
-from schemas.messages import (
-    ExecutionEvent,
-    ExecutionKind,
-    GraspCheck,
-    GraspJudgement,
-    GraspPlan,
-    LogLevel,
-    LogRecord,
-)
+from agents.operator.words import sentence
 from schemas.topics import Topic
-from shared.clock import monotonic_s, now_ns
+from shared.clock import monotonic_s
 from shared.runtime.connection import Connection
 
 TURN_S, STATE_S, ENDS_S = 0.01, 0.1, 2.0
-NEWS_S = 10.0
-"""Older events are history that came with the connection."""
-ENDS = (ExecutionKind.FINISHED, ExecutionKind.HELD, ExecutionKind.REFUSED)
 
 
 class Desk:
@@ -69,6 +58,9 @@ class Desk:
         self._choosing = Choosing(self.field, self._commands, self._voice)
         self._beside = Beside(around, self.field, self._commands, self._voice)
         self._standing_by = StandingBy(self.control, self._commands, self._voice)
+        self._happened = Happened(
+            self.field, self.control, self._choosing, self._beside, self._standing_by, self._voice
+        )
         self._turning = asyncio.Event()
         self._has_trials = around.trials is not None
 
@@ -197,7 +189,7 @@ class Desk:
             "controller": control.controller,
             "asking": control.asking,
             "screens": list(self.screens),
-            "arms": [{"arm": arm, "mode": field.mode(arm)} for arm in field.arms()],
+            "arms": field.arms_told(),
             "press": pressed,
             "goals": self._choosing.goals,
             "plan_ids": {arm: plan["id"] for arm, plan in field.plans.items()},
@@ -221,30 +213,5 @@ class Desk:
     def _woken(self, topic: Topic) -> None:
         self._showing.woken(topic)
         for _, message in self._heard.events():
-            self._event(message)
+            self._happened.take(message)
             self._voice.changed.set()
-
-    def _event(self, message: Any) -> None:
-        if isinstance(message, GraspPlan):
-            if self.field.note_plan(message):
-                self._beside.finished.pop(message.arm, None)
-                self._choosing.planned(message.arm, message.goal_id)
-        elif isinstance(message, GraspCheck):
-            if self.field.note_check(message):
-                self._voice.say(f"Check: {message.sentence}")
-        elif (now_ns() - message.at_ns) * 1e-9 > NEWS_S:
-            return
-        elif isinstance(message, ExecutionEvent):
-            self._voice.say(event_words(message))
-            self._execution(message)
-        elif isinstance(message, GraspJudgement):
-            self._voice.say(f"Verdict: {message.sentence or message.verdict.name.lower()}")
-        elif isinstance(message, LogRecord) and message.level is LogLevel.ERROR:
-            self._voice.say(f"{message.agent}: {message.text.splitlines()[0]}")
-
-    def _execution(self, event: ExecutionEvent) -> None:
-        if event.kind in ENDS:
-            self.control.ended(event.arming_id)
-        if event.kind is ExecutionKind.FINISHED:
-            began_s = self._standing_by.armed_s.pop(event.arming_id, None)
-            self._beside.finished[event.arm] = event.plan_id, None if began_s is None else monotonic_s() - began_s

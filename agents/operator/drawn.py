@@ -46,6 +46,9 @@ def draw_plan(plan: GraspPlan, camera: RectifiedStereo) -> dict[str, Any]:
         "s_capture": plan.s_capture,
         "probability": round(plan.probability, 4),
         "slide_mm": round(MM * plan.slide_m, 2),
+        "attempt": plan.attempt,
+        "attempts": plan.attempts,
+        "model": plan.policy_model,
         "alternatives": [
             {"s": round(each.s_capture, 4), "probability": round(each.probability, 4), "reason": each.reason}
             for each in plan.alternatives
@@ -56,6 +59,10 @@ def draw_plan(plan: GraspPlan, camera: RectifiedStereo) -> dict[str, Any]:
         told["clearance_mm"] = round(MM * plan.tissue.clearance_m, 1)
     if plan.tissue is not None and plan.tissue.unchecked:
         told["unchecked"] = plan.tissue.unchecked
+    if plan.thread is not None and plan.thread.clearance_m is not None:
+        told["thread_mm"] = round(MM * plan.thread.clearance_m, 1)
+    if plan.thread is not None and plan.thread.obstructed:
+        told["obstructed"] = plan.thread.obstructed
     if plan.waypoints and camera.metres_per_unit is not None:
         told["way"] = way_of(plan.waypoints, camera)
     return told

@@ -12,8 +12,10 @@ from agents.operator.drawn_thread import DrawnThread, draw_thread
 from agents.operator.heard import Heard
 from agents.operator.pictures import Resample
 from agents.operator.surroundings import Surroundings
-from agents.operator.words import Seen
+from agents.operator.words import Seen, arm_words
 from schemas.messages import (
+    ExecutionEvent,
+    ExecutionKind,
     GraspCheck,
     GraspPlan,
     RectifiedStereo,
@@ -52,6 +54,7 @@ class FieldSeen:
         self.judgements: list[dict[str, str]] = []
         self.plans: dict[str, dict[str, Any]] = {}
         self.checks: dict[str, str] = {}
+        self.stops: dict[str, str] = {}
         self.corrections: dict[str, ToolCorrection] = {}
         self._tools: tuple[list[Any], str] | None = None
         self.said = ""
@@ -104,18 +107,24 @@ class FieldSeen:
         age_s = (now_ns() - plan.stamp.capture_left_ns) * 1e-9
         if age_s > OLDEST_S or self.camera is None:
             return False
-        drawn = draw_plan(plan, self.camera)
-        self.checks.pop(plan.arm, None)
+        drawn, last = draw_plan(plan, self.camera), self.plans.get(plan.arm)
+        # what was found after a miss is why there is another plan for the same goal
+        if last is None or last["goal_id"] != plan.goal_id:
+            self.checks.pop(plan.arm, None)
         self.plans[plan.arm] = drawn | {"captured_ms": plan.stamp.capture_left_ns * 1e-6}
         return True
 
     def note_check(self, check: GraspCheck) -> bool:
-        """Keep what a look after a grasp found; False where it is of no plan that is shown."""
+        """Keep what a look after a grasp found; False where it is of no goal whose plan is shown."""
         plan = self.plans.get(check.arm)
-        if plan is None or check.plan_id != plan["id"]:
+        if plan is None or check.goal_id != plan["goal_id"]:
             return False
         self.checks[check.arm] = check.sentence
         return True
+
+    def note_execution(self, event: ExecutionEvent) -> None:
+        """Keep why an arm was stopped last, until it is armed again."""
+        self.stops[event.arm] = event.reason if event.kind in (ExecutionKind.HELD, ExecutionKind.REFUSED) else ""
 
     def arms(self) -> list[str]:
         """Arms that are configured or that report."""
@@ -144,6 +153,15 @@ class FieldSeen:
         state, _ = self.states.get(arm, (None, 0))
         return state is not None and state.mode is RobotMode.MOVING
 
+    def arms_told(self) -> list[dict[str, str]]:
+        """Each arm, and what it is doing in words."""
+        told: list[dict[str, str]] = []
+        for arm in self.arms():
+            state, mode = self.states.get(arm, (None, 0))[0], self.mode(arm)
+            words = arm_words(mode, self.stops.get(arm, ""), state, self.corrections.get(arm))
+            told.append({"arm": arm, "mode": mode, "words": words})
+        return told
+
     def seen(self, arm: str) -> Seen:
         """What sentences are made of."""
         plan = self.plans.get(arm)
@@ -154,6 +172,7 @@ class FieldSeen:
             plan=plan,
             plan_age_s=None if plan is None else _age_s(round(plan["captured_ms"] * 1e6)),
             said=self.said,
+            why=self.stops.get(arm, ""),
         )
 
     def mean_confidence(self) -> float | None:

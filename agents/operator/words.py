@@ -4,11 +4,19 @@ from dataclasses import dataclass
 from typing import Any
 
 from agents.operator.control import Control, Stage
-from schemas.messages import ExecutionEvent, ExecutionKind
+from schemas.messages import ExecutionEvent, ExecutionKind, RobotMode, RobotState, ToolCorrection, ToolStatus
 
 STALE_S = 1.0
 OLD_PLAN_S = 25.0
 """The bridge refuses plans from frames older than 30 s."""
+
+MODES = {
+    RobotMode.DISABLED.name.lower(): "is disabled",
+    RobotMode.IDLE.name.lower(): "is ready",
+    RobotMode.MOVING.name.lower(): "carries out its plan",
+    RobotMode.HOLDING.name.lower(): "holds",
+    RobotMode.FAULT.name.lower(): "has a fault",
+}
 
 
 @dataclass(frozen=True)
@@ -18,6 +26,7 @@ class Seen:
     Fields:
         frame_age_s, thread_age_s: since the newest came; None where none did.
         plan: as drawn; plan_age_s: since its frame.
+        why: the last reason for which the arm was refused or held; empty where there was none.
     """
 
     frame_age_s: float | None
@@ -26,6 +35,7 @@ class Seen:
     plan: dict[str, Any] | None
     plan_age_s: float | None
     said: str
+    why: str = ""
 
 
 def sentence(screen: str, control: Control, arm: str, seen: Seen) -> str:
@@ -41,7 +51,8 @@ def sentence(screen: str, control: Control, arm: str, seen: Seen) -> str:
     if seen.frame_age_s is None or seen.frame_age_s > STALE_S:
         return "No image comes." if seen.frame_age_s is None else f"The image is {seen.frame_age_s:.0f} s old."
     if seen.mode in ("fault", "disabled"):
-        return f"{arm} is in state {seen.mode} and cannot be armed."
+        last = f" (last: {seen.why})" if seen.why else ""
+        return f"{arm} {MODES[seen.mode]} and cannot be armed{last}."
     if screen != control.controller:
         return f"You watch; {control.controller or 'nobody'} controls. Hold works for everybody."
     if seen.plan is not None and seen.plan["ok"]:
@@ -62,7 +73,27 @@ def plan_words(plan: dict[str, Any]) -> str:
     where = f"grasp at {_percent(plan['s_goal'])}"
     if plan["slide_mm"] > 0:
         where = f"capture at {_percent(plan['s_capture'])}, slide {plan['slide_mm']:.0f} mm, {where}"
-    return f"Planned: {where}; success {plan['probability']:.0%}."
+    again = f"Attempt {plan['attempt']} of {plan['attempts']}" if plan["attempt"] > 1 else "Planned"
+    return f"{again}: {where}; success {plan['probability']:.0%}."
+
+
+def arm_words(mode: str, why: str, state: RobotState | None, tool: ToolCorrection | None) -> str:
+    """What an arm is doing, and how its tool stands to where registration has it."""
+    if state is None or not mode:
+        return "has not been heard lately"
+    told = MODES[mode]
+    if why and mode in ("holding", "fault", "disabled"):
+        told += f": {why}"
+    return told if tool is None else f"{told}; {tool_words(tool, state.T_camera_base_registered is not None)}"
+
+
+def tool_words(tool: ToolCorrection, corrected: bool) -> str:
+    """Where the images have an arm's tool."""
+    if tool.status is not ToolStatus.CONVERGED or tool.T_correction is None:
+        doing = "lost" if tool.status is ToolStatus.LOST else "looked for"
+        return f"its tool is {doing} in the images{f' ({tool.reason})' if tool.reason else ''}"
+    off = f"{1e3 * tool.tip_off_m:.1f} mm off its registration, give or take {1e3 * tool.tip_deviation_m:.1f}"
+    return f"by the images its tool is {off}, which is {'corrected' if corrected else 'not corrected'}"
 
 
 def event_words(event: ExecutionEvent) -> str:

@@ -2,6 +2,8 @@
 
 const percent = (value) => (value === null || value === undefined ? "?" : `${Math.round(100 * value)} %`);
 
+const MODELS = { geometric: ", by geometry and errors", paper: ", as in the paper" };
+
 export class Panel {
   constructor($) {
     this.$ = $;
@@ -32,6 +34,7 @@ export class Panel {
     $("control").className = mine ? "mine" : "";
     this.put("words", state.words[$("arm").value] ?? Object.values(state.words)[0] ?? "No arm is configured.");
     this.put("lines", state.lines.toReversed().map((line) => `<li>${escaped(line)}</li>`).join(""), "innerHTML");
+    this.put("arms", state.arms.map((each) => `<li><strong>${escaped(each.arm)}</strong> ${escaped(each.words)}</li>`).join(""), "innerHTML");
     this.bad(state);
     this.agents(state.wellbeing);
     this.recording(state.recording);
@@ -72,7 +75,7 @@ export class Panel {
     const wrong = wellbeing.wrong ?? [];
     this.put("wrong", wrong.map((w) => `<li class="${w.grave ? "grave" : ""}">${escaped(w.text)}</li>`).join(""), "innerHTML");
     const rows = (wellbeing.agents ?? []).map((a) => `<tr><td>${escaped(a.name)}</td><td>${escaped(a.state)}</td><td>${escaped(a.rates)}</td></tr>`);
-    this.put("agents", rows.length ? `<tr><th>agent</th><th>state</th><th>out, Hz</th></tr>${rows.join("")}` : "", "innerHTML");
+    this.put("agents", rows.length ? `<tr><th>agent</th><th>state</th><th>sends, Hz</th></tr>${rows.join("")}` : "", "innerHTML");
   }
 
   recording(recording) {
@@ -153,20 +156,30 @@ function goalMarkup(plan, goal, note, check) {
   const strands = goal.others.map((o) => `<button type="button" data-s="${o.s}">other strand, s = ${o.s.toFixed(2)}</button>`).join("");
   let success = `<p>${escaped(goal.text)}</p>`;
   if (plan && !goal.text) {
-    success = plan.ok ? `<p class="success">${percent(plan.probability)} <small>predicted success</small></p>` : `<p class="refused">No grasp: ${escaped(plan.reason)}</p>`;
+    success = plan.ok ? `<p class="success">${percent(plan.probability)} <small>predicted success${MODELS[plan.model] ?? ""}</small></p>` : `<p class="refused">No grasp: ${escaped(plan.reason)}</p>`;
     if (plan.ok) {
+      if (plan.attempt > 1) rows.push(["attempt", `${plan.attempt} of ${plan.attempts}, after a miss`]);
       const slide = plan.slide_mm > 0 ? `capture at s = ${plan.s_capture.toFixed(2)}, slide ${plan.slide_mm.toFixed(0)} mm, ` : "";
       rows.push(["plan", `${slide}grasp at s = ${plan.s_goal.toFixed(2)}`]);
       if (plan.clearance_mm !== undefined) rows.push(["tissue", plan.clearance_mm < 0 ? `jaws press ${-plan.clearance_mm} mm in` : `jaws stay ${plan.clearance_mm} mm before it`]);
+      if (plan.thread_mm !== undefined) rows.push(["thread", plan.thread_mm < 0 ? "the instrument touches other thread" : `other thread stays ${plan.thread_mm} mm away`]);
+      if (plan.obstructed) rows.push(["thread", plan.obstructed]);
       if (plan.unchecked) rows.push(["tissue", plan.unchecked]);
     }
-    const others = [...plan.alternatives].sort((a, b) => b.probability - a.probability);
-    rows.push(["considered", `${others.length} captures`]);
-    for (const a of others.slice(0, 3)) rows.push(["", `s = ${a.s.toFixed(2)}: ${percent(a.probability)}${a.reason ? `, ${a.reason}` : ""}`]);
+    const able = plan.alternatives.filter((a) => !a.reason).sort((a, b) => b.probability - a.probability);
+    const unable = plan.alternatives.filter((a) => a.reason);
+    if (able.length + unable.length) rows.push(["considered", consideredWords(able.length, unable.length)]);
+    for (const a of [...able, ...unable].slice(0, 3)) rows.push(["", `s = ${a.s.toFixed(2)}: ${a.reason || percent(a.probability)}`]);
   }
   if (check) rows.push(["check", check]);
   const list = rows.map(([name, words]) => `<dt>${name}</dt><dd>${escaped(words)}</dd>`).join("");
   return `${told}${success}<dl>${list}</dl>${strands}`;
+}
+
+function consideredWords(able, unable) {
+  const captures = (count) => `${count} other capture${count === 1 ? "" : "s"}`;
+  if (!unable) return captures(able);
+  return able ? `${captures(able)}; ${unable} ${unable === 1 ? "is" : "are"} not possible` : `${captures(unable)}, not possible`;
 }
 
 function escaped(text) {

@@ -138,7 +138,7 @@ export class Picture {
       c.strokeStyle = "#fff";
       c.lineWidth = 1.6 * this.thin;
       c.stroke();
-      this.text(crossing.over === "undetermined" ? "crossing ?" : "crossing", crossing.px, 13, "#fff", 11);
+      this.text(crossingWords(crossing), crossing.px, 13, "#fff", 11);
     }
     this.text("s = 0", px[0], 8, "#fff", 12);
     this.text("s = 1", px.at(-1), 8, "#fff", 12);
@@ -147,11 +147,10 @@ export class Picture {
   paintObserved() {
     const c = this.context;
     c.fillStyle = "#fff";
-    for (const [u, v] of this.observed.centreline) c.fillRect(u - 0.5 * this.thin, v - 0.5 * this.thin, this.thin, this.thin);
     c.strokeStyle = "#000";
-    for (const [u, v] of this.observed.px) {
+    for (const [places, radius] of [[this.observed.centreline, 2], [this.observed.px, 3.5]]) for (const [u, v] of places) {
       c.beginPath();
-      c.arc(u, v, 3.5 * this.thin, 0, 2 * Math.PI);
+      c.arc(u, v, radius * this.thin, 0, 2 * Math.PI);
       c.fill();
       c.lineWidth = this.thin;
       c.stroke();
@@ -230,11 +229,20 @@ export class Picture {
     c.font = `600 ${size * this.thin}px system-ui, sans-serif`;
     c.lineWidth = 3 * this.thin;
     c.strokeStyle = "#000c";
-    const [x, y] = [u + 10 * this.thin, v + off * this.thin];
+    // beside its place, on the side where there is room
+    const wide = c.measureText(words).width;
+    const room = u + 10 * this.thin + wide < this.header.width;
+    const [x, y] = [room ? u + 10 * this.thin : u - 10 * this.thin - wide, v + off * this.thin];
     c.strokeText(words, x, y);
     c.fillStyle = colour;
     c.fillText(words, x, y);
   }
+}
+
+function crossingWords({ s, over }) {
+  const [first, second] = s.map((each) => each.toFixed(2));
+  if (over === "undetermined") return `crossing of ${first} and ${second}`;
+  return over === "first" ? `crossing: ${first} over ${second}` : `crossing: ${second} over ${first}`;
 }
 
 function middle(px) {

@@ -1,0 +1,74 @@
+"""What has happened to goals and plans, and what follows from it for the pages."""
+
+from typing import Any
+
+from agents.operator.beside import Beside
+from agents.operator.choosing import Choosing
+from agents.operator.control import Control
+from agents.operator.field_seen import FieldSeen
+from agents.operator.standing_by import StandingBy
+from agents.operator.voice import Voice
+from agents.operator.words import event_words
+from schemas.messages import (
+    ExecutionEvent,
+    ExecutionKind,
+    GraspCheck,
+    GraspJudgement,
+    GraspPlan,
+    LogLevel,
+    LogRecord,
+)
+from shared.clock import monotonic_s, now_ns
+
+NEWS_S = 10.0
+"""Older events are history that came with the connection."""
+ENDS = (ExecutionKind.FINISHED, ExecutionKind.HELD, ExecutionKind.REFUSED)
+
+
+class Happened:
+    """Takes events in the order in which they came."""
+
+    def __init__(
+        self,
+        field: FieldSeen,
+        control: Control,
+        choosing: Choosing,
+        beside: Beside,
+        standing_by: StandingBy,
+        voice: Voice,
+    ) -> None:
+        self._field, self._control, self._choosing = field, control, choosing
+        self._beside, self._standing_by, self._voice = beside, standing_by, voice
+
+    def take(self, message: Any) -> None:
+        """One message of a topic of events."""
+        match message:
+            case GraspPlan():
+                if self._field.note_plan(message):
+                    self._beside.planned(message.arm, message.goal_id)
+                    self._choosing.planned(message.arm, message.goal_id)
+            case GraspCheck():
+                if self._field.note_check(message):
+                    self._voice.say(f"Check: {message.sentence}")
+            case ExecutionEvent():
+                self._field.note_execution(message)
+                if self._is_news(message.at_ns):
+                    self._voice.say(event_words(message))
+                    self._execution(message)
+            case GraspJudgement() if self._is_news(message.at_ns):
+                self._voice.say(f"Verdict: {message.sentence or message.verdict.name.lower()}")
+            case LogRecord() if message.level is LogLevel.ERROR and self._is_news(message.at_ns):
+                self._voice.say(f"{message.agent}: {message.text.splitlines()[0]}")
+            case _:
+                pass
+
+    def _is_news(self, at_ns: int) -> bool:
+        return (now_ns() - at_ns) * 1e-9 <= NEWS_S
+
+    def _execution(self, event: ExecutionEvent) -> None:
+        if event.kind in ENDS:
+            self._control.ended(event.arming_id)
+        plan = self._field.plans.get(event.arm)
+        if event.kind is ExecutionKind.FINISHED and plan is not None and plan["id"] == event.plan_id:
+            began_s = self._standing_by.armed_s.pop(event.arming_id, None)
+            self._beside.finished[event.arm] = plan, None if began_s is None else monotonic_s() - began_s
