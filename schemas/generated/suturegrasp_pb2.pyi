@@ -1022,7 +1022,7 @@ class GraspCheck(_message.Message):
     def __init__(self, plan_id: _Optional[str] = ..., arm: _Optional[str] = ..., goal_id: _Optional[str] = ..., verdict: _Optional[_Union[Checked, str]] = ..., before: _Optional[_Union[FrameStamp, _Mapping]] = ..., after: _Optional[_Union[FrameStamp, _Mapping]] = ..., tool_moved_m: _Optional[float] = ..., thread_moved_m: _Optional[float] = ..., deviation_m: _Optional[float] = ..., held_probability: _Optional[float] = ..., attempt: _Optional[int] = ..., attempts: _Optional[int] = ..., next_plan_id: _Optional[str] = ..., sentence: _Optional[str] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
 
 class RobotState(_message.Message):
-    __slots__ = ("arm", "measured_ns", "mode", "T_base_tool", "joints", "jaw_rad", "T_camera_base", "plan_id", "consumed", "T_camera_base_registered", "kinematics")
+    __slots__ = ("arm", "measured_ns", "mode", "T_base_tool", "joints", "jaw_rad", "T_camera_base", "plan_id", "consumed", "T_camera_base_registered", "kinematics", "correction_looked_ns")
     ARM_FIELD_NUMBER: _ClassVar[int]
     MEASURED_NS_FIELD_NUMBER: _ClassVar[int]
     MODE_FIELD_NUMBER: _ClassVar[int]
@@ -1034,6 +1034,7 @@ class RobotState(_message.Message):
     CONSUMED_FIELD_NUMBER: _ClassVar[int]
     T_CAMERA_BASE_REGISTERED_FIELD_NUMBER: _ClassVar[int]
     KINEMATICS_FIELD_NUMBER: _ClassVar[int]
+    CORRECTION_LOOKED_NS_FIELD_NUMBER: _ClassVar[int]
     arm: str
     measured_ns: int
     mode: RobotMode
@@ -1045,7 +1046,8 @@ class RobotState(_message.Message):
     consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
     T_camera_base_registered: Array
     kinematics: str
-    def __init__(self, arm: _Optional[str] = ..., measured_ns: _Optional[int] = ..., mode: _Optional[_Union[RobotMode, str]] = ..., T_base_tool: _Optional[_Union[Array, _Mapping]] = ..., joints: _Optional[_Union[Array, _Mapping]] = ..., jaw_rad: _Optional[float] = ..., T_camera_base: _Optional[_Union[Array, _Mapping]] = ..., plan_id: _Optional[str] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ..., T_camera_base_registered: _Optional[_Union[Array, _Mapping]] = ..., kinematics: _Optional[str] = ...) -> None: ...
+    correction_looked_ns: int
+    def __init__(self, arm: _Optional[str] = ..., measured_ns: _Optional[int] = ..., mode: _Optional[_Union[RobotMode, str]] = ..., T_base_tool: _Optional[_Union[Array, _Mapping]] = ..., joints: _Optional[_Union[Array, _Mapping]] = ..., jaw_rad: _Optional[float] = ..., T_camera_base: _Optional[_Union[Array, _Mapping]] = ..., plan_id: _Optional[str] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ..., T_camera_base_registered: _Optional[_Union[Array, _Mapping]] = ..., kinematics: _Optional[str] = ..., correction_looked_ns: _Optional[int] = ...) -> None: ...
 
 class ToolCandidate(_message.Message):
     __slots__ = ("twist", "covariance", "table", "expected", "fits", "quality", "residual_px")

@@ -356,6 +356,7 @@ class RobotState:
         T_camera_base_registered: where its registration has the base, where the bridge corrects that by images; else
             None.
         kinematics: what kind of arm it is; empty for a PSM.
+        correction_looked_ns: when the newest frame was captured by which images correct the base; 0 where none does.
     """
 
     arm: str
@@ -369,6 +370,7 @@ class RobotState:
     consumed: tuple[Consumed, ...] = ()
     T_camera_base_registered: Float64[np.ndarray, "4 4"] | None = None
     kinematics: str = ""
+    correction_looked_ns: int = 0
 
     def __post_init__(self) -> None:
         check_message(self)

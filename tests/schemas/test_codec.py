@@ -485,6 +485,7 @@ robot_states = st.builds(
     consumed,
     st.none() | poses(),
     texts,
+    nanoseconds,
 )
 tables = arrays(np.uint8, (16, 16, 16), elements=st.integers(0, 255), fill=st.integers(0, 255))
 tool_candidates = st.builds(
