@@ -1,10 +1,10 @@
 """The field of an evaluation as it looks while it is grasped in: the thread moved, and the instrument in view."""
 
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float32, UInt8
 
 from agents.camera.scene_source import camera_in_mm
 from agents.camera.sources import Pair
@@ -51,7 +51,7 @@ class FieldView:
                 draw_solids(image, self._camera, solids, tool, x, 0)[0] for image, x in zip(images, eyes, strict=True)
             ]
         shape = images[0].shape[:2]
-        left, right = (expose(image, Sensor(), grain(shape, 2 * frame + eye)) for eye, image in enumerate(images))
+        left, right = (expose(image, Sensor(), _grain(shape, 2 * frame + eye)) for eye, image in enumerate(images))
         return left, right
 
     @property
@@ -70,6 +70,12 @@ class FieldView:
         p, q = ray_tangents(self._camera)
         depths = [meet_rays(traced.surface, p, q, eye_x_mm) for eye_x_mm in (0.0, self._camera.baseline)]
         return Backdrop(traced.surface, images[0], images[1], depths[0], depths[1], shadows=True)
+
+
+@lru_cache(maxsize=4)
+def _grain(shape: tuple[int, int], seed: int) -> Float32[np.ndarray, "h w 3"]:
+    """That of the first looks, which every trial has."""
+    return grain(shape, seed)
 
 
 def _without(image: Bgr, mask: UInt8[np.ndarray, "h w"]) -> Bgr:

@@ -56,6 +56,12 @@ def between(
     return int(inside[np.argmin(rank)])
 
 
+def within_reach(points: Float64[np.ndarray, "n 3"], pin: Float64[np.ndarray, "3"]) -> bool:
+    """Whether any of the points is near enough to the pin to be between fingers, however they are turned."""
+    off = points - pin
+    return bool((np.einsum("ij,ij->i", off, off) <= (FINGER_M + WIDTH_M) ** 2).any())
+
+
 def contact_rad(from_pin_m: float, thread_radius_m: float) -> float:
     """The opening at which both fingers touch a thread that far from the pin."""
     return float(2.0 * np.arcsin(min(thread_radius_m / max(from_pin_m, thread_radius_m), 1.0)))

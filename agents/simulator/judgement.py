@@ -12,7 +12,14 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.simulator.field import Field, s_of
-from agents.simulator.fingers import FINGERTIP_TOOL, Offset, between, contact_rad, offset_from_wedge
+from agents.simulator.fingers import (
+    FINGERTIP_TOOL,
+    Offset,
+    between,
+    contact_rad,
+    offset_from_wedge,
+    within_reach,
+)
 from schemas.messages import Verdict
 from shared.rigid_transforms import apply, inverse
 
@@ -64,6 +71,8 @@ def followed(grip: Grip, T_camera_tool: Float64[np.ndarray, "4 4"], jaw_rad: flo
     if grip.verdict is not None:
         return grip
     grip = _swept(grip, fingertip(T_camera_tool), jaw_rad)
+    if grip.captured is None and jaw_rad > CLOSED_RAD and not within_reach(field.points, T_camera_tool[:3, 3]):
+        return grip if grip.sample is None else replace(grip, sample=None)
     points_tool = apply(inverse(T_camera_tool), field.points)
     give = 0.0 if grip.captured is None else GIVE_M
     sample = between(points_tool, grip.swept_rad, give, grip.sample)

@@ -41,12 +41,14 @@ class World:
     Fields:
         loose: the field as it was when the thread was last taken; `field`: as it is.
         holders: the arms that hold the thread, the one that has held it longest first.
+        led_to: where the first of them had taken it when it was last carried; None before that.
     """
 
     loose: Field
     field: Field
     arms: Mapping[str, SimulatedArm]
     holders: tuple[str, ...] = ()
+    led_to: Float64[np.ndarray, "3"] | None = None
 
 
 def moved(world: World, name: str, plan_id: str, T_camera_tool: Float64[np.ndarray, "4 4"], jaw_rad: float) -> World:
@@ -72,7 +74,10 @@ def thread_carried(world: World) -> World:
     arm = world.arms[world.holders[0]]
     assert arm.hold is not None  # noqa: S101 - holders hold
     to_camera = apply(arm.T_camera_tool, arm.hold.point_tool[None])[0]
-    return replace(world, field=carried(world.loose, arm.hold.sample, to_camera))
+    if world.led_to is not None and np.array_equal(world.led_to, to_camera):
+        # an arm that stands still takes the thread nowhere
+        return world
+    return replace(world, field=carried(world.loose, arm.hold.sample, to_camera), led_to=to_camera)
 
 
 def held_sample(world: World) -> int | None:
@@ -107,7 +112,7 @@ def _let_go(world: World, name: str) -> World:
     if not leads:
         return world
     left = settled(world.field, hold.sample) if not others else world.field
-    world = replace(world, loose=left, field=left)
+    world = replace(world, loose=left, field=left, led_to=None)
     return _taken_over(world, others[0]) if others else world
 
 

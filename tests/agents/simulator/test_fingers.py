@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.simulator.fingers import WIDTH_M, between, contact_rad, offset_from_wedge
+from agents.simulator.fingers import WIDTH_M, between, contact_rad, offset_from_wedge, within_reach
 from shared.kinematics.psm import FINGER_M
 
 MM = 1e-3
@@ -110,3 +110,13 @@ def test_any_thread_gets_an_answer(points, opening):
     sample = between(thread, opening)
     assert sample is None or abs(thread[sample, 0]) <= WIDTH_M / 2
     assert offset_from_wedge(thread, opening).distance_m >= 0
+
+
+@given(
+    through=st.tuples(*[st.floats(-20, 20)] * 3),
+    direction=st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda d: np.linalg.norm(d) > 0.1),
+    opening=st.floats(0, 2),
+)
+def test_nothing_out_of_reach_is_between_the_fingers(through, direction, opening):
+    thread = straight(through, direction, count=101)
+    assert within_reach(thread, np.zeros(3)) or between(thread, opening) is None
