@@ -13,6 +13,14 @@ from agents.operator.voice import Voice
 EVERY_S = 0.5
 
 
+Finished = dict[str, tuple[dict[str, Any], float | None]]
+
+
+def left_to_judge(finished: Finished, arm: str, goal_id: str) -> Finished:
+    """What is left once a plan for a goal has come: one for the same goal, after a miss, leaves that miss."""
+    return {a: (plan, took_s) for a, (plan, took_s) in finished.items() if a != arm or plan["goal_id"] == goal_id}
+
+
 class Beside:
     """Asks from time to time, and begins and ends what it is told to.
 
@@ -24,12 +32,7 @@ class Beside:
     def __init__(self, around: Surroundings, field: FieldSeen, commands: Commands, voice: Voice) -> None:
         self._around, self._field, self._commands, self._voice = around, field, commands, voice
         self.told: dict[str, Any] = {"wellbeing": {}, "recording": {}, "trials": {}}
-        self.finished: dict[str, tuple[dict[str, Any], float | None]] = {}
-
-    def planned(self, arm: str, goal_id: str) -> None:
-        """A plan for another goal has come; one for the same goal, after a miss, leaves that miss to be judged."""
-        if arm in self.finished and self.finished[arm][0]["goal_id"] != goal_id:
-            del self.finished[arm]
+        self.finished: Finished = {}
 
     async def run(self) -> None:
         """Until cancelled."""

@@ -139,6 +139,8 @@ class Desk:
         plan = self.field.plans.get(arm)
         if plan is None or not plan["ok"] or plan["id"] != plan_id:
             self._voice.refuse(name, f"that is not the newest plan for {arm}; look at the new one first")
+        elif self.field.is_done(plan):
+            self._voice.refuse(name, f"{arm} has carried out that plan; name a goal again")
         elif self._voice.written(name, "pressed", arm=arm, plan_id=plan_id):
             self._standing_by.follow(self.control.begin(name, arm, plan_id, now_s))
             self._turning.set()
@@ -193,6 +195,7 @@ class Desk:
             "press": pressed,
             "goals": self._choosing.goals,
             "plan_ids": {arm: plan["id"] for arm, plan in field.plans.items()},
+            "done": field.done,
             "judgements": field.judgements,
             "checks": field.checks,
             "to_judge": bool(self._beside.finished) and self._has_trials,

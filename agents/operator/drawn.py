@@ -29,8 +29,10 @@ STEPS_MM, TURN_DEG = 0.6, 4.0
 """A plan's way is told so densely that lines between its poses look like the way itself."""
 MOST_STEPS = 160
 SURFACE_CELLS = 1100
-OBSERVED_MOST = 250
+OBSERVED_MOST = 120
 OUTLINE_MOST = 200
+BETTER_ELSEWHERE = "another capture is better"
+"""What the planner has against a capture that would do."""
 
 
 def draw_plan(plan: GraspPlan, camera: RectifiedStereo) -> dict[str, Any]:
@@ -50,7 +52,12 @@ def draw_plan(plan: GraspPlan, camera: RectifiedStereo) -> dict[str, Any]:
         "attempts": plan.attempts,
         "model": plan.policy_model,
         "alternatives": [
-            {"s": round(each.s_capture, 4), "probability": round(each.probability, 4), "reason": each.reason}
+            {
+                "s": round(each.s_capture, 4),
+                "probability": round(each.probability, 4),
+                "reason": each.reason,
+                "possible": each.reason in ("", BETTER_ELSEWHERE),
+            }
             for each in plan.alternatives
         ],
         "way": [],

@@ -55,6 +55,7 @@ class FieldSeen:
         self.plans: dict[str, dict[str, Any]] = {}
         self.checks: dict[str, str] = {}
         self.stops: dict[str, str] = {}
+        self.done: dict[str, str] = {}
         self.corrections: dict[str, ToolCorrection] = {}
         self._tools: tuple[list[Any], str] | None = None
         self.said = ""
@@ -123,7 +124,9 @@ class FieldSeen:
         return True
 
     def note_execution(self, event: ExecutionEvent) -> None:
-        """Keep why an arm was stopped last, until it is armed again."""
+        """Keep why an arm was stopped last, until it is armed again, and which plan it carried out last."""
+        if event.kind is ExecutionKind.FINISHED:
+            self.done[event.arm] = event.plan_id
         self.stops[event.arm] = event.reason if event.kind in (ExecutionKind.HELD, ExecutionKind.REFUSED) else ""
 
     def arms(self) -> list[str]:
@@ -162,6 +165,10 @@ class FieldSeen:
             told.append({"arm": arm, "mode": mode, "words": words})
         return told
 
+    def is_done(self, plan: dict[str, Any] | None) -> bool:
+        """Whether a plan was carried out, which it is once."""
+        return plan is not None and self.done.get(plan["arm"]) == plan["id"]
+
     def seen(self, arm: str) -> Seen:
         """What sentences are made of."""
         plan = self.plans.get(arm)
@@ -173,6 +180,7 @@ class FieldSeen:
             plan_age_s=None if plan is None else _age_s(round(plan["captured_ms"] * 1e6)),
             said=self.said,
             why=self.stops.get(arm, ""),
+            done=self.is_done(plan),
         )
 
     def mean_confidence(self) -> float | None:

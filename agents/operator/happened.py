@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from agents.operator.beside import Beside
+from agents.operator.beside import Beside, left_to_judge
 from agents.operator.choosing import Choosing
 from agents.operator.control import Control
 from agents.operator.field_seen import FieldSeen
@@ -45,7 +45,8 @@ class Happened:
         match message:
             case GraspPlan():
                 if self._field.note_plan(message):
-                    self._beside.planned(message.arm, message.goal_id)
+                    beside = self._beside
+                    beside.finished = left_to_judge(beside.finished, message.arm, message.goal_id)
                     self._choosing.planned(message.arm, message.goal_id)
             case GraspCheck():
                 if self._field.note_check(message):

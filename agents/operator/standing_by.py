@@ -74,6 +74,7 @@ class StandingBy:
         self.follow(self._control.armed(screen, arm, sent[-1], accepted))
         if not accepted:
             self._voice.say(f"{arm} was not armed: {answer.reason}")
+            self._voice.refuse(screen, f"{arm} was not armed: {answer.reason}")
         if answer.outcome is Outcome.UNKNOWN:
             self.follow([HoldNow(screen, arm, "whether it was armed is not known")])
         told = {"outcome": answer.outcome.name.lower(), "code": answer.code, "reason": answer.reason}

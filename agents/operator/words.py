@@ -27,6 +27,7 @@ class Seen:
         frame_age_s, thread_age_s: since the newest came; None where none did.
         plan: as drawn; plan_age_s: since its frame.
         why: the last reason for which the arm was refused or held; empty where there was none.
+        done: the plan has been carried out.
     """
 
     frame_age_s: float | None
@@ -36,6 +37,7 @@ class Seen:
     plan_age_s: float | None
     said: str
     why: str = ""
+    done: bool = False
 
 
 def sentence(screen: str, control: Control, arm: str, seen: Seen) -> str:
@@ -55,10 +57,13 @@ def sentence(screen: str, control: Control, arm: str, seen: Seen) -> str:
         return f"{arm} {MODES[seen.mode]} and cannot be armed{last}."
     if screen != control.controller:
         return f"You watch; {control.controller or 'nobody'} controls. Hold works for everybody."
+    if seen.done:
+        return f"{arm} has carried out its plan. Click the thread for the next goal."
     if seen.plan is not None and seen.plan["ok"]:
         if seen.plan_age_s is not None and seen.plan_age_s > OLD_PLAN_S:
             return "The plan is too old to be armed. Plan again."
-        return f"{plan_words(seen.plan)} Look at it, then press and hold to arm {arm}."
+        holds = f"{arm} holds: {seen.why}. " if seen.mode == "holding" and seen.why else ""
+        return f"{holds}{plan_words(seen.plan)} Look at it, then press and hold to arm {arm}."
     if seen.thread_age_s is None or seen.thread_age_s > STALE_S:
         if seen.said or seen.thread_age_s is None:
             return f"No thread is seen: {seen.said}." if seen.said else "No thread has been seen yet."

@@ -53,4 +53,16 @@ export function legend(list) {
     item.append(words);
     list.append(item);
   }
+  // what is no line: circles, each with its look in the picture
+  for (const [look, words] of [
+    ['<circle cx="21" cy="7" r="5.5" fill="none" stroke="#fff" stroke-width="1.6"/>', "crossing"],
+    [`<circle cx="21" cy="7" r="5" fill="none" stroke="${GOAL}" stroke-width="1.5"/><path d="M12 7h18M21 0v14" stroke="${GOAL}"/>`, "goal"],
+    [`<circle cx="13" cy="7" r="4.5" fill="${confidenceColour(0.9)}" stroke="#fff"/><circle cx="30" cy="7" r="4.5" fill="#0008" stroke="#fff"/>`, "other captures: possible, not possible"],
+    ['<g fill="#fff" stroke="#000"><circle cx="11" cy="7" r="2.2"/><circle cx="21" cy="7" r="2.2"/><circle cx="31" cy="7" r="2.2"/></g>', "observations"],
+  ]) {
+    const item = document.createElement("li");
+    item.innerHTML = `<svg width="42" height="14" aria-hidden="true">${look}</svg>`;
+    item.append(words);
+    list.append(item);
+  }
 }

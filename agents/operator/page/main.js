@@ -28,12 +28,15 @@ window.suturegrasp = { presented, picture, panel, plans };
 
 function nowMs() { return performance.timeOrigin + performance.now(); }
 const arm = () => $("arm").value;
-const currentPlan = () => (plans[arm()]?.ok ? plans[arm()] : null);
+const isDone = (plan) => Boolean(plan) && panel.state?.done[plan.arm] === plan.id;
+const currentPlan = () => (plans[arm()]?.ok && !isDone(plans[arm()]) ? plans[arm()] : null);
 
 function refresh() {
-  picture.plan = plans[arm()] ?? null;
+  const plan = plans[arm()] ?? null;
+  // what was carried out is told, and no longer drawn
+  picture.plan = isDone(plan) ? null : plan;
   picture.goal = panel.state?.goals[arm()] ?? null;
-  panel.show(picture.plan, picture.goal, deadman?.down ?? null);
+  panel.show(plan, isDone(plan), picture.goal, deadman?.down ?? null);
   picture.quiet = Boolean(panel.state?.press);
   picture.draw();
 }
@@ -81,7 +84,7 @@ $("keep").addEventListener("click", () => link.say("give", { yes: false }));
 $("record").addEventListener("click", () => link.say("record", { on: !panel.state?.recording?.on }));
 $("next").addEventListener("click", () => link.say("go_on", { arm: arm() }));
 $("held").addEventListener("click", () => judged(true, ""));
-$("causes").addEventListener("click", (e) => { if (e.target.dataset.cause) judged(false, e.target.dataset.cause); });
+$("causes").addEventListener("click", (e) => { const button = e.target.closest("button"); if (button) judged(false, button.dataset.cause); });
 $("goal").addEventListener("click", (e) => { if (e.target.dataset.s) place(Number(e.target.dataset.s)); });
 $("theme").addEventListener("click", () => {
   const root = document.documentElement;
@@ -120,6 +123,8 @@ addEventListener("keydown", (event) => {
     if (!event.repeat) hold();
   }
 }, { capture: true });
+// the space bar holds, so it is Enter that ticks a box
+addEventListener("keydown", (event) => { if (event.key === "Enter" && event.target.matches?.("input[type=checkbox]")) event.target.click(); });
 // a button that has the focus is not to be clicked by the key that holds
 addEventListener("keyup", (event) => { if (event.key === " " && !event.target.matches?.("input[type=text]")) event.preventDefault(); }, { capture: true });
 addEventListener("resize", () => picture.draw());

@@ -2,7 +2,7 @@
 
 const percent = (value) => (value === null || value === undefined ? "?" : `${Math.round(100 * value)} %`);
 
-const MODELS = { geometric: ", by geometry and errors", paper: ", as in the paper" };
+const MODELS = { geometric: ", by geometry", paper: ", as in the paper" };
 
 export class Panel {
   constructor($) {
@@ -47,17 +47,17 @@ export class Panel {
     for (const id of ["again", "meant", "any", "next"]) $(id).disabled = !mine;
   }
 
-  show(plan, goal, down) {
+  show(plan, done, goal, down) {
     const $ = this.$;
     if (!this.state) return;
     const press = this.state.press;
     const mine = this.state.controller === this.state.you;
     const armed = press && press.stage !== "pressing";
-    $("press").disabled = !mine || !plan?.ok;
+    $("press").disabled = !mine || !plan?.ok || done;
     $("press").classList.toggle("armed", Boolean(armed && down));
     const name = plan?.arm ?? $("arm").value;
     this.put("press-text", armed && down ? `${name} moves: keep pressing` : down ? "Keep pressing ..." : `Press and hold to arm ${name}`);
-    this.put("goal", goalMarkup(plan, goal, this.note, this.state.checks[name]), "innerHTML");
+    this.put("goal", goalMarkup(plan, done, goal, this.note, this.state.checks[name]), "innerHTML");
   }
 
   refused(text) {
@@ -90,7 +90,7 @@ export class Panel {
     this.put("trials-text", trials.text ?? "");
     this.$("verdict").hidden = !state.to_judge;
     const causes = Object.entries(trials.causes ?? {});
-    this.put("causes", causes.map(([cause, words]) => `<button type="button" data-cause="${escaped(cause)}" title="${escaped(words)}">${escaped(cause)}</button>`).join(""), "innerHTML");
+    this.put("causes", causes.map(([cause, words]) => `<button type="button" data-cause="${escaped(cause)}">${escaped(cause)}<small>${escaped(words)}</small></button>`).join(""), "innerHTML");
   }
 
   pictured(header, thread) {
@@ -144,7 +144,7 @@ function screensSentence(state) {
   return `${state.screens.length} connected, ${who}${asks}.${others.length ? ` Others: ${others.join(", ")}.` : ""}`;
 }
 
-function goalMarkup(plan, goal, note, check) {
+function goalMarkup(plan, done, goal, note, check) {
   const told = note ? `<p class="refused">${escaped(note)}</p>` : "";
   if (!goal) return `${told}<p>No goal yet. Click the thread, or focus the image and use the arrow keys.</p>`;
   const at = goal.at;
@@ -156,7 +156,7 @@ function goalMarkup(plan, goal, note, check) {
   const strands = goal.others.map((o) => `<button type="button" data-s="${o.s}">other strand, s = ${o.s.toFixed(2)}</button>`).join("");
   let success = `<p>${escaped(goal.text)}</p>`;
   if (plan && !goal.text) {
-    success = plan.ok ? `<p class="success">${percent(plan.probability)} <small>predicted success${MODELS[plan.model] ?? ""}</small></p>` : `<p class="refused">No grasp: ${escaped(plan.reason)}</p>`;
+    success = plan.ok ? `<p class="success">${percent(plan.probability)} <small>predicted success${MODELS[plan.model] ?? ""}${done ? "; carried out" : ""}</small></p>` : `<p class="refused">No grasp: ${escaped(plan.reason)}</p>`;
     if (plan.ok) {
       if (plan.attempt > 1) rows.push(["attempt", `${plan.attempt} of ${plan.attempts}, after a miss`]);
       const slide = plan.slide_mm > 0 ? `capture at s = ${plan.s_capture.toFixed(2)}, slide ${plan.slide_mm.toFixed(0)} mm, ` : "";
@@ -166,10 +166,10 @@ function goalMarkup(plan, goal, note, check) {
       if (plan.obstructed) rows.push(["thread", plan.obstructed]);
       if (plan.unchecked) rows.push(["tissue", plan.unchecked]);
     }
-    const able = plan.alternatives.filter((a) => !a.reason).sort((a, b) => b.probability - a.probability);
-    const unable = plan.alternatives.filter((a) => a.reason);
+    const able = plan.alternatives.filter((a) => a.possible).sort((a, b) => b.probability - a.probability);
+    const unable = plan.alternatives.filter((a) => !a.possible);
     if (able.length + unable.length) rows.push(["considered", consideredWords(able.length, unable.length)]);
-    for (const a of [...able, ...unable].slice(0, 3)) rows.push(["", `s = ${a.s.toFixed(2)}: ${a.reason || percent(a.probability)}`]);
+    for (const a of [...able, ...unable].slice(0, 3)) rows.push(["", `s = ${a.s.toFixed(2)}: ${a.possible ? percent(a.probability) : a.reason}`]);
   }
   if (check) rows.push(["check", check]);
   const list = rows.map(([name, words]) => `<dt>${name}</dt><dd>${escaped(words)}</dd>`).join("");
@@ -179,7 +179,7 @@ function goalMarkup(plan, goal, note, check) {
 function consideredWords(able, unable) {
   const captures = (count) => `${count} other capture${count === 1 ? "" : "s"}`;
   if (!unable) return captures(able);
-  return able ? `${captures(able)}; ${unable} ${unable === 1 ? "is" : "are"} not possible` : `${captures(unable)}, not possible`;
+  return able ? `${captures(able)}, and ${unable} that ${unable === 1 ? "is" : "are"} not possible` : `${captures(unable)}, not possible`;
 }
 
 function escaped(text) {

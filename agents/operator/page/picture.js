@@ -148,7 +148,7 @@ export class Picture {
     const c = this.context;
     c.fillStyle = "#fff";
     c.strokeStyle = "#000";
-    for (const [places, radius] of [[this.observed.centreline, 2], [this.observed.px, 3.5]]) for (const [u, v] of places) {
+    for (const [places, radius] of [[this.observed.centreline, 1.7], [this.observed.px, 3.5]]) for (const [u, v] of places) {
       c.beginPath();
       c.arc(u, v, radius * this.thin, 0, 2 * Math.PI);
       c.fill();
@@ -172,7 +172,7 @@ export class Picture {
         const [u, v] = this.placeOf(each.s);
         c.beginPath();
         c.arc(u, v, (2 + 4 * each.probability) * this.thin, 0, 2 * Math.PI);
-        c.fillStyle = each.reason ? "#0008" : confidenceColour(each.probability);
+        c.fillStyle = !each.possible ? "#0008" : confidenceColour(each.probability);
         c.fill();
         c.strokeStyle = "#fff";
         c.lineWidth = this.thin;

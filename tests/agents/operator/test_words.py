@@ -1,0 +1,99 @@
+"""What the page says: of what goes on, of each arm and its tool, and what becomes of a miss."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from agents.operator.beside import Finished, left_to_judge
+from agents.operator.control import Control
+from agents.operator.drawn import BETTER_ELSEWHERE
+from agents.operator.words import Seen, arm_words, sentence, tool_words
+from agents.planner import policy
+from schemas.messages import FrameStamp, RobotMode, RobotState, ToolCandidate, ToolCorrection, ToolStatus
+
+NONE = np.zeros((0, 2))
+CANDIDATE = ToolCandidate(np.zeros(6), np.eye(6), np.zeros((16, 16, 16), np.uint8), 9, 0.9, 0.8, 0.5)
+PLAN = {
+    "id": "plan-1",
+    "goal_id": "goal-1",
+    "arm": "psm1",
+    "ok": True,
+    "s_goal": 0.4,
+    "s_capture": 0.2,
+    "slide_mm": 12.0,
+    "probability": 0.93,
+    "attempt": 1,
+    "attempts": 3,
+}
+
+
+SEEN = Seen(0.1, 0.2, "idle", PLAN, 1.0, "")
+
+
+def correction(status, off_m=0.0):
+    found = status is ToolStatus.CONVERGED
+    return ToolCorrection(
+        arm="psm1",
+        stamp=FrameStamp(1, 1, 1, "x"),
+        measured_ns=1,
+        status=status,
+        reason="" if found else "10% of an outline found, of 65% needed",
+        T_correction=np.eye(4) if found else None,
+        pivot_camera=np.zeros(3),
+        tip_camera=np.zeros(3),
+        tip_off_m=off_m,
+        turned_rad=0.0,
+        tip_deviation_m=0.0003 if found else 0.0,
+        turn_deviation_rad=0.0,
+        registered_left_px=NONE,
+        found_left_px=NONE,
+        found_right_px=NONE,
+        candidates=(CANDIDATE,) if found else (),
+        attempts=1,
+        misses=0,
+        looks=1,
+    )
+
+
+@pytest.mark.parametrize(
+    ("told", "words"),
+    [
+        ({}, "Planned: capture at 20%, slide 12 mm, grasp at 40%; success 93%. Look at it, then press and hold"),
+        ({"mode": "holding", "why": "it was let go of"}, "psm1 holds: it was let go of. Planned: capture"),
+        (
+            {"mode": "fault", "why": "joint 3 is stuck"},
+            "psm1 has a fault and cannot be armed (last: joint 3 is stuck).",
+        ),
+        ({"mode": "disabled"}, "psm1 is disabled and cannot be armed."),
+        ({"done": True}, "psm1 has carried out its plan. Click the thread for the next goal."),
+        ({"plan": PLAN | {"attempt": 2}}, "Attempt 2 of 3: capture at 20%"),
+        ({"plan": PLAN | {"ok": False, "reason": "no way there"}}, "No grasp is planned: no way there."),
+        ({"plan": None}, "psm1 is idle. Click the thread"),
+        ({"frame_age_s": 4.0}, "The image is 4 s old."),
+    ],
+)
+def test_what_goes_on_is_one_sentence(told, words):
+    control = Control(screens=["screen 1"], controller="screen 1")
+    assert sentence("screen 1", control, "psm1", replace(SEEN, **told)).startswith(words)
+
+
+def test_an_arm_says_why_it_stopped_and_how_its_tool_stands():
+    state = RobotState("psm1", 1, RobotMode.HOLDING, np.eye(4), np.zeros(6), 0.0, np.eye(4), "")
+    told = arm_words("holding", "the button was released", state, correction(ToolStatus.CONVERGED, 0.0042))
+    assert told == (
+        "holds: the button was released; by the images its tool is 4.2 mm off its registration, give or take 0.3, "
+        "which is not corrected"
+    )
+    assert arm_words("", "", None, None) == "has not been heard lately"
+    assert "10% of an outline" in tool_words(correction(ToolStatus.CONVERGING), corrected=True)
+
+
+def test_a_miss_is_judged_though_the_same_goal_was_planned_for_again():
+    finished: Finished = {"psm1": (PLAN, 4.0), "psm2": (PLAN, None)}
+    assert left_to_judge(finished, "psm1", "goal-1") == finished
+    assert set(left_to_judge(finished, "psm1", "goal-2")) == {"psm2"}
+
+
+def test_the_planner_and_the_page_mean_the_same_by_a_capture_that_would_do():
+    assert BETTER_ELSEWHERE == policy.BETTER_ELSEWHERE
