@@ -1,7 +1,8 @@
 """What of a pair's centrelines is the thread that is meant, what is other threads, and what may hide either.
 
-All of it is found at looks at the whole. In the frames between, the candidates are followed; what may hide thread is
-looked for anew every few of them, since instruments move by themselves.
+All of it is found at looks at the whole. In the frames between, the candidates are followed, those that are left out of
+the centrelines stay where they were, and what may hide thread is looked for anew every few frames, since instruments
+move by themselves.
 """
 
 from dataclasses import replace
@@ -11,6 +12,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from agents.perception.candidates import candidates_followed, candidates_in
+from agents.perception.following.stacked import trail_without
 from agents.perception.occluders import map_image, occluders_in, with_needles
 from schemas.messages import Centrelines, Image, ImageEncoding, Occluders, Status, ThreadObservations
 from shared.images import decode_image
@@ -56,11 +58,10 @@ def told_apart(
         found = candidates_in(images, lines, meant_px, score, of_left)
     else:
         found = candidates_followed(before, lines, of_left, observed.camera.image_width)
-    if found.left is not lines[0] or found.right is not lines[1]:
-        # what is left out of the centrelines would not be followed
-        observed = replace(observed, trail_left=None, trail_right=None)
     return replace(
         observed,
+        trail_left=trail_without(observed.trail_left, lines[0], found.left),
+        trail_right=trail_without(observed.trail_right, lines[1], found.right),
         centrelines_left=found.left,
         centrelines_right=found.right,
         candidates=found.listed,

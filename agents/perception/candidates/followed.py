@@ -28,20 +28,22 @@ def candidates_followed(
     occluders: UInt8[np.ndarray, "r c"] | None,
     image_width: int,
 ) -> Candidates:
-    """The candidates of the frame before, in their order, where they are now."""
+    """The candidates of the frame before, in their order, where they are now; or were, where nobody looked at them."""
     left, right = lines
     if not last:
         return Candidates((), left, right)
     lefts = _nearest(left, [candidate.left_px for candidate in last], image_width)
     rights = _nearest(right, [candidate.right_px for candidate in last], image_width)
     now = [along(candidate.left_px, left, mine, shifted=False) for candidate, mine in zip(last, lefts, strict=True)]
-    seen = [k for k, line_px in enumerate(now) if len(line_px) > 1]
-    if 0 not in seen:
+    if len(now[0]) < 2:
         return Candidates((), left, right)
     listed = tuple(
-        replace(last[k], left_px=now[k], right_px=along(now[k], right, rights[k], shifted=True)) for k in seen
+        replace(before, left_px=line_px, right_px=along(line_px, right, mine, shifted=True))
+        if len(line_px) > 1
+        else before
+        for before, line_px, mine in zip(last, now, rights, strict=True)
     )
-    others = [seen[k] for k in certainly_others(listed, occluders, image_width)]
+    others = certainly_others(listed, occluders, image_width)
     return Candidates(
         listed,
         without(left, [piece for k in others for piece in lefts[k]]),

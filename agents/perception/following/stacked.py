@@ -10,6 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 
+from agents.perception.centrelines.along import Pieces
+from agents.perception.following.appearance import some_of
 from schemas.messages import Centrelines, Trail
 
 BETWEEN_PX = 64
@@ -106,3 +108,18 @@ def trail_of_eye(whole: Trail, piece: Bool[np.ndarray, "k"], sampled: Bool[np.nd
         whole.told_start[piece],
         whole.told_end[piece],
     )
+
+
+def trail_without(trail: Trail | None, lines: Centrelines, kept: Centrelines) -> Trail | None:
+    """The trail of centrelines of which some pieces were left out.
+
+    Args:
+        lines: those that the trail is of.
+        kept: what is left of them, its pieces numbered anew.
+    """
+    if trail is None or kept is lines:
+        return trail
+    pieces = Pieces(np.cumsum(np.diff(lines.piece, prepend=-1) > 0) - 1)
+    first, first_kept = (line.point_px[np.diff(line.piece, prepend=-1) > 0] for line in (lines, kept))
+    mine = (first[:, None] == first_kept).all(axis=2).any(axis=1)
+    return trail_of_eye(trail, mine, mine[pieces.number[some_of(pieces)]])

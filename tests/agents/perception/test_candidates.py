@@ -113,6 +113,8 @@ def test_candidates_are_followed_where_they_go():
     assert lies_on(now.listed[0].left_px, moved[1][0])
     assert lies_on(now.left.point_px, moved[1][0])
     assert lies_on(now.right.point_px + ACROSS, moved[1][0])
+    alone = candidates_followed(now.listed, (now.left, now.right), occluders, WIDTH)
+    assert [c.left_px.tolist() for c in alone.listed[1:]] == [c.left_px.tolist() for c in now.listed[1:]]
 
 
 @given(st.integers(0, 3), st.integers(0, 5), st.integers(0, 9))

@@ -10,9 +10,11 @@ from scipy.spatial import KDTree
 
 from agents.camera.scene_source import calibration_of
 from agents.perception.agent import Perception, PerceptionConfig
+from agents.perception.candidates.drawn import without
 from agents.perception.centrelines.centrelines import thread_lines
 from agents.perception.following.drawn import mask_along
 from agents.perception.following.follow import Followed, follow, trail_of
+from agents.perception.following.stacked import trail_without
 from agents.perception.segmentation.ridge import segment_ridge
 from schemas.codec import decode, encode
 from schemas.messages import FrameStamp, ImageEncoding, Status, StereoFrame, ThreadObservations
@@ -79,6 +81,23 @@ def test_what_hides_part_of_the_thread_or_its_end_ends_the_following():
     assert isinstance(followed(covered(image, point[0], 25), found), str)
     assert isinstance(followed(moved(image, 0, 60), found), str)
     assert isinstance(followed(np.full_like(image, 120), found), str)
+
+
+def test_the_trail_of_pieces_that_are_kept_is_the_one_that_they_have_alone():
+    image, found = looked_for("crossing")
+    pieces = [np.flatnonzero(found.lines.piece == k) for k in np.unique(found.lines.piece)]
+    assert len(pieces) > 2
+    kept = without(found.lines, pieces[1:2])
+    still = np.arange(len(pieces)) != 1
+    alone = trail_of(image, kept, found.trail.loose_start[still], found.trail.loose_end[still])
+    left = trail_without(found.trail, found.lines, kept)
+    # what is usual along a thread is that of fewer pieces then
+    assert np.abs(left.colour_bgr.astype(int) - alone.colour_bgr.astype(int)).mean() < 2
+    assert (left.loose_start.tolist(), left.length_px.tolist()) == (
+        alone.loose_start.tolist(),
+        alone.length_px.tolist(),
+    )
+    assert not isinstance(followed(moved(image, 3, -2), Followed(kept, left)), str)
 
 
 def test_the_mask_of_a_followed_thread_is_about_the_one_that_was_found():
