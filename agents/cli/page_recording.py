@@ -29,6 +29,7 @@ class RigRecording:
     def __init__(self, rig: RigConfig, connection: Connection) -> None:
         self._rig, self._lock = rig, threading.Lock()
         self._heard_s, self._fault, self._losses = float("-inf"), "", list[str]()
+        self._ended_s = float("-inf")
         self._own: tuple[Supervisor, Path] | None = None
         self._ended = ""
         connection.listen((HEALTH, LOG), self._take)
@@ -80,16 +81,19 @@ class RigRecording:
 
     def _end(self) -> str:
         with self._lock:
-            own, self._own, self._heard_s = self._own, None, float("-inf")
+            own, self._own = self._own, None
         if own is not None:
             own[0].stop()
-            self._ended = last_line(self._log)
+            with self._lock:
+                self._ended, self._ended_s, self._heard_s = last_line(self._log), monotonic_s(), float("-inf")
         return ""
 
     def _take(self, tapped: Tapped) -> None:
         if tapped.key.split("/")[2] != RECORDER:
             return
         with contextlib.suppress(MessageError), self._lock:
+            if tapped.topic is HEALTH and monotonic_s() - self._ended_s < SILENT_S:
+                return  # what one's own recorder still said
             if tapped.topic is HEALTH:
                 self._heard_s, self._fault = monotonic_s(), decode(AgentHealth, tapped.payload).fault
                 return

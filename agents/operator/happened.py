@@ -1,8 +1,10 @@
 """What has happened to goals and plans, and what follows from it for the pages."""
 
+from dataclasses import replace
 from typing import Any
 
 from agents.operator.beside import Beside, left_to_judge
+from agents.operator.carrying_out import SENDER
 from agents.operator.choosing import Choosing
 from agents.operator.control import Control
 from agents.operator.field_seen import FieldSeen
@@ -52,10 +54,7 @@ class Happened:
                 if self._field.note_check(message):
                     self._voice.say(f"Check: {message.sentence}")
             case ExecutionEvent():
-                self._field.note_execution(message)
-                if self._is_news(message.at_ns):
-                    self._voice.say(event_words(message))
-                    self._execution(message)
+                self._execution(message)
             case GraspJudgement() if self._is_news(message.at_ns):
                 self._voice.say(f"Verdict: {message.sentence or message.verdict.name.lower()}")
             case LogRecord() if message.level is LogLevel.ERROR and self._is_news(message.at_ns):
@@ -67,6 +66,13 @@ class Happened:
         return (now_ns() - at_ns) * 1e-9 <= NEWS_S
 
     def _execution(self, event: ExecutionEvent) -> None:
+        # a hold of ours was said with its reason, which the bridge does not know
+        ours = event.reason == f"{SENDER} said hold" and self._standing_by.holds.get(event.arm)
+        self._field.note_execution(replace(event, reason=ours) if ours else event)
+        if not self._is_news(event.at_ns):
+            return
+        if not ours:
+            self._voice.say(event_words(event))
         if event.kind in ENDS:
             self._control.ended(event.arming_id)
         plan = self._field.plans.get(event.arm)

@@ -16,12 +16,14 @@ class StandingBy:
 
     Fields:
         armed_s: when each arming was accepted, by its id.
+        holds: why each arm was told to hold last.
     """
 
     def __init__(self, control: Control, commands: Commands, voice: Voice) -> None:
         self._control, self._commands, self._voice = control, commands, voice
         self._tasks: set[asyncio.Task[None]] = set()
         self.armed_s: dict[str, float] = {}
+        self.holds: dict[str, str] = {}
 
     def follow(self, effects: list[Effect]) -> None:
         """Do at once what can be, and the rest in tasks of its own."""
@@ -92,6 +94,7 @@ class StandingBy:
 
     async def _hold(self, effect: HoldNow) -> None:
         """First the command, then the log: stopping waits for nothing."""
+        self.holds[effect.arm] = effect.why
         held = asyncio.ensure_future(self._commands.hold(effect.arm))
         await asyncio.sleep(0)
         self._voice.written(effect.screen, "hold", arm=effect.arm, why=effect.why)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from agents.operator.control import Control, Stage
+from agents.operator.control import ASKED_S, Control, Stage
 from schemas.messages import ExecutionEvent, ExecutionKind, RobotMode, RobotState, ToolCorrection, ToolStatus
 
 STALE_S = 1.0
@@ -52,11 +52,15 @@ def sentence(screen: str, control: Control, arm: str, seen: Seen) -> str:
         return "Keep the button pressed to arm." if press.screen == screen else f"{press.screen} presses to arm."
     if seen.frame_age_s is None or seen.frame_age_s > STALE_S:
         return "No image comes." if seen.frame_age_s is None else f"The image is {seen.frame_age_s:.0f} s old."
+    if control.asking and screen == control.controller:
+        asks = f"{control.asking} asks for control. Hand it over, or keep it"
+        return f"{asks}; without an answer within {ASKED_S:.0f} s it passes on."
     if seen.mode in ("fault", "disabled"):
         last = f" (last: {seen.why})" if seen.why else ""
         return f"{arm} {MODES[seen.mode]} and cannot be armed{last}."
     if screen != control.controller:
-        return f"You watch; {control.controller or 'nobody'} controls. Hold works for everybody."
+        asked = f"You asked {control.controller} for control" if control.asking == screen else "You watch"
+        return f"{asked}; {control.controller or 'nobody'} controls. Hold works for everybody."
     if seen.done:
         return f"{arm} has carried out its plan. Click the thread for the next goal."
     if seen.plan is not None and seen.plan["ok"]:

@@ -8,11 +8,13 @@ import { Space } from "./space.js";
 const $ = (id) => document.getElementById(id);
 const FRESH_MS = 500;
 const STEP = 0.01;
+const ASKED_MS = 700;
 const presented = [];
 
 let link = { say() {} };
 let deadman = null;
 let lastPictureMs = 0;
+let asked = { s: 0.5, ms: -Infinity };
 const plans = {};
 const panel = new Panel($);
 const picture = new Picture($("picture"), (header) => {
@@ -114,7 +116,9 @@ $("picture").addEventListener("keydown", (event) => {
   const step = { ArrowLeft: -STEP, ArrowRight: STEP, PageDown: -10 * STEP, PageUp: 10 * STEP }[event.key];
   if (!step || !picture.thread) return;
   event.preventDefault();
-  place(Math.max(0, Math.min(1, (picture.goal?.at.s ?? 0.5) + step)));
+  // keys that follow each other quickly go on from what was asked for, which the server has not told yet
+  const from = performance.now() - asked.ms < ASKED_MS ? asked.s : picture.goal?.at.s ?? 0.5;
+  place(Math.max(0, Math.min(1, from + step)));
 });
 addEventListener("keydown", (event) => {
   const types = event.target.matches?.("input[type=text]");
@@ -135,6 +139,7 @@ function hold() {
 }
 
 function place(s) {
+  asked = { s, ms: performance.now() };
   link.say("place", { s, arm: arm(), policy: $("policy").value });
 }
 

@@ -43,7 +43,6 @@ export class Panel {
     $("take").hidden = mine || state.asking === state.you;
     $("give").hidden = !(mine && state.asking);
     $("keep").hidden = !(mine && state.asking);
-    if (mine && state.asking) $("give").textContent = `Hand over to ${state.asking}`;
     for (const id of ["again", "meant", "any", "next"]) $(id).disabled = !mine;
   }
 
@@ -99,7 +98,7 @@ export class Panel {
     const parts = [];
     if (state?.behind_ms !== null && state?.behind_ms !== undefined) parts.push(`image ${state.behind_ms} ms behind capture`);
     if (older !== null) parts.push(`thread ${older} ms older than the image`);
-    if (state?.level) parts.push(`picture level ${state.level} of 5 for a slow link`);
+    if (state?.level) parts.push(`pictures are coarser (${state.level} of 5), for link or browser are slow`);
     this.put("latency", parts.join("; "));
   }
 

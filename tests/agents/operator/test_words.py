@@ -78,6 +78,12 @@ def test_what_goes_on_is_one_sentence(told, words):
     assert sentence("screen 1", control, "psm1", replace(SEEN, **told)).startswith(words)
 
 
+def test_who_controls_is_told_first_that_control_is_asked_for():
+    control = Control(screens=["screen 1", "screen 2"], controller="screen 1", asking="screen 2")
+    assert sentence("screen 1", control, "psm1", SEEN).startswith("screen 2 asks for control. Hand it over, or keep")
+    assert sentence("screen 2", control, "psm1", SEEN).startswith("You asked screen 1 for control;")
+
+
 def test_an_arm_says_why_it_stopped_and_how_its_tool_stands():
     state = RobotState("psm1", 1, RobotMode.HOLDING, np.eye(4), np.zeros(6), 0.0, np.eye(4), "")
     told = arm_words("holding", "the button was released", state, correction(ToolStatus.CONVERGED, 0.0042))
