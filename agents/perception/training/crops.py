@@ -23,6 +23,8 @@ SCALE = 0.6, 1.7
 """Of a resampled crop: the same thread is nearer or farther, or the camera has more or fewer pixels."""
 AVERAGED_SCALE = 0.8
 """What is drawn smaller than this is averaged of four samples for each pixel."""
+CORNERS = (0, 0), (0, 1), (1, 0), (1, 1)
+"""The pixels around a sample: rows and columns on from the first one."""
 POINTS_KEPT = 512
 """Places on thread of each view, one of which a crop may have near its middle."""
 
@@ -130,11 +132,17 @@ def crops_of(pixels: Pixels, size: int, lots: Lots) -> tuple[torch.Tensor, torch
     rows[..., 0] *= rng.choice((-1, 1), size)[:, None]
     towards = rows / scale[:, None, None]
     seen = torch.empty((size, CROP_PX, CROP_PX, 4), device=lots.device)
-    for few, aside in ((scale < AVERAGED_SCALE, (-0.25, 0.25)), (scale >= AVERAGED_SCALE, (0.0,))):
+    averaged = scale < AVERAGED_SCALE
+    # what is only turned by right angles lies on pixels
+    for few, aside, corners in (
+        (averaged, (-0.25, 0.25), CORNERS),
+        (resampled & ~averaged, (0.0,), CORNERS),
+        (~resampled, (0.0,), CORNERS[:1]),
+    ):
         which = np.flatnonzero(few)
         if len(which):
             at = torch.from_numpy(which).to(lots.device)
-            seen[at] = _sampled(pixels, view[which], centre[which], towards[which], aside)
+            seen[at] = _sampled(pixels, view[which], centre[which], towards[which], aside, corners)
     shown = seen.permute(0, 3, 1, 2)
     return shown[:, :3].contiguous(), shown[:, 3:].contiguous()
 
@@ -147,9 +155,18 @@ def _centre(pixels: Pixels, view: int, rng: np.random.Generator) -> Float64[np.n
 
 
 def _sampled(
-    pixels: Pixels, view: np.ndarray, centre: np.ndarray, towards: np.ndarray, aside: Sequence[float]
+    pixels: Pixels,
+    view: np.ndarray,
+    centre: np.ndarray,
+    towards: np.ndarray,
+    aside: Sequence[float],
+    corners: Sequence[tuple[int, int]],
 ) -> torch.Tensor:
-    """Crops (n, s, s, 4) by bilinear interpolation, the mean of a sample at each offset in pixels of the crop."""
+    """Crops (n, s, s, 4) by bilinear interpolation, the mean of a sample at each offset in pixels of the crop.
+
+    Args:
+        corners: which of the four pixels around a sample take part (row, column).
+    """
     device = pixels.pixels.device
     number = torch.from_numpy(view).to(device)
     start, height, width = (part[number][:, None, None] for part in (pixels.start, pixels.height, pixels.width))
@@ -166,16 +183,15 @@ def _sampled(
             at = torch.where((at - at.round()).abs() < 1e-3, at.round(), at)
             low = at.floor()
             share = at - low
-            for row in (0, 1):
-                for column in (0, 1):
-                    x = _inside(low[..., 0].long() + column, width)
-                    y = _inside(low[..., 1].long() + row, height)
-                    weight = (share[..., 0] if column else 1 - share[..., 0]) * (
-                        share[..., 1] if row else 1 - share[..., 1]
-                    )
-                    # all four bytes of a pixel are fetched at once
-                    found = packed[start + y * width + x].view(torch.uint8).reshape(total.shape)
-                    total += weight[..., None] * found
+            for row, column in corners:
+                x = _inside(low[..., 0].long() + column, width)
+                y = _inside(low[..., 1].long() + row, height)
+                across, down_share = (
+                    part if far else 1 - part for part, far in zip(share.unbind(-1), (column, row), strict=True)
+                )
+                # all four bytes of a pixel are fetched at once
+                found = packed[start + y * width + x].view(torch.uint8).reshape(total.shape)
+                total += (across * down_share)[..., None] * found
     return total / len(aside) ** 2
 
 
