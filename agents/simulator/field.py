@@ -32,9 +32,9 @@ REACH_PER_LIFT = 2.0
 """R over |D|: at 2, a lifted thread rises at 45° or so where it is steepest."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Field:
-    """A thread over tissue.
+    """A thread over tissue; one is the same as another only where it is that very one.
 
     Fields:
         knots, control_points: the thread as a clamped cubic B-spline, s = 0 where the left image shows it first.
