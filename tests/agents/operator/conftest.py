@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from agents.robot_bridge.limits import MotionLimits
 from schemas.messages import (
     FrameStamp,
     ImageEncoding,
@@ -18,6 +19,19 @@ from shared.runtime.agent import Output, Tick
 
 NONE = np.zeros(0)
 LENGTH_M = 0.04
+QUICK = MotionLimits(
+    speed=0.2,
+    acceleration=2.0,
+    jerk=80.0,
+    angular_speed=6.0,
+    angular_acceleration=60.0,
+    angular_jerk=2400.0,
+    jaw_speed=8.0,
+    jaw_acceleration=160.0,
+    jaw_jerk=6400.0,
+    rounding_s=0.025,
+)
+"""For tests that wait for the end of a motion."""
 
 
 class HandMadeThread:
@@ -65,6 +79,12 @@ class HandMadeCamera:
         self._frame += 1
         stamp = FrameStamp(self._frame, arrived.now_ns, arrived.now_ns, "hand")
         return [Output(FRAMES, StereoFrame(stamp, self._image, self._image))]
+
+
+@pytest.fixture
+def limits(request):
+    """Of the arm's motion; `quick` ones where a test asks for them."""
+    return QUICK if getattr(request, "param", "") == "quick" else MotionLimits()
 
 
 @pytest.fixture(scope="session")

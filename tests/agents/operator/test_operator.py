@@ -43,9 +43,11 @@ def silence_s():
 
 
 @pytest.fixture
-def bridge(silence_s):
+def bridge(silence_s, limits):
     # a test machine may stall; how soon a silent operator disarms, and how old a plan may be, is the bridge's own test
-    patient = RobotBridgeConfig(dead_man_s=silence_s, first_heartbeat_s=silence_s, maximum_plan_age_s=PATIENT_S)
+    patient = RobotBridgeConfig(
+        dead_man_s=silence_s, first_heartbeat_s=silence_s, maximum_plan_age_s=PATIENT_S, limits=limits
+    )
     return RobotBridge(patient, SimulatedPsm())
 
 
@@ -105,6 +107,7 @@ def ended(connection, plan, told=lambda _: None):
     return stood.end
 
 
+@pytest.mark.parametrize("limits", ["quick"], indirect=True)
 def test_a_goal_is_planned_armed_and_carried_out_with_a_slide(connection, planned, modes, until):
     plan = planned(connection, Policy.CAPTURE_SLIDE_GRASP, s=0.5)
     assert plan.status is Status.OK, plan.reason

@@ -49,9 +49,11 @@ def patience(monkeypatch):
 
 
 @pytest.fixture
-def rig(settings, in_threads, hand_made_thread, hand_made_camera):
+def rig(settings, limits, in_threads, hand_made_thread, hand_made_camera):
     """Agents in threads, whose bridge waits longer for heartbeats than anybody who tests: what holds is the server."""
-    slow = RobotBridgeConfig(dead_man_s=PATIENT_S, first_heartbeat_s=PATIENT_S, maximum_plan_age_s=PATIENT_S)
+    slow = RobotBridgeConfig(
+        dead_man_s=PATIENT_S, first_heartbeat_s=PATIENT_S, maximum_plan_age_s=PATIENT_S, limits=limits
+    )
     planner = Planner(PlannerConfig(arm_age_ms=1e3 * PATIENT_S))
     with in_threads(settings, hand_made_thread(), hand_made_camera(), planner, RobotBridge(slow, SimulatedPsm())):
         yield settings
@@ -151,6 +153,7 @@ async def held(served, code):
     assert {event.code for event in served.events if event.kind is ExecutionKind.HELD} == {code}
 
 
+@pytest.mark.parametrize("limits", ["quick"], indirect=True)
 def test_a_press_is_carried_out_while_it_is_answered_and_everything_is_written_down(rig):
     async def scenario(served):
         async with served.page() as page:
