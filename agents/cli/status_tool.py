@@ -8,6 +8,7 @@ import numpy as np
 from agents.cli.health_watch import span_of
 from agents.cli.status_gathered import ArmHeard
 from agents.cli.status_wrong import Wrong
+from agents.robot_bridge.correction import FRESH_S
 from schemas.messages import ToolCorrection, ToolStatus
 
 DRIFTED_M = 0.003
@@ -28,6 +29,16 @@ def judge_tool(arm: ArmHeard, at_ns: int) -> Iterator[Wrong]:
         yield Wrong("tool", arm.arm, f"the tool of {arm.arm} is not followed in the images: {tool.reason}", grave=lost)
     elif tool.tip_off_m > DRIFTED_M:
         yield _drifted(arm, tool)
+    yield from _held(arm, at_ns)
+
+
+def _held(arm: ArmHeard, at_ns: int) -> Iterator[Wrong]:
+    """A base that is corrected by an older look, which the bridge holds."""
+    looked_ns = arm.state.correction_looked_ns if arm.state is not None else 0
+    age_s = (at_ns - looked_ns) * 1e-9
+    if looked_ns and age_s > FRESH_S:
+        by = f"by a look of {span_of(age_s)} ago, which is held: looks come late, or the tool is not seen"
+        yield Wrong("held", arm.arm, f"the base of {arm.arm} is corrected {by}", grave=False)
 
 
 def tool_told(arm: ArmHeard) -> dict[str, Any] | None:

@@ -3,6 +3,11 @@
 A correction C is taken while perception tells one, is sure of it, and it is within its limits; the base is then at
 C · T_camera_base. While a plan is armed it stays what it was when the motion was planned, for set points in the base's
 frame would jump with it; where the images then tell something else, or nothing any more, the motion ends.
+
+On a busy computer a look is told some seconds after its frame. C changes slowly: with registration, which camera or
+set-up joints that move would undo (frames_moved.py hears of those within a tick), and with what joints are wrong by,
+which changes as they move. So an older look is held: to begin with, where the arm has stood since its frame, and in
+mid-motion for HELD_S in any case, for the base stays as it was planned with anyhow, and no look could better it.
 """
 
 from dataclasses import dataclass
@@ -10,13 +15,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
+from agents.robot_bridge.plans import CLOCK_TOLERANCE_S
 from agents.robot_bridge.refusals import Code, Refusal
 from schemas.messages import ToolCorrection, ToolStatus
 from shared.rigid_transforms import angle_between, apply, inverse, nearest_rotation
 
 CORRECTION_LIMIT_MM, CORRECTION_LIMIT_DEG = 15.0, 8.0
-FRESH_S = 1.0
-"""How old the frame of a correction may be, for it to be used; five a second are looked at, or two while searching."""
+FRESH_S, HELD_S = 1.0, 4.0
+"""How old the frame of a look may be for a motion to begin wherever the arm went since, and for the look to be held."""
 SURE_M = 0.0015
 """The most that the tip's deviation may be."""
 JUMP_M, JUMP_RAD = 0.003, 0.06
@@ -38,6 +44,8 @@ class Correcting:
         self._limits = limits
         self._last: ToolCorrection | None = None
         self._usable_ns = 0
+        self.looked_ns = 0
+        """When the newest frame was captured by which the base is corrected; 0 where it is not."""
         self._applied: Float64[np.ndarray, "4 4"] | None = None
         self._made: tuple[tuple[np.ndarray, np.ndarray], Float64[np.ndarray, "4 4"]] | None = None
 
@@ -47,12 +55,12 @@ class Correcting:
         usable = told.T_correction is not None and self._doubt(told) is None
         if usable:
             self._usable_ns = told.stamp.capture_left_ns
-        if armed:
-            return
-        if usable and told.T_correction is not None:
-            self._applied = told.T_correction
-        elif told.status is not ToolStatus.CONVERGED or self._doubt(told) is not None:
-            self._applied = None
+        if not armed:
+            if usable and told.T_correction is not None:
+                self._applied = told.T_correction
+            elif told.status is not ToolStatus.CONVERGED or self._doubt(told) is not None:
+                self._applied = None
+        self.looked_ns = self._usable_ns if self._applied is not None else 0
 
     def corrected(self, T_camera_base: Float64[np.ndarray, "4 4"]) -> Float64[np.ndarray, "4 4"] | None:
         """Where the base is by the correction that is applied; None where none is."""
@@ -65,8 +73,8 @@ class Correcting:
             self._made = made_of, T
         return self._made[1]
 
-    def refusal(self, now_ns: int) -> Refusal | None:
-        """Why no motion may begin now."""
+    def refusal(self, now_ns: int, stood_since_ns: int) -> Refusal | None:
+        """Why no motion may begin now of an arm that has stood where it stands since then."""
         if self._limits is None:
             return None
         if self._last is None:
@@ -76,7 +84,12 @@ class Correcting:
         if self._last.T_correction is None or self._applied is None:
             reason = self._last.reason or "a motion has just ended"
             return Refusal(Code.CORRECTION_LOST, f"where the tool is in the images is not known: {reason}")
-        return self._silent(now_ns)
+        if why := self._silent(now_ns):
+            return why
+        if self._age_s(now_ns) <= FRESH_S or self._usable_ns >= stood_since_ns:
+            return None
+        moved = f"the tool was seen {self._age_s(now_ns):.1f} s ago in the images, and has moved since"
+        return Refusal(Code.CORRECTION_LOST, f"{moved}: arm again when it was seen where it stands")
 
     def broken(self, now_ns: int) -> Refusal | None:
         """Why a motion that was planned with what is applied must not go on."""
@@ -117,9 +130,15 @@ class Correcting:
         by = f"{1e3 * moved_m:.1f} mm and {np.degrees(turned_rad):.1f} degrees"
         return Refusal(Code.CORRECTION_JUMPED, f"the tool is {by} from where it was when its motion was planned")
 
+    def _age_s(self, now_ns: int) -> float:
+        return (now_ns - self._usable_ns) * 1e-9
+
     def _silent(self, now_ns: int) -> Refusal | None:
-        age_s = (now_ns - self._usable_ns) * 1e-9
-        if abs(age_s) <= FRESH_S:
+        age_s = self._age_s(now_ns)
+        if age_s < -CLOCK_TOLERANCE_S:
+            future = f"the frame in which the tool was seen was captured {-age_s:.1f} s in the future"
+            return Refusal(Code.CLOCK, f"{future}: set the clocks of camera and bridge by each other")
+        if age_s <= HELD_S:
             return None
-        seen = f"the tool was seen {age_s:.1f} s ago in the images, and {FRESH_S:g} s are allowed"
+        seen = f"the tool was seen {age_s:.1f} s ago in the images, and {HELD_S:g} s are allowed"
         return Refusal(Code.CORRECTION_LOST, f"{seen}: see that perception runs, and has the tool in view")

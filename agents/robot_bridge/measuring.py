@@ -23,6 +23,7 @@ class Measuring:
     Fields:
         state: the newest that is finite; None before the first.
         not_ready: why it must not be moved now; None where it may be.
+        stood_since_ns: since when its joints, the jaw aside, have been where they are.
     """
 
     def __init__(self, backend: Backend, log: logging.Logger) -> None:
@@ -30,6 +31,7 @@ class Measuring:
         self.not_ready: Refusal | None = Refusal(Code.NOT_READY, "the arm has not been measured yet")
         self._backend, self._log, self._logged = backend, log, ""
         self._still_at = np.full(7, np.inf)
+        self.stood_since_ns, self._stood_at = 0, np.full(6, np.inf)
         self._tool: tuple[np.ndarray, Float64[np.ndarray, "4 4"]] | None = None
 
     def measure(self, now_ns: int) -> ArmState | None:
@@ -41,6 +43,8 @@ class Measuring:
             self._tell_readiness()
             return self.state
         self.state = state
+        if (np.abs(state.joints - self._stood_at) > STILL[:6]).any():
+            self.stood_since_ns, self._stood_at = state.measured_ns, state.joints
         late = abs(now_ns - state.measured_ns) > MEASUREMENT_AGE_S * 1e9
         if state.readiness is not Readiness.READY:
             self.not_ready = Refusal(state.code, f"the arm is {state.readiness.name}: {state.reason}")

@@ -48,9 +48,14 @@ class Standing:
         else:
             self._surface = told
 
+    @property
+    def looked_ns(self) -> int:
+        """When the newest frame was captured by which the images correct the base; 0 where they do not."""
+        return self._correcting.looked_ns
+
     def refusal(self, now_ns: int) -> Refusal | None:
         """Why no motion may begin now, whichever it is."""
-        return self.measured.not_ready or self._correcting.refusal(now_ns)
+        return self.measured.not_ready or self._correcting.refusal(now_ns, self.measured.stood_since_ns)
 
     def broken(self, now_ns: int) -> Refusal | None:
         """Why a motion must not go on."""

@@ -29,6 +29,7 @@ def robot_state(arm_name: str, arm: ArmState, standing: Standing, mode: RobotMod
         plan_id=plan_id,
         T_camera_base_registered=standing.registered if standing.corrected else None,
         kinematics=standing.setup.kinematics.name,
+        correction_looked_ns=standing.looked_ns if standing.corrected else 0,
     )
 
 

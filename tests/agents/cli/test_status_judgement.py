@@ -294,6 +294,18 @@ def test_a_tool_that_is_lost_in_the_images_or_off_its_registration_is_told(heard
     assert all(told in wrong.text for wrong in wrongs)
 
 
+def test_a_look_that_is_held_is_told():
+    def told(age_ns):
+        changes = {"T_camera_base_registered": np.eye(4), "correction_looked_ns": NOW_NS - age_ns}
+        arm = ArmHeard("psm1", dataclasses.replace(robot(RobotMode.IDLE), **changes), tool=tool())
+        return [(one.code, one.grave, one.text) for one in judge(moment(arms=(arm,)))]
+
+    assert told(5 * 10**8) == []
+    ((code, grave, text),) = told(3 * 10**9)
+    assert (code, grave) == ("held", False)
+    assert "the base of psm1 is corrected by a look of 3 s ago, which is held" in text
+
+
 @pytest.mark.parametrize("mode", [RobotMode.IDLE, RobotMode.MOVING])
 def test_an_arm_that_was_held_once_and_went_on_is_well(mode):
     assert judge(moment(arms=(ArmHeard("psm1", robot(mode), event(ExecutionKind.HELD, "stale", "old")),))) == []
