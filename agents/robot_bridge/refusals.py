@@ -16,6 +16,7 @@ class Code(enum.StrEnum):
     NOT_HOMED = "not_homed"
     ERROR_STATE = "error_state"
     WRONG_TOOL = "wrong_tool"
+    OTHER_POSE = "other_pose"
     OTHER_OWNER = "other_owner"
     STALE_STATE = "stale_state"
     GOAL_NOT_REACHED = "goal_not_reached"

@@ -186,7 +186,7 @@ class Readings:
             return None
         where = f"{1e3 * apart_m:.1f} mm and {apart_rad:.2f} rad"
         other = f"its console has the tool {where} from where our kinematics do: another arm or tool"
-        return Judged(Readiness.FAULT, Code.WRONG_TOOL, other)
+        return Judged(Readiness.FAULT, Code.OTHER_POSE, other)
 
     def _read(self, kind: str, newest: Raw) -> None:
         try:

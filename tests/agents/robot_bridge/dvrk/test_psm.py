@@ -151,6 +151,11 @@ def test_a_dry_run_checks_all_of_a_motion_and_sends_nothing(lab):
     assert (verdict["set_points"], verdict["held_ns"]) == (0, 0)
 
 
+def say_pose(lab, T):
+    """Have the backend hear of a tool that is elsewhere than its joints say."""
+    lab.backend._readings.hear("local/measured_cp", crtk.pose_command(T, now_ns()), now_ns())
+
+
 def test_a_console_that_is_disabled_has_another_tool_or_is_elsewhere_is_not_armed(lab, caplog):
     caplog.set_level("INFO", "suturegrasp.robot_bridge.psm1")
     lab.ready()
@@ -179,6 +184,10 @@ def test_a_console_that_is_disabled_has_another_tool_or_is_elsewhere_is_not_arme
     assert lab.arm().code == "wrong_tool"
     lab.backend._readings._tool = ""
     lab.backend._readings.hear("local/measured_cp", b"\0\1\0\0", 0)
+    lab.ready()
+    # as often as the console tells the right one
+    beside = lab.backend.kinematics.forward(np.zeros(6) + (0, 0, 0.1, 0, 0, 0))
+    lab.until(lambda: (say_pose(lab, beside), lab.arm().code)[1] == "other_pose")
     lab.ready()
     lab.ask("fault")
     lab.until(lambda: lab.arm().code == "error_state")
