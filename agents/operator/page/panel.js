@@ -161,9 +161,9 @@ function goalMarkup(plan, done, goal, note, check) {
       const slide = plan.slide_mm > 0 ? `capture at s = ${plan.s_capture.toFixed(2)}, slide ${plan.slide_mm.toFixed(0)} mm, ` : "";
       rows.push(["plan", `${slide}grasp at s = ${plan.s_goal.toFixed(2)}`]);
       if (plan.clearance_mm !== undefined) rows.push(["tissue", plan.clearance_mm < 0 ? `jaws press ${-plan.clearance_mm} mm in` : `jaws stay ${plan.clearance_mm} mm before it`]);
+      if (plan.unchecked) rows.push(["tissue", plan.unchecked]);
       if (plan.thread_mm !== undefined) rows.push(["thread", plan.thread_mm < 0 ? "the instrument touches other thread" : `other thread stays ${plan.thread_mm} mm away`]);
       if (plan.obstructed) rows.push(["thread", plan.obstructed]);
-      if (plan.unchecked) rows.push(["tissue", plan.unchecked]);
     }
     const able = plan.alternatives.filter((a) => a.possible).sort((a, b) => b.probability - a.probability);
     const unable = plan.alternatives.filter((a) => !a.possible);

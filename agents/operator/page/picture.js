@@ -184,7 +184,7 @@ export class Picture {
       if (way[i].px.length && way[i + 1].px.length)
         this.line([middle(way[i].px), middle(way[i + 1].px)], PHASES[way[i + 1].phase], 2, [], i % 8 ? null : "#0006");
     }
-    if (capture !== null && this.thread && Math.abs(capture - this.plan.s_goal) > 0.01) this.text("capture", this.placeOf(capture), 16, PHASES.capture, 12);
+    if (capture !== null && this.thread && Math.abs(capture - this.plan.s_goal) > 0.03) this.text("capture", this.placeOf(capture), 16, PHASES.capture, 12);
     const pose = this.previewed();
     if (pose?.px.length) this.line(pose.px, PHASES[pose.phase], 5);
     if (pose) this.text(`preview: ${pose.phase}`, middle(pose.px), 26, PHASES[pose.phase], 13);
@@ -207,7 +207,7 @@ export class Picture {
     this.line(tool.shaft, "#8d93a3", 7);
     this.line(tool.px, TOOL, 4);
     const off = tool.off_mm === undefined ? "" : `, ${tool.off_mm.toFixed(1)} mm off its registration`;
-    this.text(`${tool.arm} ${tool.mode}${off}`, tool.px[1], 34, TOOL, 12);
+    this.text(`${tool.arm} ${tool.mode}${off}`, tool.px[1], 50, TOOL, 12);
   }
 
   paintGoal(at, words) {
