@@ -46,6 +46,7 @@ def drawn_view(rng: np.random.Generator) -> MiddleView:
         colour.astype(np.uint8),
         (-rough).astype(np.float32),
         np.ones(POINTS, bool),
+        np.full(POINTS, np.nan, np.float32),
     )
 
 

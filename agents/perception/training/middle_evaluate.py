@@ -5,12 +5,13 @@ python -m agents.perception.training.middle_evaluate --scenes DIR [--weights OTH
 
 import argparse
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64
+from scipy.spatial import cKDTree
 
 from agents.perception.centrelines.learned import Weights, learned_middles, own_weights, weights_in
 from agents.perception.training.middle_crops import profiles_of
@@ -18,6 +19,8 @@ from agents.perception.training.middle_views import MiddleView, middle_views
 
 WINDOW_POINTS = 60
 """Over so many points errors are averaged, to tell what neighbours share: that bends a curve, the rest averages out."""
+ALIKE_MM = 0.15
+"""Points of both eyes that lie so near each other along the thread are the same."""
 NORMAL = 0.6745
 """Of a standard deviation lie half of all errors within."""
 
@@ -38,10 +41,7 @@ class Figures:
 
 def figures_of(view: MiddleView, weights: Weights) -> Figures | None:
     """The errors in one view; None where too little of its truth is known."""
-    shown, some, pieces = profiles_of(view)
-    found = learned_middles(shown, view.normal[some], pieces, weights)
-    everywhere = np.arange(len(view.width_px))
-    offset, deviation = (np.interp(everywhere, some, part) for part in (found.offset_px, found.deviation_px))
+    offset, deviation = _said(view, weights)
     known = view.known
     if known.sum() < WINDOW_POINTS:
         return None
@@ -55,8 +55,56 @@ def figures_of(view: MiddleView, weights: Weights) -> Figures | None:
     )
 
 
+def _said(view: MiddleView, weights: Weights) -> tuple[Float64[np.ndarray, "n"], Float64[np.ndarray, "n"]]:
+    """Offset and deviation at every point of a view."""
+    shown, some, pieces = profiles_of(view)
+    found = learned_middles(shown, view.normal[some], pieces, weights)
+    everywhere = np.arange(len(view.width_px))
+    offset, deviation = (np.interp(everywhere, some, part) for part in (found.offset_px, found.deviation_px))
+    return offset, deviation
+
+
+def eye_pairs(views: Iterable[MiddleView]) -> list[tuple[MiddleView, MiddleView]]:
+    """Left and right views of the same scenes, where it is known which of their points are the same."""
+    by_name = {view.name: view for view in views if not np.isnan(view.along_mm).all()}
+    left = [name.removesuffix("_left") for name in by_name if name.endswith("_left")]
+    return [(by_name[f"{name}_left"], by_name[f"{name}_right"]) for name in left if f"{name}_right" in by_name]
+
+
+def apart_px(left: MiddleView, right: MiddleView, errors: Sequence[Float64[np.ndarray, "_"]]) -> float | None:
+    """By how much more to the right neighbours of a pair lie in the left eye than in the right one: that is depth.
+
+    Across the thread, times the normal's share along the row; None where both eyes show too little of the same thread.
+    """
+    ours, others = (np.flatnonzero(view.known & ~np.isnan(view.along_mm)) for view in (left, right))
+    if min(len(ours), len(others)) < WINDOW_POINTS:
+        return None
+    distance, nearest = cKDTree(right.along_mm[others, None]).query(left.along_mm[ours, None])
+    both = np.asarray(distance) < ALIKE_MM
+    ours, others = ours[both], others[np.asarray(nearest)[both]]
+    if len(ours) < WINDOW_POINTS:
+        return None
+    rightwards = [error * np.sign(view.normal[:, 0]) for error, view in zip(errors, (left, right), strict=True)]
+    return _shared((rightwards[0][ours] - rightwards[1][others]) * np.abs(left.normal[ours, 0]))
+
+
+def _apart(views: Iterable[MiddleView], weights: Weights) -> str:
+    """The medians over pairs of eyes, before and after, in words."""
+    found: list[tuple[float, float]] = []
+    for pair in eye_pairs(views):
+        before = [view.offset_px.astype(np.float64) for view in pair]
+        after = [offset - _said(view, weights)[0] for offset, view in zip(before, pair, strict=True)]
+        if (first := apart_px(*pair, before)) is not None and (then := apart_px(*pair, after)) is not None:
+            found.append((first, then))
+    if not found:
+        return ""
+    before, after = np.median(found, axis=0)
+    return f"apart in {len(found)} pairs of eyes {before:.3f}, {after:.3f} px; "
+
+
 def line_of(name: str, views: Iterable[MiddleView], weights: Weights) -> str:
-    """One line of medians over views."""
+    """One line of medians over views, and over pairs of eyes where both are among them."""
+    views = list(views)
     found = [figures for view in views if (figures := figures_of(view, weights)) is not None]
     if not found:
         return f"{name}: nothing is known of any view\n"
@@ -68,6 +116,7 @@ def line_of(name: str, views: Iterable[MiddleView], weights: Weights) -> str:
         f"{name}, {len(found)} views: off {off[0]:.3f} px before, {off[1]:.3f} px after; "
         f"shared by {WINDOW_POINTS} points {shared[0]:.3f}, {shared[1]:.3f} px; "
         f"to one side {aside[0]:.3f}, {aside[1]:.3f} px; "
+        f"{_apart(views, weights)}"
         f"{inside:.0%} within the deviation\n"
     )
 

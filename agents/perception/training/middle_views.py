@@ -6,7 +6,7 @@ path-traced scene (NAME.npy, NAME.json), or where there is none, what the true c
 
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,17 +35,22 @@ FARTHEST_PX, FARTHEST_SHARE = 1.5, 0.5
 LEAST_COSINE, LEAST_POINTS, MOST_POINTS = 0.9, 150, 30_000
 SURE_PX = 0.08
 """Of the centreline that coverage gives, only what is so sure counts as true."""
+APART_MM = 10_000.0
 HELD_OUT, OF = 7, 8
 """Seeds that leave the one when divided by the other are not learned from."""
 
 
 @dataclass(frozen=True)
 class Truth:
-    """Points of true middles, their directions, and whether the thread is seen there."""
+    """Points of true middles, their directions, whether the thread is seen there, and where along it that is, in mm.
+
+    Threads follow each other at APART_MM; the place is NaN where it is not known.
+    """
 
     point: Float64[np.ndarray, "n 2"]
     tangent: Float64[np.ndarray, "n 2"]
     visible: Bool[np.ndarray, "n"]
+    along_mm: Float64[np.ndarray, "n"]
 
 
 @dataclass(frozen=True)
@@ -56,6 +61,7 @@ class MiddleView:
         colour: at WIDE_PLACES of the reach.
         offset_px: of the true middle from the rough one along the normal; 0 where it is not known.
         known: whether it is.
+        along_mm: where along the true thread that is, the same in both eyes; NaN where that is not known.
     """
 
     name: str
@@ -65,6 +71,7 @@ class MiddleView:
     colour: UInt8[np.ndarray, "n t 3"]
     offset_px: Float32[np.ndarray, "n"]
     known: Bool[np.ndarray, "n"]
+    along_mm: Float32[np.ndarray, "n"]
 
 
 def middle_views(folders: Iterable[Path], held_out: bool, scaled: bool = True) -> list[MiddleView]:
@@ -102,11 +109,14 @@ def _truth(folder: Path, view: View) -> Truth:
     document = _document(folder, view.name)
     if document is None or not files:
         return _covered(view.image, view.coverage)
-    parts = [_projected(np.load(file).astype(np.float64), document, EYES.index(eye)) for file in files]
+    parts = [
+        _projected(np.load(file).astype(np.float64), document, EYES.index(eye), APART_MM * number)
+        for number, file in enumerate(files)
+    ]
     return _together([part for part in parts if len(part.point)])
 
 
-def _projected(samples: Float64[np.ndarray, "n 6"], document: dict[str, Any], eye: int) -> Truth:
+def _projected(samples: Float64[np.ndarray, "n 6"], document: dict[str, Any], eye: int, begins_mm: float) -> Truth:
     """A sampled centreline (x, y, z, arc length, visible in the left, in the right) as one eye sees it."""
     K, x = np.array(document["K"]), samples[:, 0] - eye * document["baseline_mm"]
     u, v = K[0, 0] * x / samples[:, 2] + K[0, 2], K[1, 1] * samples[:, 1] / samples[:, 2] + K[1, 2]
@@ -114,7 +124,8 @@ def _projected(samples: Float64[np.ndarray, "n 6"], document: dict[str, Any], ey
     even = np.arange(0.0, travelled[-1], DENSE_PX)
     point = np.column_stack([np.interp(even, travelled, part) for part in (u, v)])
     tangent = np.gradient(point, axis=0) / DENSE_PX if len(point) > 1 else np.zeros_like(point)
-    return Truth(point, tangent, np.interp(even, travelled, samples[:, 4 + eye]) > 0.5)
+    visible, along_mm = (np.interp(even, travelled, samples[:, column]) for column in (4 + eye, 3))
+    return Truth(point, tangent, visible > 0.5, begins_mm + along_mm)
 
 
 def _covered(image: Image, coverage: Coverage) -> Truth:
@@ -125,7 +136,8 @@ def _covered(image: Image, coverage: Coverage) -> Truth:
     share = np.arange(0.0, 1.0, DENSE_PX)[:, None, None]
     tangent = directions(line.point_px, pieces, gaussian(2.0))
     point = (line.point_px * (1 - share) + ahead * share).reshape(-1, 2)
-    return Truth(point, np.tile(tangent, (len(share), 1)), np.tile(line.deviation_px < SURE_PX, len(share)))
+    sure = np.tile(line.deviation_px < SURE_PX, len(share))
+    return Truth(point, np.tile(tangent, (len(share), 1)), sure, np.full(len(point), np.nan))
 
 
 def _together(parts: list[Truth]) -> Truth:
@@ -133,6 +145,7 @@ def _together(parts: list[Truth]) -> Truth:
         np.concatenate([part.point for part in parts]),
         np.concatenate([part.tangent for part in parts]),
         np.concatenate([part.visible for part in parts]),
+        np.concatenate([part.along_mm for part in parts]),
     )
 
 
@@ -143,7 +156,7 @@ def _scaled(image: Image, truth: Truth, rng: np.random.Generator) -> tuple[Image
     move = np.array([[scale, 0, (scale - 1) / 2], [0, scale, (scale - 1) / 2]])
     size = int(scale * image.shape[1]), int(scale * image.shape[0])
     shown = cv2.warpAffine(image, move, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(shown, np.uint8), Truth((truth.point + 0.5) * scale - 0.5, truth.tangent, truth.visible)
+    return np.asarray(shown, np.uint8), replace(truth, point=(truth.point + 0.5) * scale - 0.5)
 
 
 def _view(name: str, image: Image, truth: Truth) -> list[MiddleView]:
@@ -157,18 +170,20 @@ def _view(name: str, image: Image, truth: Truth) -> list[MiddleView]:
     tangent = directions(point, pieces, gaussian(tangent_sigma(rough.width)))
     normal = normals(tangent)
     colour = seen_across(image, point, normal, reach_px(width_px), WIDE_PLACES).swapaxes(0, 1)
-    offset_px, known = offsets_to(truth, point, tangent)
+    offset_px, known, along_mm = offsets_to(truth, point, tangent)
     known &= np.abs(offset_px) < np.maximum(FARTHEST_PX, FARTHEST_SHARE * width_px)
-    return [MiddleView(name, pieces, normal, width_px, colour.astype(np.uint8), offset_px.astype(np.float32), known)]
+    offset_px, along_mm = offset_px.astype(np.float32), along_mm.astype(np.float32)
+    return [MiddleView(name, pieces, normal, width_px, colour.astype(np.uint8), offset_px, known, along_mm)]
 
 
 def offsets_to(
     truth: Truth, point: Float64[np.ndarray, "n 2"], tangent: Float64[np.ndarray, "n 2"]
-) -> tuple[Float64[np.ndarray, "n"], Bool[np.ndarray, "n"]]:
-    """How far the truth lies from points, across it and to the side of their normals; and whether that is known."""
+) -> tuple[Float64[np.ndarray, "n"], Bool[np.ndarray, "n"], Float64[np.ndarray, "n"]]:
+    """How far the truth lies from points, across it and to the side of their normals; whether that is known; where."""
     _, nearest = cKDTree(truth.point).query(point)
     along = truth.tangent[nearest] * np.where((truth.tangent[nearest] * tangent).sum(axis=1) < 0, -1.0, 1.0)[:, None]
     apart = truth.point[nearest] - point
     beyond = np.abs((apart * along).sum(axis=1)) > 1.0
     alike = (along * tangent).sum(axis=1) > LEAST_COSINE
-    return (apart * normals(along)).sum(axis=1), truth.visible[nearest] & ~beyond & alike
+    known = truth.visible[nearest] & ~beyond & alike
+    return (apart * normals(along)).sum(axis=1), known, truth.along_mm[nearest]

@@ -1,5 +1,7 @@
 """What the middle is learned from, and what was learned: drawn threads in light from any side."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from agents.perception.centrelines.along import Pieces
 from agents.perception.centrelines.learned import learned_middles
 from agents.perception.training.middle_crops import LENGTH, STRETCHES, VIEWS, batches, profiles_of
 from agents.perception.training.middle_drawn import drawn_view
+from agents.perception.training.middle_evaluate import apart_px
 from agents.perception.training.middle_views import Truth, offsets_to
 
 
@@ -48,10 +51,30 @@ def test_batches_follow_from_their_seed(drawn):
     assert one[0].shape[:3] == (VIEWS, STRETCHES, LENGTH // 2)
 
 
+def both_eyes(view):
+    """The view as if it were of both eyes, the right one followed from its other end."""
+    place = 0.1 * np.arange(len(view.width_px), dtype=np.float32)
+    left = replace(view, name="scene_left", along_mm=place)
+    turned = replace(view, name="scene_right", along_mm=place[::-1], normal=-view.normal[::-1])
+    return left, replace(
+        turned, width_px=view.width_px[::-1], colour=view.colour[::-1, ::-1], offset_px=-view.offset_px[::-1]
+    )
+
+
+def test_what_both_eyes_err_alike_is_no_depth_whichever_way_their_points_run(drawn):
+    left, right = both_eyes(drawn[0])
+    aside = 0.2 * left.normal[:, 0], 0.2 * right.normal[:, 0]
+    assert apart_px(left, right, aside) == pytest.approx(0, abs=1e-6)
+    of_one = apart_px(left, right, (aside[0], 0 * aside[1]))
+    assert of_one is not None
+    assert of_one > 0.05
+
+
 def test_offsets_lead_from_points_to_the_truth_whichever_way_either_runs():
     x = np.arange(0, 50, 0.1)
-    truth = Truth(np.column_stack((x, 0 * x + 3)), np.tile([-1.0, 0.0], (len(x), 1)), x < 40)
+    truth = Truth(np.column_stack((x, 0 * x + 3)), np.tile([-1.0, 0.0], (len(x), 1)), x < 40, 0.1 * x)
     point, tangent = np.array([[10.0, 2.5], [20.0, 3.2], [45.0, 3.0]]), np.tile([1.0, 0.0], (3, 1))
-    offset, known = offsets_to(truth, point, tangent)
+    offset, known, along_mm = offsets_to(truth, point, tangent)
     np.testing.assert_allclose(offset, [0.5, -0.2, 0.0], atol=1e-9)
     assert known.tolist() == [True, True, False]
+    np.testing.assert_allclose(along_mm, [1.0, 2.0, 4.5], atol=1e-9)
