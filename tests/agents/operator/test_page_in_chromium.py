@@ -72,7 +72,10 @@ def put_first(*pids):
     for pid in pids:
         for niceness in (FIRST, 0):
             with contextlib.suppress(OSError):
-                Path(f"/proc/{pid}/autogroup").write_text(str(niceness))
+                group = Path(f"/proc/{pid}/autogroup")
+                if group.read_text().endswith(f" {niceness}\n"):
+                    break
+                group.write_text(str(niceness))
                 os.setpriority(os.PRIO_PROCESS, pid, niceness)
                 break
 
@@ -120,13 +123,11 @@ def rig(tmp_path_factory, until):
         try:
             put_first(process.pid)
             rig = Rig(process, folder / "audit" / "operator-page.jsonl")
-            until(lambda: rig.links, "the page's link", STARTS_S)
-            put_first(*children(process.pid))
+            until(lambda: put_first(*children(process.pid)) or rig.links, "the page's link", STARTS_S)
             with connected(SessionSettings("paged", endpoint), STARTS_S) as connection:
                 rig.hear(connection)
-                until(lambda: rig.threads, "a thread", STARTS_S)
-                # by now those have stepped back that do
-                put_first(*children(process.pid))
+                # some step back by themselves, once they have begun
+                until(lambda: put_first(*children(process.pid)) or rig.threads, "a thread", STARTS_S)
                 yield rig
         finally:
             process.send_signal(signal.SIGINT)
