@@ -12,7 +12,6 @@ import numpy as np
 
 from agents.emulator import poses
 from agents.emulator.arm import START, EmulatedArm
-from agents.emulator.geometry import tool
 from agents.emulator.messages import (
     SECOND_NS,
     Bool,
@@ -22,25 +21,19 @@ from agents.emulator.messages import (
     JointState,
     Joy,
     OperatingState,
-    Point,
-    Pose,
     PoseStamped,
-    Quaternion,
     String,
     StringStamped,
     header,
 )
 from agents.emulator.oracle import Circumstances, Oracle
-from agents.emulator.wire import Outlet, Wire
+from agents.emulator.outlets import CLUTCH, CRTK, GEOMETRY, SENSOR, STD, TOOL_TYPE, Outlets
+from agents.emulator.wire import Wire
 from shared import clock
 
 STATE_HZ, TURNS_PER_STATE = 100.0, 2
 KEPT = 20_000
-JOINTS = ["outer_yaw", "outer_pitch", "outer_insertion", "outer_roll", "outer_wrist_pitch", "outer_wrist_yaw"]
-TOOL_TYPE = "LARGE_NEEDLE_DRIVER:400006"
-SENSOR, STD, CRTK, GEOMETRY = (f"{name}_msgs::msg::dds_::" for name in ("sensor", "std", "crtk", "geometry"))
 STEP_M = 0.005
-CLUTCH, TIP = "footpedals/clutch", "ECM/local/measured_cp"
 MOTIONS = {
     "servo_jp": ("arm", False),
     "move_jp": ("arm", True),
@@ -74,7 +67,7 @@ class EmulatedConsole:
     def __init__(self, wire: Wire, name: str, oracle: Oracle, behaviour: Behaviour) -> None:
         self.name, self._wire, self._oracle = name, wire, oracle
         self._now_ns, self._monotonic_s = behaviour.now_ns, behaviour.monotonic_s
-        self._lock, self._muted = threading.Lock(), False
+        self._lock = threading.Lock()
         self._arm = EmulatedArm(behaviour.ready, self._warn, behaviour.start, behaviour.lag_s)
         self._told: tuple[object, ...] = ()
         self._times = {"moved_ns": 0, "set_point_ns": 0, "held_ns": 0}
@@ -83,25 +76,7 @@ class EmulatedConsole:
         self._sent_ns: list[int] = []
         self._held, self._turns = True, 0
         self._moved_m = {"camera": 0.0, "setup": 0.0}
-        self._outlets: dict[str, Outlet] = {
-            TIP: wire.publish(TIP, f"{GEOMETRY}PoseStamped_", False),
-            CLUTCH: wire.publish(CLUTCH, f"{SENSOR}Joy_", False),
-        }
-        for topic, kind, latched in (
-            ("measured_js", f"{SENSOR}JointState_", False),
-            ("setpoint_js", f"{SENSOR}JointState_", False),
-            ("jaw/measured_js", f"{SENSOR}JointState_", False),
-            ("jaw/setpoint_js", f"{SENSOR}JointState_", False),
-            ("local/measured_cp", f"{GEOMETRY}PoseStamped_", False),
-            ("measured_cp", f"{GEOMETRY}PoseStamped_", False),
-            ("setpoint_cp", f"{GEOMETRY}PoseStamped_", False),
-            ("operating_state", f"{CRTK}OperatingState_", True),
-            ("error", f"{STD}String_", True),
-            ("warning", f"{STD}String_", True),
-            ("tool_type", f"{STD}String_", True),
-            ("goal_reached", f"{STD}Bool_", False),
-        ):
-            self._outlets[topic] = wire.publish(f"{name}/{topic}", kind, latched)
+        self._outlets = Outlets(wire, name, self._now_ns)
         self._say("tool_type", String(TOOL_TYPE))
         self._tell_state()
         for topic in MOTIONS:
@@ -163,7 +138,7 @@ class EmulatedConsole:
             if word == "fault":
                 self._arm.fail()
             self._arm.stuck = {"stick": True, "loose": False}.get(word, self._arm.stuck)
-            self._muted = {"mute": True, "speak": False}.get(word, self._muted)
+            self._outlets.muted = {"mute": True, "speak": False}.get(word, self._outlets.muted)
             what, _, back = word.partition("_")
             if what in self._moved_m:
                 self._moved_m[what] = 0.0 if back else STEP_M
@@ -240,35 +215,7 @@ class EmulatedConsole:
         with self._lock:
             # a process that stalls after this tells late, and of the time when it was so
             at_ns, position, goal = self._now_ns(), self._arm.position.copy(), self._arm.goal.copy()
-        at = header(at_ns)
-        for topic, values, names in (
-            ("measured_js", position[:6], JOINTS),
-            ("setpoint_js", goal[:6], JOINTS),
-            ("jaw/measured_js", position[6:], ["jaw"]),
-            ("jaw/setpoint_js", goal[6:], ["jaw"]),
-        ):
-            if self._outlets[topic].wanted():
-                none = [0.0] * len(names)
-                self._say(topic, JointState(at, names, values.tolist(), none, none))
-        setup_m = self._moved_m["setup"]
-        for topic, joints, aside_m in (
-            ("local/measured_cp", position, 0.0),
-            ("measured_cp", position, setup_m),
-            ("setpoint_cp", goal, setup_m),
-        ):
-            if self._outlets[topic].wanted():
-                self._say(topic, PoseStamped(header(at_ns, f"{self.name}_base"), _pose(joints[:6], aside_m)))
-        if self._outlets[TIP].wanted():
-            # the endoscope, its tip 100 mm beyond its remote centre, moves to its side
-            tip = Pose(Point(self._moved_m["camera"], 0.0, -0.1), Quaternion(1.0, 0.0, 0.0, 0.0))
-            self._say(TIP, PoseStamped(header(at_ns, "ECM_base"), tip))
+        self._outlets.tell_where(at_ns, position, goal, self._moved_m)
 
     def _say(self, topic: str, message: Any) -> None:
-        outlet = self._outlets[topic]
-        if not self._muted and outlet.wanted():
-            outlet.put(message.serialize(), self._now_ns())
-
-
-def _pose(joints: np.ndarray, aside_m: float) -> Pose:
-    R, pin = tool(joints)
-    return poses.told(R, pin + np.array((aside_m, 0.0, 0.0)))
+        self._outlets.say(topic, message)

@@ -7,6 +7,9 @@ import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -52,16 +55,37 @@ def until(condition, what):
         turn.wait(0.02)
 
 
-def test_a_bridge_that_is_killed_leaves_the_arm_at_its_last_set_point_and_the_guard_holds_it(
-    started, tmp_path, plan_of
-):
-    router, robot, stopped = free_local_endpoint(), free_local_endpoint(), threading.Event()
+class Begun(NamedTuple):
+    """Processes around an emulated console, and an operator who arms the plan again whenever it was held.
+
+    Fields:
+        verdict: what the console says now.
+        log: what a process has said so far.
+    """
+
+    bridge: subprocess.Popen[bytes]
+    emulator: subprocess.Popen[bytes]
+    config: Path
+    verdict: Callable[[], dict[str, Any]]
+    log: Callable[[str], str]
+    stopped: threading.Event
+
+
+def written(folder, router, robot):
+    """A rig's file, and the base that the console judges by."""
     base = {"T_camera_base": SIMULATED_T_CAMERA_BASE.tolist()}
-    (tmp_path / "base.json").write_text(json.dumps(base))
+    (folder / "base.json").write_text(json.dumps(base))
     arm = base | {"backend": "dvrk", "dvrk": {"endpoint": robot, "dry_run": False, "through_guard": True}}
     rig = {"router": {"endpoint": router, "start": False}, "robot": {"psm1": arm}}
-    config = tmp_path / "rig.json"
-    config.write_text(json.dumps(rig))
+    (folder / "rig.json").write_text(json.dumps(rig))
+    return folder / "rig.json"
+
+
+@pytest.fixture
+def begun(started, tmp_path, plan_of):
+    """Until the end of a test; the arm is about to move."""
+    router, robot, stopped = free_local_endpoint(), free_local_endpoint(), threading.Event()
+    config = written(tmp_path, router, robot)
     with contextlib.ExitStack() as stack:
         stack.enter_context(open_router(router))
         judged = ("--camera", tmp_path / "base.json", "--heartbeats", router, "--verdict", tmp_path / "verdict.json")
@@ -88,30 +112,40 @@ def test_a_bridge_that_is_killed_leaves_the_arm_at_its_last_set_point_and_the_gu
                 arm_and_stand_by(connection, "psm1", "p", stopped, lambda _event: None)
                 sequence += 1
 
-        until(lambda: states, lambda: (tmp_path / "robot-bridge.log").read_text())
+        def log(name):
+            return (tmp_path / f"{name}.log").read_text()
+
+        until(lambda: states, lambda: log("robot-bridge"))
         operator = threading.Thread(target=operate)
         operator.start()
         stack.callback(lambda: (stopped.set(), operator.join()))
-        until(lambda: verdict()["set_points"] > 100, lambda: (tmp_path / "robot-bridge.log").read_text())
-        killed_ns = now_ns()
-        bridge.send_signal(signal.SIGKILL)
-        until(lambda: verdict()["held_ns"] > killed_ns, lambda: (tmp_path / "guard.log").read_text())
-        until(lambda: now_ns() - verdict()["moved_ns"] > STILL_MS * 10**6, verdict)
-        second = started("guard", "--config", config)
-        assert second.wait(DEADLINE_S) == 1, "one guard goes on, and the other one ends"
-        last = verdict()
-        assert last["position"] == last["goal"], "the last set point is held"
-        assert (last["unsafe"], last["state"]) == (0, "ENABLED"), last["sentences"]
-        stopped.set()
-        emulator.terminate()
-        assert emulator.wait(DEADLINE_S) == 0
+        yield Begun(bridge, emulator, config, verdict, log, stopped)
+
+
+def lines(folder, name):
+    """What is written down of an arm."""
+    return [json.loads(line) for line in (folder / "audit" / f"{name}-psm1.jsonl").read_text().splitlines()]
+
+
+def test_a_bridge_that_is_killed_leaves_the_arm_at_its_last_set_point_and_the_guard_holds_it(begun, started, tmp_path):
+    verdict = begun.verdict
+    until(lambda: verdict()["set_points"] > 100, lambda: begun.log("robot-bridge"))
+    killed_ns = now_ns()
+    begun.bridge.send_signal(signal.SIGKILL)
+    until(lambda: verdict()["held_ns"] > killed_ns, lambda: begun.log("guard"))
+    until(lambda: now_ns() - verdict()["moved_ns"] > STILL_MS * 10**6, verdict)
+    second = started("guard", "--config", begun.config)
+    assert second.wait(DEADLINE_S) == 1, "one guard goes on, and the other one ends"
+    last = verdict()
+    assert last["position"] == last["goal"], "the last set point is held"
+    assert (last["unsafe"], last["state"]) == (0, "ENABLED"), last["sentences"]
+    begun.stopped.set()
+    begun.emulator.terminate()
+    assert begun.emulator.wait(DEADLINE_S) == 0
     assert json.loads((tmp_path / "verdict.json").read_text())["unsafe"] == 0
-    assert "hold, for set points have ended" in (tmp_path / "guard.log").read_text()
-    assert "another guard of psm1 runs already" in (tmp_path / "guard.log").read_text()
-    bridges, guards = (
-        [json.loads(line) for line in (tmp_path / "audit" / f"{name}-psm1.jsonl").read_text().splitlines()]
-        for name in ("robot_bridge", "guard")
-    )
+    assert "hold, for set points have ended" in begun.log("guard")
+    assert "another guard of psm1 runs already" in begun.log("guard")
+    bridges, guards = (lines(tmp_path, name) for name in ("robot_bridge", "guard"))
     assert "accepted" in {line.get("kind") for line in bridges}, "what a killed bridge was armed for is written down"
     assert "stopped" not in {line["what"] for line in bridges}
     assert guards[-1]["what"] == "hold"

@@ -186,7 +186,7 @@ def test_a_console_that_is_disabled_has_another_tool_or_is_elsewhere_is_not_arme
     lab.backend._readings.hear("local/measured_cp", b"\0\1\0\0", 0)
     lab.ready()
     # as often as the console tells the right one
-    beside = lab.backend.kinematics.forward(np.zeros(6) + (0, 0, 0.1, 0, 0, 0))
+    beside = lab.backend.kinematics.forward(np.array((0.0, 0, 0.1, 0, 0, 0)))
     lab.until(lambda: (say_pose(lab, beside), lab.arm().code)[1] == "other_pose")
     lab.ready()
     lab.ask("fault")
