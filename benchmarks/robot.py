@@ -67,8 +67,15 @@ def main() -> None:
     if options.only in ("all", "stops"):
         codecs = ("ros2dds", "rmw_zenoh")
         turns = [(loss, codec) for _ in range(options.repeats) for codec in codecs for loss in LOSSES]
-        found["stops"] = [stopped_after(*turn) for turn in turns]
+        found["stops"] = list[dict[str, Any]]()
+        for turn in turns:
+            CONSOLE.print(f"  {' '.join(turn)}: motion {len(found['stops']) + 1} of {len(turns)}")
+            found["stops"].append(stopped_after(*turn))
         _print(f"Lost in mid-motion; goal: it stands within {GOAL_STANDS_MS:.0f} ms", found["stops"])
+        if missing := sum(row["set points"] is None for row in found["stops"]):
+            CONSOLE.print(
+                f"  {missing} of {len(turns)} motions did not come about; `waited` names what had no processor"
+            )
     if options.only in ("all", "jitter"):
         found["jitter"] = [jitter(options.seconds, realtime) for realtime in (True, False)]
         goal = f"goal with it: p99 within {GOAL_JITTER_MS:g} ms, {GOAL_MISSED_PERCENT:g} % missed"

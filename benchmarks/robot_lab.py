@@ -101,6 +101,16 @@ class Lab:
         """The process of that name."""
         return self._running[name].pid
 
+    def waited_ms(self) -> dict[tuple[str, str], float]:
+        """How long each thread of each process has been ready and had no processor, since it began."""
+        found = dict[tuple[str, str], float]()
+        for name, process in self._running.items():
+            # what has ended, or was killed, waits for nothing
+            with contextlib.suppress(OSError):
+                for thread in Path(f"/proc/{process.pid}/task").iterdir():
+                    found[name, thread.name] = 1e-6 * int((thread / "schedstat").read_text().split()[1])
+        return found
+
     def lose(self, what: str) -> None:
         """Kill a process, or stop the relay so that nothing passes and nothing is closed."""
         if what.startswith("link"):
