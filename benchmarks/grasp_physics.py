@@ -69,7 +69,7 @@ def main() -> None:
     cv2.setNumThreads(1)
     seeds = range(arguments.seed, arguments.seed + arguments.fields)
     if arguments.converge:
-        print_converged(list(converged(seeds, arguments.goals)))
+        print_converged(converged(seeds, arguments.goals))
         return
     found = [one for seed in seeds for config in CONFIGS for one in of_field(config, seed, arguments.goals)]
     print_found(found)
@@ -179,11 +179,14 @@ def wilson(hits: list[bool]) -> str:
     return f"{share:.1%} ({max(middle - half, 0.0):.1%} to {min(middle + half, 1.0):.1%})"
 
 
-def print_converged(found: list[tuple[str, str, str]]) -> None:
-    """How often finer steps change nothing."""
-    CONSOLE.print(f"{len(found)} trials; verdicts that stay the same:")
-    CONSOLE.print(f"  half the time step      {wilson([one == half for one, half, _ in found])}")
-    CONSOLE.print(f"  half the segment length {wilson([one == half for one, _, half in found])}")
+def print_converged(found: Iterator[tuple[str, str, str]]) -> None:
+    """How often finer steps change nothing, told anew after every trial: each takes most of a minute."""
+    told: list[tuple[str, str, str]] = []
+    for one in found:
+        told.append(one)
+        CONSOLE.print(f"{len(told)} trials ({', '.join(one)}); verdicts that stay the same:")
+        CONSOLE.print(f"  half the time step      {wilson([usual == half for usual, half, _ in told])}")
+        CONSOLE.print(f"  half the segment length {wilson([usual == half for usual, _, half in told])}")
 
 
 if __name__ == "__main__":
