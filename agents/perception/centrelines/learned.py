@@ -17,8 +17,9 @@ from jaxtyping import Float32, Float64
 from agents.perception.centrelines.along import Pieces
 
 WEIGHTS = Path(__file__).with_name("learned.npz")
-DILATIONS = 1, 2, 4, 8
-"""Of the layers, each of which looks at five points: together they look at 31 to either side."""
+DILATIONS = 1, 2, 4, 8, 16
+"""Of layers, each of which looks at five points. The project's own network has the first four of them, and looks at 31
+points to either side; one that is trained now has them all."""
 NOTHING = np.float32(0)
 LOG_SCALE, DEVIATION_SHARE = (-4.0, 2.0), 1.35
 """The network says the mean error of a Laplace distribution, of which 68 % lie within 1.15 times that. But neighbours
@@ -54,7 +55,8 @@ def learned_middles(
     spread = n.T @ n / len(n) + LEAST_SPREAD * np.eye(2, dtype=np.float32)
     light = np.linalg.solve(spread, n.T @ across / len(n))
     state = np.maximum(seen @ weights["first"] + (n @ light) @ weights["from_light"] + weights["first_bias"], NOTHING)
-    for layer, dilation in enumerate(DILATIONS):
+    layers = sum(f"along{layer}" in weights for layer in range(len(DILATIONS)))
+    for layer, dilation in enumerate(DILATIONS[:layers]):
         seen_along = _neighbours(state, pieces, dilation)
         state = state + np.maximum(seen_along @ weights[f"along{layer}"] + weights[f"along{layer}_bias"], NOTHING)
     offset, log_scale = (state @ weights["out"] + weights["out_bias"]).astype(np.float64).T

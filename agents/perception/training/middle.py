@@ -2,11 +2,12 @@
 
 Prints, for views that are held out, how far the middle between the edges and the learned one lie from the true one.
 """
-# pyright: reportMissingImports=false
+# pyright: reportMissingImports=false, reportUntypedBaseClass=false
 # PyTorch is there for training alone (extra `train`), so that the checks of everyone else run without it.
 
 import argparse
 import sys
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,42 +16,49 @@ import torch
 from jaxtyping import Float16
 
 from agents.perception.centrelines.learned import LOG_SCALE
-from agents.perception.training.middle_crops import batches
+from agents.perception.training.middle_crops import ALONE, batches
 from agents.perception.training.middle_evaluate import line_of
-from agents.perception.training.middle_network import MiddleNet, weights_of
+from agents.perception.training.middle_network import STATES, MiddleNet, weights_of
 from agents.perception.training.middle_views import MiddleView, middle_views
 from agents.perception.training.train import step_share
 
-STEPS_BETWEEN_REPORTS = 500
-WEIGHT_DECAY, MOVING_AVERAGE = 3e-2, 0.995
-STRETCH_WEIGHT, STRETCH_MOST_PX, STRETCH_LEAST_SHARE = 5.0, 0.6, 0.75
-"""Errors that a whole stretch shares bend the curve, while others average out: they count on their own."""
+STEPS_BETWEEN_REPORTS = 1000
+WEIGHT_DECAY, MOVING_AVERAGE = 3e-2, 0.998
+WINDOW = 48
+"""Points, of every second pixel: errors that so many share bend the curve, while others average out: they count too."""
+SHARED_WEIGHT, MOST_SHARED_PX, LEAST_SHARE = 5.0, 0.6, 0.75
+APART_WEIGHT = 5.0
+"""What the errors of both eyes differ by is depth; and what both see, shading and all, is nearly the same."""
 
 
 @dataclass(frozen=True)
 class Chosen:
-    """What the command line says; `steepest` is the greatest step size."""
+    """What the command line says; `steepest` is the greatest step size, `apart` the weight of differences."""
 
     scenes: list[Path]
     output: Path
     steps: int
     seed: int
     steepest: float
+    states: int
+    apart: float
+    device: str
+    workers: int
 
 
 def train(views: list[MiddleView], held_out: list[MiddleView], chosen: Chosen) -> MiddleNet:
     """The network after so many steps; weights are a moving average."""
     torch.manual_seed(chosen.seed)
     torch.set_num_threads(1)
-    network = MiddleNet()
+    network = MiddleNet(chosen.states).to(chosen.device)
     kept = torch.optim.swa_utils.AveragedModel(
         network, multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(MOVING_AVERAGE)
     )
     optimiser = torch.optim.AdamW(network.parameters(), chosen.steepest, weight_decay=WEIGHT_DECAY)
-    for step, batch in zip(range(chosen.steps), batches(views, chosen.seed), strict=False):
+    for step, batch in zip(range(chosen.steps), prepared(views, chosen.seed, chosen.workers), strict=False):
         for group in optimiser.param_groups:
             group["lr"] = chosen.steepest * step_share(step / chosen.steps)
-        loss = _loss(network, *(torch.from_numpy(np.ascontiguousarray(part)) for part in batch))
+        loss = _loss(network, *(part.to(chosen.device) for part in batch), apart_weight=chosen.apart)
         optimiser.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 2.0)
@@ -63,19 +71,58 @@ def train(views: list[MiddleView], held_out: list[MiddleView], chosen: Chosen) -
     return kept.module
 
 
+class _Stream(torch.utils.data.IterableDataset):
+    """Batches without end, other ones in each process."""
+
+    def __init__(self, views: list[MiddleView], seed: int) -> None:
+        super().__init__()
+        self.views, self.seed = views, seed
+
+    def __iter__(self) -> Iterator[list[torch.Tensor]]:
+        worker = torch.utils.data.get_worker_info()
+        for batch in batches(self.views, [self.seed, 0 if worker is None else worker.id]):
+            yield [torch.from_numpy(np.ascontiguousarray(part)) for part in batch]
+
+
+def prepared(views: list[MiddleView], seed: int, workers: int) -> Iterable[list[torch.Tensor]]:
+    """Batches made in so many processes, in this one if it is 0."""
+    return torch.utils.data.DataLoader(_Stream(views, seed), batch_size=None, num_workers=workers)
+
+
 def _loss(
-    network: MiddleNet, shown: torch.Tensor, offset: torch.Tensor, normal: torch.Tensor, known: torch.Tensor
+    network: MiddleNet,
+    shown: torch.Tensor,
+    offset: torch.Tensor,
+    normal: torch.Tensor,
+    known: torch.Tensor,
+    same: torch.Tensor,
+    apart_weight: float = APART_WEIGHT,
 ) -> torch.Tensor:
-    """How unlikely the true offsets are, by a Laplace distribution; and what stretches err as a whole."""
+    """How unlikely the true offsets are, by a Laplace distribution; what neighbours err together; and eyes apart."""
     said, log_scale = network(shown, normal)
     log_scale = log_scale.clamp(*LOG_SCALE)
     error = offset - said
     unlikely = ((error.abs() / log_scale.exp() + log_scale) * known).sum() / known.sum()
-    count = known.sum(dim=2)
-    common = (error.clamp(-STRETCH_MOST_PX, STRETCH_MOST_PX) * known).sum(dim=2) / count.clamp(min=1)
-    whole = count > STRETCH_LEAST_SHARE * known.shape[2]
-    shared = (torch.sqrt(common**2 + 1e-4) * whole).sum() / whole.sum().clamp(min=1)
-    return unlikely + STRETCH_WEIGHT * shared
+    error = error.clamp(-MOST_SHARED_PX, MOST_SHARED_PX)
+    return unlikely + SHARED_WEIGHT * shared(error, known) + apart_weight * shared(*apart(error, normal, same))
+
+
+def shared(error: torch.Tensor, known: torch.Tensor) -> torch.Tensor:
+    """What the points of a window err together, where enough of them are known."""
+    error, known = (part.unflatten(2, (-1, WINDOW)) for part in (error, known))
+    count = known.sum(dim=3)
+    common = (error * known).sum(dim=3) / count.clamp(min=1)
+    whole = count > LEAST_SHARE * WINDOW
+    return (torch.sqrt(common**2 + 1e-4) * whole).sum() / whole.sum().clamp(min=1)
+
+
+def apart(error: torch.Tensor, normal: torch.Tensor, same: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """By how much more the left eye errs to the right than the right one, across the thread, where both see a point."""
+    along_row = normal[..., 0]
+    rightwards = error * along_row.sign()
+    left, right, which = rightwards[ALONE::2], rightwards[ALONE + 1 :: 2], same[ALONE::2]
+    difference = (left - right.gather(2, which.clamp(min=0))) * along_row[ALONE::2].abs()
+    return difference, which >= 0
 
 
 def _short(network: MiddleNet) -> dict[str, Float16[np.ndarray, "..."]]:
@@ -90,6 +137,12 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--steps", type=int, default=24_000, help="of 64 stretches each")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--steepest", type=float, default=4e-3, help="the greatest step size")
+    parser.add_argument("--states", type=int, default=STATES, help="of each layer")
+    parser.add_argument("--apart", type=float, default=APART_WEIGHT, help="how much differences between eyes count")
+    parser.add_argument("--device", default="cpu", help="of PyTorch's: cpu, cuda")
+    parser.add_argument(
+        "--workers", type=int, default=0, help="processes that make batches, besides the one that trains"
+    )
     chosen = Chosen(**vars(parser.parse_args(arguments)))
     views, held_out = (middle_views(chosen.scenes, held_out=held) for held in (False, True))
     train(views, held_out, chosen)

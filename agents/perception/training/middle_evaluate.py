@@ -14,13 +14,11 @@ from jaxtyping import Float64
 from scipy.spatial import cKDTree
 
 from agents.perception.centrelines.learned import Weights, learned_middles, own_weights, weights_in
-from agents.perception.training.middle_crops import profiles_of
+from agents.perception.training.middle_crops import ALIKE_MM, eye_pairs, profiles_of
 from agents.perception.training.middle_views import MiddleView, middle_views
 
 WINDOW_POINTS = 60
 """Over so many points errors are averaged, to tell what neighbours share: that bends a curve, the rest averages out."""
-ALIKE_MM = 0.15
-"""Points of both eyes that lie so near each other along the thread are the same."""
 NORMAL = 0.6745
 """Of a standard deviation lie half of all errors within."""
 
@@ -62,13 +60,6 @@ def _said(view: MiddleView, weights: Weights) -> tuple[Float64[np.ndarray, "n"],
     everywhere = np.arange(len(view.width_px))
     offset, deviation = (np.interp(everywhere, some, part) for part in (found.offset_px, found.deviation_px))
     return offset, deviation
-
-
-def eye_pairs(views: Iterable[MiddleView]) -> list[tuple[MiddleView, MiddleView]]:
-    """Left and right views of the same scenes, where it is known which of their points are the same."""
-    by_name = {view.name: view for view in views if not np.isnan(view.along_mm).all()}
-    left = [name.removesuffix("_left") for name in by_name if name.endswith("_left")]
-    return [(by_name[f"{name}_left"], by_name[f"{name}_right"]) for name in left if f"{name}_right" in by_name]
 
 
 def apart_px(left: MiddleView, right: MiddleView, errors: Sequence[Float64[np.ndarray, "_"]]) -> float | None:

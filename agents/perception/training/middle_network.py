@@ -2,6 +2,8 @@
 # pyright: reportMissingImports=false, reportUntypedBaseClass=false
 # PyTorch is there for training alone (extra `train`), so that the checks of everyone else run without it.
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from jaxtyping import Float32
@@ -10,7 +12,7 @@ from torch import nn
 from agents.perception.centrelines.learned import DILATIONS, LEAST_SPREAD
 from agents.perception.centrelines.straightened import CHANNELS, NUMBERS, PLACES
 
-STATES, LIGHTS, TAPS = 40, 6, 5
+STATES, LIGHTS, TAPS = 64, 6, 5
 DROPPED = 0.1
 """Of the first states, while it learns."""
 FEATURES = CHANNELS * len(PLACES) + NUMBERS
@@ -19,15 +21,16 @@ FEATURES = CHANNELS * len(PLACES) + NUMBERS
 class MiddleNet(nn.Module):
     """Profiles (v, k, n, c) of stretches of views and their normals (v, k, n, 2) to offsets and logarithms of scale."""
 
-    def __init__(self) -> None:
+    def __init__(self, states: int = STATES, dilations: Sequence[int] = DILATIONS) -> None:
         super().__init__()
-        self.first = nn.Linear(FEATURES, STATES)
+        self.dilations = dilations
+        self.first = nn.Linear(FEATURES, states)
         # what is lopsided: the difference of both sides, which changes its sign with the direction of the curve
         self.register_buffer("sides", torch.from_numpy(_difference_of_sides()))
         self.light = nn.Linear(len(_difference_of_sides()), LIGHTS, bias=False)
-        self.from_light = nn.Linear(LIGHTS, STATES, bias=False)
-        self.along = nn.ModuleList([nn.Conv1d(STATES, STATES, TAPS, dilation=d) for d in DILATIONS])
-        self.out = nn.Conv1d(STATES, 2, 1)
+        self.from_light = nn.Linear(LIGHTS, states, bias=False)
+        self.along = nn.ModuleList([nn.Conv1d(states, states, TAPS, dilation=d) for d in dilations])
+        self.out = nn.Conv1d(states, 2, 1)
         nn.init.zeros_(self.out.weight)
         nn.init.zeros_(self.out.bias)
 
@@ -39,7 +42,7 @@ class MiddleNet(nn.Module):
         state = torch.relu(self.first(shown) + self.from_light(of_light))
         state = nn.functional.dropout(state, DROPPED, self.training)
         state = state.reshape(views * stretches, points, -1).transpose(1, 2)
-        for layer, dilation in zip(self.along, DILATIONS, strict=True):
+        for layer, dilation in zip(self.along, self.dilations, strict=True):
             beyond = dilation * (TAPS - 1) // 2
             state = state + torch.relu(layer(nn.functional.pad(state, (beyond, beyond), mode="replicate")))
         offset, scale = self.out(state).reshape(views, stretches, 2, points).unbind(2)
@@ -49,7 +52,9 @@ class MiddleNet(nn.Module):
         """What is lopsided of each view as far as it follows a direction, by least squares."""
         across = torch.tanh(self.light(shown @ self.sides.T))
         count = normal.shape[1]
-        spread = torch.einsum("vnd,vne->vde", normal, normal) / count + LEAST_SPREAD * torch.eye(2)
+        spread = torch.einsum("vnd,vne->vde", normal, normal) / count + LEAST_SPREAD * torch.eye(
+            2, device=normal.device
+        )
         return torch.linalg.solve(spread, torch.einsum("vnd,vnm->vdm", normal, across) / count)
 
 
@@ -64,10 +69,10 @@ def weights_of(network: MiddleNet) -> dict[str, Float32[np.ndarray, "..."]]:
         "out": state["out.weight"][:, :, 0].T,
         "out_bias": state["out.bias"],
     }
-    for index in range(len(DILATIONS)):
-        weights[f"along{index}"] = state[f"along.{index}.weight"].permute(2, 1, 0).reshape(-1, STATES)
+    for index in range(len(network.along)):
+        weights[f"along{index}"] = state[f"along.{index}.weight"].permute(2, 1, 0).flatten(0, 1)
         weights[f"along{index}_bias"] = state[f"along.{index}.bias"]
-    return {name: value.numpy() for name, value in weights.items()}
+    return {name: value.cpu().numpy() for name, value in weights.items()}
 
 
 def _difference_of_sides() -> np.ndarray:

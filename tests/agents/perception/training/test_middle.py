@@ -7,7 +7,7 @@ import pytest
 
 from agents.perception.centrelines.along import Pieces
 from agents.perception.centrelines.learned import learned_middles
-from agents.perception.training.middle_crops import LENGTH, STRETCHES, VIEWS, batches, profiles_of
+from agents.perception.training.middle_crops import ALONE, LENGTH, STRETCHES, VIEWS, batches, profiles_of
 from agents.perception.training.middle_drawn import drawn_view
 from agents.perception.training.middle_evaluate import apart_px
 from agents.perception.training.middle_views import Truth, offsets_to
@@ -68,6 +68,18 @@ def test_what_both_eyes_err_alike_is_no_depth_whichever_way_their_points_run(dra
     of_one = apart_px(left, right, (aside[0], 0 * aside[1]))
     assert of_one is not None
     assert of_one > 0.05
+
+
+def test_stretches_of_both_eyes_show_the_same_thread_and_say_which_points_are_the_same(drawn):
+    _, _, normal, _, same = next(batches(both_eyes(drawn[0]), seed=3))
+    left, right = slice(ALONE, None, 2), slice(ALONE + 1, None, 2)
+    found = same[left] >= 0
+    assert found.mean() > 0.5
+    assert (same[:ALONE] < 0).all()
+    assert (same[right] < 0).all()
+    other = np.take_along_axis(normal[right], np.maximum(same[left], 0)[..., None], axis=2)
+    # a point of either eye is a pixel from the next one at the most, over which the thread hardly turns
+    assert np.abs((normal[left] * other).sum(axis=-1))[found].min() > 0.9
 
 
 def test_offsets_lead_from_points_to_the_truth_whichever_way_either_runs():
