@@ -118,6 +118,7 @@ def protocol_of(options: Evaluate) -> Protocol:
         "injected_share": share,
         "injected_mm": most_mm,
         "attempts": options.attempts,
+        "tissue": options.tissue,
     }
     if options.judge == "contact" and not _is_there("mujoco"):
         raise ConfigError("--judge contact needs MuJoCo: install the extra sim (pip install suturegrasp[sim])")

@@ -48,6 +48,8 @@ class Evaluate:
     """Of so many goals the reconstruction is moved as a whole, by so much at most."""
     attempts: int = 1
     """How often a grasp may be tried: the thread is looked at after each one."""
+    tissue: bool = False
+    """The planner is told of the tissue, as on a rig, and declines what would press into it too deep."""
     seed: int = 1
     """Of everything that is drawn."""
     jobs: int = 1

@@ -69,8 +69,9 @@ class Table:
         sender.calibrated(self.scenery.calibration)
         sender.sent = sequence
         frame = sender.frame(images, captured_ns)
+        following = sender.frame(images, captured_ns) if self.protocol.tissue else None
         agents = build(rig, PERCEPTION, "main"), build(rig, RECONSTRUCTION, "main")
-        return looked(*agents, self.scenery.calibration, frame)
+        return looked(*agents, self.scenery.calibration, frame, following)
 
     def _point(self, look: Look, method: MethodName, s: float) -> Float64[np.ndarray, "3"]:
         """A place on the thread of the first look, or of that moved as a whole, which moves no parameter."""

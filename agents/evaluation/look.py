@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from schemas.messages import Status, StereoCalibration, StereoFrame, ThreadReconstruction
-from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS, THREAD, Topic, key
+from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS, SURFACE, THREAD, Topic, key
 from shared.runtime.agent import Agent, Output, Received
 
 FINE = 4001
@@ -30,13 +30,25 @@ class Look:
         return Look((*self.said[:-1], Output(THREAD, thread)), thread)
 
 
-def looked(perception: Agent, reconstruction: Agent, calibration: StereoCalibration, frame: StereoFrame) -> Look:
-    """What perception and reconstruction make of a frame."""
+def looked(
+    perception: Agent,
+    reconstruction: Agent,
+    calibration: StereoCalibration,
+    frame: StereoFrame,
+    following: StereoFrame | None = None,
+) -> Look:
+    """What perception and reconstruction make of a frame.
+
+    Args:
+        following: a frame after it, of which nothing counts but the surface: perception makes none of its first one.
+    """
     said = [Output(CALIBRATION, calibration), Output(FRAMES, frame)]
     for output in _fed(perception, CALIBRATION, calibration) + _fed(perception, FRAMES, frame):
         said.append(output)
         if output.topic is OBSERVATIONS:
             said += _fed(reconstruction, OBSERVATIONS, output.message)
+    if following is not None:
+        said += [output for output in _fed(perception, FRAMES, following) if output.topic is SURFACE]
     # perception may tell of the surface after it has told of the thread
     said.sort(key=lambda output: output.topic is THREAD)
     return Look(tuple(said), said[-1].message)

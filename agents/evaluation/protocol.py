@@ -32,6 +32,7 @@ class Protocol(Settings):
         hand_eye_mm, hand_eye_deg: the most that the registration of a scenario is wrong by.
         injected_share, injected_mm: how many of the goals find the thread moved as a whole, and by how much at most.
         attempts: how often a grasp may be tried.
+        tissue: whether the planner is told of the tissue, which makes it decline what would press into that too deep.
     """
 
     seed: int = Field(ge=0)
@@ -48,6 +49,7 @@ class Protocol(Settings):
     injected_share: float = Field(default=0.0, ge=0, le=1)
     injected_mm: float = Field(default=0.0, ge=0, le=50)
     attempts: int = Field(default=1, ge=1, le=10)
+    tissue: bool = False
 
 
 class Laid(Settings):

@@ -77,6 +77,8 @@ def what_was_tried(protocol: Protocol) -> list[str]:
         )
     if protocol.attempts > 1:
         lines.append(f"Up to {protocol.attempts} attempts at each goal.")
+    if protocol.tissue:
+        lines.append("The planner is told of the tissue.")
     return lines
 
 

@@ -9,6 +9,7 @@ import pytest
 from agents.cli.evaluate_trials import Table
 from agents.cli.main import main
 from agents.evaluation.protocol import Protocol, threads_of, trials_on
+from schemas.topics import SURFACE, THREAD
 
 SMALL = ("--images", "light", "--config", "easy", "--background", "chicken", "--threads", "1", "--goals", "1")
 FEW = (*SMALL, "--methods", "refined", "--policies", "direct")
@@ -42,13 +43,19 @@ def table(tmp_path_factory):
     """One thread on a field, goals on which may be tried twice."""
     told = {"scenarios": ("easy/chicken",), "seed": 1, "threads": 1, "goals": 3, "policies": ("direct",)}
     told |= {"methods": ("refined",), "images": "light", "judge": "geometric", "tool_errors_mm": (0.7,)}
-    protocol = Protocol.model_validate(told | {"hand_eye_mm": 0, "hand_eye_deg": 0, "attempts": 2})
+    protocol = Protocol.model_validate(told | {"hand_eye_mm": 0, "hand_eye_deg": 0, "attempts": 2, "tissue": True})
     return Table(protocol, threads_of(protocol)[0], tmp_path_factory.mktemp("evaluated"))
 
 
 @pytest.fixture
 def trial(table):
     return list(trials_on(table.protocol, table.laid))[1]
+
+
+def test_the_planner_is_told_of_the_tissue_where_that_is_asked_for(table):
+    told = [output.topic for output in table.look("refined").said]
+    assert told.count(SURFACE) == 1
+    assert told[-1] is THREAD
 
 
 def test_after_a_grasp_the_thread_is_looked_at_again(table, trial):
