@@ -35,8 +35,10 @@ FITS_PX = 2.5
 ROUNDS = 6
 REACH_PX = (6.0, 45.0)
 ASIDE_RAD, ASIDE_REACH_PX = 0.05, 18.0
-BETTER = 0.03
-"""By how much another start must be better, for what chance makes of it not to count."""
+BETTER, FAR_BETTER = 0.03, 0.2
+"""By how much another start must be better, for what chance makes of it not to count, and where it leads far away."""
+LARGEST_SHIFT = 30.0
+"""Of a chi square with 6 degrees of freedom, exceeded once in 25 000 times."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,10 +120,13 @@ def refined(view: View, before: Correction, rounds: int = ROUNDS, first_reach_px
     )
 
 
-def elsewhere(view: View, found: Refined, steps_m: tuple[float, ...]) -> Refined:
+def elsewhere(view: View, found: Refined, steps_m: tuple[float, ...], before: Correction | None = None) -> Refined:
     """The best of what was found and of what starts so far beside it lead to, in the direction that is known least.
 
     Edges of different parts lie one behind another along the shaft, and a fit may have settled on the wrong ones.
+
+    Args:
+        before: what was known before this view; what is farther from it than it allows must be better by far.
     """
     C = found.correction
     w = np.linalg.eigh(C.covariance[:3, :3])[1][:, -1]
@@ -134,9 +139,14 @@ def elsewhere(view: View, found: Refined, steps_m: tuple[float, ...]) -> Refined
             C.twist + np.concatenate((step_m * way[:3], turned)), np.diag(np.repeat((0.003, 0.03), 3) ** 2), C.pivot
         )
         other = refined(view, start, first_reach_px=ASIDE_REACH_PX)
-        if other.quality > best.quality + BETTER:
+        if other.quality > best.quality + (BETTER if before is None or _allowed(before, other) else FAR_BETTER):
             best = other
     return best
+
+
+def _allowed(before: Correction, found: Refined) -> bool:
+    change = found.correction.twist - before.twist
+    return float(change @ np.linalg.solve(before.covariance, change)) <= LARGEST_SHIFT
 
 
 @dataclass(frozen=True, eq=False)

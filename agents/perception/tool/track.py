@@ -20,7 +20,7 @@ from agents.perception.tool.acquisition import Begin, Soft, acquired, looking, p
 from agents.perception.tool.correction import Correction
 from agents.perception.tool.evidence import SHRINK, Table, learnt
 from agents.perception.tool.outline import silhouette
-from agents.perception.tool.refinement import Refined, View, elsewhere, refined
+from agents.perception.tool.refinement import LARGEST_SHIFT, Refined, View, elsewhere, refined
 
 PRIOR_M, PRIOR_RAD = 0.006, 0.045
 """Deviation of each axis before anything was seen: what registrations promise (5 to 10 mm), and 2.6 degrees."""
@@ -34,8 +34,6 @@ KEPT_SHARE, KEPT_POINTS = 0.5, 35
 STEPS_M = (-0.003, 0.006, 0.003, -0.006)
 SURE = 0.8
 """A fit of less quality is compared with others along the shaft."""
-LARGEST_SHIFT = 30.0
-"""Of a chi square with 6 degrees of freedom, exceeded once in 25 000 times."""
 MISSES = 5
 LEARNING = 0.15
 
@@ -113,7 +111,7 @@ def _followed(track: Track, correction: Correction, table: Table, soft: Soft, vi
     seen = refined(looked, before)
     if seen.quality < SURE:
         # one start a view, so that a view takes no longer than two refinements
-        seen = elsewhere(looked, seen, (STEPS_M[track.views % len(STEPS_M)],))
+        seen = elsewhere(looked, seen, (STEPS_M[track.views % len(STEPS_M)],), before)
     if why := _doubt(seen):
         return missed(replace(track, correction=before), why)
     return replace(

@@ -12,7 +12,7 @@ from agents.perception.tool.correction import Correction, about, twist_about
 from agents.perception.tool.evidence import SHRINK, learnt
 from agents.perception.tool.lines import lined
 from agents.perception.tool.outline import outline, silhouette
-from agents.perception.tool.refinement import View, refined
+from agents.perception.tool.refinement import View, elsewhere, refined
 from agents.perception.tool.told import track_of
 from agents.perception.tool.track import MISSES, Following, Track, followed
 from agents.perception.tool.tubes import SHAFT, tubes
@@ -93,18 +93,44 @@ def test_it_is_lost_with_a_reason_where_it_is_not_seen_or_goes_elsewhere(
     assert track.reason
 
 
-def depth_error_mm(shaft_radius: float) -> float:
-    """How much too far an instrument of that radius is taken to be, which is thought to have 4.2 mm."""
-    T_base_tool = PSM.forward(joints(0))
-    tool = dataclasses.replace(TOOL, shaft_radius=shaft_radius)
-    soft, view = soft_pair(*pair_of(T_base_tool, JAW, 3, tool=tool)), seen(0.0, T_TRUE)
-    size = CAMERA.image_height // SHRINK, CAMERA.image_width // SHRINK
+def looked_at(tool: Instrument) -> View:
+    """An instrument that is registered where it is, with colours learnt there."""
+    soft = soft_pair(*pair_of(PSM.forward(joints(0)), JAW, 3, tool=tool))
+    view, size = seen(0.0, T_TRUE), (CAMERA.image_height // SHRINK, CAMERA.image_width // SHRINK)
     parts = view.parts(np.eye(4))
     within = (silhouette(CAMERA, parts, eye_x, size).astype(np.float32) for eye_x in (0.0, CAMERA.baseline))
-    before = prior((T_TRUE @ T_base_tool)[:3, 3], 0.003, 0.03)
-    found = refined(looking(view, soft, learnt(soft, tuple(within), False)), before)
-    tip = apply(T_TRUE @ T_base_tool, TIP)
+    return looking(view, soft, learnt(soft, tuple(within), False))
+
+
+def known(metres: float, radians: float) -> Correction:
+    """That the registration is right to so much."""
+    return prior((T_TRUE @ PSM.forward(joints(0)))[:3, 3], metres, radians)
+
+
+def depth_error_mm(shaft_radius: float) -> float:
+    """How much too far an instrument of that radius is taken to be, which is thought to have 4.2 mm."""
+    found = refined(looked_at(dataclasses.replace(TOOL, shaft_radius=shaft_radius)), known(0.003, 0.03))
+    tip = apply(T_TRUE @ PSM.forward(joints(0)), TIP)
     return 1e3 * float((apply(found.correction.matrix, tip) - tip)[0, 2])
+
+
+def test_a_fit_farther_away_than_what_was_known_allows_is_taken_only_where_it_is_better_by_far():
+    view = looked_at(TOOL)
+    right = refined(view, known(0.003, 0.03))
+    aside = right.correction.twist + np.array((0, 0, 0.006, 0, 0, 0))
+    sure = Correction(aside, np.diag(np.repeat((0.0004, 0.006), 3) ** 2), right.correction.pivot)
+    steps_m = (-0.006, 0.006)
+
+    def depth_m(quality: float, before: Correction | None) -> float:
+        beside = dataclasses.replace(
+            right, correction=Correction(aside, right.correction.covariance, sure.pivot), quality=quality
+        )
+        return float(elsewhere(view, beside, steps_m, before).correction.twist[2])
+
+    a_little_better, far_better = right.quality - 0.12, right.quality - 0.5
+    assert depth_m(a_little_better, None) < aside[2] - 0.003
+    assert depth_m(a_little_better, sure) > aside[2] - 0.002, "within five deviations of what was known"
+    assert depth_m(far_better, sure) < aside[2] - 0.003
 
 
 def test_depth_is_by_what_differs_between_the_eyes_and_not_by_how_thick_a_shaft_looks():
