@@ -20,7 +20,7 @@ from jaxtyping import Float64
 from rich.console import Console
 from rich.table import Table
 
-from agents.cli.pipeline import reconstruct_pair
+from agents.cli.reconstruct.pipeline import reconstruct_pair
 from agents.reconstruction.methods import METHODS
 from agents.reconstruction.refined import (
     alignment,

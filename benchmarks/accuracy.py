@@ -16,7 +16,7 @@ from typing import Any
 
 import cv2
 
-from agents.cli.pipeline import PipelineResult, reconstruct_pair
+from agents.cli.reconstruct.pipeline import PipelineResult, reconstruct_pair
 from agents.perception.centrelines import thread_centrelines
 from agents.reconstruction.method_names import DEFAULT_METHOD
 from agents.reconstruction.methods import METHODS

@@ -21,7 +21,7 @@ from rich.table import Table
 from scipy.spatial import KDTree
 
 from agents.camera.scene_source import calibration_of
-from agents.cli.pipeline import reconstruct_pair
+from agents.cli.reconstruct.pipeline import reconstruct_pair
 from agents.reconstruction.method_names import DEFAULT_METHOD
 from schemas.messages import Centrelines, RectifiedStereo, Status
 from shared.camera import project

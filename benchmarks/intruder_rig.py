@@ -13,11 +13,11 @@ from typing import Any
 
 import zenoh
 
-from agents.cli.deploy_command import layout_of
-from agents.cli.rig import ArmSection, CameraSection, RigConfig, RouterSection, SimulatorSection, simulated_rig
-from agents.cli.rig_hosts import OPERATOR, HostSection, SecuritySection
-from agents.cli.supervisor import Role, Supervisor, supervised
-from agents.cli.up import write_config
+from agents.cli.lab.deploy import layout_of
+from agents.cli.rig.config import ArmSection, CameraSection, RigConfig, RouterSection, SimulatorSection, simulated_rig
+from agents.cli.rig.hosts import OPERATOR, HostSection, SecuritySection
+from agents.cli.running.supervisor import Role, Supervisor, supervised
+from agents.cli.running.up import write_config
 from agents.deployment.certificates import AUTHORITY_FOLDER, CERTIFICATES, issue
 from schemas.checks import MessageError
 from schemas.codec import decode

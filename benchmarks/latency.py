@@ -27,12 +27,12 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from agents.cli.demo import demo_rig
-from agents.cli.live_options import Demo
-from agents.cli.rig import RigConfig
-from agents.cli.session_folder import SessionFolder, new_session_folder
-from agents.cli.supervisor import Supervisor, supervised
-from agents.cli.up import start_all, write_config
+from agents.cli.demo.command import demo_rig
+from agents.cli.live.options import Demo
+from agents.cli.rig.config import RigConfig
+from agents.cli.running.session_folder import SessionFolder, new_session_folder
+from agents.cli.running.supervisor import Supervisor, supervised
+from agents.cli.running.up import start_all, write_config
 from benchmarks.hops import measure_hops, print_hops
 from schemas.codec import decode
 from schemas.messages import AgentHealth

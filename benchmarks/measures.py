@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.spatial import KDTree
 
-from agents.cli.pipeline import PipelineResult
+from agents.cli.reconstruct.pipeline import PipelineResult
 from benchmarks.bounds import bounds_of
 from benchmarks.scenes import TRUTH_SAMPLES, Scene, StraightEdge
 from benchmarks.topology import topology

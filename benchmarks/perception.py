@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from rich.console import Console
 
-from agents.cli.pipeline import PipelineResult, reconstruct_pair
+from agents.cli.reconstruct.pipeline import PipelineResult, reconstruct_pair
 from agents.perception.segmentation.choice import SEGMENTERS
 from agents.perception.segmenter_names import THRESHOLD
 from agents.reconstruction.method_names import DEFAULT_METHOD

@@ -23,7 +23,7 @@ from rich.table import Table
 from scipy.spatial import cKDTree
 
 from agents.camera.image_files import read_pair
-from agents.cli.pipeline import PipelineResult, reconstruct_pair
+from agents.cli.reconstruct.pipeline import PipelineResult, reconstruct_pair
 from agents.perception.occluders import occluders_in
 from agents.reconstruction.method_names import DEFAULT_METHOD
 from schemas.messages import Occluder, Status

@@ -14,7 +14,7 @@ import numpy as np
 from rich.progress import track
 
 from agents.camera.image_files import read_pair
-from agents.cli.pipeline import reconstruct_pair
+from agents.cli.reconstruct.pipeline import reconstruct_pair
 from agents.reconstruction.method_names import DEFAULT_METHOD
 from benchmarks.perception_pictures import save_false
 from benchmarks.scenes import Pair

@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.progress import track
 from scipy.spatial import KDTree
 
-from agents.cli.pipeline import PipelineResult, reconstruct_pair
+from agents.cli.reconstruct.pipeline import PipelineResult, reconstruct_pair
 from agents.reconstruction.method_names import DEFAULT_METHOD
 from benchmarks.measures import figures, sampled
 from benchmarks.perception import OF_TISSUE, shares_of

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 from scipy.spatial import KDTree
 
-from agents.cli.pipeline import PipelineResult
+from agents.cli.reconstruct.pipeline import PipelineResult
 from benchmarks.centreline_share import NEAR_PX
 from benchmarks.scenes import Scene
 from schemas.messages import Centrelines

@@ -19,7 +19,7 @@ from jaxtyping import UInt8
 from rich.console import Console
 from rich.table import Table
 
-from agents.cli.pipeline import reconstruct_pair
+from agents.cli.reconstruct.pipeline import reconstruct_pair
 from agents.perception.centrelines import thread_centrelines
 from agents.perception.rectification import rectification
 from agents.perception.segmentation.choice import SEGMENTERS

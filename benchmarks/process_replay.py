@@ -12,8 +12,8 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from agents.cli.recorded_options import Replay
-from agents.cli.replay_through import UnusableError, replayed
+from agents.cli.recordings.options import Replay
+from agents.cli.recordings.replay_through import UnusableError, replayed
 from benchmarks.goals import Goal
 
 CHAINS = ("perception", "reconstruction", "planner", "perception,reconstruction,planner")

@@ -28,7 +28,7 @@ from rich.console import Console
 from rich.table import Table
 
 from agents.camera.scene_source import calibration_of
-from agents.cli.pipeline import reconstruct_pair
+from agents.cli.reconstruct.pipeline import reconstruct_pair
 from agents.evaluation.look import seen_places
 from agents.evaluation.reliability import EDGES
 from agents.planner.config import PlannerConfig

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.cli.supervisor import SUPERVISED
+from agents.cli.running.supervisor import SUPERVISED
 from schemas.codec import encode
 from schemas.messages import FrameStamp, GraspPlan, Phase, Policy, Status, Waypoint
 from schemas.topics import PLAN, key

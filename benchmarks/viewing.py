@@ -27,11 +27,11 @@ from rerun.experimental import ViewerClient
 from rich.console import Console
 from rich.table import Table
 
-from agents.cli.demo import demo_rig
-from agents.cli.live_options import Demo
-from agents.cli.session_folder import new_session_folder
-from agents.cli.supervisor import Supervisor, supervised
-from agents.cli.up import start_all, write_config
+from agents.cli.demo.command import demo_rig
+from agents.cli.live.options import Demo
+from agents.cli.running.session_folder import new_session_folder
+from agents.cli.running.supervisor import Supervisor, supervised
+from agents.cli.running.up import start_all, write_config
 from agents.viewer.showing import OWN_TIMES
 from benchmarks.latency import STAGES
 from schemas.codec import decode, encode

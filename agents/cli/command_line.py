@@ -8,15 +8,15 @@ from collections.abc import Generator
 
 import tyro
 
-from agents.cli.calibrate_hand_eye_options import HAND_EYE_COMMANDS, HandEye
-from agents.cli.emulate_options import EMULATE_COMMANDS, Emulate
-from agents.cli.evaluate_options import EVALUATE_COMMANDS, Evaluate
-from agents.cli.lab_options import LAB_COMMANDS, Deploy
-from agents.cli.live_options import LIVE_COMMANDS, Demo, OnRig
-from agents.cli.options import Reconstruct, UsageError
-from agents.cli.page_options import PAGE_COMMANDS
-from agents.cli.recorded_options import RECORDED_COMMANDS, OnRecording
-from agents.cli.scenes_options import SCENE_COMMANDS, Scenes
+from agents.cli.calibrate.hand_eye_options import HAND_EYE_COMMANDS, HandEye
+from agents.cli.evaluate.options import EVALUATE_COMMANDS, Evaluate
+from agents.cli.lab.emulate_options import EMULATE_COMMANDS, Emulate
+from agents.cli.lab.options import LAB_COMMANDS, Deploy
+from agents.cli.lab.scenes_options import SCENE_COMMANDS, Scenes
+from agents.cli.live.options import LIVE_COMMANDS, Demo, OnRig
+from agents.cli.page.options import PAGE_COMMANDS
+from agents.cli.reconstruct.options import Reconstruct, UsageError
+from agents.cli.recordings.options import RECORDED_COMMANDS, OnRecording
 
 Options = Reconstruct | Demo | OnRig | OnRecording | Deploy | Scenes | Evaluate | Emulate | HandEye
 COMMANDS: dict[str, type[Options]] = {

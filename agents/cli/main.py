@@ -37,16 +37,16 @@ def _run(arguments: list[str]) -> int:
         print(f"suturegrasp {__version__}")
         return 0
     # Loading OpenCV and SciPy takes a second, during which Ctrl-C must end as quietly as later.
-    from agents.cli.calibrate_hand_eye_options import HandEye
+    from agents.cli.calibrate.hand_eye_options import HandEye
     from agents.cli.command_line import parsed
-    from agents.cli.emulate_options import Emulate
-    from agents.cli.evaluate_options import Evaluate
-    from agents.cli.lab_options import LAB_RUNNERS, Deploy
-    from agents.cli.live_options import Demo
-    from agents.cli.options import Reconstruct, UsageError
-    from agents.cli.page_options import Page
-    from agents.cli.recorded_options import RUNNERS, OnRecording
-    from agents.cli.scenes_options import Scenes
+    from agents.cli.evaluate.options import Evaluate
+    from agents.cli.lab.emulate_options import Emulate
+    from agents.cli.lab.options import LAB_RUNNERS, Deploy
+    from agents.cli.lab.scenes_options import Scenes
+    from agents.cli.live.options import Demo
+    from agents.cli.page.options import Page
+    from agents.cli.reconstruct.options import Reconstruct, UsageError
+    from agents.cli.recordings.options import RUNNERS, OnRecording
 
     try:
         options = parsed(arguments)
@@ -57,11 +57,11 @@ def _run(arguments: list[str]) -> int:
         flush_output()
         return 0
     if isinstance(options, Reconstruct):
-        from agents.cli.reconstruct import run
+        from agents.cli.reconstruct.command import run
 
         return run(options)
     if isinstance(options, Demo):
-        from agents.cli.demo import demo
+        from agents.cli.demo.command import demo
 
         return demo(options)
     if isinstance(options, OnRecording):
@@ -69,25 +69,25 @@ def _run(arguments: list[str]) -> int:
     if isinstance(options, Deploy):
         return importlib.import_module(LAB_RUNNERS[type(options)]).run(options)
     if isinstance(options, Scenes):
-        from agents.cli.scenes_command import run as render_scenes
+        from agents.cli.lab.scenes import run as render_scenes
 
         return render_scenes(options)
     if isinstance(options, Evaluate):
-        from agents.cli.evaluate_command import run as evaluate
+        from agents.cli.evaluate.command import run as evaluate
 
         return evaluate(options)
     if isinstance(options, Emulate):
-        from agents.cli.emulate_command import run as emulate
+        from agents.cli.lab.emulate import run as emulate
 
         return emulate(options)
     if isinstance(options, HandEye):
-        from agents.cli.calibrate_hand_eye import run as calibrate_hand_eye
+        from agents.cli.calibrate.hand_eye import run as calibrate_hand_eye
 
         return calibrate_hand_eye(options)
     if isinstance(options, Page):
-        from agents.cli.page_command import run as serve_page
+        from agents.cli.page.command import run as serve_page
 
         return serve_page(options)
-    from agents.cli.live import run_live
+    from agents.cli.live.command import run_live
 
     return run_live(options)

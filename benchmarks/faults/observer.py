@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from agents.cli.health_watch import HealthWatch
+from agents.cli.status.health_watch import HealthWatch
 from agents.operator.operator import SENDER
 from benchmarks.faults.rig import ARM
 from schemas.codec import decode

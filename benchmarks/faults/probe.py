@@ -14,7 +14,7 @@ from collections import defaultdict
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from agents.cli.rig_hosts import OPERATOR
+from agents.cli.rig.hosts import OPERATOR
 from benchmarks.faults.rig import settings_at
 from schemas.codec import encode
 from schemas.messages import LogLevel, LogRecord

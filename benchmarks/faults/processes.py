@@ -8,7 +8,7 @@ from collections.abc import Generator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from agents.cli.supervisor import SUPERVISED, ending
+from agents.cli.running.supervisor import SUPERVISED, ending
 from benchmarks.faults.network import CannotError, Network
 
 FAKETIME = "faketime/libfaketimeMT.so.1"

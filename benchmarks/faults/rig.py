@@ -4,10 +4,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-from agents.cli.rig import ArmSection, CameraSection, RigConfig, RouterSection, SimulatorSection, simulated_rig
-from agents.cli.rig_hosts import OPERATOR, HostSection, SecuritySection
-from agents.cli.rig_sections import DvrkSection, PlannerSection
-from agents.cli.this_host import at_host, certificates_of
+from agents.cli.rig.config import ArmSection, CameraSection, RigConfig, RouterSection, SimulatorSection, simulated_rig
+from agents.cli.rig.hosts import OPERATOR, HostSection, SecuritySection
+from agents.cli.rig.sections import DvrkSection, PlannerSection
+from agents.cli.rig.this_host import at_host, certificates_of
 from benchmarks.faults.network import OWN, CannotError, Network
 from shared.kinematics.simulated_setup import SIMULATED_BASES
 from shared.runtime.config import load_config

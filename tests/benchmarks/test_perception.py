@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from agents.cli.image_answers import answers_about
+from agents.cli.doctor.image_answers import answers_about
 from benchmarks import perception
 from benchmarks.centreline_share import shares
 from benchmarks.perception_empty import thread_free

@@ -6,9 +6,9 @@ Images, goals and states of the arm stay as they are. What is about to change is
 
 from pathlib import Path
 
-from agents.cli.recorded_options import Replay
-from agents.cli.replay_report import report
-from agents.cli.replay_through import replayed, write_recording
+from agents.cli.recordings.options import Replay
+from agents.cli.recordings.replay_report import report
+from agents.cli.recordings.replay_through import replayed, write_recording
 from agents.cli.whole_file import whole_file
 from shared.recording.mcap_file import Note, read_attachments, read_with_notes
 

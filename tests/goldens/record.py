@@ -10,9 +10,9 @@ from pathlib import Path
 
 from agents.camera.agent import CameraConfig, SceneCamera
 from agents.camera.scene_source import SceneSource, calibration_of
-from agents.cli.builders import build
-from agents.cli.replay_through import write_recording
-from agents.cli.rig import PerceptionSection, PlannerSection, ReconstructionSection, RigConfig
+from agents.cli.recordings.replay_through import write_recording
+from agents.cli.rig.builders import build
+from agents.cli.rig.config import PerceptionSection, PlannerSection, ReconstructionSection, RigConfig
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.simulated import SimulatedPsm
 from agents.simulator.agent import Simulator, SimulatorConfig

@@ -9,8 +9,8 @@ import types
 
 import pytest
 
-from agents.cli.rig import ArmSection, CameraSection, RigConfig, RouterSection, SimulatorSection, simulated_rig
-from agents.cli.supervisor import SUPERVISED
+from agents.cli.rig.config import ArmSection, CameraSection, RigConfig, RouterSection, SimulatorSection, simulated_rig
+from agents.cli.running.supervisor import SUPERVISED
 from benchmarks.faults.lab import laboratory
 from benchmarks.faults.network import CannotError
 from schemas.codec import decode

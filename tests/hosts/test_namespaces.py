@@ -10,7 +10,7 @@ import subprocess
 
 import pytest
 
-from agents.cli.audit import STATE_DIRECTORY
+from agents.cli.running.audit import STATE_DIRECTORY
 from benchmarks.faults.faults import cut_off, full_disk
 from benchmarks.faults.network import OWN
 from benchmarks.faults.recorded import missing_events

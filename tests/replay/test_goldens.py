@@ -8,9 +8,9 @@ import shutil
 
 import pytest
 
-from agents.cli.recorded_options import Replay
-from agents.cli.replay_report import report
-from agents.cli.replay_through import replayed
+from agents.cli.recordings.options import Replay
+from agents.cli.recordings.replay_report import report
+from agents.cli.recordings.replay_through import replayed
 from agents.reconstruction.agent import Reconstruction
 from agents.replay.differences import compared
 from agents.replay.through import Stage, replay_through
@@ -79,8 +79,8 @@ def test_a_calibration_that_is_off_by_a_fifth_of_a_pixel_shows(path, results):
 
 
 def _built(path, kind):
-    from agents.cli.builders import build
-    from agents.cli.recorded_config import recorded_config
+    from agents.cli.recordings.config import recorded_config
+    from agents.cli.rig.builders import build
 
     return build(recorded_config(path), kind, "main")
 

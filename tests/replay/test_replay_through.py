@@ -9,11 +9,18 @@ import sys
 import pytest
 from mcap.writer import Writer
 
-from agents.cli.recorded_config import changed, recorded_config
-from agents.cli.recorded_options import Replay
-from agents.cli.replay_through import EXIT_DIFFERENT, EXIT_SAME, EXIT_UNUSABLE, replayed, run_through, write_recording
-from agents.cli.rig import CameraSection, PerceptionSection, ReconstructionSection, simulated_rig
-from agents.cli.side_by_side import curves_of
+from agents.cli.recordings.config import changed, recorded_config
+from agents.cli.recordings.options import Replay
+from agents.cli.recordings.replay_through import (
+    EXIT_DIFFERENT,
+    EXIT_SAME,
+    EXIT_UNUSABLE,
+    replayed,
+    run_through,
+    write_recording,
+)
+from agents.cli.recordings.side_by_side import curves_of
+from agents.cli.rig.config import CameraSection, PerceptionSection, ReconstructionSection, simulated_rig
 from agents.reconstruction.agent import Reconstruction
 from agents.replay.through import Stage, replay_through
 from schemas.codec import decode, encode

@@ -12,8 +12,8 @@ from pycdr2.types import array, float64, sequence, uint8, uint32
 
 from agents.camera.ros import RosSource
 from agents.camera.sources import SourceError
-from agents.cli.builders import build
-from agents.cli.rig import RigConfig
+from agents.cli.rig.builders import build
+from agents.cli.rig.config import RigConfig
 from agents.emulator.messages import Header, header
 from agents.emulator.wire import HASHES, BridgeWire, RmwWire
 from schemas.messages import StereoCalibration, StereoFrame

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from agents.cli.audit import AuditedBridge, AuditError, AuditLog
+from agents.cli.running.audit import AuditedBridge, AuditError, AuditLog
 from agents.robot_bridge.agent import RobotBridgeConfig
 from agents.robot_bridge.simulated import SimulatedPsm, waiting
 from schemas.messages import Arm, ChangeState, CommandHeader, Hold, StateWord
@@ -20,7 +20,7 @@ NOW_NS = 1_800_000_000_000_000_000
 FOREVER = """
 import itertools, sys
 from pathlib import Path
-from agents.cli.audit import AuditLog
+from agents.cli.running.audit import AuditLog
 log = AuditLog(Path(sys.argv[1]))
 for number in itertools.count():
     log.add("command", number, reason="x" * 500)

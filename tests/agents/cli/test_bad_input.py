@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import pytest
 
-from agents.cli import reconstruct
+from agents.cli.reconstruct import command as reconstruct
 
 SCRIPT = Path(sys.executable).with_name("suturegrasp")
 

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.cli.builders import build
-from agents.cli.replay_through import with_simulated_arms
-from agents.cli.rig import RigConfig
+from agents.cli.recordings.replay_through import with_simulated_arms
+from agents.cli.rig.builders import build
+from agents.cli.rig.config import RigConfig
 from agents.robot_bridge.agent import RobotBridge
 from schemas.messages import RectifiedStereo
 from shared.calibration.hand_eye.samples import Motion, Sightings

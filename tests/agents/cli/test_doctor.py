@@ -7,18 +7,18 @@ from typing import Any
 
 import pytest
 
-from agents.cli.doctor import examine
-from agents.cli.doctor_finding import Finding
-from agents.cli.doctor_here import CHRONYC, examine_here, synchronisation
-from agents.cli.doctor_rig import clocks, granted, guards, links, running, streams, versions
-from agents.cli.doctor_router import why_not
-from agents.cli.doctor_rules import verdict
-from agents.cli.health_watch import Fare
-from agents.cli.in_the_way import already_running
-from agents.cli.rig import PlannerSection, RigConfig, RouterSection, simulated_rig
-from agents.cli.rig_hosts import HostSection, SecuritySection
-from agents.cli.status_gathered import Gathered
-from agents.cli.status_session import certificate_names, reading_session
+from agents.cli.doctor.command import examine
+from agents.cli.doctor.finding import Finding
+from agents.cli.doctor.here import CHRONYC, examine_here, synchronisation
+from agents.cli.doctor.rig import clocks, granted, guards, links, running, streams, versions
+from agents.cli.doctor.router import why_not
+from agents.cli.doctor.rules import verdict
+from agents.cli.rig.config import PlannerSection, RigConfig, RouterSection, simulated_rig
+from agents.cli.rig.hosts import HostSection, SecuritySection
+from agents.cli.running.in_the_way import already_running
+from agents.cli.status.gathered import Gathered
+from agents.cli.status.health_watch import Fare
+from agents.cli.status.session import certificate_names, reading_session
 from agents.deployment.certificates import issue
 from agents.deployment.layout import ROUTER, Host, Layout, Process
 from agents.planner.agent import Planner

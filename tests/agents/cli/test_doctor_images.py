@@ -7,8 +7,8 @@ import pytest
 
 from agents.camera.agent import Camera, CameraConfig
 from agents.camera.image_files import read_pair
-from agents.cli.doctor_images import examine_frames
-from agents.cli.image_answers import about_size, answers_about
+from agents.cli.doctor.image_answers import about_size, answers_about
+from agents.cli.doctor.images import examine_frames
 from schemas.messages import ImageEncoding, StereoCalibration
 from shared.calibration import read_calibration
 from shared.runtime.connection import connected

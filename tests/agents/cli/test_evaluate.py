@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agents.cli.evaluate_trials import Table
+from agents.cli.evaluate.trials import Table
 from agents.cli.main import main
 from agents.evaluation.protocol import Protocol, threads_of, trials_on
 from schemas.topics import SURFACE, THREAD

@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
-from agents.cli.experiment_command import JOURNAL, write
-from agents.cli.experiment_trial import declines
+from agents.cli.experiment.command import JOURNAL, write
+from agents.cli.experiment.trial import declines
 from agents.experiment.journal import Attempt, Journal, Protocol
 from agents.robot_bridge.refusals import Code
 from schemas.messages import CommandAnswer, Outcome
@@ -99,7 +99,7 @@ def test_an_experiment_that_was_killed_goes_on_where_it_was_and_ends_where_nobod
 def test_without_a_router_nothing_is_begun(suturegrasp, tmp_path, monkeypatch):
     config = tmp_path / "rig.toml"
     config.write_text(f'[router]\nendpoint = "{free_local_endpoint()}"\nstart = false\n[robot.psm1]\n')
-    monkeypatch.setattr("agents.cli.experiment_rig.ROUTER_WAIT_S", 0.2)
+    monkeypatch.setattr("agents.cli.experiment.rig.ROUTER_WAIT_S", 0.2)
     ended = suturegrasp("experiment", tmp_path / "new", "--threads", "easy/paper", "--config", config)
     assert ended.status == 3
     assert "no router answers" in ended.err

@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from agents.cli.demo_goals import APART, FROM_END, goals_of
-from agents.cli.health_watch import HealthWatch, health_table
-from agents.cli.live import event_sentence
-from agents.cli.session_folder import free_path, new_session_folder
+from agents.cli.demo.goals import APART, FROM_END, goals_of
+from agents.cli.live.command import event_sentence
+from agents.cli.running.session_folder import free_path, new_session_folder
+from agents.cli.status.health_watch import HealthWatch, health_table
 from agents.planner.agent import Planner
 from schemas.messages import ExecutionEvent, ExecutionKind
 from shared.runtime.connection import connected
@@ -35,7 +35,7 @@ def nowhere(tmp_path):
 
 @pytest.mark.parametrize("command", ["goal --s 0.5", "goal --pixel 1 2", "arm x", "hold", "prompt --pixel 1 2"])
 def test_without_router_a_command_says_so_in_one_line(suturegrasp, nowhere, command, monkeypatch):
-    monkeypatch.setattr("agents.cli.live.connected", lambda settings: connected(settings, within_s=0.2))
+    monkeypatch.setattr("agents.cli.live.command.connected", lambda settings: connected(settings, within_s=0.2))
     ended = suturegrasp(*command.split(), "--config", nowhere)
     assert (ended.status, ended.out, len(ended.err.splitlines())) == (2, "", 1)
     assert "no router answers on tcp/127.0.0.1" in ended.err
@@ -114,7 +114,7 @@ def test_health_names_who_is_silent_and_who_was_never_heard_of(settings, running
 def test_silence_and_recovery_are_told_once(monkeypatch):
     deaf: Any = SimpleNamespace(listen=lambda *_: None)
     now = [0.0]
-    monkeypatch.setattr("agents.cli.health_watch.monotonic_s", lambda: now[0])
+    monkeypatch.setattr("agents.cli.status.health_watch.monotonic_s", lambda: now[0])
     watch = HealthWatch(deaf, ["camera"])
     assert watch.changes() == []
     now[0] = 11.0

@@ -32,7 +32,7 @@ SCRIPT = str(Path(sys.executable).with_name("suturegrasp"))
 AT_LEAST_RECORDED = {str(topic) for topic in (FRAMES, CALIBRATION, OBSERVATIONS, THREAD, PLAN, EXECUTION, ROBOT_STATE)}
 DEADLINE_S = 60.0
 PATIENT_DEMO = """
-from agents.cli import demo
+from agents.cli.demo import command as demo
 from agents.cli.main import main
 demo.LONGEST_S, demo.FIRST_THREAD_S, demo.VERDICT_S = 130.0, 60.0, 30.0
 main()

@@ -11,9 +11,9 @@ import pytest
 from pydantic import BaseModel
 
 from agents.camera.agent import Camera, SceneCamera
-from agents.cli.builders import build, configured, perception_config
-from agents.cli.in_the_way import in_the_way, taken
-from agents.cli.rig import ArmSection, ReconstructionSection, RigConfig, RouterSection, simulated_rig
+from agents.cli.rig.builders import build, configured, perception_config
+from agents.cli.rig.config import ArmSection, ReconstructionSection, RigConfig, RouterSection, simulated_rig
+from agents.cli.running.in_the_way import in_the_way, taken
 from agents.reconstruction.method_names import DEFAULT_METHOD
 from agents.reconstruction.methods import METHODS
 from agents.robot_bridge.agent import RobotBridgeConfig

@@ -2,8 +2,8 @@
 
 import pytest
 
-from agents.cli.experiment_command import JOURNAL
-from agents.cli.page_trials import trials_of
+from agents.cli.experiment.command import JOURNAL
+from agents.cli.page.trials import trials_of
 from agents.experiment.journal import Journal, Protocol
 from shared.runtime.config import ConfigError, parse_config
 

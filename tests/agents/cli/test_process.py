@@ -6,7 +6,7 @@ import sys
 
 PROGRAM = """
 import threading
-from agents.cli import process
+from agents.cli.running import process
 process.ENDS_WITHIN_S = 0.2
 stopped = threading.Event()
 process.on_stop({stop}, for_sure=True)

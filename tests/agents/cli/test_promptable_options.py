@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.cli.builders import build
 from agents.cli.prompted_pixel import prompted_pixel
-from agents.cli.rig import RigConfig
+from agents.cli.rig.builders import build
+from agents.cli.rig.config import RigConfig
 from agents.perception.agent import Perception
 from shared.runtime.config import ConfigError, parse_config
 from tests.agents.perception.tiny_promptable import write_tiny

@@ -14,7 +14,7 @@ from scipy.interpolate import BSpline
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from agents.cli.pipeline import reconstruct_pair
+from agents.cli.reconstruct.pipeline import reconstruct_pair
 from schemas.messages import RectifiedStereo, StereoCalibration
 from shared.calibration import read_calibration, write_calibration
 from shared.scene.__main__ import make_scene

@@ -8,9 +8,9 @@ import sys
 
 import pytest
 
-from agents.cli.live_options import Record
-from agents.cli.recording import section_of, settings_of
-from agents.cli.rig import RecorderSection, RigConfig
+from agents.cli.live.options import Record
+from agents.cli.recordings.record import section_of, settings_of
+from agents.cli.rig.config import RecorderSection, RigConfig
 from schemas.codec import encode
 from schemas.messages import LogLevel, LogRecord
 from schemas.topics import LOG, key

@@ -2,10 +2,10 @@
 
 import pytest
 
-from agents.cli.builders import configured
-from agents.cli.recording import recorded_topics
-from agents.cli.rig import RigConfig
-from agents.cli.this_host import at_host
+from agents.cli.recordings.record import recorded_topics
+from agents.cli.rig.builders import configured
+from agents.cli.rig.config import RigConfig
+from agents.cli.rig.this_host import at_host
 from schemas.topics import FRAMES, TOPICS
 from shared.runtime.config import ConfigError, parse_config
 

@@ -10,8 +10,8 @@ import threading
 
 import pytest
 
-from agents.cli.deploy_command import layout_of
-from agents.cli.rig import RigConfig
+from agents.cli.lab.deploy import layout_of
+from agents.cli.rig.config import RigConfig
 from agents.deployment.certificates import issue
 from schemas.codec import decode
 from schemas.topics import LOG

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.cli.set_command import agent_and_rest, value_of
+from agents.cli.live.set import agent_and_rest, value_of
 from agents.planner.agent import Planner
 from shared.runtime.config import ConfigError
 from shared.runtime.connection import connected

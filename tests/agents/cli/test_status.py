@@ -12,10 +12,17 @@ from pathlib import Path
 
 import pytest
 
-from agents.cli.builders import build
-from agents.cli.rig import PerceptionSection, PlannerSection, RecorderSection, RigConfig, RouterSection, simulated_rig
-from agents.cli.status_judgement import judge
-from agents.cli.status_watch import StatusWatch
+from agents.cli.rig.builders import build
+from agents.cli.rig.config import (
+    PerceptionSection,
+    PlannerSection,
+    RecorderSection,
+    RigConfig,
+    RouterSection,
+    simulated_rig,
+)
+from agents.cli.status.judgement import judge
+from agents.cli.status.watch import StatusWatch
 from agents.operator.operator import hold
 from agents.planner.agent import Planner
 from schemas.topics import THREAD, key

@@ -11,13 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from agents.cli.health_watch import Fare, span_of
-from agents.cli.rig import CameraSection, RigConfig, simulated_rig
-from agents.cli.rig_hosts import HostSection
-from agents.cli.status_agents import judge_agents
-from agents.cli.status_gathered import ArmHeard, Gathered, expected_rates, placed_agents
-from agents.cli.status_judgement import judge
-from agents.cli.status_report import document, report, watched
+from agents.cli.rig.config import CameraSection, RigConfig, simulated_rig
+from agents.cli.rig.hosts import HostSection
+from agents.cli.status.agents import judge_agents
+from agents.cli.status.gathered import ArmHeard, Gathered, expected_rates, placed_agents
+from agents.cli.status.health_watch import Fare, span_of
+from agents.cli.status.judgement import judge
+from agents.cli.status.report import document, report, watched
 from schemas.messages import (
     AgentFacts,
     AgentHealth,

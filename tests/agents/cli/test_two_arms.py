@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from agents.cli.builders import build
-from agents.cli.rig import RigConfig
+from agents.cli.rig.builders import build
+from agents.cli.rig.config import RigConfig
 from schemas.messages import (
     Arm,
     CommandAnswer,

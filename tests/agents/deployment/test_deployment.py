@@ -10,7 +10,7 @@ import pytest
 from cryptography import x509
 
 from agents.cli.main import main
-from agents.cli.rig import RigConfig
+from agents.cli.rig.config import RigConfig
 from agents.deployment.certificates import AuthorityError, issue
 from agents.deployment.install import verify
 from agents.deployment.layout import ROUTER, Host, Layout, Process

@@ -12,8 +12,8 @@ import aiohttp
 import pytest
 import yarl
 
-from agents.cli.page_command import run
-from agents.cli.page_options import Page
+from agents.cli.page.command import run
+from agents.cli.page.options import Page
 from agents.deployment.certificates import issue
 from agents.deployment.layout import Host, Layout, Process
 from agents.operator.access import Access

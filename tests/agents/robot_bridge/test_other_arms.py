@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agents.cli.builders import build
-from agents.cli.other_arms import other_arms
-from agents.cli.rig import RigConfig
+from agents.cli.rig.builders import build
+from agents.cli.rig.config import RigConfig
+from agents.cli.rig.other_arms import other_arms
 from agents.robot_bridge.agent import RobotBridge
 from agents.robot_bridge.limits import MotionLimits
 from schemas.messages import (

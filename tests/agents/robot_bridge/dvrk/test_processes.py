@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from agents.cli.supervisor import SUPERVISED
+from agents.cli.running.supervisor import SUPERVISED
 from agents.operator.operator import arm_and_stand_by
 from schemas.codec import encode
 from schemas.topics import PLAN, ROBOT_STATE, key

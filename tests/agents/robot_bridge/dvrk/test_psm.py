@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import zenoh
 
-from agents.cli.builders import build
-from agents.cli.replay_through import with_simulated_arms
-from agents.cli.rig import RigConfig
+from agents.cli.recordings.replay_through import with_simulated_arms
+from agents.cli.rig.builders import build
+from agents.cli.rig.config import RigConfig
 from agents.robot_bridge.agent import RobotBridge
 from agents.robot_bridge.backend import Readiness
 from agents.robot_bridge.simulated import SimulatedPsm

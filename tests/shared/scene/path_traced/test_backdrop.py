@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from agents.cli.scenes_command import endoscope
+from agents.cli.lab.scenes import endoscope
 from shared.scene.backdrop_files import read_backdrop, write_backdrop
 from shared.scene.path_traced.backdrop import traced_backdrop
 

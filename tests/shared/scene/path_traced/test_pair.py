@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from agents.cli.scenes_command import endoscope
+from agents.cli.lab.scenes import endoscope
 from shared.scene.path_traced.batch import Job, make, mean_offset, outstanding
 from shared.scene.path_traced.pair import traced_pair
 from shared.scene.path_traced.recipe import BACKGROUNDS, Recipe

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import approx_fprime
 
-from agents.cli.scenes_command import endoscope
+from agents.cli.lab.scenes import endoscope
 from shared.scene.path_traced.ground import empty_surface, undulating
 from shared.scene.path_traced.rod import Bed, Held, Rod, _energy, rest_state
 

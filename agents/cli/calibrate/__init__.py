@@ -1,0 +1,1 @@
+"""`suturegrasp calibrate`: a stereo camera, or a camera and an arm."""

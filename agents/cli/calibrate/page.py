@@ -1,0 +1,121 @@
+"""The report of a calibration: one HTML page with its pictures beside it."""
+
+import html
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from agents.camera.image_files import read_pair, read_side_by_side
+from agents.cli.calibrate.pictures import LARGER, rectified_rows, where_seen, with_residuals
+from agents.cli.calibrate.views import Seen
+from shared.calibration.estimation.board import Board
+from shared.calibration.estimation.checking import Checked
+from shared.calibration.estimation.coverage import coverage, lacking
+from shared.calibration.estimation.estimate import Estimate, rms
+from shared.units import unit_name
+
+RECTIFIED_VIEWS = 2
+STYLE = """body{font-family:system-ui,sans-serif;max-width:1560px;margin:2em auto;padding:0 1em;color-scheme:light dark}
+table{border-collapse:collapse}td,th{padding:.2em .8em;text-align:right;border-bottom:1px solid #8884}
+td:first-child,th:first-child{text-align:left}img{max-width:100%}figure{margin:1em 0}"""
+
+Row = tuple[str, ...]
+
+
+def write_report(folder: Path, board: Board, seen: Seen, estimate: Estimate, apart: tuple[Checked, ...]) -> Path:
+    """Write the page and its pictures; the path of the page."""
+    pictures = folder / "pictures"
+    pictures.mkdir(exist_ok=True)
+    drawn = dict(_pictures(board, seen, estimate))
+    for name, (picture, _) in drawn.items():
+        (pictures / name).write_bytes(cv2.imencode(".png", picture)[1].tobytes())
+    captions = {name: caption for name, (_, caption) in drawn.items()}
+    page = folder / "report.html"
+    page.write_text("".join(_page(board, seen, estimate, apart, captions)), encoding="utf-8")
+    return page
+
+
+def _page(
+    board: Board, seen: Seen, estimate: Estimate, apart: tuple[Checked, ...], captions: dict[str, str]
+) -> Iterator[str]:
+    yield f"<!doctype html><html lang=en><meta charset=utf-8><title>Stereo calibration</title><style>{STYLE}</style>"
+    yield "<h1>Stereo calibration</h1>"
+    yield _table(("", "left", "right"), _cameras(estimate))
+    yield _table(("from left to right", "", "", ""), _between(estimate))
+    missing = lacking(coverage(estimate.views, board, seen.image_size))
+    yield "<h2>What the views lack</h2>"
+    yield "".join(f"<p>{html.escape(sentence)}</p>" for sentence in missing) or "<p>Nothing.</p>"
+    yield "<h2>Views</h2><p>Residuals are root mean squares. Held out: of a calibration made without that view.</p>"
+    heads = ("view", "corners", "left, px", "right, px", "held out, px", "rows apart, px", "squares")
+    yield _table(heads, _views(estimate, apart))
+    for name, px in estimate.left_out:
+        yield f"<p>Left out, for it contradicts the others by {px:.2f} px: {html.escape(name)}</p>"
+    for no_view in seen.none:
+        yield f"<p>Not used: {html.escape(no_view.name)}: {html.escape(no_view.reason)}</p>"
+    yield "<h2>Pictures</h2>"
+    for name, caption in captions.items():
+        yield f'<figure><figcaption>{html.escape(caption)}</figcaption><img src="pictures/{name}"></figure>'
+    yield "</html>\n"
+
+
+def _cameras(estimate: Estimate) -> Iterator[Row]:
+    c = estimate.calibration
+    for name, at in (("fx, px", (0, 0)), ("fy, px", (1, 1)), ("cx, px", (0, 2)), ("cy, px", (1, 2))):
+        yield name, f"{c.K_left[at]:.3f}", f"{c.K_right[at]:.3f}"
+    for name, left, right in zip(("k1", "k2", "p1", "p2", "k3"), c.distortion_left, c.distortion_right, strict=False):
+        yield name, f"{left:.5f}", f"{right:.5f}"
+
+
+def _between(estimate: Estimate) -> Iterator[Row]:
+    T = estimate.calibration.T_right_left
+    unit = unit_name(estimate.calibration.metres_per_unit) or "units"
+    yield f"translation, {unit}", *(f"{value:.4f}" for value in T[:3, 3])
+    for row in T[:3, :3]:
+        yield "rotation", *(f"{value:.6f}" for value in row)
+
+
+def _views(estimate: Estimate, apart: tuple[Checked, ...]) -> Iterator[Row]:
+    held = {one.view.name: one for one in apart}
+    for view, left, right in zip(estimate.views, estimate.residual_left_px, estimate.residual_right_px, strict=True):
+        one = held.get(view.name)
+        told = ("", "", "")
+        if one is not None:
+            told = f"{one.rms_px:.2f}", f"{np.median(np.abs(one.rows_px)):.2f}", f"{one.size - 1:+.2%}"
+        yield view.name, str(len(view.number)), f"{rms(left):.2f}", f"{rms(right):.2f}", *told
+
+
+def _pictures(board: Board, seen: Seen, estimate: Estimate) -> Iterator[tuple[str, tuple[np.ndarray, str]]]:
+    covered = coverage(estimate.views, board, seen.image_size)
+    for index, view in enumerate(estimate.views):
+        left, right = _images(seen, view.name)
+        if index == 0:
+            places = [np.concatenate([getattr(v, eye) for v in estimate.views]) for eye in ("left", "right")]
+            both = where_seen(left, places[0], covered.left), where_seen(right, places[1], covered.right)
+            yield "coverage.png", (np.hstack(both), "All corners of all views; red parts of an image have too few")
+        if index < RECTIFIED_VIEWS:
+            rows = rectified_rows(left, right, estimate.calibration)
+            yield f"rectified{index}.png", (rows, f"{view.name}, rectified: what is on a row must stay on it")
+    for index, view in enumerate(estimate.views):
+        left, right = _images(seen, view.name)
+        both = (
+            with_residuals(left, view.left, estimate.residual_left_px[index]),
+            with_residuals(right, view.right, estimate.residual_right_px[index]),
+        )
+        yield (
+            f"view{index:02d}.png",
+            (np.hstack(both), f"{view.name}: corners, and residuals {LARGER:.0f} times enlarged"),
+        )
+
+
+def _images(seen: Seen, name: str) -> tuple[np.ndarray, np.ndarray]:
+    first, second = seen.files[name]
+    return read_side_by_side(first) if second is None else read_pair(first, second)
+
+
+def _table(heads: Row, rows: Iterator[Row]) -> str:
+    def line(cells: Row, tag: str) -> str:
+        return f"<tr>{''.join(f'<{tag}>{html.escape(cell)}</{tag}>' for cell in cells)}</tr>"
+
+    return f"<table>{line(heads, 'th')}{''.join(line(row, 'td') for row in rows)}</table>"

@@ -1,0 +1,86 @@
+"""`suturegrasp doctor`: what would keep a rig from running, here and across its hosts, each with its remedy."""
+
+import contextlib
+import importlib.metadata
+import json
+import socket
+from collections.abc import Iterator
+
+import schemas
+from agents.cli.doctor.finding import Finding
+from agents.cli.doctor.here import examine_here
+from agents.cli.doctor.images import examine_frames, examine_images, wants_images
+from agents.cli.doctor.rig import clocks, granted, guards, links, running, streams, versions
+from agents.cli.doctor.router import no_router
+from agents.cli.doctor.rules import examine_rules
+from agents.cli.live.options import Doctor
+from agents.cli.reconstruct.options import UsageError
+from agents.cli.rig.config import RigConfig
+from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE
+from agents.cli.status.command import gathered_on
+from agents.cli.status.session import reading_session
+from agents.cli.status.watch import StatusWatch
+from agents.cli.terminal import complain, say, show
+from shared.runtime.connection import Connection, NoRouterError, connected
+from shared.runtime.facts import schemas_hash
+from shared.runtime.identity import IdentityError
+from shared.runtime.link import Link
+
+EXIT_FOUND = 1
+ROUTER_WAIT_S = 2.0
+
+
+def doctor(rig: RigConfig, options: Doctor) -> int:
+    """Print every finding; the exit status is 1 where something is wrong."""
+    findings: list[Finding] = []
+    looked_at_images = wants_images(options)
+    try:
+        for finding in examine_images(options) if looked_at_images else examine(rig):
+            findings.append(finding)
+            if not options.json:
+                remedy = f"; {finding.remedy}" if finding.remedy else ""
+                say(f"{finding.state:5}  {finding.what}: {finding.found}{remedy}")
+    except UsageError as error:
+        return complain(str(error), EXIT_UNUSABLE)
+    well = not any(finding.remedy for finding in findings)
+    if options.json:
+        told = [{"what": f.what, "state": _STATES[f.state], "found": f.found, "remedy": f.remedy} for f in findings]
+        of = {} if looked_at_images else {"rig": rig.rig, "host": rig.host}
+        show(json.dumps({**of, "well": well, "findings": told}))
+    return EXIT_OK if well else EXIT_FOUND
+
+
+_STATES = {"ok": "ok", "WRONG": "wrong", "?": "unknown"}
+
+
+def examine(rig: RigConfig) -> Iterator[Finding]:
+    """Look at everything in turn: this machine, then the router, then the rig behind it."""
+    yield from examine_here(rig)
+    settings = reading_session(rig)
+    try:
+        with connected(settings, ROUTER_WAIT_S) as connection:
+            yield Finding("router", f"answers on {rig.router_endpoint}")
+            yield from _across(rig, connection)
+            present = connection.present()
+    except NoRouterError:
+        yield no_router(rig, settings)
+    except IdentityError as error:
+        yield Finding("router", f"not reached on {rig.router_endpoint}", str(error))
+    else:
+        yield from examine_rules(rig, present)
+
+
+def _across(rig: RigConfig, connection: Connection) -> Iterator[Finding]:
+    with contextlib.closing(StatusWatch(connection, rig)) as watch:
+        gathered = gathered_on(watch)
+    yield from running(rig, gathered.fares, rig.host or "")
+    yield from guards(rig, gathered)
+    facts = gathered.facts
+    zenoh = importlib.metadata.version("eclipse-zenoh")
+    yield from versions(facts, schemas.__version__, schemas_hash(), zenoh)
+    yield from clocks(gathered.clocks, socket.gethostname())
+    measured: dict[str, Link | None] = {name: connection.link(*name.split("/")) for name in facts}
+    yield from links(measured)
+    yield from streams(gathered)
+    yield from examine_frames(connection)
+    yield from granted(facts, rig, gathered.at_ns)

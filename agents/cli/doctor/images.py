@@ -1,0 +1,91 @@
+"""What the doctor finds in images: in a pair from files, and in the frames of a rig that runs."""
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from agents.camera.image_files import ImageFileError, read_pair, read_side_by_side
+from agents.cli.doctor.finding import UNKNOWN, Finding
+from agents.cli.doctor.heard_frames import hear_frames
+from agents.cli.doctor.image_answers import Pair, answers_about
+from agents.cli.live.options import Doctor
+from agents.cli.reconstruct.options import UsageError
+from agents.perception.judging.answers import Answer
+from agents.perception.judging.sequence import about_sequence
+from schemas.messages import Severity
+from shared.calibration import CalibrationError, read_calibration
+from shared.images import ImageDataError, decode_image
+from shared.runtime.connection import Connection
+
+IMAGES = "images"
+
+
+def wants_images(options: Doctor) -> bool:
+    """Whether a pair is to be looked at rather than a rig."""
+    return any((options.left, options.right, options.stereo, options.calibration))
+
+
+def examine_images(options: Doctor) -> Iterator[Finding]:
+    """Look at a pair from files, with its calibration.
+
+    Raises:
+        UsageError: where the options name no pair with its calibration.
+    """
+    if not 1 <= len(options.calibration) <= 2:
+        raise UsageError("give the --calibration of the camera: one path, or two (left and right)")
+    try:
+        images = _read(options)
+    except ImageFileError as error:
+        yield Finding(IMAGES, str(error), "give both images of one frame, of one size")
+        return
+    height, width = images[0].shape[:2]
+    try:
+        read = read_calibration(options.calibration, unit=options.unit, image_size=(width, height))
+    except CalibrationError as error:
+        yield Finding("calibration", str(error), "give the calibration of the camera that took these images")
+        return
+    for judgement in read.judgements:
+        remedy = "" if judgement.severity is Severity.NOTE else _plain(judgement.remedy)
+        yield Finding("calibration", _plain(judgement.finding), remedy)
+    yield from findings(answers_about(images, read.calibration))
+
+
+def examine_frames(connection: Connection) -> Iterator[Finding]:
+    """Look at some seconds of a running camera's frames, and judge the last of them."""
+    heard = hear_frames(connection)
+    if not heard.frames:
+        yield Finding(IMAGES, f"{UNKNOWN}, for no frame came from a camera")
+        return
+    try:
+        pairs = [(decode_image(frame.left), decode_image(frame.right)) for frame in heard.frames]
+    except ImageDataError as error:
+        yield Finding(IMAGES, str(error), "restart the camera, and check its link")
+        return
+    yield from findings(about_sequence(pairs, [frame.stamp for frame in heard.frames]))
+    if heard.calibration is None:
+        yield Finding("calibration", f"{UNKNOWN}, for none came with the frames, and no pair is judged without one")
+        return
+    yield from findings(answers_about(pairs[-1], heard.calibration))
+
+
+def findings(answers: Iterable[Answer]) -> Iterator[Finding]:
+    """Each answer as the doctor tells it."""
+    for answer in answers:
+        if answer.wrong is None:
+            yield Finding(f"{IMAGES}, {answer.question}", answer.found)
+        else:
+            remedy = f"{answer.wrong.remedy} ({answer.wrong.severity.name.lower()} {answer.wrong.code})"
+            yield Finding(f"{IMAGES}, {answer.question}", answer.found, remedy)
+
+
+def _read(options: Doctor) -> Pair:
+    match options.left, options.right, options.stereo:
+        case Path() as left, Path() as right, None:
+            return read_pair(left, right)
+        case None, None, Path() as stereo:
+            return read_side_by_side(stereo)
+        case _:
+            raise UsageError("give either both --left and --right, or one side-by-side image with --stereo")
+
+
+def _plain(sentence: str) -> str:
+    return sentence[:1].lower() + sentence[1:].rstrip(".")

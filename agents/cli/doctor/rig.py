@@ -1,0 +1,169 @@
+"""What the doctor finds across a rig that runs: agents, versions, clocks, links, streams, and what each was granted."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+
+from agents.cli.doctor.finding import UNKNOWN, Finding
+from agents.cli.rig.config import RigConfig
+from agents.cli.status.agents import AWAY
+from agents.cli.status.gathered import Gathered, placed_agents
+from agents.cli.status.health_watch import Fare, name_of, span_of
+from agents.cli.status.judgement import CLOCKS_APART_MS, LEAST_FREE_BYTES, NS_PER_S, SYNCHRONISE, expiry, judge
+from agents.cli.status.wrong import listed
+from schemas.messages import AgentFacts
+from schemas.topics import TOPICS
+from shared.runtime.clocks import ClockOffset, by_host
+from shared.runtime.link import Link
+
+SLOW_LINK_MS = 50.0
+"""A quarter of what an operator's heartbeat may take until the arm holds."""
+OF_STATUS = ("hanging", "slow", "old", "missed", "refused", "fault", "error", "arm", "held")
+"""What the judgement of `status` finds and nothing here does."""
+INSTALL = "install one version everywhere, and restart the agents"
+
+
+def running(rig: RigConfig, fares: Iterable[Fare], here: str) -> Iterator[Finding]:
+    """Which agents of the rig's file are there. Where none is, nobody has started it yet, which is no fault."""
+    placed = placed_agents(rig)
+    there = [fare for fare in fares if fare.state not in AWAY]
+    if not there:
+        yield Finding("running agents", "none; suturegrasp up starts those of this machine")
+        return
+    for host in sorted({*placed.values(), *("" for fare in there if not fare.placed)}):
+        names = sorted(f.name for f in there if f.placed == host)
+        missing = sorted(name for name, where in placed.items() if where == host and name not in names)
+        what = f"agents on {host}{' (here)' if host == here else ''}" if host else "running agents"
+        remedy = f"{listed(missing)} {'does' if len(missing) == 1 else 'do'} not run; start it there" if missing else ""
+        yield Finding(what, ", ".join(names) or "none", remedy)
+
+
+def guards(rig: RigConfig, gathered: Gathered) -> Iterator[Finding]:
+    """Whether a guard stands by each arm that needs one and answers; of a rig that nobody has started, nothing."""
+    fares = {fare.name: fare for fare in gathered.fares if fare.state not in AWAY}
+    if not fares:
+        return
+    for arm, section in rig.robot.items():
+        if section.dvrk is None or section.dvrk.dry_run:
+            continue
+        what, name = f"guard of {arm}", f"guard {arm}"
+        there, told = fares.get(name), gathered.facts.get(f"guard/{arm}")
+        if there is None:
+            run = f"run suturegrasp guard --arm {arm} on the robot's computer, before anything is armed"
+            yield Finding(what, "none stands by", run)
+        elif there.health is None or told is None:
+            yield Finding(what, "is there and gives no answer", "restart it, and arm nothing until it answers")
+        elif there.health.fault:
+            yield Finding(what, f"stands by on {there.host}, and guards nothing", there.health.fault)
+        else:
+            yield Finding(what, f"stands by on {there.host}, reaches the arm's Zenoh, and answers")
+
+
+def versions(facts: Mapping[str, AgentFacts], version: str, schemas_hash: str, zenoh: str) -> Iterator[Finding]:
+    """Whether all agents run what is installed here, given its versions."""
+    if not facts:
+        return
+    told: tuple[tuple[str, str, Callable[[AgentFacts], str]], ...] = (
+        ("versions", version, lambda f: f.version),
+        ("schemas", schemas_hash, lambda f: f.schemas_hash),
+        ("Zenoh", zenoh, lambda f: f.zenoh),
+    )
+    for what, here, of in told:
+        others: dict[str, list[str]] = {}
+        for name, one in facts.items():
+            if of(one) != here:
+                others.setdefault(of(one), []).append(_called(name))
+        each = "; ".join(f"{other} on {listed(names)}" for other, names in sorted(others.items()))
+        yield Finding(what, f"{here} here, {each}" if each else f"{here} everywhere", INSTALL if each else "")
+
+
+def clocks(offsets: Mapping[str, ClockOffset | None], here: str) -> Iterator[Finding]:
+    """The clocks of the hosts of these agents by the one here; what cannot be told is unknown."""
+    for name in (name for name, offset in offsets.items() if offset is None):
+        yield Finding(f"clock of {name}", f"{UNKNOWN}, for it gives no answer")
+    hosts = by_host(offset for offset in offsets.values() if offset is not None)
+    # of this host itself there is nothing to say, unless another one has its name
+    others = [h for h in hosts if h.host != here or h.least_ms > CLOCKS_APART_MS]
+    for offset in others:
+        way = "ahead of" if offset.ahead_ms > 0 else "behind"
+        apart = f"{abs(offset.ahead_ms):.0f} ms {way} this host"
+        found, remedy = f"{apart}, give or take {offset.within_ms:.1f} ms", ""
+        if offset.least_ms > CLOCKS_APART_MS:
+            remedy = SYNCHRONISE
+        elif abs(offset.ahead_ms) + offset.within_ms > CLOCKS_APART_MS:
+            found = f"{UNKNOWN}, for its answer takes {2 * offset.within_ms:.0f} ms"
+        yield Finding(f"clock of {offset.host}", found, remedy)
+    if not others:
+        yield Finding("clocks of other hosts", f"{UNKNOWN}, for no agent answers from another host")
+
+
+def links(measured: Mapping[str, Link | None]) -> Iterator[Finding]:
+    """How far away each agent is, by what was measured."""
+    for name, link in measured.items():
+        what = f"link to {_called(name)}"
+        if link is None:
+            yield Finding(what, f"{UNKNOWN}, for it gives no answer, or not in time")
+            continue
+        took = f"{link.latency_ms:.1f} ms there and back (99 % within {link.latency_ms_p99:.1f} ms)"
+        slow = link.latency_ms > SLOW_LINK_MS
+        remedy = (
+            "look at the network, and at how busy both hosts are: an arm holds 200 ms after a heartbeat" if slow else ""
+        )
+        yield Finding(what, f"{took}, {link.bytes_per_s / 1e6:.0f} MB/s", remedy)
+
+
+def streams(gathered: Gathered) -> Iterator[Finding]:
+    """How old each stream is where it arrives, and what status finds wrong."""
+    for fare in gathered.fares:
+        heard = fare.health.inputs if fare.health is not None and fare.state not in AWAY else ()
+        for one in heard:
+            topic = next((t for t in TOPICS if str(t) == one.topic), None)
+            if topic is None or topic.rate_hz is None:
+                continue
+            what = f"stream {one.topic} to {fare.name}"
+            if one.rate_hz == 0 or one.age_ms is None:
+                yield Finding(what, "does not come at the moment")
+            else:
+                yield Finding(what, f"{one.rate_hz:.3g} Hz, {one.age_ms:.1f} ms after it was sent")
+    for wrong in judge(gathered):
+        if wrong.code in OF_STATUS and wrong.grave:
+            yield Finding(f"status ({wrong.code})", wrong.text, "suturegrasp status shows whether it lasts")
+
+
+def granted(facts: Mapping[str, AgentFacts], rig: RigConfig, at_ns: int) -> Iterator[Finding]:
+    """What each agent's process was granted where it runs, by its own account."""
+    yield from _shared_memory(facts)
+    realtime = {name for host in rig.hosts.values() if host.realtime for name in host.runs}
+    placed = placed_agents(rig)
+    for name, one in facts.items():
+        called, kind = _called(name), name.split("/")[0]
+        if one.realtime_asked is not None or one.realtime_granted is not None:
+            had = one.realtime_granted is not None
+            found = f"priority {one.realtime_granted}" if had else f"asked for {one.realtime_asked}, and not granted"
+            yield Finding(f"real time for {called}", found, "" if had else one.realtime_reason or "it was not granted")
+        elif called in realtime and placed.get(called):
+            yield Finding(f"real time for {called}", "it has not asked for it, as its host's section wants")
+        if one.disk_free_bytes is not None:
+            free = f"{one.disk_free_bytes / (1 << 30):.1f} GiB free in {one.writes_to}"
+            yield Finding(f"disk of {called}", free, "make room" if one.disk_free_bytes < LEAST_FREE_BYTES else "")
+        if one.calibrated_ns is not None:
+            old = span_of(max(0.0, (at_ns - one.calibrated_ns) / NS_PER_S))
+            yield Finding(f"calibration of {called}", f"made {old} ago")
+        elif kind == "camera":
+            yield Finding(f"calibration of {called}", f"{UNKNOWN} when it was made")
+        if one.certificate_expires_ns is not None:
+            left_s = (one.certificate_expires_ns - at_ns) / NS_PER_S
+            wrong = expiry(called, one.certificate_expires_ns, at_ns)
+            found = f"expires in {span_of(left_s)}" if left_s > 0 else "has expired"
+            renew = "renew it with suturegrasp deploy certificates, take it there, and restart the agent"
+            yield Finding(f"certificate that {called} runs with", found, renew if wrong else "")
+
+
+def _shared_memory(facts: Mapping[str, AgentFacts]) -> Iterator[Finding]:
+    reasons: dict[tuple[bool, str], list[str]] = {}
+    for name, one in facts.items():
+        reasons.setdefault((one.shared_memory, one.shared_memory_reason), []).append(_called(name))
+    for (used, reason), names in sorted(reasons.items(), reverse=True):
+        yield Finding("shared memory", f"{'used' if used else 'not used'} by {listed(names)}: {reason}")
+
+
+def _called(name: str) -> str:
+    return name_of(*name.split("/"))

@@ -1,0 +1,1 @@
+"""`suturegrasp evaluate`: the paper's experiment in closed loop."""

@@ -1,0 +1,170 @@
+"""`suturegrasp evaluate grasping`: the paper's experiment in closed loop, taken up again where it was left."""
+
+import importlib.util
+import json
+from collections.abc import Generator, Iterable
+from pathlib import Path
+from typing import Literal
+
+import cv2
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from agents.cli.alone import alone
+from agents.cli.evaluate.options import Evaluate
+from agents.cli.evaluate.pictures import field_pictures, moments, strip
+from agents.cli.evaluate.trials import Table
+from agents.cli.evaluate.workers import WorkError, all_tried
+from agents.cli.recordings.replay_through import write_recording
+from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE
+from agents.cli.terminal import complain, say, show
+from agents.cli.whole_file import whole_file
+from agents.evaluation.came import Came
+from agents.evaluation.document import document
+from agents.evaluation.journal import Journal
+from agents.evaluation.protocol import Protocol, threads_of, trials_on
+from agents.evaluation.report import report
+from agents.evaluation.results import results_of
+from agents.evaluation.table import overview
+from agents.evaluation.trial import RIG
+from schemas.messages import ImageEncoding
+from shared.recording.mcap_file import Note
+from shared.runtime.config import ConfigError, parse_config
+from shared.scene.render import SceneError
+
+EXIT_LEFT = 3
+JOURNAL, DOCUMENT, PAGE, REPORT = "journal.jsonl", "results.json", "results.md", "report.html"
+THREADS, GOALS = (1, 3), (5, 20)
+"""Quick, and not."""
+
+
+def run(options: Evaluate) -> int:
+    """Try what is left; the exit status."""
+    try:
+        options.output.mkdir(parents=True, exist_ok=True)
+        with alone(options.output, "evaluation"):
+            return _evaluated(options)
+    except (ConfigError, SceneError, WorkError) as error:
+        return complain(str(error), EXIT_UNUSABLE)
+    except OSError as error:
+        return complain(f"{options.output} cannot be used: {error.strerror or error}", EXIT_UNUSABLE)
+
+
+def _evaluated(options: Evaluate) -> int:
+    if options.record is not None:
+        return _recorded(options, options.record)
+    journal = Journal(options.output / JOURNAL, None if options.report else protocol_of(options))
+    work = [(laid, journal.left(trials_on(journal.protocol, laid))) for laid in threads_of(journal.protocol)]
+    left = sum(len(trials) for _, trials in work)
+    total = left + len(journal.came)
+    try:
+        if not options.report:
+            todo = [(laid, trials) for laid, trials in work if trials]
+            for came in _shown(all_tried(journal.protocol, todo, options.jobs, options.output), total, total - left):
+                journal.note(came)
+                left -= 1
+    except KeyboardInterrupt:
+        say("interrupted; the same command goes on where this one was")
+    write_results(options.output, journal.protocol, journal.came)
+    where = options.output
+    say(
+        f"{where / PAGE}, {DOCUMENT} and {REPORT} are written; {f'{left} trials are left' if left else 'all was tried'}"
+    )
+    return EXIT_LEFT if left else EXIT_OK
+
+
+def _recorded(options: Evaluate, name: str) -> int:
+    """Carry out one trial of the folder's evaluation again, and keep all that is said in it."""
+    journal = options.output / JOURNAL
+    protocol = Journal(journal, None if journal.exists() else protocol_of(options)).protocol
+    trials = [trial for laid in threads_of(protocol) for trial in trials_on(protocol, laid) if trial.name == name]
+    if not trials:
+        example = next(trials_on(protocol, threads_of(protocol)[0])).name
+        raise ConfigError(f"--record {name} is no trial of this evaluation; one is {example}")
+    table = Table(protocol, trials[0].laid, options.output, ImageEncoding.PNG)
+    told = table.tried(trials[0], recorded=True)
+    path = options.output / "recorded" / f"{name.replace('/', '_')}.mcap"
+    path.parent.mkdir(exist_ok=True)
+    with whole_file(path) as unfinished:
+        write_recording(unfinished, told.entries, (Note("run", {"rig": RIG}),))
+    shown = moments(table.view, told.entries)
+    if shown:
+        cv2.imwrite(str(path.with_suffix(".png")), strip(shown))
+    say(f"{told.came.outcome}: {told.came.sentence}; {path} is written, for suturegrasp view {path}")
+    return EXIT_OK
+
+
+def protocol_of(options: Evaluate) -> Protocol:
+    """What the options ask for.
+
+    Raises:
+        ConfigError: where they ask for nothing that can be tried.
+    """
+    if options.jobs < 1:
+        raise ConfigError(f"--jobs {options.jobs}: give 1 or more")
+    share, most_mm = options.inject
+    told = {
+        "seed": options.seed,
+        "scenarios": [f"{config}/{background}" for config in options.config for background in options.background],
+        "threads": options.threads if options.threads is not None else THREADS[not options.quick],
+        "goals": options.goals if options.goals is not None else GOALS[not options.quick],
+        "policies": options.policies,
+        "methods": options.methods,
+        "images": images_of(options),
+        "judge": options.judge,
+        "tool_errors_mm": options.tool_error,
+        "hand_eye_mm": options.hand_eye[0],
+        "hand_eye_deg": options.hand_eye[1],
+        "injected_share": share,
+        "injected_mm": most_mm,
+        "attempts": options.attempts,
+        "tissue": options.tissue,
+    }
+    if options.judge == "contact" and not _is_there("mujoco"):
+        raise ConfigError("--judge contact needs MuJoCo: install the extra sim (pip install suturegrasp[sim])")
+    return parse_config(json.dumps(told), Protocol, "of the evaluation.json")
+
+
+def images_of(options: Evaluate) -> Literal["traced", "light"]:
+    """Which renderer makes the images.
+
+    Raises:
+        ConfigError: where it is not there.
+    """
+    asked = options.images or ("light" if options.quick else "auto")
+    if asked == "auto":
+        return "traced" if _is_there("mitsuba") else "light"
+    if asked == "traced" and not _is_there("mitsuba"):
+        raise ConfigError("--images traced needs Mitsuba: install the extra sim, or give --images light")
+    return asked
+
+
+def write_results(folder: Path, protocol: Protocol, came: list[Came]) -> None:
+    """Write what the trials come to, and show it."""
+    every = [results_of(protocol, came, tool_error_mm) for tool_error_mm in protocol.tool_errors_mm]
+    whole = results_of(protocol, came)
+    with whole_file(folder / DOCUMENT) as path:
+        path.write_text(json.dumps(document(protocol, every, whole), indent=1) + "\n", encoding="utf-8")
+    text = overview(protocol, every, whole)
+    with whole_file(folder / PAGE) as path:
+        path.write_text(text, encoding="utf-8")
+    pictures = field_pictures(protocol, came, folder)
+    with whole_file(folder / REPORT) as path:
+        path.write_text(report(protocol, came, every, whole, pictures), encoding="utf-8")
+    for line in text.splitlines():
+        show(line)
+
+
+def _is_there(module: str) -> bool:
+    return importlib.util.find_spec(module) is not None
+
+
+def _shown(came: Iterable[Came], total: int, before: int) -> Generator[Came]:
+    """The same, with a bar on standard error where that is a terminal."""
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+        bar = progress.add_task("grasping", total=total, completed=before)
+        for one in came:
+            progress.update(bar, advance=1, description=one.trial.laid.name)
+            yield one

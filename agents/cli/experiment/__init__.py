@@ -1,0 +1,1 @@
+"""`suturegrasp experiment`: the paper's protocol on a real rig."""

@@ -1,0 +1,164 @@
+"""`suturegrasp experiment`: the paper's protocol on a rig, with a journal that survives whatever ends it."""
+
+import json
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+from agents.cli.alone import alone
+from agents.cli.experiment.options import Experiment
+from agents.cli.experiment.rig import on_rig
+from agents.cli.experiment.terminal import LeftError, Nobody, Person, outcome_sentence
+from agents.cli.experiment.trial import ExperimentError, Rig, carried_out
+from agents.cli.rig.config import RigConfig
+from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
+from agents.cli.terminal import complain, say, show
+from agents.cli.whole_file import OutputError, whole_file
+from agents.experiment.journal import THREAD, Journal, Protocol
+from agents.experiment.results import document, results_of
+from agents.experiment.table import page
+from shared.runtime.config import ConfigError, parse_config
+from shared.runtime.connection import NoRouterError, connected
+
+EXIT_LEFT = 3
+JOURNAL, PAGE, DOCUMENT = "journal.json", "results.md", "results.json"
+GOALS, SEED, ARM = 20, 1, "psm1"
+
+
+def experiment(rig: RigConfig, options: Experiment) -> int:
+    """Go on with an experiment; exit status 0 once all of it was tried, 3 where something is left.
+
+    Raises:
+        ConfigError: where the options, the journal or the rig's configuration cannot be used.
+        NoRouterError: where no router answers.
+    """
+    if options.folder is None:
+        raise ConfigError("give a folder for the journal and the results: suturegrasp experiment FOLDER")
+    journal = opened(options.folder, options)
+    if not options.start and journal.protocol.arm not in rig.robot:
+        arms = ", ".join(rig.robot) or "none"
+        raise ConfigError(f"the configuration has no arm {journal.protocol.arm!r}; its arms: {arms}")
+    try:
+        options.folder.mkdir(parents=True, exist_ok=True)
+        write(options.folder, journal)
+        if options.report:
+            return report(options.folder, journal)
+        with alone(options.folder, "experiment"):
+            return _tried(rig, options, options.folder, journal)
+    except OutputError as error:
+        return complain(str(error), EXIT_UNUSABLE)
+    except OSError as error:
+        return complain(f"{options.folder} cannot be used: {error.strerror or error}", EXIT_UNUSABLE)
+
+
+def opened(folder: Path, options: Experiment) -> Journal:
+    """The journal of a folder, or a new one; of one that exists the options may change nothing.
+
+    Raises:
+        ConfigError: as `experiment`.
+    """
+    told = {
+        "threads": options.threads or None,
+        "goals": options.goals,
+        "seed": options.seed,
+        "arm": options.arm,
+        "verdicts": options.verdicts,
+    }
+    given = {name: value for name, value in told.items() if value is not None}
+    path = folder / JOURNAL
+    if path.exists():
+        journal = _read(path)
+        for name, value in given.items():
+            if (noted := getattr(journal.protocol, name)) != value:
+                raise ConfigError(f"{path} has {name} {noted!r}, not {value!r}; leave it out, or give another folder")
+        return journal
+    if options.report:
+        raise ConfigError(f"there is no {path}, so there is nothing to report")
+    for thread in options.threads:
+        if not THREAD.fullmatch(thread):
+            raise ConfigError(f"--threads {thread} must read CONFIGURATION/BACKGROUND, such as easy/paper")
+    if not options.threads or len(set(options.threads)) != len(options.threads):
+        raise ConfigError("give --threads, each once, such as easy/paper hard/chicken hard/chicken/2")
+    simulated = "simulated" if options.start else "operator"
+    filled = {"goals": GOALS, "seed": SEED, "arm": ARM, "verdicts": simulated} | given
+    return Journal(protocol=parse_config(json.dumps(filled), Protocol, "of the experiment.json"))
+
+
+def write(folder: Path, journal: Journal) -> None:
+    """Write the journal, whole or not at all."""
+    with whole_file(folder / JOURNAL) as path:
+        path.write_text(journal.model_dump_json(indent=1) + "\n")
+
+
+def report(folder: Path, journal: Journal) -> int:
+    """Write what the attempts come to, and show it."""
+    results = results_of(journal)
+    with whole_file(folder / DOCUMENT) as path:
+        path.write_text(json.dumps(document(journal, results), indent=1) + "\n")
+    with whole_file(folder / PAGE) as path:
+        path.write_text(page(results))
+    for line in page(results).splitlines():
+        show(line)
+    left = sum(len(journal.left(thread)) for thread in journal.protocol.threads)
+    say(
+        f"{folder / PAGE} and {folder / DOCUMENT} are written; {f'{left} trials are left' if left else 'all was tried'}"
+    )
+    return EXIT_LEFT if left else EXIT_OK
+
+
+def _read(path: Path) -> Journal:
+    try:
+        return parse_config(path.read_text(encoding="utf-8"), Journal, str(path))
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is no text in UTF-8"
+        raise ConfigError(f"the journal {path} cannot be read: {reason}") from None
+
+
+def _tried(rig: RigConfig, options: Experiment, folder: Path, journal: Journal) -> int:
+    """Try what is left, thread by thread."""
+    stopped = threading.Event()
+    on_stop(stopped.set)
+    kept = _Kept(folder, journal)
+    try:
+        for thread in journal.protocol.threads:
+            if kept.journal.left(thread):
+                _thread_tried(rig, options, thread, kept, stopped)
+    except (LeftError, ExperimentError, NoRouterError) as error:
+        report(folder, kept.journal)
+        return complain(f"{error}; to go on: {_again(options, folder)}", EXIT_LEFT)
+    return report(folder, kept.journal)
+
+
+def _again(options: Experiment, folder: Path) -> str:
+    """The command that goes on with it."""
+    where = f" --config {options.config}" if options.config is not None else ""
+    return f"suturegrasp experiment {folder}{where}{' --start' if options.start else ''}"
+
+
+class _Kept:
+    """The journal, which is written at every change."""
+
+    def __init__(self, folder: Path, journal: Journal) -> None:
+        self.folder, self.journal = folder, journal
+
+    def change(self, changed: Callable[[Journal], Journal]) -> None:
+        self.journal = changed(self.journal)
+        write(self.folder, self.journal)
+
+
+def _thread_tried(rig: RigConfig, options: Experiment, thread: str, kept: _Kept, stopped: threading.Event) -> None:
+    protocol = kept.journal.protocol
+    simulated = protocol.verdicts == "simulated"
+    say(f"thread {thread}: {len(kept.journal.left(thread))} trials")
+    with on_rig(rig, options, protocol, thread, kept.folder, stopped) as started:
+        if started.session is not None:
+            name = str(started.session.relative_to(kept.folder))
+            kept.change(lambda journal: journal.recorded(thread, name))
+        attendant = Nobody(stopped) if simulated and not started.real_arm else Person(stopped)
+        while left := kept.journal.left(thread):
+            kept.change(lambda journal, trial=left[0]: journal.begin(trial))
+            with connected(started.reached, None, stopped) as connection:
+                on = Rig(connection, protocol.arm, attendant, simulated, stopped, started.check)
+                attempt = carried_out(left[0], len(left), on)
+            kept.change(lambda journal, attempt=attempt: journal.note(attempt))
+            say(outcome_sentence(attempt))

@@ -1,0 +1,1 @@
+"""What a lab needs before a rig runs: deployment, emulated arms, rendered scenes."""

@@ -1,0 +1,144 @@
+"""`suturegrasp deploy plan | certificates | install`: from a rig's one file to what runs on each host."""
+
+import datetime
+import shutil
+from pathlib import Path
+
+from agents.cli.lab.options import Deploy
+from agents.cli.rig.config import RigConfig
+from agents.cli.rig.hosts import HostSection, kind_and_instance
+from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE
+from agents.cli.terminal import complain, say
+from agents.deployment.certificates import AUTHORITY_FOLDER, CERTIFICATES, AuthorityError, issue
+from agents.deployment.install import InstallError, install
+from agents.deployment.layout import ROUTER, Host, Layout, Process
+from agents.deployment.plan import hosts_in_words, plan
+from agents.deployment.robot_zenoh import ROBOT_ZENOH, ReachedArm
+from shared.clock import now_ns
+from shared.runtime.config import ConfigError, load_config
+from shared.runtime.session import on_loopback
+
+
+def run(options: Deploy) -> int:
+    """Carry out one of the three; the exit status."""
+    try:
+        if options.action == "install":
+            return _install(options)
+        rig = load_config(options.config, RigConfig)
+        layout = layout_of(rig)
+        if options.action == "plan":
+            return _plan(options, rig, layout)
+        return _certificates(options, layout)
+    except (ConfigError, AuthorityError, InstallError) as error:
+        return complain(str(error), EXIT_UNUSABLE)
+    except OSError as error:
+        return complain(f"{error.filename}: {error.strerror}", EXIT_UNUSABLE)
+
+
+def layout_of(rig: RigConfig) -> Layout:
+    """The rig as its deployment sees it.
+
+    Raises:
+        ConfigError: where it has no hosts, or is one host's own copy.
+    """
+    if not rig.hosts or rig.security is None:
+        raise ConfigError("the configuration has no [hosts]; on one machine suturegrasp up is all that is needed")
+    if rig.host is not None:
+        raise ConfigError(f"this is the copy for host {rig.host}; give the rig's own file, without its line host = ...")
+    hosts = tuple(_host(rig, name, section) for name, section in rig.hosts.items())
+    return Layout(
+        rig.rig,
+        rig.router_endpoint,
+        hosts,
+        rig.security.leaf_days,
+        rig.security.authority_days,
+        _relative_calibration(rig),
+        rig.sites,
+    )
+
+
+def _host(rig: RigConfig, name: str, section: HostSection) -> Host:
+    processes = [Process(*kind_and_instance(run, name)) for run in section.runs]
+    if rig.router.host == name:
+        processes.insert(0, Process(ROUTER))
+    arms = _arms_at(rig, name, section)
+    if arms and not on_loopback(arms[0].endpoint):
+        processes.append(Process(ROBOT_ZENOH, name))
+    return Host(name, section.address, tuple(processes), section.realtime, arms)
+
+
+def _arms_at(rig: RigConfig, name: str, section: HostSection) -> tuple[ReachedArm, ...]:
+    """The arms whose consoles run on a host.
+
+    Raises:
+        ConfigError: where they are not reached alike, for one Zenoh is there for all of them.
+    """
+    told = {arm: s.dvrk for arm, s in rig.robot.items() if s.dvrk is not None and f"guard {arm}" in section.runs}
+    alike = {(dvrk.endpoint, dvrk.codec, dvrk.domain) for dvrk in told.values()}
+    if len(alike) > 1:
+        raise ConfigError(f"{', '.join(told)} on {name} must have one endpoint, codec and domain: one Zenoh is there")
+    return tuple(ReachedArm(arm, d.arm, d.endpoint, d.codec, d.domain, d.through_guard) for arm, d in told.items())
+
+
+def _plan(options: Deploy, rig: RigConfig, layout: Layout) -> int:
+    beside = _calibration(options, rig)
+    files = plan(layout, options.config.read_text(encoding="utf-8"))
+    for host in layout.hosts:
+        # units of what runs elsewhere now must not stay
+        shutil.rmtree(options.folder / host.name / "systemd", ignore_errors=True)
+    for place, text in files.items():
+        target = options.folder / place
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_text(text, encoding="utf-8")
+    for source, place in beside:
+        target = options.folder / place
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(source, target)
+    for line in hosts_in_words(layout):
+        say(line)
+    say(f"{len(files) + len(beside)} files in {options.folder}; next: suturegrasp deploy certificates")
+    return EXIT_OK
+
+
+def _calibration(options: Deploy, rig: RigConfig) -> list[tuple[Path, Path]]:
+    """The calibration, which goes to the camera's host with the rig's file."""
+    calibration = _relative_calibration(rig)
+    if not calibration:
+        return []
+    source = options.config.parent / calibration
+    if not source.is_file() or ".." in Path(calibration).parts:
+        raise ConfigError(f"camera.calibration {calibration} is no file beside {options.config} or below")
+    hosts = [name for name, section in rig.hosts.items() if "camera" in section.runs]
+    return [(source, Path(host) / calibration) for host in hosts]
+
+
+def _relative_calibration(rig: RigConfig) -> str:
+    """Where the calibration lies beside the rig's file; empty where there is none, or where every host has it."""
+    calibration = rig.camera.calibration if rig.camera is not None else None
+    return "" if calibration is None or calibration.is_absolute() else calibration.as_posix()
+
+
+def _certificates(options: Deploy, layout: Layout) -> int:
+    at = datetime.datetime.fromtimestamp(now_ns() * 1e-9, datetime.UTC)
+    issued = issue(layout, options.folder, at, options.anew)
+    for made in issued:
+        if made.reason:
+            say(f"{made.host}: {made.common_name}, until {made.valid_until:%Y-%m-%d}; {made.reason}")
+    renewed = sum(1 for made in issued if made.reason)
+    say(f"{renewed} certificates made, {len(issued) - renewed} still good")
+    say(f"keep {options.folder / AUTHORITY_FOLDER} here and private: whoever has its key may be any agent")
+    say(f"next: take each host's folder there ({CERTIFICATES} included) and run suturegrasp deploy install in it")
+    return EXIT_OK
+
+
+def _install(options: Deploy) -> int:
+    done = install(options.folder, options.root)
+    for place in done.changed:
+        say(f"installed {place}")
+    for unit in done.removed:
+        say(f"removed {unit}")
+    for note in done.notes:
+        say(f"note: {note}")
+    if not done.changed and not done.removed:
+        say("nothing has changed")
+    return EXIT_OK

@@ -1,0 +1,33 @@
+"""The options of the command that sets up a rig of several machines."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+
+@dataclass(frozen=True)
+class Deploy:
+    """Derive from a rig's one file what each of its hosts needs (docs/deployment.md).
+
+    `plan` writes configuration, systemd units, containers and the router's access rules, a folder for each host;
+    `certificates` makes those that are missing or about to expire, and the lab's own authority if there is none;
+    `install`, on a host and as root, puts that host's folder in its place.
+    """
+
+    action: Annotated[Literal["plan", "certificates", "install"], tyro.conf.Positional]
+    """What to do."""
+    config: Annotated[Path, tyro.conf.arg(metavar="PATH")] = Path("rig.toml")
+    """The rig's file (TOML), with its [hosts]; not for `install`."""
+    folder: Annotated[Path, tyro.conf.arg(metavar="PATH")] = Path("deployed")
+    """Where `plan` and `certificates` write; for `install`, this host's folder in it."""
+    anew: bool = False
+    """With `certificates`: make all of them anew, as after a key was lost."""
+    root: Annotated[Path, tyro.conf.arg(metavar="PATH")] = Path("/")
+    """With `install`: another folder than / to see what would be installed."""
+
+
+LAB_COMMANDS: dict[str, type[Deploy]] = {"deploy": Deploy}
+LAB_RUNNERS: dict[type[Deploy], str] = {Deploy: "agents.cli.lab.deploy"}
+"""As RUNNERS in agents/cli/recordings/options.py."""

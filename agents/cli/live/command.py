@@ -1,0 +1,272 @@
+"""The commands that work on a running rig: agents as processes, the recorder, the viewer, the operator's commands."""
+
+import threading
+
+import numpy as np
+
+from agents.cli.calibrate.options import Calibrate
+from agents.cli.experiment.options import Experiment
+from agents.cli.live.attempts import Attempts
+from agents.cli.live.options import (
+    AGENT_KINDS,
+    ArmPlan,
+    ChangeArmState,
+    Doctor,
+    Goal,
+    Guard,
+    HoldArm,
+    OnRig,
+    PerceptionAgent,
+    PromptThread,
+    Record,
+    RigStatus,
+    RobotBridgeAgent,
+    Router,
+    SetInAgent,
+    Up,
+    View,
+)
+from agents.cli.prompted_pixel import prompted_pixel
+from agents.cli.rig.config import RigConfig, simulated_rig
+from agents.cli.rig.this_host import at_host, certificates_of, configured_file
+from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
+from agents.cli.running.router import run_router
+from agents.cli.terminal import complain, say
+from agents.operator.operator import Events, Stood, arm_and_stand_by, ask_for_grasp, change_state, hold, prompt
+from agents.viewer.clearance import clearance_sentence
+from schemas.messages import Checked, ExecutionEvent, ExecutionKind, GraspPlan, Outcome, Policy, StateWord, Status
+from schemas.topics import EXECUTION, MAIN
+from shared.clock import monotonic_s
+from shared.runtime.config import ConfigError, load_config
+from shared.runtime.connection import NoRouterError, connected
+
+EXIT_REFUSED = 3
+LOOK_S, STATE_WITHIN_S = 0.2, 65.0
+POLICIES = {"robust": Policy.CAPTURE_SLIDE_GRASP, "direct": Policy.DIRECT}
+
+
+def rig_of(options: OnRig) -> RigConfig:
+    """The rig that a command works on.
+
+    Raises:
+        ConfigError: where its configuration cannot be used.
+    """
+    config = options.config or configured_file()
+    if config is None:
+        return simulated_rig()
+    rig = load_config(config, RigConfig)
+    return certificates_of(at_host(rig, options.host), config)
+
+
+def run_live(options: OnRig) -> int:
+    """Carry out one of these commands; the exit status."""
+    try:
+        rig = rig_of(options)
+        match options:
+            case Router():
+                return run_router(rig)
+            case Record():
+                from agents.cli.recordings.record import record
+
+                return record(rig, options)
+            case View():
+                return _view(rig, options)
+            case Goal():
+                return goal(rig, options)
+            case ArmPlan():
+                return arm(rig, options)
+            case Experiment():
+                from agents.cli.experiment.command import experiment
+
+                return experiment(rig, options)
+            case HoldArm():
+                return hold_arm(rig, options.arm)
+            case ChangeArmState():
+                return change_arm_state(rig, options)
+            case Guard():
+                from agents.cli.running.guard import guard
+
+                return guard(rig, options)
+            case PromptThread():
+                return prompt_thread(rig, options)
+            case Up():
+                from agents.cli.running.up import up
+
+                return up(rig, options)
+            case Doctor():
+                from agents.cli.doctor.command import doctor
+
+                return doctor(rig, options)
+            case Calibrate():
+                from agents.cli.calibrate.command import calibrate
+
+                return calibrate(rig, options)
+            case RigStatus():
+                from agents.cli.status.command import status
+
+                return status(rig, options)
+            case SetInAgent():
+                from agents.cli.live.set import set_parameter
+
+                return set_parameter(rig, options)
+            case PerceptionAgent(arm=str(arm_name)):
+                return _run_agent(rig, "perception", arm_name)
+            case RobotBridgeAgent():
+                return _run_agent(rig, "robot_bridge", options.arm)
+            case _:
+                return _run_agent(rig, AGENT_KINDS[type(options)], MAIN)
+    except (ConfigError, NoRouterError) as error:
+        return complain(str(error), EXIT_UNUSABLE)
+
+
+def _view(rig: RigConfig, options: View) -> int:
+    try:
+        from agents.cli.recordings.view import view
+    except ImportError as error:
+        return complain(f"the viewer cannot be loaded: {error}", EXIT_UNUSABLE)
+    return view(rig, options)
+
+
+def _run_agent(rig: RigConfig, kind: str, instance: str) -> int:
+    # an operator's command must not take a second of the processors from the agents that it talks to
+    from agents.cli.running.agent_process import run_agent
+
+    return run_agent(rig, kind, instance)
+
+
+def goal(rig: RigConfig, options: Goal) -> int:
+    """Ask for a grasp and print the plan, or why there is none."""
+    if sum(value is not None for value in (options.s, options.pixel, options.point)) != 1:
+        return complain("give one of --s, --pixel and --point", EXIT_UNUSABLE)
+    if options.s is not None and not 0 <= options.s <= 1:
+        return complain(f"--s {options.s:g} is not on the thread; s runs from 0 to 1", EXIT_UNUSABLE)
+    with connected(rig.session) as connection:
+        answer, plan = ask_for_grasp(
+            connection,
+            options.arm,
+            POLICIES[options.policy],
+            s=options.s,
+            pixel=None if options.pixel is None else np.array(options.pixel),
+            point_camera=None if options.point is None else np.array(options.point),
+            attempts=options.attempts,
+        )
+    if answer.outcome is not Outcome.ACCEPTED:
+        return complain(answer.reason, EXIT_REFUSED)
+    if plan is None:
+        return complain("the goal was accepted and no plan followed; look at the planner's log", EXIT_REFUSED)
+    if plan.status is not Status.OK:
+        return complain(plan.reason, EXIT_REFUSED)
+    say(plan_sentence(plan))
+    say(f"to carry it out: suturegrasp arm {plan.plan_id} --arm {plan.arm}")
+    return EXIT_OK
+
+
+def plan_sentence(plan: GraspPlan) -> str:
+    """A plan in one line."""
+    how = f"capture at {percent(plan.s_capture)}, slide {plan.slide_m * 1e3:.0f} mm, grasp at {percent(plan.s_goal)}"
+    if plan.slide_m == 0:
+        how = f"grasp at {percent(plan.s_goal)} without a slide"
+    tissue = "" if plan.tissue is None else f"; {clearance_sentence(plan.tissue)}"
+    thread = f"; {plan.thread.obstructed}" if plan.thread is not None and plan.thread.obstructed else ""
+    which = f" (attempt {plan.attempt} of {plan.attempts})" if plan.attempt > 1 else ""
+    return f"plan {plan.plan_id}{which}: {how}; success {plan.probability:.0%}{tissue}{thread}"
+
+
+def percent(s: float | None) -> str:
+    """A place along the thread as people say it."""
+    return "?" if s is None else f"{s:.0%}"
+
+
+def arm(rig: RigConfig, options: ArmPlan) -> int:
+    """Arm a plan and stay with it until it ends; Ctrl-C ends the heartbeat, and the arm holds.
+
+    What the planner sees afterwards is told; after a miss its next plan is armed too, where so many attempts were asked
+    for.
+    """
+    if not options.plan or options.attempts < 1:
+        return complain("give the id of a plan, as goal prints it, and at least one attempt", EXIT_UNUSABLE)
+    stopped, plan_id = threading.Event(), options.plan
+    on_stop(stopped.set)
+    with connected(rig.session) as connection:
+        attempts = Attempts(connection)
+        for left in reversed(range(options.attempts)):
+            stood = arm_and_stand_by(connection, options.arm, plan_id, stopped, lambda e: say(event_sentence(e)))
+            outcome = _outcome(stood)
+            if outcome != EXIT_OK:
+                return outcome
+            check = attempts.check_of(plan_id)
+            if check is not None:
+                say(f"{options.arm}: {check.sentence}")
+            again = attempts.plan_after(check) if left and not stopped.is_set() else None
+            if again is None:
+                return EXIT_REFUSED if check is not None and check.verdict is Checked.MISSED else EXIT_OK
+            say(plan_sentence(again))
+            plan_id = again.plan_id
+    return EXIT_OK
+
+
+def _outcome(stood: Stood) -> int:
+    if stood.answer.outcome is not Outcome.ACCEPTED:
+        return complain(stood.answer.reason, EXIT_REFUSED)
+    if stood.end is None:
+        return complain(stood.left, EXIT_REFUSED)
+    return EXIT_OK if stood.end.kind is ExecutionKind.FINISHED else EXIT_REFUSED
+
+
+def event_sentence(event: ExecutionEvent) -> str:
+    """An event of an execution in a few words."""
+    match event.kind:
+        case ExecutionKind.ACCEPTED:
+            return f"{event.arm}: armed"
+        case ExecutionKind.PHASE_REACHED:
+            return f"{event.arm}: {event.phase.name.lower() if event.phase else 'next phase'}"
+        case ExecutionKind.FINISHED:
+            return f"{event.arm}: finished"
+        case ExecutionKind.REFUSED:
+            return f"{event.arm}: refused ({event.code}): {event.reason}"
+        case ExecutionKind.HELD:
+            return f"{event.arm}: holds ({event.code}): {event.reason}"
+
+
+def hold_arm(rig: RigConfig, name: str) -> int:
+    """Have an arm hold."""
+    with connected(rig.session) as connection:
+        answer = hold(connection, name)
+    if answer.outcome is not Outcome.ACCEPTED:
+        return complain(answer.reason, EXIT_REFUSED)
+    say(f"{name}: holds")
+    return EXIT_OK
+
+
+def change_arm_state(rig: RigConfig, options: ChangeArmState) -> int:
+    """Have an arm's console change its state."""
+    with connected(rig.session) as connection:
+        events = Events(connection, EXECUTION)
+        answer = change_state(connection, options.arm, StateWord[options.word.upper()])
+        if answer.outcome is not Outcome.ACCEPTED:
+            return complain(answer.reason, EXIT_REFUSED)
+        say(f"{options.arm}: {options.word} was sent to its console")
+        until_s = monotonic_s() + STATE_WITHIN_S
+        while monotonic_s() < until_s:
+            event = events.next(LOOK_S)
+            if not isinstance(event, ExecutionEvent) or event.arming_id != answer.id:
+                continue
+            if event.kind is ExecutionKind.FINISHED:
+                say(f"{options.arm}: {options.word} has come about, by its console")
+                return EXIT_OK
+            return complain(event.reason, EXIT_REFUSED)
+    return complain(f"{options.arm} has not told what became of {options.word}; look at its bridge", EXIT_REFUSED)
+
+
+def prompt_thread(rig: RigConfig, options: PromptThread) -> int:
+    """Say which thread is meant."""
+    try:
+        pixel = prompted_pixel(options.pixel, options.at)
+    except ValueError as error:
+        return complain(str(error), EXIT_UNUSABLE)
+    with connected(rig.session) as connection:
+        answer = prompt(connection, None if pixel is None else np.array(pixel))
+    if answer.outcome is not Outcome.ACCEPTED:
+        return complain(answer.reason, EXIT_REFUSED)
+    say("perception chooses the thread" if pixel is None else "this thread is meant from the next frame on")
+    return EXIT_OK

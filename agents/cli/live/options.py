@@ -1,0 +1,279 @@
+"""The options of the commands that work on a running rig."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from agents.cli.calibrate.options import Calibrate
+from agents.cli.experiment.options import Experiment
+from agents.cli.rig.on_rig import OnRig, OptionalLabel, OptionalNumber, OptionalPath
+
+
+@dataclass(frozen=True)
+class Router(OnRig):
+    """Run a router, which all agents of a rig connect to."""
+
+
+@dataclass(frozen=True)
+class CameraAgent(OnRig):
+    """Run the camera: frames from images, video, a pipe or the simulated field."""
+
+
+@dataclass(frozen=True)
+class PerceptionAgent(OnRig):
+    """Run perception: frames become ordered observations of the thread; or, with --arm, where that arm's tool is."""
+
+    arm: OptionalLabel = None
+    """Look for the tool of this arm instead, which the configuration's track_tool names."""
+
+
+@dataclass(frozen=True)
+class ReconstructionAgent(OnRig):
+    """Run reconstruction: observations become a thread in 3D with confidence."""
+
+
+@dataclass(frozen=True)
+class PlannerAgent(OnRig):
+    """Run the planner: goals become grasps."""
+
+
+@dataclass(frozen=True)
+class RobotBridgeAgent(OnRig):
+    """Run the robot bridge of one arm."""
+
+    arm: str = "psm1"
+    """Name of the arm, as in the configuration."""
+
+
+@dataclass(frozen=True)
+class SimulatorAgent(OnRig):
+    """Run the simulated field with its judgement of every grasp."""
+
+
+@dataclass(frozen=True)
+class Record(OnRig):
+    """Record every recorded topic of a rig until stopped, and say what is missing."""
+
+    output: Annotated[Path, tyro.conf.arg(metavar="PATH")] = Path("session.mcap")
+    """The recording to write."""
+    numbered: bool = False
+    """Where that file exists, write session-2.mcap and so on beside it."""
+    split_size: OptionalNumber = None
+    """Begin another file, session_part2.mcap and so on, after so many MB."""
+    split_minutes: OptionalNumber = None
+    """Begin another file after so many minutes."""
+    pre_trigger: OptionalNumber = None
+    """Keep only events: so many seconds before each. Enter and SIGUSR1 make one too."""
+    post_trigger: OptionalNumber = None
+    """And so many seconds after it; without this option, as many as before."""
+    keep_free: OptionalNumber = None
+    """Stop while so many MB of the disk are free; without this option, 2 % of it or 500 MB."""
+    foxglove: bool = True
+    """Also write images, calibration and transforms as Foxglove and Rerun show them."""
+    protocol: OptionalLabel = None
+    """Id of the experiment's protocol."""
+    specimen: OptionalLabel = None
+    """Id of the specimen."""
+    operator: OptionalLabel = None
+    """Pseudonym of the operator, never a name."""
+    consent: OptionalLabel = None
+    """Class of the consent under which the recording is made."""
+    retention_days: Annotated[int | None, tyro.conf.arg(metavar="DAYS")] = None
+    """After how many days the recording is to be deleted."""
+
+
+@dataclass(frozen=True)
+class View(OnRig):
+    """Show on Rerun a rig that runs, until stopped, or a recording."""
+
+    recording: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="RECORDING")] = None
+    """A recording (MCAP) to show, instead of the rig."""
+    output: OptionalPath = None
+    """Write what is shown to this file (.rrd): of a recording instead of a window, of a rig beside it."""
+    numbered: bool = False
+    """Where that file exists, write session-2.rrd and so on beside it."""
+    show: Annotated[Literal["file", "native", "web"] | None, tyro.conf.arg(metavar="{file,native,web}")] = None
+    """`file` opens no viewer, `native` a window, `web` a page; a window, unless a recording goes to a file."""
+    layout: Literal["operate", "perception", "grasp", "timing"] = "operate"
+    """What the views are laid out for; all of them show the same."""
+    from_s: Annotated[float | None, tyro.conf.arg(name="from", metavar="SECONDS")] = None
+    """Show a recording from so long after its beginning."""
+    to_s: Annotated[float | None, tyro.conf.arg(name="to", metavar="SECONDS")] = None
+    """Show a recording until so long after its beginning."""
+    thin: bool = False
+    """Leave out of a recording what is faster than an eye can follow, as is done live."""
+
+
+@dataclass(frozen=True)
+class Up(OnRig):
+    """Start the router and all configured agents of this machine, watch them, and stop them together."""
+
+    restart: bool = True
+    """Start again what dies, after a while that grows."""
+
+
+@dataclass(frozen=True)
+class Play(Up):
+    """Keep the simulated field running until Ctrl-C, for goals that you name from another terminal."""
+
+
+@dataclass(frozen=True)
+class Demo:
+    """A simulated grasp from image to judgement, all agents as processes of their own; ends by itself."""
+
+    seed: int = 1
+    """Varies the thread, the tissue and the tool's error, an honest miss included."""
+    attempts: int = 1
+    """How many grasps are tried where the planner sees that one missed."""
+    view: Literal["file", "native", "web"] = "file"
+    """Also open a Rerun viewer."""
+    sessions: Annotated[Path, tyro.conf.arg(metavar="PATH")] = Path("sessions")
+    """Where the recording goes."""
+
+
+@dataclass(frozen=True)
+class Goal(OnRig):
+    """Ask for a grasp: at s along the thread, at a rectified left-image pixel, or at a point (metres, camera frame)."""
+
+    s: OptionalNumber = None
+    """Share of the thread's length, 0 to 1."""
+    pixel: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="U V")] = None
+    """Column and row."""
+    point: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")] = None
+    """In the rectified left camera's frame."""
+    arm: str = "psm1"
+    """Which arm is to grasp."""
+    policy: Literal["robust", "direct"] = "robust"
+    """`robust` captures where the thread is known best and slides to the goal; `direct` grasps at the goal."""
+    attempts: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """How often the planner may plan for it where it sees that a grasp missed; each plan must be armed all the same."""
+
+
+@dataclass(frozen=True)
+class ArmPlan(OnRig):
+    """Arm a plan and stand by it: its heartbeat runs while this command does; Ctrl-C disarms."""
+
+    plan: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="PLAN")] = ""
+    """The plan's id, as `goal` prints it."""
+    arm: str = "psm1"
+    """Which arm carries it out."""
+    attempts: int = 1
+    """How many attempts are armed: after a miss, the next plan too, as long as this command runs."""
+
+
+@dataclass(frozen=True)
+class HoldArm(OnRig):
+    """Have an arm stop where it is, disarmed."""
+
+    arm: str = "psm1"
+    """Which arm."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChangeArmState(OnRig):
+    """Have the console of a real arm, which must be disarmed, enable, disable, pause, resume or home it.
+
+    Homing moves the arm: have its tool in free space, and a hand at the emergency stop.
+    """
+
+    word: Annotated[Literal["enable", "disable", "pause", "resume", "home"], tyro.conf.Positional]
+    """What to do."""
+    arm: str = "psm1"
+    """Which arm."""
+
+
+@dataclass(frozen=True)
+class Guard(OnRig):
+    """Watch a real arm from its own computer, and have it held when bridge, link or operator is gone (docs/dvrk.md)."""
+
+    arm: str = "psm1"
+    """Name of the arm, as in the configuration."""
+
+
+@dataclass(frozen=True)
+class PromptThread(OnRig):
+    """Say which thread is meant: the one at a pixel of the rectified left image. Without a pixel: any again."""
+
+    pixel: tuple[float, float] | None = None
+    """U and v of a pixel on the thread; left out, perception chooses by itself."""
+    at: Annotated[str | None, tyro.conf.arg(metavar="U,V")] = None
+    """The same in one word: --at 412,230."""
+
+
+@dataclass(frozen=True)
+class Doctor(OnRig):
+    """Look for what would keep a rig from running, here and across its hosts, and name the remedy.
+
+    With a stereo pair (--left and --right, or --stereo) and its --calibration, that pair is looked at instead.
+    """
+
+    left: OptionalPath = None
+    """The left image of a pair."""
+    right: OptionalPath = None
+    """The right image."""
+    stereo: OptionalPath = None
+    """Both images side by side in one file, left first."""
+    calibration: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="PATH [PATH]")] = ()
+    """Of the camera that took the pair, in any format that `reconstruct` reads."""
+    unit: Annotated[str | None, tyro.conf.arg(metavar="UNIT")] = None
+    """The calibration's unit of length, where its file does not say."""
+    json: bool = False
+    """Print one JSON document instead."""
+
+
+@dataclass(frozen=True)
+class RigStatus(OnRig):
+    """Show live how a rig fares: agents, hosts, rates, ages, and in plain words what is wrong."""
+
+    json: bool = False
+    """Print a JSON document a second instead, each on a line."""
+    once: bool = False
+    """Look once; the exit status is 1 where something is wrong."""
+
+
+@dataclass(frozen=True)
+class SetInAgent(OnRig):
+    """Set a parameter of a running agent, or list what it is set to: set perception segmenter ridge."""
+
+    words: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(name="agent", metavar="AGENT [NAME VALUE]")
+    ] = ()
+    """The agent, such as `perception`, `robot_bridge psm1` or `robot_bridge/psm1`; then the parameter and its value,
+    as JSON or plain text."""
+
+
+LIVE_COMMANDS = {
+    "demo": Demo,
+    "play": Play,
+    "up": Up,
+    "goal": Goal,
+    "arm": ArmPlan,
+    "experiment": Experiment,
+    "hold": HoldArm,
+    "state": ChangeArmState,
+    "prompt": PromptThread,
+    "set": SetInAgent,
+    "status": RigStatus,
+    "doctor": Doctor,
+    "calibrate": Calibrate,
+    "router": Router,
+    "camera": CameraAgent,
+    "perception": PerceptionAgent,
+    "reconstruction": ReconstructionAgent,
+    "planner": PlannerAgent,
+    "robot-bridge": RobotBridgeAgent,
+    "guard": Guard,
+    "simulator": SimulatorAgent,
+    "record": Record,
+    "view": View,
+}
+
+AGENT_KINDS: dict[type[OnRig], str] = {
+    CameraAgent: "camera",
+    PerceptionAgent: "perception",
+    ReconstructionAgent: "reconstruction",
+    PlannerAgent: "planner",
+    SimulatorAgent: "simulator",
+}

@@ -1,0 +1,1 @@
+"""`suturegrasp page`: the operator's page."""

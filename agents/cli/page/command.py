@@ -1,0 +1,168 @@
+"""`suturegrasp page`: the operator's page, beside a rig that runs or with one that it starts."""
+
+import asyncio
+import contextlib
+import os
+import ssl
+import threading
+import webbrowser
+from collections.abc import Callable, Generator
+from typing import Any
+
+from agents.cli.live.command import rig_of
+from agents.cli.page.options import Page
+from agents.cli.page.recording import RigRecording
+from agents.cli.page.trials import trials_of
+from agents.cli.rig.config import RigConfig
+from agents.cli.running.audit import audit_of
+from agents.cli.running.in_the_way import already_running, in_the_way
+from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
+from agents.cli.running.session_folder import new_session_folder
+from agents.cli.running.supervisor import Supervisor, supervised
+from agents.cli.running.up import FIRST_CONTACT_S, start_all, write_config
+from agents.cli.status.health_watch import Fare
+from agents.cli.status.judgement import judge
+from agents.cli.status.watch import StatusWatch
+from agents.cli.terminal import complain, say
+from agents.operator.access import Access
+from agents.operator.desk import Desk
+from agents.operator.page_server import server_tls, serving
+from agents.operator.pictures import Resample
+from agents.operator.surroundings import Surroundings
+from agents.perception.rectification import RectificationError, rectification, rectify_image
+from schemas.messages import StereoCalibration
+from shared.clock import now_ns
+from shared.runtime.config import ConfigError
+from shared.runtime.connection import ROUTER_WAIT_S, Connection, NoRouterError, connected
+from shared.runtime.session import on_loopback
+
+LOOK_S = 0.5
+LOOPBACK = "127.0.0.1"
+LOCAL_NAMES = (LOOPBACK, "localhost", "[::1]")
+SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
+
+
+def run(options: Page) -> int:
+    """Serve until stopped; the exit status."""
+    stopped = threading.Event()
+    on_stop(stopped.set)
+    try:
+        rig = rig_of(options)
+        tls = _tls(rig, options.listen)
+        with _started(rig, options) as supervisor, contextlib.ExitStack() as stack:
+            within_s = FIRST_CONTACT_S if options.start else ROUTER_WAIT_S
+            connection = stack.enter_context(connected(rig.session, within_s, stopped))
+            watch = stack.enter_context(contextlib.closing(StatusWatch(connection, rig)))
+            recording = stack.enter_context(contextlib.closing(RigRecording(rig, connection)))
+            watch.start()
+            around = Surroundings(
+                rig=rig.rig,
+                arms=tuple(rig.robot),
+                audit=_audit(rig),
+                resample=_resample,
+                wellbeing=lambda: _wellbeing(watch),
+                recording=recording,
+                trials=None if options.experiment is None else trials_of(options.experiment),
+            )
+            asyncio.run(_serve(connection, around, options, tls, _until(stopped, supervisor)))
+    except (ConfigError, NoRouterError) as error:
+        return EXIT_OK if stopped.is_set() else complain(str(error), EXIT_UNUSABLE)
+    except OSError as error:
+        return complain(f"the page cannot be served on port {options.port}: {error.strerror or error}", EXIT_UNUSABLE)
+    return EXIT_OK
+
+
+async def _serve(
+    connection: Connection, around: Surroundings, options: Page, tls: ssl.SSLContext | None, until: Callable[[], bool]
+) -> None:
+    access, listen = Access(), options.listen or LOOPBACK
+    names = LOCAL_NAMES if options.listen is None else (_in_address(options.listen),)
+    async with serving(Desk(connection, around), access, listen, options.port, names, tls) as (_, address):
+        access.changed = lambda link: say(f"for another screen, open {address}#token={link}")
+        say(f"the operator's page: {address}#token={access.link}")
+        if options.open and any(os.environ.get(name) for name in SCREENS):
+            webbrowser.open(f"{address}#token={access.link}")
+        while not until():
+            await asyncio.sleep(LOOK_S)
+
+
+def _tls(rig: RigConfig, listen: str | None) -> ssl.SSLContext | None:
+    """What the page is served with: nothing on loopback, the operator's certificate elsewhere.
+
+    Raises:
+        ConfigError: where it would have to be served without.
+    """
+    if listen is None or on_loopback(f"tcp/{_in_address(listen)}:1"):
+        return None
+    identity = rig.session.identity
+    if identity is None:
+        raise ConfigError(
+            f"--listen {listen} leaves this machine, which needs TLS: describe [hosts] and [security], and put "
+            "operator into the runs of this host (docs/deployment.md)"
+        )
+    try:
+        return server_tls(str(identity.certificate), str(identity.key))
+    except (OSError, ssl.SSLError) as error:
+        raise ConfigError(f"the certificate {identity.certificate} cannot be used: {error}") from None
+
+
+def _in_address(host: str) -> str:
+    return f"[{host}]" if ":" in host else host
+
+
+@contextlib.contextmanager
+def _started(rig: RigConfig, options: Page) -> Generator[Supervisor | None]:
+    """Everything on this machine, where that is wanted."""
+    if not options.start:
+        yield None
+        return
+    if problem := in_the_way(rig) or already_running(rig):
+        raise ConfigError(problem)
+    folder = new_session_folder(rig.recorder.folder if rig.recorder is not None else RigRecording.FOLDER)
+    config = folder.path / "rig.json"
+    write_config(config, rig)
+    with supervised(restart=True) as supervisor:
+        start_all(supervisor, rig, config, folder, rig.viewer.show if rig.viewer is not None else "file")
+        say(f"started {len(supervisor.children)} processes; their logs lie in {folder.path}; stop with Ctrl-C")
+        yield supervisor
+    say("every process was stopped")
+
+
+def _until(stopped: threading.Event, supervisor: Supervisor | None) -> Callable[[], bool]:
+    """Whether it is over; tells meanwhile what has happened to processes."""
+
+    def over() -> bool:
+        for change in supervisor.watch() if supervisor is not None else ():
+            say(change.sentence)
+        return stopped.is_set()
+
+    return over
+
+
+def _audit(rig: RigConfig) -> Callable[..., None]:
+    log = audit_of(rig, "operator page")
+
+    def written(what: str, **told: Any) -> None:
+        log.add(what, now_ns(), **told)
+
+    written("started")
+    return written
+
+
+def _resample(calibration: StereoCalibration) -> Resample | None:
+    try:
+        map_left = rectification(calibration).map_left
+    except RectificationError:
+        return None
+    return None if map_left is None else lambda image: rectify_image(image, map_left)
+
+
+def _wellbeing(watch: StatusWatch) -> dict[str, Any]:
+    gathered = watch.gathered()
+    agents = [{"name": fare.name, "state": fare.state, "rates": _rates(fare)} for fare in gathered.fares]
+    return {"agents": agents, "wrong": [{"text": w.text, "grave": w.grave} for w in judge(gathered)]}
+
+
+def _rates(fare: Fare) -> str:
+    outputs = fare.health.outputs if fare.health is not None else ()
+    return ", ".join(f"{o.topic.rpartition('/')[2]} {o.rate_hz:.0f}" for o in outputs if o.rate_hz > 0)

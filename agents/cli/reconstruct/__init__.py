@@ -1,0 +1,1 @@
+"""`suturegrasp reconstruct`: one pair of images becomes a thread."""

@@ -1,0 +1,188 @@
+"""The options of `suturegrasp reconstruct`, and what is wrong with them before any image is read."""
+
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from agents.cli.prompted_pixel import prompted_pixel
+from agents.perception.segmenter_names import GIVEN_MASKS, PROMPTABLE, SEGMENTER_NAMES
+from agents.reconstruction.method_names import DEFAULT_METHOD, METHOD_NAMES
+from shared.units import METRES_PER_UNIT
+
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
+CALIBRATION_SUFFIXES = (".yaml", ".yml", ".xml", ".json", ".txt")
+
+OptionalPath = Annotated[Path | None, tyro.conf.arg(metavar="PATH")]
+
+
+class UsageError(ValueError):
+    """A command line that cannot be carried out; the text says what to give instead."""
+
+
+def _choice(names: Iterable[str]) -> str:
+    return f"{{{','.join(names)}}}"
+
+
+@dataclass(frozen=True)
+class Reconstruct:
+    """Turn a stereo pair into a thread in 3D with its confidence.
+
+    Give either --left and --right, or --stereo. Exit status: 0 ok, 2 unusable input, 3 no thread could be
+    reconstructed (the output is written and holds the reason).
+    """
+
+    calibration: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="PATH [PATH]")]
+    """OpenCV YAML or XML, ROS camera_info (a file, left and right, or a folder), a folder of text matrices, or JSON."""
+    output: Annotated[Path, tyro.conf.arg(metavar="JSON")]
+    """Where the result goes, as JSON."""
+    left: OptionalPath = None
+    """The left image."""
+    right: OptionalPath = None
+    """The right image."""
+    stereo: OptionalPath = None
+    """Both images side by side in one file, left first."""
+    unit: Annotated[str | None, tyro.conf.arg(metavar=_choice(METRES_PER_UNIT))] = None
+    """The calibration's unit of length, where its file does not say."""
+    left_mask: OptionalPath = None
+    """Coverage of the left image by thread, 8 bits; leave both masks out to have the thread found."""
+    right_mask: OptionalPath = None
+    """Coverage of the right image by thread."""
+    segmenter: Annotated[str | None, tyro.conf.arg(metavar=_choice(SEGMENTER_NAMES))] = None
+    """How thread is found: as the masks say, by contrast to a plain ground, or as ridges of one colour on tissue,
+    or by a network that is told which is meant.
+    Default: what suits the image."""
+    at: Annotated[str | None, tyro.conf.arg(metavar="U,V")] = None
+    """A pixel of the rectified left image, on the thread that is meant."""
+    promptable_encoder: OptionalPath = None
+    """For segmenter `promptable`: the network's encoder, an ONNX file (docs/promptable.md)."""
+    promptable_decoder: OptionalPath = None
+    """And its decoder."""
+    promptable_encoder_sha256: Annotated[str | None, tyro.conf.arg(metavar="HEX")] = None
+    """What the encoder's hash must be."""
+    promptable_decoder_sha256: Annotated[str | None, tyro.conf.arg(metavar="HEX")] = None
+    """What the decoder's hash must be."""
+    method: Annotated[str, tyro.conf.arg(metavar=_choice(METHOD_NAMES))] = DEFAULT_METHOD
+    """How the curve is found."""
+    picture: OptionalPath = None
+    """Also draw both images with the thread, its confidence and its depth (PNG or JPEG)."""
+    rrd: OptionalPath = None
+    """Also write a Rerun recording that shows the thread in 3D."""
+
+    @property
+    def outputs(self) -> dict[str, Path]:
+        """The files to be written, by option."""
+        named = {"--output": self.output, "--picture": self.picture, "--rrd": self.rrd}
+        return {option: path for option, path in named.items() if path is not None}
+
+    @property
+    def inputs(self) -> dict[str, Path]:
+        """The images and masks to be read, by option."""
+        named = {
+            "--left": self.left,
+            "--right": self.right,
+            "--stereo": self.stereo,
+            "--left-mask": self.left_mask,
+            "--right-mask": self.right_mask,
+            "--promptable-encoder": self.promptable_encoder,
+            "--promptable-decoder": self.promptable_decoder,
+        }
+        return {option: path for option, path in named.items() if path is not None}
+
+
+def check(options: Reconstruct) -> None:
+    """Raise a UsageError for options that do not go together, and for outputs that must not be written."""
+    _check_names(options)
+    _check_images(options)
+    _check_masks(options)
+    _check_prompt(options)
+    if not 1 <= len(options.calibration) <= 2:
+        raise UsageError(f"--calibration takes one path, or two (left and right), not {len(options.calibration)}")
+    if options.picture is not None and options.picture.suffix.lower() not in PICTURE_SUFFIXES:
+        raise UsageError(f"--picture {options.picture} must end in .png or .jpg")
+    for option, path in options.outputs.items():
+        _check_place(option, path)
+    _check_nothing_is_overwritten(options)
+
+
+def _check_names(options: Reconstruct) -> None:
+    for option, name, known in (
+        ("--unit", options.unit, METRES_PER_UNIT),
+        ("--segmenter", options.segmenter, SEGMENTER_NAMES),
+        ("--method", options.method, METHOD_NAMES),
+    ):
+        if name is not None and name not in known:
+            raise UsageError(f"{option} {name} is unknown; choose from {', '.join(known)}")
+
+
+def _check_images(options: Reconstruct) -> None:
+    if options.stereo is not None and (options.left is not None or options.right is not None):
+        raise UsageError("give either --stereo or --left and --right, not both")
+    if options.stereo is None and (options.left is None or options.right is None):
+        raise UsageError("give both --left and --right, or one side-by-side image with --stereo")
+
+
+def _check_masks(options: Reconstruct) -> None:
+    if (options.left_mask is None) != (options.right_mask is None):
+        raise UsageError("give both --left-mask and --right-mask, or neither")
+    if options.left_mask is None and options.segmenter == GIVEN_MASKS:
+        raise UsageError("--segmenter mask needs --left-mask and --right-mask")
+    if options.left_mask is not None and options.segmenter not in (None, GIVEN_MASKS):
+        raise UsageError(
+            f"masks are given, so --segmenter {options.segmenter} would not be used; give one or the other"
+        )
+
+
+def _check_prompt(options: Reconstruct) -> None:
+    files = options.promptable_encoder, options.promptable_decoder
+    if files.count(None) == 1:
+        raise UsageError("give both --promptable-encoder and --promptable-decoder, or neither")
+    if options.segmenter == PROMPTABLE and files[0] is None:
+        raise UsageError("--segmenter promptable needs --promptable-encoder and --promptable-decoder")
+    if options.left_mask is not None and options.at is not None:
+        raise UsageError("masks are given, so --at would not be used; give one or the other")
+    try:
+        prompted_pixel(None, options.at)
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+
+
+def _check_place(option: str, path: Path) -> None:
+    if path.is_dir():
+        raise UsageError(f"{option} {path} is a folder; give the name of a file")
+    if not path.parent.is_dir():
+        raise UsageError(f"the folder {path.parent} of {option} {path} does not exist; create it first")
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        raise UsageError(f"the folder {path.parent} of {option} {path} cannot be written to; choose another")
+
+
+def _check_nothing_is_overwritten(options: Reconstruct) -> None:
+    inputs = [*options.inputs.items(), *(("--calibration", path) for path in _calibration_files(options.calibration))]
+    written: list[tuple[str, Path]] = []
+    for option, path in options.outputs.items():
+        for other_option, other in (*inputs, *written):
+            if _is_one_file(path, other):
+                raise UsageError(f"{option} {path} would overwrite {other_option} {other}; give another name")
+        written.append((option, path))
+
+
+def _calibration_files(paths: Iterable[Path]) -> Iterator[Path]:
+    """The files of a calibration; of a folder, all that may belong to it, unless an earlier run has written them."""
+    # help and operator commands need none of what a result is made of
+    from agents.cli.reconstruct.result_file import is_result
+
+    for path in paths:
+        if path.is_dir():
+            files = (file for file in path.iterdir() if file.suffix.lower() in CALIBRATION_SUFFIXES)
+            yield from (file for file in files if not is_result(file))
+        else:
+            yield path
+
+
+def _is_one_file(path: Path, other: Path) -> bool:
+    if os.path.realpath(path) == os.path.realpath(other):
+        return True
+    return path.exists() and other.exists() and path.samefile(other)

@@ -1,0 +1,29 @@
+"""`suturegrasp cut`: a shorter recording out of a longer one."""
+
+from agents.cli.recordings.options import Cut
+from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE
+from agents.cli.terminal import complain, say
+from agents.recorder.cutting import cut
+from agents.replay.window import WindowError, window_ns
+from shared.recording.entry import RecordingError
+from shared.recording.mcap_file import read_recording
+
+
+def run(options: Cut) -> int:
+    """Cut, and say what the new file holds; the exit status."""
+    if options.output.exists():
+        return complain(f"{options.output} exists already; give another name", EXIT_UNUSABLE)
+    try:
+        received = [entry.received_ns for entry in read_recording(options.recording)]
+        if not received:
+            return complain(f"{options.recording} holds no message", EXIT_UNUSABLE)
+        stretch = window_ns(options.begin, options.end, received[0], received[-1])
+        report = cut(options.recording, options.output, *stretch, only_used_frames=options.used)
+    except (RecordingError, WindowError) as error:
+        return complain(str(error), EXIT_UNUSABLE)
+    except OSError as error:
+        return complain(f"{error.filename or options.output}: {error.strerror or error}", EXIT_UNUSABLE)
+    unused = f", without {report.unused} frames of which nothing was made" if report.unused else ""
+    size = options.output.stat().st_size / 1e6
+    say(f"{options.output}: {report.kept} messages of {(stretch[1] - stretch[0]) * 1e-9:.1f} s, {size:.1f} MB{unused}")
+    return EXIT_OK

@@ -1,0 +1,57 @@
+"""`suturegrasp export`: a recording becomes tables for other programs."""
+
+from pathlib import Path
+
+from agents.cli.recordings.inspect import EXIT_DAMAGED
+from agents.cli.recordings.options import Export
+from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE
+from agents.cli.terminal import complain, say, warn
+from agents.inspection.export import export
+from agents.inspection.export_files import FORMATS
+from shared.recording.entry import RecordingError
+
+FEWEST_POINTS, MOST_POINTS = 2, 10_000
+
+
+def run(options: Export) -> int:
+    """Write the tables, and say what they hold."""
+    if refusal := _refused(options):
+        return complain(refusal, EXIT_UNUSABLE)
+    new = not options.output.exists()
+    try:
+        if not options.recording.is_file():
+            return complain(f"{options.recording} is no file; give a recording", EXIT_UNUSABLE)
+        options.output.mkdir(parents=True, exist_ok=True)
+        exported = export(options.recording, options.output, options.format, options.points)
+    except RecordingError as error:
+        if new:
+            options.output.rmdir()
+        return complain(str(error), EXIT_UNUSABLE)
+    except OSError as error:
+        return complain(f"{error.filename or options.output}: {error.strerror or error}", EXIT_UNUSABLE)
+    told = ", ".join(f"{count} rows of {name}" for name, count in exported.rows.items())
+    say(f"{options.output}: {told or 'nothing to export'}; README.txt says what they mean")
+    if exported.unreadable:
+        warn(f"{exported.unreadable} messages cannot be read by this version, and are left out")
+    if exported.other_units:
+        warn(f"{exported.other_units} curves are in another unit than those before, and are left out")
+    if exported.damage:
+        return complain(exported.damage, EXIT_DAMAGED)
+    return EXIT_OK
+
+
+def _refused(options: Export) -> str:
+    """Why this cannot be carried out; empty where it can."""
+    if options.format not in FORMATS:
+        return f"--format {options.format} is unknown; choose from {', '.join(FORMATS)}"
+    if not FEWEST_POINTS <= options.points <= MOST_POINTS:
+        return f"--points {options.points} must lie within {FEWEST_POINTS} and {MOST_POINTS}"
+    return _not_empty(options.output)
+
+
+def _not_empty(folder: Path) -> str:
+    if folder.exists() and not folder.is_dir():
+        return f"--output {folder} is a file; give a folder that is new or empty"
+    if folder.is_dir() and any(folder.iterdir()):
+        return f"--output {folder} holds something already; give a folder that is new or empty"
+    return ""

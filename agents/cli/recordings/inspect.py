@@ -1,0 +1,86 @@
+"""`suturegrasp inspect`: what a recording tells, in the terminal, as JSON, and as a page."""
+
+import json
+import shutil
+import sys
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from agents.cli.recordings.options import Inspect
+from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE
+from agents.cli.terminal import complain, show, warn
+from agents.cli.whole_file import OutputError, whole_file
+from agents.inspection.comparison import comparison_tables
+from agents.inspection.document import document, names_of
+from agents.inspection.page import comparison_page, session_page
+from agents.inspection.pictures import pictures_of
+from agents.inspection.session import Session, read_session
+from agents.inspection.tables import head_lines, session_tables
+from agents.inspection.terminal_report import lines
+from shared.recording.entry import RecordingError
+
+EXIT_DAMAGED = 3
+
+
+def run(options: Inspect) -> int:
+    """Read the recordings and tell of them."""
+    if not options.recordings:
+        return complain("give a recording, or two to compare them", EXIT_UNUSABLE)
+    if refusal := _page_refused(options):
+        return complain(refusal, EXIT_UNUSABLE)
+    try:
+        sessions = [read_session(path) for path in options.recordings]
+    except RecordingError as error:
+        return complain(str(error), EXIT_UNUSABLE)
+    except OSError as error:
+        return complain(f"{error.filename} cannot be read: {error.strerror or error}", EXIT_UNUSABLE)
+    names = names_of(list(options.recordings))
+    for line in _told(sessions, names, options.json):
+        show(line)
+    if options.html is not None:
+        try:
+            _write(options.html, _page(sessions, names))
+        except OutputError as error:
+            return complain(str(error), EXIT_UNUSABLE)
+    damaged = [session for session in sessions if session.damage]
+    for session in damaged:
+        warn(session.damage)
+    return EXIT_DAMAGED if damaged else EXIT_OK
+
+
+def _page_refused(options: Inspect) -> str:
+    """Why a page cannot go where it is wanted; empty where it can."""
+    path = options.html
+    if path is None:
+        return ""
+    if path.is_dir():
+        return f"--html {path} is a folder; give the name of a file"
+    if not path.parent.is_dir():
+        return f"the folder {path.parent} of --html {path} does not exist; create it first"
+    if any(path.exists() and other.exists() and path.samefile(other) for other in options.recordings):
+        return f"--html {path} would overwrite the recording; give another name"
+    return ""
+
+
+def _told(sessions: list[Session], names: list[str], as_json: bool) -> Iterator[str]:
+    if as_json:
+        told = [document(session) for session in sessions]
+        yield json.dumps(told[0] if len(told) == 1 else told, indent=1)
+        return
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+    if len(sessions) == 1:
+        yield from lines(head_lines(sessions[0]), session_tables(sessions[0]), width)
+        return
+    heads = [f"{name}: {line}" for session, name in zip(sessions, names, strict=True) for line in head_lines(session)]
+    yield from lines(heads, comparison_tables(sessions, names), width)
+
+
+def _page(sessions: list[Session], names: list[str]) -> Iterator[str]:
+    if len(sessions) == 1:
+        return session_page(sessions[0], pictures_of(sessions[0]))
+    return comparison_page(sessions, names, comparison_tables(sessions, names))
+
+
+def _write(path: Path, pieces: Iterable[str]) -> None:
+    with whole_file(path) as unfinished, unfinished.open("w", encoding="utf-8", errors="backslashreplace") as file:
+        file.writelines(pieces)

@@ -1,0 +1,173 @@
+"""`suturegrasp record`: every recorded topic of a rig becomes a file, until stopped."""
+
+import logging
+import os
+import signal
+import sys
+import threading
+from pathlib import Path
+
+from agents.cli.live.options import Record
+from agents.cli.recordings.facts import STUDY_FACTS, attached_to, clocks_note, notes_of
+from agents.cli.recordings.one_after_another import Recordings
+from agents.cli.rig.config import RecorderSection, RigConfig
+from agents.cli.rig.hosts import kind_and_instance
+from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
+from agents.cli.running.session_folder import free_path
+from agents.cli.running.supervisor import SUPERVISED
+from agents.cli.terminal import complain, say
+from agents.recorder.disk import DiskGuard
+from agents.recorder.parts import FileSettings
+from agents.recorder.pre_trigger import PreTriggerSettings
+from agents.recorder.recorder import Recorder, RecorderSettings, RecordingReport
+from schemas.topics import MAIN, TOPICS, Topic, key_root
+from shared.runtime.config import config_hash, parse_config
+from shared.runtime.connection import Connection, NoRouterError, connected
+from shared.runtime.facts import Surroundings
+from shared.runtime.identity import validity_ns
+from shared.runtime.service_manager import serving
+
+FIRST_CLOCKS_S, CLOCKS_EVERY_S = 3.0, 60.0
+MB = 1_000_000
+KIND = "recorder"
+LOGGER = logging.getLogger(f"suturegrasp.{KIND}")
+LOGGER.setLevel(logging.INFO)
+# what is told is printed in sentences of its own
+LOGGER.addHandler(logging.NullHandler())
+ASKED = "asked"
+"""The event that a person makes, by Enter or SIGUSR1."""
+
+
+def record(rig: RigConfig, options: Record) -> int:
+    """Record until stopped, then say what the recording holds and what it lacks."""
+    path = free_path(options.output) if options.numbered else options.output
+    section = section_of(rig, options)
+    settings = settings_of(section)
+    if path.exists():
+        return complain(f"{path} exists already; give another name", EXIT_UNUSABLE)
+    if problem := DiskGuard(path.parent, settings.keep_free_bytes).problem():
+        return complain(f"nothing is recorded: {problem}", EXIT_UNUSABLE)
+    stopped = threading.Event()
+    asks_at_terminal = settings.pre_trigger is not None and SUPERVISED not in os.environ and sys.stdin.isatty()
+    on_stop(stopped.set, for_sure=True)
+
+    def begun(path: Path) -> Recorder:
+        return Recorder(path, settings=settings, notes=notes_of(rig, section), attached=attached_to(rig), tell=_tell)
+
+    own = f"{key_root(rig.rig, _instance(rig), KIND)}/"
+    try:
+        recordings = Recordings(path, begun, DiskGuard(path.parent, settings.keep_free_bytes), LOGGER, own)
+    except OSError as error:
+        return complain(f"{path} cannot be written: {error.strerror or error}", EXIT_UNUSABLE)
+    signal.signal(signal.SIGUSR1, lambda *_: recordings.trigger(ASKED))
+    if asks_at_terminal:
+        say("Enter keeps the last seconds")
+        threading.Thread(target=_ask_at_terminal, args=(recordings,), name="keys", daemon=True).start()
+    try:
+        with connected(rig.session_of("recorder"), None, stopped) as connection, serving():
+            _record_all(rig, connection, recordings, path.parent, stopped)
+    except NoRouterError:
+        recordings.close(_say_end)
+    return EXIT_UNUSABLE if any(report.fault for report in recordings.reports) else EXIT_OK
+
+
+def _record_all(
+    rig: RigConfig, connection: Connection, recordings: Recordings, folder: Path, stopped: threading.Event
+) -> None:
+    """Until stopped; what is told of it is told on the rig too."""
+    recording = (connection, recorded_topics(rig), stopped, _say_end)
+    identity = rig.identity_of(KIND)
+    expires_ns = None if identity is None else validity_ns(identity.certificate)[1]
+    around = Surroundings(writes_to=folder, certificate_expires_ns=expires_ns)
+    with connection.reporting(KIND, _instance(rig), LOGGER, lambda: recordings.fault, config_hash(rig), around):
+        thread = threading.Thread(target=recordings.run, args=recording, name="recordings")
+        thread.start()
+        _note_clocks(connection, recordings, stopped)
+        thread.join()
+
+
+def _instance(rig: RigConfig) -> str:
+    return kind_and_instance(KIND, rig.host or MAIN)[1]
+
+
+def _tell(sentence: str) -> None:
+    """Say it here and on the rig."""
+    say(sentence)
+    LOGGER.warning(sentence)
+
+
+def _say_end(report: RecordingReport) -> None:
+    say(recording_sentence(report))
+
+
+def recorded_topics(rig: RigConfig) -> tuple[Topic, ...]:
+    """What is recorded: what the table says, unless the rig says otherwise."""
+    told = {name: section.recorded for name, section in rig.topics.items()}
+    return tuple(topic for topic in TOPICS if told.get(str(topic), topic.recorded))
+
+
+def section_of(rig: RigConfig, options: Record) -> RecorderSection:
+    """What the rig's configuration says, and the command line instead of it.
+
+    Raises:
+        ConfigError: where an option is none that the configuration may hold.
+    """
+    section = rig.recorder or RecorderSection()
+    told = {
+        "split_size_mb": options.split_size,
+        "split_minutes": options.split_minutes,
+        "pre_trigger_s": options.pre_trigger,
+        "post_trigger_s": options.post_trigger,
+        "keep_free_mb": options.keep_free,
+        "foxglove": None if options.foxglove else False,
+        **{name: getattr(options, name) for name in STUDY_FACTS},
+    }
+    changed = section.model_copy(update={name: value for name, value in told.items() if value is not None})
+    return parse_config(changed.model_dump_json(exclude_none=True), RecorderSection, "recorder.json")
+
+
+def settings_of(section: RecorderSection) -> RecorderSettings:
+    """How the recorder is to record."""
+    before_s, after_s = section.pre_trigger_s, section.post_trigger_s
+    return RecorderSettings(
+        FileSettings(
+            None if section.split_size_mb is None else int(section.split_size_mb * MB),
+            None if section.split_minutes is None else section.split_minutes * 60.0,
+            section.foxglove,
+        ),
+        None if section.keep_free_mb is None else int(section.keep_free_mb * MB),
+        None
+        if before_s is None
+        else PreTriggerSettings(
+            before_s, before_s if after_s is None else after_s, int(section.pre_trigger_memory_mb * MB)
+        ),
+    )
+
+
+def recording_sentence(report: RecordingReport) -> str:
+    """What a recording holds and lacks, in one line."""
+    total = sum(report.received.values())
+    files = f" and {len(report.paths) - 1} more" if len(report.paths) > 1 else ""
+    first = report.paths[0] if report.paths else report.path
+    held = f"{first}{files}: {total} messages on {len(report.received)} keys"
+    if not report.paths and not report.fault:
+        return f"no event came, and nothing was kept in {report.path}"
+    if report.complete:
+        return f"{held}, complete"
+    gaps = ", ".join(f"{count} of {key}" for key, count in sorted(report.lost.items()))
+    unnumbered = f"; {report.unnumbered} came without a number" if report.unnumbered else ""
+    fault = f"; {report.fault}" if report.fault else ""
+    return f"{held}, not complete: lost {gaps or 'none'}{unnumbered}{fault}"
+
+
+def _note_clocks(connection: Connection, recordings: Recordings, stopped: threading.Event) -> None:
+    """Until stopped, ask the hosts' clocks from time to time."""
+    wait_s = FIRST_CLOCKS_S
+    while not stopped.wait(wait_s):
+        recordings.note(clocks_note(connection.clocks()))
+        wait_s = CLOCKS_EVERY_S
+
+
+def _ask_at_terminal(recordings: Recordings) -> None:
+    for _ in sys.stdin:
+        recordings.trigger(ASKED)

@@ -1,0 +1,76 @@
+"""What is said of a replay through agents."""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from agents.cli.recordings.difference_table import table
+from agents.replay.differences import Comparison
+from agents.replay.through import Outcome
+from shared.recording.mcap_file import Entry, Note
+
+
+@dataclass(frozen=True)
+class ThroughResult:
+    """What came of a replay.
+
+    Fields:
+        before, after: the recording, and the recording with the replayed outputs.
+        notes: of the recording.
+        exactly: whether nothing may differ.
+        otherwise: what is otherwise than when the recording was made.
+        wall_s: from the first byte read to the last field compared.
+    """
+
+    before: list[Entry]
+    after: list[Entry]
+    notes: list[Note]
+    outcomes: list[Outcome]
+    comparison: Comparison
+    exactly: bool
+    otherwise: str
+    wall_s: float
+
+    @property
+    def step_s(self) -> float:
+        """What the steps took together."""
+        return sum(outcome.step_s for outcome in self.outcomes)
+
+
+def report(result: ThroughResult) -> Iterator[str]:
+    """The lines of the report: what was repeated, what differs, and how long it took."""
+    for outcome in result.outcomes:
+        yield _sentence(outcome)
+    comparison = result.comparison
+    if comparison.made_no_more:
+        yield f"{comparison.made_no_more} recorded outputs are made no more"
+    if comparison.unrecorded:
+        yield f"{comparison.unrecorded} outputs are made that were not recorded"
+    if result.otherwise:
+        how = "nothing may differ all the same" if result.exactly else "compared within tolerances"
+        yield f"otherwise than recorded: {result.otherwise}; {how}"
+    yield from table(comparison, min((e.published_ns for e in result.before), default=0))
+    if comparison.is_same:
+        yield "all that was compared is the same" + ("" if result.exactly else ", within tolerance")
+    steps = sum(outcome.steps for outcome in result.outcomes)
+    ratio = f", {result.wall_s / result.step_s:.2f} times as long" if result.step_s else ""
+    yield f"{steps} steps took {result.step_s:.2f} s; the whole replay {result.wall_s:.2f} s{ratio}"
+
+
+def _sentence(outcome: Outcome) -> str:
+    """What became of one agent's outputs, in one line."""
+    there = outcome.compared
+    same = sum(output.same for output in there)
+    text = f"{outcome.stage}: {len(there)} of {len(outcome.outputs)} outputs repeated, {same} byte for byte the same"
+    if outcome.unrepeatable:
+        text += f"; {len(outcome.unrepeatable)} cannot be repeated: {lacking(outcome)}"
+    if outcome.faults:
+        text += f"; {outcome.faults} steps failed, first: {outcome.first_fault}"
+    return text
+
+
+def lacking(outcome: Outcome) -> str:
+    """What the recording lacks, by key, each message counted once."""
+    lacking = {(c.key, c.epoch, c.sequence) for output in outcome.unrepeatable for c in output.missing}
+    counts = Counter(key for key, _, _ in lacking)
+    return "the recording lacks " + ", ".join(f"{count} of {key}" for key, count in sorted(counts.items()))

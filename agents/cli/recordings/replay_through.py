@@ -1,0 +1,239 @@
+"""`suturegrasp replay session.mcap --through perception`: agents on what they consumed, and what they say differently.
+
+Exit status: 0 where all is the same within tolerance, 1 where something differs, 2 where nothing can be compared.
+"""
+
+import functools
+import mimetypes
+import socket
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Protocol
+
+import schemas
+from agents.cli.recordings.config import changed, recorded_config
+from agents.cli.recordings.replay_report import ThroughResult, lacking, report
+from agents.cli.rig.builders import KINDS, build, configured
+from agents.cli.rig.config import RigConfig
+from agents.cli.terminal import complain, say, show
+from agents.cli.whole_file import OutputError, whole_file
+from agents.replay.differences import compared
+from agents.replay.through import Outcome, Stage, replay_through
+from agents.viewer.sinks import ViewerError
+from schemas.checks import MessageError
+from schemas.topics import TOPICS, topic_of
+from shared.clock import monotonic_s
+from shared.recording.mcap_file import Entry, Note, RecordingError, RecordingWriter, read_attachments, read_with_notes
+from shared.runtime.config import ConfigError, load_config
+from shared.runtime.replay import ReplayError
+
+EXIT_SAME, EXIT_DIFFERENT, EXIT_UNUSABLE = 0, 1, 2
+RECORDED = "recorded"
+AUTO, NONE, TABLE = "auto", "none", "table"
+RUN = "run"
+"""The note of a recording that names the versions of what made it."""
+COMPUTING = ("numpy", "opencv-python-headless", "scipy")
+"""Packages whose versions may round differently."""
+
+
+class UnusableError(ValueError):
+    """A replay that cannot be made; the text says why, and what to do."""
+
+
+class ThroughOptions(Protocol):
+    """What is replayed, and how.
+
+    Fields:
+        through: the agents, separated by commas; they take turns in the order of the dataflow.
+        against: what their outputs are compared with.
+        config: in place of the recorded one.
+        set: single settings that are to be otherwise.
+        tolerances: whether what differs by less than docs/process_replay.md allows counts as the same: `none`,
+            `table`, or `auto` for where settings or versions are not those of the recording.
+        output: a Rerun recording of both, or, ending in .mcap, the recording with the replayed outputs.
+    """
+
+    @property
+    def recording(self) -> Path: ...
+    @property
+    def through(self) -> str | None: ...
+    @property
+    def against(self) -> str: ...
+    @property
+    def config(self) -> Path | None: ...
+    @property
+    def set(self) -> tuple[str, ...]: ...
+    @property
+    def tolerances(self) -> str: ...
+    @property
+    def output(self) -> Path | None: ...
+
+
+def run_through(options: ThroughOptions) -> int:
+    """Replay, say what differs, write what is asked for, and return the exit status."""
+    try:
+        result = replayed(options)
+        for line in report(result):
+            show(line)
+        if options.output is not None:
+            _write(options.output, options.recording, result)
+    except (UnusableError, ConfigError, RecordingError, ReplayError, OutputError, ViewerError) as error:
+        return complain(str(error), EXIT_UNUSABLE)
+    except MessageError as error:
+        return complain(f"{options.recording} holds a message that cannot be read: {error}", EXIT_UNUSABLE)
+    except OSError as error:
+        return complain(f"{options.recording} cannot be read: {error.strerror or error}", EXIT_UNUSABLE)
+    return EXIT_SAME if result.comparison.is_same else EXIT_DIFFERENT
+
+
+def replayed(options: ThroughOptions) -> ThroughResult:
+    """Replay and compare, without a word.
+
+    Raises:
+        UnusableError, ConfigError, RecordingError, ReplayError, MessageError, OSError: where that cannot be done.
+    """
+    _check(options)
+    started_s = monotonic_s()
+    recorded = load_config(options.config, RigConfig) if options.config else recorded_config(options.recording)
+    config = with_simulated_arms(changed(recorded, options.set))
+    entries, notes = _read(options.recording)
+    otherwise = _otherwise(options, next((note.facts for note in notes if note.name == RUN), {}))
+    stages = _stages(config, (options.through or "").split(","), entries)
+    outcomes, after = replay_through(stages, entries)
+    _check_repeatable(outcomes)
+    published = {(e.key, e.epoch, e.sequence): e.published_ns for e in entries}
+    outputs = [output for outcome in outcomes for output in outcome.outputs]
+    exactly = options.tolerances == NONE or (options.tolerances == AUTO and not otherwise)
+    comparison = compared(outputs, lambda r: published[r.key, r.epoch, r.sequence], exactly)
+    return ThroughResult(entries, after, notes, outcomes, comparison, exactly, otherwise, monotonic_s() - started_s)
+
+
+def with_simulated_arms(config: RigConfig) -> RigConfig:
+    """The configuration with a simulated arm in place of each real one, which no replay may reach.
+
+    A file that told where its base was need not be on this machine: the simulated arm stands in a place of its own.
+    """
+    simulated = {"backend": "simulated", "dvrk": None, "T_camera_base_file": None}
+    return config.model_copy(update={"robot": {a: s.model_copy(update=simulated) for a, s in config.robot.items()}})
+
+
+def _read(path: Path) -> tuple[list[Entry], list[Note]]:
+    """The messages whose keys are in the topic table (a newer version may have others), and the notes."""
+    entries: list[Entry] = []
+    notes: list[Note] = []
+    known = functools.cache(_is_known)
+    for record in read_with_notes(path):
+        if isinstance(record, Note):
+            notes.append(record)
+        elif known(record.key):
+            entries.append(record)
+    return entries, notes
+
+
+def _otherwise(options: ThroughOptions, run: dict[str, str]) -> str:
+    """What is otherwise than when the recording was made, as far as it tells; empty where nothing is."""
+    packages = {package: version(package) for package in COMPUTING}
+    here = {"suturegrasp": schemas.__version__, "host": socket.gethostname(), **packages}
+    changes = [
+        f"{name} {run[name]} there, {here[name]} here" for name in here if run.get(name, here[name]) != here[name]
+    ]
+    changes += [f"--set {setting}" for setting in options.set]
+    return ", ".join([*changes, *([f"--config {options.config}"] if options.config else [])])
+
+
+def _is_known(key: str) -> bool:
+    """Whether a key is one of the topic table; a newer version may have recorded others."""
+    try:
+        topic_of(key)
+    except KeyError:
+        return False
+    return True
+
+
+def _stages(config: RigConfig, names: Sequence[str], entries: list[Entry]) -> list[Stage]:
+    found: dict[tuple[str, str], Stage] = {}
+    for name in (name.strip() for name in names):
+        kind, _, instance = name.partition("/")
+        if kind not in KINDS:
+            raise UnusableError(f"--through {name!r} is no agent that can be replayed; choose from {', '.join(KINDS)}")
+        instances = [i for k, i in configured(config) if k == kind and instance in ("", i)]
+        if not instances:
+            raise ConfigError(f"the configuration of this recording has no {name}; give another one by --config")
+        found |= {(kind, i): _stage(config, kind, i, entries) for i in instances}
+    return [found[named] for named in sorted(found, key=lambda named: KINDS.index(named[0]))]
+
+
+def _stage(config: RigConfig, kind: str, instance: str, entries: list[Entry]) -> Stage:
+    name = kind if instance == "main" else f"{kind}/{instance}"
+    said = Counter(entry.key for entry in entries)
+    outputs = {topic for topic in TOPICS if topic.agent == kind}
+    if not any(
+        topic_of(key) in outputs and (not topic_of(key).per_arm or key.split("/")[3] == instance) for key in said
+    ):
+        agents = sorted({key.split("/")[2] for key in said if topic_of(key).agent in KINDS})
+        raise UnusableError(
+            f"the recording holds no output of {name}; it has some of: {', '.join(agents) or 'no agent'}"
+        )
+    return Stage(name, lambda: build(config, kind, instance))
+
+
+def _check_repeatable(outcomes: list[Outcome]) -> None:
+    for outcome in outcomes:
+        if not outcome.compared:
+            raise UnusableError(f"none of {outcome.stage}'s outputs can be repeated: {lacking(outcome)}")
+
+
+def _check(options: ThroughOptions) -> None:
+    if options.against != RECORDED:
+        raise UnusableError(f"--against {options.against} is unknown; replayed outputs are compared with: {RECORDED}")
+    if options.tolerances not in (AUTO, NONE, TABLE):
+        raise UnusableError(f"--tolerances {options.tolerances} is unknown; choose from {AUTO}, {NONE}, {TABLE}")
+    _check_output(options)
+
+
+def _check_output(options: ThroughOptions) -> None:
+    output = options.output
+    if output is None:
+        return
+    if output.suffix not in (".rrd", ".mcap"):
+        raise UnusableError(f"--output {output} must end in .rrd, to be looked at in Rerun, or in .mcap")
+    if not output.parent.is_dir():
+        raise UnusableError(f"the folder {output.parent} of --output {output} does not exist; create it first")
+    if output.exists() and options.recording.exists() and output.samefile(options.recording):
+        raise UnusableError(f"--output {output} would overwrite the recording; give another name")
+
+
+def _write(path: Path, recording: Path, result: ThroughResult) -> None:
+    if path.suffix == ".mcap":
+        with whole_file(path) as unfinished:
+            write_recording(unfinished, result.after, result.notes, read_attachments(recording))
+    else:
+        # the viewer's mapping loads Rerun, which takes longer than many a replay
+        from agents.cli.recordings.side_by_side import write_side_by_side
+
+        with whole_file(path) as unfinished:
+            write_side_by_side(unfinished, result.before, result.after, result.comparison)
+    say(f"wrote {path}")
+
+
+def write_recording(
+    path: Path, entries: Iterable[Entry], notes: Iterable[Note] = (), attachments: Mapping[str, bytes] | None = None
+) -> None:
+    """Write a recording; the same content always gives the same bytes.
+
+    Raises:
+        OSError: where it cannot be written.
+    """
+    writer = RecordingWriter(path)
+    try:
+        for note in notes:
+            writer.note(note.name, note.facts)
+        for name, data in (attachments or {}).items():
+            writer.attach(name, mimetypes.guess_type(name)[0] or "application/octet-stream", data, 0)
+        for entry in entries:
+            writer.write(topic_of(entry.key), entry)
+        writer.close()
+    finally:
+        writer.abandon()

@@ -1,0 +1,165 @@
+"""`suturegrasp view`: a rig that runs, until stopped, or a recording, from its beginning to its end."""
+
+import contextlib
+import sys
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+
+from agents.cli.live.options import View
+from agents.cli.rig.config import RigConfig
+from agents.cli.running.process import EXIT_GAVE_UP, EXIT_OK, EXIT_UNUSABLE, ONLOOKER, on_stop, step_back
+from agents.cli.running.session_folder import free_path
+from agents.cli.terminal import complain, say, show
+from agents.viewer.live import LiveViewer, ViewerError, ViewerReport
+from agents.viewer.recorded import RecordedViewer, between
+from agents.viewer.sinks import CLOSED_AT_ONCE, INSTEAD
+from schemas.topics import TOPICS
+from shared.clock import monotonic_s
+from shared.recording.mcap_file import RecordingError, read_recording
+from shared.runtime.connection import NoRouterError, connected
+from shared.runtime.service_manager import serving
+
+PROGRESS_S = 5.0
+"""How often a line tells how far it has come; on a terminal, one line is kept up to date."""
+LOOK_S = 0.1
+
+
+def view(rig: RigConfig, options: View) -> int:
+    """Show a recording, where one is named, or else the rig; the exit status."""
+    output = free_path(options.output) if options.numbered and options.output else options.output
+    stopped = threading.Event()
+    on_stop(stopped.set)
+    if options.recording is not None:
+        return _view_recording(options, options.recording, output, stopped)
+    for name, given in (("--from", options.from_s), ("--to", options.to_s)):
+        if given is not None:
+            return complain(f"{name} cuts a recording, and none is named", EXIT_UNUSABLE)
+    return _view_rig(rig, output, options, stopped)
+
+
+def _view_rig(rig: RigConfig, output: Path | None, options: View, stopped: threading.Event) -> int:
+    """Show the rig until stopped, then say what was shown and what was dropped."""
+    step_back(ONLOOKER)
+    # sessions that are opened together stay apart by the folder that each is in
+    session_id = f"{rig.rig} {output.resolve().parent.name}" if output is not None else rig.rig
+    try:
+        viewer = LiveViewer(output, options.show or "native", session_id, options.layout)
+    except ViewerError as error:
+        return complain(str(error), EXIT_UNUSABLE)
+    for note in viewer.notes:
+        say(note)
+    with contextlib.suppress(NoRouterError), connected(rig.session_of("viewer"), None, stopped) as connection:
+        connection.listen(TOPICS, viewer.put)
+        with serving():
+            stopped.wait()
+    say(report_sentence(viewer.close()))
+    return EXIT_OK
+
+
+def _view_recording(options: View, recording: Path, output: Path | None, stopped: threading.Event) -> int:
+    """Show a recording as fast as it goes, then say what was shown and what could not be read."""
+    began_s = monotonic_s()
+    if output is not None and output.exists() and output.samefile(recording):
+        return complain(f"{output} is the recording itself; give another name", EXIT_UNUSABLE)
+    try:
+        size = recording.stat().st_size
+        # what is no recording is told before a window opens
+        next(read_recording(recording), None)
+        layout, session_id = options.layout, str(recording.resolve())
+        viewer = RecordedViewer(output, _show(options, output), session_id, layout, options.thin)
+    except (OSError, RecordingError, ViewerError) as error:
+        return complain(_told(error, recording), EXIT_UNUSABLE)
+    for note in viewer.notes:
+        say(note)
+    viewer.show(between(read_recording(recording), options.from_s, options.to_s))
+    progress = _Progress(viewer, size, began_s)
+    while not (viewer.finished.wait(LOOK_S) or stopped.is_set() or viewer.window_closed):
+        progress.tell()
+    progress.end()
+    cut_short = "" if viewer.finished.is_set() else "the window was closed" if viewer.window_closed else "stopped"
+    if viewer.served and not cut_short:
+        say("all of it is on the page, which is served until Ctrl-C")
+        stopped.wait()
+    report = viewer.close()
+    for line in (*report.notes[len(viewer.notes) :], *_not_read(viewer, report)):
+        say(line)
+    took = f"; it took {monotonic_s() - began_s:.1f} s"
+    say(report_sentence(report) + took + (f", and was cut short: {cut_short}" if cut_short else ""))
+    if viewer.window_failed:
+        return complain(f"{CLOSED_AT_ONCE}{INSTEAD}", EXIT_UNUSABLE)
+    if viewer.error is not None:
+        return complain(_told(viewer.error, recording), EXIT_GAVE_UP)
+    return EXIT_OK
+
+
+def report_sentence(report: ViewerReport) -> str:
+    """What a viewer showed and left out, in one line."""
+    counts = {
+        "shown": report.shown,
+        "thinned": report.thinned,
+        "dropped": report.dropped,
+        "unreadable": report.unreadable,
+    }
+    told = ", ".join(f"{name} {sum(count.values())}" for name, count in counts.items())
+    return f"messages {told}{f': {report.path}' if report.path else ''}"
+
+
+def _show(options: View, output: Path | None) -> str:
+    """Where a recording is shown: in a window, unless it is to be written to a file."""
+    return options.show or ("native" if output is None else "file")
+
+
+def _not_read(viewer: RecordedViewer, report: ViewerReport) -> list[str]:
+    """A line for every kind of message that is not in the view though it is in the recording."""
+    unreadable = [f"{count} of {topic} could not be read" for topic, count in sorted(report.unreadable.items())]
+    unknown = [f"{count} under {key}, a key that this version does not know" for key, count in viewer.unknown.items()]
+    return [f"not shown: {line}" for line in (*unreadable, *unknown)]
+
+
+def _told(error: Exception, recording: Path) -> str:
+    if isinstance(error, OSError):
+        return f"{error.filename or recording} cannot be read or written: {error.strerror or error}"
+    return str(error)
+
+
+@dataclass
+class _Progress:
+    """Tells how far a recording was read.
+
+    Fields:
+        size: of the recording, in bytes; images hardly shrink in it, so payloads tell how much of it was read.
+    """
+
+    viewer: RecordedViewer
+    size: int
+    began_s: float
+    told_s: float = 0.0
+    first_told: bool = False
+
+    def tell(self) -> None:
+        """A line, if it is time for one."""
+        if self.viewer.first_picture.is_set() and not self.first_told:
+            self.first_told = True
+            self._line(f"the first picture came after {monotonic_s() - self.began_s:.1f} s", last=True)
+        now_s = monotonic_s()
+        if sys.stdout.isatty() or now_s - self.told_s > PROGRESS_S:
+            self.told_s = now_s
+            self._line(self._sentence(), last=False)
+
+    def end(self) -> None:
+        """Leave the line that was kept up to date."""
+        if self.viewer.first_picture.is_set() and not self.first_told:
+            self.tell()
+        if sys.stdout.isatty():
+            show("")
+
+    def _sentence(self) -> str:
+        share = min(0.99, self.viewer.showed / max(self.size, 1))
+        return f"about {share:.0%} read, {1e-6 * self.viewer.showed:.0f} MB in {monotonic_s() - self.began_s:.0f} s"
+
+    def _line(self, text: str, last: bool) -> None:
+        if sys.stdout.isatty():
+            print(f"\r\x1b[K{text}", end="\n" if last else "", flush=True)
+        else:
+            say(text)

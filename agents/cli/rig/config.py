@@ -1,0 +1,242 @@
+"""The configuration of a rig: one TOML file, from which every agent of it is built.
+
+A section that is there means that `suturegrasp up` runs that agent, on this machine or on the host whose `runs` names
+it; every agent reads the same file.
+"""
+
+from pydantic import Field, field_validator, model_validator
+
+from agents.cli.rig.base_pose import standing_apart
+from agents.cli.rig.hosts import (
+    OPERATOR,
+    HostName,
+    HostSection,
+    SecuritySection,
+    host_fault,
+    kind_and_instance,
+)
+from agents.cli.rig.sections import (
+    ArmSection,
+    CameraSection,
+    LinksSection,
+    Name,
+    PerceptionSection,
+    PlannerSection,
+    ReconstructionSection,
+    RecorderSection,
+    RouterSection,
+    SimulatorSection,
+    TopicSection,
+    ViewerSection,
+)
+from agents.reconstruction.method_names import MATCHING_METHODS
+from schemas.topics import MAIN, TOPICS
+from shared.runtime.access import Sites, common_name
+from shared.runtime.config import Settings
+from shared.runtime.identity import Identity, identity_in
+from shared.runtime.session import LOCAL_ENDPOINT, SessionSettings, host_of, on_loopback
+
+AGENT_SECTIONS = ("camera", "perception", "reconstruction", "planner", "simulator")
+
+
+class RigConfig(Settings):
+    """A whole rig."""
+
+    rig: Name = "lab"
+    router: RouterSection = RouterSection()
+    camera: CameraSection | None = None
+    perception: PerceptionSection | None = None
+    reconstruction: ReconstructionSection | None = None
+    planner: PlannerSection | None = None
+    robot: dict[Name, ArmSection] = Field(default_factory=dict)
+    simulator: SimulatorSection | None = None
+    recorder: RecorderSection | None = None
+    viewer: ViewerSection | None = None
+    hosts: dict[HostName, HostSection] = Field(default_factory=dict)
+    host: HostName | None = None
+    security: SecuritySection | None = None
+    links: LinksSection = LinksSection()
+    topics: dict[str, TopicSection] = Field(default_factory=dict)
+
+    @field_validator("robot")
+    @classmethod
+    def _each_arm_has_a_place_of_its_own(cls, robot: dict[str, ArmSection]) -> dict[str, ArmSection]:
+        # what a file tells is known where the arm is, on the host of its bridge
+        told = {arm: section for arm, section in robot.items() if section.T_camera_base_file is None}
+        standing_apart({arm: section.T_camera_base for arm, section in told.items()})
+        return robot
+
+    @model_validator(mode="after")
+    def _method_has_its_matches(self) -> "RigConfig":
+        if self.needs_matching and self.perception is not None and self.perception.matching is False:
+            method = self.reconstruction.method if self.reconstruction else ""
+            raise ValueError(f"reconstruction.method {method!r} needs perception.matching = true, or leave it out")
+        return self
+
+    @model_validator(mode="after")
+    def _tools_are_of_arms(self) -> "RigConfig":
+        tracked = self.perception.track_tool if self.perception is not None else ()
+        for arm in tracked:
+            if arm not in self.robot:
+                raise ValueError(f"perception.track_tool names {arm!r}, and the arms are {', '.join(self.robot)}")
+            if self.robot[arm].kinematics is not None:
+                raise ValueError(f"perception.track_tool names {arm!r}, whose tool is no PSM's; leave it out")
+        for arm, section in self.robot.items():
+            if section.correction == "perception" and arm not in tracked:
+                raise ValueError(f"robot.{arm}.correction = 'perception' needs perception.track_tool = [\"{arm}\"]")
+        return self
+
+    @field_validator("topics")
+    @classmethod
+    def _each_topic_is_of_the_table(cls, topics: dict[str, TopicSection]) -> dict[str, TopicSection]:
+        known = [str(topic) for topic in TOPICS]
+        for name in topics:
+            if name not in known:
+                raise ValueError(f"there is no topic {name!r}; known are {', '.join(known)}")
+        return topics
+
+    @model_validator(mode="after")
+    def _direct_links_stay_on_one_machine(self) -> "RigConfig":
+        if self.links.direct and (self.hosts or self.security is not None):
+            raise ValueError("links.direct goes past the router, whose access rules see nothing of it; leave it out")
+        return self
+
+    @model_validator(mode="after")
+    def _sites_are_told_apart(self) -> "RigConfig":
+        if self.rig in self.router.reads:
+            raise ValueError(f"router.reads names {self.rig!r}, this rig itself; name rigs of other sites")
+        for endpoint in self.router.connect:
+            if not on_loopback(endpoint) and not (self.security is not None and endpoint.startswith("tls/")):
+                raise ValueError(f"router.connect {endpoint!r} leaves this machine, which needs tls and [security]")
+        return self
+
+    @model_validator(mode="after")
+    def _robots_are_reached_safely(self) -> "RigConfig":
+        camera = self.camera.endpoint if self.camera is not None else None
+        arms = {arm: section.dvrk for arm, section in self.robot.items() if section.dvrk is not None}
+        named = {f"robot.{arm}.dvrk.endpoint": dvrk.endpoint for arm, dvrk in arms.items()}
+        for name, endpoint in (named | ({"camera.endpoint": camera} if camera is not None else {})).items():
+            if not on_loopback(endpoint) and not (self.security is not None and endpoint.startswith("tls/")):
+                raise ValueError(
+                    f"{name} {endpoint!r} leaves this machine, which needs tls and [security]; or run what needs it on "
+                    "the robot's computer: docs/dvrk.md"
+                )
+        for arm, dvrk in arms.items():
+            if not on_loopback(dvrk.endpoint) and not dvrk.through_guard:
+                kept = f"robot.{arm}.dvrk: what a link off this machine keeps back must not move the arm later"
+                raise ValueError(f"{kept}; set through_guard = true, and run suturegrasp guard on the robot's computer")
+        return self
+
+    @model_validator(mode="after")
+    def _guards_sit_at_their_robots(self) -> "RigConfig":
+        for arm, section in self.robot.items():
+            name, at = f"guard {arm}", "" if section.dvrk is None else host_of(section.dvrk.endpoint)
+            sits = [host for host, told in self.hosts.items() if name in told.runs]
+            robots = [host for host, told in self.hosts.items() if told.address == at]
+            # whatever answers on loopback answers the bridge on the bridge's own host
+            robots = robots or [host for host, told in self.hosts.items() if f"robot_bridge {arm}" in told.runs]
+            if sits and robots and sits != robots:
+                raise ValueError(
+                    f"{name!r} must run on {robots[0]}, the robot's computer, not on {sits[0]}: a guard that "
+                    "is elsewhere is lost with the link"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _links_are_secured(self) -> "RigConfig":
+        if not self.hosts:
+            if self.router.host is not None or self.host is not None:
+                named = "router.host" if self.router.host is not None else "host"
+                raise ValueError(f"{named} names a host, and there are no [hosts]; describe them, or leave it out")
+            if self.router.endpoint.startswith("tls/") and self.security is None:
+                raise ValueError("router.endpoint is tls, which needs [security] with a folder of certificates")
+            if not on_loopback(self.router.endpoint) and not self.router.endpoint.startswith("tls/"):
+                raise ValueError(
+                    f"router.endpoint {self.router.endpoint!r} leaves this machine, which needs mutual TLS: describe "
+                    "[hosts] and [security], see docs/deployment.md"
+                )
+            return self
+        if self.router.endpoint != LOCAL_ENDPOINT:
+            raise ValueError("router.endpoint and [hosts] exclude each other; name router.host, and router.port")
+        if self.router.host is None:
+            raise ValueError(f"router.host is missing: which of {', '.join(self.hosts)} runs the router")
+        for key, named in (("router.host", self.router.host), ("host", self.host)):
+            if named is not None and named not in self.hosts:
+                raise ValueError(f"{key} = {named!r} is none of the hosts {', '.join(self.hosts)}")
+        if self.security is None:
+            raise ValueError("[security] is missing, which hosts need to trust each other; an empty section will do")
+        if fault := host_fault(self.hosts, self.processes()):
+            raise ValueError(fault)
+        return self
+
+    @property
+    def needs_matching(self) -> bool:
+        """Whether the method of reconstruction needs matched pixels, as far as this configuration tells."""
+        return self.reconstruction is not None and self.reconstruction.method in MATCHING_METHODS
+
+    def processes(self) -> list[str]:
+        """Everything that has a section, on whichever host, as `runs` writes it; the router is apart."""
+        agents = [kind for kind in AGENT_SECTIONS if getattr(self, kind) is not None]
+        tracked = self.perception.track_tool if self.perception is not None else ()
+        arms = [*(f"perception {arm}" for arm in tracked), *(f"robot_bridge {arm}" for arm in self.robot)]
+        guards = [f"guard {arm}" for arm, section in self.robot.items() if section.dvrk is not None]
+        return [*agents, *arms, *guards, *(kind for kind in ("recorder", "viewer") if getattr(self, kind) is not None)]
+
+    def runs_here(self, name: str) -> bool:
+        """Whether a process, as `runs` writes it, or the `router`, is to run on this machine."""
+        if name == "router":
+            return self.router.start and (not self.hosts or self.router.host == self.host)
+        return name in self.processes() and (self.host is None or name in self.hosts[self.host].runs)
+
+    @property
+    def realtime_here(self) -> bool:
+        """Whether what keeps time on this machine is to have real-time priority."""
+        return self.host is not None and self.hosts[self.host].realtime
+
+    @property
+    def router_endpoint(self) -> str:
+        """Where the router listens, and where the others find it."""
+        if self.router.host is None:
+            return self.router.endpoint
+        address = self.hosts[self.router.host].address
+        return f"tls/{f'[{address}]' if ':' in address else address}:{self.router.port}"
+
+    @property
+    def sites(self) -> Sites:
+        """What the router has to do with those of other sites."""
+        return Sites(self.router.connect, self.router.reads, self.router.read_by_others)
+
+    @property
+    def session(self) -> SessionSettings:
+        """How a person's command reaches the dataflow, as this host's operator."""
+        return self.session_of(OPERATOR)
+
+    def session_of(self, name: str) -> SessionSettings:
+        """How a process, as `runs` writes it, reaches the dataflow."""
+        return SessionSettings(rig=self.rig, endpoint=self.router_endpoint, identity=self.identity_of(name))
+
+    def identity_of(self, name: str) -> Identity | None:
+        """The certificate that a process of this host shows; None on a rig without certificates."""
+        if self.security is None:
+            return None
+        return identity_in(self.security.certificates, common_name(*kind_and_instance(name, self.host or MAIN)))
+
+    def common_names(self) -> list[str]:
+        """The common names of everything that may reach the router, for which there are certificates."""
+        runs = {host: section.runs for host, section in self.hosts.items()} or {MAIN: (*self.processes(), OPERATOR)}
+        return [common_name(*kind_and_instance(name, host)) for host, names in runs.items() for name in names]
+
+
+def simulated_rig() -> RigConfig:
+    """Everything on one machine, with a simulated field and arm."""
+    return RigConfig(
+        rig="demo",
+        camera=CameraSection(),
+        perception=PerceptionSection(),
+        reconstruction=ReconstructionSection(),
+        planner=PlannerSection(),
+        robot={"psm1": ArmSection()},
+        simulator=SimulatorSection(),
+        recorder=RecorderSection(),
+        viewer=ViewerSection(),
+    )

@@ -1,0 +1,1 @@
+"""The processes of a rig, started and watched."""

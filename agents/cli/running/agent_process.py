@@ -1,0 +1,92 @@
+"""One agent as a process: from configuration to a clean stop. What all agents are made of takes a second to load."""
+
+import os
+import tempfile
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+from agents.camera.image_files import ImageFileError
+from agents.camera.sources import SourceError
+from agents.cli.rig.builders import build
+from agents.cli.rig.config import RigConfig
+from agents.cli.rig.hosts import run_name
+from agents.cli.running.process import EXIT_GAVE_UP, EXIT_OK, EXIT_UNUSABLE, LOGGER, log_to_console, on_stop, step_back
+from agents.cli.terminal import complain
+from shared.calibration import CalibrationError
+from shared.runtime.config import ConfigError, config_hash
+from shared.runtime.connection import NoRouterError, open_when_there
+from shared.runtime.delivery import RouterLinks
+from shared.runtime.direct import DirectLinks
+from shared.runtime.facts import Surroundings, ask_for_realtime
+from shared.runtime.identity import validity_ns
+from shared.runtime.memory import keep_freed_memory
+from shared.runtime.runner import Runner
+from shared.runtime.session import runs_already
+from shared.scene.render import SceneError
+
+YIELDING = ("perception", "reconstruction")
+KEEPING_TIME = ("robot_bridge", "camera", "simulator")
+REALTIME_PRIORITY = 50
+
+
+def run_agent(rig: RigConfig, kind: str, instance: str) -> int:
+    """Run one agent until it is told to stop; the exit status."""
+    handler = log_to_console()
+    try:
+        return _run(rig, kind, instance)
+    finally:
+        LOGGER.removeHandler(handler)
+
+
+def _run(rig: RigConfig, kind: str, instance: str) -> int:
+    keep_freed_memory()
+    if kind in YIELDING:
+        step_back()
+    try:
+        agent = build(rig, kind, instance)
+    except (ConfigError, SourceError, ImageFileError, CalibrationError, SceneError, OSError) as error:
+        return complain(str(error), EXIT_UNUSABLE)
+    stopped = threading.Event()
+    on_stop(stopped.set, for_sure=True)
+    # before the session is opened, so that its threads have the priority too: the loop waits for them at times
+    around = surroundings(rig, kind, instance)
+    try:
+        session = open_when_there(rig.session_of(run_name(kind, instance)), stopped=stopped)
+    except NoRouterError as error:
+        return complain(str(error), EXIT_OK if stopped.is_set() else EXIT_UNUSABLE)
+    with session:
+        if runs_already(session, rig.rig, kind, instance):
+            return complain(f"{kind} {instance} of rig {rig.rig} runs already; stop that one first", EXIT_UNUSABLE)
+        runner = Runner(agent, session, rig.rig, config_hash(rig), around, links(rig, kind, instance))
+        threading.Thread(target=_stop_after, args=(stopped, runner.stop), name="stop", daemon=True).start()
+        runner.run()
+    return complain(runner.gave_up, EXIT_GAVE_UP) if runner.gave_up else EXIT_OK
+
+
+def surroundings(rig: RigConfig, kind: str, instance: str) -> Surroundings:
+    """What the agent's process knows of its host; real-time priority is asked for first where a real arm is driven,
+    and where the rig wants it.
+    """
+    identity = rig.identity_of(run_name(kind, instance))
+    drives = kind == "robot_bridge" and rig.robot[instance].dvrk is not None
+    asked = REALTIME_PRIORITY if drives or (kind in KEEPING_TIME and rig.realtime_here) else None
+    return Surroundings(
+        certificate_expires_ns=None if identity is None else validity_ns(identity.certificate)[1],
+        realtime_asked=asked,
+        realtime_refused="" if asked is None else ask_for_realtime(asked),
+    )
+
+
+def links(rig: RigConfig, kind: str, instance: str) -> RouterLinks:
+    """By which ways the agent's messages go; sockets of direct links lie where this user's alone do."""
+    if not rig.links.direct:
+        return RouterLinks()
+    port = rig.router_endpoint.rsplit(":", 1)[1]
+    own = os.environ.get("XDG_RUNTIME_DIR") or str(Path(tempfile.gettempdir()) / f"suturegrasp-{os.getuid()}")
+    return DirectLinks(Path(own) / "suturegrasp" / f"{rig.rig}-{port}", kind, instance)
+
+
+def _stop_after(stopped: threading.Event, stop: Callable[[], None]) -> None:
+    stopped.wait()
+    stop()

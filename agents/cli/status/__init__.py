@@ -1,0 +1,1 @@
+"""`suturegrasp status`: how a rig fares, in plain words."""

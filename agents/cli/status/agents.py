@@ -1,0 +1,145 @@
+"""What is wrong by the agents' own accounts and by their silence; `up` and `status` share this judgement."""
+
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from itertools import groupby
+
+from agents.cli.status.health_watch import ABSENT, GONE, HANGING, NEVER, SILENT, Fare, span_of
+from agents.cli.status.wrong import Wrong, listed
+from schemas.messages import AgentHealth, InputHealth
+from schemas.topics import TOPICS
+
+AWAY = (ABSENT, GONE, SILENT, NEVER)
+GUARD = "guard "
+"""What the name of a guard begins with; its arm follows."""
+SLOW_SHARE = 0.5
+"""Below this share of its rate a topic is too slow."""
+SETTLED_S = 5.0
+"""Rates are over two seconds, and sources and models take as long to begin."""
+HOST_NEEDS = 2
+"""How many agents of a host must be away before the host is named in their place; a single one may have died alone."""
+
+
+def judge_agents(
+    fares: Iterable[Fare], rates_hz: Mapping[str, float], addresses: Mapping[str, str] | None = None
+) -> Iterator[Wrong]:
+    """What is wrong with these agents.
+
+    `rates_hz` are those at which topics are expected, by name; `addresses` those of the rig's hosts.
+    """
+    fares = tuple(fares)
+    hosts = _hosts_away(fares) if addresses else {}
+    for host, away in hosts.items():
+        yield _host_away(host, (addresses or {}).get(host, ""), away)
+    for fare in fares:
+        if fare.placed not in hosts:
+            yield from _presence(fare)
+        if fare.health is not None and fare.state not in AWAY:
+            yield from _own_account(fare.name, fare.health)
+    yield from _slow(fares, rates_hz)
+    yield from _versions(fares)
+
+
+def _hosts_away(fares: tuple[Fare, ...]) -> dict[str, tuple[Fare, ...]]:
+    """The hosts of which nothing is heard, with what they run."""
+    placed = sorted((f for f in fares if f.expected and f.placed), key=lambda f: f.placed)
+    groups = {host: tuple(group) for host, group in groupby(placed, key=lambda f: f.placed)}
+    return {h: g for h, g in groups.items() if len(g) >= HOST_NEEDS and all(f.state in AWAY for f in g)}
+
+
+def _host_away(host: str, address: str, away: tuple[Fare, ...]) -> Wrong:
+    names, at = listed(fare.name for fare in away), f" ({address})" if address else ""
+    heard = [fare.silent_s for fare in away if fare.health is not None]
+    if not heard:
+        return Wrong("host", host, f"nothing is heard from host {host}{at}: none of {names} runs there, or it is away")
+    last = f"{names} were last heard {span_of(min(heard))} ago"
+    return Wrong("host", host, f"host {host}{at} is away: {last}; it is down, or its network is")
+
+
+def _presence(fare: Fare) -> Iterator[Wrong]:
+    name = f"{fare.name} on {fare.placed}" if fare.placed else fare.name
+    since = span_of(fare.silent_s)
+    if fare.expected and fare.name.startswith(GUARD) and fare.state in AWAY:
+        arm = fare.name.removeprefix(GUARD)
+        heard = f"{name} was last heard {since} ago" if fare.health is not None else f"nothing is heard of {name}"
+        yield Wrong("guard", fare.name, f"no guard stands by {arm}: {heard}; run suturegrasp guard on its computer")
+        return
+    match fare.state:
+        case s if s == ABSENT:
+            if fare.expected:
+                yield Wrong("absent", fare.name, f"{name} is not there: it does not run, is stopped, or is cut off")
+        case s if s == GONE:
+            gone = f"{name} is gone, last heard {since} ago: its process has ended, is stopped, or is cut off"
+            yield Wrong("gone", fare.name, gone, grave=fare.expected)
+        case s if s == HANGING:
+            hangs = f"{name} is there and its loop has not turned for {since}: it hangs, or is in one long step"
+            yield Wrong("hanging", fare.name, hangs)
+        case s if s in (SILENT, NEVER):
+            heard = f"{name} has been silent for {since}" if fare.health else f"{name} was never heard of"
+            yield Wrong("silent", fare.name, f"{heard}: it hangs, has ended, or is cut off")
+        case _:
+            pass
+
+
+def _own_account(name: str, health: AgentHealth) -> Iterator[Wrong]:
+    since = f"since it started {span_of(health.uptime_s)} ago"
+    if health.fault:
+        yield Wrong("fault", name, f"{name} tells a fault: {health.fault}")
+    for heard in health.inputs:
+        topic = next((t for t in TOPICS if str(t) == heard.topic), None)
+        if heard.refused:
+            refused = f"{name} refused {_messages(heard.refused)} of {heard.topic} {since}, which it could not read"
+            yield Wrong("refused", name, f"{refused}: another version sends them, or an intruder")
+        if topic is None:
+            continue
+        if heard.missed and topic.rate_hz is None:
+            lost = f"{_messages(heard.missed)} of {heard.topic} never reached {name} {since}"
+            yield Wrong("missed", name, f"{lost}, though none may be lost")
+        if _is_old(heard, topic.maximum_age_ms):
+            old = f"{heard.topic} reaches {name} {heard.age_ms:.0f} ms after it was sent"
+            yield Wrong("old", heard.topic, f"{old}, where {topic.maximum_age_ms:.0f} ms are allowed")
+
+
+def _is_old(heard: InputHealth, allowed_ms: float | None) -> bool:
+    # what does not come any more is too slow; its last age says nothing of now
+    return allowed_ms is not None and heard.rate_hz > 0 and heard.age_ms is not None and heard.age_ms > allowed_ms
+
+
+def _messages(count: int) -> str:
+    return f"{count} message{'' if count == 1 else 's'}"
+
+
+def _slow(fares: tuple[Fare, ...], rates_hz: Mapping[str, float]) -> Iterator[Wrong]:
+    """Topics that come too seldom, from agents that are there, each with what it waits for."""
+    there = [(f.name, f.health) for f in fares if f.health is not None and f.state not in AWAY]
+    steady = {o.topic for _, h in there for o in h.outputs if o.rate_hz >= SLOW_SHARE * rates_hz.get(o.topic, 0.0)}
+    slow = rates_hz.keys() - steady
+    for name, health in there:
+        if health.uptime_s < SETTLED_S:
+            continue
+        for output in health.outputs:
+            expected = rates_hz.get(output.topic, 0.0)
+            if output.rate_hz >= SLOW_SHARE * expected:
+                continue
+            of = f"{output.topic} of {name}" if " " in name else output.topic
+            at = f"{output.rate_hz:.1f} Hz" if 0 < output.rate_hz < 1 else f"{output.rate_hz:.0f} Hz"
+            text = f"{of} comes at {at}, where {expected:.0f} Hz are expected"
+            yield Wrong("slow", output.topic, text + _because(health, slow, expected))
+
+
+def _because(health: AgentHealth, slow: Collection[str], expected_hz: float) -> str:
+    waits = [heard.topic for heard in health.inputs if heard.topic in slow]
+    if waits:
+        return f", for it waits for {listed(waits)}"
+    if health.step_ms_p50 is not None and health.step_ms_p50 * expected_hz > 1e3:
+        return f", for a step takes {health.step_ms_p50:.0f} ms"
+    return ""
+
+
+def _versions(fares: tuple[Fare, ...]) -> Iterator[Wrong]:
+    versions: dict[str, list[str]] = {}
+    for fare in fares:
+        if fare.health is not None and fare.state not in AWAY:
+            versions.setdefault(fare.health.version, []).append(fare.name)
+    if len(versions) > 1:
+        each = "; ".join(f"{version} on {listed(names)}" for version, names in sorted(versions.items()))
+        yield Wrong("version", "versions", f"versions differ: {each}; install one everywhere")

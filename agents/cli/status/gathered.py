@@ -1,0 +1,81 @@
+"""What `suturegrasp status` judges by: all that was heard of a rig at one moment, without sockets and clocks."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from agents.cli.rig.config import RigConfig
+from agents.cli.rig.hosts import BESIDE, OPERATOR, kind_and_instance
+from agents.cli.status.health_watch import Fare
+from schemas.messages import AgentFacts, ExecutionEvent, HostClocks, LogRecord, RobotState, ToolCorrection
+from schemas.topics import FRAMES, HEALTH, HEARTBEAT, OBSERVATIONS, SURFACE, THREAD, TOOL, TOPICS, Delivery
+from shared.runtime.clocks import ClockOffset
+
+PER_FRAME = (FRAMES, OBSERVATIONS, THREAD)
+NOT_STEADY = (SURFACE, TOOL, HEARTBEAT, HEALTH)
+"""Topics that have a rate, and come only while there is something to say."""
+
+
+@dataclass(frozen=True)
+class ArmHeard:
+    """What was last heard of an arm, and of its tool in the images; None where nothing was."""
+
+    arm: str
+    state: RobotState | None = None
+    event: ExecutionEvent | None = None
+    tool: ToolCorrection | None = None
+
+
+@dataclass(frozen=True)
+class Gathered:
+    """A rig at one moment.
+
+    Fields:
+        at_ns: by the clock of this machine.
+        router: whether one answers.
+        fares: of every agent that the rig's configuration has, or that was heard.
+        addresses: of the rig's hosts, by name; empty on one machine.
+        rates_hz: at which topics are expected, by name.
+        clocks: of the agents' hosts as measured here, by `kind/instance`; None where the agent gave no answer.
+        planner_clocks: as the planner measured them.
+        facts: of the agents that told them, by `kind/instance`.
+        said: log records that tell an error or a warning.
+        here_expires_ns: when the certificate that status itself shows expires.
+    """
+
+    at_ns: int
+    rig: str
+    endpoint: str
+    router: bool = True
+    fares: tuple[Fare, ...] = ()
+    addresses: Mapping[str, str] = field(default_factory=dict[str, str])
+    rates_hz: Mapping[str, float] = field(default_factory=dict[str, float])
+    clocks: Mapping[str, ClockOffset | None] = field(default_factory=dict[str, ClockOffset | None])
+    planner_clocks: HostClocks | None = None
+    arms: tuple[ArmHeard, ...] = ()
+    facts: Mapping[str, AgentFacts] = field(default_factory=dict[str, AgentFacts])
+    said: tuple[LogRecord, ...] = ()
+    here_expires_ns: int | None = None
+
+
+def expected_rates(rig: RigConfig) -> dict[str, float]:
+    """How often topics that come steadily are expected: what follows from frames, as often as the camera films."""
+    steady = [t for t in TOPICS if t.delivery is Delivery.LATEST and t not in NOT_STEADY]
+    rates = {str(t): rate_hz for t in steady if (rate_hz := t.resting_hz or t.rate_hz)}
+    if rig.camera is not None:
+        rates |= {str(topic): min(rates[str(topic)], rig.camera.rate_hz) for topic in PER_FRAME}
+    return rates
+
+
+def placed_agents(rig: RigConfig) -> dict[str, str]:
+    """Every agent of a rig's configuration that tells how it fares, as people call it, with the host that runs it."""
+    # nobody need guard an arm that nothing is sent to
+    still = (f"guard {arm}" for arm, section in rig.robot.items() if section.dvrk is not None and section.dvrk.dry_run)
+    quiet = ("viewer", OPERATOR, *still)
+    if not rig.hosts:
+        return dict.fromkeys((name for name in rig.processes() if name not in quiet), "")
+    return {
+        (f"{name} {kind_and_instance(name, host)[1]}" if name in BESIDE else name): host
+        for host, section in rig.hosts.items()
+        for name in section.runs
+        if name not in quiet
+    }

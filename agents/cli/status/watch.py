@@ -1,0 +1,171 @@
+"""Gathers what `suturegrasp status` judges by: listens to what is small, and asks for the rest from time to time."""
+
+import contextlib
+import threading
+from collections import deque
+
+from agents.cli.rig.config import RigConfig
+from agents.cli.status.gathered import ArmHeard, Gathered, expected_rates, placed_agents
+from agents.cli.status.health_watch import HealthWatch
+from agents.cli.status.session import reading_session
+from schemas.checks import MessageError
+from schemas.codec import decode
+from schemas.messages import AgentFacts, ExecutionEvent, HostClocks, LogLevel, LogRecord, RobotState, ToolCorrection
+from schemas.topics import CLOCKS, EXECUTION, LOG, ROBOT_STATE, TOOL
+from shared.clock import monotonic_s, now_ns
+from shared.runtime.clocks import ClockOffset
+from shared.runtime.connection import Connection
+from shared.runtime.identity import IdentityError, validity_ns
+from shared.runtime.taps import Tapped
+
+PRESENT_EVERY_S, ARMS_EVERY_S, CLOCKS_EVERY_S, FACTS_EVERY_S = 1.0, 2.0, 10.0, 60.0
+STATES_WITHIN_S = 0.3
+"""States come every 10 ms, more slowly where a machine is busy."""
+ERRORS_KEPT = 20
+ENDS_S = 5.0
+
+
+class StatusWatch:
+    """What is heard of a rig; a thread of its own asks, since an agent that hangs takes a second not to answer."""
+
+    def __init__(self, connection: Connection, rig: RigConfig) -> None:
+        self._connection, self._rig = connection, rig
+        placed = placed_agents(rig)
+        self._health = HealthWatch(connection, placed, placed)
+        self._rates = expected_rates(rig)
+        self._addresses = {name: host.address for name, host in rig.hosts.items()}
+        self._lock = threading.Lock()
+        self._present: list[str] = []
+        self._planner_clocks: HostClocks | None = None
+        self._states: dict[str, RobotState] = {}
+        self._events: dict[str, ExecutionEvent] = {}
+        self._errors: deque[LogRecord] = deque(maxlen=ERRORS_KEPT)
+        self._clocks: dict[str, ClockOffset | None] = {}
+        self._facts: dict[str, AgentFacts] = {}
+        self._expires_ns = _own_expiry(rig)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._ask_again_and_again, name="asking", daemon=True)
+        self._tools: dict[str, ToolCorrection] = {}
+        connection.listen((EXECUTION, LOG, CLOCKS, TOOL), self._take)
+
+    def start(self) -> None:
+        """Ask from now on, from a thread."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread: one that is still inside Zenoh when the interpreter ends aborts the process."""
+        self._ended.set()
+        if self._thread.is_alive():
+            self._thread.join(ENDS_S)
+
+    def ask(self) -> None:
+        """Ask for all that is asked for, once."""
+        self._ask_who_is_there()
+        self._hear_arms()
+        self._ask_facts()
+        self._ask_clocks()
+
+    def all_heard(self) -> bool:
+        """Whether everybody who is there has told how it fares."""
+        return all(fare.health is not None for fare in self._health.fares() if fare.present)
+
+    def gathered(self) -> Gathered:
+        """All that is known now."""
+        with self._lock:
+            states, events, planner_clocks = dict(self._states), dict(self._events), self._planner_clocks
+            clocks, facts, errors = dict(self._clocks), dict(self._facts), tuple(self._errors)
+            tools = dict(self._tools)
+        arms = sorted({*self._rig.robot, *states, *events})
+        return Gathered(
+            at_ns=now_ns(),
+            rig=self._rig.rig,
+            endpoint=self._rig.router_endpoint,
+            router=self._connection.has_router(),
+            fares=tuple(self._health.fares()),
+            addresses=self._addresses,
+            rates_hz=self._rates,
+            clocks=clocks,
+            planner_clocks=planner_clocks,
+            arms=tuple(ArmHeard(arm, states.get(arm), events.get(arm), tools.get(arm)) for arm in arms),
+            facts=facts,
+            said=errors,
+            here_expires_ns=self._expires_ns,
+        )
+
+    def _take(self, tapped: Tapped) -> None:
+        with contextlib.suppress(MessageError), self._lock:
+            if tapped.topic is EXECUTION:
+                self._events[_instance(tapped.key)] = decode(ExecutionEvent, tapped.payload)
+                return
+            if tapped.topic is TOOL:
+                self._tools[_instance(tapped.key)] = decode(ToolCorrection, tapped.payload)
+                return
+            if tapped.topic is CLOCKS:
+                self._planner_clocks = decode(HostClocks, tapped.payload)
+                return
+            record = decode(LogRecord, tapped.payload)
+            if record.level in (LogLevel.WARNING, LogLevel.ERROR):
+                self._errors.append(record)
+
+    def _ask_again_and_again(self) -> None:
+        due = {
+            self._ask_who_is_there: PRESENT_EVERY_S,
+            self._hear_arms: ARMS_EVERY_S,
+            self._ask_facts: FACTS_EVERY_S,
+            self._ask_clocks: CLOCKS_EVERY_S,
+        }
+        next_s = dict.fromkeys(due, monotonic_s())
+        while not self._ended.is_set():
+            for ask, every_s in due.items():
+                if monotonic_s() >= next_s[ask] and not self._ended.is_set() and self._connection.has_router():
+                    ask()
+                    next_s[ask] = monotonic_s() + every_s
+            self._ended.wait(PRESENT_EVERY_S)
+
+    def _ask_who_is_there(self) -> None:
+        self._present = self._connection.present()
+        self._health.note_present(self._present)
+
+    def _hear_arms(self) -> None:
+        """One state of each arm that is there: to hear all of them, at 100 Hz, would be most of the work here."""
+        arms = {name.split("/")[1] for name in self._present if name.startswith(f"{ROBOT_STATE.agent}/")}
+        newest, all_heard = dict[str, bytes](), threading.Event()
+
+        def hear(tapped: Tapped) -> None:
+            newest[_instance(tapped.key)] = tapped.payload
+            if arms <= newest.keys():
+                all_heard.set()
+
+        if arms:
+            with self._connection.listening((ROBOT_STATE,), hear):
+                all_heard.wait(STATES_WITHIN_S)
+        states = dict[str, RobotState]()
+        for arm, payload in list(newest.items()):
+            with contextlib.suppress(MessageError):
+                states[arm] = decode(RobotState, payload)
+        with self._lock:
+            self._states = states
+
+    def _ask_facts(self) -> None:
+        facts = self._connection.facts()
+        with self._lock:
+            self._facts = facts
+
+    def _ask_clocks(self) -> None:
+        clocks = self._connection.clocks()
+        with self._lock:
+            self._clocks = clocks
+
+
+def _instance(key: str) -> str:
+    return key.split("/")[3]
+
+
+def _own_expiry(rig: RigConfig) -> int | None:
+    identity = reading_session(rig).identity
+    if identity is None:
+        return None
+    try:
+        return validity_ns(identity.certificate)[1]
+    except IdentityError:
+        return None

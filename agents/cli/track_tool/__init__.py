@@ -1,0 +1,1 @@
+"""`suturegrasp track-tool`: where a tool is in recorded images."""
