@@ -26,6 +26,8 @@ from shared.runtime.taps import Tapped
 
 KEPT_STATES = 300
 SILENT_S = 3.0
+NEXT_STATE_S = 0.15
+"""Longer than an arm that rests is silent."""
 
 
 class Seen(NamedTuple):
@@ -72,26 +74,39 @@ def seen_live(connection: Connection, arm: str, delay_ms: float, stopped: thread
                 state = decode(RobotState, tapped.payload)
                 if state.arm == arm:
                     states.append(state)
-            return
-        newest[tapped.topic] = tapped.payload
-        if tapped.topic is FRAMES:
-            came.set()
+        else:
+            newest[tapped.topic] = tapped.payload
+        came.set()
 
-    ready, shown, began_s = None, b"", monotonic_s()
+    ready, shown, silent_since_s = None, b"", monotonic_s()
     with connection.listening((FRAMES, CALIBRATION, ROBOT_STATE), take):
         while not stopped.is_set():
-            if not came.wait(SILENT_S):
+            frame = newest.pop(FRAMES, None)
+            silent_s = monotonic_s() - silent_since_s
+            if frame is None and silent_s > SILENT_S:
                 raise RecordingError("no frame comes: start the rig with suturegrasp up")
-            came.clear()
-            if not states or CALIBRATION not in newest:
-                if monotonic_s() - began_s > SILENT_S:
+            if frame is None or not states or CALIBRATION not in newest:
+                if frame is not None and silent_s > SILENT_S:
                     raise RecordingError(f"no {'calibration' if states else f'state of {arm}'} comes: is it running?")
+                came.wait(SILENT_S)
+                came.clear()
                 continue
+            silent_since_s = monotonic_s()
             if newest[CALIBRATION] != shown:
                 shown = newest[CALIBRATION]
                 ready = _rectification("the camera's calibration", decode(StereoCalibration, shown))
-            if ready is not None and (seen := _seen(newest[FRAMES], list(states), ready, delay_ms)):
+            _await_state_after(states, came)
+            if ready is not None and (seen := _seen(frame, list(states), ready, delay_ms)):
                 yield seen
+
+
+def _await_state_after(states: deque[RobotState], came: threading.Event) -> None:
+    """Wait for a state that is newer than the last one here: an arm that rests tells one only every tenth of a second,
+    and the one before a frame may be farther from it than the one after."""
+    before, until_s = states[-1].measured_ns, monotonic_s() + NEXT_STATE_S
+    while states[-1].measured_ns == before and (left_s := until_s - monotonic_s()) > 0:
+        came.wait(left_s)
+        came.clear()
 
 
 def _seen(payload: bytes, states: list[RobotState], ready: Rectification, delay_ms: float) -> Seen | None:
