@@ -91,6 +91,7 @@ def test_the_trail_of_pieces_that_are_kept_is_the_one_that_they_have_alone():
     still = np.arange(len(pieces)) != 1
     alone = trail_of(image, kept, found.trail.loose_start[still], found.trail.loose_end[still])
     left = trail_without(found.trail, found.lines, kept)
+    assert left is not None
     # what is usual along a thread is that of fewer pieces then
     assert np.abs(left.colour_bgr.astype(int) - alone.colour_bgr.astype(int)).mean() < 2
     assert (left.loose_start.tolist(), left.length_px.tolist()) == (
