@@ -59,8 +59,8 @@ def describe(network: Network, rate_hz: float, folder: Path, emulated: bool = Fa
         "security": SecuritySection(),
         "camera": CameraSection(rate_hz=rate_hz),
         "robot": arms,
-        "simulator": SimulatorSection(config="easy", background="plain"),
-        # by geometry, easy thread is grasped directly nearly everywhere, and nothing would slide
+        # easy thread is known so well that nothing need slide; of this one, the middle runs along the rows
+        "simulator": SimulatorSection(config="singularity" if emulated else "easy", background="plain"),
         "planner": PlannerSection(policy_model="paper"),
         "viewer": None,
     }

@@ -96,7 +96,7 @@ def console(lab, until, tmp_path, monkeypatch):
 def test_an_arm_on_another_host_grasps_in_an_experiment_and_no_set_point_is_unsafe(lab, console, tmp_path):
     """Goal, plan, arming, TLS and the gate of the guard, capture, slide and grasp, and the simulator's verdict."""
     folder = tmp_path / "experiment"
-    asked = ("--threads", "easy/plain", "--goals", "1", "--arm", EMULATED, "--verdicts", "simulated")
+    asked = ("--threads", "singularity/plain", "--goals", "1", "--arm", EMULATED, "--verdicts", "simulated")
     command = [*lab.network.inside("desk"), *MODULE, "experiment", str(folder), *asked]
     log, status = answered([*command, "--config", str(lab.config("desk"))])
     assert status == 0, log
@@ -104,15 +104,15 @@ def test_an_arm_on_another_host_grasps_in_an_experiment_and_no_set_point_is_unsa
     judged = json.loads(console.read_text())
     assert (judged["unsafe"], judged["set_points"] > 500) == (0, True), judged["sentences"]
     attempts = json.loads((folder / "results.json").read_text())["attempts"]
-    moved = {a["trial"]["policy"]: a for a in attempts if a["outcome"] in ("held", "failed")}
-    assert set(moved) == {"direct", "robust"}, log
-    assert moved["robust"]["slide_m"] > 0
+    moved = [a for a in attempts if a["outcome"] in ("held", "failed")]
+    assert {a["trial"]["policy"] for a in moved} == {"direct", "robust"}, log
+    assert max(a["slide_m"] for a in moved) > 0
     assert "psm2: capture\npsm2: slide\npsm2: grasp" in log
     audit = [
         json.loads(line) for line in (tmp_path / "audit" / f"robot_bridge-{EMULATED}.jsonl").read_text().splitlines()
     ]
     armed = [line for line in audit if line.get("kind") == "accepted"]
-    assert {a["plan_id"] for a in moved.values()} <= {line["plan_id"] for line in armed}
+    assert {a["plan_id"] for a in moved} <= {line["plan_id"] for line in armed}
     ids = {line["id"] for line in audit if line["what"] == "command"}
     assert ids == {line["id"] for line in audit if line["what"] == "answer"} >= {line["arming_id"] for line in armed}
 
