@@ -7,6 +7,7 @@ from jaxtyping import Float32, Float64, Int64, UInt8
 from agents.perception.centrelines.along import Pieces, blurred, gaussian
 from agents.perception.centrelines.edges import COLOUR_NOISE, LIGHT
 from agents.perception.centrelines.profiles import sample
+from schemas.messages import Centrelines
 
 EVERY = 4
 """Of the points, which lie a pixel apart, so many as are looked at."""
@@ -18,6 +19,11 @@ GROUND_PX = np.array([2.0, 3.0, 4.0])
 """Beyond the thread's edges: where it shows the ground's."""
 
 Colours = UInt8[np.ndarray, "m 3 3"]
+
+
+def pieces_of(lines: Centrelines) -> Pieces:
+    """The pieces of centrelines, numbered without gaps."""
+    return Pieces(np.cumsum(np.diff(lines.piece, prepend=-1) > 0) - 1)
 
 
 def some_of(pieces: Pieces) -> Int64[np.ndarray, "m"]:

@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from agents.perception.following.follow import Followed, pieces_of
+from agents.perception.following.appearance import pieces_of
+from agents.perception.following.follow import Followed
 
 SHIFT_BITS = 3
 """OpenCV draws to fractions of a pixel in fixed point."""

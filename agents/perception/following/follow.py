@@ -21,7 +21,7 @@ from agents.perception.centrelines.profiles import normals
 from agents.perception.centrelines.refine import LIGHT_PX, Curves, Evidence, by_edges, by_learning, tangent_sigma
 from agents.perception.centrelines.straightened import usual_width_px
 from agents.perception.centrelines.tips import to_tips
-from agents.perception.following.appearance import Colours, colours_across, some_of
+from agents.perception.following.appearance import Colours, colours_across, pieces_of, some_of
 from agents.perception.following.capture import Captured, captured
 from agents.perception.following.ends import REACH_PX, carried_along, ends_of, with_ends
 from agents.perception.following.stacked import (
@@ -102,11 +102,6 @@ def _colours(
 def lengths_px(pieces: Pieces) -> Float64[np.ndarray, "k"]:
     """Of each piece, whose points lie a pixel apart."""
     return (pieces.last - pieces.first).astype(np.float64)
-
-
-def pieces_of(lines: Centrelines) -> Pieces:
-    """The pieces of centrelines, numbered without gaps."""
-    return Pieces(np.cumsum(np.diff(lines.piece, prepend=-1) > 0) - 1)
 
 
 def follow(images: Sequence[UInt8[np.ndarray, "h w 3"]], last: Sequence[Followed]) -> tuple[Followed, ...] | str:

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 
-from agents.perception.centrelines.along import Pieces
-from agents.perception.following.appearance import some_of
+from agents.perception.following.appearance import pieces_of, some_of
 from schemas.messages import Centrelines, Trail
 
 BETWEEN_PX = 64
@@ -62,7 +61,7 @@ def stacked_images(images: Sequence[UInt8[np.ndarray, "h w 3"]]) -> tuple[UInt8[
 
 def stacked_lines(lines: Sequence[Centrelines], eyes: Eyes) -> tuple[Centrelines, Int64[np.ndarray, "k"]]:
     """All eyes' centrelines in the stacked image, their pieces numbered without gaps; and the eye of each piece."""
-    pieces = [np.cumsum(np.diff(line.piece, prepend=-1) > 0) - 1 for line in lines]
+    pieces = [pieces_of(line).number for line in lines]
     counts = [int(piece[-1]) + 1 if len(piece) else 0 for piece in pieces]
     first = np.cumsum((0, *counts))
     whole = Centrelines(
@@ -119,7 +118,7 @@ def trail_without(trail: Trail | None, lines: Centrelines, kept: Centrelines) ->
     """
     if trail is None or kept is lines:
         return trail
-    pieces = Pieces(np.cumsum(np.diff(lines.piece, prepend=-1) > 0) - 1)
-    first, first_kept = (line.point_px[np.diff(line.piece, prepend=-1) > 0] for line in (lines, kept))
+    pieces = pieces_of(lines)
+    first, first_kept = lines.point_px[pieces.first], kept.point_px[pieces_of(kept).first]
     mine = (first[:, None] == first_kept).all(axis=2).any(axis=1)
     return trail_of_eye(trail, mine, mine[pieces.number[some_of(pieces)]])
