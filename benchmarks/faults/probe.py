@@ -18,7 +18,7 @@ from agents.cli.rig.hosts import OPERATOR
 from benchmarks.faults.rig import settings_at
 from schemas.codec import encode
 from schemas.messages import LogLevel, LogRecord
-from schemas.topics import LOG, key
+from schemas.topics import LOG, Topic, key
 from shared.clock import now_ns
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.connection import open_when_there
@@ -35,6 +35,11 @@ class Heard:
     numbers: defaultdict[str, set[int]] = field(default_factory=lambda: defaultdict(set))
     newest: dict[str, int] = field(default_factory=dict)
     disordered: int = 0
+    given_up: int = 0
+
+    def give_up(self, _topic: Topic, count: int) -> None:
+        """Note how many the subscriber says that it could not get."""
+        self.given_up += count
 
     def take(self, tapped: Tapped) -> None:
         """Note one."""
@@ -48,7 +53,7 @@ class Heard:
     def told(self, said: int) -> str:
         """What was said so far, and heard: each probe's newest number, and how many before it did not come."""
         heard = {host: (self.newest[host], _missing(numbers)) for host, numbers in list(self.numbers.items())}
-        return json.dumps({"said": said, "heard": heard, "disordered": self.disordered})
+        return json.dumps({"said": said, "heard": heard, "disordered": self.disordered, "given_up": self.given_up})
 
 
 def probe(config: Path, path: Path) -> None:
@@ -58,7 +63,7 @@ def probe(config: Path, path: Path) -> None:
     settings, host = settings_at(config), config.parent.name
     with open_when_there(settings) as session:
         publisher = declare_publisher(session, key(settings.rig, LOG, host, OPERATOR), LOG)
-        kept = tap(session, settings.rig, (LOG,), heard.take, lambda _topic, _count: None)
+        kept = tap(session, settings.rig, (LOG,), heard.take, heard.give_up)
         number = 0
         while not ended.wait(1.0 / RATE_HZ):
             record = LogRecord(now_ns(), OPERATOR, host, LogLevel.INFO, f"event {number}")

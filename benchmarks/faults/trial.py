@@ -67,7 +67,7 @@ def trial(lab: Lab, fault: Fault) -> Seen:
     """Carry out a grasp, let the fault happen in its middle, and look at what follows."""
     seen, goals = Seen(fault.name), _Goals(lab)
     plan_id = lab.grasp_under_way()
-    lost_before = _lost(lab)
+    lost_before, given_up_before = _lost(lab), _given_up(lab)
     lab.let_pass(0.3)
     begin_s, begin_ns = monotonic_s(), now_ns()
     seen.begin_s = begin_s
@@ -82,7 +82,12 @@ def trial(lab: Lab, fault: Fault) -> Seen:
     seen.lost = _lost_meanwhile(lab, lost_before)
     seen.held_ms, seen.ended = _awaited_end(lab, fault, plan_id, begin_s, begin_ns)
     held = [(h.at_s, f"{h.message.arm}: {h.message.reason}") for h in _events(lab, plan_id) if h.message.reason]
-    said = sorted(lab.observer.told(begin_s) + goals.said + held)
+    given_up = [
+        (monotonic_s(), f"the probe at {host} gave up {count - given_up_before[host]} events")
+        for host, count in _given_up(lab).items()
+        if count > given_up_before[host]
+    ]
+    said = sorted(lab.observer.told(begin_s) + goals.said + held + given_up)
     seen.said = [(round(at_s - begin_s, 2), sentence) for at_s, sentence in said]
     seen.name = next((s for _, s in seen.said if re.search(fault.named, s)), "")
     lab.processes.forget("arm")
@@ -185,6 +190,11 @@ def _lost(lab: Lab) -> dict[str, int]:
             lost[f"{source} at {listener}"] = missing
         lost[f"order at {listener}"] = told["disordered"]
     return lost
+
+
+def _given_up(lab: Lab) -> dict[str, int]:
+    """By host, what the subscriber of its probe says that it could not get: what else is lost, vanished unnoticed."""
+    return {host: told["given_up"] for host, told in lab.probes().items()}
 
 
 def _lost_meanwhile(lab: Lab, before: dict[str, int]) -> dict[str, int]:

@@ -19,6 +19,8 @@ PATIENCE_S = 20.0
 """How long a hole may keep back what came after it; a router's restart on a busy machine takes some seconds."""
 MOST_HELD = 1000
 """As many as a publisher's cache holds: then it could not fill the hole any more."""
+BEYOND_CACHE = 3
+"""Answers that begin later than what is awaited, until it is taken for not kept: one may have lost its beginning."""
 NOTHING_KNOWN_S = 6.0
 """After so long of empty answers, a publisher of which nothing was heard has published nothing."""
 
@@ -41,6 +43,7 @@ class SourceOrder:
     _due_s: float = 0.0
     _pause_s: float = FIRST_PAUSE_S
     _asking: bool = False
+    _lacking: int = 0
 
     def appeared(self, now_s: float) -> None:
         """The publisher is there, or is there again: what it has sent meanwhile is to be asked for."""
@@ -85,8 +88,9 @@ class SourceOrder:
         self._newest = max(self._newest, *given, -1)
         ready = self._ready()
         if given and self._held and min(given) > self._last + 1:
-            # the cache reaches back no further
-            ready += self._skip_hole()
+            self._lacking += 1
+            if self._lacking >= BEYOND_CACHE:
+                ready += self._skip_hole()
         if self._opened_s is None or (given and self._last >= self._newest):
             self._opened_s = None
         elif now_s - self._opened_s > (PATIENCE_S if self._newest >= 0 else NOTHING_KNOWN_S):
@@ -114,6 +118,8 @@ class SourceOrder:
         while self._last + 1 in self._held if self.lossless else self._held:
             self._delivered = min(self._held)
             ready.append(self._held.pop(self._delivered))
+        if ready:
+            self._lacking = 0
         return ready
 
     def _skip_hole(self) -> list[Any]:

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shared.runtime.recovery import MOST_HELD, NOTHING_KNOWN_S, PATIENCE_S, SourceOrder
+from shared.runtime.recovery import BEYOND_CACHE, MOST_HELD, NOTHING_KNOWN_S, PATIENCE_S, SourceOrder
 
 
 def asked(source, cache, now_s):
@@ -53,13 +53,27 @@ def test_a_silent_cache_is_asked_again_after_longer_and_longer_pauses_until_it_a
     assert source.missed == 0
 
 
-def test_what_the_cache_no_longer_holds_is_missed_and_counted_and_the_rest_goes_on_at_once():
+def test_what_the_cache_said_three_times_to_hold_no_longer_is_missed_and_counted_and_the_rest_goes_on():
     source = SourceOrder()
     assert source.came(0, 0, 0.0) == [0]
     assert source.came(9, 9, 1.0) == []
-    assert asked(source, range(4, 10), 1.0) == [4, 5, 6, 7, 8, 9]
+    assert asked(source, range(4, 10), 1.0) == []
+    assert asked(source, (), 2.0) == []
+    assert asked(source, range(4, 10), 3.0) == []
+    assert asked(source, range(4, 10), 4.0) == [4, 5, 6, 7, 8, 9]
     assert source.missed == 3
-    assert source.came(10, 10, 1.1) == [10]
+    assert source.came(10, 10, 4.1) == [10]
+
+
+@given(st.lists(st.sets(st.integers(0, 8)), min_size=1, max_size=BEYOND_CACHE - 1))
+def test_answers_of_which_single_messages_were_lost_cost_nothing(lost_of_each):
+    source, now_s, heard = SourceOrder(), 0.0, []
+    heard += source.came(0, 0, now_s)
+    heard += source.came(9, 9, now_s)
+    for lost in (*lost_of_each, set()):
+        heard += asked(source, [n for n in range(10) if n not in lost], now_s := now_s + 2.0)
+    assert heard == list(range(10))
+    assert source.missed == 0
 
 
 def test_what_was_published_before_and_is_kept_by_nobody_is_not_missed():
