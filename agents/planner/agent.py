@@ -15,6 +15,7 @@ from agents.planner.tissue import tissue_of
 from agents.planner.tools import tool_cells
 from agents.planner.watch import Watch, check_of, goal_again
 from schemas.messages import (
+    Checked,
     CommandAnswer,
     GraspGoal,
     GraspPlan,
@@ -82,7 +83,7 @@ class Planner:
     def step(self, arrived: Received | Tick | Command) -> Iterable[Output | CommandAnswer]:
         """Remember what was received; answer a goal, and follow an acceptance with a plan or a rejection.
 
-        The first thread that is seen after a grasp brings a check, and after a miss the next plan.
+        The first thread that is seen after a grasp brings a check, and the next plan unless that is held.
         """
         if isinstance(arrived, Command):
             return self._answer(arrived.message, arrived.now_ns)
@@ -128,11 +129,11 @@ class Planner:
             self._watch.done(ended)
             yield Output(CHECK, check)
             if check.next_plan_id and state is not None:
-                yield Output(PLAN, self._again(ended.plan, thread, state))
+                yield Output(PLAN, self._again(ended.plan, check.verdict, thread, state))
 
-    def _again(self, missed: GraspPlan, thread: ThreadReconstruction, state: RobotState) -> GraspPlan:
-        """The next attempt at the goal of a plan that missed."""
-        attempt, goal = next_attempt(missed, self.config), goal_again(missed, thread)
+    def _again(self, tried: GraspPlan, verdict: Checked, thread: ThreadReconstruction, state: RobotState) -> GraspPlan:
+        """The next attempt at the goal of a plan that missed, or of which that cannot be told."""
+        attempt, goal = next_attempt(tried, verdict, self.config), goal_again(tried, thread)
         assert attempt is not None and goal is not None  # noqa: S101 - the check has named it
         tissue = self._seen_tissue(thread, max(thread.stamp.capture_left_ns, thread.stamp.capture_right_ns))
         plan = plan_grasp(goal, thread, self._view(state), self.config, tissue, attempt)

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 from agents.planner.config import PlannerConfig
 from agents.planner.errors import Offset, unknown_offset
-from agents.planner.learning import after_miss
-from schemas.messages import GraspGoal, GraspPlan
+from agents.planner.learning import after_miss, offset_of
+from schemas.messages import Checked, GraspGoal, GraspPlan
 
 
 @dataclass(frozen=True)
@@ -26,11 +26,13 @@ def first_attempt(goal: GraspGoal, config: PlannerConfig) -> Attempt:
     return Attempt(1, goal.attempts or config.attempts)
 
 
-def next_attempt(missed: GraspPlan, config: PlannerConfig) -> Attempt | None:
-    """After a plan that missed; None where it was the last, or its goal is not known."""
-    if missed.goal is None or missed.attempt >= missed.attempts:
+def next_attempt(plan: GraspPlan, verdict: Checked, config: PlannerConfig) -> Attempt | None:
+    """After a plan that missed, or may have; None where it was the last, or its goal is not known."""
+    if plan.goal is None or plan.attempt >= plan.attempts:
         return None
-    return Attempt(missed.attempt + 1, missed.attempts, after_miss(missed, config))
+    # what cannot be told teaches nothing
+    offset = after_miss(plan, config) if verdict is Checked.MISSED else offset_of(plan, config)
+    return Attempt(plan.attempt + 1, plan.attempts, offset)
 
 
 def offset_for(attempt: Attempt, config: PlannerConfig) -> Offset:

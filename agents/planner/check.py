@@ -1,13 +1,20 @@
 """Whether a grasp holds the thread: after the jaws have closed and lifted, the thread has moved with them or has not.
 
-With m how far the thread at the goal moved the way of the tool, which moved L (`moved.py`), a thread that is held moved
-by L and one that was missed by 0, each give or take what reconstruction and the fingers add,
+With m how far the thread at the goal moved across itself, along the viewing ray and beside it (`moved.py`), and d how
+far the tool did, a thread that is held moved by d and one that was missed by 0, each give or take what reconstruction
+and the fingers add,
 
-    p(m | held) = (1 − ε) N(m; L, σ² + a²) + ε / R,   p(m | missed) = (1 − ε) N(m; 0, σ² + a²) + ε / R,
+    p(m | held) = p(m − d; C + a² I + S),   p(m | missed) = p(m; C + a² I),
 
-where ε is how often a reconstruction is wrong beyond what it tells, by anything up to R. Both alike before, the
-probability of being held is p(m | held) / (p(m | held) + p(m | missed)). It is held above `sure`, missed below
-1 − `sure`, and unknown in between: what m is far from both says nothing, and nothing is guessed.
+where S is what the fingers are off by, the way they open, since closing they take what they hold to their middle. A
+reconstruction that is wrong beyond what it tells is so in depth: both images show where the thread is beside the ray.
+So with x = (x_r, x_q)
+
+    p(x; V) = (1 − ε − η) N(x; V) + ε N(x_q; V_qq) / R + η / A.
+
+Both alike before, the probability of being held is p(m | held) / (p(m | held) + p(m | missed)). It is held above
+`sure`, missed below 1 − `sure`, and unknown in between: what m is far from both says nothing, and nothing is guessed.
+A lift goes back along the viewing ray; so where it would not tell, a plan goes on sideways (`aside.py`).
 
 On a robot that measures its jaws' angle well enough the angle at which they stop tells as well: around thread of
 0.4 mm, 8 mm from the pin, they stop 3° open. Backlash of driven cables is as much, so it is not used.
@@ -21,15 +28,17 @@ from jaxtyping import Float64
 
 from agents.planner.config import PlannerConfig
 from agents.planner.curve import NoGraspError, curve_of
-from agents.planner.errors import thread_covariance
-from agents.planner.moved import Motion, motion
+from agents.planner.errors import UNIFORM_BALL, thread_covariance
+from agents.planner.moved import BESIDE_M, DEEP_M, Motion, motion
 from schemas.messages import Checked, GraspPlan, Phase, Status, ThreadAround, ThreadReconstruction
 from shared.kinematics.psm import FINGER_M
 
 SAMPLES_BEFORE, SAMPLES_AFTER = 81, 401
 LEAST_LIFT_M = 0.002
-WRONG, RANGE_M = 0.02, 0.04
+WRONG_DEPTH, DEPTHS_M = 0.02, 2.0 * DEEP_M
 """ε and R."""
+WRONG, AREA_M2 = 0.001, 4.0 * DEEP_M * BESIDE_M
+"""η and A: what no passage is taken to be the goal's beyond."""
 MM_PER_M = 1e3
 
 
@@ -40,12 +49,14 @@ class Seen:
     Fields:
         motion: None where nothing was compared.
         held_probability: None likewise.
+        unclear: both were seen well enough to be compared, and still it cannot be told.
     """
 
     verdict: Checked
     sentence: str
     motion: Motion | None = None
     held_probability: float | None = None
+    unclear: bool = False
 
 
 def around(thread: ThreadReconstruction, samples: int) -> ThreadAround | None:
@@ -81,10 +92,10 @@ def checked(
     goal = int(np.argmin(np.abs(plan.around.s - plan.s_goal)))
     found = motion(plan.around, goal, now, tool_moved)
     if found is None:
-        return _unknown("no thread is seen near the jaws after the lift")
+        return _unknown("no thread is seen near the jaws after the lift", unclear=True)
     if found.tool_m < LEAST_LIFT_M:
         return _unknown("the tool moved along the thread, which tells nothing")
-    likely = held_probability(found, config)
+    likely = held_probability(found, grasped[:3, 1], config)
     told = (
         f"the thread at the goal moved {MM_PER_M * found.thread_m:.1f} mm (± {MM_PER_M * found.deviation_m:.1f}) the "
         f"way of the tool, which moved {MM_PER_M * found.tool_m:.1f} mm"
@@ -93,20 +104,30 @@ def checked(
         return Seen(Checked.HELD, f"held: {told}", found, likely)
     if likely <= 1.0 - config.sure:
         return Seen(Checked.MISSED, f"missed: {told}", found, likely)
-    return Seen(Checked.UNKNOWN, f"cannot be told: {told}", found, likely)
+    return Seen(Checked.UNKNOWN, f"cannot be told: {told}", found, likely, unclear=True)
 
 
-def held_probability(found: Motion, config: PlannerConfig) -> float:
-    """That thread which moved so far is held, were both alike before."""
-    variance = found.deviation_m**2 + config.settle_m**2
+def held_probability(found: Motion, opens: Float64[np.ndarray, "3"], config: PlannerConfig) -> float:
+    """That thread which moved so far is held, were both alike before.
 
-    def density(moved_m: float) -> float:
-        normal = math.exp(-0.5 * (found.thread_m - moved_m) ** 2 / variance) / math.sqrt(2.0 * math.pi * variance)
-        return (1.0 - WRONG) * normal + WRONG / RANGE_M
-
-    held, missed = density(found.tool_m), density(0.0)
+    Args:
+        opens: the way that the fingers open, a unit vector.
+    """
+    spread = found.covariance + config.settle_m**2 * np.eye(2)
+    opened = found.axes @ opens
+    taken = spread + (config.tool_error_m**2 + config.hand_eye_error_m**2 / UNIFORM_BALL) * np.outer(opened, opened)
+    held, missed = _density(found.thread - found.tool, taken), _density(found.thread, spread)
     return held / (held + missed)
 
 
-def _unknown(why: str) -> Seen:
-    return Seen(Checked.UNKNOWN, f"cannot be told: {why}")
+def _density(off: Float64[np.ndarray, "2"], covariance: Float64[np.ndarray, "2 2"]) -> float:
+    """Of being off by so much."""
+    root = math.sqrt(float(np.linalg.det(covariance)))
+    both = math.exp(-0.5 * float(off @ np.linalg.solve(covariance, off))) / (2.0 * math.pi * root)
+    variance = float(covariance[1, 1])
+    beside = math.exp(-0.5 * float(off[1]) ** 2 / variance) / math.sqrt(2.0 * math.pi * variance)
+    return (1.0 - WRONG_DEPTH - WRONG) * both + WRONG_DEPTH * beside / DEPTHS_M + WRONG / AREA_M2
+
+
+def _unknown(why: str, unclear: bool = False) -> Seen:
+    return Seen(Checked.UNKNOWN, f"cannot be told: {why}", unclear=unclear)

@@ -43,6 +43,8 @@ class PlannerConfig:
         thread_clear_m: how near the instrument may come to thread outside of the grasp.
         thread_radius_m: of the thread; grasp_arc_m: how far along it from the jaws it counts as being grasped.
         attempts: how often a goal is planned for, the first plan included, where a check tells of a miss.
+        aside_m: how far the jaws go sideways after a lift that would not tell whether they hold the thread; never at 0.
+        aside_clear_m: how far their tips are before the thread by then.
         settle_m: how far thread shifts in the jaws as they close, or beside them, without being held or missed for it.
         sure: how likely a grasp must be held, or missed, for a check to say so.
         check_after_ms, check_within_ms: after the end of a grasp, how old frames must be at least to be taken of what
@@ -85,6 +87,8 @@ class PlannerConfig:
     thread_radius_m: float = 0.0002
     grasp_arc_m: float = 0.005
     attempts: int = 3
+    aside_m: float = 0.005
+    aside_clear_m: float = 0.002
     settle_m: float = 0.0007
     sure: float = 0.99
     check_after_ms: float = 150.0
@@ -106,6 +110,7 @@ class PlannerConfig:
         require(bool(self.depths_m and self.opens_deg and self.slides_deg), "there must be something to choose from")
         require(0.5 < self.sure < 1, f"sure must lie in (0.5, 1), not {self.sure}")
         require(0 <= self.check_after_ms <= self.check_within_ms, "a check ends after it begins")
+        require(min(self.aside_m, self.aside_clear_m) >= 0, "aside_m and aside_clear_m must not be negative")
         require(self.attempts >= 1, f"attempts must be at least 1, not {self.attempts}")
         require(0 < self.base_clear_deg <= self.clear_deg < 90, "0 < base_clear_deg <= clear_deg < 90 must hold")
 

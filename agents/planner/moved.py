@@ -3,15 +3,16 @@
 Reconstructions of two frames may differ as a whole: tissue breathes, and calibration or matching can be wrong by the
 same everywhere. So the displacement common to thread that is too far away to have been lifted is found first, by
 nearest points in a few rounds with weights that fall off for what does not fit, and is taken off. What counts then is
-where the later curve passes through the plane across the thread at the goal:
+where the later curve passes through the plane across the thread at the goal, along the part r of the viewing ray across
+the thread, which stereo sees least of, and beside it, along q, as the image shows it:
 
-    m = u · (x − b − t),   σ² = f uᵀ (Σ_before + Σ_after + Σ_t) u,
+    m = (r, q)ᵀ (x − b − t),   C = f (r, q)ᵀ (Σ_before + Σ_after + Σ_t) (r, q),
 
-with b the goal before, t the common displacement, x the passage that is nearest to the way from b to b + d, and u the
-direction of d, the tool's motion across the thread. Much of what a reconstruction may be wrong by is the same in both
-and falls out of their difference. How much, the thread that lies still tells: f is the mean square of what is left of
-its displacement over what both covariances allow for, one more independent piece taken to be as wrong as they say, and
-at most 1.
+with b the goal before, t the common displacement, and x the passage that is nearest to the way from b to b + d, d being
+the tool's motion. Much of what a reconstruction may be wrong by is
+the same in both and falls out of their difference. How much, the thread that lies still tells: f is the mean square of
+what is left of its displacement over what both covariances allow for, one more independent piece taken to be as wrong
+as they say, and at most 1.
 """
 
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.planner.curve import unit_vectors
+from agents.planner.poses import approach_directions
 from schemas.messages import ThreadAround
 
 FAR_M, ENOUGH_FAR = 0.02, 6
@@ -31,23 +33,51 @@ TOGETHER_M = 0.006
 """Errors of one reconstruction go together so far along the thread."""
 LEAST_M = 0.0002
 """No two reconstructions are compared more finely: thread shifts a little wherever it is pulled at."""
-BESIDE_M = 0.006
-"""A passage farther from the way of the tool is another part of the thread, or none."""
+BESIDE_M, DEEP_M = 0.006, 0.015
+"""A passage farther from the way of the tool, in the image or in depth, is another part of the thread, or none."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """How far thread and tool moved, the way that the tool moved across the thread, in metres.
+    """How far thread and tool moved across the thread, in metres.
 
     Fields:
-        deviation_m: of `thread_m`, from both reconstructions.
-        beside_m: how far the thread is from the straight way of the tool.
+        tool, thread: along the viewing ray, and beside it in the image.
+        covariance: of `thread`, from both reconstructions.
+        axes: both directions, unit vectors in the camera frame.
     """
 
-    tool_m: float
-    thread_m: float
-    deviation_m: float
-    beside_m: float
+    tool: Float64[np.ndarray, "2"]
+    thread: Float64[np.ndarray, "2"]
+    covariance: Float64[np.ndarray, "2 2"]
+    axes: Float64[np.ndarray, "2 3"]
+
+    @property
+    def tool_m(self) -> float:
+        """How far the tool moved."""
+        return float(np.linalg.norm(self.tool))
+
+    @property
+    def thread_m(self) -> float:
+        """How far the thread moved the same way."""
+        return float(self.thread @ self._way)
+
+    @property
+    def deviation_m(self) -> float:
+        """The standard deviation of that."""
+        return float(np.sqrt(max(self._way @ self.covariance @ self._way, 0.0)))
+
+    @property
+    def _way(self) -> Float64[np.ndarray, "2"]:
+        return self.tool / max(self.tool_m, 1e-9)
+
+
+def axes_across(
+    tangent: Float64[np.ndarray, "3"], point_camera: Float64[np.ndarray, "3"]
+) -> Float64[np.ndarray, "2 3"]:
+    """Unit vectors across a thread at a point: the part of the viewing ray that is, and the one beside it."""
+    deep = approach_directions(point_camera[None], tangent[None])[0][0]
+    return np.stack((deep, np.cross(tangent, deep)))
 
 
 def motion(
@@ -65,25 +95,24 @@ def motion(
     tangents = unit_vectors(np.gradient(points, axis=0))
     common, common_covariance, repeated = _common(before, goal, tangents, after)
     tangent = tangents[goal]
-    across = tool_moved - (tool_moved @ tangent) * tangent
-    lifted = float(np.linalg.norm(across))
-    way = across / max(lifted, 1e-9)
+    axes = axes_across(tangent, points[goal])
+    tool = axes @ tool_moved
     offset = after.points_camera - points[goal] - common
     ahead = offset @ tangent
     passes = np.flatnonzero((ahead[:-1] <= 0) != (ahead[1:] <= 0))
     if not len(passes):
         return None
     share = ahead[passes] / (ahead[passes] - ahead[passes + 1])
-    at = offset[passes] + share[:, None] * (offset[passes + 1] - offset[passes])
-    along = at @ way
-    beside = np.linalg.norm(at - along[:, None] * way, axis=1)
-    off = np.hypot(beside, np.maximum(np.maximum(-along, along - lifted), 0.0))
+    at = (offset[passes] + share[:, None] * (offset[passes + 1] - offset[passes])) @ axes.T
+    # in units of how far off either may be
+    scale = np.array([DEEP_M, BESIDE_M])
+    along = np.clip((at @ tool) / max(tool @ tool, 1e-12), 0.0, 1.0)
+    off = np.linalg.norm((at - along[:, None] * tool) / scale, axis=1)
     nearest = int(np.argmin(off))
-    if off[nearest] > BESIDE_M:
+    if off[nearest] > 1.0:
         return None
     covariance = before.covariance[goal] + after.covariance[passes[nearest]] + common_covariance
-    deviation = float(np.sqrt(max(repeated * (way @ covariance @ way), 0.0)))
-    return Motion(lifted, float(along[nearest]), deviation, float(beside[nearest]))
+    return Motion(tool, at[nearest], repeated * (axes @ covariance @ axes.T), axes)
 
 
 def _common(

@@ -2,14 +2,16 @@
 
 import numpy as np
 
+from agents.planner.aside import with_aside
 from agents.planner.attempt import Attempt, first_attempt, offset_for, plan_id
 from agents.planner.captures import ArmView, Captures, least_pressed
-from agents.planner.chances import Known, known_along
+from agents.planner.chances import PAPER, Known, known_along
 from agents.planner.check import SAMPLES_BEFORE, around
 from agents.planner.choice import Choice, best_choice
 from agents.planner.clear_way import clear_way
 from agents.planner.config import PlannerConfig
 from agents.planner.curve import NoGraspError, ThreadCurve, curve_of
+from agents.planner.errors import thread_covariance
 from agents.planner.goal import goal_on_thread
 from agents.planner.places import asked_of, places_along
 from agents.planner.policy import Against, alternatives, candidates, counted_reasons, reason_of
@@ -80,6 +82,9 @@ def _best(
         )
         return _rejected(goal, thread, attempt, reason, s_goal, likely, others)
     led = clear_way(choice, chosen, goal.policy, curve, arm)
+    told = None if known.model == PAPER else thread_covariance(thread, curve, s[[at_goal]])
+    if told is not None:
+        led = with_aside(led, s_goal, told[0], curve, arm, config)
     return GraspPlan(
         plan_id=plan_id(goal, attempt),
         arm=goal.arm,

@@ -1,4 +1,5 @@
-"""What follows from the end of a grasp: a check as soon as the thread was seen after it, and after a miss another plan.
+"""What follows from the end of a grasp: a check as soon as the thread was seen after it, and another plan after a miss,
+or where that cannot be told.
 
 Nothing moves by itself: each plan has to be armed.
 """
@@ -73,7 +74,7 @@ def check_of(
         seen = checked(plan, thread, T_camera_tool, config)
     if seen.verdict is Checked.UNKNOWN and _age_ms(ended, thread) < config.check_within_ms:
         return None
-    again = next_attempt(plan, config) if seen.verdict is Checked.MISSED else None
+    again = next_attempt(plan, seen.verdict, config) if seen.verdict is Checked.MISSED or seen.unclear else None
     return GraspCheck(
         plan_id=plan.plan_id,
         arm=plan.arm,
@@ -88,7 +89,7 @@ def check_of(
         attempt=plan.attempt,
         attempts=plan.attempts,
         next_plan_id=plan_id(plan.goal, again) if plan.goal is not None and again is not None else "",
-        sentence=seen.sentence + _what_now(seen.verdict, plan, again is not None),
+        sentence=seen.sentence + _what_now(seen, plan, again is not None),
     )
 
 
@@ -107,9 +108,11 @@ def _age_ms(ended: Ended, thread: Thread) -> float:
     return (min(thread.stamp.capture_left_ns, thread.stamp.capture_right_ns) - ended.at_ns) / NS_PER_MS
 
 
-def _what_now(verdict: Checked, plan: GraspPlan, again: bool) -> str:
-    if verdict is not Checked.MISSED:
+def _what_now(seen: Seen, plan: GraspPlan, again: bool) -> str:
+    if seen.verdict is Checked.HELD or (seen.verdict is Checked.UNKNOWN and not seen.unclear):
         return ""
+    if again and seen.verdict is Checked.UNKNOWN:
+        return f"; look at it: attempt {plan.attempt} of {plan.attempts}, another one is planned, which lets go first"
     if again:
         return f"; attempt {plan.attempt} of {plan.attempts}, another one is planned"
     return f"; attempt {plan.attempt} of {plan.attempts} was the last"

@@ -307,7 +307,7 @@ class GraspCheck:
         deviation_m: the standard deviation of that.
         held_probability: that the thread moved with the tool rather than stayed; None where nothing was compared.
         attempt, attempts: as in the plan.
-        next_plan_id: the plan, or rejection, that follows from a miss; empty where none does.
+        next_plan_id: the plan, or rejection, that follows a miss, or what cannot be told; empty where none does.
         sentence: the same in plain words.
     """
 

@@ -1,7 +1,7 @@
 """What a planner's own check says of a grasp that was carried out, and the plan for the next attempt."""
 
 from agents.operator.operator import Events
-from schemas.messages import Checked, GraspCheck, GraspPlan, Status
+from schemas.messages import GraspCheck, GraspPlan, Status
 from schemas.topics import CHECK, PLAN
 from shared.clock import monotonic_s
 from shared.runtime.connection import Connection
@@ -26,8 +26,8 @@ class Attempts:
         return None
 
     def plan_after(self, check: GraspCheck | None) -> GraspPlan | None:
-        """The plan that follows from a miss; None where there is none, or it is a rejection."""
-        if check is None or check.verdict is not Checked.MISSED or not check.next_plan_id:
+        """The plan that follows from a check; None where there is none, or it is a rejection."""
+        if check is None or not check.next_plan_id:
             return None
         deadline_s = monotonic_s() + NEXT_PLAN_S
         while (left_s := deadline_s - monotonic_s()) > 0:

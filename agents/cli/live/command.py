@@ -180,8 +180,8 @@ def percent(s: float | None) -> str:
 def arm(rig: RigConfig, options: ArmPlan) -> int:
     """Arm a plan and stay with it until it ends; Ctrl-C ends the heartbeat, and the arm holds.
 
-    What the planner sees afterwards is told; after a miss its next plan is armed too, where so many attempts were asked
-    for.
+    What the planner sees afterwards is told; unless that is held, its next plan is armed too, where so many attempts
+    were asked for.
     """
     if not options.plan or options.attempts < 1:
         return complain("give the id of a plan, as goal prints it, and at least one attempt", EXIT_UNUSABLE)

@@ -160,7 +160,7 @@ class ArmPlan(OnRig):
     arm: str = "psm1"
     """Which arm carries it out."""
     attempts: int = 1
-    """How many attempts are armed: after a miss, the next plan too, as long as this command runs."""
+    """How many attempts are armed: the next plan too where it is not held, as long as this command runs."""
 
 
 @dataclass(frozen=True)
