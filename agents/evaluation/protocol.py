@@ -33,6 +33,7 @@ class Protocol(Settings):
         injected_share, injected_mm: how many of the goals find the thread moved as a whole, and by how much at most.
         attempts: how often a grasp may be tried.
         tissue: whether the planner is told of the tissue, which makes it decline what would press into that too deep.
+        instrument: whether looks after a grasp show the instrument.
     """
 
     seed: int = Field(ge=0)
@@ -50,6 +51,7 @@ class Protocol(Settings):
     injected_mm: float = Field(default=0.0, ge=0, le=50)
     attempts: int = Field(default=1, ge=1, le=10)
     tissue: bool = False
+    instrument: bool = False
 
 
 class Laid(Settings):

@@ -79,6 +79,8 @@ def what_was_tried(protocol: Protocol) -> list[str]:
         lines.append(f"Up to {protocol.attempts} attempts at each goal.")
     if protocol.tissue:
         lines.append("The planner is told of the tissue.")
+    if protocol.instrument:
+        lines.append("Looks after a grasp show the instrument.")
     return lines
 
 

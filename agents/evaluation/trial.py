@@ -102,8 +102,8 @@ class Told:
     entries: list[Entry]
 
 
-Again = Callable[[SimulatorState, int], Look]
-"""A look at the field as it is, at a time."""
+Again = Callable[[SimulatorState, RobotState, int], Look]
+"""A look at the field as it is, with the arm in it, at a time."""
 
 
 def carried_out(trial: Trial, s: float, look: Look, cast: Cast, again: Again | None, recorded: bool = False) -> Told:
@@ -142,7 +142,7 @@ def _checked(steps: Lockstep, again: Again, recorded: bool) -> GraspCheck | None
     """What the planner says of the grasp that has ended, once the field was looked at again."""
     for still_s in STILL_S:
         steps.run(still_s)
-        _tell(steps, again(steps.last[SIMULATOR_STATE], steps.now_ns), recorded)
+        _tell(steps, again(steps.last[SIMULATOR_STATE], steps.last[ROBOT_STATE], steps.now_ns), recorded)
         check: GraspCheck | None = steps.last.get(CHECK)
         if check is not None and check.plan_id == steps.last[EXECUTION].plan_id:
             return check

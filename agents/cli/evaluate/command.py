@@ -119,6 +119,7 @@ def protocol_of(options: Evaluate) -> Protocol:
         "injected_mm": most_mm,
         "attempts": options.attempts,
         "tissue": options.tissue,
+        "instrument": options.instrument,
     }
     if options.judge == "contact" and not _is_there("mujoco"):
         raise ConfigError("--judge contact needs MuJoCo: install the extra sim (pip install suturegrasp[sim])")

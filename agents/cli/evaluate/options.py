@@ -50,6 +50,8 @@ class Evaluate:
     """How often a grasp may be tried: the thread is looked at after each one."""
     tissue: bool = False
     """The planner is told of the tissue, as on a rig, and declines what would press into it too deep."""
+    instrument: bool = False
+    """Looks after a grasp show the instrument, which hides thread about the jaws, as on a rig."""
     seed: int = 1
     """Of everything that is drawn."""
     jobs: int = 1

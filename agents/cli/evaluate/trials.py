@@ -25,7 +25,7 @@ from agents.planner.config import PlannerConfig
 from agents.robot_bridge.limits import MotionLimits
 from agents.simulator.agent import Simulator, SimulatorConfig
 from agents.simulator.field import DEGREE
-from schemas.messages import ImageEncoding, SimulatorState, Status
+from schemas.messages import ImageEncoding, RobotState, SimulatorState, Status
 from shared.arc_length import even_parameters
 from shared.camera import project
 from shared.clock import processor_s
@@ -131,9 +131,9 @@ class Table:
         """Looks at the field after a grasp, which find the thread moved as often as the first one."""
         looks = itertools.count(1)
 
-        def look(state: SimulatorState, now_ns: int) -> Look:
+        def look(state: SimulatorState, arm: RobotState, now_ns: int) -> Look:
             number = next(looks)
-            images = self.view.pair(state, number)
+            images = self.view.pair(state, number, arm if self.protocol.instrument else None, whole=True)
             seen = self._seen(images, trial.method, now_ns, number)
             return seen.moved(injected_m(self.protocol, trial, number))
 

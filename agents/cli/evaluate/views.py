@@ -34,18 +34,14 @@ class FieldView:
         self._scenery = scenery
         self._camera = camera_in_mm(scenery.simulated.camera)
 
-    def pair(self, state: SimulatorState, frame: int, arm: RobotState | None = None) -> Pair:
-        """What both eyes see; with an arm, its jaws too.
-
-        No more is drawn of the instrument, and nothing of it in what perception is shown: the simulated arm's stands
-        between the camera and the thread that it grasps.
-        """
+    def pair(self, state: SimulatorState, frame: int, arm: RobotState | None = None, whole: bool = False) -> Pair:
+        """What both eyes see; with an arm, its fingers too, and with `whole` its wrist and shaft."""
         thread = Thread(state.knots, 1e3 * state.control_points_camera, 1e3 * state.radius_m)
         views = render_thread(self._camera, thread, self._colour, self._backdrop)
         images = [view.bgr for view in views]
         if arm is not None:
             tool = Instrument()
-            _, _, *solids = solids_of(arm.T_camera_base, arm.T_base_tool, arm.jaw_rad, tool)
+            solids = solids_of(arm.T_camera_base, arm.T_base_tool, arm.jaw_rad, tool)[0 if whole else 2 :]
             eyes = (0.0, self._camera.baseline)
             images = [
                 draw_solids(image, self._camera, solids, tool, x, 0)[0] for image, x in zip(images, eyes, strict=True)

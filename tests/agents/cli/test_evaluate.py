@@ -6,9 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from agents.cli.evaluate.scenes import first_state
 from agents.cli.evaluate.trials import Table
 from agents.cli.main import main
 from agents.evaluation.protocol import Protocol, threads_of, trials_on
+from schemas.messages import RobotMode, RobotState
 from schemas.topics import SURFACE, THREAD
 
 SMALL = ("--images", "light", "--config", "easy", "--background", "chicken", "--threads", "1", "--goals", "1")
@@ -62,6 +64,20 @@ def test_after_a_grasp_the_thread_is_looked_at_again(table, trial):
     came = table.tried(trial).came
     assert came.said in ("HELD", "MISSED", "UNKNOWN")
     assert 1 <= came.attempts <= 2
+
+
+def test_looks_after_a_grasp_show_the_instrument_where_that_is_asked_for(table, trial, monkeypatch):
+    shown = []
+    monkeypatch.setattr(table, "protocol", table.protocol.model_copy(update={"instrument": True}))
+    monkeypatch.setattr(table, "_seen", lambda images, *_: shown.append(images[0]) or table.look("refined"))
+    state = first_state(table.scenery.simulated, table.scenery.field)
+    T_camera_tool = np.diag([-1.0, -1.0, 1.0, 1.0])
+    T_camera_tool[:3, 3] = state.control_points_camera.mean(axis=0)
+    told = (np.zeros(6), 0.0, np.eye(4), "")
+    arm = RobotState("psm1", 0, RobotMode.IDLE, T_camera_tool, *told)
+    table._again(trial)(state, arm, 0)
+    differs = np.abs(shown[0].astype(int) - table.view.pair(state, 1)[0]).max(axis=2) > 25
+    assert differs.sum() > 1000, "pixels of an instrument of 8 mm"
 
 
 def test_a_thread_out_of_reach_is_declined_with_a_reason(table, trial, monkeypatch):
