@@ -19,9 +19,11 @@ from shared.runtime.session import on_loopback, router_settings
 ROBOT_ZENOH = "robot_zenoh"
 FILE = "robot-zenoh.json5"
 MEASURED = ("measured_js", "jaw/measured_js", "measured_cp", "local/measured_cp")
-HEARD = (*MEASURED, "operating_state", "error", "goal_reached", "tool_type")
-MOVED = ("/ECM/local/measured_cp", "/footpedals/(camera|clutch)", "/ECM/io/(manip|suj)_clutch")
+SET_POINTS = "(jaw/)?setpoint_js"
+HEARD = (*MEASURED, SET_POINTS, "operating_state", "error", "goal_reached", "tool_type")
+MOVED = ("/ECM/local/measured_cp", "/(footpedals|console)/(camera|clutch)", "/ECM/io/(manip|suj)_clutch")
 """What tells beside the arm's own that it stands on something that has moved."""
+TELEOPERATION = "/console/teleop/enabled"
 BUTTONS = "io/(manip|suj)_clutch"
 SERVOS = ("servo_jp", "jaw/servo_jp")
 MOTIONS = "(jaw/)?(servo|move)_(jp|jr|jf|cp)"
@@ -92,6 +94,7 @@ def _allowed(arms: tuple[ReachedArm, ...]) -> dict[str, list[str]]:
         "publishers": [
             *(f"/{name}/{topic}" for name in names for topic in (*HEARD, MOTIONS, *STOPS, BUTTONS)),
             *MOVED,
+            TELEOPERATION,
         ],
     }
 

@@ -56,7 +56,7 @@ class EmulatedArm:
         self._told, self._velocity, self._lag_s = self.position.copy(), np.zeros(len(self.position)), lag_s
         self._warn, self._ratio = warn, 1.0
         self._moves = {"arm": False, "jaw": False}
-        self._homing_s = 0.0
+        self._homing_s, self._limits = 0.0, _ALL_LIMITS
 
     @property
     def takes_commands(self) -> bool:
@@ -115,7 +115,7 @@ class EmulatedArm:
         if values.shape != self.goal[part].shape or not np.isfinite(values).all():
             self._warn(f"a set point for the {name} was ignored: {values.size} positions, or not finite")
             return False
-        self.goal[part] = np.clip(values, _ALL_LIMITS[part, 0], _ALL_LIMITS[part, 1])
+        self.goal[part] = np.clip(values, self._limits[part, 0], self._limits[part, 1])
         self._moves[name] = moving
         return True
 
@@ -146,6 +146,15 @@ class EmulatedArm:
             self.hold()
         else:
             self._warn(f"{word!r} was ignored: the arm is {self.state}")
+
+    def drift(self, angle_rad: float) -> None:
+        """Head for another yaw, as somebody at the console has it."""
+        self.goal[0] += angle_rad
+
+    def narrow(self, about_rad: float) -> None:
+        """Have limits of its own for its jaw, so far about where that is."""
+        here = self.position[JAW] + np.array((-about_rad, about_rad))
+        self._limits = np.vstack((_ALL_LIMITS[ARM], np.clip(here, *JAW_LIMITS)))
 
     def fail(self) -> None:
         """Be at fault, without power, where it is."""

@@ -27,13 +27,13 @@ from agents.emulator.messages import (
     header,
 )
 from agents.emulator.oracle import Circumstances, Oracle
-from agents.emulator.outlets import CLUTCH, CRTK, GEOMETRY, SENSOR, STD, TOOL_TYPE, Outlets
+from agents.emulator.outlets import CLUTCH, CRTK, GEOMETRY, SENSOR, STD, TELEOPERATION, TOOL_TYPE, Outlets
 from agents.emulator.wire import Wire
 from shared import clock
 
 STATE_HZ, TURNS_PER_STATE = 100.0, 2
 KEPT = 20_000
-STEP_M = 0.005
+STEP_M, DRIFT_RAD, NARROW_RAD = 0.005, 0.02, 0.01
 MOTIONS = {
     "servo_jp": ("arm", False),
     "move_jp": ("arm", True),
@@ -132,13 +132,18 @@ class EmulatedConsole:
 
         `fault`, `error`, `unreached` (a motion of its own has failed); `stick` and `loose`; `mute` and `speak`;
         `camera` and `setup` (endoscope and set-up joints move by STEP_M, `camera_back` and `setup_back` back again);
-        `clutch` and `unclutch` (the pedal).
+        `clutch` and `unclutch` (the pedal); `teleop` and `no_teleop`; `drift` (somebody at the console moves it by
+        DRIFT_RAD, and tells nobody); `narrow` and `wide` (the jaw opens and closes by NARROW_RAD alone, or as built).
         """
         with self._lock:
             if word == "fault":
                 self._arm.fail()
             self._arm.stuck = {"stick": True, "loose": False}.get(word, self._arm.stuck)
             self._outlets.muted = {"mute": True, "speak": False}.get(word, self._outlets.muted)
+            if word == "drift":
+                self._arm.drift(DRIFT_RAD)
+            if word in ("narrow", "wide"):
+                self._arm.narrow(NARROW_RAD if word == "narrow" else np.inf)
             what, _, back = word.partition("_")
             if what in self._moved_m:
                 self._moved_m[what] = 0.0 if back else STEP_M
@@ -146,6 +151,8 @@ class EmulatedConsole:
             self._say("error", String(f"{self.name}: an error was asked for"))
         if word == "unreached":
             self._say("goal_reached", Bool(False))
+        if word in ("teleop", "no_teleop"):
+            self._say(TELEOPERATION, Bool(word == "teleop"))
         if word in ("clutch", "unclutch"):
             self._say(CLUTCH, Joy(header(self._now_ns()), [], [int(word == "clutch")]))
 

@@ -13,7 +13,7 @@ from agents.emulator.wire import Outlet, Wire
 JOINTS = ["outer_yaw", "outer_pitch", "outer_insertion", "outer_roll", "outer_wrist_pitch", "outer_wrist_yaw"]
 TOOL_TYPE = "LARGE_NEEDLE_DRIVER:400006"
 SENSOR, STD, CRTK, GEOMETRY = (f"{name}_msgs::msg::dds_::" for name in ("sensor", "std", "crtk", "geometry"))
-CLUTCH, TIP = "footpedals/clutch", "ECM/local/measured_cp"
+CLUTCH, TIP, TELEOPERATION = "footpedals/clutch", "ECM/local/measured_cp", "console/teleop/enabled"
 OF_ARM = {
     "measured_js": (f"{SENSOR}JointState_", False),
     "setpoint_js": (f"{SENSOR}JointState_", False),
@@ -43,6 +43,7 @@ class Outlets:
         self._outlets: dict[str, Outlet] = {
             TIP: wire.publish(TIP, f"{GEOMETRY}PoseStamped_", False),
             CLUTCH: wire.publish(CLUTCH, f"{SENSOR}Joy_", False),
+            TELEOPERATION: wire.publish(TELEOPERATION, f"{STD}Bool_", True),
         }
         for topic, (kind, latched) in OF_ARM.items():
             self._outlets[topic] = wire.publish(f"{name}/{topic}", kind, latched)

@@ -10,7 +10,7 @@ from agents.robot_bridge.backend import ArmState, Backend
 from agents.robot_bridge.config import RobotBridgeConfig, RobotBridgeError
 from agents.robot_bridge.execution import Execution, Patience
 from agents.robot_bridge.motion import plan_motion
-from agents.robot_bridge.plans import CLOCK_TOLERANCE_S, Plans, untimely
+from agents.robot_bridge.plans import CLOCK_TOLERANCE_S, Plans, untimely, wrong_frame
 from agents.robot_bridge.refusals import REPLAYED, UNMEASURED, Code, Refusal, other_arm
 from agents.robot_bridge.standing import Standing
 from agents.robot_bridge.state_changes import StateChanges
@@ -146,6 +146,7 @@ class RobotBridge:
             return self._hold(following, now_ns)
         self._backend.move(following.joints, following.jaw_rad)
         of = execution.plan_id, execution.arming_id
+        self._plans.moves(execution.plan_id, now_ns)
         reached = ExecutionKind.PHASE_REACHED
         events = [event_of(self.config.arm, *of, reached, now_ns, phase=phase) for phase in following.reached]
         if following.finished:
@@ -215,9 +216,7 @@ class RobotBridge:
             return refusal
         if command.now_ns < self._replay_over_ns:
             return REPLAYED
-        if self._execution:
-            return self._busy()
-        plan = self._plans.find(message.plan_id)
+        plan = self._busy() if self._execution else self._plans.find(message.plan_id)
         if isinstance(plan, Refusal):
             return plan
         if self._now_ns is not None:
@@ -227,9 +226,10 @@ class RobotBridge:
         arm, why = self._stands.measured.state, self._stands.refusal(command.now_ns)
         if why or arm is None or self._now_ns is None:
             return why or UNMEASURED
-        if refusal := untimely(plan, command.now_ns, arm.still_since_ns, self.config.maximum_plan_age_s):
-            return refusal
         setup = self._stands.with_tissue(command.now_ns, self.config.maximum_plan_age_s)
+        timely = command.now_ns, arm.still_since_ns, self._plans.last, self.config.maximum_plan_age_s
+        if refusal := untimely(plan, *timely) or wrong_frame(plan, self._stands.frames(setup)):
+            return refusal
         planned = plan_motion(plan.waypoints, arm.joints, arm.jaw_rad, setup)
         if isinstance(planned, Refusal):
             return planned

@@ -32,6 +32,7 @@ class RobotBridgeConfig:
         ratio: of the speed that a motion was planned with; a motion that is under way goes over to another smoothly.
         tick_hz, resting_hz: turns a second while the arm is armed or moves, and while it is disarmed and still; each
             turn of a motion sends a set point.
+        calibration_id: of the camera calibration in whose rectified frame the base is told; empty where nobody says.
         correction: how far perception may correct where the base is, by its tool in the images; None where it may not.
     """
 
@@ -45,6 +46,7 @@ class RobotBridgeConfig:
     resting_hz: float = ROBOT_STATE.resting_hz or 10.0
     limits: MotionLimits = field(default_factory=MotionLimits)
     correction: CorrectionLimits | None = None
+    calibration_id: str = ""
 
     def __post_init__(self) -> None:
         try:

@@ -73,8 +73,17 @@ class Correcting:
             self._made = made_of, T
         return self._made[1]
 
-    def refusal(self, now_ns: int, stood_since_ns: int) -> Refusal | None:
-        """Why no motion may begin now of an arm that has stood where it stands since then."""
+    @property
+    def calibration_id(self) -> str:
+        """Of the camera in whose frame the correction is that is applied; empty where none is."""
+        return self._last.stamp.calibration_id if self._last is not None and self._applied is not None else ""
+
+    def refusal(self, now_ns: int, stood_since_ns: int, still_since_ns: int) -> Refusal | None:
+        """Why no motion may begin now of an arm that has stood where it stands since then.
+
+        Args:
+            still_since_ns: camera, set-up joints or the arm were moved by hand before, not since.
+        """
         if self._limits is None:
             return None
         if self._last is None:
@@ -86,6 +95,9 @@ class Correcting:
             return Refusal(Code.CORRECTION_LOST, f"where the tool is in the images is not known: {reason}")
         if why := self._silent(now_ns):
             return why
+        if self._usable_ns < still_since_ns:
+            moved = "camera, set-up joints or the arm were moved by hand since the tool was seen in the images"
+            return Refusal(Code.CORRECTION_LOST, f"{moved}: arm again when it was seen anew")
         if self._age_s(now_ns) <= FRESH_S or self._usable_ns >= stood_since_ns:
             return None
         moved = f"the tool was seen {self._age_s(now_ns):.1f} s ago in the images, and has moved since"

@@ -1,6 +1,7 @@
 """The last few plans of an arm: which it could be armed with, and why not with the others."""
 
-from typing import Any
+from collections.abc import Iterable
+from typing import Any, NamedTuple
 
 from agents.robot_bridge.refusals import REPLAYED, Code, Refusal
 from schemas.messages import GraspPlan, Status
@@ -10,13 +11,25 @@ CLOCK_TOLERANCE_S = 0.5
 """How far a plan's frame may lie in the future, or a heartbeat off its time, before clocks are said to disagree."""
 
 
+class Begun(NamedTuple):
+    """A motion of an arm: which plan's, and when its first set point was sent."""
+
+    plan_id: str
+    at_ns: int
+
+
 class Plans:
-    """Plans as they came, by their id; the newest of an id counts."""
+    """Plans as they came, by their id; the newest of an id counts.
+
+    Fields:
+        last: the last motion that began.
+    """
 
     def __init__(self, arm: str) -> None:
         self._arm = arm
         self._plans: dict[str, GraspPlan] = {}
         self._unusable: dict[str, Refusal] = {}
+        self.last = Begun("", 0)
 
     def keep(self, plan: GraspPlan, replayed: bool) -> None:
         """Keep a plan that this arm could be armed with, or else why it could not; `replayed` is one of a recording."""
@@ -32,6 +45,11 @@ class Plans:
             _keep_few(self._unusable, plan.plan_id, REPLAYED)
         else:
             _keep_few(self._plans, plan.plan_id, plan)
+
+    def moves(self, plan_id: str, now_ns: int) -> None:
+        """Note that a plan is carried out; again after a hold it is still the same motion."""
+        if self.last.plan_id != plan_id:
+            self.last = Begun(plan_id, now_ns)
 
     def forget(self, plan_id: str) -> None:
         """A plan that was carried out is so once."""
@@ -49,11 +67,12 @@ class Plans:
         return plan
 
 
-def untimely(plan: GraspPlan, now_ns: int, still_since_ns: int, maximum_age_s: float) -> Refusal | None:
-    """Why a plan comes too late or too early; None where it does neither.
+def untimely(plan: GraspPlan, now_ns: int, still_since_ns: int, last: Begun, maximum_age_s: float) -> Refusal | None:
+    """Why a plan comes too late, too early or out of order; None where it does none of it.
 
     Args:
         still_since_ns: what was captured before is elsewhere now.
+        last: what another plan's motion has touched may be elsewhere too; the same plan may go on after a hold.
     """
     captured_ns = min(plan.stamp.capture_left_ns, plan.stamp.capture_right_ns)
     age_s = (now_ns - captured_ns) * 1e-9
@@ -63,10 +82,28 @@ def untimely(plan: GraspPlan, now_ns: int, still_since_ns: int, maximum_age_s: f
     if captured_ns < still_since_ns:
         moved = "camera, set-up joints or arm were moved by hand"
         return Refusal(Code.MOVED, f"{moved} after the frame of plan {plan.plan_id} was captured: plan again")
+    if captured_ns < last.at_ns and plan.plan_id != last.plan_id:
+        before = f"was captured before the motion of plan {last.plan_id} began, which may have moved the thread"
+        return Refusal(Code.OUT_OF_ORDER, f"the frame of plan {plan.plan_id} {before}: plan again")
     if age_s < -CLOCK_TOLERANCE_S:
         future = f"the frame of plan {plan.plan_id} was captured {-age_s:.1f} s in the future"
         return Refusal(Code.CLOCK, f"{future}: set the clocks of camera and bridge by each other")
     return None
+
+
+def wrong_frame(plan: GraspPlan, others: Iterable[tuple[str, str]]) -> Refusal | None:
+    """Why a plan is not in the camera frame that it would be carried out in; None where it is, or nothing is told.
+
+    Args:
+        others: what else is told in a rectified camera's frame, and the id of that camera's calibration; empty where
+            that is not known.
+    """
+    own = plan.stamp.calibration_id
+    other = next(((what, of) for what, of in others if of and of != own), None)
+    if other is None:
+        return None
+    apart = f"plan {plan.plan_id} is in the frame of camera calibration {own}, and {other[0]} in that of {other[1]}"
+    return Refusal(Code.WRONG_FRAME, f"{apart}: plan again, with the calibration that the arm was registered with")
 
 
 def _keep_few(kept: dict[str, Any], plan_id: str, value: Any) -> None:

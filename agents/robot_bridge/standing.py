@@ -28,6 +28,7 @@ class Standing:
         self.setup = Setup(backend.kinematics, config.T_camera_base, config.limits, 1 / config.tick_hz)
         self._correcting = Correcting(config.correction)
         self._surface: TissueSurface | None = None
+        self._calibration_id = config.calibration_id
 
     def measure(self, now_ns: int) -> ArmState | None:
         """The newest state, and where its base is by that and by the images."""
@@ -55,15 +56,31 @@ class Standing:
 
     def refusal(self, now_ns: int) -> Refusal | None:
         """Why no motion may begin now, whichever it is."""
-        return self.measured.not_ready or self._correcting.refusal(now_ns, self.measured.stood_since_ns)
+        stood, still = self.measured.stood_since_ns, self._still_since_ns
+        return self.measured.not_ready or self._correcting.refusal(now_ns, stood, still)
 
     def broken(self, now_ns: int) -> Refusal | None:
         """Why a motion must not go on."""
         return self.measured.not_ready or self._correcting.broken(now_ns)
 
     def with_tissue(self, now_ns: int, maximum_age_s: float) -> Setup:
-        """With the tissue as it was seen last, where that is no older than that."""
+        """With the tissue as it was seen last, where that is no older than that and nothing was moved since."""
         surface = self._surface
         if surface is None or now_ns - surface.stamp.capture_left_ns > maximum_age_s * 1e9:
             return self.setup
+        if surface.stamp.capture_left_ns < self._still_since_ns:
+            return self.setup
         return dataclasses.replace(self.setup, surface=surface)
+
+    def frames(self, setup: Setup) -> tuple[tuple[str, str], ...]:
+        """What a motion would stand on that is told in a rectified camera's frame, and of which calibration it is."""
+        return (
+            ("the arm was registered", self._calibration_id),
+            ("the tissue was measured", setup.surface.stamp.calibration_id if setup.surface is not None else ""),
+            ("the tool was seen", self._correcting.calibration_id),
+        )
+
+    @property
+    def _still_since_ns(self) -> int:
+        arm = self.measured.state
+        return 0 if arm is None else arm.still_since_ns

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from agents.cli.terminal import complain, say, warn
 from schemas.messages import StereoCalibration
 from shared.calibration import CalibrationError, read_calibration
 from shared.calibration.hand_eye.estimate import Estimate, estimated
+from shared.calibration.identity import calibration_id
 from shared.calibration.reader import stated_calibration
 from shared.kinematics.psm import FINGER_M
 
@@ -28,7 +30,8 @@ def run(options: HandEye) -> int:
             raise CalibrationError("give the robot's poses by one of --poses and --recording")
         if options.output is not None and options.output.exists():
             raise CalibrationError(f"{options.output} is there already; give a new file")
-        sightings = sightings_in(options.tips, _camera(options))
+        camera = _camera(options)
+        sightings = sightings_in(options.tips, camera)
         if options.poses is not None:
             motion, turned = motion_in(options.poses)
         else:
@@ -52,7 +55,7 @@ def run(options: HandEye) -> int:
             "have the tool corrected from images, docs/tool_tracking.md"
         )
     if options.output is not None:
-        options.output.write_text(_file(found), encoding="utf-8")
+        options.output.write_text(_file(found, camera), encoding="utf-8")
         say(f"written to {options.output}; set T_camera_base_file to it in the arm's section of the rig")
     return EXIT_OK
 
@@ -88,8 +91,8 @@ def _told(found: Estimate, pixels: bool) -> list[str]:
     ]
 
 
-def _file(found: Estimate) -> str:
-    told = {
+def _file(found: Estimate, camera: StereoCalibration | None) -> str:
+    told: dict[str, Any] = {
         "T_camera_base": found.T_camera_base.tolist(),
         "unit": "m",
         "delay_s": found.delay_s,
@@ -99,4 +102,6 @@ def _file(found: Estimate) -> str:
         "held_out_mm": 1e3 * float(np.median(found.held_out_m)),
         "sightings": int(found.used.sum()),
     }
+    if camera is not None:
+        told["calibration_id"] = calibration_id(camera)
     return "{\n" + ",\n".join(f"  {json.dumps(name)}: {json.dumps(value)}" for name, value in told.items()) + "\n}\n"

@@ -9,6 +9,7 @@ import tyro
 Words = Literal[
     "fault", "error", "stick", "loose", "mute", "speak",
     "camera", "camera_back", "setup", "setup_back", "clutch", "unclutch", "unreached",
+    "teleop", "no_teleop", "drift", "narrow", "wide",
 ]  # fmt: skip
 
 

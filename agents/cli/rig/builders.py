@@ -101,6 +101,7 @@ def _robot_bridge(rig: RigConfig, arm: str, section: ArmSection) -> RobotBridge:
         maximum_plan_age_s=section.maximum_plan_age_s,
         limits=MotionLimits().slowed(section.speed_share),
         correction=correction_limits(section),
+        calibration_id=base.calibration_id,
     )
     if section.kinematics is not None:
         kinematics, start = other_arm(section.kinematics)

@@ -31,7 +31,7 @@ SETTLED_NS = 500_000_000
 """So long after it moved last, a frame stands still."""
 ECM_AGE_NS = 1_000_000_000
 ECM = "ECM"
-PEDALS = ("footpedals/camera", "footpedals/clutch")
+PEDALS = ("footpedals/camera", "footpedals/clutch", "console/camera", "console/clutch")
 MEASURED, LOCAL, TIP = "measured_cp", "local/measured_cp", "tip"
 
 

@@ -14,7 +14,8 @@ from jaxtyping import Float64
 from agents.robot_bridge.backend import ArmState, Readiness
 from agents.robot_bridge.dvrk.frames_moved import FramesWatch
 from agents.robot_bridge.dvrk.readings import KINDS, NOTHING, Readings
-from agents.robot_bridge.dvrk.said import Judged
+from agents.robot_bridge.dvrk.said import TELEOPERATION, Judged
+from agents.robot_bridge.dvrk.set_points import SetPointsWatch
 from agents.robot_bridge.refusals import Code
 from schemas.messages import StateWord
 from shared.calibration.hand_eye.file import HandEye
@@ -89,14 +90,16 @@ class DvrkPsm:
         self._to, self._tells_guard = (f"{GUARDED}/{name}" if through_guard else name), through_guard and not dry_run
         self._readings = readings = Readings(name, tool, kinematics)
         self._commanded_ns, self._replayed, self._clock_ns = 0, False, clock
-        self._frames = FramesWatch(name, base)
+        self._frames, self._set_points = FramesWatch(name, base), SetPointsWatch(name)
         heard = (
             *(self._measurement(kind) for kind in KINDS),
             *self._frames.heard(),
+            *self._set_points.heard(),
             Heard(f"{name}/operating_state", OPERATING_STATE, readings.hear_state, latched=True),
             Heard(f"{name}/error", STRING, readings.hear_error, latched=True),
             Heard(f"{name}/goal_reached", BOOL, readings.hear_goal),
             Heard(f"{name}/tool_type", STRING, readings.hear_tool, latched=True),
+            Heard(TELEOPERATION, BOOL, readings.hear_teleoperation, latched=True),
             *(
                 Heard(f"{name}/{topic}", ros_type, self._another(topic), others_only=True)
                 for topic, ros_type in (MOTIONS | STOPS).items()
@@ -129,6 +132,10 @@ class DvrkPsm:
         moved = self._frames.judge(now_ns)
         if judged.readiness is Readiness.READY and moved:
             judged = Judged(Readiness.DISABLED, Code.MOVED, moved)
+        if judged.readiness is Readiness.READY:
+            judged = self._set_points.judge(now_ns) or judged
+        else:
+            self._set_points.let_go(now_ns)
         return ArmState(
             measured.measured_ns,
             measured.joints,
@@ -146,12 +153,14 @@ class DvrkPsm:
         if self.dry_run or self._replayed:
             return
         self._commanded_ns = self._clock_ns()
+        self._set_points.sent(joints, jaw_rad, self._commanded_ns)
         self._link.say(f"{self._to}/servo_jp", crtk.joint_command(joints, self._commanded_ns))
         self._link.say(f"{self._to}/jaw/servo_jp", crtk.joint_command(np.array([jaw_rad]), self._commanded_ns))
 
     def hold(self) -> None:
         """Have the console stop the arm where it is."""
         if not self.dry_run and not self._replayed:
+            self._set_points.let_go(self._clock_ns())
             self._link.say(f"{self._name}/hold", crtk.empty())
 
     def change_state(self, word: StateWord, now_ns: int) -> str:

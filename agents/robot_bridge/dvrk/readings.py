@@ -3,6 +3,7 @@
 import dataclasses
 import threading
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
@@ -31,7 +32,9 @@ CLOCK_SET_NS = 1 * SECOND_NS
 """A stamp this far before the last one tells that the robot's clock was set, a smaller step that messages overtook."""
 POSE_AGE_NS = SECOND_NS // 2
 SAME_M, SAME_RAD = 0.003, 0.1
-"""How near the console's own pose must be to that of our kinematics: an arm moves meanwhile, and tools differ more."""
+"""How near the console's own pose must be to that of our kinematics; tools differ by more."""
+SAME_TIME_NS = 5_000_000
+"""Joints and pose are compared where the robot's clock has them at one time: an arm moves 0.4 mm meanwhile."""
 
 
 KINDS: tuple[str, ...] = ("measured_js", "jaw/measured_js", "local/measured_cp")
@@ -53,6 +56,14 @@ class Measured:
 NOTHING = Measured(0, np.full(6, np.nan), float("nan"))
 
 
+class _Apart(NamedTuple):
+    """How far the console's pose was from that of our kinematics, and when."""
+
+    at_ns: int
+    metres: float
+    radians: float
+
+
 class Readings:
     """Takes what comes from other threads; `measured` and `judge` are for the bridge's own."""
 
@@ -64,7 +75,7 @@ class Readings:
         self._stamps = dict.fromkeys(KINDS, 0)
         self._decoded = dict.fromkeys(KINDS, Raw(b"", 0))
         self._newest: dict[str, tuple[int, np.ndarray]] = {}
-        self._faulty = ""
+        self._faulty, self._apart = "", _Apart(0, 0.0, 0.0)
 
     def hear(self, kind: str, data: bytes, arrived_ns: int) -> None:
         """Keep the newest measurement of a kind, unread."""
@@ -101,6 +112,15 @@ class Readings:
         """Note which tool is mounted."""
         with self._lock:
             self._said.tool = _text(data)
+
+    def hear_teleoperation(self, data: bytes, _arrived_ns: int) -> None:
+        """Note whether the console's own teleoperation is on; what cannot be read may say so."""
+        try:
+            on = crtk.flag(data)
+        except RosMessageError:
+            on = True
+        with self._lock:
+            self._said.teleoperation = on
 
     def hear_other(self, topic: str, arrived_ns: int) -> None:
         """Note that somebody else has commanded the arm."""
@@ -176,15 +196,16 @@ class Readings:
     def _same_place(self, measured: Measured, now_ns: int) -> Judged | None:
         """Whether the console's own pose of the tool is where our kinematics have it."""
         at_ns, T = self._newest.get("local/measured_cp", (0, np.eye(4)))
-        if now_ns - at_ns > POSE_AGE_NS:
-            silent = "its local/measured_cp does not come, by which the kinematics are checked"
+        if abs(self._stamps["local/measured_cp"] - self._stamps["measured_js"]) <= SAME_TIME_NS:
+            ours = self._kinematics.forward(measured.joints)
+            apart_m = float(np.linalg.norm(T[:3, 3] - ours[:3, 3]))
+            self._apart = _Apart(at_ns, apart_m, float(angle_between(T[:3, :3], ours[:3, :3])))
+        if now_ns - self._apart.at_ns > POSE_AGE_NS:
+            silent = "its local/measured_cp, by which the kinematics are checked, does not come with its measured_js"
             return Judged(Readiness.FAULT, Code.STALE_STATE, silent)
-        ours = self._kinematics.forward(measured.joints)
-        apart_m = float(np.linalg.norm(T[:3, 3] - ours[:3, 3]))
-        apart_rad = float(angle_between(T[:3, :3], ours[:3, :3]))
-        if apart_m <= SAME_M and apart_rad <= SAME_RAD:
+        if self._apart.metres <= SAME_M and self._apart.radians <= SAME_RAD:
             return None
-        where = f"{1e3 * apart_m:.1f} mm and {apart_rad:.2f} rad"
+        where = f"{1e3 * self._apart.metres:.1f} mm and {self._apart.radians:.2f} rad"
         other = f"its console has the tool {where} from where our kinematics do: another arm or tool"
         return Judged(Readiness.FAULT, Code.OTHER_POSE, other)
 

@@ -13,6 +13,9 @@ ERROR_NS, OTHERS_NS, OWN_NS = 1 * SECOND_NS, 2 * SECOND_NS, 1 * SECOND_NS
 """How long an error, another's command, and a command of our own count after they came."""
 
 
+TELEOPERATION = "console/teleop/enabled"
+"""Of all of a console: it tells of no arm by itself."""
+
 LEADS_TO = {
     StateWord.ENABLE: "ENABLED",
     StateWord.RESUME: "ENABLED",
@@ -45,6 +48,7 @@ class Said:
         left_ready: why the arm was not ready, even where it soon was again; None once that was told.
         missed_ns: when the console said that a goal was not reached.
         publishers: who else could command the arm, by their tokens.
+        teleoperation: the console's own is on.
     """
 
     raw: dict[str, Raw] = field(default_factory=dict)
@@ -55,6 +59,7 @@ class Said:
     tool: str = ""
     other: tuple[str, int] = ("", 0)
     publishers: set[str] = field(default_factory=set)
+    teleoperation: bool = False
 
 
 def own_word(said: Said, operating: crtk.OperatingState, now_ns: int) -> Judged | None:
@@ -72,6 +77,8 @@ def others(said: Said, commanded_ns: int, now_ns: int) -> Judged | None:
         who = f"somebody else could command it: {min(said.publishers)}; have one owner only"
     elif now_ns - said.other[1] < OTHERS_NS:
         who = f"somebody else commands it by {said.other[0]}; have one owner only"
+    elif said.teleoperation:
+        who = "its console's teleoperation is on; have one owner only"
     elif said.operating is not None and said.operating.is_busy and now_ns - commanded_ns > OWN_NS:
         who = "it is busy with a motion that is not ours"
     else:
@@ -93,8 +100,8 @@ def unchangeable(said: Said, operating: crtk.OperatingState, word: StateWord, no
     """Why the arm's state must not be changed in this way now; empty where it may."""
     if word is StateWord.PAUSE or word is StateWord.DISABLE:
         return ""
-    if said.publishers or now_ns - said.other[1] < OTHERS_NS:
-        who = min(said.publishers) if said.publishers else said.other[0]
+    if said.publishers or now_ns - said.other[1] < OTHERS_NS or said.teleoperation:
+        who = min(said.publishers, default=TELEOPERATION if said.teleoperation else said.other[0])
         return f"somebody else has to do with it: {who}; have one owner only"
     allowed = {StateWord.ENABLE: ("DISABLED", "FAULT"), StateWord.RESUME: ("PAUSED",), StateWord.HOME: ("ENABLED",)}
     if operating.state not in allowed[word]:

@@ -16,7 +16,7 @@ T_ecm_tip being the ECM's `local/measured_cp` (jhu-dvrk/dvrk_camera_registration
 
 import enum
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -56,10 +56,12 @@ class HandEye:
     Fields:
         reference: what `T` leads to, from the base. With CAMERA it is `T_camera_base` with OpenCV's axes; with
             ECM_BASE it is as the ECM's arm has it, and `T_camera_base` follows from where the ECM is.
+        calibration_id: of the camera in whose rectified frame that is (identity.py); empty where the file does not say.
     """
 
     T: Float64[np.ndarray, "4 4"]
     reference: Reference = Reference.CAMERA
+    calibration_id: str = ""
 
     def before_camera(self, T_ecm_tip: Float64[np.ndarray, "4 4"] | None = None) -> Float64[np.ndarray, "4 4"]:
         """The base before the rectified left camera, metres; `T_ecm_tip` is the ECM's `local/measured_cp`.
@@ -114,7 +116,10 @@ def _from_text(text: str, name: str, axes: Axes | None) -> HandEye:
                 "dvrk_camera_registration does, or set the axes beside it"
             )
         return _before_camera(_pose(frame["transform"], "transform", 1.0), told)
-    return _before_camera(_named(found), axes)
+    of = found.get("calibration_id", "")
+    if not isinstance(of, str):
+        raise CalibrationError("its calibration_id is no text")
+    return replace(_before_camera(_named(found), axes), calibration_id=of)
 
 
 def _before_camera(T: Float64[np.ndarray, "4 4"], axes: Axes | None) -> HandEye:

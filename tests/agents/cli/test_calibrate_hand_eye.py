@@ -11,7 +11,9 @@ from agents.cli.rig.builders import build
 from agents.cli.rig.config import RigConfig
 from agents.robot_bridge.agent import RobotBridge
 from schemas.messages import RectifiedStereo
+from shared.calibration import read_calibration
 from shared.calibration.hand_eye.samples import Motion, Sightings
+from shared.calibration.identity import calibration_id
 from shared.kinematics.psm import JOINT_NAMES, forward
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE as X
 from shared.rigid_transforms import apply
@@ -54,6 +56,8 @@ def test_what_it_writes_is_where_the_rig_takes_the_base_to_be(suturegrasp, recor
     )
     assert isinstance(bridge, RobotBridge)
     np.testing.assert_allclose(bridge.config.T_camera_base, X, atol=1e-3)
+    camera = read_calibration(recorded / "camera.json", unit=None, image_size=(960, 540)).calibration
+    assert bridge.config.calibration_id == calibration_id(camera)
 
 
 @pytest.mark.parametrize(

@@ -28,10 +28,12 @@ from schemas.messages import (
     Outcome,
     Phase,
     Policy,
+    RectifiedStereo,
     RobotMode,
     RobotState,
     StateWord,
     Status,
+    TissueSurface,
     Waypoint,
 )
 from schemas.topics import ARM, CHANGE_STATE, EXECUTION, HEARTBEAT, HOLD, PLAN, ROBOT_STATE, SURFACE
@@ -72,8 +74,8 @@ def plan(plan_id: str = "p1", arm: str = "psm1", captured_ns: int = EPOCH, **cha
         "slide_m": 0.005,
         "alternatives": (),
     }
-    stamp = FrameStamp(1, captured_ns, captured_ns, "c")
-    return GraspPlan(plan_id=plan_id, arm=arm, goal_id="g", stamp=stamp, **(values | changes))
+    values["stamp"] = FrameStamp(1, captured_ns, captured_ns, "c")
+    return GraspPlan(plan_id=plan_id, arm=arm, goal_id="g", **(values | changes))
 
 
 def rejected(plan_id: str = "p1") -> GraspPlan:
@@ -85,12 +87,14 @@ class UnreliableArm(SimulatedPsm):
 
     readiness = Readiness.READY
     joints_read: Callable[[np.ndarray], np.ndarray] = staticmethod(lambda joints: joints)
-    late_ns = 0
+    late_ns, busy = 0, False
 
     def state(self, now_ns: int) -> ArmState:
         state = super().state(now_ns)
         reason = "" if self.readiness is Readiness.READY else "the clutch is pressed"
-        return ArmState(now_ns - self.late_ns, self.joints_read(state.joints), state.jaw_rad, self.readiness, reason)
+        joints = self.joints_read(state.joints)
+        told = (now_ns - self.late_ns, joints, state.jaw_rad, self.readiness, reason)
+        return ArmState(*told, busy=self.busy)
 
 
 class Drive:
@@ -473,6 +477,34 @@ def test_a_plan_from_an_old_frame_or_from_the_future_is_refused() -> None:
     assert refusal(drive)[0] == "clock"
 
 
+def test_a_plan_from_before_another_plans_motion_is_out_of_order_and_the_same_one_goes_on() -> None:
+    drive = moving()
+    drive.hold()
+    drive.publish(plan("p2"), plan("p3", captured_ns=drive.now_ns))
+    code, reason = refusal(drive, plan_id="p2")
+    assert code == "out_of_order"
+    assert "before the motion of plan p1 began" in reason
+    assert drive.arm().outcome is Outcome.ACCEPTED, "what was held goes on"
+    drive.hold()
+    assert drive.arm("p3").outcome is Outcome.ACCEPTED
+
+
+@pytest.mark.parametrize("of", ["registered", "tissue"])
+def test_a_plan_in_another_cameras_frame_than_base_or_tissue_is_refused(of: str) -> None:
+    drive = Drive(RobotBridgeConfig(calibration_id="other" if of == "registered" else "c"))
+    if of == "tissue":
+        camera = RectifiedStereo(640, 480, 600.0, 600.0, 320.0, 240.0, 0.005, 1.0)
+        depth, stamp = np.full((2, 2), 0.1), FrameStamp(1, EPOCH, EPOCH, "other")
+        u_px, v_px = np.array((100.0, 500.0)), np.array((100.0, 400.0))
+        drive.feed(Received(SURFACE, "", 0, TissueSurface(stamp, camera, u_px, v_px, depth, depth > 0, 1e-3 * depth)))
+    drive.publish(plan())
+    code, reason = refusal(drive)
+    assert code == "wrong_frame"
+    assert f"calibration c, and the {'arm was registered' if of == 'registered' else 'tissue was measured'}" in reason
+    drive.publish(plan(captured_ns=EPOCH, stamp=FrameStamp(1, EPOCH, EPOCH, "other")))
+    assert drive.arm().outcome is (Outcome.ACCEPTED if of == "registered" else Outcome.REFUSED)
+
+
 def test_an_arm_in_motion_is_busy() -> None:
     drive = moving()
     drive.publish(plan("p2", captured_ns=drive.now_ns))
@@ -565,6 +597,43 @@ def test_an_arm_that_is_blocked_short_of_a_stop_is_held_after_a_second() -> None
     drive.backend.joints_read = lambda joints: joints - np.array((0, 0, 0.001, 0, 0, 0))
     drive.run(2000)
     assert drive.events()[-1].code == "not_following"
+
+
+def arrives(drive: Drive) -> bool:
+    """Whether the first phase ends within a while, of an arm that stands where it does from now on."""
+    for _ in range(40):
+        drive.beat()
+        drive.tick()
+    return any(event.kind is ExecutionKind.PHASE_REACHED for event in drive.events())
+
+
+def before_its_first_stop() -> Drive:
+    """Armed with a plan of one place, where the arm stands, a tick before it is found there."""
+    drive = Drive()
+    T = SIMULATED_T_CAMERA_BASE @ forward(drive.states()[-1].joints)
+    drive.publish(plan(waypoints=(Waypoint(T, 0.0, Phase.APPROACH, None),)))
+    assert drive.arm().outcome is Outcome.ACCEPTED
+    return drive
+
+
+def test_no_phase_ends_while_the_arm_is_busy_with_a_motion_of_its_own() -> None:
+    drive = before_its_first_stop()
+    drive.backend.busy = True
+    assert not arrives(drive)
+    drive.backend.busy = False
+    assert arrives(drive)
+
+
+def test_a_phase_ends_by_a_measurement_that_is_later_than_the_last_set_point() -> None:
+    drive = before_its_first_stop()
+    measured_ns = drive.now_ns + 5 * TICK
+    drive.backend.late_ns = 9 * TICK
+    for _ in range(9):
+        drive.beat()
+        drive.tick()
+        first = next((e for e in drive.events() if e.kind is ExecutionKind.PHASE_REACHED), None)
+        assert first is None, (first, measured_ns)
+    assert arrives(drive)
 
 
 def test_a_clock_that_goes_backwards_holds() -> None:

@@ -217,6 +217,27 @@ def test_an_arm_that_moved_since_it_was_seen_is_seen_again_first():
     assert rig.arm().outcome is Outcome.ACCEPTED
 
 
+def test_a_tool_that_was_seen_before_camera_or_arm_were_moved_by_hand_is_seen_again_first():
+    rig = Rig()
+    rig.look()
+    measured = rig.backend.state
+    moved_ns = rig.now_ns
+    rig.backend.state = lambda now_ns: dataclasses.replace(measured(now_ns), still_since_ns=moved_ns)
+    rig.tick(5)
+    answer = rig.arm()
+    assert (answer.code, "moved by hand since the tool was seen" in answer.reason) == ("correction_lost", True)
+    rig.tick(20)
+    rig.look()
+    assert rig.arm().outcome is Outcome.ACCEPTED
+
+
+def test_a_plan_in_another_cameras_frame_than_the_look_at_the_tool_is_refused():
+    rig = Rig()
+    rig.look(stamp=FrameStamp(1, rig.now_ns, rig.now_ns, "other"))
+    answer = rig.arm()
+    assert (answer.code, "and the tool was seen in that of other" in answer.reason) == ("wrong_frame", True)
+
+
 def test_a_base_that_nothing_corrects_says_so():
     rig = Rig()
     rig.tick(10)

@@ -310,6 +310,12 @@ def test_an_arm_too_deep_in_its_trocar_is_not_set_in_motion() -> None:
     assert refusal((waypoint(pose(0, 0, 80)),), joints=joints).code is Code.REMOTE_CENTRE
 
 
+def test_a_jaw_that_stands_beyond_its_limit_is_sent_to_no_angle_beyond_it() -> None:
+    planned = plan_motion((waypoint(pose(0, 0, 80)),), START, LARGE_NEEDLE_DRIVER.jaw_limit[0] - 0.1, SETUP)
+    assert isinstance(planned, Refusal)
+    assert planned.code is Code.JAW_LIMIT
+
+
 def test_a_waypoint_too_near_the_remote_centre_is_refused() -> None:
     roomy = MotionLimits(workspace_camera=np.array(((-1.0, -1, -1), (1, 1, 1))))
     joints = np.array((0, 0, 0.0600, 0, 0, 0))

@@ -2,6 +2,7 @@
 
 import re
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,10 @@ import zenoh
 from agents.cli.recordings.replay_through import with_simulated_arms
 from agents.cli.rig.builders import build
 from agents.cli.rig.config import RigConfig
+from agents.emulator.messages import OperatingState, header
 from agents.robot_bridge.agent import RobotBridge
 from agents.robot_bridge.backend import Readiness
+from agents.robot_bridge.dvrk.set_points import SETTLES_NS
 from agents.robot_bridge.simulated import SimulatedPsm
 from schemas.messages import (
     ChangeState,
@@ -84,6 +87,8 @@ def test_capture_slide_and_grasp_without_an_unsafe_set_point(lab):
         ("error", "an error was asked for|state is FAULT", RobotMode.FAULT),
         ("mute", "was not measured|does not follow", RobotMode.FAULT),
         ("stick", "does not follow", RobotMode.HOLDING),
+        ("teleop", "teleoperation is on", RobotMode.DISABLED),
+        ("narrow", "heads for something else than it was sent", RobotMode.DISABLED),
     ],
 )
 def test_what_goes_wrong_at_the_robot_stops_the_motion(lab, word, reason, mode):
@@ -95,6 +100,8 @@ def test_what_goes_wrong_at_the_robot_stops_the_motion(lab, word, reason, mode):
     lab.until(lambda: lab.verdict()["held_ns"])
     assert lab.arm().outcome is Outcome.REFUSED or word in ("error", "stick")
     assert lab.verdict()["unsafe"] == 0 or word == "fault", "set points on their way when the console failed"
+    if word == "narrow":
+        assert (event.code, lab.arm().code) == ("other_set_point", "other_set_point")
     # what was on its way may come later
     assert max(lab.verdict()["sent_ns"]) <= event.at_ns
 
@@ -120,6 +127,27 @@ def test_another_one_who_could_command_is_enough_to_refuse(lab, codec):
         lab.until(lambda: lab.arm().code == "other_owner")
         assert "somebody else could command it" in lab.arm().reason
     lab.ready()
+
+
+def test_teleoperation_keeps_us_out_where_the_console_says_so_and_where_it_does_not(lab):
+    lab.ready()
+    ready_ns = now_ns()
+    lab.until(lambda: now_ns() - ready_ns > SETTLES_NS)
+    for word, code, reason in (
+        ("drift", "other_set_point", "heads for"),
+        ("teleop", "other_owner", "teleoperation is"),
+    ):
+        lab.ask(word)
+        lab.until(lambda reason=reason: reason in lab.backend.state(now_ns()).reason)
+        answer = lab.arm()
+        assert (answer.code, reason in answer.reason) == (code, True)
+        if word == "drift":
+            lab.ready()
+    lab.ask("no_teleop")
+    lab.ready()
+    lab.backend._readings.hear_teleoperation(b"", 0)
+    assert lab.arm().code == "other_owner", "what cannot be read may say so"
+    assert lab.verdict()["set_points"] == 0
 
 
 def test_a_grasp_whose_fingers_would_go_through_the_tissue_is_refused_and_nothing_is_sent(lab):
@@ -149,6 +177,24 @@ def test_a_dry_run_checks_all_of_a_motion_and_sends_nothing(lab):
     lab.until(lambda: len(lab.states()) > 3)
     verdict = lab.verdict()
     assert (verdict["set_points"], verdict["held_ns"]) == (0, 0)
+    lab.backend.move(np.zeros(6), 0.0)
+    lab.backend.hold()
+    assert lab.backend.change_state(StateWord.HOME, now_ns()) == "nothing is sent in a dry run"
+
+
+def test_a_console_that_was_not_ready_for_a_moment_between_two_turns_ends_the_motion(lab):
+    moves(lab)
+    for paused in (True, False):
+        state = OperatingState(header(now_ns()), "PAUSED" if paused else "ENABLED", True, False)
+        lab.backend._readings.hear_state(state.serialize(), now_ns())
+    assert (held(lab).code, lab.backend._readings._said.operating.state) == ("not_enabled", "ENABLED")
+
+
+def test_only_an_arm_that_is_not_busy_with_what_is_not_ours_is_armed(lab):
+    lab.ready()
+    lab.backend._readings.hear_state(OperatingState(header(now_ns()), "ENABLED", True, True).serialize(), now_ns())
+    answer = lab.arm()
+    assert (answer.code, "busy with a motion that is not ours" in answer.reason) == ("other_owner", True)
 
 
 def say_pose(lab, T):
@@ -209,7 +255,9 @@ def test_a_person_may_change_an_arms_state_while_it_is_disarmed_and_nobody_else_
     for word, state in (("PAUSE", "PAUSED"), ("RESUME", "ENABLED"), ("DISABLE", "DISABLED"), ("ENABLE", "ENABLED")):
         lab.until(lambda word=word: change(word).outcome is Outcome.ACCEPTED)
         lab.until(lambda state=state: arm.state == state)
+    lab.bridge.configure(replace(lab.bridge.config, ratio=0.3))
     lab.until(lambda: change("HOME").outcome is Outcome.ACCEPTED)
+    lab.until(lambda: arm._ratio == 0.3)
     lab.until(lambda: not arm.is_homed and "not homed" in lab.backend.state(now_ns()).reason)
     assert lab.arm().code == "not_homed"
     lab.until(lambda: lab.events() and lab.events()[-1].plan_id == "state home")

@@ -66,6 +66,7 @@ def test_a_base_told_from_the_ecm_follows_it(tmp_path: Path) -> None:
         (json.dumps({"T_camera_base": [[1, 0, 0, 45], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}), "another unit"),
         (json.dumps({"T_camera_base": [[1, 0], [0, 1]]}), "4x4"),
         (json.dumps({"R": np.eye(3).tolist(), "t": [1, 2]}), "three numbers"),
+        (json.dumps({"T_camera_base": T.tolist(), "calibration_id": [5]}), "calibration_id is no text"),
         ("", "it is empty"),
     ],
 )

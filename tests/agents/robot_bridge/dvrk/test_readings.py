@@ -1,0 +1,118 @@
+"""What a console tells of an arm: what of it counts, by the robot's own clock, and what speaks against moving."""
+
+import numpy as np
+import pytest
+
+from agents.emulator.messages import JointState, OperatingState, header
+from agents.robot_bridge.backend import Readiness
+from agents.robot_bridge.dvrk.readings import CLOCK_SET_NS, POSE_AGE_NS, SAME_TIME_NS, Readings
+from schemas.messages import StateWord
+from shared.kinematics.psm import LARGE_NEEDLE_DRIVER
+from shared.rigid_transforms import exp_so3, transform
+from shared.ros import crtk
+
+MS, ARRIVED = 10**6, 10**18
+STAMP = 77 * 10**15
+"""The robot's clock is elsewhere."""
+HERE = np.array((0.2, 0.0, 0.13, 0.0, 0.0, 0.0))
+
+
+class Told:
+    """Readings, told of an arm that is enabled and homed and stands at HERE."""
+
+    def __init__(self):
+        self.readings, self.now_ns = Readings("PSM1", "", LARGE_NEEDLE_DRIVER), ARRIVED
+        self.readings.hear_state(OperatingState(header(1), "ENABLED", True, False).serialize(), ARRIVED)
+        self.tell(0)
+
+    def tell(self, at_ms, joints=HERE, pose=None, late_ms=0):
+        """Everything, measured so long after STAMP, at 1 ms on its way and later."""
+        self.now_ns = ARRIVED + (at_ms + late_ms + 1) * MS
+        self.joints(at_ms, joints)
+        self.hear("jaw/measured_js", crtk.joint_command(np.zeros(1), STAMP + at_ms * MS))
+        self.pose(at_ms, LARGE_NEEDLE_DRIVER.forward(joints) if pose is None else pose)
+
+    def joints(self, at_ms, joints):
+        self.hear("measured_js", crtk.joint_command(joints, STAMP + at_ms * MS))
+
+    def pose(self, at_ms, T):
+        self.hear("local/measured_cp", crtk.pose_command(T, STAMP + at_ms * MS))
+
+    def hear(self, kind, data):
+        self.readings.hear(kind, data, self.now_ns)
+
+    def judged(self):
+        measured = self.readings.measured()
+        return measured, self.readings.judge(measured, 0, self.now_ns)
+
+    def code(self):
+        _, judged = self.judged()
+        return None if judged.readiness is Readiness.READY else judged.code.value
+
+
+def test_a_state_has_come_about_once_the_arm_makes_no_motion_any_more():
+    told = Told()
+    assert told.readings.reached(StateWord.ENABLE)
+    for busy in (True, False):
+        told.readings.hear_state(OperatingState(header(2), "ENABLED", True, busy).serialize(), told.now_ns)
+        assert told.readings.reached(StateWord.HOME) is not busy
+    told.readings.hear_state(OperatingState(header(3), "ENABLED", False, False).serialize(), told.now_ns)
+    assert not told.readings.reached(StateWord.HOME)
+
+
+def test_a_measurement_that_was_overtaken_does_not_count():
+    told = Told()
+    told.tell(100, HERE + 0.01)
+    told.judged()
+    told.joints(90, HERE)
+    measured, _ = told.judged()
+    assert np.array_equal(measured.joints, HERE + 0.01)
+
+
+def test_a_robot_whose_clock_is_set_back_is_measured_on_and_not_taken_for_late():
+    told = Told()
+    told.tell(20_000)
+    told.judged()
+    back_ms = 20_000 - CLOCK_SET_NS // MS - 5_000
+    told.tell(back_ms, HERE + 0.01, late_ms=6_020)
+    measured, judged = told.judged()
+    assert np.array_equal(measured.joints, HERE + 0.01)
+    assert told.now_ns - measured.measured_ns < 10 * MS
+    assert judged.readiness is Readiness.READY
+
+
+@pytest.mark.parametrize(
+    ("kind", "values"), [("measured_js", [0.0] * 5), ("jaw/measured_js", [0.0] * 2), ("measured_js", [np.nan] * 6)]
+)
+def test_joints_that_are_too_few_too_many_or_not_finite_are_an_error(kind, values):
+    told = Told()
+    assert told.code() is None
+    told.hear(kind, JointState(header(STAMP), [], values, [], []).serialize())
+    assert told.code() == "error_state"
+
+
+def test_a_pose_that_does_not_come_any_more_is_stale():
+    told = Told()
+    assert told.code() is None
+    told.now_ns += POSE_AGE_NS + 2 * MS
+    told.joints(POSE_AGE_NS // MS + 2, HERE)
+    assert told.code() == "stale_state"
+
+
+@pytest.mark.parametrize(("turned_rad", "aside_m"), [(0.11, 0.0), (0.0, 0.0031)])
+def test_a_tool_that_the_console_has_turned_or_elsewhere_is_another(turned_rad, aside_m):
+    told = Told()
+    change = transform(exp_so3(np.array((turned_rad, 0, 0))), np.array((aside_m, 0, 0)))
+    told.tell(100, pose=LARGE_NEEDLE_DRIVER.forward(HERE) @ change)
+    assert told.code() == "other_pose"
+
+
+def test_joints_and_pose_of_two_times_are_not_compared():
+    told = Told()
+    told.judged()
+    turned = HERE + np.array((0.2, 0, 0, 0.3, 0, 0))
+    told.now_ns += 20 * MS
+    told.joints(SAME_TIME_NS // MS + 5, turned)
+    assert told.code() is None, "a moving arm is elsewhere by now"
+    told.pose(SAME_TIME_NS // MS + 5, LARGE_NEEDLE_DRIVER.forward(HERE))
+    assert told.code() == "other_pose"
