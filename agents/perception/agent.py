@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from agents.perception.following.pair import follow_pair
+from agents.perception.following.pair import FollowedPair, follow_pair
 from agents.perception.frame_checks import apart, mismatch
 from agents.perception.judging.each_frame import judge_each, lasting, one_eye_stands_still, pictured
 from agents.perception.judging.whole import judge_whole
@@ -15,13 +15,14 @@ from agents.perception.occluders import instruments_in
 from agents.perception.prompt import reach_px
 from agents.perception.rectification import Rectification, RectificationError, rectification
 from agents.perception.rectified_pair import RectifiedPair, decoded_pair, rectified_pair
-from agents.perception.search import Looked, Pair, look_everywhere, look_near
+from agents.perception.search import FRAMES_BETWEEN_LOOKS, Looked, Pair, look_everywhere, look_near
 from agents.perception.segmentation.choice import segmenters_with
 from agents.perception.segmentation.promptable_model import PromptableFiles
 from agents.perception.segmenter_names import GIVEN_MASKS, NETWORK, PROMPTABLE, RIDGE, SEGMENTER_NAMES
 from agents.perception.surface import surface_is_due, tissue_surface
 from agents.perception.told_apart import told_apart
 from agents.perception.unusable import nominal_camera, unusable
+from agents.perception.watched import FRAMES_BETWEEN_LOOKS_WATCHED, may_be_watched, watched
 from schemas.messages import (
     CommandAnswer,
     FrameStamp,
@@ -128,10 +129,10 @@ class Perception:
             camera = nominal_camera(calibration) if self._rectification is None else self._rectification.camera
             observed = unusable(frame, camera, pair, self._prompt_px)
         else:
-            observed = self._observe(frame.stamp, pair)
+            surface_due = surface_is_due(frame.stamp.sequence, before, surface_sequence)
+            observed = self._observe(frame.stamp, pair, surface_due)
             judgements = (*lasting(observed.judgements), *judge_each(pictures, pair.images))
             observed = replace(observed, judgements=judgements)
-            surface_due = surface_is_due(frame.stamp.sequence, before, surface_sequence)
         observed = replace(
             observed,
             picture_left=pictures.left,
@@ -149,15 +150,31 @@ class Perception:
             images = pair.moved_up(observed.rows_moved_up).images
             yield Output(SURFACE, tissue_surface(frame.stamp, pair.camera, *images, thread))
 
-    def _observe(self, stamp: FrameStamp, pair: RectifiedPair) -> ThreadObservations:
-        rows = self._last.rows_moved_up if self._last else 0
-        near = pair.moved_up(rows)
-        if self._last and (followed := self._followed(stamp, near, self._last)) is not None:
-            return followed
-        looked = look_near(near.images, self._last, stamp.sequence, self._segmenters) if self._last else None
+    def _observe(self, stamp: FrameStamp, pair: RectifiedPair, is_busy: bool) -> ThreadObservations:
+        last = self._last
+        if last is None:
+            return self._looked(stamp, pair, 0)
+        near = pair.moved_up(last.rows_moved_up)
+        if (followed := self._followed(stamp, near, last)) is not None:
+            observed = followed.observed
+            if may_be_watched(self.config.segmenter, last):
+                observed = watched(observed, pair, followed.coverage, last, self.config.segmenter, is_busy)
+            return observed or self._looked(stamp, pair, last.rows_moved_up)
+        looked = look_near(near.images, last, stamp.sequence, self._segmenters)
         observed = self._observed(stamp, near, looked) if looked else None
-        if self._last and observed is not None and observed.status is Status.OK:
-            return replace(observed, rows_moved_up=rows, frames_since_look=self._last.frames_since_look + 1)
+        if observed is None or observed.status is not Status.OK:
+            return self._looked(stamp, pair, last.rows_moved_up)
+        return replace(
+            observed,
+            rows_moved_up=last.rows_moved_up,
+            frames_since_look=last.frames_since_look + 1,
+            judged_sequence=last.judged_sequence,
+            glanced_sequence=last.glanced_sequence,
+            glances=last.glances,
+        )
+
+    def _looked(self, stamp: FrameStamp, pair: RectifiedPair, rows: int) -> ThreadObservations:
+        """What the whole of both images shows, the pair judged and its rows put in line anew."""
         whole = judge_whole(pair.images, pair.raw, rows)
         everything = look_everywhere(
             whole.images, stamp.sequence, self.config.segmenter, self._prompt_px, self._segmenters
@@ -168,12 +185,16 @@ class Perception:
         judgements = (*whole.offset, *observed.judgements, *whole.pictures)
         return replace(observed, judgements=judgements, rows_moved_up=whole.rows_moved_up)
 
-    def _followed(self, stamp: FrameStamp, pair: RectifiedPair, last: ThreadObservations) -> ThreadObservations | None:
-        """The thread followed from the last observations; None where it is to be looked for."""
+    def _followed(self, stamp: FrameStamp, pair: RectifiedPair, last: ThreadObservations) -> FollowedPair | None:
+        """The thread followed from the last observations, and told apart; None where it is to be looked for."""
         if self.config.matching or last.segmenter not in FOLLOWED:
             return None
-        found = follow_pair(stamp, pair.camera, pair.images, last)
-        return None if found is None else told_apart(found.observed, pair.images, found.coverage, last)
+        is_watched = may_be_watched(self.config.segmenter, last)
+        between = FRAMES_BETWEEN_LOOKS_WATCHED if is_watched else FRAMES_BETWEEN_LOOKS
+        found = follow_pair(stamp, pair.camera, pair.images, last, between)
+        if found is None:
+            return None
+        return replace(found, observed=told_apart(found.observed, pair.images, found.coverage, last))
 
     def _observed(self, stamp: FrameStamp, pair: RectifiedPair, looked: Looked) -> ThreadObservations:
         observed = observe(

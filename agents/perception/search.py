@@ -127,14 +127,17 @@ def look_near(
     return Looked(coverage, name, last.looked_sequence, last.is_bright, carried_on(last), prompt_px)
 
 
-def near_is_enough(last: ThreadObservations, sequence: int, longest: int = LONGEST_GAP) -> bool:
+def near_is_enough(
+    last: ThreadObservations, sequence: int, longest: int = LONGEST_GAP, between: int = FRAMES_BETWEEN_LOOKS
+) -> bool:
     """Whether the whole need not be looked at: it was not long ago, and thread was observed just before.
 
     Args:
         longest: how many of the camera's frames later than the last observations is too late.
+        between: how many of them there are between two looks at the whole.
     """
     since_look, since_last = sequence - last.looked_sequence, sequence - last.stamp.sequence
-    is_early = since_look < FRAMES_BETWEEN_LOOKS or last.frames_since_look < LEAST_FRAMES_NEAR
+    is_early = since_look < between or last.frames_since_look < LEAST_FRAMES_NEAR
     return last.status is Status.OK and since_last < longest and since_look > 0 and is_early
 
 
@@ -173,11 +176,16 @@ def _look_near(
 
 
 def carried_on(last: ThreadObservations) -> tuple[Judgement, ...]:
-    """The judgements of the last look at the whole, each saying when it was made."""
-    if last.stamp.sequence != last.looked_sequence:
+    """The judgements of when the pair was last judged, each saying when that was."""
+    if last.stamp.sequence != judged_in(last):
         return last.judgements
-    when = f" (judged in frame {last.looked_sequence})"
+    when = f" (judged in frame {last.stamp.sequence})"
     return tuple(replace(judgement, finding=judgement.finding + when) for judgement in last.judgements)
+
+
+def judged_in(last: ThreadObservations) -> int:
+    """The frame in which the pair was judged last."""
+    return last.looked_sequence if last.judged_sequence is None else last.judged_sequence
 
 
 def is_brighter(image: UInt8[np.ndarray, "h w 3"], coverage: UInt8[np.ndarray, "h w"]) -> bool:

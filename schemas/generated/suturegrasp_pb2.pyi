@@ -356,7 +356,7 @@ class Trail(_message.Message):
     def __init__(self, loose_start: _Optional[_Union[Array, _Mapping]] = ..., loose_end: _Optional[_Union[Array, _Mapping]] = ..., length_px: _Optional[_Union[Array, _Mapping]] = ..., colour_bgr: _Optional[_Union[Array, _Mapping]] = ..., told_start: _Optional[_Union[Array, _Mapping]] = ..., told_end: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
 
 class ThreadObservations(_message.Message):
-    __slots__ = ("stamp", "camera", "status", "reason", "segmenter", "points_camera", "half_size_px", "matched_px", "match_cost", "inlier", "mask_left", "mask_right", "judgements", "gaps", "centrelines_left", "centrelines_right", "looked_sequence", "is_bright", "prompt_px", "rows_moved_up", "picture_left", "picture_right", "picture_left_since", "picture_right_since", "candidates", "occluders", "score_map", "surface_sequence", "trail_left", "trail_right", "segmented_sequence", "frames_since_look", "consumed")
+    __slots__ = ("stamp", "camera", "status", "reason", "segmenter", "points_camera", "half_size_px", "matched_px", "match_cost", "inlier", "mask_left", "mask_right", "judgements", "gaps", "centrelines_left", "centrelines_right", "looked_sequence", "is_bright", "prompt_px", "rows_moved_up", "picture_left", "picture_right", "picture_left_since", "picture_right_since", "candidates", "occluders", "score_map", "surface_sequence", "trail_left", "trail_right", "segmented_sequence", "frames_since_look", "judged_sequence", "glanced_sequence", "glances", "consumed")
     STAMP_FIELD_NUMBER: _ClassVar[int]
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     STATUS_FIELD_NUMBER: _ClassVar[int]
@@ -389,6 +389,9 @@ class ThreadObservations(_message.Message):
     TRAIL_RIGHT_FIELD_NUMBER: _ClassVar[int]
     SEGMENTED_SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     FRAMES_SINCE_LOOK_FIELD_NUMBER: _ClassVar[int]
+    JUDGED_SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    GLANCED_SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    GLANCES_FIELD_NUMBER: _ClassVar[int]
     CONSUMED_FIELD_NUMBER: _ClassVar[int]
     stamp: FrameStamp
     camera: RectifiedStereo
@@ -422,8 +425,11 @@ class ThreadObservations(_message.Message):
     trail_right: Trail
     segmented_sequence: int
     frames_since_look: int
+    judged_sequence: int
+    glanced_sequence: int
+    glances: int
     consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
-    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., segmenter: _Optional[str] = ..., points_camera: _Optional[_Union[Array, _Mapping]] = ..., half_size_px: _Optional[_Union[Array, _Mapping]] = ..., matched_px: _Optional[_Union[Array, _Mapping]] = ..., match_cost: _Optional[_Union[Array, _Mapping]] = ..., inlier: _Optional[_Union[Array, _Mapping]] = ..., mask_left: _Optional[_Union[Image, _Mapping]] = ..., mask_right: _Optional[_Union[Image, _Mapping]] = ..., judgements: _Optional[_Iterable[_Union[Judgement, _Mapping]]] = ..., gaps: _Optional[_Union[Array, _Mapping]] = ..., centrelines_left: _Optional[_Union[Centrelines, _Mapping]] = ..., centrelines_right: _Optional[_Union[Centrelines, _Mapping]] = ..., looked_sequence: _Optional[int] = ..., is_bright: _Optional[bool] = ..., prompt_px: _Optional[_Union[Array, _Mapping]] = ..., rows_moved_up: _Optional[int] = ..., picture_left: _Optional[int] = ..., picture_right: _Optional[int] = ..., picture_left_since: _Optional[int] = ..., picture_right_since: _Optional[int] = ..., candidates: _Optional[_Iterable[_Union[ThreadCandidate, _Mapping]]] = ..., occluders: _Optional[_Union[Occluders, _Mapping]] = ..., score_map: _Optional[_Union[Image, _Mapping]] = ..., surface_sequence: _Optional[int] = ..., trail_left: _Optional[_Union[Trail, _Mapping]] = ..., trail_right: _Optional[_Union[Trail, _Mapping]] = ..., segmented_sequence: _Optional[int] = ..., frames_since_look: _Optional[int] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
+    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., segmenter: _Optional[str] = ..., points_camera: _Optional[_Union[Array, _Mapping]] = ..., half_size_px: _Optional[_Union[Array, _Mapping]] = ..., matched_px: _Optional[_Union[Array, _Mapping]] = ..., match_cost: _Optional[_Union[Array, _Mapping]] = ..., inlier: _Optional[_Union[Array, _Mapping]] = ..., mask_left: _Optional[_Union[Image, _Mapping]] = ..., mask_right: _Optional[_Union[Image, _Mapping]] = ..., judgements: _Optional[_Iterable[_Union[Judgement, _Mapping]]] = ..., gaps: _Optional[_Union[Array, _Mapping]] = ..., centrelines_left: _Optional[_Union[Centrelines, _Mapping]] = ..., centrelines_right: _Optional[_Union[Centrelines, _Mapping]] = ..., looked_sequence: _Optional[int] = ..., is_bright: _Optional[bool] = ..., prompt_px: _Optional[_Union[Array, _Mapping]] = ..., rows_moved_up: _Optional[int] = ..., picture_left: _Optional[int] = ..., picture_right: _Optional[int] = ..., picture_left_since: _Optional[int] = ..., picture_right_since: _Optional[int] = ..., candidates: _Optional[_Iterable[_Union[ThreadCandidate, _Mapping]]] = ..., occluders: _Optional[_Union[Occluders, _Mapping]] = ..., score_map: _Optional[_Union[Image, _Mapping]] = ..., surface_sequence: _Optional[int] = ..., trail_left: _Optional[_Union[Trail, _Mapping]] = ..., trail_right: _Optional[_Union[Trail, _Mapping]] = ..., segmented_sequence: _Optional[int] = ..., frames_since_look: _Optional[int] = ..., judged_sequence: _Optional[int] = ..., glanced_sequence: _Optional[int] = ..., glances: _Optional[int] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
 
 class TissueSurface(_message.Message):
     __slots__ = ("stamp", "camera", "u_px", "v_px", "depth", "valid", "deviation", "consumed")

@@ -150,8 +150,8 @@ class ThreadObservations:
         mask_left, mask_right: coverage by thread in the rectified images, 0 to 255.
         gaps: indices j where no segmented pixels lead from observation j to the next one.
         centrelines_left, centrelines_right: the middle of the thread in each rectified image, without depth.
-        looked_sequence: of the frame whose whole images were last looked at, with the segmenter chosen and the pair
-            judged anew; later frames are looked at near the thread alone.
+        looked_sequence: of the frame whose whole images were last looked at, with the segmenter chosen; later frames
+            are looked at near the thread, and in parts (`glances`).
         is_bright: whether the thread is brighter than what lies beside it, as seen then.
         prompt_px: (u, v) in the rectified left image, on the thread that an operator means; None where any is meant.
         rows_moved_up: by how many rows the rectified right image was moved up before anything was looked for in it,
@@ -168,6 +168,10 @@ class ThreadObservations:
             the centrelines were followed from it, frame by frame, the masks are drawn along them, and no thread that
             has come into view since is told; None where nobody says.
         frames_since_look: how many frames were looked at since that of looked_sequence, this one included.
+        judged_sequence: of the frame whose pair was last judged; None where that is the one of looked_sequence.
+        glanced_sequence: of the frame in which a part of one image was last segmented beside a thread that was
+            followed, so that thread elsewhere is seen; None where that has not happened since the last look at the whole.
+        glances: how many parts were segmented like that since then.
     """
 
     stamp: FrameStamp
@@ -202,6 +206,9 @@ class ThreadObservations:
     trail_right: Trail | None = None
     segmented_sequence: int | None = None
     frames_since_look: int = 0
+    judged_sequence: int | None = None
+    glanced_sequence: int | None = None
+    glances: int = 0
     consumed: tuple[Consumed, ...] = ()
 
     def __post_init__(self) -> None:

@@ -190,6 +190,9 @@ def observations(draw):
         trail_right=draw(st.none() | trails()),
         segmented_sequence=draw(st.none() | uint64),
         frames_since_look=draw(uint64),
+        judged_sequence=draw(st.none() | uint64),
+        glanced_sequence=draw(st.none() | uint64),
+        glances=draw(uint64),
         consumed=draw(consumed),
     )
 

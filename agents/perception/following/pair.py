@@ -13,7 +13,7 @@ from agents.perception.following.drawn import mask_along
 from agents.perception.following.follow import Followed, follow
 from agents.perception.mask_image import mask_image
 from agents.perception.prompt import followed as followed_prompt
-from agents.perception.search import carried_on, near_is_enough
+from agents.perception.search import FRAMES_BETWEEN_LOOKS, carried_on, near_is_enough
 from schemas.messages import FrameStamp, RectifiedStereo, ThreadObservations
 
 LONGEST_PAUSE = 150
@@ -28,7 +28,7 @@ class FollowedPair:
     """A pair in which the thread was followed.
 
     Fields:
-        observed: without candidates and occluders.
+        observed: with the candidates and occluders of the frame before until they are told apart anew.
         coverage: by thread, as drawn.
     """
 
@@ -37,14 +37,21 @@ class FollowedPair:
 
 
 def follow_pair(
-    stamp: FrameStamp, camera: RectifiedStereo, images: Pair, last: ThreadObservations
+    stamp: FrameStamp,
+    camera: RectifiedStereo,
+    images: Pair,
+    last: ThreadObservations,
+    between: int = FRAMES_BETWEEN_LOOKS,
 ) -> FollowedPair | None:
     """Observations of a pair by following the last ones; None where thread is to be looked for.
 
     Args:
         images: rectified, their rows moved as they were for the last observations.
+        between: how many of the camera's frames there are between two looks at the whole.
     """
-    if last.trail_left is None or last.trail_right is None or not near_is_enough(last, stamp.sequence, LONGEST_PAUSE):
+    if last.trail_left is None or last.trail_right is None:
+        return None
+    if not near_is_enough(last, stamp.sequence, LONGEST_PAUSE, between):
         return None
     before = Followed(last.centrelines_left, last.trail_left), Followed(last.centrelines_right, last.trail_right)
     found = follow(images, before)

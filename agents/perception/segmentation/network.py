@@ -58,7 +58,7 @@ def segment_and_score(
         score = np.asarray(cv2.resize(score, image.shape[1::-1], interpolation=cv2.INTER_LINEAR), np.uint8)
     else:
         score = thread_score(image, where)
-    thread = _thread_in(score if where is None else np.where(where, score, np.uint8(0)))
+    thread = thread_in(score if where is None else np.where(where, score, np.uint8(0)))
     if meant is not None and meant.alone:
         thread = piece_meant(thread, meant.weight)
     return np.multiply(thread, np.uint8(255), dtype=np.uint8), score
@@ -81,7 +81,17 @@ def thread_score(
     return score
 
 
-def _thread_in(score: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+def score_within(image: UInt8[np.ndarray, "h w 3"], box: tuple[slice, slice]) -> UInt8[np.ndarray, "r c"]:
+    """How much of each pixel of a box the network holds to be thread, 0 to 255; it sees nothing of what lies around."""
+    part = np.ascontiguousarray(image[box])
+    if image.shape[1] <= WIDEST_PX:
+        return _looked_at(part)
+    share = USUAL_WIDTH_PX / image.shape[1]
+    score = _looked_at(np.asarray(cv2.resize(part, None, fx=share, fy=share, interpolation=cv2.INTER_AREA), np.uint8))
+    return np.asarray(cv2.resize(score, part.shape[1::-1], interpolation=cv2.INTER_LINEAR), np.uint8)
+
+
+def thread_in(score: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     """The pieces that are thread."""
     high_enough = score >= SEGMENTED
     count, labelled = cv2.connectedComponents(high_enough.view(np.uint8), connectivity=8)

@@ -1,4 +1,4 @@
-"""Robot bridge and guard as processes beside an emulated dVRK that is one; the bridge is killed in mid-motion."""
+"""Robot bridge and guard as processes beside an emulated dVRK that is one; in mid-motion bridge or link are lost."""
 
 import contextlib
 import json
@@ -25,7 +25,7 @@ from shared.runtime.delivery import declare_publisher
 from shared.runtime.session import SessionSettings, free_local_endpoint, open_router, open_session
 
 DEADLINE_S = 60.0
-STILL_MS = 100
+STILL_MS, LATER_MS = 100, 1500
 
 
 @pytest.fixture
@@ -33,15 +33,16 @@ def started(tmp_path):
     """Start commands; what still runs is stopped at the end."""
     running = []
 
-    def start(*arguments):
+    def start(*arguments, module="agents.cli"):
         with (tmp_path / f"{arguments[0]}.log").open("ab") as log:
-            command = [sys.executable, "-m", "agents.cli", *map(str, arguments)]
+            command = [sys.executable, "-m", module, *map(str, arguments)]
             environment = {**os.environ, SUPERVISED: "1", "STATE_DIRECTORY": str(tmp_path)}
             running.append(subprocess.Popen(command, stdin=subprocess.PIPE, stdout=log, stderr=log, env=environment))
         return running[-1]
 
     yield start
     for process in running:
+        process.send_signal(signal.SIGCONT)
         process.terminate()
     for process in running:
         process.wait(DEADLINE_S)
@@ -59,38 +60,41 @@ class Begun(NamedTuple):
     """Processes around an emulated console, and an operator who arms the plan again whenever it was held.
 
     Fields:
+        relay: through which alone the bridge reaches the console.
         verdict: what the console says now.
         log: what a process has said so far.
     """
 
     bridge: subprocess.Popen[bytes]
     emulator: subprocess.Popen[bytes]
+    relay: subprocess.Popen[bytes]
     config: Path
     verdict: Callable[[], dict[str, Any]]
     log: Callable[[str], str]
     stopped: threading.Event
 
 
-def written(folder, router, robot):
-    """A rig's file, and the base that the console judges by."""
+def written(folder, name, router, robot):
+    """A rig's file with the console there, and the base that the console judges by."""
     base = {"T_camera_base": SIMULATED_T_CAMERA_BASE.tolist()}
     (folder / "base.json").write_text(json.dumps(base))
     arm = base | {"backend": "dvrk", "dvrk": {"endpoint": robot, "dry_run": False, "through_guard": True}}
     rig = {"router": {"endpoint": router, "start": False}, "robot": {"psm1": arm}}
-    (folder / "rig.json").write_text(json.dumps(rig))
-    return folder / "rig.json"
+    (folder / name).write_text(json.dumps(rig))
+    return folder / name
 
 
 @pytest.fixture
 def begun(started, tmp_path, plan_of):
     """Until the end of a test; the arm is about to move."""
-    router, robot, stopped = free_local_endpoint(), free_local_endpoint(), threading.Event()
-    config = written(tmp_path, router, robot)
+    (router, robot, relayed), stopped = (free_local_endpoint() for _ in range(3)), threading.Event()
+    config = written(tmp_path, "guard.json", router, robot)
     with contextlib.ExitStack() as stack:
         stack.enter_context(open_router(router))
         judged = ("--camera", tmp_path / "base.json", "--heartbeats", router, "--verdict", tmp_path / "verdict.json")
         emulator = started("emulate", "dvrk", "--ready", "--listen", robot, *judged)
-        bridge = started("robot-bridge", "--config", config)
+        relay = started(*(endpoint.rsplit(":", 1)[1] for endpoint in (relayed, robot)), module="benchmarks.robot_lab")
+        bridge = started("robot-bridge", "--config", written(tmp_path, "rig.json", router, relayed))
         started("guard", "--config", config)
         settings = SessionSettings(endpoint=router)
         session = stack.enter_context(open_session(settings))
@@ -119,7 +123,7 @@ def begun(started, tmp_path, plan_of):
         operator = threading.Thread(target=operate)
         operator.start()
         stack.callback(lambda: (stopped.set(), operator.join()))
-        yield Begun(bridge, emulator, config, verdict, log, stopped)
+        yield Begun(bridge, emulator, relay, config, verdict, log, stopped)
 
 
 def lines(folder, name):
@@ -149,3 +153,21 @@ def test_a_bridge_that_is_killed_leaves_the_arm_at_its_last_set_point_and_the_gu
     assert "accepted" in {line.get("kind") for line in bridges}, "what a killed bridge was armed for is written down"
     assert "stopped" not in {line["what"] for line in bridges}
     assert guards[-1]["what"] == "hold"
+
+
+@pytest.mark.parametrize("lost", ["relay", "bridge"])
+def test_what_a_link_or_a_bridge_that_stood_still_had_under_way_is_not_executed_when_it_goes_on(begun, lost):
+    verdict, process = begun.verdict, getattr(begun, lost)
+    until(lambda: verdict()["set_points"] > 100, lambda: begun.log("robot-bridge"))
+    lost_ns = now_ns()
+    process.send_signal(signal.SIGSTOP)
+    until(lambda: verdict()["held_ns"] > lost_ns, lambda: begun.log("guard"))
+    until(lambda: now_ns() - verdict()["moved_ns"] > STILL_MS * 10**6, verdict)
+    begun.stopped.set()
+    before = verdict()
+    process.send_signal(signal.SIGCONT)
+    on_ns = now_ns()
+    until(lambda: now_ns() - on_ns > LATER_MS * 10**6, verdict)
+    after = verdict()
+    assert (after["set_points"], after["moved_ns"]) == (before["set_points"], before["moved_ns"])
+    assert after["unsafe"] == 0, after["sentences"]

@@ -1,0 +1,131 @@
+"""Whether a part of an image shows what is known of it: the thread that is followed, and no other.
+
+The network looks at the part by itself. The whole is to be looked at where that shows
+
+- thread that lies neither beside the one that is followed nor where something else is known to be;
+- nothing along a stretch of a known thread;
+- strands that meet or cross where none was cut, or nothing of the kind where one was.
+"""
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float64, UInt8
+from scipy.spatial import cKDTree
+
+from agents.perception.centrelines.along import Pieces
+from agents.perception.centrelines.glints import without_glints
+from agents.perception.centrelines.skeleton import skeleton_paths
+from agents.perception.glances.known import OTHERS_SHARE, Known, known_in
+from agents.perception.glances.parts import Part
+from agents.perception.segmentation.network import LEAST_EXTENT_PX, SEGMENTED, score_within, thread_in
+from schemas.messages import ThreadObservations
+
+SEEN_WITHIN_PX = 4
+"""Of a followed point: there is thread where one is."""
+LEAST_GONE_SHARE = 0.04
+"""Of the width: a stretch as long as that is no chance; a shorter thread would be none of its own."""
+OTHERS_GONE = 0.5
+"""Of the points of threads that are not followed."""
+CUT_WIDTHS = 6.0
+"""So far from each other a junction is and where it cuts pieces, which lie on its sides."""
+
+
+def glance(
+    image: UInt8[np.ndarray, "h w 3"], observed: ThreadObservations, coverage: UInt8[np.ndarray, "h w"], part: Part
+) -> str:
+    """What a part of one eye's image shows that following does not know; empty where there is nothing.
+
+    Args:
+        image: of that eye, the whole.
+        observed: of the thread that was followed in it, with candidates and occluders.
+        coverage: by that thread in that image.
+    """
+    inner, outer = part.inner(image.shape), part.outer(image.shape)
+    known = known_in(observed, part.eye, coverage, outer)
+    score = score_within(image, outer)
+    thread = thread_in(score)
+    rows, columns = (slice(a.start - b.start, a.stop - b.start) for a, b in zip(inner, outer, strict=True))
+    if _longest_extent_px((thread & ~known.own & ~known.elsewhere)[rows, columns]) >= LEAST_EXTENT_PX:
+        return "thread where none is known"
+    corner = np.array((outer[1].start, outer[0].start))
+    if _is_gone(known, score, inner, corner, image.shape[1]):
+        return "no thread where one is known"
+    return _about_junctions(known, thread, inner, corner)
+
+
+def _longest_extent_px(mask: Bool[np.ndarray, "h w"]) -> float:
+    """Of its connected pieces, in rows and columns together."""
+    stats = np.asarray(cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)[2])[1:]
+    return float(np.hypot(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT]).max(initial=0.0))
+
+
+def _is_gone(
+    known: Known,
+    score: UInt8[np.ndarray, "h w"],
+    inner: tuple[slice, slice],
+    corner: Float64[np.ndarray, "2"],
+    width: int,
+) -> bool:
+    """Whether a stretch of the followed thread, or most of another one, shows nothing of it."""
+    high = (score >= SEGMENTED).view(np.uint8)
+    point, piece = known.lines.point_px, known.lines.piece
+    here = np.flatnonzero(_within(point, inner))
+    gone = np.flatnonzero(~_is_near(high, point[here] - corner, SEEN_WITHIN_PX))
+    stretch = np.cumsum((np.diff(here[gone], prepend=-2) != 1) | (np.diff(piece[here[gone]], prepend=-1) != 0))
+    if np.bincount(stretch, minlength=1).max() >= LEAST_GONE_SHARE * width:
+        return True
+    others = known.others_px[_within(known.others_px, inner)] - corner
+    near = _is_near(high, others, round(OTHERS_SHARE * width))
+    return bool(len(others) and near.mean() < 1 - OTHERS_GONE)
+
+
+def _is_near(mask: UInt8[np.ndarray, "h w"], point: Float64[np.ndarray, "n 2"], reach_px: int) -> Bool[np.ndarray, "n"]:
+    if not len(point):
+        return np.zeros(0, bool)
+    about = np.asarray(cv2.dilate(mask, np.ones((2 * reach_px + 1,) * 2, np.uint8)))
+    u, v = (np.rint(point[:, k]).astype(np.intp).clip(0, mask.shape[1 - k] - 1) for k in (0, 1))
+    return about[v, u] > 0
+
+
+def _within(point: Float64[np.ndarray, "n 2"], inner: tuple[slice, slice]) -> Bool[np.ndarray, "n"]:
+    rows, columns = inner
+    u, v = point.T
+    return (u >= columns.start) & (u < columns.stop) & (v >= rows.start) & (v < rows.stop)
+
+
+def _about_junctions(
+    known: Known, thread: Bool[np.ndarray, "h w"], inner: tuple[slice, slice], corner: Float64[np.ndarray, "2"]
+) -> str:
+    """What is said of strands that meet or cross elsewhere than was known."""
+    seen = _cuts_in(thread) + corner
+    near = CUT_WIDTHS * float(np.median(known.lines.width_px))
+    if _any_far(_told(seen, known, inner, corner), known.cuts_px, near):
+        return "strands meet where none did"
+    if _any_far(_told(known.cuts_px, known, inner, corner), seen, near):
+        return "strands meet no longer"
+    return ""
+
+
+def _cuts_in(thread: Bool[np.ndarray, "h w"]) -> Float64[np.ndarray, "n 2"]:
+    """Where the skeleton of a mask is cut, since strands meet there."""
+    if not thread.any():
+        return np.zeros((0, 2))
+    paths = skeleton_paths(*without_glints(thread))
+    pieces = Pieces(paths.path)
+    at = np.concatenate((pieces.first[~paths.loose_start], pieces.last[~paths.loose_end]))
+    return paths.pixel[at][:, ::-1].astype(np.float64)
+
+
+def _told(
+    point: Float64[np.ndarray, "n 2"], known: Known, inner: tuple[slice, slice], corner: Float64[np.ndarray, "2"]
+) -> Float64[np.ndarray, "m 2"]:
+    """Those within the part, and not where another thread or an instrument is known to be."""
+    mine = point[_within(point, inner)]
+    u, v = np.rint(mine - corner).astype(np.intp).T
+    return mine[~known.elsewhere[v.clip(0, known.elsewhere.shape[0] - 1), u.clip(0, known.elsewhere.shape[1] - 1)]]
+
+
+def _any_far(point: Float64[np.ndarray, "n 2"], others: Float64[np.ndarray, "m 2"], far_px: float) -> bool:
+    if not len(point):
+        return False
+    return not len(others) or bool(np.asarray(cKDTree(others).query(point)[0]).max() > far_px)

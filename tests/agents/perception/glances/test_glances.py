@@ -1,0 +1,194 @@
+"""A thread that is followed leaves nothing else unseen: parts of the images are glanced at, and the pair is judged."""
+
+import dataclasses
+import functools
+
+import cv2
+import numpy as np
+import pytest
+
+from agents.camera.scene_source import calibration_of
+from agents.perception.agent import Perception
+from agents.perception.glances.glance import glance
+from agents.perception.glances.parts import FRAMES_BEFORE, FRAMES_BETWEEN, PARTS, Part, parts_due
+from agents.perception.search import FRAMES_BETWEEN_LOOKS
+from agents.perception.watched import FRAMES_BETWEEN_LOOKS_WATCHED
+from schemas.codec import decode, encode
+from schemas.messages import FrameStamp, ImageEncoding, Status, StereoFrame, ThreadObservations
+from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS
+from shared.images import decode_image, encode_image
+from shared.runtime.agent import Output, Received
+from shared.scene.__main__ import make_scene
+from shared.scene.render import render
+
+FOUR_SECONDS = 120
+"""Frames of a camera of 30 Hz."""
+EVERY_PART = [Part(eye, row, column) for eye in (0, 1) for row in (0, 1) for column in (0, 1)]
+
+
+@functools.cache
+def scene(config="medium"):
+    made = make_scene(config, "tissue", 32)
+    pair = render(made)
+    return calibration_of(made.camera), (pair.left_bgr, pair.right_bgr)
+
+
+def started(config="medium"):
+    agent = Perception()
+    list(agent.step(Received(CALIBRATION, str(CALIBRATION), 0, scene(config)[0])))
+    return agent
+
+
+def seen(agent, sequence, images):
+    """What is observed, over the wire; each picture by its own noise, as of a camera."""
+    noise = np.random.default_rng(sequence).integers(0, 3, images[0].shape, np.uint8)
+    left, right = (encode_image(cv2.add(image, noise), ImageEncoding.RAW) for image in images)
+    frame = StereoFrame(FrameStamp(sequence, sequence * 33_000_000, sequence * 33_000_000, ""), left, right)
+    outputs = [out for out in agent.step(Received(FRAMES, str(FRAMES), sequence, frame)) if isinstance(out, Output)]
+    return decode(ThreadObservations, encode(outputs[0].message))
+
+
+@functools.cache
+def known(config="medium"):
+    """Observations of a frame in which the thread was followed."""
+    agent = started(config)
+    found = [seen(agent, k, scene(config)[1]) for k in (0, 1)]
+    assert found[1].segmented_sequence == 0
+    return found[1]
+
+
+def coverages(observed):
+    return decode_image(observed.mask_left), decode_image(observed.mask_right)
+
+
+def with_another(images, down):
+    """The images with the thread once more, so many rows farther down."""
+    both = []
+    for image, mask in zip(images, coverages(known()), strict=True):
+        wide = cv2.dilate(mask, np.ones((5, 5), np.uint8))
+        both.append(np.where(np.roll(wide, down, axis=0)[..., None] > 0, np.roll(image, down, axis=0), image))
+    return tuple(both)
+
+
+def without_half(images):
+    """The images with tissue where the left half of the thread was."""
+    both = []
+    for image, mask in zip(images, coverages(known()), strict=True):
+        columns = np.flatnonzero(mask.any(axis=0))
+        half = cv2.dilate(mask, np.ones((9, 9), np.uint8))
+        half[:, (columns[0] + columns[-1]) // 2 :] = 0
+        both.append(cv2.inpaint(image, half, 5, cv2.INPAINT_TELEA))
+    return tuple(both)
+
+
+def with_cuts(observed, is_cut):
+    """The observations with all pieces of thread cut at both ends, or with none."""
+    trails = {}
+    for name in ("trail_left", "trail_right"):
+        trail = getattr(observed, name)
+        loose = np.full_like(trail.loose_start, not is_cut)
+        trails[name] = dataclasses.replace(trail, loose_start=loose, loose_end=loose)
+    return dataclasses.replace(observed, **trails)
+
+
+def said(images, observed):
+    """What each part of the images shows that is not known."""
+    covered = coverages(observed)
+    return {glance(images[part.eye], observed, covered[part.eye], part) for part in EVERY_PART} - {""}
+
+
+@pytest.mark.parametrize("config", ["medium", "crossing"])
+def test_the_thread_that_is_followed_is_all_that_there_is(config):
+    assert said(scene(config)[1], known(config)) == set()
+
+
+def test_thread_elsewhere_and_thread_that_is_gone_are_told():
+    images = scene()[1]
+    assert said(with_another(images, 110), known()) == {"thread where none is known"}
+    assert said(without_half(images), known()) == {"no thread where one is known"}
+
+
+def test_strands_that_meet_and_that_meet_no_longer_are_told():
+    crossing, plain = known("crossing"), known()
+
+    assert said(scene("crossing")[1], with_cuts(crossing, False)) == {"strands meet where none did"}
+    assert said(scene()[1], with_cuts(plain, True)) == {"strands meet no longer"}
+
+
+def test_every_part_of_both_images_is_looked_at_in_turn():
+    last = dataclasses.replace(known(), looked_sequence=0)
+    assert parts_due(FRAMES_BEFORE - 1, last) == []
+    met = []
+    for sequence in range(FRAMES_BEFORE, FRAMES_BEFORE + PARTS * FRAMES_BETWEEN):
+        parts = parts_due(sequence, last)
+        if parts:
+            met += parts
+            last = dataclasses.replace(last, glanced_sequence=sequence, glances=last.glances + len(parts))
+    assert set(met) == set(EVERY_PART)
+    assert len(met) == PARTS
+    covered = np.zeros((2, 271, 481), int)
+    for part in met:
+        covered[part.eye][part.inner(covered.shape[1:])] += 1
+    assert (covered == 1).all()
+
+
+def test_who_sees_few_frames_glances_at_several_parts_in_each():
+    assert len(parts_due(100, dataclasses.replace(known(), glanced_sequence=75))) == 2
+    assert len(parts_due(900, dataclasses.replace(known(), glanced_sequence=75))) == 3
+    # the camera began again
+    assert parts_due(40, dataclasses.replace(known(), glanced_sequence=75)) == []
+
+
+@pytest.mark.parametrize("change", [lambda images: with_another(images, 110), without_half])
+def test_what_following_does_not_see_is_found_within_four_seconds(change):
+    agent, images = started(), scene()[1]
+    for sequence in range(0, 40, 5):
+        assert seen(agent, sequence, images).looked_sequence == 0
+    now = change(images)
+    looked = [seen(agent, sequence, now) for sequence in range(40, 40 + FOUR_SECONDS, 5)]
+    assert looked[-1].status is Status.OK
+    assert looked[-1].looked_sequence > 0
+
+
+@functools.cache
+def steady():
+    """What is observed of a thread at rest, at every tenth frame of the camera."""
+    agent = started()
+    return [seen(agent, k, scene()[1]) for k in range(0, FRAMES_BETWEEN_LOOKS_WATCHED + 10, 10)]
+
+
+def test_nothing_but_the_thread_at_rest_needs_no_look_at_the_whole_for_twenty_seconds():
+    *followed, last = steady()
+    assert {o.looked_sequence for o in followed} == {0}
+    assert followed[-1].glances > 2 * PARTS
+    assert last.looked_sequence == last.stamp.sequence == FRAMES_BETWEEN_LOOKS_WATCHED
+    assert (last.glances, last.glanced_sequence, last.judged_sequence) == (0, None, None)
+
+
+def test_the_pair_is_judged_every_two_seconds_all_the_same():
+    judged = [o.judged_sequence or 0 for o in steady()[:-1]]
+    assert max(o.stamp.sequence - k for o, k in zip(steady(), judged, strict=False)) <= FRAMES_BETWEEN_LOOKS + 20
+    assert not any(o.judged_sequence == o.glanced_sequence is not None for o in steady())
+
+
+def test_a_warning_of_a_pair_that_was_judged_beside_following_says_when_it_was_made():
+    agent, images = started(), scene()[1]
+    blurred = tuple(cv2.GaussianBlur(image, (0, 0), 2.5) for image in images)
+    for sequence in (0, 30):
+        assert "blurred" not in {j.code for j in seen(agent, sequence, images).judgements}
+    fresh, later = (
+        [j for j in seen(agent, sequence, blurred).judgements if j.code == "blurred"] for sequence in (72, 73)
+    )
+    assert len(fresh) == len(later) == 1
+    assert "judged in frame" not in fresh[0].finding
+    assert later[0].finding == f"{fresh[0].finding} (judged in frame 72)"
+
+
+def test_an_agent_that_is_fed_the_observations_of_any_frame_goes_on_alike():
+    start = 4
+    other = started()
+    list(other.step(Received(OBSERVATIONS, str(OBSERVATIONS), start, steady()[start])))
+    again = [seen(other, o.stamp.sequence, scene()[1]) for o in steady()[start + 1 : start + 8]]
+    assert [encode(o) for o in again] == [encode(o) for o in steady()[start + 1 : start + 8]]
+    assert {o.judged_sequence for o in again} > {None}
+    assert again[-1].glances > again[0].glances
