@@ -19,6 +19,8 @@ from aiohttp import WSMsgType, web
 
 from agents.operator.page_server import TYPES
 from agents.operator.pictures import due
+from agents.operator.showing import LOOK_S
+from agents.operator.spare import Spare
 from shared.clock import monotonic_s
 
 HERE = "127.0.0.1"
@@ -48,12 +50,18 @@ class Elsewhere:
     """
 
     def __init__(self, messages: list[tuple[float, str, str]]) -> None:
-        self._messages, self._pages = messages, 0
+        self._messages, self._pages, self._spare = messages, 0, Spare()
         self.application = web.Application()
         self.application.router.add_get("/", self._file)
         self.application.router.add_get("/page/{name}", self._file)
         self.application.router.add_post("/session", self._session)
         self.application.router.add_get("/ws", self._websocket)
+
+    async def look_at_host(self) -> None:
+        """Until cancelled, as the rig's page does."""
+        while True:
+            await asyncio.sleep(LOOK_S)
+            self._spare.look(monotonic_s())
 
     async def _file(self, request: web.Request) -> web.StreamResponse:
         name = request.match_info.get("name", "index.html")
@@ -68,12 +76,19 @@ class Elsewhere:
         socket, shown = web.WebSocketResponse(), asyncio.Event()
         await socket.prepare(request)
         self._pages += 1
-        sending = asyncio.ensure_future(self._send(socket, shown, self._pages == 1))
-        async for message in socket:
-            if message.type is WSMsgType.TEXT and '"shown"' in message.data:
-                shown.set()
-        sending.cancel()
+        sending = asyncio.ensure_future(self._send_while_there(socket, shown, self._pages == 1))
+        try:
+            async for message in socket:
+                if message.type is WSMsgType.TEXT and '"shown"' in message.data:
+                    shown.set()
+        finally:
+            sending.cancel()
         return socket
+
+    async def _send_while_there(self, socket: web.WebSocketResponse, shown: asyncio.Event, controls: bool) -> None:
+        # a browser that is killed is found to be gone by who sends before by who listens
+        with contextlib.suppress(ConnectionError, aiohttp.ClientConnectionError):
+            await self._send(socket, shown, controls)
 
     async def _send(self, socket: web.WebSocketResponse, shown: asyncio.Event, controls: bool) -> None:
         shown.set()
@@ -87,7 +102,7 @@ class Elsewhere:
                     continue
                 # a thread or a surface that comes with a picture that is left out comes with the next
                 lasts |= {k: v for k, v in json.loads(text).items() if k in ("thread", "surface")}
-                if shown.is_set() and due(controls, monotonic_s() - sent_s):
+                if shown.is_set() and due(controls, monotonic_s() - sent_s, self._spare.full):
                     shown.clear()
                     sent_s = monotonic_s()
                     header = json.dumps(json.loads(text) | lasts, separators=(",", ":")).encode()
@@ -97,12 +112,13 @@ class Elsewhere:
 
 async def serve(path: Path) -> None:
     """Serve what a file holds, until killed."""
-    runner = web.AppRunner(Elsewhere(json.loads(path.read_text())).application, access_log=None)
+    elsewhere = Elsewhere(json.loads(path.read_text()))
+    runner = web.AppRunner(elsewhere.application, access_log=None)
     await runner.setup()
     site = web.TCPSite(runner, HERE, 0)
     await site.start()
     print(f"http://{HERE}:{runner.addresses[0][1]}/#token=none", flush=True)
-    await asyncio.Event().wait()
+    await elsewhere.look_at_host()
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ from agents.operator.happened import Happened
 from agents.operator.heard import Heard
 from agents.operator.screen import Screen
 from agents.operator.showing import Showing
+from agents.operator.spare import Spare
 from agents.operator.standing_by import StandingBy
 from agents.operator.surroundings import Surroundings
 from agents.operator.voice import Voice
@@ -39,7 +40,7 @@ from schemas.topics import Topic
 from shared.clock import monotonic_s
 from shared.runtime.connection import Connection
 
-TURN_S, STATE_S, ENDS_S = 0.01, 0.1, 2.0
+TURN_S, STATE_S, ENDS_S, SEEN_S = 0.01, 0.1, 2.0, 0.5
 
 
 class Desk:
@@ -54,7 +55,8 @@ class Desk:
         self._commands = Commands(connection, around.audit)
         self._heard = Heard(connection, self._wake)
         self.field = FieldSeen(self._heard, around)
-        self._showing = Showing(self.field, self.screens, self._commands.aside, lambda s: s == self.control.controller)
+        self._spare = Spare(around.processors)
+        self._showing = Showing(self.field, self.screens, self._commands.aside, self._controls, self._spare)
         self._choosing = Choosing(self.field, self._commands, self._voice)
         self._beside = Beside(around, self.field, self._commands, self._voice)
         self._standing_by = StandingBy(self.control, self._commands, self._voice)
@@ -113,6 +115,9 @@ class Desk:
                 self._press(name, arm, plan_id, now_s)
             case _:
                 self._in_control(name, said)
+
+    def _controls(self, name: str) -> bool:
+        return name == self.control.controller
 
     def _in_control(self, name: str, said: Said) -> None:
         if self.control.press is not None and not isinstance(said, Record):
@@ -174,6 +179,8 @@ class Desk:
                 await asyncio.wait_for(self._voice.changed.wait(), 2 * STATE_S)
             self._voice.changed.clear()
             self.field.take_states()
+            # where pictures go out, the thread is drawn for them
+            self.field.take_thread(SEEN_S)
             shared = {key: compact(told) for key, told in self._shared().items()}
             for screen in list(self.screens.values()):
                 screen.tell_state(joined(self._own(screen), shared))
@@ -188,6 +195,7 @@ class Desk:
         pressed = press and {"screen": press.screen, "arm": press.arm, "stage": press.stage.value}
         return {
             "rig": self._rig,
+            "full": self._spare.full,
             "controller": control.controller,
             "asking": control.asking,
             "screens": list(self.screens),

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from agents.operator.compact import compact
+from agents.operator.compact import compact, packed
 from schemas.messages import RectifiedStereo, Status, ThreadReconstruction
 from shared import splines
 from shared.camera import project
@@ -55,15 +55,15 @@ class DrawnThread:
         return compact(self.document())
 
     def document(self) -> dict[str, Any]:
-        """For the page."""
+        """For the page; what there is of each place is packed."""
         known = np.where(np.isfinite(self.confidence), self.confidence, -1.0)
         return {
             "frame": self.frame,
             "capture_ms": self.capture_ns * 1e-6,
-            "px": self.px.round(1).tolist(),
-            "mm": self.points_mm.round(2).tolist(),
-            "confidence": known.round(3).tolist(),
-            "unseen": self.unseen.astype(int).tolist(),
+            "px": packed(self.px),
+            "mm": packed(self.points_mm),
+            "confidence": packed(known),
+            "unseen": packed(self.unseen.astype(float)),
             "length_mm": round(self.length_mm, 2),
             "unit_known": self.to_mm is not None,
             "crossings": list(self.crossings),

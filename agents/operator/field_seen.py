@@ -27,7 +27,7 @@ from schemas.messages import (
     ToolCorrection,
 )
 from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS, ROBOT_STATE, SURFACE, THREAD, TOOL
-from shared.clock import now_ns
+from shared.clock import monotonic_s, now_ns
 
 THREADS_KEPT = 90
 OLDEST_S = 60.0
@@ -57,6 +57,7 @@ class FieldSeen:
         self.stops: dict[str, str] = {}
         self.done: dict[str, str] = {}
         self.corrections: dict[str, ToolCorrection] = {}
+        self._drawn_s = float("-inf")
         self._tools: tuple[list[Any], str] | None = None
         self.said = ""
 
@@ -71,10 +72,13 @@ class FieldSeen:
             self.frame = frame
         return self.frame
 
-    def take_thread(self) -> None:
-        """The newest thread, as it is drawn."""
+    def take_thread(self, after_s: float) -> None:
+        """The newest thread, as it is drawn; not where one was drawn less than `after_s` before."""
+        now_s = monotonic_s()
+        if now_s - self._drawn_s < after_s:
+            return
         for thread in self._heard.newest(THREAD):
-            self.camera = thread.camera
+            self.camera, self._drawn_s = thread.camera, now_s
             drawn = draw_thread(thread)
             self.said = "" if drawn is not None else thread.reason
             if drawn is None:

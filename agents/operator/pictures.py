@@ -40,14 +40,17 @@ it did not help; doubled each time."""
 MOST_PATIENCE = 960
 WIDEST_PX = 1600
 """More is not seen on a screen, and only costs."""
-WATCHING_S = 0.055
-"""Between the pictures of a page that only watches: every second one of a camera at 30 Hz. Each picture costs its
-browser, and the machine that this runs on, as much as it costs the page that controls."""
+WATCHING_S, WATCHING_FULL_S = 0.055, 0.19
+"""Between the pictures of a page that only watches: every second one of a camera at 30 Hz, and five a second where this
+host has no time to spare. Each picture costs its browser, and the machine that this runs on, as much as it costs the
+page that controls, which has all of them: its pictures are what a hand goes by."""
+DRAWN_FULL_S = 0.095
+"""Between two drawings of the thread where this host has no time to spare; else each one that comes is drawn."""
 
 
-def due(controls: bool, since_s: float) -> bool:
-    """Whether a page that is ready is sent the next picture, so long after the last."""
-    return controls or since_s >= WATCHING_S
+def due(controls: bool, since_s: float, full: bool) -> bool:
+    """Whether a page that is ready is sent the next picture, so long after the last; `full`: no time to spare here."""
+    return controls or since_s >= (WATCHING_FULL_S if full else WATCHING_S)
 
 
 def as_it_came(image: Image, level: Level, resample: Resample | None) -> bool:

@@ -7,25 +7,32 @@ from typing import Any
 
 from agents.operator.compact import joined
 from agents.operator.field_seen import FieldSeen
-from agents.operator.pictures import LEVELS, as_it_came, due, encoded
+from agents.operator.pictures import DRAWN_FULL_S, LEVELS, as_it_came, due, encoded
 from agents.operator.screen import Screen
+from agents.operator.spare import Spare
 from agents.operator.wire import Shown
 from schemas.messages import StereoFrame
-from schemas.topics import CALIBRATION, FRAMES, THREAD, Topic
+from schemas.topics import CALIBRATION, FRAMES, Topic
 from shared.clock import monotonic_s, now_ns
 from shared.images import ImageDataError
 
+LOOK_S = 1.0
 Aside = Callable[[Callable[[], Any]], Awaitable[Any]]
 
 
 class Showing:
-    """Sends each page the newest picture as soon as it has shown the last."""
+    """Sends each page the newest picture once it has shown the last; fewer where this host has no time to spare."""
 
     def __init__(
-        self, field: FieldSeen, screens: dict[str, Screen], aside: Aside, controls: Callable[[str], bool]
+        self,
+        field: FieldSeen,
+        screens: dict[str, Screen],
+        aside: Aside,
+        controls: Callable[[str], bool],
+        spare: Spare,
     ) -> None:
         self._field, self._screens, self._aside, self._controls = field, screens, aside, controls
-        self._frame_came, self._thread_came = asyncio.Event(), asyncio.Event()
+        self._spare, self._frame_came = spare, asyncio.Event()
         self._calibrated = True
 
     def woken(self, topic: Topic) -> None:
@@ -34,8 +41,6 @@ class Showing:
             self._frame_came.set()
         elif topic is CALIBRATION:
             self._calibrated = True
-        elif topic is THREAD:
-            self._thread_came.set()
 
     def ready(self) -> None:
         """A page can take a picture."""
@@ -52,14 +57,12 @@ class Showing:
 
     async def run(self) -> None:
         """Until cancelled."""
-        await asyncio.gather(self._show_frames(), self._draw_threads())
+        await asyncio.gather(self._show_frames(), self._look_at_host())
 
-    async def _draw_threads(self) -> None:
+    async def _look_at_host(self) -> None:
         while True:
-            await self._thread_came.wait()
-            self._thread_came.clear()
-            if self._screens:
-                await self._aside(self._field.take_thread)
+            await asyncio.sleep(LOOK_S)
+            self._spare.look(monotonic_s())
 
     async def _show_frames(self) -> None:
         while True:
@@ -80,7 +83,7 @@ class Showing:
         return [
             screen
             for screen in self._screens.values()
-            if screen.ready and due(self._controls(screen.name), now_s - screen.sent_s)
+            if screen.ready and due(self._controls(screen.name), now_s - screen.sent_s, self._spare.full)
         ]
 
     async def _show(self, frame: StereoFrame, waiting: list[Screen]) -> None:
@@ -93,6 +96,7 @@ class Showing:
         with contextlib.suppress(ImageDataError):
             as_they_came = all(as_it_came(image, LEVELS[level], resample) for level in levels)
             jpegs = prepare() if as_they_came else await self._aside(prepare)
+            self._field.take_thread(DRAWN_FULL_S if self._spare.full else 0.0)
             self._field.take_states()
             if any(screen.look.space for screen in waiting):
                 self._field.take_surface()

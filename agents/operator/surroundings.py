@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from agents.operator.pictures import Resample
+from agents.operator.spare import Processors, processors
 from schemas.messages import StereoCalibration
 
 
@@ -52,6 +53,7 @@ class Surroundings:
         arms: by name, as configured.
         audit: writes down a press, before anything follows from it; raises a RuntimeError where it cannot.
         resample: what rectifies the left image; None where it comes rectified.
+        processors: how much time this host's had, and how much of it nobody took.
         wellbeing: agents and what is wrong, as `suturegrasp status` tells it.
         tell: a line for whoever started it.
     """
@@ -60,6 +62,7 @@ class Surroundings:
     arms: tuple[str, ...]
     audit: Callable[..., None]
     resample: Callable[[StereoCalibration], Resample | None] = lambda _calibration: None
+    processors: Callable[[], Processors | None] = processors
     wellbeing: Callable[[], dict[str, Any]] = field(default=dict)
     recording: Recording | None = None
     trials: Trials | None = None

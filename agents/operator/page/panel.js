@@ -98,6 +98,7 @@ export class Panel {
     const parts = [];
     if (state?.behind_ms !== null && state?.behind_ms !== undefined) parts.push(`image ${state.behind_ms} ms behind capture`);
     if (older !== null) parts.push(`thread ${older} ms older than the image`);
+    if (state?.full) parts.push(fullWords(state));
     if (state?.level) parts.push(`pictures are coarser (${state.level} of 5), for link or browser are slow`);
     this.put("latency", parts.join("; "));
   }
@@ -179,6 +180,11 @@ function consideredWords(able, unable) {
   const captures = (count) => `${count} other capture${count === 1 ? "" : "s"}`;
   if (!unable) return captures(able);
   return able ? `${captures(able)}, and ${unable} that ${unable === 1 ? "is" : "are"} not possible` : `${captures(unable)}, not possible`;
+}
+
+function fullWords(state) {
+  const fewer = state.controller === state.you ? "the thread is drawn 10 times a second" : "pictures come 5 times a second";
+  return `${fewer}, for the computer that serves this page is busy`;
 }
 
 function escaped(text) {

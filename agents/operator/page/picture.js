@@ -1,6 +1,7 @@
 // The live image with everything drawn over it, in pixels of the rectified left image.
 
 import { GOAL, PHASES, TOOL, confidenceColour, runsOf } from "./colours.js";
+import { threadOf } from "./unpacked.js";
 
 const WAY_S = 6;
 const PREVIEW_MS = 40;
@@ -28,7 +29,7 @@ export class Picture {
 
   async take(header, blob) {
     if ("thread" in header) {
-      this.thread = header.thread;
+      this.thread = threadOf(header.thread);
       this.runs = this.thread ? runsOf(this.thread) : [];
     }
     if ("observed" in header) this.observed = header.observed;

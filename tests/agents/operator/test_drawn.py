@@ -1,5 +1,7 @@
 """What the page draws, where a click lands on the thread, and at what level pictures go."""
 
+import base64
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -68,7 +70,14 @@ def test_the_thread_is_drawn_evenly_with_its_confidence_and_what_is_unseen():
     assert drawn.unseen[PLACES // 2]
     assert not drawn.unseen[0]
     document = drawn.document()
-    assert len(document["px"]) == len(document["mm"]) == len(document["confidence"]) == PLACES
+    assert unpacked(document["px"]).reshape(-1, 2) == pytest.approx(drawn.px, abs=1e-3)
+    assert unpacked(document["mm"]).reshape(-1, 3) == pytest.approx(drawn.points_mm, abs=1e-3)
+    assert unpacked(document["confidence"]) == pytest.approx(drawn.confidence)
+    assert unpacked(document["unseen"]).tolist() == drawn.unseen.tolist()
+
+
+def unpacked(text):
+    return np.frombuffer(base64.b64decode(text), "<f4")
 
 
 def test_places_are_as_even_as_arc_length_has_them():
@@ -183,11 +192,22 @@ def test_a_link_that_becomes_fast_gets_the_finest_pictures_again():
     assert paced(pace, lambda _: FAST_MS / 2, 400) == 0
 
 
-@pytest.mark.parametrize(("controls", "rate_hz", "shown"), [(True, 30, 60), (False, 30, 30), (False, 15, 30)])
-def test_who_only_watches_gets_every_second_picture_of_a_fast_camera(controls, rate_hz, shown):
+@pytest.mark.parametrize(
+    ("controls", "full", "rate_hz", "shown"),
+    [
+        (True, False, 30, 60),
+        (False, False, 30, 30),
+        (False, False, 15, 30),
+        (True, True, 30, 60),
+        (False, True, 30, 10),
+    ],
+)
+def test_who_only_watches_gets_fewer_pictures_of_a_fast_camera_and_least_from_a_busy_host(
+    controls, full, rate_hz, shown
+):
     sent_s, sent = -1.0, 0
     for at_s in np.arange(2 * rate_hz) / rate_hz:
-        if due(controls, at_s - sent_s):
+        if due(controls, at_s - sent_s, full):
             sent_s, sent = at_s, sent + 1
     assert sent == shown
 

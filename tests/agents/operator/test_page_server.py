@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import datetime
+import itertools
 import json
 import random
 import ssl
@@ -19,6 +20,7 @@ from agents.deployment.layout import Host, Layout, Process
 from agents.operator.access import Access
 from agents.operator.desk import Desk
 from agents.operator.page_server import server_tls, serving
+from agents.operator.spare import Processors
 from agents.operator.surroundings import Surroundings
 from agents.operator.wire import KINDS
 from agents.planner.agent import Planner
@@ -131,15 +133,15 @@ class Client:
         return plan
 
 
-def served(rig, scenario, tls=None):
+def served(rig, scenario, tls=None, **around):
     """Run a scenario against a server of its own."""
 
     async def run():
         audit, here = [], "127.0.0.1"
         with connected(rig, PATIENT_S) as connection:
-            around = Surroundings("test", ("psm1",), lambda what, **told: audit.append((what, told)))
+            told = Surroundings("test", ("psm1",), lambda what, **told: audit.append((what, told)), **around)
             access = Access()
-            async with serving(Desk(connection, around), access, here, 0, (here,), tls) as (server, address):
+            async with serving(Desk(connection, told), access, here, 0, (here,), tls) as (server, address):
                 await scenario(Served(server, address, access, audit, connection))
 
     asyncio.run(run())
@@ -215,6 +217,26 @@ def test_pages_that_do_not_control_move_nothing_and_control_is_handed_over(rig):
             await second.state(lambda s: s["controller"] == "screen 2")
 
     served(rig, scenario)
+
+
+def test_on_a_full_host_who_watches_is_told_and_shown_less_and_who_controls_goes_on(rig):
+    spent = itertools.count(1)
+
+    async def scenario(served):
+        async with served.page() as controlling, served.page() as watching:
+            for page in (controlling, watching):
+                await page.state(lambda s: s["full"] and s["arms"])
+                page.pictures = 0
+            # both take all that they are sent while the one sees so many
+            taking = asyncio.ensure_future(watching.heard(lambda _: False))
+            async with asyncio.timeout(PATIENT_S):
+                while controlling.pictures < 30:
+                    await controlling.heard(lambda _: True)
+            taking.cancel()
+            assert 0 < watching.pictures <= 0.75 * controlling.pictures
+
+    # no processor of this host was idle, whenever it is asked
+    served(rig, scenario, processors=lambda: Processors(0, next(spent)))
 
 
 def test_a_page_that_comes_back_takes_the_place_of_its_dead_connection_which_is_let_go_of(rig):
