@@ -33,6 +33,8 @@ TOGETHER_M = 0.006
 """Errors of one reconstruction go together so far along the thread."""
 LEAST_M = 0.0002
 """No two reconstructions are compared more finely: thread shifts a little wherever it is pulled at."""
+END_M, BENDS = 0.006, 0.3
+"""An end that was lifted may be seen so much too short, and how far it goes off straight on, for each metre on."""
 BESIDE_M, DEEP_M = 0.006, 0.015
 """A passage farther from the way of the tool, in the image or in depth, is another part of the thread, or none."""
 
@@ -97,7 +99,7 @@ def motion(
     tangent = tangents[goal]
     axes = axes_across(tangent, points[goal])
     tool = axes @ tool_moved
-    offset = after.points_camera - points[goal] - common
+    offset = _longer(after.points_camera) - points[goal] - common
     ahead = offset @ tangent
     passes = np.flatnonzero((ahead[:-1] <= 0) != (ahead[1:] <= 0))
     if not len(passes):
@@ -111,8 +113,16 @@ def motion(
     nearest = int(np.argmin(off))
     if off[nearest] > 1.0:
         return None
-    covariance = before.covariance[goal] + after.covariance[passes[nearest]] + common_covariance
-    return Motion(tool, at[nearest], repeated * (axes @ covariance @ axes.T), axes)
+    seen = int(np.clip(passes[nearest] - 1, 0, len(after.s) - 1))
+    covariance = repeated * (before.covariance[goal] + after.covariance[seen] + common_covariance)
+    on_m = {0: 1.0 - share[nearest], len(after.s): share[nearest]}.get(int(passes[nearest]), 0.0) * END_M
+    return Motion(tool, at[nearest], axes @ covariance @ axes.T + (BENDS * on_m) ** 2 * np.eye(2), axes)
+
+
+def _longer(points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n_and_2 3"]:
+    """With both ends straight on."""
+    on = points[[0, -1]] + END_M * unit_vectors(points[[0, -1]] - points[[1, -2]])
+    return np.concatenate((on[:1], points, on[1:]))
 
 
 def _common(

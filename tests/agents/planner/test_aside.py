@@ -85,3 +85,20 @@ def test_the_side_is_one_that_the_arm_reaches_and_where_it_reaches_none_the_lift
 def test_the_policy_of_the_paper_and_an_aside_of_nothing_lift_only(bench):
     for config in (dataclasses.replace(CONFIG, policy_model="paper"), dataclasses.replace(CONFIG, aside_m=0.0)):
         assert len(retreats(planned(bench, 1.5, config))) == 1
+
+
+@pytest.mark.parametrize("s", [0.005, 0.995])
+@pytest.mark.parametrize("held", [True, False])
+def test_a_grasp_at_an_end_that_is_seen_too_short_afterwards_is_told_too(bench, s, held):
+    points = np.column_stack((0.8 * X, 6 * np.sin(X / 13), np.full(len(X), 88.0)))
+    covariance = np.tile(np.diag([0.05, 0.05, 0.2]) ** 2, (9, 1, 1))
+
+    def seen_as(control_points):
+        thread = bench.thread(control_points)
+        return dataclasses.replace(thread, posterior_s=np.linspace(0, 1, 9), posterior_covariance=covariance)
+
+    plan = plan_grasp(bench.goal(s=s, policy=Policy.DIRECT), seen_as(points), bench.arm(), CONFIG)
+    lifted = np.maximum(1 - (np.abs(X - X[round(s * 32)]) / 25) ** 2, 0)[:, None] ** 2 * moved_mm(plan)
+    after = seen_as(0.97 * (points - points.mean(axis=0)) + points.mean(axis=0) + (lifted if held else 0.0))
+    seen = checked(plan, after, plan.waypoints[-1].T_camera_tool, CONFIG)
+    assert seen.verdict is (Checked.HELD if held else Checked.MISSED), seen.sentence
