@@ -109,7 +109,8 @@ def _robot_bridge(rig: RigConfig, arm: str, section: ArmSection) -> RobotBridge:
     if section.dvrk is None:
         return RobotBridge(config, SimulatedPsm(waiting(T_camera_base)))
     # reading ROS messages takes as long to load as all else
-    from agents.cli.running.audit import AuditedBridge, audit_of
+    from agents.cli.running.audit import audit_of
+    from agents.cli.running.audited_bridge import AuditedBridge
     from agents.cli.running.guard import naming_of
     from agents.robot_bridge.dvrk.psm import DvrkPsm
 

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from agents.cli.running.audit import AuditedBridge, AuditError, AuditLog
+from agents.cli.running.audit import AuditError, AuditLog
+from agents.cli.running.audited_bridge import AuditedBridge
 from agents.robot_bridge.agent import RobotBridgeConfig
 from agents.robot_bridge.simulated import SimulatedPsm, waiting
 from schemas.messages import Arm, ChangeState, CommandHeader, Hold, StateWord

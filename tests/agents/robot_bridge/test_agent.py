@@ -87,14 +87,14 @@ class UnreliableArm(SimulatedPsm):
 
     readiness = Readiness.READY
     joints_read: Callable[[np.ndarray], np.ndarray] = staticmethod(lambda joints: joints)
-    late_ns, busy = 0, False
+    late_ns, busy, still_since_ns = 0, False, 0
 
     def state(self, now_ns: int) -> ArmState:
         state = super().state(now_ns)
         reason = "" if self.readiness is Readiness.READY else "the clutch is pressed"
         joints = self.joints_read(state.joints)
         told = (now_ns - self.late_ns, joints, state.jaw_rad, self.readiness, reason)
-        return ArmState(*told, busy=self.busy)
+        return ArmState(*told, busy=self.busy, still_since_ns=self.still_since_ns)
 
 
 class Drive:
@@ -489,14 +489,30 @@ def test_a_plan_from_before_another_plans_motion_is_out_of_order_and_the_same_on
     assert drive.arm("p3").outcome is Outcome.ACCEPTED
 
 
+def tissue_before(drive: Drive, depth_m: float, calibration_id: str = "c") -> None:
+    """Tell of flat tissue all over the image."""
+    camera, stamp = RectifiedStereo(640, 480, 600.0, 600.0, 320.0, 240.0, 0.005, 1.0), drive.now_ns
+    u_px, v_px = np.arange(5.0, 640, 10), np.arange(5.0, 480, 10)
+    depth = np.full((len(v_px), len(u_px)), depth_m)
+    of = FrameStamp(1, stamp, stamp, calibration_id)
+    drive.feed(Received(SURFACE, "", 0, TissueSurface(of, camera, u_px, v_px, depth, depth > 0, 1e-3 * depth)))
+
+
+def test_tissue_that_was_measured_before_something_was_moved_by_hand_speaks_for_and_against_nothing() -> None:
+    drive = Drive()
+    tissue_before(drive, 0.05)
+    drive.publish(plan(captured_ns=drive.now_ns + TICK))
+    assert refusal(drive)[0] == "tissue"
+    drive.backend.still_since_ns = drive.now_ns
+    drive.publish(plan(captured_ns=drive.now_ns))
+    assert drive.arm().outcome is Outcome.ACCEPTED
+
+
 @pytest.mark.parametrize("of", ["registered", "tissue"])
 def test_a_plan_in_another_cameras_frame_than_base_or_tissue_is_refused(of: str) -> None:
     drive = Drive(RobotBridgeConfig(calibration_id="other" if of == "registered" else "c"))
     if of == "tissue":
-        camera = RectifiedStereo(640, 480, 600.0, 600.0, 320.0, 240.0, 0.005, 1.0)
-        depth, stamp = np.full((2, 2), 0.1), FrameStamp(1, EPOCH, EPOCH, "other")
-        u_px, v_px = np.array((100.0, 500.0)), np.array((100.0, 400.0))
-        drive.feed(Received(SURFACE, "", 0, TissueSurface(stamp, camera, u_px, v_px, depth, depth > 0, 1e-3 * depth)))
+        tissue_before(drive, 0.1, "other")
     drive.publish(plan())
     code, reason = refusal(drive)
     assert code == "wrong_frame"

@@ -114,5 +114,18 @@ def test_joints_and_pose_of_two_times_are_not_compared():
     told.now_ns += 20 * MS
     told.joints(SAME_TIME_NS // MS + 5, turned)
     assert told.code() is None, "a moving arm is elsewhere by now"
-    told.pose(SAME_TIME_NS // MS + 5, LARGE_NEEDLE_DRIVER.forward(HERE))
+    told.now_ns += POSE_AGE_NS
+    told.joints(POSE_AGE_NS // MS, turned)
+    assert told.code() == "stale_state"
+    told.pose(POSE_AGE_NS // MS, LARGE_NEEDLE_DRIVER.forward(HERE))
     assert told.code() == "other_pose"
+
+
+def test_an_arm_that_stands_still_is_compared_whenever_its_pose_was_told():
+    told = Told()
+    told.judged()
+    for at_ms in range(50, 2 * POSE_AGE_NS // MS, 50):
+        told.now_ns += 50 * MS
+        told.joints(at_ms, HERE)
+        told.pose(at_ms - 10, LARGE_NEEDLE_DRIVER.forward(HERE))
+        assert told.code() is None
