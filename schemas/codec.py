@@ -19,9 +19,9 @@ from google.protobuf.message import DecodeError
 from google.protobuf.unknown_fields import UnknownFieldSet
 
 from schemas.checks import MessageError, fields_of, is_array, require, without_none
-from schemas.framing import NotCutError, cut, delimited
+from schemas.framing import NotCutError, cut, delimited, first_field
 from schemas.generated import suturegrasp_pb2
-from schemas.messages import Arm, ChangeState, GraspGoal, GraspPlan, Heartbeat, ReplayClock, SetParameter
+from schemas.messages import Arm, ChangeState, FrameStamp, GraspGoal, GraspPlan, Heartbeat, ReplayClock, SetParameter
 
 LEADING_TO_MOTION = (GraspGoal, GraspPlan, Arm, ChangeState, Heartbeat, ReplayClock, SetParameter)
 """Messages that are understood in full or not at all. What stops a robot is not among them: it is always understood."""
@@ -31,6 +31,9 @@ MAX_MESSAGE_BYTES = 1 << 28
 
 LARGE_BYTES = 1 << 16
 """From here on, joining takes less than protobuf's library does: for an image of 1.5 MB 0.04 instead of 2.9 ms."""
+
+STAMP = "stamp"
+"""What messages of a frame call its number and times; the first field of those that come with every frame."""
 
 M = TypeVar("M")
 
@@ -71,6 +74,24 @@ def decode(message_type: type[M], data: bytes) -> M:
         MessageError: where they hold none; the text names the field and what is wrong with it.
     """
     return decode_cutting(message_type, data, LARGE_BYTES)
+
+
+def decode_stamp(message_type: type, data: bytes) -> FrameStamp | None:
+    """The stamp of a message of a frame, without the rest of it: for whoever leaves most frames out.
+
+    None where these bytes do not begin with one, as those that `encode` makes of such a message do.
+
+    Raises:
+        MessageError: where they begin with one that is damaged. Damage behind it is not noticed.
+    """
+    if not data or fields_of(message_type).get(STAMP) is not FrameStamp:
+        return None
+    try:
+        number, inside = first_field(memoryview(data))
+    except NotCutError:
+        return None
+    is_stamp = _fields_by_number(message_type)[0][:2] == (number, STAMP)
+    return decode(FrameStamp, bytes(inside)) if is_stamp else None
 
 
 def decode_cutting(message_type: type[M], data: bytes, large_bytes: int) -> M:

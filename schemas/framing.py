@@ -60,6 +60,18 @@ def cut(data: memoryview, numbers: Collection[int], large_bytes: int) -> tuple[b
     return b"".join([*kept, data[kept_from:]]), large
 
 
+def first_field(data: memoryview) -> tuple[int, memoryview]:
+    """Number and contents of the field that these bytes begin with, where it says how long it is.
+
+    Raises:
+        NotCutError: where it does not, or framing is not plain.
+    """
+    number, inside, end = _next_field(data, 0)
+    if inside is None:
+        raise NotCutError
+    return number, data[inside:end]
+
+
 def _next_field(data: memoryview, at: int) -> tuple[int, int | None, int]:
     """Number of the field that begins there, where its contents begin if it is length-delimited, and where it ends."""
     head, at = _read_varint(data, at)

@@ -20,6 +20,11 @@ def processor_s() -> float:
     return time.process_time()
 
 
+def thread_s() -> float:
+    """Seconds for which the thread that asks has had a processor."""
+    return time.thread_time()
+
+
 class Stopwatch:
     """Milliseconds spent per named step; a step that was never taken counts 0."""
 

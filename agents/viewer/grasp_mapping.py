@@ -96,15 +96,18 @@ def plan_markdown(plan: GraspPlan) -> str:
     return "\n\n".join(lines)
 
 
-def robot_entities(state: RobotState, unit_known: bool) -> list[Entity]:
-    """The tool where the bridge takes it to be, joints and jaw; no tool in a scene of unknown size."""
+def robot_numbers(state: RobotState) -> list[Entity]:
+    """Joints and jaw."""
     arm = rr.escape_entity_path_part(state.arm)
-    numbers: list[Entity] = [
+    return [
         (f"robot/joints/{arm}", [rr.Scalars(state.joints)]),
         (f"robot/jaw_deg/{arm}", [rr.Scalars(math.degrees(state.jaw_rad))]),
     ]
-    if not unit_known:
-        return numbers
+
+
+def robot_tool_entities(state: RobotState) -> list[Entity]:
+    """The tool where the bridge takes it to be."""
+    arm = rr.escape_entity_path_part(state.arm)
     T_camera_tool = state.T_camera_base @ state.T_base_tool
     tool = f"world/tool/{arm}"
     fingers = apply(T_camera_tool, finger_lines(state.jaw_rad).reshape(-1, 3)).reshape(2, 2, 3)
@@ -118,7 +121,6 @@ def robot_entities(state: RobotState, unit_known: bool) -> list[Entity]:
         (f"{tool}/shaft", [rr.LineStrips3D([MM_PER_METRE * shaft], colors=[(*colours.TOOL, 110)], radii=[-2.0])]),
         (f"{tool}/axes", [axes]),
         (f"world/solid/{arm}", [tool_solid(fingers, shaft)]),
-        *numbers,
     ]
 
 

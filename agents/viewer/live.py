@@ -16,11 +16,12 @@ from pathlib import Path
 from agents.viewer.backlog import Backlog
 from agents.viewer.live_layout import DEFAULT, live_layout
 from agents.viewer.panels import Scene
+from agents.viewer.room import Room
 from agents.viewer.screen import Screen
 from agents.viewer.showing import Showing
 from agents.viewer.sinks import PART_BYTES, Sink, ViewerError, file_sink
 from schemas.topics import Delivery
-from shared.clock import now_ns
+from shared.clock import monotonic_s, now_ns, thread_s
 from shared.runtime.taps import Tapped
 
 __all__ = ["LiveViewer", "ViewerError", "ViewerReport"]
@@ -114,9 +115,13 @@ class LiveViewer:
         return report_of(self._path, self._showing, self._dropped(), self.notes)
 
     def _show_all(self) -> None:
+        room = Room()
         while (taken := self._backlog.take()) is not None:
+            worked_s, took_s = thread_s(), monotonic_s()
             self._showing.show(*taken)
             self._showing.count(self._dropped())
+            if room.worked(thread_s() - worked_s, monotonic_s() - took_s):
+                self._showing.give_room(room.there_is)
         self._showing.count(self._dropped(), at_least_every_ns=0)
         if self._file:
             self._file.close()

@@ -6,10 +6,10 @@ lanes/{stage}               whether a stage has a result
 """
 
 from collections import deque
+from collections.abc import Callable
 
 import numpy as np
 import rerun as rr
-from jaxtyping import UInt8
 
 from agents.viewer.candidate_mapping import (
     candidate_entities,
@@ -20,6 +20,7 @@ from agents.viewer.candidate_mapping import (
 )
 from agents.viewer.considered_mapping import Considered
 from agents.viewer.dataflow_mapping import Dataflow
+from agents.viewer.frame_mapping import coverage, frame_entities
 from agents.viewer.grasp_mapping import (
     check_entities,
     execution_entities,
@@ -27,10 +28,10 @@ from agents.viewer.grasp_mapping import (
     judgement_entities,
     mode_entities,
     plan_entities,
-    robot_entities,
+    robot_numbers,
+    robot_tool_entities,
     truth_entities,
 )
-from agents.viewer.image_pane import decoded_mask
 from agents.viewer.mapping import (
     BACKDROP,
     Entity,
@@ -65,8 +66,6 @@ from schemas.messages import (
     GraspPlan,
     Heartbeat,
     HostClocks,
-    Image,
-    ImageEncoding,
     LogRecord,
     RectifiedStereo,
     ReplayClock,
@@ -82,18 +81,12 @@ from schemas.messages import (
     ToolCorrection,
 )
 from shared.camera import is_rectified
-from shared.images import ImageDataError, decode_image, encode_image
 
 MOST_MATCHED = 1500
 """Matched pixels shown of one frame; there are tens of thousands."""
 
 OBSERVED_MOST = 20
 """Frames whose observations are kept until their thread comes: two seconds at the rate that is shown."""
-
-JPEG_QUALITY = 85
-"""Of images that travel raw, which would fill a disk within minutes."""
-
-_MEDIA = {ImageEncoding.JPEG: ("image/jpeg", b"\xff\xd8\xff"), ImageEncoding.PNG: ("image/png", b"\x89PNG\r\n")}
 
 
 class LiveMapping:
@@ -103,6 +96,7 @@ class LiveMapping:
         self._rectified = False
         self._shown: tuple[RectifiedStereo, int, float] | None = None
         self._before: dict[str, object] = {}
+        self._made: dict[str, tuple[object, list[Entity]]] = {}
         self._observed: deque[ThreadObservations] = deque(maxlen=OBSERVED_MOST)
         self._considered, self._dataflow = Considered(), Dataflow()
         self._matched = self._tracked = False
@@ -156,7 +150,9 @@ class LiveMapping:
             case GraspCheck():
                 return check_entities(message)
             case SimulatorState():
-                return [*self._camera(camera_in_mm(message.camera), None), *truth_entities(message)]
+                shape = message.knots.tobytes(), message.control_points_camera.tobytes()
+                truth = self._unless_same("truth", shape, lambda: truth_entities(message))
+                return [*self._camera(camera_in_mm(message.camera), None), *truth]
             case AgentHealth():
                 return [*health_entities(message), *self._dataflow.entities(message)]
             case _:
@@ -173,7 +169,7 @@ class LiveMapping:
         seen = None if observations.occluders is None else observations.occluders.sequence
         return [
             *self._camera(observations.camera, None),
-            *mask_entities(_coverage(observations.mask_left), _coverage(observations.mask_right), self._rows_down),
+            *mask_entities(coverage(observations.mask_left), coverage(observations.mask_right), self._rows_down),
             *observation_entities(observations, MOST_MATCHED, self._rows_down),
             *candidate_entities(observations, self._rows_down),
             *(occluder_entities(observations) if self._changed("occluders", seen) else []),
@@ -200,7 +196,11 @@ class LiveMapping:
         unit_known = self._shown is None or self._shown[0].metres_per_unit is not None
         first = [joint_names(state.arm, state.kinematics == "")] if self._changed(f"arm {state.arm}", True) else []
         changed = self._changed(f"mode of {state.arm}", state.mode)
-        return [*first, *robot_entities(state, unit_known), *(mode_entities(state) if changed else [])]
+        poses = state.T_camera_base.tobytes(), state.T_base_tool.tobytes(), state.jaw_rad, state.kinematics, unit_known
+        tool = self._unless_same(
+            f"tool of {state.arm}", poses, lambda: robot_tool_entities(state) if unit_known else []
+        )
+        return [*first, *tool, *robot_numbers(state), *(mode_entities(state) if changed else [])]
 
     def _camera(self, camera: RectifiedStereo, distance: float | None) -> list[Entity]:
         """The cameras, where they are new or the thread has moved so far that the backdrop must follow."""
@@ -227,37 +227,16 @@ class LiveMapping:
         step = lane("track", track.step.name.lower())
         return [step, said("reconstruction", f"track: {track.reason}")] if track.reason else [step]
 
+    def _unless_same(self, what: str, made_from: object, make: Callable[[], list[Entity]]) -> list[Entity]:
+        """What was made before, where it was made from the same: a thread and an arm at rest are most of the time."""
+        if what not in self._made or self._made[what][0] != made_from:
+            self._made[what] = made_from, make()
+        return self._made[what][1]
+
     def _changed(self, what: str, value: object) -> bool:
         changed = self._before.get(what) != value
         self._before[what] = value
         return changed
-
-
-def frame_entities(frame: StereoFrame, rectified: bool) -> list[Entity]:
-    """Both images: on the cameras of space where they are rectified, otherwise apart."""
-    left, right = ("world/left/image", "world/right/image") if rectified else ("camera/raw/left", "camera/raw/right")
-    return [(left, [encoded(frame.left)]), (right, [encoded(frame.right)])]
-
-
-def encoded(image: Image) -> rr.EncodedImage:
-    """An image as it travelled; a raw one is compressed.
-
-    Raises:
-        ImageDataError: where it does not begin as its encoding does.
-    """
-    if image.encoding is ImageEncoding.RAW:
-        image = encode_image(decode_image(image), ImageEncoding.JPEG, JPEG_QUALITY)
-    media_type, begins = _MEDIA[image.encoding]
-    if not image.data.startswith(begins):
-        raise ImageDataError(f"{len(image.data)} bytes are no {image.encoding.name}, though the message says so")
-    return rr.EncodedImage(contents=image.data, media_type=media_type)
-
-
-def _coverage(mask: Image) -> UInt8[np.ndarray, "h w"]:
-    coverage = decoded_mask(mask)
-    if coverage is None:
-        raise ImageDataError("a mask is no image of the size that it claims")
-    return coverage
 
 
 def _about_the_session(message: object) -> list[Entity]:

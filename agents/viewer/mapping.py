@@ -20,10 +20,12 @@ import rerun as rr
 from jaxtyping import Float64, UInt8
 
 from agents.viewer import colours
+from agents.viewer.bars import ALONG, bars_along
 from agents.viewer.candidate_mapping import candidate_entities, occluder_entities, score_entities
 from agents.viewer.cross_sections import cross_sections
 from agents.viewer.entity import HALF_PX, Entity
 from agents.viewer.image_pane import decoded_mask
+from agents.viewer.moment import LAST_FRAME
 from agents.viewer.polyline import Polyline, thread_polyline
 from agents.viewer.quality_mapping import (
     centreline_entities,
@@ -45,7 +47,6 @@ from shared.camera import backproject, camera_matrix, depth_of_disparity, projec
 APPLICATION = "suturegrasp"
 JPEG_QUALITY = 95
 CURVE_POINTS = 200
-BARS = 100
 CURVE_RADIUS = 1.5
 """In pixels of the screen; a thicker curve would hide the tube about it, and the whiskers beside it."""
 
@@ -146,7 +147,7 @@ def report_entities(observations: ThreadObservations, reconstruction: ThreadReco
 def log(recording: rr.RecordingStream, stamp: FrameStamp, entities: Iterable[Entity]) -> None:
     """Log entities at the capture time of their frame."""
     recording.set_time("capture_time", timestamp=np.datetime64(stamp.capture_left_ns, "ns"))
-    recording.set_time("frame", sequence=min(stamp.sequence, np.iinfo(np.int64).max))
+    recording.set_time("frame", sequence=min(stamp.sequence, LAST_FRAME))
     for path, archetypes in entities:
         for archetype in archetypes:
             recording.log(path, archetype)
@@ -220,7 +221,8 @@ def _jpeg(image: UInt8[np.ndarray, "h w *c"]) -> rr.EncodedImage:
 def _outline(coverage: UInt8[np.ndarray, "h w"] | None, rows_down: int = 0) -> rr.LineStrips2D:
     if coverage is None:
         return rr.LineStrips2D([])
-    lines, _ = cv2.findContours((coverage >= 128).astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)
+    covered = cv2.threshold(coverage, 127, 1, cv2.THRESH_BINARY)[1]
+    lines, _ = cv2.findContours(covered, cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)
     middle = np.array([HALF_PX, HALF_PX + rows_down])
     closed = [np.concatenate((line, line[:1])).reshape(-1, 2) + middle for line in lines]
     return rr.LineStrips2D(closed, colors=[colours.MASK], radii=[-0.6])
@@ -248,6 +250,5 @@ def _region_rgba(regions: ReliabilityRegions) -> list[tuple[int, int, int, int]]
 def _confidence_bars(thread: Polyline | None) -> rr.BarChart:
     if thread is None:
         return rr.BarChart(np.zeros(1), abscissa=np.zeros(1))
-    along = np.linspace(0.0, 1.0, BARS)
-    confidence = np.nan_to_num(np.interp(along, thread.along, thread.confidence))
-    return rr.BarChart(confidence, abscissa=along, color=colours.GOOD, widths=np.full(BARS, 1 / BARS))
+    confidence = np.nan_to_num(np.interp(ALONG, thread.along, thread.confidence))
+    return bars_along(confidence, colours.GOOD)

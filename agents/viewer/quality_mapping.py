@@ -17,6 +17,7 @@ import numpy as np
 import rerun as rr
 
 from agents.viewer import colours
+from agents.viewer.bars import ALONG, bars_along
 from agents.viewer.cross_sections import CORNERS, CrossSections, tube_triangles
 from agents.viewer.entity import HALF_PX, Entity
 from agents.viewer.polyline import Polyline
@@ -26,7 +27,6 @@ from schemas.messages import Centrelines, ThreadObservations
 WHISKERS_ABOUT = 300
 """Whiskers in each image; neighbouring points of a centreline err alike."""
 
-BARS = 100
 TUBE_OPACITY = 120
 
 SIDES = ("left", "right")
@@ -112,9 +112,9 @@ def _pieces(line: Centrelines, rows_down: int = 0) -> rr.LineStrips2D:
 def _whiskers(found: Residuals | None, rows_down: int) -> rr.LineStrips2D:
     if found is None or not len(found.along):
         return rr.LineStrips2D([])
-    some = slice(None, None, 1 + len(found.along) // WHISKERS_ABOUT)
-    lines = (whiskers(found)[some] + np.array([HALF_PX, HALF_PX + rows_down])).astype(np.float32)
-    return rr.LineStrips2D(lines, colors=colours.confidence_rgb(closeness(found)[some]), radii=[-0.8])
+    some = found.every(1 + len(found.along) // WHISKERS_ABOUT)
+    lines = (whiskers(some) + np.array([HALF_PX, HALF_PX + rows_down])).astype(np.float32)
+    return rr.LineStrips2D(lines, colors=colours.confidence_rgb(closeness(some)), radii=[-0.8])
 
 
 def _tube(sections: CrossSections) -> rr.Mesh3D | rr.Clear:
@@ -133,6 +133,4 @@ def _tube(sections: CrossSections) -> rr.Mesh3D | rr.Clear:
 def _bars(sections: CrossSections) -> rr.BarChart:
     if not len(sections.along):
         return rr.BarChart(np.zeros(1), abscissa=np.zeros(1))
-    along = np.linspace(0.0, 1.0, BARS)
-    deviation = np.interp(along, sections.along, sections.deviation)
-    return rr.BarChart(deviation, abscissa=along, color=colours.BAND, widths=np.full(BARS, 1 / BARS))
+    return bars_along(np.interp(ALONG, sections.along, sections.deviation), colours.BAND)

@@ -50,6 +50,11 @@ class Residuals:
         """Which points the curve explains."""
         return self.widths <= CLAIMED
 
+    def every(self, step: int) -> "Residuals":
+        """The first of every so many points."""
+        of = slice(None, None, step)
+        return Residuals(self.point_px[of], self.foot_px[of], self.along[of], self.distance_px[of], self.widths[of])
+
 
 @dataclass(frozen=True)
 class ResidualSummary:
@@ -83,7 +88,8 @@ def summary(found: Residuals) -> ResidualSummary:
     left_over = 1.0 - len(own) / len(found.distance_px)
     if not len(own):
         return ResidualSummary(None, None, left_over)
-    return ResidualSummary(float(np.median(own)), float(np.percentile(own, 95)), left_over)
+    median, percentile_95 = np.percentile(own, (50, 95)).tolist()
+    return ResidualSummary(median, percentile_95, left_over)
 
 
 def whiskers(found: Residuals) -> Float64[np.ndarray, "n 2 2"]:

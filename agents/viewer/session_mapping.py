@@ -10,6 +10,7 @@ import rerun as rr
 
 from agents.viewer import colours
 from agents.viewer.mapping import Entity
+from agents.viewer.thinning import IN_A_FULL_MACHINE, MOST_PER_SECOND
 from schemas.codec import decode, encoding_name
 from schemas.messages import (
     AgentConfiguration,
@@ -21,7 +22,7 @@ from schemas.messages import (
     LogRecord,
     Outcome,
 )
-from schemas.topics import COMMANDS, TOPICS, Delivery
+from schemas.topics import COMMANDS, FRAMES, TOPICS, Delivery
 
 _LEVELS = {
     LogLevel.DEBUG: rr.TextLogLevel.DEBUG,
@@ -122,6 +123,13 @@ def nothing_yet() -> list[Entity]:
 def failure(key: str, why: str, count: int) -> Entity:
     """That a message could not be shown, as the viewer says it."""
     return said("viewer", f"message {count} of {key} that cannot be shown: {why}", rr.TextLogLevel.ERROR)
+
+
+def pace(there_is_room: bool) -> Entity:
+    """How many frames are shown from now on, as the viewer says it."""
+    if there_is_room:
+        return said("viewer", f"the machine has room again: {MOST_PER_SECOND[FRAMES]} frames a second are shown")
+    return said("viewer", f"the machine is full: {IN_A_FULL_MACHINE} frames a second are shown", rr.TextLogLevel.WARN)
 
 
 def count_entities(what: str, counts: dict[str, int]) -> list[Entity]:

@@ -10,14 +10,15 @@ import numpy as np
 from agents.viewer.live_layout import DEFAULT, live_layout
 from agents.viewer.live_mapping import LiveMapping
 from agents.viewer.mapping import Entity
+from agents.viewer.moment import Moment
 from agents.viewer.panels import Scene
 from agents.viewer.report import unit_text
-from agents.viewer.session_mapping import count_entities, failure, nothing_yet
-from agents.viewer.sinks import Moment, Sink
+from agents.viewer.session_mapping import count_entities, failure, nothing_yet, pace
+from agents.viewer.sinks import Sink
 from agents.viewer.thinning import BY_FRAME, Thinning
 from agents.viewer.timing_mapping import Arrivals, StageTimes, latency_entities
 from agents.viewer.units import reconstruction_in_mm
-from schemas.codec import decode
+from schemas.codec import decode, decode_stamp
 from schemas.messages import FrameStamp, Status, ThreadReconstruction
 from shared.runtime.taps import Tapped
 
@@ -62,6 +63,12 @@ class Showing:
             return
         (self.shown if shown else self.thinned)[topic] += 1
 
+    def give_room(self, there_is_room: bool) -> None:
+        """Show fewer frames where the machine is full, and as many as before where it has room again; and say so."""
+        if self._thinning is not None:
+            self._thinning.there_is_room = there_is_room
+            self._log(Moment(self._latest_ns), [pace(there_is_room)])
+
     def count(self, dropped: dict[str, int], at_least_every_ns: int = COUNTS_EVERY_NS) -> None:
         """Log what became of messages, if that has not been done for so long."""
         if abs(self._latest_ns - self._counted_ns) < at_least_every_ns:
@@ -72,19 +79,24 @@ class Showing:
         self._log(Moment(self._latest_ns), entities)
 
     def _show(self, tapped: Tapped, published_ns: int) -> bool:
-        by_frame = tapped.topic in BY_FRAME
-        if not by_frame and not self._keeps(tapped, published_ns):
-            return False
-        message = decode(tapped.topic.message, tapped.payload)
-        moment = moment_of(message, published_ns)
-        stage_ms = None
-        if moment.frame is not None and tapped.beside:
+        message: Any = None
+        at_ns = published_ns
+        if tapped.topic in BY_FRAME:
+            stamp = decode_stamp(tapped.topic.message, tapped.payload)
+            if stamp is None:
+                message = decode(tapped.topic.message, tapped.payload)
+                stamp = message.stamp
             # of the frames that are left out too: what is made of them need not be
-            stage_ms = self._stages.saw(tapped.topic, moment.frame, published_ns)
-        if by_frame and not self._keeps(tapped, moment.capture_ns):
+            self._saw(tapped, stamp.sequence, published_ns)
+            at_ns = stamp.capture_left_ns
+        if self._thinning is not None and not self._thinning.keeps(tapped.topic, tapped.key, at_ns):
             return False
+        if message is None:
+            message = decode(tapped.topic.message, tapped.payload)
+        moment = moment_of(message, published_ns)
         entities = self._mapping.entities(message)
         if moment.frame is not None and tapped.beside:
+            stage_ms = self._saw(tapped, moment.frame, published_ns)
             entities += latency_entities(tapped.topic, moment.capture_ns, tapped.beside, stage_ms)
         if isinstance(message, ThreadReconstruction) and message.status is Status.OK:
             self._lay_out(message)
@@ -95,8 +107,9 @@ class Showing:
         self._latest_ns = published_ns if tapped.beside else moment.capture_ns
         return True
 
-    def _keeps(self, tapped: Tapped, at_ns: int) -> bool:
-        return self._thinning is None or self._thinning.keeps(tapped.topic, tapped.key, at_ns)
+    def _saw(self, tapped: Tapped, frame: int, published_ns: int) -> float | None:
+        """Note when a stage published its result; milliseconds since its input was published, where that is known."""
+        return self._stages.saw(tapped.topic, frame, published_ns) if tapped.beside else None
 
     def _lay_out(self, reconstruction: ThreadReconstruction) -> None:
         """Turn the eye to the first thread that is seen, and make room for what this session has."""

@@ -15,9 +15,10 @@ from jaxtyping import Float64
 
 from agents.viewer import colours
 from agents.viewer.live_mapping import LiveMapping
+from agents.viewer.moment import Moment
 from agents.viewer.recording_layout import FLAT, VIEWPOINT
 from agents.viewer.showing import moment_of
-from agents.viewer.sinks import Moment, file_sink
+from agents.viewer.sinks import file_sink
 from agents.viewer.thinning import BY_FRAME, Thinning
 from agents.viewer.units import reconstruction_in_mm
 from schemas.messages import Status, ThreadReconstruction

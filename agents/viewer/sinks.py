@@ -12,7 +12,6 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,10 @@ import rerun as rr
 import rerun.blueprint as rrb
 import rerun_cli
 
+from agents.viewer.curves import Curves
 from agents.viewer.mapping import APPLICATION, Entity
+from agents.viewer.moment import Moment
+from agents.viewer.standing import Standing
 
 Layout = rrb.Blueprint
 
@@ -43,14 +45,6 @@ class ViewerError(Exception):
     """What is to be shown cannot be; the text names the remedy."""
 
 
-@dataclass(frozen=True)
-class Moment:
-    """When something was so: nanoseconds since 1970, and the frame it descends from, if any."""
-
-    capture_ns: int
-    frame: int | None = None
-
-
 FLUSHED_EVERY = 100
 """Messages after which Rerun is told to write: until then it keeps what it was given, and never lets go by itself."""
 
@@ -60,6 +54,7 @@ class Sink:
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream, self._logged = stream, 0
+        self._curves, self._standing = Curves(), Standing()
         stream.set_log_time_enabled(False)
 
     def log(self, moment: Moment, entities: Iterable[Entity]) -> None:
@@ -68,10 +63,17 @@ class Sink:
         if moment.frame is None:
             self._stream.disable_timeline("frame")
         else:
-            self._stream.set_time("frame", sequence=min(moment.frame, np.iinfo(np.int64).max))
+            self._stream.set_time("frame", sequence=moment.frame)
         for path, archetypes in entities:
+            if self._standing.stands(path, moment, archetypes):
+                continue
             for archetype in archetypes:
-                self._stream.log(path, archetype, static=isinstance(archetype, STATIC))
+                if isinstance(archetype, rr.Scalars):
+                    self._curves.add(path, moment, archetype)
+                else:
+                    self._stream.log(path, archetype, static=isinstance(archetype, STATIC))
+        if self._curves.due:
+            self._curves.send(self._stream)
         self._logged += 1
         if self._logged % FLUSHED_EVERY == 0:
             # begun, and not waited for
@@ -83,6 +85,7 @@ class Sink:
 
     def close(self) -> None:
         """Write what is under way, and end."""
+        self._curves.send(self._stream)
         self._stream.flush()
         self._stream.disconnect()
 
@@ -125,6 +128,7 @@ class PartedFile(Sink):
     def _begin_another(self) -> None:
         first = self._paths[0]
         path = first.with_stem(f"{first.stem}_part{len(self._paths) + 1}")
+        self._curves.send(self._stream)
         self._stream.flush()
         try:
             self._stream.set_sinks(rr.FileSink(path), default_blueprint=self._layout)

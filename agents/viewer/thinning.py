@@ -14,7 +14,10 @@ MOST_PER_SECOND = {
     HEARTBEAT: 2,
     REPLAY_CLOCK: 2,
 }
-"""What an eye can follow, and two cores can spare."""
+"""What an eye can follow, and a machine with room can spare."""
+
+IN_A_FULL_MACHINE = 5
+"""Of what descends from frames, which is nearly all of a viewer's work."""
 
 BY_FRAME = (FRAMES, OBSERVATIONS, THREAD)
 """Thinned by when their frame was seen; all others by when they were published, before they are decoded."""
@@ -24,13 +27,17 @@ class Thinning:
     """Remembers the last period that each key had a message shown in."""
 
     def __init__(self) -> None:
+        self.there_is_room = True
         self._last: dict[str, int] = {}
 
     def keeps(self, topic: Topic, key: str, at_ns: int) -> bool:
         """Whether a message of that time is shown."""
         if topic not in MOST_PER_SECOND:
             return True
-        period = at_ns * MOST_PER_SECOND[topic] // 1_000_000_000
+        most = MOST_PER_SECOND[topic]
+        if topic in BY_FRAME and not self.there_is_room:
+            most = IN_A_FULL_MACHINE
+        period = at_ns * most // 1_000_000_000
         if self._last.get(key) == period:
             return False
         self._last[key] = period

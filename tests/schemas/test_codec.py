@@ -9,7 +9,7 @@ from hypothesis.extra.numpy import arrays
 
 import schemas.messages
 from schemas.checks import MessageError
-from schemas.codec import LEADING_TO_MOTION, MAX_MESSAGE_BYTES, decode, encode, encoding_name
+from schemas.codec import LEADING_TO_MOTION, MAX_MESSAGE_BYTES, decode, decode_stamp, encode, encoding_name
 from schemas.generated import suturegrasp_pb2 as pb
 from schemas.messages import (
     AgentConfiguration,
@@ -669,6 +669,23 @@ def test_every_message_of_the_schema_is_tried():
 def test_a_message_survives_the_wire(message_type, data):
     message = data.draw(MESSAGES[message_type])
     assert same(decode(message_type, encode(message)), message)
+
+
+@settings(max_examples=60)
+@given(message=any_message)
+def test_the_stamp_of_a_message_of_a_frame_is_read_without_the_rest(message):
+    data = encode(message)
+    first = isinstance(message, StereoFrame | ThreadObservations | ThreadReconstruction | TissueSurface)
+    assert decode_stamp(type(message), data) == (message.stamp if first else None)
+    assert decode_stamp(type(message), b"") is None
+
+
+@settings(max_examples=20)
+@given(frame=MESSAGES[StereoFrame])
+def test_a_damaged_stamp_is_refused_and_damage_behind_it_not_noticed(frame):
+    assert decode_stamp(StereoFrame, encode(frame) + b"\xff") == frame.stamp
+    with pytest.raises(MessageError, match="FrameStamp"):
+        decode_stamp(StereoFrame, b"\x0a\x02\xff\xff")
 
 
 @settings(max_examples=60)

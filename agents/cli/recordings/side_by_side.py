@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from agents.replay.differences import At, Comparison
+from agents.viewer.moment import Moment
 from agents.viewer.side_by_side import RECORDED, REPLAYED, SideBySide
-from agents.viewer.sinks import Moment
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.topics import FRAMES, LOG, Topic, topic_of

@@ -539,7 +539,7 @@ def test_a_screen_that_is_frozen_holds_up_neither_the_file_nor_the_end(session_m
     report = viewer.close()
     released.set()
     assert report.shown == {"robot_bridge/state": live.ROOM_LATEST}
-    assert len(rows_of(report.path)["/world/tool/psm1/fingers"]) == live.ROOM_LATEST
+    assert len(rows_of(report.path)["/robot/jaw_deg/psm1"]) == live.ROOM_LATEST
     assert report.dropped["screen"] >= live.ROOM_LATEST - 6
     assert "http://localhost:9090" in report.notes[0]
 

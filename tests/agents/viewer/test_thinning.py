@@ -1,6 +1,6 @@
 import pytest
 
-from agents.viewer.thinning import MOST_PER_SECOND, Thinning
+from agents.viewer.thinning import IN_A_FULL_MACHINE, MOST_PER_SECOND, Thinning
 from schemas.topics import EXECUTION, FRAMES, PLAN, ROBOT_STATE, THREAD
 
 SECOND = 1_000_000_000
@@ -41,3 +41,14 @@ def test_time_that_jumps_back_is_shown():
     thinning = Thinning()
     assert thinning.keeps(ROBOT_STATE, "key", START)
     assert thinning.keeps(ROBOT_STATE, "key", START - SECOND)
+
+
+def test_fewer_frames_are_kept_where_there_is_no_room_and_the_same_of_all_that_descends_from_them():
+    thinning = Thinning()
+    thinning.there_is_room = False
+    frames = kept(thinning, FRAMES, "frames", 30)
+    assert len(frames) == 2 * IN_A_FULL_MACHINE
+    assert frames == kept(thinning, THREAD, "thread", 30)
+    assert len(kept(thinning, ROBOT_STATE, "psm1", 100)) == 2 * MOST_PER_SECOND[ROBOT_STATE]
+    thinning.there_is_room = True
+    assert len(kept(thinning, FRAMES, "more frames", 30)) == 2 * MOST_PER_SECOND[FRAMES]
