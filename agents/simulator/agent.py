@@ -43,6 +43,9 @@ REMEMBERED_PLANS = 64
 STOPPED = (ExecutionKind.HELD, ExecutionKind.REFUSED)
 LATE_NS = 200_000_000
 """How long after a plan's end robot states may still arrive that belong to it."""
+MOVING_HZ, RESTING_HZ = 60.0, SIMULATOR_STATE.resting_hz or 60.0
+RESTS_AFTER_NS = 1_000_000_000
+"""How long after an arm's last motion the field is told as often as before: thread may settle."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +98,6 @@ class Simulator:
     inputs = (Input(ROBOT_STATE, "*"), Input(EXECUTION, "*"), Input(PLAN))
     outputs = (SIMULATOR_STATE, JUDGEMENT)
     commands: tuple[Topic, ...] = ()
-    tick_hz = 60.0
 
     def __init__(self, config: SimulatorConfig = SimulatorConfig(), field: Field | None = None) -> None:
         """Lay the thread: the one that the configuration draws, or of a field that is given."""
@@ -117,6 +119,8 @@ class Simulator:
         self._judged: dict[str, str] = {}
         self._finished_ns: dict[str, int] = {}
         self._now_ns = 0
+        self._poses: dict[str, object] = {}
+        self._rests_from_ns = 0
 
     def configure(self, config: SimulatorConfig) -> None:
         """Go on with another config, in which only what may be set while the agent runs has changed."""
@@ -125,6 +129,12 @@ class Simulator:
             self._begun.clear()
             self._judged.clear()
         self.config = config
+
+    @property
+    def tick_hz(self) -> float:
+        """All of its turns while an arm moves or a verdict is due; few are enough for a field that is still."""
+        moves = 0 < self._rests_from_ns - self._now_ns <= RESTS_AFTER_NS
+        return MOVING_HZ if moves or self._finished_ns else RESTING_HZ
 
     def step(self, arrived: Received | Tick | Command) -> Iterable[Output | CommandAnswer]:
         """The field at each tick, and a judgement when a grasp is settled."""
@@ -150,6 +160,9 @@ class Simulator:
 
     def _follow(self, state: RobotState) -> Iterable[Output]:
         """Take in a measured pose; a judgement where it settles the grasp."""
+        pose = state.T_camera_base.tobytes(), state.T_base_tool.tobytes(), state.jaw_rad
+        if self._poses.setdefault(state.arm, pose) != pose:
+            self._poses[state.arm], self._rests_from_ns = pose, self._now_ns + RESTS_AFTER_NS
         arm = MeasuredArm(state.arm, state.plan_id, self._true_pose(state), state.jaw_rad, state.measured_ns)
         outcome = self._physics.follow(arm)
         if not state.plan_id or self._judged.get(state.arm) == state.plan_id:

@@ -346,3 +346,24 @@ def test_any_motion_is_followed_and_judged_at_its_end(motions):
 
 SHARED = Run()
 """One agent for all examples, since drawing a field takes longer than any of them."""
+
+
+def test_the_field_is_told_often_while_an_arm_moves_and_seldom_once_it_has_been_still_for_a_second(run):
+    resting, moving = SIMULATOR_STATE.resting_hz, SIMULATOR_STATE.rate_hz
+    assert run.agent.tick_hz == resting
+    run.carry_out([(tool_at(0.5), 1.0)])
+    assert run.agent.tick_hz == resting
+    run.carry_out([(tool_at(0.5), 0.9)])
+    assert run.agent.tick_hz == moving
+    run.carry_out(150 * [(tool_at(0.5), 0.9)])
+    assert run.agent.tick_hz == resting
+
+
+def test_the_field_is_told_often_until_the_verdict_of_a_plan_that_has_ended(run):
+    run.carry_out([(tool_at(0.5), 1.0)])
+    run.feed(EXECUTION, finished())
+    assert run.agent.tick_hz == SIMULATOR_STATE.rate_hz
+    for _ in range(30):
+        run.tick()
+    assert run.agent.tick_hz == SIMULATOR_STATE.resting_hz
+    assert len(run.judgements) == 1
