@@ -8,13 +8,14 @@
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.spatial import cKDTree
 
 from agents.reconstruction.refined.points import Points, double_angle
-from agents.reconstruction.refined.projection import Curve, chords, projected
+from agents.reconstruction.refined.projection import Curve, chords, even_parameters, projected_evenly
 from agents.reconstruction.refined.sightings import Sightings
 from schemas.messages import RectifiedStereo
 
@@ -114,8 +115,8 @@ def _of_eye(
 ) -> _Eye:
     if not len(points.piece):
         return _Eye(points.point_px, points.deviation_px, np.zeros(0), points.is_end, 0, np.zeros(2))
-    at = np.linspace(0.0, 1.0, SAMPLES_PER_SPAN * curve.spans + 1)
-    view = projected(curve, at, np.full(len(at), eye), camera, row_offset_px)
+    at = even_parameters(curve.spans, SAMPLES_PER_SPAN)
+    view = projected_evenly(curve, SAMPLES_PER_SPAN, eye, camera, row_offset_px)
     width, found = camera.image_width, points.point_px
     moved = view.point_px + _shift(view.point_px, points.all_px, width) if votes else view.point_px
     nearest = _nearest(moved, view.velocity_px, points, DIRECTION_SHARE * width)
@@ -180,10 +181,10 @@ def _in_order(
     usable = np.flatnonzero(near)
     if not len(usable):
         return kept
-    step = chords(points[usable])
-    change = np.diff(place[usable])
-    leap = (np.abs(change) > LEAP * step + LEAP_SHARE * width) | (np.diff(piece[usable]) != 0)
-    runs = [run for run in np.split(usable, np.flatnonzero(leap) + 1) if len(run) >= SHORTEST_RUN]
+    step, at, on = chords(points[usable]), place[usable], piece[usable]
+    leap = (np.abs(at[1:] - at[:-1]) > LEAP * step + LEAP_SHARE * width) | (on[1:] != on[:-1])
+    bounds = (0, *(np.flatnonzero(leap) + 1), len(usable))
+    runs = [usable[first:end] for first, end in pairwise(bounds) if end - first >= SHORTEST_RUN]
     for number in {int(piece[run[0]]) for run in runs}:
         own = [run for run in runs if piece[run[0]] == number]
         ways = (_longest_chain(own, place), _longest_chain(own, -place))
@@ -210,8 +211,9 @@ def _ends(
     if not kept.any():
         return ends, beyond
     for which, value in ((0, 0.0), (1, length_px)):
-        outermost = np.flatnonzero(kept)[np.argmin(np.abs(place[kept] - value))]
-        gap = abs(place[outermost] - value)
+        inside = np.flatnonzero(kept)
+        off = np.abs(place[inside] - value)
+        outermost, gap = inside[np.argmin(off)], off.min()
         if gap > 2 * GATE_SHARE * width:
             continue
         tail = _tail(outermost, points.piece, kept)

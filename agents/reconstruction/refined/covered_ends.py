@@ -9,11 +9,12 @@ that the thread has come. So the error is half of what is missing, times how far
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, UInt8
 
-from schemas.messages import Centrelines, Occluders
+from schemas.messages import Centrelines, Image, Occluders
 from shared.images import ImageDataError, decode_image
 from shared.occluded import hidden_ends, is_occluded
 
@@ -68,16 +69,24 @@ def hidden_of(
     if occluders is None:
         return None
     try:
-        maps = decode_image(occluders.left), decode_image(occluders.right)
+        maps = _map(occluders.left), _map(occluders.right)
     except ImageDataError:
         return None
     if any(found.ndim != 2 for found in maps):
         return None
     places, ends = np.zeros(len(unseen), bool), np.zeros(2, bool)
     for line_px, found in zip(pixels, maps, strict=True):
+        if not found.any():
+            continue
         places |= is_occluded(line_px, found, image_width)
         ends |= hidden_ends(line_px, found, image_width)
     return Hidden(places & unseen, ends)
+
+
+@lru_cache(maxsize=4)
+def _map(image: Image) -> UInt8[np.ndarray, "r c"]:
+    """The pixels; instruments are looked for anew every some frames only, and those between send the same ones."""
+    return decode_image(image)
 
 
 def _errors_px(

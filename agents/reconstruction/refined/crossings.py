@@ -37,10 +37,11 @@ def crossings_of(
     Args:
         covariance: of the curve's points at `covariance_s`; strands count as independent of each other.
     """
-    s = np.linspace(0.0, 1.0, PLACES)
-    points = curve.at(s)
+    points = curve.at(np.linspace(0.0, 1.0, PLACES))
     pixels, _ = project(camera, points)
     first, second = _crossing_pieces(pixels)
+    if not len(first):
+        return ()
     share_first, share_second = _shares(pixels, first, second)
     depth_first = points[first, 2] + share_first * (points[first + 1, 2] - points[first, 2])
     depth_second = points[second, 2] + share_second * (points[second + 1, 2] - points[second, 2])
@@ -110,7 +111,7 @@ def _crossing_pieces(px: Float64[np.ndarray, "n 2"]) -> tuple[np.ndarray, np.nda
     """The numbers of both pieces of each crossing of a polyline with itself, the earlier one first."""
     # about their middle, so that products of places lose no digits
     px = px - px.mean(axis=0)
-    across = np.column_stack((-np.diff(px[:, 1]), np.diff(px[:, 0])))
+    across = (px[1:] - px[:-1])[:, ::-1] * (-1.0, 1.0)
     beside = across @ px.T > (across * px[:-1]).sum(axis=1)[:, None]
     parts = beside[:, :-1] != beside[:, 1:]
     first, second = np.divmod(np.flatnonzero(parts & parts.T), len(across))

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.reconstruction.refined.association import GATE_SHARE, Associated, associated
+from agents.reconstruction.refined.medians import median
 from agents.reconstruction.refined.motion import Precision, away_from, prior, process_noise, stretching
 from agents.reconstruction.refined.normal_equations import (
     Blocks,
@@ -142,7 +143,7 @@ def _moved(prediction: _Prediction, curve: Curve, sight: Sightings) -> Curve:
     """The curve after the first step, which leads over the motion of a frame: beside it, every deviation is small."""
     last = prediction.last
     rows = linearised(curve, sight, prediction.camera, row_offset_of(last))
-    scale = max(1.4826 * float(np.median(np.abs(rows.residual[: rows.sightings]))), LEAST_SCALE)
+    scale = max(1.4826 * median(np.abs(rows.residual[: rows.sightings])), LEAST_SCALE)
     data = data_blocks(rows, np.full(len(rows.residual), scale**-2), curve.spans) + damping_blocks(curve)
     total = data + prediction.about(curve)
     total += roughness_blocks(curve, last.smoothing * last.span_weight * _shown(sight, curve))
@@ -221,7 +222,7 @@ def _require_fit(fit: Refined, innovation: float, camera: RectifiedStereo) -> No
         raise LostError(reason)
     if innovation > MOST_INNOVATION:
         raise LostError(f"the thread moved farther than it can: {innovation:.1f} predicted variances")
-    off_px = float(np.median(np.abs(fit.rows.residual[: fit.rows.sightings]) * fit.sight.deviation_px))
+    off_px = median(np.abs(fit.rows.residual[: fit.rows.sightings]) * fit.sight.deviation_px)
     if off_px > LARGEST_RESIDUAL_SHARE * camera.image_width:
         raise LostError(f"the curve that was followed is {off_px:.1f} px from the thread")
 
@@ -239,7 +240,7 @@ def row_offset_of(track: ThreadTrack) -> Float64[np.ndarray, "4"]:
 
 def curve_length(curve: Curve) -> float:
     """The length of the curve, by chords so short that a thread's bends do not count."""
-    return float(chords(curve.at(np.linspace(0.0, 1.0, 8 * curve.spans + 1))).sum())
+    return float(chords(curve.evenly(8)).sum())
 
 
 def _is_of_another_length(fit: Refined, expected: float) -> bool:

@@ -18,7 +18,7 @@ its length from this, and an end that is hidden its place.
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 
 from agents.reconstruction.refined.normal_equations import SIDE, Blocks
 from agents.reconstruction.refined.projection import DEGREE, Curve, basis_at
@@ -36,13 +36,14 @@ Band = Float64[np.ndarray, "m 4 3 3"]
 Precision = Float64[np.ndarray, "spans 12 12"]
 
 
-def band_of(covariance: Float64[np.ndarray, "m 3 m 3"]) -> Band:
-    """The blocks [i, j] of the control points i and i + j."""
-    m = len(covariance)
-    band = np.zeros((m, DEGREE + 1, 3, 3))
-    for offset in range(DEGREE + 1):
-        i = np.arange(m - offset)
-        band[i, offset] = covariance[i, :, i + offset, :]
+def band_of(covariance: Float64[np.ndarray, "spans 12 12"]) -> Band:
+    """The blocks [i, j] of the control points i and i + j, from those of the control points of each span."""
+    spans = len(covariance)
+    blocks = covariance.reshape(spans, DEGREE + 1, 3, DEGREE + 1, 3)
+    band = np.zeros((spans + DEGREE, DEGREE + 1, 3, 3))
+    band[:spans] = blocks[:, 0].transpose(0, 2, 1, 3)
+    for i in range(1, DEGREE + 1):
+        band[spans + i - 1, : DEGREE + 1 - i] = blocks[-1, i, :, i:].transpose(1, 0, 2)
     return band
 
 
@@ -61,7 +62,8 @@ def prior(band: Band, noise: Float64[np.ndarray, "4"]) -> Precision:
     Raises:
         numpy.linalg.LinAlgError: where the covariance is none.
     """
-    cliques = _cliques(band) + np.kron(noise[np.abs(np.subtract.outer(np.arange(4), np.arange(4)))], np.eye(3))
+    apart = np.abs(np.subtract.outer(np.arange(4), np.arange(4)))
+    cliques = _cliques(band) + np.einsum("ij,ab->iajb", noise[apart], np.eye(3)).reshape(SIDE, SIDE)
     precision = np.linalg.inv(cliques)
     # less S⁻¹, which is Schur's complement in C⁻¹ of the control point that the next block lacks
     lacks = precision[:-1, :3, 3:]
@@ -71,16 +73,15 @@ def prior(band: Band, noise: Float64[np.ndarray, "4"]) -> Precision:
 
 def away_from(precision: Precision, curve: Curve, predicted: Curve) -> Blocks:
     """The prior as a function of the motion from `curve`."""
-    return Blocks(
-        precision, np.einsum("kij,kj->ki", precision, by_span(curve.control_points - predicted.control_points))
-    )
+    away = curve.near - predicted.near
+    return Blocks(precision, (precision @ away.reshape(-1, SIDE, 1))[:, :, 0])
 
 
 def stretching(curve: Curve, length: float) -> Blocks:
     """½ Σ_k ((‖B'(s_k)‖ − length) / deviation)² about `curve`, s_k the middles of its spans."""
     slope = _middle_slopes(curve.spans)
-    velocity = np.einsum("kj,kja->ka", slope, by_span(curve.control_points).reshape(curve.spans, DEGREE + 1, 3))
-    speed = np.maximum(np.linalg.norm(velocity, axis=1), 1e-12)
+    velocity = (slope[:, None] @ curve.near)[:, 0]
+    speed = np.maximum(np.sqrt(np.einsum("ka,ka->k", velocity, velocity)), 1e-12)
     design = (slope[:, :, None] * (velocity / speed[:, None])[:, None, :]).reshape(curve.spans, SIDE) / (
         STRETCH * length
     )
@@ -94,18 +95,18 @@ def _middle_slopes(spans: int) -> Float64[np.ndarray, "spans 4"]:
     return basis_at(spans, (np.arange(spans) + 0.5) / spans)[2]
 
 
-def by_span(values: Float64[np.ndarray, "m 3"]) -> Float64[np.ndarray, "spans 12"]:
-    """The values of the four control points of each span."""
-    spans = len(values) - DEGREE
-    return values[np.arange(spans)[:, None] + np.arange(DEGREE + 1)].reshape(-1, SIDE)
-
-
 def _cliques(band: Band) -> Float64[np.ndarray, "spans 12 12"]:
-    spans = len(band) - DEGREE
+    return band.ravel().take(_clique_index(len(band) - DEGREE))
+
+
+@lru_cache(maxsize=64)
+def _clique_index(spans: int) -> Int64[np.ndarray, "spans 12 12"]:
+    """Where each number of each block lies in the band, of which the lower half is left out."""
+    number = np.arange((spans + DEGREE) * (DEGREE + 1) * 9).reshape(-1, DEGREE + 1, 3, 3)
     k = np.arange(spans)
-    blocks = np.zeros((spans, 4, 3, 4, 3))
+    blocks = np.empty((spans, 4, 3, 4, 3), np.int64)
     for a in range(4):
         for b in range(a, 4):
-            blocks[:, a, :, b, :] = band[k + a, b - a]
-            blocks[:, b, :, a, :] = band[k + a, b - a].transpose(0, 2, 1)
+            blocks[:, a, :, b, :] = number[k + a, b - a]
+            blocks[:, b, :, a, :] = number[k + a, b - a].transpose(0, 2, 1)
     return blocks.reshape(spans, SIDE, SIDE)

@@ -10,7 +10,7 @@ itself is damped; that changes no solution, since it holds back steps and not pl
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -38,16 +38,22 @@ class Rows:
     Fields:
         first, basis: where each acts, as in `local_basis`.
         gradient: (n, 3), by the point of the curve.
-        by_row_offset: by each term of an offset of the right image's rows.
+        lever, slope: by the row of the right image, and of the line of sight (see `View`).
         sightings: how many of them are distances across the thread, the first ones.
     """
 
     residual: Float64[np.ndarray, "n"]
     gradient: Float64[np.ndarray, "n 3"]
-    by_row_offset: Float64[np.ndarray, "n 4"]
+    lever: Float64[np.ndarray, "n"]
+    slope: Float64[np.ndarray, "2 n"]
     first: Int64[np.ndarray, "n"]
     basis: Float64[np.ndarray, "n 4"]
     sightings: int
+
+    @cached_property
+    def by_row_offset(self) -> Float64[np.ndarray, "n 4"]:
+        """By each term of an offset of the right image's rows."""
+        return self.lever[:, None] * row_terms(self.slope)
 
 
 @dataclass(frozen=True)
@@ -68,35 +74,38 @@ def linearised(
     curve: Curve, sight: Sightings, camera: RectifiedStereo, row_offset_px: Float64[np.ndarray, "4"]
 ) -> Rows:
     """Residuals and their derivatives at this curve."""
-    view = projected(curve, sight.s, sight.eye, camera, row_offset_px)
-    first, basis, _ = basis_at(curve.spans, sight.s)
+    end, count = np.flatnonzero(sight.is_end), len(sight.s)
+    which = np.concatenate((np.arange(count), end))
+    s, eye = sight.s[which], sight.eye[which]
+    view = projected(curve, s, eye, camera, row_offset_px)
+    first, basis, _ = basis_at(curve.spans, s)
     u, v = view.velocity_px.T
-    speed = np.maximum(np.sqrt(u * u + v * v), 1e-12)
-    normal = np.column_stack((-v / speed, u / speed))
-    end = np.flatnonzero(sight.is_end)
-    which = np.concatenate((np.arange(len(u)), end))
-    deviation = np.concatenate((sight.deviation_px, np.full(len(end), END_DEVIATION_PX)))
+    direction = np.stack((u, v))
+    np.negative(v[:count], out=direction[0, :count])
+    direction[1, :count] = u[:count]
     # in deviations, as all that follows from it
-    direction = np.concatenate((normal, view.velocity_px[end] / speed[end, None])) / deviation[:, None]
-    off = view.point_px - sight.point_px
+    deviation = np.concatenate((sight.deviation_px, np.full(len(end), END_DEVIATION_PX)))
+    direction /= np.maximum(np.sqrt(u * u + v * v), 1e-12) * deviation
+    off = (view.point_px - sight.point_px[which]).T
     return Rows(
-        residual=np.einsum("ni,ni->n", direction, off[which]),
-        gradient=np.einsum("ni,nia->na", direction, view.by_point[which]),
-        by_row_offset=(direction[:, 1] * (sight.eye[which] - 0.5))[:, None] * row_terms(view.slope[:, which]),
-        first=first[which],
-        basis=basis[which],
-        sightings=len(off),
+        residual=np.einsum("in,in->n", direction, off),
+        gradient=view.by_point(direction),
+        lever=direction[1] * (eye - 0.5),
+        slope=view.slope,
+        first=first,
+        basis=basis,
+        sightings=count,
     )
 
 
 def data_blocks(rows: Rows, weight: Float64[np.ndarray, "n"], spans: int) -> Blocks:
     """The blocks of the weighted sum of squares of residuals; weights are not negative."""
     n = len(rows.residual)
-    both = np.empty((n, SIDE + 1))
-    np.multiply(rows.basis[:, :, None], rows.gradient[:, None, :], out=both[:, :SIDE].reshape(n, DEGREE + 1, 3))
-    both[:, SIDE] = rows.residual
-    both *= np.sqrt(weight)[:, None]
-    stacked = _stacked(rows.first, both, spans)
+    both = np.empty((SIDE + 1, n))
+    np.multiply(rows.basis.T[:, None], rows.gradient.T, out=both[:SIDE].reshape(DEGREE + 1, 3, n))
+    both[SIDE] = rows.residual
+    both *= np.sqrt(weight)
+    stacked = _stacked(rows.first, both.T, spans)
     squares = stacked.transpose(0, 2, 1) @ stacked
     return Blocks(squares[:, :SIDE, :SIDE], squares[:, :SIDE, SIDE])
 
@@ -111,9 +120,8 @@ def damping_blocks(curve: Curve) -> Blocks:
     """What holds the curve back along itself."""
     spans = curve.spans
     basis, slope = _two_places(spans)
-    near = curve.control_points[np.arange(spans)[:, None] + np.arange(DEGREE + 1)]
-    velocity = slope @ near
-    speed = np.maximum(np.linalg.norm(velocity, axis=2, keepdims=True), 1e-12)
+    velocity = slope @ curve.near
+    speed = np.maximum(np.sqrt(np.einsum("kpa,kpa->kp", velocity, velocity)), 1e-12)[:, :, None]
     tangent = velocity / speed * (spans / (DAMPING * speed.mean()))
     design = (basis[:, :, :, None] * tangent[:, :, None, :]).reshape(spans, 2, SIDE)
     return Blocks(design.transpose(0, 2, 1) @ design, np.zeros((spans, SIDE)))
@@ -131,20 +139,25 @@ def roughness_blocks(curve: Curve, weight: Float64[np.ndarray, "spans"]) -> Bloc
 
     In each block the rows of one span's third difference, a matrix of rank 3.
     """
-    H = (weight / curve.size**2)[:, None, None] * _roughness(curve.spans, BENDING)
-    near = curve.control_points[np.arange(curve.spans)[:, None] + np.arange(DEGREE + 1)].reshape(-1, SIDE)
-    return Blocks(H, np.einsum("kij,kj->ki", H, near))
+    scaled, form = weight / curve.size**2, _roughness_form(curve.spans, BENDING)
+    g = ((scaled[:, None, None] * form) @ curve.near).reshape(-1, SIDE)
+    return Blocks(scaled[:, None, None] * _roughness(curve.spans, BENDING), g)
 
 
 @lru_cache(maxsize=64)
 def _roughness(spans: int, bending: float) -> Float64[np.ndarray, "spans 12 12"]:
+    return np.einsum("kij,ab->kiajb", _roughness_form(spans, bending), np.eye(3)).reshape(-1, SIDE, SIDE)
+
+
+@lru_cache(maxsize=64)
+def _roughness_form(spans: int, bending: float) -> Float64[np.ndarray, "spans 4 4"]:
+    """Of each direction in space by itself."""
     third = third_differences(spans)
     local = np.stack([third[k, k : k + DEGREE + 1] for k in range(spans)])
     # the second derivative is linear on a span: at its two ends
     second = difference_matrix(clamped_uniform_knots(spans + DEGREE, DEGREE), DEGREE, 2) / spans**2
     ends = np.stack([second[k : k + 2, k : k + DEGREE + 1] for k in range(spans)])
-    form = np.einsum("ki,kj->kij", local, local) + 0.5 * bending * np.einsum("kei,kej->kij", ends, ends)
-    return np.einsum("kij,ab->kiajb", form, np.eye(3)).reshape(-1, SIDE, SIDE)
+    return np.einsum("ki,kj->kij", local, local) + 0.5 * bending * np.einsum("kei,kej->kij", ends, ends)
 
 
 @lru_cache(maxsize=64)
@@ -211,38 +224,19 @@ def finite(numbers: Float64[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
     return numbers
 
 
-def inverse(blocks: Blocks) -> Float64[np.ndarray, "v v"]:
-    """H⁻¹, all of it.
-
-    Raises:
-        numpy.linalg.LinAlgError: where H is not positive definite.
-    """
-    lower = band(blocks)
-    size = lower.shape[1]
-    dense = np.zeros((size, size), order="F")
-    for offset in range(SIDE):
-        dense.T.ravel()[offset :: size + 1][: size - offset] = lower[offset, : size - offset]
-    # a dense matrix of this size is inverted in half the time of solving the banded one for every column, and in place,
-    # since fresh memory takes as long as the arithmetic
-    factor, info = lapack.dpotrf(dense, lower=1, overwrite_a=1)
-    if info:
-        raise np.linalg.LinAlgError(f"the leading minor of order {info} is not positive definite")
-    half = lapack.dpotri(factor, lower=1, overwrite_c=1)[0]
-    half[np.diag_indices(size)] *= 0.5
-    return half + half.T
-
-
 def _stacked(
     first: Int64[np.ndarray, "n"], values: Float64[np.ndarray, "n k"], spans: int
 ) -> Float64[np.ndarray, "spans most k"]:
     """The rows of each span below each other, and zeros below those."""
     order = np.argsort(first, kind="stable")
-    span = first[order]
     count = np.bincount(first, minlength=spans)
-    below = np.arange(len(span)) - (np.cumsum(count) - count)[span]
-    stacked = np.zeros((spans, int(count.max(initial=0)), values.shape[1]))
-    stacked[span, below] = values[order]
-    return stacked
+    most = int(count.max(initial=0))
+    place = np.empty(len(first), np.int64)
+    place[order] = np.arange(len(first))
+    place += (np.arange(spans) * most - np.cumsum(count) + count)[first]
+    stacked = np.zeros((spans * most, values.shape[1]))
+    stacked[place] = values
+    return stacked.reshape(spans, most, -1)
 
 
 def _by_span(

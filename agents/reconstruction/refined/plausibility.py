@@ -3,6 +3,7 @@
 import numpy as np
 
 from agents.reconstruction.refined.alignment import Alignment
+from agents.reconstruction.refined.medians import median
 from agents.reconstruction.refined.refinement import Refined
 from schemas.messages import Centrelines, RectifiedStereo, ThreadTrack
 
@@ -16,6 +17,7 @@ LARGEST_NUMBER = 1e30
 LEAST_SIZE_PX = 1e-6
 FARTHEST_CENTRE = 1000.0
 """Of the image: no principal point, and no image of a thread that was followed, lies farther away."""
+PLACES = np.linspace(0.0, 1.0, 200)
 FARTHEST_SHARE = 1000.0
 """Of the baseline: beyond that, disparity is below what can be told from none."""
 
@@ -84,16 +86,16 @@ def implausible(fit: Refined, camera: RectifiedStereo) -> str:
     """Why this curve cannot be the thread."""
     if not np.isfinite(fit.curve.control_points).all():
         return "the fit to both images diverged"
-    depth = fit.curve.at(np.linspace(0.0, 1.0, 200))[:, 2]
+    depth = fit.curve.at(PLACES)[:, 2]
     if depth.min() <= 0:
         return "the curve passes behind the camera"
     across_px = np.abs(fit.rows.residual[: fit.rows.sightings]) * fit.sight.deviation_px
     for name, eye in (("left", 0), ("right", 1)):
         here = across_px[fit.sight.eye == eye]
         limit = LARGEST_RESIDUAL_SHARE * camera.image_width
-        if len(here) and np.median(here) > limit:
+        if len(here) and median(here) > limit:
             return (
-                f"the two images contradict each other: the curve is {np.median(here):.1f} px from the thread in the "
+                f"the two images contradict each other: the curve is {median(here):.1f} px from the thread in the "
                 f"{name} image; check the calibration"
             )
     return ""

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
+from agents.reconstruction.refined.medians import median
 from agents.reconstruction.refined.projection import chords
 from agents.reconstruction.refined.sightings import CORRELATED_PX
 from schemas.messages import Centrelines, RectifiedStereo
@@ -46,7 +47,7 @@ def chosen_points(lines: Centrelines, camera: RectifiedStereo, wanted: int) -> P
     chosen[:: max(2, -(-len(chosen) // wanted))] = True
     index = np.flatnonzero(chosen)
     points = lines.point_px[index]
-    spacing = max(1.0, float(np.median(chords(points)))) if len(points) > 1 else 1.0
+    spacing = max(1.0, median(chords(points))) if len(points) > 1 else 1.0
     border = np.array([camera.image_width, camera.image_height]) - 1 - BORDER_PX
     raised = float(np.sqrt(max(1.0, CORRELATED_PX / spacing)))
     inside = ((points >= BORDER_PX) & (points <= border)).all(axis=1)
@@ -57,7 +58,7 @@ def chosen_points(lines: Centrelines, camera: RectifiedStereo, wanted: int) -> P
         lines.piece[index],
         is_bound[index] & inside,
         lines.point_px,
-        float(np.median(lines.width_px)) if len(lines.width_px) else 0.0,
+        median(lines.width_px) if len(lines.width_px) else 0.0,
         raised,
     )
 

@@ -26,10 +26,12 @@ def point_covariance(
     """Covariance of the curve's points at parameters s, in the unit of the calibration."""
     first, basis, _ = basis_at(fit.curve.spans, s)
     near = first[:, None] + np.arange(DEGREE + 1)
-    blocks = fit.covariance[near[:, :, None], :, near[:, None, :], :]
-    own = np.einsum("qi,qijab,qj->qab", basis, blocks, basis)
-    factor = shared_errors(fit, camera).reshape(len(fit.curve.control_points), 3, -1)
-    shared = np.einsum("qi,qiak->qak", basis, factor[near])
+    # one control point after the other, which leaves all products to the library of matrices
+    blocks = fit.covariance[first].reshape(len(s), DEGREE + 1, -1)
+    rest = (basis[:, None] @ blocks).reshape(len(s), 3, DEGREE + 1, 3)
+    own = (basis[:, None, None] @ rest)[:, :, 0]
+    factor = shared_errors(fit, camera).reshape(len(fit.curve.control_points), -1)
+    shared = (basis[:, None] @ factor[near]).reshape(len(s), 3, -1)
     covariance = (ALIKE if fit.follows else 1.0) * own + shared @ shared.transpose(0, 2, 1)
     return covariance + sliding(fit.curve, covariance, s)
 

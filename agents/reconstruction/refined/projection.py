@@ -37,14 +37,53 @@ class Curve:
     @cached_property
     def polynomials(self) -> Float64[np.ndarray, "4 3 spans"]:
         """Coefficients (power, axis) of each span, over t from 0 to 1."""
-        near = self.control_points[np.arange(self.spans)[:, None] + np.arange(DEGREE + 1)]
-        return np.ascontiguousarray((_span_polynomials(self.spans) @ near).transpose(1, 2, 0))
+        return np.ascontiguousarray((_span_polynomials(self.spans) @ self.near).transpose(1, 2, 0))
+
+    @cached_property
+    def near(self) -> Float64[np.ndarray, "spans 4 3"]:
+        """The control points on which each span depends."""
+        return self.control_points[np.arange(self.spans)[:, None] + np.arange(DEGREE + 1)]
 
     def at(self, s: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "n 3"]:
         """Points of the curve."""
         span, t = _span_of(self.spans, s)
-        a, b, c, d = self.polynomials[:, :, span]
-        return (((d * t + c) * t + b) * t + a).T
+        a, b, c, d = self.polynomials.take(span, axis=2)
+        # in place, here and below: fresh memory takes as long as the arithmetic
+        point = d * t
+        point += c
+        point *= t
+        point += b
+        point *= t
+        point += a
+        return point.T
+
+    def evenly(self, per_span: int, derivative: int = 0) -> Float64[np.ndarray, "n 3"]:
+        """Points of the curve at `even_parameters`, or first derivatives by s there, as one product of matrices."""
+        powers = _even_powers(per_span, derivative)
+        along = np.empty((3, self.spans * per_span + 1))
+        along[:, :-1] = (self.polynomials.reshape(DEGREE + 1, -1).T @ powers[:, :-1]).reshape(3, -1)
+        along[:, -1] = powers[:, -1] @ self.polynomials[:, :, -1]
+        along *= self.spans**derivative
+        return along.T
+
+    def with_velocities(
+        self, s: Float64[np.ndarray, "n"]
+    ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
+        """Points of the curve, and their derivatives by s."""
+        span, t = _span_of(self.spans, s)
+        a, b, c, d = self.polynomials.take(span, axis=2)
+        point = d * t
+        velocity = point.copy()
+        point += c
+        velocity += point
+        point *= t
+        point += b
+        velocity *= t
+        velocity += point
+        point *= t
+        point += a
+        velocity *= self.spans
+        return point.T, velocity.T
 
     def derivatives(
         self, s: Float64[np.ndarray, "n"]
@@ -77,15 +116,18 @@ class View:
     slope: Float64[np.ndarray, "2 n"]
     lean: Float64[np.ndarray, "2 n"] | None = None
 
-    @cached_property
-    def by_point(self) -> Float64[np.ndarray, "n 2 3"]:
-        """The derivative of the pixel by the point of the curve."""
-        derivative = np.zeros((len(self.point_px), 2, 3))
-        derivative[:, 0, 0], derivative[:, 1, 1] = self.scale
-        derivative[:, :, 2] = -(self.scale * self.slope).T
+    def by_point(self, direction: Float64[np.ndarray, "2 n"]) -> Float64[np.ndarray, "n 3"]:
+        """The derivative by the point of the curve of how far the pixel lies along a direction, (u, v)."""
+        u, v = direction
         if self.lean is not None:
-            derivative[:, 1] += np.einsum("un,nua->na", self.lean, derivative)
-        return derivative
+            u, v = u + v * self.lean[0], v * (1.0 + self.lean[1])
+        derivative = np.empty((3, len(u)))
+        np.multiply(u, self.scale[0], out=derivative[0])
+        np.multiply(v, self.scale[1], out=derivative[1])
+        np.multiply(derivative[0], self.slope[0], out=derivative[2])
+        derivative[2] += derivative[1] * self.slope[1]
+        np.negative(derivative[2], out=derivative[2])
+        return derivative.T
 
 
 def projected(
@@ -96,25 +138,48 @@ def projected(
     row_offset_px: Float64[np.ndarray, "4"] = LEVEL,
 ) -> View:
     """The view of each place by the eye named for it; the right image may lie some rows lower than the left one."""
-    span, t = _span_of(curve.spans, s)
-    a, b, c, d = curve.polynomials[:, :, span]
-    x, y, z = ((d * t + c) * t + b) * t + a
-    forward = ((3.0 * d * t + 2.0 * c) * t + b) * curve.spans
-    slope = np.stack(((x - eye * camera.baseline) / z, y / z))
-    scale = np.array([[camera.fx_px], [camera.fy_px]]) / z
-    pixel, velocity = np.empty((len(t), 2)), np.empty((len(t), 2))
-    pixel[:, 0] = camera.fx_px * slope[0] + camera.cx_px
+    return _view(*curve.with_velocities(s), eye, camera, row_offset_px)
+
+
+def projected_evenly(
+    curve: Curve,
+    per_span: int,
+    eye: int,
+    camera: RectifiedStereo,
+    row_offset_px: Float64[np.ndarray, "4"] = LEVEL,
+) -> View:
+    """The view of the places at `even_parameters` by one eye."""
+    return _view(curve.evenly(per_span), curve.evenly(per_span, 1), eye, camera, row_offset_px)
+
+
+def _view(
+    point: Float64[np.ndarray, "n 3"],
+    forward: Float64[np.ndarray, "n 3"],
+    eye: Int64[np.ndarray, "n"] | int,
+    camera: RectifiedStereo,
+    row_offset_px: Float64[np.ndarray, "4"],
+) -> View:
+    x, y, z = point.T
+    slope = np.empty((2, len(z)))
+    np.subtract(x, eye * camera.baseline, out=slope[0])
+    slope[1] = y
+    slope /= z
+    focal_px = np.array([[camera.fx_px], [camera.fy_px]])
+    scale = focal_px / z
+    pixel = focal_px * slope
+    pixel += ((camera.cx_px,), (camera.cy_px,))
+    velocity = slope * forward[:, 2]
+    np.subtract(forward[:, :2].T, velocity, out=velocity)
+    velocity *= scale
     half = eye - 0.5
-    pixel[:, 1] = camera.fy_px * slope[1] + camera.cy_px + row_offset_px[0] * half
-    velocity[:] = (scale * (forward[:2] - slope * forward[2])).T
+    pixel[1] += row_offset_px[0] * half
     if not row_offset_px[1:].any():
-        return View(pixel, velocity, scale, slope)
-    terms = half[:, None] * row_terms(slope)
-    pixel[:, 1] += terms[:, 1:] @ row_offset_px[1:]
+        return View(pixel.T, velocity.T, scale, slope)
+    pixel[1] += half * (row_terms(slope)[:, 1:] @ row_offset_px[1:])
     _, by_x, by_y, by_both = row_offset_px
     lean = half * np.stack(((by_x + by_both * slope[1]) / camera.fx_px, (by_y + by_both * slope[0]) / camera.fy_px))
-    velocity[:, 1] += (lean * velocity.T).sum(axis=0)
-    return View(pixel, velocity, scale, slope, lean)
+    velocity[1] += (lean * velocity).sum(axis=0)
+    return View(pixel.T, velocity.T, scale, slope, lean)
 
 
 def row_terms(slope: Float64[np.ndarray, "2 n"]) -> Float64[np.ndarray, "n 4"]:
@@ -135,9 +200,19 @@ def basis_at(
 ) -> tuple[Int64[np.ndarray, "n"], Float64[np.ndarray, "n 4"], Float64[np.ndarray, "n 4"]]:
     """`local_basis` of a clamped uniform cubic, by the polynomials of its spans, and the derivatives by s."""
     span, t = _span_of(spans, s)
-    a, b, c, d = _span_polynomials(spans)[span].transpose(1, 0, 2)
-    t = t[:, None]
-    return span, ((d * t + c) * t + b) * t + a, ((3.0 * d * t + 2.0 * c) * t + b) * spans
+    a, b, c, d = _powers_of_basis(spans).take(span, axis=2)
+    value = d * t
+    slope = value.copy()
+    value += c
+    slope += value
+    value *= t
+    value += b
+    slope *= t
+    slope += value
+    value *= t
+    value += a
+    slope *= spans
+    return span, value.T, slope.T
 
 
 def _span_of(spans: int, s: Float64[np.ndarray, "n"]) -> tuple[Int64[np.ndarray, "n"], Float64[np.ndarray, "n"]]:
@@ -157,6 +232,25 @@ def _span_polynomials(spans: int) -> Float64[np.ndarray, "spans 4 4"]:
     return np.linalg.solve(np.vander(t, increasing=True)[None], values)
 
 
+@lru_cache(maxsize=64)
+def _powers_of_basis(spans: int) -> Float64[np.ndarray, "4 4 spans"]:
+    """The same in the order (power, basis function, span)."""
+    return np.ascontiguousarray(_span_polynomials(spans).transpose(1, 2, 0))
+
+
+@lru_cache(maxsize=64)
+def even_parameters(spans: int, per_span: int) -> Float64[np.ndarray, "n"]:
+    """Parameters that cut each span into so many parts, both ends of the curve included."""
+    return np.linspace(0.0, 1.0, per_span * spans + 1)
+
+
+@lru_cache(maxsize=64)
+def _even_powers(per_span: int, derivative: int) -> Float64[np.ndarray, "4 n"]:
+    """Powers of t, or their first derivatives, at even places of a span, its end included."""
+    t, power = np.linspace(0.0, 1.0, per_span + 1), np.arange(DEGREE + 1)[:, None]
+    return t**power if not derivative else power * t ** np.maximum(power - 1, 0)
+
+
 def chords(points: Float64[np.ndarray, "n d"]) -> Float64[np.ndarray, "m"]:
     """The distances between neighbouring points, one fewer than points."""
     step = points[1:] - points[:-1]
@@ -171,11 +265,11 @@ def at_constant_speed(
     Args:
         without: intervals of s that are cut out of it.
     """
-    dense = np.linspace(0.0, 1.0, DENSE * curve.spans + 1)
+    dense = even_parameters(curve.spans, DENSE)
     cuts = without if without is not None else np.zeros((0, 2))
     for low, high in cuts:
         dense = np.union1d(dense[(dense < low) | (dense > high)], (low, high))
-    points = curve.at(dense)
+    points = curve.at(dense) if len(cuts) else curve.evenly(DENSE)
     along = np.concatenate(([0.0], np.cumsum(chords(points))))
     along /= max(along[-1], 1e-300)
     places = np.interp(even_places(curve.spans), along, dense)
@@ -189,6 +283,7 @@ def at_constant_speed(
     return Curve(curve.knots, fitted(curve.spans, wanted)), np.interp(s, dense, along)
 
 
+@lru_cache(maxsize=64)
 def even_places(spans: int) -> Float64[np.ndarray, "n"]:
     """Parameters, evenly spaced and dense enough to tell a spline of so many spans."""
     return np.linspace(0.0, 1.0, 5 * (spans + DEGREE))

@@ -13,7 +13,10 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float64
 
+from agents.reconstruction.refined.medians import median
+from agents.reconstruction.refined.near_inverse import near_inverse
 from agents.reconstruction.refined.normal_equations import (
+    SIDE,
     Blocks,
     Rows,
     damping_blocks,
@@ -21,7 +24,6 @@ from agents.reconstruction.refined.normal_equations import (
     factored,
     finite,
     gradient,
-    inverse,
     linearised,
     roughness_blocks,
     solved,
@@ -71,13 +73,14 @@ class Refined:
     row_doubt: Float64[np.ndarray, "v k"] | None = None
 
     @cached_property
-    def covariance(self) -> Float64[np.ndarray, "m 3 m 3"]:
-        """Of the control points, by the fit alone."""
-        m = len(self.curve.control_points)
-        covariance = inverse(self.loose)
+    def covariance(self) -> Float64[np.ndarray, "spans 12 12"]:
+        """Of the control points of each span, by the fit alone."""
+        covariance = near_inverse(self.loose)
         if self.row_doubt is not None:
-            covariance += self.row_doubt @ self.row_doubt.T
-        return covariance.reshape(m, 3, m, 3)
+            near = 3 * np.arange(self.curve.spans)[:, None] + np.arange(SIDE)
+            doubt = self.row_doubt[near]
+            covariance += doubt @ doubt.transpose(0, 2, 1)
+        return covariance
 
 
 @dataclass(frozen=True)
@@ -138,8 +141,7 @@ def weighted(
 ) -> tuple[Rows, Float64[np.ndarray, "n"], float]:
     """Linearised residuals, what each has to say still, and the spread of them all."""
     rows = linearised(curve, sight, camera, row_offset_px)
-    across = np.abs(rows.residual[: rows.sightings])
-    scale = float(np.clip(1.4826 * np.median(across), LEAST_SCALE, MOST_SCALE))
+    scale = float(np.clip(1.4826 * median(np.abs(rows.residual[: rows.sightings])), LEAST_SCALE, MOST_SCALE))
     robust = 1.0 / (1.0 + (rows.residual / (ROBUST * scale)) ** 2)
     # what lies beyond an end of the curve has its nearest place there, and says nothing of it
     beyond = ((sight.s <= 0.0) | (sight.s >= 1.0)) & ~sight.is_end

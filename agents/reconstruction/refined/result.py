@@ -13,8 +13,9 @@ from agents.reconstruction.refined.crossings import (
     other_threads_px,
     with_middles,
 )
+from agents.reconstruction.refined.medians import median
 from agents.reconstruction.refined.posterior import point_covariance
-from agents.reconstruction.refined.projection import DEGREE, DENSE, Curve, chords, projected
+from agents.reconstruction.refined.projection import DEGREE, DENSE, Curve, chords, even_parameters, projected_evenly
 from agents.reconstruction.refined.refinement import Refined
 from schemas.messages import (
     RectifiedStereo,
@@ -26,7 +27,7 @@ from schemas.messages import (
 )
 from shared.camera import project
 
-SAMPLES = 100
+SAMPLED = np.linspace(0.0, 1.0, 100)
 TOLERANCE_M = 0.001
 """Confidence is the probability that the thread lies within this distance of the curve: what a grasp forgives."""
 UNSEEN_SAMPLES = 400
@@ -51,10 +52,10 @@ def reconstruction(
 ) -> ThreadReconstruction:
     """The message; `reverse` exchanges the thread's ends."""
     camera, curve, regions = observations.camera, held.curve, held.regions
-    s = np.linspace(0.0, 1.0, SAMPLES)
+    s = SAMPLED
     covariance = point_covariance(fit, camera, s)
     unit_m = camera.metres_per_unit or assumed_unit(curve.control_points[:, 2])
-    confidence = confidence_of(curve.derivatives(s)[1], covariance, unit_m)
+    confidence = confidence_of(curve.with_velocities(s)[1], covariance, unit_m)
     not_seen = ~seen(fit, camera)
     unseen = stretches(not_seen)
     hidden = hidden_of(project(camera, curve.at(_places())), not_seen, observations.occluders, camera.image_width)
@@ -114,7 +115,7 @@ def confidence_of(
 
     by Gauss-Legendre quadrature over φ, which takes the root out of the ends.
     """
-    plane = np.linalg.svd(tangents[:, None, :])[2][:, 1:]
+    plane = _across(tangents)
     (p, q), (_, r) = (plane @ covariance @ plane.transpose(0, 2, 1)).transpose(1, 2, 0)
     middle, half = 0.5 * (p + r), np.hypot(0.5 * (p - r), q)
     variance = np.stack((middle - half, middle + half))
@@ -126,6 +127,15 @@ def confidence_of(
     density = np.exp(-0.5 * (np.sin(angle) / a) ** 2) / (np.sqrt(2.0 * np.pi) * a)
     inside = scipy.special.erf(np.cos(angle) / (np.sqrt(2.0) * b))
     return np.clip((density * inside * np.cos(angle)) @ weight, 0.0, 1.0)
+
+
+def _across(tangents: Float64[np.ndarray, "q 3"]) -> Float64[np.ndarray, "q 2 3"]:
+    """Two unit vectors at right angles to each tangent and to each other."""
+    least = np.eye(3)[np.abs(tangents).argmin(axis=1)]
+    first = np.cross(tangents, least)
+    second = np.cross(tangents, first)
+    plane = np.stack((first, second), axis=1)
+    return plane / np.maximum(np.linalg.norm(plane, axis=2, keepdims=True), LEAST_VARIANCE)
 
 
 def seen(fit: Refined, camera: RectifiedStereo) -> Bool[np.ndarray, "g"]:
@@ -142,7 +152,7 @@ def seen(fit: Refined, camera: RectifiedStereo) -> Bool[np.ndarray, "g"]:
             return np.zeros(UNSEEN_SAMPLES, bool)
         dense, along = _along_image(fit, camera, eye)
         place, here = np.interp(s, dense, along), np.interp(at, dense, along)
-        limit = max(LEAST_GAP, GAP_FACTOR * float(np.median(np.diff(place))))
+        limit = max(LEAST_GAP, GAP_FACTOR * median(np.diff(place)))
         after = np.clip(np.searchsorted(place, here), 1, len(s) - 1)
         near = np.minimum(np.abs(here - place[after - 1]), np.abs(place[after] - here))
         within = (here >= place[0]) & (here <= place[-1])
@@ -158,10 +168,9 @@ def _along_image(
     fit: Refined, camera: RectifiedStereo, eye: int
 ) -> tuple[Float64[np.ndarray, "d"], Float64[np.ndarray, "d"]]:
     """Parameters of the curve, and the shares of its image's length in one eye that lie before them."""
-    dense = np.linspace(0.0, 1.0, DENSE * fit.curve.spans + 1)
-    view = projected(fit.curve, dense, np.full(len(dense), eye), camera, fit.row_offset_px)
+    view = projected_evenly(fit.curve, DENSE, eye, camera, fit.row_offset_px)
     along = np.concatenate(([0.0], np.cumsum(chords(view.point_px))))
-    return dense, along / max(along[-1], 1e-12)
+    return even_parameters(fit.curve.spans, DENSE), along / max(along[-1], 1e-12)
 
 
 def stretches(hidden: Bool[np.ndarray, "g"]) -> Float64[np.ndarray, "k 2"]:

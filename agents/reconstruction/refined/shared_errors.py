@@ -25,8 +25,9 @@ to the line of sight. All of these are measured on renders (docs/reconstruction.
 import numpy as np
 from jaxtyping import Float64
 
+from agents.reconstruction.refined.medians import median
 from agents.reconstruction.refined.normal_equations import SIDE, factored, solved
-from agents.reconstruction.refined.projection import DEGREE, chords, projected
+from agents.reconstruction.refined.projection import DEGREE, chords, even_parameters, projected_evenly
 from agents.reconstruction.refined.refinement import Refined
 from schemas.messages import RectifiedStereo
 
@@ -47,7 +48,7 @@ LEAST_SPEED_PX = 1e-9
 def shared_errors(fit: Refined, camera: RectifiedStereo) -> Float64[np.ndarray, "v k"]:
     """A factor of the covariance that they bring to the control points."""
     sight, count = fit.sight, fit.rows.sightings
-    dense = np.linspace(0.0, 1.0, PLACES_OF_SPAN * fit.curve.spans + 1)
+    dense = even_parameters(fit.curve.spans, PLACES_OF_SPAN)
     bent, across, along_px = np.empty(count), np.empty(count), np.zeros(len(dense))
     for eye in (0, 1):
         here = sight.eye == eye
@@ -59,8 +60,8 @@ def shared_errors(fit: Refined, camera: RectifiedStereo) -> Float64[np.ndarray, 
     place = stretches * np.interp(sight.s, dense, along_px) / max(along_px[-1], LEAST_SPEED_PX)
     common, differing = _errors_px(fit, bent, across, _rising(fit))
     side = np.where(sight.eye == 0, -1.0, 1.0)
-    moved = [_moved_by(fit, place, error, stretches + 1) for error in (common, side * differing)]
-    return solved(factored(fit.alone), np.hstack(moved))
+    moved = _moved_by(fit, place, (common, side * differing), stretches + 1)
+    return solved(factored(fit.alone), moved)
 
 
 def _errors_px(
@@ -81,7 +82,7 @@ def _errors_px(
     stated = sight.deviation_px / sight.raised
     larger = np.maximum(1.0, fit.scale * sight.raised)
     slow = larger**2 * np.maximum(0.0, stated**2 - SAMPLED_PX**2)
-    light = np.minimum(slow, (USUAL * larger * np.median(stated)) ** 2) * (stated**4 / (stated**4 + PIXELS_PX**4))
+    light = np.minimum(slow, (USUAL * larger * median(stated)) ** 2) * (stated**4 / (stated**4 + PIXELS_PX**4))
     half = 0.5 * sight.width_px
     own = slow - light + (half * np.minimum((curvature_px * half) ** 2, 1.0)) ** 2
     turned = across / (across + TURNS**2)
@@ -93,16 +94,16 @@ def _errors_px(
 
 def _rising(fit: Refined) -> Float64[np.ndarray, "n"]:
     """The square of the cosine between thread and line of sight at each point."""
-    point, velocity, _ = fit.curve.derivatives(fit.sight.s)
-    both = (point**2).sum(axis=1) * (velocity**2).sum(axis=1)
-    return (point * velocity).sum(axis=1) ** 2 / np.maximum(both, np.finfo(np.float64).tiny)
+    point, velocity = (found.T for found in fit.curve.with_velocities(fit.sight.s))
+    both = np.einsum("in,in->n", point, point) * np.einsum("in,in->n", velocity, velocity)
+    return np.einsum("in,in->n", point, velocity) ** 2 / np.maximum(both, np.finfo(np.float64).tiny)
 
 
 def _image_of(
     fit: Refined, eye: int, dense: Float64[np.ndarray, "d"], camera: RectifiedStereo
 ) -> tuple[Float64[np.ndarray, "d"], Float64[np.ndarray, "d"], Float64[np.ndarray, "d"]]:
     """The length of the curve's image before each parameter, its curvature, and the square of n_u."""
-    view = projected(fit.curve, dense, np.full(len(dense), eye), camera, fit.row_offset_px)
+    view = projected_evenly(fit.curve, PLACES_OF_SPAN, eye, camera, fit.row_offset_px)
     along = np.concatenate(([0.0], np.cumsum(chords(view.point_px))))
     u, v = view.velocity_px.T
     turn = np.abs(np.gradient(np.unwrap(np.arctan2(v, u)), dense))
@@ -111,18 +112,24 @@ def _image_of(
 
 
 def _moved_by(
-    fit: Refined, place: Float64[np.ndarray, "n"], error_px: Float64[np.ndarray, "n"], columns: int
+    fit: Refined,
+    place: Float64[np.ndarray, "n"],
+    errors_px: tuple[Float64[np.ndarray, "n"], ...],
+    columns: int,
 ) -> Float64[np.ndarray, "v k"]:
-    """JᵀWε for each amplitude; a place between two of them has a share of both."""
+    """JᵀWε for each amplitude of each kind of error; a place between two amplitudes has a share of both."""
     rows, count = fit.rows, fit.rows.sightings
-    gradient = (rows.basis[:count, :, None] * rows.gradient[:count, None, :]).reshape(count, SIDE)
-    gradient *= (fit.robust[:count] / fit.scale**2 * error_px / fit.sight.deviation_px)[:, None]
+    weight = fit.robust[:count] / fit.scale**2 / fit.sight.deviation_px
+    gradient = rows.gradient[:count].T * weight
+    gradient = (rows.basis[:count].T[:, None] * gradient).reshape(SIDE, count)
     before = np.floor(place)
     angle = 0.5 * np.pi * (place - before)
-    number = 3 * rows.first[:count, None] + np.arange(SIDE)
-    size = 3 * (fit.curve.spans + DEGREE)
-    total = np.zeros(size * columns)
+    size, width = 3 * (fit.curve.spans + DEGREE), len(errors_px) * columns
+    number = (3 * rows.first[:count] + np.arange(SIDE)[:, None]) * width
+    total = np.zeros(size * width)
     for column, part in ((before, np.cos(angle)), (before + 1, np.sin(angle))):
-        index = number * columns + np.minimum(column, columns - 1).astype(np.int64)[:, None]
-        total += np.bincount(index.ravel(), (gradient * part[:, None]).ravel(), size * columns)
-    return total.reshape(size, columns)
+        index = number + np.minimum(column, columns - 1).astype(np.int64)
+        for kind, error_px in enumerate(errors_px):
+            moved = gradient * (part * error_px)
+            total += np.bincount((index + kind * columns).ravel(), moved.ravel(), size * width)
+    return total.reshape(size, width)

@@ -9,7 +9,8 @@ from jaxtyping import Bool, Float64, Int64
 from agents.reconstruction.refined.alignment import Alignment
 from agents.reconstruction.refined.chains import Chain
 from agents.reconstruction.refined.continuation import ADDED
-from agents.reconstruction.refined.projection import DENSE, Curve, projected
+from agents.reconstruction.refined.medians import median
+from agents.reconstruction.refined.projection import DENSE, Curve, chords, even_parameters, projected, projected_evenly
 from agents.reconstruction.refined.right_pieces import of_right
 from schemas.messages import Centrelines, RectifiedStereo
 
@@ -60,7 +61,7 @@ def sightings(left: Chain, right: Centrelines, aligned: Alignment) -> Sightings:
         np.repeat([0, 1], [len(index), len(right_index)]),
         np.concatenate((s, *(part[1] for part in parts))),
         np.concatenate(((index == 0) | (index == last), *(part[2] for part in parts))),
-        float(np.median(left.width_px)),
+        median(left.width_px),
         correlated,
     )
 
@@ -84,15 +85,15 @@ def placed(
     sight: Sightings, curve: Curve, camera: RectifiedStereo, row_offset_px: Float64[np.ndarray, "4"], rounds: int = 1
 ) -> Sightings:
     """The same sightings at the parameters nearest to them, by Newton steps along the projected curve."""
-    limit = LONGEST_STEP_SPANS / curve.spans
+    limit, s = LONGEST_STEP_SPANS / curve.spans, sight.s
     for _ in range(rounds):
-        view = projected(curve, sight.s, sight.eye, camera, row_offset_px)
+        view = projected(curve, s, sight.eye, camera, row_offset_px)
         velocity, off = view.velocity_px, sight.point_px - view.point_px
         square = np.einsum("ni,ni->n", velocity, velocity)
         step = np.einsum("ni,ni->n", velocity, off) / np.maximum(square, 1e-12)
-        moved = np.clip(sight.s + np.clip(step, -limit, limit), 0.0, 1.0)
-        sight = replace(sight, s=np.where(sight.is_end, sight.s, moved))
-    return sight
+        moved = np.minimum(np.maximum(s + np.minimum(np.maximum(step, -limit), limit), 0.0), 1.0)
+        s = np.where(sight.is_end, s, moved)
+    return replace(sight, s=s)
 
 
 def folds(sight: Sightings, curve: Curve, camera: RectifiedStereo) -> Float64[np.ndarray, "f 2"]:
@@ -115,11 +116,11 @@ def _folds(s: Float64[np.ndarray, "n"], eye: int, curve: Curve, camera: Rectifie
     """Of one eye, between neighbours of these places in order."""
     if len(s) < 2:
         return np.zeros((0, 2))
-    dense = np.linspace(0.0, 1.0, DENSE * curve.spans + 1)
-    seen = projected(curve, dense, np.full(len(dense), eye), camera).point_px
-    along_px = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(seen, axis=0), axis=1))))
+    dense = even_parameters(curve.spans, DENSE)
+    seen = projected_evenly(curve, DENSE, eye, camera).point_px
+    along_px = np.concatenate(([0.0], np.cumsum(chords(seen))))
     placed_px = np.column_stack([np.interp(s, dense, seen[:, axis]) for axis in (0, 1)])
-    apart_px = np.linalg.norm(np.diff(placed_px, axis=0), axis=1)
+    apart_px = chords(placed_px)
     way_px = np.diff(np.interp(s, dense, along_px))
     far = np.flatnonzero(way_px > FOLD_FACTOR * apart_px + FOLD_PX)
     return np.column_stack((s[far], s[far + 1]))
@@ -136,7 +137,7 @@ def _joined(intervals: Float64[np.ndarray, "f 2"]) -> Float64[np.ndarray, "g 2"]
 
 
 def _spacing(along_px: Float64[np.ndarray, "n"]) -> float:
-    return max(1.0, float(np.median(np.diff(along_px)))) if len(along_px) > 1 else 1.0
+    return max(1.0, median(np.diff(along_px))) if len(along_px) > 1 else 1.0
 
 
 def _stride(count: int) -> int:

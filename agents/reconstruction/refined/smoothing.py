@@ -13,6 +13,7 @@ images do not determine (depth along the rows) is thereby as rough as what they 
 import numpy as np
 from jaxtyping import Float64
 
+from agents.reconstruction.refined.near_inverse import near_inverse
 from agents.reconstruction.refined.normal_equations import (
     SIDE,
     Blocks,
@@ -60,10 +61,19 @@ def local_weights(
     """How much smoother than on the whole each span is; `total` is with the present weights."""
     third = third_differences(curve.spans) / curve.size
     bend = ((third @ curve.control_points) ** 2).sum(axis=1)
-    spread = np.kron(third.T, np.eye(3))
-    variance = (spread * solved(factored(total), spread)).sum(axis=0).reshape(-1, 3).sum(axis=1)
+    variance = _variance(third, near_inverse(total))
     determined = np.clip(3.0 - smoothing * weight * variance, 0.0, 3.0)
     k = np.arange(curve.spans)
     window = np.exp(-0.5 * ((k[:, None] - k) / WINDOW_SPANS) ** 2)
     found = (window @ determined + PRIOR_COUNT) / (window @ (smoothing * bend) + PRIOR_COUNT)
     return np.clip(found, LEAST_WEIGHT, MOST_WEIGHT)
+
+
+def _variance(
+    third: Float64[np.ndarray, "spans m"], covariance: Float64[np.ndarray, "spans 12 12"]
+) -> Float64[np.ndarray, "spans"]:
+    """Of each third difference, all directions in space together, from the covariance of each span's control points."""
+    near = np.arange(len(third))[:, None] + np.arange(DEGREE + 1)
+    local = np.take_along_axis(third, near, axis=1)
+    in_space = np.einsum("kiaja->kij", covariance.reshape(-1, DEGREE + 1, 3, DEGREE + 1, 3))
+    return np.einsum("ki,kij,kj->k", local, in_space, local)

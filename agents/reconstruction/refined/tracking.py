@@ -25,7 +25,7 @@ from agents.reconstruction.refined.method import METHOD, NoCurveError, course_an
 from agents.reconstruction.refined.motion import band_of
 from agents.reconstruction.refined.plausibility import is_usable_track, unusable
 from agents.reconstruction.refined.posterior import ALIKE, LEAST, point_covariance
-from agents.reconstruction.refined.projection import Curve, projected
+from agents.reconstruction.refined.projection import Curve, projected_evenly
 from agents.reconstruction.refined.refinement import Refined
 from agents.reconstruction.refined.result import reconstruction, starts_right
 from schemas.messages import RectifiedStereo, Status, ThreadObservations, ThreadReconstruction, ThreadTrack, TrackStep
@@ -40,6 +40,7 @@ LONGEST_S = 0.5
 KEPT_S = 10.0
 """As long as that, direction and scale of a lost track are kept for the one that begins anew."""
 EXPLAINED_PX_SHARE, BETTER = 0.003, 0.04
+PLACES_OF_SPAN = 8
 SAME_THREAD_SHARE = 0.05
 """Of the length: places of two curves that are nearer may be the same piece of thread."""
 SAME_LENGTH = 0.03
@@ -277,10 +278,9 @@ def _apart(
 def _explained(observations: ThreadObservations, fit: Refined) -> float:
     """The share of the points of both centrelines that lie on the projected curve."""
     camera = observations.camera
-    at = np.linspace(0.0, 1.0, 8 * fit.curve.spans)
     found, points = 0, 0
     for eye, lines in enumerate((observations.centrelines_left, observations.centrelines_right)):
-        view = projected(fit.curve, at, np.full(len(at), eye), camera, fit.row_offset_px)
+        view = projected_evenly(fit.curve, PLACES_OF_SPAN, eye, camera, fit.row_offset_px)
         distance, _ = _nearest(view.point_px, lines.point_px[::4])
         found += int((distance < EXPLAINED_PX_SHARE * camera.image_width).sum())
         points += len(distance)

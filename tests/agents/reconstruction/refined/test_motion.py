@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agents.reconstruction.refined.motion import away_from, band_of, by_span, prior, process_noise, stretching
+from agents.reconstruction.refined.motion import away_from, band_of, prior, process_noise, stretching
 from agents.reconstruction.refined.normal_equations import gradient
 from agents.reconstruction.refined.projection import Curve
 from schemas.messages import RectifiedStereo
@@ -29,8 +29,13 @@ def banded_precision(seed=0):
     return dense(blocks @ blocks.transpose(0, 2, 1)) + np.eye(3 * M)
 
 
+def by_span(matrix):
+    """The blocks of the four control points of each span."""
+    return np.stack([matrix[3 * k : 3 * k + 12, 3 * k : 3 * k + 12] for k in range(M - 3)])
+
+
 def covariance_of(precision):
-    return np.linalg.inv(precision).reshape(M, 3, M, 3)
+    return by_span(np.linalg.inv(precision))
 
 
 def line(m=M, length=20.0):
@@ -47,7 +52,7 @@ def test_of_any_covariance_the_blocks_of_neighbours_are_kept():
     square = np.random.default_rng(1).normal(size=(3 * M, 3 * M))
     covariance = square @ square.T + np.eye(3 * M)
     noise = np.array((0.5, 0.4, 0.3, 0.2))
-    kept = np.linalg.inv(dense(prior(band_of(covariance.reshape(M, 3, M, 3)), noise)))
+    kept = np.linalg.inv(dense(prior(band_of(by_span(covariance)), noise)))
     apart = np.abs(np.subtract.outer(np.arange(M), np.arange(M)))
     wanted = covariance + np.kron(np.where(apart < 4, noise[np.minimum(apart, 3)], 0.0), np.eye(3))
     near = np.kron(apart < 4, np.ones((3, 3))) > 0
@@ -89,6 +94,10 @@ def test_stretching_costs_what_its_gradient_says_and_sliding_nothing():
     assert slope.sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-9)
 
 
-def test_by_span_takes_four_neighbours_each():
-    values = np.arange(3.0 * M).reshape(M, 3)
-    assert by_span(values)[2].tolist() == values[2:6].ravel().tolist()
+def test_the_band_holds_each_control_point_with_the_three_that_follow():
+    covariance = np.linalg.inv(banded_precision())
+    band, whole = band_of(by_span(covariance)), covariance.reshape(M, 3, M, 3)
+    for i in range(M):
+        for apart in range(4):
+            wanted = whole[i, :, i + apart] if i + apart < M else np.zeros((3, 3))
+            assert band[i, apart] == pytest.approx(wanted)

@@ -8,7 +8,9 @@ from agents.reconstruction.refined.projection import (
     LEVEL,
     at_constant_speed,
     basis_at,
+    even_parameters,
     projected,
+    projected_evenly,
     row_offsets_px,
 )
 from shared.camera import project
@@ -59,7 +61,20 @@ def test_derivatives_are_finite_differences(spline, camera, eye, offset_px):
     for axis in range(3):
         push = 1e-4 * np.eye(3)[axis]
         further, back = (projected(spline.moved(sign * push), s, eyes, camera, offset_px).point_px for sign in (1, -1))
-        np.testing.assert_allclose(view.by_point[:, :, axis], (further - back) / 2e-4, rtol=1e-6, atol=1e-5)
+        for direction in np.array([(1.0, 0.0), (0.0, 1.0), (0.6, -0.8)]):
+            derivative = view.by_point(np.tile(direction[:, None], 23))[:, axis]
+            np.testing.assert_allclose(derivative, (further - back) @ direction / 2e-4, rtol=1e-6, atol=1e-5)
+
+
+@pytest.mark.parametrize("per_span", [1, 4, 12])
+def test_even_places_are_seen_as_any_others(spline, camera, per_span):
+    s, offset_px = even_parameters(spline.spans, per_span), np.array([0.4, -3.0, 2.0, 5.0])
+    np.testing.assert_allclose(spline.evenly(per_span), BSpline(spline.knots, spline.control_points, 3)(s), atol=1e-12)
+    for eye in (0, 1):
+        even = projected_evenly(spline, per_span, eye, camera, offset_px)
+        view = projected(spline, s, np.full(len(s), eye), camera, offset_px)
+        np.testing.assert_allclose(even.point_px, view.point_px, atol=1e-9)
+        np.testing.assert_allclose(even.velocity_px, view.velocity_px, atol=1e-7)
 
 
 def test_at_constant_speed_the_curve_stays_and_its_speed_becomes_even(spline):
