@@ -15,6 +15,8 @@ from shared.runtime.taps import Tapped
 QUEUE_LIMIT = 4000
 """Messages that may wait for the disk, some seconds of everything; beyond that they are lost, and counted."""
 QUEUE_BYTES = 512 << 20
+GATHERED_BYTES = 4 << 20
+"""What waits for more to come, so that whoever writes is not woken for each message; from here on it is to be written."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,8 @@ class Intake:
                 return
             self._bytes += size
             self._waiting.append(Waiting(tapped, at_ns))
-            self._changed.notify()
+            if self._bytes >= GATHERED_BYTES or 2 * len(self._waiting) >= self._limit:
+                self._changed.notify()
 
     def missed(self, topic: Topic, count: int) -> None:
         """Count messages that Zenoh reports as lost; most show as a gap too, once the next one comes."""
@@ -66,7 +69,7 @@ class Intake:
             self._missed[str(topic)] += count
 
     def take(self, timeout_s: float) -> Waiting | None:
-        """The next message; None where none comes in time, or none will."""
+        """The next message; where none waits, after that time, or as soon as much does. None where none has come."""
         with self._changed:
             if not self._waiting and not self.closed:
                 self._changed.wait(timeout_s)
