@@ -107,14 +107,24 @@ def test_what_goes_wrong_at_the_robot_stops_the_motion(lab, word, reason, mode):
 
 
 @pytest.mark.parametrize(
-    ("topic", "ros"), [("jaw/move_jp", crtk.joint_command(np.array([0.5]), 0)), ("hold", crtk.empty())]
+    ("topic", "ros", "code", "reason"),
+    [
+        (
+            "jaw/move_jp",
+            crtk.joint_command(np.array([0.5]), 0),
+            "other_owner",
+            "somebody else commands it by PSM1/jaw/",
+        ),
+        ("free", crtk.empty(), "other_owner", "somebody else commands it by PSM1/free"),
+        ("hold", crtk.empty(), "hold_command", "somebody said PSM1/hold, as the guard does"),
+    ],
 )
-def test_another_one_who_commands_ends_ours_and_keeps_us_out(lab, topic, ros):
+def test_another_one_who_commands_ends_ours_and_keeps_us_out(lab, topic, ros, code, reason):
     moves(lab)
     lab.session.put(f"PSM1/{topic}", ros)
-    assert f"somebody else commands it by PSM1/{topic}" in held(lab).reason
+    assert reason in held(lab).reason
     answer = lab.arm()
-    assert (answer.outcome, answer.code) == (Outcome.REFUSED, "other_owner")
+    assert (answer.outcome, answer.code) == (Outcome.REFUSED, code)
 
 
 @pytest.mark.parametrize("codec", ["ros2dds", "rmw_zenoh"])
