@@ -16,7 +16,7 @@ QUEUE_LIMIT = 4000
 """Messages that may wait for the disk, some seconds of everything; beyond that they are lost, and counted."""
 QUEUE_BYTES = 512 << 20
 GATHERED_BYTES = 4 << 20
-"""What waits for more to come, so that whoever writes is not woken for each message; from here on it is to be written."""
+"""What may wait for more to come, so that whoever writes is not woken for each message."""
 
 
 @dataclass(frozen=True)
