@@ -1,15 +1,17 @@
-"""Messages of the robot as bytes: ours beside those of other libraries, and how long they take."""
+"""Messages of the robot and its camera as bytes: ours beside those of other libraries, and how long they take."""
 
 import contextlib
 import importlib
 import statistics
 import sys
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from agents.emulator import messages as written
+from benchmarks import robot_image_messages as images
 from shared.clock import processor_s
 from shared.ros import types
 
@@ -22,27 +24,31 @@ KINDS = {
     types.BOOL: "Bool",
     types.FLOAT64: "Float64",
     types.EMPTY: "Empty",
+    types.JOY: "Joy",
+    types.IMAGE: "Image",
+    types.COMPRESSED_IMAGE: "CompressedImage",
+    types.CAMERA_INFO: "CameraInfo",
 }
 MESSAGES = 1000
 PYCDR2, CYCLONE = "pycdr2", "cyclonedds"
 
 
 def others() -> dict[str, Any]:
-    """The libraries that are there, each with the emulator's messages written by it."""
-    found = {PYCDR2: written}
+    """The libraries that are there, each with the same messages written by it."""
+    found = {PYCDR2: _all(written, images)}
     with contextlib.suppress(ImportError):
         found[CYCLONE] = _by_cyclone()
     return found
 
 
-def compared(count: int = MESSAGES) -> list[dict[str, Any]]:
-    """A row for each type of message: in how many of random ones the bytes are the same, and the times of ours."""
-    return [_row(name, kind, count) for name, kind in KINDS.items()]
+def compared(count: int = MESSAGES, only: str = "") -> list[dict[str, Any]]:
+    """A row for each type of message, or one: how many of random ones are the same bytes, and the times of ours."""
+    return [_row(name, kind, count) for name, kind in KINDS.items() if only in ("", name)]
 
 
 def _row(name: str, kind: str, count: int) -> dict[str, Any]:
     rng = np.random.default_rng(7)
-    said = [_random(written, kind, rng) for _ in range(count)]
+    said = [_random(_all(written, images), kind, rng) for _ in range(count)]
     data = [one.serialize() for one in said]
     row: dict[str, Any] = {"type": name, "messages": count, "bytes": statistics.median(map(len, data))}
     for library, module in others().items():
@@ -88,8 +94,34 @@ def _random(of: Any, kind: str, rng: np.random.Generator) -> Any:
             return of.Bool(bool(rng.integers(2)))
         case "Float64":
             return of.Float64(float(rng.normal()))
-        case _:
+        case "Empty":
             return of.Empty()
+        case _:
+            return _random_image(of, kind, at, word, rng)
+
+
+def _random_image(of: Any, kind: str, at: Any, word: str, rng: np.random.Generator) -> Any:
+    height, width, n = (int(count) for count in rng.integers(0, 20, 3))
+    match kind:
+        case "Joy":
+            # a float32 as Python has it
+            axes = rng.normal(size=n).astype(np.float32).tolist()
+            return of.Joy(at, axes, rng.integers(-2, 3, n).tolist())
+        case "Image":
+            pixels = rng.integers(0, 256, 3 * height * width, np.uint8).tobytes()
+            return of.Image(at, height, width, word, int(rng.integers(2)), 3 * width, pixels)
+        case "CompressedImage":
+            return of.CompressedImage(at, word, rng.integers(0, 256, n, np.uint8).tobytes())
+        case _:
+            k, r, p = (rng.normal(size=size).tolist() for size in (9, 9, 12))
+            roi = of.Roi(*(int(side) for side in rng.integers(0, 99, 4)), bool(rng.integers(2)))
+            rest = (k, r, p, *(int(factor) for factor in rng.integers(0, 4, 2)), roi)
+            return of.CameraInfo(at, height, width, word, rng.normal(size=n).tolist(), *rest)
+
+
+def _all(*modules: Any) -> SimpleNamespace:
+    """The classes of several modules in one."""
+    return SimpleNamespace(**{name: value for module in modules for name, value in vars(module).items()})
 
 
 def _by_cyclone() -> Any:
@@ -99,10 +131,12 @@ def _by_cyclone() -> Any:
         ImportError: where it is not installed.
     """
     idl = importlib.import_module("cyclonedds.idl")
-    before = {name: sys.modules[name] for name in ("pycdr2", "pycdr2.types", written.__name__)}
+    again = written.__name__, images.__name__
+    before = {name: sys.modules[name] for name in ("pycdr2", "pycdr2.types", *again)}
     try:
         sys.modules["pycdr2"], sys.modules["pycdr2.types"] = idl, importlib.import_module("cyclonedds.idl.types")
-        del sys.modules[written.__name__]
-        return importlib.import_module(written.__name__)
+        for name in again:
+            del sys.modules[name]
+        return _all(*(importlib.import_module(name) for name in again))
     finally:
         sys.modules.update(before)

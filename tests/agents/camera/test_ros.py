@@ -2,20 +2,17 @@
 
 import contextlib
 import threading
-from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import pytest
-from pycdr2 import IdlStruct
-from pycdr2.types import array, float64, sequence, uint8, uint32
 
 from agents.camera.ros import RosSource
 from agents.camera.sources import SourceError
 from agents.cli.rig.builders import build
 from agents.cli.rig.config import RigConfig
-from agents.emulator.messages import Header, header
+from agents.emulator.messages import header
 from agents.emulator.wire import HASHES, BridgeWire, RmwWire
+from benchmarks.robot_image_messages import CameraInfo, Image
 from schemas.messages import StereoCalibration, StereoFrame
 from shared.clock import now_ns
 from shared.ros import types
@@ -30,46 +27,10 @@ SECOND_NS, PERIOD_NS, AHEAD_NS = 10**9, 33_000_000, 5 * 10**12
 """The clock of the emulated console's computer is elsewhere."""
 
 
-@dataclass
-class Image(IdlStruct, typename="sensor_msgs/msg/Image"):
-    header: Header
-    height: uint32  # pyright: ignore[reportInvalidTypeForm] as pycdr2 has it
-    width: uint32  # pyright: ignore[reportInvalidTypeForm]
-    encoding: str
-    is_bigendian: uint8  # pyright: ignore[reportInvalidTypeForm]
-    step: uint32  # pyright: ignore[reportInvalidTypeForm]
-    data: sequence[uint8]  # pyright: ignore[reportInvalidTypeArguments]
-
-
-@dataclass
-class Roi(IdlStruct, typename="sensor_msgs/msg/RegionOfInterest"):
-    x_offset: uint32 = 0  # pyright: ignore[reportInvalidTypeForm]
-    y_offset: uint32 = 0  # pyright: ignore[reportInvalidTypeForm]
-    height: uint32 = 0  # pyright: ignore[reportInvalidTypeForm]
-    width: uint32 = 0  # pyright: ignore[reportInvalidTypeForm]
-    do_rectify: bool = False
-
-
-@dataclass
-class CameraInfo(IdlStruct, typename="sensor_msgs/msg/CameraInfo"):
-    header: Header
-    height: uint32  # pyright: ignore[reportInvalidTypeForm]
-    width: uint32  # pyright: ignore[reportInvalidTypeForm]
-    distortion_model: str
-    d: sequence[float64]  # pyright: ignore[reportInvalidTypeArguments]
-    k: array[float64, 9]  # pyright: ignore[reportInvalidTypeArguments]
-    r: array[float64, 9]  # pyright: ignore[reportInvalidTypeArguments]
-    p: array[float64, 12]  # pyright: ignore[reportInvalidTypeArguments]
-    binning_x: uint32 = 0  # pyright: ignore[reportInvalidTypeForm]
-    binning_y: uint32 = 0  # pyright: ignore[reportInvalidTypeForm]
-    roi: Roi = field(default_factory=Roi)
-
-
 def camera_info(side):
     k = [F, 0.0, W / 2, 0.0, F, H / 2, 0.0, 0.0, 1.0]
     p = [F, 0.0, W / 2, -F * BASELINE * side, 0.0, F, H / 2, 0.0, 0.0, 0.0, 1.0, 0.0]
-    written: Any = CameraInfo
-    return written(header(0), H, W, "plumb_bob", [0.0] * 5, k, np.eye(3).ravel().tolist(), p)
+    return CameraInfo(header(0), H, W, "plumb_bob", [0.0] * 5, k, np.eye(3).ravel().tolist(), p)
 
 
 class Endoscope:
@@ -88,7 +49,6 @@ class Endoscope:
         self._thread.start()
 
     def _run(self):
-        written: Any = Image
         while not self._stopped.wait(PERIOD_NS / SECOND_NS):
             self.frame = self.frame % 200 + 1
             at_ns = now_ns()
@@ -96,7 +56,7 @@ class Endoscope:
                 info.put(camera_info(side).serialize(), at_ns)
                 at = header(at_ns + AHEAD_NS - (10_000_000 if side == 0 else 0))
                 pixels = bytes([self.frame, side, 7]) * (W * H)
-                image.put(written(at, H, W, "bgr8", 0, 3 * W, pixels).serialize(), at_ns)
+                image.put(Image(at, H, W, "bgr8", 0, 3 * W, pixels).serialize(), at_ns)
 
     def close(self):
         self._stopped.set()

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agents.emulator import messages as others
+from benchmarks.robot_messages import KINDS, PYCDR2, compared
 from shared.rigid_transforms import rotation_from_quaternion
 from shared.ros import crtk, types
 from shared.ros.naming import RmwZenoh, Role, Ros2dds
@@ -82,6 +83,12 @@ def test_bytes_that_are_no_message_are_refused_in_words(data, read):
         read(types.LITTLE_ENDIAN + data)
     except types.RosMessageError as error:
         assert str(error)
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_every_message_that_is_used_is_the_same_bytes_in_either_library(name):
+    row = compared(20, name)[0]
+    assert row[PYCDR2] == 20
 
 
 def test_what_is_cut_off_or_makes_no_sense_is_refused():
