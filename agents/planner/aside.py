@@ -1,11 +1,10 @@
-"""The rest of a plan after its lift: sideways, where the lift alone would not tell whether the thread is held.
+"""The rest of a plan after its lift: sideways, so that it can be told whether the thread is held.
 
 Jaws come along the viewing ray and lift back along it, and depth is what stereo sees least of, least of all on thread
-that runs along the rows. Across both, in the image, the same way shows as fifty pixels. So where a lift as long as the
-plan's is expected to leave the check undecided (by thread that is
-1.5 deviations short of what is held, or beyond what was missed), the
-jaws go on sideways by `aside_m`, the side on which the instrument keeps clearer of the rest of the thread. First they
-lift until their tips are clear of a thread that they do not hold, which they would push along otherwise.
+that runs along the rows. Across both, in the image, the same way shows as fifty pixels. However well the thread is
+known before the grasp, the frame after it may tell less; so every plan goes on sideways by `aside_m`, on the side where
+the instrument keeps clearer of the rest of the thread. First the jaws lift until their tips are clear of a thread that
+they do not hold, which they would push along otherwise.
 """
 
 from dataclasses import replace
@@ -14,36 +13,25 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.planner.captures import ArmView
-from agents.planner.check import held_probability
 from agents.planner.clear_way import ClearWay
 from agents.planner.config import PlannerConfig
 from agents.planner.curve import ThreadCurve
 from agents.planner.entanglement import thread_clearance
-from agents.planner.moved import Motion, axes_across
+from agents.planner.moved import axes_across
 from schemas.messages import Waypoint
 
-TO_SPARE = 1.5
 
-
-def with_aside(
-    led: ClearWay,
-    s_goal: float,
-    covariance: Float64[np.ndarray, "3 3"],
-    curve: ThreadCurve,
-    arm: ArmView,
-    config: PlannerConfig,
-) -> ClearWay:
-    """The same way, and sideways where that is needed and possible.
+def with_aside(led: ClearWay, s_goal: float, curve: ThreadCurve, arm: ArmView, config: PlannerConfig) -> ClearWay:
+    """The same way, and sideways where that is asked for and possible.
 
     Args:
-        covariance: of the goal on the thread, in m².
         config: with the plan's depth.
     """
+    if config.aside_m == 0:
+        return led
     goal = np.array([s_goal])
     axes = axes_across(curve.tangents(goal)[0], curve.points(goal)[0])
-    grasped, lifted = (waypoint.T_camera_tool for waypoint in led.waypoints[-2:])
-    if config.aside_m == 0 or decides(lifted[:3, 3] - grasped[:3, 3], axes, grasped[:3, 1], covariance, config):
-        return led
+    grasped = led.waypoints[-2].T_camera_tool
     back = max(config.retreat_m, config.depth_m + config.aside_clear_m)
     sides = [_aside(led, grasped, back, side * config.aside_m * axes[1]) for side in (1.0, -1.0)]
     ends = [np.stack([waypoint.T_camera_tool for waypoint in side[-2:]]) for side in sides]
@@ -54,25 +42,6 @@ def with_aside(
     ]
     clear = [way for way in found if not way.thread.obstructed or led.thread.obstructed]
     return max(clear, key=_clearance_m, default=led)
-
-
-def decides(
-    tool_moved: Float64[np.ndarray, "3"],
-    axes: Float64[np.ndarray, "2 3"],
-    opens: Float64[np.ndarray, "3"],
-    covariance: Float64[np.ndarray, "3 3"],
-    config: PlannerConfig,
-) -> bool:
-    """Whether a check after such a motion is expected to say held or missed, with some deviations to spare."""
-    tool = axes @ tool_moved
-    # of the frame before and of the one after
-    told = 2.0 * axes @ covariance @ axes.T
-    way = tool / max(float(np.linalg.norm(tool)), 1e-9)
-    short = TO_SPARE * float(np.sqrt(way @ told @ way + config.settle_m**2)) * way
-    held, missed = (
-        held_probability(Motion(tool, thread, told, axes), opens, config) for thread in (tool - short, short)
-    )
-    return held >= config.sure and missed <= 1.0 - config.sure
 
 
 def _aside(

@@ -14,7 +14,7 @@ So with x = (x_r, x_q)
 
 Both alike before, the probability of being held is p(m | held) / (p(m | held) + p(m | missed)). It is held above
 `sure`, missed below 1 − `sure`, and unknown in between: what m is far from both says nothing, and nothing is guessed.
-A lift goes back along the viewing ray; so where it would not tell, a plan goes on sideways (`aside.py`).
+A lift goes back along the viewing ray; so a plan goes on sideways (`aside.py`).
 
 On a robot that measures its jaws' angle well enough the angle at which they stop tells as well: around thread of
 0.4 mm, 8 mm from the pin, they stop 3° open. Backlash of driven cables is as much, so it is not used.
@@ -34,7 +34,7 @@ from schemas.messages import Checked, GraspPlan, Phase, Status, ThreadAround, Th
 from shared.kinematics.psm import FINGER_M
 
 SAMPLES_BEFORE, SAMPLES_AFTER = 81, 401
-LEAST_LIFT_M = 0.002
+LEAST_LIFT_M, EVEN = 0.002, 0.5
 WRONG_DEPTH, DEPTHS_M = 0.02, 2.0 * DEEP_M
 """ε and R."""
 WRONG, AREA_M2 = 0.001, 4.0 * DEEP_M * BESIDE_M
@@ -49,14 +49,14 @@ class Seen:
     Fields:
         motion: None where nothing was compared.
         held_probability: None likewise.
-        unclear: both were seen well enough to be compared, and still it cannot be told.
+        doubtful: it cannot be told of what could be compared, and missed is likelier than held.
     """
 
     verdict: Checked
     sentence: str
     motion: Motion | None = None
     held_probability: float | None = None
-    unclear: bool = False
+    doubtful: bool = False
 
 
 def around(thread: ThreadReconstruction, samples: int) -> ThreadAround | None:
@@ -92,7 +92,7 @@ def checked(
     goal = int(np.argmin(np.abs(plan.around.s - plan.s_goal)))
     found = motion(plan.around, goal, now, tool_moved)
     if found is None:
-        return _unknown("no thread is seen near the jaws after the lift", unclear=True)
+        return _unknown("no thread is seen near the jaws after the lift", doubtful=True)
     if found.tool_m < LEAST_LIFT_M:
         return _unknown("the tool moved along the thread, which tells nothing")
     likely = held_probability(found, grasped[:3, 1], config)
@@ -104,7 +104,7 @@ def checked(
         return Seen(Checked.HELD, f"held: {told}", found, likely)
     if likely <= 1.0 - config.sure:
         return Seen(Checked.MISSED, f"missed: {told}", found, likely)
-    return Seen(Checked.UNKNOWN, f"cannot be told: {told}", found, likely, unclear=True)
+    return Seen(Checked.UNKNOWN, f"cannot be told: {told}", found, likely, doubtful=likely < EVEN)
 
 
 def held_probability(found: Motion, opens: Float64[np.ndarray, "3"], config: PlannerConfig) -> float:
@@ -129,5 +129,5 @@ def _density(off: Float64[np.ndarray, "2"], covariance: Float64[np.ndarray, "2 2
     return (1.0 - WRONG_DEPTH - WRONG) * both + WRONG_DEPTH * beside / DEPTHS_M + WRONG / AREA_M2
 
 
-def _unknown(why: str, unclear: bool = False) -> Seen:
-    return Seen(Checked.UNKNOWN, f"cannot be told: {why}", unclear=unclear)
+def _unknown(why: str, doubtful: bool = False) -> Seen:
+    return Seen(Checked.UNKNOWN, f"cannot be told: {why}", doubtful=doubtful)

@@ -43,7 +43,7 @@ class PlannerConfig:
         thread_clear_m: how near the instrument may come to thread outside of the grasp.
         thread_radius_m: of the thread; grasp_arc_m: how far along it from the jaws it counts as being grasped.
         attempts: how often a goal is planned for, the first plan included, where a check tells of a miss.
-        aside_m: how far the jaws go sideways after a lift that would not tell whether they hold the thread; never at 0.
+        aside_m: how far the jaws go sideways after the lift, which tells whether they hold the thread; 0 for never.
         aside_clear_m: how far their tips are before the thread by then.
         settle_m: how far thread shifts in the jaws as they close, or beside them, without being held or missed for it.
         sure: how likely a grasp must be held, or missed, for a check to say so.

@@ -11,7 +11,6 @@ from agents.planner.choice import Choice, best_choice
 from agents.planner.clear_way import clear_way
 from agents.planner.config import PlannerConfig
 from agents.planner.curve import NoGraspError, ThreadCurve, curve_of
-from agents.planner.errors import thread_covariance
 from agents.planner.goal import goal_on_thread
 from agents.planner.places import asked_of, places_along
 from agents.planner.policy import Against, alternatives, candidates, counted_reasons, reason_of
@@ -82,9 +81,8 @@ def _best(
         )
         return _rejected(goal, thread, attempt, reason, s_goal, likely, others)
     led = clear_way(choice, chosen, goal.policy, curve, arm)
-    told = None if known.model == PAPER else thread_covariance(thread, curve, s[[at_goal]])
-    if told is not None:
-        led = with_aside(led, s_goal, told[0], curve, arm, config)
+    if known.model != PAPER:
+        led = with_aside(led, s_goal, curve, arm, config)
     return GraspPlan(
         plan_id=plan_id(goal, attempt),
         arm=goal.arm,

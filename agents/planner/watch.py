@@ -1,5 +1,5 @@
 """What follows from the end of a grasp: a check as soon as the thread was seen after it, and another plan after a miss,
-or where that cannot be told.
+or where that is likelier than not.
 
 Nothing moves by itself: each plan has to be armed.
 """
@@ -74,7 +74,7 @@ def check_of(
         seen = checked(plan, thread, T_camera_tool, config)
     if seen.verdict is Checked.UNKNOWN and _age_ms(ended, thread) < config.check_within_ms:
         return None
-    again = next_attempt(plan, seen.verdict, config) if seen.verdict is Checked.MISSED or seen.unclear else None
+    again = next_attempt(plan, seen.verdict, config) if seen.verdict is Checked.MISSED or seen.doubtful else None
     return GraspCheck(
         plan_id=plan.plan_id,
         arm=plan.arm,
@@ -109,10 +109,10 @@ def _age_ms(ended: Ended, thread: Thread) -> float:
 
 
 def _what_now(seen: Seen, plan: GraspPlan, again: bool) -> str:
-    if seen.verdict is Checked.HELD or (seen.verdict is Checked.UNKNOWN and not seen.unclear):
+    if seen.verdict is Checked.HELD or (seen.verdict is Checked.UNKNOWN and not seen.doubtful):
         return ""
     if again and seen.verdict is Checked.UNKNOWN:
-        return f"; look at it: attempt {plan.attempt} of {plan.attempts}, another one is planned, which lets go first"
+        return f"; look at it: attempt {plan.attempt} of {plan.attempts}, another one is planned, and lets go first"
     if again:
         return f"; attempt {plan.attempt} of {plan.attempts}, another one is planned"
     return f"; attempt {plan.attempt} of {plan.attempts} was the last"

@@ -126,7 +126,7 @@ class Demo:
     seed: int = 1
     """Varies the thread, the tissue and the tool's error, an honest miss included."""
     attempts: int = 1
-    """How many grasps are tried where the planner sees that one missed."""
+    """How many grasps are tried where the planner sees that one missed, or cannot tell."""
     view: Literal["file", "native", "web"] = "file"
     """Also open a Rerun viewer."""
     sessions: Annotated[Path, tyro.conf.arg(metavar="PATH")] = Path("sessions")

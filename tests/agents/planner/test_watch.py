@@ -36,7 +36,8 @@ from shared.runtime.replay import replay
 MS = 1_000_000
 MM = 1e-3
 BASE = SIMULATED_BASES["psm1"]
-CONFIG = PlannerConfig()
+CONFIG = PlannerConfig(aside_m=0.0)
+"""Lifts alone, which leave more untold."""
 JOINTS = np.array([0.0, 0, 0.1, 0, 0, 0])
 X = np.linspace(-40, 40, 33)
 
@@ -111,7 +112,7 @@ class Bench:
     """A planner with an arm that reaches its thread, fed as it would be live."""
 
     def __init__(self, bench):
-        self.bench, self.planner = bench, Planner(PlannerConfig(least_probability=0.0))
+        self.bench, self.planner = bench, Planner(PlannerConfig(least_probability=0.0, aside_m=0.0))
         self.feed(THREAD, told(bench))
         self.report(JOINTS)
 
@@ -169,8 +170,16 @@ def test_what_is_held_needs_no_further_attempt_and_what_cannot_be_told_in_the_en
     assert lab.see(3200, sigma_mm=8.0) == []
     check, again = (output.message for output in lab.see(5200, sigma_mm=8.0))
     assert (check.verdict, check.next_plan_id) == (Checked.UNKNOWN, again.plan_id)
-    assert "another one is planned, which lets go first" in check.sentence
+    assert "another one is planned, and lets go first" in check.sentence
     np.testing.assert_array_equal(again.offset_camera, np.zeros(3), "what cannot be told teaches nothing")
+
+
+def test_what_is_likelier_held_than_missed_is_not_let_go(bench):
+    lab = Bench(bench)
+    lab.carry_out(lab.plan(), 1000)
+    (output,) = lab.see(3200, lifted_mm=5.0, sigma_mm=8.0)
+    assert (output.message.verdict, output.message.next_plan_id) == (Checked.UNKNOWN, "")
+    assert 0.5 < output.message.held_probability < CONFIG.sure
 
 
 def test_what_was_not_compared_at_all_is_not_tried_again(bench):
@@ -184,7 +193,7 @@ def test_what_was_not_compared_at_all_is_not_tried_again(bench):
 
 
 def test_checks_and_the_plans_that_follow_are_repeated_from_a_recording(bench):
-    planner = Planner(PlannerConfig(least_probability=0.0))
+    planner = Planner(PlannerConfig(least_probability=0.0, aside_m=0.0))
     steps = Lockstep(planner, rig="golden")
     began = steps.now_ns
 
@@ -207,7 +216,7 @@ def test_checks_and_the_plans_that_follow_are_repeated_from_a_recording(bench):
         steps.tell([Output(EXECUTION, ExecutionEvent(plan.plan_id, "psm1", began, kind, None, "", ""))], "psm1")
     steps.tell([at(told(bench), 500)])
     assert steps.last[CHECK].verdict is Checked.MISSED
-    made = list(replay(lambda: Planner(PlannerConfig(least_probability=0.0)), steps.entries))
+    made = list(replay(lambda: Planner(PlannerConfig(least_probability=0.0, aside_m=0.0)), steps.entries))
     assert [topic_of(one.key) for one in made] == [PLAN, CHECK, PLAN]
     assert all(one.same for one in made)
     assert decode(GraspCheck, made[1].then).next_plan_id == decode(GraspPlan, made[2].then).plan_id
