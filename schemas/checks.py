@@ -45,10 +45,13 @@ def _optional(annotation: Any) -> Any:
 
 
 @functools.cache
-def _specification(message_type: type) -> tuple[tuple[str, Any, bool], ...]:
-    """Name, declared type and whether it may be None, of every field."""
+def _specification(message_type: type) -> tuple[tuple[str, str, Any, bool, bool], ...]:
+    """Name, place in words, declared type, whether it may be None, and whether it is an array, of every field."""
     declared = ((name, annotation, without_none(annotation)) for name, annotation in fields_of(message_type).items())
-    return tuple((name, inner, inner is not annotation) for name, annotation, inner in declared)
+    return tuple(
+        (name, f"{message_type.__name__}.{name}", inner, inner is not annotation, is_array(inner))
+        for name, annotation, inner in declared
+    )
 
 
 @functools.cache
@@ -57,8 +60,9 @@ def _holds(dtype: np.dtype, declared: Any) -> bool:
 
 
 @functools.cache
-def _axes(dim_str: str) -> tuple[str, ...]:
-    return tuple(dim_str.split())
+def _axes(dim_str: str) -> tuple[tuple[str, int | None], ...]:
+    """Each axis with its length, where that is given."""
+    return tuple((axis, int(axis) if axis.isdigit() else None) for axis in dim_str.split())
 
 
 def check_message(message: Any) -> None:
@@ -68,14 +72,13 @@ def check_message(message: Any) -> None:
         MessageError: naming the first field that does not fit.
     """
     sizes: dict[str, int] = {}
-    for name, declared, optional in _specification(type(message)):
+    for name, where, declared, optional, array in _specification(type(message)):
         value = getattr(message, name)
         if value is None:
             if not optional:
-                raise MessageError(f"{type(message).__name__}.{name} is missing")
+                raise MessageError(f"{where} is missing")
             continue
-        where = f"{type(message).__name__}.{name}"
-        if is_array(declared):
+        if array:
             object.__setattr__(message, name, _checked_array(where, value, declared, sizes))
         elif declared is float:
             _check_finite_number(where, value)
@@ -95,10 +98,8 @@ def require(condition: bool, message: str) -> None:
 
 
 def _check_finite_number(where: str, value: Any) -> None:
-    require(
-        isinstance(value, float | int) and math.isfinite(value),
-        f"{where} must be a finite number, not {value!r}",
-    )
+    if not (isinstance(value, float | int) and math.isfinite(value)):
+        raise MessageError(f"{where} must be a finite number, not {value!r}")
 
 
 def _checked_array(where: str, value: Any, declared: Any, sizes: dict[str, int]) -> np.ndarray:
@@ -108,8 +109,8 @@ def _checked_array(where: str, value: Any, declared: Any, sizes: dict[str, int])
     if not _holds(value.dtype, declared):
         raise MessageError(f"{where} must hold {declared.dtypes[0]}, not {value.dtype.name}")
     _check_shape(where, value.shape, declared.dim_str, sizes)
-    if value.dtype.kind == "f":
-        require(bool(np.isfinite(value).all()), f"{where} must be finite, but holds NaN or infinity")
+    if value.dtype.kind == "f" and not np.isfinite(value).all():
+        raise MessageError(f"{where} must be finite, but holds NaN or infinity")
     view = np.ascontiguousarray(value).view()
     view.flags.writeable = False
     return view
@@ -118,8 +119,9 @@ def _checked_array(where: str, value: Any, declared: Any, sizes: dict[str, int])
 def _check_shape(where: str, shape: tuple[int, ...], dim_str: str, sizes: dict[str, int]) -> None:
     axes = _axes(dim_str)
     if len(shape) != len(axes):
-        raise MessageError(f"{where} must have shape ({', '.join(axes)}), not {shape}")
-    for axis, length in zip(axes, shape, strict=True):
-        expected = int(axis) if axis.isdigit() else sizes.setdefault(axis, length)
+        raise MessageError(f"{where} must have shape ({', '.join(dim_str.split())}), not {shape}")
+    for (axis, given), length in zip(axes, shape, strict=True):
+        expected = sizes.setdefault(axis, length) if given is None else given
         if length != expected:
-            raise MessageError(f"{where} has shape {shape} where ({', '.join(axes)}) needs {axis} = {expected}")
+            needed = ", ".join(dim_str.split())
+            raise MessageError(f"{where} has shape {shape} where ({needed}) needs {axis} = {expected}")

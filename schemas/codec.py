@@ -234,10 +234,7 @@ def _write_array(wire: Any, array: np.ndarray, declared: Any) -> None:
 
 def _read(found: _Found, message_type: type[M], where: str, in_full: bool) -> M:
     _refuse_unknown_fields(found.wire, where, in_full)
-    values = {
-        name: _read_field(found, name, annotation, f"{where}.{name}", in_full)
-        for name, annotation in fields_of(message_type).items()
-    }
+    values = {field.name: _read_field(found, field, where, in_full) for field in _fields_to_read(message_type)}
     try:
         return message_type(**values)
     except MessageError as error:
@@ -245,21 +242,44 @@ def _read(found: _Found, message_type: type[M], where: str, in_full: bool) -> M:
         raise MessageError(f"{where}: {error}" if nested else str(error)) from error
 
 
-def _read_field(found: _Found, name: str, annotation: Any, where: str, in_full: bool) -> Any:
-    declared = without_none(annotation)
-    if item_type := _item_type(declared):
+class _Field(typing.NamedTuple):
+    """A field as it is read: what of its annotation would otherwise be taken apart for each message."""
+
+    name: str
+    declared: Any
+    item_type: Any
+    optional: bool
+    is_array: bool
+    is_message: bool
+    is_enum: bool
+
+
+@functools.cache
+def _fields_to_read(message_type: type) -> tuple[_Field, ...]:
+    fields: list[_Field] = []
+    for name, annotation in fields_of(message_type).items():
+        declared = without_none(annotation)
+        item_type, array = _item_type(declared), is_array(declared)
+        is_enum = not (item_type or array) and issubclass(declared, enum.Enum)
+        optional = declared is not annotation
+        fields.append(_Field(name, declared, item_type, optional, array, _is_message(declared), is_enum))
+    return tuple(fields)
+
+
+def _read_field(found: _Found, field: _Field, of: str, in_full: bool) -> Any:
+    name, declared, where = field.name, field.declared, f"{of}.{field.name}"
+    if field.item_type:
         items = enumerate(getattr(found.wire, name))
-        return tuple(_read(_Found(item, {}), item_type, f"{where}[{i}]", in_full) for i, item in items)
-    optional = declared is not annotation
-    if (optional or is_array(declared) or _is_message(declared)) and not found.has(name):
-        require(optional, f"{where} is missing")
+        return tuple(_read(_Found(item, {}), field.item_type, f"{where}[{i}]", in_full) for i, item in items)
+    if (field.optional or field.is_array or field.is_message) and not found.has(name):
+        require(field.optional, f"{where} is missing")
         return None
-    if is_array(declared):
+    if field.is_array:
         return _read_array(found.message(name), declared, where)
-    if _is_message(declared):
+    if field.is_message:
         return _read(found.message(name), declared, where, in_full)
     value = found.value(name)
-    return _read_enum(value, declared, where) if issubclass(declared, enum.Enum) else value
+    return _read_enum(value, declared, where) if field.is_enum else value
 
 
 def _read_enum(number: int, declared: type[enum.Enum], where: str) -> enum.Enum:
@@ -274,16 +294,27 @@ def _read_enum(number: int, declared: type[enum.Enum], where: str) -> enum.Enum:
 def _read_array(found: _Found, declared: Any, where: str) -> np.ndarray:
     _refuse_unknown_fields(found.wire, where, in_full=True)
     wire, data = found.wire, found.value("data")
-    dtype, axes, shape = _wire_dtype(declared), declared.dim_str.split(), tuple(wire.shape)
-    require(wire.dtype == dtype.str, f"{where} must hold {dtype.str}, not {wire.dtype[:20]!r}")
+    dtype, name, axes, fixed = _layout(declared)
+    shape = tuple(wire.shape)
+    # the texts are made for what is wrong alone, as in schemas/checks.py
+    if wire.dtype != name:
+        raise MessageError(f"{where} must hold {name}, not {wire.dtype[:20]!r}")
     # Before any reshape: an array without elements may still claim axes too long for NumPy to index.
-    fits = len(shape) == len(axes) and all(not a.isdigit() or int(a) == n for a, n in zip(axes, shape, strict=True))
-    require(fits, f"{where} must have shape ({', '.join(axes)}), not {shape[:8]}")
+    if len(shape) != len(axes) or any(shape[axis] != length for axis, length in fixed):
+        raise MessageError(f"{where} must have shape ({', '.join(axes)}), not {shape[:8]}")
     expected = math.prod(shape) * dtype.itemsize
-    require(len(data) == expected, f"{where} holds {len(data)} bytes where its shape {shape} needs {expected}")
+    if len(data) != expected:
+        raise MessageError(f"{where} holds {len(data)} bytes where its shape {shape} needs {expected}")
     if dtype.kind == "b":
         require(not bytes(data).strip(b"\0\1"), f"{where} holds bytes that are neither true (1) nor false (0)")
     return np.frombuffer(data, dtype).reshape(shape)
+
+
+@functools.cache
+def _layout(declared: Any) -> tuple[np.dtype, str, tuple[str, ...], tuple[tuple[int, int], ...]]:
+    """Element type with its name on the wire, axes, and place and length of those whose length is given."""
+    dtype, axes = _wire_dtype(declared), tuple(declared.dim_str.split())
+    return dtype, dtype.str, axes, tuple((k, int(axis)) for k, axis in enumerate(axes) if axis.isdigit())
 
 
 def _refuse_unknown_fields(wire: Any, where: str, in_full: bool) -> None:
