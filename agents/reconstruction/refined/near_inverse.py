@@ -7,11 +7,12 @@ from the last one backwards (Takahashi, Fagan and Chin 1973):
     S_n = P_n⁻¹,   S_{i,i+1} = −G_i S_{i+1},   S_i = P_i⁻¹ − S_{i,i+1} G_iᵀ.
 """
 
+from itertools import pairwise
+
 import numpy as np
 from jaxtyping import Float64
-from scipy.linalg import lapack
 
-from agents.reconstruction.refined.normal_equations import SIDE, Blocks, band
+from agents.reconstruction.refined.normal_equations import SIDE, Blocks, band, factored
 
 GROUP = 18
 """Rows of a group, six control points: fewer take more steps, more take longer ones."""
@@ -23,18 +24,14 @@ def near_inverse(blocks: Blocks) -> Float64[np.ndarray, "spans 12 12"]:
     Raises:
         numpy.linalg.LinAlgError: where H is not positive definite.
     """
+    # which tells whether H is positive definite
+    factored(blocks)
     H, groups = _in_groups(band(blocks))
-    inside, ahead = [], []
-    pivot = H[groups[0], groups[0]]
-    for i, here in enumerate(groups):
-        beside = H[here, groups[i + 1]] if i + 1 < len(groups) else np.zeros((GROUP, 0))
-        _, found, info = lapack.dposv(pivot, np.hstack((np.eye(GROUP), beside)), lower=1)
-        if info:
-            raise np.linalg.LinAlgError(f"the leading minor of order {here.start + info} is not positive definite")
-        inside.append(found[:, :GROUP])
-        ahead.append(found[:, GROUP:])
-        if i + 1 < len(groups):
-            pivot = H[groups[i + 1], groups[i + 1]] - beside.T @ ahead[i]
+    inside, ahead = [np.linalg.inv(H[groups[0], groups[0]])], []
+    for before, here in pairwise(groups):
+        beside = H[before, here]
+        ahead.append(inside[-1] @ beside)
+        inside.append(np.linalg.inv(H[here, here] - beside.T @ ahead[-1]))
     return _by_span(_backwards(inside, ahead, groups), len(blocks.H))
 
 
