@@ -128,13 +128,14 @@ class Perception:
         if isinstance(pair, str):
             camera = nominal_camera(calibration) if self._rectification is None else self._rectification.camera
             observed = unusable(frame, camera, pair, self._prompt_px)
+            judgements = observed.judgements
         else:
             surface_due = surface_is_due(frame.stamp.sequence, before, surface_sequence)
             observed = self._observe(frame.stamp, pair, surface_due)
             judgements = (*lasting(observed.judgements), *judge_each(pictures, pair.images))
-            observed = replace(observed, judgements=judgements)
         observed = replace(
             observed,
+            judgements=judgements,
             picture_left=pictures.left,
             picture_right=pictures.right,
             picture_left_since=pictures.left_since,

@@ -36,7 +36,7 @@ LEAST_CHANGE, TEXTURE_STEP_PX = 1.5, 4
 """Grey levels by which the ground must change over so many pixels, on average over a cell."""
 THREAD_MARGIN_PX = 3
 """Beside the thread, in the reduced image: half the window, and what blur adds."""
-FRAMES_BETWEEN_SURFACES = 10
+FRAMES_BETWEEN_SURFACES = 15
 """Of the camera."""
 LEAST_FRAMES_WITHOUT, USUAL_FRAMES_WITHOUT = 4, 8
 """For each surface so many frames at least are looked at, where many of the camera's are left out, and as many as is

@@ -20,6 +20,7 @@ WEIGHTS = Path(__file__).with_name("learned.npz")
 DILATIONS = 1, 2, 4, 8, 16
 """Of layers, each of which looks at five points. The project's own network has the first four of them, and looks at 31
 points to either side; one that is trained now has them all."""
+STEPS = np.arange(-2, 3)
 NOTHING = np.float32(0)
 LOG_SCALE, DEVIATION_SHARE = (-4.0, 2.0), 1.35
 """The network says the mean error of a Laplace distribution, of which 68 % lie within 1.15 times that. But neighbours
@@ -65,10 +66,9 @@ def learned_middles(
 
 def _neighbours(state: Float32[np.ndarray, "n c"], pieces: Pieces, dilation: int) -> Float32[np.ndarray, "n k"]:
     """The states of five points of the piece, so many points apart, one after the other; the last goes on for ever."""
-    first, last = pieces.first[pieces.number], pieces.last[pieces.number]
-    at = np.arange(len(state))
-    places = [np.clip(at + step * dilation, first, last) for step in (-2, -1, 0, 1, 2)]
-    return state[np.column_stack(places)].reshape(len(state), -1)
+    first, last = pieces.first[pieces.number, None], pieces.last[pieces.number, None]
+    places = np.arange(len(state))[:, None] + dilation * STEPS
+    return state.take(np.minimum(np.maximum(places, first), last), axis=0).reshape(len(state), -1)
 
 
 def weights_in(path: Path) -> Weights:

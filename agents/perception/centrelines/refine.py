@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64, UInt8
+from jaxtyping import Bool, Float32, Float64, UInt8
 
 from agents.perception.centrelines.along import (
     Pieces,
@@ -35,7 +35,6 @@ LEAST_WIDTH_PX = 0.1
 ASIDE_ALONG_PX, USUAL_ASIDE_PX = 8.0, 0.15
 FROM_CUT_WIDTHS = 2.0
 """From half as far to half as far again the edges give way to what is learned."""
-STRIDE = 2
 LEARNED_ALONG_PX = 1.0
 """Profiles are averaged along the thread a little, and every second is looked at: they hardly see neighbours apart."""
 
@@ -101,7 +100,7 @@ def by_edges(
     at, kernel = offsets(width / 2 + 2 * MARGIN_PX), gaussian(ALONG_PX)
     mask_width = smoothed(mask.width_px[:, None], curves.pieces, kernel)[:, 0]
     normal = normals(directions(curves.point, curves.pieces, gaussian(tangent_sigma(width))))
-    some, thinned = every_second(curves.pieces)
+    some, thinned = curves.pieces.every_second
     colour = blurred(sample(image, curves.point, normal, at, cv2.BORDER_REPLICATE), curves.pieces, kernel, some)
     edges = find_edges(np.stack(cv2.split(colour)), at, mask_width[some], thinned)
     near, far = (np.interp(np.arange(len(normal)), some, edge) for edge in (edges.near_px, edges.far_px))
@@ -127,7 +126,7 @@ def by_learning(
     pieces = curves.pieces
     usual = usual_width_px(edges.width_px, pieces)
     normal = normals(directions(curves.point, pieces, gaussian(tangent_sigma(width))))
-    some, thinned = every_second(pieces)
+    some, thinned = pieces.every_second
     colour = seen_across(image, curves.point, normal, reach_px(usual))
     colour = blurred(colour, pieces, gaussian(LEARNED_ALONG_PX), some)
     if has_plain_ground(colour, usual[some]):
@@ -141,12 +140,6 @@ def by_learning(
     aside = smoothed(edges.aside_px[:, None], pieces, gaussian(ASIDE_ALONG_PX))[:, 0]
     aside = np.sign(aside) * np.maximum(np.abs(aside) - USUAL_ASIDE_PX, 0)
     return _moved(curves, normal, apart * np.clip(offset, -limit, limit)), replace(edges, aside_px=aside), deviation
-
-
-def every_second(pieces: Pieces) -> tuple[Int64[np.ndarray, "m"], Pieces]:
-    """Every second point of each piece, and its last one: what neighbours see they hardly see apart."""
-    some = np.flatnonzero((pieces.before % STRIDE == 0) | (pieces.after == 0))
-    return some, Pieces(pieces.number[some])
 
 
 def _moved(curves: Curves, normal: Float64[np.ndarray, "n 2"], shift: Float64[np.ndarray, "n"]) -> Curves:

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
 
-from agents.perception.centrelines.along import Pieces, blurred, gaussian, smoothed
+from agents.perception.centrelines.along import Pieces, blurred, gaussian, median, smoothed
 from agents.perception.centrelines.profiles import sample
 
 PLACES = np.linspace(-1.0, 1.0, 25, dtype=np.float32)
@@ -34,7 +34,7 @@ LEAST = 1e-3
 
 def usual_width_px(width_px: Float64[np.ndarray, "n"], pieces: Pieces) -> Float64[np.ndarray, "n"]:
     """The thread's width hereabouts, whatever single profiles say."""
-    typical = float(np.median(width_px))
+    typical = median(width_px)
     clipped = np.clip(width_px, LEAST_WIDTH * typical, MOST_WIDTH * typical)[:, None]
     return smoothed(clipped, pieces, gaussian(WIDTH_ALONG_PX))[:, 0].clip(NARROWEST_PX, WIDEST_PX)
 
@@ -60,8 +60,9 @@ def has_plain_ground(colour: Float32[np.ndarray, "t n 3"], width_px: Float64[np.
     some, width = colour[:, ::PLAIN_STRIDE], width_px[::PLAIN_STRIDE]
     ground = some[np.abs(PLACES)[:, None] * reach_px(width) > width / 2 + GROUND_FROM_PX]
     channels = np.ascontiguousarray(ground.T)
-    away = np.abs(channels - np.median(channels, axis=1, keepdims=True))
-    return bool(np.median(away.mean(axis=0)) < PLAIN)
+    usual = np.array([median(channel) for channel in channels])
+    away = np.abs(channels - usual[:, None])
+    return median(away.mean(axis=0)) < PLAIN
 
 
 def straightened(

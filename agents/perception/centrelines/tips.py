@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 
-from agents.perception.centrelines.along import Pieces
+from agents.perception.centrelines.along import Pieces, median, medians
 from agents.perception.centrelines.profiles import normals
 from schemas.messages import Centrelines
 
@@ -65,7 +65,7 @@ def _shifts(
     """How far outwards from each end its tip lies, 0 where it is not seen, and the direction outwards."""
     piece = pieces.number[ends]
     length = (pieces.last - pieces.first)[piece]
-    width = np.array([np.median(lines.width_px[pieces.first[p] : pieces.last[p] + 1]) for p in piece])
+    width = np.array([median(lines.width_px[pieces.first[p] : pieces.last[p] + 1]) for p in piece])
     wide = float(width.max())
     # the slope of a line through the end, by which no single point decides
     steps = np.arange(round(DIRECTION_WIDTHS * wide) + 3)
@@ -80,9 +80,9 @@ def _shifts(
     places = np.arange(-wide, reach + wide, 1.0)
     sides = _seen(image, lines.point_px[ends], outward, aside, places, np.hstack((beside, -beside)))
     sides = sides.reshape(len(ends), -1, 3)
-    ground = np.median(sides, axis=1)
-    spread = np.linalg.norm(np.median(np.abs(sides - ground[:, None]), axis=1), axis=1)
-    body = np.median(seen[:, along < -reach].reshape(len(ends), -1, 3), axis=1)
+    ground = medians(sides.swapaxes(0, 1))
+    spread = np.linalg.norm(medians(np.abs(sides - ground[:, None]).swapaxes(0, 1)), axis=1)
+    body = medians(seen[:, along < -reach].reshape(len(ends), -1, 3).swapaxes(0, 1))
     contrast = np.linalg.norm(body - ground, axis=1)
     share = ((seen.mean(axis=2) - ground[:, None]) * (body - ground)[:, None]).sum(axis=2)
     share /= np.maximum(contrast, 1e-9)[:, None] ** 2

@@ -23,7 +23,7 @@ Colours = UInt8[np.ndarray, "m 3 3"]
 
 def pieces_of(lines: Centrelines) -> Pieces:
     """The pieces of centrelines, numbered without gaps."""
-    return Pieces(np.cumsum(np.diff(lines.piece, prepend=-1) > 0) - 1)
+    return Pieces(np.cumsum(np.append(lines.piece[:1] >= 0, lines.piece[1:] > lines.piece[:-1])) - 1)
 
 
 def some_of(pieces: Pieces) -> Int64[np.ndarray, "m"]:

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
-from agents.perception.centrelines.along import Pieces, blurred, gaussian, smoothed
+from agents.perception.centrelines.along import Pieces, blurred, gaussian, medians, smoothed
 from agents.perception.centrelines.profiles import sample
 from agents.perception.following.appearance import Colours, share_of_thread
 
@@ -65,7 +65,7 @@ def captured(
     best = np.argmax(score, axis=0)
     here = np.arange(len(point))
     move = places[best] + _between(score, best, here)
-    usual = np.median(move[_beside(pieces)], axis=1)
+    usual = medians(move[_beside(pieces)])
     astray = np.abs(move - usual) > ASTRAY_PX
     calm = smoothed(np.where(astray, usual, move)[:, None], pieces, gaussian(CALM))[:, 0]
     return Captured(calm, inner[best, here], astray | (np.abs(move) >= BAND_PX))
@@ -96,7 +96,7 @@ def _between(score: Float32[np.ndarray, "t m"], best: np.ndarray, here: np.ndarr
 
 
 def _beside(pieces: Pieces) -> np.ndarray:
-    """The indices of each point's neighbours on its piece, which goes on at its ends for ever."""
+    """The indices of each point's neighbours on its piece, which goes on at its ends for ever: (neighbours, points)."""
     first, last = pieces.first[pieces.number], pieces.last[pieces.number]
     steps = np.arange(NEIGHBOURS) - NEIGHBOURS // 2
-    return np.clip(np.arange(len(first))[:, None] + steps, first[:, None], last[:, None])
+    return np.minimum(np.maximum(np.arange(len(first)) + steps[:, None], first), last)

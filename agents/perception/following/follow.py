@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 
-from agents.perception.centrelines.along import Pieces, directions, gaussian, local_quadratic, smoothed
+from agents.perception.centrelines.along import Pieces, directions, gaussian, local_quadratic, median, smoothed
 from agents.perception.centrelines.deviation import deviations, of_edges
 from agents.perception.centrelines.profiles import normals
 from agents.perception.centrelines.refine import LIGHT_PX, Curves, Evidence, by_edges, by_learning, tangent_sigma
@@ -71,7 +71,7 @@ def trail_of(
     some = some_of(pieces)
     if len(some) == 0:
         return Trail(loose_start, loose_end, np.zeros(0), np.zeros((0, 3, 3), np.uint8), loose_start, loose_end)
-    width = float(np.median(lines.width_px))
+    width = median(lines.width_px)
     tangent = directions(lines.point_px, pieces, gaussian(tangent_sigma(width)))
     colours = _colours(image, lines, pieces, some, tangent)
     tips, outward = _tips(pieces, tangent)
@@ -135,7 +135,7 @@ def _follow(
         eye: of each piece.
     """
     pieces = pieces_of(before)
-    width = float(np.median(before.width_px))
+    width = median(before.width_px)
     tangent = directions(before.point_px, pieces, gaussian(tangent_sigma(width)))
     some = some_of(pieces)
     normal, sampled = normals(tangent), Pieces(pieces.number[some])

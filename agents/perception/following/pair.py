@@ -11,7 +11,7 @@ from jaxtyping import UInt8
 
 from agents.perception.following.drawn import mask_along
 from agents.perception.following.follow import Followed, follow
-from agents.perception.mask_image import mask_image
+from agents.perception.mask_image import drawn_mask_image
 from agents.perception.prompt import followed as followed_prompt
 from agents.perception.search import FRAMES_BETWEEN_LOOKS, carried_on, near_is_enough
 from schemas.messages import FrameStamp, RectifiedStereo, ThreadObservations
@@ -59,7 +59,7 @@ def follow_pair(
         return None
     left, right = found
     coverage = mask_along(left, images[0].shape), mask_along(right, images[1].shape)
-    mask_left, mask_right = (mask_image(mask) for mask in coverage)
+    mask_left, mask_right = (drawn_mask_image(mask) for mask in coverage)
     nothing = np.zeros((0, 3))
     observed = replace(
         last,

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
-from agents.perception.centrelines.along import Pieces, blurred, gaussian
-from agents.perception.centrelines.refine import LEARNED_ALONG_PX, STRIDE, every_second
+from agents.perception.centrelines.along import STRIDE, Pieces, blurred, gaussian
+from agents.perception.centrelines.refine import LEARNED_ALONG_PX
 from agents.perception.centrelines.straightened import BEYOND_PX, PLACES, straightened
 from agents.perception.training.middle_drawn import SHADOW_WIDTHS, drawn_view, shadow_band
 from agents.perception.training.middle_views import WIDE_PLACES, MiddleView
@@ -118,7 +118,7 @@ def profiles_of(view: MiddleView) -> tuple[Float32[np.ndarray, "m c"], np.ndarra
     n, pieces = len(view.width_px), view.pieces
     colour = _resampled(view.colour, np.broadcast_to(PLACES, (n, len(PLACES))))
     colour = _averaged(colour, pieces)
-    some, thinned = every_second(pieces)
+    some, thinned = pieces.every_second
     return straightened(_across(colour[some]), view.width_px[some], thinned), some, thinned
 
 
