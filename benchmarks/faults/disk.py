@@ -14,6 +14,7 @@ from benchmarks.faults.network import LIMIT_S, PREFIX, CannotError
 
 ROOM_MB = 2048
 PAGE = 1 << 16
+TRIES = 50
 
 
 @dataclass(frozen=True)
@@ -25,13 +26,24 @@ class Disk:
     @contextmanager
     def full(self) -> Generator[None]:
         """No room is left on it for a while."""
-        disk = os.statvfs(self.folder)
-        used = (disk.f_blocks - disk.f_bfree) * disk.f_frsize
-        _mount("-o", f"remount,size={used + PAGE}", str(self.folder))
+        self._shrink()
         try:
             yield
         finally:
             _mount("-o", f"remount,size={ROOM_MB}m", str(self.folder))
+
+    def _shrink(self) -> None:
+        """Leave no more than a page beside what is used; whoever writes meanwhile may use more, which is refused."""
+        for tries_left in reversed(range(TRIES)):
+            disk = os.statvfs(self.folder)
+            used = (disk.f_blocks - disk.f_bfree) * disk.f_frsize
+            try:
+                _mount("-o", f"remount,size={used + PAGE}", str(self.folder))
+            except CannotError:
+                if not tries_left:
+                    raise
+            else:
+                return
 
 
 @contextmanager
