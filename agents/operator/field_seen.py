@@ -12,12 +12,13 @@ from agents.operator.drawn_thread import DrawnThread, draw_thread
 from agents.operator.heard import Heard
 from agents.operator.pictures import Resample
 from agents.operator.surroundings import Surroundings
-from agents.operator.words import Seen, arm_words
+from agents.operator.words import OUT_OF_ORDER, Seen, arm_words
 from schemas.messages import (
     ExecutionEvent,
     ExecutionKind,
     GraspCheck,
     GraspPlan,
+    LogRecord,
     RectifiedStereo,
     RobotMode,
     RobotState,
@@ -54,7 +55,8 @@ class FieldSeen:
         self.judgements: list[dict[str, str]] = []
         self.plans: dict[str, dict[str, Any]] = {}
         self.checks: dict[str, str] = {}
-        self.stops: dict[str, str] = {}
+        self._stops: dict[str, tuple[str, int]] = {}
+        self._warnings: dict[str, tuple[str, int]] = {}
         self.done: dict[str, str] = {}
         self.corrections: dict[str, ToolCorrection] = {}
         self._drawn_s = float("-inf")
@@ -131,7 +133,18 @@ class FieldSeen:
         """Keep why an arm was stopped last, until it is armed again, and which plan it carried out last."""
         if event.kind is ExecutionKind.FINISHED:
             self.done[event.arm] = event.plan_id
-        self.stops[event.arm] = event.reason if event.kind in (ExecutionKind.HELD, ExecutionKind.REFUSED) else ""
+        stopped = event.kind in (ExecutionKind.HELD, ExecutionKind.REFUSED)
+        self._stops[event.arm] = event.reason if stopped else "", event.at_ns
+
+    def note_warning(self, record: LogRecord) -> None:
+        """Keep what an arm's bridge warned of last: an arm that gets a fault while it is disarmed ends no plan."""
+        self._warnings[record.instance] = record.text.splitlines()[0].rstrip("."), record.at_ns
+
+    def why(self, arm: str) -> str:
+        """Why an arm was stopped last, or what is wrong with it since; empty where nobody said."""
+        stopped = self._stops.get(arm, ("", 0))
+        warned = self._warnings.get(arm, ("", 0)) if self.mode(arm) in OUT_OF_ORDER else ("", 0)
+        return max(stopped, warned, key=lambda told: told[1])[0]
 
     def arms(self) -> list[str]:
         """Arms that are configured or that report."""
@@ -165,7 +178,7 @@ class FieldSeen:
         told: list[dict[str, str]] = []
         for arm in self.arms():
             state, mode = self.states.get(arm, (None, 0))[0], self.mode(arm)
-            words = arm_words(mode, self.stops.get(arm, ""), state, self.corrections.get(arm))
+            words = arm_words(mode, self.why(arm), state, self.corrections.get(arm))
             told.append({"arm": arm, "mode": mode, "words": words})
         return told
 
@@ -183,7 +196,7 @@ class FieldSeen:
             plan=plan,
             plan_age_s=None if plan is None else _age_s(round(plan["captured_ms"] * 1e6)),
             said=self.said,
-            why=self.stops.get(arm, ""),
+            why=self.why(arm),
             done=self.is_done(plan),
         )
 

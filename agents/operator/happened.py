@@ -20,6 +20,7 @@ from schemas.messages import (
     LogLevel,
     LogRecord,
 )
+from schemas.topics import ROBOT_STATE
 from shared.clock import monotonic_s, now_ns
 
 NEWS_S = 10.0
@@ -57,6 +58,9 @@ class Happened:
                 self._execution(message)
             case GraspJudgement() if self._is_news(message.at_ns):
                 self._voice.say(f"Verdict: {message.sentence or message.verdict.name.lower()}")
+            case LogRecord(level=LogLevel.WARNING) if message.agent == ROBOT_STATE.agent:
+                self._field.note_warning(message)
+                self._voice.changed.set()
             case LogRecord() if message.level is LogLevel.ERROR and self._is_news(message.at_ns):
                 self._voice.say(f"{message.agent}: {message.text.splitlines()[0]}")
             case _:

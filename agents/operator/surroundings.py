@@ -13,7 +13,7 @@ class Recording(Protocol):
     """A recording that can be begun and ended from the page."""
 
     def told(self) -> dict[str, Any]:
-        """`on`, `can` (whether the page may begin or end it) and `text`: what it holds and lacks, in words."""
+        """`on`, `can` (the page may begin or end it), `lacks` (something), and `text`: all that in words."""
         ...
 
     def set(self, on: bool) -> str:

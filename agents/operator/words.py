@@ -17,6 +17,7 @@ MODES = {
     RobotMode.HOLDING.name.lower(): "holds",
     RobotMode.FAULT.name.lower(): "has a fault",
 }
+OUT_OF_ORDER = (RobotMode.FAULT.name.lower(), RobotMode.DISABLED.name.lower())
 
 
 @dataclass(frozen=True)
@@ -55,9 +56,11 @@ def sentence(screen: str, control: Control, arm: str, seen: Seen) -> str:
     if control.asking and screen == control.controller:
         asks = f"{control.asking} asks for control. Hand it over, or keep it"
         return f"{asks}; without an answer within {ASKED_S:.0f} s it passes on."
-    if seen.mode in ("fault", "disabled"):
-        last = f" (last: {seen.why})" if seen.why else ""
-        return f"{arm} {MODES[seen.mode]} and cannot be armed{last}."
+    if seen.mode in OUT_OF_ORDER:
+        last = f" ({seen.why})" if seen.why else ""
+        return (
+            f"{arm} {MODES[seen.mode]} and cannot be armed{last}. See to it at its console, or with suturegrasp state."
+        )
     if screen != control.controller:
         asked = f"You asked {control.controller} for control" if control.asking == screen else "You watch"
         return f"{asked}; {control.controller or 'nobody'} controls. Hold works for everybody."
@@ -91,7 +94,7 @@ def arm_words(mode: str, why: str, state: RobotState | None, tool: ToolCorrectio
     if state is None or not mode:
         return "has not been heard lately"
     told = MODES[mode]
-    if why and mode in ("holding", "fault", "disabled"):
+    if why and mode in ("holding", *OUT_OF_ORDER):
         told += f": {why}"
     return told if tool is None else f"{told}; {tool_words(tool, state.T_camera_base_registered is not None)}"
 

@@ -35,17 +35,19 @@ class RigRecording:
         connection.listen((HEALTH, LOG), self._take)
 
     def told(self) -> dict[str, Any]:
-        """Whether anything records, whether the page may change that, and in words what is lost."""
+        """Whether anything records and lacks something, whether the page may change that, and all that in words."""
         with self._lock:
             heard, own = monotonic_s() - self._heard_s < SILENT_S, self._own
-            lacks = self._fault or "; ".join(self._losses[-2:]) or "nothing is known to be lost"
+            lost = self._fault or "; ".join(self._losses[-2:])
+        lacks = lost or "nothing is known to be lost"
         if own is not None:
             gone = next(iter(own[0].watch()), None)
             text = f"recording into {own[1]}: {lacks}" if gone is None else f"the recorder ended: {gone.sentence}"
-            return {"on": True, "can": True, "text": text}
+            return {"on": True, "can": True, "text": text, "lacks": bool(lost or gone)}
         if heard:
-            return {"on": True, "can": False, "text": f"the rig's own recorder keeps this session: {lacks}"}
-        return {"on": False, "can": True, "text": self._ended or "nothing is recorded"}
+            text = f"the rig's own recorder keeps this session: {lacks}"
+            return {"on": True, "can": False, "text": text, "lacks": bool(lost)}
+        return {"on": False, "can": True, "text": self._ended or "nothing is recorded", "lacks": False}
 
     def set(self, on: bool) -> str:
         """Begin or end a recording of one's own; why not, or nothing."""

@@ -4,6 +4,7 @@ const VIRIDIS = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253
 export const UNSEEN = "#c9c9cf";
 export const PHASES = { approach: "#9bb8ff", capture: "#ffb454", slide: "#5cd6ff", grasp: "#ff8ae0", retreat: "#b9bdcc" };
 export const TOOL = "#f2f4fa";
+export const SEEN_TOOL = "#ffe9a8";
 export const GOAL = "#ffffff";
 
 export const CLASSES = [
@@ -58,6 +59,7 @@ export function legend(list) {
     ['<circle cx="21" cy="7" r="5.5" fill="none" stroke="#fff" stroke-width="1.6"/>', "crossing"],
     [`<circle cx="21" cy="7" r="5" fill="none" stroke="${GOAL}" stroke-width="1.5"/><path d="M12 7h18M21 0v14" stroke="${GOAL}"/>`, "goal"],
     [`<circle cx="13" cy="7" r="4.5" fill="${confidenceColour(0.9)}" stroke="#fff"/><circle cx="30" cy="7" r="4.5" fill="#0008" stroke="#fff"/>`, "other captures: possible, not possible"],
+    [`<path d="M6 9l5-4l5 4l5-4l5 4l5-4l5 4" fill="none" stroke="${SEEN_TOOL}" stroke-width="2" stroke-dasharray="2 2"/>`, "tool as the images show it"],
     ['<g fill="#fff" stroke="#000"><circle cx="11" cy="7" r="2.2"/><circle cx="21" cy="7" r="2.2"/><circle cx="31" cy="7" r="2.2"/></g>', "observations"],
   ]) {
     const item = document.createElement("li");

@@ -2,6 +2,7 @@
 
 const percent = (value) => (value === null || value === undefined ? "?" : `${Math.round(100 * value)} %`);
 
+const OUT_OF_ORDER = ["fault", "disabled"];
 const MODELS = { geometric: ", by geometry", paper: ", as in the paper" };
 
 export class Panel {
@@ -33,6 +34,7 @@ export class Panel {
     this.put("control", mine ? `${state.you}: you control` : `${state.you}: you watch`);
     $("control").className = mine ? "mine" : "";
     this.put("words", state.words[$("arm").value] ?? Object.values(state.words)[0] ?? "No arm is configured.");
+    $("words").classList.toggle("grave", state.arms.some((each) => each.arm === $("arm").value && OUT_OF_ORDER.includes(each.mode)));
     this.put("lines", state.lines.toReversed().map((line) => `<li>${escaped(line)}</li>`).join(""), "innerHTML");
     this.put("arms", state.arms.map((each) => `<li><strong>${escaped(each.arm)}</strong> ${escaped(each.words)}</li>`).join(""), "innerHTML");
     this.bad(state);
@@ -52,10 +54,12 @@ export class Panel {
     const press = this.state.press;
     const mine = this.state.controller === this.state.you;
     const armed = press && press.stage !== "pressing";
-    $("press").disabled = !mine || !plan?.ok || done;
-    $("press").classList.toggle("armed", Boolean(armed && down));
     const name = plan?.arm ?? $("arm").value;
-    this.put("press-text", armed && down ? `${name} moves: keep pressing` : down ? "Keep pressing ..." : `Press and hold to arm ${name}`);
+    const ordered = !this.state.arms.some((each) => each.arm === name && OUT_OF_ORDER.includes(each.mode));
+    $("press").disabled = !mine || !plan?.ok || done || !ordered;
+    $("press").classList.toggle("armed", Boolean(armed && down));
+    const offered = ordered ? `Press and hold to arm ${name}` : `${name} cannot be armed`;
+    this.put("press-text", armed && down ? `${name} moves: keep pressing` : down ? "Keep pressing ..." : offered);
     this.put("goal", goalMarkup(plan, done, goal, this.note, this.state.checks[name]), "innerHTML");
   }
 
@@ -79,6 +83,7 @@ export class Panel {
 
   recording(recording) {
     this.put("recording", recording.text ?? "nobody has told yet");
+    this.$("recording").className = recording.lacks ? "refused" : "";
     this.$("record").hidden = !recording.can;
     this.put("record", recording.on ? "End the recording" : "Record");
   }

@@ -1,9 +1,11 @@
 // The live image with everything drawn over it, in pixels of the rectified left image.
 
-import { GOAL, PHASES, TOOL, confidenceColour, runsOf } from "./colours.js";
+import { GOAL, PHASES, SEEN_TOOL, TOOL, confidenceColour, runsOf } from "./colours.js";
+import { crossingWords, middle } from "./places.js";
 import { threadOf } from "./unpacked.js";
 
 const WAY_S = 6;
+const OLD_MS = 1500; // such a thread may lie elsewhere by now
 const PREVIEW_MS = 40;
 
 export class Picture {
@@ -123,9 +125,15 @@ export class Picture {
     c.stroke();
     c.setLineDash([]);
   }
+  // milliseconds between the thread's frame and the one that is shown
+  older() { return this.header.capture_ms - this.thread.capture_ms; }
+
+  isOld() { return Boolean(this.thread) && this.older() > OLD_MS; }
 
   paintThread() {
     const { px, confidence, crossings } = this.thread;
+    if (this.isOld()) this.text(`thread of ${(this.older() / 1000).toFixed(0)} s ago`, px[px.length >> 1], 22, "#fff", 13);
+    this.context.globalAlpha = this.isOld() ? 0.45 : 1;
     for (const run of this.runs) {
       const places = px.slice(run.begin, run.end + 1);
       const middle = confidence[(run.begin + run.end) >> 1];
@@ -141,6 +149,7 @@ export class Picture {
       c.stroke();
       this.text(crossingWords(crossing), crossing.px, 13, "#fff", 11);
     }
+    c.globalAlpha = 1;
     this.text("s = 0", px[0], 8, "#fff", 12);
     this.text("s = 1", px.at(-1), 8, "#fff", 12);
   }
@@ -201,7 +210,7 @@ export class Picture {
   paintTool(tool) {
     if (tool.outline?.length) {
       const c = this.context;
-      c.fillStyle = "#ffe9a8";
+      c.fillStyle = SEEN_TOOL;
       for (const [u, v] of tool.outline) c.fillRect(u - this.thin, v - this.thin, 2 * this.thin, 2 * this.thin);
     }
     if (!tool.px.length) return;
@@ -238,14 +247,4 @@ export class Picture {
     c.fillStyle = colour;
     c.fillText(words, x, y);
   }
-}
-
-function crossingWords({ s, over }) {
-  const [first, second] = s.map((each) => each.toFixed(2));
-  if (over === "undetermined") return `crossing of ${first} and ${second}`;
-  return over === "first" ? `crossing: ${first} over ${second}` : `crossing: ${second} over ${first}`;
-}
-
-function middle(px) {
-  return px.length === 3 ? [(px[0][0] + px[2][0]) / 2, (px[0][1] + px[2][1]) / 2] : px[0];
 }

@@ -1,6 +1,7 @@
 // Thread, way of the jaw, tool and tissue in space, turned by hand; millimetres in the left camera's frame.
 
 import { PHASES, TOOL, confidenceColour, runsOf } from "./colours.js";
+import { middle } from "./places.js";
 
 export class Space {
   constructor(canvas) {
@@ -126,8 +127,4 @@ export class Space {
     c.font = `${13 * dense}px system-ui, sans-serif`;
     c.fillText(words, 14 * dense, height - 14 * dense);
   }
-}
-
-function middle(points) {
-  return [0, 1, 2].map((k) => (points[0][k] + points[2][k]) / 2);
 }

@@ -63,7 +63,7 @@ def correction(status, off_m=0.0):
         ({"mode": "holding", "why": "it was let go of"}, "psm1 holds: it was let go of. Planned: capture"),
         (
             {"mode": "fault", "why": "joint 3 is stuck"},
-            "psm1 has a fault and cannot be armed (last: joint 3 is stuck).",
+            "psm1 has a fault and cannot be armed (joint 3 is stuck). See to it at its console",
         ),
         ({"mode": "disabled"}, "psm1 is disabled and cannot be armed."),
         ({"done": True}, "psm1 has carried out its plan. Click the thread for the next goal."),

@@ -1,0 +1,221 @@
+"""What the page shows of states that a running demo does not come to: an arm with a fault, a recording that lacks
+something, a tool that is followed in the images, an old thread, a host that is full, and all of it over TLS.
+
+What tells of them is emulated; the page's server, the planner, one arm's bridge and the browser are real.
+"""
+
+import asyncio
+import base64
+import contextlib
+import datetime
+import hashlib
+import itertools
+import logging
+
+import numpy as np
+import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
+
+from agents.cli.page.recording import RigRecording
+from agents.cli.rig.config import simulated_rig
+from agents.deployment.certificates import issue
+from agents.deployment.layout import Host, Layout, Process
+from agents.operator.access import Access
+from agents.operator.desk import Desk
+from agents.operator.page_server import server_tls, serving
+from agents.operator.spare import Processors
+from agents.operator.surroundings import Surroundings
+from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
+from agents.robot_bridge.simulated import SimulatedPsm
+from benchmarks.browser import chromium, found
+from schemas.messages import FrameStamp, RobotMode, RobotState, ToolCandidate, ToolCorrection, ToolStatus
+from schemas.topics import ROBOT_STATE, TOOL
+from shared.runtime.connection import connected
+
+pytestmark = pytest.mark.skipif(found() is None, reason="there is no chromium here (apt-get install chromium)")
+
+PATIENT_S, HERE = 60.0, "127.0.0.1"
+STATES_HZ = 20.0
+READY = "window.suturegrasp?.presented.length > 3 && suturegrasp.picture.thread && suturegrasp.panel.state"
+
+
+def text_of(element):
+    return f"document.getElementById('{element}').textContent"
+
+
+def says(element, words):
+    return f"{text_of(element)}.includes({words!r})"
+
+
+def faulty(at_ns):
+    """A second arm, a palm's breadth beside the first."""
+    pose = np.eye(4)
+    pose[:3, 3] = 0.0, 0.0, 0.06
+    return RobotState("psm2", at_ns, RobotMode.FAULT, pose, np.zeros(6), 0.3, np.eye(4), "")
+
+
+def followed(at_ns):
+    """The first arm's tool, seen 4 mm off its registration."""
+    outline = np.column_stack((np.linspace(420, 520, 60), 200 + 30 * np.sin(np.linspace(0, 6, 60))))
+    return ToolCorrection(
+        arm="psm1",
+        stamp=FrameStamp(1, at_ns, at_ns, "x"),
+        measured_ns=at_ns,
+        status=ToolStatus.CONVERGED,
+        reason="",
+        T_correction=np.eye(4),
+        pivot_camera=np.zeros(3),
+        tip_camera=np.zeros(3),
+        tip_off_m=0.0042,
+        turned_rad=0.0,
+        tip_deviation_m=0.0003,
+        turn_deviation_rad=0.0,
+        registered_left_px=np.zeros((0, 2)),
+        found_left_px=outline,
+        found_right_px=np.zeros((0, 2)),
+        candidates=(ToolCandidate(np.zeros(6), np.eye(6), np.zeros((16, 16, 16), np.uint8), 9, 0.9, 0.8, 0.5),),
+        attempts=1,
+        misses=0,
+        looks=1,
+    )
+
+
+class Emulated:
+    """Who tells of the states: each test has them begin."""
+
+    def __init__(self, connection, stack):
+        self._connection, self._stack = connection, stack
+
+    def repeats(self, topic, arm, message):
+        self._stack.enter_context(self._connection.repeating(topic, arm, STATES_HZ, message))
+
+    def log_of(self, kind, instance):
+        """Where an agent of that name warns."""
+        logger = logging.getLogger(f"emulated.{kind}.{instance}")
+        self._stack.enter_context(self._connection.reporting(kind, instance, logger, lambda: ""))
+        return logger
+
+
+@pytest.fixture
+def most_threads(request):
+    """After so many no more is seen of the thread."""
+    return getattr(request, "param", None)
+
+
+@pytest.fixture
+def rig(settings, in_threads, hand_made_thread, hand_made_camera, most_threads):
+    with in_threads(
+        settings, hand_made_thread(most_threads), hand_made_camera(), RobotBridge(RobotBridgeConfig(), SimulatedPsm())
+    ):
+        yield settings
+
+
+def looked_at(rig, look, *flags, tls=None, **around):
+    """Have a browser before a page, and whoever tells beside it."""
+
+    async def run():
+        with contextlib.ExitStack() as stack:
+            connection, beside = (stack.enter_context(connected(rig, PATIENT_S)) for _ in range(2))
+            config = simulated_rig().model_copy(update={"rig": rig.rig})
+            recording = stack.enter_context(contextlib.closing(RigRecording(config, connection)))
+            told = Surroundings("test", ("psm1",), lambda *_, **__: None, recording=recording, **around)
+            access = Access()
+            async with (
+                serving(Desk(connection, told), access, HERE, 0, (HERE,), tls) as (_, address),
+                chromium("--window-size=1280,900", *flags) as browser,
+            ):
+                page = await browser.open(f"{address}#token={access.link}")
+                await page.until(READY, PATIENT_S)
+                await look(page, Emulated(beside, stack))
+                assert page.errors == []
+
+    asyncio.run(run())
+
+
+def test_an_arm_with_a_fault_says_why_and_what_to_do_and_cannot_be_armed(rig):
+    async def look(page, emulated):
+        emulated.repeats(ROBOT_STATE, "psm2", faulty)
+        emulated.log_of("robot_bridge", "psm2").warning("the arm is FAULT: its operating state is FAULT, not ENABLED")
+        await page.until("[...document.getElementById('arm').options].some((o) => o.value === 'psm2')", PATIENT_S)
+        # several arms can be chosen, and each is told of by itself
+        await page.value("document.getElementById('arm').value = 'psm2'")
+        await page.until(
+            says("words", "psm2 has a fault and cannot be armed (the arm is FAULT: its operating"), PATIENT_S
+        )
+        assert "suturegrasp state" in await page.value(text_of("words"))
+        assert await page.value("document.getElementById('words').className") == "grave"
+        await page.until(says("press-text", "psm2 cannot be armed"))
+        assert await page.value("document.getElementById('press').disabled")
+        assert await page.value(says("arms", "psm2 has a fault: the arm is FAULT"))
+        await page.value("document.getElementById('arm').value = 'psm1'")
+        await page.until(says("press-text", "Press and hold to arm psm1"))
+        assert await page.value("document.getElementById('words').className") == ""
+
+    looked_at(rig, look)
+
+
+def test_what_a_recording_lacks_is_told_beside_it(rig):
+    async def look(page, emulated):
+        await page.until(says("recording", "nothing is recorded"))
+        assert not await page.value("document.getElementById('record').hidden")
+        log = emulated.log_of("recorder", "main")
+        await page.until(says("recording", "the rig's own recorder keeps this session: nothing is known to be lost"))
+        assert await page.value("document.getElementById('record').hidden"), "it ends with the rig alone"
+        log.warning("12 messages of camera/main/frames were lost")
+        await page.until(says("recording", "12 messages of camera/main/frames were lost"), PATIENT_S)
+        assert await page.value("document.getElementById('recording').className") == "refused"
+
+    looked_at(rig, look)
+
+
+def test_a_followed_tool_is_drawn_and_says_how_far_off_its_registration_it_is(rig):
+    async def look(page, emulated):
+        emulated.repeats(TOOL, "psm1", followed)
+        await page.until(says("arms", "by the images its tool is 4.2 mm off its registration"), PATIENT_S)
+        await page.until("suturegrasp.picture.tools[0]?.outline?.length === 60", PATIENT_S)
+        assert await page.value("suturegrasp.picture.tools[0].off_mm") == 4.2
+        assert await page.value(says("legend", "tool as the images show it"))
+
+    looked_at(rig, look)
+
+
+@pytest.mark.parametrize("most_threads", [200], indirect=True)
+def test_a_thread_that_is_not_seen_any_more_is_drawn_as_an_old_one(rig):
+    async def look(page, _emulated):
+        await page.until("suturegrasp.picture.isOld()", PATIENT_S)
+        await page.until(f"/The thread was seen \\d+ s ago/.test({text_of('words')})", PATIENT_S)
+
+    looked_at(rig, look)
+
+
+def test_on_a_full_host_the_page_says_why_it_shows_less(rig):
+    spent = itertools.count(1)
+
+    async def look(page, _emulated):
+        await page.until(says("latency", "the thread is drawn 10 times a second, for the computer"), PATIENT_S)
+
+    looked_at(rig, look, processors=lambda: Processors(0, next(spent)))
+
+
+def test_over_tls_the_page_is_all_there_where_its_authority_is_trusted(rig, tmp_path):
+    host = Host("desk", HERE, (Process("operator", "desk"),))
+    issue(Layout("test", "", (host,), leaf_days=30, authority_days=365), tmp_path, datetime.datetime.now(datetime.UTC))  # noqa: TID251
+    home = tmp_path / "desk" / "certificates"
+    certificate = home / "operator.desk.pem"
+    tls = server_tls(str(certificate), str(home / "operator.desk.key"))
+    public = x509.load_pem_x509_certificate(certificate.read_bytes()).public_key()
+    spki = hashlib.sha256(public.public_bytes(Encoding.DER, PublicFormat.SubjectPublicKeyInfo)).digest()
+
+    async def look(page, _emulated):
+        assert await page.value("location.protocol") == "https:"
+        assert await page.value("isSecureContext")
+        await page.until(says("control", "screen 1: you control"), PATIENT_S)
+        # the token is gone from the address, and a reload goes on with the next secret
+        assert await page.value("location.hash") == ""
+        await page.call("Page.reload")
+        await page.until(READY, PATIENT_S)
+        await page.until(says("control", "screen 1: you control"), PATIENT_S)
+
+    trusted = f"--ignore-certificate-errors-spki-list={base64.b64encode(spki).decode()}"
+    looked_at(rig, look, trusted, tls=tls)
