@@ -33,8 +33,9 @@ TOGETHER_M = 0.006
 """Errors of one reconstruction go together so far along the thread."""
 LEAST_M = 0.0002
 """No two reconstructions are compared more finely: thread shifts a little wherever it is pulled at."""
-END_M, BENDS = 0.006, 0.3
-"""An end that was lifted may be seen so much too short, and how far it goes off straight on, for each metre on."""
+END_M, BENDS = 0.006, (0.3, 0.15)
+"""An end that was lifted may be seen so much too short, and how far it goes off straight on, for each metre on, in
+depth and in the image."""
 BESIDE_M, DEEP_M = 0.006, 0.015
 """A passage farther from the way of the tool, in the image or in depth, is another part of the thread, or none."""
 
@@ -116,7 +117,7 @@ def motion(
     seen = int(np.clip(passes[nearest] - 1, 0, len(after.s) - 1))
     covariance = repeated * (before.covariance[goal] + after.covariance[seen] + common_covariance)
     on_m = {0: 1.0 - share[nearest], len(after.s): share[nearest]}.get(int(passes[nearest]), 0.0) * END_M
-    return Motion(tool, at[nearest], axes @ covariance @ axes.T + (BENDS * on_m) ** 2 * np.eye(2), axes)
+    return Motion(tool, at[nearest], axes @ covariance @ axes.T + np.diag(np.square(BENDS) * on_m**2), axes)
 
 
 def _longer(points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n_and_2 3"]:
