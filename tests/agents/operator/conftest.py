@@ -1,9 +1,20 @@
 """A field made by hand: a straight thread 80 mm away that is known less well in its middle, and its images."""
 
+import asyncio
+import contextlib
+import logging
+
 import numpy as np
 import pytest
 
+from agents.cli.page.recording import RigRecording
+from agents.cli.rig.config import simulated_rig
+from agents.operator.access import Access
+from agents.operator.desk import Desk
+from agents.operator.page_server import serving
+from agents.operator.surroundings import Surroundings
 from agents.robot_bridge.limits import MotionLimits
+from benchmarks.browser import chromium
 from schemas.messages import (
     FrameStamp,
     ImageEncoding,
@@ -16,9 +27,12 @@ from schemas.messages import (
 from schemas.topics import FRAMES, MAIN, THREAD
 from shared.images import encode_image
 from shared.runtime.agent import Output, Tick
+from shared.runtime.connection import connected
 
 NONE = np.zeros(0)
 LENGTH_M = 0.04
+PATIENT_S, HERE, STATES_HZ = 60.0, "127.0.0.1", 20.0
+READY = "window.suturegrasp?.presented.length > 3 && suturegrasp.picture.thread && suturegrasp.panel.state"
 QUICK = MotionLimits(
     speed=0.2,
     acceleration=2.0,
@@ -101,3 +115,52 @@ def hand_made_thread():
 @pytest.fixture(scope="session")
 def hand_made_camera():
     return HandMadeCamera
+
+
+class Emulated:
+    """Who tells of the states: each test has them begin."""
+
+    def __init__(self, connection, stack):
+        self._connection, self._stack = connection, stack
+
+    def repeats(self, topic, arm, message):
+        self._stack.enter_context(self._connection.repeating(topic, arm, STATES_HZ, message))
+
+    def once(self, topic, arm, message):
+        publish = self._stack.enter_context(self._connection.publishing(topic, arm))
+        publish(message, message.at_ns)
+
+    def log_of(self, kind, instance):
+        """Where an agent of that name warns."""
+        logger = logging.getLogger(f"emulated.{kind}.{instance}")
+        self._stack.enter_context(self._connection.reporting(kind, instance, logger, lambda: ""))
+        return logger
+
+
+def before_a_browser(rig, look, *flags, tls=None, **around):
+    """Have a browser before a page, and whoever tells beside it."""
+
+    async def run():
+        with contextlib.ExitStack() as stack:
+            connection, beside = (stack.enter_context(connected(rig, PATIENT_S)) for _ in range(2))
+            config = simulated_rig().model_copy(update={"rig": rig.rig})
+            recording = stack.enter_context(contextlib.closing(RigRecording(config, connection)))
+            audit = around.pop("audit", lambda *_, **__: None)
+            told = Surroundings("test", ("psm1",), audit, recording=recording, **around)
+            access = Access()
+            async with (
+                serving(Desk(connection, told), access, HERE, 0, (HERE,), tls) as (_, address),
+                chromium("--window-size=1280,900", *flags) as browser,
+            ):
+                page = await browser.open(f"{address}#token={access.link}")
+                await page.until(READY, PATIENT_S)
+                await look(page, Emulated(beside, stack))
+                assert page.errors == []
+
+    asyncio.run(run())
+
+
+@pytest.fixture(scope="session")
+def looked_at():
+    """Look at a page with a real browser."""
+    return before_a_browser

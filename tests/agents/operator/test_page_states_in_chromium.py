@@ -4,39 +4,29 @@ something, a tool that is followed in the images, an old thread, a host that is 
 What tells of them is emulated; the page's server, the planner, one arm's bridge and the browser are real.
 """
 
-import asyncio
 import base64
-import contextlib
 import datetime
 import hashlib
 import itertools
-import logging
 
 import numpy as np
 import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
-from agents.cli.page.recording import RigRecording
-from agents.cli.rig.config import simulated_rig
 from agents.deployment.certificates import issue
 from agents.deployment.layout import Host, Layout, Process
-from agents.operator.access import Access
-from agents.operator.desk import Desk
-from agents.operator.page_server import server_tls, serving
+from agents.operator.page_server import server_tls
 from agents.operator.spare import Processors
-from agents.operator.surroundings import Surroundings
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.simulated import SimulatedPsm
-from benchmarks.browser import chromium, found
+from benchmarks.browser import found
 from schemas.messages import FrameStamp, RobotMode, RobotState, ToolCandidate, ToolCorrection, ToolStatus
 from schemas.topics import ROBOT_STATE, TOOL
-from shared.runtime.connection import connected
 
 pytestmark = pytest.mark.skipif(found() is None, reason="there is no chromium here (apt-get install chromium)")
 
 PATIENT_S, HERE = 60.0, "127.0.0.1"
-STATES_HZ = 20.0
 READY = "window.suturegrasp?.presented.length > 3 && suturegrasp.picture.thread && suturegrasp.panel.state"
 
 
@@ -81,22 +71,6 @@ def followed(at_ns):
     )
 
 
-class Emulated:
-    """Who tells of the states: each test has them begin."""
-
-    def __init__(self, connection, stack):
-        self._connection, self._stack = connection, stack
-
-    def repeats(self, topic, arm, message):
-        self._stack.enter_context(self._connection.repeating(topic, arm, STATES_HZ, message))
-
-    def log_of(self, kind, instance):
-        """Where an agent of that name warns."""
-        logger = logging.getLogger(f"emulated.{kind}.{instance}")
-        self._stack.enter_context(self._connection.reporting(kind, instance, logger, lambda: ""))
-        return logger
-
-
 @pytest.fixture
 def most_threads(request):
     """After so many no more is seen of the thread."""
@@ -111,29 +85,7 @@ def rig(settings, in_threads, hand_made_thread, hand_made_camera, most_threads):
         yield settings
 
 
-def looked_at(rig, look, *flags, tls=None, **around):
-    """Have a browser before a page, and whoever tells beside it."""
-
-    async def run():
-        with contextlib.ExitStack() as stack:
-            connection, beside = (stack.enter_context(connected(rig, PATIENT_S)) for _ in range(2))
-            config = simulated_rig().model_copy(update={"rig": rig.rig})
-            recording = stack.enter_context(contextlib.closing(RigRecording(config, connection)))
-            told = Surroundings("test", ("psm1",), lambda *_, **__: None, recording=recording, **around)
-            access = Access()
-            async with (
-                serving(Desk(connection, told), access, HERE, 0, (HERE,), tls) as (_, address),
-                chromium("--window-size=1280,900", *flags) as browser,
-            ):
-                page = await browser.open(f"{address}#token={access.link}")
-                await page.until(READY, PATIENT_S)
-                await look(page, Emulated(beside, stack))
-                assert page.errors == []
-
-    asyncio.run(run())
-
-
-def test_an_arm_with_a_fault_says_why_and_what_to_do_and_cannot_be_armed(rig):
+def test_an_arm_with_a_fault_says_why_and_what_to_do_and_cannot_be_armed(rig, looked_at):
     async def look(page, emulated):
         emulated.repeats(ROBOT_STATE, "psm2", faulty)
         emulated.log_of("robot_bridge", "psm2").warning("the arm is FAULT: its operating state is FAULT, not ENABLED")
@@ -155,7 +107,7 @@ def test_an_arm_with_a_fault_says_why_and_what_to_do_and_cannot_be_armed(rig):
     looked_at(rig, look)
 
 
-def test_what_a_recording_lacks_is_told_beside_it(rig):
+def test_what_a_recording_lacks_is_told_beside_it(rig, looked_at):
     async def look(page, emulated):
         await page.until(says("recording", "nothing is recorded"))
         assert not await page.value("document.getElementById('record').hidden")
@@ -169,7 +121,7 @@ def test_what_a_recording_lacks_is_told_beside_it(rig):
     looked_at(rig, look)
 
 
-def test_a_followed_tool_is_drawn_and_says_how_far_off_its_registration_it_is(rig):
+def test_a_followed_tool_is_drawn_and_says_how_far_off_its_registration_it_is(rig, looked_at):
     async def look(page, emulated):
         emulated.repeats(TOOL, "psm1", followed)
         await page.until(says("arms", "by the images its tool is 4.2 mm off its registration"), PATIENT_S)
@@ -181,7 +133,7 @@ def test_a_followed_tool_is_drawn_and_says_how_far_off_its_registration_it_is(ri
 
 
 @pytest.mark.parametrize("most_threads", [200], indirect=True)
-def test_a_thread_that_is_not_seen_any_more_is_drawn_as_an_old_one(rig):
+def test_a_thread_that_is_not_seen_any_more_is_drawn_as_an_old_one(rig, looked_at):
     async def look(page, _emulated):
         await page.until("suturegrasp.picture.isOld()", PATIENT_S)
         await page.until(f"/The thread was seen \\d+ s ago/.test({text_of('words')})", PATIENT_S)
@@ -189,7 +141,7 @@ def test_a_thread_that_is_not_seen_any_more_is_drawn_as_an_old_one(rig):
     looked_at(rig, look)
 
 
-def test_on_a_full_host_the_page_says_why_it_shows_less(rig):
+def test_on_a_full_host_the_page_says_why_it_shows_less(rig, looked_at):
     spent = itertools.count(1)
 
     async def look(page, _emulated):
@@ -198,7 +150,7 @@ def test_on_a_full_host_the_page_says_why_it_shows_less(rig):
     looked_at(rig, look, processors=lambda: Processors(0, next(spent)))
 
 
-def test_over_tls_the_page_is_all_there_where_its_authority_is_trusted(rig, tmp_path):
+def test_over_tls_the_page_is_all_there_where_its_authority_is_trusted(rig, looked_at, tmp_path):
     host = Host("desk", HERE, (Process("operator", "desk"),))
     issue(Layout("test", "", (host,), leaf_days=30, authority_days=365), tmp_path, datetime.datetime.now(datetime.UTC))  # noqa: TID251
     home = tmp_path / "desk" / "certificates"
