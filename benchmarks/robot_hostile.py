@@ -139,7 +139,7 @@ def _world(given: tuple[int, int, int]) -> _Total:
 def _put_right(world: World, rng: np.random.Generator) -> None:
     """Have console and operator be well again, the arm where it is or somewhere else."""
     world.stands_by = False
-    for word in ("loose", "speak"):
+    for word in ("loose", "speak", "no_teleop"):
         world.console.request(word)
     _hold(world)
     said = world.console.verdict()

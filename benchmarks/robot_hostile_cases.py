@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from agents.robot_bridge.dvrk.set_points import SETTLES_NS
 from benchmarks.robot_hostile_found import Found
 from benchmarks.robot_hostile_plans import any_plan, set_out, waypoints
 from benchmarks.robot_hostile_states import STATE_CASES
@@ -130,9 +131,9 @@ def _bad_heartbeats(world: World, rng: np.random.Generator) -> Found:
 
 
 def _console_fails(world: World, rng: np.random.Generator) -> Found:
-    """In mid-motion the console is at fault, disabled, paused, silent, stuck, or has another tool."""
+    """In mid-motion the console is at fault, disabled, paused, silent, stuck, teleoperated, or has another tool."""
     accepted = set_out(world, any_plan(world, rng), int(rng.integers(1, 80)))
-    words = ("fault", "error", "mute", "stick", "disable", "pause", "home", "tool")
+    words = ("fault", "error", "mute", "stick", "disable", "pause", "home", "tool", "teleop")
     word = words[rng.integers(len(words))]
     if word in ("disable", "pause", "home"):
         world.topics.tell_console(f"{NAME}/state_command", crtk.state_command(word, world.now_ns))
@@ -188,6 +189,20 @@ def _two_owners(world: World, rng: np.random.Generator) -> Found:
     return Found("two owners", accepted and (world.moves or not late), False)
 
 
+def _moved_before(world: World, rng: np.random.Generator) -> Found:
+    """At rest the console moves the arm or says that it may; or a plan is of a frame before another plan's motion."""
+    early, still_ticks = any_plan(world, rng), 2 * round(SETTLES_NS / TICK_NS)
+    if rng.random() < 0.6:
+        world.tick(still_ticks)
+        world.console.request(("drift", "teleop")[rng.integers(2)])
+        world.tick(4)
+        return Found("moved before", set_out(world, any_plan(world, rng), 20), False)
+    began = set_out(world, any_plan(world, rng), 4) and world.oracle.set_points > 0
+    world.stands_by = False
+    world.tick(still_ticks)
+    return Found("moved before", began and set_out(world, early, 20), False)
+
+
 def _odd_clock(world: World, rng: np.random.Generator) -> Found:
     """In mid-motion a turn comes late, time stands, goes back or jumps, or a recording is replayed on the rig."""
     accepted = set_out(world, any_plan(world, rng), int(rng.integers(1, 80)))
@@ -227,6 +242,7 @@ CASES: tuple[Callable[[World, np.random.Generator], Found], ...] = (
     _console_fails,
     _bad_measurements,
     _two_owners,
+    _moved_before,
     _odd_clock,
     _armed_twice,
     *STATE_CASES,

@@ -49,7 +49,7 @@ class Ears:
         return self.heard.get(topic, [None])[-1]
 
 
-@pytest.fixture(params=["ros2dds", "rmw_zenoh"])
+@pytest.fixture(params=["ros2dds", "rmw_zenoh", "rmw_zenoh of Humble"])
 def console(request):
     """An emulated console behind a router, our link to it, and what that heard."""
     endpoint, ears, stopped = free_local_endpoint(), Ears(), threading.Event()
@@ -69,17 +69,17 @@ def console(request):
         Said(f"{ARM}/hold", types.EMPTY),
         Said(f"{ARM}/state_command", types.STRING_STAMPED),
     )
-    rmw = request.param == "rmw_zenoh"
+    rmw, hashed = request.param.startswith("rmw_zenoh"), "Humble" not in request.param
     with contextlib.ExitStack() as stack:
         stack.enter_context(open_router(endpoint))
         session = stack.enter_context(open_session(SessionSettings(endpoint=endpoint)))
-        wire = RmwWire(session, 7) if rmw else BridgeWire(session)
+        wire = RmwWire(session, 7, hashed) if rmw else BridgeWire(session)
         emulated = stack.enter_context(contextlib.closing(EmulatedConsole(wire, ARM, Oracle(), Behaviour())))
         stack.enter_context(answering(session, emulated))
         running = threading.Thread(target=emulated.run, args=(stopped,))
         running.start()
         stack.callback(lambda: (stopped.set(), running.join()))
-        naming = RmwZenoh(7) if rmw else Ros2dds()
+        naming = RmwZenoh(7, hashed) if rmw else Ros2dds()
         link = stack.enter_context(contextlib.closing(RosLink(SessionSettings(endpoint=endpoint), naming, heard, said)))
         link.open()
         yield emulated, link, ears
