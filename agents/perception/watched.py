@@ -2,8 +2,8 @@
 
 A look at the whole takes as long as some six followed frames, all of which it holds up. So what it finds is found a
 part at a time: parts of the images are glanced at in turn (`glances`), and the pair is judged anew in a frame of its
-own. Where that shows anything that following does not know, the whole is looked at in the same frame, as it is every
-20 seconds in any case.
+own. Where that shows anything that following does not know, the whole is looked at in the same frame, but no more often
+than where thread is not followed; and every 20 seconds in any case.
 """
 
 from dataclasses import replace
@@ -13,7 +13,7 @@ from agents.perception.glances.parts import parts_due
 from agents.perception.judge import correspondence_of_masks, correspondence_of_texture, judge
 from agents.perception.judging.whole import judge_whole
 from agents.perception.rectified_pair import RectifiedPair
-from agents.perception.search import FRAMES_BETWEEN_LOOKS, Pair, judged_in
+from agents.perception.search import FRAMES_BETWEEN_LOOKS, Pair, judged_in, near_is_enough
 from agents.perception.segmentation.choice import suitable_segmenter
 from agents.perception.segmenter_names import NETWORK
 from schemas.messages import Judgement, Severity, ThreadObservations
@@ -60,9 +60,12 @@ def watched(
     if not parts:
         return observed
     images = pair.moved_up(observed.rows_moved_up).images
-    if any(glance(images[part.eye], observed, coverage[part.eye], part) for part in parts):
+    strange = any(glance(images[part.eye], observed, coverage[part.eye], part) for part in parts)
+    if strange and not near_is_enough(last, sequence):
         return None
-    return replace(observed, glanced_sequence=sequence, glances=observed.glances + len(parts))
+    # what is strange too early is glanced at again until it is time, or until it is not strange any more
+    glances = observed.glances if strange else observed.glances + len(parts)
+    return replace(observed, glanced_sequence=sequence, glances=glances)
 
 
 def _judged(observed: ThreadObservations, pair: RectifiedPair, coverage: Pair) -> ThreadObservations | None:

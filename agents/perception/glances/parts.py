@@ -8,8 +8,7 @@ FRAMES_BETWEEN = 10
 """Of the camera: all eight parts take 80 of them, which is less than three seconds. A part costs about half as much as
 a followed frame."""
 FRAMES_BEFORE = 30
-"""Of the camera, after a look at the whole: what that does not hold to be thread may remain strange to glances, so that
-each time one leads to another look."""
+"""Of the camera, after a look at the whole, which has seen all."""
 MOST_AT_ONCE = 3
 """Where so many of the camera's frames are left out that more parts are due."""
 PARTS = 8

@@ -150,6 +150,18 @@ def test_what_following_does_not_see_is_found_within_four_seconds(change):
     assert looked[-1].looked_sequence > 0
 
 
+def test_what_is_strange_early_waits_until_two_seconds_have_passed_since_the_whole_was_looked_at():
+    agent, images = started(), scene()[1]
+    seen(agent, 0, images)
+    now = with_another(images, 110)
+    looked = [seen(agent, sequence, now) for sequence in range(5, FRAMES_BETWEEN_LOOKS + 15, 5)]
+    met = {o.looked_sequence for o in looked} - {0}
+    assert len(met) == 1
+    assert met.pop() >= FRAMES_BETWEEN_LOOKS
+    # the part that showed it is glanced at again and again
+    assert looked[-4].glances < (looked[-4].stamp.sequence - FRAMES_BEFORE) // FRAMES_BETWEEN
+
+
 @functools.cache
 def steady():
     """What is observed of a thread at rest, at every tenth frame of the camera."""
