@@ -170,7 +170,7 @@ class ThreadObservations:
         frames_since_look: how many frames were looked at since that of looked_sequence, this one included.
         judged_sequence: of the frame whose pair was last judged; None where that is the one of looked_sequence.
         glanced_sequence: of the frame in which a part of one image was last segmented beside a thread that was
-            followed, so that thread elsewhere is seen; None where that has not happened since the last look at the whole.
+            followed, so that thread elsewhere is seen; None where there was none since the last look at the whole.
         glances: how many parts were segmented like that since then.
     """
 
