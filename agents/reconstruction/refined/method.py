@@ -5,6 +5,7 @@
 3. `alignment`: the right image's counterpart of each place, by dynamic programming along the rows.
    `tips`: which ends are covered; what that says of the course.
    `continuation`: what only the right image shows beyond the left one's border.
+   `shared_pieces`: how far points may be off where two strands run as one.
 4. `initial`: a first curve from both.
 5. `refinement`: Gauss-Newton on its control points against both centrelines, smoothing chosen from the images.
 6. `constraints`: the reliability regions hold it, by a quadratic program.
@@ -28,6 +29,7 @@ from agents.reconstruction.refined.plausibility import LARGEST_RESIDUAL_SHARE, c
 from agents.reconstruction.refined.projection import LEVEL, Curve, projected, row_offsets_px
 from agents.reconstruction.refined.refinement import Refined, Start, refined
 from agents.reconstruction.refined.result import reconstruction, starts_right
+from agents.reconstruction.refined.shared_pieces import with_shared_pieces
 from agents.reconstruction.refined.sightings import (
     Sightings,
     left_sightings,
@@ -117,6 +119,7 @@ def course_of(
     if aligned is None or reason:
         raise NoCurveError(reason)
     chain, aligned = continued(chain, level, aligned, camera)
+    chain, right = with_shared_pieces(chain, right, aligned)
     return Course(chain, aligned, sightings(chain, right, aligned), row_offset_px)
 
 
