@@ -96,6 +96,7 @@ def _watch(arm: str, ears: "_Ears", link: ros.RosLink, audit: AuditLog, stopped:
             continue
         action, why = following
         if action is Action.HOLD:
+            ears.shut_gate()
             link.say(f"{arm}/hold", crtk.empty())
         else:
             link.say(f"{arm}/state_command", crtk.state_command(action.value, now_ns()))
@@ -168,6 +169,10 @@ class _Ears:
             stamp_ns = crtk.joints(data).stamp_ns
             with self._lock:
                 self._gate.alive(stamp_ns, at_ns)
+
+    def shut_gate(self) -> None:
+        with self._lock:
+            self._gate.shut()
 
     def gating(self, servo: str) -> Callable[[bytes, int], None]:
         """Passes on what is fresh while somebody stands by."""

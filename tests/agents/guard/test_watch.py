@@ -65,6 +65,18 @@ def test_what_a_link_kept_back_goes_no_further_and_what_is_fresh_does():
     assert not gate.passes(START + ahead + 1300 * MS, START + 1301 * MS), "it was overtaken"
 
 
+def test_of_a_motion_that_was_held_nothing_goes_further_however_fresh_and_the_next_motion_does():
+    gate = Gate()
+    for t in range(0, 1200, 100):
+        gate.alive(START + t * MS, START + (t + 2) * MS)
+    assert gate.passes(START + 1200 * MS, START + 1202 * MS)
+    gate.shut()
+    kept = [t for t in range(1205, 1400, 5) if gate.passes(START + t * MS, START + max(t + 2, 1330) * MS)]
+    assert kept == []
+    assert gate.passes(START + 1600 * MS, START + 1602 * MS)
+    assert gate.passes(START + 1605 * MS, START + 1607 * MS)
+
+
 def test_a_link_that_had_kept_what_first_came_is_not_believed():
     gate = Gate()
     stamps = list(range(0, 400, 5))

@@ -37,7 +37,7 @@ TIP = np.array([[0.0, 0.0, 0.0102]])
 
 def armed(session: Any, T_camera_tool: np.ndarray, plan_id: str) -> CommandAnswer:
     """The answer to arming a plan that brings the tool there."""
-    stamp = FrameStamp(1, session.now_ns, session.now_ns, "c")
+    stamp = FrameStamp(1, session.now_ns, session.now_ns, session.last[TOOL].stamp.calibration_id)
     grasp = (0.5, 0.4, 0.9, 0.0, (Waypoint(T_camera_tool, JAW, Phase.APPROACH, None),), ())
     plan = GraspPlan(plan_id, "psm1", "g", stamp, Status.OK, "", Policy.DIRECT, *grasp)
     session.tell([Output(PLAN, plan)])
