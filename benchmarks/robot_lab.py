@@ -16,15 +16,16 @@ from typing import Any
 import numpy as np
 
 from agents.cli.running.supervisor import SUPERVISED
-from schemas.codec import encode
-from schemas.messages import FrameStamp, GraspPlan, Phase, Policy, Status, Waypoint
-from schemas.topics import PLAN, key
+from schemas.codec import decode, encode
+from schemas.messages import FrameStamp, GraspPlan, Phase, Policy, Status, TissueSurface, Waypoint
+from schemas.topics import PLAN, SURFACE, key
 from shared.clock import monotonic_s, now_ns
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
 from shared.rigid_transforms import exp_so3, transform
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.delivery import declare_publisher
 from shared.runtime.session import SessionSettings, free_local_endpoint, open_session
+from shared.runtime.taps import Tapped, tap
 
 RUNS_FOR_S, STANDS_S = 1.0, 1.0
 """How long the arm moves before the loss, and how long it must not move to be said to stand."""
@@ -73,6 +74,8 @@ class Lab:
         self._beside = stack.enter_context(open_session(SessionSettings(endpoint=self._robot)))
         session = stack.enter_context(open_session(SessionSettings(RIG, self._router)))
         self._plans, self._told = declare_publisher(session, key(RIG, PLAN), PLAN), 0
+        self._frame = "bench"
+        self._heard = tap(session, RIG, (SURFACE,), self._see, lambda _topic, _count: None)
 
     def move(self) -> None:
         """Arm a plan and wait until the arm has moved for a while; it is armed again where it was held."""
@@ -143,10 +146,14 @@ class Lab:
         for process in self._running.values():
             self._end(process)
 
+    def _see(self, tapped: Tapped) -> None:
+        # a plan in another camera's frame than the tissue is refused
+        self._frame = decode(TissueSurface, tapped.payload).stamp.calibration_id
+
     def _tell_plan(self) -> None:
         self._told += 1
         beside = pack(Attachment(1, self._told, now_ns(), 0.0))
-        self._plans.put(encode(to_and_fro(f"plan-{self._told}", self._turns)), attachment=beside)
+        self._plans.put(encode(to_and_fro(f"plan-{self._told}", self._turns, self._frame)), attachment=beside)
 
     def _config(self, name: str, base: dict[str, Any], dvrk: dict[str, Any]) -> None:
         arm = base | {"backend": "dvrk", "dvrk": dvrk | {"dry_run": False}}
@@ -168,9 +175,9 @@ class Lab:
             process.stdin.close()
 
 
-def to_and_fro(plan_id: str, turns: int) -> GraspPlan:
+def to_and_fro(plan_id: str, turns: int, calibration_id: str) -> GraspPlan:
     """A plan that takes long: to the field and to and fro in it."""
-    stamp = FrameStamp(1, now_ns(), now_ns(), "bench")
+    stamp = FrameStamp(1, now_ns(), now_ns(), calibration_id)
     places = [(20, 5, 75), *((x, 6, 75) for x in (-15, 20) * turns)]
     poses = [transform(exp_so3(np.array((0.1, 0.0, 0.3))), np.array(place) / 1e3) for place in places]
     waypoints = tuple(Waypoint(T, 0.5, Phase.APPROACH, None) for T in poses)

@@ -105,7 +105,13 @@ def test_the_others_survive_and_the_restarted_agent_rejoins(name, ear, processes
     seen, observed = len(threads(ear)), len(ear.messages(OBSERVATIONS))
     processes.start(name)
     until(lambda: ear.health()[killed].uptime_s < uptime_s, f"the health of the restarted {name}")
-    until(lambda: len(threads(ear)) > seen + 2 and len(ear.messages(OBSERVATIONS)) > observed + 2, "new threads")
+    def why():
+        return [(m.stamp.sequence, m.status, m.reason) for t in (OBSERVATIONS, THREAD) for m in ear.messages(t)[-2:]]
+
+    try:
+        until(lambda: len(threads(ear)) > seen + 2 and len(ear.messages(OBSERVATIONS)) > observed + 2, "new threads")
+    except AssertionError as error:
+        raise AssertionError(f"{error}; last: {why()}") from error
 
 
 def test_a_goal_is_planned_after_every_agent_was_restarted(planned):
