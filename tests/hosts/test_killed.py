@@ -105,6 +105,7 @@ def test_the_others_survive_and_the_restarted_agent_rejoins(name, ear, processes
     seen, observed = len(threads(ear)), len(ear.messages(OBSERVATIONS))
     processes.start(name)
     until(lambda: ear.health()[killed].uptime_s < uptime_s, f"the health of the restarted {name}")
+
     def why():
         return [(m.stamp.sequence, m.status, m.reason) for t in (OBSERVATIONS, THREAD) for m in ear.messages(t)[-2:]]
 
