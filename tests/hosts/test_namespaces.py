@@ -96,7 +96,7 @@ def console(lab, until, tmp_path, monkeypatch):
 def test_an_arm_on_another_host_grasps_in_an_experiment_and_no_set_point_is_unsafe(lab, console, tmp_path):
     """Goal, plan, arming, TLS and the gate of the guard, capture, slide and grasp, and the simulator's verdict."""
     folder = tmp_path / "experiment"
-    asked = ("--threads", "singularity/plain", "--goals", "1", "--arm", EMULATED, "--verdicts", "simulated")
+    asked = ("--threads", "singularity/plain", "--goals", "2", "--arm", EMULATED, "--verdicts", "simulated")
     command = [*lab.network.inside("desk"), *MODULE, "experiment", str(folder), *asked]
     log, status = answered([*command, "--config", str(lab.config("desk"))])
     assert status == 0, log
