@@ -86,7 +86,9 @@ def hidden_of(
 @lru_cache(maxsize=4)
 def _map(image: Image) -> UInt8[np.ndarray, "r c"]:
     """The pixels; instruments are looked for anew every some frames only, and those between send the same ones."""
-    return decode_image(image)
+    pixels = decode_image(image)
+    pixels.setflags(write=False)
+    return pixels
 
 
 def _errors_px(

@@ -1,22 +1,15 @@
 """The first curve: course in the left image and disparity as smooth functions of the length along it, robustly."""
 
-from functools import lru_cache
-
 import numpy as np
 import scipy.linalg
 from jaxtyping import Float64
 
 from agents.reconstruction.refined.alignment import Alignment
 from agents.reconstruction.refined.chains import Chain
+from agents.reconstruction.refined.cubic import DEGREE, basis_at, even_places, fitted
+from agents.reconstruction.refined.kept import kept
 from agents.reconstruction.refined.normal_equations import finite
-from agents.reconstruction.refined.projection import (
-    DEGREE,
-    Curve,
-    at_constant_speed,
-    basis_at,
-    even_places,
-    fitted,
-)
+from agents.reconstruction.refined.projection import Curve, at_constant_speed
 from schemas.messages import RectifiedStereo
 from shared.camera import backproject, depth_of_disparity
 from shared.splines import clamped_uniform_knots, difference_matrix
@@ -109,7 +102,7 @@ def _smooth(
     return np.asarray(scipy.linalg.solve(H, weighted @ values, assume_a="pos", check_finite=False))
 
 
-@lru_cache(maxsize=64)
+@kept
 def _second_differences(count: int) -> Float64[np.ndarray, "m m"]:
     """The sum of squares of the second derivative at the knots, for knot spans of length 1."""
     second = difference_matrix(clamped_uniform_knots(count, DEGREE), DEGREE, 2) / (count - DEGREE) ** 2

@@ -15,13 +15,13 @@ Thread does not stretch: at the middle of each span, ‖B'‖ is the known lengt
 its length from this, and an end that is hidden its place.
 """
 
-from functools import lru_cache
-
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from agents.reconstruction.refined.cubic import DEGREE, basis_at
+from agents.reconstruction.refined.kept import kept
 from agents.reconstruction.refined.normal_equations import SIDE, Blocks
-from agents.reconstruction.refined.projection import DEGREE, Curve, basis_at
+from agents.reconstruction.refined.projection import Curve
 from schemas.messages import RectifiedStereo
 
 COMMON_SHARE, BENDING_SHARE, LOCAL_SHARE = 0.012, 0.003, 0.00003
@@ -89,7 +89,7 @@ def stretching(curve: Curve, length: float) -> Blocks:
     return Blocks(design[:, :, None] * design[:, None, :], design * residual[:, None])
 
 
-@lru_cache(maxsize=64)
+@kept
 def _middle_slopes(spans: int) -> Float64[np.ndarray, "spans 4"]:
     """The derivatives of the basis functions in the middle of each span."""
     return basis_at(spans, (np.arange(spans) + 0.5) / spans)[2]
@@ -99,7 +99,7 @@ def _cliques(band: Band) -> Float64[np.ndarray, "spans 12 12"]:
     return band.ravel().take(_clique_index(len(band) - DEGREE))
 
 
-@lru_cache(maxsize=64)
+@kept
 def _clique_index(spans: int) -> Int64[np.ndarray, "spans 12 12"]:
     """Where each number of each block lies in the band, of which the lower half is left out."""
     number = np.arange((spans + DEGREE) * (DEGREE + 1) * 9).reshape(-1, DEGREE + 1, 3, 3)

@@ -10,13 +10,15 @@ itself is damped; that changes no solution, since it holds back steps and not pl
 """
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float64, Int64
 from scipy.linalg import lapack
 
-from agents.reconstruction.refined.projection import DEGREE, Curve, basis_at, projected, row_terms
+from agents.reconstruction.refined.cubic import DEGREE, basis_at
+from agents.reconstruction.refined.kept import kept
+from agents.reconstruction.refined.projection import Curve, projected, row_terms
 from agents.reconstruction.refined.sightings import Sightings
 from schemas.messages import RectifiedStereo
 from shared.splines import clamped_uniform_knots, difference_matrix
@@ -127,11 +129,11 @@ def damping_blocks(curve: Curve) -> Blocks:
     return Blocks(design.transpose(0, 2, 1) @ design, np.zeros((spans, SIDE)))
 
 
-@lru_cache(maxsize=64)
-def _two_places(spans: int) -> tuple[Float64[np.ndarray, "spans 2 4"], Float64[np.ndarray, "spans 2 4"]]:
-    """The basis functions and their derivatives a quarter from either end of each span."""
+@kept
+def _two_places(spans: int) -> Float64[np.ndarray, "2 spans 2 4"]:
+    """The basis functions, and their derivatives, a quarter from either end of each span."""
     _, basis, slope = basis_at(spans, (np.arange(2 * spans) + 0.5) / (2 * spans))
-    return basis.reshape(spans, 2, DEGREE + 1), slope.reshape(spans, 2, DEGREE + 1)
+    return np.stack((basis, slope)).reshape(2, spans, 2, DEGREE + 1)
 
 
 def roughness_blocks(curve: Curve, weight: Float64[np.ndarray, "spans"]) -> Blocks:
@@ -144,12 +146,12 @@ def roughness_blocks(curve: Curve, weight: Float64[np.ndarray, "spans"]) -> Bloc
     return Blocks(scaled[:, None, None] * _roughness(curve.spans, BENDING), g)
 
 
-@lru_cache(maxsize=64)
+@kept
 def _roughness(spans: int, bending: float) -> Float64[np.ndarray, "spans 12 12"]:
     return np.einsum("kij,ab->kiajb", _roughness_form(spans, bending), np.eye(3)).reshape(-1, SIDE, SIDE)
 
 
-@lru_cache(maxsize=64)
+@kept
 def _roughness_form(spans: int, bending: float) -> Float64[np.ndarray, "spans 4 4"]:
     """Of each direction in space by itself."""
     third = third_differences(spans)
@@ -160,7 +162,7 @@ def _roughness_form(spans: int, bending: float) -> Float64[np.ndarray, "spans 4 
     return np.einsum("ki,kj->kij", local, local) + 0.5 * bending * np.einsum("kei,kej->kij", ends, ends)
 
 
-@lru_cache(maxsize=64)
+@kept
 def third_differences(spans: int) -> Float64[np.ndarray, "spans m"]:
     """The third derivative on each span, for spans of length 1, from the control points."""
     return difference_matrix(clamped_uniform_knots(spans + DEGREE, DEGREE), DEGREE, 3) / spans**3
@@ -174,7 +176,7 @@ def gradient(by_span: Float64[np.ndarray, "spans 12 *k"]) -> Float64[np.ndarray,
     return np.bincount(_vector_index(spans), by_span.ravel(), minlength=3 * (spans + DEGREE))
 
 
-@lru_cache(maxsize=64)
+@kept
 def _vector_index(spans: int) -> Int64[np.ndarray, "k"]:
     """Where the entries of all spans belong in the vector."""
     return (3 * np.arange(spans)[:, None] + np.arange(SIDE)).ravel()
@@ -188,7 +190,7 @@ def band(blocks: Blocks) -> Float64[np.ndarray, "12 v"]:
     return np.bincount(_band_index(spans), lower.ravel(), minlength=SIDE * size).reshape(SIDE, size)
 
 
-@lru_cache(maxsize=64)
+@kept
 def _band_index(spans: int) -> Int64[np.ndarray, "k"]:
     """Where the lower triangles of the blocks belong in the band."""
     i, j = TRIANGLE

@@ -1,15 +1,23 @@
 """A curve, and what both cameras see of it: pixels, velocities, and how pixels move with the curve."""
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from agents.reconstruction.refined.cubic import (
+    DEGREE,
+    even_parameters,
+    even_places,
+    even_powers,
+    fitted,
+    span_of,
+    span_polynomials,
+    with_slopes,
+)
 from schemas.messages import RectifiedStereo
-from shared.splines import clamped_uniform_knots, local_basis
 
-DEGREE = 3
 LEVEL = np.zeros(4)
 """Rows that are not apart: no term of the row offset, see `rows`."""
 DENSE = 12
@@ -37,7 +45,7 @@ class Curve:
     @cached_property
     def polynomials(self) -> Float64[np.ndarray, "4 3 spans"]:
         """Coefficients (power, axis) of each span, over t from 0 to 1."""
-        return np.ascontiguousarray((_span_polynomials(self.spans) @ self.near).transpose(1, 2, 0))
+        return np.ascontiguousarray((span_polynomials(self.spans) @ self.near).transpose(1, 2, 0))
 
     @cached_property
     def near(self) -> Float64[np.ndarray, "spans 4 3"]:
@@ -46,9 +54,9 @@ class Curve:
 
     def at(self, s: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "n 3"]:
         """Points of the curve."""
-        span, t = _span_of(self.spans, s)
+        span, t = span_of(self.spans, s)
         a, b, c, d = self.polynomials.take(span, axis=2)
-        # in place, here and below: fresh memory takes as long as the arithmetic
+        # in place: fresh memory takes as long as the arithmetic
         point = d * t
         point += c
         point *= t
@@ -59,7 +67,7 @@ class Curve:
 
     def evenly(self, per_span: int, derivative: int = 0) -> Float64[np.ndarray, "n 3"]:
         """Points of the curve at `even_parameters`, or first derivatives by s there, as one product of matrices."""
-        powers = _even_powers(per_span, derivative)
+        powers = even_powers(per_span, derivative)
         along = np.empty((3, self.spans * per_span + 1))
         along[:, :-1] = (self.polynomials.reshape(DEGREE + 1, -1).T @ powers[:, :-1]).reshape(3, -1)
         along[:, -1] = powers[:, -1] @ self.polynomials[:, :, -1]
@@ -70,18 +78,8 @@ class Curve:
         self, s: Float64[np.ndarray, "n"]
     ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
         """Points of the curve, and their derivatives by s."""
-        span, t = _span_of(self.spans, s)
-        a, b, c, d = self.polynomials.take(span, axis=2)
-        point = d * t
-        velocity = point.copy()
-        point += c
-        velocity += point
-        point *= t
-        point += b
-        velocity *= t
-        velocity += point
-        point *= t
-        point += a
+        span, t = span_of(self.spans, s)
+        point, velocity = with_slopes(self.polynomials.take(span, axis=2), t)
         velocity *= self.spans
         return point.T, velocity.T
 
@@ -89,7 +87,7 @@ class Curve:
         self, s: Float64[np.ndarray, "n"]
     ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
         """Points of the curve, and their first and second derivatives by s."""
-        span, t = _span_of(self.spans, s)
+        span, t = span_of(self.spans, s)
         a, b, c, d = self.polynomials[:, :, span]
         point, velocity, second = ((d * t + c) * t + b) * t + a, (3.0 * d * t + 2.0 * c) * t + b, 6.0 * d * t + 2.0 * c
         return point.T, velocity.T * self.spans, second.T * self.spans**2
@@ -195,62 +193,6 @@ def row_offsets_px(
     return row_terms(slope.T) @ row_offset_px
 
 
-def basis_at(
-    spans: int, s: Float64[np.ndarray, "n"]
-) -> tuple[Int64[np.ndarray, "n"], Float64[np.ndarray, "n 4"], Float64[np.ndarray, "n 4"]]:
-    """`local_basis` of a clamped uniform cubic, by the polynomials of its spans, and the derivatives by s."""
-    span, t = _span_of(spans, s)
-    a, b, c, d = _powers_of_basis(spans).take(span, axis=2)
-    value = d * t
-    slope = value.copy()
-    value += c
-    slope += value
-    value *= t
-    value += b
-    slope *= t
-    slope += value
-    value *= t
-    value += a
-    slope *= spans
-    return span, value.T, slope.T
-
-
-def _span_of(spans: int, s: Float64[np.ndarray, "n"]) -> tuple[Int64[np.ndarray, "n"], Float64[np.ndarray, "n"]]:
-    """The span of each parameter, and the share of it that lies before."""
-    place = np.minimum(np.maximum(s, 0.0), 1.0) * spans
-    span = np.minimum(place.astype(np.int64), spans - 1)
-    return span, place - span
-
-
-@lru_cache(maxsize=64)
-def _span_polynomials(spans: int) -> Float64[np.ndarray, "spans 4 4"]:
-    """Coefficients (power, basis function) of the basis functions on each span, over t from 0 to 1."""
-    t = np.array([0.125, 0.375, 0.625, 0.875])
-    knots = clamped_uniform_knots(spans + DEGREE, DEGREE)
-    s = (np.arange(spans)[:, None] + t) / spans
-    values = local_basis(knots, DEGREE, s.ravel())[1].reshape(spans, len(t), DEGREE + 1)
-    return np.linalg.solve(np.vander(t, increasing=True)[None], values)
-
-
-@lru_cache(maxsize=64)
-def _powers_of_basis(spans: int) -> Float64[np.ndarray, "4 4 spans"]:
-    """The same in the order (power, basis function, span)."""
-    return np.ascontiguousarray(_span_polynomials(spans).transpose(1, 2, 0))
-
-
-@lru_cache(maxsize=64)
-def even_parameters(spans: int, per_span: int) -> Float64[np.ndarray, "n"]:
-    """Parameters that cut each span into so many parts, both ends of the curve included."""
-    return np.linspace(0.0, 1.0, per_span * spans + 1)
-
-
-@lru_cache(maxsize=64)
-def _even_powers(per_span: int, derivative: int) -> Float64[np.ndarray, "4 n"]:
-    """Powers of t, or their first derivatives, at even places of a span, its end included."""
-    t, power = np.linspace(0.0, 1.0, per_span + 1), np.arange(DEGREE + 1)[:, None]
-    return t**power if not derivative else power * t ** np.maximum(power - 1, 0)
-
-
 def chords(points: Float64[np.ndarray, "n d"]) -> Float64[np.ndarray, "m"]:
     """The distances between neighbouring points, one fewer than points."""
     step = points[1:] - points[:-1]
@@ -281,27 +223,3 @@ def at_constant_speed(
         first, last = curve.at(np.array([low, high]))
         wanted[inside] = first + share * (last - first)
     return Curve(curve.knots, fitted(curve.spans, wanted)), np.interp(s, dense, along)
-
-
-@lru_cache(maxsize=64)
-def even_places(spans: int) -> Float64[np.ndarray, "n"]:
-    """Parameters, evenly spaced and dense enough to tell a spline of so many spans."""
-    return np.linspace(0.0, 1.0, 5 * (spans + DEGREE))
-
-
-def fitted(spans: int, points: Float64[np.ndarray, "n d"]) -> Float64[np.ndarray, "m d"]:
-    """Control points of the spline nearest to points at `even_places`."""
-    return _fit_matrix(spans) @ points
-
-
-@lru_cache(maxsize=64)
-def _fit_matrix(spans: int) -> Float64[np.ndarray, "m n"]:
-    return np.linalg.pinv(_design(spans, even_places(spans)))
-
-
-def _design(spans: int, s: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "n m"]:
-    """The basis functions at s, one in each column."""
-    first, values, _ = basis_at(spans, s)
-    basis = np.zeros((len(s), spans + DEGREE))
-    basis[np.arange(len(s))[:, None], first[:, None] + np.arange(DEGREE + 1)] = values
-    return basis

@@ -13,9 +13,10 @@ from agents.reconstruction.refined.crossings import (
     other_threads_px,
     with_middles,
 )
+from agents.reconstruction.refined.cubic import DEGREE, even_parameters
 from agents.reconstruction.refined.medians import median
 from agents.reconstruction.refined.posterior import point_covariance
-from agents.reconstruction.refined.projection import DEGREE, DENSE, Curve, chords, even_parameters, projected_evenly
+from agents.reconstruction.refined.projection import DENSE, Curve, chords, projected_evenly
 from agents.reconstruction.refined.refinement import Refined
 from schemas.messages import (
     RectifiedStereo,

@@ -9,8 +9,9 @@ from jaxtyping import Bool, Float64, Int64
 from agents.reconstruction.refined.alignment import Alignment
 from agents.reconstruction.refined.chains import Chain
 from agents.reconstruction.refined.continuation import ADDED
+from agents.reconstruction.refined.cubic import even_parameters
 from agents.reconstruction.refined.medians import median
-from agents.reconstruction.refined.projection import DENSE, Curve, chords, even_parameters, projected, projected_evenly
+from agents.reconstruction.refined.projection import DENSE, Curve, chords, projected, projected_evenly
 from agents.reconstruction.refined.right_pieces import of_right
 from schemas.messages import Centrelines, RectifiedStereo
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from agents.reconstruction.refined.projection import Curve, fitted
+from agents.reconstruction.refined.cubic import fitted
+from agents.reconstruction.refined.projection import Curve
 from agents.reconstruction.refined.sightings import Sightings
 from schemas.messages import Centrelines, RectifiedStereo
 from shared.camera import project

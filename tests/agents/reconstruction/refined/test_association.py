@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from agents.reconstruction.refined.association import associated
+from agents.reconstruction.refined.cubic import fitted
 from agents.reconstruction.refined.points import chosen_points
-from agents.reconstruction.refined.projection import LEVEL, Curve, fitted
+from agents.reconstruction.refined.projection import LEVEL, Curve
 from schemas.messages import Centrelines, RectifiedStereo
 from shared.camera import project
 from shared.splines import clamped_uniform_knots

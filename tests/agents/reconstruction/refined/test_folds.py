@@ -5,7 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from agents.reconstruction.refined.projection import Curve, at_constant_speed, fitted
+from agents.reconstruction.refined.cubic import fitted
+from agents.reconstruction.refined.projection import Curve, at_constant_speed
 from agents.reconstruction.refined.sightings import folds
 from shared.splines import clamped_uniform_knots
 

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
+from agents.reconstruction.refined.cubic import basis_at, even_parameters
 from agents.reconstruction.refined.projection import (
     LEVEL,
     at_constant_speed,
-    basis_at,
-    even_parameters,
     projected,
     projected_evenly,
     row_offsets_px,

@@ -10,8 +10,9 @@ from hypothesis.extra.numpy import arrays
 from scipy.integrate import dblquad
 from scipy.stats import norm
 
+from agents.reconstruction.refined.cubic import fitted
 from agents.reconstruction.refined.posterior import point_covariance, sliding
-from agents.reconstruction.refined.projection import Curve, fitted
+from agents.reconstruction.refined.projection import Curve
 from agents.reconstruction.refined.refinement import Start, refined
 from agents.reconstruction.refined.result import TOLERANCE_M, confidence_of, stretches
 from shared.splines import clamped_uniform_knots
