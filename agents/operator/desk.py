@@ -18,6 +18,7 @@ from agents.operator.spare import Spare
 from agents.operator.standing_by import StandingBy
 from agents.operator.surroundings import Surroundings
 from agents.operator.voice import Voice
+from agents.operator.waiting import until
 from agents.operator.wire import (
     Beat,
     Click,
@@ -168,15 +169,13 @@ class Desk:
             self._turn()
             if self.control.press is None:
                 self._turning.clear()
-                with contextlib.suppress(TimeoutError):
-                    await asyncio.wait_for(self._turning.wait(), STATE_S)
+                await until(self._turning, STATE_S)
             else:
                 await asyncio.sleep(TURN_S)
 
     async def _states(self) -> None:
         while True:
-            with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._voice.changed.wait(), 2 * STATE_S)
+            await until(self._voice.changed, 2 * STATE_S)
             self._voice.changed.clear()
             self.field.take_states()
             # where pictures go out, the thread is drawn for them
