@@ -24,7 +24,8 @@ def rectified_pair(entries: NamedEntries) -> StatedCalibration:
     node, name = entries.entry("baseline", "baseline_mm")
     baseline = array(node, name)
     if baseline.size != 1 or baseline.item() <= 0:
-        raise CalibrationError(f"{name} must be one positive number, but is {shape_text(baseline)}")
+        told = f"{baseline.item():g}" if baseline.size == 1 else shape_text(baseline)
+        raise CalibrationError(f"{name} must be one positive number, but is {told}")
     if "distortion" in entries and array(*entries.entry("distortion", "D")).any():
         raise CalibrationError("a camera matrix with a baseline is a rectified pair, which has no distortion")
     return StatedCalibration(

@@ -13,11 +13,12 @@ from agents.cli.reconstruct.options import UsageError
 from agents.cli.rig.config import RigConfig
 from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.cli.terminal import complain, say, warn
+from schemas.messages import Judgement, Severity
 from shared.calibration import CalibrationError, read_calibration, write_calibration
 from shared.calibration.estimation.board import Board
 from shared.calibration.estimation.checking import Checked, checked, held_out
 from shared.calibration.estimation.coverage import coverage, lacking
-from shared.calibration.estimation.estimate import Estimate, estimated
+from shared.calibration.estimation.estimate import FEWEST_VIEWS, Estimate, estimated
 from shared.calibration.judge import judgements
 from shared.calibration.written import camera_info_texts, opencv_text
 from shared.runtime.connection import connected
@@ -53,6 +54,8 @@ def _board(options: Calibrate) -> Board:
 def _estimate(rig: RigConfig, options: Calibrate, board: Board) -> int:
     if options.calibration:
         raise UsageError("stereo makes a calibration; to check one, say calibrate check")
+    if options.views < FEWEST_VIEWS:
+        raise UsageError(f"--views {options.views}: give {FEWEST_VIEWS} or more, better 20")
     output = _output(options.output)
     seen = _live(rig, options, board, output) if options.live else views_in_folders(options, board)
     for sentence in lacking(coverage(seen.views, board, seen.image_size)):
@@ -60,17 +63,28 @@ def _estimate(rig: RigConfig, options: Calibrate, board: Board) -> int:
     estimate = estimated(seen.views, board, seen.image_size, METRES_PER_UNIT[options.unit])
     for name, px in estimate.left_out:
         warn(f"{name} contradicts the other views by {px:.1f} px and was left out: did the board move, or bend?")
+    judged = judgements(estimate.calibration)
+    for judgement in judged:
+        if judgement.severity is Severity.FAULT:
+            raise CalibrationError(f"no calibration was written: {_unlike_eyes(judgement)}")
     apart = held_out(estimate.views, board, seen.image_size, METRES_PER_UNIT[options.unit])
     _write(output, estimate)
     report = write_report(output, board, seen, estimate, apart)
     for sentence in _told(estimate, apart, options.unit):
         say(sentence)
-    for judgement in judgements(estimate.calibration):
+    for judgement in judged:
         warn(f"{judgement.finding} {judgement.remedy}")
     if apart and _rows(apart) > ROWS_LIMIT_PX:
         warn(f"rows are off by more than {ROWS_LIMIT_PX} px on views held out; take sharper and more varied views")
     say(f"calibration.json, opencv.yaml and ros/ in {output}; report: {report}")
     return EXIT_OK
+
+
+def _unlike_eyes(fault: Judgement) -> str:
+    """What is wrong with images of which a calibration with such a fault was made, and what to do."""
+    if fault.code == "left_and_right_swapped":
+        return "left and right look exchanged; give them the other way round, or, if they are not, turn off mirroring"
+    return f"{fault.finding} {fault.remedy}"
 
 
 def _live(rig: RigConfig, options: Calibrate, board: Board, output: Path) -> Seen:
@@ -114,7 +128,9 @@ def _check(options: Calibrate, board: Board) -> int:
 def _output(folder: Path | None) -> Path:
     if folder is None:
         raise UsageError("give --output, a folder for the calibration and its report")
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"--output {folder} is a file; give a new folder")
+    if folder.exists() and any(folder.iterdir()):
         raise UsageError(f"--output {folder} is not empty; give a new folder")
     folder.mkdir(parents=True, exist_ok=True)
     return folder

@@ -6,6 +6,7 @@ which. Corners are numbered row by row from the board's origin.
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import inf
 
 import cv2
 import numpy as np
@@ -41,12 +42,23 @@ class Board:
     def __post_init__(self) -> None:
         if not all(FEWEST_SQUARES <= side <= MOST_SQUARES for side in (self.columns, self.rows)):
             raise CalibrationError(f"a board of {self.columns}x{self.rows} squares is none; count squares, not corners")
-        if not self.square > 0:
-            raise CalibrationError("the side of a square must be positive")
+        if not 0 < self.square < inf:
+            raise CalibrationError("the side of a square must be a positive number")
         if self.marker is not None and not 0 < self.marker < self.square:
             raise CalibrationError("a marker must be smaller than the square that it stands in")
-        if self.marker is not None and not hasattr(cv2.aruco, self.dictionary):
+        if self.marker is not None:
+            self._check_dictionary()
+
+    def _check_dictionary(self) -> None:
+        if not (self.dictionary.startswith("DICT_") and hasattr(cv2.aruco, self.dictionary)):
             raise CalibrationError(f"OpenCV has no dictionary {self.dictionary}; DICT_4X4_250 is one")
+        # of an odd number of squares, the one left over is black
+        held, needed = len(_markers(self.dictionary).bytesList), self.columns * self.rows // 2
+        if held < needed:
+            raise CalibrationError(
+                f"a board of {self.columns}x{self.rows} squares has {needed} markers, and {self.dictionary} only "
+                f"{held}; name the dictionary that the board was printed with"
+            )
 
     @cached_property
     def points(self) -> Float64[np.ndarray, "c 3"]:
@@ -111,8 +123,8 @@ def _chessboard(grey: UInt8[np.ndarray, "h w"], board: Board, thorough: bool) ->
 
 
 def _charuco(grey: UInt8[np.ndarray, "h w"], board: Board, marker: float) -> Corners | None:
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
-    pattern = cv2.aruco.CharucoBoard((board.columns, board.rows), board.square, marker, dictionary)
+    size = board.columns, board.rows
+    pattern = cv2.aruco.CharucoBoard(size, board.square, marker, _markers(board.dictionary))
     pattern.setLegacyPattern(board.legacy)
     corners, numbers, *_ = cv2.aruco.CharucoDetector(pattern).detectBoard(grey)
     # where there are none OpenCV gives None, which its stub does not know
@@ -121,3 +133,7 @@ def _charuco(grey: UInt8[np.ndarray, "h w"], board: Board, marker: float) -> Cor
         return None
     order = np.argsort(number)
     return Corners(number[order], np.asarray(corners, np.float64).reshape(-1, 2)[order])
+
+
+def _markers(dictionary: str) -> cv2.aruco.Dictionary:
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float64
 
+from schemas.checks import MessageError
 from schemas.messages import StereoCalibration
 from shared.calibration.estimation.board import Board
 from shared.calibration.estimation.views import View
@@ -23,6 +24,12 @@ VIEWS_FOR_ALL = 10
 """With fewer the third radial coefficient stays 0, which few views would make up."""
 OUTLIER_RATIO, OUTLIER_PX = 3.0, 0.5
 """A view is left out whose residual is so many times that of the median view, and larger than that."""
+NO_CAMERA_SHARE, ONE_PLACE_SHARE = 0.005, 0.001
+"""Of the image's width: what no lens leaves of half of the views. Of the board's distance: the least between eyes."""
+NO_CAMERA = (
+    "these views determine no camera; take more, of the board tilted and at different distances, with neither eye's "
+    "image mirrored or turned"
+)
 MOST_OUTLIERS = 0.3
 """Of the views; where more are far off, nothing tells which are right."""
 CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 200, 1e-9)
@@ -70,10 +77,7 @@ def estimated(
     most = int(MOST_OUTLIERS * len(views))
     while True:
         if len(views) < FEWEST_VIEWS:
-            raise CalibrationError(
-                f"{len(views)} views are too few; take at least {FEWEST_VIEWS}, better 20, of the board at different "
-                "places, distances and tilts"
-            )
+            raise CalibrationError(_too_few(len(views)))
         found = _fitted(views, board, image_size, metres_per_unit)
         far = found.view_rms_px
         worst = int(np.argmax(far))
@@ -81,6 +85,7 @@ def estimated(
             break
         left_out.append((views[worst].name, float(far[worst])))
         views = views[:worst] + views[worst + 1 :]
+    _check_fit(found)
     return Estimate(
         found.calibration,
         found.views,
@@ -89,6 +94,37 @@ def estimated(
         found.residual_right_px,
         tuple(left_out),
     )
+
+
+def _too_few(count: int) -> str:
+    if count == 0:
+        return (
+            "no pair shows the board to both eyes; check --squares, which counts squares and not corners, --marker, "
+            "and that all of the board is in view"
+        )
+    return (
+        f"{count} view{'s are' if count > 1 else ' is'} too few; take at least {FEWEST_VIEWS}, better 20, of the board "
+        "at different places, distances and tilts"
+    )
+
+
+def _check_fit(found: Estimate) -> None:
+    """Refuse what no stereo camera sees.
+
+    Raises:
+        CalibrationError: where the corners of both images fit no camera, or its eyes stand in one place.
+    """
+    off_px = float(np.median(found.view_rms_px))
+    if off_px > NO_CAMERA_SHARE * found.calibration.image_width:
+        raise CalibrationError(
+            f"the corners of both images fit no camera (half of the views are more than {off_px:.1f} px off); turn off "
+            "mirroring and turning of one eye, give both eyes of one moment, and the board that was shown"
+        )
+    apart = float(np.linalg.norm(found.calibration.T_right_left[:3, 3]))
+    if apart < ONE_PLACE_SHARE * float(np.median(found.T_left_board[:, 2, 3])):
+        raise CalibrationError(
+            "both eyes see every board from one place, as one image given twice does; give the left and the right image"
+        )
 
 
 def _fitted(
@@ -118,21 +154,22 @@ def _fitted(
             criteria=CRITERIA,
         )
     except cv2.error:
-        raise CalibrationError(
-            "these views determine no camera; take more, of the board tilted and at different distances"
-        ) from None
+        raise CalibrationError(NO_CAMERA) from None
     T_right_left = transform(nearest_rotation(np.asarray(R)), np.asarray(t).ravel())
     width, height = image_size
-    calibration = StereoCalibration(
-        image_width=width,
-        image_height=height,
-        K_left=np.asarray(K_l),
-        K_right=np.asarray(K_r),
-        distortion_left=np.asarray(d_l).ravel(),
-        distortion_right=np.asarray(d_r).ravel(),
-        T_right_left=T_right_left,
-        metres_per_unit=metres_per_unit,
-    )
+    try:
+        calibration = StereoCalibration(
+            image_width=width,
+            image_height=height,
+            K_left=np.asarray(K_l),
+            K_right=np.asarray(K_r),
+            distortion_left=np.asarray(d_l).ravel(),
+            distortion_right=np.asarray(d_r).ravel(),
+            T_right_left=T_right_left,
+            metres_per_unit=metres_per_unit,
+        )
+    except MessageError:
+        raise CalibrationError(NO_CAMERA) from None
     T_left_board = np.array(
         [transform(_rotation(np.asarray(r)), np.asarray(p).ravel()) for r, p in zip(turned, moved, strict=True)]
     )

@@ -54,6 +54,14 @@ def test_folders_become_a_calibration_in_three_forms_with_a_report(suturegrasp, 
     assert "more would make it surer" in ended.err
 
 
+def test_exchanged_eyes_make_no_calibration_and_are_named(suturegrasp, folders, tmp_path):
+    _, left, _, right = folders
+    ended = suturegrasp("calibrate", "stereo", *SQUARES, "--left", right, "--right", left, "--output", tmp_path / "out")
+    assert ended.status == 3
+    assert "left and right look exchanged; give them the other way round" in ended.err.splitlines()[-1]
+    assert list((tmp_path / "out").iterdir()) == []
+
+
 def test_a_calibration_is_checked_against_views(suturegrasp, folders, tmp_path):
     write_calibration(tmp_path / "right.json", CAMERA)
     ended = suturegrasp("calibrate", "check", *SQUARES, *folders, "--calibration", tmp_path / "right.json")
@@ -121,7 +129,14 @@ def test_live_frames_become_a_calibration(suturegrasp, pairs, settings, in_threa
         (("stereo", "--output", "{tmp}/new", "--marker", "9"), 2, "a marker must be smaller"),
         (("stereo", "--output", "{tmp}/new", "--stereo", "{tmp}/none"), 2, "is no folder"),
         (("stereo", "--output", "{tmp}/new", "--calibration", "c"), 2, "say calibrate check"),
-        (("stereo", "--output", "{tmp}/new", "--stereo", "{tmp}/plain"), 3, "0 views are too few"),
+        (("stereo", "--output", "{tmp}/new", "--stereo", "{tmp}/plain"), 3, "no pair shows the board to both eyes"),
+        (
+            ("stereo", "--output", "{tmp}/plain/0.png", "--stereo", "{tmp}/plain"),
+            2,
+            "0.png is a file; give a new folder",
+        ),
+        (("stereo", "--output", "{tmp}/new", "--live", "--views", "3"), 2, "--views 3: give 5 or more"),
+        (("stereo", "--output", "{tmp}/new", "--dictionary", "Board"), 2, "no dictionary Board"),
         (("check", "--stereo", "{tmp}/plain"), 2, "give the --calibration"),
         (("check", "--live"), 2, "leave --live and --output out"),
     ],

@@ -59,11 +59,30 @@ def test_the_right_corners_are_counted_from_the_same_end():
 
 
 @pytest.mark.parametrize(
-    "how", [(2, 7, 3.0), (9, 7, 0.0), (9, 7, 3.0, 3.0), (9, 7, 3.0, 2.0, "DICT_NONE"), (9, 1000, 3.0)]
+    ("how", "said"),
+    [
+        ((2, 7, 3.0), "count squares, not corners"),
+        ((9, 1000, 3.0), "count squares, not corners"),
+        ((9, 7, 0.0), "a positive number"),
+        ((9, 7, float("inf")), "a positive number"),
+        ((9, 7, float("nan")), "a positive number"),
+        ((9, 7, 3.0, 3.0), "smaller than the square"),
+        ((9, 7, 3.0, 2.0, "DICT_NONE"), "no dictionary DICT_NONE"),
+        ((9, 7, 3.0, 2.0, "CharucoBoard"), "no dictionary CharucoBoard"),
+        ((14, 9, 3.0, 2.0, "DICT_4X4_50"), "has 63 markers, and DICT_4X4_50 only 50"),
+    ],
 )
-def test_boards_that_cannot_be_are_refused(how):
-    with pytest.raises(CalibrationError):
+def test_boards_that_cannot_be_are_refused(how, said):
+    with pytest.raises(CalibrationError, match=said):
         Board(*how)
+
+
+def test_a_board_may_need_the_last_marker_of_its_dictionary():
+    board = Board(10, 10, 3.0, 2.0, "DICT_4X4_50")
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    assert len(cv2.aruco.CharucoBoard((10, 10), board.square, 2.0, dictionary).getIds()) == 50
+    odd = cv2.aruco.CharucoBoard((9, 11), board.square, 2.0, dictionary)
+    assert len(odd.getIds()) == 9 * 11 // 2
 
 
 def test_neighbours_are_one_square_apart():

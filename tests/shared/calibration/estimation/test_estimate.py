@@ -85,10 +85,37 @@ def test_views_without_outliers_are_all_kept():
     assert estimated(views_of(CAMERA, 12, 3), BOARD, SIZE, MM).left_out == ()
 
 
-@pytest.mark.parametrize("count", [0, 1, 4])
+@pytest.mark.parametrize("count", [1, 4])
 def test_too_few_views_are_refused_with_what_to_do(count):
     with pytest.raises(CalibrationError, match="take at least 5"):
         estimated(views_of(CAMERA, count, 0), BOARD, SIZE, MM)
+
+
+def test_no_view_at_all_points_to_how_the_board_was_counted():
+    with pytest.raises(CalibrationError, match="check --squares, which counts squares and not corners"):
+        estimated((), BOARD, SIZE, MM)
+
+
+def upside_down(px):
+    # and counted from the end at which the other eye's corners begin
+    return (np.array(SIZE) - 1.0 - px)[::-1]
+
+
+def mirrored(px):
+    return px * (-1.0, 1.0) + (SIZE[0] - 1.0, 0.0)
+
+
+@pytest.mark.parametrize("spoilt", [upside_down, mirrored])
+def test_an_eye_that_was_turned_or_mirrored_fits_no_camera(spoilt):
+    views = tuple(replace(view, right=spoilt(view.right)) for view in views_of(CAMERA, 12, 8))
+    with pytest.raises(CalibrationError, match="mirror"):
+        estimated(views, BOARD, SIZE, MM)
+
+
+def test_one_image_given_twice_is_no_stereo_camera():
+    views = tuple(replace(view, right=view.left) for view in views_of(CAMERA, 12, 9))
+    with pytest.raises(CalibrationError, match="one image given twice"):
+        estimated(views, BOARD, SIZE, MM)
 
 
 def test_nothing_is_held_out_where_too_little_is_left():
