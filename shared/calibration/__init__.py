@@ -2,10 +2,11 @@
 
 from shared.calibration.own_file import write_calibration
 from shared.calibration.reader import ReadCalibration, calibration_of_camera_infos, read_calibration
-from shared.calibration.stated import CalibrationError
+from shared.calibration.stated import CalibrationError, OtherSizeError
 
 __all__ = [
     "CalibrationError",
+    "OtherSizeError",
     "ReadCalibration",
     "calibration_of_camera_infos",
     "read_calibration",

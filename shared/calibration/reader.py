@@ -12,7 +12,7 @@ from shared.calibration.formats import stated_calibration
 from shared.calibration.judge import judgements, repaired_rotation
 from shared.calibration.pixel_convention import counted_from_centres
 from shared.calibration.ros_camera_info import camera_info, ros_pair
-from shared.calibration.stated import CalibrationError, ImageSize, StatedCalibration
+from shared.calibration.stated import CalibrationError, ImageSize, OtherSizeError, StatedCalibration
 from shared.rigid_transforms import transform
 from shared.units import metres_per_unit
 
@@ -39,7 +39,8 @@ def read_calibration(
     A judgement of severity FAULT means that the calibration is well formed but must not be used.
 
     Raises:
-        CalibrationError: where there is no usable calibration; the text says why and what to do.
+        CalibrationError: where there is no usable calibration; the text says why and what to do. Where it is for images
+            of another size, an OtherSizeError.
     """
     paths = (path_or_paths,) if isinstance(path_or_paths, Path) else tuple(path_or_paths)
     if len(paths) not in (1, 2):
@@ -50,6 +51,8 @@ def read_calibration(
         # JSON is this project's own form, which counts pixels from their centres
         foreign = any(path.suffix.lower() != ".json" for path in paths)
         return _judged(stated, _metres_per_unit(stated, unit), image_size, foreign)
+    except OtherSizeError as error:
+        raise OtherSizeError(_one_line(f"{' and '.join(map(str, paths))}: {error}"), error.size) from None
     except (CalibrationError, MessageError) as error:
         raise CalibrationError(_one_line(f"{' and '.join(map(str, paths))}: {error}")) from None
 
@@ -110,9 +113,10 @@ def _check_size(stated: ImageSize | None, image_size: tuple[int, int]) -> None:
     if not stated.order_is_known and (stated.height, stated.width) == image_size:
         return
     ours, theirs = (f"{width}x{height}" for width, height in (image_size, (stated.width, stated.height)))
-    raise CalibrationError(
+    raise OtherSizeError(
         f"the calibration is for {theirs} images, and these are {ours}; "
-        "use the images that it belongs to, or scale them to its size if they were not cropped"
+        "use the images that it belongs to, or scale them to its size if they were not cropped",
+        (stated.width, stated.height),
     )
 
 

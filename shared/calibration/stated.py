@@ -10,6 +10,14 @@ class CalibrationError(ValueError):
     """A calibration that cannot be used: the text says what is wrong with it and what to do."""
 
 
+class OtherSizeError(CalibrationError):
+    """A calibration for images of another size, which is `size`: width and height in pixels."""
+
+    def __init__(self, sentence: str, size: tuple[int, int]) -> None:
+        super().__init__(sentence)
+        self.size = size
+
+
 @dataclass(frozen=True)
 class ImageSize:
     """The size of the images that a calibration was made with, as its file states it.

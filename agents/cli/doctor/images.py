@@ -12,7 +12,7 @@ from agents.cli.reconstruct.options import UsageError
 from agents.perception.judging.answers import Answer
 from agents.perception.judging.sequence import about_sequence
 from schemas.messages import Severity
-from shared.calibration import CalibrationError, read_calibration
+from shared.calibration import CalibrationError, OtherSizeError, ReadCalibration, read_calibration
 from shared.images import ImageDataError, decode_image
 from shared.runtime.connection import Connection
 
@@ -35,13 +35,13 @@ def examine_images(options: Doctor) -> Iterator[Finding]:
     try:
         images = _read(options)
     except ImageFileError as error:
-        yield Finding(IMAGES, str(error), "give both images of one frame, of one size")
+        yield _wrong(IMAGES, str(error), "give both images of one frame, of one size")
         return
     height, width = images[0].shape[:2]
     try:
-        read = read_calibration(options.calibration, unit=options.unit, image_size=(width, height))
+        read = _calibration(options, (width, height))
     except CalibrationError as error:
-        yield Finding("calibration", str(error), "give the calibration of the camera that took these images")
+        yield _wrong("calibration", str(error), "give the calibration of the camera that took these images")
         return
     for judgement in read.judgements:
         remedy = "" if judgement.severity is Severity.NOTE else _plain(judgement.remedy)
@@ -85,6 +85,20 @@ def _read(options: Doctor) -> Pair:
             return read_side_by_side(stereo)
         case _:
             raise UsageError("give either both --left and --right, or one side-by-side image with --stereo")
+
+
+def _calibration(options: Doctor, size: tuple[int, int]) -> ReadCalibration:
+    try:
+        return read_calibration(options.calibration, unit=options.unit, image_size=size)
+    except OtherSizeError as error:
+        # a question to the images like any other: they may be scaled, or cropped
+        return read_calibration(options.calibration, unit=options.unit, image_size=error.size)
+
+
+def _wrong(what: str, error: str, otherwise: str) -> Finding:
+    """What cannot be read, with the remedy that the error names, or else another one."""
+    found, _, remedy = error.partition("; ")
+    return Finding(what, found, remedy or otherwise)
 
 
 def _plain(sentence: str) -> str:

@@ -10,6 +10,7 @@ from agents.cli.reconstruct.pipeline import Pair, PipelineResult, reconstruct_pa
 from agents.cli.reconstruct.result_file import observed_points, result_text
 from agents.cli.terminal import complain, say, warn
 from agents.cli.whole_file import OutputError, whole_file
+from agents.perception.prompt import reach_px
 from agents.perception.rectification import RectificationError
 from agents.perception.segmentation.choice import segmenters_with
 from agents.perception.segmentation.promptable_model import PromptableFileError, PromptableFiles
@@ -18,6 +19,7 @@ from agents.viewer.picture import draw_picture
 from schemas.messages import Judgement, Severity, Status
 from shared.arc_length import length
 from shared.calibration import CalibrationError, ReadCalibration, read_calibration
+from shared.images import decode_image
 from shared.units import unit_name
 
 EXIT_OK, EXIT_UNUSABLE_INPUT, EXIT_FAILED = 0, 2, 3
@@ -30,7 +32,7 @@ def run(options: Reconstruct) -> int:
         images = _read_images(options)
         read = _read_calibration(options, images)
         masks = _read_masks(options, images)
-        pixel = prompted_pixel(None, options.at)
+        pixel = _pixel(options, images)
         result = reconstruct_pair(
             images,
             read.calibration,
@@ -53,7 +55,7 @@ def run(options: Reconstruct) -> int:
     except MemoryError:
         return complain("the memory does not suffice for images of this size; give smaller ones", EXIT_UNUSABLE_INPUT)
     if result.reconstruction.status is not Status.OK:
-        return complain(result.reconstruction.reason, EXIT_FAILED)
+        return complain(_why_none(result, pixel), EXIT_FAILED)
     for judgement in (*read.judgements, *result.observations.judgements):
         if judgement.severity is not Severity.NOTE:
             warn(_finding_and_remedy(judgement))
@@ -71,6 +73,26 @@ def _read_images(options: Reconstruct) -> Pair:
     if options.stereo is not None:
         return read_side_by_side(options.stereo)
     raise UsageError("give both --left and --right, or one side-by-side image with --stereo")
+
+
+def _pixel(options: Reconstruct, images: Pair) -> tuple[float, float] | None:
+    pixel = prompted_pixel(None, options.at)
+    height, width = images[0].shape[:2]
+    if pixel is not None and not (0 <= pixel[0] <= width - 1 and 0 <= pixel[1] <= height - 1):
+        raise UsageError(f"--at {options.at} lies outside the left image of {width}x{height} pixels")
+    return pixel
+
+
+def _why_none(result: PipelineResult, pixel: tuple[float, float] | None) -> str:
+    """The reason of the reconstruction; where a pixel was named that lies beside all thread, that."""
+    if (
+        pixel is None
+        or result.observations.segmenter == PROMPTABLE
+        or decode_image(result.observations.mask_left).any()
+    ):
+        return result.reconstruction.reason
+    reach = reach_px(result.images[0].shape[1])
+    return f"nothing like thread lies within {reach:.0f} px of ({pixel[0]:.0f}, {pixel[1]:.0f}) in the left image"
 
 
 def _read_calibration(options: Reconstruct, images: Pair) -> ReadCalibration:

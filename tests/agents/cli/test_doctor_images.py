@@ -2,6 +2,7 @@
 
 import json
 
+import cv2
 import numpy as np
 import pytest
 
@@ -80,8 +81,25 @@ def test_images_and_calibrations_that_cannot_be_read_are_findings(suturegrasp, r
     left, right, about = render
     ended, wrong = told(suturegrasp, tmp_path / "none.png", right, about)
     assert ended.status == 1 and "does not exist" in wrong[0]
+    assert wrong[0].count("; ") == 1
     ended, wrong = told(suturegrasp, left, right, tmp_path / "none.json")
     assert ended.status == 1 and "calibration" in wrong[0]
+
+
+def test_images_that_were_scaled_or_cropped_are_said_to_be_beside_what_the_calibration_is_for(
+    suturegrasp, render, tmp_path
+):
+    left, right = read_pair(*render[:2])
+    for name, change, said in (
+        ("scaled", lambda image: cv2.resize(image, (480, 270)), "scaled to 50%"),
+        ("cropped", lambda image: image[:400], "960x540: cropped; turn cropping off"),
+    ):
+        files = [tmp_path / f"{name}_{eye}.png" for eye in ("left", "right")]
+        for file, image in zip(files, (left, right), strict=True):
+            cv2.imwrite(str(file), change(image))
+        ended, (wrong,) = told(suturegrasp, *files, render[2])
+        assert ended.status == 1
+        assert said in wrong and wrong.endswith("(fault size)")
 
 
 @pytest.mark.parametrize(

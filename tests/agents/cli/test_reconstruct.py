@@ -321,3 +321,18 @@ def test_another_thread_is_told_with_where_to_point_and_pointing_there_means_it(
         np.linalg.norm(np.array(left["left_px"]).mean(axis=0) - ends.mean(axis=0)) > 9
         for left in meant["other_threads"]
     )
+
+
+@pytest.mark.parametrize("at", ["-1,5", "5,-1", "100000,5", "5,100000"])
+def test_pointing_outside_the_image_is_refused(suturegrasp, pair, small, at):
+    ended = suturegrasp(*pair(small), f"--at={at}", "--output", small / "out.json")
+    assert ended.status == 2
+    assert f"--at {at} lies outside the left image of " in ended.complaints[0]
+
+
+def test_pointing_beside_all_thread_says_so(suturegrasp, pair, small):
+    ended = suturegrasp(*pair(small), "--at", "1,1", "--output", small / "out.json")
+    assert ended.status == 3
+    assert re.fullmatch(
+        r"suturegrasp: nothing like thread lies within \d+ px of \(1, 1\) in the left image", ended.complaints[0]
+    )
