@@ -27,7 +27,7 @@ from agents.reconstruction.refined.normal_equations import (
     solved,
 )
 from agents.reconstruction.refined.plausibility import implausible
-from agents.reconstruction.refined.points import Points, chosen_points
+from agents.reconstruction.refined.points import chosen_points
 from agents.reconstruction.refined.projection import LEVEL, Curve, at_constant_speed, chords, projected
 from agents.reconstruction.refined.refinement import LEAST_SCALE, LOOSER, Refined, weighted
 from agents.reconstruction.refined.sightings import MOST_POINTS, Sightings, placed
@@ -37,9 +37,11 @@ from schemas.messages import Centrelines, RectifiedStereo, ThreadTrack
 STEPS = 2
 HIDDEN = 1e-3
 """Of the usual roughness: what counts of it past the last place that is seen."""
-ROUNDS, FEW_POINTS, NEAR_PX_SHARE = 3, 150, 0.004
-"""Places are found and the curve is moved with some points of each eye until it moves by less than this share of the
-width, or so often."""
+ROUNDS, NEAR_PX_SHARE = 3, 0.004
+"""The curve is moved and places are found anew until it moves by less than this share of the width, or so often."""
+BESIDE_PX_SHARE, FOUND = 0.0015, 0.9
+"""Nor is that needed where so many points have found the curve and none of them lies farther beside it than that, as
+where the thread stands still."""
 CHOICE_FRAMES = 5
 """Smoothing is chosen anew once in so many frames."""
 LEAST_SHARE = 0.5
@@ -87,19 +89,7 @@ def followed(
     try:
         noise = process_noise(curve, camera, elapsed_s)
         prediction = _Prediction(last, curve, prior(last.covariance, noise), camera)
-        few = _points(lines, camera, FEW_POINTS)
-        near, seen = curve, associated(curve, few, camera, row_offset_of(last), votes=True)
-        for left in reversed(range(ROUNDS)):
-            _require_seen(seen, camera, FARTHEST_BEYOND)
-            then, near = near, _moved(prediction, near, seen.sight)
-            if not (np.isfinite(near.control_points).all() and (near.control_points[:, 2] > 0).all()):
-                raise LostError("the curve that was followed leaves the space before the cameras")
-            small = _steps_px(near, then, camera) < NEAR_PX_SHARE * camera.image_width
-            enough = small or not left
-            points = _points(lines, camera, MOST_POINTS) if enough else few
-            seen = associated(near, points, camera, row_offset_of(last), votes=False)
-            if enough:
-                break
+        near, seen = _brought_near(prediction, lines)
         _require_seen(seen, camera)
         fit = _fit(prediction, near, seen.sight)
         if _is_of_another_length(fit, prediction.length):
@@ -110,10 +100,6 @@ def followed(
     _require_fit(fit, innovation, camera)
     hidden_alike = seen.hidden_share > max(LEAST_HIDDEN, seen.alone_share)
     return Followed(fit, innovation, seen.found_share, hidden_alike)
-
-
-def _points(lines: tuple[Centrelines, Centrelines], camera: RectifiedStereo, wanted: int) -> tuple[Points, Points]:
-    return chosen_points(lines[0], camera, wanted), chosen_points(lines[1], camera, wanted)
 
 
 @dataclass(frozen=True)
@@ -137,6 +123,24 @@ class _Prediction:
     def remembered(self, curve: Curve) -> Blocks:
         """What the frames before have shown, without the length of each span."""
         return away_from(self.precision, curve, self.curve)
+
+
+def _brought_near(prediction: _Prediction, lines: tuple[Centrelines, Centrelines]) -> tuple[Curve, Associated]:
+    """A curve so near to the points that they have their places on it: the last one, where the thread hardly moves."""
+    camera, row_offset = prediction.camera, row_offset_of(prediction.last)
+    points = chosen_points(lines, camera, MOST_POINTS)
+    near, seen = prediction.curve, associated(prediction.curve, points, camera, row_offset, votes=True)
+    for _ in range(ROUNDS):
+        if seen.found_share >= FOUND and seen.farthest_px < BESIDE_PX_SHARE * camera.image_width:
+            break
+        _require_seen(seen, camera, FARTHEST_BEYOND)
+        then, near = near, _moved(prediction, near, seen.sight)
+        if not (np.isfinite(near.control_points).all() and (near.control_points[:, 2] > 0).all()):
+            raise LostError("the curve that was followed leaves the space before the cameras")
+        seen = associated(near, points, camera, row_offset, votes=False)
+        if _steps_px(near, then, camera) < NEAR_PX_SHARE * camera.image_width:
+            break
+    return near, seen
 
 
 def _moved(prediction: _Prediction, curve: Curve, sight: Sightings) -> Curve:

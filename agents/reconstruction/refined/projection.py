@@ -150,6 +150,14 @@ def projected_evenly(
     return _view(curve.evenly(per_span), curve.evenly(per_span, 1), eye, camera, row_offset_px)
 
 
+def projected_evenly_by_both(
+    curve: Curve, per_span: int, camera: RectifiedStereo, row_offset_px: Float64[np.ndarray, "4"] = LEVEL
+) -> View:
+    """The views of the places at `even_parameters` by the left eye, and then by the right one."""
+    point, velocity = (np.tile(curve.evenly(per_span, k).T, 2).T for k in (0, 1))
+    return _view(point, velocity, np.repeat((0, 1), len(point) // 2), camera, row_offset_px)
+
+
 def _view(
     point: Float64[np.ndarray, "n 3"],
     forward: Float64[np.ndarray, "n 3"],

@@ -57,8 +57,7 @@ def off(seen, lines, places):
 
 
 def look(curve, lines, votes=True):
-    points = chosen_points(lines[0], CAMERA, 200), chosen_points(lines[1], CAMERA, 200)
-    return associated(curve, points, CAMERA, LEVEL, votes=votes)
+    return associated(curve, chosen_points(lines, CAMERA, 200), CAMERA, LEVEL, votes=votes)
 
 
 @pytest.mark.parametrize("shape", [winding, loop])
@@ -139,7 +138,22 @@ def test_a_point_takes_its_direction_from_its_own_piece():
     down = np.column_stack((np.full(40, 140.0), 50.0 + np.arange(40.0)))
     piece = np.repeat([0, 1], 40)
     lines = Centrelines(np.concatenate((across, down)), piece, np.full(80, 3.0), np.full(80, 0.1))
-    points = chosen_points(lines, CAMERA, 20)
-    np.testing.assert_allclose(points.direction[points.piece == 0], [[1.0, 0.0]] * np.sum(points.piece == 0))
-    np.testing.assert_allclose(points.direction[points.piece == 1], [[-1.0, 0.0]] * np.sum(points.piece == 1))
-    np.testing.assert_array_equal(points.point_px[points.is_end], [across[0], across[-1], down[0], down[-1]])
+    none = Centrelines(np.zeros((0, 2)), np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
+    for both in ((lines, none), (none, lines)):
+        points = chosen_points(both, CAMERA, 20)
+        first, second = (points.piece == piece for piece in np.unique(points.piece))
+        np.testing.assert_allclose(points.direction[first], [[1.0, 0.0]] * np.sum(first))
+        np.testing.assert_allclose(points.direction[second], [[-1.0, 0.0]] * np.sum(second))
+        np.testing.assert_array_equal(points.point_px[points.is_end], [across[0], across[-1], down[0], down[-1]])
+
+
+def test_how_far_the_thread_is_from_the_curve_counts_beside_it_and_at_its_ends():
+    curve = curve_of(winding)
+    (left, right), _ = lines_of(curve)
+    assert look(curve, (left, right)).farthest_px < 0.5
+    for shift, votes in (((0.0, 2.0), False), ((0.0, 2.0), True), ((14.0, -9.0), True)):
+        seen = look(curve, lines_of(curve, shift=shift)[0], votes=votes)
+        assert 0.8 * np.hypot(*shift) < seen.farthest_px < 1.5 * np.hypot(*shift)
+    shorter = tuple(lines_of(curve, [(0.006, 1.0)])[0])
+    ends = np.linalg.norm(np.diff(project(CAMERA, curve.at(np.array((0.0, 0.006))))[0], axis=0))
+    assert look(curve, shorter).farthest_px == pytest.approx(ends, rel=0.05)

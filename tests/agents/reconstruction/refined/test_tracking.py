@@ -7,7 +7,7 @@ import pytest
 
 from agents.reconstruction.agent import Reconstruction
 from agents.reconstruction.methods import METHODS
-from agents.reconstruction.refined import tracking
+from agents.reconstruction.refined import following, tracking
 from agents.reconstruction.refined.following import Followed, LostError
 from agents.reconstruction.refined.posterior import point_covariance
 from agents.reconstruction.refined.tracking import track_refined
@@ -87,6 +87,54 @@ def test_fast_motion_is_followed():
     threads = tracked([frame.observations for frame in frames])
     assert {track_of(t).step for t in threads[1:]} == {TrackStep.CONTINUED}
     assert figures(threads, frames)[0].max() < 0.05
+
+
+def test_a_thread_that_stands_still_needs_no_first_steps(monkeypatch):
+    frames = [frame.observations for frame in rendered(Kind("still", 0.0, 0.0), frames=6)]
+    noise = np.random.default_rng(2)
+    frames = [dataclasses.replace(frame, **noisy_lines(frame, noise)) for frame in frames]
+    thread = tracked(frames[:-1])[-1]
+    steps = count_calls(monkeypatch, following, "_moved")
+    at_once = track_refined(frames[-1], thread)
+    assert steps == []
+    monkeypatch.setattr(following, "BESIDE_PX_SHARE", 0.0)
+    with_them = track_refined(frames[-1], thread)
+    assert len(steps) == 1
+    assert apart_in_deviations(at_once, with_them).max() < 0.1
+
+
+def noisy_lines(frame, noise):
+    """Both centrelines, of points that are known to a twentieth of a pixel."""
+    return {
+        name: dataclasses.replace(
+            lines,
+            point_px=lines.point_px + noise.normal(0.0, 0.05, lines.point_px.shape),
+            deviation_px=np.full(len(lines.piece), 0.05),
+        )
+        for name, lines in (
+            ("centrelines_left", frame.centrelines_left),
+            ("centrelines_right", frame.centrelines_right),
+        )
+    }
+
+
+def count_calls(monkeypatch, module, name):
+    """What a function of a module was called with, a list that grows."""
+    calls, function = [], getattr(module, name)
+    monkeypatch.setattr(module, name, lambda *given: (calls.append(given), function(*given))[1])
+    return calls
+
+
+def apart_in_deviations(first, second):
+    """How far two curves of the same places lie apart across the thread, in deviations of the first one."""
+    at = first.posterior_s
+    points, others = (evaluate(t.knots, t.control_points_camera, 3, at) for t in (first, second))
+    tangent = evaluate(first.knots, first.control_points_camera, 3, at, 1)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    plane = np.linalg.svd(tangent[:, None])[2][:, 1:]
+    off = np.einsum("qij,qj->qi", plane, others - points)
+    covariance = plane @ first.posterior_covariance @ plane.transpose(0, 2, 1)
+    return np.sqrt(np.einsum("qi,qij,qj->q", off, np.linalg.inv(covariance), off))
 
 
 def test_behind_a_tool_s_stays_the_same_piece_of_thread(behind_a_tool):
