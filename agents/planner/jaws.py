@@ -75,6 +75,11 @@ def grasp_pass(config: PlannerConfig) -> Pass:
     return Pass(np.append(jaw, jaw[-1]), back_m, (*[Phase.GRASP] * CLOSING_STEPS, Phase.RETREAT))
 
 
+def aside_pass(config: PlannerConfig) -> Pass:
+    """Closed jaws after the lift."""
+    return Pass(np.radians([config.closed_deg]), np.zeros(1), (Phase.RETREAT,))
+
+
 def nearest_to_tissue(
     tissue: Tissue, T_camera_tool: Float64[np.ndarray, "*n 4 4"], passed: Pass, config: PlannerConfig
 ) -> Nearest:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from agents.planner.aside import with_aside
+from agents.planner.aside import NOWHERE, aside_of, with_aside
 from agents.planner.attempt import Attempt, first_attempt, offset_for, plan_id
 from agents.planner.captures import ArmView, Captures, least_pressed
 from agents.planner.chances import PAPER, Known, known_along
@@ -82,7 +82,7 @@ def _best(
         return _rejected(goal, thread, attempt, reason, s_goal, likely, others)
     led = clear_way(choice, chosen, goal.policy, curve, arm)
     if known.model != PAPER:
-        led = with_aside(led, s_goal, curve, arm, config)
+        led = with_aside(led, s_goal, curve, arm, config, tissue)
     return GraspPlan(
         plan_id=plan_id(goal, attempt),
         arm=goal.arm,
@@ -97,7 +97,7 @@ def _best(
         slide_m=float(abs(s[led.capture] - s_goal) * curve.length_m),
         waypoints=led.waypoints,
         alternatives=others,
-        tissue=clearance_of(tissue, captures.ways, led.way[0], s, led.capture, at_goal, config),
+        tissue=clearance_of(tissue, captures.ways, led.way[0], s, led.capture, at_goal, config, aside_of(led)),
         thread=led.thread,
         policy_model=known.model,
         goal=goal,
@@ -118,7 +118,7 @@ def _at_tissue(captures: Captures, config: PlannerConfig, tissue: SeenTissue) ->
     pressed = least_pressed(captures)
     if pressed is None:
         return None, ""
-    found = clearance_of(tissue, captures.ways, pressed[0], captures.s, pressed[1], captures.goal, config)
+    found = clearance_of(tissue, captures.ways, pressed[0], captures.s, pressed[1], captures.goal, config, NOWHERE)
     return found, f"; at best, captured at s = {captures.s[pressed[1]]:.3f}, {pressed_sentence(found, config)}"
 
 

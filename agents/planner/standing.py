@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from agents.planner.config import PlannerConfig
-from agents.planner.jaws import Nearest, capture_pass, grasp_pass, nearest_to_tissue, slide_pass
+from agents.planner.jaws import Nearest, aside_pass, capture_pass, grasp_pass, nearest_to_tissue, slide_pass
 from agents.planner.tissue import Tissue
 from agents.planner.ways import UNTILTED, Ways, along_slide
 from schemas.messages import FrameStamp, Phase, TissueClearance
@@ -93,24 +93,30 @@ def clearance_of(
     capture: int,
     goal: int,
     config: PlannerConfig,
+    aside: Float64[np.ndarray, "k 4 4"],
 ) -> TissueClearance:
-    """How the jaws of one grasp stand to the tissue, as a plan tells it."""
+    """How the jaws of one grasp stand to the tissue, as a plan tells it.
+
+    Args:
+        aside: poses of the closed jaws after the lift.
+    """
     if seen.tissue is None:
         return TissueClearance(seen.stamp, f"not checked against tissue: {seen.unchecked}", 0.0)
     on_thread = ways.on_thread[way, 0]
     slid = np.arange(min(capture, goal), max(capture, goal) + 1)
     passes = (
-        (np.array([capture]), capture_pass(config)),
-        (slid if goal != capture else slid[:0], slide_pass(config)),
-        (np.array([goal]), grasp_pass(config)),
+        (on_thread[[capture]], s[[capture]], capture_pass(config)),
+        *([(on_thread[slid], s[slid], slide_pass(config))] if goal != capture else []),
+        (on_thread[[goal]], s[[goal]], grasp_pass(config)),
+        *([(aside, np.full(len(aside), s[goal]), aside_pass(config))] if len(aside) else []),
     )
     found: list[tuple[Nearest, int, Phase, float]] = []
     known, places = 0.0, 0
-    for samples, passed in passes:
-        near = nearest_to_tissue(seen.tissue, on_thread[samples], passed, config)
+    for poses, at_s, passed in passes:
+        near = nearest_to_tissue(seen.tissue, poses, passed, config)
         known += float(near.known.sum()) * len(passed.jaw_rad)
-        places += len(samples) * len(passed.jaw_rad)
-        found += [(near, i, passed.phase[near.step[i]], float(s[sample])) for i, sample in enumerate(samples)]
+        places += len(poses) * len(passed.jaw_rad)
+        found += [(near, i, passed.phase[near.step[i]], float(at)) for i, at in enumerate(at_s)]
     share = min(known / places, 1.0)
     if share == 0:
         return TissueClearance(seen.stamp, "not checked against tissue: none was measured there", 0.0)

@@ -1,6 +1,7 @@
 """A plan goes on sideways after its lift, so that the check decides whether the thread is held."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -75,6 +76,51 @@ def test_the_side_is_one_that_the_arm_reaches_and_where_it_reaches_none_the_lift
     assert np.linalg.norm(ends[1] - ends[-1]) == pytest.approx(10.0)
     nowhere = planned(bench, 1.5, reachable=lambda T: abs(T[:, 1, 3]) < 0.003)
     assert len(retreats(nowhere)) == 1
+
+
+NARROW = dataclasses.replace(CONFIG, depths_m=(0.002,), opens_deg=(30.0,), slides_deg=(20.0,))
+"""Jaws that open less than they go to the side."""
+
+
+def folded(bench, *sides):
+    """Tissue 2 mm behind the thread that rises steeply 4 mm beside it, where y has one of these signs."""
+
+    def depth_mm(_, v):
+        beyond = np.max([side * (v - 269.5) - 45.0 for side in sides], axis=0)
+        return np.clip(90.0 - 0.8 * np.maximum(beyond, 0.0), 76.0, None)
+
+    return bench.tissue(depth_mm)
+
+
+def with_tissue(bench, tissue, config=NARROW) -> Any:
+    return plan_grasp(bench.goal(s=0.5, policy=Policy.DIRECT), told(bench, 1.5), bench.arm(), config, tissue)
+
+
+def test_jaws_are_not_dragged_through_tissue_but_go_to_the_other_side_or_only_lift(bench):
+    for side in (1, -1):
+        plan = with_tissue(bench, folded(bench, side))
+        assert len(retreats(plan)) == 2, plan.reason
+        assert side * moved_mm(plan)[1] < 0, "away from the fold"
+    assert len(retreats(with_tissue(bench, folded(bench, 1, -1)))) == 1
+    assert len(retreats(with_tissue(bench, bench.tissue(90.0)))) == 2
+
+
+def test_where_tissue_has_to_be_known_it_has_to_be_beside_the_thread_too(bench):
+    required = dataclasses.replace(NARROW, tissue_required=True)
+    for side in (1, -1):
+        seen = bench.tissue(90.0, known=lambda _, v, side=side: side * (v - 269.5) < 60)
+        plan = with_tissue(bench, seen, required)
+        assert len(retreats(plan)) == 2, plan.reason
+        assert side * moved_mm(plan)[1] < 0, "to where the tissue is known"
+
+
+def test_the_plan_tells_of_tissue_on_the_way_to_the_side(bench):
+    rising = bench.tissue(lambda _, v: 100.0 - 0.04 * abs(v - 269.5))
+    beside, lifts = (
+        with_tissue(bench, rising, dataclasses.replace(NARROW, aside_m=aside_m)).tissue for aside_m in (0.02, 0.0)
+    )
+    assert beside.phase is Phase.RETREAT
+    assert 0 < beside.clearance_m < lifts.clearance_m
 
 
 def test_the_policy_of_the_paper_and_an_aside_of_nothing_lift_only(bench):

@@ -5,12 +5,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.stats
+from hypothesis import given
+from hypothesis import strategies as st
 
 from agents.planner.agent import Planner
 from agents.planner.attempt import next_attempt
-from agents.planner.check import checked
+from agents.planner.check import checked, held_probability
 from agents.planner.config import PlannerConfig
 from agents.planner.learning import after_miss
+from agents.planner.moved import Motion, motion
 from agents.planner.plan import plan_grasp
 from schemas.codec import decode
 from schemas.messages import (
@@ -23,6 +27,7 @@ from schemas.messages import (
     RobotMode,
     RobotState,
     Status,
+    ThreadAround,
 )
 from schemas.topics import CHECK, EXECUTION, GOAL, PLAN, ROBOT_STATE, THREAD, key, topic_of
 from shared.kinematics import psm
@@ -91,6 +96,74 @@ def test_nothing_is_claimed_of_thread_that_is_not_seen_or_a_tool_that_hardly_mov
         told(bench, lifted_mm=5.0), posterior_s=np.zeros(0), posterior_covariance=np.zeros((0, 3, 3))
     )
     assert checked(plan, unsaid, tool_after(plan), CONFIG).verdict is Checked.UNKNOWN
+
+
+def test_a_tool_that_moved_too_little_or_along_the_thread_is_named_for_it(bench):
+    plan = planned(bench)
+    grasped, after = plan.waypoints[-2].T_camera_tool, told(bench)
+    for way, told_so in ((2, "the tool moved by only 1.5 mm"), (0, "the tool moved along the thread")):
+        moved = grasped.copy()
+        moved[:3, 3] += (1.5 * MM if way == 2 else 6 * MM) * grasped[:3, way]
+        seen = checked(plan, after, moved, CONFIG)
+        assert (seen.verdict, seen.doubtful) == (Checked.UNKNOWN, False)
+        assert told_so in seen.sentence
+
+
+@given(
+    st.tuples(*[st.floats(-9, 9)] * 2), st.tuples(*[st.floats(0.05, 3)] * 2), st.floats(-0.9, 0.9), st.floats(0, 3.2)
+)
+def test_the_probability_of_being_held_is_that_of_its_derivation(moved_mm, sigma_mm, correlation, turn):
+    tool, thread = np.array([7.0, 5.0]) * MM, np.array(moved_mm) * MM
+    sigma = np.array(sigma_mm) * MM
+    covariance = np.outer(sigma, sigma) * np.array([[1.0, correlation], [correlation, 1.0]])
+    axes = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+    opens = np.array([0.0, np.cos(turn), np.sin(turn)])
+    missed = covariance + (0.7 * MM) ** 2 * np.eye(2)
+    # what the fingers are off by: 0.7 mm on each axis, and 1.5 mm anywhere in a ball
+    opened = np.array([np.sin(turn), np.cos(turn)])
+    held = missed + ((0.7 * MM) ** 2 + (1.5 * MM) ** 2 / 5) * np.outer(opened, opened)
+
+    def density(off, spread):
+        beside = scipy.stats.norm.pdf(off[1], scale=np.sqrt(spread[1, 1]))
+        normal = scipy.stats.multivariate_normal.pdf(off, cov=spread)
+        # depths within 30 mm are alike, and so is all within 15 by 6 mm to either side
+        return 0.979 * normal + 0.02 * beside / 0.03 + 0.001 / (4 * 0.015 * 0.006)
+
+    expected = density(thread - tool, held) / (density(thread - tool, held) + density(thread, missed))
+    found = held_probability(Motion(tool, thread, covariance, axes), opens, CONFIG)
+    assert found == pytest.approx(expected, rel=1e-6)
+
+
+def along(points_mm, sigma_mm=0.1):
+    points = np.asarray(points_mm) * MM
+    covariance = np.tile(np.eye(3) * (sigma_mm * MM) ** 2, (len(points), 1, 1))
+    return ThreadAround(np.linspace(0, 1, len(points)), points, covariance)
+
+
+def test_thread_that_passes_the_goal_far_beside_is_another_strand():
+    x = np.linspace(-40, 40, 161)
+    before = along(np.column_stack((x, 0 * x, 0 * x + 88)))
+    lifts = np.array([0.0, 0.0, -5.0]) * MM
+    for beside_mm, found in ((4.0, True), (7.0, False)):
+        # far from the goal it lies where it lay
+        y = np.where(np.abs(x) < 10, beside_mm, 0.0)
+        after = along(np.column_stack((x, y, 0 * x + 88)))
+        assert (motion(before, 80, after, lifts) is not None) is found
+
+
+def test_an_end_that_is_seen_too_short_is_the_less_sure_the_farther_it_goes_on():
+    x = np.linspace(-40, 40, 161)
+    before = along(np.column_stack((x, 0 * x, 0 * x + 88)))
+    deviations = {}
+    for cut_mm in (0.0, 2.0, 4.0):
+        seen = x[x <= 38 - cut_mm]
+        after = along(np.column_stack((seen, 0 * seen, 0 * seen + 88)))
+        found = motion(before, 156, after, np.array([0.0, 5.0, 0.0]) * MM)
+        assert found is not None
+        deviations[cut_mm] = np.sqrt(np.diag(found.covariance)) / MM
+    assert (np.diff(list(deviations.values()), axis=0) > 0.1).all()
+    # 4 mm on: 30 % of that in depth, 15 % in the image
+    assert (deviations[4.0] >= (1.2, 0.6)).all()
 
 
 def test_a_miss_moves_the_offset_to_where_the_fingers_would_have_missed_and_the_aim_makes_up_for_it(bench):
