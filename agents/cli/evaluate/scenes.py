@@ -17,10 +17,9 @@ from schemas.messages import SimulatorState, StereoCalibration
 from schemas.topics import SIMULATOR_STATE
 from shared.runtime.agent import Output, Tick
 from shared.scene.centreline import Thread
-from shared.scene.path_traced.batch import Job, make
+from shared.scene.path_traced.batch import Job, make, outstanding
 from shared.scene.path_traced.field import Field as TracedField
 from shared.scene.path_traced.ground import Ground
-from shared.scene.path_traced.pair_files import is_written
 from shared.scene.path_traced.placing import occluders
 from shared.scene.path_traced.recipe import Recipe, arranged
 from shared.scene.path_traced.solids import Solid
@@ -84,7 +83,7 @@ def traced_scenery(protocol: Protocol, laid: Laid, folder: Path) -> Scenery:
         SceneError: where the scene cannot be arranged, traced or written.
     """
     job = traced_job(protocol, laid, folder)
-    if not is_written(job.folder, job.name):
+    if outstanding([job]):
         make(job)
     left, right = (cv2.imread(str(job.folder / f"{job.name}_{side}.png")) for side in ("left", "right"))
     if left is None or right is None:

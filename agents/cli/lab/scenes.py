@@ -8,12 +8,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from agents.cli.lab.scenes_options import Scenes
 from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE
-from agents.cli.terminal import complain, say
+from agents.cli.terminal import complain, say, warn
 from schemas.messages import RectifiedStereo, Severity
 from shared.calibration import CalibrationError, read_calibration
 from shared.scene.backdrop_files import write_backdrop
 from shared.scene.path_traced.backdrop import traced_backdrop
-from shared.scene.path_traced.batch import Done, Job, make_all, outstanding
+from shared.scene.path_traced.batch import LARGEST_OFFSET_PX, Done, Job, make_all, outstanding
 from shared.scene.path_traced.engine import engine
 from shared.scene.path_traced.eyes import Rig, calibrated_rig, rectified_rig
 from shared.scene.path_traced.recipe import Recipe
@@ -39,6 +39,12 @@ def run(options: Scenes) -> int:
     except SceneError as error:
         return complain(str(error), EXIT_UNUSABLE)
     say(_summary(options, len(jobs), made))
+    for one in made:
+        if one.mask_offset_px > LARGEST_OFFSET_PX:
+            warn(
+                f"the masks of {one.name} lie {one.mask_offset_px:.3f} px from its truth, more than "
+                f"{LARGEST_OFFSET_PX} px: measure nothing by it"
+            )
     return EXIT_OK
 
 

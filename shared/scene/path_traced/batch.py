@@ -30,6 +30,10 @@ class Job:
     samples: int
 
 
+LARGEST_OFFSET_PX = 0.05
+"""Between masks and truth, on average over a pair: more is no truth to measure others by."""
+
+
 @dataclass(frozen=True)
 class Done:
     """A pair that was made: how far its masks lie from its truth (NaN without thread), and processor seconds."""
@@ -40,8 +44,12 @@ class Done:
 
 
 def outstanding(jobs: list[Job]) -> list[Job]:
-    """Those that do not lie there yet."""
-    return [job for job in jobs if not is_written(job.folder, job.name)]
+    """Those that do not lie there yet.
+
+    Raises:
+        SceneError: where another pair lies there under the name of one.
+    """
+    return [job for job in jobs if not is_written(job.folder, job.name, job.recipe, job.rig, job.samples)]
 
 
 def make(job: Job) -> Done:

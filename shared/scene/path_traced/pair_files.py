@@ -8,14 +8,47 @@ import numpy as np
 
 from shared.scene.path_traced.eyes import Rig
 from shared.scene.path_traced.pair import StrandTruth, TracedPair
+from shared.scene.path_traced.recipe import Recipe
 from shared.scene.render import SceneError
 
 COLUMNS = ("x", "y", "z", "arclength", "visible_left", "visible_right")
 
 
-def is_written(folder: Path, name: str) -> bool:
-    """Whether the pair lies there already: its document is written last."""
-    return (folder / f"{name}.json").is_file()
+def is_written(folder: Path, name: str, recipe: Recipe, rig: Rig, samples: int) -> bool:
+    """Whether the pair lies there already, whole: its document is written last.
+
+    Raises:
+        SceneError: where a pair of that name was made from another recipe, for another camera or with other samples.
+    """
+    path = folder / f"{name}.json"
+    try:
+        there = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    for what, wanted in asked(recipe, rig, samples).items():
+        made = there.get("asked", {}).get(what, wanted)
+        if made != wanted:
+            raise SceneError(
+                f"{path} was made otherwise ({what}: {made}, not {wanted}); name another folder with --output"
+            )
+    return True
+
+
+def asked(recipe: Recipe, rig: Rig, samples: int) -> dict[str, object]:
+    """All that decides what a pair of a name looks like, and that its name does not tell."""
+    left, right = rig.eyes
+    cameras = [
+        [
+            eye.width,
+            eye.height,
+            eye.K.tolist(),
+            eye.distortion.tolist(),
+            eye.R_eye_left.tolist(),
+            eye.t_eye_left.tolist(),
+        ]
+        for eye in (left, right)
+    ]
+    return {"with": list(recipe.extras), "colour": recipe.dye, "samples": samples, "cameras": cameras}
 
 
 def write_traced(folder: Path, name: str, pair: TracedPair) -> None:
@@ -78,6 +111,7 @@ def document(name: str, pair: TracedPair) -> dict[str, object]:
         **first,
         "other_threads": threads[1:],
         "npy_columns": list(COLUMNS),
+        "asked": asked(pair.recipe, pair.rig, pair.samples),
     }
 
 

@@ -55,4 +55,7 @@ def test_a_batch_is_made_by_two_processes_and_taken_up_again(tmp_path):
     assert {"easy_chicken_0003.json", "easy_chicken_0004_mask_right.png"} <= set(made)
     again = scenes(*batch, "--count", 2)
     assert "all were there already" in again.stdout
+    other = scenes(*batch, "--count", 2, "--with", "smoke")
+    assert other.returncode == 2
+    assert "was made otherwise (with: [], not ['smoke']); name another folder with --output" in other.stderr
     assert {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == made

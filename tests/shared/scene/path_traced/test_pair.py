@@ -1,6 +1,7 @@
 """The truth of a traced pair is what its images show; needs the extra `sim`."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from shared.scene.path_traced.batch import Job, make, mean_offset, outstanding
 from shared.scene.path_traced.pair import traced_pair
 from shared.scene.path_traced.recipe import BACKGROUNDS, Recipe
 from shared.scene.path_traced.splines import Curve, sampled
+from shared.scene.render import SceneError
 
 pytest.importorskip("mitsuba", reason="path tracing needs the extra sim: make sim")
 
@@ -79,6 +81,14 @@ def test_a_pair_on_disk_has_the_form_of_the_published_renders_and_is_not_made_tw
     job = Job(tmp_path, "one", Recipe("easy", "paper", 5, dye="undyed"), SMALL, 1)
     make(job)
     assert outstanding([job]) == []
+    for other in (
+        replace(job, recipe=replace(job.recipe, dye="blue")),
+        replace(job, recipe=replace(job.recipe, extras=("smoke",))),
+        replace(job, samples=2),
+        replace(job, rig=endoscope(160, 90)),
+    ):
+        with pytest.raises(SceneError, match=r"one\.json was made otherwise .* name another folder with --output"):
+            outstanding([other])
     document = json.loads((tmp_path / "one.json").read_text())
     table = np.load(tmp_path / "one.npy")
     assert table.shape[1] == len(document["npy_columns"]) == 6
@@ -90,6 +100,8 @@ def test_a_pair_on_disk_has_the_form_of_the_published_renders_and_is_not_made_tw
     np.testing.assert_allclose(table[:, 3], arc, atol=1e-3)
     names = {path.name for path in tmp_path.iterdir()}
     assert names >= {f"one_{kind}{side}.png" for kind in ("", "mask_") for side in ("left", "right")}
+    (tmp_path / "one.json").write_text((tmp_path / "one.json").read_text()[:100])
+    assert outstanding([job]) == [job]
 
 
 @pytest.mark.parametrize("background", BACKGROUNDS)
