@@ -7,7 +7,6 @@ way it goes between hosts.
 """
 
 import json
-import os
 import re
 import shutil
 import subprocess
@@ -20,7 +19,7 @@ import zenoh
 
 from shared.runtime.access import ROUTER, access_control
 from shared.runtime.identity import identity_in
-from shared.runtime.session import ROUTER_RUNTIME, RUNTIME_VARIABLE, router_settings
+from shared.runtime.session import have_threads_of_a_router, router_settings
 
 SENT, RECEIVED = re.compile(r"bytes_sent:(\d+)"), re.compile(r"bytes_received:(\d+)")
 
@@ -90,5 +89,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    os.environ.setdefault(RUNTIME_VARIABLE, ROUTER_RUNTIME)
+    have_threads_of_a_router()
     main()

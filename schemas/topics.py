@@ -110,12 +110,12 @@ ROBOT_STATE = Topic(
     RobotState,
     Delivery.LATEST,
     rate_hz=100,
-    resting_hz=10,
+    resting_hz=5,
     maximum_age_ms=100,
     per_arm=True,
 )
 EXECUTION = Topic("robot_bridge", "execution", ExecutionEvent, Delivery.EVENT, per_arm=True)
-SIMULATOR_STATE = Topic("simulator", "state", SimulatorState, Delivery.LATEST, rate_hz=60, resting_hz=10)
+SIMULATOR_STATE = Topic("simulator", "state", SimulatorState, Delivery.LATEST, rate_hz=60, resting_hz=5)
 JUDGEMENT = Topic("simulator", "judgement", GraspJudgement, Delivery.EVENT)
 REPLAY_CLOCK = Topic("replay", "clock", ReplayClock, Delivery.LATEST, recorded=False)
 COMMANDS = Topic(ANY_AGENT, "command", CommandRecord, Delivery.EVENT)

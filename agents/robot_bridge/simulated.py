@@ -47,9 +47,10 @@ class SimulatedPsm:
     def state(self, now_ns: int) -> ArmState:
         """Where the arm is after going on until now."""
         elapsed_s = 0.0 if self._now_ns is None else max(now_ns - self._now_ns, 0) * 1e-9
-        reach = self._max_speeds * elapsed_s
-        self._position = self._position + np.clip(self._set_point - self._position, -reach, reach)
         self._now_ns = now_ns
+        if self._position is not self._set_point:
+            reach = self._max_speeds * elapsed_s
+            self._position = self._position + np.clip(self._set_point - self._position, -reach, reach)
         return ArmState(now_ns, self._position[:6], float(self._position[6]))
 
     def move(self, joints: Float64[np.ndarray, "6"], jaw_rad: float) -> None:

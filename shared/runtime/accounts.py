@@ -3,8 +3,6 @@
 from collections import deque
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from schemas.messages import InputHealth, OutputHealth
 from shared.runtime.attachment import Attachment
 
@@ -151,6 +149,16 @@ class StepTimes:
         """Count a step."""
         self._ms.append(ms)
 
-    def percentile(self, share: float) -> float | None:
-        """Milliseconds below which that percentage of the last steps lies, None before the first."""
-        return float(np.percentile(self._ms, share)) if self._ms else None
+    def percentiles(self, *shares: float) -> tuple[float | None, ...]:
+        """Milliseconds below which those percentages of the last steps lie, None before the first.
+
+        Between two steps it is interpolated, as NumPy does, which takes ten times as long for so few.
+        """
+        ordered = sorted(self._ms)
+        return tuple(_at(ordered, share / 100 * (len(ordered) - 1)) if ordered else None for share in shares)
+
+
+def _at(ordered: list[float], place: float) -> float:
+    before = int(place)
+    after = min(before + 1, len(ordered) - 1)
+    return ordered[before] + (place - before) * (ordered[after] - ordered[before])

@@ -5,14 +5,13 @@ the agent's inputs, so that live and replayed outputs can be compared byte for b
 """
 
 import struct
-from dataclasses import dataclass
+from typing import NamedTuple
 
 LAYOUT = struct.Struct("<QQqd")
 
 
-@dataclass(frozen=True)
-class Attachment:
-    """Beside a message.
+class Attachment(NamedTuple):
+    """Beside a message; each is taken apart where it arrives, so it is of what Python makes soonest.
 
     Fields:
         epoch: of the publisher's process, so that a restart is no gap.

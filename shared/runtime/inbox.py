@@ -8,15 +8,13 @@ aside until the agent acts on something else.
 import threading
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from schemas.messages import CommandAnswer
 from schemas.topics import Topic
 
 
-@dataclass(frozen=True)
-class Arrival:
+class Arrival(NamedTuple):
     """A message as it came, not yet decoded.
 
     Fields:

@@ -350,6 +350,7 @@ class Runner:
         self._out.publish(CLOCKS, HostClocks(self._clock.now_ns(), clocks))
 
     def _health(self, now_s: float) -> AgentHealth:
+        step_ms_p50, step_ms_p99 = self._steps.percentiles(50, 99)
         return AgentHealth(
             agent=self._agent.kind,
             instance=self._agent.instance,
@@ -359,8 +360,8 @@ class Runner:
             at_ns=self._clock.now_ns(),
             uptime_s=now_s - self._started_s,
             heartbeat=self._heartbeat,
-            step_ms_p50=self._steps.percentile(50),
-            step_ms_p99=self._steps.percentile(99),
+            step_ms_p50=step_ms_p50,
+            step_ms_p99=step_ms_p99,
             inputs=self._intake.health(now_s),
             outputs=tuple(self._out.account(topic).health(now_s) for topic in self._agent.outputs),
             fault=self._faults.text,

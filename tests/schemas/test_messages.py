@@ -1,9 +1,14 @@
 """What a message may not say: every check of schemas/messages.py, provoked on an otherwise good message."""
 
+import contextlib
 import dataclasses
 
 import numpy as np
 import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from scipy.spatial.transform import Rotation
 
 from schemas.checks import MessageError
 from schemas.messages import (
@@ -19,6 +24,7 @@ from schemas.messages import (
     ThreadObservations,
     ThreadReconstruction,
 )
+from schemas.messages.grasping import POSE_TOLERANCE, check_pose
 
 STAMP = FrameStamp(3, 100, 110, "bench")
 IMAGE = Image(ImageEncoding.RAW, 4, 2, 1, bytes(8))
@@ -159,3 +165,21 @@ REFUSED = {
 def test_a_message_is_refused_that_holds(message, changes, text):
     with pytest.raises(MessageError, match=text):
         dataclasses.replace(message, **changes)
+
+
+@given(
+    turn=hnp.arrays(float, 3, elements=st.floats(-3, 3)),
+    spoilt=hnp.arrays(
+        float, (3, 3), elements=st.sampled_from([0.0, 0.0, 0.0, 1e-7, 1e-3, 1.0, 1e200, -2.0, np.nan, np.inf])
+    ),
+)
+def test_a_pose_is_judged_as_its_matrix_is(turn, spoilt):
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec(turn).as_matrix() + spoilt
+    R = T[:3, :3]
+    with np.errstate(all="ignore"):
+        off = np.abs(R @ R.T - np.eye(3)).max()
+        is_rotation = bool(off < POSE_TOLERANCE and np.linalg.det(R) > 0)
+    assume(not 0.9 < off / POSE_TOLERANCE < 1.1)
+    with contextlib.nullcontext() if is_rotation else pytest.raises(MessageError, match="no rotation"):
+        check_pose("it", T)

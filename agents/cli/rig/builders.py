@@ -33,13 +33,16 @@ from agents.robot_bridge.limits import MotionLimits
 from agents.robot_bridge.simulated import SimulatedPsm, waiting
 from agents.simulator.agent import Simulator, SimulatorConfig
 from schemas.messages import ImageEncoding, Severity, SimulatorState, StereoCalibration
-from schemas.topics import MAIN
+from schemas.topics import MAIN, ROBOT_STATE
 from shared.calibration import CalibrationError, ReadCalibration, read_calibration
 from shared.calibration.hand_eye.file import Reference
 from shared.runtime.agent import Agent
 from shared.runtime.config import ConfigError
 from shared.runtime.session import SessionSettings
 
+RESTING_HZ = ROBOT_STATE.resting_hz or 5.0
+LOOKED_AT_HZ = 10.0
+"""Turns of an arm at rest whose instrument is looked for: a look waits for a state that is as new as its frame."""
 KINDS = ("camera", "perception", "reconstruction", "planner", "robot_bridge", "simulator")
 
 
@@ -95,9 +98,11 @@ def _robot_bridge(rig: RigConfig, arm: str, section: ArmSection) -> RobotBridge:
     base = base_of(arm, section)
     # an arm whose base is told from the ECM is not ready before that is heard
     T_camera_base = base.before_camera(np.eye(4) if base.reference is Reference.ECM_BASE else None)
+    tracked = rig.perception.track_tool if rig.perception is not None else ()
     config = RobotBridgeConfig(
         arm,
         T_camera_base,
+        resting_hz=LOOKED_AT_HZ if arm in tracked else RESTING_HZ,
         maximum_plan_age_s=section.maximum_plan_age_s,
         limits=MotionLimits().slowed(section.speed_share),
         correction=correction_limits(section),

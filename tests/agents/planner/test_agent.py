@@ -344,7 +344,7 @@ def test_an_unknown_unit_is_refused(bench, planner):
 
 
 def test_an_arm_that_fell_silent_is_refused(bench, planner):
-    feed(planner, ROBOT_STATE, state(bench, late_ms=-600), "psm1")
+    feed(planner, ROBOT_STATE, state(bench, late_ms=-(planner.config.arm_age_ms + 100)), "psm1")
     (answer,) = ask(planner, bench, bench.goal(s=0.4))
     assert answer.code == "arm_stale"
 

@@ -684,7 +684,7 @@ def test_an_arm_has_all_turns_as_soon_as_it_is_armed_and_few_once_it_rests() -> 
     drive = Drive()
     assert drive.bridge.tick_hz == 100
     drive.tick(2 * SECOND)
-    assert drive.bridge.tick_hz == 10
+    assert drive.bridge.tick_hz == ROBOT_STATE.resting_hz
     drive.publish(plan(captured_ns=drive.now_ns))
     drive.now_ns += SECOND // 20
     assert drive.arm().outcome is Outcome.ACCEPTED
@@ -694,7 +694,7 @@ def test_an_arm_has_all_turns_as_soon_as_it_is_armed_and_few_once_it_rests() -> 
     assert drive.bridge.tick_hz == 100
     drive.tick()
     drive.tick(2 * SECOND)
-    assert drive.bridge.tick_hz == 10
+    assert drive.bridge.tick_hz == ROBOT_STATE.resting_hz
 
 
 def test_an_arm_that_is_moved_by_others_has_all_turns() -> None:
@@ -705,7 +705,7 @@ def test_an_arm_that_is_moved_by_others_has_all_turns() -> None:
         drive.tick(SECOND // 10)
     assert drive.bridge.tick_hz == 100
     drive.tick(2 * SECOND)
-    assert drive.bridge.tick_hz == 10
+    assert drive.bridge.tick_hz == ROBOT_STATE.resting_hz
 
 
 def test_an_arm_that_broke_since_its_last_turn_is_not_armed() -> None:

@@ -158,11 +158,18 @@ def test_an_output_counts_what_was_published():
 
 def test_step_times_are_percentiles_of_the_last_steps():
     times = StepTimes()
-    assert times.percentile(50) is None
+    assert times.percentiles(50, 99) == (None, None)
     for ms in [1000.0] * 100 + [float(n) for n in range(300)]:
         times.add(ms)
-    assert times.percentile(50) == pytest.approx(149.5)
-    assert times.percentile(99) == pytest.approx(296.0, abs=0.1)
+    assert times.percentiles(50, 99) == pytest.approx((149.5, 296.01))
+
+
+@given(steps=st.lists(st.floats(0, 1e6), min_size=1, max_size=40), share=st.floats(0, 100))
+def test_percentiles_of_step_times_are_those_of_numpy(steps, share):
+    times = StepTimes()
+    for ms in steps:
+        times.add(ms)
+    assert times.percentiles(share) == pytest.approx((float(np.percentile(steps, share)),))
 
 
 @given(ahead=st.lists(st.integers(0, 2**64 - 1), min_size=1, max_size=20))
