@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from agents.reconstruction.refined.cubic import even_parameters
 from agents.reconstruction.refined.order import in_order
 from agents.reconstruction.refined.points import Points, double_angle
-from agents.reconstruction.refined.projection import Curve, chords, projected_evenly_by_both
+from agents.reconstruction.refined.projection import Curve, chords, projected_evenly
 from agents.reconstruction.refined.sightings import Sightings
 from schemas.messages import RectifiedStereo
 
@@ -135,7 +135,7 @@ def _places(
     curve: Curve, points: Points, camera: RectifiedStereo, row_offset_px: Float64[np.ndarray, "4"], votes: bool
 ) -> _Places:
     at, width = even_parameters(curve.spans, SAMPLES_PER_SPAN), camera.image_width
-    view = projected_evenly_by_both(curve, SAMPLES_PER_SPAN, camera, row_offset_px)
+    view = projected_evenly(curve, SAMPLES_PER_SPAN, camera, row_offset_px)
     moved, farther_px = view.point_px, 0.0
     if votes:
         shift = np.stack([_shift(moved[_half(eye, at)], points.all_px[eye], width) for eye in (0, 1)])

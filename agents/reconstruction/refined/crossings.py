@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.spatial import cKDTree
 
+from agents.reconstruction.refined.medians import median
 from agents.reconstruction.refined.projection import Curve
 from schemas.messages import Centrelines, Crossing, Over, RectifiedStereo, ThreadCandidate
 from shared.camera import project
@@ -62,34 +63,28 @@ def crossings_of(
     )
 
 
-def other_threads_px(
-    lines: Centrelines, curve_px: Float64[np.ndarray, "n 2"], spacing_px: float = 1.0
-) -> Float64[np.ndarray, "t 2"]:
+def other_threads_px(lines: Centrelines, curve_px: cKDTree, spacing_px: float = 1.0) -> Float64[np.ndarray, "t 2"]:
     """The middle of each longer piece of centreline that does not lie on the projected curve."""
     if not len(lines.piece):
         return np.zeros((0, 2))
-    width = float(np.median(lines.width_px))
+    width = median(lines.width_px)
     bounds = np.concatenate(([0], np.flatnonzero(np.diff(lines.piece)) + 1, [len(lines.piece)]))
-    tree = cKDTree(curve_px, balanced_tree=False)
     found = [
         lines.point_px[first + (end - first) // 2]
         for first, end in pairwise(bounds)
         if (end - first) * spacing_px >= SHORTEST_WIDTHS * width
         # a piece lies on the curve where most of some of its points do
-        and np.median(tree.query(lines.point_px[first:end:EVERY])[0]) > STRANGE_WIDTHS * width
+        and median(np.asarray(curve_px.query(lines.point_px[first:end:EVERY])[0])) > STRANGE_WIDTHS * width
     ]
     return np.array(found) if found else np.zeros((0, 2))
 
 
-def other_threads(
-    candidates: tuple[ThreadCandidate, ...], curve_px: Float64[np.ndarray, "n 2"]
-) -> tuple[ThreadCandidate, ...]:
+def other_threads(candidates: tuple[ThreadCandidate, ...], curve_px: cKDTree) -> tuple[ThreadCandidate, ...]:
     """The candidates that are none of the projected curve, by score."""
-    tree = cKDTree(curve_px, balanced_tree=False)
     found = [
         candidate
         for candidate in candidates
-        if np.median(tree.query(candidate.left_px)[0]) > STRANGE_WIDTHS * candidate.width_px
+        if median(np.asarray(curve_px.query(candidate.left_px)[0])) > STRANGE_WIDTHS * candidate.width_px
     ]
     return tuple(sorted(found, key=lambda candidate: -candidate.score))
 

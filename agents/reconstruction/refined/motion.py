@@ -64,10 +64,13 @@ def prior(band: Band, noise: Float64[np.ndarray, "4"]) -> Precision:
     """
     apart = np.abs(np.subtract.outer(np.arange(4), np.arange(4)))
     cliques = _cliques(band) + np.einsum("ij,ab->iajb", noise[apart], np.eye(3)).reshape(SIDE, SIDE)
-    precision = np.linalg.inv(cliques)
-    # less S⁻¹, which is Schur's complement in C⁻¹ of the control point that the next block lacks
-    lacks = precision[:-1, :3, 3:]
-    precision[:-1, 3:, 3:] = lacks.transpose(0, 2, 1) @ np.linalg.solve(precision[:-1, :3, :3], lacks)
+    # each block but the last is the first control point's conditional on the other three
+    first, both, rest = cliques[:-1, :3, :3], cliques[:-1, :3, 3:], cliques[:-1, 3:, 3:]
+    follows = np.linalg.solve(rest, both.transpose(0, 2, 1))
+    apart_from = np.concatenate((np.tile(np.eye(3), (len(follows), 1, 1)), -follows.transpose(0, 2, 1)), axis=2)
+    precision = np.empty_like(cliques)
+    precision[:-1] = apart_from.transpose(0, 2, 1) @ np.linalg.inv(first - both @ follows) @ apart_from
+    precision[-1] = np.linalg.inv(cliques[-1])
     return 0.5 * (precision + precision.transpose(0, 2, 1))
 
 

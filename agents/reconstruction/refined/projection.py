@@ -67,11 +67,22 @@ class Curve:
 
     def evenly(self, per_span: int, derivative: int = 0) -> Float64[np.ndarray, "n 3"]:
         """Points of the curve at `even_parameters`, or first derivatives by s there, as one product of matrices."""
+        if (per_span, derivative) not in self._evenly:
+            self._evenly[per_span, derivative] = self._at_even_places(per_span, derivative)
+        return self._evenly[per_span, derivative]
+
+    @cached_property
+    def _evenly(self) -> dict[tuple[int, int], Float64[np.ndarray, "n 3"]]:
+        """Those that were asked for: both eyes look at the same places."""
+        return {}
+
+    def _at_even_places(self, per_span: int, derivative: int) -> Float64[np.ndarray, "n 3"]:
         powers = even_powers(per_span, derivative)
         along = np.empty((3, self.spans * per_span + 1))
         along[:, :-1] = (self.polynomials.reshape(DEGREE + 1, -1).T @ powers[:, :-1]).reshape(3, -1)
         along[:, -1] = powers[:, -1] @ self.polynomials[:, :, -1]
         along *= self.spans**derivative
+        along.setflags(write=False)
         return along.T
 
     def with_velocities(
@@ -139,23 +150,44 @@ def projected(
     return _view(*curve.with_velocities(s), eye, camera, row_offset_px)
 
 
-def projected_evenly(
+def pixels_evenly(
     curve: Curve,
     per_span: int,
     eye: int,
     camera: RectifiedStereo,
     row_offset_px: Float64[np.ndarray, "4"] = LEVEL,
-) -> View:
-    """The view of the places at `even_parameters` by one eye."""
-    return _view(curve.evenly(per_span), curve.evenly(per_span, 1), eye, camera, row_offset_px)
+) -> Float64[np.ndarray, "n 2"]:
+    """Where one eye sees the places at `even_parameters`."""
+    return _seen(curve.evenly(per_span), eye, camera, row_offset_px)[0].T
 
 
-def projected_evenly_by_both(
+def projected_evenly(
     curve: Curve, per_span: int, camera: RectifiedStereo, row_offset_px: Float64[np.ndarray, "4"] = LEVEL
 ) -> View:
     """The views of the places at `even_parameters` by the left eye, and then by the right one."""
     point, velocity = (np.tile(curve.evenly(per_span, k).T, 2).T for k in (0, 1))
     return _view(point, velocity, np.repeat((0, 1), len(point) // 2), camera, row_offset_px)
+
+
+def _seen(
+    point: Float64[np.ndarray, "n 3"],
+    eye: Int64[np.ndarray, "n"] | int,
+    camera: RectifiedStereo,
+    row_offset_px: Float64[np.ndarray, "4"],
+) -> tuple[Float64[np.ndarray, "2 n"], Float64[np.ndarray, "2 n"]]:
+    """Pixels, and slopes of the lines of sight."""
+    x, y, z = point.T
+    slope = np.empty((2, len(z)))
+    np.subtract(x, eye * camera.baseline, out=slope[0])
+    slope[1] = y
+    slope /= z
+    pixel = np.array([[camera.fx_px], [camera.fy_px]]) * slope
+    pixel += ((camera.cx_px,), (camera.cy_px,))
+    half = eye - 0.5
+    pixel[1] += row_offset_px[0] * half
+    if row_offset_px[1:].any():
+        pixel[1] += half * (row_terms(slope)[:, 1:] @ row_offset_px[1:])
+    return pixel, slope
 
 
 def _view(
@@ -165,25 +197,16 @@ def _view(
     camera: RectifiedStereo,
     row_offset_px: Float64[np.ndarray, "4"],
 ) -> View:
-    x, y, z = point.T
-    slope = np.empty((2, len(z)))
-    np.subtract(x, eye * camera.baseline, out=slope[0])
-    slope[1] = y
-    slope /= z
-    focal_px = np.array([[camera.fx_px], [camera.fy_px]])
-    scale = focal_px / z
-    pixel = focal_px * slope
-    pixel += ((camera.cx_px,), (camera.cy_px,))
+    pixel, slope = _seen(point, eye, camera, row_offset_px)
+    scale = np.array([[camera.fx_px], [camera.fy_px]]) / point[:, 2]
     velocity = slope * forward[:, 2]
     np.subtract(forward[:, :2].T, velocity, out=velocity)
     velocity *= scale
-    half = eye - 0.5
-    pixel[1] += row_offset_px[0] * half
     if not row_offset_px[1:].any():
         return View(pixel.T, velocity.T, scale, slope)
-    pixel[1] += half * (row_terms(slope)[:, 1:] @ row_offset_px[1:])
     _, by_x, by_y, by_both = row_offset_px
-    lean = half * np.stack(((by_x + by_both * slope[1]) / camera.fx_px, (by_y + by_both * slope[0]) / camera.fy_px))
+    lean = np.stack(((by_x + by_both * slope[1]) / camera.fx_px, (by_y + by_both * slope[0]) / camera.fy_px))
+    lean *= eye - 0.5
     velocity[1] += (lean * velocity).sum(axis=0)
     return View(pixel.T, velocity.T, scale, slope, lean)
 

@@ -3,6 +3,7 @@
 import numpy as np
 import scipy.special
 from jaxtyping import Bool, Float64
+from scipy.spatial import cKDTree
 
 from agents.reconstruction.confidence import assumed_unit
 from agents.reconstruction.refined.constraints import Held
@@ -16,7 +17,7 @@ from agents.reconstruction.refined.crossings import (
 from agents.reconstruction.refined.cubic import DEGREE, even_parameters
 from agents.reconstruction.refined.medians import median
 from agents.reconstruction.refined.posterior import point_covariance
-from agents.reconstruction.refined.projection import DENSE, Curve, chords, projected_evenly
+from agents.reconstruction.refined.projection import DENSE, Curve, chords, pixels_evenly
 from agents.reconstruction.refined.refinement import Refined
 from schemas.messages import (
     RectifiedStereo,
@@ -62,8 +63,11 @@ def reconstruction(
     hidden = hidden_of(project(camera, curve.at(_places())), not_seen, observations.occluders, camera.image_width)
     order = np.argsort(held.s, kind="stable")
     way = slice(None, None, -1 if reverse else 1)
-    turned, covariance = Curve(curve.knots, curve.control_points[way].copy()), covariance[way].copy()
-    pixels = _pixels(turned, camera)
+    turned, covariance = (
+        Curve(curve.knots, curve.control_points[way].copy()) if reverse else curve,
+        covariance[way].copy(),
+    )
+    pixels = cKDTree(_pixels(turned, camera), balanced_tree=False)
     others = other_threads(observations.candidates, pixels)
     return ThreadReconstruction(
         stamp=observations.stamp,
@@ -133,10 +137,15 @@ def confidence_of(
 def _across(tangents: Float64[np.ndarray, "q 3"]) -> Float64[np.ndarray, "q 2 3"]:
     """Two unit vectors at right angles to each tangent and to each other."""
     least = np.eye(3)[np.abs(tangents).argmin(axis=1)]
-    first = np.cross(tangents, least)
-    second = np.cross(tangents, first)
+    first = _cross(tangents, least)
+    second = _cross(tangents, first)
     plane = np.stack((first, second), axis=1)
     return plane / np.maximum(np.linalg.norm(plane, axis=2, keepdims=True), LEAST_VARIANCE)
+
+
+def _cross(a: Float64[np.ndarray, "q 3"], b: Float64[np.ndarray, "q 3"]) -> Float64[np.ndarray, "q 3"]:
+    """NumPy's own takes five times as long for a hundred vectors."""
+    return a[:, (1, 2, 0)] * b[:, (2, 0, 1)] - a[:, (2, 0, 1)] * b[:, (1, 2, 0)]
 
 
 def seen(fit: Refined, camera: RectifiedStereo) -> Bool[np.ndarray, "g"]:
@@ -169,8 +178,8 @@ def _along_image(
     fit: Refined, camera: RectifiedStereo, eye: int
 ) -> tuple[Float64[np.ndarray, "d"], Float64[np.ndarray, "d"]]:
     """Parameters of the curve, and the shares of its image's length in one eye that lie before them."""
-    view = projected_evenly(fit.curve, DENSE, eye, camera, fit.row_offset_px)
-    along = np.concatenate(([0.0], np.cumsum(chords(view.point_px))))
+    seen_px = pixels_evenly(fit.curve, DENSE, eye, camera, fit.row_offset_px)
+    along = np.concatenate(([0.0], np.cumsum(chords(seen_px))))
     return even_parameters(fit.curve.spans, DENSE), along / max(along[-1], 1e-12)
 
 

@@ -50,13 +50,12 @@ def shared_errors(fit: Refined, camera: RectifiedStereo) -> Float64[np.ndarray, 
     """A factor of the covariance that they bring to the control points."""
     sight, count = fit.sight, fit.rows.sightings
     dense = even_parameters(fit.curve.spans, PLACES_OF_SPAN)
-    bent, across, along_px = np.empty(count), np.empty(count), np.zeros(len(dense))
+    bent, across = np.empty(count), np.empty(count)
+    along_px, curvature_px, rowwise = _images_of(fit, camera)
     for eye in (0, 1):
         here = sight.eye == eye
-        length_px, curvature_px, rowwise = _image_of(fit, eye, dense, camera)
-        along_px += 0.5 * length_px
-        bent[here] = np.interp(sight.s[here], dense, curvature_px)
-        across[here] = np.interp(sight.s[here], dense, rowwise)
+        bent[here] = np.interp(sight.s[here], dense, curvature_px[eye])
+        across[here] = np.interp(sight.s[here], dense, rowwise[eye])
     stretches = max(1, round(along_px[-1] / (REACH_SHARE * camera.image_width)))
     place = stretches * np.interp(sight.s, dense, along_px) / max(along_px[-1], LEAST_SPEED_PX)
     common, differing = _errors_px(fit, bent, across, _rising(fit))
@@ -100,14 +99,15 @@ def _rising(fit: Refined) -> Float64[np.ndarray, "n"]:
     return np.einsum("in,in->n", point, velocity) ** 2 / np.maximum(both, np.finfo(np.float64).tiny)
 
 
-def _image_of(
-    fit: Refined, eye: int, dense: Float64[np.ndarray, "d"], camera: RectifiedStereo
-) -> tuple[Float64[np.ndarray, "d"], Float64[np.ndarray, "d"], Float64[np.ndarray, "d"]]:
-    """The length of the curve's image before each parameter, its curvature, and the square of n_u."""
-    view = projected_evenly(fit.curve, PLACES_OF_SPAN, eye, camera, fit.row_offset_px)
-    along = np.concatenate(([0.0], np.cumsum(chords(view.point_px))))
-    u, v = view.velocity_px.T
-    turn = np.abs(np.gradient(np.unwrap(np.arctan2(v, u)), dense))
+def _images_of(
+    fit: Refined, camera: RectifiedStereo
+) -> tuple[Float64[np.ndarray, "d"], Float64[np.ndarray, "2 d"], Float64[np.ndarray, "2 d"]]:
+    """The length of the curve's image before each place in the mean of both eyes; its curvature and n_u² in either."""
+    view = projected_evenly(fit.curve, PLACES_OF_SPAN, camera, fit.row_offset_px)
+    left, right = np.split(view.point_px, 2)
+    along = np.concatenate(([0.0], np.cumsum(0.5 * (chords(left) + chords(right)))))
+    u, v = view.velocity_px.T.reshape(2, 2, -1)
+    turn = np.abs(np.gradient(np.unwrap(np.arctan2(v, u)), 1.0 / (len(along) - 1), axis=1))
     speed = np.maximum(np.hypot(u, v), LEAST_SPEED_PX)
     return along, turn / speed, (v / speed) ** 2
 

@@ -11,7 +11,7 @@ from agents.reconstruction.refined.chains import Chain
 from agents.reconstruction.refined.continuation import ADDED
 from agents.reconstruction.refined.cubic import even_parameters
 from agents.reconstruction.refined.medians import median
-from agents.reconstruction.refined.projection import DENSE, Curve, chords, projected, projected_evenly
+from agents.reconstruction.refined.projection import DENSE, Curve, chords, pixels_evenly, projected
 from agents.reconstruction.refined.right_pieces import of_right
 from schemas.messages import Centrelines, RectifiedStereo
 
@@ -118,7 +118,7 @@ def _folds(s: Float64[np.ndarray, "n"], eye: int, curve: Curve, camera: Rectifie
     if len(s) < 2:
         return np.zeros((0, 2))
     dense = even_parameters(curve.spans, DENSE)
-    seen = projected_evenly(curve, DENSE, eye, camera).point_px
+    seen = pixels_evenly(curve, DENSE, eye, camera)
     along_px = np.concatenate(([0.0], np.cumsum(chords(seen))))
     placed_px = np.column_stack([np.interp(s, dense, seen[:, axis]) for axis in (0, 1)])
     apart_px = chords(placed_px)

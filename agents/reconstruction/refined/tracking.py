@@ -25,7 +25,7 @@ from agents.reconstruction.refined.method import METHOD, NoCurveError, course_an
 from agents.reconstruction.refined.motion import band_of
 from agents.reconstruction.refined.plausibility import is_usable_track, unusable
 from agents.reconstruction.refined.posterior import ALIKE, LEAST, point_covariance
-from agents.reconstruction.refined.projection import Curve, projected_evenly
+from agents.reconstruction.refined.projection import Curve, pixels_evenly
 from agents.reconstruction.refined.refinement import Refined
 from agents.reconstruction.refined.result import reconstruction, starts_right
 from schemas.messages import RectifiedStereo, Status, ThreadObservations, ThreadReconstruction, ThreadTrack, TrackStep
@@ -280,8 +280,8 @@ def _explained(observations: ThreadObservations, fit: Refined) -> float:
     camera = observations.camera
     found, points = 0, 0
     for eye, lines in enumerate((observations.centrelines_left, observations.centrelines_right)):
-        view = projected_evenly(fit.curve, PLACES_OF_SPAN, eye, camera, fit.row_offset_px)
-        distance, _ = _nearest(view.point_px, lines.point_px[::4])
+        seen_px = pixels_evenly(fit.curve, PLACES_OF_SPAN, eye, camera, fit.row_offset_px)
+        distance, _ = _nearest(seen_px, lines.point_px[::4])
         found += int((distance < EXPLAINED_PX_SHARE * camera.image_width).sum())
         points += len(distance)
     return found / max(points, 1)

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from agents.reconstruction.refined.crossings import crossings_of, other_threads_px
 from agents.reconstruction.refined.projection import Curve
@@ -59,5 +60,8 @@ def test_a_strand_beside_the_thread_is_another_thread():
     points = np.concatenate((curve[::2] + 0.3, other, speck))
     piece = np.repeat([0, 1, 2], [400, 301, 11])
     lines = Centrelines(points, piece, np.full(len(points), 4.0), np.full(len(points), 0.1))
-    np.testing.assert_allclose(other_threads_px(lines, curve), [[250.0, 300.0]])
-    assert other_threads_px(Centrelines(points[:0], piece[:0], np.zeros(0), np.zeros(0)), curve).shape == (0, 2)
+    np.testing.assert_allclose(other_threads_px(lines, cKDTree(curve)), [[250.0, 300.0]])
+    assert other_threads_px(Centrelines(points[:0], piece[:0], np.zeros(0), np.zeros(0)), cKDTree(curve)).shape == (
+        0,
+        2,
+    )

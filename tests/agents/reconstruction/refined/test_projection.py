@@ -8,6 +8,7 @@ from agents.reconstruction.refined.cubic import basis_at, even_parameters
 from agents.reconstruction.refined.projection import (
     LEVEL,
     at_constant_speed,
+    pixels_evenly,
     projected,
     projected_evenly,
     row_offsets_px,
@@ -69,11 +70,12 @@ def test_derivatives_are_finite_differences(spline, camera, eye, offset_px):
 def test_even_places_are_seen_as_any_others(spline, camera, per_span):
     s, offset_px = even_parameters(spline.spans, per_span), np.array([0.4, -3.0, 2.0, 5.0])
     np.testing.assert_allclose(spline.evenly(per_span), BSpline(spline.knots, spline.control_points, 3)(s), atol=1e-12)
-    for eye in (0, 1):
-        even = projected_evenly(spline, per_span, eye, camera, offset_px)
-        view = projected(spline, s, np.full(len(s), eye), camera, offset_px)
-        np.testing.assert_allclose(even.point_px, view.point_px, atol=1e-9)
-        np.testing.assert_allclose(even.velocity_px, view.velocity_px, atol=1e-7)
+    even = projected_evenly(spline, per_span, camera, offset_px)
+    view = projected(spline, np.tile(s, 2), np.repeat((0, 1), len(s)), camera, offset_px)
+    np.testing.assert_allclose(even.point_px, view.point_px, atol=1e-9)
+    np.testing.assert_allclose(even.velocity_px, view.velocity_px, atol=1e-7)
+    pixels = [pixels_evenly(spline, per_span, eye, camera, offset_px) for eye in (0, 1)]
+    np.testing.assert_allclose(np.concatenate(pixels), view.point_px, atol=1e-9)
 
 
 def test_at_constant_speed_the_curve_stays_and_its_speed_becomes_even(spline):
