@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from agents.planner.agent import psm_reaches
+from agents.planner.agent import reaches_of
 from agents.planner.captures import ArmView
 from agents.planner.config import PlannerConfig
 from agents.planner.plan import plan_grasp
@@ -122,8 +122,9 @@ def waiting_arm() -> ArmView:
     """The demo's first arm, with its tool where it starts."""
     T_camera_base = SIMULATED_BASES["psm1"]
     T_base_camera = inverse(T_camera_base)
+    reaches = reaches_of(psm.LARGE_NEEDLE_DRIVER, PlannerConfig().least_dexterity)
     at_rest = psm.forward(np.array(SIMULATED_START))
-    return ArmView(T_camera_base, compose(T_camera_base, at_rest), lambda T: psm_reaches(compose(T_base_camera, T)))
+    return ArmView(T_camera_base, compose(T_camera_base, at_rest), lambda T: reaches(compose(T_base_camera, T)))
 
 
 def true_surface(surface: Surface) -> TissueSurface:

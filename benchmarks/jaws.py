@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.table import Table
 
 from agents.perception.surface import tissue_surface
-from agents.planner.agent import psm_reaches
+from agents.planner.agent import reaches_of
 from agents.planner.captures import ArmView
 from agents.planner.config import PlannerConfig
 from agents.planner.plan import plan_grasp
@@ -148,8 +148,9 @@ def simulated_arm() -> ArmView:
     """The demo's first arm, with its tool where it starts."""
     T_camera_base = SIMULATED_BASES["psm1"]
     T_base_camera = inverse(T_camera_base)
+    reaches = reaches_of(psm.LARGE_NEEDLE_DRIVER, PlannerConfig().least_dexterity)
     at_rest = psm.forward(np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0]))
-    return ArmView(T_camera_base, compose(T_camera_base, at_rest), lambda T: psm_reaches(compose(T_base_camera, T)))
+    return ArmView(T_camera_base, compose(T_camera_base, at_rest), lambda T: reaches(compose(T_base_camera, T)))
 
 
 def print_found(found: list[Planned]) -> None:

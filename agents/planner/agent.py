@@ -35,9 +35,16 @@ Reaches = Callable[[Float64[np.ndarray, "n 4 4"]], Bool[np.ndarray, "n"]]
 """Whether an arm can bring its tool to each `T_base_tool`."""
 
 
-def psm_reaches(T_base_tool: Float64[np.ndarray, "n 4 4"]) -> Bool[np.ndarray, "n"]:
-    """Whether a PSM with a Large Needle Driver can, within the limits of its joints."""
-    return psm.inverse(T_base_tool).problem == psm.Problem.NONE
+def reaches_of(arm: ArmKinematics, least_dexterity: float) -> Reaches:
+    """What an arm can bring its tool to, within the limits of its joints and clear of singular poses."""
+
+    def reaches(T_base_tool: Float64[np.ndarray, "n 4 4"]) -> Bool[np.ndarray, "n"]:
+        joints, problem = arm.reach(T_base_tool)
+        within = problem == psm.Problem.NONE
+        within[within] = arm.dexterity(joints[within]) >= least_dexterity
+        return within
+
+    return reaches
 
 
 class Planner:
@@ -65,7 +72,8 @@ class Planner:
         others: Mapping[str, ArmKinematics] | None = None,
     ) -> None:
         """`reaches` is asked of PSMs; `others` are the arms that are none, by their names."""
-        self.config, self._reaches, self._others = config or PlannerConfig(), reaches or psm_reaches, others or {}
+        self.config, self._others = config or PlannerConfig(), others or {}
+        self._reaches = reaches or reaches_of(psm.LARGE_NEEDLE_DRIVER, self.config.least_dexterity)
         self._thread: ThreadReconstruction | None = None
         self._surface: TissueSurface | None = None
         self._arms: dict[str, RobotState] = {}
@@ -156,7 +164,7 @@ class Planner:
         other = self._others.get(state.arm)
         if other is None or other.name != state.kinematics:
             return None
-        return lambda T_base_tool: other.reach(T_base_tool).problem == psm.Problem.NONE
+        return reaches_of(other, self.config.least_dexterity)
 
     def _reach_unknown(self, state: RobotState) -> str:
         if self._reaches_of(state) is not None:

@@ -25,6 +25,8 @@ class PlannerConfig:
         clear_deg: least angle between the viewing ray and the thread for the ray to be approached along.
         base_clear_deg: the same for the ray from the instrument's base, which stands in for it.
         turn_deg: how far the tool may turn from one sample to the next.
+        least_dexterity: how far from a singular pose the arm must stand where it grasps, before, and after. The bridge
+            refuses plans that come nearer than its own limit, 0.3 unless set, anywhere on their way; so this is more.
         alternatives: how many other captures a plan tells of.
         press_m: how deep the jaws may press into the tissue. It must be more than `depth_m`, by what the tissue slopes
             over the width of the jaws: a thread on tissue is not reached otherwise.
@@ -67,6 +69,7 @@ class PlannerConfig:
     clear_deg: float = 30.0
     base_clear_deg: float = 10.0
     turn_deg: float = 45.0
+    least_dexterity: float = 0.32
     alternatives: int = 5
     press_m: float = settable(0.004, Between(0.0, 0.01))
     sigmas: float = 2.0
@@ -111,6 +114,7 @@ class PlannerConfig:
         require(0.5 < self.sure < 1, f"sure must lie in (0.5, 1), not {self.sure}")
         require(0 <= self.check_after_ms <= self.check_within_ms, "a check ends after it begins")
         require(min(self.aside_m, self.aside_clear_m) >= 0, "aside_m and aside_clear_m must not be negative")
+        require(0 <= self.least_dexterity < 1, f"least_dexterity must lie in [0, 1), not {self.least_dexterity}")
         require(self.attempts >= 1, f"attempts must be at least 1, not {self.attempts}")
         require(0 < self.base_clear_deg <= self.clear_deg < 90, "0 < base_clear_deg <= clear_deg < 90 must hold")
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.planner.agent import Planner, psm_reaches
+from agents.planner.agent import Planner, reaches_of
 from agents.planner.config import PlannerConfig
 from agents.planner.tools import tool_cells
 from schemas.checks import MessageError
@@ -265,7 +265,26 @@ def test_the_arm_reaches_where_its_joints_can_be_and_nowhere_else():
     within = psm.forward(np.array([[0.3, -0.2, 0.15, 1.0, 0.4, -0.3]]))
     outside = np.tile(np.eye(4), (1, 1, 1))
     outside[0, 2, 3] = -0.5
-    np.testing.assert_array_equal(psm_reaches(np.concatenate((within, outside))), [True, False])
+    reaches = reaches_of(psm.LARGE_NEEDLE_DRIVER, 0.0)
+    np.testing.assert_array_equal(reaches(np.concatenate((within, outside))), [True, False])
+
+
+def test_a_pose_near_a_singular_one_counts_as_out_of_reach():
+    bent = np.array([[0.3, -0.2, 0.15, 1.0, wrist, -0.3] for wrist in (0.4, 1.3, 1.39)])
+    dexterity = psm.LARGE_NEEDLE_DRIVER.dexterity(bent)
+    assert dexterity[0] > 0.9 > dexterity[1] > dexterity[2]
+    reaches = reaches_of(psm.LARGE_NEEDLE_DRIVER, dexterity[1:].mean())
+    np.testing.assert_array_equal(reaches(psm.forward(bent)), [True, True, False])
+
+
+@pytest.mark.parametrize(("least", "status"), [(0.3, Status.OK), (0.999, Status.FAILED)])
+def test_a_plan_keeps_to_the_least_dexterity(bench, least, status):
+    planner = Planner(PlannerConfig(least_dexterity=least))
+    feed(planner, THREAD, far_thread(bench))
+    feed(planner, ROBOT_STATE, state(bench), "psm1")
+    plan = ask(planner, bench, bench.goal(s=0.4))[1].message
+    assert plan.status is status, plan.reason
+    assert ("unreachable" in plan.reason) == (status is Status.FAILED)
 
 
 @pytest.mark.parametrize(
@@ -384,7 +403,8 @@ def test_each_simulated_arm_gets_a_plan_within_its_own_joints(bench, arm):
     plan = ask(planner, bench, bench.goal(s=0.4, arm=arm))[1].message
     assert (plan.arm, plan.status) == (arm, Status.OK)
     T_camera_tool = np.array([w.T_camera_tool for w in plan.waypoints])
-    assert psm_reaches(compose(inverse(SIMULATED_BASES[arm]), T_camera_tool)).all()
+    reaches = reaches_of(psm.LARGE_NEEDLE_DRIVER, planner.config.least_dexterity)
+    assert reaches(compose(inverse(SIMULATED_BASES[arm]), T_camera_tool)).all()
 
 
 def test_the_same_inputs_give_the_same_bytes(bench):
