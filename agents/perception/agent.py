@@ -176,7 +176,7 @@ class Perception:
 
     def _looked(self, stamp: FrameStamp, pair: RectifiedPair, rows: int) -> ThreadObservations:
         """What the whole of both images shows, the pair judged and its rows put in line anew."""
-        whole = judge_whole(pair.images, pair.raw, rows)
+        whole = judge_whole(pair.images, pair.raw, rows, pair.camera)
         everything = look_everywhere(
             whole.images, stamp.sequence, self.config.segmenter, self._prompt_px, self._segmenters
         )

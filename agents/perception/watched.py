@@ -70,7 +70,7 @@ def watched(
 
 def _judged(observed: ThreadObservations, pair: RectifiedPair, coverage: Pair) -> ThreadObservations | None:
     """The observations with the pair judged anew; None where its rows are to be moved otherwise, or it is of no use."""
-    whole = judge_whole(pair.images, pair.raw, observed.rows_moved_up)
+    whole = judge_whole(pair.images, pair.raw, observed.rows_moved_up, pair.camera)
     if whole.rows_moved_up != observed.rows_moved_up:
         return None
     alignment = _by_thread(whole.images, coverage) if whole.alignment is None else whole.alignment

@@ -1,12 +1,14 @@
 """Configuration from TOML, checked as a whole; what is wrong is one sentence that names the key and what it may be."""
 
+import difflib
 import hashlib
 import json
+import re
 import tomllib
 from pathlib import Path
 from typing import TypeVar, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
 M = TypeVar("M", bound=BaseModel)
@@ -41,9 +43,10 @@ def parse_config(text: str, model: type[M], name: str) -> M:
     """The same from text; `name` is what messages call it, and its ending tells JSON from TOML."""
     try:
         return model.model_validate(json.loads(text) if name.endswith(".json") else tomllib.loads(text))
-    except (tomllib.TOMLDecodeError, json.JSONDecodeError) as error:
-        form = "JSON" if name.endswith(".json") else "TOML"
-        raise ConfigError(f"the configuration {name} is no {form}: {error}") from None
+    except json.JSONDecodeError as error:
+        raise ConfigError(f"the configuration {name} is no JSON: {error}") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"the configuration {name} is no TOML: {_no_toml(str(error), text)}") from None
     except RecursionError:
         raise ConfigError(f"the configuration {name} is nested too deeply to be one") from None
     except ValidationError as error:
@@ -51,27 +54,67 @@ def parse_config(text: str, model: type[M], name: str) -> M:
         raise ConfigError(f"the configuration {name}: {faults}") from None
 
 
+def spelled(pattern: str, words: str) -> AfterValidator:
+    """That a text is of a form, which is told in words where it is not."""
+
+    def check(text: str) -> str:
+        if re.fullmatch(pattern, text) is None:
+            raise ValueError(f"{_shown(text)} cannot be used; write {words}")
+        return text
+
+    return AfterValidator(check)
+
+
 def config_hash(config: BaseModel) -> str:
     """A short name of a configuration that changes with any of its values."""
     return hashlib.sha256(config.model_dump_json().encode()).hexdigest()[:12]
 
 
+def _no_toml(said: str, text: str) -> str:
+    """What TOML's reader says, with the line in question and what to do."""
+    remedy = "write texts in straight quotes, lists in brackets, and true or false in small letters"
+    if "twice" in said or "overwrite" in said:
+        remedy = "what is there twice needs a name of its own, or has to go"
+    place = re.search(r" \(at line (\d+), column \d+\)$", said)
+    lines = text.splitlines()
+    if place is None or int(place[1]) > len(lines):
+        return f"{said}; {remedy}"
+    line = _shown(lines[int(place[1]) - 1].strip())
+    return f"{said[: place.start()]} in line {place[1]}, {line}; {remedy}"
+
+
 def _fault(error: ErrorDetails, model: type[BaseModel]) -> str:
     """One fault that pydantic found, as a clause."""
     where = [str(part) for part in error["loc"] if part != "[key]"]
-    key = ".".join(where) or "the whole"
+    key = ".".join(where)
     match error["type"]:
         case "extra_forbidden":
-            return f"{key} is unknown; {_known_keys(model, where[:-1])}"
+            return f"{key} is unknown; {_meant(where[-1], _known_keys(model, where[:-1]))}"
         case "missing":
             return f"{key} is missing"
         case "model_type" | "dict_type":
-            return f"{key} must be a section with keys of its own, not {_shown(error['input'])}"
+            return f"{key or 'it'} must be a section with keys of its own{_named(where)}, not {_shown(error['input'])}"
+        case "tuple_type":
+            return f"{key} must be a list in brackets, such as [{_shown(error['input'])}], not {_shown(error['input'])}"
         case "value_error":
-            return f"{key}: {str(error['msg']).removeprefix('Value error, ')}"
+            said = str(error["msg"]).removeprefix("Value error, ")
+            return f"{key}: {said}" if key else said
         case _:
-            said = str(error["msg"])
+            said = str(error["msg"]).replace("Input should", "it must")
             return f"{key} = {_shown(error['input'])}: {said[:1].lower()}{said[1:]}"
+
+
+def _named(where: list[str]) -> str:
+    """How a section is written that is one of several."""
+    return f" and a name before them, [{where[0]}.NAME]" if len(where) == 2 else ""
+
+
+def _meant(key: str, known: list[str]) -> str:
+    """What may have been meant by an unknown key, and what could have been."""
+    if not known:
+        return "see docs/configuration.md"
+    near = difflib.get_close_matches(key, known, n=1)
+    return f"{f'did you mean {near[0]}? ' if near else ''}allowed here: {', '.join(known)}"
 
 
 def _shown(value: object) -> str:
@@ -80,8 +123,8 @@ def _shown(value: object) -> str:
     return shown if len(shown) <= LONGEST_VALUE else f"{shown[:LONGEST_VALUE]}..."
 
 
-def _known_keys(model: type[BaseModel], section: list[str]) -> str:
-    """The keys that the section of an unknown key may have."""
+def _known_keys(model: type[BaseModel], section: list[str]) -> list[str]:
+    """The keys that the section of an unknown key may have; none where nobody knows."""
     current: type[BaseModel] | None = model
     named_by_users = False
     for part in section:
@@ -92,7 +135,7 @@ def _known_keys(model: type[BaseModel], section: list[str]) -> str:
         field = current.model_fields.get(part) if current is not None else None
         current = _section(field.annotation) if field is not None else None
         named_by_users = field is not None and get_origin(field.annotation) is dict
-    return f"allowed here: {', '.join(current.model_fields)}" if current is not None else "see docs/configuration.md"
+    return list(current.model_fields) if current is not None else []
 
 
 def _section(annotation: object) -> type[BaseModel] | None:

@@ -72,7 +72,7 @@ def reconstruct_pair(
         right = rectify_image(images[1], to_rectified.map_right)
         if masks is not None:
             masks = rectify_mask(masks[0], to_rectified.map_left), rectify_mask(masks[1], to_rectified.map_right)
-        whole = judge_whole((left, right), images)
+        whole = judge_whole((left, right), images, camera=to_rectified.camera)
         left, right = whole.images
         if masks is not None:
             masks = masks[0], moved_up(masks[1], whole.rows_moved_up)

@@ -38,7 +38,8 @@ def _rigid(rows: Any) -> Rows:
     if error > ROTATION_TOLERANCE or np.linalg.det(R) < 0:
         raise ValueError("its upper left 3x3 must be a rotation: orthonormal to three digits, right-handed")
     if not (distance := float(np.abs(place).max())) <= FARTHEST_M:
-        raise ValueError(f"the base would be {distance:g} m from the camera, and at most {FARTHEST_M:g} m make sense")
+        far = f"the base would be {distance:g} m from the camera, and at most {FARTHEST_M:g} m make sense"
+        raise ValueError(f"{far}; write metres")
     if error > EXACT:
         T[:3, :3] = nearest_rotation(R)
     return tuple((float(a), float(b), float(c), float(d)) for a, b, c, d in T)

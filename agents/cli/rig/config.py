@@ -26,11 +26,11 @@ from agents.cli.rig.sections import (
     RecorderSection,
     RouterSection,
     SimulatorSection,
-    TopicSection,
     ViewerSection,
 )
+from agents.cli.rig.topics import TopicSections
 from agents.reconstruction.method_names import MATCHING_METHODS
-from schemas.topics import MAIN, TOPICS
+from schemas.topics import MAIN
 from shared.runtime.access import Sites, common_name
 from shared.runtime.config import Settings
 from shared.runtime.identity import Identity, identity_in
@@ -56,7 +56,7 @@ class RigConfig(Settings):
     host: HostName | None = None
     security: SecuritySection | None = None
     links: LinksSection = LinksSection()
-    topics: dict[str, TopicSection] = Field(default_factory=dict)
+    topics: TopicSections = Field(default_factory=dict)
 
     @field_validator("robot")
     @classmethod
@@ -85,15 +85,6 @@ class RigConfig(Settings):
             if section.correction == "perception" and arm not in tracked:
                 raise ValueError(f"robot.{arm}.correction = 'perception' needs perception.track_tool = [\"{arm}\"]")
         return self
-
-    @field_validator("topics")
-    @classmethod
-    def _each_topic_is_of_the_table(cls, topics: dict[str, TopicSection]) -> dict[str, TopicSection]:
-        known = [str(topic) for topic in TOPICS]
-        for name in topics:
-            if name not in known:
-                raise ValueError(f"there is no topic {name!r}; known are {', '.join(known)}")
-        return topics
 
     @model_validator(mode="after")
     def _direct_links_stay_on_one_machine(self) -> "RigConfig":

@@ -3,6 +3,7 @@
 An agent that publishes runs once: two would own one topic. Recorders, viewers and operators may be on several hosts.
 """
 
+import difflib
 import ipaddress
 import re
 from collections import Counter
@@ -13,13 +14,17 @@ from typing import Annotated
 from pydantic import AfterValidator, Field
 
 from schemas.topics import ANY_AGENT, MAIN, TOPICS
-from shared.runtime.config import Settings
+from shared.runtime.config import Settings, spelled
 
-OPERATOR = "operator"
+OPERATOR, ROUTER = "operator", "router"
+LOCALHOST = "localhost"
+UNREACHED = "is no address that other hosts reach this one by; write the one it has on the lab's network (ip address)"
+RUN = spelled(r"[a-z_]+( [a-z0-9_]+)?", "a section's name, and an arm's after a space: camera, robot_bridge psm1")
 BESIDE = (OPERATOR, "recorder", "viewer")
 """What publishes nothing that another one could publish too; each host's own has the host's name as its instance."""
 HOST_NAME = re.compile(r"(?=.{1,253}$)[A-Za-z0-9]([A-Za-z0-9-]{0,62})(\.[A-Za-z0-9-]{1,63})*")
-HostName = Annotated[str, Field(pattern=r"^[a-z0-9_]+$")]
+Name = Annotated[str, spelled(r"[a-z0-9_]+", "small letters, digits and _ alone, such as video_2")]
+HostName = Name
 """A host of the rig as its own file calls it; it is part of keys and of certificates' names."""
 
 
@@ -28,10 +33,12 @@ def _address(address: str) -> str:
         ip = ipaddress.ip_address(address)
     except ValueError:
         if HOST_NAME.fullmatch(address) is None or address.replace(".", "").isdigit():
-            raise ValueError(f"{address!r} is no address; write an IP address or a host name") from None
+            raise ValueError(f"{address!r} is no address; write an IP address or a host name alone") from None
+        if address == LOCALHOST or address.endswith(f".{LOCALHOST}"):
+            raise ValueError(f"{address} {UNREACHED}") from None
         return address
-    if ip.is_unspecified or ip.is_loopback or ip.is_multicast:
-        raise ValueError(f"{address} is no address that other hosts reach this one by")
+    if ip.is_unspecified or ip.is_loopback or ip.is_multicast or (ip.version == 4 and ip.is_reserved):
+        raise ValueError(f"{address} {UNREACHED}")
     return address
 
 
@@ -39,7 +46,7 @@ class HostSection(Settings):
     """One machine: how others reach it, what runs on it, and whether what moves a robot gets real-time priority."""
 
     address: Annotated[str, AfterValidator(_address)]
-    runs: tuple[Annotated[str, Field(pattern=r"^[a-z_]+( [a-z0-9_]+)?$")], ...] = ()
+    runs: tuple[Annotated[str, RUN], ...] = ()
     realtime: bool = False
 
 
@@ -71,7 +78,7 @@ def host_fault(hosts: Mapping[str, HostSection], configured: Iterable[str]) -> s
     counted = Counter(name for host in hosts.values() for name in host.runs)
     for name in counted:
         if name not in configured and name != OPERATOR:
-            return f"{_on(hosts, name)} runs {name!r}, for which there is no section; add it, or take it out of runs"
+            return f"{_on(hosts, name)} runs {name!r}, {_without_section(name, configured)}"
         if counted[name] > 1 and name not in BESIDE:
             twice = f"{name!r} runs on {_on(hosts, name)}: {_topic_of(name)} would have two owners"
             return f"{twice}; leave it in the runs of one host"
@@ -81,6 +88,17 @@ def host_fault(hosts: Mapping[str, HostSection], configured: Iterable[str]) -> s
     if shared := [address for address, count in addresses.items() if count > 1]:
         return f"two hosts have the address {shared[0]}; what runs on one machine belongs in one section"
     return ""
+
+
+def _without_section(name: str, configured: set[str]) -> str:
+    """What is wrong with that, and what was meant perhaps."""
+    if name == ROUTER:
+        return "which is no agent; name its host in router.host, and take it out of runs"
+    near = [one for one in sorted(configured) if one.split()[0] == name] or difflib.get_close_matches(
+        name, configured, n=1
+    )
+    meant = f"did you mean {near[0]!r}? else " if near else ""
+    return f"for which there is no section; {meant}add it, or take it out of runs"
 
 
 def _on(hosts: Mapping[str, HostSection], name: str) -> str:

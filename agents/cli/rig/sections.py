@@ -7,17 +7,16 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, model_validator
 
 from agents.cli.rig.base_pose import BasePose
-from agents.cli.rig.hosts import HostName
+from agents.cli.rig.hosts import HostName, Name
 from agents.reconstruction.method_names import DEFAULT_METHOD
 from agents.robot_bridge.correction import CORRECTION_LIMIT_DEG, CORRECTION_LIMIT_MM
 from agents.robot_bridge.limits import MAXIMUM_PLAN_AGE_S
-from shared.runtime.config import Settings
+from shared.runtime.config import Settings, spelled
 from shared.runtime.session import LOCAL_ENDPOINT
 
-Name = Annotated[str, Field(pattern=r"^[a-z0-9_]+$")]
-Label = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
+Label = Annotated[str, spelled(r"[A-Za-z0-9_.-]{1,64}", "up to 64 letters, digits, _ . and -, without spaces")]
 """An identifier of a lab's own; names of people have spaces, and their addresses an @."""
-Sha256 = Annotated[str, Field(pattern=r"^[0-9a-fA-F]{64}$")]
+Sha256 = Annotated[str, spelled(r"[0-9a-fA-F]{64}", "64 digits 0 to 9 and a to f, as sha256sum prints them")]
 ENDPOINT = re.compile(r"(?:tcp|tls|quic|ws|udp)/.+:(?P<port>\d{1,5})")
 
 
@@ -77,9 +76,9 @@ class CameraSection(Settings):
                 raise ValueError("source 'ros' needs endpoint, left_topic and right_topic")
             return self
         if self.left is None:
-            raise ValueError(f"source {self.source!r} needs left")
+            raise ValueError(f"source {self.source!r} needs left, where its images are: docs/camera.md")
         if self.calibration is None and self.source != "bag":
-            raise ValueError(f"source {self.source!r} needs calibration")
+            raise ValueError(f"source {self.source!r} needs calibration, the file of both eyes: docs/calibration.md")
         if self.source == "pipe" and (self.width is None or self.height is None):
             raise ValueError("source 'pipe' needs width and height of the side-by-side frame")
         return self
@@ -131,7 +130,7 @@ class DvrkSection(Settings):
     """How an arm of a da Vinci research kit is reached, and whether it is moved at all."""
 
     endpoint: Endpoint
-    arm: Annotated[str, Field(pattern=r"^[A-Za-z0-9_]+$")] = "PSM1"
+    arm: Annotated[str, spelled(r"[A-Za-z0-9_]+", "letters, digits and _ alone, as its console does")] = "PSM1"
     codec: Literal["ros2dds", "rmw_zenoh"] = "ros2dds"
     domain: int = Field(default=0, ge=0, le=232)
     type_hashes: bool = True
@@ -159,7 +158,7 @@ class ArmSection(Settings):
     @model_validator(mode="after")
     def _has_what_its_backend_needs(self) -> "ArmSection":
         if (self.backend == "dvrk") != (self.dvrk is not None):
-            raise ValueError("backend 'dvrk' and a section dvrk with its endpoint go together")
+            raise ValueError("backend 'dvrk' and a section dvrk with its endpoint go together: docs/dvrk.md")
         if self.T_camera_base is not None and self.T_camera_base_file is not None:
             raise ValueError("T_camera_base and T_camera_base_file exclude each other; keep one")
         if self.kinematics is not None and (self.backend != "simulated" or self.T_camera_base is None):
@@ -216,9 +215,3 @@ class ViewerSection(Settings):
     """Where the session is shown: `file` writes session.rrd alone; `native` and `web` also open a Rerun viewer."""
 
     show: Literal["file", "native", "web"] = "file"
-
-
-class TopicSection(Settings):
-    """What a rig does otherwise with a topic than the table says."""
-
-    recorded: bool

@@ -14,7 +14,7 @@ from agents.perception.judging.correspondence import texture_of
 from agents.perception.judging.features import grey
 from agents.perception.judging.picture import about_interlacing, about_sharpness
 from agents.perception.judging.rows import is_certain, moved_up, row_offset, rows_to_move
-from schemas.messages import Judgement
+from schemas.messages import Judgement, RectifiedStereo
 
 Pair = tuple[UInt8[np.ndarray, "h w *c"], UInt8[np.ndarray, "h w *c"]]
 
@@ -38,12 +38,13 @@ class Whole:
     pictures: tuple[Judgement, ...]
 
 
-def judge_whole(rectified: Pair, raw: Pair, rows_before: int = 0) -> Whole:
+def judge_whole(rectified: Pair, raw: Pair, rows_before: int = 0, camera: RectifiedStereo | None = None) -> Whole:
     """Judge a pair before anything is looked for in it, and put its rows in line.
 
     Args:
         raw: the pair as the camera gave it, by which interlacing is told.
         rows_before: by how many rows its right image was moved up at the last look.
+        camera: of the rectified pair, by which distances are told; None leaves them out.
     """
     left, right = grey(rectified[0]), grey(rectified[1])
     shape = left.shape
@@ -56,7 +57,7 @@ def judge_whole(rectified: Pair, raw: Pair, rows_before: int = 0) -> Whole:
     offset = row_offset(seen, rows)
     if rows and seen.row_residual_px is not None:
         seen = replace(seen, row_residual_px=seen.row_residual_px + rows, off_rows_px=None)
-    return Whole((rectified[0], moved_up(rectified[1], rows)), rows, offset, judge(seen, shape), pictures)
+    return Whole((rectified[0], moved_up(rectified[1], rows)), rows, offset, judge(seen, shape, camera), pictures)
 
 
 def _middle(image: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "r c"]:

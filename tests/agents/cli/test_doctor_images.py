@@ -1,6 +1,7 @@
 """The doctor on a pair from files, and on the frames of a camera that runs on a real router."""
 
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -10,7 +11,7 @@ from agents.camera.agent import Camera, CameraConfig
 from agents.camera.image_files import read_pair
 from agents.cli.doctor.image_answers import about_size, answers_about
 from agents.cli.doctor.images import examine_frames
-from schemas.messages import ImageEncoding, StereoCalibration
+from schemas.messages import ImageEncoding, Severity, StereoCalibration
 from shared.calibration import read_calibration
 from shared.runtime.connection import connected
 
@@ -53,6 +54,31 @@ def test_the_laparoscope_tells_its_eyes_apart_by_their_lenses(data):
     assert [a.question for a in answers_about(images, read) if a.wrong] == []
     (wrong,) = [a.wrong for a in answers_about((images[1], images[0]), read) if a.wrong]
     assert (wrong.code, wrong.remedy) == ("left_right_swapped", "exchange --left and --right")
+
+
+@pytest.mark.parametrize(
+    ("done", "remedy"),
+    [
+        (lambda image: np.ascontiguousarray(image[:, ::-1]), "turn off mirroring"),
+        (lambda image: np.ascontiguousarray(image[::-1, ::-1]), "turn both by 180 degrees"),
+    ],
+    ids=["mirrored", "upside down"],
+)
+def test_eyes_that_are_both_mirrored_or_both_upside_down_are_told_by_their_lenses(data, done, remedy):
+    folder = data / "storz_calibration"
+    left, right = read_pair(*(folder / f"calib.{eye}.images.0.png" for eye in ("left", "right")))
+    read = read_calibration(folder, unit="mm", image_size=(1920, 1080)).calibration
+    (wrong,) = [a.wrong for a in answers_about((done(left), done(right)), read) if a.wrong]
+    assert wrong.remedy == remedy
+
+
+def test_a_calibration_that_cannot_be_rectified_is_a_fault_with_its_remedy(render):
+    forward = np.eye(4)
+    forward[2, 3] = 5.5
+    answers = answers_about(read_pair(*render[:2]), replace(calibration(), T_right_left=forward))
+    (wrong,) = [a.wrong for a in answers if a.wrong]
+    assert (wrong.code, wrong.severity) == ("not_rectifiable", Severity.FAULT)
+    assert wrong.remedy == "use the calibration of this camera, or calibrate again"
 
 
 def test_json_tells_the_same(suturegrasp, render):

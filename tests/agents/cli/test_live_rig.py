@@ -197,20 +197,20 @@ MISTAKES = {
     '[camera]\nsource = "video"\nleft = "a"': "camera: source 'video' needs calibration",
     '[camera]\nsource = "pipe"\nleft = "-"\ncalibration = "c"': "needs width and height",
     '[camera]\nsource = "ros"\nleft_topic = "a"': "source 'ros' needs endpoint, left_topic and right_topic",
-    '[camera]\nsource = "magic"': "source = 'magic': input should be 'scene', 'images', 'video', 'pipe', 'bag' or",
-    "[camera]\nrate_hz = 0": "camera.rate_hz = 0: input should be greater than 0",
+    '[camera]\nsource = "magic"': "source = 'magic': it must be 'scene', 'images', 'video', 'pipe', 'bag' or",
+    "[camera]\nrate_hz = 0": "camera.rate_hz = 0: it must be greater than 0",
     '[router]\nendpoint = "localhost"': "'localhost' is no endpoint; write protocol, host and port",
     '[router]\nendpoint = "tcp/127.0.0.1:99999"': "is no endpoint",
-    'rig = "my rig"': "rig = 'my rig'",
+    'rig = "my rig"': "rig: 'my rig' cannot be used; write small letters",
     "[robot.PSM1]": "robot.PSM1",
-    '[robot.psm1]\nbackend = "ros"': "robot.psm1.backend = 'ros': input should be 'simulated' or 'dvrk'",
+    '[robot.psm1]\nbackend = "ros"': "robot.psm1.backend = 'ros': it must be 'simulated' or 'dvrk'",
     '[robot.psm1]\nbackend = "dvrk"': "robot.psm1: backend 'dvrk' and a section dvrk with its endpoint go together",
     f'{DVRK}endpoint = "tcp/127.0.0.1:7448"': "backend 'dvrk' needs T_camera_base",
     f"{DVRK}[planner]": "robot.psm1.dvrk.endpoint is missing",
     f'{base(ASIDE)}\nbackend = "dvrk"\n[robot.psm1.dvrk]\nendpoint = "tcp/10.0.0.9:7"': "needs tls and [security]; or",
     f'[security]\n{base(ASIDE)}\nbackend = "dvrk"\n[robot.psm1.dvrk]\nendpoint = "tls/10.0.0.9:7"': "through_guard",
     '[camera]\nsource = "ros"\nendpoint = "tcp/10.0.0.9:7"\nleft_topic = "a"\nright_topic = "b"': "camera.endpoint",
-    "[robot.psm1]\nbakend = 1": "robot.psm1.bakend is unknown; allowed here: backend, speed_share",
+    "[robot.psm1]\nbakend = 1": "robot.psm1.bakend is unknown; did you mean backend?",
     "[robot.psm3]": "robot: psm3 needs T_camera_base; only psm1 and psm2 have a place of their own",
     base("[1, 2, 3]"): "robot.psm1.T_camera_base: write four rows of four numbers",
     base("[[1, 0, 0], [0, 1, 0], [0, 0, 1]]"): "write four rows of four numbers",
@@ -239,7 +239,7 @@ def test_every_command_tells_a_mistake_in_one_line(suturegrasp, tmp_path, comman
     config.write_text("[planer]")
     ended = suturegrasp(*command.split(), "--config", config)
     assert (ended.status, ended.out, len(ended.err.splitlines())) == (2, "", 1)
-    assert "planer is unknown; allowed here: rig, router" in ended.err
+    assert "planer is unknown; did you mean planner? allowed here: rig, router" in ended.err
 
 
 def test_what_is_in_the_way_of_a_rig_is_told_with_its_remedy():

@@ -15,6 +15,7 @@ from agents.deployment.certificates import AuthorityError, issue
 from agents.deployment.install import verify
 from agents.deployment.layout import ROUTER, Host, Layout, Process
 from agents.deployment.plan import plan
+from shared.clock import now_ns
 from shared.runtime.access import access_control
 from shared.runtime.config import load_config
 
@@ -227,9 +228,39 @@ def test_what_is_not_complete_is_not_installed(deployed, tmp_path, capfd, spoil,
 
 
 @pytest.mark.parametrize(
+    ("days", "said"),
+    [(-31, "viewer.desk.pem has expired; renew it"), (1, "viewer.desk.pem is not valid yet; set this machine's clock")],
+)
+def test_certificates_that_do_not_hold_now_are_not_installed(deployed, tmp_path, capfd, days, said):
+    host = shutil.copytree(deployed / "desk", tmp_path / "desk")
+    shutil.rmtree(host / "certificates")
+    layout = Layout("lab", LAYOUT.endpoint, (Host("desk", "10.0.0.14", (Process("viewer", "desk"),)),), 30, 3650)
+    issue(layout, tmp_path, datetime.datetime.fromtimestamp(now_ns() * 1e-9, datetime.UTC) + datetime.timedelta(days))
+    assert suturegrasp("deploy", "install", "--folder", host, "--root", tmp_path / "root") == 2
+    (complaint,) = capfd.readouterr().err.splitlines()
+    assert said in complaint
+    assert not (tmp_path / "root").exists()
+
+
+def test_units_that_systemd_would_not_take_are_not_installed(deployed, tmp_path, capfd):
+    if shutil.which("systemd-analyze") is None:
+        pytest.skip("there is no systemd-analyze here, which checks the units")
+    host = shutil.copytree(deployed / "desk", tmp_path / "desk")
+    unit = host / "systemd" / "suturegrasp-viewer.service"
+    unit.write_text(unit.read_text().replace("Type=notify", "Type=notfy"))
+    assert suturegrasp("deploy", "install", "--folder", host, "--root", tmp_path / "root") == 2
+    (complaint,) = capfd.readouterr().err.splitlines()
+    assert "systemd would not take the units" in complaint
+    assert not (tmp_path / "root").exists()
+
+
+@pytest.mark.parametrize(
     ("text", "said"),
     [
         ("[camera]", "has no [hosts]"),
+        (LAB.read_text() + '[topics."camera/frame"]\nrecorded = false', "there is no topic 'camera/frame'"),
+        (LAB.read_text().replace('"planner"]', '"planner", "camera"]'), "would have two owners"),
+        (LAB.read_text().replace(', "planner"]', "]"), "no host runs 'planner'"),
         ('host = "video"\n' + LAB.read_text(), "the copy for host video"),
         (
             LAB.read_text().replace('source = "scene"', 'source = "images"\nleft = "l"\ncalibration = "c.yaml"'),
@@ -288,6 +319,12 @@ def test_a_certificate_that_does_not_fit_any_more_is_made_anew(tmp_path):
         "robot_bridge.psm1": "its key was another one's",
         "operator.desk": "",
     }
+
+
+def test_certificates_of_an_authority_that_was_moved_away_are_made_anew(tmp_path):
+    issue(LAYOUT, tmp_path, NOW)
+    shutil.rmtree(tmp_path / "authority")
+    assert {made.reason for made in issue(LAYOUT, tmp_path, NOW)} == {"it was another authority's"}
 
 
 def test_what_left_a_host_leaves_no_key_there(tmp_path):

@@ -1,6 +1,7 @@
 """What the perception agent does about what it judges: rows put in line, pictures that stand still, exposure."""
 
 import functools
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -75,6 +76,18 @@ def test_rows_that_are_apart_are_put_in_line_and_said_to_be(rows):
     assert f"moved by {abs(rows)} rows" in first.judgements[0].finding
     assert f"{'lower' if rows > 0 else 'higher'} in the right image" in first.judgements[0].finding
     assert near.judgements[0].finding.endswith("(judged in frame 0)")
+
+
+def test_a_baseline_in_the_wrong_unit_is_said_beside_the_thread():
+    calibration, _, _ = scene()
+    T = calibration.T_right_left.copy()
+    T[:3, 3] *= 10.0
+    agent = Perception()
+    given(agent, CALIBRATION, replace(calibration, T_right_left=T))
+    (observed,) = given(agent, FRAMES, frame(0))
+    assert observed.status is Status.OK
+    assert codes(observed) == {"distance_implausible": Severity.WARNING}
+    assert "where no endoscope looks" in observed.judgements[0].finding
 
 
 def test_rows_come_back_when_the_camera_does():

@@ -44,6 +44,10 @@ MISTAKES = {
     "camera = 3": ("camera must be a section", "not 3"),
     "arms = 'left'": ("arms must be a section", "not 'left'"),
     "name": ("is no TOML",),
+    "name = lab": ("is no TOML", "in line 1, 'name = lab'", "straight quotes"),
+    "name = 'a'\nname = 'b'\n": ("in line 2", "what is there twice"),
+    "[camra]": ("camra is unknown", "did you mean camera?"),
+    "[arms]\nspeed = 1.0": ("arms.speed must be a section", "[arms.NAME]"),
     "a = 1\nb = 2": ("a is unknown", "b is unknown"),
     f"name = {list(range(500))}": ("name = [0, 1, 2", "..."),
 }
