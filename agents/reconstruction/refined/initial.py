@@ -1,13 +1,14 @@
 """The first curve: course in the left image and disparity as smooth functions of the length along it, robustly."""
 
 import numpy as np
-import scipy.linalg
 from jaxtyping import Float64
+from scipy.linalg import lapack
 
 from agents.reconstruction.refined.alignment import Alignment
 from agents.reconstruction.refined.chains import Chain
 from agents.reconstruction.refined.cubic import DEGREE, basis_at, even_places, fitted
 from agents.reconstruction.refined.kept import kept
+from agents.reconstruction.refined.medians import median
 from agents.reconstruction.refined.normal_equations import finite
 from agents.reconstruction.refined.projection import Curve, at_constant_speed
 from schemas.messages import RectifiedStereo
@@ -76,7 +77,7 @@ def _disparity(basis: Float64[np.ndarray, "k m"], aligned: Alignment) -> Float64
     for _ in range(ROUNDS):
         found = _smooth(basis, aligned.disparity_px, weight * robust, DISPARITY_SMOOTHING)
         residual = np.abs(basis @ found - aligned.disparity_px) * np.sqrt(weight)
-        scale = max(1.4826 * float(np.median(residual)), 0.3)
+        scale = max(1.4826 * median(residual), 0.3)
         robust = 1.0 / (1.0 + (residual / (ROBUST * scale)) ** 2)
     return found
 
@@ -99,7 +100,11 @@ def _smooth(
     normal = weighted @ basis
     size = max(float(np.trace(normal)) / len(normal), 1e-9)
     H = normal + smoothing * size * _second_differences(basis.shape[1]) + 1e-9 * size * np.eye(len(normal))
-    return np.asarray(scipy.linalg.solve(H, weighted @ values, assume_a="pos", check_finite=False))
+    # LAPACK itself: SciPy's checks take as long as the solution
+    _, found, info = lapack.dposv(H, weighted @ values)
+    if info:
+        raise np.linalg.LinAlgError("no first curve follows from the points of both images")
+    return found
 
 
 @kept

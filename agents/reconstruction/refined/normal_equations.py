@@ -203,8 +203,17 @@ def factored(blocks: Blocks) -> Float64[np.ndarray, "12 v"]:
     Raises:
         numpy.linalg.LinAlgError: where H is not positive definite.
     """
+    return factored_band(band(blocks))
+
+
+def factored_band(lower: Float64[np.ndarray, "12 v"]) -> Float64[np.ndarray, "12 v"]:
+    """Cholesky's factor of a matrix in band form.
+
+    Raises:
+        numpy.linalg.LinAlgError: where it is not positive definite.
+    """
     # LAPACK itself: checks and conversions take longer than the factorisation of a matrix this small
-    factor, info = lapack.dpbtrf(band(blocks), lower=1)
+    factor, info = lapack.dpbtrf(lower, lower=1)
     if info:
         raise np.linalg.LinAlgError(f"the leading minor of order {info} is not positive definite")
     return factor

@@ -106,7 +106,10 @@ def folds(sight: Sightings, curve: Curve, camera: RectifiedStereo) -> Float64[np
     left, right = np.flatnonzero(sight.eye == 0), np.flatnonzero(sight.eye == 1)
     # in order along the chain; single points that are misplaced do not count
     left = left[: 1 + int(np.argmax(sight.s[left]))] if len(left) else left
-    places = scipy.ndimage.median_filter(sight.s[left], MEDIAN_POINTS, mode="nearest") if len(left) else sight.s[left]
+    places = sight.s[left]
+    # which changes nothing where they rise
+    if (places[1:] < places[:-1]).any():
+        places = scipy.ndimage.median_filter(places, MEDIAN_POINTS, mode="nearest")
     found = _folds(np.maximum.accumulate(places), 0, curve, camera)
     # what the right image alone shows of an end is a place of the curve as good as any
     found_right = _folds(np.sort(sight.s[right]), 1, curve, camera)

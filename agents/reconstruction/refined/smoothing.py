@@ -10,15 +10,17 @@ over a window of spans: the number of well-determined third differences there ov
 images do not determine (depth along the rows) is thereby as rough as what they do show nearby.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 from jaxtyping import Float64
 
 from agents.reconstruction.refined.cubic import DEGREE
 from agents.reconstruction.refined.near_inverse import near_inverse
 from agents.reconstruction.refined.normal_equations import (
-    SIDE,
     Blocks,
-    factored,
+    band,
+    factored_band,
     gradient,
     roughness_blocks,
     solved,
@@ -37,23 +39,25 @@ def chosen_smoothing(
     curve: Curve, data: Blocks, weight: Float64[np.ndarray, "spans"], candidates: Float64[np.ndarray, "c"]
 ) -> float:
     """The candidate λ with the greatest marginal likelihood."""
-    unit = roughness_blocks(curve, weight)
-    return float(max(candidates, key=lambda smoothing: log_evidence(curve, data, unit, float(smoothing))))
+    evidence = log_evidence(curve, data, roughness_blocks(curve, weight))
+    return float(max(candidates, key=lambda smoothing: evidence(float(smoothing))))
 
 
-def log_evidence(curve: Curve, data: Blocks, unit: Blocks, smoothing: float) -> float:
-    """log p(images | λ) up to a constant; `data` includes what damps motion along the curve."""
-    total = data + unit * smoothing
-    try:
-        factor = factored(total)
-    except np.linalg.LinAlgError:
-        return -np.inf
-    g = gradient(total.g)
-    step = -solved(factor, g)
-    near = curve.control_points[np.arange(curve.spans)[:, None] + np.arange(DEGREE + 1)].reshape(-1, SIDE)
-    here = 0.5 * smoothing * float(np.einsum("ki,ki->", near, unit.g))
-    energy = here + 0.5 * float(g @ step)
-    return 1.5 * curve.spans * np.log(smoothing) - float(np.log(factor[0]).sum()) - energy
+def log_evidence(curve: Curve, data: Blocks, unit: Blocks) -> Callable[[float], float]:
+    """log p(images | λ) up to a constant, as a function of λ; `data` includes what damps motion along the curve."""
+    bands, gradients = [band(blocks) for blocks in (data, unit)], [gradient(blocks.g) for blocks in (data, unit)]
+    roughness = 0.5 * float(curve.control_points.ravel() @ gradients[1])
+
+    def of(smoothing: float) -> float:
+        try:
+            factor = factored_band(bands[0] + smoothing * bands[1])
+        except np.linalg.LinAlgError:
+            return -np.inf
+        g = gradients[0] + smoothing * gradients[1]
+        energy = smoothing * roughness - 0.5 * float(g @ solved(factor, g))
+        return 1.5 * curve.spans * np.log(smoothing) - float(np.log(factor[0]).sum()) - energy
+
+    return of
 
 
 def local_weights(
