@@ -24,12 +24,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 
 from agents.planner.config import PlannerConfig
 from agents.planner.curve import NoGraspError, curve_of
 from agents.planner.errors import UNIFORM_BALL, thread_covariance
-from agents.planner.moved import BESIDE_M, DEEP_M, Motion, motion
+from agents.planner.moved import BESIDE_M, DEEP_M, Elsewhere, Motion, motion
 from schemas.messages import Checked, GraspPlan, Phase, Status, ThreadAround, ThreadReconstruction
 from shared.kinematics.psm import FINGER_M
 
@@ -90,14 +90,20 @@ def checked(
     if float(np.linalg.norm(tool_moved)) < LEAST_LIFT_M:
         return _unknown(f"the tool moved by only {MM_PER_M * float(np.linalg.norm(tool_moved)):.1f} mm")
     goal = int(np.argmin(np.abs(plan.around.s - plan.s_goal)))
-    found = motion(plan.around, goal, now, tool_moved)
+    found = motion(plan.around, goal, now, tool_moved, _is_seen(after, now))
     if found is None:
-        return _unknown("no thread is seen near the jaws after the lift", doubtful=True)
+        return _unknown("no thread is seen near the jaws after the lift")
+    if isinstance(found, Elsewhere):
+        return _unknown(
+            f"the thread at the goal is seen {MM_PER_M * found.off_m:.0f} mm from the way of the tool", doubtful=True
+        )
     if found.tool_m < LEAST_LIFT_M:
         return _unknown("the tool moved along the thread, which tells nothing")
     likely = held_probability(found, grasped[:3, 1], config)
+    beside = f"{MM_PER_M * found.beside_m:.0f} mm from the goal, where nothing of it is seen,"
+    where = beside if found.beside_m else "at the goal"
     told = (
-        f"the thread at the goal moved {MM_PER_M * found.thread_m:.1f} mm (± {MM_PER_M * found.deviation_m:.1f}) the "
+        f"the thread {where} moved {MM_PER_M * found.thread_m:.1f} mm (± {MM_PER_M * found.deviation_m:.1f}) the "
         f"way of the tool, which moved {MM_PER_M * found.tool_m:.1f} mm"
     )
     if likely >= config.sure:
@@ -116,8 +122,16 @@ def held_probability(found: Motion, opens: Float64[np.ndarray, "3"], config: Pla
     spread = found.covariance + config.settle_m**2 * np.eye(2)
     opened = found.axes @ opens
     taken = spread + (config.tool_error_m**2 + config.hand_eye_error_m**2 / UNIFORM_BALL) * np.outer(opened, opened)
-    held, missed = _density(found.thread - found.tool, taken), _density(found.thread, spread)
+    taken = taken + found.follows_covariance
+    held, missed = _density(found.thread - found.follows, taken), _density(found.thread, spread)
     return held / (held + missed)
+
+
+def _is_seen(thread: ThreadReconstruction, samples: ThreadAround) -> Bool[np.ndarray, "n"]:
+    """Which samples of a thread both images show."""
+    stretches = [thread.unseen, *([thread.hidden] if thread.hidden is not None else [])]
+    start, end = np.concatenate(stretches).reshape(-1, 2).T[:, :, None]
+    return ~((samples.s >= start) & (samples.s <= end)).any(axis=0)
 
 
 def _density(off: Float64[np.ndarray, "2"], covariance: Float64[np.ndarray, "2 2"]) -> float:

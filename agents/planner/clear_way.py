@@ -15,7 +15,7 @@ from agents.planner.choice import Choice
 from agents.planner.curve import ThreadCurve
 from agents.planner.entanglement import thread_clearance
 from agents.planner.waypoints import waypoints
-from schemas.messages import Policy, ThreadClearance, Waypoint
+from schemas.messages import ThreadClearance, Waypoint
 
 WORTH = 0.05
 """How much probability clearance is worth."""
@@ -33,11 +33,11 @@ class ClearWay:
     thread: ThreadClearance
 
 
-def clear_way(choice: Choice, chosen: int, policy: Policy, curve: ThreadCurve, arm: ArmView) -> ClearWay:
+def clear_way(choice: Choice, chosen: int, curve: ThreadCurve, arm: ArmView) -> ClearWay:
     """The chosen capture, or what stands in for it."""
     captures, config = choice.captures, choice.config
     first: ClearWay | None = None
-    for capture, way in _candidates(captures, chosen, policy, arm):
+    for capture, way in _candidates(captures, chosen, arm):
         led = waypoints(captures.ways, way, captures.s, capture, captures.goal, config)
         stands = thread_clearance(curve, led, arm.T_camera_base, config)
         by_way = captures.probability[capture] if captures.by_way is None else captures.by_way[way[0], capture]
@@ -49,15 +49,13 @@ def clear_way(choice: Choice, chosen: int, policy: Policy, curve: ThreadCurve, a
     return first
 
 
-def _candidates(captures: Captures, chosen: int, policy: Policy, arm: ArmView) -> Iterator[tuple[int, tuple[int, int]]]:
+def _candidates(captures: Captures, chosen: int, arm: ArmView) -> Iterator[tuple[int, tuple[int, int]]]:
     best = way_of(captures, chosen, arm)
     yield chosen, best
     if captures.by_way is None:
         return
     here = np.arange(len(captures.s)) == chosen
     open_here = captures.usable & (captures.against < 0)
-    if policy is Policy.DIRECT:
-        open_here = open_here & here
     likely = np.where(open_here, captures.by_way[:, None], -1.0)
     enough = likely >= max(captures.by_way[best[0], chosen] - WORTH, 0.0)
     # other ways of the same capture first, then captures by how likely they are

@@ -80,7 +80,7 @@ def _best(
             f"and {config.least_probability:.2f} is asked for"
         )
         return _rejected(goal, thread, attempt, reason, s_goal, likely, others)
-    led = clear_way(choice, chosen, goal.policy, curve, arm)
+    led = clear_way(choice, chosen, curve, arm)
     if known.model != PAPER:
         led = with_aside(led, s_goal, curve, arm, config, tissue)
     return GraspPlan(

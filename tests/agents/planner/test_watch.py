@@ -13,8 +13,9 @@ from agents.planner.agent import Planner
 from agents.planner.attempt import next_attempt
 from agents.planner.check import checked, held_probability
 from agents.planner.config import PlannerConfig
+from agents.planner.curve import curve_of
 from agents.planner.learning import after_miss
-from agents.planner.moved import Motion, motion
+from agents.planner.moved import END_M, Motion, motion
 from agents.planner.plan import plan_grasp
 from schemas.codec import decode
 from schemas.messages import (
@@ -140,6 +141,10 @@ def along(points_mm, sigma_mm=0.1):
     return ThreadAround(np.linspace(0, 1, len(points)), points, covariance)
 
 
+def all_seen(thread):
+    return np.ones(len(thread.s), bool)
+
+
 def test_thread_that_passes_the_goal_far_beside_is_another_strand():
     x = np.linspace(-40, 40, 161)
     before = along(np.column_stack((x, 0 * x, 0 * x + 88)))
@@ -148,7 +153,66 @@ def test_thread_that_passes_the_goal_far_beside_is_another_strand():
         # far from the goal it lies where it lay
         y = np.where(np.abs(x) < 10, beside_mm, 0.0)
         after = along(np.column_stack((x, y, 0 * x + 88)))
-        assert (motion(before, 80, after, lifts) is not None) is found
+        assert isinstance(motion(before, 80, after, lifts, all_seen(after)), Motion) is found
+
+
+def bent(bench, z, y: Any = 0.0):
+    """The thread of `told` with other heights, and moved to the side."""
+    thread = bench.thread(np.column_stack((X, 6 * np.sin(X / 13) + y, z)))
+    covariance = np.tile(np.diag([0.05, 0.05, 0.3]) ** 2, (9, 1, 1))
+    return dataclasses.replace(thread, posterior_s=np.linspace(0, 1, 9), posterior_covariance=covariance)
+
+
+def piece(bench, lifted_mm, begins_mm):
+    """The thread from so far beside its middle on, which is all that is seen of it; its middle lifted."""
+    whole = curve_of(bent(bench, 88 - lifted_mm * np.maximum(1 - (X / 25) ** 2, 0) ** 2))
+    s = np.linspace(0.5 + 1e-3 * begins_mm / whole.length_m, 1.0, 33)
+    seen = bench.thread(whole.points(s) / MM)
+    covariance = np.tile(np.diag([0.05, 0.05, 0.3]) ** 2, (9, 1, 1))
+    return dataclasses.replace(seen, posterior_s=np.linspace(0, 1, 9), posterior_covariance=covariance)
+
+
+@pytest.mark.parametrize("begins_mm", [1.0, 6.0])
+@pytest.mark.parametrize(("lifted_mm", "verdict"), [(5.0, Checked.HELD), (0.0, Checked.MISSED)])
+def test_where_no_thread_is_seen_at_the_jaws_the_thread_beside_them_tells(bench, begins_mm, lifted_mm, verdict):
+    plan = planned(bench)
+    seen = checked(plan, piece(bench, lifted_mm, begins_mm + END_M / MM), tool_after(plan), CONFIG)
+    assert " mm from the goal, where nothing of it is seen, moved" in seen.sentence
+    assert seen.held_probability is not None
+    assert (seen.held_probability > 0.5) is (verdict is Checked.HELD)
+    assert (seen.verdict is verdict) is (begins_mm == 1.0), seen.sentence
+
+
+def test_where_nothing_near_the_jaws_is_seen_it_is_unknown_and_what_may_be_held_is_not_let_go(bench):
+    plan = planned(bench)
+    seen = checked(plan, piece(bench, 5.0, 18.0), tool_after(plan), CONFIG)
+    assert (seen.verdict, seen.doubtful) == (Checked.UNKNOWN, False)
+    assert "no thread is seen near the jaws after the lift" in seen.sentence
+
+
+def test_what_is_made_up_where_nothing_is_seen_does_not_count(bench):
+    plan, after = planned(bench), piece(bench, 5.0, 7.0)
+    hidden = dataclasses.replace(after, hidden=np.array([[0.0, 0.9]]))
+    seen = checked(plan, hidden, tool_after(plan), CONFIG)
+    assert (seen.verdict, seen.motion) == (Checked.UNKNOWN, None), seen.sentence
+
+
+def test_thread_that_was_taken_to_be_elsewhere_is_likelier_missed(bench):
+    plan = planned(bench)
+    aside = bent(bench, np.full(len(X), 88.0), np.where(np.abs(X) < 18, 9.0, 0.0))
+    seen = checked(plan, aside, tool_after(plan), CONFIG)
+    assert (seen.verdict, seen.doubtful) == (Checked.UNKNOWN, True), seen.sentence
+    assert "mm from the way of the tool" in seen.sentence
+
+
+def test_thread_follows_by_less_the_farther_from_the_goal_it_is_looked_at():
+    tool = np.array([7.0, 5.0]) * MM
+    near, far = (Motion(tool, tool, 1e-8 * np.eye(2), np.eye(2, 3), beside_m) for beside_m in (0.0, 0.015))
+    np.testing.assert_allclose(near.follows, tool)
+    np.testing.assert_array_equal(near.follows_covariance, 0.0)
+    # 61 % of the way, give or take 27 %: as good as all of it, or a quarter
+    np.testing.assert_allclose(far.follows, 0.61 * tool)
+    np.testing.assert_allclose(far.follows_covariance, 0.27**2 * np.outer(tool, tool))
 
 
 def test_an_end_that_is_seen_too_short_is_the_less_sure_the_farther_it_goes_on():
@@ -158,8 +222,8 @@ def test_an_end_that_is_seen_too_short_is_the_less_sure_the_farther_it_goes_on()
     for cut_mm in (0.0, 2.0, 4.0):
         seen = x[x <= 38 - cut_mm]
         after = along(np.column_stack((seen, 0 * seen, 0 * seen + 88)))
-        found = motion(before, 156, after, np.array([0.0, 5.0, 0.0]) * MM)
-        assert found is not None
+        found = motion(before, 156, after, np.array([0.0, 5.0, 0.0]) * MM, all_seen(after))
+        assert isinstance(found, Motion)
         deviations[cut_mm] = np.sqrt(np.diag(found.covariance)) / MM
     assert (np.diff(list(deviations.values()), axis=0) > 0.1).all()
     # 4 mm on: 30 % of that in depth, 15 % in the image
