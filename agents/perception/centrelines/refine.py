@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
 
 from agents.perception.centrelines.along import (
+    STRIDE,
     Pieces,
     blurred,
     directions,
@@ -35,8 +36,9 @@ LEAST_WIDTH_PX = 0.1
 ASIDE_ALONG_PX, USUAL_ASIDE_PX = 8.0, 0.15
 FROM_CUT_WIDTHS = 2.0
 """From half as far to half as far again the edges give way to what is learned."""
-LEARNED_ALONG_PX = 1.0
-"""Profiles are averaged along the thread a little, and every second is looked at: they hardly see neighbours apart."""
+LEARNED_ALONG_PX, SEEN_ALONG_PX = 1.0, 1.5
+"""Profiles that the network learns from are averaged along the thread a little, and every second counts: neighbours
+hardly differ. Where none but those are seen, a slightly longer average leaves about as much of the noise."""
 
 
 @dataclass(frozen=True)
@@ -100,8 +102,10 @@ def by_edges(
     at, kernel = offsets(width / 2 + 2 * MARGIN_PX), gaussian(ALONG_PX)
     mask_width = smoothed(mask.width_px[:, None], curves.pieces, kernel)[:, 0]
     normal = normals(directions(curves.point, curves.pieces, gaussian(tangent_sigma(width))))
-    some, thinned = curves.pieces.every_second
-    colour = blurred(sample(image, curves.point, normal, at, cv2.BORDER_REPLICATE), curves.pieces, kernel, some)
+    some, sampled = curves.pieces.every_second
+    within, thinned = sampled.every_second
+    colour = sample(image, curves.point[some], normal[some], at, cv2.BORDER_REPLICATE)
+    colour, some = blurred(colour, sampled, gaussian(ALONG_PX / STRIDE), within), some[within]
     edges = find_edges(np.stack(cv2.split(colour)), at, mask_width[some], thinned)
     near, far = (np.interp(np.arange(len(normal)), some, edge) for edge in (edges.near_px, edges.far_px))
     # both edges may lie off the mask's, but in the same direction only as far as a mask is wrong
@@ -126,12 +130,14 @@ def by_learning(
     pieces = curves.pieces
     usual = usual_width_px(edges.width_px, pieces)
     normal = normals(directions(curves.point, pieces, gaussian(tangent_sigma(width))))
-    some, thinned = pieces.every_second
-    colour = seen_across(image, curves.point, normal, reach_px(usual))
-    colour = blurred(colour, pieces, gaussian(LEARNED_ALONG_PX), some)
+    some, sampled = pieces.every_second
+    colour = seen_across(image, curves.point[some], normal[some], reach_px(usual[some]))
+    colour = blurred(colour, sampled, gaussian(SEEN_ALONG_PX / STRIDE))
     if has_plain_ground(colour, usual[some]):
         return None
-    found = learned_middles(straightened(colour, usual[some], thinned), normal[some], thinned)
+    profiles = straightened(colour, usual[some], sampled)
+    found = learned_middles(profiles, normal[some], sampled, every_second=True)
+    some = some[sampled.every_second[0]]
     offset, deviation = (np.interp(np.arange(len(usual)), some, part) for part in (found.offset_px, found.deviation_px))
     limit = 0.5 + 0.25 * width
     # beside a cut the profile also holds the strand that is crossed

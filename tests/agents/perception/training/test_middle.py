@@ -44,6 +44,19 @@ def test_other_pieces_beside_a_thread_change_what_is_learned_of_it_by_their_ligh
     np.testing.assert_allclose(both.offset_px, np.tile(alone.offset_px, 2), atol=1e-4)
 
 
+def test_every_second_point_is_told_what_it_is_told_among_all(drawn):
+    shown, some, pieces = profiles_of(drawn[0])
+    normal = drawn[0].normal[some]
+    half, thinned = pieces.every_second
+    every, apart = (learned_middles(shown, normal, pieces, every_second=each) for each in (False, True))
+    # to an end that is no second point, neighbours have another way
+    alike = (pieces.before[half] % 2 == 0) & (thinned.after > 16)
+    assert len(apart.offset_px) == len(half)
+    assert alike.sum() > 50
+    np.testing.assert_allclose(apart.offset_px[alike], every.offset_px[half][alike], atol=1e-4)
+    np.testing.assert_allclose(apart.deviation_px[alike], every.deviation_px[half][alike], rtol=1e-3)
+
+
 def test_batches_follow_from_their_seed(drawn):
     one, other = (next(batches(drawn, seed=5)) for _ in range(2))
     for part, same in zip(one, other, strict=True):
