@@ -15,13 +15,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 
-from agents.perception.centrelines.along import Pieces, directions, gaussian, local_quadratic, median, smoothed
+from agents.perception.centrelines.along import Pieces, directions, gaussian, median
 from agents.perception.centrelines.deviation import deviations, of_edges
 from agents.perception.centrelines.profiles import normals
-from agents.perception.centrelines.refine import LIGHT_PX, Curves, Evidence, by_edges, by_learning, tangent_sigma
+from agents.perception.centrelines.refine import Curves, Evidence, by_edges, by_learning, tangent_sigma
 from agents.perception.centrelines.straightened import usual_width_px
 from agents.perception.centrelines.tips import to_tips
-from agents.perception.following.appearance import Colours, colours_across, pieces_of, some_of
+from agents.perception.following.appearance import EVERY, Colours, colours_across, pieces_of, some_of
 from agents.perception.following.capture import Captured, captured
 from agents.perception.following.ends import REACH_PX, carried_along, ends_of, with_ends
 from agents.perception.following.stacked import (
@@ -71,12 +71,12 @@ def trail_of(
     some = some_of(pieces)
     if len(some) == 0:
         return Trail(loose_start, loose_end, np.zeros(0), np.zeros((0, 3, 3), np.uint8), loose_start, loose_end)
-    width = median(lines.width_px)
-    tangent = directions(lines.point_px, pieces, gaussian(tangent_sigma(width)))
-    colours = _colours(image, lines, pieces, some, tangent)
-    tips, outward = _tips(pieces, tangent)
+    width, point, sampled = median(lines.width_px), lines.point_px[some], Pieces(pieces.number[some])
+    tangent = _tangents(point, sampled, width)
+    colours = _colours(image, point, lines.width_px[some], sampled, tangent)
+    tips, outward = _tips(sampled, tangent)
     eye = Eyes(image.shape[0], image.shape[1], 1)
-    ends = ends_of(image, lines.point_px[tips], outward, width, colours[np.searchsorted(some, tips)], eye)
+    ends = ends_of(image, point[tips], outward, width, colours[tips], eye)
     long = np.tile(lengths_px(pieces) >= 2 * REACH_PX, 2)
     told = np.concatenate((loose_start, loose_end)) & long & ~ends.lost & (np.abs(ends.reach_px) <= TOLD_PX)
     return Trail(loose_start, loose_end, lengths_px(pieces), colours, *np.split(told, 2))
@@ -88,15 +88,18 @@ def _tips(pieces: Pieces, tangent: Float64[np.ndarray, "n 2"]) -> tuple[Int64[np
     return tips, np.concatenate((-tangent[pieces.first], tangent[pieces.last]))
 
 
+def _tangents(point: Float64[np.ndarray, "m 2"], sampled: Pieces, width: float) -> Float64[np.ndarray, "m 2"]:
+    return directions(point, sampled, gaussian(tangent_sigma(width) / EVERY))
+
+
 def _colours(
     image: UInt8[np.ndarray, "h w 3"],
-    lines: Centrelines,
-    pieces: Pieces,
-    some: Int64[np.ndarray, "m"],
-    tangent: Float64[np.ndarray, "n 2"],
+    point: Float64[np.ndarray, "m 2"],
+    width_px: Float64[np.ndarray, "m"],
+    sampled: Pieces,
+    tangent: Float64[np.ndarray, "m 2"],
 ) -> Colours:
-    usual = usual_width_px(lines.width_px, pieces)[some]
-    return colours_across(image, lines.point_px[some], normals(tangent)[some], usual, Pieces(pieces.number[some]))
+    return colours_across(image, point, normals(tangent), usual_width_px(width_px, sampled, EVERY), sampled)
 
 
 def lengths_px(pieces: Pieces) -> Float64[np.ndarray, "k"]:
@@ -106,8 +109,8 @@ def lengths_px(pieces: Pieces) -> Float64[np.ndarray, "k"]:
 
 def follow(images: Sequence[UInt8[np.ndarray, "h w 3"]], last: Sequence[Followed]) -> tuple[Followed, ...] | str:
     """The centrelines in the next images of some eyes, all of one size; or why those of one were not found."""
-    if any(_is_short(eye.lines) for eye in last):
-        return "short pieces"
+    if any(len(eye.lines.piece) == 0 for eye in last):
+        return "no pieces"
     image, eyes = stacked_images(images)
     before, eye = stacked_lines([each.lines for each in last], eyes)
     found = _follow(image, eyes, eye, before, stacked_trails([each.trail for each in last]))
@@ -121,11 +124,6 @@ def follow(images: Sequence[UInt8[np.ndarray, "h w 3"]], last: Sequence[Followed
     )
 
 
-def _is_short(lines: Centrelines) -> bool:
-    pieces = pieces_of(lines)
-    return len(lines.piece) == 0 or int((pieces.last - pieces.first).min()) < LEAST_LENGTH_PX
-
-
 def _follow(
     image: UInt8[np.ndarray, "h w 3"], eyes: Eyes, eye: Int64[np.ndarray, "k"], before: Centrelines, trail: Trail
 ) -> Followed | str:
@@ -134,29 +132,34 @@ def _follow(
     Args:
         eye: of each piece.
     """
-    pieces = pieces_of(before)
-    width = median(before.width_px)
-    tangent = directions(before.point_px, pieces, gaussian(tangent_sigma(width)))
-    some = some_of(pieces)
-    normal, sampled = normals(tangent), Pieces(pieces.number[some])
-    found = captured(image, before.point_px[some], normal[some], width, trail.colour_bgr, sampled)
+    pieces = Pieces(before.piece)
+    if int((pieces.last - pieces.first).min()) < LEAST_LENGTH_PX:
+        return "short pieces"
+    some, width = some_of(pieces), median(before.width_px)
+    point, sampled = before.point_px[some], Pieces(pieces.number[some])
+    normal = normals(_tangents(point, sampled, width))
+    found = captured(image, point, normal, width, trail.colour_bgr, sampled)
     counts, of_eye = _counts(pieces, trail, width)[some], eye[sampled.number]
     for k in range(eyes.count):
         if reason := _unclear(found, counts, of_eye == k, width):
             return reason
-    move = np.interp(np.arange(len(normal)), some, found.move_px)[:, None] * normal
-    moved = smoothed(before.point_px + move, pieces, local_quadratic(LIGHT_PX))
-    tips, outward = _tips(pieces, directions(moved, pieces, gaussian(tangent_sigma(width))))
-    ends = ends_of(image, moved[tips], outward, width, trail.colour_bgr[np.searchsorted(some, tips)], eyes)
+    move = found.move_px[:, None] * normal
+    there = point + move
+    tips, outward = _tips(sampled, _tangents(there, sampled, width))
+    ends = ends_of(image, there[tips], outward, width, trail.colour_bgr[tips], eyes)
     told = np.concatenate((trail.told_start, trail.told_end))
     if (ends.lost & told).any():
         return f"{int((ends.lost & told).sum())} ends out of reach"
-    along = carried_along(moved[tips], outward, before.point_px[some], normal[some], found.move_px)
-    place, now = with_ends(moved, pieces, outward, np.where(told, ends.reach_px, along))
+    reach_px = ends.reach_px
+    if not told.all():
+        reach_px = np.where(told, reach_px, carried_along(there[tips], outward, point, normal, found.move_px))
+    every = np.arange(len(before.point_px))
+    moved = before.point_px + np.column_stack([np.interp(every, some, along) for along in move.T])
+    place, now = with_ends(moved, pieces, outward, reach_px)
     if _has_another_length(now, trail):
         return "a piece has another length"
     curves = Curves(place, now, trail.loose_start, trail.loose_end)
-    usual = _carried(usual_width_px(before.width_px, pieces), pieces, now)
+    usual = _carried(usual_width_px(before.width_px[some], sampled, EVERY), some, pieces, now)
     return _refined(image, eyes, eye, curves, usual, width, trail)
 
 
@@ -195,11 +198,13 @@ def _unclear(found: Captured, counts: Bool[np.ndarray, "m"], here: Bool[np.ndarr
     return "a stretch is hidden" if (run == longest).any() else ""
 
 
-def _carried(values: Float64[np.ndarray, "n"], pieces: Pieces, now: Pieces) -> Float64[np.ndarray, "m"]:
-    """Values along pieces at the places of pieces that are a little longer or shorter."""
+def _carried(
+    values: Float64[np.ndarray, "m"], some: Int64[np.ndarray, "m"], pieces: Pieces, now: Pieces
+) -> Float64[np.ndarray, "n"]:
+    """Values at some points of pieces at the places of pieces that are a little longer or shorter."""
     length = pieces.last - pieces.first
     share = now.before / np.maximum(1, now.before + now.after)
-    return np.interp(pieces.first[now.number] + share * length[now.number], np.arange(len(values)), values)
+    return np.interp(pieces.first[now.number] + share * length[now.number], some, values)
 
 
 def _refined(
@@ -226,7 +231,7 @@ def _refined(
     deviation = deviations(curves, seen, at_sight)
     lines = Centrelines(eyes.clipped(curves.point), curves.pieces.number, seen.width_px, deviation)
     lines = to_tips(lines, image, trail.told_start, trail.told_end)
-    pieces = Pieces(lines.piece)
-    tangent = directions(lines.point_px, pieces, gaussian(tangent_sigma(width)))
-    colours = _colours(image, lines, pieces, some_of(pieces), tangent)
+    some = some_of(Pieces(lines.piece))
+    point, sampled = lines.point_px[some], Pieces(lines.piece[some])
+    colours = _colours(image, point, lines.width_px[some], sampled, _tangents(point, sampled, width))
     return Followed(lines, replace(trail, colour_bgr=colours))
