@@ -49,7 +49,9 @@ def told_apart(
     whole = observed.looked_sequence == observed.stamp.sequence
     before = () if last is None else last.candidates
     occluders = _occluders(observed, images, coverage, whole, last)
-    of_left = None if occluders is None else decode_image(occluders.left)
+    # one thread alone is told from no other by what may hide it
+    is_asked = occluders is not None and (whole or len(before) > 1)
+    of_left = decode_image(occluders.left) if occluders is not None and is_asked else None
     lines = observed.centrelines_left, observed.centrelines_right
     if whole:
         meant_px = before[0].left_px if before else None
@@ -78,9 +80,12 @@ def _occluders(
     if not whole and (before is None or 0 <= sequence - before.sequence < FRAMES_BETWEEN_OCCLUDERS):
         return before
     lines = observed.centrelines_left, observed.centrelines_right
-    left, right = (
-        occluders_in(image, _along(line, thread)) for image, line, thread in zip(images, lines, coverage, strict=True)
-    )
+    if observed.segmented_sequence == sequence:
+        left_thread, right_thread = (_along(line, thread) for line, thread in zip(lines, coverage, strict=True))
+    else:
+        # what was drawn along a followed thread holds nothing else
+        left_thread, right_thread = coverage
+    left, right = occluders_in(images[0], left_thread), occluders_in(images[1], right_thread)
     if left is None or right is None:
         return None
     # of a followed thread, those are still what was found with it
