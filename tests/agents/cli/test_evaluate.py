@@ -6,10 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from agents.cli.evaluate import trials
 from agents.cli.evaluate.scenes import first_state
-from agents.cli.evaluate.trials import Table
+from agents.cli.evaluate.trials import Table, planner_config, rig_for
 from agents.cli.main import main
-from agents.evaluation.protocol import Protocol, threads_of, trials_on
+from agents.evaluation.came import Came
+from agents.evaluation.protocol import METHODS, Protocol, hand_eye_seed, injected_m, threads_of, trials_on
+from agents.evaluation.trial import Told
 from schemas.messages import RobotMode, RobotState
 from schemas.topics import SURFACE, THREAD
 
@@ -78,6 +81,61 @@ def test_looks_after_a_grasp_show_the_instrument_where_that_is_asked_for(table, 
     table._again(trial)(state, arm, 0)
     differs = np.abs(shown[0].astype(int) - table.view.pair(state, 1)[0]).max(axis=2) > 25
     assert differs.sum() > 1000, "pixels of an instrument of 8 mm"
+
+
+def test_the_simulator_is_told_the_errors_of_a_trial_and_who_judges(table, trial, monkeypatch):
+    told = {"hand_eye_mm": 1.5, "hand_eye_deg": 1.0, "judge": "contact"}
+    monkeypatch.setattr(table, "protocol", table.protocol.model_copy(update=told))
+    every = [table._simulated(trial.model_copy(update=one)) for one in ({}, {"goal": 2}, {"policy": "robust"})]
+    first = every[0]
+    assert (first.tool_error_mm, first.hand_eye_error_mm, first.hand_eye_error_deg) == (0.7, 1.5, 1.0)
+    assert (first.physics, first.seed) == ("contact", table.scenery.simulated.seed)
+    assert len({one.error_seed for one in every}) == 3, "a tool's error is drawn anew for each trial"
+    assert {one.hand_eye_seed for one in every} == {hand_eye_seed(table.protocol, table.laid)}, "and registration's not"
+    larger = table._simulated(trial.model_copy(update={"tool_error_mm": 3.0, "method": "paper"}))
+    assert (larger.tool_error_mm, larger.error_seed) == (3.0, first.error_seed)
+
+
+def test_the_planner_is_told_the_sizes_of_errors_and_the_paper_s_policy_with_the_paper_s_method(table, trial):
+    ours, papers = (
+        planner_config(table.protocol, trial.model_copy(update={"method": m})) for m in ("refined", "paper")
+    )
+    assert (ours.policy_model, papers.policy_model) == ("geometric", "paper")
+    sized = trial.model_copy(update={"tool_error_mm": 3.0})
+    asked = planner_config(table.protocol.model_copy(update={"hand_eye_mm": 1.2}), sized)
+    assert (asked.tool_error_m, asked.hand_eye_error_m) == pytest.approx((3e-3, 1.2e-3))
+    assert (asked.attempts, asked.least_probability) == (2, 0.0)
+    assert [rig_for(method).reconstruction.method for method in METHODS] == list(METHODS)
+
+
+def test_every_look_finds_the_thread_moved_where_that_is_asked_for(table, trial, monkeypatch):
+    first = table.look("refined")
+    moving = table.protocol.model_copy(update={"injected_share": 1.0, "injected_mm": 10.0})
+    monkeypatch.setattr(table, "protocol", moving)
+    planned_on = []
+    came = Came(trial=trial, outcome="declined", code="rejected", sentence="not tried here")
+    monkeypatch.setattr(trials, "carried_out", lambda _t, _s, look, *_: planned_on.append(look) or Told(came, []))
+    assert table.tried(trial).came.injected_m == pytest.approx(float(np.linalg.norm(injected_m(moving, trial))))
+    monkeypatch.setattr(table, "_seen", lambda *_: first)
+    state = first_state(table.scenery.simulated, table.scenery.field)
+    arm = RobotState("psm1", 0, RobotMode.IDLE, np.eye(4), np.zeros(6), 0.0, np.eye(4), "")
+    again = table._again(trial)
+    looks = [*planned_on, again(state, arm, 0), again(state, arm, 0)]
+    for number, look in enumerate(looks):
+        by = look.thread.control_points_camera - first.thread.control_points_camera
+        np.testing.assert_allclose(by, np.broadcast_to(injected_m(moving, trial, number), by.shape), atol=1e-12)
+
+
+def test_looks_after_a_grasp_have_a_camera_s_noise(table, trial, monkeypatch):
+    shown = []
+    monkeypatch.setattr(table, "_seen", lambda images, *_: shown.append(images) or table.look("refined"))
+    state = first_state(table.scenery.simulated, table.scenery.field)
+    arm = RobotState("psm1", 0, RobotMode.IDLE, np.eye(4), np.zeros(6), 0.0, np.eye(4), "")
+    again = table._again(trial)
+    again(state, arm, 0)
+    again(state, arm, 0)
+    for one, other in zip(*shown, strict=True):
+        assert 0.5 < np.abs(one.astype(float) - other).mean() < 5
 
 
 def test_a_thread_out_of_reach_is_declined_with_a_reason(table, trial, monkeypatch):

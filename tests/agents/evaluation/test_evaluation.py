@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from agents.evaluation.came import Came
 from agents.evaluation.journal import Journal
 from agents.evaluation.least_time import SpeedLimits, least_time_s
-from agents.evaluation.protocol import Protocol, Trial, injected_m, threads_of, tool_seed, trials_on
+from agents.evaluation.protocol import Protocol, Trial, hand_eye_seed, injected_m, threads_of, tool_seed, trials_on
 from agents.evaluation.reliability import reliability
 from agents.evaluation.report import as_html, report
 from agents.evaluation.results import results_of
@@ -66,6 +66,25 @@ def test_as_many_threads_are_moved_as_was_asked_for_and_none_further():
     moved = np.array([np.linalg.norm(injected_m(protocol, trial)) for trial in all_trials(protocol)])
     assert 0.05 < (moved > 0).mean() < 0.15
     assert moved.max() <= 0.010
+
+
+def test_registration_is_wrong_alike_throughout_a_scenario_and_otherwise_in_the_next():
+    protocol = protocol_with()
+    seeds = {}
+    for laid in threads_of(protocol):
+        seeds.setdefault(laid.scenario, set()).add(hand_eye_seed(protocol, laid))
+    assert [len(one) for one in seeds.values()] == [1, 1]
+    assert len(set.union(*seeds.values())) == 2
+    other = threads_of(protocol_with(seed=2))[0]
+    assert hand_eye_seed(protocol_with(seed=2), other) not in seeds[other.scenario]
+
+
+def test_each_look_is_moved_anew():
+    protocol = protocol_with(injected_share=1.0, injected_mm=10.0)
+    trial = all_trials(protocol)[0]
+    moved = np.array([injected_m(protocol, trial, look) for look in range(5)])
+    assert len(np.unique(moved, axis=0)) == 5
+    np.testing.assert_array_equal(moved[0], injected_m(protocol, trial))
 
 
 def test_a_journal_goes_on_where_it_was_cut_off(tmp_path):
