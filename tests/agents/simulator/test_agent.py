@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agents.simulator.agent import Simulator, SimulatorConfig
+from agents.simulator.errors import tool_error
 from schemas.codec import encode
 from schemas.messages import (
     ExecutionEvent,
@@ -313,6 +314,25 @@ def test_the_tools_error_differs_between_plans_and_a_large_one_misses():
         verdicts.append(judgement.verdict)
     assert Verdict.HELD in verdicts
     assert Verdict.MISSED in verdicts
+
+
+def test_the_tools_error_has_its_deviation_on_each_axis_apart():
+    drawn = np.array([tool_error(seed, "psm1", "p", 0, 0.7).offset_camera for seed in range(4000)]) / MM
+    np.testing.assert_allclose(np.cov(drawn.T), 0.49 * np.eye(3), atol=0.03)
+    np.testing.assert_allclose(drawn.mean(axis=0), 0.0, atol=0.05)
+
+
+def test_registration_is_wrong_by_the_same_in_every_plan_of_an_arm_and_a_large_error_misses():
+    def verdicts(hand_eye_seed, **errors):
+        run = Run(SimulatorConfig(**{**vars(EXACT), "hand_eye_seed": hand_eye_seed, **errors}))
+        for k in range(3):
+            run.carry_out([*direct(tool_at(0.5)), (raised(tool_at(0.5), 25.0), OPEN)], plan_id=f"p{k}")
+        return [judgement.verdict for judgement in run.judgements]
+
+    shifted = [verdicts(seed, hand_eye_error_mm=20.0) for seed in range(6)]
+    assert all(len(set(one)) == 1 for one in shifted)
+    assert [Verdict.MISSED] * 3 in shifted
+    assert verdicts(0) == verdicts(0, hand_eye_error_mm=0.2) == [Verdict.HELD] * 3
 
 
 numbers = st.floats(-0.2, 0.3)

@@ -9,10 +9,11 @@ import pytest
 
 from agents.simulator.agent import Simulator, SimulatorConfig
 from agents.simulator.contact.engine import PhysicsError
+from agents.simulator.contact.grasp import Attempt, noted, outcome
 from agents.simulator.contact.material import NEWTON, SUTURE, Material
 from agents.simulator.contact.model import FINGER_MM, WIDTH_MM
 from agents.simulator.contact.tissue import planes_beneath, press_n
-from agents.simulator.contact.world import ContactWorld, Pose
+from agents.simulator.contact.world import ContactWorld, Pose, Touch
 from agents.simulator.errors import hand_eye_error
 from agents.simulator.field import Field, field_with
 from schemas.codec import encode
@@ -152,6 +153,19 @@ def test_a_hand_eye_error_turns_about_the_working_point_and_stays_within_its_bou
     assert turns.max() <= 1.0 < 2 * turns.max()
     assert (hand_eye_error(3, "psm1", 1.5, 1.0, about) == errors[3]).all()
     assert (hand_eye_error(3, "psm1", 0.0, 0.0, about) == np.eye(4)).all()
+
+
+def test_a_grasp_is_settled_by_what_is_touched_after_a_lift_of_5_mm_and_not_before():
+    field, touching, nothing = straight(0.05), Touch((400.0,), (400.0,), 1.0), Touch((), (), 0.0)
+    for slips_at_mm, verdict in ((None, Verdict.HELD), (4.0, Verdict.LOST), (6.0, Verdict.HELD)):
+        attempt = Attempt(0.6)
+        for jaw in np.linspace(0.6, 0.0, 20):
+            attempt = noted(attempt, Pose(over(30.0), float(jaw)), touching, 0.0, field)
+        for risen_mm in np.arange(0.0, 8.0, 0.5):
+            slipped = slips_at_mm is not None and risen_mm >= slips_at_mm
+            attempt = noted(attempt, Pose(over(30.0, risen_mm), 0.0), nothing if slipped else touching, 0.0, field)
+            assert outcome(attempt, field, 1.0).settled == (risen_mm >= 5.0)
+        assert outcome(attempt, field, 1.0).verdict is verdict
 
 
 @needs_mujoco
