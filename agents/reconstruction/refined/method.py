@@ -1,6 +1,7 @@
 """Method `refined`: one spline fitted to the sub-pixel centrelines of both images.
 
-1. `covered_ends`: how far points beside what covers them may be off.
+1. `covered_ends`: how far points beside what covers them may be off; `joined`: pieces of the right
+   image that a short gap parts.
 2. `chains`: the pieces of the left centreline in their order along the thread, through crossings and behind tools.
 3. `alignment`: the right image's counterpart of each place, by dynamic programming along the rows.
    `tips`: which ends are covered; what that says of the course.
@@ -25,6 +26,7 @@ from agents.reconstruction.refined.constraints import Held, held_to, regions_of
 from agents.reconstruction.refined.continuation import continued
 from agents.reconstruction.refined.covered_ends import with_covered_ends
 from agents.reconstruction.refined.initial import initial_curve, with_needed_spans
+from agents.reconstruction.refined.joined import joined
 from agents.reconstruction.refined.plausibility import LARGEST_RESIDUAL_SHARE, contradiction, implausible, unusable
 from agents.reconstruction.refined.projection import LEVEL, Curve, projected, row_offsets_px
 from agents.reconstruction.refined.refinement import Refined, Start, refined
@@ -108,7 +110,7 @@ def course_of(
     """
     if reason := unusable(left, right, camera):
         raise NoCurveError(reason)
-    left, right = with_covered_ends(left), with_covered_ends(right)
+    left, right = with_covered_ends(left), joined(with_covered_ends(right))
     found = chains(left, camera.image_width)
     if not found:
         raise NoCurveError("the left image shows no piece of thread that is longer than some widths of it")
