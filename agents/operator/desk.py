@@ -42,6 +42,8 @@ from shared.clock import monotonic_s
 from shared.runtime.connection import Connection
 
 TURN_S, STATE_S, ENDS_S, SEEN_S = 0.01, 0.1, 2.0, 0.5
+ALONE_S = 1.0
+"""Between two turns without a page. What is shown is listened to for as long again after the last has gone."""
 
 
 class Desk:
@@ -71,21 +73,25 @@ class Desk:
         """Until cancelled; whoever presses then is let go of."""
         try:
             async with asyncio.TaskGroup() as group:
-                for work in (self._turns(), self._states(), self._beside.run(), self._showing.run()):
+                for work in (self._turns(), self._states(), self._beside.run(), self._showing.run(), self._resting()):
                     group.create_task(work)
         finally:
             for screen in list(self.control.screens):
                 self._standing_by.follow(self.control.leave(screen, "the page's server ends"))
             await self._standing_by.finish(ENDS_S)
             self._commands.close()
+            self._heard.rest(unless=lambda: False)
 
     def join(self, screen: Screen) -> None:
         """A page has come."""
         self.screens[screen.name] = screen
+        self._heard.attend()
         for arm in self.field.arms():
             self._commands.prepare(arm)
         self._standing_by.follow(self.control.join(screen.name))
         self._showing.ready()
+        self._turning.set()
+        self._voice.changed.set()
 
     def leave(self, name: str) -> None:
         """A page is gone."""
@@ -169,13 +175,13 @@ class Desk:
             self._turn()
             if self.control.press is None:
                 self._turning.clear()
-                await until(self._turning, STATE_S)
+                await until(self._turning, STATE_S if self.screens else ALONE_S)
             else:
                 await asyncio.sleep(TURN_S)
 
     async def _states(self) -> None:
         while True:
-            await until(self._voice.changed, 2 * STATE_S)
+            await until(self._voice.changed, 2 * STATE_S if self.screens else ALONE_S)
             self._voice.changed.clear()
             self.field.take_states()
             # where pictures go out, the thread is drawn for them
@@ -188,6 +194,14 @@ class Desk:
                         screen.plans[arm] = plan["id"]
                         screen.say({"kind": "plan", "plan": plan})
             await asyncio.sleep(STATE_S)
+
+    async def _resting(self) -> None:
+        """Nothing is listened to for pages that have gone; one that is loaded anew is back before."""
+        while True:
+            await asyncio.sleep(ALONE_S)
+            if not self.screens:
+                await asyncio.sleep(ALONE_S)
+                await asyncio.to_thread(self._heard.rest, lambda: bool(self.screens))
 
     def _shared(self) -> dict[str, Any]:
         control, press, field = self.control, self.control.press, self.field

@@ -1,6 +1,7 @@
 """What the page's server hears of the dataflow: the newest of each topic, decoded when it is wanted.
 
-Zenoh's threads only put things away; of a burst the last is kept. Events are kept in order.
+Zenoh's threads only put things away; of a burst the last is kept. Events are kept in order. What is shown alone, thirty
+times a second, is listened to while a page is there: for nobody it would be all that the server does.
 """
 
 import contextlib
@@ -29,7 +30,8 @@ from schemas.topics import (
 from shared.runtime.connection import Connection
 from shared.runtime.taps import Tapped
 
-NEWEST = (FRAMES, CALIBRATION, OBSERVATIONS, SURFACE, THREAD, ROBOT_STATE, TOOL)
+NEWEST = (CALIBRATION, ROBOT_STATE, TOOL)
+SHOWN = (FRAMES, OBSERVATIONS, SURFACE, THREAD)
 EVENTS = (PLAN, EXECUTION, JUDGEMENT, CHECK, LOG)
 WAKING = (FRAMES, CALIBRATION, *EVENTS)
 EVENTS_KEPT = 500
@@ -40,11 +42,29 @@ class Heard:
 
     def __init__(self, connection: Connection, wake: Callable[[Topic], None]) -> None:
         """`wake` is called from other threads for whatever is to be looked at at once."""
-        self._wake, self._lock = wake, threading.Lock()
+        self._connection, self._wake, self._lock = connection, wake, threading.Lock()
+        self._shown, self._attending, self._wanted = contextlib.ExitStack(), threading.Lock(), False
         self._newest: dict[str, Tapped] = {}
         self._taken: dict[str, Tapped] = {}
         self._events: deque[Tapped] = deque(maxlen=EVENTS_KEPT)
         connection.listen((*NEWEST, *EVENTS), self._take)
+
+    def attend(self) -> None:
+        """Listen to what is shown, from now on."""
+        with self._attending:
+            if not self._wanted:
+                self._wanted = True
+                self._shown.enter_context(self._connection.listening(SHOWN, self._take))
+
+    def rest(self, unless: Callable[[], bool]) -> None:
+        """Listen to it no more, which takes a moment, and forget it, since it grows old; `unless` is asked last."""
+        with self._attending:
+            if not self._wanted or unless():
+                return
+            self._wanted = False
+            self._shown.close()
+            with self._lock:
+                self._newest = {key: tapped for key, tapped in self._newest.items() if tapped.topic not in SHOWN}
 
     def _take(self, tapped: Tapped) -> None:
         with self._lock:

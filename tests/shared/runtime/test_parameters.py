@@ -224,7 +224,7 @@ def said(entries):
 
 
 def test_a_parameter_is_set_while_the_agent_runs_and_replays_repeat_what_follows(
-    running, session, settings, recorded, frames, until
+    running, session, settings, recorded, frames, until, caplog
 ):
     running(Counting())
     until(lambda: frames() or said(recorded))
@@ -243,6 +243,8 @@ def test_a_parameter_is_set_while_the_agent_runs_and_replays_repeat_what_follows
     records = [decode(CommandRecord, entry.payload) for entry in of(recorded, "command")]
     audit = [(decode(SetParameter, r.payload).header.sender, r.answer.outcome) for r in records]
     assert audit == [("anna", Outcome.ACCEPTED), ("anna", Outcome.REFUSED), ("ben", Outcome.ACCEPTED)]
+    told_to_people = [said for said in caplog.messages if "was set to" in said]
+    assert told_to_people == ["gain was set to 5 by anna", 'method was set to "ridge" by ben']
     ridges = len([text for text in said(recorded) if "ridge" in text])
     until(lambda: frames() or len([text for text in said(recorded) if "ridge" in text]) > ridges)
     entries = list(recorded)
