@@ -7,6 +7,7 @@ way it goes between hosts.
 """
 
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -19,7 +20,7 @@ import zenoh
 
 from shared.runtime.access import ROUTER, access_control
 from shared.runtime.identity import identity_in
-from shared.runtime.session import have_threads_of_a_router, router_settings
+from shared.runtime.session import ROUTER_RUNTIME, RUNTIME_VARIABLE, router_settings
 
 SENT, RECEIVED = re.compile(r"bytes_sent:(\d+)"), re.compile(r"bytes_received:(\d+)")
 
@@ -89,5 +90,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    have_threads_of_a_router()
+    os.environ.setdefault(RUNTIME_VARIABLE, ROUTER_RUNTIME)
     main()

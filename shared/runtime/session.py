@@ -23,13 +23,9 @@ LEASE_MS = 2000
 BATCHES_WAITING = 16
 """Of states and results, for a busy machine's turn to send: Zenoh's own 2 are full within 20 ms at 100 Hz, and what
 finds no room for a millisecond is lost. Consumers take the newest of what comes late."""
-RUNTIME_VARIABLE = "ZENOH_RUNTIME"
-ROUTER_RUNTIME = "(rx: (handover: acc), acc: (worker_threads: 32))"
+RUNTIME_VARIABLE, ROUTER_RUNTIME = "ZENOH_RUNTIME", "(rx: (worker_threads: 32))"
 """Threads of a router that receive. Closing a link whose other end is gone holds one of them up for 10 s (SO_LINGER);
-with Zenoh's own 2, one host cut off, with three agents on it, left the whole rig unheard. A zenohd needs it too.
-Whoever accepts links is told first that something has come; receiving there too saves waking two threads more."""
-CLIENT_RUNTIME = "(rx: (handover: app), app: (worker_threads: 3))"
-"""The same for all others, whose links belong to the threads that connect."""
+with Zenoh's own 2, one host cut off, with three agents on it, left the whole rig unheard. A zenohd needs it too."""
 SHARED_FROM_BYTES = 1 << 14
 """What is smaller goes by network even on one host: a surface, say. Whoever is given shared memory has two threads more
 that look after it thirty times a second, however seldom something comes."""
@@ -80,7 +76,6 @@ def open_session(settings: SessionSettings) -> zenoh.Session:
         IdentityError: where the endpoint is off loopback and the certificate is missing or not valid.
     """
     check_security(settings.endpoint, settings.identity)
-    os.environ.setdefault(RUNTIME_VARIABLE, CLIENT_RUNTIME)
     client = {
         "mode": "client",
         "connect/endpoints": [settings.endpoint],
@@ -123,7 +118,8 @@ def open_router(
     """
     for one in (endpoint, *others):
         check_security(one, identity)
-    have_threads_of_a_router()
+    # read when the first session of a process is opened
+    os.environ.setdefault(RUNTIME_VARIABLE, ROUTER_RUNTIME)
     try:
         return opened(router_settings(endpoint, identity, access, others))
     except zenoh.ZError as error:
@@ -140,20 +136,11 @@ def open_from(file: Path) -> zenoh.Session:
     Raises:
         RouterError: where it cannot be read, or says what cannot be done.
     """
-    have_threads_of_a_router()
+    os.environ.setdefault(RUNTIME_VARIABLE, ROUTER_RUNTIME)
     try:
         return zenoh.open(zenoh.Config.from_file(str(file)))
     except zenoh.ZError as error:
         raise RouterError(f"{file} is no configuration that Zenoh takes: {str(error).split(' at /')[0]}") from None
-
-
-def have_threads_of_a_router() -> None:
-    """What the first session of this process finds, unless somebody asked for something of their own.
-
-    A process that was started by a client has inherited a client's.
-    """
-    if os.environ.get(RUNTIME_VARIABLE, CLIENT_RUNTIME) == CLIENT_RUNTIME:
-        os.environ[RUNTIME_VARIABLE] = ROUTER_RUNTIME
 
 
 def have_links_logged() -> None:
