@@ -21,6 +21,9 @@ MOST_HELD = 1000
 """As many as a publisher's cache holds: then it could not fill the hole any more."""
 BEYOND_CACHE = 3
 """Answers that begin later than what is awaited, until it is taken for not kept: one may have lost its beginning."""
+FAR_AHEAD = 1_000_000
+"""Numbers that no publisher goes through between two that are heard. Twice a probe was told one near 2**32 by its own
+session, after hosts had been cut off; believed, it would be waited for, and all that follows would pass for old."""
 NOTHING_KNOWN_S = 6.0
 """After so long of empty answers, a publisher of which nothing was heard has published nothing."""
 
@@ -44,6 +47,7 @@ class SourceOrder:
     _pause_s: float = FIRST_PAUSE_S
     _asking: bool = False
     _lacking: int = 0
+    _doubted: int | None = None
 
     def appeared(self, now_s: float) -> None:
         """The publisher is there, or is there again: what it has sent meanwhile is to be asked for."""
@@ -51,12 +55,19 @@ class SourceOrder:
 
     def told(self, number: int, now_s: float) -> None:
         """A heartbeat told the number of the newest message."""
+        if not self._is_believed(number):
+            return
         if number > self._last:
             self._open(now_s, ON_ITS_WAY_S, anew=self._newest < 0)
         self._newest = max(self._newest, number)
 
     def came(self, number: int, message: Any, now_s: float) -> list[Any]:
-        """A message came; those that are to be handed over now, in order."""
+        """A message came; those that are to be handed over now, in order.
+
+        What is not believed is asked for, as any that is missing, once the next one has come.
+        """
+        if not self._is_believed(number):
+            return []
         first_of_all, self._newest = self._newest < 0, max(self._newest, number)
         if number <= self._last:
             return []
@@ -80,7 +91,7 @@ class SourceOrder:
 
     def answered(self, answer: Iterable[tuple[int, Any]], now_s: float) -> list[Any]:
         """All that the cache gave, numbered; those that are to be handed over now, in order."""
-        self._asking, given = False, dict(answer)
+        self._asking, given = False, {number: message for number, message in answer if self._is_believed(number)}
         self._held |= {number: given[number] for number in given if number > self._last}
         if given and self._delivered is None:
             # earlier ones are kept by nobody, and were sent before anybody listened here
@@ -98,6 +109,13 @@ class SourceOrder:
         else:
             self._due_s, self._pause_s = now_s + self._pause_s, min(2 * self._pause_s, LONGEST_PAUSE_S)
         return ready
+
+    def _is_believed(self, number: int) -> bool:
+        """Whether a number may be next to those before, or has been told by another one near it."""
+        far = self._newest >= 0 and number > self._newest + FAR_AHEAD
+        believed = not far or (self._doubted is not None and 0 < abs(number - self._doubted) <= FAR_AHEAD)
+        self._doubted = number if far else self._doubted
+        return believed
 
     @property
     def is_idle(self) -> bool:

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shared.runtime.recovery import BEYOND_CACHE, MOST_HELD, NOTHING_KNOWN_S, PATIENCE_S, SourceOrder
+from shared.runtime.recovery import BEYOND_CACHE, FAR_AHEAD, MOST_HELD, NOTHING_KNOWN_S, PATIENCE_S, SourceOrder
 
 
 def asked(source, cache, now_s):
@@ -74,6 +74,38 @@ def test_answers_of_which_single_messages_were_lost_cost_nothing(lost_of_each):
         heard += asked(source, [n for n in range(10) if n not in lost], now_s := now_s + 2.0)
     assert heard == list(range(10))
     assert source.missed == 0
+
+
+@pytest.mark.parametrize("how", ["heartbeat", "message", "answer"])
+def test_a_number_that_no_publisher_can_have_reached_is_not_waited_for_and_makes_nothing_pass_for_old(how):
+    source, absurd = SourceOrder(), 2**32 - 100_797_944
+    assert source.came(0, 0, 0.0) == [0]
+    if how == "heartbeat":
+        source.told(absurd, 1.0)
+    elif how == "message":
+        # its own number was 1
+        assert source.came(absurd, 1, 1.0) == []
+    else:
+        source.appeared(1.0)
+        source.question()
+        assert source.answered([(absurd, absurd)], 1.0) == []
+    heard = source.came(2, 2, 1.1) + asked(source, range(3), 2.0) + asked(source, range(3), 4.0)
+    now_s = 4.0 + PATIENCE_S
+    heard += source.came(3, 3, now_s) + asked(source, range(4), now_s + 2.0) + source.came(4, 4, now_s + 3.0)
+    assert heard == [1, 2, 3, 4]
+    assert source.missed == 0
+    assert source.is_idle
+
+
+def test_a_publisher_that_really_went_on_so_far_is_heard_from_its_second_message_on():
+    source, far = SourceOrder(), 2 * FAR_AHEAD
+    assert source.came(0, 0, 0.0) == [0]
+    assert source.came(far, far, 1.0) == []
+    assert source.came(far + 1, far + 1, 1.1) == []
+    cache = range(far - 10, far + 2)
+    heard = [n for k in range(BEYOND_CACHE) for n in asked(source, cache, 2.0 + 2 * k)]
+    assert heard == list(cache)
+    assert source.missed == far - 11
 
 
 def test_what_was_published_before_and_is_kept_by_nobody_is_not_missed():
