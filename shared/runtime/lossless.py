@@ -3,7 +3,7 @@
 Zenoh's own advanced subscriber asks once. On a busy machine that question, or its answer, may come to nothing while the
 link of either side has just come back, and the events of the meantime were lost although their publisher still held
 them. Publishers are those of `zenoh.ext`: they announce themselves by a token, tell the number of their newest message
-in a heartbeat, and answer questions from their cache, all under `{key}/@adv/pub/{session}/{entity}/`.
+in a heartbeat, and answer questions from their cache, all under `{key}/@adv/pub/{session}/{entity}/_`.
 """
 
 import functools
@@ -16,7 +16,7 @@ from zenoh import ext
 from shared.clock import monotonic_s
 from shared.runtime.recovery import SourceOrder
 
-PUBLISHERS = "@adv/pub"
+PUBLISHERS, NO_METADATA = "@adv/pub", "_"
 ANSWER_WAIT_S = 2.0
 ENDS_S = 5.0
 MOST_SOURCES = 1000
@@ -150,8 +150,11 @@ def _note(answer: list[tuple[int, zenoh.Sample]], reply: zenoh.Reply) -> None:
 
 
 def _place_of(key: str) -> _Place | None:
-    """The publisher that tells something under this key."""
+    """The publisher that tells something under this key; None for any other key.
+
+    After a link to the router broke, messages of other topics have come under such a key with theirs behind it.
+    """
     of, _, rest = key.partition(f"/{PUBLISHERS}/")
     of_session, _, rest = rest.partition("/")
-    entity = rest.partition("/")[0]
-    return (of, of_session, int(entity)) if entity.isdigit() else None
+    entity, _, rest = rest.partition("/")
+    return (of, of_session, int(entity)) if entity.isdigit() and rest == NO_METADATA else None

@@ -22,8 +22,8 @@ MOST_HELD = 1000
 BEYOND_CACHE = 3
 """Answers that begin later than what is awaited, until it is taken for not kept: one may have lost its beginning."""
 FAR_AHEAD = 1_000_000
-"""Numbers that no publisher goes through between two that are heard. Twice a probe was told one near 2**32 by its own
-session, after hosts had been cut off; believed, it would be waited for, and all that follows would pass for old."""
+"""Numbers that no publisher goes through between two that are heard. Believed, such a one would be waited for, and all
+that follows would pass for old. After links broke, Zenoh has taken parts of other messages for numbers."""
 NOTHING_KNOWN_S = 6.0
 """After so long of empty answers, a publisher of which nothing was heard has published nothing."""
 

@@ -1,10 +1,13 @@
 """A cache that lacks at first what is asked for, behind a real router: it is asked again."""
 
+import threading
+
 import pytest
 import zenoh
 from zenoh import ext
 
 from schemas.topics import PLAN, key
+from shared.runtime import recovery
 from shared.runtime.delivery import subscribe
 from shared.runtime.session import open_session
 
@@ -46,6 +49,27 @@ def test_what_came_to_nothing_is_asked_for_until_the_cache_has_it_and_handed_ove
             unheard.put(str(number))
         until(lambda: len(samples) == 8)
         assert numbers() == list(range(8))
+        assert missed == []
+        for declared in kept:
+            declared.undeclare()
+
+
+def test_a_message_of_another_topic_under_the_key_of_a_heartbeat_tells_no_number(
+    session, settings, unheard, until, monkeypatch
+):
+    monkeypatch.setattr(recovery, "PATIENCE_S", 0.0)
+    samples, missed = [], []
+    with open_session(settings) as receiver:
+        kept = subscribe(receiver, key("test", PLAN), PLAN, samples.append, missed.append)
+        unheard.put("0")
+        until(lambda: len(samples) == 1)
+        of = samples[0].source_info.source_id
+        # its first four bytes say 16
+        session.put(f"{key('test', PLAN)}/@adv/pub/{of.zid}/{of.eid}/_/main/command", b"\x10\0\0\0and so on")
+        for number in (1, 2):
+            threading.Event().wait(0.5)
+            unheard.put(str(number))
+        until(lambda: len(samples) == 3)
         assert missed == []
         for declared in kept:
             declared.undeclare()
