@@ -52,7 +52,8 @@ class Heard:
 
     def told(self, said: int) -> str:
         """What was said so far, and heard: each probe's newest number, and how many before it did not come."""
-        heard = {host: (self.newest[host], _missing(numbers)) for host, numbers in list(self.numbers.items())}
+        # copied at once: more are noted meanwhile, in another thread
+        heard = {host: (self.newest[host], _missing(numbers.copy())) for host, numbers in list(self.numbers.items())}
         return json.dumps({"said": said, "heard": heard, "disordered": self.disordered, "given_up": self.given_up})
 
 

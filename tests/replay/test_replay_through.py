@@ -185,7 +185,11 @@ def foreign(path):
         ("robot_bridge", {}, "has no robot_bridge; give another one by --config"),
         ("perception", {"against": "other"}, "--against other is unknown"),
         ("perception", {"tolerances": "few"}, "--tolerances few is unknown; choose from auto, none, table"),
-        ("perception", {"set": ("perception.segmentor=ridge",)}, "perception.segmentor is unknown; allowed here"),
+        (
+            "perception",
+            {"set": ("perception.segmentor=ridge",)},
+            "perception.segmentor is unknown; did you mean segmenter?",
+        ),
         ("perception", {"set": ("perception",)}, "must name a key and its value"),
         ("perception", {"set": ("rig.name=x",)}, "rig is no section with keys of its own"),
     ],

@@ -47,7 +47,10 @@ def test_a_rig_names_the_files_and_their_hashes(files):
             "perception: segmenter 'promptable' needs promptable_encoder and promptable_decod",
         ),
         ({"promptable_encoder": "a.onnx"}, "needs promptable_encoder and promptable_decoder, two ONNX files"),
-        ({"promptable_encoder_sha256": "abc"}, "perception.promptable_encoder_sha256 = 'abc': string should match"),
+        (
+            {"promptable_encoder_sha256": "abc"},
+            "perception.promptable_encoder_sha256: 'abc' cannot be used; write 64 digits 0 to 9 and a to f",
+        ),
     ],
 )
 def test_what_a_configuration_lacks_is_said_when_it_is_read(perception, told):

@@ -187,7 +187,7 @@ def test_rates_are_not_judged_before_they_settle_and_half_is_enough():
 
 def test_what_follows_from_frames_is_expected_as_often_as_the_camera_films():
     rates = expected_rates(RigConfig(camera=CameraSection(rate_hz=25)))
-    assert [rates[t] for t in ("camera/frames", "reconstruction/thread", "robot_bridge/state")] == [25, 25, 10]
+    assert [rates[t] for t in ("camera/frames", "reconstruction/thread", "robot_bridge/state")] == [25, 25, 5]
     assert "perception/surface" not in rates
 
 
