@@ -1,7 +1,5 @@
 """A cache that lacks at first what is asked for, behind a real router: it is asked again."""
 
-import threading
-
 import pytest
 import zenoh
 from zenoh import ext
@@ -58,18 +56,23 @@ def test_a_message_of_another_topic_under_the_key_of_a_heartbeat_tells_no_number
     session, settings, unheard, until, monkeypatch
 ):
     monkeypatch.setattr(recovery, "PATIENCE_S", 0.0)
-    samples, missed = [], []
+    samples, missed, told = [], [], []
     with open_session(settings) as receiver:
+        beside = receiver.declare_subscriber(
+            f"{key('test', PLAN)}/@adv/pub/**", lambda s: told.append(bytes(s.payload))
+        )
         kept = subscribe(receiver, key("test", PLAN), PLAN, samples.append, missed.append)
         unheard.put("0")
         until(lambda: len(samples) == 1)
         of = samples[0].source_info.source_id
         # its first four bytes say 16
-        session.put(f"{key('test', PLAN)}/@adv/pub/{of.zid}/{of.eid}/_/main/command", b"\x10\0\0\0and so on")
-        for number in (1, 2):
-            threading.Event().wait(0.5)
+        foreign = b"\x10\0\0\0and so on"
+        session.put(f"{key('test', PLAN)}/@adv/pub/{of.zid}/{of.eid}/_/main/command", foreign)
+        until(lambda: foreign in told)
+        for number in range(1, 7):
             unheard.put(str(number))
-        until(lambda: len(samples) == 3)
+            until(lambda number=number: number.to_bytes(4, "little") in told)
+        until(lambda: len(samples) == 7)
         assert missed == []
-        for declared in kept:
+        for declared in (*kept, beside):
             declared.undeclare()
