@@ -4,14 +4,16 @@ import filecmp
 import os
 import shutil
 import subprocess
+from collections.abc import Iterable, Set
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
 from agents.deployment.certificates import CERTIFICATES as CERTIFICATES_FOLDER
+from agents.deployment.layout import Host
 from agents.deployment.places import CERTIFICATES, HOME, RIG_FILE, UNITS, USER
 from agents.deployment.plan import UNITS_FOLDER
-from agents.deployment.units import PEOPLE, TARGET
-from shared.runtime.identity import IdentityError, check_identity, identity_in
+from agents.deployment.units import NOT_OURS, PEOPLE, TARGET, unit_name
+from shared.runtime.identity import AUTHORITY_FILE, IdentityError, check_identity, identity_in
 
 UNIT_FILES = "suturegrasp-*.service"
 BEFORE_STEPS = 254
@@ -28,7 +30,7 @@ class Installed:
 
     Fields:
         changed: files that are new or other than before, as they are called on the host.
-        removed: units of processes that run elsewhere now.
+        removed: units and certificates of processes that run elsewhere now.
         notes: what could not be checked or done here.
     """
 
@@ -37,18 +39,19 @@ class Installed:
     notes: list[str] = field(default_factory=list[str])
 
 
-def install(folder: Path, root: Path = Path("/")) -> Installed:
+def install(folder: Path, host: Host, root: Path = Path("/")) -> Installed:
     """Install what the plan has for this host; everything is checked before anything is written.
 
-    `root` is another folder than / to see, or to pack, what would be installed; then nobody is made owner of anything,
-    and systemd is not told.
+    What else lies in `folder`, as where a newer plan was copied over an older one, is left out. `root` is another
+    folder than / to see, or to pack, what would be installed; then nobody is made owner of anything, and systemd is
+    not told.
 
     Raises:
         InstallError: where the plan is not complete, or a unit would not be accepted.
     """
     done = Installed()
-    sources = _sources(folder)
-    _check_units(folder / UNITS_FOLDER, done)
+    sources = _sources(folder, host)
+    _check_units([source for source, place in sources if place.parent == UNITS], done)
     real = root == Path("/")
     if real and os.geteuid() != 0:
         raise InstallError("only root may install: sudo suturegrasp deploy install ...")
@@ -59,37 +62,36 @@ def install(folder: Path, root: Path = Path("/")) -> Installed:
         if not target.exists() or not filecmp.cmp(source, target, shallow=False):
             done.changed.append(place)
         _put(source, target, _mode(place), real)
-    _remove_stale(root / UNITS.relative_to("/"), folder / UNITS_FOLDER, done, real)
+    _remove_stale(root, {place for _, place in sources}, done, real)
     if real:
-        _tell_systemd(done)
+        _tell_systemd(done, host)
     else:
         done.notes.append("systemd was not told, since this is not its root")
     return done
 
 
-def _sources(folder: Path) -> list[tuple[Path, PurePosixPath]]:
+def _sources(folder: Path, host: Host) -> list[tuple[Path, PurePosixPath]]:
     """Every file of the plan for this host and its place."""
-    rig = folder / RIG_FILE
-    if not rig.is_file():
-        raise InstallError(
-            f"{folder} has no {RIG_FILE}; give the folder of this host that suturegrasp deploy plan wrote"
-        )
     certificates, units = folder / CERTIFICATES_FOLDER, folder / UNITS_FOLDER
-    names = sorted(path.stem for path in certificates.glob("*.key"))
-    if not names:
+    if not any(certificates.glob("*.key")):
         raise InstallError(f"{certificates} holds no certificates; suturegrasp deploy certificates makes them")
-    for name in names:
+    for process in host.processes:
         try:
-            check_identity(identity_in(certificates, name))
+            check_identity(identity_in(certificates, process.common_name))
         except IdentityError as error:
             raise InstallError(str(error)) from None
+    own = [f"{process.common_name}.{ending}" for process in host.processes for ending in ("pem", "key")]
+    services = [unit_name(process) for process in host.processes if process.kind not in NOT_OURS]
     beside = [path for path in folder.rglob("*") if path.is_file() and _is_beside(path.relative_to(folder))]
-    return [
-        (rig, HOME / RIG_FILE),
+    sources = [
+        (folder / RIG_FILE, HOME / RIG_FILE),
         *((path, HOME / PurePosixPath(path.relative_to(folder))) for path in sorted(beside)),
-        *((path, CERTIFICATES / path.name) for path in sorted(certificates.iterdir())),
-        *((path, UNITS / path.name) for path in sorted(units.iterdir())),
+        *((certificates / name, CERTIFICATES / name) for name in (AUTHORITY_FILE, *own)),
+        *((units / name, UNITS / name) for name in (*services, TARGET)),
     ]
+    if missing := [source for source, _ in sources if not source.is_file()]:
+        raise InstallError(f"{missing[0]} is missing; take the whole folder that suturegrasp deploy plan wrote")
+    return sources
 
 
 def _is_beside(relative: Path) -> bool:
@@ -102,7 +104,7 @@ def _is_beside(relative: Path) -> bool:
     )
 
 
-def _check_units(units: Path, done: Installed) -> None:
+def _check_units(units: list[Path], done: Installed) -> None:
     if shutil.which("systemd-analyze") is None:
         done.notes.append("the units were not checked, for there is no systemd-analyze here")
         return
@@ -111,9 +113,9 @@ def _check_units(units: Path, done: Installed) -> None:
         raise InstallError(f"systemd would not take the units: {complaints[0]}")
 
 
-def verify(units: Path) -> list[str]:
-    """What `systemd-analyze verify` has against the units in a folder, but for the program not being there yet."""
-    files = sorted(str(path.resolve()) for path in units.iterdir())
+def verify(units: Iterable[Path]) -> list[str]:
+    """What `systemd-analyze verify` has against units, but for the program not being there yet."""
+    files = sorted(str(path.resolve()) for path in units)
     told = subprocess.run(["systemd-analyze", "verify", *files], capture_output=True, text=True, check=False)  # noqa: S607
     own = [line for line in told.stderr.splitlines() if "suturegrasp" in line]
     return [line for line in own if not _expected(line)]
@@ -160,23 +162,39 @@ def _put(source: Path, target: Path, mode: int, real: bool) -> None:
     beside.replace(target)
 
 
-def _remove_stale(units: Path, planned: Path, done: Installed, real: bool) -> None:
-    for path in sorted(units.glob(UNIT_FILES)):
-        if not (planned / path.name).exists():
-            if real:
+def _remove_stale(root: Path, planned: Set[PurePosixPath], done: Installed, real: bool) -> None:
+    """Nothing runs, and no key lies, where the plan has it no more."""
+    for folder, pattern in ((UNITS, UNIT_FILES), (CERTIFICATES, "*.pem"), (CERTIFICATES, "*.key")):
+        for path in sorted((root / folder.relative_to("/")).glob(pattern)):
+            if folder / path.name in planned:
+                continue
+            if real and folder == UNITS:
                 _systemctl("stop", path.name)
             path.unlink()
             done.removed.append(path.name)
 
 
-def _tell_systemd(done: Installed) -> None:
+def _tell_systemd(done: Installed, host: Host) -> None:
     if not Path("/run/systemd/system").exists():
         done.notes.append("systemd does not run here; nothing was started")
         return
     _systemctl("daemon-reload")
     _systemctl("enable", TARGET)
+    if changed := affected(done.changed, host):
+        _systemctl("restart", "--no-block", *changed)
     # an agent is ready once it has found the router, whose host may come last
-    _systemctl("restart" if done.changed else "start", "--no-block", TARGET)
+    _systemctl("start", "--no-block", TARGET)
+
+
+def affected(changed: Iterable[PurePosixPath], host: Host) -> list[str]:
+    """The units that read any of these files: its own unit and certificate one alone, all else every one of them."""
+    units: dict[PurePosixPath, str] = {}
+    for process in host.processes:
+        own = "" if process.kind in NOT_OURS else unit_name(process)
+        certificate = CERTIFICATES / f"{process.common_name}.pem"
+        units |= {UNITS / own: own, certificate: own, certificate.with_suffix(".key"): own}
+    named = {units.get(place) for place in changed}
+    return sorted((set(units.values()) if None in named else {unit for unit in named if unit}) - {""})
 
 
 def _systemctl(*arguments: str) -> None:

@@ -6,17 +6,21 @@ from pathlib import Path
 
 from agents.cli.lab.options import Deploy
 from agents.cli.rig.config import RigConfig
-from agents.cli.rig.hosts import HostSection, kind_and_instance
+from agents.cli.rig.hosts import OPERATOR, HostSection, kind_and_instance
+from agents.cli.rig.this_host import recognised
 from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE
 from agents.cli.terminal import complain, say
 from agents.deployment.certificates import AUTHORITY_FOLDER, CERTIFICATES, AuthorityError, issue
 from agents.deployment.install import InstallError, install
 from agents.deployment.layout import ROUTER, Host, Layout, Process
+from agents.deployment.places import RIG_FILE
 from agents.deployment.plan import hosts_in_words, plan
 from agents.deployment.robot_zenoh import ROBOT_ZENOH, ReachedArm
 from shared.clock import now_ns
 from shared.runtime.config import ConfigError, load_config
 from shared.runtime.session import on_loopback
+
+INSTALL = "suturegrasp deploy install --folder FOLDER, as root"
 
 
 def run(options: Deploy) -> int:
@@ -96,6 +100,8 @@ def _plan(options: Deploy, rig: RigConfig, layout: Layout) -> int:
         shutil.copyfile(source, target)
     for line in hosts_in_words(layout):
         say(line)
+    if not any(process.kind == OPERATOR for host in layout.hosts for process in host.processes):
+        say(f'note: no host runs "{OPERATOR}", so nobody may give commands')
     say(f"{len(files) + len(beside)} files in {options.folder}; next: suturegrasp deploy certificates")
     return EXIT_OK
 
@@ -127,12 +133,12 @@ def _certificates(options: Deploy, layout: Layout) -> int:
     renewed = sum(1 for made in issued if made.reason)
     say(f"{renewed} certificates made, {len(issued) - renewed} still good")
     say(f"keep {options.folder / AUTHORITY_FOLDER} here and private: whoever has its key may be any agent")
-    say(f"next: take each host's folder there ({CERTIFICATES} included) and run suturegrasp deploy install in it")
+    say(f"next: copy each host's folder to it ({CERTIFICATES} included), and there: {INSTALL}")
     return EXIT_OK
 
 
 def _install(options: Deploy) -> int:
-    done = install(options.folder, options.root)
+    done = install(options.folder, _host_of(options.folder), options.root)
     for place in done.changed:
         say(f"installed {place}")
     for unit in done.removed:
@@ -142,3 +148,24 @@ def _install(options: Deploy) -> int:
     if not done.changed and not done.removed:
         say("nothing has changed")
     return EXIT_OK
+
+
+def _host_of(folder: Path) -> Host:
+    """The host whose part of the plan lies in a folder.
+
+    Raises:
+        ConfigError: where that is nobody's part, or another host's than this machine.
+    """
+    file = folder / RIG_FILE
+    if not file.is_file():
+        raise ConfigError(
+            f"{folder} has no {RIG_FILE}; give the folder of this host that suturegrasp deploy plan wrote"
+        )
+    rig = load_config(file, RigConfig)
+    if rig.host not in rig.hosts:
+        raise ConfigError(f"{file} is no host's part of a rig; give a folder that suturegrasp deploy plan wrote")
+    here = recognised(rig.hosts)
+    if here not in (None, rig.host):
+        raise ConfigError(f"{folder} is the part of host {rig.host}, and this machine is {here}; install {here}'s here")
+    layout = layout_of(rig.model_copy(update={"host": None}))
+    return next(host for host in layout.hosts if host.name == rig.host)

@@ -23,6 +23,8 @@ RUN = spelled(r"[a-z_]+( [a-z0-9_]+)?", "a section's name, and an arm's after a 
 BESIDE = (OPERATOR, "recorder", "viewer")
 """What publishes nothing that another one could publish too; each host's own has the host's name as its instance."""
 HOST_NAME = re.compile(r"(?=.{1,253}$)[A-Za-z0-9]([A-Za-z0-9-]{0,62})(\.[A-Za-z0-9-]{1,63})*")
+ENDS_AS_NUMBERS_DO = re.compile(r"(^|\.)[0-9]+$|\.[0-9][^.]*$")
+"""What does is an IP address with a slip, and no name: the last of a name's parts begins with a letter (RFC 3696)."""
 Name = Annotated[str, spelled(r"[a-z0-9_]+", "small letters, digits and _ alone, such as video_2")]
 HostName = Name
 """A host of the rig as its own file calls it; it is part of keys and of certificates' names."""
@@ -32,7 +34,7 @@ def _address(address: str) -> str:
     try:
         ip = ipaddress.ip_address(address)
     except ValueError:
-        if HOST_NAME.fullmatch(address) is None or address.replace(".", "").isdigit():
+        if HOST_NAME.fullmatch(address) is None or ENDS_AS_NUMBERS_DO.search(address) is not None:
             raise ValueError(f"{address!r} is no address; write an IP address or a host name alone") from None
         if address == LOCALHOST or address.endswith(f".{LOCALHOST}"):
             raise ValueError(f"{address} {UNREACHED}") from None

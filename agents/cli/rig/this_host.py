@@ -33,7 +33,7 @@ def at_host(rig: RigConfig, named: str | None) -> RigConfig:
         if named is not None:
             raise ConfigError(f"--host {named}: the configuration has no [hosts]")
         return rig
-    host = named or rig.host or _recognised(rig.hosts)
+    host = named or rig.host or recognised(rig.hosts)
     if host is None:
         hosts = ", ".join(rig.hosts)
         raise ConfigError(f"which of the hosts {hosts} is this one? say so with --host, or with host = ... in the file")
@@ -51,8 +51,8 @@ def certificates_of(rig: RigConfig, config: Path) -> RigConfig:
     return rig.model_copy(update={"security": rig.security.model_copy(update={"certificates": folder})})
 
 
-def _recognised(hosts: Mapping[str, HostSection]) -> str | None:
-    """The one host of that name, or that has an address of this machine; None where there is none, or more than one."""
+def recognised(hosts: Mapping[str, HostSection]) -> str | None:
+    """The one host that this machine is by its name or an address of it; None where that is none, or more than one."""
     name = socket.gethostname()
     found = {host for host, section in hosts.items() if host == name or name == section.address or _is_own(section)}
     return found.pop() if len(found) == 1 else None

@@ -3,8 +3,8 @@
 import pytest
 
 from agents.cli.recordings.record import recorded_topics
-from agents.cli.rig.builders import configured
 from agents.cli.rig.config import RigConfig
+from agents.cli.rig.configured import configured
 from agents.cli.rig.this_host import at_host
 from schemas.topics import FRAMES, TOPICS
 from shared.runtime.config import ConfigError, parse_config
@@ -46,6 +46,7 @@ MISTAKES = {
     WHOLE.replace("10.0.0.2", "10.0.0.1"): "two hosts have the address 10.0.0.1",
     WHOLE.replace("10.0.0.2", "127.0.0.1"): "no address that other hosts reach",
     WHOLE.replace("10.0.0.2", "10.0.0"): "'10.0.0' is no address",
+    WHOLE.replace("10.0.0.2", "10.0.0.2x"): "'10.0.0.2x' is no address",
     WHOLE.replace("10.0.0.2", "10.0.0.2:7447"): "write an IP address or a host name alone",
     WHOLE.replace("10.0.0.2", "localhost"): "localhost is no address that other hosts reach",
     WHOLE.replace("10.0.0.2", "255.255.255.255"): "write the one it has on the lab's network",
@@ -72,7 +73,7 @@ MISTAKES = {
     FAR.replace("through_guard = true", ""): "set through_guard = true",
     WHOLE + "[links]\ndirect = true": "links.direct goes past the router",
     "[topics.camera.frames]\nrecorded = false": 'a topic is written in quotes: [topics."camera/frames"]',
-    '[topics."camera/frame"]\nrecorded = false': "there is no topic 'camera/frame'; known are camera/frames",
+    '[topics."camera/frame"]\nrecorded = false': "did you mean camera/frames? known are camera/frames",
 }
 
 

@@ -3,8 +3,9 @@
 import datetime
 import json
 import shutil
+import socket
 import subprocess
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import pytest
 from cryptography import x509
@@ -12,7 +13,7 @@ from cryptography import x509
 from agents.cli.main import main
 from agents.cli.rig.config import RigConfig
 from agents.deployment.certificates import AuthorityError, issue
-from agents.deployment.install import verify
+from agents.deployment.install import affected, verify
 from agents.deployment.layout import ROUTER, Host, Layout, Process
 from agents.deployment.plan import plan
 from shared.clock import now_ns
@@ -72,7 +73,7 @@ HOSTS = ("video", "strong", "robot", "desk")
 def test_systemd_takes_the_units(deployed, host):
     if shutil.which("systemd-analyze") is None:
         pytest.skip("there is no systemd-analyze here, which checks the units")
-    assert verify(deployed / host / "systemd") == []
+    assert verify((deployed / host / "systemd").iterdir()) == []
 
 
 def test_a_unit_that_systemd_would_not_take_is_told(deployed, tmp_path):
@@ -80,7 +81,7 @@ def test_a_unit_that_systemd_would_not_take_is_told(deployed, tmp_path):
         pytest.skip("there is no systemd-analyze here, which checks the units")
     unit = (deployed / "robot" / "systemd" / "suturegrasp-robot-bridge-psm1.service").read_text()
     (tmp_path / "suturegrasp-robot.service").write_text(unit.replace("Type=notify", "Type=notfy"))
-    assert any("notfy" in line for line in verify(tmp_path))
+    assert any("notfy" in line for line in verify(tmp_path.iterdir()))
 
 
 def test_units_are_well_confined(deployed, deployed_far):
@@ -147,7 +148,7 @@ def test_a_guard_beside_its_bridge_is_there_first_and_systemd_takes_both(deploye
     assert "Before=suturegrasp-robot-bridge-psm1.service" in (units / "suturegrasp-guard-psm1.service").read_text()
     if shutil.which("systemd-analyze") is None:
         pytest.skip("there is no systemd-analyze here, which checks the units")
-    assert verify(units) == []
+    assert verify(units.iterdir()) == []
 
 
 @pytest.mark.parametrize("host", HOSTS)
@@ -210,12 +211,71 @@ def test_what_runs_elsewhere_now_is_removed(deployed, tmp_path, capfd):
     assert not (tmp_path / "etc/systemd/system/suturegrasp-planner.service").exists()
 
 
+def test_a_host_keeps_no_key_and_no_unit_of_what_runs_elsewhere_now(tmp_path, capfd):
+    """A newer plan may have been copied over an older one."""
+    etc, before, now = tmp_path / "root/etc", tmp_path / "before", tmp_path / "now"
+    config = tmp_path / "rig.toml"
+    moved = (
+        LAB.read_text().replace(', "planner"]', "]").replace('"robot_bridge psm1"]', '"robot_bridge psm1", "planner"]')
+    )
+    for text, folder in ((LAB.read_text(), before), (moved, now)):
+        config.write_text(text)
+        for action in ("plan", "certificates"):
+            assert suturegrasp("deploy", action, "--config", config, "--folder", folder) == 0
+        host = shutil.copytree(folder / "strong", tmp_path / "strong", dirs_exist_ok=True)
+        assert suturegrasp("deploy", "install", "--folder", host, "--root", tmp_path / "root") == 0
+    said = capfd.readouterr().out
+    for name in ("suturegrasp-planner.service", "planner.main.key", "planner.main.pem"):
+        assert f"removed {name}" in said
+    left = {path.name for path in etc.rglob("*") if path.is_file()}
+    assert not [name for name in left if "planner" in name]
+    assert {"suturegrasp-perception.service", "perception.main.key", "authority.pem"} <= left
+
+
+def test_what_is_installed_is_this_hosts_own_part(deployed, tmp_path, capfd):
+    host = shutil.copytree(deployed / "desk", tmp_path / "desk")
+    rig = (host / "rig.toml").read_text()
+    # this machine is robot, by its name
+    (host / "rig.toml").write_text(rig.replace('"10.0.0.13"', f'"{socket.gethostname()}"'))
+    assert suturegrasp("deploy", "install", "--folder", host, "--root", tmp_path / "root") == 2
+    (host / "rig.toml").write_text(rig.split("\n", 1)[1])
+    assert suturegrasp("deploy", "install", "--folder", host, "--root", tmp_path / "root") == 2
+    another, nobodys = capfd.readouterr().err.splitlines()
+    assert "is the part of host desk, and this machine is robot; install robot's here" in another
+    assert "is no host's part of a rig" in nobodys
+    assert not (tmp_path / "root").exists()
+
+
+CERTIFICATES = PurePosixPath("/etc/suturegrasp/certificates")
+
+
+@pytest.mark.parametrize(
+    ("changed", "units"),
+    [
+        ([CERTIFICATES / "camera.main.pem", CERTIFICATES / "camera.main.key"], {"camera"}),
+        ([PurePosixPath("/etc/systemd/system/suturegrasp-recorder.service")], {"recorder"}),
+        ([CERTIFICATES / "operator.video.key"], set()),
+        ([], set()),
+        ([PurePosixPath("/etc/suturegrasp/rig.toml")], {"router", "camera", "recorder"}),
+        ([CERTIFICATES / "authority.pem", CERTIFICATES / "camera.main.key"], {"router", "camera", "recorder"}),
+    ],
+)
+def test_what_reads_a_file_that_changed_is_started_again_and_nothing_else(changed, units):
+    processes = (*LAYOUT.hosts[0].processes, Process("operator", "video"))
+    expected = sorted(f"suturegrasp-{unit}.service" for unit in units)
+    assert affected(changed, Host("video", "10.0.0.1", processes)) == expected
+
+
 @pytest.mark.parametrize(
     ("spoil", "said"),
     [
         (lambda host: shutil.rmtree(host / "certificates"), "holds no certificates; suturegrasp deploy certificates"),
         (lambda host: (host / "rig.toml").unlink(), "has no rig.toml"),
         (lambda host: (host / "certificates" / "viewer.desk.pem").unlink(), "viewer.desk.pem: No such file"),
+        (
+            lambda host: (host / "systemd" / "suturegrasp-viewer.service").unlink(),
+            "viewer.service is missing; take the",
+        ),
     ],
 )
 def test_what_is_not_complete_is_not_installed(deployed, tmp_path, capfd, spoil, said):
@@ -229,12 +289,16 @@ def test_what_is_not_complete_is_not_installed(deployed, tmp_path, capfd, spoil,
 
 @pytest.mark.parametrize(
     ("days", "said"),
-    [(-31, "viewer.desk.pem has expired; renew it"), (1, "viewer.desk.pem is not valid yet; set this machine's clock")],
+    [
+        (-31, "operator.desk.pem has expired; renew it"),
+        (1, "operator.desk.pem is not valid yet; set this machine's clock"),
+    ],
 )
 def test_certificates_that_do_not_hold_now_are_not_installed(deployed, tmp_path, capfd, days, said):
     host = shutil.copytree(deployed / "desk", tmp_path / "desk")
     shutil.rmtree(host / "certificates")
-    layout = Layout("lab", LAYOUT.endpoint, (Host("desk", "10.0.0.14", (Process("viewer", "desk"),)),), 30, 3650)
+    processes = (Process("viewer", "desk"), Process("operator", "desk"))
+    layout = Layout("lab", LAYOUT.endpoint, (Host("desk", "10.0.0.14", processes),), 30, 3650)
     issue(layout, tmp_path, datetime.datetime.fromtimestamp(now_ns() * 1e-9, datetime.UTC) + datetime.timedelta(days))
     assert suturegrasp("deploy", "install", "--folder", host, "--root", tmp_path / "root") == 2
     (complaint,) = capfd.readouterr().err.splitlines()
@@ -275,6 +339,12 @@ def test_a_rig_that_cannot_be_planned_is_one_sentence(tmp_path, capfd, text, sai
     (complaint,) = capfd.readouterr().err.splitlines()
     assert said in complaint
     assert not (tmp_path / "out").exists()
+
+
+def test_a_rig_that_nobody_can_command_is_planned_and_told(tmp_path, capfd):
+    (tmp_path / "rig.toml").write_text(LAB.read_text().replace('"operator", ', ""))
+    assert suturegrasp("deploy", "plan", "--config", tmp_path / "rig.toml", "--folder", tmp_path / "out") == 0
+    assert 'no host runs "operator", so nobody may give commands' in capfd.readouterr().out
 
 
 def test_a_calibration_goes_to_the_cameras_host(tmp_path):
