@@ -14,8 +14,9 @@ import shared
 from agents.camera.image_files import ImageFileError
 from agents.camera.sources import SourceError
 from agents.cli.doctor.finding import UNKNOWN, Finding
-from agents.cli.rig.builders import build, configured
+from agents.cli.rig.builders import build
 from agents.cli.rig.config import RigConfig
+from agents.cli.rig.configured import configured
 from agents.cli.status.health_watch import name_of, span_of
 from agents.cli.status.judgement import LEAST_FREE_BYTES, NS_PER_S, expiry
 from agents.cli.status.session import certificate_names
@@ -23,7 +24,7 @@ from shared.calibration import CalibrationError
 from shared.clock import now_ns
 from shared.runtime.config import ConfigError
 from shared.runtime.identity import AUTHORITY_FILE, IdentityError, identity_in, validity_ns
-from shared.scene.render import SceneError
+from shared.scene.backdrop import SceneError
 
 FIRST_SANE_NS = 1_700_000_000_000_000_000
 """The end of 2023: a clock before that was never set."""

@@ -15,8 +15,9 @@ from typing import Protocol
 import schemas
 from agents.cli.recordings.config import changed, recorded_config
 from agents.cli.recordings.replay_report import ThroughResult, lacking, report
-from agents.cli.rig.builders import KINDS, build, configured
+from agents.cli.rig.builders import build
 from agents.cli.rig.config import RigConfig
+from agents.cli.rig.configured import KINDS, configured
 from agents.cli.terminal import complain, say, show
 from agents.cli.whole_file import OutputError, whole_file
 from agents.replay.differences import compared

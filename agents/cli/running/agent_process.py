@@ -23,7 +23,7 @@ from shared.runtime.identity import validity_ns
 from shared.runtime.memory import keep_freed_memory
 from shared.runtime.runner import Runner
 from shared.runtime.session import runs_already
-from shared.scene.render import SceneError
+from shared.scene.backdrop import SceneError
 
 YIELDING = ("perception", "reconstruction")
 KEEPING_TIME = ("robot_bridge", "camera", "simulator")

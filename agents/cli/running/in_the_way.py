@@ -4,8 +4,8 @@ import errno
 import re
 import socket
 
-from agents.cli.rig.builders import configured
 from agents.cli.rig.config import RigConfig
+from agents.cli.rig.configured import configured
 from agents.cli.status.session import reading_session
 from shared.runtime.connection import NoRouterError, connected
 

@@ -11,8 +11,8 @@ from rich.live import Live
 from rich.text import Text
 
 from agents.cli.live.options import Play, Up
-from agents.cli.rig.builders import configured
 from agents.cli.rig.config import RigConfig
+from agents.cli.rig.configured import configured
 from agents.cli.running.in_the_way import already_running, in_the_way
 from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.cli.running.session_folder import SessionFolder, new_session_folder

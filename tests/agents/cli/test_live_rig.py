@@ -2,6 +2,8 @@
 
 import contextlib
 import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import get_args
 
@@ -11,8 +13,10 @@ import pytest
 from pydantic import BaseModel
 
 from agents.camera.agent import Camera, SceneCamera
-from agents.cli.rig.builders import build, configured, perception_config
+from agents.cli.rig.builders import build
 from agents.cli.rig.config import ArmSection, ReconstructionSection, RigConfig, RouterSection, simulated_rig
+from agents.cli.rig.configured import configured
+from agents.cli.rig.perception_builder import perception_config
 from agents.cli.running.in_the_way import in_the_way, taken
 from agents.reconstruction.method_names import DEFAULT_METHOD
 from agents.reconstruction.methods import METHODS
@@ -49,6 +53,12 @@ def section(small):
 def test_every_section_of_the_simulated_rig_becomes_its_agent(kind_instance):
     agent = build(simulated_rig(), *kind_instance)
     assert (agent.kind, agent.instance) == kind_instance
+
+
+def test_what_starts_agents_loads_none_of_them():
+    code = "import sys, agents.cli.running.up, agents.cli.rig.builders; print(*{'cv2', 'scipy'} & set(sys.modules))"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert loaded.stdout.split() == []
 
 
 def test_every_method_of_reconstruction_can_be_configured():

@@ -1,0 +1,53 @@
+"""Perception of threads, and of one arm's instrument, as a rig's configuration says."""
+
+from agents.cli.rig.config import PerceptionSection
+from agents.perception.agent import Perception, PerceptionConfig
+from agents.perception.segmentation.promptable_model import PromptableFileError, PromptableFiles
+from agents.perception.tool.agent import ToolTracker, ToolTrackerConfig
+from shared.runtime.agent import Agent
+from shared.runtime.config import ConfigError
+
+
+def perception_config(section: PerceptionSection, needs_matching: bool) -> PerceptionConfig:
+    """What perception is told; whether it matches pixels is as the method of reconstruction needs it, if unset."""
+    return PerceptionConfig(
+        segmenter=None if section.segmenter == "auto" else section.segmenter,
+        matching=needs_matching if section.matching is None else section.matching,
+        promptable=promptable_files(section),
+    )
+
+
+def promptable_files(section: PerceptionSection) -> PromptableFiles | None:
+    """Where the network lies that segmenter `promptable` runs; None where none is configured."""
+    if section.promptable_encoder is None or section.promptable_decoder is None:
+        return None
+    return PromptableFiles(
+        section.promptable_encoder,
+        section.promptable_decoder,
+        section.promptable_encoder_sha256,
+        section.promptable_decoder_sha256,
+    )
+
+
+def built_perception(section: PerceptionSection, needs_matching: bool) -> Agent:
+    """Perception of threads.
+
+    Raises:
+        ConfigError: where a configured network cannot be used.
+    """
+    try:
+        return Perception(perception_config(section, needs_matching))
+    except PromptableFileError as error:
+        raise ConfigError(f"[perception] {error}") from None
+
+
+def built_tool_tracker(section: PerceptionSection, arm: str) -> Agent:
+    """Perception of an arm's instrument.
+
+    Raises:
+        ConfigError: where this arm's is not configured to be tracked.
+    """
+    if arm not in section.track_tool:
+        named = ", ".join(section.track_tool) or "nothing"
+        raise ConfigError(f"perception.track_tool names {named}, and not {arm!r}; add it")
+    return ToolTracker(ToolTrackerConfig(arm))
