@@ -6,26 +6,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
+from agents.perception.beside import Beside, tissue, tissue_beside, watched_beside
 from agents.perception.following.pair import FollowedPair, follow_pair
 from agents.perception.frame_checks import apart, mismatch
 from agents.perception.judging.each_frame import judge_each, lasting, one_eye_stands_still, pictured
 from agents.perception.judging.whole import judge_whole
 from agents.perception.observe import observe
-from agents.perception.occluders import instruments_in
-from agents.perception.prompt import reach_px
+from agents.perception.prompted import answer_to
 from agents.perception.rectification import Rectification, RectificationError, rectification
 from agents.perception.rectified_pair import RectifiedPair, decoded_pair, rectified_pair
-from agents.perception.search import FRAMES_BETWEEN_LOOKS, Looked, Pair, look_everywhere, look_near
+from agents.perception.search import FRAMES_BETWEEN_LOOKS, Looked, look_everywhere, look_near
 from agents.perception.segmentation.choice import segmenters_with
 from agents.perception.segmentation.promptable_model import PromptableFiles
 from agents.perception.segmenter_names import GIVEN_MASKS, NETWORK, PROMPTABLE, RIDGE, SEGMENTER_NAMES
-from agents.perception.surface import surface_is_due, tissue_surface
+from agents.perception.surface import surface_is_due
 from agents.perception.told_apart import told_apart
 from agents.perception.unusable import nominal_camera, unusable
 from agents.perception.watched import FRAMES_BETWEEN_LOOKS_WATCHED, may_be_watched, watched
 from schemas.messages import (
     CommandAnswer,
     FrameStamp,
+    Outcome,
     Prompt,
     Status,
     StereoCalibration,
@@ -34,9 +35,8 @@ from schemas.messages import (
 )
 from schemas.topics import CALIBRATION, FRAMES, MAIN, OBSERVATIONS, PROMPT, SURFACE, Topic
 from shared.calibration.identity import calibration_id
-from shared.images import ImageDataError, decode_image
+from shared.images import ImageDataError
 from shared.runtime.agent import Command, Input, Output, Received, Tick
-from shared.runtime.commands import accepted, refused
 from shared.runtime.settable import OneOf, settable
 
 Pixel = Float64[np.ndarray, "2"]
@@ -118,7 +118,7 @@ class Perception:
         """What follows from a frame; the observations first, since reconstruction waits for them."""
         last = self._last
         before, surface_sequence = (last.stamp.sequence, last.surface_sequence) if last else (None, None)
-        surface_due = False
+        surface_due, beside = False, Beside()
         pictures = pictured(frame, last)
         pair = (
             apart(frame.stamp, last.stamp if last else None)
@@ -131,7 +131,8 @@ class Perception:
             judgements = observed.judgements
         else:
             surface_due = surface_is_due(frame.stamp.sequence, before, surface_sequence)
-            observed = self._observe(frame.stamp, pair, surface_due)
+            beside = self._beside(frame.stamp.sequence, pair, surface_due)
+            observed = self._observe(frame.stamp, pair, beside)
             judgements = (*lasting(observed.judgements), *judge_each(pictures, pair.images))
         observed = replace(
             observed,
@@ -145,21 +146,26 @@ class Perception:
         self._go_on_from(observed)
         yield Output(OBSERVATIONS, observed)
         if surface_due and not isinstance(pair, str):
-            thread = decode_image(observed.mask_left) > 0
-            if observed.occluders is not None:
-                thread |= instruments_in(decode_image(observed.occluders.left), thread.shape)
-            images = pair.moved_up(observed.rows_moved_up).images
-            yield Output(SURFACE, tissue_surface(frame.stamp, pair.camera, *images, thread))
+            yield Output(SURFACE, tissue(frame.stamp, pair, observed, beside))
 
-    def _observe(self, stamp: FrameStamp, pair: RectifiedPair, is_busy: bool) -> ThreadObservations:
+    def _beside(self, sequence: int, pair: RectifiedPair, surface_due: bool) -> Beside:
+        """What is due in a frame beside following, begun; nothing where it will not be followed."""
+        last = self._last
+        if last is None or not self._may_follow(last):
+            return Beside()
+        if surface_due:
+            return tissue_beside(pair, last.rows_moved_up)
+        if may_be_watched(self.config.segmenter, last):
+            return watched_beside(sequence, pair, last, self.config.segmenter)
+        return Beside()
+
+    def _observe(self, stamp: FrameStamp, pair: RectifiedPair, beside: Beside) -> ThreadObservations:
         last = self._last
         if last is None:
             return self._looked(stamp, pair, 0)
         near = pair.moved_up(last.rows_moved_up)
         if (followed := self._followed(stamp, near, last)) is not None:
-            observed = followed.observed
-            if may_be_watched(self.config.segmenter, last):
-                observed = watched(observed, pair, followed.coverage, last, self.config.segmenter, is_busy)
+            observed = watched(followed.observed, followed.coverage, last, beside)
             return observed or self._looked(stamp, pair, last.rows_moved_up)
         looked = look_near(near.images, last, stamp.sequence, self._segmenters)
         observed = self._observed(stamp, near, looked) if looked else None
@@ -186,9 +192,12 @@ class Perception:
         judgements = (*whole.offset, *observed.judgements, *whole.pictures)
         return replace(observed, judgements=judgements, rows_moved_up=whole.rows_moved_up)
 
+    def _may_follow(self, last: ThreadObservations) -> bool:
+        return not self.config.matching and last.segmenter in FOLLOWED
+
     def _followed(self, stamp: FrameStamp, pair: RectifiedPair, last: ThreadObservations) -> FollowedPair | None:
         """The thread followed from the last observations, and told apart; None where it is to be looked for."""
-        if self.config.matching or last.segmenter not in FOLLOWED:
+        if not self._may_follow(last):
             return None
         is_watched = may_be_watched(self.config.segmenter, last)
         between = FRAMES_BETWEEN_LOOKS_WATCHED if is_watched else FRAMES_BETWEEN_LOOKS
@@ -228,28 +237,10 @@ class Perception:
 
     def _prompted(self, prompt: Prompt) -> CommandAnswer:
         """Whether something like thread lies near the prompt in the last frame; it is meant from the next one on."""
-        if prompt.pixel is None:
-            self._last = self._prompt_px = None
-            return accepted(prompt.header.id)
-        if self._frame is None or self._calibration is None:
-            return refused(prompt.header.id, "no_frame", "there is no frame yet to find thread in; start the camera")
-        pair = self._rectified(self._frame, self._calibration)
-        if isinstance(pair, str):
-            return refused(prompt.header.id, "unusable_frame", f"the last frame cannot be used: {pair}")
-        height, width = pair.images[0].shape[:2]
-        u, v = prompt.pixel
-        if not (0 <= u <= width - 1 and 0 <= v <= height - 1):
-            return refused(
-                prompt.header.id,
-                "outside",
-                f"({u:.0f}, {v:.0f}) lies outside the left image of {width}x{height} pixels",
-            )
-        # the answer cannot wait for such a network; where it finds nothing, the next observations say so
-        if self.config.segmenter != PROMPTABLE and not self._finds_thread_at(pair.images, prompt.pixel):
-            reason = f"nothing like thread lies within {reach_px(width):.0f} px of ({u:.0f}, {v:.0f}) in the left image"
-            return refused(prompt.header.id, "no_thread", reason)
-        self._last, self._prompt_px = None, prompt.pixel
-        return accepted(prompt.header.id)
-
-    def _finds_thread_at(self, images: Pair, pixel: Pixel) -> bool:
-        return bool(look_everywhere(images, 0, self.config.segmenter, pixel).coverage[0].any())
+        pair = None
+        if self._frame is not None and self._calibration is not None:
+            pair = self._rectified(self._frame, self._calibration)
+        answer = answer_to(prompt, pair, self.config.segmenter)
+        if answer.outcome is Outcome.ACCEPTED:
+            self._last, self._prompt_px = None, prompt.pixel
+        return answer

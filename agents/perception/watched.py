@@ -8,13 +8,11 @@ than where thread is not followed; and every 20 seconds in any case.
 
 from dataclasses import replace
 
+from agents.perception.beside import Beside
 from agents.perception.glances.glance import glance
-from agents.perception.glances.parts import parts_due
 from agents.perception.judge import correspondence_of_masks, correspondence_of_texture, judge
-from agents.perception.judging.whole import judge_whole
-from agents.perception.rectified_pair import RectifiedPair
-from agents.perception.search import FRAMES_BETWEEN_LOOKS, Pair, judged_in, near_is_enough
-from agents.perception.segmentation.choice import suitable_segmenter
+from agents.perception.judging.whole import Whole
+from agents.perception.search import Pair, near_is_enough
 from agents.perception.segmenter_names import NETWORK
 from schemas.messages import Judgement, Severity, ThreadObservations
 
@@ -32,46 +30,34 @@ def may_be_watched(segmenter: str | None, last: ThreadObservations) -> bool:
 
 
 def watched(
-    observed: ThreadObservations,
-    pair: RectifiedPair,
-    coverage: Pair,
-    last: ThreadObservations,
-    segmenter: str | None,
-    is_busy: bool,
+    observed: ThreadObservations, coverage: Pair, last: ThreadObservations, beside: Beside
 ) -> ThreadObservations | None:
-    """The observations of a followed thread after what else is due in the frame; None to have the whole looked at.
+    """The observations of a followed thread after what else was due in the frame; None to have the whole looked at.
 
     Args:
         observed: with candidates and occluders.
-        pair: rectified, its rows not yet moved.
         coverage: by the followed thread.
-        segmenter: as configured; None where it is chosen.
-        is_busy: whether the frame has other work besides, so that this waits for the next one.
+        beside: what was begun with the frame.
     """
+    if beside.whole is not None:
+        return _judged(observed, beside.whole.result(), coverage)
+    if beside.scores is None:
+        return observed
     sequence = observed.stamp.sequence
-    if is_busy:
-        return observed
-    # not in two frames in turn, however few of the camera's are seen
-    if sequence - judged_in(last) >= FRAMES_BETWEEN_LOOKS and judged_in(last) != last.stamp.sequence:
-        if segmenter is None and suitable_segmenter(pair.images[0]) != NETWORK:
-            return None
-        return _judged(observed, pair, coverage)
-    parts = parts_due(sequence, last)
-    if not parts:
-        return observed
-    images = pair.moved_up(observed.rows_moved_up).images
-    strange = any(glance(images[part.eye], observed, coverage[part.eye], part) for part in parts)
+    strange = any(
+        glance(score, observed, coverage[part.eye], part)
+        for part, score in zip(beside.parts, beside.scores.result(), strict=True)
+    )
     if strange and not near_is_enough(last, sequence):
         return None
     # what is strange too early is glanced at again until it is time, or until it is not strange any more
-    glances = observed.glances if strange else observed.glances + len(parts)
+    glances = observed.glances if strange else observed.glances + len(beside.parts)
     return replace(observed, glanced_sequence=sequence, glances=glances)
 
 
-def _judged(observed: ThreadObservations, pair: RectifiedPair, coverage: Pair) -> ThreadObservations | None:
+def _judged(observed: ThreadObservations, whole: Whole | None, coverage: Pair) -> ThreadObservations | None:
     """The observations with the pair judged anew; None where its rows are to be moved otherwise, or it is of no use."""
-    whole = judge_whole(pair.images, pair.raw, observed.rows_moved_up, pair.camera)
-    if whole.rows_moved_up != observed.rows_moved_up:
+    if whole is None or whole.rows_moved_up != observed.rows_moved_up:
         return None
     alignment = _by_thread(whole.images, coverage) if whole.alignment is None else whole.alignment
     judgements = (*whole.offset, *alignment, *whole.pictures)

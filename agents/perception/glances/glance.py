@@ -20,6 +20,7 @@ from agents.perception.glances.parts import Part
 from agents.perception.segmentation.network import LEAST_EXTENT_PX, SEGMENTED, score_within, thread_in
 from schemas.messages import ThreadObservations
 
+Score = UInt8[np.ndarray, "r c"]
 SEEN_WITHIN_PX = 4
 """Of a followed point: there is thread where one is."""
 LEAST_GONE_SHARE = 0.04
@@ -30,25 +31,31 @@ CUT_WIDTHS = 6.0
 """So far from each other a junction is and where it cuts pieces, which lie on its sides."""
 
 
-def glance(
-    image: UInt8[np.ndarray, "h w 3"], observed: ThreadObservations, coverage: UInt8[np.ndarray, "h w"], part: Part
-) -> str:
-    """What a part of one eye's image shows that following does not know; empty where there is nothing.
+def part_score(image: UInt8[np.ndarray, "h w 3"], part: Part) -> Score:
+    """How much of each pixel of a part, and of what is looked at around it, the network holds to be thread.
 
     Args:
         image: of that eye, the whole.
-        observed: of the thread that was followed in it, with candidates and occluders.
-        coverage: by that thread in that image.
     """
-    inner, outer = part.inner(image.shape), part.outer(image.shape)
+    return score_within(image, part.outer(image.shape))
+
+
+def glance(score: Score, observed: ThreadObservations, coverage: UInt8[np.ndarray, "h w"], part: Part) -> str:
+    """What a part of one eye's image shows that following does not know; empty where there is nothing.
+
+    Args:
+        score: of the part.
+        observed: of the thread that was followed in the image, with candidates and occluders.
+        coverage: by that thread in the whole image.
+    """
+    inner, outer = part.inner(coverage.shape), part.outer(coverage.shape)
     known = known_in(observed, part.eye, coverage, outer)
-    score = score_within(image, outer)
     thread = thread_in(score)
     rows, columns = (slice(a.start - b.start, a.stop - b.start) for a, b in zip(inner, outer, strict=True))
     if _longest_extent_px((thread & ~known.own & ~known.elsewhere)[rows, columns]) >= LEAST_EXTENT_PX:
         return "thread where none is known"
     corner = np.array((outer[1].start, outer[0].start))
-    if _is_gone(known, score, inner, corner, image.shape[1]):
+    if _is_gone(known, score, inner, corner, coverage.shape[1]):
         return "no thread where one is known"
     return _about_junctions(known, thread, inner, corner)
 

@@ -9,7 +9,7 @@ import pytest
 
 from agents.camera.scene_source import calibration_of
 from agents.perception.agent import Perception
-from agents.perception.glances.glance import glance
+from agents.perception.glances.glance import glance, part_score
 from agents.perception.glances.parts import FRAMES_BEFORE, FRAMES_BETWEEN, PARTS, Part, parts_due
 from agents.perception.search import FRAMES_BETWEEN_LOOKS
 from agents.perception.watched import FRAMES_BETWEEN_LOOKS_WATCHED
@@ -94,7 +94,8 @@ def with_cuts(observed, is_cut):
 def said(images, observed):
     """What each part of the images shows that is not known."""
     covered = coverages(observed)
-    return {glance(images[part.eye], observed, covered[part.eye], part) for part in EVERY_PART} - {""}
+    scores = {part: part_score(images[part.eye], part) for part in EVERY_PART}
+    return {glance(score, observed, covered[part.eye], part) for part, score in scores.items()} - {""}
 
 
 @pytest.mark.parametrize("config", ["medium", "crossing"])
