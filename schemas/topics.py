@@ -57,6 +57,20 @@ class Delivery(enum.Enum):
     COMMAND = 4
 
 
+class Priority(enum.Enum):
+    """Which of a process's messages go first where its link is full; names and order are Zenoh's."""
+
+    REAL_TIME = "real_time"
+    DATA_HIGH = "data_high"
+    DATA = "data"
+    DATA_LOW = "data_low"
+    BACKGROUND = "background"
+
+
+EVENTS_KEPT = 1000
+"""About a router's restart at the highest rate of events."""
+
+
 @dataclass(frozen=True)
 class Topic:
     """One row of the table.
@@ -71,6 +85,9 @@ class Topic:
         maximum_age_ms: beyond which consumers treat it as stale; None where age means nothing.
         per_arm: whether there is one per arm, so that the instance is the arm.
         good_when_late: for a command, whether it is carried out even after its deadline, as stopping must be.
+        priority: of *latest* messages; states and events go with DATA.
+        kept: events that each publisher keeps for those who were away.
+        never_later: whether an arm that moves is held or watched by it, so that no rig may have it wait.
     """
 
     agent: str
@@ -84,12 +101,24 @@ class Topic:
     receiver: str = ""
     per_arm: bool = False
     good_when_late: bool = False
+    priority: Priority = Priority.REAL_TIME
+    kept: int = EVENTS_KEPT
+    never_later: bool = False
 
     def __str__(self) -> str:
         return f"{self.agent}/{self.name}"
 
 
-FRAMES = Topic("camera", "frames", StereoFrame, Delivery.LATEST, rate_hz=30, maximum_age_ms=200)
+FRAMES = Topic(
+    "camera",
+    "frames",
+    StereoFrame,
+    Delivery.LATEST,
+    rate_hz=30,
+    maximum_age_ms=200,
+    # bulky: whatever else the camera tells goes first
+    priority=Priority.DATA_LOW,
+)
 CALIBRATION = Topic("camera", "calibration", StereoCalibration, Delivery.STATE)
 OBSERVATIONS = Topic("perception", "observations", ThreadObservations, Delivery.LATEST, rate_hz=30, maximum_age_ms=1000)
 SURFACE = Topic("perception", "surface", TissueSurface, Delivery.LATEST, rate_hz=3, maximum_age_ms=3000)
@@ -100,7 +129,16 @@ ARM = Topic("operator", "arm", Arm, Delivery.COMMAND, receiver="robot_bridge", p
 HOLD = Topic("operator", "hold", Hold, Delivery.COMMAND, receiver="robot_bridge", per_arm=True, good_when_late=True)
 CHANGE_STATE = Topic("operator", "state", ChangeState, Delivery.COMMAND, receiver="robot_bridge", per_arm=True)
 PROMPT = Topic("operator", "prompt", Prompt, Delivery.COMMAND, receiver="perception")
-HEARTBEAT = Topic("operator", "heartbeat", Heartbeat, Delivery.LATEST, rate_hz=20, maximum_age_ms=200, per_arm=True)
+HEARTBEAT = Topic(
+    "operator",
+    "heartbeat",
+    Heartbeat,
+    Delivery.LATEST,
+    rate_hz=20,
+    maximum_age_ms=200,
+    per_arm=True,
+    never_later=True,
+)
 PLAN = Topic("planner", "plan", GraspPlan, Delivery.EVENT)
 CHECK = Topic("planner", "check", GraspCheck, Delivery.EVENT)
 CLOCKS = Topic("planner", "clocks", HostClocks, Delivery.STATE)
@@ -113,6 +151,7 @@ ROBOT_STATE = Topic(
     resting_hz=5,
     maximum_age_ms=100,
     per_arm=True,
+    never_later=True,
 )
 EXECUTION = Topic("robot_bridge", "execution", ExecutionEvent, Delivery.EVENT, per_arm=True)
 SIMULATOR_STATE = Topic("simulator", "state", SimulatorState, Delivery.LATEST, rate_hz=60, resting_hz=5)

@@ -47,6 +47,7 @@ from schemas.messages.rig import (
     HostClocks,
     SetParameter,
     SettableParameter,
+    TopicOverride,
 )
 from schemas.messages.running import (
     AgentHealth,
@@ -155,6 +156,7 @@ __all__ = [
     "ToolCandidate",
     "ToolCorrection",
     "ToolStatus",
+    "TopicOverride",
     "TrackStep",
     "Trail",
     "Verdict",

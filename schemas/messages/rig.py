@@ -59,6 +59,19 @@ class SetParameter:
 
 
 @dataclass(frozen=True)
+class TopicOverride:
+    """What a rig's file says of a topic otherwise than the table of topics; the value as the file writes it."""
+
+    topic: str
+    setting: str
+    value: str
+
+    def __post_init__(self) -> None:
+        check_message(self)
+        require(self.topic != "" and self.setting != "", "an override names its topic and what it sets")
+
+
+@dataclass(frozen=True)
 class AgentFacts:
     """Where an agent runs and what it was granted there, told to whoever asks.
 
@@ -72,6 +85,7 @@ class AgentFacts:
         calibrated_ns: when the calibration that it uses was made, None where nobody knows.
         certificate_expires_ns: None where it runs without one.
         processor_s, resident_bytes: what the process has used of processors since it began, and of memory now.
+        overrides: what it does otherwise with topics than their table says, as its rig's file told it.
     """
 
     agent: str
@@ -94,6 +108,7 @@ class AgentFacts:
     certificate_expires_ns: int | None
     processor_s: float
     resident_bytes: int
+    overrides: tuple[TopicOverride, ...] = ()
 
     def __post_init__(self) -> None:
         check_message(self)

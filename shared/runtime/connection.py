@@ -24,7 +24,7 @@ from shared.clock import monotonic_s, now_ns
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.clocks import ClockOffset, clock_offset
 from shared.runtime.commands import new_header, send_command
-from shared.runtime.delivery import declare_publisher
+from shared.runtime.delivery import RouterLinks, as_told, declare_publisher
 from shared.runtime.facts import Surroundings, ask_facts
 from shared.runtime.identity import IdentityError
 from shared.runtime.link import Link, measure_link
@@ -45,7 +45,7 @@ class Connection:
     """A client of a rig."""
 
     def __init__(self, session: zenoh.Session, settings: SessionSettings) -> None:
-        self._session, self._rig = session, settings.rig
+        self._session, self._rig, self._otherwise = session, settings.rig, settings.otherwise
         self._kept: list[Any] = []
 
     def listen(
@@ -55,12 +55,12 @@ class Connection:
         missed: Callable[[Topic, int], None] = lambda _topic, _count: None,
     ) -> None:
         """Have every message of these topics handed over, from other threads, until the connection is closed."""
-        self._kept += tap(self._session, self._rig, topics, receive, missed)
+        self._kept += tap(self._session, self._rig, topics, receive, missed, self._otherwise)
 
     @contextmanager
     def listening(self, topics: tuple[Topic, ...], receive: Callable[[Tapped], None]) -> Generator[None]:
         """Have messages handed over as `listen` does, for as long as it is needed."""
-        declared = tap(self._session, self._rig, topics, receive, lambda _topic, _count: None)
+        declared = tap(self._session, self._rig, topics, receive, lambda _topic, _count: None, self._otherwise)
         try:
             yield
         finally:
@@ -135,7 +135,8 @@ class Connection:
     @contextmanager
     def publishing(self, topic: Topic, instance: str = MAIN) -> Generator[Callable[[Any, int], None]]:
         """A way to publish messages of a topic, each with the time that it is of; one at a time."""
-        publisher = declare_publisher(self._session, key(self._rig, topic, instance), topic)
+        row = as_told(topic, self._otherwise)
+        publisher = declare_publisher(self._session, key(self._rig, topic, instance), row)
         epoch, sequence = int.from_bytes(os.urandom(7), "big"), count()
 
         def publish(message: Any, at_ns: int) -> None:
@@ -156,7 +157,8 @@ class Connection:
         around: Surroundings | None = None,
     ) -> AbstractContextManager[None]:
         """Tell of this process as agents do, for as long as it lasts; see `shared.runtime.reporting`."""
-        return reporting(self._session, self._rig, kind, instance, logger, fault, config_hash, around)
+        links = RouterLinks(self._otherwise)
+        return reporting(self._session, self._rig, kind, instance, logger, fault, config_hash, around, links)
 
     def close(self) -> None:
         """Stop listening."""

@@ -8,28 +8,41 @@ import zenoh
 from zenoh import ext
 
 from schemas.codec import encoded_parts, encoding_name
-from schemas.messages import StereoFrame
-from schemas.topics import Delivery, Topic
+from schemas.topics import Delivery, Priority, Topic
 from shared.runtime.accounts import RingLosses
 from shared.runtime.attachment import unpack
 from shared.runtime.lossless import LosslessSubscriber
 from shared.runtime.shared_memory import joined
 
-EVENT_CACHE = 1000
-"""Events kept for those who were away: about a router's restart at the highest rate of events."""
 MISS_HEARTBEAT_S = 0.5
 ENDS_S = 5.0
+_PRIORITIES = {
+    Priority.REAL_TIME: zenoh.Priority.REAL_TIME,
+    Priority.DATA_HIGH: zenoh.Priority.DATA_HIGH,
+    Priority.DATA: zenoh.Priority.DATA,
+    Priority.DATA_LOW: zenoh.Priority.DATA_LOW,
+    Priority.BACKGROUND: zenoh.Priority.BACKGROUND,
+}
 _RING, _WILDCARD_RING = 8, 64
 """Newest samples that wait for the thread that puts them away, which takes microseconds: what is replaced is replaced,
 and counted, in the inbox. Behind a key expression with a wildcard many keys share one channel."""
 
 
+def as_told(topic: Topic, otherwise: tuple[Topic, ...]) -> Topic:
+    """A row of the table as a rig has it, given the rows that the rig has otherwise."""
+    return next((row for row in otherwise if str(row) == str(topic)), topic)
+
+
 class RouterLinks:
     """The ways of one agent's messages: all of them by the router."""
 
+    def __init__(self, otherwise: tuple[Topic, ...] = ()) -> None:
+        """`otherwise` are rows of the table as this rig has them, where it has them otherwise."""
+        self._otherwise = otherwise
+
     def publisher(self, session: zenoh.Session, key: str, topic: Topic) -> Any:
         """A publisher of a topic that is not a command."""
-        return declare_publisher(session, key, topic)
+        return declare_publisher(session, key, as_told(topic, self._otherwise))
 
     def subscribe(
         self,
@@ -41,7 +54,7 @@ class RouterLinks:
         losses: RingLosses | None = None,
     ) -> list[Any]:
         """Have every sample of a topic that is not a command handed over."""
-        return subscribe(session, key, topic, receive, missed, losses)
+        return subscribe(session, key, as_told(topic, self._otherwise), receive, missed, losses)
 
     def close(self) -> None:
         """Nothing is held here."""
@@ -67,20 +80,20 @@ def declare_publisher(session: zenoh.Session, key: str, topic: Topic, waits: boo
     """A publisher of a topic that is not a command; `waits` for the network even where the topic would rather drop."""
     encoding = encoding_name(topic.message)
     if topic.delivery is Delivery.LATEST:
-        bulky = topic.message is StereoFrame
+        first = topic.priority is Priority.REAL_TIME
         return session.declare_publisher(
             key,
             encoding=encoding,
             congestion_control=zenoh.CongestionControl.BLOCK if waits else zenoh.CongestionControl.DROP,
-            priority=zenoh.Priority.DATA_LOW if bulky else zenoh.Priority.REAL_TIME,
-            express=not bulky,
+            priority=_PRIORITIES[topic.priority],
+            express=first,
         )
     return ext.declare_advanced_publisher(
         session,
         key,
         encoding=encoding,
         congestion_control=zenoh.CongestionControl.BLOCK,
-        cache=ext.CacheConfig(1 if topic.delivery is Delivery.STATE else EVENT_CACHE),
+        cache=ext.CacheConfig(_kept(topic)),
         sample_miss_detection=ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=MISS_HEARTBEAT_S),
         publisher_detection=True,
     )
@@ -104,7 +117,12 @@ def subscribe(
         subscriber = session.declare_subscriber(key, zenoh.handlers.RingChannel(room))
         return [_Receiving(subscriber, key, receive, losses or RingLosses(room))]
     is_event = topic.delivery is Delivery.EVENT
-    return [LosslessSubscriber(session, key, is_event, EVENT_CACHE if is_event else 1, receive, missed)]
+    return [LosslessSubscriber(session, key, is_event, _kept(topic), receive, missed)]
+
+
+def _kept(topic: Topic) -> int:
+    """How many messages of a topic that must arrive are there for those who were away."""
+    return topic.kept if topic.delivery is Delivery.EVENT else 1
 
 
 class _Receiving:

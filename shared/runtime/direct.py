@@ -16,7 +16,7 @@ import zenoh
 from schemas.topics import FRAMES, MAIN, Topic
 from shared.runtime.accounts import RingLosses
 from shared.runtime.attachment import unpack
-from shared.runtime.delivery import RouterLinks, declare_publisher, ring_room, subscribe
+from shared.runtime.delivery import RouterLinks, as_told, declare_publisher, ring_room, subscribe
 from shared.runtime.session import opened
 
 SOCKETS_MODE = 0o700
@@ -58,7 +58,8 @@ def _direct_settings(listen: list[str] | None = None, connect: list[str] | None 
 class DirectLinks(RouterLinks):
     """The ways of one agent's messages: frames by a direct link where both ends have one, all else by the router."""
 
-    def __init__(self, folder: Path, kind: str, instance: str) -> None:
+    def __init__(self, folder: Path, kind: str, instance: str, otherwise: tuple[Topic, ...] = ()) -> None:
+        super().__init__(otherwise)
         self._folder, self._own = folder, (kind, instance)
         self._sessions: list[zenoh.Session] = []
 
@@ -68,7 +69,7 @@ class DirectLinks(RouterLinks):
             return super().publisher(session, key, topic)
         direct = open_direct_publishing(socket_endpoint(self._folder, *self._own))
         self._sessions.append(direct)
-        return DirectPublisher(session, direct, key, topic)
+        return DirectPublisher(session, direct, key, as_told(topic, self._otherwise))
 
     def subscribe(
         self,

@@ -18,7 +18,7 @@ import schemas
 from schemas.checks import MessageError
 from schemas.codec import decode, encode, encoding_name
 from schemas.generated import suturegrasp_pb2
-from schemas.messages import AgentFacts
+from schemas.messages import AgentFacts, TopicOverride
 from schemas.topics import key_root
 from shared.clock import now_ns, processor_s
 from shared.runtime.usage import resident_bytes
@@ -38,6 +38,7 @@ class Surroundings:
         certificate_expires_ns: None where it runs without a certificate.
         realtime_asked: the real-time priority that it asked for; None for none.
         realtime_refused: why it was not granted; empty where it was, or nothing was asked for.
+        overrides: what it was told to do otherwise with topics than their table says.
     """
 
     writes_to: Path | None = None
@@ -45,6 +46,7 @@ class Surroundings:
     certificate_expires_ns: int | None = None
     realtime_asked: int | None = None
     realtime_refused: str = ""
+    overrides: tuple[TopicOverride, ...] = ()
 
 
 @functools.cache
@@ -89,6 +91,7 @@ def facts_of(
         certificate_expires_ns=around.certificate_expires_ns,
         processor_s=processor_s(),
         resident_bytes=resident_bytes(),
+        overrides=around.overrides,
     )
 
 

@@ -13,9 +13,11 @@ from shared.runtime.session import Session
 
 
 @contextmanager
-def logs_published(session: Session, rig: str, kind: str, logger: logging.Logger) -> Generator[None]:
+def logs_published(
+    session: Session, rig: str, kind: str, logger: logging.Logger, links: RouterLinks | None = None
+) -> Generator[None]:
     """Publish each record of a logger under the key root of `kind`, for as long as it is needed."""
-    out = Outlets(session, rig, (kind, MAIN), RouterLinks(), AgentClock())
+    out = Outlets(session, rig, (kind, MAIN), links or RouterLinks(), AgentClock())
     out.declare(LOG)
     handler = LogTopic(kind, MAIN, lambda record: out.publish(LOG, record))
     logger.addHandler(handler)

@@ -38,9 +38,10 @@ def reporting(
     fault: Callable[[], str],
     config_hash: str = "",
     around: Surroundings | None = None,
+    links: RouterLinks | None = None,
 ) -> Generator[None]:
     """Tell all that for as long as it lasts; `fault` says what is wrong at the moment, or is empty."""
-    out = Outlets(session, rig, (kind, instance), RouterLinks(), AgentClock())
+    out = Outlets(session, rig, (kind, instance), links or RouterLinks(), AgentClock())
     for topic in (HEALTH, LOG):
         out.declare(topic)
     log_topic = LogTopic(kind, instance, lambda record: out.publish(LOG, record))

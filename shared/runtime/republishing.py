@@ -19,7 +19,7 @@ from shared.clock import now_ns
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.commands import send_command
 from shared.runtime.connection import ROUTER_WAIT_S, open_when_there
-from shared.runtime.delivery import declare_publisher
+from shared.runtime.delivery import as_told, declare_publisher
 from shared.runtime.progress import ask_progress
 from shared.runtime.session import SessionSettings
 
@@ -29,10 +29,13 @@ REPLAY = REPLAY_CLOCK.agent
 class Republisher:
     """Publishes messages as they were recorded; `epoch` is that of all of them."""
 
-    def __init__(self, session: zenoh.Session, rig: str, waits: bool) -> None:
-        """`waits` for the network where it is too slow, so that nothing is dropped on its way."""
+    def __init__(self, session: zenoh.Session, rig: str, waits: bool, otherwise: tuple[Topic, ...] = ()) -> None:
+        """`waits` for the network where it is too slow, so that nothing is dropped on its way.
+
+        `otherwise` are rows of the topic table as this rig has them, where it has them otherwise.
+        """
         self.epoch = int.from_bytes(os.urandom(7), "big")
-        self._session, self._rig, self._waits = session, rig, waits
+        self._session, self._rig, self._waits, self._otherwise = session, rig, waits, otherwise
         self._publishers: dict[str, Any] = {}
         self._sent: dict[str, int] = {}
         self._kept: list[Any] = []
@@ -59,7 +62,7 @@ class Republisher:
         """Declare these keys one's own: publishers of all, and the tokens of the agents whose they are."""
         owners = {(REPLAY, MAIN)}
         for name in (*keys, key(self._rig, REPLAY_CLOCK)):
-            topic = topic_of(name)
+            topic = as_told(topic_of(name), self._otherwise)
             self._publishers[name] = declare_publisher(self._session, name, topic, self._waits)
             self._sent[name] = 0
             owners.add((name.split("/")[2], name.split("/")[3]))
@@ -104,7 +107,7 @@ def republishing(
         NoRouterError: where no router answers in time.
     """
     with open_when_there(settings, within_s) as session:
-        republisher = Republisher(session, settings.rig, waits)
+        republisher = Republisher(session, settings.rig, waits, settings.otherwise)
         try:
             yield republisher
         finally:

@@ -16,6 +16,7 @@ from typing import Any
 
 import zenoh
 
+from schemas.topics import Topic
 from shared.runtime.identity import Identity, IdentityError, check_identity
 
 LOCAL_ENDPOINT = "tcp/127.0.0.1:7447"
@@ -62,11 +63,13 @@ class SessionSettings:
         rig: name of the rig, the second part of every key.
         endpoint: of the router, as Zenoh writes it.
         identity: the certificate to show; None on loopback.
+        otherwise: rows of the topic table as this rig has them, where it has them otherwise.
     """
 
     rig: str = "lab"
     endpoint: str = LOCAL_ENDPOINT
     identity: Identity | None = None
+    otherwise: tuple[Topic, ...] = ()
 
 
 def open_session(settings: SessionSettings) -> zenoh.Session:

@@ -12,7 +12,7 @@ import zenoh
 
 from schemas.topics import ANY_AGENT, Delivery, Topic, key, key_root
 from shared.runtime.attachment import Attachment, unpack
-from shared.runtime.delivery import subscribe
+from shared.runtime.delivery import as_told, subscribe
 from shared.runtime.progress import Handled, answer_progress
 
 TAP = "tap"
@@ -51,10 +51,12 @@ def tap(
     topics: tuple[Topic, ...],
     receive: Callable[[Tapped], None],
     missed: Callable[[Topic, int], None],
+    otherwise: tuple[Topic, ...] = (),
 ) -> list[Any]:
     """Have every message of these topics, of all instances, handed over; keep what is returned.
 
-    `receive` and `missed` are called from other threads and must only put things away. Commands are no topic to listen
+    `receive` and `missed` are called from other threads and must only put things away; `otherwise` are rows of the
+    table as this rig has them, where it has them otherwise. Commands are no topic to listen
     to; they are recorded through `command`.
     """
     kept: list[Any] = []
@@ -64,7 +66,8 @@ def tap(
             continue
         selectors.append(key(rig, topic, "*", "*" if topic.agent == ANY_AGENT else topic.agent))
         receiver = _receiver(topic, receive, handled)
-        kept += subscribe(session, selectors[-1], topic, receiver, lambda count, topic=topic: missed(topic, count))
+        row = as_told(topic, otherwise)
+        kept += subscribe(session, selectors[-1], row, receiver, lambda count, topic=topic: missed(topic, count))
     kept.append(answer_progress(session, key_root(rig, os.urandom(7).hex(), TAP), selectors, handled))
     return kept
 

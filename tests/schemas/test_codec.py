@@ -75,6 +75,7 @@ from schemas.messages import (
     ToolCandidate,
     ToolCorrection,
     ToolStatus,
+    TopicOverride,
     TrackStep,
     Trail,
     Verdict,
@@ -338,6 +339,7 @@ configurations = st.builds(
     texts,
 )
 priorities = st.none() | st.integers(0, 99)
+topic_overrides = st.builds(TopicOverride, texts.filter(bool), texts.filter(bool), texts)
 facts = st.builds(
     AgentFacts,
     agent=texts.filter(bool),
@@ -360,6 +362,7 @@ facts = st.builds(
     certificate_expires_ns=st.none() | nanoseconds,
     processor_s=numbers,
     resident_bytes=uint64,
+    overrides=st.lists(topic_overrides, max_size=2).map(tuple),
 )
 
 
@@ -605,6 +608,7 @@ MESSAGES = {
     SettableParameter: settables,
     AgentConfiguration: configurations,
     SetParameter: st.builds(SetParameter, headers, texts.filter(bool), texts),
+    TopicOverride: topic_overrides,
     AgentFacts: facts,
     HostClock: host_clocks(),
     HostClocks: st.builds(HostClocks, nanoseconds, st.lists(host_clocks(), max_size=2).map(tuple)),

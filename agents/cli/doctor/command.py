@@ -10,7 +10,7 @@ import schemas
 from agents.cli.doctor.finding import Finding
 from agents.cli.doctor.here import examine_here
 from agents.cli.doctor.images import examine_frames, examine_images, wants_images
-from agents.cli.doctor.rig import clocks, granted, guards, links, running, streams, versions
+from agents.cli.doctor.rig import clocks, granted, guards, links, running, streams, topics, versions
 from agents.cli.doctor.router import no_router
 from agents.cli.doctor.rules import examine_rules
 from agents.cli.live.options import Doctor
@@ -78,6 +78,7 @@ def _across(rig: RigConfig, connection: Connection) -> Iterator[Finding]:
     facts = gathered.facts
     zenoh = importlib.metadata.version("eclipse-zenoh")
     yield from versions(facts, schemas.__version__, schemas_hash(), zenoh)
+    yield from topics(rig, facts)
     yield from clocks(gathered.clocks, socket.gethostname())
     measured: dict[str, Link | None] = {name: connection.link(*name.split("/")) for name in facts}
     yield from links(measured)

@@ -4,10 +4,19 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 
 from agents.cli.doctor.finding import UNKNOWN, Finding
 from agents.cli.rig.config import RigConfig
+from agents.cli.rig.topics import overrides
 from agents.cli.status.agents import AWAY
 from agents.cli.status.gathered import Gathered, placed_agents
 from agents.cli.status.health_watch import Fare, name_of, span_of
-from agents.cli.status.judgement import CLOCKS_APART_MS, LEAST_FREE_BYTES, NS_PER_S, SYNCHRONISE, expiry, judge
+from agents.cli.status.judgement import (
+    CLOCKS_APART_MS,
+    LEAST_FREE_BYTES,
+    NS_PER_S,
+    SYNCHRONISE,
+    expiry,
+    judge,
+    topics_told_otherwise,
+)
 from agents.cli.status.wrong import listed
 from schemas.messages import AgentFacts
 from schemas.topics import TOPICS
@@ -93,6 +102,16 @@ def clocks(offsets: Mapping[str, ClockOffset | None], here: str) -> Iterator[Fin
         yield Finding(f"clock of {offset.host}", found, remedy)
     if not others:
         yield Finding("clocks of other hosts", f"{UNKNOWN}, for no agent answers from another host")
+
+
+def topics(rig: RigConfig, facts: Mapping[str, AgentFacts]) -> Iterator[Finding]:
+    """What the rig does otherwise with topics than their table says, and who was told something else."""
+    here = overrides(rig.topics)
+    each = ", ".join(f"{one} (the table: {str(one.table).lower()})" for one in here)
+    yield Finding("topics", f"otherwise than the table: {each}" if here else "all as the table says")
+    for wrong in topics_told_otherwise(here, facts):
+        began, _, remedy = wrong.text.partition("; ")
+        yield Finding(f"topics of {wrong.about}", began, remedy)
 
 
 def links(measured: Mapping[str, Link | None]) -> Iterator[Finding]:

@@ -23,6 +23,7 @@ from agents.recorder.recorder import Recorder, RecorderSettings, RecordingReport
 from schemas.topics import MAIN, TOPICS, Topic, key_root
 from shared.runtime.config import config_hash, parse_config
 from shared.runtime.connection import Connection, NoRouterError, connected
+from shared.runtime.delivery import as_told
 from shared.runtime.facts import Surroundings
 from shared.runtime.identity import validity_ns
 from shared.runtime.service_manager import serving
@@ -78,7 +79,7 @@ def _record_all(
     recording = (connection, recorded_topics(rig), stopped, _say_end)
     identity = rig.identity_of(KIND)
     expires_ns = None if identity is None else validity_ns(identity.certificate)[1]
-    around = Surroundings(writes_to=folder, certificate_expires_ns=expires_ns)
+    around = Surroundings(folder, certificate_expires_ns=expires_ns, overrides=rig.overrides)
     with connection.reporting(KIND, _instance(rig), LOGGER, lambda: recordings.fault, config_hash(rig), around):
         thread = threading.Thread(target=recordings.run, args=recording, name="recordings")
         thread.start()
@@ -102,8 +103,7 @@ def _say_end(report: RecordingReport) -> None:
 
 def recorded_topics(rig: RigConfig) -> tuple[Topic, ...]:
     """What is recorded: what the table says, unless the rig says otherwise."""
-    told = {name: section.recorded for name, section in rig.topics.items()}
-    return tuple(topic for topic in TOPICS if told.get(str(topic), topic.recorded))
+    return tuple(topic for topic in TOPICS if as_told(topic, rig.rows_otherwise).recorded)
 
 
 def section_of(rig: RigConfig, options: Record) -> RecorderSection:

@@ -120,7 +120,7 @@ def _settings(options: Replay, contents: Contents) -> SessionSettings:
     rig = simulated_rig() if options.config is None else load_config(options.config, RigConfig)
     recorded = contents.rigs[0] if contents.rigs else rig.rig
     name = options.rig or (recorded if options.config is None else rig.rig)
-    return SessionSettings(name, rig.session.endpoint)
+    return SessionSettings(name, rig.session.endpoint, otherwise=rig.rows_otherwise)
 
 
 def _selection(options: Replay, contents: Contents, republisher: Republisher, rig: str) -> Selection:

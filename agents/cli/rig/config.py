@@ -28,9 +28,10 @@ from agents.cli.rig.sections import (
     SimulatorSection,
     ViewerSection,
 )
-from agents.cli.rig.topics import TopicSections
+from agents.cli.rig.topics import TopicSections, overrides, rows_otherwise
 from agents.reconstruction.method_names import MATCHING_METHODS
-from schemas.topics import MAIN
+from schemas.messages import TopicOverride
+from schemas.topics import MAIN, Topic
 from shared.runtime.access import Sites, common_name
 from shared.runtime.config import Settings
 from shared.runtime.identity import Identity, identity_in
@@ -165,6 +166,16 @@ class RigConfig(Settings):
         """Whether the method of reconstruction needs matched pixels, as far as this configuration tells."""
         return self.reconstruction is not None and self.reconstruction.method in MATCHING_METHODS
 
+    @property
+    def rows_otherwise(self) -> tuple[Topic, ...]:
+        """The rows of the topic table that this rig has otherwise."""
+        return rows_otherwise(self.topics)
+
+    @property
+    def overrides(self) -> tuple[TopicOverride, ...]:
+        """What this rig does otherwise with topics than the table says, as its processes tell whoever asks."""
+        return tuple(one.told for one in overrides(self.topics))
+
     def processes(self) -> list[str]:
         """Everything that has a section, on whichever host, as `runs` writes it; the router is apart."""
         agents = [kind for kind in AGENT_SECTIONS if getattr(self, kind) is not None]
@@ -204,7 +215,7 @@ class RigConfig(Settings):
 
     def session_of(self, name: str) -> SessionSettings:
         """How a process, as `runs` writes it, reaches the dataflow."""
-        return SessionSettings(rig=self.rig, endpoint=self.router_endpoint, identity=self.identity_of(name))
+        return SessionSettings(self.rig, self.router_endpoint, self.identity_of(name), self.rows_otherwise)
 
     def identity_of(self, name: str) -> Identity | None:
         """The certificate that a process of this host shows; None on a rig without certificates."""

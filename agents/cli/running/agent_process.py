@@ -75,16 +75,17 @@ def surroundings(rig: RigConfig, kind: str, instance: str) -> Surroundings:
         certificate_expires_ns=None if identity is None else validity_ns(identity.certificate)[1],
         realtime_asked=asked,
         realtime_refused="" if asked is None else ask_for_realtime(asked),
+        overrides=rig.overrides,
     )
 
 
 def links(rig: RigConfig, kind: str, instance: str) -> RouterLinks:
     """By which ways the agent's messages go; sockets of direct links lie where this user's alone do."""
     if not rig.links.direct:
-        return RouterLinks()
+        return RouterLinks(rig.rows_otherwise)
     port = rig.router_endpoint.rsplit(":", 1)[1]
     own = os.environ.get("XDG_RUNTIME_DIR") or str(Path(tempfile.gettempdir()) / f"suturegrasp-{os.getuid()}")
-    return DirectLinks(Path(own) / "suturegrasp" / f"{rig.rig}-{port}", kind, instance)
+    return DirectLinks(Path(own) / "suturegrasp" / f"{rig.rig}-{port}", kind, instance, rig.rows_otherwise)
 
 
 def _stop_after(stopped: threading.Event, stop: Callable[[], None]) -> None:

@@ -119,6 +119,7 @@ def _listen(rig: RigConfig, own: str, ears: "_Ears", link: ros.RosLink, refused:
         certificate_expires_ns=expires_ns,
         realtime_asked=REALTIME_PRIORITY if rig.realtime_here else None,
         realtime_refused=refused,
+        overrides=rig.overrides,
     )
     with contextlib.suppress(NoRouterError), connected(settings, None, stopped) as connection:
         connection.listen((HEARTBEAT, ROBOT_STATE), ears.hear_rig)

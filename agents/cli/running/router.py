@@ -9,6 +9,7 @@ from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, LOGGER, log_to_co
 from agents.cli.terminal import complain
 from shared.runtime.access import access_control
 from shared.runtime.config import ConfigError
+from shared.runtime.delivery import RouterLinks
 from shared.runtime.log_publisher import logs_published
 from shared.runtime.refused_links import RefusedLinks
 from shared.runtime.service_manager import serving
@@ -30,7 +31,7 @@ def run_router(rig: RigConfig) -> int:
         except (RouterError, ConfigError) as error:
             stack.close()
             return complain(str(error), EXIT_UNUSABLE)
-        stack.enter_context(logs_published(session, rig.rig, "router", LOG))
+        stack.enter_context(logs_published(session, rig.rig, "router", LOG, RouterLinks(rig.rows_otherwise)))
         print(f"router on {rig.router_endpoint}", flush=True)
         with serving():
             stopped.wait()

@@ -11,6 +11,7 @@ from rich.live import Live
 
 from agents.cli.live.options import RigStatus
 from agents.cli.rig.config import RigConfig
+from agents.cli.rig.topics import overrides
 from agents.cli.running.process import EXIT_OK, on_stop
 from agents.cli.status.gathered import Gathered
 from agents.cli.status.health_watch import SILENT_S
@@ -87,7 +88,7 @@ def gathered_on(watch: StatusWatch) -> Gathered:
 
 
 def _nothing(rig: RigConfig) -> Gathered:
-    return Gathered(now_ns(), rig.rig, rig.router_endpoint, router=False)
+    return Gathered(now_ns(), rig.rig, rig.router_endpoint, router=False, overrides=overrides(rig.topics))
 
 
 @contextlib.contextmanager

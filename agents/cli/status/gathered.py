@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 from agents.cli.rig.config import RigConfig
 from agents.cli.rig.hosts import BESIDE, OPERATOR, kind_and_instance
+from agents.cli.rig.topics import Override
 from agents.cli.status.health_watch import Fare
 from schemas.messages import AgentFacts, ExecutionEvent, HostClocks, LogRecord, RobotState, ToolCorrection
 from schemas.topics import FRAMES, HEALTH, HEARTBEAT, OBSERVATIONS, SURFACE, THREAD, TOOL, TOPICS, Delivery
@@ -40,6 +41,7 @@ class Gathered:
         facts: of the agents that told them, by `kind/instance`.
         said: log records that tell an error or a warning.
         here_expires_ns: when the certificate that status itself shows expires.
+        overrides: what the rig's file here does otherwise with topics than their table says.
     """
 
     at_ns: int
@@ -55,6 +57,7 @@ class Gathered:
     facts: Mapping[str, AgentFacts] = field(default_factory=dict[str, AgentFacts])
     said: tuple[LogRecord, ...] = ()
     here_expires_ns: int | None = None
+    overrides: tuple[Override, ...] = ()
 
 
 def expected_rates(rig: RigConfig) -> dict[str, float]:

@@ -1,7 +1,8 @@
 """What is wrong with a rig, in plain words: a pure function of what was heard of it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 
+from agents.cli.rig.topics import Override, in_words
 from agents.cli.status.agents import judge_agents
 from agents.cli.status.gathered import ArmHeard, Gathered
 from agents.cli.status.health_watch import name_of, span_of
@@ -33,6 +34,7 @@ def judge(gathered: Gathered) -> list[Wrong]:
         *_arms(gathered),
         *_clocks(gathered),
         *_schemas(gathered),
+        *topics_told_otherwise(gathered.overrides, gathered.facts),
         *(wrong for name, facts in gathered.facts.items() for wrong in _facts(name, facts, gathered.at_ns)),
         *_own_certificate(gathered),
         *_logged(gathered),
@@ -107,6 +109,16 @@ def _schemas(gathered: Gathered) -> Iterator[Wrong]:
     if len(hashes) > 1:
         each = "; ".join(f"{told} on {listed(names)}" for told, names in sorted(hashes.items()))
         yield Wrong("schemas", "schemas", f"schemas differ: {each}; install one version everywhere")
+
+
+def topics_told_otherwise(here: Iterable[Override], facts: Mapping[str, AgentFacts]) -> Iterator[Wrong]:
+    """Agents whose rig's file says other things of topics than the one here."""
+    own = {str(one) for one in here}
+    for name, told in facts.items():
+        if (theirs := {in_words(one) for one in told.overrides}) != own:
+            apart = listed([*(f"{one} (here)" for one in sorted(own - theirs)), *sorted(theirs - own)])
+            text = f"{_called(name)} began with another file of the rig than the one here, and they differ in {apart}"
+            yield Wrong("topics", _called(name), f"{text}; take the right one there and restart it")
 
 
 def _facts(name: str, facts: AgentFacts, at_ns: int) -> Iterator[Wrong]:

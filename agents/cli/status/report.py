@@ -28,6 +28,8 @@ def report(gathered: Gathered, wrongs: Iterable[Wrong]) -> RenderableType:
     """A row an agent, a row a host where there are several, and below them what is wrong."""
     at = datetime.datetime.fromtimestamp(gathered.at_ns * 1e-9).strftime("%H:%M:%S")
     parts: list[RenderableType] = [Text(f"rig {gathered.rig}, router {gathered.endpoint}, {at}")]
+    if gathered.overrides:
+        parts.append(Text(f"otherwise than the table of topics: {', '.join(map(str, gathered.overrides))}"))
     if gathered.router:
         parts += [Text(), health_table(gathered.fares)]
         hosts = hosts_of(gathered)
@@ -47,6 +49,7 @@ def document(gathered: Gathered, wrongs: Iterable[Wrong]) -> dict[str, Any]:
         "agents": [_agent(fare, gathered) for fare in gathered.fares],
         "hosts": hosts_of(gathered),
         "arms": [_arm(arm) for arm in gathered.arms],
+        "topics": [dataclasses.asdict(one) for one in gathered.overrides],
         "wrong": [_wrong(wrong) for wrong in wrongs if wrong.grave],
         "notes": [_wrong(wrong) for wrong in wrongs if not wrong.grave],
     }

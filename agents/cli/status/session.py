@@ -23,7 +23,7 @@ def reading_session(rig: RigConfig) -> SessionSettings:
 def session_as(rig: RigConfig, name: str) -> SessionSettings:
     """How a common name reaches a rig that has certificates."""
     identity = None if rig.security is None else identity_in(rig.security.certificates, name)
-    return SessionSettings(rig.rig, rig.router_endpoint, identity)
+    return SessionSettings(rig.rig, rig.router_endpoint, identity, rig.rows_otherwise)
 
 
 def certificate_names(folder: Path) -> list[str]:

@@ -5,6 +5,7 @@ import threading
 from collections import deque
 
 from agents.cli.rig.config import RigConfig
+from agents.cli.rig.topics import overrides
 from agents.cli.status.gathered import ArmHeard, Gathered, expected_rates, placed_agents
 from agents.cli.status.health_watch import HealthWatch
 from agents.cli.status.session import reading_session
@@ -90,6 +91,7 @@ class StatusWatch:
             facts=facts,
             said=errors,
             here_expires_ns=self._expires_ns,
+            overrides=overrides(self._rig.topics),
         )
 
     def _take(self, tapped: Tapped) -> None:

@@ -13,6 +13,7 @@ from rich.console import Console
 
 from agents.cli.rig.config import CameraSection, RigConfig, simulated_rig
 from agents.cli.rig.hosts import HostSection
+from agents.cli.rig.topics import Override
 from agents.cli.status.agents import judge_agents
 from agents.cli.status.gathered import ArmHeard, Gathered, expected_rates, placed_agents
 from agents.cli.status.health_watch import Fare, span_of
@@ -215,6 +216,25 @@ def test_versions_and_schemas_must_be_equal():
     found = sentences(fare(), fare("planner", health("planner", version="0.1.0")), facts=told)
     assert set(found) == {("version", "versions"), ("schemas", "schemas")}
     assert "0.1.0 on planner; 0.2.0 on camera" in found["version", "versions"].text
+
+
+def test_an_agent_that_was_told_other_things_of_topics_is_named():
+    here = (Override("*/log", "kept", 5000, 1000),)
+    agree, none = facts(overrides=tuple(one.told for one in here)), facts(overrides=())
+    assert judge(moment(facts={"camera/main": agree}, overrides=here)) == []
+    (wrong,) = judge(moment(facts={"camera/main": agree, "robot_bridge/psm1": none}, overrides=here))
+    assert (wrong.code, wrong.about, wrong.grave) == ("topics", "robot_bridge psm1", True)
+    assert wrong.text.endswith("differ in */log kept 5000 (here); take the right one there and restart it")
+    (wrong,) = judge(moment(facts={"camera/main": agree}))
+    assert "differ in */log kept 5000;" in wrong.text
+
+
+def test_what_a_rig_does_otherwise_with_topics_is_shown():
+    told = moment(overrides=(Override("*/log", "recorded", False, True), Override("*/log", "kept", 5000, 1000)))
+    assert "\notherwise than the table of topics: */log recorded false, */log kept 5000\n" in page(report(told, []))
+    first = {"topic": "*/log", "setting": "recorded", "value": False, "table": True}
+    assert document(told, [])["topics"][0] == first
+    assert "otherwise" not in page(report(moment(), []))
 
 
 @pytest.mark.parametrize(("ahead_ms", "within_ms", "wrong"), [(340, 2, True), (-340, 2, True), (340, 300, False)])

@@ -1,6 +1,7 @@
 """Each delivery class behind a real router, with receivers that are late, slow, or cut off for a while."""
 
 import contextlib
+import dataclasses
 import threading
 
 import pytest
@@ -64,6 +65,18 @@ def test_a_late_joiner_gets_the_events_before_it_in_order(publish, listen, until
     heard, missed = listen(PLAN)
     until(lambda: len(heard) == 50)
     assert (heard, missed) == ([bytes([number]) for number in range(50)], [])
+
+
+def test_who_was_away_gets_as_many_events_as_the_rig_has_kept(publish, listen, until):
+    more = dataclasses.replace(PLAN, kept=PLAN.kept + 500)
+    for number in range(PLAN.kept + 200):
+        publish(more, number.to_bytes(2, "big"))
+    heard, missed = listen(more)
+    until(lambda: len(heard) == PLAN.kept + 200)
+    assert (heard[0], heard[-1], missed) == (b"\0\0", (PLAN.kept + 199).to_bytes(2, "big"), [])
+    of_table, _ = listen(PLAN)
+    until(lambda: of_table and of_table[-1] == heard[-1])
+    assert len(of_table) == PLAN.kept
 
 
 def test_a_late_joiner_gets_nothing_old_of_what_counts_only_when_new(publish, listen, until):
