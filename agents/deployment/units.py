@@ -16,6 +16,10 @@ AGENTS = ("camera", "perception", "reconstruction", "planner", "robot_bridge", "
 """What has a loop of its own, from which it tells that it is alive."""
 WATCHDOG_S = 10
 """A loop that says nothing for so long hangs; its longest wait is half a second, and its longest step a few."""
+WATCHDOG_OF_COMPUTING_S = 60
+"""Of what drives nothing, and whose first step takes longest: where others have the processor, it would be killed in it
+each time, and never get beyond it."""
+COMPUTING = ("perception", "reconstruction")
 REALTIME_KINDS = ("robot_bridge", "camera", "simulator", GUARD)
 """What keeps time; the others would take the processor from them."""
 REALTIME_PRIORITY = 50
@@ -107,7 +111,7 @@ def _service(rig: str, host: Host, process: Process) -> str:
         *(f"LoadCredential={file}:{CERTIFICATES / file}" for file in credentials),
         "# ready once it has found the router, however long that takes",
         "TimeoutStartSec=infinity",
-        *((f"WatchdogSec={WATCHDOG_S}",) if process.kind in AGENTS else ()),
+        *_watchdog(process),
         "TimeoutStopSec=15",
         "# Zenoh keeps the shared memory that images go through from being paged out",
         "LimitMEMLOCK=infinity",
@@ -130,6 +134,11 @@ def _order(host: Host, process: Process) -> tuple[str, ...]:
     """A guard is there before the bridge that it guards, and goes after it."""
     guarded = Process("robot_bridge", process.instance)
     return (f"Before={unit_name(guarded)}",) if process.kind == GUARD and guarded in host.processes else ()
+
+
+def _watchdog(process: Process) -> tuple[str, ...]:
+    within_s = WATCHDOG_OF_COMPUTING_S if process.kind in COMPUTING else WATCHDOG_S
+    return (f"WatchdogSec={within_s}",) if process.kind in AGENTS else ()
 
 
 def _priority(host: Host, process: Process) -> tuple[str, ...]:

@@ -71,7 +71,8 @@ def test_a_unit_reads_its_own_certificate_and_is_watched_where_it_has_a_loop(pro
     service = told(text)
     own = {"authority.pem", f"{process.common_name}.pem", f"{process.common_name}.key"}
     assert {told.split(":")[0] for told in service["LoadCredential"]} == own
-    assert service.get("WatchdogSec") == (["10"] if process.kind in AGENTS else None)
+    within = "60" if process.kind in ("perception", "reconstruction") else "10"
+    assert service.get("WatchdogSec") == ([within] if process.kind in AGENTS else None)
 
 
 def test_a_target_has_them_all_and_begins_with_the_machine():
