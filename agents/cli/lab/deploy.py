@@ -2,7 +2,7 @@
 
 import datetime
 import shutil
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from agents.cli.lab.options import Deploy
 from agents.cli.rig.config import RigConfig
@@ -13,6 +13,7 @@ from agents.cli.terminal import complain, say
 from agents.deployment.certificates import AUTHORITY_FOLDER, CERTIFICATES, AuthorityError, issue
 from agents.deployment.install import InstallError, install
 from agents.deployment.layout import ROUTER, Host, Layout, Process
+from agents.deployment.leftovers import remove_leftovers
 from agents.deployment.places import RIG_FILE
 from agents.deployment.plan import hosts_in_words, plan
 from agents.deployment.robot_zenoh import ROBOT_ZENOH, ReachedArm
@@ -87,9 +88,6 @@ def _arms_at(rig: RigConfig, name: str, section: HostSection) -> tuple[ReachedAr
 def _plan(options: Deploy, rig: RigConfig, layout: Layout) -> int:
     beside = _calibration(options, rig)
     files = plan(layout, options.config.read_text(encoding="utf-8"))
-    for host in layout.hosts:
-        # units of what runs elsewhere now must not stay
-        shutil.rmtree(options.folder / host.name / "systemd", ignore_errors=True)
     for place, text in files.items():
         target = options.folder / place
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -98,6 +96,9 @@ def _plan(options: Deploy, rig: RigConfig, layout: Layout) -> int:
         target = options.folder / place
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(source, target)
+    removed = remove_leftovers(options.folder, rig.rig, (*files, *(PurePosixPath(place) for _, place in beside)))
+    for place in removed:
+        say(f"removed {place}, which is in the rig's plan no more")
     for line in hosts_in_words(layout):
         say(line)
     if not any(process.kind == OPERATOR for host in layout.hosts for process in host.processes):
