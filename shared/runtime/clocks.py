@@ -13,10 +13,11 @@ from typing import Any
 import zenoh
 
 from schemas.checks import MessageError
-from schemas.codec import decode, encode, encoding_name
+from schemas.codec import decode, encode
 from schemas.messages import ClockReading
 from schemas.topics import key_root
 from shared.clock import monotonic_s, now_ns
+from shared.runtime.own_key import encoding_of, other_key
 
 CLOCK = "clock"
 """The last part of the key under which an agent answers; nothing is published there."""
@@ -40,14 +41,14 @@ class ClockOffset:
 
 def answer_clock(session: zenoh.Session, rig: str, kind: str, instance: str) -> Any:
     """Have this host's clock told to whoever asks the agent; keep what is returned."""
-    host = socket.gethostname()
+    host, own = socket.gethostname(), f"{key_root(rig, instance, kind)}/{CLOCK}"
 
     def answer(query: zenoh.Query) -> None:
         reading = encode(ClockReading(host, now_ns()))
-        query.reply(query.key_expr, reading, encoding=encoding_name(ClockReading))
+        query.reply(own, reading, encoding=encoding_of(ClockReading, own))
         query.drop()
 
-    return session.declare_queryable(f"{key_root(rig, instance, kind)}/{CLOCK}", answer)
+    return session.declare_queryable(own, answer)
 
 
 def clock_offset(session: zenoh.Session, rig: str, kind: str, instance: str, trips: int = TRIPS) -> ClockOffset | None:
@@ -85,7 +86,7 @@ def _one_trip(session: zenoh.Session, key: str) -> ClockOffset | None:
     asked_s, asked_ns = monotonic_s(), now_ns()
     for reply in session.get(key, timeout=ANSWER_WAIT_S):
         took_s = monotonic_s() - asked_s
-        if reply.ok is not None:
+        if reply.ok is not None and not other_key(reply.ok.encoding, key):
             try:
                 return offset_of(decode(ClockReading, reply.ok.payload.to_bytes()), asked_ns, took_s)
             except MessageError:

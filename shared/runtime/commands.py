@@ -11,10 +11,11 @@ from typing import Any
 import zenoh
 
 from schemas.checks import MessageError
-from schemas.codec import decode, encode, encoding_name
+from schemas.codec import decode, encode
 from schemas.messages import CommandAnswer, CommandHeader, Outcome
 from schemas.topics import MAIN, Topic, key
 from shared.clock import now_ns
+from shared.runtime.own_key import encoding_of
 
 STATUS = "status"
 """The parameter of a query that asks what became of a command's id."""
@@ -45,14 +46,15 @@ def send_command(
     `agent` says whom it is for, where every agent answers it under its own key.
     """
     selector = key(rig, topic, instance, agent)
-    answer = _ask(session, selector, encode(message), encoding_name(topic.message), timeout_s)
+    command_id, encoding = message.header.id, encoding_of(topic.message, selector)
+    answer = _ask(session, selector, encode(message), encoding, timeout_s, command_id)
     if answer is None:
-        answer = _ask(session, f"{selector}?{STATUS}={message.header.id}", b"", "", 0.5 * timeout_s)
+        answer = _ask(session, f"{selector}?{STATUS}={command_id}", b"", "", 0.5 * timeout_s, command_id)
     if answer is None:
         reason = (
             f"no answer from the {agent or topic.receiver} ({instance}): it may not be running; nothing is sent again"
         )
-        return CommandAnswer(message.header.id, Outcome.UNKNOWN, "no_answer", reason)
+        return CommandAnswer(command_id, Outcome.UNKNOWN, "no_answer", reason)
     return answer
 
 
@@ -96,8 +98,9 @@ class Answered:
 
 
 def _ask(
-    session: zenoh.Session, selector: str, payload: bytes, encoding: str, timeout_s: float
+    session: zenoh.Session, selector: str, payload: bytes, encoding: str, timeout_s: float, command_id: str
 ) -> CommandAnswer | None:
+    """The answer to that command; what could not be read was refused without its id."""
     replies = session.get(
         selector,
         payload=payload,
@@ -108,7 +111,9 @@ def _ask(
     for reply in replies:
         if reply.ok is not None:
             try:
-                return decode(CommandAnswer, reply.ok.payload.to_bytes())
+                answer = decode(CommandAnswer, reply.ok.payload.to_bytes())
             except MessageError:
                 return None
+            if answer.id == command_id or (not answer.id and answer.outcome is Outcome.REFUSED):
+                return answer
     return None

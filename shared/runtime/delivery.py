@@ -1,5 +1,6 @@
 """How each delivery class is built on Zenoh (see Delivery in schemas/topics.py)."""
 
+import logging
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -7,11 +8,12 @@ from typing import Any
 import zenoh
 from zenoh import ext
 
-from schemas.codec import encoded_parts, encoding_name
+from schemas.codec import encoded_parts
 from schemas.topics import Delivery, Priority, Topic
 from shared.runtime.accounts import RingLosses
 from shared.runtime.attachment import unpack
 from shared.runtime.lossless import LosslessSubscriber
+from shared.runtime.own_key import encoding_of, other_key, why_refused
 from shared.runtime.shared_memory import joined
 
 MISS_HEARTBEAT_S = 0.5
@@ -26,6 +28,12 @@ _PRIORITIES = {
 _RING, _WILDCARD_RING = 8, 64
 """Newest samples that wait for the thread that puts them away, which takes microseconds: what is replaced is replaced,
 and counted, in the inbox. Behind a key expression with a wildcard many keys share one channel."""
+LOG = logging.getLogger("suturegrasp.delivery")
+
+
+def say_refused(key: str, named: str) -> None:
+    """Say that a message came under another key than its own, for those who count no refusals."""
+    LOG.warning("a message on %s was refused: %s", key, why_refused(named))
 
 
 def as_told(topic: Topic, otherwise: tuple[Topic, ...]) -> Topic:
@@ -52,9 +60,10 @@ class RouterLinks:
         receive: Callable[[zenoh.Sample], None],
         missed: Callable[[int], None],
         losses: RingLosses | None = None,
+        refused: Callable[[str, str], None] = say_refused,
     ) -> list[Any]:
         """Have every sample of a topic that is not a command handed over."""
-        return subscribe(session, key, as_told(topic, self._otherwise), receive, missed, losses)
+        return subscribe(session, key, as_told(topic, self._otherwise), receive, missed, losses, refused)
 
     def close(self) -> None:
         """Nothing is held here."""
@@ -78,7 +87,7 @@ def payload_of(topic: Topic, message: Any) -> Any:
 
 def declare_publisher(session: zenoh.Session, key: str, topic: Topic, waits: bool = False) -> Any:
     """A publisher of a topic that is not a command; `waits` for the network even where the topic would rather drop."""
-    encoding = encoding_name(topic.message)
+    encoding = encoding_of(topic.message, key)
     if topic.delivery is Delivery.LATEST:
         first = topic.priority is Priority.REAL_TIME
         return session.declare_publisher(
@@ -106,18 +115,20 @@ def subscribe(
     receive: Callable[[zenoh.Sample], None],
     missed: Callable[[int], None],
     losses: RingLosses | None = None,
+    refused: Callable[[str, str], None] = say_refused,
 ) -> list[Any]:
     """Have every sample of a topic that is not a command handed over; keep what is returned.
 
     `receive` is called from another thread and must only put things away. `missed` is told of lost events; `losses` are
-    counted of a topic of which only the newest is wanted.
+    counted of a topic of which only the newest is wanted; `refused` is told the key under which a message came that
+    names another one, and that one.
     """
     if topic.delivery is Delivery.LATEST:
         room = ring_room(key)
         subscriber = session.declare_subscriber(key, zenoh.handlers.RingChannel(room))
-        return [_Receiving(subscriber, key, receive, losses or RingLosses(room))]
+        return [_Receiving(subscriber, key, receive, losses or RingLosses(room), refused)]
     is_event = topic.delivery is Delivery.EVENT
-    return [LosslessSubscriber(session, key, is_event, _kept(topic), receive, missed)]
+    return [LosslessSubscriber(session, key, is_event, _kept(topic), receive, missed, refused)]
 
 
 def _kept(topic: Topic) -> int:
@@ -128,9 +139,16 @@ def _kept(topic: Topic) -> int:
 class _Receiving:
     """A subscriber, and the thread that hands over what it hears."""
 
-    def __init__(self, subscriber: Any, key: str, receive: Callable[[zenoh.Sample], None], losses: RingLosses) -> None:
+    def __init__(
+        self,
+        subscriber: Any,
+        key: str,
+        receive: Callable[[zenoh.Sample], None],
+        losses: RingLosses,
+        refused: Callable[[str, str], None],
+    ) -> None:
         self._subscriber = subscriber
-        hand_over = (subscriber.handler, receive, losses)
+        hand_over = (subscriber.handler, receive, losses, refused)
         self._thread = threading.Thread(target=_hand_over, args=hand_over, daemon=True, name=f"receive {key}")
         self._thread.start()
 
@@ -140,15 +158,24 @@ class _Receiving:
         self._thread.join(ENDS_S)
 
 
-def _hand_over(channel: Any, receive: Callable[[zenoh.Sample], None], losses: RingLosses) -> None:
+def _hand_over(
+    channel: Any,
+    receive: Callable[[zenoh.Sample], None],
+    losses: RingLosses,
+    refused: Callable[[str, str], None],
+) -> None:
     """Until the subscriber is undeclared, which ends its channel."""
     try:
         while True:
             sample = channel.recv()
             while sample is not None:
-                attachment = sample.attachment
-                losses.taken(str(sample.key_expr), unpack(attachment.to_bytes()) if attachment is not None else None)
-                receive(sample)
+                key, attachment = str(sample.key_expr), sample.attachment
+                if named := other_key(sample.encoding, key):
+                    losses.taken(key, None)
+                    refused(key, named)
+                else:
+                    losses.taken(key, unpack(attachment.to_bytes()) if attachment is not None else None)
+                    receive(sample)
                 sample = channel.try_recv()
             losses.emptied()
     except zenoh.ZError:

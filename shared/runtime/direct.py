@@ -16,7 +16,7 @@ import zenoh
 from schemas.topics import FRAMES, MAIN, Topic
 from shared.runtime.accounts import RingLosses
 from shared.runtime.attachment import unpack
-from shared.runtime.delivery import RouterLinks, as_told, declare_publisher, ring_room, subscribe
+from shared.runtime.delivery import RouterLinks, as_told, declare_publisher, ring_room, say_refused, subscribe
 from shared.runtime.session import opened
 
 SOCKETS_MODE = 0o700
@@ -79,13 +79,14 @@ class DirectLinks(RouterLinks):
         receive: Callable[[zenoh.Sample], None],
         missed: Callable[[int], None],
         losses: RingLosses | None = None,
+        refused: Callable[[str, str], None] = say_refused,
     ) -> list[Any]:
         """Have every sample handed over once, as `delivery.subscribe` does."""
         if topic is not FRAMES:
-            return super().subscribe(session, key, topic, receive, missed, losses)
+            return super().subscribe(session, key, topic, receive, missed, losses, refused)
         direct = open_direct_consuming([socket_endpoint(self._folder, topic.agent, MAIN)])
         self._sessions.append(direct)
-        return subscribe_directly(session, direct, key, topic, receive, losses)
+        return subscribe_directly(session, direct, key, topic, receive, losses, refused)
 
     def close(self) -> None:
         """End the sessions of the direct links, once nothing is declared on them."""
@@ -121,14 +122,15 @@ def subscribe_directly(
     topic: Topic,
     receive: Callable[[zenoh.Sample], None],
     losses: RingLosses | None = None,
+    refused: Callable[[str, str], None] = say_refused,
 ) -> list[Any]:
     """Have every sample of a *latest* topic handed over once, by the direct link where it is there; keep what returns.
 
     `receive` is called from other threads, one at a time, and must only put things away.
     """
     once = _Once(receive, losses or RingLosses(ring_room(key)))
-    ways = _Ways(session, key, topic, once)
-    by_link = subscribe(direct, key, topic, ways.heard_directly, _unmissed, once.ring())
+    ways = _Ways(session, key, topic, once, refused)
+    by_link = subscribe(direct, key, topic, ways.heard_directly, _unmissed, once.ring(), refused)
     alive = direct.liveliness().declare_subscriber(f"{key}/{ALIVE}", ways.link_changed, history=True)
     return [alive, *by_link, ways]
 
@@ -182,8 +184,11 @@ class _Ways:
     Zenoh's own threads must not declare anything, and a link that is announced has not carried anything yet.
     """
 
-    def __init__(self, session: zenoh.Session, key: str, topic: Topic, once: _Once) -> None:
-        self._session, self._key, self._topic, self._once = session, key, topic, once
+    def __init__(
+        self, session: zenoh.Session, key: str, topic: Topic, once: _Once, refused: Callable[[str, str], None]
+    ) -> None:
+        self._listened = session, key, topic, once, _unmissed
+        self._once, self._refused = once, refused
         self._by_router: list[Any] = []
         self._announced = self._carries = False
         self._changing = threading.Lock()
@@ -217,7 +222,7 @@ class _Ways:
 
     def _listen(self, wanted: bool) -> None:
         if wanted and not self._by_router:
-            self._by_router = subscribe(self._session, self._key, self._topic, self._once, _unmissed, self._once.ring())
+            self._by_router = subscribe(*self._listened, self._once.ring(), self._refused)
         elif not wanted:
             for declared in self._by_router:
                 declared.undeclare()

@@ -16,11 +16,12 @@ import zenoh
 
 import schemas
 from schemas.checks import MessageError
-from schemas.codec import decode, encode, encoding_name
+from schemas.codec import decode, encode
 from schemas.generated import suturegrasp_pb2
 from schemas.messages import AgentFacts, TopicOverride
 from schemas.topics import key_root
 from shared.clock import now_ns, processor_s
+from shared.runtime.own_key import encoding_of, other_key
 from shared.runtime.usage import resident_bytes
 
 FACTS = "facts"
@@ -110,7 +111,7 @@ def answer_facts(session: zenoh.Session, root: str, facts: Callable[[], AgentFac
     own = f"{root}/{FACTS}"
 
     def answer(query: zenoh.Query) -> None:
-        query.reply(own, encode(facts()), encoding=encoding_name(AgentFacts))
+        query.reply(own, encode(facts()), encoding=encoding_of(AgentFacts, own))
         query.drop()
 
     return session.declare_queryable(own, answer)
@@ -126,7 +127,7 @@ def ask_facts(session: zenoh.Session, rig: str, kind: str = "*", instance: str =
     )
     found: dict[str, AgentFacts] = {}
     for reply in replies:
-        if reply.ok is not None:
+        if reply.ok is not None and not other_key(reply.ok.encoding, str(reply.ok.key_expr)):
             try:
                 told = decode(AgentFacts, reply.ok.payload.to_bytes())
             except MessageError:

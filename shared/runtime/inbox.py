@@ -20,6 +20,7 @@ class Arrival(NamedTuple):
     Fields:
         payload: gives the bytes; of what is dropped, they are never copied.
         answer: sends the answer of a command; None for anything else.
+        named: the key that it names as its own, where it came under another; it is to be refused.
     """
 
     topic: Topic
@@ -27,6 +28,7 @@ class Arrival(NamedTuple):
     payload: Callable[[], bytes]
     attachment: bytes
     answer: Callable[[CommandAnswer], None] | None = None
+    named: str = ""
 
 
 class Inbox:

@@ -38,8 +38,8 @@ class Intake:
             selector, account = key(rig, wanted.topic, wanted.instance), self.account(wanted.topic)
             if wanted.topic.delivery is Delivery.LATEST:
                 account.ring = RingLosses(ring_room(selector))
-            missed = self._miss_counter(wanted.topic)
-            declared += links.subscribe(session, selector, wanted.topic, self._receiver(wanted), missed, account.ring)
+            ways = self._receiver(wanted), self._miss_counter(wanted.topic), account.ring, self._refuser(wanted.topic)
+            declared += links.subscribe(session, selector, wanted.topic, *ways)
         return declared
 
     def account(self, topic: Topic) -> InputAccount:
@@ -77,6 +77,12 @@ class Intake:
         self.inbox.remember(arrival)
         self.arrived(arrival.topic, arrival.key, beside)
         self.handled.note(arrival.key, beside.epoch, beside.sequence)
+
+    def _refuser(self, topic: Topic) -> Callable[[str, str], None]:
+        def refuse(key: str, named: str) -> None:
+            self.inbox.put(Arrival(topic, key, bytes, b"", named=named))
+
+        return refuse
 
     def _miss_counter(self, topic: Topic) -> Callable[[int], None]:
         account = self.account(topic)

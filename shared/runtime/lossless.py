@@ -14,6 +14,7 @@ import zenoh
 from zenoh import ext
 
 from shared.clock import monotonic_s
+from shared.runtime.own_key import other_key
 from shared.runtime.recovery import SourceOrder
 
 PUBLISHERS, NO_METADATA = "@adv/pub", "_"
@@ -37,14 +38,15 @@ class LosslessSubscriber:
         most: int,
         receive: Callable[[zenoh.Sample], None],
         missed: Callable[[int], None],
+        refused: Callable[[str, str], None],
     ) -> None:
-        """`receive` and `missed` are called from other threads, one at a time, and must only put things away.
+        """The last three are called from other threads, one at a time, and must only put things away.
 
         `most` are asked for of what was sent before anybody listened here; where not `lossless`, only what is newer
         than anything before counts.
         """
         self._session, self._lossless, self._history = session, lossless, f"_max={most}"
-        self._receive, self._missed = receive, missed
+        self._receive, self._missed, self._refused = receive, missed, refused
         self._sources: dict[_Place, SourceOrder] = {}
         self._changed, self._ended = threading.Condition(), False
         self._questions = zenoh.CancellationToken()
@@ -68,12 +70,17 @@ class LosslessSubscriber:
         self._thread.join(ENDS_S)
 
     def _came(self, sample: zenoh.Sample) -> None:
+        key = str(sample.key_expr)
+        if named := other_key(sample.encoding, key):
+            # its number is one in another key's sequence
+            self._refused(key, named)
+            return
         info = sample.source_info
         if info is None:
             # a foreign publisher that numbers nothing, and of which nothing can be asked
             self._receive(sample)
             return
-        place = str(sample.key_expr), str(info.source_id.zid), info.source_id.eid
+        place = key, str(info.source_id.zid), info.source_id.eid
         with self._changed:
             source = self._source(place)
             self._hand_over(source, source.came(info.source_sn, sample, monotonic_s()))
@@ -128,7 +135,7 @@ class LosslessSubscriber:
         self._session.get(
             f"{key}/{PUBLISHERS}/{of_session}/{entity}/**?{source.question() or self._history}",
             zenoh.handlers.Callback(
-                functools.partial(_note, answer), functools.partial(self._answered, source, answer)
+                functools.partial(_note, place, answer), functools.partial(self._answered, source, answer)
             ),
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,
@@ -144,9 +151,17 @@ class LosslessSubscriber:
                 self._changed.notify()
 
 
-def _note(answer: list[tuple[int, zenoh.Sample]], reply: zenoh.Reply) -> None:
-    if reply.ok is not None and reply.ok.source_info is not None:
-        answer.append((reply.ok.source_info.source_sn, reply.ok))
+def is_of(place: _Place, sample: zenoh.Sample) -> bool:
+    """Whether a numbered sample is of the publisher whose cache was asked, and names no other key."""
+    of, key = sample.source_info, str(sample.key_expr)
+    told = None if of is None else (key, str(of.source_id.zid), of.source_id.eid)
+    return told == place and not other_key(sample.encoding, key)
+
+
+def _note(place: _Place, answer: list[tuple[int, zenoh.Sample]], reply: zenoh.Reply) -> None:
+    given = reply.ok
+    if given is not None and given.source_info is not None and is_of(place, given):
+        answer.append((given.source_info.source_sn, given))
 
 
 def _place_of(key: str) -> _Place | None:

@@ -10,8 +10,9 @@ from typing import Any
 import zenoh
 
 from schemas.checks import MessageError
-from schemas.codec import decode, encode, encoding_name
+from schemas.codec import decode, encode
 from schemas.messages import Consumed, Progress
+from shared.runtime.own_key import encoding_of, other_key
 
 PROGRESS = "progress"
 """The last part of the key under which a consumer answers; nothing is published there."""
@@ -47,7 +48,7 @@ def answer_progress(
         # what follows from a message is published before it is noted: in this order, nothing that followed is missing
         noted = handled.listed()
         reply = encode(Progress(selectors, noted, published()))
-        query.reply(own, reply, encoding=encoding_name(Progress))
+        query.reply(own, reply, encoding=encoding_of(Progress, own))
         query.drop()
 
     own = f"{root}/{PROGRESS}"
@@ -64,7 +65,7 @@ def ask_progress(session: zenoh.Session, rig: str) -> dict[str, Progress]:
     )
     found: dict[str, Progress] = {}
     for reply in replies:
-        if reply.ok is not None:
+        if reply.ok is not None and not other_key(reply.ok.encoding, str(reply.ok.key_expr)):
             try:
                 name = "/".join(str(reply.ok.key_expr).split("/")[2:4])
                 found[name] = decode(Progress, reply.ok.payload.to_bytes())

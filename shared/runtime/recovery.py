@@ -20,7 +20,8 @@ PATIENCE_S = 20.0
 MOST_HELD = 1000
 """As many as a publisher's cache holds: then it could not fill the hole any more."""
 BEYOND_CACHE = 3
-"""Answers that begin later than what is awaited, until it is taken for not kept: one may have lost its beginning."""
+"""Answers that begin later than what is awaited, until it is taken for not kept: one may have lost its beginning.
+Likewise those that end before a number that heartbeats alone have told, until that is taken for another publisher's."""
 FAR_AHEAD = 1_000_000
 """Numbers that no publisher goes through between two that are heard. Believed, such a one would be waited for, and all
 that follows would pass for old. After links broke, Zenoh has taken parts of other messages for numbers."""
@@ -47,6 +48,7 @@ class SourceOrder:
     _pause_s: float = FIRST_PAUSE_S
     _asking: bool = False
     _lacking: int = 0
+    _untrue: int = 0
     _doubted: int | None = None
 
     def appeared(self, now_s: float) -> None:
@@ -102,6 +104,8 @@ class SourceOrder:
             self._lacking += 1
             if self._lacking >= BEYOND_CACHE:
                 ready += self._skip_hole()
+        if given:
+            self._compare_with_heartbeats()
         if self._opened_s is None or (given and self._last >= self._newest):
             self._opened_s = None
         elif now_s - self._opened_s > (PATIENCE_S if self._newest >= 0 else NOTHING_KNOWN_S):
@@ -109,6 +113,13 @@ class SourceOrder:
         else:
             self._due_s, self._pause_s = now_s + self._pause_s, min(2 * self._pause_s, LONGEST_PAUSE_S)
         return ready
+
+    def _compare_with_heartbeats(self) -> None:
+        """A cache has each message before a heartbeat tells its number, so it must give what was told."""
+        reached = max(self._held, default=self._last)
+        self._untrue = self._untrue + 1 if reached < self._newest else 0
+        if self._untrue >= BEYOND_CACHE:
+            self._newest, self._untrue = reached, 0
 
     def _is_believed(self, number: int) -> bool:
         """Whether a number may be next to those before, or has been told by another one near it."""

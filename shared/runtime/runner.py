@@ -60,6 +60,7 @@ from shared.runtime.intake import Intake
 from shared.runtime.link import answer_link
 from shared.runtime.log_topic import LogTopic
 from shared.runtime.outlets import Outlets
+from shared.runtime.own_key import why_refused
 from shared.runtime.parameters import Parameters
 from shared.runtime.progress import answer_progress
 from shared.runtime.replayed_time import AgentClock, follow_replays
@@ -208,6 +209,8 @@ class Runner:
         account = self._intake.account(arrival.topic)
         beside = unpack(arrival.attachment)
         try:
+            if arrival.named:
+                raise MessageError(why_refused(arrival.named))
             if beside is None:
                 raise MessageError("it came without the attachment that agents send")
             message = decode(arrival.topic.message, arrival.payload())
@@ -229,10 +232,12 @@ class Runner:
     def _carry_out(self, arrival: Arrival, answer: Callable[[CommandAnswer], None]) -> None:
         payload, received_ns = arrival.payload(), self._clock.now_ns()
         try:
+            if arrival.named:
+                raise MessageError(why_refused(arrival.named))
             message = decode(arrival.topic.message, payload)
         except MessageError as error:
             self._log.warning("a command on %s was refused: %s", arrival.key, error)
-            answer(refused("", "unreadable", str(error)))
+            answer(refused("", "other_key" if arrival.named else "unreadable", str(error)))
             return
         before = self._answered.recall(message.header.id)
         if before is not None:

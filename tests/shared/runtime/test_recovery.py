@@ -159,3 +159,23 @@ def test_a_state_that_only_its_heartbeat_told_of_is_asked_for():
     source.told(2, 1.0)
     assert asked(source, [2], 2.0) == [2]
     assert source.is_idle
+
+
+def test_a_number_of_another_publisher_s_heartbeat_makes_nothing_pass_for_lost_or_old():
+    source = SourceOrder()
+    assert source.came(0, 0, 0.0) == [0]
+    source.told(500, 1.0)
+    heard = [n for k in range(BEYOND_CACHE) for n in asked(source, range(1), 2.0 + 2 * k)]
+    assert heard == []
+    assert source.is_idle
+    assert [n for number in (1, 2) for n in source.came(number, number, 30.0 + number)] == [1, 2]
+    assert (source.missed, source.is_idle) == (0, True)
+
+
+def test_answers_that_lost_their_ends_do_not_outweigh_a_heartbeat():
+    source = SourceOrder()
+    assert source.came(0, 0, 0.0) == [0]
+    source.told(2, 1.0)
+    heard = [n for k in range(BEYOND_CACHE - 1) for n in asked(source, range(1), 2.0 + 2 * k)]
+    assert heard + asked(source, range(3), 8.0) == [1, 2]
+    assert source.is_idle
