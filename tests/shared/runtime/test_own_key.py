@@ -17,7 +17,7 @@ from schemas.messages import (
 from schemas.topics import FRAMES, HEALTH, HOLD, LOG, PLAN, key
 from shared.runtime.agent import Command, Input, Received
 from shared.runtime.attachment import Attachment, pack
-from shared.runtime.clocks import answer_clock, clock_offset
+from shared.runtime.clocks import clock_offset
 from shared.runtime.commands import accepted, new_header, send_command
 from shared.runtime.delivery import declare_publisher, subscribe
 from shared.runtime.lossless import is_of
@@ -187,16 +187,19 @@ def test_the_answer_to_another_command_is_no_answer(session, settings):
     assert (told.id, told.outcome) == (command.header.id, Outcome.UNKNOWN)
 
 
-def test_a_clock_that_names_another_key_is_not_compared(session, settings):
-    with open_session(settings) as receiver:
-        kept = answer_clock(receiver, "test", "camera", "main")
-        assert clock_offset(session, "test", "camera", "main", trips=1) is not None
-        kept.undeclare()
-        own, reading = "suturegrasp/test/camera/main/clock", encode(ClockReading("box", 0))
+def test_a_clock_that_names_another_key_is_not_compared(session, settings, until):
+    own = "suturegrasp/test/camera/main/clock"
+    reading, names, answered = encode(ClockReading("box", 0)), [own], []
 
-        def answer(query):
-            query.reply(own, reading, encoding=encoding_of(PLAN.message, OTHER))
+    def answer(query):
+        query.reply(own, reading, encoding=encoding_of(ClockReading, names[0]))
+        answered.append(names[0])
 
-        kept = receiver.declare_queryable(own, answer)
-        assert clock_offset(session, "test", "camera", "main", trips=1) is None
-        kept.undeclare()
+    def offset():
+        return clock_offset(session, "test", "camera", "main", trips=1)
+
+    with open_session(settings) as receiver, receiver.declare_queryable(own, answer):
+        assert until(offset).host == "box"
+        names[0] = OTHER
+        assert offset() is None
+        assert OTHER in answered
