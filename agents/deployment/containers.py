@@ -18,6 +18,8 @@ from shared.runtime.session import ROUTER_RUNTIME, RUNTIME_VARIABLE
 ZENOH_IMAGE = "eclipse/zenoh:1.10.2"
 IMAGE = "suturegrasp"
 ROUTER_FILE = "router.json5"
+IMAGE_USER = 7447
+"""Of all containers. A secret that is a file keeps its owner and mode on the host, so that has to be this one."""
 
 
 def compose_file(rig: str, host: Host, calibration: str = "") -> str:
@@ -45,6 +47,7 @@ def _service(host: Host, process: Process, calibration: str) -> dict[str, Any]:
     name = process.common_name
     service: dict[str, Any] = {
         "image": IMAGE,
+        "user": f"{IMAGE_USER}:{IMAGE_USER}",
         "restart": "unless-stopped",
         "network_mode": "host",
         # images go through the host's shared memory

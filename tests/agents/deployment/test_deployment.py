@@ -13,6 +13,7 @@ from cryptography import x509
 from agents.cli.main import main
 from agents.cli.rig.config import RigConfig
 from agents.deployment.certificates import AuthorityError, issue
+from agents.deployment.containers import IMAGE_USER
 from agents.deployment.install import affected, verify
 from agents.deployment.layout import ROUTER, Host, Layout, Process
 from agents.deployment.plan import plan
@@ -189,6 +190,13 @@ def test_the_image_is_built_from_files_that_are_there():
     copied = [name for line in lines if line.startswith("COPY ") for name in line.split()[1:-1] if name[0] != "-"]
     assert copied
     assert all((REPOSITORY / name).exists() for name in copied)
+
+
+def test_containers_run_as_the_images_user_who_is_made_the_owner_of_their_certificates():
+    image = (REPOSITORY / "deploy" / "Dockerfile").read_text()
+    assert f"useradd --uid {IMAGE_USER} --gid {IMAGE_USER} " in image
+    page = (REPOSITORY / "docs" / "deployment.md").read_text()
+    assert f"chown --recursive {IMAGE_USER} video/certificates" in page
 
 
 def test_installing_puts_all_in_its_place_and_does_nothing_twice(deployed, tmp_path, capfd):

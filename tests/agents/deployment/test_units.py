@@ -5,7 +5,7 @@ import configparser
 import pytest
 from ruamel.yaml import YAML
 
-from agents.deployment.containers import compose_file
+from agents.deployment.containers import IMAGE_USER, compose_file
 from agents.deployment.layout import ROUTER, Host, Process
 from agents.deployment.units import AGENTS, units
 from shared.runtime.session import ROUTER_RUNTIME
@@ -92,6 +92,7 @@ def test_a_container_is_confined_and_reads_its_own_certificate():
         assert service["security_opt"] == ["no-new-privileges:true"]
         assert (service["network_mode"], service["ipc"]) == ("host", "host")
         assert service["restart"] == "unless-stopped"
+        assert service["user"] == f"{IMAGE_USER}:{IMAGE_USER}"
         own = {"authority.pem", f"{process.common_name}.pem", f"{process.common_name}.key"}
         assert {secret["target"] for secret in service["secrets"]} == own
     # where a link to a host that is gone holds up a thread, others go on
