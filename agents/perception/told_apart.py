@@ -11,9 +11,10 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from agents.perception.candidates import candidates_followed, candidates_in
+from agents.perception.candidates import candidates_followed, candidates_in, without_printed
 from agents.perception.following.stacked import trail_without
 from agents.perception.occluders import map_image, occluders_in, with_needles
+from agents.perception.segmenter_names import NETWORK, RIDGE
 from schemas.messages import Centrelines, Image, ImageEncoding, Occluders, Status, ThreadObservations
 from shared.images import decode_image
 
@@ -21,6 +22,11 @@ Pair = tuple[UInt8[np.ndarray, "h w *c"], UInt8[np.ndarray, "h w *c"]]
 
 FRAMES_BETWEEN_OCCLUDERS = 6
 """Of the camera: a fifth of a second, in which an instrument moves by about its own width."""
+PRINTED_SHARE = 0.04
+"""Of the image's width: shorter lines are not asked whether they lie in the ground."""
+ALL_PRINTED = (
+    "all that looks like thread lies in the ground, as print and stains do; if it is thread, point at it by a prompt"
+)
 OVER_WIDTHS = 2.0
 """Of the thread: its coverage is no wider."""
 SCORE_WIDTH_PX = 240
@@ -47,12 +53,19 @@ def told_apart(
     if observed.status is not Status.OK:
         return observed
     whole = observed.looked_sequence == observed.stamp.sequence
+    lines = observed.centrelines_left, observed.centrelines_right
+    # who points at a thread, or draws it, says what is thread
+    if whole and observed.prompt_px is None and observed.segmenter in (NETWORK, RIDGE):
+        width = observed.camera.image_width
+        standing = without_printed(images, lines, PRINTED_SHARE * width, observed.camera.fx_px)
+        if len(lines[0].piece) and not len(standing[0].piece):
+            return _all_printed(observed, score)
+        observed, lines = _with_lines(observed, standing), standing
     before = () if last is None else last.candidates
     occluders = _occluders(observed, images, coverage, whole, last)
     # one thread alone is told from no other by what may hide it
     is_asked = occluders is not None and (whole or len(before) > 1)
     of_left = decode_image(occluders.left) if occluders is not None and is_asked else None
-    lines = observed.centrelines_left, observed.centrelines_right
     if whole:
         meant_px = before[0].left_px if before else None
         if observed.prompt_px is not None:
@@ -61,15 +74,29 @@ def told_apart(
     else:
         found = candidates_followed(before, lines, of_left, observed.camera.image_width)
     return replace(
-        observed,
-        trail_left=trail_without(observed.trail_left, lines[0], found.left),
-        trail_right=trail_without(observed.trail_right, lines[1], found.right),
-        centrelines_left=found.left,
-        centrelines_right=found.right,
+        _with_lines(observed, (found.left, found.right)),
         candidates=found.listed,
         occluders=occluders,
         score_map=None if score is None else _small(score),
     )
+
+
+def _with_lines(observed: ThreadObservations, lines: tuple[Centrelines, Centrelines]) -> ThreadObservations:
+    """The observations with fewer lines, and with what else is known of those that are left."""
+    left, right = lines
+    return replace(
+        observed,
+        trail_left=trail_without(observed.trail_left, observed.centrelines_left, left),
+        trail_right=trail_without(observed.trail_right, observed.centrelines_right, right),
+        centrelines_left=left,
+        centrelines_right=right,
+    )
+
+
+def _all_printed(observed: ThreadObservations, score: UInt8[np.ndarray, "h w"] | None) -> ThreadObservations:
+    """The observations of a pair that shows no thread, with the lines that look like it."""
+    score_map = None if score is None else _small(score)
+    return replace(observed, status=Status.FAILED, reason=ALL_PRINTED, score_map=score_map)
 
 
 def _occluders(

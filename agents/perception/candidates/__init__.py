@@ -2,5 +2,6 @@
 
 from agents.perception.candidates.candidates import Candidates, candidates_in
 from agents.perception.candidates.followed import candidates_followed
+from agents.perception.candidates.printed import without_printed
 
-__all__ = ["Candidates", "candidates_followed", "candidates_in"]
+__all__ = ["Candidates", "candidates_followed", "candidates_in", "without_printed"]
