@@ -148,10 +148,15 @@ def _shared_memory(session: zenoh.Session) -> tuple[bool, str]:
         return False, "no router is connected"
     if all(transport.is_shm for transport in transports):
         return True, "the router is on this host, and large messages pass through /dev/shm"
-    local = any(str(link.dst).split("/")[-1].startswith(("127.", "[::1]")) for link in session.info.links())
-    if local:
+    # from one machine to itself both ends have one address, loopback or not
+    if any(_address_of(link.src) == _address_of(link.dst) for link in session.info.links()):
         return False, "the router is on this host, and does not share /dev/shm with this process"
     return False, "the router is on another host"
+
+
+def _address_of(locator: object) -> str:
+    """The address in something like tls/10.0.0.11:7447."""
+    return str(locator).split("/")[-1].rpartition(":")[0]
 
 
 def _realtime_reason(around: Surroundings, granted: int | None) -> str:

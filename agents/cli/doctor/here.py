@@ -20,6 +20,7 @@ from agents.cli.rig.configured import configured
 from agents.cli.status.health_watch import name_of, span_of
 from agents.cli.status.judgement import LEAST_FREE_BYTES, NS_PER_S, expiry
 from agents.cli.status.session import certificate_names
+from agents.deployment.places import SESSIONS
 from shared.calibration import CalibrationError
 from shared.clock import now_ns
 from shared.runtime.config import ConfigError
@@ -34,6 +35,7 @@ CHRONYC = ("chronyc", "-c", "tracking")
 the last is Normal where the clock is synchronised (chronyc's manual)."""
 TIMEDATECTL = ("timedatectl", "show", "--property=NTPSynchronized", "--value")
 ROUTER_CERTIFICATE = "router.main"
+RECORDER = "recorder"
 
 
 def examine_here(rig: RigConfig) -> Iterator[Finding]:
@@ -42,7 +44,7 @@ def examine_here(rig: RigConfig) -> Iterator[Finding]:
     yield from _names()
     yield _clock()
     yield synchronisation(len(rig.hosts) > 1)
-    yield _disk(rig)
+    yield from _disk(rig)
     yield from _certificates(rig)
     yield from _agents(rig)
 
@@ -100,12 +102,18 @@ def synchronisation(several_hosts: bool, said_by: Callable[[tuple[str, ...]], st
     return Finding(what, f"{UNKNOWN}, for neither chronyc nor timedatectl answers here")
 
 
-def _disk(rig: RigConfig) -> Finding:
+def _disk(rig: RigConfig) -> Iterator[Finding]:
+    """Room where this machine records, if it does: units have a folder of their own for that."""
+    if rig.hosts and (rig.host is None or RECORDER not in rig.hosts[rig.host].runs):
+        return
     folder = rig.recorder.folder if rig.recorder is not None else pathlib.Path()
+    if rig.hosts and pathlib.Path(SESSIONS).exists():
+        folder = pathlib.Path(SESSIONS)
     existing = next(p for p in (folder.absolute(), *folder.absolute().parents) if p.exists())
     free = shutil.disk_usage(existing).free
-    found = f"{free / (1 << 30):.1f} GiB free for recordings"
-    return Finding("disk", found, "make room, a minute of frames takes some 300 MiB" if free < LEAST_FREE_BYTES else "")
+    found = f"{free / (1 << 30):.1f} GiB free for recordings in {existing}"
+    remedy = "make room, a minute of frames takes some 300 MiB" if free < LEAST_FREE_BYTES else ""
+    yield Finding("disk", found, remedy)
 
 
 def _certificates(rig: RigConfig) -> Iterator[Finding]:

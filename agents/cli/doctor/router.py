@@ -1,5 +1,6 @@
 """Why a rig's router cannot be reached, where it cannot: Zenoh itself would only say that time ran out."""
 
+import re
 import socket
 import ssl
 
@@ -28,8 +29,9 @@ def no_router(rig: RigConfig, settings: SessionSettings) -> Finding:
     if why := why_not(settings):
         return Finding("router", none, why)
     if rig.runs_here("router"):
-        return Finding("router", f"{none} yet; suturegrasp up starts one", in_the_way(rig))
-    return Finding("router", none, "start it there: suturegrasp router; or open the port")
+        start = "systemctl start suturegrasp-router, or suturegrasp up," if rig.hosts else "suturegrasp up"
+        return Finding("router", f"{none} yet; {start} starts one", in_the_way(rig))
+    return Finding("router", none, unreached(settings.endpoint))
 
 
 def why_not(settings: SessionSettings) -> str:
@@ -37,12 +39,35 @@ def why_not(settings: SessionSettings) -> str:
     address = TCP.fullmatch(settings.endpoint)
     if address is None:
         return ""
-    host = address["host"].strip("[]")
     try:
-        with socket.create_connection((host, int(address["port"])), timeout=ANSWERS_WITHIN_S) as plain:
-            return "" if settings.identity is None else _refusal(plain, host, settings.identity)
+        with _connected(address) as plain:
+            return "" if settings.identity is None else _refusal(plain, address["host"].strip("[]"), settings.identity)
     except OSError:
         return ""
+
+
+def unreached(endpoint: str) -> str:
+    """What to do where nobody listens, by how that shows."""
+    address = TCP.fullmatch(endpoint)
+    start = "start it there: systemctl start suturegrasp-router, or suturegrasp router"
+    try:
+        if address is not None:
+            _connected(address).close()
+    except socket.gaierror:
+        return "its host's name is not known here; write its IP address, or have the lab's name server tell it"
+    except ConnectionRefusedError:
+        return f"its host is there, and nobody listens; {start}"
+    except OSError as error:
+        gone = "did not answer" if isinstance(error, TimeoutError) else (error.strerror or str(error)).lower()
+        port = "" if address is None else f" {address['port']}"
+        return (
+            f"its host cannot be reached ({gone}): is it on, on this network, and is port{port} open in its firewall?"
+        )
+    return start
+
+
+def _connected(address: re.Match[str]) -> socket.socket:
+    return socket.create_connection((address["host"].strip("[]"), int(address["port"])), timeout=ANSWERS_WITHIN_S)
 
 
 def _refusal(plain: socket.socket, host: str, identity: Identity) -> str:

@@ -2,7 +2,10 @@
 
 import contextlib
 import datetime
+import errno
 import json
+import socket
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -11,7 +14,7 @@ from agents.cli.doctor.command import examine
 from agents.cli.doctor.finding import Finding
 from agents.cli.doctor.here import CHRONYC, examine_here, synchronisation
 from agents.cli.doctor.rig import clocks, granted, guards, links, running, streams, versions
-from agents.cli.doctor.router import why_not
+from agents.cli.doctor.router import unreached, why_not
 from agents.cli.doctor.rules import verdict
 from agents.cli.rig.config import PlannerSection, RigConfig, RouterSection, simulated_rig
 from agents.cli.rig.hosts import HostSection, SecuritySection
@@ -26,7 +29,7 @@ from schemas.messages import AgentFacts, AgentHealth, InputHealth
 from shared.clock import now_ns
 from shared.runtime.access import access_control
 from shared.runtime.clocks import ClockOffset
-from shared.runtime.config import parse_config
+from shared.runtime.config import load_config, parse_config
 from shared.runtime.connection import connected
 from shared.runtime.facts import schemas_hash
 from shared.runtime.identity import identity_in
@@ -34,6 +37,7 @@ from shared.runtime.link import Link
 from shared.runtime.rule_trial import Trial
 from shared.runtime.session import SessionSettings, free_local_endpoint, open_router
 
+REPOSITORY = Path(__file__).parents[3]
 RIG = "lab"
 DAY_NS = 86400 * 10**9
 NOW_NS = 1_800_000_000_000_000_000
@@ -60,6 +64,33 @@ def test_doctor_names_what_is_wrong_with_its_remedy(suturegrasp, tmp_path):
         next(line for line in lines if "router: none answers" in line and "suturegrasp router" in line),
     ]
     assert any(line.startswith("ok") and "agent planner: can start" in line for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("raised", "told"),
+    [
+        (None, "its host is there, and nobody listens; start it there: systemctl start suturegrasp-router"),
+        (socket.gaierror(-2, "unknown"), "its host's name is not known here"),
+        (TimeoutError("timed out"), "did not answer): is it on, on this network, and is port"),
+        (OSError(errno.EHOSTUNREACH, "No route to host"), "(no route to host): is it on"),
+    ],
+)
+def test_a_router_that_is_not_reached_is_told_by_what_is_in_the_way(monkeypatch, raised, told):
+    def create_connection(*_, **__):
+        raise raised
+
+    if raised is not None:
+        monkeypatch.setattr(socket, "create_connection", create_connection)
+    assert told in unreached(free_local_endpoint())
+
+
+def test_room_for_recordings_is_looked_for_where_something_is_recorded():
+    lab = load_config(REPOSITORY / "deploy" / "lab.toml", RigConfig)
+    found = {
+        host: {f.what: f for f in examine_here(lab.model_copy(update={"host": host}))} for host in ("desk", "video")
+    }
+    assert "disk" not in found["desk"]
+    assert "GiB free for recordings in /" in found["video"]["disk"].found
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 import os
 import socket
 import threading
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
@@ -15,7 +16,7 @@ from schemas.topics import HEALTH
 from shared.clock import processor_s
 from shared.runtime.agent import Output
 from shared.runtime.connection import connected
-from shared.runtime.facts import Surroundings, ask_for_realtime, realtime_priority, schemas_hash
+from shared.runtime.facts import Surroundings, ask_for_realtime, facts_of, realtime_priority, schemas_hash
 from shared.runtime.link import BYTES, LINK, MOST_BYTES
 from shared.runtime.runner import Runner
 from shared.runtime.session import SessionSettings, open_session
@@ -158,3 +159,21 @@ def test_a_process_that_works_uses_more_than_one_that_waits():
         sum(range(1000))
     assert share.since_last() > waiting
     assert resident_bytes() > 1 << 20
+
+
+@pytest.mark.parametrize(
+    ("own", "routers", "told"),
+    [
+        ("tls/10.0.0.11:40000", "tls/10.0.0.11:7447", "the router is on this host, and does not share /dev/shm"),
+        ("tcp/127.0.0.1:40000", "tcp/127.0.0.1:7447", "the router is on this host, and does not share /dev/shm"),
+        ("tls/[fd00::1]:40000", "tls/[fd00::1]:7447", "the router is on this host, and does not share /dev/shm"),
+        ("tls/10.0.0.12:40000", "tls/10.0.0.11:7447", "the router is on another host"),
+    ],
+)
+def test_a_router_on_this_host_is_told_from_one_elsewhere_where_no_memory_is_shared(own, routers, told):
+    info = SimpleNamespace(
+        transports=lambda: [SimpleNamespace(is_shm=False)], links=lambda: [SimpleNamespace(src=own, dst=routers)]
+    )
+    facts = facts_of(SimpleNamespace(info=info), "planner", "main", "c", Surroundings(), None)
+    assert not facts.shared_memory
+    assert facts.shared_memory_reason.startswith(told)
