@@ -49,14 +49,16 @@ def parsed(arguments: list[str]) -> Options:
     if joined := IN_TWO_WORDS.get(tuple(arguments[:2])):
         arguments = [joined, *arguments[2:]]
     _check_command(arguments)
-    said = io.StringIO()
+    first, said = arguments[0], io.StringIO()
+    # reading the options of all commands takes three times as long as those of the one that is named
+    read = {first: COMMANDS[first]} if first in COMMANDS else COMMANDS
     try:
         with contextlib.redirect_stderr(said), _width_for(arguments):
-            return tyro.extras.subcommand_cli_from_dict(COMMANDS, args=arguments, prog="suturegrasp")
+            return tyro.extras.subcommand_cli_from_dict(read, args=arguments, prog="suturegrasp")
     except SystemExit as end:
         if not end.code:
             raise
-    raise UsageError(condensed(said.getvalue(), arguments[0]))
+    raise UsageError(condensed(said.getvalue(), first))
 
 
 def condensed(box: str, command: str) -> str:
