@@ -65,15 +65,13 @@ def test_a_cycloid_crosses_itself_once_for_every_turn(turns):
     t = np.linspace(0, 2 * np.pi * turns, 2000)
     looped = np.column_stack((t - 4 * np.sin(t), -4 * np.cos(t)))
     # loops of neighbouring turns meet as well where they are wider than the turn is long
-    brute = 0
     few = looped[::5]
-    for i in range(len(few) - 1):
-        for j in range(i + 6, len(few) - 1):
-            a, b, c, d = few[i], few[i + 1], few[j], few[j + 1]
-            matrix = np.column_stack((b - a, c - d))
-            if abs(np.linalg.det(matrix)) > 1e-12:
-                x, y = np.linalg.solve(matrix, c - a)
-                brute += 0 < x < 1 and 0 < y < 1
+    i, j = np.triu_indices(len(few) - 1, k=6)
+    along = np.diff(few, axis=0)
+    matrices, offsets = np.stack((along[i], -along[j]), axis=2), few[j] - few[i]
+    meet = np.abs(np.linalg.det(matrices)) > 1e-12
+    x, y = np.linalg.solve(matrices[meet], offsets[meet][..., None])[..., 0].T
+    brute = np.count_nonzero((x > 0) & (x < 1) & (y > 0) & (y < 1))
     assert self_crossings(few) == brute
     assert brute >= turns - 1
 

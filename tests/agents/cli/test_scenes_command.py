@@ -1,4 +1,4 @@
-"""`suturegrasp scenes render`, run as a user runs it."""
+"""`suturegrasp scenes render`: what is refused at once, and batches that are made as a user makes them."""
 
 import importlib.util
 import re
@@ -24,18 +24,18 @@ def scenes(*arguments):
         (("--config", "knot"), "config"),
     ],
 )
-def test_what_makes_no_batch_is_said_in_one_sentence(tmp_path, arguments, said):
-    ended = scenes("--output", tmp_path, *arguments)
-    assert ended.returncode == 2
-    assert said in ended.stderr
-    assert len(ended.stderr.splitlines()) == 1
+def test_what_makes_no_batch_is_said_in_one_sentence(suturegrasp, tmp_path, arguments, said):
+    ended = suturegrasp("scenes", "render", "--output", tmp_path, *arguments)
+    assert ended.status == 2
+    assert said in ended.err
+    assert len(ended.err.splitlines()) == 1
 
 
-def test_a_file_in_place_of_the_folder_is_said(tmp_path):
+def test_a_file_in_place_of_the_folder_is_said(suturegrasp, tmp_path):
     (tmp_path / "file").write_text("")
-    ended = scenes("--output", tmp_path / "file")
-    assert ended.returncode == 2
-    assert "is a file; name a folder" in ended.stderr
+    ended = suturegrasp("scenes", "render", "--output", tmp_path / "file")
+    assert ended.status == 2
+    assert "is a file; name a folder" in ended.err
 
 
 @pytest.mark.skipif(TRACES, reason="the extra sim is installed")

@@ -38,7 +38,7 @@ def frame(sequence, right_lower=0, left_noise=None, right_noise=None, change=lam
     _, left, right = scene()
     noise = (left_noise if left_noise is not None else sequence, right_noise if right_noise is not None else sequence)
     images = noisy(change(left), noise[0]), noisy(change(lower(right, right_lower)), 1000 + noise[1])
-    left, right = (encode_image(image, ImageEncoding.PNG) for image in images)
+    left, right = (encode_image(image, ImageEncoding.RAW) for image in images)
     return StereoFrame(FrameStamp(sequence, 1000 * sequence, 1000 * sequence, ""), left, right)
 
 
