@@ -8,12 +8,15 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 LOCK := $(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras --no-header \
 	--no-emit-index-url --no-emit-find-links --no-emit-trusted-host --no-annotate
 
-# tests without processes, sockets and clocks: they take the second core meanwhile
+# tests that compute, and hardly wait: they take what the others leave of the cores
 COMPUTING := tests/schemas tests/benchmarks tests/agents/perception tests/agents/planner tests/agents/reconstruction \
 	tests/agents/camera tests/agents/inspection tests/agents/simulator tests/shared/calibration tests/shared/kinematics \
 	tests/shared/recording tests/shared/scene tests/agents/viewer tests/agents/robot_bridge tests/agents/deployment \
 	tests/shared/runtime/test_access.py tests/shared/runtime/test_sites.py tests/shared/test_both_eyes.py tests/agents/cli/test_reconstruct.py
-COMPUTING_CACHE := .pytest_cache/computing
+# whole rigs of real processes, one after another: their limits are those of a rig, and they wait more than they compute
+RIGS := tests/hosts tests/agents/operator tests/agents/cli/test_live_processes.py tests/benchmarks/test_scaling.py \
+	tests/agents/robot_bridge/dvrk/test_processes.py
+PYTEST := $(BIN)/python -m pytest
 
 .PHONY: help install demo play look example test bless check format protos lock sim clean
 help: ## this list
@@ -43,13 +46,20 @@ example: .venv/runtime.done ## a stereo pair becomes a thread in 3D, in a few se
 		--output out/thread.json --picture out/thread.png --rrd out/thread.rrd
 	@echo "Look at out/thread.png, or in 3D:  .venv/bin/rerun out/thread.rrd"
 
-test: .venv/dev.done ## all tests, those that only compute beside those of running processes; ARGS="..." for some
+# as agents do: threads of one computation that wait for each other's turn on two busy cores cost more than they gain
+test: export OPENBLAS_NUM_THREADS := 1
+test: export OPENCV_FOR_THREADS_NUM := 1
+test: .venv/dev.done ## all tests: those that only compute, whole rigs, and all others beside each other; ARGS="..." for some
 ifeq ($(ARGS),)
-	@mkdir -p out; $(BIN)/python -m pytest -o cache_dir=$(COMPUTING_CACHE) $(COMPUTING) > out/computing.log 2>&1 & computing=$$!; \
-	$(BIN)/python -m pytest $(addprefix --ignore=,$(COMPUTING)); running=$$?; \
-	wait $$computing; computing=$$?; cat out/computing.log; exit $$((running + computing))
+	@mkdir -p out; \
+	nice -n 5 $(PYTEST) -o cache_dir=.pytest_cache/computing $(COMPUTING) $(addprefix --ignore=,$(RIGS)) \
+		> out/computing.log 2>&1 & computing=$$!; \
+	$(PYTEST) -o cache_dir=.pytest_cache/rigs $(RIGS) > out/rigs.log 2>&1 & rigs=$$!; \
+	$(PYTEST) $(addprefix --ignore=,$(COMPUTING) $(RIGS)); others=$$?; \
+	wait $$rigs; rigs=$$?; cat out/rigs.log; wait $$computing; computing=$$?; cat out/computing.log; \
+	exit $$((others + rigs + computing))
 else
-	@$(BIN)/python -m pytest $(ARGS)
+	@$(PYTEST) $(ARGS)
 endif
 
 bless: .venv/dev.done ## what the agents make of the golden recordings now is right from now on; shows what changed
