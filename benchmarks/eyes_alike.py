@@ -91,7 +91,7 @@ def off_of(truth: Float64[np.ndarray, "n 3"], lines: tuple[Centrelines, Centreli
     both_px = project(camera, truth)
     along = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(both_px[0], axis=0), axis=1))))
     at = np.searchsorted(along, np.arange(0.0, along[-1], STEP_PX)).clip(0, len(along) - 1)
-    errors, stated = zip(*(_across(px, one, at) for px, one in zip(both_px, lines, strict=True)), strict=True)
+    errors, stated = zip(*(across(px, one, at) for px, one in zip(both_px, lines, strict=True)), strict=True)
     spread = np.hypot(*stated)
     tangent = np.gradient(truth, axis=0)
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1), 1e-12)[:, None]
@@ -105,7 +105,7 @@ def off_of(truth: Float64[np.ndarray, "n 3"], lines: tuple[Centrelines, Centreli
     )
 
 
-def _across(
+def across(
     truth_px: Float64[np.ndarray, "n 2"], lines: Centrelines, at: np.ndarray
 ) -> tuple[Float64[np.ndarray, "k"], Float64[np.ndarray, "k"]]:
     """An image's error across the thread, averaged along it, and what its points state; NaN where it shows none."""

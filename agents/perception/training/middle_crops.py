@@ -116,7 +116,7 @@ def _same_points(parts: Sequence[_Stretches]) -> Int64[np.ndarray, "v k n"]:
 def profiles_of(view: MiddleView) -> tuple[Float32[np.ndarray, "m c"], np.ndarray, Pieces]:
     """What the network takes of a whole view as it is, of which points, and their pieces."""
     n, pieces = len(view.width_px), view.pieces
-    colour = _resampled(view.colour, np.broadcast_to(PLACES, (n, len(PLACES))))
+    colour = resampled(view.colour, np.broadcast_to(PLACES, (n, len(PLACES))))
     colour = _averaged(colour, pieces)
     some, thinned = pieces.every_second
     return straightened(_across(colour[some]), view.width_px[some], thinned), some, thinned
@@ -133,7 +133,7 @@ def _varied(view: MiddleView, start: np.ndarray, rng: np.random.Generator, light
     taken_for = width * np.exp(rng.normal(0, WIDTH_SPREAD))
     aside = _drawn_aside(rng)
     places = (PLACES * (taken_for + BEYOND_PX)[:, None] + aside[:, None]) / (width + BEYOND_PX)[:, None]
-    colour = _averaged(_resampled(view.colour[at], places), _stretches(LENGTH))[::STRIDE]
+    colour = _averaged(resampled(view.colour[at], places), _stretches(LENGTH))[::STRIDE]
     at, aside, width = (part[::STRIDE] for part in (at, aside, taken_for))
     offset, known, normal, along_mm = view.offset_px[at] - aside, view.known[at], view.normal[at], view.along_mm[at]
     colour = _noisy(_relit(_shaded(colour, offset, width, normal, light), light), rng)
@@ -166,7 +166,7 @@ def _across(colour: np.ndarray) -> Float32[np.ndarray, "t n 3"]:
     return np.ascontiguousarray(colour.swapaxes(0, 1), np.float32)
 
 
-def _resampled(colour: np.ndarray, places: Float64[np.ndarray, "n t"]) -> Float32[np.ndarray, "n t 3"]:
+def resampled(colour: np.ndarray, places: Float64[np.ndarray, "n t"]) -> Float32[np.ndarray, "n t 3"]:
     """Profiles that were seen at WIDE_PLACES, at others."""
     step = float(WIDE_PLACES[1] - WIDE_PLACES[0])
     where = np.clip((places - float(WIDE_PLACES[0])) / step, 0, len(WIDE_PLACES) - 1.001)

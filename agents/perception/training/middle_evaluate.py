@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 from scipy.spatial import cKDTree
 
 from agents.perception.centrelines.learned import Weights, learned_middles, own_weights, weights_in
@@ -39,7 +39,7 @@ class Figures:
 
 def figures_of(view: MiddleView, weights: Weights) -> Figures | None:
     """The errors in one view; None where too little of its truth is known."""
-    offset, deviation = _said(view, weights)
+    offset, deviation = said(view, weights)
     known = view.known
     if known.sum() < WINDOW_POINTS:
         return None
@@ -53,7 +53,7 @@ def figures_of(view: MiddleView, weights: Weights) -> Figures | None:
     )
 
 
-def _said(view: MiddleView, weights: Weights) -> tuple[Float64[np.ndarray, "n"], Float64[np.ndarray, "n"]]:
+def said(view: MiddleView, weights: Weights) -> tuple[Float64[np.ndarray, "n"], Float64[np.ndarray, "n"]]:
     """Offset and deviation at every point of a view."""
     shown, some, pieces = profiles_of(view)
     found = learned_middles(shown, view.normal[some], pieces, weights)
@@ -62,17 +62,22 @@ def _said(view: MiddleView, weights: Weights) -> tuple[Float64[np.ndarray, "n"],
     return offset, deviation
 
 
+def same_points(left: MiddleView, right: MiddleView) -> tuple[Int64[np.ndarray, "k"], Int64[np.ndarray, "k"]]:
+    """Indices of points of both eyes that show the same places of a thread; none where either shows too few."""
+    ours, others = (np.flatnonzero(view.known & ~np.isnan(view.along_mm)) for view in (left, right))
+    if min(len(ours), len(others)) < WINDOW_POINTS:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    distance, nearest = cKDTree(right.along_mm[others, None]).query(left.along_mm[ours, None])
+    both = np.asarray(distance) < ALIKE_MM
+    return ours[both], others[np.asarray(nearest)[both]]
+
+
 def apart_px(left: MiddleView, right: MiddleView, errors: Sequence[Float64[np.ndarray, "_"]]) -> float | None:
     """By how much more to the right neighbours of a pair lie in the left eye than in the right one: that is depth.
 
     Across the thread, times the normal's share along the row; None where both eyes show too little of the same thread.
     """
-    ours, others = (np.flatnonzero(view.known & ~np.isnan(view.along_mm)) for view in (left, right))
-    if min(len(ours), len(others)) < WINDOW_POINTS:
-        return None
-    distance, nearest = cKDTree(right.along_mm[others, None]).query(left.along_mm[ours, None])
-    both = np.asarray(distance) < ALIKE_MM
-    ours, others = ours[both], others[np.asarray(nearest)[both]]
+    ours, others = same_points(left, right)
     if len(ours) < WINDOW_POINTS:
         return None
     rightwards = [error * np.sign(view.normal[:, 0]) for error, view in zip(errors, (left, right), strict=True)]
@@ -84,7 +89,7 @@ def _apart(views: Iterable[MiddleView], weights: Weights) -> str:
     found: list[tuple[float, float]] = []
     for pair in eye_pairs(views):
         before = [view.offset_px.astype(np.float64) for view in pair]
-        after = [offset - _said(view, weights)[0] for offset, view in zip(before, pair, strict=True)]
+        after = [offset - said(view, weights)[0] for offset, view in zip(before, pair, strict=True)]
         if (first := apart_px(*pair, before)) is not None and (then := apart_px(*pair, after)) is not None:
             found.append((first, then))
     if not found:
