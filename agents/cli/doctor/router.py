@@ -59,10 +59,7 @@ def unreached(endpoint: str) -> str:
         return f"its host is there, and nobody listens; {start}"
     except OSError as error:
         gone = "did not answer" if isinstance(error, TimeoutError) else (error.strerror or str(error)).lower()
-        port = "" if address is None else f" {address['port']}"
-        return (
-            f"its host cannot be reached ({gone}): is it on, on this network, and is port{port} open in its firewall?"
-        )
+        return f"its host cannot be reached ({gone}): is it on, on this network, and is the port open in its firewall?"
     return start
 
 

@@ -29,6 +29,7 @@ from shared.runtime.identity import validity_ns
 from shared.runtime.service_manager import serving
 
 FIRST_CLOCKS_S, CLOCKS_EVERY_S = 3.0, 60.0
+ROOM_EVERY_S = 1.0
 MB = 1_000_000
 KIND = "recorder"
 LOGGER = logging.getLogger(f"suturegrasp.{KIND}")
@@ -46,11 +47,11 @@ def record(rig: RigConfig, options: Record) -> int:
     settings = settings_of(section)
     if path.exists():
         return complain(f"{path} exists already; give another name", EXIT_UNUSABLE)
-    if problem := DiskGuard(path.parent, settings.keep_free_bytes).problem():
-        return complain(f"nothing is recorded: {problem}", EXIT_UNUSABLE)
     stopped = threading.Event()
     asks_at_terminal = settings.pre_trigger is not None and SUPERVISED not in os.environ and sys.stdin.isatty()
     on_stop(stopped.set, for_sure=True)
+    if problem := _no_room(DiskGuard(path.parent, settings.keep_free_bytes), stopped if options.numbered else None):
+        return complain(problem, EXIT_UNUSABLE)
 
     def begun(path: Path) -> Recorder:
         return Recorder(path, settings=settings, notes=notes_of(rig, section), attached=attached_to(rig), tell=_tell)
@@ -70,6 +71,18 @@ def record(rig: RigConfig, options: Record) -> int:
     except NoRouterError:
         recordings.close(_say_end)
     return EXIT_UNUSABLE if any(report.fault for report in recordings.reports) else EXIT_OK
+
+
+def _no_room(disk: DiskGuard, waiting_until: threading.Event | None) -> str:
+    """Why nothing can be recorded, empty where there is room; what a unit runs waits for it until it is stopped."""
+    problem = disk.problem()
+    if not problem or waiting_until is None:
+        return problem and f"nothing is recorded: {problem}"
+    complain(f"nothing is recorded until there is room: {problem}", EXIT_UNUSABLE)
+    while not disk.has_room_again():
+        if waiting_until.wait(ROOM_EVERY_S):
+            return "it was stopped before there was room"
+    return ""
 
 
 def _record_all(

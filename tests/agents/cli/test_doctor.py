@@ -71,7 +71,7 @@ def test_doctor_names_what_is_wrong_with_its_remedy(suturegrasp, tmp_path):
     [
         (None, "its host is there, and nobody listens; start it there: systemctl start suturegrasp-router"),
         (socket.gaierror(-2, "unknown"), "its host's name is not known here"),
-        (TimeoutError("timed out"), "did not answer): is it on, on this network, and is port"),
+        (TimeoutError("timed out"), "did not answer): is it on, on this network, and is the port"),
         (OSError(errno.EHOSTUNREACH, "No route to host"), "(no route to host): is it on"),
     ],
 )

@@ -98,6 +98,30 @@ def test_a_recording_tells_of_what_run_and_study_it_is(recording, tmp_path, unti
     assert json.loads(read_attachments(path)["configuration.json"])["rig"] == "test"
 
 
+def test_what_a_unit_runs_waits_for_room_and_says_so_where_a_person_is_told_at_once(settings, tmp_path, until):
+    disk, full = tmp_path / "disk", tmp_path / "disk" / "full"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=8m", "tmpfs", str(disk)]
+    if subprocess.run(mount, check=False).returncode != 0:
+        pytest.skip("no disk can be mounted here")
+    config = tmp_path / "rig.json"
+    config.write_text(json.dumps({"rig": settings.rig, "router": {"endpoint": settings.endpoint, "start": False}}))
+    command = [sys.executable, "-m", "agents.cli", "record", "--config", str(config), "--output", str(disk / "a.mcap")]
+    try:
+        full.write_bytes(bytes(8_300_000))
+        at_once = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert (at_once.returncode, "nothing is recorded: " in at_once.stderr) == (2, True)
+        with subprocess.Popen([*command, "--numbered"], stderr=subprocess.PIPE, text=True) as unit:
+            assert unit.stderr is not None
+            assert "nothing is recorded until there is room: " in unit.stderr.readline()
+            full.unlink()
+            until((disk / "a.mcap").exists)
+            unit.send_signal(signal.SIGTERM)
+            assert unit.wait() == 0
+    finally:
+        subprocess.run(["umount", "--lazy", str(disk)], check=True)  # noqa: S607
+
+
 def test_a_signal_keeps_the_last_seconds(recording, tmp_path, until):
     process = recording("--pre-trigger", "60", "--post-trigger", "0")
 

@@ -4,6 +4,7 @@ import os
 import socket
 import threading
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -174,6 +175,7 @@ def test_a_router_on_this_host_is_told_from_one_elsewhere_where_no_memory_is_sha
     info = SimpleNamespace(
         transports=lambda: [SimpleNamespace(is_shm=False)], links=lambda: [SimpleNamespace(src=own, dst=routers)]
     )
-    facts = facts_of(SimpleNamespace(info=info), "planner", "main", "c", Surroundings(), None)
+    session: Any = SimpleNamespace(info=info)
+    facts = facts_of(session, "planner", "main", "c", Surroundings(), None)
     assert not facts.shared_memory
     assert facts.shared_memory_reason.startswith(told)
