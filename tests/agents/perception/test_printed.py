@@ -8,7 +8,7 @@ import pytest
 
 from agents.perception.candidates import without_printed
 from agents.perception.candidates.patches import before_planes, ground_planes, patches_around
-from agents.perception.candidates.relief import Relief
+from agents.perception.candidates.relief import Relief, relief_of
 from agents.perception.observe import observe
 from agents.perception.segmenter_names import GIVEN_MASKS, NETWORK, RIDGE
 from agents.perception.told_apart import told_apart
@@ -117,9 +117,32 @@ def test_a_thread_beside_a_printed_line_is_kept_alone_in_both_eyes():
     np.testing.assert_array_equal(right.point_px, of_right.point_px)
 
 
-def test_over_ground_of_one_colour_nothing_is_called_print():
-    left, right = standing([(bent(330), 0.0)], texture=0.0, noise=3.0)
+@pytest.mark.parametrize("noise", [0.5, 2.0, 6.0])
+def test_over_ground_of_one_colour_nothing_is_called_print(noise):
+    left, right = standing([(bent(330), 3.0)], texture=0.0, noise=noise)
     assert len(left.piece) == len(right.piece) > 0
+
+
+def test_a_row_in_which_the_right_eye_shows_the_line_twice_not_at_all_or_otherwise_tells_nothing():
+    lines = [(bent(330), 3.0)]
+    images = with_lines(ground(), lines)
+    left, right = middles(lines)
+
+    def places(shown):
+        return len(relief_of(images, (left, shown), (left, shown), FOCAL_PX).relief_px)
+
+    whole = places(right)
+    assert whole > 15
+    beside = replace(right, point_px=right.point_px + np.array((8.0, 0.0)), piece=right.piece + 1)
+    fields = ("point_px", "piece", "width_px", "deviation_px")
+    twice = Centrelines(*(np.concatenate((getattr(right, name), getattr(beside, name))) for name in fields))
+    assert places(twice) == 0
+    apart = replace(right, piece=(right.point_px[:, 1] > 200).astype(np.int64))
+    kept = (right.point_px[:, 1] < 150) | (right.point_px[:, 1] > 250)
+    gap = Centrelines(*(getattr(apart, name)[kept] for name in fields))
+    assert 0 < places(gap) < 0.75 * whole
+    slanted = replace(right, point_px=right.point_px + (right.point_px[:, 1:] - 180) * (1.0, 0.0))
+    assert places(slanted) == 0
 
 
 def test_a_line_along_the_rows_and_one_that_a_single_eye_sees_are_not_called_print():
