@@ -12,7 +12,7 @@ TRACES = importlib.util.find_spec("mitsuba") is not None
 
 def scenes(*arguments):
     command = [sys.executable, "-m", "agents.cli", "scenes", "render", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=170, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=900, check=False)
 
 
 @pytest.mark.parametrize(
@@ -45,6 +45,7 @@ def test_without_the_path_tracer_its_remedy_is_said(tmp_path):
     assert "make sim" in ended.stderr
 
 
+@pytest.mark.timeout(900)
 @pytest.mark.skipif(not TRACES, reason="path tracing needs the extra sim: make sim")
 def test_a_batch_is_made_by_two_processes_and_taken_up_again(tmp_path):
     batch = ("--output", tmp_path, "--config", "easy", "--size", 160, 90, "--samples", 1, "--seed", 3)
