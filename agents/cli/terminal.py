@@ -19,11 +19,13 @@ def say(sentence: str) -> None:
     show(_one_line(sentence))
 
 
-def show(line: str) -> None:
-    """Print a line whose spaces matter, as in a table, at once."""
+def show(line: str) -> bool:
+    """Print a line whose spaces matter, as in a table, at once; whether anybody took it."""
     encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
     with without_readers():
         print(line.encode(encoding, "backslashreplace").decode(encoding), flush=True)
+        return True
+    return False
 
 
 def warn(sentence: str) -> None:

@@ -30,17 +30,23 @@ HEARD_WITHIN_S = SILENT_S + 0.5
 LOOK_S = 0.05
 PAGE_COLUMNS = 160
 """What is written to a file is not cut to a terminal's width."""
-Emit = Callable[[Gathered], None]
+Emit = Callable[[Gathered], bool]
+"""Shows a moment; whether anybody took it."""
 
 
 def status(rig: RigConfig, options: RigStatus) -> int:
-    """Show how the rig fares until stopped, or once; with `--once` the exit status tells whether all is well."""
+    """Show how the rig fares until stopped or nobody reads it; or once, with an exit status for all being well."""
     if options.once or not (options.json or sys.stdout.isatty()):
         return _once(rig, options)
     stopped = threading.Event()
     on_stop(stopped.set)
     with _emitting(options.json) as emit, contextlib.ExitStack() as stack:
-        with _telling_of_no_router(rig, emit):
+
+        def tell(gathered: Gathered) -> None:
+            if not emit(gathered):
+                stopped.set()
+
+        with _telling_of_no_router(rig, tell):
             try:
                 connection = stack.enter_context(connected(reading_session(rig), None, stopped))
             except NoRouterError:
@@ -50,7 +56,7 @@ def status(rig: RigConfig, options: RigStatus) -> int:
         watch = stack.enter_context(contextlib.closing(StatusWatch(connection, rig)))
         watch.start()
         while not stopped.wait(EVERY_S):
-            emit(watch.gathered())
+            tell(watch.gathered())
     return EXIT_OK
 
 
@@ -98,18 +104,23 @@ def _emitting(as_json: bool) -> Generator[Emit]:
         yield lambda gathered: show(json.dumps(document(gathered, judge(gathered))))
         return
     with Live(console=Console(), auto_refresh=False, vertical_overflow="visible") as live:
-        yield lambda gathered: live.update(report(gathered, judge(gathered)), refresh=True)
+
+        def update(gathered: Gathered) -> bool:
+            live.update(report(gathered, judge(gathered)), refresh=True)
+            return True
+
+        yield update
 
 
 @contextlib.contextmanager
-def _telling_of_no_router(rig: RigConfig, emit: Emit) -> Generator[None]:
+def _telling_of_no_router(rig: RigConfig, tell_of: Callable[[Gathered], None]) -> Generator[None]:
     """Tell again and again that no router answers, until one does."""
     answered = threading.Event()
 
     def tell() -> None:
         wait_s = ROUTER_WAIT_S
         while not answered.wait(wait_s):
-            emit(_nothing(rig))
+            tell_of(_nothing(rig))
             wait_s = EVERY_S
 
     telling = threading.Thread(target=tell, name="no router", daemon=True)

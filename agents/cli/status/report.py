@@ -11,9 +11,9 @@ from rich.text import Text
 
 from agents.cli.status.agents import judge_agents
 from agents.cli.status.gathered import ArmHeard, Gathered
-from agents.cli.status.health_watch import Fare, health_table, key_of
+from agents.cli.status.health_watch import STARTING, Fare, health_table, key_of
 from agents.cli.status.tool import tool_told
-from agents.cli.status.wrong import Wrong
+from agents.cli.status.wrong import Wrong, listed
 from shared.runtime.clocks import ClockOffset, by_host
 
 WELL = "all is well"
@@ -21,7 +21,7 @@ WELL = "all is well"
 
 def watched(fares: Sequence[Fare], rates_hz: Mapping[str, float]) -> RenderableType:
     """What `up` shows: a row an agent, and what is wrong by their own accounts."""
-    return Group(health_table(fares), Text(), *_lines(judge_agents(fares, rates_hz)))
+    return Group(health_table(fares), Text(), *_lines(judge_agents(fares, rates_hz), fares))
 
 
 def report(gathered: Gathered, wrongs: Iterable[Wrong]) -> RenderableType:
@@ -35,7 +35,7 @@ def report(gathered: Gathered, wrongs: Iterable[Wrong]) -> RenderableType:
         hosts = hosts_of(gathered)
         if len(hosts) > 1:
             parts += [Text(), _host_table(hosts)]
-    return Group(*parts, Text(), *_lines(wrongs))
+    return Group(*parts, Text(), *_lines(wrongs, gathered.fares))
 
 
 def document(gathered: Gathered, wrongs: Iterable[Wrong]) -> dict[str, Any]:
@@ -45,7 +45,7 @@ def document(gathered: Gathered, wrongs: Iterable[Wrong]) -> dict[str, Any]:
         "at_ns": gathered.at_ns,
         "rig": gathered.rig,
         "router": {"endpoint": gathered.endpoint, "answers": gathered.router},
-        "well": not any(wrong.grave for wrong in wrongs),
+        "well": _well(wrongs, gathered.fares),
         "agents": [_agent(fare, gathered) for fare in gathered.fares],
         "hosts": hosts_of(gathered),
         "arms": [_arm(arm) for arm in gathered.arms],
@@ -74,8 +74,21 @@ def _host(host: str, fares: list[Fare], clocks: Mapping[str, ClockOffset | None]
     return {"host": host, "machine": " ".join(machines), "agents": names, "ahead_ms": ahead_ms, "within_ms": within_ms}
 
 
-def _lines(wrongs: Iterable[Wrong]) -> list[Text]:
-    return [Text(f"{'WRONG' if wrong.grave else 'note':5}  {wrong.text}") for wrong in wrongs] or [Text(WELL)]
+def _lines(wrongs: Iterable[Wrong], fares: Iterable[Fare]) -> list[Text]:
+    unheard = _unheard(fares)
+    nothing = f"{listed(unheard)} {'was' if len(unheard) == 1 else 'were'} not heard yet" if unheard else WELL
+    return [Text(f"{'WRONG' if wrong.grave else 'note':5}  {wrong.text}") for wrong in wrongs] or [Text(nothing)]
+
+
+def _well(wrongs: Iterable[Wrong], fares: Iterable[Fare]) -> bool | None:
+    """Whether nothing is wrong; None where that is too early to say."""
+    if any(wrong.grave for wrong in wrongs):
+        return False
+    return None if _unheard(fares) else True
+
+
+def _unheard(fares: Iterable[Fare]) -> list[str]:
+    return [fare.name for fare in fares if fare.expected and fare.state == STARTING]
 
 
 def _host_table(hosts: list[dict[str, Any]]) -> Table:

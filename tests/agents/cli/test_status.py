@@ -115,6 +115,23 @@ def test_status_tells_a_document_a_second_until_it_is_stopped(settings, running,
     assert [agent["name"] for agent in documents[1]["agents"]] == ["planner"]
 
 
+@pytest.mark.parametrize("answers", [True, False])
+def test_status_ends_where_nobody_reads_its_documents_any_more(settings, tmp_path, answers):
+    rig = rig_at(settings)
+    if not answers:
+        rig = rig.model_copy(update={"router": RouterSection(endpoint=free_local_endpoint())})
+    arguments = [str(SCRIPT), "status", "--json", "--config", str(config_of(rig, tmp_path))]
+    with subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None and process.stderr is not None
+        assert json.loads(process.stdout.readline())["router"]["answers"] is answers
+        process.stdout.close()
+        try:
+            assert process.wait(60) == 0
+        finally:
+            process.kill()
+        assert process.stderr.read() == ""
+
+
 def test_an_agent_that_ends_is_gone_and_one_that_comes_back_is_well(settings, in_threads, watching, until):
     with watching(rig_at(settings)) as (wrongs, well, _):
         with in_threads(settings, Planner()):

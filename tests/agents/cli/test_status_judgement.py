@@ -88,6 +88,14 @@ def test_a_rig_that_is_well_has_nothing_wrong():
     assert "all is well" in page(report(told, []))
 
 
+def test_of_what_was_not_heard_yet_nobody_says_that_it_is_well():
+    told = moment(fare(), Fare("planner", None, 0.5, None))
+    assert judge(told) == []
+    assert document(told, [])["well"] is None
+    assert "planner was not heard yet" in page(report(told, [])) and "all is well" not in page(watched(told.fares, {}))
+    assert document(moment(Fare("planner", None, 0.5, None, expected=False)), [])["well"] is True
+
+
 def page(shown):
     console = Console(width=200)
     with console.capture() as capture:
