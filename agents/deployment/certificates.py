@@ -1,7 +1,7 @@
 """A small authority of the lab's own, and a short-lived certificate for each process of a rig.
 
 Elliptic keys on P-256. The authority's key stays in the folder where certificates are made, and goes to no host. A
-certificate is made anew when a third of its time is left, or when it does not suit its host any more.
+certificate is made anew when a third of its time is left, or five days, or when it does not suit its host any more.
 """
 
 import datetime
@@ -25,6 +25,8 @@ CERTIFICATES = "certificates"
 CLOCKS_APART = datetime.timedelta(minutes=10)
 """Certificates hold from so long before they are made, for hosts whose clocks are behind."""
 RENEWED_WITH_LEFT = 1 / 3
+RENEWED_WITHIN = datetime.timedelta(days=5)
+"""When `doctor` and `status` ask for it, of however short a time this is a share."""
 _USAGES = ("digital_signature", "content_commitment", "key_encipherment", "data_encipherment", "key_agreement")
 _USAGES_OF_AUTHORITIES = ("key_cert_sign", "crl_sign")
 
@@ -148,7 +150,7 @@ def _why_anew(certificate_file: Path, key_file: Path, signer: Signer, address: s
     left, whole = old.not_valid_after_utc - at, old.not_valid_after_utc - old.not_valid_before_utc
     if left <= datetime.timedelta():
         return "it had expired"
-    return "a third of its time was left" if left < RENEWED_WITH_LEFT * whole else ""
+    return "little of its time was left" if left < max(RENEWED_WITH_LEFT * whole, RENEWED_WITHIN) else ""
 
 
 def _roles(address: str) -> list[x509.ObjectIdentifier]:

@@ -1,5 +1,6 @@
 """From one file to each host's configuration, certificates, units and containers, as a person would do it."""
 
+import dataclasses
 import datetime
 import json
 import shutil
@@ -12,6 +13,7 @@ from cryptography import x509
 
 from agents.cli.main import main
 from agents.cli.rig.config import RigConfig
+from agents.cli.status.judgement import EXPIRES_SOON_S
 from agents.deployment.certificates import AuthorityError, issue
 from agents.deployment.containers import IMAGE_USER
 from agents.deployment.install import affected, verify
@@ -377,9 +379,16 @@ def test_certificates_are_short_lived_and_made_anew_in_time(tmp_path):
     assert days == {n: 3650 if n == "authority.pem" else 30 for n in days}
     assert {made.reason for made in issue(LAYOUT, tmp_path, NOW + datetime.timedelta(days=19))} == {""}
     later = issue(LAYOUT, tmp_path, NOW + datetime.timedelta(days=21))
-    assert {made.reason for made in later} == {"a third of its time was left"}
+    assert {made.reason for made in later} == {"little of its time was left"}
     assert {made.reason for made in issue(LAYOUT, tmp_path, NOW + datetime.timedelta(days=90))} == {"it had expired"}
     assert {made.reason for made in issue(LAYOUT, tmp_path, NOW, all_anew=True)} == {"all are made anew"}
+
+
+def test_what_doctor_asks_to_be_renewed_is_however_short_its_time(tmp_path):
+    short = dataclasses.replace(LAYOUT, leaf_days=9)
+    issue(short, tmp_path, NOW)
+    asked_for = NOW + datetime.timedelta(days=9, seconds=1 - EXPIRES_SOON_S)
+    assert {made.reason for made in issue(short, tmp_path, asked_for)} == {"little of its time was left"}
 
 
 def test_a_certificate_that_does_not_fit_any_more_is_made_anew(tmp_path):
