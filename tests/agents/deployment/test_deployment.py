@@ -187,6 +187,25 @@ def test_the_containers_router_is_told_what_ours_is(deployed):
     assert told["transport"]["link"]["tx"]["lease"] == 2000
 
 
+def test_what_lies_beside_the_example_is_named_where_people_look():
+    told = (REPOSITORY / "deploy" / "README.md").read_text()
+    files = [path.name for path in (REPOSITORY / "deploy").iterdir() if path.name != "README.md"]
+    assert [name for name in files if f"| `{name}` |" not in told] == []
+
+
+def test_the_emulated_rig_of_two_computers_is_planned_and_systemd_takes_it(tmp_path):
+    config = REPOSITORY / "deploy" / "emulated_far.toml"
+    for action in ("plan", "certificates"):
+        assert suturegrasp("deploy", action, "--config", config, "--folder", tmp_path) == 0
+    robot = tmp_path / "robot"
+    assert (robot / "robot-zenoh.json5").exists()
+    assert "--arm psm1 --config" in (robot / "systemd" / "suturegrasp-guard-psm1.service").read_text()
+    if shutil.which("systemd-analyze") is None:
+        pytest.skip("there is no systemd-analyze here, which checks the units")
+    for host in ("desk", "robot"):
+        assert verify((tmp_path / host / "systemd").iterdir()) == []
+
+
 def test_the_image_is_built_from_files_that_are_there():
     lines = (REPOSITORY / "deploy" / "Dockerfile").read_text().splitlines()
     copied = [name for line in lines if line.startswith("COPY ") for name in line.split()[1:-1] if name[0] != "-"]
