@@ -77,9 +77,11 @@ def standing(lines, **of_ground):
     return without_printed(images, middles(lines), LEAST_PX, FOCAL_PX)
 
 
-def test_the_ground_is_told_within_a_twentieth_of_a_pixel_and_so_is_what_stands_off_it():
+@pytest.mark.parametrize("gain", [1.0, 0.6])
+def test_the_ground_is_told_within_a_twentieth_of_a_pixel_and_so_is_what_stands_off_it(gain):
     u, relief = bent(330), 0.7
-    images = with_lines(ground(), [(u, relief)])
+    left, right = with_lines(ground(), [(u, relief)])
+    images = left, np.rint(gain * right).astype(np.uint8)
     v = np.arange(60, 300, 20)
     patches = patches_around(images, np.stack((u[v], v), 1))
     none = np.zeros((HEIGHT, WIDTH, 1), np.uint8)
@@ -94,6 +96,18 @@ def test_the_ground_is_told_within_a_twentieth_of_a_pixel_and_so_is_what_stands_
     on_line = np.abs(patches.u - u[v][:, None]) < 3
     off = before_planes(patches, plane, on_line, np.full(len(v), 0.3))
     np.testing.assert_allclose(off.mean(), relief, atol=0.07)
+
+
+def test_where_hardly_any_ground_is_seen_it_is_not_told():
+    u, v = bent(330), np.arange(60, 300, 20)
+    patches = patches_around(with_lines(ground(), []), np.stack((u[v], v), 1))
+    none = np.zeros((HEIGHT, WIDTH, 1), np.uint8)
+    hidden = none.copy()
+    hidden[:, ::4] = hidden[:, 1::4] = hidden[:, 2::4] = 255
+    start = disparity(u[v], v) + 0.3
+    assert ground_planes(patches, (none, none), start)[1].all()
+    assert not ground_planes(patches, (hidden, none), start)[1].any()
+    assert not ground_planes(patches, (none, hidden), start)[1].any()
 
 
 def test_a_printed_line_is_no_thread():
@@ -165,7 +179,7 @@ def test_a_line_too_short_to_be_asked_goes_where_all_long_ones_are_printed():
     assert without_printed(images, both, 1000.0, FOCAL_PX) == both
 
 
-@pytest.mark.parametrize("doubt", ["few places", "places that disagree", "a thin line", "enough"])
+@pytest.mark.parametrize("doubt", ["few places", "places that disagree", "a thin line", "nearly its own", "enough"])
 def test_only_relief_that_is_certainly_less_than_a_threads_own_is_none(doubt):
     nothing = np.zeros(12)
     spread = np.where(np.arange(12) % 2, 0.4, -0.4)
@@ -173,7 +187,8 @@ def test_only_relief_that_is_certainly_less_than_a_threads_own_is_none(doubt):
         "few places": Relief(0.5, np.where(np.arange(12) < 4, 0.0, np.nan)),
         "places that disagree": Relief(0.5, spread),
         "a thin line": Relief(0.15, nothing),
-        "enough": Relief(0.5, nothing),
+        "nearly its own": Relief(0.5, nothing + 0.25),
+        "enough": Relief(0.5, nothing + 0.1),
     }[doubt]
     assert relief.is_none is (doubt == "enough")
 
@@ -199,6 +214,18 @@ def test_a_pair_with_print_alone_shows_no_thread_unless_a_person_says_so(segment
         assert told.status is Status.FAILED
         assert "lies in the ground" in told.reason
         assert "prompt" in told.reason
+
+
+def test_what_is_followed_is_not_asked_again_before_the_next_look_at_the_whole():
+    lines = [(bent(330), 0.0)]
+    images = with_lines(ground(), lines)
+    left, right = middles(lines)
+    blank = np.zeros((HEIGHT, WIDTH), np.uint8)
+    seen = observe(FrameStamp(5, 0, 0, ""), CAMERA, *images, blank, blank, NETWORK, judged=(), matching=False)
+    seen = replace(seen, status=Status.OK, reason="", centrelines_left=left, centrelines_right=right)
+    for looked, status in ((5, Status.FAILED), (3, Status.OK)):
+        asked = replace(seen, looked_sequence=looked, trail_left=None, trail_right=None)
+        assert told_apart(asked, images, (blank, blank), last=None).status is status
 
 
 def test_a_thread_beside_print_is_what_a_pair_shows():
