@@ -55,7 +55,7 @@ def middles(lines, first=40, last=320):
     v = np.arange(HEIGHT, dtype=float)
     left = [np.stack((u, v), 1)[first:last] for u, _ in lines]
     right = [np.stack((u - disparity(u, v) - relief, v), 1)[first:last] for u, relief in lines]
-    return tuple(
+    of_left, of_right = (
         Centrelines(
             np.concatenate(points),
             np.repeat(np.arange(len(points)), last - first),
@@ -64,6 +64,7 @@ def middles(lines, first=40, last=320):
         )
         for points in (left, right)
     )
+    return of_left, of_right
 
 
 def bent(at):
@@ -204,7 +205,7 @@ def test_a_pair_with_print_alone_shows_no_thread_unless_a_person_says_so(segment
         cv2.polylines(mask, [np.rint(line.point_px).astype(np.int32)[:, None]], False, 255, round(LINE_PX))
         masks.append(mask)
     stamp = FrameStamp(0, 0, 0, "")
-    seen = observe(stamp, CAMERA, *images, *masks, segmenter, judged=(), matching=False)
+    seen = observe(stamp, CAMERA, *images, masks[0], masks[1], segmenter, judged=(), matching=False)
     seen = replace(seen, prompt_px=np.array((330.0, 180.0)) if pointed_at else None)
     told = told_apart(seen, images, (masks[0], masks[1]), last=None)
     if segmenter == GIVEN_MASKS or pointed_at:
@@ -238,7 +239,7 @@ def test_a_thread_beside_print_is_what_a_pair_shows():
             some = np.rint(line.point_px[line.piece == number]).astype(np.int32)
             cv2.polylines(mask, [some[:, None]], False, 255, round(LINE_PX))
         masks.append(mask)
-    seen = observe(FrameStamp(0, 0, 0, ""), CAMERA, *images, *masks, NETWORK, judged=(), matching=False)
+    seen = observe(FrameStamp(0, 0, 0, ""), CAMERA, *images, masks[0], masks[1], NETWORK, judged=(), matching=False)
     told = told_apart(seen, images, (masks[0], masks[1]), last=None)
     assert told.status is Status.OK
     assert len(told.candidates) == 1
