@@ -41,8 +41,17 @@ def running(rig: RigConfig, fares: Iterable[Fare], here: str) -> Iterator[Findin
         names = sorted(f.name for f in there if f.placed == host)
         missing = sorted(name for name, where in placed.items() if where == host and name not in names)
         what = f"agents on {host}{' (here)' if host == here else ''}" if host else "running agents"
-        remedy = f"{listed(missing)} {'does' if len(missing) == 1 else 'do'} not run; start it there" if missing else ""
-        yield Finding(what, ", ".join(names) or "none", remedy)
+        yield Finding(what, ", ".join(names) or "none", _to_start(missing, host))
+
+
+def _to_start(missing: list[str], host: str) -> str:
+    """The remedy where agents do not run; empty where none is missing."""
+    if not missing:
+        return ""
+    what = f"{listed(missing)} {'does' if len(missing) == 1 else 'do'} not run"
+    if not host:
+        return f"{what}; start {'it' if len(missing) == 1 else 'them'} with suturegrasp up"
+    return f"{what}; on {host}, systemctl start suturegrasp.target starts what is installed, and suturegrasp up else"
 
 
 def guards(rig: RigConfig, gathered: Gathered) -> Iterator[Finding]:

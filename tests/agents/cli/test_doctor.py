@@ -193,7 +193,8 @@ def test_agents_are_told_by_host_and_those_missing_are_wrong_once_any_runs():
     there = Fare("planner", None, 1.0, True, placed="desk")
     found = by_what(running(rig, [there], "desk"))
     assert found["agents on desk (here)"] == Finding("agents on desk (here)", "planner")
-    assert found["agents on video"].remedy == "camera does not run; start it there"
+    start = "systemctl start suturegrasp.target starts what is installed, and suturegrasp up else"
+    assert found["agents on video"].remedy == f"camera does not run; on video, {start}"
 
 
 def test_a_guard_is_wrong_where_it_is_needed_and_is_not_there_reaches_nothing_or_does_not_answer():

@@ -17,10 +17,10 @@ SECTIONS = """
 """
 HOSTS = """
 [hosts.video]
-address = "10.0.0.1"
+address = "198.51.100.1"
 runs = ["camera", "recorder"]
 [hosts.strong]
-address = "10.0.0.2"
+address = "198.51.100.2"
 runs = ["perception", "operator"]
 [hosts.robot]
 address = "robot.lab"
@@ -43,13 +43,13 @@ MISTAKES = {
     WHOLE.replace('"perception", ', '"perception", "camera", '): "'camera' runs on video and strong",
     WHOLE.replace('"perception", ', '"perception", "planner", '): "runs 'planner', for which there is no section",
     WHOLE.replace('"robot_bridge psm1"', '"robot_bridge psm2"'): "robot_bridge psm2",
-    WHOLE.replace("10.0.0.2", "10.0.0.1"): "two hosts have the address 10.0.0.1",
-    WHOLE.replace("10.0.0.2", "127.0.0.1"): "no address that other hosts reach",
-    WHOLE.replace("10.0.0.2", "10.0.0"): "'10.0.0' is no address",
-    WHOLE.replace("10.0.0.2", "10.0.0.2x"): "'10.0.0.2x' is no address",
-    WHOLE.replace("10.0.0.2", "10.0.0.2:7447"): "write an IP address or a host name alone",
-    WHOLE.replace("10.0.0.2", "localhost"): "localhost is no address that other hosts reach",
-    WHOLE.replace("10.0.0.2", "255.255.255.255"): "write the one it has on the lab's network",
+    WHOLE.replace("198.51.100.2", "198.51.100.1"): "two hosts have the address 198.51.100.1",
+    WHOLE.replace("198.51.100.2", "127.0.0.1"): "no address that other hosts reach",
+    WHOLE.replace("198.51.100.2", "198.51.100"): "'198.51.100' is no address",
+    WHOLE.replace("198.51.100.2", "198.51.100.2x"): "'198.51.100.2x' is no address",
+    WHOLE.replace("198.51.100.2", "198.51.100.2:7447"): "write an IP address or a host name alone",
+    WHOLE.replace("198.51.100.2", "localhost"): "localhost is no address that other hosts reach",
+    WHOLE.replace("198.51.100.2", "255.255.255.255"): "write the one it has on the lab's network",
     WHOLE.replace("hosts.strong", "hosts.Strong-PC"): "'Strong-PC' cannot be used; write small letters, digits and _",
     WHOLE.replace('"perception", ', '"perception", "router", '): "is no agent; name its host in router.host",
     WHOLE.replace('"perception", ', '"percepton", '): "'percepton', for which there is no section; did you mean 'perc",
@@ -59,13 +59,13 @@ MISTAKES = {
     WHOLE.replace("[robot.psm1]", '[robot]\nbackend = "simulated"'): "a name before them, [robot.NAME]",
     WHOLE.replace("address = ", "adress = "): "hosts.video.adress is unknown; did you mean address?",
     WHOLE.replace("hosts.strong", "hosts.video"): "'[hosts.video]'; what is there twice needs a name of its own",
-    WHOLE.replace('"10.0.0.2"', "10.0.0.2"): "write texts in straight quotes",
+    WHOLE.replace('"198.51.100.2"', "198.51.100.2"): "write texts in straight quotes",
     WHOLE.replace('host = "video"', 'host = "vide"'): "'vide' is none of the hosts video, strong, robot",
     WHOLE.replace('host = "video"', ""): "router.host is missing",
-    WHOLE.replace('host = "video"', 'endpoint = "tcp/10.0.0.1:7447"'): "exclude each other",
+    WHOLE.replace('host = "video"', 'endpoint = "tcp/198.51.100.1:7447"'): "exclude each other",
     WHOLE.replace("[security]\n", ""): "[security] is missing",
-    '[router]\nendpoint = "tcp/10.0.0.1:7447"': "which needs mutual TLS",
-    '[router]\nendpoint = "tls/10.0.0.1:7447"': "needs [security]",
+    '[router]\nendpoint = "tcp/198.51.100.1:7447"': "which needs mutual TLS",
+    '[router]\nendpoint = "tls/198.51.100.1:7447"': "needs [security]",
     '[router]\nhost = "video"': "there are no [hosts]",
     FAR: "no host runs 'guard psm1'",
     FAR.replace('"perception", ', '"perception", "guard psm1", '): "'guard psm1' must run on robot",
@@ -96,7 +96,7 @@ def test_each_host_runs_its_own_and_all_find_the_router():
     assert configured(at_host(rig(WHOLE), "robot")) == [("robot_bridge", "psm1")]
     assert video.runs_here("router") and video.runs_here("recorder")
     assert not strong.runs_here("router") and not strong.runs_here("recorder")
-    assert video.router_endpoint == strong.session.endpoint == "tls/10.0.0.1:7447"
+    assert video.router_endpoint == strong.session.endpoint == "tls/198.51.100.1:7447"
 
 
 def test_each_process_shows_a_certificate_of_its_own():
