@@ -7,12 +7,14 @@ import zenoh
 
 from schemas.codec import decode, encode, encoding_name
 from schemas.messages import (
+    AgentFacts,
     AgentHealth,
     ClockReading,
     CommandAnswer,
     Hold,
     LogRecord,
     Outcome,
+    Progress,
 )
 from schemas.topics import FRAMES, HEALTH, HOLD, LOG, PLAN, key
 from shared.runtime.agent import Command, Input, Received
@@ -20,8 +22,10 @@ from shared.runtime.attachment import Attachment, pack
 from shared.runtime.clocks import clock_offset
 from shared.runtime.commands import accepted, new_header, send_command
 from shared.runtime.delivery import declare_publisher, subscribe
+from shared.runtime.facts import FACTS, ask_facts
 from shared.runtime.lossless import is_of
 from shared.runtime.own_key import encoding_of, other_key
+from shared.runtime.progress import PROGRESS, ask_progress
 from shared.runtime.session import open_session
 from shared.runtime.taps import tap
 
@@ -202,4 +206,29 @@ def test_a_clock_that_names_another_key_is_not_compared(session, settings, until
         assert until(offset).host == "box"
         names[0] = OTHER
         assert offset() is None
+        assert OTHER in answered
+
+
+FACTS_TOLD = AgentFacts(
+    "camera", "main", "box", 1, "0.1", "a", "b", "3.11", "1.10", False, "", None, None, "", "", None, None, None, 0.0, 0
+)
+
+
+@pytest.mark.parametrize(
+    ("last_part", "told", "ask"),
+    [(FACTS, FACTS_TOLD, ask_facts), (PROGRESS, Progress("none", (), ()), ask_progress)],
+    ids=["facts", "progress"],
+)
+def test_an_answer_that_names_another_key_is_nobodys(last_part, told, ask, session, settings, until):
+    own = f"suturegrasp/test/camera/main/{last_part}"
+    names, answered = [own], []
+
+    def answer(query):
+        query.reply(own, encode(told), encoding=encoding_of(type(told), names[0]))
+        answered.append(names[0])
+
+    with open_session(settings) as receiver, receiver.declare_queryable(own, answer):
+        until(lambda: ask(session, "test") == {"camera/main": told})
+        names[0] = OTHER
+        assert ask(session, "test") == {}
         assert OTHER in answered
