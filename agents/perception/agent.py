@@ -6,12 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from agents.perception.beside import Beside, tissue, tissue_beside, watched_beside
+from agents.perception.beside import Beside, begun_beside
 from agents.perception.following.pair import FollowedPair, follow_pair
 from agents.perception.frame_checks import apart, mismatch
 from agents.perception.judging.each_frame import judge_each, lasting, one_eye_stands_still, pictured
 from agents.perception.judging.whole import judge_whole
 from agents.perception.observe import observe
+from agents.perception.occluders import instruments_in
 from agents.perception.prompted import answer_to
 from agents.perception.rectification import Rectification, RectificationError, rectification
 from agents.perception.rectified_pair import RectifiedPair, decoded_pair, rectified_pair
@@ -19,7 +20,7 @@ from agents.perception.search import FRAMES_BETWEEN_LOOKS, Looked, look_everywhe
 from agents.perception.segmentation.choice import segmenters_with
 from agents.perception.segmentation.promptable_model import PromptableFiles
 from agents.perception.segmenter_names import GIVEN_MASKS, NETWORK, PROMPTABLE, RIDGE, SEGMENTER_NAMES
-from agents.perception.surface import surface_is_due
+from agents.perception.surface import surface_is_due, tissue_surface
 from agents.perception.told_apart import told_apart
 from agents.perception.unusable import nominal_camera, unusable
 from agents.perception.watched import FRAMES_BETWEEN_LOOKS_WATCHED, may_be_watched, watched
@@ -35,7 +36,7 @@ from schemas.messages import (
 )
 from schemas.topics import CALIBRATION, FRAMES, MAIN, OBSERVATIONS, PROMPT, SURFACE, Topic
 from shared.calibration.identity import calibration_id
-from shared.images import ImageDataError
+from shared.images import ImageDataError, decode_image
 from shared.runtime.agent import Command, Input, Output, Received, Tick
 from shared.runtime.settable import OneOf, settable
 
@@ -118,7 +119,7 @@ class Perception:
         """What follows from a frame; the observations first, since reconstruction waits for them."""
         last = self._last
         before, surface_sequence = (last.stamp.sequence, last.surface_sequence) if last else (None, None)
-        surface_due, beside = False, Beside()
+        surface_due = False
         pictures = pictured(frame, last)
         pair = (
             apart(frame.stamp, last.stamp if last else None)
@@ -131,8 +132,7 @@ class Perception:
             judgements = observed.judgements
         else:
             surface_due = surface_is_due(frame.stamp.sequence, before, surface_sequence)
-            beside = self._beside(frame.stamp.sequence, pair, surface_due)
-            observed = self._observe(frame.stamp, pair, beside)
+            observed = self._observe(frame.stamp, pair, surface_due)
             judgements = (*lasting(observed.judgements), *judge_each(pictures, pair.images))
         observed = replace(
             observed,
@@ -146,27 +146,24 @@ class Perception:
         self._go_on_from(observed)
         yield Output(OBSERVATIONS, observed)
         if surface_due and not isinstance(pair, str):
-            yield Output(SURFACE, tissue(frame.stamp, pair, observed, beside))
+            thread = decode_image(observed.mask_left) > 0
+            if observed.occluders is not None:
+                thread |= instruments_in(decode_image(observed.occluders.left), thread.shape)
+            images = pair.moved_up(observed.rows_moved_up).images
+            yield Output(SURFACE, tissue_surface(frame.stamp, pair.camera, *images, thread))
 
-    def _beside(self, sequence: int, pair: RectifiedPair, surface_due: bool) -> Beside:
-        """What is due in a frame beside following, begun; nothing where it will not be followed."""
-        last = self._last
-        if last is None or not self._may_follow(last):
-            return Beside()
-        if surface_due:
-            return tissue_beside(pair, last.rows_moved_up)
-        if may_be_watched(self.config.segmenter, last):
-            return watched_beside(sequence, pair, last, self.config.segmenter)
-        return Beside()
-
-    def _observe(self, stamp: FrameStamp, pair: RectifiedPair, beside: Beside) -> ThreadObservations:
+    def _observe(self, stamp: FrameStamp, pair: RectifiedPair, is_busy: bool) -> ThreadObservations:
         last = self._last
         if last is None:
             return self._looked(stamp, pair, 0)
         near = pair.moved_up(last.rows_moved_up)
-        if (followed := self._followed(stamp, near, last)) is not None:
-            observed = watched(followed.observed, followed.coverage, last, beside)
-            return observed or self._looked(stamp, pair, last.rows_moved_up)
+        if not self.config.matching and last.segmenter in FOLLOWED:
+            is_watched = may_be_watched(self.config.segmenter, last)
+            due = is_watched and not is_busy
+            beside = begun_beside(stamp.sequence, pair, last, self.config.segmenter) if due else Beside()
+            if (followed := self._followed(stamp, near, last, is_watched)) is not None:
+                observed = watched(followed.observed, followed.coverage, last, beside)
+                return observed or self._looked(stamp, pair, last.rows_moved_up)
         looked = look_near(near.images, last, stamp.sequence, self._segmenters)
         observed = self._observed(stamp, near, looked) if looked else None
         if observed is None or observed.status is not Status.OK:
@@ -192,14 +189,10 @@ class Perception:
         judgements = (*whole.offset, *observed.judgements, *whole.pictures)
         return replace(observed, judgements=judgements, rows_moved_up=whole.rows_moved_up)
 
-    def _may_follow(self, last: ThreadObservations) -> bool:
-        return not self.config.matching and last.segmenter in FOLLOWED
-
-    def _followed(self, stamp: FrameStamp, pair: RectifiedPair, last: ThreadObservations) -> FollowedPair | None:
+    def _followed(
+        self, stamp: FrameStamp, pair: RectifiedPair, last: ThreadObservations, is_watched: bool
+    ) -> FollowedPair | None:
         """The thread followed from the last observations, and told apart; None where it is to be looked for."""
-        if not self._may_follow(last):
-            return None
-        is_watched = may_be_watched(self.config.segmenter, last)
         between = FRAMES_BETWEEN_LOOKS_WATCHED if is_watched else FRAMES_BETWEEN_LOOKS
         found = follow_pair(stamp, pair.camera, pair.images, last, between)
         if found is None:

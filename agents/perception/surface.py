@@ -25,7 +25,6 @@ from agents.perception.matching import largest_disparity_px
 from schemas.messages import FrameStamp, RectifiedStereo, TissueSurface
 from shared.camera import depth_of_disparity
 
-Disparity = Float64[np.ndarray, "r c"]
 WIDTH_PX = 480
 """Of the reduced images: disparities are then good to a fraction of a pixel, and take some ten milliseconds."""
 CELL_PX = 12
@@ -100,26 +99,8 @@ def tissue_surface(
     Args:
         thread: pixels of the left image that are thread, or an instrument.
     """
-    return surface_of_disparity(stamp, camera, tissue_disparity(left, right), thread)
-
-
-def tissue_disparity(left: UInt8[np.ndarray, "h w 3"], right: UInt8[np.ndarray, "h w 3"]) -> Disparity:
-    """Disparity of each pixel of the reduced left image, in its pixels; NaN where it is not known.
-
-    Args:
-        left, right: of the rectified pair, their rows in line.
-    """
-    width = left.shape[1]
-    share = _share(width)
-    return _disparity(_reduced(left, share), _reduced(right, share), share * width)
-
-
-def surface_of_disparity(
-    stamp: FrameStamp, camera: RectifiedStereo, disparity: Disparity, thread: Bool[np.ndarray, "h w"]
-) -> TissueSurface:
-    """The same from what `tissue_disparity` gave."""
-    share = _share(camera.image_width)
-    disparity = disparity.copy()
+    share = min(1.0, WIDTH_PX / camera.image_width)
+    disparity = _disparity(_reduced(left, share), _reduced(right, share), share * camera.image_width)
     height, width = disparity.shape
     own = cv2.resize(thread.astype(np.uint8), (width, height), interpolation=cv2.INTER_AREA)
     near_thread = cv2.dilate((own > 0).astype(np.uint8), np.ones((2 * THREAD_MARGIN_PX + 1,) * 2, np.uint8)) > 0
@@ -134,17 +115,14 @@ def surface_of_disparity(
     return TissueSurface(stamp, camera, u, v, depth, valid, deviation)
 
 
-def _share(width: int) -> float:
-    """Of an image's size that is matched."""
-    return min(1.0, WIDTH_PX / width)
-
-
 def _reduced(image: UInt8[np.ndarray, "h w 3"], share: float) -> UInt8[np.ndarray, "h w"]:
     size = max(1, round(image.shape[1] * share)), max(1, round(image.shape[0] * share))
     return cv2.resize(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), size, interpolation=cv2.INTER_AREA)
 
 
-def _disparity(left: UInt8[np.ndarray, "h w"], right: UInt8[np.ndarray, "h w"], width: float) -> Disparity:
+def _disparity(
+    left: UInt8[np.ndarray, "h w"], right: UInt8[np.ndarray, "h w"], width: float
+) -> Float64[np.ndarray, "h w"]:
     """Disparity of each pixel in this image's own pixels, the mean of both matchings; NaN where it is not known."""
     reach = _sixteens(largest_disparity_px(round(width)))
     if left.shape[1] <= reach + WINDOW_PX:

@@ -29,6 +29,8 @@ COMMON_PX = 0.1
 """Deviation of what errs alike all along: the shadow beside a thread on the ground draws it there by 0.2 px."""
 APART = 2.0
 """So many neighbouring places see the same, and count as one."""
+FIRST_EVERY = 2
+"""Of the places are asked first, and the others only where it may come of it that the line lies in the ground."""
 
 Image = UInt8[np.ndarray, "h w 3"]
 
@@ -48,10 +50,18 @@ class Relief:
     @property
     def is_none(self) -> bool:
         """Whether the line certainly lies in the ground."""
+        return self._is_none_with(int(np.isfinite(self.relief_px).sum()))
+
+    @property
+    def may_be_none(self) -> bool:
+        """Whether that could be certain, if more places were asked that say much the same."""
+        return np.isfinite(self.relief_px).sum() < LEAST_PLACES or self._is_none_with(MOST_PLACES)
+
+    def _is_none_with(self, places: int) -> bool:
         told = self.relief_px[np.isfinite(self.relief_px)]
         if len(told) < LEAST_PLACES:
             return False
-        deviation = COMMON_PX + float(told.std(ddof=1)) / np.sqrt(len(told) / APART)
+        deviation = COMMON_PX + float(told.std(ddof=1)) / np.sqrt(places / APART)
         return bool(told.mean() + 2.0 * deviation < LYING * self.own_px)
 
 
@@ -72,14 +82,27 @@ def relief_of(
     at, disparity = _crossings(*line)
     if len(at) == 0:
         return Relief(0.0, disparity)
+    of_some = _relief_at(at[::FIRST_EVERY], disparity[::FIRST_EVERY], images, lines, line[0], focal_px)
+    return _relief_at(at, disparity, images, lines, line[0], focal_px) if of_some.may_be_none else of_some
+
+
+def _relief_at(
+    at: Float64[np.ndarray, "n 2"],
+    disparity: Float64[np.ndarray, "n"],
+    images: tuple[Image, Image],
+    lines: tuple[Centrelines, Centrelines],
+    line: Centrelines,
+    focal_px: float,
+) -> Relief:
+    """The relief of the left image's line at these places."""
     shape = images[0].shape
     patches = patches_around(images, at)
     beside_px = 2.0 * BESIDE_SHARE * shape[1]
     left, right = (_within(_drawn(all_of_it, beside_px, shape)) for all_of_it in lines)
     plane, told = ground_planes(patches, (left, right), disparity)
-    of_line = looked_up(_drawn(line[0], 0.0, shape), patches.u, patches.v)[..., 0] > 127
+    of_line = looked_up(_drawn(line, 0.0, shape), patches.u, patches.v)[..., 0] > 127
     relief = before_planes(patches, plane, of_line, disparity - plane[:, 0])
-    own = float(np.median(line[0].width_px) * np.median(disparity)) / focal_px
+    own = float(np.median(line.width_px) * np.median(disparity)) / focal_px
     return Relief(own, np.where(told, relief, np.nan))
 
 
