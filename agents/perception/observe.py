@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 
-from agents.perception.centrelines.centrelines import NO_LINES, thread_lines
+from agents.perception.both_eyes.apart import drawn_together
+from agents.perception.centrelines.centrelines import NO_LINES, Lines, thread_lines
 from agents.perception.clustering import Clusters, cluster_and_order
 from agents.perception.following.follow import trail_of
 from agents.perception.judge import correspondence_of_masks, correspondence_of_texture, judge
@@ -17,11 +18,10 @@ from agents.perception.matching import Matches, is_inlier, largest_disparity_px,
 from agents.perception.needles import Stretch, needle_map, without_needles
 from agents.perception.occluders import occluders_in
 from agents.perception.reflexes import without_reflexes
-from agents.perception.segmenter_names import GIVEN_MASKS
+from agents.perception.segmenter_names import GIVEN_MASKS, NETWORK, PROMPTABLE, RIDGE
 from schemas.messages import (
     Centrelines,
     FrameStamp,
-    Image,
     Judgement,
     RectifiedStereo,
     Severity,
@@ -36,6 +36,8 @@ SEGMENTED_COVERAGE = 96
 falls between two still counts."""
 LARGEST_SEGMENTED_SHARE = 0.05
 """Of the image; a mask that covers more shows no thread, which rarely covers 2 %, and would take seconds to match."""
+ON_TISSUE = NETWORK, RIDGE, PROMPTABLE
+"""Segmenters that find thread on tissue, where light misleads both eyes differently."""
 LEAST_OBSERVATIONS = 4
 """A cubic has four control points."""
 
@@ -62,12 +64,14 @@ class _Found:
 
 @dataclass(frozen=True)
 class _Shown:
-    """What one image shows, as it travels; and the needles in it."""
+    """What one image shows of thread, and the needles in it."""
 
-    mask: Image
-    centrelines: Centrelines
-    trail: Trail
+    lines: Lines
     needles: list[Stretch]
+
+    def trail(self, image: UInt8[np.ndarray, "h w 3"], centrelines: Centrelines) -> Trail:
+        """What the next frame follows the centrelines by, wherever both eyes together have drawn them."""
+        return trail_of(image, centrelines, self.lines.loose_start, self.lines.loose_end)
 
 
 def observe(
@@ -99,6 +103,9 @@ def observe(
         _shown(image, coverage, usable, may_be_steel)
         for image, coverage in ((left, coverage_left), (right, coverage_right))
     )
+    lines = of_left.lines.centrelines, of_right.lines.centrelines
+    if segmenter in ON_TISSUE:
+        lines = drawn_together((left, right), lines)
     return ThreadObservations(
         stamp=stamp,
         camera=camera,
@@ -110,14 +117,14 @@ def observe(
         matched_px=found.matched.px,
         match_cost=found.matched.cost,
         inlier=found.matched.inlier,
-        mask_left=of_left.mask,
-        mask_right=of_right.mask,
+        mask_left=mask_image(coverage_left),
+        mask_right=mask_image(coverage_right),
         judgements=found.judgements,
         gaps=gaps,
-        centrelines_left=of_left.centrelines,
-        centrelines_right=of_right.centrelines,
-        trail_left=of_left.trail,
-        trail_right=of_right.trail,
+        centrelines_left=lines[0],
+        centrelines_right=lines[1],
+        trail_left=of_left.trail(left, lines[0]),
+        trail_right=of_right.trail(right, lines[1]),
         segmented_sequence=stamp.sequence,
         occluders=needle_map(left.shape, of_left.needles, of_right.needles, stamp.sequence),
     )
@@ -214,5 +221,4 @@ def _shown(
     if may_be_steel:
         found, needles = without_needles(image, found)
         found = without_reflexes(image, found, occluders_in(image, coverage))
-    trail = trail_of(image, found.centrelines, found.loose_start, found.loose_end)
-    return _Shown(mask_image(coverage), found.centrelines, trail, needles)
+    return _Shown(found, needles)

@@ -61,10 +61,14 @@ def seen_across(
     return sample(image, point, normal, places[:, None] * reach, cv2.BORDER_REPLICATE)
 
 
-def has_plain_ground(colour: Float32[np.ndarray, "t n 3"], width_px: Float64[np.ndarray, "n"]) -> bool:
+def has_plain_ground(
+    colour: Float32[np.ndarray, "t n 3"],
+    width_px: Float64[np.ndarray, "n"],
+    places: Float32[np.ndarray, "t"] = PLACES,
+) -> bool:
     """Whether the ground is of one colour everywhere beside the thread."""
     some, width = colour[:, ::PLAIN_STRIDE], width_px[::PLAIN_STRIDE]
-    ground = some[np.abs(PLACES)[:, None] * reach_px(width) > width / 2 + GROUND_FROM_PX]
+    ground = some[np.abs(places)[:, None] * reach_px(width) > width / 2 + GROUND_FROM_PX]
     channels = np.ascontiguousarray(ground.T)
     usual = np.array([median(channel) for channel in channels])
     away = np.abs(channels - usual[:, None])

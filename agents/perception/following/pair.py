@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import UInt8
 
+from agents.perception.both_eyes.apart import drawn_together
 from agents.perception.following.drawn import mask_along
 from agents.perception.following.follow import Followed, follow
 from agents.perception.mask_image import drawn_mask_image
@@ -57,7 +58,8 @@ def follow_pair(
     found = follow(images, before)
     if isinstance(found, str):
         return None
-    left, right = found
+    lines = drawn_together(images, (found[0].lines, found[1].lines))
+    left, right = (replace(eye, lines=line) for eye, line in zip(found, lines, strict=True))
     coverage = mask_along(left, images[0].shape), mask_along(right, images[1].shape)
     mask_left, mask_right = (drawn_mask_image(mask) for mask in coverage)
     nothing = np.zeros((0, 3))

@@ -1,9 +1,9 @@
-"""How much of what both eyes' middles err apart a network can tell that sees the profiles of both.
+"""Learn by how much more the left middle of a thread errs than the right one, from the profiles of both eyes.
 
-python -m agents.perception.training.middle_apart --scenes DIR --held-out DIR [DIR ...]
+python -m agents.perception.training.middle_apart --scenes DIR [DIR ...] --held-out DIR [DIR ...] --output apart.npz
 
 Learns from pairs of the first folders, and prints for each of the others what share of the variance is told, and the
-errors' rms before and after. Nothing of it is used at run time: docs/model_card.md says what it told.
+errors' rms before and after. docs/model_card.md says what the project's own weights have learned from.
 """
 # pyright: reportMissingImports=false, reportUntypedBaseClass=false
 # PyTorch is there for training alone (extra `train`), so that the checks of everyone else run without it.
@@ -16,18 +16,19 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from jaxtyping import Float16
 from torch import nn
 
-from agents.perception.centrelines.learned import LOG_SCALE, own_weights
+from agents.perception.both_eyes.apart import DILATIONS
+from agents.perception.centrelines.learned import LOG_SCALE, STEPS
 from agents.perception.training.middle_pairs import WINDOW, PairProfiles, explained, features, pair_profiles
-from agents.perception.training.middle_views import middle_views
 from agents.perception.training.train import step_share
 
-STATES, TAPS, DILATIONS = 48, 5, (1, 2, 4, 8)
+STATES, TAPS = 48, len(STEPS)
 DROPPED, DROPPED_ALONG, BLURRED = 0.2, 0.1, 0.05
-BATCH, LENGTH, SHORTEST, MOST_WEIGHT = 24, 96, 30, 400
-"""Stretches of a batch, their points (every second pixel), the least that counts, and how often a long one is drawn."""
-STEEPEST, WEIGHT_DECAY, MOST_NORM, SHARED_WEIGHT, SHARED_POINTS = 2e-3, 5e-2, 2.0, 5.0, 16
+BATCH, LENGTH, SHORTEST, MOST_WEIGHT = 32, 40, 6, 100
+"""Stretches of a batch, their places (every eighth pixel), the least that counts, and how often a long one is drawn."""
+STEEPEST, WEIGHT_DECAY, MOST_NORM, SHARED_WEIGHT, SHARED_POINTS = 2e-3, 5e-2, 2.0, 5.0, 4
 MIRRORS = tuple(itertools.product((False, True), repeat=3))
 REPORTS = 5
 
@@ -58,8 +59,11 @@ class ApartNet(nn.Module):
         return offset, log_scale.clamp(*LOG_SCALE)
 
 
-def batches(pairs: Sequence[PairProfiles], seed: int) -> Iterator[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]:
-    """What is shown, what is to be said, and where there is a point at all; without end, the same for the same seed."""
+def batches(pairs: Sequence[PairProfiles], seed: int) -> Iterator[list[torch.Tensor]]:
+    """What is shown, what is to be said, where there is a place, and where its truth is known.
+
+    Without end, the same for the same seed.
+    """
     rng = np.random.default_rng([seed, 23])
     shown = [[features(pair, *mirrors) for mirrors in MIRRORS] for pair in pairs]
     stretches = [
@@ -71,15 +75,17 @@ def batches(pairs: Sequence[PairProfiles], seed: int) -> Iterator[tuple[torch.Te
     weight = np.minimum([count for _, _, count in stretches], MOST_WEIGHT).astype(np.float64)
     while True:
         some = np.zeros((BATCH, LENGTH, shown[0][0][0].shape[1]), np.float32)
-        apart, there = np.zeros((BATCH, LENGTH), np.float32), np.zeros((BATCH, LENGTH), np.float32)
+        apart, there, known = np.zeros((3, BATCH, LENGTH), np.float32)
         for row, index in enumerate(rng.choice(len(stretches), BATCH, p=weight / weight.sum())):
             k, first, count = stretches[index]
             seen, off = shown[k][rng.integers(len(MIRRORS))]
             start, n = first + rng.integers(max(1, count - LENGTH + 1)), min(count, LENGTH)
             way = slice(None, None, -1 if rng.uniform() < 0.5 else 1)
-            some[row, :n], apart[row, :n], there[row, :n] = seen[start : start + n][way], off[start : start + n][way], 1
+            here = slice(start, start + n)
+            some[row, :n], apart[row, :n], there[row, :n] = seen[here][way], off[here][way], 1
+            known[row, :n] = pairs[k].known[here][way]
         some += rng.normal(0, BLURRED, some.shape).astype(np.float32)
-        yield torch.from_numpy(some), torch.from_numpy(apart), torch.from_numpy(there)
+        yield [torch.from_numpy(part) for part in (some, apart, there, known)]
 
 
 def train(pairs: Sequence[PairProfiles], held_out: dict[str, list[PairProfiles]], steps: int, seed: int) -> ApartNet:
@@ -88,13 +94,13 @@ def train(pairs: Sequence[PairProfiles], held_out: dict[str, list[PairProfiles]]
     torch.set_num_threads(1)
     network = ApartNet(features(pairs[0])[0].shape[1])
     optimiser = torch.optim.AdamW(network.parameters(), STEEPEST, weight_decay=WEIGHT_DECAY)
-    for step, (shown, apart, there) in zip(range(steps), batches(pairs, seed), strict=False):
+    for step, (shown, apart, there, known) in zip(range(steps), batches(pairs, seed), strict=False):
         for group in optimiser.param_groups:
             group["lr"] = STEEPEST * step_share(step / steps)
         said, log_scale = network(shown, there)
         error = apart - said
-        unlikely = ((error.abs() / log_scale.exp() + log_scale) * there).sum() / there.sum()
-        shared = (error * there).unflatten(1, (-1, SHARED_POINTS)).mean(2)
+        unlikely = ((error.abs() / log_scale.exp() + log_scale) * known).sum() / known.sum()
+        shared = (error * known).unflatten(1, (-1, SHARED_POINTS)).mean(2)
         optimiser.zero_grad()
         (unlikely + SHARED_WEIGHT * torch.sqrt(shared**2 + 1e-4).mean()).backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), MOST_NORM)
@@ -104,7 +110,7 @@ def train(pairs: Sequence[PairProfiles], held_out: dict[str, list[PairProfiles]]
                 share, before, after = explained(others, [told(network, pair) for pair in others])
                 sys.stdout.write(
                     f"{step + 1} steps, {name}, {len(others)} pairs: {share:.1%} of the variance; "
-                    f"rms over {2 * WINDOW} px {before:.3f}, {after:.3f} px\n"
+                    f"rms over {8 * WINDOW} px {before:.3f}, {after:.3f} px\n"
                 )
             sys.stdout.flush()
     return network
@@ -124,26 +130,36 @@ def told(network: ApartNet, pair: PairProfiles) -> np.ndarray:
     return (both[0] - both[1]) / 2
 
 
+def weights_of(network: ApartNet) -> dict[str, Float16[np.ndarray, "..."]]:
+    """The network's weights as they are kept, by the names that are used at run time."""
+    layers = {"first": network.first, "of_all": network.of_all, "out": network.out}
+    weights = {name: layer.weight.T for name, layer in layers.items()}
+    weights |= {f"{name}_bias": layer.bias for name, layer in layers.items()}
+    for number, layer in enumerate(network.along):
+        # the states of five places, one after the other
+        weights[f"along{number}"] = layer.weight.permute(2, 1, 0).flatten(0, 1)
+        weights[f"along{number}_bias"] = layer.bias
+    return {name: value.detach().numpy().astype(np.float16) for name, value in weights.items()}
+
+
 def main(arguments: list[str] | None = None) -> int:
-    """Parse the command line, train, print; returns the exit status."""
+    """Parse the command line, train, print, write the weights; returns the exit status."""
     parser = argparse.ArgumentParser(prog="python -m agents.perception.training.middle_apart", description=__doc__)
     parser.add_argument("--scenes", type=Path, nargs="+", required=True, help="folders of rendered pairs to learn from")
     parser.add_argument("--held-out", type=Path, nargs="+", required=True, help="folders that are only looked at")
+    parser.add_argument("--output", type=Path, required=True, help="where the weights go, as NumPy keeps them")
     parser.add_argument("--steps", type=int, default=4000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--pairs", type=int, default=None, help="learn from so many alone, drawn by the seed")
     chosen = parser.parse_args(arguments)
-    pairs = _pairs(chosen.scenes)
-    drawn = np.random.default_rng(chosen.seed).permutation(len(pairs))[: chosen.pairs]
-    pairs = [pairs[index] for index in drawn]
+    pairs = pair_profiles(chosen.scenes)
+    if chosen.pairs is not None:
+        drawn = np.random.default_rng(chosen.seed).permutation(len(pairs))[: chosen.pairs]
+        pairs = [pairs[index] for index in drawn]
     sys.stdout.write(f"{len(pairs)} pairs to learn from\n")
-    train(pairs, {str(folder): _pairs([folder]) for folder in chosen.held_out}, chosen.steps, chosen.seed)
+    held_out = {str(folder): pair_profiles([folder]) for folder in chosen.held_out}
+    np.savez(chosen.output, allow_pickle=False, **weights_of(train(pairs, held_out, chosen.steps, chosen.seed)))
     return 0
-
-
-def _pairs(folders: list[Path]) -> list[PairProfiles]:
-    views = [view for held in (False, True) for view in middle_views(folders, held_out=held, scaled=False)]
-    return pair_profiles(views, own_weights())
 
 
 if __name__ == "__main__":

@@ -86,7 +86,7 @@ def middle_views(folders: Iterable[Path], held_out: bool, scaled: bool = True) -
         for index, view in enumerate(views_in([folder])):
             if _is_held_out(folder, view.name) != held_out or not view.coverage.any():
                 continue
-            truth = _truth(folder, view)
+            truth = truth_of(folder, view)
             found += _view(view.name, view.image, truth)
             if scaled and not held_out and index % SCALED_EVERY == 0:
                 found += _view(f"{view.name}_scaled", *_scaled(view.image, truth, rng))
@@ -103,15 +103,18 @@ def _document(folder: Path, name: str) -> dict[str, Any] | None:
     return None if path is None else json.loads(path.read_text())
 
 
-def _truth(folder: Path, view: View) -> Truth:
+def truth_of(folder: Path, view: View) -> Truth:
+    """The true middles in a view: projected from files beside it, or what its true coverage says."""
     name, _, eye = view.name.rpartition("_")
     files = sorted([*folder.rglob(f"{name}.npy"), *folder.rglob(f"{name}_thread*.npy")])
     document = _document(folder, view.name)
     if document is None or not files:
         return _covered(view.image, view.coverage)
+    samples = [np.load(file).astype(np.float64) for file in files]
     parts = [
-        _projected(np.load(file).astype(np.float64), document, EYES.index(eye), APART_MM * number)
-        for number, file in enumerate(files)
+        _projected(some, document, EYES.index(eye), APART_MM * number)
+        for number, some in enumerate(samples)
+        if len(some)
     ]
     return _together([part for part in parts if len(part.point)])
 

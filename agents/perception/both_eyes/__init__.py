@@ -1,0 +1,1 @@
+"""What both eyes' centrelines tell together."""

@@ -1,0 +1,211 @@
+"""Which points of both eyes' centrelines show the same places of a thread: those in one row that cannot be any other.
+
+Of a rectified pair, a place lies in the same row of both images. A row may cross a thread several times, and one eye
+may miss a strand that the other sees. So a place is known for certain where a left point has one right one in its row
+at a disparity that can be, and that one has no other left one; and next to such places, where one right point alone has
+about the disparity that theirs go on to. Elsewhere nothing is said.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from agents.perception.centrelines.along import Pieces, directions, gaussian, median
+from agents.perception.centrelines.profiles import normals
+from agents.perception.centrelines.refine import tangent_sigma
+from schemas.messages import Centrelines
+
+EVERY, APART_PX = 4, 8.0
+"""Of the left points, which lie a pixel apart, every fourth is asked; of what is known every second place is shown."""
+LARGEST_SHARE, ABOUT_SHARE = 0.2, 0.06
+"""Of the image's width: the largest disparity; and how far from the usual one it may be."""
+LEAST_PX = 1.0
+LEAST_ACROSS, LEAST_COSINE = 0.25, 0.8
+"""Of a normal, along the row: a thread along the rows has no point in one; and between the normals of both eyes."""
+OTHERWISE, BESIDE = 3, (-3, -2, -1, 0, 1, 2, 3)
+"""Sampled points: left ones of one strand that meet one place of the right one lie no farther apart; and right points
+that count as one place, since the rows of left points lie some pixels apart."""
+NEIGHBOURS, ALIKE_PX, UNLIKE_PX, ROUNDS = 12, 2.0, 8.0, 4
+"""Certain places within so many sampled points tell the disparity of a place, and of it alone, nearly."""
+STEEPEST_PX, LONGEST_STEP = 2.0, 12.0
+"""Of the disparity, and of the way along the right line: from one sampled point to the next one, at most."""
+LEAST = 1e-9
+SHORTEST = 8
+"""Sampled points: less of a thread tells nothing."""
+
+
+@dataclass(frozen=True)
+class SamePlaces:
+    """At n places that both eyes see for certain, about every eighth pixel along the left lines.
+
+    Fields:
+        left_at: index of the left point.
+        right_at: where along the right points, between two of them.
+        left_normal, right_normal: unit vectors to the same side of the thread.
+        stretches: which places follow each other.
+    """
+
+    left_at: Int64[np.ndarray, "n"]
+    right_at: Float64[np.ndarray, "n"]
+    left_normal: Float64[np.ndarray, "n 2"]
+    right_normal: Float64[np.ndarray, "n 2"]
+    stretches: Pieces
+
+
+@dataclass(frozen=True)
+class _Candidates:
+    """Right places in the rows of sampled left points, in order of those."""
+
+    sample: Int64[np.ndarray, "c"]
+    right_at: Float64[np.ndarray, "c"]
+    disparity_px: Float64[np.ndarray, "c"]
+
+
+def same_places(left: Centrelines, right: Centrelines, image_width: int) -> SamePlaces | None:
+    """The places of a rectified pair's centrelines that are the same for certain; None where there are too few."""
+    if min(len(left.piece), len(right.piece)) < EVERY * SHORTEST:
+        return None
+    of_left, of_right = Pieces(numbered(left.piece)), Pieces(numbered(right.piece))
+    at = np.flatnonzero(of_left.before % EVERY == 0)
+    found = _in_rows(left.point_px[at], right.point_px, of_right, image_width)
+    if not len(found.sample):
+        return None
+    normal, right_normals = (_normals(lines, pieces) for lines, pieces in ((left, of_left), (right, of_right)))
+    chosen = _chosen(found, of_left.number[at], image_width)
+    left_normal, right_normal = normal[at[found.sample]], between(right_normals, found.right_at)
+    alike = (left_normal * right_normal).sum(axis=1)
+    # the right line may have been followed from its other end
+    right_normal = right_normal * np.sign(alike)[:, None]
+    across = np.minimum(np.abs(left_normal[:, 0]), np.abs(right_normal[:, 0]))
+    kept = np.flatnonzero(chosen & (np.abs(alike) > LEAST_COSINE) & (across > LEAST_ACROSS))
+    number = _stretches(found, kept, of_left.number[at], of_right)
+    kept, number = _long(kept, number)
+    if not len(kept):
+        return None
+    # what the eyes show there is told by half of the points that tell what is the same
+    some, stretches = Pieces(number).every_second
+    kept = kept[some]
+    return SamePlaces(at[found.sample[kept]], found.right_at[kept], left_normal[kept], right_normal[kept], stretches)
+
+
+def numbered(piece: Int64[np.ndarray, "n"]) -> Int64[np.ndarray, "n"]:
+    """The numbers of pieces without gaps."""
+    return np.cumsum(np.diff(piece, prepend=piece[:1]) != 0)
+
+
+def _normals(lines: Centrelines, pieces: Pieces) -> Float64[np.ndarray, "n 2"]:
+    return normals(directions(lines.point_px, pieces, gaussian(tangent_sigma(median(lines.width_px)))))
+
+
+def between(values: Float64[np.ndarray, "m d"], at: Float64[np.ndarray, "c"]) -> Float64[np.ndarray, "c d"]:
+    """Values at places between two of a piece."""
+    before = np.minimum(at.astype(np.int64), len(values) - 2)
+    share = (at - before)[:, None]
+    return values[before] * (1 - share) + values[before + 1] * share
+
+
+def _in_rows(
+    point: Float64[np.ndarray, "n 2"], right_px: Float64[np.ndarray, "m 2"], of_right: Pieces, image_width: int
+) -> _Candidates:
+    """Where the right lines meet the row of each point, at a disparity that can be."""
+    order = np.argsort(point[:, 1], kind="stable")
+    rows = point[order, 1]
+    begin = np.flatnonzero(of_right.number[1:] == of_right.number[:-1])
+    low, high = np.sort((right_px[begin, 1], right_px[begin + 1, 1]), axis=0)
+    first, last = np.searchsorted(rows, low), np.searchsorted(rows, high)
+    count = last - first
+    segment = np.repeat(begin, count)
+    within = np.arange(len(segment)) - np.repeat(np.cumsum(count) - count, count)
+    sample = order[np.repeat(first, count) + within]
+    start, step = right_px[segment], right_px[segment + 1] - right_px[segment]
+    share = (point[sample, 1] - start[:, 1]) / step[:, 1]
+    disparity = point[sample, 0] - (start[:, 0] + share * step[:, 0])
+    may_be = np.flatnonzero((disparity > LEAST_PX) & (disparity < LARGEST_SHARE * image_width))
+    may_be = may_be[np.argsort(sample[may_be], kind="stable")]
+    return _Candidates(sample[may_be], segment[may_be] + share[may_be], disparity[may_be])
+
+
+def _chosen(found: _Candidates, piece: Int64[np.ndarray, "n"], image_width: int) -> Bool[np.ndarray, "c"]:
+    """Which candidates are meant for certain, by themselves or by those beside them."""
+    chosen = _alone(found)
+    if chosen.any():
+        chosen &= np.abs(found.disparity_px - median(found.disparity_px[chosen])) < ABOUT_SHARE * image_width
+    for _ in range(ROUNDS):
+        told = np.zeros(len(piece), bool)
+        told[found.sample[chosen]] = True
+        rest = np.flatnonzero(~told[found.sample])
+        if not chosen.any() or not len(rest):
+            break
+        sample = found.sample[rest]
+        off = np.abs(found.disparity_px[rest] - _expected(found, np.flatnonzero(chosen), sample, piece))
+        nearest, second = _two_least(off, sample)
+        more = rest[(off == nearest) & (off < ALIKE_PX) & (second > UNLIKE_PX)]
+        if not len(more):
+            break
+        chosen[more] = True
+    return chosen
+
+
+def _alone(found: _Candidates) -> Bool[np.ndarray, "c"]:
+    """Whether a left point has no other right place in its row, and that no left one of another strand."""
+    once = np.bincount(found.sample)[found.sample] == 1
+    segment = found.right_at.astype(np.int64)
+    count = int(segment.max()) + len(BESIDE)
+    least, most = np.full(count, np.iinfo(np.int64).max), np.full(count, -1)
+    for beside in BESIDE:
+        np.minimum.at(least, np.maximum(segment + beside, 0), found.sample)
+        np.maximum.at(most, np.maximum(segment + beside, 0), found.sample)
+    return once & (most[segment] - least[segment] <= OTHERWISE)
+
+
+def _expected(
+    found: _Candidates, sure: Int64[np.ndarray, "k"], sample: Int64[np.ndarray, "c"], piece: Int64[np.ndarray, "n"]
+) -> Float64[np.ndarray, "c"]:
+    """The disparity of the nearest certain places of the same piece, between them; infinite where none is near."""
+    at, disparity = found.sample[sure], found.disparity_px[sure]
+    after = np.searchsorted(at, sample)
+    beside = np.stack((np.maximum(after - 1, 0), np.minimum(after, len(at) - 1)))
+    away = np.abs(sample - at[beside])
+    near = (away <= NEIGHBOURS) & (piece[at[beside]] == piece[sample])
+    weight = near / np.maximum(away, 1)
+    total = weight.sum(axis=0)
+    mean = (weight * disparity[beside]).sum(axis=0) / np.maximum(total, LEAST)
+    return np.where(total > 0, mean, np.inf)
+
+
+def _two_least(
+    off: Float64[np.ndarray, "c"], sample: Int64[np.ndarray, "c"]
+) -> tuple[Float64[np.ndarray, "c"], Float64[np.ndarray, "c"]]:
+    """Of all candidates of each one's sampled point, the least value and the one after it."""
+    order = np.lexsort((off, sample))
+    first = np.flatnonzero(np.diff(sample[order], prepend=-1))
+    count = np.diff(np.append(first, len(order)))
+    number = np.cumsum(np.diff(sample, prepend=sample[:1]) != 0)
+    nearest = off[order[first]]
+    second = np.where(count > 1, off[order[np.minimum(first + 1, len(order) - 1)]], np.inf)
+    return nearest[number], second[number]
+
+
+def _stretches(
+    found: _Candidates, kept: Int64[np.ndarray, "k"], piece: Int64[np.ndarray, "n"], of_right: Pieces
+) -> Int64[np.ndarray, "k"]:
+    """Numbers of the stretches of kept candidates, cut wherever either line or the disparity leaps."""
+    sample, right_at = found.sample[kept], found.right_at[kept]
+    steps = np.diff(sample)
+    cut = (
+        (steps > 2)
+        | (np.diff(piece[sample]) != 0)
+        | (np.diff(of_right.number[right_at.astype(np.int64)]) != 0)
+        | (np.abs(np.diff(right_at)) > LONGEST_STEP * steps)
+        | (np.abs(np.diff(found.disparity_px[kept])) > STEEPEST_PX * steps)
+    )
+    return np.concatenate(([0], np.cumsum(cut)))[: len(kept)]
+
+
+def _long(
+    kept: Int64[np.ndarray, "k"], number: Int64[np.ndarray, "k"]
+) -> tuple[Int64[np.ndarray, "j"], Int64[np.ndarray, "j"]]:
+    """Those of stretches that are long enough, numbered anew."""
+    long = np.bincount(number, minlength=1)[number] >= SHORTEST
+    return kept[long], numbered(number[long])

@@ -1,0 +1,121 @@
+"""What both eyes show across a thread at the same places, in numbers that a network is shown."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float32, Float64, UInt8
+
+from agents.perception.both_eyes.same_places import APART_PX, SamePlaces, between
+from agents.perception.centrelines.along import blurred, gaussian
+from agents.perception.centrelines.profiles import sample
+from agents.perception.centrelines.straightened import (
+    BEYOND_PX,
+    GROUND_FROM_PX,
+    LEAST_CONTRAST,
+    has_plain_ground,
+    reach_px,
+    usual_width_px,
+)
+from schemas.messages import Centrelines
+
+Image = UInt8[np.ndarray, "h w 3"]
+PLACES = np.linspace(-1.0, 1.0, 33, dtype=np.float32)
+"""Where a profile is seen, as shares of its reach."""
+ALONG = 1.0
+"""Standard deviation, in places eight pixels apart, of the average along the thread."""
+MOST_CONTRASTS = 3.0
+USUAL_WIDTH_PX = 5.0
+LEFT, RIGHT = 0, 1
+
+
+@dataclass(frozen=True)
+class Shown:
+    """At n places of both eyes, left and right.
+
+    Fields:
+        seen: colours at PLACES about the middle, less the ground's, over the contrast that both eyes have in common.
+        log_deviation: the logarithm of what each middle may err, in pixels.
+        normal: of the left eye, or in a mirror the one that is the left one there.
+        width_px: the mean of both.
+    """
+
+    seen: Float32[np.ndarray, "2 n t 3"]
+    log_deviation: Float32[np.ndarray, "2 n"]
+    normal: Float32[np.ndarray, "2 n 2"]
+    width_px: Float32[np.ndarray, "n"]
+
+
+def shown_in_both(
+    images: tuple[Image, Image], lines: tuple[Centrelines, Centrelines], places: SamePlaces
+) -> Shown | None:
+    """What rectified images show about the same places of their centrelines; None over a plain ground.
+
+    That casts no light on a thread and shows no edges but the thread's: nothing beats those.
+    """
+    colours: list[np.ndarray] = []
+    widths: list[np.ndarray] = []
+    deviations: list[np.ndarray] = []
+    normals = places.left_normal, places.right_normal
+    for image, line, normal, at in zip(images, lines, normals, (places.left_at, places.right_at), strict=True):
+        values = between(np.column_stack((line.point_px, line.width_px, line.deviation_px)), np.asarray(at, np.float64))
+        usual = usual_width_px(values[:, 2], places.stretches, APART_PX)
+        seen = sample(image, values[:, :2], normal, PLACES[:, None] * reach_px(usual), cv2.BORDER_REPLICATE)
+        along = blurred(seen, places.stretches, gaussian(ALONG))
+        if has_plain_ground(along, usual, PLACES):
+            return None
+        colours.append(along.swapaxes(0, 1))
+        widths.append(usual)
+        deviations.append(np.log(values[:, 3]))
+    width = 0.5 * (widths[LEFT] + widths[RIGHT])
+    return Shown(
+        _in_contrasts(np.stack(colours), width),
+        np.stack(deviations).astype(np.float32),
+        np.stack(normals).astype(np.float32),
+        width.astype(np.float32),
+    )
+
+
+def _in_contrasts(
+    colours: Float32[np.ndarray, "2 n t 3"], width_px: Float64[np.ndarray, "n"]
+) -> Float32[np.ndarray, "2 n t 3"]:
+    """Less the ground's colour and over the contrast that both eyes have in common: what they differ by stays."""
+    off = np.abs(PLACES) * (width_px + BEYOND_PX)[:, None].astype(np.float32)
+    beside = (off > (width_px / 2 + GROUND_FROM_PX)[:, None]).astype(np.float32)
+    total = np.einsum("entc,nt->nc", colours, beside)
+    ground = total / np.maximum(2 * beside.sum(axis=1, keepdims=True), 1)
+    less = colours - ground[:, None]
+    contrast = np.sqrt(np.square(less.mean(axis=0)).mean(axis=(1, 2))) + np.float32(LEAST_CONTRAST)
+    return np.clip(less / contrast[:, None, None], -MOST_CONTRASTS, MOST_CONTRASTS).astype(np.float32)
+
+
+def numbers(shown: Shown) -> Float32[np.ndarray, "n f"]:
+    """What a network is shown of each place."""
+    seen, deviation, n = shown.seen, shown.log_deviation, len(shown.width_px)
+    left, right = shown.normal
+    parts = (
+        (0.5 * (seen[LEFT] + seen[RIGHT])).reshape(n, -1),
+        2 * (seen[LEFT] - seen[RIGHT]).reshape(n, -1),
+        np.stack((deviation.sum(axis=0), deviation[LEFT] - deviation[RIGHT]), axis=1),
+        np.log(shown.width_px / USUAL_WIDTH_PX)[:, None],
+        0.5 * (left + right),
+        5 * (left - right),
+        left[:, :1] * shown.width_px[:, None] / USUAL_WIDTH_PX,
+    )
+    return np.concatenate(parts, axis=1, dtype=np.float32)
+
+
+def from_other_side(shown: Shown) -> Shown:
+    """Profiles read from their other side, with the normals turned round."""
+    return Shown(shown.seen[:, :, ::-1], shown.log_deviation, -shown.normal, shown.width_px)
+
+
+def beside_mirror(shown: Shown) -> Shown:
+    """The scene in a mirror that stands beside it, in which the eyes change places."""
+    aside = np.array([-1, 1], np.float32)
+    return Shown(shown.seen[::-1], shown.log_deviation[::-1], shown.normal[::-1] * aside, shown.width_px)
+
+
+def upside_down(shown: Shown) -> Shown:
+    """The scene in a mirror that lies below it."""
+    return Shown(shown.seen, shown.log_deviation, shown.normal * np.array([1, -1], np.float32), shown.width_px)

@@ -1,0 +1,154 @@
+"""Places that both eyes' centrelines show for certain: right where they are said, and none where they may be others."""
+
+import numpy as np
+import pytest
+
+from agents.perception.both_eyes.same_places import between, same_places
+from agents.perception.centrelines.along import Pieces, evenly_spaced
+from schemas.messages import Centrelines
+
+WIDTH = 960
+
+
+def lines(*curves):
+    """Centrelines along some curves, each of (n, 2) points, a pixel apart."""
+    rough = Pieces(np.repeat(np.arange(len(curves)), [len(curve) for curve in curves]))
+    point, pieces = evenly_spaced(np.concatenate(curves).astype(float), rough, 1.0)
+    n = len(point)
+    return Centrelines(point, pieces.number, np.full(n, 5.0), np.full(n, 0.1))
+
+
+def moved(curve, disparity):
+    return np.column_stack((curve[:, 0] - disparity, curve[:, 1]))
+
+
+def wave(u, top=100.0, bottom=300.0, swing=20.0):
+    v = np.linspace(top, bottom, 400)
+    return np.column_stack((u + swing * np.sin(v / 40), v))
+
+
+def u_turn(of_depth):
+    """A thread that comes back along the same rows, one leg 120 rows longer than the other, in both eyes."""
+    angle = np.linspace(np.pi, 0, 200)
+    down = np.column_stack((np.full(300, 300.0), np.linspace(80, 380, 300)))
+    turn = np.column_stack((340 + 40 * np.cos(angle), 380 + 40 * np.sin(angle)))
+    up = np.column_stack((np.full(180, 380.0), np.linspace(380, 200, 180)))
+    left = np.concatenate((down, turn[1:-1], up))
+    return left, moved(left, of_depth(left))
+
+
+def places_of(left, right):
+    places = same_places(left, right, WIDTH)
+    assert places is not None
+    return places
+
+
+def errors_px(left, right, places, disparity):
+    """By how much each place's disparity differs from the true one, and its row from the left point's."""
+    at_left, at_right = left.point_px[places.left_at], between(right.point_px, places.right_at)
+    found = at_left - at_right
+    return np.abs(found[:, 0] - disparity(at_left)), np.abs(found[:, 1])
+
+
+def slope(point):
+    return 30.0 + 0.02 * (point[:, 1] - 100)
+
+
+def test_a_thread_across_the_rows_is_the_same_all_along():
+    curve = wave(400)
+    left, right = lines(curve), lines(moved(curve, slope(curve)))
+    places = places_of(left, right)
+    assert len(places.left_at) >= 0.95 * len(left.piece) / 8
+    assert len(places.stretches.first) == 1
+    off, rows = errors_px(left, right, places, slope)
+    assert off.max() < 0.02
+    assert rows.max() < 1e-9
+
+
+def test_whichever_end_the_right_line_begins_at_normals_point_to_the_same_side():
+    curve = wave(400)
+    left, right = lines(curve), lines(moved(curve, 30.0))
+    turned = lines(moved(curve, 30.0)[::-1])
+    one, other = places_of(left, right), places_of(left, turned)
+    assert ((other.left_normal * other.right_normal).sum(axis=1) > 0.99).all()
+    both, first, second = np.intersect1d(one.left_at, other.left_at, return_indices=True)
+    assert len(both) > 0.95 * len(one.left_at)
+    np.testing.assert_allclose(one.right_normal[first], other.right_normal[second], atol=0.01)
+    np.testing.assert_allclose(
+        between(right.point_px, one.right_at[first]), between(turned.point_px, other.right_at[second]), atol=0.02
+    )
+
+
+def test_a_thread_that_comes_back_along_the_same_rows_is_known_from_where_one_leg_is_alone():
+    left_px, right_px = u_turn(slope)
+    left, right = lines(left_px), lines(right_px)
+    places = places_of(left, right)
+    off, _ = errors_px(left, right, places, slope)
+    assert off.max() < 0.1
+    rows = left.point_px[places.left_at]
+    alone, shared = (rows[:, 0] < 340) & (rows[:, 1] < 195), (rows[:, 0] < 340) & (rows[:, 1] > 205)
+    assert alone.sum() > 10
+    # the disparity goes on from there, and tells the legs apart
+    assert shared.sum() > 12
+
+
+def test_nothing_is_said_of_two_strands_in_the_same_rows_of_which_either_may_be_meant():
+    first, second = wave(400), wave(430)
+    left, right = lines(first, second), lines(moved(first, 60.0), moved(second, 60.0))
+    assert same_places(left, right, WIDTH) is None
+
+
+def test_nothing_is_said_of_a_strand_that_the_right_eye_does_not_see_beside_one_that_it_does():
+    first, second = wave(400), wave(430)
+    assert same_places(lines(first, second), lines(moved(first, 60.0)), WIDTH) is None
+    # with the left one missing too there is nothing else that it can be
+    assert same_places(lines(first), lines(moved(first, 60.0)), WIDTH) is not None
+
+
+@pytest.mark.parametrize("disparity", [-20.0, 0.25 * WIDTH])
+def test_what_lies_at_no_disparity_that_can_be_is_not_the_same(disparity):
+    curve = wave(400)
+    assert same_places(lines(curve), lines(moved(curve, disparity)), WIDTH) is None
+
+
+def test_strands_that_cross_are_the_same_places_or_none():
+    v = np.linspace(100, 400, 600)
+    # the longer one is alone in the rows below, and is known upwards from there
+    steep, slanted = (np.column_stack((u, v)) for u in (300 + 0 * v, 200 + (v - 100)))
+    slanted = slanted[slanted[:, 1] < 260]
+    left = lines(steep, slanted)
+    right = lines(moved(steep, 30.0), moved(slanted, 34.0))
+    places = places_of(left, right)
+    found = left.point_px[places.left_at, 0] - between(right.point_px, places.right_at)[:, 0]
+    true = np.where(left.piece[places.left_at] == 0, 30.0, 34.0)
+    np.testing.assert_allclose(found, true, atol=0.1)
+
+
+def test_a_stretch_along_the_rows_is_left_out():
+    level = np.column_stack((np.linspace(300, 500, 200), np.full(200, 200.0)))
+    curve = np.concatenate((level, np.column_stack((np.full(150, 501.0), np.linspace(201, 350, 150)))))
+    left, right = lines(curve), lines(moved(curve, 30.0))
+    places = places_of(left, right)
+    assert left.point_px[places.left_at][:, 1].min() > 200.0
+    assert len(places.left_at) > 12
+    assert same_places(lines(level), lines(moved(level, 30.0)), WIDTH) is None
+
+
+def test_too_short_a_thread_and_none_at_all_say_nothing():
+    short = wave(400, 100, 120)
+    nothing = Centrelines(np.zeros((0, 2)), np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
+    assert same_places(lines(short), lines(moved(short, 30.0)), WIDTH) is None
+    assert same_places(nothing, lines(wave(400)), WIDTH) is None
+    assert same_places(lines(wave(400)), nothing, WIDTH) is None
+
+
+def test_no_left_point_has_two_places_and_most_have_none():
+    left_px, right_px = u_turn(slope)
+    left, right = lines(left_px), lines(right_px)
+    places = places_of(left, right)
+    assert len(np.unique(places.left_at)) == len(places.left_at) <= len(left.piece) / 8 + 2
+
+
+def test_a_zigzag_as_fine_as_its_disparity_may_be_any_other_part_of_itself():
+    zigzag = np.column_stack((np.linspace(300, 600, 4000), 200 + 60 * np.sin(np.linspace(0, 60, 4000))))
+    assert same_places(lines(zigzag), lines(moved(zigzag, 30.0)), WIDTH) is None
