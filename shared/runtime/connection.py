@@ -35,6 +35,7 @@ from shared.runtime.taps import Tapped, tap
 ROUTER_WAIT_S = 3.0
 CONFIGURATION_WAIT_S = 1.0
 LOOK_S = 0.05
+ABOUT_TO_S = 0.5
 
 
 class NoRouterError(RuntimeError):
@@ -201,7 +202,8 @@ def open_when_there(
         except (zenoh.ZError, IdentityError) as error:
             opened.put(error)
 
-    threading.Thread(target=wait, name="connecting", daemon=True).start()
+    connecting = threading.Thread(target=wait, name="connecting", daemon=True)
+    connecting.start()
     deadline_s = None if within_s is None else monotonic_s() + within_s
     while stopped is None or not stopped.is_set():
         try:
@@ -215,6 +217,10 @@ def open_when_there(
         if isinstance(session, Exception):
             raise NoRouterError(f"{settings.endpoint} cannot be connected to: {session}")
         return session
+    # what comes back from Zenoh while Python ends aborts the process: what is about to connect is awaited, and closed
+    connecting.join(ABOUT_TO_S)
+    if not opened.empty() and isinstance(late := opened.get(), zenoh.Session):
+        late.close()
     raise NoRouterError(f"no router answers on {settings.endpoint}; is suturegrasp up running there?")
 
 

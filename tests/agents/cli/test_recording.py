@@ -117,7 +117,7 @@ def test_what_a_unit_runs_waits_for_room_and_says_so_where_a_person_is_told_at_o
             full.unlink()
             until((disk / "a.mcap").exists)
             unit.send_signal(signal.SIGTERM)
-            assert unit.wait() == 0
+            assert unit.wait() == 0, unit.stderr.read()
     finally:
         subprocess.run(["umount", "--lazy", str(disk)], check=True)  # noqa: S607
 
