@@ -6,8 +6,9 @@ the other: twice the time of the processor, and a third more of the clock's.
 """
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
+
+from shared.aside import begun
 
 Result = TypeVar("Result")
 
@@ -18,8 +19,6 @@ def of_both(function: Callable[..., Result], left: tuple[Any, ...], right: tuple
     Raises:
         Exception: whatever the function raises for either.
     """
-    # a thread of its own each time takes a tenth of a millisecond, and nothing is left of it in a process that forks
-    with ThreadPoolExecutor(1) as other:
-        of_right = other.submit(function, *right)
-        of_left = function(*left)
-        return of_left, of_right.result()
+    of_right = begun(function, *right)
+    of_left = function(*left)
+    return of_left, of_right.result()
