@@ -8,7 +8,7 @@ import pytest
 
 from agents.perception.candidates import without_printed
 from agents.perception.candidates.patches import before_planes, ground_planes, patches_around
-from agents.perception.candidates.relief import Relief, relief_of
+from agents.perception.candidates.relief import MOST_PLACES, Relief, relief_of
 from agents.perception.observe import observe
 from agents.perception.segmenter_names import GIVEN_MASKS, NETWORK, RIDGE
 from agents.perception.told_apart import told_apart
@@ -192,6 +192,25 @@ def test_only_relief_that_is_certainly_less_than_a_threads_own_is_none(doubt):
         "enough": Relief(0.5, nothing + 0.1),
     }[doubt]
     assert relief.is_none is (doubt == "enough")
+
+
+def test_what_clearly_stands_off_is_asked_at_half_of_its_places_and_what_may_be_print_at_all():
+    asked = {}
+    for relief in (0.0, 1.0):
+        lines = [(bent(330), relief)]
+        both = middles(lines)
+        found = relief_of(with_lines(ground(), lines), both, both, FOCAL_PX)
+        asked[relief] = len(found.relief_px)
+        assert found.is_none is (relief == 0.0)
+    assert asked == {0.0: MOST_PLACES, 1.0: MOST_PLACES // 2}
+
+
+def test_more_places_are_asked_where_they_may_tell_and_where_too_few_have_told():
+    alternate = np.where(np.arange(12) % 2, 0.2, -0.2)
+    doubtful = Relief(0.5, alternate + 0.05)
+    assert (doubtful.is_none, doubtful.may_be_none) == (False, True)
+    assert Relief(0.5, np.where(np.arange(12) < 4, 3.0, np.nan)).may_be_none
+    assert not Relief(0.5, alternate + 0.5).may_be_none
 
 
 @pytest.mark.parametrize("segmenter", [NETWORK, RIDGE, GIVEN_MASKS])
