@@ -10,9 +10,11 @@ import schemas
 from agents.cli.doctor.finding import Finding
 from agents.cli.doctor.here import examine_here
 from agents.cli.doctor.images import examine_frames, examine_images, wants_images
+from agents.cli.doctor.network import networks
 from agents.cli.doctor.rig import clocks, granted, guards, links, running, streams, topics, versions
 from agents.cli.doctor.router import no_router
 from agents.cli.doctor.rules import examine_rules
+from agents.cli.doctor.weighed import weigh
 from agents.cli.live.options import Doctor
 from agents.cli.reconstruct.options import UsageError
 from agents.cli.rig.config import RigConfig
@@ -82,6 +84,7 @@ def _across(rig: RigConfig, connection: Connection) -> Iterator[Finding]:
     yield from clocks(gathered.clocks, socket.gethostname())
     measured: dict[str, Link | None] = {name: connection.link(*name.split("/")) for name in facts}
     yield from links(measured)
+    yield from networks(rig, measured, gathered, weigh(connection) if rig.hosts else {})
     yield from streams(gathered)
     yield from examine_frames(connection)
     yield from granted(facts, rig, gathered.at_ns)

@@ -135,7 +135,8 @@ def links(measured: Mapping[str, Link | None]) -> Iterator[Finding]:
         remedy = (
             "look at the network, and at how busy both hosts are: an arm holds 200 ms after a heartbeat" if slow else ""
         )
-        yield Finding(what, f"{took}, {link.bytes_per_s / 1e6:.0f} MB/s", remedy)
+        much = f"{_megabytes(link.bytes_per_s)} from it, {_megabytes(link.bytes_per_s_there)} to it"
+        yield Finding(what, f"{took}, {much}", remedy)
 
 
 def streams(gathered: Gathered) -> Iterator[Finding]:
@@ -191,6 +192,10 @@ def _shared_memory(facts: Mapping[str, AgentFacts]) -> Iterator[Finding]:
         reasons.setdefault((one.shared_memory, one.shared_memory_reason), []).append(_called(name))
     for (used, reason), names in sorted(reasons.items(), reverse=True):
         yield Finding("shared memory", f"{'used' if used else 'not used'} by {listed(names)}: {reason}")
+
+
+def _megabytes(rate: float) -> str:
+    return f"{1e-6 * rate:.{0 if rate > 1e7 else 2}f} MB/s"
 
 
 def _called(name: str) -> str:

@@ -115,7 +115,7 @@ def test_doctor_finds_the_router_and_who_is_there(planned):
     assert findings["router"].found == f"answers on {rig.router_endpoint}"
     assert findings["running agents"].found == "planner"
     assert findings["schemas"].found == f"{schemas_hash()} everywhere"
-    assert findings["link to planner"].found.endswith("MB/s")
+    assert findings["link to planner"].found.endswith("MB/s to it")
     assert "planner" in findings["shared memory"].found
     assert findings["clocks of other hosts"].state == "?"
     assert findings["access rules"].found.startswith("none are in force: the router listens on this machine alone")
@@ -242,10 +242,12 @@ def test_versions_that_differ_from_those_here_are_wrong():
 
 
 def test_links_that_are_slow_are_wrong_and_those_that_do_not_answer_unknown():
+    far = Link(90.0, 120.0, 1e6, 1e6)
     quick, slow, silent = links(
-        {"camera/main": Link(0.4, 1.2, 9e8), "planner/main": Link(90.0, 120.0, 1e6), "robot_bridge/psm1": None}
+        {"camera/main": Link(0.4, 1.2, 9e8, 1e6), "planner/main": far, "robot_bridge/psm1": None}
     )
-    assert (quick.state, quick.found) == ("ok", "0.4 ms there and back (99 % within 1.2 ms), 900 MB/s")
+    much = "900 MB/s from it, 1.00 MB/s to it"
+    assert (quick.state, quick.found) == ("ok", f"0.4 ms there and back (99 % within 1.2 ms), {much}")
     assert (slow.state, silent.state, silent.what) == ("WRONG", "?", "link to robot_bridge psm1")
 
 

@@ -1,0 +1,135 @@
+"""What crosses the link of each host of a rig, in bytes a second: who says what, how often, and who hears it where.
+
+All that is said goes to the router and from there to each who hears it, also where both are on one host: so the link of
+a host bears each stream that its agents say once, and each that they hear once for every one of them; the link of the
+router's host bears what those of all others do, and nothing of what is said and heard on it.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+from agents.cli.rig.config import RigConfig
+from agents.cli.rig.hosts import kind_and_instance
+from schemas.topics import (
+    FRAMES,
+    MAIN,
+    OBSERVATIONS,
+    ROBOT_STATE,
+    SIMULATOR_STATE,
+    SURFACE,
+    THREAD,
+    TOOL,
+    Topic,
+)
+
+STREAMS = (FRAMES, OBSERVATIONS, SURFACE, TOOL, THREAD, ROBOT_STATE, SIMULATOR_STATE)
+"""What comes steadily and weighs something."""
+PER_FRAME = (FRAMES, OBSERVATIONS, THREAD)
+TYPICAL_BYTES = {
+    FRAMES: 84_949,
+    OBSERVATIONS: 110_685,
+    THREAD: 34_694,
+    SURFACE: 8_745,
+    SIMULATOR_STATE: 1_498,
+    ROBOT_STATE: 526,
+    TOOL: 500,
+}
+"""Of the simulated field, 960x540, in docs/example/session.mcap (docs/scaling.md): for what cannot be weighed."""
+HEARD_BY = {
+    "perception": (FRAMES,),
+    "reconstruction": (OBSERVATIONS,),
+    "planner": (THREAD, SURFACE, ROBOT_STATE),
+    "robot_bridge": (SURFACE,),
+    "simulator": (ROBOT_STATE,),
+    "camera": (SIMULATOR_STATE,),
+}
+TOOL_TRACKER_HEARS = (FRAMES, ROBOT_STATE)
+
+
+@dataclass(frozen=True)
+class Traffic:
+    """What one host's link has to bear, in bytes a second by topic."""
+
+    out: dict[str, float] = field(default_factory=dict[str, float])
+    into: dict[str, float] = field(default_factory=dict[str, float])
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """A stream that one process says, or hears, across its host's link.
+
+    Fields:
+        process: as `kind/instance`; what a stream is heard by, or said by.
+    """
+
+    host: str
+    process: str
+    topic: Topic
+    is_said: bool
+    bytes_per_s: float
+
+
+def traffic(rig: RigConfig, bytes_of: Mapping[str, float]) -> dict[str, Traffic]:
+    """What crosses the link of each host, given how large messages are, by topic."""
+    found = {host: Traffic() for host in rig.hosts}
+    for one in crossings(rig, bytes_of):
+        at, router = found[one.host], found[rig.router.host or ""]
+        for sums in (at.out, router.into) if one.is_said else (at.into, router.out):
+            sums[str(one.topic)] = sums.get(str(one.topic), 0.0) + one.bytes_per_s
+    return found
+
+
+def crossings(rig: RigConfig, bytes_of: Mapping[str, float]) -> Iterator[Crossing]:
+    """Each stream of each process whose host is not the router's."""
+    heard = {str(topic) for kind, instance, _ in _processes(rig) for topic in heard_by(rig, kind, instance)}
+    for kind, instance, host in _processes(rig):
+        if host == rig.router.host:
+            continue
+        for topic in STREAMS:
+            each = rate_of(rig, topic) * bytes_of.get(str(topic), TYPICAL_BYTES[topic])
+            if _says(kind, instance, topic) and str(topic) in heard:
+                yield Crossing(host, f"{kind}/{instance}", topic, True, each)
+            if topic in heard_by(rig, kind, instance):
+                of_each = _instances(rig, kind, instance, topic)
+                yield Crossing(host, f"{kind}/{instance}", topic, False, of_each * each)
+
+
+def heard_by(rig: RigConfig, kind: str, instance: str) -> tuple[Topic, ...]:
+    """The streams that a process hears."""
+    if kind == "viewer":
+        return STREAMS
+    if kind == "recorder":
+        otherwise = {str(row): row.recorded for row in rig.rows_otherwise}
+        return tuple(topic for topic in STREAMS if otherwise.get(str(topic), topic.recorded))
+    if kind == "perception" and instance != MAIN:
+        return TOOL_TRACKER_HEARS
+    if kind == "camera" and (rig.camera is None or rig.camera.source != "scene"):
+        return ()
+    if kind == "robot_bridge" and rig.robot[instance].correction == "perception":
+        return (*HEARD_BY[kind], TOOL)
+    return HEARD_BY.get(kind, ())
+
+
+def rate_of(rig: RigConfig, topic: Topic) -> float:
+    """How often a stream comes, in Hz: what follows from frames as often as the camera films."""
+    if topic in PER_FRAME and rig.camera is not None:
+        return rig.camera.rate_hz
+    return topic.rate_hz or 0.0
+
+
+def _says(kind: str, instance: str, topic: Topic) -> bool:
+    return topic.agent == kind and topic.per_arm == (instance != MAIN)
+
+
+def _instances(rig: RigConfig, kind: str, instance: str, topic: Topic) -> int:
+    """Of how many arms a process hears such a stream."""
+    if not topic.per_arm or kind == "robot_bridge" or (kind == "perception" and instance != MAIN):
+        return 1
+    tracked = rig.perception.track_tool if rig.perception is not None else ()
+    return len(tracked) if topic is TOOL else len(rig.robot)
+
+
+def _processes(rig: RigConfig) -> Iterator[tuple[str, str, str]]:
+    for host, section in rig.hosts.items():
+        for name in section.runs:
+            yield *kind_and_instance(name, host), host
