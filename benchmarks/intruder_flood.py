@@ -51,7 +51,7 @@ EPOCH = 0x0DD
 AT_ONCE = {Delivery.LATEST: 6}
 """Fewer than a ring holds."""
 AT_ONCE_LOSSLESS = 200
-HANDLED_S, ACCOUNTS_S, ANSWER_S, PLAN_S = 90.0, 20.0, 10.0, 60.0
+HANDLED_S, ACCOUNTS_S, ANSWER_S, PLAN_S = 90.0, 20.0, 30.0, 120.0
 WEIGHTS = {FRAMES: 0.1, PROMPT: 0.1}
 """A frame that can be read is searched for thread, which takes a while, and once more where one is prompted."""
 ASK_AGAIN_S = 0.25

@@ -70,6 +70,8 @@ class PreTrigger:
         if self._parts is not None:
             self._parts.trigger(reason, at_ns)
             return
+        # messages may have waited here for longer than the seconds before, with nothing to drive them out
+        self._forget(at_ns)
         self._events += 1
         path = self._path.with_stem(f"{self._path.stem}_{self._events}_{reason}")
         held_s = (at_ns - self._ring[0][1].received_ns) * 1e-9 if self._ring else 0.0
