@@ -753,8 +753,16 @@ class TopicOverride(_message.Message):
     value: str
     def __init__(self, topic: _Optional[str] = ..., setting: _Optional[str] = ..., value: _Optional[str] = ...) -> None: ...
 
+class RigSection(_message.Message):
+    __slots__ = ("name", "digest")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    DIGEST_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    digest: str
+    def __init__(self, name: _Optional[str] = ..., digest: _Optional[str] = ...) -> None: ...
+
 class AgentFacts(_message.Message):
-    __slots__ = ("agent", "instance", "host", "at_ns", "version", "schemas_hash", "config_hash", "python", "zenoh", "shared_memory", "shared_memory_reason", "realtime_asked", "realtime_granted", "realtime_reason", "writes_to", "disk_free_bytes", "calibrated_ns", "certificate_expires_ns", "processor_s", "resident_bytes", "overrides")
+    __slots__ = ("agent", "instance", "host", "at_ns", "version", "schemas_hash", "config_hash", "python", "zenoh", "shared_memory", "shared_memory_reason", "realtime_asked", "realtime_granted", "realtime_reason", "writes_to", "disk_free_bytes", "calibrated_ns", "certificate_expires_ns", "processor_s", "resident_bytes", "overrides", "rig_sections")
     AGENT_FIELD_NUMBER: _ClassVar[int]
     INSTANCE_FIELD_NUMBER: _ClassVar[int]
     HOST_FIELD_NUMBER: _ClassVar[int]
@@ -776,6 +784,7 @@ class AgentFacts(_message.Message):
     PROCESSOR_S_FIELD_NUMBER: _ClassVar[int]
     RESIDENT_BYTES_FIELD_NUMBER: _ClassVar[int]
     OVERRIDES_FIELD_NUMBER: _ClassVar[int]
+    RIG_SECTIONS_FIELD_NUMBER: _ClassVar[int]
     agent: str
     instance: str
     host: str
@@ -797,7 +806,8 @@ class AgentFacts(_message.Message):
     processor_s: float
     resident_bytes: int
     overrides: _containers.RepeatedCompositeFieldContainer[TopicOverride]
-    def __init__(self, agent: _Optional[str] = ..., instance: _Optional[str] = ..., host: _Optional[str] = ..., at_ns: _Optional[int] = ..., version: _Optional[str] = ..., schemas_hash: _Optional[str] = ..., config_hash: _Optional[str] = ..., python: _Optional[str] = ..., zenoh: _Optional[str] = ..., shared_memory: _Optional[bool] = ..., shared_memory_reason: _Optional[str] = ..., realtime_asked: _Optional[int] = ..., realtime_granted: _Optional[int] = ..., realtime_reason: _Optional[str] = ..., writes_to: _Optional[str] = ..., disk_free_bytes: _Optional[int] = ..., calibrated_ns: _Optional[int] = ..., certificate_expires_ns: _Optional[int] = ..., processor_s: _Optional[float] = ..., resident_bytes: _Optional[int] = ..., overrides: _Optional[_Iterable[_Union[TopicOverride, _Mapping]]] = ...) -> None: ...
+    rig_sections: _containers.RepeatedCompositeFieldContainer[RigSection]
+    def __init__(self, agent: _Optional[str] = ..., instance: _Optional[str] = ..., host: _Optional[str] = ..., at_ns: _Optional[int] = ..., version: _Optional[str] = ..., schemas_hash: _Optional[str] = ..., config_hash: _Optional[str] = ..., python: _Optional[str] = ..., zenoh: _Optional[str] = ..., shared_memory: _Optional[bool] = ..., shared_memory_reason: _Optional[str] = ..., realtime_asked: _Optional[int] = ..., realtime_granted: _Optional[int] = ..., realtime_reason: _Optional[str] = ..., writes_to: _Optional[str] = ..., disk_free_bytes: _Optional[int] = ..., calibrated_ns: _Optional[int] = ..., certificate_expires_ns: _Optional[int] = ..., processor_s: _Optional[float] = ..., resident_bytes: _Optional[int] = ..., overrides: _Optional[_Iterable[_Union[TopicOverride, _Mapping]]] = ..., rig_sections: _Optional[_Iterable[_Union[RigSection, _Mapping]]] = ...) -> None: ...
 
 class HostClock(_message.Message):
     __slots__ = ("agent", "instance", "host", "ahead_ms", "within_ms")

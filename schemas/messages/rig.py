@@ -72,6 +72,18 @@ class TopicOverride:
 
 
 @dataclass(frozen=True)
+class RigSection:
+    """A section of a rig's file by a digest of what it says, so that those of several hosts can be compared."""
+
+    name: str
+    digest: str
+
+    def __post_init__(self) -> None:
+        check_message(self)
+        require(self.name != "" and self.digest != "", "a section of a rig's file has a name and a digest")
+
+
+@dataclass(frozen=True)
 class AgentFacts:
     """Where an agent runs and what it was granted there, told to whoever asks.
 
@@ -86,6 +98,8 @@ class AgentFacts:
         certificate_expires_ns: None where it runs without one.
         processor_s, resident_bytes: what the process has used of processors since it began, and of memory now.
         overrides: what it does otherwise with topics than their table says, as its rig's file told it.
+        rig_sections: of the rig's file that it began with, but for what each host has of its own, and topics; empty
+            where it does not tell.
     """
 
     agent: str
@@ -109,6 +123,7 @@ class AgentFacts:
     processor_s: float
     resident_bytes: int
     overrides: tuple[TopicOverride, ...] = ()
+    rig_sections: tuple[RigSection, ...] = ()
 
     def __post_init__(self) -> None:
         check_message(self)

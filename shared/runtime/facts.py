@@ -18,7 +18,7 @@ import schemas
 from schemas.checks import MessageError
 from schemas.codec import decode, encode
 from schemas.generated import suturegrasp_pb2
-from schemas.messages import AgentFacts, TopicOverride
+from schemas.messages import AgentFacts, RigSection, TopicOverride
 from schemas.topics import key_root
 from shared.clock import now_ns, processor_s
 from shared.runtime.own_key import encoding_of, other_key
@@ -40,6 +40,7 @@ class Surroundings:
         realtime_asked: the real-time priority that it asked for; None for none.
         realtime_refused: why it was not granted; empty where it was, or nothing was asked for.
         overrides: what it was told to do otherwise with topics than their table says.
+        rig_sections: of the rig's file that it began with, by a digest of each.
     """
 
     writes_to: Path | None = None
@@ -48,6 +49,7 @@ class Surroundings:
     realtime_asked: int | None = None
     realtime_refused: str = ""
     overrides: tuple[TopicOverride, ...] = ()
+    rig_sections: tuple[RigSection, ...] = ()
 
 
 @functools.cache
@@ -93,6 +95,7 @@ def facts_of(
         processor_s=processor_s(),
         resident_bytes=resident_bytes(),
         overrides=around.overrides,
+        rig_sections=around.rig_sections,
     )
 
 

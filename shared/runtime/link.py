@@ -22,7 +22,7 @@ MOST_BYTES = 4 << 20
 FRAME_BYTES = 1_500_000
 """As many as a raw stereo pair has, of 960x540 pixels with half of the colours left out."""
 LEAST_BYTES = 1 << 16
-GROWTH = 4
+GROWTH, TRIED = 4, 3
 LONG_ENOUGH_S = 0.025
 """More is sent at once until it takes so long. An arm holds where its operator's heartbeat is 200 ms late, and what
 measures a link must not be why."""
@@ -87,10 +87,10 @@ def throughput(trip_s: Callable[[int], float | None], latency_s: float) -> float
         took_s = trip_s(count)
         if took_s is None:
             return count / ANSWER_WAIT_S
-        if count < FRAME_BYTES and took_s - latency_s < LONG_ENOUGH_S and not taken_s:
-            count = min(GROWTH * count, FRAME_BYTES)
-            continue
         taken_s.append(took_s)
+        # one that was held up by something else tells nothing
+        if count < FRAME_BYTES and len(taken_s) == TRIED and np.median(taken_s) - latency_s < LONG_ENOUGH_S:
+            count, taken_s = min(GROWTH * count, FRAME_BYTES), []
     # no faster than what a clock can tell
     return count / max(float(np.median(taken_s)) - latency_s, 1e-6)
 

@@ -54,6 +54,7 @@ from schemas.messages import (
     RectifiedStereo,
     ReliabilityRegions,
     ReplayClock,
+    RigSection,
     RobotMode,
     RobotState,
     SetParameter,
@@ -340,6 +341,7 @@ configurations = st.builds(
 )
 priorities = st.none() | st.integers(0, 99)
 topic_overrides = st.builds(TopicOverride, texts.filter(bool), texts.filter(bool), texts)
+rig_sections = st.builds(RigSection, texts.filter(bool), texts.filter(bool))
 facts = st.builds(
     AgentFacts,
     agent=texts.filter(bool),
@@ -363,6 +365,7 @@ facts = st.builds(
     processor_s=numbers,
     resident_bytes=uint64,
     overrides=st.lists(topic_overrides, max_size=2).map(tuple),
+    rig_sections=st.lists(rig_sections, max_size=2).map(tuple),
 )
 
 
@@ -609,6 +612,7 @@ MESSAGES = {
     AgentConfiguration: configurations,
     SetParameter: st.builds(SetParameter, headers, texts.filter(bool), texts),
     TopicOverride: topic_overrides,
+    RigSection: rig_sections,
     AgentFacts: facts,
     HostClock: host_clocks(),
     HostClocks: st.builds(HostClocks, nanoseconds, st.lists(host_clocks(), max_size=2).map(tuple)),

@@ -11,7 +11,7 @@ from agents.cli.doctor.finding import Finding
 from agents.cli.doctor.here import examine_here
 from agents.cli.doctor.images import examine_frames, examine_images, wants_images
 from agents.cli.doctor.network import networks
-from agents.cli.doctor.rig import clocks, granted, guards, links, running, streams, topics, versions
+from agents.cli.doctor.rig import clocks, files, granted, guards, links, running, streams, topics, versions
 from agents.cli.doctor.router import no_router
 from agents.cli.doctor.rules import examine_rules
 from agents.cli.doctor.weighed import weigh
@@ -81,6 +81,7 @@ def _across(rig: RigConfig, connection: Connection) -> Iterator[Finding]:
     zenoh = importlib.metadata.version("eclipse-zenoh")
     yield from versions(facts, schemas.__version__, schemas_hash(), zenoh)
     yield from topics(rig, facts)
+    yield from files(gathered)
     yield from clocks(gathered.clocks, socket.gethostname())
     measured: dict[str, Link | None] = {name: connection.link(*name.split("/")) for name in facts}
     yield from links(measured)

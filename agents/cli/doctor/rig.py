@@ -6,6 +6,7 @@ from agents.cli.doctor.finding import UNKNOWN, Finding
 from agents.cli.rig.config import RigConfig
 from agents.cli.rig.topics import overrides
 from agents.cli.status.agents import AWAY
+from agents.cli.status.files import HERE, judge_files
 from agents.cli.status.gathered import Gathered, placed_agents
 from agents.cli.status.health_watch import Fare, name_of, span_of
 from agents.cli.status.judgement import (
@@ -25,6 +26,8 @@ from shared.runtime.link import Link
 
 SLOW_LINK_MS = 50.0
 """A quarter of what an operator's heartbeat may take until the arm holds."""
+MOST_TOLD = 1e10
+"""In bytes a second: shared memory, of which a clock tells no more."""
 OF_STATUS = ("hanging", "slow", "old", "missed", "refused", "fault", "error", "arm", "held")
 """What the judgement of `status` finds and nothing here does."""
 INSTALL = "install one version everywhere, and restart the agents"
@@ -123,6 +126,20 @@ def topics(rig: RigConfig, facts: Mapping[str, AgentFacts]) -> Iterator[Finding]
         yield Finding(f"topics of {wrong.about}", began, remedy)
 
 
+def files(gathered: Gathered) -> Iterator[Finding]:
+    """Whether all agents began with the file of the rig that is here."""
+    what = "file of the rig"
+    wrongs = list(judge_files(gathered))
+    for wrong in wrongs:
+        began, _, remedy = wrong.text.partition("; ")
+        yield Finding(f"{what} on {wrong.about}" if wrong.about != HERE else f"{what} here", began, remedy)
+    silent = [_called(name) for name, facts in gathered.facts.items() if not facts.rig_sections]
+    if silent:
+        yield Finding(what, f"{UNKNOWN} of {listed(silent)}, whose version does not tell")
+    elif gathered.facts and not wrongs:
+        yield Finding(what, "every agent began with the same as here")
+
+
 def links(measured: Mapping[str, Link | None]) -> Iterator[Finding]:
     """How far away each agent is, by what was measured."""
     for name, link in measured.items():
@@ -195,6 +212,8 @@ def _shared_memory(facts: Mapping[str, AgentFacts]) -> Iterator[Finding]:
 
 
 def _megabytes(rate: float) -> str:
+    if rate > MOST_TOLD:
+        return f"over {1e-6 * MOST_TOLD:.0f} MB/s"
     return f"{1e-6 * rate:.{0 if rate > 1e7 else 2}f} MB/s"
 
 

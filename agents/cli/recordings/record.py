@@ -12,6 +12,7 @@ from agents.cli.recordings.facts import STUDY_FACTS, attached_to, clocks_note, n
 from agents.cli.recordings.one_after_another import Recordings
 from agents.cli.rig.config import RecorderSection, RigConfig
 from agents.cli.rig.hosts import kind_and_instance
+from agents.cli.running.around import around
 from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.cli.running.session_folder import free_path
 from agents.cli.running.supervisor import SUPERVISED
@@ -24,8 +25,6 @@ from schemas.topics import MAIN, TOPICS, Topic, key_root
 from shared.runtime.config import config_hash, parse_config
 from shared.runtime.connection import Connection, NoRouterError, connected
 from shared.runtime.delivery import as_told
-from shared.runtime.facts import Surroundings
-from shared.runtime.identity import validity_ns
 from shared.runtime.service_manager import serving
 
 FIRST_CLOCKS_S, CLOCKS_EVERY_S = 3.0, 60.0
@@ -90,10 +89,8 @@ def _record_all(
 ) -> None:
     """Until stopped; what is told of it is told on the rig too."""
     recording = (connection, recorded_topics(rig), stopped, _say_end)
-    identity = rig.identity_of(KIND)
-    expires_ns = None if identity is None else validity_ns(identity.certificate)[1]
-    around = Surroundings(folder, certificate_expires_ns=expires_ns, overrides=rig.overrides)
-    with connection.reporting(KIND, _instance(rig), LOGGER, lambda: recordings.fault, config_hash(rig), around):
+    known = around(rig, KIND, writes_to=folder)
+    with connection.reporting(KIND, _instance(rig), LOGGER, lambda: recordings.fault, config_hash(rig), known):
         thread = threading.Thread(target=recordings.run, args=recording, name="recordings")
         thread.start()
         _note_clocks(connection, recordings, stopped)

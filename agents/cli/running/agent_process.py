@@ -11,6 +11,7 @@ from agents.camera.sources import SourceError
 from agents.cli.rig.builders import build
 from agents.cli.rig.config import RigConfig
 from agents.cli.rig.hosts import run_name
+from agents.cli.running.around import around
 from agents.cli.running.process import EXIT_GAVE_UP, EXIT_OK, EXIT_UNUSABLE, LOGGER, log_to_console, on_stop, step_back
 from agents.cli.terminal import complain
 from shared.calibration import CalibrationError
@@ -19,7 +20,6 @@ from shared.runtime.connection import NoRouterError, open_when_there
 from shared.runtime.delivery import RouterLinks
 from shared.runtime.direct import DirectLinks
 from shared.runtime.facts import Surroundings, ask_for_realtime
-from shared.runtime.identity import validity_ns
 from shared.runtime.memory import keep_freed_memory
 from shared.runtime.runner import Runner
 from shared.runtime.session import runs_already
@@ -50,7 +50,7 @@ def _run(rig: RigConfig, kind: str, instance: str) -> int:
     stopped = threading.Event()
     on_stop(stopped.set, for_sure=True)
     # before the session is opened, so that its threads have the priority too: the loop waits for them at times
-    around = surroundings(rig, kind, instance)
+    known = surroundings(rig, kind, instance)
     try:
         session = open_when_there(rig.session_of(run_name(kind, instance)), stopped=stopped)
     except NoRouterError as error:
@@ -58,7 +58,7 @@ def _run(rig: RigConfig, kind: str, instance: str) -> int:
     with session:
         if runs_already(session, rig.rig, kind, instance):
             return complain(f"{kind} {instance} of rig {rig.rig} runs already; stop that one first", EXIT_UNUSABLE)
-        runner = Runner(agent, session, rig.rig, config_hash(rig), around, links(rig, kind, instance))
+        runner = Runner(agent, session, rig.rig, config_hash(rig), known, links(rig, kind, instance))
         threading.Thread(target=_stop_after, args=(stopped, runner.stop), name="stop", daemon=True).start()
         runner.run()
     return complain(runner.gave_up, EXIT_GAVE_UP) if runner.gave_up else EXIT_OK
@@ -68,15 +68,10 @@ def surroundings(rig: RigConfig, kind: str, instance: str) -> Surroundings:
     """What the agent's process knows of its host; real-time priority is asked for first where a real arm is driven,
     and where the rig wants it.
     """
-    identity = rig.identity_of(run_name(kind, instance))
     drives = kind == "robot_bridge" and rig.robot[instance].dvrk is not None
     asked = REALTIME_PRIORITY if drives or (kind in KEEPING_TIME and rig.realtime_here) else None
-    return Surroundings(
-        certificate_expires_ns=None if identity is None else validity_ns(identity.certificate)[1],
-        realtime_asked=asked,
-        realtime_refused="" if asked is None else ask_for_realtime(asked),
-        overrides=rig.overrides,
-    )
+    refused = "" if asked is None else ask_for_realtime(asked)
+    return around(rig, run_name(kind, instance), realtime_asked=asked, realtime_refused=refused)
 
 
 def links(rig: RigConfig, kind: str, instance: str) -> RouterLinks:

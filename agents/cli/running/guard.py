@@ -10,6 +10,7 @@ from agents.cli.live.options import Guard
 from agents.cli.rig.config import RigConfig
 from agents.cli.rig.hosts import kind_and_instance, run_name
 from agents.cli.rig.sections import CameraSection, DvrkSection
+from agents.cli.running.around import around
 from agents.cli.running.audit import AuditError, AuditLog, audit_of
 from agents.cli.running.process import EXIT_GAVE_UP, EXIT_OK, on_stop
 from agents.cli.terminal import complain, say
@@ -26,8 +27,7 @@ from shared.ros.naming import ALIVE, GUARD_NODE, GUARDED, NODE, Naming, RmwZenoh
 from shared.ros.types import EMPTY, JOINT_STATE, STRING_STAMPED, RosMessageError
 from shared.runtime.config import ConfigError, config_hash
 from shared.runtime.connection import Connection, NoRouterError, connected
-from shared.runtime.facts import Surroundings, ask_for_realtime
-from shared.runtime.identity import validity_ns
+from shared.runtime.facts import ask_for_realtime
 from shared.runtime.service_manager import ServiceManager
 from shared.runtime.session import SessionSettings, check_security
 from shared.runtime.taps import Tapped
@@ -114,20 +114,15 @@ def _listen(rig: RigConfig, own: str, ears: "_Ears", link: ros.RosLink, refused:
     """Hear the rig for as long as it is there, and tell it how the guard fares; without it nobody stands by."""
     kind, arm = kind_and_instance(own)
     settings = rig.session_of(own)
-    expires_ns = None if settings.identity is None else validity_ns(settings.identity.certificate)[1]
-    around = Surroundings(
-        certificate_expires_ns=expires_ns,
-        realtime_asked=REALTIME_PRIORITY if rig.realtime_here else None,
-        realtime_refused=refused,
-        overrides=rig.overrides,
-    )
+    asked = REALTIME_PRIORITY if rig.realtime_here else None
+    known = around(rig, own, realtime_asked=asked, realtime_refused=refused)
     with contextlib.suppress(NoRouterError), connected(settings, None, stopped) as connection:
         connection.listen((HEARTBEAT, ROBOT_STATE), ears.hear_rig)
         if _another(connection, f"{kind}/{arm}", stopped):
             ears.second = f"another guard of {arm} runs already, which goes on; stop that one first"
             stopped.set()
             return
-        with connection.reporting(kind, arm, LOGGER, lambda: _fault(link), config_hash(rig), around):
+        with connection.reporting(kind, arm, LOGGER, lambda: _fault(link), config_hash(rig), known):
             stopped.wait()
 
 

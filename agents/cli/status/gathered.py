@@ -7,7 +7,7 @@ from agents.cli.rig.config import RigConfig
 from agents.cli.rig.hosts import BESIDE, OPERATOR, kind_and_instance
 from agents.cli.rig.topics import Override
 from agents.cli.status.health_watch import Fare
-from schemas.messages import AgentFacts, ExecutionEvent, HostClocks, LogRecord, RobotState, ToolCorrection
+from schemas.messages import AgentFacts, ExecutionEvent, HostClocks, LogRecord, RigSection, RobotState, ToolCorrection
 from schemas.topics import FRAMES, HEALTH, HEARTBEAT, OBSERVATIONS, SURFACE, THREAD, TOOL, TOPICS, Delivery
 from shared.runtime.clocks import ClockOffset
 
@@ -42,6 +42,7 @@ class Gathered:
         said: log records that tell an error or a warning.
         here_expires_ns: when the certificate that status itself shows expires.
         overrides: what the rig's file here does otherwise with topics than their table says.
+        rig_sections: of the rig's file here, by a digest of each.
     """
 
     at_ns: int
@@ -58,6 +59,7 @@ class Gathered:
     said: tuple[LogRecord, ...] = ()
     here_expires_ns: int | None = None
     overrides: tuple[Override, ...] = ()
+    rig_sections: tuple[RigSection, ...] = ()
 
 
 def expected_rates(rig: RigConfig) -> dict[str, float]:

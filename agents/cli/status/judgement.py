@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping
 
 from agents.cli.rig.topics import Override, in_words
 from agents.cli.status.agents import judge_agents
+from agents.cli.status.files import judge_files
 from agents.cli.status.gathered import ArmHeard, Gathered
 from agents.cli.status.health_watch import name_of, span_of
 from agents.cli.status.tool import judge_tool
@@ -35,6 +36,7 @@ def judge(gathered: Gathered) -> list[Wrong]:
         *_clocks(gathered),
         *_schemas(gathered),
         *topics_told_otherwise(gathered.overrides, gathered.facts),
+        *judge_files(gathered),
         *(wrong for name, facts in gathered.facts.items() for wrong in _facts(name, facts, gathered.at_ns)),
         *_own_certificate(gathered),
         *_logged(gathered),

@@ -5,6 +5,7 @@ import threading
 from collections import deque
 
 from agents.cli.rig.config import RigConfig
+from agents.cli.rig.digest import rig_sections
 from agents.cli.rig.topics import overrides
 from agents.cli.status.gathered import ArmHeard, Gathered, expected_rates, placed_agents
 from agents.cli.status.health_watch import HealthWatch
@@ -92,6 +93,7 @@ class StatusWatch:
             said=errors,
             here_expires_ns=self._expires_ns,
             overrides=overrides(self._rig.topics),
+            rig_sections=rig_sections(self._rig),
         )
 
     def _take(self, tapped: Tapped) -> None:

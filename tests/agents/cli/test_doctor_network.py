@@ -100,22 +100,22 @@ def health(topic, rate_hz):
     return AgentHealth("a", "main", "h", "0.2.0", "c", 0, 1000.0, 1, None, None, (heard,), (), "")
 
 
+def flowing_at(rate_hz):
+    heard = {"perception": "camera/frames", "reconstruction": "perception/observations"}
+    heard |= {"planner": "reconstruction/thread"}
+    return tuple(Fare(name, health(topic, rate_hz), 0.1, True, placed="strong") for name, topic in heard.items())
+
+
 def test_what_flows_at_the_moment_is_borne_beside_what_was_measured():
-    fares = tuple(
-        Fare(name, health(topic, 30.0), 0.1, True, placed="strong")
-        for name, topic in (
-            ("perception", "camera/frames"),
-            ("reconstruction", "perception/observations"),
-            ("planner", "reconstruction/thread"),
-        )
-    )
+    fares = flowing_at(30.0)
     flowing = found("video", Gathered(0, "lab", "", fares=fares), perception=(6e6, 6e6))["strong"]
     assert flowing.state == "ok"
     assert "6.0 MB/s pass out of it beside 7.9 MB/s that flow" in flowing.found
     assert found("video", perception=(6e6, 6e6))["strong"].state == "WRONG"
     # a link that hardly lets anything through carries no more because much is wanted of it
-    trickle = tuple(Fare(f.name, health(f.health.inputs[0].topic, 1.0), 0.1, True, placed="strong") for f in fares)
-    assert found("video", Gathered(0, "lab", "", fares=trickle), perception=(6e6, 6e6))["strong"].state == "WRONG"
+    assert (
+        found("video", Gathered(0, "lab", "", fares=flowing_at(1.0)), perception=(6e6, 6e6))["strong"].state == "WRONG"
+    )
 
 
 def test_which_link_of_two_is_slow_is_told_only_where_another_way_shows_it():

@@ -1,6 +1,7 @@
 """What a rig's file may do otherwise with topics than their table says, and that its processes do it."""
 
 import json
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -110,7 +111,7 @@ def test_a_process_of_a_rig_publishes_as_its_file_says_and_doctor_and_status_tel
     plain = f'rig = "test"\n[router]\nendpoint = "{settings.endpoint}"\nstart = false\n[planner]\n'
     here, there = tmp_path / "here.toml", tmp_path / "there.toml"
     here.write_text(plain)
-    there.write_text(f'{plain}[topics."*/health"]\npriority = "background"\n')
+    there.write_text(f'{plain}attempts = 2\n[topics."*/health"]\npriority = "background"\n')
     priorities = []
     heard = session.declare_subscriber(
         key("test", HEALTH, "main", "planner"), lambda sample: priorities.append(str(sample.priority))
@@ -131,6 +132,9 @@ def test_a_process_of_a_rig_publishes_as_its_file_says_and_doctor_and_status_tel
     assert "topics: otherwise than the table: */health priority background (the table: real_time)" in agree.out
     assert "topics of planner" not in agree.out
     assert "WRONG topics of planner: planner began with another file of the rig" in differ.out
+    assert "file of the rig: every agent began with the same as here" in agree.out
+    assert f"planner on {socket.gethostname()} began with another file of the rig" in differ.out
+    assert "file" in [wrong["code"] for wrong in told["wrong"]]
     assert ("topics", "planner") in [(wrong["code"], wrong["about"]) for wrong in told["wrong"]]
     (override,) = told["agents"][0]["facts"]["overrides"]
     assert override == {"topic": "*/health", "setting": "priority", "value": "background"}

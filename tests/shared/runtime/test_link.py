@@ -42,3 +42,9 @@ def test_a_fast_link_is_measured_with_a_whole_frame():
 def test_what_is_waited_for_in_vain_bounds_the_rate():
     assert throughput(Wire(1e4).trip_s, LATENCY_S) == LEAST_BYTES / ANSWER_WAIT_S
     assert throughput(Wire(1e4, burst=LEAST_BYTES).trip_s, LATENCY_S) == 4 * LEAST_BYTES / ANSWER_WAIT_S
+
+
+def test_one_trip_that_was_held_up_changes_nothing():
+    wire, held_up = Wire(1e9), iter([0.1])
+    assert throughput(lambda count: wire.trip_s(count) + next(held_up, 0.0), LATENCY_S) == pytest.approx(1e9)
+    assert max(wire.asked) == FRAME_BYTES
