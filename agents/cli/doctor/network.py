@@ -145,7 +145,8 @@ def _passes(rig: RigConfig, host: str, best: Mapping[str, float], needs: float) 
         return max((passed for other, passed in best.items() if other != here), default=None), False
     if host == here:
         others = [passed for other, passed in best.items() if other != here]
-        return max(others, default=None), router in best
+        # what is slow to several hosts is what the ways to them have in common
+        return max(others, default=None), router in best or len(others) > 1
     # what passes between here and another host shows that the link of this host is not what is slow
     beside = [passed for other, passed in best.items() if other not in (here, host)]
     return best.get(host), here == router or max(beside, default=0.0) * ROOM >= needs

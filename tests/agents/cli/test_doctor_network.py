@@ -124,6 +124,10 @@ def test_which_link_of_two_is_slow_is_told_only_where_another_way_shows_it():
     assert slow["strong"].found.startswith("unknown, for another link on the way may be what is slow")
     assert "doctor on video" in slow["strong"].found
     assert (slow["desk"].state, slow["desk"].found.split(":")[0]) == ("WRONG", "too slow")
+    # without an answer of the router's host, what is slow to several others is the desk's own
+    others = found("desk", camera=(), perception=(5e6, 1e8), robot_bridge=(5e6, 1e8))
+    assert (others["desk"].state, others["strong"].state) == ("WRONG", "?")
+    assert found("desk", camera=(), robot_bridge=(), perception=(5e6, 1e8))["desk"].state == "?"
     assert found("desk", perception=(5e6, 1e8))["strong"].state == "WRONG"
     assert found("desk", perception=(5e6, 1e8))["desk"].state == "ok"
 
