@@ -4,24 +4,25 @@ import json
 from pathlib import Path
 
 from schemas.messages import StereoCalibration
+from shared.calibration.made import MADE, made_text
 from shared.calibration.stated import CalibrationError
 from shared.units import METRES_PER_UNIT, unit_name
 
 
-def write_calibration(path: Path, calibration: StereoCalibration) -> None:
-    """Write a calibration as JSON.
+def write_calibration(path: Path, calibration: StereoCalibration, made_ns: int | None = None) -> None:
+    """Write a calibration as JSON, with the time at which it was made, since 1970, where that is known.
 
     Raises:
         CalibrationError: where its unit has no name, or the file cannot be written.
     """
-    text = calibration_text(calibration, str(path))
+    text = calibration_text(calibration, str(path), made_ns)
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise CalibrationError(f"{path}: it cannot be written ({error.strerror})") from None
 
 
-def calibration_text(calibration: StereoCalibration, name: str) -> str:
+def calibration_text(calibration: StereoCalibration, name: str, made_ns: int | None = None) -> str:
     """What such a file holds; `name` is what messages call it.
 
     Raises:
@@ -42,5 +43,6 @@ def calibration_text(calibration: StereoCalibration, name: str) -> str:
         "T_right_left": calibration.T_right_left.tolist(),
         "unit": unit,
     }
+    content |= {} if made_ns is None else {MADE: made_text(made_ns)}
     lines = ",\n".join(f"  {json.dumps(name)}: {json.dumps(value)}" for name, value in content.items())
     return f"{{\n{lines}\n}}\n"

@@ -4,12 +4,15 @@ import numpy as np
 
 from schemas.messages import StereoCalibration
 from shared.calibration.estimation.checking import rectifying
+from shared.calibration.made import MADE, made_text
 from shared.calibration.stated import CalibrationError
 from shared.units import unit_name
 
 
-def opencv_text(calibration: StereoCalibration) -> str:
-    """YAML as FileStorage writes it, with the names of OpenCV's stereo sample and the unit beside them."""
+def opencv_text(calibration: StereoCalibration, made_ns: int | None = None) -> str:
+    """YAML as FileStorage writes it, with the names of OpenCV's stereo sample, and the unit and when it was made beside
+    them.
+    """
     unit = unit_name(calibration.metres_per_unit)
     matrices = {
         "K1": calibration.K_left,
@@ -21,6 +24,7 @@ def opencv_text(calibration: StereoCalibration) -> str:
     }
     lines = ["%YAML:1.0", "---", f"image_width: {calibration.image_width}", f"image_height: {calibration.image_height}"]
     lines += [f"unit: {unit}"] if unit else []
+    lines += [] if made_ns is None else [f'{MADE}: "{made_text(made_ns)}"']
     for name, value in matrices.items():
         lines += [f"{name}: !!opencv-matrix", f"   rows: {value.shape[0]}", f"   cols: {value.shape[1]}", "   dt: d"]
         lines.append(f"   data: {_numbers(value)}")

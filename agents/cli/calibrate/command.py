@@ -21,6 +21,7 @@ from shared.calibration.estimation.coverage import coverage, lacking
 from shared.calibration.estimation.estimate import FEWEST_VIEWS, Estimate, estimated
 from shared.calibration.judge import judgements
 from shared.calibration.written import camera_info_texts, opencv_text
+from shared.clock import now_ns
 from shared.runtime.connection import connected
 from shared.units import METRES_PER_UNIT
 
@@ -137,8 +138,9 @@ def _output(folder: Path | None) -> Path:
 
 
 def _write(output: Path, estimate: Estimate) -> None:
-    write_calibration(output / "calibration.json", estimate.calibration)
-    (output / "opencv.yaml").write_text(opencv_text(estimate.calibration), encoding="utf-8")
+    made_ns = now_ns()
+    write_calibration(output / "calibration.json", estimate.calibration, made_ns)
+    (output / "opencv.yaml").write_text(opencv_text(estimate.calibration, made_ns), encoding="utf-8")
     (output / "ros").mkdir(exist_ok=True)
     for side, text in zip(("left", "right"), camera_info_texts(estimate.calibration), strict=True):
         (output / "ros" / f"{side}.yaml").write_text(text, encoding="utf-8")

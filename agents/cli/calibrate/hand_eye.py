@@ -14,7 +14,9 @@ from schemas.messages import StereoCalibration
 from shared.calibration import CalibrationError, read_calibration
 from shared.calibration.hand_eye.estimate import Estimate, estimated
 from shared.calibration.identity import calibration_id
+from shared.calibration.made import MADE, made_text
 from shared.calibration.reader import stated_calibration
+from shared.clock import now_ns
 from shared.kinematics.psm import FINGER_M
 
 EXIT_NONE = 3
@@ -93,6 +95,7 @@ def _told(found: Estimate, pixels: bool) -> list[str]:
 
 def _file(found: Estimate, camera: StereoCalibration | None) -> str:
     told: dict[str, Any] = {
+        MADE: made_text(now_ns()),
         "T_camera_base": found.T_camera_base.tolist(),
         "unit": "m",
         "delay_s": found.delay_s,

@@ -6,6 +6,7 @@ from agents.cli.doctor.finding import UNKNOWN, Finding
 from agents.cli.rig.config import RigConfig
 from agents.cli.rig.topics import overrides
 from agents.cli.status.agents import AWAY
+from agents.cli.status.calibrations import DAY_NS, Allowed, allowed_ages, too_old
 from agents.cli.status.files import HERE, judge_files
 from agents.cli.status.gathered import Gathered, placed_agents
 from agents.cli.status.health_watch import Fare, name_of, span_of
@@ -178,9 +179,9 @@ def granted(facts: Mapping[str, AgentFacts], rig: RigConfig, at_ns: int) -> Iter
     """What each agent's process was granted where it runs, by its own account."""
     yield from _shared_memory(facts)
     realtime = {name for host in rig.hosts.values() if host.realtime for name in host.runs}
-    placed = placed_agents(rig)
+    placed, allowed = placed_agents(rig), allowed_ages(rig)
     for name, one in facts.items():
-        called, kind = _called(name), name.split("/")[0]
+        called = _called(name)
         if one.realtime_asked is not None or one.realtime_granted is not None:
             had = one.realtime_granted is not None
             found = f"priority {one.realtime_granted}" if had else f"asked for {one.realtime_asked}, and not granted"
@@ -190,17 +191,25 @@ def granted(facts: Mapping[str, AgentFacts], rig: RigConfig, at_ns: int) -> Iter
         if one.disk_free_bytes is not None:
             free = f"{one.disk_free_bytes / (1 << 30):.1f} GiB free in {one.writes_to}"
             yield Finding(f"disk of {called}", free, "make room" if one.disk_free_bytes < LEAST_FREE_BYTES else "")
-        if one.calibrated_ns is not None:
-            old = span_of(max(0.0, (at_ns - one.calibrated_ns) / NS_PER_S))
-            yield Finding(f"calibration of {called}", f"made {old} ago")
-        elif kind == "camera":
-            yield Finding(f"calibration of {called}", f"{UNKNOWN} when it was made")
+        if (limit := allowed.get(name)) is not None:
+            yield _calibration(called, limit, one.calibrated_ns, at_ns)
         if one.certificate_expires_ns is not None:
             left_s = (one.certificate_expires_ns - at_ns) / NS_PER_S
             wrong = expiry(called, one.certificate_expires_ns, at_ns)
             found = f"expires in {span_of(left_s)}" if left_s > 0 else "has expired"
             renew = "renew it with suturegrasp deploy certificates, take it there, and restart the agent"
             yield Finding(f"certificate that {called} runs with", found, renew if wrong else "")
+
+
+def _calibration(called: str, allowed: Allowed, made_ns: int | None, at_ns: int) -> Finding:
+    what = f"calibration of {called}"
+    if made_ns is None:
+        return Finding(what, f"{UNKNOWN} when it was made: {allowed.untold}")
+    if made_ns > at_ns + DAY_NS:
+        return Finding(what, f"{UNKNOWN} how old it is, for by its file it is yet to be made; are all clocks set?")
+    if old := too_old(allowed, made_ns, at_ns):
+        return Finding(what, old, allowed.remedy)
+    return Finding(what, f"made {span_of(max(0.0, (at_ns - made_ns) / NS_PER_S))} ago, {allowed.words}")
 
 
 def _shared_memory(facts: Mapping[str, AgentFacts]) -> Iterator[Finding]:

@@ -17,6 +17,9 @@ from shared.runtime.session import LOCAL_ENDPOINT
 Label = Annotated[str, spelled(r"[A-Za-z0-9_.-]{1,64}", "up to 64 letters, digits, _ . and -, without spaces")]
 """An identifier of a lab's own; names of people have spaces, and their addresses an @."""
 Sha256 = Annotated[str, spelled(r"[0-9a-fA-F]{64}", "64 digits 0 to 9 and a to f, as sha256sum prints them")]
+CALIBRATION_DAYS, REGISTRATION_DAYS = 90.0, 30.0
+"""How old a camera's calibration, and an arm's registration, may be. Optics that nobody touches stay as they are for
+months; an arm's set-up joints are moved more often."""
 ENDPOINT = re.compile(r"(?:tcp|tls|quic|ws|udp)/.+:(?P<port>\d{1,5})")
 
 
@@ -61,6 +64,7 @@ class CameraSection(Settings):
     width: int | None = Field(default=None, gt=0)
     height: int | None = Field(default=None, gt=0)
     calibration: Path | None = None
+    calibration_days: float = Field(default=CALIBRATION_DAYS, gt=0)
     unit: Literal["m", "cm", "mm", "um"] | None = None
     rate_hz: float = Field(default=30.0, gt=0, le=240)
     encoding: Literal["raw", "png", "jpeg"] = "jpeg"
@@ -152,6 +156,7 @@ class ArmSection(Settings):
     T_camera_base: BasePose | None = None
     T_camera_base_file: Path | None = None
     T_camera_base_axes: Literal["opencv", "da_vinci"] | None = None
+    T_camera_base_days: float = Field(default=REGISTRATION_DAYS, gt=0)
     kinematics: Path | None = None
     dvrk: DvrkSection | None = None
 

@@ -15,6 +15,7 @@ from agents.cli.running.around import around
 from agents.cli.running.process import EXIT_GAVE_UP, EXIT_OK, EXIT_UNUSABLE, LOGGER, log_to_console, on_stop, step_back
 from agents.cli.terminal import complain
 from shared.calibration import CalibrationError
+from shared.calibration.made import made_ns
 from shared.runtime.config import ConfigError, config_hash
 from shared.runtime.connection import NoRouterError, open_when_there
 from shared.runtime.delivery import RouterLinks
@@ -71,7 +72,15 @@ def surroundings(rig: RigConfig, kind: str, instance: str) -> Surroundings:
     drives = kind == "robot_bridge" and rig.robot[instance].dvrk is not None
     asked = REALTIME_PRIORITY if drives or (kind in KEEPING_TIME and rig.realtime_here) else None
     refused = "" if asked is None else ask_for_realtime(asked)
-    return around(rig, run_name(kind, instance), realtime_asked=asked, realtime_refused=refused)
+    own = {"realtime_asked": asked, "realtime_refused": refused, "calibrated_ns": calibrated_ns(rig, kind, instance)}
+    return around(rig, run_name(kind, instance), **own)
+
+
+def calibrated_ns(rig: RigConfig, kind: str, instance: str) -> int | None:
+    """When the calibration was made that an agent uses, as far as its file tells."""
+    camera = rig.camera.calibration if kind == "camera" and rig.camera is not None else None
+    file = rig.robot[instance].T_camera_base_file if kind == "robot_bridge" else camera
+    return None if file is None else made_ns((file,))
 
 
 def links(rig: RigConfig, kind: str, instance: str) -> RouterLinks:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from agents.cli.rig.config import RigConfig
 from agents.cli.rig.hosts import BESIDE, OPERATOR, kind_and_instance
 from agents.cli.rig.topics import Override
+from agents.cli.status.calibrations import Allowed
 from agents.cli.status.health_watch import Fare
 from schemas.messages import AgentFacts, ExecutionEvent, HostClocks, LogRecord, RigSection, RobotState, ToolCorrection
 from schemas.topics import FRAMES, HEALTH, HEARTBEAT, OBSERVATIONS, SURFACE, THREAD, TOOL, TOPICS, Delivery
@@ -43,6 +44,7 @@ class Gathered:
         here_expires_ns: when the certificate that status itself shows expires.
         overrides: what the rig's file here does otherwise with topics than their table says.
         rig_sections: of the rig's file here, by a digest of each.
+        calibrations: how old those may be that agents use, by `kind/instance`, of agents that use any.
     """
 
     at_ns: int
@@ -60,6 +62,7 @@ class Gathered:
     here_expires_ns: int | None = None
     overrides: tuple[Override, ...] = ()
     rig_sections: tuple[RigSection, ...] = ()
+    calibrations: Mapping[str, Allowed] = field(default_factory=dict[str, Allowed])
 
 
 def expected_rates(rig: RigConfig) -> dict[str, float]:

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping
 
 from agents.cli.rig.topics import Override, in_words
 from agents.cli.status.agents import judge_agents
+from agents.cli.status.calibrations import too_old
 from agents.cli.status.files import judge_files
 from agents.cli.status.gathered import ArmHeard, Gathered
 from agents.cli.status.health_watch import name_of, span_of
@@ -38,6 +39,7 @@ def judge(gathered: Gathered) -> list[Wrong]:
         *topics_told_otherwise(gathered.overrides, gathered.facts),
         *judge_files(gathered),
         *(wrong for name, facts in gathered.facts.items() for wrong in _facts(name, facts, gathered.at_ns)),
+        *_calibrations(gathered),
         *_own_certificate(gathered),
         *_logged(gathered),
     ]
@@ -133,6 +135,16 @@ def _facts(name: str, facts: AgentFacts, at_ns: int) -> Iterator[Wrong]:
         yield Wrong("realtime", called, f"{refused}: {facts.realtime_reason}")
     if facts.certificate_expires_ns is not None and (wrong := expiry(called, facts.certificate_expires_ns, at_ns)):
         yield wrong
+
+
+def _calibrations(gathered: Gathered) -> Iterator[Wrong]:
+    """Those that are older than the rig's file allows: worth knowing, for whether they are off only a check tells."""
+    for name, allowed in gathered.calibrations.items():
+        facts = gathered.facts.get(name)
+        made_ns = facts.calibrated_ns if facts is not None else None
+        if made_ns is not None and (old := too_old(allowed, made_ns, gathered.at_ns)):
+            called = _called(name)
+            yield Wrong("calibration", called, f"the calibration of {called} was {old}; {allowed.remedy}", grave=False)
 
 
 def _own_certificate(gathered: Gathered) -> Iterator[Wrong]:

@@ -7,6 +7,7 @@ from collections import deque
 from agents.cli.rig.config import RigConfig
 from agents.cli.rig.digest import rig_sections
 from agents.cli.rig.topics import overrides
+from agents.cli.status.calibrations import allowed_ages
 from agents.cli.status.gathered import ArmHeard, Gathered, expected_rates, placed_agents
 from agents.cli.status.health_watch import HealthWatch
 from agents.cli.status.session import reading_session
@@ -94,6 +95,7 @@ class StatusWatch:
             here_expires_ns=self._expires_ns,
             overrides=overrides(self._rig.topics),
             rig_sections=rig_sections(self._rig),
+            calibrations=allowed_ages(self._rig),
         )
 
     def _take(self, tapped: Tapped) -> None:

@@ -9,6 +9,8 @@ from benchmarks.rendered_boards import endoscope, rendered, standings
 from schemas.messages import ImageEncoding
 from shared.calibration import read_calibration, write_calibration
 from shared.calibration.estimation.board import Board
+from shared.calibration.made import made_ns
+from shared.clock import now_ns
 
 CAMERA = endoscope(640, 360)
 BOARD = Board(8, 6, 4.0, 3.0)
@@ -33,6 +35,7 @@ def folders(pairs, tmp_path_factory):
 
 
 def test_folders_become_a_calibration_in_three_forms_with_a_report(suturegrasp, folders, tmp_path):
+    began_ns = now_ns()
     ended = suturegrasp("calibrate", "stereo", *SQUARES, *folders, "--output", tmp_path / "out")
     assert ended.status == 0, ended.err
     out = tmp_path / "out"
@@ -41,6 +44,8 @@ def test_folders_become_a_calibration_in_three_forms_with_a_report(suturegrasp, 
         for paths in (out / "calibration.json", out / "opencv.yaml", (out / "ros/left.yaml", out / "ros/right.yaml"))
     ]
     assert [c.metres_per_unit for c in found] == [1e-3, 1e-3, 1.0]
+    for path in (out / "calibration.json", out / "opencv.yaml"):
+        assert began_ns - 10**9 < (made_ns((path,)) or 0) <= now_ns()
     for calibration in found:
         assert calibration.K_left[0, 0] == pytest.approx(CAMERA.K_left[0, 0], rel=0.03)
         assert calibration.metres_per_unit is not None

@@ -14,6 +14,7 @@ from schemas.messages import RectifiedStereo
 from shared.calibration import read_calibration
 from shared.calibration.hand_eye.samples import Motion, Sightings
 from shared.calibration.identity import calibration_id
+from shared.calibration.made import made_ns
 from shared.kinematics.psm import JOINT_NAMES, forward
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE as X
 from shared.rigid_transforms import apply
@@ -58,6 +59,7 @@ def test_what_it_writes_is_where_the_rig_takes_the_base_to_be(suturegrasp, recor
     np.testing.assert_allclose(bridge.config.T_camera_base, X, atol=1e-3)
     camera = read_calibration(recorded / "camera.json", unit=None, image_size=(960, 540)).calibration
     assert bridge.config.calibration_id == calibration_id(camera)
+    assert made_ns((written,)) is not None
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from agents.cli.doctor.router import unreached, why_not
 from agents.cli.doctor.rules import verdict
 from agents.cli.rig.config import PlannerSection, RigConfig, RouterSection, simulated_rig
 from agents.cli.rig.hosts import HostSection, SecuritySection
+from agents.cli.running.agent_process import calibrated_ns, surroundings
 from agents.cli.running.in_the_way import already_running
 from agents.cli.status.gathered import Gathered
 from agents.cli.status.health_watch import Fare
@@ -255,7 +256,7 @@ def test_what_agents_were_granted_is_told_and_unknown_where_nobody_knows():
     rig = simulated_rig().model_copy(update={"hosts": hosts()})
     plain = by_what(granted({"camera/main": facts()}, rig, NOW_NS))
     assert plain["shared memory"].found == "not used by camera: it is far"
-    assert plain["calibration of camera"].state == "?"
+    assert "calibration of camera" not in plain, "that of a simulated field is as it was told"
     assert plain["real time for camera"].found.startswith("it has not asked for it")
     told = facts(
         realtime_asked=50, realtime_reason="allow it", calibrated_ns=NOW_NS - 12 * DAY_NS, disk_free_bytes=1,
@@ -263,11 +264,46 @@ def test_what_agents_were_granted_is_told_and_unknown_where_nobody_knows():
     )  # fmt: skip
     found = by_what(granted({"camera/main": told}, rig, NOW_NS))
     assert found["real time for camera"] == Finding("real time for camera", "asked for 50, and not granted", "allow it")
-    assert found["calibration of camera"].found == "made 12 d ago"
     assert found["disk of camera"].remedy
     assert found["certificate that camera runs with"].remedy.startswith("renew it")
     (had,) = [f for f in granted({"camera/main": facts(realtime_granted=50)}, rig, NOW_NS) if "real time" in f.what]
     assert (had.state, had.found) == ("ok", "priority 50")
+
+
+FILMS = '[camera]\nsource = "video"\nleft = "/dev/video0"\ncalibration = "c.json"\n'
+STANDS = "T_camera_base = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]\n"
+DVRK = '[robot.psm1]\nbackend = "dvrk"\n{}[robot.psm1.dvrk]\nendpoint = "tcp/127.0.0.1:7448"\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "days", "state", "found"),
+    [
+        (FILMS, "camera/main", 89.0, "ok", "made 89 d ago, and camera.calibration_days allows 90 days"),
+        (FILMS, "camera/main", 91.0, "WRONG", "made 91 d ago, and camera.calibration_days allows 90 days"),
+        (f"{FILMS}calibration_days = 7\n", "camera/main", 8.0, "WRONG", "made 8 d ago, and camera.calibration_days"),
+        (FILMS, "camera/main", None, "?", "unknown when it was made: its file does not tell, as those of suturegrasp"),
+        (FILMS, "camera/main", -2.0, "?", "unknown how old it is, for by its file it is yet to be made"),
+        (DVRK.format('T_camera_base_file = "p.json"\n'), "robot_bridge/psm1", 31.0, "WRONG", "made 31 d ago"),
+        (DVRK.format(STANDS), "robot_bridge/psm1", None, "?", "unknown when it was made: it is typed into the rig"),
+    ],
+)
+def test_a_calibration_is_judged_by_its_age_and_unknown_where_nobody_states_that(text, name, days, state, found):
+    rig = parse_config(text, RigConfig, "rig.toml")
+    made_ns = None if days is None else NOW_NS - round(days * DAY_NS)
+    (finding,) = [f for f in granted({name: facts(calibrated_ns=made_ns)}, rig, NOW_NS) if "calibration" in f.what]
+    assert (finding.state, finding.found.startswith(found)) == (state, True), finding
+    assert ("suturegrasp calibrate" in finding.remedy) == (state == "WRONG")
+
+
+def test_an_agent_tells_when_its_calibration_was_made(tmp_path):
+    (tmp_path / "c.json").write_text('{"made": "2023-11-14T22:13:20+00:00"}')
+    rig = parse_config(FILMS.replace("c.json", str(tmp_path / "c.json")), RigConfig, "rig.toml")
+    assert surroundings(rig, "camera", "main").calibrated_ns == 1_700_000_000 * 10**9
+    stands = f'T_camera_base_file = "{tmp_path / "c.json"}"\n'
+    arm = parse_config(DVRK.format(stands), RigConfig, "rig.toml")
+    assert calibrated_ns(arm, "robot_bridge", "psm1") == 1_700_000_000 * 10**9
+    assert calibrated_ns(parse_config(DVRK.format(STANDS), RigConfig, "r.toml"), "robot_bridge", "psm1") is None
+    assert calibrated_ns(simulated_rig(), "camera", "main") is None
 
 
 def test_streams_are_told_and_what_status_finds_wrong_with_them():

@@ -15,8 +15,9 @@ from agents.cli.rig.config import CameraSection, RigConfig, simulated_rig
 from agents.cli.rig.hosts import HostSection
 from agents.cli.rig.topics import Override
 from agents.cli.status.agents import judge_agents
+from agents.cli.status.calibrations import Allowed
 from agents.cli.status.gathered import ArmHeard, Gathered, expected_rates, placed_agents
-from agents.cli.status.health_watch import Fare, span_of
+from agents.cli.status.health_watch import STARTING, Fare, span_of
 from agents.cli.status.judgement import judge
 from agents.cli.status.report import document, report, watched
 from schemas.messages import (
@@ -237,6 +238,18 @@ def test_an_agent_that_was_told_other_things_of_topics_is_named():
     assert "differ in */log kept 5000;" in wrong.text
 
 
+def test_a_calibration_that_is_older_than_the_rig_allows_is_worth_knowing():
+    allowed = {"camera/main": Allowed(90.0, "camera.calibration_days", "calibrate")}
+    old = facts(calibrated_ns=NOW_NS - 91 * DAY_S * 10**9)
+    (wrong,) = judge(moment(facts={"camera/main": old}, calibrations=allowed))
+    assert (wrong.code, wrong.about, wrong.grave) == ("calibration", "camera", False)
+    assert wrong.text == (
+        "the calibration of camera was made 91 d ago, and camera.calibration_days allows 90 days; calibrate"
+    )
+    for told in ({"camera/main": facts(calibrated_ns=NOW_NS - 89 * DAY_S * 10**9)}, {"camera/main": facts()}, {}):
+        assert judge(moment(facts=told, calibrations=allowed)) == []
+
+
 def test_what_a_rig_does_otherwise_with_topics_is_shown():
     told = moment(overrides=(Override("*/log", "recorded", False, True), Override("*/log", "kept", 5000, 1000)))
     assert "\notherwise than the table of topics: */log recorded false, */log kept 5000\n" in page(report(told, []))
@@ -450,7 +463,8 @@ def test_whatever_is_heard_is_judged_and_shown(fares, hosts):
     wrongs = judge(told)
     whole = document(told, wrongs)
     assert json.loads(json.dumps(whole)).keys() == whole.keys()
-    assert whole["well"] == (not any(wrong.grave for wrong in wrongs))
+    unheard = any(fare.expected and fare.state == STARTING for fare in fares)
+    assert whole["well"] == (False if any(wrong.grave for wrong in wrongs) else None if unheard else True)
     assert all(wrong.text in page(report(told, wrongs)).replace("\n", " ") or len(wrong.text) > 150 for wrong in wrongs)
     ill = {f.name for f in fares if f.expected and f.health is None and f.present is False}
     assert ill <= {name for wrong in wrongs for name in ill if name in wrong.text}
