@@ -51,10 +51,7 @@ def _text(node: Node) -> str:
 
 def _time(name: str, text: str) -> datetime.datetime | None:
     try:
-        if name == MADE:
-            time = datetime.datetime.fromisoformat(text)
-        else:
-            time = datetime.datetime.strptime(text, ASCTIME)
+        time = datetime.datetime.fromisoformat(text) if name == MADE else datetime.datetime.strptime(text, ASCTIME)
     except ValueError:
         return None
     return time if time.tzinfo is not None else time.replace(tzinfo=datetime.UTC)

@@ -31,7 +31,7 @@ def test_our_files_state_it_and_are_read_as_before(endoscope, tmp_path):
         ("b.xml", f"<opencv_storage>{BY_OPENCV}</opencv_storage>".replace('"', ""), AT_NS),
         ("a.json", '{"made": "last week"}', None),
         ("a.json", '{"made": 7}', None),
-        ("a.json", '{"made": ["2023-11-14"]}', None),
+        ("a.json", '{"made": {"on": "2023-11-14"}}', None),
         ("a.json", "no JSON", None),
         ("a.yaml", "K1: 1\n", None),
         ("a.json", '{"made": "9999-12-31T23:59:59+00:00"}', 253402300799 * 10**9),
