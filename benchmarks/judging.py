@@ -1,10 +1,11 @@
 """How often the input judge is right: no alarm on undamaged pairs, and every damage found at its size.
 
-    python -m benchmarks.judging [--data ../shared/data] [--scenes N] [--workers N] [--json PATH]
+    python -m benchmarks.judging [--data ../shared/data] [--also DIR ...] [--scenes N] [--workers N] [--json PATH]
 
 Damages are done to the images as the camera gives them. `found` counts the pairs of which one of the codes that fit
 the damage was said; `faults` those that were refused. A pair tells nothing of a damage that it cannot show: a plain
-ground has no texture, so the published scenes count in a table of their own.
+ground has no texture, so the published scenes count in a table of their own. `--also` names folders with more
+undamaged pairs, as `suturegrasp scenes render` writes them, of which the alarms are counted.
 """
 
 import argparse
@@ -27,6 +28,7 @@ from shared.calibration import read_calibration
 Named = tuple[str, str, Pair, StereoCalibration]
 """Kind, name, images and calibration."""
 KINDS = TEXTURED, PLAIN, STORZ = "renders", "published", "laparoscope"
+ALSO = "others"
 
 
 def undamaged(data: Path) -> Iterator[Named]:
@@ -50,6 +52,7 @@ def main() -> None:
     """Print false alarms, then how many of each damage were found."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
+    parser.add_argument("--also", type=Path, nargs="*", default=[], help="folders of undamaged pairs")
     parser.add_argument("--scenes", type=int, default=0, help="every so many of them, to be quick; 0 takes all")
     parser.add_argument("--workers", type=int, default=2, help="processes, each of which takes a core")
     parser.add_argument("--json", type=Path)
@@ -57,7 +60,7 @@ def main() -> None:
     # a fresh interpreter for each, since OpenCV's threads do not outlive a fork
     pool = ProcessPoolExecutor(options.workers, get_context("spawn"), _load, (options.data, max(options.scenes, 1)))
     with pool:
-        clean = _clean(pool)
+        clean = _clean(pool, options.also)
         found = _found(pool)
     if options.json:
         options.json.write_text(json.dumps({"undamaged": clean, "damaged": found}, indent=1))
@@ -74,14 +77,18 @@ def _load(data: Path, step: int) -> None:
     _step.append(step)
 
 
-def _clean(pool: ProcessPoolExecutor) -> dict[str, dict[str, list[str]]]:
+def _clean(pool: ProcessPoolExecutor, also: list[Path]) -> dict[str, dict[str, list[str]]]:
     """Every alarm on an undamaged pair, and how often nothing could be told."""
     print(
         "| undamaged pairs | pairs | false alarms | of which faults | answers | not told by the images |\n"
         "|---|---|---|---|---|---|"
     )
     said: dict[str, dict[str, list[str]]] = {}
-    for kind, answers in zip(KINDS, pool.map(_answers_of, KINDS), strict=True):
+    others = [path for folder in also for path in sorted(folder.glob("*.json"))]
+    looked_at: list[tuple[str, dict[str, list[Answer]]]] = list(zip(KINDS, pool.map(_answers_of, KINDS), strict=True))
+    if others:
+        looked_at.append((ALSO, dict(zip(map(str, others), pool.map(_answers_of_render, others), strict=True))))
+    for kind, answers in looked_at:
         said[kind] = {
             name: [f"{c} ({s.name})" for c, s in codes_of(a).items()] for name, a in answers.items() if codes_of(a)
         }
@@ -98,6 +105,12 @@ def _clean(pool: ProcessPoolExecutor) -> dict[str, dict[str, list[str]]]:
 
 def _answers_of(kind: str) -> dict[str, list[Answer]]:
     return {name: answers_about(images, calibration) for k, name, images, calibration in _pairs if k == kind}
+
+
+def _answers_of_render(path: Path) -> list[Answer]:
+    images = read_pair(path.with_name(f"{path.stem}_left.png"), path.with_name(f"{path.stem}_right.png"))
+    size = images[0].shape[1], images[0].shape[0]
+    return answers_about(images, read_calibration(path, unit=None, image_size=size).calibration)
 
 
 def _found(pool: ProcessPoolExecutor) -> list[dict[str, str | int]]:

@@ -56,10 +56,14 @@ def out_of_focus(image: np.ndarray, px: float) -> np.ndarray:
     return noisy(cv2.GaussianBlur(image, (0, 0), px * image.shape[1] / 960))
 
 
-def smeared(image: np.ndarray, px: int) -> np.ndarray:
-    """Moved along the rows while it was exposed, by so much in an image 960 px wide."""
+def smeared(image: np.ndarray, px: int, degrees: float = 0.0) -> np.ndarray:
+    """Moved while it was exposed, by so much in an image 960 px wide, at an angle from right to down."""
     length = max(1, round(px * image.shape[1] / 960))
-    return noisy(cv2.blur(image, (length, 1)))
+    along = np.array([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))])
+    kernel = np.zeros((2 * length + 1,) * 2, np.float32)
+    u, v = np.rint(length + np.linspace(-0.5, 0.5, 8 * length)[:, None] * (length - 1) * along).astype(int).T
+    np.add.at(kernel, (v, u), 1.0)
+    return noisy(cv2.filter2D(image, -1, kernel / kernel.sum()))
 
 
 def woven(image: np.ndarray, px: int) -> np.ndarray:
@@ -129,9 +133,12 @@ def damages() -> Iterator[Damage]:
             "both out of focus", f"{px:g} px", frozenset(("blurred",)), of_both(lambda i, p=px: out_of_focus(i, p))
         )
     yield Damage("right eye out of focus", "3 px", frozenset(("blurred",)), of_right(lambda i: out_of_focus(i, 3)))
+    codes = frozenset(("smeared", "blurred"))
     for px in (8, 15, 25):
-        codes = frozenset(("smeared", "blurred"))
         yield Damage("both smeared", f"{px} px", codes, of_both(lambda i, p=px: smeared(i, p)))
+    for degrees in (45, 90):
+        size = f"15 px, at {degrees} deg"
+        yield Damage("both smeared", size, codes, of_both(lambda i, d=degrees: smeared(i, 15, d)))
     for px in (1, 2, 6):
         yield Damage("both interlaced", f"{px} px", frozenset(("interlaced",)), of_both(lambda i, p=px: woven(i, p)))
 

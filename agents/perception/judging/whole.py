@@ -1,6 +1,6 @@
 """What is judged whenever the whole of both images is looked at, about every two seconds.
 
-Sharpness and interlacing are told by the middle of the images, where the thread is and where lenses draw best.
+Interlacing is told by the middle of the images, where the thread is.
 """
 
 from dataclasses import dataclass, replace
@@ -48,7 +48,7 @@ def judge_whole(rectified: Pair, raw: Pair, rows_before: int = 0, camera: Rectif
     """
     left, right = grey(rectified[0]), grey(rectified[1])
     shape = left.shape
-    sharpness = about_sharpness(_middle(left), _middle(right), shape[1])
+    sharpness = about_sharpness(left, right)
     pictures = judgements([sharpness, about_interlacing(_middle(grey(raw[0])), _middle(grey(raw[1])))])
     seen = texture_of(left, right).seen
     if seen is None or not is_certain(seen, shape[1]):

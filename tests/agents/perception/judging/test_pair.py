@@ -124,7 +124,7 @@ DAMAGES = {
     "one black": (lambda p: (p[0], np.zeros_like(p[1])), "no_picture"),
     "out of focus": (lambda p: changed(p, blurred(2.0)), "blurred"),
     "one out of focus": (lambda p: (p[0], blurred(2.0)(p[1])), "blurred"),
-    "smeared": (lambda p: changed(p, lambda i: cv2.blur(i, (9, 1))), "smeared"),
+    "smeared": (lambda p: changed(p, lambda i: cv2.blur(i, (13, 1))), "smeared"),
     "interlaced": (lambda p: changed(p, woven), "interlaced"),
 }
 
