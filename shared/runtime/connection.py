@@ -30,6 +30,7 @@ from shared.runtime.identity import IdentityError
 from shared.runtime.link import Link, measure_link
 from shared.runtime.reporting import reporting
 from shared.runtime.session import SessionSettings, open_session
+from shared.runtime.tap_accounts import TapAccounts
 from shared.runtime.taps import Tapped, tap
 
 ROUTER_WAIT_S = 3.0
@@ -48,6 +49,7 @@ class Connection:
     def __init__(self, session: zenoh.Session, settings: SessionSettings) -> None:
         self._session, self._rig, self._otherwise = session, settings.rig, settings.otherwise
         self._kept: list[Any] = []
+        self._accounts = TapAccounts()
 
     def listen(
         self,
@@ -56,7 +58,7 @@ class Connection:
         missed: Callable[[Topic, int], None] = lambda _topic, _count: None,
     ) -> None:
         """Have every message of these topics handed over, from other threads, until the connection is closed."""
-        self._kept += tap(self._session, self._rig, topics, receive, missed, self._otherwise)
+        self._kept += tap(self._session, self._rig, topics, receive, missed, self._otherwise, self._accounts)
 
     @contextmanager
     def listening(self, topics: tuple[Topic, ...], receive: Callable[[Tapped], None]) -> Generator[None]:
@@ -157,9 +159,12 @@ class Connection:
         config_hash: str = "",
         around: Surroundings | None = None,
     ) -> AbstractContextManager[None]:
-        """Tell of this process as agents do, for as long as it lasts; see `shared.runtime.reporting`."""
-        links = RouterLinks(self._otherwise)
-        return reporting(self._session, self._rig, kind, instance, logger, fault, config_hash, around, links)
+        """Tell of this process as agents do, for as long as it lasts; see `shared.runtime.reporting`.
+
+        What it hears by `listen` is counted in its health, where any of it had to be refused.
+        """
+        links, heard = RouterLinks(self._otherwise), self._accounts.health
+        return reporting(self._session, self._rig, kind, instance, logger, fault, config_hash, around, links, heard)
 
     def close(self) -> None:
         """Stop listening."""

@@ -12,7 +12,7 @@ from typing import Any
 import zenoh
 
 import schemas
-from schemas.messages import AgentHealth
+from schemas.messages import AgentHealth, InputHealth
 from schemas.topics import HEALTH, LOG, key_root
 from shared.clock import monotonic_s, now_ns
 from shared.runtime.clocks import answer_clock
@@ -39,8 +39,12 @@ def reporting(
     config_hash: str = "",
     around: Surroundings | None = None,
     links: RouterLinks | None = None,
+    heard: Callable[[], tuple[InputHealth, ...]] = tuple,
 ) -> Generator[None]:
-    """Tell all that for as long as it lasts; `fault` says what is wrong at the moment, or is empty."""
+    """Tell all that for as long as it lasts; `fault` says what is wrong at the moment, or is empty.
+
+    `heard` tells of what it listens to.
+    """
     out = Outlets(session, rig, (kind, instance), links or RouterLinks(), AgentClock())
     for topic in (HEALTH, LOG):
         out.declare(topic)
@@ -54,7 +58,7 @@ def reporting(
         RouterWatch(session, logger.warning),
     ]
     logger.addHandler(log_topic)
-    health = _Health(kind, instance, fault, config_hash)
+    health = _Health(kind, instance, fault, heard, config_hash)
     stopped = threading.Event()
 
     def repeat() -> None:
@@ -79,10 +83,18 @@ def reporting(
 class _Health:
     """How a process fares that takes no steps."""
 
-    def __init__(self, kind: str, instance: str, fault: Callable[[], str], config_hash: str) -> None:
+    def __init__(
+        self,
+        kind: str,
+        instance: str,
+        fault: Callable[[], str],
+        heard: Callable[[], tuple[InputHealth, ...]],
+        config_hash: str,
+    ) -> None:
         self._fixed: dict[str, Any] = {"agent": kind, "instance": instance, "host": socket.gethostname()}
         self._fixed |= {"version": schemas.__version__, "config_hash": config_hash}
-        self._fault, self._began_s, self._beats, self._processor = fault, monotonic_s(), count(1), ProcessorShare()
+        self._fault, self._heard = fault, heard
+        self._began_s, self._beats, self._processor = monotonic_s(), count(1), ProcessorShare()
 
     def now(self) -> AgentHealth:
         return AgentHealth(
@@ -92,7 +104,7 @@ class _Health:
             heartbeat=next(self._beats),
             step_ms_p50=None,
             step_ms_p99=None,
-            inputs=(),
+            inputs=self._heard(),
             outputs=(),
             fault=self._fault(),
             processor_share=self._processor.since_last(),

@@ -14,6 +14,7 @@ from schemas.topics import ANY_AGENT, Delivery, Topic, key, key_root
 from shared.runtime.attachment import Attachment, unpack
 from shared.runtime.delivery import as_told, subscribe
 from shared.runtime.progress import Handled, answer_progress
+from shared.runtime.tap_accounts import TapAccount, TapAccounts
 
 TAP = "tap"
 """In the place of an agent, where a listener that is none tells how far it has got."""
@@ -52,33 +53,37 @@ def tap(
     receive: Callable[[Tapped], None],
     missed: Callable[[Topic, int], None],
     otherwise: tuple[Topic, ...] = (),
+    accounts: TapAccounts | None = None,
 ) -> list[Any]:
     """Have every message of these topics, of all instances, handed over; keep what is returned.
 
     `receive` and `missed` are called from other threads and must only put things away; `otherwise` are rows of the
-    table as this rig has them, where it has them otherwise. Commands are no topic to listen
-    to; they are recorded through `command`.
+    table as this rig has them, where it has them otherwise; `accounts` count what comes. Commands are no topic to
+    listen to; they are recorded through `command`.
     """
     kept: list[Any] = []
-    handled, selectors = Handled(), list[str]()
+    handled, selectors, counted = Handled(), list[str](), accounts or TapAccounts()
     for topic in topics:
         if topic.delivery is Delivery.COMMAND:
             continue
         selectors.append(key(rig, topic, "*", "*" if topic.agent == ANY_AGENT else topic.agent))
-        receiver = _receiver(topic, receive, handled)
-        row = as_told(topic, otherwise)
-        kept += subscribe(session, selectors[-1], row, receiver, lambda count, topic=topic: missed(topic, count))
+        account, row = counted.of(topic), as_told(topic, otherwise)
+        ways = _receiver(topic, receive, handled, account), lambda count, topic=topic: missed(topic, count)
+        kept += subscribe(session, selectors[-1], row, *ways, refused=account.refuse)
     kept.append(answer_progress(session, key_root(rig, os.urandom(7).hex(), TAP), selectors, handled))
     return kept
 
 
-def _receiver(topic: Topic, receive: Callable[[Tapped], None], handled: Handled) -> Callable[[zenoh.Sample], None]:
+def _receiver(
+    topic: Topic, receive: Callable[[Tapped], None], handled: Handled, account: TapAccount
+) -> Callable[[zenoh.Sample], None]:
     def hand_over(sample: zenoh.Sample) -> None:
         key, attachment = str(sample.key_expr), sample.attachment
         # one message for many keys has a number in the sequence of none of them
         beside = unpack(attachment.to_bytes()) if attachment is not None and "*" not in key else None
         receive(Tapped(topic, key, sample.payload.to_bytes(), beside))
         if beside is not None:
+            account.arrived(key, beside)
             handled.note(key, beside.epoch, beside.sequence)
 
     return hand_over

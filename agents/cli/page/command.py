@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import logging
 import os
 import ssl
 import threading
@@ -14,6 +15,8 @@ from agents.cli.page.options import Page
 from agents.cli.page.recording import RigRecording
 from agents.cli.page.trials import trials_of
 from agents.cli.rig.config import RigConfig
+from agents.cli.rig.hosts import OPERATOR
+from agents.cli.running.around import telling
 from agents.cli.running.audit import audit_of
 from agents.cli.running.in_the_way import already_running, in_the_way
 from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
@@ -36,6 +39,7 @@ from shared.runtime.config import ConfigError
 from shared.runtime.connection import ROUTER_WAIT_S, Connection, NoRouterError, connected
 from shared.runtime.session import on_loopback
 
+LOGGER = logging.getLogger("suturegrasp.page")
 LOOK_S = 0.5
 LOOPBACK = "127.0.0.1"
 LOCAL_NAMES = (LOOPBACK, "localhost", "[::1]")
@@ -55,6 +59,7 @@ def run(options: Page) -> int:
             watch = stack.enter_context(contextlib.closing(StatusWatch(connection, rig)))
             recording = stack.enter_context(contextlib.closing(RigRecording(rig, connection)))
             watch.start()
+            stack.enter_context(telling(connection, rig, OPERATOR, LOGGER))
             around = Surroundings(
                 rig=rig.rig,
                 arms=tuple(rig.robot),

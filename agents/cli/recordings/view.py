@@ -1,6 +1,7 @@
 """`suturegrasp view`: a rig that runs, until stopped, or a recording, from its beginning to its end."""
 
 import contextlib
+import logging
 import sys
 import threading
 from dataclasses import dataclass
@@ -8,6 +9,7 @@ from pathlib import Path
 
 from agents.cli.live.options import View
 from agents.cli.rig.config import RigConfig
+from agents.cli.running.around import telling
 from agents.cli.running.process import EXIT_GAVE_UP, EXIT_OK, EXIT_UNUSABLE, ONLOOKER, on_stop, step_back
 from agents.cli.running.session_folder import free_path
 from agents.cli.terminal import complain, say, show
@@ -20,6 +22,7 @@ from shared.recording.mcap_file import RecordingError, read_recording
 from shared.runtime.connection import NoRouterError, connected
 from shared.runtime.service_manager import serving
 
+LOGGER = logging.getLogger("suturegrasp.viewer")
 PROGRESS_S = 5.0
 """How often a line tells how far it has come; on a terminal, one line is kept up to date."""
 LOOK_S = 0.1
@@ -51,7 +54,7 @@ def _view_rig(rig: RigConfig, output: Path | None, options: View, stopped: threa
         say(note)
     with contextlib.suppress(NoRouterError), connected(rig.session_of("viewer"), None, stopped) as connection:
         connection.listen(TOPICS, viewer.put)
-        with serving():
+        with telling(connection, rig, "viewer", LOGGER), serving():
             stopped.wait()
     say(report_sentence(viewer.close()))
     return EXIT_OK

@@ -1,9 +1,16 @@
 """What each process of a rig knows of its host and its file, to be told to whoever asks."""
 
+import logging
+from collections.abc import Generator
+from contextlib import contextmanager
 from typing import Any
 
 from agents.cli.rig.config import RigConfig
 from agents.cli.rig.digest import rig_sections
+from agents.cli.rig.hosts import kind_and_instance
+from schemas.topics import MAIN
+from shared.runtime.config import config_hash
+from shared.runtime.connection import Connection
 from shared.runtime.facts import Surroundings
 from shared.runtime.identity import validity_ns
 
@@ -21,3 +28,14 @@ def around(rig: RigConfig, name: str, **own: Any) -> Surroundings:
         rig_sections=rig_sections(rig),
         **own,
     )
+
+
+@contextmanager
+def telling(connection: Connection, rig: RigConfig, kind: str, logger: logging.Logger) -> Generator[None]:
+    """Tell how what only looks on fares; of several on one host, the first alone, for they have one name."""
+    instance = kind_and_instance(kind, rig.host or MAIN)[1]
+    if f"{kind}/{instance}" in connection.present():
+        yield
+        return
+    with connection.reporting(kind, instance, logger, str, config_hash(rig), around(rig, kind)):
+        yield

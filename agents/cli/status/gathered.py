@@ -87,3 +87,9 @@ def placed_agents(rig: RigConfig) -> dict[str, str]:
         for name in section.runs
         if name not in quiet
     }
+
+
+def placed_beside(rig: RigConfig) -> dict[str, str]:
+    """What may tell how it fares and need not run, as people call it, with its host: viewers, and operators' pages."""
+    named = {host: [name for name in section.runs if name in BESIDE] for host, section in rig.hosts.items()}
+    return {f"{name} {host}": host for host, names in named.items() for name in names}

@@ -70,10 +70,10 @@ class HealthWatch:
     def __init__(
         self, connection: Connection, expected: Iterable[str] = (), placed: Mapping[str, str] | None = None
     ) -> None:
-        """`placed` tells on which of the rig's hosts those that are expected run."""
+        """`placed` tells on which of the rig's hosts they run, and others that may report."""
         self._lock = threading.Lock()
-        hosts = placed or {}
-        self._newest = {name: Fare(name, None, monotonic_s(), placed=hosts.get(name, "")) for name in expected}
+        self._hosts = placed or {}
+        self._newest = {name: Fare(name, None, monotonic_s(), placed=self._hosts.get(name, "")) for name in expected}
         """With the time at which each was heard in place of how long it has been silent."""
         self._told: dict[str, str] = {}
         connection.listen((HEALTH,), self._take)
@@ -87,7 +87,7 @@ class HealthWatch:
         kind, instance = tapped.key.split("/")[2:4]
         name = name_of(kind, instance)
         with self._lock:
-            before = self._newest.get(name) or Fare(name, None, 0.0, expected=False)
+            before = self._newest.get(name) or Fare(name, None, 0.0, expected=False, placed=self._hosts.get(name, ""))
             began = before.health is not None and health.uptime_s < before.health.uptime_s
             restarts = before.restarts + began
             self._newest[name] = dataclasses.replace(

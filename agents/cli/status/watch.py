@@ -8,7 +8,7 @@ from agents.cli.rig.config import RigConfig
 from agents.cli.rig.digest import rig_sections
 from agents.cli.rig.topics import overrides
 from agents.cli.status.calibrations import allowed_ages
-from agents.cli.status.gathered import ArmHeard, Gathered, expected_rates, placed_agents
+from agents.cli.status.gathered import ArmHeard, Gathered, expected_rates, placed_agents, placed_beside
 from agents.cli.status.health_watch import HealthWatch
 from agents.cli.status.session import reading_session
 from schemas.checks import MessageError
@@ -34,7 +34,7 @@ class StatusWatch:
     def __init__(self, connection: Connection, rig: RigConfig) -> None:
         self._connection, self._rig = connection, rig
         placed = placed_agents(rig)
-        self._health = HealthWatch(connection, placed, placed)
+        self._health = HealthWatch(connection, placed, placed | placed_beside(rig))
         self._rates = expected_rates(rig)
         self._addresses = {name: host.address for name, host in rig.hosts.items()}
         self._lock = threading.Lock()

@@ -21,16 +21,18 @@ from agents.cli.rig.config import (
     RouterSection,
     simulated_rig,
 )
+from agents.cli.running.around import telling
 from agents.cli.status.judgement import judge
 from agents.cli.status.watch import StatusWatch
 from agents.operator.operator import hold
 from agents.planner.agent import Planner
-from schemas.topics import THREAD, key
+from schemas.topics import EXECUTION, THREAD, key
 from shared.runtime.agent import Input
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.connection import connected
 from shared.runtime.delivery import declare_publisher
 from shared.runtime.facts import Surroundings
+from shared.runtime.own_key import encoding_of
 from shared.runtime.session import free_local_endpoint, open_router
 
 SCRIPT = Path(sys.executable).with_name("suturegrasp")
@@ -209,6 +211,52 @@ def test_a_recorder_tells_where_it_writes_and_that_it_cannot(settings, watching,
                 fault[0] = "the disk is full"
                 full = until(lambda: wrongs().get(("fault", "recorder")), "the fault to be told")
     assert full.text == "recorder tells a fault: the disk is full"
+
+
+@pytest.mark.parametrize(
+    ("command", "name"),
+    [
+        (("view", "--show", "file", "--output"), "viewer"),
+        (("page", "--no-open", "--port", "0"), "operator"),
+        (("record", "--output"), "recorder"),
+    ],
+)
+def test_what_only_looks_on_tells_how_it_fares_and_what_it_refused(
+    settings, session, watching, until, tmp_path, command, name
+):
+    config = tmp_path / "rig.toml"
+    config.write_text(f'rig = "{RIG}"\n[router]\nendpoint = "{settings.endpoint}"\nstart = false\n')
+    output = (str(tmp_path / "session.out"),) if command[-1] == "--output" else ()
+    process = subprocess.Popen(
+        [SCRIPT, *command, *output, "--config", config], stdout=subprocess.DEVNULL, stdin=subprocess.DEVNULL
+    )
+    own = key(RIG, EXECUTION, "psm1")
+    foreign = encoding_of(EXECUTION.message, key(RIG, EXECUTION, "psm2"))
+    try:
+        with watching(rig_at(settings, recorder=None)) as (wrongs, _, connection):
+            until(lambda: connection.facts().get(f"{name}/main"), f"the {name} to tell of itself")
+
+            def refused():
+                session.put(own, b"of another arm", encoding=foreign)
+                return wrongs().get(("refused", name))
+
+            told = until(refused, "what it refused to be told")
+    finally:
+        process.terminate()
+        process.wait(60)
+    assert "of robot_bridge/execution since it started" in told.text
+
+
+def test_of_two_viewers_on_a_host_one_tells_how_it_fares(settings, until):
+    rig, logger = rig_at(settings), logging.getLogger("suturegrasp.test")
+    with contextlib.ExitStack() as stack:
+        first, second = (stack.enter_context(connected(settings, 60.0)) for _ in range(2))
+        with telling(first, rig, "viewer", logger):
+            until(lambda: "viewer/main" in second.present())
+            with telling(second, rig, "viewer", logger):
+                assert second.present().count("viewer/main") == 1
+            # the first goes on
+            assert "viewer/main" in second.present()
 
 
 def test_what_an_agent_cannot_read_is_told(settings, session, running, watching, until):

@@ -1,6 +1,7 @@
 """Bytes of one topic under the key of another, by real sessions: nothing is delivered, it is counted, and said."""
 
 import contextlib
+import logging
 
 import pytest
 import zenoh
@@ -21,6 +22,7 @@ from shared.runtime.agent import Command, Input, Received
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.clocks import clock_offset
 from shared.runtime.commands import accepted, new_header, send_command
+from shared.runtime.connection import connected
 from shared.runtime.delivery import declare_publisher, subscribe
 from shared.runtime.facts import FACTS, ask_facts
 from shared.runtime.lossless import is_of
@@ -158,6 +160,26 @@ def test_an_agent_counts_what_names_another_key_as_refused_and_says_whose_it_is(
     assert (healths[-1].inputs[0].received, healths[-1].inputs[0].missed) == (0, 0)
     until(lambda: any(f"it was sent under {OTHER}" in record.text for record in log))
     for declared in (*kept, *more):
+        declared.undeclare()
+
+
+def test_who_only_listens_counts_what_names_another_key_in_its_health(settings, session, until):
+    healths, kept = told(session, HEALTH, AgentHealth)
+    own, foreign, came = key("test", PLAN), encoding_of(PLAN.message, OTHER), []
+    with connected(settings, 60.0) as connection:
+        # two that listen to one topic refuse one message twice
+        connection.listen((PLAN, LOG), came.append)
+        connection.listen((PLAN,), lambda _: None)
+        with connection.reporting("viewer", "main", logging.getLogger("suturegrasp.test"), str):
+            assert until(lambda: healths)[-1].inputs == ()
+            publisher = declare_publisher(session, own, PLAN)
+            until(lambda: publisher.put(b"its own", attachment=pack(Attachment(1, 0, 0, 0.0))) or came)
+            session.put(own, b"foreign", encoding=foreign)
+            (heard,) = until(lambda: healths[-1].inputs, "a refusal to be told")
+            publisher.undeclare()
+    assert (heard.topic, heard.refused, heard.received >= 1) == ("planner/plan", 1, True)
+    assert b"foreign" not in [tapped.payload for tapped in came]
+    for declared in kept:
         declared.undeclare()
 
 
