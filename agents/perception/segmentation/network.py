@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int32, Int64, UInt8
 
 from agents.perception.segmentation.boxes import boxes_around
+from agents.perception.segmentation.cast_shadow import without_cast_shadow
 from agents.perception.segmentation.near import Meant, Near, piece_meant
 
 WEIGHTS = Path(__file__).with_name("network.onnx")
@@ -58,7 +59,7 @@ def segment_and_score(
         score = np.asarray(cv2.resize(score, image.shape[1::-1], interpolation=cv2.INTER_LINEAR), np.uint8)
     else:
         score = thread_score(image, where)
-    thread = thread_in(score if where is None else np.where(where, score, np.uint8(0)))
+    thread = without_cast_shadow(image, thread_in(score if where is None else np.where(where, score, np.uint8(0))))
     if meant is not None and meant.alone:
         thread = piece_meant(thread, meant.weight)
     return np.multiply(thread, np.uint8(255), dtype=np.uint8), score
