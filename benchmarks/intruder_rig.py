@@ -18,7 +18,8 @@ from agents.cli.rig.config import ArmSection, CameraSection, RigConfig, RouterSe
 from agents.cli.rig.hosts import OPERATOR, HostSection, SecuritySection
 from agents.cli.running.supervisor import Role, Supervisor, supervised
 from agents.cli.running.up import write_config
-from agents.deployment.certificates import AUTHORITY_FOLDER, CERTIFICATES, issue
+from agents.deployment.certificates import CERTIFICATES, issue
+from agents.deployment.places import AUTHORITY_FOLDER
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import AgentHealth

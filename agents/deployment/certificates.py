@@ -17,9 +17,9 @@ from cryptography.hazmat.primitives.asymmetric.types import PublicKeyTypes
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from agents.deployment.layout import ANSWERING, Layout
+from agents.deployment.places import AUTHORITY_FOLDER
 from shared.runtime.identity import AUTHORITY_FILE
 
-AUTHORITY_FOLDER = "authority"
 AUTHORITY_KEY = "authority.key"
 CERTIFICATES = "certificates"
 CLOCKS_APART = datetime.timedelta(minutes=10)

@@ -12,3 +12,5 @@ USER = "suturegrasp"
 SESSIONS = PurePosixPath("/var/lib/suturegrasp")
 SECRETS = PurePosixPath("/run/secrets")
 """Where Compose puts what a container alone may read."""
+AUTHORITY_FOLDER = "authority"
+"""Where the authority's key lies, beside the folders that are copied to hosts."""

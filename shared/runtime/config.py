@@ -8,7 +8,7 @@ import tomllib
 from pathlib import Path
 from typing import TypeVar, get_args, get_origin
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
 M = TypeVar("M", bound=BaseModel)
@@ -23,6 +23,17 @@ class Settings(BaseModel):
     """A section of a configuration: frozen, and without room for keys that nobody reads."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _numbers_are_no_truths(cls, told: object) -> object:
+        """True would pass for 1."""
+        given: dict[str, object] = told if isinstance(told, dict) else {}
+        for name, value in given.items():
+            allowed = _types(cls.model_fields[name].annotation) if name in cls.model_fields else set[object]()
+            if isinstance(value, bool) and allowed & {int, float} and bool not in allowed:
+                raise ValueError(f"{name} must be a number, not {str(value).lower()}")
+        return told
 
 
 def load_config(path: Path, model: type[M]) -> M:
@@ -136,6 +147,11 @@ def _known_keys(model: type[BaseModel], section: list[str]) -> list[str]:
         current = _section(field.annotation) if field is not None else None
         named_by_users = field is not None and get_origin(field.annotation) is dict
     return list(current.model_fields) if current is not None else []
+
+
+def _types(annotation: object) -> set[object]:
+    """What a key may be, options taken apart."""
+    return {annotation, *(inner for one in get_args(annotation) for inner in _types(one))}
 
 
 def _section(annotation: object) -> type[BaseModel] | None:

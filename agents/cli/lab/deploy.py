@@ -10,11 +10,11 @@ from agents.cli.rig.hosts import OPERATOR, HostSection, kind_and_instance
 from agents.cli.rig.this_host import recognised
 from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE
 from agents.cli.terminal import complain, say
-from agents.deployment.certificates import AUTHORITY_FOLDER, CERTIFICATES, AuthorityError, issue
+from agents.deployment.certificates import CERTIFICATES, AuthorityError, issue
 from agents.deployment.install import InstallError, install
 from agents.deployment.layout import ROUTER, Host, Layout, Process
 from agents.deployment.leftovers import remove_leftovers
-from agents.deployment.places import RIG_FILE
+from agents.deployment.places import AUTHORITY_FOLDER, RIG_FILE
 from agents.deployment.plan import hosts_in_words, plan
 from agents.deployment.robot_zenoh import ROBOT_ZENOH, ReachedArm
 from shared.clock import now_ns

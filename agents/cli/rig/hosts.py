@@ -11,8 +11,9 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, model_validator
 
+from agents.deployment.places import AUTHORITY_FOLDER
 from schemas.topics import ANY_AGENT, MAIN, TOPICS
 from shared.runtime.config import Settings, spelled
 
@@ -23,9 +24,10 @@ RUN = spelled(r"[a-z_]+( [a-z0-9_]+)?", "a section's name, and an arm's after a 
 BESIDE = (OPERATOR, "recorder", "viewer")
 """What publishes nothing that another one could publish too; each host's own has the host's name as its instance."""
 HOST_NAME = re.compile(r"(?=.{1,253}$)[A-Za-z0-9]([A-Za-z0-9-]{0,62})(\.[A-Za-z0-9-]{1,63})*")
-ENDS_AS_NUMBERS_DO = re.compile(r"(^|\.)[0-9]+$|\.[0-9][^.]*$")
+ENDS_AS_NUMBERS_DO = re.compile(r"(^|\.)(0[xX][0-9a-fA-F]+|[0-9]+)$|\.[0-9][^.]*$")
 """What does is an IP address with a slip, and no name: the last of a name's parts begins with a letter (RFC 3696)."""
-Name = Annotated[str, spelled(r"[a-z0-9_]+", "small letters, digits and _ alone, such as video_2")]
+Name = Annotated[str, spelled(r"[a-z0-9_]{1,40}", "small letters, digits and _ alone, 40 at most, such as video_2")]
+"""A certificate's name has room for 64 letters (RFC 5280), of which an agent's kind takes some."""
 HostName = Name
 """A host of the rig as its own file calls it; it is part of keys and of certificates' names."""
 
@@ -39,7 +41,10 @@ def _address(address: str) -> str:
         if address == LOCALHOST or address.endswith(f".{LOCALHOST}"):
             raise ValueError(f"{address} {UNREACHED}") from None
         return address
-    if ip.is_unspecified or ip.is_loopback or ip.is_multicast or (ip.version == 4 and ip.is_reserved):
+    ip = getattr(ip, "ipv4_mapped", None) or ip
+    # one of IPv6 that holds for one cable alone needs that named too, which each host calls otherwise
+    of_a_cable = ip.version == 6 and ip.is_link_local
+    if ip.is_unspecified or ip.is_loopback or ip.is_multicast or of_a_cable or (ip.version == 4 and ip.is_reserved):
         raise ValueError(f"{address} {UNREACHED}")
     return address
 
@@ -59,6 +64,13 @@ class SecuritySection(Settings):
     leaf_days: int = Field(default=30, ge=1, le=397)
     authority_days: int = Field(default=3650, ge=30, le=7300)
 
+    @model_validator(mode="after")
+    def _authority_outlives_what_it_signs(self) -> "SecuritySection":
+        if self.authority_days <= self.leaf_days:
+            days = f"authority_days = {self.authority_days} and leaf_days = {self.leaf_days}"
+            raise ValueError(f"{days}: no certificate holds for longer than its authority; let that last for years")
+        return self
+
 
 def kind_and_instance(name: str, host: str = MAIN) -> tuple[str, str]:
     """`robot_bridge psm1` as kind and instance; what has no instance is `main`, or of its host."""
@@ -77,6 +89,12 @@ def host_fault(hosts: Mapping[str, HostSection], configured: Iterable[str]) -> s
     `configured` are the processes that the configuration has a section for, as `runs` writes them.
     """
     configured = set(configured)
+    if AUTHORITY_FOLDER in hosts:
+        return (
+            f"no host may be called {AUTHORITY_FOLDER!r}: its folder would hold the authority's key; call it otherwise"
+        )
+    if twice := [(host, name) for host, s in hosts.items() for name, times in Counter(s.runs).items() if times > 1]:
+        return f"{twice[0][0]} runs {twice[0][1]!r} twice; leave it there once"
     counted = Counter(name for host in hosts.values() for name in host.runs)
     for name in counted:
         if name not in configured and name != OPERATOR:

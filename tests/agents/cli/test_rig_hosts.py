@@ -50,6 +50,22 @@ MISTAKES = {
     WHOLE.replace("198.51.100.2", "198.51.100.2:7447"): "write an IP address or a host name alone",
     WHOLE.replace("198.51.100.2", "localhost"): "localhost is no address that other hosts reach",
     WHOLE.replace("198.51.100.2", "255.255.255.255"): "write the one it has on the lab's network",
+    WHOLE.replace("198.51.100.2", "0xC6336402"): "'0xC6336402' is no address",
+    WHOLE.replace("198.51.100.2", "::ffff:127.0.0.1"): "no address that other hosts reach",
+    WHOLE.replace("198.51.100.2", "fe80::1"): "fe80::1 is no address that other hosts reach",
+    WHOLE.replace("198.51.100.2", "fe80::1%eth0"): "fe80::1%eth0 is no address that other hosts reach",
+    WHOLE.replace("hosts.strong", "hosts.authority"): "its folder would hold the authority's key; call it otherwise",
+    WHOLE.replace("hosts.strong", f"hosts.{'a' * 41}"): "40 at most, such as video_2",
+    WHOLE.replace("psm1", "a" * 41): "40 at most, such as video_2",
+    WHOLE.replace(
+        '"perception", ', '"perception", "perception", '
+    ): "strong runs 'perception' twice; leave it there once",
+    WHOLE.replace('"operator"', '"operator", "operator"'): "runs 'operator' twice; leave it there once",
+    WHOLE.replace(
+        "[security]", "[security]\nauthority_days = 30"
+    ): "no certificate holds for longer than its authority",
+    WHOLE.replace("[router]", "[router]\nport = true"): "port must be a number, not true",
+    WHOLE.replace("[camera]", "[camera]\nrate_hz = false"): "rate_hz must be a number, not false",
     WHOLE.replace("hosts.strong", "hosts.Strong-PC"): "'Strong-PC' cannot be used; write small letters, digits and _",
     WHOLE.replace('"perception", ', '"perception", "router", '): "is no agent; name its host in router.host",
     WHOLE.replace('"perception", ', '"percepton", '): "'percepton', for which there is no section; did you mean 'perc",

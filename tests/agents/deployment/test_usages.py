@@ -20,3 +20,20 @@ def test_the_router_is_called_and_calls_routers_of_other_sites_and_all_others_on
         usages[name] = set(made.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value)
     calling, called = ExtendedKeyUsageOID.CLIENT_AUTH, ExtendedKeyUsageOID.SERVER_AUTH
     assert usages == {"router.main": {calling, called}, "camera.main": {calling}}
+
+
+def test_an_authority_signs_processes_and_no_other_authority_and_processes_sign_nothing(tmp_path):
+    at = datetime.datetime.fromtimestamp(now_ns() * 1e-9, datetime.UTC)
+    host = Host("desk", "127.0.0.1", (Process("camera"),))
+    issue(Layout("lab", "tls/127.0.0.1:7447", (host,), 30, 3650), tmp_path, at)
+
+    def may(path):
+        extensions = x509.load_pem_x509_certificate(path.read_bytes()).extensions
+        constraints = extensions.get_extension_for_class(x509.BasicConstraints)
+        usage = extensions.get_extension_for_class(x509.KeyUsage)
+        assert constraints.critical and usage.critical
+        signs = usage.value.key_cert_sign or usage.value.crl_sign
+        return constraints.value.ca, constraints.value.path_length, signs, usage.value.digital_signature
+
+    assert may(tmp_path / "desk" / "certificates" / "camera.main.pem") == (False, None, False, True)
+    assert may(tmp_path / "authority" / "authority.pem") == (True, 0, True, False)
