@@ -15,6 +15,7 @@ from shared.runtime.attachment import unpack
 from shared.runtime.lossless import LosslessSubscriber
 from shared.runtime.own_key import encoding_of, other_key, why_refused
 from shared.runtime.shared_memory import joined
+from shared.runtime.unlooked import Unlooked
 
 MISS_HEARTBEAT_S = 0.5
 ENDS_S = 5.0
@@ -126,9 +127,15 @@ def subscribe(
     if topic.delivery is Delivery.LATEST:
         room = ring_room(key)
         subscriber = session.declare_subscriber(key, zenoh.handlers.RingChannel(room))
-        return [_Receiving(subscriber, key, receive, losses or RingLosses(room), refused)]
+        return [_Receiving(subscriber, key, _hand_over, receive, losses or RingLosses(room), refused)]
     is_event = topic.delivery is Delivery.EVENT
     return [LosslessSubscriber(session, key, is_event, _kept(topic), receive, missed, refused)]
+
+
+def subscribe_unlooked(session: zenoh.Session, key: str, unlooked: Unlooked) -> list[Any]:
+    """Have every sample of a *latest* topic wait as it came; keep what is returned."""
+    subscriber = session.declare_subscriber(key, zenoh.handlers.RingChannel(ring_room(key)))
+    return [_Receiving(subscriber, key, _put_away, unlooked)]
 
 
 def _kept(topic: Topic) -> int:
@@ -139,17 +146,10 @@ def _kept(topic: Topic) -> int:
 class _Receiving:
     """A subscriber, and the thread that hands over what it hears."""
 
-    def __init__(
-        self,
-        subscriber: Any,
-        key: str,
-        receive: Callable[[zenoh.Sample], None],
-        losses: RingLosses,
-        refused: Callable[[str, str], None],
-    ) -> None:
+    def __init__(self, subscriber: Any, key: str, hand_over: Callable[..., None], *ways: Any) -> None:
         self._subscriber = subscriber
-        hand_over = (subscriber.handler, receive, losses, refused)
-        self._thread = threading.Thread(target=_hand_over, args=hand_over, daemon=True, name=f"receive {key}")
+        taken = (subscriber.handler, *ways)
+        self._thread = threading.Thread(target=hand_over, args=taken, daemon=True, name=f"receive {key}")
         self._thread.start()
 
     def undeclare(self) -> None:
@@ -178,5 +178,18 @@ def _hand_over(
                     receive(sample)
                 sample = channel.try_recv()
             losses.emptied()
+    except zenoh.ZError:
+        return
+
+
+def _put_away(channel: Any, unlooked: Unlooked) -> None:
+    """The same for what waits as it came."""
+    try:
+        while True:
+            sample = channel.recv()
+            while sample is not None:
+                unlooked.put(sample)
+                sample = channel.try_recv()
+            unlooked.put(None)
     except zenoh.ZError:
         return

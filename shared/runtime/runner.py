@@ -199,7 +199,7 @@ class Runner:
         self._kept.append(answer_progress(self._session, self._root, listens, self._intake.handled, published))
 
     def _feed_remembered(self) -> None:
-        for arrival in self._intake.inbox.remembered():
+        for arrival in self._intake.remembered():
             self._handle(arrival, counted=True)
 
     def _handle(self, arrival: Arrival, counted: bool = False) -> None:
