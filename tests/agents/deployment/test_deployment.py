@@ -11,9 +11,11 @@ from pathlib import Path, PurePosixPath
 import pytest
 from cryptography import x509
 
+from agents.cli.lab.deploy import layout_of
 from agents.cli.main import main
 from agents.cli.rig.config import RigConfig
 from agents.cli.status.judgement import EXPIRES_SOON_S
+from agents.deployment import install as installing
 from agents.deployment.certificates import AuthorityError, issue
 from agents.deployment.containers import IMAGE_USER
 from agents.deployment.install import affected, verify
@@ -139,6 +141,7 @@ def test_the_robots_computer_gets_its_guard_and_what_its_zenoh_is_told(deployed_
     told = json.loads((robot / "robot-zenoh.json5").read_text().split("\n", 1)[1])
     assert told["listen"]["endpoints"] == ["tls/10.0.0.13:7448"]
     assert told["transport"]["link"]["tls"]["enable_mtls"] is True
+    assert told["transport"]["link"]["tls"]["close_link_on_expiration"] is True
     assert {s["id"] for s in told["access_control"]["subjects"]} == {"robot_bridge.psm1", "guard.psm1"}
     assert "/PSM1/jaw/servo_jp" in told["plugins"]["ros2dds"]["allow"]["subscribers"]
 
@@ -228,9 +231,22 @@ def test_installing_puts_all_in_its_place_and_does_nothing_twice(deployed, tmp_p
     assert load_config(etc / "suturegrasp" / "rig.toml", RigConfig).host == "desk"
     assert (etc / "suturegrasp/certificates/viewer.desk.key").stat().st_mode & 0o777 == 0o600
     assert (etc / "suturegrasp/certificates/operator.desk.key").stat().st_mode & 0o777 == 0o640
+    assert (etc / "suturegrasp/certificates").stat().st_mode & 0o777 == 0o750
     assert sorted(p.name for p in (etc / "systemd" / "system").iterdir()) == [
         "suturegrasp-viewer.service", "suturegrasp.target",
     ]  # fmt: skip
+
+
+def test_nobody_but_root_installs_on_a_machine_and_nothing_is_touched_before(deployed, monkeypatch):
+    def touched(*_):
+        raise AssertionError("this would have changed the machine")
+
+    monkeypatch.setattr(installing.os, "geteuid", lambda: 1000)
+    for name in ("_make_user", "_put", "_remove_stale", "_tell_systemd"):
+        monkeypatch.setattr(installing, name, touched)
+    host = next(h for h in layout_of(load_config(LAB, RigConfig)).hosts if h.name == "desk")
+    with pytest.raises(installing.InstallError, match="only root may install"):
+        installing.install(deployed / "desk", host)
 
 
 def test_what_runs_elsewhere_now_is_removed(deployed, tmp_path, capfd):

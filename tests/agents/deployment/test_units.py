@@ -97,3 +97,10 @@ def test_a_container_is_confined_and_reads_its_own_certificate():
         assert {secret["target"] for secret in service["secrets"]} == own
     # where a link to a host that is gone holds up a thread, others go on
     assert document["services"]["router-main"]["environment"] == {"ZENOH_RUNTIME": ROUTER_RUNTIME}
+
+
+def test_a_camera_reaches_video_devices_alone_and_what_needs_no_device_none():
+    camera = told(SERVICES["suturegrasp-camera.service"])
+    assert (camera["DevicePolicy"], camera["DeviceAllow"]) == (["closed"], ["char-video4linux rw"])
+    others = [name for name in SERVICES if name != "suturegrasp-camera.service"]
+    assert {tuple(told(SERVICES[name])["PrivateDevices"]) for name in others} == {("yes",)}

@@ -37,3 +37,14 @@ def test_an_authority_signs_processes_and_no_other_authority_and_processes_sign_
 
     assert may(tmp_path / "desk" / "certificates" / "camera.main.pem") == (False, None, False, True)
     assert may(tmp_path / "authority" / "authority.pem") == (True, 0, True, False)
+
+
+def test_keys_and_the_folders_that_they_lie_in_are_their_owners_alone(tmp_path):
+    at = datetime.datetime.fromtimestamp(now_ns() * 1e-9, datetime.UTC)
+    issue(
+        Layout("lab", "tls/127.0.0.1:7447", (Host("desk", "127.0.0.1", (Process("camera"),)),), 30, 3650), tmp_path, at
+    )
+    folders = (tmp_path / "authority", tmp_path / "desk" / "certificates")
+    keys = (folders[0] / "authority.key", folders[1] / "camera.main.key")
+    assert {path.stat().st_mode & 0o777 for path in folders} == {0o700}
+    assert {path.stat().st_mode & 0o777 for path in keys} == {0o600}

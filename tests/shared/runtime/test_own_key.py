@@ -12,12 +12,13 @@ from schemas.messages import (
     AgentHealth,
     ClockReading,
     CommandAnswer,
+    Heartbeat,
     Hold,
     LogRecord,
     Outcome,
     Progress,
 )
-from schemas.topics import FRAMES, HEALTH, HOLD, LOG, PLAN, key
+from schemas.topics import FRAMES, HEALTH, HEARTBEAT, HOLD, LOG, PLAN, key
 from shared.runtime.agent import Command, Input, Received
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.clocks import clock_offset
@@ -183,6 +184,27 @@ def test_who_only_listens_counts_what_names_another_key_in_its_health(settings, 
         declared.undeclare()
 
 
+def test_what_speaks_of_another_arm_than_its_key_is_refused_by_who_hears_it(running, session, until):
+    healths, kept = told(session, HEALTH, AgentHealth)
+    bridge = Bridge()
+    bridge.inputs = (Input(HEARTBEAT, "psm1"),)
+    running(bridge)
+    until(lambda: healths)
+    own = key("test", HEARTBEAT, "psm1")
+
+    def beat(arm, sequence):
+        message = encode(Heartbeat(arm, "plan", 1, "arming"))
+        session.put(
+            own, message, encoding=encoding_of(Heartbeat, own), attachment=pack(Attachment(1, sequence, 1, 0.0))
+        )
+
+    until(lambda: beat("psm2", 0) or healths[-1].inputs[0].refused)
+    assert bridge.steps == []
+    until(lambda: beat("psm1", 1) or bridge.steps)
+    for declared in kept:
+        declared.undeclare()
+
+
 def test_a_command_for_another_arm_is_not_carried_out_and_its_sender_is_told_why(running, session, until):
     bridge = Bridge()
     running(bridge)
@@ -199,12 +221,13 @@ def test_a_command_for_another_arm_is_not_carried_out_and_its_sender_is_told_why
     assert [step.message.header.id for step in bridge.steps if not isinstance(step, Received)] == [hold.header.id]
 
 
-def test_the_answer_to_another_command_is_no_answer(session, settings):
+@pytest.mark.parametrize("of", ["another command", ""], ids=["another", "none"])
+def test_the_answer_to_another_command_is_no_answer(session, settings, of):
     with open_session(settings) as receiver:
         own = key("test", HOLD, "psm1")
 
         def answer(query):
-            query.reply(own, encode(accepted("another command")))
+            query.reply(own, encode(accepted(of)))
 
         kept = receiver.declare_queryable(own, answer, complete=True)
         command = Hold(new_header("a test"), "psm1")
