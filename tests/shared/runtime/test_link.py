@@ -46,5 +46,5 @@ def test_what_is_waited_for_in_vain_bounds_the_rate():
 
 def test_one_trip_that_was_held_up_changes_nothing():
     wire, held_up = Wire(1e9), iter([0.1])
-    assert throughput(lambda count: wire.trip_s(count) + next(held_up, 0.0), LATENCY_S) == pytest.approx(1e9)
+    assert throughput(lambda count: (wire.trip_s(count) or 0.0) + next(held_up, 0.0), LATENCY_S) == pytest.approx(1e9)
     assert max(wire.asked) == FRAME_BYTES
