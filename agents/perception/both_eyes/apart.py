@@ -1,8 +1,8 @@
-"""By how much more the left middle errs than the right one, by what a small network has learned of both eyes together.
+"""By how much more the left middle errs than the right one, by what small networks have learned of both eyes together.
 
 Light shifts what looks like the middle of a thread, and both eyes see it from two sides. What their middles err apart
 is depth. Neither eye by itself shows all that tells of it; both do, at the same places (`same_places`). Half of what is
-told is taken from either middle, across the line. docs/model_card.md says what the network has learned from.
+told is taken from either middle, across the line. docs/model_card.md says what the networks have learned from.
 """
 
 import functools
@@ -37,7 +37,7 @@ def drawn_together(images: tuple[Image, Image], lines: Lines, weights: Weights |
 
     Args:
         images: BGR, rectified, their rows in line.
-        weights: of the network; the project's own, if they are None.
+        weights: of networks, along the first axis; the project's own, if they are None.
     """
     places = same_places(*lines, images[LEFT].shape[1])
     if places is None:
@@ -64,18 +64,21 @@ def apart_px(shown: Shown, stretches: Pieces, weights: Weights | None = None) ->
 
 
 def _told(seen: Float32[np.ndarray, "n f"], stretches: Pieces, weights: Weights) -> Float64[np.ndarray, "n"]:
-    state = np.maximum(seen @ weights["first"] + weights["first_bias"], NOTHING)
+    """The mean of what all networks say."""
+    state = np.maximum(seen @ weights["first"] + weights["first_bias"][:, None], NOTHING)
     count = (stretches.last - stretches.first + 1)[:, None].astype(np.float32)
-    mean = np.add.reduceat(state, stretches.first, axis=0) / count
-    state = state + np.maximum(mean @ weights["of_all"] + weights["of_all_bias"], NOTHING)[stretches.number]
-    places = np.arange(len(state))[:, None]
+    mean = np.add.reduceat(state, stretches.first, axis=1) / count
+    of_all = np.maximum(mean @ weights["of_all"] + weights["of_all_bias"][:, None], NOTHING)
+    state = state + of_all[:, stretches.number]
+    places = np.arange(len(seen))[:, None]
     first, last = stretches.first[stretches.number, None], stretches.last[stretches.number, None]
     for layer, dilation in enumerate(DILATIONS):
         # the last place of a stretch goes on for ever
         beside = np.minimum(np.maximum(places + dilation * STEPS, first), last)
-        along = state.take(beside, axis=0).reshape(len(state), -1) @ weights[f"along{layer}"]
-        state = state + np.maximum(along + weights[f"along{layer}_bias"], NOTHING)
-    return (state @ weights["out"] + weights["out_bias"])[:, 0].astype(np.float64)
+        along = state.take(beside, axis=1).reshape(*state.shape[:2], -1) @ weights[f"along{layer}"]
+        state = state + np.maximum(along + weights[f"along{layer}_bias"][:, None], NOTHING)
+    said = state @ weights["out"] + weights["out_bias"][:, None]
+    return said[..., 0].mean(axis=0).astype(np.float64)
 
 
 def _fading(stretches: Pieces) -> Float64[np.ndarray, "n"]:

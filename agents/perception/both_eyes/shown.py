@@ -1,5 +1,6 @@
 """What both eyes show across a thread at the same places, in numbers that a network is shown."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import cv2
@@ -7,7 +8,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
 from agents.perception.both_eyes.same_places import APART_PX, SamePlaces, between
-from agents.perception.centrelines.along import blurred, gaussian
+from agents.perception.centrelines.along import Pieces, blurred, gaussian
 from agents.perception.centrelines.profiles import sample
 from agents.perception.centrelines.straightened import (
     BEYOND_PX,
@@ -27,6 +28,23 @@ ALONG = 1.0
 MOST_CONTRASTS = 3.0
 USUAL_WIDTH_PX = 5.0
 LEFT, RIGHT = 0, 1
+
+
+@dataclass(frozen=True)
+class Eye:
+    """What one eye shows at n places.
+
+    Fields:
+        colour: across the line at t shares of the reach, averaged along it.
+        width_px: hereabouts.
+        log_deviation: the logarithm of what the middle may err, in pixels.
+        normal: of the line; to the same side of the thread in both eyes.
+    """
+
+    colour: Float32[np.ndarray, "t n 3"]
+    width_px: Float64[np.ndarray, "n"]
+    log_deviation: Float64[np.ndarray, "n"]
+    normal: Float64[np.ndarray, "n 2"]
 
 
 @dataclass(frozen=True)
@@ -53,25 +71,50 @@ def shown_in_both(
 
     That casts no light on a thread and shows no edges but the thread's: nothing beats those.
     """
-    colours: list[np.ndarray] = []
-    widths: list[np.ndarray] = []
-    deviations: list[np.ndarray] = []
-    normals = places.left_normal, places.right_normal
-    for image, line, normal, at in zip(images, lines, normals, (places.left_at, places.right_at), strict=True):
-        values = between(np.column_stack((line.point_px, line.width_px, line.deviation_px)), np.asarray(at, np.float64))
-        usual = usual_width_px(values[:, 2], places.stretches, APART_PX)
-        seen = sample(image, values[:, :2], normal, PLACES[:, None] * reach_px(usual), cv2.BORDER_REPLICATE)
-        along = blurred(seen, places.stretches, gaussian(ALONG))
-        if has_plain_ground(along, usual, PLACES):
+    eyes: list[Eye] = []
+    for image, line, at, normal in of_each_eye(images, lines, places):
+        eye = seen_by(image, line, at, normal, places.stretches)
+        if has_plain_ground(eye.colour, eye.width_px, PLACES):
             return None
-        colours.append(along.swapaxes(0, 1))
-        widths.append(usual)
-        deviations.append(np.log(values[:, 3]))
-    width = 0.5 * (widths[LEFT] + widths[RIGHT])
+        eyes.append(eye)
+    return together(eyes[LEFT], eyes[RIGHT])
+
+
+def of_each_eye(
+    images: tuple[Image, Image], lines: tuple[Centrelines, Centrelines], places: SamePlaces
+) -> Iterable[tuple[Image, Centrelines, Float64[np.ndarray, "n"], Float64[np.ndarray, "n 2"]]]:
+    """The left image, its line, where along it the places are, and its normals there; and the right ones."""
+    at = places.left_at.astype(np.float64), places.right_at
+    return zip(images, lines, at, (places.left_normal, places.right_normal), strict=True)
+
+
+def seen_by(
+    image: Image,
+    line: Centrelines,
+    at: Float64[np.ndarray, "n"],
+    normal: Float64[np.ndarray, "n 2"],
+    stretches: Pieces,
+    shares: Float32[np.ndarray, "t"] = PLACES,
+) -> Eye:
+    """What one eye shows across its line.
+
+    Args:
+        at: where along the line's points.
+        shares: of the reach, where the profiles are seen.
+    """
+    values = between(np.column_stack((line.point_px, line.width_px, line.deviation_px)), at)
+    width = usual_width_px(values[:, 2], stretches, APART_PX)
+    seen = sample(image, values[:, :2], normal, shares[:, None] * reach_px(width), cv2.BORDER_REPLICATE)
+    return Eye(blurred(seen, stretches, gaussian(ALONG)), width, np.log(values[:, 3]), normal)
+
+
+def together(left: Eye, right: Eye) -> Shown:
+    """What both eyes show at PLACES."""
+    width = 0.5 * (left.width_px + right.width_px)
     return Shown(
-        _in_contrasts(np.stack(colours), width),
-        np.stack(deviations).astype(np.float32),
-        np.stack(normals).astype(np.float32),
+        _in_contrasts(np.stack((left.colour.swapaxes(0, 1), right.colour.swapaxes(0, 1))), width),
+        np.stack((left.log_deviation, right.log_deviation)).astype(np.float32),
+        np.stack((left.normal, right.normal)).astype(np.float32),
         width.astype(np.float32),
     )
 

@@ -9,83 +9,102 @@ errors' rms before and after. docs/model_card.md says what the project's own wei
 # PyTorch is there for training alone (extra `train`), so that the checks of everyone else run without it.
 
 import argparse
-import itertools
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float16
+from jaxtyping import Float16, Float64
 from torch import nn
 
 from agents.perception.both_eyes.apart import DILATIONS
+from agents.perception.centrelines.along import Pieces
 from agents.perception.centrelines.learned import LOG_SCALE, STEPS
 from agents.perception.training.middle_pairs import WINDOW, PairProfiles, explained, features, pair_profiles
 from agents.perception.training.train import step_share
 
-STATES, TAPS = 48, len(STEPS)
+STATES = 48
 DROPPED, DROPPED_ALONG, BLURRED = 0.2, 0.1, 0.05
-BATCH, LENGTH, SHORTEST, MOST_WEIGHT = 32, 40, 6, 100
-"""Stretches of a batch, their places (every eighth pixel), the least that counts, and how often a long one is drawn."""
-STEEPEST, WEIGHT_DECAY, MOST_NORM, SHARED_WEIGHT, SHARED_POINTS = 2e-3, 5e-2, 2.0, 5.0, 4
-MIRRORS = tuple(itertools.product((False, True), repeat=3))
+BATCH, MOST_WEIGHT = 12, 150
+"""Pairs of a batch, and how often, by its places, a long one is drawn."""
+ASIDE_PX, ASIDE_EVERY, ASIDE_ALIKE, ASIDE_OTHERWISE = 0.12, (4, 12, 40), 0.6, 0.8
+"""Standard deviation by which lines are drawn aside, at places so far apart; shares of both eyes alike, and of each."""
+STEEPEST, WEIGHT_DECAY, MOST_NORM, SHARED_WEIGHT, SHARED_PLACES = 2e-3, 5e-2, 2.0, 5.0, (4, 16)
 REPORTS = 5
 
 
+@dataclass(frozen=True)
+class Batch:
+    """Pairs one after the other: what is shown, what is to be said and whether that is known, and their stretches."""
+
+    shown: torch.Tensor
+    apart: torch.Tensor
+    known: torch.Tensor
+    stretches: Pieces
+
+
 class ApartNet(nn.Module):
-    """Points (b, n, f) of stretches to what middles err apart, and the logarithm of its mean error, both (b, n)."""
+    """Places (n, f) of stretches to what middles err apart there, and the logarithm of its mean error, both (n)."""
 
     def __init__(self, shown: int) -> None:
         super().__init__()
         self.first, self.of_all = nn.Linear(shown, STATES), nn.Linear(STATES, STATES)
-        self.along = nn.ModuleList(
-            [
-                nn.Conv1d(STATES, STATES, TAPS, dilation=d, padding=d * (TAPS - 1) // 2, padding_mode="replicate")
-                for d in DILATIONS
-            ]
-        )
+        self.along = nn.ModuleList([nn.Linear(len(STEPS) * STATES, STATES) for _ in DILATIONS])
         self.out = nn.Linear(STATES, 2)
         nn.init.zeros_(self.out.weight)
         nn.init.zeros_(self.out.bias)
 
-    def forward(self, shown: torch.Tensor, there: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def forward(self, shown: torch.Tensor, stretches: Pieces) -> tuple[torch.Tensor, torch.Tensor]:
+        number = torch.from_numpy(stretches.number)
         state = nn.functional.dropout(torch.relu(self.first(shown)), DROPPED, self.training)
-        mean = (state * there[..., None]).sum(1, keepdim=True) / there.sum(1)[:, None, None].clamp(min=1)
-        state = (state + torch.relu(self.of_all(mean))).transpose(1, 2)
-        for layer in self.along:
-            state = state + nn.functional.dropout(torch.relu(layer(state)), DROPPED_ALONG, self.training)
-        offset, log_scale = self.out(state.transpose(1, 2)).unbind(-1)
+        total = torch.zeros(len(stretches.first), STATES).index_add(0, number, state)
+        mean = total / torch.bincount(number)[:, None]
+        state = state + torch.relu(self.of_all(mean))[number]
+        first, last = (some[stretches.number, None] for some in (stretches.first, stretches.last))
+        for layer, dilation in zip(self.along, DILATIONS, strict=True):
+            # the last place of a stretch goes on for ever
+            beside = torch.from_numpy(np.clip(np.arange(len(shown))[:, None] + dilation * STEPS, first, last))
+            along = torch.relu(layer(state[beside].flatten(1)))
+            state = state + nn.functional.dropout(along, DROPPED_ALONG, self.training)
+        offset, log_scale = self.out(state).unbind(-1)
         return offset, log_scale.clamp(*LOG_SCALE)
 
 
-def batches(pairs: Sequence[PairProfiles], seed: int) -> Iterator[list[torch.Tensor]]:
-    """What is shown, what is to be said, where there is a place, and where its truth is known.
-
-    Without end, the same for the same seed.
-    """
+def batches(pairs: Sequence[PairProfiles], seed: int) -> Iterator[Batch]:
+    """Pairs drawn by their length, each in mirrors and with its lines drawn aside; without end, the same for a seed."""
     rng = np.random.default_rng([seed, 23])
-    shown = [[features(pair, *mirrors) for mirrors in MIRRORS] for pair in pairs]
-    stretches = [
-        (k, int(first), int(last - first + 1))
-        for k, pair in enumerate(pairs)
-        for first, last in zip(pair.pieces.first, pair.pieces.last, strict=True)
-        if last - first + 1 >= SHORTEST
-    ]
-    weight = np.minimum([count for _, _, count in stretches], MOST_WEIGHT).astype(np.float64)
+    weight = np.minimum([len(pair.known) for pair in pairs], MOST_WEIGHT).astype(np.float64)
     while True:
-        some = np.zeros((BATCH, LENGTH, shown[0][0][0].shape[1]), np.float32)
-        apart, there, known = np.zeros((3, BATCH, LENGTH), np.float32)
-        for row, index in enumerate(rng.choice(len(stretches), BATCH, p=weight / weight.sum())):
-            k, first, count = stretches[index]
-            seen, off = shown[k][rng.integers(len(MIRRORS))]
-            start, n = first + rng.integers(max(1, count - LENGTH + 1)), min(count, LENGTH)
-            way = slice(None, None, -1 if rng.uniform() < 0.5 else 1)
-            here = slice(start, start + n)
-            some[row, :n], apart[row, :n], there[row, :n] = seen[here][way], off[here][way], 1
-            known[row, :n] = pairs[k].known[here][way]
-        some += rng.normal(0, BLURRED, some.shape).astype(np.float32)
-        yield [torch.from_numpy(part) for part in (some, apart, there, known)]
+        some = [pairs[k] for k in rng.choice(len(pairs), BATCH, p=weight / weight.sum())]
+        mirrors = rng.integers(0, 2, (BATCH, 3)).astype(bool)
+        seen = [
+            features(pair, *way, aside_px=aside_px(len(pair.known), rng))
+            for pair, way in zip(some, mirrors, strict=True)
+        ]
+        shown = np.concatenate([part for part, _ in seen])
+        yield Batch(
+            torch.from_numpy(shown + rng.normal(0, BLURRED, shown.shape).astype(np.float32)),
+            torch.from_numpy(np.concatenate([part for _, part in seen])),
+            torch.from_numpy(np.concatenate([pair.known for pair in some]).astype(np.float32)),
+            one_after_the_other([pair.pieces for pair in some]),
+        )
+
+
+def aside_px(count: int, rng: np.random.Generator) -> Float64[np.ndarray, "2 n"]:
+    """By how much the lines of both eyes are drawn aside, as a drift along them that is partly the same in both."""
+    every = int(rng.choice(ASIDE_EVERY))
+    at = np.arange(count) / every + rng.uniform()
+    knots = count // every + 3
+    drift = ASIDE_OTHERWISE * rng.normal(0, 1, (2, knots)) + ASIDE_ALIKE * rng.normal(0, 1, (1, knots))
+    return ASIDE_PX * np.stack([np.interp(at, np.arange(knots), some) for some in drift])
+
+
+def one_after_the_other(pieces: Sequence[Pieces]) -> Pieces:
+    """The pieces of several pairs, numbered on."""
+    before = np.cumsum([0, *(len(some.first) for some in pieces)])
+    return Pieces(np.concatenate([some.number + count for some, count in zip(pieces, before, strict=False)]))
 
 
 def train(pairs: Sequence[PairProfiles], held_out: dict[str, list[PairProfiles]], steps: int, seed: int) -> ApartNet:
@@ -94,51 +113,60 @@ def train(pairs: Sequence[PairProfiles], held_out: dict[str, list[PairProfiles]]
     torch.set_num_threads(1)
     network = ApartNet(features(pairs[0])[0].shape[1])
     optimiser = torch.optim.AdamW(network.parameters(), STEEPEST, weight_decay=WEIGHT_DECAY)
-    for step, (shown, apart, there, known) in zip(range(steps), batches(pairs, seed), strict=False):
+    for step, batch in zip(range(steps), batches(pairs, seed), strict=False):
         for group in optimiser.param_groups:
             group["lr"] = STEEPEST * step_share(step / steps)
-        said, log_scale = network(shown, there)
-        error = apart - said
-        unlikely = ((error.abs() / log_scale.exp() + log_scale) * known).sum() / known.sum()
-        shared = (error * known).unflatten(1, (-1, SHARED_POINTS)).mean(2)
+        said, log_scale = network(batch.shown, batch.stretches)
+        error = batch.apart - said
+        loss = ((error.abs() / log_scale.exp() + log_scale) * batch.known).sum() / batch.known.sum()
+        for places in SHARED_PLACES:
+            alike = shared(error * batch.known, batch.stretches, places)
+            loss = loss + SHARED_WEIGHT * torch.sqrt(alike**2 + 1e-4).mean()
         optimiser.zero_grad()
-        (unlikely + SHARED_WEIGHT * torch.sqrt(shared**2 + 1e-4).mean()).backward()
+        loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), MOST_NORM)
         optimiser.step()
         if (step + 1) % max(1, steps // REPORTS) == 0:
             for name, others in held_out.items():
-                share, before, after = explained(others, [told(network, pair) for pair in others])
-                sys.stdout.write(
-                    f"{step + 1} steps, {name}, {len(others)} pairs: {share:.1%} of the variance; "
-                    f"rms over {8 * WINDOW} px {before:.3f}, {after:.3f} px\n"
-                )
+                sys.stdout.write(f"{step + 1} steps, {_said_of(name, others, [network])}\n")
             sys.stdout.flush()
     return network
 
 
-def told(network: ApartNet, pair: PairProfiles) -> np.ndarray:
-    """What the network says of each point, and of its image in a mirror."""
-    network.eval()
-    both = [np.zeros(len(pair.apart_px)) for _ in range(2)]
-    with torch.no_grad():
-        for mirrored, said in enumerate(both):
-            shown = features(pair, mirrored=bool(mirrored))[0]
-            for first, last in zip(pair.pieces.first, pair.pieces.last, strict=True):
-                here = torch.from_numpy(shown[first : last + 1])[None]
-                said[first : last + 1] = network(here, torch.ones(here.shape[:2]))[0][0].numpy()
-    network.train()
-    return (both[0] - both[1]) / 2
+def _said_of(name: str, pairs: list[PairProfiles], networks: Sequence[ApartNet]) -> str:
+    share, before, after = explained(pairs, [told(networks, pair) for pair in pairs])
+    return (
+        f"{name}, {len(pairs)} pairs: {share:.1%} of the variance; "
+        f"rms over {8 * WINDOW} px {before:.3f}, {after:.3f} px"
+    )
+
+
+def shared(error: torch.Tensor, stretches: Pieces, places: int) -> torch.Tensor:
+    """What neighbours err by together: sums over so many places of a stretch, over that number."""
+    block = stretches.before // places + len(error) * stretches.number
+    number = torch.from_numpy(np.unique(block, return_inverse=True)[1])
+    return torch.zeros(int(number[-1]) + 1).index_add(0, number, error) / places
+
+
+def told(networks: Sequence[ApartNet], pair: PairProfiles) -> np.ndarray:
+    """What networks say of each place, and of its image in a mirror: the mean."""
+    said: list[np.ndarray] = []
+    for mirrored, sign in ((False, 1), (True, -1)):
+        shown = torch.from_numpy(features(pair, mirrored=mirrored)[0])
+        for network in networks:
+            network.eval()
+            with torch.no_grad():
+                said.append(sign * network(shown, pair.pieces)[0].numpy())
+            network.train()
+    return np.mean(said, axis=0)
 
 
 def weights_of(network: ApartNet) -> dict[str, Float16[np.ndarray, "..."]]:
     """The network's weights as they are kept, by the names that are used at run time."""
     layers = {"first": network.first, "of_all": network.of_all, "out": network.out}
+    layers |= {f"along{number}": layer for number, layer in enumerate(network.along)}
     weights = {name: layer.weight.T for name, layer in layers.items()}
     weights |= {f"{name}_bias": layer.bias for name, layer in layers.items()}
-    for number, layer in enumerate(network.along):
-        # the states of five places, one after the other
-        weights[f"along{number}"] = layer.weight.permute(2, 1, 0).flatten(0, 1)
-        weights[f"along{number}_bias"] = layer.bias
     return {name: value.detach().numpy().astype(np.float16) for name, value in weights.items()}
 
 
@@ -148,8 +176,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--scenes", type=Path, nargs="+", required=True, help="folders of rendered pairs to learn from")
     parser.add_argument("--held-out", type=Path, nargs="+", required=True, help="folders that are only looked at")
     parser.add_argument("--output", type=Path, required=True, help="where the weights go, as NumPy keeps them")
-    parser.add_argument("--steps", type=int, default=4000)
+    parser.add_argument("--steps", type=int, default=8000)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--networks", type=int, default=2, help="whose mean is used at run time; seeds follow each other"
+    )
     parser.add_argument("--pairs", type=int, default=None, help="learn from so many alone, drawn by the seed")
     chosen = parser.parse_args(arguments)
     pairs = pair_profiles(chosen.scenes)
@@ -158,7 +189,12 @@ def main(arguments: list[str] | None = None) -> int:
         pairs = [pairs[index] for index in drawn]
     sys.stdout.write(f"{len(pairs)} pairs to learn from\n")
     held_out = {str(folder): pair_profiles([folder]) for folder in chosen.held_out}
-    np.savez(chosen.output, allow_pickle=False, **weights_of(train(pairs, held_out, chosen.steps, chosen.seed)))
+    networks = [train(pairs, held_out, chosen.steps, chosen.seed + k) for k in range(chosen.networks)]
+    for name, others in held_out.items():
+        sys.stdout.write(f"all together, {_said_of(name, others, networks)}\n")
+    weights = [weights_of(network) for network in networks]
+    stacked = {name: np.stack([some[name] for some in weights]) for name in weights[0]}
+    np.savez(chosen.output, allow_pickle=False, **stacked)
     return 0
 
 

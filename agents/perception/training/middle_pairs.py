@@ -1,7 +1,7 @@
 """Both eyes' profiles at the same places, as at run time, and by how much more the left middle errs there."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,21 +10,28 @@ from jaxtyping import Bool, Float32, Float64
 from agents.perception.both_eyes.same_places import SamePlaces, between, same_places
 from agents.perception.both_eyes.shown import (
     LEFT,
+    PLACES,
     RIGHT,
-    Shown,
+    Eye,
     beside_mirror,
     from_other_side,
     numbers,
-    shown_in_both,
+    of_each_eye,
+    seen_by,
+    together,
     upside_down,
 )
 from agents.perception.centrelines import thread_centrelines
 from agents.perception.centrelines.along import Pieces
+from agents.perception.centrelines.straightened import has_plain_ground, reach_px
 from agents.perception.segmentation.network import segment_network
 from agents.perception.training.middle_views import Truth, offsets_to, truth_of
 from agents.perception.training.scenes import View, views_in
 from schemas.messages import Centrelines
 
+WIDE_PLACES = np.linspace(-1.5, 1.5, 49, dtype=np.float32)
+"""As PLACES and as far apart, and wider, so that profiles can be drawn aside."""
+INNER = slice(len(WIDE_PLACES) // 2 - len(PLACES) // 2, len(WIDE_PLACES) // 2 + len(PLACES) // 2 + 1)
 MOST_PX = 0.5
 FARTHEST_PX, ALIKE_MM = 2.0, 1.0
 """A middle farther from the truth is on no thread; and places that lie so far from each other are not the same."""
@@ -38,13 +45,14 @@ class PairProfiles:
     """What the eyes of one pair show at the same places of their threads.
 
     Fields:
+        eyes: at WIDE_PLACES.
         apart_px: by how much more the left middle errs along its normal than the right one.
         known: whether the truth says that; the places are the same by it too.
         pieces: places without a gap between them.
     """
 
     name: str
-    shown: Shown
+    eyes: tuple[Eye, Eye]
     apart_px: Float32[np.ndarray, "n"]
     known: Bool[np.ndarray, "n"]
     pieces: Pieces
@@ -76,10 +84,14 @@ def _of_pair(folder: Path, left: View, right: View) -> PairProfiles | None:
     if places is None:
         return None
     apart, known = _apart((truth_of(folder, left), truth_of(folder, right)), lines, places)
-    shown = shown_in_both(images, (lines[LEFT], lines[RIGHT]), places)
-    if known.sum() < LEAST_KNOWN or shown is None:
+    eyes = tuple(
+        seen_by(image, line, at, normal, places.stretches, WIDE_PLACES)
+        for image, line, at, normal in of_each_eye(images, (lines[LEFT], lines[RIGHT]), places)
+    )
+    plain = any(has_plain_ground(eye.colour[INNER], eye.width_px, PLACES) for eye in eyes)
+    if known.sum() < LEAST_KNOWN or plain:
         return None
-    return PairProfiles(left.name.removesuffix("_left"), shown, apart, known, places.stretches)
+    return PairProfiles(left.name.removesuffix("_left"), (eyes[LEFT], eyes[RIGHT]), apart, known, places.stretches)
 
 
 def _apart(
@@ -98,11 +110,15 @@ def _apart(
         known &= told & (np.abs(offset) < FARTHEST_PX)
     # where along the thread a place lies is not known of light scenes, which have no such errors
     known &= ~(np.abs(along[LEFT] - along[RIGHT]) > ALIKE_MM)
-    return np.clip(off[LEFT] - off[RIGHT], -MOST_PX, MOST_PX).astype(np.float32), known
+    return (off[LEFT] - off[RIGHT]).astype(np.float32), known
 
 
 def features(
-    pair: PairProfiles, mirrored: bool = False, exchanged: bool = False, below: bool = False
+    pair: PairProfiles,
+    mirrored: bool = False,
+    exchanged: bool = False,
+    below: bool = False,
+    aside_px: Float64[np.ndarray, "2 n"] | None = None,
 ) -> tuple[Float32[np.ndarray, "n f"], Float32[np.ndarray, "n"]]:
     """What a network is shown of each place, and what it is to say; of the scene as it is, or in a mirror.
 
@@ -110,15 +126,32 @@ def features(
         mirrored: profiles are read from their other side, with the normal turned round.
         exchanged: in a mirror that stands beside the scene; the eyes change places.
         below: in a mirror that lies below it.
+        aside_px: by how much the left and the right line are drawn along their normals before, if at all.
     """
-    shown, apart = pair.shown, pair.apart_px
+    apart = pair.apart_px
+    if aside_px is None:
+        left, right = (replace(eye, colour=eye.colour[INNER]) for eye in pair.eyes)
+    else:
+        left, right = (drawn_aside(eye, by) for eye, by in zip(pair.eyes, aside_px, strict=True))
+        apart = (apart - aside_px[LEFT] + aside_px[RIGHT]).astype(np.float32)
+    shown = together(left, right)
     if exchanged:
         shown, apart = beside_mirror(shown), -apart
     if below:
         shown = upside_down(shown)
     if mirrored:
         shown, apart = from_other_side(shown), -apart
-    return numbers(shown), apart
+    return numbers(shown), np.clip(apart, -MOST_PX, MOST_PX)
+
+
+def drawn_aside(eye: Eye, by_px: Float64[np.ndarray, "n"]) -> Eye:
+    """What the eye would show at PLACES if its line lay elsewhere, along the normals."""
+    shares = PLACES[:, None] + (by_px / reach_px(eye.width_px)).astype(np.float32)
+    at = np.clip((shares - WIDE_PLACES[0]) / (WIDE_PLACES[1] - WIDE_PLACES[0]), 0, len(WIDE_PLACES) - 1.001)
+    before = at.astype(np.int64)
+    share, place = (at - before)[..., None], np.arange(len(by_px))
+    colour = eye.colour[before, place] * (1 - share) + eye.colour[before + 1, place] * share
+    return replace(eye, colour=colour)
 
 
 def explained(pairs: Sequence[PairProfiles], said_px: Sequence[np.ndarray]) -> tuple[float, float, float]:
@@ -129,9 +162,10 @@ def explained(pairs: Sequence[PairProfiles], said_px: Sequence[np.ndarray]) -> t
     parts: list[tuple[float, float, int]] = []
     for pair, say in zip(pairs, said_px, strict=True):
         known = pair.known
-        weight = np.abs(pair.shown.normal[LEFT, known, 0]).astype(np.float64)
+        weight = np.abs(pair.eyes[LEFT].normal[known, 0])
         pieces = Pieces(np.unique(pair.pieces.number[known], return_inverse=True)[1])
-        before, after = (weight * _averaged(part[known], pieces) for part in (pair.apart_px, pair.apart_px - say))
+        apart = np.clip(pair.apart_px, -MOST_PX, MOST_PX)
+        before, after = (weight * _averaged(part[known], pieces) for part in (apart, apart - say))
         parts.append((float(before @ before), float(after @ after), len(before)))
     first, then, count = np.array(parts).T
     rms_before, rms_after = (float(np.median(np.sqrt(part / count))) for part in (first, then))
