@@ -1,19 +1,24 @@
 """Whether links between hosts bear what crosses them: the streams of a rig's file, and the judgement."""
 
+import threading
 from pathlib import Path
 
 import pytest
 
 from agents.cli.doctor.crossing import HEARD_BY, STREAMS, TYPICAL_BYTES, heard_by, traffic
 from agents.cli.doctor.network import networks
+from agents.cli.doctor.weighed import weigh
 from agents.cli.rig.builders import build
 from agents.cli.rig.config import RigConfig
 from agents.cli.status.gathered import Gathered
 from agents.cli.status.health_watch import Fare
 from schemas.messages import AgentHealth, InputHealth
-from schemas.topics import OBSERVATIONS, THREAD, Delivery, topic_of
+from schemas.topics import FRAMES, OBSERVATIONS, THREAD, Delivery, key, topic_of
 from shared.recording.mcap_file import read_recording
+from shared.runtime.attachment import Attachment, pack
 from shared.runtime.config import load_config, parse_config
+from shared.runtime.connection import connected
+from shared.runtime.delivery import declare_publisher
 from shared.runtime.link import Link
 
 REPOSITORY = Path(__file__).parents[3]
@@ -162,3 +167,21 @@ def test_a_tool_tracker_and_a_bridge_that_is_corrected_hear_what_they_need():
     rig = RigConfig.model_validate(told)
     assert traffic(rig, BYTES)["strong"].into["camera/frames"] == 6e6
     assert traffic(rig, BYTES)["robot"].into["perception/tool"] > 0
+
+
+def test_messages_are_weighed_as_they_come(settings, session, until):
+    publisher = declare_publisher(session, key("test", FRAMES), FRAMES)
+    with connected(settings, 60.0) as connection:
+        ended = threading.Event()
+
+        def film():
+            while not ended.wait(0.02):
+                publisher.put(bytes(1234), attachment=pack(Attachment(1, 0, 0, 0.0)))
+
+        filming = threading.Thread(target=film)
+        filming.start()
+        assert until(lambda: weigh(connection)) == {"camera/frames": 1234.0}
+        ended.set()
+        filming.join()
+        publisher.undeclare()
+        assert weigh(connection, 0.1) == {}

@@ -3,6 +3,8 @@
 import dataclasses
 import json
 import re
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,10 +18,11 @@ from agents.cli.rig.hosts import HostSection
 from agents.cli.rig.topics import Override
 from agents.cli.status.agents import judge_agents
 from agents.cli.status.calibrations import Allowed
-from agents.cli.status.gathered import ArmHeard, Gathered, expected_rates, placed_agents
-from agents.cli.status.health_watch import STARTING, Fare, span_of
+from agents.cli.status.gathered import ArmHeard, Gathered, expected_rates, placed_agents, placed_beside
+from agents.cli.status.health_watch import STARTING, Fare, HealthWatch, span_of
 from agents.cli.status.judgement import judge
 from agents.cli.status.report import document, report, watched
+from schemas.codec import encode
 from schemas.messages import (
     AgentFacts,
     AgentHealth,
@@ -38,7 +41,10 @@ from schemas.messages import (
     ToolCorrection,
     ToolStatus,
 )
+from schemas.topics import HEALTH, key
 from shared.runtime.clocks import ClockOffset
+from shared.runtime.config import load_config
+from shared.runtime.taps import Tapped
 
 NOW_NS = 1_800_000_000_000_000_000
 DAY_S = 86400
@@ -248,6 +254,17 @@ def test_a_calibration_that_is_older_than_the_rig_allows_is_worth_knowing():
     )
     for told in ({"camera/main": facts(calibrated_ns=NOW_NS - 89 * DAY_S * 10**9)}, {"camera/main": facts()}, {}):
         assert judge(moment(facts=told, calibrations=allowed)) == []
+
+
+def test_a_viewer_that_nobody_expects_is_shown_on_its_host():
+    lab = load_config(Path(__file__).parents[3] / "deploy" / "lab.toml", RigConfig)
+    taken = []
+    connection = SimpleNamespace(listen=lambda _topics, take: taken.append(take))
+    watch = HealthWatch(connection, ["camera"], {"camera": "video"} | placed_beside(lab))
+    told = encode(health("viewer", "desk"))
+    taken[0](Tapped(HEALTH, key("lab", HEALTH, "desk", "viewer"), told, None))
+    fares = {one.name: (one.placed, one.expected) for one in watch.fares()}
+    assert fares == {"camera": ("video", True), "viewer desk": ("desk", False)}
 
 
 def test_what_a_rig_does_otherwise_with_topics_is_shown():
