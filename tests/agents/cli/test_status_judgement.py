@@ -259,7 +259,7 @@ def test_a_calibration_that_is_older_than_the_rig_allows_is_worth_knowing():
 def test_a_viewer_that_nobody_expects_is_shown_on_its_host():
     lab = load_config(Path(__file__).parents[3] / "deploy" / "lab.toml", RigConfig)
     taken = []
-    connection = SimpleNamespace(listen=lambda _topics, take: taken.append(take))
+    connection: Any = SimpleNamespace(listen=lambda _topics, take: taken.append(take))
     watch = HealthWatch(connection, ["camera"], {"camera": "video"} | placed_beside(lab))
     told = encode(health("viewer", "desk"))
     taken[0](Tapped(HEALTH, key("lab", HEALTH, "desk", "viewer"), told, None))
