@@ -15,10 +15,10 @@ import numpy as np
 import torch
 from jaxtyping import Float16
 
-from agents.perception.centrelines.learned import LOG_SCALE
+from agents.perception.centrelines.learned import LOG_SCALE, weights_in
 from agents.perception.training.middle_crops import ALONE, batches
 from agents.perception.training.middle_evaluate import line_of
-from agents.perception.training.middle_network import STATES, MiddleNet, weights_of
+from agents.perception.training.middle_network import STATES, MiddleNet, started_from, weights_of
 from agents.perception.training.middle_views import MiddleView, middle_views
 from agents.perception.training.train import step_share
 
@@ -33,7 +33,13 @@ APART_WEIGHT = 5.0
 
 @dataclass(frozen=True)
 class Chosen:
-    """What the command line says; `steepest` is the greatest step size, `apart` the weight of differences."""
+    """What the command line says.
+
+    Fields:
+        steepest: the greatest step size.
+        apart: the weight of differences between eyes.
+        start: weights to learn on from.
+    """
 
     scenes: list[Path]
     output: Path
@@ -44,13 +50,15 @@ class Chosen:
     apart: float
     device: str
     workers: int
+    start: Path | None
 
 
 def train(views: list[MiddleView], held_out: list[MiddleView], chosen: Chosen) -> MiddleNet:
     """The network after so many steps; weights are a moving average."""
     torch.manual_seed(chosen.seed)
     torch.set_num_threads(1)
-    network = MiddleNet(chosen.states).to(chosen.device)
+    network = MiddleNet(chosen.states) if chosen.start is None else started_from(weights_in(chosen.start))
+    network = network.to(chosen.device)
     kept = torch.optim.swa_utils.AveragedModel(
         network, multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(MOVING_AVERAGE)
     )
@@ -143,6 +151,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--workers", type=int, default=0, help="processes that make batches, besides the one that trains"
     )
+    parser.add_argument("--start", type=Path, default=None, help="weights to learn on from, whose states count then")
     chosen = Chosen(**vars(parser.parse_args(arguments)))
     views, held_out = (middle_views(chosen.scenes, held_out=held) for held in (False, True))
     train(views, held_out, chosen)

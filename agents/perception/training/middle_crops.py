@@ -18,7 +18,7 @@ from agents.perception.training.middle_views import WIDE_PLACES, MiddleView
 
 VIEWS, STRETCHES, LENGTH = 14, 8, 192
 """Of a batch: stretches of so many points from each of so many views, since the light is that of the whole view."""
-ALONE = 2
+ALONE = 4
 """Of the views of a batch, the first so many are drawn or of one eye; the rest are left and right eyes in turn."""
 ALIKE_MM = 0.15
 """Points of both eyes that lie so near each other along the thread are the same."""

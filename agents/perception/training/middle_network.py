@@ -2,7 +2,7 @@
 # pyright: reportMissingImports=false, reportUntypedBaseClass=false
 # PyTorch is there for training alone (extra `train`), so that the checks of everyone else run without it.
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
@@ -73,6 +73,24 @@ def weights_of(network: MiddleNet) -> dict[str, Float32[np.ndarray, "..."]]:
         weights[f"along{index}"] = state[f"along.{index}.weight"].permute(2, 1, 0).flatten(0, 1)
         weights[f"along{index}_bias"] = state[f"along.{index}.bias"]
     return {name: value.cpu().numpy() for name, value in weights.items()}
+
+
+def started_from(weights: Mapping[str, np.ndarray]) -> MiddleNet:
+    """The network that says what these weights say, to learn on from."""
+    layers = sum(name.startswith("along") and not name.endswith("_bias") for name in weights)
+    network = MiddleNet(weights["first"].shape[1], DILATIONS[:layers])
+    given = {name: torch.tensor(np.asarray(value, np.float32)) for name, value in weights.items()}
+    state = network.state_dict()
+    state["first.weight"], state["first.bias"] = given["first"].T, given["first_bias"]
+    state["light.weight"] = given["light"].T @ torch.linalg.pinv(state["sides"])
+    state["from_light.weight"] = given["from_light"].T
+    state["out.weight"], state["out.bias"] = given["out"].T[:, :, None], given["out_bias"]
+    for index in range(layers):
+        taps = given[f"along{index}"].unflatten(0, (TAPS, -1))
+        state[f"along.{index}.weight"] = taps.permute(2, 1, 0)
+        state[f"along.{index}.bias"] = given[f"along{index}_bias"]
+    network.load_state_dict(state)
+    return network
 
 
 def _difference_of_sides() -> np.ndarray:
