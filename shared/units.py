@@ -10,7 +10,7 @@ def metres_per_unit(name: str) -> float:
         ValueError: where nobody calls a unit that; the text lists the known names.
     """
     if name not in METRES_PER_UNIT:
-        raise ValueError(f"unknown unit {name!r}; known units: {', '.join(METRES_PER_UNIT)}")
+        raise ValueError(f"unknown unit {name!r}; choose from {', '.join(METRES_PER_UNIT)}")
     return METRES_PER_UNIT[name]
 
 

@@ -61,6 +61,8 @@ def _of_file(path: Path) -> StatedCalibration:
 
 
 def _of_two_files(first: Path, second: Path) -> StatedCalibration:
+    if first.is_file() and second.is_file() and first.samefile(second):
+        raise CalibrationError("both paths are one file; name it once, or give the files of both cameras, left first")
     documents = [_first_document(path) for path in (first, second)]
     are_camera_info = [is_camera_info(document) for document in documents]
     if all(are_camera_info):

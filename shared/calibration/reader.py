@@ -12,7 +12,7 @@ from shared.calibration.formats import stated_calibration
 from shared.calibration.judge import judgements, repaired_rotation
 from shared.calibration.pixel_convention import counted_from_centres
 from shared.calibration.ros_camera_info import camera_info, ros_pair
-from shared.calibration.stated import CalibrationError, ImageSize, OtherSizeError, StatedCalibration
+from shared.calibration.stated import CalibrationError, OtherSizeError, StatedCalibration
 from shared.rigid_transforms import transform
 from shared.units import metres_per_unit
 
@@ -47,7 +47,7 @@ def read_calibration(
         raise CalibrationError(f"a calibration is one file, one folder or two files, not {len(paths)} paths")
     try:
         stated = stated_calibration(paths)
-        _check_size(stated.size, image_size)
+        _check_size(stated, image_size)
         # JSON is this project's own form, which counts pixels from their centres
         foreign = any(path.suffix.lower() != ".json" for path in paths)
         return _judged(stated, _metres_per_unit(stated, unit), image_size, foreign)
@@ -67,7 +67,7 @@ def calibration_of_camera_infos(
     """
     try:
         stated = ros_pair(camera_info(left, "left"), camera_info(right, "right"))
-        _check_size(stated.size, image_size)
+        _check_size(stated, image_size)
         return _judged(stated, _metres_per_unit(stated, unit), image_size, foreign=True)
     except (CalibrationError, MessageError) as error:
         raise CalibrationError(_one_line(f"{name}: {error}")) from None
@@ -107,17 +107,27 @@ def _check_camera_matrix(side: str, K: np.ndarray) -> None:
         raise CalibrationError(f"the {side} camera matrix must be fx s cx, 0 fy cy, 0 0 1 with positive fx and fy")
 
 
-def _check_size(stated: ImageSize | None, image_size: tuple[int, int]) -> None:
-    if stated is None or (stated.width, stated.height) == image_size:
+def _check_size(stated: StatedCalibration, image_size: tuple[int, int]) -> None:
+    sizes = _possible_sizes(stated)
+    if not sizes or image_size in sizes:
         return
-    if not stated.order_is_known and (stated.height, stated.width) == image_size:
-        return
-    ours, theirs = (f"{width}x{height}" for width, height in (image_size, (stated.width, stated.height)))
+    ours, theirs = (f"{width}x{height}" for width, height in (image_size, sizes[0]))
     raise OtherSizeError(
         f"the calibration is for {theirs} images, and these are {ours}; "
         "use the images that it belongs to, or scale them to its size if they were not cropped",
-        (stated.width, stated.height),
+        sizes[0],
     )
+
+
+def _possible_sizes(stated: StatedCalibration) -> list[tuple[int, int]]:
+    """Width and height as a file may mean them, the likelier first: a principal point lies near the middle."""
+    if stated.size is None:
+        return []
+    size = (stated.size.width, stated.size.height)
+    if stated.size.order_is_known:
+        return [size]
+    points = np.array([stated.K_left[:2, 2], stated.K_right[:2, 2]])
+    return sorted((size, size[::-1]), key=lambda one: float(np.linalg.norm(points - 0.5 * np.array(one))))
 
 
 def _metres_per_unit(stated: StatedCalibration, unit: str | None) -> float | None:
@@ -126,12 +136,11 @@ def _metres_per_unit(stated: StatedCalibration, unit: str | None) -> float | Non
     Raises:
         CalibrationError: where the two contradict each other, or nobody knows a unit of that name.
     """
+    try:
+        metres = {name: metres_per_unit(name) for name in (unit, stated.unit) if name is not None}
+    except ValueError as error:
+        raise CalibrationError(str(error)) from None
     if unit and stated.unit and not stated.unit_by_convention and unit != stated.unit:
         raise CalibrationError(f"the file states its lengths in {stated.unit}, which contradicts --unit {unit}")
     name = unit or stated.unit
-    if name is None:
-        return None
-    try:
-        return metres_per_unit(name)
-    except ValueError as error:
-        raise CalibrationError(str(error)) from None
+    return None if name is None else metres[name]

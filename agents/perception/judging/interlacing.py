@@ -14,7 +14,10 @@ LEAST_STEPS = 500
 
 
 def combed(grey: UInt8[np.ndarray, "h w"]) -> tuple[float, float]:
-    """Shares of the strong steps along the columns, and along the rows, that are teeth: up, down and up again."""
+    """Shares of the strong steps along the columns, and along the rows, that are teeth: up, down and up again.
+
+    NaN where there are too few of them to tell.
+    """
     level = grey.astype(np.int16)
     return _teeth(level), _teeth(np.ascontiguousarray(level.T))
 
@@ -25,4 +28,4 @@ def _teeth(level: np.ndarray) -> float:
     three = strong[:-2] & strong[1:-1] & strong[2:]
     teeth = three & ((step[:-2] ^ step[1:-1]) < 0) & ((step[1:-1] ^ step[2:]) < 0)
     steps = np.count_nonzero(strong)
-    return np.count_nonzero(teeth) / steps if steps >= LEAST_STEPS else 0.0
+    return np.count_nonzero(teeth) / steps if steps >= LEAST_STEPS else np.nan

@@ -99,12 +99,17 @@ def about_sharpness(left: UInt8[np.ndarray, "h w"], right: UInt8[np.ndarray, "h 
 
 def about_interlacing(left: UInt8[np.ndarray, "h w"], right: UInt8[np.ndarray, "h w"]) -> Answer:
     """Whether a grey image is woven from two fields; while nothing moves, that cannot be seen."""
+    smooth: list[str] = []
     for eye, image in (("left", left), ("right", right)):
         in_columns, in_rows = combed(image)
-        if in_columns > TEETH and in_columns > MORE_THAN_ALONG_ROWS * in_rows:
+        if np.isnan(in_columns):
+            smooth.append(eye)
+        elif in_columns > TEETH and in_columns > MORE_THAN_ALONG_ROWS * np.nan_to_num(in_rows):
             finding = f"the {eye} image is interlaced: every other row is of another moment"
             remedy = "set the video output to progressive (p), or have the frame grabber deinterlace"
             return wrong(INTERLACING, "interlaced", Severity.WARNING, finding, remedy)
+    if smooth:
+        return untold(INTERLACING, f"there are too few edges in the {' and the '.join(smooth)} image")
     return well(INTERLACING, "no combs; those of an interlaced image show only while something moves")
 
 

@@ -112,6 +112,15 @@ def test_images_and_calibrations_that_cannot_be_read_are_findings(suturegrasp, r
     assert ended.status == 1 and "calibration" in wrong[0]
 
 
+def test_a_unit_that_nobody_knows_and_one_file_given_twice_are_said_as_what_they_are(suturegrasp, render):
+    for more, said in (
+        (("--unit", "parsec"), "unknown unit 'parsec'; choose from m, cm, mm, um"),
+        ((render[2],), "both paths are one file; name it once"),
+    ):
+        ended, (wrong,) = told(suturegrasp, *render, *more)
+        assert ended.status == 1 and said in wrong
+
+
 def test_images_that_were_scaled_or_cropped_are_said_to_be_beside_what_the_calibration_is_for(
     suturegrasp, render, tmp_path
 ):

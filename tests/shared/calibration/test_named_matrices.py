@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from schemas.messages import StereoCalibration
-from shared.calibration import CalibrationError, read_calibration
+from shared.calibration import CalibrationError, OtherSizeError, read_calibration
 
 SIZE = (960, 540)
 
@@ -151,10 +151,20 @@ def test_an_image_width_and_height_have_one_order_only(tmp_path: Path, endoscope
         read_calibration(path, unit="mm", image_size=(SIZE[1], SIZE[0]))
 
 
-def test_a_calibration_for_other_images_is_refused(tmp_path: Path, endoscope: StereoCalibration) -> None:
-    path = write_with_opencv(tmp_path / "stereo.yml", {**matrices(endoscope), "imageSize": SIZE})
-    with pytest.raises(CalibrationError, match="for 960x540 images, and these are 640x480; use the images"):
+@pytest.mark.parametrize("size", [SIZE, SIZE[::-1]])
+def test_a_calibration_for_other_images_is_refused_by_its_width_and_height_in_whatever_order_they_were_written(
+    tmp_path: Path, endoscope: StereoCalibration, size: tuple[int, int]
+) -> None:
+    path = write_with_opencv(tmp_path / "stereo.yml", {**matrices(endoscope), "imageSize": size})
+    with pytest.raises(OtherSizeError, match="for 960x540 images, and these are 640x480; use the images") as raised:
         read_calibration(path, unit="mm", image_size=(640, 480))
+    assert raised.value.size == SIZE
+
+
+def test_one_file_given_as_both_is_said(tmp_path: Path, endoscope: StereoCalibration) -> None:
+    path = write_with_opencv(tmp_path / "stereo.yml", matrices(endoscope))
+    with pytest.raises(CalibrationError, match="both paths are one file; name it once"):
+        read_calibration((path, tmp_path / "." / "stereo.yml"), unit="mm", image_size=SIZE)
 
 
 def test_cameras_of_two_sizes_are_refused(tmp_path: Path, endoscope: StereoCalibration) -> None:

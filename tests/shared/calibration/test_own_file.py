@@ -66,9 +66,10 @@ def test_a_given_unit_may_repeat_what_the_file_says_but_not_contradict_it(
 
 def test_an_unknown_unit_is_refused_with_the_known_ones(tmp_path: Path, endoscope: StereoCalibration) -> None:
     path = tmp_path / "calibration.json"
-    write_calibration(path, dataclasses.replace(endoscope, metres_per_unit=None))
-    with pytest.raises(CalibrationError, match=r"unknown unit 'furlong'; known units: m, cm, mm, um"):
-        read_calibration(path, unit="furlong", image_size=SIZE)
+    for stated in (endoscope, dataclasses.replace(endoscope, metres_per_unit=None)):
+        write_calibration(path, stated)
+        with pytest.raises(CalibrationError, match=r"unknown unit 'furlong'; choose from m, cm, mm, um"):
+            read_calibration(path, unit="furlong", image_size=SIZE)
 
 
 def test_a_unit_without_a_name_cannot_be_written(tmp_path: Path, endoscope: StereoCalibration) -> None:

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from agents.perception.judging.answers import judgements
 from agents.perception.judging.correspondence import correspondence_of_texture
 from agents.perception.judging.pair import about_pair
+from agents.perception.judging.picture import INTERLACING
 from schemas.messages import RectifiedStereo, Severity
 
 HEIGHT, WIDTH = 270, 480
@@ -143,6 +144,16 @@ def test_a_plain_ground_tells_nothing_and_is_no_fault():
     answers = about_pair((plain, np.roll(plain, -20, axis=1)), CAMERA)
     assert judgements(answers) == ()
     assert {a.question for a in answers if not a.is_known} >= {"rows", "rotation", "left and right", "exposure"}
+
+
+@pytest.mark.parametrize("eyes", [(True, True), (True, False), (False, True)])
+def test_an_image_of_one_colour_tells_nothing_of_interlacing(eyes):
+    images = [
+        np.full_like(image, 120) if of_one_colour else image for image, of_one_colour in zip(pair(), eyes, strict=True)
+    ]
+    (answer,) = [a for a in about_pair((images[0], images[1]), CAMERA) if a.question == INTERLACING]
+    assert not answer.is_known
+    assert [eye in answer.found for eye in ("left", "right")] == list(eyes)
 
 
 def test_things_nearer_than_is_looked_for_are_said_to_be():
