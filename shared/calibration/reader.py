@@ -123,11 +123,13 @@ def _possible_sizes(stated: StatedCalibration) -> list[tuple[int, int]]:
     """Width and height as a file may mean them, the likelier first: a principal point lies near the middle."""
     if stated.size is None:
         return []
-    size = (stated.size.width, stated.size.height)
+    width, height = stated.size.width, stated.size.height
     if stated.size.order_is_known:
-        return [size]
+        return [(width, height)]
     points = np.array([stated.K_left[:2, 2], stated.K_right[:2, 2]])
-    return sorted((size, size[::-1]), key=lambda one: float(np.linalg.norm(points - 0.5 * np.array(one))))
+    return sorted(
+        ((width, height), (height, width)), key=lambda one: float(np.linalg.norm(points - 0.5 * np.array(one)))
+    )
 
 
 def _metres_per_unit(stated: StatedCalibration, unit: str | None) -> float | None:
