@@ -1,4 +1,4 @@
-"""`suturegrasp prompt` into a rig that runs: a click reaches a promptable network, and its thread is what is observed."""
+"""`suturegrasp prompt` into a rig that runs: a click reaches a promptable network, and its thread is observed."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def observed(settings, in_threads, until, tmp_path):
     with connected(settings, PATIENT_S) as connection, in_threads(settings, perception, camera):
         connection.listen((OBSERVATIONS,), lambda tapped: seen.append(decode(ThreadObservations, tapped.payload)))
 
-        def wait(condition):
+        def wait(condition=lambda _: True):
             seen.clear()
             return until(lambda: next(filter(condition, tuple(seen)), None))
 
@@ -52,7 +52,7 @@ def prompt(suturegrasp, settings, tmp_path):
 
 
 def test_a_click_tells_a_running_rig_which_thread_is_meant_until_it_is_taken_back(prompt, observed):
-    observed(lambda one: True)
+    observed()
     for thread in (GREEN, BLACK):
         ended = prompt("--at", f"{thread[0]:.0f},{thread[1]:.0f}")
         assert (ended.status, ended.err) == (0, "")
@@ -66,7 +66,7 @@ def test_a_click_tells_a_running_rig_which_thread_is_meant_until_it_is_taken_bac
 
 
 def test_a_click_that_perception_refuses_is_an_error_with_its_reason(prompt, observed):
-    observed(lambda one: True)
+    observed()
     ended = prompt("--pixel", 700, 10)
     assert (ended.status, ended.out) == (3, "")
     assert "(700, 10) lies outside the left image of 640x360 pixels" in ended.err
