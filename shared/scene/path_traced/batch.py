@@ -1,9 +1,7 @@
 """Many pairs in parallel processes; what lies there already is left as it is, so that a batch can be taken up again."""
 
-import multiprocessing
-import signal
 from collections.abc import Generator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +15,7 @@ from shared.scene.path_traced.pair import TracedPair, traced_pair
 from shared.scene.path_traced.pair_files import is_written, write_traced
 from shared.scene.path_traced.recipe import Recipe
 from shared.scene.render import SceneError
+from shared.worker_pool import worker_pool
 
 
 @dataclass(frozen=True)
@@ -73,8 +72,7 @@ def make_all(jobs: list[Job], workers: int) -> Generator[Done]:
     if workers == 1 or not jobs:
         yield from map(make, jobs)
         return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(workers, len(jobs)), context, initializer=_ready) as pool:
+    with worker_pool(min(workers, len(jobs)), engine) as pool:
         try:
             for future in as_completed([pool.submit(make, job) for job in jobs]):
                 yield future.result()
@@ -83,14 +81,6 @@ def make_all(jobs: list[Job], workers: int) -> Generator[Done]:
                 "a worker ended before its pair was made, as one does for want of memory; "
                 "give fewer --workers, and the same command goes on where this one was"
             ) from error
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
-
-
-def _ready() -> None:
-    """Prepare a worker: Ctrl-C is the parent's, which lets it finish the pair at hand."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    engine()
 
 
 def mean_offset(pair: TracedPair) -> float:

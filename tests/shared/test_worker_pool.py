@@ -1,0 +1,85 @@
+"""Workers share what they are given, and end with whoever started them, however that ends."""
+
+import os
+import signal
+import subprocess
+import sys
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+
+import pytest
+
+from shared.worker_pool import worker_pool
+
+AT_WORK = """
+import signal
+from shared.worker_pool import worker_pool
+
+# what is started in the background may have been told to ignore it
+signal.signal(signal.SIGINT, signal.default_int_handler)
+with worker_pool(2) as pool:
+    endless = [pool.submit(signal.pause) for _ in range(2)]
+    print(*pool._processes, flush=True)
+    endless[0].result()
+"""
+
+
+def lives(pid):
+    """Whether a process is there and more than a name whose end nobody asked for."""
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state not in "ZX"
+
+
+@pytest.fixture
+def at_work():
+    """A process of a group of its own whose two workers never finish, and their ids."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", AT_WORK],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        start_new_session=True,
+        cwd=Path(__file__).parents[2],
+    )
+    assert process.stdout is not None
+    with process:
+        yield process, [int(pid) for pid in process.stdout.readline().split()]
+        process.kill()
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are looked for where Linux lists them")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL, signal.SIGINT])
+def test_workers_end_where_whoever_started_them_is_ended(at_work, until, number):
+    process, workers = at_work
+    assert len(workers) == 2
+    process.send_signal(number)
+    assert process.wait() != 0
+    until(lambda: not any(map(lives, workers)), "the workers' end")
+
+
+def test_work_is_done_by_processes_of_their_own_which_are_gone_afterwards():
+    with worker_pool(2) as pool:
+        ran_in = {pool.submit(os.getpid).result() for _ in range(4)}
+        workers = list(pool._processes)
+    assert os.getpid() not in ran_in
+    assert not any(map(lives, workers))
+
+
+def test_each_is_made_ready_first_with_what_it_is_given(tmp_path):
+    with worker_pool(1, os.chdir, (tmp_path,)) as pool:
+        assert Path(pool.submit(os.getcwd).result()) == tmp_path
+
+
+def test_a_worker_that_dies_is_no_silence():
+    with pytest.raises(BrokenProcessPool), worker_pool(1) as pool:
+        pool.submit(os._exit, 3).result()
+
+
+def test_ctrl_c_reaches_no_worker():
+    with worker_pool(1) as pool:
+        worker = pool.submit(os.getpid).result()
+        os.kill(worker, signal.SIGINT)
+        assert pool.submit(os.getpid).result() == worker
