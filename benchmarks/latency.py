@@ -12,7 +12,6 @@ happens in the first seconds, while processes start, is left out.
 import bisect
 import json
 import os
-import statistics
 import tempfile
 import threading
 from collections import defaultdict
@@ -41,8 +40,8 @@ from shared.clock import now_ns
 from shared.recording.mcap_file import read_recording
 
 STAGES = (FRAMES, OBSERVATIONS, THREAD)
-COUNTS = 5
-"""Of a consumer, at either end of a time, whose median counts."""
+COUNTS = 8
+"""Of a consumer, at either end of a time; the one with the least on its way is taken."""
 
 
 @dataclass(frozen=True)
@@ -154,10 +153,12 @@ def unaccounted(published_ns: list[int], told: list[tuple[int, int]]) -> int:
     """Frames that were published in a time and that their consumer neither looked at nor counts as lost in some way.
 
     `told` are the consumer's counts of both, with the time of each. What is on its way when the consumer counts is in
-    one count and not yet in the other, hence medians of several counts at the beginning and at the end.
+    one count and not yet in the other: of several counts at the beginning and at the end, those with the least on its
+    way are compared. A frame that is lost is missing in all that follow.
     """
     ahead = [bisect.bisect_right(published_ns, at_ns) - count for at_ns, count in told]
-    return round(statistics.median(ahead[-COUNTS:]) - statistics.median(ahead[:COUNTS])) if ahead else 0
+    some = min(COUNTS, len(ahead) // 2)
+    return min(ahead[-some:]) - min(ahead[:some]) if some else 0
 
 
 def _summary(ms: list[float], seconds: float, share: float) -> dict[str, float]:

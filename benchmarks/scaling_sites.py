@@ -23,8 +23,6 @@ NOBODY = "nobody"
 READERS = (NOBODY, "followed", "everything")
 """Who reads rig north at site south; see AUDIENCES."""
 LIMIT_S = 60.0
-NO_SHARED_MEMORY = ("unshare", "--mount", "sh", "-c", 'mount -t tmpfs shm /dev/shm && exec "$@"', "sh")
-"""Namespaces of networks share memory, which hosts do not: large messages would go past the link."""
 
 
 def measure_sites(seconds: float, folder: Path, readers: tuple[str, ...] = READERS) -> list[dict[str, Any]]:
@@ -69,9 +67,8 @@ def started_routers(network: Network, folder: Path) -> Generator[None]:
     with contextlib.ExitStack() as stack:
         for site in (NORTH, SOUTH):
             command = [sys.executable, "-m", "agents.cli", "router", "--config", str(folder / f"{site}.json")]
-            inside = (*network.inside(site), *NO_SHARED_MEMORY)
             router = stack.enter_context(
-                subprocess.Popen([*inside, *command, "--host", site], stdout=subprocess.PIPE, text=True)
+                subprocess.Popen([*network.inside(site), *command, "--host", site], stdout=subprocess.PIPE, text=True)
             )
             stack.callback(router.kill)
             assert router.stdout is not None
@@ -84,7 +81,7 @@ def _read_across(network: Network, folder: Path, reader: str, seconds: float) ->
     """One reader for so many seconds."""
     own = [_end(network, folder, role, site, site) for role in ("hear", "send") for site in (NORTH, SOUTH)]
     across = [] if reader == NOBODY else [_end(network, folder, "hear", NORTH, SOUTH, reader)]
-    commands = [[*network.inside(site), *NO_SHARED_MEMORY, *end_command(end)] for site, end in (*across, *own)]
+    commands = [[*network.inside(site), *end_command(end)] for site, end in (*across, *own)]
     with started(commands) as processes:
         threading.Event().wait(SETTLE_S)
         for process in processes:

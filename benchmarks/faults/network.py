@@ -21,6 +21,7 @@ from benchmarks.faults.relay import relaying, send_whole_packets
 PREFIX, NETWORK = "sg", "10.213"
 SWITCH, OWN = "switch", "own"
 LIMIT_S = 60.0
+OWN_MEMORY_AND_NAME = 'mount -t tmpfs shm /dev/shm && hostname "$0" && exec "$@"'
 TABLE = "table bridge faults { chain through { type filter hook forward priority 0; }; }"
 
 
@@ -50,9 +51,13 @@ class Network:
         return f"{PREFIX}{self.owner}{host}"
 
     def inside(self, host: str) -> tuple[str, ...]:
-        """What comes before a command that is to run there, with the host's own name."""
-        named = ("unshare", "--uts", "sh", "-c", 'hostname "$0" && exec "$@"', host)
-        return ("ip", "netns", "exec", self.namespace(host), *named)
+        """What comes before a command that is to run there, with the host's own name.
+
+        Shared memory is the command's own: namespaces of networks have it in common, which hosts have not, and large
+        messages would go past the links.
+        """
+        own = ("unshare", "--uts", "--mount", "sh", "-c", OWN_MEMORY_AND_NAME, host)
+        return ("ip", "netns", "exec", self.namespace(host), *own)
 
     @contextmanager
     def cut_off(self, host: str) -> Generator[None]:

@@ -20,5 +20,10 @@ def test_frames_that_nobody_counts_are_told():
     assert unaccounted(*counted(lost_after=20 - COUNTS)) == 4
 
 
+def test_a_frame_lost_within_a_short_time_is_told():
+    published_ns, told = counted(lost_after=17)
+    assert unaccounted(published_ns, told[14:20]) == 4
+
+
 def test_without_a_count_nothing_is_told():
     assert unaccounted([1, 2, 3], []) == 0
