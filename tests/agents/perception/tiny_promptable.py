@@ -75,8 +75,11 @@ def model(
     return field(1, 8) + field(7, graph) + field(8, field(1, "") + field(2, 17))
 
 
-def encoder(hq: bool = False, whole: bool = False, name: str = "input_image") -> bytes:
-    """An encoder; `hq`: whose colours come in interm_embeddings alone; `whole`: that takes images as they are."""
+def encoder(hq: bool = False, whole: bool = False, first_alone: bool = False, name: str = "input_image") -> bytes:
+    """An encoder; `hq`: whose colours come in interm_embeddings alone; `whole`: that takes images as they are.
+
+    `first_alone`: that gives the first of its four interm_embeddings alone.
+    """
     weights, nodes = {"channels": np.array([0, 0, 0, 0, 0, 256 - 48, 0, 0])}, []
     taken: dict[str, tuple[int | str, ...]] = {name: (1, 3, SIDE, SIDE)}
     square = name
@@ -106,12 +109,15 @@ def encoder(hq: bool = False, whole: bool = False, name: str = "input_image") ->
         nodes += [
             node("Mul", ("colours", "nothing"), "image_embeddings"),
             node("Transpose", ("colours",), "last", perm=[0, 2, 3, 1]),
-            node("Concat", ("last", "last", "last"), "wide", axis=3),
+            node("Concat", ("last", "last", "last"), "interm_embeddings" if first_alone else "wide", axis=3),
+        ]
+        given["interm_embeddings"] = (1, CELLS, CELLS, 768) if first_alone else (4, 1, CELLS, CELLS, 768)
+    if hq and not first_alone:
+        nodes += [
             node("Unsqueeze", ("wide", "front"), "one"),
             node("Mul", ("one", "nothing"), "empty"),
             node("Concat", ("one", "empty", "empty", "empty"), "interm_embeddings", axis=0),
         ]
-        given["interm_embeddings"] = (4, 1, CELLS, CELLS, 768)
     return model(nodes, weights, taken, given)
 
 
@@ -210,9 +216,11 @@ def decoder(hq: bool = False, several: bool = False, without: str = "") -> bytes
     return model(nodes, weights, takes, gives)
 
 
-def write_tiny(folder: Path, *, hq: bool = True, several: bool = False, whole: bool = False) -> PromptableFiles:
+def write_tiny(
+    folder: Path, *, hq: bool = True, several: bool = False, whole: bool = False, first_alone: bool = False
+) -> PromptableFiles:
     """Both files in a folder."""
     files = PromptableFiles(folder / "tiny_encoder.onnx", folder / "tiny_decoder.onnx")
-    files.encoder.write_bytes(encoder(hq, whole))
+    files.encoder.write_bytes(encoder(hq, whole, first_alone))
     files.decoder.write_bytes(decoder(hq, several))
     return files

@@ -21,7 +21,7 @@ from agents.perception.segmentation.promptable import (
     thread_in,
 )
 from agents.perception.segmentation.promptable_model import Embedded, PromptableModel
-from agents.perception.segmentation.promptable_prompts import in_rows_of, middle_of, spread_points
+from agents.perception.segmentation.promptable_prompts import in_rows_of, middle_of, pointed_at, spread_points
 from shared.scene.__main__ import make_scene
 from shared.scene.render import render
 from tests.agents.perception.tiny_promptable import write_tiny
@@ -147,6 +147,49 @@ def test_a_piece_of_the_mask_without_a_prompt_is_left_out():
     assert rows_of(Given(masks), (5, 21)) == [20]
     assert rows_of(Given(masks), (5, 21), (50, 40)) == [20, 40]
     assert rows_of(Given(masks), (5, 30)) == []
+    assert rows_of(Given(masks), (5, 21), (5, 30)) == [20]
+    assert rows_of(Given(masks), (5, 21), (5, 30), (60, 30)) == []
+
+
+def test_of_two_pieces_beside_one_prompt_that_which_is_meant_alone_is_kept():
+    masks = np.full((1, 64, 64), -1.0, np.float32)
+    masks[0, [20, 22]] = 1.0
+    assert rows_of(Given(masks), (5, 20)) == [20, 22]
+    found = PromptableSegmenter(Given(masks))(
+        np.zeros((64, 64, 3), np.uint8), None, meant_at(np.array([5.0, 20.0]), (64, 64))
+    )
+    assert np.flatnonzero(found.any(axis=1)).tolist() == [20]
+
+
+def test_where_no_ridge_is_left_the_crest_of_the_last_mask_is_prompted():
+    masks = np.full((1, 64, 64), -1.0, np.float32)
+    masks[0, 30] = 1.0
+    before = np.zeros((64, 64), np.uint8)
+    before[29] = 255
+    plain = np.full((64, 64, 3), 120, np.uint8)
+    near = Near(near_thread(before), is_bright=False)
+    found = PromptableSegmenter(Given(masks))(plain, near, meant_as_before(before, alone=True))
+    assert np.flatnonzero(found.any(axis=1)).tolist() == [30]
+
+
+class WrongAtItsBorder:
+    """A network that finds a thread along row 150, but not within 30 px of the sides of a crop."""
+
+    def embed(self, crop):
+        return Embedded({}, crop.shape[:2])
+
+    def masks(self, embedded, point_px, is_thread):
+        assert is_thread.all()
+        logits = np.full((1, *embedded.size), -5.0, np.float32)
+        logits[0, round(point_px[0, 1]), 30:-30] = 5.0
+        return logits, np.ones(1, np.float32)
+
+
+def test_a_crop_counts_little_near_its_own_border_where_another_one_tells_better():
+    known = np.zeros((300, 900), bool)
+    known[150] = True
+    logits = along_thread(np.zeros((300, 900, 3), np.uint8), known, WrongAtItsBorder())
+    assert (logits[150, 60:-60] > 0).mean() > 0.9
 
 
 @given(st.integers(1, 500), st.integers(1, 500), st.data())
@@ -201,3 +244,34 @@ def test_in_the_rows_of_the_other_eye_the_whole_thread_tells_which_of_two_alike_
     # of a slanting line of three pixels, not every row has one that is deeper than all around it
     assert np.convolve(np.any(found[60:300], axis=1), np.ones(5), "valid").min() > 0
     assert (found & true).sum() / found.sum() > 0.95
+
+
+def test_what_looks_exactly_like_one_stretch_elsewhere_in_its_rows_is_not_it():
+    height, width = 360, 640
+    rows = np.arange(60, 300)
+    left, alike = np.zeros((height, width), np.uint8), np.zeros((height, width), np.float32)
+    column = (200 + 0.4 * (rows - 60)).astype(int)
+    disparity = np.round(np.linspace(28, 36, len(rows))).astype(int)
+    for wide in (-1, 0, 1):
+        left[rows, column + wide] = 255
+        alike[rows, column - disparity + wide] = 1.0
+        alike[rows[:40], column[:40] - 5 + wide] = 1.0
+    found = in_rows_of(left, alike)
+    v, u = np.nonzero(found)
+    away = u - (200 + 0.4 * (v - 60) - np.interp(v, rows, disparity))
+    assert (np.abs(away) < 3).mean() > 0.95
+
+
+def test_in_the_eye_in_which_nobody_pointed_prompts_lie_on_the_thread_in_its_rows_and_on_no_other_of_its_colour():
+    left, right = (np.full((240, 480, 3), (150, 165, 205), np.uint8) for _ in range(2))
+    coverage = np.zeros((240, 480), np.uint8)
+    for image, shift, others in ((left, 0, False), (right, 20, True)):
+        cv2.line(image, (200 - shift, 40), (260 - shift, 120), (60, 120, 60), 5, cv2.LINE_AA)
+        if others:
+            cv2.line(image, (300, 150), (400, 230), (60, 120, 60), 5, cv2.LINE_AA)
+    cv2.line(coverage, (200, 40), (260, 120), 255, 5, cv2.LINE_AA)
+    (known,) = pointed_at(right, None, meant_like(left, coverage, right))
+    v, u = np.nonzero(known)
+    assert len(v) > 10
+    assert v.max() < 130
+    assert np.abs(u - (180 + 0.75 * (v - 40))).max() < 5

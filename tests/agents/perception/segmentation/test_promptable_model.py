@@ -25,7 +25,7 @@ def crop_with_line(size, ends):
     return crop, cover[:, :, 0] > 127
 
 
-KINDS = [{"hq": True}, {"hq": False, "several": True}, {"hq": False, "whole": True}]
+KINDS = [{"hq": True}, {"hq": True, "first_alone": True}, {"hq": False, "several": True}, {"hq": False, "whole": True}]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -120,9 +120,11 @@ def test_a_file_with_another_hash_is_refused_and_one_with_its_own_is_taken(tmp_p
     files = write_tiny(tmp_path)
     of_encoder = hashlib.sha256(files.encoder.read_bytes()).hexdigest()
     PromptableModel(replace(files, encoder_sha256=of_encoder.upper()))
-    told = wrong(tmp_path, lambda files: replace(files, decoder_sha256=of_encoder))
-    assert told.startswith(f"promptable_decoder {files.decoder} cannot be used: its SHA-256 is ")
-    assert f"and should be {of_encoder}; get it again" in told
+    for which, other in (("decoder", of_encoder), ("encoder", "0" * 64)):
+        told = wrong(tmp_path, lambda files, at=which, sha=other: replace(files, **{f"{at}_sha256": sha}))
+        path = getattr(files, which)
+        assert told.startswith(f"promptable_{which} {path} cannot be used: its SHA-256 is ")
+        assert f"and should be {other}; get it again" in told
 
 
 def test_weights_that_old_files_list_as_inputs_are_none(tmp_path):
