@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import cv2
 import numpy as np
 import pytest
 
@@ -9,10 +10,11 @@ from agents.reconstruction.method_names import DEFAULT_METHOD
 from agents.reconstruction.methods import METHODS
 from agents.reconstruction.refined.method import METHOD, reconstruct_refined
 from schemas.codec import encode
-from schemas.messages import Status, no_centrelines
+from schemas.messages import ImageEncoding, Occluder, Occluders, Status, no_centrelines
 from shared.arc_length import even_parameters
 from shared.camera import project
 from shared.curve_distance import curve_distance
+from shared.images import encode_image
 from shared.splines import evaluate
 
 DENSE = np.linspace(0, 1, 4001)
@@ -88,6 +90,51 @@ def test_what_neither_image_shows_is_told_and_less_certain(seen, threads):
     beside = (np.abs(thread.posterior_s - low) < 0.2) & ~hidden
     assert deviation[hidden].max() > deviation[beside].min()
     assert curve_distance(points_of(thread), threads["winding"](DENSE)).maximum < 2.0
+
+
+def over(curve, camera, *stretches):
+    """Instruments over stretches of a curve in both images."""
+    maps = [np.zeros((135, 240), np.uint8) for _ in range(2)]
+    for low, high in stretches:
+        for drawn, px in zip(maps, project(camera, curve(np.linspace(low, high, 40))), strict=True):
+            cv2.polylines(drawn, [np.rint((px + 0.5) / 4 - 0.5).astype(np.int32)], False, Occluder.TOOL.value, 5)
+    left, right = (encode_image(drawn, ImageEncoding.PNG) for drawn in maps)
+    return Occluders(left, right, 7)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_what_lies_under_an_instrument_is_hidden_and_an_end_beside_one_has_ended(seen, threads, camera, turned):
+    """The thread from its left end, which is to be the first, and from the other one: it is told from the left."""
+
+    def curve(t):
+        return threads["waving"](1 - t if turned else t) * [1, 1, 1]
+
+    def along(*stretches):
+        return [(1 - b, 1 - a) if turned else (a, b) for a, b in stretches]
+
+    shown = along((0.0, 0.3), (0.45, 0.9))
+    told = {
+        name: reconstruct_refined(seen(curve, shown, occluders=occluders))
+        for name, occluders in {
+            "both": over(curve, camera, *along((0.29, 0.46), (0.9, 1.0))),
+            "middle": over(curve, camera, *along((0.29, 0.46))),
+            "none": over(curve, camera),
+            "unknown": None,
+        }.items()
+    }
+    assert {name: None if t.ends_hidden is None else t.ends_hidden.tolist() for name, t in told.items()} == {
+        "both": [False, True],
+        "middle": [False, False],
+        "none": [False, False],
+        "unknown": None,
+    }
+    for name in ("both", "middle"):
+        (hidden,), (unseen,) = told[name].hidden, told[name].unseen
+        np.testing.assert_allclose(hidden, unseen, atol=0.02)
+        assert 0.25 < hidden[0] < hidden[1] < 0.55
+    assert len(told["none"].hidden) == 0
+    assert len(told["none"].unseen) == 1
+    assert told["unknown"].hidden is None
 
 
 def test_it_says_the_same_each_time(seen, curve):
