@@ -1,6 +1,7 @@
 """Method refined from observations to the message, and every way in which it fails."""
 
 import dataclasses
+from typing import Any
 
 import cv2
 import numpy as np
@@ -113,7 +114,7 @@ def test_what_lies_under_an_instrument_is_hidden_and_an_end_beside_one_has_ended
         return [(1 - b, 1 - a) if turned else (a, b) for a, b in stretches]
 
     shown = along((0.0, 0.3), (0.45, 0.9))
-    told = {
+    told: dict[str, Any] = {
         name: reconstruct_refined(seen(curve, shown, occluders=occluders))
         for name, occluders in {
             "both": over(curve, camera, *along((0.29, 0.46), (0.9, 1.0))),
