@@ -19,6 +19,7 @@ from shared.scene.path_traced.eyes import Rig, calibrated_rig, rectified_rig
 from shared.scene.path_traced.recipe import Recipe
 from shared.scene.render import SceneError
 
+EXIT_SOME = 1
 MOST_PX, LEAST_PX = 3840, 64
 FOCAL_WIDTHS = 1000.0 / 960.0
 BASELINE_MM = 5.5
@@ -35,17 +36,14 @@ def run(options: Scenes) -> int:
         if missing:
             # here rather than in the first worker, so that a missing extra is said at once
             engine()
-        made = list(_shown(make_all(missing, options.workers), len(jobs), len(jobs) - len(missing)))
+        made = list(shown(make_all(missing, options.workers), len(jobs), len(jobs) - len(missing)))
     except SceneError as error:
         return complain(str(error), EXIT_UNUSABLE)
-    say(_summary(options, len(jobs), made))
+    say(summary(options, len(jobs), made))
     for one in made:
-        if one.mask_offset_px > LARGEST_OFFSET_PX:
-            warn(
-                f"the masks of {one.name} lie {one.mask_offset_px:.3f} px from its truth, more than "
-                f"{LARGEST_OFFSET_PX} px: measure nothing by it"
-            )
-    return EXIT_OK
+        if remark := _remark(one):
+            warn(remark)
+    return EXIT_SOME if any(one.problem for one in made) else EXIT_OK
 
 
 def _backdrop(options: Scenes) -> int:
@@ -93,7 +91,7 @@ def rig_of(options: Scenes) -> Rig:
         raise SceneError(str(error)) from error
     for judgement in read.judgements:
         if judgement.severity is Severity.FAULT:
-            raise SceneError(f"the calibration cannot be used: {judgement.finding}; {judgement.remedy}")
+            raise SceneError(f"the calibration cannot be used: {judgement.finding} {judgement.remedy}")
     return calibrated_rig(read.calibration)
 
 
@@ -121,7 +119,7 @@ def _check(options: Scenes) -> None:
         raise SceneError(f"--output {options.output} is a file; name a folder")
 
 
-def _shown(done: Iterable[Done], total: int, before: int) -> Iterable[Done]:
+def shown(done: Iterable[Done], total: int, before: int) -> Iterable[Done]:
     """The same, with a bar on standard error where that is a terminal."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
@@ -132,10 +130,26 @@ def _shown(done: Iterable[Done], total: int, before: int) -> Iterable[Done]:
             yield one
 
 
-def _summary(options: Scenes, total: int, made: list[Done]) -> str:
-    there = f"{total} pairs in {options.output}"
-    if not made:
+def _remark(one: Done) -> str:
+    """What is to be said of a pair beside that it is there."""
+    if one.problem:
+        return f"{one.name} was left out: {one.problem}"
+    if one.mask_offset_px > LARGEST_OFFSET_PX:
+        return (
+            f"the masks of {one.name} lie {one.mask_offset_px:.3f} px from its truth, more than "
+            f"{LARGEST_OFFSET_PX} px: measure nothing by it"
+        )
+    return ""
+
+
+def summary(options: Scenes, total: int, done: list[Done]) -> str:
+    """How many pairs there are now, what those that are new took, and how far their masks lie from their truth."""
+    made = [one for one in done if not one.problem]
+    there = f"{total - len(done) + len(made)} pairs in {options.output}"
+    if not done:
         return f"{there}: all were there already"
+    if not made:
+        return f"{there}, none of them new"
     offsets = [one.mask_offset_px for one in made if not math.isnan(one.mask_offset_px)]
     seconds = sum(one.processor_s for one in made) / len(made)
     truth = (

@@ -13,7 +13,7 @@ from shared.scene.path_traced.engine import engine
 from shared.scene.path_traced.eyes import Rig
 from shared.scene.path_traced.pair import TracedPair, traced_pair
 from shared.scene.path_traced.pair_files import is_written, write_traced
-from shared.scene.path_traced.recipe import Recipe
+from shared.scene.path_traced.recipe import Recipe, UnarrangedError
 from shared.scene.render import SceneError
 from shared.worker_pool import worker_pool
 
@@ -35,11 +35,16 @@ LARGEST_OFFSET_PX = 0.05
 
 @dataclass(frozen=True)
 class Done:
-    """A pair that was made: how far its masks lie from its truth (NaN without thread), and processor seconds."""
+    """A pair that was made: how far its masks lie from its truth (NaN without thread), and processor seconds.
+
+    Fields:
+        problem: why there is none, empty where there is.
+    """
 
     name: str
     mask_offset_px: float
     processor_s: float
+    problem: str = ""
 
 
 def outstanding(jobs: list[Job]) -> list[Job]:
@@ -52,13 +57,16 @@ def outstanding(jobs: list[Job]) -> list[Job]:
 
 
 def make(job: Job) -> Done:
-    """Make one pair.
+    """Make one pair, or say why it cannot be arranged.
 
     Raises:
-        SceneError: where it cannot be arranged, traced or written.
+        SceneError: where it cannot be traced or written.
     """
     begun = processor_s()
-    pair = traced_pair(job.recipe, job.rig, job.samples)
+    try:
+        pair = traced_pair(job.recipe, job.rig, job.samples)
+    except UnarrangedError as error:
+        return Done(job.name, float("nan"), processor_s() - begun, str(error))
     write_traced(job.folder, job.name, pair)
     return Done(job.name, mean_offset(pair), processor_s() - begun)
 

@@ -41,6 +41,10 @@ SHAPES = ("easy", "medium", "hard", "singularity", "crossing")
 ATTEMPTS = 12
 
 
+class UnarrangedError(SceneError):
+    """A recipe whose threads find no place before a camera; others of the same batch may."""
+
+
 @dataclass(frozen=True)
 class Recipe:
     """A configuration (or `varied`), a background, what is added to it, the dye where it is not drawn, and the seed."""
@@ -74,7 +78,7 @@ def arranged(recipe: Recipe, rig: Rig) -> Arranged:
     """The field of a recipe.
 
     Raises:
-        SceneError: where the camera sees too little for its threads.
+        UnarrangedError: where the camera sees too little for its threads.
     """
     # the shape's own seed differs by background, so that a scene on paper is not one on flesh with another picture
     rng = np.random.default_rng([recipe.seed, 7, list(BACKGROUNDS).index(recipe.background), _number(recipe.config)])
@@ -99,7 +103,7 @@ def arranged(recipe: Recipe, rig: Rig) -> Arranged:
         if "stains" in extras:
             field = replace(field, ground=stained(field.ground, rng))
         return Arranged(field, _effects(rng, wide, extras), config, extras, distance)
-    raise SceneError(
+    raise UnarrangedError(
         f"no {config} scene of seed {recipe.seed} fits into the images of this camera"
         f"{f': {problem}' if problem else ''}; use another seed or a wider view"
     )
