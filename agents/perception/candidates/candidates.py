@@ -15,9 +15,9 @@ from jaxtyping import Float64, Int64, UInt8
 from scipy.spatial import cKDTree
 
 from agents.perception.candidates.appearance import looks_of
-from agents.perception.candidates.both_eyes import in_both_eyes
+from agents.perception.candidates.both_eyes import ELSEWHERE, in_both_eyes
 from agents.perception.candidates.drawn import along, thinned, without
-from agents.perception.candidates.others import certainly_others
+from agents.perception.candidates.others import ANOTHER, certainly_others
 from agents.perception.candidates.threads import Threads, lengths_px, pieces_of, threads_of
 from schemas.messages import Centrelines, ThreadCandidate
 
@@ -30,6 +30,8 @@ NEAR_SHARE = 0.03
 """Of the image's width: so near to what is meant lies the thread that is meant."""
 RATHER = 9.0
 """By so much another thread's must a right piece be rather than that of the thread that is meant."""
+NOBODYS = ELSEWHERE + ANOTHER
+"""So much against every thread: a right piece that looks like none of them, in rows that hold none."""
 
 
 @dataclass(frozen=True)
@@ -79,11 +81,12 @@ def candidates_in(
         for t, mine in zip(order, of_right, strict=True)
     )
     others = [order[k] for k in certainly_others(listed, occluders, width)]
-    rather = np.isin(eyes.thread, others) & (eyes.against[chosen] - eyes.against.min(axis=0) >= RATHER)
+    least = eyes.against.min(axis=0, initial=np.inf)
+    rather = np.isin(eyes.thread, others) & (eyes.against[chosen] - least >= RATHER)
     return Candidates(
         listed,
         without(left, [threads.points[t] for t in others]),
-        without(right, [pieces[p] for p in np.flatnonzero(rather)]),
+        without(right, [pieces[p] for p in np.flatnonzero(rather | (least >= NOBODYS))]),
     )
 
 

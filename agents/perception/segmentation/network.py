@@ -26,6 +26,9 @@ SEGMENTED, SURE = 104, 192
 """Score of a pixel that is thread, and that which each piece of thread must reach somewhere."""
 LEAST_MEAN = 160
 """Score of a piece of thread: what is none may look like it in places, but seldom as a whole."""
+FAINT_MEAN, HUE, BRIGHTNESS = 128, 3.0, 24.0
+"""What is thread beyond doubt tells its colour; a piece of that colour may score so little on average. So much may it
+differ: in OpenCV's 8-bit a and b together, and in L, as pieces of one thread do."""
 LEAST_EXTENT_PX = 24
 """Shorter pieces are specks."""
 GAP_PX = 24
@@ -59,7 +62,8 @@ def segment_and_score(
         score = np.asarray(cv2.resize(score, image.shape[1::-1], interpolation=cv2.INTER_LINEAR), np.uint8)
     else:
         score = thread_score(image, where)
-    thread = without_cast_shadow(image, thread_in(score if where is None else np.where(where, score, np.uint8(0))))
+    thread = thread_in(score if where is None else np.where(where, score, np.uint8(0)), image)
+    thread = without_cast_shadow(image, thread)
     if meant is not None and meant.alone:
         thread = piece_meant(thread, meant.weight)
     return np.multiply(thread, np.uint8(255), dtype=np.uint8), score
@@ -92,21 +96,53 @@ def score_within(image: UInt8[np.ndarray, "h w 3"], box: tuple[slice, slice]) ->
     return np.asarray(cv2.resize(score, part.shape[1::-1], interpolation=cv2.INTER_LINEAR), np.uint8)
 
 
-def thread_in(score: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """The pieces that are thread."""
+def thread_in(
+    score: UInt8[np.ndarray, "h w"], image: UInt8[np.ndarray, "h w 3"] | None = None
+) -> Bool[np.ndarray, "h w"]:
+    """The pieces that are thread: those that score high enough, and fainter ones beside them or of their colour.
+
+    Args:
+        image: what the score is of; if it is None, no colour counts.
+    """
     high_enough = score >= SEGMENTED
     count, labelled = cv2.connectedComponents(high_enough.view(np.uint8), connectivity=8)
     # few pixels are that high, and looking at them alone takes a third of the time
     pixel = np.flatnonzero(high_enough)
     piece = np.asarray(labelled, np.int32).ravel()[pixel]
-    sure = _is_thread(pixel, piece, score, count)
+    sure, faint = _is_thread(pixel, piece, score, count)
     thread = _of_pixels(pixel[sure[piece]], score.shape)
-    if not thread.any() or sure[1:].all():
+    if not sure.any() or sure[1:].all():
         return thread
     reach = np.ones((2 * GAP_PX + 1, 2 * GAP_PX + 1), np.uint8)
     beside = np.asarray(cv2.dilate(thread.view(np.uint8), reach)).view(bool)
+    if image is not None and faint.any():
+        sure |= _alike(pixel, piece, image, sure, faint)
     sure[piece[beside.ravel()[pixel]]] = True
     return _of_pixels(pixel[sure[piece]], score.shape)
+
+
+def _alike(
+    pixel: Int64[np.ndarray, "p"],
+    piece: Int32[np.ndarray, "p"],
+    image: UInt8[np.ndarray, "h w 3"],
+    sure: Bool[np.ndarray, "c"],
+    faint: Bool[np.ndarray, "c"],
+) -> Bool[np.ndarray, "c"]:
+    """Which of the faint pieces have the colour of one that is sure."""
+    own, asked = (_colours(pixel, piece, image, np.flatnonzero(some)) for some in (sure, faint))
+    apart = np.abs(asked[:, None] - own[None])
+    near = (apart[..., 0] <= BRIGHTNESS) & (np.hypot(apart[..., 1], apart[..., 2]) <= HUE)
+    alike = np.zeros(len(sure), bool)
+    alike[faint] = near.any(axis=1)
+    return alike
+
+
+def _colours(
+    pixel: Int64[np.ndarray, "p"], piece: Int32[np.ndarray, "p"], image: UInt8[np.ndarray, "h w 3"], some: np.ndarray
+) -> Float64[np.ndarray, "k 3"]:
+    """The median of L, a and b of some pieces."""
+    seen = [image.reshape(-1, 3)[pixel[piece == number]] for number in some]
+    return np.array([np.median(cv2.cvtColor(part[None], cv2.COLOR_BGR2Lab)[0], axis=0) for part in seen])
 
 
 def _of_pixels(pixel: Int64[np.ndarray, "p"], shape: tuple[int, ...]) -> Bool[np.ndarray, "h w"]:
@@ -117,15 +153,17 @@ def _of_pixels(pixel: Int64[np.ndarray, "p"], shape: tuple[int, ...]) -> Bool[np
 
 def _is_thread(
     pixel: Int64[np.ndarray, "p"], piece: Int32[np.ndarray, "p"], score: UInt8[np.ndarray, "h w"], count: int
-) -> Bool[np.ndarray, "c"]:
-    """Which of the connected pieces of those pixels are beyond doubt; the ground, number 0, is not."""
+) -> tuple[Bool[np.ndarray, "c"], Bool[np.ndarray, "c"]]:
+    """Which of the connected pieces of those pixels are beyond doubt, and which fainter; the ground, 0, is neither."""
     extent = np.hypot(*(_sides(piece, at, count) for at in np.divmod(pixel, score.shape[1])))
     of_pixel = score.ravel()[pixel]
     best = np.zeros(count, np.uint8)
     np.maximum.at(best, piece, of_pixel)
     mean = np.bincount(piece, weights=of_pixel, minlength=count) / np.maximum(np.bincount(piece, minlength=count), 1)
-    thread = (best >= SURE) & (mean >= LEAST_MEAN) & (extent >= LEAST_EXTENT_PX)
-    return thread & bool(extent[thread].max(initial=0.0) >= LEAST_THREAD_PX)
+    may_be = (best >= SURE) & (extent >= LEAST_EXTENT_PX)
+    thread = may_be & (mean >= LEAST_MEAN)
+    thread &= bool(extent[thread].max(initial=0.0) >= LEAST_THREAD_PX)
+    return thread, may_be & (mean >= FAINT_MEAN) & ~thread
 
 
 def _sides(piece: Int32[np.ndarray, "p"], at: np.ndarray, count: int) -> Float64[np.ndarray, "c"]:

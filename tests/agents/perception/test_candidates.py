@@ -102,6 +102,17 @@ def test_a_longer_thread_scores_higher_and_one_that_a_single_eye_sees_not_at_all
     assert candidates_in(images, lines, segmenter_score=unsure).listed[0].score == pytest.approx(0.4 * long_one.score)
 
 
+def test_a_line_that_the_right_eye_alone_sees_is_left_out_where_it_looks_like_no_thread_of_the_left_one():
+    own, elsewhere = (LEVEL, BLACK, 5), ((80, 250), (560, 330))
+    left = drawn((own,))
+    for other, is_left in ((WHITE, False), (BLACK, True)):
+        right = drawn((own, (elsewhere, other, 5)), shift=DISPARITY)
+        lines = thread_centrelines(*left), thread_centrelines(*right)
+        found = candidates_in((left[0], right[0]), lines, occluders=told(*left))
+        assert lies_on(found.left.point_px, LEVEL)
+        assert lies_on(found.right.point_px + ACROSS, LEVEL) is not is_left
+
+
 def test_candidates_are_followed_where_they_go():
     threads = ((RISING, BLACK, 5), (FALLING, GREEN, 5))
     images, lines, occluders = seen(threads)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from agents.perception.segmentation.near import Meant, Near
-from agents.perception.segmentation.network import phases, segment_network, thread_score, together
+from agents.perception.segmentation.network import phases, segment_network, thread_in, thread_score, together
 from shared.scene.__main__ import make_scene
 from shared.scene.render import RenderedPair, render
 
@@ -100,3 +100,39 @@ def test_the_four_pixels_of_a_square_go_in_side_by_side_and_come_out_where_they_
     assert taken.shape == (1, 12, 16, 24)
     for colour in range(3):
         np.testing.assert_array_equal(together(taken[:, colour::3]), image[..., colour])
+
+
+BLACK, VIOLET, GROUND = (50, 45, 52), (110, 50, 90), (90, 110, 180)
+
+
+def scored(*pieces):
+    """The image and the score of pieces in rows 60 px apart, each with its colour, its mean and its best score."""
+    image, score = np.full((60 * len(pieces), 200, 3), GROUND, np.uint8), np.zeros((60 * len(pieces), 200), np.uint8)
+    for number, (colour, mean, best) in enumerate(pieces):
+        row = 30 + 60 * number
+        image[row : row + 5, 40:160] = colour
+        score[row : row + 5, 40:160] = mean
+        score[row + 2, 100] = best
+    return image, score
+
+
+def rows_of(thread):
+    return [bool(thread[60 * number : 60 * number + 60].any()) for number in range(len(thread) // 60)]
+
+
+def test_a_fainter_piece_far_from_the_others_is_thread_where_it_has_the_colour_of_one_that_is_sure():
+    image, score = scored((BLACK, 230, 255), (BLACK, 140, 200), (VIOLET, 140, 200))
+    assert rows_of(thread_in(score, image)) == [True, True, False]
+    assert rows_of(thread_in(score)) == [True, False, False]
+
+
+@pytest.mark.parametrize(("mean", "best"), [(120, 200), (140, 180)], ids=["too faint", "nowhere sure"])
+def test_what_has_the_threads_colour_but_scores_too_little_is_none(mean, best):
+    image, score = scored((BLACK, 230, 255), (BLACK, mean, best))
+    assert rows_of(thread_in(score, image)) == [True, False]
+
+
+def test_a_brighter_piece_of_the_same_hue_is_none_and_faint_pieces_alone_are_no_thread():
+    bright = tuple(np.array(BLACK) + 60)
+    assert rows_of(thread_in(*scored((BLACK, 230, 255), (bright, 140, 200))[::-1])) == [True, False]
+    assert not thread_in(*scored((BLACK, 140, 200), (BLACK, 150, 200))[::-1]).any()
