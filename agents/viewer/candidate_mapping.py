@@ -39,12 +39,21 @@ def candidate_entities(observations: ThreadObservations, rows_down: int = 0) -> 
     ]
 
 
-def occluder_entities(observations: ThreadObservations) -> list[Entity]:
-    """Regions that may hide thread, over each image; empty where there are none."""
+def occluder_entities(observations: ThreadObservations, rows_down: int = 0) -> list[Entity]:
+    """Regions that may hide thread, over each image; empty where there are none.
+
+    Args:
+        rows_down: by how many those of the right image are drawn further down.
+    """
     found = observations.occluders
-    maps = (None, None) if found is None else (found.left, found.right)
+    maps = (None, 0), (None, 0)
+    if found is not None:
+        maps = (found.left, 0), (found.right, rows_down)
     size = observations.camera.image_width, observations.camera.image_height
-    return [(f"world/{side}/occluders", [_regions(image, size)]) for side, image in zip(SIDES, maps, strict=True)]
+    return [
+        (f"world/{side}/occluders", [_regions(image, size, down)])
+        for side, (image, down) in zip(SIDES, maps, strict=True)
+    ]
 
 
 def score_entities(observations: ThreadObservations) -> list[Entity]:
@@ -88,7 +97,7 @@ def _scores(listed: tuple[ThreadCandidate, ...]) -> rr.Points2D:
     )
 
 
-def _regions(image: Image | None, size: tuple[int, int]) -> rr.AsComponents:
+def _regions(image: Image | None, size: tuple[int, int], down: int) -> rr.AsComponents:
     kinds = None if image is None else decoded_mask(image)
     # a camera may claim any size
     if kinds is None or not kinds.any() or size[0] * size[1] > LARGEST_PIXELS:
@@ -96,4 +105,7 @@ def _regions(image: Image | None, size: tuple[int, int]) -> rr.AsComponents:
     drawn = np.zeros((size[1], size[0], 4), np.uint8)
     for kind, rgb in colours.OCCLUDERS.items():
         drawn[enlarged(kinds == kind.value, size)] = (*rgb[::-1], OPACITY)
+    if down:
+        move = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, down]])
+        drawn = np.asarray(cv2.warpAffine(drawn, move, size, flags=cv2.INTER_NEAREST))
     return rr.EncodedImage(contents=cv2.imencode(".png", drawn)[1].tobytes(), media_type="image/png", draw_order=1.0)

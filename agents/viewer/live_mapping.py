@@ -172,7 +172,7 @@ class LiveMapping:
             *mask_entities(coverage(observations.mask_left), coverage(observations.mask_right), self._rows_down),
             *observation_entities(observations, MOST_MATCHED, self._rows_down),
             *candidate_entities(observations, self._rows_down),
-            *(occluder_entities(observations) if self._changed("occluders", seen) else []),
+            *(occluder_entities(observations, self._rows_down) if self._changed("occluders", seen) else []),
             *score_entities(observations),
             *(verdict_entities(observations) if self._changed("verdict", verdict(observations)) else []),
             *(match_entities(observations) if self._matched else []),
