@@ -1,5 +1,8 @@
 """`suturegrasp calibrate`: from images in folders, from a running camera, and as a check of what is there."""
 
+import re
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -24,14 +27,18 @@ def pairs():
     return [rendered(CAMERA, BOARD, T, k) for k, T in enumerate(standings(VIEWS, BOARD, 8, away=60.0))]
 
 
-@pytest.fixture(scope="module")
-def folders(pairs, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("views")
+def written(folder, pairs):
+    """The options that name the folders in which these pairs lie."""
     for eye, side in enumerate(("left", "right")):
-        (folder / side).mkdir()
+        (folder / side).mkdir(parents=True)
         for k, pair in enumerate(pairs):
             cv2.imwrite(str(folder / side / f"{k}.png"), pair[eye])
     return "--left", folder / "left", "--right", folder / "right"
+
+
+@pytest.fixture(scope="module")
+def folders(pairs, tmp_path_factory):
+    return written(tmp_path_factory.mktemp("views"), pairs)
 
 
 def test_folders_become_a_calibration_in_three_forms_with_a_report(suturegrasp, folders, tmp_path):
@@ -54,9 +61,37 @@ def test_folders_become_a_calibration_in_three_forms_with_a_report(suturegrasp, 
     page = (out / "report.html").read_text()
     pictures = sorted(path.name for path in (out / "pictures").iterdir())
     assert len(pictures) == VIEWS + 3 and all(f'src="pictures/{name}"' in page for name in pictures)
-    assert "What the views lack" in page and "held out" in page
+    assert "What the views lack" in page
+    (of_one,) = re.findall(r"<tr><td>4\.png</td><td>\d+</td>(.*?)</tr>", page)
+    told = re.findall(r"<td>(.*?)</td>", of_one)
+    assert len(told) == 5 and all(told), "its residuals, and what was found by a calibration made without it"
     assert any("on views held out: reprojection" in line for line in ended.out.splitlines())
     assert "more would make it surer" in ended.err
+
+
+def test_a_view_that_contradicts_the_others_and_one_without_a_board_are_named_and_left_out(
+    suturegrasp, pairs, tmp_path
+):
+    left, right = pairs[2]
+    moved = left, np.roll(right, 9, axis=0)
+    empty = left, np.full_like(right, 90)
+    images = written(tmp_path, [*pairs[:2], moved, *pairs[3:], empty])
+    ended = suturegrasp("calibrate", "stereo", *SQUARES, *images, "--output", tmp_path / "out")
+    assert ended.status == 0, ended.err
+    assert re.search(r"2\.png contradicts the other views by [\d.]+ px and was left out", ended.err)
+    assert "7.png: left out, the board was not found in the right image" in ended.out
+    assert "6 views: focal lengths" in ended.out
+    page = (tmp_path / "out/report.html").read_text()
+    assert re.search(r"Left out, for it contradicts the others by [\d.]+ px: 2\.png", page)
+    assert "Not used: 7.png: the board was not found in the right image" in page
+
+
+def test_rows_that_stay_apart_on_views_held_out_are_warned_of(suturegrasp, pairs, tmp_path):
+    """Each right image was moved by an amount of its own, so that no camera fits them all."""
+    shaken = [(left, np.roll(right, (-1) ** k * (1 + k % 2), axis=0)) for k, (left, right) in enumerate(pairs)]
+    ended = suturegrasp("calibrate", "stereo", *SQUARES, *written(tmp_path, shaken), "--output", tmp_path / "out")
+    assert ended.status == 0, ended.err
+    assert "rows are off by more than 0.5 px on views held out; take sharper and more varied views" in ended.err
 
 
 def test_exchanged_eyes_make_no_calibration_and_are_named(suturegrasp, folders, tmp_path):
@@ -75,6 +110,35 @@ def test_a_calibration_is_checked_against_views(suturegrasp, folders, tmp_path):
     larger = ("--squares", 8, 6, "--square", 4.2, *MARKER)
     ended = suturegrasp("calibrate", "check", *larger, *folders, "--calibration", tmp_path / "right.json")
     assert ended.status == 1 and "squares are off by" in ended.err
+    lower = CAMERA.K_right + np.array([[0, 0, 0], [0, 0, 3.0], [0, 0, 0]])
+    write_calibration(tmp_path / "lower.json", replace(CAMERA, K_right=lower))
+    ended = suturegrasp("calibrate", "check", *SQUARES, *folders, "--calibration", tmp_path / "lower.json")
+    assert ended.status == 1
+    assert re.search(r"rows are [23]\.\d\d px apart", ended.err)
+
+
+def test_images_side_by_side_are_checked_alike(suturegrasp, folders, pairs, tmp_path):
+    write_calibration(tmp_path / "right.json", CAMERA)
+    (tmp_path / "both").mkdir()
+    for k, pair in enumerate(pairs):
+        cv2.imwrite(str(tmp_path / f"both/{k}.png"), np.hstack(pair))
+    one, other = (
+        suturegrasp("calibrate", "check", *SQUARES, *images, "--calibration", tmp_path / "right.json")
+        for images in (folders, ("--stereo", tmp_path / "both"))
+    )
+    assert (one.status, one.out) == (other.status, other.out)
+
+
+def test_images_that_do_not_pair_up_or_differ_in_size_are_refused(suturegrasp, pairs, tmp_path):
+    of_two_sizes = written(tmp_path / "sizes", [pairs[0], tuple(image[::2, ::2] for image in pairs[1])])
+    ended = suturegrasp("calibrate", "stereo", *SQUARES, *of_two_sizes, "--output", tmp_path / "out")
+    assert ended.status == 2
+    assert "different sizes: 640x360 (0.png) and 320x180 (1.png)" in ended.err
+    unlike = written(tmp_path / "counts", pairs[:2])
+    unlike[3].joinpath("1.png").unlink()
+    ended = suturegrasp("calibrate", "stereo", *SQUARES, *unlike, "--output", tmp_path / "other")
+    assert ended.status == 2
+    assert re.search(r"left holds 2 images and .*right holds 1; give equally many", ended.err)
 
 
 def test_the_laparoscope_is_as_good_as_its_makers_say(suturegrasp, data, tmp_path):
