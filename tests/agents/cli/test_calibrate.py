@@ -1,6 +1,8 @@
 """`suturegrasp calibrate`: from images in folders, from a running camera, and as a check of what is there."""
 
+import os
 import re
+import signal
 from dataclasses import replace
 
 import cv2
@@ -173,19 +175,56 @@ class Held:
         pass
 
 
-def test_live_frames_become_a_calibration(suturegrasp, pairs, settings, in_threads, tmp_path):
+@pytest.fixture
+def live(suturegrasp, settings, in_threads, tmp_path):
+    """Calibrates live, before a source of frames, into the folder `out`."""
     config = tmp_path / "rig.toml"
     config.write_text(f'rig = "test"\n[router]\nendpoint = "{settings.endpoint}"\nstart = false\n')
-    camera = Camera(Held(pairs), CAMERA, CameraConfig(rate_hz=15.0, encoding=ImageEncoding.PNG))
-    out = tmp_path / "out"
-    with in_threads(settings, camera):
-        ended = suturegrasp(
-            "calibrate", "stereo", *SQUARES, "--live", "--views", 6, "--output", out, "--config", config
-        )
+
+    def run(source, views):
+        camera = Camera(source, CAMERA, CameraConfig(rate_hz=15.0, encoding=ImageEncoding.PNG))
+        out = "--output", tmp_path / "out", "--config", config
+        with in_threads(settings, camera):
+            return suturegrasp("calibrate", "stereo", *SQUARES, "--live", "--views", views, *out)
+
+    return run
+
+
+def test_live_frames_become_a_calibration(live, pairs, tmp_path):
+    ended, out = live(Held(pairs), 6), tmp_path / "out"
     assert ended.status == 0, ended.err
     assert len(list((out / "left").iterdir())) == len(list((out / "right").iterdir())) == 6
+    assert len({path.read_bytes() for path in (out / "left").iterdir()}) == 6, "each way the board stood once"
     assert any("is kept; " in line for line in ended.out.splitlines())
     assert (out / "calibration.json").exists() and (out / "report.html").exists()
+
+
+def test_live_it_ends_as_soon_as_nothing_is_missing(live, pairs, tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        "agents.cli.calibrate.views.lacking", lambda seen: [] if len(seen.apparent) == 2 else ["show it elsewhere"]
+    )
+    ended = live(Held(pairs), 30)
+    assert len(list((tmp_path / "out/left").iterdir())) == 2
+    assert "view00 is kept; show it elsewhere" in ended.out
+    assert "view01 is kept; nothing is missing" in ended.out
+    assert (ended.status, ended.err.splitlines()[-1].split(": ")[-1][:21]) == (3, "2 views are too few; ")
+
+
+class LetGo(Held):
+    """A camera whose user presses Ctrl-C when the board has been held in three ways."""
+
+    def read(self):
+        if self._frame == 3 * 8:
+            os.kill(os.getpid(), signal.SIGINT)
+        return super().read()
+
+
+def test_live_ctrl_c_ends_it_with_what_there_is(live, pairs, tmp_path):
+    ended = live(LetGo(pairs), 30)
+    kept = sorted((tmp_path / "out").glob("*/view*.png"))
+    assert ended.status == 3
+    assert f"{len(kept) // 2} view" in ended.err.splitlines()[-1] or "no pair shows the board" in ended.err
+    assert not (tmp_path / "out/calibration.json").exists()
 
 
 @pytest.mark.parametrize(

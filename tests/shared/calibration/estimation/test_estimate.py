@@ -157,9 +157,10 @@ def test_a_tilted_board_is_seen_to_be_tilted_to_its_nearer_side():
 
 def test_a_live_view_is_kept_when_the_board_is_still_and_elsewhere():
     one, other = views_of(CAMERA, 2, 6)
-    nearly = replace(one, left=one.left + 1.0)
+    nearly, moving = replace(one, left=one.left + 1.0), replace(one, left=one.left + 4.0)
     assert why_not(one, None, (), 960) == "hold the board still"
     assert why_not(one, other, (), 960) == "hold the board still"
+    assert why_not(one, moving, (), 960) == "hold the board still"
     assert why_not(one, nearly, (), 960) == ""
     assert why_not(one, nearly, (nearly,), 960).startswith("move or tilt")
     assert why_not(one, nearly, (other,), 960) == ""
