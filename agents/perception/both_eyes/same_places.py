@@ -1,9 +1,10 @@
-"""Which points of both eyes' centrelines show the same places of a thread: those in one row that cannot be any other.
+"""Which points of both eyes' centrelines show the same places of a thread: by rows, and by the disparity beside those.
 
 Of a rectified pair, a place lies in the same row of both images. A row may cross a thread several times, and one eye
 may miss a strand that the other sees. So a place is known for certain where a left point has one right one in its row
 at a disparity that can be, and that one has no other left one; and next to such places, where one right point alone has
-about the disparity that theirs go on to. Elsewhere nothing is said.
+about the disparity that theirs go on to. On the same left line the others follow from these (`carried_on`): where it
+runs along the rows, or where its rows hold several strands. Of a line without any nothing is said.
 """
 
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
+from agents.perception.both_eyes.carried_on import carried_on, expected_px
 from agents.perception.centrelines.along import Pieces, directions, gaussian, median
 from agents.perception.centrelines.profiles import normals
 from agents.perception.centrelines.refine import tangent_sigma
@@ -22,7 +24,7 @@ LARGEST_SHARE, ABOUT_SHARE = 0.2, 0.06
 """Of the image's width: the largest disparity; and how far from the usual one it may be."""
 LEAST_PX = 1.0
 LEAST_ACROSS, LEAST_COSINE = 0.25, 0.8
-"""Of a normal, along the row: a thread along the rows has no point in one; and between the normals of both eyes."""
+"""Of a normal, along the row: the row of a thread along the rows says nothing; and between the normals of both eyes."""
 OTHERWISE, BESIDE = 3, (-3, -2, -1, 0, 1, 2, 3)
 """Sampled points: left ones of one strand that meet one place of the right one lie no farther apart; and right points
 that count as one place, since the rows of left points lie some pixels apart."""
@@ -30,14 +32,13 @@ NEIGHBOURS, ALIKE_PX, UNLIKE_PX, ROUNDS = 12, 2.0, 8.0, 4
 """Certain places within so many sampled points tell the disparity of a place, and of it alone, nearly."""
 STEEPEST_PX, LONGEST_STEP = 2.0, 12.0
 """Of the disparity, and of the way along the right line: from one sampled point to the next one, at most."""
-LEAST = 1e-9
 SHORTEST = 8
 """Sampled points: less of a thread tells nothing."""
 
 
 @dataclass(frozen=True)
 class SamePlaces:
-    """At n places that both eyes see for certain, about every eighth pixel along the left lines.
+    """At n places that both eyes see, about every eighth pixel along the left lines.
 
     Fields:
         left_at: index of the left point.
@@ -61,32 +62,44 @@ class _Candidates:
     right_at: Float64[np.ndarray, "c"]
     disparity_px: Float64[np.ndarray, "c"]
 
+    def __getitem__(self, chosen: Int64[np.ndarray, "k"] | Bool[np.ndarray, "c"]) -> "_Candidates":
+        return _Candidates(self.sample[chosen], self.right_at[chosen], self.disparity_px[chosen])
+
 
 def same_places(left: Centrelines, right: Centrelines, image_width: int) -> SamePlaces | None:
-    """The places of a rectified pair's centrelines that are the same for certain; None where there are too few."""
+    """The places of a rectified pair's centrelines that are the same; None where too few are so for certain."""
     if min(len(left.piece), len(right.piece)) < EVERY * SHORTEST:
         return None
     of_left, of_right = Pieces(numbered(left.piece)), Pieces(numbered(right.piece))
     at = np.flatnonzero(of_left.before % EVERY == 0)
-    found = _in_rows(left.point_px[at], right.point_px, of_right, image_width)
+    point, piece = left.point_px[at], of_left.number[at]
+    found = _in_rows(point, right.point_px, of_right, image_width)
     if not len(found.sample):
         return None
-    normal, right_normals = (_normals(lines, pieces) for lines, pieces in ((left, of_left), (right, of_right)))
-    chosen = _chosen(found, of_left.number[at], image_width)
-    left_normal, right_normal = normal[at[found.sample]], between(right_normals, found.right_at)
-    alike = (left_normal * right_normal).sum(axis=1)
-    # the right line may have been followed from its other end
-    right_normal = right_normal * np.sign(alike)[:, None]
-    across = np.minimum(np.abs(left_normal[:, 0]), np.abs(right_normal[:, 0]))
-    kept = np.flatnonzero(chosen & (np.abs(alike) > LEAST_COSINE) & (across > LEAST_ACROSS))
-    number = _stretches(found, kept, of_left.number[at], of_right)
-    kept, number = _long(kept, number)
-    if not len(kept):
+    normal, right_normals = _normals(left, of_left)[at], _normals(right, of_right)
+    chosen = found[_chosen(found, piece, image_width)]
+    both = normal[chosen.sample], between(right_normals, chosen.right_at)
+    across = np.minimum(*(np.abs(each[:, 0]) for each in both))
+    certain = chosen[(across > LEAST_ACROSS) & (_cosine(both) > LEAST_COSINE)]
+    certain, _ = _long(certain, _stretches(certain, piece, of_right))
+    if not len(certain.sample):
         return None
+    sample, right_at = carried_on(
+        point, piece, certain.sample, certain.disparity_px, right.point_px, of_right, right_normals
+    )
+    disparity = point[sample, 0] - between(right.point_px, right_at)[:, 0]
+    places = _together(certain, _Candidates(sample, right_at, disparity))
+    places = places[_cosine((normal[places.sample], between(right_normals, places.right_at))) > LEAST_COSINE]
+    # a stretch is of one kind: what is seen along the rows, and how far it can be told, is another matter
+    is_certain = np.isin(np.arange(len(at)), certain.sample)
+    places, number = _long(places, _stretches(places, 2 * piece + is_certain, of_right))
     # what the eyes show there is told by half of the points that tell what is the same
     some, stretches = Pieces(number).every_second
-    kept = kept[some]
-    return SamePlaces(at[found.sample[kept]], found.right_at[kept], left_normal[kept], right_normal[kept], stretches)
+    places = places[some]
+    left_normal, right_normal = normal[places.sample], between(right_normals, places.right_at)
+    # the right line may have been followed from its other end
+    right_normal = right_normal * np.sign((left_normal * right_normal).sum(axis=1))[:, None]
+    return SamePlaces(at[places.sample], places.right_at, left_normal, right_normal, stretches)
 
 
 def numbered(piece: Int64[np.ndarray, "n"]) -> Int64[np.ndarray, "n"]:
@@ -96,6 +109,11 @@ def numbered(piece: Int64[np.ndarray, "n"]) -> Int64[np.ndarray, "n"]:
 
 def _normals(lines: Centrelines, pieces: Pieces) -> Float64[np.ndarray, "n 2"]:
     return normals(directions(lines.point_px, pieces, gaussian(tangent_sigma(median(lines.width_px)))))
+
+
+def _cosine(normal: tuple[Float64[np.ndarray, "n 2"], Float64[np.ndarray, "n 2"]]) -> Float64[np.ndarray, "n"]:
+    """Of the angle between both eyes' lines, whichever end they were followed from."""
+    return np.abs((normal[0] * normal[1]).sum(axis=1))
 
 
 def between(values: Float64[np.ndarray, "m d"], at: Float64[np.ndarray, "c"]) -> Float64[np.ndarray, "c d"]:
@@ -138,7 +156,9 @@ def _chosen(found: _Candidates, piece: Int64[np.ndarray, "n"], image_width: int)
         if not chosen.any() or not len(rest):
             break
         sample = found.sample[rest]
-        off = np.abs(found.disparity_px[rest] - _expected(found, np.flatnonzero(chosen), sample, piece))
+        sure = found[chosen]
+        expected = expected_px(sure.sample, sure.disparity_px, sample, piece, NEIGHBOURS)
+        off = np.abs(found.disparity_px[rest] - expected)
         nearest, second = _two_least(off, sample)
         more = rest[(off == nearest) & (off < ALIKE_PX) & (second > UNLIKE_PX)]
         if not len(more):
@@ -159,21 +179,6 @@ def _alone(found: _Candidates) -> Bool[np.ndarray, "c"]:
     return once & (most[segment] - least[segment] <= OTHERWISE)
 
 
-def _expected(
-    found: _Candidates, sure: Int64[np.ndarray, "k"], sample: Int64[np.ndarray, "c"], piece: Int64[np.ndarray, "n"]
-) -> Float64[np.ndarray, "c"]:
-    """The disparity of the nearest certain places of the same piece, between them; infinite where none is near."""
-    at, disparity = found.sample[sure], found.disparity_px[sure]
-    after = np.searchsorted(at, sample)
-    beside = np.stack((np.maximum(after - 1, 0), np.minimum(after, len(at) - 1)))
-    away = np.abs(sample - at[beside])
-    near = (away <= NEIGHBOURS) & (piece[at[beside]] == piece[sample])
-    weight = near / np.maximum(away, 1)
-    total = weight.sum(axis=0)
-    mean = (weight * disparity[beside]).sum(axis=0) / np.maximum(total, LEAST)
-    return np.where(total > 0, mean, np.inf)
-
-
 def _two_least(
     off: Float64[np.ndarray, "c"], sample: Int64[np.ndarray, "c"]
 ) -> tuple[Float64[np.ndarray, "c"], Float64[np.ndarray, "c"]]:
@@ -187,25 +192,30 @@ def _two_least(
     return nearest[number], second[number]
 
 
-def _stretches(
-    found: _Candidates, kept: Int64[np.ndarray, "k"], piece: Int64[np.ndarray, "n"], of_right: Pieces
-) -> Int64[np.ndarray, "k"]:
-    """Numbers of the stretches of kept candidates, cut wherever either line or the disparity leaps."""
-    sample, right_at = found.sample[kept], found.right_at[kept]
-    steps = np.diff(sample)
+def _together(one: _Candidates, other: _Candidates) -> _Candidates:
+    """Both, in order of the samples."""
+    order = np.argsort(np.concatenate((one.sample, other.sample)), kind="stable")
+    return _Candidates(
+        np.concatenate((one.sample, other.sample))[order],
+        np.concatenate((one.right_at, other.right_at))[order],
+        np.concatenate((one.disparity_px, other.disparity_px))[order],
+    )
+
+
+def _stretches(places: _Candidates, piece: Int64[np.ndarray, "n"], of_right: Pieces) -> Int64[np.ndarray, "k"]:
+    """Numbers of the stretches of places, cut wherever either line, the piece's number or the disparity leaps."""
+    steps = np.diff(places.sample)
     cut = (
         (steps > 2)
-        | (np.diff(piece[sample]) != 0)
-        | (np.diff(of_right.number[right_at.astype(np.int64)]) != 0)
-        | (np.abs(np.diff(right_at)) > LONGEST_STEP * steps)
-        | (np.abs(np.diff(found.disparity_px[kept])) > STEEPEST_PX * steps)
+        | (np.diff(piece[places.sample]) != 0)
+        | (np.diff(of_right.number[places.right_at.astype(np.int64)]) != 0)
+        | (np.abs(np.diff(places.right_at)) > LONGEST_STEP * steps)
+        | (np.abs(np.diff(places.disparity_px)) > STEEPEST_PX * steps)
     )
-    return np.concatenate(([0], np.cumsum(cut)))[: len(kept)]
+    return np.concatenate(([0], np.cumsum(cut)))[: len(places.sample)]
 
 
-def _long(
-    kept: Int64[np.ndarray, "k"], number: Int64[np.ndarray, "k"]
-) -> tuple[Int64[np.ndarray, "j"], Int64[np.ndarray, "j"]]:
+def _long(places: _Candidates, number: Int64[np.ndarray, "k"]) -> tuple[_Candidates, Int64[np.ndarray, "j"]]:
     """Those of stretches that are long enough, numbered anew."""
     long = np.bincount(number, minlength=1)[number] >= SHORTEST
-    return kept[long], numbered(number[long])
+    return places[long], numbered(number[long])

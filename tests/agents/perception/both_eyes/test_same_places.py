@@ -1,4 +1,4 @@
-"""Places that both eyes' centrelines show for certain: right where they are said, and none where they may be others."""
+"""Places that both eyes' centrelines show alike: right where they are said, and none where they may be others."""
 
 import numpy as np
 import pytest
@@ -84,7 +84,9 @@ def test_a_thread_that_comes_back_along_the_same_rows_is_known_from_where_one_le
     left, right = lines(left_px), lines(right_px)
     places = places_of(left, right)
     off, _ = errors_px(left, right, places, slope)
-    assert off.max() < 0.1
+    across = np.abs(places.left_normal[:, 0])
+    assert off[across > 0.3].max() < 0.1
+    assert off.max() < 0.6
     rows = left.point_px[places.left_at]
     alone, shared = (rows[:, 0] < 340) & (rows[:, 1] < 195), (rows[:, 0] < 340) & (rows[:, 1] > 205)
     assert alone.sum() > 10
@@ -124,14 +126,67 @@ def test_strands_that_cross_are_the_same_places_or_none():
     np.testing.assert_allclose(found, true, atol=0.1)
 
 
-def test_a_stretch_along_the_rows_is_left_out():
-    level = np.column_stack((np.linspace(300, 500, 200), np.full(200, 200.0)))
-    curve = np.concatenate((level, np.column_stack((np.full(150, 501.0), np.linspace(201, 350, 150)))))
-    left, right = lines(curve), lines(moved(curve, 30.0))
+def along_the_rows(right_end=500):
+    """A thread that comes up from below and turns into the rows; the right eye sees it as far as that."""
+    up = np.column_stack((np.full(150, 300.0), np.linspace(350, 200, 150)))
+    level = np.column_stack((np.linspace(301, 500, 200), np.full(200, 200.0)))
+    curve = np.concatenate((up, level))
+    return lines(curve), lines(moved(curve[curve[:, 0] <= right_end], 30.0))
+
+
+def test_along_the_rows_the_disparity_goes_on_from_where_the_thread_crosses_them():
+    left, right = along_the_rows()
     places = places_of(left, right)
-    assert left.point_px[places.left_at][:, 1].min() > 200.0
-    assert len(places.left_at) > 12
+    off, rows = errors_px(left, right, places, lambda at: np.full(len(at), 30.0))
+    level = left.point_px[places.left_at, 0] > 310
+    assert level.sum() >= 0.9 * 190 / 8
+    assert off[level].max() < 1.0
+    assert rows.max() < 0.1
+
+
+def test_where_the_thread_turns_into_the_rows_another_stretch_begins():
+    left, right = along_the_rows()
+    stretches = places_of(left, right).stretches
+    turned = left.point_px[places_of(left, right).left_at, 0] > 305
+    assert len(stretches.first) == 2
+    assert set(stretches.number[turned]) == {1}
+    assert set(stretches.number[~turned][:-1]) == {0}
+
+
+def test_along_the_rows_nothing_is_said_of_what_the_right_eye_does_not_see():
+    left, right = along_the_rows(right_end=400)
+    at = left.point_px[places_of(left, right).left_at]
+    assert 380 < at[:, 0].max() <= 401
+
+
+def test_between_two_places_the_disparity_changes_evenly():
+    bent = np.column_stack((np.linspace(0, 300, 900), np.full(900, 200.0)))
+    down = np.linspace(1, 150, 150)
+    ends = (np.column_stack((np.full(150, 0.0), 200 + down))[::-1], np.column_stack((np.full(150, 300.0), 200 + down)))
+    curve = np.concatenate((ends[0], bent, ends[1]))
+    curve[:, 0] += 400
+
+    def disparity(at):
+        return np.interp(at[:, 0], (400, 700), (30.0, 42.0))
+
+    left, right = lines(curve), lines(moved(curve, disparity(curve)))
+    places = places_of(left, right)
+    level = left.point_px[places.left_at, 1] < 201
+    assert level.sum() > 30
+    off, _ = errors_px(left, right, places, disparity)
+    assert off.max() < 1.0
+
+
+def test_a_thread_along_the_rows_alone_has_no_places():
+    level = np.column_stack((np.linspace(300, 500, 200), np.full(200, 200.0)))
     assert same_places(lines(level), lines(moved(level, 30.0)), WIDTH) is None
+
+
+def test_a_strand_some_pixels_beside_where_the_thread_is_to_be_is_not_the_same():
+    left, right = along_the_rows(right_end=300)
+    other = np.column_stack((np.linspace(301, 500, 200), np.full(200, 206.0)))
+    right = lines(right.point_px, moved(other, 30.0))
+    assert left.point_px[places_of(left, right).left_at, 0].max() < 310
 
 
 def test_too_short_a_thread_and_none_at_all_say_nothing():
