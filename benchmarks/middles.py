@@ -3,10 +3,11 @@
     .venv/bin/python -m benchmarks.middles --data ../shared/data
 
 Every render is run from its raw images. Then each middle is moved towards the true one, so that shares of its error are
-left, and the curve is made again: what better middles would bring, with everything else as it is. And what both eyes
-err across the thread, averaged over 40 px of it: each, how far alike, and by how much that changes when the left image
-gets its own noise once more, is compressed once more, or is moved by half a pixel. What these change is chance and
-cannot be learned; the rest follows from what is seen.
+left, and the curve is made again: what better middles would bring, with everything else as it is. The same with nothing
+left where the thread runs at some angles to the rows. And what both eyes err across the thread, averaged over 40 px of
+it: each, how far alike, and by how much that changes when the left image gets its own noise once more, is compressed
+once more, or is moved by half a pixel. What these change is chance and cannot be learned; the rest follows from what is
+seen.
 """
 
 import argparse
@@ -34,6 +35,9 @@ from schemas.messages import Centrelines
 from shared.camera import project
 
 LEFT_OF_ERROR = 1.0, 2 / 3, 1 / 3, 0.0
+EVERYWHERE = 0.0, 90.0
+TRUE_AT_DEG = (0.0, 5.0), (0.0, 10.0), (0.0, 20.0), (10.0, 90.0), (20.0, 90.0), (40.0, 90.0)
+"""Angles to the rows from and up to which middles are true."""
 NEAR_PX, DENSE_PX = 1.5, 0.05
 """A point farther from the true middle is of something else, and stays."""
 STEEP = 0.3
@@ -77,23 +81,34 @@ def _found(scene: Scene) -> PipelineResult:
     return reconstruct_pair(scene.images, scene.calibration, masks=None, segmenter="network", method=DEFAULT_METHOD)
 
 
-def nearer(lines: Centrelines, true_px: Float64[np.ndarray, "n 2"], share: float) -> Centrelines:
-    """Middles moved towards a true curve, so that a share of what they err across it is left."""
+def nearer(
+    lines: Centrelines, true_px: Float64[np.ndarray, "n 2"], share: float, at_deg: tuple[float, float] = EVERYWHERE
+) -> Centrelines:
+    """Middles moved towards a true curve, so that a share of what they err across it is left.
+
+    Args:
+        at_deg: angles to the rows between which the true curve runs where they are; others stay.
+    """
     travelled = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(true_px, axis=0), axis=1))))
     even = np.arange(0.0, travelled[-1], DENSE_PX)
     dense = np.column_stack([np.interp(even, travelled, part) for part in true_px.T])
     found = KDTree(dense).query(lines.point_px)
     distance, nearest = np.asarray(found[0], np.float64), np.asarray(found[1], np.int64)
-    left = np.where(distance < NEAR_PX, share, 1.0)[:, None]
+    run = np.abs(np.gradient(dense, axis=0))[nearest]
+    angle_deg = np.degrees(np.arctan2(run[:, 1], run[:, 0]))
+    moves = (distance < NEAR_PX) & (angle_deg >= at_deg[0]) & (angle_deg <= at_deg[1])
+    left = np.where(moves, share, 1.0)[:, None]
     return replace(lines, point_px=dense[nearest] + left * (lines.point_px - dense[nearest]))
 
 
-def with_share(scene: Scene, result: PipelineResult, share: float) -> PipelineResult:
-    """The curve made again from middles that err by a share of what they do."""
+def with_share(
+    scene: Scene, result: PipelineResult, share: float, at_deg: tuple[float, float] = EVERYWHERE
+) -> PipelineResult:
+    """The curve made again from middles that err by a share of what they do, at some angles to the rows."""
     assert scene.truth is not None
     seen = result.observations
     left, right = (
-        nearer(lines, true_px, share)
+        nearer(lines, true_px, share, at_deg)
         for lines, true_px in zip(
             (seen.centrelines_left, seen.centrelines_right), project(seen.camera, scene.truth), strict=True
         )
@@ -103,13 +118,26 @@ def with_share(scene: Scene, result: PipelineResult, share: float) -> PipelineRe
 
 
 def print_curves(console: Console, found: list[tuple[Scene, PipelineResult]]) -> None:
-    """A column for each share of the error that is left."""
-    table = Table(title="curve error, mm, with so much of the middles' error left", title_justify="left")
+    """A column for each share of the error that is left, and for each range of angles at which nothing is."""
+    shares = {f"{share:.2f}": (share, EVERYWHERE) for share in LEFT_OF_ERROR}
+    _print_curves(console, "curve error, mm, with so much of the middles' error left", found, shares)
+    angles = {f"{low:.0f} to {high:.0f}°": (0.0, (low, high)) for low, high in TRUE_AT_DEG}
+    _print_curves(console, "curve error, mm, with true middles at such angles to the rows", found, angles)
+
+
+def _print_curves(
+    console: Console,
+    title: str,
+    found: list[tuple[Scene, PipelineResult]],
+    columns: dict[str, tuple[float, tuple[float, float]]],
+) -> None:
+    table = Table(title=title, title_justify="left")
     table.add_column("")
-    for share in LEFT_OF_ERROR:
-        table.add_column(f"{share:.2f}", justify="right")
+    for name in columns:
+        table.add_column(name, justify="right")
     rows = [
-        [figures(_run(scene), with_share(scene, result, share)) for scene, result in found] for share in LEFT_OF_ERROR
+        [figures(_run(scene), with_share(scene, result, *moved)) for scene, result in found]
+        for moved in columns.values()
     ]
     for text, group, key, summary in (
         ("clear, median", CLEAR, "mean", np.median),

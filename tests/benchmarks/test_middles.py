@@ -23,6 +23,16 @@ def test_a_share_of_what_middles_err_is_left(share):
     np.testing.assert_allclose(found[:, 0], u, atol=0.05)
 
 
+@pytest.mark.parametrize(("at_deg", "left"), [((0.0, 20.0), 0.3), ((20.0, 90.0), 0.0), ((0.0, 90.0), 0.0)])
+def test_middles_are_true_at_the_angles_to_the_rows_that_are_asked_for(at_deg, left):
+    along = np.linspace(0.0, 200.0, 50)[:, None]
+    direction = np.array([np.cos(np.radians(30)), np.sin(np.radians(30))])
+    across = np.array([-direction[1], direction[0]])
+    beside = 150.0 + along[5:-5] * direction + 0.3 * across
+    found = nearer(lines(beside), 150.0 + along * direction, 0.0, at_deg).point_px
+    np.testing.assert_allclose((found - 150.0) @ across, left, atol=1e-9)
+
+
 def test_points_of_something_else_stay():
     far = np.array([[150.0, 90.0], [200.0, 82.0]])
     np.testing.assert_array_equal(nearer(lines(far), TRUE_PX, 0.0).point_px, far)
