@@ -1,16 +1,20 @@
 """What a recipe asks for is in its field, before any light is traced."""
 
 import functools
+import itertools
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from agents.cli.lab.scenes import endoscope
 from shared.camera import project
-from shared.scene.path_traced.recipe import EXTRAS, Recipe, arranged
+from shared.scene.path_traced.recipe import CONFIGS, EXTRAS, Recipe, _drawn_config, _drawn_extras, arranged
 from shared.scene.path_traced.solids import silhouette
 from shared.scene.path_traced.splines import sampled
+from shared.scene.path_traced.strands import DYES, USUAL_DYES
 from shared.scene.render import SceneError
+from shared.scene.surface import depth_at_points
 
 RIG = endoscope(320, 180)
 PLAIN = arranged(Recipe("easy", "chicken", 4), RIG)
@@ -61,6 +65,48 @@ def test_tools_that_stand_by_hide_little_of_the_thread():
     pixels = project(field.camera, sampled(field.strands[0].curve, 0.5)[0])[0]
     u, v = np.rint(pixels).astype(int).T
     assert np.mean(silhouette(field.camera, field.tools)[v, u] > 0) < 0.12
+
+
+@pytest.mark.parametrize(("seed", "ending"), [(8, "needle"), (2, "jaws"), (3, "stitch"), (9, "free")])
+def test_a_thread_at_rest_comes_out_of_the_tissue_and_ends_at_what_holds_it(seed, ending):
+    field = arranged(Recipe("rod", "chicken", seed), RIG).field
+    (strand,) = field.strands
+    points = sampled(strand.curve, 0.5)[0]
+    above = depth_at_points(field.ground.surface, points[:, :2]) - points[:, 2]
+    assert above[0] == pytest.approx(-0.8, abs=0.1)
+    assert float(np.min(above[4:-4])) > -0.1
+    needle = np.zeros((0, 3)) if field.needle is None else sampled(field.needle.curve, 0.2)[0]
+    jaws = np.concatenate([np.zeros((0, 3)), *(tool.vertices for tool in field.tools)])
+    held_by = {
+        "needle": bool((np.linalg.norm(needle - points[-1], axis=1) < 0.05).any()),
+        "jaws": bool((np.linalg.norm(jaws - points[-1], axis=1) < 1.0).any()),
+        "stitch": above[-1] < -0.5,
+    }
+    assert {what for what, holds in held_by.items() if holds} == {ending} - {"free"}
+
+
+@pytest.mark.parametrize(("seed", "count"), [(12, 2), (18, 3)])
+def test_several_threads_are_two_or_three_and_pass_through_none_of_each_other(seed, count):
+    strands = arranged(Recipe("several", "chicken", seed), RIG).field.strands
+    assert len(strands) == count
+    for one, other in itertools.combinations(strands, 2):
+        apart = cKDTree(sampled(one.curve, 0.1)[0]).query(sampled(other.curve, 0.1)[0])[0].min()
+        assert apart > one.radius_mm + other.radius_mm
+
+
+def test_only_who_asks_for_red_thread_gets_it():
+    assert set(DYES) - set(USUAL_DYES) == {"red"}
+    (strand,) = arranged(Recipe("easy", "paper", 4, dye="red"), RIG).field.strands
+    assert strand.dye == "red"
+
+
+def test_what_is_varied_for_training_has_a_third_without_thread_and_all_extras_now_and_then():
+    made = [_drawn_config(np.random.default_rng(seed)) for seed in range(300)]
+    assert made.count("none") / 300 == pytest.approx(1 / 3, abs=0.08)
+    assert set(made) == set(CONFIGS)
+    drawn = [_drawn_extras(np.random.default_rng(seed), "easy") for seed in range(300)]
+    assert {extra for extras in drawn for extra in extras} == set(EXTRAS)
+    assert () in drawn
 
 
 def test_a_seed_makes_the_same_scene_again_and_another_one_another():
