@@ -90,8 +90,8 @@ def test_several_threads_are_two_or_three_and_pass_through_none_of_each_other(se
     strands = arranged(Recipe("several", "chicken", seed), RIG).field.strands
     assert len(strands) == count
     for one, other in itertools.combinations(strands, 2):
-        apart = cKDTree(sampled(one.curve, 0.1)[0]).query(sampled(other.curve, 0.1)[0])[0].min()
-        assert apart > one.radius_mm + other.radius_mm
+        apart, _ = cKDTree(sampled(one.curve, 0.1)[0]).query(sampled(other.curve, 0.1)[0])
+        assert np.min(apart) > one.radius_mm + other.radius_mm
 
 
 def test_only_who_asks_for_red_thread_gets_it():
