@@ -8,7 +8,7 @@ from benchmarks.rendered_boards import endoscope, rendered, standings
 from shared.calibration import CalibrationError
 from shared.calibration.estimation.board import Board, Corners, alike, corners_of
 from shared.calibration.estimation.estimate import residuals_px, rms
-from shared.calibration.estimation.views import NoView, View, view_of
+from shared.calibration.estimation.views import NoView, View, shared_view, view_of
 from shared.rigid_transforms import exp_so3, transform
 
 CAMERA = endoscope(640, 360)
@@ -56,6 +56,10 @@ def test_the_right_corners_are_counted_from_the_same_end():
     left, turned = Corners(np.arange(6), px), Corners(np.arange(6), px[::-1] + 5)
     np.testing.assert_array_equal(alike(left, turned).px, px + 5)
     np.testing.assert_array_equal(alike(left, Corners(np.arange(6), px + 5)).px, px + 5)
+    many = Corners(np.arange(12), np.vstack((px, px + 20)))
+    view = shared_view("one", many, Corners(many.number, many.px[::-1] + 5))
+    assert isinstance(view, View)
+    np.testing.assert_array_equal(view.right, view.left + 5)
 
 
 @pytest.mark.parametrize(

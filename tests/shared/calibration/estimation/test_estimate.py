@@ -12,7 +12,7 @@ from shared.calibration import CalibrationError, read_calibration
 from shared.calibration.estimation.board import Board
 from shared.calibration.estimation.checking import checked, held_out, rotation_deg
 from shared.calibration.estimation.collecting import why_not
-from shared.calibration.estimation.coverage import coverage, lacking
+from shared.calibration.estimation.coverage import Coverage, coverage, lacking
 from shared.calibration.estimation.estimate import estimated, residuals_px
 from shared.calibration.estimation.views import View
 from shared.calibration.written import camera_info_texts, opencv_text
@@ -129,6 +129,17 @@ def test_a_calibration_of_another_camera_fails_the_check():
     right, wrong = checked(view, BOARD, CAMERA), checked(view, BOARD, replace(CAMERA, T_right_left=T))
     assert right.size == pytest.approx(1.0, abs=1e-4) and right.rms_px < 1e-3
     assert wrong.size == pytest.approx(1.05, abs=1e-3)
+    assert len(wrong.squares) > 100
+    for one in (right, wrong):
+        assert np.mean(one.squares) == pytest.approx(one.size, abs=2e-3)
+
+
+@pytest.mark.parametrize(("count", "is_free"), [(9, False), (10, True)])
+def test_few_views_make_up_no_third_radial_coefficient(count, is_free):
+    found = estimated(views_of(CAMERA, count, 11), BOARD, SIZE, MM).calibration
+    for lens in (found.distortion_left, found.distortion_right):
+        assert (lens[4] != 0) == is_free
+        assert lens[:2].all()
 
 
 def test_what_views_lack_is_said_until_they_lack_nothing():
@@ -138,6 +149,38 @@ def test_what_views_lack_is_said_until_they_lack_nothing():
     for words in ("too few corners in the left image's", "tilt it so", "from one distance", "14 more"):
         assert words in told
     assert lacking(coverage(views, BOARD, SIZE)) == []
+
+
+ENOUGH = np.full((3, 4), 9)
+EVERY_WAY = np.array([[0.3, 0.3], [-0.3, 0.3], [0.3, -0.3], *([[0.0, 0.0]] * 12)])
+NEAR_AND_FAR = np.linspace(10.0, 20.0, len(EVERY_WAY))
+
+
+def without(row, column):
+    cells = ENOUGH.copy()
+    cells[row, column] = 4
+    return cells
+
+
+@pytest.mark.parametrize(
+    ("lacks", "told"),
+    [
+        ({}, []),
+        ({"left": without(0, 3)}, ["the left image's top right: show the board there"]),
+        ({"right": without(2, 1)}, ["the right image's bottom centre left: show the board there"]),
+        ({"tilt": EVERY_WAY * (-1, 1)}, []),
+        ({"tilt": abs(EVERY_WAY)}, ["the board's left side clearly nearer", "the board's upper side clearly nearer"]),
+        ({"tilt": -abs(EVERY_WAY)}, ["the board's right side clearly nearer", "the board's lower side clearly nearer"]),
+        ({"apparent": 10.0 + 0.1 * NEAR_AND_FAR}, ["all views are from one distance"]),
+    ],
+    ids=["nothing", "left", "right", "mirrored", "one way", "the other way", "one distance"],
+)
+def test_each_thing_that_views_lack_is_named(lacks, told):
+    covered = Coverage(**({"left": ENOUGH, "right": ENOUGH, "tilt": EVERY_WAY, "apparent": NEAR_AND_FAR} | lacks))
+    sentences = lacking(covered)
+    assert len(sentences) == len(told)
+    for sentence, words in zip(sentences, told, strict=True):
+        assert words in sentence
 
 
 def test_a_tilted_board_is_seen_to_be_tilted_to_its_nearer_side():
