@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 
 from agents.perception.both_eyes.apart import drawn_together
+from agents.perception.both_eyes.ends import ended_together
 from agents.perception.centrelines.centrelines import NO_LINES, Lines, thread_lines
 from agents.perception.clustering import Clusters, cluster_and_order
 from agents.perception.following.follow import trail_of
@@ -105,7 +106,7 @@ def observe(
     )
     lines = of_left.lines.centrelines, of_right.lines.centrelines
     if segmenter in ON_TISSUE:
-        lines = drawn_together((left, right), lines)
+        lines = drawn_together((left, right), ended_together((left, right), of_left.lines, of_right.lines))
     return ThreadObservations(
         stamp=stamp,
         camera=camera,

@@ -6,11 +6,14 @@ thread's colour, further inwards, and the ground's, beside the end: the tip lies
 half.
 """
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 
 from agents.perception.centrelines.along import Pieces, median, medians
+from agents.perception.centrelines.going_on import goes_on_px
 from agents.perception.centrelines.profiles import normals
 from schemas.messages import Centrelines
 
@@ -26,6 +29,8 @@ REACH_PX = 4.0
 MOST_TAKEN_WIDTHS, MOST_TAKEN_PX = 0.8, 3.0
 """A mask hardly shows more than so many widths, or at least so many pixels, that are no thread."""
 LEAST_SPACING_PX = 0.3
+LEAST_ON_PX = 6.0
+"""What is less than that lies within what a tip is looked for in any case."""
 SMOOTHED_PX = 1.25
 AFTER_PX, LEFT_AFTER = 3.0, 0.4
 """For so far after the tip the thread's share must be as small as that on average: else it goes on, or is hidden."""
@@ -44,35 +49,84 @@ def to_tips(
     Args:
         loose_start, loose_end: of each piece, whether its first and last point is an end of the thread, no cut.
     """
+    ends = _loose_ends(lines, loose_start, loose_end)
+    return lines if ends is None else _ended(lines, ends, _shifts(lines, image, ends))
+
+
+def gone_on(
+    lines: Centrelines,
+    image: UInt8[np.ndarray, "h w 3"],
+    start_px: Float64[np.ndarray, "k"],
+    end_px: Float64[np.ndarray, "k"],
+) -> Centrelines:
+    """Centrelines that go on straight beyond their ends for as long as the image shows nothing but thread there.
+
+    Where that is a few pixels alone, they end as they did.
+
+    Args:
+        start_px, end_px: of each piece, how far beyond its first and last point at most; 0 where it ends there.
+    """
+    ends = _loose_ends(lines, start_px > 0, end_px > 0)
+    if ends is None:
+        return lines
+    at_start = ends.inwards > 0
+    most = np.where(at_start, start_px[ends.piece], end_px[ends.piece])
+    seen = goes_on_px(image, lines.point_px[ends.at], ends.outward, ends.width, lines.point_px)
+    on = np.where(seen >= LEAST_ON_PX, np.minimum(seen, most), 0.0)
+    longer = np.zeros((2, len(start_px)), bool)
+    longer[np.where(at_start, 0, 1), ends.piece] = on > 0
+    return to_tips(_ended(lines, ends, on), image, longer[0], longer[1])
+
+
+@dataclass(frozen=True)
+class _Ends:
+    """Loose ends.
+
+    Fields:
+        pieces: of all lines.
+        at: the index of each end among the points; inwards: the step to the next one.
+        width: of the thread there; outward: unit vectors.
+    """
+
+    pieces: Pieces
+    at: Int64[np.ndarray, "e"]
+    inwards: Int64[np.ndarray, "e"]
+    width: Float64[np.ndarray, "e"]
+    outward: Float64[np.ndarray, "e 2"]
+
+    @property
+    def piece(self) -> Int64[np.ndarray, "e"]:
+        """The piece that each ends."""
+        return self.pieces.number[self.at]
+
+
+def _loose_ends(
+    lines: Centrelines, loose_start: Bool[np.ndarray, "k"], loose_end: Bool[np.ndarray, "k"]
+) -> _Ends | None:
+    """The loose ends of pieces that are long enough to have a direction; None where there are none."""
     pieces = Pieces(lines.piece)
     first, last = pieces.first, pieces.last
     long = last - first >= 3
     ends = np.concatenate((first[loose_start & long], last[loose_end & long]))
     inwards = np.concatenate((np.ones((loose_start & long).sum(), int), -np.ones((loose_end & long).sum(), int)))
     if len(ends) == 0:
-        return lines
-    shift, outward = _shifts(lines, image, ends, inwards, pieces)
-    return _ended(lines, pieces, ends, inwards, shift, outward)
-
-
-def _shifts(
-    lines: Centrelines,
-    image: UInt8[np.ndarray, "h w 3"],
-    ends: Int64[np.ndarray, "e"],
-    inwards: Int64[np.ndarray, "e"],
-    pieces: Pieces,
-) -> tuple[Float64[np.ndarray, "e"], Float64[np.ndarray, "e 2"]]:
-    """How far outwards from each end its tip lies, 0 where it is not seen, and the direction outwards."""
+        return None
     piece = pieces.number[ends]
     length = (pieces.last - pieces.first)[piece]
     width = np.array([median(lines.width_px[pieces.first[p] : pieces.last[p] + 1]) for p in piece])
-    wide = float(width.max())
     # the slope of a line through the end, by which no single point decides
-    steps = np.arange(round(DIRECTION_WIDTHS * wide) + 3)
+    steps = np.arange(round(DIRECTION_WIDTHS * float(width.max())) + 3)
     near = lines.point_px[ends[:, None] + inwards[:, None] * np.minimum(steps, length[:, None])]
     tilt = np.linspace(1.0, -1.0, len(steps))
     outward = ((near - near.mean(axis=1, keepdims=True)) * tilt[:, None]).sum(axis=1)
     outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
+    return _Ends(pieces, ends, inwards, width, outward)
+
+
+def _shifts(lines: Centrelines, image: UInt8[np.ndarray, "h w 3"], loose: _Ends) -> Float64[np.ndarray, "e"]:
+    """How far outwards from each end its tip lies, 0 where it is not seen."""
+    ends, outward, width = loose.at, loose.outward, loose.width
+    wide = float(width.max())
     aside, reach = normals(outward), wide + REACH_PX
     along = np.arange(-reach - BODY_WIDTHS * wide, reach, STEP_PX)
     seen = _seen(image, lines.point_px[ends], outward, aside, along, width[:, None] * WITHIN_WIDTHS)
@@ -90,7 +144,7 @@ def _shifts(
     inner = along >= -reach
     found = _falls(_averaged(share)[:, inner], along[inner])
     limit = np.maximum(MOST_TAKEN_PX, MOST_TAKEN_WIDTHS * width)
-    return np.where(told & np.isfinite(found) & (found >= -limit), found, 0.0), outward
+    return np.where(told & np.isfinite(found) & (found >= -limit), found, 0.0)
 
 
 def _seen(
@@ -126,15 +180,9 @@ def _falls(share: Float64[np.ndarray, "e a"], along: Float64[np.ndarray, "a"]) -
     return np.where(low & (k > 0), at, np.inf)
 
 
-def _ended(
-    lines: Centrelines,
-    pieces: Pieces,
-    ends: Int64[np.ndarray, "e"],
-    inwards: Int64[np.ndarray, "e"],
-    shift: Float64[np.ndarray, "e"],
-    outward: Float64[np.ndarray, "e 2"],
-) -> Centrelines:
+def _ended(lines: Centrelines, loose: _Ends, shift: Float64[np.ndarray, "e"]) -> Centrelines:
     """The centrelines with points taken from their ends, or added to them in their direction, a pixel apart."""
+    pieces, ends, inwards, outward = loose.pieces, loose.at, loose.inwards, loose.outward
     kept = np.ones(len(pieces.number), bool)
     taken = np.where(shift < 0, np.ceil(LEAST_SPACING_PX - shift), 0).astype(np.int64)
     # a piece keeps two points at the least
