@@ -190,9 +190,14 @@ def judged_in(last: ThreadObservations) -> int:
 
 def is_brighter(image: UInt8[np.ndarray, "h w 3"], coverage: UInt8[np.ndarray, "h w"]) -> bool:
     """Whether what is covered is brighter than what lies beside it."""
-    beside, around = (cv2.dilate(coverage, np.ones((side, side), np.uint8)) for side in BESIDE_PX)
-    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    return bool(cv2.mean(grey, coverage)[0] > cv2.mean(grey, cv2.subtract(around, beside))[0])
+    left, top, columns, rows = cv2.boundingRect(coverage)
+    if columns == 0:
+        return False
+    margin = max(BESIDE_PX)
+    box = np.s_[max(0, top - margin) : top + rows + margin, max(0, left - margin) : left + columns + margin]
+    covered, grey = coverage[box], cv2.cvtColor(image[box], cv2.COLOR_BGR2GRAY)
+    beside, around = (cv2.dilate(covered, np.ones((side, side), np.uint8)) for side in BESIDE_PX)
+    return bool(cv2.mean(grey, covered)[0] > cv2.mean(grey, cv2.subtract(around, beside))[0])
 
 
 def near_thread(coverage: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:

@@ -1,10 +1,11 @@
 """From the ridge in the reduced image to the thread's pixels in the full one, where alone its width shows."""
 
 import math
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, Int64, UInt8
+from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
 EDGE_SHARE = 0.6
 """Of the contrast in the thread's middle: its edge. Blur and shadow widen the thread, so more than one half."""
@@ -21,6 +22,10 @@ SHINE = 1.0
 its dark edges is thread too where it is as unlike the ground as they are, or they are edges of a single strand."""
 WIDENING = 2.0
 """Of the usual width: what a strand with a streak of light may measure."""
+HOLLOW, OTHER_SHARE = 1.5, 0.3
+"""Where only the two sides of a strand are covered nearly everywhere: the same, of the width with all gaps closed; and
+how unlike the ground a streak is at least, as a share of what the thread's edge is."""
+LEAST_EDGE = 1e-3
 MEAN_OF_CHANNELS = np.full((1, 3), 1 / 3, np.float32)
 EIGHT_NEIGHBOURS = np.ones((3, 3), np.uint8)
 
@@ -61,35 +66,53 @@ def at_full_size(
     if is_bright:
         coverage[full_rows, full_columns] = without_specks(part, GLINT_SHARE * image.shape[1])
         return coverage
-    gaps, narrow = _gaps(part, 1 / share[0])
-    unlike = np.zeros(part.shape, bool)
-    unlike[row, column] = excess + mean_excess(darker[None], lighter[None])[0] > edge
-    part[gaps & (narrow | unlike)] = 255
+    gaps = _gaps(part, 1 / share[0])
+    unlike = np.zeros(part.size, np.float32)
+    unlike[pixel] = (excess + mean_excess(darker[None], lighter[None])[0]) / np.maximum(edge, np.float32(LEAST_EDGE))
+    of_gap = unlike[gaps.pixel]
+    narrow = (gaps.of_marked <= WIDENING) | ((gaps.of_closed <= HOLLOW) & (of_gap > OTHER_SHARE))
+    filled = gaps.pixel[narrow | (of_gap > 1)]
+    part[np.divmod(filled, part.shape[1])] = 255
     return coverage
 
 
-def _gaps(coverage: UInt8[np.ndarray, "h w"], pixels: float) -> tuple[Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-    """The gaps of up to so many pixels to either side, and which of them lie within a single strand.
+@dataclass(frozen=True)
+class _Gaps:
+    """Gaps between pixels that are covered.
 
-    Between two strands, what is covered with the gap is wider than both of them.
+    Fields:
+        pixel: indices, of no more than some pixels from what is covered on either side.
+        of_marked, of_closed: how wide what is covered is with the gap of each, as a share of what is usual: of what is
+            covered, and of that with all gaps closed, as a strand is of which only two sides are covered.
     """
+
+    pixel: Int64[np.ndarray, "p"]
+    of_marked: Float64[np.ndarray, "p"]
+    of_closed: Float64[np.ndarray, "p"]
+
+
+def _gaps(coverage: UInt8[np.ndarray, "h w"], pixels: float) -> _Gaps:
+    """The gaps of up to so many pixels to either side."""
     radius = round(SHINE * pixels)
     margin = 2 * radius + 1
     padded = cv2.copyMakeBorder(coverage, margin, margin, margin, margin, cv2.BORDER_CONSTANT, value=0)
-    gaps = _closed(padded, radius) > padded
+    closed = _closed(padded, radius)
+    gaps = closed > padded
+    pixel = np.flatnonzero(gaps)
     # where two strands part, the gap is closed further on, so that its end does not make them look narrow
     further = _closed(padded, 2 * radius)
     count, labelled = cv2.connectedComponents(gaps.view(np.uint8), connectivity=8)
-    depth = cv2.distanceTransform(padded, cv2.DIST_L2, 3)
-    # over a strip the distance to the nearest pixel beyond its edge averages a quarter of its width, and a half
-    usual = max(1.0, 4.0 * float(cv2.mean(depth, padded)[0]) - 2.0)
-    pixel = np.flatnonzero(gaps)
     of, width = np.asarray(labelled, np.int32).ravel()[pixel], np.zeros(count)
     np.maximum.at(width, of, 2 * cv2.distanceTransform(further, cv2.DIST_L2, 3).ravel()[pixel] - 1)
-    narrow = gaps.copy()
-    narrow.ravel()[pixel] = (width <= WIDENING * usual)[of]
-    inner = np.s_[margin:-margin, margin:-margin]
-    return gaps[inner], narrow[inner]
+    row, column = np.divmod(pixel, padded.shape[1])
+    inside = (row - margin) * coverage.shape[1] + column - margin
+    return _Gaps(inside, width[of] / _usual_width(padded), width[of] / _usual_width(closed))
+
+
+def _usual_width(coverage: UInt8[np.ndarray, "h w"]) -> float:
+    """Over a strip the distance to the nearest pixel beyond its edge averages a quarter of its width, and a half."""
+    depth = cv2.distanceTransform(coverage, cv2.DIST_L2, 3)
+    return max(1.0, 4.0 * float(cv2.mean(depth, coverage)[0]) - 2.0)
 
 
 def _closed(coverage: UInt8[np.ndarray, "h w"], radius: int) -> UInt8[np.ndarray, "h w"]:

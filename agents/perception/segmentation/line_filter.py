@@ -4,8 +4,9 @@ A Gaussian that is longer along u than across v is a round one, blurred further 
 
     ∂²/∂v² G(σ_v, σ_u) = (sin²θ ∂_xx − 2 sinθ cosθ ∂_xy + cos²θ ∂_yy) G(σ_v, σ_v) * L(√(σ_u² − σ_v²)),
 
-where L runs along the line at angle θ. The three derivatives are those of every angle, and L touches two pixels in each
-row or column alone, which is a tenth of the work of the whole filters or of products of spectra.
+where L runs along the line at angle θ. The three derivatives are those of every angle, and L touches two pixels in
+every second row or column alone, between which what is blurred hardly changes: a twentieth of the work of the whole
+filters or of products of spectra. The same derivatives tell the direction across a line.
 """
 
 import functools
@@ -13,14 +14,19 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Int64
 
 ACROSS_PX, ALONG_PX = 1.1, 3.0
 """Standard deviations of the oriented filter: it answers best to a line 2.2 px wide, and well from 1 to 4."""
-ORIENTATIONS = 12
+ORIENTATIONS = 8
 ROUND_PX, ALONG_REACH_PX = 4, 7
 """How far the derivatives, and the lines, reach."""
 RADIUS_PX = ROUND_PX + ALONG_REACH_PX
+STEP_PX, WIDE_STEP_PX = 2, 2.5
+"""Along a line, in columns or rows, as long as places do not lie farther apart than that."""
+CALM_PX = 5
+"""Side of the window over which derivatives are averaged for a direction."""
+DIRECTION_REACH_PX = ROUND_PX + CALM_PX // 2
 
 
 @dataclass(frozen=True)
@@ -60,6 +66,28 @@ def line_response(
     return np.ascontiguousarray(strongest[RADIUS_PX:-RADIUS_PX, RADIUS_PX:-RADIUS_PX])
 
 
+def across_lines(contrast: Float32[np.ndarray, "h w"], pixel: Int64[np.ndarray, "p"]) -> Float32[np.ndarray, "p 2"]:
+    """Unit vectors (columns, rows), of either sign, in which a contrast bends most at some of its pixels.
+
+    Args:
+        pixel: indices, in order.
+    """
+    if len(pixel) == 0:
+        return np.zeros((0, 2), np.float32)
+    row, column = np.divmod(pixel, contrast.shape[1])
+    top, left = max(0, int(row[0]) - DIRECTION_REACH_PX), max(0, int(column.min()) - DIRECTION_REACH_PX)
+    # what lies around these pixels is all that they are asked about
+    part = contrast[top : int(row[-1]) + DIRECTION_REACH_PX + 1, left : int(column.max()) + DIRECTION_REACH_PX + 1]
+    calm = cv2.blur(part, (CALM_PX, CALM_PX), borderType=cv2.BORDER_REFLECT)
+    at = (row - top) * part.shape[1] + column - left
+    bends = (cv2.sepFilter2D(calm, cv2.CV_32F, x, y, borderType=cv2.BORDER_REFLECT) for x, y in _filters().derivatives)
+    xx, xy, yy = (bend.ravel()[at] for bend in bends)
+    angle = 0.5 * np.arctan2(2 * xy, xx - yy)
+    # that of the greatest value, to which the least lies at a right angle; a bright line bends downwards
+    angle += np.where(xx + yy < 0, np.float32(np.pi / 2), np.float32(0))
+    return np.column_stack((np.cos(angle), np.sin(angle))).astype(np.float32, copy=False)
+
+
 def oriented_kernels() -> list[Float32[np.ndarray, "k k"]]:
     """The whole filter of each angle; each sums to 0 and its magnitudes to 2."""
     filters = _filters()
@@ -87,8 +115,10 @@ def _line(angle: float) -> Float32[np.ndarray, "r c"]:
     """A Gaussian along a line through the middle, each of its places shared between two pixels."""
     if np.abs(np.sin(angle)) > np.abs(np.cos(angle)):
         return np.ascontiguousarray(_line(np.pi / 2 - angle).T)
+    step = STEP_PX if abs(STEP_PX / np.cos(angle)) <= WIDE_STEP_PX else 1
     reach = round(ALONG_REACH_PX * abs(np.cos(angle)))
-    x = np.arange(-reach, reach + 1)
+    reach -= reach % step
+    x = np.arange(-reach, reach + 1, step)
     y = np.round(x * np.tan(angle), 9)
     aside = int(np.ceil(np.abs(y).max()))
     weight = np.exp(-0.5 * (x / np.cos(angle)) ** 2 / (ALONG_PX**2 - ACROSS_PX**2))

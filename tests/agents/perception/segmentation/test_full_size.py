@@ -42,6 +42,18 @@ def test_a_streak_of_light_along_a_dark_thread_is_thread_and_a_streak_of_ground_
     assert (thread[268:273, 150:750] == 255).all() == (streak[0] > 90)
 
 
+def test_a_strand_of_which_only_both_sides_are_dark_is_filled_all_along():
+    ground = (105, 110, 160)
+    background = np.full((270, 480, 3), ground, np.uint8)
+    image = np.full((540, 960, 3), ground, np.uint8)
+    # blue first: the streak is as bright as the ground, and of a colour between it and the thread's
+    image[266:273, 100:800], image[268:271, 100:800] = (60, 10, 40), (150, 115, 165)
+    reduced = cv2.resize(image, (480, 270), interpolation=cv2.INTER_AREA)
+    contrast = np.maximum(background.astype(np.float32) - reduced, 0).mean(axis=2)
+    thread = at_full_size(image, background, contrast > 10, contrast, is_bright=False)
+    assert (thread[266:273, 150:750] == 255).all()
+
+
 def pieces(*lengths):
     coverage = np.zeros((20 * len(lengths), 300), np.uint8)
     for k, length in enumerate(lengths):

@@ -9,6 +9,7 @@ from agents.perception.segmentation.line_filter import (
     ALONG_PX,
     ORIENTATIONS,
     RADIUS_PX,
+    across_lines,
     line_response,
     oriented_kernels,
 )
@@ -50,3 +51,20 @@ def test_a_part_of_a_contrast_far_from_its_border_has_the_response_of_the_whole(
     part = line_response(np.ascontiguousarray(contrast[10:80, 5:100]))
     inner = np.s_[RADIUS_PX:-RADIUS_PX, RADIUS_PX:-RADIUS_PX]
     np.testing.assert_allclose(part[inner], line_response(contrast)[10:80, 5:100][inner], atol=1e-4)
+
+
+@pytest.mark.parametrize("degrees", range(0, 180, 15))
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_direction_across_a_line_is_at_a_right_angle_to_it(degrees, sign):
+    direction = np.array([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))])
+    v, u = np.mgrid[:61, :81] - np.array([30.0, 40.0])[:, None, None]
+    across = u * direction[1] - v * direction[0]
+    contrast = (60 + sign * 50 * np.exp(-0.5 * across**2)).astype(np.float32)
+    inside = (np.abs(across) < 1) & (np.hypot(u, v) < 20)
+    found = across_lines(contrast, np.flatnonzero(inside))
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, atol=1e-5)
+    assert np.abs(found @ direction).max() < 0.05
+
+
+def test_the_direction_across_nothing_is_asked_of_no_pixel():
+    assert across_lines(np.zeros((9, 9), np.float32), np.zeros(0, np.int64)).shape == (0, 2)

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from agents.perception.segmentation.near import Near
-from agents.perception.segmentation.ridge import LEAST_LENGTH_PX, segment_ridge
+from agents.perception.segmentation.ridge import segment_ridge
+from agents.perception.segmentation.ridge_pieces import LEAST_LENGTH_PX
 from shared.scene.__main__ import make_scene
 from shared.scene.render import RenderedPair, render, render_backdrop
 from shared.scene.sensor import Sensor, expose, grain
@@ -89,6 +90,41 @@ def test_a_line_is_found_at_its_width_at_any_resolution(width, thickness, grey):
     assert recall > 0.97
     assert precision > 0.97
     assert (found > 0).sum() == pytest.approx((true > 127).sum(), rel=0.45)
+
+
+def test_short_folds_beside_a_thread_that_are_fainter_than_it_would_be_are_no_part_of_it():
+    image, true = drawn_line(960, 5)
+    along = np.array([[144, 108], [816, 378]], float)
+    for share in np.linspace(0.15, 0.85, 9):
+        u, v = along[0] + share * (along[1] - along[0])
+        # of the thread's hue, at an angle to it
+        cv2.line(image, (round(u), round(v)), (round(u) + 3, round(v) - 40), (125, 125, 128), 4, cv2.LINE_AA)
+    recall, precision = recall_and_precision(segment_ridge(image), true)
+    assert recall > 0.97
+    assert precision > 0.97
+
+
+def test_many_bright_glints_do_not_hide_a_bright_thread():
+    image, true = drawn_line(960, 4, ground=110, grey=150)
+    random = np.random.default_rng(2)
+    for u, v in random.integers((20, 20), (940, 520), (150, 2)):
+        if not cv2.dilate(true, np.ones((41, 41), np.uint8))[v, u]:
+            turn = random.uniform(0, np.pi)
+            end = round(u + 9 * np.cos(turn)), round(v + 9 * np.sin(turn))
+            cv2.line(image, (int(u), int(v)), end, (255, 255, 255), 4, cv2.LINE_AA)
+    assert recall_and_precision(segment_ridge(image), true)[0] > 0.95
+
+
+def test_a_bright_thread_is_found_among_dark_cracks_that_touch():
+    image, true = drawn_line(960, 4, ground=150, grey=185)
+    # cracks that touch: much of them, and none of it long
+    for corner in ((600, 90), (700, 80), (800, 110), (850, 200), (150, 300), (250, 420), (350, 470)):
+        for angle in np.arange(0, 2 * np.pi, np.pi / 4):
+            end = np.rint(corner + 40 * np.array([np.cos(angle), np.sin(angle)])).astype(int).tolist()
+            cv2.line(image, corner, end, (10, 20, 30), 3, cv2.LINE_AA)
+    recall, precision = recall_and_precision(segment_ridge(image), true)
+    assert recall > 0.95
+    assert precision > 0.95
 
 
 def test_a_speck_is_no_line():

@@ -1,0 +1,101 @@
+"""Pixels that look like part of a line, and the connected pieces that they form."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int32, Int64
+
+LEAST_LENGTH_PX = 12
+"""Pieces shorter than this are specks."""
+BLOCK = 16
+"""Values of which only the greatest counts while the strongest are looked for."""
+
+
+@dataclass(frozen=True)
+class Ridges:
+    """The pixels of one polarity that look a little like part of a line, and nothing of the others.
+
+    Fields:
+        shape: of the part of the reduced image that is looked at.
+        pixel: indices in it.
+        response: to lines, score: the same, weighted by how rare the colour is.
+        colour: OpenCV's 8-bit Lab.
+        apart: whether they lie apart from instruments; those that do not may extend a piece, and count for nothing.
+        edge: whether they are of a line along the border of an instrument.
+    """
+
+    shape: tuple[int, int]
+    pixel: Int64[np.ndarray, "p"]
+    response: Float32[np.ndarray, "p"]
+    score: Float32[np.ndarray, "p"]
+    colour: Float32[np.ndarray, "p 3"]
+    apart: Bool[np.ndarray, "p"]
+    edge: Bool[np.ndarray, "p"]
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """Connected pieces among ridge pixels.
+
+    Fields:
+        of: number of the piece of each ridge pixel; 0 of those in none.
+        weight: the total score of each; 0 of the ground, of specks, and of what holds no seed.
+        extent: the diagonal of each, in pixels.
+    """
+
+    of: Int32[np.ndarray, "p"]
+    weight: Float64[np.ndarray, "c"]
+    extent: Float64[np.ndarray, "c"]
+
+
+def connected_pieces(ridges: Ridges, kept: Bool[np.ndarray, "p"], seeds: Bool[np.ndarray, "p"]) -> Pieces:
+    """The connected pieces of the ridge pixels that are kept, of which only those that hold a seed have weight."""
+    pixel = ridges.pixel[kept]
+    mask = of_pixels(pixel, ridges.shape)
+    # OpenCV's own statistics of the pieces take several times as long as the pieces
+    count, labelled = cv2.connectedComponents(mask.view(np.uint8), connectivity=8)
+    of_kept = np.asarray(labelled, np.int32).ravel()[pixel]
+    extent = np.hypot(*(_sides(of_kept, at, count) for at in np.divmod(pixel, ridges.shape[1])))
+    weight = np.bincount(of_kept, weights=ridges.score[kept], minlength=count)
+    piece = np.zeros(len(kept), np.int32)
+    piece[kept] = of_kept
+    seeded = np.zeros(count, bool)
+    seeded[piece[seeds]] = True
+    weight[~seeded | (extent < LEAST_LENGTH_PX)] = 0.0
+    weight[0] = 0.0
+    return Pieces(piece, weight, extent)
+
+
+def _sides(piece: Int32[np.ndarray, "p"], at: Int64[np.ndarray, "p"], count: int) -> Float64[np.ndarray, "c"]:
+    """How many rows, or columns, each piece reaches over; 0 where a piece has no pixel."""
+    first, last = np.full(count, np.iinfo(np.int64).max), np.full(count, -1)
+    np.minimum.at(first, piece, at)
+    np.maximum.at(last, piece, at)
+    return np.where(last >= 0, last - np.minimum(first, last) + 1.0, 0.0)
+
+
+def weight_meant(pieces: Pieces, score: Float32[np.ndarray, "p"]) -> Float64[np.ndarray, "c"]:
+    """What speaks for each piece, of those that have weight."""
+    total = np.bincount(pieces.of, weights=score, minlength=len(pieces.weight))
+    return np.where(pieces.weight > 0, total, 0.0)
+
+
+def of_pixels(index: Int64[np.ndarray, "p"], shape: tuple[int, ...]) -> Bool[np.ndarray, "h w"]:
+    """A mask of some pixels, by their indices."""
+    mask = np.zeros(shape, bool)
+    mask.ravel()[index] = True
+    return mask
+
+
+def from_top(values: Float32[np.ndarray, "p"], places: float) -> float:
+    """The value so many places below the greatest, between its neighbours; the least where there are fewer."""
+    if places >= len(values) - 1:
+        return float(values.min(initial=0))
+    whole = int(places)
+    # so many blocks have a greatest value of at least this that no smaller value counts
+    blocks = values[: len(values) - len(values) % BLOCK].reshape(BLOCK, -1).max(axis=0)
+    if len(blocks) > whole + 1:
+        values = values[values >= -np.partition(-blocks, whole + 1)[whole + 1]]
+    above, below = -np.partition(-values, (whole, whole + 1))[whole : whole + 2]
+    return float(above + (below - above) * (places - whole))
