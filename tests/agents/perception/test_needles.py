@@ -6,8 +6,10 @@ import pytest
 
 from agents.perception.centrelines.centrelines import thread_lines
 from agents.perception.needles import needle_map, without_needles
+from agents.perception.observe import observe
 from agents.perception.occluders import with_needles
-from schemas.messages import Occluder
+from agents.perception.segmenter_names import GIVEN_MASKS
+from schemas.messages import FrameStamp, Occluder, RectifiedStereo
 from shared.images import decode_image
 from shared.occluded import hidden_ends
 
@@ -18,8 +20,10 @@ FINE = 8
 """How much finer than its pixels a picture is drawn."""
 
 
-def scene(thread=VIOLET, needle_px=9.0, wider_px=5.0, glossy=False, tool=False, turned=False):
-    """A thread 5 px wide from the left, on from SWAGE_U as a needle if that has a width, else as thread."""
+def scene(
+    thread=VIOLET, needle_px=9.0, wider_px=5.0, glossy=False, tool=False, turned=False, swage_u=SWAGE_U, tint=(0, 0, 0)
+):
+    """A thread 5 px wide from the left, on from `swage_u` as a needle if that has a width, else as thread."""
     rng = np.random.default_rng(3)
     image = np.full((HEIGHT, WIDTH, 3), TISSUE, np.float32)
     image += cv2.GaussianBlur(rng.normal(0, 60, (HEIGHT, WIDTH, 1)).astype(np.float32), (0, 0), 6)[..., None]
@@ -29,15 +33,15 @@ def scene(thread=VIOLET, needle_px=9.0, wider_px=5.0, glossy=False, tool=False, 
     point = np.column_stack((u, 120 + 50 * np.sin(u / 60)))
     coverage = np.zeros((HEIGHT, WIDTH), np.float32)
     for first, last, width, steel in (
-        (40, SWAGE_U, 5.0, False),
-        (SWAGE_U, 430, needle_px or wider_px, bool(needle_px)),
+        (40, swage_u, 5.0, False),
+        (swage_u, 430, needle_px or wider_px, bool(needle_px)),
     ):
         on = point[(u >= first) & (u < last)]
         share = strip(on, width)
         along = np.clip((np.arange(WIDTH) - first) / (last - first), 0, 1)
         shine = 20 + 230 * np.exp(-(((along - 0.3) / 0.15) ** 2))
-        body = np.repeat(shine[None, :, None], 3, axis=2) if steel else np.array(thread, np.float32)
-        if glossy and first == SWAGE_U:
+        body = np.repeat(shine[None, :, None], 3, axis=2) + tint if steel else np.array(thread, np.float32)
+        if glossy and first == swage_u:
             body = np.array(thread) + 0.5 * (shine[None, :, None] - 20)
         image = image * (1 - share[..., None]) + body * share[..., None]
         coverage = np.maximum(coverage, share)
@@ -66,6 +70,39 @@ def test_a_thread_ends_where_its_needle_begins(thread, turned):
     assert len(needles[0].point_px) + len(u) == len(before.centrelines.piece)
     # the new end is one of the thread's own
     assert (found.loose_start if turned else found.loose_end).all()
+
+
+@pytest.mark.parametrize(
+    "oddly",
+    [{"tint": (-10, 0, 70)}, {"needle_px": 5.0, "swage_u": 402}],
+    ids=["wide and bright, but coloured", "a short grey stretch no wider"],
+)
+def test_what_is_not_steel_in_all_of_its_looks_is_no_needle(oddly):
+    image, mask = scene(**oddly)
+    assert without_needles(image, thread_lines(image, mask))[1] == []
+
+
+def test_a_needle_that_a_glint_parts_is_cut_off_in_both_its_pieces():
+    image, mask = scene()
+    mask[:, 392:398] = 0
+    lines = thread_lines(image, mask)
+    assert len(np.unique(lines.centrelines.piece)) == 2
+    found, needles = without_needles(image, lines)
+    assert len(needles) == 2
+    assert found.centrelines.point_px[:, 0].max() < SWAGE_U + 8
+
+
+@pytest.mark.parametrize(("segmenter", "ends_u"), [("network", SWAGE_U), ("ridge", SWAGE_U), (GIVEN_MASKS, 430)])
+def test_what_is_observed_ends_where_the_needle_begins_unless_a_person_drew_the_mask(segmenter, ends_u):
+    camera = RectifiedStereo(WIDTH, HEIGHT, 500.0, 500.0, 239.5, 119.5, 5e-3, 1.0)
+    image, mask = scene()
+    right, mask_right = (np.roll(one, -20, axis=1) for one in (image, mask))
+    found = observe(FrameStamp(0, 1, 1, ""), camera, image, right, mask, mask_right, segmenter, (), matching=False)
+    for lines, shift in ((found.centrelines_left, 0), (found.centrelines_right, 20)):
+        assert lines.point_px[:, 0].max() + shift == pytest.approx(ends_u, abs=10)
+    assert (found.occluders is None) == (segmenter == GIVEN_MASKS)
+    if found.occluders is not None:
+        assert (decode_image(found.occluders.right) == Occluder.NEEDLE.value).any()
 
 
 @pytest.mark.parametrize(

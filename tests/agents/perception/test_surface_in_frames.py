@@ -1,4 +1,4 @@
-"""The surface that perception tells of while frames come: of the tissue alone, also where rows had to be put in line."""
+"""The surface that perception tells of while frames come: of tissue alone, also where rows had to be put in line."""
 
 import functools
 from typing import Any
@@ -49,7 +49,7 @@ def told(change=lambda left, right: (left, right)) -> Any:
     images = change(pair.left_bgr, pair.right_bgr)
     agent = Perception()
     list(agent.step(Received(CALIBRATION, key("lab", CALIBRATION), 0, calibration_of(camera))))
-    outputs = []
+    outputs: list[Any] = []
     for sequence in (0, 1):
         left, right = (encode_image(image, ImageEncoding.RAW) for image in images)
         frame = StereoFrame(FrameStamp(sequence, 10**6 * sequence, 10**6 * sequence, ""), left, right)

@@ -1,0 +1,96 @@
+"""What is told of threads and of what may hide them, from observations, and from one frame to the next."""
+
+import functools
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from agents.perception.observe import observe
+from agents.perception.occluders import map_image
+from agents.perception.told_apart import FRAMES_BETWEEN_OCCLUDERS, SCORE_WIDTH_PX, told_apart
+from schemas.messages import FrameStamp, Occluder, Occluders, RectifiedStereo
+from shared.images import decode_image
+from tests.agents.perception.test_candidates import BLACK, DISPARITY, GREEN, HEIGHT, WIDTH, drawn, lies_on
+
+CAMERA = RectifiedStereo(WIDTH, HEIGHT, 600.0, 600.0, 319.5, 179.5, 5e-3, 1.0)
+LONG, SHORT = ((60, 180), (580, 190)), ((150, 320), (420, 250))
+TOOL = ((0, 20), (220, 40), (220, 110), (0, 120))
+
+
+@functools.cache
+def pair(tools=()) -> Any:
+    eyes = [drawn(((LONG, BLACK, 5), (SHORT, GREEN, 5)), tools, shift) for shift in (0, DISPARITY)]
+    return tuple(image for image, _ in eyes), tuple(coverage for _, coverage in eyes)
+
+
+def observed(sequence=0, tools=(), **changes):
+    """What is observed where the whole is looked at."""
+    (left, right), coverage = pair(tools)
+    stamp = FrameStamp(sequence, 1, 1, "")
+    found = observe(stamp, CAMERA, left, right, coverage[0], coverage[1], "network", (), matching=False)
+    return replace(found, looked_sequence=sequence, **changes)
+
+
+def told(of, last=None, tools=(), coverage=None, score=None) -> Any:
+    images, whole = pair(tools)
+    return told_apart(of, images, coverage or whole, last, score)
+
+
+def kinds(found, side="left"):
+    return decode_image(getattr(found.occluders, side))
+
+
+def test_the_longer_thread_is_meant_unless_a_prompt_or_the_frame_before_says_otherwise():
+    first = told(observed())
+    assert [lies_on(c.left_px, line) for c, line in zip(first.candidates, (LONG, SHORT), strict=True)] == [True, True]
+    pointed = told(observed(prompt_px=np.array([300.0, 282.0])))
+    assert lies_on(pointed.candidates[0].left_px, SHORT)
+    assert lies_on(pointed.centrelines_left.point_px, SHORT)
+    assert lies_on(told(observed(1), last=pointed).candidates[0].left_px, SHORT)
+    assert lies_on(told(observed(1, prompt_px=np.array([300.0, 184.0])), last=pointed).candidates[0].left_px, LONG)
+
+
+def test_the_score_travels_as_a_small_map_in_which_a_thin_line_keeps_its_own():
+    score = np.zeros((2 * HEIGHT, 2 * WIDTH), np.uint8)
+    cv2.line(score, (100, 100), (1100, 500), 240, 1)
+    found = told(observed(), score=score).score_map
+    assert (found.width, found.height) == (SCORE_WIDTH_PX, 135)
+    small = decode_image(found)
+    share = SCORE_WIDTH_PX / (2 * WIDTH)
+    along = [small[round((100 + 0.4 * u) * share), round((100 + u) * share)] for u in range(50, 950, 50)]
+    assert np.median(along) > 100
+    assert told(observed()).score_map is None
+
+
+def test_needles_stay_among_what_may_hide_thread_and_give_way_to_instruments():
+    needle = np.zeros((135, 240), np.uint8)
+    needle[20:30, 60:75] = Occluder.NEEDLE.value
+    needle[100:104, 200:220] = Occluder.NEEDLE.value
+    image = map_image(needle)
+    found = kinds(told(observed(tools=(TOOL,), occluders=Occluders(image, image, 0)), tools=(TOOL,)))
+    assert (found[100:104, 200:220] == Occluder.NEEDLE.value).all()
+    assert (found[20:30, 60:75] == Occluder.TOOL.value).all()
+
+
+def test_what_was_segmented_upon_an_instrument_and_is_no_thread_leaves_it_one():
+    coverage: Any = tuple(mask.copy() for mask in pair((TOOL,))[1])
+    for mask in coverage:
+        cv2.line(mask, (20, 60), (150, 80), 255, 4)
+    assert set(np.unique(kinds(told(observed(tools=(TOOL,)), tools=(TOOL,), coverage=coverage)))) == {
+        0,
+        Occluder.TOOL.value,
+    }
+
+
+@pytest.mark.parametrize("after", [1, FRAMES_BETWEEN_OCCLUDERS - 1, FRAMES_BETWEEN_OCCLUDERS])
+def test_between_looks_at_the_whole_instruments_are_looked_for_anew_every_few_frames(after):
+    before = told(observed(tools=(TOOL,)), tools=(TOOL,))
+    assert kinds(before).any()
+    between = replace(observed(after), looked_sequence=0)
+    now = told(between, last=before)
+    is_due = after >= FRAMES_BETWEEN_OCCLUDERS
+    assert now.occluders.sequence == (after if is_due else 0)
+    assert kinds(now).any() == (not is_due)
