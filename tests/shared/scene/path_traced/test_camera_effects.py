@@ -48,6 +48,49 @@ def test_of_an_interlaced_image_odd_rows_lie_further_right_by_as_much_as_was_ask
     assert np.abs(rows[0] - rows[1]).max() > 60
 
 
+def coloured(light, **effects):
+    return developed(light, replace(PERFECT, **effects), 1.0, np.random.default_rng(0)).astype(float)
+
+
+def test_defocus_softens_every_way_and_sharpening_makes_edges_steeper():
+    for axis in (0, 1):
+        plain = steepest(seen(bars(axis)), axis)
+        assert steepest(seen(bars(axis), blur_px=3.0), axis) < 0.6 * plain
+        assert steepest(seen(bars(axis), blur_px=1.0, sharpening=0.8), axis) > 1.2 * steepest(
+            seen(bars(axis), blur_px=1.0), axis
+        )
+
+
+def test_what_is_too_bright_glows_into_the_dark_beside_it_and_a_veil_lies_over_all():
+    light = np.full((HEIGHT, WIDTH, 3), 0.02, np.float32)
+    light[50:70, 400:420] = 5.0
+    beside = np.s_[50:70, 424:428]
+    assert seen(light, bloom=0.05)[beside].mean() > seen(light)[beside].mean() + 20
+    assert np.abs(seen(light, bloom=0.05) - seen(light))[:, :100].max() <= 1
+    veiled, clear = seen(bars(1), veil=0.3), seen(bars(1))
+    dark = bars(1)[..., 0] < 0.1
+    assert veiled[dark].mean() > clear[dark].mean() + 20
+    assert veiled[~dark].mean() < clear[~dark].mean()
+
+
+def test_corners_are_darker_by_the_vignette_and_white_balance_turns_the_colour():
+    flat = np.full((HEIGHT, WIDTH, 3), 0.3, np.float32)
+    corners = seen(flat, vignette=0.5)[[0, 0, -1, -1], [0, -1, 0, -1]]
+    middle = seen(flat, vignette=0.5)[HEIGHT // 2, WIDTH // 2]
+    assert middle == pytest.approx(seen(flat).mean(), abs=1)
+    np.testing.assert_allclose(corners, 255.0 * toned(np.array([0.15], np.float32)), atol=1.5)
+    blue, green, red = coloured(flat, white_balance=(1.2, 1.0, 0.8)).mean(axis=(0, 1))
+    assert blue < green - 5 < green + 5 < red
+
+
+def test_a_quality_is_that_of_jpeg_and_none_leaves_every_level():
+    light = np.random.default_rng(1).uniform(0.0, 0.6, (HEIGHT, WIDTH, 3)).astype(np.float32)
+    plain = coloured(light)
+    np.testing.assert_array_equal(plain, coloured(light, jpeg_quality=0))
+    poor, good = (np.abs(coloured(light, jpeg_quality=quality) - plain).mean() for quality in (50, 95))
+    assert 1.0 < good < poor
+
+
 def test_smoke_takes_contrast_away_and_lightens_what_is_dark():
     clear, smoky = seen(bars(1)), seen(bars(1), smoke=0.7)
     dark = bars(1)[..., 0] < 0.1
