@@ -25,6 +25,9 @@ DILATIONS = 1, 2, 4, 8
 MOST_PX = 0.5
 FADE = 2
 """Places towards the end of a stretch over which what is told comes to nothing: a line has no step."""
+CARRIED_SHARE = 0.5
+"""Of what is told where places are not certain, which is along the rows: there both eyes err apart by half as much, and
+what a network says of long stretches may be as wrong as the middles were."""
 NOTHING = np.float32(0)
 Weights = Mapping[str, Float32[np.ndarray, "..."]]
 Lines = tuple[Centrelines, Centrelines]
@@ -44,7 +47,8 @@ def drawn_together(images: tuple[Image, Image], lines: Lines, weights: Weights |
         return lines
     if (shown := shown_in_both(images, lines, places)) is None:
         return lines
-    half = 0.5 * _fading(places.stretches) * np.clip(apart_px(shown, places.stretches, weights), -MOST_PX, MOST_PX)
+    told = np.clip(apart_px(shown, places.stretches, weights), -MOST_PX, MOST_PX)
+    half = 0.5 * _fading(places.stretches) * np.where(places.certain, 1.0, CARRIED_SHARE) * told
     at = places.left_at.astype(np.float64), places.right_at
     moves = half[:, None] * places.left_normal, -half[:, None] * places.right_normal
     left, right = (

@@ -45,6 +45,7 @@ class SamePlaces:
         right_at: where along the right points, between two of them.
         left_normal, right_normal: unit vectors to the same side of the thread.
         stretches: which places follow each other.
+        certain: whether rows tell them, and not the disparity beside them alone; a stretch is of one kind.
     """
 
     left_at: Int64[np.ndarray, "n"]
@@ -52,6 +53,7 @@ class SamePlaces:
     left_normal: Float64[np.ndarray, "n 2"]
     right_normal: Float64[np.ndarray, "n 2"]
     stretches: Pieces
+    certain: Bool[np.ndarray, "n"]
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,9 @@ def same_places(left: Centrelines, right: Centrelines, image_width: int) -> Same
     left_normal, right_normal = normal[places.sample], between(right_normals, places.right_at)
     # the right line may have been followed from its other end
     right_normal = right_normal * np.sign((left_normal * right_normal).sum(axis=1))[:, None]
-    return SamePlaces(at[places.sample], places.right_at, left_normal, right_normal, stretches)
+    return SamePlaces(
+        at[places.sample], places.right_at, left_normal, right_normal, stretches, is_certain[places.sample]
+    )
 
 
 def numbered(piece: Int64[np.ndarray, "n"]) -> Int64[np.ndarray, "n"]:

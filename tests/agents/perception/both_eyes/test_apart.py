@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agents.perception.both_eyes import apart
-from agents.perception.both_eyes.apart import FADE, apart_px, drawn_together, own_weights
+from agents.perception.both_eyes.apart import CARRIED_SHARE, FADE, apart_px, drawn_together, own_weights
 from agents.perception.both_eyes.same_places import same_places
 from agents.perception.both_eyes.shown import PLACES, Shown, from_other_side, numbers
 from agents.perception.centrelines.along import Pieces
@@ -129,6 +129,19 @@ def test_each_line_is_moved_across_itself_by_half_of_it_and_towards_the_other_on
         np.testing.assert_array_equal(line.deviation_px, before.deviation_px)
     disparity = drawn[0].point_px[100, 0] - drawn[1].point_px[100, 0]
     assert disparity == pytest.approx(40.0 + 0.2 * normal[0] ** 2, abs=0.01)
+
+
+def test_along_the_rows_a_smaller_share_of_what_is_told_counts(images):
+    level = np.arange(1.0, 240)
+    nearly = np.column_stack((120 + level, 80 - 0.2 * level))
+    up = np.column_stack((np.full(150, 120.0), np.linspace(229, 80, 150)))
+    n = len(up) + len(nearly)
+    left = Centrelines(np.concatenate((up, nearly)), np.zeros(n, np.int64), np.full(n, 5.0), np.full(n, 0.1))
+    drawn, _ = drawn_together(images, (left, moved(left, 40.0)), always(0.2))
+    move = np.linalg.norm(drawn.point_px - left.point_px, axis=1)
+    along_the_rows = 0.2 / np.hypot(1.0, 0.2)
+    assert move[75] == pytest.approx(0.1, abs=0.01)
+    assert move[270] == pytest.approx(CARRIED_SHARE * 0.1 * along_the_rows, rel=0.1)
 
 
 def test_a_right_line_that_begins_at_its_other_end_is_moved_alike(images):

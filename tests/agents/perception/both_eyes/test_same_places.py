@@ -151,6 +151,7 @@ def test_where_the_thread_turns_into_the_rows_another_stretch_begins():
     assert len(stretches.first) == 2
     assert set(stretches.number[turned]) == {1}
     assert set(stretches.number[~turned][:-1]) == {0}
+    np.testing.assert_array_equal(places_of(left, right).certain, stretches.number == 0)
 
 
 def test_along_the_rows_nothing_is_said_of_what_the_right_eye_does_not_see():
