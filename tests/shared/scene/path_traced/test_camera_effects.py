@@ -78,7 +78,7 @@ def test_corners_are_darker_by_the_vignette_and_white_balance_turns_the_colour()
     corners = seen(flat, vignette=0.5)[[0, 0, -1, -1], [0, -1, 0, -1]]
     middle = seen(flat, vignette=0.5)[HEIGHT // 2, WIDTH // 2]
     assert middle == pytest.approx(seen(flat).mean(), abs=1)
-    np.testing.assert_allclose(corners, 255.0 * toned(np.array([0.15], np.float32)), atol=1.5)
+    np.testing.assert_allclose(corners, 255.0 * toned(np.full(4, 0.15, np.float32)), atol=1.5)
     blue, green, red = coloured(flat, white_balance=(1.2, 1.0, 0.8)).mean(axis=(0, 1))
     assert blue < green - 5 < green + 5 < red
 
