@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, Int64, UInt8
+from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
 from agents.perception.segmentation.full_size import at_full_size, mean_excess
 from agents.perception.segmentation.instrument_edges import along_borders
@@ -35,10 +35,10 @@ from agents.perception.segmentation.ridge_colour import (
     rarity,
 )
 from agents.perception.segmentation.ridge_pieces import (
-    Pieces,
     Ridges,
     connected_pieces,
     from_top,
+    going_on,
     of_pixels,
     weight_meant,
 )
@@ -185,23 +185,25 @@ def _thread_among(candidate: _Candidate, view: View) -> _Found:
     pieces = connected_pieces(ridges, alike, seeds)
     longest = pieces.extent[pieces.weight > 0].max(initial=0)
     kept = (pieces.weight > LEAST_WEIGHT_SHARE * pieces.weight.max()) & (pieces.extent > LEAST_EXTENT_SHARE * longest)
+    kept |= going_on(ridges, pieces, kept, away, of_expected)
     if view.meant is not None:
         counting = weight_meant(pieces, _meant(ridges, view.meant))
         chosen = kept & (counting == counting.max()) & (counting > 0)
         return _Found(ridges.pixel[(chosen if view.meant.alone else kept)[pieces.of]], float(counting.max()))
-    if not _may_be_thread(pieces, kept, response):
+    if not _may_be_thread(pieces.extent, kept, longest, response[kept[pieces.of]]):
         return NOTHING
     # faint pixels would count for whichever polarity has more clutter to grow into
     clear = connected_pieces(ridges, alike & (response > GROW_SHARE * strong), seeds)
     return _Found(ridges.pixel[kept[pieces.of]], float(clear.weight.max()))
 
 
-def _may_be_thread(pieces: Pieces, kept: Bool[np.ndarray, "c"], response: Float32[np.ndarray, "p"]) -> bool:
-    """Whether pieces are long enough, and few and clear enough, for any of them to be thread."""
-    longest = pieces.extent[pieces.weight > 0].max(initial=0)
-    if longest < max(LEAST_THREAD_PX, LEAST_SHARE_OF_LENGTH * pieces.extent[kept].sum()):
+def _may_be_thread(
+    extent: Float64[np.ndarray, "c"], kept: Bool[np.ndarray, "c"], longest: float, response: Float32[np.ndarray, "q"]
+) -> bool:
+    """Whether the pieces that are kept are long enough, and few and clear enough, for any of them to be thread."""
+    if longest < max(LEAST_THREAD_PX, LEAST_SHARE_OF_LENGTH * extent[kept].sum()):
         return False
-    return bool(np.median(response[kept[pieces.of]]) >= LEAST_RESPONSE)
+    return bool(np.median(response) >= LEAST_RESPONSE)
 
 
 def _unlike(candidate: _Candidate, view: View) -> tuple[Float32[np.ndarray, "p"], Float32[np.ndarray, "p"]]:

@@ -11,6 +11,13 @@ LEAST_LENGTH_PX = 12
 BLOCK = 16
 """Values of which only the greatest counts while the strongest are looked for."""
 
+GOING_ON_PX, GOING_ON_EXTENT_SHARE = 10, 0.13
+GOING_ON_COLOUR_LIMIT, GOING_ON_OF_EXPECTED = 2.5, 0.4
+"""A piece goes on from one that is thread where it is so close to it, no shorter than that share of it, and looks
+and responds as thread does: all its pixels on the mean, those at its sides among them."""
+NOT_ALIKE = 9.0
+"""Deviations of colour beyond which one pixel counts no more than another."""
+
 
 @dataclass(frozen=True)
 class Ridges:
@@ -73,6 +80,38 @@ def _sides(piece: Int32[np.ndarray, "p"], at: Int64[np.ndarray, "p"], count: int
     np.minimum.at(first, piece, at)
     np.maximum.at(last, piece, at)
     return np.where(last >= 0, last - np.minimum(first, last) + 1.0, 0.0)
+
+
+def going_on(
+    ridges: Ridges,
+    pieces: Pieces,
+    kept: Bool[np.ndarray, "c"],
+    away: Float32[np.ndarray, "p"],
+    of_expected: Float32[np.ndarray, "p"],
+) -> Bool[np.ndarray, "c"]:
+    """Which shorter pieces are close to those that are kept, and look as thread does there.
+
+    Args:
+        away: how far each pixel's colour is from the thread's, in deviations.
+        of_expected: how each responds, as a share of what thread would.
+    """
+    others = (pieces.weight > 0) & ~kept
+    others &= pieces.extent > GOING_ON_EXTENT_SHARE * pieces.extent[kept].max(initial=0)
+    if not others.any():
+        return others
+    size = np.bincount(pieces.of, minlength=len(kept))
+    deviations, responds = (
+        np.bincount(pieces.of, weights=values, minlength=len(kept)) / np.maximum(size, 1)
+        for values in (np.minimum(away, NOT_ALIKE), np.minimum(of_expected, 1.0))
+    )
+    others &= (deviations < GOING_ON_COLOUR_LIMIT) & (responds > GOING_ON_OF_EXPECTED)
+    side = 2 * GOING_ON_PX + 1
+    near = cv2.dilate(
+        of_pixels(ridges.pixel[kept[pieces.of]], ridges.shape).view(np.uint8), np.ones((side, side), np.uint8)
+    )
+    touched = np.zeros(len(kept), bool)
+    touched[pieces.of[near.ravel()[ridges.pixel] > 0]] = True
+    return others & touched
 
 
 def weight_meant(pieces: Pieces, score: Float32[np.ndarray, "p"]) -> Float64[np.ndarray, "c"]:

@@ -115,6 +115,19 @@ def test_many_bright_glints_do_not_hide_a_bright_thread():
     assert recall_and_precision(segment_ridge(image), true)[0] > 0.95
 
 
+@pytest.mark.parametrize("beside", [0, 60])
+def test_a_short_piece_is_thread_where_it_goes_on_from_thread(beside):
+    image, true = drawn_line(960, 5)
+    begin, end = np.array((144.0, 108.0)), np.array((816.0, 378.0))
+    cut, after = (np.rint(begin + share * (end - begin)).astype(int) for share in (0.86, 0.875))
+    image[:, cut[0] :] = 170
+    one, other = ((int(u), int(v) - beside) for u, v in (after, end))
+    cv2.line(image, one, other, (60, 60, 80), 5, cv2.LINE_AA)
+    found = segment_ridge(image) > 0
+    assert found[:, : cut[0]][true[:, : cut[0]] > 128].mean() > 0.95
+    assert found[:, after[0] + 10 :].any() == (beside == 0)
+
+
 def test_a_bright_thread_is_found_among_dark_cracks_that_touch():
     image, true = drawn_line(960, 4, ground=150, grey=185)
     # cracks that touch: much of them, and none of it long
