@@ -5,7 +5,10 @@ import numpy as np
 import pytest
 
 from agents.perception.centrelines.centrelines import thread_lines
+from agents.perception.observe import observe
 from agents.perception.reflexes import without_reflexes
+from agents.perception.segmenter_names import GIVEN_MASKS
+from schemas.messages import FrameStamp, RectifiedStereo
 
 HEIGHT, WIDTH = 240, 480
 TOOL_U = 300
@@ -47,6 +50,16 @@ def test_a_line_of_the_instrument_is_no_thread(reflex):
     assert len(np.unique(found.centrelines.piece)) == 1
     assert found.centrelines.point_px[:, 0].max() < TOOL_U
     assert len(found.loose_start) == len(found.loose_end) == 1
+
+
+@pytest.mark.parametrize("segmenter", ["network", GIVEN_MASKS])
+def test_what_is_observed_has_no_line_of_an_instrument_unless_a_person_drew_it(segmenter):
+    camera = RectifiedStereo(WIDTH, HEIGHT, 500.0, 500.0, 239.5, 119.5, 5e-3, 1.0)
+    image, mask = scene((VIOLET, APART), ((250, 250, 250), UPON))
+    right, mask_right = (np.roll(one, -20, axis=1) for one in (image, mask))
+    found = observe(FrameStamp(0, 1, 1, ""), camera, image, right, mask, mask_right, segmenter, (), matching=False)
+    for lines, shift in ((found.centrelines_left, 0), (found.centrelines_right, 20)):
+        assert (lines.point_px[:, 0].max() + shift > TOOL_U) == (segmenter == GIVEN_MASKS)
 
 
 @pytest.mark.parametrize(
