@@ -36,7 +36,7 @@ def started(tmp_path):
     def start(*arguments, module="agents.cli"):
         with (tmp_path / f"{arguments[0]}.log").open("ab") as log:
             command = [sys.executable, "-m", module, *map(str, arguments)]
-            environment = {**os.environ, SUPERVISED: "1", "STATE_DIRECTORY": str(tmp_path)}
+            environment = {**os.environ, SUPERVISED: "1", "STATE_DIRECTORY": str(tmp_path), "PYTHONFAULTHANDLER": "1"}
             running.append(subprocess.Popen(command, stdin=subprocess.PIPE, stdout=log, stderr=log, env=environment))
         return running[-1]
 
@@ -44,9 +44,20 @@ def started(tmp_path):
     for process in running:
         process.send_signal(signal.SIGCONT)
         process.terminate()
-    for process in running:
-        process.wait(DEADLINE_S)
-        process.stdin.close()
+    stuck = [process for process in running if not ended(process)]
+    assert not stuck, [(process.args, (tmp_path / f"{process.args[3]}.log").read_text()) for process in stuck]
+
+
+def ended(process):
+    """Whether a process that was told to end has; one that has not says where it stands, and is ended."""
+    with contextlib.closing(process.stdin):
+        try:
+            process.wait(DEADLINE_S)
+        except subprocess.TimeoutExpired:
+            process.send_signal(signal.SIGABRT)
+            process.wait(DEADLINE_S)
+            return False
+    return True
 
 
 def until(condition, what):
