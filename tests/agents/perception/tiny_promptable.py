@@ -5,7 +5,7 @@ of the mask is thread by how near its colour comes to one of them. Wrong colours
 order of channels give wrong masks. The files are ONNX, written field by field: it takes no more than their numbers.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -65,8 +65,8 @@ def value(name: str, shape: tuple[int | str, ...]) -> bytes:
 def model(
     nodes: list[bytes],
     weights: dict[str, np.ndarray],
-    inputs: dict[str, tuple[int | str, ...]],
-    outputs: dict[str, tuple[int | str, ...]],
+    inputs: Mapping[str, tuple[int | str, ...]],
+    outputs: Mapping[str, tuple[int | str, ...]],
 ) -> bytes:
     graph = b"".join(field(1, n) for n in nodes) + field(2, "tiny")
     graph += b"".join(field(5, tensor(name, array)) for name, array in weights.items())

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from agents.perception.segmentation.promptable_crop import encoder_input, logits_of_crop, network_points
 from agents.perception.segmentation.promptable_model import PromptableFileError, PromptableModel
 from agents.perception.segmentation.promptable_signature import NotOnnxError, signature_of
-from tests.agents.perception.tiny_promptable import decoder, encoder, write_tiny
+from tests.agents.perception.tiny_promptable import decoder, encoder, model, write_tiny
 
 GROUND, THREAD = (150, 165, 205), (60, 120, 60)
 
@@ -129,8 +129,9 @@ def test_a_file_with_another_hash_is_refused_and_one_with_its_own_is_taken(tmp_p
 
 def test_weights_that_old_files_list_as_inputs_are_none(tmp_path):
     path = tmp_path / "old.onnx"
-    plain = encoder()
-    path.write_bytes(plain)
+    weights = {"pads": np.zeros(8, np.int64)}
+    takes, gives = {"input_image": (1, 3, 1024, 1024)}, {"image_embeddings": (1, 256, 64, 64)}
+    path.write_bytes(model([], weights, takes | {"pads": (8,)}, gives))
     assert signature_of(path).inputs == {"input_image": (1, 3, 1024, 1024)}
     assert signature_of(path).outputs == {"image_embeddings": (1, 256, 64, 64)}
 
