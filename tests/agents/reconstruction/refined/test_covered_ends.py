@@ -118,6 +118,10 @@ def test_what_is_unseen_upon_an_instrument_is_hidden_and_an_end_before_one_may_g
     turned = hidden_of((line[::-1], line[::-1]), unseen, Occluders(encoded(nothing), encoded(tool), 0), 960)
     assert turned is not None
     assert turned.ends.tolist() == [True, False]
+    away = line[line[:, 0] < 740]
+    ended = hidden_of((away, away), unseen[: len(away)], Occluders(encoded(tool), encoded(nothing), 0), 960)
+    assert ended is not None
+    assert ended.ends.tolist() == [False, False]
 
 
 def test_without_a_word_on_instruments_or_with_a_broken_one_nothing_is_called_hidden():
