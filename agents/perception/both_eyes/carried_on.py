@@ -63,7 +63,7 @@ def carried_on(
     told = np.isfinite(disparity)
     rest, expected = rest[told], point_px[rest[told]]
     expected[:, 0] -= disparity[told]
-    nearest = np.asarray(cKDTree(right_px).query(expected)[1], np.int64)
+    nearest = np.asarray(cKDTree(right_px, balanced_tree=False, compact_nodes=False).query(expected)[1], np.int64)
     normal, off = right_normal[nearest], expected - right_px[nearest]
     ahead, down = normal[:, 1], -normal[:, 0]
     by_row, by_disparity = down / ROW_PX**2, ahead / DISPARITY_PX**2

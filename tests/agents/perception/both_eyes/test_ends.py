@@ -82,6 +82,22 @@ def test_thread_that_one_eye_alone_would_go_on_along_is_left_to_the_segmenter():
     assert found == (left.centrelines, short.centrelines)
 
 
+def test_a_line_that_the_other_eye_sees_go_elsewhere_stays():
+    images, left, _ = pair()
+    beside = THREAD_PX - (DISPARITY, 0.0)
+    # from 20 px before the left line ends it runs some rows below
+    beside[len(beside) - SHORT - 20 :, 1] += 8.0
+    assert ended_together(images, left, line(beside))[0] is left.centrelines
+
+
+def test_a_line_stays_whose_end_lies_far_from_what_both_eyes_see():
+    images, left, _ = pair()
+    beside = THREAD_PX - (DISPARITY, 0.0)
+    # it comes back just before the left line ends
+    beside[len(beside) - SHORT - 80 : len(beside) - SHORT - 6, 1] += 8.0
+    assert ended_together(images, left, line(beside))[0] is left.centrelines
+
+
 def test_lines_without_a_place_that_both_see_stay():
     images, left, _ = pair()
     elsewhere = line(np.column_stack((np.full(100, 200.0), np.arange(100, 200.0)))[:20])

@@ -183,6 +183,21 @@ def test_a_thread_along_the_rows_alone_has_no_places():
     assert same_places(lines(level), lines(moved(level, 30.0)), WIDTH) is None
 
 
+def test_what_one_line_tells_counts_for_no_other():
+    up = np.column_stack((np.full(150, 300.0), np.linspace(350, 200, 150)))
+    level = np.column_stack((np.linspace(400, 600, 201), np.full(201, 100.0)))
+    left, right = lines(up, level), lines(moved(up, 30.0), moved(level, 30.0))
+    assert set(left.piece[places_of(left, right).left_at]) == {0}
+
+
+def test_where_row_and_disparity_contradict_each_other_nothing_is_said():
+    up = np.column_stack((np.full(150, 300.0), np.linspace(350, 200, 150)))
+    slope_px = np.column_stack((np.linspace(301, 500, 200), 200 - 0.1 * np.arange(200)))
+    below = slope_px + np.array((0.0, 2.5))
+    left, right = lines(np.concatenate((up, slope_px))), lines(moved(np.concatenate((up, below)), 30.0))
+    assert left.point_px[places_of(left, right).left_at, 0].max() < 330
+
+
 def test_a_strand_some_pixels_beside_where_the_thread_is_to_be_is_not_the_same():
     left, right = along_the_rows(right_end=300)
     other = np.column_stack((np.linspace(301, 500, 200), np.full(200, 206.0)))

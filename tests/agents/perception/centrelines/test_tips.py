@@ -83,12 +83,23 @@ def test_only_the_end_that_may_go_on_does_and_as_far_as_it_may():
     assert found.point_px[-1, 0] == pytest.approx(points[-1, 0] + 6, abs=0.1)
 
 
-@pytest.mark.parametrize("why", ["at the tip", "another colour", "another line"])
+def test_a_line_goes_on_to_the_border_of_the_image_and_no_farther():
+    found = gone_on(line(placed(np.linspace(80, 180, 101))), scene()[:, :190], np.array([0.0]), np.array([24.0]))
+    assert 186 < found.point_px[:, 0].max() <= 189
+
+
+@pytest.mark.parametrize(
+    "why", ["at the tip", "another colour", "dark on one side too", "little contrast", "another line"]
+)
 def test_a_line_does_not_go_on(why):
     points = placed(np.linspace(80, TIPS[1, 0] - (1 if why == "at the tip" else 30), 90))
     image, lines = scene(), line(points)
     if why == "another colour":
         image[:, int(points[-1, 0]) + 2 :] = (120, 120, 120)
+    if why == "little contrast":
+        image = np.rint(THREAD + 0.15 * (image - np.array(THREAD))).astype(np.uint8)
+    if why == "dark on one side too":
+        image[50:, int(points[-1, 0]) + 2 :] = THREAD
     if why == "another line":
         both = np.concatenate((points, points[-1] + np.column_stack((np.arange(9.0, 20), np.zeros(11)))))
         lines = line(both, np.repeat([0, 1], [len(points), 11]))
