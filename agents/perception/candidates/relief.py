@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Float64, Int64, UInt8
 
 from agents.perception.candidates.patches import before_planes, ground_planes, looked_up, patches_around
 from schemas.messages import Centrelines
@@ -29,6 +29,8 @@ COMMON_PX = 0.1
 """Deviation of what errs alike all along: the shadow beside a thread on the ground draws it there by 0.2 px."""
 APART = 2.0
 """So many neighbouring places see the same, and count as one."""
+FOR_EACH = 4
+"""Places that are tried for each: not all are seen by both eyes, and once."""
 FIRST_EVERY = 2
 """Of the places are asked first, and the others only where it may come of it that the line lies in the ground."""
 
@@ -112,17 +114,22 @@ def _crossings(left: Centrelines, right: Centrelines) -> tuple[Float64[np.ndarra
         return np.zeros((0, 2)), np.zeros(0)
     along_left, along_right = _directions(left), _directions(right)
     steep = np.flatnonzero(np.abs(along_left[:, 1]) >= ALONG_ROWS)
-    at = steep[np.unique(np.linspace(0, len(steep) - 1, MOST_PLACES).astype(np.intp))] if len(steep) else steep
+    at = _some(steep, FOR_EACH * MOST_PLACES)
     u, v = left.point_px[at].T
     first, second = right.point_px[:-1], right.point_px[1:]
     crosses = (np.diff(right.piece) == 0) & ((first[:, 1] <= v[:, None]) != (second[:, 1] <= v[:, None]))
     crosses &= np.abs(along_left[at] @ along_right[:-1].T) >= PARALLEL
-    once = np.flatnonzero(crosses.sum(axis=1) == 1)
+    once = _some(np.flatnonzero(crosses.sum(axis=1) == 1), MOST_PLACES)
     segment = np.argmax(crosses[once], axis=1) if len(once) else once
     (u0, v0), (u1, v1) = first[segment].T, second[segment].T
     disparity = u[once] - (u0 + (v[once] - v0) / (v1 - v0) * (u1 - u0))
     before = disparity > 0
     return left.point_px[at[once[before]]], disparity[before]
+
+
+def _some(every: Int64[np.ndarray, "n"], most: int) -> Int64[np.ndarray, "k"]:
+    """At most so many of them, evenly spread."""
+    return every[np.unique(np.linspace(0, len(every) - 1, most).astype(np.intp))] if len(every) else every
 
 
 def _directions(lines: Centrelines) -> Float64[np.ndarray, "n 2"]:
