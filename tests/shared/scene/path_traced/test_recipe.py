@@ -2,6 +2,7 @@
 
 import functools
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from agents.cli.lab.scenes import endoscope
 from shared.camera import project
+from shared.scene.path_traced.eyes import rectified_rig
 from shared.scene.path_traced.recipe import CONFIGS, EXTRAS, Recipe, _drawn_config, _drawn_extras, arranged
 from shared.scene.path_traced.solids import silhouette
 from shared.scene.path_traced.splines import sampled
@@ -107,6 +109,13 @@ def test_what_is_varied_for_training_has_a_third_without_thread_and_all_extras_n
     drawn = [_drawn_extras(np.random.default_rng(seed), "easy") for seed in range(300)]
     assert {extra for extras in drawn for extra in extras} == set(EXTRAS)
     assert () in drawn
+
+
+def test_a_camera_that_sees_half_as_wide_stands_twice_as_far_away():
+    near = RIG.near_enough
+    narrow = rectified_rig(replace(near, fx_px=2 * near.fx_px, fy_px=2 * near.fy_px))
+    far = arranged(Recipe("none", "chicken", 4), narrow).distance_mm
+    assert far == pytest.approx(2 * arranged(Recipe("none", "chicken", 4), RIG).distance_mm)
 
 
 def test_a_seed_makes_the_same_scene_again_and_another_one_another():
