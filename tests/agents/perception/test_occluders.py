@@ -36,7 +36,11 @@ def test_a_bar_of_steel_is_one():
 
 
 def test_what_is_small_is_none():
-    assert not seen(reaching_in(14, 40)).any()
+    both = reaching_in()
+    both[30:44, 600:] = 1.0
+    found = seen(both)
+    assert found[155:205, :290].all()
+    assert not found[:100, 500:].any()
 
 
 def test_what_goes_over_into_the_ground_is_none():
@@ -52,6 +56,8 @@ def test_what_is_only_somewhat_greyer_than_the_ground_is_none():
     assert (beside[155:205, :290] == Occluder.TOOL.value).all()
     faint = (slice(20, 120), slice(400, 640)), GROUND + 0.15 * (STEEL - GROUND)
     assert not seen(np.zeros((HEIGHT, WIDTH)), [faint]).any()
+    alone = (slice(20, 120), slice(400, 640)), GROUND + 0.44 * (STEEL - GROUND)
+    assert not seen(np.zeros((HEIGHT, WIDTH)), [alone]).any()
 
 
 def test_a_glint_upon_an_instrument_is_part_of_it_and_one_on_tissue_is_none():

@@ -10,7 +10,7 @@ import pytest
 
 from agents.perception.observe import observe
 from agents.perception.occluders import map_image
-from agents.perception.told_apart import FRAMES_BETWEEN_OCCLUDERS, SCORE_WIDTH_PX, told_apart
+from agents.perception.told_apart import SCORE_WIDTH_PX, told_apart
 from schemas.messages import FrameStamp, Occluder, Occluders, RectifiedStereo
 from shared.images import decode_image
 from tests.agents.perception.test_candidates import BLACK, DISPARITY, GREEN, HEIGHT, WIDTH, drawn, lies_on
@@ -85,12 +85,11 @@ def test_what_was_segmented_upon_an_instrument_and_is_no_thread_leaves_it_one():
     }
 
 
-@pytest.mark.parametrize("after", [1, FRAMES_BETWEEN_OCCLUDERS - 1, FRAMES_BETWEEN_OCCLUDERS])
-def test_between_looks_at_the_whole_instruments_are_looked_for_anew_every_few_frames(after):
+@pytest.mark.parametrize(("after", "is_due"), [(1, False), (5, False), (6, True)])
+def test_between_looks_at_the_whole_instruments_are_looked_for_anew_every_sixth_frame(after, is_due):
     before = told(observed(tools=(TOOL,)), tools=(TOOL,))
     assert kinds(before).any()
     between = replace(observed(after), looked_sequence=0)
     now = told(between, last=before)
-    is_due = after >= FRAMES_BETWEEN_OCCLUDERS
     assert now.occluders.sequence == (after if is_due else 0)
     assert kinds(now).any() == (not is_due)
