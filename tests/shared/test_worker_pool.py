@@ -79,7 +79,12 @@ def test_a_worker_that_dies_is_no_silence():
 
 
 def test_ctrl_c_reaches_no_worker():
-    with worker_pool(1) as pool:
-        worker = pool.submit(os.getpid).result()
-        os.kill(worker, signal.SIGINT)
-        assert pool.submit(os.getpid).result() == worker
+    # what is started by tests that ignore it would ignore it too
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with worker_pool(1) as pool:
+            worker = pool.submit(os.getpid).result()
+            os.kill(worker, signal.SIGINT)
+            assert pool.submit(os.getpid).result() == worker
+    finally:
+        signal.signal(signal.SIGINT, before)
