@@ -35,12 +35,14 @@ class Options:
     rate_hz: float = 5.0
     json: Path | None = None
     logs: Path | None = None
-    """Where to keep what the processes printed."""
+    """A new folder for what the processes printed."""
 
 
 def main() -> None:
     """Let everything fail in turn, print a table, and write JSON where asked to."""
     options = tyro.cli(Options)
+    if options.logs is not None and options.logs.exists():
+        raise SystemExit(f"{options.logs} is there already; name a new folder for the logs")
     chosen = [fault for fault in all_faults() if re.search(options.only, fault.name)]
     console, seen = Console(width=200), list[Seen]()
     for clocks in (False, True):
