@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float64, UInt8
 from scipy.spatial import cKDTree
 
 from agents.perception.centrelines.along import medians
-from agents.perception.centrelines.profiles import normals
+from agents.perception.centrelines.profiles import seen_around
 
 FARTHEST_PX = 24
 """Straight on, a thread is not where it is looked for much farther away."""
@@ -48,7 +48,7 @@ def goes_on_px(
     at = np.hstack((before, np.broadcast_to(steps, (len(end), FARTHEST_PX))))
     beside = 0.5 * width[:, None] + BESIDE_PX
     across = np.hstack((width[:, None] * WITHIN_WIDTHS, -beside, beside))
-    seen = _seen(image, end, outward, at, across)
+    seen = seen_around(image, end, outward, at, across)
     middle, sides = seen[:, :, :5].mean(axis=2), seen[:, :, 5:].reshape(*seen.shape[:2], 2, 3, 3).mean(axis=3)
     thread = medians(middle[:, : before.shape[1]].swapaxes(0, 1))[:, None]
     calm = np.asarray(cv2.blur(middle[:, before.shape[1] :], (CALM_PX, 1), borderType=cv2.BORDER_REPLICATE))
@@ -63,18 +63,3 @@ def goes_on_px(
 
 def _inside(image: UInt8[np.ndarray, "h w 3"], points: Float64[np.ndarray, "e a 2"]) -> Bool[np.ndarray, "e a"]:
     return np.all((points >= 0) & (points <= np.array(image.shape[1::-1]) - 1.0), axis=2)
-
-
-def _seen(
-    image: UInt8[np.ndarray, "h w 3"],
-    end: Float64[np.ndarray, "e 2"],
-    outward: Float64[np.ndarray, "e 2"],
-    along: Float64[np.ndarray, "e a"],
-    across: Float64[np.ndarray, "e b"],
-) -> Float64[np.ndarray, "e a b 3"]:
-    """The image at places along and across each end."""
-    at = end[:, None, None] + along[:, :, None, None] * outward[:, None, None]
-    at = (at + across[:, None, :, None] * normals(outward)[:, None, None]).astype(np.float32)
-    flat = at.reshape(len(end), -1, 2)
-    seen = cv2.remap(image, flat[..., 0], flat[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(seen, np.float64).reshape(*at.shape[:3], 3)

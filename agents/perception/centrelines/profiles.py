@@ -67,6 +67,26 @@ def sample(
     return np.concatenate(parts, axis=1) if len(parts) > 1 else np.asarray(parts[0])
 
 
+def seen_around(
+    image: UInt8[np.ndarray, "h w 3"],
+    place: Float64[np.ndarray, "e 2"],
+    direction: Float64[np.ndarray, "e 2"],
+    along: Float64[np.ndarray, "#e a"],
+    across: Float64[np.ndarray, "e b"],
+) -> Float64[np.ndarray, "e a b 3"]:
+    """The image, bilinear, so far from each place along its direction and across it; outside it as at its border.
+
+    Args:
+        direction: unit vectors.
+        along: of each place, or of all alike.
+    """
+    at = place[:, None, None] + along[:, :, None, None] * direction[:, None, None]
+    at = (at + across[:, None, :, None] * normals(direction)[:, None, None]).astype(np.float32)
+    flat = at.reshape(len(place), -1, 2)
+    seen = cv2.remap(image, flat[..., 0], flat[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(seen, np.float64).reshape(*at.shape[:3], 3)
+
+
 def own_strand(profile: Float32[np.ndarray, "t n"]) -> Float32[np.ndarray, "t n"]:
     """Profiles, an odd number of places each, without what lies beyond a gap or a valley, seen from their middle."""
     centre = len(profile) // 2

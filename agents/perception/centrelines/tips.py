@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float64, Int64, UInt8
 
 from agents.perception.centrelines.along import Pieces, median, medians
 from agents.perception.centrelines.going_on import goes_on_px
-from agents.perception.centrelines.profiles import normals
+from agents.perception.centrelines.profiles import seen_around
 from schemas.messages import Centrelines
 
 STEP_PX = 0.25
@@ -127,12 +127,13 @@ def _shifts(lines: Centrelines, image: UInt8[np.ndarray, "h w 3"], loose: _Ends)
     """How far outwards from each end its tip lies, 0 where it is not seen."""
     ends, outward, width = loose.at, loose.outward, loose.width
     wide = float(width.max())
-    aside, reach = normals(outward), wide + REACH_PX
+    reach = wide + REACH_PX
     along = np.arange(-reach - BODY_WIDTHS * wide, reach, STEP_PX)
-    seen = _seen(image, lines.point_px[ends], outward, aside, along, width[:, None] * WITHIN_WIDTHS)
+    point = lines.point_px[ends]
+    seen = seen_around(image, point, outward, along[None], width[:, None] * WITHIN_WIDTHS)
     beside = 0.5 * width[:, None] + BESIDE_PX
     places = np.arange(-wide, reach + wide, 1.0)
-    sides = _seen(image, lines.point_px[ends], outward, aside, places, np.hstack((beside, -beside)))
+    sides = seen_around(image, point, outward, places[None], np.hstack((beside, -beside)))
     sides = sides.reshape(len(ends), -1, 3)
     ground = medians(sides.swapaxes(0, 1))
     spread = np.linalg.norm(medians(np.abs(sides - ground[:, None]).swapaxes(0, 1)), axis=1)
@@ -145,22 +146,6 @@ def _shifts(lines: Centrelines, image: UInt8[np.ndarray, "h w 3"], loose: _Ends)
     found = _falls(_averaged(share)[:, inner], along[inner])
     limit = np.maximum(MOST_TAKEN_PX, MOST_TAKEN_WIDTHS * width)
     return np.where(told & np.isfinite(found) & (found >= -limit), found, 0.0)
-
-
-def _seen(
-    image: UInt8[np.ndarray, "h w 3"],
-    end: Float64[np.ndarray, "e 2"],
-    outward: Float64[np.ndarray, "e 2"],
-    aside: Float64[np.ndarray, "e 2"],
-    along: Float64[np.ndarray, "a"],
-    across: Float64[np.ndarray, "e b"],
-) -> Float64[np.ndarray, "e a b 3"]:
-    """The image at places along and across each end."""
-    at = end[:, None, None] + along[:, None, None] * outward[:, None, None]
-    at = (at + across[:, None, :, None] * aside[:, None, None]).astype(np.float32)
-    flat = at.reshape(len(end), -1, 2)
-    seen = cv2.remap(image, flat[..., 0], flat[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(seen, np.float64).reshape(*at.shape[:3], 3)
 
 
 def _averaged(share: Float64[np.ndarray, "e a"]) -> Float64[np.ndarray, "e a"]:

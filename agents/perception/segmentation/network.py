@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float32, Float64, Int32, Int64, UInt8
 
 from agents.perception.segmentation.boxes import boxes_around
 from agents.perception.segmentation.cast_shadow import without_cast_shadow
+from agents.perception.segmentation.connected import extents, of_pixels
 from agents.perception.segmentation.near import Meant, Near, piece_meant
 
 WEIGHTS = Path(__file__).with_name("network.onnx")
@@ -110,7 +111,7 @@ def thread_in(
     pixel = np.flatnonzero(high_enough)
     piece = np.asarray(labelled, np.int32).ravel()[pixel]
     sure, faint = _is_thread(pixel, piece, score, count)
-    thread = _of_pixels(pixel[sure[piece]], score.shape)
+    thread = of_pixels(pixel[sure[piece]], score.shape)
     if not sure.any() or sure[1:].all():
         return thread
     reach = np.ones((2 * GAP_PX + 1, 2 * GAP_PX + 1), np.uint8)
@@ -118,7 +119,7 @@ def thread_in(
     if image is not None and faint.any():
         sure |= _alike(pixel, piece, image, sure, faint)
     sure[piece[beside.ravel()[pixel]]] = True
-    return _of_pixels(pixel[sure[piece]], score.shape)
+    return of_pixels(pixel[sure[piece]], score.shape)
 
 
 def _alike(
@@ -145,17 +146,11 @@ def _colours(
     return np.array([np.median(cv2.cvtColor(part[None], cv2.COLOR_BGR2Lab)[0], axis=0) for part in seen])
 
 
-def _of_pixels(pixel: Int64[np.ndarray, "p"], shape: tuple[int, ...]) -> Bool[np.ndarray, "h w"]:
-    mask = np.zeros(shape, bool)
-    mask.ravel()[pixel] = True
-    return mask
-
-
 def _is_thread(
     pixel: Int64[np.ndarray, "p"], piece: Int32[np.ndarray, "p"], score: UInt8[np.ndarray, "h w"], count: int
 ) -> tuple[Bool[np.ndarray, "c"], Bool[np.ndarray, "c"]]:
     """Which of the connected pieces of those pixels are beyond doubt, and which fainter; the ground, 0, is neither."""
-    extent = np.hypot(*(_sides(piece, at, count) for at in np.divmod(pixel, score.shape[1])))
+    extent = extents(piece, pixel, score.shape[1], count)
     of_pixel = score.ravel()[pixel]
     best = np.zeros(count, np.uint8)
     np.maximum.at(best, piece, of_pixel)
@@ -164,14 +159,6 @@ def _is_thread(
     thread = may_be & (mean >= LEAST_MEAN)
     thread &= bool(extent[thread].max(initial=0.0) >= LEAST_THREAD_PX)
     return thread, may_be & (mean >= FAINT_MEAN) & ~thread
-
-
-def _sides(piece: Int32[np.ndarray, "p"], at: np.ndarray, count: int) -> Float64[np.ndarray, "c"]:
-    """How many rows, or columns, each piece reaches over; 0 where a piece has no pixel."""
-    first, last = np.full(count, np.iinfo(np.int64).max), np.full(count, -1)
-    np.minimum.at(first, piece, at)
-    np.maximum.at(last, piece, at)
-    return np.where(last >= 0, last - np.minimum(first, last) + 1.0, 0.0)
 
 
 def _looked_at(image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w"]:

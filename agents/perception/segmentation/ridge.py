@@ -23,6 +23,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
+from agents.perception.segmentation.connected import of_pixels
 from agents.perception.segmentation.full_size import at_full_size, mean_excess
 from agents.perception.segmentation.instrument_edges import along_borders
 from agents.perception.segmentation.line_filter import line_response
@@ -39,7 +40,6 @@ from agents.perception.segmentation.ridge_pieces import (
     connected_pieces,
     from_top,
     going_on,
-    of_pixels,
     weight_meant,
 )
 from agents.perception.segmentation.ridge_view import View, in_whole, view_of

@@ -6,6 +6,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int32, Int64
 
+from agents.perception.segmentation.connected import extents, of_pixels
+
 LEAST_LENGTH_PX = 12
 """Pieces shorter than this are specks."""
 BLOCK = 16
@@ -63,7 +65,7 @@ def connected_pieces(ridges: Ridges, kept: Bool[np.ndarray, "p"], seeds: Bool[np
     # OpenCV's own statistics of the pieces take several times as long as the pieces
     count, labelled = cv2.connectedComponents(mask.view(np.uint8), connectivity=8)
     of_kept = np.asarray(labelled, np.int32).ravel()[pixel]
-    extent = np.hypot(*(_sides(of_kept, at, count) for at in np.divmod(pixel, ridges.shape[1])))
+    extent = extents(of_kept, pixel, ridges.shape[1], count)
     weight = np.bincount(of_kept, weights=ridges.score[kept], minlength=count)
     piece = np.zeros(len(kept), np.int32)
     piece[kept] = of_kept
@@ -72,14 +74,6 @@ def connected_pieces(ridges: Ridges, kept: Bool[np.ndarray, "p"], seeds: Bool[np
     weight[~seeded | (extent < LEAST_LENGTH_PX)] = 0.0
     weight[0] = 0.0
     return Pieces(piece, weight, extent)
-
-
-def _sides(piece: Int32[np.ndarray, "p"], at: Int64[np.ndarray, "p"], count: int) -> Float64[np.ndarray, "c"]:
-    """How many rows, or columns, each piece reaches over; 0 where a piece has no pixel."""
-    first, last = np.full(count, np.iinfo(np.int64).max), np.full(count, -1)
-    np.minimum.at(first, piece, at)
-    np.maximum.at(last, piece, at)
-    return np.where(last >= 0, last - np.minimum(first, last) + 1.0, 0.0)
 
 
 def going_on(
@@ -118,13 +112,6 @@ def weight_meant(pieces: Pieces, score: Float32[np.ndarray, "p"]) -> Float64[np.
     """What speaks for each piece, of those that have weight."""
     total = np.bincount(pieces.of, weights=score, minlength=len(pieces.weight))
     return np.where(pieces.weight > 0, total, 0.0)
-
-
-def of_pixels(index: Int64[np.ndarray, "p"], shape: tuple[int, ...]) -> Bool[np.ndarray, "h w"]:
-    """A mask of some pixels, by their indices."""
-    mask = np.zeros(shape, bool)
-    mask.ravel()[index] = True
-    return mask
 
 
 def from_top(values: Float32[np.ndarray, "p"], places: float) -> float:

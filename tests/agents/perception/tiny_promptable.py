@@ -121,37 +121,9 @@ def encoder(hq: bool = False, whole: bool = False, first_alone: bool = False, na
     return model(nodes, weights, taken, given)
 
 
-def decoder(hq: bool = False, several: bool = False, without: str = "") -> bytes:
-    """A decoder that gives one mask, or four, of which the second is everything and the one that it likes best."""
-    v, u = np.divmod(np.arange(MASK * MASK), MASK) + np.array([[0.5], [0.5]])
-    weights = {
-        "u": u.reshape(1, 1, -1), "v": v.reshape(1, 1, -1), "half": np.array([0.5]), "quarter": np.array([0.25]),
-        "zero": np.array([0]), "one": np.array([1]), "two": np.array([2]), "narrow": np.array([-1.4]),
-        "used": np.array([48]), "flat": np.array([3, -1]), "thread": np.array([1.0]), "far": np.array([1e4]),
-        "twice": np.array([2.0]), "alike": np.array([ALIKE]), "sharp": np.array([SHARPNESS]),
-        "least": np.array([-80.0]), "mask_shape": np.array([1, 1, MASK, MASK]),
-    }  # fmt: skip
-    takes: dict[str, tuple[int | str, ...]] = {"image_embeddings": (1, 256, CELLS, CELLS)}
-    nodes = [node("Identity", ("image_embeddings",), "embedded")]
-    if hq:
-        takes["interm_embeddings"] = (4, 1, CELLS, CELLS, 768)
-        weights["first"] = np.array(0)
-        nodes = [
-            node("Gather", ("interm_embeddings", "first"), "early", axis=0),
-            node("Transpose", ("early",), "planes", perm=[0, 3, 1, 2]),
-            node("Slice", ("planes", "zero", "used", "one"), "some"),
-            # a decoder reads both embeddings, and here the other one holds nothing
-            node("Slice", ("image_embeddings", "zero", "used", "one"), "other"),
-            node("Add", ("some", "other"), "embedded"),
-        ]
-    takes |= {
-        "point_coords": (1, "num_points", 2),
-        "point_labels": (1, "num_points"),
-        "mask_input": (1, 1, MASK, MASK),
-        "has_mask_input": (1,),
-        "orig_im_size": (2,),
-    }
-    nodes += [
+def likeness() -> list[bytes]:
+    """Of a decoder, from the embedded colours to the logits: how like the colour at the nearest point each pixel is."""
+    return [
         node("Slice", ("embedded", "zero", "used", "one"), "colours"),
         node("DepthToSpace", ("colours",), "pixels", blocksize=4, mode="DCR"),
         node("Reshape", ("pixels", "flat"), "image"),
@@ -190,9 +162,44 @@ def decoder(hq: bool = False, several: bool = False, without: str = "") -> bytes
         node("Sub", ("alike", "nearest"), "likeness"),
         node("Mul", ("likeness", "sharp"), "logit"),
         node("Reshape", ("logit", "mask_shape"), "logits"),
+    ]
+
+
+def decoder(hq: bool = False, several: bool = False, without: str = "") -> bytes:
+    """A decoder that gives one mask, or four, of which the second is everything and the one that it likes best."""
+    v, u = np.divmod(np.arange(MASK * MASK), MASK) + np.array([[0.5], [0.5]])
+    weights = {
+        "u": u.reshape(1, 1, -1), "v": v.reshape(1, 1, -1), "half": np.array([0.5]), "quarter": np.array([0.25]),
+        "zero": np.array([0]), "one": np.array([1]), "two": np.array([2]), "narrow": np.array([-1.4]),
+        "used": np.array([48]), "flat": np.array([3, -1]), "thread": np.array([1.0]), "far": np.array([1e4]),
+        "twice": np.array([2.0]), "alike": np.array([ALIKE]), "sharp": np.array([SHARPNESS]),
+        "least": np.array([-80.0]), "mask_shape": np.array([1, 1, MASK, MASK]),
+    }  # fmt: skip
+    takes: dict[str, tuple[int | str, ...]] = {"image_embeddings": (1, 256, CELLS, CELLS)}
+    nodes = [node("Identity", ("image_embeddings",), "embedded")]
+    if hq:
+        takes["interm_embeddings"] = (4, 1, CELLS, CELLS, 768)
+        weights["first"] = np.array(0)
+        nodes = [
+            node("Gather", ("interm_embeddings", "first"), "early", axis=0),
+            node("Transpose", ("early",), "planes", perm=[0, 3, 1, 2]),
+            node("Slice", ("planes", "zero", "used", "one"), "some"),
+            # a decoder reads both embeddings, and here the other one holds nothing
+            node("Slice", ("image_embeddings", "zero", "used", "one"), "other"),
+            node("Add", ("some", "other"), "embedded"),
+        ]
+    takes |= {
+        "point_coords": (1, "num_points", 2),
+        "point_labels": (1, "num_points"),
+        "mask_input": (1, 1, MASK, MASK),
+        "has_mask_input": (1,),
+        "orig_im_size": (2,),
+    }
+    nodes += [
+        *likeness(),
         node("Mul", ("mask_input", "has_mask_input"), "given_mask"),
         node("Add", ("logits", "given_mask"), "low_res_masks" if not several else "found"),
-    ]  # fmt: skip
+    ]
     count = 4 if several else 1
     weights["scores"] = np.array([[0.5, 0.95, 0.9, 0.1]])[:, :count]
     nodes.append(node("Mul", ("scores", "thread"), "iou_predictions"))
