@@ -18,7 +18,6 @@ from agents.perception.search import Looked, look_everywhere, look_near
 from benchmarks.scenes import Pair, Scene
 from schemas.messages import FrameStamp, ImageEncoding, RectifiedStereo, StereoFrame, ThreadObservations
 from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS
-from shared.both_eyes import of_both
 from shared.clock import Stopwatch, processor_s
 from shared.images import encode_image
 from shared.runtime.agent import Output, Received
@@ -91,7 +90,9 @@ def _near(images: Pair, last: ThreadObservations, number: int) -> FollowedPair |
 
 
 def _lines(images: Pair, looked: Looked) -> None:
-    of_both(thread_centrelines, (images[0], looked.coverage[0]), (images[1], looked.coverage[1]))
+    """One eye after the other, as `observe` does."""
+    for image, coverage in zip(images, looked.coverage, strict=True):
+        thread_centrelines(image, coverage)
 
 
 def _observed(number: int, camera: RectifiedStereo, images: Pair, looked: Looked) -> ThreadObservations:
