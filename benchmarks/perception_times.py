@@ -20,7 +20,7 @@ from schemas.messages import FrameStamp, ImageEncoding, RectifiedStereo, StereoF
 from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS
 from shared.clock import Stopwatch, processor_s
 from shared.images import encode_image
-from shared.runtime.agent import Output, Received
+from shared.runtime.agent import Received, outputs_in
 
 STEP_PX = (3, 2)
 """Columns and rows by which the thread moves from frame to frame."""
@@ -110,8 +110,8 @@ def _of_agent(scene: Scene, segmenter: str) -> dict[str, float]:
     for number in range(FRAMES_TRACKED + 1):
         left, right = (encode_image(image, ImageEncoding.RAW) for image in moved(scene.images, number))
         frame = StereoFrame(_stamp(number), left, right)
-        outputs, *times = _timed(lambda frame=frame: list(agent.step(Received(FRAMES, str(FRAMES), 1, frame))))
-        seen = next(out.message for out in outputs if isinstance(out, Output) and out.topic is OBSERVATIONS)
+        outputs, *times = _timed(lambda frame=frame: outputs_in(agent.step(Received(FRAMES, str(FRAMES), 1, frame))))
+        seen = next(out.message for out in outputs if out.topic is OBSERVATIONS)
         (first if seen.looked_sequence == number else near).append((times[0], times[1]))
     return _medians("step first", first) | _medians("step near", near)
 

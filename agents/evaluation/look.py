@@ -9,7 +9,7 @@ from jaxtyping import Float64
 
 from schemas.messages import Status, StereoCalibration, StereoFrame, ThreadReconstruction
 from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS, SURFACE, THREAD, Topic, key
-from shared.runtime.agent import Agent, Output, Received
+from shared.runtime.agent import Agent, Output, Received, outputs_in
 
 FINE = 4001
 
@@ -77,4 +77,4 @@ def _within(s: Float64[np.ndarray, "n"], stretches: Iterable[Any]) -> Any:
 
 def _fed(agent: Agent, topic: Topic, message: Any) -> list[Output]:
     received = Received(topic, key("evaluation", topic, "main"), 0, message)
-    return [output for output in agent.step(received) if isinstance(output, Output)]
+    return outputs_in(agent.step(received))

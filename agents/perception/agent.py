@@ -35,9 +35,10 @@ from schemas.messages import (
     ThreadObservations,
 )
 from schemas.topics import CALIBRATION, FRAMES, MAIN, OBSERVATIONS, PROMPT, SURFACE, Topic
+from shared.aside import begun
 from shared.calibration.identity import calibration_id
 from shared.images import ImageDataError, decode_image
-from shared.runtime.agent import Command, Input, Output, Received, Tick
+from shared.runtime.agent import Command, Input, Later, Output, Received, Reply, Tick
 from shared.runtime.settable import OneOf, settable
 
 Pixel = Float64[np.ndarray, "2"]
@@ -96,7 +97,7 @@ class Perception:
         """Go on with another config, in which only what may be set while the agent runs has changed."""
         self.config = config
 
-    def step(self, arrived: Received | Tick | Command) -> Iterable[Output | CommandAnswer]:
+    def step(self, arrived: Received | Tick | Command) -> Iterable[Reply]:
         """Observations for each frame once there is a calibration; an unusable frame is a failure with its reason."""
         if isinstance(arrived, Command):
             yield self._prompted(arrived.message)
@@ -115,7 +116,7 @@ class Perception:
     def _go_on_from(self, last: ThreadObservations | None) -> None:
         self._last, self._prompt_px = last, last.prompt_px if last else None
 
-    def _seen(self, frame: StereoFrame, calibration: StereoCalibration) -> Iterable[Output]:
+    def _seen(self, frame: StereoFrame, calibration: StereoCalibration) -> Iterable[Output | Later]:
         """What follows from a frame; the observations first, since reconstruction waits for them."""
         last = self._last
         before, surface_sequence = (last.stamp.sequence, last.surface_sequence) if last else (None, None)
@@ -132,7 +133,9 @@ class Perception:
             judgements = observed.judgements
         else:
             surface_due = surface_is_due(frame.stamp.sequence, before, surface_sequence)
-            observed = self._observe(frame.stamp, pair, surface_due)
+            # the tissue of the frame before is still worked on
+            is_busy = surface_sequence is not None and surface_sequence == before
+            observed = self._observe(frame.stamp, pair, is_busy)
             judgements = (*lasting(observed.judgements), *judge_each(pictures, pair.images))
         observed = replace(
             observed,
@@ -150,7 +153,7 @@ class Perception:
             if observed.occluders is not None:
                 thread |= instruments_in(decode_image(observed.occluders.left), thread.shape)
             images = pair.moved_up(observed.rows_moved_up).images
-            yield Output(SURFACE, tissue_surface(frame.stamp, pair.camera, *images, thread))
+            yield Later(SURFACE, begun(tissue_surface, frame.stamp, pair.camera, *images, thread))
 
     def _observe(self, stamp: FrameStamp, pair: RectifiedPair, is_busy: bool) -> ThreadObservations:
         last = self._last

@@ -12,7 +12,7 @@ from schemas.messages import CommandAnswer
 from schemas.topics import Topic
 from shared.clock import Stopwatch
 from shared.recording.mcap_file import Entry
-from shared.runtime.agent import Agent, Command, Input, Output, Received, Tick
+from shared.runtime.agent import Agent, Command, Input, Output, Received, Tick, awaited
 from shared.runtime.replay import Replayed, replay
 
 Place = tuple[str, int, int]
@@ -114,7 +114,7 @@ class _Timed:
         self.steps += 1
         try:
             with self._watch.step("step"):
-                return list(self._agent.step(arrived))
+                return awaited(self._agent.step(arrived))
         except Exception as error:
             self.faults.append(f"{type(error).__name__}: {error}")
             return []

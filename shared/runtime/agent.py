@@ -5,6 +5,7 @@ object runs live (`shared.runtime.runner`) and on a recording (`shared.runtime.r
 """
 
 from collections.abc import Iterable
+from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -66,8 +67,44 @@ class Output:
     message: Any
 
 
+@dataclass(frozen=True)
+class Later:
+    """An output that is still worked on when its step is over, so that the next step need not wait for it.
+
+    It follows from its step as any other output: live it is published once it is there, and a replay waits for it. The
+    next one of an agent waits for the one before it. None of a topic that the agent goes on from.
+
+    Fields:
+        coming: its message (`shared.aside`).
+    """
+
+    topic: Topic
+    coming: Future[Any]
+
+    def output(self) -> Output:
+        """The output, once it is there.
+
+        Raises:
+            Exception: whatever the work raised.
+        """
+        return Output(self.topic, self.coming.result())
+
+
 class CannotGoOnError(Exception):
     """Raised by a step after which the agent can do nothing more; the text is the reason with which it ends."""
+
+
+Reply = Output | Later | CommandAnswer
+
+
+def awaited(replies: Iterable[Reply]) -> list[Output | CommandAnswer]:
+    """All that follows from a step, once nothing of it is worked on any more."""
+    return [reply.output() if isinstance(reply, Later) else reply for reply in list(replies)]
+
+
+def outputs_in(replies: Iterable[Reply]) -> list[Output]:
+    """The outputs among that."""
+    return [reply for reply in awaited(replies) if isinstance(reply, Output)]
 
 
 class Agent(Protocol):
@@ -109,7 +146,7 @@ class Agent(Protocol):
     @property
     def tick_hz(self) -> float | None: ...
 
-    def step(self, arrived: Received | Tick | Command) -> Iterable[Output | CommandAnswer]:
+    def step(self, arrived: Received | Tick | Command) -> Iterable[Reply]:
         """What follows from one message, tick or command; deterministic in everything that was fed to the agent."""
         ...
 

@@ -12,7 +12,7 @@ from schemas.codec import decode, encode, encoding_name
 from schemas.messages import CommandAnswer, CommandRecord
 from schemas.topics import COMMANDS, MAIN, Topic, key
 from shared.recording.mcap_file import Entry
-from shared.runtime.agent import Agent, Command, Input, Output, Received, Tick, only_remembers
+from shared.runtime.agent import Agent, Command, Input, Output, Received, Tick, awaited, only_remembers, outputs_in
 from shared.runtime.fed import Fed, state_topic
 
 STEP_NS = 10_000_000
@@ -86,11 +86,11 @@ class Lockstep:
         name = key(self._rig, COMMANDS, seat.agent.instance, seat.agent.kind)
         self._remember(seat)
         seat.fed.message(name, seat.epoch, self._numbers[name])
-        replies = list(seat.agent.step(Command(topic, seat.agent.instance, message, self.now_ns)))
+        replies = awaited(seat.agent.step(Command(topic, seat.agent.instance, message, self.now_ns)))
         (answer,) = [reply for reply in replies if isinstance(reply, CommandAnswer)]
         record = CommandRecord(str(topic), encoding_name(type(message)), encode(message), self.now_ns, answer)
         self._publish(seat.epoch, COMMANDS, seat.agent.instance, name, record)
-        self._publish_all(seat, [reply for reply in replies if isinstance(reply, Output)])
+        self._publish_all(seat, outputs_in(replies))
         self._deliver()
         return answer
 
@@ -102,7 +102,7 @@ class Lockstep:
             self._deliver()
 
     def _step(self, seat: _Seat, arrived: Received | Tick) -> None:
-        self._publish_all(seat, [reply for reply in seat.agent.step(arrived) if isinstance(reply, Output)])
+        self._publish_all(seat, outputs_in(seat.agent.step(arrived)))
         self._deliver()
 
     def _publish_all(self, seat: _Seat, outputs: list[Output]) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 
 from schemas.messages import AgentConfiguration, CommandAnswer, SetParameter, SettableParameter
 from schemas.topics import CONFIGURATION, SET
-from shared.runtime.agent import Agent, Command, Output, Received, Tick
+from shared.runtime.agent import Agent, Command, Received, Reply, Tick
 from shared.runtime.commands import accepted, refused
 from shared.runtime.settable import ALLOWED, Allowed
 
@@ -41,7 +41,7 @@ class Parameters:
         self._allowed: dict[str, Allowed] = {f.name: f.metadata[ALLOWED] for f in fields if ALLOWED in f.metadata}
         self._names = [f.name for f in fields]
 
-    def step(self, arrived: Received | Tick | Command) -> Iterable[Output | CommandAnswer]:
+    def step(self, arrived: Received | Tick | Command) -> Iterable[Reply]:
         """The agent's step; commands that set a parameter, and configurations that were listed, end here."""
         if isinstance(arrived, Command) and arrived.topic is SET:
             return (self._answer(arrived.message),)

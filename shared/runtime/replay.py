@@ -23,7 +23,7 @@ from typing import NamedTuple, Protocol
 from schemas.codec import decode, encode
 from schemas.messages import CommandRecord, Consumed
 from schemas.topics import COMMANDS, CONFIGURATION, TOPICS, topic_of
-from shared.runtime.agent import Agent, Command, Output, Received, Tick
+from shared.runtime.agent import Agent, Command, Output, Received, Tick, outputs_in
 from shared.runtime.fed import adds_up, is_tick, state_topic
 from shared.runtime.parameters import Parameters
 
@@ -124,7 +124,7 @@ class _Run:
     def _outputs(self, arrived: Received | Tick | Command) -> list[Output]:
         """What a step gives; one that raises gives nothing and is logged, as in a live session."""
         try:
-            return [output for output in self._parameters.step(arrived) if isinstance(output, Output)]
+            return outputs_in(self._parameters.step(arrived))
         except Exception as error:
             name = f"suturegrasp.{self._agent.kind}.{self._agent.instance}"
             logging.getLogger(name).error("a step failed", exc_info=error)

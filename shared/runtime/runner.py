@@ -44,11 +44,12 @@ from schemas.topics import (
 )
 from shared.clock import Stopwatch, monotonic_s, now_ns
 from shared.runtime.accounts import StepTimes
-from shared.runtime.agent import Agent, CannotGoOnError, Command, Output, Received, Tick
+from shared.runtime.agent import Agent, CannotGoOnError, Command, Later, Output, Received, Tick, awaited
 from shared.runtime.arms import check_arm
 from shared.runtime.attachment import unpack
 from shared.runtime.clock_watch import ClockWatch
 from shared.runtime.clocks import answer_clock
+from shared.runtime.coming import Coming
 from shared.runtime.command_queries import taking
 from shared.runtime.commands import Answered, refused, untimely
 from shared.runtime.delivery import RouterLinks
@@ -105,6 +106,7 @@ class Runner:
         self.gave_up = ""
         self._log = logging.getLogger(f"suturegrasp.{agent.kind}.{agent.instance}")
         self._intake = Intake(agent, self._clock, self._log)
+        self._coming = Coming(self._intake.handled, self._intake.inbox.wake)
         self._watched = frozenset[str](getattr(agent, "watches_clocks", ()))
         for topic in (*agent.outputs, HEALTH, LOG, COMMANDS, CONFIGURATION, *((CLOCKS,) if self._watched else ())):
             self._out.declare(topic)
@@ -131,6 +133,7 @@ class Runner:
                     self._out.publish(HEALTH, self._health(now_s))
                     self._manager.status(self._faults.text or "running")
                     next_health_s = now_s + HEALTH_PERIOD_S
+                self._publish_coming()
                 # an agent that wants the time more often than before has not to wait for it
                 next_tick_s = min(next_tick_s, now_s + self._period_s())
                 if now_s >= next_tick_s:
@@ -227,7 +230,7 @@ class Runner:
         only_newest_counts = str(arrival.topic) in self._newest_only
         self._fed.message(arrival.key, beside.epoch, beside.sequence, only_newest_counts)
         self._step(Received(arrival.topic, arrival.key, beside.sequence, message))
-        self._intake.handled.note(arrival.key, beside.epoch, beside.sequence)
+        self._coming.note(arrival.key, beside.epoch, beside.sequence)
 
     def _carry_out(self, arrival: Arrival, answer: Callable[[CommandAnswer], None]) -> None:
         payload, received_ns = arrival.payload(), self._clock.now_ns()
@@ -275,7 +278,7 @@ class Runner:
         watch = Stopwatch("step")
         try:
             with watch.step("step"):
-                replies = list(self._parameters.step(command))
+                replies = awaited(self._parameters.step(command))
         except Exception as error:
             self._note_fault(error, str(command.topic))
             return refused(command.message.header.id, "fault", self._faults.text), [], watch
@@ -301,7 +304,7 @@ class Runner:
         if went_well:
             self._faults.went_well(of)
 
-    def _outputs_of(self, arrived: Received | Tick, watch: Stopwatch) -> Iterator[Output]:
+    def _outputs_of(self, arrived: Received | Tick, watch: Stopwatch) -> Iterator[Output | Later]:
         """What follows from a step, each as soon as the agent has it, so that nobody waits for what comes after."""
         replies = iter(self._parameters.step(arrived))
         while True:
@@ -309,7 +312,7 @@ class Runner:
                 reply = next(replies, None)
             if reply is None:
                 return
-            if isinstance(reply, Output):
+            if isinstance(reply, Output | Later):
                 yield reply
 
     def _note_fault(self, error: Exception, of: str) -> None:
@@ -327,11 +330,24 @@ class Runner:
         if is_new:
             self._log.error(fault, exc_info=None if gives_up else error)
 
-    def _publish_all(self, outputs: Iterable[Output], watch: Stopwatch, of: str) -> bool:
+    def _publish_coming(self, wait: bool = False) -> None:
+        """Publish what earlier steps gave and was still worked on, if it is there; or wait for it."""
+        for expected in self._coming.there(wait):
+            try:
+                output = expected.later.output()
+                self._out.publish(output.topic, with_consumed(output.message, expected.fed), expected.took_ms())
+            except Exception as error:
+                self._note_fault(error, expected.of)
+
+    def _publish_all(self, outputs: Iterable[Output | Later], watch: Stopwatch, of: str) -> bool:
         """Publish what follows from a step that the watch times; whether all of it could be."""
         fed, last, went_well = self._fed.listed(), None, True
         try:
             for output in outputs:
+                if isinstance(output, Later):
+                    self._publish_coming(wait=True)
+                    self._coming.add(output, fed, of, watch.ms["step"])
+                    continue
                 try:
                     message = with_consumed(output.message, fed)
                     place = self._out.key(output.topic), self._out.publish(output.topic, message, watch.ms["step"])
@@ -377,6 +393,7 @@ class Runner:
     def _end(self) -> None:
         """Let the agent come to rest before it falls silent."""
         self._manager.stopping()
+        self._publish_coming(wait=True)
         if self.gave_up:
             self._out.publish(HEALTH, self._health(monotonic_s()))
         close = getattr(self._agent, "close", None)

@@ -26,7 +26,7 @@ from schemas.messages import (
 from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS, SURFACE, key
 from shared.calibration.identity import calibration_id
 from shared.images import encode_image
-from shared.runtime.agent import Output, Received, Tick
+from shared.runtime.agent import Received, Tick, outputs_in
 from shared.scene.__main__ import make_scene
 from shared.scene.render import render
 
@@ -196,7 +196,7 @@ def test_the_second_frame_brings_a_surface_and_the_observations_say_which_frame_
     agent = Perception(PerceptionConfig("threshold"))
     list(agent.step(Received(CALIBRATION, key("lab", CALIBRATION), 0, calibration())))
     frames = [Received(FRAMES, key("lab", FRAMES), k, frame(sequence=k)) for k in (3, 5, 6, 20, 21)]
-    outputs = [[out for out in agent.step(arrived) if isinstance(out, Output)] for arrived in frames]
+    outputs = [outputs_in(agent.step(arrived)) for arrived in frames]
     assert [[output.topic for output in step] for step in outputs] == [
         [OBSERVATIONS],
         [OBSERVATIONS, SURFACE],

@@ -20,7 +20,7 @@ from schemas.codec import decode, encode
 from schemas.messages import FrameStamp, ImageEncoding, Status, StereoFrame, ThreadObservations
 from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS
 from shared.images import decode_image, encode_image
-from shared.runtime.agent import Output, Received
+from shared.runtime.agent import Received, outputs_in
 from shared.scene.__main__ import make_scene
 from shared.scene.render import render
 
@@ -117,7 +117,7 @@ def seen(agent, sequence, right=0, hide=None):
         images = [covered(image, hide, 25) for image in images]
     left, right = (encode_image(image, ImageEncoding.RAW) for image in images)
     frame = StereoFrame(FrameStamp(sequence, 0, 0, ""), left, right)
-    outputs = [out for out in agent.step(Received(FRAMES, str(FRAMES), sequence, frame)) if isinstance(out, Output)]
+    outputs = outputs_in(agent.step(Received(FRAMES, str(FRAMES), sequence, frame)))
     return decode(ThreadObservations, encode(outputs[0].message))
 
 

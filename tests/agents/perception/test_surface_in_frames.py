@@ -14,7 +14,7 @@ from schemas.codec import decode, encode
 from schemas.messages import FrameStamp, ImageEncoding, Occluder, StereoFrame
 from schemas.topics import CALIBRATION, FRAMES, SURFACE, key
 from shared.images import decode_image, encode_image
-from shared.runtime.agent import Received
+from shared.runtime.agent import Received, outputs_in
 from shared.scene.__main__ import make_scene
 from shared.scene.render import render
 
@@ -53,7 +53,7 @@ def told(change=lambda left, right: (left, right)) -> Any:
     for sequence in (0, 1):
         left, right = (encode_image(image, ImageEncoding.RAW) for image in images)
         frame = StereoFrame(FrameStamp(sequence, 10**6 * sequence, 10**6 * sequence, ""), left, right)
-        outputs = list(agent.step(Received(FRAMES, key("lab", FRAMES), sequence, frame)))
+        outputs = outputs_in(agent.step(Received(FRAMES, key("lab", FRAMES), sequence, frame)))
     found = {output.topic: decode(output.topic.message, encode(output.message)) for output in outputs}
     surface = found.pop(SURFACE)
     (observed,) = found.values()

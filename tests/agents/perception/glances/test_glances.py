@@ -17,7 +17,7 @@ from schemas.codec import decode, encode
 from schemas.messages import FrameStamp, ImageEncoding, Status, StereoFrame, ThreadObservations
 from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS
 from shared.images import decode_image, encode_image
-from shared.runtime.agent import Output, Received
+from shared.runtime.agent import Received, outputs_in
 from shared.scene.__main__ import make_scene
 from shared.scene.render import render
 
@@ -44,7 +44,7 @@ def seen(agent, sequence, images):
     noise = np.random.default_rng(sequence).integers(0, 3, images[0].shape, np.uint8)
     left, right = (encode_image(cv2.add(image, noise), ImageEncoding.RAW) for image in images)
     frame = StereoFrame(FrameStamp(sequence, sequence * 33_000_000, sequence * 33_000_000, ""), left, right)
-    outputs = [out for out in agent.step(Received(FRAMES, str(FRAMES), sequence, frame)) if isinstance(out, Output)]
+    outputs = outputs_in(agent.step(Received(FRAMES, str(FRAMES), sequence, frame)))
     return decode(ThreadObservations, encode(outputs[0].message))
 
 
