@@ -10,6 +10,7 @@ filters or of products of spectra. The same derivatives tell the direction acros
 """
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -36,34 +37,67 @@ class _Filters:
     Fields:
         derivatives: kernels along x and along y of ∂_xx, ∂_xy and ∂_yy of the round Gaussian.
         mixed: how much of each derivative is in the filter of each angle.
-        lines: the kernel along the line at each angle.
+        lines: the kernel along the line at each angle; sparse_lines: for every second pixel alone.
     """
 
     derivatives: tuple[tuple[Float32[np.ndarray, "k"], Float32[np.ndarray, "k"]], ...]
     mixed: Float32[np.ndarray, "a 3"]
     lines: tuple[Float32[np.ndarray, "r c"], ...]
+    sparse_lines: tuple[Float32[np.ndarray, "r c"], ...]
 
 
-def line_response(
-    contrast: Float32[np.ndarray, "h w"], rows: slice = slice(None), columns: slice = slice(None)
-) -> Float32[np.ndarray, "r c"]:
-    """How much each pixel of some rows and columns of a contrast looks like part of a line.
+@dataclass(frozen=True)
+class Bends:
+    """The three derivatives of a contrast, each with a margin of RADIUS_PX in which the contrast is mirrored."""
 
-    It is in the contrast's grey levels, by the best filter.
-    """
-    filters = _filters()
+    xx: Float32[np.ndarray, "h+22 w+22"]
+    xy: Float32[np.ndarray, "h+22 w+22"]
+    yy: Float32[np.ndarray, "h+22 w+22"]
+
+
+def bends_of(contrast: Float32[np.ndarray, "h w"], rows: slice = slice(None), columns: slice = slice(None)) -> Bends:
+    """How a contrast bends at some rows and columns of it."""
     padded = cv2.copyMakeBorder(contrast, RADIUS_PX, RADIUS_PX, RADIUS_PX, RADIUS_PX, cv2.BORDER_REFLECT)
     (top, bottom, _), (left, right, _) = rows.indices(contrast.shape[0]), columns.indices(contrast.shape[1])
     padded = padded[top : bottom + 2 * RADIUS_PX, left : right + 2 * RADIUS_PX]
-    xx, xy, yy = (cv2.sepFilter2D(padded, cv2.CV_32F, x, y) for x, y in filters.derivatives)
-    strongest = np.zeros(padded.shape, np.float32)
+    return Bends(
+        *(np.asarray(cv2.sepFilter2D(padded, cv2.CV_32F, x, y), np.float32) for x, y in _filters().derivatives)
+    )
+
+
+def line_response(bends: Bends) -> Float32[np.ndarray, "h w"]:
+    """How much each pixel looks like part of a line, in the contrast's grey levels, by the best filter."""
+    height, width = (side - 2 * RADIUS_PX for side in bends.xx.shape)
+    return _strongest((bends.xx, bends.xy, bends.yy), _filters().lines, RADIUS_PX, (height, width))
+
+
+def sparse_line_response(bends: Bends) -> Float32[np.ndarray, "r c"]:
+    """About the same for every second pixel of every second row, by places on the lines that are among these."""
+    height, width = ((side - 2 * RADIUS_PX + 1) // 2 for side in bends.xx.shape)
+    first = RADIUS_PX % 2
+    some = [np.ascontiguousarray(bend[first::2, first::2]) for bend in (bends.xx, bends.xy, bends.yy)]
+    return _strongest(some, _filters().sparse_lines, RADIUS_PX // 2, (height, width))
+
+
+def _strongest(
+    bends: Sequence[Float32[np.ndarray, "h w"]],
+    lines: Sequence[Float32[np.ndarray, "r c"]],
+    margin: int,
+    shape: tuple[int, int],
+) -> Float32[np.ndarray, "h w"]:
+    """The greatest answer of any angle, and 0 where all are less, within a margin."""
+    xx, xy, yy = bends
+    strongest = np.zeros(xx.shape, np.float32)
     across, answer = np.empty_like(strongest), np.empty_like(strongest)
-    for (of_xx, of_xy, of_yy), line in zip(filters.mixed.tolist(), filters.lines, strict=True):
+    for (of_xx, of_xy, of_yy), line in zip(_filters().mixed.tolist(), lines, strict=True):
         cv2.addWeighted(xx, of_xx, yy, of_yy, 0, dst=across)
         cv2.scaleAdd(xy, of_xy, across, dst=across)
         cv2.filter2D(across, cv2.CV_32F, line, dst=answer)
         cv2.max(strongest, answer, dst=strongest)
-    return np.ascontiguousarray(strongest[RADIUS_PX:-RADIUS_PX, RADIUS_PX:-RADIUS_PX])
+    # memory that was in use just now: to get some takes ten times as long as to write to it
+    inner = answer.ravel()[: shape[0] * shape[1]].reshape(shape)
+    np.copyto(inner, strongest[margin : margin + shape[0], margin : margin + shape[1]])
+    return inner
 
 
 def across_lines(contrast: Float32[np.ndarray, "h w"], pixel: Int64[np.ndarray, "p"]) -> Float32[np.ndarray, "p 2"]:
@@ -108,20 +142,27 @@ def _filters() -> _Filters:
     lines = [_line(angle) for angle in angles]
     for k, line in enumerate(lines):
         mixed[k] *= 2 / np.abs(_whole(derivatives, mixed[k], line)).sum()
-    return _Filters(derivatives, mixed, tuple(lines))
+    sparse = [_line(angle, 1, 2) for angle in angles]
+    sparse = [few * (line.sum() / few.sum()) for few, line in zip(sparse, lines, strict=True)]
+    return _Filters(derivatives, mixed, tuple(lines), tuple(sparse))
 
 
-def _line(angle: float) -> Float32[np.ndarray, "r c"]:
-    """A Gaussian along a line through the middle, each of its places shared between two pixels."""
+def _line(angle: float, widest_step: int = STEP_PX, pixel_px: int = 1) -> Float32[np.ndarray, "r c"]:
+    """A Gaussian along a line through the middle, each of its places shared between two pixels.
+
+    Args:
+        widest_step: in pixels, along the columns or rows.
+        pixel_px: how far pixels lie apart.
+    """
     if np.abs(np.sin(angle)) > np.abs(np.cos(angle)):
-        return np.ascontiguousarray(_line(np.pi / 2 - angle).T)
-    step = STEP_PX if abs(STEP_PX / np.cos(angle)) <= WIDE_STEP_PX else 1
-    reach = round(ALONG_REACH_PX * abs(np.cos(angle)))
+        return np.ascontiguousarray(_line(np.pi / 2 - angle, widest_step, pixel_px).T)
+    step = widest_step if abs(widest_step / np.cos(angle)) <= WIDE_STEP_PX else 1
+    reach = round(ALONG_REACH_PX / pixel_px * abs(np.cos(angle)))
     reach -= reach % step
     x = np.arange(-reach, reach + 1, step)
     y = np.round(x * np.tan(angle), 9)
     aside = int(np.ceil(np.abs(y).max()))
-    weight = np.exp(-0.5 * (x / np.cos(angle)) ** 2 / (ALONG_PX**2 - ACROSS_PX**2))
+    weight = np.exp(-0.5 * (pixel_px * x / np.cos(angle)) ** 2 / (ALONG_PX**2 - ACROSS_PX**2))
     line = np.zeros((2 * aside + 1, 2 * reach + 1), np.float32)
     below = np.floor(y).astype(int)
     share = y - below

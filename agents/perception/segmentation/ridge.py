@@ -19,36 +19,31 @@ nothing else in the image were a ridge. Where it is said which thread is meant, 
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
 from agents.perception.segmentation.connected import of_pixels
-from agents.perception.segmentation.full_size import at_full_size, mean_excess
+from agents.perception.segmentation.full_size import at_full_size
 from agents.perception.segmentation.instrument_edges import along_borders
-from agents.perception.segmentation.line_filter import line_response
 from agents.perception.segmentation.near import Meant, Near
+from agents.perception.segmentation.ridge_candidate import (
+    GLINT,
+    GROW_SHARE,
+    SEED_SHARE,
+    Candidate,
+    candidate_of,
+    meant_score,
+    polarities,
+)
 from agents.perception.segmentation.ridge_colour import (
     COLOUR_LIMIT,
     deviations_from_thread,
     expected_contrast,
     lab_of,
-    rarity,
 )
-from agents.perception.segmentation.ridge_pieces import (
-    Ridges,
-    connected_pieces,
-    from_top,
-    going_on,
-    weight_meant,
-)
+from agents.perception.segmentation.ridge_pieces import connected_pieces, going_on, weight_meant
 from agents.perception.segmentation.ridge_view import View, in_whole, view_of
 
-GLINT = 60.0
-"""In grey levels: the contrast from which on what is bright counts alike."""
-SEED_SHARE, GROW_SHARE, FAINT_SHARE = 0.5, 0.25, 0.15
-"""Of the response of the image's strongest ridges: what seeds a piece of thread, what extends it, and what does so
-where its colour is known to be the thread's: over dark ground a dark thread has little contrast."""
 LEAST_WEIGHT_SHARE, LEAST_EXTENT_SHARE = 0.06, 0.2
 """Pieces with less response, or less extent, than this share of the greatest are clutter."""
 LEAST_THREAD_PX, LEAST_SHARE_OF_LENGTH, LEAST_RESPONSE = 48, 0.2, 6.0
@@ -64,24 +59,6 @@ EDGE_OF_EXPECTED, EDGE_COLOUR_LIMIT = 0.6, 2.0
 """The same, and deviations of colour, for what runs along the border of an instrument."""
 RIVAL_SHARE = 0.4
 """Dark thread, or bright thread, that weighs less than this share of the other is not looked at further."""
-
-
-@dataclass(frozen=True)
-class _Candidate:
-    """Ridges that are darker, or brighter, than their surroundings, and the piece of them that is thread if any is.
-
-    Fields:
-        contrast: of every pixel that is looked at, not of ridges alone.
-        strong: the response of the image's strongest ridges.
-        weight: what speaks for the piece; 0 where there is none.
-    """
-
-    is_bright: bool
-    contrast: Float32[np.ndarray, "h w"]
-    ridges: Ridges
-    strong: float
-    piece: Bool[np.ndarray, "p"]
-    weight: float
 
 
 @dataclass(frozen=True)
@@ -108,14 +85,16 @@ def segment_ridge(
     if where is not None and not where.any():
         return np.zeros(image.shape[:2], np.uint8)
     view = view_of(image, near, meant)
-    candidates = [_candidate(view, is_bright) for is_bright in ((False, True) if near is None else (near.is_bright,))]
-    chosen, found = _most_conspicuous(candidates, view)
+    likely, unlikely = polarities(view, near)
+    chosen, found = _most_conspicuous([candidate_of(polarity, view) for polarity in likely], view)
+    if unlikely and not len(found.pixel):
+        chosen, found = _most_conspicuous([candidate_of(polarity, view) for polarity in unlikely], view)
     ridge = of_pixels(found.pixel, view.seen.shape[:2])
-    background, ridge, contrast = (in_whole(part, view) for part in (view.background, ridge, chosen.contrast))
-    return at_full_size(image, background, ridge, contrast, chosen.is_bright)
+    background, ridge, contrast = (in_whole(part, view) for part in (view.background, ridge, chosen.polarity.contrast))
+    return at_full_size(image, background, ridge, contrast, chosen.polarity.is_bright)
 
 
-def _most_conspicuous(candidates: list[_Candidate], view: View) -> tuple[_Candidate, _Found]:
+def _most_conspicuous(candidates: list[Candidate], view: View) -> tuple[Candidate, _Found]:
     """The candidate that is thread, and what of it: the second one is asked only where it may be that."""
     first, *others = sorted(candidates, key=lambda candidate: -candidate.weight)
     found = _thread_among(first, view)
@@ -127,67 +106,23 @@ def _most_conspicuous(candidates: list[_Candidate], view: View) -> tuple[_Candid
     return first, found
 
 
-def _candidate(view: View, is_bright: bool) -> _Candidate:
-    contrast = mean_excess(*((view.seen, view.background) if is_bright else (view.background, view.seen)))
-    line = np.minimum(contrast, np.float32(GLINT)) if is_bright else contrast
-    response = _response(line, view.near)
-    ridges = _ridges(line, response, view)
-    if len(ridges.pixel) == 0:
-        return _Candidate(is_bright, contrast, ridges, 0.0, np.zeros(0, bool), 0.0)
-    strong = from_top(ridges.score, view.strong)
-    pieces = connected_pieces(ridges, ridges.score > GROW_SHARE * strong, ridges.score > SEED_SHARE * strong)
-    weight = pieces.weight if view.meant is None else weight_meant(pieces, _meant(ridges, view.meant))
-    piece = pieces.of == int(np.argmax(weight))
-    of_strongest = from_top(ridges.response[ridges.apart], view.strong)
-    return _Candidate(is_bright, contrast, ridges, of_strongest, piece, float(weight.max()))
-
-
-def _meant(ridges: Ridges, meant: Meant) -> Float32[np.ndarray, "p"]:
-    """What speaks for each pixel."""
-    return ridges.score * meant.weight.ravel()[ridges.pixel]
-
-
-def _response(contrast: Float32[np.ndarray, "h w"], near: Bool[np.ndarray, "h w"] | None) -> Float32[np.ndarray, "h w"]:
-    """The response to lines where thread may be, 0 elsewhere."""
-    if near is None:
-        return line_response(contrast)
-    left, top, columns, rows = cv2.boundingRect(near.view(np.uint8))
-    box = np.s_[top : top + rows, left : left + columns]
-    response = np.zeros_like(contrast)
-    np.multiply(line_response(contrast, *box), near[box], out=response[box])
-    return response
-
-
-def _ridges(line: Float32[np.ndarray, "h w"], response: Float32[np.ndarray, "h w"], view: View) -> Ridges:
-    """The pixels of a contrast that respond to lines enough to be looked at further."""
-    known = view.instruments
-    free = response if known is None else np.where(known.about, np.float32(0), response)
-    pixel = np.flatnonzero(response > FAINT_SHARE * from_top(free.ravel(), view.strong))
-    of_pixel = response.ravel()[pixel]
-    colour = lab_of(view.seen.reshape(-1, 3)[pixel])
-    score = of_pixel * rarity(colour, view.rare)
-    apart, edge = np.ones(len(pixel), bool), np.zeros(len(pixel), bool)
-    if known is not None:
-        apart, edge = ~known.about.ravel()[pixel], along_borders(known, line, pixel)
-        score *= apart
-    return Ridges(response.shape, pixel, of_pixel, score, colour, apart, edge)
-
-
-def _thread_among(candidate: _Candidate, view: View) -> _Found:
+def _thread_among(candidate: Candidate, view: View) -> _Found:
     """The thread among the ridges of one polarity, by how its most conspicuous piece looks."""
     if candidate.weight <= 0:
         return NOTHING
     ridges, response, strong = candidate.ridges, candidate.ridges.response, candidate.strong
     away, of_expected = _unlike(candidate, view)
     alike = (away < GROWN_COLOUR_LIMIT) & (of_expected > LEAST_OF_EXPECTED)
-    alike &= ~ridges.edge | ((away < EDGE_COLOUR_LIMIT) & (of_expected > EDGE_OF_EXPECTED))
+    if view.instruments is not None:
+        doubtful = np.flatnonzero(alike & ~((away < EDGE_COLOUR_LIMIT) & (of_expected > EDGE_OF_EXPECTED)))
+        alike[doubtful[along_borders(view.instruments, candidate.polarity.line, ridges.pixel[doubtful])]] = False
     seeds = alike & ridges.apart & (away < COLOUR_LIMIT) & (response > SEED_SHARE * strong)
     pieces = connected_pieces(ridges, alike, seeds)
     longest = pieces.extent[pieces.weight > 0].max(initial=0)
     kept = (pieces.weight > LEAST_WEIGHT_SHARE * pieces.weight.max()) & (pieces.extent > LEAST_EXTENT_SHARE * longest)
     kept |= going_on(ridges, pieces, kept, away, of_expected)
     if view.meant is not None:
-        counting = weight_meant(pieces, _meant(ridges, view.meant))
+        counting = weight_meant(pieces, meant_score(ridges, view.meant))
         chosen = kept & (counting == counting.max()) & (counting > 0)
         return _Found(ridges.pixel[(chosen if view.meant.alone else kept)[pieces.of]], float(counting.max()))
     if not _may_be_thread(pieces.extent, kept, longest, response[kept[pieces.of]]):
@@ -206,7 +141,7 @@ def _may_be_thread(
     return bool(np.median(response) >= LEAST_RESPONSE)
 
 
-def _unlike(candidate: _Candidate, view: View) -> tuple[Float32[np.ndarray, "p"], Float32[np.ndarray, "p"]]:
+def _unlike(candidate: Candidate, view: View) -> tuple[Float32[np.ndarray, "p"], Float32[np.ndarray, "p"]]:
     """How far each ridge pixel's colour is from thread, in deviations; how it responds, as a share of what is expected.
 
     What is expected is what the best part of the most conspicuous piece does, for the contrast that thread has there.
@@ -216,6 +151,6 @@ def _unlike(candidate: _Candidate, view: View) -> tuple[Float32[np.ndarray, "p"]
     ground = view.background.reshape(-1, 3)[ridges.pixel]
     away = deviations_from_thread(ridges.colour, lab_of(ground), best, piece)
     thread = np.median(view.seen.reshape(-1, 3)[ridges.pixel[best]], axis=0).astype(np.float32)
-    most = GLINT if candidate.is_bright else np.inf
-    responds = ridges.response / expected_contrast(thread, ground, candidate.is_bright, most)
+    most = GLINT if candidate.polarity.is_bright else np.inf
+    responds = ridges.response / expected_contrast(thread, ground, candidate.polarity.is_bright, most)
     return away, responds / np.median(responds[best])

@@ -31,7 +31,6 @@ class Ridges:
         response: to lines, score: the same, weighted by how rare the colour is.
         colour: OpenCV's 8-bit Lab.
         apart: whether they lie apart from instruments; those that do not may extend a piece, and count for nothing.
-        edge: whether they are of a line along the border of an instrument.
     """
 
     shape: tuple[int, int]
@@ -40,7 +39,6 @@ class Ridges:
     score: Float32[np.ndarray, "p"]
     colour: Float32[np.ndarray, "p 3"]
     apart: Bool[np.ndarray, "p"]
-    edge: Bool[np.ndarray, "p"]
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from agents.perception.segmentation.line_filter import (
     bends_of,
     line_response,
     oriented_kernels,
+    sparse_line_response,
 )
 
 
@@ -35,6 +36,17 @@ def test_the_response_is_that_of_the_whole_filters_one_by_one(shape):
     contrast = np.random.default_rng(1).uniform(0, 60, shape).astype(np.float32)
     answers = [cv2.filter2D(contrast, cv2.CV_32F, k, borderType=cv2.BORDER_REFLECT) for k in oriented_kernels()]
     np.testing.assert_allclose(line_response(bends_of(contrast)), np.maximum(np.max(answers, axis=0), 0.0), atol=1e-3)
+
+
+@pytest.mark.parametrize("shape", [(61, 81), (62, 80)])
+def test_every_second_pixel_alone_responds_about_as_it_does_among_all(shape):
+    v, u = np.mgrid[: shape[0], : shape[1]] - np.array([30.0, 40.0])[:, None, None]
+    for degrees in np.arange(0, 180, 10.0):
+        across = u * np.sin(np.radians(degrees)) - v * np.cos(np.radians(degrees))
+        bends = bends_of((50 * np.exp(-0.5 * across**2)).astype(np.float32))
+        every, second = line_response(bends)[::2, ::2], sparse_line_response(bends)
+        assert second.shape == every.shape
+        assert np.abs(second - every).max() < 0.3 * every.max()
 
 
 def test_each_filter_is_a_second_derivative_across_a_longer_gaussian():

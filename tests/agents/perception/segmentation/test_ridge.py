@@ -6,9 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
+from agents.perception.segmentation import ridge_candidate
 from agents.perception.segmentation.near import Near
 from agents.perception.segmentation.ridge import segment_ridge
 from agents.perception.segmentation.ridge_pieces import LEAST_LENGTH_PX
+from agents.perception.segmentation.ridge_view import view_of
 from shared.scene.__main__ import make_scene
 from shared.scene.render import RenderedPair, render, render_backdrop
 from shared.scene.sensor import Sensor, expose, grain
@@ -136,6 +138,26 @@ def test_a_bright_thread_is_found_among_dark_cracks_that_touch():
             end = np.rint(corner + 40 * np.array([np.cos(angle), np.sin(angle)])).astype(int).tolist()
             cv2.line(image, corner, end, (10, 20, 30), 3, cv2.LINE_AA)
     recall, precision = recall_and_precision(segment_ridge(image), true)
+    assert recall > 0.95
+    assert precision > 0.95
+
+
+def test_a_thread_is_found_though_more_speaks_for_clutter_of_the_other_polarity(monkeypatch):
+    image = np.full((540, 960, 3), 130, np.uint8)
+    thread = np.zeros(image.shape[:2], np.uint8)
+    for drawn, value in ((image, (150, 150, 142)), (thread, 255)):
+        cv2.line(drawn, (100, 400), (860, 470), value, 4, cv2.LINE_AA)
+    # combs, of which none is long
+    for left in (200, 500, 700):
+        cv2.line(image, (left, 100), (left, 136), (10, 5, 0), 3)
+        for row in range(100, 136, 6):
+            cv2.line(image, (left, row), (left + 70, row), (10, 5, 0), 2, cv2.LINE_AA)
+    image = np.clip(image + np.random.default_rng(1).normal(0, 2, image.shape), 0, 255).astype(np.uint8)
+    monkeypatch.setattr(ridge_candidate, "UNLIKELY_SHARE", 1.0)
+    likely, unlikely = ridge_candidate.polarities(view_of(image, None, None), None)
+    assert [polarity.is_bright for polarity in likely] == [False]
+    assert [polarity.is_bright for polarity in unlikely] == [True]
+    recall, precision = recall_and_precision(segment_ridge(image), thread)
     assert recall > 0.95
     assert precision > 0.95
 
