@@ -1,7 +1,6 @@
 """From the ridge in the reduced image to the thread's pixels in the full one, where alone its width shows."""
 
 import math
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -11,8 +10,8 @@ EDGE_SHARE = 0.6
 """Of the contrast in the thread's middle: its edge. Blur and shadow widen the thread, so more than one half."""
 BLUR_PX, BLUR_SIDE_PX = 2.0, 13
 """Standard deviation and window in which the contrast of the middle is averaged."""
-BLUR_MARGIN_PX = 24
-"""Around the ridge: farther than the blur of its contrast reaches."""
+BLUR_MARGIN_PX = BLUR_SIDE_PX // 2 + 2
+"""Around the ridge: as far as the blur of its contrast is seen beside it."""
 SHEET = 256
 GLINT_SHARE, MOST_IN_SPECKS = 0.03, 0.25
 """Of the image's width: bright pieces up to that long are glints on wet tissue. Of the thread: if more of it lies in
@@ -61,58 +60,64 @@ def at_full_size(
     lighter, darker = (seen, ground) if is_bright else (ground, seen)
     excess = mean_excess(lighter[None], darker[None])[0]
     clear = excess > edge
+    if not clear.any():
+        return coverage
     coverage[full_rows.start + row[clear], full_columns.start + column[clear]] = 255
     part = coverage[full_rows, full_columns]
     if is_bright:
         coverage[full_rows, full_columns] = without_specks(part, GLINT_SHARE * image.shape[1])
         return coverage
-    gaps = _gaps(part, 1 / share[0])
     unlike = np.zeros(part.size, np.float32)
     unlike[pixel] = (excess + mean_excess(darker[None], lighter[None])[0]) / np.maximum(edge, np.float32(LEAST_EDGE))
-    of_gap = unlike[gaps.pixel]
-    narrow = (gaps.of_marked <= WIDENING) | ((gaps.of_closed <= HOLLOW) & (of_gap > OTHER_SHARE))
-    filled = gaps.pixel[narrow | (of_gap > 1)]
+    filled = _streaks(part, 1 / share[0], unlike)
     part[np.divmod(filled, part.shape[1])] = 255
     return coverage
 
 
-@dataclass(frozen=True)
-class _Gaps:
-    """Gaps between pixels that are covered.
+def _streaks(
+    coverage: UInt8[np.ndarray, "h w"], pixels: float, unlike: Float32[np.ndarray, "a"]
+) -> Int64[np.ndarray, "p"]:
+    """Gaps of up to so many pixels to either side that are streaks of light along a single strand: their pixels.
 
-    Fields:
-        pixel: indices, of no more than some pixels from what is covered on either side.
-        of_marked, of_closed: how wide what is covered is with the gap of each, as a share of what is usual: of what is
-            covered, and of that with all gaps closed, as a strand is of which only two sides are covered.
+    Args:
+        unlike: how unlike the ground each pixel is, as a share of what the thread's edge is.
     """
-
-    pixel: Int64[np.ndarray, "p"]
-    of_marked: Float64[np.ndarray, "p"]
-    of_closed: Float64[np.ndarray, "p"]
-
-
-def _gaps(coverage: UInt8[np.ndarray, "h w"], pixels: float) -> _Gaps:
-    """The gaps of up to so many pixels to either side."""
+    left, top, columns, rows = cv2.boundingRect(coverage)
     radius = round(SHINE * pixels)
     margin = 2 * radius + 1
-    padded = cv2.copyMakeBorder(coverage, margin, margin, margin, margin, cv2.BORDER_CONSTANT, value=0)
-    closed = _closed(padded, radius)
-    gaps = closed > padded
-    pixel = np.flatnonzero(gaps)
-    # where two strands part, the gap is closed further on, so that its end does not make them look narrow
-    further = _closed(padded, 2 * radius)
-    count, labelled = cv2.connectedComponents(gaps.view(np.uint8), connectivity=8)
+    box = coverage[top : top + rows, left : left + columns]
+    covered = cv2.copyMakeBorder(box, margin, margin, margin, margin, cv2.BORDER_CONSTANT, value=0)
+    closed = _closed(covered, radius)
+    gaps = cv2.subtract(closed, covered)
+    pixel = np.flatnonzero(gaps.view(bool))
+    row, column = np.divmod(pixel, covered.shape[1])
+    inside = (row + (top - margin)) * coverage.shape[1] + column + (left - margin)
+    of_gap = unlike[inside]
+    width = _width_with_gaps(covered, gaps, pixel, radius)
+    narrow = width <= WIDENING * _usual_width(covered)
+    doubtful = ~narrow & (of_gap > OTHER_SHARE)
+    if doubtful.any():
+        # as a strand is of which only two sides are covered
+        narrow |= doubtful & (width <= HOLLOW * _usual_width(closed))
+    return inside[narrow | (of_gap > 1)]
+
+
+def _width_with_gaps(
+    covered: UInt8[np.ndarray, "h w"], gaps: UInt8[np.ndarray, "h w"], pixel: Int64[np.ndarray, "p"], radius: int
+) -> Float64[np.ndarray, "p"]:
+    """How wide what is covered is with the gap that each pixel belongs to."""
+    count, labelled = cv2.connectedComponents(gaps, connectivity=8)
     of, width = np.asarray(labelled, np.int32).ravel()[pixel], np.zeros(count)
+    # where two strands part, the gap is closed further on, so that its end does not make them look narrow
+    further = _closed(covered, 2 * radius)
     np.maximum.at(width, of, 2 * cv2.distanceTransform(further, cv2.DIST_L2, 3).ravel()[pixel] - 1)
-    row, column = np.divmod(pixel, padded.shape[1])
-    inside = (row - margin) * coverage.shape[1] + column - margin
-    return _Gaps(inside, width[of] / _usual_width(padded), width[of] / _usual_width(closed))
+    return width[of]
 
 
 def _usual_width(coverage: UInt8[np.ndarray, "h w"]) -> float:
     """Over a strip the distance to the nearest pixel beyond its edge averages a quarter of its width, and a half."""
     depth = cv2.distanceTransform(coverage, cv2.DIST_L2, 3)
-    return max(1.0, 4.0 * float(cv2.mean(depth, coverage)[0]) - 2.0)
+    return max(1.0, 4.0 * cv2.sumElems(depth)[0] / cv2.countNonZero(coverage) - 2.0)
 
 
 def _closed(coverage: UInt8[np.ndarray, "h w"], radius: int) -> UInt8[np.ndarray, "h w"]:
@@ -136,7 +141,8 @@ def _level(ridge: Bool[np.ndarray, "h w"], contrast: Float32[np.ndarray, "h w"])
     on_ridge = ridge.astype(np.float32)
     middle = cv2.multiply(cv2.dilate(cv2.multiply(contrast, on_ridge), EIGHT_NEIGHBOURS), on_ridge)
     total, count = (cv2.GaussianBlur(part, (BLUR_SIDE_PX, BLUR_SIDE_PX), BLUR_PX) for part in (middle, on_ridge))
-    return np.asarray(total / np.maximum(count, np.float32(1e-3)), np.float32)
+    np.maximum(count, np.float32(1e-3), out=count)
+    return np.asarray(cv2.divide(total, count, dst=total), np.float32)
 
 
 def _at(image: np.ndarray, place: tuple[np.ndarray, np.ndarray]) -> np.ndarray:

@@ -108,6 +108,8 @@ def _background(image: UInt8[np.ndarray, "h w 3"]) -> np.ndarray:
 
 def in_whole(part: np.ndarray, view: View) -> np.ndarray:
     """What was found in a part of the reduced image, in the whole of it, with nothing around."""
+    if part.shape[:2] == view.shape:
+        return part
     whole = np.zeros((*view.shape, *part.shape[2:]), part.dtype)
     whole[view.rows, view.columns] = part
     return whole
