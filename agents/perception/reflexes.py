@@ -1,7 +1,7 @@
-"""Edges, gaps and reflexes of instruments that segmenters take for thread.
+"""Edges, gaps, reflexes and shadows of instruments that segmenters take for thread.
 
-They lie upon an instrument, and are greyer than the thread that lies apart from instruments would be in the light that
-falls there, or grey and far brighter.
+They lie upon an instrument or close beside it. They are greyer than the thread that lies apart from instruments would
+be in the light that falls there, or grey and far brighter; or they have the colour of the ground in less light.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 
 from agents.perception.centrelines.centrelines import Lines
-from agents.perception.steel import Looks, colour_of, looks_along, without
+from agents.perception.steel import GREY, Looks, colour_of, looks_along, without
 from shared.occluded import is_occluded
 
 BESIDE_CELLS = 5
@@ -24,9 +24,14 @@ MOST_HUE, BRIGHTER, BRIGHTER_THAN_GREY = 6.0, 50.0, 90.0
 CALM_POINTS = 7
 """Along the line, over which colours are averaged."""
 LEAST_APART = 40
-"""Points of a piece apart from instruments, which tell how its thread looks."""
+"""Points of a piece apart from instruments, which tell how its thread looks; and so many that look like none of an
+instrument's are thread."""
 AGAINST = 1.5
 """One point of thread weighs as much as so many of an instrument."""
+MIXED = 0.6
+"""Of the ground's L: the middle of a dark thread holds no more of the ground's light, which is a fifth of it."""
+RATHER = 2.0
+"""By so much nearer, in a and b, a shadow is to the ground in that light than to the thread."""
 LEAST_POINTS = 6
 """Of a stretch at an end; a piece may be shorter."""
 MOSTLY = 0.7
@@ -35,9 +40,14 @@ MOSTLY = 0.7
 
 @dataclass(frozen=True)
 class _Thread:
-    """How thread looks that lies apart from instruments."""
+    """How thread looks that lies apart from instruments.
+
+    Fields:
+        own: how far it is from grey by itself: the little colour of a black thread is the ground's.
+    """
 
     lab: Float64[np.ndarray, "3"]
+    own: float
 
 
 def without_reflexes(
@@ -65,23 +75,45 @@ def without_reflexes(
     for points in pieces:
         thread = _thread_of(looks, points[~at_tool[points]]) or usual
         of_tool = at_tool[points] & _is_of_instrument(looks, points, thread)
-        away[points] = True if of_tool.mean() >= MOSTLY else _at_ends(of_tool)
+        of_ends = _at_ends(of_tool)
+        is_whole = of_tool.mean() >= MOSTLY and np.count_nonzero(~of_ends) < LEAST_APART
+        away[points] = True if is_whole else of_ends
     return without(found, away) if away.any() else found
 
 
 def _thread_of(looks: Looks, apart: np.ndarray) -> _Thread | None:
     """How thread looks, by points apart from instruments; None where these are too few."""
-    return None if len(apart) < LEAST_APART else _Thread(np.median(looks.lab[apart], axis=0))
+    if len(apart) < LEAST_APART:
+        return None
+    lab, ground = np.median(looks.lab[apart], axis=0), np.median(looks.beside[:, apart], axis=(0, 1))
+    mixed = min(float(lab[0] / max(ground[0], 1.0)), MIXED)
+    own = float(np.linalg.norm(_hue(lab) - mixed * _hue(ground)))
+    return _Thread(lab, min(own, float(colour_of(lab))))
 
 
 def _is_of_instrument(looks: Looks, points: np.ndarray, thread: _Thread) -> Bool[np.ndarray, "n"]:
     lab = np.asarray(cv2.blur(looks.lab[points], (1, CALM_POINTS), borderType=cv2.BORDER_REPLICATE)).reshape(-1, 3)
-    hue, of_thread = colour_of(lab), float(colour_of(thread.lab))
     # with the light, thread loses colour: in an instrument's shadow, the darkest of it has none
-    lit = of_thread * np.minimum(lab[:, 0] / max(float(thread.lab[0]), 1.0), 1.0)
+    light = np.minimum(lab[:, 0] / max(float(thread.lab[0]), 1.0), 1.0)
+    hue, lit = colour_of(lab), thread.own * light
     paler = (lit >= LEAST_HUE) & (hue <= PALER * lit)
-    far = BRIGHTER if of_thread > MOST_HUE else BRIGHTER_THAN_GREY
-    return paler | ((hue <= MOST_HUE) & (lab[:, 0] >= thread.lab[0] + far))
+    far = BRIGHTER if thread.own > MOST_HUE else BRIGHTER_THAN_GREY
+    reflex = paler | ((hue <= MOST_HUE) & (lab[:, 0] >= thread.lab[0] + far))
+    if thread.own < LEAST_HUE:
+        return reflex
+    off_thread = np.linalg.norm(_hue(lab) - light[:, None] * _hue(thread.lab), axis=1)
+    return reflex | (off_thread - _off_ground(lab, looks.beside[:, points]) >= RATHER)
+
+
+def _off_ground(lab: Float64[np.ndarray, "n 3"], beside: Float64[np.ndarray, "2 n 3"]) -> Float64[np.ndarray, "n"]:
+    """How far a and b are from those of the ground on either side in less light; infinite where it is brighter."""
+    light = lab[:, 0] / np.maximum(beside[..., 0], 1.0)
+    off = np.linalg.norm(_hue(lab) - light[..., None] * _hue(beside), axis=2)
+    return np.where(light <= 1.0, off, np.inf).min(axis=0)
+
+
+def _hue(lab: Float64[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 2"]:
+    return lab[..., 1:] - GREY
 
 
 def _at_ends(of_tool: Bool[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
@@ -89,7 +121,9 @@ def _at_ends(of_tool: Bool[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
     found = np.zeros(len(of_tool), bool)
     for part, marked in ((of_tool, found), (of_tool[::-1], found[::-1])):
         total = np.cumsum(np.where(part, 1.0, -AGAINST))
-        last = int(np.argmax(total))
+        # what lies beyond so much thread is another stretch
+        passed = np.maximum.accumulate(total) - total > AGAINST * LEAST_APART
+        last = int(np.argmax(np.where(np.logical_or.accumulate(passed), -np.inf, total)))
         if total[last] >= LEAST_POINTS:
             marked[: last + 1] = True
     return found

@@ -19,11 +19,18 @@ BESIDE_PX = 4.0
 
 @dataclass(frozen=True)
 class Looks:
-    """What each point of the centrelines shows, and how coloured the ground beside it is."""
+    """What each point of the centrelines shows.
+
+    Fields:
+        lab: L, a and b, OpenCV's 8-bit numbers.
+        ground: how coloured the ground beside it is, on the paler side.
+        beside: L, a and b of the ground on either side.
+    """
 
     lab: Float64[np.ndarray, "n 3"]
     width: Float64[np.ndarray, "n"]
     ground: Float64[np.ndarray, "n"]
+    beside: Float64[np.ndarray, "2 n 3"]
 
 
 def looks_along(image: UInt8[np.ndarray, "h w 3"], lines: Centrelines) -> Looks:
@@ -38,7 +45,7 @@ def looks_along(image: UInt8[np.ndarray, "h w 3"], lines: Centrelines) -> Looks:
     beside = sample(image, lines.point_px, across, np.stack((-beyond, beyond)), cv2.BORDER_REPLICATE)
     ground = _lab(np.rint(beside).astype(np.uint8))
     coloured = colour_of(ground) / (ground[..., 0] + 1.0)
-    return Looks(_lab(seen[None])[0], lines.width_px, coloured.min(axis=0))
+    return Looks(_lab(seen[None])[0], lines.width_px, coloured.min(axis=0), ground)
 
 
 def _lab(bgr: UInt8[np.ndarray, "k n 3"]) -> Float64[np.ndarray, "k n 3"]:

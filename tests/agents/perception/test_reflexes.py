@@ -13,6 +13,9 @@ from schemas.messages import FrameStamp, RectifiedStereo
 HEIGHT, WIDTH = 240, 480
 TOOL_U = 300
 TISSUE, STEEL, VIOLET, GREY_THREAD = (95, 105, 190), (120, 120, 120), (140, 60, 110), (95, 95, 95)
+BLACK_OVER_TISSUE, BLACK_OVER_STEEL = (27, 28, 37), (30, 30, 30)
+"""A tenth of what lies around a thin thread is seen in its middle."""
+SHADOW, VIOLET_IN_SHADOW = (48, 52, 95), (70, 30, 55)
 
 
 def scene(*strips):
@@ -41,6 +44,7 @@ APART = [(30, 40), (150, 70), (270, 40)]
 UPON = [(340, 40), (350, 120), (330, 200)]
 ACROSS = [(30, 150), (200, 180), (430, 160)]
 ALONG_THE_EDGE = [(30, 150), (200, 180), (310, 170), (316, 100), (316, 30)]
+ALONG_IN_SHADOW = [(292, 230), (294, 100), (294, 20)]
 
 
 @pytest.mark.parametrize("reflex", [(250, 250, 250), (125, 125, 130)])
@@ -69,8 +73,10 @@ def test_what_is_observed_has_no_line_of_an_instrument_unless_a_person_drew_it(s
         [(VIOLET, ACROSS)],
         [(GREY_THREAD, ACROSS)],
         [(GREY_THREAD, APART), (GREY_THREAD, UPON)],
+        [(BLACK_OVER_TISSUE, APART), (BLACK_OVER_STEEL, UPON)],
+        [(VIOLET, APART), (VIOLET_IN_SHADOW, ALONG_IN_SHADOW)],
     ],
-    ids=["upon it", "across it", "grey across it", "grey upon it"],
+    ids=["upon it", "across it", "grey across it", "grey upon it", "black upon it", "in its shadow"],
 )
 def test_thread_upon_an_instrument_stays(lines):
     before, found = left_of(lines)
@@ -93,3 +99,22 @@ def test_a_thread_ends_where_its_line_runs_on_along_a_reflex():
     assert len(np.unique(found.centrelines.piece)) == 1
     assert np.hypot(*(point - (310, 170)).T).min() < 8
     assert point[:, 1].min() > 140
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("thread", [[(30, 150), (292, 170)], [(212, 160), (292, 170)]], ids=["a bit", "most"])
+def test_a_thread_ends_where_its_line_runs_on_along_a_shadow(thread, turned):
+    """Also where most of the line is shadow, whichever end of it that is."""
+    shadow = [(292, 170), (294, 100), (294, 5)]
+    lines = [(VIOLET, APART[:2]), (VIOLET, thread), (SHADOW, shadow)]
+    if turned:
+        lines = [(colour, [(u, HEIGHT - 1 - v) for u, v in points]) for colour, points in lines]
+    before, found = left_of(lines)
+    length = np.hypot(*np.subtract(*thread))
+    assert len(np.unique(before.centrelines.piece)) == len(np.unique(found.centrelines.piece)) == 2
+    point = found.centrelines.point_px
+    if turned:
+        point = point * (1, -1) + (0, HEIGHT - 1)
+    longest = point[(point[:, 1] > 100) | (point[:, 0] > 160)]
+    assert abs(len(longest) - length) < 12
+    assert longest[:, 1].min() > 145
