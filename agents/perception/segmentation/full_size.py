@@ -56,13 +56,15 @@ def at_full_size(
     place = (column + 0.5) * share[0] - 0.5, (row + 0.5) * share[1] - 0.5
     edge = EDGE_SHARE * _at(_level(ridge, contrast), place)
     ground = np.asarray(_at(background, place), np.uint8)
-    seen = image[full_rows.start + row, full_columns.start + column]
+    of_image = (full_rows.start + row) * image.shape[1] + full_columns.start + column
+    # NumPy takes from one axis four times as fast as from two
+    seen = image.reshape(-1, 3).take(of_image, axis=0)
     lighter, darker = (seen, ground) if is_bright else (ground, seen)
     excess = mean_excess(lighter[None], darker[None])[0]
     clear = excess > edge
     if not clear.any():
         return coverage
-    coverage[full_rows.start + row[clear], full_columns.start + column[clear]] = 255
+    coverage.ravel()[of_image[clear]] = 255
     part = coverage[full_rows, full_columns]
     if is_bright:
         coverage[full_rows, full_columns] = without_specks(part, GLINT_SHARE * image.shape[1])

@@ -40,6 +40,7 @@ from agents.perception.segmentation.ridge_colour import (
     deviations_from_thread,
     expected_contrast,
     lab_of,
+    medians,
 )
 from agents.perception.segmentation.ridge_pieces import connected_pieces, going_on, weight_meant
 from agents.perception.segmentation.ridge_view import View, in_whole, view_of
@@ -63,13 +64,18 @@ RIVAL_SHARE = 0.4
 
 @dataclass(frozen=True)
 class _Found:
-    """Ridge pixels of one polarity that look like thread, and their strength."""
+    """Ridge pixels of one polarity that look like thread.
+
+    Fields:
+        alike: of all its ridge pixels, which look so by themselves; seeds: those that are certain.
+    """
 
     pixel: Int64[np.ndarray, "p"]
-    strength: float
+    alike: Bool[np.ndarray, "q"]
+    seeds: Bool[np.ndarray, "q"]
 
 
-NOTHING = _Found(np.zeros(0, np.int64), 0.0)
+NOTHING = _Found(np.zeros(0, np.int64), np.zeros(0, bool), np.zeros(0, bool))
 
 
 def segment_ridge(
@@ -101,9 +107,22 @@ def _most_conspicuous(candidates: list[Candidate], view: View) -> tuple[Candidat
     for other in others:
         if other.weight >= RIVAL_SHARE * first.weight or not len(found.pixel):
             rival = _thread_among(other, view)
-            if rival.strength > found.strength:
+            if _strength(other, rival, view) > _strength(first, found, view):
                 return other, rival
     return first, found
+
+
+def _strength(candidate: Candidate, found: _Found, view: View) -> float:
+    """What speaks for what was found, against what was found of the other polarity."""
+    ridges, alike = candidate.ridges, found.alike
+    if not len(alike):
+        return 0.0
+    if view.meant is not None:
+        pieces = connected_pieces(ridges, alike, found.seeds)
+        return float(weight_meant(pieces, meant_score(ridges, view.meant)).max())
+    # faint pixels would count for whichever polarity has more clutter to grow into
+    clear = alike & (ridges.response > GROW_SHARE * candidate.strong)
+    return float(connected_pieces(ridges, clear, found.seeds).weight.max())
 
 
 def _thread_among(candidate: Candidate, view: View) -> _Found:
@@ -124,12 +143,10 @@ def _thread_among(candidate: Candidate, view: View) -> _Found:
     if view.meant is not None:
         counting = weight_meant(pieces, meant_score(ridges, view.meant))
         chosen = kept & (counting == counting.max()) & (counting > 0)
-        return _Found(ridges.pixel[(chosen if view.meant.alone else kept)[pieces.of]], float(counting.max()))
+        return _Found(ridges.pixel[(chosen if view.meant.alone else kept)[pieces.of]], alike, seeds)
     if not _may_be_thread(pieces.extent, kept, longest, response[kept[pieces.of]]):
         return NOTHING
-    # faint pixels would count for whichever polarity has more clutter to grow into
-    clear = connected_pieces(ridges, alike & (response > GROW_SHARE * strong), seeds)
-    return _Found(ridges.pixel[kept[pieces.of]], float(clear.weight.max()))
+    return _Found(ridges.pixel[kept[pieces.of]], alike, seeds)
 
 
 def _may_be_thread(
@@ -138,7 +155,7 @@ def _may_be_thread(
     """Whether the pieces that are kept are long enough, and few and clear enough, for any of them to be thread."""
     if longest < max(LEAST_THREAD_PX, LEAST_SHARE_OF_LENGTH * extent[kept].sum()):
         return False
-    return bool(np.median(response) >= LEAST_RESPONSE)
+    return bool(medians(response[None])[0, 0] >= LEAST_RESPONSE)
 
 
 def _unlike(candidate: Candidate, view: View) -> tuple[Float32[np.ndarray, "p"], Float32[np.ndarray, "p"]]:
@@ -147,10 +164,12 @@ def _unlike(candidate: Candidate, view: View) -> tuple[Float32[np.ndarray, "p"],
     What is expected is what the best part of the most conspicuous piece does, for the contrast that thread has there.
     """
     ridges, piece = candidate.ridges, candidate.piece
-    best = piece & (ridges.score >= np.percentile(ridges.score[piece], 100 - BEST_PERCENT, method="lower"))
+    of_piece = ridges.score[piece]
+    least = (len(of_piece) - 1) * (100 - BEST_PERCENT) // 100
+    best = piece & (ridges.score >= np.partition(of_piece, least)[least])
     ground = view.background.reshape(-1, 3)[ridges.pixel]
     away = deviations_from_thread(ridges.colour, lab_of(ground), best, piece)
-    thread = np.median(view.seen.reshape(-1, 3)[ridges.pixel[best]], axis=0).astype(np.float32)
+    thread = medians(view.seen.reshape(-1, 3)[ridges.pixel[best]].T.astype(np.float32))[:, 0]
     most = GLINT if candidate.polarity.is_bright else np.inf
     responds = ridges.response / expected_contrast(thread, ground, candidate.polarity.is_bright, most)
-    return away, responds / np.median(responds[best])
+    return away, responds / medians(responds[None, best])[0]

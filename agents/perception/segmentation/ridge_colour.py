@@ -18,6 +18,8 @@ LEAST_COLOUR_PIXELS = 8
 LEAST_EXPECTED = 8.0
 """In grey levels: over ground of the thread's own colour no contrast is expected, and nothing is told by its share."""
 
+THIRDS = np.full(3, 1 / 3, np.float32)
+
 
 @dataclass(frozen=True)
 class Rare:
@@ -39,8 +41,7 @@ def rare_in(sample: UInt8[np.ndarray, "h w 3"]) -> Rare:
     channels = np.ascontiguousarray(lab_of(sample.reshape(-1, 3)).T)
     from_mean = channels - channels.mean(axis=1, keepdims=True)
     spread, axes = np.linalg.eigh(from_mean @ from_mean.T / channels.shape[1] + 4.0 * np.eye(3))
-    usual = np.median(channels, axis=1).astype(np.float32)
-    return Rare(usual, (axes / np.sqrt(spread)).astype(np.float32))
+    return Rare(medians(channels)[:, 0], (axes / np.sqrt(spread)).astype(np.float32))
 
 
 def rarity(colour: Float32[np.ndarray, "p 3"], rare: Rare) -> Float32[np.ndarray, "p"]:
@@ -69,8 +70,8 @@ def deviations_from_thread(
         if np.count_nonzero(own) < least:
             break
         known = channels[:, own]
-        thread = np.median(known, axis=1, keepdims=True)
-        spread = 1.4826 * np.median(np.abs(known - thread), axis=1, keepdims=True)
+        thread = medians(known)
+        spread = 1.4826 * medians(np.abs(known - thread))
         per_deviation = 1 / np.clip(spread, *COLOUR_DEVIATION_RANGE[:, :, None])
         seen, whole = from_ground * per_deviation, (thread - ground_channels) * per_deviation
         along = (seen * whole).sum(axis=0) / np.maximum((whole * whole).sum(axis=0), 1e-6)
@@ -86,4 +87,13 @@ def expected_contrast(
 ) -> Float32[np.ndarray, "p"]:
     """How much brighter, or darker, thread of a colour would be than each ground, up to a limit."""
     excess = (thread - ground) if is_bright else (ground - thread)
-    return np.clip(np.maximum(excess, 0).mean(axis=1), LEAST_EXPECTED, most).astype(np.float32, copy=False)
+    # over an axis of three, NumPy's own mean takes three times as long
+    return np.clip(np.maximum(excess, 0) @ THIRDS, LEAST_EXPECTED, most).astype(np.float32, copy=False)
+
+
+def medians(channels: Float32[np.ndarray, "c p"]) -> Float32[np.ndarray, "c 1"]:
+    """Of at least one value of each channel: NumPy's own takes twice as long."""
+    half, odd = divmod(channels.shape[1], 2)
+    both = half - 1 + odd, half
+    ordered = np.partition(channels, both, axis=1)
+    return np.float32(0.5) * (ordered[:, both[0], None] + ordered[:, both[1], None])

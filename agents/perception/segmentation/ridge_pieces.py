@@ -10,7 +10,7 @@ from agents.perception.segmentation.connected import extents, of_pixels
 
 LEAST_LENGTH_PX = 12
 """Pieces shorter than this are specks."""
-BLOCK = 16
+BLOCK = 64
 """Values of which only the greatest counts while the strongest are looked for."""
 
 GOING_ON_PX, GOING_ON_EXTENT_SHARE = 10, 0.13
@@ -48,7 +48,7 @@ class Pieces:
     Fields:
         of: number of the piece of each ridge pixel; 0 of those in none.
         weight: the total score of each; 0 of the ground, of specks, and of what holds no seed.
-        extent: the diagonal of each, in pixels.
+        extent: the diagonal of each that holds a seed, in pixels.
     """
 
     of: Int32[np.ndarray, "p"]
@@ -62,15 +62,16 @@ def connected_pieces(ridges: Ridges, kept: Bool[np.ndarray, "p"], seeds: Bool[np
     mask = of_pixels(pixel, ridges.shape)
     # OpenCV's own statistics of the pieces take several times as long as the pieces
     count, labelled = cv2.connectedComponents(mask.view(np.uint8), connectivity=8)
-    of_kept = np.asarray(labelled, np.int32).ravel()[pixel]
-    extent = extents(of_kept, pixel, ridges.shape[1], count)
-    weight = np.bincount(of_kept, weights=ridges.score[kept], minlength=count)
     piece = np.zeros(len(kept), np.int32)
-    piece[kept] = of_kept
+    piece[kept] = np.asarray(labelled, np.int32).ravel()[pixel]
     seeded = np.zeros(count, bool)
     seeded[piece[seeds]] = True
-    weight[~seeded | (extent < LEAST_LENGTH_PX)] = 0.0
-    weight[0] = 0.0
+    seeded[0] = False
+    counting = np.flatnonzero(seeded[piece])
+    of_counting = piece[counting]
+    extent = extents(of_counting, ridges.pixel[counting], ridges.shape[1], count)
+    weight = np.bincount(of_counting, weights=ridges.score[counting], minlength=count)
+    weight[extent < LEAST_LENGTH_PX] = 0.0
     return Pieces(piece, weight, extent)
 
 
@@ -119,7 +120,9 @@ def from_top(values: Float32[np.ndarray, "p"], places: float) -> float:
     whole = int(places)
     # so many blocks have a greatest value of at least this that no smaller value counts
     blocks = values[: len(values) - len(values) % BLOCK].reshape(BLOCK, -1).max(axis=0)
-    if len(blocks) > whole + 1:
-        values = values[values >= -np.partition(-blocks, whole + 1)[whole + 1]]
-    above, below = -np.partition(-values, (whole, whole + 1))[whole : whole + 2]
+    least = len(blocks) - whole - 2
+    if least >= 0:
+        values = values[values >= np.partition(blocks, least)[least]]
+    least = len(values) - whole - 2
+    below, above = np.partition(values, (least, least + 1))[least : least + 2]
     return float(above + (below - above) * (places - whole))
