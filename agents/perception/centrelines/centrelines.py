@@ -70,11 +70,11 @@ def thread_lines(image: UInt8[np.ndarray, "h w 3"], coverage: UInt8[np.ndarray, 
         coverage: by thread, 0 to 255; anti-aliased, or binary.
     """
     mask = coverage >= SEGMENTED_COVERAGE
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    if len(rows) == 0:
+    left, top, columns, rows = cv2.boundingRect(mask.view(np.uint8))
+    if rows == 0:
         return NO_LINES
-    corner = np.array([max(columns[0] - GROUND_PX, 0), max(rows[0] - GROUND_PX, 0)])
-    box = np.s_[corner[1] : rows[-1] + 1 + GROUND_PX, corner[0] : columns[-1] + 1 + GROUND_PX]
+    corner = np.array([max(left - GROUND_PX, 0), max(top - GROUND_PX, 0)])
+    box = np.s_[corner[1] : top + rows + GROUND_PX, corner[0] : left + columns + GROUND_PX]
     found = _lines(image[box], np.ascontiguousarray(coverage[box], np.float32), mask[box])
     lines = found.centrelines
     inside = np.clip(lines.point_px + corner, 0.0, np.array(coverage.shape[::-1]) - 1.0)
@@ -125,6 +125,9 @@ def followed(
 def _is_graded(coverage: Float32[np.ndarray, "h w"], mask: Bool[np.ndarray, "h w"]) -> bool:
     """Whether the coverage fades at the mask's border, as anti-aliased coverage does; if not, it has no sub-pixels."""
     thread = mask.view(np.uint8)
+    # mostly there is no such pixel anywhere
+    if cv2.countNonZero(coverage) == cv2.countNonZero(thread):
+        return False
     beside = cv2.subtract(cv2.dilate(thread, AROUND), thread)
     faint = cv2.bitwise_and(beside, (coverage > 0).view(np.uint8))
     return cv2.countNonZero(faint) > LEAST_GRADED_SHARE * cv2.countNonZero(beside)

@@ -68,7 +68,7 @@ class Evidence:
 
 def tangent_sigma(width: float) -> float:
     """Over how many points a direction is taken: a wide thread bends slowly, and its skeleton jitters more."""
-    return float(np.clip(0.5 * width, 2.0, 4.0))
+    return min(max(0.5 * width, 2.0), 4.0)
 
 
 def to_ends(curves: Curves, loose: bool) -> Float64[np.ndarray, "n"]:

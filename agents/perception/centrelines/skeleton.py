@@ -74,13 +74,11 @@ def _prune(image: UInt8[np.ndarray, "h w"], depth: Float32[np.ndarray, "h w"]) -
 
 def _traced(image: UInt8[np.ndarray, "h w"], depth: Float32[np.ndarray, "h w"]) -> Paths:
     index, degree = _pixels(image)
-    kept = np.ones(image.shape, np.uint8)
     stride = image.shape[1]
     for at in index[degree >= 3].tolist():
         row, column = divmod(at, stride)
-        cv2.circle(kept, (column, row), int(np.ceil(CUT_RADIUS * depth[row, column])), 0, cv2.FILLED)
-    whole = kept.ravel()[index] > 0
-    image &= kept
+        cv2.circle(image, (column, row), int(np.ceil(CUT_RADIUS * depth[row, column])), 0, cv2.FILLED)
+    whole = image.ravel()[index] > 0
     order, path = _walk(_neighbours(image.ravel(), index[whole], neighbour_offsets(stride)))
     at = index[whole][order]
     loose = degree[whole][order] == 1
@@ -131,21 +129,26 @@ def _walk(neighbours: Int64[np.ndarray, "p 8"]) -> tuple[Int64[np.ndarray, "p"],
     one, other = np.sort(neighbours, axis=1)[:, -2:].T
     # the next pixel is the sum of both neighbours less the one before; −1 stands before the first and after the last
     both: list[int] = (one + other).tolist()
-    unvisited = bytearray(b"\1" * len(both))
+    unvisited = np.ones(len(both), bool)
     order: list[int] = []
     lengths: list[int] = []
 
     def follow(start: int, before: int) -> None:
-        here, begun = start, len(order)
-        while here >= 0 and unvisited[here]:
-            unvisited[here] = 0
-            order.append(here)
+        here, path = start, list[int]()
+        while True:
+            path.append(here)
             here, before = both[here] - before, here
-        lengths.append(len(order) - begun)
+            # a path ends, a loop returns
+            if here < 0 or here == start:
+                break
+        unvisited[path] = False
+        order.extend(path)
+        lengths.append(len(path))
 
     for end in np.flatnonzero(one < 0).tolist():
         if unvisited[end]:
             follow(end, -1)
-    while (start := unvisited.find(1)) >= 0:
+    while unvisited.any():
+        start = int(np.argmax(unvisited))
         follow(start, int(one[start]))
     return np.array(order, np.int64), np.repeat(np.arange(len(lengths)), lengths)
