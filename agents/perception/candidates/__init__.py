@@ -2,6 +2,7 @@
 
 from agents.perception.candidates.candidates import Candidates, candidates_in
 from agents.perception.candidates.followed import candidates_followed
+from agents.perception.candidates.one_eye import seen_by_both
 from agents.perception.candidates.printed import without_printed
 
-__all__ = ["Candidates", "candidates_followed", "candidates_in", "without_printed"]
+__all__ = ["Candidates", "candidates_followed", "candidates_in", "seen_by_both", "without_printed"]

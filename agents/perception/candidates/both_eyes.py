@@ -58,9 +58,9 @@ def in_both_eyes(
     if 0 in count:
         return BothEyes(np.full(count[1], -1), np.zeros(count), np.zeros(count[0]))
     unlike = unlikeness(threads.looks, looks)
-    left_at, thread = _sampled(threads.points)
-    right_at, piece = _sampled(pieces)
-    same = _same_place(
+    left_at, thread = sampled(threads.points)
+    right_at, piece = sampled(pieces)
+    same, _ = same_place(
         left.point_px[left_at], right.point_px[right_at], unlike[thread][:, piece] < UNALIKE, image_width
     )
     of_thread = np.logical_or.reduceat(same, np.flatnonzero(np.diff(thread, prepend=-1)), axis=0)
@@ -74,25 +74,29 @@ def in_both_eyes(
     return BothEyes(mine, against, np.bincount(thread, shown, count[0]) / np.bincount(thread))
 
 
-def _sampled(parts: list[Int64[np.ndarray, "k"]]) -> tuple[Int64[np.ndarray, "n"], Int64[np.ndarray, "n"]]:
+def sampled(parts: list[Int64[np.ndarray, "k"]]) -> tuple[Int64[np.ndarray, "n"], Int64[np.ndarray, "n"]]:
     """Some indices of each part, and the part's number."""
     some = [part[min(len(part) // 2, EVERY // 2) :: EVERY] for part in parts]
     return np.concatenate(some), np.repeat(np.arange(len(some)), [len(part) for part in some])
 
 
-def _same_place(
+def same_place(
     left_px: Float64[np.ndarray, "n 2"],
     right_px: Float64[np.ndarray, "m 2"],
     alike: Bool[np.ndarray, "n m"],
     image_width: int,
-) -> Bool[np.ndarray, "n m"]:
-    """Which points may be one place: in one row, and about as far from each other as most such points are."""
+) -> tuple[Bool[np.ndarray, "n m"], float]:
+    """Which points may be one place: in one row, and about as far from each other as most such points are: how far.
+
+    Args:
+        alike: which look alike.
+    """
     disparity = left_px[:, None, 0] - right_px[None, :, 0]
     same_row = np.abs(left_px[:, None, 1] - right_px[None, :, 1]) <= 0.5 * EVERY + 0.5
     may_be = same_row & alike & (disparity > 1.0) & (disparity < LARGEST_SHARE * image_width)
     if not may_be.any():
-        return may_be
+        return may_be, 0.0
     bin_px = 0.25 * ABOUT_SHARE * image_width
     heap = np.bincount((disparity[may_be] / bin_px).astype(np.intp))
     usual = (float(np.argmax(np.convolve(heap, np.ones(5), mode="same"))) + 0.5) * bin_px
-    return may_be & (np.abs(disparity - usual) <= ABOUT_SHARE * image_width)
+    return may_be & (np.abs(disparity - usual) <= ABOUT_SHARE * image_width), usual
