@@ -10,7 +10,6 @@ filters or of products of spectra. The same derivatives tell the direction acros
 """
 
 import functools
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -29,6 +28,9 @@ CALM_PX = 5
 """Side of the window over which derivatives are averaged for a direction."""
 DIRECTION_REACH_PX = ROUND_PX + CALM_PX // 2
 
+ANGLES = np.arange(ORIENTATIONS) * (np.pi / ORIENTATIONS)
+Derivatives = tuple[tuple[Float32[np.ndarray, "k"], Float32[np.ndarray, "k"]], ...]
+
 
 @dataclass(frozen=True)
 class _Filters:
@@ -37,67 +39,55 @@ class _Filters:
     Fields:
         derivatives: kernels along x and along y of ∂_xx, ∂_xy and ∂_yy of the round Gaussian.
         mixed: how much of each derivative is in the filter of each angle.
-        lines: the kernel along the line at each angle; sparse_lines: for every second pixel alone.
+        lines: the kernel along the line at each angle.
+        radius: how far they reach.
     """
 
-    derivatives: tuple[tuple[Float32[np.ndarray, "k"], Float32[np.ndarray, "k"]], ...]
+    derivatives: Derivatives
     mixed: Float32[np.ndarray, "a 3"]
     lines: tuple[Float32[np.ndarray, "r c"], ...]
-    sparse_lines: tuple[Float32[np.ndarray, "r c"], ...]
+    radius: int
 
 
-@dataclass(frozen=True)
-class Bends:
-    """The three derivatives of a contrast, each with a margin of RADIUS_PX in which the contrast is mirrored."""
+def line_response(
+    contrast: Float32[np.ndarray, "h w"], rows: slice = slice(None), columns: slice = slice(None)
+) -> Float32[np.ndarray, "r c"]:
+    """How much each pixel of some rows and columns of a contrast looks like part of a line.
 
-    xx: Float32[np.ndarray, "h+22 w+22"]
-    xy: Float32[np.ndarray, "h+22 w+22"]
-    yy: Float32[np.ndarray, "h+22 w+22"]
-
-
-def bends_of(contrast: Float32[np.ndarray, "h w"], rows: slice = slice(None), columns: slice = slice(None)) -> Bends:
-    """How a contrast bends at some rows and columns of it."""
-    padded = cv2.copyMakeBorder(contrast, RADIUS_PX, RADIUS_PX, RADIUS_PX, RADIUS_PX, cv2.BORDER_REFLECT)
-    (top, bottom, _), (left, right, _) = rows.indices(contrast.shape[0]), columns.indices(contrast.shape[1])
-    padded = padded[top : bottom + 2 * RADIUS_PX, left : right + 2 * RADIUS_PX]
-    return Bends(
-        *(np.asarray(cv2.sepFilter2D(padded, cv2.CV_32F, x, y), np.float32) for x, y in _filters().derivatives)
-    )
+    It is in the contrast's grey levels, by the best filter.
+    """
+    return _strongest(contrast, rows, columns, _filters())
 
 
-def line_response(bends: Bends) -> Float32[np.ndarray, "h w"]:
-    """How much each pixel looks like part of a line, in the contrast's grey levels, by the best filter."""
-    height, width = (side - 2 * RADIUS_PX for side in bends.xx.shape)
-    return _strongest((bends.xx, bends.xy, bends.yy), _filters().lines, RADIUS_PX, (height, width))
+def rough_line_response(contrast: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+    """About the same for a contrast of half the width and height, with lines half as long.
 
-
-def sparse_line_response(bends: Bends) -> Float32[np.ndarray, "r c"]:
-    """About the same for every second pixel of every second row, by places on the lines that are among these."""
-    height, width = ((side - 2 * RADIUS_PX + 1) // 2 for side in bends.xx.shape)
-    first = RADIUS_PX % 2
-    some = [np.ascontiguousarray(bend[first::2, first::2]) for bend in (bends.xx, bends.xy, bends.yy)]
-    return _strongest(some, _filters().sparse_lines, RADIUS_PX // 2, (height, width))
+    The derivatives are Sobel's: in the smaller image they are about as wide as the others in the larger one.
+    """
+    return _strongest(contrast, slice(None), slice(None), _rough_filters())
 
 
 def _strongest(
-    bends: Sequence[Float32[np.ndarray, "h w"]],
-    lines: Sequence[Float32[np.ndarray, "r c"]],
-    margin: int,
-    shape: tuple[int, int],
-) -> Float32[np.ndarray, "h w"]:
-    """The greatest answer of any angle, and 0 where all are less, within a margin."""
-    xx, xy, yy = bends
-    strongest = np.zeros(xx.shape, np.float32)
+    contrast: Float32[np.ndarray, "h w"], rows: slice, columns: slice, filters: _Filters
+) -> Float32[np.ndarray, "r c"]:
+    """The greatest answer of any angle, and 0 where all are less."""
+    margin = filters.radius
+    padded = cv2.copyMakeBorder(contrast, margin, margin, margin, margin, cv2.BORDER_REFLECT)
+    (top, bottom, _), (left, right, _) = rows.indices(contrast.shape[0]), columns.indices(contrast.shape[1])
+    padded = padded[top : bottom + 2 * margin, left : right + 2 * margin]
+    xx, xy, yy = (cv2.sepFilter2D(padded, cv2.CV_32F, x, y) for x, y in filters.derivatives)
+    strongest = np.zeros(padded.shape, np.float32)
     across, answer = np.empty_like(strongest), np.empty_like(strongest)
-    for (of_xx, of_xy, of_yy), line in zip(_filters().mixed.tolist(), lines, strict=True):
+    for (of_xx, of_xy, of_yy), line in zip(filters.mixed.tolist(), filters.lines, strict=True):
         cv2.addWeighted(xx, of_xx, yy, of_yy, 0, dst=across)
         cv2.scaleAdd(xy, of_xy, across, dst=across)
         cv2.filter2D(across, cv2.CV_32F, line, dst=answer)
         cv2.max(strongest, answer, dst=strongest)
     # memory that was in use just now: to get some takes ten times as long as to write to it
-    inner = answer.ravel()[: shape[0] * shape[1]].reshape(shape)
-    np.copyto(inner, strongest[margin : margin + shape[0], margin : margin + shape[1]])
-    return inner
+    inner = strongest[margin:-margin, margin:-margin]
+    found = answer.ravel()[: inner.size].reshape(inner.shape)
+    np.copyto(found, inner)
+    return found
 
 
 def across_lines(contrast: Float32[np.ndarray, "h w"], pixel: Int64[np.ndarray, "p"]) -> Float32[np.ndarray, "p 2"]:
@@ -136,15 +126,22 @@ def _filters() -> _Filters:
     # a kernel cut short would see a line in an even ground
     bend -= bend.sum() * level / level.sum()
     level, slope, bend = (part.astype(np.float32) for part in (level, slope, bend))
-    derivatives = (bend, level), (slope, slope), (level, bend)
-    angles = np.arange(ORIENTATIONS) * (np.pi / ORIENTATIONS)
-    mixed = -np.column_stack((np.sin(angles) ** 2, -np.sin(2 * angles), np.cos(angles) ** 2)).astype(np.float32)
-    lines = [_line(angle) for angle in angles]
+    return _filters_of(((bend, level), (slope, slope), (level, bend)), [_line(angle) for angle in ANGLES])
+
+
+@functools.cache
+def _rough_filters() -> _Filters:
+    """Those for an image of half the width and height."""
+    level, slope, bend = (np.array(part, np.float32) for part in ((1, 2, 1), (-1, 0, 1), (1, -2, 1)))
+    return _filters_of(((bend, level), (slope, slope), (level, bend)), [_line(angle, 1, 2) for angle in ANGLES])
+
+
+def _filters_of(derivatives: Derivatives, lines: list[Float32[np.ndarray, "r c"]]) -> _Filters:
+    mixed = -np.column_stack((np.sin(ANGLES) ** 2, -np.sin(2 * ANGLES), np.cos(ANGLES) ** 2)).astype(np.float32)
     for k, line in enumerate(lines):
         mixed[k] *= 2 / np.abs(_whole(derivatives, mixed[k], line)).sum()
-    sparse = [_line(angle, 1, 2) for angle in angles]
-    sparse = [few * (line.sum() / few.sum()) for few, line in zip(sparse, lines, strict=True)]
-    return _Filters(derivatives, mixed, tuple(lines), tuple(sparse))
+    radius = len(derivatives[0][0]) // 2 + max(max(line.shape) for line in lines) // 2
+    return _Filters(derivatives, mixed, tuple(lines), radius)
 
 
 def _line(angle: float, widest_step: int = STEP_PX, pixel_px: int = 1) -> Float32[np.ndarray, "r c"]:
@@ -172,7 +169,7 @@ def _line(angle: float, widest_step: int = STEP_PX, pixel_px: int = 1) -> Float3
 
 
 def _whole(
-    derivatives: tuple[tuple[Float32[np.ndarray, "k"], Float32[np.ndarray, "k"]], ...],
+    derivatives: Derivatives,
     mixed: Float32[np.ndarray, "3"],
     line: Float32[np.ndarray, "r c"],
 ) -> Float32[np.ndarray, "n n"]:

@@ -92,12 +92,12 @@ def segment_ridge(
         return np.zeros(image.shape[:2], np.uint8)
     view = view_of(image, near, meant)
     likely, unlikely = polarities(view, near)
-    chosen, found = _most_conspicuous([candidate_of(polarity, view) for polarity in likely], view)
+    chosen, found = _most_conspicuous([candidate_of(view, is_bright) for is_bright in likely], view)
     if unlikely and not len(found.pixel):
-        chosen, found = _most_conspicuous([candidate_of(polarity, view) for polarity in unlikely], view)
+        chosen, found = _most_conspicuous([candidate_of(view, is_bright) for is_bright in unlikely], view)
     ridge = of_pixels(found.pixel, view.seen.shape[:2])
-    background, ridge, contrast = (in_whole(part, view) for part in (view.background, ridge, chosen.polarity.contrast))
-    return at_full_size(image, background, ridge, contrast, chosen.polarity.is_bright)
+    background, ridge, contrast = (in_whole(part, view) for part in (view.background, ridge, chosen.contrast))
+    return at_full_size(image, background, ridge, contrast, chosen.is_bright)
 
 
 def _most_conspicuous(candidates: list[Candidate], view: View) -> tuple[Candidate, _Found]:
@@ -134,7 +134,7 @@ def _thread_among(candidate: Candidate, view: View) -> _Found:
     alike = (away < GROWN_COLOUR_LIMIT) & (of_expected > LEAST_OF_EXPECTED)
     if view.instruments is not None:
         doubtful = np.flatnonzero(alike & ~((away < EDGE_COLOUR_LIMIT) & (of_expected > EDGE_OF_EXPECTED)))
-        alike[doubtful[along_borders(view.instruments, candidate.polarity.line, ridges.pixel[doubtful])]] = False
+        alike[doubtful[along_borders(view.instruments, candidate.line, ridges.pixel[doubtful])]] = False
     seeds = alike & ridges.apart & (away < COLOUR_LIMIT) & (response > SEED_SHARE * strong)
     pieces = connected_pieces(ridges, alike, seeds)
     longest = pieces.extent[pieces.weight > 0].max(initial=0)
@@ -170,6 +170,6 @@ def _unlike(candidate: Candidate, view: View) -> tuple[Float32[np.ndarray, "p"],
     ground = view.background.reshape(-1, 3)[ridges.pixel]
     away = deviations_from_thread(ridges.colour, lab_of(ground), best, piece)
     thread = medians(view.seen.reshape(-1, 3)[ridges.pixel[best]].T.astype(np.float32))[:, 0]
-    most = GLINT if candidate.polarity.is_bright else np.inf
-    responds = ridges.response / expected_contrast(thread, ground, candidate.polarity.is_bright, most)
+    most = GLINT if candidate.is_bright else np.inf
+    responds = ridges.response / expected_contrast(thread, ground, candidate.is_bright, most)
     return away, responds / medians(responds[None, best])[0]

@@ -154,9 +154,7 @@ def test_a_thread_is_found_though_more_speaks_for_clutter_of_the_other_polarity(
             cv2.line(image, (left, row), (left + 70, row), (10, 5, 0), 2, cv2.LINE_AA)
     image = np.clip(image + np.random.default_rng(1).normal(0, 2, image.shape), 0, 255).astype(np.uint8)
     monkeypatch.setattr(ridge_candidate, "UNLIKELY_SHARE", 1.0)
-    likely, unlikely = ridge_candidate.polarities(view_of(image, None, None), None)
-    assert [polarity.is_bright for polarity in likely] == [False]
-    assert [polarity.is_bright for polarity in unlikely] == [True]
+    assert ridge_candidate.polarities(view_of(image, None, None), None) == ([False], [True])
     recall, precision = recall_and_precision(segment_ridge(image), thread)
     assert recall > 0.95
     assert precision > 0.95
