@@ -29,6 +29,7 @@ from benchmarks.perception_times import times_ms
 from benchmarks.scenes import CLEAR, CROSSING, OCCLUSION, Scene, scenes
 from benchmarks.variations import NONE, Run
 from shared.camera import project
+from shared.runtime.memory import keep_freed_memory
 
 OF_TISSUE = tuple(name for name in SEGMENTERS if name != THRESHOLD)
 """`threshold` is for plain grounds."""
@@ -86,7 +87,9 @@ def row_of(scene: Scene, segmenter: str, timed: bool, pictures: Path | None) -> 
     result = reconstruct_pair(scene.images, scene.calibration, masks=None, segmenter=segmenter, method=DEFAULT_METHOD)
     row = figures(run, result) | shares_of(scene, result)
     if timed:
+        # as in an agent's process
         cv2.setNumThreads(1)
+        keep_freed_memory()
         row["times_ms"] = times_ms(scene, result.observations.camera, segmenter)
     if pictures is not None:
         save_finding(pictures / f"{segmenter} {scene.name}.png", scene, result)
