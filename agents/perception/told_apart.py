@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from agents.perception.candidates import candidates_followed, candidates_in, seen_by_both, without_printed
+from agents.perception.candidates import candidates_followed, candidates_in, in_common_px, seen_by_both, without_printed
 from agents.perception.following.stacked import trail_without
 from agents.perception.occluders import map_image, occluders_in, with_needles
 from agents.perception.segmenter_names import NETWORK, RIDGE
@@ -26,6 +26,12 @@ PRINTED_SHARE = 0.04
 """Of the image's width: shorter lines are not asked whether they lie in the ground."""
 ALL_PRINTED = (
     "all that looks like thread lies in the ground, as print and stains do; if it is thread, point at it by a prompt"
+)
+LEAST_IN_COMMON_PX = 24.0
+"""Of thread: less of it in both images is none."""
+IN_ONE_EYE = (
+    "what looks like thread is in one image alone, and no row of the other one has its counterpart; if it is thread, "
+    "turn the camera until both eyes see it"
 )
 OVER_WIDTHS = 2.0
 """Of the thread: its coverage is no wider."""
@@ -60,13 +66,15 @@ def told_apart(
         width = observed.camera.image_width
         standing = without_printed(images, lines, PRINTED_SHARE * width, observed.camera.fx_px)
         if len(lines[0].piece) and not len(standing[0].piece):
-            return _all_printed(observed, score)
+            return _none(observed, ALL_PRINTED, score)
         observed, lines = _with_lines(observed, standing), standing
     before = () if last is None else last.candidates
     occluders = _occluders(observed, images, coverage, whole, last)
     if is_judged:
         maps = None if occluders is None else (decode_image(occluders.left), decode_image(occluders.right))
         lines = seen_by_both(lines, maps, observed.camera.image_width)
+        if in_common_px(lines, observed.camera.image_width) < LEAST_IN_COMMON_PX:
+            return _none(observed, IN_ONE_EYE, score)
         observed = _with_lines(observed, lines)
     # one thread alone is told from no other by what may hide it
     is_asked = occluders is not None and (whole or len(before) > 1)
@@ -98,10 +106,10 @@ def _with_lines(observed: ThreadObservations, lines: tuple[Centrelines, Centreli
     )
 
 
-def _all_printed(observed: ThreadObservations, score: UInt8[np.ndarray, "h w"] | None) -> ThreadObservations:
+def _none(observed: ThreadObservations, reason: str, score: UInt8[np.ndarray, "h w"] | None) -> ThreadObservations:
     """The observations of a pair that shows no thread, with the lines that look like it."""
     score_map = None if score is None else _small(score)
-    return replace(observed, status=Status.FAILED, reason=ALL_PRINTED, score_map=score_map)
+    return replace(observed, status=Status.FAILED, reason=reason, score_map=score_map)
 
 
 def _occluders(

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from agents.perception.candidates import seen_by_both
-from schemas.messages import Centrelines, Occluder
+from agents.perception.candidates import in_common_px, seen_by_both
+from schemas.messages import Centrelines, Occluder, no_centrelines
 
 WIDTH, HEIGHT = 960, 540
 DISPARITY = 60.0
@@ -96,3 +96,26 @@ def test_nothing_is_dropped_where_the_eyes_show_different_things():
     assert seen_by_both(shown, None, WIDTH) == shown
     bare = lines(THREAD), Centrelines(np.zeros((0, 2)), np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
     assert seen_by_both(bare, None, WIDTH) == bare
+
+
+ALONG_ROWS = [(300, 200), (420, 200)]
+
+
+@pytest.mark.parametrize("way", [THREAD, LONE, ALONG_ROWS], ids=["a long line", "a short one", "one along the rows"])
+def test_what_both_eyes_have_in_common_is_as_long_as_it_is(way):
+    both = lines(way), lines(way, shift=DISPARITY)
+    assert in_common_px(both, WIDTH) == pytest.approx(len(both[0].piece), rel=0.15)
+
+
+def test_what_each_eye_shows_elsewhere_is_not_in_common():
+    lower = [(700, 400), (760, 460)]
+    assert in_common_px((lines(LONE), lines(lower, shift=DISPARITY)), WIDTH) == 0.0
+    # in its rows, but where no thread could be seen from there: to the right of it
+    assert in_common_px((lines(LONE), lines(LONE, shift=-DISPARITY)), WIDTH) == 0.0
+    assert in_common_px((lines(THREAD, LONE), lines(LONE, lower, shift=DISPARITY)), WIDTH) < len(lines(LONE).piece) + 12
+
+
+@pytest.mark.parametrize("eye", [0, 1])
+def test_nothing_is_in_common_where_one_eye_shows_nothing(eye):
+    shown, nothing = lines(LONE), no_centrelines()
+    assert in_common_px((nothing, shown) if eye else (shown, nothing), WIDTH) == 0.0

@@ -10,8 +10,9 @@ import pytest
 
 from agents.perception.observe import observe
 from agents.perception.occluders import map_image
+from agents.perception.segmenter_names import GIVEN_MASKS, NETWORK, RIDGE
 from agents.perception.told_apart import SCORE_WIDTH_PX, told_apart
-from schemas.messages import FrameStamp, Occluder, Occluders, RectifiedStereo
+from schemas.messages import FrameStamp, Occluder, Occluders, RectifiedStereo, Status
 from shared.images import decode_image
 from tests.agents.perception.test_candidates import BLACK, DISPARITY, GREEN, HEIGHT, WIDTH, drawn, lies_on
 
@@ -93,3 +94,36 @@ def test_between_looks_at_the_whole_instruments_are_looked_for_anew_every_sixth_
     now = told(between, last=before)
     assert now.occluders.sequence == (after if is_due else 0)
     assert kinds(now).any() == (not is_due)
+
+
+@pytest.mark.parametrize("segmenter", [NETWORK, RIDGE, GIVEN_MASKS])
+@pytest.mark.parametrize("pointed_at", [False, True])
+def test_what_each_eye_shows_in_other_rows_is_no_thread_unless_a_person_says_so(segmenter, pointed_at):
+    left, right = drawn(((LONG, BLACK, 5),), (), 0), drawn(((SHORT, GREEN, 5),), (), DISPARITY)
+    images, coverage = (left[0], right[0]), (left[1], right[1])
+    seen = observe(FrameStamp(0, 1, 1, ""), CAMERA, *images, *coverage, segmenter, (), matching=False)
+    seen = replace(seen, prompt_px=np.array([300.0, 184.0]) if pointed_at else None)
+    found = told_apart(seen, images, coverage, None)
+    if segmenter == GIVEN_MASKS or pointed_at:
+        assert found.status is Status.OK
+    else:
+        assert found.status is Status.FAILED
+        assert "in one image alone" in found.reason
+        # what looks like it stays to be looked at
+        assert len(found.centrelines_left.piece)
+
+
+def test_what_is_followed_is_not_asked_for_its_counterpart_before_the_next_look_at_the_whole():
+    before = observed(3)
+    lines = before.centrelines_left, replace(before.centrelines_right, point_px=before.centrelines_right.point_px / 4)
+    for looked, status in ((5, Status.FAILED), (3, Status.OK)):
+        asked = replace(
+            before,
+            stamp=FrameStamp(5, 1, 1, ""),
+            looked_sequence=looked,
+            centrelines_left=lines[0],
+            centrelines_right=lines[1],
+            trail_left=None,
+            trail_right=None,
+        )
+        assert told(asked, last=before).status is status
