@@ -107,7 +107,8 @@ def map_image(occluders: UInt8[np.ndarray, "r c"]) -> Image:
 def redness(image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w"]:
     """The logarithm of red over the mean of green and blue, in steps of 1/64 about 80."""
     others = np.asarray(cv2.addWeighted(image[..., 0], 0.5, image[..., 1], 0.5, 0.0), np.uint8)
-    return np.rint(_OF_RED[image[..., 2]] - _OF_OTHERS[others]).clip(0, 255).astype(np.uint8)
+    of_red, of_others = cv2.LUT(cv2.extractChannel(image, 2), _OF_RED), cv2.LUT(others, _OF_OTHERS)
+    return np.asarray(cv2.subtract(of_red, of_others, dtype=cv2.CV_8U), np.uint8)
 
 
 def _brightest(image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w"]:

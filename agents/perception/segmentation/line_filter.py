@@ -29,6 +29,8 @@ CALM_PX = 5
 DIRECTION_REACH_PX = ROUND_PX + CALM_PX // 2
 
 ANGLES = np.arange(ORIENTATIONS) * (np.pi / ORIENTATIONS)
+MIRRORED = (0,), *((k, ORIENTATIONS - k) for k in range(1, ORIENTATIONS // 2)), (ORIENTATIONS // 2,)
+"""Angles of either sign, whose filters differ in the sign of ∂_xy alone."""
 Derivatives = tuple[tuple[Float32[np.ndarray, "k"], Float32[np.ndarray, "k"]], ...]
 
 
@@ -77,12 +79,15 @@ def _strongest(
     padded = padded[top : bottom + 2 * margin, left : right + 2 * margin]
     xx, xy, yy = (cv2.sepFilter2D(padded, cv2.CV_32F, x, y) for x, y in filters.derivatives)
     strongest = np.zeros(padded.shape, np.float32)
-    across, answer = np.empty_like(strongest), np.empty_like(strongest)
-    for (of_xx, of_xy, of_yy), line in zip(filters.mixed.tolist(), filters.lines, strict=True):
-        cv2.addWeighted(xx, of_xx, yy, of_yy, 0, dst=across)
-        cv2.scaleAdd(xy, of_xy, across, dst=across)
-        cv2.filter2D(across, cv2.CV_32F, line, dst=answer)
-        cv2.max(strongest, answer, dst=strongest)
+    both, across, answer = (np.empty_like(strongest) for _ in range(3))
+    mixed = filters.mixed.tolist()
+    for mirrored in MIRRORED:
+        of_xx, _, of_yy = mixed[mirrored[0]]
+        cv2.addWeighted(xx, of_xx, yy, of_yy, 0, dst=both)
+        for k in mirrored:
+            cv2.scaleAdd(xy, mixed[k][1], both, dst=across)
+            cv2.filter2D(across, cv2.CV_32F, filters.lines[k], dst=answer)
+            cv2.max(strongest, answer, dst=strongest)
     # memory that was in use just now: to get some takes ten times as long as to write to it
     inner = strongest[margin:-margin, margin:-margin]
     found = answer.ravel()[: inner.size].reshape(inner.shape)
