@@ -25,7 +25,7 @@ EXIT_UNSAFE = 1
 OWN_ENDPOINT = "tcp/127.0.0.1:7448"
 """Beside a rig's router, which listens on 7447."""
 HEARTBEATS = "suturegrasp/*/operator/{arm}/heartbeat"
-SENT_S, WAKES_S = 0.2, 0.5
+SENT_S = 0.2
 
 
 def run(options: Emulate) -> int:
@@ -73,9 +73,7 @@ def _run(options: Emulate, session: Session, oracles: dict[str, Oracle], stopped
         where = f"as {options.zenoh} says" if options.zenoh else f"listening on {options.listen or OWN_ENDPOINT}"
         how = f"at {options.connect}" if options.connect else where
         say(f"an emulated dVRK has {options.arm}, {options.codec}, {how}; stop with Ctrl-C")
-        # a signal that another thread takes, as one that follows SIGCONT may be, is handled when this one wakes
-        while not stopped.wait(WAKES_S):
-            pass
+        stopped.wait()
         for thread in running:
             thread.join()
         verdicts = [console.verdict() for console in consoles]

@@ -5,6 +5,7 @@ import faulthandler
 import logging
 import os
 import signal
+import socket
 import sys
 import threading
 from collections.abc import Callable
@@ -13,6 +14,7 @@ from pathlib import Path
 from agents.cli.running.supervisor import SUPERVISED, UNUSABLE
 
 EXIT_OK, EXIT_GAVE_UP, EXIT_UNUSABLE = 0, 1, UNUSABLE
+STOPPING = signal.SIGINT, signal.SIGTERM
 ENDS_WITHIN_S, STANDARD_ERROR = 20.0, 2
 """Less than a service manager waits before it kills."""
 NICENESS, ONLOOKER = 8, 15
@@ -41,18 +43,45 @@ def on_stop(stop: Callable[[], None], for_sure: bool = False) -> None:
     EXIT_GAVE_UP. On a busy machine, the closing of a session has stood still for longer than anybody waits.
     """
 
-    def from_another_thread(*_: object) -> None:
+    def from_another_thread() -> None:
         if for_sure:
             faulthandler.dump_traceback_later(ENDS_WITHIN_S, exit=True, file=STANDARD_ERROR)
-        # the main thread may be holding the very lock that stop needs
+        # whoever stops may wait for long, and is to be asked again all the same
         threading.Thread(target=stop, name="stop", daemon=True).start()
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, from_another_thread)
+    for number in STOPPING:
+        signal.signal(number, _noted)
+    written = _written_by_signals()
+    threading.Thread(
+        target=_stop_with_signals, args=(written, from_another_thread), name="signals", daemon=True
+    ).start()
     if os.environ.pop(SUPERVISED, ""):
         threading.Thread(
             target=_stop_with_supervisor, args=(from_another_thread,), name="supervisor", daemon=True
         ).start()
+
+
+def _noted(*_: object) -> None:
+    """Whoever reads what the signal wrote does what is to be done.
+
+    Python calls this in the main thread alone, and where another one took the signal, not before that wakes.
+    """
+
+
+def _written_by_signals() -> socket.socket:
+    """Where each signal of this process writes its number, whichever thread takes it."""
+    reading, writing = socket.socketpair()
+    writing.setblocking(False)
+    signal.set_wakeup_fd(writing.detach(), warn_on_full_buffer=False)
+    # a signal of a process that forks off is none of this one
+    os.register_at_fork(after_in_child=lambda: signal.set_wakeup_fd(-1))
+    return reading
+
+
+def _stop_with_signals(written: socket.socket, stop: Callable[[], None]) -> None:
+    while numbers := written.recv(64):
+        if any(number in STOPPING for number in numbers):
+            stop()
 
 
 def _stop_with_supervisor(stop: Callable[[], None]) -> None:

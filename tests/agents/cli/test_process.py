@@ -4,6 +4,8 @@ import signal
 import subprocess
 import sys
 
+import pytest
+
 PROGRAM = """
 import threading
 from agents.cli.running import process
@@ -29,6 +31,43 @@ def ended(stop):
 
 def test_a_process_that_stops_when_told_to_ends_without_a_word():
     assert ended("stopped.set") == (0, "")
+
+
+TAKEN_BY_ANOTHER = """
+import signal, sys, threading
+from agents.cli.running import process
+stopped = threading.Event()
+process.on_stop(stopped.set)
+other = threading.Thread(target=threading.Event().wait, daemon=True)
+other.start()
+threading.Timer(0.2, signal.pthread_kill, (other.ident, signal.{name})).start()
+stopped.wait()
+"""
+
+
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGINT"])
+def test_a_signal_that_another_thread_takes_ends_a_process_that_waits_without_a_limit(name):
+    program = [sys.executable, "-c", TAKEN_BY_ANOTHER.format(name=name)]
+    assert subprocess.run(program, timeout=60.0, check=False).returncode == 0
+
+
+FORKED = """
+import os, signal, threading
+from agents.cli.running import process
+stopped = threading.Event()
+process.on_stop(stopped.set)
+child = os.fork()
+if child == 0:
+    os.kill(os.getpid(), signal.SIGTERM)
+    os._exit(0)
+os.waitpid(child, 0)
+print("stopped" if stopped.wait(0.5) else "goes on")
+"""
+
+
+def test_a_signal_of_a_process_that_forked_off_is_none_of_its_own():
+    program = [sys.executable, "-c", FORKED]
+    assert subprocess.run(program, timeout=60.0, check=True, capture_output=True, text=True).stdout == "goes on\n"
 
 
 def test_a_process_that_does_not_stop_says_where_it_stands_and_ends_all_the_same():
