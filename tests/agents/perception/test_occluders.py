@@ -3,11 +3,21 @@
 import cv2
 import numpy as np
 
-from agents.perception.occluders import occluders_in
+from agents.perception.occluders import DARK, STEP, ZERO, occluders_in, redness
 from schemas.messages import Occluder
 
 WIDTH, HEIGHT = 640, 360
 GROUND, STEEL = np.array((70.0, 80.0, 160.0)), np.array((110.0, 112.0, 115.0))
+
+
+def test_redness_is_the_nearest_whole_number_of_steps_of_the_logarithm():
+    red, others = (part.astype(np.uint8) for part in np.mgrid[:256, :256])
+    ratio = np.log((red + DARK) / (others + DARK)) / STEP + ZERO
+    found = redness(np.dstack((others, others, red)))
+    assert np.abs(found - ratio.clip(0, 255)).max() < 0.5 + 1e-4
+    # blue and green count alike
+    mixed = redness(np.dstack((np.full_like(red, 10), np.full_like(red, 90), red)))
+    np.testing.assert_array_equal(mixed, redness(np.dstack((np.full_like(red, 50), np.full_like(red, 50), red))))
 
 
 def seen(steel, others=()):
