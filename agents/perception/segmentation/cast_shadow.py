@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64, UInt8
+from jaxtyping import Bool, Float32, Float64, Int32, Int64, UInt8
 from scipy.spatial import cKDTree
 
 SMALL = 4
@@ -39,6 +39,8 @@ THICKER, AWAY = 1.4, 0.75
 may be the thread's own side."""
 TOLD_SHARE = 0.5
 """Of what is no shadow: so much must be known to be thread, so that thread and ground are told apart at all."""
+CLOSE = 2.0
+"""Widths from what is known to be thread, within which ground about a shadow lies."""
 SPECK = 8
 """Pixels of which a region has no direction."""
 MARGIN_PX = 48
@@ -97,24 +99,55 @@ def _shadow_in(image: Image, thread: Bool[np.ndarray, "h w"], reach_px: float) -
     if not is_shadow.any() or is_thread.sum() < TOLD_SHARE * np.count_nonzero(~is_shadow):
         return None
     gone = pixel[is_shadow][_beside(pixel[is_shadow], pixel[is_thread], thread, reach_px)]
-    return _with_rests(gone, pixel[is_thread], thread) if len(gone) else None
+    return _with_rests(gone, pixel[is_thread], pixel[nearer < -APART], thread) if len(gone) else None
 
 
 def _with_rests(
-    gone: Int64[np.ndarray, "g"], own: Int64[np.ndarray, "t"], thread: Bool[np.ndarray, "h w"]
+    gone: Int64[np.ndarray, "g"],
+    own: Int64[np.ndarray, "t"],
+    of_ground: Int64[np.ndarray, "b"],
+    thread: Bool[np.ndarray, "h w"],
 ) -> Bool[np.ndarray, "h w"]:
-    """The shadow with smaller pieces that it cuts off and that are mostly not known to be thread."""
+    """The shadow with ground about it, and with smaller pieces cut off that are mostly not known to be thread.
+
+    Args:
+        own, of_ground: segmented pixels that are known to be thread, and those that are rather ground.
+    """
     shadow = np.zeros(thread.shape, np.uint8)
     shadow.ravel()[gone] = 1
+    shadow |= _ground_about(shadow, own, of_ground).view(np.uint8)
     rest = thread.view(np.uint8) & (1 - shadow)
     count, labelled = cv2.connectedComponents(rest, connectivity=8)
     piece = np.asarray(labelled, np.int32)
-    beside = np.unique(piece[cv2.dilate(shadow, np.ones((3, 3), np.uint8)) > 0])
+    beside = _touching(piece, shadow)
     size, of_thread = (np.bincount(pieces, minlength=count) for pieces in (piece.ravel(), piece.ravel()[own]))
     cut_off = np.zeros(count, bool)
     cut_off[beside] = (of_thread[beside] < TOLD_SHARE * size[beside]) & (size[beside] < len(gone))
     cut_off[0] = False
     return np.asarray((shadow > 0) | cut_off[piece], bool)
+
+
+def _ground_about(
+    shadow: UInt8[np.ndarray, "h w"], own: Int64[np.ndarray, "t"], of_ground: Int64[np.ndarray, "b"]
+) -> Bool[np.ndarray, "h w"]:
+    """Ground that touches a shadow beside the thread: left there, it would pass for a branch of the thread."""
+    told, ground = np.zeros(shadow.shape, np.uint8), np.zeros(shadow.shape, np.uint8)
+    told.ravel()[own], ground.ravel()[of_ground] = 1, 1
+    # the thread's own edge is a mixture
+    ground &= (cv2.dilate(told, np.ones((5, 5), np.uint8)) | shadow) ^ 1
+    count, labelled = cv2.connectedComponents(ground, connectivity=8)
+    piece = np.asarray(labelled, np.int32)
+    found = np.zeros(count, bool)
+    found[_touching(piece, shadow)] = True
+    # what reaches farther may be thread that is not known
+    found[piece[(ground > 0) & (_depth(1 - told) > CLOSE * _width(told))]] = False
+    found[0] = False
+    return found[piece]
+
+
+def _touching(piece: Int32[np.ndarray, "h w"], shadow: UInt8[np.ndarray, "h w"]) -> Int32[np.ndarray, "k"]:
+    """The numbers of what lies beside the shadow."""
+    return np.unique(piece[cv2.dilate(shadow, np.ones((3, 3), np.uint8)) > 0])
 
 
 def _ground(image: Image, thread: Bool[np.ndarray, "h w"]) -> Float32[np.ndarray, "r c 3"]:
@@ -185,8 +218,7 @@ def _beside(
     shape = segmented.shape
     own, regions = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
     own.ravel()[thread], regions.ravel()[shadow] = 1, 1
-    # over a strip the distance to the nearest pixel beyond its edge averages a quarter of its width, and a half
-    width = max(1.0, 4.0 * float(cv2.mean(_depth(own), own)[0]) - 2.0)
+    width = _width(own)
     thick = 2.0 * cv2.dilate(_depth(segmented.view(np.uint8)), np.ones((5, 5), np.uint8)).ravel()[shadow] - 1.0
     count, labelled = cv2.connectedComponents(regions, connectivity=8)
     region = np.asarray(labelled, np.int32).ravel()[shadow]
@@ -206,6 +238,11 @@ def _beside(
 def _axes(points: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "2 2"]:
     """Unit vectors as columns: the direction in which points spread farthest, and the one across it."""
     return np.asarray(np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2].T, np.float64)
+
+
+def _width(strips: UInt8[np.ndarray, "h w"]) -> float:
+    """Of strips: the distance to the nearest pixel beyond their edges averages a quarter of it, and a half."""
+    return max(1.0, 4.0 * float(cv2.mean(_depth(strips), strips)[0]) - 2.0)
 
 
 def _depth(mask: UInt8[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:

@@ -10,7 +10,7 @@ from shared.scene.__main__ import make_scene
 from shared.scene.render import render
 
 SHAPE = 240, 480
-FLESH, STEEL, VIOLET = (95, 105, 175), (130, 130, 130), (90, 35, 75)
+FLESH, STEEL, YELLOW, VIOLET = (95, 105, 175), (130, 130, 130), (60, 140, 150), (90, 35, 75)
 DARKER = 0.45
 WIDTH = 5
 
@@ -58,6 +58,27 @@ def test_what_was_segmented_between_thread_and_shadow_goes_with_the_shadow():
     found = without_cast_shadow(seen(ground(), thread, shadow=shadow), thread | shadow | between)
     assert found[(shadow | between) & ~beside(thread)].mean() < 0.05
     assert found[thread].mean() > 0.98
+
+
+def test_ground_of_another_colour_that_was_segmented_with_a_shadow_goes_with_it():
+    """A stain as small as that is not the ground as it is hereabouts."""
+    thread, shadow = drawn(), drawn(12, 150, 330)
+    lies, stain = ground(), (drawn(4, 225, 245) | drawn(7, 225, 245)) & ~thread
+    lies[stain] = ground(YELLOW)[stain]
+    found = without_cast_shadow(seen(lies, thread, shadow=shadow), thread | shadow | stain)
+    assert found[stain & ~beside(beside(thread))].mean() < 0.1
+    assert found[thread].mean() > 0.99
+
+
+def test_thread_that_looks_rather_like_ground_stays_where_it_leads_on_beside_a_shadow():
+    """The jaws of an instrument make the ground about them grey, and dull thread between them looks like that."""
+    thread, shadow, dull = drawn(), drawn(6, 150, 345), drawn(0, 325, 440)
+    lies = ground()
+    lies[:, 345:] = ground(STEEL)[:, 345:]
+    lies[dull] = 0.6 * ground((100, 130, 120))[dull]
+    found = without_cast_shadow(seen(lies, thread & ~dull, shadow=shadow & ~thread), thread | shadow)
+    assert not found[shadow & ~beside(beside(thread))].any()
+    assert found[dull].mean() > 0.95
 
 
 def test_a_shadow_is_known_on_an_instrument_as_on_tissue():
