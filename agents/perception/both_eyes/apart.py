@@ -97,8 +97,10 @@ def _moved(
     point = line.point_px.copy()
     for first, last in zip(stretches.first, stretches.last, strict=True):
         order = first + np.argsort(at[first : last + 1])
-        here = np.arange(int(np.ceil(at[order[0]])), int(at[order[-1]]) + 1)
-        point[here] += np.column_stack([np.interp(here, at[order], part) for part in move[order].T])
+        places = at[order]
+        start, stop = int(np.ceil(places[0])), int(places[-1]) + 1
+        for axis in (0, 1):
+            point[start:stop, axis] += np.interp(np.arange(start, stop), places, move[order, axis])
     return replace(line, point_px=np.clip(point, 0.0, np.array(image.shape[1::-1]) - 1.0))
 
 

@@ -30,13 +30,18 @@ def mask_along(followed: Followed, shape: tuple[int, ...]) -> UInt8[np.ndarray, 
         after = () if trail.loose_end[k] else (_beyond(point[::-1], width[-1]),)
         whole = np.concatenate((*before, point, *after))
         half = np.concatenate((width[: len(before)], width, width[len(width) - len(after) :])) / 2
-        way = np.gradient(whole, axis=0)
-        aside = np.column_stack((-way[:, 1], way[:, 0])) / np.maximum(np.linalg.norm(way, axis=1), 1e-9)[:, None]
-        aside *= np.maximum(half - BORDER_PX, 0.0)[:, None]
-        outline = np.concatenate((whole + aside, (whole - aside)[::-1]))
+        outline = _outline(whole, np.maximum(half - BORDER_PX, 0.0))
         fixed = np.rint(outline * (1 << SHIFT_BITS)).astype(np.int32)[:, None]
         cv2.fillPoly(mask, [fixed], FULL, cv2.LINE_8, SHIFT_BITS)
     return mask
+
+
+def _outline(point: Float64[np.ndarray, "n 2"], half_px: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "m 2"]:
+    """A line's, so far to either side: back along the other one."""
+    ahead = np.concatenate((point[1:], point[-1:]))
+    u, v = (ahead - np.concatenate((point[:1], point[:-1]))).T
+    aside = np.stack((-v, u), axis=1) * (half_px / np.maximum(np.sqrt(u * u + v * v), 1e-9))[:, None]
+    return np.concatenate((point + aside, (point - aside)[::-1]))
 
 
 def _beyond(point: Float64[np.ndarray, "n 2"], width: float) -> Float64[np.ndarray, "1 2"]:
