@@ -43,6 +43,7 @@ _LOG = np.log(np.arange(256) + DARK) / STEP
 _OF_RED, _OF_OTHERS = (_LOG + ZERO).astype(np.float32), _LOG.astype(np.float32)
 _CROSS, _WIDE = np.ones((3, 3), np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (9, 9))
 _GAP = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
+_BESIDE = len(_WIDE) // 2 + 1
 
 
 def occluders_in(
@@ -58,7 +59,7 @@ def occluders_in(
     thread = np.asarray(cv2.resize(coverage, size, interpolation=cv2.INTER_AREA)) > 0
     red = redness(small)
     told = ~thread & (_brightest(small) < GLINT)
-    order = np.cumsum(np.bincount(red[told], minlength=256))
+    order = np.cumsum(cv2.calcHist([red], [0], told.view(np.uint8), [256], [0, 256]).ravel()).astype(np.int64)
     ground, low = (int(np.searchsorted(order, share * order[-1])) - ZERO for share in (0.5, LOW_SHARE))
     if order[-1] == 0 or ground * STEP < LEAST_RED:
         return None
@@ -70,13 +71,18 @@ def occluders_in(
     opened = cv2.morphologyEx(grey.view(np.uint8), cv2.MORPH_OPEN, _CROSS)
     closed = cv2.morphologyEx(opened, cv2.MORPH_CLOSE, _GAP)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=8)
-    area = np.asarray(stats)[1:, cv2.CC_STAT_AREA]
-    for k in np.flatnonzero(area >= LEAST_AREA_SHARE * red.size) + 1:
-        region = (np.asarray(labels) == k).view(np.uint8)
-        if _is_instrument(region, red, told, ground, low):
-            upon = cv2.countNonZero(cv2.bitwise_and(cv2.erode(region, _WIDE), thread.view(np.uint8))) >= LEAST_UPON
-            kind = Occluder.UNKNOWN if upon or not _leaves(region) else Occluder.TOOL
-            found[region > 0] = kind.value
+    height, width = red.shape
+    for k, (left, top, columns, rows, area) in enumerate(np.asarray(stats).tolist()):
+        if k == 0 or area < LEAST_AREA_SHARE * red.size:
+            continue
+        # with what is looked at beside it
+        box = np.s_[max(0, top - _BESIDE) : top + rows + _BESIDE, max(0, left - _BESIDE) : left + columns + _BESIDE]
+        region = (np.asarray(labels)[box] == k).view(np.uint8)
+        if _is_instrument(region, red[box], told[box], ground, low):
+            upon = cv2.countNonZero(cv2.bitwise_and(cv2.erode(region, _WIDE), thread[box].view(np.uint8))) >= LEAST_UPON
+            # an instrument reaches out of the image
+            leaves = left < 2 or top < 2 or left + columns > width - 2 or top + rows > height - 2
+            found[box][region > 0] = (Occluder.UNKNOWN if upon or not leaves else Occluder.TOOL).value
     return found
 
 
@@ -132,8 +138,3 @@ def _is_instrument(
     inside = cv2.subtract(cv2.erode(region, _CROSS, borderValue=1), cv2.erode(region, _WIDE, borderValue=1))
     step = cv2.mean(red, cv2.bitwise_and(outside, known))[0] - cv2.mean(red, cv2.bitwise_and(inside, known))[0]
     return mean < GREY_SHARE * ground and step >= SHARP * (ground - low)
-
-
-def _leaves(region: UInt8[np.ndarray, "r c"]) -> bool:
-    """Whether a region reaches out of the image."""
-    return any(side.any() for side in (region[:2], region[-2:], region[:, :2], region[:, -2:]))
