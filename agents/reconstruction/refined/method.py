@@ -1,7 +1,7 @@
 """Method `refined`: one spline fitted to the sub-pixel centrelines of both images.
 
-1. `covered_ends`: how far points beside what covers them may be off; `joined`: pieces of the right
-   image that a short gap parts.
+1. `spurs`: short pieces that the left image does not show; `covered_ends`: how far points beside what covers them may
+   be off; `joined`: pieces of the right image that a short gap parts.
 2. `chains`: the pieces of the left centreline in their order along the thread, through crossings and behind tools.
 3. `alignment`: the right image's counterpart of each place, by dynamic programming along the rows.
    `tips`: which ends are covered; what that says of the course.
@@ -39,6 +39,7 @@ from agents.reconstruction.refined.sightings import (
     placed,
     sightings,
 )
+from agents.reconstruction.refined.spurs import without_spurs
 from agents.reconstruction.refined.tips import ends_of
 from schemas.messages import Centrelines, RectifiedStereo, Status, ThreadObservations, ThreadReconstruction
 from shared.camera import project
@@ -110,6 +111,7 @@ def course_of(
     """
     if reason := unusable(left, right, camera):
         raise NoCurveError(reason)
+    right = without_spurs(left, right, camera.image_width)
     left, right = with_covered_ends(left), joined(with_covered_ends(right))
     found = chains(left, camera.image_width)
     if not found:
