@@ -114,12 +114,28 @@ def thread_in(
     thread = of_pixels(pixel[sure[piece]], score.shape)
     if not sure.any() or sure[1:].all():
         return thread
+    known = _alike(pixel, piece, image, sure, faint) | sure if image is not None and faint.any() else sure
+    found = _and_beside(pixel, piece, score.shape, sure, faint) | known
+    return of_pixels(pixel[found[piece]], score.shape)
+
+
+def _and_beside(
+    pixel: Int64[np.ndarray, "p"],
+    piece: Int32[np.ndarray, "p"],
+    shape: tuple[int, ...],
+    sure: Bool[np.ndarray, "c"],
+    faint: Bool[np.ndarray, "c"],
+) -> Bool[np.ndarray, "c"]:
+    """The pieces that are sure, those beside them, and faint ones beside these in turn, as a thread goes on."""
     reach = np.ones((2 * GAP_PX + 1, 2 * GAP_PX + 1), np.uint8)
-    beside = np.asarray(cv2.dilate(thread.view(np.uint8), reach)).view(bool)
-    if image is not None and faint.any():
-        sure |= _alike(pixel, piece, image, sure, faint)
-    sure[piece[beside.ravel()[pixel]]] = True
-    return of_pixels(pixel[sure[piece]], score.shape)
+    found, new, asked = sure, sure, ~sure
+    while new.any() and (asked & ~found).any():
+        beside = np.asarray(cv2.dilate(of_pixels(pixel[new[piece]], shape).view(np.uint8), reach)).view(bool)
+        near = np.zeros(len(sure), bool)
+        near[piece[beside.ravel()[pixel]]] = True
+        new = near & asked & ~found
+        found, asked = found | new, faint
+    return found
 
 
 def _alike(

@@ -132,6 +132,23 @@ def test_what_has_the_threads_colour_but_scores_too_little_is_none(mean, best):
     assert rows_of(thread_in(score, image)) == [True, False]
 
 
+def test_thread_goes_on_from_one_faint_piece_to_the_next_across_glints():
+    """The second is too short to be asked by itself; beyond it only what is certain in places leads on."""
+    spans, means, bests = (
+        [(40, 160), (180, 190), (210, 240), (260, 300), (320, 340), (380, 440)],
+        [230] + 5 * [140],
+        [200] * 6,
+    )
+    score = np.zeros((60, 500), np.uint8)
+    for (first, last), mean, best in zip(spans, means, bests, strict=True):
+        score[28:33, first:last], score[30, first + 2] = mean, best
+    found = thread_in(score)
+    assert [bool(found[30, first]) for first, _ in spans] == [True, True, True, True, False, False]
+    without_the_first = score.copy()
+    without_the_first[:, :175] = 0
+    assert not thread_in(without_the_first).any()
+
+
 def test_a_brighter_piece_of_the_same_hue_is_none_and_faint_pieces_alone_are_no_thread():
     bright = tuple(np.array(BLACK) + 60)
     assert rows_of(thread_in(*scored((BLACK, 230, 255), (bright, 140, 200))[::-1])) == [True, False]
