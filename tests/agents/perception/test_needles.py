@@ -74,7 +74,19 @@ def test_a_thread_ends_where_its_needle_begins(thread, turned):
 
 @pytest.mark.parametrize(
     "oddly",
-    [{"tint": (-10, 0, 70)}, {"needle_px": 5.0, "swage_u": 402}],
+    [{"needle_px": 5.0, "swage_u": 380}, {"tint": (-9, 0, 17)}],
+    ids=["no wider than its thread", "mirrors what has a colour"],
+)
+def test_a_needle_may_be_no_wider_or_not_quite_grey(oddly):
+    image, mask = scene(**oddly)
+    found, needles = without_needles(image, thread_lines(image, mask))
+    assert len(needles) == 1
+    assert abs(found.centrelines.point_px[:, 0].max() - oddly.get("swage_u", SWAGE_U)) < 8
+
+
+@pytest.mark.parametrize(
+    "oddly",
+    [{"tint": (-10, 0, 70)}, {"needle_px": 5.0, "swage_u": 412}],
     ids=["wide and bright, but coloured", "a short grey stretch no wider"],
 )
 def test_what_is_not_steel_in_all_of_its_looks_is_no_needle(oddly):
