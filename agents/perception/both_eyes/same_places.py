@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from agents.perception.both_eyes.carried_on import carried_on, expected_px
-from agents.perception.centrelines.along import Pieces, directions, gaussian, median
+from agents.perception.centrelines.along import Pieces, directions, gaussian, median, numbered
 from agents.perception.centrelines.profiles import normals
 from agents.perception.centrelines.refine import tangent_sigma
 from schemas.messages import Centrelines
@@ -106,11 +106,6 @@ def same_places(left: Centrelines, right: Centrelines, image_width: int) -> Same
     )
 
 
-def numbered(piece: Int64[np.ndarray, "n"]) -> Int64[np.ndarray, "n"]:
-    """The numbers of pieces without gaps."""
-    return np.cumsum(np.diff(piece, prepend=piece[:1]) != 0)
-
-
 def _normals(lines: Centrelines, pieces: Pieces) -> Float64[np.ndarray, "n 2"]:
     return normals(directions(lines.point_px, pieces, gaussian(tangent_sigma(median(lines.width_px)))))
 
@@ -134,7 +129,8 @@ def _in_rows(
     order = np.argsort(point[:, 1], kind="stable")
     rows = point[order, 1]
     begin = np.flatnonzero(of_right.number[1:] == of_right.number[:-1])
-    low, high = np.sort((right_px[begin, 1], right_px[begin + 1, 1]), axis=0)
+    here, ahead = right_px[begin, 1], right_px[begin + 1, 1]
+    low, high = np.minimum(here, ahead), np.maximum(here, ahead)
     first, last = np.searchsorted(rows, low), np.searchsorted(rows, high)
     count = last - first
     segment = np.repeat(begin, count)
@@ -187,13 +183,14 @@ def _two_least(
     off: Float64[np.ndarray, "c"], sample: Int64[np.ndarray, "c"]
 ) -> tuple[Float64[np.ndarray, "c"], Float64[np.ndarray, "c"]]:
     """Of all candidates of each one's sampled point, the least value and the one after it."""
-    order = np.lexsort((off, sample))
-    first = np.flatnonzero(np.diff(sample[order], prepend=-1))
-    count = np.diff(np.append(first, len(order)))
-    number = np.cumsum(np.diff(sample, prepend=sample[:1]) != 0)
-    nearest = off[order[first]]
-    second = np.where(count > 1, off[order[np.minimum(first + 1, len(order) - 1)]], np.inf)
-    return nearest[number], second[number]
+    begins = np.ones(len(sample), bool)
+    np.not_equal(sample[1:], sample[:-1], out=begins[1:])
+    first, number = begins.nonzero()[0], numbered(sample)
+    nearest = np.minimum.reduceat(off, first)[number]
+    is_nearest = off == nearest
+    second = np.minimum.reduceat(np.where(is_nearest, np.inf, off), first)[number]
+    alone = np.add.reduceat(is_nearest, first, dtype=np.int64)[number] == 1
+    return nearest, np.where(alone, second, nearest)
 
 
 def _together(one: _Candidates, other: _Candidates) -> _Candidates:

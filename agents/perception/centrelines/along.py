@@ -26,12 +26,14 @@ class Pieces:
         """Index of the first point of each piece."""
         begins = np.ones(len(self.number), bool)
         np.not_equal(self.number[1:], self.number[:-1], out=begins[1:])
-        return np.flatnonzero(begins)
+        return begins.nonzero()[0]
 
     @cached_property
     def last(self) -> Int64[np.ndarray, "k"]:
         """Index of the last point of each piece."""
-        return np.append(self.first[1:], len(self.number))[: len(self.first)] - 1
+        last = np.full(len(self.first), len(self.number) - 1)
+        np.subtract(self.first[1:], 1, out=last[:-1])
+        return last
 
     @cached_property
     def before(self) -> Int64[np.ndarray, "n"]:
@@ -46,7 +48,8 @@ class Pieces:
     @cached_property
     def beside(self) -> tuple[Int64[np.ndarray, "n"], Int64[np.ndarray, "n"]]:
         """The point after each and the one before, in its piece; at an end the point itself."""
-        ahead, behind = np.arange(len(self.number)) + 1, np.arange(len(self.number)) - 1
+        count = len(self.number)
+        ahead, behind = np.arange(1, count + 1), np.arange(-1, count - 1)
         ahead[self.last], behind[self.first] = self.last, self.first
         return ahead, behind
 
@@ -68,8 +71,22 @@ class Pieces:
     @cached_property
     def every_second(self) -> tuple[Int64[np.ndarray, "m"], "Pieces"]:
         """Every second point of each piece, and its last one: what neighbours see they hardly see apart."""
-        some = np.flatnonzero((self.before % STRIDE == 0) | (self.after == 0))
+        some = self.every(STRIDE)
         return some, Pieces(self.number[some])
+
+    def every(self, stride: int) -> Int64[np.ndarray, "m"]:
+        """Every so many points of each piece, a power of two, and its last one."""
+        # the remainder of a power of two is its lower bits; divisions take ten times as long
+        return (((self.before & (stride - 1)) == 0) | (self.after == 0)).nonzero()[0]
+
+
+def numbered(piece: Int64[np.ndarray, "n"]) -> Int64[np.ndarray, "n"]:
+    """The numbers of pieces without gaps."""
+    # sums of truth values take four times as long
+    ends = np.concatenate(((piece[1:] != piece[:-1]).nonzero()[0] + 1, (len(piece),)))
+    count = ends.copy()
+    count[1:] -= ends[:-1]
+    return np.repeat(np.arange(len(ends)), count)
 
 
 @dataclass(frozen=True)
@@ -157,7 +174,8 @@ def directions(
     step = smooth.take(ahead, axis=1) - smooth.take(behind, axis=1)
     length = np.sqrt((step * step).sum(axis=0))
     tangent = step / np.maximum(length, SHORTEST)
-    tangent[:, length <= SHORTEST] = np.array([[1.0], [0.0]])
+    if (nowhere := length <= SHORTEST).any():
+        tangent[:, nowhere] = np.array([[1.0], [0.0]])
     return tangent.T
 
 

@@ -32,7 +32,10 @@ class Middle:
 
 def normals(tangent: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2"]:
     """Unit vectors a quarter turn from the tangents."""
-    return np.column_stack((-tangent[:, 1], tangent[:, 0]))
+    normal = np.empty(tangent.shape)
+    np.negative(tangent[:, 1], out=normal[:, 0])
+    normal[:, 1] = tangent[:, 0]
+    return normal
 
 
 def offsets(reach_px: float) -> Float64[np.ndarray, "t"]:

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float32, Float64, Int64, UInt8
 
-from agents.perception.centrelines.along import Pieces, blurred, gaussian
+from agents.perception.centrelines.along import Pieces, blurred, gaussian, numbered
 from agents.perception.centrelines.edges import COLOUR_NOISE, LIGHT
 from agents.perception.centrelines.profiles import sample
 from schemas.messages import Centrelines
@@ -23,12 +23,12 @@ Colours = UInt8[np.ndarray, "m 3 3"]
 
 def pieces_of(lines: Centrelines) -> Pieces:
     """The pieces of centrelines, numbered without gaps."""
-    return Pieces(np.cumsum(np.append(lines.piece[:1] >= 0, lines.piece[1:] > lines.piece[:-1])) - 1)
+    return Pieces(numbered(lines.piece))
 
 
 def some_of(pieces: Pieces) -> Int64[np.ndarray, "m"]:
     """Every so many points of each piece, and its last one."""
-    return np.flatnonzero((pieces.before % EVERY == 0) | (pieces.after == 0))
+    return pieces.every(EVERY)
 
 
 def colours_across(
@@ -57,28 +57,42 @@ def share_of_thread(seen: UInt8[np.ndarray, "t m 3"], colours: Colours) -> Float
 
     Mixtures of both colours, as for edges: light and shadow change thread and ground alike.
     """
-    channels = [np.ascontiguousarray(seen[..., k], np.float32) for k in range(3)]
-    thread, near, far = colours.transpose(1, 2, 0).astype(np.float64)
-    return np.minimum(_share(channels, thread, near), _share(channels, thread, far))
+    channels = [channel.astype(np.float32) for channel in cv2.split(seen)]
+    known = np.ascontiguousarray(colours.transpose(1, 2, 0), np.float64)
+    near, far = zip(*_mixing(known[0], known[1:]), strict=True)
+    return np.minimum(_share(channels, near), _share(channels, far))
+
+
+def _mixing(
+    thread: Float64[np.ndarray, "3 m"], ground: Float64[np.ndarray, "2 3 m"]
+) -> tuple[Float32[np.ndarray, "2 4 m"], Float32[np.ndarray, "2 4 m"]]:
+    """Weights of the channels, and what is added to them, of how much is thread and how much is ground."""
+    even, t, g = 1 / LIGHT**2, thread / COLOUR_NOISE, ground / COLOUR_NOISE
+    tt, gg, tg = (t * t).sum(axis=0) + even, (g * g).sum(axis=1) + even, (t * g).sum(axis=1) + even
+    tt, gg = tt + 1, gg + 1
+    scale = 1 / (tt * gg - tg**2)
+    weights = np.empty((2, *ground.shape[:1], 4, ground.shape[2]), np.float32)
+    weights[0, :, :3] = (t * gg[:, None] - g * tg[:, None]) * scale[:, None] / COLOUR_NOISE
+    weights[1, :, :3] = (g * tt - t * tg[:, None]) * scale[:, None] / COLOUR_NOISE
+    weights[0, :, 3] = even * (gg - tg) * scale
+    weights[1, :, 3] = even * (tt - tg) * scale
+    return weights[0], weights[1]
 
 
 def _share(
-    channels: list[Float32[np.ndarray, "t m"]], thread: Float64[np.ndarray, "3 m"], ground: Float64[np.ndarray, "3 m"]
+    channels: list[Float32[np.ndarray, "t m"]], mixing: tuple[Float32[np.ndarray, "4 m"], ...]
 ) -> Float32[np.ndarray, "t m"]:
-    even, t, g = 1 / LIGHT**2, thread / COLOUR_NOISE, ground / COLOUR_NOISE
-    tt, gg, tg = ((one * other).sum(axis=0) + even for one, other in ((t, t), (g, g), (t, g)))
-    tt, gg = tt + 1, gg + 1
-    scale = 1 / (tt * gg - tg**2)
-    of_thread = _weighted(channels, (t * gg - g * tg) * scale, even * (gg - tg) * scale)
-    of_ground = _weighted(channels, (g * tt - t * tg) * scale, even * (tt - tg) * scale)
-    return of_thread / np.maximum(of_thread + of_ground, np.float32(1e-6))
+    of_thread, total = (_weighted(channels, weights) for weights in mixing)
+    total += of_thread
+    of_thread /= np.maximum(total, np.float32(1e-6), out=total)
+    return of_thread
 
 
 def _weighted(
-    channels: list[Float32[np.ndarray, "t m"]], weight: Float64[np.ndarray, "3 m"], level: Float64[np.ndarray, "m"]
+    channels: list[Float32[np.ndarray, "t m"]], weights: Float32[np.ndarray, "4 m"]
 ) -> Float32[np.ndarray, "t m"]:
-    of_channel = (weight / COLOUR_NOISE).astype(np.float32)
-    total = channels[0] * of_channel[0] + level.astype(np.float32)
-    for channel, share in zip(channels[1:], of_channel[1:], strict=True):
-        total += channel * share
+    total = channels[0] * weights[0]
+    total += weights[3]
+    for channel, weight in zip(channels[1:], weights[1:3], strict=True):
+        total += channel * weight
     return np.maximum(total, np.float32(0), out=total)
