@@ -7,7 +7,6 @@ told is taken from either middle, across the line. docs/model_card.md says what 
 
 import functools
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -101,7 +100,8 @@ def _moved(
         start, stop = int(np.ceil(places[0])), int(places[-1]) + 1
         for axis in (0, 1):
             point[start:stop, axis] += np.interp(np.arange(start, stop), places, move[order, axis])
-    return replace(line, point_px=np.clip(point, 0.0, np.array(image.shape[1::-1]) - 1.0))
+    within = np.clip(point, 0.0, np.array(image.shape[1::-1]) - 1.0)
+    return Centrelines(within, line.piece, line.width_px, line.deviation_px)
 
 
 @functools.cache

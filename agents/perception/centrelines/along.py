@@ -107,10 +107,9 @@ class Continued:
 def medians(values: Float64[np.ndarray, "n *k"]) -> Float64[np.ndarray, "*k"]:
     """Over the first axis, of at least one value each: NumPy's own takes several times as long for a thousand."""
     half, odd = divmod(len(values), 2)
-    if odd:
-        return np.partition(values, half, axis=0)[half]
+    # for two places NumPy takes a third of the time that it takes for one
     ordered = np.partition(values, (half - 1, half), axis=0)
-    return 0.5 * (ordered[half - 1] + ordered[half])
+    return ordered[half] if odd else 0.5 * (ordered[half - 1] + ordered[half])
 
 
 def median(values: Float64[np.ndarray, "n"]) -> float:

@@ -187,4 +187,4 @@ def _ended(lines: Centrelines, loose: _Ends, shift: Float64[np.ndarray, "e"]) ->
     way = lines.point_px[inner] + share[:, None] * (lines.point_px[inner + inwards[of]] - lines.point_px[inner])
     added_px = way + np.maximum(by_px, 0.0)[:, None] * outward[of]
     point_px = np.concatenate((lines.point_px[kept], added_px))[order]
-    return Centrelines(point_px, lines.piece[source], lines.width_px[source], lines.deviation_px[source])
+    return type(lines)(point_px, lines.piece[source], lines.width_px[source], lines.deviation_px[source])

@@ -26,11 +26,11 @@ from agents.perception.following.capture import Captured, captured
 from agents.perception.following.ends import REACH_PX, carried_along, ends_of, with_ends
 from agents.perception.following.stacked import (
     Eyes,
+    StackedLines,
     lines_of,
     stacked_images,
     stacked_lines,
     stacked_trails,
-    trail_of_eye,
 )
 from schemas.messages import Centrelines, Trail
 
@@ -58,6 +58,15 @@ class Followed:
 
     lines: Centrelines
     trail: Trail
+
+
+@dataclass(frozen=True)
+class _Found:
+    """The centrelines of all eyes in the image that holds them, and their colours with the piece that shows each."""
+
+    lines: Centrelines
+    colours: Colours
+    piece: Int64[np.ndarray, "m"]
 
 
 def trail_of(
@@ -116,17 +125,16 @@ def follow(images: Sequence[UInt8[np.ndarray, "h w 3"]], last: Sequence[Followed
     found = _follow(image, eyes, eye, before, stacked_trails([each.trail for each in last]))
     if isinstance(found, str):
         return found
-    pieces = Pieces(found.lines.piece)
-    of_colour = eye[pieces.number[some_of(pieces)]]
+    of_colour = eye[found.piece]
     return tuple(
-        Followed(lines_of(found.lines, eye, k, eyes), trail_of_eye(found.trail, eye == k, of_colour == k))
-        for k in range(len(images))
+        Followed(lines_of(found.lines, eye, k, eyes), replace(each.trail, colour_bgr=found.colours[of_colour == k]))
+        for k, each in enumerate(last)
     )
 
 
 def _follow(
-    image: UInt8[np.ndarray, "h w 3"], eyes: Eyes, eye: Int64[np.ndarray, "k"], before: Centrelines, trail: Trail
-) -> Followed | str:
+    image: UInt8[np.ndarray, "h w 3"], eyes: Eyes, eye: Int64[np.ndarray, "k"], before: StackedLines, trail: Trail
+) -> _Found | str:
     """The same in an image that holds all eyes.
 
     Args:
@@ -215,7 +223,7 @@ def _refined(
     width_px: Float64[np.ndarray, "n"],
     width: float,
     trail: Trail,
-) -> Followed | str:
+) -> _Found | str:
     nothing = np.zeros(len(width_px))
     mask = Evidence(width_px, nothing, nothing > 0)
     curves, seen = by_edges(curves, mask, image, width + 1.5)
@@ -229,9 +237,9 @@ def _refined(
     else:
         curves, seen, at_sight = learned
     deviation = deviations(curves, seen, at_sight)
-    lines = Centrelines(eyes.clipped(curves.point), curves.pieces.number, seen.width_px, deviation)
+    lines = StackedLines(eyes.clipped(curves.point), curves.pieces.number, seen.width_px, deviation)
     lines = to_tips(lines, image, trail.told_start, trail.told_end)
     some = some_of(Pieces(lines.piece))
     point, sampled = lines.point_px[some], Pieces(lines.piece[some])
     colours = _colours(image, point, lines.width_px[some], sampled, _tangents(point, sampled, width))
-    return Followed(lines, replace(trail, colour_bgr=colours))
+    return _Found(lines, colours, sampled.number)

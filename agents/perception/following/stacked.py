@@ -46,6 +46,13 @@ class Eyes:
         return np.column_stack((point[:, 0].clip(0, self.width - 1), point[:, 1].clip(top, top + self.height - 1)))
 
 
+class StackedLines(Centrelines):
+    """All eyes' centrelines in the stacked image: no message, and so not checked each time that some are made."""
+
+    def __post_init__(self) -> None:
+        """Nothing: a message is made of them in the end, and that is checked."""
+
+
 def stacked_images(images: Sequence[UInt8[np.ndarray, "h w 3"]]) -> tuple[UInt8[np.ndarray, "k w 3"], Eyes]:
     """Images of one size, one above the other, with rows between them; and where they lie."""
     height, width = images[0].shape[:2]
@@ -59,12 +66,12 @@ def stacked_images(images: Sequence[UInt8[np.ndarray, "h w 3"]]) -> tuple[UInt8[
     return stack, eyes
 
 
-def stacked_lines(lines: Sequence[Centrelines], eyes: Eyes) -> tuple[Centrelines, Int64[np.ndarray, "k"]]:
+def stacked_lines(lines: Sequence[Centrelines], eyes: Eyes) -> tuple[StackedLines, Int64[np.ndarray, "k"]]:
     """All eyes' centrelines in the stacked image, their pieces numbered without gaps; and the eye of each piece."""
     pieces = [pieces_of(line).number for line in lines]
     counts = [int(piece[-1]) + 1 if len(piece) else 0 for piece in pieces]
     first = np.cumsum((0, *counts))
-    whole = Centrelines(
+    whole = StackedLines(
         np.concatenate([line.point_px + np.array((0, k * eyes.pitch)) for k, line in enumerate(lines)]),
         np.concatenate([piece + start for piece, start in zip(pieces, first, strict=False)]),
         np.concatenate([line.width_px for line in lines]),
@@ -75,11 +82,11 @@ def stacked_lines(lines: Sequence[Centrelines], eyes: Eyes) -> tuple[Centrelines
 
 def lines_of(whole: Centrelines, eye: Int64[np.ndarray, "k"], which: int, eyes: Eyes) -> Centrelines:
     """One eye's centrelines, in its own image."""
-    mine = eye[whole.piece] == which
-    point, piece = whole.point_px[mine], whole.piece[mine]
+    pieces = np.searchsorted(eye, (which, which + 1))
+    mine = slice(*np.searchsorted(whole.piece, pieces))
     return Centrelines(
-        point - np.array((0, which * eyes.pitch)),
-        piece - np.searchsorted(eye, which),
+        whole.point_px[mine] - np.array((0, which * eyes.pitch)),
+        whole.piece[mine] - pieces[0],
         whole.width_px[mine],
         whole.deviation_px[mine],
     )
