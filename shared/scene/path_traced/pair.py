@@ -13,6 +13,9 @@ from shared.scene.path_traced.splines import sampled
 from shared.scene.path_traced.tracing import Sight, coverage, sight, traced_light, visible
 from shared.scene.path_traced.world import NEEDLE, STRAND, TOOL, build
 
+TURN_SEEDS = 1_000_003
+"""From one turn of a recipe to the next: farther than batches reach."""
+
 
 @dataclass(frozen=True)
 class StrandTruth:
@@ -46,8 +49,11 @@ class TracedPair:
     samples: int
 
 
-def traced_pair(recipe: Recipe, rig: Rig, samples: int) -> TracedPair:
+def traced_pair(recipe: Recipe, rig: Rig, samples: int, turn: int = 0) -> TracedPair:
     """Trace a recipe with so many samples of each pixel.
+
+    Args:
+        turn: of the same recipe; each has other rays, and so another grain.
 
     Raises:
         SceneError: where it cannot be arranged for this camera, or Mitsuba is missing.
@@ -56,7 +62,8 @@ def traced_pair(recipe: Recipe, rig: Rig, samples: int) -> TracedPair:
     scene = build(scenery.field)
     eyes = rig.eyes
     sights = [sight(scene, eye, 2 * recipe.seed + k) for k, eye in enumerate(eyes)]
-    lights = [traced_light(scene, scenery.field.lamps, eye, samples, 2 * recipe.seed + k) for k, eye in enumerate(eyes)]
+    seed = 2 * recipe.seed + TURN_SEEDS * turn
+    lights = [traced_light(scene, scenery.field.lamps, eye, samples, seed + k) for k, eye in enumerate(eyes)]
     gain = gain_for(lights[0], scenery.effects)
     rng = np.random.default_rng([recipe.seed, 8])
     images = [

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from agents.cli.lab.scenes import endoscope
-from shared.scene.path_traced.batch import Job, make, make_all, outstanding
+from shared.scene.path_traced.batch import MOST_TURNS, Job, make, make_all, outstanding
 from shared.scene.path_traced.eyes import rectified_rig
 from shared.scene.path_traced.recipe import Recipe
 from shared.scene.render import SceneError
@@ -40,17 +40,68 @@ def test_pairs_are_made_in_as_many_processes_as_asked_for_and_are_those_that_one
 
 
 @traces
-def test_a_worker_that_dies_is_said_and_what_was_made_stays(tmp_path):
+def test_a_batch_goes_on_where_its_workers_died(tmp_path):
     batch = jobs(tmp_path, 5)
     made = make_all(batch, 2)
-    done = {next(made).name}
+    done = [next(made).name]
     for worker in multiprocessing.active_children():
         os.kill(worker.pid or 0, signal.SIGKILL)
-    with pytest.raises(SceneError, match="give fewer --workers, and the same command goes on where this one was"):
-        done |= {one.name for one in made}
-    left = {job.name for job in outstanding(batch)}
-    assert done.isdisjoint(left)
-    assert left
+    done += [one.name for one in made]
+    assert sorted(done) == [job.name for job in batch]
+    assert outstanding(batch) == []
+
+
+@traces
+def test_another_turn_has_another_grain_and_the_same_truth(tmp_path):
+    first, second = jobs(tmp_path / "first", 1)[0], jobs(tmp_path / "second", 1)[0]
+    make(first)
+    make(second, turn=1)
+    read = [[(job.folder / f"one_1{end}").read_bytes() for end in ("_left.png", ".npy")] for job in (first, second)]
+    assert read[0][0] != read[1][0]
+    assert read[0][1] == read[1][1]
+
+
+class Deadly:
+    """A camera that ends so many processes that it comes to, and is an ordinary one from then on."""
+
+    def __init__(self, deaths, rig):
+        self.deaths, self.rig = deaths, rig
+
+    def __reduce__(self):
+        return _survived, (self.deaths, self.rig)
+
+
+def _survived(deaths, rig):
+    """The camera; each process that dies of it takes one of the files that say how often it is deadly."""
+    if left := sorted(deaths.iterdir()):
+        left[0].unlink()
+        os._exit(1)
+    return rig
+
+
+def deadly(folder, times):
+    """Three jobs that find no place, which takes no tracing; the camera of the second is deadly."""
+    deaths = folder / "deaths"
+    deaths.mkdir()
+    for number in range(times):
+        (deaths / str(number)).touch()
+    hopeless = [
+        dataclasses.replace(job, recipe=Recipe("easy", "paper", seed), rig=FAR_APART)
+        for seed, job in enumerate(jobs(folder, 3), start=1)
+    ]
+    return [hopeless[0], dataclasses.replace(hopeless[1], rig=Deadly(deaths, FAR_APART)), hopeless[2]]
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_pair_that_ends_its_process_is_made_in_another_turn_and_the_others_too(tmp_path, workers):
+    told = list(make_all(deadly(tmp_path, MOST_TURNS), workers))
+    assert sorted(one.name for one in told) == ["one_1", "one_2", "one_3"]
+    assert not list((tmp_path / "deaths").iterdir())
+
+
+def test_a_pair_that_ends_each_of_its_processes_is_named_with_what_to_do(tmp_path):
+    with pytest.raises(SceneError, match=r"one_2 ended 3 processes .*leave its seed out"):
+        list(make_all(deadly(tmp_path, 9), 1))
 
 
 @traces
