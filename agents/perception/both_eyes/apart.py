@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from agents.perception.both_eyes.same_places import same_places
-from agents.perception.both_eyes.shown import LEFT, Image, Shown, from_other_side, numbers, shown_in_both
+from agents.perception.both_eyes.shown import LEFT, Image, Shown, numbers, numbers_from_other_side, shown_in_both
 from agents.perception.centrelines.along import Pieces
 from agents.perception.centrelines.learned import STEPS
 from schemas.messages import Centrelines
@@ -59,7 +59,8 @@ def drawn_together(images: tuple[Image, Image], lines: Lines, weights: Weights |
 
 def apart_px(shown: Shown, stretches: Pieces, weights: Weights | None = None) -> Float64[np.ndarray, "n"]:
     """By how much more the left middle errs along its normal than the right one; in a mirror the opposite is said."""
-    seen = np.concatenate((numbers(shown), numbers(from_other_side(shown))))
+    of_one = numbers(shown)
+    seen = np.concatenate((of_one, numbers_from_other_side(of_one)))
     number = stretches.number
     both = Pieces(np.concatenate((number, number + number[-1] + 1)))
     said, opposite = np.split(_told(seen, both, weights or own_weights()), 2)
@@ -79,7 +80,8 @@ def _told(seen: Float32[np.ndarray, "n f"], stretches: Pieces, weights: Weights)
         # the last place of a stretch goes on for ever
         beside = np.minimum(np.maximum(places + dilation * STEPS, first), last)
         along = state.take(beside, axis=1).reshape(*state.shape[:2], -1) @ weights[f"along{layer}"]
-        state = state + np.maximum(along + weights[f"along{layer}_bias"][:, None], NOTHING)
+        along += weights[f"along{layer}_bias"][:, None]
+        state += np.maximum(along, NOTHING, out=along)
     said = state @ weights["out"] + weights["out_bias"][:, None]
     return said[..., 0].mean(axis=0).astype(np.float64)
 
@@ -98,8 +100,9 @@ def _moved(
         order = first + np.argsort(at[first : last + 1])
         places = at[order]
         start, stop = int(np.ceil(places[0])), int(places[-1]) + 1
+        between, by = np.arange(start, stop), move[order].T
         for axis in (0, 1):
-            point[start:stop, axis] += np.interp(np.arange(start, stop), places, move[order, axis])
+            point[start:stop, axis] += np.interp(between, places, by[axis])
     within = np.clip(point, 0.0, np.array(image.shape[1::-1]) - 1.0)
     return Centrelines(within, line.piece, line.width_px, line.deviation_px)
 

@@ -25,9 +25,9 @@ LARGEST_SHARE, ABOUT_SHARE = 0.2, 0.06
 LEAST_PX = 1.0
 LEAST_ACROSS, LEAST_COSINE = 0.25, 0.8
 """Of a normal, along the row: the row of a thread along the rows says nothing; and between the normals of both eyes."""
-OTHERWISE, BESIDE = 3, (-3, -2, -1, 0, 1, 2, 3)
+OTHERWISE, BESIDE = 3, 3
 """Sampled points: left ones of one strand that meet one place of the right one lie no farther apart; and right points
-that count as one place, since the rows of left points lie some pixels apart."""
+so near each other count as one place, since the rows of left points lie some pixels apart."""
 NEIGHBOURS, ALIKE_PX, UNLIKE_PX, ROUNDS = 12, 2.0, 8.0, 4
 """Certain places within so many sampled points tell the disparity of a place, and of it alone, nearly."""
 STEEPEST_PX, LONGEST_STEP = 2.0, 12.0
@@ -93,7 +93,8 @@ def same_places(left: Centrelines, right: Centrelines, image_width: int) -> Same
     places = _together(certain, _Candidates(sample, right_at, disparity))
     places = places[_cosine((normal[places.sample], between(right_normals, places.right_at))) > LEAST_COSINE]
     # a stretch is of one kind: what is seen along the rows, and how far it can be told, is another matter
-    is_certain = np.isin(np.arange(len(at)), certain.sample)
+    is_certain = np.zeros(len(at), bool)
+    is_certain[certain.sample] = True
     places, number = _long(places, _stretches(places, 2 * piece + is_certain, of_right))
     # what the eyes show there is told by half of the points that tell what is the same
     some, stretches = Pieces(number).every_second
@@ -171,11 +172,15 @@ def _alone(found: _Candidates) -> Bool[np.ndarray, "c"]:
     """Whether a left point has no other right place in its row, and that no left one of another strand."""
     once = np.bincount(found.sample)[found.sample] == 1
     segment = found.right_at.astype(np.int64)
-    count = int(segment.max()) + len(BESIDE)
-    least, most = np.full(count, np.iinfo(np.int64).max), np.full(count, -1)
-    for beside in BESIDE:
-        np.minimum.at(least, np.maximum(segment + beside, 0), found.sample)
-        np.maximum.at(most, np.maximum(segment + beside, 0), found.sample)
+    count = int(segment.max()) + 1
+    own_least, own_most = np.full(count + 2 * BESIDE, np.iinfo(np.int64).max), np.full(count + 2 * BESIDE, -1)
+    np.minimum.at(own_least, segment + BESIDE, found.sample)
+    np.maximum.at(own_most, segment + BESIDE, found.sample)
+    # with those beside each place: whole arrays take far less time than places one by one
+    least, most = own_least[:count].copy(), own_most[:count].copy()
+    for beside in range(1, 2 * BESIDE + 1):
+        np.minimum(least, own_least[beside : beside + count], out=least)
+        np.maximum(most, own_most[beside : beside + count], out=most)
     return once & (most[segment] - least[segment] <= OTHERWISE)
 
 
@@ -205,13 +210,14 @@ def _together(one: _Candidates, other: _Candidates) -> _Candidates:
 
 def _stretches(places: _Candidates, piece: Int64[np.ndarray, "n"], of_right: Pieces) -> Int64[np.ndarray, "k"]:
     """Numbers of the stretches of places, cut wherever either line, the piece's number or the disparity leaps."""
-    steps = np.diff(places.sample)
+    left, right = piece[places.sample], of_right.number[places.right_at.astype(np.int64)]
+    steps = places.sample[1:] - places.sample[:-1]
     cut = (
         (steps > 2)
-        | (np.diff(piece[places.sample]) != 0)
-        | (np.diff(of_right.number[places.right_at.astype(np.int64)]) != 0)
-        | (np.abs(np.diff(places.right_at)) > LONGEST_STEP * steps)
-        | (np.abs(np.diff(places.disparity_px)) > STEEPEST_PX * steps)
+        | (left[1:] != left[:-1])
+        | (right[1:] != right[:-1])
+        | (np.abs(places.right_at[1:] - places.right_at[:-1]) > LONGEST_STEP * steps)
+        | (np.abs(places.disparity_px[1:] - places.disparity_px[:-1]) > STEEPEST_PX * steps)
     )
     return np.concatenate(([0], np.cumsum(cut)))[: len(places.sample)]
 

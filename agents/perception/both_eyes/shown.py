@@ -128,7 +128,8 @@ def _in_contrasts(
     total = np.einsum("entc,nt->nc", colours, beside)
     ground = total / np.maximum(2 * beside.sum(axis=1, keepdims=True), 1)
     less = colours - ground[:, None]
-    contrast = np.sqrt(np.square(less.mean(axis=0)).mean(axis=(1, 2))) + np.float32(LEAST_CONTRAST)
+    middle = 0.5 * (less[LEFT] + less[RIGHT])
+    contrast = np.sqrt(np.square(middle, out=middle).mean(axis=(1, 2))) + np.float32(LEAST_CONTRAST)
     return np.clip(less / contrast[:, None, None], -MOST_CONTRASTS, MOST_CONTRASTS).astype(np.float32)
 
 
@@ -151,6 +152,14 @@ def numbers(shown: Shown) -> Float32[np.ndarray, "n f"]:
 def from_other_side(shown: Shown) -> Shown:
     """Profiles read from their other side, with the normals turned round."""
     return Shown(shown.seen[:, :, ::-1], shown.log_deviation, -shown.normal, shown.width_px)
+
+
+def numbers_from_other_side(numbers: Float32[np.ndarray, "n f"]) -> Float32[np.ndarray, "n f"]:
+    """What a network is shown of `from_other_side`, from what it is shown of each place: in a quarter of the time."""
+    colours = 2 * len(PLACES) * 3
+    seen, same, turned = np.split(numbers, (colours, colours + 3), axis=1)
+    seen = seen.reshape(len(numbers), 2, len(PLACES), 3)[:, :, ::-1].reshape(len(numbers), -1)
+    return np.concatenate((seen, same, -turned), axis=1)
 
 
 def beside_mirror(shown: Shown) -> Shown:

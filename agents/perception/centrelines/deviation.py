@@ -45,7 +45,7 @@ def deviations(curves: Curves, seen: Evidence, at_sight: Float64[np.ndarray, "n"
         np.where(seen.open, 0.5 * usual, 0),
         np.where(_is_bridge(curves, usual), BRIDGE_SHARE * usual, 0),
     ]
-    return np.sqrt(np.sum([part**2 for part in parts], axis=0))
+    return np.sqrt(sum(part * part for part in parts))
 
 
 def of_edges(curves: Curves, seen: Evidence) -> Float64[np.ndarray, "n"]:

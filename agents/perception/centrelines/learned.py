@@ -58,15 +58,27 @@ def learned_middles(
     n = normal.astype(np.float32)
     spread = n.T @ n / len(n) + LEAST_SPREAD * np.eye(2, dtype=np.float32)
     light = np.linalg.solve(spread, n.T @ across / len(n))
-    state = np.maximum(seen @ weights["first"] + (n @ light) @ weights["from_light"] + weights["first_bias"], NOTHING)
+    state = seen @ weights["first"]
+    state += (n @ light) @ weights["from_light"]
+    state = _positive(state, weights["first_bias"])
     layers = sum(f"along{layer}" in weights for layer in range(len(DILATIONS)))
     for layer, dilation in enumerate(DILATIONS[:layers]):
-        some, told = pieces.every_second if every_second and layer == 0 else (np.arange(len(state)), pieces)
+        some, told, here = np.arange(len(state)), pieces, state
+        if every_second and layer == 0:
+            some, told = pieces.every_second
+            here = state[some]
         step = dilation // 2 if every_second and layer > 0 else dilation
         seen_along = _neighbours(state, pieces, some, step) @ weights[f"along{layer}"]
-        state, pieces = state[some] + np.maximum(seen_along + weights[f"along{layer}_bias"], NOTHING), told
+        state, pieces = _positive(seen_along, weights[f"along{layer}_bias"]), told
+        state += here
     offset, log_scale = (state @ weights["out"] + weights["out_bias"]).astype(np.float64).T
     return Learned(offset, DEVIATION_SHARE * np.exp(np.clip(log_scale, *LOG_SCALE)))
+
+
+def _positive(total: Float32[np.ndarray, "n k"], bias: Float32[np.ndarray, "k"]) -> Float32[np.ndarray, "n k"]:
+    """What a layer says of sums, which are overwritten."""
+    total += bias
+    return np.maximum(total, NOTHING, out=total)
 
 
 def _neighbours(

@@ -62,7 +62,9 @@ def sample(
         Values as the image has them: (t, n, *c).
     """
     steps = np.asarray(at, np.float32).reshape(len(at), -1)
-    u, v = (point[:, k].astype(np.float32) + steps * direction[:, k].astype(np.float32) for k in (0, 1))
+    u, v = (steps * direction[:, k].astype(np.float32) for k in (0, 1))
+    u += point[:, 0].astype(np.float32)
+    v += point[:, 1].astype(np.float32)
     parts = [
         cv2.remap(image, u[:, i : i + MOST_COLUMNS], v[:, i : i + MOST_COLUMNS], cv2.INTER_LINEAR, borderMode=border)
         for i in range(0, len(point), MOST_COLUMNS)

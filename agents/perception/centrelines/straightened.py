@@ -92,7 +92,8 @@ def straightened(
     seen = np.empty((CHANNELS * t + NUMBERS, n), np.float32)
     places = seen[: CHANNELS * t].reshape(t, CHANNELS, n).swapaxes(0, 1)
     for place, channel, of_ground in zip(places, channels, ground, strict=False):
-        np.multiply(channel - of_ground, 1 / contrast, out=place)
+        np.subtract(channel, of_ground, out=place)
+        np.multiply(place, 1 / contrast, out=place)
     for place, (weight, offset) in zip(places[3:], _mixing(thread, ground), strict=True):
         np.add(weight[0] * channels[0], offset, out=place)
         for share, channel in zip(weight[1:], channels[1:], strict=True):
@@ -135,6 +136,10 @@ def _mean(
     channels: Float32[np.ndarray, "3 t n"], where: Bool[np.ndarray, "t n"], pieces: Pieces
 ) -> Float32[np.ndarray, "3 n"]:
     """The mean colour of some places of the profiles hereabouts."""
-    total = np.stack((*(channels * where).sum(axis=1), where.sum(axis=0, dtype=np.float32)))
+    rows = np.flatnonzero(where.any(axis=1))
+    some = slice(rows[0], rows[-1] + 1) if len(rows) else slice(0)
+    total = np.empty((4, where.shape[1]), np.float32)
+    (channels[:, some] * where[some]).sum(axis=1, out=total[:3])
+    where[some].sum(axis=0, dtype=np.float32, out=total[3])
     both = blurred(total, pieces, gaussian(ALONG))
     return both[:3] / np.maximum(both[3], np.float32(LEAST))

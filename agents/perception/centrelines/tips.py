@@ -113,7 +113,8 @@ def _loose_ends(
         return None
     piece = pieces.number[ends]
     length = (pieces.last - pieces.first)[piece]
-    width = np.array([median(lines.width_px[pieces.first[p] : pieces.last[p] + 1]) for p in piece])
+    widths = {p: median(lines.width_px[first[p] : last[p] + 1]) for p in set(piece.tolist())}
+    width = np.array([widths[p] for p in piece.tolist()])
     # the slope of a line through the end, by which no single point decides
     steps = np.arange(round(DIRECTION_WIDTHS * float(width.max())) + 3)
     near = lines.point_px[ends[:, None] + inwards[:, None] * np.minimum(steps, length[:, None])]

@@ -59,8 +59,9 @@ def captured(
     margin = int(np.ceil(width / 2 + BESIDE_TO_PX))
     at = np.arange(-BAND_PX - margin, BAND_PX + margin + 1.0)
     seen = sample(image, point, normal, at, cv2.BORDER_REPLICATE)
-    clear = blurred(clearness(share_of_thread(seen, colours), width), pieces, gaussian(ALONG))
-    inner, places = clear[margin : len(at) - margin], at[margin : len(at) - margin]
+    within = slice(margin, len(at) - margin)
+    inner = blurred(clearness(share_of_thread(seen, colours), width)[within], pieces, gaussian(ALONG))
+    places = at[within]
     score = inner - np.float32(RATHER_NEAR) * ((places / BAND_PX) ** 2).astype(np.float32)[:, None]
     best = np.argmax(score, axis=0)
     here = np.arange(len(point))

@@ -8,7 +8,7 @@ import pytest
 from agents.perception.both_eyes import apart
 from agents.perception.both_eyes.apart import CARRIED_SHARE, FADE, apart_px, drawn_together, own_weights
 from agents.perception.both_eyes.same_places import same_places
-from agents.perception.both_eyes.shown import PLACES, Shown, from_other_side, numbers
+from agents.perception.both_eyes.shown import PLACES, Shown, from_other_side, numbers, numbers_from_other_side
 from agents.perception.centrelines.along import Pieces
 from schemas.messages import Centrelines
 
@@ -61,6 +61,11 @@ def said_in_loops(seen, weights):
     return np.array(
         [weights["out_bias"][0] + sum(row[k] * weights["out"][k, 0] for k in range(states)) for row in state]
     )
+
+
+def test_numbers_from_the_other_side_are_those_of_profiles_that_are_read_from_there():
+    shown = shown_at_random(np.random.default_rng(5), 7)
+    np.testing.assert_array_equal(numbers_from_other_side(numbers(shown)), numbers(from_other_side(shown)))
 
 
 def test_what_is_said_is_the_mean_of_what_the_layers_of_all_networks_say_number_by_number():
