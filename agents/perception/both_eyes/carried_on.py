@@ -35,8 +35,9 @@ def expected_px(
     """
     after = np.searchsorted(certain, sample)
     beside = np.stack((np.maximum(after - 1, 0), np.minimum(after, len(certain) - 1)))
-    away = np.abs(sample - certain[beside])
-    near = (away <= reach) & (piece[certain[beside]] == piece[sample])
+    there = certain[beside]
+    away = np.abs(sample - there)
+    near = (away <= reach) & (piece[there] == piece[sample])
     weight = near / np.maximum(away, 1)
     total = weight.sum(axis=0)
     mean = (weight * disparity_px[beside]).sum(axis=0) / np.maximum(total, LEAST)
@@ -58,7 +59,9 @@ def carried_on(
         point_px, piece: of every sample.
         certain: numbers of the samples whose places are certain, in order, and their disparities.
     """
-    rest = np.delete(np.arange(len(piece)), certain)
+    is_rest = np.ones(len(piece), bool)
+    is_rest[certain] = False
+    rest = is_rest.nonzero()[0]
     disparity = expected_px(certain, disparity_px, rest, piece)
     told = np.isfinite(disparity)
     rest, expected = rest[told], point_px[rest[told]]

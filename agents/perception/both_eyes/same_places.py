@@ -120,7 +120,7 @@ def between(values: Float64[np.ndarray, "m d"], at: Float64[np.ndarray, "c"]) ->
     """Values at places between two of a piece."""
     before = np.minimum(at.astype(np.int64), len(values) - 2)
     share = (at - before)[:, None]
-    return values[before] * (1 - share) + values[before + 1] * share
+    return values.take(before, axis=0) * (1 - share) + values.take(before + 1, axis=0) * share
 
 
 def _in_rows(
@@ -190,7 +190,7 @@ def _two_least(
     """Of all candidates of each one's sampled point, the least value and the one after it."""
     begins = np.ones(len(sample), bool)
     np.not_equal(sample[1:], sample[:-1], out=begins[1:])
-    first, number = begins.nonzero()[0], numbered(sample)
+    first, number = begins.nonzero()[0], begins.cumsum() - 1
     nearest = np.minimum.reduceat(off, first)[number]
     is_nearest = off == nearest
     second = np.minimum.reduceat(np.where(is_nearest, np.inf, off), first)[number]

@@ -140,7 +140,8 @@ def smoothed(
     """Values convolved along each piece, which goes on at its ends as its reflection through the end point."""
     if len(values) == 0:
         return values
-    at, columns = pieces.continued, values.T
+    # taking from what lies in another order copies all of it first
+    at, columns = pieces.continued, np.ascontiguousarray(values.T)
     padded = columns.take(at.mirrored, axis=1)
     # beyond an end, the point that lies as far behind it as the mirrored one before it
     padded[:, at.beyond] = 2 * columns.take(at.end, axis=1) - padded.take(at.beyond, axis=1)
@@ -171,7 +172,8 @@ def directions(
     smooth = smoothed(point, pieces, kernel).T
     ahead, behind = pieces.beside
     step = smooth.take(ahead, axis=1) - smooth.take(behind, axis=1)
-    length = np.sqrt((step * step).sum(axis=0))
+    squared = step * step
+    length = np.sqrt(squared[0] + squared[1])
     tangent = step / np.maximum(length, SHORTEST)
     if (nowhere := length <= SHORTEST).any():
         tangent[:, nowhere] = np.array([[1.0], [0.0]])
@@ -199,5 +201,7 @@ def evenly_spaced(
     leap = 1.0 + np.arange(len(first))
     where = start[owner] + share * (stop - start)[owner] + leap[owner]
     known = travelled + leap[pieces.number]
-    resampled = np.column_stack([np.interp(where, known, point[:, axis]) for axis in (0, 1)])
+    resampled = np.empty((len(where), 2))
+    for axis in (0, 1):
+        resampled[:, axis] = np.interp(where, known, point[:, axis])
     return resampled, Pieces(owner)

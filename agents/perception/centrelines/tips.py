@@ -180,12 +180,14 @@ def _ended(lines: Centrelines, loose: _Ends, shift: Float64[np.ndarray, "e"]) ->
     of, by_px = np.repeat(np.arange(len(ends)), [len(steps) for steps in added]), np.concatenate(added)
     # in order along each piece: before its first point or after its last one
     place = ends[of] - inwards[of] * (0.25 + 0.001 * by_px)
-    order = np.argsort(np.concatenate((np.flatnonzero(kept), place)), kind="stable")
-    source = np.concatenate((np.flatnonzero(kept), ends[of]))[order]
+    standing = np.flatnonzero(kept)
+    order = np.argsort(np.concatenate((standing, place)), kind="stable")
+    source = np.concatenate((standing, ends[of]))[order]
     # straight on beyond the end, back along the piece before it
     back, share = np.divmod(np.maximum(-by_px, 0.0), 1.0)
     inner = ends[of] + inwards[of] * back.astype(np.int64)
     way = lines.point_px[inner] + share[:, None] * (lines.point_px[inner + inwards[of]] - lines.point_px[inner])
     added_px = way + np.maximum(by_px, 0.0)[:, None] * outward[of]
-    point_px = np.concatenate((lines.point_px[kept], added_px))[order]
+    point_px, new = lines.point_px[source], np.flatnonzero(order >= len(standing))
+    point_px[new] = added_px[order[new] - len(standing)]
     return type(lines)(point_px, lines.piece[source], lines.width_px[source], lines.deviation_px[source])
