@@ -145,7 +145,8 @@ def smoothed(
     padded = columns.take(at.mirrored, axis=1)
     # beyond an end, the point that lies as far behind it as the mirrored one before it
     padded[:, at.beyond] = 2 * columns.take(at.end, axis=1) - padded.take(at.beyond, axis=1)
-    along = cv2.sepFilter2D(padded, cv2.CV_64F, kernel, ONE, borderType=cv2.BORDER_CONSTANT)
+    # for a single row of weights, OpenCV's separable filter takes half as long again
+    along = cv2.filter2D(padded, cv2.CV_64F, kernel[None], borderType=cv2.BORDER_CONSTANT)
     return np.asarray(along).take(at.inside, axis=1).T
 
 
