@@ -64,7 +64,7 @@ def told_apart(
     is_judged = whole and observed.prompt_px is None and observed.segmenter in (NETWORK, RIDGE)
     if is_judged:
         width = observed.camera.image_width
-        standing = without_printed(images, lines, PRINTED_SHARE * width, observed.camera.fx_px)
+        standing = without_printed(images, lines, PRINTED_SHARE * width, observed.camera.fx_px, score)
         if len(lines[0].piece) and not len(standing[0].piece):
             return _none(observed, ALL_PRINTED, score)
         observed, lines = _with_lines(observed, standing), standing

@@ -18,6 +18,7 @@ from agents.perception.candidates.appearance import looks_of
 from agents.perception.candidates.both_eyes import ELSEWHERE, in_both_eyes
 from agents.perception.candidates.drawn import along, thinned, without
 from agents.perception.candidates.others import ANOTHER, certainly_others
+from agents.perception.candidates.sureness import sureness
 from agents.perception.candidates.threads import Threads, lengths_px, pieces_of, threads_of
 from schemas.messages import Centrelines, ThreadCandidate
 
@@ -67,7 +68,7 @@ def candidates_in(
     threads, pieces = threads_of(images[0], left), pieces_of(right)
     eyes = in_both_eyes(left, threads, right, pieces, looks_of(images[1], right, pieces), width)
     long = lengths_px(left, threads)
-    score = (1.0 - np.exp(-long / (LONG_SHARE * width))) * eyes.share * _sureness(left, threads, segmenter_score, width)
+    score = (1.0 - np.exp(-long / (LONG_SHARE * width))) * eyes.share * sureness(left, threads, segmenter_score, width)
     may_be = np.flatnonzero(long >= np.maximum(LEAST_SHARE * width, LEAST_WIDTHS * threads.looks.width_px))
     if len(may_be) == 0:
         return Candidates((), left, right)
@@ -88,17 +89,6 @@ def candidates_in(
         without(left, [threads.points[t] for t in others]),
         without(right, [pieces[p] for p in np.flatnonzero(rather | (least >= NOBODYS))]),
     )
-
-
-def _sureness(
-    left: Centrelines, threads: Threads, score: UInt8[np.ndarray, "r c"] | None, width: int
-) -> Float64[np.ndarray, "t"]:
-    """The mean of the segmenter's score along each thread, 0 to 1; 1 where there is none."""
-    if score is None:
-        return np.ones(len(threads.points))
-    at = np.rint((left.point_px + 0.5) * (score.shape[1] / width) - 0.5).astype(np.intp)
-    sure = score[at[:, 1].clip(0, score.shape[0] - 1), at[:, 0].clip(0, score.shape[1] - 1)] / 255.0
-    return np.array([sure[points].mean() for points in threads.points])
 
 
 def _meant(

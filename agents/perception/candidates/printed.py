@@ -6,18 +6,27 @@ from jaxtyping import Int64, UInt8
 from agents.perception.candidates.appearance import looks_of
 from agents.perception.candidates.both_eyes import in_both_eyes
 from agents.perception.candidates.drawn import without
-from agents.perception.candidates.relief import relief_of
+from agents.perception.candidates.relief import CERTAIN, relief_of
+from agents.perception.candidates.sureness import sureness
 from agents.perception.candidates.threads import lengths_px, pieces_of, threads_of
 from schemas.messages import Centrelines, no_centrelines
 
 MOST_ASKED = 6
 """The longest ones; each takes some 15 ms."""
 
+SURE, RATHER = 0.9, 1.25
+"""Of a thread's score: where the segmenter is less sure of a line, so many deviations of its relief are enough. Print
+that passes for thread scores 0.6 to 0.9, and threads that hardly stand off the ground 0.95 and more."""
+
 Image = UInt8[np.ndarray, "h w 3"]
 
 
 def without_printed(
-    images: tuple[Image, Image], lines: tuple[Centrelines, Centrelines], least_length_px: float, focal_px: float
+    images: tuple[Image, Image],
+    lines: tuple[Centrelines, Centrelines],
+    least_length_px: float,
+    focal_px: float,
+    score: UInt8[np.ndarray, "r c"] | None = None,
 ) -> tuple[Centrelines, Centrelines]:
     """The lines of both rectified images without those that certainly lie in the ground.
 
@@ -25,16 +34,18 @@ def without_printed(
         lines: the middle of all that was segmented, left and right.
         least_length_px: shorter threads are not asked, and go where all longer ones do.
         focal_px: of the rectified camera.
+        score: of the left image by the segmenter, where it gives one.
     """
     left, right = lines
     threads, pieces = threads_of(images[0], left), pieces_of(right)
     eyes = in_both_eyes(left, threads, right, pieces, looks_of(images[1], right, pieces), images[0].shape[1])
+    sure = sureness(left, threads, score, images[0].shape[1])
     long = np.flatnonzero(lengths_px(left, threads) >= least_length_px)
     printed: list[int] = []
     for thread in long[:MOST_ASKED].tolist():
         of_right = [pieces[p] for p in np.flatnonzero(eyes.thread == thread)]
         line = _of(left, threads.points[thread]), _of(right, np.concatenate((np.zeros(0, np.int64), *of_right)))
-        if relief_of(images, lines, line, focal_px).is_none:
+        if relief_of(images, lines, line, focal_px, CERTAIN if sure[thread] >= SURE else RATHER).is_none:
             printed.append(thread)
     if not printed:
         return lines

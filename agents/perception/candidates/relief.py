@@ -3,10 +3,10 @@
 A line's relief is by how many pixels its disparity is larger than that of the ground behind it. A thread of w px across
 that lies on the ground has its middle b w / z before it: thread of 0.3 mm at 80 mm, seen 5 mm apart, 0.2 px. Most
 threads stand off farther in places; print has no relief at all. So a line lies in the ground if its relief is less than
-a thread's own would be, by more than two deviations.
+a thread's own would be, by more than some deviations: two, or fewer where the segmenter itself is not sure of it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -29,6 +29,8 @@ COMMON_PX = 0.1
 """Deviation of what errs alike all along: the shadow beside a thread on the ground draws it there by 0.2 px."""
 APART = 2.0
 """So many neighbouring places see the same, and count as one."""
+CERTAIN = 2.0
+"""Deviations: true threads that lie on paper come to 1.6."""
 FOR_EACH = 4
 """Places that are tried for each: not all are seen by both eyes, and once."""
 FIRST_EVERY = 2
@@ -44,10 +46,12 @@ class Relief:
     Fields:
         own_px: what the relief of a thread of this width would be if it lay on the ground.
         relief_px: NaN where line or ground do not tell.
+        deviations: by how many less than its own the relief must be.
     """
 
     own_px: float
     relief_px: Float64[np.ndarray, "n"]
+    deviations: float = CERTAIN
 
     @property
     def is_none(self) -> bool:
@@ -64,7 +68,7 @@ class Relief:
         if len(told) < LEAST_PLACES:
             return False
         deviation = COMMON_PX + float(told.std(ddof=1)) / np.sqrt(places / APART)
-        return bool(told.mean() + 2.0 * deviation < LYING * self.own_px)
+        return bool(told.mean() + self.deviations * deviation < LYING * self.own_px)
 
 
 def relief_of(
@@ -72,6 +76,7 @@ def relief_of(
     lines: tuple[Centrelines, Centrelines],
     line: tuple[Centrelines, Centrelines],
     focal_px: float,
+    deviations: float = CERTAIN,
 ) -> Relief:
     """The relief of a line that both eyes see.
 
@@ -80,12 +85,17 @@ def relief_of(
         lines: the middle of all that was segmented, left and right: none of it is ground.
         line: that which is asked about, left and right.
         focal_px: of the rectified camera.
+        deviations: by how many less than its own the relief of a line is that lies in the ground.
     """
     at, disparity = _crossings(*line)
     if len(at) == 0:
-        return Relief(0.0, disparity)
-    of_some = _relief_at(at[::FIRST_EVERY], disparity[::FIRST_EVERY], images, lines, line[0], focal_px)
-    return _relief_at(at, disparity, images, lines, line[0], focal_px) if of_some.may_be_none else of_some
+        return Relief(0.0, disparity, deviations)
+    some = replace(
+        _relief_at(at[::FIRST_EVERY], disparity[::FIRST_EVERY], images, lines, line[0], focal_px), deviations=deviations
+    )
+    if not some.may_be_none:
+        return some
+    return replace(_relief_at(at, disparity, images, lines, line[0], focal_px), deviations=deviations)
 
 
 def _relief_at(

@@ -199,6 +199,20 @@ def test_only_relief_that_is_certainly_less_than_a_threads_own_is_none(doubt):
     assert relief.is_none is (doubt == "enough")
 
 
+@pytest.mark.parametrize(
+    ("relief", "score", "stays"),
+    [(0.15, 0.95, True), (0.15, 0.8, False), (0.15, None, True), (0.25, 0.8, True), (0.0, 0.95, False)],
+    ids=["doubtful but sure", "doubtful and unsure", "doubtful without a score", "unsure", "in the ground"],
+)
+def test_less_is_needed_to_hold_a_line_for_print_of_which_the_segmenter_is_not_sure(relief, score, stays):
+    lines = [(bent(330), relief)]
+    images = with_lines(ground(), lines)
+    # a smaller copy does
+    scores = None if score is None else np.full((HEIGHT // 2, WIDTH // 2), round(255 * score), np.uint8)
+    found = without_printed(images, middles(lines), LEAST_PX, FOCAL_PX, scores)
+    assert bool(len(found[0].piece)) is stays
+
+
 def test_what_clearly_stands_off_is_asked_at_half_of_its_places_and_what_may_be_print_at_all():
     asked = {}
     for relief in (0.0, 1.0):
