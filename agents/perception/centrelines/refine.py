@@ -17,7 +17,7 @@ from agents.perception.centrelines.along import (
 )
 from agents.perception.centrelines.edges import find_edges
 from agents.perception.centrelines.learned import learned_middles
-from agents.perception.centrelines.profiles import middle, normals, offsets, own_strand, sample
+from agents.perception.centrelines.profiles import by_channel, middle, normals, offsets, own_strand, sample
 from agents.perception.centrelines.straightened import (
     has_plain_ground,
     reach_px,
@@ -106,7 +106,7 @@ def by_edges(
     within, thinned = sampled.every_second
     colour = sample(image, curves.point[some], normal[some], at, cv2.BORDER_REPLICATE)
     colour, some = blurred(colour, sampled, gaussian(ALONG_PX / STRIDE), within), some[within]
-    edges = find_edges(np.stack(cv2.split(colour)), at, mask_width[some], thinned)
+    edges = find_edges(by_channel(colour), at, mask_width[some], thinned)
     near, far = (np.interp(np.arange(len(normal)), some, edge) for edge in (edges.near_px, edges.far_px))
     # both edges may lie off the mask's, but in the same direction only as far as a mask is wrong
     limit = 0.5 + 0.25 * width

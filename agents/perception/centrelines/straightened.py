@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
 
 from agents.perception.centrelines.along import Pieces, blurred, gaussian, median, smoothed
-from agents.perception.centrelines.profiles import sample
+from agents.perception.centrelines.profiles import by_channel, sample
 
 PLACES = np.linspace(-1.0, 1.0, 25, dtype=np.float32)
 """Where a profile is seen, as shares of its reach."""
@@ -83,7 +83,7 @@ def straightened(
     Of each place: its colour less the ground's, over the contrast; its brightness against the ground's; and how much of
     the thread's colour and of the ground's it shows. Then both colours and their contrast, and the width.
     """
-    width, channels = width_px.astype(np.float32), np.stack(cv2.split(colour))
+    width, channels = width_px.astype(np.float32), by_channel(colour)
     off = np.abs(PLACES)[:, None] * (width + np.float32(BEYOND_PX))
     ground = _mean(channels, off > width / 2 + GROUND_FROM_PX, pieces)
     thread = _mean(channels, off < width * THREAD_SHARE + THREAD_PX, pieces)
