@@ -12,8 +12,6 @@ from schemas.messages import (
     GraspPlan,
     Image,
     ImageEncoding,
-    Policy,
-    Status,
     StereoFrame,
 )
 from schemas.topics import FRAMES, HEALTH, PLAN, key
@@ -23,28 +21,10 @@ from shared.runtime.delivery import declare_publisher
 from shared.runtime.progress import ask_progress
 from shared.runtime.replay import replay
 from shared.runtime.taps import tap
-from tests.shared.runtime.test_replay import Newest, frame, plan
+from tests.shared.runtime.test_replay import Newest, frame, plan, plan_of
 
 IMAGE = Image(ImageEncoding.RAW, 4, 2, 1, bytes(8))
 NAME, EPOCH = key("test", FRAMES), 5
-
-
-def plan_of(reason):
-    return GraspPlan(
-        plan_id="p",
-        arm="psm1",
-        goal_id="g",
-        stamp=FrameStamp(0, 0, 0, ""),
-        status=Status.FAILED,
-        reason=reason,
-        policy=Policy.DIRECT,
-        s_goal=None,
-        s_capture=None,
-        probability=0.0,
-        slide_m=0.0,
-        waypoints=(),
-        alternatives=(),
-    )
 
 
 class Worker:
