@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from agents.perception.candidates import candidates_followed, candidates_in, in_common_px, seen_by_both, without_printed
+from agents.perception.candidates import candidates_followed, candidates_in, in_common, seen_by_both, without_printed
 from agents.perception.following.stacked import trail_without
 from agents.perception.occluders import map_image, occluders_in, with_needles
 from agents.perception.segmenter_names import NETWORK, RIDGE
@@ -61,20 +61,21 @@ def told_apart(
     whole = observed.looked_sequence == observed.stamp.sequence
     lines = observed.centrelines_left, observed.centrelines_right
     # who points at a thread, or draws it, says what is thread
-    is_judged = whole and observed.prompt_px is None and observed.segmenter in (NETWORK, RIDGE)
-    if is_judged:
+    common = None
+    if whole and observed.prompt_px is None and observed.segmenter in (NETWORK, RIDGE):
         width = observed.camera.image_width
         standing = without_printed(images, lines, PRINTED_SHARE * width, observed.camera.fx_px, score)
         if len(lines[0].piece) and not len(standing[0].piece):
             return _none(observed, ALL_PRINTED, score)
         observed, lines = _with_lines(observed, standing), standing
+        common = in_common(lines, width)
+        if common is None or common.length_px < LEAST_IN_COMMON_PX:
+            return _none(observed, IN_ONE_EYE, score)
     before = () if last is None else last.candidates
     occluders = _occluders(observed, images, coverage, whole, last)
-    if is_judged:
+    if common is not None:
         maps = None if occluders is None else (decode_image(occluders.left), decode_image(occluders.right))
-        lines = seen_by_both(lines, maps, observed.camera.image_width)
-        if in_common_px(lines, observed.camera.image_width) < LEAST_IN_COMMON_PX:
-            return _none(observed, IN_ONE_EYE, score)
+        lines = seen_by_both(lines, common, maps, observed.camera.image_width)
         observed = _with_lines(observed, lines)
     # one thread alone is told from no other by what may hide it
     is_asked = occluders is not None and (whole or len(before) > 1)

@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 from scipy.spatial import cKDTree
 
-from agents.perception.candidates.both_eyes import ABOUT_SHARE, same_place, sampled
+from agents.perception.candidates.both_eyes import ABOUT_SHARE, sampled
 from agents.perception.candidates.drawn import Piece, without
-from agents.perception.candidates.threads import pieces_of
+from agents.perception.candidates.in_common import InCommon
 from schemas.messages import Centrelines, Occluder
 from shared.occluded import is_occluded
 
@@ -32,29 +32,23 @@ Map = UInt8[np.ndarray, "r c"]
 
 
 def seen_by_both(
-    lines: tuple[Centrelines, Centrelines], occluders: tuple[Map, Map] | None, image_width: int
+    lines: tuple[Centrelines, Centrelines], common: InCommon, occluders: tuple[Map, Map] | None, image_width: int
 ) -> tuple[Centrelines, Centrelines]:
     """The lines of a rectified pair without those that the other eye does not show though it could.
 
     Args:
         lines: the middle of all that was segmented, left and right.
+        common: what both eyes show of them.
         occluders: not 0 where something may hide thread, in copies of both images; None where nobody knows.
     """
-    left, right = lines
-    of_left, of_right = pieces_of(left), pieces_of(right)
-    if not (of_left and of_right):
+    if common.share < BOTH:
         return lines
-    left_at, right_at = sampled(of_left)[0], sampled(of_right)[0]
-    every = np.ones((len(left_at), len(right_at)), bool)
-    same, usual_px = same_place(left.point_px[left_at], right.point_px[right_at], every, image_width)
-    in_left, in_right = (np.asarray(same.any(axis=axis), bool) for axis in (1, 0))
-    if min(float(in_left.mean()), float(in_right.mean())) < BOTH:
-        return lines
-    of_eyes = (left, of_left, in_left, -usual_px), (right, of_right, in_right, usual_px)
+    to_other_px = -common.usual_px, common.usual_px
+    of_eyes = zip(lines, common.pieces, common.shown, to_other_px, strict=True)
     maps = (None, None) if occluders is None else tuple(_hiding(one) for one in occluders)
     kept_left, kept_right = (
-        without(line, _false(_Eye(line, pieces, shown, to_other_px, own, other), image_width))
-        for (line, pieces, shown, to_other_px), own, other in zip(of_eyes, maps, maps[::-1], strict=True)
+        without(line, _false(_Eye(line, pieces, shown, to_other, own, other), image_width))
+        for (line, pieces, shown, to_other), own, other in zip(of_eyes, maps, maps[::-1], strict=True)
     )
     return kept_left, kept_right
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agents.perception.candidates import in_common_px, seen_by_both
+from agents.perception.candidates import in_common, seen_by_both
 from schemas.messages import Centrelines, Occluder, no_centrelines
 
 WIDTH, HEIGHT = 960, 540
@@ -36,21 +36,32 @@ def pair(eye, way):
     return (other, shown) if eye else (shown, other)
 
 
+def seen(both, occluders):
+    common = in_common(both, WIDTH)
+    assert common is not None
+    return seen_by_both(both, common, occluders, WIDTH)
+
+
+def length_in_common_px(both):
+    common = in_common(both, WIDTH)
+    return 0.0 if common is None else common.length_px
+
+
 def kept(eye, way, occluders):
-    return len(np.unique(seen_by_both(pair(eye, way), occluders, WIDTH)[eye].piece)) == 2
+    return len(np.unique(seen(pair(eye, way), occluders)[eye].piece)) == 2
 
 
 @pytest.mark.parametrize("eye", [0, 1])
 @pytest.mark.parametrize("occluders", [None, (NOTHING, NOTHING)], ids=["nobody knows of instruments", "none is there"])
 def test_a_line_that_one_eye_alone_shows_is_no_thread(eye, occluders):
-    found = seen_by_both(pair(eye, LONE), occluders, WIDTH)
+    found = seen(pair(eye, LONE), occluders)
     for line, thread in zip(found, (lines(THREAD), lines(THREAD, shift=DISPARITY)), strict=True):
         np.testing.assert_array_equal(line.point_px, thread.point_px)
 
 
 def test_what_both_eyes_show_stays():
     both = lines(THREAD, LONE), lines(THREAD, LONE, shift=DISPARITY)
-    assert seen_by_both(both, (NOTHING, NOTHING), WIDTH) == both
+    assert seen(both, (NOTHING, NOTHING)) == both
 
 
 @pytest.mark.parametrize("eye", [0, 1])
@@ -93,9 +104,7 @@ def test_a_line_near_what_both_eyes_see_stays():
 
 def test_nothing_is_dropped_where_the_eyes_show_different_things():
     shown = lines(THREAD, LONE), lines([(800, 20), (850, 50)], shift=DISPARITY)
-    assert seen_by_both(shown, None, WIDTH) == shown
-    bare = lines(THREAD), Centrelines(np.zeros((0, 2)), np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
-    assert seen_by_both(bare, None, WIDTH) == bare
+    assert seen(shown, None) == shown
 
 
 ALONG_ROWS = [(300, 200), (420, 200)]
@@ -104,18 +113,18 @@ ALONG_ROWS = [(300, 200), (420, 200)]
 @pytest.mark.parametrize("way", [THREAD, LONE, ALONG_ROWS], ids=["a long line", "a short one", "one along the rows"])
 def test_what_both_eyes_have_in_common_is_as_long_as_it_is(way):
     both = lines(way), lines(way, shift=DISPARITY)
-    assert in_common_px(both, WIDTH) == pytest.approx(len(both[0].piece), rel=0.15)
+    assert length_in_common_px(both) == pytest.approx(len(both[0].piece), rel=0.15)
 
 
 def test_what_each_eye_shows_elsewhere_is_not_in_common():
     lower = [(700, 400), (760, 460)]
-    assert in_common_px((lines(LONE), lines(lower, shift=DISPARITY)), WIDTH) == 0.0
+    assert length_in_common_px((lines(LONE), lines(lower, shift=DISPARITY))) == 0.0
     # in its rows, but where no thread could be seen from there: to the right of it
-    assert in_common_px((lines(LONE), lines(LONE, shift=-DISPARITY)), WIDTH) == 0.0
-    assert in_common_px((lines(THREAD, LONE), lines(LONE, lower, shift=DISPARITY)), WIDTH) < len(lines(LONE).piece) + 12
+    assert length_in_common_px((lines(LONE), lines(LONE, shift=-DISPARITY))) == 0.0
+    assert length_in_common_px((lines(THREAD, LONE), lines(LONE, lower, shift=DISPARITY))) < len(lines(LONE).piece) + 12
 
 
 @pytest.mark.parametrize("eye", [0, 1])
 def test_nothing_is_in_common_where_one_eye_shows_nothing(eye):
     shown, nothing = lines(LONE), no_centrelines()
-    assert in_common_px((nothing, shown) if eye else (shown, nothing), WIDTH) == 0.0
+    assert length_in_common_px((nothing, shown) if eye else (shown, nothing)) == 0.0
