@@ -82,7 +82,10 @@ def test_where_the_pool_is_full_a_payload_is_bytes():
     parts = [b"head", bytes(range(256)) * (1 << 14), np.arange(1 << 20, dtype=np.uint8).data]
     expected = b"".join(parts)
     held = [joined(parts) for _ in range(POOL_BYTES // len(expected) + 2)]
-    assert {type(payload) for payload in held} == {type(held[0]), bytes}
+    # the first may be bytes too, while the pool still holds what an earlier test has let go
+    kinds = {type(payload) for payload in held}
+    assert bytes in kinds
+    assert len(kinds) <= 2
     assert all(bytes(payload) == expected for payload in held)
     held.clear()
     assert type(joined(parts)) is not bytes
