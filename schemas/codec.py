@@ -21,9 +21,23 @@ from google.protobuf.unknown_fields import UnknownFieldSet
 from schemas.checks import MessageError, fields_of, is_array, require, without_none
 from schemas.framing import NotCutError, cut, delimited, first_field
 from schemas.generated import suturegrasp_pb2
-from schemas.messages import Arm, ChangeState, FrameStamp, GraspGoal, GraspPlan, Heartbeat, ReplayClock, SetParameter
+from schemas.messages import (
+    Arm,
+    ChangeState,
+    FrameNotice,
+    FrameStamp,
+    GraspGoal,
+    GraspPlan,
+    Heartbeat,
+    ReplayClock,
+    SetParameter,
+    ToolCorrection,
+)
 
-LEADING_TO_MOTION = (GraspGoal, GraspPlan, Arm, ChangeState, Heartbeat, ReplayClock, SetParameter)
+LEADING_TO_MOTION = (
+    *(GraspGoal, GraspPlan, Arm, ChangeState, Heartbeat),
+    *(ReplayClock, SetParameter, ToolCorrection, FrameNotice),
+)
 """Messages that are understood in full or not at all. What stops a robot is not among them: it is always understood."""
 
 MAX_MESSAGE_BYTES = 1 << 28

@@ -17,6 +17,7 @@ from schemas.messages import (
     ChangeState,
     CommandRecord,
     ExecutionEvent,
+    FrameNotice,
     GraspCheck,
     GraspGoal,
     GraspJudgement,
@@ -119,6 +120,7 @@ FRAMES = Topic(
     # bulky: whatever else the camera tells goes first
     priority=Priority.DATA_LOW,
 )
+FRAME_NOTICE = Topic("camera", "notice", FrameNotice, Delivery.LATEST, rate_hz=30, maximum_age_ms=200, never_later=True)
 CALIBRATION = Topic("camera", "calibration", StereoCalibration, Delivery.STATE)
 OBSERVATIONS = Topic("perception", "observations", ThreadObservations, Delivery.LATEST, rate_hz=30, maximum_age_ms=1000)
 SURFACE = Topic("perception", "surface", TissueSurface, Delivery.LATEST, rate_hz=3, maximum_age_ms=3000)
@@ -165,6 +167,7 @@ SET = Topic(ANY_AGENT, "set", SetParameter, Delivery.COMMAND, receiver=ANY_AGENT
 
 TOPICS = (
     FRAMES,
+    FRAME_NOTICE,
     CALIBRATION,
     OBSERVATIONS,
     SURFACE,

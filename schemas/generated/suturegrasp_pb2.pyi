@@ -119,6 +119,7 @@ class ExecutionKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     EXECUTION_KIND_FINISHED: _ClassVar[ExecutionKind]
     EXECUTION_KIND_REFUSED: _ClassVar[ExecutionKind]
     EXECUTION_KIND_HELD: _ClassVar[ExecutionKind]
+    EXECUTION_KIND_SEGMENT_ENDED: _ClassVar[ExecutionKind]
 
 class Verdict(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -195,6 +196,7 @@ EXECUTION_KIND_PHASE_REACHED: ExecutionKind
 EXECUTION_KIND_FINISHED: ExecutionKind
 EXECUTION_KIND_REFUSED: ExecutionKind
 EXECUTION_KIND_HELD: ExecutionKind
+EXECUTION_KIND_SEGMENT_ENDED: ExecutionKind
 VERDICT_UNSPECIFIED: Verdict
 VERDICT_HELD: Verdict
 VERDICT_MISSED: Verdict
@@ -226,16 +228,34 @@ class Image(_message.Message):
     def __init__(self, encoding: _Optional[_Union[ImageEncoding, str]] = ..., width: _Optional[int] = ..., height: _Optional[int] = ..., channels: _Optional[int] = ..., data: _Optional[bytes] = ...) -> None: ...
 
 class FrameStamp(_message.Message):
-    __slots__ = ("sequence", "capture_left_ns", "capture_right_ns", "calibration_id")
+    __slots__ = ("sequence", "capture_left_ns", "capture_right_ns", "calibration_id", "echoes")
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     CAPTURE_LEFT_NS_FIELD_NUMBER: _ClassVar[int]
     CAPTURE_RIGHT_NS_FIELD_NUMBER: _ClassVar[int]
     CALIBRATION_ID_FIELD_NUMBER: _ClassVar[int]
+    ECHOES_FIELD_NUMBER: _ClassVar[int]
     sequence: int
     capture_left_ns: int
     capture_right_ns: int
     calibration_id: str
-    def __init__(self, sequence: _Optional[int] = ..., capture_left_ns: _Optional[int] = ..., capture_right_ns: _Optional[int] = ..., calibration_id: _Optional[str] = ...) -> None: ...
+    echoes: _containers.RepeatedCompositeFieldContainer[ChallengeEcho]
+    def __init__(self, sequence: _Optional[int] = ..., capture_left_ns: _Optional[int] = ..., capture_right_ns: _Optional[int] = ..., calibration_id: _Optional[str] = ..., echoes: _Optional[_Iterable[_Union[ChallengeEcho, _Mapping]]] = ...) -> None: ...
+
+class ChallengeEcho(_message.Message):
+    __slots__ = ("arm", "challenge_ns")
+    ARM_FIELD_NUMBER: _ClassVar[int]
+    CHALLENGE_NS_FIELD_NUMBER: _ClassVar[int]
+    arm: str
+    challenge_ns: int
+    def __init__(self, arm: _Optional[str] = ..., challenge_ns: _Optional[int] = ...) -> None: ...
+
+class FrameNotice(_message.Message):
+    __slots__ = ("stamp", "consumed")
+    STAMP_FIELD_NUMBER: _ClassVar[int]
+    CONSUMED_FIELD_NUMBER: _ClassVar[int]
+    stamp: FrameStamp
+    consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
+    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
 
 class StereoFrame(_message.Message):
     __slots__ = ("stamp", "left", "right", "consumed")
@@ -850,14 +870,20 @@ class GraspGoal(_message.Message):
     def __init__(self, header: _Optional[_Union[CommandHeader, _Mapping]] = ..., arm: _Optional[str] = ..., policy: _Optional[_Union[Policy, str]] = ..., s: _Optional[float] = ..., pixel: _Optional[_Union[Array, _Mapping]] = ..., point_camera: _Optional[_Union[Array, _Mapping]] = ..., attempts: _Optional[int] = ...) -> None: ...
 
 class Arm(_message.Message):
-    __slots__ = ("header", "arm", "plan_id")
+    __slots__ = ("header", "arm", "plan_id", "challenge_ns", "pressed", "segments")
     HEADER_FIELD_NUMBER: _ClassVar[int]
     ARM_FIELD_NUMBER: _ClassVar[int]
     PLAN_ID_FIELD_NUMBER: _ClassVar[int]
+    CHALLENGE_NS_FIELD_NUMBER: _ClassVar[int]
+    PRESSED_FIELD_NUMBER: _ClassVar[int]
+    SEGMENTS_FIELD_NUMBER: _ClassVar[int]
     header: CommandHeader
     arm: str
     plan_id: str
-    def __init__(self, header: _Optional[_Union[CommandHeader, _Mapping]] = ..., arm: _Optional[str] = ..., plan_id: _Optional[str] = ...) -> None: ...
+    challenge_ns: int
+    pressed: bool
+    segments: int
+    def __init__(self, header: _Optional[_Union[CommandHeader, _Mapping]] = ..., arm: _Optional[str] = ..., plan_id: _Optional[str] = ..., challenge_ns: _Optional[int] = ..., pressed: _Optional[bool] = ..., segments: _Optional[int] = ...) -> None: ...
 
 class Hold(_message.Message):
     __slots__ = ("header", "arm")
@@ -886,16 +912,22 @@ class Prompt(_message.Message):
     def __init__(self, header: _Optional[_Union[CommandHeader, _Mapping]] = ..., pixel: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
 
 class Heartbeat(_message.Message):
-    __slots__ = ("arm", "plan_id", "at_ns", "arming_id")
+    __slots__ = ("arm", "plan_id", "at_ns", "arming_id", "challenge_ns", "guard_challenge", "pressed")
     ARM_FIELD_NUMBER: _ClassVar[int]
     PLAN_ID_FIELD_NUMBER: _ClassVar[int]
     AT_NS_FIELD_NUMBER: _ClassVar[int]
     ARMING_ID_FIELD_NUMBER: _ClassVar[int]
+    CHALLENGE_NS_FIELD_NUMBER: _ClassVar[int]
+    GUARD_CHALLENGE_FIELD_NUMBER: _ClassVar[int]
+    PRESSED_FIELD_NUMBER: _ClassVar[int]
     arm: str
     plan_id: str
     at_ns: int
     arming_id: str
-    def __init__(self, arm: _Optional[str] = ..., plan_id: _Optional[str] = ..., at_ns: _Optional[int] = ..., arming_id: _Optional[str] = ...) -> None: ...
+    challenge_ns: int
+    guard_challenge: int
+    pressed: bool
+    def __init__(self, arm: _Optional[str] = ..., plan_id: _Optional[str] = ..., at_ns: _Optional[int] = ..., arming_id: _Optional[str] = ..., challenge_ns: _Optional[int] = ..., guard_challenge: _Optional[int] = ..., pressed: _Optional[bool] = ...) -> None: ...
 
 class Waypoint(_message.Message):
     __slots__ = ("T_camera_tool", "jaw_rad", "phase", "s")
@@ -964,7 +996,7 @@ class ThreadAround(_message.Message):
     def __init__(self, s: _Optional[_Union[Array, _Mapping]] = ..., points_camera: _Optional[_Union[Array, _Mapping]] = ..., covariance: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
 
 class GraspPlan(_message.Message):
-    __slots__ = ("plan_id", "arm", "goal_id", "stamp", "status", "reason", "policy", "s_goal", "s_capture", "probability", "slide_m", "waypoints", "alternatives", "tissue", "consumed", "thread", "attempt", "attempts", "policy_model", "goal", "around", "depth_m", "offset_camera", "offset_covariance")
+    __slots__ = ("plan_id", "arm", "goal_id", "stamp", "status", "reason", "policy", "s_goal", "s_capture", "probability", "slide_m", "waypoints", "alternatives", "tissue", "consumed", "thread", "attempt", "attempts", "policy_model", "goal", "around", "depth_m", "offset_camera", "offset_covariance", "maximum_frame_age_s", "continues")
     PLAN_ID_FIELD_NUMBER: _ClassVar[int]
     ARM_FIELD_NUMBER: _ClassVar[int]
     GOAL_ID_FIELD_NUMBER: _ClassVar[int]
@@ -989,6 +1021,8 @@ class GraspPlan(_message.Message):
     DEPTH_M_FIELD_NUMBER: _ClassVar[int]
     OFFSET_CAMERA_FIELD_NUMBER: _ClassVar[int]
     OFFSET_COVARIANCE_FIELD_NUMBER: _ClassVar[int]
+    MAXIMUM_FRAME_AGE_S_FIELD_NUMBER: _ClassVar[int]
+    CONTINUES_FIELD_NUMBER: _ClassVar[int]
     plan_id: str
     arm: str
     goal_id: str
@@ -1013,7 +1047,9 @@ class GraspPlan(_message.Message):
     depth_m: float
     offset_camera: Array
     offset_covariance: Array
-    def __init__(self, plan_id: _Optional[str] = ..., arm: _Optional[str] = ..., goal_id: _Optional[str] = ..., stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., policy: _Optional[_Union[Policy, str]] = ..., s_goal: _Optional[float] = ..., s_capture: _Optional[float] = ..., probability: _Optional[float] = ..., slide_m: _Optional[float] = ..., waypoints: _Optional[_Iterable[_Union[Waypoint, _Mapping]]] = ..., alternatives: _Optional[_Iterable[_Union[Alternative, _Mapping]]] = ..., tissue: _Optional[_Union[TissueClearance, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ..., thread: _Optional[_Union[ThreadClearance, _Mapping]] = ..., attempt: _Optional[int] = ..., attempts: _Optional[int] = ..., policy_model: _Optional[str] = ..., goal: _Optional[_Union[GraspGoal, _Mapping]] = ..., around: _Optional[_Union[ThreadAround, _Mapping]] = ..., depth_m: _Optional[float] = ..., offset_camera: _Optional[_Union[Array, _Mapping]] = ..., offset_covariance: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
+    maximum_frame_age_s: float
+    continues: str
+    def __init__(self, plan_id: _Optional[str] = ..., arm: _Optional[str] = ..., goal_id: _Optional[str] = ..., stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., policy: _Optional[_Union[Policy, str]] = ..., s_goal: _Optional[float] = ..., s_capture: _Optional[float] = ..., probability: _Optional[float] = ..., slide_m: _Optional[float] = ..., waypoints: _Optional[_Iterable[_Union[Waypoint, _Mapping]]] = ..., alternatives: _Optional[_Iterable[_Union[Alternative, _Mapping]]] = ..., tissue: _Optional[_Union[TissueClearance, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ..., thread: _Optional[_Union[ThreadClearance, _Mapping]] = ..., attempt: _Optional[int] = ..., attempts: _Optional[int] = ..., policy_model: _Optional[str] = ..., goal: _Optional[_Union[GraspGoal, _Mapping]] = ..., around: _Optional[_Union[ThreadAround, _Mapping]] = ..., depth_m: _Optional[float] = ..., offset_camera: _Optional[_Union[Array, _Mapping]] = ..., offset_covariance: _Optional[_Union[Array, _Mapping]] = ..., maximum_frame_age_s: _Optional[float] = ..., continues: _Optional[str] = ...) -> None: ...
 
 class GraspCheck(_message.Message):
     __slots__ = ("plan_id", "arm", "goal_id", "verdict", "before", "after", "tool_moved_m", "thread_moved_m", "deviation_m", "held_probability", "attempt", "attempts", "next_plan_id", "sentence", "consumed")
@@ -1050,7 +1086,7 @@ class GraspCheck(_message.Message):
     def __init__(self, plan_id: _Optional[str] = ..., arm: _Optional[str] = ..., goal_id: _Optional[str] = ..., verdict: _Optional[_Union[Checked, str]] = ..., before: _Optional[_Union[FrameStamp, _Mapping]] = ..., after: _Optional[_Union[FrameStamp, _Mapping]] = ..., tool_moved_m: _Optional[float] = ..., thread_moved_m: _Optional[float] = ..., deviation_m: _Optional[float] = ..., held_probability: _Optional[float] = ..., attempt: _Optional[int] = ..., attempts: _Optional[int] = ..., next_plan_id: _Optional[str] = ..., sentence: _Optional[str] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
 
 class RobotState(_message.Message):
-    __slots__ = ("arm", "measured_ns", "mode", "T_base_tool", "joints", "jaw_rad", "T_camera_base", "plan_id", "consumed", "T_camera_base_registered", "kinematics", "correction_looked_ns")
+    __slots__ = ("arm", "measured_ns", "mode", "T_base_tool", "joints", "jaw_rad", "T_camera_base", "plan_id", "consumed", "T_camera_base_registered", "kinematics", "correction_looked_ns", "challenge_ns", "guard_challenge", "maximum_frame_age_s", "is_real")
     ARM_FIELD_NUMBER: _ClassVar[int]
     MEASURED_NS_FIELD_NUMBER: _ClassVar[int]
     MODE_FIELD_NUMBER: _ClassVar[int]
@@ -1063,6 +1099,10 @@ class RobotState(_message.Message):
     T_CAMERA_BASE_REGISTERED_FIELD_NUMBER: _ClassVar[int]
     KINEMATICS_FIELD_NUMBER: _ClassVar[int]
     CORRECTION_LOOKED_NS_FIELD_NUMBER: _ClassVar[int]
+    CHALLENGE_NS_FIELD_NUMBER: _ClassVar[int]
+    GUARD_CHALLENGE_FIELD_NUMBER: _ClassVar[int]
+    MAXIMUM_FRAME_AGE_S_FIELD_NUMBER: _ClassVar[int]
+    IS_REAL_FIELD_NUMBER: _ClassVar[int]
     arm: str
     measured_ns: int
     mode: RobotMode
@@ -1075,7 +1115,11 @@ class RobotState(_message.Message):
     T_camera_base_registered: Array
     kinematics: str
     correction_looked_ns: int
-    def __init__(self, arm: _Optional[str] = ..., measured_ns: _Optional[int] = ..., mode: _Optional[_Union[RobotMode, str]] = ..., T_base_tool: _Optional[_Union[Array, _Mapping]] = ..., joints: _Optional[_Union[Array, _Mapping]] = ..., jaw_rad: _Optional[float] = ..., T_camera_base: _Optional[_Union[Array, _Mapping]] = ..., plan_id: _Optional[str] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ..., T_camera_base_registered: _Optional[_Union[Array, _Mapping]] = ..., kinematics: _Optional[str] = ..., correction_looked_ns: _Optional[int] = ...) -> None: ...
+    challenge_ns: int
+    guard_challenge: int
+    maximum_frame_age_s: float
+    is_real: bool
+    def __init__(self, arm: _Optional[str] = ..., measured_ns: _Optional[int] = ..., mode: _Optional[_Union[RobotMode, str]] = ..., T_base_tool: _Optional[_Union[Array, _Mapping]] = ..., joints: _Optional[_Union[Array, _Mapping]] = ..., jaw_rad: _Optional[float] = ..., T_camera_base: _Optional[_Union[Array, _Mapping]] = ..., plan_id: _Optional[str] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ..., T_camera_base_registered: _Optional[_Union[Array, _Mapping]] = ..., kinematics: _Optional[str] = ..., correction_looked_ns: _Optional[int] = ..., challenge_ns: _Optional[int] = ..., guard_challenge: _Optional[int] = ..., maximum_frame_age_s: _Optional[float] = ..., is_real: _Optional[bool] = ...) -> None: ...
 
 class ToolCandidate(_message.Message):
     __slots__ = ("twist", "covariance", "table", "expected", "fits", "quality", "residual_px")

@@ -33,6 +33,8 @@ from schemas.messages.grasping import (
 )
 from schemas.messages.imaging import (
     ROTATION_TOLERANCE,
+    ChallengeEcho,
+    FrameNotice,
     FrameStamp,
     Image,
     ImageEncoding,
@@ -99,6 +101,7 @@ __all__ = [
     "Alternative",
     "Arm",
     "Centrelines",
+    "ChallengeEcho",
     "ChangeState",
     "Checked",
     "ClockReading",
@@ -109,6 +112,7 @@ __all__ = [
     "Crossing",
     "ExecutionEvent",
     "ExecutionKind",
+    "FrameNotice",
     "FrameStamp",
     "GraspCheck",
     "GraspGoal",

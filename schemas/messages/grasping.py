@@ -50,11 +50,20 @@ class GraspGoal:
 
 @dataclass(frozen=True)
 class Arm:
-    """The operator's consent that one arm carries out one plan, while the heartbeat lasts."""
+    """The operator's consent that one arm carries out one plan, while the heartbeat lasts.
+
+    Fields:
+        challenge_ns: the newest challenge of the arm's bridge that its sender had heard; 0 from those who echo none.
+        pressed: a person presses the page's button; False from a process that beats by itself.
+        segments: into how many segments a long motion may be cut, each planned anew; 0 for one motion.
+    """
 
     header: CommandHeader
     arm: str
     plan_id: str
+    challenge_ns: int = 0
+    pressed: bool = False
+    segments: int = 0
 
     def __post_init__(self) -> None:
         check_message(self)
@@ -114,12 +123,18 @@ class Heartbeat:
 
     Fields:
         arming_id: the id of the Arm command, so that a heartbeat of one arming is none of another.
+        challenge_ns: the challenge of the arm's bridge that it answers; 0 from those who answer none.
+        guard_challenge: that of the guard beside the console, which came with it; 0 where there is no guard.
+        pressed: a person presses the page's button; False from a process that beats by itself.
     """
 
     arm: str
     plan_id: str
     at_ns: int
     arming_id: str
+    challenge_ns: int = 0
+    guard_challenge: int = 0
+    pressed: bool = False
 
     def __post_init__(self) -> None:
         check_message(self)
@@ -249,6 +264,8 @@ class GraspPlan:
         depth_m: how far the tips of the closed fingers reach beyond the thread; None for a rejection.
         offset_camera, offset_covariance: what earlier misses told of where the fingers are, against where they are
             measured to be; None for a first attempt.
+        maximum_frame_age_s: its motion holds where the newest camera frame is older; 0 where the bridge does not tell.
+        continues: the plan whose next segment this one is; empty for one that begins a motion.
     """
 
     plan_id: str
@@ -275,6 +292,8 @@ class GraspPlan:
     depth_m: float | None = None
     offset_camera: Float64[np.ndarray, "3"] | None = None
     offset_covariance: Float64[np.ndarray, "3 3"] | None = None
+    maximum_frame_age_s: float = 0.0
+    continues: str = ""
 
     def __post_init__(self) -> None:
         check_message(self)
@@ -358,6 +377,10 @@ class RobotState:
             None.
         kinematics: what kind of arm it is; empty for a PSM.
         correction_looked_ns: when the newest frame was captured by which images correct the base; 0 where none does.
+        challenge_ns: what whoever stands by, and the camera, are to echo: the time of this state by the bridge's clock.
+        guard_challenge: the newest of the guard beside the console; 0 where there is none.
+        maximum_frame_age_s: a motion holds where the newest camera frame is older; 0 from those who do not tell.
+        is_real: it moves something real, so that a process that beats by itself cannot arm it.
     """
 
     arm: str
@@ -372,6 +395,10 @@ class RobotState:
     T_camera_base_registered: Float64[np.ndarray, "4 4"] | None = None
     kinematics: str = ""
     correction_looked_ns: int = 0
+    challenge_ns: int = 0
+    guard_challenge: int = 0
+    maximum_frame_age_s: float = 0.0
+    is_real: bool = False
 
     def __post_init__(self) -> None:
         check_message(self)
@@ -390,6 +417,7 @@ class ExecutionKind(enum.Enum):
     FINISHED = 3
     REFUSED = 4
     HELD = 5
+    SEGMENT_ENDED = 6
 
 
 @dataclass(frozen=True)

@@ -54,17 +54,52 @@ class Image:
 
 
 @dataclass(frozen=True)
+class ChallengeEcho:
+    """The newest challenge of an arm's bridge that the camera had heard when it took a frame.
+
+    A challenge is the time at which the bridge issued it, by the bridge's own clock. So the frame is no older by that
+    clock than the challenge is, however far the camera's clock is off and however long the frame was on its way.
+    """
+
+    arm: str
+    challenge_ns: int
+
+    def __post_init__(self) -> None:
+        check_message(self)
+
+
+@dataclass(frozen=True)
 class FrameStamp:
-    """Which frame something descends from, and when each eye saw it."""
+    """Which frame something descends from, and when each eye saw it.
+
+    Fields:
+        echoes: one for each arm whose bridge the camera hears.
+    """
 
     sequence: int
     capture_left_ns: int
     capture_right_ns: int
     calibration_id: str
+    echoes: tuple[ChallengeEcho, ...] = ()
 
     def __post_init__(self) -> None:
         check_message(self)
         require(self.sequence >= 0, f"FrameStamp.sequence must not be negative, and is {self.sequence}")
+
+    def echo_of(self, arm: str) -> int:
+        """The challenge of that arm's bridge that the frame echoes; 0 where it echoes none."""
+        return next((echo.challenge_ns for echo in self.echoes if echo.arm == arm), 0)
+
+
+@dataclass(frozen=True)
+class FrameNotice:
+    """A frame was taken: its stamp alone, for whoever asks how old the newest image is and needs no image."""
+
+    stamp: FrameStamp
+    consumed: tuple[Consumed, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_message(self)
 
 
 @dataclass(frozen=True)
