@@ -15,6 +15,11 @@ def monotonic_s() -> float:
     return time.monotonic()
 
 
+def monotonic_ns() -> int:
+    """The same in nanoseconds."""
+    return time.monotonic_ns()
+
+
 def processor_s() -> float:
     """Seconds that processors have spent on this process: what others do on the machine hardly counts."""
     return time.process_time()

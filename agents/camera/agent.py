@@ -1,24 +1,36 @@
-"""The camera agent: a source of stereo pairs becomes frames, with the calibration beside them."""
+"""The camera agent: a source of stereo pairs becomes frames, with the calibration beside them.
 
+Each frame echoes the newest challenge of every arm's bridge that was heard before it was captured, by which that bridge
+knows how old it is. A notice with the stamp alone follows each frame, for whoever needs no image.
+"""
+
+from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from agents.camera.sources import BrokenOffError, Pair, Source
 from schemas.messages import (
+    ChallengeEcho,
     CommandAnswer,
+    FrameNotice,
     FrameStamp,
     ImageEncoding,
     RectifiedStereo,
+    RobotState,
     SimulatorState,
     StereoCalibration,
     StereoFrame,
 )
-from schemas.topics import CALIBRATION, FRAMES, MAIN, SIMULATOR_STATE, Topic
+from schemas.topics import CALIBRATION, FRAME_NOTICE, FRAMES, MAIN, ROBOT_STATE, SIMULATOR_STATE, Topic
 from shared.both_eyes import of_both
 from shared.calibration.identity import calibration_id
 from shared.images import encode_image
 from shared.runtime.agent import CannotGoOnError, Command, Input, Output, Received, Tick
 from shared.runtime.settable import Between, settable
+
+CHALLENGES = Input(ROBOT_STATE, instance="*", only_newest_counts=True, only_remembered=True)
+CHALLENGES_KEPT = 60
+"""Two seconds of them at 30 frames a second: longer than any capture chain takes."""
 
 Renderer = Callable[[SimulatorState, int], Pair]
 """A simulated field and a frame number to what the cameras see."""
@@ -43,8 +55,8 @@ class Camera:
 
     kind = "camera"
     instance = MAIN
-    inputs: tuple[Input, ...] = ()
-    outputs = (FRAMES, CALIBRATION)
+    inputs: tuple[Input, ...] = (CHALLENGES,)
+    outputs = (FRAMES, FRAME_NOTICE, CALIBRATION)
     commands: tuple[Topic, ...] = ()
     only_newest_tick_counts = True
 
@@ -64,8 +76,11 @@ class Camera:
             SourceError: where the source gives something that is no pair.
             CannotGoOnError: where it will never give one again.
         """
+        if isinstance(arrived, Received):
+            self._sender.challenged(arrived.message)
         if not isinstance(arrived, Tick):
             return
+        self._sender.ticked(arrived.now_ns)
         if not self._announced:
             self._announced = True
             self._sender.calibrated(self._calibration)
@@ -75,7 +90,7 @@ class Camera:
         except BrokenOffError as error:
             raise CannotGoOnError(str(error)) from None
         if pair is not None:
-            yield Output(FRAMES, self._sender.frame(pair, arrived.now_ns, self._source.taken_ns))
+            yield from self._sender.told(pair, arrived.now_ns, self._source.taken_ns)
 
     def close(self) -> None:
         """Let go of files and devices."""
@@ -87,8 +102,8 @@ class SceneCamera:
 
     kind = "camera"
     instance = MAIN
-    inputs = (Input(SIMULATOR_STATE, only_newest_counts=True, only_remembered=True),)
-    outputs = (FRAMES, CALIBRATION)
+    inputs = (Input(SIMULATOR_STATE, only_newest_counts=True, only_remembered=True), CHALLENGES)
+    outputs = (FRAMES, FRAME_NOTICE, CALIBRATION)
     commands: tuple[Topic, ...] = ()
     only_newest_tick_counts = True
 
@@ -110,14 +125,17 @@ class SceneCamera:
 
     def step(self, arrived: Received | Tick | Command) -> Iterable[Output | CommandAnswer]:
         """The calibration once the field is known and whenever its camera changes, then one frame a tick."""
-        if isinstance(arrived, Received):
+        if isinstance(arrived, Received) and isinstance(arrived.message, RobotState):
+            self._sender.challenged(arrived.message)
+        elif isinstance(arrived, Received):
             self._state = arrived.message
         elif isinstance(arrived, Tick) and self._state is not None:
+            self._sender.ticked(arrived.now_ns)
             if self._camera != self._state.camera:
                 self._camera, calibration = self._state.camera, self._calibration_of(self._state)
                 self._sender.calibrated(calibration)
                 yield Output(CALIBRATION, calibration)
-            yield Output(FRAMES, self._sender.frame(self._render(self._state, self._sender.sent), arrived.now_ns))
+            yield from self._sender.told(self._render(self._state, self._sender.sent), arrived.now_ns)
 
 
 class FrameSender:
@@ -126,18 +144,43 @@ class FrameSender:
     def __init__(self, config: CameraConfig) -> None:
         self.config, self._calibration_id = config, ""
         self.sent = 0
+        self._came: dict[str, int] = {}
+        self._heard: dict[str, deque[tuple[int, int]]] = {}
 
     def calibrated(self, calibration: StereoCalibration) -> None:
         """The frames from now on are taken with this calibration."""
         self._calibration_id = calibration_id(calibration)
 
+    def challenged(self, state: RobotState) -> None:
+        """Take a challenge of an arm's bridge; it was heard before the next tick."""
+        self._came[state.arm] = state.challenge_ns
+
+    def ticked(self, now_ns: int) -> None:
+        """A tick begins: what came before it was heard by then, which is as late as it can have been."""
+        for arm, challenge_ns in self._came.items():
+            self._heard.setdefault(arm, deque(maxlen=CHALLENGES_KEPT)).append((now_ns, challenge_ns))
+        self._came = {}
+
+    def told(self, pair: Pair, now_ns: int, taken_ns: tuple[int, int] = (0, 0)) -> Iterable[Output]:
+        """The next frame, and the notice of it."""
+        frame = self.frame(pair, now_ns, taken_ns)
+        return Output(FRAMES, frame), Output(FRAME_NOTICE, FrameNotice(frame.stamp))
+
     def frame(self, pair: Pair, now_ns: int, taken_ns: tuple[int, int] = (0, 0)) -> StereoFrame:
         """The next frame, each image taken so long after now, and seen `latency_ms` before it was taken."""
         latency_ns = round(self.config.latency_ms * 1e6)
         left_ns, right_ns = (now_ns + ns - latency_ns for ns in taken_ns)
-        stamp = FrameStamp(self.sent, left_ns, right_ns, self._calibration_id)
+        stamp = FrameStamp(self.sent, left_ns, right_ns, self._calibration_id, self._echoes(min(left_ns, right_ns)))
         self.sent += 1
         left, right = of_both(
             encode_image, *((image, self.config.encoding, self.config.jpeg_quality) for image in pair)
         )
         return StereoFrame(stamp, left, right)
+
+    def _echoes(self, captured_ns: int) -> tuple[ChallengeEcho, ...]:
+        """The newest challenge of each arm that was heard before the frame was captured."""
+        newest = {
+            arm: next((told_ns for at_ns, told_ns in reversed(heard) if at_ns <= captured_ns), 0)
+            for arm, heard in self._heard.items()
+        }
+        return tuple(ChallengeEcho(arm, told_ns) for arm, told_ns in sorted(newest.items()) if told_ns)

@@ -1,17 +1,24 @@
 """The robot bridge: carries out armed plans on one arm, and refuses what is not safe.
 
-Everything it does follows from what it is fed; the time is that of the ticks and commands.
+Everything it does follows from what it is fed; the time is that of the ticks and commands. Stopping comes first: a hold
+reaches the backend before anything is computed, told or written down, and is said again in each tick until it is known
+to have come about.
 """
 
+import dataclasses
 import logging
 from collections.abc import Iterable
+
+import numpy as np
 
 from agents.robot_bridge.backend import ArmState, Backend
 from agents.robot_bridge.config import RobotBridgeConfig, RobotBridgeError
 from agents.robot_bridge.execution import Execution, Patience
-from agents.robot_bridge.motion import plan_motion
+from agents.robot_bridge.motion import Trajectory, contact_joints, plan_motion
 from agents.robot_bridge.plans import CLOCK_TOLERANCE_S, Plans, untimely, wrong_frame
+from agents.robot_bridge.presence import Challenges
 from agents.robot_bridge.refusals import REPLAYED, UNMEASURED, Code, Refusal, other_arm
+from agents.robot_bridge.sight import Sight, too_old
 from agents.robot_bridge.standing import Standing
 from agents.robot_bridge.state_changes import StateChanges
 from agents.robot_bridge.telling import accepted, event_of, mode_of, refused, robot_state
@@ -20,16 +27,31 @@ from schemas.messages import (
     ChangeState,
     CommandAnswer,
     ExecutionKind,
+    FrameNotice,
     GraspPlan,
     Heartbeat,
-    Hold,
+    Phase,
     ReplayClock,
     RobotState,
+    Status,
     TissueSurface,
     ToolCorrection,
 )
-from schemas.topics import ARM, CHANGE_STATE, EXECUTION, HEARTBEAT, HOLD, PLAN, REPLAY_CLOCK, ROBOT_STATE, SURFACE, TOOL
+from schemas.topics import (
+    ARM,
+    CHANGE_STATE,
+    EXECUTION,
+    FRAME_NOTICE,
+    HEARTBEAT,
+    HOLD,
+    PLAN,
+    REPLAY_CLOCK,
+    ROBOT_STATE,
+    SURFACE,
+    TOOL,
+)
 from shared.runtime.agent import Command, Input, Output, Received, Tick
+from shared.runtime.commands import stops
 
 __all__ = ["RobotBridge", "RobotBridgeConfig", "RobotBridgeError"]
 
@@ -37,6 +59,10 @@ RESTS_AFTER_S = 1.0
 """So long after it was armed or moved last, an arm is at rest."""
 REPLAY_OVER_S = 2.0
 """A replay that was not heard for so long is over."""
+MOST_SEGMENTS = 8
+"""Of a chained motion, which whoever arms it may only make fewer."""
+
+Replies = Iterable[Output | CommandAnswer]
 
 
 class RobotBridge:
@@ -52,18 +78,22 @@ class RobotBridge:
         self.accepts_replayed_time = backend.accepts_replayed_time
         clock = () if backend.accepts_replayed_time else (Input(REPLAY_CLOCK, only_newest_counts=True),)
         tissue = Input(SURFACE, only_newest_counts=True, only_remembered=True)
+        frames = Input(FRAME_NOTICE, only_newest_counts=True, only_remembered=True)
         images = Input(TOOL, config.arm, only_newest_counts=True, only_remembered=True)
         corrections = () if config.correction is None else (images,)
-        self.inputs = (Input(PLAN), Input(HEARTBEAT, config.arm), tissue, *corrections, *clock)
+        self.inputs = (Input(PLAN), Input(HEARTBEAT, config.arm), tissue, frames, *corrections, *clock)
         self.config, self._backend = config, backend
         self._plans, self._states = Plans(config.arm), StateChanges(config.arm, backend)
+        self._challenges, self._sight = Challenges(), Sight(config.arm, backend.is_real)
         self._now_ns: int | None = None
         self._replay_over_ns = 0
         self._rests_from_ns = 0
         self._execution: Execution | None = None
         self._holding = False
+        self._unconfirmed = False
         self._turns = 0
-        self._stands = Standing(config, backend, logging.getLogger(f"suturegrasp.{self.kind}.{config.arm}"))
+        self._log = logging.getLogger(f"suturegrasp.{self.kind}.{config.arm}")
+        self._stands = Standing(config, backend, self._log)
 
     def configure(self, config: RobotBridgeConfig) -> None:
         """Go on with another config, in which only what may be set while the agent runs has changed."""
@@ -75,29 +105,40 @@ class RobotBridge:
         return self._execution is not None
 
     @property
+    def keeps_time(self) -> bool:
+        """Whether its clock must not jump now."""
+        return self.executes
+
+    @property
     def tick_hz(self) -> float:
-        """All of its turns while the arm is armed or moves; few are enough for one that is disarmed and still."""
+        """All of its turns while the arm is armed, moves, or is told to hold; few for one at rest."""
         left_s = (self._rests_from_ns - (self._now_ns or 0)) * 1e-9
         # where the clock was set back, nobody waits for it to be as late again
-        if self._execution or 0 < left_s <= RESTS_AFTER_S:
+        if self._execution or self._unconfirmed or 0 < left_s <= RESTS_AFTER_S:
             return self.config.tick_hz
         return min(self.config.resting_hz, self.config.tick_hz)
 
-    def step(self, arrived: Received | Tick | Command) -> Iterable[Output | CommandAnswer]:
+    def halt(self) -> None:
+        """Stop the arm at once, from any thread: a command that stops has come, and will be stepped next."""
+        self._backend.halt()
+
+    def step(self, arrived: Received | Tick | Command) -> Replies:
         """What follows from one message, tick or command."""
         match arrived:
             case Tick(now_ns):
                 return self._tick(now_ns)
+            case Command(message=message) if stops(message):
+                return self._answer_stop(arrived)
             case Command(message=Arm() as message):
                 return self._answer_arm(arrived, message)
-            case Command(message=Hold() as message):
-                return self._answer_hold(arrived, message)
             case Command(message=ChangeState() as message):
                 return [self._change_state(arrived, message)]
             case Received(message=GraspPlan() as plan):
-                self._plans.keep(plan, replayed=(self._now_ns or 0) < self._replay_over_ns)
+                return self._keep(plan)
             case Received(message=Heartbeat() as heartbeat):
                 self._beat(heartbeat)
+            case Received(message=FrameNotice() as notice):
+                self._sight.hear(notice.stamp)
             case Received(message=(TissueSurface() | ToolCorrection()) as told):
                 self._stands.hear(told, armed=self.executes)
             case Received(message=ReplayClock()):
@@ -111,14 +152,43 @@ class RobotBridge:
         self._execution = None
         self._backend.close()
 
-    def _tick(self, now_ns: int) -> list[Output]:
-        """One turn; where anything in it fails, the arm holds and is disarmed before the failure is passed on."""
+    def stop(self, why: Refusal, now_ns: int) -> list[Output]:
+        """Stop and disarm; a backend that fails is told again in the next tick, and the guard holds meanwhile."""
+        self._holding = self._unconfirmed = True
         try:
-            return self._turn(now_ns)
-        except Exception:
-            self._execution, self._holding = None, True
             self._backend.hold()
-            raise
+        except Exception:
+            self._log.exception("the arm could not be told to hold; it is told again in each turn")
+        execution, self._execution = self._execution, None
+        if execution is None:
+            return []
+        return [event_of(self.config.arm, execution.plan_id, execution.arming_id, ExecutionKind.HELD, now_ns, why)]
+
+    def _tick(self, now_ns: int) -> Iterable[Output]:
+        """One turn; where anything in it fails, the arm holds and is disarmed before the failure is passed on.
+
+        Raises:
+            Exception: what failed, once what followed was given.
+        """
+        if self._unconfirmed:
+            self._hold_again()
+        try:
+            outputs, failure = self._turn(now_ns), None
+        except Exception as error:
+            failed = f"a turn of the bridge failed ({type(error).__name__}): see its log, then arm again"
+            outputs, failure = self.stop(Refusal(Code.FAULT, failed), now_ns), error
+        yield from outputs
+        if failure is not None:
+            raise failure
+
+    def _hold_again(self) -> None:
+        try:
+            self._unconfirmed = not self._backend.holds
+            if self._unconfirmed:
+                self._backend.hold()
+        except Exception as error:
+            self._unconfirmed = True
+            self._log.warning("the arm could not be told to hold: %s", error)
 
     def _turn(self, now_ns: int) -> list[Output]:
         elapsed_s = 0.0 if self._now_ns is None else (now_ns - self._now_ns) * 1e-9
@@ -129,7 +199,7 @@ class RobotBridge:
         events = self._states.turn(now_ns)
         if self._execution:
             events += self._carry_on(self._execution, arm, now_ns, elapsed_s)
-        return [Output(ROBOT_STATE, self._told(arm)), *events] if arm and (self._tells() or events) else events
+        return [Output(ROBOT_STATE, self._told(arm, now_ns)), *events] if arm and (self._tells() or events) else events
 
     def _tells(self) -> bool:
         """Whether the state is told in this turn; where set points go out faster than it, not in each."""
@@ -137,67 +207,133 @@ class RobotBridge:
         return self._turns % max(1, round(self.tick_hz / (ROBOT_STATE.rate_hz or self.tick_hz))) == 0
 
     def _carry_on(self, execution: Execution, arm: ArmState | None, now_ns: int, elapsed_s: float) -> list[Output]:
-        if (why := self._stands.broken(now_ns)) or arm is None:
-            return self._hold(why or UNMEASURED, now_ns)
+        if self._backend.halted:
+            return self.stop(Refusal(Code.HOLD_COMMAND, "a command to stop has come"), now_ns)
+        why = self._stands.broken(now_ns) or self._blind(now_ns) or self._unattended(execution, arm)
+        if why or arm is None:
+            return self.stop(why or UNMEASURED, now_ns)
+        rested = execution.ended_ns is not None
         following = execution.next(arm, now_ns, elapsed_s, self.config.ratio)
         if following is None:
             return []
         if isinstance(following, Refusal):
-            return self._hold(following, now_ns)
-        self._backend.move(following.joints, following.jaw_rad)
+            return self.stop(following, now_ns)
+        self._backend.move(following.joints, following.jaw_rad, execution.arming_id)
         of = execution.plan_id, execution.arming_id
         self._plans.moves(execution.plan_id, now_ns)
-        reached = ExecutionKind.PHASE_REACHED
-        events = [event_of(self.config.arm, *of, reached, now_ns, phase=phase) for phase in following.reached]
+        kinds: list[tuple[ExecutionKind, Phase | None]]
+        kinds = [(ExecutionKind.PHASE_REACHED, phase) for phase in following.reached]
         if following.finished:
             self._execution = None
+            self._backend.finish(execution.arming_id)
             self._plans.forget(execution.plan_id)
-            events.append(event_of(self.config.arm, *of, ExecutionKind.FINISHED, now_ns))
-        return events
+            kinds.append((ExecutionKind.FINISHED, None))
+        elif execution.ended_ns is not None and not rested:
+            kinds.append((ExecutionKind.SEGMENT_ENDED, None))
+        return [event_of(self.config.arm, *of, kind, now_ns, phase=phase) for kind, phase in kinds]
 
-    def _hold(self, why: Refusal, now_ns: int) -> list[Output]:
-        """Stop and disarm."""
-        self._backend.hold()
-        self._holding = True
-        execution, self._execution = self._execution, None
+    def _blind(self, now_ns: int) -> Refusal | None:
+        """Why nobody sees where the arm moves: the newest frame, or that of its plan, is too old."""
+        if why := self._sight.refusal(now_ns, self.config.maximum_frame_age_s):
+            return why
+        execution = self._execution
         if execution is None:
-            return []
-        return [event_of(self.config.arm, execution.plan_id, execution.arming_id, ExecutionKind.HELD, now_ns, why)]
+            return None
+        allowed_s = self.config.maximum_plan_age_s + self.config.maximum_motion_s
+        of = self.config.arm, self._backend.is_real, now_ns, allowed_s, "the frame of its plan"
+        return too_old(execution.plan.stamp, *of)
+
+    def _unattended(self, execution: Execution, arm: ArmState | None) -> Refusal | None:
+        """Why a real arm that a process armed must not go on: the console's pedal was released."""
+        if not self._backend.is_real or execution.pressed or (arm is not None and arm.pedal):
+            return None
+        return Refusal(Code.NO_PRESENCE, "the console's operator-present pedal was released: press it, then arm again")
 
     def _beat(self, heartbeat: Heartbeat) -> None:
-        execution = self._execution
-        named = (heartbeat.arm, heartbeat.plan_id, heartbeat.arming_id)
-        ours = execution and named == (self.config.arm, execution.plan_id, execution.arming_id)
-        if execution and ours and self._now_ns is not None:
-            # one that was long on its way, or is played again, does not tell that anybody is there now
-            ahead_s = (heartbeat.at_ns - self._now_ns) * 1e-9
-            if abs(ahead_s) <= self.config.dead_man_s + CLOCK_TOLERANCE_S:
-                execution.beat(heartbeat.at_ns, self._now_ns)
-            else:
-                execution.untimely(ahead_s)
+        execution, now_ns = self._execution, self._now_ns
+        if execution is None or now_ns is None or heartbeat.plan_id not in execution.plans:
+            return
+        if (heartbeat.arm, heartbeat.arming_id) != (self.config.arm, execution.arming_id):
+            return
+        if heartbeat.pressed != execution.pressed and self._backend.is_real:
+            # a process's heartbeat does not stand in for a press
+            return
+        age_ns = self._challenges.age_ns(heartbeat.challenge_ns, now_ns)
+        if age_ns is not None:
+            within = age_ns <= self.config.dead_man_s * 1e9
+            execution.answered(heartbeat.challenge_ns) if within else execution.late(age_ns)
+            return
+        # one that was long on its way, or is played again, does not tell that anybody is there now
+        timely = abs(heartbeat.at_ns - now_ns) * 1e-9 <= self.config.dead_man_s + CLOCK_TOLERANCE_S
+        if heartbeat.challenge_ns == 0 and timely and not self._backend.is_real:
+            execution.beaten(heartbeat.at_ns, now_ns)
 
     def _refuse_replay(self) -> list[Output]:
         """A recording is replayed on this arm's rig: it stays where it is until that is over."""
         self._replay_over_ns = (self._now_ns or 0) + round(REPLAY_OVER_S * 1e9)
-        return self._hold(REPLAYED, self._now_ns or 0) if self._execution else []
+        return self.stop(REPLAYED, self._now_ns or 0) if self._execution else []
+
+    def _keep(self, plan: GraspPlan) -> list[Output]:
+        """Keep a plan; one that continues the motion between two segments is gone on with."""
+        now_ns = self._now_ns or 0
+        self._plans.keep(plan, replayed=now_ns < self._replay_over_ns)
+        execution = self._execution
+        if execution is None or execution.ended_ns is None or plan.continues != execution.plan_id:
+            return []
+        planned = self._next_segment(execution, plan, now_ns)
+        if isinstance(planned, Refusal):
+            return self.stop(planned, now_ns)
+        execution.follow(plan, planned)
+        return []
+
+    def _next_segment(self, execution: Execution, plan: GraspPlan, now_ns: int) -> Trajectory | Refusal:
+        """The motion of the next segment, planned from a frame that was taken after the last one had ended."""
+        arm, ended_ns = self._stands.measured.state, execution.ended_ns or now_ns
+        if execution.segment >= execution.segments:
+            most = f"it was armed for {execution.segments} segments at most"
+            return Refusal(Code.SEGMENT, f"{most}, and more are needed: let it go faster, or arm again")
+        if plan.status is not Status.OK:
+            return Refusal(Code.REJECTED_PLAN, f"the planner rejected the next segment: {plan.reason}")
+        seen_ns = plan.stamp.echo_of(self.config.arm) or min(plan.stamp.capture_left_ns, plan.stamp.capture_right_ns)
+        if seen_ns < ended_ns:
+            return Refusal(Code.SEGMENT, "the next segment was planned from a frame of before the last one ended")
+        if arm is None:
+            return UNMEASURED
+        planned = self._planned(plan, arm, now_ns, execution.segments - execution.segment)
+        if isinstance(planned, Refusal):
+            return planned
+        forward = self._backend.kinematics.forward
+        was, now = (forward(joints)[:3, 3] for joints in (execution.contact, contact_joints(planned)))
+        if (drift_m := float(np.linalg.norm(was - now))) > self.config.segment_drift_m:
+            moved = f"the place of contact is {1e3 * drift_m:.1f} mm from where it was armed"
+            return Refusal(
+                Code.SEGMENT, f"{moved}, and {1e3 * self.config.segment_drift_m:g} mm are allowed: arm again"
+            )
+        return planned
+
+    def _answer_stop(self, command: Command) -> Replies:
+        """Hold, and where the console is to pause or disable the arm, tell it so; whatever else is the matter."""
+        message = command.message
+        if refusal := other_arm(self.config.arm, message.arm, command.instance):
+            return [refused(message.header.id, refusal)]
+        said = message.word.name.lower() if isinstance(message, ChangeState) else "hold"
+        held = self.stop(Refusal(Code.HOLD_COMMAND, f"{message.header.sender} said {said}"), command.now_ns)
+        if not isinstance(message, ChangeState):
+            return [accepted(message.header.id), *held]
+        return [self._states.answer(message, command.now_ns, self.config.ratio), *held]
 
     def _answer_arm(self, command: Command, message: Arm) -> list[Output | CommandAnswer]:
         armed, of = self._arm(command, message), (message.plan_id, message.header.id)
         if isinstance(armed, Refusal):
             event = event_of(self.config.arm, *of, ExecutionKind.REFUSED, command.now_ns, armed)
             return [refused(message.header.id, armed), event]
-        self._execution, self._holding = armed, False
+        self._execution, self._holding, self._unconfirmed = armed, False, False
+        self._backend.rearm()
         event = event_of(self.config.arm, *of, ExecutionKind.ACCEPTED, command.now_ns)
         return [accepted(message.header.id), event]
 
-    def _answer_hold(self, command: Command, message: Hold) -> list[Output | CommandAnswer]:
-        if refusal := other_arm(self.config.arm, message.arm, command.instance):
-            return [refused(message.header.id, refusal)]
-        held = self._hold(Refusal(Code.HOLD_COMMAND, f"{message.header.sender} said hold"), command.now_ns)
-        return [accepted(message.header.id), *held]
-
     def _change_state(self, command: Command, message: ChangeState) -> CommandAnswer:
-        """A person has the console enable, home, pause: while nothing is armed, of an arm whose time is this one."""
+        """A person has the console enable, home, resume: while nothing is armed, of an arm whose time is this one."""
         of = message.header.id
         if refusal := other_arm(self.config.arm, message.arm, command.instance):
             return refused(of, refusal)
@@ -226,25 +362,64 @@ class RobotBridge:
         arm, why = self._stands.measured.state, self._stands.refusal(command.now_ns)
         if why or arm is None or self._now_ns is None:
             return why or UNMEASURED
-        setup = self._stands.with_tissue(command.now_ns, self.config.maximum_plan_age_s)
-        timely = command.now_ns, arm.still_since_ns, self._plans.last, self.config.maximum_plan_age_s
-        if refusal := untimely(plan, *timely) or wrong_frame(plan, self._stands.frames(setup)):
-            return refusal
-        planned = plan_motion(plan.waypoints, arm.joints, arm.jaw_rad, setup)
+        planned = self._planned(plan, arm, command.now_ns, min(max(1, message.segments), MOST_SEGMENTS))
         if isinstance(planned, Refusal):
             return planned
         if self._backend.dry_run:
             would = f"the motion of {planned.duration_s:.1f} s passes every check, and nothing was sent"
             return Refusal(Code.DRY_RUN, f"{would}: this is a dry run (dry_run of the arm's configuration)")
-        patience = Patience(self.config.first_heartbeat_s, self.config.dead_man_s)
-        return Execution(message, planned, self._now_ns, patience, self._backend.kinematics)
+        if why := self._nobody(message, arm, command.now_ns):
+            return why
+        patience = Patience(self.config.first_heartbeat_s, self.config.dead_man_s, self.config.maximum_motion_s)
+        return Execution(message, plan, planned, self._now_ns, patience, self._backend.kinematics)
+
+    def _planned(self, plan: GraspPlan, arm: ArmState, now_ns: int, segments: int) -> Trajectory | Refusal:
+        """The motion of a plan from where the arm is, or what speaks against plan, moment or motion."""
+        if why := self._sight.refusal(now_ns, self.config.maximum_frame_age_s):
+            return why
+        setup = self._stands.with_tissue(now_ns, self.config.maximum_plan_age_s)
+        timely = now_ns, arm.still_since_ns, self._plans.last, self.config.maximum_plan_age_s
+        of = self.config.arm, self._backend.is_real, now_ns, self.config.maximum_plan_age_s, "the frame of its plan"
+        if refusal := untimely(plan, *timely) or too_old(plan.stamp, *of):
+            return refusal
+        if refusal := wrong_frame(plan, self._stands.frames(setup)):
+            return refusal
+        if self._backend.is_real and (refusal := self._stands.unknown(plan, setup, now_ns)):
+            return refusal
+        return plan_motion(plan.waypoints, arm.joints, arm.jaw_rad, setup, segments)
+
+    def _nobody(self, message: Arm, arm: ArmState, now_ns: int) -> Refusal | None:
+        """Why whoever arms does not stand by as this arm needs it; None where they do, as far as that can be told."""
+        if self._backend.is_real and not message.pressed and not arm.pedal:
+            alone = "a process that beats by itself arms no real arm"
+            return Refusal(
+                Code.NO_PRESENCE, f"{alone}: press the page's button, or the console's operator-present pedal anew"
+            )
+        if message.challenge_ns == 0 and not self._backend.is_real:
+            return None
+        behind_ns = self._challenges.behind_ns(message.challenge_ns, now_ns)
+        if behind_ns is None:
+            unheard = "whoever arms has heard no challenge of this bridge, or one of long ago"
+            return Refusal(Code.ROUND_TRIP, f"{unheard}: see to the network between them, then arm again")
+        if behind_ns <= self.config.dead_man_s * 1e9:
+            return None
+        took = f"from the bridge to whoever arms and back it takes {1e-6 * behind_ns:.0f} ms"
+        allowed = f"{1e3 * self.config.dead_man_s:.0f} ms are allowed"
+        return Refusal(Code.ROUND_TRIP, f"{took}, and {allowed}: see to the network between them")
 
     def _busy(self) -> Refusal:
         carries_out = f"the arm carries out plan {self._execution.plan_id}" if self._execution else ""
         return Refusal(Code.BUSY, f"{carries_out}: let it end, or say hold, before arming")
 
-    def _told(self, arm: ArmState) -> RobotState:
+    def _told(self, arm: ArmState, now_ns: int) -> RobotState:
         execution = self._execution
         moving = execution is not None and execution.moving
         mode = mode_of(arm, self._stands, moving, self._holding)
-        return robot_state(self.config.arm, arm, self._stands, mode, execution.plan_id if execution else "")
+        told = robot_state(self.config.arm, arm, self._stands, mode, execution.plan_id if execution else "")
+        return dataclasses.replace(
+            told,
+            challenge_ns=self._challenges.issue(now_ns),
+            guard_challenge=arm.guard_challenge,
+            maximum_frame_age_s=self.config.maximum_frame_age_s,
+            is_real=self._backend.is_real and not self._backend.dry_run,
+        )

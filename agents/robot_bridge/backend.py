@@ -30,6 +30,9 @@ class ArmState:
         busy: it makes a motion of its own.
         still_since_ns: what a camera saw before is elsewhere now: camera, set-up joints or the arm were moved.
         T_camera_base: where its base is now; None where that is as configured.
+        guard_challenge: the newest number of the guard beside its console; 0 where it has none.
+        pedal: its console's operator-present pedal is pressed, as the guard tells it.
+        untold: what a real arm needs to be told before it may be armed and was not, each with what to do, by its name.
     """
 
     measured_ns: int
@@ -41,6 +44,9 @@ class ArmState:
     busy: bool = False
     still_since_ns: int = 0
     T_camera_base: Float64[np.ndarray, "4 4"] | None = None
+    guard_challenge: int = 0
+    pedal: bool = False
+    untold: tuple[tuple[str, str], ...] = ()
 
 
 class Backend(Protocol):
@@ -51,22 +57,46 @@ class Backend(Protocol):
         accepts_replayed_time: whether the arm may live in the time of a recording that is replayed, as a simulated one
             may; an arm that is real may not, and does not move meanwhile.
         dry_run: nothing is sent, so that arming ends with what would be.
+        is_real: it moves something real: presence must be proven, and what is not known speaks against moving it.
     """
 
     kinematics: ArmKinematics
     accepts_replayed_time: bool = False
     dry_run: bool = False
+    is_real: bool = False
 
     def state(self, now_ns: int) -> ArmState:
         """The newest state; asked for once in every tick, before anything else."""
         ...
 
-    def move(self, joints: Float64[np.ndarray, "6"], jaw_rad: float) -> None:
-        """Take a new set point, a tick's way from the measured one."""
+    def move(self, joints: Float64[np.ndarray, "6"], jaw_rad: float, arming_id: str) -> None:
+        """Take a new set point of an arming, a tick's way from the measured one; after `halt` none, until `rearm`."""
+        ...
+
+    def finish(self, arming_id: str) -> None:
+        """Note that the motion of an arming has ended as it should."""
         ...
 
     def hold(self) -> None:
-        """Stop where the arm is, and stay there."""
+        """Stop where the arm is, and stay there. May be called from any thread, and again."""
+        ...
+
+    def halt(self) -> None:
+        """Hold, and take no set point any more; from any thread, as soon as a command that stops has come."""
+        ...
+
+    @property
+    def halted(self) -> bool:
+        """Whether it was halted since it was armed last."""
+        ...
+
+    def rearm(self) -> None:
+        """Take set points again: a plan was armed after the last halt."""
+        ...
+
+    @property
+    def holds(self) -> bool:
+        """Whether the last hold is known to have come about."""
         ...
 
     def change_state(self, word: StateWord, now_ns: int) -> str:

@@ -27,6 +27,11 @@ class RobotBridgeConfig:
         T_camera_base: where its base is, in the rectified left camera's frame, metres.
         dead_man_s: without a heartbeat for longer than this, the arm holds and is disarmed.
         first_heartbeat_s: how long the first one may take; nothing moves before it.
+        maximum_frame_age_s: a motion holds where the newest camera frame is older.
+        maximum_motion_s: the longest that one checked segment may last, whatever the speed; a longer motion is a chain.
+        segment_drift_m: how far the first place of contact may be from where it was armed, in a chain's next segment.
+        registered_ns, registration_days: when the base was registered, and how long that holds; 0 where nobody says.
+        tissue_needed: a real arm moves only where the tissue was measured.
         maximum_plan_age_s: since the frame that the plan was made from was captured; while the arm runs it can only be
             made smaller than it was configured.
         ratio: of the speed that a motion was planned with; a motion that is under way goes over to another smoothly.
@@ -41,6 +46,12 @@ class RobotBridgeConfig:
     dead_man_s: float = 0.2
     first_heartbeat_s: float = 1.0
     maximum_plan_age_s: float = settable(MAXIMUM_PLAN_AGE_S, Between(0.1))
+    maximum_frame_age_s: float = settable(0.5, Between(0.1))
+    maximum_motion_s: float = 60.0
+    segment_drift_m: float = 0.01
+    registered_ns: int = 0
+    registration_days: float = 30.0
+    tissue_needed: bool = True
     ratio: float = settable(1.0, Between(0.05, 1.0))
     tick_hz: float = ROBOT_STATE.rate_hz or 100.0
     resting_hz: float = ROBOT_STATE.resting_hz or 10.0
@@ -53,7 +64,8 @@ class RobotBridgeConfig:
             check_pose("the arm's T_camera_base", self.T_camera_base)
         except MessageError as error:
             raise RobotBridgeError(str(error)) from error
-        for name in ("dead_man_s", "first_heartbeat_s", "maximum_plan_age_s", "ratio", "tick_hz", "resting_hz"):
+        seconds = ("dead_man_s", "first_heartbeat_s", "maximum_plan_age_s", "maximum_frame_age_s", "maximum_motion_s")
+        for name in (*seconds, "ratio", "tick_hz", "resting_hz", "registration_days"):
             if not 0 < getattr(self, name) < float("inf"):
                 raise RobotBridgeError(f"{name} must be positive and finite, not {getattr(self, name)}")
         if self.ratio > 1:

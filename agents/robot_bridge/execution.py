@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.robot_bridge.backend import ArmState
-from agents.robot_bridge.motion import Trajectory
+from agents.robot_bridge.motion import Trajectory, contact_joints, segment_end
 from agents.robot_bridge.refusals import Code, Refusal
-from schemas.messages import Arm, Phase
+from schemas.messages import Arm, GraspPlan, Phase
 from shared.kinematics.arm import ArmKinematics
 from shared.rigid_transforms import angle_between
 
@@ -21,14 +21,21 @@ FOLLOWING_M, FOLLOWING_RAD = 0.005, 0.2
 ARRIVED_M, ARRIVED_RAD = 5e-4, 0.02
 ARRIVAL_S = 1.0
 """How long an arm may take to come to rest where it should."""
+SEGMENT_WAIT_S = 10.0
+"""How long an arm rests between two segments for a plan from a fresh image; whoever stands by may give up before."""
 
 
 @dataclass(frozen=True)
 class Patience:
-    """How long to go on without a heartbeat: before the first one, when nothing moves yet, and after it."""
+    """How long to go on without a heartbeat: before the first one, when nothing moves yet, and after it.
+
+    Fields:
+        segment_s: how long one segment may last, whatever the speed.
+    """
 
     first_heartbeat_s: float
     dead_man_s: float
+    segment_s: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,31 +52,63 @@ class Execution:
     """An armed plan. It moves only while heartbeats come, and rests at every stop until the arm has arrived.
 
     Fields:
-        plan_id, arming_id: which plan is carried out, and by which command.
+        plan, plan_id, arming_id: which plan is carried out, and by which command.
+        plans: the ids of those of all segments.
+        pressed: by the page's button.
         moving: a heartbeat has come, so that set points follow.
+        segment: the how many-th of a chain, from 1 on, of at most `segments`.
+        ended_ns: since when it rests at the end of a segment that is not the last; None while it does not.
     """
 
     def __init__(
-        self, armed: Arm, trajectory: Trajectory, armed_ns: int, patience: Patience, kinematics: ArmKinematics
+        self,
+        armed: Arm,
+        plan: GraspPlan,
+        trajectory: Trajectory,
+        armed_ns: int,
+        patience: Patience,
+        kinematics: ArmKinematics,
     ) -> None:
         """Arm a plan; nothing moves before the first heartbeat."""
-        self.plan_id, self.arming_id = armed.plan_id, armed.header.id
+        self.arming_id = armed.header.id
+        self.pressed, self.segments, self.segment = armed.pressed, max(1, armed.segments), 0
         self.moving = False
-        self._trajectory, self._patience, self._kinematics = trajectory, patience, kinematics
-        self._alive_ns, self._beat_at_ns = armed_ns, None
-        self._off_s: float | None = None
+        self._patience, self._kinematics = patience, kinematics
+        self._alive_ns, self._beat_at_ns = armed_ns, 0
+        self._late_ns: int | None = None
+        self.plans = set[str]()
+        self.follow(plan, trajectory)
+
+    def follow(self, plan: GraspPlan, trajectory: Trajectory) -> None:
+        """Go on with the next segment: along the trajectory of this plan, from its beginning."""
+        self.plan, self.plan_id, self._trajectory = plan, plan.plan_id, trajectory
+        self.plans.add(plan.plan_id)
+        self.segment += 1
+        self._last = segment_end(trajectory, self._patience.segment_s)
+        self.ended_ns: int | None = None
+        self._began_ns: int | None = None
         self._progress_s: float | None = None
         self._stop, self._waited_s, self._ratio = 0, 0.0, 1.0
 
-    def beat(self, beat_at_ns: int, now_ns: int) -> None:
-        """Take a heartbeat; one that is not newer than the one before, by its sender's clock, is none."""
-        if self._beat_at_ns is None or beat_at_ns > self._beat_at_ns:
-            self._beat_at_ns, self._alive_ns, self.moving = beat_at_ns, now_ns, True
-            self._off_s = None
+    @property
+    def contact(self) -> Float64[np.ndarray, "6"]:
+        """The joints where the last rest before contact is."""
+        return contact_joints(self._trajectory)
 
-    def untimely(self, ahead_s: float) -> None:
-        """Note a heartbeat that counts for none, since its sender's clock is so far ahead (negative: behind)."""
-        self._off_s = ahead_s
+    def answered(self, challenge_ns: int) -> None:
+        """Take an answer to a challenge of this bridge, issued then: somebody stood by as late as that."""
+        self._alive_ns = max(self._alive_ns, challenge_ns) if self.moving else challenge_ns
+        self.moving = True
+        self._late_ns = None
+
+    def beaten(self, beat_at_ns: int, now_ns: int) -> None:
+        """Take a heartbeat that answers nothing, as of recordings of before, from when it came: for no real arm."""
+        if beat_at_ns > self._beat_at_ns:
+            self._beat_at_ns, self._alive_ns, self.moving = beat_at_ns, now_ns, True
+
+    def late(self, age_ns: int) -> None:
+        """Note an answer that counts for none, since its challenge was issued so long ago."""
+        self._late_ns = age_ns
 
     def next(self, arm: ArmState, now_ns: int, elapsed_s: float, ratio: float = 1.0) -> SetPoint | Refusal | None:
         """The next set point, or why to hold; None while the first heartbeat is awaited.
@@ -80,28 +119,45 @@ class Execution:
         if elapsed_s < 0:
             return Refusal(Code.CLOCK, "the clock went backwards")
         if now_ns - self._alive_ns > allowed_s * 1e9:
-            return Refusal(Code.HEARTBEAT_LOST, self._why_lost(allowed_s, elapsed_s))
+            return self._why_lost(allowed_s, elapsed_s)
         if not self.moving:
             return None
+        self._began_ns = self._began_ns or now_ns
+        if self.ended_ns is None and now_ns - self._began_ns > self._patience.segment_s * 1e9:
+            cap = f"the motion has lasted longer than the {self._patience.segment_s:g} s that it may at once"
+            return Refusal(Code.TOO_LONG, f"{cap}: plan again, or let it go faster")
+        if self.ended_ns is not None and now_ns - self.ended_ns > SEGMENT_WAIT_S * 1e9:
+            silent = f"no plan from a fresh image came within {SEGMENT_WAIT_S:g} s for the next segment"
+            return Refusal(
+                Code.SEGMENT, f"{silent}: see that the thread is seen and planned for, then set a goal again"
+            )
         reached = self._go_on(arm, elapsed_s, ratio, now_ns)
         joints, jaw_rad = self._trajectory.at(self._progress_s or 0.0)
         if self._waited_s > ARRIVAL_S or not self._near(arm, joints, FOLLOWING_M, FOLLOWING_RAD):
             return Refusal(Code.NOT_FOLLOWING, "the arm does not follow its set points: it may be blocked, or pushed")
+        if self._stop > self._last and self._stop < len(self._trajectory.stops) and self.ended_ns is None:
+            self.ended_ns = now_ns
         return SetPoint(joints, jaw_rad, reached, finished=self._stop == len(self._trajectory.stops))
 
-    def _why_lost(self, allowed_s: float, elapsed_s: float) -> str:
+    def _why_lost(self, allowed_s: float, elapsed_s: float) -> Refusal:
         if elapsed_s > allowed_s:
             passed = f"{elapsed_s:.1f} s passed between two turns of the bridge"
-            return f"{passed}: its clock was set, or it stood still; the operator must arm a plan again"
-        if self._off_s is not None:
-            where = f"{abs(self._off_s):.1f} s {'ahead' if self._off_s > 0 else 'behind'}"
-            return f"heartbeats come from a clock that is {where}: set the clocks of operator and bridge by each other"
-        return f"no heartbeat came for {allowed_s:g} s: the operator must arm a plan again"
+            again = "its clock was set, or it stood still; the operator must arm a plan again"
+            return Refusal(Code.HEARTBEAT_LOST, f"{passed}: {again}")
+        if self._late_ns is not None:
+            took = f"answers take {1e-6 * self._late_ns:.0f} ms from the bridge to whoever stands by and back"
+            allowed = f"{1e3 * self._patience.dead_man_s:.0f} ms are allowed: see to the network between them"
+            return Refusal(Code.ROUND_TRIP, f"{took}, and {allowed}")
+        return Refusal(
+            Code.HEARTBEAT_LOST, f"no heartbeat came for {allowed_s:g} s: the operator must arm a plan again"
+        )
 
     def _go_on(self, arm: ArmState, elapsed_s: float, ratio: float, now_ns: int) -> tuple[Phase, ...]:
         """Go towards the next stop, which the first set point, where the trajectory begins, does not yet."""
         if self._progress_s is None:
             self._progress_s, self._ratio = 0.0, ratio
+        elif self.ended_ns is not None:
+            return ()
         elif self._progress_s < self._stop_s():
             step_s = min(elapsed_s, LONGEST_STEP_PERIODS * self._trajectory.period_s)
             change = RATIO_PER_S * step_s

@@ -29,7 +29,7 @@ class MotionLimits:
         press_m: how far behind the tissue's measured surface a finger may come, beyond what is uncertain of it: as far
             as a planner may be told to press (docs/planner.md).
         workspace_camera: the lower and the upper corner of the box that the pin of the jaw must stay in.
-        maximum_duration_s: of one plan.
+        maximum_duration_s: of one checked segment of a motion, whatever the speed.
     """
 
     speed: float = 0.05
@@ -47,10 +47,10 @@ class MotionLimits:
     dexterity: float = 0.3
     press_m: float = 0.01
     workspace_camera: Float64[np.ndarray, "2 3"] = field(default_factory=_before_the_camera)
-    maximum_duration_s: float = 120.0
+    maximum_duration_s: float = 60.0
 
     def slowed(self, share: float) -> "MotionLimits":
-        """The same at a share of full speed, so that all of a motion takes 1 / share as long."""
+        """The same at a share of full speed, so that all of a motion takes 1 / share as long, within the same cap."""
         return dataclasses.replace(
             self,
             speed=self.speed * share,
@@ -64,7 +64,6 @@ class MotionLimits:
             jaw_jerk=self.jaw_jerk * share**3,
             rounding_s=self.rounding_s / share,
             joint_share=self.joint_share * share,
-            maximum_duration_s=self.maximum_duration_s / share,
         )
 
 

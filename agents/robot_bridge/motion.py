@@ -79,9 +79,61 @@ class _Leg:
 
 
 def plan_motion(
+    waypoints: Sequence[Waypoint],
+    joints: Float64[np.ndarray, "6"],
+    jaw_rad: float,
+    setup: Setup,
+    segments: int = 1,
+) -> Trajectory | Refusal:
+    """The motion from these joints through all waypoints, or why there is none.
+
+    With more than one of `segments` it may last longer than one may, where it can be cut before contact
+    (`segment_end`) into so many that may.
+    """
+    cap_s = setup.limits.maximum_duration_s
+    if segments > 1:
+        limits = dataclasses.replace(setup.limits, maximum_duration_s=cap_s * segments)
+        setup = dataclasses.replace(setup, limits=limits)
+    planned = _either_way_round(waypoints, joints, jaw_rad, setup)
+    if isinstance(planned, Refusal) or _segments(planned, cap_s) <= segments:
+        return planned
+    return Refusal(Code.TOO_LONG, f"the plan cannot be cut before contact into {segments} segments of {cap_s:g} s")
+
+
+def segment_end(trajectory: Trajectory, cap_s: float, first: int = 0) -> int:
+    """The stop at which the segment ends that begins behind stop `first`: the last one if all that is left may be one.
+
+    Otherwise the farthest one before contact with thread that is reached within the cap; `first` - 1 where none is.
+    """
+    stops, period_s = trajectory.stops, trajectory.period_s
+    began_s = stops[first - 1].sample * period_s if first else 0.0
+    ends = [index for index in range(first, len(stops)) if stops[index].sample * period_s - began_s <= cap_s]
+    if ends and ends[-1] == len(stops) - 1:
+        return ends[-1]
+    return next((index for index in reversed(ends) if stops[index].phase in (None, Phase.APPROACH)), first - 1)
+
+
+def contact_joints(trajectory: Trajectory) -> Float64[np.ndarray, "6"]:
+    """The joints at the last rest before contact with thread."""
+    rests = [stop.sample for stop in trajectory.stops if stop.phase in (None, Phase.APPROACH)]
+    return trajectory.joints[rests[-1] if rests else -1]
+
+
+def _segments(trajectory: Trajectory, cap_s: float) -> float:
+    """How many segments a motion takes; infinitely many where it cannot be cut."""
+    first, count = 0, 0
+    while first < len(trajectory.stops):
+        end = segment_end(trajectory, cap_s, first)
+        if end < first:
+            return float("inf")
+        first, count = end + 1, count + 1
+    return count
+
+
+def _either_way_round(
     waypoints: Sequence[Waypoint], joints: Float64[np.ndarray, "6"], jaw_rad: float, setup: Setup
 ) -> Trajectory | Refusal:
-    """The motion from these joints through all waypoints, or why there is none."""
+    """The motion with the jaws as the waypoints have them, or half a turn about the fingers from that."""
     if not 0 < len(waypoints) <= MAXIMUM_WAYPOINTS:
         possible = f"1 to {MAXIMUM_WAYPOINTS} can be followed"
         return Refusal(Code.TOO_LONG, f"the plan has {len(waypoints)} waypoints, where {possible}")

@@ -44,6 +44,13 @@ class Code(enum.StrEnum):
     CORRECTION_LOST = "correction_lost"
     CORRECTION_JUMPED = "correction_jumped"
     CORRECTION_LIMIT = "correction_limit"
+    NO_PRESENCE = "no_presence"
+    ROUND_TRIP = "round_trip"
+    NO_GUARD = "no_guard"
+    FRAME_AGE = "frame_age"
+    UNKNOWN = "unknown"
+    SEGMENT = "segment"
+    FAULT = "fault"
     DRY_RUN = "dry_run"
     NO_STATES = "no_states"
 

@@ -29,6 +29,7 @@ class SimulatedPsm:
 
     accepts_replayed_time = True
     dry_run = False
+    is_real = False
 
     def __init__(
         self,
@@ -53,13 +54,32 @@ class SimulatedPsm:
             self._position = self._position + np.clip(self._set_point - self._position, -reach, reach)
         return ArmState(now_ns, self._position[:6], float(self._position[6]))
 
-    def move(self, joints: Float64[np.ndarray, "6"], jaw_rad: float) -> None:
+    def move(self, joints: Float64[np.ndarray, "6"], jaw_rad: float, arming_id: str) -> None:  # noqa: ARG002
         """Head for these joints, clipped to their limits as the robot clips them."""
         self._set_point = np.clip(np.append(joints, jaw_rad), self._limits[:, 0], self._limits[:, 1])
+
+    def finish(self, arming_id: str) -> None:
+        """It rests where it was sent."""
 
     def hold(self) -> None:
         """Head for nowhere."""
         self._set_point = self._position
+
+    def halt(self) -> None:
+        """Nothing: it moves from step to step alone, and the command is the next one."""
+
+    @property
+    def halted(self) -> bool:
+        """Never."""
+        return False
+
+    def rearm(self) -> None:
+        """Nothing."""
+
+    @property
+    def holds(self) -> bool:
+        """It does at once."""
+        return self._set_point is self._position
 
     def change_state(self, word: StateWord, now_ns: int) -> str:  # noqa: ARG002
         """It has no states but one."""

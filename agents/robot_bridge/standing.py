@@ -8,8 +8,10 @@ from agents.robot_bridge.config import RobotBridgeConfig
 from agents.robot_bridge.correction import Correcting
 from agents.robot_bridge.limits import Setup
 from agents.robot_bridge.measuring import Measuring
-from agents.robot_bridge.refusals import Refusal
-from schemas.messages import TissueSurface, ToolCorrection
+from agents.robot_bridge.refusals import Code, Refusal
+from schemas.messages import GraspPlan, TissueSurface, ToolCorrection
+
+DAY_NS = 86_400_000_000_000
 
 
 class Standing:
@@ -25,7 +27,9 @@ class Standing:
     def __init__(self, config: RobotBridgeConfig, backend: Backend, log: logging.Logger) -> None:
         self.measured = Measuring(backend, log)
         self.registered, self.corrected = config.T_camera_base, False
-        self.setup = Setup(backend.kinematics, config.T_camera_base, config.limits, 1 / config.tick_hz)
+        limits = dataclasses.replace(config.limits, maximum_duration_s=config.maximum_motion_s)
+        self.setup = Setup(backend.kinematics, config.T_camera_base, limits, 1 / config.tick_hz)
+        self._config = config
         self._correcting = Correcting(config.correction)
         self._surface: TissueSurface | None = None
         self._calibration_id = config.calibration_id
@@ -62,6 +66,27 @@ class Standing:
     def broken(self, now_ns: int) -> Refusal | None:
         """Why a motion must not go on."""
         return self.measured.not_ready or self._correcting.broken(now_ns)
+
+    def unknown(self, plan: GraspPlan, setup: Setup, now_ns: int) -> Refusal | None:
+        """What must be known before a real arm moves and is not, with what to do about it; None where all is."""
+        config, state = self._config, self.measured.state
+        if not self._calibration_id or not plan.stamp.calibration_id:
+            whose = "the registration" if not self._calibration_id else "the plan"
+            why = f"nobody says of which camera calibration {whose} is"
+            return Refusal(Code.UNKNOWN, f"{why}: set T_camera_base_calibration beside the arm's T_camera_base")
+        if not config.registered_ns:
+            why = "nobody says when the arm was registered before the camera"
+            return Refusal(Code.UNKNOWN, f"{why}: set T_camera_base_made beside its T_camera_base")
+        if (days := (now_ns - config.registered_ns) / DAY_NS) > config.registration_days:
+            old = f"the arm was registered {days:.0f} days ago, and {config.registration_days:g} are allowed"
+            return Refusal(Code.UNKNOWN, f"{old}: register it anew (docs/hand_eye.md)")
+        if state is not None and state.untold:
+            what, remedy = state.untold[0]
+            return Refusal(Code.UNKNOWN, f"{what}: {remedy}")
+        if config.tissue_needed and setup.surface is None:
+            why = "where the tissue is was not measured, or too long ago"
+            return Refusal(Code.UNKNOWN, f"{why}: see that perception sees it, or say has_no = ['tissue']")
+        return None
 
     def with_tissue(self, now_ns: int, maximum_age_s: float) -> Setup:
         """With the tissue as it was seen last, where that is no older than that and nothing was moved since."""

@@ -11,6 +11,7 @@ from agents.robot_bridge.refusals import Code, Refusal
 from agents.robot_bridge.telling import accepted, event_of, refused
 from schemas.messages import ChangeState, CommandAnswer, ExecutionKind, StateWord
 from shared.runtime.agent import Output
+from shared.runtime.commands import stops
 
 LIMIT_S, HOMING_LIMIT_S = 5.0, 60.0
 """Within which a state is to be reached; a real arm homes for half a minute."""
@@ -36,7 +37,8 @@ class StateChanges:
         if self._backend.dry_run:
             would = f"{word} was not sent: this is a dry run (dry_run of the arm's configuration)"
             return refused(of, Refusal(Code.DRY_RUN, would))
-        self._backend.slow_down(ratio)
+        if not stops(message):
+            self._backend.slow_down(ratio)
         if why := self._backend.change_state(message.word, now_ns):
             return refused(of, Refusal(Code.NO_STATES, f"{word} was not sent: {why}"))
         self._asked = _Asked(message.word, of, now_ns)

@@ -116,6 +116,11 @@ class Agent(Protocol):
     Where it has `accepts_replayed_time = False`, the time of a recording that is replayed on its rig does not become
     its own, since it moves something real.
 
+    Where it has `halt`, that is called from any thread as soon as a command that stops has come
+    (`shared.runtime.commands.stops`), before it is stepped; such a command goes before all others.
+
+    Where it has `keeps_time`, its clock goes on by the monotonic clock for as long as that is true.
+
     Where it has `only_newest_tick_counts = True`, a tick that nothing followed has changed nothing, so that a replay
     may leave it out.
 

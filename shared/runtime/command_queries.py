@@ -1,5 +1,10 @@
-"""Queries that carry commands, put away for the agent's loop; what asks for an outcome is answered at once."""
+"""Queries that carry commands, put away for the agent's loop; what asks for an outcome is answered at once.
 
+A command that stops an arm stops it here and now, from Zenoh's thread, and goes before all others in the loop, which
+answers it. Where many of those wait already, nothing more could follow from another one: it is answered at once.
+"""
+
+import logging
 from collections.abc import Callable
 
 import zenoh
@@ -7,13 +12,22 @@ import zenoh
 from schemas.codec import encode
 from schemas.messages import CommandAnswer, Outcome
 from schemas.topics import Topic
-from shared.runtime.commands import STATUS, Answered
+from shared.runtime.commands import STATUS, Answered, accepted, id_of, stops_unread
 from shared.runtime.inbox import Arrival, Inbox
 from shared.runtime.own_key import encoding_of, other_key
 
+STOPS_WAITING = 8
+"""Commands that stop, of several people say, of which each is stepped and written down by itself."""
+LOG = logging.getLogger("suturegrasp.commands")
 
-def taking(topic: Topic, inbox: Inbox, answered: Answered) -> Callable[[zenoh.Query], None]:
-    """What a queryable of a command does with a query; it is called from Zenoh's threads, one query after another."""
+
+def taking(
+    topic: Topic, inbox: Inbox, answered: Answered, halt: Callable[[], None] = lambda: None
+) -> Callable[[zenoh.Query], None]:
+    """What a queryable of a command does with a query; it is called from Zenoh's threads, one query after another.
+
+    `halt` stops what the agent moves at once.
+    """
 
     def take(query: zenoh.Query) -> None:
         key = str(query.key_expr)
@@ -28,6 +42,15 @@ def taking(topic: Topic, inbox: Inbox, answered: Answered) -> Callable[[zenoh.Qu
             answer(answered.recall(asked) or unknown)
             return
         payload = query.payload.to_bytes() if query.payload is not None else b""
-        inbox.put(Arrival(topic, key, lambda: payload, b"", answer, other_key(query.encoding, key)))
+        arrival = Arrival(topic, key, lambda: payload, b"", answer, other_key(query.encoding, key))
+        if arrival.named or not stops_unread(topic, payload):
+            inbox.put(arrival)
+            return
+        try:
+            halt()
+        except Exception:
+            LOG.exception("%s could not be halted at once; its loop holds it next", key)
+        if not inbox.put_first(arrival, STOPS_WAITING):
+            answer(accepted(id_of(topic.message, payload)))
 
     return take

@@ -12,7 +12,7 @@ import zenoh
 
 from schemas.checks import MessageError
 from schemas.codec import decode, encode
-from schemas.messages import CommandAnswer, CommandHeader, Outcome
+from schemas.messages import ChangeState, CommandAnswer, CommandHeader, Hold, Outcome, StateWord
 from schemas.topics import MAIN, Topic, key
 from shared.clock import now_ns
 from shared.runtime.own_key import encoding_of
@@ -56,6 +56,33 @@ def send_command(
         )
         return CommandAnswer(command_id, Outcome.UNKNOWN, "no_answer", reason)
     return answer
+
+
+def stops(message: Any) -> bool:
+    """Whether a command stops an arm: it is carried out before all others, and whatever else is the matter."""
+    return isinstance(message, Hold) or (
+        isinstance(message, ChangeState) and message.word in (StateWord.PAUSE, StateWord.DISABLE)
+    )
+
+
+def stops_unread(topic: Topic, payload: bytes) -> bool:
+    """Whether a command that nobody has looked at yet stops an arm; on a topic that only stops, whatever it says."""
+    if topic.good_when_late:
+        return True
+    if topic.message is not ChangeState:
+        return False
+    try:
+        return stops(decode(ChangeState, payload))
+    except MessageError:
+        return False
+
+
+def id_of(message_type: type, payload: bytes) -> str:
+    """The id of a command that nobody has looked at yet; empty where it cannot be read."""
+    try:
+        return decode(message_type, payload).header.id
+    except MessageError:
+        return ""
 
 
 def refused(command_id: str, code: str, reason: str) -> CommandAnswer:

@@ -39,6 +39,7 @@ class Inbox:
         # a bare lock rings in half the time of a condition; it is held, but for the moment of a ring
         self._bell, self._waits = threading.Lock(), False
         self._bell.acquire()
+        self._first: deque[Arrival] = deque()
         self._queue: deque[Arrival] = deque()
         self._newest: dict[str, Arrival] = {}
         self._remembered: dict[str, Arrival] = {}
@@ -50,6 +51,15 @@ class Inbox:
         with self._lock:
             self._queue.append(arrival)
             self._ring()
+
+    def put_first(self, arrival: Arrival, most: int) -> bool:
+        """Add what goes before all else; False, and nothing is added, where so many of it wait already."""
+        with self._lock:
+            if len(self._first) >= most:
+                return False
+            self._first.append(arrival)
+            self._ring()
+            return True
 
     def put_newest(self, arrival: Arrival) -> None:
         """Add what replaces an older arrival of its key that nobody has looked at; that one counts as dropped."""
@@ -75,7 +85,7 @@ class Inbox:
     def take(self, timeout_s: float) -> Arrival | None:
         """The next arrival; None where none came in time, or where somebody called `wake`. One thread takes."""
         with self._lock:
-            if self._queue or self._newest or self._woken:
+            if self._first or self._queue or self._newest or self._woken:
                 return self._next()
             self._waits = True
         self._bell.acquire(timeout=timeout_s)
@@ -98,6 +108,8 @@ class Inbox:
             self._bell.release()
 
     def _next(self) -> Arrival | None:
+        if self._first:
+            return self._first.popleft()
         if self._woken:
             self._woken = False
             return None

@@ -6,6 +6,7 @@ itself; once nothing has been said for a while, the replay has ended or died, an
 
 import contextlib
 import threading
+from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import Any
 
@@ -15,7 +16,7 @@ from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import ReplayClock
 from schemas.topics import REPLAY_CLOCK, key
-from shared.clock import monotonic_s, now_ns
+from shared.clock import monotonic_ns, monotonic_s, now_ns
 from shared.runtime.delivery import subscribe
 
 SILENCE_S = 1.0
@@ -52,12 +53,17 @@ class ReplayedTime:
 
 
 class AgentClock:
-    """An agent's clock, which any thread may read."""
+    """An agent's clock, which any thread may read.
 
-    def __init__(self) -> None:
+    While `keeps_time` says so it goes on by the monotonic clock from where it was, whatever this machine's is set to:
+    an arm that moves must not take a second for none, or none for a second.
+    """
+
+    def __init__(self, keeps_time: Callable[[], bool] = lambda: False) -> None:
         self._lock = threading.Lock()
         self._replayed = ReplayedTime()
         self._followed = False
+        self._keeps_time, self._kept_from = keeps_time, (0, 0)
 
     def hear(self, said: ReplayClock) -> None:
         """Follow a replay, until it falls silent."""
@@ -68,7 +74,16 @@ class AgentClock:
         """Nanoseconds since 1970, in the recording while one is replayed."""
         with self._lock:
             replayed_ns = self._replayed.now_ns(monotonic_s())
-        return now_ns() if replayed_ns is None else replayed_ns
+            if replayed_ns is not None:
+                self._kept_from = 0, 0
+                return replayed_ns
+            if not self._keeps_time():
+                self._kept_from = now_ns(), monotonic_ns()
+                return self._kept_from[0]
+            if self._kept_from == (0, 0):
+                self._kept_from = now_ns(), monotonic_ns()
+            at_ns, then_ns = self._kept_from
+            return at_ns + monotonic_ns() - then_ns
 
     def change(self) -> str:
         """What has changed since the last call, in a sentence; empty where nothing has."""

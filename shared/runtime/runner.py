@@ -51,7 +51,7 @@ from shared.runtime.clock_watch import ClockWatch
 from shared.runtime.clocks import answer_clock
 from shared.runtime.coming import Coming
 from shared.runtime.command_queries import taking
-from shared.runtime.commands import Answered, refused, untimely
+from shared.runtime.commands import Answered, refused, stops, untimely
 from shared.runtime.delivery import RouterLinks
 from shared.runtime.facts import Surroundings, answer_facts, facts_of, realtime_priority
 from shared.runtime.faults import LIKE_PER_LINE, Faults
@@ -93,7 +93,7 @@ class Runner:
         self._agent, self._session, self._rig, self._config_hash = agent, session, rig, config_hash
         self._parameters, self._around, self._manager = Parameters(agent), around or Surroundings(), ServiceManager()
         self._root = key_root(rig, agent.instance, agent.kind)
-        self._clock = AgentClock()
+        self._clock = AgentClock(lambda: getattr(agent, "keeps_time", False))
         self._out = Outlets(session, rig, (agent.kind, agent.instance), self._links, self._clock)
         self._stopped = threading.Event()
         self._answered = Answered()
@@ -130,7 +130,7 @@ class Runner:
                 if now_s >= next_health_s:
                     if self._faults.ended(now_s):
                         self._log.info("well again; steps that failed since it began: %d", self._faults.count)
-                    self._out.publish(HEALTH, self._health(now_s))
+                    self._publish_health(now_s)
                     self._manager.status(self._faults.text or "running")
                     next_health_s = now_s + HEALTH_PERIOD_S
                 self._publish_coming()
@@ -145,8 +145,7 @@ class Runner:
                 until_s = min(next_health_s, next_tick_s)
                 arrival = self._intake.inbox.take(min(longest_s, max(0.0, until_s - monotonic_s())))
                 if arrival is not None:
-                    self._feed_remembered()
-                    self._handle(arrival)
+                    self._take_up(arrival)
         finally:
             self._end()
 
@@ -154,6 +153,21 @@ class Runner:
         """Let `run` return after the step it is in."""
         self._stopped.set()
         self._intake.inbox.wake()
+
+    def _take_up(self, arrival: Arrival) -> None:
+        """Handle what has arrived; where that fails beside the step itself, the loop goes on with the next."""
+        try:
+            self._feed_remembered()
+            self._handle(arrival)
+        except Exception as error:
+            self._note_fault(error, str(arrival.topic))
+
+    def _publish_health(self, now_s: float) -> None:
+        try:
+            self._out.publish(HEALTH, self._health(now_s))
+        except Exception as error:
+            # what an agent drives goes on, or is held, whether or not anybody can be told
+            self._note_fault(error, str(HEALTH))
 
     def _period_s(self) -> float:
         return 1.0 / self._agent.tick_hz if self._agent.tick_hz else math.inf
@@ -164,7 +178,7 @@ class Runner:
             (topic, topic.agent, self._agent.instance if topic.per_arm else MAIN) for topic in self._agent.commands
         ]
         for topic, agent, instance in (*commands, (SET, self._agent.kind, self._agent.instance)):
-            take = taking(topic, self._intake.inbox, self._answered)
+            take = taking(topic, self._intake.inbox, self._answered, getattr(self._agent, "halt", lambda: None))
             selector = key(self._rig, topic, instance, agent)
             self._kept.append(self._session.declare_queryable(selector, take, complete=True))
         self._answer_questions()
@@ -242,11 +256,11 @@ class Runner:
             self._log.warning("a command on %s was refused: %s", arrival.key, error)
             answer(refused("", "other_key" if arrival.named else "unreadable", str(error)))
             return
-        before = self._answered.recall(message.header.id)
-        if before is not None:
+        before, stopping = self._answered.recall(message.header.id), stops(message)
+        if before is not None and not stopping:
             answer(before)
             return
-        refusal = None if arrival.topic.good_when_late else _untimely(message.header, received_ns)
+        refusal = None if stopping else _untimely(message.header, received_ns)
         outputs: list[Output] = []
         watch = Stopwatch("step")
         if refusal is not None:
@@ -263,7 +277,10 @@ class Runner:
             # whoever asked is gone; what was carried out is recorded all the same
             self._log.warning("an answer to %s could not be sent: %s", arrival.topic, error)
         record = CommandRecord(str(arrival.topic), encoding_name(arrival.topic.message), payload, received_ns, reply)
-        self._out.publish(COMMANDS, record)
+        try:
+            self._out.publish(COMMANDS, record)
+        except Exception as error:
+            self._note_fault(error, str(arrival.topic))
         if arrival.topic is SET and reply.outcome is Outcome.ACCEPTED:
             self._log.info("%s was set to %s by %s", message.name, message.value, message.header.sender)
             # listed from now on, so that a replay that knows nothing of the command knows what followed from it

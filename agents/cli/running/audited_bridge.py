@@ -1,15 +1,21 @@
-"""A robot bridge that writes down what it is told, what it answers, and what becomes of it (audit.py)."""
+"""A robot bridge that writes down what it is told, what it answers, and what becomes of it (audit.py).
 
-from collections.abc import Iterable
+What leads to motion is written down before it is carried out, and is not carried out where that cannot be. What stops
+is carried out first: where it cannot be written down, the log says so, and the arm holds all the same.
+"""
+
+from collections.abc import Iterable, Iterator
 
 import schemas
 from agents.cli.running.audit import AuditError, AuditLog
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.backend import Backend
+from agents.robot_bridge.refusals import Code, Refusal
 from schemas.messages import Arm, ChangeState, CommandAnswer, ExecutionEvent
 from schemas.topics import EXECUTION
 from shared.clock import now_ns
 from shared.runtime.agent import Command, Output, Received, Tick
+from shared.runtime.commands import stops
 
 
 class AuditedBridge(RobotBridge):
@@ -20,22 +26,64 @@ class AuditedBridge(RobotBridge):
         self._audit, self._begun, self._dry_run = audit, False, backend.dry_run
 
     def step(self, arrived: Received | Tick | Command) -> Iterable[Output | CommandAnswer]:
-        """As the bridge does; a command that cannot be written down is not carried out."""
+        """As the bridge does; a command that cannot be written down is not carried out, unless it stops the arm.
+
+        Raises:
+            AuditError: where it, or what a tick led to, cannot be written down; the arm holds.
+        """
+        if isinstance(arrived, Command):
+            return self._stopped(arrived) if stops(arrived.message) else self._commanded(arrived)
+        return self._followed(arrived)
+
+    def _stopped(self, command: Command) -> list[Output | CommandAnswer]:
+        """First the hold, then what is written of it."""
+        said = list(super().step(command))
+        try:
+            self._begin()
+            self._note_command(command)
+            for one in said:
+                self._note_output(one)
+        except AuditError as error:
+            self._log.error("%s: the arm was stopped all the same", error)
+        return said
+
+    def _commanded(self, command: Command) -> list[Output | CommandAnswer]:
+        self._begin()
+        self._note_command(command)
+        said = list(super().step(command))
+        try:
+            for one in said:
+                self._note_output(one)
+        except AuditError:
+            self.stop(_unwritten(), command.now_ns)
+            raise
+        return said
+
+    def _followed(self, arrived: Received | Tick) -> Iterator[Output | CommandAnswer]:
+        """What nobody can read afterwards does not go on; it is told all the same."""
+        self._begin_holding(arrived)
+        for one in super().step(arrived):
+            try:
+                self._note_output(one)
+            except AuditError:
+                yield one
+                yield from self.stop(_unwritten(), arrived.now_ns if isinstance(arrived, Tick) else now_ns())
+                raise
+            yield one
+
+    def _begin(self) -> None:
         if not self._begun:
             self._audit.add("started", now_ns(), version=schemas.__version__, dry_run=self._dry_run)
             self._begun = True
-        if isinstance(arrived, Command):
-            self._note_command(arrived)
-        outputs = list(super().step(arrived))
+
+    def _begin_holding(self, arrived: Received | Tick) -> None:
+        """Write down that it has begun; where that cannot be, whatever moves is held."""
         try:
-            for output in outputs:
-                self._note_output(output)
+            self._begin()
         except AuditError:
-            # what nobody can read afterwards does not go on
-            self._execution, self._holding = None, True
-            self._backend.hold()
+            if self.executes:
+                self.stop(_unwritten(), arrived.now_ns if isinstance(arrived, Tick) else now_ns())
             raise
-        return outputs
 
     def close(self) -> None:
         """Write down that it ends as it was told to."""
@@ -62,3 +110,7 @@ class AuditedBridge(RobotBridge):
         told = {"kind": event.kind.name.lower(), "plan_id": event.plan_id, "arming_id": event.arming_id}
         phase = event.phase.name.lower() if event.phase is not None else ""
         self._audit.add("event", event.at_ns, **told, phase=phase, code=event.code, reason=event.reason)
+
+
+def _unwritten() -> Refusal:
+    return Refusal(Code.FAULT, "the audit log cannot be written: make room, or see to its folder, then arm again")

@@ -31,6 +31,7 @@ SETTLED_NS = 500_000_000
 """So long after it moved last, a frame stands still."""
 ECM_AGE_NS = 1_000_000_000
 ECM = "ECM"
+CLUTCHES = ("footpedals/clutch", "console/clutch")
 PEDALS = ("footpedals/camera", "footpedals/clutch", "console/camera", "console/clutch")
 MEASURED, LOCAL, TIP = "measured_cp", "local/measured_cp", "tip"
 
@@ -77,6 +78,7 @@ class FramesWatch:
         self._raw: dict[str, _Raw] = {}
         self._pressed: set[str] = set()
         self._touched: str = ""
+        self._heard_of = set[str]()
         self._let_go = ""
         self._last: dict[str, Float64[np.ndarray, "4 4"]] = {}
         self._first: dict[str, Float64[np.ndarray, "4 4"]] = {}
@@ -95,6 +97,20 @@ class FramesWatch:
             *(Heard(t, JOY, lambda data, _, t=t: self.hear_button(t, data)) for t in (*PEDALS, *io)),
         )
 
+    @property
+    def untold(self) -> dict[str, tuple[str, str]]:
+        """What a real arm needs to be told and was not, by its name: what that is, and what to do."""
+        found: dict[str, tuple[str, str]] = {}
+        if TIP not in self._raw:
+            what = "where the endoscope's arm is was never told (ECM/local/measured_cp)"
+            remedy = "power it and let it through, or say has_no = ['endoscope_arm'] where there is none"
+            found["endoscope_arm"] = what, remedy
+        if not self._heard_of & set(CLUTCHES):
+            what = "the clutch was never heard of"
+            remedy = "press the clutch once, or say has_no = ['clutch'] where there is none"
+            found["clutch"] = what, remedy
+        return found
+
     def hear_pose(self, kind: str, data: bytes, arrived_ns: int) -> None:
         """Keep the newest pose of a kind, unread."""
         with self._lock:
@@ -109,6 +125,7 @@ class FramesWatch:
         with self._lock:
             (self._pressed.add if pressed else self._pressed.discard)(topic)
             self._touched = topic
+            self._heard_of.add(topic)
             if topic.endswith("suj_clutch"):
                 self._let_go = topic
 

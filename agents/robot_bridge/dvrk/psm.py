@@ -1,11 +1,12 @@
 """A PSM behind a console that speaks CRTK: joint set points out, measurements and the console's own state in.
 
-Set points go to `servo_jp` and `jaw/servo_jp` at every tick, never to `move_*`: a console makes a joint-space
-trajectory of those, and mixing one with the other has slammed arms. The last set point is held by the console when none
-follows, for it knows no time-out.
+Set points go to the guard beside the console at every tick, which passes on what may pass to `servo_jp` and
+`jaw/servo_jp`; never to `move_*`: a console makes a joint-space trajectory of those, and mixing one with the other has
+slammed arms. The last set point is held by the console when none follows, for it knows no time-out. A hold goes to the
+console itself.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Protocol
 
 import numpy as np
@@ -13,18 +14,21 @@ from jaxtyping import Float64
 
 from agents.robot_bridge.backend import ArmState, Readiness
 from agents.robot_bridge.dvrk.frames_moved import FramesWatch
-from agents.robot_bridge.dvrk.readings import KINDS, NOTHING, Readings
-from agents.robot_bridge.dvrk.said import TELEOPERATION, Judged
+from agents.robot_bridge.dvrk.guard_link import GuardLink
+from agents.robot_bridge.dvrk.readings import KINDS, NOTHING, Measured, Readings
+from agents.robot_bridge.dvrk.said import STOPPING, TELEOPERATION, Judged
 from agents.robot_bridge.dvrk.set_points import SetPointsWatch
 from agents.robot_bridge.refusals import Code
 from schemas.messages import StateWord
 from shared.calibration.hand_eye.file import HandEye
+from shared.clock import monotonic_ns
 from shared.clock import now_ns as clock_ns
 from shared.kinematics.arm import ArmKinematics
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER
 from shared.ros import crtk
+from shared.ros.guarded import ALIVE, CHALLENGE, SET_POINT
 from shared.ros.link import Heard, RosLink, Said
-from shared.ros.naming import ALIVE, GUARD_NODE, GUARDED, Naming
+from shared.ros.naming import GUARD_NODE, Naming
 from shared.ros.types import BOOL, EMPTY, FLOAT64, JOINT_STATE, OPERATING_STATE, POSE_STAMPED, STRING, STRING_STAMPED
 from shared.runtime.session import SessionSettings
 
@@ -36,10 +40,14 @@ MOTIONS = {
 }
 """Whoever publishes one of these beside us is another owner of the arm."""
 SERVOS = ("servo_jp", "jaw/servo_jp")
+"""Which the guard publishes for us; whoever else does, it says."""
 STOPS = {"hold": EMPTY, "free": EMPTY, "state_command": STRING_STAMPED}
 """Whoever sends one of these wants us to stop; that somebody could does not."""
 
 NOW_NS = 2_000_000_000
+STANDS = np.array((2e-3, 2e-3, 2e-4, 2e-3, 2e-3, 2e-3))
+STANDS_NS = 200_000_000
+"""An arm whose joints (rad, the third m) have stood for so long since a hold holds."""
 BEGINS_NS = 300_000_000
 """A console that was told to home an arm that is homed already says for a moment longer that it is."""
 
@@ -48,13 +56,14 @@ class Linked(Protocol):
     """As much of a RosLink as an arm needs."""
 
     failed: str
+    broken: int
 
     def open(self) -> None:
         """Begin to hear."""
         ...
 
-    def say(self, topic: str, payload: bytes) -> None:
-        """Speak on a topic."""
+    def say(self, topic: str, payload: bytes) -> bool:
+        """Speak on a topic; whether that could be handed over."""
         ...
 
     def close(self) -> None:
@@ -66,6 +75,7 @@ class DvrkPsm:
     """One PSM; in a dry run, or until it is opened, nothing is ever sent."""
 
     accepts_replayed_time = False
+    is_real = True
 
     def __init__(
         self,
@@ -74,23 +84,28 @@ class DvrkPsm:
         naming: Naming,
         tool: str,
         dry_run: bool,
-        through_guard: bool = False,
         kinematics: ArmKinematics = LARGE_NEEDLE_DRIVER,
         base: HandEye | None = None,
+        has_no: Collection[str] = (),
         linked: Callable[..., Linked] = RosLink,
         clock: Callable[[], int] = clock_ns,
+        monotonic: Callable[[], int] = monotonic_ns,
     ) -> None:
         """The arm of that name on the console that is reached so; `tool` as Readings has it.
 
-        `through_guard`: set points go to the guard on the robot's computer, which passes on what is fresh.
         `base`: where it is, to follow it where that is told from the ECM.
-        `linked`, `clock`: what else makes a link of what RosLink is made of, and tells the time.
+        `has_no`: what this rig has none of, so that its silence says nothing (`untold`).
+        `linked`, `clock`, `monotonic`: what else makes a link of what RosLink is made of, and tells the time.
         """
         self.kinematics, self.dry_run, self._name = kinematics, dry_run, name
-        self._to, self._tells_guard = (f"{GUARDED}/{name}" if through_guard else name), through_guard and not dry_run
         self._readings = readings = Readings(name, tool, kinematics)
-        self._commanded_ns, self._replayed, self._clock_ns = 0, False, clock
+        self._commanded_ns, self._replayed, self._clock_ns, self._monotonic_ns = 0, False, clock, monotonic
         self._frames, self._set_points = FramesWatch(name, base), SetPointsWatch(name)
+        self._guard = GuardLink(name, self._say, monotonic)
+        self._has_no, self._halted, self._arming_id = frozenset(has_no), False, ""
+        self._held_ns: int | None = None
+        self._stands, self._stands_ns = NOTHING.joints, 0
+        self._broken = 0
         heard = (
             *(self._measurement(kind) for kind in KINDS),
             *self._frames.heard(),
@@ -100,15 +115,16 @@ class DvrkPsm:
             Heard(f"{name}/goal_reached", BOOL, readings.hear_goal),
             Heard(f"{name}/tool_type", STRING, readings.hear_tool, latched=True),
             Heard(TELEOPERATION, BOOL, readings.hear_teleoperation, latched=True),
+            Heard(self._guard.keys[CHALLENGE], "", self._guard.hear, plain=True),
             *(
                 Heard(f"{name}/{topic}", ros_type, self._another(topic), others_only=True)
                 for topic, ros_type in (MOTIONS | STOPS).items()
-                if not (through_guard and topic in SERVOS)
+                if topic not in SERVOS
             ),
         )
-        servos = (*SERVOS, ALIVE) if through_guard else SERVOS
-        says = (*(Said(f"{self._to}/{servo}", JOINT_STATE) for servo in servos), Said(f"{name}/hold", EMPTY))
-        says += (
+        says = (
+            *(Said(self._guard.keys[topic], "", plain=True) for topic in (SET_POINT, ALIVE)),
+            Said(f"{name}/hold", EMPTY),
             Said(f"{name}/state_command", STRING_STAMPED),
             Said(f"{name}/trajectory_j/set_ratio", FLOAT64),
         )
@@ -125,17 +141,13 @@ class DvrkPsm:
         if self._replayed:
             return ArmState(0, NOTHING.joints, NOTHING.jaw_rad, Readiness.DISABLED, "it is real, and the time is not")
         self._link.open()
-        if self._tells_guard:
-            self._link.say(f"{self._to}/{ALIVE}", crtk.joint_command(np.zeros(1), self._clock_ns()))
+        if not self.dry_run:
+            self._guard.turn()
         measured = self._readings.measured()
-        judged = self._readings.judge(measured, self._commanded_ns, now_ns)
-        moved = self._frames.judge(now_ns)
-        if judged.readiness is Readiness.READY and moved:
-            judged = Judged(Readiness.DISABLED, Code.MOVED, moved)
-        if judged.readiness is Readiness.READY:
-            judged = self._set_points.judge(now_ns) or judged
-        else:
-            self._set_points.let_go(now_ns)
+        judged = self._judge(measured, now_ns)
+        if not (np.abs(measured.joints - self._stands) <= STANDS).all():
+            self._stands, self._stands_ns = measured.joints, self._monotonic_ns()
+        told = self._guard.told
         return ArmState(
             measured.measured_ns,
             measured.joints,
@@ -146,32 +158,92 @@ class DvrkPsm:
             self._readings.busy,
             self._frames.still_since_ns,
             self._frames.T_camera_base,
+            told.challenge if told else 0,
+            told is not None and told.pedal,
+            tuple(told for name, told in self._untold().items() if name not in self._has_no),
         )
 
-    def move(self, joints: Float64[np.ndarray, "6"], jaw_rad: float) -> None:
-        """Send a set point for the arm and one for its jaw."""
-        if self.dry_run or self._replayed:
+    def _judge(self, measured: Measured, now_ns: int) -> Judged:
+        judged, moved = self._readings.judge(measured, self._commanded_ns, now_ns), self._frames.judge(now_ns)
+        if judged.readiness is Readiness.READY and moved:
+            judged = Judged(Readiness.DISABLED, Code.MOVED, moved)
+        broken, self._broken = self._broken, self._link.broken
+        if broken != self._broken and self._arming_id:
+            judged = Judged(Readiness.DISABLED, Code.STALE_STATE, "the link to the robot broke: arm again")
+        if judged.readiness is not Readiness.READY:
+            self._set_points.let_go(now_ns)
+            return judged
+        unguarded = None if self.dry_run else self._guard.judge(self._arming_id)
+        return self._set_points.judge(now_ns) or unguarded or judged
+
+    def move(self, joints: Float64[np.ndarray, "6"], jaw_rad: float, arming_id: str) -> None:
+        """Send a set point of the arm and its jaw to the guard."""
+        if self.dry_run or self._replayed or self._halted:
             return
-        self._commanded_ns = self._clock_ns()
+        self._commanded_ns, self._arming_id, self._held_ns = self._clock_ns(), arming_id, None
         self._set_points.sent(joints, jaw_rad, self._commanded_ns)
-        self._link.say(f"{self._to}/servo_jp", crtk.joint_command(joints, self._commanded_ns))
-        self._link.say(f"{self._to}/jaw/servo_jp", crtk.joint_command(np.array([jaw_rad]), self._commanded_ns))
+        self._guard.move((*(float(joint) for joint in joints), float(jaw_rad)), arming_id)
+
+    def finish(self, arming_id: str) -> None:
+        """Tell the guard that the motion has ended as it should."""
+        self._arming_id = ""
+        if not self.dry_run:
+            self._guard.finish(arming_id)
 
     def hold(self) -> None:
-        """Have the console stop the arm where it is."""
-        if not self.dry_run and not self._replayed:
-            self._set_points.let_go(self._clock_ns())
-            self._link.say(f"{self._name}/hold", crtk.empty())
+        """Have the console stop the arm where it is, whatever the time and whoever's that is."""
+        self._arming_id = ""
+        if self.dry_run:
+            return
+        said = self._link.say(f"{self._name}/hold", crtk.empty())
+        self._set_points.let_go(self._clock_ns())
+        if said and self._held_ns is None:
+            self._held_ns = self._monotonic_ns()
+
+    def halt(self) -> None:
+        """Hold, and send no set point until a plan is armed again."""
+        self._halted = True
+        self.hold()
+
+    @property
+    def halted(self) -> bool:
+        """Whether it was halted since it was armed last."""
+        return self._halted
+
+    def rearm(self) -> None:
+        """Set points may be sent again."""
+        self._halted, self._held_ns = False, None
+
+    @property
+    def holds(self) -> bool:
+        """Whether a hold was handed over, and the arm was measured where it stands for a while since."""
+        if self.dry_run:
+            return True
+        if self._held_ns is None or self._link.failed:
+            return self._held_ns is not None
+        return self._monotonic_ns() - max(self._held_ns, self._stands_ns) > STANDS_NS
 
     def change_state(self, word: StateWord, now_ns: int) -> str:
         """Send the word to the console; what it makes of it shows in the state."""
-        if self.dry_run or self._replayed:
-            return "nothing is sent in a dry run" if self.dry_run else "it is real, and the time is not"
-        if why := self._link.failed or self._readings.changeable(word, now_ns):
+        if self.dry_run:
+            return "nothing is sent in a dry run"
+        stops = word in STOPPING
+        if not stops and (why := self._why_unchangeable(word, now_ns)):
             return why
+        said = self._link.say(f"{self._name}/state_command", crtk.state_command(word.name.lower(), self._clock_ns()))
         self._commanded_ns = self._clock_ns()
-        self._link.say(f"{self._name}/state_command", crtk.state_command(word.name.lower(), self._commanded_ns))
-        return ""
+        return "" if said else self._link.failed or "the robot's Zenoh is not reached"
+
+    def _why_unchangeable(self, word: StateWord, now_ns: int) -> str:
+        if self._replayed:
+            return "it is real, and the time is not"
+        return self._link.failed or self._readings.changeable(word, now_ns)
+
+    def _untold(self) -> dict[str, tuple[str, str]]:
+        return {} if self.dry_run else self._readings.untold | self._frames.untold
+
+    def _say(self, key: str, payload: bytes) -> bool:
+        return self._link.say(key, payload)
 
     def reached_state(self, word: StateWord) -> bool:
         """By the console's operating state, once it has had time to begin."""

@@ -186,6 +186,15 @@ class Readings:
             return f"nothing was heard of {self._arm} yet: see that its console and Zenoh run there"
         return unchangeable(said, said.operating, word, now_ns)
 
+    @property
+    def untold(self) -> dict[str, tuple[str, str]]:
+        """What a real arm needs to be told and was not, by its name: what that is, and what to do."""
+        if self._said.teleoperation is not None:
+            return {}
+        what = "its console has not said whether its teleoperation is on"
+        remedy = "switch teleoperation on and off once, or say has_no = ['teleoperation'] where there is none"
+        return {"teleoperation": (what, remedy)}
+
     def _reading(self) -> Judged | None:
         return Judged(Readiness.FAULT, Code.ERROR_STATE, self._faulty) if self._faulty else None
 

@@ -16,6 +16,8 @@ ERROR_NS, OTHERS_NS, OWN_NS = 1 * SECOND_NS, 2 * SECOND_NS, 1 * SECOND_NS
 TELEOPERATION = "console/teleop/enabled"
 """Of all of a console: it tells of no arm by itself."""
 
+STOPPING = (StateWord.PAUSE, StateWord.DISABLE)
+"""Words that only stop: they are always sent."""
 LEADS_TO = {
     StateWord.ENABLE: "ENABLED",
     StateWord.RESUME: "ENABLED",
@@ -48,7 +50,7 @@ class Said:
         left_ready: why the arm was not ready, even where it soon was again; None once that was told.
         missed_ns: when the console said that a goal was not reached.
         publishers: who else could command the arm, by their tokens.
-        teleoperation: the console's own is on.
+        teleoperation: the console's own is on; None where nobody has said.
     """
 
     raw: dict[str, Raw] = field(default_factory=dict)
@@ -59,7 +61,7 @@ class Said:
     tool: str = ""
     other: tuple[str, int] = ("", 0)
     publishers: set[str] = field(default_factory=set)
-    teleoperation: bool = False
+    teleoperation: bool | None = None
 
 
 def own_word(said: Said, operating: crtk.OperatingState, now_ns: int) -> Judged | None:
@@ -101,7 +103,7 @@ def unready(state: crtk.OperatingState) -> Judged | None:
 
 def unchangeable(said: Said, operating: crtk.OperatingState, word: StateWord, now_ns: int) -> str:
     """Why the arm's state must not be changed in this way now; empty where it may."""
-    if word is StateWord.PAUSE or word is StateWord.DISABLE:
+    if word in STOPPING:
         return ""
     if said.publishers or now_ns - said.other[1] < OTHERS_NS or said.teleoperation:
         who = min(said.publishers, default=TELEOPERATION if said.teleoperation else said.other[0])

@@ -12,7 +12,7 @@ from agents.cli.running.audit import AuditError, AuditLog
 from agents.cli.running.audited_bridge import AuditedBridge
 from agents.robot_bridge.agent import RobotBridgeConfig
 from agents.robot_bridge.simulated import SimulatedPsm, waiting
-from schemas.messages import Arm, ChangeState, CommandHeader, Hold, StateWord
+from schemas.messages import Arm, ChangeState, CommandHeader, Hold, Outcome, StateWord
 from schemas.topics import ARM, CHANGE_STATE, HOLD
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
 from shared.runtime.agent import Command, Tick
@@ -88,9 +88,31 @@ def test_a_command_that_cannot_be_written_down_is_not_carried_out(tmp_path):
     bridge._audit._file = full
     try:
         with pytest.raises(AuditError, match=r"psm1\.jsonl cannot be written: No space left"):
-            bridge.step(Command(HOLD, "psm1", Hold(CommandHeader("b", NOW_NS, "ben"), "psm1"), NOW_NS))
+            bridge.step(Command(ARM, "psm1", Arm(CommandHeader("b", NOW_NS, "ben"), "psm1", "p"), NOW_NS))
     finally:
         os.close(full)
     (tmp_path / "folder.jsonl").mkdir()
     with pytest.raises(AuditError, match="Is a directory"):
         bridge_with(tmp_path / "folder.jsonl")
+
+
+@pytest.mark.parametrize("folder", [False, True])
+def test_what_stops_is_carried_out_whether_or_not_it_can_be_written_down(tmp_path, folder):
+    bridge = bridge_with(tmp_path / "psm1.jsonl")
+    told = []
+    bridge._backend.hold = lambda: told.append("hold")
+    bridge._backend.change_state = lambda word, _now_ns: told.append(word.name) or ""
+    full = os.open("/dev/full", os.O_WRONLY)
+    bridge._audit._file, bridge._begun = full, not folder
+    header = CommandHeader("b", NOW_NS - 1, "ben")
+    try:
+        for topic, message, expected in (
+            (HOLD, Hold(header, "psm1"), ["hold"]),
+            (CHANGE_STATE, ChangeState(header, "psm1", StateWord.PAUSE), ["hold", "PAUSE"]),
+            (CHANGE_STATE, ChangeState(header, "psm1", StateWord.DISABLE), ["hold", "DISABLE"]),
+        ):
+            told.clear()
+            answer, *_ = bridge.step(Command(topic, "psm1", message, NOW_NS))
+            assert (answer.outcome, told) == (Outcome.ACCEPTED, expected)
+    finally:
+        os.close(full)

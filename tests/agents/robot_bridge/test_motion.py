@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from agents.robot_bridge.checks import joints_of, waypoint_refusal
 from agents.robot_bridge.limits import MotionLimits, Setup
-from agents.robot_bridge.motion import MAXIMUM_WAYPOINTS, Trajectory, plan_motion
+from agents.robot_bridge.motion import MAXIMUM_WAYPOINTS, Trajectory, plan_motion, segment_end
 from agents.robot_bridge.path import Poses, smooth_path
 from agents.robot_bridge.refusals import Code, Refusal
 from agents.robot_bridge.simulated import SIMULATED_START
@@ -330,7 +330,7 @@ def test_too_many_waypoints_none_at_all_and_a_motion_without_end_are_refused() -
     to_and_fro = tuple(waypoint(pose(x, 0, 80)) for x in (-30, 30) * 60)
     refused = refusal(to_and_fro)
     assert refused.code is Code.TOO_LONG
-    assert "120 s" in refused.sentence
+    assert "60 s" in refused.sentence
 
 
 @given(points, turns, st.floats(-3, 3))
@@ -350,11 +350,29 @@ def test_any_waypoint_gives_a_motion_within_all_limits_or_a_reason(
 @pytest.mark.parametrize("share", [0.5, 0.1])
 def test_a_slowed_motion_goes_the_same_way_and_takes_as_much_longer(share: float) -> None:
     full = motion(grasp())
-    slowed = motion(grasp(), dataclasses.replace(SETUP, limits=LIMITS.slowed(share)))
+    roomy = dataclasses.replace(LIMITS, maximum_duration_s=600.0)
+    slowed = motion(grasp(), dataclasses.replace(SETUP, limits=roomy.slowed(share)))
     assert slowed.duration_s == pytest.approx(full.duration_s / share, rel=0.02)
     samples = [int(i) for i in np.linspace(0, len(full.joints) - 1, 40)]
     between = np.array([slowed.at(i * SETUP.period_s / share)[0] for i in samples])
     assert np.abs(between - full.joints[samples]).max() < 0.03
+
+
+def test_a_motion_that_is_too_long_at_once_is_cut_before_contact_alone() -> None:
+    cap_s = 0.75 * motion(grasp()).duration_s
+    capped = dataclasses.replace(SETUP, limits=dataclasses.replace(LIMITS, maximum_duration_s=cap_s))
+    assert refusal(grasp(), capped).code is Code.TOO_LONG
+    chained = plan_motion(grasp(), START, 0.0, capped, segments=3)
+    assert isinstance(chained, Trajectory)
+    first = segment_end(chained, cap_s)
+    assert chained.stops[first].phase in (None, Phase.APPROACH)
+    assert chained.stops[first].sample * SETUP.period_s <= cap_s
+    assert segment_end(chained, cap_s, first + 1) == len(chained.stops) - 1
+    # contact itself is never cut
+    short = dataclasses.replace(LIMITS, maximum_duration_s=0.2 * cap_s)
+    refused = plan_motion(grasp(), START, 0.0, dataclasses.replace(SETUP, limits=short), segments=8)
+    assert isinstance(refused, Refusal)
+    assert refused.code is Code.TOO_LONG
 
 
 def test_a_finger_that_would_go_into_the_tissue_is_refused_and_one_before_it_is_not() -> None:

@@ -37,7 +37,7 @@ def test_no_joint_nor_the_jaw_moves_faster_than_it_can_and_it_arrives() -> None:
     arm = SimulatedPsm()
     state = arm.state(0)
     target = np.array((-0.5, 0.4, 0.2, 3.0, -1.0, 1.0))
-    arm.move(target, 1.2)
+    arm.move(target, 1.2, "a")
     for tick in range(1, 101):
         before = state.joints
         state = arm.state(tick * SECOND // 100)
@@ -50,7 +50,7 @@ def test_no_joint_nor_the_jaw_moves_faster_than_it_can_and_it_arrives() -> None:
 def test_hold_stops_it_at_once() -> None:
     arm = SimulatedPsm()
     arm.state(0)
-    arm.move(START + 0.1, 1.0)
+    arm.move(START + 0.1, 1.0, "a")
     stopped = arm.state(SECOND // 1000)
     arm.hold()
     np.testing.assert_array_equal(arm.state(SECOND).joints, stopped.joints)
@@ -60,7 +60,7 @@ def test_hold_stops_it_at_once() -> None:
 def test_set_points_beyond_a_limit_are_clipped_as_the_robot_clips_them() -> None:
     arm = SimulatedPsm()
     arm.state(0)
-    arm.move(np.full(6, 10.0), 10.0)
+    arm.move(np.full(6, 10.0), 10.0, "a")
     state = arm.state(100 * SECOND)
     np.testing.assert_allclose(state.joints, LARGE_NEEDLE_DRIVER.limits[:, 1])
     assert state.jaw_rad == LARGE_NEEDLE_DRIVER.jaw_limit[1]
@@ -69,5 +69,5 @@ def test_set_points_beyond_a_limit_are_clipped_as_the_robot_clips_them() -> None
 def test_a_clock_that_goes_backwards_does_not_move_it() -> None:
     arm = SimulatedPsm()
     arm.state(SECOND)
-    arm.move(START + 0.1, 1.0)
+    arm.move(START + 0.1, 1.0, "a")
     np.testing.assert_array_equal(arm.state(0).joints, START)
