@@ -8,8 +8,16 @@ import pytest
 from agents.camera.agent import Camera, CameraConfig, SceneCamera
 from agents.camera.scene_source import calibration_of
 from agents.camera.sources import BrokenOffError, SourceError
-from schemas.messages import ImageEncoding, RectifiedStereo, SimulatorState, StereoCalibration
-from schemas.topics import CALIBRATION, FRAMES, SIMULATOR_STATE
+from schemas.messages import (
+    FrameNotice,
+    ImageEncoding,
+    RectifiedStereo,
+    RobotMode,
+    RobotState,
+    SimulatorState,
+    StereoCalibration,
+)
+from schemas.topics import CALIBRATION, FRAME_NOTICE, FRAMES, ROBOT_STATE, SIMULATOR_STATE
 from shared.calibration.identity import calibration_id
 from shared.images import decode_image
 from shared.runtime.agent import CannotGoOnError, Received, Tick
@@ -38,7 +46,16 @@ class Given:
 
 
 def steps(camera, *times_ns):
-    return [[(o.topic, o.message) for o in camera.step(Tick(t))] for t in times_ns]
+    """What each tick gives, but for the notices beside the frames."""
+    said = ([(o.topic, o.message) for o in camera.step(Tick(t))] for t in times_ns)
+    return [[one for one in each if one[0] is not FRAME_NOTICE] for each in said]
+
+
+def challenge(arm, challenge_ns):
+    """A state of an arm with this challenge."""
+    pose, joints = np.eye(4), np.zeros(6)
+    state = RobotState(arm, 1, RobotMode.IDLE, pose, joints, 0.0, pose, "", challenge_ns=challenge_ns)
+    return Received(ROBOT_STATE, f"suturegrasp/lab/robot_bridge/{arm}/state", 0, state)
 
 
 def test_the_calibration_comes_first_and_once_even_before_the_source_has_a_frame():
@@ -87,6 +104,23 @@ def test_each_image_is_stamped_with_when_the_source_says_that_it_was_taken():
     source.taken_ns = 5_000_000, -7_000_000
     ((_, _), (_, frame)), *_ = steps(Camera(source, CALIBRATION_64, CameraConfig(latency_ms=40.0)), 10**9)
     assert (frame.stamp.capture_left_ns, frame.stamp.capture_right_ns) == (965_000_000, 953_000_000)
+
+
+def test_a_frame_echoes_the_newest_challenge_that_was_heard_before_it_was_captured():
+    camera = Camera(Given(1, 2, 3), CALIBRATION_64, CameraConfig(latency_ms=40.0))
+    tick_ns, echoes = 30_000_000, []
+    for number in range(1, 4):
+        for arm in ("psm2", "psm1"):
+            list(camera.step(challenge(arm, 1000 * number)))
+        frame = next(m for t, m in steps(camera, 10**9 + number * tick_ns)[0] if t is FRAMES)
+        echoes.append([(echo.arm, echo.challenge_ns) for echo in frame.stamp.echoes])
+    # it was captured 40 ms before it came: one tick and a third before
+    assert echoes == [[], [], [("psm1", 1000), ("psm2", 1000)]]
+
+
+def test_a_notice_with_the_same_stamp_follows_each_frame():
+    said = [o.message for o in Camera(Given(1), CALIBRATION_64, CameraConfig()).step(Tick(1))]
+    assert said[-1] == FrameNotice(said[-2].stamp)
 
 
 def test_a_source_that_has_broken_off_is_the_end_of_the_camera():

@@ -15,7 +15,7 @@ from agents.camera.bag import BagSource
 from agents.camera.sources import SourceError
 from agents.cli.rig.builders import build
 from agents.cli.rig.config import CameraSection, RigConfig
-from schemas.messages import StereoCalibration, StereoFrame
+from schemas.messages import FrameNotice, StereoCalibration, StereoFrame
 from shared.calibration import CalibrationError
 from shared.runtime.agent import Output, Tick
 
@@ -261,6 +261,6 @@ def test_the_camera_of_a_rig_takes_a_bag_and_its_calibration(tmp_path):
     camera = build(rig, "camera", "main")
     assert isinstance(camera, Camera)
     made = [output.message for output in camera.step(Tick(10**18)) if isinstance(output, Output)]
-    assert [type(message) for message in made] == [StereoCalibration, StereoFrame]
+    assert [type(message) for message in made] == [StereoCalibration, StereoFrame, FrameNotice]
     assert made[1].stamp.calibration_id
     camera.close()
