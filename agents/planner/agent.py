@@ -1,11 +1,12 @@
 """The planner as an agent: it keeps the newest thread, tissue, arms and account of clocks, and answers goals."""
 
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from agents.planner.attempt import next_attempt
+from agents.planner.attempt import next_attempt, same_attempt
 from agents.planner.captures import ArmView
 from agents.planner.config import PlannerConfig
 from agents.planner.plan import plan_grasp
@@ -122,12 +123,17 @@ class Planner:
         except RefusedGoalError as error:
             return (CommandAnswer(goal.header.id, Outcome.REFUSED, error.code, str(error)),)
         plan = plan_grasp(goal, thread, self._view(arm), self.config, self._seen_tissue(thread, now_ns))
+        plan = replace(plan, maximum_frame_age_s=arm.maximum_frame_age_s)
         self._watch.planned(plan)
         unknown = "; ".join(filter(None, (clock_unknown(self._clocks), self._reach_unknown(arm))))
         return CommandAnswer(goal.header.id, Outcome.ACCEPTED, "", unknown), Output(PLAN, plan)
 
     def _check(self, thread: ThreadReconstruction) -> Iterable[Output]:
-        """Of each grasp that ended before the thread was seen, whether it holds it."""
+        """Of each grasp that ended before the thread was seen, whether it holds it; of each segment, how to go on."""
+        for plan in self._watch.resting(thread):
+            if (state := self._arms.get(plan.arm)) is not None and plan.goal is not None:
+                self._watch.goes_on(plan)
+                yield Output(PLAN, self._on(plan, thread, state))
         for ended in self._watch.due(thread, self.config):
             state = self._arms.get(ended.plan.arm)
             T_camera_tool = compose(state.T_camera_base, state.T_base_tool) if state else None
@@ -139,12 +145,26 @@ class Planner:
             if check.next_plan_id and state is not None:
                 yield Output(PLAN, self._again(ended.plan, check.verdict, thread, state))
 
+    def _on(self, plan: GraspPlan, thread: ThreadReconstruction, state: RobotState) -> GraspPlan:
+        """The plan's next segment, from what is seen now."""
+        goal = goal_again(plan, thread)
+        assert goal is not None  # noqa: S101 - plans without a goal are not gone on with
+        tissue = self._seen_tissue(thread, max(thread.stamp.capture_left_ns, thread.stamp.capture_right_ns))
+        following = plan_grasp(goal, thread, self._view(state), self.config, tissue, same_attempt(plan, self.config))
+        named = f"{plan.plan_id}+"
+        following = replace(
+            following, plan_id=named, continues=plan.plan_id, maximum_frame_age_s=state.maximum_frame_age_s
+        )
+        self._watch.planned(following)
+        return following
+
     def _again(self, tried: GraspPlan, verdict: Checked, thread: ThreadReconstruction, state: RobotState) -> GraspPlan:
         """The next attempt at the goal of a plan that missed, or of which that cannot be told."""
         attempt, goal = next_attempt(tried, verdict, self.config), goal_again(tried, thread)
         assert attempt is not None and goal is not None  # noqa: S101 - the check has named it
         tissue = self._seen_tissue(thread, max(thread.stamp.capture_left_ns, thread.stamp.capture_right_ns))
         plan = plan_grasp(goal, thread, self._view(state), self.config, tissue, attempt)
+        plan = replace(plan, maximum_frame_age_s=state.maximum_frame_age_s)
         self._watch.planned(plan)
         return plan
 

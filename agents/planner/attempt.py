@@ -35,6 +35,11 @@ def next_attempt(plan: GraspPlan, verdict: Checked, config: PlannerConfig) -> At
     return Attempt(plan.attempt + 1, plan.attempts, offset)
 
 
+def same_attempt(plan: GraspPlan, config: PlannerConfig) -> Attempt:
+    """The attempt that a plan is, to be gone on with from where the arm is now."""
+    return Attempt(plan.attempt, plan.attempts, offset_of(plan, config))
+
+
 def offset_for(attempt: Attempt, config: PlannerConfig) -> Offset:
     """Of the fingers, as far as it is known."""
     return attempt.offset or unknown_offset(config)

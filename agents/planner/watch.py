@@ -1,5 +1,5 @@
 """What follows from the end of a grasp: a check as soon as the thread was seen after it, and another plan after a miss,
-or where that is likelier than not.
+or where that is likelier than not. And between two segments of a long motion a plan from a fresh image, to go on by.
 
 Nothing moves by itself: each plan has to be armed.
 """
@@ -33,6 +33,7 @@ class Watch:
     def __init__(self) -> None:
         self._plans: dict[str, GraspPlan] = {}
         self._ended: dict[str, Ended] = {}
+        self._resting: dict[str, Ended] = {}
 
     def planned(self, plan: GraspPlan) -> None:
         """Remember a plan, as one of the newest."""
@@ -48,11 +49,23 @@ class Watch:
             self._ended[event.arm] = Ended(plan, event.at_ns)
         elif event.kind is ExecutionKind.ACCEPTED:
             self._ended.pop(event.arm, None)
+        if event.kind is ExecutionKind.SEGMENT_ENDED and plan is not None:
+            self._resting[event.arm] = Ended(plan, event.at_ns)
+        elif event.kind is not ExecutionKind.PHASE_REACHED:
+            self._resting.pop(event.arm, None)
 
     @property
     def waits(self) -> bool:
-        """Whether a grasp has ended that is not checked yet."""
-        return bool(self._ended)
+        """Whether a grasp has ended that is not checked yet, or a segment that is not planned on from."""
+        return bool(self._ended or self._resting)
+
+    def resting(self, thread: Thread) -> list[GraspPlan]:
+        """The plans of which a segment has ended before this thread was seen, by the clock of the arm's own bridge."""
+        return [rests.plan for arm, rests in self._resting.items() if _seen_ns(thread, arm) >= rests.at_ns]
+
+    def goes_on(self, plan: GraspPlan) -> None:
+        """A plan to go on by was made."""
+        self._resting.pop(plan.arm, None)
 
     def due(self, thread: Thread, config: PlannerConfig) -> list[Ended]:
         """What can be checked now that a thread was seen."""
@@ -101,6 +114,12 @@ def goal_again(plan: GraspPlan, thread: Thread) -> GraspGoal | None:
     ends = plan.around.points_camera[[0, -1]]
     same, turned = (np.linalg.norm(now.points_camera[[i, -1 - i]] - ends, axis=1).sum() for i in (0, -1))
     return goal if same <= turned else replace(goal, s=1.0 - goal.s)
+
+
+def _seen_ns(thread: Thread, arm: str) -> int:
+    """When a thread was seen at the latest, by the bridge's clock where its frame echoes that."""
+    stamp = thread.stamp
+    return stamp.echo_of(arm) or min(stamp.capture_left_ns, stamp.capture_right_ns)
 
 
 def _age_ms(ended: Ended, thread: Thread) -> float:

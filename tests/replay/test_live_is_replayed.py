@@ -11,7 +11,7 @@ from agents.planner.agent import Planner
 from agents.reconstruction.agent import Reconstruction
 from schemas.codec import decode, encode
 from schemas.messages import GraspPlan, Status, ThreadReconstruction
-from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS, PLAN, THREAD, key, topic_of
+from schemas.topics import CALIBRATION, FRAME_NOTICE, FRAMES, OBSERVATIONS, PLAN, THREAD, key, topic_of
 from shared.recording.mcap_file import Entry, read_recording
 from shared.runtime.replay import replay
 
@@ -112,7 +112,7 @@ def test_a_recording_that_begins_in_mid_session_is_replayed_from_there(agent, re
 def test_the_scene_camera_films_the_same_frames_again(camera, recorded):
     replayed = list(replay(camera, recorded))
     assert len(replayed) > 20
-    assert {str(topic_of(r.key)) for r in replayed} == {str(FRAMES), str(CALIBRATION)}
+    assert {str(topic_of(r.key)) for r in replayed} == {str(FRAMES), str(FRAME_NOTICE), str(CALIBRATION)}
     # a frame or a state of the field may be lost on its way to whoever records, and nothing is known from there on
     assert all(r.same or r.missing for r in replayed)
     assert replayed[0].same

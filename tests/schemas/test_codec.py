@@ -18,6 +18,7 @@ from schemas.messages import (
     Alternative,
     Arm,
     Centrelines,
+    ChallengeEcho,
     ChangeState,
     Checked,
     ClockReading,
@@ -28,6 +29,7 @@ from schemas.messages import (
     Crossing,
     ExecutionEvent,
     ExecutionKind,
+    FrameNotice,
     FrameStamp,
     GraspCheck,
     GraspGoal,
@@ -108,7 +110,10 @@ def images(draw, size=None):
 nanoseconds = st.integers(-(2**63), 2**63 - 1)
 uint64 = st.integers(0, 2**64 - 1)
 consumed = st.lists(st.builds(Consumed, texts.filter(bool), uint64, uint64), max_size=3).map(tuple)
-stamps = st.builds(FrameStamp, st.integers(0, 2**64 - 1), nanoseconds, nanoseconds, texts)
+echoes = st.builds(ChallengeEcho, texts, nanoseconds)
+stamps = st.builds(
+    FrameStamp, uint64, nanoseconds, nanoseconds, texts, st.just(()) | st.lists(echoes, max_size=2).map(tuple)
+)
 cameras = st.builds(RectifiedStereo, sizes, sizes, positive, positive, numbers, numbers, positive, units)
 judgements = st.builds(Judgement, texts, st.sampled_from(Severity), texts, texts)
 outcomes = st.just((Status.OK, "")) | texts.filter(bool).map(lambda reason: (Status.FAILED, reason))
@@ -401,7 +406,7 @@ arms = st.builds(Arm, headers, names, texts.filter(bool))
 holds = st.builds(Hold, headers, names)
 state_changes = st.builds(ChangeState, headers, names, st.sampled_from(StateWord))
 prompts = st.builds(Prompt, headers, st.none() | array(2))
-heartbeats = st.builds(Heartbeat, names, texts, nanoseconds, texts.filter(bool))
+heartbeats = st.builds(Heartbeat, names, texts, nanoseconds, texts.filter(bool), nanoseconds, uint64, st.booleans())
 waypoints = st.builds(Waypoint, poses(), numbers, st.sampled_from(Phase), st.none() | numbers)
 alternatives = st.builds(Alternative, numbers, numbers, texts)
 
@@ -578,6 +583,8 @@ verdicts = st.builds(
 
 MESSAGES = {
     Image: images(),
+    ChallengeEcho: echoes,
+    FrameNotice: st.builds(FrameNotice, stamps, consumed),
     FrameStamp: stamps,
     StereoFrame: stereo_frames(),
     StereoCalibration: calibrations(),
@@ -683,7 +690,7 @@ def test_a_message_survives_the_wire(message_type, data):
 @given(message=any_message)
 def test_the_stamp_of_a_message_of_a_frame_is_read_without_the_rest(message):
     data = encode(message)
-    first = isinstance(message, StereoFrame | ThreadObservations | ThreadReconstruction | TissueSurface)
+    first = isinstance(message, FrameNotice | StereoFrame | ThreadObservations | ThreadReconstruction | TissueSurface)
     assert decode_stamp(type(message), data) == (message.stamp if first else None)
     assert decode_stamp(type(message), b"") is None
 

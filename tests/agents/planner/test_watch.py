@@ -294,6 +294,29 @@ def test_a_miss_is_noticed_and_planned_again_up_to_the_limit(bench):
     assert "the last" in last.sentence
 
 
+def test_a_segment_that_has_ended_is_gone_on_from_by_a_plan_of_an_image_that_was_taken_since(bench):
+    lab = Bench(bench)
+    plan = lab.plan(attempts=2)
+    at_ns = bench.CAPTURED_NS + 1000 * MS
+    for kind in (ExecutionKind.ACCEPTED, ExecutionKind.SEGMENT_ENDED):
+        lab.feed(EXECUTION, ExecutionEvent(plan.plan_id, "psm1", at_ns, kind, None, "", ""), "psm1")
+    assert lab.see(990) == [], "it was seen before the segment had ended"
+    (on,) = (output.message for output in lab.see(1010))
+    assert (on.status, on.continues, on.goal_id, on.attempt) == (Status.OK, plan.plan_id, plan.goal_id, plan.attempt)
+    assert on.plan_id != plan.plan_id
+    assert lab.see(1020) == [], "it is planned on once"
+
+
+def test_a_segment_after_which_the_arm_holds_is_not_gone_on_from(bench):
+    lab = Bench(bench)
+    plan = lab.plan()
+    for kind in (ExecutionKind.ACCEPTED, ExecutionKind.SEGMENT_ENDED, ExecutionKind.HELD):
+        why = ("hold_command", "ann said hold") if kind is ExecutionKind.HELD else ("", "")
+        event = ExecutionEvent(plan.plan_id, "psm1", bench.CAPTURED_NS + 1000 * MS, kind, None, *why)
+        lab.feed(EXECUTION, event, "psm1")
+    assert lab.see(1100) == []
+
+
 def test_what_is_held_needs_no_further_attempt_and_what_cannot_be_told_in_the_end_is_said_to_be_and_planned_again(
     bench,
 ):
