@@ -49,9 +49,14 @@ LIMITS = (MotionLimits(), MotionLimits().slowed(0.3), BRISK)
 LAGS_S = (0.0, 0.0, 0.02)
 
 
-def hostile(count: int, seed: int = 0, processes: int | None = None) -> dict[str, Any]:
-    """So many cases, on all processors; what the oracle, and the rules of what must be refused, found."""
-    worlds = [(seed, k, min(CASES_PER_WORLD, count - at)) for k, at in enumerate(range(0, count, CASES_PER_WORLD))]
+def hostile(count: int, seed: int = 0, processes: int | None = None, guarded: bool = True) -> dict[str, Any]:
+    """So many cases, on all processors; what the oracle, and the rules of what must be refused, found.
+
+    Without `guarded` the guard passes everything, so that the bridge is judged alone.
+    """
+    worlds = [
+        (seed, k, min(CASES_PER_WORLD, count - at), guarded) for k, at in enumerate(range(0, count, CASES_PER_WORLD))
+    ]
     processes = min(len(worlds), processes or os.cpu_count() or 1)
     total, said_s = _Total(), monotonic_s()
     with contextlib.ExitStack() as stack, contextlib.suppress(KeyboardInterrupt):
@@ -119,11 +124,11 @@ class _Total:
         }
 
 
-def _world(given: tuple[int, int, int]) -> _Total:
-    """One world's cases, of a seed, a number and how many."""
-    *seeds, count = given
+def _world(given: tuple[int, int, int, bool]) -> _Total:
+    """One world's cases, of a seed, a number, how many, and whether the guard judges."""
+    *seeds, count, guarded = given
     rng, total = np.random.default_rng(seeds), _Total()
-    world = World(LIMITS[rng.integers(len(LIMITS))], LAGS_S[rng.integers(len(LAGS_S))])
+    world = World(LIMITS[rng.integers(len(LIMITS))], LAGS_S[rng.integers(len(LAGS_S))], guarded=guarded)
     for _ in range(count):
         case = CASES[rng.integers(len(CASES))](world, rng)
         total.found[case.kind, case.accepted, case.allowed] += 1
@@ -138,7 +143,7 @@ def _world(given: tuple[int, int, int]) -> _Total:
 
 def _put_right(world: World, rng: np.random.Generator) -> None:
     """Have console and operator be well again, the arm where it is or somewhere else."""
-    world.stands_by = False
+    world.stands_by, world.sees = False, True
     for word in ("loose", "speak", "no_teleop"):
         world.console.request(word)
     _hold(world)

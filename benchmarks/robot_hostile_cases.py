@@ -10,11 +10,11 @@ from agents.robot_bridge.dvrk.set_points import SETTLES_NS
 from benchmarks.robot_hostile_found import Found
 from benchmarks.robot_hostile_plans import any_plan, set_out, waypoints
 from benchmarks.robot_hostile_states import STATE_CASES
-from benchmarks.robot_world import EPOCH_NS, NAME, RIG_ARM, SECOND_NS, TICK_NS, World
+from benchmarks.robot_world import EPOCH_NS, NAME, SECOND_NS, TICK_NS, World
 from schemas.checks import MessageError
 from schemas.codec import decode, encode
-from schemas.messages import FrameStamp, GraspPlan, Heartbeat, Outcome, ReplayClock, Status, Waypoint
-from schemas.topics import REPLAY_CLOCK
+from schemas.messages import FrameNotice, FrameStamp, GraspPlan, Outcome, ReplayClock, Status, Waypoint
+from schemas.topics import FRAME_NOTICE, REPLAY_CLOCK
 from shared.rigid_transforms import exp_so3, transform
 from shared.ros import crtk
 from shared.ros.types import STRING
@@ -113,15 +113,17 @@ def _bad_heartbeats(world: World, rng: np.random.Generator) -> Found:
     plan = any_plan(world, rng)
     accepted = set_out(world, plan, int(rng.integers(1, 40)))
     world.stands_by = False
-    last = Heartbeat(RIG_ARM, world.plan_id or "none", world.now_ns, world.arming_id or "none")
+    last = replace(world.answer(), plan_id=world.plan_id or "none", arming_id=world.arming_id or "none")
     far_ns = int(rng.integers(2, 1000)) * SECOND_NS
     kinds = (
         lambda: last,
-        lambda: replace(last, at_ns=max(0, world.now_ns - far_ns)),
-        lambda: replace(last, at_ns=world.now_ns + far_ns),
-        lambda: replace(last, at_ns=world.now_ns, arming_id="another"),
-        lambda: replace(last, at_ns=world.now_ns, plan_id="another"),
-        lambda: replace(last, at_ns=world.now_ns, arm="psm2"),
+        lambda: replace(last, challenge_ns=0, at_ns=world.now_ns),
+        lambda: replace(world.answer(), challenge_ns=max(1, world.now_ns - far_ns)),
+        lambda: replace(world.answer(), challenge_ns=world.now_ns + far_ns),
+        lambda: replace(world.answer(), arming_id="another"),
+        lambda: replace(world.answer(), plan_id="another"),
+        lambda: replace(world.answer(), arm="psm2"),
+        lambda: replace(world.answer(), pressed=False),
     )
     kind = kinds[rng.integers(len(kinds))]
     for _ in range(110):
@@ -180,6 +182,8 @@ def _two_owners(world: World, rng: np.random.Generator) -> Found:
     topic = topics[rng.integers(len(topics))]
     if topic:
         world.topics.tell_bridge(f"{NAME}/{topic}", crtk.empty())
+        if topic.endswith("servo_jp"):
+            world.guard.do(world.guard.monitor.hear_stranger(world.now_ns))
     else:
         world.topics.owner_changed("somebody", True)
     world.oracle.stranger(world.now_ns * 1e-9)
@@ -231,6 +235,23 @@ def _armed_twice(world: World, rng: np.random.Generator) -> Found:
     return Found("armed twice", bool(accepted and moves and answer and answer.outcome is Outcome.ACCEPTED), False)
 
 
+def _blind(world: World, rng: np.random.Generator) -> Found:
+    """In mid-motion, or just before, no frame comes any more, or each that comes is a second old."""
+    before = rng.random() < 0.3
+    accepted = False if before else set_out(world, any_plan(world, rng), int(rng.integers(1, 80)))
+    world.sees, queued = False, rng.random() < 0.5
+    stale = world.stamp(world.now_ns - SECOND_NS)
+    for _ in range(130):
+        if queued:
+            world.step(Received(FRAME_NOTICE, "", 0, FrameNotice(stale)))
+        world.tick()
+    if before:
+        accepted = set_out(world, any_plan(world, rng), 20)
+    moves = world.moves
+    world.sees = True
+    return Found("blind", accepted and moves, False)
+
+
 CASES: tuple[Callable[[World, np.random.Generator], Found], ...] = (
     _as_it_comes,
     _far_jumps,
@@ -245,5 +266,6 @@ CASES: tuple[Callable[[World, np.random.Generator], Found], ...] = (
     _moved_before,
     _odd_clock,
     _armed_twice,
+    _blind,
     *STATE_CASES,
 )

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.robot_world import RIG_ARM, SECOND_NS, World
-from schemas.messages import FrameStamp, GraspPlan, Outcome, Phase, Policy, Status, Waypoint
+from schemas.messages import GraspPlan, Outcome, Phase, Policy, Status, Waypoint
 from shared.rigid_transforms import exp_so3, transform
 
 
@@ -28,7 +28,7 @@ def any_plan(world: World, rng: np.random.Generator, **changes: Any) -> GraspPla
         "plan_id": f"plan-{world.now_ns}-{rng.integers(1 << 30)}",
         "arm": RIG_ARM,
         "goal_id": "g",
-        "stamp": FrameStamp(1, captured_ns, captured_ns, "c"),
+        "stamp": world.stamp(captured_ns),
         "status": Status.OK,
         "reason": "",
         "waypoints": waypoints(rng),

@@ -13,6 +13,7 @@ from schemas.topics import CHANGE_STATE
 from shared.ros import crtk
 
 WORDS = tuple(StateWord)
+STOPPING = (StateWord.PAUSE, StateWord.DISABLE)
 
 
 def change(world: World, word: StateWord, arm: str = RIG_ARM, instance: str = "") -> bool:
@@ -28,7 +29,8 @@ def state_in_motion(world: World, rng: np.random.Generator) -> Found:
     moves, word = world.moves, WORDS[rng.integers(len(WORDS))]
     obeyed = change(world, word)
     world.tick(30)
-    return Found("state in motion", moves and obeyed, False)
+    # what stops is obeyed at any time
+    return Found("state in motion", obeyed if word not in STOPPING else world.moves, not moves and word not in STOPPING)
 
 
 def state_of_another(world: World, rng: np.random.Generator) -> Found:

@@ -1,32 +1,54 @@
-"""A robot bridge and an emulated console in one process and in a time of their own: everything but the network.
+"""A robot bridge, a guard and an emulated console in one process and in a time of their own: all but the network.
 
-What the bridge says reaches the console as bytes and at once, and the other way round; both live by a clock that goes
-on when it is told to, so that ten thousand motions take minutes and are the same each time.
+What the bridge says reaches the guard, and what that passes the console, as bytes and at once, and the other way round;
+all live by a clock that goes on when it is told to, so that ten thousand motions take minutes and are the same each
+time. A guard that passes everything (`guarded=False`) shows what the bridge does alone.
 """
 
+import contextlib
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
+from agents.cli.rig.sections import DvrkSection
+from agents.cli.running.guard import description_of
 from agents.emulator.arm import start_of
 from agents.emulator.console import Behaviour, EmulatedConsole
 from agents.emulator.oracle import Field, Oracle
 from agents.emulator.wire import Outlet
+from agents.guard import cdr
+from agents.guard.description import Description
+from agents.guard.monitor import Action, Kind, Monitor
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.dvrk.psm import DvrkPsm
 from agents.robot_bridge.limits import MotionLimits
 from schemas.messages import (
     Arm,
+    ChallengeEcho,
     CommandAnswer,
     CommandHeader,
     ExecutionEvent,
+    FrameNotice,
+    FrameStamp,
     GraspPlan,
     Heartbeat,
     Outcome,
+    RobotState,
 )
-from schemas.topics import ARM, EXECUTION, HEARTBEAT, PLAN, Topic
+from schemas.topics import ARM, EXECUTION, FRAME_NOTICE, HEARTBEAT, PLAN, ROBOT_STATE, Topic
 from shared.kinematics.simulated_setup import SIMULATED_BASES
+from shared.ros.guarded import (
+    ALIVE,
+    CHALLENGE,
+    SET_POINT,
+    GuardedError,
+    SetPoint,
+    alive_from,
+    challenge_bytes,
+    key_of,
+    set_point_from,
+)
 from shared.ros.link import Heard, Said
 from shared.ros.naming import Ros2dds
 from shared.runtime.agent import Command, Output, Received, Tick
@@ -48,6 +70,7 @@ class Topics:
         self._latched: dict[str, bytes] = {}
         self._now_ns: Callable[[], int] = lambda: EPOCH_NS
         self.owner_changed: Callable[[str, bool], None] = lambda _token, _comes: None
+        self.guards: list[WorldGuard] = []
 
     def publish(self, topic: str, kind: str, latched: bool) -> Outlet:  # noqa: ARG002
         """A topic for the console to speak on."""
@@ -56,6 +79,7 @@ class Topics:
             if latched:
                 self._latched[topic] = data
             self.tell_bridge(topic, data)
+            self.tell_guard(topic, data)
 
         # a console publishes only while somebody subscribes, but for what it keeps for who comes later
         return Outlet(lambda: latched or topic in self._bridge, put)
@@ -67,6 +91,11 @@ class Topics:
     def close(self) -> None:
         """Nothing is heard any more."""
         self._console, self._bridge = {}, {}
+
+    def tell_guard(self, topic: str, data: bytes) -> None:
+        """Have the guard hear something of the bridge."""
+        for guard in self.guards:
+            guard.hear(topic, data)
 
     def tell_bridge(self, topic: str, data: bytes) -> None:
         """Have the bridge hear something, whoever said it."""
@@ -95,7 +124,7 @@ class Topics:
 class Link:
     """The bridge's end of the topics, in place of a RosLink."""
 
-    failed = ""
+    failed, broken = "", 0
 
     def __init__(
         self,
@@ -116,25 +145,90 @@ class Link:
             self._open = True
             self._topics.attend(self._heard, self._owner_changed)
 
-    def say(self, topic: str, payload: bytes) -> None:
-        """Have the console hear it."""
-        if self._open and topic in self._said:
-            self._topics.tell_console(topic, payload)
+    def say(self, topic: str, payload: bytes) -> bool:
+        """Have the console, or the guard, hear it."""
+        if not self._open or topic not in self._said:
+            return False
+        self._topics.tell_guard(topic, payload)
+        self._topics.tell_console(topic, payload)
+        return True
 
     def close(self) -> None:
         """Say nothing more."""
         self._open = False
 
 
-class World:
-    """Bridge, console, oracle, and somebody who may stand by.
+class WorldGuard:
+    """The guard between bridge and console: the real monitor, or one that passes everything.
 
     Fields:
-        stands_by: heartbeats come, each of the arming that was accepted last.
+        actions: what it did beside passing set points on, with the reasons.
+    """
+
+    def __init__(self, arm: str, topics: Topics, now_ns: Callable[[], int], judges: bool) -> None:
+        self._name, self._topics, self._now_ns, self._judges = arm.upper(), topics, now_ns, judges
+        document = {**description_of(arm, DvrkSection(endpoint="tcp/127.0.0.1:1", arm=self._name)), "rate_hz": HZ}
+        self.monitor, self.actions = Monitor(Description.from_document(document)), list[Action]()
+
+    def hear(self, topic: str, data: bytes) -> None:
+        """What bridge and console say."""
+        now_ns = self._now_ns()
+        hears: dict[str, Callable[[], list[Action] | None]] = {
+            key_of(self._name, SET_POINT): lambda: self._set_point(set_point_from(topic, data), now_ns),
+            key_of(self._name, ALIVE): lambda: self.monitor.hear_alive(alive_from(topic, data), now_ns),
+            f"{self._name}/measured_js": lambda: self.monitor.hear_joints(cdr.joint_positions(data), now_ns),
+            f"{self._name}/jaw/measured_js": lambda: self.monitor.hear_jaw(cdr.joint_positions(data), now_ns),
+            f"{self._name}/hold": lambda: self.monitor.hear_hold(now_ns),
+        }
+        if topic in hears:
+            with contextlib.suppress(cdr.CdrError, GuardedError):
+                self.do(hears[topic]() or [])
+
+    def turn(self) -> None:
+        """One turn, and a challenge for the bridge."""
+        now_ns = self._now_ns()
+        self.do(self.monitor.turn(now_ns) if self._judges else [])
+        name = key_of(self._name, CHALLENGE)
+        self._topics.tell_bridge(name, challenge_bytes(name, self.monitor.challenge(now_ns)))
+
+    def do(self, actions: list[Action]) -> None:
+        """Pass on, hold or pause."""
+        for action in actions:
+            if action.kind is Kind.PASS:
+                for topic, part in (("servo_jp", action.positions[:-1]), ("jaw/servo_jp", action.positions[-1:])):
+                    data = cdr.joint_state(part, self._now_ns())
+                    self._topics.tell_console(f"{self._name}/{topic}", data)
+                    self._topics.tell_bridge(f"{self._name}/{topic}", data)
+                continue
+            self.actions.append(action)
+            topic = "hold" if action.kind is Kind.HOLD else "state_command"
+            data = cdr.EMPTY if action.kind is Kind.HOLD else cdr.string_stamped("pause", self._now_ns())
+            self._topics.tell_console(f"{self._name}/{topic}", data)
+            self._topics.tell_bridge(f"{self._name}/{topic}", data)
+
+    def _set_point(self, said: SetPoint, now_ns: int) -> list[Action]:
+        judged = self.monitor.hear_set_point(said, now_ns)
+        return judged if self._judges else [Action(Kind.PASS, said.positions)]
+
+
+class World:
+    """Bridge, guard, console, oracle, and somebody who may stand by.
+
+    Fields:
+        stands_by: heartbeats come, each of the arming that was accepted last, and each an answer.
+        sees: the camera gives frames, which echo the newest challenge.
+        state: the newest of the bridge.
         faults: how often a step of the bridge failed.
     """
 
-    def __init__(self, limits: MotionLimits, lag_s: float, arm: str = RIG_ARM, topics: Topics | None = None) -> None:
+    def __init__(
+        self,
+        limits: MotionLimits,
+        lag_s: float,
+        arm: str = RIG_ARM,
+        topics: Topics | None = None,
+        guarded: bool = True,
+    ) -> None:
         """One arm of a rig; arms that share their topics are those of one console."""
         self.now_ns, self.stands_by, self.faults = EPOCH_NS, False, 0
         self.topics, self._arm, name, base = topics or Topics(), arm, arm.upper(), SIMULATED_BASES[arm]
@@ -149,12 +243,27 @@ class World:
             Ros2dds(),
             TOOL,
             dry_run=False,
+            has_no=("teleoperation", "endoscope_arm", "clutch"),
             linked=self.topics.link(lambda: self.now_ns),
             clock=lambda: self.now_ns,
+            monotonic=lambda: self.now_ns,
         )
-        self.bridge = RobotBridge(RobotBridgeConfig(arm, base, tick_hz=HZ, limits=limits), self.backend)
+        self.guard = WorldGuard(arm, self.topics, lambda: self.now_ns, guarded)
+        self.topics.guards.append(self.guard)
+        config = RobotBridgeConfig(
+            arm,
+            base,
+            tick_hz=HZ,
+            limits=limits,
+            calibration_id="c",
+            registered_ns=EPOCH_NS,
+            tissue_needed=False,
+        )
+        self.bridge = RobotBridge(config, self.backend)
         self.armings, self.plan_id, self.arming_id, self._beat_ns = 0, "", "", 0
         self.events: list[ExecutionEvent] = []
+        self.state: RobotState | None = None
+        self.sees = True
         self.tick(20)
 
     @property
@@ -167,14 +276,34 @@ class World:
         for _ in range(count):
             self.now_ns += elapsed_ns
             self.console.turn(max(elapsed_ns, 0) * 1e-9)
+            self.guard.turn()
+            if self.sees:
+                self.see()
             if self.stands_by and self.arming_id and self.now_ns - self._beat_ns >= BEAT_NS:
                 self._beat_ns = self.now_ns
                 self.oracle.heartbeat(self.now_ns * 1e-9)
-                self.beat(Heartbeat(self._arm, self.plan_id, self.now_ns, self.arming_id))
+                self.beat(self.answer())
             self.step(Tick(self.now_ns))
 
+    def see(self) -> None:
+        """A frame is taken now."""
+        self.step(Received(FRAME_NOTICE, "", 0, FrameNotice(self.stamp())))
+
+    def stamp(self, captured_ns: int | None = None) -> FrameStamp:
+        """Of a frame that is taken now, or was then, and echoes what was newest."""
+        at_ns = self.now_ns if captured_ns is None else captured_ns
+        echo_ns = min(at_ns, 0 if self.state is None else self.state.challenge_ns)
+        return FrameStamp(1, at_ns, at_ns, "c", (ChallengeEcho(self._arm, max(1, echo_ns)),))
+
+    def answer(self) -> Heartbeat:
+        """The heartbeat of a person who presses the button and has seen the newest challenge."""
+        of = (self.state.challenge_ns, self.state.guard_challenge) if self.state else (0, 0)
+        return Heartbeat(self._arm, self.plan_id, self.now_ns, self.arming_id, *of, pressed=True)
+
     def beat(self, heartbeat: Heartbeat) -> None:
-        """Have the bridge hear a heartbeat, whatever it says."""
+        """Have bridge and guard hear a heartbeat, whatever it says."""
+        said = heartbeat.arm, heartbeat.arming_id, heartbeat.guard_challenge, heartbeat.pressed
+        self.guard.monitor.hear_heartbeat(*said, self.now_ns)
         self.step(Received(HEARTBEAT, "", 0, heartbeat))
 
     def publish(self, plan: GraspPlan) -> None:
@@ -185,7 +314,8 @@ class World:
         """Arm a plan, under another arm's name where one is given; None where the step failed."""
         self.armings += 1
         header = CommandHeader(f"arming-{self.armings}", self.now_ns + 10**9, "ann")
-        answer = self.command(ARM, Arm(header, arm or self._arm, plan_id), instance)
+        echo_ns = self.state.challenge_ns if self.state else 0
+        answer = self.command(ARM, Arm(header, arm or self._arm, plan_id, echo_ns, pressed=True), instance)
         if answer is not None and answer.outcome is Outcome.ACCEPTED:
             self.plan_id, self.arming_id, self._beat_ns = plan_id, header.id, 0
         return answer
@@ -202,6 +332,8 @@ class World:
         except Exception:
             self.faults += 1
             return []
+        states = [o.message for o in said if isinstance(o, Output) and o.topic is ROBOT_STATE]
+        self.state = states[-1] if states else self.state
         self.events += [o.message for o in said if isinstance(o, Output) and o.topic is EXECUTION]
         return said
 

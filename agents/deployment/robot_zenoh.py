@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.deployment.places import CERTIFICATES
+from shared.ros.guarded import ALIVE, CHALLENGE, SET_POINT, key_of
 from shared.runtime.access import HEARING, READING, common_name
 from shared.runtime.identity import Identity, identity_in
 from shared.runtime.session import on_loopback, router_settings
@@ -21,7 +22,11 @@ FILE = "robot-zenoh.json5"
 MEASURED = ("measured_js", "jaw/measured_js", "measured_cp", "local/measured_cp")
 SET_POINTS = "(jaw/)?setpoint_js"
 HEARD = (*MEASURED, SET_POINTS, "operating_state", "error", "goal_reached", "tool_type")
-MOVED = ("/ECM/local/measured_cp", "/(footpedals|console)/(camera|clutch)", "/ECM/io/(manip|suj)_clutch")
+MOVED = (
+    "/ECM/local/measured_cp",
+    "/(footpedals|console)/(camera|clutch|operator_present)",
+    "/ECM/io/(manip|suj)_clutch",
+)
 """What tells beside the arm's own that it stands on something that has moved."""
 TELEOPERATION = "/console/teleop/enabled"
 BUTTONS = "io/(manip|suj)_clutch"
@@ -32,7 +37,6 @@ STOPS = ("hold", "free", "state_command")
 BRIDGES = ("hold", "state_command", "trajectory_j/set_ratio")
 """What a bridge says of its own beside set points: stops, a person's change of the arm's state, slow trajectories."""
 TOKENS = ("@ros2_lv/**", "@/*/@ros2_lv/**")
-GUARDED = "guarded"
 
 
 @dataclass(frozen=True)
@@ -42,7 +46,6 @@ class ReachedArm:
     Fields:
         arm, console: `psm1` in the rig's file, `PSM1` on the console.
         domain: ROS_DOMAIN_ID.
-        through_guard: set points go to the guard, which passes on what is fresh.
     """
 
     arm: str
@@ -50,7 +53,6 @@ class ReachedArm:
     endpoint: str
     codec: str
     domain: int
-    through_guard: bool
 
 
 def robot_zenoh_file(rig: str, host: str, arms: tuple[ReachedArm, ...]) -> str:
@@ -128,11 +130,12 @@ def _said(reached: ReachedArm) -> dict[str, list[str]]:
         return [f"{head}{root}/{topic}{tail}" for topic in topics]
 
     bridge, guard = common_name("robot_bridge", reached.arm), common_name("guard", reached.arm)
-    own, guards = keys(reached.console, SERVOS), keys(reached.console, ("hold", "state_command"))
-    if reached.through_guard:
-        passed = keys(f"{GUARDED}/{reached.console}", (*SERVOS, "alive"))
-        return {bridge: [*passed, *keys(reached.console, BRIDGES)], guard: [*own, *guards]}
-    return {bridge: [*own, *keys(reached.console, BRIDGES)], guard: guards}
+    passed = [key_of(reached.console, topic) for topic in (SET_POINT, ALIVE)]
+    guards = keys(reached.console, (*SERVOS, "hold", "state_command"))
+    return {
+        bridge: [*passed, *keys(reached.console, BRIDGES)],
+        guard: [key_of(reached.console, CHALLENGE), *guards],
+    }
 
 
 def _rule(name: str, flow: str, messages: tuple[str, ...], keys: list[str]) -> dict[str, Any]:

@@ -115,6 +115,8 @@ def event_words(event: ExecutionEvent) -> str:
             return f"{event.arm} is armed."
         case ExecutionKind.PHASE_REACHED:
             return f"{event.arm}: {event.phase.name.lower() if event.phase else 'next phase'} done."
+        case ExecutionKind.SEGMENT_ENDED:
+            return f"{event.arm} rests, until its next segment is planned from a fresh image."
         case ExecutionKind.FINISHED:
             return f"{event.arm} has finished."
         case ExecutionKind.REFUSED:

@@ -2,9 +2,14 @@
 
 The session is opened in the background, and waits for the router that the robot's computer has; until then nothing is
 heard, and what is said goes nowhere. It is apart from that of the rig: the robot's keys never cross the rig's router.
+
+A session whose link broke is not used again: Zenoh has taken one key for another after that (docs/decisions/0029), and
+what a console says does not name its key. Nothing more of it is heard, and another one is opened.
 """
 
+import contextlib
 import itertools
+import logging
 import os
 import threading
 from collections.abc import Callable
@@ -21,6 +26,7 @@ from shared.runtime.identity import IdentityError
 from shared.runtime.session import SessionSettings
 
 ENDS_S = 5.0
+LOG = logging.getLogger("suturegrasp.ros")
 
 
 @dataclass(frozen=True)
@@ -31,6 +37,7 @@ class Heard:
         receive: is given the payload and when it came, from another thread, and must return at once.
         latched: whether the last message reaches those who come later.
         others_only: leave out what this very link says.
+        plain: the topic itself is the key, and nothing of ROS is about it.
     """
 
     topic: str
@@ -38,14 +45,16 @@ class Heard:
     receive: Callable[[bytes, int], None]
     latched: bool = False
     others_only: bool = False
+    plain: bool = False
 
 
 @dataclass
 class Said:
-    """A topic to speak on."""
+    """A topic to speak on; `plain` as for what is heard."""
 
     topic: str
     ros_type: str
+    plain: bool = False
     sequence: "itertools.count[int]" = field(default_factory=lambda: itertools.count(1))
     publisher: Any = None
 
@@ -55,6 +64,7 @@ class RosLink:
 
     Fields:
         failed: why there will be no session; empty while there is one, or may be.
+        broken: how often the link to the robot's Zenoh was lost.
 
     Args:
         owner_changed: is told of each publisher of `watched` topics, other than this link, that comes (True) or goes.
@@ -72,20 +82,35 @@ class RosLink:
         self._settings, self._naming, self._heard = settings, naming, heard
         self._said = {one.topic: one for one in said}
         self._watched, self._owner_changed = watched, owner_changed
-        self.failed = ""
-        self._gid, self._session, self._kept = os.urandom(GID_BYTES), None, []
+        self.failed, self.broken = "", 0
+        self._gid, self._session, self._kept = os.urandom(GID_BYTES), None, list[Any]()
         self._stopped, self._thread = threading.Event(), threading.Thread(target=self._run, name="ros", daemon=True)
+        self._lost, self._complained = threading.Event(), False
+        self._owners = set[str]()
 
     def open(self) -> None:
         """Begin to connect; the second time nothing happens."""
         if not self._thread.ident:
             self._thread.start()
 
-    def say(self, topic: str, payload: bytes) -> None:
-        """Publish on one of the topics to speak on; what the network does not take now is dropped."""
-        said = self._said[topic]
-        if said.publisher is not None:
-            said.publisher.put(payload, attachment=self._naming.attachment(next(said.sequence), now_ns(), self._gid))
+    def say(self, topic: str, payload: bytes) -> bool:
+        """Publish on one of the topics to speak on; what the network does not take now is dropped.
+
+        False where it could not be handed over: no error of the network's keeps whoever says hold from going on.
+        """
+        said = self._said.get(topic)
+        publisher = None if said is None else said.publisher
+        if said is None or publisher is None:
+            return False
+        beside = None if said.plain else self._naming.attachment(next(said.sequence), now_ns(), self._gid)
+        try:
+            publisher.put(payload, attachment=beside)
+        except zenoh.ZError as error:
+            if not self._complained:
+                LOG.warning("%s could not be said: %s", topic, error)
+            self._complained = True
+            return False
+        return True
 
     def reaches(self) -> bool:
         """Whether the Zenoh of the other end is connected now."""
@@ -95,27 +120,58 @@ class RosLink:
     def close(self) -> None:
         """Say and hear nothing more."""
         self._stopped.set()
+        self._lost.set()
         if self._thread.ident:
             self._thread.join(ENDS_S)
-        session, self._session = self._session, None
-        for said in self._said.values():
-            said.publisher = None
+        session = self._let_go()
         if session is not None:
-            for declared in self._kept:
-                declared.undeclare()
             session.close()
 
+    def _let_go(self) -> Any:
+        """The session, of which nothing is used any more."""
+        session, self._session = self._session, None
+        kept, self._kept = self._kept, []
+        for said in self._said.values():
+            said.publisher = None
+        for declared in kept:
+            # of a link that broke nothing can be undeclared any more
+            with contextlib.suppress(zenoh.ZError):
+                declared.undeclare()
+        return session
+
     def _run(self) -> None:
-        try:
-            session = open_when_there(self._settings, stopped=self._stopped)
-        except (NoRouterError, IdentityError) as error:
-            self.failed = str(error)
-            return
+        while not self._stopped.is_set():
+            try:
+                session = open_when_there(self._settings, stopped=self._stopped)
+            except (NoRouterError, IdentityError) as error:
+                self.failed = str(error)
+                return
+            self._lost = threading.Event()
+            self._use(session, self._lost)
+            self._lost.wait()
+            if self._stopped.is_set():
+                return
+            self.broken += 1
+            lost = self._let_go()
+            # who else is there, the next session tells
+            for token in tuple(self._owners):
+                self._owner(token, comes=False)
+            # closing a session whose other end is gone can take long
+            threading.Thread(target=lost.close, name="lost", daemon=True).start()
+
+    def _use(self, session: zenoh.Session, lost: threading.Event) -> None:
+        """Hear and speak on a session until it is lost."""
+
+        def changed(event: Any) -> None:
+            if event.kind == zenoh.SampleKind.DELETE:
+                lost.set()
+
+        self._kept.append(session.info.declare_transport_events_listener(changed))
         self._session = session
-        self._announce(session)
+        self._announce(session, lost)
         for said in self._said.values():
             said.publisher = session.declare_publisher(
-                self._naming.key(said.topic, said.ros_type),
+                said.topic if said.plain else self._naming.key(said.topic, said.ros_type),
                 # what cannot go now must not go later
                 congestion_control=zenoh.CongestionControl.DROP,
                 priority=zenoh.Priority.REAL_TIME,
@@ -124,15 +180,15 @@ class RosLink:
             self._kept.append(said.publisher)
         # only then, so that whoever has heard something can speak
         for wanted in self._heard:
-            self._kept.append(_subscribed(session, self._naming, wanted))
+            self._kept.append(_subscribed(session, self._naming, wanted, lost))
 
-    def _announce(self, session: zenoh.Session) -> None:
+    def _announce(self, session: zenoh.Session, lost: threading.Event) -> None:
         """Tell ROS who is here, and hear of others who would command."""
         who, own, token = str(session.zid()), set[str](), self._naming.token
         roles = [
             (Role.NODE, "", "", False),
-            *((Role.SUBSCRIBER, one.topic, one.ros_type, one.latched) for one in self._heard),
-            *((Role.PUBLISHER, one.topic, one.ros_type, False) for one in self._said.values()),
+            *((Role.SUBSCRIBER, one.topic, one.ros_type, one.latched) for one in self._heard if not one.plain),
+            *((Role.PUBLISHER, one.topic, one.ros_type, False) for one in self._said.values() if not one.plain),
         ]
         for entity, role in enumerate(roles):
             if announced := token(who, entity, *role):
@@ -140,19 +196,24 @@ class RosLink:
                 self._kept.append(session.liveliness().declare_token(announced))
 
         def hear(sample: zenoh.Sample) -> None:
-            if (found := str(sample.key_expr)) not in own:
-                self._owner_changed(found, sample.kind == zenoh.SampleKind.PUT)
+            if (found := str(sample.key_expr)) not in own and not lost.is_set():
+                self._owner(found, comes=sample.kind == zenoh.SampleKind.PUT)
 
         for topic in self._watched:
             selector = self._naming.publishers(topic)
             self._kept.append(session.liveliness().declare_subscriber(selector, hear, history=True))
 
+    def _owner(self, token: str, comes: bool) -> None:
+        (self._owners.add if comes else self._owners.discard)(token)
+        self._owner_changed(token, comes)
 
-def _subscribed(session: zenoh.Session, naming: Naming, wanted: Heard) -> Any:
+
+def _subscribed(session: zenoh.Session, naming: Naming, wanted: Heard, lost: threading.Event) -> Any:
     def hear(sample: zenoh.Sample) -> None:
-        wanted.receive(sample.payload.to_bytes(), now_ns())
+        if not lost.is_set():
+            wanted.receive(sample.payload.to_bytes(), now_ns())
 
-    selector = naming.selector(wanted.topic, wanted.ros_type)
+    selector = wanted.topic if wanted.plain else naming.selector(wanted.topic, wanted.ros_type)
     origin = zenoh.Locality.REMOTE if wanted.others_only else zenoh.Locality.ANY
     if not wanted.latched:
         return session.declare_subscriber(selector, hear, allowed_origin=origin)

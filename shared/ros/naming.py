@@ -17,8 +17,6 @@ from typing import Protocol
 from shared.ros.types import type_hash
 
 NODE, GUARD_NODE = "suturegrasp", "suturegrasp_guard"
-GUARDED, ALIVE = "guarded", "alive"
-"""Where set points go that the guard is to pass on, and what tells it all the time how long the way there takes."""
 NO_HASH = "TypeHashNotSupported"
 """What stands in place of a type's hash in ROS Humble."""
 GID_BYTES = 16

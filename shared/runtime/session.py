@@ -78,6 +78,15 @@ def open_session(settings: SessionSettings) -> zenoh.Session:
     Raises:
         IdentityError: where the endpoint is off loopback and the certificate is missing or not valid.
     """
+    return opened(client_settings(settings))
+
+
+def client_settings(settings: SessionSettings) -> dict[str, Any]:
+    """What a client of the router is told: keys of Zenoh's configuration, with `/` between their parts.
+
+    Raises:
+        IdentityError: as for `open_session`.
+    """
     check_security(settings.endpoint, settings.identity)
     client = {
         "mode": "client",
@@ -86,7 +95,7 @@ def open_session(settings: SessionSettings) -> zenoh.Session:
         "connect/exit_on_failure": False,
         "connect/retry": RETRY,
     }
-    return opened(client | _tls(settings.identity))
+    return COMMON | client | _tls(settings.identity)
 
 
 def router_settings(

@@ -82,7 +82,7 @@ def _arms_at(rig: RigConfig, name: str, section: HostSection) -> tuple[ReachedAr
     alike = {(dvrk.endpoint, dvrk.codec, dvrk.domain) for dvrk in told.values()}
     if len(alike) > 1:
         raise ConfigError(f"{', '.join(told)} on {name} must have one endpoint, codec and domain: one Zenoh is there")
-    return tuple(ReachedArm(arm, d.arm, d.endpoint, d.codec, d.domain, d.through_guard) for arm, d in told.items())
+    return tuple(ReachedArm(arm, d.arm, d.endpoint, d.codec, d.domain) for arm, d in told.items())
 
 
 def _plan(options: Deploy, rig: RigConfig, layout: Layout) -> int:

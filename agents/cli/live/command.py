@@ -220,6 +220,8 @@ def event_sentence(event: ExecutionEvent) -> str:
             return f"{event.arm}: armed"
         case ExecutionKind.PHASE_REACHED:
             return f"{event.arm}: {event.phase.name.lower() if event.phase else 'next phase'}"
+        case ExecutionKind.SEGMENT_ENDED:
+            return f"{event.arm}: rests, until its next segment is planned from a fresh image"
         case ExecutionKind.FINISHED:
             return f"{event.arm}: finished"
         case ExecutionKind.REFUSED:

@@ -113,10 +113,12 @@ class RigConfig(Settings):
                     f"{name} {endpoint!r} leaves this machine, which needs tls and [security]; or run what needs it on "
                     "the robot's computer: docs/dvrk.md"
                 )
+        driven: dict[tuple[str, str, int], str] = {}
         for arm, dvrk in arms.items():
-            if not on_loopback(dvrk.endpoint) and not dvrk.through_guard:
-                kept = f"robot.{arm}.dvrk: what a link off this machine keeps back must not move the arm later"
-                raise ValueError(f"{kept}; set through_guard = true, and run suturegrasp guard on the robot's computer")
+            other = driven.setdefault((dvrk.endpoint, dvrk.arm, dvrk.domain), arm)
+            if other != arm:
+                twice = f"robot.{other} and robot.{arm} are both {dvrk.arm} of the console at {dvrk.endpoint}"
+                raise ValueError(f"{twice}: two bridges would fight over it; name another arm, or keep one")
         return self
 
     @model_validator(mode="after")

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from agents.cli.rig.base_file import base_of
+from agents.cli.rig.base_file import base_of, registered_ns
 from agents.cli.rig.config import ArmSection, RigConfig
 from agents.cli.rig.hosts import run_name
 from agents.cli.rig.other_arms import other_arm
@@ -39,6 +39,11 @@ def built_robot_bridge(rig: RigConfig, arm: str, section: ArmSection) -> RobotBr
         limits=MotionLimits().slowed(section.speed_share),
         correction=correction_limits(section),
         calibration_id=base.calibration_id,
+        maximum_frame_age_s=section.maximum_frame_age_s,
+        maximum_motion_s=section.maximum_motion_s,
+        registered_ns=registered_ns(section) or 0,
+        registration_days=section.T_camera_base_days,
+        tissue_needed=section.dvrk is not None and "tissue" not in section.dvrk.has_no,
     )
     if section.kinematics is not None:
         kinematics, start = other_arm(section.kinematics)
@@ -53,7 +58,7 @@ def built_robot_bridge(rig: RigConfig, arm: str, section: ArmSection) -> RobotBr
 
     told = section.dvrk
     reached = SessionSettings(rig.rig, told.endpoint, rig.identity_of(run_name("robot_bridge", arm)))
-    backend = DvrkPsm(told.arm, reached, naming_of(told), told.tool, told.dry_run, told.through_guard, base=base)
+    backend = DvrkPsm(told.arm, reached, naming_of(told), told.tool, told.dry_run, base=base, has_no=told.has_no)
     audit = audit_of(rig, run_name("robot_bridge", arm))
     return AuditedBridge(dataclasses.replace(config, tick_hz=told.set_point_hz), backend, audit)
 

@@ -1,10 +1,11 @@
 """The sections of a rig's configuration: what each agent, and what lies between them, can be told."""
 
+import datetime
 import re
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from agents.cli.rig.base_pose import BasePose
 from agents.cli.rig.hosts import HostName, Name
@@ -64,7 +65,7 @@ class CameraSection(Settings):
     width: int | None = Field(default=None, gt=0)
     height: int | None = Field(default=None, gt=0)
     calibration: Path | None = None
-    calibration_days: float = Field(default=CALIBRATION_DAYS, gt=0)
+    calibration_days: float = Field(default=CALIBRATION_DAYS, gt=0, le=365)
     unit: Literal["m", "cm", "mm", "um"] | None = None
     rate_hz: float = Field(default=30.0, gt=0, le=240)
     encoding: Literal["raw", "png", "jpeg"] = "jpeg"
@@ -131,7 +132,11 @@ class PlannerSection(Settings):
 
 
 class DvrkSection(Settings):
-    """How an arm of a da Vinci research kit is reached, and whether it is moved at all."""
+    """How an arm of a da Vinci research kit is reached, and whether it is moved at all.
+
+    `has_no` names what this rig has none of, so that its silence says nothing; `pedal` the console's operator-present
+    signal, which counts as presence beside the page's button.
+    """
 
     endpoint: Endpoint
     arm: Annotated[str, spelled(r"[A-Za-z0-9_]+", "letters, digits and _ alone, as its console does")] = "PSM1"
@@ -140,8 +145,17 @@ class DvrkSection(Settings):
     type_hashes: bool = True
     tool: str = "LARGE_NEEDLE_DRIVER:400006"
     set_point_hz: float = Field(default=200.0, ge=50, le=500)
-    through_guard: bool = False
+    through_guard: Literal[True] = True
+    has_no: tuple[Literal["teleoperation", "endoscope_arm", "clutch", "tissue"], ...] = ()
+    pedal: Literal["footpedals/operator_present", "console/operator_present"] | None = None
     dry_run: bool = True
+
+    @field_validator("through_guard", mode="before")
+    @classmethod
+    def _goes_through_the_guard(cls, told: object) -> object:
+        if told is not True:
+            raise ValueError("set points go through the guard always: leave through_guard out (docs/dvrk.md)")
+        return told
 
 
 class ArmSection(Settings):
@@ -149,14 +163,18 @@ class ArmSection(Settings):
 
     backend: Literal["simulated", "dvrk"] = "simulated"
     speed_share: float = Field(default=1.0, ge=0.01, le=1)
-    maximum_plan_age_s: float = Field(default=MAXIMUM_PLAN_AGE_S, gt=0)
+    maximum_plan_age_s: float = Field(default=MAXIMUM_PLAN_AGE_S, gt=0, le=300)
+    maximum_frame_age_s: float = Field(default=0.5, gt=0, le=2)
+    maximum_motion_s: float = Field(default=60.0, gt=0, le=600)
     correction: Literal["none", "perception"] = "none"
     correction_limit_mm: float = Field(default=CORRECTION_LIMIT_MM, gt=0, le=30)
     correction_limit_deg: float = Field(default=CORRECTION_LIMIT_DEG, gt=0, le=15)
     T_camera_base: BasePose | None = None
     T_camera_base_file: Path | None = None
     T_camera_base_axes: Literal["opencv", "da_vinci"] | None = None
-    T_camera_base_days: float = Field(default=REGISTRATION_DAYS, gt=0)
+    T_camera_base_calibration: Label | None = None
+    T_camera_base_made: datetime.date | None = None
+    T_camera_base_days: float = Field(default=REGISTRATION_DAYS, gt=0, le=365)
     kinematics: Path | None = None
     dvrk: DvrkSection | None = None
 

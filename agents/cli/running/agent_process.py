@@ -8,6 +8,7 @@ from pathlib import Path
 
 from agents.camera.image_files import ImageFileError
 from agents.camera.sources import SourceError
+from agents.cli.rig.base_file import registered_ns
 from agents.cli.rig.builders import build
 from agents.cli.rig.config import RigConfig
 from agents.cli.rig.hosts import run_name
@@ -79,8 +80,9 @@ def surroundings(rig: RigConfig, kind: str, instance: str) -> Surroundings:
 def calibrated_ns(rig: RigConfig, kind: str, instance: str) -> int | None:
     """When the calibration was made that an agent uses, as far as its file tells."""
     camera = rig.camera.calibration if kind == "camera" and rig.camera is not None else None
-    file = rig.robot[instance].T_camera_base_file if kind == "robot_bridge" else camera
-    return None if file is None else made_ns((file,))
+    if kind == "robot_bridge":
+        return registered_ns(rig.robot[instance])
+    return None if camera is None else made_ns((camera,))
 
 
 def links(rig: RigConfig, kind: str, instance: str) -> RouterLinks:

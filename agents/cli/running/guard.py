@@ -1,10 +1,17 @@
-"""The guard as a process on the robot's computer."""
+"""`suturegrasp guard`: starts the safety monitor of one arm on the robot's computer, and tells the rig how it fares.
+
+The monitor (agents/guard) is a process of its own that loads nothing of this one. It is given one document: the robot's
+limits, and all keys and settings as text. What it does comes back as lines, which are told and written down here; where
+this process ends, the monitor holds the arm if it moves, and ends too, and then nothing passes to the console.
+"""
 
 import contextlib
-import dataclasses
+import json
 import logging
+import subprocess
+import sys
 import threading
-from collections.abc import Callable
+from typing import Any
 
 from agents.cli.live.options import Guard
 from agents.cli.rig.config import RigConfig
@@ -14,31 +21,27 @@ from agents.cli.running.around import around
 from agents.cli.running.audit import AuditError, AuditLog, audit_of
 from agents.cli.running.process import EXIT_GAVE_UP, EXIT_OK, on_stop
 from agents.cli.terminal import complain, say
-from agents.guard.gate import Gate
-from agents.guard.watch import NOBODY_NS, Action, Heard, Watch
-from schemas.checks import MessageError
-from schemas.codec import decode
-from schemas.messages import RobotMode, RobotState
-from schemas.topics import HEARTBEAT, ROBOT_STATE
-from shared.clock import now_ns
-from shared.ros import crtk
-from shared.ros import link as ros
-from shared.ros.naming import ALIVE, GUARD_NODE, GUARDED, NODE, Naming, RmwZenoh, Ros2dds
-from shared.ros.types import EMPTY, JOINT_STATE, STRING_STAMPED, RosMessageError
+from agents.guard.__main__ import EXIT_LINK_BROKE
+from schemas.messages import Heartbeat
+from schemas.topics import HEARTBEAT, key
+from shared.clock import monotonic_s, now_ns
+from shared.kinematics.psm import LARGE_NEEDLE_DRIVER
+from shared.ros.guarded import ALIVE, CHALLENGE, SET_POINT, key_of
+from shared.ros.naming import GUARD_NODE, NODE, Naming, RmwZenoh, Role, Ros2dds
+from shared.ros.types import EMPTY, JOINT_STATE, JOY, STRING_STAMPED
 from shared.runtime.config import ConfigError, config_hash
 from shared.runtime.connection import Connection, NoRouterError, connected
 from shared.runtime.facts import ask_for_realtime
+from shared.runtime.own_key import encoding_of
 from shared.runtime.service_manager import ServiceManager
-from shared.runtime.session import SessionSettings, check_security
-from shared.runtime.taps import Tapped
+from shared.runtime.session import SessionSettings, client_settings
 
 KIND = "guard"
-TURNS_HZ = 100.0
 REALTIME_PRIORITY = 50
 """As a bridge has on the same computer."""
 LOGGER = logging.getLogger(f"suturegrasp.{KIND}")
 SERVOS = ("servo_jp", "jaw/servo_jp")
-TWIN_S = 2.0
+TWIN_S, SILENT_S, ENDS_S = 2.0, 2.0, 5.0
 
 
 def naming_of(section: DvrkSection | CameraSection, node: str = NODE) -> Naming:
@@ -57,149 +60,155 @@ def guard(rig: RigConfig, options: Guard) -> int:
         raise ConfigError(f"the configuration has no section [robot.{options.arm}.dvrk]: there is nothing to guard")
     stopped = threading.Event()
     on_stop(stopped.set)
-    ears = _Ears(options.arm, section.arm)
     own = run_name(KIND, options.arm)
-    reached = SessionSettings(rig.rig, section.endpoint, rig.identity_of(own))
-    check_security(section.endpoint, reached.identity)
+    document = document_of(rig, options.arm, section)
     refused = ask_for_realtime(REALTIME_PRIORITY) if rig.realtime_here else ""
-    with contextlib.closing(_link(section, reached, ears)) as link:
-        ears.pass_on = link.say if section.through_guard else None
-        link.open()
-        listening = threading.Thread(target=_listen, args=(rig, own, ears, link, refused, stopped), name="listen")
-        listening.start()
-        say(f"guards {section.arm} at {section.endpoint}; stop with Ctrl-C")
-        _watch(section.arm, ears, link, audit_of(rig, own), stopped)
-    listening.join()
-    return complain(ears.second, EXIT_GAVE_UP) if ears.second else EXIT_OK
+    keeper = _Keeper(section.arm, document, audit_of(rig, own), stopped)
+    telling = threading.Thread(target=_tell_rig, args=(rig, own, keeper, refused, stopped), name="rig")
+    telling.start()
+    say(f"guards {section.arm} at {section.endpoint}; stop with Ctrl-C")
+    keeper.run()
+    telling.join()
+    return complain(keeper.gave_up, EXIT_GAVE_UP) if keeper.gave_up else EXIT_OK
 
 
-def _link(section: DvrkSection, reached: SessionSettings, ears: "_Ears") -> ros.RosLink:
-    arm, through = section.arm, f"{GUARDED}/{section.arm}"
-    heard = [ros.Heard(f"{arm}/{servo}", JOINT_STATE, ears.hear_set_point, others_only=True) for servo in SERVOS]
-    heard.append(ros.Heard(f"{arm}/{Action.HOLD.value}", EMPTY, ears.hear_hold, others_only=True))
-    said = [ros.Said(f"{arm}/{Action.HOLD.value}", EMPTY), ros.Said(f"{arm}/state_command", STRING_STAMPED)]
-    if section.through_guard:
-        heard += [ros.Heard(f"{through}/{servo}", JOINT_STATE, ears.gating(servo)) for servo in SERVOS]
-        heard.append(ros.Heard(f"{through}/{ALIVE}", JOINT_STATE, ears.hear_alive))
-        said += [ros.Said(f"{arm}/{servo}", JOINT_STATE) for servo in SERVOS]
-    return ros.RosLink(reached, naming_of(section, GUARD_NODE), tuple(heard), tuple(said))
+def document_of(rig: RigConfig, arm: str, section: DvrkSection) -> dict[str, Any]:
+    """All that the monitor of an arm is told.
+
+    Raises:
+        IdentityError: where a certificate cannot be used.
+    """
+    naming, console, own = naming_of(section, GUARD_NODE), section.arm, run_name(KIND, arm)
+    robot = SessionSettings(rig.rig, section.endpoint, rig.identity_of(own))
+    says = {
+        **{servo: (f"{console}/{servo}", JOINT_STATE) for servo in SERVOS},
+        "hold": (f"{console}/hold", EMPTY),
+        "state_command": (f"{console}/state_command", STRING_STAMPED),
+    }
+    hears = {
+        **{name: (f"{console}/{name}", JOINT_STATE) for name in (*SERVOS, "measured_js", "jaw/measured_js")},
+        "hold": (f"{console}/hold", EMPTY),
+        **({"pedal": (section.pedal, JOY)} if section.pedal else {}),
+    }
+    roles = [(Role.NODE, ("", "")), *((Role.SUBSCRIBER, topic) for topic in hears.values())]
+    roles += [(Role.PUBLISHER, topic) for topic in says.values()]
+    tokens = (naming.token("{session}", entity, role, *of, latched=False) for entity, (role, of) in enumerate(roles))
+    heartbeat = key(rig.rig, HEARTBEAT, arm)
+    return {
+        "description": description_of(arm, section),
+        "robot": {
+            "settings": client_settings(robot),
+            "attachments": naming.attachment(0, 0, bytes(16)) is not None,
+            "tokens": [token for token in tokens if token is not None],
+            "says": {name: naming.key(*topic) for name, topic in says.items()}
+            | {CHALLENGE: key_of(console, CHALLENGE)},
+            "hears": {name: naming.selector(*topic) for name, topic in hears.items()}
+            | {name: key_of(console, name) for name in (SET_POINT, ALIVE)},
+        },
+        "rig": {
+            "settings": client_settings(rig.session_of(own)),
+            "heartbeat": heartbeat,
+            "encoding": encoding_of(Heartbeat, heartbeat),
+        },
+    }
 
 
-def _watch(arm: str, ears: "_Ears", link: ros.RosLink, audit: AuditLog, stopped: threading.Event) -> None:
-    watch, manager = Watch(), ServiceManager()
-    # it guards whatever comes, whether rig and robot are there yet or not
-    manager.ready()
-    while not stopped.wait(1 / TURNS_HZ):
-        manager.alive()
-        following = watch.turn(ears.heard(), now_ns())
-        if following is None:
-            continue
-        action, why = following
-        if action is Action.HOLD:
-            ears.shut_gate()
-            link.say(f"{arm}/hold", crtk.empty())
-        else:
-            link.say(f"{arm}/state_command", crtk.state_command(action.value, now_ns()))
-        say(f"{arm}: {action.value}, for {why}")
-        LOGGER.warning("%s: %s, for %s", arm, action.value, why)
+def description_of(arm: str, section: DvrkSection) -> dict[str, Any]:
+    """The robot's limits and speeds: joints in their order, then the jaw."""
+    psm = LARGE_NEEDLE_DRIVER
+    joints = zip(psm.limits.tolist(), psm.max_speeds.tolist(), strict=True)
+    axes = [[*limits, speed] for limits, speed in joints] + [[*map(float, psm.jaw_limit), float(psm.jaw_max_speed)]]
+    rate = {"rate_hz": section.set_point_hz, "pedal": section.pedal is not None}
+    return {"arm": arm, "console": section.arm, "axes": axes} | rate
+
+
+class _Keeper:
+    """Runs the monitor, and another one where the robot's Zenoh was lost; reads what it does.
+
+    Fields:
+        fault: what is wrong now; empty where nothing is.
+        gave_up: why this guard does not go on; empty where it was stopped.
+    """
+
+    def __init__(self, console: str, document: dict[str, Any], audit: AuditLog, stopped: threading.Event) -> None:
+        self._console, self._document, self._audit, self._stopped = console, document, audit, stopped
+        self._manager, self._heard_s = ServiceManager(), 0.0
+        self.fault, self.gave_up = "the robot's Zenoh is not reached yet: nothing passes to the console", ""
+
+    def run(self) -> None:
+        """Until stopped."""
+        # it guards whatever comes, whether rig and robot are there yet or not
+        self._manager.ready()
+        while not self._stopped.is_set() and not self.gave_up:
+            status = self._monitored()
+            if not self._stopped.is_set() and status != EXIT_LINK_BROKE:
+                self.gave_up = f"the monitor has ended with status {status}; see its log above"
+            elif not self._stopped.is_set():
+                self.fault = "the robot's Zenoh was lost: nothing passes to the console; see that it runs"
+                LOGGER.warning("%s: %s", self._console, self.fault)
+        self._stopped.set()
+        self._manager.stopping()
+
+    def _monitored(self) -> int:
+        command = [sys.executable, "-m", "agents.guard"]
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as monitor:
+            assert monitor.stdin is not None  # noqa: S101 - it is a pipe
+            assert monitor.stdout is not None  # noqa: S101
+            monitor.stdin.write(json.dumps(self._document).encode() + b"\n")
+            monitor.stdin.flush()
+            threading.Thread(target=self._read, args=(monitor.stdout,), name="monitor", daemon=True).start()
+            begun_s = monotonic_s()
+            while monitor.poll() is None and not self._stopped.wait(0.1):
+                # before it has reached the robot's Zenoh there is nothing to be heard of
+                if not self._heard_s or monotonic_s() - max(self._heard_s, begun_s) < SILENT_S:
+                    self._manager.alive()
+            with contextlib.suppress(OSError):
+                monitor.stdin.close()
+            try:
+                return monitor.wait(ENDS_S)
+            except subprocess.TimeoutExpired:
+                # it waits inside Zenoh for a robot that is not there
+                monitor.kill()
+                return monitor.wait()
+
+    def _read(self, lines: Any) -> None:
+        for line in lines:
+            self._heard_s = monotonic_s()
+            try:
+                told = json.loads(line)
+            except ValueError:
+                continue
+            if told["what"] in ("hold", "pause"):
+                self._note(told["what"], told["why"])
+            elif told["what"] == "failed":
+                self.gave_up = told["why"]
+            else:
+                self.fault = ""
+
+    def _note(self, what: str, why: str) -> None:
+        say(f"{self._console}: {what}, for {why}")
+        LOGGER.warning("%s: %s, for %s", self._console, what, why)
         try:
-            audit.add(action.value, now_ns(), reason=why)
+            self._audit.add(what, now_ns(), reason=why)
         except AuditError as error:
             # an arm is held all the same
             LOGGER.warning("%s", error)
-    manager.stopping()
 
 
-def _listen(rig: RigConfig, own: str, ears: "_Ears", link: ros.RosLink, refused: str, stopped: threading.Event) -> None:
-    """Hear the rig for as long as it is there, and tell it how the guard fares; without it nobody stands by."""
+def _tell_rig(rig: RigConfig, own: str, keeper: _Keeper, refused: str, stopped: threading.Event) -> None:
+    """Tell the rig how the guard fares for as long as the rig is there."""
     kind, arm = kind_and_instance(own)
-    settings = rig.session_of(own)
     asked = REALTIME_PRIORITY if rig.realtime_here else None
     known = around(rig, own, realtime_asked=asked, realtime_refused=refused)
-    with contextlib.suppress(NoRouterError), connected(settings, None, stopped) as connection:
-        connection.listen((HEARTBEAT, ROBOT_STATE), ears.hear_rig)
+    with contextlib.suppress(NoRouterError), connected(rig.session_of(own), None, stopped) as connection:
         if _another(connection, f"{kind}/{arm}", stopped):
-            ears.second = f"another guard of {arm} runs already, which goes on; stop that one first"
+            keeper.gave_up = f"another guard of {arm} runs already, which goes on; stop that one first"
             stopped.set()
             return
-        with connection.reporting(kind, arm, LOGGER, lambda: _fault(link), config_hash(rig), known):
+        with connection.reporting(kind, arm, LOGGER, lambda: keeper.fault, config_hash(rig), known):
             stopped.wait()
 
 
 def _another(connection: Connection, name: str, stopped: threading.Event) -> bool:
     """Whether another guard of the arm is there, and stays: one that was killed is seen for a moment longer."""
     return name in connection.present() and not stopped.wait(TWIN_S) and name in connection.present()
-
-
-def _fault(link: ros.RosLink) -> str:
-    if link.reaches():
-        return ""
-    return link.failed or "the robot's Zenoh is not reached: nothing is guarded; see that it runs on this computer"
-
-
-class _Ears:
-    """When what was heard last, and what of it is passed on; filled from other threads.
-
-    Fields:
-        pass_on: says a set point to the console; None where the bridge does that itself.
-        second: why this guard must not go on; empty where it may.
-    """
-
-    def __init__(self, arm: str, console: str) -> None:
-        self._arm, self._console, self._heard, self._state = arm, console, Heard(), (b"", 0)
-        self._gate, self._lock = Gate(), threading.Lock()
-        self.pass_on: Callable[[str, bytes], None] | None = None
-        self.second = ""
-
-    def hear_set_point(self, _data: bytes, at_ns: int) -> None:
-        with self._lock:
-            name = "stranger_ns" if self.pass_on is not None else "set_point_ns"
-            self._heard = dataclasses.replace(self._heard, **{name: at_ns})
-
-    def hear_hold(self, _data: bytes, at_ns: int) -> None:
-        with self._lock:
-            self._heard = dataclasses.replace(self._heard, over_ns=at_ns)
-
-    def hear_alive(self, data: bytes, at_ns: int) -> None:
-        with contextlib.suppress(RosMessageError):
-            stamp_ns = crtk.joints(data).stamp_ns
-            with self._lock:
-                self._gate.alive(stamp_ns, at_ns)
-
-    def shut_gate(self) -> None:
-        with self._lock:
-            self._gate.shut()
-
-    def gating(self, servo: str) -> Callable[[bytes, int], None]:
-        """Passes on what is fresh while somebody stands by."""
-
-        def hear(data: bytes, at_ns: int) -> None:
-            with contextlib.suppress(RosMessageError):
-                stamp_ns = crtk.joints(data).stamp_ns
-                with self._lock:
-                    fresh, nobody = self._gate.passes(stamp_ns, at_ns), at_ns - self._heard.heartbeat_ns > NOBODY_NS
-                    if not fresh or nobody or self.pass_on is None:
-                        return
-                    self._heard = dataclasses.replace(self._heard, set_point_ns=at_ns)
-                self.pass_on(f"{self._console}/{servo}", data)
-
-        return hear
-
-    def hear_rig(self, tapped: Tapped) -> None:
-        if f"/{self._arm}/" not in tapped.key:
-            return
-        at_ns = now_ns()
-        with self._lock:
-            if tapped.topic is HEARTBEAT:
-                self._heard = dataclasses.replace(self._heard, heartbeat_ns=at_ns)
-            else:
-                self._state = tapped.payload, at_ns
-
-    def heard(self) -> Heard:
-        with self._lock:
-            heard, (state, at_ns) = self._heard, self._state
-        if at_ns > heard.set_point_ns and now_ns() - heard.set_point_ns < 10**9:
-            with contextlib.suppress(MessageError):
-                if decode(RobotState, state).mode is RobotMode.IDLE:
-                    return dataclasses.replace(heard, over_ns=at_ns)
-        return heard

@@ -4,6 +4,7 @@ Without a guard that is alive, and heard within LINK_S there and back, a real ar
 long the way is the guard tells by its own clock; that what it tells is of now, the bridge does by its own.
 """
 
+import struct
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
@@ -32,6 +33,8 @@ SILENCE_NS = 150_000_000
 """A guard that has said nothing for so long is gone: it speaks every 20 ms."""
 IDLE_NS = 20_000_000
 """So long after the last set point the bridge says that it is alive."""
+TAIL = 8
+"""Bytes behind the positions of a JointState that has nothing else: two empty lists."""
 REMEMBERED = 2000
 """Messages of which it is known when they were sent: ten seconds of them."""
 
@@ -47,6 +50,7 @@ class GuardLink:
         self._heard: tuple[Challenge, int] | None = None
         self._sequence, self._sent = 0, OrderedDict[int, int]()
         self._moved_ns, self._ended = 0, ""
+        self._ours = OrderedDict[bytes, None]()
         self.refused = 0
 
     @property
@@ -77,7 +81,17 @@ class GuardLink:
         told = self.told
         said = SetPoint(self._number(), told.challenge if told else 0, arming_id, positions)
         self._moved_ns, self._ended = self._monotonic_ns(), ""
+        with self._lock:
+            for part in (positions[:-1], positions[-1:]):
+                self._ours[struct.pack(f"<{len(part)}d", *part)] = None
+            while len(self._ours) > REMEMBERED:
+                self._ours.popitem(last=False)
         self._say(self._keys[SET_POINT], set_point_bytes(self._keys[SET_POINT], said))
+
+    def ours(self, data: bytes) -> bool:
+        """Whether what a console was sent (sensor_msgs/JointState) are positions that we sent the guard."""
+        with self._lock:
+            return any(data[-TAIL - 8 * count : -TAIL] in self._ours for count in (6, 1))
 
     def finish(self, arming_id: str) -> None:
         """Tell that a motion has ended as it should; it is told again for as long as nothing else moves."""

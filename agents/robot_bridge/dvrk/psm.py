@@ -40,7 +40,7 @@ MOTIONS = {
 }
 """Whoever publishes one of these beside us is another owner of the arm."""
 SERVOS = ("servo_jp", "jaw/servo_jp")
-"""Which the guard publishes for us; whoever else does, it says."""
+"""Which the guard publishes for us."""
 STOPS = {"hold": EMPTY, "free": EMPTY, "state_command": STRING_STAMPED}
 """Whoever sends one of these wants us to stop; that somebody could does not."""
 
@@ -119,7 +119,6 @@ class DvrkPsm:
             *(
                 Heard(f"{name}/{topic}", ros_type, self._another(topic), others_only=True)
                 for topic, ros_type in (MOTIONS | STOPS).items()
-                if topic not in SERVOS
             ),
         )
         says = (
@@ -271,4 +270,8 @@ class DvrkPsm:
         return Heard(f"{self._name}/{kind}", ros_type, lambda data, at_ns: self._readings.hear(kind, data, at_ns))
 
     def _another(self, topic: str) -> Callable[[bytes, int], None]:
-        return lambda _data, at_ns: self._readings.hear_other(f"{self._name}/{topic}", at_ns)
+        def hear(data: bytes, at_ns: int) -> None:
+            if topic not in SERVOS or not self._guard.ours(data):
+                self._readings.hear_other(f"{self._name}/{topic}", at_ns)
+
+        return hear
