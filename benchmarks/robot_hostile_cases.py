@@ -182,7 +182,9 @@ def _two_owners(world: World, rng: np.random.Generator) -> Found:
     topic = topics[rng.integers(len(topics))]
     if topic:
         world.topics.tell_bridge(f"{NAME}/{topic}", crtk.empty())
-        if topic.endswith("servo_jp"):
+        if topic == "hold":
+            world.guard.do(world.guard.monitor.hear_hold(world.now_ns))
+        elif topic.endswith("servo_jp"):
             world.guard.do(world.guard.monitor.hear_stranger(world.now_ns))
     else:
         world.topics.owner_changed("somebody", True)

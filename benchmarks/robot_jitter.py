@@ -38,7 +38,7 @@ def jitter(seconds: float, realtime: bool) -> dict[str, Any]:
     """Set points for so long, with real-time priority for the bridge or without; a row of a table."""
     with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
         turns = max(6, min(round(seconds * TURNS_A_SECOND), MOST_TURNS))
-        dvrk = {"codec": "ros2dds", "through_guard": False}
+        dvrk = {"codec": "ros2dds"}
         lab = stack.enter_context(contextlib.closing(Lab(Path(folder), dvrk, stack, turns, PIPELINE)))
         lab.move()
         scheduled = schedule(lab.pid("bridge"), realtime)

@@ -1,23 +1,22 @@
-"""Robot bridge, guard, operator and emulated console as processes, and whatever else is to run beside them."""
+"""Robot bridge, guard, a person who presses, and an emulated console as processes, and whatever else is to run."""
 
 import contextlib
+import datetime
 import json
 import os
-import selectors
 import signal
-import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from agents.cli.running.supervisor import SUPERVISED
+from benchmarks.robot_person import CALIBRATION
 from schemas.codec import decode, encode
-from schemas.messages import FrameStamp, GraspPlan, Phase, Policy, Status, TissueSurface, Waypoint
+from schemas.messages import ChallengeEcho, FrameStamp, GraspPlan, Phase, Policy, Status, TissueSurface, Waypoint
 from schemas.topics import PLAN, SURFACE, key
 from shared.clock import monotonic_s, now_ns
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
@@ -34,6 +33,7 @@ MOVES_NS = 50_000_000
 DEADLINE_S, LOOK_S = 60.0, 0.05
 RIG, ARM, CONSOLE = "bench", "psm1", "PSM1"
 TURNS = 6
+PERSON, PATIENT_S = "benchmarks.robot_person", 8.0
 
 
 class NotMovingError(RuntimeError):
@@ -50,31 +50,39 @@ class Lab:
         stack: contextlib.ExitStack,
         turns: int = TURNS,
         beside: dict[str, Any] | None = None,
+        queue: tuple[str, str, float] = ("", "constant", 0.0),
     ) -> None:
         """Start everything; `turns` of the motion to and fro, and sections of further agents with what they hold.
 
-        Where there are further agents the bridge reaches the console at once, and else through a relay.
+        Where there are further agents the bridge reaches the console at once, and else through a relay, and so does the
+        person the rig. `queue` says which of both, `robot` or `rig`, is to queue how and for how long (robot_relay.py).
         """
         self._folder, self._turns, self._sections = folder, turns, beside or {}
-        self._router, self._robot, relayed = (free_local_endpoint() for _ in range(3))
+        self._router, self._robot, relayed, self._desk = (free_local_endpoint() for _ in range(4))
         self._running: dict[str, subprocess.Popen[bytes]] = {}
         base = {"T_camera_base": SIMULATED_T_CAMERA_BASE.tolist()}
+        told = {"T_camera_base_calibration": CALIBRATION, "T_camera_base_made": today()}
         (folder / "base.json").write_text(json.dumps(base))
-        self._config("rig.json", base, dvrk | {"endpoint": relayed if beside is None else self._robot})
-        self._config("guard.json", base, dvrk | {"endpoint": self._robot})
+        self._config("rig.json", base | told, dvrk | {"endpoint": relayed if beside is None else self._robot})
+        self._config("guard.json", base | told, dvrk | {"endpoint": self._robot})
         rig, camera = ("--config", folder / "rig.json"), ("--camera", folder / "base.json")
         self._start("router", "agents.cli", "router", *rig)
         console = ("emulate", "dvrk", "--ready", "--codec", dvrk["codec"], "--listen", self._robot)
         self._start("console", "agents.cli", *console, *camera, "--heartbeats", self._router)
-        self._start("relay", __name__, *(endpoint.rsplit(":", 1)[1] for endpoint in (relayed, self._robot)))
+        for name, ends in (("robot", (relayed, self._robot)), ("rig", (self._desk, self._router))):
+            mode = queue[1:] if queue[0] == name else ("constant", 0.0)
+            ports = (endpoint.rsplit(":", 1)[1] for endpoint in ends)
+            self._start(f"link of the {name}", "benchmarks.robot_relay", *ports, *mode)
         self._start("bridge", "agents.cli", "robot-bridge", *rig)
+        if beside is None:
+            self._start("camera", PERSON, "watch", RIG, self._router, ARM)
         for kind in self._sections:
             self._start(kind, "agents.cli", kind, *rig)
         self._start("guard", "agents.cli", "guard", "--config", folder / "guard.json")
         self._beside = stack.enter_context(open_session(SessionSettings(endpoint=self._robot)))
         session = stack.enter_context(open_session(SessionSettings(RIG, self._router)))
         self._plans, self._told = declare_publisher(session, key(RIG, PLAN), PLAN), 0
-        self._frame = "bench"
+        self._frame = CALIBRATION
         self._heard = tap(session, RIG, (SURFACE,), self._see, lambda _topic, _count: None)
 
     def move(self) -> None:
@@ -84,9 +92,10 @@ class Lab:
             self._tell_plan()
             if (ended := self._running.pop("operator", None)) is not None:
                 self._end(ended)
-            self._start("operator", "agents.cli", "arm", f"plan-{self._told}", "--config", self._folder / "rig.json")
+            (self._folder / "operator.log").unlink(missing_ok=True)
+            self._start("operator", PERSON, "press", RIG, self._desk, ARM, f"plan-{self._told}")
             count, started_s = self.verdict()["set_points"], monotonic_s()
-            while self._running["operator"].poll() is None and monotonic_s() - started_s < DEADLINE_S:
+            while not self._refused() and monotonic_s() - started_s < PATIENT_S:
                 threading.Event().wait(LOOK_S)
                 now = self.verdict()
                 if count and now["set_points"] > count + 2 * 200 * RUNS_FOR_S:
@@ -96,9 +105,35 @@ class Lab:
                 count = count or now["set_points"]
         raise NotMovingError("\n".join(path.read_text() for path in sorted(self._folder.glob("*.log"))))
 
+    def answer(self) -> str:
+        """What the bridge answers when the plan is armed once more, over links as they are now; nothing moves on."""
+        self._tell_plan()
+        self._end(self._running.pop("operator"))
+        (self._folder / "operator.log").unlink(missing_ok=True)
+        self._start("operator", PERSON, "press", RIG, self._desk, ARM, f"plan-{self._told}")
+        deadline_s = monotonic_s() + PATIENT_S
+        while not self.said("operator") and monotonic_s() < deadline_s:
+            threading.Event().wait(LOOK_S)
+        said = self.said("operator") or [{"outcome": "no answer"}]
+        self._end(self._running.pop("operator"))
+        return said[0].get("code") or str(said[0]["outcome"]).lower()
+
     def operated(self) -> bool:
         """Whether somebody stands by the motion still."""
-        return self._running["operator"].poll() is None
+        return self._running["operator"].poll() is None and not self._refused()
+
+    def said(self, name: str) -> list[dict[str, Any]]:
+        """The lines of JSON that a process has said."""
+        log = self._folder / f"{name}.log"
+        lines = log.read_text().splitlines() if log.exists() else []
+        return [json.loads(line) for line in lines if line.startswith("{")]
+
+    def _refused(self) -> bool:
+        return any(line.get("outcome") not in (None, "ACCEPTED") for line in self.said("operator"))
+
+    def signal(self, name: str) -> None:
+        """Have the person let go, the camera freeze, or a link begin to queue."""
+        self._running[name].send_signal(signal.SIGUSR1)
 
     def pid(self, name: str) -> int:
         """The process of that name."""
@@ -117,13 +152,15 @@ class Lab:
     def lose(self, what: str) -> None:
         """Kill a process, or stop the relay so that nothing passes and nothing is closed."""
         if what.startswith("link"):
-            self._running["relay"].send_signal(signal.SIGSTOP)
+            self._running["link of the robot"].send_signal(signal.SIGSTOP)
+        elif what in ("operator", "camera"):
+            self.signal(what)
         else:
             self._running[what].kill()
 
     def mend(self) -> None:
         """Let the relay pass on what it was sent, late as it is."""
-        self._running["relay"].send_signal(signal.SIGCONT)
+        self._running["link of the robot"].send_signal(signal.SIGCONT)
 
     def still(self, lost_ns: int) -> dict[str, Any]:
         """What the console says once the arm has not moved for a while."""
@@ -156,7 +193,8 @@ class Lab:
         self._plans.put(encode(to_and_fro(f"plan-{self._told}", self._turns, self._frame)), attachment=beside)
 
     def _config(self, name: str, base: dict[str, Any], dvrk: dict[str, Any]) -> None:
-        arm = base | {"backend": "dvrk", "dvrk": dvrk | {"dry_run": False}}
+        untold = {"dry_run": False, "has_no": ["teleoperation", "endoscope_arm", "clutch", "tissue"]}
+        arm = base | {"backend": "dvrk", "dvrk": dvrk | untold}
         rig = {"rig": RIG, "router": {"endpoint": self._router}, "robot": {ARM: arm}, **self._sections}
         (self._folder / name).write_text(json.dumps(rig))
 
@@ -177,7 +215,8 @@ class Lab:
 
 def to_and_fro(plan_id: str, turns: int, calibration_id: str) -> GraspPlan:
     """A plan that takes long: to the field and to and fro in it."""
-    stamp = FrameStamp(1, now_ns(), now_ns(), calibration_id)
+    at_ns = now_ns()
+    stamp = FrameStamp(1, at_ns, at_ns, calibration_id, (ChallengeEcho(ARM, at_ns),))
     places = [(20, 5, 75), *((x, 6, 75) for x in (-15, 20) * turns)]
     poses = [transform(exp_so3(np.array((0.1, 0.0, 0.3))), np.array(place) / 1e3) for place in places]
     waypoints = tuple(Waypoint(T, 0.5, Phase.APPROACH, None) for T in poses)
@@ -186,36 +225,6 @@ def to_and_fro(plan_id: str, turns: int, calibration_id: str) -> GraspPlan:
     return GraspPlan(plan_id=plan_id, arm=ARM, goal_id="g", stamp=stamp, waypoints=waypoints, **rest)
 
 
-def relay(listen: int, target: int) -> None:
-    """Pass bytes between the two ports until killed."""
-    with socket.create_server(("127.0.0.1", listen)) as server, selectors.DefaultSelector() as ready:
-        ready.register(server, selectors.EVENT_READ, lambda: _accept(server, target, ready))
-        while True:
-            for found, _ in ready.select():
-                found.data()
-
-
-def _accept(server: socket.socket, target: int, ready: selectors.BaseSelector) -> None:
-    ours, _ = server.accept()
-    theirs = socket.create_connection(("127.0.0.1", target))
-    for one, other in ((ours, theirs), (theirs, ours)):
-        one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        ready.register(one, selectors.EVENT_READ, _passing(one, other, ready))
-
-
-def _passing(one: socket.socket, other: socket.socket, ready: selectors.BaseSelector) -> Callable[[], None]:
-    def go_on() -> None:
-        with contextlib.suppress(OSError):
-            if data := one.recv(1 << 16):
-                other.sendall(data)
-                return
-        for end in (one, other):
-            with contextlib.suppress(KeyError, ValueError):
-                ready.unregister(end)
-            end.close()
-
-    return go_on
-
-
-if __name__ == "__main__":
-    relay(int(sys.argv[1]), int(sys.argv[2]))
+def today() -> str:
+    """As a rig's file writes it."""
+    return datetime.datetime.fromtimestamp(now_ns() * 1e-9, datetime.UTC).date().isoformat()

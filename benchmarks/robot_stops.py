@@ -1,7 +1,7 @@
 """How soon an emulated arm stands still when something is lost in mid-motion, and how evenly set points come.
 
-The rig's router, robot bridge, operator's command, guard and emulated console are processes; the bridge reaches the
-console through a relay, a process that can be stopped, as a cable can be pulled.
+The rig's router, robot bridge, guard, emulated console, a person who presses and a camera are processes. The bridge
+reaches the console, and the person the rig, through relays, which can be stopped, as a cable can be pulled, or queue.
 """
 
 import contextlib
@@ -15,8 +15,6 @@ import numpy as np
 from benchmarks.robot_lab import STANDS_S, Lab, NotMovingError
 from shared.clock import now_ns
 
-PAST_GUARD = "link, past the guard"
-"""What executes later where the bridge itself speaks to the console over a link that is cut, as no rig's file may."""
 FIGURES = (
     *("moved for ms", "hold after ms", "set points", "unsafe", "rules", "later", "moved later"),
     *("interval ms p50", "interval ms p99", "interval ms max", "waited"),
@@ -24,7 +22,19 @@ FIGURES = (
 ATTEMPTS = 3
 """A motion may not come about where the console, a process in Python like the others, hardly gets a processor."""
 Waits = dict[tuple[str, str], float]
-LOSSES = ("operator", "router", "link", PAST_GUARD, "bridge")
+LOSSES = ("operator", "camera", "router", "link", "bridge")
+"""The operator lets go, the camera freezes, all else is killed or stopped."""
+QUEUES = tuple(
+    (link, mode, seconds)
+    for link in ("robot", "rig")
+    for mode, seconds in (
+        *(("constant", seconds) for seconds in (0.05, 0.2, 1.0, 5.0)),
+        ("growing", 5.0),
+        *(("bursts", seconds) for seconds in (0.15, 0.5, 2.0)),
+    )
+)
+RELEASED_AFTER_S, DRAINED_S = 0.3, 6.0
+BOUND_MS = 250.0
 
 
 def stopped_after(loss: str, codec: str) -> dict[str, Any]:
@@ -50,7 +60,7 @@ def longest_wait(before: Waits, after: Waits) -> str:
 
 def _attempt(loss: str, codec: str) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
-        dvrk = {"codec": codec, "through_guard": loss != PAST_GUARD}
+        dvrk = {"codec": codec}
         lab = stack.enter_context(contextlib.closing(Lab(Path(folder), dvrk, stack)))
         named = {"lost": loss, "codec": codec}
         try:
@@ -84,3 +94,31 @@ def _stopped(lab: Lab, loss: str) -> dict[str, Any]:
         longest,
     )
     return dict(zip(FIGURES, told, strict=True))
+
+
+def released_through(link: str, mode: str, seconds: float) -> dict[str, Any]:
+    """One motion in which a link begins to queue and the person lets go: when the last set point reached the console.
+
+    Times are in ms after the person let go; a motion that was held before has its last set point before.
+    """
+    named: dict[str, Any] = {"link": link, "queues": mode, "s": seconds}
+    figures = ("last set point ms", "hold ms", "unsafe", "armed again", "met")
+    with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
+        lab = stack.enter_context(
+            contextlib.closing(Lab(Path(folder), {"codec": "ros2dds"}, stack, queue=(link, mode, seconds)))
+        )
+        try:
+            lab.move()
+        except NotMovingError:
+            return named | dict.fromkeys(figures)
+        lab.signal(f"link of the {link}")
+        threading.Event().wait(RELEASED_AFTER_S)
+        lab.signal("operator")
+        threading.Event().wait(DRAINED_S)
+        released_ns = lab.said("operator")[-1]["released_ns"]
+        verdict, again = lab.verdict(), lab.answer()
+        last_ms = 1e-6 * (verdict["set_point_ns"] - released_ns)
+        holds_ms = [1e-6 * (at_ns - released_ns) for at_ns in verdict["holds_ns"]]
+        hold_ms = min((ms for ms in holds_ms if ms > last_ms), default=None)
+        told = (last_ms, hold_ms, verdict["unsafe"], again, last_ms <= BOUND_MS and verdict["unsafe"] == 0)
+        return named | dict(zip(figures, told, strict=True))

@@ -27,7 +27,7 @@ from agents.emulator.messages import (
     header,
 )
 from agents.emulator.oracle import Circumstances, Oracle
-from agents.emulator.outlets import CLUTCH, CRTK, GEOMETRY, SENSOR, STD, TELEOPERATION, TOOL_TYPE, Outlets
+from agents.emulator.outlets import CLUTCH, CRTK, GEOMETRY, PEDALS, SENSOR, STD, TELEOPERATION, TOOL_TYPE, Outlets
 from agents.emulator.wire import Wire
 from shared import clock
 
@@ -78,6 +78,7 @@ class EmulatedConsole:
         self._moved_m = {"camera": 0.0, "setup": 0.0}
         self._outlets = Outlets(wire, name, self._now_ns)
         self._say("tool_type", String(TOOL_TYPE))
+        self._say(TELEOPERATION, Bool(False))
         self._tell_state()
         for topic in MOTIONS:
             wire.subscribe(f"{name}/{topic}", f"{SENSOR}JointState_", self._motion(topic))
@@ -132,7 +133,7 @@ class EmulatedConsole:
 
         `fault`, `error`, `unreached` (a motion of its own has failed); `stick` and `loose`; `mute` and `speak`;
         `camera` and `setup` (endoscope and set-up joints move by STEP_M, `camera_back` and `setup_back` back again);
-        `clutch` and `unclutch` (the pedal); `teleop` and `no_teleop`; `drift` (somebody at the console moves it by
+        `clutch` and `unclutch` (that pedal); `pedal` and `pedal_up` (the operator's presence); `teleop` and `no_teleop`; `drift` (somebody at the console moves it by
         DRIFT_RAD, and tells nobody); `narrow` and `wide` (the jaw opens and closes by NARROW_RAD alone, or as built).
         """
         with self._lock:
@@ -155,6 +156,9 @@ class EmulatedConsole:
             self._say(TELEOPERATION, Bool(word == "teleop"))
         if word in ("clutch", "unclutch"):
             self._say(CLUTCH, Joy(header(self._now_ns()), [], [int(word == "clutch")]))
+        if word in ("pedal", "pedal_up"):
+            for pedal in PEDALS:
+                self._say(pedal, Joy(header(self._now_ns()), [], [int(word == "pedal")]))
 
     def close(self) -> None:
         """Say nothing more."""

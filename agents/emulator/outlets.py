@@ -14,6 +14,8 @@ JOINTS = ["outer_yaw", "outer_pitch", "outer_insertion", "outer_roll", "outer_wr
 TOOL_TYPE = "LARGE_NEEDLE_DRIVER:400006"
 SENSOR, STD, CRTK, GEOMETRY = (f"{name}_msgs::msg::dds_::" for name in ("sensor", "std", "crtk", "geometry"))
 CLUTCH, TIP, TELEOPERATION = "footpedals/clutch", "ECM/local/measured_cp", "console/teleop/enabled"
+PEDALS = ("footpedals/operator_present", "console/operator_present")
+"""Of which consoles have one or the other: somebody's foot, or head, is where the operator's should be."""
 OF_ARM = {
     "measured_js": (f"{SENSOR}JointState_", False),
     "setpoint_js": (f"{SENSOR}JointState_", False),
@@ -42,6 +44,7 @@ class Outlets:
         self._name, self._now_ns, self.muted = name, now_ns, False
         self._outlets: dict[str, Outlet] = {
             TIP: wire.publish(TIP, f"{GEOMETRY}PoseStamped_", False),
+            **{pedal: wire.publish(pedal, f"{SENSOR}Joy_", False) for pedal in PEDALS},
             CLUTCH: wire.publish(CLUTCH, f"{SENSOR}Joy_", False),
             TELEOPERATION: wire.publish(TELEOPERATION, f"{STD}Bool_", True),
         }

@@ -49,12 +49,13 @@ class Links:
         self._lock, self._says = threading.Lock(), dict[str, Any]()
         self._gid, self._sequence, self.refused = os.urandom(16), itertools.count(1), 0
         self._kept: list[Any] = []
+        self._robot: zenoh.Session | None = None
         self.broke = False
 
     def open_robot(self) -> None:
         """Hear and speak on the robot's Zenoh; waits until that is there."""
         robot = self._document["robot"]
-        session = opened(robot["settings"])
+        session = self._robot = opened(robot["settings"])
         self._kept.append(session.info.declare_transport_events_listener(self._changed))
         for token in robot["tokens"]:
             self._kept.append(session.liveliness().declare_token(token.replace("{session}", str(session.zid()))))
@@ -131,7 +132,14 @@ class Links:
             except (GuardedError, cdr.CdrError, DecodeError):
                 self.refused += 1
             except Exception as error:
-                self._do([Action(Kind.HOLD, reason=f"the guard failed: {type(error).__name__}: {error}")])
+                self._hold_failing(error)
+
+    def _hold_failing(self, error: Exception) -> None:
+        """Where not even that can be said, the link is of no use any more."""
+        try:
+            self._do([Action(Kind.HOLD, reason=f"the guard failed: {type(error).__name__}: {error}")])
+        except zenoh.ZError:
+            self.broke = True
 
     def _hear_set_point(self, key: str, data: bytes) -> list[Action]:
         return self._monitor.hear_set_point(set_point_from(key, data), monotonic_ns())

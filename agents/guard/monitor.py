@@ -135,8 +135,10 @@ class Monitor:
         return []
 
     def hear_hold(self, now_ns: int) -> list[Action]:
-        """Somebody else has had the console hold."""
-        return self._hold("somebody said hold", now_ns) if self._gate is Gate.OPEN else []
+        """Somebody else has had the console hold; it is said again where the arm does not stand soon."""
+        if self._gate is Gate.OPEN:
+            self._hold("somebody said hold", now_ns)
+        return []
 
     def hear_set_point(self, said: SetPoint, now_ns: int) -> list[Action]:
         """Pass a set point on, drop it, or hold the arm."""

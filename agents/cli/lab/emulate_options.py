@@ -8,7 +8,7 @@ import tyro
 
 Words = Literal[
     "fault", "error", "stick", "loose", "mute", "speak",
-    "camera", "camera_back", "setup", "setup_back", "clutch", "unclutch", "unreached",
+    "camera", "camera_back", "setup", "setup_back", "clutch", "unclutch", "pedal", "pedal_up", "unreached",
     "teleop", "no_teleop", "drift", "narrow", "wide",
 ]  # fmt: skip
 

@@ -26,7 +26,7 @@ from shared.clock import now_ns as clock_ns
 from shared.kinematics.arm import ArmKinematics
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER
 from shared.ros import crtk
-from shared.ros.guarded import ALIVE, CHALLENGE, SET_POINT
+from shared.ros.guarded import ALIVE, CHALLENGE, SET_POINT, Gate
 from shared.ros.link import Heard, RosLink, Said
 from shared.ros.naming import GUARD_NODE, Naming
 from shared.ros.types import BOOL, EMPTY, FLOAT64, JOINT_STATE, OPERATING_STATE, POSE_STAMPED, STRING, STRING_STAMPED
@@ -41,8 +41,8 @@ MOTIONS = {
 """Whoever publishes one of these beside us is another owner of the arm."""
 SERVOS = ("servo_jp", "jaw/servo_jp")
 """Which the guard publishes for us."""
-STOPS = {"hold": EMPTY, "free": EMPTY, "state_command": STRING_STAMPED}
-"""Whoever sends one of these wants us to stop; that somebody could does not."""
+STOPS = {"free": EMPTY, "state_command": STRING_STAMPED}
+"""Whoever sends one of these wants us to stop; that somebody could does not. A hold the guard hears, and tells."""
 
 NOW_NS = 2_000_000_000
 STANDS = np.array((2e-3, 2e-3, 2e-4, 2e-3, 2e-3, 2e-3))
@@ -105,7 +105,7 @@ class DvrkPsm:
         self._has_no, self._halted, self._arming_id = frozenset(has_no), False, ""
         self._held_ns: int | None = None
         self._stands, self._stands_ns = NOTHING.joints, 0
-        self._broken = 0
+        self._broken, self._guard_held = 0, ("", "")
         heard = (
             *(self._measurement(kind) for kind in KINDS),
             *self._frames.heard(),
@@ -166,6 +166,10 @@ class DvrkPsm:
         judged, moved = self._readings.judge(measured, self._commanded_ns, now_ns), self._frames.judge(now_ns)
         if judged.readiness is Readiness.READY and moved:
             judged = Judged(Readiness.DISABLED, Code.MOVED, moved)
+        told = self._guard.told
+        if told is not None and told.gate is Gate.HELD and (told.arming_id, told.reason) != self._guard_held:
+            self._set_points.let_go(now_ns)
+        self._guard_held = (told.arming_id, told.reason) if told is not None else ("", "")
         broken, self._broken = self._broken, self._link.broken
         if broken != self._broken and self._arming_id:
             judged = Judged(Readiness.DISABLED, Code.STALE_STATE, "the link to the robot broke: arm again")

@@ -77,9 +77,6 @@ def others(said: Said, commanded_ns: int, now_ns: int) -> Judged | None:
     """Who else commands the arm."""
     if said.publishers:
         who = f"somebody else could command it: {min(said.publishers)}; have one owner only"
-    elif now_ns - said.other[1] < OTHERS_NS and said.other[0].endswith("/hold"):
-        held = f"somebody said {said.other[0]}, as the guard does where nobody stands by: arm again"
-        return Judged(Readiness.DISABLED, Code.HOLD_COMMAND, held)
     elif now_ns - said.other[1] < OTHERS_NS:
         who = f"somebody else commands it by {said.other[0]}; have one owner only"
     elif said.teleoperation:

@@ -5,7 +5,9 @@
   files, `*-open-cv.json` with OpenCV's axes, and `*-dVRK.json` with da Vinci's (x left, y up, z away), which is a piece
   of a console's file and has no braces around it. For an arm beside an ECM the second is `{"name", "measured_cp"}`: the
   base as seen from the ECM's own base, for the console's fixed set-up joints.
-- OpenCV: YAML, XML or JSON with a 4x4 matrix `T_camera_base`, or `R` and `t` of it.
+- OpenCV: YAML, XML or JSON with a 4x4 matrix `T_camera_base`; or with `R_camera_base` and `t_camera_base`; or with a
+  bare `R` and `t` and `pose: T_camera_base`, which says what they are of. OpenCV's stereo calibrations have an R and a T
+  too, of the same size, which lead from eye to eye.
 
 Axes: p_opencv = F p_davinci with F = diag(-1, -1, 1). The camera of an ECM lies at its tip, looking along its z, so
 
@@ -15,6 +17,7 @@ T_ecm_tip being the ECM's `local/measured_cp` (jhu-dvrk/dvrk_camera_registration
 """
 
 import enum
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,7 +26,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from shared.calibration.documents import Document, Node, parse_documents, read_text
-from shared.calibration.numbers import matrix, vector
+from shared.calibration.hand_eye.camera_file import plain, what_cameras_have
+from shared.calibration.named_matrices import named_entries, stated_unit
+from shared.calibration.numbers import array, matrix, vector
 from shared.calibration.stated import CalibrationError
 from shared.rigid_transforms import inverse, nearest_rotation, orthonormality_error
 from shared.units import METRES_PER_UNIT
@@ -31,8 +36,20 @@ from shared.units import METRES_PER_UNIT
 FLIP = np.diag((-1.0, -1.0, 1.0, 1.0))
 """OpenCV's axes from da Vinci's, and the other way round."""
 ROTATION_TOLERANCE = 1e-3
-FARTHEST_M = 2.0
+NEAREST_M = 0.02
+"""From the camera to an arm's remote centre. The one is at the tip of an endoscope of 8 to 12 mm, the other within a
+cannula of about 13 mm: nearer than 13 mm they would be inside each other."""
+FARTHEST_M = 0.85
+"""An instrument is 0.4162 m of shaft and 0.02 m of wrist and fingers, so that its tip is at most 0.44 m from the remote
+centre; and it is of use within the camera's working distance, 0.04 to 0.4 m.
+
+Within both bounds a length whose unit is wrong by 100 or more is found out: metres called mm or cm, mm or cm called
+metres. One that is wrong by ten may pass."""
+FARTHEST_FROM_ECM_M = FARTHEST_M + 0.25
+"""The camera is at most 0.25 m, the insertion of its arm, from that arm's own remote centre."""
 DA_VINCI_NAMES, OPENCV_NAMES = ("dvrk", "davinci", "da-vinci", "da_vinci"), ("opencv", "open-cv", "open_cv")
+POSE = "tcamerabase"
+"""`T_camera_base`, and `t_camera_base`, without regard to case and punctuation."""
 
 
 class Axes(enum.Enum):
@@ -57,11 +74,13 @@ class HandEye:
         reference: what `T` leads to, from the base. With CAMERA it is `T_camera_base` with OpenCV's axes; with
             ECM_BASE it is as the ECM's arm has it, and `T_camera_base` follows from where the ECM is.
         calibration_id: of the camera in whose rectified frame that is (identity.py); empty where the file does not say.
+        arm: whose base it is, as the console calls the arm; empty where neither the file nor its name says.
     """
 
     T: Float64[np.ndarray, "4 4"]
     reference: Reference = Reference.CAMERA
     calibration_id: str = ""
+    arm: str = ""
 
     def before_camera(self, T_ecm_tip: Float64[np.ndarray, "4 4"] | None = None) -> Float64[np.ndarray, "4 4"]:
         """The base before the rectified left camera, metres; `T_ecm_tip` is the ECM's `local/measured_cp`.
@@ -88,24 +107,48 @@ def carried_by_ecm(
     return FLIP @ inverse(T_ecm_tip_now) @ T_ecm_tip_then @ FLIP @ T_camera_base
 
 
+def implausible(base: HandEye) -> str:
+    """What is wrong with how far a base is from the camera, or from the ECM's own base; empty where nothing is."""
+    by_ecm = base.reference is Reference.ECM_BASE
+    farthest_m, what = (FARTHEST_FROM_ECM_M, "the ECM's base") if by_ecm else (FARTHEST_M, "the camera")
+    if NEAREST_M <= (away_m := float(np.linalg.norm(base.T[:3, 3]))) <= farthest_m:
+        return ""
+    return f"the base would be {away_m:.3g} m from {what}, and {NEAREST_M:g} to {farthest_m:g} m make sense"
+
+
 def read_hand_eye(path: Path, axes: Axes | None = None) -> HandEye:
     """Read a hand-eye file; `axes` says whose the camera's are, where neither the file nor its name does.
 
     Raises:
-        CalibrationError: where it is none, or does not tell its axes; in one sentence with the path.
+        CalibrationError: where it is none, does not tell its axes, or has the base where none can be; in one sentence
+            with the path.
     """
     try:
-        return _from_text(read_text(path), path.name, axes)
+        found = _from_text(read_text(path), path.name, axes)
+        if wrong := implausible(found):
+            raise CalibrationError(f"{wrong}: is it in another unit than it says (metres, where it says nothing)?")
     except CalibrationError as error:
         raise CalibrationError(f"{path}: {error}") from None
+    return found
 
 
 def _from_text(text: str, name: str, axes: Axes | None) -> HandEye:
     piece = text.lstrip().startswith('"base-frame"')
-    found = parse_documents(f"{{{text.strip().rstrip(',')}}}" if piece else text)[0]
+    documents = parse_documents(f"{{{text.strip().rstrip(',')}}}" if piece else text)
+    if of_cameras := what_cameras_have(documents):
+        raise CalibrationError(
+            f"it is no hand-eye file but the calibration of a camera or of both eyes, for it has "
+            f"{', '.join(of_cameras)}: give the arm's own registration, in a file of its own (docs/hand_eye.md)"
+        )
+    if len(documents) > 1:
+        raise CalibrationError(f"it holds {len(documents)} documents where one is expected")
+    (found,) = documents
+    metres = _metres_per_unit(found)
     if "measured_cp" in found:
-        return HandEye(_pose(found["measured_cp"], "measured_cp", 1.0), Reference.ECM_BASE)
-    frame = found.get("base-frame", found.get("base_frame", found if "transform" in found else None))
+        return _from_ecm(found, metres)
+    registered = re.match(r"(\w+)-registration-", name)
+    arm = registered[1] if registered else ""
+    frame = found.get("base-frame", found.get("base_frame", found if "reference-frame" in found else None))
     if isinstance(frame, Mapping):
         if "transform" not in frame:
             raise CalibrationError("its base-frame has no transform")
@@ -115,11 +158,21 @@ def _from_text(text: str, name: str, axes: Axes | None) -> HandEye:
                 "it does not say whose axes its camera has: name it *-open-cv.json or *-dVRK.json, as "
                 "dvrk_camera_registration does, or set the axes beside it"
             )
-        return _before_camera(_pose(frame["transform"], "transform", 1.0), told)
+        return replace(_before_camera(_pose(frame["transform"], "transform", metres), told), arm=arm)
     of = found.get("calibration_id", "")
     if not isinstance(of, str):
         raise CalibrationError("its calibration_id is no text")
-    return replace(_before_camera(_named(found), axes), calibration_id=of)
+    return replace(_before_camera(_named(found, metres), axes), calibration_id=of.strip("\"'"), arm=arm)
+
+
+def _from_ecm(found: Document, metres: float) -> HandEye:
+    arm = found.get("name")
+    if not isinstance(arm, str):
+        raise CalibrationError(
+            "it has a measured_cp without the name of an arm, so it may be any pose: give the file that "
+            "dvrk_camera_registration writes beside an ECM"
+        )
+    return HandEye(_pose(found["measured_cp"], "measured_cp", metres), Reference.ECM_BASE, arm=arm)
 
 
 def _before_camera(T: Float64[np.ndarray, "4 4"], axes: Axes | None) -> HandEye:
@@ -134,26 +187,47 @@ def _axes_by_name(name: str) -> Axes | None:
     return Axes.DA_VINCI if da_vinci else Axes.OPENCV
 
 
-def _named(found: Document) -> Float64[np.ndarray, "4 4"]:
-    by_name = {key.lower().replace("_", ""): (key, node) for key, node in found.items()}
-    unit = str(by_name.get("unit", ("", "m"))[1])
+def _metres_per_unit(found: Document) -> float:
+    unit = stated_unit(named_entries([found])) or "m"
     if unit not in METRES_PER_UNIT:
         raise CalibrationError(f"its unit {unit!r} is unknown; known units: {', '.join(METRES_PER_UNIT)}")
-    if "tcamerabase" in by_name:
-        name, node = by_name["tcamerabase"]
-        return _pose(node, name, METRES_PER_UNIT[unit])
-    R = next((by_name[k] for k in ("rcamerabase", "rotation", "r") if k in by_name), None)
-    t = next((by_name[k] for k in ("tcamerabasem", "translation", "tvec", "t") if k in by_name), None)
+    return METRES_PER_UNIT[unit]
+
+
+def _named(found: Document, metres: float) -> Float64[np.ndarray, "4 4"]:
+    by_name: dict[str, tuple[str, Node]] = {}
+    for key, node in found.items():
+        earlier, _ = by_name.setdefault(plain(key), (key, node))
+        if earlier != key:
+            raise CalibrationError(f"{earlier} and {key} differ in nothing but how they are written; keep one")
+    whole, R = by_name.get(POSE), by_name.get("rcamerabase")
+    if whole is not None and (R is None or array(whole[1], whole[0]).size != 3):
+        return _pose(whole[1], whole[0], metres)
+    if R is not None and whole is not None:
+        return _parts(R, whole, metres)
+    R = next((by_name[k] for k in ("rotation", "r") if k in by_name), None)
+    t = next((by_name[k] for k in ("translation", "tvec", "t") if k in by_name), None)
     if R is None or t is None:
         raise CalibrationError(
-            "it is no hand-eye file: it has none of base-frame (dvrk_camera_registration), T_camera_base, R and t"
+            "it is no hand-eye file: it has none of base-frame (dvrk_camera_registration), T_camera_base, "
+            "R_camera_base and t_camera_base"
         )
+    if plain(str(by_name.get("pose", ("", ""))[1])) != POSE:
+        raise CalibrationError(
+            f"it does not say what {R[0]} and {t[0]} are of: those of two eyes look the same; if they lead from the "
+            "arm's base to the camera, call them R_camera_base and t_camera_base"
+        )
+    return _parts(R, t, metres)
+
+
+def _parts(R: tuple[str, Node], t: tuple[str, Node], metres: float) -> Float64[np.ndarray, "4 4"]:
+    """The pose of a rotation and a translation, each with its name."""
     T = np.eye(4)
     place = vector(t[1], t[0])
     if place.size != 3:
         raise CalibrationError(f"{t[0]} must have three numbers, and has {place.size}")
     T[:3, :3], T[:3, 3] = matrix(R[1], R[0], 3, 3), place
-    return _checked(T, f"{R[0]} and {t[0]}", METRES_PER_UNIT[unit])
+    return _checked(T, f"{R[0]} and {t[0]}", metres)
 
 
 def _pose(node: Node, name: str, metres: float) -> Float64[np.ndarray, "4 4"]:
@@ -166,9 +240,6 @@ def _checked(T: Float64[np.ndarray, "4 4"], name: str, metres: float) -> Float64
         raise CalibrationError(f"the last row of {name} must be 0 0 0 1")
     if orthonormality_error(T[:3, :3]) > ROTATION_TOLERANCE or np.linalg.det(T[:3, :3]) < 0:
         raise CalibrationError(f"{name} holds no rotation: orthonormal to three digits, right-handed")
-    place = metres * T[:3, 3]
-    if (away := float(np.abs(place).max())) > FARTHEST_M:
-        raise CalibrationError(f"{name} has the base {away:g} m from the camera: is it in another unit than metres?")
     exact = np.eye(4)
-    exact[:3, :3], exact[:3, 3] = nearest_rotation(T[:3, :3]), place
+    exact[:3, :3], exact[:3, 3] = nearest_rotation(T[:3, :3]), metres * T[:3, 3]
     return exact

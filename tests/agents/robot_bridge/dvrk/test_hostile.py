@@ -8,7 +8,7 @@ from benchmarks.robot_hostile import BRISK, hostile
 from benchmarks.robot_hostile_cases import CASES
 from benchmarks.robot_hostile_plans import any_plan
 from benchmarks.robot_world import Topics, World
-from schemas.messages import ExecutionKind, Heartbeat, Outcome, Phase, Waypoint
+from schemas.messages import ExecutionKind, Outcome, Phase, Waypoint
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER
 from shared.rigid_transforms import exp_so3, transform
 
@@ -21,7 +21,7 @@ def test_of_random_and_hostile_plans_and_commands_none_is_unsafe():
 
 @pytest.mark.parametrize("rule", ["speed", "limits", "nobody", "owners", "state"])
 def test_a_set_point_that_no_bridge_should_send_is_found(rule):
-    world = World(MotionLimits(), 0.0)
+    world = World(MotionLimits(), 0.0, guarded=False)
     world.oracle.heartbeat(world.now_ns * 1e-9)
     here = np.array(world.console.verdict()["position"][:6])
     match rule:
@@ -35,7 +35,7 @@ def test_a_set_point_that_no_bridge_should_send_is_found(rule):
             world.oracle.stranger(world.now_ns * 1e-9 - 0.5)
         case _:
             world.console.request("fault")
-    world.backend.move(here, 0.0)
+    world.backend.move(here, 0.0, "a")
     assert rule in world.oracle.verdict()["rules"]
 
 
@@ -65,7 +65,7 @@ def test_two_arms_of_one_console_move_at_once_and_neither_hears_the_others_opera
     for _ in range(1200):
         for world in worlds:
             world.tick()
-        worlds[1].beat(Heartbeat("psm1", worlds[0].plan_id, worlds[1].now_ns, worlds[0].arming_id))
+        worlds[1].beat(worlds[0].answer())
         if not worlds[0].moves:
             break
     assert [world.events[-1].kind for world in worlds] == [ExecutionKind.FINISHED, ExecutionKind.HELD]

@@ -18,10 +18,12 @@ from agents.robot_bridge.backend import Readiness
 from agents.robot_bridge.dvrk.set_points import SETTLES_NS
 from agents.robot_bridge.simulated import SimulatedPsm
 from schemas.messages import (
+    Arm,
     ChangeState,
     CommandHeader,
     ExecutionKind,
     FrameStamp,
+    Hold,
     Outcome,
     Phase,
     RectifiedStereo,
@@ -29,7 +31,7 @@ from schemas.messages import (
     StateWord,
     TissueSurface,
 )
-from schemas.topics import CHANGE_STATE, SURFACE
+from schemas.topics import ARM, CHANGE_STATE, HOLD, SURFACE
 from shared.clock import monotonic_s, now_ns
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
 from shared.ros import crtk
@@ -116,7 +118,6 @@ def test_what_goes_wrong_at_the_robot_stops_the_motion(lab, word, reason, mode):
             "somebody else commands it by PSM1/jaw/",
         ),
         ("free", crtk.empty(), "other_owner", "somebody else commands it by PSM1/free"),
-        ("hold", crtk.empty(), "hold_command", "somebody said PSM1/hold, as the guard does"),
     ],
 )
 def test_another_one_who_commands_ends_ours_and_keeps_us_out(lab, topic, ros, code, reason):
@@ -125,6 +126,12 @@ def test_another_one_who_commands_ends_ours_and_keeps_us_out(lab, topic, ros, co
     assert reason in held(lab).reason
     answer = lab.arm()
     assert (answer.outcome, answer.code) == (Outcome.REFUSED, code)
+
+
+def test_a_hold_that_somebody_else_says_ends_ours(lab):
+    moves(lab)
+    lab.session.put("PSM1/hold", crtk.empty())
+    assert (held(lab).code, "the guard holds the arm: somebody said hold" in held(lab).reason) == ("hold_command", True)
 
 
 @pytest.mark.parametrize("codec", ["ros2dds", "rmw_zenoh"])
@@ -187,7 +194,7 @@ def test_a_dry_run_checks_all_of_a_motion_and_sends_nothing(lab):
     lab.until(lambda: len(lab.states()) > 3)
     verdict = lab.verdict()
     assert (verdict["set_points"], verdict["held_ns"]) == (0, 0)
-    lab.backend.move(np.zeros(6), 0.0)
+    lab.backend.move(np.zeros(6), 0.0, "a")
     lab.backend.hold()
     assert lab.backend.change_state(StateWord.HOME, now_ns()) == "nothing is sent in a dry run"
 
@@ -304,8 +311,7 @@ def test_when_something_was_measured_is_told_by_the_robots_own_clock():
 
 def test_a_replayed_time_reaches_no_robot_and_no_replay_has_one(lab):
     lab.backend.state(now_ns() - 3600 * SECOND_NS)
-    lab.backend.move(np.zeros(6), 0.0)
-    lab.backend.hold()
+    lab.backend.move(np.zeros(6), 0.0, "a")
     assert lab.backend.state(0).readiness is Readiness.DISABLED
     base, endpoint = SIMULATED_T_CAMERA_BASE.tolist(), {"endpoint": "tcp/127.0.0.1:7"}
     arm = {"backend": "dvrk", "T_camera_base": base, "dvrk": endpoint}
@@ -345,3 +351,45 @@ def test_the_rigs_access_rules_allow_nothing_of_the_robots_keys():
     robots = ("PSM1/servo_jp", "guarded/PSM1/servo_jp", RmwZenoh().key("PSM1/servo_jp", JOINT_STATE))
     assert allowed
     assert not any(one.intersects(zenoh.KeyExpr(robot)) for one in allowed for robot in robots)
+
+
+def test_a_hold_is_said_whatever_time_it_is_for_the_bridge(lab):
+    lab.ready()
+    # as after a tick that stalled, and as while a recording is replayed
+    lab.backend.state(now_ns() - 3 * SECOND_NS)
+    lab.backend.hold()
+    lab.until(lambda: lab.verdict()["held_ns"])
+    assert lab.backend.change_state(StateWord.PAUSE, now_ns()) == ""
+    lab.until(lambda: lab.verdict()["state"] == "PAUSED")
+
+
+def test_without_a_living_guard_a_real_arm_is_not_armed_and_does_not_go_on(lab):
+    moves(lab)
+    lab.guard._stopped.set()
+    event = held(lab)
+    assert (event.code, "no guard stands by" in event.reason) == ("no_guard", True)
+    assert lab.arm().code == "no_guard"
+
+
+def test_a_process_that_beats_by_itself_arms_no_real_arm(lab):
+    lab.ready()
+    lab.arm()
+    lab.bridge.step(Command(HOLD, "psm1", Hold(CommandHeader("h", now_ns() + SECOND_NS, "ann"), "psm1"), now_ns()))
+    lab.ready()
+    header = CommandHeader("alone", now_ns() + SECOND_NS, "ann")
+    answer, *_ = lab.bridge.step(Command(ARM, "psm1", Arm(header, "psm1", "p", lab.echo()[0]), now_ns()))
+    assert (answer.outcome, answer.code) == (Outcome.REFUSED, "no_presence")
+
+
+def test_what_a_real_arm_needs_to_know_and_does_not_speaks_against_arming_with_what_to_do(lab):
+    lab.ready()
+    lab.backend._has_no = frozenset()
+    answer = lab.arm()
+    assert (answer.outcome, answer.code) == (Outcome.REFUSED, "unknown")
+    # the emulated console says whether its teleoperation is on, and where its endoscope is, and nobody pressed a pedal
+    assert "press the clutch once" in answer.reason
+    for word in ("clutch", "unclutch"):
+        lab.ask(word)
+    lab.until(lambda: "clutch" not in lab.backend._untold())
+    lab.ready()
+    lab.until(lambda: lab.arm().outcome is Outcome.ACCEPTED)

@@ -8,15 +8,21 @@ import pytest
 
 from shared.calibration import CalibrationError
 from shared.calibration.hand_eye.file import FLIP, Axes, Reference, carried_by_ecm, read_hand_eye
+from shared.calibration.own_file import calibration_text
+from shared.calibration.written import opencv_text
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE as T
 from shared.rigid_transforms import exp_se3
+from shared.units import METRES_PER_UNIT
 
 OURS = json.dumps({"T_camera_base": T.tolist(), "unit": "m", "delay_s": None})
 OPENCV_JSON = json.dumps({"base-frame": {"reference-frame": "camera", "transform": T.tolist()}})
 DA_VINCI = '"base-frame": ' + json.dumps({"reference-frame": "camera", "transform": (FLIP @ T).tolist()}) + "\n"
 FLAT = ", ".join(str(x) for x in T.ravel())
 YAML = f"%YAML:1.0\n---\nT_camera_base: !!opencv-matrix {{ rows: 4, cols: 4, dt: d, data: [ {FLAT} ] }}\n"
-R_AND_T = json.dumps({"R": T[:3, :3].tolist(), "t": (1e3 * T[:3, 3]).tolist(), "unit": "mm"})
+R, MM = T[:3, :3].tolist(), (1e3 * T[:3, 3]).tolist()
+R_AND_T = json.dumps({"pose": "T_camera_base", "R": R, "T": MM, "unit": "mm"})
+BY_NAME = json.dumps({"R_camera_base": R, "t_camera_base": MM, "unit": "mm"})
+XML = f"<opencv_storage><T_camera_base>{FLAT.replace(',', '')}</T_camera_base><unit>\"m\"</unit></opencv_storage>"
 
 
 @pytest.mark.parametrize(
@@ -29,7 +35,9 @@ R_AND_T = json.dumps({"R": T[:3, :3].tolist(), "t": (1e3 * T[:3, 3]).tolist(), "
         ("piece.json", DA_VINCI, None),
         ("PSM1-dVRK.json", f"{{{DA_VINCI}}}", None),
         ("hand_eye.yaml", YAML, None),
+        ("hand_eye.xml", XML, None),
         ("r_and_t.json", R_AND_T, None),
+        ("by_name.json", BY_NAME, None),
     ],
 )
 def test_every_form_leads_to_the_same_pose(tmp_path: Path, name: str, text: str, axes: Axes | None) -> None:
@@ -65,7 +73,12 @@ def test_a_base_told_from_the_ecm_follows_it(tmp_path: Path) -> None:
         (json.dumps({"T_camera_base": np.diag((1, 1, -1, 1)).tolist()}), "no rotation"),
         (json.dumps({"T_camera_base": [[1, 0, 0, 45], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}), "another unit"),
         (json.dumps({"T_camera_base": [[1, 0], [0, 1]]}), "4x4"),
-        (json.dumps({"R": np.eye(3).tolist(), "t": [1, 2]}), "three numbers"),
+        (json.dumps({"R_camera_base": R, "t_camera_base": [1, 2, 3, 4]}), "no hand-eye file|4x4"),
+        (R_AND_T.replace(json.dumps(MM), "[1, 2]"), "three numbers"),
+        (json.dumps({"T_camera_base": T.tolist(), "T_Camera_Base": T.tolist()}), "differ in nothing but how they are"),
+        (json.dumps({"measured_cp": T.tolist()}), "without the name of an arm"),
+        (json.dumps({"transform": T.tolist()}), "no hand-eye file"),
+        (f"{YAML}---\nT_camera_base: 1\n", "2 documents"),
         (json.dumps({"T_camera_base": T.tolist(), "calibration_id": [5]}), "calibration_id is no text"),
         ("", "it is empty"),
     ],
@@ -76,3 +89,92 @@ def test_what_is_no_such_file_is_refused(tmp_path: Path, text: str, said: str) -
     with pytest.raises(CalibrationError, match=said) as raised:
         read_hand_eye(path)
     assert str(path) in str(raised.value)
+
+
+def stereo_files(endoscope) -> dict[str, str]:
+    """Calibrations of both eyes as OpenCV, ROS and this project write them, whole and in pieces."""
+    K, eyes = endoscope.K_left.tolist(), {"R": np.eye(3).tolist(), "T": [-55, 0, 0]}
+    of_one = {"image_width": 960, "image_height": 540, "camera_matrix": {"rows": 3, "cols": 3, "data": sum(K, [])}}
+    return {
+        "opencv.yaml": opencv_text(endoscope),
+        "own.json": calibration_text(endoscope, "own"),
+        "extrinsics.json": json.dumps(eyes | {"R1": eyes["R"], "unit": "mm"}),
+        "eyes.json": json.dumps(eyes | {"cameraMatrix1": K, "cameraMatrix2": K}),
+        "nested.json": json.dumps(eyes | {"left": {"K": K}, "right": {"K": K}}),
+        "camera_info.json": json.dumps(of_one | {"distortion_model": "plumb_bob", "T": [0, 0, 0.1], "R": eyes["R"]}),
+        "sized.json": json.dumps(eyes | {"imageSize": [960, 540]}),
+        "both.json": json.dumps({"T_camera_base": T.tolist(), "K1": K, "D1": [0, 0, 0, 0]}),
+    }
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["opencv.yaml", "own.json", "extrinsics.json", "eyes.json", "nested.json", "camera_info.json", "sized.json"],
+)
+def test_a_camera_calibration_is_no_hand_eye_file(endoscope, tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text(stereo_files(endoscope)[name])
+    with pytest.raises(CalibrationError, match="no hand-eye file but the calibration of a camera or of both eyes"):
+        read_hand_eye(tmp_path / name)
+
+
+def test_a_pose_beside_camera_matrices_is_not_told_of_the_rectified_camera(endoscope, tmp_path: Path) -> None:
+    (tmp_path / "both.json").write_text(stereo_files(endoscope)["both.json"])
+    with pytest.raises(CalibrationError, match="in a file of its own"):
+        read_hand_eye(tmp_path / "both.json")
+
+
+@pytest.mark.parametrize("t", ["t", "T", "translation", "tvec"])
+@pytest.mark.parametrize("unit", ["m", "mm"])
+def test_a_rotation_and_a_translation_that_say_nothing_of_what_they_are_do_not_count(tmp_path, t, unit) -> None:
+    path = tmp_path / "extrinsics.json"
+    path.write_text(json.dumps({"R": R, t: MM, "unit": unit}))
+    with pytest.raises(CalibrationError, match="does not say what R and .* are of.*R_camera_base and t_camera_base"):
+        read_hand_eye(path)
+
+
+def at(away_m: float, unit: str, called: str) -> str:
+    """A file of a base so far from the camera, whose numbers are in one unit and are called another."""
+    pose = T.copy()
+    pose[:3, 3] *= away_m / np.linalg.norm(T[:3, 3])
+    pose[:3, 3] /= METRES_PER_UNIT[unit]
+    return json.dumps({"T_camera_base": pose.tolist(), "unit": called})
+
+
+@pytest.mark.parametrize("away_m", [0.021, 0.05, 0.1, 0.2, 0.4, 0.84])
+def test_a_unit_that_is_wrong_by_a_hundred_or_more_is_found_out_at_any_distance(tmp_path: Path, away_m: float) -> None:
+    path = tmp_path / "ours.json"
+    for unit, factor in METRES_PER_UNIT.items():
+        for called, other in METRES_PER_UNIT.items():
+            path.write_text(at(away_m, unit, called))
+            if unit == called:
+                assert np.linalg.norm(read_hand_eye(path).T[:3, 3]) == pytest.approx(away_m)
+            elif not 1 / 99 < factor / other < 99:
+                with pytest.raises(CalibrationError, match="0.02 to 0.85 m make sense: is it in another unit"):
+                    read_hand_eye(path)
+
+
+@pytest.mark.parametrize(("away_m", "plausible"), [(0.0, False), (0.019, False), (0.021, True), (0.9, True), (1.2, False)])
+def test_a_base_told_from_the_ecm_has_bounds_too(tmp_path: Path, away_m: float, plausible: bool) -> None:
+    path = tmp_path / "PSM1-registration-dVRK.json"
+    pose = np.eye(4)
+    pose[0, 3] = away_m
+    path.write_text(json.dumps({"name": "PSM1", "measured_cp": pose.tolist()}))
+    if plausible:
+        assert read_hand_eye(path).T[0, 3] == away_m
+        return
+    with pytest.raises(CalibrationError, match=r"from the ECM's base, and 0.02 to 1.1 m make sense"):
+        read_hand_eye(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "arm"),
+    [
+        ("file.json", json.dumps({"name": "PSM2", "measured_cp": T.tolist()}), "PSM2"),
+        ("PSM2-registration-open-cv.json", OPENCV_JSON, "PSM2"),
+        ("open-cv.json", OPENCV_JSON, ""),
+        ("ours.json", OURS, ""),
+    ],
+)
+def test_a_file_says_whose_base_it_has_or_nobody_knows(tmp_path: Path, name: str, text: str, arm: str) -> None:
+    (tmp_path / name).write_text(text)
+    assert read_hand_eye(tmp_path / name).arm == arm
