@@ -48,7 +48,7 @@ metres. One that is wrong by ten may pass."""
 FARTHEST_FROM_ECM_M = FARTHEST_M + 0.25
 """The camera is at most 0.25 m, the insertion of its arm, from that arm's own remote centre."""
 DA_VINCI_NAMES, OPENCV_NAMES = ("dvrk", "davinci", "da-vinci", "da_vinci"), ("opencv", "open-cv", "open_cv")
-POSE = "tcamerabase"
+POSE, T_NUMBERS = "tcamerabase", 16
 """`T_camera_base`, and `t_camera_base`, without regard to case and punctuation."""
 
 
@@ -201,7 +201,7 @@ def _named(found: Document, metres: float) -> Float64[np.ndarray, "4 4"]:
         if earlier != key:
             raise CalibrationError(f"{earlier} and {key} differ in nothing but how they are written; keep one")
     whole, R = by_name.get(POSE), by_name.get("rcamerabase")
-    if whole is not None and (R is None or array(whole[1], whole[0]).size != 3):
+    if whole is not None and (R is None or array(whole[1], whole[0]).size == T_NUMBERS):
         return _pose(whole[1], whole[0], metres)
     if R is not None and whole is not None:
         return _parts(R, whole, metres)
