@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import queue
 import signal
 import subprocess
 import sys
@@ -14,9 +15,11 @@ from typing import Any, NamedTuple
 import pytest
 
 from agents.cli.running.supervisor import SUPERVISED
-from agents.operator.operator import arm_and_stand_by
-from schemas.codec import encode
-from schemas.topics import PLAN, ROBOT_STATE, key
+from benchmarks.robot_lab import today
+from benchmarks.robot_person import Camera, Person
+from schemas.codec import decode, encode
+from schemas.messages import ExecutionEvent, ExecutionKind, Outcome
+from schemas.topics import EXECUTION, PLAN, ROBOT_STATE, key
 from shared.clock import monotonic_s, now_ns
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
 from shared.runtime.attachment import Attachment, pack
@@ -89,7 +92,9 @@ def written(folder, name, router, robot):
     """A rig's file with the console there, and the base that the console judges by."""
     base = {"T_camera_base": SIMULATED_T_CAMERA_BASE.tolist()}
     (folder / "base.json").write_text(json.dumps(base))
-    arm = base | {"backend": "dvrk", "dvrk": {"endpoint": robot, "dry_run": False, "through_guard": True}}
+    untold = {"dry_run": False, "has_no": ["teleoperation", "endoscope_arm", "clutch", "tissue"]}
+    told = {"T_camera_base_calibration": "c", "T_camera_base_made": today()}
+    arm = base | told | {"backend": "dvrk", "dvrk": untold | {"endpoint": robot}}
     rig = {"router": {"endpoint": router, "start": False}, "robot": {"psm1": arm}}
     (folder / name).write_text(json.dumps(rig))
     return folder / name
@@ -104,7 +109,7 @@ def begun(started, tmp_path, plan_of):
         stack.enter_context(open_router(router))
         judged = ("--camera", tmp_path / "base.json", "--heartbeats", router, "--verdict", tmp_path / "verdict.json")
         emulator = started("emulate", "dvrk", "--ready", "--listen", robot, *judged)
-        relay = started(*(endpoint.rsplit(":", 1)[1] for endpoint in (relayed, robot)), module="benchmarks.robot_lab")
+        relay = started(*(endpoint.rsplit(":", 1)[1] for endpoint in (relayed, robot)), module="benchmarks.robot_relay")
         bridge = started("robot-bridge", "--config", written(tmp_path, "rig.json", router, relayed))
         started("guard", "--config", config)
         settings = SessionSettings(endpoint=router)
@@ -112,8 +117,11 @@ def begun(started, tmp_path, plan_of):
         beside = stack.enter_context(open_session(SessionSettings(endpoint=robot)))
         connection = stack.enter_context(contextlib.closing(Connection(session, settings)))
         plans = declare_publisher(session, key("lab", PLAN), PLAN)
-        states = []
+        states, ends = [], queue.Queue()
         connection.listen((ROBOT_STATE,), lambda tapped: states.append(tapped.key))
+        connection.listen((EXECUTION,), ends.put)
+        person = Person(connection, "psm1")
+        stack.enter_context(contextlib.closing(Camera(connection, "psm1", "c")))
 
         def verdict():
             replies = list(beside.get("emulator/PSM1/verdict", timeout=5.0))
@@ -124,7 +132,10 @@ def begun(started, tmp_path, plan_of):
             sequence = 0
             while not stopped.is_set():
                 plans.put(encode(plan_of("p", now_ns())), attachment=pack(Attachment(1, sequence, now_ns(), 0.0)))
-                arm_and_stand_by(connection, "psm1", "p", stopped, lambda _event: None)
+                if person.press("p").outcome is Outcome.ACCEPTED:
+                    while not stopped.is_set() and not _ended(ends, person.arming_id):
+                        pass
+                    person.release()
                 sequence += 1
 
         def log(name):
@@ -135,6 +146,15 @@ def begun(started, tmp_path, plan_of):
         operator.start()
         stack.callback(lambda: (stopped.set(), operator.join()))
         yield Begun(bridge, emulator, relay, config, verdict, log, stopped)
+
+
+def _ended(ends, arming_id):
+    """Whether an event within a moment says that the motion of an arming has ended."""
+    try:
+        event = decode(ExecutionEvent, ends.get(timeout=0.1).payload)
+    except queue.Empty:
+        return False
+    return event.arming_id == arming_id and event.kind in (ExecutionKind.FINISHED, ExecutionKind.HELD)
 
 
 def lines(folder, name):
