@@ -4,10 +4,13 @@ A section that is there means that `suturegrasp up` runs that agent, on this mac
 it; every agent reads the same file.
 """
 
+import itertools
+
 from pydantic import Field, field_validator, model_validator
 
 from agents.cli.rig.base_pose import standing_apart
 from agents.cli.rig.hosts import (
+    LOCALHOST,
     OPERATOR,
     HostName,
     HostSection,
@@ -18,6 +21,7 @@ from agents.cli.rig.hosts import (
 from agents.cli.rig.sections import (
     ArmSection,
     CameraSection,
+    DvrkSection,
     LinksSection,
     Name,
     PerceptionSection,
@@ -113,13 +117,21 @@ class RigConfig(Settings):
                     f"{name} {endpoint!r} leaves this machine, which needs tls and [security]; or run what needs it on "
                     "the robot's computer: docs/dvrk.md"
                 )
-        driven: dict[tuple[str, str, int], str] = {}
-        for arm, dvrk in arms.items():
-            other = driven.setdefault((dvrk.endpoint, dvrk.arm, dvrk.domain), arm)
-            if other != arm:
-                twice = f"robot.{other} and robot.{arm} are both {dvrk.arm} of the console at {dvrk.endpoint}"
+        for (one, its), (other, theirs) in itertools.combinations(arms.items(), 2):
+            apart = its.codec == theirs.codec == "rmw_zenoh" and its.domain != theirs.domain
+            if its.arm == theirs.arm and self._console(one, its) == self._console(other, theirs) and not apart:
+                twice = f"robot.{one} and robot.{other} are both {its.arm} of the console at {its.endpoint}"
                 raise ValueError(f"{twice}: two bridges would fight over it; name another arm, or keep one")
         return self
+
+    def _console(self, arm: str, dvrk: DvrkSection) -> tuple[str, str]:
+        """Address and port of an arm's console, as far as its endpoint tells: a host may have several names."""
+        address, port = host_of(dvrk.endpoint).lower(), dvrk.endpoint.rpartition(":")[2]
+        if not on_loopback(dvrk.endpoint):
+            return address, port
+        # whatever answers on loopback answers the bridge on the bridge's own host
+        sits = [told.address.lower() for told in self.hosts.values() if f"robot_bridge {arm}" in told.runs]
+        return sits[0] if sits else LOCALHOST, port
 
     @model_validator(mode="after")
     def _guards_sit_at_their_robots(self) -> "RigConfig":

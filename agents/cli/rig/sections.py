@@ -1,11 +1,12 @@
 """The sections of a rig's configuration: what each agent, and what lies between them, can be told."""
 
+import contextlib
 import datetime
 import re
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
 from agents.cli.rig.base_pose import BasePose
 from agents.cli.rig.hosts import HostName, Name
@@ -32,6 +33,18 @@ def _reachable(endpoint: str) -> str:
 
 
 Endpoint = Annotated[str, AfterValidator(_reachable)]
+
+
+def _day(told: object) -> datetime.date:
+    if isinstance(told, str):
+        with contextlib.suppress(ValueError):
+            return datetime.date.fromisoformat(told)
+    if isinstance(told, datetime.date) and not isinstance(told, datetime.datetime):
+        return told
+    raise ValueError(f"{told!s:.40} is no day; write year, month and day, such as 2026-11-24")
+
+
+Day = Annotated[datetime.date, BeforeValidator(_day)]
 
 
 class RouterSection(Settings):
@@ -159,7 +172,11 @@ class DvrkSection(Settings):
 
 
 class ArmSection(Settings):
-    """What drives an arm, and where it stands; simulated psm1 and psm2 have a place without being told one."""
+    """What drives an arm, and where it stands; simulated psm1 and psm2 have a place without being told one.
+
+    `T_camera_base_calibration` and `T_camera_base_made` say of which camera calibration the base is and when it was
+    registered, where it has no file that does.
+    """
 
     backend: Literal["simulated", "dvrk"] = "simulated"
     speed_share: float = Field(default=1.0, ge=0.01, le=1)
@@ -173,7 +190,7 @@ class ArmSection(Settings):
     T_camera_base_file: Path | None = None
     T_camera_base_axes: Literal["opencv", "da_vinci"] | None = None
     T_camera_base_calibration: Label | None = None
-    T_camera_base_made: datetime.date | None = None
+    T_camera_base_made: Day | None = None
     T_camera_base_days: float = Field(default=REGISTRATION_DAYS, gt=0, le=365)
     kinematics: Path | None = None
     dvrk: DvrkSection | None = None

@@ -31,10 +31,9 @@ ROUTER = '[router]\nhost = "video"\n'
 WHOLE = f'rig = "lab"\n[security]\n{ROUTER}{SECTIONS}{HOSTS}'
 DVRK = """[robot.psm1]
 backend = "dvrk"
-T_camera_base = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+T_camera_base = [[1, 0, 0, 0.1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
 [robot.psm1.dvrk]
 endpoint = "tls/robot.lab:7447"
-through_guard = true
 """
 FAR = WHOLE.replace("[robot.psm1]\n", DVRK)
 MISTAKES = {
@@ -86,7 +85,9 @@ MISTAKES = {
     FAR: "no host runs 'guard psm1'",
     FAR.replace('"perception", ', '"perception", "guard psm1", '): "'guard psm1' must run on robot",
     FAR.replace("tls/robot", "tcp/robot"): "leaves this machine, which needs tls",
-    FAR.replace("through_guard = true", ""): "set through_guard = true",
+    FAR.replace(
+        "[robot.psm1.dvrk]", "[robot.psm1.dvrk]\nthrough_guard = false"
+    ): "robot.psm1.dvrk.through_guard: set points go through the guard always",
     WHOLE + "[links]\ndirect = true": "links.direct goes past the router",
     "[topics.camera.frames]\nrecorded = false": 'a topic is written in quotes: [topics."camera/frames"]',
     '[topics."camera/frame"]\nrecorded = false': "did you mean camera/frames? known are camera/frames",
