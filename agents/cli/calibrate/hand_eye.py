@@ -13,6 +13,7 @@ from agents.cli.terminal import complain, say, warn
 from schemas.messages import StereoCalibration
 from shared.calibration import CalibrationError, read_calibration
 from shared.calibration.hand_eye.estimate import Estimate, estimated
+from shared.calibration.hand_eye.file import implausible
 from shared.calibration.identity import calibration_id
 from shared.calibration.made import MADE, made_text
 from shared.calibration.reader import stated_calibration
@@ -45,6 +46,8 @@ def run(options: HandEye) -> int:
         if not turned and (options.unknown_point or options.point is not None):
             raise CalibrationError("poses without a rotation tell nothing of a point of the tool; leave --point out")
         found = estimated(sightings, motion, point, not options.unknown_point)
+        if wrong := implausible(found.T_camera_base):
+            raise CalibrationError(f"{wrong}: see that tips and poses are in metres, and of one tool")
     except CalibrationError as error:
         return complain(str(error), EXIT_NONE)
     for sentence in _told(found, sightings.camera is not None):
@@ -57,6 +60,8 @@ def run(options: HandEye) -> int:
             "have the tool corrected from images, docs/tool_tracking.md"
         )
     if options.output is not None:
+        if camera is None:
+            warn("the file does not say of which camera calibration it is, which a real arm needs: give --calibration")
         options.output.write_text(_file(found, camera), encoding="utf-8")
         say(f"written to {options.output}; set T_camera_base_file to it in the arm's section of the rig")
     return EXIT_OK

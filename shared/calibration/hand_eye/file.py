@@ -6,8 +6,8 @@
   of a console's file and has no braces around it. For an arm beside an ECM the second is `{"name", "measured_cp"}`: the
   base as seen from the ECM's own base, for the console's fixed set-up joints.
 - OpenCV: YAML, XML or JSON with a 4x4 matrix `T_camera_base`; or with `R_camera_base` and `t_camera_base`; or with a
-  bare `R` and `t` and `pose: T_camera_base`, which says what they are of. OpenCV's stereo calibrations have an R and a T
-  too, of the same size, which lead from eye to eye.
+  bare `R` and `t` and `pose: T_camera_base`, which says what they are of. OpenCV's stereo calibrations have an R and a
+  T of the same size, which lead from eye to eye.
 
 Axes: p_opencv = F p_davinci with F = diag(-1, -1, 1). The camera of an ECM lies at its tip, looking along its z, so
 
@@ -107,11 +107,11 @@ def carried_by_ecm(
     return FLIP @ inverse(T_ecm_tip_now) @ T_ecm_tip_then @ FLIP @ T_camera_base
 
 
-def implausible(base: HandEye) -> str:
-    """What is wrong with how far a base is from the camera, or from the ECM's own base; empty where nothing is."""
-    by_ecm = base.reference is Reference.ECM_BASE
+def implausible(T: Float64[np.ndarray, "4 4"], reference: Reference = Reference.CAMERA) -> str:
+    """What is wrong with how far a base is from what it is told from, metres; empty where nothing is."""
+    by_ecm = reference is Reference.ECM_BASE
     farthest_m, what = (FARTHEST_FROM_ECM_M, "the ECM's base") if by_ecm else (FARTHEST_M, "the camera")
-    if NEAREST_M <= (away_m := float(np.linalg.norm(base.T[:3, 3]))) <= farthest_m:
+    if NEAREST_M <= (away_m := float(np.linalg.norm(T[:3, 3]))) <= farthest_m:
         return ""
     return f"the base would be {away_m:.3g} m from {what}, and {NEAREST_M:g} to {farthest_m:g} m make sense"
 
@@ -125,7 +125,7 @@ def read_hand_eye(path: Path, axes: Axes | None = None) -> HandEye:
     """
     try:
         found = _from_text(read_text(path), path.name, axes)
-        if wrong := implausible(found):
+        if wrong := implausible(found.T, found.reference):
             raise CalibrationError(f"{wrong}: is it in another unit than it says (metres, where it says nothing)?")
     except CalibrationError as error:
         raise CalibrationError(f"{path}: {error}") from None
@@ -142,7 +142,7 @@ def _from_text(text: str, name: str, axes: Axes | None) -> HandEye:
         )
     if len(documents) > 1:
         raise CalibrationError(f"it holds {len(documents)} documents where one is expected")
-    (found,) = documents
+    found = documents[0]
     metres = _metres_per_unit(found)
     if "measured_cp" in found:
         return _from_ecm(found, metres)
@@ -200,11 +200,14 @@ def _named(found: Document, metres: float) -> Float64[np.ndarray, "4 4"]:
         earlier, _ = by_name.setdefault(plain(key), (key, node))
         if earlier != key:
             raise CalibrationError(f"{earlier} and {key} differ in nothing but how they are written; keep one")
-    whole, R = by_name.get(POSE), by_name.get("rcamerabase")
-    if whole is not None and (R is None or array(whole[1], whole[0]).size == T_NUMBERS):
+    whole, turned = by_name.get(POSE), by_name.get("rcamerabase")
+    if whole is not None and (turned is None or array(whole[1], whole[0]).size == T_NUMBERS):
         return _pose(whole[1], whole[0], metres)
-    if R is not None and whole is not None:
-        return _parts(R, whole, metres)
+    return _parts(turned, whole, metres) if turned is not None and whole is not None else _bare(by_name, metres)
+
+
+def _bare(by_name: Mapping[str, tuple[str, Node]], metres: float) -> Float64[np.ndarray, "4 4"]:
+    """The pose of a rotation and a translation whose names do not say what they are of, where something else does."""
     R = next((by_name[k] for k in ("rotation", "r") if k in by_name), None)
     t = next((by_name[k] for k in ("translation", "tvec", "t") if k in by_name), None)
     if R is None or t is None:

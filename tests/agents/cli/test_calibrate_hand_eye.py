@@ -62,6 +62,31 @@ def test_what_it_writes_is_where_the_rig_takes_the_base_to_be(suturegrasp, recor
     assert made_ns((written,)) is not None
 
 
+def as_points(recorded: Path, metres_per_unit: float) -> tuple[object, ...]:
+    """The same motion as places before the camera and before the base, in files of their own, in some unit."""
+    poses = np.loadtxt(recorded / "poses.csv", delimiter=",", skiprows=1)
+    t, places = poses[:, 0], forward(poses[:, 1:])[:, :3, 3]
+    for name, points in (("poses", places), ("tips", apply(X, places))):
+        rows = np.column_stack((t, points / metres_per_unit))[:: 1 if name == "poses" else 15]
+        np.savetxt(recorded / f"{name}.csv", rows, delimiter=",", header="time_s,x,y,z", comments="")
+    return "--tips", recorded / "tips.csv", "--poses", recorded / "poses.csv"
+
+
+def test_a_base_where_none_can_be_is_not_written(suturegrasp, recorded):
+    written = recorded / "psm1.json"
+    ended = suturegrasp("calibrate", "hand-eye", *as_points(recorded, 1e-3), "--output", written)
+    assert (ended.status, len(ended.complaints), written.exists()) == (3, 1, False)
+    assert "m from the camera, and 0.02 to 0.85 m make sense: see that tips and poses are in metres" in ended.err
+
+
+def test_a_base_of_no_known_calibration_is_written_with_a_warning(suturegrasp, recorded):
+    written = recorded / "psm1.json"
+    ended = suturegrasp("calibrate", "hand-eye", *as_points(recorded, 1.0), "--output", written)
+    assert ended.status == 0, ended.err
+    assert "does not say of which camera calibration it is, which a real arm needs: give --calibration" in ended.err
+    assert "calibration_id" not in json.loads(written.read_text())
+
+
 @pytest.mark.parametrize(
     ("change", "said", "status"),
     [

@@ -94,7 +94,11 @@ def test_what_is_no_such_file_is_refused(tmp_path: Path, text: str, said: str) -
 def stereo_files(endoscope) -> dict[str, str]:
     """Calibrations of both eyes as OpenCV, ROS and this project write them, whole and in pieces."""
     K, eyes = endoscope.K_left.tolist(), {"R": np.eye(3).tolist(), "T": [-55, 0, 0]}
-    of_one = {"image_width": 960, "image_height": 540, "camera_matrix": {"rows": 3, "cols": 3, "data": sum(K, [])}}
+    of_one = {
+        "image_width": 960,
+        "image_height": 540,
+        "camera_matrix": {"rows": 3, "cols": 3, "data": endoscope.K_left.ravel().tolist()},
+    }
     return {
         "opencv.yaml": opencv_text(endoscope),
         "own.json": calibration_text(endoscope, "own"),
@@ -128,7 +132,7 @@ def test_a_pose_beside_camera_matrices_is_not_told_of_the_rectified_camera(endos
 def test_a_rotation_and_a_translation_that_say_nothing_of_what_they_are_do_not_count(tmp_path, t, unit) -> None:
     path = tmp_path / "extrinsics.json"
     path.write_text(json.dumps({"R": R, t: MM, "unit": unit}))
-    with pytest.raises(CalibrationError, match="does not say what R and .* are of.*R_camera_base and t_camera_base"):
+    with pytest.raises(CalibrationError, match=r"does not say what R and .* are of.*R_camera_base and t_camera_base"):
         read_hand_eye(path)
 
 
@@ -149,7 +153,7 @@ def test_a_unit_that_is_wrong_by_a_hundred_or_more_is_found_out_at_any_distance(
             if unit == called:
                 assert np.linalg.norm(read_hand_eye(path).T[:3, 3]) == pytest.approx(away_m)
             elif not 1 / 99 < factor / other < 99:
-                with pytest.raises(CalibrationError, match="0.02 to 0.85 m make sense: is it in another unit"):
+                with pytest.raises(CalibrationError, match=r"0.02 to 0.85 m make sense: is it in another unit"):
                     read_hand_eye(path)
 
 
