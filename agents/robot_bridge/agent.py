@@ -155,11 +155,11 @@ class RobotBridge:
     def stop(self, why: Refusal, now_ns: int) -> list[Output]:
         """Stop and disarm; a backend that fails is told again in the next tick, and the guard holds meanwhile."""
         self._holding = self._unconfirmed = True
+        execution, self._execution = self._execution, None
         try:
             self._backend.hold()
         except Exception:
             self._log.exception("the arm could not be told to hold; it is told again in each turn")
-        execution, self._execution = self._execution, None
         if execution is None:
             return []
         return [event_of(self.config.arm, execution.plan_id, execution.arming_id, ExecutionKind.HELD, now_ns, why)]

@@ -1,5 +1,6 @@
 """Log records as a topic."""
 
+import contextlib
 import logging
 from collections.abc import Callable
 
@@ -20,7 +21,9 @@ class LogTopic(logging.Handler):
         level = next((ours for theirs, ours in LEVELS if record.levelno >= theirs), LogLevel.DEBUG)
         # names of files may hold bytes that are no text, and messages hold text alone
         text = self.format(record).encode(errors="replace").decode()
-        self._publish(LogRecord(round(record.created * 1e9), self._agent, self._instance, level, text))
+        with contextlib.suppress(Exception):
+            # whoever says something goes on, whether or not it travels: an arm may have to be held next
+            self._publish(LogRecord(round(record.created * 1e9), self._agent, self._instance, level, text))
 
     def await_quiet(self) -> None:
         """Return once no record is being published any more; for when the handler has been removed."""

@@ -1,0 +1,113 @@
+"""Commands that stop, on real sessions: nothing in the runtime holds them up, whatever fails beside them."""
+
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from schemas.codec import encode
+from schemas.messages import Arm, ChangeState, CommandHeader, Hold, Outcome, StateWord
+from schemas.topics import ARM, CHANGE_STATE, HOLD, key
+from shared.clock import monotonic_s
+from shared.runtime.agent import Command
+from shared.runtime.commands import accepted, new_header, send_command, stops_unread
+from shared.runtime.outlets import Outlets
+
+STEP_S = 0.5
+
+
+class Robot:
+    """An agent whose arming takes long, and which notes when it was halted and what it was told to do."""
+
+    kind, instance, inputs, outputs, commands, tick_hz = "robot_bridge", "psm1", (), (), (ARM, HOLD, CHANGE_STATE), 50.0
+
+    def __init__(self):
+        self.halted_s, self.stepped, self.arming, self.ticks = [], [], threading.Event(), 0
+
+    def halt(self):
+        self.halted_s.append(monotonic_s())
+
+    def step(self, arrived):
+        if not isinstance(arrived, Command):
+            self.ticks += 1
+            return []
+        if isinstance(arrived.message, Arm):
+            self.arming.set()
+            threading.Event().wait(STEP_S)
+        self.stepped.append(type(arrived.message))
+        return [accepted(arrived.message.header.id)]
+
+
+@pytest.fixture
+def robot(running):
+    made = Robot()
+    running(made)
+    return made
+
+
+def hold(session):
+    return send_command(session, "test", HOLD, Hold(new_header("a test"), "psm1"), "psm1", timeout_s=20.0)
+
+
+def arm(session, number):
+    message = Arm(new_header("a test"), "psm1", f"plan-{number}")
+    return send_command(session, "test", ARM, message, "psm1", timeout_s=20.0)
+
+
+def test_an_arm_is_halted_while_a_step_still_goes_on_and_the_hold_is_stepped_before_what_came_earlier(robot, session):
+    with ThreadPoolExecutor(4) as asking:
+        others = [asking.submit(arm, session, number) for number in range(3)]
+        assert robot.arming.wait(20.0)
+        asked_s = monotonic_s()
+        assert hold(session).outcome is Outcome.ACCEPTED
+        assert robot.halted_s[0] - asked_s < STEP_S / 2, "it waited for no step"
+        assert robot.stepped.index(Hold) <= 1, "of three armings, one at most was ahead of it"
+        assert all(other.result().outcome is Outcome.ACCEPTED for other in others)
+
+
+@pytest.mark.parametrize("word", [StateWord.PAUSE, StateWord.DISABLE])
+def test_pausing_and_disabling_are_carried_out_whatever_their_deadline_and_halt_the_arm_at_once(robot, session, word):
+    message = ChangeState(CommandHeader("late", 1, "a test"), "psm1", word)
+    answer = send_command(session, "test", CHANGE_STATE, message, "psm1", timeout_s=20.0)
+    assert (answer.outcome, robot.stepped, len(robot.halted_s)) == (Outcome.ACCEPTED, [ChangeState], 1)
+    other = ChangeState(CommandHeader("late too", 1, "a test"), "psm1", StateWord.RESUME)
+    assert send_command(session, "test", CHANGE_STATE, other, "psm1", timeout_s=20.0).code == "late"
+
+
+def test_a_hold_is_carried_out_again_even_where_its_id_was_used(robot, session):
+    message = Hold(new_header("a test"), "psm1")
+    for count in (1, 2):
+        assert send_command(session, "test", HOLD, message, "psm1", timeout_s=20.0).outcome is Outcome.ACCEPTED
+        assert (robot.stepped, len(robot.halted_s)) == ([Hold] * count, count)
+
+
+def test_what_came_to_the_key_of_holds_and_cannot_be_read_halts_the_arm(robot, session):
+    replies = list(session.get(key("test", HOLD, "psm1"), payload=b"\xff\xff", timeout=20.0))
+    assert len(replies) == 1
+    assert len(robot.halted_s) == 1
+    assert stops_unread(HOLD, b"")
+    assert not stops_unread(ARM, encode(Arm(new_header("a test"), "psm1", "p")))
+
+
+def test_a_flood_of_holds_is_answered_and_keeps_no_tick_away(robot, session, until):
+    until(lambda: robot.ticks > 5)
+    before, began_s = robot.ticks, monotonic_s()
+    with ThreadPoolExecutor(16) as asking:
+        answers = list(asking.map(lambda _: hold(session), range(600)))
+    took_s = monotonic_s() - began_s
+    assert {answer.outcome for answer in answers} == {Outcome.ACCEPTED}
+    assert len(robot.halted_s) == 600
+    assert robot.ticks - before > 0.4 * took_s * robot.tick_hz
+
+
+def test_a_hold_is_carried_out_and_answered_where_nothing_can_be_published(robot, session, monkeypatch, until):
+    until(lambda: robot.ticks > 2)
+
+    def fails(*_args, **_rest):
+        raise OSError("the session is gone")
+
+    monkeypatch.setattr(Outlets, "publish", fails)
+    assert hold(session).outcome is Outcome.ACCEPTED
+    assert (robot.stepped, len(robot.halted_s)) == ([Hold], 1)
+    assert hold(session).outcome is Outcome.ACCEPTED, "the loop goes on"
+    monkeypatch.undo()
