@@ -39,9 +39,13 @@ class Robot:
 
 
 @pytest.fixture
-def robot(running):
+def robot(running, session, until):
     made = Robot()
     running(made)
+    # it is there, and is found
+    until(lambda: made.ticks > 2 and hold(session).outcome is Outcome.ACCEPTED)
+    made.halted_s.clear()
+    made.stepped.clear()
     return made
 
 
