@@ -14,7 +14,7 @@ import numpy as np
 from agents.robot_bridge.backend import ArmState, Backend
 from agents.robot_bridge.config import RobotBridgeConfig, RobotBridgeError
 from agents.robot_bridge.execution import Execution, Patience
-from agents.robot_bridge.motion import Trajectory, contact_joints, plan_motion
+from agents.robot_bridge.motion import Trajectory, contact_joints, left_of, plan_motion
 from agents.robot_bridge.plans import CLOCK_TOLERANCE_S, Plans, untimely, wrong_frame
 from agents.robot_bridge.presence import Challenges
 from agents.robot_bridge.refusals import REPLAYED, UNMEASURED, Code, Refusal, other_arm
@@ -299,7 +299,8 @@ class RobotBridge:
             return Refusal(Code.SEGMENT, "the next segment was planned from a frame of before the last one ended")
         if arm is None:
             return UNMEASURED
-        planned = self._planned(plan, arm, now_ns, execution.segments - execution.segment)
+        begun = dataclasses.replace(plan, waypoints=left_of(plan.waypoints, execution.approached))
+        planned = self._planned(begun, arm, now_ns, execution.segments - execution.segment)
         if isinstance(planned, Refusal):
             return planned
         forward = self._backend.kinematics.forward

@@ -91,6 +91,11 @@ class Execution:
         self._stop, self._waited_s, self._ratio = 0, 0.0, 1.0
 
     @property
+    def approached(self) -> bool:
+        """Whether the segment that has ended was the last one before contact."""
+        return self._trajectory.stops[self._last].phase is Phase.APPROACH
+
+    @property
     def contact(self) -> Float64[np.ndarray, "6"]:
         """The joints where the last rest before contact is."""
         return contact_joints(self._trajectory)

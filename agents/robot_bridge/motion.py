@@ -113,6 +113,14 @@ def segment_end(trajectory: Trajectory, cap_s: float, first: int = 0) -> int:
     return next((index for index in reversed(ends) if stops[index].phase in (None, Phase.APPROACH)), first - 1)
 
 
+def left_of(waypoints: tuple[Waypoint, ...], approached: bool) -> tuple[Waypoint, ...]:
+    """What of a plan is left to an arm between two segments: behind the approach its end, from which contact begins."""
+    if not approached:
+        return waypoints
+    ends = [index for index, each in enumerate(waypoints) if each.phase is Phase.APPROACH]
+    return waypoints[ends[-1] if ends else 0 :]
+
+
 def contact_joints(trajectory: Trajectory) -> Float64[np.ndarray, "6"]:
     """The joints at the last rest before contact with thread."""
     rests = [stop.sample for stop in trajectory.stops if stop.phase in (None, Phase.APPROACH)]
