@@ -30,6 +30,6 @@ def what_cameras_have(documents: Iterable[Document]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(found))[:NAMED_AT_MOST]
 
 
-def plain(name: str) -> str:
-    """A name without regard to case and punctuation."""
-    return re.sub(r"[^a-z0-9]", "", name.lower())
+def plain(name: object) -> str:
+    """A name without regard to case and punctuation; YAML has names that are no text."""
+    return re.sub(r"[^a-z0-9]", "", str(name).lower())

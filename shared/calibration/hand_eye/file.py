@@ -50,6 +50,8 @@ FARTHEST_FROM_ECM_M = FARTHEST_M + 0.25
 DA_VINCI_NAMES, OPENCV_NAMES = ("dvrk", "davinci", "da-vinci", "da_vinci"), ("opencv", "open-cv", "open_cv")
 POSE, T_NUMBERS = "tcamerabase", 16
 """`T_camera_base`, and `t_camera_base`, without regard to case and punctuation."""
+BARE_R, BARE_T = ("rotation", "r"), ("translation", "tvec", "t")
+NAMES = (POSE, "rcamerabase", "pose", *BARE_R, *BARE_T)
 
 
 class Axes(enum.Enum):
@@ -196,7 +198,7 @@ def _metres_per_unit(found: Document) -> float:
 
 def _named(found: Document, metres: float) -> Float64[np.ndarray, "4 4"]:
     by_name: dict[str, tuple[str, Node]] = {}
-    for key, node in found.items():
+    for key, node in ((key, node) for key, node in found.items() if plain(key) in NAMES):
         earlier, _ = by_name.setdefault(plain(key), (key, node))
         if earlier != key:
             raise CalibrationError(f"{earlier} and {key} differ in nothing but how they are written; keep one")
@@ -208,8 +210,8 @@ def _named(found: Document, metres: float) -> Float64[np.ndarray, "4 4"]:
 
 def _bare(by_name: Mapping[str, tuple[str, Node]], metres: float) -> Float64[np.ndarray, "4 4"]:
     """The pose of a rotation and a translation whose names do not say what they are of, where something else does."""
-    R = next((by_name[k] for k in ("rotation", "r") if k in by_name), None)
-    t = next((by_name[k] for k in ("translation", "tvec", "t") if k in by_name), None)
+    R = next((by_name[k] for k in BARE_R if k in by_name), None)
+    t = next((by_name[k] for k in BARE_T if k in by_name), None)
     if R is None or t is None:
         raise CalibrationError(
             "it is no hand-eye file: it has none of base-frame (dvrk_camera_registration), T_camera_base, "

@@ -80,6 +80,7 @@ def test_a_base_told_from_the_ecm_follows_it(tmp_path: Path) -> None:
         (json.dumps({"transform": T.tolist()}), "no hand-eye file"),
         (f"{YAML}---\nT_camera_base: 1\n", "2 documents"),
         (json.dumps({"T_camera_base": T.tolist(), "calibration_id": [5]}), "calibration_id is no text"),
+        ("[a, b]: 1\n", "no hand-eye file"),
         ("", "it is empty"),
     ],
 )
