@@ -142,9 +142,9 @@ def _from_text(text: str, name: str, axes: Axes | None) -> HandEye:
             f"it is no hand-eye file but the calibration of a camera or of both eyes, for it has "
             f"{', '.join(of_cameras)}: give the arm's own registration, in a file of its own (docs/hand_eye.md)"
         )
-    if len(documents) > 1:
+    if len(documents) != 1:
         raise CalibrationError(f"it holds {len(documents)} documents where one is expected")
-    found = documents[0]
+    (found,) = documents
     metres = _metres_per_unit(found)
     if "measured_cp" in found:
         return _from_ecm(found, metres)
