@@ -65,11 +65,12 @@ endif
 bless: .venv/dev.done ## what the agents make of the golden recordings now is right from now on; shows what changed
 	@$(BIN)/python -m tests.goldens.bless
 
-check: .venv/dev.done ## format, lint, types, layers, generated code
+check: .venv/dev.done ## format, lint, types, layers, the safety case
 	@$(BIN)/ruff format --check .
 	@$(BIN)/ruff check .
 	@$(BIN)/basedpyright --level error
 	@$(BIN)/lint-imports --no-cache
+	@$(BIN)/python -m tests.safety_case
 
 format: .venv/dev.done ## rewrite in the project's format
 	@$(BIN)/ruff format .

@@ -70,20 +70,26 @@ class Standing:
     def unknown(self, plan: GraspPlan, setup: Setup, now_ns: int) -> Refusal | None:
         """What must be known before a real arm moves and is not, with what to do about it; None where all is."""
         config, state = self._config, self.measured.state
-        if not self._calibration_id or not plan.stamp.calibration_id:
-            whose = "the registration" if not self._calibration_id else "the plan"
-            why = f"nobody says of which camera calibration {whose} is"
-            return Refusal(Code.UNKNOWN, f"{why}: set T_camera_base_calibration beside the arm's T_camera_base")
+        if not plan.stamp.calibration_id:
+            why = "the plan's frame does not say of which camera calibration it is"
+            return Refusal(Code.UNKNOWN, f"{why}: see that the camera's agent is of this version")
+        if not self._calibration_id:
+            why = "nobody says with which camera calibration the arm was registered"
+            remedy = f'set T_camera_base_calibration = "{plan.stamp.calibration_id}", if it was with the one of now'
+            return Refusal(Code.UNKNOWN, f"{why}: {remedy}")
         if not config.registered_ns:
             why = "nobody says when the arm was registered before the camera"
             return Refusal(Code.UNKNOWN, f"{why}: set T_camera_base_made beside its T_camera_base")
-        if (days := (now_ns - config.registered_ns) / DAY_NS) > config.registration_days:
+        if (days := (now_ns - config.registered_ns) / DAY_NS) < -1:
+            ahead = f"the arm was registered {-days:.0f} days ahead of this host's clock"
+            return Refusal(Code.UNKNOWN, f"{ahead}: set the clock, or T_camera_base_made")
+        if days > config.registration_days:
             old = f"the arm was registered {days:.0f} days ago, and {config.registration_days:g} are allowed"
             return Refusal(Code.UNKNOWN, f"{old}: register it anew (docs/hand_eye.md)")
         if state is not None and state.untold:
             what, remedy = state.untold[0]
             return Refusal(Code.UNKNOWN, f"{what}: {remedy}")
-        if config.tissue_needed and setup.surface is None:
+        if config.tissue_needed and (setup.surface is None or not setup.surface.valid.any()):
             why = "where the tissue is was not measured, or too long ago"
             return Refusal(Code.UNKNOWN, f"{why}: see that perception sees it, or say has_no = ['tissue']")
         return None
