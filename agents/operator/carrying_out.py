@@ -1,4 +1,4 @@
-"""Commands of the page on their way: each in a thread of its own kind, so that a hold never waits behind a goal."""
+"""Commands of the page on their way; holds go theirs (holding.py), so that none ever waits behind a goal."""
 
 import asyncio
 from collections.abc import Callable
@@ -6,16 +6,17 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from typing import Any, TypeVar
 
-from agents.operator.operator import PLAN_ARRIVES_S, UNKNOWN_PLAN, prompt
-from schemas.messages import Arm, CommandAnswer, GraspGoal, Heartbeat, Hold, Outcome, Policy
-from schemas.topics import ARM, GOAL, HEARTBEAT, HOLD
+from agents.operator.control import BeatNow
+from agents.operator.holding import Holds
+from agents.operator.operator import PLAN_ARRIVES_S, SEGMENTS, UNKNOWN_PLAN, prompt
+from schemas.messages import Arm, CommandAnswer, GraspGoal, Heartbeat, Policy
+from schemas.topics import ARM, GOAL, HEARTBEAT
 from shared.clock import monotonic_s, now_ns
 from shared.runtime.commands import new_header
 from shared.runtime.connection import Connection
 
 SENDER = "operator page"
 AGAIN_S = 0.1
-HOLDS_TRIED = 3
 POLICIES = {"robust": Policy.CAPTURE_SLIDE_GRASP, "direct": Policy.DIRECT}
 
 Result = TypeVar("Result")
@@ -27,14 +28,14 @@ class Commands:
     def __init__(self, connection: Connection, audit: Callable[..., None]) -> None:
         self._connection, self._audit = connection, audit
         self._asking = ThreadPoolExecutor(6, "asking")
-        self._holding = ThreadPoolExecutor(6, "holding")
+        self._holds = Holds(connection, SENDER)
         self._publishing = ExitStack()
         self._beats: dict[str, Callable[[Any, int], None]] = {}
 
     def close(self) -> None:
         """End the threads."""
         self._asking.shutdown(wait=False, cancel_futures=True)
-        self._holding.shutdown(wait=True)
+        self._holds.close()
         self._publishing.close()
 
     async def aside(self, work: Callable[[], Result]) -> Result:
@@ -46,11 +47,13 @@ class Commands:
         if arm not in self._beats:
             self._beats[arm] = self._publishing.enter_context(self._connection.publishing(HEARTBEAT, arm))
 
-    def beat(self, arm: str, plan_id: str, arming_id: str) -> None:
-        """One heartbeat."""
-        self.prepare(arm)
+    def beat(self, beat: BeatNow) -> None:
+        """One heartbeat, of a person who presses."""
+        self.prepare(beat.arm)
         at_ns = now_ns()
-        self._beats[arm](Heartbeat(arm, plan_id, at_ns, arming_id), at_ns)
+        answered = beat.challenge_ns, beat.guard_challenge
+        message = Heartbeat(beat.arm, beat.plan_id, at_ns, beat.arming_id, *answered, pressed=True)
+        self._beats[beat.arm](message, at_ns)
 
     async def goal(self, arm: str, policy: str, s: float) -> tuple[str, CommandAnswer]:
         """Ask for a grasp at s; the goal's id and the planner's answer, upon which a plan follows as an event."""
@@ -62,10 +65,13 @@ class Commands:
         """Say which thread is meant."""
         return await self.aside(lambda: prompt(self._connection, pixel))
 
-    async def arm(self, screen: str, arm: str, plan_id: str, begins: Callable[[str], bool]) -> CommandAnswer | None:
+    async def arm(
+        self, screen: str, arm: str, plan_id: str, begins: Callable[[str], bool], challenge_ns: Callable[[], int]
+    ) -> CommandAnswer | None:
         """Arm a plan; `begins` is told the id before it is sent, and says whether that is still wanted.
 
         A plan that its bridge does not know may still be on its way there, and is asked for again for a while.
+        `challenge_ns` tells the newest challenge of the bridge that was heard.
 
         Raises:
             RuntimeError: where it cannot be written down.
@@ -77,20 +83,12 @@ class Commands:
             if not begins(header.id):
                 return None
             self._audit("arm", screen=screen, arm=arm, plan_id=plan_id, id=header.id)
-            message = Arm(header, arm, plan_id)
+            message = Arm(header, arm, plan_id, challenge_ns(), pressed=True, segments=SEGMENTS)
             answer = await self.aside(lambda message=message: self._connection.command(ARM, message, arm))
             if answer.code != UNKNOWN_PLAN or monotonic_s() > deadline_s:
                 return answer
             await asyncio.sleep(AGAIN_S)
 
-    async def hold(self, arm: str) -> CommandAnswer:
-        """Have an arm hold; where no answer comes it is said again."""
-        loop = asyncio.get_running_loop()
-        for turn in range(HOLDS_TRIED):
-            message = Hold(new_header(SENDER), arm)
-            answer = await loop.run_in_executor(
-                self._holding, lambda message=message: self._connection.command(HOLD, message, arm)
-            )
-            if answer.outcome is not Outcome.UNKNOWN or turn == HOLDS_TRIED - 1:
-                return answer
-        raise AssertionError
+    def hold(self, arm: str) -> "asyncio.Future[CommandAnswer]":
+        """Have an arm hold, from now on; its answer."""
+        return self._holds.say(arm)

@@ -13,9 +13,13 @@ from agents.operator.voice import Voice
 from agents.operator.wire import Click
 from schemas.messages import CommandAnswer, Outcome
 from shared.clock import monotonic_s
+from shared.runtime.commands import refused
 
-PASSING = ("no_thread", "thread_stale", "thread_restarted", "arm_stale")
+PASSING = ("no_thread", "thread_stale", "arm_stale")
+"""What speaks against the moment alone, while the thread is the one that a person looked at: then the same goal may be
+asked for again. All else needs another look: where the thread was found anew, s may name another place."""
 AGAIN_S, AGAIN_FOR_S = 0.15, 3.0
+FOUND_ANEW = "the thread was found anew, so that s may name another place now: look again, then name the goal anew"
 
 Awaiting = Coroutine[Any, Any, None] | None
 
@@ -35,6 +39,9 @@ class Choosing:
         """A goal at the thread's place nearest to a click, on the thread that the page showed; what is then to do."""
         thread = self._field.threads.get(said.frame) or self._field.thread
         found = [] if thread is None else snapped(thread, said.pixel)
+        if thread is not None and thread.found != self._field.found:
+            self._voice.refuse(screen, FOUND_ANEW)
+            return None
         if found:
             return self._choose(screen, said.arm, said.policy, found)
         self._voice.refuse(screen, "no thread is near that place; click on the thread")
@@ -94,7 +101,7 @@ class Choosing:
 
     async def _asked(self, goal: dict[str, Any], arm: str, s: float) -> tuple[str, CommandAnswer]:
         """The planner's answer; what only speaks against the moment is asked again for a while."""
-        deadline_s = monotonic_s() + AGAIN_FOR_S
+        deadline_s, found = monotonic_s() + AGAIN_FOR_S, self._field.found
         while True:
             goal_id, answer = await self._commands.goal(arm, goal["policy"], s)
             if answer.code not in PASSING or monotonic_s() > deadline_s or self.goals[arm] is not goal:
@@ -102,3 +109,6 @@ class Choosing:
             goal["text"] = f"Planning ... ({answer.reason})"
             self._voice.changed.set()
             await asyncio.sleep(AGAIN_S)
+            self._field.take_thread(0.0)
+            if self._field.found != found:
+                return goal_id, refused(goal_id, "thread_restarted", FOUND_ANEW)

@@ -3,11 +3,12 @@
 One page controls at a time, the others watch; control is taken where nobody has it, and otherwise handed over, or
 passes on after ASKED_S without an answer, never while the button is pressed. Stopping is everybody's.
 
-The button that arms is a press-and-hold. While it is down its page is sent a challenge every CHALLENGE_EVERY_S and
-answers it. An answer counts once, and only while its challenge is younger than BEAT_S: so it tells that somebody was
-there then, however long it was on its way, and nothing can be answered in advance or again. After PRESS_S of answers
-the plan is armed; from then on each answer makes one heartbeat, and BEAT_S without one ends the press, as releasing
-does. Whatever ends it while it arms or is armed has the arm hold.
+The button that arms is a press-and-hold. While it is down its page is sent a challenge every CHALLENGE_EVERY_S at most
+and answers it. An answer counts once, and only to a challenge that was sent, so that nothing can be answered in advance
+or again. After PRESS_S of answers the plan is armed. Once it is, what is passed on are the challenges of the arm's
+bridge, always the newest, and each answer makes one heartbeat that echoes that very challenge: bridge and guard judge
+by their own clocks how old it is, and nothing here makes it look younger. BEAT_S without an answer ends the press, as
+releasing does. Whatever ends it while it arms or is armed has the arm hold.
 """
 
 import enum
@@ -38,6 +39,8 @@ class Press:
     Fields:
         alive_s: when the newest challenge was sent that was answered in time; the press began with one.
         arming_id: of the command to arm, once it is sent.
+        newest: challenge of the arm's bridge that was heard, with that of the guard; zeros where none was.
+        unsent: it was heard since the arm was armed, and has not been sent yet.
     """
 
     screen: str
@@ -47,6 +50,25 @@ class Press:
     alive_s: float
     stage: Stage = Stage.PRESSING
     arming_id: str = ""
+    newest: tuple[int, int] = (0, 0)
+    unsent: bool = False
+
+
+@dataclass(frozen=True)
+class Challenge:
+    """What a page is to answer.
+
+    Fields:
+        text: what it echoes.
+        sent_s: by this host's clock.
+        challenge_ns, guard_challenge: of the arm's bridge and its guard; zeros for one of the desk's own.
+    """
+
+    screen: str
+    text: str
+    sent_s: float
+    challenge_ns: int = 0
+    guard_challenge: int = 0
 
 
 @dataclass(frozen=True)
@@ -60,11 +82,13 @@ class ArmNow:
 
 @dataclass(frozen=True)
 class BeatNow:
-    """A heartbeat is to be published."""
+    """A heartbeat is to be published, which echoes exactly this."""
 
     arm: str
     plan_id: str
     arming_id: str
+    challenge_ns: int
+    guard_challenge: int
 
 
 @dataclass(frozen=True)
@@ -104,7 +128,7 @@ class Control:
     press: Press | None = None
     new_challenge: Callable[[], str] = lambda: secrets.token_hex(8)
     _asked_s: float = 0.0
-    _challenges: dict[str, float] = field(default_factory=dict[str, float])
+    _challenges: dict[str, Challenge] = field(default_factory=dict[str, Challenge])
     _next_s: float = 0.0
 
     def join(self, screen: str) -> list[Effect]:
@@ -160,29 +184,53 @@ class Control:
         self._challenges, self._next_s = {}, now_s
         return [Noted(screen, "press", f"{screen} presses to arm {arm}")]
 
-    def challenge(self, now_s: float) -> tuple[str, str] | None:
-        """What is to be sent now, and to whom; None where nothing is."""
-        if self.press is None or now_s < self._next_s:
-            return None
-        self._next_s = max(self._next_s + CHALLENGE_EVERY_S, now_s)
-        self._challenges = {each: sent_s for each, sent_s in self._challenges.items() if now_s - sent_s <= BEAT_S}
-        made = self.new_challenge()
-        self._challenges[made] = now_s
-        return self.press.screen, made
+    def challenged(self, arm: str, challenge_ns: int, guard_challenge: int) -> None:
+        """Hear the newest challenge of an arm's bridge, again or for the first time."""
+        press = self.press
+        if press is not None and press.arm == arm and press.newest != (challenge_ns, guard_challenge):
+            press.newest = challenge_ns, guard_challenge
+            # a bridge at rest tells few: one of before would make the first heartbeat an old one
+            press.unsent = press.stage is Stage.ARMED and challenge_ns != 0
 
-    def beat(self, screen: str, challenge: str, now_s: float) -> list[Effect]:
+    def challenge(self, now_s: float) -> Challenge | None:
+        """What is to be sent now; None where nothing is.
+
+        Until the arm is armed these are the desk's own, which make no heartbeat: its bridge challenges seldom.
+        """
+        press = self.press
+        if press is None or now_s < self._next_s:
+            return None
+        if press.stage is not Stage.ARMED:
+            made = Challenge(press.screen, self.new_challenge(), now_s)
+        elif press.unsent:
+            ns, guard = press.newest
+            made, press.unsent = Challenge(press.screen, f"{ns}.{guard}", now_s, ns, guard), False
+        else:
+            return None
+        self._next_s = now_s + CHALLENGE_EVERY_S
+        self._challenges = {text: each for text, each in self._challenges.items() if now_s - each.sent_s <= BEAT_S}
+        self._challenges[made.text] = made
+        return made
+
+    def withdraw(self, text: str) -> None:
+        """A challenge has not gone out, since a newer one took its place."""
+        self._challenges.pop(text, None)
+
+    def beat(self, screen: str, text: str, now_s: float) -> list[Effect]:
         """A challenge is answered."""
         press = self.press
         if press is None or press.screen != screen:
             return []
-        sent_s = self._challenges.pop(challenge, None)
-        if sent_s is None or now_s - sent_s > BEAT_S:
+        answered = self._challenges.pop(text, None)
+        if answered is None or now_s - answered.sent_s > BEAT_S:
             return []
-        press.alive_s = max(press.alive_s, sent_s)
+        press.alive_s = max(press.alive_s, answered.sent_s)
         if press.stage is Stage.PRESSING and press.alive_s - press.began_s >= PRESS_S:
             press.stage = Stage.ARMING
             return [ArmNow(screen, press.arm, press.plan_id)]
-        return [BeatNow(press.arm, press.plan_id, press.arming_id)] if press.arming_id else []
+        if not answered.challenge_ns:
+            return []
+        return [BeatNow(press.arm, press.plan_id, press.arming_id, answered.challenge_ns, answered.guard_challenge)]
 
     def arming(self, plan_id: str, arming_id: str) -> bool:
         """Note the id under which a plan is being armed; False where the button is no longer down for it."""
@@ -218,11 +266,15 @@ class Control:
         effects: list[Effect] = []
         if self.press is not None and now_s - self.press.alive_s > BEAT_S:
             # a press that began just now is as alive as one whose challenge was answered
-            silent_ms = 1e3 * (now_s - self.press.alive_s)
-            effects += self._end(f"{self.press.screen} did not answer for {silent_ms:.0f} ms")
+            effects += self._end(self._silent(self.press, 1e3 * (now_s - self.press.alive_s)))
         if self.asking and now_s - self._asked_s > ASKED_S and self.press is None:
             effects += self._pass_on(f"{self.controller} did not answer")
         return effects
+
+    def _silent(self, press: Press, silent_ms: float) -> str:
+        if self._challenges or press.stage is not Stage.ARMED:
+            return f"{press.screen} did not answer for {silent_ms:.0f} ms"
+        return f"the bridge of {press.arm} told no new state for {silent_ms:.0f} ms, which is to be answered"
 
     def _presses(self, screen: str) -> bool:
         return self.press is not None and self.press.screen == screen

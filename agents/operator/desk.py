@@ -12,6 +12,7 @@ from agents.operator.control import Control, HoldNow
 from agents.operator.field_seen import FieldSeen
 from agents.operator.happened import Happened
 from agents.operator.heard import Heard
+from agents.operator.holding import Coalescing
 from agents.operator.screen import Screen
 from agents.operator.showing import Showing
 from agents.operator.spare import Spare
@@ -37,7 +38,7 @@ from agents.operator.wire import (
     Take,
 )
 from agents.operator.words import sentence
-from schemas.topics import Topic
+from schemas.topics import ROBOT_STATE, Topic
 from shared.clock import monotonic_s
 from shared.runtime.connection import Connection
 
@@ -62,7 +63,8 @@ class Desk:
         self._showing = Showing(self.field, self.screens, self._commands.aside, self._controls, self._spare)
         self._choosing = Choosing(self.field, self._commands, self._voice)
         self._beside = Beside(around, self.field, self._commands, self._voice)
-        self._standing_by = StandingBy(self.control, self._commands, self._voice)
+        self._standing_by = StandingBy(self.control, self._commands, self._voice, self.field.newest_challenge)
+        self._holds_of_pages = Coalescing(self._loop.call_later)
         self._happened = Happened(
             self.field, self.control, self._choosing, self._beside, self._standing_by, self._voice
         )
@@ -109,7 +111,7 @@ class Desk:
             case Release(why):
                 follow(self.control.release(name, why))
             case HoldAll():
-                self._hold_all(name)
+                self._holds_of_pages.do(name, lambda: self._hold_all(name))
             case Look():
                 screen.look = said
             case Take():
@@ -153,22 +155,34 @@ class Desk:
             self._voice.refuse(name, f"that is not the newest plan for {arm}; look at the new one first")
         elif self.field.is_done(plan):
             self._voice.refuse(name, f"{arm} has carried out that plan; name a goal again")
+        elif not self.field.newest_challenge(arm):
+            unasked = f"the bridge of {arm} tells no challenges that a press could answer"
+            self._voice.refuse(name, f"{unasked}: start it anew with this version")
         elif self._voice.written(name, "pressed", arm=arm, plan_id=plan_id):
             self._standing_by.follow(self.control.begin(name, arm, plan_id, now_s))
             self._turning.set()
 
     def _hold_all(self, name: str) -> None:
         """Stopping needs neither control nor a log that can be written."""
-        press = self.control.press
-        self._standing_by.follow(self.control.release(press.screen, f"{name} said hold") if press else [])
-        for arm in self.field.arms():
-            self._standing_by.follow([HoldNow(name, arm, f"{name} said hold")])
+        press, why = self.control.press, f"{name} said hold"
+        effects = self.control.release(press.screen, why) if press else []
+        told = {effect.arm for effect in effects if isinstance(effect, HoldNow)}
+        arms = [HoldNow(name, arm, why) for arm in self.field.arms() if arm not in told]
+        self._standing_by.follow([*effects, *arms])
 
     def _turn(self) -> None:
-        now_s = monotonic_s()
-        self._standing_by.follow(self.control.turn(now_s))
-        if (due := self.control.challenge(now_s)) is not None and due[0] in self.screens:
-            self.screens[due[0]].say({"kind": "challenge", "challenge": due[1]})
+        now_s, control = monotonic_s(), self.control
+        self._standing_by.follow(control.turn(now_s))
+        if control.press is None:
+            return
+        state, _ = self.field.states.get(control.press.arm, (None, 0))
+        if state is not None:
+            control.challenged(state.arm, state.challenge_ns, state.guard_challenge)
+        due = control.challenge(now_s)
+        if due is not None and due.screen in self.screens:
+            sight = self.field.sight(control.press.arm, due.challenge_ns or None)
+            asked = {"kind": "challenge", "challenge": due.text} | sight
+            control.withdraw(self.screens[due.screen].ask(due.text, asked))
 
     async def _turns(self) -> None:
         while True:
@@ -231,10 +245,17 @@ class Desk:
 
     def _wake(self, topic: Topic) -> None:
         """From Zenoh's threads."""
+        if topic is ROBOT_STATE and self.control.press is None:
+            # a state is looked at when it is shown; while somebody presses it is a challenge, which waits for nothing
+            return
         with contextlib.suppress(RuntimeError):  # the loop has ended
             self._loop.call_soon_threadsafe(self._woken, topic)
 
     def _woken(self, topic: Topic) -> None:
+        if topic is ROBOT_STATE:
+            self.field.take_states()
+            self._turn()
+            return
         self._showing.woken(topic)
         for _, message in self._heard.events():
             self._happened.take(message)

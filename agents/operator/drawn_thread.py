@@ -35,6 +35,7 @@ class DrawnThread:
         confidence: NaN where none is stated.
         unseen: not both images show it.
         to_mm: what takes the calibration's unit to mm; None where it is unknown.
+        found: the how many-th that was found anew; s names places on those of the same number alone.
     """
 
     frame: int
@@ -48,6 +49,7 @@ class DrawnThread:
     length_mm: float
     to_mm: float | None
     crossings: tuple[dict[str, Any], ...]
+    found: int = 0
 
     @cached_property
     def told(self) -> str:

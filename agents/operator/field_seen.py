@@ -1,6 +1,7 @@
 """What is known of the field: image, thread, tools, tissue, plans, and what was said, as the page is told it."""
 
 from collections import OrderedDict
+from dataclasses import replace
 from itertools import zip_longest
 from typing import Any
 
@@ -25,7 +26,9 @@ from schemas.messages import (
     Severity,
     StereoFrame,
     ThreadObservations,
+    ThreadReconstruction,
     ToolCorrection,
+    TrackStep,
 )
 from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS, ROBOT_STATE, SURFACE, THREAD, TOOL
 from shared.clock import monotonic_s, now_ns
@@ -39,6 +42,7 @@ class FieldSeen:
     """The newest of everything; filled from `Heard` by one thread at a time.
 
     Fields:
+        found: how often a thread was found anew, after which s names other places; see `is_followed`.
         surface, observed: of which frame, and as text for pages.
     """
 
@@ -50,6 +54,9 @@ class FieldSeen:
         self.threads: OrderedDict[int, DrawnThread] = OrderedDict()
         self.thread: DrawnThread | None = None
         self.states: dict[str, tuple[RobotState, int]] = {}
+        self._asked_s: dict[str, float] = {}
+        self._track: ThreadReconstruction | None = None
+        self.found = 0
         self.surface: tuple[int, str] | None = None
         self.observed: tuple[int, str] | None = None
         self.judgements: list[dict[str, str]] = []
@@ -58,6 +65,7 @@ class FieldSeen:
         self._stops: dict[str, tuple[str, int]] = {}
         self._warnings: dict[str, tuple[str, int]] = {}
         self.done: dict[str, str] = {}
+        self.refused: dict[str, str] = {}
         self.corrections: dict[str, ToolCorrection] = {}
         self._drawn_s = float("-inf")
         self._tools: tuple[list[Any], str] | None = None
@@ -81,12 +89,14 @@ class FieldSeen:
             return
         for thread in self._heard.newest(THREAD):
             self.camera, self._drawn_s = thread.camera, now_s
+            self.found += not is_followed(self._track, thread)
+            self._track = thread
             drawn = draw_thread(thread)
             self.said = "" if drawn is not None else thread.reason
             if drawn is None:
                 self.thread = None
                 continue
-            self.thread = self.threads[drawn.frame] = drawn
+            self.thread = self.threads[drawn.frame] = replace(drawn, found=self.found)
             while len(self.threads) > THREADS_KEPT:
                 self.threads.popitem(last=False)
 
@@ -94,8 +104,32 @@ class FieldSeen:
         """The newest state of each arm."""
         for state in self._heard.newest(ROBOT_STATE):
             self.states[state.arm] = state, now_ns()
+            self._asked_s[state.arm] = monotonic_s()
         for correction in self._heard.newest(TOOL):
             self.corrections[correction.arm] = correction
+
+    def newest_challenge(self, arm: str) -> int:
+        """Of an arm's bridge; 0 where none was heard."""
+        state, _ = self.states.get(arm, (None, 0))
+        return 0 if state is None else state.challenge_ns
+
+    def sight(self, arm: str, at_ns: int | None = None) -> dict[str, Any]:
+        """What a page judges its picture by, before it answers a challenge: the time by the clock of the arm's bridge.
+
+        Args:
+            at_ns: the bridge's challenge; without one, the newest that was heard and how long ago that was.
+        """
+        state, _ = self.states.get(arm, (None, 0))
+        if at_ns is None:
+            newest_ns = self.newest_challenge(arm)
+            at_ns = newest_ns and newest_ns + round((monotonic_s() - self._asked_s[arm]) * 1e9)
+        return {
+            "arm": arm,
+            # numbers of a browser do not hold nanoseconds since 1970
+            "at_ns": str(at_ns),
+            "limit_ms": 0 if state is None else round(1e3 * state.maximum_frame_age_s),
+            "real": state is None or state.is_real,
+        }
 
     def take_surface(self) -> None:
         """The newest surface of the tissue."""
@@ -135,6 +169,9 @@ class FieldSeen:
             self.done[event.arm] = event.plan_id
         stopped = event.kind in (ExecutionKind.HELD, ExecutionKind.REFUSED)
         self._stops[event.arm] = event.reason if stopped else "", event.at_ns
+        self.refused.pop(event.arm, None)
+        if event.kind is ExecutionKind.REFUSED:
+            self.refused[event.arm] = event.plan_id
 
     def note_warning(self, record: LogRecord) -> None:
         """Keep what an arm's bridge warned of last: an arm that gets a fault while it is disarmed ends no plan."""
@@ -173,13 +210,13 @@ class FieldSeen:
         state, _ = self.states.get(arm, (None, 0))
         return state is not None and state.mode is RobotMode.MOVING
 
-    def arms_told(self) -> list[dict[str, str]]:
-        """Each arm, and what it is doing in words."""
-        told: list[dict[str, str]] = []
+    def arms_told(self) -> list[dict[str, Any]]:
+        """Each arm, what it is doing in words, and what a page judges its picture by."""
+        told: list[dict[str, Any]] = []
         for arm in self.arms():
             state, mode = self.states.get(arm, (None, 0))[0], self.mode(arm)
             words = arm_words(mode, self.why(arm), state, self.corrections.get(arm))
-            told.append({"arm": arm, "mode": mode, "words": words})
+            told.append({"mode": mode, "words": words} | self.sight(arm))
         return told
 
     def is_done(self, plan: dict[str, Any] | None) -> bool:
@@ -198,6 +235,7 @@ class FieldSeen:
             said=self.said,
             why=self.why(arm),
             done=self.is_done(plan),
+            refused=plan is not None and self.refused.get(arm) == plan["id"],
         )
 
     def mean_confidence(self) -> float | None:
@@ -205,6 +243,20 @@ class FieldSeen:
         if self.thread is None or not np.isfinite(self.thread.confidence).any():
             return None
         return round(float(np.nanmean(self.thread.confidence)), 3)
+
+
+def is_followed(before: ThreadReconstruction | None, thread: ThreadReconstruction) -> bool:
+    """Whether s names the same places on a thread as on the one that was taken before it.
+
+    Not all that came between was taken: what is not followed for certain counts as found anew. Of threads that nobody
+    follows from frame to frame nothing is known, and the planner takes those too.
+    """
+    if before is None or before.track is None or thread.track is None:
+        return True
+    if thread.track.step in (TrackStep.STARTED, TrackStep.RESTARTED):
+        return False
+    since = thread.stamp.sequence - before.stamp.sequence
+    return thread.track.frames >= since and thread.track.frames > before.track.frames
 
 
 def _age_s(at_ns: int) -> float:

@@ -23,6 +23,7 @@ from schemas.messages import (
     Outcome,
     Policy,
     Prompt,
+    RobotState,
     StateWord,
 )
 from schemas.topics import ARM, CHANGE_STATE, EXECUTION, GOAL, HEARTBEAT, HOLD, PLAN, PROMPT, ROBOT_STATE, Topic
@@ -41,6 +42,11 @@ AWAKE_S = 0.4
 ARMING_S = 5.0
 """The same while arming, whose answer may take as long."""
 PLAN_ARRIVES_S = 1.0
+CHALLENGED_S = 1.0
+"""How long a first challenge of an arm's bridge is awaited; at rest it comes five times a second."""
+SEGMENTS = 8
+"""Into so many segments, each planned from a fresh image, a motion that lasts too long at once may be cut. The bridge
+allows no more."""
 UNKNOWN_PLAN = "unknown_plan"
 BUSY_S = 120.0
 """A network of the user's own may need so long for a frame on a small machine."""
@@ -48,6 +54,8 @@ UNHEARD = "unknown_id", "late"
 """What a command comes to that its receiver has not taken up in time."""
 SILENCE_S = 2.0
 """An arm that reports a hundred times a second and has not for so long is not there any more."""
+INSTANCE = 3
+"""Where in a key the arm stands."""
 END = (ExecutionKind.FINISHED, ExecutionKind.HELD)
 
 
@@ -104,26 +112,59 @@ class Stood:
         answer: to the arming.
         end: the event that ended the plan; None where the operator left before.
         left: why the operator left before.
+        is_real: the arm moves something real, or nobody told that it does not.
     """
 
     answer: CommandAnswer
     end: ExecutionEvent | None = None
     left: str = ""
+    is_real: bool = True
 
 
-class _Silence:
-    """How long an arm has not reported."""
+class _Told:
+    """What an arm's bridge tells: its newest state, which is its challenge, and how long there was none."""
 
     def __init__(self, connection: Connection, arm: str) -> None:
-        self._arm, self._heard_s = arm, monotonic_s()
+        self._arm, self._heard_s, self._came = arm, monotonic_s(), threading.Event()
+        self._newest: Tapped | None = None
+        self._answered_ns = 0
         connection.listen((ROBOT_STATE,), self._take)
 
     def _take(self, tapped: Tapped) -> None:
-        if f"/{self._arm}/" in tapped.key:
-            self._heard_s = monotonic_s()
+        if tapped.key.split("/")[INSTANCE] == self._arm:
+            self._heard_s, self._newest = monotonic_s(), tapped
+            self._came.set()
 
-    def seconds(self) -> float:
+    def silent_s(self) -> float:
+        """For how long it has told nothing."""
         return monotonic_s() - self._heard_s
+
+    def first(self, within_s: float) -> None:
+        """Wait for the first state, so long at most."""
+        self._came.wait(within_s)
+
+    def state(self) -> RobotState | None:
+        """The newest; None where none came that can be read."""
+        newest = self._newest
+        if newest is None:
+            return None
+        try:
+            state = decode(RobotState, newest.payload)
+        except MessageError:
+            return None
+        return state if state.arm == self._arm else None
+
+    def pass_over(self) -> None:
+        """Leave what came until now unanswered: an arm at rest tells seldom, and its newest challenge may be old."""
+        self.unanswered()
+
+    def unanswered(self) -> RobotState | None:
+        """The newest, where its challenge is newer than the last one that was answered; it counts as answered now."""
+        state = self.state()
+        if state is None or state.challenge_ns <= self._answered_ns:
+            return None
+        self._answered_ns = state.challenge_ns
+        return state
 
 
 def arm_and_stand_by(
@@ -133,39 +174,53 @@ def arm_and_stand_by(
     stopped: threading.Event,
     told: Callable[[ExecutionEvent], None],
 ) -> Stood:
-    """Arm a plan and keep its heartbeat until it ends, the arm falls silent, or `stopped` is set, which disarms."""
-    events, silence = Events(connection, EXECUTION), _Silence(connection, arm)
+    """Arm a plan and stand by it until it ends, the arm falls silent, or `stopped` is set, which disarms.
+
+    A process that answers by itself proves nobody's presence: a real arm needs its console's pedal pressed beside it.
+    """
+    events, bridge = Events(connection, EXECUTION), _Told(connection, arm)
     arming_id, awake_until_s = [""], [monotonic_s() + ARMING_S]
 
     def beat(at_ns: int) -> Heartbeat | None:
         """While whoever stands by can still react: a thread of its own would beat on behind a blocked terminal."""
         if stopped.is_set() or not arming_id[0] or monotonic_s() > awake_until_s[0]:
             return None
-        return Heartbeat(arm, plan_id, at_ns, arming_id[0])
+        asked = bridge.unanswered()
+        if asked is None:
+            return None
+        return Heartbeat(arm, plan_id, at_ns, arming_id[0], asked.challenge_ns, asked.guard_challenge, pressed=False)
+
+    def stood(end: ExecutionEvent | None = None, left: str = "") -> Stood:
+        state = bridge.state()
+        return Stood(answer, end, left, is_real=state is None or state.is_real)
 
     with connection.repeating(HEARTBEAT, arm, HEARTBEAT_HZ, beat):
-        answer = _armed(connection, arm, plan_id, arming_id)
+        answer = _armed(connection, arm, plan_id, arming_id, bridge)
         if answer.outcome is not Outcome.ACCEPTED:
-            return Stood(answer)
+            return stood()
         while not stopped.is_set():
             awake_until_s[0] = monotonic_s() + AWAKE_S
             event = events.next(LOOK_S)
             if isinstance(event, ExecutionEvent) and (event.arm, event.arming_id) == (arm, arming_id[0]):
                 told(event)
                 if event.kind in END:
-                    return Stood(answer, event)
-            if silence.seconds() > SILENCE_S:
-                return Stood(answer, left=f"{arm} has not reported for {SILENCE_S:.0f} s; look at its bridge")
-    return Stood(answer, left="disarmed: the heartbeat has ended, and the arm holds")
+                    return stood(event)
+            if bridge.silent_s() > SILENCE_S:
+                return stood(left=f"{arm} has not reported for {SILENCE_S:.0f} s; look at its bridge")
+    return stood(left="disarmed: the heartbeat has ended, and the arm holds")
 
 
-def _armed(connection: Connection, arm: str, plan_id: str, arming_id: list[str]) -> CommandAnswer:
+def _armed(connection: Connection, arm: str, plan_id: str, arming_id: list[str], bridge: _Told) -> CommandAnswer:
     """The answer to arming, whose id is noted; a plan that its bridge does not know may still be on its way there."""
+    bridge.first(CHALLENGED_S)
     deadline_s, turn = monotonic_s() + PLAN_ARRIVES_S, threading.Event()
     while True:
-        header = new_header(SENDER)
+        header, state = new_header(SENDER), bridge.state()
+        challenge_ns = 0 if state is None else state.challenge_ns
+        message = Arm(header, arm, plan_id, challenge_ns, pressed=False, segments=SEGMENTS)
+        answer = connection.command(ARM, message, arm)
+        bridge.pass_over()
         arming_id[0] = header.id
-        answer = connection.command(ARM, Arm(header, arm, plan_id), arm)
         if answer.code != UNKNOWN_PLAN or monotonic_s() > deadline_s:
             return answer
         turn.wait(LOOK_S)

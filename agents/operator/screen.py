@@ -18,7 +18,7 @@ LENGTH = struct.Struct("<I")
 
 @dataclass
 class Screen:
-    """What is sent goes out in order, one picture at a time behind all that is small.
+    """What is sent goes out in order, challenges first and one picture at a time behind all that is small.
 
     Fields:
         ready: the last picture is on its screen.
@@ -40,6 +40,7 @@ class Screen:
     surface_frame: int = -1
     observed_frame: int = -1
     plans: dict[str, str] = field(default_factory=dict[str, str])
+    _challenge: tuple[str, str] | None = None
     _state: str = ""
     _waiting: deque[str] = field(default_factory=lambda: deque[str](maxlen=MOST_WAITING))
     _picture: bytes | None = None
@@ -49,6 +50,12 @@ class Screen:
         """Have a message sent."""
         self._waiting.append(compact(document))
         self._woken.set()
+
+    def ask(self, challenge: str, document: dict[str, Any]) -> str:
+        """Have a challenge sent before all else, in place of one that still waits; that one, or nothing."""
+        replaced, self._challenge = self._challenge, (challenge, compact(document))
+        self._woken.set()
+        return "" if replaced is None else replaced[0]
 
     def tell_state(self, state: str) -> None:
         """Have the state sent, in place of one that still waits."""
@@ -66,8 +73,11 @@ class Screen:
         while True:
             await self._woken.wait()
             self._woken.clear()
-            while self._waiting or self._state or self._picture is not None:
-                if self._waiting:
+            while self._challenge or self._waiting or self._state or self._picture is not None:
+                if self._challenge is not None:
+                    (_, text), self._challenge = self._challenge, None
+                    await self.send_text(text)
+                elif self._waiting:
                     await self.send_text(self._waiting.popleft())
                 elif self._state:
                     state, self._state = self._state, ""

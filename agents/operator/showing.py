@@ -113,6 +113,8 @@ class Showing:
             "frame": stamp.sequence,
             "capture_ms": stamp.capture_left_ns * 1e-6,
             "sent_ms": now_ns() * 1e-6,
+            # numbers of a browser do not hold nanoseconds since 1970
+            "echoes": {echo.arm: str(echo.challenge_ns) for echo in stamp.echoes},
             "width": frame.left.width,
             "height": frame.left.height,
         }

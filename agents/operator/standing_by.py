@@ -1,13 +1,14 @@
 """What follows from the state of control: arming, heartbeats and holds, each written down."""
 
 import asyncio
+import functools
 from collections.abc import Callable, Coroutine
 from typing import Any
 
 from agents.operator.carrying_out import Commands
 from agents.operator.control import ArmNow, BeatNow, Control, Effect, HoldNow, Noted
 from agents.operator.voice import Voice
-from schemas.messages import Outcome
+from schemas.messages import CommandAnswer, Outcome
 from shared.clock import monotonic_s
 
 
@@ -19,20 +20,28 @@ class StandingBy:
         holds: why each arm was told to hold last.
     """
 
-    def __init__(self, control: Control, commands: Commands, voice: Voice) -> None:
+    def __init__(
+        self, control: Control, commands: Commands, voice: Voice, newest_challenge: Callable[[str], int]
+    ) -> None:
+        """`newest_challenge` is that of an arm's bridge which was heard."""
         self._control, self._commands, self._voice = control, commands, voice
+        self._newest_challenge = newest_challenge
         self._tasks: set[asyncio.Task[None]] = set()
         self.armed_s: dict[str, float] = {}
         self.holds: dict[str, str] = {}
 
     def follow(self, effects: list[Effect]) -> None:
-        """Do at once what can be, and the rest in tasks of its own."""
+        """Do at once what can be, and the rest in tasks of its own; holds before all else, which may fail or wait."""
+        for effect in effects:
+            if isinstance(effect, HoldNow):
+                self.holds[effect.arm] = effect.why
+                self.start(self._held(effect, self._commands.hold(effect.arm)))
         for effect in effects:
             match effect:
-                case BeatNow(arm, plan_id, arming_id):
-                    self._commands.beat(arm, plan_id, arming_id)
                 case HoldNow():
-                    self.start(self._hold(effect))
+                    pass
+                case BeatNow():
+                    self._commands.beat(effect)
                 case ArmNow():
                     self.start(self._arm(effect))
                 case Noted(screen, "refused", text):
@@ -63,7 +72,8 @@ class StandingBy:
         screen, arm, plan_id = effect.screen, effect.arm, effect.plan_id
         sent, begins = self._begins(plan_id)
         try:
-            answer = await self._commands.arm(screen, arm, plan_id, begins)
+            newest = functools.partial(self._newest_challenge, arm)
+            answer = await self._commands.arm(screen, arm, plan_id, begins, newest)
         except RuntimeError as error:
             self._voice.refuse(screen, str(error))
             self.follow(self._control.release(screen, "it could not be written down"))
@@ -92,13 +102,10 @@ class StandingBy:
 
         return sent, begins
 
-    async def _hold(self, effect: HoldNow) -> None:
-        """First the command, then the log: stopping waits for nothing."""
-        self.holds[effect.arm] = effect.why
-        held = asyncio.ensure_future(self._commands.hold(effect.arm))
-        await asyncio.sleep(0)
+    async def _held(self, effect: HoldNow, answered: "asyncio.Future[CommandAnswer]") -> None:
+        """Write down a hold that is on its way, and what came of it."""
         self._voice.written(effect.screen, "hold", arm=effect.arm, why=effect.why)
-        answer = await held
+        answer = await answered
         told = {"outcome": answer.outcome.name.lower(), "code": answer.code, "reason": answer.reason}
         self._voice.written(effect.screen, "answer", id=answer.id, **told)
         if answer.outcome is Outcome.ACCEPTED:

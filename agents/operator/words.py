@@ -28,7 +28,7 @@ class Seen:
         frame_age_s, thread_age_s: since the newest came; None where none did.
         plan: as drawn; plan_age_s: since its frame.
         why: the last reason for which the arm was refused or held; empty where there was none.
-        done: the plan has been carried out.
+        done: the plan has been carried out; refused: arming it was, last.
     """
 
     frame_age_s: float | None
@@ -39,6 +39,7 @@ class Seen:
     said: str
     why: str = ""
     done: bool = False
+    refused: bool = False
 
 
 def sentence(screen: str, control: Control, arm: str, seen: Seen) -> str:
@@ -69,8 +70,10 @@ def sentence(screen: str, control: Control, arm: str, seen: Seen) -> str:
     if seen.plan is not None and seen.plan["ok"]:
         if seen.plan_age_s is not None and seen.plan_age_s > OLD_PLAN_S:
             return "The plan is too old to be armed. Plan again."
-        holds = f"{arm} holds: {seen.why}. " if seen.mode == "holding" and seen.why else ""
-        return f"{holds}{plan_words(seen.plan)} Look at it, then press and hold to arm {arm}."
+        why = f"{arm} holds: {seen.why}. " if seen.mode == "holding" and seen.why else ""
+        if seen.refused and seen.why:
+            why = f"{arm} was not armed: {seen.why}. "
+        return f"{why}{plan_words(seen.plan)} Look at it, then press and hold to arm {arm}."
     if seen.thread_age_s is None or seen.thread_age_s > STALE_S:
         if seen.said or seen.thread_age_s is None:
             return f"No thread is seen: {seen.said}." if seen.said else "No thread has been seen yet."

@@ -181,7 +181,7 @@ def arm(rig: RigConfig, options: ArmPlan) -> int:
     """Arm a plan and stay with it until it ends; Ctrl-C ends the heartbeat, and the arm holds.
 
     What the planner sees afterwards is told; unless that is held, its next plan is armed too, where so many attempts
-    were asked for.
+    were asked for and the arm moves nothing real.
     """
     if not options.plan or options.attempts < 1:
         return complain("give the id of a plan, as goal prints it, and at least one attempt", EXIT_UNUSABLE)
@@ -201,6 +201,9 @@ def arm(rig: RigConfig, options: ArmPlan) -> int:
             if again is None:
                 return EXIT_REFUSED if check is not None and check.verdict is Checked.MISSED else EXIT_OK
             say(plan_sentence(again))
+            if stood.is_real:
+                by_hand = f"suturegrasp arm {again.plan_id} --arm {options.arm}"
+                return complain(f"{options.arm} is real, so that a person arms each attempt: {by_hand}", EXIT_REFUSED)
             plan_id = again.plan_id
     return EXIT_OK
 

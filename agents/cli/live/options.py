@@ -153,14 +153,18 @@ class Goal(OnRig):
 
 @dataclass(frozen=True)
 class ArmPlan(OnRig):
-    """Arm a plan and stand by it: its heartbeat runs while this command does; Ctrl-C disarms."""
+    """Arm a plan and stand by it: its heartbeat runs while this command does; Ctrl-C disarms.
+
+    A real arm needs the console's operator-present pedal pressed beside it: a command proves nobody's presence.
+    """
 
     plan: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="PLAN")] = ""
     """The plan's id, as `goal` prints it."""
     arm: str = "psm1"
     """Which arm carries it out."""
     attempts: int = 1
-    """How many attempts are armed: the next plan too where it is not held, as long as this command runs."""
+    """How many attempts are armed: the next plan too where it is not held, as long as this command runs, and where the
+    arm moves nothing real."""
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@ import { DeadMan } from "./deadman.js";
 import { connect } from "./link.js";
 import { Panel } from "./panel.js";
 import { Picture } from "./picture.js";
+import { whyBlind } from "./sight.js";
 import { Space } from "./space.js";
 
 const $ = (id) => document.getElementById(id);
@@ -31,9 +32,11 @@ window.suturegrasp = { presented, picture, panel, plans };
 function nowMs() { return performance.timeOrigin + performance.now(); }
 const arm = () => $("arm").value;
 const isDone = (plan) => Boolean(plan) && panel.state?.done[plan.arm] === plan.id;
+const isBlind = (asked) => whyBlind(picture.drawn, asked);
 const currentPlan = () => (plans[arm()]?.ok && !isDone(plans[arm()]) ? plans[arm()] : null);
 
 function refresh() {
+  panel.see(arm(), picture.drawn);
   const plan = plans[arm()] ?? null;
   // what was carried out is told, and no longer drawn
   picture.plan = isDone(plan) ? null : plan;
@@ -45,7 +48,7 @@ function refresh() {
 
 link = await connect({
   welcome() { tellLook(); },
-  challenge({ challenge }) { deadman?.challenge(challenge); },
+  challenge(asked) { deadman?.challenge(asked); },
   picture(header, blob) {
     lastPictureMs = performance.now();
     if ("surface" in header) space.surface = header.surface;
@@ -62,7 +65,7 @@ link = await connect({
   lost() { deadman?.release("the connection was lost"); panel.lost(); },
   shut(text) { panel.shut(text); },
 }) ?? link;
-deadman = new DeadMan($("press"), link, currentPlan);
+deadman = new DeadMan($("press"), link, currentPlan, isBlind);
 
 function tellLook() {
   link.say("look", { observations: $("show-observations").checked, space: $("show-space").checked });
@@ -157,4 +160,5 @@ function judged(held, cause) {
 setInterval(() => {
   if (!$("space-card").hidden && !document.hidden && !picture.quiet) space.paint(picture);
   panel.stale(performance.now() - lastPictureMs > FRESH_MS);
+  if (panel.see(arm(), picture.drawn)) refresh();
 }, 100);

@@ -1,5 +1,7 @@
 // Everything that is said in words.
 
+import { ageMs, seconds, whyBlind } from "./sight.js";
+
 const percent = (value) => (value === null || value === undefined ? "?" : `${Math.round(100 * value)} %`);
 
 const OUT_OF_ORDER = ["fault", "disabled"];
@@ -10,6 +12,7 @@ export class Panel {
     this.$ = $;
     this.state = null;
     this.prompting = false;
+    this.blind = "";
     this.kept = {};
   }
 
@@ -22,6 +25,7 @@ export class Panel {
 
   take(state) {
     this.state = state;
+    this.stateMs = performance.now();
     const $ = this.$;
     const arms = state.arms.map((each) => each.arm);
     if (this.arms !== arms.join()) {
@@ -56,11 +60,28 @@ export class Panel {
     const armed = press && press.stage !== "pressing";
     const name = plan?.arm ?? $("arm").value;
     const ordered = !this.state.arms.some((each) => each.arm === name && OUT_OF_ORDER.includes(each.mode));
-    $("press").disabled = !mine || !plan?.ok || done || !ordered;
+    // a press that has begun is let go of by the challenge that must not be answered, which says why
+    const blind = this.blind && !down;
+    $("press").disabled = !mine || !plan?.ok || done || !ordered || blind;
     $("press").classList.toggle("armed", Boolean(armed && down));
-    const offered = ordered ? `Press and hold to arm ${name}` : `${name} cannot be armed`;
+    const offered = ordered && !blind ? `Press and hold to arm ${name}` : `${name} cannot be armed`;
     this.put("press-text", armed && down ? `${name} moves: keep pressing` : down ? "Keep pressing ..." : offered);
     this.put("goal", goalMarkup(plan, done, goal, this.note, this.state.checks[name]), "innerHTML");
+  }
+
+  // how old the drawn picture is by the bridge's clock, which has gone on since it was told; whether what is armed by
+  // what is seen has changed
+  see(name, drawn) {
+    const told = this.state?.arms.find((each) => each.arm === name);
+    if (!told) return false;
+    const now = { ...told, at_ns: told.at_ns === "0" ? "0" : String(BigInt(told.at_ns) + BigInt(Math.round(1e6 * (performance.now() - this.stateMs)))) };
+    const age = ageMs(drawn, name, now.at_ns);
+    const allowed = told.limit_ms ? `, ${seconds(told.limit_ms)} are allowed` : "";
+    this.put("sight", age === null ? `how old the picture is, the bridge of ${name} cannot tell` : `by the bridge of ${name} the picture is ${seconds(Math.max(0, age))} old at most${allowed}`);
+    const before = this.blind;
+    this.blind = told.real ? whyBlind(drawn, now) : "";
+    this.put("blind", this.blind && told.mode ? `${name} cannot be armed: ${this.blind}. See to the camera and its link.` : "");
+    return before !== this.blind;
   }
 
   refused(text) {

@@ -14,7 +14,8 @@ export class Picture {
     this.context = canvas.getContext("2d", { alpha: false });
     this.shown = shown;
     this.bitmap = null;
-    this.header = null;
+    this.header = null; // of the bitmap
+    this.drawn = null; // of the picture that the canvas shows
     this.thread = null;
     this.tools = [];
     this.observed = null;
@@ -39,9 +40,8 @@ export class Picture {
     try {
       const bitmap = await createImageBitmap(blob);
       this.bitmap?.close();
-      this.bitmap = bitmap;
+      [this.bitmap, this.header] = [bitmap, header];
     } catch { /* a picture that is none is not shown, and the next one comes */ }
-    this.header = header;
     this.draw(header);
   }
 
@@ -96,6 +96,7 @@ export class Picture {
     c.fillRect(0, 0, width, height);
     if (!this.bitmap || !this.header) return;
     c.drawImage(this.bitmap, 0, 0, width, height);
+    this.drawn = this.header;
     const s = this.scale();
     c.setTransform(s, 0, 0, s, 0.5 * s, 0.5 * s);
     this.thin = dense / s;

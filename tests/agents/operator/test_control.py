@@ -1,5 +1,9 @@
-"""Who controls and what a press leads to, whatever pages say and however late."""
+"""Who controls and what a press leads to, whatever pages say and however late; all of it in virtual time."""
 
+import heapq
+import itertools
+
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -17,6 +21,8 @@ from agents.operator.control import (
 )
 
 NEVER_S = 1e3
+TURN_S = 0.01
+GUARD = 1 << 60
 
 
 def controlled(*screens):
@@ -32,8 +38,8 @@ def pressed(control, from_s=0.0, until_s=PRESS_S + 0.1):
     while now_s < until_s:
         effects += control.turn(now_s)
         if (due := control.challenge(now_s)) is not None:
-            effects += control.beat(*due, now_s)
-        now_s += 0.01
+            effects += control.beat(due.screen, due.text, now_s)
+        now_s += TURN_S
     return effects, now_s
 
 
@@ -50,6 +56,17 @@ def armed(control):
     return now_s
 
 
+def ns(seconds):
+    """The time by a bridge's clock, of which a float has no nanoseconds."""
+    return 1_700_000_000_000_000_000 + round(seconds * 1e9)
+
+
+def asked(control, now_s):
+    """What is sent when a challenge of the arm's bridge has just come."""
+    control.challenged("psm1", ns(now_s), GUARD)
+    return there(control.challenge(now_s))
+
+
 def of_kind(effects, kind):
     return [effect for effect in effects if isinstance(effect, kind)]
 
@@ -63,20 +80,76 @@ def test_a_press_arms_once_and_only_after_a_while():
     assert of_kind(effects, ArmNow) == [ArmNow("a", "psm1", "plan-1")]
 
 
-def test_each_answer_makes_one_heartbeat_and_an_answer_that_was_used_makes_none():
+def test_each_answer_makes_one_heartbeat_that_echoes_what_the_bridge_asked_to_the_last_digit():
     control = controlled("a")
     now_s = armed(control) + CHALLENGE_EVERY_S
-    screen, challenge = there(control.challenge(now_s))
-    assert control.beat(screen, challenge, now_s + 0.01) == [BeatNow("psm1", "plan-1", "id-1")]
-    assert control.beat(screen, challenge, now_s + 0.02) == []
-    assert control.beat(screen, "made up", now_s + 0.02) == []
+    challenge = asked(control, now_s)
+    beat = BeatNow("psm1", "plan-1", "id-1", ns(now_s), GUARD)
+    assert control.beat("a", challenge.text, now_s + 0.01) == [beat]
+    assert control.beat("a", challenge.text, now_s + 0.02) == []
+    assert control.beat("a", f"{ns(now_s) + 1}.{GUARD}", now_s + 0.02) == [], "it was never sent"
+
+
+def test_challenges_go_out_every_40_ms_at_most_and_each_is_the_newest():
+    control = controlled("a")
+    began_s = armed(control) + CHALLENGE_EVERY_S
+    sent = []
+    for tick in range(40):
+        now_s = began_s + 0.005 * tick
+        control.challenged("psm1", ns(now_s), GUARD)
+        control.challenged("psm2", ns(NEVER_S), GUARD)  # another arm's
+        if (due := control.challenge(now_s)) is not None:
+            sent.append(now_s)
+            assert due.challenge_ns == ns(now_s)
+            control.beat("a", due.text, now_s)
+    assert len(sent) == 5
+    assert min(b - a for a, b in zip(sent, sent[1:], strict=False)) >= CHALLENGE_EVERY_S - 1e-9
+    # a state that is heard again is no new challenge
+    assert asked(control, now_s := now_s + CHALLENGE_EVERY_S)
+    control.challenged("psm1", ns(now_s), GUARD)
+    assert control.challenge(NEVER_S) is None
+
+
+def test_a_challenge_of_before_the_arm_was_armed_makes_no_heartbeat():
+    control = controlled("a")
+    _, now_s = pressed(control)
+    assert control.arming("plan-1", "id-1")
+    control.challenged("psm1", ns(now_s - 0.2), GUARD)  # from an arm at rest
+    own = there(control.challenge(now_s := now_s + CHALLENGE_EVERY_S))
+    assert own.challenge_ns == 0
+    assert control.beat("a", own.text, now_s) == []
+    control.armed("a", "psm1", "id-1", True)
+    assert control.challenge(now_s + CHALLENGE_EVERY_S) is None
+    assert asked(control, now_s + 0.01 + CHALLENGE_EVERY_S).challenge_ns
 
 
 def test_an_answer_that_was_long_on_its_way_counts_for_nothing():
     control = controlled("a")
     now_s = armed(control) + CHALLENGE_EVERY_S
-    screen, challenge = there(control.challenge(now_s))
-    assert control.beat(screen, challenge, now_s + BEAT_S + 0.01) == []
+    challenge = asked(control, now_s)
+    assert control.beat("a", challenge.text, now_s + BEAT_S + 0.01) == []
+
+
+def test_a_challenge_that_did_not_go_out_cannot_be_answered():
+    control = controlled("a")
+    now_s = armed(control) + CHALLENGE_EVERY_S
+    challenge = asked(control, now_s)
+    control.withdraw(challenge.text)
+    assert control.beat("a", challenge.text, now_s) == []
+
+
+@pytest.mark.parametrize(("asks", "why"), [(True, "a did not answer for"), (False, "the bridge of psm1 told no new")])
+def test_why_a_press_ended_says_whether_the_page_or_the_bridge_was_silent(asks, why):
+    control = controlled("a")
+    now_s, effects = armed(control), []
+    for turn in range(30):
+        effects += control.turn(now_s + TURN_S * turn)
+        if asks:
+            control.challenged("psm1", ns(now_s + TURN_S * turn), GUARD)
+            control.challenge(now_s + TURN_S * turn)
+    (hold,) = of_kind(effects, HoldNow)
+    assert hold.why.startswith(why)
+    assert control.press is None
 
 
 def test_a_page_that_falls_silent_is_held_and_the_press_is_over():
@@ -122,8 +195,7 @@ def test_only_the_controlling_page_presses_and_only_its_answers_count():
     control = controlled("a", "b")
     assert of_kind(control.begin("b", "psm1", "plan-1", 0.0), Noted)[0].what == "refused"
     now_s = armed(control) + CHALLENGE_EVERY_S
-    _, challenge = there(control.challenge(now_s))
-    assert control.beat("b", challenge, now_s) == []
+    assert control.beat("b", asked(control, now_s).text, now_s) == []
     assert control.release("b", "not mine") == []
 
 
@@ -170,6 +242,7 @@ def test_nothing_beats_or_arms_but_what_the_controlling_page_answers_now(sayings
     for what, screen, wait_s in sayings:
         now_s += wait_s
         effects = control.turn(now_s)
+        control.challenged("psm1", ns(now_s), GUARD)
         due = control.challenge(now_s)
         challenges += [due] if due else []
         before = control.press
@@ -185,9 +258,9 @@ def test_nothing_beats_or_arms_but_what_the_controlling_page_answers_now(sayings
             case "begin":
                 effects += control.begin(screen, "psm1", "plan-1", now_s)
             case "answer" if challenges:
-                effects += control.beat(screen, challenges[-1][1], now_s)
+                effects += control.beat(screen, challenges[-1].text, now_s)
             case "stale" if challenges:
-                effects += control.beat(screen, challenges[0][1], now_s)
+                effects += control.beat(screen, challenges[0].text, now_s)
             case "release":
                 effects += control.release(screen, "released")
             case "arming":
@@ -205,3 +278,73 @@ def test_nothing_beats_or_arms_but_what_the_controlling_page_answers_now(sayings
         ended = before is not None and before.stage is not Stage.PRESSING and control.press is not before
         assert not ended or of_kind(effects, HoldNow)
         assert control.press is None or now_s - control.press.alive_s <= BEAT_S or last_answer_s == now_s
+
+
+class Pressing:
+    """A page and its arm's bridge before a desk, with queues between them, in virtual time."""
+
+    def __init__(self, there_s, back_s, told_s):
+        self.control, self.now_s = controlled("a"), 0.0
+        self._ways = {"there": itertools.cycle(there_s), "back": itertools.cycle(back_s), "told": itertools.cycle(told_s)}
+        self._due, self._number, self._last_s = [], itertools.count(), {}
+        self.beats, self.answered_s = [], {}
+
+    def _later(self, way, what, *rest):
+        # a queue keeps its order
+        at_s = max(self.now_s + next(self._ways[way]), self._last_s.get(way, 0.0))
+        self._last_s[way] = at_s
+        heapq.heappush(self._due, (at_s, next(self._number), what, rest))
+
+    def _follow(self, effects):
+        for effect in effects:
+            if isinstance(effect, ArmNow):
+                self.control.arming("plan-1", "id-1")
+                self.control.armed("a", "psm1", "id-1", True)
+            elif isinstance(effect, BeatNow):
+                self.beats.append((self.now_s, effect.challenge_ns))
+
+    def run(self, until_s, released_s):
+        self._follow(self.control.begin("a", "psm1", "plan-1", 0.0))
+        while self.now_s < until_s:
+            self._follow(self.control.turn(self.now_s))
+            self._later("told", "state", ns(self.now_s))
+            while self._due and self._due[0][0] <= self.now_s:
+                self._arrived(*heapq.heappop(self._due)[2:], released_s)
+            if (due := self.control.challenge(self.now_s)) is not None:
+                self._later("there", "challenge", due.text, due.challenge_ns)
+            self.now_s += TURN_S
+
+    def _arrived(self, what, rest, released_s):
+        if what == "state":
+            self.control.challenged("psm1", *rest, GUARD)
+        elif what == "challenge" and self.now_s < released_s:
+            self.answered_s[rest[1]] = self.now_s
+            self._later("back", "answer", rest[0])
+        elif what == "answer":
+            self._follow(self.control.beat("a", rest[0], self.now_s))
+
+
+DELAYS = st.lists(st.floats(0.0, 0.6), min_size=1, max_size=12)
+SHORT = st.lists(st.floats(0.0, 0.05), min_size=1, max_size=12)
+
+
+@given(SHORT | DELAYS, SHORT | DELAYS, SHORT | DELAYS, st.floats(0.7, 1.6))
+def test_whatever_the_queues_a_heartbeat_echoes_what_the_bridge_asked_before_the_button_was_released(
+    there_s, back_s, told_s, released_s
+):
+    press = Pressing(there_s, back_s, told_s)
+    press.run(2.5, released_s)
+    echoed = [challenge_ns for _, challenge_ns in press.beats]
+    assert len(set(echoed)) == len(echoed), "each is answered once"
+    for at_s, challenge_ns in press.beats:
+        # issued before it was answered, which was before the button was released; nothing makes it younger
+        assert challenge_ns <= ns(press.answered_s[challenge_ns]) <= ns(min(at_s, released_s))
+    assert press.control.press is None, "without answers the press has ended"
+
+
+def test_through_short_queues_a_press_lasts_until_it_is_released():
+    press = Pressing([0.02], [0.03], [0.01])
+    press.run(1.5, released_s=NEVER_S)
+    assert there(press.control.press).stage is Stage.ARMED
+    (*_, (at_s, challenge_ns)) = press.beats
+    assert ns(at_s) - challenge_ns < 0.2e9
