@@ -71,6 +71,8 @@ class Topics:
         self._now_ns: Callable[[], int] = lambda: EPOCH_NS
         self.owner_changed: Callable[[str, bool], None] = lambda _token, _comes: None
         self.guards: list[WorldGuard] = []
+        # how the bridge and the robot's computer reach each other: at once, unless somebody has it otherwise
+        self.later: Callable[[Callable[[], None]], None] = lambda deliver: deliver()
 
     def publish(self, topic: str, kind: str, latched: bool) -> Outlet:  # noqa: ARG002
         """A topic for the console to speak on."""
@@ -78,7 +80,7 @@ class Topics:
         def put(data: bytes, _now_ns: int) -> None:
             if latched:
                 self._latched[topic] = data
-            self.tell_bridge(topic, data)
+            self.later(lambda: self.tell_bridge(topic, data))
             self.tell_guard(topic, data)
 
         # a console publishes only while somebody subscribes, but for what it keeps for who comes later
@@ -149,9 +151,12 @@ class Link:
         """Have the console, or the guard, hear it."""
         if not self._open or topic not in self._said:
             return False
+        self._topics.later(lambda: self._arrive(topic, payload))
+        return True
+
+    def _arrive(self, topic: str, payload: bytes) -> None:
         self._topics.tell_guard(topic, payload)
         self._topics.tell_console(topic, payload)
-        return True
 
     def close(self) -> None:
         """Say nothing more."""
@@ -189,7 +194,8 @@ class WorldGuard:
         now_ns = self._now_ns()
         self.do(self.monitor.turn(now_ns) if self._judges else [])
         name = key_of(self._name, CHALLENGE)
-        self._topics.tell_bridge(name, challenge_bytes(name, self.monitor.challenge(now_ns)))
+        told = challenge_bytes(name, self.monitor.challenge(now_ns))
+        self._topics.later(lambda: self._topics.tell_bridge(name, told))
 
     def do(self, actions: list[Action]) -> None:
         """Pass on, hold or pause."""
@@ -198,13 +204,18 @@ class WorldGuard:
                 for topic, part in (("servo_jp", action.positions[:-1]), ("jaw/servo_jp", action.positions[-1:])):
                     data = cdr.joint_state(part, self._now_ns())
                     self._topics.tell_console(f"{self._name}/{topic}", data)
-                    self._topics.tell_bridge(f"{self._name}/{topic}", data)
+                    self._topics.later(
+                        lambda topic=topic, data=data: self._topics.tell_bridge(f"{self._name}/{topic}", data)
+                    )
                 continue
             self.actions.append(action)
             topic = "hold" if action.kind is Kind.HOLD else "state_command"
             data = cdr.EMPTY if action.kind is Kind.HOLD else cdr.string_stamped("pause", self._now_ns())
             self._topics.tell_console(f"{self._name}/{topic}", data)
-            self._topics.tell_bridge(f"{self._name}/{topic}", data)
+            self._tell_bridge(topic, data)
+
+    def _tell_bridge(self, topic: str, data: bytes) -> None:
+        self._topics.later(lambda: self._topics.tell_bridge(f"{self._name}/{topic}", data))
 
     def _set_point(self, said: SetPoint, now_ns: int) -> list[Action]:
         judged = self.monitor.hear_set_point(said, now_ns)
