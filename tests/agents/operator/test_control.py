@@ -93,7 +93,7 @@ def test_each_answer_makes_one_heartbeat_that_echoes_what_the_bridge_asked_to_th
 def test_challenges_go_out_every_40_ms_at_most_and_each_is_the_newest():
     control = controlled("a")
     began_s = armed(control) + CHALLENGE_EVERY_S
-    sent = []
+    sent, now_s = list[float](), began_s
     for tick in range(40):
         now_s = began_s + 0.005 * tick
         control.challenged("psm1", ns(now_s), GUARD)
@@ -103,9 +103,10 @@ def test_challenges_go_out_every_40_ms_at_most_and_each_is_the_newest():
             assert due.challenge_ns == ns(now_s)
             control.beat("a", due.text, now_s)
     assert len(sent) == 5
-    assert min(b - a for a, b in zip(sent, sent[1:], strict=False)) >= CHALLENGE_EVERY_S - 1e-9
+    assert min(b - a for a, b in itertools.pairwise(sent)) >= CHALLENGE_EVERY_S - 1e-9
     # a state that is heard again is no new challenge
-    assert asked(control, now_s := now_s + CHALLENGE_EVERY_S)
+    now_s += CHALLENGE_EVERY_S
+    assert asked(control, now_s)
     control.challenged("psm1", ns(now_s), GUARD)
     assert control.challenge(NEVER_S) is None
 
@@ -115,7 +116,8 @@ def test_a_challenge_of_before_the_arm_was_armed_makes_no_heartbeat():
     _, now_s = pressed(control)
     assert control.arming("plan-1", "id-1")
     control.challenged("psm1", ns(now_s - 0.2), GUARD)  # from an arm at rest
-    own = there(control.challenge(now_s := now_s + CHALLENGE_EVERY_S))
+    now_s += CHALLENGE_EVERY_S
+    own = there(control.challenge(now_s))
     assert own.challenge_ns == 0
     assert control.beat("a", own.text, now_s) == []
     control.armed("a", "psm1", "id-1", True)
@@ -285,7 +287,11 @@ class Pressing:
 
     def __init__(self, there_s, back_s, told_s):
         self.control, self.now_s = controlled("a"), 0.0
-        self._ways = {"there": itertools.cycle(there_s), "back": itertools.cycle(back_s), "told": itertools.cycle(told_s)}
+        self._ways = {
+            "there": itertools.cycle(there_s),
+            "back": itertools.cycle(back_s),
+            "told": itertools.cycle(told_s),
+        }
         self._due, self._number, self._last_s = [], itertools.count(), {}
         self.beats, self.answered_s = [], {}
 
@@ -293,7 +299,7 @@ class Pressing:
         # a queue keeps its order
         at_s = max(self.now_s + next(self._ways[way]), self._last_s.get(way, 0.0))
         self._last_s[way] = at_s
-        heapq.heappush(self._due, (at_s, next(self._number), what, rest))
+        heapq.heappush(self._due, (at_s, next(self._number), what, *rest))
 
     def _follow(self, effects):
         for effect in effects:
@@ -309,14 +315,15 @@ class Pressing:
             self._follow(self.control.turn(self.now_s))
             self._later("told", "state", ns(self.now_s))
             while self._due and self._due[0][0] <= self.now_s:
-                self._arrived(*heapq.heappop(self._due)[2:], released_s)
+                _, _, what, *rest = heapq.heappop(self._due)
+                self._arrived(what, rest, released_s)
             if (due := self.control.challenge(self.now_s)) is not None:
                 self._later("there", "challenge", due.text, due.challenge_ns)
             self.now_s += TURN_S
 
     def _arrived(self, what, rest, released_s):
         if what == "state":
-            self.control.challenged("psm1", *rest, GUARD)
+            self.control.challenged("psm1", rest[0], GUARD)
         elif what == "challenge" and self.now_s < released_s:
             self.answered_s[rest[1]] = self.now_s
             self._later("back", "answer", rest[0])
