@@ -1,0 +1,80 @@
+"""What the monitor reads and writes, against another library's bytes."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agents.guard import cdr
+from shared.ros import crtk
+from shared.ros.types import JOINT_STATE, JOY, encode, message
+
+numbers = st.lists(st.floats(allow_nan=False), max_size=9)
+texts = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=12)
+stamps = st.integers(0, 2**31 * 10**9 - 1)
+axes = st.lists(st.floats(width=32, allow_nan=False), max_size=5)
+
+
+def header(stamp_ns: int, frame: str):
+    stamp = message("builtin_interfaces/msg/Time", stamp_ns // 10**9, stamp_ns % 10**9)
+    return message("std_msgs/msg/Header", stamp, frame)
+
+
+@given(stamps, texts, st.lists(texts, max_size=7), numbers, numbers, numbers)
+def test_positions_are_read_from_any_joint_state(stamp_ns, frame, names, position, velocity, effort):
+    arrays = (np.array(values, np.float64) for values in (position, velocity, effort))
+    data = encode(JOINT_STATE, message(JOINT_STATE, header(stamp_ns, frame), names, *arrays))
+    assert cdr.joint_positions(data) == tuple(position)
+
+
+@given(
+    stamps, texts, st.lists(st.floats(width=32, allow_nan=False), max_size=5), st.lists(st.integers(0, 1), min_size=1)
+)
+def test_a_button_is_read_from_any_joy(stamp_ns, frame, values, buttons):
+    buttons = buttons[:60]
+    joy = message(JOY, header(stamp_ns, frame), np.array(values, np.float32), np.array(buttons, np.int32))
+    assert cdr.pressed(encode(JOY, joy)) == (buttons[0] == 1)
+
+
+@given(stamps, st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=7))
+def test_what_is_written_are_the_other_librarys_bytes(stamp_ns, positions):
+    assert cdr.joint_state(tuple(positions), stamp_ns) == crtk.joint_command(np.array(positions), stamp_ns)
+    for word in ("pause", "hold"):
+        assert cdr.string_stamped(word, stamp_ns) == crtk.state_command(word, stamp_ns)
+    assert crtk.empty() == cdr.EMPTY
+
+
+@pytest.mark.parametrize("read", [cdr.joint_positions, cdr.pressed])
+@given(data=st.binary(max_size=120))
+def test_bytes_that_are_no_message_are_told_to_be_none(read, data):
+    for prefix in (b"", cdr.LITTLE_ENDIAN):
+        try:
+            read(prefix + data)
+        except cdr.CdrError:
+            continue
+
+
+@pytest.mark.parametrize("read", [cdr.joint_positions, cdr.pressed])
+def test_a_message_that_is_cut_off_or_goes_on_is_none(read):
+    joy = message(JOY, header(1, "a"), np.zeros(1, np.float32), np.ones(2, np.int32))
+    whole = crtk.joint_command(np.arange(6.0), 5) if read is cdr.joint_positions else encode(JOY, joy)
+    for length in range(len(whole)):
+        with pytest.raises(cdr.CdrError):
+            read(whole[:length])
+    with pytest.raises(cdr.CdrError, match="more follows"):
+        read(whole + bytes(8))
+    with pytest.raises(cdr.CdrError, match="not CDR in little endian"):
+        read(b"\x00\x00" + whole[2:])
+
+
+def test_a_list_that_claims_to_be_long_is_none():
+    data = bytearray(crtk.joint_command(np.arange(6.0), 5))
+    data[24:28] = (cdr.MOST_VALUES + 1).to_bytes(4, "little")
+    with pytest.raises(cdr.CdrError, match="claims to have 65 values"):
+        cdr.joint_positions(bytes(data))
+
+
+def test_a_joy_without_buttons_is_none():
+    joy = message(JOY, header(1, ""), np.zeros(1, np.float32), np.zeros(0, np.int32))
+    with pytest.raises(cdr.CdrError, match="no button"):
+        cdr.pressed(encode(JOY, joy))

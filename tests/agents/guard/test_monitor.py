@@ -1,0 +1,547 @@
+"""The safety monitor, rule by rule, with the time passed in."""
+
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agents.guard.description import (
+    AHEAD_S,
+    BURST_S,
+    FRESH_NS,
+    GONE_NS,
+    GRACE_NS,
+    LINK_NS,
+    PRESENCE_NS,
+    Axis,
+    Description,
+)
+from agents.guard.monitor import AGAIN_NS, BURNT, HOLDS_NS, OBEYS_NS, REMEMBERED_NS, STANDS_NS, Kind, Monitor
+from shared.ros.guarded import UNKNOWN_MS, Alive, Gate, SetPoint
+
+MS = 1_000_000
+AXES = (Axis(-1.5, 1.5, 1.0), Axis(0.0, 0.24, 0.2), Axis(-0.7, 1.4, 3.0))
+ROBOT = Description("psm1", "PSM1", AXES, 200.0)
+HERE = (0.1, 0.1, 0.2)
+TICK = 5 * MS
+
+
+class Rig:
+    """A monitor, a bridge that sends set points each tick, somebody who answers, and an arm that is measured."""
+
+    def __init__(self, robot=ROBOT):
+        self.monitor, self.now_ns, self.sequence = Monitor(robot), 10**12, 0
+        self.asked, self.actions = 0, []
+        self.place, self.measures, self.answers = HERE, True, True
+        self.tick(4)
+
+    def tick(self, count=1, arming=""):
+        """Time passes; a challenge comes every 20 ms, and is answered at once for the arming."""
+        for _ in range(count):
+            self.now_ns += TICK
+            if self.now_ns // TICK % 4 == 0:
+                self.asked = self.monitor.challenge(self.now_ns).challenge
+                if arming and self.answers:
+                    self.beat(arming)
+            if self.measures:
+                self.monitor.hear_joints(self.place[:-1], self.now_ns)
+                self.monitor.hear_jaw(self.place[-1:], self.now_ns)
+            self.actions += self.monitor.turn(self.now_ns)
+
+    def beat(self, arming, pressed=True, arm="psm1", challenge=None):
+        self.monitor.hear_heartbeat(arm, arming, self.asked if challenge is None else challenge, pressed, self.now_ns)
+
+    def say(self, positions=HERE, arming="a", challenge=None, sequence=None):
+        """A set point; what follows."""
+        self.sequence += 1
+        of = self.sequence if sequence is None else sequence, self.asked if challenge is None else challenge
+        found = self.monitor.hear_set_point(SetPoint(*of, arming, tuple(positions)), self.now_ns)
+        self.actions += found
+        return found
+
+    def moves(self, ticks=40, arming="a"):
+        """Somebody stands by a motion."""
+        for _ in range(ticks):
+            self.tick(1, arming)
+            self.say(self.place, arming)
+        return self
+
+    @property
+    def held(self):
+        return [action.reason for action in self.actions if action.kind is Kind.HOLD]
+
+    @property
+    def gate(self):
+        return self.monitor.gate
+
+
+def passed(actions):
+    return [action.positions for action in actions if action.kind is Kind.PASS]
+
+
+def reason(actions):
+    (action,) = actions
+    assert action.kind is Kind.HOLD
+    return action.reason
+
+
+def test_a_motion_that_somebody_stands_by_passes_as_it_was_sent_and_its_end_shuts_the_gate():
+    rig = Rig().moves()
+    assert len(passed(rig.actions)) == 40 - 3, "until the first answer nothing passes"
+    assert set(passed(rig.actions)) == {HERE}
+    assert rig.gate is Gate.OPEN
+    rig.monitor.hear_alive(Alive(99, rig.asked, "a", ended=True), rig.now_ns)
+    assert rig.gate is Gate.SHUT
+    rig.tick(100, "a")
+    assert rig.say() == []
+    assert rig.held == [], "it ended as it should"
+
+
+def test_only_the_open_arming_ends_and_only_where_it_is_said_to_have_ended():
+    for alive in (Alive(99, 1, "b", ended=True), Alive(99, 1, "a", ended=False)):
+        rig = Rig().moves()
+        rig.monitor.hear_alive(alive, rig.now_ns)
+        assert rig.gate is Gate.OPEN
+
+
+@pytest.mark.parametrize("late_ns", [0, MS])
+def test_presence_lasts_from_when_the_challenge_was_issued_and_no_longer(late_ns):
+    rig = Rig().moves()
+    issued_ns, rig.answers = rig.now_ns - rig.now_ns // TICK % 4 * TICK, False
+    while rig.now_ns + TICK <= issued_ns + PRESENCE_NS:
+        rig.tick()
+        assert passed(rig.say()) == [HERE]
+    rig.now_ns = issued_ns + PRESENCE_NS + late_ns
+    assert bool(passed(rig.say())) == (late_ns == 0)
+    if late_ns:
+        assert rig.held == ["nobody stands by any more"]
+
+
+def test_a_turn_ends_what_nobody_stands_by_even_where_no_set_point_comes():
+    rig = Rig().moves()
+    rig.answers = False
+    began_ns = rig.now_ns
+    while not rig.held:
+        rig.tick()
+        rig.sequence += 1
+        rig.monitor._passed_ns = rig.now_ns
+    assert rig.held == ["nobody stands by any more"]
+    assert rig.now_ns - began_ns <= PRESENCE_NS + TICK
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        {"arm": "psm2"},
+        {"challenge": 0},
+        {"challenge": 12345},
+        {"pressed": False},
+    ],
+)
+def test_what_is_no_answer_of_a_person_at_this_arm_lets_nothing_pass(answer):
+    rig = Rig()
+    for _ in range(10):
+        rig.tick()
+        rig.beat("a", **answer)
+        assert rig.say() == []
+    assert rig.gate is Gate.SHUT
+
+
+def test_an_answer_for_another_arming_lets_nothing_of_this_one_pass():
+    rig = Rig()
+    for _ in range(10):
+        rig.tick(1, "b")
+        assert rig.say(arming="a") == []
+
+
+def test_an_old_answer_that_comes_late_does_not_make_presence_younger_or_older():
+    rig = Rig().moves()
+    old = rig.asked
+    rig.tick(20, "a")
+    newest_ns = rig.monitor._present["a"]
+    rig.beat("a", challenge=old)
+    assert rig.monitor._present["a"] == newest_ns
+
+
+def test_a_challenge_is_forgotten_after_a_while():
+    rig = Rig()
+    old = rig.asked
+    rig.now_ns += REMEMBERED_NS + TICK
+    rig.tick(4)
+    assert rig.monitor.hear_alive(Alive(1, old), rig.now_ns) == []
+    assert rig.monitor.challenge(rig.now_ns).round_trip_ms == UNKNOWN_MS
+
+
+def test_challenges_are_never_zero_nor_the_same():
+    rig = Rig()
+    made = {rig.monitor.challenge(rig.now_ns + k).challenge for k in range(200)}
+    assert len(made) == 200
+    assert 0 not in made
+
+
+def test_set_points_that_nobody_stands_by_are_dropped_for_a_moment_and_then_the_arm_is_held():
+    rig = Rig()
+    began_ns = rig.now_ns
+    while not rig.held:
+        rig.tick()
+        rig.say()
+        assert passed(rig.actions) == []
+    assert rig.held == ["set points come and nobody stands by"]
+    assert GRACE_NS < rig.now_ns - began_ns <= GRACE_NS + 2 * TICK
+    assert rig.gate is Gate.HELD
+
+
+def test_a_motion_that_was_held_never_passes_again_and_another_arming_does():
+    rig = Rig().moves()
+    rig.answers = False
+    rig.moves(60)
+    assert rig.gate is Gate.HELD
+    rig.answers = True
+    for _ in range(40):
+        rig.tick(1, "a")
+        assert rig.say(arming="a") == []
+    told = rig.monitor.challenge(rig.now_ns)
+    assert (told.gate, told.arming_id, told.reason) == (Gate.HELD, "a", "nobody stands by any more")
+    rig.moves(10, arming="b")
+    assert rig.gate is Gate.OPEN
+    assert rig.monitor.challenge(rig.now_ns).reason == ""
+
+
+def test_a_set_point_without_an_arming_is_none():
+    rig = Rig().moves()
+    assert rig.say(arming="") == []
+    assert rig.gate is Gate.OPEN
+
+
+@pytest.mark.parametrize(
+    ("positions", "why"),
+    [
+        ((0.1, 0.1), "has 2 numbers, where the arm has 3"),
+        ((0.1, 0.1, 0.2, 0.0), "has 4 numbers, where the arm has 3"),
+        ((0.1, math.nan, 0.2), "not finite"),
+        ((0.1, math.inf, 0.2), "not finite"),
+        ((1.51, 0.1, 0.2), "axis 1 at 1.51, outside -1.5 to 1.5"),
+        ((0.1, -0.001, 0.2), "axis 2 at -0.001, outside 0 to 0.24"),
+        ((0.1, 0.1, 1.41), "axis 3 at 1.41, outside -0.7 to 1.4"),
+        ((0.1 + 1.0 * BURST_S * 1.01, 0.1, 0.2), "axis 1 go faster than 1 a second"),
+        ((0.1, 0.1 - 0.2 * BURST_S * 1.01, 0.2), "axis 2 go faster than 0.2 a second"),
+    ],
+)
+def test_what_no_arm_should_be_sent_is_not_passed_and_holds_it(positions, why):
+    rig = Rig().moves()
+    rig.tick(1, "a")
+    assert why in reason(rig.say(positions))
+    assert rig.gate is Gate.HELD
+    assert rig.say(HERE) == []
+
+
+def test_limits_themselves_may_be_sent():
+    rig = Rig()
+    rig.place = (1.5, 0.0, 1.4)
+    rig.moves()
+    assert rig.gate is Gate.OPEN
+    assert rig.held == []
+
+
+def test_a_bad_set_point_before_anything_moves_holds_too_and_burns_its_arming():
+    rig = Rig()
+    rig.tick(1, "a")
+    assert "not finite" in reason(rig.say((math.nan, 0.1, 0.2)))
+    rig.tick(10, "a")
+    assert rig.say() == []
+
+
+def test_what_comes_of_another_arming_in_mid_motion_holds_and_neither_goes_on():
+    rig = Rig().moves()
+    rig.tick(4, "b")
+    rig.beat("a")
+    assert reason(rig.say(arming="b")) == "set points of another arming come in mid-motion"
+    for arming in ("a", "b"):
+        rig.tick(8, arming)
+        assert rig.say(arming=arming) == []
+
+
+@pytest.mark.parametrize("age_ns", [LINK_NS, LINK_NS + 1])
+def test_a_set_point_is_as_young_as_the_challenge_that_it_echoes(age_ns):
+    rig = Rig().moves()
+    challenge, rig.now_ns = rig.monitor.challenge(rig.now_ns).challenge, rig.now_ns + age_ns
+    rig.asked = challenge
+    rig.beat("a")
+    rig.monitor.hear_joints(HERE[:-1], rig.now_ns)
+    rig.monitor.hear_jaw(HERE[-1:], rig.now_ns)
+    assert bool(passed(rig.say(challenge=challenge))) == (age_ns == LINK_NS)
+    assert rig.gate is Gate.OPEN, "a late one alone is dropped"
+
+
+def test_a_set_point_of_an_unknown_challenge_is_dropped():
+    rig = Rig().moves()
+    assert rig.say(challenge=7) == []
+    assert rig.gate is Gate.OPEN
+
+
+def test_what_was_overtaken_or_is_played_again_is_dropped():
+    rig = Rig().moves()
+    for sequence in (rig.sequence, rig.sequence - 1, 0):
+        assert rig.say(sequence=sequence) == []
+    assert passed(rig.say(sequence=rig.sequence + 1)) == [HERE]
+
+
+def test_numbers_of_another_arming_begin_anew():
+    rig = Rig().moves()
+    rig.monitor.hear_alive(Alive(0, rig.asked, "a", ended=True), rig.now_ns)
+    rig.tick(4, "b")
+    assert passed(rig.say(arming="b", sequence=0)) == [HERE]
+
+
+@pytest.mark.parametrize("gone_ns", [GONE_NS, GONE_NS + TICK])
+def test_a_motion_that_sends_nothing_any_more_is_held(gone_ns):
+    rig = Rig().moves()
+    last_ns = rig.now_ns
+    while rig.now_ns < last_ns + gone_ns:
+        rig.tick(1, "a")
+    assert rig.held == (["set points have ended, and not as a motion should"] if gone_ns > GONE_NS else [])
+
+
+@pytest.mark.parametrize("what", ["hear_joints", "hear_jaw"])
+@pytest.mark.parametrize("values", [(), (math.nan,), (math.nan, 0.1), (0.1, 0.1, 0.1)])
+def test_an_arm_that_is_not_measured_is_not_moved(what, values):
+    rig = Rig().moves()
+    rig.measures = False
+    since_ns = rig.now_ns
+    while not rig.held:
+        rig.tick(1, "a")
+        other = "hear_jaw" if what == "hear_joints" else "hear_joints"
+        getattr(rig.monitor, other)(HERE[-1:] if other == "hear_jaw" else HERE[:-1], rig.now_ns)
+        getattr(rig.monitor, what)(values, rig.now_ns)
+        rig.say()
+    assert "not measured" in rig.held[0]
+    assert rig.now_ns - since_ns <= FRESH_NS + 2 * TICK
+    assert rig.gate is Gate.HELD
+
+
+def test_an_arm_that_was_never_measured_is_not_moved():
+    rig = Rig()
+    rig.monitor._measured.clear()
+    rig.tick(0)
+    rig.beat("a")
+    assert reason(rig.say()) == "the arm's joints or jaw are not measured"
+
+
+def test_no_axis_goes_faster_than_it_may_however_set_points_are_spread():
+    rig = Rig().moves()
+    step, position = AXES[0].speed * TICK * 1e-9, HERE[0]
+    for _ in range(200):
+        rig.tick(1, "a")
+        position += 0.999 * step
+        if position > 1.4:
+            break
+        rig.place = (position, *HERE[1:])
+        assert passed(rig.say(rig.place)) == [rig.place]
+    over = (position - 1.4 * BURST_S, *HERE[1:])
+    assert "faster" in reason(rig.say(over))
+
+
+def test_travel_that_was_not_used_does_not_add_up():
+    rig = Rig().moves(200)
+    rig.tick(1, "a")
+    assert "faster" in reason(rig.say((HERE[0] + 1.02 * BURST_S, *HERE[1:])))
+
+
+def test_a_burst_of_what_was_on_its_way_passes_and_more_does_not():
+    rig = Rig().moves()
+    rig.tick(1, "a")
+    step = AXES[0].speed * 0.005
+    count = 0
+    while (found := rig.say((HERE[0] + step * (count + 1), *HERE[1:]))) and found[0].kind is Kind.PASS:
+        count += 1
+    assert count == round(BURST_S / 0.005)
+
+
+def test_more_set_points_than_a_bridge_sends_are_none_of_a_bridge():
+    rig = Rig().moves()
+    for _ in range(100):
+        found = rig.say()
+        if not passed(found):
+            break
+    assert reason(found) == "more than 300 set points a second come"
+
+
+def test_a_set_point_far_from_where_the_arm_is_measured_holds_it():
+    rig = Rig().moves()
+    position = HERE[0]
+    for _ in range(400):
+        rig.tick(1, "a")
+        position += 0.9 * AXES[0].speed * TICK * 1e-9
+        found = rig.say((position, *HERE[1:]))
+        if not passed(found):
+            break
+    assert "from where it is measured" in reason(found)
+    assert position - HERE[0] == pytest.approx(AXES[0].speed * AHEAD_S, abs=0.01)
+
+
+def test_somebody_elses_set_points_end_a_motion_and_pause_the_arm_where_they_go_on():
+    rig = Rig()
+    assert rig.monitor.hear_stranger(rig.now_ns) == [], "before anything moves they are somebody else's concern"
+    rig.moves()
+    assert reason(rig.monitor.hear_stranger(rig.now_ns)) == "somebody else sends set points too"
+    assert rig.monitor.hear_stranger(rig.now_ns + OBEYS_NS) == []
+    (pause,) = rig.monitor.hear_stranger(rig.now_ns + OBEYS_NS + 1)
+    assert (pause.kind, pause.reason) == (Kind.PAUSE, "set points come although the arm was held")
+    assert rig.monitor.hear_stranger(rig.now_ns + 2 * OBEYS_NS) == [], "once"
+
+
+def test_somebody_elses_hold_ends_a_motion_for_good_and_is_not_said_a_second_time_at_once():
+    rig = Rig()
+    assert rig.monitor.hear_hold(rig.now_ns) == []
+    assert rig.gate is Gate.SHUT
+    rig.moves()
+    assert rig.monitor.hear_hold(rig.now_ns) == []
+    assert rig.gate is Gate.HELD
+    rig.tick(4, "a")
+    assert rig.say() == []
+
+
+def test_a_hold_is_said_again_until_the_arm_stands():
+    rig = Rig().moves()
+    rig.answers = False
+    while not rig.held:
+        rig.tick()
+        rig.say()
+    held_ns = rig.now_ns
+    for k in range(100):
+        rig.place = (HERE[0] + 0.01 * (k % 2), *HERE[1:])
+        rig.tick()
+    assert len(rig.held) == 1 + (rig.now_ns - held_ns) // AGAIN_NS
+    rig.tick(2 + STANDS_NS // TICK + AGAIN_NS // TICK)
+    said = len(rig.held)
+    rig.tick(200)
+    assert len(rig.held) == said
+
+
+def test_a_hold_of_an_arm_that_is_not_measured_is_said_for_a_while_and_not_for_ever():
+    rig = Rig().moves()
+    rig.measures = False
+    rig.tick(round(2 * HOLDS_NS / TICK))
+    assert len(rig.held) == pytest.approx(HOLDS_NS / AGAIN_NS, abs=3)
+
+
+def test_the_bridge_is_told_how_long_its_way_takes():
+    rig = Rig()
+    told = rig.monitor.challenge(rig.now_ns)
+    assert (told.answers, told.round_trip_ms, told.gate, told.pedal) == (0, UNKNOWN_MS, Gate.SHUT, False)
+    rig.monitor.hear_alive(Alive(5, told.challenge), rig.now_ns + 30 * MS)
+    again = rig.monitor.challenge(rig.now_ns + 40 * MS)
+    assert (again.answers, again.round_trip_ms) == (5, 30.0)
+    rig.now_ns += 90 * MS
+    rig.say(challenge=told.challenge, sequence=6)
+    assert rig.monitor.challenge(rig.now_ns).round_trip_ms == 90.0
+
+
+PEDAL = replace(ROBOT, pedal=True)
+
+
+def with_pedal(robot=PEDAL):
+    rig = Rig(robot)
+    rig.monitor.hear_pedal(True, rig.now_ns)
+    return rig
+
+
+def processes(rig, ticks=40, arming="a"):
+    """A process beats by itself beside somebody's foot."""
+    for _ in range(ticks):
+        rig.tick()
+        rig.beat(arming, pressed=False)
+        rig.say(arming=arming)
+    return rig
+
+
+def test_a_pressed_pedal_is_presence_and_its_release_ends_it_at_once():
+    rig = processes(with_pedal())
+    assert rig.gate is Gate.OPEN
+    assert rig.monitor.challenge(rig.now_ns).pedal
+    rig.monitor.hear_pedal(False, rig.now_ns)
+    assert reason(rig.say()) == "nobody stands by any more"
+
+
+def test_a_pedal_that_the_description_does_not_name_counts_for_nothing():
+    rig = processes(with_pedal(ROBOT), ticks=10)
+    assert rig.gate is Gate.SHUT
+    assert not rig.monitor.challenge(rig.now_ns).pedal
+
+
+def test_a_pedal_has_to_be_pressed_anew_for_each_motion():
+    rig = processes(with_pedal())
+    rig.monitor.hear_alive(Alive(0, rig.asked, "a", ended=True), rig.now_ns)
+    assert not rig.monitor.challenge(rig.now_ns).pedal
+    rig.monitor.hear_pedal(True, rig.now_ns)
+    processes(rig, 10, "b")
+    assert rig.gate is Gate.SHUT, "it is told to be down, and was never up"
+    rig.monitor.hear_pedal(False, rig.now_ns)
+    rig.monitor.hear_pedal(True, rig.now_ns)
+    rig.monitor._burnt.clear()
+    assert processes(rig, 10, "c").gate is Gate.OPEN
+
+
+def test_a_pedal_counts_only_while_its_console_is_heard():
+    rig = with_pedal()
+    rig.measures = False
+    rig.tick(round(FRESH_NS / TICK) + 2)
+    assert not rig.monitor.challenge(rig.now_ns).pedal
+
+
+def test_what_is_burnt_is_remembered_among_many():
+    rig = Rig()
+    for k in range(BURNT + 10):
+        rig.monitor._forget(f"arming-{k}")
+    assert len(rig.monitor._burnt) == BURNT
+    assert f"arming-{BURNT + 9}" in rig.monitor._burnt
+
+
+def test_presence_is_kept_of_so_many_armings_alone():
+    rig = Rig()
+    for k in range(BURNT + 10):
+        rig.beat(f"arming-{k}")
+    assert len(rig.monitor._present) == BURNT
+
+
+@given(st.lists(st.tuples(st.sampled_from("abc"), st.floats(-3, 3), st.integers(0, 40), st.booleans()), max_size=60))
+def test_whatever_comes_what_passes_is_within_limits_and_no_faster_than_it_may(steps):
+    rig = Rig()
+    last, last_ns = None, 0
+    for arming, value, ticks, attended in steps:
+        rig.answers = attended
+        rig.tick(ticks, arming)
+        # near, as a motion is, or anywhere
+        position = (HERE[0] + value * (0.02 if ticks < 20 else 1.0), *HERE[1:])
+        for found in passed(rig.say(position, arming)):
+            assert all(axis.lower <= at <= axis.upper for axis, at in zip(AXES, found, strict=True))
+            if last is not None:
+                allowed = AXES[0].speed * ((rig.now_ns - last_ns) * 1e-9 + BURST_S) + abs(HERE[0] - last)
+                assert abs(found[0] - last) <= allowed + 1e-9
+            last, last_ns = found[0], rig.now_ns
+
+
+@pytest.mark.parametrize(
+    "document",
+    [
+        {},
+        {"arm": "psm1", "console": "PSM1", "axes": [[0, 1, 1]], "rate_hz": 200, "pedal": False},
+        {"arm": "psm1", "console": "PSM1", "axes": [[1, 0, 1]] * 2, "rate_hz": 200, "pedal": False},
+        {"arm": "psm1", "console": "PSM1", "axes": [[0, 1, 0]] * 2, "rate_hz": 200, "pedal": False},
+        {"arm": "psm1", "console": "PSM1", "axes": [[0, 1, math.inf]] * 2, "rate_hz": 200, "pedal": False},
+        {"arm": "psm1", "console": "PSM1", "axes": [[0, 1, 1]] * 2, "rate_hz": 0, "pedal": False},
+        {"arm": "psm1", "console": "PSM1", "axes": [[0, 1, 1]] * 2, "rate_hz": 1001, "pedal": False},
+        {"arm": "psm1", "console": "PSM1", "axes": [[0, 1]] * 2, "rate_hz": 200, "pedal": False},
+    ],
+)
+def test_a_description_that_no_arm_has_is_refused(document):
+    with pytest.raises(ValueError, match="the guard's description"):
+        Description.from_document(document)
+
+
+def test_a_description_is_what_its_document_says():
+    axes = [[axis.lower, axis.upper, axis.speed] for axis in AXES]
+    document = {"arm": "psm1", "console": "PSM1", "axes": axes, "rate_hz": 200.0, "pedal": True}
+    assert Description.from_document(document) == PEDAL
