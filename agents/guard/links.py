@@ -23,6 +23,9 @@ from schemas.generated.suturegrasp_pb2 import Heartbeat
 from shared.clock import monotonic_ns, now_ns
 from shared.ros.guarded import GuardedError, alive_from, challenge_bytes, set_point_from
 
+MEASURED = ("measured_js", "jaw/measured_js")
+RESTS_NS = 1_000_000_000
+"""So long after the last heartbeat or set point nothing moves, and few turns are enough."""
 _ATTACHMENT = struct.Struct("<qqB16s")
 """What travels beside a message of rmw_zenoh: sequence number, time, length and bytes of its publisher's id."""
 
@@ -50,6 +53,7 @@ class Links:
         self._gid, self._sequence, self.refused = os.urandom(16), itertools.count(1), 0
         self._kept: list[Any] = []
         self._robot: zenoh.Session | None = None
+        self._newest, self._looked_ns, self._stirred_ns = dict[str, Any](), 0, 0
         self.broke = False
 
     def open_robot(self) -> None:
@@ -66,14 +70,16 @@ class Links:
         hears = {
             "set_point": self._hear_set_point,
             "alive": lambda key, data: self._monitor.hear_alive(alive_from(key, data), monotonic_ns()),
-            "measured_js": lambda _, data: self._hear_joints(self._monitor.hear_joints, data),
-            "jaw/measured_js": lambda _, data: self._hear_joints(self._monitor.hear_jaw, data),
             "pedal": lambda _, data: self._monitor.hear_pedal(cdr.pressed(data), monotonic_ns()),
             "servo_jp": lambda _key, _data: self._monitor.hear_stranger(monotonic_ns()),
             "jaw/servo_jp": lambda _key, _data: self._monitor.hear_stranger(monotonic_ns()),
             "hold": lambda _key, _data: self._monitor.hear_hold(monotonic_ns()),
         }
         for name, key in robot["hears"].items():
+            if name in MEASURED:
+                newest = session.declare_subscriber(key, zenoh.handlers.RingChannel(1))
+                self._newest[name] = newest
+                continue
             heard = self._heard(hears[name])
             self._kept.append(session.declare_subscriber(key, heard, allowed_origin=zenoh.Locality.REMOTE))
 
@@ -89,6 +95,7 @@ class Links:
             if len(UnknownFieldSet(beat)):
                 raise GuardedError("it is of a version that this guard does not know")
             said = beat.arm, beat.arming_id, beat.guard_challenge, beat.pressed
+            self._stirred_ns = monotonic_ns()
             self._monitor.hear_heartbeat(*said, monotonic_ns())
 
         def heard(sample: zenoh.Sample) -> None:
@@ -97,10 +104,12 @@ class Links:
 
         self._kept += [session, session.declare_subscriber(rig["heartbeat"], heard)]
 
-    def turn(self) -> None:
-        """What follows from time alone."""
+    def turn(self) -> bool:
+        """What follows from time alone; whether something moves, or is about to."""
         with self._judging():
+            self._measure()
             self._do(self._monitor.turn(monotonic_ns()))
+        return monotonic_ns() - self._stirred_ns < RESTS_NS
 
     def challenge(self) -> None:
         """Tell the bridge the next challenge."""
@@ -142,10 +151,18 @@ class Links:
             self.broke = True
 
     def _hear_set_point(self, key: str, data: bytes) -> list[Action]:
-        return self._monitor.hear_set_point(set_point_from(key, data), monotonic_ns())
+        said = set_point_from(key, data)
+        self._stirred_ns = monotonic_ns()
+        self._measure()
+        return self._monitor.hear_set_point(said, monotonic_ns())
 
-    def _hear_joints(self, hear: Callable[[tuple[float, ...], int], None], data: bytes) -> None:
-        hear(cdr.joint_positions(data), monotonic_ns())
+    def _measure(self) -> None:
+        """Read the newest measurements, which came after the last look; as old as that look they count."""
+        looked_ns, self._looked_ns = self._looked_ns, monotonic_ns()
+        for name, hear in (("measured_js", self._monitor.hear_joints), ("jaw/measured_js", self._monitor.hear_jaw)):
+            newest = self._newest.get(name)
+            if newest is not None and (sample := newest.try_recv()) is not None:
+                hear(cdr.joint_positions(sample.payload.to_bytes()), looked_ns)
 
     def _do(self, actions: list[Action]) -> None:
         for action in actions:

@@ -178,8 +178,13 @@ class Monitor:
         """How old the challenge is that a message of the bridge echoes; None where that is not known."""
         issued_ns = self._issued.get(challenge)
         self._answers = sequence
-        self._round_trip_ms = UNKNOWN_MS if issued_ns is None else 1e-6 * (now_ns - issued_ns)
-        return None if issued_ns is None else now_ns - issued_ns
+        if issued_ns is None:
+            self._round_trip_ms = UNKNOWN_MS
+            return None
+        # challenges come seldom at rest: the way takes as long as the next newer one has been out
+        newer_ns = next((at_ns for at_ns in self._issued.values() if at_ns > issued_ns), now_ns)
+        self._round_trip_ms = 1e-6 * (now_ns - newer_ns)
+        return now_ns - issued_ns
 
     def _measure(self, what: str, values: tuple[float, ...], count: int, now_ns: int) -> None:
         if len(values) != count or not all(math.isfinite(value) for value in values):

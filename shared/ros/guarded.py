@@ -77,7 +77,8 @@ class Challenge:
     Fields:
         challenge: the newest number, never 0.
         answers: the sequence number of the newest message of the bridge that was heard; 0 before the first.
-        round_trip_ms: how old the challenge was that this echoed; UNKNOWN_MS before the first.
+        round_trip_ms: for how long a newer challenge had been out than the one that it echoed: how long the way there
+            and back takes, 0 where it echoed the newest; UNKNOWN_MS where it echoed none that is known.
         gate, arming_id: what it does with set points, and of which arming; `reason` why, where they are held.
         pedal: the console's operator-present pedal is down, was pressed anew since the last motion, and its console
             is heard.

@@ -29,8 +29,8 @@ from shared.ros.guarded import (
 
 LINK_S = 0.1
 """How old a challenge may be that a set point echoes: the guard's own bound."""
-SILENCE_NS = 150_000_000
-"""A guard that has said nothing for so long is gone: it speaks every 20 ms."""
+SILENCE_NS = 250_000_000
+"""A guard that has said nothing for so long is gone: it speaks every 20 ms, and every 80 ms at rest."""
 IDLE_NS = 20_000_000
 """So long after the last set point the bridge says that it is alive."""
 TAIL = 8
