@@ -17,8 +17,9 @@ from agents.cli.demo.goals import APART, FROM_END, goals_of
 from agents.cli.live.command import event_sentence
 from agents.cli.running.session_folder import free_path, new_session_folder
 from agents.cli.status.health_watch import HealthWatch, health_table
+from agents.operator.operator import Stood
 from agents.planner.agent import Planner
-from schemas.messages import ExecutionEvent, ExecutionKind
+from schemas.messages import Checked, CommandAnswer, ExecutionEvent, ExecutionKind, Outcome
 from shared.runtime.connection import connected
 from shared.runtime.session import free_local_endpoint
 
@@ -155,6 +156,38 @@ def test_every_event_has_its_words(kind):
     sentence = event_sentence(ExecutionEvent("plan-1", "psm1", 0, kind, None, code, reason))
     assert sentence.startswith("psm1: ")
     assert ("stale" in sentence and "too old" in sentence) == refused
+
+
+class Attempted:
+    """In the place of what stands by an arm and hears of a grasp: each one misses, and another is planned for."""
+
+    def __init__(self, is_real):
+        self.is_real, self.armed = is_real, []
+
+    def arm(self, _connection, arm, plan_id, _stopped, _told):
+        self.armed.append(plan_id)
+        end = ExecutionEvent(plan_id, arm, 0, ExecutionKind.FINISHED, None, "", "")
+        return Stood(CommandAnswer("id", Outcome.ACCEPTED, "", ""), end, is_real=self.is_real)
+
+    def check_of(self, plan_id):
+        return SimpleNamespace(plan_id=plan_id, sentence="the thread is not held", verdict=Checked.MISSED)
+
+    def plan_after(self, _check):
+        return SimpleNamespace(plan_id=f"plan-{len(self.armed) + 1}")
+
+
+@pytest.mark.parametrize(("is_real", "armed"), [(True, ["plan-1"]), (False, ["plan-1", "plan-2", "plan-3"])])
+def test_on_a_real_arm_no_further_attempt_arms_itself(suturegrasp, nowhere, monkeypatch, is_real, armed):
+    command, attempted = "agents.cli.live.command", Attempted(is_real)
+    monkeypatch.setattr(f"{command}.connected", lambda _settings: contextlib.nullcontext(None))
+    monkeypatch.setattr(f"{command}.Attempts", lambda _connection: attempted)
+    monkeypatch.setattr(f"{command}.arm_and_stand_by", attempted.arm)
+    monkeypatch.setattr(f"{command}.plan_sentence", lambda plan: plan.plan_id)
+    ended = suturegrasp("arm", "plan-1", "--attempts", "3", "--config", nowhere)
+    assert ended.status == 3
+    assert attempted.armed == armed
+    said = "psm1 is real, so that a person arms each attempt: suturegrasp arm plan-2 --arm psm1"
+    assert (said in ended.err) == is_real
 
 
 def known(confidence) -> Any:

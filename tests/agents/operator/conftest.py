@@ -3,6 +3,8 @@
 import asyncio
 import contextlib
 import logging
+import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,9 +15,13 @@ from agents.operator.access import Access
 from agents.operator.desk import Desk
 from agents.operator.page_server import serving
 from agents.operator.surroundings import Surroundings
+from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.limits import MotionLimits
+from agents.robot_bridge.simulated import SimulatedPsm
 from benchmarks.browser import chromium
 from schemas.messages import (
+    ChallengeEcho,
+    FrameNotice,
     FrameStamp,
     ImageEncoding,
     RectifiedStereo,
@@ -24,9 +30,10 @@ from schemas.messages import (
     StereoFrame,
     ThreadReconstruction,
 )
-from schemas.topics import FRAMES, MAIN, THREAD
+from schemas.topics import FRAME_NOTICE, FRAMES, MAIN, ROBOT_STATE, THREAD
+from shared.clock import now_ns
 from shared.images import encode_image
-from shared.runtime.agent import Output, Tick
+from shared.runtime.agent import Input, Output, Received, Tick
 from shared.runtime.connection import connected
 
 NONE = np.zeros(0)
@@ -48,27 +55,53 @@ QUICK = MotionLimits(
 """For tests that wait for the end of a motion."""
 
 
-class HandMadeThread:
+class Stamped:
+    """What stamps frames; where it `echoes`, each with the newest challenge of every arm's bridge, until it is frozen.
+
+    Fields:
+        frozen: once it is set, every frame is as old as the last one of before, by what it echoes.
+    """
+
+    inputs: tuple[Input, ...] = (Input(ROBOT_STATE, "*", only_newest_counts=True, only_remembered=True),)
+
+    def __init__(self, echoes):
+        self.echoes, self.frozen, self._newest, self._frame = echoes, threading.Event(), {}, 0
+
+    def heard(self, arrived):
+        """Whether it was a challenge."""
+        if isinstance(arrived, Received):
+            if not self.frozen.is_set():
+                self._newest[arrived.message.arm] = arrived.message.challenge_ns
+            return True
+        assert isinstance(arrived, Tick)
+        return False
+
+    def next_stamp(self, at_ns):
+        self._frame += 1
+        echoes = tuple(ChallengeEcho(*each) for each in self._newest.items()) if self.echoes else ()
+        return FrameStamp(self._frame, at_ns, at_ns, "hand", echoes)
+
+
+class HandMadeThread(Stamped):
     """In the place of camera, perception and reconstruction; tells of so many frames (None: of all)."""
 
     kind, instance = "reconstruction", MAIN
-    inputs, outputs, commands = (), (THREAD,), ()
+    outputs, commands = (THREAD,), ()
     tick_hz = 20.0
 
-    def __init__(self, most=None):
-        self._frame, self._most = 0, most
+    def __init__(self, most=None, echoes=False):
+        super().__init__(echoes)
+        self._most = most
 
     def step(self, arrived):
-        assert isinstance(arrived, Tick)
-        if self._frame == self._most:
+        if self.heard(arrived) or self._frame == self._most:
             return []
-        self._frame += 1
         confidence_s = np.linspace(0, 1, 11)
         return [
             Output(
                 THREAD,
                 ThreadReconstruction(
-                    stamp=FrameStamp(self._frame, arrived.now_ns, arrived.now_ns, "hand"),
+                    stamp=self.next_stamp(arrived.now_ns),
                     camera=RectifiedStereo(960, 540, 1000.0, 1000.0, 479.5, 269.5, 0.0055, 1.0),
                     status=Status.OK,
                     reason="",
@@ -84,21 +117,46 @@ class HandMadeThread:
         ]
 
 
-class HandMadeCamera:
-    """Ten grey images a second."""
+class HandMadeCamera(Stamped):
+    """Ten grey images a second, or thirty that echo challenges."""
 
     kind, instance = "camera", MAIN
-    inputs, outputs, commands = (), (FRAMES,), ()
-    tick_hz = 10.0
+    outputs, commands = (FRAMES, FRAME_NOTICE), ()
 
-    def __init__(self):
-        self._frame, self._image = 0, encode_image(np.full((540, 960, 3), 90, np.uint8), ImageEncoding.JPEG)
+    def __init__(self, echoes=False):
+        super().__init__(echoes)
+        self.tick_hz = 30.0 if echoes else 10.0
+        self._image = encode_image(np.full((540, 960, 3), 90, np.uint8), ImageEncoding.JPEG)
 
     def step(self, arrived):
-        assert isinstance(arrived, Tick)
-        self._frame += 1
-        stamp = FrameStamp(self._frame, arrived.now_ns, arrived.now_ns, "hand")
-        return [Output(FRAMES, StereoFrame(stamp, self._image, self._image))]
+        if self.heard(arrived):
+            return []
+        stamp = self.next_stamp(arrived.now_ns)
+        return [Output(FRAMES, StereoFrame(stamp, self._image, self._image)), Output(FRAME_NOTICE, FrameNotice(stamp))]
+
+
+GUARD = (1 << 63) + 1
+"""A guard's challenges have 64 bits."""
+
+
+class RealPsm(SimulatedPsm):
+    """An arm that says that it is real, with a guard whose number grows, and a pedal."""
+
+    is_real, pedal = True, False
+
+    def __init__(self):
+        super().__init__()
+        self.guard_challenge = GUARD
+
+    def state(self, now_ns):
+        self.guard_challenge += 1
+        return replace(super().state(now_ns), guard_challenge=self.guard_challenge, pedal=self.pedal)
+
+
+def real_bridge(backend, **settings):
+    """The bridge of such an arm, which lacks nothing that a real arm needs to be known of."""
+    known = RobotBridgeConfig(calibration_id="hand", registered_ns=now_ns(), tissue_needed=False)
+    return RobotBridge(replace(known, **settings), backend)
 
 
 @pytest.fixture
@@ -115,6 +173,16 @@ def hand_made_thread():
 @pytest.fixture(scope="session")
 def hand_made_camera():
     return HandMadeCamera
+
+
+@pytest.fixture
+def real_arm():
+    return RealPsm()
+
+
+@pytest.fixture(scope="session")
+def bridge_of_real_arm():
+    return real_bridge
 
 
 class Emulated:

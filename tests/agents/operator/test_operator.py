@@ -16,7 +16,9 @@ from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.simulated import SimulatedPsm
 from schemas.codec import decode
 from schemas.messages import (
+    Arm,
     ExecutionKind,
+    Heartbeat,
     Outcome,
     Phase,
     Policy,
@@ -24,7 +26,7 @@ from schemas.messages import (
     RobotState,
     Status,
 )
-from schemas.topics import MAIN, PROMPT, ROBOT_STATE
+from schemas.topics import COMMANDS, HEARTBEAT, MAIN, PROMPT, ROBOT_STATE
 from shared.runtime.agent import Tick
 from shared.runtime.commands import accepted, new_header
 from shared.runtime.connection import connected
@@ -120,6 +122,64 @@ def test_a_goal_is_planned_armed_and_carried_out_with_a_slide(connection, planne
     phases = [event.phase for event in told if event.kind is ExecutionKind.PHASE_REACHED]
     assert phases == [Phase.APPROACH, Phase.CAPTURE, Phase.SLIDE, Phase.GRASP, Phase.RETREAT]
     until(lambda: modes[-1] is RobotMode.IDLE)
+
+
+class Heard:
+    """What a bridge asks and what reaches it; `left` is set once so many heartbeats have.
+
+    The bridge is that of an arm that is real, before a camera that films it.
+    """
+
+    def __init__(self, connection, enough=5):
+        self.connection, self._enough, self.left = connection, enough, threading.Event()
+        self.states, self.beats, self.armings = [], [], []
+        connection.listen((ROBOT_STATE, HEARTBEAT, COMMANDS), self._take)
+
+    def _take(self, tapped):
+        message = decode(tapped.topic.message, tapped.payload)
+        if isinstance(message, RobotState):
+            self.states.append(message)
+        elif isinstance(message, Heartbeat):
+            self.beats.append(message)
+            if len(self.beats) == self._enough:
+                self.left.set()
+        elif message.topic.endswith("/arm"):
+            self.armings.append(decode(Arm, message.payload))
+
+
+@pytest.fixture
+def heard(settings, real_arm, bridge_of_real_arm, in_threads, until, hand_made_thread, hand_made_camera):
+    names = "dead_man_s", "first_heartbeat_s", "maximum_plan_age_s", "maximum_frame_age_s"
+    bridge = bridge_of_real_arm(real_arm, **dict.fromkeys(names, PATIENT_S))
+    agents = hand_made_thread(echoes=True), hand_made_camera(echoes=True), patient_planner(), bridge
+    with in_threads(settings, *agents), connected(settings, PATIENT_S) as connection:
+        heard = Heard(connection)
+        until(lambda: heard.states and ready(connection))
+        yield heard
+
+
+def test_a_process_arms_no_real_arm_and_is_told_why(heard, planned):
+    plan = planned(heard.connection, Policy.DIRECT, s=0.2)
+    stood = arm_and_stand_by(heard.connection, "psm1", plan.plan_id, NEVER, lambda _: None)
+    assert (stood.answer.code, stood.is_real) == ("no_presence", True)
+    assert "press the page's button" in stood.answer.reason
+    assert heard.beats == []
+
+
+def test_beside_the_pedal_each_heartbeat_echoes_a_newer_challenge_and_that_of_the_guard(heard, planned, real_arm):
+    real_arm.pedal = True
+    plan = planned(heard.connection, Policy.DIRECT, s=0.2)
+    stood = arm_and_stand_by(heard.connection, "psm1", plan.plan_id, heard.left, lambda _: None)
+    assert (stood.answer.outcome, stood.is_real) == (Outcome.ACCEPTED, True), stood
+    asked = {state.challenge_ns: state.guard_challenge for state in heard.states}
+    (arming,) = heard.armings
+    assert arming.challenge_ns in asked
+    assert not arming.pressed
+    assert all(asked[beat.challenge_ns] == beat.guard_challenge for beat in heard.beats)
+    assert not any(beat.pressed for beat in heard.beats)
+    answered = [arming.challenge_ns, *(beat.challenge_ns for beat in heard.beats)]
+    assert answered == sorted(set(answered))
+    assert len(answered) > 5
 
 
 @pytest.mark.parametrize("silence_s", [0.5])

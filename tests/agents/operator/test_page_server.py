@@ -28,8 +28,8 @@ from agents.planner.config import PlannerConfig
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.simulated import SimulatedPsm
 from schemas.codec import decode
-from schemas.messages import CommandRecord, ExecutionEvent, ExecutionKind
-from schemas.topics import COMMANDS, EXECUTION
+from schemas.messages import Arm, CommandRecord, ExecutionEvent, ExecutionKind, Heartbeat
+from schemas.topics import COMMANDS, EXECUTION, HEARTBEAT, ROBOT_STATE
 from shared.runtime.commands import new_header
 from shared.runtime.connection import connected
 from shared.runtime.identity import AUTHORITY_FILE
@@ -61,14 +61,42 @@ def rig(settings, limits, in_threads, hand_made_thread, hand_made_camera):
         yield settings
 
 
+@pytest.fixture
+def echoes():
+    """Whether frames echo challenges."""
+    return True
+
+
+@pytest.fixture
+def real_rig(settings, in_threads, hand_made_thread, hand_made_camera, real_arm, bridge_of_real_arm, echoes):
+    """The same with an arm that says that it is real."""
+    names = "dead_man_s", "first_heartbeat_s", "maximum_plan_age_s", "maximum_frame_age_s"
+    bridge = bridge_of_real_arm(real_arm, **dict.fromkeys(names, PATIENT_S))
+    planner = Planner(PlannerConfig(arm_age_ms=1e3 * PATIENT_S))
+    with in_threads(settings, hand_made_thread(echoes=echoes), hand_made_camera(echoes=echoes), planner, bridge):
+        yield settings
+
+
 class Served:
     """A server with what it wrote down, and what reached the agents."""
 
     def __init__(self, server, address, access, audit, connection):
         self.server, self.address, self.access, self.audit = server, address, access, audit
-        self.commands, self.events = [], []
-        connection.listen((COMMANDS,), lambda t: self.commands.append(decode(CommandRecord, t.payload).topic))
-        connection.listen((EXECUTION,), lambda t: self.events.append(decode(ExecutionEvent, t.payload)))
+        self.commands, self.armings, self.events, self.beats, self.asked = [], [], [], [], {}
+        connection.listen((COMMANDS, EXECUTION, HEARTBEAT, ROBOT_STATE), self._take)
+
+    def _take(self, tapped):
+        message = decode(tapped.topic.message, tapped.payload)
+        match message:
+            case CommandRecord():
+                self.commands.append(message.topic)
+                self.armings += [decode(Arm, message.payload)] if message.topic.endswith("/arm") else []
+            case ExecutionEvent():
+                self.events.append(message)
+            case Heartbeat():
+                self.beats.append(message)
+            case _:
+                self.asked[message.challenge_ns] = message.guard_challenge
 
     @contextlib.asynccontextmanager
     async def page(self, **headers):
@@ -89,6 +117,7 @@ class Client:
 
     def __init__(self, socket):
         self.socket, self.answers, self.pictures, self.secret = socket, True, 0, ""
+        self.echoes = {}
 
     async def say(self, kind, **rest):
         await self.socket.send_json({"kind": kind} | rest)
@@ -102,7 +131,7 @@ class Client:
                     (length,) = struct.unpack("<I", message.data[:4])
                     header = json.loads(message.data[4 : 4 + length])
                     assert message.data[4 + length :][:2] == b"\xff\xd8"
-                    self.pictures += 1
+                    self.pictures, self.echoes = self.pictures + 1, header["echoes"]
                     await self.say("shown", frame=header["frame"], at_ms=0)
                     continue
                 assert message.type is aiohttp.WSMsgType.TEXT, message
@@ -169,6 +198,78 @@ def test_a_press_is_carried_out_while_it_is_answered_and_everything_is_written_d
             "answer",
         ]
         assert ("pressed", {"screen": "screen 1", "arm": "psm1", "plan_id": plan["id"]}) in served.audit
+
+    served(rig, scenario)
+
+
+def test_a_press_answers_the_bridges_and_the_guards_own_challenges_to_the_last_digit(real_rig):
+    async def scenario(served):
+        async with served.page() as page:
+            await page.armed()
+            while len(served.beats) < 5:
+                await page.heard(lambda said: said["kind"] == "challenge")
+            await page.say("release", why="the button was released")
+            await held(served, "hold_command")
+        (arming,) = served.armings
+        assert arming.pressed
+        assert arming.challenge_ns in served.asked
+        assert all(served.asked[beat.challenge_ns] == beat.guard_challenge > 1 << 63 for beat in served.beats)
+        assert all(beat.pressed and beat.arming_id == arming.header.id for beat in served.beats)
+        assert len({beat.challenge_ns for beat in served.beats}) == len(served.beats)
+
+    served(real_rig, scenario)
+
+
+def test_a_page_is_told_by_what_to_judge_its_picture(real_rig):
+    async def scenario(served):
+        async with served.page() as page:
+            state = await page.state(lambda s: s["arms"] and s["arms"][0]["at_ns"] != "0")
+            assert (state["arms"][0]["real"], state["arms"][0]["limit_ms"]) == (True, 1e3 * PATIENT_S)
+            plan = await page.planned()
+            await page.say("press", arm="psm1", plan_id=plan["id"])
+            asked = await page.heard(lambda said: said["kind"] == "challenge")
+            assert (asked["arm"], asked["real"], asked["limit_ms"]) == ("psm1", True, 1e3 * PATIENT_S)
+            assert abs(int(asked["at_ns"]) - int(state["arms"][0]["at_ns"])) < PATIENT_S * 1e9
+            async with asyncio.timeout(PATIENT_S):
+                while not page.echoes:
+                    await page.heard(lambda _: True)
+            # more digits than a browser's numbers hold
+            assert int(page.echoes["psm1"]) in served.asked
+
+    served(real_rig, scenario)
+
+
+@pytest.mark.parametrize("echoes", [False])
+def test_what_the_bridge_says_against_arming_is_passed_on(real_rig):
+    why = (
+        "echoes no challenge of psm1, so that nobody knows how old it is: see that the camera's agent hears the bridge"
+    )
+
+    async def scenario(served):
+        async with served.page() as page:
+            plan = await page.planned()
+            await page.say("press", arm="psm1", plan_id=plan["id"])
+            refused = await page.heard(lambda said: said["kind"] == "refused")
+            assert refused["text"].startswith("psm1 was not armed: ")
+            assert why in refused["text"]
+            await page.state(lambda s: s["words"]["psm1"].startswith("psm1 was not armed: ") and s["press"] is None)
+
+    served(real_rig, scenario)
+
+
+def test_a_flood_of_holds_holds_at_once_and_leaves_room_for_others(rig):
+    async def scenario(served):
+        async with served.page() as pressing, served.page() as flooding:
+            await pressing.armed()
+            for _ in range(500):
+                await flooding.say("hold")
+            await held(served, "hold_command")
+            await pressing.state(lambda s: s["press"] is None)
+            # whoever else says so does not wait until that is over
+            await pressing.say("hold")
+            await pressing.state(lambda s: any("screen 1 said hold" in line for line in s["lines"]))
+        said = [told for what, told in served.audit if what == "hold"]
+        assert 2 <= len(said) < 50
 
     served(rig, scenario)
 

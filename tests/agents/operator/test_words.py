@@ -8,9 +8,19 @@ import pytest
 from agents.operator.beside import Finished, left_to_judge
 from agents.operator.control import Control
 from agents.operator.drawn import BETTER_ELSEWHERE
-from agents.operator.words import Seen, arm_words, sentence, tool_words
+from agents.operator.words import Seen, arm_words, event_words, sentence, tool_words
 from agents.planner import policy
-from schemas.messages import FrameStamp, RobotMode, RobotState, ToolCandidate, ToolCorrection, ToolStatus
+from agents.robot_bridge.refusals import Code
+from schemas.messages import (
+    ExecutionEvent,
+    ExecutionKind,
+    FrameStamp,
+    RobotMode,
+    RobotState,
+    ToolCandidate,
+    ToolCorrection,
+    ToolStatus,
+)
 
 NONE = np.zeros((0, 2))
 CANDIDATE = ToolCandidate(np.zeros(6), np.eye(6), np.zeros((16, 16, 16), np.uint8), 9, 0.9, 0.8, 0.5)
@@ -60,6 +70,7 @@ def correction(status, off_m=0.0):
     ("told", "words"),
     [
         ({}, "Planned: capture at 20%, slide 12 mm, grasp at 40%; success 93%. Look at it, then press and hold"),
+        ({"why": "the guard is silent", "refused": True}, "psm1 was not armed: the guard is silent. Planned: capture"),
         ({"mode": "holding", "why": "it was let go of"}, "psm1 holds: it was let go of. Planned: capture"),
         (
             {"mode": "fault", "why": "joint 3 is stuck"},
@@ -93,6 +104,13 @@ def test_an_arm_says_why_it_stopped_and_how_its_tool_stands():
     )
     assert arm_words("", "", None, None) == "has not been heard lately"
     assert "10% of an outline" in tool_words(correction(ToolStatus.CONVERGING), corrected=True)
+
+
+@pytest.mark.parametrize("code", [Code.NO_PRESENCE, Code.ROUND_TRIP, Code.NO_GUARD, Code.FRAME_AGE, Code.UNKNOWN])
+@pytest.mark.parametrize("kind", [ExecutionKind.REFUSED, ExecutionKind.HELD])
+def test_what_the_bridge_says_of_presence_sight_and_guard_is_passed_on(code, kind):
+    event = ExecutionEvent("plan-1", "psm1", 1, kind, None, code.value, "what is wrong: what to do about it")
+    assert "what is wrong: what to do about it." in event_words(event)
 
 
 def test_a_miss_is_judged_though_the_same_goal_was_planned_for_again():
