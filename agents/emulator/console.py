@@ -133,7 +133,7 @@ class EmulatedConsole:
 
         `fault`, `error`, `unreached` (a motion of its own has failed); `stick` and `loose`; `mute` and `speak`;
         `camera` and `setup` (endoscope and set-up joints move by STEP_M, `camera_back` and `setup_back` back again);
-        `clutch` and `unclutch` (that pedal); `pedal` and `pedal_up` (the operator's presence); `teleop` and `no_teleop`;
+        `clutch` and `unclutch` (that pedal); `pedal` and `pedal_up` (the operator is there); `teleop`, `no_teleop`;
         `drift` (somebody at the console moves it by DRIFT_RAD, and tells nobody); `narrow` and `wide` (the jaw opens
         and closes by NARROW_RAD alone, or as built).
         """
