@@ -9,14 +9,17 @@ import os
 import struct
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, BinaryIO, cast
 
+import lz4.frame
+import zstandard
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
-from mcap.records import Attachment, Channel, Header, McapRecord, Message, Metadata
-from mcap.stream_reader import StreamReader
+from mcap.records import Attachment, Channel, Chunk, Header, McapRecord, Message, Metadata
+from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import MCAP0_MAGIC
 
 from schemas.migrations import NewerVersionError, Version, check_readable, lifted, version_of
@@ -39,6 +42,9 @@ __all__ = [
 
 HEAD = struct.Struct("<BQ")
 """Before every record: its opcode and its length."""
+GROWS_TIMES, GROWS_BYTES = 100, 16 << 20
+"""What packed chunks may unpack to, of the file's size and beyond it. Our recorder packs nothing; raw images of a black
+field packed by other programs come to a fortieth, and a whole chunk of ours has a megabyte or one large message."""
 EPOCH = "epoch"
 """What the channels of own messages tell; those that were derived for other programs do not."""
 
@@ -129,14 +135,37 @@ def _records(path: Path) -> Iterator[McapRecord]:
     """The header, and the records of the data section until its end or where the file was cut off."""
     with path.open("rb") as file:
         whole = _Whole(file, _end_of_whole_records(file, path))
-        records = StreamReader(cast(IO[bytes], whole), validate_crcs=True).records
+        size = file.seek(0, os.SEEK_END)
+        file.seek(0)
+        records = StreamReader(cast(IO[bytes], whole), validate_crcs=True, emit_chunks=True).records
         first = next(records)
         _check_own(first, path)
         yield first
+        room = GROWS_TIMES * size + GROWS_BYTES
         try:
-            yield from records
+            for record in records:
+                if not isinstance(record, Chunk):
+                    yield record
+                    continue
+                plain = _unpacked(record, room, path)
+                room -= len(plain.data) if record.compression else 0
+                yield from breakup_chunk(plain, validate_crc=True)
         except EndOfFile:
             return
+
+
+def _unpacked(chunk: Chunk, room: int, path: Path) -> Chunk:
+    """A chunk whose records can be read, however it was packed; no more is unpacked than there is room for."""
+    if chunk.compression == "zstd":
+        data = zstandard.ZstdDecompressor().stream_reader(chunk.data).read(room + 1)
+    elif chunk.compression == "lz4":
+        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=room + 1)
+    else:
+        return chunk
+    if len(data) > room:
+        grown = f"{path} unpacks to over {GROWS_TIMES} times its size and {GROWS_BYTES >> 20} MB"
+        raise RecordingError(f"{grown}, which no recording does: it is damaged, or made to fill this machine's memory")
+    return replace(chunk, compression="", data=data, uncompressed_size=len(data))
 
 
 def _check_own(first: McapRecord, path: Path) -> Version:
@@ -211,5 +240,14 @@ def _damage_named(path: Path) -> Generator[None]:
         yield
     except (RecordingError, OSError):
         raise
-    except (McapError, struct.error, StopIteration, KeyError, ValueError, RuntimeError, MemoryError) as error:
+    except (
+        McapError,
+        struct.error,
+        StopIteration,
+        KeyError,
+        ValueError,
+        RuntimeError,
+        MemoryError,
+        zstandard.ZstdError,
+    ) as error:
         raise RecordingError(_damaged(path)) from error

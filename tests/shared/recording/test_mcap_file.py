@@ -1,17 +1,20 @@
 """Recordings as files: whole, cut off, damaged, foreign."""
 
 import itertools
+import tracemalloc
 from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
-from mcap.writer import Writer
+from mcap.writer import CompressionType, Writer
 
+import schemas
 from schemas.codec import encode
 from schemas.messages import LogLevel, LogRecord
 from schemas.topics import COMMANDS, LOG, key
+from shared.recording.entry import PROFILE
 from shared.recording.mcap_file import (
     Entry,
     Note,
@@ -226,3 +229,35 @@ def test_a_recording_of_a_version_that_cannot_be_read_is_named(tmp_path, monkeyp
     for read in (lambda: list(read_recording(path)), lambda: recorded_by(path), lambda: read_notes(path, "losses")):
         with pytest.raises(RecordingError, match=r"new.mcap was recorded by suturegrasp 9.1.0, .* update suturegrasp"):
             read()
+
+
+def packed(path, compression, size):
+    """A recording of one message of zeros, packed by another program; how large it is."""
+    with path.open("wb") as file:
+        writer = Writer(file, compression=compression, chunk_size=1 << 30)
+        writer.start(profile=PROFILE, library=f"suturegrasp {schemas.__version__}")
+        schema = writer.register_schema("suturegrasp.v1.LogRecord", "protobuf", b"")
+        channel = writer.register_channel(KEY, "protobuf", schema, {"epoch": "7"})
+        writer.add_message(channel, 1, bytes(size), 1)
+        writer.finish()
+    return path.stat().st_size
+
+
+@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
+def test_a_small_file_does_not_grow_without_bound_when_it_is_read(tmp_path, compression):
+    path = tmp_path / "bomb.mcap"
+    size, unpacked = packed(path, compression, 200 << 20), 200 << 20
+    assert size < unpacked / 200
+    tracemalloc.start()
+    with pytest.raises(RecordingError, match=r"bomb\.mcap unpacks to over 100 times its size and 16 MB"):
+        list(read_recording(path))
+    assert tracemalloc.get_traced_memory()[1] < unpacked
+    tracemalloc.stop()
+
+
+@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
+def test_a_recording_that_another_program_has_packed_is_read(tmp_path, compression):
+    path = tmp_path / "packed.mcap"
+    packed(path, compression, 1 << 20)
+    (entry,) = read_recording(path)
+    assert entry.payload == bytes(1 << 20)
