@@ -1,64 +1,73 @@
-"""Would the monitor's tests notice a change of its code? mutmut changes it, piece by piece, in a copy."""
+"""Would the monitor's tests notice a change of its code? cosmic-ray changes it, piece by piece, in copies."""
 
+import json
 import os
-import re
 import shutil
 import subprocess
 import sys
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parents[1]
-TOOL = "mutmut==3.8.1"
+TOOL = "cosmic-ray==8.7.0"
 """Installed by the command that needs it, into a folder of its own."""
 PARTS = ("agents/guard", "shared", "schemas", "tests/agents/guard")
-TRIED = ("monitor.py", "description.py", "cdr.py")
-"""What decides and reads; the two files that are wires alone are tried by real processes."""
-SETTINGS = """[mutmut]
-paths_to_mutate=agents/guard
-tests_dir=tests/agents/guard
-also_copy=
-    shared
-    schemas
-do_not_mutate=
-    *__main__.py
-    *links.py
-    *__init__.py
+TRIED = {"monitor": "test_monitor.py", "description": "test_monitor.py", "cdr": "test_cdr.py"}
+"""What decides and reads, with what tries it; the two files that are wires alone are tried by real processes."""
+SETTINGS = """[cosmic-ray]
+module-path = "agents/guard/{module}.py"
+timeout = 30.0
+excluded-modules = []
+test-command = "{python} -m pytest -q -x -p no:cacheprovider tests/agents/guard/{tests}"
+[cosmic-ray.distributor]
+name = "local"
 """
-RESULT = re.compile(r"(?P<name>\S+): (?P<status>killed|survived|timeout|suspicious|no tests|skipped|not checked.*)")
-EQUIVALENT: dict[str, str] = {}
-"""Changes that change nothing that anybody could notice, by their names, with the reason."""
+EQUIVALENT = (
+    ("core/ReplaceBinaryOperator_BitOr", "annotations alone are joined by |"),
+    ("core/RemoveDecorator", "a description that is not frozen, and a method that is not static, do the same"),
+)
+"""Changes that change nothing that anybody could notice, by the operator that makes them, with the reason."""
 
 
 def mutation(goal: float) -> dict[str, Any]:
-    """The share of changes that are noticed, and the names of those that are not."""
+    """The share of changes that are noticed, and those that are not."""
     with tempfile.TemporaryDirectory() as folder:
-        tool, copy = Path(folder) / "tool", Path(folder) / "copy"
+        tool = Path(folder) / "tool"
         install = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--target"]
         subprocess.run([*install, str(tool), TOOL], check=True, stderr=subprocess.DEVNULL)
-        for part in PARTS:
-            shutil.copytree(ROOT / part, copy / part, ignore=shutil.ignore_patterns("__pycache__"))
-        for package in ("agents", "tests", "tests/agents"):
-            (copy / package / "__init__.py").touch()
-        (copy / "setup.cfg").write_text(SETTINGS)
-        environment = os.environ | {"PYTHONPATH": f"{tool}", "OPENBLAS_NUM_THREADS": "1"}
-        run = [sys.executable, "-m", "mutmut", "run"]
-        done = subprocess.run(run, cwd=copy, env=environment, capture_output=True, text=True, check=False)
-        results = [sys.executable, "-m", "mutmut", "results", "--all", "true"]
-        told = subprocess.run(results, cwd=copy, env=environment, capture_output=True, text=True, check=False).stdout
-    found = {each["name"]: each["status"] for each in RESULT.finditer(told)}
-    if not found:
-        raise SystemExit(f"mutmut has tried nothing: {done.stdout[-2000:]}{done.stderr[-2000:]}")
-    counted = {name: status for name, status in found.items() if name not in EQUIVALENT}
-    survived = sorted(name for name, status in counted.items() if status not in ("killed", "timeout"))
-    score = 100 * (1 - len(survived) / len(counted))
-    for name in survived:
-        print(f"  not noticed: {name}", flush=True)
-    return {
-        "changes": len(counted),
-        "that change nothing": len(found) - len(counted),
-        "not noticed": len(survived),
-        "score %": score,
-        "met": score >= goal,
-    }
+        with ThreadPoolExecutor(os.cpu_count()) as at_once:
+            found = list(at_once.map(lambda module: _tried(module, Path(folder) / module, tool), TRIED))
+    results = [each for module in found for each in module]
+    survived = [where for where, status in results if status == "survived"]
+    for where in survived:
+        print(f"  not noticed: {where}", flush=True)
+    score = 100 * (1 - len(survived) / len(results))
+    return {"changes": len(results), "not noticed": len(survived), "score %": score, "met": score >= goal}
+
+
+def _tried(module: str, copy: Path, tool: Path) -> list[tuple[str, str]]:
+    """Each change of a module: where, and whether it was noticed."""
+    for part in PARTS:
+        shutil.copytree(ROOT / part, copy / part, ignore=shutil.ignore_patterns("__pycache__"))
+    for package in ("agents", "tests", "tests/agents"):
+        (copy / package / "__init__.py").touch()
+    (copy / "settings.toml").write_text(SETTINGS.format(module=module, tests=TRIED[module], python=sys.executable))
+    environment = os.environ | {"PYTHONPATH": f"{copy}:{tool}", "PYTHONDONTWRITEBYTECODE": "1"}
+
+    def run(*arguments: str) -> str:
+        command = [sys.executable, str(tool / "bin" / "cosmic-ray"), *arguments]
+        return subprocess.run(command, cwd=copy, env=environment, capture_output=True, text=True, check=True).stdout
+
+    run("init", "settings.toml", "session.sqlite")
+    run("exec", "settings.toml", "session.sqlite")
+    results = list[tuple[str, str]]()
+    for line in run("dump", "session.sqlite").splitlines():
+        item, result = json.loads(line)
+        change = item["mutations"][0]
+        if result is None or any(change["operator_name"].startswith(operator) for operator, _ in EQUIVALENT):
+            continue
+        at = f"{module}.py:{change['start_pos'][0]} {change['operator_name']} {change['occurrence']}"
+        results.append((at, str(result["test_outcome"])))
+    return results

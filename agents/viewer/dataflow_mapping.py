@@ -24,6 +24,7 @@ PLACES = {
     "camera": (2, 0),
     "camera/frames": (3, -0.4),
     "camera/calibration": (3, 0.4),
+    "camera/notice": (3, 1.0),
     "perception": (4, 0),
     "perception/observations": (5, -0.4),
     "perception/surface": (5, 0.4),

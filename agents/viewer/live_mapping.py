@@ -59,8 +59,11 @@ from agents.viewer.units import camera_in_mm, observations_in_mm, reconstruction
 from schemas.messages import (
     AgentConfiguration,
     AgentHealth,
+    ChallengeEcho,
     CommandRecord,
     ExecutionEvent,
+    FrameNotice,
+    FrameStamp,
     GraspCheck,
     GraspJudgement,
     GraspPlan,
@@ -239,6 +242,10 @@ class LiveMapping:
         return changed
 
 
+def _echo_ms(stamp: FrameStamp, echo: ChallengeEcho) -> float:
+    return 1e-6 * (min(stamp.capture_left_ns, stamp.capture_right_ns) - echo.challenge_ns)
+
+
 def _about_the_session(message: object) -> list[Entity]:
     match message:
         case LogRecord():
@@ -251,6 +258,12 @@ def _about_the_session(message: object) -> list[Entity]:
             return clock_entities(message)
         case Heartbeat():
             return [(f"operator/{rr.escape_entity_path_part(message.arm)}/heartbeat", [rr.Scalars(1.0)])]
+        case FrameNotice(stamp=stamp):
+            # how long a challenge of each arm had been out when the camera echoed it: as old as its bridge takes it
+            return [
+                (f"camera/{rr.escape_entity_path_part(echo.arm)}/echo_ms", [rr.Scalars(_echo_ms(stamp, echo))])
+                for echo in stamp.echoes
+            ]
         case ReplayClock():
             return [("replay/rate", [rr.Scalars(message.rate)])]
         case _:

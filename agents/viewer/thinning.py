@@ -3,7 +3,17 @@
 Periods are counted from 1970, so topics that descend from one frame keep the same frames.
 """
 
-from schemas.topics import FRAMES, HEARTBEAT, OBSERVATIONS, REPLAY_CLOCK, ROBOT_STATE, SIMULATOR_STATE, THREAD, Topic
+from schemas.topics import (
+    FRAME_NOTICE,
+    FRAMES,
+    HEARTBEAT,
+    OBSERVATIONS,
+    REPLAY_CLOCK,
+    ROBOT_STATE,
+    SIMULATOR_STATE,
+    THREAD,
+    Topic,
+)
 
 MOST_PER_SECOND = {
     FRAMES: 10,
@@ -11,6 +21,7 @@ MOST_PER_SECOND = {
     THREAD: 10,
     ROBOT_STATE: 20,
     SIMULATOR_STATE: 10,
+    FRAME_NOTICE: 2,
     HEARTBEAT: 2,
     REPLAY_CLOCK: 2,
 }

@@ -15,7 +15,7 @@ from collections import OrderedDict
 import rerun as rr
 
 from agents.viewer.entity import Entity
-from schemas.topics import FRAMES, OBSERVATIONS, PLAN, SURFACE, THREAD, TOOL, Topic
+from schemas.topics import FRAME_NOTICE, FRAMES, OBSERVATIONS, PLAN, SURFACE, THREAD, TOOL, Topic
 from shared.runtime.attachment import Attachment
 
 FROM = {OBSERVATIONS: FRAMES, SURFACE: FRAMES, TOOL: FRAMES, THREAD: OBSERVATIONS, PLAN: THREAD}
@@ -23,6 +23,7 @@ FROM = {OBSERVATIONS: FRAMES, SURFACE: FRAMES, TOOL: FRAMES, THREAD: OBSERVATION
 
 NAMES = {
     FRAMES: "camera",
+    FRAME_NOTICE: "notice",
     OBSERVATIONS: "perception",
     SURFACE: "surface",
     TOOL: "tool",

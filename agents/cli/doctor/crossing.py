@@ -41,7 +41,7 @@ HEARD_BY = {
     "planner": (THREAD, SURFACE, ROBOT_STATE),
     "robot_bridge": (SURFACE,),
     "simulator": (ROBOT_STATE,),
-    "camera": (SIMULATOR_STATE,),
+    "camera": (SIMULATOR_STATE, ROBOT_STATE),
 }
 TOOL_TRACKER_HEARS = (FRAMES, ROBOT_STATE)
 

@@ -16,12 +16,14 @@ from schemas.messages import (
     AgentHealth,
     Alternative,
     Centrelines,
+    ChallengeEcho,
     Checked,
     CommandAnswer,
     CommandHeader,
     CommandRecord,
     ExecutionEvent,
     ExecutionKind,
+    FrameNotice,
     FrameStamp,
     GraspCheck,
     GraspGoal,
@@ -354,6 +356,7 @@ def grasped(at_ns):
             next_plan_id="plan-1-2",
             sentence="missed: the thread stayed",
         ),
+        topics.FRAME_NOTICE: FrameNotice(dataclasses.replace(STAMP, echoes=(ChallengeEcho("psm1", at_ns),))),
         topics.HEARTBEAT: Heartbeat("psm1", "plan-1", at_ns, "arming-1"),
     }
 
