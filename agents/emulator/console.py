@@ -31,6 +31,7 @@ from agents.emulator.outlets import CLUTCH, CRTK, GEOMETRY, PEDALS, SENSOR, STD,
 from agents.emulator.wire import Wire
 from shared import clock
 
+RESTS_NS, PRESSES_EVERY_S = 500_000_000, 2.0
 STATE_HZ, TURNS_PER_STATE = 100.0, 2
 KEPT = 20_000
 STEP_M, DRIFT_RAD, NARROW_RAD = 0.005, 0.02, 0.01
@@ -51,12 +52,14 @@ class Behaviour:
         ready: it begins enabled and homed.
         lag_s: how far behind a steady motion its joints come; 0 for none.
         start: its joints to begin with.
+        foot: somebody stands at it, and presses the operator's pedal anew for each motion.
         now_ns, monotonic_s: the clocks that it lives by.
     """
 
     ready: bool = False
     lag_s: float = 0.0
     start: tuple[float, ...] = START
+    foot: bool = False
     now_ns: Callable[[], int] = clock.now_ns
     monotonic_s: Callable[[], float] = clock.monotonic_s
 
@@ -68,6 +71,7 @@ class EmulatedConsole:
         self.name, self._wire, self._oracle = name, wire, oracle
         self._now_ns, self._monotonic_s = behaviour.now_ns, behaviour.monotonic_s
         self._lock = threading.Lock()
+        self._foot, self._foot_s = behaviour.foot, 0.0
         self._arm = EmulatedArm(behaviour.ready, self._warn, behaviour.start, behaviour.lag_s)
         self._told: tuple[object, ...] = ()
         self._times = {"moved_ns": 0, "set_point_ns": 0, "held_ns": 0}
@@ -111,6 +115,17 @@ class EmulatedConsole:
         if self._turns % TURNS_PER_STATE == 0:
             self._tell_where()
         self._turns += 1
+        if self._foot:
+            self._press_anew()
+
+    def _press_anew(self) -> None:
+        """Whoever stands there lifts the foot after a motion and presses again, for the next one."""
+        now_s = self._monotonic_s()
+        rests = self._now_ns() - self._times["set_point_ns"] > RESTS_NS
+        if rests and now_s - self._foot_s > PRESSES_EVERY_S:
+            self._foot_s = now_s
+            for word in ("pedal_up", "pedal"):
+                self.request(word)
 
     def verdict(self) -> dict[str, Any]:
         """The oracle's, and when the arm moved, was sent a set point, and was held last (ns since 1970; 0: never)."""

@@ -9,6 +9,7 @@ from agents.cli.rig.hosts import OPERATOR, HostSection, SecuritySection
 from agents.cli.rig.sections import DvrkSection, PlannerSection
 from agents.cli.rig.this_host import at_host, certificates_of
 from benchmarks.faults.network import OWN, CannotError, Network
+from benchmarks.robot_lab import today
 from shared.kinematics.simulated_setup import SIMULATED_BASES
 from shared.runtime.config import load_config
 from shared.runtime.session import SessionSettings
@@ -18,6 +19,8 @@ EMULATED = "psm2"
 CONSOLE_PORT = 7448
 ROUTER, BRIDGE = "router", "robot-bridge"
 PLANS_WAIT_S = 60.0
+SIMULATED_CALIBRATION = "beca2fa23c61"
+"""Of the simulated camera, the same in every field."""
 """How old a plan may be when it is armed: on two cores, a command takes a second to load."""
 RUNS = {
     ROUTER: (ROUTER,),
@@ -81,11 +84,15 @@ def settings_at(config: Path) -> SessionSettings:
 
 
 def _emulated_arm(network: Network) -> ArmSection:
-    dvrk = DvrkSection(endpoint=f"tls/{network.address('robot')}:{CONSOLE_PORT}", through_guard=True, dry_run=False)
-    base = SIMULATED_BASES[EMULATED].tolist()
-    return ArmSection.model_validate(
-        {"backend": "dvrk", "dvrk": dvrk, "T_camera_base": base, "maximum_plan_age_s": PLANS_WAIT_S}
+    dvrk = DvrkSection(
+        endpoint=f"tls/{network.address('robot')}:{CONSOLE_PORT}",
+        has_no=("teleoperation", "clutch", "tissue"),
+        pedal="footpedals/operator_present",
+        dry_run=False,
     )
+    told = {"T_camera_base": SIMULATED_BASES[EMULATED].tolist(), "maximum_plan_age_s": PLANS_WAIT_S}
+    known = {"T_camera_base_calibration": SIMULATED_CALIBRATION, "T_camera_base_made": today()}
+    return ArmSection.model_validate({"backend": "dvrk", "dvrk": dvrk, **told, **known})
 
 
 def _runs(host: str) -> tuple[str, ...]:

@@ -76,7 +76,7 @@ def console(lab, until, tmp_path, monkeypatch):
     base.write_text(json.dumps({"T_camera_base": SIMULATED_BASES[EMULATED].tolist()}))
     told = ("--zenoh", str(zenoh), "--camera", str(base), "--verdict", str(verdict))
     arm = ("--arm", EMULATED, "--config")
-    lab.processes.start("robot", "emulate", *MODULE, "emulate", "dvrk", "--ready", *told)
+    lab.processes.start("robot", "emulate", *MODULE, "emulate", "dvrk", "--ready", "--foot", *told)
     lab.processes.start("robot", "guard", *MODULE, "guard", *arm, str(lab.config("robot")))
     lab.processes.start("strong", "far-bridge", *MODULE, "robot-bridge", *arm, str(lab.config("strong")))
 

@@ -64,7 +64,7 @@ def _run(options: Emulate, session: Session, oracles: dict[str, Oracle], stopped
         consoles, running = list[EmulatedConsole](), list[threading.Thread]()
         for arm, oracle in oracles.items():
             wire = BridgeWire(session) if options.codec == "ros2dds" else RmwWire(session, options.domain)
-            behaviour = Behaviour(options.ready, 1e-3 * options.lag_ms, start_of(arm))
+            behaviour = Behaviour(options.ready, 1e-3 * options.lag_ms, start_of(arm), options.foot)
             console = stack.enter_context(contextlib.closing(EmulatedConsole(wire, arm, oracle, behaviour)))
             stack.enter_context(answering(session, console))
             consoles.append(console)

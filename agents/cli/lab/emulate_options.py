@@ -36,6 +36,8 @@ class Emulate:
     """Be the Zenoh that this file says instead, as deploy plan writes one for the robot's computer."""
     ready: bool = False
     """Begin enabled and homed."""
+    foot: bool = False
+    """Somebody stands at the console, and presses the operator's pedal anew for each motion."""
     lag_ms: float = 0.0
     """How far behind a steady motion its joints come, as joints with inertia do."""
     camera: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
