@@ -10,9 +10,10 @@ from pathlib import Path, PurePosixPath
 
 from agents.deployment.certificates import CERTIFICATES as CERTIFICATES_FOLDER
 from agents.deployment.layout import Host
-from agents.deployment.places import CERTIFICATES, HOME, RIG_FILE, UNITS, USER
+from agents.deployment.places import CERTIFICATES, GROUP, HOME, OPERATORS, RIG_FILE, ROBOT_USERS, UNITS
 from agents.deployment.plan import UNITS_FOLDER
-from agents.deployment.units import NOT_OURS, PEOPLE, TARGET, unit_name
+from agents.deployment.robot_zenoh import ROBOT_ZENOH
+from agents.deployment.units import NOT_OURS, PEOPLE, TARGET, unit_name, user_of
 from shared.runtime.identity import AUTHORITY_FILE, IdentityError, check_identity, identity_in
 
 UNIT_FILES = "suturegrasp-*.service"
@@ -56,7 +57,7 @@ def install(folder: Path, host: Host, root: Path = Path("/")) -> Installed:
     if real and os.geteuid() != 0:
         raise InstallError("only root may install: sudo suturegrasp deploy install ...")
     if real:
-        _make_user()
+        _make_users(host)
     for source, place in sources:
         target = root / place.relative_to("/")
         if not target.exists() or not filecmp.cmp(source, target, shallow=False):
@@ -131,34 +132,48 @@ def _systemd_version() -> int:
     return int(told.stdout.split()[1])
 
 
-def _make_user() -> None:
-    # a system user who owns nothing and cannot log in; members of its group may give commands
-    known = subprocess.run(["id", USER], capture_output=True, check=False)  # noqa: S607
-    if known.returncode != 0:
-        made = ["useradd", "--system", "--user-group", "--no-create-home", "--shell", "/usr/sbin/nologin", USER]
-        subprocess.run(made, check=True)
+def _make_users(host: Host) -> None:
+    """A system user for each service, which owns nothing and cannot log in, and the groups of people."""
+    for group in (GROUP, OPERATORS, ROBOT_USERS):
+        if not _known("group", group):
+            subprocess.run(["groupadd", "--system", group], check=True)  # noqa: S607
+    for process in host.processes:
+        if process.kind not in NOT_OURS and not _known("passwd", user_of(process)):
+            made = ["useradd", "--system", "--gid", GROUP, "--no-create-home", "--shell", "/usr/sbin/nologin"]
+            subprocess.run([*made, user_of(process)], check=True)
+
+
+def _known(database: str, name: str) -> bool:
+    return subprocess.run(["getent", database, name], capture_output=True, check=False).returncode == 0  # noqa: S607
 
 
 def _mode(place: PurePosixPath) -> int:
-    """People read the certificates by which they give commands; all others systemd hands out."""
+    """What people read, each group one key; all others systemd hands out."""
     if place.suffix == ".key":
-        return 0o640 if place.name.startswith(f"{PEOPLE}.") else 0o600
+        return 0o640 if _readers(place) else 0o600
     return 0o644
+
+
+def _readers(place: PurePosixPath) -> str:
+    """The group that reads a key by itself; empty where none does."""
+    kind = place.name.split(".")[0]
+    return {PEOPLE: OPERATORS, ROBOT_ZENOH: ROBOT_USERS}.get(kind, "") if place.suffix == ".key" else ""
 
 
 def _put(source: Path, target: Path, mode: int, real: bool) -> None:
     target.parent.mkdir(parents=True, exist_ok=True)
     if target.parent.name == CERTIFICATES.name:
-        target.parent.chmod(0o750)
+        # certificates are shown on each link; keys have modes of their own
+        target.parent.chmod(0o755)
         if real:
-            shutil.chown(target.parent, "root", USER)
+            shutil.chown(target.parent, "root", "root")
     beside = target.with_name(f".{target.name}.new")
     beside.unlink(missing_ok=True)
-    beside.touch(mode=mode)
+    beside.touch(mode=0o600 if target.suffix == ".key" else mode)
     shutil.copyfile(source, beside)
+    if real and (group := _readers(PurePosixPath(target))):
+        shutil.chown(beside, "root", group)
     beside.chmod(mode)
-    if real and mode == 0o640:
-        shutil.chown(beside, "root", USER)
     beside.replace(target)
 
 

@@ -8,7 +8,11 @@ HOME = PurePosixPath("/etc/suturegrasp")
 RIG_FILE = "rig.toml"
 CERTIFICATES = HOME / "certificates"
 UNITS = PurePosixPath("/etc/systemd/system")
-USER = "suturegrasp"
+GROUP = "suturegrasp"
+"""Of all services, and of people who read what they record; it reads no key."""
+OPERATORS, ROBOT_USERS = "suturegrasp-operators", "suturegrasp-robot"
+"""People who give commands, and the user that runs the robot's Zenoh: each group reads one key, and no service is in
+either."""
 SESSIONS = PurePosixPath("/var/lib/suturegrasp")
 SECRETS = PurePosixPath("/run/secrets")
 """Where Compose puts what a container alone may read."""

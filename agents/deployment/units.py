@@ -1,16 +1,20 @@
 """systemd units of a host: one for each process, and a target for all of them.
 
-A process reads its own certificate only, through LoadCredential=, and says by sd_notify when it is ready and, from its
-loop, that it lives. Nothing gains privileges, and nothing but a recorder may write.
+Each process has a user of its own, and reads its own key only, through LoadCredential=; it says by sd_notify when it is
+ready and, from its loop, that it lives. Nothing gains privileges, and nothing but a recorder may write.
 """
 
+import hashlib
+from pathlib import PurePosixPath
+
 from agents.deployment.layout import ROUTER, Host, Process
-from agents.deployment.places import CERTIFICATES, HOME, PROGRAM, RIG_FILE, SESSIONS, USER
+from agents.deployment.places import CERTIFICATES, GROUP, HOME, PROGRAM, RIG_FILE, SESSIONS
 from agents.deployment.robot_zenoh import ROBOT_ZENOH
 from schemas.topics import MAIN
 from shared.runtime.identity import AUTHORITY_FILE
 
 TARGET = "suturegrasp.target"
+LONGEST_USER = 31
 GUARD = "guard"
 AGENTS = ("camera", "perception", "reconstruction", "planner", "robot_bridge", "simulator", GUARD)
 """What has a loop of its own, from which it tells that it is alive."""
@@ -76,6 +80,15 @@ def unit_name(process: Process) -> str:
     return f"suturegrasp-{process.kind.replace('_', '-')}{ending}.service"
 
 
+def user_of(process: Process) -> str:
+    """The system user that a process runs as: one of its own, of at most the 31 letters that such a name may have."""
+    name = unit_name(process).removesuffix(".service")
+    if len(name) <= LONGEST_USER:
+        return name
+    told_apart = hashlib.sha256(name.encode()).hexdigest()[:6]
+    return f"{name[: LONGEST_USER - 7]}-{told_apart}"
+
+
 def units(rig: str, host: Host) -> dict[str, str]:
     """Every unit of a host, by file name."""
     services = {unit_name(p): _service(rig, host, p) for p in host.processes if p.kind not in NOT_OURS}
@@ -89,9 +102,9 @@ def units(rig: str, host: Host) -> dict[str, str]:
 
 
 def _service(rig: str, host: Host, process: Process) -> str:
-    command = command_of(process).format(instance=process.instance, session=SESSIONS / "session.mcap")
+    command = command_of(process).format(instance=process.instance, session=state_of(process) / "session.mcap")
     if process.kind == "viewer":
-        command = f"view --output {SESSIONS / 'session.rrd'} --numbered --show file"
+        command = f"view --output {state_of(process) / 'session.rrd'} --numbered --show file"
     name = process.common_name
     credentials = (AUTHORITY_FILE, f"{name}.pem", f"{name}.key")
     sections = (
@@ -107,7 +120,8 @@ def _service(rig: str, host: Host, process: Process) -> str:
         "[Service]",
         "Type=notify",
         f"ExecStart={PROGRAM} {command} --config {HOME / RIG_FILE} --host {host.name}",
-        f"User={USER}",
+        f"User={user_of(process)}",
+        f"Group={GROUP}",
         *(f"LoadCredential={file}:{CERTIFICATES / file}" for file in credentials),
         "# ready once it has found the router, however long that takes",
         "TimeoutStartSec=infinity",
@@ -149,12 +163,19 @@ def _priority(host: Host, process: Process) -> tuple[str, ...]:
 
 
 def _storage(process: Process) -> tuple[str, ...]:
+    own = f"{SESSIONS.name}/{state_of(process).name}"
+    kept = (f"StateDirectory={own}", "StateDirectoryMode=0750")
     if process.kind in ("recorder", "viewer"):
-        return (f"StateDirectory={SESSIONS.name}", f"WorkingDirectory={SESSIONS}")
+        return (*kept, f"WorkingDirectory={state_of(process)}")
     if process.kind in OF_AN_ARM:
         # for the audit log
-        return (f"StateDirectory={SESSIONS.name}", f"WorkingDirectory={HOME}")
+        return (*kept, f"WorkingDirectory={HOME}")
     return (f"WorkingDirectory={HOME}",)
+
+
+def state_of(process: Process) -> PurePosixPath:
+    """Where a process keeps what it writes, which is its own."""
+    return SESSIONS / unit_name(process).removesuffix(".service").removeprefix("suturegrasp-")
 
 
 def _devices(process: Process) -> tuple[str, ...]:

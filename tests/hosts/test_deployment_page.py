@@ -200,9 +200,38 @@ def test_the_page_leads_from_four_machines_to_a_rig_that_runs(machines):
     assert "access rules for operator.desk: in force" in told
     assert all(f"agents on {host}" in told for host in ("video", "strong", "robot"))
     assert "camera" in said["suturegrasp status --once"]
+    each_reads_its_own_key_only(booted)
     for host in HOSTS:
         failed = booted[host].type("systemctl list-units --failed --no-legend 'suturegrasp*'")
         assert failed == "", (host, failed)
+
+
+def each_reads_its_own_key_only(booted):
+    """Tried as the user of each service: every key file, and what systemd hands out to it and to the others."""
+    tried = 0
+    for machine in booted.values():
+        listed = machine.type("ls /etc/systemd/system | grep '^suturegrasp-.*service$' || true").split()
+        keys = machine.type("ls /etc/suturegrasp/certificates/*.key").split()
+        assert all(key.endswith(".key") for key in keys)
+        for unit in listed:
+            user = unit.removesuffix(".service")
+            as_user = f"setpriv --reuid={user} --regid=suturegrasp --init-groups"
+            for key in keys:
+                assert machine.type(f"{as_user} cat {key} > /dev/null 2>&1 && echo read || echo denied") == "denied\n"
+            for other in listed:
+                found = machine.type(
+                    f"{as_user} sh -c 'cat /run/credentials/{other}/*.key > /dev/null 2>&1' && echo read || echo no"
+                )
+                assert found == ("read\n" if other == unit else "no\n"), (user, other)
+                tried += 1
+    assert tried >= 6
+    # who is in the group of operators reads theirs, and nobody else's
+    desk = booted["desk"]
+    desk.type("useradd --system --no-create-home ann && usermod --append --groups suturegrasp-operators ann")
+    as_ann = "setpriv --reuid=ann --regid=ann --init-groups"
+    for key in desk.type("ls /etc/suturegrasp/certificates/*.key").split():
+        found = desk.type(f"{as_ann} cat {key} > /dev/null 2>&1 && echo read || echo denied")
+        assert found == ("read\n" if "/operator." in key else "denied\n"), key
 
 
 def wait_until_all_is_there(desk, exported):

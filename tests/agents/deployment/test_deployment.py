@@ -231,7 +231,7 @@ def test_installing_puts_all_in_its_place_and_does_nothing_twice(deployed, tmp_p
     assert load_config(etc / "suturegrasp" / "rig.toml", RigConfig).host == "desk"
     assert (etc / "suturegrasp/certificates/viewer.desk.key").stat().st_mode & 0o777 == 0o600
     assert (etc / "suturegrasp/certificates/operator.desk.key").stat().st_mode & 0o777 == 0o640
-    assert (etc / "suturegrasp/certificates").stat().st_mode & 0o777 == 0o750
+    assert (etc / "suturegrasp/certificates").stat().st_mode & 0o777 == 0o755
     assert sorted(p.name for p in (etc / "systemd" / "system").iterdir()) == [
         "suturegrasp-viewer.service", "suturegrasp.target",
     ]  # fmt: skip
@@ -242,7 +242,7 @@ def test_nobody_but_root_installs_on_a_machine_and_nothing_is_touched_before(dep
         raise AssertionError("this would have changed the machine")
 
     monkeypatch.setattr(installing.os, "geteuid", lambda: 1000)
-    for name in ("_make_user", "_put", "_remove_stale", "_tell_systemd"):
+    for name in ("_make_users", "_put", "_remove_stale", "_tell_systemd"):
         monkeypatch.setattr(installing, name, touched)
     host = next(h for h in layout_of(load_config(LAB, RigConfig)).hosts if h.name == "desk")
     with pytest.raises(installing.InstallError, match="only root may install"):

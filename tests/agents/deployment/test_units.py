@@ -7,7 +7,7 @@ from ruamel.yaml import YAML
 
 from agents.deployment.containers import IMAGE_USER, compose_file
 from agents.deployment.layout import ROUTER, Host, Process
-from agents.deployment.units import AGENTS, units
+from agents.deployment.units import AGENTS, units, user_of
 from shared.runtime.session import ROUTER_RUNTIME
 
 PROCESSES = tuple(
@@ -26,7 +26,6 @@ CONFINED = {
     "ProtectHome": "yes",
     "CapabilityBoundingSet": "",
     "SystemCallFilter": "@system-service",
-    "User": "suturegrasp",
 }
 STARTED_AGAIN = {
     "Type": "notify",
@@ -50,6 +49,13 @@ def told(text):
     return service
 
 
+def test_each_service_has_a_user_of_its_own_whose_name_is_short_enough():
+    long = [Process("robot_bridge", f"an-arm-of-a-very-long-name-{k}") for k in range(3)]
+    users = [user_of(process) for process in (*PROCESSES, *long)]
+    assert len(set(users)) == len(users)
+    assert max(map(len, users)) <= 31
+
+
 def test_all_but_people_have_a_unit():
     assert len(SERVICES) == len(PROCESSES) - 1
 
@@ -59,6 +65,7 @@ def test_a_unit_is_confined_and_started_again_after_longer_and_longer_pauses(nam
     service = told(SERVICES[name])
     expected = CONFINED | STARTED_AGAIN
     assert {key: service.get(key) for key in expected} == {key: [value] for key, value in expected.items()}
+    assert (service["User"], service["Group"]) == ([name.removesuffix(".service")], ["suturegrasp"])
     # for ever, however long it is away
     assert "StartLimitIntervalSec=0" in SERVICES[name].split("[Service]")[0]
 
