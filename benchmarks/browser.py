@@ -52,12 +52,13 @@ class BrowserError(RuntimeError):
 
 @dataclass
 class Page:
-    """One tab."""
+    """One tab; `held` is the mouse button that is down."""
 
     browser: "Browser"
     target: str
     session: str
     errors: list[str] = field(default_factory=list[str])
+    held: int = 0
 
     async def call(self, method: str, **parameters: Any) -> dict[str, Any]:
         """A method of the protocol."""
@@ -92,9 +93,15 @@ class Page:
 
     async def mouse(self, kind: str, x: float, y: float) -> None:
         """Move, press or release: mouseMoved, mousePressed, mouseReleased."""
-        held = 1 if kind == "mousePressed" else 0
-        button = "none" if kind == "mouseMoved" else "left"
-        await self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button=button, buttons=held, clickCount=1)
+        if kind != "mouseMoved":
+            self.held = int(kind == "mousePressed")
+        idle = kind == "mouseMoved" and not self.held
+        told = {"button": "none" if idle else "left", "buttons": self.held, "clickCount": 1}
+        await self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **told)
+
+    async def to_front(self) -> None:
+        """Have this tab be the one that is seen: one behind others draws once a second."""
+        await self.call("Page.bringToFront")
 
     async def click_at(self, x: float, y: float) -> None:
         """A click at a place of the window."""

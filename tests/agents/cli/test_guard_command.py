@@ -1,19 +1,21 @@
-"""The guard as a command: what it refuses in one sentence, what it passes on, and on how little it depends."""
+"""The guard as a command: what it refuses in one sentence, what its monitor loads, what happens when a link is lost."""
 
-import dataclasses
 import json
+import signal
 import subprocess
 import sys
+import threading
 
 import numpy as np
 import pytest
 
-from agents.cli.running.guard import _Ears
-from agents.guard.gate import LEARNT_NS
-from agents.guard.watch import NOBODY_NS
-from shared.ros import crtk
-
-MS = 10**6
+from agents.cli.rig.config import RigConfig
+from agents.cli.rig.sections import ArmSection, DvrkSection, RouterSection
+from agents.cli.running.audit import AuditLog
+from agents.cli.running.guard import _another, _Keeper, document_of
+from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
+from shared.ros.guarded import CHALLENGE, Gate, challenge_from, key_of
+from shared.runtime.session import SessionSettings, free_local_endpoint, open_router, open_session
 
 ARM = {"backend": "dvrk", "T_camera_base": np.eye(4).tolist()}
 FAR = {"endpoint": "tls/10.0.0.13:7448", "through_guard": True}
@@ -22,6 +24,7 @@ HOSTS = {
     "robot": {"address": "10.0.0.13", "runs": ["guard psm1"]},
 }
 SECURED = {"hosts": HOSTS, "host": "robot", "router": {"host": "desk"}, "security": {}}
+DEADLINE_S = 30.0
 
 
 @pytest.mark.parametrize(
@@ -32,7 +35,7 @@ SECURED = {"hosts": HOSTS, "host": "robot", "router": {"host": "desk"}, "securit
         (SECURED | {"robot": {"psm1": ARM | {"dvrk": FAR}}}, "suturegrasp deploy certificates makes certificates"),
         (
             SECURED | {"robot": {"psm1": ARM | {"dvrk": FAR | {"through_guard": False}}}},
-            "set through_guard = true, and run suturegrasp guard on the robot's computer",
+            "set points go through the guard always",
         ),
     ],
 )
@@ -44,32 +47,109 @@ def test_what_cannot_be_guarded_or_reached_safely_is_one_sentence(suturegrasp, t
     assert told in ended.err
 
 
-def test_what_is_fresh_passes_to_the_console_only_while_somebody_stands_by():
-    passed, ears, at_ns = list[str](), _Ears("psm1", "PSM1"), 10**18
-    ears.pass_on = lambda topic, _data: passed.append(topic)
-    hear = ears.gating("servo_jp")
-
-    def point(after_ms):
-        hear(crtk.joint_command(np.zeros(6), at_ns + after_ms * MS), at_ns + after_ms * MS)
-
-    for after_ms in range(0, LEARNT_NS // MS + 200, 100):
-        ears.hear_alive(crtk.joint_command(np.zeros(1), at_ns + after_ms * MS), at_ns + after_ms * MS)
-    point(1200)
-    assert not passed
-    ears._heard = dataclasses.replace(ears._heard, heartbeat_ns=at_ns + 1200 * MS)
-    point(1205)
-    assert passed == ["PSM1/servo_jp"]
-    point(1201 + NOBODY_NS // MS)
-    assert len(passed) == 1
+@pytest.fixture
+def links():
+    """Endpoints of a rig and of a robot, and the document by which a monitor there begins."""
+    rig, robot = free_local_endpoint(), free_local_endpoint()
+    section = DvrkSection(endpoint=robot)
+    arm = ArmSection(backend="dvrk", T_camera_base=SIMULATED_T_CAMERA_BASE.tolist(), dvrk=section)
+    config = RigConfig(router=RouterSection(endpoint=rig, start=False), robot={"psm1": arm})
+    return rig, robot, document_of(config, "psm1", section)
 
 
-def test_it_depends_on_neither_cameras_nor_planning_nor_the_bridge():
-    listed = "import sys, agents.cli.running.guard; print(*sys.modules, sep='\\n')"
+def begun(document):
+    command = [sys.executable, "-m", "agents.guard"]
+    monitor = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    monitor.stdin.write(json.dumps(document).encode() + b"\n")
+    monitor.stdin.flush()
+    return monitor
+
+
+def test_the_monitor_loads_no_numpy_and_ends_with_its_input_whatever_signal_comes(links):
+    rig, robot, document = links
+    with open_router(rig), open_router(robot), begun(document) as monitor:
+        assert json.loads(monitor.stdout.readline()) == {"what": "guards", "modules": False}
+        # who started it is told by the same signal, and ends its input
+        monitor.send_signal(signal.SIGINT)
+        monitor.send_signal(signal.SIGTERM)
+        alive = [json.loads(monitor.stdout.readline()) for _ in range(2)]
+        assert [line["what"] for line in alive] == ["alive", "alive"]
+        monitor.stdin.close()
+        assert monitor.wait(DEADLINE_S) == 0
+
+
+def test_the_monitor_depends_on_nothing_but_zenoh_and_the_messages():
+    listed = "import sys, agents.guard.__main__; print(*sys.modules, sep='\\n')"
     loaded = subprocess.run(
-        [sys.executable, "-c", listed], capture_output=True, text=True, check=True, timeout=60
-    ).stdout
-    kinds = {name.split(".")[1] for name in loaded.split() if name.startswith("agents.") and name.count(".") > 1}
-    assert "guard" in kinds
-    assert not kinds & {"camera", "perception", "planner", "simulator", "viewer", "recorder"}
-    assert not {"agents.robot_bridge.agent", "agents.robot_bridge.motion"} & set(loaded.split())
-    assert not {"cv2", "rerun", "piqp", "mcap"} & set(loaded.split())
+        [sys.executable, "-c", listed], capture_output=True, text=True, check=True, timeout=DEADLINE_S
+    ).stdout.split()
+    own = {name for name in loaded if name.startswith(("agents.", "shared.", "schemas."))}
+    assert own == {
+        *(f"agents.guard{name}" for name in ("", ".__main__", ".cdr", ".description", ".links", ".monitor")),
+        *("shared.clock", "shared.ros", "shared.ros.guarded", "schemas.generated", "schemas.generated.suturegrasp_pb2"),
+    }
+    assert not {"numpy", "scipy", "cv2", "rerun", "piqp", "mcap"} & set(loaded)
+
+
+def test_it_ends_where_the_robots_zenoh_is_lost_and_another_one_guards_when_that_is_back(links, tmp_path, until):
+    rig, robot, document = links
+    stopped, audit = threading.Event(), AuditLog(tmp_path / "guard.jsonl")
+    keeper = _Keeper("PSM1", document, audit, stopped)
+    with open_router(rig):
+        kept = threading.Thread(target=keeper.run)
+        try:
+            with open_router(robot):
+                kept.start()
+                until(lambda: not keeper.fault, "the monitor guards")
+                assert hears_challenges(robot)
+            until(lambda: "was lost" in keeper.fault, "the loss is told")
+            with open_router(robot):
+                until(lambda: not keeper.fault, "another monitor guards")
+                assert hears_challenges(robot)
+                stopped.set()
+                kept.join(DEADLINE_S)
+        finally:
+            stopped.set()
+            kept.join(DEADLINE_S)
+    assert (kept.is_alive(), keeper.gave_up) == (False, "")
+
+
+def hears_challenges(robot):
+    """Whether a bridge would be asked there, by a shut gate."""
+    heard, own = threading.Event(), key_of("PSM1", CHALLENGE)
+
+    def hear(sample):
+        told = challenge_from(str(sample.key_expr), sample.payload.to_bytes())
+        assert told.gate is Gate.SHUT
+        heard.set()
+
+    with open_session(SessionSettings(endpoint=robot)) as session:
+        subscriber = session.declare_subscriber(own, hear)
+        found = heard.wait(DEADLINE_S)
+        subscriber.undeclare()
+    return found
+
+
+def test_a_monitor_that_cannot_begin_says_so_and_is_not_started_again_for_ever(links, tmp_path):
+    stopped = threading.Event()
+    broken = links[2] | {"description": {"arm": "psm1"}}
+    keeper = _Keeper("PSM1", broken, AuditLog(tmp_path / "guard.jsonl"), stopped)
+    keeper.run()
+    assert "the monitor has ended with status 1" in keeper.gave_up
+    assert stopped.is_set()
+
+
+def test_a_second_guard_of_an_arm_gives_up_and_one_that_was_killed_is_waited_for(monkeypatch):
+    monkeypatch.setattr("agents.cli.running.guard.TWIN_S", 0.0)
+
+    class There:
+        def __init__(self, *present):
+            self.told = list(present)
+
+        def present(self):
+            return self.told.pop(0)
+
+    own = {"guard/psm1"}
+    assert _another(There(own, own), "guard/psm1", threading.Event())
+    assert not _another(There(own, set()), "guard/psm1", threading.Event())
+    assert not _another(There({"guard/psm2"}), "guard/psm1", threading.Event())

@@ -218,9 +218,7 @@ MISTAKES = {
     f'{DVRK}endpoint = "tcp/127.0.0.1:7448"': "backend 'dvrk' needs T_camera_base",
     f"{DVRK}[planner]": "robot.psm1.dvrk.endpoint is missing",
     f'{base(ASIDE)}\nbackend = "dvrk"\n[robot.psm1.dvrk]\nendpoint = "tcp/10.0.0.9:7"': "needs tls and [security]; or",
-    f'[security]\n{base(ASIDE)}\nbackend = "dvrk"\n[robot.psm1.dvrk]\nendpoint = "tls/10.0.0.9:7"\nthrough_guard = false': (
-        "set points go through the guard always"
-    ),
+    f'{base(ASIDE)}\nbackend = "dvrk"\n[robot.psm1.dvrk]\nthrough_guard = false': "set points go through the guard",
     '[camera]\nsource = "ros"\nendpoint = "tcp/10.0.0.9:7"\nleft_topic = "a"\nright_topic = "b"': "camera.endpoint",
     "[robot.psm1]\nbakend = 1": "robot.psm1.bakend is unknown; did you mean backend?",
     "[robot.psm3]": "robot: psm3 needs T_camera_base; only psm1 and psm2 have a place of their own",

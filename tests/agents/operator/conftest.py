@@ -205,8 +205,8 @@ class Emulated:
         return logger
 
 
-def before_a_browser(rig, look, *flags, tls=None, **around):
-    """Have a browser before a page, and whoever tells beside it."""
+def before_a_browser(rig, look, *flags, tls=None, opened=chromium, **around):
+    """Have a browser before a page, and whoever tells beside it; `opened` opens it."""
 
     async def run():
         with contextlib.ExitStack() as stack:
@@ -218,7 +218,7 @@ def before_a_browser(rig, look, *flags, tls=None, **around):
             access = Access()
             async with (
                 serving(Desk(connection, told), access, HERE, 0, (HERE,), tls) as (_, address),
-                chromium("--window-size=1280,900", *flags) as browser,
+                opened(*(("--window-size=1280,900",) if opened is chromium else ()), *flags) as browser,
             ):
                 page = await browser.open(f"{address}#token={access.link}")
                 await page.until(READY, PATIENT_S)

@@ -166,6 +166,7 @@ async def planned(page, share):
 
 async def armed(page, rig):
     """Press until the arm moves: on a busy machine a page may not answer in time, and is let go of, as it should."""
+    await page.to_front()
     for _ in range(TRIES):
         await planned(page, 0.4)
         rig.ends.clear()
