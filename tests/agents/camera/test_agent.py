@@ -1,6 +1,7 @@
 """The camera agent, from ticks to frames."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -119,8 +120,9 @@ def test_a_frame_echoes_the_newest_challenge_that_was_heard_before_it_was_captur
 
 
 def test_a_notice_with_the_same_stamp_follows_each_frame():
-    said = [o.message for o in Camera(Given(1), CALIBRATION_64, CameraConfig()).step(Tick(1))]
-    assert said[-1] == FrameNotice(said[-2].stamp)
+    camera: Any = Camera(Given(1), CALIBRATION_64, CameraConfig())
+    said = {output.topic: output.message for output in camera.step(Tick(1))}
+    assert said[FRAME_NOTICE] == FrameNotice(said[FRAMES].stamp)
 
 
 def test_a_source_that_has_broken_off_is_the_end_of_the_camera():

@@ -12,7 +12,7 @@ from agents.cli.running.audit import AuditError, AuditLog
 from agents.cli.running.audited_bridge import AuditedBridge
 from agents.robot_bridge.agent import RobotBridgeConfig
 from agents.robot_bridge.simulated import SimulatedPsm, waiting
-from schemas.messages import Arm, ChangeState, CommandHeader, Hold, Outcome, StateWord
+from schemas.messages import Arm, ChangeState, CommandAnswer, CommandHeader, Hold, Outcome, StateWord
 from schemas.topics import ARM, CHANGE_STATE, HOLD
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
 from shared.runtime.agent import Command, Tick
@@ -101,7 +101,7 @@ def test_what_stops_is_carried_out_whether_or_not_it_can_be_written_down(tmp_pat
     bridge = bridge_with(tmp_path / "psm1.jsonl")
     told = []
     bridge._backend.hold = lambda: told.append("hold")
-    bridge._backend.change_state = lambda word, _now_ns: told.append(word.name) or ""
+    bridge._backend.change_state = lambda word, now_ns: told.append(word.name) or ""  # noqa: ARG005
     full = os.open("/dev/full", os.O_WRONLY)
     bridge._audit._file, bridge._begun = full, not folder
     header = CommandHeader("b", NOW_NS - 1, "ben")
@@ -113,6 +113,7 @@ def test_what_stops_is_carried_out_whether_or_not_it_can_be_written_down(tmp_pat
         ):
             told.clear()
             answer, *_ = bridge.step(Command(topic, "psm1", message, NOW_NS))
+            assert isinstance(answer, CommandAnswer)
             assert (answer.outcome, told) == (Outcome.ACCEPTED, expected)
     finally:
         os.close(full)

@@ -1,10 +1,12 @@
 """The guard as a command: what it refuses in one sentence, what its monitor loads, what happens when a link is lost."""
 
+import contextlib
 import json
 import signal
 import subprocess
 import sys
 import threading
+from typing import Any
 
 import numpy as np
 import pytest
@@ -57,24 +59,27 @@ def links():
     return rig, robot, document_of(config, "psm1", section)
 
 
+@contextlib.contextmanager
 def begun(document):
     command = [sys.executable, "-m", "agents.guard"]
-    monitor = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-    monitor.stdin.write(json.dumps(document).encode() + b"\n")
-    monitor.stdin.flush()
-    return monitor
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as monitor:
+        assert monitor.stdin is not None
+        assert monitor.stdout is not None
+        monitor.stdin.write(json.dumps(document).encode() + b"\n")
+        monitor.stdin.flush()
+        yield monitor, monitor.stdin, monitor.stdout
 
 
 def test_the_monitor_loads_no_numpy_and_ends_with_its_input_whatever_signal_comes(links):
     rig, robot, document = links
-    with open_router(rig), open_router(robot), begun(document) as monitor:
-        assert json.loads(monitor.stdout.readline()) == {"what": "guards", "modules": False}
+    with open_router(rig), open_router(robot), begun(document) as (monitor, into, lines):
+        assert json.loads(lines.readline()) == {"what": "guards", "modules": False}
         # who started it is told by the same signal, and ends its input
         monitor.send_signal(signal.SIGINT)
         monitor.send_signal(signal.SIGTERM)
-        alive = [json.loads(monitor.stdout.readline()) for _ in range(2)]
+        alive = [json.loads(lines.readline()) for _ in range(2)]
         assert [line["what"] for line in alive] == ["alive", "alive"]
-        monitor.stdin.close()
+        into.close()
         assert monitor.wait(DEADLINE_S) == 0
 
 
@@ -150,6 +155,6 @@ def test_a_second_guard_of_an_arm_gives_up_and_one_that_was_killed_is_waited_for
             return self.told.pop(0)
 
     own = {"guard/psm1"}
-    assert _another(There(own, own), "guard/psm1", threading.Event())
-    assert not _another(There(own, set()), "guard/psm1", threading.Event())
-    assert not _another(There({"guard/psm2"}), "guard/psm1", threading.Event())
+    for present, stays in (((own, own), True), ((own, set()), False), (({"guard/psm2"},), False)):
+        connection: Any = There(*present)
+        assert _another(connection, "guard/psm1", threading.Event()) is stays

@@ -360,7 +360,7 @@ def test_a_burst_of_what_was_on_its_way_passes_and_more_does_not():
 
 
 def test_more_set_points_than_a_bridge_sends_are_none_of_a_bridge():
-    rig = Rig().moves()
+    rig, found = Rig().moves(), []
     for _ in range(100):
         found = rig.say()
         if not passed(found):
@@ -369,7 +369,7 @@ def test_more_set_points_than_a_bridge_sends_are_none_of_a_bridge():
 
 
 def test_a_set_point_far_from_where_the_arm_is_measured_holds_it():
-    rig = Rig().moves()
+    rig, found = Rig().moves(), []
     position = HERE[0]
     for _ in range(400):
         rig.tick(1, "a")

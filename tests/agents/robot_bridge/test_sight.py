@@ -1,6 +1,7 @@
 """No blind motion: frames by the bridge's own clock, an absolute cap, and long motions as chains of segments."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from agents.robot_bridge.sight import Sight
 from schemas.messages import (
     Arm,
     ChallengeEcho,
+    CommandAnswer,
     CommandHeader,
     ExecutionKind,
     FrameNotice,
@@ -51,11 +53,12 @@ class Seen(Drive):
         header = CommandHeader(f"arming-{self.armings}", self.now_ns + SECOND, "ann")
         message = Arm(header, "psm1", plan_id, self.states()[-1].challenge_ns, segments=segments)
         answer = self.feed(Command(ARM, "psm1", message, self.now_ns))[0]
+        assert isinstance(answer, CommandAnswer)
         if answer.outcome is Outcome.ACCEPTED:
             self.arming_id = header.id
         return answer.code
 
-    def fresh(self, plan_id: str = "p1", **changes: object) -> GraspPlan:
+    def fresh(self, plan_id: str = "p1", **changes: Any) -> GraspPlan:
         """A plan of a frame that is taken now."""
         echo = (ChallengeEcho("psm1", self.states()[-1].challenge_ns),)
         stamp = FrameStamp(1, self.now_ns, self.now_ns, "c", echo)
@@ -205,7 +208,9 @@ def test_a_plan_that_does_not_go_on_from_there_ends_a_chain(change, code):
 
 def test_a_chain_is_no_longer_than_it_was_armed_for():
     drive = at_the_end_of_a_segment(segments=2)
-    drive.bridge._execution.segments = 1
+    execution = drive.bridge._execution
+    assert execution is not None
+    execution.segments = 1
     drive.publish(drive.fresh("p1+", continues="p1"))
     assert "armed for 1 segments at most" in drive.events()[-1].reason
 

@@ -56,6 +56,7 @@ def test_a_message_comes_back_as_it_was(topic, data):
     key, said = key_of("PSM1", topic), data.draw(made)
     found = from_bytes(key, to_bytes(key, said))
     if isinstance(said, Challenge):
+        assert isinstance(found, Challenge)
         assert found.reason == said.reason.encode(errors="replace").decode()
         found, said = (Challenge(*list(vars(each).values())[:-1]) for each in (found, said))
     assert found == said

@@ -3,7 +3,7 @@
 import contextlib
 import threading
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -47,7 +47,7 @@ from shared.runtime.agent import Command, Output, Received, Tick
 from shared.runtime.session import SessionSettings, free_local_endpoint, open_router, open_session
 
 DEADLINE_S = 20.0
-BASE = [[float(value) for value in row] for row in SIMULATED_T_CAMERA_BASE]
+BASE: Any = SIMULATED_T_CAMERA_BASE.tolist()
 NAME, TOOL = "PSM1", "LARGE_NEEDLE_DRIVER:400006"
 HZ = 200.0
 PATIENT_S = 1.0
@@ -203,7 +203,7 @@ class GuardHere:
 
 
 @pytest.fixture
-def codec() -> str:
+def codec() -> Literal["ros2dds", "rmw_zenoh"]:
     return "ros2dds"
 
 
@@ -213,7 +213,7 @@ def dry_run() -> bool:
 
 
 @pytest.fixture
-def lab(codec: str, dry_run: bool, monkeypatch: pytest.MonkeyPatch):
+def lab(codec: Literal["ros2dds", "rmw_zenoh"], dry_run: bool, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("agents.robot_bridge.measuring.MEASUREMENT_AGE_S", PATIENT_S)
     for bound in ("PRESENCE_NS", "LINK_NS", "FRESH_NS", "GONE_NS", "GRACE_NS"):
         monkeypatch.setattr(f"agents.guard.monitor.{bound}", round(PATIENT_S * 1e9))
