@@ -2,12 +2,15 @@
 
 import asyncio
 import contextlib
+import json
 import logging
 import os
 import ssl
+import tempfile
 import threading
 import webbrowser
 from collections.abc import Callable, Generator
+from pathlib import Path
 from typing import Any
 
 from agents.cli.live.command import rig_of
@@ -83,12 +86,40 @@ async def _serve(
     access, listen = Access(), options.listen or LOOPBACK
     names = LOCAL_NAMES if options.listen is None else (_in_address(options.listen),)
     async with serving(Desk(connection, around), access, listen, options.port, names, tls) as (_, address):
-        access.changed = lambda link: say(f"for another screen, open {address}#token={link}")
         say(f"the operator's page: {address}#token={access.link}")
-        if options.open and any(os.environ.get(name) for name in SCREENS):
-            webbrowser.open(f"{address}#token={access.link}")
-        while not until():
-            await asyncio.sleep(LOOK_S)
+        opens = options.open and any(os.environ.get(name) for name in SCREENS)
+        with _leading_file(f"{address}#token={access.link}") if opens else contextlib.nullcontext() as leading:
+
+            def changed(link: str) -> None:
+                if leading is not None:
+                    leading.unlink(missing_ok=True)
+                say(f"for another screen, open {address}#token={link}")
+
+            access.changed = changed
+            if leading is not None:
+                webbrowser.open(leading.as_uri())
+            while not until():
+                await asyncio.sleep(LOOK_S)
+
+
+@contextlib.contextmanager
+def _leading_file(link: str) -> Generator[Path | None]:
+    """A file of this user's own that leads a browser to a link: everybody reads in a list of processes what it opens.
+
+    It lies in the home folder, for a browser of a snap reads neither temporary nor hidden folders. It is None where
+    that cannot be written: the link was printed too.
+    """
+    try:
+        file, name = tempfile.mkstemp(prefix="suturegrasp-page-", suffix=".html", dir=Path.home())
+    except (OSError, RuntimeError):
+        yield None
+        return
+    try:
+        with open(file, "w", encoding="utf-8") as written:
+            written.write(f"<!doctype html><script>location.replace({json.dumps(link)})</script>\n")
+        yield Path(name)
+    finally:
+        Path(name).unlink(missing_ok=True)
 
 
 def _tls(rig: RigConfig, listen: str | None) -> ssl.SSLContext | None:
