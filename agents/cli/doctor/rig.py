@@ -151,7 +151,7 @@ def links(measured: Mapping[str, Link | None]) -> Iterator[Finding]:
         took = f"{link.latency_ms:.1f} ms there and back (99 % within {link.latency_ms_p99:.1f} ms)"
         slow = link.latency_ms > SLOW_LINK_MS
         remedy = (
-            "look at the network, and at how busy both hosts are: an arm holds 200 ms after a heartbeat" if slow else ""
+            "look at the network, and at how busy both hosts are: an arm holds where answers are late" if slow else ""
         )
         much = f"{_megabytes(link.bytes_per_s)} from it, {_megabytes(link.bytes_per_s_there)} to it"
         yield Finding(what, f"{took}, {much}", remedy)
