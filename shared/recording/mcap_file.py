@@ -172,7 +172,7 @@ def _check_own(first: McapRecord, path: Path) -> Version:
     if not isinstance(first, Header) or first.profile != PROFILE:
         raise RecordingError(f"{path} is an MCAP file of another program; give one that suturegrasp recorded")
     try:
-        version = version_of(first.library.split()[-1])
+        version = version_of(first.library.rpartition(" ")[2])
         check_readable(version)
     except NewerVersionError as error:
         raise RecordingError(f"{path} was {error}") from None
@@ -244,7 +244,8 @@ def _damage_named(path: Path) -> Generator[None]:
         McapError,
         struct.error,
         StopIteration,
-        KeyError,
+        LookupError,
+        ArithmeticError,
         ValueError,
         RuntimeError,
         MemoryError,

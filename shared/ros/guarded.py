@@ -191,4 +191,10 @@ def _id_bytes(arming_id: str) -> bytes:
 
 
 def _id_from(padded: bytes) -> str:
-    return padded.rstrip(b"\0").decode(errors="replace")
+    named = padded.rstrip(b"\0")
+    try:
+        if b"\0" not in named:
+            return named.decode()
+    except UnicodeDecodeError:
+        pass
+    raise GuardedError("the id of an arming is no text")
