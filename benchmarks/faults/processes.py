@@ -52,6 +52,8 @@ class Processes:
                 stdout=log,
                 stderr=log,
                 env={**os.environ, SUPERVISED: "1", **self._clock_of(host)},
+                # a host is none whose processes share one turn with whatever else this machine does
+                start_new_session=True,
             )
         return self._running[name]
 

@@ -115,7 +115,8 @@ def pose(data: bytes) -> Pose:
     at, turned = found.pose.position, found.pose.orientation
     p = np.array((at.x, at.y, at.z))
     q = np.array((turned.w, turned.x, turned.y, turned.z))
-    norm = float(np.linalg.norm(q))
+    # numbers as large as there are overflow in numpy, which tells people so
+    norm = math.hypot(*q)
     if not np.isfinite(p).all() or not abs(norm - 1) < _UNIT_TOLERANCE:
         raise RosMessageError("a pose has a place that is not finite, or a quaternion that is not of length 1")
     return Pose(_stamp_ns(found), str(found.header.frame_id), transform(rotation_from_quaternion(q / norm), p))

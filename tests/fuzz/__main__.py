@@ -10,8 +10,10 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 from shared.clock import monotonic_s
 
@@ -66,7 +68,8 @@ def _by_coverage(name: str, seconds: float) -> int:
 
 
 def _coverage_guided(name: str, arguments: list[str]) -> int:
-    import atheris  # pyright: ignore[reportMissingImports]
+    # it is no dependency: the index has it for some systems only
+    atheris: Any = import_module("atheris")
 
     with atheris.instrument_imports(include=INSTRUMENTED, enable_loader_override=False):
         from tests.fuzz.targets import TARGETS

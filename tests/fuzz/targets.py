@@ -6,9 +6,10 @@ A target returns where its bytes were read, or refused by the reader's one excep
 import contextlib
 import math
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -67,7 +68,8 @@ R: [ 1., 0., 0., 0., 1., 0., 0., 0., 1. ]
 T: [ -5.5, 0., 0. ]
 ImageSize: [ 180, 320 ]
 """
-HAND_EYE = """{"T_camera_base": [[0.968, 0, 0.252, 0.045], [-0.0146, -0.998, 0.056, 0.01], [0.2516, -0.0579, -0.966, -0.08],
+HAND_EYE = """{"T_camera_base": [[0.968, 0, 0.252, 0.045],
+ [-0.0146, -0.998, 0.056, 0.01], [0.2516, -0.0579, -0.966, -0.08],
  [0, 0, 0, 1]], "unit": "m", "axes": "opencv", "calibration_id": "beca2fa23c61", "made": "2026-11-23"}"""
 
 
@@ -91,11 +93,12 @@ def ros(data: bytes) -> None:
 def guarded(data: bytes) -> None:
     """What bridge and guard say to each other: read as one kind, it is none of the others, and is written the same."""
     taken = 0
-    for topic, read, written in (
+    kinds: tuple[tuple[str, Callable[[str, bytes], Any], Callable[[str, Any], bytes]], ...] = (
         (SET_POINT, set_point_from, set_point_bytes),
         (ALIVE, alive_from, alive_bytes),
         (CHALLENGE, challenge_from, challenge_bytes),
-    ):
+    )
+    for topic, read, written in kinds:
         own = key_of("PSM1", topic)
         with contextlib.suppress(GuardedError):
             said = read(own, data)
@@ -150,7 +153,7 @@ def hand_eye(data: bytes) -> None:
 
 
 @contextlib.contextmanager
-def _file(data: bytes, ending: str) -> Iterator[Path]:
+def _file(data: bytes, ending: str) -> Generator[Path]:
     with tempfile.NamedTemporaryFile(suffix=ending) as file:
         file.write(data)
         file.flush()

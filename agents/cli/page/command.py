@@ -115,7 +115,7 @@ def _leading_file(link: str) -> Generator[Path | None]:
         yield None
         return
     try:
-        with open(file, "w", encoding="utf-8") as written:
+        with os.fdopen(file, "w", encoding="utf-8") as written:
             written.write(f"<!doctype html><script>location.replace({json.dumps(link)})</script>\n")
         yield Path(name)
     finally:
