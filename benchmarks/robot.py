@@ -60,9 +60,12 @@ def main() -> None:
         _print("Kinematics of the PSM", [found["kinematics"]])
     if options.only in ("all", "hostile"):
         logging.disable(logging.WARNING)
-        found["hostile"] = hostile(options.hostile)
-        shown = {name: value for name, value in found["hostile"].items() if name != "sentences"}
-        _print("Hostile plans and commands; goal: nothing unsafe, nothing wrongly accepted, no step failed", [shown])
+        found["hostile"] = [
+            {"guard": "on" if guarded else "off"} | hostile(options.hostile, guarded=guarded)
+            for guarded in (True, False)
+        ]
+        shown = [{name: each[name] for name in each if name != "sentences"} for each in found["hostile"]]
+        _print("Hostile plans and commands; goal: nothing unsafe, nothing wrongly accepted, no step failed", shown)
         logging.disable(logging.NOTSET)
     if options.only in ("all", "stops"):
         codecs = ("ros2dds", "rmw_zenoh")

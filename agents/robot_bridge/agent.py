@@ -220,7 +220,7 @@ class RobotBridge:
             return self.stop(following, now_ns)
         self._backend.move(following.joints, following.jaw_rad, execution.arming_id)
         of = execution.plan_id, execution.arming_id
-        self._plans.moves(execution.plan_id, now_ns)
+        self._plans.moves(execution.plan_id, now_ns, execution.touched)
         kinds: list[tuple[ExecutionKind, Phase | None]]
         kinds = [(ExecutionKind.PHASE_REACHED, phase) for phase in following.reached]
         if following.finished:

@@ -16,8 +16,9 @@ LONGEST_STEP_PERIODS = 2
 """After a late tick the motion goes on where it was, and does not make up for lost time."""
 RATIO_PER_S = 2.0
 """How fast the share of the planned speed changes: from all to half of it in a quarter of a second."""
-FOLLOWING_M, FOLLOWING_RAD = 0.005, 0.2
-"""Farther than this from where the arm is measured, no set point is sent."""
+FOLLOWING_M, FOLLOWING_RAD, FOLLOWING_JAW_RAD = 0.005, 0.2, 0.3
+"""Farther than this from where the arm is measured, no set point is sent; that of the jaw is as far as it goes at its
+greatest speed while the tool turns by its angle at its own."""
 ARRIVED_M, ARRIVED_RAD = 5e-4, 0.02
 ARRIVAL_S = 1.0
 """How long an arm may take to come to rest where it should."""
@@ -91,6 +92,11 @@ class Execution:
         self._stop, self._waited_s, self._ratio = 0, 0.0, 1.0
 
     @property
+    def touched(self) -> bool:
+        """Whether the approach is over: the fingers are at the thread, or hold it."""
+        return all(stop.phase is not Phase.APPROACH for stop in self._trajectory.stops[self._stop :])
+
+    @property
     def approached(self) -> bool:
         """Whether the segment that has ended was the last one before contact."""
         return self._trajectory.stops[self._last].phase is Phase.APPROACH
@@ -138,7 +144,8 @@ class Execution:
             )
         reached = self._go_on(arm, elapsed_s, ratio, now_ns)
         joints, jaw_rad = self._trajectory.at(self._progress_s or 0.0)
-        if self._waited_s > ARRIVAL_S or not self._near(arm, joints, FOLLOWING_M, FOLLOWING_RAD):
+        near = self._near(arm, joints, FOLLOWING_M, FOLLOWING_RAD) and _jaw_follows(arm.jaw_rad, jaw_rad)
+        if self._waited_s > ARRIVAL_S or not near:
             return Refusal(Code.NOT_FOLLOWING, "the arm does not follow its set points: it may be blocked, or pushed")
         if self._stop > self._last and self._stop < len(self._trajectory.stops) and self.ended_ns is None:
             self.ended_ns = now_ns
@@ -196,3 +203,9 @@ class Execution:
         T = self._kinematics.forward(np.stack((arm.joints, joints)))
         distance = np.linalg.norm(T[0, :3, 3] - T[1, :3, 3])
         return bool(distance <= metres and angle_between(T[0, :3, :3], T[1, :3, :3]) <= radians)
+
+
+def _jaw_follows(measured_rad: float, sent_rad: float) -> bool:
+    """Whether the jaw is near its set point; told to close beyond its fingers' touch, it presses on what it holds."""
+    touching_rad = max(sent_rad, 0.0)
+    return sent_rad - FOLLOWING_JAW_RAD <= measured_rad <= touching_rad + FOLLOWING_JAW_RAD

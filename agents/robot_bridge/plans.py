@@ -12,10 +12,11 @@ CLOCK_TOLERANCE_S = 0.5
 
 
 class Begun(NamedTuple):
-    """A motion of an arm: which plan's, and when its first set point was sent."""
+    """A motion of an arm: which plan's, when it began, and whether the fingers came as far as the thread."""
 
     plan_id: str
     at_ns: int
+    touched: bool = False
 
 
 class Plans:
@@ -46,10 +47,10 @@ class Plans:
         else:
             _keep_few(self._plans, plan.plan_id, plan)
 
-    def moves(self, plan_id: str, now_ns: int) -> None:
-        """Note that a plan is carried out; again after a hold it is still the same motion."""
-        if self.last.plan_id != plan_id:
-            self.last = Begun(plan_id, now_ns)
+    def moves(self, plan_id: str, now_ns: int, touched: bool) -> None:
+        """Note that a plan is carried out; again after a hold before the thread it is still the same motion."""
+        if self.last.plan_id != plan_id or touched:
+            self.last = Begun(plan_id, now_ns, touched)
 
     def forget(self, plan_id: str) -> None:
         """A plan that was carried out is so once."""
@@ -72,7 +73,8 @@ def untimely(plan: GraspPlan, now_ns: int, still_since_ns: int, last: Begun, max
 
     Args:
         still_since_ns: what was captured before is elsewhere now.
-        last: what another plan's motion has touched may be elsewhere too; the same plan may go on after a hold.
+        last: what a motion has touched may be elsewhere, and in the fingers. So the same plan may go on after a hold on
+            its approach, and no later: it would begin anew, with jaws that may hold thread.
     """
     captured_ns = min(plan.stamp.capture_left_ns, plan.stamp.capture_right_ns)
     age_s = (now_ns - captured_ns) * 1e-9
@@ -82,7 +84,7 @@ def untimely(plan: GraspPlan, now_ns: int, still_since_ns: int, last: Begun, max
     if captured_ns < still_since_ns:
         moved = "camera, set-up joints or arm were moved by hand"
         return Refusal(Code.MOVED, f"{moved} after the frame of plan {plan.plan_id} was captured: plan again")
-    if captured_ns < last.at_ns and plan.plan_id != last.plan_id:
+    if captured_ns < last.at_ns and (plan.plan_id != last.plan_id or last.touched):
         before = f"was captured before the motion of plan {last.plan_id} began, which may have moved the thread"
         return Refusal(Code.OUT_OF_ORDER, f"the frame of plan {plan.plan_id} {before}: plan again")
     if age_s < -CLOCK_TOLERANCE_S:

@@ -87,13 +87,14 @@ class UnreliableArm(SimulatedPsm):
 
     readiness = Readiness.READY
     joints_read: Callable[[np.ndarray], np.ndarray] = staticmethod(lambda joints: joints)
+    jaw_read: Callable[[float], float] = staticmethod(lambda jaw_rad: jaw_rad)
     late_ns, busy, still_since_ns = 0, False, 0
 
     def state(self, now_ns: int) -> ArmState:
         state = super().state(now_ns)
         reason = "" if self.readiness is Readiness.READY else "the clutch is pressed"
         joints = self.joints_read(state.joints)
-        told = (now_ns - self.late_ns, joints, state.jaw_rad, self.readiness, reason)
+        told = (now_ns - self.late_ns, joints, self.jaw_read(state.jaw_rad), self.readiness, reason)
         return ArmState(*told, busy=self.busy, still_since_ns=self.still_since_ns)
 
 
@@ -530,6 +531,18 @@ def test_a_plan_from_before_another_plans_motion_is_out_of_order_and_the_same_on
     assert drive.arm("p3").outcome is Outcome.ACCEPTED
 
 
+def test_what_was_held_at_the_thread_goes_on_only_from_a_frame_of_since() -> None:
+    drive = moving()
+    while not any(event.phase is Phase.APPROACH for event in drive.events()):
+        drive.run(5)
+    drive.hold()
+    code, reason = refusal(drive)
+    assert code == "out_of_order"
+    assert "which may have moved the thread: plan again" in reason
+    drive.publish(plan("p2", captured_ns=drive.now_ns))
+    assert drive.arm("p2").outcome is Outcome.ACCEPTED
+
+
 def tissue_before(drive: Drive, depth_m: float, calibration_id: str = "c") -> None:
     """Tell of flat tissue all over the image."""
     camera, stamp = RectifiedStereo(640, 480, 600.0, 600.0, 320.0, 240.0, 0.005, 1.0), drive.now_ns
@@ -645,6 +658,22 @@ def test_an_arm_that_is_pushed_away_from_its_set_points_is_held() -> None:
     drive.beat()
     drive.tick()
     assert drive.events()[-1].code == "not_following"
+
+
+def test_an_arm_whose_jaw_does_not_follow_is_held_and_one_whose_jaw_lags_is_not() -> None:
+    drive = moving()
+    for behind_rad, held in ((0.25, False), (0.35, True)):
+        drive.backend.jaw_read = lambda jaw_rad, behind_rad=behind_rad: jaw_rad - behind_rad
+        drive.beat()
+        drive.tick()
+        assert (drive.events()[-1].code == "not_following") is held
+
+
+def test_a_jaw_that_presses_on_what_it_holds_follows_well_enough() -> None:
+    drive = moving()
+    drive.backend.jaw_read = lambda jaw_rad: max(jaw_rad, 0.15)
+    drive.run(3000)
+    assert drive.events()[-1].kind is ExecutionKind.FINISHED
 
 
 def test_an_arm_that_is_blocked_short_of_a_stop_is_held_after_a_second() -> None:
