@@ -20,7 +20,7 @@ from rich.table import Table
 from benchmarks.robot_hostile import hostile
 from benchmarks.robot_jitter import jitter
 from benchmarks.robot_messages import CYCLONE, PYCDR2, compared, others
-from benchmarks.robot_stops import BOUND_MS, LOSSES, QUEUES, released_through, stopped_after
+from benchmarks.robot_stops import BOUND_MS, CLOCKS, LOSSES, QUEUES, can_set_clocks, released_through, stopped_after
 from benchmarks.tables import CONSOLE
 from shared.clock import processor_s
 from shared.kinematics.psm import INSERTION, LARGE_NEEDLE_DRIVER, forward, inverse
@@ -76,13 +76,14 @@ def main() -> None:
             found["stops"].append(stopped_after(*turn))
         _print(f"Lost in mid-motion; goal: it stands within {GOAL_STANDS_MS:.0f} ms", found["stops"])
         found["queues"] = []
-        for number, queue in enumerate(QUEUES):
-            CONSOLE.print(
-                f"  the link of the {queue[0]} queues: {queue[1]} {queue[2]:g} s: {number + 1} of {len(QUEUES)}"
-            )
+        bad = QUEUES + (CLOCKS if can_set_clocks() else ())
+        if len(bad) == len(QUEUES):
+            CONSOLE.print("  no clock is set: libfaketime is not installed")
+        for number, queue in enumerate(bad):
+            CONSOLE.print(f"  {queue[0]}: {queue[1]} {queue[2]:g} s: {number + 1} of {len(bad)}")
             found["queues"].append(released_through(*queue))
         goal = f"goal: none later than {BOUND_MS:.0f} ms after the button was released"
-        _print(f"Last set point at the console while a link queues; {goal}", found["queues"])
+        _print(f"Last set point at the console while a link is bad, or a clock was set; {goal}", found["queues"])
         if missing := sum(row["set points"] is None for row in found["stops"]):
             CONSOLE.print(
                 f"  {missing} of {len(turns)} motions did not come about; `waited` names what had no processor"

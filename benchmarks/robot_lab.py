@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from agents.cli.running.supervisor import SUPERVISED
+from benchmarks.faults.processes import faked
 from benchmarks.robot_person import CALIBRATION
 from schemas.codec import decode, encode
 from schemas.messages import ChallengeEcho, FrameStamp, GraspPlan, Phase, Policy, Status, TissueSurface, Waypoint
@@ -55,9 +56,10 @@ class Lab:
         """Start everything; `turns` of the motion to and fro, and sections of further agents with what they hold.
 
         Where there are further agents the bridge reaches the console at once, and else through a relay, and so does the
-        person the rig. `queue` says which of both, `robot` or `rig`, is to queue how and for how long (robot_relay.py).
+        person the rig. `queue` says which of both, `robot` or `rig`, is to turn bad, how and for how long
+        (robot_relay.py), or whose clock is to be set.
         """
-        self._folder, self._turns, self._sections = folder, turns, beside or {}
+        self._folder, self._turns, self._sections, self._clock = folder, turns, beside or {}, queue[0]
         self._router, self._robot, relayed, self._desk = (free_local_endpoint() for _ in range(4))
         self._running: dict[str, subprocess.Popen[bytes]] = {}
         base = {"T_camera_base": SIMULATED_T_CAMERA_BASE.tolist()}
@@ -135,6 +137,12 @@ class Lab:
         """Have the person let go, the camera freeze, or a link begin to queue."""
         self._running[name].send_signal(signal.SIGUSR1)
 
+    def set_clock(self, name: str, ahead_s: float) -> None:
+        """Set the clock of one process, of which that was to be possible."""
+        fresh = self._folder / f"{name}.clock.new"
+        fresh.write_text(f"{ahead_s:+g}s\n")
+        fresh.rename(self._folder / f"{name}.clock")
+
     def pid(self, name: str) -> int:
         """The process of that name."""
         return self._running[name].pid
@@ -201,10 +209,17 @@ class Lab:
     def _start(self, name: str, module: str, *arguments: object) -> None:
         command = [sys.executable, "-m", module, *map(str, arguments)]
         with (self._folder / f"{name}.log").open("ab") as log:
-            environment = {**os.environ, SUPERVISED: "1"}
+            environment = {**os.environ, SUPERVISED: "1", **self._clock_of(name)}
             self._running[name] = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=log, stderr=log, env=environment
             )
+
+    def _clock_of(self, name: str) -> dict[str, str]:
+        """A clock that can be set, for whom it is to be."""
+        if f"clock of the {name}" != self._clock:
+            return {}
+        self.set_clock(name, 0.0)
+        return faked(self._folder / f"{name}.clock")
 
     def _end(self, process: "subprocess.Popen[bytes]") -> None:
         process.kill()

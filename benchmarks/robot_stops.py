@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.faults.network import CannotError
+from benchmarks.faults.processes import faketime
 from benchmarks.robot_lab import STANDS_S, Lab, NotMovingError
 from shared.clock import now_ns
 
@@ -31,10 +33,23 @@ QUEUES = tuple(
         *(("constant", seconds) for seconds in (0.05, 0.2, 1.0, 5.0)),
         ("growing", 5.0),
         *(("bursts", seconds) for seconds in (0.15, 0.5, 2.0)),
+        ("loss", 0.0),
+        *(("reordered", seconds) for seconds in (0.05, 0.5)),
     )
 )
+CLOCKS = tuple(
+    (f"clock of the {name}", "set", ahead_s) for name in ("operator", "bridge", "guard") for ahead_s in (10.0, -10.0)
+)
+"""Set in mid-motion, where libfaketime is installed."""
 RELEASED_AFTER_S, DRAINED_S = 0.3, 6.0
 BOUND_MS = 250.0
+
+
+def can_set_clocks() -> bool:
+    """Whether a process can have a clock of its own here."""
+    with contextlib.suppress(CannotError):
+        return bool(faketime())
+    return False
 
 
 def stopped_after(loss: str, codec: str) -> dict[str, Any]:
@@ -97,7 +112,7 @@ def _stopped(lab: Lab, loss: str) -> dict[str, Any]:
 
 
 def released_through(link: str, mode: str, seconds: float) -> dict[str, Any]:
-    """One motion in which a link begins to queue and the person lets go: when the last set point reached the console.
+    """One motion in which a link turns bad, or a clock is set, and the person lets go: when the last set point came.
 
     Times are in ms after the person let go; a motion that was held before has its last set point before.
     """
@@ -107,15 +122,19 @@ def released_through(link: str, mode: str, seconds: float) -> dict[str, Any]:
         lab = stack.enter_context(
             contextlib.closing(Lab(Path(folder), {"codec": "ros2dds"}, stack, queue=(link, mode, seconds)))
         )
+        clock = link.removeprefix("clock of the ") if mode == "set" else ""
         try:
             lab.move()
         except NotMovingError:
             return named | dict.fromkeys(figures)
-        lab.signal(f"link of the {link}")
+        if clock:
+            lab.set_clock(clock, seconds)
+        else:
+            lab.signal(f"link of the {link}")
         threading.Event().wait(RELEASED_AFTER_S)
         lab.signal("operator")
         threading.Event().wait(DRAINED_S)
-        released_ns = lab.said("operator")[-1]["released_ns"]
+        released_ns = lab.said("operator")[-1]["released_ns"] - round(1e9 * seconds) * (clock == "operator")
         verdict, again = lab.verdict(), lab.answer()
         last_ms = 1e-6 * (verdict["set_point_ns"] - released_ns)
         holds_ms = [1e-6 * (at_ns - released_ns) for at_ns in verdict["holds_ns"]]

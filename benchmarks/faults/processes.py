@@ -28,6 +28,21 @@ def faketime() -> Path:
     raise CannotError("clocks are set with libfaketime, which is not installed (Debian: libfaketime)")
 
 
+def faked(file: Path) -> dict[str, str]:
+    """The environment of a process whose clock stands in a file.
+
+    Raises:
+        CannotError: where libfaketime is not installed.
+    """
+    return {
+        "LD_PRELOAD": str(faketime()),
+        "FAKETIME_TIMESTAMP_FILE": str(file),
+        # intervals within a process go on as they do when a real clock is set
+        "FAKETIME_DONT_FAKE_MONOTONIC": "1",
+        "FAKETIME_NO_CACHE": "1",
+    }
+
+
 @dataclass
 class Processes:
     """What runs, by name; all of it ends with us, even where we are killed.
@@ -140,10 +155,4 @@ class Processes:
             return {}
         if not self._clock_file(host).exists():
             self.set_clock(host, 0.0)
-        return {
-            "LD_PRELOAD": str(faketime()),
-            "FAKETIME_TIMESTAMP_FILE": str(self._clock_file(host)),
-            # intervals within a process go on as they do when a real clock is set
-            "FAKETIME_DONT_FAKE_MONOTONIC": "1",
-            "FAKETIME_NO_CACHE": "1",
-        }
+        return faked(self._clock_file(host))
