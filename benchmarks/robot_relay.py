@@ -1,4 +1,4 @@
-"""A relay that treats what it carries as a bad network does: by constant, growing, or bursting delays, loss, reordering.
+"""A relay that carries as a bad network does: with constant, growing, or bursting delays, loss, reordering.
 
     python -m benchmarks.robot_relay LISTEN TARGET MODE SECONDS
 
