@@ -152,7 +152,7 @@ class Lab:
 
     def ready(self) -> None:
         """Wait until the arm may be armed."""
-        self.until(lambda: self.backend.state(now_ns()).reason == "")
+        self.until(lambda: self.backend.state(now_ns()).reason == "" and self.echo()[0])
 
     def events(self) -> list[ExecutionEvent]:
         return [o.message for o in self.said if isinstance(o, Output) and o.topic is EXECUTION]
