@@ -4,8 +4,8 @@ It comes as one JSON document, so that the monitor needs neither the rig's confi
 nothing of it needs NumPy.
 """
 
-from dataclasses import dataclass
-from typing import Any
+import math
+from typing import Any, NamedTuple
 
 PRESENCE_NS = 220_000_000
 """Somebody stands by for so long after a challenge was issued that they answered."""
@@ -23,8 +23,7 @@ greatest speed: a PSM follows within 0.02 s, and the ticks of a busy machine com
 RATE_MARGIN = 1.5
 
 
-@dataclass(frozen=True)
-class Axis:
+class Axis(NamedTuple):
     """A joint, or the jaw: where it may be, and how fast it may go, in its own unit (rad, or m) and seconds."""
 
     lower: float
@@ -32,8 +31,7 @@ class Axis:
     speed: float
 
 
-@dataclass(frozen=True)
-class Description:
+class Description(NamedTuple):
     """One arm of a robot.
 
     Fields:
@@ -65,9 +63,9 @@ class Description:
                 float(document["rate_hz"]),
                 bool(document["pedal"]),
             )
-        except (KeyError, TypeError) as error:
+        except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"the guard's description is not complete: {error!r}") from None
-        possible = all(axis.lower < axis.upper and 0 < axis.speed < float("inf") for axis in axes)
+        possible = all(axis.lower < axis.upper and 0 < axis.speed < math.inf for axis in axes)
         if len(axes) < 2 or not possible or not 0 < found.rate_hz <= 1000:
             raise ValueError("the guard's description holds axes or a rate that no arm has")
         return found

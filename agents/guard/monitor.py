@@ -15,7 +15,7 @@ import enum
 import math
 import secrets
 from collections import OrderedDict
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from agents.guard.description import (
     AHEAD_S,
@@ -39,6 +39,7 @@ STANDS_NS, STANDS = 100_000_000, 2e-3
 OBEYS_NS = 100_000_000
 """So long after a hold no set point of anybody may come."""
 ROUNDING = 1e-9
+"""By so much (rad, m) a set point at a limit may come out beyond it."""
 
 
 class Kind(enum.Enum):
@@ -49,8 +50,7 @@ class Kind(enum.Enum):
     PAUSE = "pause"
 
 
-@dataclass(frozen=True)
-class Action:
+class Action(NamedTuple):
     """What the console is to be sent: positions of a set point, or a word and why."""
 
     kind: Kind
@@ -65,19 +65,25 @@ class Monitor:
         """Shut."""
         self._robot = description
         self._issued = OrderedDict[int, int]()
-        self._newest, self._answers, self._round_trip_ms = 0, 0, UNKNOWN_MS
+        self._answers, self._round_trip_ms = 0, UNKNOWN_MS
         self._gate, self._arming, self._reason = Gate.SHUT, "", ""
         self._burnt = OrderedDict[str, None]()
-        self._present: dict[str, int] = {}
-        self._unattended: tuple[str, int] = ("", 0)
-        self._measured: dict[str, tuple[tuple[float, ...], int]] = {}
-        self._stands: tuple[tuple[float, ...], int] = ((), 0)
-        self._pedal_down, self._pedal_anew = False, False
-        self._last: tuple[float, ...] = ()
-        self._credit: list[float] = []
-        self._turns_credit = 0.0
-        self._passed_ns, self._sequence = 0, 0
-        self._held_ns, self._said_ns, self._paused = 0, 0, True
+        self._present = dict[str, int]()
+        self._unattended = dict[str, int]()
+        self._measured = dict[str, tuple[tuple[float, ...], int]]()
+        self._stood = dict[str, tuple[tuple[float, ...], int]]()
+        self._pedal_down = False
+        self._pedal_anew: bool
+        # of the open gate
+        self._last: tuple[float, ...]
+        self._credit: list[float]
+        self._turns_credit: float
+        self._passed_ns: int
+        self._sequence: int
+        # of the last hold
+        self._held_ns: int
+        self._said_ns: int
+        self._paused: bool
 
     @property
     def gate(self) -> Gate:
@@ -86,12 +92,12 @@ class Monitor:
 
     def challenge(self, now_ns: int) -> Challenge:
         """Issue a challenge; the bridge is told with it how its link and the gate are."""
-        self._newest = secrets.randbits(64) | 1
-        self._issued[self._newest] = now_ns
+        newest = secrets.randbits(64) or 1
+        self._issued[newest] = now_ns
         while now_ns - next(iter(self._issued.values())) > REMEMBERED_NS:
             self._issued.popitem(last=False)
         state = self._gate, self._pedal(now_ns), self._arming, self._reason
-        return Challenge(self._newest, self._answers, self._round_trip_ms, *state)
+        return Challenge(newest, self._answers, self._round_trip_ms, *state)
 
     def hear_alive(self, alive: Alive, now_ns: int) -> list[Action]:
         """The bridge sends no set point now; where its motion has ended as it should, the gate is shut."""
@@ -105,21 +111,23 @@ class Monitor:
         issued_ns = self._issued.get(guard_challenge)
         if arm != self._robot.arm or issued_ns is None or not (pressed or self._pedal(now_ns)):
             return
-        self._present[arming_id] = max(issued_ns, self._present.get(arming_id, 0))
+        self._present[arming_id] = max(issued_ns, self._present.get(arming_id, issued_ns))
         while len(self._present) > BURNT:
             del self._present[next(iter(self._present))]
 
     def hear_joints(self, joints: tuple[float, ...], now_ns: int) -> None:
         """The console's measured joints; any other number of them, or one that is not finite, is no measurement."""
-        self._measure("joints", joints, len(self._robot.axes) - 1, now_ns)
+        if len(joints) == len(self._robot.axes) - 1:
+            self._measure("joints", joints, now_ns)
 
     def hear_jaw(self, jaw: tuple[float, ...], now_ns: int) -> None:
         """The console's measured jaw."""
-        self._measure("jaw", jaw, 1, now_ns)
+        if len(jaw) == 1:
+            self._measure("jaw", jaw, now_ns)
 
     def hear_pedal(self, pressed: bool, now_ns: int) -> list[Action]:  # noqa: ARG002
         """The console's operator-present pedal; released, nobody stands by any more."""
-        self._pedal_anew = pressed and (self._pedal_anew or not self._pedal_down)
+        self._pedal_anew = pressed and (not self._pedal_down or self._pedal_anew)
         self._pedal_down = pressed
         if not pressed and self._robot.pedal:
             self._present.clear()
@@ -129,7 +137,7 @@ class Monitor:
         """Somebody else has sent the console a set point."""
         if self._gate is Gate.OPEN:
             return self._hold("somebody else sends set points too", now_ns)
-        if self._held_ns and now_ns - self._held_ns > OBEYS_NS and not self._paused:
+        if self._gate is Gate.HELD and now_ns - self._held_ns > OBEYS_NS and not self._paused:
             self._paused = True
             return [Action(Kind.PAUSE, reason="set points come although the arm was held")]
         return []
@@ -148,9 +156,12 @@ class Monitor:
             return []
         if why := self._unfit(said.positions):
             return self._refuse(arming, why, now_ns)
-        if self._gate is Gate.OPEN and arming != self._arming:
-            return self._refuse(arming, "set points of another arming come in mid-motion", now_ns)
-        if age_ns is None or age_ns > LINK_NS or (arming == self._arming and said.sequence <= self._sequence):
+        overtaken = False
+        if self._gate is Gate.OPEN:
+            if arming != self._arming:
+                return self._refuse(arming, "set points of another arming come in mid-motion", now_ns)
+            overtaken = said.sequence <= self._sequence
+        if age_ns is None or age_ns > LINK_NS or overtaken:
             return []
         if not self._attended(arming, now_ns):
             return self._alone(arming, now_ns)
@@ -186,21 +197,20 @@ class Monitor:
         self._round_trip_ms = 1e-6 * (now_ns - newer_ns)
         return now_ns - issued_ns
 
-    def _measure(self, what: str, values: tuple[float, ...], count: int, now_ns: int) -> None:
-        if len(values) != count or not all(math.isfinite(value) for value in values):
+    def _measure(self, what: str, values: tuple[float, ...], now_ns: int) -> None:
+        if not all(math.isfinite(value) for value in values):
             return
         self._measured[what] = values, now_ns
-        stood, _ = self._stands
-        now = self._measured.get("joints", ((), 0))[0] + self._measured.get("jaw", ((), 0))[0]
-        moved = len(stood) != len(now) or any(abs(a - b) > STANDS for a, b in zip(stood, now, strict=True))
-        if moved:
-            self._stands = now, now_ns
+        stood, _ = self._stood.setdefault(what, self._measured[what])
+        if any(abs(a - b) > STANDS for a, b in zip(stood, values, strict=True)):
+            self._stood[what] = values, now_ns
 
     def _position(self, now_ns: int) -> tuple[float, ...] | None:
         """Where joints and jaw were measured; None where that is too long ago."""
-        if len(self._measured) < 2 or any(now_ns - at_ns > FRESH_NS for _, at_ns in self._measured.values()):
+        joints, jaw = self._measured.get("joints"), self._measured.get("jaw")
+        if joints is None or jaw is None or now_ns - min(joints[1], jaw[1]) > FRESH_NS:
             return None
-        return self._measured["joints"][0] + self._measured["jaw"][0]
+        return joints[0] + jaw[0]
 
     def _pedal(self, now_ns: int) -> bool:
         """Whether the pedal counts: pressed anew since the last motion, by a console that is heard."""
@@ -214,10 +224,8 @@ class Monitor:
         """A set point that nobody stands by: at its beginning, the first heartbeat may still be on its way."""
         if self._gate is Gate.OPEN:
             return self._refuse(arming, "nobody stands by any more", now_ns)
-        of, since_ns = self._unattended
-        if of != arming:
-            self._unattended = arming, now_ns
-        elif now_ns - since_ns > GRACE_NS:
+        self._unattended = {arming: self._unattended.get(arming, now_ns)}
+        if now_ns - self._unattended[arming] > GRACE_NS:
             return self._refuse(arming, "set points come and nobody stands by", now_ns)
         return []
 
@@ -234,10 +242,8 @@ class Monitor:
 
     def _open(self, arming: str, measured: tuple[float, ...], now_ns: int) -> None:
         self._gate, self._arming, self._reason = Gate.OPEN, arming, ""
-        self._last, self._sequence, self._passed_ns = measured, -1, now_ns
-        self._credit = [axis.speed * BURST_S for axis in self._robot.axes]
-        self._turns_credit = RATE_MARGIN * self._robot.rate_hz * BURST_S
-        self._held_ns, self._paused = 0, False
+        self._last, self._passed_ns = measured, now_ns
+        self._credit, self._turns_credit = [math.inf] * len(measured), math.inf
 
     def _too_far(self, positions: tuple[float, ...], measured: tuple[float, ...], now_ns: int) -> str:
         """Why the arm could not be there: speed times time since the last one, and from where it is measured."""
@@ -248,12 +254,12 @@ class Monitor:
             return f"more than {rate:g} set points a second come"
         for index, axis in enumerate(axes):
             travel, ahead = abs(positions[index] - self._last[index]), abs(positions[index] - measured[index])
-            most = axis.speed * BURST_S
-            self._credit[index] = min(self._credit[index] + axis.speed * elapsed_s, most) - travel
-            if self._credit[index] < -ROUNDING:
+            credit = min(self._credit[index] + axis.speed * elapsed_s, axis.speed * BURST_S)
+            if travel > credit:
                 return f"a set point has axis {index + 1} go faster than {axis.speed:g} a second"
             if ahead > axis.speed * AHEAD_S:
                 return f"a set point has axis {index + 1} {ahead:.3g} from where it is measured"
+            self._credit[index] = credit - travel
         return ""
 
     def _refuse(self, arming: str, why: str, now_ns: int) -> list[Action]:
@@ -274,8 +280,8 @@ class Monitor:
         """Until the arm is measured to stand."""
         if self._gate is not Gate.HELD or now_ns - self._said_ns < AGAIN_NS or now_ns - self._held_ns > HOLDS_NS:
             return []
-        stands = self._position(now_ns) is not None and now_ns - max(self._stands[1], self._held_ns) > STANDS_NS
-        if stands:
+        moved_ns = max([self._held_ns, *(since_ns for _, since_ns in self._stood.values())])
+        if self._position(now_ns) is not None and now_ns - moved_ns > STANDS_NS:
             return []
         self._said_ns = now_ns
         return [Action(Kind.HOLD, reason=self._reason)]

@@ -11,7 +11,7 @@ from shared.ros.types import JOINT_STATE, JOY, encode, message
 
 numbers = st.lists(st.floats(allow_nan=False), max_size=9)
 texts = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=12)
-stamps = st.integers(0, 2**31 * 10**9 - 1)
+stamps = st.integers(0, 2**31 * 10**9 - 1) | st.just(2**31 * 10**9 - 1)
 axes = st.lists(st.floats(width=32, allow_nan=False), max_size=5)
 
 
@@ -61,17 +61,30 @@ def test_a_message_that_is_cut_off_or_goes_on_is_none(read):
     for length in range(len(whole)):
         with pytest.raises(cdr.CdrError):
             read(whole[:length])
+    read(whole + bytes(7))
     with pytest.raises(cdr.CdrError, match="more follows"):
         read(whole + bytes(8))
-    with pytest.raises(cdr.CdrError, match="not CDR in little endian"):
-        read(b"\x00\x00" + whole[2:])
+    assert read(whole[:2] + b"\x00\x03" + whole[4:]) == read(whole), "options are left alone"
+    for other in (b"\x00\x00", b"\x00\x03", b"\x01\x01"):
+        with pytest.raises(cdr.CdrError, match="not CDR in little endian"):
+            read(other + whole[2:])
 
 
 def test_a_list_that_claims_to_be_long_is_none():
-    data = bytearray(crtk.joint_command(np.arange(6.0), 5))
-    data[24:28] = (cdr.MOST_VALUES + 1).to_bytes(4, "little")
+    assert len(cdr.joint_positions(crtk.joint_command(np.arange(64.0), 5))) == 64
     with pytest.raises(cdr.CdrError, match="claims to have 65 values"):
-        cdr.joint_positions(bytes(data))
+        cdr.joint_positions(crtk.joint_command(np.arange(65.0), 5))
+
+
+def test_a_time_that_does_not_fit_its_seconds_begins_anew():
+    late_ns = (2**31 + 5) * 10**9 + 7
+    assert cdr.string_stamped("hold", late_ns) == crtk.state_command("hold", 5 * 10**9 + 7)
+
+
+@pytest.mark.parametrize("value", [-1, 0, 2])
+def test_a_button_that_is_tapped_or_released_is_not_pressed(value):
+    joy = message(JOY, header(1, ""), np.zeros(1, np.float32), np.array([value], np.int32))
+    assert cdr.pressed(encode(JOY, joy)) is False
 
 
 def test_a_joy_without_buttons_is_none():

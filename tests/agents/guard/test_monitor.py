@@ -1,27 +1,22 @@
 """The safety monitor, rule by rule, with the time passed in."""
 
 import math
-from dataclasses import replace
+import secrets
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.guard.description import (
-    AHEAD_S,
-    BURST_S,
-    FRESH_NS,
-    GONE_NS,
-    GRACE_NS,
-    LINK_NS,
-    PRESENCE_NS,
-    Axis,
-    Description,
-)
-from agents.guard.monitor import AGAIN_NS, BURNT, HOLDS_NS, OBEYS_NS, REMEMBERED_NS, STANDS_NS, Kind, Monitor
+from agents.guard.description import Axis, Description
+from agents.guard.monitor import Kind, Monitor
 from shared.ros.guarded import UNKNOWN_MS, Alive, Gate, SetPoint
 
 MS = 1_000_000
+# the bounds of docs/safety.md, in numbers of their own
+PRESENCE_NS, LINK_NS, FRESH_NS, GONE_NS, GRACE_NS = 220 * MS, 100 * MS, 100 * MS, 100 * MS, 100 * MS
+AHEAD_S, BURST_S = 0.25, 0.06
+REMEMBERED_NS, BURNT = 5000 * MS, 1000
+AGAIN_NS, HOLDS_NS, STANDS_NS, OBEYS_NS = 50 * MS, 5000 * MS, 100 * MS, 100 * MS
 AXES = (Axis(-1.5, 1.5, 1.0), Axis(0.0, 0.24, 0.2), Axis(-0.7, 1.4, 3.0))
 ROBOT = Description("psm1", "PSM1", AXES, 200.0)
 HERE = (0.1, 0.1, 0.2)
@@ -31,8 +26,8 @@ TICK = 5 * MS
 class Rig:
     """A monitor, a bridge that sends set points each tick, somebody who answers, and an arm that is measured."""
 
-    def __init__(self, robot=ROBOT):
-        self.monitor, self.now_ns, self.sequence = Monitor(robot), 10**12, 0
+    def __init__(self, robot=ROBOT, start_ns=10**12):
+        self.monitor, self.now_ns, self.sequence = Monitor(robot), start_ns, 0
         self.asked, self.actions = 0, []
         self.place, self.measures, self.answers = HERE, True, True
         self.tick(4)
@@ -68,6 +63,24 @@ class Rig:
             self.say(self.place, arming)
         return self
 
+    def wait(self, wait_ns, arming="", measured=("joints", "jaw")):
+        """So much time passes; then the arm is measured, a challenge comes, and is answered for the arming."""
+        self.now_ns += wait_ns
+        self.measure(*measured)
+        self.asked = self.monitor.challenge(self.now_ns).challenge
+        if arming:
+            self.beat(arming)
+
+    def measure(self, *what):
+        if "joints" in what:
+            self.monitor.hear_joints(self.place[:-1], self.now_ns)
+        if "jaw" in what:
+            self.monitor.hear_jaw(self.place[-1:], self.now_ns)
+
+    def turn(self):
+        """What follows from time alone, now."""
+        return self.monitor.turn(self.now_ns)
+
     @property
     def held(self):
         return [action.reason for action in self.actions if action.kind is Kind.HOLD]
@@ -100,13 +113,13 @@ def test_a_motion_that_somebody_stands_by_passes_as_it_was_sent_and_its_end_shut
 
 
 def test_only_the_open_arming_ends_and_only_where_it_is_said_to_have_ended():
-    for alive in (Alive(99, 1, "b", ended=True), Alive(99, 1, "a", ended=False)):
+    for alive in (Alive(9, 1, "b", ended=True), Alive(9, 1, "A", ended=True), Alive(9, 1, "a", ended=False)):
         rig = Rig().moves()
         rig.monitor.hear_alive(alive, rig.now_ns)
         assert rig.gate is Gate.OPEN
 
 
-@pytest.mark.parametrize("late_ns", [0, MS])
+@pytest.mark.parametrize("late_ns", [0, 1])
 def test_presence_lasts_from_when_the_challenge_was_issued_and_no_longer(late_ns):
     rig = Rig().moves()
     issued_ns, rig.answers = rig.now_ns - rig.now_ns // TICK % 4 * TICK, False
@@ -174,11 +187,12 @@ def test_a_challenge_is_forgotten_after_a_while():
     assert rig.monitor.challenge(rig.now_ns).round_trip_ms == UNKNOWN_MS
 
 
-def test_challenges_are_never_zero_nor_the_same():
-    rig = Rig()
+def test_challenges_are_64_bits_of_chance_and_never_zero(monkeypatch):
+    rig, drawn = Rig(), iter([0, 5, 2**64 - 1])
     made = {rig.monitor.challenge(rig.now_ns + k).challenge for k in range(200)}
     assert len(made) == 200
-    assert 0 not in made
+    monkeypatch.setattr(secrets, "randbits", lambda bits: {64: drawn}[bits].__next__())
+    assert [rig.monitor.challenge(rig.now_ns + k).challenge for k in range(3)] == [1, 5, 2**64 - 1]
 
 
 def test_set_points_that_nobody_stands_by_are_dropped_for_a_moment_and_then_the_arm_is_held():
@@ -227,6 +241,9 @@ def test_a_set_point_without_an_arming_is_none():
         ((0.1, 0.1, 1.41), "axis 3 at 1.41, outside -0.7 to 1.4"),
         ((0.1 + 1.0 * BURST_S * 1.01, 0.1, 0.2), "axis 1 go faster than 1 a second"),
         ((0.1, 0.1 - 0.2 * BURST_S * 1.01, 0.2), "axis 2 go faster than 0.2 a second"),
+        ((0.1, 0.1, 0.2 + 3.0 * BURST_S * 1.01), "axis 3 go faster than 3 a second"),
+        ((1.5 + 1.1e-9, 0.1, 0.2), "axis 1 at 1.5, outside"),
+        ((0.1, -1.1e-9, 0.2), "axis 2 at -1.1e-09, outside"),
     ],
 )
 def test_what_no_arm_should_be_sent_is_not_passed_and_holds_it(positions, why):
@@ -241,6 +258,8 @@ def test_limits_themselves_may_be_sent():
     rig = Rig()
     rig.place = (1.5, 0.0, 1.4)
     rig.moves()
+    rounded = (1.5 + 1e-9, -1e-9, 1.4 + 1e-9)
+    assert passed(rig.say(rounded)) == [rounded], "as rounding has it"
     assert rig.gate is Gate.OPEN
     assert rig.held == []
 
@@ -249,16 +268,19 @@ def test_a_bad_set_point_before_anything_moves_holds_too_and_burns_its_arming():
     rig = Rig()
     rig.tick(1, "a")
     assert "not finite" in reason(rig.say((math.nan, 0.1, 0.2)))
+    assert rig.monitor.challenge(rig.now_ns).arming_id == "a"
     rig.tick(10, "a")
     assert rig.say() == []
 
 
-def test_what_comes_of_another_arming_in_mid_motion_holds_and_neither_goes_on():
+@pytest.mark.parametrize("other", ["b", "A"])
+def test_what_comes_of_another_arming_in_mid_motion_holds_and_neither_goes_on(other):
     rig = Rig().moves()
-    rig.tick(4, "b")
+    rig.tick(4, other)
     rig.beat("a")
-    assert reason(rig.say(arming="b")) == "set points of another arming come in mid-motion"
-    for arming in ("a", "b"):
+    assert reason(rig.say(arming=other)) == "set points of another arming come in mid-motion"
+    assert rig.monitor.challenge(rig.now_ns).arming_id == "a"
+    for arming in ("a", other):
         rig.tick(8, arming)
         assert rig.say(arming=arming) == []
 
@@ -386,7 +408,8 @@ def test_somebody_elses_set_points_end_a_motion_and_pause_the_arm_where_they_go_
     assert rig.monitor.hear_stranger(rig.now_ns) == [], "before anything moves they are somebody else's concern"
     rig.moves()
     assert reason(rig.monitor.hear_stranger(rig.now_ns)) == "somebody else sends set points too"
-    assert rig.monitor.hear_stranger(rig.now_ns + OBEYS_NS) == []
+    for obeys_ns in (OBEYS_NS - 1, OBEYS_NS):
+        assert rig.monitor.hear_stranger(rig.now_ns + obeys_ns) == []
     (pause,) = rig.monitor.hear_stranger(rig.now_ns + OBEYS_NS + 1)
     assert (pause.kind, pause.reason) == (Kind.PAUSE, "set points come although the arm was held")
     assert rig.monitor.hear_stranger(rig.now_ns + 2 * OBEYS_NS) == [], "once"
@@ -429,6 +452,7 @@ def test_a_hold_of_an_arm_that_is_not_measured_is_said_for_a_while_and_not_for_e
 
 def test_the_bridge_is_told_how_long_its_way_takes():
     rig = Rig()
+    rig.now_ns += MS
     told = rig.monitor.challenge(rig.now_ns)
     assert (told.answers, told.round_trip_ms, told.gate, told.pedal) == (0, UNKNOWN_MS, Gate.SHUT, False)
     rig.monitor.hear_alive(Alive(5, told.challenge), rig.now_ns + 30 * MS)
@@ -439,7 +463,7 @@ def test_the_bridge_is_told_how_long_its_way_takes():
     assert rig.monitor.challenge(rig.now_ns).round_trip_ms == 50.0, "for so long a newer one was out"
 
 
-PEDAL = replace(ROBOT, pedal=True)
+PEDAL = ROBOT._replace(pedal=True)
 
 
 def with_pedal(robot=PEDAL):
@@ -506,6 +530,230 @@ def test_presence_is_kept_of_so_many_armings_alone():
     assert len(rig.monitor._present) == BURNT
 
 
+STARTS_NS = [10 * MS, 2**40 - 123_456_789]
+"""Of clocks: soon after a start, and across a power of two."""
+
+
+@pytest.fixture(params=STARTS_NS)
+def moving(request):
+    """A rig in motion whose clock began at one of the times."""
+    rig = Rig(start_ns=request.param).moves(8)
+    rig.wait(MS, "a")
+    assert passed(rig.say()) == [HERE]
+    return rig
+
+
+@pytest.fixture(params=STARTS_NS)
+def just_held(request):
+    """A rig whose motion was held just now, and nothing was measured since."""
+    rig = Rig(start_ns=request.param).moves(8)
+    rig.wait(MS, "a")
+    assert reason(rig.say((math.nan, 0.0, 0.0)))
+    return rig
+
+
+def test_presence_ends_to_the_nanosecond(moving):
+    moving.wait(PRESENCE_NS - 2)
+    moving.wait(0)
+    issued_ns = moving.now_ns - (PRESENCE_NS - 2)
+    moving.monitor._passed_ns = moving.now_ns
+    for at_ns, held in ((issued_ns + PRESENCE_NS, False), (issued_ns + PRESENCE_NS + 1, True)):
+        moving.now_ns = at_ns
+        assert bool(moving.turn()) == held
+
+
+@pytest.mark.parametrize("start_ns", STARTS_NS)
+def test_the_first_answer_is_awaited_to_the_nanosecond(start_ns):
+    rig = Rig(start_ns=start_ns)
+    assert rig.say() == []
+    rig.wait(GRACE_NS)
+    assert rig.say() == []
+    assert rig.say(arming="b") == [], "another one's time begins anew"
+    rig.wait(GRACE_NS)
+    assert rig.say(arming="b") == []
+    rig.wait(1)
+    assert reason(rig.say(arming="b")) == "set points come and nobody stands by"
+
+
+def test_set_points_may_be_away_for_so_many_nanoseconds(moving):
+    moving.wait(GONE_NS, "a")
+    assert moving.turn() == []
+    moving.wait(1, "a")
+    assert reason(moving.turn()) == "set points have ended, and not as a motion should"
+
+
+@pytest.mark.parametrize(("seen", "old"), [("joints", "jaw"), ("jaw", "joints")])
+def test_a_measurement_is_fresh_to_the_nanosecond(moving, seen, old):
+    moving.wait(FRESH_NS, "a", measured=(seen,))
+    assert passed(moving.say()) == [HERE]
+    assert moving.turn() == []
+    moving.wait(1, "a", measured=(seen,))
+    assert reason(moving.turn()) == "the arm's joints or jaw are not measured any more"
+    moving.measure(old)
+    moving.wait(1, "b")
+    assert passed(moving.say(arming="b")) == [HERE]
+
+
+def test_an_unmeasured_arm_is_held_again_to_the_nanosecond(just_held):
+    just_held.now_ns += AGAIN_NS - 1
+    assert just_held.turn() == []
+    just_held.now_ns += 1
+    just_held.monitor._measured.clear()
+    assert reason(just_held.turn()) == "a set point holds a number that is not finite"
+    assert just_held.turn() == []
+
+
+@pytest.mark.parametrize(("after_ns", "held"), [(HOLDS_NS, True), (HOLDS_NS + 1, False)])
+def test_an_unmeasured_arm_is_held_for_so_long_alone(just_held, after_ns, held):
+    just_held.now_ns += after_ns
+    assert bool(just_held.turn()) == held
+
+
+@pytest.mark.parametrize(("after_ns", "held"), [(STANDS_NS, True), (STANDS_NS + 1, False)])
+@pytest.mark.parametrize("axis", [None, 0, 1, 2])
+@pytest.mark.parametrize("moved", [2.1e-3, -2.1e-3])
+def test_an_arm_stands_that_has_not_moved_for_so_long_after_its_hold(just_held, after_ns, held, axis, moved):
+    if axis is not None:
+        just_held.now_ns += 10 * MS
+        just_held.place = tuple(at + moved * (k == axis) for k, at in enumerate(HERE))
+        just_held.measure("joints", "jaw")
+    just_held.now_ns += after_ns
+    just_held.measure("joints", "jaw")
+    assert bool(just_held.turn()) == held
+
+
+def test_a_hair_is_no_movement():
+    rig = Rig()
+    rig.place = (0.0, 0.1, 0.2)
+    rig.moves()
+    rig.tick(1, "a")
+    assert reason(rig.say((math.nan, 0.0, 0.0)))
+    rig.place = (2e-3, 0.1, 0.2)
+    rig.now_ns += STANDS_NS + 1
+    rig.measure("joints", "jaw")
+    assert rig.turn() == []
+
+
+@pytest.mark.parametrize(("age_ns", "known"), [(REMEMBERED_NS, True), (REMEMBERED_NS + 1, False)])
+@pytest.mark.parametrize("start_ns", STARTS_NS)
+def test_a_challenge_is_remembered_to_the_nanosecond(start_ns, age_ns, known):
+    rig = Rig(start_ns=start_ns)
+    rig.wait(0)
+    rig.wait(MS)
+    old = rig.asked
+    rig.wait(age_ns)
+    rig.monitor.hear_alive(Alive(1, old), rig.now_ns)
+    assert (rig.monitor.challenge(rig.now_ns).round_trip_ms != UNKNOWN_MS) == known
+
+
+def test_as_many_set_points_as_a_bridge_sends_in_a_burst_may_come_at_once(moving):
+    moving.wait(50 * MS, "a")
+    found = [bool(passed(moving.say())) for _ in range(19)]
+    assert found == [True] * 18 + [False], "1.5 times 200 a second for 60 ms"
+
+
+def test_a_slow_bridge_may_send_its_first_set_point():
+    rig = Rig(ROBOT._replace(rate_hz=1.0))
+    rig.tick(4, "a")
+    assert passed(rig.say()) == [HERE]
+    assert reason(rig.say()) == "more than 1.5 set points a second come"
+
+
+@pytest.mark.parametrize("share", [0.99, 1.5])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_an_axis_that_keeps_going_too_fast_is_held(axis, share):
+    axes = (Axis(-10, 10, 1.0), Axis(-10, 10, 0.2), Axis(-10, 10, 3.0))
+    rig = Rig(Description("psm1", "PSM1", axes, 200.0)).moves()
+    for _ in range(100):
+        rig.place = tuple(at + share * axes[axis].speed * 5e-3 * (k == axis) for k, at in enumerate(rig.place))
+        rig.tick(1, "a")
+        rig.say(rig.place)
+    assert rig.held[:1] == (
+        [f"a set point has axis {axis + 1} go faster than {axes[axis].speed:g} a second"] * (share > 1)
+    )
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_an_axis_may_be_ahead_of_where_it_is_measured_by_a_quarter_of_a_second_of_its_speed(axis):
+    axes = tuple(Axis(-10, 10, 1.0 if k == axis else 2.0) for k in range(3))
+    rig = Rig(Description("psm1", "PSM1", axes, 200.0))
+    rig.place = (0.0, 0.0, 0.0)
+    rig.moves()
+    # by 1/128 each, so that nothing is rounded
+    for step in range(1, 33):
+        rig.wait(10 * MS, "a")
+        assert passed(rig.say([step / 128 if k == axis else 0.0 for k in range(3)])), step
+    rig.wait(10 * MS, "a")
+    ahead = [0.25 + 1e-6 if k == axis else 0.0 for k in range(3)]
+    assert reason(rig.say(ahead)) == f"a set point has axis {axis + 1} 0.25 from where it is measured"
+
+
+def test_a_step_of_exactly_the_burst_may_come():
+    rig = Rig()
+    rig.place = (0.0, 0.1, 0.2)
+    rig.moves()
+    rig.wait(50 * MS, "a")
+    assert passed(rig.say((BURST_S, 0.1, 0.2)))
+
+
+def test_travel_that_was_used_comes_back_with_time(moving):
+    for share in (1, 2):
+        moving.wait(80 * MS, "a")
+        there = (HERE[0] + 0.99 * share * BURST_S, *HERE[1:])
+        assert passed(moving.say(there)) == [there]
+
+
+def test_an_arm_of_one_joint_and_a_jaw_is_one_too():
+    rig = Rig(ROBOT._replace(axes=AXES[:2]))
+    rig.place = HERE[:2]
+    assert passed(rig.moves().actions)
+
+
+def test_ids_are_the_same_where_they_read_the_same():
+    made = iter(range(100_000))
+    rig = Rig()
+
+    def again(text):
+        return (f"{next(made)}{text}").lstrip("0123456789")
+
+    for _ in range(20):
+        rig.tick()
+        rig.beat(again("arming"), arm=again("psm") + "1")
+        rig.say(arming=again("arming"))
+    assert len(passed(rig.actions)) >= 17
+    rig.monitor.hear_alive(Alive(99, rig.asked, again("arming"), ended=True), rig.now_ns)
+    assert rig.gate is Gate.SHUT
+
+
+def test_a_pedal_that_is_told_again_to_be_down_changes_nothing():
+    rig = processes(with_pedal())
+    rig.monitor.hear_pedal(True, rig.now_ns)
+    assert passed(rig.say())
+    processes(rig)
+    assert rig.gate is Gate.OPEN
+
+
+def test_a_pedal_that_the_description_does_not_name_ends_nothing():
+    rig = Rig().moves()
+    rig.monitor.hear_pedal(False, rig.now_ns)
+    assert passed(rig.say())
+
+
+def test_who_sends_set_points_after_a_motion_has_ended_as_it_should_is_not_paused():
+    rig = Rig().moves()
+    rig.monitor.hear_alive(Alive(99, rig.asked, "a", ended=True), rig.now_ns)
+    assert rig.monitor.hear_stranger(rig.now_ns + 10 * OBEYS_NS) == []
+
+
+def test_an_arm_that_was_paused_once_is_paused_again_after_its_next_hold():
+    rig = Rig()
+    for arming in ("a", "b"):
+        rig.moves(arming=arming)
+        rig.monitor.hear_stranger(rig.now_ns)
+        rig.tick(21)
+        assert [action.kind for action in rig.monitor.hear_stranger(rig.now_ns)] == [Kind.PAUSE]
+
+
 @given(st.lists(st.tuples(st.sampled_from("abc"), st.floats(-3, 3), st.integers(0, 40), st.booleans()), max_size=60))
 def test_whatever_comes_what_passes_is_within_limits_and_no_faster_than_it_may(steps):
     rig = Rig()
@@ -523,17 +771,31 @@ def test_whatever_comes_what_passes_is_within_limits_and_no_faster_than_it_may(s
             last, last_ns = found[0], rig.now_ns
 
 
+def document(**other):
+    return {"arm": "psm1", "console": "PSM1", "axes": [[0, 1, 1]] * 2, "rate_hz": 200, "pedal": False} | other
+
+
 @pytest.mark.parametrize(
     "document",
     [
         {},
-        {"arm": "psm1", "console": "PSM1", "axes": [[0, 1, 1]], "rate_hz": 200, "pedal": False},
-        {"arm": "psm1", "console": "PSM1", "axes": [[1, 0, 1]] * 2, "rate_hz": 200, "pedal": False},
-        {"arm": "psm1", "console": "PSM1", "axes": [[0, 1, 0]] * 2, "rate_hz": 200, "pedal": False},
-        {"arm": "psm1", "console": "PSM1", "axes": [[0, 1, math.inf]] * 2, "rate_hz": 200, "pedal": False},
-        {"arm": "psm1", "console": "PSM1", "axes": [[0, 1, 1]] * 2, "rate_hz": 0, "pedal": False},
-        {"arm": "psm1", "console": "PSM1", "axes": [[0, 1, 1]] * 2, "rate_hz": 1001, "pedal": False},
-        {"arm": "psm1", "console": "PSM1", "axes": [[0, 1]] * 2, "rate_hz": 200, "pedal": False},
+        document(axes=[[0, 1, 1]]),
+        document(axes=[[1, 0, 1]] * 2),
+        document(axes=[[0, 1, 0]] * 2),
+        document(axes=[[0, 1, math.inf]] * 2),
+        document(rate_hz=0),
+        document(rate_hz=1001),
+        document(axes=[[0, 1]] * 2),
+        document(axes=[[1, 1, 1]] * 2),
+        document(axes=[[0, 1, -1]] * 2),
+        document(axes=[[0, 1, math.nan]] * 2),
+        document(axes=[[0, math.nan, 1]] * 2),
+        document(axes=[]),
+        document(axes=5),
+        document(rate_hz=-1),
+        document(rate_hz=1000.5),
+        document(rate_hz=math.nan),
+        document(rate_hz="often"),
     ],
 )
 def test_a_description_that_no_arm_has_is_refused(document):
@@ -545,3 +807,8 @@ def test_a_description_is_what_its_document_says():
     axes = [[axis.lower, axis.upper, axis.speed] for axis in AXES]
     document = {"arm": "psm1", "console": "PSM1", "axes": axes, "rate_hz": 200.0, "pedal": True}
     assert Description.from_document(document) == PEDAL
+
+
+@pytest.mark.parametrize("other", [{"rate_hz": 0.5}, {"rate_hz": 1000}, {"axes": [[0, 1, 0.5]] * 2}])
+def test_a_description_of_an_unusual_arm_is_taken(other):
+    assert Description.from_document(document(**other)).rate_hz == other.get("rate_hz", 200)
