@@ -6,8 +6,8 @@
 - legal: motions of random plans, as a bridge sends them on a busy machine; every set point must pass.
 - hostile: generated set points, judged by an oracle of its own that knows limits and speeds and nothing of the monitor.
 - processor: of the real process, beside a real Zenoh, idle and while 200 set points a second pass.
-- mutation: mutmut, installed by this command into a folder of its own, changes the monitor's code piece by piece; the
-  score is the share of changes that its tests notice.
+- mutation: cosmic-ray, installed by this command into a folder of its own, changes the monitor's code piece by piece;
+  the score is the share of changes that its tests notice.
 """
 
 import ast

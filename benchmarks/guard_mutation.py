@@ -32,9 +32,9 @@ EQUIVALENT = (
     ("core/ReplaceComparisonOperator_Is_Eq", "a member of an enumeration, or None, equals itself alone"),
     ("core/ReplaceComparisonOperator_IsNot_NotEq", "as before"),
 )
+"""Changes that change nothing that anybody could notice, by the operator that makes them, with the reason."""
 SHARES = 4
 """So many runs try a module's changes, beside each other."""
-"""Changes that change nothing that anybody could notice, by the operator that makes them, with the reason."""
 
 
 def mutation(goal: float) -> dict[str, Any]:
@@ -45,7 +45,7 @@ def mutation(goal: float) -> dict[str, Any]:
         subprocess.run([*install, str(tool), TOOL], check=True, stderr=subprocess.DEVNULL)
         shares = [(module, share) for module in TRIED for share in range(SHARES)]
         with ThreadPoolExecutor(os.cpu_count()) as at_once:
-            found = list(at_once.map(lambda of: _tried(*of, Path(folder) / f"{of[0]}-{of[1]}", tool), shares))
+            found = list(at_once.map(lambda of: _tried(of[0], of[1], Path(folder) / f"{of[0]}-{of[1]}", tool), shares))
     results = [each for module in found for each in module]
     survived = [where for where, status in results if status == "survived"]
     for where in survived:

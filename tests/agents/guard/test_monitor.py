@@ -29,7 +29,8 @@ class Rig:
     def __init__(self, robot=ROBOT, start_ns=10**12):
         self.monitor, self.now_ns, self.sequence = Monitor(robot), start_ns, 0
         self.asked, self.actions = 0, []
-        self.place, self.measures, self.answers = HERE, True, True
+        self.place: tuple[float, ...] = HERE
+        self.measures, self.answers = True, True
         self.tick(4)
 
     def tick(self, count=1, arming=""):
