@@ -21,6 +21,7 @@ from agents.perception.tool.correction import Correction
 from agents.perception.tool.outline import outline
 from agents.perception.tool.refinement import View
 from agents.perception.tool.track import Following, Track, begun, followed
+from shared.calibration.made import MADE, made_text
 from shared.kinematics.psm import FINGER_M
 from shared.recording.entry import RecordingError
 from shared.rigid_transforms import apply, log_so3
@@ -117,7 +118,12 @@ class _Told:
         told = f"{1e3 * off_m:.1f} mm and {np.degrees(off_rad):.1f} degrees"
         say(f"the tool is {told} from where registration and joints have it (deviation {1e3 * deviation_m:.1f} mm)")
         if options.output is not None:
-            corrected = {"T_camera_base": (track.correction.matrix @ last.state.T_camera_base).tolist(), "unit": "m"}
+            corrected = {
+                MADE: made_text(round(1e9 * last.at_s)),
+                "T_camera_base": (track.correction.matrix @ last.state.T_camera_base).tolist(),
+                "unit": "m",
+                "calibration_id": last.calibration_id,
+            }
             options.output.write_text(json.dumps(corrected) + "\n", encoding="utf-8")
             say(f"written to {options.output}, corrected; set T_camera_base_file to it in the arm's section of the rig")
         return EXIT_DRIFTED if self._drifted else EXIT_OK

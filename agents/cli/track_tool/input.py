@@ -17,6 +17,7 @@ from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import RectifiedStereo, RobotState, StereoCalibration, StereoFrame
 from schemas.topics import CALIBRATION, FRAMES, ROBOT_STATE, Topic, topic_of
+from shared.calibration.identity import calibration_id
 from shared.clock import monotonic_s
 from shared.images import ImageDataError, decode_image
 from shared.recording.entry import RecordingError
@@ -38,6 +39,12 @@ class Seen(NamedTuple):
     right: UInt8[np.ndarray, "h w 3"]
     state: RobotState
     camera: RectifiedStereo
+    calibration_id: str
+
+
+class _Calibrated(NamedTuple):
+    ready: Rectification
+    id: str
 
 
 def seen_in(path: Path, arm: str, delay_ms: float) -> Iterator[Seen]:
@@ -49,7 +56,7 @@ def seen_in(path: Path, arm: str, delay_ms: float) -> Iterator[Seen]:
     states = [decode(RobotState, entry.payload) for entry in read_recording(path) if _is_state(entry.key, arm)]
     if not states:
         raise RecordingError(f"{path}: it holds no state of an arm {arm!r}")
-    ready: Rectification | None = None
+    ready: _Calibrated | None = None
     for entry in read_recording(path):
         topic = topic_of(entry.key)
         if topic is CALIBRATION:
@@ -109,7 +116,7 @@ def _await_state_after(states: deque[RobotState], came: threading.Event) -> None
         came.clear()
 
 
-def _seen(payload: bytes, states: list[RobotState], ready: Rectification, delay_ms: float) -> Seen | None:
+def _seen(payload: bytes, states: list[RobotState], calibrated: _Calibrated, delay_ms: float) -> Seen | None:
     """A frame with the state nearest to it; None where there is none, or it cannot be read."""
     try:
         frame = decode(StereoFrame, payload)
@@ -120,19 +127,20 @@ def _seen(payload: bytes, states: list[RobotState], ready: Rectification, delay_
     state = min(states, key=lambda one: abs(one.measured_ns - at_ns))
     if abs(state.measured_ns - at_ns) > APART_NS or left.ndim != 3:
         return None
+    ready = calibrated.ready
     images = rectify_image(left, ready.map_left), rectify_image(right, ready.map_right)
     as_registered = dataclasses.replace(state, T_camera_base=registered(state))
-    return Seen(at_ns * 1e-9, *images, as_registered, in_metres(ready.camera))
+    return Seen(at_ns * 1e-9, *images, as_registered, in_metres(ready.camera), calibrated.id)
 
 
 def _is_state(name: str, arm: str) -> bool:
     return topic_of(name) is ROBOT_STATE and name.split("/")[3] == arm
 
 
-def _rectification(name: str, calibration: StereoCalibration) -> Rectification:
+def _rectification(name: str, calibration: StereoCalibration) -> _Calibrated:
     if calibration.metres_per_unit is None:
         raise RecordingError(f"{name}: its calibration does not say its unit of length")
     try:
-        return rectification(calibration)
+        return _Calibrated(rectification(calibration), calibration_id(calibration))
     except RectificationError as error:
         raise RecordingError(f"{name}: {error}") from None

@@ -12,6 +12,9 @@ from benchmarks.drawn_tool import JAW, joints, pair
 from schemas.codec import encode
 from schemas.messages import FrameStamp, ImageEncoding, RobotMode, RobotState, StereoCalibration, StereoFrame
 from schemas.topics import CALIBRATION, FRAMES, ROBOT_STATE, key
+from shared.calibration.hand_eye.file import read_hand_eye
+from shared.calibration.identity import calibration_id
+from shared.calibration.made import made_ns
 from shared.images import encode_image
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER as PSM
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE as T_TRUE
@@ -57,6 +60,8 @@ def test_it_tells_by_how_much_the_registration_is_off_and_writes_what_it_should_
     assert "followed" in ended.out
     assert "mm off, more than the 3 mm allowed" in ended.err
     T = np.array(json.loads(corrected.read_text())["T_camera_base"])
+    assert read_hand_eye(corrected).calibration_id == calibration_id(STEREO), "a real arm is armed with a known one only"
+    assert made_ns([corrected]) == ZERO_NS + 10**9, "when what was looked at was recorded, to a second"
     pin = PSM.forward(joints(1.4))
     assert np.linalg.norm((T @ pin)[:3, 3] - (T_TRUE @ pin)[:3, 3]) < 1e-3
     assert len(tips.read_text().splitlines()) > 1
