@@ -34,7 +34,11 @@ DEADLINE_S = 60.0
 PATIENT_DEMO = """
 from agents.cli.demo import command as demo
 from agents.cli.main import main
+from agents.cli.rig.sections import ArmSection
 demo.LONGEST_S, demo.FIRST_THREAD_S, demo.VERDICT_S = 130.0, 60.0, 30.0
+usual = demo.demo_rig
+patient = {"robot": {"psm1": ArmSection(maximum_frame_age_s=2.0)}}
+demo.demo_rig = lambda options: usual(options).model_copy(update=patient)
 main()
 """
 """The command on a machine that may stall."""
