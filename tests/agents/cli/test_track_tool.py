@@ -60,7 +60,7 @@ def test_it_tells_by_how_much_the_registration_is_off_and_writes_what_it_should_
     assert "followed" in ended.out
     assert "mm off, more than the 3 mm allowed" in ended.err
     T = np.array(json.loads(corrected.read_text())["T_camera_base"])
-    assert read_hand_eye(corrected).calibration_id == calibration_id(STEREO), "a real arm is armed with a known one only"
+    assert read_hand_eye(corrected).calibration_id == calibration_id(STEREO), "a real arm needs a known one"
     assert made_ns([corrected]) == ZERO_NS + 10**9, "when what was looked at was recorded, to a second"
     pin = PSM.forward(joints(1.4))
     assert np.linalg.norm((T @ pin)[:3, 3] - (T_TRUE @ pin)[:3, 3]) < 1e-3
