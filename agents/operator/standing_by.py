@@ -108,7 +108,9 @@ class StandingBy:
         answer = await answered
         told = {"outcome": answer.outcome.name.lower(), "code": answer.code, "reason": answer.reason}
         self._voice.written(effect.screen, "answer", id=answer.id, **told)
-        if answer.outcome is Outcome.ACCEPTED:
+        if answer.outcome is Outcome.ACCEPTED and answer.reason:
+            self._voice.say(f"{effect.arm} was told to hold ({effect.why}), but {answer.reason}.")
+        elif answer.outcome is Outcome.ACCEPTED:
             self._voice.say(f"{effect.arm} holds: {effect.why}.")
         else:
             self._voice.say(f"{effect.arm} gave no answer to hold: {answer.reason}")

@@ -59,6 +59,7 @@ RESTS_AFTER_S = 1.0
 """So long after it was armed or moved last, an arm is at rest."""
 REPLAY_OVER_S = 2.0
 """A replay that was not heard for so long is over."""
+UNTOLD = "the arm could not be told yet: it is told again in each turn, and the guard beside it lets nothing pass"
 MOST_SEGMENTS = 8
 """Of a chained motion, which whoever arms it may only make fewer."""
 
@@ -88,9 +89,11 @@ class RobotBridge:
         self._now_ns: int | None = None
         self._replay_over_ns = 0
         self._rests_from_ns = 0
+        self._may_be_armed_ns = 0
         self._execution: Execution | None = None
         self._holding = False
         self._unconfirmed = False
+        self._told_to_hold = True
         self._turns = 0
         self._log = logging.getLogger(f"suturegrasp.{self.kind}.{config.arm}")
         self._stands = Standing(config, backend, self._log)
@@ -112,9 +115,12 @@ class RobotBridge:
     @property
     def tick_hz(self) -> float:
         """All of its turns while the arm is armed, moves, or is told to hold; few for one at rest."""
-        left_s = (self._rests_from_ns - (self._now_ns or 0)) * 1e-9
+        now_ns = self._now_ns or 0
+        left_s, may_be_armed_s = (self._rests_from_ns - now_ns) * 1e-9, (self._may_be_armed_ns - now_ns) * 1e-9
         # where the clock was set back, nobody waits for it to be as late again
         if self._execution or self._unconfirmed or 0 < left_s <= RESTS_AFTER_S:
+            return self.config.tick_hz
+        if 0 < may_be_armed_s <= self.config.maximum_plan_age_s:
             return self.config.tick_hz
         return min(self.config.resting_hz, self.config.tick_hz)
 
@@ -156,8 +162,9 @@ class RobotBridge:
         """Stop and disarm; a backend that fails is told again in the next tick, and the guard holds meanwhile."""
         self._holding = self._unconfirmed = True
         execution, self._execution = self._execution, None
+        self._told_to_hold = False
         try:
-            self._backend.hold()
+            self._told_to_hold = self._backend.hold()
         except Exception:
             self._log.exception("the arm could not be told to hold; it is told again in each turn")
         if execution is None:
@@ -277,6 +284,9 @@ class RobotBridge:
         """Keep a plan; one that continues the motion between two segments is gone on with."""
         now_ns = self._now_ns or 0
         self._plans.keep(plan, replayed=now_ns < self._replay_over_ns)
+        if self._backend.is_real and plan.status is Status.OK:
+            # challenges come often from now on, so that how long an answer takes is known when somebody arms
+            self._may_be_armed_ns = now_ns + round(self.config.maximum_plan_age_s * 1e9)
         execution = self._execution
         if execution is None or execution.ended_ns is None or plan.continues != execution.plan_id:
             return []
@@ -320,7 +330,7 @@ class RobotBridge:
         said = message.word.name.lower() if isinstance(message, ChangeState) else "hold"
         held = self.stop(Refusal(Code.HOLD_COMMAND, f"{message.header.sender} said {said}"), command.now_ns)
         if not isinstance(message, ChangeState):
-            return [accepted(message.header.id), *held]
+            return [accepted(message.header.id, "" if self._told_to_hold else UNTOLD), *held]
         return [self._states.answer(message, command.now_ns, self.config.ratio), *held]
 
     def _answer_arm(self, command: Command, message: Arm) -> list[Output | CommandAnswer]:

@@ -77,8 +77,8 @@ class Backend(Protocol):
         """Note that the motion of an arming has ended as it should."""
         ...
 
-    def hold(self) -> None:
-        """Stop where the arm is, and stay there. May be called from any thread, and again."""
+    def hold(self) -> bool:
+        """Stop where the arm is, and stay there; whether that could be handed over. From any thread, and again."""
         ...
 
     def halt(self) -> None:

@@ -61,9 +61,10 @@ class SimulatedPsm:
     def finish(self, arming_id: str) -> None:
         """It rests where it was sent."""
 
-    def hold(self) -> None:
+    def hold(self) -> bool:
         """Head for nowhere."""
         self._set_point = self._position
+        return True
 
     def halt(self) -> None:
         """Nothing: it moves from step to step alone, and the command is the next one."""

@@ -56,9 +56,9 @@ def event_of(
     return Output(EXECUTION, ExecutionEvent(plan_id, arm, at_ns, kind, phase, code, reason, arming_id))
 
 
-def accepted(command_id: str) -> CommandAnswer:
-    """A command is carried out."""
-    return CommandAnswer(command_id, Outcome.ACCEPTED, "", "")
+def accepted(command_id: str, but: str = "") -> CommandAnswer:
+    """A command is carried out; `but` says what is still to come about."""
+    return CommandAnswer(command_id, Outcome.ACCEPTED, "", but)
 
 
 def refused(command_id: str, why: Refusal) -> CommandAnswer:

@@ -43,14 +43,17 @@ def taking(
             return
         payload = query.payload.to_bytes() if query.payload is not None else b""
         arrival = Arrival(topic, key, lambda: payload, b"", answer, other_key(query.encoding, key))
-        if arrival.named or not stops_unread(topic, payload):
+        if not stops_unread(topic, payload):
             inbox.put(arrival)
             return
         try:
             halt()
         except Exception:
             LOG.exception("%s could not be halted at once; its loop holds it next", key)
-        if not inbox.put_first(arrival, STOPS_WAITING):
+        if arrival.named:
+            # meant for another arm, which its sender has to tell again; this one stands too, which harms nobody
+            inbox.put(arrival)
+        elif not inbox.put_first(arrival, STOPS_WAITING):
             answer(accepted(id_of(topic.message, payload)))
 
     return take

@@ -19,6 +19,8 @@ from shared.runtime.own_key import encoding_of
 
 STATUS = "status"
 """The parameter of a query that asks what became of a command's id."""
+OTHER_KEY = "other_key"
+"""Of a command that came to another receiver than it was sent to, which did not read it."""
 REMEMBERED = 1000
 DEFAULT_DEADLINE_S = 2.0
 """The longest deadline that anything here sets."""
@@ -48,6 +50,9 @@ def send_command(
     selector = key(rig, topic, instance, agent)
     command_id, encoding = message.header.id, encoding_of(topic.message, selector)
     answer = _ask(session, selector, encode(message), encoding, timeout_s, command_id)
+    if answer is not None and answer.code == OTHER_KEY:
+        # it came to somebody else, who did nothing with it
+        answer = _ask(session, selector, encode(message), encoding, timeout_s, command_id)
     if answer is None:
         answer = _ask(session, f"{selector}?{STATUS}={command_id}", b"", "", 0.5 * timeout_s, command_id)
     if answer is None:

@@ -51,7 +51,7 @@ from shared.runtime.clock_watch import ClockWatch
 from shared.runtime.clocks import answer_clock
 from shared.runtime.coming import Coming
 from shared.runtime.command_queries import taking
-from shared.runtime.commands import Answered, refused, stops, untimely
+from shared.runtime.commands import OTHER_KEY, Answered, refused, stops, untimely
 from shared.runtime.delivery import RouterLinks
 from shared.runtime.facts import Surroundings, answer_facts, facts_of, realtime_priority
 from shared.runtime.faults import LIKE_PER_LINE, Faults
@@ -254,7 +254,7 @@ class Runner:
             message = decode(arrival.topic.message, payload)
         except MessageError as error:
             self._log.warning("a command on %s was refused: %s", arrival.key, error)
-            answer(refused("", "other_key" if arrival.named else "unreadable", str(error)))
+            answer(refused("", OTHER_KEY if arrival.named else "unreadable", str(error)))
             return
         before, stopping = self._answered.recall(message.header.id), stops(message)
         if before is not None and not stopping:

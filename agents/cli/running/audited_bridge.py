@@ -5,6 +5,7 @@ is carried out first: where it cannot be written down, the log says so, and the 
 """
 
 from collections.abc import Iterable, Iterator
+from typing import Any
 
 import schemas
 from agents.cli.running.audit import AuditError, AuditLog
@@ -39,7 +40,6 @@ class AuditedBridge(RobotBridge):
         """First the hold, then what is written of it."""
         said = list(super().step(command))
         try:
-            self._begin()
             self._note_command(command)
             for one in said:
                 self._note_output(one)
@@ -48,7 +48,6 @@ class AuditedBridge(RobotBridge):
         return said
 
     def _commanded(self, command: Command) -> list[Output | CommandAnswer]:
-        self._begin()
         self._note_command(command)
         said = list(super().step(command))
         try:
@@ -60,30 +59,31 @@ class AuditedBridge(RobotBridge):
         return said
 
     def _followed(self, arrived: Received | Tick) -> Iterator[Output | CommandAnswer]:
-        """What nobody can read afterwards does not go on; it is told all the same."""
-        self._begin_holding(arrived)
+        """First the bridge's own step; what nobody can read afterwards does not go on, and is told all the same."""
+        unwritten: AuditError | None = None
         for one in super().step(arrived):
             try:
                 self._note_output(one)
-            except AuditError:
-                yield one
-                yield from self.stop(_unwritten(), arrived.now_ns if isinstance(arrived, Tick) else now_ns())
-                raise
+            except AuditError as error:
+                unwritten = error
             yield one
+        try:
+            self._begin()
+        except AuditError as error:
+            unwritten = error
+        if unwritten is not None:
+            if self.executes:
+                yield from self.stop(_unwritten(), arrived.now_ns if isinstance(arrived, Tick) else now_ns())
+            raise unwritten
 
     def _begin(self) -> None:
         if not self._begun:
             self._audit.add("started", now_ns(), version=schemas.__version__, dry_run=self._dry_run)
             self._begun = True
 
-    def _begin_holding(self, arrived: Received | Tick) -> None:
-        """Write down that it has begun; where that cannot be, whatever moves is held."""
-        try:
-            self._begin()
-        except AuditError:
-            if self.executes:
-                self.stop(_unwritten(), arrived.now_ns if isinstance(arrived, Tick) else now_ns())
-            raise
+    def _add(self, what: str, at_ns: int, **told: Any) -> None:
+        self._begin()
+        self._audit.add(what, at_ns, **told)
 
     def close(self) -> None:
         """Write down that it ends as it was told to."""
@@ -97,19 +97,19 @@ class AuditedBridge(RobotBridge):
         plan = {"plan_id": message.plan_id} if isinstance(message, Arm) else {}
         if isinstance(message, ChangeState):
             told["word"] = message.word.name.lower()
-        self._audit.add("command", command.now_ns, **told, arm=getattr(message, "arm", command.instance), **plan)
+        self._add("command", command.now_ns, **told, arm=getattr(message, "arm", command.instance), **plan)
 
     def _note_output(self, output: Output | CommandAnswer) -> None:
         if isinstance(output, CommandAnswer):
             answer = {"id": output.id, "outcome": output.outcome.name.lower()}
-            self._audit.add("answer", now_ns(), **answer, code=output.code, reason=output.reason)
+            self._add("answer", now_ns(), **answer, code=output.code, reason=output.reason)
         elif output.topic is EXECUTION:
             self._note_event(output.message)
 
     def _note_event(self, event: ExecutionEvent) -> None:
         told = {"kind": event.kind.name.lower(), "plan_id": event.plan_id, "arming_id": event.arming_id}
         phase = event.phase.name.lower() if event.phase is not None else ""
-        self._audit.add("event", event.at_ns, **told, phase=phase, code=event.code, reason=event.reason)
+        self._add("event", event.at_ns, **told, phase=phase, code=event.code, reason=event.reason)
 
 
 def _unwritten() -> Refusal:

@@ -48,6 +48,8 @@ NOW_NS = 2_000_000_000
 STANDS = np.array((2e-3, 2e-3, 2e-4, 2e-3, 2e-3, 2e-3))
 STANDS_NS = 200_000_000
 """An arm whose joints (rad, the third m) have stood for so long since a hold holds."""
+HALT_AGAIN_NS = 5_000_000
+"""A hold that was said so lately, a tick ago, is not said again for one more halt: the next tick says it again."""
 BEGINS_NS = 300_000_000
 """A console that was told to home an arm that is homed already says for a moment longer that it is."""
 
@@ -104,6 +106,7 @@ class DvrkPsm:
         self._guard = GuardLink(name, self._say, monotonic)
         self._has_no, self._halted, self._arming_id = frozenset(has_no), False, ""
         self._held_ns: int | None = None
+        self._said_ns = self._measured_ns = self._heard_ns = 0
         self._stands, self._stands_ns = NOTHING.joints, 0
         self._broken, self._guard_held = 0, ("", "")
         heard = (
@@ -144,6 +147,8 @@ class DvrkPsm:
             self._guard.turn()
         measured = self._readings.measured()
         judged = self._judge(measured, now_ns)
+        if measured.measured_ns != self._measured_ns:
+            self._measured_ns, self._heard_ns = measured.measured_ns, self._monotonic_ns()
         if not (np.abs(measured.joints - self._stands) <= STANDS).all():
             self._stands, self._stands_ns = measured.joints, self._monotonic_ns()
         told = self._guard.told
@@ -193,20 +198,23 @@ class DvrkPsm:
         if not self.dry_run:
             self._guard.finish(arming_id)
 
-    def hold(self) -> None:
+    def hold(self) -> bool:
         """Have the console stop the arm where it is, whatever the time and whoever's that is."""
         self._arming_id = ""
         if self.dry_run:
-            return
+            return True
         said = self._link.say(f"{self._name}/hold", crtk.empty())
         self._set_points.let_go(self._clock_ns())
-        if said and self._held_ns is None:
-            self._held_ns = self._monotonic_ns()
+        if said:
+            self._said_ns = self._monotonic_ns()
+            self._held_ns = self._said_ns if self._held_ns is None else self._held_ns
+        return said
 
     def halt(self) -> None:
-        """Hold, and send no set point until a plan is armed again."""
-        self._halted = True
-        self.hold()
+        """Hold, and send no set point until a plan is armed again; of many halts at once the console hears a few."""
+        if not self._halted or self._held_ns is None or self._monotonic_ns() - self._said_ns >= HALT_AGAIN_NS:
+            self._halted = True
+            self.hold()
 
     @property
     def halted(self) -> bool:
@@ -219,12 +227,10 @@ class DvrkPsm:
 
     @property
     def holds(self) -> bool:
-        """Whether a hold was handed over, and the arm was measured where it stands for a while since."""
+        """Whether a hold was handed over, and the arm has been measured to stand for a while since."""
         if self.dry_run:
             return True
-        if self._held_ns is None or self._link.failed:
-            return self._held_ns is not None
-        return self._monotonic_ns() - max(self._held_ns, self._stands_ns) > STANDS_NS
+        return self._held_ns is not None and self._heard_ns - max(self._held_ns, self._stands_ns) > STANDS_NS
 
     def change_state(self, word: StateWord, now_ns: int) -> str:
         """Send the word to the console; what it makes of it shows in the state."""

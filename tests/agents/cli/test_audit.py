@@ -100,7 +100,7 @@ def test_a_command_that_cannot_be_written_down_is_not_carried_out(tmp_path):
 def test_what_stops_is_carried_out_whether_or_not_it_can_be_written_down(tmp_path, folder):
     bridge = bridge_with(tmp_path / "psm1.jsonl")
     told = []
-    bridge._backend.hold = lambda: told.append("hold")
+    bridge._backend.hold = lambda: told.append("hold") or True
     bridge._backend.change_state = lambda word, now_ns: told.append(word.name) or ""  # noqa: ARG005
     full = os.open("/dev/full", os.O_WRONLY)
     bridge._audit._file, bridge._begun = full, not folder

@@ -1,9 +1,11 @@
 """Stop always wins: whatever fails beside it, in whatever state, a command that stops is carried out."""
 
+import contextlib
 import os
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -11,6 +13,7 @@ from hypothesis import strategies as st
 from agents.cli.running.audit import AuditError, AuditLog
 from agents.cli.running.audited_bridge import AuditedBridge
 from agents.robot_bridge.agent import RobotBridgeConfig
+from agents.robot_bridge.dvrk.psm import DvrkPsm
 from agents.robot_bridge.simulated import SimulatedPsm
 from schemas.messages import (
     Arm,
@@ -27,11 +30,17 @@ from schemas.messages import (
     StateWord,
 )
 from schemas.topics import ARM, CHANGE_STATE, HEARTBEAT, HOLD, PLAN, REPLAY_CLOCK
+from shared.ros import crtk
+from shared.ros.naming import Ros2dds
 from shared.runtime.agent import Command, Output, Received, Tick
+from shared.runtime.commands import new_header, send_command
+from shared.runtime.session import SessionSettings
 from tests.agents.robot_bridge.test_agent import EPOCH, SECOND, TICK, plan
 
 STATES = ("never ticked", "at rest", "armed", "moving", "held", "replayed", "at fault")
 FAILURES = ("none", "audit", "state", "clock back", "clock ahead", "stalled")
+UNWRITTEN = ("never ticked", "at rest", "at fault")
+"""States of a bridge that could write nothing down yet: nothing is armed there."""
 STOPS = ("hold", "pause", "disable")
 
 
@@ -50,12 +59,12 @@ class RecordingArm(SimulatedPsm):
             raise OSError("nothing can be measured")
         return super().state(now_ns)
 
-    def hold(self) -> None:
+    def hold(self) -> bool:
         if self.broken_holds:
             self.broken_holds -= 1
             raise OSError("the link is gone")
         self.told.append("hold")
-        super().hold()
+        return super().hold()
 
     @property
     def holds(self) -> bool:
@@ -161,6 +170,167 @@ def test_a_hold_that_the_backend_did_not_take_is_said_in_each_tick_until_it_does
     for _ in range(5):
         rig.tick()
     assert rig.arm.told.count("hold") == held, "it is known to hold"
+
+
+@pytest.mark.parametrize("state", UNWRITTEN)
+@pytest.mark.parametrize("stop", STOPS)
+def test_what_stops_is_no_no_op_where_the_audit_log_could_never_be_written(tmp_path, state, stop):
+    rig = Rig(tmp_path)
+    rig.fail("audit")
+    with pytest.raises((AuditError, OSError)) if state != "never ticked" else contextlib.nullcontext():
+        rig.bring_to(state)
+    rig.arm.told.clear()
+    rig.arm.broken_state, rig.arm.confirms = False, False
+    assert rig.command(stop)[0].outcome is Outcome.ACCEPTED
+    assert rig.arm.told == ["hold"] + ([stop] if stop != "hold" else [])
+    with pytest.raises(AuditError):
+        rig.tick()
+    assert rig.arm.told[-1] == "hold", "it is told again in each turn until it is known to hold"
+
+
+class Wire:
+    """A link to a console that must be opened first, and hands nothing over while it is down."""
+
+    failed, broken = "", 0
+
+    def __init__(self, _settings: Any, _naming: Any, heard: Any, *_rest: Any) -> None:
+        self.heard = {each.topic: each.receive for each in heard}
+        self.opened, self.down, self.said = False, False, list[str]()
+
+    def open(self) -> None:
+        self.opened = True
+
+    def say(self, topic: str, payload: bytes) -> bool:  # noqa: ARG002
+        if not self.opened or self.down:
+            return False
+        self.said.append(topic)
+        return True
+
+    def close(self) -> None:
+        self.opened = False
+
+
+class Console:
+    """A bridge of a real arm on such a link, whose console tells where its joints are as long as it is asked to."""
+
+    def __init__(self, folder: Path) -> None:
+        self.now_ns, self.wires, self.tells = EPOCH, list[Wire](), True
+
+        def linked(*given: Any) -> Wire:
+            self.wires.append(Wire(*given))
+            return self.wires[-1]
+
+        naming, clock = Ros2dds(), lambda: self.now_ns
+        self.arm = DvrkPsm(
+            "PSM1", SessionSettings(), naming, "", dry_run=False, linked=linked, clock=clock, monotonic=clock
+        )
+        self.audit = AuditLog(folder / "audit.jsonl")
+        self.bridge = AuditedBridge(RobotBridgeConfig(), self.arm, self.audit)
+        self.wire = self.wires[0]
+
+    def tick(self, times: int = 1, speed: float = 0.0) -> None:
+        for _ in range(times):
+            self.now_ns += TICK
+            if self.tells:
+                joints = np.full(6, 0.1 + 1e-9 * speed * (self.now_ns - EPOCH))
+                self.wire.heard["PSM1/measured_js"](crtk.joint_command(joints, self.now_ns), self.now_ns)
+                self.wire.heard["PSM1/jaw/measured_js"](crtk.joint_command(joints[:1], self.now_ns), self.now_ns)
+            with contextlib.suppress(AuditError):
+                list(self.bridge.step(Tick(self.now_ns)))
+
+    def hold(self) -> CommandAnswer:
+        header = CommandHeader("stop", self.now_ns, "ben")
+        answer, *_ = self.bridge.step(Command(HOLD, "psm1", Hold(header, "psm1"), self.now_ns))
+        assert isinstance(answer, CommandAnswer)
+        return answer
+
+    @property
+    def holds_said(self) -> int:
+        return self.wire.said.count("PSM1/hold")
+
+
+def test_a_console_is_told_to_hold_though_no_disk_has_room_from_the_start(tmp_path):
+    console = Console(tmp_path)
+    console.audit._file = os.open("/dev/full", os.O_WRONLY)
+    console.tick(3)
+    answer = console.hold()
+    assert (answer.outcome, answer.reason) == (Outcome.ACCEPTED, "")
+    assert console.holds_said == 1
+
+
+def test_a_hold_that_could_not_be_handed_over_says_so_and_is_said_in_each_turn_until_the_arm_is_measured_to_stand(
+    tmp_path,
+):
+    console = Console(tmp_path)
+    console.tick()
+    console.wire.down = True
+    answer = console.hold()
+    assert (answer.outcome, "told again in each turn" in answer.reason) == (Outcome.ACCEPTED, True)
+    console.tick(5)
+    console.wire.down = False
+    console.tick(50, speed=1.0)
+    assert console.holds_said == 50, "it still moves"
+    console.tells = False
+    console.tick(50)
+    assert console.holds_said == 100, "where nothing is measured nobody knows that it stands"
+    console.tells = True
+    console.tick(60)
+    settled = console.holds_said
+    assert 100 < settled < 130
+    console.tick(20)
+    assert console.holds_said == settled, "it is known to stand"
+
+
+def test_of_many_halts_at_once_the_console_hears_one(tmp_path):
+    console = Console(tmp_path)
+    console.tick()
+    for _ in range(600):
+        console.bridge.halt()
+    assert console.holds_said == 1
+    console.now_ns += TICK
+    console.bridge.halt()
+    assert console.holds_said == 2
+
+
+def test_challenges_come_often_while_a_plan_may_be_armed_so_that_the_way_of_an_answer_is_known(tmp_path):
+    console = Console(tmp_path)
+    console.tick(150)
+    resting, config = console.bridge.tick_hz, console.bridge.config
+    list(console.bridge.step(Received(PLAN, "", 0, plan())))
+    assert (resting, console.bridge.tick_hz) == (config.resting_hz, config.tick_hz)
+    console.now_ns += round(1e9 * config.maximum_plan_age_s)
+    console.tick()
+    assert console.bridge.tick_hz == config.resting_hz
+
+
+@pytest.mark.parametrize("state", STATES)
+@pytest.mark.parametrize("broken", ["shared.runtime.outlets.payload_of", "shared.runtime.outlets.pack"])
+def test_in_every_state_what_stops_is_carried_out_where_nothing_can_be_encoded_or_published(
+    tmp_path, running, session, until, monkeypatch, broken, state
+):
+    rig = Rig(tmp_path)
+    rig.bring_to(state)
+    running(rig.bridge)
+    until(lambda: hold(session).outcome is Outcome.ACCEPTED)
+
+    def fails(*_given: Any, **_named: Any) -> Any:
+        raise OSError("nothing leaves")
+
+    with monkeypatch.context() as failing:
+        failing.setattr(broken, fails)
+        for topic, message, told in (
+            (HOLD, Hold(new_header("ben"), "psm1"), ["hold"]),
+            (CHANGE_STATE, ChangeState(new_header("ben"), "psm1", StateWord.PAUSE), ["hold", "pause"]),
+        ):
+            rig.arm.told.clear()
+            answer = send_command(session, "test", topic, message, "psm1", timeout_s=20.0)
+            assert answer.outcome is Outcome.ACCEPTED
+            # a turn that fails beside it holds too
+            assert set(told) <= set(rig.arm.told)
+
+
+def hold(session: Any) -> CommandAnswer:
+    return send_command(session, "test", HOLD, Hold(new_header("ben"), "psm1"), "psm1", timeout_s=20.0)
 
 
 def test_where_a_turn_fails_the_arm_holds_and_everybody_is_told_before_the_failure_goes_on(tmp_path):

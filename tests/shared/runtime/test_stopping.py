@@ -5,13 +5,14 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from schemas.codec import encode
-from schemas.messages import Arm, ChangeState, CommandHeader, Hold, Outcome, StateWord
+from schemas.codec import decode, encode
+from schemas.messages import Arm, ChangeState, CommandAnswer, CommandHeader, Hold, Outcome, StateWord
 from schemas.topics import ARM, CHANGE_STATE, HOLD, key
 from shared.clock import monotonic_s
 from shared.runtime.agent import Command
-from shared.runtime.commands import accepted, new_header, send_command, stops_unread
+from shared.runtime.commands import accepted, new_header, refused, send_command, stops_unread
 from shared.runtime.outlets import Outlets
+from shared.runtime.own_key import encoding_of
 
 STEP_S = 0.5
 
@@ -115,3 +116,30 @@ def test_a_hold_is_carried_out_and_answered_where_nothing_can_be_published(robot
     assert (robot.stepped, len(robot.halted_s)) == ([Hold], 1)
     assert hold(session).outcome is Outcome.ACCEPTED, "the loop goes on"
     monkeypatch.undo()
+
+
+def test_a_hold_that_came_under_another_arms_key_halts_this_one_too_and_is_told_again(robot, session):
+    other = key("test", HOLD, "psm2")
+    message = encode(Hold(new_header("a test"), "psm2"))
+    replies = list(
+        session.get(key("test", HOLD, "psm1"), payload=message, encoding=encoding_of(Hold, other), timeout=20.0)
+    )
+    (answer,) = (decode(CommandAnswer, reply.ok.payload.to_bytes()) for reply in replies)
+    assert (answer.outcome, answer.code) == (Outcome.REFUSED, "other_key")
+    assert (len(robot.halted_s), robot.stepped) == (1, [])
+
+
+def test_what_came_to_another_receiver_is_sent_again(session):
+    asked = []
+
+    def answer(query):
+        asked.append(query.payload.to_bytes())
+        reply = refused("", "other_key", "not ours") if len(asked) == 1 else accepted(message.header.id)
+        query.reply(query.key_expr, encode(reply))
+        query.drop()
+
+    message = Hold(new_header("a test"), "psm3")
+    here = session.declare_queryable(key("test", HOLD, "psm3"), answer)
+    assert send_command(session, "test", HOLD, message, "psm3", timeout_s=20.0).outcome is Outcome.ACCEPTED
+    assert asked == [encode(message)] * 2
+    here.undeclare()
