@@ -116,11 +116,10 @@ class RobotBridge:
     def tick_hz(self) -> float:
         """All of its turns while the arm is armed, moves, or is told to hold; few for one at rest."""
         now_ns = self._now_ns or 0
-        left_s, may_be_armed_s = (self._rests_from_ns - now_ns) * 1e-9, (self._may_be_armed_ns - now_ns) * 1e-9
         # where the clock was set back, nobody waits for it to be as late again
-        if self._execution or self._unconfirmed or 0 < left_s <= RESTS_AFTER_S:
-            return self.config.tick_hz
-        if 0 < may_be_armed_s <= self.config.maximum_plan_age_s:
+        stirs = 0 < self._rests_from_ns - now_ns <= RESTS_AFTER_S * 1e9
+        may_be_armed = 0 < self._may_be_armed_ns - now_ns <= self.config.maximum_plan_age_s * 1e9
+        if self._execution or self._unconfirmed or stirs or may_be_armed:
             return self.config.tick_hz
         return min(self.config.resting_hz, self.config.tick_hz)
 
