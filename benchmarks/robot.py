@@ -17,6 +17,7 @@ import numpy as np
 import tyro
 from rich.table import Table
 
+from benchmarks.robot_availability import availability
 from benchmarks.robot_hostile import hostile
 from benchmarks.robot_jitter import jitter
 from benchmarks.robot_messages import CYCLONE, PYCDR2, compared, others
@@ -40,7 +41,9 @@ class Options:
     """Random and hostile plans and commands."""
     seconds: float = 60.0
     """For which set points are sent while the whole pipeline runs, with real-time priority and without."""
-    only: Literal["all", "messages", "kinematics", "hostile", "stops", "jitter"] = "all"
+    minutes: float = 30.0
+    """For which one motion follows another, to see whether the arm holds though nobody wants it to."""
+    only: Literal["all", "messages", "kinematics", "hostile", "stops", "jitter", "availability"] = "all"
     """One part alone."""
     json: Path | None = None
     """Write everything there."""
@@ -95,6 +98,9 @@ def main() -> None:
             f"Set points at 200 Hz under the whole pipeline, with real-time priority and without; {goal}",
             found["jitter"],
         )
+    if options.only in ("all", "availability"):
+        found["availability"] = [availability(options.minutes)]
+        _print("One motion after another; goal: no hold that nobody wanted", found["availability"])
     if options.json is not None:
         options.json.write_text(json.dumps(found, indent=1) + "\n")
 

@@ -91,11 +91,7 @@ class Lab:
         """Arm a plan and wait until the arm has moved for a while; it is armed again where it was held."""
         deadline_s = monotonic_s() + DEADLINE_S
         while monotonic_s() < deadline_s:
-            self._tell_plan()
-            if (ended := self._running.pop("operator", None)) is not None:
-                self._end(ended)
-            (self._folder / "operator.log").unlink(missing_ok=True)
-            self._start("operator", PERSON, "press", RIG, self._desk, ARM, f"plan-{self._told}")
+            self.press()
             count, started_s = self.verdict()["set_points"], monotonic_s()
             while not self._refused() and monotonic_s() - started_s < PATIENT_S:
                 threading.Event().wait(LOOK_S)
@@ -107,12 +103,19 @@ class Lab:
                 count = count or now["set_points"]
         raise NotMovingError("\n".join(path.read_text() for path in sorted(self._folder.glob("*.log"))))
 
+    def press(self) -> str:
+        """Have a person press for a fresh plan, whose id it is; whoever pressed before is gone."""
+        self._tell_plan()
+        if (ended := self._running.pop("operator", None)) is not None:
+            self._end(ended)
+        (self._folder / "operator.log").unlink(missing_ok=True)
+        plan_id = f"plan-{self._told}"
+        self._start("operator", PERSON, "press", RIG, self._desk, ARM, plan_id)
+        return plan_id
+
     def answer(self) -> str:
         """What the bridge answers when the plan is armed once more, over links as they are now; nothing moves on."""
-        self._tell_plan()
-        self._end(self._running.pop("operator"))
-        (self._folder / "operator.log").unlink(missing_ok=True)
-        self._start("operator", PERSON, "press", RIG, self._desk, ARM, f"plan-{self._told}")
+        self.press()
         deadline_s = monotonic_s() + PATIENT_S
         while not self.said("operator") and monotonic_s() < deadline_s:
             threading.Event().wait(LOOK_S)
@@ -132,6 +135,11 @@ class Lab:
 
     def _refused(self) -> bool:
         return any(line.get("outcome") not in (None, "ACCEPTED") for line in self.said("operator"))
+
+    @property
+    def endpoint(self) -> str:
+        """Of the rig's router."""
+        return self._router
 
     def signal(self, name: str) -> None:
         """Have the person let go, the camera freeze, or a link begin to queue."""
