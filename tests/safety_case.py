@@ -34,7 +34,8 @@ def _is_test(name: str, root: Path) -> bool:
     if not file.is_file() or not function:
         return False
     tests = {node.name for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.FunctionDef)}
-    return function in tests or (function == "*" and any(each.startswith("test_") for each in tests))
+    tests = {each for each in tests if each.startswith("test_")}
+    return function in tests or (function == "*" and bool(tests))
 
 
 if __name__ == "__main__":

@@ -83,7 +83,10 @@ class GuardLink:
         self._moved_ns, self._ended = self._monotonic_ns(), ""
         with self._lock:
             for part in (positions[:-1], positions[-1:]):
-                self._ours[struct.pack(f"<{len(part)}d", *part)] = None
+                packed = struct.pack(f"<{len(part)}d", *part)
+                self._ours[packed] = None
+                # a jaw that stands has one position for long, which is the newest each time
+                self._ours.move_to_end(packed)
             while len(self._ours) > REMEMBERED:
                 self._ours.popitem(last=False)
         self._say(self._keys[SET_POINT], set_point_bytes(self._keys[SET_POINT], said))
