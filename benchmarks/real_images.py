@@ -179,7 +179,7 @@ def _pooled(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 def _near(points: Points, others: Points, within_px: float) -> Bool[np.ndarray, "n"]:
     if len(points) == 0 or len(others) == 0:
         return np.zeros(len(points), bool)
-    return cKDTree(others).query(points)[0] <= within_px
+    return np.asarray(cKDTree(others).query(points)[0] <= within_px)
 
 
 def _share_near(points: Points, others: Points, within_px: float) -> float:
