@@ -30,7 +30,7 @@ from agents.reconstruction.refined.joined import joined
 from agents.reconstruction.refined.plausibility import LARGEST_RESIDUAL_SHARE, contradiction, implausible, unusable
 from agents.reconstruction.refined.projection import LEVEL, Curve, projected, row_offsets_px
 from agents.reconstruction.refined.refinement import Refined, Start, refined
-from agents.reconstruction.refined.result import reconstruction, starts_right
+from agents.reconstruction.refined.result import guessed_share, reconstruction, starts_right
 from agents.reconstruction.refined.shared_pieces import with_shared_pieces
 from agents.reconstruction.refined.sightings import (
     Sightings,
@@ -49,6 +49,8 @@ MOST_ROW_ROUNDS = 5
 ROWS_SETTLED_PX = 0.1
 """A calibration that is off leaves rows apart; where they change by less than this, no further round of alignment is
 needed."""
+MOST_GUESSED = 0.5
+"""Of a curve that is called the thread, most is seen by both eyes or lies behind what hides it."""
 FOLLOWED = 1.0
 """Residuals larger than the points' own deviations, in the median: the curve cannot bend as the thread does."""
 
@@ -78,9 +80,22 @@ def reconstruct_refined(observations: ThreadObservations) -> ThreadReconstructio
     try:
         course, fit = course_and_fit(left, right, camera)
         held = within_regions(fit, course, camera)
+        return mostly_seen(reconstruction(observations, METHOD, fit, held, starts_right(held.curve, observations)))
     except NoCurveError as error:
         return failed(observations, METHOD, str(error))
-    return reconstruction(observations, METHOD, fit, held, starts_right(held.curve, observations))
+
+
+def mostly_seen(thread: ThreadReconstruction) -> ThreadReconstruction:
+    """The same thread.
+
+    Raises:
+        NoCurveError: where most of it is a guess.
+    """
+    guessed = guessed_share(thread)
+    if guessed <= MOST_GUESSED:
+        return thread
+    seen = f"of the curve that was found both eyes see {1 - guessed:.0%}, or what hides the rest, and most is needed"
+    raise NoCurveError(f"{seen}: turn the camera until both images show the thread, and clear what may pass for it")
 
 
 def course_and_fit(left: Centrelines, right: Centrelines, camera: RectifiedStereo) -> tuple[Course, Refined]:

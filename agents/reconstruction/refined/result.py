@@ -99,6 +99,16 @@ def reconstruction(
     )
 
 
+def guessed_share(thread: ThreadReconstruction) -> float:
+    """How much of the thread's length not both images show though nothing is known to hide it."""
+    places = _places()
+    unseen, hidden = (
+        ((places[:, None] >= stretches[:, 0]) & (places[:, None] <= stretches[:, 1])).any(axis=1)
+        for stretches in (thread.unseen, np.empty((0, 2)) if thread.hidden is None else thread.hidden)
+    )
+    return float((unseen & ~hidden).mean())
+
+
 def _pixels(curve: Curve, camera: RectifiedStereo) -> Float64[np.ndarray, "n 2"]:
     return project(camera, curve.at(np.linspace(0.0, 1.0, UNSEEN_SAMPLES)))[0]
 

@@ -1,6 +1,7 @@
 """From a fit to what is told: confidence, unseen stretches, and which end is the first."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from agents.reconstruction.refined.cubic import fitted
 from agents.reconstruction.refined.posterior import point_covariance, sliding
 from agents.reconstruction.refined.projection import Curve
 from agents.reconstruction.refined.refinement import Start, refined
-from agents.reconstruction.refined.result import TOLERANCE_M, confidence_of, stretches
+from agents.reconstruction.refined.result import TOLERANCE_M, confidence_of, guessed_share, stretches
 from shared.splines import clamped_uniform_knots
 
 ALONG_X = np.array([[1.0, 0.0, 0.0]])
@@ -98,3 +99,17 @@ def test_depth_errors_of_a_bent_thread_reach_aside_as_its_moved_circles_do():
     aside = radius - np.sqrt(radius**2 - slid**2)
     assert normal @ found @ normal == pytest.approx(np.mean(aside**2), rel=0.05)
     assert np.trace(found) == pytest.approx(normal @ found @ normal, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("unseen", "hidden", "share"),
+    [([], None, 0.0), ([(0.2, 0.6)], None, 0.4), ([(0.2, 0.6)], [(0.2, 0.5)], 0.1), ([(0.0, 1.0)], [], 1.0)],
+)
+def test_what_not_both_eyes_see_though_nothing_hides_it_is_a_guess(unseen, hidden, share):
+    class Thread:
+        pass
+
+    thread: Any = Thread()
+    thread.unseen = np.array(unseen).reshape(-1, 2)
+    thread.hidden = None if hidden is None else np.array(hidden).reshape(-1, 2)
+    assert guessed_share(thread) == pytest.approx(share, abs=0.01)
