@@ -1,8 +1,9 @@
 """The safety monitor: its size, what it lets pass and what it stops, what it costs, and whether its tests would notice.
 
-    .venv/bin/python -m benchmarks.guard [--legal 1000] [--hostile 1000000] [--seconds 20] [--only mutation]
+    .venv/bin/python -m benchmarks.guard [--legal 1000] [--hostile 1000000] [--seconds 20] [--only size] [--module all]
 
-- size: lines of all that the monitor alone uses (agents/guard), and of those that are neither blank nor text.
+- size: lines of all that the monitor's process alone uses, wherever they lie, and of those that are neither blank nor
+  text; beside them those of the supervisor, the process that starts it and tells the rig of it.
 - legal: motions of random plans, as a bridge sends them on a busy machine; every set point must pass.
 - hostile: generated set points, judged by an oracle of its own that knows limits and speeds and nothing of the monitor.
 - processor: of the real process, beside a real Zenoh, idle and while 200 set points a second pass.
@@ -15,6 +16,7 @@ import contextlib
 import io
 import json
 import math
+import os
 import subprocess
 import sys
 import threading
@@ -31,8 +33,8 @@ from rich.table import Table
 from agents.cli.rig.config import RigConfig
 from agents.cli.rig.sections import ArmSection, DvrkSection, RouterSection
 from agents.cli.running.guard import description_of, document_of
-from agents.guard.description import BURST_S, Description
-from agents.guard.monitor import Kind, Monitor
+from agents.guard.description import Description
+from agents.guard.monitor import BURST_S, SETTLES_NS, Kind, Monitor
 from agents.robot_bridge.limits import MotionLimits, Setup
 from agents.robot_bridge.motion import Trajectory, plan_motion
 from agents.robot_bridge.simulated import SIMULATED_START
@@ -63,7 +65,9 @@ from shared.runtime.session import SessionSettings, free_local_endpoint, open_ro
 
 HZ, PERIOD_NS = 200.0, 5_000_000
 SECTION = DvrkSection(endpoint="tcp/127.0.0.1:1")
-FOLDER = Path(__file__).parents[1] / "agents" / "guard"
+ROOT = Path(__file__).parents[1]
+FOLDER, SUPERVISOR = ROOT / "agents" / "guard", ROOT / "agents" / "cli" / "running" / "guard.py"
+PARTS = ("agents", "shared", "schemas")
 GOAL_LINES, GOAL_SCORE, GOAL_IDLE, GOAL_BUSY = 600, 95.0, 2.0, 10.0
 
 
@@ -79,6 +83,10 @@ class Options:
     """For which the process is watched, idle and at 200 set points a second."""
     only: Literal["all", "size", "legal", "hostile", "processor", "mutation"] = "all"
     """One part alone."""
+    module: Literal["all", "monitor", "description", "cdr", "links"] = "all"
+    """The file that is changed, of `mutation`."""
+    cores: int = os.cpu_count() or 1
+    """On which `mutation` tries changes."""
 
 
 def main() -> None:
@@ -89,24 +97,54 @@ def main() -> None:
         "legal": lambda: legal(options.legal),
         "hostile": lambda: hostile(options.hostile),
         "processor": lambda: processor(options.seconds),
-        "mutation": lambda: mutation(GOAL_SCORE),
+        "mutation": lambda: mutation(GOAL_SCORE, options.module, options.cores),
     }
     for name, part in parts.items():
         if options.only in ("all", name):
             table = Table(title=name, title_justify="left")
             found = part()
-            for column in found:
+            rows = found if isinstance(found, list) else [found]
+            for column in rows[0]:
                 table.add_column(column, justify="right")
-            table.add_row(*(f"{value:.3g}" if isinstance(value, float) else str(value) for value in found.values()))
+            for row in rows:
+                table.add_row(*(f"{value:.3g}" if isinstance(value, float) else str(value) for value in row.values()))
             CONSOLE.print(table)
 
 
-def size() -> dict[str, Any]:
-    """Lines of the monitor."""
-    files = sorted(FOLDER.glob("*.py"))
-    lines, code = (sum(counted(path.read_text()) for path in files) for counted in (_lines, _code_lines))
-    told = {"files": len(files), "lines": lines, "lines of code": code}
-    return told | {"goal": f"{GOAL_LINES} lines", "met": lines <= GOAL_LINES}
+def size() -> list[dict[str, Any]]:
+    """Lines of the monitor's process, and of its supervisor."""
+    rows = list[dict[str, Any]]()
+    for what, files in (("the monitor's process", _own_files()), ("its supervisor", [SUPERVISOR])):
+        lines, code = (sum(counted(path.read_text()) for path in files) for counted in (_lines, _code_lines))
+        rows.append({"of": what, "files": len(files), "lines": lines, "lines of code": code, "goal": "-", "met": "-"})
+    return [rows[0] | {"goal": f"{GOAL_LINES} lines", "met": rows[0]["lines"] <= GOAL_LINES}, rows[1]]
+
+
+def _own_files() -> list[Path]:
+    """What the monitor's process loads of this repository and nothing else does but its supervisor and tests."""
+    listed = "import sys, agents.guard.__main__; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", listed], capture_output=True, text=True, check=True, cwd=ROOT).stdout
+    others = set[str]()
+    for path in (path for part in PARTS for path in (ROOT / part).rglob("*.py")):
+        if path != SUPERVISOR and FOLDER not in path.parents:
+            others |= _imported(ast.parse(path.read_text()))
+    files = set(FOLDER.glob("*.py"))
+    for name in loaded.split():
+        path = ROOT / f"{name.replace('.', '/')}.py"
+        if name not in others and path.is_file() and path.relative_to(ROOT).parts[0] in PARTS:
+            files.add(path)
+    return sorted(files)
+
+
+def _imported(tree: ast.AST) -> set[str]:
+    """Modules, and what may be some, that a file imports."""
+    found = set[str]()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    return found
 
 
 def _lines(text: str) -> int:
@@ -136,6 +174,8 @@ class Fed:
         self.now_ns, self.asked, self.sequence, self.place = 10**12, 0, 0, place
         self.armings = 0
         self.arming = "a0"
+        self.tick(beats=False)
+        self.now_ns += SETTLES_NS
 
     def tick(self, elapsed_ns: int = PERIOD_NS, beats: bool = True) -> None:
         """Time passes; the arm is measured, and the newest challenge answered."""

@@ -1,6 +1,7 @@
 """Would the monitor's tests notice a change of its code? cosmic-ray changes it, piece by piece, in copies."""
 
 import contextlib
+import itertools
 import json
 import os
 import shutil
@@ -16,11 +17,16 @@ ROOT = Path(__file__).parents[1]
 TOOL = "cosmic-ray==8.7.0"
 """Installed by the command that needs it, into a folder of its own."""
 PARTS = ("agents/guard", "shared", "schemas", "tests/agents/guard")
-TRIED = {"monitor": "test_monitor.py", "description": "test_monitor.py", "cdr": "test_cdr.py"}
-"""What decides and reads, with what tries it; the two files that are wires alone are tried by real processes."""
+TRIED = {
+    "monitor": "test_monitor.py",
+    "description": "test_monitor.py",
+    "cdr": "test_cdr.py",
+    "links": "test_links.py",
+}
+"""Each file with what tries it; `__main__`, which starts and ends the process, is tried by real processes alone."""
 SETTINGS = """[cosmic-ray]
 module-path = "agents/guard/{module}.py"
-timeout = 15.0
+timeout = 30.0
 excluded-modules = []
 test-command = "{python} -m pytest -q -x -p no:cacheprovider tests/agents/guard/{tests}"
 [cosmic-ray.distributor]
@@ -37,21 +43,32 @@ SHARES = 4
 """So many runs try a module's changes, beside each other."""
 
 
-def mutation(goal: float) -> dict[str, Any]:
-    """The share of changes that are noticed, and those that are not."""
+def mutation(goal: float, module: str, cores: int) -> list[dict[str, Any]]:
+    """The share of changes that are noticed, by file and in all; those that are not are printed."""
+    modules = list(TRIED) if module == "all" else [module]
     with tempfile.TemporaryDirectory() as folder:
         tool = Path(folder) / "tool"
         install = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--target"]
         subprocess.run([*install, str(tool), TOOL], check=True, stderr=subprocess.DEVNULL)
-        shares = [(module, share) for module in TRIED for share in range(SHARES)]
-        with ThreadPoolExecutor(os.cpu_count()) as at_once:
+        shares = [(name, share) for name in modules for share in range(SHARES)]
+        with ThreadPoolExecutor(cores) as at_once:
             found = list(at_once.map(lambda of: _tried(of[0], of[1], Path(folder) / f"{of[0]}-{of[1]}", tool), shares))
-    results = [each for module in found for each in module]
-    survived = [where for where, status in results if status == "survived"]
-    for where in survived:
-        print(f"  not noticed: {where}", flush=True)
-    score = 100 * (1 - len(survived) / len(results))
-    return {"changes": len(results), "not noticed": len(survived), "score %": score, "met": score >= goal}
+    results = {
+        name: [each for of, some in zip(shares, found, strict=True) if of[0] == name for each in some]
+        for name in modules
+    }
+    for where, status in itertools.chain(*results.values()):
+        if status == "survived":
+            print(f"  not noticed: {where}", flush=True)
+    if len(modules) > 1:
+        results["all"] = list(itertools.chain(*results.values()))
+    return [_row(name, of, goal) for name, of in results.items()]
+
+
+def _row(name: str, results: list[tuple[str, str]], goal: float) -> dict[str, Any]:
+    survived = sum(status == "survived" for _, status in results)
+    score = 100 * (1 - survived / len(results))
+    return {"file": name, "changes": len(results), "not noticed": survived, "score %": score, "met": score >= goal}
 
 
 def _tried(module: str, share: int, copy: Path, tool: Path) -> list[tuple[str, str]]:

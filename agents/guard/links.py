@@ -7,10 +7,11 @@ another key than the one that it came under, is counted and is nothing.
 import contextlib
 import itertools
 import json
+import math
 import os
 import struct
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from typing import Any
 
 import zenoh
@@ -21,93 +22,54 @@ from agents.guard import cdr
 from agents.guard.monitor import Action, Kind, Monitor
 from schemas.generated.suturegrasp_pb2 import Heartbeat
 from shared.clock import monotonic_ns, now_ns
-from shared.ros.guarded import GuardedError, alive_from, challenge_bytes, set_point_from
+from shared.ros.guarded import Gate, GuardedError, alive_from, challenge_bytes, set_point_from
 
-MEASURED = ("measured_js", "jaw/measured_js")
 RESTS_NS = 1_000_000_000
 """So long after the last heartbeat or set point nothing moves, and few turns are enough."""
 _ATTACHMENT = struct.Struct("<qqB16s")
 """What travels beside a message of rmw_zenoh: sequence number, time, length and bytes of its publisher's id."""
 
 
-def opened(settings: dict[str, Any]) -> zenoh.Session:
-    """A session with these settings; it waits until the other end is there."""
-    config = zenoh.Config()
-    for name, value in settings.items():
-        config.insert_json5(name, json.dumps(value))
-    return zenoh.open(config)
-
-
 class Links:
     """What is heard goes to the monitor, and what that wants done to the console, one after another.
 
-    Fields:
-        refused: how many messages were no messages.
-        broke: the link to the robot's Zenoh was lost, if only for a moment.
+    `refused` counts messages that were none; `broke`: the robot's Zenoh was lost, if only for a moment.
     """
 
     def __init__(self, monitor: Monitor, document: dict[str, Any], told: Callable[[str, str], None]) -> None:
         """`told` is told of each hold and pause, and why; it must return at once."""
-        self._monitor, self._document, self._told = monitor, document, told
-        self._lock, self._says = threading.Lock(), dict[str, Any]()
-        self._gid, self._sequence, self.refused = os.urandom(16), itertools.count(1), 0
-        self._kept: list[Any] = []
-        self._robot: zenoh.Session | None = None
-        self._newest, self._looked_ns, self._stirred_ns = dict[str, Any](), 0, 0
-        self.broke = False
+        self._monitor, self._robot, self._rig, self._told = monitor, document["robot"], document["rig"], told
+        self._lock, self._gid, self._sequence = threading.Lock(), os.urandom(16), itertools.count(1)
+        self._sessions, self._kept, self._says = list[zenoh.Session](), list[Any](), dict[str, Any]()
+        self._newest = list[tuple[Any, Callable[[tuple[float, ...], float], None]]]()
+        self._looked_ns = self._stirred_ns = -math.inf
+        self.refused, self.broke = 0, False
 
     def open_robot(self) -> None:
         """Hear and speak on the robot's Zenoh; waits until that is there."""
-        robot = self._document["robot"]
-        session = self._robot = opened(robot["settings"])
+        session = self._opened(self._robot["settings"])
         self._kept.append(session.info.declare_transport_events_listener(self._changed))
-        for token in robot["tokens"]:
+        for token in self._robot["tokens"]:
             self._kept.append(session.liveliness().declare_token(token.replace("{session}", str(session.zid()))))
         drop, first = zenoh.CongestionControl.DROP, zenoh.Priority.REAL_TIME
-        for name, key in robot["says"].items():
-            publisher = session.declare_publisher(key, congestion_control=drop, priority=first, express=True)
-            self._says[name] = publisher
-        hears = {
-            "set_point": self._hear_set_point,
-            "alive": lambda key, data: self._monitor.hear_alive(alive_from(key, data), monotonic_ns()),
-            "pedal": lambda _, data: self._monitor.hear_pedal(cdr.pressed(data), monotonic_ns()),
-            "servo_jp": lambda _key, _data: self._monitor.hear_stranger(monotonic_ns()),
-            "jaw/servo_jp": lambda _key, _data: self._monitor.hear_stranger(monotonic_ns()),
-            "hold": lambda _key, _data: self._monitor.hear_hold(monotonic_ns()),
-        }
-        for name, key in robot["hears"].items():
-            if name in MEASURED:
-                newest = session.declare_subscriber(key, zenoh.handlers.RingChannel(1))
-                self._newest[name] = newest
-                continue
-            heard = self._heard(hears[name])
-            self._kept.append(session.declare_subscriber(key, heard, allowed_origin=zenoh.Locality.REMOTE))
+        for name, key in self._robot["says"].items():
+            self._says[name] = session.declare_publisher(key, congestion_control=drop, priority=first, express=True)
+        measured = {"measured_js": self._monitor.hear_joints, "jaw/measured_js": self._monitor.hear_jaw}
+        for name, key in self._robot["hears"].items():
+            if name in measured:
+                self._newest.append((session.declare_subscriber(key, zenoh.handlers.RingChannel(1)), measured[name]))
+            else:
+                self._hear(session, name, key, allowed_origin=zenoh.Locality.REMOTE)
 
     def open_rig(self) -> None:
-        """Hear heartbeats; waits until the rig is there."""
-        rig = self._document["rig"]
-        session = opened(rig["settings"])
-
-        def hear(key: str, data: bytes, encoding: str) -> None:
-            if key != rig["heartbeat"] or encoding != rig["encoding"]:
-                raise GuardedError("it is no heartbeat of this arm, or was sent under another key")
-            beat = Heartbeat.FromString(data)
-            if len(UnknownFieldSet(beat)):
-                raise GuardedError("it is of a version that this guard does not know")
-            said = beat.arm, beat.arming_id, beat.guard_challenge, beat.pressed
-            self._stirred_ns = monotonic_ns()
-            self._monitor.hear_heartbeat(*said, monotonic_ns())
-
-        def heard(sample: zenoh.Sample) -> None:
-            with self._judging():
-                hear(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding))
-
-        self._kept += [session, session.declare_subscriber(rig["heartbeat"], heard)]
+        """Hear heartbeats; waits until the rig is there, before which nobody stands by."""
+        self._hear(self._opened(self._rig["settings"]), "heartbeat", self._rig["heartbeat"])
 
     def turn(self) -> bool:
         """What follows from time alone; whether something moves, or is about to."""
         with self._judging():
             self._measure()
+        with self._judging():
             self._do(self._monitor.turn(monotonic_ns()))
         return monotonic_ns() - self._stirred_ns < RESTS_NS
 
@@ -115,25 +77,34 @@ class Links:
         """Tell the bridge the next challenge."""
         with self._judging():
             told = self._monitor.challenge(monotonic_ns())
-            self._say("challenge", challenge_bytes(str(self._says["challenge"].key_expr), told))
+            self._says["challenge"].put(challenge_bytes(str(self._says["challenge"].key_expr), told))
 
-    def hold(self, why: str) -> None:
-        """Have the console hold, whatever the monitor makes of it."""
-        with self._lock:
-            self._do([Action(Kind.HOLD, reason=why)])
+    def end(self, why: str) -> None:
+        """Have the console hold where something moves; nothing passes after it, for nothing is judged any more."""
+        self._lock.acquire()
+        if self._monitor.gate is Gate.OPEN:
+            self._hold(why)
+
+    def _opened(self, settings: dict[str, Any]) -> zenoh.Session:
+        """A session with these settings; it waits until the other end is there."""
+        config = zenoh.Config()
+        for name, value in settings.items():
+            config.insert_json5(name, json.dumps(value))
+        self._sessions.append(zenoh.open(config))
+        return self._sessions[-1]
 
     def _changed(self, event: Any) -> None:
         self.broke = self.broke or event.kind == zenoh.SampleKind.DELETE
 
-    def _heard(self, hear: Callable[[str, bytes], list[Action] | None]) -> Callable[[zenoh.Sample], None]:
+    def _hear(self, session: zenoh.Session, name: str, key: str, **how: Any) -> None:
         def heard(sample: zenoh.Sample) -> None:
             with self._judging():
-                self._do(hear(str(sample.key_expr), sample.payload.to_bytes()) or [])
+                self._do(self._judged(name, sample) or [])
 
-        return heard
+        self._kept.append(session.declare_subscriber(key, heard, **how))
 
     @contextlib.contextmanager
-    def _judging(self) -> Any:
+    def _judging(self) -> Generator[None]:
         """One at a time; whatever goes wrong in it, other than bytes that are no message, has the arm held."""
         with self._lock:
             try:
@@ -141,44 +112,55 @@ class Links:
             except (GuardedError, cdr.CdrError, DecodeError):
                 self.refused += 1
             except Exception as error:
-                self._hold_failing(error)
+                self._hold(f"the guard failed: {type(error).__name__}: {error}")
 
-    def _hold_failing(self, error: Exception) -> None:
+    def _hold(self, why: str) -> None:
         """Where not even that can be said, the link is of no use any more."""
         try:
-            self._do([Action(Kind.HOLD, reason=f"the guard failed: {type(error).__name__}: {error}")])
+            self._do(self._monitor.hold(why, monotonic_ns()))
         except zenoh.ZError:
             self.broke = True
 
-    def _hear_set_point(self, key: str, data: bytes) -> list[Action]:
-        said = set_point_from(key, data)
-        self._stirred_ns = monotonic_ns()
-        self._measure()
-        return self._monitor.hear_set_point(said, monotonic_ns())
+    def _judged(self, name: str, sample: zenoh.Sample) -> list[Action] | None:
+        """What the monitor says to a message."""
+        key, data, at_ns = str(sample.key_expr), sample.payload.to_bytes(), monotonic_ns()
+        match name:
+            case "set_point":
+                self._stirred_ns = at_ns
+                self._measure()
+                return self._monitor.hear_set_point(set_point_from(key, data), at_ns)
+            case "heartbeat":
+                beat, own = Heartbeat.FromString(data), (self._rig["heartbeat"], self._rig["encoding"])
+                if (key, str(sample.encoding)) != own or len(UnknownFieldSet(beat)):
+                    raise GuardedError("it is no heartbeat of this arm and version, or was sent under another key")
+                self._stirred_ns = at_ns
+                return self._monitor.hear_heartbeat(beat.arm, beat.arming_id, beat.guard_challenge, beat.pressed, at_ns)
+            case "alive":
+                return self._monitor.hear_alive(alive_from(key, data), at_ns)
+            case "pedal":
+                return self._monitor.hear_pedal(cdr.pressed(data))
+            case "hold":
+                return self._monitor.hear_hold(at_ns)
+            case _:
+                return self._monitor.hear_stranger(at_ns)
 
     def _measure(self) -> None:
         """Read the newest measurements, which came after the last look; as old as that look they count."""
         looked_ns, self._looked_ns = self._looked_ns, monotonic_ns()
-        for name, hear in (("measured_js", self._monitor.hear_joints), ("jaw/measured_js", self._monitor.hear_jaw)):
-            newest = self._newest.get(name)
-            if newest is not None and (sample := newest.try_recv()) is not None:
+        for newest, hear in self._newest:
+            if (sample := newest.try_recv()) is not None:
                 hear(cdr.joint_positions(sample.payload.to_bytes()), looked_ns)
 
     def _do(self, actions: list[Action]) -> None:
         for action in actions:
             if action.kind is Kind.PASS:
-                stamp_ns = now_ns()
-                self._say("servo_jp", cdr.joint_state(action.positions[:-1], stamp_ns))
-                self._say("jaw/servo_jp", cdr.joint_state(action.positions[-1:], stamp_ns))
+                self._say("servo_jp", cdr.joint_state(action.positions[:-1], now_ns()))
+                self._say("jaw/servo_jp", cdr.joint_state(action.positions[-1:], now_ns()))
             else:
-                if action.kind is Kind.HOLD:
-                    self._say("hold", cdr.EMPTY)
-                else:
-                    self._say("state_command", cdr.string_stamped(action.kind.value, now_ns()))
+                pause = "state_command", cdr.string_stamped("pause", now_ns())
+                self._say(*(pause if action.kind is Kind.PAUSE else ("hold", cdr.EMPTY)))
                 self._told(action.kind.value, action.reason)
 
     def _say(self, name: str, payload: bytes) -> None:
-        beside = None
-        if self._document["robot"]["attachments"] and name != "challenge":
-            beside = _ATTACHMENT.pack(next(self._sequence), now_ns(), len(self._gid), self._gid)
-        self._says[name].put(payload, attachment=beside)
+        own = next(self._sequence), now_ns(), len(self._gid), self._gid
+        self._says[name].put(payload, attachment=_ATTACHMENT.pack(*own) if self._robot["attachments"] else None)

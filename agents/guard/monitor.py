@@ -2,44 +2,40 @@
 
 It knows the robot's limits and nothing of plans, poses or cameras. Time is monotonic, in nanoseconds, and passed in.
 
-    SHUT  -- a set point of a new arming that somebody stands by, and that fits -->  OPEN
-    OPEN  -- the bridge says that the motion has ended -->  SHUT
-    OPEN  -- anything else that is not as it should be -->  HELD: the arm is held, and the arming never passes again
-    HELD  -- as SHUT, of another arming -->  OPEN
+    SHUT, HELD  -- a set point of a new arming that somebody stands by, and that fits -->  OPEN
+    OPEN        -- the bridge says that the motion has ended -->  SHUT
+    OPEN        -- anything else that is not as it should be -->  HELD: and the arming never passes again
 
-Who acts asks: it issues a challenge every 20 ms. Whoever stands by echoes it through the bridge, and so does each set
-point; both are as young as the challenge that they echo, whatever queues and clocks do on the way.
+What is heard is as young as the challenge of the monitor's own that it echoes (shared/ros/guarded.py).
 """
 
 import enum
 import math
 import secrets
-from collections import OrderedDict
+from collections import deque
+from functools import partialmethod
 from typing import NamedTuple
 
-from agents.guard.description import (
-    AHEAD_S,
-    BURST_S,
-    FRESH_NS,
-    GONE_NS,
-    GRACE_NS,
-    LINK_NS,
-    PRESENCE_NS,
-    RATE_MARGIN,
-    Description,
-)
+from agents.guard.description import Description
 from shared.ros.guarded import UNKNOWN_MS, Alive, Challenge, Gate, SetPoint
 
-REMEMBERED_NS = 5_000_000_000
-BURNT = 1000
-AGAIN_NS, HOLDS_NS = 50_000_000, 5_000_000_000
-"""How often a hold is said again until the arm stands, and for how long at most."""
-STANDS_NS, STANDS = 100_000_000, 2e-3
-"""An arm none of whose axes (rad, m) has moved by as much for so long stands."""
-OBEYS_NS = 100_000_000
-"""So long after a hold no set point of anybody may come."""
-ROUNDING = 1e-9
-"""By so much (rad, m) a set point at a limit may come out beyond it."""
+PRESENCE_NS = 220_000_000
+"""Somebody stands by for so long after a challenge was issued that they answered."""
+LINK_NS = FRESH_NS = GONE_NS = GRACE_NS = OBEYS_NS = 100_000_000
+"""How old a challenge may be that a set point echoes, and a measurement of the arm; for how long a motion may send
+nothing; how much later than its set points the first answer may come, and somebody else's set point than a hold."""
+SETTLES_NS = PRESENCE_NS + LINK_NS
+"""An arming that is heard of so soon after the start never passes: it may have moved before, and been held."""
+AHEAD_S, BURST_S, RATE_MARGIN = 0.25, 0.06, 1.5
+"""For how long an axis may be ahead of where it is measured, and how much of its travel may come at once, both at its
+greatest speed: a PSM follows within 0.02 s, and the ticks of a busy machine come in bursts."""
+REMEMBERED_NS, BURNT = 5_000_000_000, 1000
+"""For how long challenges are known, and how many armings that never pass again."""
+AGAIN_NS, HOLDS_NS, STANDS, ROUNDING = 50_000_000, 5_000_000_000, 2e-3, 1e-9
+"""How often a hold is said again until no axis (rad, m) has moved by more in between, and for how long at most; by how
+much (rad, m, s) what is at a limit may come out beyond it."""
+LEFT, NEVER_CAME = "nobody stands by any more", "set points come and nobody stands by"
+ALLOWED_NS = {LEFT: PRESENCE_NS, NEVER_CAME: GRACE_NS}
 
 
 class Kind(enum.Enum):
@@ -59,137 +55,149 @@ class Action(NamedTuple):
 
 
 class Monitor:
-    """One arm. Nothing passes before it is opened, and what it does not know speaks against passing."""
+    """One arm; `gate` is what is done with set points now. What it does not know speaks against passing."""
 
     def __init__(self, description: Description) -> None:
         """Shut."""
         self._robot = description
-        self._issued = OrderedDict[int, int]()
-        self._answers, self._round_trip_ms = 0, UNKNOWN_MS
-        self._gate, self._arming, self._reason = Gate.SHUT, "", ""
-        self._burnt = OrderedDict[str, None]()
-        self._present = dict[str, int]()
-        self._unattended = dict[str, int]()
-        self._measured = dict[str, tuple[tuple[float, ...], int]]()
-        self._stood = dict[str, tuple[tuple[float, ...], int]]()
-        self._pedal_down = False
-        self._pedal_anew: bool
-        # of the open gate
-        self._last: tuple[float, ...]
-        self._credit: list[float]
-        self._turns_credit: float
-        self._passed_ns: int
-        self._sequence: int
-        # of the last hold
-        self._held_ns: int
-        self._said_ns: int
-        self._paused: bool
-
-    @property
-    def gate(self) -> Gate:
-        """What is done with set points now."""
-        return self._gate
+        self._issued, self._settled_ns = dict[int, int](), math.inf
+        self._answers, self._round_trip_ms, self._stopped_ns = 0, UNKNOWN_MS, -math.inf
+        self.gate, self._arming, self._reason = Gate.SHUT, "", ""
+        self._burnt, self._present, self._unattended = deque[str](maxlen=BURNT), dict[str, int](), dict[str, int]()
+        self._measured: list[tuple[tuple[float, ...], float]] = [((), -math.inf), ((), -math.inf)]
+        self._pedal_up = self._pedal_counts = False
+        # of the open gate, and of the last hold
+        self._last, self._credit_s, self._there = (), list[float](), ()
+        self._sequence = self._passed_ns = self._held_ns = self._said_ns = self._obeys_ns = math.inf
 
     def challenge(self, now_ns: int) -> Challenge:
         """Issue a challenge; the bridge is told with it how its link and the gate are."""
+        self._settled_ns = min(self._settled_ns, now_ns + SETTLES_NS)
         newest = secrets.randbits(64) or 1
         self._issued[newest] = now_ns
-        while now_ns - next(iter(self._issued.values())) > REMEMBERED_NS:
-            self._issued.popitem(last=False)
-        state = self._gate, self._pedal(now_ns), self._arming, self._reason
+        while now_ns - self._issued[oldest := next(iter(self._issued))] > REMEMBERED_NS:
+            del self._issued[oldest]
+        state = self.gate, self._pedal(now_ns), self._arming, self._reason
         return Challenge(newest, self._answers, self._round_trip_ms, *state)
 
-    def hear_alive(self, alive: Alive, now_ns: int) -> list[Action]:
+    def hear_alive(self, alive: Alive, now_ns: int) -> None:
         """The bridge sends no set point now; where its motion has ended as it should, the gate is shut."""
         self._answered(alive.sequence, alive.challenge, now_ns)
-        if alive.ended and self._gate is Gate.OPEN and alive.arming_id == self._arming:
-            self._burn(Gate.SHUT)
-        return []
+        if alive.ended and self.gate is Gate.OPEN and alive.arming_id == self._arming:
+            self._burnt.append(self._arming)
+            self.gate, self._pedal_counts = Gate.SHUT, False
 
-    def hear_heartbeat(self, arm: str, arming_id: str, guard_challenge: int, pressed: bool, now_ns: int) -> None:
-        """Somebody stood by when this challenge was issued, or later."""
-        issued_ns = self._issued.get(guard_challenge)
+    def hear_heartbeat(self, arm: str, arming: str, challenge: int, pressed: bool, now_ns: int) -> list[Action]:
+        """Somebody stood by when this challenge was issued; where that is told too late, the hold for it says so."""
+        if now_ns <= self._settled_ns:
+            self._burnt.append(arming)
+        issued_ns = self._issued.get(challenge)
         if arm != self._robot.arm or issued_ns is None or not (pressed or self._pedal(now_ns)):
-            return
-        self._present[arming_id] = max(issued_ns, self._present.get(arming_id, issued_ns))
-        while len(self._present) > BURNT:
-            del self._present[next(iter(self._present))]
+            return []
+        self._present[arming] = max(issued_ns, self._present.get(arming, issued_ns))
+        self._present = {each: at_ns for each, at_ns in self._present.items() if now_ns - at_ns <= PRESENCE_NS}
+        age_ns, allowed_ns = now_ns - issued_ns, ALLOWED_NS.get(self._reason, math.inf)
+        if arming != self._arming or age_ns <= allowed_ns:
+            return []
+        took = f"the operator's answers take {1e-6 * age_ns:.0f} ms to the guard"
+        self._reason = f"{took}, and {1e-6 * allowed_ns:.0f} ms are allowed"
+        return [Action(Kind.HOLD, reason=self._reason)]
 
-    def hear_joints(self, joints: tuple[float, ...], now_ns: int) -> None:
-        """The console's measured joints; any other number of them, or one that is not finite, is no measurement."""
-        if len(joints) == len(self._robot.axes) - 1:
-            self._measure("joints", joints, now_ns)
+    def _hear(self, part: int, values: tuple[float, ...], now_ns: float) -> None:
+        """The console's measured joints, or jaw: one finite number for each axis, or it is no measurement."""
+        axes = (self._robot.axes[:-1], self._robot.axes[-1:])[part]
+        if len(values) == len(axes) and all(math.isfinite(value) for value in values):
+            if now_ns - self._measured[part][1] > FRESH_NS:
+                # a release of the pedal may have been lost with the rest
+                self._pedal_up = self._pedal_counts = False
+            self._measured[part] = values, now_ns
 
-    def hear_jaw(self, jaw: tuple[float, ...], now_ns: int) -> None:
-        """The console's measured jaw."""
-        if len(jaw) == 1:
-            self._measure("jaw", jaw, now_ns)
+    hear_joints, hear_jaw = partialmethod(_hear, 0), partialmethod(_hear, 1)
 
-    def hear_pedal(self, pressed: bool, now_ns: int) -> list[Action]:  # noqa: ARG002
-        """The console's operator-present pedal; released, nobody stands by any more."""
-        self._pedal_anew = pressed and (not self._pedal_down or self._pedal_anew)
-        self._pedal_down = pressed
+    def hear_pedal(self, pressed: bool) -> None:
+        """The console's operator-present pedal, which counts once pressed after a release that was heard."""
+        self._pedal_counts = pressed and (self._pedal_up or self._pedal_counts)
+        self._pedal_up = not pressed
         if not pressed and self._robot.pedal:
             self._present.clear()
-        return []
 
     def hear_stranger(self, now_ns: int) -> list[Action]:
         """Somebody else has sent the console a set point."""
-        if self._gate is Gate.OPEN:
-            return self._hold("somebody else sends set points too", now_ns)
-        if self._gate is Gate.HELD and now_ns - self._held_ns > OBEYS_NS and not self._paused:
-            self._paused = True
-            return [Action(Kind.PAUSE, reason="set points come although the arm was held")]
-        return []
+        if self.gate is Gate.OPEN:
+            return self.hold("somebody else sends set points too", now_ns)
+        if self.gate is Gate.SHUT or now_ns <= self._obeys_ns:
+            return []
+        self._obeys_ns = math.inf
+        return [Action(Kind.PAUSE, reason="set points come although the arm was held")]
 
     def hear_hold(self, now_ns: int) -> list[Action]:
-        """Somebody else has had the console hold; it is said again where the arm does not stand soon."""
-        if self._gate is Gate.OPEN:
-            self._hold("somebody said hold", now_ns)
+        """Somebody else has had the console hold; what was armed before, and has not begun yet, never passes."""
+        if self.gate is Gate.OPEN:
+            self.hold("somebody said hold", now_ns)
+        self._burnt.extend(self._present)
+        self._stopped_ns = now_ns
         return []
 
     def hear_set_point(self, said: SetPoint, now_ns: int) -> list[Action]:
         """Pass a set point on, drop it, or hold the arm."""
-        age_ns = self._answered(said.sequence, said.challenge, now_ns)
-        arming = said.arming_id
+        age_ns, arming = self._answered(said.sequence, said.challenge, now_ns), said.arming_id
         if arming in self._burnt or not arming:
             return []
-        if why := self._unfit(said.positions):
-            return self._refuse(arming, why, now_ns)
-        overtaken = False
-        if self._gate is Gate.OPEN:
-            if arming != self._arming:
-                return self._refuse(arming, "set points of another arming come in mid-motion", now_ns)
-            overtaken = said.sequence <= self._sequence
+        if why := self._unfit(said, now_ns):
+            return self.hold(why, now_ns, arming)
+        opens = self.gate is not Gate.OPEN
+        # what opens the gate comes from a bridge that has heard of the last hold
+        overtaken = now_ns - (age_ns or 0) <= self._stopped_ns if opens else said.sequence <= self._sequence
         if age_ns is None or age_ns > LINK_NS or overtaken:
             return []
-        if not self._attended(arming, now_ns):
-            return self._alone(arming, now_ns)
-        if (measured := self._position(now_ns)) is None:
-            return self._refuse(arming, "the arm's joints or jaw are not measured", now_ns)
-        if self._gate is not Gate.OPEN:
-            self._open(arming, measured, now_ns)
-        if why := self._too_far(said.positions, measured, now_ns):
-            return self._refuse(arming, why, now_ns)
+        if holds := self.turn(now_ns):
+            return holds
+        if opens:
+            if not self._attended(arming, now_ns):
+                # the first answer may still be on its way
+                self._unattended = {arming: self._unattended.get(arming, now_ns)}
+                waits = now_ns - self._unattended[arming] <= GRACE_NS
+                return [] if waits else self.hold(NEVER_CAME, now_ns, arming)
+            if not (measured := self._position(now_ns)):
+                return self.hold("the arm's joints or jaw are not measured", now_ns, arming)
+            self.gate, self._arming, self._reason = Gate.OPEN, arming, ""
+            self._last, self._passed_ns, self._credit_s = measured, now_ns, [BURST_S, *[BURST_S] * len(measured)]
+        if why := self._too_far(said.positions, now_ns):
+            return self.hold(why, now_ns)
         self._last, self._sequence, self._passed_ns = said.positions, said.sequence, now_ns
         return [Action(Kind.PASS, said.positions)]
 
     def turn(self, now_ns: int) -> list[Action]:
         """What follows from time alone."""
-        if self._gate is Gate.OPEN:
+        if self.gate is Gate.OPEN:
             if not self._attended(self._arming, now_ns):
-                return self._hold("nobody stands by any more", now_ns)
+                return self.hold(LEFT, now_ns)
             if now_ns - self._passed_ns > GONE_NS:
-                return self._hold("set points have ended, and not as a motion should", now_ns)
-            if self._position(now_ns) is None:
-                return self._hold("the arm's joints or jaw are not measured any more", now_ns)
-        return self._hold_again(now_ns)
+                return self.hold("set points have ended, and not as a motion should", now_ns)
+            if not self._position(now_ns):
+                return self.hold("the arm's joints or jaw are not measured any more", now_ns)
+        if self.gate is not Gate.HELD or now_ns - self._said_ns < AGAIN_NS or now_ns - self._held_ns > HOLDS_NS:
+            return []
+        there = self._position(now_ns)
+        if there and self._there and all(abs(a - b) <= STANDS for a, b in zip(there, self._there, strict=True)):
+            return []
+        self._said_ns, self._there = now_ns, there
+        return [Action(Kind.HOLD, reason=self._reason)]
+
+    def hold(self, why: str, now_ns: int, arming: str = "") -> list[Action]:
+        """Hold; neither the arming that moves nor the one that has asked for this passes again."""
+        if self.gate is not Gate.OPEN:
+            self._arming = arming
+        self._burnt.extend((self._arming, arming))
+        self.gate, self._pedal_counts = Gate.HELD, False
+        self._reason, self._there, self._obeys_ns = why, self._position(now_ns), now_ns + OBEYS_NS
+        self._held_ns = self._said_ns = now_ns
+        return [Action(Kind.HOLD, reason=why)]
 
     def _answered(self, sequence: int, challenge: int, now_ns: int) -> int | None:
         """How old the challenge is that a message of the bridge echoes; None where that is not known."""
-        issued_ns = self._issued.get(challenge)
-        self._answers = sequence
-        if issued_ns is None:
+        issued_ns, self._answers = self._issued.get(challenge), sequence
+        if issued_ns is None or now_ns <= self._settled_ns:
             self._round_trip_ms = UNKNOWN_MS
             return None
         # challenges come seldom at rest: the way takes as long as the next newer one has been out
@@ -197,102 +205,41 @@ class Monitor:
         self._round_trip_ms = 1e-6 * (now_ns - newer_ns)
         return now_ns - issued_ns
 
-    def _measure(self, what: str, values: tuple[float, ...], now_ns: int) -> None:
-        if not all(math.isfinite(value) for value in values):
-            return
-        self._measured[what] = values, now_ns
-        stood, _ = self._stood.setdefault(what, self._measured[what])
-        if any(abs(a - b) > STANDS for a, b in zip(stood, values, strict=True)):
-            self._stood[what] = values, now_ns
-
-    def _position(self, now_ns: int) -> tuple[float, ...] | None:
-        """Where joints and jaw were measured; None where that is too long ago."""
-        joints, jaw = self._measured.get("joints"), self._measured.get("jaw")
-        if joints is None or jaw is None or now_ns - min(joints[1], jaw[1]) > FRESH_NS:
-            return None
-        return joints[0] + jaw[0]
+    def _position(self, now_ns: int) -> tuple[float, ...]:
+        """Where joints and jaw were measured; empty where either is too long ago."""
+        (joints, joints_ns), (jaw, jaw_ns) = self._measured
+        return joints + jaw if now_ns - min(joints_ns, jaw_ns) <= FRESH_NS else ()
 
     def _pedal(self, now_ns: int) -> bool:
         """Whether the pedal counts: pressed anew since the last motion, by a console that is heard."""
-        return self._robot.pedal and self._pedal_down and self._pedal_anew and self._position(now_ns) is not None
+        return self._robot.pedal and self._pedal_counts and bool(self._position(now_ns))
 
     def _attended(self, arming: str, now_ns: int) -> bool:
-        issued_ns = self._present.get(arming)
-        return issued_ns is not None and now_ns - issued_ns <= PRESENCE_NS
+        return now_ns - self._present.get(arming, -math.inf) <= PRESENCE_NS
 
-    def _alone(self, arming: str, now_ns: int) -> list[Action]:
-        """A set point that nobody stands by: at its beginning, the first heartbeat may still be on its way."""
-        if self._gate is Gate.OPEN:
-            return self._refuse(arming, "nobody stands by any more", now_ns)
-        self._unattended = {arming: self._unattended.get(arming, now_ns)}
-        if now_ns - self._unattended[arming] > GRACE_NS:
-            return self._refuse(arming, "set points come and nobody stands by", now_ns)
-        return []
-
-    def _unfit(self, positions: tuple[float, ...]) -> str:
-        axes = self._robot.axes
+    def _unfit(self, said: SetPoint, now_ns: int) -> str:
+        """Why a set point is none for this arm now, wherever that is and whoever stands by."""
+        axes, positions = self._robot.axes, said.positions
+        if now_ns <= self._settled_ns:
+            return "the guard has begun anew while set points came"
         if len(positions) != len(axes):
             return f"a set point has {len(positions)} numbers, where the arm has {len(axes)}"
-        if not all(math.isfinite(position) for position in positions):
-            return "a set point holds a number that is not finite"
         for index, (position, axis) in enumerate(zip(positions, axes, strict=True)):
             if not axis.lower - ROUNDING <= position <= axis.upper + ROUNDING:
                 return f"a set point has axis {index + 1} at {position:.4g}, outside {axis.lower:g} to {axis.upper:g}"
+        if self.gate is Gate.OPEN and said.arming_id != self._arming:
+            return "set points of another arming come in mid-motion"
         return ""
 
-    def _open(self, arming: str, measured: tuple[float, ...], now_ns: int) -> None:
-        self._gate, self._arming, self._reason = Gate.OPEN, arming, ""
-        self._last, self._passed_ns = measured, now_ns
-        self._credit, self._turns_credit = [math.inf] * len(measured), math.inf
-
-    def _too_far(self, positions: tuple[float, ...], measured: tuple[float, ...], now_ns: int) -> str:
+    def _too_far(self, positions: tuple[float, ...], now_ns: int) -> str:
         """Why the arm could not be there: speed times time since the last one, and from where it is measured."""
-        elapsed_s, axes = 1e-9 * (now_ns - self._passed_ns), self._robot.axes
-        rate = RATE_MARGIN * self._robot.rate_hz
-        self._turns_credit = min(self._turns_credit + rate * elapsed_s, max(1.0, rate * BURST_S)) - 1.0
-        if self._turns_credit < 0:
-            return f"more than {rate:g} set points a second come"
-        for index, axis in enumerate(axes):
-            travel, ahead = abs(positions[index] - self._last[index]), abs(positions[index] - measured[index])
-            credit = min(self._credit[index] + axis.speed * elapsed_s, axis.speed * BURST_S)
-            if travel > credit:
+        elapsed_s, rate = 1e-9 * (now_ns - self._passed_ns), RATE_MARGIN * self._robot.rate_hz
+        each = zip(self._robot.axes, positions, self._last, self._position(now_ns), strict=True)
+        for index, (axis, at, last, seen) in enumerate(each):
+            self._credit_s[index] = min(self._credit_s[index] + elapsed_s, BURST_S) - abs(at - last) / axis.speed
+            if self._credit_s[index] < -ROUNDING:
                 return f"a set point has axis {index + 1} go faster than {axis.speed:g} a second"
-            if ahead > axis.speed * AHEAD_S:
-                return f"a set point has axis {index + 1} {ahead:.3g} from where it is measured"
-            self._credit[index] = credit - travel
-        return ""
-
-    def _refuse(self, arming: str, why: str, now_ns: int) -> list[Action]:
-        """Hold; neither the arming that moves nor the one that has asked for this passes again."""
-        self._forget(arming)
-        if self._gate is not Gate.OPEN:
-            self._arming = arming
-        return self._hold(why, now_ns)
-
-    def _hold(self, why: str, now_ns: int) -> list[Action]:
-        self._reason = why
-        self._burn(Gate.HELD)
-        self._held_ns = self._said_ns = now_ns
-        self._paused = False
-        return [Action(Kind.HOLD, reason=why)]
-
-    def _hold_again(self, now_ns: int) -> list[Action]:
-        """Until the arm is measured to stand."""
-        if self._gate is not Gate.HELD or now_ns - self._said_ns < AGAIN_NS or now_ns - self._held_ns > HOLDS_NS:
-            return []
-        moved_ns = max([self._held_ns, *(since_ns for _, since_ns in self._stood.values())])
-        if self._position(now_ns) is not None and now_ns - moved_ns > STANDS_NS:
-            return []
-        self._said_ns = now_ns
-        return [Action(Kind.HOLD, reason=self._reason)]
-
-    def _burn(self, gate: Gate) -> None:
-        """The arming that moved never passes again, and the pedal must be pressed anew."""
-        self._forget(self._arming)
-        self._gate, self._pedal_anew = gate, False
-
-    def _forget(self, arming: str) -> None:
-        self._burnt[arming] = None
-        self._present.pop(arming, None)
-        while len(self._burnt) > BURNT:
-            self._burnt.popitem(last=False)
+            if abs(at - seen) > axis.speed * AHEAD_S:
+                return f"a set point has axis {index + 1} {abs(at - seen):.3g} from where it is measured"
+        self._credit_s[-1] = min(self._credit_s[-1] + elapsed_s, BURST_S) - 1 / rate
+        return f"more than {rate:g} set points a second come" if self._credit_s[-1] < -ROUNDING else ""

@@ -142,7 +142,7 @@ class _Keeper:
         while not self._stopped.is_set() and not self.gave_up:
             status = self._monitored()
             if not self._stopped.is_set() and status != EXIT_LINK_BROKE:
-                self.gave_up = f"the monitor has ended with status {status}; see its log above"
+                self.gave_up = self.gave_up or f"the monitor has ended with status {status}; see its log above"
             elif not self._stopped.is_set():
                 self.fault = "the robot's Zenoh was lost: nothing passes to the console; see that it runs"
                 LOGGER.warning("%s: %s", self._console, self.fault)

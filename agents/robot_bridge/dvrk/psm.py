@@ -42,7 +42,7 @@ MOTIONS = {
 SERVOS = ("servo_jp", "jaw/servo_jp")
 """Which the guard publishes for us."""
 STOPS = {"free": EMPTY, "state_command": STRING_STAMPED}
-"""Whoever sends one of these wants us to stop; that somebody could does not. A hold the guard hears, and tells."""
+"""Whoever sends one of these wants us to stop; that somebody could does not. A hold in mid-motion the guard tells."""
 
 NOW_NS = 2_000_000_000
 STANDS = np.array((2e-3, 2e-3, 2e-4, 2e-3, 2e-3, 2e-3))
@@ -119,6 +119,7 @@ class DvrkPsm:
             Heard(f"{name}/tool_type", STRING, readings.hear_tool, latched=True),
             Heard(TELEOPERATION, BOOL, readings.hear_teleoperation, latched=True),
             Heard(self._guard.keys[CHALLENGE], "", self._guard.hear, plain=True),
+            Heard(f"{name}/hold", EMPTY, self._hear_hold, others_only=True),
             *(
                 Heard(f"{name}/{topic}", ros_type, self._another(topic), others_only=True)
                 for topic, ros_type in (MOTIONS | STOPS).items()
@@ -274,6 +275,12 @@ class DvrkPsm:
         """Note who else could command the arm; the guard does so for us."""
         if f"/{GUARD_NODE}/" not in token:
             self._readings.owner_changed(token, comes)
+
+    def _hear_hold(self, _data: bytes, _at_ns: int) -> None:
+        """Somebody else says hold, the guard perhaps: before the guard lets our arming pass, that ends it as well."""
+        told = self._guard.told
+        if told is None or told.gate is not Gate.OPEN or told.arming_id != self._arming_id:
+            self._halted = True
 
     def _measurement(self, kind: str) -> Heard:
         ros_type = POSE_STAMPED if kind.endswith("_cp") else JOINT_STATE
