@@ -19,7 +19,7 @@ from agents.emulator.oracle import Field, Oracle
 from agents.emulator.wire import Outlet
 from agents.guard import cdr
 from agents.guard.description import Description
-from agents.guard.monitor import Action, Kind, Monitor
+from agents.guard.monitor import SETTLES_NS, Action, Kind, Monitor
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.dvrk.psm import DvrkPsm
 from agents.robot_bridge.limits import MotionLimits
@@ -174,6 +174,8 @@ class WorldGuard:
         self._name, self._topics, self._now_ns, self._judges = arm.upper(), topics, now_ns, judges
         document = {**description_of(arm, DvrkSection(endpoint="tcp/127.0.0.1:1", arm=self._name)), "rate_hz": HZ}
         self.monitor, self.actions = Monitor(Description.from_document(document)), list[Action]()
+        # it has been there for a while
+        self.monitor.challenge(now_ns() - SETTLES_NS - 1)
 
     def hear(self, topic: str, data: bytes) -> None:
         """What bridge and console say."""
