@@ -33,6 +33,17 @@ def read_pair(left: Path, right: Path) -> tuple[UInt8[np.ndarray, "h w 3"], UInt
     return _eight_bit(first, largest), _eight_bit(second, largest)
 
 
+def read_image(path: Path) -> UInt8[np.ndarray, "h w 3"]:
+    """One image, as `read_pair` gives two.
+
+    Raises:
+        ImageFileError: where it cannot be read.
+    """
+    image = _read(path, "the image")
+    _check_smallest(image, f"the image {path}")
+    return _eight_bit(image, int(image.max()))
+
+
 def read_side_by_side(stereo: Path) -> tuple[UInt8[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w 3"]]:
     """The left and the right half of one image, as `read_pair` gives them.
 

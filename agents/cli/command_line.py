@@ -17,10 +17,12 @@ from agents.cli.live.options import LIVE_COMMANDS, Demo, OnRig
 from agents.cli.page.options import PAGE_COMMANDS
 from agents.cli.reconstruct.options import Reconstruct, UsageError
 from agents.cli.recordings.options import RECORDED_COMMANDS, OnRecording
+from agents.cli.segment.options import SEGMENT_COMMANDS, Segment
 
-Options = Reconstruct | Demo | OnRig | OnRecording | Deploy | Scenes | Evaluate | Emulate | HandEye
+Options = Reconstruct | Demo | OnRig | OnRecording | Deploy | Scenes | Evaluate | Emulate | HandEye | Segment
 COMMANDS: dict[str, type[Options]] = {
     "reconstruct": Reconstruct,
+    **SEGMENT_COMMANDS,
     **LIVE_COMMANDS,
     **PAGE_COMMANDS,
     **RECORDED_COMMANDS,

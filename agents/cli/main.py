@@ -47,6 +47,7 @@ def _run(arguments: list[str]) -> int:
     from agents.cli.page.options import Page
     from agents.cli.reconstruct.options import Reconstruct, UsageError
     from agents.cli.recordings.options import RUNNERS, OnRecording
+    from agents.cli.segment.options import Segment
 
     try:
         options = parsed(arguments)
@@ -60,6 +61,10 @@ def _run(arguments: list[str]) -> int:
         from agents.cli.reconstruct.command import run
 
         return run(options)
+    if isinstance(options, Segment):
+        from agents.cli.segment.command import run as segment
+
+        return segment(options)
     if isinstance(options, Demo):
         from agents.cli.demo.command import demo
 

@@ -104,7 +104,7 @@ def check(options: Reconstruct) -> None:
     if options.picture is not None and options.picture.suffix.lower() not in PICTURE_SUFFIXES:
         raise UsageError(f"--picture {options.picture} must end in .png or .jpg")
     for option, path in options.outputs.items():
-        _check_place(option, path)
+        check_place(option, path)
     _check_nothing_is_overwritten(options)
 
 
@@ -150,7 +150,8 @@ def _check_prompt(options: Reconstruct) -> None:
         raise UsageError(str(error)) from None
 
 
-def _check_place(option: str, path: Path) -> None:
+def check_place(option: str, path: Path) -> None:
+    """Raise a UsageError where no file can be written."""
     if path.is_dir():
         raise UsageError(f"{option} {path} is a folder; give the name of a file")
     if not path.parent.is_dir():
@@ -164,7 +165,7 @@ def _check_nothing_is_overwritten(options: Reconstruct) -> None:
     written: list[tuple[str, Path]] = []
     for option, path in options.outputs.items():
         for other_option, other in (*inputs, *written):
-            if _is_one_file(path, other):
+            if is_one_file(path, other):
                 raise UsageError(f"{option} {path} would overwrite {other_option} {other}; give another name")
         written.append((option, path))
 
@@ -182,7 +183,8 @@ def _calibration_files(paths: Iterable[Path]) -> Iterator[Path]:
             yield path
 
 
-def _is_one_file(path: Path, other: Path) -> bool:
+def is_one_file(path: Path, other: Path) -> bool:
+    """Whether both paths lead to the same file, which may not be there yet."""
     if os.path.realpath(path) == os.path.realpath(other):
         return True
     return path.exists() and other.exists() and path.samefile(other)

@@ -1,7 +1,7 @@
 """Variations of crops that keep what is thread: dye and ground; light and colour; lens, motion and sensor.
 
 Crops are (n, 3, s, s), blue first, and their coverage (n, 1, s, s), 0 to 255, on any device: all of a batch is varied
-at once.
+at once. Where coverage is by thread, needle and instrument, (n, 3, s, s), what all of these look like is varied too.
 """
 # pyright: reportMissingImports=false
 # PyTorch is there for training alone (extra `train`), so that the checks of everyone else run without it.
@@ -10,6 +10,13 @@ from collections.abc import Iterator
 
 import torch
 
+from agents.perception.training.appearance import (
+    with_other_ground,
+    with_other_light,
+    with_other_order,
+    with_other_steel,
+    with_other_texture,
+)
 from agents.perception.training.blurring import blurred, moved
 from agents.perception.training.clutter import with_blood, with_glints, with_smoke, with_tools, with_vessels
 from agents.perception.training.drawn_layers import Layers
@@ -19,6 +26,9 @@ from agents.perception.training.lots import Lots
 
 DYED_SHARE, STRANDS_SHARE = 0.6, 0.15
 VESSELS_SHARE, BLOOD_SHARE, GLINTS_SHARE, TOOLS_SHARE, SMOKE_SHARE = 0.3, 0.3, 0.3, 0.25, 0.1
+GROUND_SHARE, TEXTURE_SHARE, STEEL_SHARE, LIGHT_SHARE, ORDER_SHARE = 0.3, 0.3, 0.4, 0.3, 0.15
+"""Of crops whose needles and instruments are known."""
+KINDS = 3
 GREY_SHARE, INTERLACED_SHARE, MOVED_SHARE = 0.05, 0.06, 0.12
 
 
@@ -26,8 +36,10 @@ def varied(
     image: torch.Tensor, coverage: torch.Tensor, lots: Lots, layers: Layers, red_share: float
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """The crops, varied in everything but their size and place."""
+    if coverage.shape[1] == KINDS:
+        image = _with_other_looks(image, coverage, lots)
     for few in _some(image, DYED_SHARE, lots):
-        image[few] = with_other_dye(image[few], coverage[few], red_share, lots)
+        image[few] = with_other_dye(image[few], coverage[few][:, :1], red_share, lots)
     for few in _some(image, STRANDS_SHARE, lots):
         image, coverage = with_second_strand(image, coverage, few, lots)
     for share, clutter, drawn in (
@@ -39,6 +51,8 @@ def varied(
             image[few] = clutter(image[few], coverage[few], drawn, lots)
     for few in _some(image, TOOLS_SHARE, lots):
         image[few], coverage[few] = with_tools(image[few], coverage[few], lots)
+    for few in _some(image, LIGHT_SHARE if coverage.shape[1] == KINDS else 0.0, lots):
+        image[few] = with_other_light(image[few], lots)
     image = _recoloured(image, lots)
     for few in _some(image, SMOKE_SHARE, lots):
         image[few] = with_smoke(image[few], lots)
@@ -48,6 +62,20 @@ def varied(
             # odd rows are seen a little later than even ones
             part[few, :, 1::2] = torch.roll(part[few, :, 1::2], shift, 3)
     return _seen_by_sensor(image, lots), coverage
+
+
+def _with_other_looks(image: torch.Tensor, coverage: torch.Tensor, lots: Lots) -> torch.Tensor:
+    """Ground, its texture, and steel, each in some crops; in a few the channels change places."""
+    for share, change in (
+        (GROUND_SHARE, with_other_ground),
+        (TEXTURE_SHARE, with_other_texture),
+        (STEEL_SHARE, with_other_steel),
+    ):
+        for few in _some(image, share, lots):
+            image[few] = change(image[few], coverage[few], lots)
+    for few in _some(image, ORDER_SHARE, lots):
+        image[few] = with_other_order(image[few], lots)
+    return image
 
 
 def _some(image: torch.Tensor, share: float, lots: Lots) -> Iterator[torch.Tensor]:

@@ -1,7 +1,8 @@
 """What is no thread and looks like it, or hides it: glints, vessels, blood, tool edges, smoke, laid over crops.
 
 Glints, vessels and blood are laid beneath the thread, since they belong to the tissue; tools lie over it and take it
-away, or beneath it as well. Crops are (n, 3, s, s) and their coverage (n, 1, s, s), 0 to 255.
+away, or beneath it as well. Crops are (n, 3, s, s) and their coverage (n, 1, s, s) by thread or (n, 3, s, s) by thread,
+needle and instrument, 0 to 255.
 """
 # pyright: reportMissingImports=false
 # PyTorch is there for training alone (extra `train`), so that the checks of everyone else run without it.
@@ -72,7 +73,7 @@ def with_blood(image: torch.Tensor, coverage: torch.Tensor, layers: torch.Tensor
 
 
 def with_tools(image: torch.Tensor, coverage: torch.Tensor, lots: Lots) -> tuple[torch.Tensor, torch.Tensor]:
-    """Shaded rods, cones and jaws, over everything or beneath the thread; what they cover is thread no longer."""
+    """Shaded rods, cones and jaws, over everything or beneath thread and needle; what they cover shows instrument."""
     count, side = len(image), image.shape[-1]
     tip, turn = lots.uniform(0, side, count, 2), lots.uniform(0, 2 * np.pi, count)
     radius = torch.exp(lots.uniform(np.log(4), np.log(45), count))
@@ -110,10 +111,12 @@ def _with_rod(
     off = (across - lots.uniform(-0.6, 0.6, count, 1, 1)) / lots.uniform(0.03, 0.4, count, 1, 1)
     light = light + lots.uniform(0, 0.8, count, 1, 1) * torch.exp(-0.5 * off**2)
     shadow = blurred(alpha, lots.uniform(2, 10, count), 20) * lots.uniform(0, 0.6, count, 1, 1, 1)
-    bare = 1 - (1 - is_over) * coverage / 255
+    bare = 1 - (1 - is_over) * _fine(coverage) / 255
     ground = image * (1 - shadow * bare)
     mixed = ground + alpha * bare * (torch.clamp(light[:, None] * steel, 0, 255) - ground)
-    return torch.clamp(mixed, 0, 255), coverage * (1 - alpha * is_over)
+    fine, instrument = coverage[:, :2] * (1 - alpha * is_over), coverage[:, 2:]
+    instrument = instrument * (1 - alpha) + 255 * alpha * bare
+    return torch.clamp(mixed, 0, 255), torch.cat((fine, instrument), dim=1)
 
 
 def with_smoke(image: torch.Tensor, lots: Lots) -> torch.Tensor:
@@ -133,6 +136,11 @@ def _laid(layers: torch.Tensor, count: int, side: int, lots: Lots) -> torch.Tens
 
 
 def _bare(coverage: torch.Tensor) -> torch.Tensor:
-    """How much of what is beneath the thread is seen."""
-    around = blurred(coverage, torch.ones(len(coverage), device=coverage.device), 3)
+    """How much of what is beneath everything else is seen, (n, 1, s, s)."""
+    around = blurred(coverage.sum(dim=1, keepdim=True), torch.ones(len(coverage), device=coverage.device), 3)
     return 1 - torch.clamp(around / 128, 0, 1)
+
+
+def _fine(coverage: torch.Tensor) -> torch.Tensor:
+    """By thread and needle together, (n, 1, s, s)."""
+    return torch.clamp(coverage[:, :2].sum(dim=1, keepdim=True), max=255)

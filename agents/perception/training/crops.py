@@ -26,7 +26,12 @@ AVERAGED_SCALE = 0.8
 CORNERS = (0, 0), (0, 1), (1, 0), (1, 1)
 """The pixels around a sample: rows and columns on from the first one."""
 POINTS_KEPT = 512
-"""Places on thread of each view, one of which a crop may have near its middle."""
+"""Places of each kind on each view, one of which a crop may have near its middle."""
+POINT_WEIGHTS = 0.6, 0.2, 0.2
+"""How often such a crop lies on thread, needle and instrument, of those that the view has."""
+BYTES = 8
+"""Of a pixel: its colour, its coverage by thread, needle and instrument, and what makes it a number of 64 bits."""
+COLOURS, KINDS = 3, 3
 
 
 @dataclass(frozen=True)
@@ -34,10 +39,10 @@ class Pixels:
     """All pixels of views, one behind the other on the device, so that crops of views of any size are one step.
 
     Fields:
-        pixels: blue, green, red and coverage, (p, 4), 0 to 255.
+        pixels: blue, green, red, and coverage by thread, needle and instrument, (p, 8), 0 to 255; the last two are 0.
         start, height, width: of each view, the number of its first pixel and its size.
         folders: the first view of each folder, and how many there are.
-        points: places (x, y) on the thread of each view; none, where it has none.
+        points: of each view and kind, places (x, y) on it; none, where it has none.
         sizes: of each view, rows and columns.
     """
 
@@ -46,7 +51,7 @@ class Pixels:
     height: torch.Tensor
     width: torch.Tensor
     folders: list[tuple[int, int]]
-    points: list[Float64[np.ndarray, "k 2"]]
+    points: list[list[Float64[np.ndarray, "k 2"]]]
     sizes: list[tuple[int, int]]
 
 
@@ -58,10 +63,12 @@ def pixels_of(folders: Sequence[Sequence[View]], device: torch.device, seed: int
     sizes = [view.coverage.shape for view in views]
     counts = np.array([height * width for height, width in sizes])
     starts = np.concatenate(([0], np.cumsum(counts)))
-    pixels = torch.empty((int(starts[-1]), 4), dtype=torch.uint8, device=device)
+    pixels = torch.zeros((int(starts[-1]), BYTES), dtype=torch.uint8, device=device)
     for view, begin, after in zip(views, starts[:-1], starts[1:], strict=True):
-        both = np.concatenate((view.image, view.coverage[..., None]), axis=2)
-        pixels[int(begin) : int(after)] = torch.from_numpy(both.reshape(-1, 4)).to(device)
+        for first, values in ((0, view.image), (3, view.coverage), (4, view.needle), (5, view.instrument)):
+            if values is not None:
+                flat = torch.from_numpy(values.reshape(int(after - begin), -1)).to(device)
+                pixels[int(begin) : int(after), first : first + flat.shape[1]] = flat
     ends = np.cumsum([len(folder) for folder in distinct.values()]).tolist()
     first = {number: end - len(folder) for (number, folder), end in zip(distinct.items(), ends, strict=True)}
     of_view = torch.tensor(np.column_stack((starts[:-1], np.array(sizes))), device=device)
@@ -77,15 +84,23 @@ def pixels_of(folders: Sequence[Sequence[View]], device: torch.device, seed: int
     )
 
 
-def _points(view: View, rng: np.random.Generator) -> Float64[np.ndarray, "k 2"]:
-    thread = np.flatnonzero(view.coverage.ravel() > 127)
-    kept = thread if len(thread) <= POINTS_KEPT else rng.choice(thread, POINTS_KEPT, replace=False)
-    row, column = np.divmod(kept, view.coverage.shape[1])
-    return np.column_stack((column, row)).astype(np.float64)
+def _points(view: View, rng: np.random.Generator) -> list[Float64[np.ndarray, "k 2"]]:
+    points: list[Float64[np.ndarray, "k 2"]] = []
+    for covered in (view.coverage, view.needle, view.instrument):
+        on = np.zeros(0, np.int64) if covered is None else np.flatnonzero(covered.ravel() > 127)
+        kept = on if len(on) <= POINTS_KEPT else rng.choice(on, POINTS_KEPT, replace=False)
+        row, column = np.divmod(kept, view.coverage.shape[1])
+        points.append(np.column_stack((column, row)).astype(np.float64))
+    return points
 
 
 def batches(
-    folders: Sequence[Sequence[View]], size: int, seed: int, device: torch.device, red_share: float
+    folders: Sequence[Sequence[View]],
+    size: int,
+    seed: int,
+    device: torch.device,
+    red_share: float,
+    classes: bool = False,
 ) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
     """Varied crops as the network takes them (n, 12, r, c), and the coverage that it should give (n, 4, r, c), 0 to 1.
 
@@ -93,19 +108,36 @@ def batches(
 
     Args:
         red_share: of the colours in which thread is dyed anew.
+        classes: give the shares of ground, thread, needle and instrument, (n, 16, r, c), in place of coverage.
     """
-    pixels, lots, layers = pixels_of(folders, device, seed), lots_of(seed, device), drawn_layers(seed, device)
+    return batches_of(pixels_of(folders, device, seed), size, seed, red_share, classes)
+
+
+def batches_of(
+    pixels: Pixels, size: int, seed: int, red_share: float, classes: bool
+) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
+    """As `batches`, of views whose pixels are on the device already."""
+    device = pixels.pixels.device
+    lots, layers = lots_of(seed, device), drawn_layers(seed, device)
     while True:
-        yield one_batch(pixels, size, lots, layers, red_share)
+        yield one_batch(pixels, size, lots, layers, red_share, classes)
 
 
 def one_batch(
-    pixels: Pixels, size: int, lots: Lots, layers: Layers, red_share: float
+    pixels: Pixels, size: int, lots: Lots, layers: Layers, red_share: float, classes: bool = False
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """So many varied crops and their coverage, as the network takes and gives them."""
+    """So many varied crops and their coverage, or the shares of their classes, as the network takes and gives them."""
     with torch.no_grad():
-        image, coverage = varied(*crops_of(pixels, size, lots), lots, layers, red_share)
-        return phases_of(image / 255), phases_of(coverage / 255)
+        image, coverage = crops_of(pixels, size, lots)
+        image, coverage = varied(image, coverage if classes else coverage[:, :1].contiguous(), lots, layers, red_share)
+        return phases_of(image / 255), phases_of(shares_of(coverage) if classes else coverage / 255)
+
+
+def shares_of(coverage: torch.Tensor) -> torch.Tensor:
+    """The shares of ground, thread, needle and instrument (n, 4, s, s), which are 1 together, from coverage (n, 3)."""
+    shown = coverage / 255
+    total = shown.sum(dim=1, keepdim=True)
+    return torch.cat((torch.clamp(1 - total, min=0), shown / torch.clamp(total, min=1)), dim=1)
 
 
 def phases_of(image: torch.Tensor) -> torch.Tensor:
@@ -116,7 +148,10 @@ def phases_of(image: torch.Tensor) -> torch.Tensor:
 
 
 def crops_of(pixels: Pixels, size: int, lots: Lots) -> tuple[torch.Tensor, torch.Tensor]:
-    """Images (n, 3, s, s) and coverage (n, 1, s, s), 0 to 255; mirrored, turned, and part of them turned freely."""
+    """Images (n, 3, s, s) and coverage by thread, needle, instrument (n, 3, s, s), 0 to 255.
+
+    They are mirrored and turned, and part of them turned freely.
+    """
     rng = lots.rng
     chosen = [
         (folder, int(rng.integers(pixels.folders[folder][1])))
@@ -131,7 +166,7 @@ def crops_of(pixels: Pixels, size: int, lots: Lots) -> tuple[torch.Tensor, torch
     rows = np.stack((np.cos(turn), -np.sin(turn), np.sin(turn), np.cos(turn)), axis=1).reshape(size, 2, 2)
     rows[..., 0] *= rng.choice((-1, 1), size)[:, None]
     towards = rows / scale[:, None, None]
-    seen = torch.empty((size, CROP_PX, CROP_PX, 4), device=lots.device)
+    seen = torch.empty((size, CROP_PX, CROP_PX, COLOURS + KINDS), device=lots.device)
     averaged = scale < AVERAGED_SCALE
     # what is only turned by right angles lies on pixels
     for few, aside, corners in (
@@ -144,12 +179,15 @@ def crops_of(pixels: Pixels, size: int, lots: Lots) -> tuple[torch.Tensor, torch
             at = torch.from_numpy(which).to(lots.device)
             seen[at] = _sampled(pixels, view[which], centre[which], towards[which], aside, corners)
     shown = seen.permute(0, 3, 1, 2)
-    return shown[:, :3].contiguous(), shown[:, 3:].contiguous()
+    return shown[:, :COLOURS].contiguous(), shown[:, COLOURS:].contiguous()
 
 
 def _centre(pixels: Pixels, view: int, rng: np.random.Generator) -> Float64[np.ndarray, "2"]:
-    points, (height, width) = pixels.points[view], pixels.sizes[view]
-    if len(points) and rng.uniform() < ON_THREAD_SHARE:
+    some = [(points, weight) for points, weight in zip(pixels.points[view], POINT_WEIGHTS, strict=True) if len(points)]
+    height, width = pixels.sizes[view]
+    if some and rng.uniform() < ON_THREAD_SHARE:
+        weights = np.array([weight for _, weight in some])
+        points = some[int(rng.choice(len(some), p=weights / weights.sum()))][0]
         return points[int(rng.integers(len(points)))] + rng.uniform(-0.3, 0.3, 2) * CROP_PX
     return rng.uniform(0, 1, 2) * (width, height)
 
@@ -162,7 +200,7 @@ def _sampled(
     aside: Sequence[float],
     corners: Sequence[tuple[int, int]],
 ) -> torch.Tensor:
-    """Crops (n, s, s, 4) by bilinear interpolation, the mean of a sample at each offset in pixels of the crop.
+    """Crops (n, s, s, 6) by bilinear interpolation, the mean of a sample at each offset in pixels of the crop.
 
     Args:
         corners: which of the four pixels around a sample take part (row, column).
@@ -173,8 +211,8 @@ def _sampled(
     middle = torch.from_numpy(centre.astype(np.float32)).to(device)
     move = torch.from_numpy(towards.astype(np.float32)).to(device)
     steps = torch.arange(CROP_PX, device=device) - (CROP_PX - 1) / 2
-    packed = pixels.pixels.view(torch.int32)[:, 0]
-    total = torch.zeros((len(view), CROP_PX, CROP_PX, 4), device=device)
+    packed = pixels.pixels.view(torch.int64)[:, 0]
+    total = torch.zeros((len(view), CROP_PX, CROP_PX, COLOURS + KINDS), device=device)
     for down in aside:
         for right in aside:
             place = torch.stack(torch.meshgrid(steps + down, steps + right, indexing="ij")[::-1], dim=-1)
@@ -189,8 +227,9 @@ def _sampled(
                 across, down_share = (
                     part if far else 1 - part for part, far in zip(share.unbind(-1), (column, row), strict=True)
                 )
-                # all four bytes of a pixel are fetched at once
-                found = packed[start + y * width + x].view(torch.uint8).reshape(total.shape)
+                # all bytes of a pixel are fetched at once
+                found = packed[start + y * width + x].view(torch.uint8).reshape(*total.shape[:3], BYTES)
+                found = found[..., : COLOURS + KINDS]
                 total += (across * down_share)[..., None] * found
     return total / len(aside) ** 2
 

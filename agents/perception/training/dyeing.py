@@ -26,7 +26,11 @@ lamps in places."""
 
 
 def with_other_dye(image: torch.Tensor, coverage: torch.Tensor, red_share: float, lots: Lots) -> torch.Tensor:
-    """Crops (n, 3, s, s) with their thread in another colour; as they were where it would not be seen."""
+    """Crops (n, 3, s, s) with their thread in another colour; as they were where it would not be seen.
+
+    Args:
+        coverage: by thread alone, (n, 1, s, s).
+    """
     count, core = len(image), (coverage >= CORE).float()
     pixels = core.sum(dim=(1, 2, 3))
     ground = spread(image, (coverage == 0).float())
@@ -92,7 +96,11 @@ def _sheen(image: torch.Tensor, lots: Lots) -> torch.Tensor:
 def with_second_strand(
     image: torch.Tensor, coverage: torch.Tensor, which: torch.Tensor, lots: Lots
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """The crops with those numbers get the thread of other crops laid over them, or their own once more beside it."""
+    """The crops with those numbers get the thread of other crops laid over them, or their own once more beside it.
+
+    Args:
+        coverage: by thread, and where known by needle and instrument, (n, k, s, s): the strand hides these.
+    """
     image, coverage = image.clone(), coverage.clone()
     half = len(which) // 2
     beside, crossed = which[:half], which[half:]
@@ -101,7 +109,7 @@ def with_second_strand(
     for at, source, shift, turned in ((beside, beside, aside, False), (crossed, others, [0, 0], True)):
         if len(at) == 0:
             continue
-        given, covered = image[source], coverage[source]
+        given, covered = image[source], coverage[source][:, :1]
         core = (covered >= CORE).float()
         laid = core * given + (1 - core) * spread(given, core)
         alpha = covered / 255 * (core.sum(dim=(1, 2, 3), keepdim=True) >= LEAST_CORE_PX)
@@ -109,7 +117,9 @@ def with_second_strand(
         shadow = blurred(alpha, lots.uniform(1, 4, len(at)), 8) * lots.uniform(0, 0.6, len(at), 1, 1, 1)
         under = image[at] * (1 - torch.roll(shadow, [int(way) for way in lots.rng.integers(-4, 5, 2)], (2, 3)))
         image[at] = under + alpha * (laid - under)
-        coverage[at] = 255 * (1 - (1 - coverage[at] / 255) * (1 - alpha))
+        left = coverage[at] * (1 - alpha)
+        left[:, :1] += 255 * alpha
+        coverage[at] = left
     return image, coverage
 
 

@@ -3,6 +3,10 @@
     python -m agents.perception.training.evaluate --scenes DIR [--segmenter ridge] [--weights OTHER.onnx]
 
 Both the true coverage and the one that was found are followed by the same code, so that only the segmenter counts.
+
+    python -m agents.perception.training.evaluate --classes WEIGHTS.onnx --scenes DIR
+
+compares a network with classes pixel by pixel: thread within 2 px, needle and instrument by what both have in common.
 """
 
 import argparse
@@ -11,16 +15,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64, UInt8
 from scipy.spatial import cKDTree
 
 from agents.perception.centrelines import thread_centrelines
 from agents.perception.segmentation import network
 from agents.perception.segmentation.choice import SEGMENTERS
+from agents.perception.segmentation.classes import Kind, highest, scores_of
 from agents.perception.training.scenes import Coverage, Image, View, views_in
 
 NEAR_PX = 2.0
+Classes = UInt8[np.ndarray, "h w"]
 
 
 @dataclass(frozen=True)
@@ -69,6 +76,80 @@ def line_of(name: str, found: Sequence[Figures]) -> str:
     return f"{name}: recall {recall:.2%}, precision {precision:.2%}, off {rms:.3f} px{false}\n"
 
 
+@dataclass(frozen=True)
+class ClassFigures:
+    """Counts of pixels.
+
+    Fields:
+        true, found: of thread, and of those the ones that have a given one within 2 px.
+        given, right: held to be thread, and of those the ones that have a true one within 2 px.
+        common, either: of each class, the pixels that are it in both, and in truth or answer.
+    """
+
+    true: int
+    found: int
+    given: int
+    right: int
+    common: Int64[np.ndarray, "4"]
+    either: Int64[np.ndarray, "4"]
+
+
+def class_figures(true: Classes, given: Classes) -> ClassFigures:
+    """How far the classes of one view are what they should be."""
+    reach = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * int(NEAR_PX) + 1, 2 * int(NEAR_PX) + 1))
+    true_thread, given_thread = (part == Kind.THREAD for part in (true, given))
+    near_true, near_given = (
+        np.asarray(cv2.dilate(part.view(np.uint8), reach)).view(bool) for part in (true_thread, given_thread)
+    )
+    both = [((true == kind) & (given == kind)).sum() for kind in Kind]
+    either = [((true == kind) | (given == kind)).sum() for kind in Kind]
+    return ClassFigures(
+        true=int(true_thread.sum()),
+        found=int((true_thread & near_given).sum()),
+        given=int(given_thread.sum()),
+        right=int((given_thread & near_true).sum()),
+        common=np.array(both, np.int64),
+        either=np.array(either, np.int64),
+    )
+
+
+def true_classes(view: View) -> Classes:
+    """The class that covers most of each pixel of a view."""
+    none = np.zeros_like(view.coverage)
+    covered = [none if part is None else part for part in (view.coverage, view.needle, view.instrument)]
+    ground = 255 - np.minimum(sum(part.astype(np.int32) for part in covered), 255)
+    return np.stack((ground, *covered), axis=2).argmax(axis=2).astype(np.uint8)
+
+
+def class_line(name: str, found: Sequence[ClassFigures]) -> str:
+    """One line of figures over some views, whose pixels are counted together."""
+    true, given = sum(part.true for part in found), sum(part.given for part in found)
+    recall = sum(part.found for part in found) / max(true, 1)
+    precision = sum(part.right for part in found) / max(given, 1)
+    common, either = (np.sum(part, axis=0) for part in ([f.common for f in found], [f.either for f in found]))
+    shares = common / np.maximum(either, 1)
+    empty = [part for part in found if part.true == 0]
+    false = f"; thread in {sum(part.given > 0 for part in empty)} of {len(empty)} without" if empty else ""
+    return (
+        f"{name}: thread recall {recall:.2%}, precision {precision:.2%} within {NEAR_PX:.0f} px; in common: needle "
+        f"{_share(shares, either, Kind.NEEDLE)}, instrument {_share(shares, either, Kind.INSTRUMENT)}{false}\n"
+    )
+
+
+def _share(shares: np.ndarray, either: np.ndarray, kind: Kind) -> str:
+    return f"{shares[kind]:.2%}" if either[kind] else "none there"
+
+
+def _print_classes(scenes: Sequence[Path], weights: Path, each: bool) -> int:
+    found: list[ClassFigures] = []
+    for view in views_in(scenes, classes=True):
+        found.append(class_figures(true_classes(view), highest(scores_of(view.image, weights))))
+        if each:
+            sys.stdout.write(class_line(view.name, found[-1:]))
+    sys.stdout.write(class_line(f"{weights.name}, {len(found)} views", found))
+    return 0
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line and print the figures; returns the exit status."""
     parser = argparse.ArgumentParser(prog="python -m agents.perception.training.evaluate", description=__doc__)
@@ -76,7 +157,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--segmenter", choices=sorted(SEGMENTERS), default="network")
     parser.add_argument("--weights", type=Path, default=None, help="ONNX in place of the project's own")
     parser.add_argument("--each", action="store_true", help="a line for each view as well")
+    parser.add_argument("--classes", type=Path, default=None, help="ONNX of a network with classes, compared by pixels")
     chosen = parser.parse_args(arguments)
+    if chosen.classes is not None:
+        return _print_classes(chosen.scenes, chosen.classes, chosen.each)
     if chosen.weights is not None:
         network.WEIGHTS = chosen.weights
     found: list[Figures] = []

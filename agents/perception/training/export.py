@@ -9,7 +9,7 @@ from pathlib import Path
 
 import torch
 
-from agents.perception.training.architecture import COLOURS, PHASES, network_of
+from agents.perception.training.architecture import COLOURS, PHASES, ThreadNet, network_of
 
 OPSET = 13
 ROWS, COLUMNS = 272, 480
@@ -17,9 +17,17 @@ ROWS, COLUMNS = 272, 480
 
 
 def export(weights: Path, output: Path) -> None:
-    """Write the network, batch normalisation folded in, a sigmoid at its end: pixels in, coverage of 0 to 1 out."""
-    network = network_of(torch.load(weights, weights_only=True, map_location="cpu"))
-    whole = torch.nn.Sequential(network, torch.nn.Sigmoid()).eval()
+    """Write the network, batch normalisation folded in.
+
+    Pixels go in; coverage of 0 to 1 comes out, by a sigmoid at its end, or the logits of classes as they are.
+    """
+    export_network(network_of(torch.load(weights, weights_only=True, map_location="cpu")), output)
+
+
+def export_network(network: ThreadNet, output: Path) -> None:
+    """As `export`, of a network at hand."""
+    end = torch.nn.Sigmoid() if network.classes == 1 else torch.nn.Identity()
+    whole = torch.nn.Sequential(network, end).eval()
     pixels = torch.zeros(1, PHASES * COLOURS, ROWS, COLUMNS)
     with warnings.catch_warnings():
         # the newer exporter needs further packages, and writes a form that OpenCV reads no better
@@ -31,7 +39,7 @@ def export(weights: Path, output: Path) -> None:
             opset_version=OPSET,
             dynamo=False,
             input_names=["pixels"],
-            output_names=["coverage"],
+            output_names=["coverage" if network.classes == 1 else "logits"],
         )
 
 

@@ -10,11 +10,15 @@ from collections.abc import Callable
 import torch
 from torch.nn import functional
 
+from agents.perception.training.architecture import CLASSES, PHASES
+
 SKELETON_ROUNDS = 2
 """Half the width of what still shrinks to a line, in pixels at half resolution: there it costs an eighth."""
 CLDICE_WEIGHT = 0.4
 THREAD_WEIGHT = 3.0
 """Of pixels with thread in cross-entropy, at full coverage, against one without."""
+RARE_WEIGHT = 3.0
+"""Of pixels with thread or needle in the cross-entropy of classes."""
 Loss = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 
 
@@ -77,3 +81,23 @@ def bce_dice_cldice(logit: torch.Tensor, coverage: torch.Tensor) -> torch.Tensor
 BCE_WEIGHT = 10.0
 """Thread is so rare that the mean of cross-entropy is small."""
 LOSSES: dict[str, Loss] = {"bce": bce, "bce+dice": bce_dice, "bce+dice+cldice": bce_dice_cldice}
+
+
+def class_loss(logit: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
+    """Cross-entropy of all classes and Dice of each but the ground; both (n, 4 classes, r, c), class after class.
+
+    Where a pixel shows several, its least lies where the network gives each its share.
+    """
+    given = functional.log_softmax(_by_class(logit), dim=2)
+    true = _by_class(truth)
+    rare = (true[:, :, 1:3] > 0).any(dim=2)
+    entropy = -(true * given).sum(dim=2) * (1 + (RARE_WEIGHT - 1) * rare)
+    share = given.exp()
+    overlaps = sum(dice(share[:, :, kind], true[:, :, kind]) for kind in range(1, CLASSES))
+    return BCE_WEIGHT * entropy.mean() + overlaps
+
+
+def _by_class(values: torch.Tensor) -> torch.Tensor:
+    """(n, 4, classes, r, c)."""
+    count, _, rows, columns = values.shape
+    return values.reshape(count, PHASES, CLASSES, rows, columns)

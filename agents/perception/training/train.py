@@ -1,25 +1,34 @@
-"""Train the network: python -m agents.perception.training.train --scenes DIR... --output network.pt [--device cuda]."""
+"""Train the network: python -m agents.perception.training.train --scenes DIR... --output network.pt [--device cuda].
+
+With --classes it tells ground, thread, needle and instrument apart; without, thread alone.
+"""
 # pyright: reportMissingImports=false
 # PyTorch is there for training alone (extra `train`), so that the checks of everyone else run without it.
 
 import argparse
+import itertools
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
 
-from agents.perception.training.architecture import CHANNELS, ThreadNet, network_of
-from agents.perception.training.crops import batches
+from agents.perception.training.ahead import made_ahead
+from agents.perception.training.architecture import CHANNELS, ThreadNet
+from agents.perception.training.crops import Pixels, batches_of, pixels_of
 from agents.perception.training.export import export
-from agents.perception.training.losses import LOSSES
-from agents.perception.training.scenes import View, views_in
+from agents.perception.training.losses import LOSSES, class_loss
+from agents.perception.training.scenes import SceneFolderError, View, views_in
+from agents.perception.training.warm_start import WeightsError, first_weights, settle
 from shared.clock import monotonic_s
 
 WARM_UP_SHARE = 0.05
 """Of the whole training, in which the steps grow to the steepest; then they shrink to nothing along a cosine."""
 WEIGHT_DECAY = 1e-4
+SETTLING_BATCHES = 8
+"""Whose means and variances batch normalisation takes up before weights that have none left are trained on."""
 STEPS_BETWEEN_REPORTS = 100
 REPORTS_BETWEEN_CHECKPOINTS = 10
 MOVING_AVERAGE = 0.995
@@ -45,32 +54,46 @@ class Chosen:
     steepest: float = 3e-3
     start: Path | None = None
     batch: int = 8
-    channels: tuple[int, ...] = CHANNELS
+    channels: Sequence[int] | None = None
     red_share: float = 0.5
     device: str = "cpu"
+    classes: bool = False
+    threads: int = 1
+    half: bool = True
 
 
 def train(folders: list[list[View]], chosen: Chosen) -> ThreadNet:
     """The network after so many steps or minutes on varied crops of the views in folders; checkpoints on the way."""
+    return train_on(pixels_of(folders, torch.device(chosen.device), chosen.seed), chosen)
+
+
+def train_on(views: Pixels, chosen: Chosen) -> ThreadNet:
+    """As `train`, on views whose pixels lie on the device already."""
     torch.manual_seed(chosen.seed)
-    torch.set_num_threads(1)
+    torch.set_num_threads(max(1, chosen.threads - 1))
     device = torch.device(chosen.device)
-    network = _first_weights(chosen).to(device, memory_format=torch.channels_last)
+    network = first_weights(chosen.start, chosen.channels, chosen.classes)
+    network = network.to(device, memory_format=torch.channels_last)
+    loss_of, losses = class_loss if chosen.classes else LOSSES[chosen.loss], []
+    drawn = batches_of(views, chosen.batch, chosen.seed, chosen.red_share, chosen.classes)
+    if chosen.threads > 1:
+        drawn = made_ahead(drawn)
+    if chosen.start is not None and chosen.start.suffix == ".onnx":
+        settle(network, (pixels for pixels, _ in itertools.islice(drawn, SETTLING_BATCHES)))
     kept = torch.optim.swa_utils.AveragedModel(
         network, multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(MOVING_AVERAGE), use_buffers=True
     )
     optimiser = torch.optim.AdamW(network.parameters(), lr=chosen.steepest, weight_decay=WEIGHT_DECAY)
-    loss_of, losses = LOSSES[chosen.loss], []
-    began = monotonic_s()
-    for step, (pixels, coverage) in enumerate(batches(folders, chosen.batch, chosen.seed, device, chosen.red_share)):
+    began, step = monotonic_s(), 0
+    for step, (pixels, truth) in enumerate(drawn):
         done = max(step / chosen.steps, (monotonic_s() - began) / 60 / chosen.minutes)
         if done >= 1:
             break
         for group in optimiser.param_groups:
             group["lr"] = chosen.steepest * step_share(done)
-        with torch.autocast(device.type, torch.bfloat16):
+        with torch.autocast(device.type, torch.bfloat16, enabled=chosen.half):
             logit = network(pixels.contiguous(memory_format=torch.channels_last))
-        loss = loss_of(logit.float(), coverage)
+        loss = loss_of(logit.float(), truth)
         optimiser.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
@@ -78,21 +101,28 @@ def train(folders: list[list[View]], chosen: Chosen) -> ThreadNet:
         kept.update_parameters(network)
         losses.append(loss.detach())
         if (step + 1) % STEPS_BETWEEN_REPORTS == 0:
-            # asking for one loss waits for the device
-            sys.stdout.write(f"{step + 1} steps, {done:.0%}: loss {float(torch.stack(losses).mean()):.4f}\n")
-            sys.stdout.flush()
+            _report(step + 1, done, losses, began)
             losses.clear()
         if (step + 1) % (STEPS_BETWEEN_REPORTS * REPORTS_BETWEEN_CHECKPOINTS) == 0:
             torch.save(kept.module.state_dict(), chosen.output)
+    if losses:
+        _report(step, 1.0, losses, began)
     trained = kept.module.to("cpu")
     torch.save(trained.state_dict(), chosen.output)
     return trained
 
 
-def _first_weights(chosen: Chosen) -> ThreadNet:
-    if chosen.start is None:
-        return ThreadNet(chosen.channels)
-    return network_of(torch.load(chosen.start, weights_only=True, map_location="cpu"))
+def _report(steps: int, done: float, losses: list[torch.Tensor], began: float) -> None:
+    """A line of what was learned lately; asking for a loss waits for the device."""
+    mean, rate = float(torch.stack(losses).mean()), steps / (monotonic_s() - began)
+    sys.stdout.write(f"{steps} steps, {done:.0%}: loss {mean:.4f}, {rate:.2f} steps a second\n")
+    sys.stdout.flush()
+
+
+def _pixels_in(chosen: Chosen) -> Pixels:
+    """The views of all folders, which nothing else holds once they lie on the device."""
+    views = {folder: views_in([folder], chosen.classes) for folder in chosen.scenes}
+    return pixels_of([views[folder] for folder in chosen.scenes], torch.device(chosen.device), chosen.seed)
 
 
 def step_share(done: float) -> float:
@@ -118,14 +148,29 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--minutes", type=float, default=1e9, help="after which training ends in any case")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--steepest", type=float, default=3e-3, help="the greatest step size")
-    parser.add_argument("--start", type=Path, default=None, help="weights to go on from")
+    parser.add_argument("--start", type=Path, default=None, help="weights to go on from, .pt or .onnx")
     parser.add_argument("--batch", type=int, default=8, help="crops of one step")
-    parser.add_argument("--channels", type=int, nargs=4, default=CHANNELS, help="of new weights, at each resolution")
+    parser.add_argument(
+        "--channels",
+        type=int,
+        nargs=4,
+        default=None,
+        help=f"at each resolution; {CHANNELS} if new, else what the start has, which may be widened",
+    )
     parser.add_argument("--red-share", type=float, default=0.5, help="of the colours in which thread is dyed anew")
     parser.add_argument("--device", default="cpu", help="as PyTorch names it, such as cuda; none is needed")
+    parser.add_argument(
+        "--classes", action="store_true", help="tell ground, thread, needle and instrument apart; --loss is not asked"
+    )
+    parser.add_argument("--threads", type=int, default=1, help="of the processor; one of several makes crops ahead")
+    parser.add_argument(
+        "--float32", dest="half", action="store_false", help="convolutions take 32-bit floats, not 16-bit ones"
+    )
     chosen = Chosen(**vars(parser.parse_args(arguments)))
-    views = {folder: views_in([folder]) for folder in chosen.scenes}
-    train([views[folder] for folder in chosen.scenes], chosen)
+    try:
+        train_on(_pixels_in(chosen), chosen)
+    except (SceneFolderError, WeightsError) as error:
+        parser.error(str(error))
     export(chosen.output, chosen.output.with_suffix(".onnx"))
     return 0
 

@@ -439,11 +439,15 @@ def test_a_hold_before_the_first_set_point_ends_the_arming_that_was_heard_of():
 
 def test_what_a_bridge_sent_before_it_heard_of_a_hold_opens_nothing():
     rig = Rig()
-    rig.tick(4)
+    rig.wait(0)
     asked = rig.asked
-    rig.monitor.hear_hold(rig.now_ns)
-    rig.beat("a")
-    assert rig.say(arming="a", challenge=asked) == []
+    for after_ns in (0, 5 * MS, 5 * MS):
+        rig.now_ns += after_ns
+        rig.monitor.hear_hold(rig.now_ns)
+        rig.now_ns += after_ns
+        arming = f"a{after_ns}-{rig.now_ns}"
+        rig.beat(arming)
+        assert rig.say(arming=arming, challenge=asked) == []
     assert passed(rig.moves(arming="a").actions), "one that echoes a challenge of since does"
 
 

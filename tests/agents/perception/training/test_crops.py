@@ -7,9 +7,21 @@ import pytest
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 
 from agents.perception.segmentation.network import phases, together  # noqa: E402
+from agents.perception.training.appearance import (  # noqa: E402
+    with_other_ground,
+    with_other_steel,
+    with_other_texture,
+)
 from agents.perception.training.augmentation import varied  # noqa: E402
 from agents.perception.training.clutter import with_blood, with_glints, with_tools, with_vessels  # noqa: E402
-from agents.perception.training.crops import CROP_PX, batches, crops_of, phases_of, pixels_of  # noqa: E402
+from agents.perception.training.crops import (  # noqa: E402
+    CROP_PX,
+    batches,
+    crops_of,
+    phases_of,
+    pixels_of,
+    shares_of,
+)
 from agents.perception.training.drawn_layers import drawn_layers  # noqa: E402
 from agents.perception.training.dyeing import with_other_dye, with_second_strand  # noqa: E402
 from agents.perception.training.jpeg import compressed  # noqa: E402
@@ -89,6 +101,26 @@ def test_a_crop_that_is_not_resampled_is_exact():
     exact, covered = image[at_integers], coverage[at_integers]
     assert (exact.amin(dim=(0, 2, 3)).numpy() == darkest).all()
     assert covered.max() == 255
+    assert coverage.shape == (40, 3, CROP_PX, CROP_PX)
+    assert not coverage[:, 1:].any()
+
+
+def test_needle_and_instrument_are_cropped_with_the_image():
+    needle, instrument = (np.zeros((400, 400), np.uint8) for _ in range(2))
+    cv2.circle(needle, (250, 100), 30, 255, -1)
+    instrument[300:] = 255
+    # each is shown by a channel of the image itself
+    view = View("drawn_left", np.dstack((needle, instrument, needle)), np.zeros_like(needle), needle, instrument)
+    image, coverage = crops_of(pixels_of([[view]], CPU, 1), 30, lots_of(1, CPU))
+    torch.testing.assert_close(coverage[:, 1:], image[:, :2])
+    assert (coverage[:, 1:].amax(dim=(2, 3)) == 255).any(dim=0).all()
+
+
+def test_shares_of_classes_are_one_together():
+    coverage = torch.tensor([[0, 0, 0], [255, 0, 0], [51, 102, 0], [200, 0, 200]]).float()[..., None, None]
+    shares = shares_of(coverage)[..., 0, 0]
+    expected = torch.tensor([[1, 0, 0, 0], [0, 1, 0, 0], [0.4, 0.2, 0.4, 0], [0, 0.5, 0, 0.5]])
+    torch.testing.assert_close(shares, expected)
 
 
 @pytest.mark.parametrize(
@@ -109,6 +141,52 @@ def test_a_tool_over_a_thread_takes_its_coverage_and_one_beneath_leaves_it():
     whole = (left == coverages).flatten(1).all(dim=1)
     assert whole.any()
     assert not whole.all()
+
+
+def classes_drawn(count):
+    images, threads = crops(count)
+    needle, instrument = torch.zeros_like(threads), torch.zeros_like(threads)
+    needle[:, :, 20:24], instrument[..., :60] = 255, 255
+    needle[..., :60] = 0
+    left = 1 - torch.maximum(needle, instrument) / 255
+    return images, torch.cat((threads * left, needle, instrument), dim=1)
+
+
+def test_a_tool_adds_to_what_is_instrument_and_hides_thread_and_needle_where_it_is_over_them():
+    images, coverages = classes_drawn(12)
+    _, left = with_tools(images, coverages, lots_of(1, CPU))
+    assert (left[:, :2] <= coverages[:, :2]).all()
+    assert (left[:, 2] >= coverages[:, 2] - 0.01).all()
+    assert (left[:, 2] > coverages[:, 2] + 200).any()
+    assert (left[:, :2] < coverages[:, :2] - 200).flatten(2).any(dim=2).any(dim=0).all()
+    assert left.sum(dim=1).max() < 255.5
+
+
+def test_a_second_strand_hides_needle_and_instrument():
+    images, coverages = classes_drawn(4)
+    _, covered = with_second_strand(images, coverages, torch.arange(4), lots_of(2, CPU))
+    assert covered.sum(dim=1).max() < 255.5
+    assert (covered[:, 1:] <= coverages[:, 1:]).all()
+    assert (covered[:, 2] < coverages[:, 2] - 200).any()
+
+
+def test_other_grounds_and_textures_leave_thread_needle_and_instrument_as_they_are():
+    images, coverages = classes_drawn(6)
+    shown = (coverages.sum(dim=1, keepdim=True) >= 255).expand_as(images)
+    for change in (with_other_ground, with_other_texture):
+        changed = change(images, coverages, lots_of(2, CPU))
+        torch.testing.assert_close(changed[shown], images[shown])
+        apart = (changed - images).abs()[~shown]
+        assert apart.mean() > 3
+        assert 0 <= changed.min() <= changed.max() <= 255
+
+
+def test_other_steel_leaves_ground_and_thread_as_they_are():
+    images, coverages = classes_drawn(6)
+    changed = with_other_steel(images, coverages, lots_of(2, CPU))
+    steel = (coverages[:, 1:].sum(dim=1, keepdim=True) > 0).expand_as(images)
+    torch.testing.assert_close(changed[~steel], images[~steel])
+    assert (changed - images).abs()[steel].mean() > 3
 
 
 def test_compression_keeps_what_it_shows():
@@ -133,3 +211,16 @@ def test_batches_follow_from_their_seed():
     for one, same, differing in zip(first, again, other, strict=True):
         torch.testing.assert_close(one, same)
         assert not torch.equal(one, differing)
+
+
+def test_batches_of_classes_give_shares_of_each_pixel():
+    image, coverage = drawn(300)
+    instrument = np.zeros_like(coverage)
+    instrument[200:] = 255
+    view = View("drawn_left", image, np.where(instrument > 0, np.uint8(0), coverage), None, instrument)
+    pixels, shares = next(batches([[view]], 6, 1, CPU, 0.5, classes=True))
+    assert pixels.shape == (6, 12, CROP_PX // 2, CROP_PX // 2)
+    assert shares.shape == (6, 16, CROP_PX // 2, CROP_PX // 2)
+    of_classes = shares.reshape(6, 4, 4, CROP_PX // 2, CROP_PX // 2)
+    torch.testing.assert_close(of_classes.sum(dim=2), torch.ones(6, 4, CROP_PX // 2, CROP_PX // 2))
+    assert (of_classes.amax(dim=(0, 1, 3, 4)) > 0.9).tolist() == [True, True, False, True]

@@ -34,3 +34,22 @@ def test_written_scenes_are_read_again_with_their_masks(tmp_path):
 def test_a_folder_without_scenes_says_what_is_missing(tmp_path):
     with pytest.raises(SceneFolderError, match="render scenes into it"):
         views_in([tmp_path])
+
+
+def test_masks_of_needles_and_instruments_are_read_where_they_are_asked_for(tmp_path):
+    shape = (40, 60)
+    for name in ("lab_1", "traced_1", "light_1"):
+        cv2.imwrite(str(tmp_path / f"{name}_left.png"), np.zeros((*shape, 3), np.uint8))
+        cv2.imwrite(str(tmp_path / f"{name}_mask_left.png"), np.full(shape, 1, np.uint8))
+    cv2.imwrite(str(tmp_path / "lab_1_needle_left.png"), np.full(shape, 2, np.uint8))
+    cv2.imwrite(str(tmp_path / "lab_1_instrument_left.png"), np.full(shape, 3, np.uint8))
+    cv2.imwrite(str(tmp_path / "traced_1_tool_left.png"), np.full(shape, 4, np.uint8))
+    lab, light, traced = views_in([tmp_path], classes=True)
+    assert [most(part) for part in (lab.coverage, lab.needle, lab.instrument)] == [1, 2, 3]
+    assert [most(part) for part in (light.needle, light.instrument)] == [None, None]
+    assert [most(part) for part in (traced.needle, traced.instrument)] == [None, 4]
+    assert all(view.needle is None and view.instrument is None for view in views_in([tmp_path]))
+
+
+def most(coverage):
+    return None if coverage is None else coverage.max()

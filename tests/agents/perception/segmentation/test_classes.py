@@ -1,0 +1,76 @@
+"""The network with classes: shapes, sizes, and that four pixels of a square come back to their places."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import cv2
+import numpy as np
+import pytest
+
+from agents.perception.segmentation.classes import WEIGHTS, Kind, classes_of, highest, scores_of, together
+from agents.perception.segmentation.network import phases
+
+LARGEST_WEIGHTS = 3_000_000
+
+
+def picture(height, width):
+    image = np.random.default_rng(2).normal((90, 110, 190), 6, (height, width, 3))
+    return np.clip(cv2.GaussianBlur(image, (0, 0), 1.5), 0, 255).astype(np.uint8)
+
+
+def with_thread(height, width):
+    image = picture(height, width)
+    cv2.line(image, (width // 8, height // 5), (7 * width // 8, 4 * height // 5), (120, 40, 30), 5, cv2.LINE_AA)
+    return image
+
+
+@pytest.mark.parametrize("size", [(1, 1), (17, 3), (16, 16), (45, 80), (270, 481), (40, 1281), (60, 2000)])
+def test_every_pixel_of_an_image_of_any_size_has_scores_that_are_one_together(size):
+    scores = scores_of(picture(*size))
+    assert scores.shape == (*size, len(Kind))
+    assert scores.dtype == np.float32
+    np.testing.assert_allclose(scores.sum(axis=2), 1, atol=1e-4)
+    assert scores.min() >= 0
+
+
+def test_classes_are_those_that_score_highest():
+    image = with_thread(270, 480)
+    classes = classes_of(image)
+    assert classes.dtype == np.uint8
+    np.testing.assert_array_equal(classes, highest(scores_of(image)))
+    assert set(np.unique(classes)) <= set(Kind)
+
+
+def test_a_dark_thread_on_a_plain_ground_is_thread():
+    drawn = np.zeros((270, 480), np.uint8)
+    cv2.line(drawn, (60, 54), (420, 216), 255, 5)
+    thread = classes_of(with_thread(270, 480)) == Kind.THREAD
+    assert thread[drawn > 0].mean() > 0.5
+    assert thread[cv2.dilate(drawn, np.ones((9, 9))) == 0].mean() < 0.01
+
+
+def test_a_wide_image_is_looked_at_in_the_usual_width():
+    image = with_thread(720, 1920)
+    small = cv2.resize(image, (960, 360), interpolation=cv2.INTER_AREA)
+    np.testing.assert_array_equal(scores_of(image), cv2.resize(scores_of(small), (1920, 720)))
+
+
+def test_the_four_pixels_of_a_square_come_back_to_their_places():
+    image = picture(32, 48)
+    apart = phases(image).reshape(4, 3, 16, 24)
+    np.testing.assert_allclose(255 * together(apart), image, atol=1e-3)
+
+
+def test_a_part_of_an_image_in_memory_gives_what_a_copy_gives():
+    part = with_thread(300, 500)[10:282, 20:500]
+    np.testing.assert_array_equal(classes_of(part), classes_of(part.copy()))
+
+
+def test_images_are_looked_at_at_once_as_one_after_the_other():
+    images = [with_thread(96, 96 + 16 * k) for k in range(6)]
+    with ThreadPoolExecutor(3) as threads:
+        for at_once, image in zip(threads.map(scores_of, images), images, strict=True):
+            np.testing.assert_array_equal(at_once, scores_of(image))
+
+
+def test_the_weights_are_few():
+    assert WEIGHTS.stat().st_size <= LARGEST_WEIGHTS
