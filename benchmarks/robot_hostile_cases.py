@@ -188,11 +188,14 @@ def _two_owners(world: World, rng: np.random.Generator) -> Found:
             world.guard.do(world.guard.monitor.hear_stranger(world.now_ns))
     else:
         world.topics.owner_changed("somebody", True)
-    world.oracle.stranger(world.now_ns * 1e-9)
+    # who held an arm that stood owns nothing: it may be armed anew
+    was_held = topic == "hold" and not late
+    if not was_held:
+        world.oracle.stranger(world.now_ns * 1e-9)
     world.tick(30)
     if not late:
         accepted = set_out(world, any_plan(world, rng), 20)
-    return Found("two owners", accepted and (world.moves or not late), False)
+    return Found("two owners", accepted and (world.moves or not late), was_held)
 
 
 def _moved_before(world: World, rng: np.random.Generator) -> Found:

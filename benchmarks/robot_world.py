@@ -311,7 +311,8 @@ class World:
     def answer(self) -> Heartbeat:
         """The heartbeat of a person who presses the button and has seen the newest challenge."""
         of = (self.state.challenge_ns, self.state.guard_challenge) if self.state else (0, 0)
-        return Heartbeat(self._arm, self.plan_id, self.now_ns, self.arming_id, *of, pressed=True)
+        # whom nobody armed says so of an arming that is none
+        return Heartbeat(self._arm, self.plan_id, self.now_ns, self.arming_id or "none", *of, pressed=True)
 
     def beat(self, heartbeat: Heartbeat) -> None:
         """Have bridge and guard hear a heartbeat, whatever it says."""

@@ -29,6 +29,7 @@ from schemas.messages import (
     FrameStamp,
     Outcome,
     Prompt,
+    RightEye,
     Status,
     StereoCalibration,
     StereoFrame,
@@ -38,6 +39,7 @@ from schemas.topics import CALIBRATION, FRAMES, MAIN, OBSERVATIONS, PROMPT, SURF
 from shared.aside import begun
 from shared.calibration.identity import calibration_id
 from shared.images import ImageDataError, decode_image
+from shared.right_eye import right_eye_of, whole_rows
 from shared.runtime.agent import Command, Input, Later, Output, Received, Reply, Tick
 from shared.runtime.settable import OneOf, settable
 
@@ -152,45 +154,47 @@ class Perception:
             thread = decode_image(observed.mask_left) > 0
             if observed.occluders is not None:
                 thread |= instruments_in(decode_image(observed.occluders.left), thread.shape)
-            images = pair.moved_up(observed.rows_moved_up).images
-            yield Later(SURFACE, begun(tissue_surface, frame.stamp, pair.camera, *images, thread))
+            images = pair.in_line(right_eye_of(observed)).images
+            yield Later(
+                SURFACE, begun(tissue_surface, frame.stamp, pair.camera, *images, thread, observed.disparities_px)
+            )
 
     def _observe(self, stamp: FrameStamp, pair: RectifiedPair, is_busy: bool) -> ThreadObservations:
         last = self._last
         if last is None:
-            return self._looked(stamp, pair, 0)
-        near = pair.moved_up(last.rows_moved_up)
+            return self._looked(stamp, pair, None)
+        near = pair.in_line(right_eye_of(last))
         if not self.config.matching and last.segmenter in FOLLOWED:
             is_watched = may_be_watched(self.config.segmenter, last)
             due = is_watched and not is_busy
             beside = begun_beside(stamp.sequence, pair, last, self.config.segmenter) if due else Beside()
             if (followed := self._followed(stamp, near, last, is_watched)) is not None:
                 observed = watched(followed.observed, followed.coverage, last, beside)
-                return observed or self._looked(stamp, pair, last.rows_moved_up)
+                return observed or self._looked(stamp, pair, right_eye_of(last))
         looked = look_near(near.images, last, stamp.sequence, self._segmenters)
-        observed = self._observed(stamp, near, looked) if looked else None
+        observed = self._observed(stamp, near, looked, right_eye_of(last), last.disparities_px) if looked else None
         if observed is None or observed.status is not Status.OK:
-            return self._looked(stamp, pair, last.rows_moved_up)
+            return self._looked(stamp, pair, right_eye_of(last))
         return replace(
             observed,
-            rows_moved_up=last.rows_moved_up,
             frames_since_look=last.frames_since_look + 1,
             judged_sequence=last.judged_sequence,
             glanced_sequence=last.glanced_sequence,
             glances=last.glances,
         )
 
-    def _looked(self, stamp: FrameStamp, pair: RectifiedPair, rows: int) -> ThreadObservations:
-        """What the whole of both images shows, the pair judged and its rows put in line anew."""
-        whole = judge_whole(pair.images, pair.raw, rows, pair.camera)
+    def _looked(self, stamp: FrameStamp, pair: RectifiedPair, before: RightEye | None) -> ThreadObservations:
+        """What the whole of both images shows, the pair judged and its right eye put in line anew."""
+        whole = judge_whole(pair.images, pair.raw, pair.camera, before)
         everything = look_everywhere(
             whole.images, stamp.sequence, self.config.segmenter, self._prompt_px, self._segmenters
         )
         if everything.judgements is None:
             everything = replace(everything, judgements=whole.alignment)
-        observed = self._observed(stamp, replace(pair, images=whole.images), everything)
+        seen = whole.right_eye, whole.disparities_px
+        observed = self._observed(stamp, replace(pair, images=whole.images), everything, *seen)
         judgements = (*whole.offset, *observed.judgements, *whole.pictures)
-        return replace(observed, judgements=judgements, rows_moved_up=whole.rows_moved_up)
+        return replace(observed, judgements=judgements)
 
     def _followed(
         self, stamp: FrameStamp, pair: RectifiedPair, last: ThreadObservations, is_watched: bool
@@ -202,7 +206,14 @@ class Perception:
             return None
         return replace(found, observed=told_apart(found.observed, pair.images, found.coverage, last))
 
-    def _observed(self, stamp: FrameStamp, pair: RectifiedPair, looked: Looked) -> ThreadObservations:
+    def _observed(
+        self,
+        stamp: FrameStamp,
+        pair: RectifiedPair,
+        looked: Looked,
+        right_eye: RightEye | None,
+        disparities_px: Float64[np.ndarray, "2"] | None,
+    ) -> ThreadObservations:
         observed = observe(
             stamp,
             pair.camera,
@@ -211,9 +222,12 @@ class Perception:
             looked.segmenter,
             looked.judgements,
             matching=self.config.matching,
+            disparities_px=disparities_px,
         )
         observed = replace(
             observed,
+            right_eye=right_eye,
+            rows_moved_up=whole_rows(right_eye),
             looked_sequence=looked.looked_sequence,
             is_bright=looked.is_bright,
             prompt_px=looked.prompt_px,

@@ -15,8 +15,9 @@ from agents.perception.rectified_pair import RectifiedPair
 from agents.perception.search import FRAMES_BETWEEN_LOOKS, Pair, judged_in
 from agents.perception.segmentation.choice import suitable_segmenter
 from agents.perception.segmenter_names import NETWORK
-from schemas.messages import ThreadObservations
+from schemas.messages import RightEye, ThreadObservations
 from shared.aside import begun
+from shared.right_eye import right_eye_of
 
 
 @dataclass(frozen=True)
@@ -38,23 +39,23 @@ def begun_beside(sequence: int, pair: RectifiedPair, last: ThreadObservations, s
 
     Args:
         sequence: of the frame.
-        pair: rectified, its rows not yet moved.
+        pair: rectified, its right eye not yet in line.
         last: the observations before it.
         segmenter: as configured; None where it is chosen.
     """
     # not in two frames in turn, however few of the camera's are seen
     if sequence - judged_in(last) >= FRAMES_BETWEEN_LOOKS and judged_in(last) != last.stamp.sequence:
-        return Beside(whole=begun(_judged, pair, last.rows_moved_up, segmenter))
+        return Beside(whole=begun(_judged, pair, right_eye_of(last), segmenter))
     parts = tuple(parts_due(sequence, last))
     if not parts:
         return Beside()
-    return Beside(parts=parts, scores=begun(_scores, pair.moved_up(last.rows_moved_up).images, parts))
+    return Beside(parts=parts, scores=begun(_scores, pair.in_line(right_eye_of(last)).images, parts))
 
 
-def _judged(pair: RectifiedPair, rows_moved_up: int, segmenter: str | None) -> Whole | None:
+def _judged(pair: RectifiedPair, right_eye: RightEye | None, segmenter: str | None) -> Whole | None:
     if segmenter is None and suitable_segmenter(pair.images[0]) != NETWORK:
         return None
-    return judge_whole(pair.images, pair.raw, rows_moved_up, pair.camera)
+    return judge_whole(pair.images, pair.raw, pair.camera, right_eye)
 
 
 def _scores(images: Pair, parts: tuple[Part, ...]) -> list[Score]:

@@ -55,9 +55,16 @@ def scaled_px(size_px: int, image_width: int) -> int:
     return max(1, round(size_px * image_width / REFERENCE_WIDTH_PX))
 
 
-def largest_disparity_px(image_width: int) -> int:
-    """The largest disparity that is looked at in images of this width; the smallest is 1."""
-    return scaled_px(MAXIMUM_DISPARITY_PX, image_width)
+def searched_disparities(image_width: int, shown_px: Float64[np.ndarray, "2"] | None = None) -> range:
+    """The disparities that are looked at: what the pair shows, where it shows more than the paper looks at.
+
+    Args:
+        shown_px: least and greatest disparity of thread, as far as the pair shows them.
+    """
+    usual = range(1, scaled_px(MAXIMUM_DISPARITY_PX, image_width) + 1)
+    if shown_px is None or not usual.stop < shown_px[1] <= image_width:
+        return usual
+    return range(max(1, int(shown_px[0])), int(shown_px[1]) + 1)
 
 
 def match_pixels(
@@ -65,14 +72,20 @@ def match_pixels(
     right: UInt8[np.ndarray, "h w 3"],
     segmented_left: Bool[np.ndarray, "h w"],
     segmented_right: Bool[np.ndarray, "h w"],
+    searched: range | None = None,
 ) -> Matches:
-    """Match every segmented left pixel along its row of the right image, both images rectified."""
+    """Match every segmented left pixel along its row of the right image, both images rectified.
+
+    Args:
+        searched: disparities that are looked at; those of the paper, if it is None.
+    """
+    searched = searched or searched_disparities(left.shape[1])
     radius = scaled_px(WINDOW_RADIUS_PX, left.shape[1])
     parts: list[Matches] = []
-    for first, last in _row_blocks(segmented_left):
+    for first, last in _row_blocks(segmented_left, len(searched)):
         top = max(0, first - radius)
         rows = slice(top, last + radius)
-        part = _match_block(left[rows], right[rows], segmented_left[rows], segmented_right[rows])
+        part = _match_block(left[rows], right[rows], segmented_left[rows], segmented_right[rows], searched)
         own = (part.pixel[:, 0] >= first - top) & (part.pixel[:, 0] < last - top)
         parts.append(Matches(part.pixel[own] + (top, 0), part.disparity_px[own], part.cost[own]))
     if not parts:
@@ -84,10 +97,10 @@ def match_pixels(
     )
 
 
-def _row_blocks(segmented: Bool[np.ndarray, "h w"]) -> list[tuple[int, int]]:
+def _row_blocks(segmented: Bool[np.ndarray, "h w"], disparities: int) -> list[tuple[int, int]]:
     """First and one-past-last rows of blocks that together hold all segmented pixels, none of them too large."""
     ends = np.cumsum(segmented.sum(axis=1))
-    most = max(1, LARGEST_BLOCK // largest_disparity_px(segmented.shape[1]))
+    most = max(1, LARGEST_BLOCK // disparities)
     blocks: list[tuple[int, int]] = []
     first = int(np.searchsorted(ends, 0, side="right"))
     while first < len(ends):
@@ -99,7 +112,7 @@ def _row_blocks(segmented: Bool[np.ndarray, "h w"]) -> list[tuple[int, int]]:
 
 
 def _match_block(
-    left: np.ndarray, right: np.ndarray, segmented_left: np.ndarray, segmented_right: np.ndarray
+    left: np.ndarray, right: np.ndarray, segmented_left: np.ndarray, segmented_right: np.ndarray, searched: range
 ) -> Matches:
     """All candidates of all segmented left pixels at once: arrays of pixels by disparities.
 
@@ -107,38 +120,43 @@ def _match_block(
     those few are a sparse matrix of what they save, which the window sums.
     """
     width = left.shape[1]
-    radius, disparities = scaled_px(WINDOW_RADIUS_PX, width), largest_disparity_px(width)
+    radius = scaled_px(WINDOW_RADIUS_PX, width)
     pixel = np.argwhere(segmented_left)
-    onto_thread = _seen_by(pixel, segmented_right, disparities)
+    onto_thread = _seen_by(pixel, segmented_right, searched)
     window = neighbour_matrix(pixel, left.shape[:2], radius)
     in_window = np.diff(window.indptr).astype(np.float64)[:, None]
 
     square = (2 * radius + 1,) * 2
-    candidate = _seen_by(pixel, cv2.dilate(segmented_right.astype(np.uint8), np.ones(square, np.uint8)), disparities)
-    cost = (window @ -_saved(left, right, pixel, onto_thread)).toarray()
+    candidate = _seen_by(pixel, cv2.dilate(segmented_right.astype(np.uint8), np.ones(square, np.uint8)), searched)
+    cost = (window @ -_saved(left, right, pixel, onto_thread, searched.start)).toarray()
     cost += SQUARE_OFF_THREAD * in_window
     np.copyto(cost, GREATEST_SQUARE * in_window, where=~candidate)
-    return _best_two(pixel, cost, onto_thread, scaled_px(PEAK_HALF_WIDTH_PX, width))
+    return _best_two(pixel, cost, onto_thread, searched.start, scaled_px(PEAK_HALF_WIDTH_PX, width))
 
 
-def _seen_by(pixel: Int64[np.ndarray, "p 2"], mask: np.ndarray, disparities: int) -> Bool[np.ndarray, "p d"]:
-    """The mask of the right image at each left pixel's column less 1, 2, …; nothing left of the image."""
+def _seen_by(pixel: Int64[np.ndarray, "p 2"], mask: np.ndarray, searched: range) -> Bool[np.ndarray, "p d"]:
+    """The mask of the right image at each left pixel's column less each disparity; nothing left of the image."""
     height, width = mask.shape
-    padded = np.zeros((height, width + disparities), bool)
-    padded[:, disparities:] = mask
-    # the window that ends before the pixel, walked from its end
-    before = np.lib.stride_tricks.sliding_window_view(padded, disparities, axis=1)[:, :, ::-1]
+    most = searched.stop - 1
+    padded = np.zeros((height, width + most), bool)
+    padded[:, most:] = mask
+    # the window that ends before the pixel by the least disparity, walked from its end
+    before = np.lib.stride_tricks.sliding_window_view(padded, len(searched), axis=1)[:, :, ::-1]
     return before[pixel[:, 0], pixel[:, 1]]
 
 
 def _saved(
-    left: np.ndarray, right: np.ndarray, pixel: Int64[np.ndarray, "p 2"], onto_thread: Bool[np.ndarray, "p d"]
+    left: np.ndarray,
+    right: np.ndarray,
+    pixel: Int64[np.ndarray, "p 2"],
+    onto_thread: Bool[np.ndarray, "p d"],
+    least: int,
 ) -> scipy.sparse.csr_matrix:
     """By how much each pixel's own square at each disparity is less than off the thread: (p, d)."""
     disparities, count = onto_thread.shape[1], np.count_nonzero(onto_thread, axis=1)
     index = np.flatnonzero(onto_thread).astype(np.int32) % disparities
     place = (pixel[:, 0] * left.shape[1] + pixel[:, 1]).astype(np.int32)
-    at_right = np.repeat(place - 1, count) - index
+    at_right = np.repeat(place - least, count) - index
     square = np.zeros(len(index), np.int32)
     for channel in range(3):
         seen_left = np.repeat(left[:, :, channel].ravel()[place].astype(np.int32), count)
@@ -159,7 +177,11 @@ def is_inlier(cost: Float64[np.ndarray, "p 2"]) -> Bool[np.ndarray, "p"]:
 
 
 def _best_two(
-    pixel: np.ndarray, cost: Float64[np.ndarray, "p d"], segmented: Bool[np.ndarray, "p d"], peak_half_width: int
+    pixel: np.ndarray,
+    cost: Float64[np.ndarray, "p d"],
+    segmented: Bool[np.ndarray, "p d"],
+    least: int,
+    peak_half_width: int,
 ) -> Matches:
     """The best segmented candidate of each pixel, and the least cost outside its peak."""
     has_match = segmented.any(axis=1)
@@ -172,4 +194,4 @@ def _best_two(
     second = cost.min(axis=1, initial=np.inf)
     greatest = np.maximum(first, GREATEST_SQUARE * count)
     both = np.column_stack((first, np.where(np.isfinite(second), second, greatest)))
-    return Matches(pixel, (best + 1).astype(np.float64), both)
+    return Matches(pixel, (best + least).astype(np.float64), both)

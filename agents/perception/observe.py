@@ -15,7 +15,7 @@ from agents.perception.clustering import Clusters, cluster_and_order
 from agents.perception.following.follow import trail_of
 from agents.perception.judge import correspondence_of_masks, correspondence_of_texture, judge
 from agents.perception.mask_image import mask_image
-from agents.perception.matching import Matches, is_inlier, largest_disparity_px, match_pixels
+from agents.perception.matching import Matches, is_inlier, match_pixels, searched_disparities
 from agents.perception.needles import Stretch, needle_map, without_needles
 from agents.perception.occluders import occluders_in
 from agents.perception.reflexes import without_reflexes
@@ -85,15 +85,17 @@ def observe(
     segmenter: str,
     judged: tuple[Judgement, ...] | None = None,
     matching: bool = True,
+    disparities_px: Float64[np.ndarray, "2"] | None = None,
 ) -> ThreadObservations:
     """The centrelines of a rectified pair, and the matches of its segmented pixels, clustered and ordered.
 
     Args:
         judged: judgements of this pair or of an earlier one of these cameras; the pair is judged if it is None.
         matching: whether pixels are matched; only method `paper` needs it, and it takes the longest.
+        disparities_px: least and greatest of thread, as far as the pair shows them.
     """
     segmented = coverage_left >= SEGMENTED_COVERAGE, coverage_right >= SEGMENTED_COVERAGE
-    found = _find(camera, left, right, *segmented, segmenter, judged, matching)
+    found = _find(camera, left, right, *segmented, segmenter, judged, matching, disparities_px)
     points, half_size, gaps = _observations(camera, found.clusters)
     usable = not any(judgement.severity is Severity.FAULT for judgement in found.judgements) and not _unusable_masks(
         *segmented, segmenter
@@ -106,7 +108,8 @@ def observe(
     )
     lines = of_left.lines.centrelines, of_right.lines.centrelines
     if segmenter in ON_TISSUE:
-        lines = drawn_together((left, right), ended_together((left, right), of_left.lines, of_right.lines))
+        lines = ended_together((left, right), of_left.lines, of_right.lines, disparities_px)
+        lines = drawn_together((left, right), lines, shown_px=disparities_px)
     return ThreadObservations(
         stamp=stamp,
         camera=camera,
@@ -127,6 +130,7 @@ def observe(
         trail_left=of_left.trail(left, lines[0]),
         trail_right=of_right.trail(right, lines[1]),
         segmented_sequence=stamp.sequence,
+        disparities_px=disparities_px,
         occluders=needle_map(left.shape, of_left.needles, of_right.needles, stamp.sequence),
     )
 
@@ -140,6 +144,7 @@ def _find(
     segmenter: str,
     judged: tuple[Judgement, ...] | None,
     matching: bool,
+    disparities_px: Float64[np.ndarray, "2"] | None,
 ) -> _Found:
     """Stage by stage, as far as it goes."""
     if reason := _unusable_masks(segmented_left, segmented_right, segmenter):
@@ -156,10 +161,11 @@ def _find(
 
     if not matching:
         return _Found("", judgements)
-    matches = match_pixels(left, right, segmented_left, segmented_right)
+    searched = searched_disparities(camera.image_width, disparities_px)
+    matches = match_pixels(left, right, segmented_left, segmented_right, searched)
     inlier = is_inlier(matches.cost)
     matched = _Matched(np.column_stack((matches.pixel[:, ::-1], matches.disparity_px)), matches.cost, inlier)
-    if reason := _unusable_matches(inlier, camera):
+    if reason := _unusable_matches(inlier, searched):
         return _Found(reason, judgements, matched)
     clusters = _clusters(segmented_left, matches, inlier)
     if len(clusters.disparity_px) < LEAST_OBSERVATIONS:
@@ -171,12 +177,12 @@ def _find(
     return _Found("", judgements, matched, clusters)
 
 
-def _unusable_matches(inlier: Bool[np.ndarray, "p"], camera: RectifiedStereo) -> str:
+def _unusable_matches(inlier: Bool[np.ndarray, "p"], searched: range) -> str:
     """Why these matches tell nothing, empty where some do."""
     if len(inlier) == 0:
         return (
             "no segmented pixel of the left image has a segmented one in its row of the right image at a disparity of "
-            f"1 to {largest_disparity_px(camera.image_width)} px; check that both show the same thread, rectified"
+            f"{searched.start} to {searched.stop - 1} px; check that both show the same thread, rectified"
         )
     if not inlier.any():
         return f"none of {len(inlier)} matched pixels has a match that is clearly better than its second best"

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 
-from agents.perception.judging.rows import moved_up
 from agents.perception.rectification import Rectification, rectify_image
-from schemas.messages import Image, RectifiedStereo, StereoFrame
+from schemas.messages import Image, RectifiedStereo, RightEye, StereoFrame
 from shared.both_eyes import of_both
 from shared.images import decode_image
+from shared.right_eye import in_line
 
 Pair = tuple[UInt8[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w 3"]]
 
@@ -28,9 +28,9 @@ class RectifiedPair:
     images: Pair
     raw: Pair
 
-    def moved_up(self, rows: int) -> "RectifiedPair":
-        """The pair with the right image's rows moved."""
-        return replace(self, images=(self.images[0], moved_up(self.images[1], rows))) if rows else self
+    def in_line(self, eye: RightEye | None) -> "RectifiedPair":
+        """The pair with a right eye put in line that is out of it by so much."""
+        return replace(self, images=(self.images[0], in_line(self.images[1], eye, self.camera))) if eye else self
 
 
 def decoded_pair(frame: StereoFrame) -> Pair:

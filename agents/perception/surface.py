@@ -21,7 +21,6 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 
-from agents.perception.matching import largest_disparity_px
 from schemas.messages import FrameStamp, RectifiedStereo, TissueSurface
 from shared.camera import depth_of_disparity
 
@@ -52,6 +51,8 @@ MOST_APART_PX = 1.0
 """Two matchings that differ by more have found different places."""
 MOST_UNLIKE_PX = 2.0
 """From a cell to that of its neighbours that is most like it."""
+USUAL_REACH_SHARE = 0.125
+"""Of the width: the largest disparity that is looked at where the pair does not show how large they are."""
 MARGIN_PX = 4
 """Of disparities beyond those that the images show at half their size."""
 SLOPE_CAP = 31
@@ -93,14 +94,18 @@ def tissue_surface(
     left: UInt8[np.ndarray, "h w 3"],
     right: UInt8[np.ndarray, "h w 3"],
     thread: Bool[np.ndarray, "h w"],
+    shown_px: Float64[np.ndarray, "2"] | None = None,
 ) -> TissueSurface:
     """The depth of the tissue that both eyes see, in cells of the left image.
 
     Args:
         thread: pixels of the left image that are thread, or an instrument.
+        shown_px: least and greatest disparity, as far as the pair shows them.
     """
     share = min(1.0, WIDTH_PX / camera.image_width)
-    disparity = _disparity(_reduced(left, share), _reduced(right, share), share * camera.image_width)
+    disparity = _disparity(
+        _reduced(left, share), _reduced(right, share), _reach_px(shown_px, camera.image_width) * share
+    )
     height, width = disparity.shape
     own = cv2.resize(thread.astype(np.uint8), (width, height), interpolation=cv2.INTER_AREA)
     near_thread = cv2.dilate((own > 0).astype(np.uint8), np.ones((2 * THREAD_MARGIN_PX + 1,) * 2, np.uint8)) > 0
@@ -115,16 +120,21 @@ def tissue_surface(
     return TissueSurface(stamp, camera, u, v, depth, valid, deviation)
 
 
+def _reach_px(shown_px: Float64[np.ndarray, "2"] | None, width: int) -> float:
+    """The largest disparity that is looked at."""
+    return USUAL_REACH_SHARE * width if shown_px is None else float(shown_px[1])
+
+
 def _reduced(image: UInt8[np.ndarray, "h w 3"], share: float) -> UInt8[np.ndarray, "h w"]:
     size = max(1, round(image.shape[1] * share)), max(1, round(image.shape[0] * share))
     return cv2.resize(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), size, interpolation=cv2.INTER_AREA)
 
 
 def _disparity(
-    left: UInt8[np.ndarray, "h w"], right: UInt8[np.ndarray, "h w"], width: float
+    left: UInt8[np.ndarray, "h w"], right: UInt8[np.ndarray, "h w"], reach_px: float
 ) -> Float64[np.ndarray, "h w"]:
     """Disparity of each pixel in this image's own pixels, the mean of both matchings; NaN where it is not known."""
-    reach = _sixteens(largest_disparity_px(round(width)))
+    reach = _sixteens(round(reach_px))
     if left.shape[1] <= reach + WINDOW_PX:
         return np.full(left.shape, np.nan)
     least, count = _range(left, right, reach)

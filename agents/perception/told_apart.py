@@ -16,6 +16,7 @@ from agents.perception.following.stacked import trail_without
 from agents.perception.occluders import map_image, occluders_in, with_needles
 from agents.perception.segmenter_names import NETWORK, RIDGE
 from schemas.messages import Centrelines, Image, ImageEncoding, Occluders, Status, ThreadObservations
+from shared.disparities import NEARER, disparities_of, endoscope_disparity_px
 from shared.images import decode_image
 
 Pair = tuple[UInt8[np.ndarray, "h w *c"], UInt8[np.ndarray, "h w *c"]]
@@ -33,6 +34,11 @@ IN_ONE_EYE = (
     "what looks like thread is in one image alone, and no row of the other one has its counterpart; if it is thread, "
     "turn the camera until both eyes see it"
 )
+NO_ENDOSCOPE = (
+    "the eyes are farther apart, for how far they look, than those of any endoscope, and what looks like thread there "
+    "is often none: point at the thread by a prompt, or give masks"
+)
+"""On real pads that a rig shows, half of what the network takes for thread is slits and instruments."""
 OVER_WIDTHS = 2.0
 """Of the thread: its coverage is no wider."""
 SCORE_WIDTH_PX = 240
@@ -61,21 +67,23 @@ def told_apart(
     whole = observed.looked_sequence == observed.stamp.sequence
     lines = observed.centrelines_left, observed.centrelines_right
     # who points at a thread, or draws it, says what is thread
-    common = None
+    common, reach = None, disparities_of(observed)
     if whole and observed.prompt_px is None and observed.segmenter in (NETWORK, RIDGE):
         width = observed.camera.image_width
-        standing = without_printed(images, lines, PRINTED_SHARE * width, observed.camera.fx_px, score)
+        if reach.most_px > NEARER * endoscope_disparity_px(width):
+            return _none(observed, NO_ENDOSCOPE, score)
+        standing = without_printed(images, lines, PRINTED_SHARE * width, observed.camera.fx_px, score, reach)
         if len(lines[0].piece) and not len(standing[0].piece):
             return _none(observed, ALL_PRINTED, score)
         observed, lines = _with_lines(observed, standing), standing
-        common = in_common(lines, width)
+        common = in_common(lines, reach)
         if common is None or common.length_px < LEAST_IN_COMMON_PX:
             return _none(observed, IN_ONE_EYE, score)
     before = () if last is None else last.candidates
     occluders = _occluders(observed, images, coverage, whole, last)
     if common is not None:
         maps = None if occluders is None else (decode_image(occluders.left), decode_image(occluders.right))
-        lines = seen_by_both(lines, common, maps, observed.camera.image_width)
+        lines = seen_by_both(lines, common, maps, observed.camera.image_width, reach.about_px)
         observed = _with_lines(observed, lines)
     # one thread alone is told from no other by what may hide it
     is_asked = occluders is not None and (whole or len(before) > 1)
@@ -84,7 +92,7 @@ def told_apart(
         meant_px = before[0].left_px if before else None
         if observed.prompt_px is not None:
             meant_px = observed.prompt_px[None]
-        found = candidates_in(images, lines, meant_px, score, of_left)
+        found = candidates_in(images, lines, meant_px, score, of_left, reach)
     else:
         found = candidates_followed(before, lines, of_left, observed.camera.image_width)
     return replace(

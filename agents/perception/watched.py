@@ -15,6 +15,7 @@ from agents.perception.judging.whole import Whole
 from agents.perception.search import Pair, near_is_enough
 from agents.perception.segmenter_names import NETWORK
 from schemas.messages import Judgement, Severity, ThreadObservations
+from shared.right_eye import right_eye_of
 
 FRAMES_BETWEEN_LOOKS_WATCHED = 600
 """Of the camera: about 20 seconds, after which the whole is looked at though glances have shown nothing."""
@@ -56,14 +57,16 @@ def watched(
 
 
 def _judged(observed: ThreadObservations, whole: Whole | None, coverage: Pair) -> ThreadObservations | None:
-    """The observations with the pair judged anew; None where its rows are to be moved otherwise, or it is of no use."""
-    if whole is None or whole.rows_moved_up != observed.rows_moved_up:
+    """The observations with the pair judged anew; None where its right eye lies otherwise, or it is of no use."""
+    if whole is None or whole.right_eye != right_eye_of(observed):
         return None
     alignment = _by_thread(whole.images, coverage) if whole.alignment is None else whole.alignment
     judgements = (*whole.offset, *alignment, *whole.pictures)
     if any(judgement.severity is Severity.FAULT for judgement in judgements):
         return None
-    return replace(observed, judgements=judgements, judged_sequence=observed.stamp.sequence)
+    shown = observed.disparities_px if whole.disparities_px is None else whole.disparities_px
+    sequence = observed.stamp.sequence
+    return replace(observed, judgements=judgements, judged_sequence=sequence, disparities_px=shown)
 
 
 def _by_thread(images: Pair, coverage: Pair) -> tuple[Judgement, ...]:

@@ -15,6 +15,7 @@ from agents.viewer.entity import HALF_PX, Entity
 from agents.viewer.image_pane import decoded_mask, enlarged
 from agents.viewer.report import finding_text, findings, threads_text
 from schemas.messages import Image, ImageEncoding, Status, ThreadCandidate, ThreadObservations
+from shared.right_eye import IN_LINE, Affine, moved
 
 SIDES = ("left", "right")
 OPACITY = 60
@@ -24,35 +25,33 @@ THICK = 1.2
 """In pixels of the screen; the reconstructed curve lies over the candidate that it is."""
 
 
-def candidate_entities(observations: ThreadObservations, rows_down: int = 0) -> list[Entity]:
+def candidate_entities(observations: ThreadObservations, to_shown: Affine = IN_LINE) -> list[Entity]:
     """Every candidate as a line of its own colour, with its number and score in the left image.
 
     Args:
-        rows_down: by how many those of the right image are drawn further down.
+        to_shown: from pixels of the right image in line to those of the one that is shown.
     """
     listed = observations.candidates
-    down = np.array([0.0, rows_down])
     return [
         ("world/left/candidates", [_lines([c.left_px for c in listed])]),
         ("world/left/candidates/scores", [_scores(listed)]),
-        ("world/right/candidates", [_lines([c.right_px + down for c in listed])]),
+        ("world/right/candidates", [_lines([moved(c.right_px, to_shown) for c in listed])]),
     ]
 
 
-def occluder_entities(observations: ThreadObservations, rows_down: int = 0) -> list[Entity]:
+def occluder_entities(observations: ThreadObservations, to_shown: Affine = IN_LINE) -> list[Entity]:
     """Regions that may hide thread, over each image; empty where there are none.
 
     Args:
-        rows_down: by how many those of the right image are drawn further down.
+        to_shown: from pixels of the right image in line to those of the one that is shown.
     """
     found = observations.occluders
-    maps = (None, 0), (None, 0)
+    maps = (None, IN_LINE), (None, IN_LINE)
     if found is not None:
-        maps = (found.left, 0), (found.right, rows_down)
+        maps = (found.left, IN_LINE), (found.right, to_shown)
     size = observations.camera.image_width, observations.camera.image_height
     return [
-        (f"world/{side}/occluders", [_regions(image, size, down)])
-        for side, (image, down) in zip(SIDES, maps, strict=True)
+        (f"world/{side}/occluders", [_regions(image, size, by)]) for side, (image, by) in zip(SIDES, maps, strict=True)
     ]
 
 
@@ -97,7 +96,7 @@ def _scores(listed: tuple[ThreadCandidate, ...]) -> rr.Points2D:
     )
 
 
-def _regions(image: Image | None, size: tuple[int, int], down: int) -> rr.AsComponents:
+def _regions(image: Image | None, size: tuple[int, int], by: Affine) -> rr.AsComponents:
     kinds = None if image is None else decoded_mask(image)
     # a camera may claim any size
     if kinds is None or not kinds.any() or size[0] * size[1] > LARGEST_PIXELS:
@@ -105,7 +104,6 @@ def _regions(image: Image | None, size: tuple[int, int], down: int) -> rr.AsComp
     drawn = np.zeros((size[1], size[0], 4), np.uint8)
     for kind, rgb in colours.OCCLUDERS.items():
         drawn[enlarged(kinds == kind.value, size)] = (*rgb[::-1], OPACITY)
-    if down:
-        move = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, down]])
-        drawn = np.asarray(cv2.warpAffine(drawn, move, size, flags=cv2.INTER_NEAREST))
+    if by is not IN_LINE:
+        drawn = np.asarray(cv2.warpAffine(drawn, by, size, flags=cv2.INTER_NEAREST))
     return rr.EncodedImage(contents=cv2.imencode(".png", drawn)[1].tobytes(), media_type="image/png", draw_order=1.0)

@@ -72,6 +72,7 @@ from schemas.messages import (
     LogRecord,
     RectifiedStereo,
     ReplayClock,
+    RightEye,
     RobotState,
     SimulatorState,
     Status,
@@ -84,6 +85,7 @@ from schemas.messages import (
     ToolCorrection,
 )
 from shared.camera import is_rectified
+from shared.right_eye import IN_LINE, from_in_line, right_eye_of
 
 MOST_MATCHED = 1500
 """Matched pixels shown of one frame; there are tens of thousands."""
@@ -97,13 +99,14 @@ class LiveMapping:
 
     def __init__(self) -> None:
         self._rectified = False
-        self._shown: tuple[RectifiedStereo, int, float] | None = None
+        self._shown: tuple[RectifiedStereo, RightEye | None, float] | None = None
         self._before: dict[str, object] = {}
         self._made: dict[str, tuple[object, list[Entity]]] = {}
         self._observed: deque[ThreadObservations] = deque(maxlen=OBSERVED_MOST)
         self._considered, self._dataflow = Considered(), Dataflow()
         self._matched = self._tracked = False
-        self._rows_down = 0
+        self._right_eye: RightEye | None = None
+        self._to_shown = IN_LINE
 
     @property
     def matched(self) -> bool:
@@ -163,8 +166,9 @@ class LiveMapping:
 
     def _observations(self, observations: ThreadObservations) -> list[Entity]:
         self._observed.append(observations)
-        # the right image is shown as the camera gives it, and was moved before anything was found in it
-        self._rows_down = observations.rows_moved_up if self._rectified else 0
+        # the right image is shown as the camera gives it, and was put in line before anything was found in it
+        self._right_eye = right_eye_of(observations) if self._rectified else None
+        self._to_shown = from_in_line(self._right_eye, observations.camera)
         self._matched |= len(observations.matched_px) > 0
         grave = [finding_text(judgement) for judgement in findings(observations)]
         words = [said("perception", text, rr.TextLogLevel.WARN) for text in grave]
@@ -172,10 +176,10 @@ class LiveMapping:
         seen = None if observations.occluders is None else observations.occluders.sequence
         return [
             *self._camera(observations.camera, None),
-            *mask_entities(coverage(observations.mask_left), coverage(observations.mask_right), self._rows_down),
-            *observation_entities(observations, MOST_MATCHED, self._rows_down),
-            *candidate_entities(observations, self._rows_down),
-            *(occluder_entities(observations, self._rows_down) if self._changed("occluders", seen) else []),
+            *mask_entities(coverage(observations.mask_left), coverage(observations.mask_right), self._to_shown),
+            *observation_entities(observations, MOST_MATCHED, self._to_shown),
+            *candidate_entities(observations, self._to_shown),
+            *(occluder_entities(observations, self._to_shown) if self._changed("occluders", seen) else []),
             *score_entities(observations),
             *(verdict_entities(observations) if self._changed("verdict", verdict(observations)) else []),
             *(match_entities(observations) if self._matched else []),
@@ -190,7 +194,7 @@ class LiveMapping:
         return [
             *self._camera(reconstruction.camera, float(np.median(depths)) if (depths > 0).any() else None),
             *([*curve_looks(), end_to_end_name()] if self._changed("looks of curves", True) else []),
-            *reconstruction_entities(reconstruction, next(same_frame, None), self._rows_down),
+            *reconstruction_entities(reconstruction, next(same_frame, None), self._to_shown),
             *self._status("reconstruction", reconstruction.status, reconstruction.reason),
             *self._track(reconstruction.track),
         ]
@@ -207,15 +211,15 @@ class LiveMapping:
 
     def _camera(self, camera: RectifiedStereo, distance: float | None) -> list[Entity]:
         """The cameras, where they are new or the thread has moved so far that the backdrop must follow."""
-        if self._shown is not None and self._shown[:2] == (camera, self._rows_down):
+        if self._shown is not None and self._shown[:2] == (camera, self._right_eye):
             shown = self._shown[2]
             if distance is None or 0.8 < BACKDROP * distance / shown < 1.25:
                 return []
         away = BACKDROP * (
             camera.fx_px * camera.baseline / (0.05 * camera.image_width) if distance is None else distance
         )
-        self._shown = (camera, self._rows_down, away)
-        return camera_entities(camera, away, self._rows_down)
+        self._shown = (camera, self._right_eye, away)
+        return camera_entities(camera, away, self._right_eye)
 
     def _status(self, stage: str, status: Status, reason: str) -> list[Entity]:
         if not self._changed(f"status of {stage}", (status, reason)):

@@ -39,10 +39,12 @@ from schemas.messages import (
     FrameStamp,
     RectifiedStereo,
     ReliabilityRegions,
+    RightEye,
     ThreadObservations,
     ThreadReconstruction,
 )
 from shared.camera import backproject, camera_matrix, depth_of_disparity, project
+from shared.right_eye import IN_LINE, Affine, from_in_line, moved
 
 APPLICATION = "suturegrasp"
 JPEG_QUALITY = 95
@@ -57,18 +59,30 @@ FAINT = 70
 """Opacity, of 255, of what stands behind the thread."""
 
 
-def camera_entities(camera: RectifiedStereo, distance: float, rows_down: int = 0) -> list[Entity]:
+def camera_entities(camera: RectifiedStereo, distance: float, right_eye: RightEye | None = None) -> list[Entity]:
     """Both cameras; the left one's image plane is at that distance, as a backdrop, the right one's close by.
 
     Args:
-        rows_down: by how many everything lies further down in the right image that is shown than in a rectified one.
+        right_eye: by how much the right image that is shown is out of line.
     """
-    right = rr.Transform3D(translation=[camera.baseline, 0.0, 0.0])
-    lower = replace(camera, cy_px=camera.cy_px + rows_down)
+    eye = right_eye or RightEye(0.0, 0.0, 1.0)
+    by = from_in_line(eye, camera)
+    turned = by[:, :2] / eye.magnified
+    centre = moved(np.array([camera.cx_px, camera.cy_px]), by)
+    own = replace(
+        camera,
+        fx_px=camera.fx_px * eye.magnified,
+        fy_px=camera.fy_px * eye.magnified,
+        cx_px=float(centre[0]),
+        cy_px=float(centre[1]),
+    )
+    turn = np.eye(3)
+    turn[:2, :2] = turned.T
+    right = rr.Transform3D(translation=[camera.baseline, 0.0, 0.0], mat3x3=turn)
     return [
         ("world", [rr.ViewCoordinates.RDF]),
         ("world/left", [_pinhole(camera, distance)]),
-        ("world/right", [right, _pinhole(lower, 0.2 * distance)]),
+        ("world/right", [right, _pinhole(own, 0.2 * distance)]),
     ]
 
 
@@ -78,23 +92,23 @@ def image_entities(left_bgr: UInt8[np.ndarray, "h w *c"], right_bgr: UInt8[np.nd
 
 
 def mask_entities(
-    left: UInt8[np.ndarray, "h w"] | None, right: UInt8[np.ndarray, "h w"] | None, rows_down: int = 0
+    left: UInt8[np.ndarray, "h w"] | None, right: UInt8[np.ndarray, "h w"] | None, to_shown: Affine = IN_LINE
 ) -> list[Entity]:
     """The outlines of both masks, given their coverage: they cost a viewer little, and hide nothing of the thread.
 
     Args:
-        rows_down: by how many the right one's is drawn further down.
+        to_shown: from pixels of the right image in line to those of the one that is shown.
     """
-    return [("world/left/mask", [_outline(left)]), ("world/right/mask", [_outline(right, rows_down)])]
+    return [("world/left/mask", [_outline(left)]), ("world/right/mask", [_outline(right, to_shown)])]
 
 
 def observation_entities(
-    observations: ThreadObservations, most_matched: int | None = None, rows_down: int = 0
+    observations: ThreadObservations, most_matched: int | None = None, to_shown: Affine = IN_LINE
 ) -> list[Entity]:
     """The observations with their bounds in the left image, and the matched pixels in space, or that many of them.
 
     Args:
-        rows_down: by how many the centreline of the right image is drawn further down.
+        to_shown: from pixels of the right image in line to those of the one that is shown.
     """
     points, camera = observations.points_camera, observations.camera
     observed_px, _ = project(camera, points)
@@ -113,12 +127,12 @@ def observation_entities(
         ("world/left/bounds", [bounds]),
         ("world/observations/points", [rr.Points3D(points, colors=[colours.OBSERVATION], radii=[-2.0])]),
         ("world/observations/matched", [rr.Points3D(matched_points, colors=[(*colours.KEPT, FAINT)], radii=[-1.0])]),
-        *centreline_entities(observations, rows_down),
+        *centreline_entities(observations, to_shown),
     ]
 
 
 def reconstruction_entities(
-    reconstruction: ThreadReconstruction, observations: ThreadObservations | None, rows_down: int = 0
+    reconstruction: ThreadReconstruction, observations: ThreadObservations | None, to_shown: Affine = IN_LINE
 ) -> list[Entity]:
     """The thread by confidence, its ends, control points and regions, and how far it can be trusted.
 
@@ -134,7 +148,7 @@ def reconstruction_entities(
         ("world/thread/regions", [boxes]),
         ("confidence", [_confidence_bars(thread)]),
         *posterior_entities(cross_sections(reconstruction, thread)),
-        *residual_entities(observations, thread, rows_down),
+        *residual_entities(observations, thread, to_shown),
     ]
 
 
@@ -218,13 +232,12 @@ def _jpeg(image: UInt8[np.ndarray, "h w *c"]) -> rr.EncodedImage:
     return rr.EncodedImage(contents=data, media_type="image/jpeg")
 
 
-def _outline(coverage: UInt8[np.ndarray, "h w"] | None, rows_down: int = 0) -> rr.LineStrips2D:
+def _outline(coverage: UInt8[np.ndarray, "h w"] | None, to_shown: Affine = IN_LINE) -> rr.LineStrips2D:
     if coverage is None:
         return rr.LineStrips2D([])
     covered = cv2.threshold(coverage, 127, 1, cv2.THRESH_BINARY)[1]
     lines, _ = cv2.findContours(covered, cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)
-    middle = np.array([HALF_PX, HALF_PX + rows_down])
-    closed = [np.concatenate((line, line[:1])).reshape(-1, 2) + middle for line in lines]
+    closed = [moved(np.concatenate((line, line[:1])).reshape(-1, 2), to_shown) + HALF_PX for line in lines]
     return rr.LineStrips2D(closed, colors=[colours.MASK], radii=[-0.6])
 
 

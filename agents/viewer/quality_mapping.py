@@ -23,6 +23,7 @@ from agents.viewer.entity import HALF_PX, Entity
 from agents.viewer.polyline import Polyline
 from agents.viewer.residuals import EXAGGERATION, Residuals, both_residuals, closeness, summary, whiskers
 from schemas.messages import Centrelines, ThreadObservations
+from shared.right_eye import IN_LINE, Affine, moved
 
 WHISKERS_ABOUT = 300
 """Whiskers in each image; neighbouring points of a centreline err alike."""
@@ -56,11 +57,11 @@ def _looks(rgb: tuple[int, int, int], width: float, name: str) -> list[rr.AsComp
     return [rr.SeriesLines(colors=[rgb], widths=[width], names=[name])]
 
 
-def centreline_entities(observations: ThreadObservations, rows_down: int = 0) -> list[Entity]:
-    """The pieces of both centrelines as thin lines in the images; the right one's so many rows further down."""
+def centreline_entities(observations: ThreadObservations, to_shown: Affine = IN_LINE) -> list[Entity]:
+    """The pieces of both centrelines as thin lines in the images; the right one's as it is shown."""
     return [
         ("world/left/centrelines", [_pieces(observations.centrelines_left)]),
-        ("world/right/centrelines", [_pieces(observations.centrelines_right, rows_down)]),
+        ("world/right/centrelines", [_pieces(observations.centrelines_right, to_shown)]),
     ]
 
 
@@ -76,20 +77,20 @@ def posterior_entities(sections: CrossSections) -> list[Entity]:
 
 
 def residual_entities(
-    observations: ThreadObservations | None, thread: Polyline | None, rows_down: int = 0
+    observations: ThreadObservations | None, thread: Polyline | None, to_shown: Affine = IN_LINE
 ) -> list[Entity]:
     """The residuals in both images, in pixels and in numbers; empty where there is no thread, or nothing to compare.
 
     Args:
-        rows_down: by how many those of the right image are drawn further down.
+        to_shown: from pixels of the right image in line to those of the one that is shown.
     """
     share = None if thread is None else float(thread.unseen.mean())
     entities: list[Entity] = [("share/unseen", [_scalar(share)])]
     found = (None, None) if observations is None or thread is None else both_residuals(observations, thread)
-    for side, of_side, down in zip(SIDES, found, (0, rows_down), strict=True):
+    for side, of_side, by in zip(SIDES, found, (IN_LINE, to_shown), strict=True):
         numbers = None if of_side is None else summary(of_side)
         entities += [
-            (f"world/{side}/residuals_x{EXAGGERATION}", [_whiskers(of_side, down)]),
+            (f"world/{side}/residuals_x{EXAGGERATION}", [_whiskers(of_side, by)]),
             (f"residual_px/{side}/median", [_scalar(numbers and numbers.median_px)]),
             (f"residual_px/{side}/percentile_95", [_scalar(numbers and numbers.percentile_95_px)]),
             (f"share/left_over_{side}", [_scalar(numbers and numbers.left_over)]),
@@ -102,18 +103,18 @@ def _scalar(value: float | None) -> rr.Scalars:
     return rr.Scalars(np.nan if value is None else value)
 
 
-def _pieces(line: Centrelines, rows_down: int = 0) -> rr.LineStrips2D:
+def _pieces(line: Centrelines, to_shown: Affine = IN_LINE) -> rr.LineStrips2D:
     cuts = np.flatnonzero(np.diff(line.piece)) + 1
-    points = line.point_px + np.array([HALF_PX, HALF_PX + rows_down])
+    points = moved(line.point_px, to_shown) + HALF_PX
     strips = np.split(points, cuts) if len(line.piece) else []
     return rr.LineStrips2D(strips, colors=[colours.CENTRELINE], radii=[-0.6])
 
 
-def _whiskers(found: Residuals | None, rows_down: int) -> rr.LineStrips2D:
+def _whiskers(found: Residuals | None, to_shown: Affine) -> rr.LineStrips2D:
     if found is None or not len(found.along):
         return rr.LineStrips2D([])
     some = found.every(1 + len(found.along) // WHISKERS_ABOUT)
-    lines = (whiskers(some) + np.array([HALF_PX, HALF_PX + rows_down])).astype(np.float32)
+    lines = (moved(whiskers(some), to_shown) + HALF_PX).astype(np.float32)
     return rr.LineStrips2D(lines, colors=colours.confidence_rgb(closeness(some)), radii=[-0.8])
 
 

@@ -375,8 +375,18 @@ class Trail(_message.Message):
     told_end: Array
     def __init__(self, loose_start: _Optional[_Union[Array, _Mapping]] = ..., loose_end: _Optional[_Union[Array, _Mapping]] = ..., length_px: _Optional[_Union[Array, _Mapping]] = ..., colour_bgr: _Optional[_Union[Array, _Mapping]] = ..., told_start: _Optional[_Union[Array, _Mapping]] = ..., told_end: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
 
+class RightEye(_message.Message):
+    __slots__ = ("rows_px", "turned_deg", "magnified")
+    ROWS_PX_FIELD_NUMBER: _ClassVar[int]
+    TURNED_DEG_FIELD_NUMBER: _ClassVar[int]
+    MAGNIFIED_FIELD_NUMBER: _ClassVar[int]
+    rows_px: float
+    turned_deg: float
+    magnified: float
+    def __init__(self, rows_px: _Optional[float] = ..., turned_deg: _Optional[float] = ..., magnified: _Optional[float] = ...) -> None: ...
+
 class ThreadObservations(_message.Message):
-    __slots__ = ("stamp", "camera", "status", "reason", "segmenter", "points_camera", "half_size_px", "matched_px", "match_cost", "inlier", "mask_left", "mask_right", "judgements", "gaps", "centrelines_left", "centrelines_right", "looked_sequence", "is_bright", "prompt_px", "rows_moved_up", "picture_left", "picture_right", "picture_left_since", "picture_right_since", "candidates", "occluders", "score_map", "surface_sequence", "trail_left", "trail_right", "segmented_sequence", "frames_since_look", "judged_sequence", "glanced_sequence", "glances", "consumed")
+    __slots__ = ("stamp", "camera", "status", "reason", "segmenter", "points_camera", "half_size_px", "matched_px", "match_cost", "inlier", "mask_left", "mask_right", "judgements", "gaps", "centrelines_left", "centrelines_right", "looked_sequence", "is_bright", "prompt_px", "rows_moved_up", "picture_left", "picture_right", "picture_left_since", "picture_right_since", "candidates", "occluders", "score_map", "surface_sequence", "trail_left", "trail_right", "segmented_sequence", "frames_since_look", "judged_sequence", "glanced_sequence", "glances", "right_eye", "disparities_px", "consumed")
     STAMP_FIELD_NUMBER: _ClassVar[int]
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     STATUS_FIELD_NUMBER: _ClassVar[int]
@@ -412,6 +422,8 @@ class ThreadObservations(_message.Message):
     JUDGED_SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     GLANCED_SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     GLANCES_FIELD_NUMBER: _ClassVar[int]
+    RIGHT_EYE_FIELD_NUMBER: _ClassVar[int]
+    DISPARITIES_PX_FIELD_NUMBER: _ClassVar[int]
     CONSUMED_FIELD_NUMBER: _ClassVar[int]
     stamp: FrameStamp
     camera: RectifiedStereo
@@ -448,8 +460,10 @@ class ThreadObservations(_message.Message):
     judged_sequence: int
     glanced_sequence: int
     glances: int
+    right_eye: RightEye
+    disparities_px: Array
     consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
-    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., segmenter: _Optional[str] = ..., points_camera: _Optional[_Union[Array, _Mapping]] = ..., half_size_px: _Optional[_Union[Array, _Mapping]] = ..., matched_px: _Optional[_Union[Array, _Mapping]] = ..., match_cost: _Optional[_Union[Array, _Mapping]] = ..., inlier: _Optional[_Union[Array, _Mapping]] = ..., mask_left: _Optional[_Union[Image, _Mapping]] = ..., mask_right: _Optional[_Union[Image, _Mapping]] = ..., judgements: _Optional[_Iterable[_Union[Judgement, _Mapping]]] = ..., gaps: _Optional[_Union[Array, _Mapping]] = ..., centrelines_left: _Optional[_Union[Centrelines, _Mapping]] = ..., centrelines_right: _Optional[_Union[Centrelines, _Mapping]] = ..., looked_sequence: _Optional[int] = ..., is_bright: _Optional[bool] = ..., prompt_px: _Optional[_Union[Array, _Mapping]] = ..., rows_moved_up: _Optional[int] = ..., picture_left: _Optional[int] = ..., picture_right: _Optional[int] = ..., picture_left_since: _Optional[int] = ..., picture_right_since: _Optional[int] = ..., candidates: _Optional[_Iterable[_Union[ThreadCandidate, _Mapping]]] = ..., occluders: _Optional[_Union[Occluders, _Mapping]] = ..., score_map: _Optional[_Union[Image, _Mapping]] = ..., surface_sequence: _Optional[int] = ..., trail_left: _Optional[_Union[Trail, _Mapping]] = ..., trail_right: _Optional[_Union[Trail, _Mapping]] = ..., segmented_sequence: _Optional[int] = ..., frames_since_look: _Optional[int] = ..., judged_sequence: _Optional[int] = ..., glanced_sequence: _Optional[int] = ..., glances: _Optional[int] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
+    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., segmenter: _Optional[str] = ..., points_camera: _Optional[_Union[Array, _Mapping]] = ..., half_size_px: _Optional[_Union[Array, _Mapping]] = ..., matched_px: _Optional[_Union[Array, _Mapping]] = ..., match_cost: _Optional[_Union[Array, _Mapping]] = ..., inlier: _Optional[_Union[Array, _Mapping]] = ..., mask_left: _Optional[_Union[Image, _Mapping]] = ..., mask_right: _Optional[_Union[Image, _Mapping]] = ..., judgements: _Optional[_Iterable[_Union[Judgement, _Mapping]]] = ..., gaps: _Optional[_Union[Array, _Mapping]] = ..., centrelines_left: _Optional[_Union[Centrelines, _Mapping]] = ..., centrelines_right: _Optional[_Union[Centrelines, _Mapping]] = ..., looked_sequence: _Optional[int] = ..., is_bright: _Optional[bool] = ..., prompt_px: _Optional[_Union[Array, _Mapping]] = ..., rows_moved_up: _Optional[int] = ..., picture_left: _Optional[int] = ..., picture_right: _Optional[int] = ..., picture_left_since: _Optional[int] = ..., picture_right_since: _Optional[int] = ..., candidates: _Optional[_Iterable[_Union[ThreadCandidate, _Mapping]]] = ..., occluders: _Optional[_Union[Occluders, _Mapping]] = ..., score_map: _Optional[_Union[Image, _Mapping]] = ..., surface_sequence: _Optional[int] = ..., trail_left: _Optional[_Union[Trail, _Mapping]] = ..., trail_right: _Optional[_Union[Trail, _Mapping]] = ..., segmented_sequence: _Optional[int] = ..., frames_since_look: _Optional[int] = ..., judged_sequence: _Optional[int] = ..., glanced_sequence: _Optional[int] = ..., glances: _Optional[int] = ..., right_eye: _Optional[_Union[RightEye, _Mapping]] = ..., disparities_px: _Optional[_Union[Array, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
 
 class TissueSurface(_message.Message):
     __slots__ = ("stamp", "camera", "u_px", "v_px", "depth", "valid", "deviation", "consumed")

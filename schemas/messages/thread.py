@@ -139,6 +139,25 @@ class Trail:
 
 
 @dataclass(frozen=True)
+class RightEye:
+    """By how much the rectified right image is out of line with the left one, as the pair itself shows.
+
+    Fields:
+        rows_px: by how many rows what corresponds lies lower in it, before it is turned.
+        turned_deg: about the principal point, clockwise as it is looked at.
+        magnified: as a ratio.
+    """
+
+    rows_px: float
+    turned_deg: float
+    magnified: float
+
+    def __post_init__(self) -> None:
+        check_message(self)
+        require(self.magnified > 0, "magnified must be positive")
+
+
+@dataclass(frozen=True)
 class ThreadObservations:
     """What perception saw of the thread in one stereo pair: ordered points, and the matches behind them.
 
@@ -154,8 +173,11 @@ class ThreadObservations:
             are looked at near the thread, and in parts (`glances`).
         is_bright: whether the thread is brighter than what lies beside it, as seen then.
         prompt_px: (u, v) in the rectified left image, on the thread that an operator means; None where any is meant.
-        rows_moved_up: by how many rows the rectified right image was moved up before anything was looked for in it,
-            so that what corresponds shares its row; masks and centrelines are of the moved image.
+        right_eye: by how much the rectified right image was out of line before anything was looked for in it; None
+            where it was in line. Masks and centrelines are of the image put in line.
+        disparities_px: least and greatest disparity at which thread may be, by what the ground of the pair shows; None
+            where it shows too little.
+        rows_moved_up: the same as `right_eye.rows_px` where that is all: older recordings have nothing else.
         picture_left, picture_right: checksums of the frame's pictures, by which one is known that stands still.
         picture_left_since, picture_right_since: sequence of the first frame in turn with the same picture.
         candidates: the threads that the pair shows, the one that is meant first, the others by score. The centrelines
@@ -209,6 +231,8 @@ class ThreadObservations:
     judged_sequence: int | None = None
     glanced_sequence: int | None = None
     glances: int = 0
+    right_eye: RightEye | None = None
+    disparities_px: Float64[np.ndarray, "2"] | None = None
     consumed: tuple[Consumed, ...] = ()
 
     def __post_init__(self) -> None:

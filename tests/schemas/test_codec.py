@@ -56,6 +56,7 @@ from schemas.messages import (
     RectifiedStereo,
     ReliabilityRegions,
     ReplayClock,
+    RightEye,
     RigSection,
     RobotMode,
     RobotState,
@@ -154,6 +155,9 @@ candidates = st.builds(
 occluders = st.builds(Occluders, images(), images(), uint64)
 
 
+right_eyes = st.builds(RightEye, numbers, numbers, positive)
+
+
 @st.composite
 def trails(draw):
     pieces = draw(st.integers(0, 3))
@@ -200,6 +204,8 @@ def observations(draw):
         judged_sequence=draw(st.none() | uint64),
         glanced_sequence=draw(st.none() | uint64),
         glances=draw(uint64),
+        right_eye=draw(st.none() | right_eyes),
+        disparities_px=draw(st.none() | array(2)),
         consumed=draw(consumed),
     )
 
@@ -594,6 +600,7 @@ MESSAGES = {
     ThreadCandidate: candidates,
     Occluders: occluders,
     Trail: trails(),
+    RightEye: right_eyes,
     ThreadObservations: observations(),
     TissueClearance: clearances(),
     ThreadAround: threads_around(),

@@ -8,7 +8,6 @@ from jaxtyping import Float64, UInt8
 
 from agents.perception.judging.answers import judgements
 from agents.perception.judging.picture import about_exposure, exposures
-from agents.perception.judging.rows import moved_up
 from agents.perception.judging.whole import judge_whole
 from agents.perception.observe import observe
 from agents.perception.rectification import rectification, rectify_image, rectify_mask
@@ -20,6 +19,7 @@ from agents.reconstruction.method_names import MATCHING_METHODS
 from agents.reconstruction.methods import METHODS
 from schemas.messages import FrameStamp, StereoCalibration, ThreadObservations, ThreadReconstruction
 from shared.clock import Stopwatch
+from shared.right_eye import in_line, whole_rows
 
 STEPS = ("rectify", "segment", "match", "reconstruct")
 
@@ -72,10 +72,10 @@ def reconstruct_pair(
         right = rectify_image(images[1], to_rectified.map_right)
         if masks is not None:
             masks = rectify_mask(masks[0], to_rectified.map_left), rectify_mask(masks[1], to_rectified.map_right)
-        whole = judge_whole((left, right), images, camera=to_rectified.camera)
+        whole = judge_whole((left, right), images, to_rectified.camera)
         left, right = whole.images
         if masks is not None:
-            masks = masks[0], moved_up(masks[1], whole.rows_moved_up)
+            masks = masks[0], in_line(masks[1], whole.right_eye, to_rectified.camera, linear=True)
     judged, score = whole.alignment, None
     if masks is not None:
         segmenter = GIVEN_MASKS
@@ -87,7 +87,15 @@ def reconstruct_pair(
     with watch.step("match"):
         stamp = FrameStamp(sequence=0, capture_left_ns=0, capture_right_ns=0, calibration_id="")
         observations = observe(
-            stamp, to_rectified.camera, left, right, *masks, segmenter, judged, matching=method in MATCHING_METHODS
+            stamp,
+            to_rectified.camera,
+            left,
+            right,
+            *masks,
+            segmenter,
+            judged,
+            matching=method in MATCHING_METHODS,
+            disparities_px=whole.disparities_px,
         )
         observations = told_apart(
             replace(observations, prompt_px=prompt_px), (left, right), masks, last=None, score=score
@@ -98,7 +106,8 @@ def reconstruct_pair(
             *whole.pictures,
             *judgements([about_exposure(*exposures(left, right))]),
         )
-        observations = replace(observations, judgements=found, rows_moved_up=whole.rows_moved_up)
+        eye = whole.right_eye
+        observations = replace(observations, judgements=found, right_eye=eye, rows_moved_up=whole_rows(eye))
     with watch.step("reconstruct"):
         reconstruction = METHODS[method](observations)
     return PipelineResult((left, right), observations, reconstruction, watch.ms)

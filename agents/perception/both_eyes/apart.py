@@ -17,6 +17,7 @@ from agents.perception.both_eyes.shown import LEFT, Image, Shown, numbers, numbe
 from agents.perception.centrelines.along import Pieces
 from agents.perception.centrelines.learned import STEPS
 from schemas.messages import Centrelines
+from shared.disparities import disparities
 
 WEIGHTS = Path(__file__).with_name("apart.npz")
 DILATIONS = 1, 2, 4, 8
@@ -32,7 +33,12 @@ Weights = Mapping[str, Float32[np.ndarray, "..."]]
 Lines = tuple[Centrelines, Centrelines]
 
 
-def drawn_together(images: tuple[Image, Image], lines: Lines, weights: Weights | None = None) -> Lines:
+def drawn_together(
+    images: tuple[Image, Image],
+    lines: Lines,
+    weights: Weights | None = None,
+    shown_px: Float64[np.ndarray, "2"] | None = None,
+) -> Lines:
     """Both eyes' centrelines, each moved across itself by half of what they are told to err apart.
 
     What is not seen by both eyes for certain stays where it was, and so does all over a plain ground.
@@ -40,8 +46,9 @@ def drawn_together(images: tuple[Image, Image], lines: Lines, weights: Weights |
     Args:
         images: BGR, rectified, their rows in line.
         weights: of networks, along the first axis; the project's own, if they are None.
+        shown_px: least and greatest disparity of thread, as far as the pair shows them.
     """
-    places = same_places(*lines, images[LEFT].shape[1])
+    places = same_places(*lines, disparities(images[LEFT].shape[1], shown_px))
     if places is None:
         return lines
     if (shown := shown_in_both(images, lines, places)) is None:

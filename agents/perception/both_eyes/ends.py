@@ -16,6 +16,7 @@ from agents.perception.centrelines.along import Pieces
 from agents.perception.centrelines.centrelines import Lines
 from agents.perception.centrelines.tips import gone_on
 from schemas.messages import Centrelines
+from shared.disparities import disparities
 
 NEAR_PX = 40.0
 """So near to an end, along its line, a place must be that both eyes see."""
@@ -43,15 +44,19 @@ class _Seen:
 
 
 def ended_together(
-    images: tuple[UInt8[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w 3"]], left: Lines, right: Lines
+    images: tuple[UInt8[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w 3"]],
+    left: Lines,
+    right: Lines,
+    shown_px: Float64[np.ndarray, "2"] | None = None,
 ) -> tuple[Centrelines, Centrelines]:
     """Both eyes' centrelines, with ends that go on where the other eye sees more of the thread.
 
     Args:
         images: BGR, rectified, their rows in line.
+        shown_px: least and greatest disparity of thread, as far as the pair shows them.
     """
     lines = left.centrelines, right.centrelines
-    places = same_places(*lines, images[0].shape[1])
+    places = same_places(*lines, disparities(images[0].shape[1], shown_px))
     if places is None:
         return lines
     disparity = (lines[0].point_px[places.left_at] - between(lines[1].point_px, places.right_at))[:, 0]

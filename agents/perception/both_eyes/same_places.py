@@ -17,12 +17,10 @@ from agents.perception.centrelines.along import Pieces, directions, gaussian, me
 from agents.perception.centrelines.profiles import normals
 from agents.perception.centrelines.refine import tangent_sigma
 from schemas.messages import Centrelines
+from shared.disparities import Disparities
 
 EVERY, APART_PX = 4, 8.0
 """Of the left points, which lie a pixel apart, every fourth is asked; of what is known every second place is shown."""
-LARGEST_SHARE, ABOUT_SHARE = 0.2, 0.06
-"""Of the image's width: the largest disparity; and how far from the usual one it may be."""
-LEAST_PX = 1.0
 LEAST_ACROSS, LEAST_COSINE = 0.25, 0.8
 """Of a normal, along the row: the row of a thread along the rows says nothing; and between the normals of both eyes."""
 OTHERWISE, BESIDE = 3, 3
@@ -68,18 +66,18 @@ class _Candidates:
         return _Candidates(self.sample[chosen], self.right_at[chosen], self.disparity_px[chosen])
 
 
-def same_places(left: Centrelines, right: Centrelines, image_width: int) -> SamePlaces | None:
+def same_places(left: Centrelines, right: Centrelines, reach: Disparities) -> SamePlaces | None:
     """The places of a rectified pair's centrelines that are the same; None where too few are so for certain."""
     if min(len(left.piece), len(right.piece)) < EVERY * SHORTEST:
         return None
     of_left, of_right = Pieces(numbered(left.piece)), Pieces(numbered(right.piece))
     at = np.flatnonzero(of_left.before % EVERY == 0)
     point, piece = left.point_px[at], of_left.number[at]
-    found = _in_rows(point, right.point_px, of_right, image_width)
+    found = _in_rows(point, right.point_px, of_right, reach)
     if not len(found.sample):
         return None
     normal, right_normals = _normals(left, of_left)[at], _normals(right, of_right)
-    chosen = found[_chosen(found, piece, image_width)]
+    chosen = found[_chosen(found, piece, reach)]
     both = normal[chosen.sample], between(right_normals, chosen.right_at)
     across = np.minimum(*(np.abs(each[:, 0]) for each in both))
     certain = chosen[(across > LEAST_ACROSS) & (_cosine(both) > LEAST_COSINE)]
@@ -124,7 +122,7 @@ def between(values: Float64[np.ndarray, "m d"], at: Float64[np.ndarray, "c"]) ->
 
 
 def _in_rows(
-    point: Float64[np.ndarray, "n 2"], right_px: Float64[np.ndarray, "m 2"], of_right: Pieces, image_width: int
+    point: Float64[np.ndarray, "n 2"], right_px: Float64[np.ndarray, "m 2"], of_right: Pieces, reach: Disparities
 ) -> _Candidates:
     """Where the right lines meet the row of each point, at a disparity that can be."""
     order = np.argsort(point[:, 1], kind="stable")
@@ -140,16 +138,16 @@ def _in_rows(
     start, step = right_px[segment], right_px[segment + 1] - right_px[segment]
     share = (point[sample, 1] - start[:, 1]) / step[:, 1]
     disparity = point[sample, 0] - (start[:, 0] + share * step[:, 0])
-    may_be = np.flatnonzero((disparity > LEAST_PX) & (disparity < LARGEST_SHARE * image_width))
+    may_be = np.flatnonzero((disparity > reach.least_px) & (disparity < reach.most_px))
     may_be = may_be[np.argsort(sample[may_be], kind="stable")]
     return _Candidates(sample[may_be], segment[may_be] + share[may_be], disparity[may_be])
 
 
-def _chosen(found: _Candidates, piece: Int64[np.ndarray, "n"], image_width: int) -> Bool[np.ndarray, "c"]:
+def _chosen(found: _Candidates, piece: Int64[np.ndarray, "n"], reach: Disparities) -> Bool[np.ndarray, "c"]:
     """Which candidates are meant for certain, by themselves or by those beside them."""
     chosen = _alone(found)
     if chosen.any():
-        chosen &= np.abs(found.disparity_px - median(found.disparity_px[chosen])) < ABOUT_SHARE * image_width
+        chosen &= np.abs(found.disparity_px - median(found.disparity_px[chosen])) < reach.about_px
     for _ in range(ROUNDS):
         told = np.zeros(len(piece), bool)
         told[found.sample[chosen]] = True

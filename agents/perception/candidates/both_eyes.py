@@ -12,13 +12,10 @@ from jaxtyping import Bool, Float64, Int64
 from agents.perception.candidates.appearance import Looks, unlikeness
 from agents.perception.candidates.threads import Threads
 from schemas.messages import Centrelines
+from shared.disparities import Disparities
 
 EVERY = 6
 """Of the points, which lie a pixel apart, so many as are looked at."""
-LARGEST_SHARE = 0.2
-"""Of the image's width: the largest disparity."""
-ABOUT_SHARE = 0.04
-"""Of the image's width: disparities so far from the usual one are those of the same threads."""
 UNALIKE = 16.0
 """Pieces that look so different (see `unlikeness`) belong to no one thread, were they in the right place."""
 ELSEWHERE = 12.0
@@ -47,7 +44,7 @@ def in_both_eyes(
     right: Centrelines,
     pieces: list[Int64[np.ndarray, "k"]],
     looks: Looks,
-    image_width: int,
+    reach: Disparities,
 ) -> BothEyes:
     """The left thread that each right piece belongs to.
 
@@ -60,9 +57,7 @@ def in_both_eyes(
     unlike = unlikeness(threads.looks, looks)
     left_at, thread = sampled(threads.points)
     right_at, piece = sampled(pieces)
-    same, _ = same_place(
-        left.point_px[left_at], right.point_px[right_at], unlike[thread][:, piece] < UNALIKE, image_width
-    )
+    same, _ = same_place(left.point_px[left_at], right.point_px[right_at], unlike[thread][:, piece] < UNALIKE, reach)
     of_thread = np.logical_or.reduceat(same, np.flatnonzero(np.diff(thread, prepend=-1)), axis=0)
     in_rows = np.array([np.bincount(piece, row, count[1]) for row in of_thread]) / np.bincount(piece)
     against = unlike + ELSEWHERE * (1.0 - in_rows)
@@ -84,7 +79,7 @@ def same_place(
     left_px: Float64[np.ndarray, "n 2"],
     right_px: Float64[np.ndarray, "m 2"],
     alike: Bool[np.ndarray, "n m"],
-    image_width: int,
+    reach: Disparities,
 ) -> tuple[Bool[np.ndarray, "n m"], float]:
     """Which points may be one place: in one row, and about as far from each other as most such points are: how far.
 
@@ -93,10 +88,10 @@ def same_place(
     """
     disparity = left_px[:, None, 0] - right_px[None, :, 0]
     same_row = np.abs(left_px[:, None, 1] - right_px[None, :, 1]) <= 0.5 * EVERY + 0.5
-    may_be = same_row & alike & (disparity > 1.0) & (disparity < LARGEST_SHARE * image_width)
+    may_be = same_row & alike & (disparity > reach.least_px) & (disparity < reach.most_px)
     if not may_be.any():
         return may_be, 0.0
-    bin_px = 0.25 * ABOUT_SHARE * image_width
+    bin_px = 0.25 * reach.about_px
     heap = np.bincount((disparity[may_be] / bin_px).astype(np.intp))
     usual = (float(np.argmax(np.convolve(heap, np.ones(5), mode="same"))) + 0.5) * bin_px
-    return may_be & (np.abs(disparity - usual) <= ABOUT_SHARE * image_width), usual
+    return may_be & (np.abs(disparity - usual) <= reach.about_px), usual

@@ -21,6 +21,7 @@ from agents.perception.candidates.others import ANOTHER, certainly_others
 from agents.perception.candidates.sureness import sureness
 from agents.perception.candidates.threads import Threads, lengths_px, pieces_of, threads_of
 from schemas.messages import Centrelines, ThreadCandidate
+from shared.disparities import Disparities, disparities
 
 LONG_SHARE = 0.3
 """Of the image's width."""
@@ -54,6 +55,7 @@ def candidates_in(
     meant_px: Float64[np.ndarray, "m 2"] | None = None,
     segmenter_score: UInt8[np.ndarray, "r c"] | None = None,
     occluders: UInt8[np.ndarray, "j k"] | None = None,
+    reach: Disparities | None = None,
 ) -> Candidates:
     """The threads of a rectified pair.
 
@@ -63,10 +65,11 @@ def candidates_in(
             highest score, if it is None or no thread is near.
         segmenter_score: of the left image, or of a smaller copy of it: how much of a pixel is thread, 0 to 255.
         occluders: not 0 where something may hide thread, in a copy of the left image; None where nobody knows.
+        reach: disparities of thread; by the width alone, if it is None.
     """
     (left, right), width = lines, images[0].shape[1]
     threads, pieces = threads_of(images[0], left), pieces_of(right)
-    eyes = in_both_eyes(left, threads, right, pieces, looks_of(images[1], right, pieces), width)
+    eyes = in_both_eyes(left, threads, right, pieces, looks_of(images[1], right, pieces), reach or disparities(width))
     long = lengths_px(left, threads)
     score = (1.0 - np.exp(-long / (LONG_SHARE * width))) * eyes.share * sureness(left, threads, segmenter_score, width)
     may_be = np.flatnonzero(long >= np.maximum(LEAST_SHARE * width, LEAST_WIDTHS * threads.looks.width_px))

@@ -9,6 +9,7 @@ from agents.perception.candidates.both_eyes import EVERY, same_place, sampled
 from agents.perception.candidates.drawn import Piece
 from agents.perception.candidates.threads import pieces_of
 from schemas.messages import Centrelines
+from shared.disparities import Disparities
 
 
 @dataclass(frozen=True)
@@ -36,13 +37,13 @@ class InCommon:
         return min(float(shown.mean()) for shown in self.shown)
 
 
-def in_common(lines: tuple[Centrelines, Centrelines], image_width: int) -> InCommon | None:
+def in_common(lines: tuple[Centrelines, Centrelines], reach: Disparities) -> InCommon | None:
     """What both eyes show of the lines of a rectified pair; None where either shows none."""
     left, right = lines
     of_left, of_right = pieces_of(left), pieces_of(right)
     if not (of_left and of_right):
         return None
     left_px, right_px = left.point_px[sampled(of_left)[0]], right.point_px[sampled(of_right)[0]]
-    same, usual_px = same_place(left_px, right_px, np.ones((len(left_px), len(right_px)), bool), image_width)
+    same, usual_px = same_place(left_px, right_px, np.ones((len(left_px), len(right_px)), bool), reach)
     in_left, in_right = (np.asarray(same.any(axis=axis), bool) for axis in (1, 0))
     return InCommon((of_left, of_right), (in_left, in_right), usual_px)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 from scipy.spatial import cKDTree
 
-from agents.perception.candidates.both_eyes import ABOUT_SHARE, sampled
+from agents.perception.candidates.both_eyes import sampled
 from agents.perception.candidates.drawn import Piece, without
 from agents.perception.candidates.in_common import InCommon
 from schemas.messages import Centrelines, Occluder
@@ -32,13 +32,18 @@ Map = UInt8[np.ndarray, "r c"]
 
 
 def seen_by_both(
-    lines: tuple[Centrelines, Centrelines], common: InCommon, occluders: tuple[Map, Map] | None, image_width: int
+    lines: tuple[Centrelines, Centrelines],
+    common: InCommon,
+    occluders: tuple[Map, Map] | None,
+    image_width: int,
+    about_px: float,
 ) -> tuple[Centrelines, Centrelines]:
     """The lines of a rectified pair without those that the other eye does not show though it could.
 
     Args:
         lines: the middle of all that was segmented, left and right.
         common: what both eyes show of them.
+        about_px: how far from the usual disparity that of a place may be.
         occluders: not 0 where something may hide thread, in copies of both images; None where nobody knows.
     """
     if common.share < BOTH:
@@ -47,7 +52,7 @@ def seen_by_both(
     of_eyes = zip(lines, common.pieces, common.shown, to_other_px, strict=True)
     maps = (None, None) if occluders is None else tuple(_hiding(one) for one in occluders)
     kept_left, kept_right = (
-        without(line, _false(_Eye(line, pieces, shown, to_other, own, other), image_width))
+        without(line, _false(_Eye(line, pieces, shown, to_other, own, other, about_px), image_width))
         for (line, pieces, shown, to_other), own, other in zip(of_eyes, maps, maps[::-1], strict=True)
     )
     return kept_left, kept_right
@@ -69,6 +74,7 @@ class _Eye:
     to_other_px: float
     own: Map | None
     other: Map | None
+    about_px: float
 
 
 def _false(eye: _Eye, image_width: int) -> list[Piece]:
@@ -89,7 +95,7 @@ def _is_false(eye: _Eye, line_px: Float64[np.ndarray, "n 2"], both: cKDTree, ima
     """
     if eye.own is not None and is_occluded(line_px, eye.own, image_width).mean() >= MOSTLY:
         return True
-    about = np.linspace(-ABOUT_SHARE, ABOUT_SHARE, STEPS) * image_width + eye.to_other_px
+    about = np.linspace(-eye.about_px, eye.about_px, STEPS) + eye.to_other_px
     places = line_px[None] + np.stack((about, np.zeros(STEPS)), axis=1)[:, None]
     hidden = ((places[..., 0] < 0) | (places[..., 0] > image_width - 1)).any(axis=0)
     if eye.other is not None:

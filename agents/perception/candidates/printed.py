@@ -10,6 +10,7 @@ from agents.perception.candidates.relief import CERTAIN, relief_of
 from agents.perception.candidates.sureness import sureness
 from agents.perception.candidates.threads import lengths_px, pieces_of, threads_of
 from schemas.messages import Centrelines, no_centrelines
+from shared.disparities import Disparities, disparities
 
 MOST_ASKED = 6
 """The longest ones; each takes some 15 ms."""
@@ -27,6 +28,7 @@ def without_printed(
     least_length_px: float,
     focal_px: float,
     score: UInt8[np.ndarray, "r c"] | None = None,
+    reach: Disparities | None = None,
 ) -> tuple[Centrelines, Centrelines]:
     """The lines of both rectified images without those that certainly lie in the ground.
 
@@ -35,10 +37,12 @@ def without_printed(
         least_length_px: shorter threads are not asked, and go where all longer ones do.
         focal_px: of the rectified camera.
         score: of the left image by the segmenter, where it gives one.
+        reach: disparities of thread; by the width alone, if it is None.
     """
     left, right = lines
     threads, pieces = threads_of(images[0], left), pieces_of(right)
-    eyes = in_both_eyes(left, threads, right, pieces, looks_of(images[1], right, pieces), images[0].shape[1])
+    reach = reach or disparities(images[0].shape[1])
+    eyes = in_both_eyes(left, threads, right, pieces, looks_of(images[1], right, pieces), reach)
     sure = sureness(left, threads, score, images[0].shape[1])
     long = np.flatnonzero(lengths_px(left, threads) >= least_length_px)
     printed: list[int] = []

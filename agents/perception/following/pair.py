@@ -58,7 +58,7 @@ def follow_pair(
     found = follow(images, before)
     if isinstance(found, str):
         return None
-    lines = drawn_together(images, (found[0].lines, found[1].lines))
+    lines = drawn_together(images, (found[0].lines, found[1].lines), shown_px=last.disparities_px)
     left, right = (replace(eye, lines=line) for eye, line in zip(found, lines, strict=True))
     coverage = mask_along(left, images[0].shape), mask_along(right, images[1].shape)
     mask_left, mask_right = (drawn_mask_image(mask) for mask in coverage)

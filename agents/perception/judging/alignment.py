@@ -2,8 +2,8 @@
 
 from agents.perception.judging.answers import Answer, untold, well, wrong
 from agents.perception.judging.correspondence import Correspondence
-from agents.perception.matching import largest_disparity_px
 from schemas.messages import RectifiedStereo, Severity
+from shared.disparities import endoscope_disparity_px
 
 NO_DISPARITY_PX = 0.5
 """A thread as far away as this disparity says is out of any instrument's reach."""
@@ -95,9 +95,9 @@ def about_distance(seen: Correspondence, camera: RectifiedStereo) -> Answer:
     """Whether things are where an endoscope looks and perception searches."""
     if seen.nearest_px is None or seen.disparity_px is None or seen.disparity_px <= NO_DISPARITY_PX:
         return untold(DISTANCE, NO_TEXTURE if seen.disparity_px is None else "left and right are not right")
-    searched = largest_disparity_px(camera.image_width)
-    if seen.nearest_px > searched:
-        finding = f"the nearest things are {seen.nearest_px:.0f} px apart, and up to {searched} px are looked at"
+    usual = endoscope_disparity_px(camera.image_width)
+    if seen.nearest_px > usual:
+        finding = f"the nearest things are {seen.nearest_px:.0f} px apart, and an endoscope shows up to {usual:.0f} px"
         remedy = "move the camera away, or check the calibration's principal points"
         return wrong(DISTANCE, "disparity_range", Severity.WARNING, finding, remedy)
     if camera.metres_per_unit is None:

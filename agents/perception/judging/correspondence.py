@@ -38,6 +38,9 @@ GROUP = 4.0
 """Matches that err together, as neighbours do: the deviation of a mean is that of so many times fewer."""
 
 
+Plane = Float64[np.ndarray, "3"]
+
+
 @dataclass(frozen=True)
 class Correspondence:
     """How the two images lie to each other, as far as they tell; None where unknown.
@@ -54,6 +57,7 @@ class Correspondence:
         scatter_px: the same once offset, rotation and magnification are taken out.
         nearest_px, farthest_px: disparities that 2 % of the places are beyond.
         behind_share: of the places, lies further left in the left image, by more than a pixel.
+        from_right: the plane of left rows less right rows over places in the right image, about its middle.
         mirrored: whether one image is mirrored against the other.
         matches: how many places agree.
     """
@@ -70,12 +74,12 @@ class Correspondence:
     nearest_px: float | None = None
     farthest_px: float | None = None
     behind_share: float = 0.0
+    from_right: Plane | None = None
     mirrored: bool = False
     matches: int = 0
 
 
 UNKNOWN = Correspondence(None, None)
-Plane = Float64[np.ndarray, "3"]
 
 
 @dataclass(frozen=True)
@@ -130,6 +134,7 @@ def _of_matches(left: np.ndarray, right: np.ndarray, matched: Matched) -> Corres
         if len(fine) >= LEAST_MATCHES:
             kept = fine
             plane, deviation, scatter = _robust_plane(kept, middle)
+    from_right, *_ = _robust_plane(kept.exchanged, middle)
     shift = kept.left - kept.right
     near, far = np.percentile(shift[:, 0], (98.0, 2.0))
     return Correspondence(
@@ -145,6 +150,7 @@ def _of_matches(left: np.ndarray, right: np.ndarray, matched: Matched) -> Corres
         nearest_px=float(near),
         farthest_px=float(far),
         behind_share=float(np.mean(shift[:, 0] < -1.0)),
+        from_right=from_right,
         matches=len(kept),
     )
 

@@ -42,6 +42,11 @@ class Matched:
     def __len__(self) -> int:
         return len(self.left)
 
+    @property
+    def exchanged(self) -> "Matched":
+        """With left and right exchanged."""
+        return Matched(self.right, self.left, self.features)
+
     def only(self, which: Bool[np.ndarray, "n"]) -> "Matched":
         """Some of them."""
         return Matched(self.left[which], self.right[which], self.features)

@@ -45,6 +45,8 @@ SIZES = (640, 480), (720, 576), (720, 540), (938, 528), (960, 540), (960, 720), 
 SIZE_SHARES = 0.2, 0.1, 0.1, 0.1, 0.15, 0.1, 0.1, 0.1, 0.05
 COUNT_SHARES = (0.25, 0.45, 0.2, 0.1), (0.45, 0.4, 0.15), (0.25, 0.3, 0.35, 0.1)
 """Of scenes with 0, 1, 2 ... threads, needles, instruments; stitches and what they hold come besides."""
+THREADLESS_SHARE = 0.12
+"""Of scenes without any thread."""
 WORDS = "needle", "pickup", "throw", "knot", "tying", "REC", "12:04:33", "left", "cut", "frame", "demo"
 LISTS = {"train": TRAIN, "sealed": SEALED}
 NAMES = "left", "mask_left", "needle_left", "instrument_left"
@@ -70,16 +72,17 @@ def lab_scene(seed: int, meshes: dict[str, Solid], lists: Lists = TRAIN) -> Scen
 
 def _fill(rng: np.random.Generator, canvas: Canvas, meshes: dict[str, Solid], lists: Lists) -> None:
     """Lay stitches, then threads, needles and instruments in random order."""
-    look = thread_look(rng, lists, canvas.ground)
+    is_threadless = rng.random() < THREADLESS_SHARE
+    look = None if is_threadless else thread_look(rng, lists, canvas.ground)
     scale = canvas.light.shape[1] / 960
     width = float(np.exp(rng.uniform(np.log(1.7), np.log(11)))) * scale
     if rng.random() < 0.15:
         distractor(rng, canvas)
-    if rng.random() < 0.35:
+    if look is not None and rng.random() < 0.35:
         stitches(rng, canvas, min(width, 6 * scale), look)
     threads, needles, tools = (int(rng.choice(len(shares), p=shares)) for shares in COUNT_SHARES)
     for item in rng.permutation(["thread"] * threads + ["needle"] * needles + ["tool"] * tools):
-        if rng.random() < 0.2:
+        if look is not None and rng.random() < 0.2:
             look = thread_look(rng, lists, canvas.ground)
         if item == "thread":
             start = rng.uniform(-0.05, 1.05, 2) * canvas.light.shape[1::-1]
@@ -91,8 +94,11 @@ def _fill(rng: np.random.Generator, canvas: Canvas, meshes: dict[str, Solid], li
 
 
 def _lay_free(
-    rng: np.random.Generator, canvas: Canvas, width: float, look: Look, start: np.ndarray, high: float
+    rng: np.random.Generator, canvas: Canvas, width: float, look: Look | None, start: np.ndarray, high: float
 ) -> None:
+    """A thread from there; nothing without a look."""
+    if look is None:
+        return
     strand = free_strand(rng, canvas.light.shape[:2], width, start, high)
     lay_thread(rng, canvas, strand, look)
     if rng.random() < 0.3 and not strand.sinks[1]:
@@ -101,7 +107,9 @@ def _lay_free(
         knot(rng, canvas, strand.path[int(rng.integers(len(strand.path)))], width, look, rng.uniform(2, 15))
 
 
-def _lay_needle(rng: np.random.Generator, canvas: Canvas, width: float, look: Look, middle: np.ndarray | None) -> None:
+def _lay_needle(
+    rng: np.random.Generator, canvas: Canvas, width: float, look: Look | None, middle: np.ndarray | None
+) -> None:
     """A needle, in half of the cases with its thread."""
     needle = needle_arc(rng, canvas.light.shape[:2], middle)
     is_first = rng.random() < 0.5
@@ -115,7 +123,7 @@ def _lay_needle(rng: np.random.Generator, canvas: Canvas, width: float, look: Lo
 
 
 def _lay_tool(
-    rng: np.random.Generator, canvas: Canvas, meshes: dict[str, Solid], lists: Lists, width: float, look: Look
+    rng: np.random.Generator, canvas: Canvas, meshes: dict[str, Solid], lists: Lists, width: float, look: Look | None
 ) -> None:
     """An instrument with nothing, a thread or a needle in its jaws."""
     shape = canvas.light.shape[:2]

@@ -28,6 +28,7 @@ from agents.perception.segmentation.network import segment_network
 from agents.perception.training.middle_views import Truth, offsets_to, truth_of
 from agents.perception.training.scenes import View, views_in
 from schemas.messages import Centrelines
+from shared.disparities import disparities
 
 WIDE_PLACES = np.linspace(-1.5, 1.5, 49, dtype=np.float32)
 """As PLACES and as far apart, and wider, so that profiles can be drawn aside."""
@@ -80,7 +81,7 @@ def _of_pair(folder: Path, left: View, right: View) -> PairProfiles | None:
         return None
     images = left.image, right.image
     lines = tuple(thread_centrelines(image, segment_network(image)) for image in images)
-    places = same_places(lines[LEFT], lines[RIGHT], images[LEFT].shape[1])
+    places = same_places(lines[LEFT], lines[RIGHT], disparities(images[LEFT].shape[1]))
     if places is None:
         return None
     apart, known = _apart((truth_of(folder, left), truth_of(folder, right)), lines, places)

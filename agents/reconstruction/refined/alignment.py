@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float64, Int64
 
 from agents.reconstruction.refined.chains import Chain
 from schemas.messages import Centrelines
+from shared.disparities import Disparities
 
 SPACING_PX = 5.0
 FEWEST_SAMPLES, MOST_SAMPLES, MOST_CANDIDATES = 8, 1000, 3000
@@ -37,9 +38,6 @@ OTHER_PIECE, CUT_PX = 1.0, 30.0
 """What another right piece costs, but over a gap of the left image that is longer than this: what hides thread from the
 one eye hides it from the other as well."""
 OTHER_STRAND = 4.0
-NEAREST_SHARE = 0.25
-"""Of the image's width: the largest disparity."""
-LEAST_DISPARITY_PX = 0.5
 
 
 @dataclass(frozen=True)
@@ -84,14 +82,14 @@ class Candidates:
         return Candidates(*(getattr(self, each.name)[chosen] for each in fields(self)))
 
 
-def align(left: Chain, right: Centrelines, image_width: int) -> Alignment | None:
+def align(left: Chain, right: Centrelines, reach: Disparities) -> Alignment | None:
     """The best correspondence of a left chain with the right pieces; None where nothing corresponds."""
     count = int(np.clip(left.along_px[-1] / SPACING_PX, FEWEST_SAMPLES, MOST_SAMPLES))
     at = _samples(left, count)
-    candidates = _candidates(left, at, right, image_width)
+    candidates = _candidates(left, at, right, reach)
     if len(candidates.sample) > MOST_CANDIDATES:
         at = _samples(left, max(FEWEST_SAMPLES, count * MOST_CANDIDATES // len(candidates.sample)))
-        candidates = _candidates(left, at, right, image_width)
+        candidates = _candidates(left, at, right, reach)
         candidates = candidates[np.sort(np.argsort(candidates.variance_px2, kind="stable")[:MOST_CANDIDATES])]
     if len(candidates.sample) < 2:
         return None
@@ -132,14 +130,13 @@ def slopes(points: Float64[np.ndarray, "n 2"], run: Int64[np.ndarray, "n"]) -> F
     return chord[:, 1] / np.maximum(np.hypot(chord[:, 0], chord[:, 1]), 1e-9)
 
 
-def _candidates(left: Chain, at: Int64[np.ndarray, "s"], right: Centrelines, image_width: int) -> Candidates:
+def _candidates(left: Chain, at: Int64[np.ndarray, "s"], right: Centrelines, reach: Disparities) -> Candidates:
     crossings, ends = _row_crossings(left, at, right), _common_ends(left, len(at), right)
     both = Candidates(
         *(np.concatenate((getattr(crossings, f.name), getattr(ends, f.name))) for f in fields(Candidates))
     )
     both = both[np.argsort(both.sample, kind="stable")]
-    near = both.disparity_px <= NEAREST_SHARE * image_width
-    return both[near & (both.disparity_px >= LEAST_DISPARITY_PX)]
+    return both[(both.disparity_px >= reach.least_px) & (both.disparity_px <= reach.most_px)]
 
 
 def _row_crossings(left: Chain, at: Int64[np.ndarray, "s"], right: Centrelines) -> Candidates:

@@ -43,6 +43,7 @@ from agents.reconstruction.refined.spurs import without_spurs
 from agents.reconstruction.refined.tips import ends_of
 from schemas.messages import Centrelines, RectifiedStereo, Status, ThreadObservations, ThreadReconstruction
 from shared.camera import project
+from shared.disparities import Disparities, disparities_of
 
 METHOD = "refined"
 MOST_ROW_ROUNDS = 5
@@ -78,7 +79,7 @@ def reconstruct_refined(observations: ThreadObservations) -> ThreadReconstructio
         return failed(observations, METHOD, observations.reason)
     left, right, camera = observations.centrelines_left, observations.centrelines_right, observations.camera
     try:
-        course, fit = course_and_fit(left, right, camera)
+        course, fit = course_and_fit(left, right, camera, disparities_of(observations))
         held = within_regions(fit, course, camera)
         return mostly_seen(reconstruction(observations, METHOD, fit, held, starts_right(held.curve, observations)))
     except NoCurveError as error:
@@ -98,18 +99,20 @@ def mostly_seen(thread: ThreadReconstruction) -> ThreadReconstruction:
     raise NoCurveError(f"{seen}: turn the camera until both images show the thread, and clear what may pass for it")
 
 
-def course_and_fit(left: Centrelines, right: Centrelines, camera: RectifiedStereo) -> tuple[Course, Refined]:
+def course_and_fit(
+    left: Centrelines, right: Centrelines, camera: RectifiedStereo, reach: Disparities
+) -> tuple[Course, Refined]:
     """The thread's course and the curve fitted to it, aligned again for as long as the rows turn out to be apart.
 
     Raises:
         NoCurveError: where there is no curve that can be the thread.
     """
-    course = course_of(left, right, camera)
+    course = course_of(left, right, camera, reach)
     fit = fitted(course, camera)
     for _ in range(MOST_ROW_ROUNDS):
         if _rows_apart_px(fit, course, camera) < ROWS_SETTLED_PX:
             break
-        course = course_of(left, right, camera, fit.row_offset_px)
+        course = course_of(left, right, camera, reach, fit.row_offset_px)
         fit = fitted(course, camera)
     if reason := implausible(fit, camera):
         raise NoCurveError(reason)
@@ -117,7 +120,11 @@ def course_and_fit(left: Centrelines, right: Centrelines, camera: RectifiedStere
 
 
 def course_of(
-    left: Centrelines, right: Centrelines, camera: RectifiedStereo, row_offset_px: Float64[np.ndarray, "4"] = LEVEL
+    left: Centrelines,
+    right: Centrelines,
+    camera: RectifiedStereo,
+    reach: Disparities,
+    row_offset_px: Float64[np.ndarray, "4"] = LEVEL,
 ) -> Course:
     """The longest thread of the left image that the right one shows too, so many rows lower.
 
@@ -126,14 +133,14 @@ def course_of(
     """
     if reason := unusable(left, right, camera):
         raise NoCurveError(reason)
-    right = without_spurs(left, right, camera.image_width)
+    right = without_spurs(left, right, camera.image_width, reach)
     left, right = with_covered_ends(left), joined(with_covered_ends(right))
     found = chains(left, camera.image_width)
     if not found:
         raise NoCurveError("the left image shows no piece of thread that is longer than some widths of it")
     lower_px = row_offsets_px(right.point_px, row_offset_px, camera)
     level = replace(right, point_px=right.point_px - lower_px[:, None] * (0.0, 1.0))
-    chain, aligned = _aligned(left, level, found, camera)
+    chain, aligned = _aligned(left, level, found, camera, reach)
     reason = contradiction(aligned, camera)
     if aligned is None or reason:
         raise NoCurveError(reason)
@@ -149,17 +156,17 @@ def _rows_apart_px(fit: Refined, course: Course, camera: RectifiedStereo) -> flo
 
 
 def _aligned(
-    left: Centrelines, right: Centrelines, found: list[Chain], camera: RectifiedStereo
+    left: Centrelines, right: Centrelines, found: list[Chain], camera: RectifiedStereo, reach: Disparities
 ) -> tuple[Chain, Alignment | None]:
     """The longest thread with its counterparts: sought again with what they tell of the ends of its pieces."""
-    aligned = align(found[0], right, camera.image_width)
+    aligned = align(found[0], right, reach)
     if aligned is None or not (len(found) > 1 or np.diff(found[0].piece).any()):
         return found[0], aligned
-    others = [(chain, align(chain, right, camera.image_width)) for chain in found[1:]]
+    others = [(chain, align(chain, right, reach)) for chain in found[1:]]
     again = chains(left, camera.image_width, ends_of(left, right, [(found[0], aligned), *others], camera))[0]
     if any(np.array_equal(again.index[way], found[0].index) for way in (slice(None), slice(None, None, -1))):
         return found[0], aligned
-    return again, align(again, right, camera.image_width)
+    return again, align(again, right, reach)
 
 
 def fitted(course: Course, camera: RectifiedStereo) -> Refined:

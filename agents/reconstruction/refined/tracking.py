@@ -29,6 +29,7 @@ from agents.reconstruction.refined.projection import Curve, pixels_evenly
 from agents.reconstruction.refined.refinement import Refined
 from agents.reconstruction.refined.result import reconstruction, starts_right
 from schemas.messages import RectifiedStereo, Status, ThreadObservations, ThreadReconstruction, ThreadTrack, TrackStep
+from shared.disparities import disparities_of
 
 VERIFY_S, VERIFY_FRAMES = 1.0, 30
 """A frame is also reconstructed alone so often, or once in so many frames where they come faster."""
@@ -126,7 +127,7 @@ def _lost(observations: ThreadObservations, reason: str, before: ThreadTrack | N
 
 def _alone(observations: ThreadObservations, before: ThreadTrack | None) -> _Alone:
     left, right, camera = observations.centrelines_left, observations.centrelines_right, observations.camera
-    course, fit = course_and_fit(left, right, camera)
+    course, fit = course_and_fit(left, right, camera, disparities_of(observations))
     held = within_regions(fit, course, camera)
     if before is None or not _is_kept(observations, before):
         return _Alone(fit, held, starts_right(held.curve, observations))

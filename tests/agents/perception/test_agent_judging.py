@@ -73,8 +73,7 @@ def test_rows_that_are_apart_are_put_in_line_and_said_to_be(rows):
         assert observed.rows_moved_up == rows
         assert codes(observed) == {"row_offset": Severity.WARNING}
         assert abs(rows_of(observed.mask_right)[[0, -1]] - rows_of(straight.mask_right)[[0, -1]]).max() <= 1
-    assert f"moved by {abs(rows)} rows" in first.judgements[0].finding
-    assert f"{'lower' if rows > 0 else 'higher'} in the right image" in first.judgements[0].finding
+    assert f"{abs(rows)}.0 px {'lower' if rows > 0 else 'higher'} than in the left" in first.judgements[0].finding
     assert near.judgements[0].finding.endswith("(judged in frame 0)")
 
 

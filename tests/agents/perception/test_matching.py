@@ -6,11 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agents.perception import matching
-from agents.perception.matching import is_inlier, largest_disparity_px, match_pixels, scaled_px
+from agents.perception.matching import is_inlier, match_pixels, scaled_px, searched_disparities
 
 WIDTH, HEIGHT = 160, 40
 """At this width the window's radius and the peak's half width are 1 px, and disparities go from 1 to 20."""
-LARGEST = largest_disparity_px(WIDTH)
+LARGEST = searched_disparities(WIDTH).stop - 1
 
 
 def shifted_left(image, disparity):
@@ -44,7 +44,7 @@ def costs_by_the_book(left, right, segmented_left, segmented_right, pixel, dispa
 
 def test_sizes_scale_with_the_width_from_the_papers_own():
     assert [scaled_px(2, w) for w in (640, 960, 1280, 1920, 100)] == [2, 3, 4, 6, 1]
-    assert [largest_disparity_px(w) for w in (640, 960)] == [80, 120]
+    assert [searched_disparities(w).stop - 1 for w in (640, 960)] == [80, 120]
 
 
 @pytest.mark.parametrize("disparity", [1, 7, LARGEST])

@@ -5,6 +5,7 @@ import pytest
 
 from agents.perception.candidates import in_common, seen_by_both
 from schemas.messages import Centrelines, Occluder, no_centrelines
+from shared.disparities import disparities
 
 WIDTH, HEIGHT = 960, 540
 DISPARITY = 60.0
@@ -37,13 +38,13 @@ def pair(eye, way):
 
 
 def seen(both, occluders):
-    common = in_common(both, WIDTH)
+    common = in_common(both, disparities(WIDTH))
     assert common is not None
-    return seen_by_both(both, common, occluders, WIDTH)
+    return seen_by_both(both, common, occluders, WIDTH, disparities(WIDTH).about_px)
 
 
 def length_in_common_px(both):
-    common = in_common(both, WIDTH)
+    common = in_common(both, disparities(WIDTH))
     return 0.0 if common is None else common.length_px
 
 

@@ -42,9 +42,13 @@ def lines(entity) -> Any:
     return np.array(shown.strips.as_arrow_array().to_pylist())
 
 
+def lower(rows):
+    return np.array([[1.0, 0.0, 0.0], [0.0, 1.0, rows]])
+
+
 @pytest.mark.parametrize("rows_down", [0, 4])
 def test_the_threads_of_a_right_image_that_was_moved_lie_where_it_shows_them(observations, rows_down):
-    shown = dict(candidate_entities(observations, rows_down))
+    shown = dict(candidate_entities(observations, lower(rows_down)))
     left, right = lines(shown["world/left/candidates"]), lines(shown["world/right/candidates"])
     np.testing.assert_allclose(left[0], [[5.5, 5.5], [9.5, 7.5]])
     np.testing.assert_allclose(right - left, np.broadcast_to([-2.0, rows_down], left.shape))
@@ -52,7 +56,7 @@ def test_the_threads_of_a_right_image_that_was_moved_lie_where_it_shows_them(obs
 
 @pytest.mark.parametrize("rows_down", [0, 20])
 def test_each_kind_of_what_may_hide_thread_has_its_colour_where_it_lies(observations, rows_down):
-    shown = dict(occluder_entities(observations, rows_down))
+    shown = dict(occluder_entities(observations, lower(rows_down)))
     height, width = observations.camera.image_height, observations.camera.image_width
     for side, down in (("left", 0), ("right", rows_down)):
         image = drawn(shown[f"world/{side}/occluders"])

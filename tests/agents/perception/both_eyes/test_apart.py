@@ -11,6 +11,7 @@ from agents.perception.both_eyes.same_places import same_places
 from agents.perception.both_eyes.shown import PLACES, Shown, from_other_side, numbers, numbers_from_other_side
 from agents.perception.centrelines.along import Pieces
 from schemas.messages import Centrelines
+from shared.disparities import disparities
 
 NUMBERS = 6 * len(PLACES) + 8
 OF_NORMAL = 6 * len(PLACES) + 3
@@ -122,7 +123,7 @@ def always(px):
 def test_each_line_is_moved_across_itself_by_half_of_it_and_towards_the_other_one(images):
     left, right = wave(240.0), moved(wave(240.0), 40.0)
     drawn = drawn_together(images, (left, right), always(0.2))
-    places = same_places(left, right, 480)
+    places = same_places(left, right, disparities(480))
     assert places is not None
     normal = places.left_normal[12]
     for line, before, sign in zip(drawn, (left, right), (1, -1), strict=True):

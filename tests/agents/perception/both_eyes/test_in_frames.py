@@ -12,6 +12,7 @@ from agents.perception.observe import observe
 from agents.perception.segmentation.ridge import segment_ridge
 from agents.perception.segmenter_names import GIVEN_MASKS, RIDGE, THRESHOLD
 from schemas.messages import FrameStamp
+from shared.disparities import disparities_of
 from shared.scene.__main__ import make_scene
 from shared.scene.render import render
 
@@ -41,7 +42,7 @@ def followed(observed):
 def disparity_px(observed):
     """Row by row of the places that both eyes show, where the thread runs across the rows."""
     left, right = observed.centrelines_left, observed.centrelines_right
-    places = same_places(left, right, observed.camera.image_width)
+    places = same_places(left, right, disparities_of(observed))
     assert places is not None
     steep = np.abs(places.left_normal[:, 0]) > 0.8
     at = left.point_px[places.left_at][steep]

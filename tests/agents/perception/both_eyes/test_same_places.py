@@ -6,6 +6,7 @@ import pytest
 from agents.perception.both_eyes.same_places import between, same_places
 from agents.perception.centrelines.along import Pieces, evenly_spaced
 from schemas.messages import Centrelines
+from shared.disparities import disparities
 
 WIDTH = 960
 
@@ -38,7 +39,7 @@ def u_turn(of_depth):
 
 
 def places_of(left, right):
-    places = same_places(left, right, WIDTH)
+    places = same_places(left, right, disparities(WIDTH))
     assert places is not None
     return places
 
@@ -97,20 +98,20 @@ def test_a_thread_that_comes_back_along_the_same_rows_is_known_from_where_one_le
 def test_nothing_is_said_of_two_strands_in_the_same_rows_of_which_either_may_be_meant():
     first, second = wave(400), wave(430)
     left, right = lines(first, second), lines(moved(first, 60.0), moved(second, 60.0))
-    assert same_places(left, right, WIDTH) is None
+    assert same_places(left, right, disparities(WIDTH)) is None
 
 
 def test_nothing_is_said_of_a_strand_that_the_right_eye_does_not_see_beside_one_that_it_does():
     first, second = wave(400), wave(430)
-    assert same_places(lines(first, second), lines(moved(first, 60.0)), WIDTH) is None
+    assert same_places(lines(first, second), lines(moved(first, 60.0)), disparities(WIDTH)) is None
     # with the left one missing too there is nothing else that it can be
-    assert same_places(lines(first), lines(moved(first, 60.0)), WIDTH) is not None
+    assert same_places(lines(first), lines(moved(first, 60.0)), disparities(WIDTH)) is not None
 
 
 @pytest.mark.parametrize("disparity", [-20.0, 0.25 * WIDTH])
 def test_what_lies_at_no_disparity_that_can_be_is_not_the_same(disparity):
     curve = wave(400)
-    assert same_places(lines(curve), lines(moved(curve, disparity)), WIDTH) is None
+    assert same_places(lines(curve), lines(moved(curve, disparity)), disparities(WIDTH)) is None
 
 
 def test_strands_that_cross_are_the_same_places_or_none():
@@ -180,7 +181,7 @@ def test_between_two_places_the_disparity_changes_evenly():
 
 def test_a_thread_along_the_rows_alone_has_no_places():
     level = np.column_stack((np.linspace(300, 500, 200), np.full(200, 200.0)))
-    assert same_places(lines(level), lines(moved(level, 30.0)), WIDTH) is None
+    assert same_places(lines(level), lines(moved(level, 30.0)), disparities(WIDTH)) is None
 
 
 def test_what_one_line_tells_counts_for_no_other():
@@ -208,9 +209,9 @@ def test_a_strand_some_pixels_beside_where_the_thread_is_to_be_is_not_the_same()
 def test_too_short_a_thread_and_none_at_all_say_nothing():
     short = wave(400, 100, 120)
     nothing = Centrelines(np.zeros((0, 2)), np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
-    assert same_places(lines(short), lines(moved(short, 30.0)), WIDTH) is None
-    assert same_places(nothing, lines(wave(400)), WIDTH) is None
-    assert same_places(lines(wave(400)), nothing, WIDTH) is None
+    assert same_places(lines(short), lines(moved(short, 30.0)), disparities(WIDTH)) is None
+    assert same_places(nothing, lines(wave(400)), disparities(WIDTH)) is None
+    assert same_places(lines(wave(400)), nothing, disparities(WIDTH)) is None
 
 
 def test_no_left_point_has_two_places_and_most_have_none():
@@ -222,4 +223,4 @@ def test_no_left_point_has_two_places_and_most_have_none():
 
 def test_a_zigzag_as_fine_as_its_disparity_may_be_any_other_part_of_itself():
     zigzag = np.column_stack((np.linspace(300, 600, 4000), 200 + 60 * np.sin(np.linspace(0, 60, 4000))))
-    assert same_places(lines(zigzag), lines(moved(zigzag, 30.0)), WIDTH) is None
+    assert same_places(lines(zigzag), lines(moved(zigzag, 30.0)), disparities(WIDTH)) is None

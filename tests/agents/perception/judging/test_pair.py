@@ -156,11 +156,6 @@ def test_an_image_of_one_colour_tells_nothing_of_interlacing(eyes):
     assert [eye in answer.found for eye in ("left", "right")] == list(eyes)
 
 
-def test_things_nearer_than_is_looked_for_are_said_to_be():
-    far, near = (window(ground(3), right_px) for right_px in (0.0, 75.0))
-    assert codes((far, near)).get("disparity_range") is Severity.WARNING
-
-
 def test_interlacing_is_told_by_the_images_as_they_came():
     whole = pair(4)
     assert "interlaced" in codes(whole, raw=changed(whole, woven))

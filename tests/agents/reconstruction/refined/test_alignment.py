@@ -7,13 +7,14 @@ from agents.reconstruction.refined.alignment import align
 from agents.reconstruction.refined.chains import chains
 from agents.reconstruction.refined.plausibility import contradiction
 from shared.camera import project
+from shared.disparities import disparities
 
 DENSE = np.linspace(0, 1, 40001)
 
 
 def aligned(left, right, camera):
     chain = chains(left, camera.image_width)[0]
-    found = align(chain, right, camera.image_width)
+    found = align(chain, right, disparities(camera.image_width))
     assert found is not None
     return chain, found
 
@@ -66,14 +67,14 @@ def test_another_strand_beside_the_thread_is_not_taken(camera, curve, see, make_
 
 def test_exchanged_images_contradict(camera, curve, see):
     (chain,) = chains(see(curve, 1), camera.image_width)
-    assert "exchanged" in contradiction(align(chain, see(curve, 0), camera.image_width), camera)
+    assert "exchanged" in contradiction(align(chain, see(curve, 0), disparities(camera.image_width)), camera)
 
 
 @pytest.mark.parametrize("shift", [300.0, -300.0])
 def test_a_thread_in_other_rows_contradicts(camera, curve, see, make_lines, shift):
     right = make_lines(see(curve, 1).point_px * [1, 0.2] + [0, shift])
     (chain,) = chains(see(curve, 0), camera.image_width)
-    assert "check that" in contradiction(align(chain, right, camera.image_width), camera)
+    assert "check that" in contradiction(align(chain, right, disparities(camera.image_width)), camera)
 
 
 def test_a_thread_that_winds_over_the_whole_image_is_aligned_in_bounded_memory(camera, make_lines):

@@ -14,6 +14,7 @@ from agents.reconstruction.refined.constraints import SLACK_PRICE, held_to, regi
 from agents.reconstruction.refined.normal_equations import band, gradient
 from agents.reconstruction.refined.refinement import Start, refined
 from shared.camera import project
+from shared.disparities import disparities
 from shared.splines import basis_matrix
 
 AT = np.linspace(0.1, 0.9, 9)
@@ -106,7 +107,7 @@ def test_the_program_has_the_solution_that_another_solver_finds(fit, camera, tru
 
 def test_regions_stand_about_matches_and_hold_the_thread(camera, curve, see):
     chain = chains(see(curve, 0), camera.image_width)[0]
-    aligned = align(chain, see(curve, 1), camera.image_width)
+    aligned = align(chain, see(curve, 1), disparities(camera.image_width))
     assert aligned is not None
     regions, share = regions_of(chain, aligned, camera)
     assert (np.diff(share) > 0).all()

@@ -7,6 +7,7 @@ import pytest
 
 from agents.reconstruction.refined.joined import LONGEST_WIDTHS, joined
 from agents.reconstruction.refined.method import course_of
+from shared.disparities import disparities
 
 WIDTH = 3.0
 
@@ -88,7 +89,7 @@ def test_a_ring_of_pieces_keeps_every_point_once(make_lines):
 def test_thread_along_the_rows_has_a_say_beyond_a_gap_though_its_end_is_seen_by_one_eye_alone(see, camera, cut_eye):
     end = 0.9, 1.0
     shown = [((0.0, end[eye]),) if eye != cut_eye else ((0.0, 0.6), (0.605, end[eye])) for eye in (0, 1)]
-    course = course_of(see(flat_end, 0, shown[0]), see(flat_end, 1, shown[1]), camera)
+    course = course_of(see(flat_end, 0, shown[0]), see(flat_end, 1, shown[1]), camera, disparities(camera.image_width))
     right = np.sort(course.sight.s[course.sight.eye == 1])
     far = right[-1] if right[0] < 0.05 else 1.0 - right[0]
     assert far > 0.95

@@ -5,6 +5,7 @@ import pytest
 
 from agents.reconstruction.refined.method import course_of
 from agents.reconstruction.refined.right_pieces import LEVEL_PX
+from shared.disparities import disparities
 
 BEND = 0.5
 """Share of the hook that lies across the rows; the rest runs along them."""
@@ -35,19 +36,21 @@ def flat_places(course):
 
 def test_past_a_gap_the_ends_of_thread_along_the_rows_are_one_place(see, camera):
     left, right = seen_twice(see)
-    course = course_of(left, right, camera)
+    course = course_of(left, right, camera, disparities(camera.image_width))
     own, _, _ = flat_places(course)
     matched = {float(s): int(i) for s, i in zip(course.aligned.along_px, course.aligned.right_index, strict=True)}
     assert matched[own * course.left.along_px[-1]] == len(right.piece) - 1
 
 
 def test_from_that_end_on_the_right_image_shows_the_thread_as_far_as_the_left_one(see, camera):
-    own, cut, s = flat_places(course_of(*seen_twice(see), camera))
+    own, cut, s = flat_places(course_of(*seen_twice(see), camera, disparities(camera.image_width)))
     assert np.abs(s - own).max() == pytest.approx(abs(cut - own), abs=0.03)
     assert np.diff(s).max() < 0.02
 
 
 def test_what_leaves_the_rows_of_the_left_image_is_not_followed(see, camera):
-    own, cut, s = flat_places(course_of(*seen_twice(see, lower_px=3 * LEVEL_PX), camera))
+    own, cut, s = flat_places(
+        course_of(*seen_twice(see, lower_px=3 * LEVEL_PX), camera, disparities(camera.image_width))
+    )
     # a third of it, from the thread's end on, lies in about the same rows
     assert 0.2 < np.abs(s - own).max() / abs(cut - own) < 0.5

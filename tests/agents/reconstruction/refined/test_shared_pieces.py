@@ -10,6 +10,7 @@ from agents.reconstruction.refined.method import course_and_fit, course_of
 from agents.reconstruction.refined.posterior import point_covariance
 from agents.reconstruction.refined.result import SAMPLED
 from shared.camera import project
+from shared.disparities import disparities
 
 WIDTH, RADIUS, TO = 6.0, 8.0, 1.3 * np.pi
 """In pixels, in millimetres, and the last angle; strands cross at π."""
@@ -49,7 +50,7 @@ def seen(request, camera, make_lines):
 
 
 def crossings(left, right, camera):
-    _, fit = course_and_fit(left, right, camera)
+    _, fit = course_and_fit(left, right, camera, disparities(camera.image_width))
     return crossings_of(camera, fit.curve, SAMPLED, point_covariance(fit, camera, SAMPLED))
 
 
@@ -60,7 +61,7 @@ def test_the_strands_cross_once(seen, camera):
 
 def test_points_of_the_shared_piece_say_what_one_place_says_that_errs_by_half_of_what_it_is_too_wide(seen, camera):
     (left, on, apart), (right, _, _) = seen
-    course = course_of(left, right, camera).left
+    course = course_of(left, right, camera, disparities(camera.image_width)).left
     shared = on[course.index]
     assert shared.sum() == 2 * on.sum()
     of_piece = course.index[shared] - np.flatnonzero(on)[0]
@@ -72,4 +73,4 @@ def test_points_of_the_shared_piece_say_what_one_place_says_that_errs_by_half_of
 
 def test_a_thread_that_passes_nothing_twice_keeps_what_is_stated(threads, camera, see):
     left, right = (see(threads["winding"], eye) for eye in (0, 1))
-    assert course_of(left, right, camera).left.deviation_px == pytest.approx(0.1)
+    assert course_of(left, right, camera, disparities(camera.image_width)).left.deviation_px == pytest.approx(0.1)

@@ -7,6 +7,7 @@ from agents.reconstruction.refined.alignment import align
 from agents.reconstruction.refined.chains import COVERED, chains
 from agents.reconstruction.refined.method import course_of
 from agents.reconstruction.refined.tips import MOST_EVIDENCE, ends_of
+from shared.disparities import disparities
 
 WHOLE = 292.0
 """Degrees of the circle that the hoop goes through, from 20 on."""
@@ -29,7 +30,7 @@ def told(camera):
 
     def of(left, right):
         found = chains(left, camera.image_width)
-        matched = [(chain, align(chain, right, camera.image_width)) for chain in found]
+        matched = [(chain, align(chain, right, disparities(camera.image_width))) for chain in found]
         ends = np.flatnonzero(np.diff(left.piece, prepend=-1, append=-1))
         index = np.sort(np.concatenate((ends[:-1], ends[1:] - 1)))
         return ends_of(left, right, matched, camera).tip[index]
@@ -65,21 +66,21 @@ def test_a_short_end_behind_a_tool_belongs_to_the_thread(see, camera):
     left = see(hoop, 0, hoop_shown((20, 190), (300, 312)))
     right = see(hoop, 1, hoop_shown((20, 184), (294, 312)))
     assert len(chains(left, camera.image_width)) == 2
-    course = course_of(left, right, camera)
+    course = course_of(left, right, camera, disparities(camera.image_width))
     assert set(course.left.piece.tolist()) == {0, 1}
     assert set(course.left.index[[0, -1]].tolist()) == {0, len(left.piece) - 1}
 
 
 def test_a_short_piece_with_two_tips_of_its_own_stays_outside(see, camera):
     left, right = (see(hoop, eye, hoop_shown((20, 190), (300, 312))) for eye in (0, 1))
-    assert set(course_of(left, right, camera).left.piece.tolist()) == {0}
+    assert set(course_of(left, right, camera, disparities(camera.image_width)).left.piece.tolist()) == {0}
 
 
 def test_a_short_piece_of_another_depth_stays_outside(see, camera, make_lines):
     left = see(hoop, 0, hoop_shown((20, 190), (300, 312)))
     right = see(hoop, 1, hoop_shown((20, 184), (294, 312)))
     moved = [right.point_px[right.piece == 0], right.point_px[right.piece == 1] - (90.0, 0.0)]
-    course = course_of(left, make_lines(*moved), camera)
+    course = course_of(left, make_lines(*moved), camera, disparities(camera.image_width))
     assert set(course.left.piece.tolist()) == {0}
 
 
@@ -92,7 +93,9 @@ def test_ends_beside_each_other_are_cut_where_rows_that_are_off_make_both_look_c
     left = make_lines(thread, needle)
     right = make_lines(*(piece - (55.0, 0.0) + (0.0, rows_off) for piece in (thread, needle)))
     found = chains(left, camera.image_width)
-    known = ends_of(left, right, [(chain, align(chain, right, camera.image_width)) for chain in found], camera)
+    known = ends_of(
+        left, right, [(chain, align(chain, right, disparities(camera.image_width))) for chain in found], camera
+    )
     cut = int((left.piece == 0).sum())
     assert (known.tip[[cut - 1, cut]] < COVERED).all() == (rows_off != 0)
     assert set(chains(left, camera.image_width, known)[0].piece.tolist()) == {0}
