@@ -41,6 +41,7 @@ Segment = Callable[[Image], Bool[np.ndarray, "h w"]]
 WIDTHS = 1280, 540
 ON_THREAD, RECALL_WITHIN, PRECISION_WITHIN = 14 / 1280, 6 / 1000, 8 / 1000
 """Of the image's width."""
+THREAD_RADIUS = 2 / 1280
 CURVE_RIGHT, THREAD_FOLLOWED = 0.90, 0.70
 RIMS = 100, 800
 """Columns of the frames between which outlines of instruments can be told."""
@@ -58,6 +59,8 @@ class Options:
     """Names that contain this."""
     segmenter: str | None = None
     """Default: what suits each picture."""
+    masks: bool = False
+    """Give the drawn thread of the pads as masks, so that what comes after segmentation is judged alone."""
     json: Path | None = None
     """Write everything there."""
     pictures: Path | None = None
@@ -96,11 +99,15 @@ def pad(path: Path, width: int, options: Options) -> dict[str, Any]:
     scale = width / pair[0].shape[1]
     calibration = _scaled(_pad_calibration(path.parent), scale)
     images = _resized(pair[0], scale), _resized(pair[1], scale)
+    eyes = [_along(drawn[eye], scale) for eye in ("left", "right")]
     result = reconstruct_pair(
-        images, calibration, masks=None, segmenter=options.segmenter, method=DEFAULT_METHOD
+        images,
+        calibration,
+        masks=_masks(eyes, images) if options.masks else None,
+        segmenter=options.segmenter,
+        method=DEFAULT_METHOD,
     ).reconstruction
     row: dict[str, Any] = {"pair": path.stem, "width": width, "status": result.status.name.lower()}
-    eyes = [_along(drawn[eye], scale) for eye in ("left", "right")]
     if result.status is not Status.OK:
         _draw(options, f"{path.stem}_{width}", images, eyes, None)
         return row | {"on thread %": None, "followed %": None, "verdict": "refused", "why": result.reason}
@@ -112,6 +119,17 @@ def pad(path: Path, width: int, options: Options) -> dict[str, Any]:
     _draw(options, f"{path.stem}_{width}", images, eyes, curves)
     shares = {"on thread %": 100 * on, "followed %": 100 * followed}
     return row | shares | {"verdict": "right" if right else "wrong though ok", "why": ""}
+
+
+def _masks(eyes: Sequence[Points], images: Pair) -> Pair:
+    """The drawn thread of both eyes, as wide as it is."""
+    drawn: list[Image] = []
+    for thread, image in zip(eyes, images, strict=True):
+        mask = np.zeros(image.shape[:2], np.uint8)
+        for u, v in np.rint(thread).astype(int).tolist():
+            cv2.circle(mask, (u, v), max(1, round(THREAD_RADIUS * image.shape[1])), 255, -1)
+        drawn.append(mask)
+    return drawn[0], drawn[1]
 
 
 def without_thread(path: Path, options: Options) -> dict[str, Any]:

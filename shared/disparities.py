@@ -11,8 +11,8 @@ LEAST_PX = 1.0
 NEARER = 1.5
 """Thread may be held at two thirds of the distance of all else that both eyes show, and lie as much beyond it."""
 UNSHOWN_SHARE, ABOUT_SHARE = 0.25, 0.04
-"""Of the width, where the pair shows nothing but thread: the greatest disparity, as endoscopes have them; and how far
-from the usual one that of one thread may be."""
+"""Of the width: the greatest disparity where the pair shows nothing but thread, as endoscopes have them; and how far
+from the usual one that of one thread may be, at least."""
 
 
 @dataclass(frozen=True)
@@ -60,5 +60,5 @@ def disparities(image_width: int, shown_px: Float64[np.ndarray, "2"] | None = No
         least, most = (float(told) for told in shown_px)
         # what another agent observed may be anything
         if LEAST_PX <= least < most <= largest_disparity_px(image_width):
-            return Disparities(least, most, 0.5 * (most - least))
+            return Disparities(least, most, max(0.5 * (most - least), ABOUT_SHARE * image_width))
     return Disparities(LEAST_PX, endoscope_disparity_px(image_width), ABOUT_SHARE * image_width)

@@ -191,7 +191,8 @@ class Perception:
         )
         if everything.judgements is None:
             everything = replace(everything, judgements=whole.alignment)
-        seen = whole.right_eye, whole.disparities_px
+        known_px = None if self._last is None else self._last.disparities_px
+        seen = whole.right_eye, known_px if whole.disparities_px is None else whole.disparities_px
         observed = self._observed(stamp, replace(pair, images=whole.images), everything, *seen)
         judgements = (*whole.offset, *observed.judgements, *whole.pictures)
         return replace(observed, judgements=judgements)

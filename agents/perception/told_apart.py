@@ -16,7 +16,7 @@ from agents.perception.following.stacked import trail_without
 from agents.perception.occluders import map_image, occluders_in, with_needles
 from agents.perception.segmenter_names import NETWORK, RIDGE
 from schemas.messages import Centrelines, Image, ImageEncoding, Occluders, Status, ThreadObservations
-from shared.disparities import NEARER, disparities_of, endoscope_disparity_px
+from shared.disparities import ABOUT_SHARE, NEARER, disparities_of, endoscope_disparity_px
 from shared.images import decode_image
 
 Pair = tuple[UInt8[np.ndarray, "h w *c"], UInt8[np.ndarray, "h w *c"]]
@@ -36,7 +36,7 @@ IN_ONE_EYE = (
 )
 NO_ENDOSCOPE = (
     "the eyes are farther apart, for how far they look, than those of any endoscope, and what looks like thread there "
-    "is often none: point at the thread by a prompt, or give masks"
+    "is often none: give masks"
 )
 """On real pads that a rig shows, half of what the network takes for thread is slits and instruments."""
 OVER_WIDTHS = 2.0
@@ -66,12 +66,13 @@ def told_apart(
         return observed
     whole = observed.looked_sequence == observed.stamp.sequence
     lines = observed.centrelines_left, observed.centrelines_right
-    # who points at a thread, or draws it, says what is thread
     common, reach = None, disparities_of(observed)
-    if whole and observed.prompt_px is None and observed.segmenter in (NETWORK, RIDGE):
+    is_learned = observed.segmenter in (NETWORK, RIDGE)
+    if is_learned and reach.most_px > NEARER * endoscope_disparity_px(observed.camera.image_width):
+        return _none(observed, NO_ENDOSCOPE, score)
+    # who points at a thread, or draws it, says what is thread
+    if whole and is_learned and observed.prompt_px is None:
         width = observed.camera.image_width
-        if reach.most_px > NEARER * endoscope_disparity_px(width):
-            return _none(observed, NO_ENDOSCOPE, score)
         standing = without_printed(images, lines, PRINTED_SHARE * width, observed.camera.fx_px, score, reach)
         if len(lines[0].piece) and not len(standing[0].piece):
             return _none(observed, ALL_PRINTED, score)
@@ -83,7 +84,8 @@ def told_apart(
     occluders = _occluders(observed, images, coverage, whole, last)
     if common is not None:
         maps = None if occluders is None else (decode_image(occluders.left), decode_image(occluders.right))
-        lines = seen_by_both(lines, common, maps, observed.camera.image_width, reach.about_px)
+        width = observed.camera.image_width
+        lines = seen_by_both(lines, common, maps, width, ABOUT_SHARE * width)
         observed = _with_lines(observed, lines)
     # one thread alone is told from no other by what may hide it
     is_asked = occluders is not None and (whole or len(before) > 1)

@@ -13,7 +13,7 @@ import rerun as rr
 from agents.viewer import colours
 from agents.viewer.entity import HALF_PX, Entity
 from agents.viewer.image_pane import decoded_mask, enlarged
-from agents.viewer.report import finding_text, findings, threads_text
+from agents.viewer.report import finding_text, findings, stereo_text, threads_text
 from schemas.messages import Image, ImageEncoding, Status, ThreadCandidate, ThreadObservations
 from shared.right_eye import IN_LINE, Affine, moved
 
@@ -76,7 +76,7 @@ def verdict(observations: ThreadObservations) -> str:
         said.insert(0, f"**No thread:** {observations.reason}")
     elif not said:
         said = ["Nothing is wrong with the images."]
-    return "\n\n".join([*said, *threads_text(observations)])
+    return "\n\n".join([*said, *stereo_text(observations), *threads_text(observations)])
 
 
 def _lines(lines: list[np.ndarray]) -> rr.LineStrips2D:

@@ -14,6 +14,7 @@ from schemas.messages import (
     ThreadObservations,
     ThreadReconstruction,
 )
+from shared.right_eye import right_eye_of
 from shared.units import unit_name
 
 LEAST_SAID = 0.005
@@ -82,6 +83,20 @@ def finding_text(judgement: Judgement) -> str:
     """One finding in one line."""
     remedy = f" Remedy: {judgement.remedy}" if judgement.remedy else ""
     return f"{judgement.severity.name} {judgement.code}: {judgement.finding}{remedy}"
+
+
+def stereo_text(observations: ThreadObservations) -> list[str]:
+    """How the eyes lie to each other, as far as the pair shows it, a sentence each."""
+    lines: list[str] = []
+    if (eye := right_eye_of(observations)) is not None:
+        lines.append(
+            f"The right eye was put in line: {eye.rows_px:.2f} px lower, turned by {eye.turned_deg:.3f} degrees, "
+            f"{eye.magnified:.4f} times as large."
+        )
+    if observations.disparities_px is not None:
+        least, most = observations.disparities_px
+        lines.append(f"Thread is looked for at disparities of {least:.0f} to {most:.0f} px.")
+    return lines
 
 
 def threads_text(observations: ThreadObservations) -> list[str]:

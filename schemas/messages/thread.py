@@ -154,7 +154,8 @@ class RightEye:
 
     def __post_init__(self) -> None:
         check_message(self)
-        require(self.magnified > 0, "magnified must be positive")
+        require(0.5 <= self.magnified <= 2.0, "no eye shows things half or twice as large")
+        require(abs(self.rows_px) <= 1e4 and abs(self.turned_deg) <= 360, "no eye is so far out of line")
 
 
 @dataclass(frozen=True)

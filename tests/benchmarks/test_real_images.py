@@ -21,6 +21,12 @@ def test_no_curve_beside_the_thread_of_a_pad_is_called_ok(name, width):
     assert row["verdict"] == "right" or row["why"], "who is refused is told why"
 
 
+@pytest.mark.parametrize(("name", "width"), [("pad_0", 1280), ("pad_0", 540), ("pad_2", 540), ("pad_3", 540)])
+def test_a_pads_thread_that_was_drawn_is_followed_by_a_rig_that_is_no_endoscope(name, width):
+    row = pad(STEREO / f"{name}.json", width, Options(DATA, masks=True))
+    assert row["verdict"] == "right", row
+
+
 @pytest.mark.parametrize("name", ["flesh_1", "flesh_3", "flesh_5"])
 def test_flesh_holds_no_thread(name):
     assert not without_thread(STEREO / f"{name}_left.png", Options(DATA))["false thread"]

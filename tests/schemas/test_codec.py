@@ -155,7 +155,7 @@ candidates = st.builds(
 occluders = st.builds(Occluders, images(), images(), uint64)
 
 
-right_eyes = st.builds(RightEye, numbers, numbers, positive)
+right_eyes = st.builds(RightEye, st.floats(-1e4, 1e4), st.floats(-360, 360), st.floats(0.5, 2))
 
 
 @st.composite

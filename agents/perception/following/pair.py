@@ -47,7 +47,7 @@ def follow_pair(
     """Observations of a pair by following the last ones; None where thread is to be looked for.
 
     Args:
-        images: rectified, their rows moved as they were for the last observations.
+        images: rectified, the right eye put in line as for the last observations.
         between: how many of the camera's frames there are between two looks at the whole.
     """
     if last.trail_left is None or last.trail_right is None:

@@ -13,10 +13,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from agents.perception.judging.alignment import ROW_FAULT_SHARE, ROW_NOTE_PX
+from agents.perception.judging.alignment import CERTAIN, ROW_FAULT_SHARE, ROW_NOTE_PX
 from agents.perception.judging.correspondence import Correspondence, Plane
 from schemas.messages import Judgement, RectifiedStereo, RightEye, Severity
-from shared.right_eye import from_in_line, moved
+from shared.right_eye import from_in_line, is_rows_alone, moved
 
 MANY_MATCHES = 80
 SURE_PX, REFERENCE_WIDTH_PX = 0.15, 960
@@ -24,7 +24,7 @@ SURE_PX, REFERENCE_WIDTH_PX = 0.15, 960
 SCATTERED_PX = 0.6
 """Median distance from the plane, in such an image."""
 KEPT_WITHIN_PX = 0.75
-"""What was put in line before stays as it is while no corner would move by more."""
+"""What was put in line before stays as it is while no corner would move by more, in such an image."""
 
 
 def is_certain(seen: Correspondence | None, width: int) -> bool:
@@ -54,15 +54,22 @@ def out_of_line(seen: Correspondence, camera: RectifiedStereo, before: RightEye 
     larger_px = abs(eye.magnified - 1.0) * height / 2
     if max(abs(eye.rows_px), turned_px, larger_px) > ROW_FAULT_SHARE * height:
         return None
-    if max(turned_px, larger_px) <= ROW_NOTE_PX:
-        # a plane tells its middle best
-        rows = -(seen.row_residual_px or 0.0)
-        eye = RightEye(rows, 0.0, 1.0)
-    if before is not None and _corners_apart(eye, before, camera) < KEPT_WITHIN_PX:
-        return before
-    if eye.turned_deg == 0:
-        return RightEye(float(round(eye.rows_px)), 0.0, 1.0) if abs(eye.rows_px) > ROW_NOTE_PX else None
-    return eye
+    # a plane tells its middle best
+    rows = -(seen.row_residual_px or 0.0)
+    by_rows = RightEye(rows, 0.0, 1.0)
+    if before is not None:
+        now = by_rows if is_rows_alone(before) else eye
+        if _corners_apart(now, before, camera) < KEPT_WITHIN_PX * max(1.0, width / REFERENCE_WIDTH_PX):
+            return before
+    if max(turned_px, larger_px) > ROW_NOTE_PX and _is_turned(seen, eye):
+        return eye
+    return RightEye(float(round(rows)), 0.0, 1.0) if abs(rows) > ROW_NOTE_PX else None
+
+
+def _is_turned(seen: Correspondence, eye: RightEye) -> bool:
+    """Whether the turn, or the magnification, is no chance of where the few places lie."""
+    turned = abs(eye.turned_deg) > CERTAIN * (seen.rotation_deviation_deg or 0.0)
+    return turned or abs(eye.magnified - 1.0) > CERTAIN * (seen.magnification_deviation or 0.0)
 
 
 def _of_plane(plane: Plane, camera: RectifiedStereo) -> RightEye:

@@ -10,7 +10,7 @@ import pytest
 from agents.viewer import colours
 from agents.viewer.candidate_mapping import candidate_entities, occluder_entities, verdict
 from agents.viewer.live_mapping import LiveMapping
-from schemas.messages import ImageEncoding, Judgement, Occluder, Occluders, Severity, Status, ThreadCandidate
+from schemas.messages import ImageEncoding, Judgement, Occluder, Occluders, RightEye, Severity, Status, ThreadCandidate
 from shared.images import encode_image
 
 PLACES = {Occluder.TOOL: 10, Occluder.NEEDLE: 30, Occluder.UNKNOWN: 50}
@@ -80,6 +80,15 @@ def test_the_verdict_says_what_is_wrong_what_to_do_and_which_threads_there_are(o
     failed = dataclasses.replace(observations, status=Status.FAILED, reason="no thread was found in the left image")
     assert "No thread:** no thread was found in the left image" in verdict(failed)
     assert "nobody looked, or the ground is grey" in verdict(dataclasses.replace(observations, occluders=None))
+
+
+def test_the_verdict_says_how_the_eyes_lie_to_each_other(observations):
+    turned = dataclasses.replace(
+        observations, right_eye=RightEye(-2.4, -0.147, 0.9997), disparities_px=np.array([192.4, 575.1])
+    )
+    assert "put in line: -2.40 px lower, turned by -0.147 degrees" in verdict(turned)
+    assert "disparities of 192 to 575 px" in verdict(turned)
+    assert "put in line" not in verdict(observations) and "disparities of" not in verdict(observations)
 
 
 def test_a_running_session_shows_threads_what_hides_them_the_score_and_the_verdict(observations):
