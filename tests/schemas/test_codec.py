@@ -862,6 +862,13 @@ def added(number):
     return bytes([*out, key, 1])
 
 
+def test_whatever_could_move_a_robot_or_says_where_it_goes_is_understood_in_full():
+    assert {message_type.__name__ for message_type in LEADING_TO_MOTION} == {
+        *("GraspGoal", "GraspPlan", "Arm", "ChangeState", "Heartbeat"),
+        *("ReplayClock", "SetParameter", "ToolCorrection", "FrameNotice"),
+    }
+
+
 @every_message_type
 @settings(max_examples=5)
 @given(data=st.data())

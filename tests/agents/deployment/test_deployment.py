@@ -237,6 +237,26 @@ def test_installing_puts_all_in_its_place_and_does_nothing_twice(deployed, tmp_p
     ]  # fmt: skip
 
 
+@pytest.mark.parametrize(
+    ("key", "group", "mode"),
+    [
+        ("operator.desk.key", "suturegrasp-operators", 0o640),
+        ("robot_zenoh.robot.key", "suturegrasp-robot", 0o640),
+        ("planner.main.key", "", 0o600),
+    ],
+)
+def test_a_key_that_people_read_belongs_to_their_group_and_a_services_own_to_none(
+    monkeypatch, tmp_path, key, group, mode
+):
+    given = []
+    monkeypatch.setattr(installing.shutil, "chown", lambda path, _user, of: given.append((Path(path).name, of)))
+    made, target = tmp_path / "made", tmp_path / key
+    made.write_text("a key")
+    installing._put(made, target, installing._mode(PurePosixPath(target)), real=True)
+    assert given == ([(f".{key}.new", group)] if group else [])
+    assert target.stat().st_mode & 0o777 == mode
+
+
 def test_nobody_but_root_installs_on_a_machine_and_nothing_is_touched_before(deployed, monkeypatch):
     def touched(*_):
         raise AssertionError("this would have changed the machine")

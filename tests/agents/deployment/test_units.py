@@ -70,6 +70,11 @@ def test_a_unit_is_confined_and_started_again_after_longer_and_longer_pauses(nam
     assert "StartLimitIntervalSec=0" in SERVICES[name].split("[Service]")[0]
 
 
+def test_no_service_is_in_a_group_that_reads_keys_of_people():
+    groups = [told(text).get(key, []) for text in SERVICES.values() for key in ("Group", "SupplementaryGroups")]
+    assert {name for each in groups for name in each} == {"suturegrasp", "video"}
+
+
 @pytest.mark.parametrize("process", [p for p in PROCESSES if p.kind != "operator"], ids=lambda p: p.common_name)
 def test_a_unit_reads_its_own_certificate_and_is_watched_where_it_has_a_loop(process):
     (text,) = (

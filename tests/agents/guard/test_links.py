@@ -309,6 +309,24 @@ def test_a_heartbeat_that_comes_too_late_is_told_of(robot):
     assert robot.told[-1][1] == "the operator's answers take 200 ms to the guard, and 100 ms are allowed"
 
 
+@pytest.mark.parametrize("set_s", [-10, 10])
+def test_a_clock_that_is_set_in_mid_motion_neither_blinds_a_guard_nor_ends_the_motion(monkeypatch, set_s):
+    robot, ahead_ns = Robot(monkeypatch), [0]
+    # the guard's own clocks again, over those of a machine
+    monkeypatch.undo()
+    machine = SimpleNamespace(monotonic_ns=lambda: robot.now_ns, time_ns=lambda: 2**60 + robot.now_ns + ahead_ns[0])
+    monkeypatch.setattr("shared.clock.time", machine)
+    robot.turns(40)
+    robot.moves()
+    ahead_ns[0] = set_s * 1000 * MS
+    robot.moves()
+    assert robot.monitor.gate is Gate.OPEN
+    for _ in range(23):
+        robot.turns()
+        robot.move()
+    assert (robot.monitor.gate, robot.told) == (Gate.HELD, [("hold", "nobody stands by any more")])
+
+
 @pytest.mark.parametrize("what", ["set point", "heartbeat"])
 def test_turns_are_quick_for_a_second_after_what_stirs(robot, what):
     assert robot.links.turn() is False

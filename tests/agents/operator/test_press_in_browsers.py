@@ -29,16 +29,26 @@ FIREFOX = pytest.param("firefox", marks=pytest.mark.skipif(firefox_found() is No
 
 
 @pytest.fixture
-def rig(settings, in_threads, hand_made_thread, hand_made_camera, monkeypatch):
+def patient(settings, monkeypatch):
+    """The settings of a rig that waits for a busy machine, and arms nothing."""
     monkeypatch.setattr("agents.operator.control.PRESS_S", NEVER_S)
     monkeypatch.setattr("agents.operator.control.BEAT_S", BEAT_S)
     monkeypatch.setattr("agents.operator.choosing.AGAIN_FOR_S", PATIENT_S)
     monkeypatch.setattr("agents.operator.carrying_out.new_header", lambda sender: new_header(sender, PATIENT_S))
     monkeypatch.setattr("shared.runtime.commands.FARTHEST_DEADLINE_S", 2 * PATIENT_S)
-    planner = Planner(PlannerConfig(arm_age_ms=1e3 * PATIENT_S))
+    return settings
+
+
+@pytest.fixture
+def planner():
+    return Planner(PlannerConfig(arm_age_ms=1e3 * PATIENT_S))
+
+
+@pytest.fixture
+def rig(patient, planner, in_threads, hand_made_thread, hand_made_camera):
     bridge = RobotBridge(RobotBridgeConfig(), SimulatedPsm())
-    with in_threads(settings, hand_made_thread(), hand_made_camera(), planner, bridge):
-        yield settings
+    with in_threads(patient, hand_made_thread(), hand_made_camera(), planner, bridge):
+        yield patient
 
 
 class InChromium:
@@ -151,6 +161,15 @@ class Hands:
             await self.page.key(kind, key, key, number)
 
 
+async def planned(page):
+    """Choose a place by keys, until there is a plan to press for."""
+    await page.until("document.getElementById('control').textContent.includes('you control')", PATIENT_S)
+    await page.value(f"{FIELD}.focus()")
+    for kind in ("keyDown", "keyUp"):
+        await page.key(kind, "ArrowRight", "ArrowRight", 39)
+    await page.until(PLANNED, PATIENT_S)
+
+
 async def lose_a_mouse(hands):
     page = hands.page
 
@@ -250,11 +269,35 @@ def test_whatever_takes_a_press_away_lets_go_of_it(rig, looked_at, name, ways):
     written, driven = [], {"chromium": InChromium, "firefox": InFirefox}[name]
 
     async def look(page, _emulated):
-        await page.until("document.getElementById('control').textContent.includes('you control')", PATIENT_S)
-        await page.value(f"{FIELD}.focus()")
-        for kind in ("keyDown", "keyUp"):
-            await page.key(kind, "ArrowRight", "ArrowRight", 39)
-        await page.until(PLANNED, PATIENT_S)
+        await planned(page)
         await ways(Hands(page, driven(page), written))
 
     looked_at(rig, look, opened=driven.browser, audit=lambda what, **told: written.append((what, told)))
+
+
+@pytest.mark.skipif(chromium_found() is None, reason="no chromium here")
+def test_a_picture_that_freezes_lets_go_of_a_press(
+    patient,
+    planner,
+    in_threads,
+    hand_made_thread,
+    hand_made_camera,
+    real_arm,
+    bridge_of_real_arm,
+    looked_at,
+    monkeypatch,
+):
+    monkeypatch.setattr("agents.operator.control.BEAT_S", PATIENT_S)
+    camera, written = hand_made_camera(echoes=True), []
+    bridge = bridge_of_real_arm(real_arm, maximum_plan_age_s=PATIENT_S, maximum_frame_age_s=BEAT_S)
+
+    async def look(page, _emulated):
+        await planned(page)
+        hands = Hands(page, InChromium(page), written)
+        await hands.begins(hands.by_mouse)
+        # pictures go on coming, and each is as old as this one
+        camera.frozen.set()
+        await hands.lost(r"the picture is [\d.]+ s old, and 2\.00 s are allowed")
+
+    with in_threads(patient, hand_made_thread(echoes=True), camera, planner, bridge):
+        looked_at(patient, look, audit=lambda what, **told: written.append((what, told)))

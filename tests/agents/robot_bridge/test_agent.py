@@ -88,14 +88,14 @@ class UnreliableArm(SimulatedPsm):
     readiness = Readiness.READY
     joints_read: Callable[[np.ndarray], np.ndarray] = staticmethod(lambda joints: joints)
     jaw_read: Callable[[float], float] = staticmethod(lambda jaw_rad: jaw_rad)
-    late_ns, busy, still_since_ns = 0, False, 0
+    late_ns, busy, still_since_ns, pedal = 0, False, 0, False
 
     def state(self, now_ns: int) -> ArmState:
         state = super().state(now_ns)
         reason = "" if self.readiness is Readiness.READY else "the clutch is pressed"
         joints = self.joints_read(state.joints)
         told = (now_ns - self.late_ns, joints, self.jaw_read(state.jaw_rad), self.readiness, reason)
-        return ArmState(*told, busy=self.busy, still_since_ns=self.still_since_ns)
+        return ArmState(*told, busy=self.busy, still_since_ns=self.still_since_ns, pedal=self.pedal)
 
 
 class Drive:
@@ -136,6 +136,7 @@ class Drive:
         at_ns: int | None = None,
         arming_id: str | None = None,
         echo_ns: int | None = None,
+        pressed: bool = False,
     ) -> None:
         """A heartbeat that answers the newest challenge, or `echo_ns`; with `at_ns` none, as before there were any."""
         newest_ns = self.states()[-1].challenge_ns if at_ns is None else 0
@@ -145,6 +146,7 @@ class Drive:
             self.now_ns if at_ns is None else at_ns,
             arming_id or self.arming_id,
             newest_ns if echo_ns is None else echo_ns,
+            pressed=pressed,
         )
         self.feed(Received(HEARTBEAT, "suturegrasp/lab/operator/psm1/heartbeat", 0, heartbeat))
 

@@ -40,18 +40,19 @@ class Seen(Drive):
             stamp = FrameStamp(1, self.now_ns, self.now_ns, "c", echo)
             self.feed(Received(FRAME_NOTICE, "", 0, FrameNotice(stamp)))
 
-    def goes(self, ticks: int) -> None:
+    def goes(self, ticks: int, pressed: bool = False) -> None:
         for index in range(ticks):
             if index % PERIOD_TICKS == 0:
                 self.see()
-                self.beat()
+                self.beat(pressed=pressed)
             self.tick()
 
-    def armed(self, segments: int = 0, plan_id: str = "p1") -> str:
+    def armed(self, segments: int = 0, plan_id: str = "p1", pressed: bool = False) -> str:
         """Arm a plan; the code of a refusal."""
         self.armings += 1
         header = CommandHeader(f"arming-{self.armings}", self.now_ns + SECOND, "ann")
-        message = Arm(header, "psm1", plan_id, self.states()[-1].challenge_ns, segments=segments)
+        asked_ns = self.states()[-1].challenge_ns
+        message = Arm(header, "psm1", plan_id, asked_ns, pressed=pressed, segments=segments)
         answer = self.feed(Command(ARM, "psm1", message, self.now_ns))[0]
         assert isinstance(answer, CommandAnswer)
         if answer.outcome is Outcome.ACCEPTED:
@@ -234,3 +235,22 @@ def test_a_motion_that_is_slowed_down_under_way_holds_at_the_cap():
         drive.tick()
     held = drive.events()[-1]
     assert (held.kind, held.code) == (ExecutionKind.HELD, "too_long")
+
+
+def test_a_motion_holds_once_the_frame_of_its_plan_is_older_than_a_plan_and_its_motion_may_be():
+    drive = Seen(RobotBridgeConfig(maximum_motion_s=8.0))
+    drive.see()
+    drive.publish(drive.fresh())
+    for _ in range(500):
+        drive.see()
+        drive.tick()
+    assert drive.armed() == ""
+    # whoever sets it lower means the plan that is carried out, too
+    drive.bridge.configure(dataclasses.replace(drive.bridge.config, maximum_plan_age_s=0.1))
+    for _ in range(400):
+        drive.see()
+        drive.beat()
+        drive.tick()
+    held = drive.events()[-1]
+    assert (held.kind, held.code) == (ExecutionKind.HELD, "frame_age")
+    assert "the frame of its plan is 8.1 s old" in held.reason

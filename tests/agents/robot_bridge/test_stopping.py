@@ -292,6 +292,19 @@ def test_of_many_halts_at_once_the_console_hears_one(tmp_path):
     assert console.holds_said == 2
 
 
+def test_what_a_console_never_told_is_not_known_until_it_tells_it(tmp_path):
+    console = Console(tmp_path)
+    console.tick()
+    assert set(console.arm._untold()) == {"teleoperation", "endoscope_arm", "clutch"}
+    assert len(console.arm.state(console.now_ns).untold) == 3
+    # also what cannot be read has been told
+    for topic in ("console/teleop/enabled", "ECM/local/measured_cp", "footpedals/clutch"):
+        told = console.arm._untold()
+        console.wire.heard[topic](b"", console.now_ns)
+        assert len(console.arm._untold()) == len(told) - 1, topic
+    assert console.arm.state(console.now_ns).untold == ()
+
+
 def test_challenges_come_often_while_a_plan_may_be_armed_so_that_the_way_of_an_answer_is_known(tmp_path):
     console = Console(tmp_path)
     console.tick(150)

@@ -370,6 +370,13 @@ def test_without_a_living_guard_a_real_arm_is_not_armed_and_does_not_go_on(lab):
     assert lab.arm().code == "no_guard"
 
 
+def test_a_motion_ends_where_the_link_to_the_robot_broke_though_it_is_there_again_at_once(lab):
+    moves(lab)
+    lab.backend._link.broken += 1
+    event = held(lab)
+    assert (event.code, "the link to the robot broke" in event.reason) == ("stale_state", True)
+
+
 def test_a_process_that_beats_by_itself_arms_no_real_arm(lab):
     lab.ready()
     lab.arm()
