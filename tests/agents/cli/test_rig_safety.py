@@ -8,6 +8,7 @@ import pytest
 
 from agents.camera.scene_source import calibration_of
 from agents.cli.rig.base_file import base_of, registered_ns
+from agents.cli.rig.builders import build
 from agents.cli.rig.config import RigConfig
 from agents.cli.rig.sections import ArmSection
 from agents.simulator.agent import Simulator, SimulatorConfig
@@ -191,3 +192,12 @@ def test_the_emulated_arm_is_registered_before_the_camera_that_its_simulator_has
     assert base_of("psm1", arm).calibration_id == calibration_id(calibration_of(state.camera))
     np.testing.assert_allclose(base_of("psm1", arm).T, SIMULATED_BASES["psm1"], atol=1e-8)
     assert registered_ns(arm) is not None
+
+
+@pytest.mark.parametrize(
+    ("more", "needed"), [("", True), ('has_no = ["clutch"]', True), ('has_no = ["tissue"]', False)]
+)
+def test_a_real_arm_moves_only_where_tissue_was_measured_unless_its_rig_has_none(monkeypatch, tmp_path, more, needed):
+    monkeypatch.chdir(tmp_path)
+    bridge = build(rig(real_arm("psm1", more=more)), "robot_bridge", "psm1")
+    assert bridge.config.tissue_needed is needed

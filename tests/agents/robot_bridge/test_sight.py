@@ -254,3 +254,24 @@ def test_a_motion_holds_once_the_frame_of_its_plan_is_older_than_a_plan_and_its_
     held = drive.events()[-1]
     assert (held.kind, held.code) == (ExecutionKind.HELD, "frame_age")
     assert "the frame of its plan is 8.1 s old" in held.reason
+
+
+def test_a_plan_whose_frame_echoes_an_old_challenge_is_refused_whatever_the_cameras_own_clock_says():
+    drive = Seen(RobotBridgeConfig(maximum_plan_age_s=1.0))
+    echo = (ChallengeEcho("psm1", drive.states()[-1].challenge_ns),)
+    for _ in range(110):
+        drive.see()
+        drive.tick()
+    drive.publish(plan(stamp=FrameStamp(1, drive.now_ns, drive.now_ns, "c", echo)))
+    assert drive.armed() == "frame_age"
+    drive.publish(drive.fresh())
+    assert drive.armed() == ""
+
+
+@pytest.mark.parametrize(("share", "code"), [(1.0, ""), (0.5, "too_long")])
+def test_a_lower_speed_makes_a_motion_longer_and_its_cap_no_larger(share, code):
+    # at full speed the whole grasp takes seven seconds
+    drive = Seen(RobotBridgeConfig(maximum_motion_s=8.0, limits=MotionLimits().slowed(share)))
+    drive.see()
+    drive.publish(drive.fresh())
+    assert drive.armed() == code

@@ -396,3 +396,12 @@ def test_a_halt_from_another_thread_ends_the_motion_in_the_next_turn(tmp_path):
     rig.tick()
     assert not rig.bridge.executes
     assert rig.said[-1].message.code == "hold_command"
+
+
+def test_pause_and_disable_are_said_whatever_time_it_is_for_the_bridge(tmp_path):
+    console = Console(tmp_path)
+    console.tick()
+    # as after a tick that stalled, and as while a recording is replayed
+    console.arm.state(console.now_ns - 3 * SECOND)
+    assert [console.arm.change_state(StateWord[word.upper()], console.now_ns) for word in STOPS[1:]] == ["", ""]
+    assert console.wire.said.count("PSM1/state_command") == 2

@@ -261,3 +261,19 @@ def test_a_recording_that_another_program_has_packed_is_read(tmp_path, compressi
     packed(path, compression, 1 << 20)
     (entry,) = read_recording(path)
     assert entry.payload == bytes(1 << 20)
+
+
+@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
+def test_what_many_chunks_grow_to_together_is_bounded_too(tmp_path, compression):
+    path, each, count = tmp_path / "bombs.mcap", 8 << 20, 12
+    with path.open("wb") as file:
+        writer = Writer(file, compression=compression, chunk_size=each)
+        writer.start(profile=PROFILE, library=f"suturegrasp {schemas.__version__}")
+        schema = writer.register_schema("suturegrasp.v1.LogRecord", "protobuf", b"")
+        channel = writer.register_channel(KEY, "protobuf", schema, {"epoch": "7"})
+        for number in range(count):
+            writer.add_message(channel, number + 1, bytes(each), number + 1)
+        writer.finish()
+    assert 100 * path.stat().st_size + (16 << 20) < each * count
+    with pytest.raises(RecordingError, match=r"bombs\.mcap unpacks to over 100 times its size and 16 MB"):
+        list(read_recording(path))
