@@ -11,6 +11,7 @@ from agents.cli.rig.base_file import base_of, registered_ns
 from agents.cli.rig.builders import build
 from agents.cli.rig.config import RigConfig
 from agents.cli.rig.sections import ArmSection
+from agents.robot_bridge.agent import RobotBridge
 from agents.simulator.agent import Simulator, SimulatorConfig
 from schemas.topics import SIMULATOR_STATE
 from shared.calibration.identity import calibration_id
@@ -200,4 +201,5 @@ def test_the_emulated_arm_is_registered_before_the_camera_that_its_simulator_has
 def test_a_real_arm_moves_only_where_tissue_was_measured_unless_its_rig_has_none(monkeypatch, tmp_path, more, needed):
     monkeypatch.chdir(tmp_path)
     bridge = build(rig(real_arm("psm1", more=more)), "robot_bridge", "psm1")
+    assert isinstance(bridge, RobotBridge)
     assert bridge.config.tissue_needed is needed
