@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 from schemas.messages import RectifiedStereo
 from shared.scene.path_traced.ground import Ground
+from shared.scene.path_traced.lab_light import LabLight
 from shared.scene.path_traced.solids import Needle, Solid
 from shared.scene.path_traced.strands import Strand
 
@@ -18,7 +19,11 @@ class Lamp:
 
 @dataclass(frozen=True)
 class Field:
-    """What both eyes look at. The first strand is the one that the truth is about."""
+    """What both eyes look at. The first strand is the one that the truth is about.
+
+    Fields:
+        lamps: each traced on its own; where there is light of a lab, that is traced instead, as it comes and goes.
+    """
 
     camera: RectifiedStereo
     ground: Ground
@@ -26,3 +31,4 @@ class Field:
     needle: Needle | None = None
     tools: list[Solid] = field(default_factory=list)
     lamps: list[Lamp] = field(default_factory=list)
+    lab_light: LabLight | None = None

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
 
-from shared.scene.path_traced.camera_effects import developed, gain_for
+from shared.scene.path_traced.camera_effects import developed, gain_by_middle, gain_for
 from shared.scene.path_traced.eyes import Eye, Rig
 from shared.scene.path_traced.own_check import offset_from_truth
 from shared.scene.path_traced.recipe import Arranged, Recipe, arranged
 from shared.scene.path_traced.splines import sampled
-from shared.scene.path_traced.tracing import Sight, coverage, sight, traced_light, visible
+from shared.scene.path_traced.tracing import Sight, coverage, sight, traced_lab_light, traced_light, visible
 from shared.scene.path_traced.world import NEEDLE, STRAND, TOOL, build
 
 TURN_SEEDS = 1_000_003
@@ -63,8 +63,12 @@ def traced_pair(recipe: Recipe, rig: Rig, samples: int, turn: int = 0) -> Traced
     eyes = rig.eyes
     sights = [sight(scene, eye, 2 * recipe.seed + k) for k, eye in enumerate(eyes)]
     seed = 2 * recipe.seed + TURN_SEEDS * turn
-    lights = [traced_light(scene, scenery.field.lamps, eye, samples, seed + k) for k, eye in enumerate(eyes)]
-    gain = gain_for(lights[0], scenery.effects)
+    if scenery.field.lab_light is None:
+        lights = [traced_light(scene, scenery.field.lamps, eye, samples, seed + k) for k, eye in enumerate(eyes)]
+        gain = gain_for(lights[0], scenery.effects)
+    else:
+        lights = [traced_lab_light(scene, eye, samples, seed + k) for k, eye in enumerate(eyes)]
+        gain = gain_by_middle(lights[0], scenery.effects)
     rng = np.random.default_rng([recipe.seed, 8])
     images = [
         _images(developed(light, scenery.effects, gain, rng), seen, eye)

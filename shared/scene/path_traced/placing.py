@@ -1,9 +1,11 @@
 """Where instruments and needles go: over the thread where they are to hide it, beside it otherwise."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float64, UInt8
+from scipy.spatial import cKDTree
 
 from shared.camera import project
 from shared.scene.path_traced.field import Field
@@ -19,10 +21,23 @@ HIDDEN_SHARE = (0.30, 0.50)
 TIP_SHARE = 0.12
 STRAY_SHARE = 0.12
 NEAR_TIPS_MM = 4.0
+CLEAR_OF_MESH_MM = 1.0
+AT_ONCE = 20_000
 ATTEMPTS = 300
 
+Maker = Callable[[Float64[np.ndarray, "3"], np.random.Generator], list[Solid]]
+"""Makes an instrument, drawn at random, whose jaws end at a point."""
 
-def occluders(field: Field, rng: np.random.Generator) -> list[Solid]:
+
+def drawn_instrument(tip: Float64[np.ndarray, "3"], rng: np.random.Generator) -> list[Solid]:
+    """A simple instrument whose jaws end there; all else is drawn."""
+    pose = pose_towards(tip, rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.25, 0.9), rng.uniform(0.0, np.pi))
+    metal = str(rng.choice(("dark", "steel", "bright"), p=(0.5, 0.35, 0.15)))
+    opening = float(rng.choice((0.0, 1.0)) * rng.uniform(0.1, 0.9))
+    return instrument(pose, float(rng.uniform(2.4, 4.2)), opening, metal, rng)
+
+
+def occluders(field: Field, rng: np.random.Generator, made: Maker = drawn_instrument) -> list[Solid]:
     """One or two instruments over the middle of the first strand, or none where no place was found."""
     points, _ = sampled(field.strands[0].curve, 0.5)
     pixels = project(field.camera, points)
@@ -31,21 +46,23 @@ def occluders(field: Field, rng: np.random.Generator) -> list[Solid]:
         tools: list[Solid] = []
         for _ in range(1 + (attempt % 3 == 2)):
             aside = np.array([*rng.uniform(-14.0, 14.0, 2), -rng.uniform(10.0, 26.0)])
-            tools += _drawn_instrument(centre + aside, rng)
+            tools += made(centre + aside, rng)
         covers = [silhouette(field.camera, tools, eye) for eye in (0.0, field.camera.baseline)]
-        shares = [_hidden(cover, seen) for cover, seen in zip(covers, pixels, strict=True)]
+        shares = [hidden(cover, seen) for cover, seen in zip(covers, pixels, strict=True)]
         if min(shares) < HIDDEN_SHARE[0] + 0.01 or max(shares) > HIDDEN_SHARE[1]:
             continue
         # it hides the middle: where the thread goes under and comes out again is there to be seen
         tips = round(TIP_SHARE * len(points))
         ends = [np.vstack((seen[:tips], seen[-tips:])) for seen in pixels]
-        covered = [_hidden(cover, end) for cover, end in zip(covers, ends, strict=True)]
-        if max(covered) == 0 and _clear_of(tools, field):
+        covered = [hidden(cover, end) for cover, end in zip(covers, ends, strict=True)]
+        if max(covered) == 0 and clear_of(tools, field):
             return tools
     return []
 
 
-def bystanders(field: Field, rng: np.random.Generator, count: int, above_mm: float) -> list[Solid]:
+def bystanders(
+    field: Field, rng: np.random.Generator, count: int, above_mm: float, made: Maker = drawn_instrument
+) -> list[Solid]:
     """Instruments in view that hide little of any strand; fewer where there is no room."""
     camera = field.camera
     seen = [project(camera, sampled(strand.curve, 0.5)[0])[0] for strand in field.strands]
@@ -56,10 +73,10 @@ def bystanders(field: Field, rng: np.random.Generator, count: int, above_mm: flo
             pixel = rng.uniform(0.1, 0.9, 2) * (camera.image_width, camera.image_height)
             z = depth - above_mm - rng.uniform(0.0, 22.0)
             x, y = (pixel - (camera.cx_px, camera.cy_px)) * z / camera.fx_px
-            tools = _drawn_instrument(np.array([x, y, z]), rng)
+            tools = made(np.array([x, y, z]), rng)
             cover = silhouette(camera, tools)
-            most = max((_hidden(cover, pixels) for pixels in seen), default=0.0)
-            if most < STRAY_SHARE and _clear_of(tools, field) and 0.01 < float((cover > 0).mean()) < 0.25:
+            most = max((hidden(cover, pixels) for pixels in seen), default=0.0)
+            if most < STRAY_SHARE and clear_of(tools, field) and 0.01 < float((cover > 0).mean()) < 0.25:
                 kept += tools
                 break
     return kept
@@ -116,19 +133,12 @@ def with_ending(field: Field, pinned: Pinned, rng: np.random.Generator) -> Field
             tools = instrument(held, float(rng.uniform(2.4, 4.0)), 0.0, str(rng.choice(("dark", "steel"))), rng)
             cover = silhouette(field.camera, tools)
             pixels = project(field.camera, sampled(field.strands[-1].curve, 0.5)[0])[0]
-            if _above_ground(tools, field) and _hidden(cover, pixels) < STRAY_SHARE:
+            if above_ground(tools, field) and hidden(cover, pixels) < STRAY_SHARE:
                 return replace(field, tools=[*field.tools, *tools])
     return field
 
 
-def _drawn_instrument(tip: Float64[np.ndarray, "3"], rng: np.random.Generator) -> list[Solid]:
-    pose = pose_towards(tip, rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.25, 0.9), rng.uniform(0.0, np.pi))
-    metal = str(rng.choice(("dark", "steel", "bright"), p=(0.5, 0.35, 0.15)))
-    opening = float(rng.choice((0.0, 1.0)) * rng.uniform(0.1, 0.9))
-    return instrument(pose, float(rng.uniform(2.4, 4.2)), opening, metal, rng)
-
-
-def _hidden(cover: UInt8[np.ndarray, "h w"], pixels: Float64[np.ndarray, "n 2"]) -> float:
+def hidden(cover: UInt8[np.ndarray, "h w"], pixels: Float64[np.ndarray, "n 2"]) -> float:
     """The share of these pixels that are covered."""
     rows, columns = cover.shape
     column = np.clip(np.rint(pixels[:, 0]).astype(int), 0, columns - 1)
@@ -136,24 +146,33 @@ def _hidden(cover: UInt8[np.ndarray, "h w"], pixels: Float64[np.ndarray, "n 2"])
     return float((cover[row, column] > 0).mean())
 
 
-def _clear_of(tools: list[Solid], field: Field) -> bool:
+def clear_of(tools: list[Solid], field: Field) -> bool:
     """Whether no tool dips into the ground or passes through a thread."""
-    return _above_ground(tools, field) and all(_apart(tools, strand) for strand in field.strands)
+    return above_ground(tools, field) and all(_apart(tools, strand) for strand in field.strands)
 
 
-def _above_ground(tools: list[Solid], field: Field) -> bool:
+def above_ground(tools: list[Solid], field: Field) -> bool:
     """Whether no tool dips into the ground."""
     for tool in tools:
-        points = tool.vertices
+        # corners of a mesh are the same point several times
+        points = tool.vertices if tool.is_lofted else np.unique(np.round(tool.vertices, 2), axis=0)
         seen = points[points[:, 2] > 0]
-        if len(seen) and (depth_at_points(field.ground.surface, seen[:, :2]) - seen[:, 2]).min() < 0.5:
-            return False
+        for some in np.array_split(seen, 1 + len(seen) // AT_ONCE):
+            if len(some) and (depth_at_points(field.ground.surface, some[:, :2]) - some[:, 2]).min() < 0.5:
+                return False
     return True
 
 
 def _apart(tools: list[Solid], strand: Strand) -> bool:
     points, _ = sampled(strand.curve, 0.5)
     for tool in tools:
+        if not tool.is_lofted:
+            # no edge of a mesh is longer than this bridges
+            corners = tool.vertices[np.unique(tool.faces)]
+            nearest, _ = cKDTree(corners).query(points)
+            if np.min(nearest) < strand.radius_mm + CLEAR_OF_MESH_MM:
+                return False
+            continue
         centres = tool.vertices[:-2].reshape(-1, SIDES, 3)
         middle, reach = (
             centres.mean(axis=1),

@@ -16,17 +16,37 @@ from shared.scene.path_traced.splines import Curve, curve_through
 
 SIDES = 28
 SHAFT_MM = 160.0
-METALS = {"steel": (0.62, 0.60, 0.57), "dark": (0.16, 0.16, 0.17), "bright": (0.85, 0.84, 0.82)}
+METALS = {
+    "steel": (0.62, 0.60, 0.57),
+    "dark": (0.16, 0.16, 0.17),
+    "bright": (0.85, 0.84, 0.82),
+    "worn": (0.62, 0.60, 0.57),
+    "black": (0.012, 0.012, 0.013),
+}
 
 
 @dataclass(frozen=True)
 class Solid:
-    """Triangles of one material: vertices in mm, faces as indices of three."""
+    """Triangles of one material: vertices in mm, faces as indices of three.
+
+    Fields:
+        normals: of the vertices, unit; None where they follow from the triangles.
+        texture: where the vertices lie on a finish, in mm; None for lofts, whose finish has no pattern.
+        finish: of its surface (`materials.py`).
+    """
 
     vertices: Float64[np.ndarray, "n 3"]
     faces: Int64[np.ndarray, "f 3"]
     metal: str
     metallic: float
+    normals: Float64[np.ndarray, "n 3"] | None = None
+    texture: Float64[np.ndarray, "n 2"] | None = None
+    finish: str = "plain"
+
+    @property
+    def is_lofted(self) -> bool:
+        """Whether its vertices are rings of `SIDES`, one after another, and the middles of both caps."""
+        return self.normals is None
 
 
 @dataclass(frozen=True)
@@ -113,13 +133,16 @@ def silhouette(camera: RectifiedStereo, solids: list[Solid], eye_x_mm: float = 0
     """Which pixels solids cover in the eye at (eye_x_mm, 0, 0), 0 or 255: quick, for choosing where to put them."""
     image = np.zeros((camera.image_height, camera.image_width), dtype=np.uint8)
     for solid in solids:
-        rings = solid.vertices[:-2].reshape(-1, SIDES, 3)
-        depth = np.maximum(rings[..., 2], 5.0)
-        u = camera.fx_px * (rings[..., 0] - eye_x_mm) / depth + camera.cx_px
-        v = camera.fy_px * rings[..., 1] / depth + camera.cy_px
+        depth = np.maximum(solid.vertices[:, 2], 5.0)
+        u = camera.fx_px * (solid.vertices[:, 0] - eye_x_mm) / depth + camera.cx_px
+        v = camera.fy_px * solid.vertices[:, 1] / depth + camera.cy_px
         pixels = np.clip(np.stack((u, v), -1), -8000, 8000).astype(np.int32)
-        for one, other in pairwise(pixels):
-            cv2.fillConvexPoly(image, cv2.convexHull(np.vstack((one, other))), 255)
+        if solid.is_lofted:
+            for one, other in pairwise(pixels[:-2].reshape(-1, SIDES, 2)):
+                cv2.fillConvexPoly(image, cv2.convexHull(np.vstack((one, other))), 255)
+            continue
+        for triangle in np.unique(pixels[solid.faces].reshape(-1, 6), axis=0).reshape(-1, 3, 2):
+            cv2.fillConvexPoly(image, triangle, 255)
     return image
 
 

@@ -23,6 +23,9 @@ MOST_PARTS, LEAST_PARTS = 4, 3
 FINER_LENS = 2
 RAYS_AT_ONCE = 5_000_000
 LEAST_SLANT = 0.25
+LAB_DEPTH = 3
+BRIGHTEST, SPARK = 8.0, 1.5
+"""Of light where a white card returns one; how much brighter than all but one of its neighbours a pixel can be."""
 RELIEF_MM = 0.05
 
 
@@ -60,6 +63,39 @@ def traced_light(scene: Any, lamps: list[Lamp], eye: Eye, samples: int, seed: in
             number = len(turns) * (len(lamps) * seed + index) + turn
             image = mi.render(scene, sensor=_sensor(lens, parts), integrator=integrator, spp=spp, seed=number)
             total += np.float32(spp / sum(turns)) * np.array(image, dtype=np.float32)[..., :3]
+    return _seen_by(eye, lens, parts, total)
+
+
+def traced_lab_light(scene: Any, eye: Eye, samples: int, seed: int) -> Float32[np.ndarray, "h w 3"]:
+    """Linear light, red first, of all lamps of a lab at once, reflected once more by whatever it meets."""
+    mi = engine()
+    integrator = mi.load_dict({"type": "path", "max_depth": LAB_DEPTH, "hide_emitters": True})
+    lens, parts = (eye, 1) if eye.is_plain else (_covering(eye), 2)
+    turns = _turns(max(samples // parts**2, 1), parts**2 * lens.width * lens.height)
+    total = np.zeros((parts * lens.height, parts * lens.width, 3), dtype=np.float32)
+    for turn, spp in enumerate(turns):
+        image = mi.render(
+            scene, sensor=_sensor(lens, parts), integrator=integrator, spp=spp, seed=len(turns) * seed + turn
+        )
+        total += np.float32(spp / sum(turns)) * np.minimum(np.array(image, dtype=np.float32)[..., :3], BRIGHTEST)
+    return _seen_by(eye, lens, parts, without_sparks(total))
+
+
+def without_sparks(light: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w 3"]:
+    """The same without lone bright pixels, which are rays that met a lamp by way of steel: too few to be a picture."""
+    grey = cv2.copyMakeBorder(light.mean(axis=2), 1, 1, 1, 1, cv2.BORDER_REPLICATE)
+    rows, columns = light.shape[:2]
+    shifts = [(i, j) for i in range(3) for j in range(3) if (i, j) != (1, 1)]
+    around = np.stack([grey[i : i + rows, j : j + columns] for i, j in shifts])
+    # two neighbours as bright make a line, which stays
+    second = np.partition(around, -2, axis=0)[-2]
+    limit = SPARK * second + 0.02
+    factor = np.minimum(limit / np.maximum(grey[1:-1, 1:-1], 1e-6), 1.0)
+    return (light * factor[..., None]).astype(np.float32)
+
+
+def _seen_by(eye: Eye, lens: Eye, parts: int, total: Float32[np.ndarray, "H W 3"]) -> Float32[np.ndarray, "h w 3"]:
+    """What was traced through a lens, as the eye sees it."""
     if eye.is_plain:
         return total
     u, v = _where(eye, parts, lens, parts)

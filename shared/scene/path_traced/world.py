@@ -10,7 +10,9 @@ import numpy as np
 from shared.scene.path_traced.engine import engine, reinterpreted
 from shared.scene.path_traced.field import Field
 from shared.scene.path_traced.ground import Ground, grid_axes
-from shared.scene.path_traced.solids import METALS, Needle, Solid
+from shared.scene.path_traced.lab_light import LabLight
+from shared.scene.path_traced.materials import bitmap, colour, metal, of_solid
+from shared.scene.path_traced.solids import Needle, Solid
 from shared.scene.path_traced.splines import end_directions
 from shared.scene.path_traced.strands import DYES, Strand
 
@@ -22,7 +24,8 @@ GROUND, STRAND, NEEDLE, TOOL = "ground", "strand", "needle", "tool"
 def build(field: Field) -> Any:
     """Mitsuba's scene of the field."""
     mi = engine()
-    parts: dict[str, Any] = {"type": "scene", GROUND: _ground(field.ground), LAMP: _lamp()}
+    parts: dict[str, Any] = {"type": "scene", GROUND: _ground(field.ground)}
+    parts |= {LAMP: _lamp()} if field.lab_light is None else _lab_lamps(field.lab_light)
     with tempfile.TemporaryDirectory() as folder:
         for index, strand in enumerate(field.strands):
             parts |= _strand(strand, f"{STRAND}{index}", Path(folder))
@@ -56,6 +59,30 @@ def _lamp() -> dict[str, Any]:
     }
 
 
+def _lab_lamps(light: LabLight) -> dict[str, Any]:
+    """All lamps of a lab, and the room."""
+    transform = engine().ScalarTransform4f
+    lamps: dict[str, Any] = {"room": {"type": "envmap", "bitmap": engine().Bitmap(light.room)}}
+    for index, disk in enumerate(light.disks):
+        facing = transform().look_at(origin=list(disk.place_mm), target=list(disk.towards_mm), up=[0.1, 1.0, 0.2])
+        lamps[f"{LAMP}{index}"] = {
+            "type": "disk",
+            "to_world": facing @ transform().scale(disk.radius_mm),
+            "emitter": {"type": "area", "radiance": colour(disk.radiance)},
+        }
+    for index, beam in enumerate(light.beams):
+        lamps[f"beam{index}"] = {
+            "type": "spot",
+            "intensity": colour(beam.intensity),
+            "cutoff_angle": beam.black_deg,
+            "beam_width": beam.full_deg,
+            "to_world": transform().look_at(
+                origin=list(beam.place_mm), target=list(beam.towards_mm), up=[0.0, 1.0, 0.0]
+            ),
+        }
+    return lamps
+
+
 def _ground(ground: Ground) -> Any:
     x, y = grid_axes(ground.surface)
     depth = ground.surface.depth_mm
@@ -72,14 +99,15 @@ def _ground(ground: Ground) -> Any:
         "type": "twosided",
         "inside": {
             "type": "principled",
-            "base_color": _bitmap(ground.albedo),
-            "roughness": _bitmap(ground.roughness[..., None]),
+            "base_color": bitmap(ground.albedo),
+            "roughness": bitmap(ground.roughness[..., None]),
             "specular": 0.45,
-            "clearcoat": _bitmap(ground.film[..., None]),
+            "clearcoat": bitmap(ground.film[..., None]),
             "clearcoat_gloss": 0.92,
         },
     }
-    return _mesh(GROUND, points, faces, material, normals.reshape(-1, 3), np.column_stack((u.ravel(), 1.0 - v.ravel())))
+    texture = np.column_stack((u.ravel(), 1.0 - v.ravel() if ground.is_mirrored else v.ravel()))
+    return _mesh(GROUND, points, faces, material, normals.reshape(-1, 3), texture)
 
 
 def _mesh(
@@ -113,11 +141,6 @@ def _mesh(
     return mesh
 
 
-def _bitmap(values: np.ndarray) -> dict[str, Any]:
-    bitmap = engine().Bitmap(np.ascontiguousarray(values, dtype=np.float32))
-    return {"type": "bitmap", "bitmap": bitmap, "raw": True, "wrap_mode": "clamp"}
-
-
 def _strand(strand: Strand, name: str, folder: Path) -> dict[str, Any]:
     """The tube, and a disk over either of its ends, which Mitsuba leaves open."""
     mi = engine()
@@ -136,7 +159,7 @@ def _strand(strand: Strand, name: str, folder: Path) -> dict[str, Any]:
         parts[f"{name}end{index}"] = {
             "type": "disk",
             "to_world": facing @ mi.ScalarTransform4f().scale(strand.radius_mm),
-            "bsdf": {"type": "twosided", "inside": {"type": "diffuse", "reflectance": _colour(DYES[strand.dye])}},
+            "bsdf": {"type": "twosided", "inside": {"type": "diffuse", "reflectance": colour(DYES[strand.dye])}},
         }
     return parts
 
@@ -151,7 +174,7 @@ def _yarn(strand: Strand) -> dict[str, Any]:
     return {
         "type": "principled",
         "base_color": {
-            **_bitmap(np.clip(cv2.GaussianBlur(pattern, (3, 3), 0), 0.0, 0.95)),
+            **bitmap(np.clip(cv2.GaussianBlur(pattern, (3, 3), 0), 0.0, 0.95)),
             "wrap_mode": "repeat",
             "to_uv": engine().ScalarTransform4f().scale([pitches, 3.0, 1.0]),
         },
@@ -166,33 +189,24 @@ def _needle(needle: Needle, folder: Path) -> dict[str, Any]:
     return {
         "type": "bsplinecurve",
         "filename": _curve_file(folder / "needle.txt", points, needle.radius_mm * taper),
-        "bsdf": _metal("bright", 1.0, 0.22),
+        "bsdf": metal("bright", 1.0, 0.22),
     }
 
 
 def _solid(solid: Solid, name: str) -> Any:
+    normals = _normals(solid) if solid.normals is None else solid.normals
+    return _mesh(name, solid.vertices, solid.faces, of_solid(solid), normals, solid.texture)
+
+
+def _normals(solid: Solid) -> np.ndarray:
+    """Of its vertices: the mean of the triangles about each, larger ones counting more."""
     first, second, third = (solid.vertices[solid.faces[:, corner]] for corner in range(3))
     edges = np.cross(second - first, third - first)
     normals = np.zeros_like(solid.vertices)
     for corner in range(3):
         np.add.at(normals, solid.faces[:, corner], edges)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    material = {"type": "twosided", "inside": _metal(solid.metal, solid.metallic, 0.32)}
-    return _mesh(name, solid.vertices, solid.faces, material, normals)
-
-
-def _metal(metal: str, metallic: float, roughness: float) -> dict[str, Any]:
-    return {
-        "type": "principled",
-        "base_color": {"type": "rgb", "value": list(METALS[metal])},
-        "metallic": metallic,
-        "roughness": roughness,
-        "specular": 0.5,
-    }
-
-
-def _colour(value: tuple[float, float, float]) -> dict[str, Any]:
-    return {"type": "rgb", "value": list(value)}
+    return normals
 
 
 def _curve_file(path: Path, points: np.ndarray, radius_mm: float | np.ndarray) -> str:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agents.cli.lab.scenes import endoscope
-from shared.scene.path_traced.placing import _clear_of, bystanders
+from shared.scene.path_traced.placing import bystanders, clear_of
 from shared.scene.path_traced.recipe import Recipe, arranged
 from shared.scene.path_traced.solids import instrument, pose_towards, silhouette
 from shared.scene.path_traced.splines import sampled
@@ -28,8 +28,8 @@ def held(tip):
 def test_an_instrument_in_the_air_beside_the_thread_is_clear_and_one_in_the_ground_is_not(field):
     ground = float(field.ground.surface.depth_mm.min())
     (aside,) = depth_at_points(field.ground.surface, np.array([[0.0, -12.0]]))
-    assert _clear_of(held((0.0, -12.0, ground - 25.0))[1], replace(field, strands=[]))
-    assert not _clear_of(held((0.0, -12.0, aside + 1.0))[1], replace(field, strands=[]))
+    assert clear_of(held((0.0, -12.0, ground - 25.0))[1], replace(field, strands=[]))
+    assert not clear_of(held((0.0, -12.0, aside + 1.0))[1], replace(field, strands=[]))
 
 
 def test_an_instrument_through_the_thread_is_not_clear(field):
@@ -40,8 +40,8 @@ def test_an_instrument_through_the_thread_is_not_clear(field):
         replace(pose, tip=middle - 30.0 * pose.towards_shaft), 3.0, 0.0, "steel", np.random.default_rng(0)
     )
     above = replace(field, ground=replace(field.ground, surface=deeper(field.ground.surface)))
-    assert not _clear_of(through, above)
-    assert _clear_of(through, replace(above, strands=[]))
+    assert not clear_of(through, above)
+    assert clear_of(through, replace(above, strands=[]))
 
 
 def deeper(surface):
@@ -51,7 +51,7 @@ def deeper(surface):
 def test_what_hides_the_thread_leaves_its_ends_to_be_seen_by_both_eyes():
     field = arranged(Recipe("occlusion", "chicken", 1), endoscope(320, 180)).field
     tools = field.tools
-    assert _clear_of(tools, field)
+    assert clear_of(tools, field)
     points = sampled(field.strands[0].curve, 0.5)[0]
     tips = np.vstack((points[: len(points) // 9], points[-(len(points) // 9) :]))
     for eye in (0.0, field.camera.baseline):
@@ -62,7 +62,7 @@ def test_what_hides_the_thread_leaves_its_ends_to_be_seen_by_both_eyes():
             assert least <= cover[np.rint(v).astype(int), np.rint(u).astype(int)].mean() <= most
 
 
-def test_bystanders_are_clear_of_thread_and_ground(field):
+def test_bystanders_areclear_of_thread_and_ground(field):
     tools = bystanders(field, np.random.default_rng(5), 2, 4.0)
     assert tools
-    assert _clear_of(tools, field)
+    assert clear_of(tools, field)
