@@ -16,6 +16,7 @@ from shared.scene.path_traced.backdrop import traced_backdrop
 from shared.scene.path_traced.batch import LARGEST_OFFSET_PX, Done, Job, make_all, outstanding
 from shared.scene.path_traced.engine import engine
 from shared.scene.path_traced.eyes import Rig, calibrated_rig, rectified_rig
+from shared.scene.path_traced.meshes import driver_parts
 from shared.scene.path_traced.recipe import Recipe
 from shared.scene.render import SceneError
 
@@ -63,11 +64,14 @@ def jobs_of(options: Scenes) -> list[Job]:
         SceneError: where the options name something unknown.
     """
     rig = rig_of(options)
+    meshes = None if options.meshes is None else str(options.meshes)
+    if meshes is not None:
+        driver_parts(meshes)
     return [
         Job(
             options.output,
             f"{config}_{background}_{seed:04d}",
-            Recipe(config, background, seed, options.extras, options.colour),
+            Recipe(config, background, seed, options.extras, options.colour, meshes, options.distance),
             rig,
             options.samples,
         )

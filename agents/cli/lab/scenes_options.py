@@ -9,7 +9,8 @@ import tyro
 Config = Literal[
     "easy", "medium", "hard", "singularity", "occlusion", "crossing", "several", "needle", "rod", "none", "varied"
 ]
-Extra = Literal["tools", "stains", "smoke", "blur", "interlaced"]
+Extra = Literal["tools", "stains", "smoke", "blur", "interlaced", "meshes"]
+Dye = Literal["violet", "blue", "green", "black", "undyed", "red", "beige", "white", "grey"]
 
 
 @dataclass(frozen=True)
@@ -26,12 +27,14 @@ class Scenes:
     """Where the pairs go, as NAME_left.png, NAME_right.png, masks, NAME.json and NAME.npy."""
     config: tuple[Config, ...] = ("easy",)
     """How the thread lies, one or several; `varied` draws everything, for training."""
-    background: tuple[Literal["chicken", "paper"], ...] = ("chicken",)
-    """What it lies on: raw flesh, or a print of it."""
+    background: tuple[Literal["chicken", "paper", "pad", "phantom"], ...] = ("chicken",)
+    """What it lies on: raw flesh, a print of it, a suture pad, or a phantom's silicone skin; the last two in a lab."""
     extras: Annotated[tuple[Extra, ...], tyro.conf.arg(name="with")] = ()
-    """What else is in view, or wrong with it."""
-    colour: Literal["violet", "blue", "green", "black", "undyed", "red"] | None = None
-    """Of the thread; drawn by the seed if not given, and then never red."""
+    """What else is in view, or wrong with it; `meshes` are needle drivers as they are, from --meshes."""
+    meshes: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
+    """Of the Large Needle Driver's *.dae."""
+    colour: Dye | None = None
+    """Of the thread; drawn by the seed if not given, and then red in a lab alone."""
     count: int = 1
     """How many of each configuration on each background, with seeds that follow one another."""
     seed: int = 1
@@ -44,6 +47,8 @@ class Scenes:
     """Of the images, in pixels; the horizontal field of view stays."""
     calibration: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="PATH [PATH]")] = ()
     """See through this camera instead, distorted and unrectified as it is; --size must be that of its images."""
+    distance: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="NEAR FAR")] = None
+    """Of the field, in mm; follows from the camera if not given."""
     unit: str | None = None
     """The calibration's unit of length, where its file does not say."""
 

@@ -11,7 +11,7 @@ from shared.scene.backdrop import Backdrop, Light, SceneError
 from shared.scene.path_traced.camera_effects import developed, gain_for
 from shared.scene.path_traced.eyes import Rig
 from shared.scene.path_traced.field import Lamp
-from shared.scene.path_traced.recipe import Recipe, arranged
+from shared.scene.path_traced.recipe import LAB_BACKGROUNDS, Recipe, arranged
 from shared.scene.path_traced.tracing import traced_light
 from shared.scene.path_traced.world import build
 from shared.scene.surface import Surface, meet_rays, ray_tangents
@@ -27,6 +27,8 @@ def traced_backdrop(background: str, seed: int, rig: Rig, samples: int) -> Backd
     """
     if not rig.is_rectified:
         raise SceneError("a backdrop is for a rectified camera; leave out --calibration or give a rectified one")
+    if background in LAB_BACKGROUNDS:
+        raise SceneError(f"the light renderer knows no light of a lab, so there is no backdrop of a {background}")
     scenery = arranged(Recipe("none", background, seed), rig)
     effects = replace(scenery.effects, blur_px=0.0, sharpening=0.0, read_noise=0.0, shot_noise=0.0, jpeg_quality=0)
     scene = build(scenery.field)

@@ -17,23 +17,36 @@ Grid = Float32[np.ndarray, "h w"]
 
 @dataclass(frozen=True)
 class Ground:
-    """A surface and, on its grid: linear albedo (red first), roughness, and the strength of its clear film."""
+    """A surface and, on its grid: linear albedo (red first), roughness, and the strength of its clear film.
+
+    Fields:
+        carrying: what thread lies on, where that is not the surface: cuts are bridged.
+        is_mirrored: whether colour, roughness and film lie upside down on the surface, as they do on the first two
+            backgrounds, whose scenes stay as they are.
+    """
 
     surface: Surface
     albedo: Float32[np.ndarray, "h w 3"]
     roughness: Grid
     film: Grid
+    carrying: Surface | None = None
+    is_mirrored: bool = True
+
+    @property
+    def bed(self) -> Surface:
+        """What thread lies on."""
+        return self.surface if self.carrying is None else self.carrying
 
 
-def empty_surface(camera: RectifiedStereo, distance_mm: float) -> Surface:
+def empty_surface(camera: RectifiedStereo, distance_mm: float, step_mm: float = STEP_MM) -> Surface:
     """A plane at that distance, on a grid as far as both cameras can see it."""
     far = MARGIN * distance_mm
     x0 = -(camera.cx_px + 1.0) / camera.fx_px * far
     y0 = -(camera.cy_px + 1.0) / camera.fy_px * far
     x1 = (camera.image_width - camera.cx_px) / camera.fx_px * far + camera.baseline
     y1 = (camera.image_height - camera.cy_px) / camera.fy_px * far
-    shape = (int((y1 - y0) / STEP_MM) + 2, int((x1 - x0) / STEP_MM) + 2)
-    return Surface(np.full(shape, distance_mm, dtype=np.float32), x0, y0, STEP_MM)
+    shape = (int((y1 - y0) / step_mm) + 2, int((x1 - x0) / step_mm) + 2)
+    return Surface(np.full(shape, distance_mm, dtype=np.float32), x0, y0, step_mm)
 
 
 def tilted(surface: Surface, rng: np.random.Generator, most: float) -> Surface:

@@ -26,7 +26,7 @@ def is_written(folder: Path, name: str, recipe: Recipe, rig: Rig, samples: int) 
     except (OSError, ValueError):
         return False
     for what, wanted in asked(recipe, rig, samples).items():
-        made = there.get("asked", {}).get(what, wanted)
+        made = there.get("asked", {}).get(what, None if what == "distances" else wanted)
         if made != wanted:
             raise SceneError(
                 f"{path} was made otherwise ({what}: {made}, not {wanted}); name another folder with --output"
@@ -48,7 +48,13 @@ def asked(recipe: Recipe, rig: Rig, samples: int) -> dict[str, object]:
         ]
         for eye in (left, right)
     ]
-    return {"with": list(recipe.extras), "colour": recipe.dye, "samples": samples, "cameras": cameras}
+    return {
+        "with": list(recipe.extras),
+        "colour": recipe.dye,
+        "distances": None if recipe.distances_mm is None else list(recipe.distances_mm),
+        "samples": samples,
+        "cameras": cameras,
+    }
 
 
 def write_traced(folder: Path, name: str, pair: TracedPair) -> None:

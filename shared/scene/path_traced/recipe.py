@@ -9,12 +9,24 @@ from shared.scene.path_traced.camera_effects import Effects, drawn_effects
 from shared.scene.path_traced.eyes import Rig
 from shared.scene.path_traced.field import Field, Lamp
 from shared.scene.path_traced.flesh import flesh_ground
+from shared.scene.path_traced.holding import driver_maker, holding_needle, holding_thread
+from shared.scene.path_traced.lab_light import lab_light
+from shared.scene.path_traced.meshes import driver_parts
+from shared.scene.path_traced.pad import pad_ground, phantom_ground
 from shared.scene.path_traced.paper import paper_ground
 from shared.scene.path_traced.pinned import pinned_strand
-from shared.scene.path_traced.placing import NEAR_TIPS_MM, bystanders, needle_on, occluders, with_ending
+from shared.scene.path_traced.placing import (
+    NEAR_TIPS_MM,
+    bystanders,
+    drawn_instrument,
+    needle_on,
+    occluders,
+    with_ending,
+)
+from shared.scene.path_traced.solids import Solid
 from shared.scene.path_traced.splines import sampled
 from shared.scene.path_traced.stains import stained
-from shared.scene.path_traced.strands import DYES, USUAL_DYES, drawn_strand, laid_over
+from shared.scene.path_traced.strands import DYES, LAB_DYES, USUAL_DYES, drawn_strand, laid_over
 from shared.scene.render import SceneError
 from shared.scene.thread_shapes import ShapeError
 
@@ -30,10 +42,19 @@ CONFIGS = (
     "rod",
     "none",
 )
-BACKGROUNDS = {"chicken": flesh_ground, "paper": paper_ground}
+BACKGROUNDS = {"chicken": flesh_ground, "paper": paper_ground, "pad": pad_ground, "phantom": phantom_ground}
+"""Those of a lab come last: a background's number is part of its scenes' seeds."""
+LAB_BACKGROUNDS = ("pad", "phantom")
 EXTRAS = ("tools", "stains", "smoke", "blur", "interlaced")
+MESHES = "meshes"
+"""The extra that no scene has unless it is asked for, since it needs files."""
 VARIED = "varied"
 DISTANCES_MM = (72.0, 112.0)
+WIDE_BASELINE_MM = 12.0
+DISPARITY_SHARES = (0.38, 0.15)
+"""Of the width, where eyes are farther apart than an endoscope's: nearer, and they share too little of the field."""
+HOLDS_NEEDLE = 0.6
+FARTHEST_MM = 1000.0
 REACH_MM = 95.0
 USUAL_FOCAL_WIDTHS = 1000.0 / 960.0
 INSIDE_SHARE, LEAST_SHARE = 0.97, 0.5
@@ -47,20 +68,41 @@ class UnarrangedError(SceneError):
 
 @dataclass(frozen=True)
 class Recipe:
-    """A configuration (or `varied`), a background, what is added to it, the dye where it is not drawn, and the seed."""
+    """A configuration (or `varied`), a background, what is added to it, the dye where it is not drawn, and the seed.
+
+    Fields:
+        meshes: the folder of the needle driver's *.dae, for the extra `meshes`.
+        distances_mm: from nearest to farthest, where they do not follow from the rig.
+    """
 
     config: str
     background: str
     seed: int
     extras: tuple[str, ...] = ()
     dye: str | None = None
+    meshes: str | None = None
+    distances_mm: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         _known("configuration", (self.config,), (*CONFIGS, VARIED))
         _known("background", (self.background,), tuple(BACKGROUNDS))
-        _known("extra", self.extras, EXTRAS)
+        _known("extra", self.extras, (*EXTRAS, MESHES))
         if self.dye is not None:
             _known("thread", (self.dye,), tuple(DYES))
+        if (MESHES in self.extras) != (self.meshes is not None):
+            raise SceneError(
+                "instruments from meshes need both: --with meshes, and --meshes with the folder of their *.dae"
+            )
+        if self.distances_mm is not None and not 0.0 < self.distances_mm[0] <= self.distances_mm[1] < FARTHEST_MM:
+            near, far = self.distances_mm
+            raise SceneError(
+                f"--distance {near:g} {far:g}: give the nearest and the farthest, up to {FARTHEST_MM:g} mm"
+            )
+
+    @property
+    def is_of_lab(self) -> bool:
+        """Whether it has a lab's light, dyes and instruments."""
+        return self.background in LAB_BACKGROUNDS or MESHES in self.extras
 
 
 @dataclass(frozen=True)
@@ -84,20 +126,26 @@ def arranged(recipe: Recipe, rig: Rig) -> Arranged:
     rng = np.random.default_rng([recipe.seed, 7, list(BACKGROUNDS).index(recipe.background), _number(recipe.config)])
     wide = recipe.config == VARIED
     config = _drawn_config(rng) if wide else recipe.config
-    extras = _drawn_extras(rng, config) if wide else recipe.extras
+    extras = (*_drawn_extras(rng, config), *_asked(recipe)) if wide else recipe.extras
+    parts = driver_parts(recipe.meshes) if recipe.meshes is not None else None
     camera = rig.near_enough
     # as much of the field as the published renders show
     nearness = camera.fx_px / camera.image_width / USUAL_FOCAL_WIDTHS
     problem: ShapeError | None = None
     for _ in range(ATTEMPTS):
-        distance = float(rng.uniform(*DISTANCES_MM)) * nearness
+        distance = _distance(recipe, camera, rng) or float(rng.uniform(*DISTANCES_MM)) * nearness
         ground = BACKGROUNDS[recipe.background](rig.widest, distance, rng)
+        field = Field(camera, ground, [])
+        if recipe.is_of_lab:
+            field = replace(field, lab_light=lab_light(camera, distance, rng))
+        else:
+            field = replace(field, lamps=_lamps(camera, rng, wide))
         try:
-            field = _laid(Field(camera, ground, [], lamps=_lamps(camera, rng, wide)), config, rng, recipe.dye, wide)
+            field = _laid(field, config, rng, recipe.dye, wide, parts)
         except ShapeError as error:
             problem = error
             continue
-        field = None if field is None else _with_tools(field, config, extras, rng)
+        field = None if field is None else _with_tools(field, config, extras, rng, parts)
         if field is None or not _both_see(rig, field, LEAST_SHARE if wide else INSIDE_SHARE):
             continue
         if "stains" in extras:
@@ -107,6 +155,21 @@ def arranged(recipe: Recipe, rig: Rig) -> Arranged:
         f"no {config} scene of seed {recipe.seed} fits into the images of this camera"
         f"{f': {problem}' if problem else ''}; use another seed or a wider view"
     )
+
+
+def _asked(recipe: Recipe) -> tuple[str, ...]:
+    """What is never drawn, and was asked for."""
+    return (MESHES,) if MESHES in recipe.extras else ()
+
+
+def _distance(recipe: Recipe, camera: RectifiedStereo, rng: np.random.Generator) -> float | None:
+    """Of the field in mm, where it was asked for or the eyes are far apart; None where it is as an endoscope's."""
+    if recipe.distances_mm is not None:
+        return float(rng.uniform(*recipe.distances_mm))
+    if camera.baseline < WIDE_BASELINE_MM:
+        return None
+    near, far = (camera.fx_px * camera.baseline / (share * camera.image_width) for share in DISPARITY_SHARES)
+    return float(rng.uniform(near, far))
 
 
 def _both_see(rig: Rig, field: Field, share: float) -> bool:
@@ -154,27 +217,38 @@ def _drawn_extras(rng: np.random.Generator, config: str) -> tuple[str, ...]:
     return tuple(name for name, share in odds.items() if rng.uniform() < share)
 
 
-def _laid(field: Field, config: str, rng: np.random.Generator, dye: str | None, wide: bool) -> Field | None:
+def _laid(
+    field: Field,
+    config: str,
+    rng: np.random.Generator,
+    dye: str | None,
+    wide: bool,
+    parts: dict[str, Solid] | None,
+) -> Field | None:
     """The field with its threads, and what holds them; None where what holds them found no place."""
     if config == "none":
         return field
     kinds = {"occlusion": ("easy", "medium"), "needle": ("easy", "medium"), "several": (*SHAPES[:3], "rod")}
     choices = kinds.get(config, (config,))
     count = int(rng.integers(2, 4)) if config == "several" else 1
+    dyes = USUAL_DYES if field.lab_light is None else LAB_DYES
+    bed = field.ground.bed
     for _ in range(count):
         # 3 to 7 px across at 960 wide, and where it is not for training, what sutures of 3-0 to 5-0 have
         radius = float(rng.uniform(0.14, 0.33) if wide else rng.uniform(0.15, 0.25))
-        of_dye = dye or str(rng.choice(USUAL_DYES))
+        of_dye = dye or str(rng.choice(dyes))
         shape = str(rng.choice(choices))
         if shape == "rod":
             share = float(rng.choice((1.0, 0.55))) if wide else 1.0
-            pinned = pinned_strand(field.camera, field.ground.surface, rng, radius, of_dye, share)
-            field = with_ending(
-                replace(field, strands=[*field.strands, laid_over(pinned.strand, field.strands)]), pinned, rng
-            )
+            pinned = pinned_strand(field.camera, bed, rng, radius, of_dye, share)
+            field = replace(field, strands=[*field.strands, laid_over(pinned.strand, field.strands)])
+            if parts is not None and pinned.ending == "gripper":
+                field = holding_thread(field, parts, rng)
+            else:
+                field = with_ending(field, pinned, rng)
             continue
         seed = int(rng.integers(2**31))
-        one = drawn_strand(field.camera, field.ground.surface, shape, seed, radius, of_dye)
+        one = drawn_strand(field.camera, bed, shape, seed, radius, of_dye)
         field = replace(field, strands=[*field.strands, laid_over(one, field.strands)])
     if config != "needle":
         return field
@@ -201,13 +275,21 @@ def _lamps(camera: RectifiedStereo, rng: np.random.Generator, wide: bool) -> lis
     return lamps
 
 
-def _with_tools(field: Field, config: str, extras: tuple[str, ...], rng: np.random.Generator) -> Field | None:
+def _with_tools(
+    field: Field, config: str, extras: tuple[str, ...], rng: np.random.Generator, parts: dict[str, Solid] | None
+) -> Field | None:
     """The field with instruments, or None where one that is to hide the thread found no place."""
+    made = drawn_instrument if parts is None else driver_maker(parts)
+    if parts is not None and field.needle is not None and rng.uniform() < HOLDS_NEEDLE:
+        field = holding_needle(field, parts, rng)
     if config == "occlusion":
-        hiding = occluders(field, rng)
+        hiding = occluders(field, rng, made)
         if not hiding:
             return None
-        field = replace(field, tools=hiding)
+        field = replace(field, tools=[*field.tools, *hiding])
+    if parts is not None:
+        count = int(rng.integers(0 if field.tools else 1, 3))
+        field = replace(field, tools=[*field.tools, *bystanders(field, rng, count, NEAR_TIPS_MM, made)])
     if "tools" in extras:
         field = replace(field, tools=[*field.tools, *bystanders(field, rng, int(rng.integers(1, 3)), NEAR_TIPS_MM)])
     return field

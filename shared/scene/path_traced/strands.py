@@ -20,10 +20,15 @@ DYES = {
     "black": (0.012, 0.012, 0.014),
     "undyed": (0.72, 0.69, 0.61),
     "red": (0.330, 0.022, 0.024),
+    "beige": (0.50, 0.38, 0.24),
+    "white": (0.82, 0.82, 0.80),
+    "grey": (0.24, 0.24, 0.25),
 }
 """Linear reflectance of the yarn, red first."""
-USUAL_DYES = tuple(dye for dye in DYES if dye != "red")
+USUAL_DYES = ("violet", "blue", "green", "black", "undyed")
 """One of these is drawn by a seed; red thread, which only its edges and its sheen tell from a vessel, is asked for."""
+LAB_DYES = ("beige", "white", "grey", "black", "blue", "violet", "green", "red")
+"""One of these is drawn for a lab, whose pads bleed no red."""
 
 GAP_MM = 0.05
 FINE = 1200
