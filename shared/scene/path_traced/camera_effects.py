@@ -86,7 +86,7 @@ def gain_by_middle(light: Float32[np.ndarray, "h w 3"], effects: Effects) -> flo
     """The same for light that falls off to black: by the brighter half of the image's middle."""
     rows, columns = light.shape[:2]
     middle = light[rows // 4 : rows - rows // 4, columns // 4 : columns - columns // 4].mean(axis=2)
-    return effects.exposure / max(float(np.quantile(middle, 0.7)), 1e-4)
+    return effects.exposure / max(float(np.quantile(middle, 0.6)), 1e-4)
 
 
 def toned(light: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w 3"]:

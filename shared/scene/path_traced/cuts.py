@@ -48,7 +48,7 @@ def _line(rng: np.random.Generator, middle: np.ndarray, angle: float, length: fl
     """An arc, now and then with corners or a branch."""
     t = np.linspace(-0.5, 0.5, 60)
     heading = angle + bend * 2.0 * t
-    if rng.uniform() < 0.12:
+    if rng.uniform() < 0.06:
         heading = heading + rng.uniform(0.4, 0.9) * np.where(np.mod(np.floor(6.0 * (t + 0.5)), 2.0) > 0, 1.0, -1.0)
     steps = length / len(t) * np.column_stack((np.cos(heading), np.sin(heading)))
     points = np.cumsum(steps, axis=0)
@@ -109,12 +109,15 @@ def ridges(rng: np.random.Generator, shape: tuple[int, int], mm: float) -> Grid:
 
 def carve(
     cut: Cut, depth: Grid, albedo: Float32[np.ndarray, "h w 3"], mm: float, pointed: float
-) -> tuple[Grid, Float32[np.ndarray, "h w 3"]]:
-    """Depth and albedo with cuts: deeper and darker towards their middle."""
+) -> tuple[Grid, Float32[np.ndarray, "h w 3"], Grid]:
+    """Depth and albedo with cuts, deeper and darker towards their middle; and where cuts are, 0 to 1."""
     cover = lens_cover(depth.shape, cut.lines, cut.width_mm * mm, pointed)
-    deep = cv2.GaussianBlur(cover, (0, 0), max(0.12 * mm, 0.6))
+    walls = cv2.distanceTransform((cover > 0.5).astype(np.uint8), cv2.DIST_L2, 5) / mm
+    deep = cut.depth_mm * np.minimum(2.0 * walls / cut.width_mm, 1.0)
+    deep = cv2.GaussianBlur(np.maximum(deep, 0.4 * cut.depth_mm * cover), (0, 0), max(0.12 * mm, 0.6))
     rim = np.clip(cv2.GaussianBlur(cover, (0, 0), 0.5 * mm) - cover, 0.0, 1.0)
-    albedo = albedo * (1.0 - 0.25 * rim[..., None])
-    return (depth + cut.depth_mm * deep).astype(np.float32), blended(albedo, cut.inside, 0.95 * cover).astype(
-        np.float32
-    )
+    inside = blended(albedo * (1.0 - 0.25 * rim[..., None]), cut.inside, 0.95 * cover)
+    # what is deep in a cut sees little of the light
+    shade = np.exp(-deep / (0.6 * cut.depth_mm))
+    inside = inside * (1.0 - cover * (1.0 - shade))[..., None]
+    return (depth + deep).astype(np.float32), inside.astype(np.float32), cover

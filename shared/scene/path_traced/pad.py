@@ -43,16 +43,19 @@ TABLES = {
 }
 WIDE_VIEW_MM = 150.0
 BRIDGED_MM = 0.6
+MOST_TILT, MOST_BEND = 0.16, 0.12
+FARTHEST = 0.15
+"""Of the distance, from a phantom's top to the border of its grid: what lies deeper, the grid does not reach."""
 
 
 def pad_ground(camera: RectifiedStereo, distance_mm: float, rng: np.random.Generator) -> Ground:
     """A suture pad around that distance; everything about it is drawn."""
-    surface = tilted(empty_surface(camera, distance_mm, step_of(camera, distance_mm)), rng, 0.25)
+    surface = tilted(empty_surface(camera, distance_mm, step_of(camera, distance_mm)), rng, MOST_TILT)
     surface = undulating(surface, rng, {70.0: rng.uniform(0.0, 0.8)})
     shape, mm = surface.depth_mm.shape, 1.0 / surface.step_mm
     albedo = _skin(rng, shape, mm)
     lines = drawn_lines(rng, shape, mm)
-    width = float(np.exp(rng.uniform(np.log(0.35), np.log(3.0))))
+    width = float(np.exp(rng.uniform(np.log(0.3), np.log(2.4))))
     height = np.zeros(shape, dtype=np.float32)
     kind = str(rng.choice(("blocks", "lips", "flat"), p=(0.35, 0.4, 0.25)))
     if kind == "blocks":
@@ -74,20 +77,25 @@ def pad_ground(camera: RectifiedStereo, distance_mm: float, rng: np.random.Gener
     uncut = raised(surface, -height)
     inside = INSIDES[str(rng.choice(list(INSIDES), p=(0.45, 0.3, 0.25)))]
     pointed = 0.12 if kind == "blocks" else float(rng.uniform(0.2, 0.9))
-    cut = Cut(lines, width, float(rng.uniform(0.8, 3.0)), inside)
-    depth, albedo = carve(cut, uncut.depth_mm, albedo, mm, pointed)
+    cut = Cut(lines, width, max(float(rng.uniform(0.8, 3.0)), 0.9 * width), inside)
+    depth, albedo, within = carve(cut, uncut.depth_mm, albedo, mm, pointed)
     ground = _of_silicone(rng, replace(uncut, depth_mm=depth), albedo, bridged(uncut))
+    ground = replace(
+        ground, roughness=ground.roughness + within * (0.9 - ground.roughness), film=(1.0 - within) * ground.film
+    )
     visible_mm = camera.image_width / camera.fx_px * distance_mm
     return _on_table(rng, ground, mm) if rng.uniform() < (0.75 if visible_mm > WIDE_VIEW_MM else 0.25) else ground
 
 
 def phantom_ground(camera: RectifiedStereo, distance_mm: float, rng: np.random.Generator) -> Ground:
     """Plain silicone skin, gently curved, with folds and a few veins that show through; everything is drawn."""
-    surface = tilted(empty_surface(camera, distance_mm, step_of(camera, distance_mm)), rng, 0.2)
+    surface = tilted(empty_surface(camera, distance_mm, step_of(camera, distance_mm)), rng, MOST_TILT)
     x, y = grid_axes(surface)
     angle, shift = rng.uniform(0.0, np.pi), rng.normal(0.0, 10.0)
     across = np.cos(angle) * x + np.sin(angle) * y[:, None] + shift
-    surface = raised(surface, across**2 / (2.0 * rng.uniform(70.0, 300.0)))
+    half_mm = 0.5 * camera.image_width / camera.fx_px * distance_mm
+    curvature = 2.0 * rng.uniform(0.02, MOST_BEND) * distance_mm / half_mm**2
+    surface = raised(surface, np.minimum(0.5 * curvature * across**2, FARTHEST * distance_mm))
     shape, mm = surface.depth_mm.shape, 1.0 / surface.step_mm
     surface = undulating(surface, rng, {45.0: rng.uniform(0.3, 2.0), 16.0: rng.uniform(0.0, 0.25)})
     folds = np.abs(smooth_field(rng, shape, 40.0 * mm, (1.0, 2.5)))
@@ -123,7 +131,7 @@ def _of_silicone(
 ) -> Ground:
     """A ground with a dull sheen and skin's fine grain."""
     shape, mm = albedo.shape[:2], 1.0 / surface.step_mm
-    grain = rng.uniform(0.0, 0.02) * smooth_field(rng, shape, 0.9 * mm)
+    grain = rng.uniform(0.0, 0.007) * smooth_field(rng, shape, 0.9 * mm)
     roughness = rng.uniform(0.35, 0.65) + 0.04 * rough_field(rng, shape, 12.0 * mm, 3)
     film = np.full(shape, max(float(rng.uniform(-0.15, 0.2)), 0.0), dtype=np.float32)
     return Ground(

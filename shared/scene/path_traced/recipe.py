@@ -235,7 +235,8 @@ def _laid(
     bed = field.ground.bed
     for _ in range(count):
         # 3 to 7 px across at 960 wide, and where it is not for training, what sutures of 3-0 to 5-0 have
-        radius = float(rng.uniform(0.14, 0.33) if wide else rng.uniform(0.15, 0.25))
+        thickest = 0.25 if field.lab_light is None else 0.3
+        radius = float(rng.uniform(0.14, 0.33) if wide else rng.uniform(0.15, thickest))
         of_dye = dye or str(rng.choice(dyes))
         shape = str(rng.choice(choices))
         if shape == "rod":
