@@ -97,7 +97,8 @@ def test_several_threads_are_two_or_three_and_pass_through_none_of_each_other(se
 
 
 def test_only_who_asks_for_red_thread_gets_it():
-    assert set(DYES) - set(USUAL_DYES) == {"red"}
+    assert "red" not in USUAL_DYES
+    assert set(USUAL_DYES) < set(DYES)
     (strand,) = arranged(Recipe("easy", "paper", 4, dye="red"), RIG).field.strands
     assert strand.dye == "red"
 

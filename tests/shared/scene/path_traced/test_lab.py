@@ -1,0 +1,120 @@
+"""Scenes of a lab: light, dyes, instruments that hold something, and rigs whose eyes are far apart."""
+
+import functools
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agents.cli.lab.scenes import endoscope
+from schemas.messages import RectifiedStereo
+from shared.camera import project
+from shared.scene.path_traced.eyes import rectified_rig
+from shared.scene.path_traced.holding import holding_needle, holding_thread
+from shared.scene.path_traced.lab_light import lab_light
+from shared.scene.path_traced.meshes import driver_parts
+from shared.scene.path_traced.placing import above_ground
+from shared.scene.path_traced.recipe import DISPARITY_SHARES, MESHES, Recipe, arranged
+from shared.scene.path_traced.splines import sampled
+from shared.scene.path_traced.strands import LAB_DYES
+from shared.scene.path_traced.tracing import without_sparks
+from shared.scene.render import SceneError
+
+FOLDER = Path("../shared/data/instruments")
+needs_meshes = pytest.mark.skipif(not FOLDER.exists(), reason=f"needs {FOLDER}")
+RIG = endoscope(320, 180)
+BESIDE = rectified_rig(RectifiedStereo(320, 240, 325.0, 325.0, 159.5, 119.5, 45.0, 1e-3))
+
+
+@functools.cache
+def made(config, background, seed):
+    return arranged(Recipe(config, background, seed), RIG)
+
+
+@pytest.mark.parametrize("background", ["pad", "phantom"])
+def test_a_lab_has_light_and_dyes_of_its_own(background):
+    field = made("easy", background, 4).field
+    assert field.lab_light is not None and not field.lamps
+    assert field.strands[0].dye in LAB_DYES
+    assert made("easy", "chicken", 4).field.lab_light is None
+
+
+def test_a_rig_beside_the_field_stands_where_both_eyes_see_it():
+    scene = arranged(Recipe("easy", "pad", 2), BESIDE)
+    near, far = DISPARITY_SHARES
+    share = 325.0 * 45.0 / scene.distance_mm / 320.0
+    assert far <= share <= near
+    assert scene.field.lab_light is not None and not scene.field.lab_light.beams
+    for pixels in project(scene.field.camera, sampled(scene.field.strands[0].curve, 0.5)[0]):
+        assert ((pixels > 0.0) & (pixels < (320.0, 240.0))).all()
+
+
+def test_the_distance_is_the_one_that_was_asked_for():
+    assert 80.0 <= arranged(Recipe("easy", "chicken", 4, distances_mm=(80.0, 81.0)), RIG).distance_mm <= 81.0
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"extras": (MESHES,)}, "need both"),
+        ({"meshes": "somewhere"}, "need both"),
+        ({"distances_mm": (90.0, 80.0)}, "--distance 90 80: give the nearest and the farthest"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(options, said):
+    with pytest.raises(SceneError, match=said):
+        Recipe("easy", "pad", 1, **options)
+
+
+def test_a_scope_shines_from_beside_its_lens_and_a_room_is_dim_around_it():
+    kinds = {"beams": 0, "disks": 0}
+    for seed in range(12):
+        light = lab_light(RIG.near_enough, 90.0, np.random.default_rng(seed))
+        kinds["beams"] += bool(light.beams)
+        kinds["disks"] += bool(light.disks)
+        for beam in light.beams:
+            assert beam.full_deg < beam.black_deg
+            assert np.linalg.norm(beam.place_mm) < 20.0
+        assert light.room.min() >= 0.0 and light.room.mean() < 0.5
+    assert min(kinds.values()) > 0
+
+
+def test_a_lone_bright_pixel_goes_and_a_line_stays():
+    image = np.full((9, 9, 3), 0.2, np.float32)
+    image[2, 2] = 9.0
+    image[6, 1:8] = 4.0
+    clean = without_sparks(image)
+    assert clean[2, 2].max() < 0.5
+    np.testing.assert_array_equal(clean[6, 2:7], image[6, 2:7])
+
+
+@needs_meshes
+def test_a_needle_is_held_between_jaws_above_the_ground():
+    field = made("needle", "phantom", 1).field
+    held = next(
+        found
+        for found in (holding_needle(field, driver_parts(FOLDER), np.random.default_rng(seed)) for seed in range(6))
+        if found.tools
+    )
+    assert above_ground(held.tools, field)
+    assert gap(held.tools, sampled(field.needle.curve, 0.1)[0]) < field.needle.radius_mm + 0.4
+
+
+@needs_meshes
+def test_the_end_of_a_thread_is_held_where_it_is_in_the_air():
+    field = made("easy", "phantom", 4).field
+    (strand,) = field.strands
+    near = replace(strand.curve, control_points=strand.curve.control_points - (0.0, 0.0, 12.0))
+    field = replace(field, strands=[replace(strand, curve=near)])
+    held = next(
+        found
+        for found in (holding_thread(field, driver_parts(FOLDER), np.random.default_rng(seed)) for seed in range(6))
+        if found.tools
+    )
+    assert gap(held.tools, near.at(np.array([float(near.spans)]))) < 2.0
+
+
+def gap(tools, points):
+    corners = np.vstack([tool.vertices for tool in tools if not tool.is_lofted])
+    return min(float(np.linalg.norm(corners - point, axis=1).min()) for point in points)
