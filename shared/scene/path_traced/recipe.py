@@ -163,13 +163,15 @@ def _asked(recipe: Recipe) -> tuple[str, ...]:
 
 
 def _distance(recipe: Recipe, camera: RectifiedStereo, rng: np.random.Generator) -> float | None:
-    """Of the field in mm, where it was asked for or the eyes are far apart; None where it is as an endoscope's."""
+    """Of the field in mm, where it was asked for or a lab's eyes are far apart; None where it is as an endoscope's."""
     if recipe.distances_mm is not None:
         return float(rng.uniform(*recipe.distances_mm))
-    if camera.baseline < WIDE_BASELINE_MM:
+    if camera.baseline < WIDE_BASELINE_MM or not recipe.is_of_lab:
         return None
     near, far = (camera.fx_px * camera.baseline / (share * camera.image_width) for share in DISPARITY_SHARES)
-    return float(rng.uniform(near, far))
+    if near > FARTHEST_MM:
+        raise UnarrangedError(f"eyes {camera.baseline:.0f} mm apart share no field within {FARTHEST_MM:g} mm")
+    return float(rng.uniform(near, min(far, FARTHEST_MM)))
 
 
 def _both_see(rig: Rig, field: Field, share: float) -> bool:

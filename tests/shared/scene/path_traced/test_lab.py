@@ -15,7 +15,7 @@ from shared.scene.path_traced.holding import holding_needle, holding_thread
 from shared.scene.path_traced.lab_light import lab_light
 from shared.scene.path_traced.meshes import driver_parts
 from shared.scene.path_traced.placing import above_ground
-from shared.scene.path_traced.recipe import DISPARITY_SHARES, MESHES, Recipe, arranged
+from shared.scene.path_traced.recipe import DISPARITY_SHARES, MESHES, Recipe, UnarrangedError, arranged
 from shared.scene.path_traced.splines import sampled
 from shared.scene.path_traced.strands import LAB_DYES
 from shared.scene.path_traced.tracing import without_sparks
@@ -48,6 +48,12 @@ def test_a_rig_beside_the_field_stands_where_both_eyes_see_it():
     assert scene.field.lab_light is not None and not scene.field.lab_light.beams
     for pixels in project(scene.field.camera, sampled(scene.field.strands[0].curve, 0.5)[0]):
         assert ((pixels > 0.0) & (pixels < (320.0, 240.0))).all()
+
+
+def test_eyes_that_share_no_field_are_told_at_once():
+    apart = rectified_rig(replace(BESIDE.near_enough, baseline=800.0))
+    with pytest.raises(UnarrangedError, match="eyes 800 mm apart share no field within 1000 mm"):
+        arranged(Recipe("easy", "pad", 2), apart)
 
 
 def test_the_distance_is_the_one_that_was_asked_for():
@@ -98,7 +104,9 @@ def test_a_needle_is_held_between_jaws_above_the_ground():
         if found.tools
     )
     assert above_ground(held.tools, field)
-    assert gap(held.tools, sampled(field.needle.curve, 0.1)[0]) < field.needle.radius_mm + 0.4
+    needle = field.needle
+    assert needle is not None
+    assert gap(held.tools, sampled(needle.curve, 0.1)[0]) < needle.radius_mm + 0.4
 
 
 @needs_meshes
