@@ -95,7 +95,8 @@ def phantom_ground(camera: RectifiedStereo, distance_mm: float, rng: np.random.G
     across = np.cos(angle) * x + np.sin(angle) * y[:, None] + shift
     half_mm = 0.5 * camera.image_width / camera.fx_px * distance_mm
     curvature = 2.0 * rng.uniform(0.02, MOST_BEND) * distance_mm / half_mm**2
-    surface = raised(surface, np.minimum(0.5 * curvature * across**2, FARTHEST * distance_mm))
+    deepest = FARTHEST * distance_mm
+    surface = raised(surface, deepest * np.tanh(0.5 * curvature * across**2 / deepest))
     shape, mm = surface.depth_mm.shape, 1.0 / surface.step_mm
     surface = undulating(surface, rng, {45.0: rng.uniform(0.3, 2.0), 16.0: rng.uniform(0.0, 0.25)})
     folds = np.abs(smooth_field(rng, shape, 40.0 * mm, (1.0, 2.5)))
