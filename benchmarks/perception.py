@@ -17,8 +17,7 @@ import numpy as np
 from rich.console import Console
 
 from agents.cli.reconstruct.pipeline import PipelineResult, reconstruct_pair
-from agents.perception.segmentation.choice import SEGMENTERS
-from agents.perception.segmenter_names import THRESHOLD
+from agents.perception.segmenter_names import NETWORK
 from agents.reconstruction.method_names import DEFAULT_METHOD
 from benchmarks.centreline_share import shares
 from benchmarks.measures import figures
@@ -27,11 +26,11 @@ from benchmarks.perception_pictures import save_finding
 from benchmarks.perception_tables import Row, print_goals, print_scenes
 from benchmarks.perception_times import times_ms
 from benchmarks.scenes import CLEAR, CROSSING, OCCLUSION, Scene, scenes
+from benchmarks.segmenters import COMPARED, ON_TISSUE
 from benchmarks.variations import NONE, Run
 from shared.camera import project
 from shared.runtime.memory import keep_freed_memory
 
-OF_TISSUE = tuple(name for name in SEGMENTERS if name != THRESHOLD)
 """`threshold` is for plain grounds."""
 
 
@@ -39,7 +38,7 @@ def main() -> None:
     """Run the benchmark from the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="folder of scenes")
-    parser.add_argument("--segmenters", nargs="+", choices=OF_TISSUE, default=list(OF_TISSUE))
+    parser.add_argument("--segmenters", nargs="+", choices=ON_TISSUE, default=[NETWORK])
     parser.add_argument("--only", default="", help="run only scenes whose name contains this")
     parser.add_argument("--empty", type=int, default=50, help="thread-free frames that are rendered and looked at")
     parser.add_argument(
@@ -84,9 +83,11 @@ def main() -> None:
 def row_of(scene: Scene, segmenter: str, timed: bool, pictures: Path | None) -> Row:
     """The figures of one scene."""
     run = Run(scene, None, NONE, scene.calibration)
-    result = reconstruct_pair(scene.images, scene.calibration, masks=None, segmenter=segmenter, method=DEFAULT_METHOD)
+    result = reconstruct_pair(
+        scene.images, scene.calibration, masks=None, segmenter=segmenter, method=DEFAULT_METHOD, segmenters=COMPARED
+    )
     row = figures(run, result) | shares_of(scene, result)
-    if timed:
+    if timed and segmenter == NETWORK:
         # as in an agent's process
         cv2.setNumThreads(1)
         keep_freed_memory()

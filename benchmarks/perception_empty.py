@@ -18,6 +18,7 @@ from agents.cli.reconstruct.pipeline import reconstruct_pair
 from agents.reconstruction.method_names import DEFAULT_METHOD
 from benchmarks.perception_pictures import save_false
 from benchmarks.scenes import Pair
+from benchmarks.segmenters import COMPARED
 from schemas.messages import RectifiedStereo, Status, StereoCalibration
 from shared.calibration import read_calibration
 from shared.camera import camera_matrix
@@ -57,7 +58,9 @@ def false_threads(
     counts: Counts = {}
     every = thread_free(frames, seed, folders)
     for number, one in enumerate(track(every, f"thread-free frames, {segmenter}", frames, transient=True)):
-        result = reconstruct_pair(one.images, one.calibration, masks=None, segmenter=segmenter, method=DEFAULT_METHOD)
+        result = reconstruct_pair(
+            one.images, one.calibration, masks=None, segmenter=segmenter, method=DEFAULT_METHOD, segmenters=COMPARED
+        )
         of_kind = counts.setdefault(one.kind, {"frames": 0, "perception": 0, "reconstruction": 0})
         of_kind["frames"] += 1
         of_kind["perception"] += result.observations.status is Status.OK

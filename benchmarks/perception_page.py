@@ -20,11 +20,13 @@ from rich.progress import track
 from scipy.spatial import KDTree
 
 from agents.cli.reconstruct.pipeline import PipelineResult, reconstruct_pair
+from agents.perception.segmenter_names import NETWORK
 from agents.reconstruction.method_names import DEFAULT_METHOD
 from benchmarks.measures import figures, sampled
-from benchmarks.perception import OF_TISSUE, shares_of
+from benchmarks.perception import shares_of
 from benchmarks.perception_pictures import FALSE, MISSED, RIGHT, told_apart
 from benchmarks.scenes import CLEAR, CROSSING, OCCLUSION, Scene, scenes
+from benchmarks.segmenters import COMPARED, ON_TISSUE
 from benchmarks.variations import NONE, Run
 from shared.camera import project
 
@@ -63,7 +65,7 @@ def main() -> None:
     """Run it from the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
-    parser.add_argument("--segmenters", nargs="+", choices=OF_TISSUE, default=["network", "ridge"])
+    parser.add_argument("--segmenters", nargs="+", choices=ON_TISSUE, default=[NETWORK])
     parser.add_argument("--worst", type=int, default=2, help="so many scenes by each measure")
     parser.add_argument("--output", type=Path, default=Path("out/worst"), help="folder of the pictures")
     arguments = parser.parse_args()
@@ -85,7 +87,9 @@ def main() -> None:
 
 def case_of(scene: Scene, segmenter: str) -> Case:
     """Run one scene from its raw images."""
-    result = reconstruct_pair(scene.images, scene.calibration, masks=None, segmenter=segmenter, method=DEFAULT_METHOD)
+    result = reconstruct_pair(
+        scene.images, scene.calibration, masks=None, segmenter=segmenter, method=DEFAULT_METHOD, segmenters=COMPARED
+    )
     row = figures(Run(scene, None, NONE, scene.calibration), result) | shares_of(scene, result)
     return Case(scene, result, row)
 

@@ -22,12 +22,12 @@ from rich.table import Table
 from agents.cli.reconstruct.pipeline import reconstruct_pair
 from agents.perception.centrelines import thread_centrelines
 from agents.perception.rectification import rectification
-from agents.perception.segmentation.choice import SEGMENTERS
-from agents.perception.segmenter_names import THRESHOLD
+from agents.perception.segmenter_names import NETWORK
 from agents.reconstruction.method_names import DEFAULT_METHOD
 from benchmarks.centreline_share import shares
 from benchmarks.perception_pictures import drawn_over
 from benchmarks.scenes import GREY_REAL, REAL, Pair, Scene, scenes
+from benchmarks.segmenters import COMPARED, ON_TISSUE
 from schemas.messages import RectifiedStereo, Status
 from shared.scene.rendered_fields import FIELDS, rendered_backdrop
 from shared.scene.sensor import Sensor, expose, grain
@@ -44,9 +44,7 @@ def main() -> None:
     """Run it from the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
-    parser.add_argument(
-        "--segmenters", nargs="+", choices=SEGMENTERS, default=[n for n in SEGMENTERS if n != THRESHOLD]
-    )
+    parser.add_argument("--segmenters", nargs="+", choices=ON_TISSUE, default=[NETWORK])
     parser.add_argument("--only", default="", help="run only pairs whose name contains this")
     parser.add_argument("--json", type=Path, default=Path("out/perception_real.json"))
     parser.add_argument("--pictures", type=Path, default=Path("out/perception_real"), help="never to be committed")
@@ -101,7 +99,9 @@ def over(
 
 def counts_of(scene: Scene, images: Pair, cover: Pair, segmenter: str, picture: Path) -> Counts:
     """Places laid and found, given and right, over both images; writes the picture."""
-    result = reconstruct_pair(images, scene.calibration, masks=None, segmenter=segmenter, method=DEFAULT_METHOD)
+    result = reconstruct_pair(
+        images, scene.calibration, masks=None, segmenter=segmenter, method=DEFAULT_METHOD, segmenters=COMPARED
+    )
     seen = result.observations
     counts: Counts = {"found": 0, "true": 0, "right": 0, "given": 0}
     drawn: list[np.ndarray] = []

@@ -19,7 +19,7 @@ from agents.perception.rectified_pair import RectifiedPair, decoded_pair, rectif
 from agents.perception.search import FRAMES_BETWEEN_LOOKS, Looked, look_everywhere, look_near
 from agents.perception.segmentation.choice import segmenters_with
 from agents.perception.segmentation.promptable_model import PromptableFiles
-from agents.perception.segmenter_names import GIVEN_MASKS, NETWORK, PROMPTABLE, RIDGE, SEGMENTER_NAMES
+from agents.perception.segmenter_names import GIVEN_MASKS, NETWORK, PROMPTABLE, SEGMENTER_NAMES
 from agents.perception.surface import surface_is_due, tissue_surface
 from agents.perception.told_apart import told_apart
 from agents.perception.unusable import nominal_camera, unusable
@@ -44,7 +44,7 @@ from shared.runtime.agent import Command, Input, Later, Output, Received, Reply,
 from shared.runtime.settable import OneOf, settable
 
 Pixel = Float64[np.ndarray, "2"]
-FOLLOWED = NETWORK, RIDGE
+FOLLOWED = (NETWORK,)
 """Segmenters for tissue, whose thread may be followed in between; `threshold` takes no longer than that."""
 
 

@@ -19,7 +19,7 @@ from agents.perception.matching import Matches, is_inlier, match_pixels, searche
 from agents.perception.needles import Stretch, needle_map, without_needles
 from agents.perception.occluders import occluders_in
 from agents.perception.reflexes import without_reflexes
-from agents.perception.segmenter_names import GIVEN_MASKS, NETWORK, PROMPTABLE, RIDGE
+from agents.perception.segmenter_names import GIVEN_MASKS, NETWORK, PROMPTABLE
 from schemas.messages import (
     Centrelines,
     FrameStamp,
@@ -37,7 +37,7 @@ SEGMENTED_COVERAGE = 96
 falls between two still counts."""
 LARGEST_SEGMENTED_SHARE = 0.05
 """Of the image; a mask that covers more shows no thread, which rarely covers 2 %, and would take seconds to match."""
-ON_TISSUE = NETWORK, RIDGE, PROMPTABLE
+ON_TISSUE = NETWORK, PROMPTABLE
 """Segmenters that find thread on tissue, where light misleads both eyes differently."""
 LEAST_OBSERVATIONS = 4
 """A cubic has four control points."""

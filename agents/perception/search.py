@@ -14,7 +14,6 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 
-from agents.perception.handing_over import FASTER_NEAR, find_the_same
 from agents.perception.judge import correspondence_of_texture, judge
 from agents.perception.prompt import followed, meant_as_before, meant_at, meant_like
 from agents.perception.segmentation.choice import SCORED, SEGMENTERS, Segmenter, suitable_segmenter
@@ -115,16 +114,13 @@ def look_near(
     segment = segmenters.get(last.segmenter)
     if segment is None:
         return None
-    faster = _faster(last)
-    left = _look_near(images[0], decode_image(last.mask_left), last, True, segment, segmenters.get(faster))
-    right = _look_near(images[1], decode_image(last.mask_right), last, False, segment, segmenters.get(faster))
+    left = _look_near(images[0], decode_image(last.mask_left), last, True, segment)
+    right = _look_near(images[1], decode_image(last.mask_right), last, False, segment)
     if left is None or right is None:
         return None
-    name, coverage = last.segmenter, (left.coverage, right.coverage)
-    if left.faster is not None and right.faster is not None:
-        name, coverage = faster, (left.faster, right.faster)
+    coverage = left, right
     prompt_px = None if last.prompt_px is None else followed(last.prompt_px, coverage[0])
-    return Looked(coverage, name, last.looked_sequence, last.is_bright, carried_on(last), prompt_px)
+    return Looked(coverage, last.segmenter, last.looked_sequence, last.is_bright, carried_on(last), prompt_px)
 
 
 def near_is_enough(
@@ -141,28 +137,13 @@ def near_is_enough(
     return last.status is Status.OK and since_last < longest and since_look > 0 and is_early
 
 
-def _faster(last: ThreadObservations) -> str:
-    """The segmenter that may go on from the last frame in place of its own, if there is one."""
-    was_whole = last.looked_sequence == last.stamp.sequence
-    return FASTER_NEAR.get(last.segmenter, "") if was_whole and last.prompt_px is None else ""
-
-
-@dataclass(frozen=True)
-class _Near:
-    """Coverage of one eye's image by thread; and by a faster segmenter, where there is one and it finds the same."""
-
-    coverage: UInt8[np.ndarray, "h w"]
-    faster: UInt8[np.ndarray, "h w"] | None
-
-
 def _look_near(
     image: UInt8[np.ndarray, "h w *c"],
     before: UInt8[np.ndarray, "h w"],
     last: ThreadObservations,
     is_left: bool,
     segment: Segmenter,
-    faster: Segmenter | None,
-) -> _Near | None:
+) -> UInt8[np.ndarray, "h w"] | None:
     """Coverage by thread near where it was in this eye's image; None where some may be missing."""
     near = Near(near_thread(before), last.is_bright)
     meant = None if last.prompt_px is None else meant_as_before(before, alone=is_left)
@@ -170,9 +151,7 @@ def _look_near(
     drawn = last.segmented_sequence not in (None, last.stamp.sequence)
     if may_lack_thread(coverage, near.where, round(_pixels(before) * (DRAWN_SHARE if drawn else 1.0))):
         return None
-    by_faster = None if faster is None else faster(image, near, None)
-    alike = by_faster is not None and find_the_same(coverage, by_faster)
-    return _Near(coverage, by_faster if alike else None)
+    return coverage
 
 
 def carried_on(last: ThreadObservations) -> tuple[Judgement, ...]:

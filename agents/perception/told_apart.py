@@ -14,7 +14,7 @@ from jaxtyping import UInt8
 from agents.perception.candidates import candidates_followed, candidates_in, in_common, seen_by_both, without_printed
 from agents.perception.following.stacked import trail_without
 from agents.perception.occluders import map_image, occluders_in, with_needles
-from agents.perception.segmenter_names import NETWORK, RIDGE
+from agents.perception.segmenter_names import NETWORK
 from schemas.messages import Centrelines, Image, ImageEncoding, Occluders, Status, ThreadObservations
 from shared.disparities import ABOUT_SHARE, NEARER, disparities_of, endoscope_disparity_px
 from shared.images import decode_image
@@ -67,7 +67,7 @@ def told_apart(
     whole = observed.looked_sequence == observed.stamp.sequence
     lines = observed.centrelines_left, observed.centrelines_right
     common, reach = None, disparities_of(observed)
-    is_learned = observed.segmenter in (NETWORK, RIDGE)
+    is_learned = observed.segmenter == NETWORK
     if is_learned and reach.most_px > NEARER * endoscope_disparity_px(observed.camera.image_width):
         return _none(observed, NO_ENDOSCOPE, score)
     # who points at a thread, or draws it, says what is thread

@@ -107,24 +107,24 @@ def test_a_thread_on_white_is_laid_over_another_ground_in_its_own_colour():
 def test_one_scene_is_run_with_its_goals(monkeypatch, tmp_path, capsys):
     if not DATA.is_dir() and "CI" not in os.environ:
         pytest.skip("the shared data folder is not beside this checkout")
-    options = ["--data", DATA, "--only", "cfg_easy_paper", "--segmenters", "ridge", "--empty", "1"]
+    options = ["--data", DATA, "--only", "cfg_easy_paper", "--segmenters", "network", "--empty", "1"]
     options += ["--json", tmp_path / "figures.json", "--pictures", tmp_path]
     monkeypatch.setattr(sys, "argv", ["perception", *map(str, options)])
     perception.main()
-    found = json.loads((tmp_path / "figures.json").read_text())["ridge"]
+    found = json.loads((tmp_path / "figures.json").read_text())["network"]
     (row,) = found["rows"]
     assert row["found"] / row["true"] > 0.9
     assert row["right"] / row["given"] > 0.9
     assert row["times_ms"]["near"] > 0
     assert found["thread-free"]["drawn tissue"]["frames"] == 1
     assert "centreline within 2 px, recall, worst scene" in capsys.readouterr().out
-    assert (tmp_path / "ridge cfg_easy_paper.png").is_file()
+    assert (tmp_path / "network cfg_easy_paper.png").is_file()
 
 
 @pytest.mark.skipif(not DATA.is_dir() and "CI" not in os.environ, reason="needs shared/data beside the checkout")
 def test_each_measure_gets_a_picture_of_its_worst_place():
     load = next(load for name, _, load in scenes(DATA) if name == "crossing render sample_02")
-    case = case_of(load(), "ridge")
+    case = case_of(load(), "network")
     assert 0.9 < case.measures[RECALL] < 1.0
     for measure in (RECALL, PRECISION, ERROR):
         picture, said = picture_of(case, measure)

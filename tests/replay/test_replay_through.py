@@ -264,11 +264,11 @@ def test_the_configuration_is_the_attached_one_or_lies_beside(golden, copied):
 
 
 def test_settings_are_read_as_in_toml_or_as_words():
-    settings = ("reconstruction.tracking=false", "camera.rate_hz = 12.5", "perception.segmenter=ridge")
+    settings = ("reconstruction.tracking=false", "camera.rate_hz = 12.5", "perception.segmenter=network")
     rig = changed(simulated_rig(), settings)
     assert rig.reconstruction == ReconstructionSection(tracking=False)
     assert rig.camera == CameraSection(rate_hz=12.5)
-    assert rig.perception == PerceptionSection(segmenter="ridge")
+    assert rig.perception == PerceptionSection(segmenter="network")
     assert changed(simulated_rig(), ()) == simulated_rig()
 
 

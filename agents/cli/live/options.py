@@ -239,7 +239,7 @@ class RigStatus(OnRig):
 
 @dataclass(frozen=True)
 class SetInAgent(OnRig):
-    """Set a parameter of a running agent, or list what it is set to: set perception segmenter ridge."""
+    """Set a parameter of a running agent, or list what it is set to: set perception segmenter network."""
 
     words: Annotated[
         tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(name="agent", metavar="AGENT [NAME VALUE]")

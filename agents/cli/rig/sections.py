@@ -109,7 +109,7 @@ class PerceptionSection(Settings):
     Segmenter `promptable` runs a network from two files of the user's own, whose hashes are compared where given.
     """
 
-    segmenter: Literal["auto", "threshold", "ridge", "network", "promptable"] = "auto"
+    segmenter: Literal["auto", "threshold", "network", "promptable"] = "auto"
     track_tool: tuple[Name, ...] = ()
     matching: bool | None = None
     promptable_encoder: Path | None = None

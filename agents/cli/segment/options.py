@@ -13,7 +13,7 @@ from agents.cli.reconstruct.options import PICTURE_SUFFIXES, OptionalPath, Usage
 class Segment:
     """Say of each pixel of one image whether it shows ground, thread, needle or instrument.
 
-    The network is not trained yet: so far it tells thread alone, and no needle or instrument (docs/model_card.md).
+    By the project's network, which perception looks by as well: docs/model_card.md says what it has learned.
 
     Grey images and those of 16 bits are taken as colour of 8 bits. Exit status: 0 ok, whether or not there is any
     thread, 2 unusable input.

@@ -94,6 +94,8 @@ def same_places(left: Centrelines, right: Centrelines, reach: Disparities) -> Sa
     is_certain = np.zeros(len(at), bool)
     is_certain[certain.sample] = True
     places, number = _long(places, _stretches(places, 2 * piece + is_certain, of_right))
+    if not len(places.sample):
+        return None
     # what the eyes show there is told by half of the points that tell what is the same
     some, stretches = Pieces(number).every_second
     places = places[some]

@@ -8,8 +8,8 @@ are instead is described by a plane,
 with (u0, v0) the middle of the image: o is a constant row offset, atan2(a, 1 + b) a rotation of one eye's image about
 the line of sight, and 1 + b a magnification. The plane is found by random samples of three matches (Fischler and
 Bolles 1981) among all of them, wherever they lie, so that an image upside down is a rotation by 180 degrees, and then
-by robust least squares (Tukey's weights) from matches followed to a fraction of a pixel. Columns
-differ by a plane too, as far as depth lets them.
+from matches followed to a fraction of a pixel, by the least median of squares (Rousseeuw 1984) and, from there, robust
+least squares (Tukey's weights). Columns differ by a plane too, as far as depth lets them.
 """
 
 from dataclasses import dataclass
@@ -192,17 +192,26 @@ def _densest(values: Float64[np.ndarray, "n"], window: float) -> float:
 def _robust_plane(matched: Matched, middle: Float64[np.ndarray, "2"]) -> tuple[Plane, Plane, float]:
     """The plane through the rows, its standard deviations, and the median distance from it."""
     design, down = _design(matched.left, middle), matched.right[:, 1] - matched.left[:, 1]
-    weight = np.ones(len(down))
-    plane, normal = np.zeros(3), np.eye(3)
+    plane, normal = _least_median_plane(design, down), np.eye(3)
     scale = LEAST_SCALE_PX
     for _ in range(ROUNDS):
-        normal = design.T @ (weight[:, None] * design) + 1e-9 * np.eye(3)
-        plane = np.linalg.solve(normal, design.T @ (weight * down))
         off = np.abs(down - design @ plane)
         scale = max(1.4826 * float(np.median(off)), LEAST_SCALE_PX)
         weight = np.maximum(0.0, 1.0 - (off / (TUKEY * scale)) ** 2) ** 2
+        normal = design.T @ (weight[:, None] * design) + 1e-9 * np.eye(3)
+        plane = np.linalg.solve(normal, design.T @ (weight * down))
     deviation = scale * np.sqrt(GROUP * np.diag(np.linalg.inv(normal)))
     return plane, deviation, float(np.median(np.abs(down - design @ plane)))
+
+
+def _least_median_plane(design: Float64[np.ndarray, "n 3"], down: Float64[np.ndarray, "n"]) -> Plane:
+    """Of the planes through three places each, the one whose median distance is least: half of them may be wrong."""
+    chosen = np.random.default_rng(0).integers(0, len(down), (SAMPLES, 3))
+    spread = np.abs(np.linalg.det(design[chosen]))
+    usable = chosen[spread > np.quantile(spread, 0.25) + 1e-6]
+    level = np.array([[float(np.median(down)), 0.0, 0.0]])
+    planes = np.concatenate((level, np.linalg.solve(design[usable], down[usable][..., None])[..., 0]))
+    return planes[int(np.argmin(np.median(np.abs(planes @ design.T - down), axis=1)))]
 
 
 def _turned_deg(plane: Plane) -> float:

@@ -10,9 +10,8 @@ from agents.perception.segmentation.near import Meant, Near
 from agents.perception.segmentation.network import segment_and_score, segment_network
 from agents.perception.segmentation.promptable import PromptableSegmenter
 from agents.perception.segmentation.promptable_model import PromptableFiles, PromptableModel
-from agents.perception.segmentation.ridge import segment_ridge
-from agents.perception.segmentation.threshold import LEAST_CONTRAST, local_contrast, segment_threshold
-from agents.perception.segmenter_names import NETWORK, PROMPTABLE, RIDGE, THRESHOLD
+from agents.perception.segmentation.threshold import segment_threshold
+from agents.perception.segmenter_names import NETWORK, PROMPTABLE, THRESHOLD
 
 
 class Segmenter(Protocol):
@@ -32,7 +31,6 @@ class Segmenter(Protocol):
 
 SEGMENTERS: dict[str, Segmenter] = {
     THRESHOLD: segment_threshold,
-    RIDGE: segment_ridge,
     NETWORK: segment_network,
 }
 
@@ -55,11 +53,16 @@ def segmenters_with(promptable: PromptableFiles | None) -> Mapping[str, Segmente
     )
 
 
-PLAIN_SHARE = 0.75
-"""An image is plain where at least this share of its pixels hardly differs from its local background."""
+PLAIN_SHARE = 0.95
+"""An image is plain where at least this share of it is of one colour: what is not is no more than thread covers."""
+PLAIN_LEVELS = 16
+"""How far a pixel may be from that colour: noise and compression move it, and the light on a real ground by more."""
+EACH_PX = 4
+"""Of rows and columns, one of so many tells as much as all."""
 
 
 def suitable_segmenter(image: UInt8[np.ndarray, "h w 3"]) -> str:
-    """`threshold` for thread on a plain ground, such as synthetic scenes and cut-out threads; `network` for tissue."""
-    plain = float((local_contrast(image) < LEAST_CONTRAST).mean())
-    return THRESHOLD if plain >= PLAIN_SHARE else NETWORK
+    """`threshold` for thread on a ground of one colour, as of synthetic scenes and cut-out threads; else `network`."""
+    some = image[::EACH_PX, ::EACH_PX].reshape(-1, 3)
+    away = np.abs(some - np.median(some, axis=0)).max(axis=1)
+    return THRESHOLD if (away < PLAIN_LEVELS).mean() >= PLAIN_SHARE else NETWORK

@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int32, Int64, UInt8
 
 from agents.perception.segmentation.boxes import boxes_around
-from agents.perception.segmentation.cast_shadow import without_cast_shadow
 from agents.perception.segmentation.connected import extents, of_pixels
 from agents.perception.segmentation.near import Meant, Near, piece_meant
 
@@ -64,7 +63,6 @@ def segment_and_score(
     else:
         score = thread_score(image, where)
     thread = thread_in(score if where is None else np.where(where, score, np.uint8(0)), image)
-    thread = without_cast_shadow(image, thread)
     if meant is not None and meant.alone:
         thread = piece_meant(thread, meant.weight)
     return np.multiply(thread, np.uint8(255), dtype=np.uint8), score

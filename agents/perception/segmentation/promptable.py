@@ -63,7 +63,7 @@ class PromptableSegmenter:
         """Coverage of each pixel by thread, 0 or 128 to 255; nothing where there is nothing to point at.
 
         Args:
-            near: where thread was; the ridges there are prompts.
+            near: where thread was; what the network finds there are prompts.
             meant: which thread is; without one and without `near`, the ridges of the whole image are prompts.
         """
         for known in pointed_at(image, near, meant):

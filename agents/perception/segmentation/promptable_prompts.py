@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
 from agents.perception.segmentation.near import Meant, Near
-from agents.perception.segmentation.ridge import segment_ridge
+from agents.perception.segmentation.network import segment_network
 
 MOST_POINTS = 8
 """Prompts in one crop."""
@@ -33,9 +33,9 @@ def pointed_at(
     """Pixels in the middle of what may be the thread, one guess after the other, each for where those before find none.
 
     Args:
-        near: where thread was; the ridges there are prompts.
-        meant: alone and without `near`, a person's pixel, where its weight is greatest, and the ridge next to it; with
-            what covers the other eye, the thread there; else which ridge is.
+        near: where thread was; what the network finds there are prompts.
+        meant: alone and without `near`, a person's pixel, where its weight is greatest, and the thread next to it; with
+            what covers the other eye, the thread there; else which thread is.
     """
     if meant is not None and not meant.weight.any():
         return
@@ -46,7 +46,7 @@ def pointed_at(
         pixel = np.zeros(image.shape[:2], bool)
         pixel.ravel()[int(np.argmax(meant.weight))] = True
         yield pixel
-    yield middle_of(segment_ridge(image, near, meant) > 0)
+    yield middle_of(segment_network(image, near, meant) > 0)
     if meant is not None and near is not None:
         yield middle_of(meant.weight > CREST_SHARE * meant.weight.max())
 

@@ -4,11 +4,14 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
+import cv2
 import numpy as np
 import torch
-from jaxtyping import Float64
+from jaxtyping import Float64, UInt8
 
+from agents.perception.segmentation.classes import Kind, highest, scores_of
 from agents.perception.training.augmentation import varied
 from agents.perception.training.drawn_layers import Layers, drawn_layers
 from agents.perception.training.lots import Lots, lots_of
@@ -27,8 +30,10 @@ CORNERS = (0, 0), (0, 1), (1, 0), (1, 1)
 """The pixels around a sample: rows and columns on from the first one."""
 POINTS_KEPT = 512
 """Places of each kind on each view, one of which a crop may have near its middle."""
-POINT_WEIGHTS = 0.6, 0.2, 0.2
-"""How often such a crop lies on thread, needle and instrument, of those that the view has."""
+POINT_WEIGHTS = 0.4, 0.3, 0.1, 0.2
+"""How often such a crop lies on thread, needle, instrument, and what was mistaken, of those that the view has."""
+NEAR_PX = 5
+"""Side of the square about a pixel within which an answer is no mistake: edges are anybody's guess."""
 BYTES = 8
 """Of a pixel: its colour, its coverage by thread, needle and instrument, and what makes it a number of 64 bits."""
 COLOURS, KINDS = 3, 3
@@ -55,8 +60,14 @@ class Pixels:
     sizes: list[tuple[int, int]]
 
 
-def pixels_of(folders: Sequence[Sequence[View]], device: torch.device, seed: int) -> Pixels:
-    """The views of some folders, on a device; a folder that is named again is there but once."""
+def pixels_of(
+    folders: Sequence[Sequence[View]], device: torch.device, seed: int, mistaken_by: Path | None = None
+) -> Pixels:
+    """The views of some folders, on a device; a folder that is named again is there but once.
+
+    Args:
+        mistaken_by: an exported network with classes whose mistakes are drawn more often than the rest of the ground.
+    """
     rng = np.random.default_rng([seed, 20])
     distinct = {id(folder): folder for folder in folders}
     views = [view for folder in distinct.values() for view in folder]
@@ -79,19 +90,29 @@ def pixels_of(folders: Sequence[Sequence[View]], device: torch.device, seed: int
         height=height,
         width=width,
         folders=[(first[id(folder)], len(folder)) for folder in folders],
-        points=[_points(view, rng) for view in views],
+        points=[_points(view, rng, mistaken_by) for view in views],
         sizes=[(int(height), int(width)) for height, width in sizes],
     )
 
 
-def _points(view: View, rng: np.random.Generator) -> list[Float64[np.ndarray, "k 2"]]:
+def _points(view: View, rng: np.random.Generator, mistaken_by: Path | None) -> list[Float64[np.ndarray, "k 2"]]:
     points: list[Float64[np.ndarray, "k 2"]] = []
-    for covered in (view.coverage, view.needle, view.instrument):
+    mistaken = None if mistaken_by is None else _mistaken(view, mistaken_by)
+    for covered in (view.coverage, view.needle, view.instrument, mistaken):
         on = np.zeros(0, np.int64) if covered is None else np.flatnonzero(covered.ravel() > 127)
         kept = on if len(on) <= POINTS_KEPT else rng.choice(on, POINTS_KEPT, replace=False)
         row, column = np.divmod(kept, view.coverage.shape[1])
         points.append(np.column_stack((column, row)).astype(np.float64))
     return points
+
+
+def _mistaken(view: View, weights: Path) -> UInt8[np.ndarray, "h w"]:
+    """Where a network finds thread or needle and there is none nearby, 0 or 255."""
+    answer, wrong = highest(scores_of(view.image, weights)), np.zeros(view.coverage.shape, np.uint8)
+    for kind, covered in ((Kind.THREAD, view.coverage), (Kind.NEEDLE, view.needle)):
+        there = np.zeros(wrong.shape, np.uint8) if covered is None else covered
+        wrong[(answer == kind) & (cv2.dilate(there, np.ones((NEAR_PX, NEAR_PX), np.uint8)) == 0)] = 255
+    return wrong
 
 
 def batches(

@@ -1,6 +1,6 @@
 """What a segmenter finds of the thread in rendered views, by centrelines within 2 px.
 
-    python -m agents.perception.training.evaluate --scenes DIR [--segmenter ridge] [--weights OTHER.onnx]
+    python -m agents.perception.training.evaluate --scenes DIR [--segmenter threshold] [--weights OTHER.onnx]
 
 Both the true coverage and the one that was found are followed by the same code, so that only the segmenter counts.
 

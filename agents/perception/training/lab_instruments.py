@@ -5,7 +5,6 @@ Lengths are millimetres, x right, y down, z away from the camera; colours are di
 
 import dataclasses
 from pathlib import Path
-from xml.etree import ElementTree
 
 import cv2
 import numpy as np
@@ -23,17 +22,19 @@ from agents.perception.training.lab_ground import (
     one_of,
     soft,
 )
+from shared.scene.path_traced.meshes import (
+    FORK_TO_PIN_MM,
+    HANGS_AT,
+    JAW_MM,
+    JAW_TO_WRIST,
+    JAWS_AT,
+    WRIST_TO_FORK,
+    driver_parts,
+    turned_about,
+)
+from shared.scene.path_traced.solids import Solid as TracedSolid
 
-MESHES = "roll_4162", "wrist_pitch_0091_archived", "tip_006", "wrist_yaw_0091", "roll_4162_yaw"
 SHAFT, STEEL, WRIST, JAW_1, JAW_2, PLASTIC = range(6)
-LONGEST_EDGE_MM = 1.5
-PITCH_AT_MM = 9.6
-"""From the beginning of the fork to its pin, along the shaft."""
-WRIST_PIN, JAW_PIN = np.array((5.25, 0, 3.15)), np.array((-3.85, 0, 3.15))
-"""In the wrist's mesh: where it hangs in the fork, and where the jaws hang in it."""
-WRIST_TO_ROLL = np.array([(0.0, 1, 0), (0, 0, -1), (-1, 0, 0)])
-JAW_TO_WRIST = np.array([(0.0, -1, 0), (1, 0, 0), (0, 0, 1)])
-JAW_LENGTH_MM = 10.6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,39 +73,17 @@ def joined(solids: list[Solid]) -> Solid:
 
 
 def load_meshes(folder: Path) -> dict[str, Solid]:
-    """The driver's parts, mm; FileNotFoundError says which is absent."""
-    return {name: _load(folder / f"{name}.dae") for name in MESHES}
+    """The driver's parts, mm.
+
+    Raises:
+        SceneError: where one is absent or no such mesh; the text names it.
+    """
+    return {name: _of_steel(part) for name, part in driver_parts(folder).items()}
 
 
-def _load(path: Path) -> Solid:
-    space = "{http://www.collada.org/2005/11/COLLADASchema}"
-    root = ElementTree.parse(path).getroot()  # noqa: S314
-    shape = next(one for one in root.iter(f"{space}geometry") if one.get("id", "").startswith("Actor"))
-    points, normals = (
-        np.array((one.text or "").split(), float).reshape(-1, 3) for one in list(shape.iter(f"{space}float_array"))[:2]
-    )
-    listed = next(shape.iter(f"{space}triangles")).find(f"{space}p")
-    which = np.array(((listed.text if listed is not None else "") or "").split(), int).reshape(-1, 3, 2)
-    corners, normals = _split(1000 * points[which[..., 0]], normals[which[..., 1]])
+def _of_steel(part: TracedSolid) -> Solid:
+    corners, normals = (np.asarray(values).reshape(-1, 3, 3) for values in (part.vertices, part.normals))
     return Solid(corners, normals, corners, np.full(len(corners), STEEL))
-
-
-def _split(corners: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Long triangles cut in two at their longest edge until none is long."""
-    for _ in range(12):
-        edges = np.linalg.norm(corners - np.roll(corners, -1, 1), axis=2)
-        long = edges.max(axis=1) > LONGEST_EDGE_MM
-        if not long.any():
-            break
-        turn = (edges[long].argmax(axis=1)[:, None] + np.arange(3)) % 3
-        halves: list[np.ndarray] = []
-        for values in (corners, normals):
-            a, b, c = (values[long][np.arange(long.sum()), turn[:, at]] for at in range(3))
-            middle = (a + b) / 2
-            halves.append(np.concatenate((np.stack((a, middle, c), 1), np.stack((middle, b, c), 1))))
-        corners = np.concatenate((corners[~long], halves[0]))
-        normals = np.concatenate((normals[~long], halves[1]))
-    return corners, normals
 
 
 def rod(path: np.ndarray, radii: np.ndarray, part: int, sides: int = 28) -> Solid:
@@ -135,14 +114,6 @@ def rod(path: np.ndarray, radii: np.ndarray, part: int, sides: int = 28) -> Soli
     return Solid(corners, normals, own, np.full(len(corners), part))
 
 
-def turn_about(axis: int, angle: float) -> np.ndarray:
-    """Rotation about x, y or z by an angle in radians."""
-    turn, (a, b) = np.eye(3), [(1, 2), (2, 0), (0, 1)][axis]
-    turn[a, a] = turn[b, b] = np.cos(angle)
-    turn[a, b], turn[b, a] = -np.sin(angle), np.sin(angle)
-    return turn
-
-
 def needle_driver(rng: np.random.Generator, meshes: dict[str, Solid], lists: Lists) -> tuple[Solid, np.ndarray]:
     """A Large Needle Driver along z at random joints, and where its jaws' tip and root are (2, 3)."""
     jaw = np.deg2rad(one_of(rng, lists.jaw_angles))
@@ -150,18 +121,22 @@ def needle_driver(rng: np.random.Generator, meshes: dict[str, Solid], lists: Lis
     finger = _finger(rng, meshes["tip_006"])
     parts: list[Solid] = []
     for part, half, flip in ((JAW_1, jaw / 2, 0.0), (JAW_2, -jaw / 2, np.pi)):
-        turn = JAW_TO_WRIST @ turn_about(2, yaw + half) @ turn_about(1, flip)
-        parts.append(finger.moved(turn, JAW_PIN, part))
+        turn = JAW_TO_WRIST @ turned_about(2, yaw + half) @ turned_about(1, flip)
+        parts.append(finger.moved(turn, JAWS_AT, part))
     pin = meshes["wrist_yaw_0091"]
     parts.append(meshes["wrist_pitch_0091_archived"].moved(np.eye(3), part=WRIST))
-    parts.append(pin.moved(np.diag((1, 1, 1.28)), JAW_PIN * (1, 1, 0)))
-    hang = turn_about(0, pitch) @ WRIST_TO_ROLL
-    shift = np.array((0, 0, PITCH_AT_MM)) - hang @ WRIST_PIN
+    parts.append(pin.moved(np.diag((1, 1, 1.28)), JAWS_AT * (1, 1, 0)))
+    hang = turned_about(0, pitch) @ WRIST_TO_FORK
+    shift = np.array((0, 0, FORK_TO_PIN_MM)) - hang @ HANGS_AT
     distal = joined(parts).moved(hang, shift)
-    tips = np.array([(0, JAW_LENGTH_MM, 0), (0, 2.0, 0)]) @ (JAW_TO_WRIST @ turn_about(2, yaw)).T + JAW_PIN
-    across = meshes["roll_4162_yaw"].moved(turn_about(1, np.pi / 2), np.array((-4.01, 0, PITCH_AT_MM)))
+    tips = np.array([(0, JAW_MM, 0), (0, 2.0, 0)]) @ (JAW_TO_WRIST @ turned_about(2, yaw)).T + JAWS_AT
+    across = meshes["roll_4162_yaw"].moved(turned_about(1, np.pi / 2), np.array((-4.01, 0, FORK_TO_PIN_MM)))
     wheels = [
-        rod(np.array([(x, 0.0, PITCH_AT_MM), (x + 0.6, 0, PITCH_AT_MM)]), np.full((2, 2), rng.uniform(2, 2.7)), STEEL)
+        rod(
+            np.array([(x, 0.0, FORK_TO_PIN_MM), (x + 0.6, 0, FORK_TO_PIN_MM)]),
+            np.full((2, 2), rng.uniform(2, 2.7)),
+            STEEL,
+        )
         for x in (-2.9, -2.0, 1.4, 2.3)
     ]
     return joined([distal, meshes["roll_4162"], across, *wheels, _shaft(rng, 4.15)]), tips @ hang.T + shift
@@ -222,7 +197,7 @@ def draw_instrument(
     z = np.array((np.cos(aim), np.sin(aim), away)) / np.sqrt(1 + away**2)
     x = np.cross((0.0, 0, 1), z)
     x /= np.linalg.norm(x)
-    turn = np.column_stack((x, np.cross(z, x), z)) @ turn_about(2, rng.uniform(0, 2 * np.pi))
+    turn = np.column_stack((x, np.cross(z, x), z)) @ turned_about(2, rng.uniform(0, 2 * np.pi))
     depth = focal / scale
     place = np.array((*(tip_px - np.array(shape[::-1]) / 2) / scale, depth)) - turn @ grip[0]
     ends = grip @ turn.T + place

@@ -40,10 +40,11 @@ from agents.perception.training.lab_strands import (
     stitches,
     thread_look,
 )
+from shared.scene.render import SceneError
 
 SIZES = (640, 480), (720, 576), (720, 540), (938, 528), (960, 540), (960, 720), (1024, 768), (1280, 720), (1280, 960)
 SIZE_SHARES = 0.2, 0.1, 0.1, 0.1, 0.15, 0.1, 0.1, 0.1, 0.05
-COUNT_SHARES = (0.25, 0.45, 0.2, 0.1), (0.45, 0.4, 0.15), (0.25, 0.3, 0.35, 0.1)
+COUNT_SHARES = (0.25, 0.45, 0.2, 0.1), (0.3, 0.5, 0.2), (0.25, 0.3, 0.35, 0.1)
 """Of scenes with 0, 1, 2 ... threads, needles, instruments; stitches and what they hold come besides."""
 THREADLESS_SHARE = 0.12
 """Of scenes without any thread."""
@@ -255,8 +256,8 @@ def main(arguments: list[str] | None = None) -> int:
     chosen = _Chosen(**vars(parser.parse_args(arguments)))
     try:
         meshes = load_meshes(chosen.meshes)
-    except FileNotFoundError as error:
-        print(f"the needle driver's mesh {error.filename} is absent; give its folder with --meshes", file=sys.stderr)
+    except SceneError as error:
+        print(error, file=sys.stderr)
         return 2
     write_scenes(chosen.output, chosen.seed, chosen.count, meshes, LISTS[chosen.lists])
     return 0

@@ -125,8 +125,9 @@ def lay_needle(rng: np.random.Generator, canvas: Canvas, strand: Strand) -> None
 def needle_arc(rng: np.random.Generator, shape: tuple[int, int], middle: np.ndarray | None) -> Strand:
     """An arc of a circle seen aslant, from its blunt end to its tip; its grip or its centre at the given point."""
     scale = shape[1] / 960
-    radius, width = np.exp(rng.uniform(np.log(22), np.log(130))) * scale, rng.uniform(2.5, 9) * scale
-    width = min(width, radius / 7)
+    radius = np.exp(rng.uniform(np.log(22), np.log(260))) * scale
+    # the wire of a suture needle is an eighth to a twentieth of its radius
+    width = np.clip(radius / rng.uniform(8, 20), 2 * scale, 18 * scale)
     first = rng.standard_normal(3)
     first /= np.linalg.norm(first)
     second = np.cross(first, rng.standard_normal(3))

@@ -60,6 +60,7 @@ class Chosen:
     classes: bool = False
     threads: int = 1
     half: bool = True
+    mistaken_by: Path | None = None
 
 
 def train(folders: list[list[View]], chosen: Chosen) -> ThreadNet:
@@ -122,7 +123,8 @@ def _report(steps: int, done: float, losses: list[torch.Tensor], began: float) -
 def _pixels_in(chosen: Chosen) -> Pixels:
     """The views of all folders, which nothing else holds once they lie on the device."""
     views = {folder: views_in([folder], chosen.classes) for folder in chosen.scenes}
-    return pixels_of([views[folder] for folder in chosen.scenes], torch.device(chosen.device), chosen.seed)
+    every = [views[folder] for folder in chosen.scenes]
+    return pixels_of(every, torch.device(chosen.device), chosen.seed, chosen.mistaken_by)
 
 
 def step_share(done: float) -> float:
@@ -158,6 +160,9 @@ def main(arguments: list[str] | None = None) -> int:
         help=f"at each resolution; {CHANNELS} if new, else what the start has, which may be widened",
     )
     parser.add_argument("--red-share", type=float, default=0.5, help="of the colours in which thread is dyed anew")
+    parser.add_argument(
+        "--mistaken-by", type=Path, default=None, help="ONNX of a network whose mistakes are learned from more often"
+    )
     parser.add_argument("--device", default="cpu", help="as PyTorch names it, such as cuda; none is needed")
     parser.add_argument(
         "--classes", action="store_true", help="tell ground, thread, needle and instrument apart; --loss is not asked"

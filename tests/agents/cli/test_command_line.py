@@ -29,11 +29,14 @@ MISTAKES: dict[tuple[str, ...], tuple[str, ...]] = {
     ("reconstruct", *NAMED, *PAIR, "--stereo", "s.png"): ("either --stereo or --left and --right",),
     ("reconstruct", *NAMED, *PAIR, "--left-mask", "m.png"): ("both --left-mask and --right-mask",),
     ("reconstruct", *NAMED, *PAIR, "--segmenter", "mask"): ("--segmenter mask needs --left-mask and --right-mask",),
-    ("reconstruct", *NAMED, *PAIR, "--segmenter", "magic"): ("--segmenter magic is unknown", "mask, threshold, ridge"),
+    ("reconstruct", *NAMED, *PAIR, "--segmenter", "magic"): (
+        "--segmenter magic is unknown",
+        "threshold, network",
+    ),
     ("reconstruct", *NAMED, *PAIR, "--method", "magic"): ("--method magic is unknown", "paper, refined"),
     ("reconstruct", *NAMED, *PAIR, "--unit", "km"): ("--unit km is unknown", "m, cm, mm, um"),
-    ("reconstruct", *NAMED, *PAIR, "--left-mask", "a", "--right-mask", "b", "--segmenter", "ridge"): (
-        "masks are given, so --segmenter ridge would not be used",
+    ("reconstruct", *NAMED, *PAIR, "--left-mask", "a", "--right-mask", "b", "--segmenter", "network"): (
+        "masks are given, so --segmenter network would not be used",
     ),
     ("reconstruct", "--calibration", "--output", "o.json", *PAIR): ("--calibration takes one path, or two",),
     ("reconstruct", "--calibration", "a", "b", "c", "--output", "o.json", *PAIR): ("--calibration takes one path",),
@@ -87,7 +90,7 @@ def test_help_names_every_option_and_choice(suturegrasp):
         "--picture",
         "--rrd",
         "{m,cm,mm,um}",
-        "{mask,threshold,ridge,network,promptable}",
+        "{mask,threshold,network,promptable}",
         "{paper,refined}",
     ):
         assert option in said

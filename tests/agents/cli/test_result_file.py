@@ -82,7 +82,7 @@ def test_a_thread_is_written_as_the_contract_says(suturegrasp, pair, small: Path
     assert document["status"] == "ok"
     assert document["unit"] == "mm"
     assert document["observations"] >= 4
-    assert document["segmenter"] in ("threshold", "ridge")
+    assert document["segmenter"] in ("threshold", "network")
     assert all(document["timings_ms"][step] > 0 for step in ("segment", "match", "reconstruct"))
 
 

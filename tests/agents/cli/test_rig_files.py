@@ -48,7 +48,7 @@ def gathered(here=LAB, **theirs):
         ("rate_hz = 30.0", "rate_hz = 25.0", ("camera",)),
         ('address = "10.0.0.12"', 'address = "10.0.0.22"', ("hosts.strong",)),
         ("[viewer]", "", ("viewer",)),
-        ("[perception]", '[perception]\nsegmenter = "ridge"', ("perception",)),
+        ("[perception]", '[perception]\nsegmenter = "network"', ("perception",)),
         ('[router]\nhost = "video"', '[router]\nhost = "desk"', ("router",)),
         ('backend = "simulated"', "speed_share = 0.5", ("robot.psm1",)),
     ],

@@ -219,8 +219,8 @@ def test_ticks_are_not_its_business():
 
 
 def test_the_segmenter_is_as_configured():
-    (found,) = fed(Perception(PerceptionConfig("ridge")), calibration(), frame())
-    assert found.segmenter == "ridge"
+    (found,) = fed(Perception(PerceptionConfig("network")), calibration(), frame())
+    assert found.segmenter == "network"
 
 
 def test_a_frame_of_another_size_than_the_calibration_is_unusable_and_names_both():

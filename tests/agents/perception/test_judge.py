@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 from agents.perception.judge import Correspondence, correspondence_of_masks, correspondence_of_texture, judge
+from agents.perception.judging.correspondence import _robust_plane
+from agents.perception.judging.features import Matched
 from schemas.messages import Severity
 
 HEIGHT, WIDTH = SHAPE = 270, 480
@@ -119,3 +121,15 @@ def test_masks_of_different_threads_give_no_row_shift():
 def test_one_image_given_twice_is_no_stereo_pair():
     (finding,) = judge(Correspondence(0.0, 0.0), (480, 640))
     assert (finding.code, finding.severity) == ("no_disparity", Severity.FAULT)
+
+
+def test_the_plane_of_rows_is_told_though_two_fifths_of_the_matches_are_wrong_alike():
+    """As over a pad's slits, each of which looks like the next one."""
+    rng = np.random.default_rng(4)
+    left = rng.uniform((0, 0), (1280, 960), (100, 2))
+    middle, turn = np.array((639.5, 479.5)), np.radians(-0.2)
+    down = 1.5 + np.sin(turn) * (left - middle)[:, 0] + rng.normal(0, 0.15, 100)
+    down[:40] = -2.0 + 0.02 * (left - middle)[:40, 0] + rng.normal(0, 0.5, 40)
+    plane, _, _ = _robust_plane(Matched(left, left + np.column_stack((np.full(100, -300.0), down)), 100), middle)
+    assert plane[0] == pytest.approx(1.5, abs=0.1)
+    assert abs(plane[1] - np.sin(turn)) < 2e-4

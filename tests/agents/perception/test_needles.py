@@ -104,7 +104,7 @@ def test_a_needle_that_a_glint_parts_is_cut_off_in_both_its_pieces():
     assert found.centrelines.point_px[:, 0].max() < SWAGE_U + 8
 
 
-@pytest.mark.parametrize(("segmenter", "ends_u"), [("network", SWAGE_U), ("ridge", SWAGE_U), (GIVEN_MASKS, 430)])
+@pytest.mark.parametrize(("segmenter", "ends_u"), [("network", SWAGE_U), (GIVEN_MASKS, 430)])
 def test_what_is_observed_ends_where_the_needle_begins_unless_a_person_drew_the_mask(segmenter, ends_u):
     camera = RectifiedStereo(WIDTH, HEIGHT, 500.0, 500.0, 239.5, 119.5, 5e-3, 1.0)
     image, mask = scene()

@@ -10,7 +10,7 @@ from agents.perception.candidates import without_printed
 from agents.perception.candidates.patches import before_planes, ground_planes, patches_around
 from agents.perception.candidates.relief import MOST_PLACES, Relief, relief_of
 from agents.perception.observe import observe
-from agents.perception.segmenter_names import GIVEN_MASKS, NETWORK, RIDGE
+from agents.perception.segmenter_names import GIVEN_MASKS, NETWORK
 from agents.perception.told_apart import told_apart
 from schemas.messages import Centrelines, FrameStamp, RectifiedStereo, Status, no_centrelines
 
@@ -232,7 +232,7 @@ def test_more_places_are_asked_where_they_may_tell_and_where_too_few_have_told()
     assert not Relief(0.5, alternate + 0.5).may_be_none
 
 
-@pytest.mark.parametrize("segmenter", [NETWORK, RIDGE, GIVEN_MASKS])
+@pytest.mark.parametrize("segmenter", [NETWORK, GIVEN_MASKS])
 @pytest.mark.parametrize("pointed_at", [False, True])
 def test_a_pair_with_print_alone_shows_no_thread_unless_a_person_says_so(segmenter, pointed_at):
     lines = [(bent(330), 0.0)]

@@ -27,7 +27,7 @@ from shared.runtime.agent import Command, Received
 WIDTH, HEIGHT, DISPARITY = 640, 360, 30
 BLACK, GREEN = (150.0, 120.0), (360.0, 120.0)
 """Where the two threads cross row 120."""
-SEGMENTERS = pytest.mark.parametrize("segmenter", ["threshold", "ridge", "network"])
+SEGMENTERS = pytest.mark.parametrize("segmenter", ["threshold", "network"])
 
 
 def calibration():
@@ -110,7 +110,7 @@ def test_it_is_followed_as_it_moves_near_and_over_the_whole_until_it_is_cleared(
 
 
 def test_a_prompt_that_goes_on_from_recorded_observations_means_the_same_thread():
-    live, resumed = agent_of("ridge"), agent_of("ridge")
+    live, resumed = agent_of("network"), agent_of("network")
     seen(live, 0)
     asked(live, GREEN)
     before = seen(live, 1, moved=5)
@@ -133,7 +133,7 @@ def test_a_prompt_beside_every_thread_is_refused_in_one_sentence_and_changes_not
 
 @pytest.mark.parametrize("pixel", [(-1, 5), (640, 5), (5, 360), (1e9, 1e9)])
 def test_a_prompt_outside_the_image_is_refused(pixel):
-    agent = agent_of("ridge")
+    agent = agent_of("network")
     seen(agent, 0)
     answer = asked(agent, pixel)
     assert (answer.outcome, answer.code) == (Outcome.REFUSED, "outside")
@@ -141,4 +141,4 @@ def test_a_prompt_outside_the_image_is_refused(pixel):
 
 
 def test_without_a_frame_there_is_nothing_to_prompt_in():
-    assert asked(agent_of("ridge"), BLACK).code == "no_frame"
+    assert asked(agent_of("network"), BLACK).code == "no_frame"

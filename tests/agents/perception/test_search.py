@@ -89,26 +89,6 @@ def test_a_thread_that_moves_is_followed_step_by_step(colour):
         last = seen(now, looked, step)
 
 
-def two_colours():
-    """A black thread in the left half of both images and a white one in the right: `ridge` finds one of them."""
-    left, right = (
-        np.hstack((dark[:, :480], bright[:, 480:]))
-        for dark, bright in zip(tissue("black"), tissue("white"), strict=True)
-    )
-    return left, right
-
-
-@pytest.mark.parametrize(("images", "named"), [(tissue, "ridge"), (two_colours, "network")])
-def test_the_network_leaves_the_next_frames_to_ridge_only_where_both_find_the_same(images, named):
-    last = seen(images(), look_everywhere(images(), 0))
-    assert last.segmenter == "network"
-    for sequence in (1, 2):
-        looked = look_near(images(), last, sequence)
-        assert looked is not None
-        assert looked.segmenter == named
-        last = seen(images(), looked, sequence)
-
-
 def test_a_thread_that_jumps_away_has_everything_looked_at():
     images = tissue()
     last = seen(images, look_everywhere(images, 0))

@@ -85,16 +85,6 @@ def test_rows_that_are_four_pixels_apart_are_reported_for_the_published_scenes()
 
 
 @pytest.mark.parametrize("name", RENDERS)
-def test_the_ridge_segmenter_finds_the_thread_of_a_render(name):
-    left, _, mask_left, _ = rendered(name)
-    found = SEGMENTERS["ridge"](left)
-    near = cv2.dilate(found, np.ones((5, 5), np.uint8)) > 0
-    truly_near = cv2.dilate(mask_left, np.ones((7, 7), np.uint8)) > 60
-    assert near[mask_left > 128].mean() > 0.95
-    assert truly_near[found > 0].mean() > 0.75
-
-
-@pytest.mark.parametrize("name", RENDERS)
 def test_the_network_finds_the_thread_of_a_render_and_little_else(name):
     left, _, mask_left, _ = rendered(name)
     assert suitable_segmenter(left) == "network"

@@ -10,7 +10,7 @@ import pytest
 
 from agents.perception.observe import observe
 from agents.perception.occluders import map_image
-from agents.perception.segmenter_names import GIVEN_MASKS, NETWORK, RIDGE
+from agents.perception.segmenter_names import GIVEN_MASKS, NETWORK
 from agents.perception.told_apart import SCORE_WIDTH_PX, told_apart
 from schemas.messages import FrameStamp, Occluder, Occluders, RectifiedStereo, Status
 from shared.images import decode_image
@@ -96,7 +96,7 @@ def test_between_looks_at_the_whole_instruments_are_looked_for_anew_every_sixth_
     assert kinds(now).any() == (not is_due)
 
 
-@pytest.mark.parametrize("segmenter", [NETWORK, RIDGE, GIVEN_MASKS])
+@pytest.mark.parametrize("segmenter", [NETWORK, GIVEN_MASKS])
 @pytest.mark.parametrize("pointed_at", [False, True])
 def test_what_each_eye_shows_in_other_rows_is_no_thread_unless_a_person_says_so(segmenter, pointed_at):
     left, right = drawn(((LONG, BLACK, 5),), (), 0), drawn(((SHORT, GREEN, 5),), (), DISPARITY)

@@ -9,8 +9,8 @@ from agents.perception.both_eyes import apart
 from agents.perception.both_eyes.same_places import between, same_places
 from agents.perception.following.pair import follow_pair
 from agents.perception.observe import observe
-from agents.perception.segmentation.ridge import segment_ridge
-from agents.perception.segmenter_names import GIVEN_MASKS, RIDGE, THRESHOLD
+from agents.perception.segmentation.network import segment_network
+from agents.perception.segmenter_names import GIVEN_MASKS, NETWORK, THRESHOLD
 from schemas.messages import FrameStamp
 from shared.disparities import disparities_of
 from shared.scene.__main__ import make_scene
@@ -29,7 +29,7 @@ def looked_at(segmenter):
     camera, pair = scene()
     left, right = pair.left_bgr, pair.right_bgr
     stamp = FrameStamp(3, 10, 11, "made up")
-    return observe(stamp, camera, left, right, segment_ridge(left), segment_ridge(right), segmenter, matching=False)
+    return observe(stamp, camera, left, right, segment_network(left), segment_network(right), segmenter, matching=False)
 
 
 def followed(observed):
@@ -72,7 +72,7 @@ def always_apart(monkeypatch):
 @pytest.mark.usefixtures("always_apart")
 def test_a_frame_that_is_looked_at_and_one_that_is_followed_are_drawn_alike():
     masks_given = looked_at(GIVEN_MASKS)
-    looked = looked_at(RIDGE)
+    looked = looked_at(NETWORK)
     assert by_how_much(looked, masks_given) == pytest.approx(0.8 * APART_PX, abs=0.15)
     once = followed(looked)
     twice = followed(once)

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from agents.perception.centrelines import thread_centrelines
-from agents.perception.segmentation.ridge import segment_ridge
+from agents.perception.segmentation.network import segment_network
 from agents.perception.segmentation.threshold import segment_threshold
 from shared.splines import clamped_uniform_knots, evaluate
 
@@ -83,7 +83,7 @@ def test_true_coverage_gives_hundredths_of_a_pixel(name):
 @pytest.mark.parametrize("name", ["cfg_medium_paper", "sample_06"])
 def test_what_is_learned_of_a_segmented_thread_gives_less_than_a_tenth_of_a_pixel(name):
     image, _, curve = rendered(name)
-    assert check(thread_centrelines(image, segment_ridge(image)), curve, 0.09, 0.35) > 0.9
+    assert check(thread_centrelines(image, segment_network(image)), curve, 0.09, 0.35) > 0.9
 
 
 @pytest.mark.parametrize("name", ["scene_1_1", "scene_3_1", "scene_7_4", "scene_9_2"])

@@ -22,6 +22,12 @@ def test_a_cut_out_thread_on_white_is_plain():
     assert suitable_segmenter(image) == "threshold"
 
 
+def test_an_image_of_which_most_is_black_is_not_plain():
+    image = np.zeros((480, 640, 3), np.uint8)
+    image[:, 500:] = np.linspace(20, 200, 480)[:, None, None]
+    assert suitable_segmenter(image) == "network"
+
+
 def test_every_segmenter_gives_coverage_of_the_images_size():
     image = np.random.default_rng(2).integers(0, 256, (54, 96, 3), dtype=np.uint8)
     for segment in SEGMENTERS.values():

@@ -68,5 +68,5 @@ def test_files_are_written_once(meshes: dict[str, Solid], tmp_path: Path) -> Non
 def test_absent_meshes_are_told_in_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--count", "1", "--output", str(tmp_path / "out"), "--meshes", str(tmp_path)]) == 2
     told = capsys.readouterr().err
-    assert "roll_4162.dae is absent" in told
+    assert "roll_4162.dae (No such file" in told
     assert told.count("\n") == 1

@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
-from agents.perception.segmentation import ridge_candidate
 from agents.perception.segmentation.near import Near
-from agents.perception.segmentation.ridge import segment_ridge
-from agents.perception.segmentation.ridge_pieces import LEAST_LENGTH_PX
-from agents.perception.segmentation.ridge_view import view_of
+from benchmarks.ridge import candidate as ridge_candidate
+from benchmarks.ridge.pieces import LEAST_LENGTH_PX
+from benchmarks.ridge.ridge import segment_ridge
+from benchmarks.ridge.view import view_of
 from shared.scene.__main__ import make_scene
 from shared.scene.render import RenderedPair, render, render_backdrop
 from shared.scene.sensor import Sensor, expose, grain

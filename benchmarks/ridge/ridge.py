@@ -23,10 +23,8 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
 from agents.perception.segmentation.connected import of_pixels
-from agents.perception.segmentation.full_size import at_full_size
-from agents.perception.segmentation.instrument_edges import along_borders
 from agents.perception.segmentation.near import Meant, Near
-from agents.perception.segmentation.ridge_candidate import (
+from benchmarks.ridge.candidate import (
     GLINT,
     GROW_SHARE,
     SEED_SHARE,
@@ -35,15 +33,17 @@ from agents.perception.segmentation.ridge_candidate import (
     meant_score,
     polarities,
 )
-from agents.perception.segmentation.ridge_colour import (
+from benchmarks.ridge.colour import (
     COLOUR_LIMIT,
     deviations_from_thread,
     expected_contrast,
     lab_of,
     medians,
 )
-from agents.perception.segmentation.ridge_pieces import connected_pieces, going_on, weight_meant
-from agents.perception.segmentation.ridge_view import View, in_whole, view_of
+from benchmarks.ridge.full_size import at_full_size
+from benchmarks.ridge.instrument_edges import along_borders
+from benchmarks.ridge.pieces import connected_pieces, going_on, weight_meant
+from benchmarks.ridge.view import View, in_whole, view_of
 
 LEAST_WEIGHT_SHARE, LEAST_EXTENT_SHARE = 0.06, 0.2
 """Pieces with less response, or less extent, than this share of the greatest are clutter."""

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, UInt8
 
-from agents.perception.segmentation.instrument_edges import Instruments, instruments_in
-from agents.perception.segmentation.line_filter import RADIUS_PX
 from agents.perception.segmentation.near import Meant, Near
-from agents.perception.segmentation.ridge_colour import Rare, rare_in
+from benchmarks.ridge.colour import Rare, rare_in
+from benchmarks.ridge.instrument_edges import Instruments, instruments_in
+from benchmarks.ridge.line_filter import RADIUS_PX
 
 DETECTION_WIDTH_PX = 480
 """Width of the reduced image; the sizes in pixels below are of this image."""

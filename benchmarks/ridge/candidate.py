@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 
-from agents.perception.segmentation.full_size import mean_excess
-from agents.perception.segmentation.line_filter import line_response, rough_line_response
 from agents.perception.segmentation.near import Meant, Near
-from agents.perception.segmentation.ridge_colour import lab_of, rarity
-from agents.perception.segmentation.ridge_pieces import Pieces, Ridges, connected_pieces, from_top, weight_meant
-from agents.perception.segmentation.ridge_view import View
+from benchmarks.ridge.colour import lab_of, rarity
+from benchmarks.ridge.full_size import mean_excess
+from benchmarks.ridge.line_filter import line_response, rough_line_response
+from benchmarks.ridge.pieces import Pieces, Ridges, connected_pieces, from_top, weight_meant
+from benchmarks.ridge.view import View
 
 GLINT = 60.0
 """In grey levels: the contrast from which on what is bright counts alike."""

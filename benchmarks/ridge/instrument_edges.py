@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int64, UInt8
 
 from agents.perception.occluders import WIDTH_PX, occluders_in
-from agents.perception.segmentation.line_filter import across_lines
+from benchmarks.ridge.line_filter import across_lines
 
 ABOUT_CELLS, WITHIN_CELLS = 3, 2
 """Of the map of occluders, which is 240 px wide: how far beyond an instrument's border, and how far within it, its edge
