@@ -49,14 +49,14 @@ example: .venv/runtime.done ## a stereo pair becomes a thread in 3D, in a few se
 # as agents do: threads of one computation that wait for each other's turn on two busy cores cost more than they gain
 test: export OPENBLAS_NUM_THREADS := 1
 test: export OPENCV_FOR_THREADS_NUM := 1
-test: .venv/dev.done ## all tests: those that only compute, whole rigs, and all others beside each other; ARGS="..." for some
+test: .venv/dev.done ## all tests: whole rigs, whose steps have limits, then those that only compute beside all others; ARGS="..." for some
 ifeq ($(ARGS),)
 	@mkdir -p out; \
+	$(PYTEST) -o cache_dir=.pytest_cache/rigs $(RIGS); rigs=$$?; \
 	nice -n 5 $(PYTEST) -o cache_dir=.pytest_cache/computing $(COMPUTING) $(addprefix --ignore=,$(RIGS)) \
 		> out/computing.log 2>&1 & computing=$$!; \
-	$(PYTEST) -o cache_dir=.pytest_cache/rigs $(RIGS) > out/rigs.log 2>&1 & rigs=$$!; \
 	$(PYTEST) $(addprefix --ignore=,$(COMPUTING) $(RIGS)); others=$$?; \
-	wait $$rigs; rigs=$$?; cat out/rigs.log; wait $$computing; computing=$$?; cat out/computing.log; \
+	wait $$computing; computing=$$?; cat out/computing.log; \
 	exit $$((others + rigs + computing))
 else
 	@$(PYTEST) $(ARGS)
