@@ -39,8 +39,6 @@ def _second(_: Any, given: Any, *__: Any) -> Any:
 
 
 RULES: dict[str, tuple[Change, ...]] = {
-    "needles": ((observe, "without_needles", lambda _, found: (found, [])),),
-    "lines of instruments": ((observe, "without_reflexes", _second),),
     "print": ((told_apart, "without_printed", _second),),
     "lines that one eye alone shows": ((told_apart, "seen_by_both", _first),),
     "threads that are certainly others": ((candidates, "certainly_others", lambda *_: []),),

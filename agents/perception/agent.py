@@ -205,7 +205,7 @@ class Perception:
         found = follow_pair(stamp, pair.camera, pair.images, last, between)
         if found is None:
             return None
-        return replace(found, observed=told_apart(found.observed, pair.images, found.coverage, last))
+        return replace(found, observed=told_apart(found.observed, pair.images, last))
 
     def _observed(
         self,
@@ -233,7 +233,7 @@ class Perception:
             is_bright=looked.is_bright,
             prompt_px=looked.prompt_px,
         )
-        return told_apart(observed, pair.images, looked.coverage, self._last, looked.score)
+        return told_apart(observed, pair.images, self._last, looked.score)
 
     def _rectified(self, frame: StereoFrame, calibration: StereoCalibration) -> RectifiedPair | str:
         """The rectified pair, or why there is none."""

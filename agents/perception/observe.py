@@ -10,25 +10,20 @@ from jaxtyping import Bool, Float64, Int64, UInt8
 
 from agents.perception.both_eyes.apart import drawn_together
 from agents.perception.both_eyes.ends import ended_together
-from agents.perception.centrelines.centrelines import NO_LINES, Lines, thread_lines
+from agents.perception.centrelines.centrelines import NO_LINES, thread_lines
 from agents.perception.clustering import Clusters, cluster_and_order
 from agents.perception.following.follow import trail_of
 from agents.perception.judge import correspondence_of_masks, correspondence_of_texture, judge
 from agents.perception.mask_image import mask_image
 from agents.perception.matching import Matches, is_inlier, match_pixels, searched_disparities
-from agents.perception.needles import Stretch, needle_map, without_needles
-from agents.perception.occluders import occluders_in
-from agents.perception.reflexes import without_reflexes
-from agents.perception.segmenter_names import GIVEN_MASKS, NETWORK, PROMPTABLE
+from agents.perception.segmenter_names import NETWORK, PROMPTABLE
 from schemas.messages import (
-    Centrelines,
     FrameStamp,
     Judgement,
     RectifiedStereo,
     Severity,
     Status,
     ThreadObservations,
-    Trail,
 )
 from shared.camera import backproject, depth_of_disparity
 
@@ -63,18 +58,6 @@ class _Found:
     clusters: Clusters | None = None
 
 
-@dataclass(frozen=True)
-class _Shown:
-    """What one image shows of thread, and the needles in it."""
-
-    lines: Lines
-    needles: list[Stretch]
-
-    def trail(self, image: UInt8[np.ndarray, "h w 3"], centrelines: Centrelines) -> Trail:
-        """What the next frame follows the centrelines by, wherever both eyes together have drawn them."""
-        return trail_of(image, centrelines, self.lines.loose_start, self.lines.loose_end)
-
-
 def observe(
     stamp: FrameStamp,
     camera: RectifiedStereo,
@@ -100,15 +83,13 @@ def observe(
     usable = not any(judgement.severity is Severity.FAULT for judgement in found.judgements) and not _unusable_masks(
         *segmented, segmenter
     )
-    # who gives a mask says what is thread
-    may_be_steel = segmenter != GIVEN_MASKS
     of_left, of_right = (
-        _shown(image, coverage, usable, may_be_steel)
+        thread_lines(image, coverage) if usable else NO_LINES
         for image, coverage in ((left, coverage_left), (right, coverage_right))
     )
-    lines = of_left.lines.centrelines, of_right.lines.centrelines
+    lines = of_left.centrelines, of_right.centrelines
     if segmenter in ON_TISSUE:
-        lines = ended_together((left, right), of_left.lines, of_right.lines, disparities_px)
+        lines = ended_together((left, right), of_left, of_right, disparities_px)
         lines = drawn_together((left, right), lines, shown_px=disparities_px)
     return ThreadObservations(
         stamp=stamp,
@@ -127,11 +108,10 @@ def observe(
         gaps=gaps,
         centrelines_left=lines[0],
         centrelines_right=lines[1],
-        trail_left=of_left.trail(left, lines[0]),
-        trail_right=of_right.trail(right, lines[1]),
+        trail_left=trail_of(left, lines[0], of_left.loose_start, of_left.loose_end),
+        trail_right=trail_of(right, lines[1], of_right.loose_start, of_right.loose_end),
         segmented_sequence=stamp.sequence,
         disparities_px=disparities_px,
-        occluders=needle_map(left.shape, of_left.needles, of_right.needles, stamp.sequence),
     )
 
 
@@ -219,13 +199,3 @@ def _observations(
     depth = depth_of_disparity(camera, clusters.disparity_px)
     gaps = np.flatnonzero(np.diff(clusters.segment) != 0)
     return backproject(camera, clusters.centroid_px, depth), clusters.half_size_px, gaps
-
-
-def _shown(
-    image: UInt8[np.ndarray, "h w 3"], coverage: UInt8[np.ndarray, "h w"], usable: bool, may_be_steel: bool
-) -> _Shown:
-    found, needles = thread_lines(image, coverage) if usable else NO_LINES, list[Stretch]()
-    if may_be_steel:
-        found, needles = without_needles(image, found)
-        found = without_reflexes(image, found, occluders_in(image, coverage))
-    return _Shown(found, needles)

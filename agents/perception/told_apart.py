@@ -13,16 +13,17 @@ from jaxtyping import UInt8
 
 from agents.perception.candidates import candidates_followed, candidates_in, in_common, seen_by_both, without_printed
 from agents.perception.following.stacked import trail_without
-from agents.perception.occluders import map_image, occluders_in, with_needles
-from agents.perception.segmenter_names import NETWORK
+from agents.perception.occluders import map_image, occluders_in
+from agents.perception.segmenter_names import NETWORK, THRESHOLD
 from schemas.messages import Centrelines, Image, ImageEncoding, Occluders, Status, ThreadObservations
-from shared.disparities import ABOUT_SHARE, NEARER, disparities_of, endoscope_disparity_px
+from shared.both_eyes import of_both
+from shared.disparities import ABOUT_SHARE, disparities_of
 from shared.images import decode_image
 
 Pair = tuple[UInt8[np.ndarray, "h w *c"], UInt8[np.ndarray, "h w *c"]]
 
-FRAMES_BETWEEN_OCCLUDERS = 6
-"""Of the camera: a fifth of a second, in which an instrument moves by about its own width."""
+FRAMES_BETWEEN_OCCLUDERS = 15
+"""Of the camera: half a second. The network takes some 40 ms to look for them in both images."""
 PRINTED_SHARE = 0.04
 """Of the image's width: shorter lines are not asked whether they lie in the ground."""
 ALL_PRINTED = (
@@ -34,13 +35,6 @@ IN_ONE_EYE = (
     "what looks like thread is in one image alone, and no row of the other one has its counterpart; if it is thread, "
     "turn the camera until both eyes see it"
 )
-NO_ENDOSCOPE = (
-    "the eyes are farther apart, for how far they look, than those of any endoscope, and what looks like thread there "
-    "is often none: give masks"
-)
-"""On real pads that a rig shows, half of what the network takes for thread is slits and instruments."""
-OVER_WIDTHS = 2.0
-"""Of the thread: its coverage is no wider."""
 SCORE_WIDTH_PX = 240
 """Of the copy of a segmenter's score that travels."""
 SCORE_QUALITY = 80
@@ -49,16 +43,14 @@ SCORE_QUALITY = 80
 def told_apart(
     observed: ThreadObservations,
     images: Pair,
-    coverage: Pair,
     last: ThreadObservations | None,
     score: UInt8[np.ndarray, "h w"] | None = None,
 ) -> ThreadObservations:
     """The observations with candidates and occluders, their centrelines without threads that are certainly not meant.
 
     Args:
-        observed: with the needles alone among its occluders, or with those of the frame before.
+        observed: without occluders, or with those of the frame before.
         images: rectified, as the centrelines are.
-        coverage: by thread, as observed.
         last: the observations before, None where there are none.
         score: of the left image by the segmenter, where it gives one and the whole was looked at.
     """
@@ -68,8 +60,6 @@ def told_apart(
     lines = observed.centrelines_left, observed.centrelines_right
     common, reach = None, disparities_of(observed)
     is_learned = observed.segmenter == NETWORK
-    if is_learned and reach.most_px > NEARER * endoscope_disparity_px(observed.camera.image_width):
-        return _none(observed, NO_ENDOSCOPE, score)
     # who points at a thread, or draws it, says what is thread
     if whole and is_learned and observed.prompt_px is None:
         width = observed.camera.image_width
@@ -81,7 +71,7 @@ def told_apart(
         if common is None or common.length_px < LEAST_IN_COMMON_PX:
             return _none(observed, IN_ONE_EYE, score)
     before = () if last is None else last.candidates
-    occluders = _occluders(observed, images, coverage, whole, last)
+    occluders = _occluders(observed, images, whole, last)
     if common is not None:
         maps = None if occluders is None else (decode_image(occluders.left), decode_image(occluders.right))
         width = observed.camera.image_width
@@ -124,37 +114,16 @@ def _none(observed: ThreadObservations, reason: str, score: UInt8[np.ndarray, "h
 
 
 def _occluders(
-    observed: ThreadObservations, images: Pair, coverage: Pair, whole: bool, last: ThreadObservations | None
+    observed: ThreadObservations, images: Pair, whole: bool, last: ThreadObservations | None
 ) -> Occluders | None:
-    """Those of the last frames, or new ones, needles among them; None where the images do not tell."""
+    """Those of the last frames, or new ones; None on a ground of one colour, where nothing is to be learned."""
     before, sequence = None if last is None else last.occluders, observed.stamp.sequence
     if not whole and (before is None or 0 <= sequence - before.sequence < FRAMES_BETWEEN_OCCLUDERS):
         return before
-    lines = observed.centrelines_left, observed.centrelines_right
-    if observed.segmented_sequence == sequence:
-        left_thread, right_thread = (_along(line, thread) for line, thread in zip(lines, coverage, strict=True))
-    else:
-        # what was drawn along a followed thread holds nothing else
-        left_thread, right_thread = coverage
-    left, right = occluders_in(images[0], left_thread), occluders_in(images[1], right_thread)
-    if left is None or right is None:
+    if observed.segmenter == THRESHOLD:
         return None
-    # of a followed thread, those are still what was found with it
-    known = observed.occluders
-    if known is not None:
-        left, right = with_needles(left, decode_image(known.left)), with_needles(right, decode_image(known.right))
+    left, right = of_both(occluders_in, images[:1], images[1:])
     return Occluders(map_image(left), map_image(right), sequence)
-
-
-def _along(lines: Centrelines, coverage: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
-    """The coverage along these lines: what else was segmented, such as a reflex of an instrument, is no thread."""
-    if not len(lines.piece):
-        return np.zeros_like(coverage)
-    about = np.zeros(coverage.shape, np.uint8)
-    wide = round(OVER_WIDTHS * float(np.median(lines.width_px)))
-    pieces = np.split(np.rint(lines.point_px).astype(np.int32), np.flatnonzero(np.diff(lines.piece)) + 1)
-    cv2.polylines(about, [piece[:, None] for piece in pieces], False, 255, max(1, wide))
-    return np.asarray(cv2.bitwise_and(coverage, coverage, mask=about), np.uint8)
 
 
 def _small(score: UInt8[np.ndarray, "h w"]) -> Image:

@@ -90,6 +90,8 @@ _RECONSTRUCTION: dict[str, Rule] = {
     "other_threads_px": Rule(0.0, "threads", measures.counts_apart),
     "other_threads": Rule(0.0, "threads", measures.counts_apart),
     "hidden": Rule(0.03, "s", measures.stretches_apart),
+    "left_over_share": Rule(0.02, "share"),
+    "left_over_px": Rule(ignored="where what `left_over_share` says lies"),
     "reason": Rule(0.0, "", measures.words_apart),
 }
 

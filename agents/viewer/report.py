@@ -18,7 +18,7 @@ from shared.right_eye import right_eye_of
 from shared.units import unit_name
 
 LEAST_SAID = 0.005
-"""Share of the thread from which on it is said to be hidden."""
+"""Share of the thread from which on it is said to be hidden, and of what was segmented to lie on none."""
 
 MISSED = 1e-3
 """Slack from which a region counts as missed, as a multiple of its bounds; less is a solver's tolerance."""
@@ -49,6 +49,8 @@ def facts(observations: ThreadObservations, reconstruction: ThreadReconstruction
         lines.append(f"{outside} of {len(reconstruction.regions.s)} regions missed")
     if hidden := hidden_text(reconstruction):
         lines.append(hidden)
+    if left_over := left_over_text(reconstruction):
+        lines.append(left_over)
     if others := len(reconstruction.other_threads):
         lines.append(f"{others} further thread{'s' if others > 1 else ''}")
     lines.append(f"method {reconstruction.method or 'unnamed'}")
@@ -107,13 +109,26 @@ def threads_text(observations: ThreadObservations) -> list[str]:
         for number, candidate in enumerate(observations.candidates, 1)
     ]
     if observations.occluders is None:
-        return [*lines, "What may hide thread is not known: nobody looked, or the ground is grey."]
+        return [*lines, "What may hide thread is not known: nobody looked, or the ground is of one colour."]
     covered = " and ".join(
         f"{share:.0%} of the {side} image"
         for side, image in (("left", observations.occluders.left), ("right", observations.occluders.right))
         if (share := _covered_share(image)) > 0
     )
     return [*lines, f"Instruments cover {covered}." if covered else "No instrument is in view."]
+
+
+def left_over_text(reconstruction: ThreadReconstruction) -> str:
+    """What of the segmented thread the result does not explain, empty where that is next to nothing."""
+    share, at_px = reconstruction.left_over_share, reconstruction.left_over_px
+    if share is None or share < LEAST_SAID:
+        return ""
+    where = (
+        f", about {' and '.join(f'({u:.0f}, {v:.0f})' for u, v in at_px[:3])}"
+        if at_px is not None and len(at_px)
+        else ""
+    )
+    return f"{share:.0%} of what was segmented lies on no thread{where}"
 
 
 def hidden_text(reconstruction: ThreadReconstruction) -> str:

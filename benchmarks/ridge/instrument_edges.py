@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Int64, UInt8
 
-from agents.perception.occluders import WIDTH_PX, occluders_in
+from benchmarks.ridge.hue_occluders import WIDTH_PX, occluders_in
 from benchmarks.ridge.line_filter import across_lines
 
 ABOUT_CELLS, WITHIN_CELLS = 3, 2

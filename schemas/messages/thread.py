@@ -375,6 +375,9 @@ class ThreadReconstruction:
         hidden: stretches of arc length behind what perception took for an occluder; None where nobody has looked.
         ends_hidden: whether the thread may go on, hidden, at s = 0 and at s = 1; None where nobody has looked.
         other_threads: candidates of perception that are none of this thread, by score.
+        left_over_share: of the middle of what was segmented as thread in the left image, how much lies neither on this
+            thread nor on one of `other_threads`; None where nobody has looked.
+        left_over_px: the middle (u, v) of each longer stretch of that; None likewise.
     A failed reconstruction has a reason and no control points.
     """
 
@@ -399,10 +402,13 @@ class ThreadReconstruction:
     hidden: Float64[np.ndarray, "h 2"] | None = None
     ends_hidden: Bool[np.ndarray, "2"] | None = None
     other_threads: tuple[ThreadCandidate, ...] = ()
+    left_over_share: float | None = None
+    left_over_px: Float64[np.ndarray, "l 2"] | None = None
 
     def __post_init__(self) -> None:
         check_message(self)
         _check_reason(self.status, self.reason)
+        require(self.left_over_share is None or 0 <= self.left_over_share <= 1, "a share lies within 0 and 1")
         require(
             bool(((self.confidence >= 0) & (self.confidence <= 1)).all()),
             "confidence must lie within 0 and 1",

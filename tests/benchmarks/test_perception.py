@@ -125,7 +125,7 @@ def test_one_scene_is_run_with_its_goals(monkeypatch, tmp_path, capsys):
 def test_each_measure_gets_a_picture_of_its_worst_place():
     load = next(load for name, _, load in scenes(DATA) if name == "crossing render sample_02")
     case = case_of(load(), "network")
-    assert 0.9 < case.measures[RECALL] < 1.0
+    assert 0.7 < case.measures[RECALL] < 1.0
     for measure in (RECALL, PRECISION, ERROR):
         picture, said = picture_of(case, measure)
         assert picture.shape[0] == LARGER * CROP_PX[1]

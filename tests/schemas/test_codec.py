@@ -307,6 +307,8 @@ def reconstructions(draw):
         hidden=draw(st.none() | array(g, 2, elements=st.floats(0, 1))),
         ends_hidden=draw(st.none() | arrays(np.bool_, 2)),
         other_threads=tuple(draw(st.lists(candidates, max_size=2))),
+        left_over_share=draw(st.none() | st.floats(0, 1)),
+        left_over_px=draw(st.none() | array(g, 2)),
     )
 
 

@@ -97,9 +97,7 @@ def reconstruct_pair(
             matching=method in MATCHING_METHODS,
             disparities_px=whole.disparities_px,
         )
-        observations = told_apart(
-            replace(observations, prompt_px=prompt_px), (left, right), masks, last=None, score=score
-        )
+        observations = told_apart(replace(observations, prompt_px=prompt_px), (left, right), last=None, score=score)
         found = (
             *whole.offset,
             *observations.judgements,

@@ -44,6 +44,9 @@ def result_document(result: PipelineResult, judgements: tuple[Judgement, ...]) -
         "other_threads_px": thread.other_threads_px.tolist(),
         "hidden": None if thread.hidden is None else thread.hidden.tolist(),
         "ends_hidden": None if thread.ends_hidden is None else thread.ends_hidden.tolist(),
+        "left_over": None
+        if thread.left_over_px is None
+        else {"share": thread.left_over_share, "left_px": thread.left_over_px.tolist()},
         "score": observations.candidates[0].score if observations.candidates else None,
         "other_threads": [
             {

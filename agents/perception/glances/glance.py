@@ -17,7 +17,8 @@ from agents.perception.centrelines.glints import without_glints
 from agents.perception.centrelines.skeleton import skeleton_paths
 from agents.perception.glances.known import OTHERS_SHARE, Known, known_in
 from agents.perception.glances.parts import Part
-from agents.perception.segmentation.network import LEAST_EXTENT_PX, SEGMENTED, score_within, thread_in
+from agents.perception.segmentation.classes import score_within
+from agents.perception.segmentation.network import LEAST_EXTENT_PX, SEGMENTED, thread_in
 from schemas.messages import ThreadObservations
 
 Score = UInt8[np.ndarray, "r c"]

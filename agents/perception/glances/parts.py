@@ -12,7 +12,7 @@ FRAMES_BEFORE = 30
 MOST_AT_ONCE = 3
 """Where so many of the camera's frames are left out that more parts are due."""
 PARTS = 8
-CONTEXT_PX = 16
+CONTEXT_PX = 48
 """Around a part that is looked at too."""
 
 

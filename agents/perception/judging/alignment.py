@@ -98,7 +98,7 @@ def about_distance(seen: Correspondence, camera: RectifiedStereo) -> Answer:
     usual = endoscope_disparity_px(camera.image_width)
     if seen.nearest_px > usual:
         finding = f"the nearest things are {seen.nearest_px:.0f} px apart, and an endoscope shows up to {usual:.0f} px"
-        remedy = "give masks of the thread; if it is an endoscope, check the calibration's principal points"
+        remedy = "if it is an endoscope, check the calibration's principal points; a rig beside the field shows so much"
         return wrong(DISTANCE, "disparity_range", Severity.WARNING, finding, remedy)
     if camera.metres_per_unit is None:
         return well(DISTANCE, f"disparities of up to {seen.nearest_px:.0f} px; the calibration has no unit for more")

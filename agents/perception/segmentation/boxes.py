@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-CONTEXT_PX = 8
+CONTEXT_PX = 32
 """Around a box that is looked at too. What is looked for lies far from the border of where it is looked for already."""
-MULTIPLE_PX = 16
-"""Of which the outer sides are, and where they begin, wherever the image allows it."""
+MULTIPLE_PX = 32
+"""Of which the outer sides are, and where they begin, wherever the image allows it: the network halves five times."""
 CELL_PX = 8
 """Boxes begin and end between cells of so many pixels."""
 COST_PX = 2000.0

@@ -1,27 +1,15 @@
-"""Thread on textured ground by a trained network, which OpenCV runs: docs/model_card.md says what it has learned.
-
-The network works at half resolution and loses nothing by it: the four pixels of each square go in side by side, and
-four coverages come out. So its answer has the image's own resolution at a quarter of the cost. Where it is known about
-where the thread is, only boxes around that are looked at.
-"""
-
-import functools
-from collections import deque
-from pathlib import Path
+"""Thread on any ground: the pieces of an image that a trained network holds to be thread (`classes`)."""
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int32, Int64, UInt8
+from jaxtyping import Bool, Float64, Int32, Int64, UInt8
 
-from agents.perception.segmentation.boxes import boxes_around
+from agents.perception.segmentation.classes import as_usual, resized, thread_score
 from agents.perception.segmentation.connected import extents, of_pixels
 from agents.perception.segmentation.near import Meant, Near, piece_meant
 
-WEIGHTS = Path(__file__).with_name("network.onnx")
-MULTIPLE_PX = 16
-"""Sides of what the network takes: it halves them four times."""
-WIDEST_PX, USUAL_WIDTH_PX = 1280, 960
-"""Wider images are looked at in the usual width, in which the network has learned how wide threads are."""
+LEAST_COVERAGE = 96
+"""Of a pixel by thread, where thread was found in a larger copy: a thread thinner than a pixel may fall between two."""
 SEGMENTED, SURE = 104, 192
 """Score of a pixel that is thread, and that which each piece of thread must reach somewhere."""
 LEAST_MEAN = 160
@@ -53,46 +41,15 @@ def segment_and_score(
     image: UInt8[np.ndarray, "h w 3"], near: Near | None = None, meant: Meant | None = None
 ) -> tuple[UInt8[np.ndarray, "h w"], UInt8[np.ndarray, "h w"]]:
     """As `segment_network`, with the network's score of each pixel, 0 to 255."""
-    where = None if near is None else near.where
-    if image.shape[1] > WIDEST_PX:
-        share = USUAL_WIDTH_PX / image.shape[1]
-        size = USUAL_WIDTH_PX, max(1, round(image.shape[0] * share))
-        small = None if where is None else cv2.resize(where.view(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-        score = thread_score(cv2.resize(image, size, interpolation=cv2.INTER_AREA), small)
-        score = np.asarray(cv2.resize(score, image.shape[1::-1], interpolation=cv2.INTER_LINEAR), np.uint8)
-    else:
-        score = thread_score(image, where)
-    thread = thread_in(score if where is None else np.where(where, score, np.uint8(0)), image)
+    seen, where = as_usual(image), None if near is None else near.where
+    if where is not None and where.shape != seen.shape[:2]:
+        where = cv2.resize(where.view(np.uint8), seen.shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0
+    score = thread_score(seen, where)
+    thread = resized(np.multiply(thread_in(score, seen), np.uint8(255), dtype=np.uint8), image.shape) >= LEAST_COVERAGE
     if meant is not None and meant.alone:
         thread = piece_meant(thread, meant.weight)
+    score = np.asarray(resized(score, image.shape), np.uint8)
     return np.multiply(thread, np.uint8(255), dtype=np.uint8), score
-
-
-def thread_score(
-    image: UInt8[np.ndarray, "h w 3"], where: Bool[np.ndarray, "h w"] | None = None
-) -> UInt8[np.ndarray, "h w"]:
-    """How much of each pixel the network holds to be thread, 0 to 255; 0 where it has not looked.
-
-    Args:
-        where: what is looked at, with what lies around; everything, if it is None.
-    """
-    if where is None:
-        return _looked_at(image)
-    score = np.zeros(image.shape[:2], np.uint8)
-    for box in boxes_around(where):
-        inner = box.inner
-        score[inner] = _looked_at(np.ascontiguousarray(image[box.outer]))[box.inner_in_outer]
-    return score
-
-
-def score_within(image: UInt8[np.ndarray, "h w 3"], box: tuple[slice, slice]) -> UInt8[np.ndarray, "r c"]:
-    """How much of each pixel of a box the network holds to be thread, 0 to 255; it sees nothing of what lies around."""
-    part = np.ascontiguousarray(image[box])
-    if image.shape[1] <= WIDEST_PX:
-        return _looked_at(part)
-    share = USUAL_WIDTH_PX / image.shape[1]
-    score = _looked_at(np.asarray(cv2.resize(part, None, fx=share, fy=share, interpolation=cv2.INTER_AREA), np.uint8))
-    return np.asarray(cv2.resize(score, part.shape[1::-1], interpolation=cv2.INTER_LINEAR), np.uint8)
 
 
 def thread_in(
@@ -173,48 +130,3 @@ def _is_thread(
     thread = may_be & (mean >= LEAST_MEAN)
     thread &= bool(extent[thread].max(initial=0.0) >= LEAST_THREAD_PX)
     return thread, may_be & (mean >= FAINT_MEAN) & ~thread
-
-
-def _looked_at(image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w"]:
-    height, width = image.shape[:2]
-    below, beside = -height % MULTIPLE_PX, -width % MULTIPLE_PX
-    padded = cv2.copyMakeBorder(image, 0, below, 0, beside, cv2.BORDER_REFLECT_101) if below or beside else image
-    return together(_forward(phases(padded)))[:height, :width]
-
-
-def phases(image: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "1 12 r c"]:
-    """An image as the network takes it: at half size, the four pixels of each square as channels, 0 to 1."""
-    rows, columns = image.shape[0] // 2, image.shape[1] // 2
-    apart = image.reshape(rows, 2, columns, 2, 3).transpose(1, 3, 4, 0, 2)
-    return np.multiply(apart, np.float32(1 / 255), dtype=np.float32, order="C").reshape(1, 12, rows, columns)
-
-
-def together(coverage: Float32[np.ndarray, "1 4 r c"]) -> UInt8[np.ndarray, "h w"]:
-    """Coverage as the network gives it, of 0 to 1, as an image of 0 to 255."""
-    rows, columns = coverage.shape[2:]
-    of_row = cv2.convertScaleAbs(coverage.reshape(4, -1), alpha=255).reshape(2, 2, rows, columns)
-    image = np.empty((2 * rows, 2 * columns), np.uint8)
-    for row, (even, odd) in enumerate(of_row):
-        image[row::2] = cv2.merge((even, odd)).reshape(rows, -1)
-    return image
-
-
-_idle: deque[cv2.dnn.Net] = deque()
-"""Both eyes are looked at at once, and one of OpenCV's networks can be run by one thread at a time."""
-
-
-def _forward(pixels: Float32[np.ndarray, "1 12 r c"]) -> Float32[np.ndarray, "1 4 r c"]:
-    try:
-        net = _idle.pop()
-    except IndexError:
-        # the newer engine is slower, and takes images of one size only
-        net = cv2.dnn.readNetFromONNX(_weights(), cv2.dnn.ENGINE_CLASSIC)
-    net.setInput(pixels)
-    coverage = np.asarray(net.forward(), np.float32)
-    _idle.append(net)
-    return coverage
-
-
-@functools.cache
-def _weights() -> UInt8[np.ndarray, "b"]:
-    return np.frombuffer(WEIGHTS.read_bytes(), np.uint8)

@@ -1,7 +1,7 @@
 """Variations of crops that keep what is thread: dye and ground; light and colour; lens, motion and sensor.
 
-Crops are (n, 3, s, s), blue first, and their coverage (n, 1, s, s), 0 to 255, on any device: all of a batch is varied
-at once. Where coverage is by thread, needle and instrument, (n, 3, s, s), what all of these look like is varied too.
+Crops are (n, 3, s, s), blue first, and their coverage by thread, needle and instrument (n, 3, s, s), 0 to 255, on any
+device: all of a batch is varied at once.
 """
 # pyright: reportMissingImports=false
 # PyTorch is there for training alone (extra `train`), so that the checks of everyone else run without it.
@@ -27,8 +27,6 @@ from agents.perception.training.lots import Lots
 DYED_SHARE, STRANDS_SHARE = 0.6, 0.15
 VESSELS_SHARE, BLOOD_SHARE, GLINTS_SHARE, TOOLS_SHARE, SMOKE_SHARE = 0.3, 0.3, 0.3, 0.25, 0.1
 GROUND_SHARE, TEXTURE_SHARE, STEEL_SHARE, LIGHT_SHARE, ORDER_SHARE = 0.3, 0.3, 0.4, 0.3, 0.15
-"""Of crops whose needles and instruments are known."""
-KINDS = 3
 GREY_SHARE, INTERLACED_SHARE, MOVED_SHARE = 0.05, 0.06, 0.12
 
 
@@ -36,8 +34,7 @@ def varied(
     image: torch.Tensor, coverage: torch.Tensor, lots: Lots, layers: Layers, red_share: float
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """The crops, varied in everything but their size and place."""
-    if coverage.shape[1] == KINDS:
-        image = _with_other_looks(image, coverage, lots)
+    image = _with_other_looks(image, coverage, lots)
     for few in _some(image, DYED_SHARE, lots):
         image[few] = with_other_dye(image[few], coverage[few][:, :1], red_share, lots)
     for few in _some(image, STRANDS_SHARE, lots):
@@ -51,7 +48,7 @@ def varied(
             image[few] = clutter(image[few], coverage[few], drawn, lots)
     for few in _some(image, TOOLS_SHARE, lots):
         image[few], coverage[few] = with_tools(image[few], coverage[few], lots)
-    for few in _some(image, LIGHT_SHARE if coverage.shape[1] == KINDS else 0.0, lots):
+    for few in _some(image, LIGHT_SHARE, lots):
         image[few] = with_other_light(image[few], lots)
     image = _recoloured(image, lots)
     for few in _some(image, SMOKE_SHARE, lots):

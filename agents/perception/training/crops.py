@@ -22,7 +22,7 @@ CROP_PX = 256
 ACROSS = 2
 """The network gives so many pixels a side for each pixel of its own."""
 RESAMPLED_SHARE = 0.55
-SCALE = 0.6, 1.7
+SCALE = 0.4, 1.7
 """Of a resampled crop: the same thread is nearer or farther, or the camera has more or fewer pixels."""
 AVERAGED_SCALE = 0.8
 """What is drawn smaller than this is averaged of four samples for each pixel."""
@@ -30,7 +30,7 @@ CORNERS = (0, 0), (0, 1), (1, 0), (1, 1)
 """The pixels around a sample: rows and columns on from the first one."""
 POINTS_KEPT = 512
 """Places of each kind on each view, one of which a crop may have near its middle."""
-POINT_WEIGHTS = 0.4, 0.3, 0.1, 0.2
+POINT_WEIGHTS = 0.5, 0.1, 0.1, 0.3
 """How often such a crop lies on thread, needle, instrument, and what was mistaken, of those that the view has."""
 NEAR_PX = 5
 """Side of the square about a pixel within which an answer is no mistake: edges are anybody's guess."""
@@ -121,37 +121,33 @@ def batches(
     seed: int,
     device: torch.device,
     red_share: float,
-    classes: bool = False,
 ) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
-    """Varied crops as the network takes them (n, 12, r, c), and the coverage that it should give (n, 4, r, c), 0 to 1.
+    """Varied crops as the network takes them (n, 12, r, c), and the shares of classes (n, 16, r, c), 0 to 1.
 
     Each folder of views is drawn from alike, so that few costly scenes count as much as many cheap ones.
 
     Args:
         red_share: of the colours in which thread is dyed anew.
-        classes: give the shares of ground, thread, needle and instrument, (n, 16, r, c), in place of coverage.
     """
-    return batches_of(pixels_of(folders, device, seed), size, seed, red_share, classes)
+    return batches_of(pixels_of(folders, device, seed), size, seed, red_share)
 
 
-def batches_of(
-    pixels: Pixels, size: int, seed: int, red_share: float, classes: bool
-) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
+def batches_of(pixels: Pixels, size: int, seed: int, red_share: float) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
     """As `batches`, of views whose pixels are on the device already."""
     device = pixels.pixels.device
     lots, layers = lots_of(seed, device), drawn_layers(seed, device)
     while True:
-        yield one_batch(pixels, size, lots, layers, red_share, classes)
+        yield one_batch(pixels, size, lots, layers, red_share)
 
 
 def one_batch(
-    pixels: Pixels, size: int, lots: Lots, layers: Layers, red_share: float, classes: bool = False
+    pixels: Pixels, size: int, lots: Lots, layers: Layers, red_share: float
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """So many varied crops and their coverage, or the shares of their classes, as the network takes and gives them."""
+    """So many varied crops and the shares of their classes, as the network takes and gives them."""
     with torch.no_grad():
         image, coverage = crops_of(pixels, size, lots)
-        image, coverage = varied(image, coverage if classes else coverage[:, :1].contiguous(), lots, layers, red_share)
-        return phases_of(image / 255), phases_of(shares_of(coverage) if classes else coverage / 255)
+        image, coverage = varied(image, coverage, lots, layers, red_share)
+        return phases_of(image / 255), phases_of(shares_of(coverage))
 
 
 def shares_of(coverage: torch.Tensor) -> torch.Tensor:

@@ -1,79 +1,25 @@
-"""What a segmenter finds of the thread in rendered views, by centrelines within 2 px.
+"""What a network with classes finds in labelled views, pixel by pixel.
 
-    python -m agents.perception.training.evaluate --scenes DIR [--segmenter threshold] [--weights OTHER.onnx]
+    python -m agents.perception.training.evaluate --scenes DIR [--weights OTHER.onnx]
 
-Both the true coverage and the one that was found are followed by the same code, so that only the segmenter counts.
-
-    python -m agents.perception.training.evaluate --classes WEIGHTS.onnx --scenes DIR
-
-compares a network with classes pixel by pixel: thread within 2 px, needle and instrument by what both have in common.
+Thread counts within 2 px; needle and instrument by what answer and truth have in common, of what is either.
 """
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Float64, Int64, UInt8
-from scipy.spatial import cKDTree
+from jaxtyping import Int64, UInt8
 
-from agents.perception.centrelines import thread_centrelines
-from agents.perception.segmentation import network
-from agents.perception.segmentation.choice import SEGMENTERS
-from agents.perception.segmentation.classes import Kind, highest, scores_of
-from agents.perception.training.scenes import Coverage, Image, View, views_in
+from agents.perception.segmentation.classes import WEIGHTS, Kind, highest, scores_of
+from agents.perception.training.scenes import View, views_in
 
 NEAR_PX = 2.0
 Classes = UInt8[np.ndarray, "h w"]
-
-
-@dataclass(frozen=True)
-class Figures:
-    """Counts of points of centrelines, and how far those that are right lie from the truth.
-
-    Fields:
-        true, found: on the true centreline, and of those the ones that have a given one near.
-        given, right: on the given centreline, and of those the ones that have a true one near.
-        off_px: of the right ones from the true centreline.
-    """
-
-    true: int
-    found: int
-    given: int
-    right: int
-    off_px: Float64[np.ndarray, "n"]
-
-
-def figures_of(view: View, segment: Callable[[Image], Coverage]) -> Figures:
-    """What a segmenter finds in one view."""
-    true = thread_centrelines(view.image, view.coverage).point_px
-    given = thread_centrelines(view.image, segment(view.image)).point_px
-    to_given, to_true = _distances(true, given), _distances(given, true)
-    right = to_true <= NEAR_PX
-    return Figures(len(true), int((to_given <= NEAR_PX).sum()), len(given), int(right.sum()), to_true[right])
-
-
-def _distances(points: Float64[np.ndarray, "n 2"], others: Float64[np.ndarray, "m 2"]) -> Float64[np.ndarray, "n"]:
-    if len(others) == 0:
-        return np.full(len(points), np.inf)
-    # points lie a pixel apart along a line, so that half of that along it is no error
-    distance = np.asarray(cKDTree(others).query(points)[0], np.float64)
-    return np.sqrt(np.maximum(distance**2 - 0.25 / 3, 0.0))
-
-
-def line_of(name: str, found: Sequence[Figures]) -> str:
-    """One line of figures over some views."""
-    true, given = sum(part.true for part in found), sum(part.given for part in found)
-    recall = sum(part.found for part in found) / max(true, 1)
-    precision = sum(part.right for part in found) / max(given, 1)
-    off = np.concatenate([part.off_px for part in found])
-    rms = float(np.sqrt(np.mean(off**2))) if len(off) else float("nan")
-    empty = [part for part in found if part.true == 0]
-    false = f"; thread in {sum(part.given > 0 for part in empty)} of {len(empty)} without" if empty else ""
-    return f"{name}: recall {recall:.2%}, precision {precision:.2%}, off {rms:.3f} px{false}\n"
 
 
 @dataclass(frozen=True)
@@ -140,35 +86,19 @@ def _share(shares: np.ndarray, either: np.ndarray, kind: Kind) -> str:
     return f"{shares[kind]:.2%}" if either[kind] else "none there"
 
 
-def _print_classes(scenes: Sequence[Path], weights: Path, each: bool) -> int:
-    found: list[ClassFigures] = []
-    for view in views_in(scenes, classes=True):
-        found.append(class_figures(true_classes(view), highest(scores_of(view.image, weights))))
-        if each:
-            sys.stdout.write(class_line(view.name, found[-1:]))
-    sys.stdout.write(class_line(f"{weights.name}, {len(found)} views", found))
-    return 0
-
-
 def main(arguments: list[str] | None = None) -> int:
     """Parse the command line and print the figures; returns the exit status."""
     parser = argparse.ArgumentParser(prog="python -m agents.perception.training.evaluate", description=__doc__)
-    parser.add_argument("--scenes", type=Path, nargs="+", required=True, help="folders of rendered scenes")
-    parser.add_argument("--segmenter", choices=sorted(SEGMENTERS), default="network")
-    parser.add_argument("--weights", type=Path, default=None, help="ONNX in place of the project's own")
+    parser.add_argument("--scenes", type=Path, nargs="+", required=True, help="folders of labelled views")
+    parser.add_argument("--weights", type=Path, default=WEIGHTS, help="ONNX in place of the project's own")
     parser.add_argument("--each", action="store_true", help="a line for each view as well")
-    parser.add_argument("--classes", type=Path, default=None, help="ONNX of a network with classes, compared by pixels")
     chosen = parser.parse_args(arguments)
-    if chosen.classes is not None:
-        return _print_classes(chosen.scenes, chosen.classes, chosen.each)
-    if chosen.weights is not None:
-        network.WEIGHTS = chosen.weights
-    found: list[Figures] = []
-    for view in views_in(chosen.scenes):
-        found.append(figures_of(view, SEGMENTERS[chosen.segmenter]))
+    found: list[ClassFigures] = []
+    for view in views_in(chosen.scenes, classes=True):
+        found.append(class_figures(true_classes(view), highest(scores_of(view.image, chosen.weights))))
         if chosen.each:
-            sys.stdout.write(line_of(view.name, found[-1:]))
-    sys.stdout.write(line_of(f"{chosen.segmenter}, {len(found)} views", found))
+            sys.stdout.write(class_line(view.name, found[-1:]))
+    sys.stdout.write(class_line(f"{chosen.weights.name}, {len(found)} views", found))
     return 0
 
 

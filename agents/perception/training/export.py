@@ -3,44 +3,68 @@
 # PyTorch is there for training alone (extra `train`), so that the checks of everyone else run without it.
 
 import argparse
+import io
 import sys
 import warnings
 from pathlib import Path
 
+import numpy as np
+import onnx
 import torch
+from onnx import TensorProto, helper, numpy_helper
 
-from agents.perception.training.architecture import COLOURS, PHASES, ThreadNet, network_of
+from agents.perception.training.architecture import COLOURS, PHASES, ClassNet, network_of
 
 OPSET = 13
+SMALL = 64
+"""A tensor of fewer numbers stays as it is."""
 ROWS, COLUMNS = 272, 480
-"""Half of 544 x 960, a usual image whose sides were made multiples of 16; OpenCV takes other sizes as well."""
+"""Half of 544 x 960, a usual image whose sides were made multiples of 32; OpenCV takes other sizes as well."""
 
 
 def export(weights: Path, output: Path) -> None:
-    """Write the network, batch normalisation folded in.
+    """Write the network, batch normalisation folded in: pixels go in, the logits of classes come out.
 
-    Pixels go in; coverage of 0 to 1 comes out, by a sigmoid at its end, or the logits of classes as they are.
+    Large tensors are kept as 16-bit floats, which halves the file; OpenCV computes with 32 bits.
     """
     export_network(network_of(torch.load(weights, weights_only=True, map_location="cpu")), output)
 
 
-def export_network(network: ThreadNet, output: Path) -> None:
+def export_network(network: ClassNet, output: Path) -> None:
     """As `export`, of a network at hand."""
-    end = torch.nn.Sigmoid() if network.classes == 1 else torch.nn.Identity()
-    whole = torch.nn.Sequential(network, end).eval()
-    pixels = torch.zeros(1, PHASES * COLOURS, ROWS, COLUMNS)
+    written = io.BytesIO()
     with warnings.catch_warnings():
         # the newer exporter needs further packages, and writes a form that OpenCV reads no better
         warnings.simplefilter("ignore", DeprecationWarning)
         torch.onnx.export(
-            whole,
-            (pixels,),
-            str(output),
+            network.eval(),
+            (torch.zeros(1, PHASES * COLOURS, ROWS, COLUMNS),),
+            written,
             opset_version=OPSET,
             dynamo=False,
             input_names=["pixels"],
-            output_names=["coverage" if network.classes == 1 else "logits"],
+            output_names=["logits"],
         )
+    model = onnx.load_from_string(written.getvalue())
+    _halve(model.graph)
+    onnx.save(model, output)
+
+
+def _halve(graph: onnx.GraphProto) -> None:
+    """Keep large tensors as 16-bit floats, and widen them before they are used."""
+    kept, widened = [], []
+    for tensor in graph.initializer:
+        values = numpy_helper.to_array(tensor)
+        if values.dtype == np.float32 and values.size > SMALL:
+            narrow = f"{tensor.name}_16"
+            widened.append(helper.make_node("Cast", [narrow], [tensor.name], to=TensorProto.FLOAT))
+            kept.append(numpy_helper.from_array(values.astype(np.float16), narrow))
+        else:
+            kept.append(tensor)
+    nodes = list(graph.node)
+    del graph.initializer[:], graph.node[:]
+    graph.initializer.extend(kept)
+    graph.node.extend([*widened, *nodes])
 
 
 def main(arguments: list[str] | None = None) -> int:

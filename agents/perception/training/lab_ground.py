@@ -63,6 +63,10 @@ SEALED = Lists(
 )
 
 
+GROUNDS = "pad", "phantom", "flesh", "cloth", "dark"
+GROUND_SHARES = 3 / 9, 2 / 9, 2 / 9, 1 / 9, 1 / 9
+
+
 @dataclasses.dataclass
 class Canvas:
     """The picture so far, the light on each of its pixels and how much of it each class covers."""
@@ -138,10 +142,15 @@ def darken(canvas: Canvas, mask: UInt8[np.ndarray, "h w"], sigma: float, strengt
     canvas.image[box] *= 1 - strength * soft(mask[box].astype(np.float32) / 255, sigma)[..., None]
 
 
-def make_ground(rng: np.random.Generator, shape: tuple[int, int], lists: Lists) -> Canvas:
-    """A lit ground, with no thread, needle or instrument yet."""
+def make_ground(rng: np.random.Generator, shape: tuple[int, int], lists: Lists, ground: str | None = None) -> Canvas:
+    """A lit ground, with no thread, needle or instrument yet.
+
+    Args:
+        ground: one of GROUNDS; drawn, if it is None.
+    """
     light, towards = _light(rng, shape, lists)
-    kind = str(rng.choice(["pad", "pad", "pad", "phantom", "phantom", "flesh", "flesh", "cloth", "dark"]))
+    drawn = str(rng.choice(list(GROUNDS), p=GROUND_SHARES))
+    kind = drawn if ground is None else ground
     surface = _surface(rng, shape, kind, lists)
     quad = _quad(rng, shape)
     slits = _cut(rng, surface, quad, lists, kind) if rng.random() < {"pad": 0.9, "flesh": 0.5}.get(kind, 0.35) else []
@@ -152,9 +161,9 @@ def make_ground(rng: np.random.Generator, shape: tuple[int, int], lists: Lists) 
     image = _shaded(rng, surface, towards) * light
     image += _glints(rng, surface)[..., None] * light
     image *= rng.uniform(70, 235) / max(float(np.percentile(image[::7, ::7], 97)), 20.0) if kind != "dark" else 1
-    ground = tuple(float(value) for value in np.median(surface.albedo[::9, ::9].reshape(-1, 3), axis=0))
+    usual = tuple(float(value) for value in np.median(surface.albedo[::9, ::9].reshape(-1, 3), axis=0))
     covers = np.zeros((3, *shape), np.float32)
-    return Canvas(image, light, covers, towards, (ground[0], ground[1], ground[2]), slits)
+    return Canvas(image, light, covers, towards, (usual[0], usual[1], usual[2]), slits)
 
 
 def _light(rng: np.random.Generator, shape: tuple[int, int], lists: Lists) -> tuple[Image, tuple[float, float]]:
@@ -290,7 +299,7 @@ def _cut(rng: np.random.Generator, surface: Surface, quad: np.ndarray, lists: Li
         np.array([(0, 0), (1, 0), (1, 1), (0, 1)], np.float32), quad.astype(np.float32)
     )
     width, curves = rng.uniform(1.5, 9) * shape[1] / 960, list[Curve]()
-    for _ in range(int(rng.choice((1, 1, 2, 3)))):
+    for _ in range(int(rng.choice((1, 1, 2, 3, 4)))):
         angle, bend = np.deg2rad(one_of(rng, lists.slit_turns)), rng.choice([0, 0, 1]) * rng.normal(0, 0.25)
         at, length, gap = rng.uniform(0.2, 0.8, 2), rng.uniform(0.15, 0.6), rng.uniform(0.09, 0.25)
         along, across = np.array((np.cos(angle), np.sin(angle))), np.array((-np.sin(angle), np.cos(angle)))
@@ -302,8 +311,13 @@ def _cut(rng: np.random.Generator, surface: Surface, quad: np.ndarray, lists: Li
     for curve in curves:
         _open(rng, mask, curve, width, is_cut)
     far = cv2.distanceTransform(255 - mask, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    lip = rng.uniform(2, 5) * width
-    surface.height += rng.choice([0, 0.3, 1]) * rng.uniform(0.5, 1.2) * lip * step(-far, -2 * lip, -lip)
+    if kind == "pad" and rng.random() < 0.6:
+        # a block with steep sides, as on training pads
+        half, steep = rng.uniform(2.5, 9) * width, rng.uniform(1.1, 1.7)
+        surface.height += rng.uniform(0.3, 1.0) * half * step(-far, -steep * half, -half)
+    else:
+        lip = rng.uniform(2, 5) * width
+        surface.height += rng.choice([0, 0.3, 1]) * rng.uniform(0.5, 1.2) * lip * step(-far, -2 * lip, -lip)
     surface.height -= rng.uniform(0, 1.2) * width * step(-far, -width, 0)
     within = (12, 12, 16), (12, 12, 16), (25, 25, 120), (60, 70, 190), (40, 50, 70)
     inside = np.array(within[int(rng.integers(len(within)))])

@@ -16,6 +16,7 @@ from jaxtyping import UInt8
 from agents.perception.training.lab_ground import (
     FONTS,
     GROUND,
+    GROUNDS,
     INSTRUMENT,
     SEALED,
     TRAIN,
@@ -61,11 +62,11 @@ class Scene:
     covers: UInt8[np.ndarray, "3 h w"]
 
 
-def lab_scene(seed: int, meshes: dict[str, Solid], lists: Lists = TRAIN) -> Scene:
-    """The scene that the seed makes."""
+def lab_scene(seed: int, meshes: dict[str, Solid], lists: Lists = TRAIN, ground: str | None = None) -> Scene:
+    """The scene that the seed makes, on a ground of GROUNDS; on one that is drawn, if it is None."""
     rng = np.random.default_rng([seed, 27])
     width, height = SIZES[int(rng.choice(len(SIZES), p=SIZE_SHARES))]
-    canvas = make_ground(rng, (height, width), lists)
+    canvas = make_ground(rng, (height, width), lists, ground)
     _fill(rng, canvas, meshes, lists)
     image = _seen(rng, canvas)
     return Scene(image, np.rint(255 * canvas.covers).astype(np.uint8))
@@ -224,14 +225,14 @@ def _compressed(rng: np.random.Generator, image: UInt8[np.ndarray, "h w 3"]) -> 
     return image
 
 
-def write_scenes(folder: Path, first_seed: int, count: int, meshes: dict[str, Solid], lists: Lists = TRAIN) -> None:
-    """Write so many scenes; those that are there already are left alone."""
+def write_scenes(folder: Path, seeds: range, meshes: dict[str, Solid], lists: Lists, ground: str | None) -> None:
+    """Write the scenes of some seeds; those that are there already are left alone."""
     folder.mkdir(parents=True, exist_ok=True)
-    for seed in range(first_seed, first_seed + count):
+    for seed in seeds:
         paths = [folder / f"lab_{seed:06d}_{name}.png" for name in NAMES]
         if all(path.exists() for path in paths):
             continue
-        scene = lab_scene(seed, meshes, lists)
+        scene = lab_scene(seed, meshes, lists, ground)
         for path, image in zip(paths, (scene.image, *scene.covers), strict=True):
             save(path, image)
 
@@ -243,6 +244,7 @@ class _Chosen:
     output: Path
     meshes: Path
     lists: str
+    ground: str | None
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -253,13 +255,15 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--output", type=Path, required=True, help="folder to write into")
     parser.add_argument("--meshes", type=Path, default=Path("../shared/data/instruments"), help="folder of the *.dae")
     parser.add_argument("--lists", choices=sorted(LISTS), default="train", help="of colours, lights and poses")
+    parser.add_argument("--ground", choices=GROUNDS, default=None, help="what everything lies on; drawn by default")
     chosen = _Chosen(**vars(parser.parse_args(arguments)))
     try:
         meshes = load_meshes(chosen.meshes)
     except SceneError as error:
         print(error, file=sys.stderr)
         return 2
-    write_scenes(chosen.output, chosen.seed, chosen.count, meshes, LISTS[chosen.lists])
+    seeds = range(chosen.seed, chosen.seed + chosen.count)
+    write_scenes(chosen.output, seeds, meshes, LISTS[chosen.lists], chosen.ground)
     return 0
 
 

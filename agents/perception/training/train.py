@@ -1,37 +1,35 @@
-"""Train the network: python -m agents.perception.training.train --scenes DIR... --output network.pt [--device cuda].
+"""Train the network: python -m agents.perception.training.train --scenes DIR... --output classes.pt [--device cuda].
 
-With --classes it tells ground, thread, needle and instrument apart; without, thread alone.
+It begins with the encoder's weights (--encoder) or goes on from those of an earlier training (--start).
 """
 # pyright: reportMissingImports=false
 # PyTorch is there for training alone (extra `train`), so that the checks of everyone else run without it.
 
 import argparse
-import itertools
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 
 from agents.perception.training.ahead import made_ahead
-from agents.perception.training.architecture import CHANNELS, ThreadNet
+from agents.perception.training.architecture import ClassNet, WeightsError, network_of
 from agents.perception.training.crops import Pixels, batches_of, pixels_of
 from agents.perception.training.export import export
-from agents.perception.training.losses import LOSSES, class_loss
+from agents.perception.training.losses import class_loss
 from agents.perception.training.scenes import SceneFolderError, View, views_in
-from agents.perception.training.warm_start import WeightsError, first_weights, settle
 from shared.clock import monotonic_s
 
 WARM_UP_SHARE = 0.05
 """Of the whole training, in which the steps grow to the steepest; then they shrink to nothing along a cosine."""
 WEIGHT_DECAY = 1e-4
-SETTLING_BATCHES = 8
-"""Whose means and variances batch normalisation takes up before weights that have none left are trained on."""
+ENCODER_SHARE = 0.25
+"""Of the step size, for the encoder, which knows most of what it needs."""
 STEPS_BETWEEN_REPORTS = 100
 REPORTS_BETWEEN_CHECKPOINTS = 10
-MOVING_AVERAGE = 0.995
+MOVING_AVERAGE = 0.997
 """Of the weights of one step before, in the moving average that is kept: it is steadier than any of its steps."""
 
 
@@ -42,59 +40,55 @@ class Chosen:
     Fields:
         minutes: after which training ends, whatever steps are left; the step size follows whichever is further.
         steepest: the greatest step size.
-        start: a checkpoint to go on from, which then says how wide the network is; new weights, if it is None.
+        start: a checkpoint to go on from; new weights, if it is None.
+        encoder: weights of EfficientNet-Lite0 for new weights.
     """
 
     scenes: list[Path]
     output: Path
-    loss: str = "bce+dice"
     steps: int = 4000
     minutes: float = 1e9
     seed: int = 1
     steepest: float = 3e-3
     start: Path | None = None
     batch: int = 8
-    channels: Sequence[int] | None = None
+    encoder: Path | None = None
     red_share: float = 0.5
     device: str = "cpu"
-    classes: bool = False
     threads: int = 1
     half: bool = True
     mistaken_by: Path | None = None
 
 
-def train(folders: list[list[View]], chosen: Chosen) -> ThreadNet:
+def train(folders: list[list[View]], chosen: Chosen) -> ClassNet:
     """The network after so many steps or minutes on varied crops of the views in folders; checkpoints on the way."""
     return train_on(pixels_of(folders, torch.device(chosen.device), chosen.seed), chosen)
 
 
-def train_on(views: Pixels, chosen: Chosen) -> ThreadNet:
+def train_on(views: Pixels, chosen: Chosen) -> ClassNet:
     """As `train`, on views whose pixels lie on the device already."""
     torch.manual_seed(chosen.seed)
     torch.set_num_threads(max(1, chosen.threads - 1))
     device = torch.device(chosen.device)
-    network = first_weights(chosen.start, chosen.channels, chosen.classes)
-    network = network.to(device, memory_format=torch.channels_last)
-    loss_of, losses = class_loss if chosen.classes else LOSSES[chosen.loss], []
-    drawn = batches_of(views, chosen.batch, chosen.seed, chosen.red_share, chosen.classes)
+    network = _first_weights(chosen).to(device, memory_format=torch.channels_last).train()
+    losses = list[torch.Tensor]()
+    drawn = batches_of(views, chosen.batch, chosen.seed, chosen.red_share)
     if chosen.threads > 1:
         drawn = made_ahead(drawn)
-    if chosen.start is not None and chosen.start.suffix == ".onnx":
-        settle(network, (pixels for pixels, _ in itertools.islice(drawn, SETTLING_BATCHES)))
     kept = torch.optim.swa_utils.AveragedModel(
         network, multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(MOVING_AVERAGE), use_buffers=True
     )
-    optimiser = torch.optim.AdamW(network.parameters(), lr=chosen.steepest, weight_decay=WEIGHT_DECAY)
+    optimiser = torch.optim.AdamW(_groups(network), lr=chosen.steepest, weight_decay=WEIGHT_DECAY)
     began, step = monotonic_s(), 0
     for step, (pixels, truth) in enumerate(drawn):
         done = max(step / chosen.steps, (monotonic_s() - began) / 60 / chosen.minutes)
         if done >= 1:
             break
         for group in optimiser.param_groups:
-            group["lr"] = chosen.steepest * step_share(done)
+            group["lr"] = chosen.steepest * group["share"] * step_share(done)
         with torch.autocast(device.type, torch.bfloat16, enabled=chosen.half):
             logit = network(pixels.contiguous(memory_format=torch.channels_last))
-        loss = loss_of(logit.float(), truth)
+        loss = class_loss(logit.float(), truth)
         optimiser.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
@@ -113,6 +107,29 @@ def train_on(views: Pixels, chosen: Chosen) -> ThreadNet:
     return trained
 
 
+def _first_weights(chosen: Chosen) -> ClassNet:
+    """Those to go on from, or new ones about an encoder's.
+
+    Raises:
+        WeightsError: where a file holds others, or none is given.
+    """
+    if chosen.start is not None:
+        return network_of(torch.load(chosen.start, weights_only=True, map_location="cpu"))
+    if chosen.encoder is None:
+        raise WeightsError("name the weights of EfficientNet-Lite0 by --encoder, or a checkpoint by --start")
+    network = ClassNet()
+    network.encoder.load(chosen.encoder)
+    return network
+
+
+def _groups(network: ClassNet) -> list[dict[str, Any]]:
+    """The weights that are trained, of the encoder and of the rest, with how steep their steps are."""
+    of_encoder = [weights for weights in network.encoder.parameters() if weights.requires_grad]
+    known = {id(weights) for weights in network.encoder.parameters()}
+    rest = [weights for weights in network.parameters() if weights.requires_grad and id(weights) not in known]
+    return [{"params": rest, "share": 1.0}, {"params": of_encoder, "share": ENCODER_SHARE}]
+
+
 def _report(steps: int, done: float, losses: list[torch.Tensor], began: float) -> None:
     """A line of what was learned lately; asking for a loss waits for the device."""
     mean, rate = float(torch.stack(losses).mean()), steps / (monotonic_s() - began)
@@ -122,7 +139,7 @@ def _report(steps: int, done: float, losses: list[torch.Tensor], began: float) -
 
 def _pixels_in(chosen: Chosen) -> Pixels:
     """The views of all folders, which nothing else holds once they lie on the device."""
-    views = {folder: views_in([folder], chosen.classes) for folder in chosen.scenes}
+    views = {folder: views_in([folder], classes=True) for folder in chosen.scenes}
     every = [views[folder] for folder in chosen.scenes]
     return pixels_of(every, torch.device(chosen.device), chosen.seed, chosen.mistaken_by)
 
@@ -145,28 +162,18 @@ def main(arguments: list[str] | None = None) -> int:
         help="folders of rendered scenes, each drawn from alike, and twice where named twice",
     )
     parser.add_argument("--output", type=Path, required=True, help="where the weights go, as PyTorch keeps them")
-    parser.add_argument("--loss", choices=sorted(LOSSES), default="bce+dice")
     parser.add_argument("--steps", type=int, default=4000, help="of one batch each")
     parser.add_argument("--minutes", type=float, default=1e9, help="after which training ends in any case")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--steepest", type=float, default=3e-3, help="the greatest step size")
-    parser.add_argument("--start", type=Path, default=None, help="weights to go on from, .pt or .onnx")
+    parser.add_argument("--start", type=Path, default=None, help="weights to go on from, .pt")
+    parser.add_argument("--encoder", type=Path, default=None, help="weights of EfficientNet-Lite0, .pth, to begin with")
     parser.add_argument("--batch", type=int, default=8, help="crops of one step")
-    parser.add_argument(
-        "--channels",
-        type=int,
-        nargs=4,
-        default=None,
-        help=f"at each resolution; {CHANNELS} if new, else what the start has, which may be widened",
-    )
     parser.add_argument("--red-share", type=float, default=0.5, help="of the colours in which thread is dyed anew")
     parser.add_argument(
         "--mistaken-by", type=Path, default=None, help="ONNX of a network whose mistakes are learned from more often"
     )
     parser.add_argument("--device", default="cpu", help="as PyTorch names it, such as cuda; none is needed")
-    parser.add_argument(
-        "--classes", action="store_true", help="tell ground, thread, needle and instrument apart; --loss is not asked"
-    )
     parser.add_argument("--threads", type=int, default=1, help="of the processor; one of several makes crops ahead")
     parser.add_argument(
         "--float32", dest="half", action="store_false", help="convolutions take 32-bit floats, not 16-bit ones"

@@ -89,6 +89,23 @@ def other_threads(candidates: tuple[ThreadCandidate, ...], curve_px: cKDTree) ->
     return tuple(sorted(found, key=lambda candidate: -candidate.score))
 
 
+def left_over(
+    lines: Centrelines, curve_px: cKDTree, others: tuple[ThreadCandidate, ...]
+) -> tuple[float | None, Float64[np.ndarray, "l 2"]]:
+    """How much of the centrelines lies on no thread, and the middle of each longer stretch; None without any."""
+    if not len(lines.piece):
+        return None, np.zeros((0, 2))
+    near = STRANGE_WIDTHS * median(lines.width_px)
+    away = np.asarray(curve_px.query(lines.point_px)[0]) > near
+    for other in others:
+        away[away] = np.asarray(cKDTree(other.left_px).query(lines.point_px[away])[0]) > near + EVERY
+    starts = np.flatnonzero(np.diff(lines.piece, prepend=-1) | np.diff(away, prepend=False))
+    runs = [run for run in np.split(np.arange(len(away)), starts) if len(run) and away[run[0]]]
+    shortest = SHORTEST_WIDTHS * median(lines.width_px)
+    middles = [lines.point_px[run[len(run) // 2]] for run in runs if len(run) >= shortest]
+    return float(away.mean()), np.array(middles).reshape(-1, 2)
+
+
 def with_middles(
     found_px: Float64[np.ndarray, "t 2"], others: tuple[ThreadCandidate, ...]
 ) -> Float64[np.ndarray, "u 2"]:

@@ -10,6 +10,7 @@ from agents.reconstruction.refined.constraints import Held
 from agents.reconstruction.refined.covered_ends import hidden_of
 from agents.reconstruction.refined.crossings import (
     crossings_of,
+    left_over,
     other_threads,
     other_threads_px,
     with_middles,
@@ -69,6 +70,7 @@ def reconstruction(
     )
     pixels = cKDTree(_pixels(turned, camera), balanced_tree=False)
     others = other_threads(observations.candidates, pixels)
+    left_over_share, left_over_px = left_over(observations.centrelines_left, pixels, others)
     return ThreadReconstruction(
         stamp=observations.stamp,
         camera=camera,
@@ -96,6 +98,8 @@ def reconstruction(
         hidden=None if hidden is None else _stretches_turned(stretches(hidden.places), reverse),
         ends_hidden=None if hidden is None else hidden.ends[way].copy(),
         other_threads=others,
+        left_over_share=left_over_share,
+        left_over_px=left_over_px,
     )
 
 

@@ -245,7 +245,7 @@ def test_a_pair_with_print_alone_shows_no_thread_unless_a_person_says_so(segment
     stamp = FrameStamp(0, 0, 0, "")
     seen = observe(stamp, CAMERA, *images, masks[0], masks[1], segmenter, judged=(), matching=False)
     seen = replace(seen, prompt_px=np.array((330.0, 180.0)) if pointed_at else None)
-    told = told_apart(seen, images, (masks[0], masks[1]), last=None)
+    told = told_apart(seen, images, last=None)
     if segmenter == GIVEN_MASKS or pointed_at:
         assert told.status is Status.OK
         assert len(told.candidates) == 1
@@ -264,7 +264,7 @@ def test_what_is_followed_is_not_asked_again_before_the_next_look_at_the_whole()
     seen = replace(seen, status=Status.OK, reason="", centrelines_left=left, centrelines_right=right)
     for looked, status in ((5, Status.FAILED), (3, Status.OK)):
         asked = replace(seen, looked_sequence=looked, trail_left=None, trail_right=None)
-        assert told_apart(asked, images, (blank, blank), last=None).status is status
+        assert told_apart(asked, images, last=None).status is status
 
 
 def test_a_thread_beside_print_is_what_a_pair_shows():
@@ -278,7 +278,7 @@ def test_a_thread_beside_print_is_what_a_pair_shows():
             cv2.polylines(mask, [some[:, None]], False, 255, round(LINE_PX))
         masks.append(mask)
     seen = observe(FrameStamp(0, 0, 0, ""), CAMERA, *images, masks[0], masks[1], NETWORK, judged=(), matching=False)
-    told = told_apart(seen, images, (masks[0], masks[1]), last=None)
+    told = told_apart(seen, images, last=None)
     assert told.status is Status.OK
     assert len(told.candidates) == 1
     assert (told.centrelines_left.point_px[:, 0] > 370).all()

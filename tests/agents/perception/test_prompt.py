@@ -39,12 +39,18 @@ def calibration():
 
 @functools.cache
 def picture(shift, moved):
-    """A long black thread, and a shorter green one that stands out less."""
-    image = np.full((HEIGHT, WIDTH, 3), (150, 165, 205), np.uint8)
+    """A long black thread, and a shorter green one that stands out less, each with its sheen and its shadow."""
+    grain = cv2.GaussianBlur(np.random.default_rng(1).normal(0, 12, (HEIGHT, WIDTH)), (0, 0), 1.5)
+    image = np.clip(np.array((150, 165, 205)) + grain[..., None], 0, 255).astype(np.uint8)
     for (u, v), rows, colour in ((BLACK, (40, 320), (20, 20, 20)), (GREEN, (60, 220), (60, 120, 60))):
         at = np.arange(*rows)
         points = np.column_stack((u + 25 * np.sin((at - v) / 40) - shift + moved, at))
-        cv2.polylines(image, [np.round(points * 16).astype(np.int32)], False, colour, 3, cv2.LINE_AA, 4)
+        line = [np.round(points * 16).astype(np.int32)]
+        shadow = np.zeros((HEIGHT, WIDTH), np.uint8)
+        cv2.polylines(shadow, [line[0] + 32], False, 255, 3, cv2.LINE_AA, 4)
+        image = (image * (1 - 0.4 * cv2.GaussianBlur(shadow, (0, 0), 1.5)[..., None] / 255)).astype(np.uint8)
+        cv2.polylines(image, line, False, colour, 3, cv2.LINE_AA, 4)
+        cv2.polylines(image, [line[0] - 8], False, tuple(c + 70 for c in colour), 1, cv2.LINE_AA, 4)
     return cv2.GaussianBlur(image, (0, 0), 0.7)
 
 

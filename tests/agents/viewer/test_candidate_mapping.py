@@ -79,7 +79,7 @@ def test_the_verdict_says_what_is_wrong_what_to_do_and_which_threads_there_are(o
     assert "Nothing is wrong with the images." in verdict(dataclasses.replace(observations, judgements=()))
     failed = dataclasses.replace(observations, status=Status.FAILED, reason="no thread was found in the left image")
     assert "No thread:** no thread was found in the left image" in verdict(failed)
-    assert "nobody looked, or the ground is grey" in verdict(dataclasses.replace(observations, occluders=None))
+    assert "nobody looked, or the ground is of one colour" in verdict(dataclasses.replace(observations, occluders=None))
 
 
 def test_the_verdict_says_how_the_eyes_lie_to_each_other(observations):

@@ -168,6 +168,9 @@ def test_a_solvers_tolerance_is_no_missed_region(scene):
     close = dataclasses.replace(scene.reconstruction, regions=regions)
     assert "1 of 36 regions missed" in facts(scene.observations, scene.reconstruction, None)
     assert not any("missed" in fact for fact in facts(scene.observations, close, None))
+    left_over = dataclasses.replace(scene.reconstruction, left_over_share=0.12, left_over_px=np.array([[40.0, 61.0]]))
+    said = "12% of what was segmented lies on no thread, about (40, 61)"
+    assert said in facts(scene.observations, left_over, None)
 
 
 def test_a_failure_gives_the_same_entities_so_that_it_empties_the_last_frame(scene, failed, nothing_seen, tmp_path):

@@ -6,8 +6,19 @@ import cv2
 import numpy as np
 import pytest
 
-from agents.perception.segmentation.classes import WEIGHTS, Kind, classes_of, highest, scores_of, together
-from agents.perception.segmentation.network import phases
+from agents.perception.segmentation.classes import (
+    WEIGHTS,
+    Kind,
+    as_usual,
+    highest,
+    kinds_of_squares,
+    phases,
+    resized,
+    score_within,
+    scores_of,
+    thread_score,
+    together,
+)
 
 LARGEST_WEIGHTS = 3_000_000
 
@@ -32,20 +43,27 @@ def test_every_pixel_of_an_image_of_any_size_has_scores_that_are_one_together(si
     assert scores.min() >= 0
 
 
-def test_classes_are_those_that_score_highest():
-    image = with_thread(270, 480)
-    classes = classes_of(image)
-    assert classes.dtype == np.uint8
-    np.testing.assert_array_equal(classes, highest(scores_of(image)))
-    assert set(np.unique(classes)) <= set(Kind)
+def classes_of(image):
+    return highest(scores_of(image))
 
 
-def test_a_dark_thread_on_a_plain_ground_is_thread():
-    drawn = np.zeros((270, 480), np.uint8)
-    cv2.line(drawn, (60, 54), (420, 216), 255, 5)
-    thread = classes_of(with_thread(270, 480)) == Kind.THREAD
-    assert thread[drawn > 0].mean() > 0.5
-    assert thread[cv2.dilate(drawn, np.ones((9, 9))) == 0].mean() < 0.01
+@pytest.mark.parametrize("size", [(270, 480), (540, 960), (60, 2000)])
+def test_the_score_of_thread_is_that_of_its_class(size):
+    image = with_thread(*size)
+    expected = 255 * scores_of(image)[..., Kind.THREAD]
+    seen = as_usual(image)
+    assert seen.shape[1] == 960
+    np.testing.assert_allclose(resized(thread_score(seen), size), expected, atol=2)
+    within = score_within(image, np.s_[:, : size[1]])
+    assert (np.abs(within - expected) > 8).mean() < 0.02
+
+
+def test_half_as_many_rows_and_columns_have_a_class_each():
+    image = with_thread(269, 960)
+    kinds = kinds_of_squares(image)
+    assert kinds.shape == (135, 480)
+    shown = scores_of(image)[:268].reshape(134, 2, 480, 2, 4).mean(axis=(1, 3)).argmax(axis=2)
+    assert (kinds[:134] == shown).mean() > 0.99
 
 
 def test_a_wide_image_is_looked_at_in_the_usual_width():

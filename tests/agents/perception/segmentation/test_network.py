@@ -7,8 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
+from agents.perception.segmentation.classes import thread_score
 from agents.perception.segmentation.near import Meant, Near
-from agents.perception.segmentation.network import phases, segment_network, thread_in, thread_score, together
+from agents.perception.segmentation.network import segment_network, thread_in
 from shared.scene.__main__ import make_scene
 from shared.scene.render import RenderedPair, render
 
@@ -76,7 +77,6 @@ def test_of_two_threads_only_the_one_that_is_meant_is_kept_when_it_is_meant_alon
 def test_images_of_any_size_have_coverage_of_their_size(size):
     image = np.random.default_rng(1).integers(0, 256, (*size, 3), dtype=np.uint8)
     assert segment_network(image).shape == size
-    assert thread_score(image).shape == size
 
 
 def test_a_wide_image_is_looked_at_in_the_usual_width():
@@ -92,14 +92,6 @@ def test_several_threads_of_the_process_may_segment_at_once():
     with ThreadPoolExecutor(3) as pool:
         for found, expected in zip(pool.map(thread_score, images), alone * 3, strict=True):
             np.testing.assert_array_equal(found, expected)
-
-
-def test_the_four_pixels_of_a_square_go_in_side_by_side_and_come_out_where_they_were():
-    image = np.random.default_rng(2).integers(0, 256, (32, 48, 3), dtype=np.uint8)
-    taken = phases(image)
-    assert taken.shape == (1, 12, 16, 24)
-    for colour in range(3):
-        np.testing.assert_array_equal(together(taken[:, colour::3]), image[..., colour])
 
 
 BLACK, VIOLET, GROUND = (50, 45, 52), (110, 50, 90), (90, 110, 180)

@@ -6,7 +6,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 
-from agents.perception.segmentation.network import phases, together  # noqa: E402
+from agents.perception.segmentation.classes import phases, together  # noqa: E402
 from agents.perception.training.appearance import (  # noqa: E402
     with_other_ground,
     with_other_steel,
@@ -52,7 +52,9 @@ def crops(count=1):
 
 def test_what_is_covered_still_shows_the_thread_after_a_variation(layers):
     told = 0
-    images, coverages = varied(*crops(16), lots_of(3, CPU), layers, red_share=0.5)
+    image, thread = crops(16)
+    alone = torch.cat((thread, torch.zeros_like(thread), torch.zeros_like(thread)), dim=1)
+    images, coverages = varied(image, alone, lots_of(3, CPU), layers, red_share=0.5)
     assert images.shape == (16, 3, 256, 256)
     for image, coverage in zip(images.numpy(), coverages.numpy(), strict=True):
         seen, covered = cv2.GaussianBlur(image.transpose(1, 2, 0), (0, 0), 1.0), coverage[0].astype(np.uint8)
@@ -198,7 +200,7 @@ def test_compression_keeps_what_it_shows():
 def test_the_network_s_four_coverages_are_the_image_s_pixels():
     image, coverage = drawn()
     given = phases_of(torch.from_numpy(coverage)[None, None].float() / 255).numpy()
-    np.testing.assert_array_equal(together(given), coverage)
+    np.testing.assert_allclose(together(given.reshape(4, 1, 128, 128))[..., 0], coverage / 255, atol=1e-6)
     taken = phases_of(torch.from_numpy(image).permute(2, 0, 1)[None].float() / 255).numpy()
     np.testing.assert_allclose(taken, phases(image), atol=1e-6)
 
@@ -207,7 +209,7 @@ def test_batches_follow_from_their_seed():
     view = View("drawn_left", *drawn(300))
     first, again, other = (next(batches([[view]], 3, seed, CPU, 0.5)) for seed in (1, 1, 2))
     assert first[0].shape == (3, 12, CROP_PX // 2, CROP_PX // 2)
-    assert first[1].shape == (3, 4, CROP_PX // 2, CROP_PX // 2)
+    assert first[1].shape == (3, 16, CROP_PX // 2, CROP_PX // 2)
     for one, same, differing in zip(first, again, other, strict=True):
         torch.testing.assert_close(one, same)
         assert not torch.equal(one, differing)
@@ -218,7 +220,7 @@ def test_batches_of_classes_give_shares_of_each_pixel():
     instrument = np.zeros_like(coverage)
     instrument[200:] = 255
     view = View("drawn_left", image, np.where(instrument > 0, np.uint8(0), coverage), None, instrument)
-    pixels, shares = next(batches([[view]], 6, 1, CPU, 0.5, classes=True))
+    pixels, shares = next(batches([[view]], 6, 1, CPU, 0.5))
     assert pixels.shape == (6, 12, CROP_PX // 2, CROP_PX // 2)
     assert shares.shape == (6, 16, CROP_PX // 2, CROP_PX // 2)
     of_classes = shares.reshape(6, 4, 4, CROP_PX // 2, CROP_PX // 2)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from agents.perception.training.light_scenes import scenes_over_one_backdrop, write_scenes
+from agents.perception.training.photographs import stitches
 from agents.perception.training.scenes import SceneFolderError, views_in
 from schemas.messages import RectifiedStereo
 
@@ -53,3 +54,19 @@ def test_masks_of_needles_and_instruments_are_read_where_they_are_asked_for(tmp_
 
 def most(coverage):
     return None if coverage is None else coverage.max()
+
+
+def test_black_stitches_on_a_photographed_pad_are_thread_and_ink_is_none():
+    rng = np.random.default_rng(1)
+    photograph = np.clip(rng.normal((120, 160, 215), 4, (640, 640, 3)), 0, 255).astype(np.uint8)
+    cv2.line(photograph, (320, 60), (320, 580), (60, 50, 190), 14, cv2.LINE_AA)
+    stitch = np.zeros((640, 640), np.uint8)
+    cv2.line(stitch, (250, 300), (390, 330), 255, 4, cv2.LINE_AA)
+    photograph[stitch > 127] = (30, 28, 35)
+    found = stitches(photograph)
+    assert found is not None
+    np.testing.assert_array_equal(found[cv2.dilate(stitch, np.ones((5, 5))) == 0], 0)
+    assert (found[stitch > 127] > 127).mean() > 0.9
+    # more of it shows a white table with a ruler
+    photograph[:, 300:] = 230
+    assert stitches(photograph) is None

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from agents.reconstruction.refined.crossings import crossings_of, other_threads_px
+from agents.reconstruction.refined.crossings import crossings_of, left_over, other_threads_px
 from agents.reconstruction.refined.projection import Curve
-from schemas.messages import Centrelines, Over, RectifiedStereo
+from schemas.messages import Centrelines, Over, RectifiedStereo, ThreadCandidate
 from shared.camera import project
 from shared.splines import basis_matrix, clamped_uniform_knots, evaluate
 
@@ -65,3 +65,21 @@ def test_a_strand_beside_the_thread_is_another_thread():
         0,
         2,
     )
+
+
+def test_what_lies_on_no_thread_is_told_with_its_place():
+    curve = np.column_stack((np.linspace(50, 349, 300), np.full(300, 200.0)))
+    # the thread goes on for as long as a third of what is seen of it, and another one is listed
+    seen = np.column_stack((np.linspace(50, 499, 450), np.full(450, 200.0)))
+    listed = np.column_stack((np.linspace(100, 249, 150), np.full(150, 300.0)))
+    points, piece = np.concatenate((seen, listed)), np.repeat([0, 1], [450, 150])
+    lines = Centrelines(points, piece, np.full(600, 4.0), np.full(600, 0.1))
+    other = ThreadCandidate(0.5, listed[::8], listed[::8], 4.0, np.array([1, 2, 3]))
+    share, at_px = left_over(lines, cKDTree(curve), (other,))
+    assert share == pytest.approx(138 / 600, abs=0.01)
+    np.testing.assert_allclose(at_px, [[430.0, 200.0]], atol=2)
+    share, at_px = left_over(lines, cKDTree(curve), ())
+    assert share == pytest.approx((138 + 150) / 600, abs=0.01)
+    assert len(at_px) == 2
+    nothing = Centrelines(points[:0], piece[:0], np.zeros(0), np.zeros(0))
+    assert left_over(nothing, cKDTree(curve), ())[0] is None
