@@ -48,9 +48,12 @@ class Person:
     def __init__(self, connection: Connection, arm: str) -> None:
         self._connection, self._arm, self._newest = connection, arm, Newest(connection, arm)
         self._released, self.arming_id, self.released_ns = threading.Event(), "", 0
+        self._answering: threading.Thread | None = None
 
     def press(self, plan_id: str) -> Any:
         """Arm a plan, and answer challenges from then on; the answer to the arming."""
+        if self._answering is not None and self._released.is_set():
+            self._answering.join()
         self._newest.came.wait(10.0)
         state, header = self._newest.state(), new_header("a person")
         echo_ns = 0 if state is None else state.challenge_ns
@@ -58,13 +61,20 @@ class Person:
         self.arming_id = header.id
         answer = self._connection.command(ARM, Arm(header, self._arm, plan_id, echo_ns, pressed=True), self._arm)
         if answer.outcome is Outcome.ACCEPTED:
-            threading.Thread(target=self._answer, args=(plan_id, header.id), daemon=True).start()
+            self._answering = threading.Thread(target=self._answer, args=(plan_id, header.id), daemon=True)
+            self._answering.start()
         return answer
 
     def release(self) -> None:
         """Let go: nothing is answered from now on."""
         self.released_ns = now_ns()
         self._released.set()
+
+    def close(self) -> None:
+        """Let go, and answer nothing that is still under way, so that the session may be closed."""
+        self.release()
+        if self._answering is not None:
+            self._answering.join()
 
     def _answer(self, plan_id: str, arming_id: str) -> None:
         with self._connection.publishing(HEARTBEAT, self._arm) as publish:

@@ -120,7 +120,7 @@ def begun(started, tmp_path, plan_of):
         states, ends = [], queue.Queue()
         connection.listen((ROBOT_STATE,), lambda tapped: states.append(tapped.key))
         connection.listen((EXECUTION,), ends.put)
-        person = Person(connection, "psm1")
+        person = stack.enter_context(contextlib.closing(Person(connection, "psm1")))
         stack.enter_context(contextlib.closing(Camera(connection, "psm1", "c")))
 
         def verdict():
