@@ -1,13 +1,14 @@
-"""What each rule of perception changes in scenes of a lab, left out one at a time, with a paired bootstrap over scenes.
+"""What each rule of perception changes on scenes that validate, left out one at a time, with a paired bootstrap.
 
-    .venv/bin/python -m benchmarks.rules --scenes DIR [--scenes DIR2]
+    .venv/bin/python -m benchmarks.rules --lab DIR... --renders ../shared/data DIR2... --thread-free DIR3...
 
-Scenes are those of benchmarks/lab.py. Each row leaves one rule out and says how many more scenes of a hundred are
-right, and wrong though ok, with the interval in which 95 % of the means of redrawn scenes lie. A rule whose intervals
-hold 0 is not shown to help here.
+Each row leaves one rule out. It says by how much the mean over scenes changes, with the interval in which 95 % of the
+means of redrawn scenes lie: lab scenes (benchmarks/lab.py) that are right, and wrong though ok, of a hundred; of
+renders the thread that is found, what of the found is thread, and the error of visible parts; false curves of a hundred
+thread-free frames. A rule whose intervals all hold 0 is not shown to help.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -19,13 +20,22 @@ from jaxtyping import Float64
 from rich.progress import track
 from rich.table import Table
 
+from agents.cli.reconstruct.pipeline import reconstruct_pair
 from agents.perception import observe, told_apart
 from agents.perception.candidates import candidates
+from agents.perception.centrelines import centrelines, glints
 from agents.perception.segmentation import network
+from agents.perception.segmenter_names import NETWORK
+from agents.reconstruction.method_names import DEFAULT_METHOD
 from agents.reconstruction.refined import method
-from benchmarks import lab
+from benchmarks import lab, perception
+from benchmarks.perception_empty import Empty, thread_free
+from benchmarks.perception_tables import precision, recall
+from benchmarks.scenes import CLEAR, CROSSING, OCCLUSION, scenes
 from benchmarks.tables import CONSOLE
+from schemas.messages import Status, ThreadReconstruction
 
+PATH_TRACED = CLEAR, CROSSING, OCCLUSION
 RIGHT, WRONG = "right", "wrong though ok"
 Change = tuple[ModuleType, str, Any]
 
@@ -47,6 +57,15 @@ RULES: dict[str, tuple[Change, ...]] = {
     ),
     "what both eyes' middles err apart": ((observe, "drawn_together", lambda _, lines, **__: lines),),
     "fainter pieces of the thread's colour": ((network, "FAINT_MEAN", network.LEAST_MEAN),),
+    "pieces beside thread": ((network, "GAP_PX", 0),),
+    "glints filled": ((centrelines, "without_glints", lambda mask: (mask, glints.depth_of(mask))),),
+    "ends sought in the image": ((centrelines, "to_tips", _first),),
+    "middles learned": ((centrelines, "by_learning", lambda *_: None),),
+    "spurs of the right image": ((method, "without_spurs", _second),),
+    "ends that are covered": ((method, "with_covered_ends", _first),),
+    "right pieces joined": ((method, "joined", _first),),
+    "what only the right image shows": ((method, "continued", lambda chain, _, aligned, *__: (chain, aligned)),),
+    "pieces of two strands as one": ((method, "with_shared_pieces", lambda chain, right, _: (chain, right)),),
     "curves that are mostly guessed": ((method, "MOST_GUESSED", 1.0),),
 }
 
@@ -55,8 +74,16 @@ RULES: dict[str, tuple[Change, ...]] = {
 class Options:
     """What is judged."""
 
-    scenes: list[Path]
-    """Folders of rendered scenes, with NAME.json each."""
+    lab: list[Path] = field(default_factory=list)
+    """Folders of scenes of a lab, with NAME.json each."""
+    renders: list[Path] = field(default_factory=list)
+    """Folders that hold renders of tissue in their folder `renders`, such as ../shared/data."""
+    thread_free: list[Path] = field(default_factory=list)
+    """Folders of path-traced scenes without thread, looked at as benchmarks/perception_empty.py does."""
+    frames: int = 60
+    """Thread-free ones."""
+    only: str = ""
+    """Rules whose name contains this."""
     draws: int = 10_000
     """Of the scenes, for the intervals."""
 
@@ -64,39 +91,74 @@ class Options:
 def main() -> None:
     """Leave out and print."""
     options = tyro.cli(Options)
-    paths = sorted(path for folder in options.scenes for path in folder.glob("*.json"))
-    if not paths:
-        raise SystemExit("these folders hold no NAME.json; render scenes with suturegrasp scenes render")
-    whole = verdicts(paths, "nothing", ())
-    table = Table("left out", RIGHT, WRONG, "more right, per 100", "more wrong, per 100", title=f"{len(paths)} scenes")
-    table.add_row("nothing", str(whole.count(RIGHT)), str(whole.count(WRONG)), "", "")
+    if not (options.lab or options.renders or options.thread_free):
+        raise SystemExit("name folders by --lab, --renders or --thread-free; suturegrasp scenes render makes some")
+    whole = judged(options, "nothing", ())
+    columns = [name for name, values in whole.items() if len(values)]
+    table = Table("left out", *(f"{name} ({len(whole[name])})" for name in columns), title="changes of means")
+    table.add_row("nothing: the means", *(f"{np.nanmean(whole[name]):.3f}" for name in columns))
     for name, changes in RULES.items():
-        without = verdicts(paths, name, changes)
-        intervals = [interval(_more(without, whole, verdict), options.draws) for verdict in (RIGHT, WRONG)]
-        table.add_row(name, str(without.count(RIGHT)), str(without.count(WRONG)), *intervals)
+        if options.only in name:
+            without = judged(options, name, changes)
+            table.add_row(name, *(interval(without[kind] - whole[kind], options.draws) for kind in columns))
     CONSOLE.print(table)
 
 
-def verdicts(paths: list[Path], name: str, changes: tuple[Change, ...]) -> list[str]:
-    """Of each scene, while something is changed."""
+def judged(options: Options, name: str, changes: tuple[Change, ...]) -> dict[str, Float64[np.ndarray, "n"]]:
+    """What each scene comes to while something is changed, by column; NaN where it says nothing."""
     for module, attribute, value in changes:
         patch.object(module, attribute, value).start()
     try:
-        return [lab.judged(path, lab.Options(path.parent))["verdict"] for path in track(paths, name, transient=True)]
+        return _of_lab(options, name) | _of_renders(options, name) | _of_thread_free(options, name)
     finally:
         patch.stopall()
 
 
-def _more(without: list[str], whole: list[str], verdict: str) -> Float64[np.ndarray, "n"]:
-    return np.array([100.0 * ((a == verdict) - (b == verdict)) for a, b in zip(without, whole, strict=True)])
+def _of_lab(options: Options, name: str) -> dict[str, Float64[np.ndarray, "n"]]:
+    paths = sorted(path for folder in options.lab for path in folder.glob("*.json"))
+    verdicts = [lab.judged(path, lab.Options(path.parent))["verdict"] for path in track(paths, name, transient=True)]
+    return {kind: np.array([100.0 * (verdict == kind) for verdict in verdicts]) for kind in (RIGHT, WRONG)}
+
+
+def _of_renders(options: Options, name: str) -> dict[str, Float64[np.ndarray, "n"]]:
+    loads = [load for folder in options.renders for _, group, load in scenes(folder) if group in PATH_TRACED]
+    rows = [perception.row_of(load(), NETWORK, False, None) for load in track(loads, name, transient=True)]
+    error = [np.nan if row.get("mean seen") is None else row["mean seen"] for row in rows]
+    return {
+        "recall %": np.array([100 * recall(row) for row in rows]),
+        "precision %": np.array([100 * precision(row) if row["given"] else np.nan for row in rows]),
+        "error, mm": np.array(error, np.float64),
+    }
+
+
+def _of_thread_free(options: Options, name: str) -> dict[str, Float64[np.ndarray, "n"]]:
+    if not options.thread_free:
+        return {"false curves": np.zeros(0)}
+    frames = thread_free(options.frames, 0, options.thread_free)
+    return {
+        "false curves": np.array(
+            [
+                100.0 * (_curve_of(one).status is Status.OK)
+                for one in track(frames, name, options.frames, transient=True)
+            ]
+        )
+    }
+
+
+def _curve_of(pair: Empty) -> ThreadReconstruction:
+    return reconstruct_pair(
+        pair.images, pair.calibration, masks=None, segmenter=None, method=DEFAULT_METHOD
+    ).reconstruction
 
 
 def interval(changes: Float64[np.ndarray, "n"], draws: int) -> str:
     """The mean of paired changes, and where 95 % of the means of redrawn ones lie."""
-    rng = np.random.default_rng(1)
+    changes, rng = changes[np.isfinite(changes)], np.random.default_rng(1)
+    if not changes.any():
+        return "0"
     means = changes[rng.integers(len(changes), size=(draws, len(changes)))].mean(axis=1)
     low, high = np.percentile(means, (2.5, 97.5))
-    return f"{changes.mean():+.1f} ({low:+.1f} to {high:+.1f})"
+    return f"{changes.mean():+.3f} ({low:+.3f} to {high:+.3f})"
 
 
 if __name__ == "__main__":

@@ -11,11 +11,11 @@ from jaxtyping import Bool, Float64, Int64, UInt8
 from agents.perception.both_eyes.apart import drawn_together
 from agents.perception.both_eyes.ends import ended_together
 from agents.perception.centrelines.centrelines import NO_LINES, thread_lines
-from agents.perception.clustering import Clusters, cluster_and_order
 from agents.perception.following.follow import trail_of
 from agents.perception.judge import correspondence_of_masks, correspondence_of_texture, judge
 from agents.perception.mask_image import mask_image
-from agents.perception.matching import Matches, is_inlier, match_pixels, searched_disparities
+from agents.perception.paper.clustering import Clusters, cluster_and_order
+from agents.perception.paper.matching import Matches, is_inlier, match_pixels, searched_disparities
 from agents.perception.segmenter_names import NETWORK, PROMPTABLE
 from schemas.messages import (
     FrameStamp,

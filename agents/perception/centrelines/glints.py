@@ -13,7 +13,7 @@ WIDENING, LONGEST = 2.0, 8.0
 
 def without_glints(mask: Bool[np.ndarray, "h w"]) -> tuple[Bool[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
     """The mask with holes filled that lie within a single strand, and its distance transform."""
-    depth = _depth(mask)
+    depth = depth_of(mask)
     # over a strip the distance to the nearest pixel beyond its edge averages a quarter of its width, and a half
     usual = max(1.0, 4.0 * mean_depth(depth, mask) - 2.0)
     # an outline of a hole runs on the mask's pixels: around a hole one pixel wide it encloses twice its area
@@ -28,7 +28,7 @@ def without_glints(mask: Bool[np.ndarray, "h w"]) -> tuple[Bool[np.ndarray, "h w
         return mask, depth
     filled = mask.copy()
     filled[box] |= glints
-    return filled, _depth(filled)
+    return filled, depth_of(filled)
 
 
 def mean_depth(depth: Float32[np.ndarray, "h w"], mask: Bool[np.ndarray, "h w"]) -> float:
@@ -44,7 +44,7 @@ def _glints(mask: Bool[np.ndarray, "h w"], holes: Bool[np.ndarray, "h w"], usual
     of_pixel = labels.ravel()[pixel]
     # a strand may have several side by side, so that all are filled before each is looked at; distances count from
     # pixel to pixel, so that a strip of one pixel has 1
-    width = _largest(2 * _depth(mask | holes).ravel()[pixel] - 1, of_pixel, count)
+    width = _largest(2 * depth_of(mask | holes).ravel()[pixel] - 1, of_pixel, count)
     glint = (width <= WIDENING * usual) & (np.bincount(of_pixel, minlength=count) <= LONGEST * usual**2)
     glint[0] = False
     return np.asarray(glint[labels], bool)
@@ -56,7 +56,7 @@ def _largest(values: Float32[np.ndarray, "p"], of: Int32[np.ndarray, "p"], count
     return largest
 
 
-def _depth(mask: Bool[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+def depth_of(mask: Bool[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
     """Distance of each pixel of a mask to the nearest one outside; beyond the image all is outside."""
     padded = cv2.copyMakeBorder(mask.view(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
     return np.asarray(cv2.distanceTransform(padded, cv2.DIST_L2, 3), np.float32)[1:-1, 1:-1]

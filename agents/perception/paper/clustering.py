@@ -12,7 +12,7 @@ import scipy.sparse
 from jaxtyping import Bool, Float64, Int64
 from scipy.sparse import csgraph
 
-from agents.perception.pixel_graph import distances_along, step_lengths
+from agents.perception.paper.pixel_graph import distances_along, step_lengths
 
 LARGEST_SHARE, SMALLEST_SHARE = 0.01, 0.0025
 """A cluster holds at most the first, and at least the second share of the segmented pixels."""

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from agents.perception.pixel_graph import distances_along, neighbour_matrix, step_lengths
+from agents.perception.paper.pixel_graph import distances_along, neighbour_matrix, step_lengths
 
 masks = hnp.arrays(bool, st.tuples(st.integers(1, 9), st.integers(1, 9)), elements=st.booleans())
 

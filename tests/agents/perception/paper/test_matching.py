@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.perception import matching
-from agents.perception.matching import is_inlier, match_pixels, scaled_px, searched_disparities
+from agents.perception.paper import matching
+from agents.perception.paper.matching import is_inlier, match_pixels, scaled_px, searched_disparities
 
 WIDTH, HEIGHT = 160, 40
 """At this width the window's radius and the peak's half width are 1 px, and disparities go from 1 to 20."""

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agents.perception.clustering import Clusters, cluster_and_order
+from agents.perception.paper.clustering import Clusters, cluster_and_order
 
 SHAPE = (120, 200)
 
