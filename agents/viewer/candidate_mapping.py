@@ -3,12 +3,14 @@
 world/{side}/candidates     the threads that perception tells apart, each in its colour; the left ones with their score
 world/{side}/occluders      what may hide thread, as translucent regions: tool, needle, unknown
 perception/score            how much of each pixel the segmenter takes for thread, when the whole was last looked at
+perception/score/pieces     the left image's pieces of thread on that map, each with the mean log-odds of its pixels
 perception/verdict          in words: what is judged of the images, which threads there are, what hides them
 """
 
 import cv2
 import numpy as np
 import rerun as rr
+from jaxtyping import UInt8
 
 from agents.viewer import colours
 from agents.viewer.entity import HALF_PX, Entity
@@ -61,7 +63,9 @@ def score_entities(observations: ThreadObservations) -> list[Entity]:
     if score is None or score.encoding is ImageEncoding.RAW:
         return []
     media_type = "image/jpeg" if score.encoding is ImageEncoding.JPEG else "image/png"
-    return [("perception/score", [rr.EncodedImage(contents=score.data, media_type=media_type)])]
+    shown: list[Entity] = [("perception/score", [rr.EncodedImage(contents=score.data, media_type=media_type)])]
+    levels = decoded_mask(score)
+    return shown if levels is None else [*shown, ("perception/score/pieces", [_pieces(observations, levels)])]
 
 
 def verdict_entities(observations: ThreadObservations) -> list[Entity]:
@@ -93,6 +97,23 @@ def _scores(listed: tuple[ThreadCandidate, ...]) -> rr.Points2D:
         labels=[f"{number}: {candidate.score:.2f}" for number, candidate in enumerate(listed, 1)],
         show_labels=True,
         radii=[-2.0],
+    )
+
+
+def _pieces(observations: ThreadObservations, score: UInt8[np.ndarray, "r c"]) -> rr.LineStrips2D:
+    """Each piece of the left centreline in a copy of the score, with what it scores."""
+    lines, rows, columns = observations.centrelines_left, *score.shape
+    at = (lines.point_px + HALF_PX) * (columns / observations.camera.image_width)
+    column, row = (np.clip(at[:, k], 0, size - 1).astype(np.intp) for k, size in enumerate((columns, rows)))
+    share = (score[row, column] + 0.5) / 256
+    each = [lines.piece == number for number in np.unique(lines.piece)]
+    log_odds = [float(np.log(share[some] / (1 - share[some])).mean()) for some in each]
+    return rr.LineStrips2D(
+        [at[some] for some in each],
+        colors=[colours.candidate_rgb(number) for number in range(len(each))],
+        labels=[f"{value:+.1f}" for value in log_odds],
+        show_labels=True,
+        radii=[-THICK],
     )
 
 

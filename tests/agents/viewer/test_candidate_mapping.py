@@ -8,9 +8,19 @@ import numpy as np
 import pytest
 
 from agents.viewer import colours
-from agents.viewer.candidate_mapping import candidate_entities, occluder_entities, verdict
+from agents.viewer.candidate_mapping import candidate_entities, occluder_entities, score_entities, verdict
 from agents.viewer.live_mapping import LiveMapping
-from schemas.messages import ImageEncoding, Judgement, Occluder, Occluders, RightEye, Severity, Status, ThreadCandidate
+from schemas.messages import (
+    Centrelines,
+    ImageEncoding,
+    Judgement,
+    Occluder,
+    Occluders,
+    RightEye,
+    Severity,
+    Status,
+    ThreadCandidate,
+)
 from shared.images import encode_image
 
 PLACES = {Occluder.TOOL: 10, Occluder.NEEDLE: 30, Occluder.UNKNOWN: 50}
@@ -106,3 +116,19 @@ def test_a_running_session_shows_threads_what_hides_them_the_score_and_the_verdi
     assert lines(later["world/left/candidates"]).size == 0
     assert "perception/score" not in later, "the last one stands"
     assert "Thread 1" not in str(later["perception/verdict"][0].text.as_arrow_array().to_pylist())
+
+
+def test_each_piece_of_thread_shows_its_log_odds_on_the_score(observations):
+    width, height = observations.camera.image_width, observations.camera.image_height
+    score = np.full((54, 96), 200, np.uint8)
+    score[:, 48:] = 40
+    along = np.linspace(0.1, 0.4, 20)
+    point = np.concatenate(
+        [np.column_stack((share * width, 0.5 * height + 0 * share)) for share in (along, along + 0.5)]
+    )
+    lines = Centrelines(point, np.repeat([0, 1], 20), np.full(40, 3.0), np.full(40, 0.1))
+    message = dataclasses.replace(
+        observations, score_map=encode_image(score, ImageEncoding.PNG), centrelines_left=lines
+    )
+    pieces = dict(score_entities(message))["perception/score/pieces"][0]
+    assert pieces.labels.as_arrow_array().to_pylist() == ["+1.3", "-1.7"]
