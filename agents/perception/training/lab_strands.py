@@ -27,12 +27,6 @@ from agents.perception.training.lab_instruments import mirrored_surrounding
 STEP_PX = 0.5
 SUNK_PX = 3.0
 """Within which a strand that goes into the ground vanishes."""
-GROUND_SHARE, STEEL_SHARE = 0.35, 0.15
-"""Of threads that have nearly the ground's own colour, and that are as grey as needles and jaws."""
-TAUT, BENDS = 0.3, (2, 5, 9)
-"""Of strands: usual curvatures, 1 / width of the image; a taut one hardly bends."""
-ARC_SHARE, TAUT_SHARE = 0.2, 0.15
-"""Of strands that bend as evenly as a needle, and taut ones: what tells thread is how it looks, not how it lies."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,12 +51,9 @@ class Look:
 
 
 def thread_look(rng: np.random.Generator, lists: Lists, ground: Colour) -> Look:
-    """A colour of the list, nearly the ground's own, or a grey."""
-    kind = rng.random()
-    if kind < GROUND_SHARE:
+    """A colour of the list, or nearly the ground's own in a quarter of all cases."""
+    if rng.random() < 0.25:
         bgr = np.array(ground) * rng.uniform(0.65, 1.25) * rng.normal(1, 0.05, 3)
-    elif kind < GROUND_SHARE + STEEL_SHARE:
-        bgr = rng.uniform(40, 190) * rng.normal(1, 0.04, 3)
     else:
         bgr = np.array(lists.threads[int(rng.integers(len(lists.threads)))]) * rng.normal(1, 0.04, 3)
     colour = tuple(float(value) for value in np.clip(bgr, 4, 250))
@@ -89,27 +80,12 @@ def smooth_along(rng: np.random.Generator, count: int, size: float) -> np.ndarra
 def free_strand(
     rng: np.random.Generator, shape: tuple[int, int], width: float, start: np.ndarray, height: float
 ) -> Strand:
-    """A curve from the start, that wanders with loops, bends evenly or is taut, partly in the air."""
-    kind = rng.random()
-    if kind < ARC_SHARE:
-        path = _arc(rng, start, shape[1])
-    else:
-        bend = TAUT if kind < ARC_SHARE + TAUT_SHARE else rng.choice(BENDS)
-        path = resampled(wandering(rng, start, shape[1] * rng.uniform(0.2, 1.5), bend / shape[1]))
+    """A curve that wanders from the start, with loops, partly in the air."""
+    path = resampled(wandering(rng, start, shape[1] * rng.uniform(0.2, 1.5), rng.choice([2, 5, 9]) / shape[1]))
     widths = width * (1 + 0.08 * smooth_along(rng, len(path), 150 * rng.uniform(0.5, 3)))
     lift = np.abs(smooth_along(rng, len(path), 200)) * rng.choice([0, 0.3, 1]) * rng.uniform(5, 60)
     lift += height * np.exp(-np.arange(len(path)) / rng.uniform(100, 500))
     return Strand(path, widths, lift, (False, bool(rng.random() < 0.3)))
-
-
-def _arc(rng: np.random.Generator, start: np.ndarray, width: int) -> Curve:
-    """Part of a circle seen aslant, from the start."""
-    radius = np.exp(rng.uniform(np.log(0.03), np.log(0.4))) * width
-    angle = rng.uniform(0, 2 * np.pi) + np.linspace(0, rng.choice([-1, 1]) * rng.uniform(0.5, 1.3) * np.pi, 200)
-    round_ = radius * np.column_stack((np.cos(angle), rng.uniform(0.3, 1) * np.sin(angle)))
-    turn = rng.uniform(0, 2 * np.pi)
-    turned = round_ @ np.array([(np.cos(turn), -np.sin(turn)), (np.sin(turn), np.cos(turn))])
-    return resampled(start + turned - turned[0])
 
 
 def lay_thread(rng: np.random.Generator, canvas: Canvas, strand: Strand, look: Look, kind: int = THREAD) -> None:
