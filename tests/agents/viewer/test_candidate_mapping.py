@@ -130,5 +130,5 @@ def test_each_piece_of_thread_shows_its_log_odds_on_the_score(observations):
     message = dataclasses.replace(
         observations, score_map=encode_image(score, ImageEncoding.PNG), centrelines_left=lines
     )
-    pieces = dict(score_entities(message))["perception/score/pieces"][0]
-    assert pieces.labels.as_arrow_array().to_pylist() == ["+1.3", "-1.7"]
+    shown: dict[str, Any] = dict(score_entities(message))
+    assert shown["perception/score/pieces"][0].labels.as_arrow_array().to_pylist() == ["+1.3", "-1.7"]
