@@ -24,7 +24,6 @@ from agents.cli.reconstruct.pipeline import reconstruct_pair
 from agents.perception import observe, told_apart
 from agents.perception.candidates import candidates
 from agents.perception.centrelines import centrelines, glints
-from agents.perception.segmentation import network
 from agents.perception.segmenter_names import NETWORK
 from agents.reconstruction.method_names import DEFAULT_METHOD
 from agents.reconstruction.refined import method
@@ -50,22 +49,13 @@ def _second(_: Any, given: Any, *__: Any) -> Any:
 
 RULES: dict[str, tuple[Change, ...]] = {
     "print": ((told_apart, "without_printed", _second),),
-    "lines that one eye alone shows": ((told_apart, "seen_by_both", _first),),
     "threads that are certainly others": ((candidates, "certainly_others", lambda *_: []),),
-    "ends that the other eye shows": (
-        (observe, "ended_together", lambda _, left, right, *__: (left.centrelines, right.centrelines)),
-    ),
     "what both eyes' middles err apart": ((observe, "drawn_together", lambda _, lines, **__: lines),),
-    "fainter pieces of the thread's colour": ((network, "FAINT_MEAN", network.LEAST_MEAN),),
-    "pieces beside thread": ((network, "GAP_PX", 0),),
     "glints filled": ((centrelines, "without_glints", lambda mask: (mask, glints.depth_of(mask))),),
     "ends sought in the image": ((centrelines, "to_tips", _first),),
     "middles learned": ((centrelines, "by_learning", lambda *_: None),),
-    "spurs of the right image": ((method, "without_spurs", _second),),
     "ends that are covered": ((method, "with_covered_ends", _first),),
-    "right pieces joined": ((method, "joined", _first),),
     "what only the right image shows": ((method, "continued", lambda chain, _, aligned, *__: (chain, aligned)),),
-    "pieces of two strands as one": ((method, "with_shared_pieces", lambda chain, right, _: (chain, right)),),
     "curves that are mostly guessed": ((method, "MOST_GUESSED", 1.0),),
 }
 

@@ -97,6 +97,8 @@ def _render(
 def _rows(folder: Path) -> list[dict[str, Any]]:
     """Of each scene what `benchmarks.perception` and `benchmarks.lab` make of it."""
     loads = [(name.split()[-1], load) for name, kind, load in scenes(folder) if not kind.startswith("hidden")]
+    if not loads:
+        raise SystemExit(f"{folder} holds no scenes; what suturegrasp scenes render said stands above")
     rows: list[dict[str, Any]] = []
     for name, load in track(loads, folder.name, transient=True):
         path = folder / "renders" / f"{name}.json"

@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 
 from agents.perception.both_eyes.apart import drawn_together
-from agents.perception.both_eyes.ends import ended_together
 from agents.perception.centrelines.centrelines import NO_LINES, thread_lines
 from agents.perception.following.follow import trail_of
 from agents.perception.judge import correspondence_of_masks, correspondence_of_texture, judge
@@ -89,7 +88,6 @@ def observe(
     )
     lines = of_left.centrelines, of_right.centrelines
     if segmenter in ON_TISSUE:
-        lines = ended_together((left, right), of_left, of_right, disparities_px)
         lines = drawn_together((left, right), lines, shown_px=disparities_px)
     return ThreadObservations(
         stamp=stamp,

@@ -11,13 +11,13 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from agents.perception.candidates import candidates_followed, candidates_in, in_common, seen_by_both, without_printed
+from agents.perception.candidates import candidates_followed, candidates_in, length_in_common_px, without_printed
 from agents.perception.following.stacked import trail_without
 from agents.perception.occluders import map_image, occluders_in
 from agents.perception.segmenter_names import NETWORK, THRESHOLD
 from schemas.messages import Centrelines, Image, ImageEncoding, Occluders, Status, ThreadObservations
 from shared.both_eyes import of_both
-from shared.disparities import ABOUT_SHARE, disparities_of
+from shared.disparities import disparities_of
 from shared.images import decode_image
 
 Pair = tuple[UInt8[np.ndarray, "h w *c"], UInt8[np.ndarray, "h w *c"]]
@@ -58,7 +58,7 @@ def told_apart(
         return observed
     whole = observed.looked_sequence == observed.stamp.sequence
     lines = observed.centrelines_left, observed.centrelines_right
-    common, reach = None, disparities_of(observed)
+    reach = disparities_of(observed)
     is_learned = observed.segmenter == NETWORK
     # who points at a thread, or draws it, says what is thread
     if whole and is_learned and observed.prompt_px is None:
@@ -67,16 +67,10 @@ def told_apart(
         if len(lines[0].piece) and not len(standing[0].piece):
             return _none(observed, ALL_PRINTED, score)
         observed, lines = _with_lines(observed, standing), standing
-        common = in_common(lines, reach)
-        if common is None or common.length_px < LEAST_IN_COMMON_PX:
+        if length_in_common_px(lines, reach) < LEAST_IN_COMMON_PX:
             return _none(observed, IN_ONE_EYE, score)
     before = () if last is None else last.candidates
     occluders = _occluders(observed, images, whole, last)
-    if common is not None:
-        maps = None if occluders is None else (decode_image(occluders.left), decode_image(occluders.right))
-        width = observed.camera.image_width
-        lines = seen_by_both(lines, common, maps, width, ABOUT_SHARE * width)
-        observed = _with_lines(observed, lines)
     # one thread alone is told from no other by what may hide it
     is_asked = occluders is not None and (whole or len(before) > 1)
     of_left = decode_image(occluders.left) if occluders is not None and is_asked else None

@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 
 from agents.perception.centrelines.along import Pieces, median, medians
-from agents.perception.centrelines.going_on import goes_on_px
 from agents.perception.centrelines.profiles import seen_around
 from schemas.messages import Centrelines
 
@@ -29,8 +28,6 @@ REACH_PX = 4.0
 MOST_TAKEN_WIDTHS, MOST_TAKEN_PX = 0.8, 3.0
 """A mask hardly shows more than so many widths, or at least so many pixels, that are no thread."""
 LEAST_SPACING_PX = 0.3
-LEAST_ON_PX = 6.0
-"""What is less than that lies within what a tip is looked for in any case."""
 SMOOTHED_PX = 1.25
 AFTER_PX, LEFT_AFTER = 3.0, 0.4
 """For so far after the tip the thread's share must be as small as that on average: else it goes on, or is hidden."""
@@ -51,31 +48,6 @@ def to_tips(
     """
     ends = _loose_ends(lines, loose_start, loose_end)
     return lines if ends is None else _ended(lines, ends, _shifts(lines, image, ends))
-
-
-def gone_on(
-    lines: Centrelines,
-    image: UInt8[np.ndarray, "h w 3"],
-    start_px: Float64[np.ndarray, "k"],
-    end_px: Float64[np.ndarray, "k"],
-) -> Centrelines:
-    """Centrelines that go on straight beyond their ends for as long as the image shows nothing but thread there.
-
-    Where that is a few pixels alone, they end as they did.
-
-    Args:
-        start_px, end_px: of each piece, how far beyond its first and last point at most; 0 where it ends there.
-    """
-    ends = _loose_ends(lines, start_px > 0, end_px > 0)
-    if ends is None:
-        return lines
-    at_start = ends.inwards > 0
-    most = np.where(at_start, start_px[ends.piece], end_px[ends.piece])
-    seen = goes_on_px(image, lines.point_px[ends.at], ends.outward, ends.width, lines.point_px)
-    on = np.where(seen >= LEAST_ON_PX, np.minimum(seen, most), 0.0)
-    longer = np.zeros((2, len(start_px)), bool)
-    longer[np.where(at_start, 0, 1), ends.piece] = on > 0
-    return to_tips(_ended(lines, ends, on), image, longer[0], longer[1])
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,8 @@ from shared.scene.path_traced.eyes import Eye
 from shared.scene.path_traced.field import Lamp
 from shared.scene.path_traced.world import LAMP, shape_names
 
+SEEDS = 2**32
+"""Of Mitsuba; a scene's own seed may be any."""
 FINEST_PX = 3840
 MOST_PARTS, LEAST_PARTS = 4, 3
 """Each pixel is looked at in so many rows and columns, at a random place of each part; fewer in large images."""
@@ -61,7 +63,7 @@ def traced_light(scene: Any, lamps: list[Lamp], eye: Eye, samples: int, seed: in
         parameters.update()
         for turn, spp in enumerate(turns):
             number = len(turns) * (len(lamps) * seed + index) + turn
-            image = mi.render(scene, sensor=_sensor(lens, parts), integrator=integrator, spp=spp, seed=number)
+            image = mi.render(scene, sensor=_sensor(lens, parts), integrator=integrator, spp=spp, seed=number % SEEDS)
             total += np.float32(spp / sum(turns)) * np.array(image, dtype=np.float32)[..., :3]
     return _seen_by(eye, lens, parts, total)
 
@@ -75,7 +77,7 @@ def traced_lab_light(scene: Any, eye: Eye, samples: int, seed: int) -> Float32[n
     total = np.zeros((parts * lens.height, parts * lens.width, 3), dtype=np.float32)
     for turn, spp in enumerate(turns):
         image = mi.render(
-            scene, sensor=_sensor(lens, parts), integrator=integrator, spp=spp, seed=len(turns) * seed + turn
+            scene, sensor=_sensor(lens, parts), integrator=integrator, spp=spp, seed=(len(turns) * seed + turn) % SEEDS
         )
         total += np.float32(spp / sum(turns)) * np.minimum(np.array(image, dtype=np.float32)[..., :3], BRIGHTEST)
     return _seen_by(eye, lens, parts, without_sparks(total))
@@ -121,7 +123,8 @@ def sight(scene: Any, eye: Eye, seed: int) -> Sight:
     for first in range(0, rows, band):
         height = min(band, rows - first)
         sensor = _sensor(lens, lens_parts, first, height)
-        values = np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=1, seed=rows * seed + first))
+        number = (rows * seed + first) % SEEDS
+        values = np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=1, seed=number))
         # the last two channels are the two asked for; colour comes before them where the version adds it
         distance[first : first + height], index[first : first + height] = values[..., -2], values[..., -1]
     if not eye.is_plain:

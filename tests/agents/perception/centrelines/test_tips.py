@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agents.perception.centrelines.tips import gone_on, to_tips
+from agents.perception.centrelines.tips import to_tips
 from schemas.messages import Centrelines
 
 THREAD, GROUND = (60.0, 40.0, 90.0), (90.0, 120.0, 170.0)
@@ -64,46 +64,3 @@ def test_pieces_stay_in_order_where_one_ends_and_the_next_begins():
         own = found.point_px[found.piece == number]
         np.testing.assert_allclose(own[0], placed([tip])[0], atol=0.4)
         np.testing.assert_array_equal(own[-1], points[piece == number][-1])
-
-
-@pytest.mark.parametrize("turn", [0.0, 1.1])
-def test_a_line_that_is_short_goes_on_to_the_tip_and_no_farther(turn):
-    short = line(placed(np.linspace(TIPS[0, 0] + 15, TIPS[1, 0] - 17, 130), turn))
-    found = gone_on(short, scene(turn), np.array([24.0]), np.array([24.0]))
-    np.testing.assert_allclose(found.point_px[[0, -1]], placed(TIPS[:, 0], turn), atol=0.6)
-    step = np.linalg.norm(np.diff(found.point_px, axis=0), axis=1)
-    assert 0 < step.min() <= step.max() < 2.5
-    assert len(found.piece) == len(found.width_px) == len(found.deviation_px) == len(found.point_px)
-
-
-def test_only_the_end_that_may_go_on_does_and_as_far_as_it_may():
-    points = placed(np.linspace(TIPS[0, 0] + 15, TIPS[1, 0] - 17, 130))
-    found = gone_on(line(points), scene(), np.array([0.0]), np.array([6.0]))
-    np.testing.assert_array_equal(found.point_px[0], points[0])
-    assert found.point_px[-1, 0] == pytest.approx(points[-1, 0] + 6, abs=0.1)
-
-
-def test_a_line_goes_on_to_the_border_of_the_image_and_no_farther():
-    found = gone_on(line(placed(np.linspace(80, 180, 101))), scene()[:, :190], np.array([0.0]), np.array([24.0]))
-    assert 186 < found.point_px[:, 0].max() <= 189
-
-
-@pytest.mark.parametrize(
-    "why", ["at the tip", "another colour", "dark on one side too", "little contrast", "another line"]
-)
-def test_a_line_does_not_go_on(why):
-    points = placed(np.linspace(80, TIPS[1, 0] - (1 if why == "at the tip" else 30), 90))
-    image, lines = scene(), line(points)
-    if why == "another colour":
-        image[:, int(points[-1, 0]) + 2 :] = (120, 120, 120)
-    if why == "little contrast":
-        image = np.rint(THREAD + 0.15 * (image - np.array(THREAD))).astype(np.uint8)
-    if why == "dark on one side too":
-        image[50:, int(points[-1, 0]) + 2 :] = THREAD
-    if why == "another line":
-        both = np.concatenate((points, points[-1] + np.column_stack((np.arange(9.0, 20), np.zeros(11)))))
-        lines = line(both, np.repeat([0, 1], [len(points), 11]))
-    may = np.zeros(lines.piece[-1] + 1)
-    may[0] = 24.0
-    found = gone_on(lines, image, 0 * may, may)
-    np.testing.assert_array_equal(found.point_px, lines.point_px)

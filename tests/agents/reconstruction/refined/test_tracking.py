@@ -140,7 +140,11 @@ def apart_in_deviations(first, second):
 def test_behind_a_tool_s_stays_the_same_piece_of_thread(behind_a_tool):
     threads = tracked([frame.observations for frame in behind_a_tool])
     _, s = figures(threads, behind_a_tool)
-    _, s_alone = figures([alone(frame.observations) for frame in behind_a_tool], behind_a_tool)
+    by_itself = [(alone(frame.observations), frame) for frame in behind_a_tool]
+    # by itself a frame of which the tool covers much shows no thread: nobody knows of a tool here
+    _, s_alone = figures(
+        *zip(*((thread, frame) for thread, frame in by_itself if thread.status is Status.OK), strict=True)
+    )
     assert s.std(axis=0).mean() < 0.2 * s_alone.std(axis=0).mean()
     # 40 % of the thread stays there within a millimetre of its hundred
     assert np.abs(s - np.linspace(0, 1, 401)[20:-20])[:, 140].max() < 0.01

@@ -11,9 +11,10 @@ from shared.scene.path_traced.backdrop import traced_backdrop
 pytest.importorskip("mitsuba", reason="path tracing needs the extra sim: make sim")
 
 
-def test_its_depth_carries_the_left_image_into_the_right_one(tmp_path):
+@pytest.mark.parametrize("seed", [3, 2**32 + 3], ids=["a small seed", "more than Mitsuba takes"])
+def test_its_depth_carries_the_left_image_into_the_right_one(tmp_path, seed):
     rig = endoscope(320, 180)
-    write_backdrop(tmp_path, rig.near_enough, traced_backdrop("paper", 3, rig, 2), {"seed": 3})
+    write_backdrop(tmp_path, rig.near_enough, traced_backdrop("paper", seed, rig, 2), {"seed": seed})
     field = read_backdrop(tmp_path, rig.near_enough)
     v, u = np.indices((180, 320), dtype=np.float32)
     disparity = rig.near_enough.fx_px * rig.baseline_mm / field.depth_left_mm
