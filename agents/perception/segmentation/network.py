@@ -16,6 +16,8 @@ LEAST_MEAN = 160
 """Score of a piece of thread: what is none may look like it in places, but seldom as a whole."""
 LEAST_EXTENT_PX = 24
 """Shorter pieces are specks."""
+GAP_PX = 24
+"""So near to thread a piece is thread too though it is fainter or shorter: shade and glints interrupt a thread."""
 LEAST_THREAD_PX = 48
 """An image whose pieces are all shorter shows no thread."""
 
@@ -48,13 +50,19 @@ def segment_and_score(
 
 
 def thread_in(score: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """The connected pieces that are thread: long ones that score high enough, on average and at their best."""
+    """The connected pieces that are thread: long ones that score high, on average and at best, and those beside."""
     high_enough = score >= SEGMENTED
     count, labelled = cv2.connectedComponents(high_enough.view(np.uint8), connectivity=8)
     # few pixels are that high, and looking at them alone takes a third of the time
     pixel = np.flatnonzero(high_enough)
     piece = np.asarray(labelled, np.int32).ravel()[pixel]
-    return of_pixels(pixel[_is_thread(pixel, piece, score, count)[piece]], score.shape)
+    is_thread = _is_thread(pixel, piece, score, count)
+    thread = of_pixels(pixel[is_thread[piece]], score.shape)
+    if not is_thread.any() or is_thread[1:].all():
+        return thread
+    beside = np.asarray(cv2.dilate(thread.view(np.uint8), np.ones((2 * GAP_PX + 1, 2 * GAP_PX + 1), np.uint8)))
+    is_thread[piece[beside.ravel()[pixel] > 0]] = True
+    return of_pixels(pixel[is_thread[piece]], score.shape)
 
 
 def _is_thread(

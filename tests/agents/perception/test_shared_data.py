@@ -95,7 +95,7 @@ def test_the_network_finds_the_thread_of_renders_and_little_else():
         recall.append(near[mask_left > 128].mean())
         precision.append(truly_near[found > 0].mean())
     # black strands of a loop in glints are found in parts, and in one scene a vessel passes for thread
-    assert (np.mean(recall) > 0.97, min(recall) > 0.8) == (True, True), recall
+    assert (np.mean(recall) > 0.97, min(recall) > 0.85) == (True, True), recall
     assert (np.mean(precision) > 0.97, min(precision) > 0.8) == (True, True), precision
 
 

@@ -109,3 +109,11 @@ def test_pieces_of_which_none_is_long_are_no_thread():
     score = np.zeros((60, 200), np.uint8)
     score[28:33, 40:80] = score[28:33, 120:160] = 255
     assert not thread_in(score).any()
+
+
+def test_a_fainter_or_shorter_piece_beside_thread_is_thread_and_one_farther_away_is_none():
+    score = np.zeros((60, 300), np.uint8)
+    for first, last, mean in ((40, 160, 230), (180, 190, 140), (230, 240, 140)):
+        score[28:33, first:last] = mean
+    found = thread_in(score)
+    assert [bool(found[30, column]) for column in (100, 185, 235)] == [True, True, False]
