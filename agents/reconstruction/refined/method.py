@@ -47,7 +47,7 @@ ROWS_SETTLED_PX = 0.1
 needed."""
 MOST_GUESSED = 0.2
 """Of a first curve: so much may be neither seen by both eyes nor known to be hidden. Fitted: of 147 rendered scenes of
-labs and tissue, 73 right curves of 74 have no more, and 11 wrong ones of 34 more (docs/perception.md)."""
+labs and tissue, 73 right curves of 74 have no more, and 11 wrong ones of 34 more."""
 FOLLOWED = 1.0
 """Residuals larger than the points' own deviations, in the median: the curve cannot bend as the thread does."""
 
