@@ -18,7 +18,7 @@ from typing import Any
 import cv2
 import numpy as np
 import tyro
-from jaxtyping import Float64, UInt8
+from jaxtyping import Bool, Float64, UInt8
 from rich.progress import track
 from rich.table import Table
 from scipy.spatial import cKDTree
@@ -87,20 +87,27 @@ def judged(path: Path, options: Options) -> dict[str, Any]:
     return row | shares | {"verdict": "right" if right else "wrong though ok", "why": ""}
 
 
-def _threads(path: Path, about: dict[str, Any]) -> list[Float64[np.ndarray, "n 3"]]:
-    """What both eyes see of each true thread, in the left camera."""
+def _threads(path: Path, about: dict[str, Any]) -> list[tuple[Float64[np.ndarray, "n 3"], Bool[np.ndarray, "n"]]]:
+    """Each true thread, in the left camera, and which of its points both eyes see."""
     names = [path.stem, *(f"{path.stem}_thread{k + 2}" for k in range(len(about["other_threads"])))]
     tables = [np.load(path.with_name(f"{name}.npy")) for name in names] if about["threads"] else []
-    return [table[(table[:, 4] > 0) & (table[:, 5] > 0), :3].astype(np.float64) for table in tables]
+    return [(table[:, :3].astype(np.float64), (table[:, 4] > 0) & (table[:, 5] > 0)) for table in tables]
 
 
 def _shares(
-    curves: tuple[Points, Points], thread: Float64[np.ndarray, "n 3"], calibration: StereoCalibration, within_px: float
+    curves: tuple[Points, Points],
+    thread: tuple[Float64[np.ndarray, "n 3"], Bool[np.ndarray, "n"]],
+    calibration: StereoCalibration,
+    within_px: float,
 ) -> tuple[float, float]:
-    """How much of a curve lies on a thread, and of the thread on the curve, in the eye that shows less of it."""
-    true = _seen(thread, calibration)
-    on = min(_near(curve, points, within_px) for curve, points in zip(curves, true, strict=True))
-    followed = min(_near(points, curve, within_px) for curve, points in zip(curves, true, strict=True))
+    """How much of a curve lies on a thread, hidden or not, and of what both eyes see of it on the curve.
+
+    In the eye that shows less of it.
+    """
+    points, both = thread
+    true = _seen(points, calibration)
+    on = min(_near(curve, line, within_px) for curve, line in zip(curves, true, strict=True))
+    followed = min(_near(line[both], curve, within_px) for curve, line in zip(curves, true, strict=True))
     return on, followed
 
 
