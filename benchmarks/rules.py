@@ -24,6 +24,7 @@ from agents.cli.reconstruct.pipeline import reconstruct_pair
 from agents.perception import observe, told_apart
 from agents.perception.candidates import candidates
 from agents.perception.centrelines import centrelines, glints
+from agents.perception.segmentation import network
 from agents.perception.segmenter_names import NETWORK
 from agents.reconstruction.method_names import DEFAULT_METHOD
 from agents.reconstruction.refined import method
@@ -48,6 +49,7 @@ def _second(_: Any, given: Any, *__: Any) -> Any:
 
 
 RULES: dict[str, tuple[Change, ...]] = {
+    "faint lines that go on from thread": ((network, "_gone_on", _first),),
     "print": ((told_apart, "without_printed", _second),),
     "threads that are certainly others": ((candidates, "certainly_others", lambda *_: []),),
     "what both eyes' middles err apart": ((observe, "drawn_together", lambda _, lines, **__: lines),),

@@ -18,7 +18,6 @@ from agents.perception.judging.correspondence import Correspondence, Plane
 from schemas.messages import Judgement, RectifiedStereo, RightEye, Severity
 from shared.right_eye import from_in_line, is_rows_alone, moved
 
-MANY_MATCHES = 80
 SURE_PX, REFERENCE_WIDTH_PX = 0.15, 960
 """Standard deviation of an offset that is certain, in an image of that width."""
 SCATTERED_PX = 0.6
@@ -28,12 +27,11 @@ KEPT_WITHIN_PX = 0.75
 
 
 def is_certain(seen: Correspondence | None, width: int) -> bool:
-    """Whether so many places agree so well that what they say needs no thread to confirm it."""
+    """Whether places agree so well that what they say needs no thread to confirm it."""
     if seen is None or seen.row_deviation_px is None or seen.scatter_px is None:
         return False
     larger = max(1.0, width / REFERENCE_WIDTH_PX)
-    few_doubts = seen.row_deviation_px < SURE_PX * larger and seen.scatter_px < SCATTERED_PX * larger
-    return seen.matches >= MANY_MATCHES and few_doubts
+    return seen.row_deviation_px < SURE_PX * larger and seen.scatter_px < SCATTERED_PX * larger
 
 
 def out_of_line(seen: Correspondence, camera: RectifiedStereo, before: RightEye | None = None) -> RightEye | None:

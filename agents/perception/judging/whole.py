@@ -13,7 +13,7 @@ from agents.perception.judging.answers import judgements
 from agents.perception.judging.correspondence import texture_of
 from agents.perception.judging.features import grey
 from agents.perception.judging.picture import about_interlacing, about_sharpness
-from agents.perception.judging.right_eye import MANY_MATCHES, is_certain, left_over, out_of_line, put_in_line
+from agents.perception.judging.right_eye import is_certain, left_over, out_of_line, put_in_line
 from schemas.messages import Judgement, RectifiedStereo, RightEye
 from shared.disparities import shown_disparities
 from shared.right_eye import in_line
@@ -55,7 +55,7 @@ def judge_whole(rectified: Pair, raw: Pair, camera: RectifiedStereo, before: Rig
     pictures = judgements([sharpness, about_interlacing(_middle(grey(raw[0])), _middle(grey(raw[1])))])
     seen = texture_of(left, right).seen
     shown = None
-    if seen is not None and seen.matches >= MANY_MATCHES and seen.farthest_px and seen.nearest_px:
+    if seen is not None and seen.farthest_px and seen.nearest_px:
         shown = shown_disparities(seen.farthest_px, seen.nearest_px, camera.image_width)
     if seen is None or not is_certain(seen, left.shape[1]):
         images = rectified[0], in_line(rectified[1], before, camera)

@@ -16,8 +16,9 @@ LEAST_MEAN = 160
 """Score of a piece of thread: what is none may look like it in places, but seldom as a whole."""
 LEAST_EXTENT_PX = 24
 """Shorter pieces are specks."""
-GAP_PX = 24
-"""So near to thread a piece is thread too though it is fainter or shorter: shade and glints interrupt a thread."""
+FAINTEST, AROUND_PX = 32, 9
+"""Score down to which a line goes on from thread, where it is a line: where it scores no less against what lies so near
+than the border of a thread does. So it stays as wide as the thread is, wherever it is faint."""
 LEAST_THREAD_PX = 48
 """An image whose pieces are all shorter shows no thread."""
 
@@ -50,7 +51,10 @@ def segment_and_score(
 
 
 def thread_in(score: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """The connected pieces that are thread: long ones that score high, on average and at best, and those beside."""
+    """The connected pieces that are thread, long ones that score high, on average and at best, and how they go on.
+
+    As edges are told by two thresholds (Canny 1986): what is faint is thread where it is connected to what is not.
+    """
     high_enough = score >= SEGMENTED
     count, labelled = cv2.connectedComponents(high_enough.view(np.uint8), connectivity=8)
     # few pixels are that high, and looking at them alone takes a third of the time
@@ -58,11 +62,20 @@ def thread_in(score: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     piece = np.asarray(labelled, np.int32).ravel()[pixel]
     is_thread = _is_thread(pixel, piece, score, count)
     thread = of_pixels(pixel[is_thread[piece]], score.shape)
-    if not is_thread.any() or is_thread[1:].all():
-        return thread
-    beside = np.asarray(cv2.dilate(thread.view(np.uint8), np.ones((2 * GAP_PX + 1, 2 * GAP_PX + 1), np.uint8)))
-    is_thread[piece[beside.ravel()[pixel] > 0]] = True
-    return of_pixels(pixel[is_thread[piece]], score.shape)
+    return _gone_on(thread, score) if thread.any() else thread
+
+
+def _gone_on(thread: Bool[np.ndarray, "h w"], score: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Thread with the fainter lines that are connected to it."""
+    highest = np.asarray(cv2.dilate(score, np.ones((2 * AROUND_PX + 1, 2 * AROUND_PX + 1), np.uint8)))
+    border = cv2.convertScaleAbs(highest, alpha=SEGMENTED / 255)
+    line = (score >= FAINTEST) & (score >= border) | thread
+    _, labelled = cv2.connectedComponents(line.view(np.uint8), connectivity=8)
+    pixel = np.flatnonzero(line)
+    piece = np.asarray(labelled, np.int32).ravel()[pixel]
+    goes_on = np.zeros(int(piece.max()) + 1, bool)
+    goes_on[piece[thread.ravel()[pixel]]] = True
+    return of_pixels(pixel[goes_on[piece]], score.shape)
 
 
 def _is_thread(

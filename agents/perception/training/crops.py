@@ -107,11 +107,12 @@ def _points(view: View, rng: np.random.Generator, mistaken_by: Path | None) -> l
 
 
 def _mistaken(view: View, weights: Path) -> UInt8[np.ndarray, "h w"]:
-    """Where a network finds thread or needle and there is none nearby, 0 or 255."""
+    """Where a network finds thread or needle and there is none nearby, and thread that it does not find, 0 or 255."""
     answer, wrong = highest(scores_of(view.image, weights)), np.zeros(view.coverage.shape, np.uint8)
     for kind, covered in ((Kind.THREAD, view.coverage), (Kind.NEEDLE, view.needle)):
         there = np.zeros(wrong.shape, np.uint8) if covered is None else covered
         wrong[(answer == kind) & (cv2.dilate(there, np.ones((NEAR_PX, NEAR_PX), np.uint8)) == 0)] = 255
+    wrong[(answer != Kind.THREAD) & (view.coverage > 127)] = 255
     return wrong
 
 

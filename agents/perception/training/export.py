@@ -1,4 +1,8 @@
-"""Trained weights as ONNX: python -m agents.perception.training.export WEIGHTS.pt OUT.onnx."""
+"""Trained weights as ONNX: python -m agents.perception.training.export WEIGHTS.pt OUT.onnx [--began EARLIER.pt].
+
+With --began a share of the weights that the training went on from is kept: the mean of both is at home with what
+either has learned (Wortsman et al., Robust fine-tuning of zero-shot models, CVPR 2022).
+"""
 # pyright: reportMissingImports=false
 # PyTorch is there for training alone (extra `train`), so that the checks of everyone else run without it.
 
@@ -20,6 +24,17 @@ SMALL = 64
 """A tensor of fewer numbers stays as it is."""
 ROWS, COLUMNS = 272, 480
 """Half of 544 x 960, a usual image whose sides were made multiples of 32; OpenCV takes other sizes as well."""
+
+
+def between(began: Path, weights: Path, share: float) -> ClassNet:
+    """The network whose weights lie so far on the way from those that a training went on from to its own."""
+    first, last = (torch.load(path, weights_only=True, map_location="cpu") for path in (began, weights))
+    return network_of(
+        {
+            name: torch.lerp(first[name], value, share) if value.is_floating_point() else value
+            for name, value in last.items()
+        }
+    )
 
 
 def export(weights: Path, output: Path) -> None:
@@ -72,8 +87,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m agents.perception.training.export", description=__doc__)
     parser.add_argument("weights", type=Path)
     parser.add_argument("output", type=Path)
+    parser.add_argument("--began", type=Path, default=None, help="weights that the training went on from")
+    parser.add_argument("--share", type=float, default=0.75, help="of the way from those to WEIGHTS")
     chosen = parser.parse_args(arguments)
-    export(chosen.weights, chosen.output)
+    if chosen.began is None:
+        export(chosen.weights, chosen.output)
+    else:
+        export_network(between(chosen.began, chosen.weights, chosen.share), chosen.output)
     return 0
 
 

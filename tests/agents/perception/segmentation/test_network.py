@@ -111,9 +111,17 @@ def test_pieces_of_which_none_is_long_are_no_thread():
     assert not thread_in(score).any()
 
 
-def test_a_fainter_or_shorter_piece_beside_thread_is_thread_and_one_farther_away_is_none():
+def test_a_faint_line_is_thread_where_it_goes_on_from_thread():
     score = np.zeros((60, 300), np.uint8)
-    for first, last, mean in ((40, 160, 230), (180, 190, 140), (230, 240, 140)):
+    for first, last, mean in ((40, 160, 230), (190, 200, 60), (230, 280, 60)):
         score[28:33, first:last] = mean
+    score[28:33, 160:190] = np.linspace(230, 60, 30)
     found = thread_in(score)
-    assert [bool(found[30, column]) for column in (100, 185, 235)] == [True, True, False]
+    assert [bool(found[30, column]) for column in (100, 175, 195, 250)] == [True, True, True, False]
+
+
+def test_what_scores_little_beside_thread_makes_it_no_wider():
+    score = np.zeros((60, 200), np.uint8)
+    score[25:36, 40:160], score[28:33, 40:160] = 90, 240
+    found = thread_in(score)
+    assert found[:, 100].sum() == 5
