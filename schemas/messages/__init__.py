@@ -74,6 +74,7 @@ from schemas.messages.simulation import (
 )
 from schemas.messages.surface import TissueSurface
 from schemas.messages.thread import (
+    GIVEN_MASKS,
     Centrelines,
     Crossing,
     Judgement,
@@ -95,6 +96,7 @@ from schemas.messages.thread import (
 from schemas.messages.tool import ToolCandidate, ToolCorrection, ToolStatus
 
 __all__ = [
+    "GIVEN_MASKS",
     "ROTATION_TOLERANCE",
     "AgentConfiguration",
     "AgentFacts",

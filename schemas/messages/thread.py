@@ -62,6 +62,10 @@ class Centrelines:
         require(bool((self.deviation_px > 0).all()), "the deviation of a point must be positive")
 
 
+GIVEN_MASKS = "mask"
+"""The `segmenter` of observations whose masks were given: somebody has said what is thread."""
+
+
 def no_centrelines() -> Centrelines:
     """Centrelines of an image that shows no thread."""
     return Centrelines(np.zeros((0, 2)), np.zeros(0, np.int64), np.zeros(0), np.zeros(0))

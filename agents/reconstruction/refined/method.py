@@ -36,7 +36,7 @@ from agents.reconstruction.refined.sightings import (
     sightings,
 )
 from agents.reconstruction.refined.tips import ends_of
-from schemas.messages import Centrelines, RectifiedStereo, Status, ThreadObservations, ThreadReconstruction
+from schemas.messages import GIVEN_MASKS, Centrelines, RectifiedStereo, Status, ThreadObservations, ThreadReconstruction
 from shared.camera import project
 from shared.disparities import Disparities, disparities_of
 
@@ -49,9 +49,9 @@ MOST_GUESSED = 0.2
 """Of a first curve: so much may be neither seen by both eyes nor known to be hidden. Fitted: of 90 rendered scenes of a
 lab, 76 right curves of 77 have no more, and 4 wrong ones of 8 more."""
 LEAST_SCORE = 0.42
-"""Of what a first curve follows, where nobody points at it: `ThreadCandidate.score`, by how long it is, how much of
-it both eyes show, and how sure perception is. Fitted: the right curves in 170 rendered scenes of labs and tissue that
-are no guess come to 0.46 and more, and four that followed no thread to 0.14, 0.30, 0.35 and 0.40."""
+"""Of what a first curve follows, where nobody said that it is thread: `ThreadCandidate.score`, by how long it is, how
+much of it both eyes show, and how sure perception is. Fitted: the right curves in 170 rendered scenes of labs and
+tissue that are no guess come to 0.46 and more, and four that followed no thread to 0.14, 0.30, 0.35 and 0.40."""
 FOLLOWED = 1.0
 """Residuals larger than the points' own deviations, in the median: the curve cannot bend as the thread does."""
 
@@ -100,9 +100,9 @@ def evident(thread: ThreadReconstruction, observations: ThreadObservations) -> T
             f"{1 - MOST_GUESSED:.0%} are needed: turn the camera until both images show the thread, and clear what "
             "may pass for it"
         )
-    pointed_at = observations.prompt_px is not None
+    is_told = observations.prompt_px is not None or observations.segmenter == GIVEN_MASKS
     score = min((candidate.score for candidate in observations.candidates[:1]), default=1.0)
-    if score < LEAST_SCORE and not pointed_at:
+    if score < LEAST_SCORE and not is_told:
         raise NoCurveError(
             f"what may be thread is too short or faint to be told from what is none (score {score:.2f} of at least "
             f"{LEAST_SCORE:.2f}): show more of it to both eyes, or point at it by a prompt"

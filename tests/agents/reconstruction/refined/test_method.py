@@ -11,7 +11,7 @@ from agents.reconstruction.method_names import DEFAULT_METHOD
 from agents.reconstruction.methods import METHODS
 from agents.reconstruction.refined.method import METHOD, reconstruct_refined
 from schemas.codec import encode
-from schemas.messages import ImageEncoding, Occluder, Occluders, Status, ThreadCandidate, no_centrelines
+from schemas.messages import GIVEN_MASKS, ImageEncoding, Occluder, Occluders, Status, ThreadCandidate, no_centrelines
 from shared.arc_length import even_parameters
 from shared.camera import project
 from shared.curve_distance import curve_distance
@@ -200,12 +200,13 @@ def test_numbers_that_no_camera_has_are_a_reason(seen, curve, camera, make_lines
     assert "outside" in reason_of(seen(curve, centrelines_left=outside))
 
 
-def test_what_hardly_looks_like_thread_is_none_unless_somebody_points_at_it(seen, curve):
-    observations = seen(curve)
+def test_what_hardly_looks_like_thread_is_none_unless_somebody_says_that_it_is(seen, curve):
+    observations = dataclasses.replace(seen(curve), segmenter="network")
     line = observations.centrelines_left.point_px[::8]
     weak = ThreadCandidate(0.2, line, observations.centrelines_right.point_px[::8], 6.0, np.array([20, 20, 60]))
     doubtful = dataclasses.replace(observations, candidates=(weak,))
     assert "score 0.20 of at least" in reason_of(doubtful)
     assert reconstruct_refined(dataclasses.replace(doubtful, prompt_px=line[0])).status is Status.OK
+    assert reconstruct_refined(dataclasses.replace(doubtful, segmenter=GIVEN_MASKS)).status is Status.OK
     sure = dataclasses.replace(weak, score=0.6)
     assert reconstruct_refined(dataclasses.replace(observations, candidates=(sure,))).status is Status.OK
