@@ -48,8 +48,11 @@ def _second(_: Any, given: Any, *__: Any) -> Any:
     return given
 
 
+WITHOUT_METAL = 0.87, 0.0, 0.72, -0.21
+"""`network.WEIGHTS` as `training.line_odds` fits them without that."""
 RULES: dict[str, tuple[Change, ...]] = {
-    "faint lines that go on from thread": ((network, "_gone_on", _first),),
+    "faint stretches of lines": ((network, "FAINTEST", 102),),
+    "what speaks against metal": ((network, "WEIGHTS", WITHOUT_METAL),),
     "print": ((told_apart, "without_printed", _second),),
     "threads that are certainly others": ((candidates, "certainly_others", lambda *_: []),),
     "what both eyes' middles err apart": ((observe, "drawn_together", lambda _, lines, **__: lines),),

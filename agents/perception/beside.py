@@ -8,12 +8,13 @@ nothing of it needs the thread of this frame until that is followed; `watched` p
 from concurrent.futures import Future
 from dataclasses import dataclass
 
-from agents.perception.glances.glance import Score, part_score
+from agents.perception.glances.glance import part_score
 from agents.perception.glances.parts import Part, parts_due
 from agents.perception.judging.whole import Whole, judge_whole
 from agents.perception.rectified_pair import RectifiedPair
 from agents.perception.search import FRAMES_BETWEEN_LOOKS, Pair, judged_in
 from agents.perception.segmentation.choice import suitable_segmenter
+from agents.perception.segmentation.classes import ThreadScore
 from agents.perception.segmenter_names import NETWORK
 from schemas.messages import RightEye, ThreadObservations
 from shared.aside import begun
@@ -31,7 +32,7 @@ class Beside:
 
     whole: Future[Whole | None] | None = None
     parts: tuple[Part, ...] = ()
-    scores: Future[list[Score]] | None = None
+    scores: Future[list[ThreadScore]] | None = None
 
 
 def begun_beside(sequence: int, pair: RectifiedPair, last: ThreadObservations, segmenter: str | None) -> Beside:
@@ -58,5 +59,5 @@ def _judged(pair: RectifiedPair, right_eye: RightEye | None, segmenter: str | No
     return judge_whole(pair.images, pair.raw, pair.camera, right_eye)
 
 
-def _scores(images: Pair, parts: tuple[Part, ...]) -> list[Score]:
+def _scores(images: Pair, parts: tuple[Part, ...]) -> list[ThreadScore]:
     return [part_score(images[part.eye], part) for part in parts]

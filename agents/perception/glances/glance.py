@@ -17,11 +17,12 @@ from agents.perception.centrelines.glints import without_glints
 from agents.perception.centrelines.skeleton import skeleton_paths
 from agents.perception.glances.known import OTHERS_SHARE, Known, known_in
 from agents.perception.glances.parts import Part
-from agents.perception.segmentation.classes import score_within
-from agents.perception.segmentation.network import LEAST_EXTENT_PX, SEGMENTED, thread_in
+from agents.perception.segmentation.classes import ThreadScore, score_within
+from agents.perception.segmentation.network import FAINTEST, thread_in
 from schemas.messages import ThreadObservations
 
-Score = UInt8[np.ndarray, "r c"]
+LEAST_NEW_PX = 24
+"""Of thread that is not known: shorter is a speck."""
 SEEN_WITHIN_PX = 4
 """Of a followed point: there is thread where one is."""
 LEAST_GONE_SHARE = 0.04
@@ -32,7 +33,7 @@ CUT_WIDTHS = 6.0
 """So far from each other a junction is and where it cuts pieces, which lie on its sides."""
 
 
-def part_score(image: UInt8[np.ndarray, "h w 3"], part: Part) -> Score:
+def part_score(image: UInt8[np.ndarray, "h w 3"], part: Part) -> ThreadScore:
     """How much of each pixel of a part, and of what is looked at around it, the network holds to be thread.
 
     Args:
@@ -41,7 +42,7 @@ def part_score(image: UInt8[np.ndarray, "h w 3"], part: Part) -> Score:
     return score_within(image, part.outer(image.shape))
 
 
-def glance(score: Score, observed: ThreadObservations, coverage: UInt8[np.ndarray, "h w"], part: Part) -> str:
+def glance(score: ThreadScore, observed: ThreadObservations, coverage: UInt8[np.ndarray, "h w"], part: Part) -> str:
     """What a part of one eye's image shows that following does not know; empty where there is nothing.
 
     Args:
@@ -53,7 +54,7 @@ def glance(score: Score, observed: ThreadObservations, coverage: UInt8[np.ndarra
     known = known_in(observed, part.eye, coverage, outer)
     thread = thread_in(score)
     rows, columns = (slice(a.start - b.start, a.stop - b.start) for a, b in zip(inner, outer, strict=True))
-    if _longest_extent_px((thread & ~known.own & ~known.elsewhere)[rows, columns]) >= LEAST_EXTENT_PX:
+    if _longest_extent_px((thread & ~known.own & ~known.elsewhere)[rows, columns]) >= LEAST_NEW_PX:
         return "thread where none is known"
     corner = np.array((outer[1].start, outer[0].start))
     if _is_gone(known, score, inner, corner, coverage.shape[1]):
@@ -69,13 +70,13 @@ def _longest_extent_px(mask: Bool[np.ndarray, "h w"]) -> float:
 
 def _is_gone(
     known: Known,
-    score: UInt8[np.ndarray, "h w"],
+    score: ThreadScore,
     inner: tuple[slice, slice],
     corner: Float64[np.ndarray, "2"],
     width: int,
 ) -> bool:
     """Whether a stretch of the followed thread, or most of another one, shows nothing of it."""
-    high = (score >= SEGMENTED).view(np.uint8)
+    high = (score[..., 0] >= FAINTEST).view(np.uint8)
     point, piece = known.lines.point_px, known.lines.piece
     here = np.flatnonzero(_within(point, inner))
     gone = np.flatnonzero(~_is_near(high, point[here] - corner, SEEN_WITHIN_PX))

@@ -26,6 +26,8 @@ MOST_ENLARGED = 2
 Image = UInt8[np.ndarray, "h w 3"]
 Logits = Float32[np.ndarray, "4 4 r c"]
 """Of each of the four pixels of a square, of each class."""
+ThreadScore = UInt8[np.ndarray, "h w 2"]
+"""How likely each pixel shows thread, and how likely metal, a needle or an instrument; 0 to 255."""
 
 
 class Kind(IntEnum):
@@ -65,22 +67,22 @@ def scores_of(image: Image, weights: Path = WEIGHTS) -> Float32[np.ndarray, "h w
     return np.asarray(resized(np.ascontiguousarray(scores), image.shape[:2]), np.float32)
 
 
-def thread_score(image: Image, where: Bool[np.ndarray, "h w"] | None = None) -> UInt8[np.ndarray, "h w"]:
-    """How likely each pixel of an image of usual width shows thread, 0 to 255; 0 where the network has not looked.
+def thread_score(image: Image, where: Bool[np.ndarray, "h w"] | None = None) -> ThreadScore:
+    """How likely each pixel of an image of usual width shows thread, and metal; 0 where the network has not looked.
 
     Args:
         where: what is looked at, with what lies around; everything, if it is None.
     """
     if where is None:
         return _thread_score(image)
-    score = np.zeros(image.shape[:2], np.uint8)
+    score = np.zeros((*image.shape[:2], 2), np.uint8)
     for box in boxes_around(where):
         score[box.inner] = _thread_score(np.ascontiguousarray(image[box.outer]))[box.inner_in_outer]
-    return np.where(where, score, np.uint8(0))
+    return np.where(where[..., None], score, np.uint8(0))
 
 
-def score_within(image: Image, box: tuple[slice, slice]) -> UInt8[np.ndarray, "r c"]:
-    """How likely each pixel of a box shows thread, 0 to 255; the network sees nothing of what lies around."""
+def score_within(image: Image, box: tuple[slice, slice]) -> ThreadScore:
+    """As `thread_score`, of each pixel of a box; the network sees nothing of what lies around."""
     part = np.ascontiguousarray(image[box])
     share = _usual_width(image.shape[1]) / image.shape[1]
     seen = resized(part, (max(1, round(part.shape[0] * share)), max(1, round(part.shape[1] * share))))
@@ -111,16 +113,19 @@ def _usual_width(width: int) -> int:
     return width if NARROWEST_PX <= width <= WIDEST_PX else min(USUAL_WIDTH_PX, MOST_ENLARGED * width)
 
 
-def _thread_score(image: Image) -> UInt8[np.ndarray, "h w"]:
+def _thread_score(image: Image) -> ThreadScore:
     height, width = image.shape[:2]
     logits = _logits(image, WEIGHTS)
     thread = logits[:, Kind.THREAD]
-    others = np.add.reduce([np.exp(logits[:, kind] - thread) for kind in Kind if kind is not Kind.THREAD])
-    levels = cv2.convertScaleAbs((1 / (1 + others)).reshape(4, -1), alpha=255)
+    ground, needle, instrument = (np.exp(logits[:, kind] - thread) for kind in Kind if kind is not Kind.THREAD)
+    metal = needle + instrument
+    share = 1 / (1 + ground + metal)
     rows, columns = thread.shape[1:]
-    whole = np.empty((2 * rows, 2 * columns), np.uint8)
-    for row, (even, odd) in enumerate(levels.reshape(2, 2, rows, columns)):
-        whole[row::2] = cv2.merge((even, odd)).reshape(rows, -1)
+    whole = np.empty((2 * rows, 2 * columns, 2), np.uint8)
+    for channel, of_squares in enumerate((share, metal * share)):
+        levels = cv2.convertScaleAbs(of_squares.reshape(4, -1), alpha=255)
+        for row, (even, odd) in enumerate(levels.reshape(2, 2, rows, columns)):
+            whole[row::2, :, channel] = cv2.merge((even, odd)).reshape(rows, -1)
     return whole[:height, :width]
 
 

@@ -1,26 +1,25 @@
 """Thread on any ground: the pieces of an image that a trained network holds to be thread (`classes`)."""
 
+import math
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
-from jaxtyping import Bool, Int32, Int64, UInt8
+from jaxtyping import Bool, Float64, Int32, Int64, UInt8
 
-from agents.perception.segmentation.classes import as_usual, resized, thread_score
+from agents.perception.segmentation.classes import ThreadScore, as_usual, resized, thread_score
 from agents.perception.segmentation.connected import extents, of_pixels
 from agents.perception.segmentation.near import Meant, Near, piece_meant
 
 LEAST_COVERAGE = 96
 """Of a pixel by thread, where thread was found in a larger copy: a thread thinner than a pixel may fall between two."""
-SEGMENTED, SURE = 104, 192
-"""Score of a pixel that is thread, and that which each piece of thread must reach somewhere."""
-LEAST_MEAN = 160
-"""Score of a piece of thread: what is none may look like it in places, but seldom as a whole."""
-LEAST_EXTENT_PX = 24
-"""Shorter pieces are specks."""
-FAINTEST, AROUND_PX = 32, 9
-"""Score down to which a line goes on from thread, where it is a line: where it scores no less against what lies so near
-than the border of a thread does. So it stays as wide as the thread is, wherever it is faint."""
-LEAST_THREAD_PX = 48
-"""An image whose pieces are all shorter shows no thread."""
+FAINTEST, BORDER, AROUND_PX = 32, 0.4, 9
+"""A pixel is part of a line where it scores so much at least, and such a share of the best that lies so near: so a line
+is as wide as the thread is, wherever it is faint."""
+WEIGHTS = 0.9, 0.32, 0.51, -1.0
+"""Of what speaks for a line's being thread (`evidence`), in log-odds: fitted by `training.line_odds`."""
+LEAST_LOG_ODDS = math.log(2)
+"""From which a line counts as thread: a false one costs twice what a missed one does."""
 
 
 def segment_network(
@@ -46,46 +45,52 @@ def segment_and_score(
     thread = resized(np.multiply(thread_in(score), np.uint8(255), dtype=np.uint8), image.shape) >= LEAST_COVERAGE
     if meant is not None and meant.alone:
         thread = piece_meant(thread, meant.weight)
-    score = np.asarray(resized(score, image.shape), np.uint8)
-    return np.multiply(thread, np.uint8(255), dtype=np.uint8), score
+    of_thread = np.asarray(resized(np.ascontiguousarray(score[..., 0]), image.shape), np.uint8)
+    return np.multiply(thread, np.uint8(255), dtype=np.uint8), of_thread
 
 
-def thread_in(score: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """The connected pieces that are thread, long ones that score high, on average and at best, and how they go on.
+def thread_in(score: ThreadScore) -> Bool[np.ndarray, "h w"]:
+    """The lines that are thread, by the odds of each as a whole."""
+    lines = lines_in(score)
+    log_odds = evidence(lines) @ WEIGHTS
+    return of_pixels(lines.pixel[log_odds[lines.line] >= LEAST_LOG_ODDS], score.shape[:2])
 
-    As edges are told by two thresholds (Canny 1986): what is faint is thread where it is connected to what is not.
+
+@dataclass(frozen=True)
+class Lines:
+    """Connected lines of what may be thread.
+
+    Fields:
+        pixel: indices of their pixels; line: which each belongs to, from 1.
+        length_px: of each, the diagonal of what it reaches over.
+        of_ground, of_metal: the mean log-odds of its pixels of being thread and not the one or the other.
     """
-    high_enough = score >= SEGMENTED
-    count, labelled = cv2.connectedComponents(high_enough.view(np.uint8), connectivity=8)
+
+    pixel: Int64[np.ndarray, "p"]
+    line: Int32[np.ndarray, "p"]
+    length_px: Float64[np.ndarray, "c"]
+    of_ground: Float64[np.ndarray, "c"]
+    of_metal: Float64[np.ndarray, "c"]
+
+
+def evidence(lines: Lines) -> Float64[np.ndarray, "c 4"]:
+    """What speaks for each line: its log-odds against ground and metal, its length's logarithm, and 1."""
+    length = np.log(np.maximum(lines.length_px, 1) / 100)
+    return np.column_stack((lines.of_ground, lines.of_metal, length, np.ones(len(length))))
+
+
+def lines_in(score: ThreadScore) -> Lines:
+    """The lines of a score, with what each shows."""
+    thread = np.ascontiguousarray(score[..., 0])
+    best = np.asarray(cv2.dilate(thread, np.ones((2 * AROUND_PX + 1, 2 * AROUND_PX + 1), np.uint8)))
+    is_line = (thread >= FAINTEST) & (thread >= cv2.convertScaleAbs(best, alpha=BORDER))
+    count, labelled = cv2.connectedComponents(is_line.view(np.uint8), connectivity=8)
     # few pixels are that high, and looking at them alone takes a third of the time
-    pixel = np.flatnonzero(high_enough)
-    piece = np.asarray(labelled, np.int32).ravel()[pixel]
-    is_thread = _is_thread(pixel, piece, score, count)
-    thread = of_pixels(pixel[is_thread[piece]], score.shape)
-    return _gone_on(thread, score) if thread.any() else thread
-
-
-def _gone_on(thread: Bool[np.ndarray, "h w"], score: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Thread with the fainter lines that are connected to it."""
-    highest = np.asarray(cv2.dilate(score, np.ones((2 * AROUND_PX + 1, 2 * AROUND_PX + 1), np.uint8)))
-    border = cv2.convertScaleAbs(highest, alpha=SEGMENTED / 255)
-    line = (score >= FAINTEST) & (score >= border) | thread
-    _, labelled = cv2.connectedComponents(line.view(np.uint8), connectivity=8)
-    pixel = np.flatnonzero(line)
-    piece = np.asarray(labelled, np.int32).ravel()[pixel]
-    goes_on = np.zeros(int(piece.max()) + 1, bool)
-    goes_on[piece[thread.ravel()[pixel]]] = True
-    return of_pixels(pixel[goes_on[piece]], score.shape)
-
-
-def _is_thread(
-    pixel: Int64[np.ndarray, "p"], piece: Int32[np.ndarray, "p"], score: UInt8[np.ndarray, "h w"], count: int
-) -> Bool[np.ndarray, "c"]:
-    """Which of the connected pieces of those pixels are thread; the ground, 0, is none."""
-    extent = extents(piece, pixel, score.shape[1], count)
-    of_pixel = score.ravel()[pixel]
-    best = np.zeros(count, np.uint8)
-    np.maximum.at(best, piece, of_pixel)
-    mean = np.bincount(piece, weights=of_pixel, minlength=count) / np.maximum(np.bincount(piece, minlength=count), 1)
-    thread = (best >= SURE) & (extent >= LEAST_EXTENT_PX) & (mean >= LEAST_MEAN)
-    return np.asarray(thread & bool(extent[thread].max(initial=0.0) >= LEAST_THREAD_PX))
+    pixel = np.flatnonzero(is_line)
+    line = np.asarray(labelled, np.int32).ravel()[pixel]
+    of_thread, of_metal = score.reshape(-1, 2)[pixel].T.astype(np.float64)
+    others = np.maximum((255 - of_thread - of_metal, of_metal), 1)
+    against = np.log(of_thread / others)
+    pixels = np.maximum(np.bincount(line, minlength=count), 1)
+    of_ground, of_metal = (np.bincount(line, each, count) / pixels for each in against)
+    return Lines(pixel, line, extents(line, pixel, thread.shape[1], count), of_ground, of_metal)

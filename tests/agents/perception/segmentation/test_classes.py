@@ -48,9 +48,11 @@ def classes_of(image):
 
 
 @pytest.mark.parametrize("size", [(270, 480), (540, 960), (60, 2000)])
-def test_the_score_of_thread_is_that_of_its_class(size):
+def test_thread_and_metal_score_as_their_classes_do(size):
     image = with_thread(*size)
-    expected = 255 * scores_of(image)[..., Kind.THREAD]
+    scores = scores_of(image)
+    metal = scores[..., Kind.NEEDLE] + scores[..., Kind.INSTRUMENT]
+    expected = 255 * np.stack((scores[..., Kind.THREAD], metal), axis=2)
     seen = as_usual(image)
     assert seen.shape[1] == 960
     np.testing.assert_allclose(resized(thread_score(seen), size), expected, atol=2)

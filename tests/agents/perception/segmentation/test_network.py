@@ -9,7 +9,7 @@ import pytest
 
 from agents.perception.segmentation.classes import thread_score
 from agents.perception.segmentation.near import Meant, Near
-from agents.perception.segmentation.network import segment_network, thread_in
+from agents.perception.segmentation.network import WEIGHTS, evidence, lines_in, segment_network, thread_in
 from shared.scene.__main__ import make_scene
 from shared.scene.render import RenderedPair, render
 
@@ -36,7 +36,7 @@ def test_thread_over_tissue_is_found_whole_and_alone(config, colour, seed):
 
 def test_the_score_is_graded_and_the_mask_as_large_as_the_true_one():
     pair = scene("medium", "black", 7032)
-    score, found = thread_score(pair.left_bgr), segment_network(pair.left_bgr)
+    score, found = thread_score(pair.left_bgr)[..., 0], segment_network(pair.left_bgr)
     assert ((score > 20) & (score < 235)).sum() > 0.2 * (score > 20).sum()
     assert set(np.unique(found)) == {0, 255}
     assert found.mean() == pytest.approx(pair.coverage_left.mean(), rel=0.2)
@@ -94,34 +94,45 @@ def test_several_threads_of_the_process_may_segment_at_once():
             np.testing.assert_array_equal(found, expected)
 
 
+def line_of(thread, metal=0, length_px=120):
+    score = np.zeros((60, 300, 2), np.uint8)
+    score[28:33, 40 : 40 + length_px] = thread, metal
+    return score
+
+
 @pytest.mark.parametrize(
-    ("mean", "best", "is_thread"),
-    [(170, 200, True), (150, 200, False), (170, 180, False)],
-    ids=["high enough", "too faint", "nowhere sure"],
+    ("score", "is_thread"),
+    [
+        (line_of(200), True),
+        (line_of(130, length_px=240), True),
+        (line_of(130, length_px=40), False),
+        (line_of(90), False),
+    ],
+    ids=["likely", "long", "short", "unlikely"],
 )
-def test_a_piece_is_thread_where_it_scores_enough_on_average_and_at_its_best(mean, best, is_thread):
-    score = np.zeros((60, 200), np.uint8)
-    score[28:33, 40:160], score[30, 100] = mean, best
+def test_a_line_is_thread_where_enough_speaks_for_it_as_a_whole(score, is_thread):
     assert thread_in(score).any() == is_thread
 
 
-def test_pieces_of_which_none_is_long_are_no_thread():
-    score = np.zeros((60, 200), np.uint8)
-    score[28:33, 40:80] = score[28:33, 120:160] = 255
-    assert not thread_in(score).any()
+def test_more_length_and_less_metal_speak_for_thread():
+    def odds(score):
+        return (evidence(lines_in(score)) @ WEIGHTS)[1]
+
+    assert odds(line_of(150, length_px=100)) < odds(line_of(150, length_px=200))
+    assert odds(line_of(150, metal=50)) < odds(line_of(150))
+    assert odds(line_of(150)) < odds(line_of(180))
 
 
 def test_a_faint_line_is_thread_where_it_goes_on_from_thread():
-    score = np.zeros((60, 300), np.uint8)
+    score = np.zeros((60, 300, 2), np.uint8)
     for first, last, mean in ((40, 160, 230), (190, 200, 60), (230, 280, 60)):
-        score[28:33, first:last] = mean
-    score[28:33, 160:190] = np.linspace(230, 60, 30)
+        score[28:33, first:last, 0] = mean
+    score[28:33, 160:190, 0] = np.linspace(230, 60, 30)
     found = thread_in(score)
     assert [bool(found[30, column]) for column in (100, 175, 195, 250)] == [True, True, True, False]
 
 
 def test_what_scores_little_beside_thread_makes_it_no_wider():
-    score = np.zeros((60, 200), np.uint8)
-    score[25:36, 40:160], score[28:33, 40:160] = 90, 240
-    found = thread_in(score)
-    assert found[:, 100].sum() == 5
+    score = line_of(240)
+    score[25:28, 40:160, 0] = score[33:36, 40:160, 0] = 90
+    assert thread_in(score)[:, 100].sum() == 5
