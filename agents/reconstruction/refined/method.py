@@ -80,19 +80,34 @@ def reconstruct_refined(observations: ThreadObservations) -> ThreadReconstructio
         return failed(observations, METHOD, observations.reason)
     left, right, camera = observations.centrelines_left, observations.centrelines_right, observations.camera
     try:
+        need_evidence(observations)
         course, fit = course_and_fit(left, right, camera, disparities_of(observations))
         held = within_regions(fit, course, camera)
-        thread = reconstruction(observations, METHOD, fit, held, starts_right(held.curve, observations))
-        return evident(thread, observations)
+        return seen_enough(reconstruction(observations, METHOD, fit, held, starts_right(held.curve, observations)))
     except NoCurveError as error:
         return failed(observations, METHOD, str(error))
 
 
-def evident(thread: ThreadReconstruction, observations: ThreadObservations) -> ThreadReconstruction:
+def need_evidence(observations: ThreadObservations) -> None:
+    """See that enough speaks for what was found being thread, where nobody knew it before.
+
+    Raises:
+        NoCurveError: where too little does.
+    """
+    is_told = observations.prompt_px is not None or observations.segmenter == GIVEN_MASKS
+    score = min((candidate.score for candidate in observations.candidates[:1]), default=1.0)
+    if score < LEAST_SCORE and not is_told:
+        raise NoCurveError(
+            f"what may be thread is too short or faint to be told from what is none (score {score:.2f} of at least "
+            f"{LEAST_SCORE:.2f}): show more of it to both eyes, or point at it by a prompt"
+        )
+
+
+def seen_enough(thread: ThreadReconstruction) -> ThreadReconstruction:
     """The same thread, that nobody knew before.
 
     Raises:
-        NoCurveError: where too much of it is a guess, or too little speaks for what is seen being thread.
+        NoCurveError: where too much of it is a guess.
     """
     guessed = guessed_share(thread)
     if guessed > MOST_GUESSED:
@@ -100,13 +115,6 @@ def evident(thread: ThreadReconstruction, observations: ThreadObservations) -> T
             f"of the curve that was found both eyes see {1 - guessed:.0%}, or what hides the rest, and "
             f"{1 - MOST_GUESSED:.0%} are needed: turn the camera until both images show the thread, and clear what "
             "may pass for it"
-        )
-    is_told = observations.prompt_px is not None or observations.segmenter == GIVEN_MASKS
-    score = min((candidate.score for candidate in observations.candidates[:1]), default=1.0)
-    if score < LEAST_SCORE and not is_told:
-        raise NoCurveError(
-            f"what may be thread is too short or faint to be told from what is none (score {score:.2f} of at least "
-            f"{LEAST_SCORE:.2f}): show more of it to both eyes, or point at it by a prompt"
         )
     return thread
 

@@ -21,7 +21,14 @@ from agents.reconstruction.minimum_variation import Regions
 from agents.reconstruction.paper import failed
 from agents.reconstruction.refined.constraints import Held
 from agents.reconstruction.refined.following import Followed, LostError, curve_length, followed
-from agents.reconstruction.refined.method import METHOD, NoCurveError, course_and_fit, evident, within_regions
+from agents.reconstruction.refined.method import (
+    METHOD,
+    NoCurveError,
+    course_and_fit,
+    need_evidence,
+    seen_enough,
+    within_regions,
+)
 from agents.reconstruction.refined.motion import band_of
 from agents.reconstruction.refined.plausibility import is_usable_track, unusable
 from agents.reconstruction.refined.posterior import ALIKE, LEAST, point_covariance
@@ -73,6 +80,7 @@ def track_refined(observations: ThreadObservations, last: ThreadReconstruction |
         except LostError as error:
             reason = str(error)
     try:
+        need_evidence(observations)
         return _begun(observations, _alone(observations, before), before, reason)
     except NoCurveError as error:
         return _lost(observations, str(error), before)
@@ -115,7 +123,7 @@ def _begun(
         if _is_kept(observations, before):
             material_s, scale = _material(before, track)
             track = replace(track, material_s=material_s, length=scale)
-    return evident(reconstruction(observations, METHOD, alone.fit, alone.held, alone.reverse, track), observations)
+    return seen_enough(reconstruction(observations, METHOD, alone.fit, alone.held, alone.reverse, track))
 
 
 def _lost(observations: ThreadObservations, reason: str, before: ThreadTrack | None) -> ThreadReconstruction:
