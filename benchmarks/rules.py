@@ -21,7 +21,7 @@ from rich.progress import track
 from rich.table import Table
 
 from agents.cli.reconstruct.pipeline import reconstruct_pair
-from agents.perception import observe, told_apart
+from agents.perception import observe
 from agents.perception.candidates import candidates
 from agents.perception.centrelines import centrelines, glints
 from agents.perception.segmentation import network
@@ -44,16 +44,11 @@ def _first(given: Any, *_: Any) -> Any:
     return given
 
 
-def _second(_: Any, given: Any, *__: Any) -> Any:
-    return given
-
-
 WITHOUT_METAL = 0.87, 0.0, 0.72, -0.21
 """`network.WEIGHTS` as `training.line_odds` fits them without that."""
 RULES: dict[str, tuple[Change, ...]] = {
     "faint stretches of lines": ((network, "FAINTEST", 102),),
     "what speaks against metal": ((network, "WEIGHTS", WITHOUT_METAL),),
-    "print": ((told_apart, "without_printed", _second),),
     "threads that are certainly others": ((candidates, "certainly_others", lambda *_: []),),
     "what both eyes' middles err apart": ((observe, "drawn_together", lambda _, lines, **__: lines),),
     "glints filled": ((centrelines, "without_glints", lambda mask: (mask, glints.depth_of(mask))),),

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from agents.perception.candidates import candidates_followed, candidates_in, length_in_common_px, without_printed
+from agents.perception.candidates import candidates_followed, candidates_in, length_in_common_px
 from agents.perception.following.stacked import trail_without
 from agents.perception.occluders import map_image, occluders_in
 from agents.perception.segmenter_names import NETWORK, THRESHOLD
@@ -24,11 +24,6 @@ Pair = tuple[UInt8[np.ndarray, "h w *c"], UInt8[np.ndarray, "h w *c"]]
 
 FRAMES_BETWEEN_OCCLUDERS = 15
 """Of the camera: half a second. The network takes some 40 ms to look for them in both images."""
-PRINTED_SHARE = 0.04
-"""Of the image's width: shorter lines are not asked whether they lie in the ground."""
-ALL_PRINTED = (
-    "all that looks like thread lies in the ground, as print and stains do; if it is thread, point at it by a prompt"
-)
 LEAST_IN_COMMON_PX = 24.0
 """Of thread: less of it in both images is none."""
 IN_ONE_EYE = (
@@ -59,21 +54,15 @@ def told_apart(
     whole = observed.looked_sequence == observed.stamp.sequence
     lines = observed.centrelines_left, observed.centrelines_right
     reach = disparities_of(observed)
-    is_learned = observed.segmenter == NETWORK
     # who points at a thread, or draws it, says what is thread
-    if whole and is_learned and observed.prompt_px is None:
-        width = observed.camera.image_width
-        standing = without_printed(images, lines, PRINTED_SHARE * width, observed.camera.fx_px, score, reach)
-        if len(lines[0].piece) and not len(standing[0].piece):
-            return _none(observed, ALL_PRINTED, score)
-        observed, lines = _with_lines(observed, standing), standing
-        if length_in_common_px(lines, reach) < LEAST_IN_COMMON_PX:
-            return _none(observed, IN_ONE_EYE, score)
+    is_asked = whole and observed.segmenter == NETWORK and observed.prompt_px is None
+    if is_asked and length_in_common_px(lines, reach) < LEAST_IN_COMMON_PX:
+        return _none(observed, IN_ONE_EYE, score)
     before = () if last is None else last.candidates
     occluders = _occluders(observed, images, whole, last)
     # one thread alone is told from no other by what may hide it
-    is_asked = occluders is not None and (whole or len(before) > 1)
-    of_left = decode_image(occluders.left) if occluders is not None and is_asked else None
+    may_hide = occluders is not None and (whole or len(before) > 1)
+    of_left = decode_image(occluders.left) if occluders is not None and may_hide else None
     if whole:
         meant_px = before[0].left_px if before else None
         if observed.prompt_px is not None:

@@ -3,6 +3,5 @@
 from agents.perception.candidates.candidates import Candidates, candidates_in
 from agents.perception.candidates.followed import candidates_followed
 from agents.perception.candidates.in_common import length_in_common_px
-from agents.perception.candidates.printed import without_printed
 
-__all__ = ["Candidates", "candidates_followed", "candidates_in", "length_in_common_px", "without_printed"]
+__all__ = ["Candidates", "candidates_followed", "candidates_in", "length_in_common_px"]
