@@ -35,12 +35,13 @@ def test_the_fit_tells_thread_by_its_score_and_says_how_it_does_on_other_scenes(
     monkeypatch.setattr(sys, "argv", ["line_odds", "--scenes", str(folders[0]), "--judged", str(folders[1])])
     line_odds.main()
     printed = capsys.readouterr().out
-    weights = [float(each) for each in re.search(r"\[(.*)\]", printed)[1].split(",")]
-    assert len(weights) == len(line_odds.WEIGHTS)
-    assert weights[0] > 0
-    said, thread = (float(each) for each in re.search(r"0\.9 to 1\.0: .* said (\S+), thread (\S+)", printed).groups())
-    assert said > 0.9
-    assert thread > 0.9
+    (weights,) = re.findall(r"\[(.*)\]", printed)
+    of_ground, *others = (float(each) for each in weights.split(","))
+    assert of_ground > 0
+    assert len(others) == len(line_odds.WEIGHTS) - 1
+    ((said, thread),) = re.findall(r"0\.9 to 1\.0: .* said (\S+), thread (\S+)", printed)
+    assert float(said) > 0.9
+    assert float(thread) > 0.9
 
 
 def test_a_worse_camera_shows_the_same_scene_otherwise():
