@@ -15,6 +15,7 @@ from agents.perception.centrelines import thread_centrelines
 from agents.perception.following.pair import FollowedPair, follow_pair
 from agents.perception.observe import observe
 from agents.perception.search import Looked, look_everywhere, look_near
+from agents.perception.told_apart import as_sent
 from benchmarks.scenes import Pair, Scene
 from schemas.messages import FrameStamp, ImageEncoding, RectifiedStereo, StereoFrame, ThreadObservations
 from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS
@@ -99,7 +100,7 @@ def _observed(number: int, camera: RectifiedStereo, images: Pair, looked: Looked
     seen = observe(
         _stamp(number), camera, *images, *looked.coverage, looked.segmenter, looked.judgements or (), matching=False
     )
-    return replace(seen, looked_sequence=looked.looked_sequence, is_bright=looked.is_bright)
+    return replace(as_sent(seen), looked_sequence=looked.looked_sequence, is_bright=looked.is_bright)
 
 
 def _of_agent(scene: Scene, segmenter: str) -> dict[str, float]:

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from agents.perception.observe import observe
+from agents.perception.told_apart import as_sent
 from schemas.messages import FrameStamp, RectifiedStereo, ThreadObservations
 from shared.arc_length import even_parameters
 from shared.camera import project
@@ -93,7 +94,7 @@ def sequence(
             masks = [np.zeros_like(mask) for mask in masks]
         stamp = FrameStamp(number, round(number * 1e9 / RATE_HZ), round(number * 1e9 / RATE_HZ), "")
         seen = observe(stamp, camera, images[0], images[1], masks[0], masks[1], "mask", matching=False)
-        yield Frame(seen, material_points(thread))
+        yield Frame(as_sent(seen), material_points(thread))
 
 
 def material_points(thread: Thread, count: int = SAMPLES) -> Float64[np.ndarray, "n 3"]:

@@ -21,7 +21,7 @@ from agents.perception.segmentation.choice import segmenters_with
 from agents.perception.segmentation.promptable_model import PromptableFiles
 from agents.perception.segmenter_names import GIVEN_MASKS, NETWORK, PROMPTABLE, SEGMENTER_NAMES
 from agents.perception.surface import surface_is_due, tissue_surface
-from agents.perception.told_apart import told_apart
+from agents.perception.told_apart import as_sent, told_apart
 from agents.perception.unusable import nominal_camera, unusable
 from agents.perception.watched import FRAMES_BETWEEN_LOOKS_WATCHED, may_be_watched, watched
 from schemas.messages import (
@@ -140,7 +140,7 @@ class Perception:
             observed = self._observe(frame.stamp, pair, is_busy)
             judgements = (*lasting(observed.judgements), *judge_each(pictures, pair.images))
         observed = replace(
-            observed,
+            as_sent(observed),
             judgements=judgements,
             picture_left=pictures.left,
             picture_right=pictures.right,

@@ -14,7 +14,7 @@ from agents.perception.rectification import rectification, rectify_image, rectif
 from agents.perception.search import look_everywhere
 from agents.perception.segmentation.choice import SEGMENTERS, Segmenter
 from agents.perception.segmenter_names import GIVEN_MASKS
-from agents.perception.told_apart import told_apart
+from agents.perception.told_apart import as_sent, told_apart
 from agents.reconstruction.method_names import MATCHING_METHODS
 from agents.reconstruction.methods import METHODS
 from schemas.messages import FrameStamp, StereoCalibration, ThreadObservations, ThreadReconstruction
@@ -105,7 +105,7 @@ def reconstruct_pair(
             *judgements([about_exposure(*exposures(left, right))]),
         )
         eye = whole.right_eye
-        observations = replace(observations, judgements=found, right_eye=eye, rows_moved_up=whole_rows(eye))
+        observations = replace(as_sent(observations), judgements=found, right_eye=eye, rows_moved_up=whole_rows(eye))
     with watch.step("reconstruct"):
         reconstruction = METHODS[method](observations)
     return PipelineResult((left, right), observations, reconstruction, watch.ms)

@@ -4,13 +4,14 @@ import cv2
 import numpy as np
 from jaxtyping import Float32, Float64, Int64, UInt8
 
-from agents.perception.centrelines.along import Pieces, blurred, gaussian, numbered
+from agents.perception.centrelines.along import STRIDE, Pieces, blurred, gaussian, numbered
 from agents.perception.centrelines.edges import COLOUR_NOISE, LIGHT
 from agents.perception.centrelines.profiles import sample
 from schemas.messages import Centrelines
 
 EVERY = 4
-"""Of the points, which lie a pixel apart, so many as are looked at."""
+"""One in so many points is looked at, which lie a pixel apart; of observations, whose points lie STRIDE pixels apart,
+one in EVERY / STRIDE is, and they are the same."""
 ALONG = 2.0
 """Standard deviation, in these points, of the average along the thread in which colours are seen."""
 THREAD_SHARES = np.array([-0.25, 0.0, 0.25])
@@ -29,6 +30,11 @@ def pieces_of(lines: Centrelines) -> Pieces:
 def some_of(pieces: Pieces) -> Int64[np.ndarray, "m"]:
     """Every so many points of each piece, and its last one."""
     return pieces.every(EVERY)
+
+
+def some_of_observed(pieces: Pieces) -> Int64[np.ndarray, "m"]:
+    """The same points of the pieces of observations."""
+    return pieces.every(EVERY // STRIDE)
 
 
 def colours_across(

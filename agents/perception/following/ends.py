@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 
-from agents.perception.centrelines.along import Pieces, evenly_spaced
+from agents.perception.centrelines.along import STRIDE, Pieces, evenly_spaced
 from agents.perception.centrelines.profiles import normals, sample
 from agents.perception.following.appearance import GROUND_PX, THREAD_SHARES, Colours, share_of_thread
 from agents.perception.following.stacked import Eyes
@@ -108,6 +108,6 @@ def _before(
     part: Float64[np.ndarray, "k 2"], outward: Float64[np.ndarray, "2"], reach_px: float
 ) -> Float64[np.ndarray, "j 2"]:
     """Points without the last ones that lie beyond where the thread ends, or hardly before it."""
-    last = part[-round(2 * REACH_PX) :]
+    last = part[-round(2 * REACH_PX / STRIDE) :]
     inside = np.flatnonzero((last - part[-1]) @ outward < reach_px - LEAST_SPACING_PX)
     return part[: len(part) - len(last) + (int(inside[-1]) + 1 if len(inside) else 0)]

@@ -15,13 +15,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 
-from agents.perception.centrelines.along import Pieces, directions, gaussian, median
+from agents.perception.centrelines.along import STRIDE, Pieces, directions, gaussian, median
 from agents.perception.centrelines.deviation import deviations, of_edges
 from agents.perception.centrelines.profiles import normals
 from agents.perception.centrelines.refine import Curves, Evidence, by_edges, by_learning, tangent_sigma
 from agents.perception.centrelines.straightened import usual_width_px
 from agents.perception.centrelines.tips import to_tips
-from agents.perception.following.appearance import EVERY, Colours, colours_across, pieces_of, some_of
+from agents.perception.following.appearance import EVERY, Colours, colours_across, pieces_of, some_of, some_of_observed
 from agents.perception.following.capture import Captured, captured
 from agents.perception.following.ends import REACH_PX, carried_along, ends_of, with_ends
 from agents.perception.following.stacked import (
@@ -132,6 +132,12 @@ def follow(images: Sequence[UInt8[np.ndarray, "h w 3"]], last: Sequence[Followed
     )
 
 
+def as_sent(lines: Centrelines) -> Centrelines:
+    """Every second point of centrelines: neighbours err alike, and the others say hardly more."""
+    some, _ = pieces_of(lines).every_second
+    return Centrelines(lines.point_px[some], lines.piece[some], lines.width_px[some], lines.deviation_px[some])
+
+
 def _follow(
     image: UInt8[np.ndarray, "h w 3"], eyes: Eyes, eye: Int64[np.ndarray, "k"], before: StackedLines, trail: Trail
 ) -> _Found | str:
@@ -139,11 +145,14 @@ def _follow(
 
     Args:
         eye: of each piece.
+        before: as they were sent.
     """
     pieces = Pieces(before.piece)
-    if int((pieces.last - pieces.first).min()) < LEAST_LENGTH_PX:
+    if STRIDE * int((pieces.last - pieces.first).min()) < LEAST_LENGTH_PX:
         return "short pieces"
-    some, width = some_of(pieces), median(before.width_px)
+    some, width = some_of_observed(pieces), median(before.width_px)
+    if len(some) != len(trail.colour_bgr):
+        return "points as older versions sent them"
     point, sampled = before.point_px[some], Pieces(pieces.number[some])
     normal = normals(_tangents(point, sampled, width))
     found = captured(image, point, normal, width, trail.colour_bgr, sampled)
@@ -180,11 +189,11 @@ def _has_another_length(pieces: Pieces, trail: Trail) -> bool:
 
 def _counts(pieces: Pieces, trail: Trail, width: float) -> Bool[np.ndarray, "n"]:
     """Where profiles show the thread alone: not beside a cut, where they hold what crosses too, nor on short pieces."""
-    near = CUT_WIDTHS * width
+    near = CUT_WIDTHS * width / STRIDE
     beside = ((pieces.before < near) & ~trail.loose_start[pieces.number]) | (
         (pieces.after < near) & ~trail.loose_end[pieces.number]
     )
-    return ~beside & (pieces.before + pieces.after >= 2 * REACH_PX)
+    return ~beside & (STRIDE * (pieces.before + pieces.after) >= 2 * REACH_PX)
 
 
 def _unclear(found: Captured, counts: Bool[np.ndarray, "m"], here: Bool[np.ndarray, "m"], width: float) -> str:

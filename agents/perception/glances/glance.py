@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 from scipy.spatial import cKDTree
 
-from agents.perception.centrelines.along import Pieces
+from agents.perception.centrelines.along import STRIDE, Pieces
 from agents.perception.centrelines.glints import without_glints
 from agents.perception.centrelines.skeleton import skeleton_paths
 from agents.perception.glances.known import OTHERS_SHARE, Known, known_in
@@ -81,7 +81,7 @@ def _is_gone(
     here = np.flatnonzero(_within(point, inner))
     gone = np.flatnonzero(~_is_near(high, point[here] - corner, SEEN_WITHIN_PX))
     stretch = np.cumsum((np.diff(here[gone], prepend=-2) != 1) | (np.diff(piece[here[gone]], prepend=-1) != 0))
-    if np.bincount(stretch, minlength=1).max() >= LEAST_GONE_SHARE * width:
+    if STRIDE * np.bincount(stretch, minlength=1).max() >= LEAST_GONE_SHARE * width:
         return True
     others = known.others_px[_within(known.others_px, inner)] - corner
     near = _is_near(high, others, round(OTHERS_SHARE * width))

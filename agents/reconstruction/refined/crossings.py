@@ -12,7 +12,7 @@ from jaxtyping import Float64
 from scipy.spatial import cKDTree
 
 from agents.reconstruction.refined.medians import median
-from agents.reconstruction.refined.projection import Curve
+from agents.reconstruction.refined.projection import Curve, chords
 from schemas.messages import Centrelines, Crossing, Over, RectifiedStereo, ThreadCandidate
 from shared.camera import project
 
@@ -21,8 +21,8 @@ SHORTEST_LOOP = 0.02
 """Of the thread's length: less between two crossing pieces is a kink of the curve."""
 CERTAIN = 2.0
 """Deviations by which the strands' depths differ before one is called nearer."""
-EVERY = 8
-"""Of the points of a piece, so that one is looked at in so many pixels."""
+EVERY, CANDIDATE_PX = 4, 8.0
+"""Of the points of a piece, so many are looked at; and so far apart lie those of candidates."""
 STRANGE_WIDTHS, SHORTEST_WIDTHS = 3.0, 15.0
 """A piece of centreline is another thread's where it lies so far off, in the median, and is so long."""
 
@@ -63,16 +63,16 @@ def crossings_of(
     )
 
 
-def other_threads_px(lines: Centrelines, curve_px: cKDTree, spacing_px: float = 1.0) -> Float64[np.ndarray, "t 2"]:
+def other_threads_px(lines: Centrelines, curve_px: cKDTree) -> Float64[np.ndarray, "t 2"]:
     """The middle of each longer piece of centreline that does not lie on the projected curve."""
     if not len(lines.piece):
         return np.zeros((0, 2))
-    width = median(lines.width_px)
+    width, apart_px = median(lines.width_px), _apart_px(lines)
     bounds = np.concatenate(([0], np.flatnonzero(np.diff(lines.piece)) + 1, [len(lines.piece)]))
     found = [
         lines.point_px[first + (end - first) // 2]
         for first, end in pairwise(bounds)
-        if (end - first) * spacing_px >= SHORTEST_WIDTHS * width
+        if (end - first) * apart_px >= SHORTEST_WIDTHS * width
         # a piece lies on the curve where most of some of its points do
         and median(np.asarray(curve_px.query(lines.point_px[first:end:EVERY])[0])) > STRANGE_WIDTHS * width
     ]
@@ -98,12 +98,17 @@ def left_over(
     near = STRANGE_WIDTHS * median(lines.width_px)
     away = np.asarray(curve_px.query(lines.point_px)[0]) > near
     for other in others:
-        away[away] = np.asarray(cKDTree(other.left_px).query(lines.point_px[away])[0]) > near + EVERY
+        away[away] = np.asarray(cKDTree(other.left_px).query(lines.point_px[away])[0]) > near + CANDIDATE_PX
     starts = np.flatnonzero(np.diff(lines.piece, prepend=-1) | np.diff(away, prepend=False))
     runs = [run for run in np.split(np.arange(len(away)), starts) if len(run) and away[run[0]]]
-    shortest = SHORTEST_WIDTHS * median(lines.width_px)
+    shortest = SHORTEST_WIDTHS * median(lines.width_px) / _apart_px(lines)
     middles = [lines.point_px[run[len(run) // 2]] for run in runs if len(run) >= shortest]
     return float(away.mean()), np.array(middles).reshape(-1, 2)
+
+
+def _apart_px(lines: Centrelines) -> float:
+    """How far neighbours lie apart, in the median."""
+    return median(chords(lines.point_px)) if len(lines.piece) > 1 else 1.0
 
 
 def with_middles(
@@ -114,7 +119,7 @@ def with_middles(
         candidate.left_px[len(candidate.left_px) // 2]
         for candidate in others
         if not len(found_px)
-        or np.min(cKDTree(candidate.left_px).query(found_px)[0]) > STRANGE_WIDTHS * candidate.width_px + EVERY
+        or np.min(cKDTree(candidate.left_px).query(found_px)[0]) > STRANGE_WIDTHS * candidate.width_px + CANDIDATE_PX
     ]
     return np.vstack((found_px, *missing))
 

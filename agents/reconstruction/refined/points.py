@@ -10,7 +10,8 @@ from agents.reconstruction.refined.projection import chords
 from agents.reconstruction.refined.sightings import CORRELATED_PX
 from schemas.messages import Centrelines, RectifiedStereo
 
-DIRECTION_REACH = 4
+DIRECTION_REACH = 2
+"""Points to either side, some two pixels apart."""
 BORDER_PX = 4.0
 """What ends nearer to the image's border than this goes on outside."""
 
@@ -54,7 +55,7 @@ def chosen_points(lines: tuple[Centrelines, Centrelines], camera: RectifiedStere
     is_bound = bound[:-1] | bound[1:]
     chosen = is_bound.copy()
     for of_eye in (chosen[:split], chosen[split:]):
-        of_eye[:: max(2, -(-len(of_eye) // wanted))] = True
+        of_eye[:: max(1, -(-len(of_eye) // wanted))] = True
     index = np.flatnonzero(chosen)
     points, lefts = all_px[index], int(np.count_nonzero(chosen[:split]))
     border = np.array([camera.image_width, camera.image_height]) - 1 - BORDER_PX

@@ -13,7 +13,7 @@ from agents.perception.agent import Perception, PerceptionConfig
 from agents.perception.candidates.drawn import without
 from agents.perception.centrelines.centrelines import thread_lines
 from agents.perception.following.drawn import mask_along
-from agents.perception.following.follow import Followed, follow, trail_of
+from agents.perception.following.follow import Followed, as_sent, follow, trail_of
 from agents.perception.following.stacked import trail_without
 from agents.perception.segmentation.network import segment_network
 from schemas.codec import decode, encode
@@ -45,7 +45,7 @@ def moved(image, right, down):
 
 def followed(image, last):
     """What one eye's image shows of its thread, or why it shows none."""
-    found = follow([image], [last])
+    found = follow([image], [dataclasses.replace(last, lines=as_sent(last.lines))])
     return found if isinstance(found, str) else found[0]
 
 
@@ -94,6 +94,12 @@ def test_what_hides_part_of_the_thread_or_its_end_ends_the_following():
     assert isinstance(followed(covered(image, point[0], 25), found), str)
     assert isinstance(followed(moved(image, 0, 60), found), str)
     assert isinstance(followed(np.full_like(image, 120), found), str)
+
+
+def test_points_that_an_older_version_sent_are_looked_for_anew():
+    image, found = looked_for()
+    assert follow([image], [found]) == "points as older versions sent them"
+    assert not isinstance(followed(image, found), str)
 
 
 def test_the_trail_of_pieces_that_are_kept_is_the_one_that_they_have_alone():

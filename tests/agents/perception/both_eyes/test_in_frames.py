@@ -11,6 +11,7 @@ from agents.perception.following.pair import follow_pair
 from agents.perception.observe import observe
 from agents.perception.segmentation.network import segment_network
 from agents.perception.segmenter_names import GIVEN_MASKS, NETWORK, THRESHOLD
+from agents.perception.told_apart import as_sent
 from schemas.messages import FrameStamp
 from shared.disparities import disparities_of
 from shared.scene.__main__ import make_scene
@@ -34,7 +35,7 @@ def looked_at(segmenter):
 
 def followed(observed):
     camera, pair = scene()
-    found = follow_pair(FrameStamp(4, 12, 13, "made up"), camera, (pair.left_bgr, pair.right_bgr), observed)
+    found = follow_pair(FrameStamp(4, 12, 13, "made up"), camera, (pair.left_bgr, pair.right_bgr), as_sent(observed))
     assert found is not None
     return found.observed
 
