@@ -62,7 +62,7 @@ def _tracked(images: Pair, last: ThreadObservations) -> tuple[list[tuple[float, 
             break
         times.append((took[0], took[1]))
         if isinstance(seen, FollowedPair):
-            last, followed = seen.observed, followed + 1
+            last, followed = as_sent(seen.observed), followed + 1
         else:
             last = _observed(number, before.camera, now, seen)
             last = last if may_follow else replace(last, trail_left=None, trail_right=None)

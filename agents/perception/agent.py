@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.perception.beside import Beside, begun_beside
+from agents.perception.following.follow import as_sent
 from agents.perception.following.pair import FollowedPair, follow_pair
 from agents.perception.frame_checks import apart, mismatch
 from agents.perception.judging.each_frame import judge_each, lasting, one_eye_stands_still, pictured
@@ -21,7 +22,7 @@ from agents.perception.segmentation.choice import segmenters_with
 from agents.perception.segmentation.promptable_model import PromptableFiles
 from agents.perception.segmenter_names import GIVEN_MASKS, NETWORK, PROMPTABLE, SEGMENTER_NAMES
 from agents.perception.surface import surface_is_due, tissue_surface
-from agents.perception.told_apart import as_sent, told_apart
+from agents.perception.told_apart import told_apart
 from agents.perception.unusable import nominal_camera, unusable
 from agents.perception.watched import FRAMES_BETWEEN_LOOKS_WATCHED, may_be_watched, watched
 from schemas.messages import (
@@ -140,7 +141,9 @@ class Perception:
             observed = self._observe(frame.stamp, pair, is_busy)
             judgements = (*lasting(observed.judgements), *judge_each(pictures, pair.images))
         observed = replace(
-            as_sent(observed),
+            observed,
+            centrelines_left=as_sent(observed.centrelines_left),
+            centrelines_right=as_sent(observed.centrelines_right),
             judgements=judgements,
             picture_left=pictures.left,
             picture_right=pictures.right,
