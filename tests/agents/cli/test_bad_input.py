@@ -342,8 +342,8 @@ def test_an_interrupt_from_the_keyboard_ends_in_one_line(pair, small):
     os.mkfifo(small / "left.png")
     command = [str(SCRIPT), *map(str, pair(small)), "--output", str(small / "out.json")]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    # opening succeeds only once the command has opened the other end; a signal that comes just before it reads is told by
-    # Python after that, so the pipe is closed then
+    # opening succeeds only once the command has opened the other end; a signal that comes just before it reads is told
+    # by Python after that, so the pipe is closed then
     with process:
         with (small / "left.png").open("wb"):
             process.send_signal(signal.SIGINT)
