@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.perception.beside import Beside, begun_beside
-from agents.perception.following.follow import as_sent
+from agents.perception.following.follow import every_second
 from agents.perception.following.pair import FollowedPair, follow_pair
 from agents.perception.frame_checks import apart, mismatch
 from agents.perception.judging.each_frame import judge_each, lasting, one_eye_stands_still, pictured
@@ -142,8 +142,8 @@ class Perception:
             judgements = (*lasting(observed.judgements), *judge_each(pictures, pair.images))
         observed = replace(
             observed,
-            centrelines_left=as_sent(observed.centrelines_left),
-            centrelines_right=as_sent(observed.centrelines_right),
+            centrelines_left=every_second(observed.centrelines_left),
+            centrelines_right=every_second(observed.centrelines_right),
             judgements=judgements,
             picture_left=pictures.left,
             picture_right=pictures.right,

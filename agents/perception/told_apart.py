@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from agents.perception.candidates import candidates_followed, candidates_in, length_in_common_px
-from agents.perception.following.follow import as_sent as lines_as_sent
+from agents.perception.following.follow import every_second
 from agents.perception.following.stacked import trail_without
 from agents.perception.occluders import map_image, occluders_in
 from agents.perception.segmenter_names import NETWORK, THRESHOLD
@@ -81,7 +81,7 @@ def told_apart(
 
 def as_sent(observed: ThreadObservations) -> ThreadObservations:
     """The observations with every second point of their centrelines."""
-    left, right = lines_as_sent(observed.centrelines_left), lines_as_sent(observed.centrelines_right)
+    left, right = every_second(observed.centrelines_left), every_second(observed.centrelines_right)
     return replace(observed, centrelines_left=left, centrelines_right=right)
 
 

@@ -43,8 +43,8 @@ class Centrelines:
     """The middle of the thread in one rectified image: points in order along unbranched pieces, of unknown sequence.
 
     Fields:
-        point_px: (u, v) of each point, sub-pixel; neighbours on a piece lie about two pixels apart (one in
-            recordings of 0.1.0).
+        point_px: (u, v) of each point, sub-pixel; neighbours on a piece lie about two pixels apart, in older
+            recordings one.
         piece: number of the piece that each point belongs to, never decreasing.
         width_px: apparent width of the thread there.
         deviation_px: standard deviation of the point across the thread.

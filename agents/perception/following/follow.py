@@ -132,7 +132,7 @@ def follow(images: Sequence[UInt8[np.ndarray, "h w 3"]], last: Sequence[Followed
     )
 
 
-def as_sent(lines: Centrelines) -> Centrelines:
+def every_second(lines: Centrelines) -> Centrelines:
     """Every second point of centrelines: neighbours err alike, and the others say hardly more."""
     some, _ = pieces_of(lines).every_second
     return Centrelines(lines.point_px[some], lines.piece[some], lines.width_px[some], lines.deviation_px[some])
@@ -145,7 +145,7 @@ def _follow(
 
     Args:
         eye: of each piece.
-        before: as they were sent.
+        before: as observations send them (`every_second`).
     """
     pieces = Pieces(before.piece)
     if STRIDE * int((pieces.last - pieces.first).min()) < LEAST_LENGTH_PX:

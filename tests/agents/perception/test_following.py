@@ -13,7 +13,7 @@ from agents.perception.agent import Perception, PerceptionConfig
 from agents.perception.candidates.drawn import without
 from agents.perception.centrelines.centrelines import thread_lines
 from agents.perception.following.drawn import mask_along
-from agents.perception.following.follow import Followed, as_sent, follow, trail_of
+from agents.perception.following.follow import Followed, every_second, follow, trail_of
 from agents.perception.following.stacked import trail_without
 from agents.perception.segmentation.network import segment_network
 from schemas.codec import decode, encode
@@ -45,7 +45,7 @@ def moved(image, right, down):
 
 def followed(image, last):
     """What one eye's image shows of its thread, or why it shows none."""
-    found = follow([image], [dataclasses.replace(last, lines=as_sent(last.lines))])
+    found = follow([image], [dataclasses.replace(last, lines=every_second(last.lines))])
     return found if isinstance(found, str) else found[0]
 
 
