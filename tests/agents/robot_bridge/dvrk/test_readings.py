@@ -22,8 +22,12 @@ class Told:
 
     def __init__(self):
         self.readings, self.now_ns = Readings("PSM1", "", LARGE_NEEDLE_DRIVER), ARRIVED
-        self.readings.hear_state(OperatingState(header(1), "ENABLED", True, False).serialize(), ARRIVED)
+        self.state(homed=True, busy=False)
         self.tell(0)
+
+    def state(self, homed, busy):
+        state = OperatingState(header(1), "ENABLED", homed, busy)
+        self.readings.hear_state(state.serialize(), self.now_ns)
 
     def tell(self, at_ms, joints=HERE, pose=None, late_ms=0):
         """Everything, measured so long after STAMP, at 1 ms on its way and later."""
@@ -50,18 +54,21 @@ class Told:
         return None if judged.readiness is Readiness.READY else judged.code.value
 
 
-def test_a_state_has_come_about_once_the_arm_makes_no_motion_any_more():
+@pytest.fixture
+def told():
     told = Told()
+    assert told.code() is None
+    return told
+
+
+def test_a_state_has_come_about_once_the_arm_makes_no_motion_any_more(told):
     assert told.readings.reached(StateWord.ENABLE)
-    for busy in (True, False):
-        told.readings.hear_state(OperatingState(header(2), "ENABLED", True, busy).serialize(), told.now_ns)
-        assert told.readings.reached(StateWord.HOME) is not busy
-    told.readings.hear_state(OperatingState(header(3), "ENABLED", False, False).serialize(), told.now_ns)
-    assert not told.readings.reached(StateWord.HOME)
+    for homed, busy in ((True, True), (True, False), (False, False)):
+        told.state(homed, busy)
+        assert told.readings.reached(StateWord.HOME) is (homed and not busy)
 
 
-def test_a_measurement_that_was_overtaken_does_not_count():
-    told = Told()
+def test_a_measurement_that_was_overtaken_does_not_count(told):
     told.tell(100, HERE + 0.01)
     told.judged()
     told.joints(90, HERE)
@@ -69,12 +76,10 @@ def test_a_measurement_that_was_overtaken_does_not_count():
     assert np.array_equal(measured.joints, HERE + 0.01)
 
 
-def test_a_robot_whose_clock_is_set_back_is_measured_on_and_not_taken_for_late():
-    told = Told()
+def test_a_robot_whose_clock_is_set_back_is_measured_on_and_not_taken_for_late(told):
     told.tell(20_000)
     told.judged()
-    back_ms = 20_000 - CLOCK_SET_NS // MS - 5_000
-    told.tell(back_ms, HERE + 0.01, late_ms=6_020)
+    told.tell(20_000 - CLOCK_SET_NS // MS - 5_000, HERE + 0.01, late_ms=6_020)
     measured, judged = told.judged()
     assert np.array_equal(measured.joints, HERE + 0.01)
     assert told.now_ns - measured.measured_ns < 10 * MS
@@ -84,48 +89,36 @@ def test_a_robot_whose_clock_is_set_back_is_measured_on_and_not_taken_for_late()
 @pytest.mark.parametrize(
     ("kind", "values"), [("measured_js", [0.0] * 5), ("jaw/measured_js", [0.0] * 2), ("measured_js", [np.nan] * 6)]
 )
-def test_joints_that_are_too_few_too_many_or_not_finite_are_an_error(kind, values):
-    told = Told()
-    assert told.code() is None
+def test_joints_that_are_too_few_too_many_or_not_finite_are_an_error(told, kind, values):
     told.hear(kind, JointState(header(STAMP), [], values, [], []).serialize())
     assert told.code() == "error_state"
 
 
-def test_a_pose_that_does_not_come_any_more_is_stale():
-    told = Told()
-    assert told.code() is None
+def test_a_pose_that_does_not_come_any_more_is_stale(told):
     told.now_ns += POSE_AGE_NS + 2 * MS
     told.joints(POSE_AGE_NS // MS + 2, HERE)
     assert told.code() == "stale_state"
 
 
 @pytest.mark.parametrize(("turned_rad", "aside_m"), [(0.11, 0.0), (0.0, 0.0031)])
-def test_a_tool_that_the_console_has_turned_or_elsewhere_is_another(turned_rad, aside_m):
-    told = Told()
+def test_a_tool_that_the_console_has_turned_or_elsewhere_is_another(told, turned_rad, aside_m):
     change = transform(exp_so3(np.array((turned_rad, 0, 0))), np.array((aside_m, 0, 0)))
     told.tell(100, pose=LARGE_NEEDLE_DRIVER.forward(HERE) @ change)
     assert told.code() == "other_pose"
 
 
-def test_joints_and_pose_of_two_times_are_not_compared():
-    told = Told()
-    told.judged()
-    turned = HERE + np.array((0.2, 0, 0, 0.3, 0, 0))
-    told.now_ns += 20 * MS
-    told.joints(SAME_TIME_NS // MS + 5, turned)
-    assert told.code() is None, "a moving arm is elsewhere by now"
-    told.now_ns += POSE_AGE_NS
-    told.joints(POSE_AGE_NS // MS, turned)
-    assert told.code() == "stale_state"
-    told.pose(POSE_AGE_NS // MS, LARGE_NEEDLE_DRIVER.forward(HERE))
-    assert told.code() == "other_pose"
-
-
-def test_an_arm_that_stands_still_is_compared_whenever_its_pose_was_told():
-    told = Told()
-    told.judged()
-    for at_ms in range(50, 2 * POSE_AGE_NS // MS, 50):
+def test_joints_and_pose_of_two_times_are_compared_only_where_the_arm_stands_still(told):
+    end_ms = 2 * POSE_AGE_NS // MS
+    for at_ms in range(50, end_ms + 1, 50):
         told.now_ns += 50 * MS
         told.joints(at_ms, HERE)
         told.pose(at_ms - 10, LARGE_NEEDLE_DRIVER.forward(HERE))
         assert told.code() is None
+    turned = HERE + np.array((0.2, 0, 0, 0.3, 0, 0))
+    told.joints(end_ms + SAME_TIME_NS // MS + 5, turned)
+    assert told.code() is None, "a moving arm is elsewhere by now"
+    assert told.code() is None, "and does not stand because no newer joints have come since"
+    told.now_ns += POSE_AGE_NS
+    told.joints(end_ms + POSE_AGE_NS // MS, turned)
+    told.pose(end_ms + POSE_AGE_NS // MS, LARGE_NEEDLE_DRIVER.forward(HERE))
+    assert told.code() == "other_pose"
