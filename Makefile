@@ -8,17 +8,16 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 LOCK := $(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras --no-header \
 	--no-emit-index-url --no-emit-find-links --no-emit-trusted-host --no-annotate
 
-# tests that compute, and hardly wait: they take what the others leave of the cores
-COMPUTING := tests/schemas tests/benchmarks tests/agents/perception tests/agents/planner tests/agents/reconstruction \
-	tests/agents/camera tests/agents/inspection tests/agents/simulator tests/shared/calibration tests/shared/kinematics \
-	tests/shared/recording tests/shared/scene tests/agents/viewer tests/agents/robot_bridge tests/agents/deployment \
-	tests/shared/runtime/test_access.py tests/shared/runtime/test_sites.py tests/shared/test_both_eyes.py tests/agents/cli/test_reconstruct.py
-# whole rigs of real processes, one after another: their limits are those of a rig, and they wait more than they compute
-RIGS := tests/hosts tests/agents/operator tests/agents/cli/test_live_processes.py tests/benchmarks/test_scaling.py \
-	tests/agents/robot_bridge/dvrk/test_processes.py
+# Markers that make test leaves to make test-all, which pyproject.toml explains. What is essential is in both.
+LATER := rig or hosts or browser or renders or fuzz or slow
+PROCESSES := rig or hosts or browser
+PARALLEL := -n logical --dist worksteal
 PYTEST := $(BIN)/python -m pytest
+# a process that a test starts counts for that test; tests may take longer than without
+COVERAGE := $(PYTEST) --cov --cov-context=test --cov-report= -o junit_family=xunit1 --timeout=500 \
+	-W ignore::coverage.exceptions.CoverageWarning
 
-.PHONY: help install demo play look example test bless check format protos lock sim clean
+.PHONY: help install demo play look example test test-all coverage bless check format protos lock sim clean
 help: ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
 
@@ -47,20 +46,27 @@ example: .venv/runtime.done ## a stereo pair becomes a thread in 3D, in a few se
 	@echo "Look at out/thread.png, or in 3D:  .venv/bin/rerun out/thread.rrd"
 
 # as agents do: threads of one computation that wait for each other's turn on two busy cores cost more than they gain
-test: export OPENBLAS_NUM_THREADS := 1
-test: export OPENCV_FOR_THREADS_NUM := 1
-test: .venv/dev.done ## all tests: whole rigs, whose steps have limits, then those that only compute beside all others; ARGS="..." for some
+test test-all coverage: export OPENBLAS_NUM_THREADS := 1
+test test-all coverage: export OPENCV_FOR_THREADS_NUM := 1
+test: .venv/dev.done ## in three minutes: all that computes; a demo, an arm that is held, a router that is killed; ARGS="..." for some
 ifeq ($(ARGS),)
-	@mkdir -p out; \
-	$(PYTEST) -o cache_dir=.pytest_cache/rigs $(RIGS); rigs=$$?; \
-	nice -n 5 $(PYTEST) -o cache_dir=.pytest_cache/computing $(COMPUTING) $(addprefix --ignore=,$(RIGS)) \
-		> out/computing.log 2>&1 & computing=$$!; \
-	$(PYTEST) $(addprefix --ignore=,$(COMPUTING) $(RIGS)); others=$$?; \
-	wait $$computing; computing=$$?; cat out/computing.log; \
-	exit $$((others + rigs + computing))
+	@$(PYTEST) $(PARALLEL) -m "not ($(LATER))"; computing=$$?; \
+	$(PYTEST) -o cache_dir=.pytest_cache/essential -m essential; exit $$((computing + $$?))
 else
 	@$(PYTEST) $(ARGS)
 endif
+
+# whole rigs run one at a time: their limits are those of a rig that has the machine
+test-all: .venv/dev.done ## make test, then whole rigs, hosts, browsers, renders, fuzzing
+	@$(MAKE) --no-print-directory test; first=$$?; \
+	$(PYTEST) $(PARALLEL) -o cache_dir=.pytest_cache/later -m "($(LATER)) and not ($(PROCESSES) or essential)"; later=$$?; \
+	$(PYTEST) -o cache_dir=.pytest_cache/processes -m "($(PROCESSES)) and not essential"; exit $$((first + later + $$?))
+
+coverage: .venv/dev.done ## lines and branches that make test-all runs, in which test; out/coverage.sqlite, out/tests*.xml
+	@rm -rf out/coverage; mkdir -p out/coverage
+	@$(COVERAGE) --junit-xml=out/tests1.xml $(PARALLEL) -m "not ($(PROCESSES))"; \
+	$(COVERAGE) --cov-append --junit-xml=out/tests2.xml -m "$(PROCESSES)"; \
+	$(BIN)/coverage report --skip-covered --sort=cover > out/coverage.txt; tail -n 1 out/coverage.txt
 
 bless: .venv/dev.done ## what the agents make of the golden recordings now is right from now on; shows what changed
 	@$(BIN)/python -m tests.goldens.bless

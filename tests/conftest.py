@@ -34,6 +34,14 @@ def pytest_sessionfinish():
     faulthandler.dump_traceback_later(EXIT_S, exit=True, file=STANDARD_ERROR)
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport():
+    """What a test printed may hold half a surrogate pair, which cannot travel between the processes of pytest."""
+    report = yield
+    report.sections = [(name, text.encode(errors="replace").decode()) for name, text in report.sections]
+    return report
+
+
 def wait_until(condition, what="the condition to come true", deadline_s=DEADLINE_S):
     """Wait until a condition holds and return its value; fail after a deadline, saying what was waited for."""
     end_s, turn = monotonic_s() + deadline_s, threading.Event()

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from benchmarks.goals import goals
-from benchmarks.measures import NEAR_MASK, OF_EDGE, OF_IMAGES, OF_TRUTH, REPROJECTION, believed, mean_where, stretch_of
+from benchmarks.measures import NEAR_MASK, OF_EDGE, OF_IMAGES, OF_TRUTH, REPROJECTION, believed
 from schemas.messages import FrameStamp, RectifiedStereo, ReliabilityRegions, Status, ThreadReconstruction
 from shared.splines import basis_matrix, clamped_uniform_knots
 
@@ -51,26 +51,6 @@ def test_the_likelihood_is_that_of_the_normal_plane():
     assert found["nll"] == pytest.approx(np.log(2 * np.pi * 0.4**2) + 0.5 * (0.5 / 0.4) ** 2, rel=1e-3)
 
 
-def test_stretches_are_told_apart_by_slope_and_sight():
-    angle = np.radians([0, 10, 14, 16, 60, 90])
-    steps = np.repeat(np.column_stack((np.cos(angle), np.sin(angle))), 10, axis=0)
-    px = np.cumsum(steps, axis=0)
-    visible = np.ones((60, 2), bool)
-    visible[52:58] = False
-    visible[45] = (True, False)
-    kind = stretch_of(px, visible)
-    assert list(kind[[5, 15, 25]]) == [0, 0, 0]
-    assert list(kind[[35, 45, 59]]) == [2, 2, 2]
-    assert (kind[52:58] == 1).all()
-
-
-def test_the_error_of_a_part_leaves_out_what_is_wrong_elsewhere():
-    truth = np.column_stack((np.linspace(0, 100, 2001), np.zeros(2001), np.zeros(2001)))
-    curve = truth + np.where(truth[:, :1] > 60, 5.0, 0.1) * [0, 1, 0]
-    assert mean_where(curve, truth, truth[:, 0] < 50) == pytest.approx(0.1, rel=1e-3)
-    assert mean_where(curve, truth, np.zeros(2001, bool)) is None
-
-
 def row(**changes):
     """A run of a published scene that meets every goal."""
     measures = dict.fromkeys((*OF_TRUTH, *OF_IMAGES, *OF_EDGE, *REPROJECTION, *NEAR_MASK))
@@ -109,11 +89,3 @@ def test_too_much_coverage_is_as_wrong_as_too_little():
         share = {"row-parallel": [inside, 100], "hidden": [inside, 100], "other": [inside, 100]}
         found = verdicts([row(coverage=share)])
         assert not found["95 % ellipse (sim, plain, and renders, true masks), all"]
-
-
-def test_runs_with_a_wrong_calibration_are_reported_apart():
-    found = verdicts(
-        [row(group="clear render", masks="true"), row(group="clear render", masks="true", calibration="f", mean=9)]
-    )
-    assert found["renders without crossings or occlusion, masks true: mean error, median / worst, mm"]
-    assert any("off by f" in what for what in found)

@@ -10,7 +10,10 @@ from benchmarks.real_images import Options, pad, without_thread
 
 DATA = Path("../shared/data")
 STEREO = DATA / "real_stereo"
-pytestmark = pytest.mark.skipif(not STEREO.is_dir(), reason=f"the real pictures are not under {STEREO}")
+pytestmark = [
+    pytest.mark.renders,
+    pytest.mark.skipif(not STEREO.is_dir(), reason=f"the real pictures are not under {STEREO}"),
+]
 
 
 @pytest.mark.parametrize("name", ["pad_0", "pad_2", "pad_3"])

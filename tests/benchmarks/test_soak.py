@@ -27,7 +27,3 @@ def test_an_hour_tells_what_is_flat(percent, judged):
 def test_a_few_minutes_of_noise_tell_nothing():
     short = AT_S[:60]
     assert trend(short, samples(0.0, noise_mb=2.0, at_s=short)).judgement == "not sure"
-
-
-def test_too_few_samples_tell_nothing():
-    assert trend(AT_S[:2], samples(0.0)[:2]).judgement == "not sure"

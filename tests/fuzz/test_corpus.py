@@ -8,6 +8,7 @@ from tests.fuzz.__main__ import CORPUS, NAMES, changed, fails
 from tests.fuzz.targets import TARGETS, seeds
 
 CHANGED = 200
+pytestmark = pytest.mark.fuzz
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -30,7 +30,7 @@ BOOT_S, LINE_S, RUNNING_S = 60.0, 60.0, 120.0
 SYSTEM_PYTHON = Path("/usr/bin/python3")
 OF_THEIR_OWN = "/tmp", "/var/tmp", "/home", "/root", "/run"  # noqa: S108 - where nothing is written
 """Folders that containers and hardened units have for themselves: a checkout in one is not there for them."""
-pytestmark = pytest.mark.timeout(400)
+pytestmark = [pytest.mark.hosts, pytest.mark.timeout(400)]
 
 
 class Machine:

@@ -7,7 +7,7 @@ from benchmarks.intruder_rig import CannotError
 from schemas.topics import TOPICS, Delivery
 
 # what it takes to start all processes, and to wait for a plan, may both fall to one test
-pytestmark = pytest.mark.timeout(600)
+pytestmark = [pytest.mark.hosts, pytest.mark.timeout(600)]
 MESSAGES = 2000
 
 

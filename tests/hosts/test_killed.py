@@ -17,7 +17,7 @@ AGENTS = {
 }
 """Commands, and the kinds of agents that they run."""
 # what it takes to start all processes, and to wait for a plan, may both fall to one test
-pytestmark = pytest.mark.timeout(600)
+pytestmark = [pytest.mark.rig, pytest.mark.timeout(600)]
 FEEDS_THREADS = ("simulator", "camera", "perception", "reconstruction")
 
 
@@ -119,6 +119,7 @@ def test_a_goal_is_planned_after_every_agent_was_restarted(planned):
     assert planned().waypoints
 
 
+@pytest.mark.essential
 def test_a_router_that_was_killed_and_started_again_finds_all_agents(ear, processes, planned, until):
     processes.kill("router")
     processes.start("router")

@@ -24,7 +24,7 @@ PORT = 7447
 LEASE_S = 2.0
 """After so long of silence, the router closes the links of a host."""
 # what it takes to start all processes, and to wait for a plan, may both fall to one test
-pytestmark = pytest.mark.timeout(600)
+pytestmark = [pytest.mark.hosts, pytest.mark.timeout(600)]
 SIDES = tuple(host for host in RUNS if host != ROUTER)
 
 

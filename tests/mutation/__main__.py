@@ -46,7 +46,7 @@ def main() -> int:
     """Draw the mutants, or try them and the past defects."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", nargs="?", choices=("try", "draw"), default="try")
-    parser.add_argument("--seed", type=int, default=20261127)
+    parser.add_argument("--seed", type=int, default=20261128)
     parser.add_argument("--count", type=int, default=150)
     parser.add_argument("--limit", type=float, default=240.0, metavar="S", help="seconds of tests for each defect")
     parser.add_argument("--copies", type=int, default=2, help="defects that are tried at a time")
@@ -60,11 +60,9 @@ def main() -> int:
         return 0
     ran = Ran(options.coverage, options.durations, ROOT)
     defects = [*_past(), *(Mutant(**each) for each in json.loads(MUTANTS.read_text())["mutants"])]
+    broken: set[str] = set()
     with _copies(options.copies) as copies, ThreadPoolExecutor(options.copies) as threads:
-        found = list(threads.map(lambda defect: _tried(defect, ran, copies, options.limit), defects))
-        killers = sorted({each.killed_by for each in found if each.killed_by})
-        broken = _failing(copies.get(), killers, 60.0 * len(killers))
-    found = [dataclasses.replace(each, killed_by=None) if each.killed_by in broken else each for each in found]
+        found = list(threads.map(lambda defect: _tried(defect, ran, copies, options.limit, broken), defects))
     options.output.parent.mkdir(exist_ok=True)
     options.output.write_text(json.dumps([dataclasses.asdict(each) for each in found], indent=1) + "\n")
     _told(found, broken)
@@ -85,6 +83,8 @@ def _copies(count: int) -> Generator["SimpleQueue[Path]"]:
             _git("clone", "--quiet", str(ROOT), str(copy))
             (copy / ".venv").symlink_to(ROOT / ".venv")
             free.put(copy)
+        if (beside := ROOT.parent / "shared").is_dir():
+            (Path(folder) / "shared").symlink_to(beside)
         yield free
 
 
@@ -92,12 +92,20 @@ def _git(*arguments: str) -> None:
     subprocess.run([shutil.which("git") or "git", *arguments], check=True)
 
 
-def _tried(defect: Mutant | Path, ran: Ran, copies: "SimpleQueue[Path]", limit_s: float) -> Found:
+def _tried(defect: Mutant | Path, ran: Ran, copies: "SimpleQueue[Path]", limit_s: float, broken: set[str]) -> Found:
     copy = copies.get()
     try:
         name, lines = _put_in(defect, copy)
-        tests = ran.of(lines)
+        tests = [test for test in ran.of(lines) if test not in broken]
         killer, tried = _first_failing(copy, tests, ran, limit_s)
+        while killer is not None:
+            _git("-C", str(copy), "checkout", "--quiet", ".")
+            if not _failing(copy, [killer], 300.0):
+                break
+            broken.add(killer)
+            _put_in(defect, copy)
+            tests = [test for test in tests if test not in broken]
+            killer, tried = _first_failing(copy, tests, ran, limit_s)
     finally:
         _git("-C", str(copy), "checkout", "--quiet", ".")
         copies.put(copy)
@@ -158,7 +166,7 @@ def _failing(copy: Path, tests: list[str], within_s: float, *, first: bool = Fal
     report = listed.with_name("report.txt")
     report.unlink(missing_ok=True)
     command = [str(copy / ".venv" / "bin" / "python"), "-m", "pytest", "-q", "-p", "no:cacheprovider", "-rN"]
-    command += ["-p", "tests.mutation.reported", "--timeout=60", *(["-x"] if first else []), f"@{listed}"]
+    command += ["-p", "tests.mutation.reported", "--timeout=120", *(["-x"] if first else []), f"@{listed}"]
     environment = {
         **os.environ,
         "PYTHONPATH": str(copy),
@@ -178,7 +186,7 @@ def _failing(copy: Path, tests: list[str], within_s: float, *, first: bool = Fal
     return failed
 
 
-def _told(found: list[Found], broken: list[str]) -> None:
+def _told(found: list[Found], broken: set[str]) -> None:
     past = len(_past())
     for kind, some in (("past defects", found[:past]), ("mutants", found[past:])):
         killed = sum(each.killed_by is not None for each in some)
@@ -186,7 +194,7 @@ def _told(found: list[Found], broken: list[str]) -> None:
     for each in found:
         if each.killed_by is None:
             sys.stdout.write(f"  lives: {each.defect} ({each.tried} of {each.tests} tests ran)\n")
-    for test in broken:
+    for test in sorted(broken):
         sys.stdout.write(f"  fails without a defect: {test}\n")
 
 

@@ -30,21 +30,27 @@ class Ran:
         self._measured = {self._below(path): path for path in self._data.measured_files()}
 
     def of(self, lines: list[tuple[str, int]]) -> list[str]:
-        """The tests that ran any of some lines, by (path, line): the quickest of each file, then the next of each."""
+        """The tests that ran any of some lines, (path, line): nearest in the tree first, by turns of their files."""
+        tests = {test for path, line in lines for test in self._tests(path, line, inside=True)}
+        tests = tests or {test for path, line in lines for test in self._tests(path, line, inside=False)}
         by_file: dict[str, list[str]] = defaultdict(list)
-        tests = {test for path, line in lines for test in self._tests(path, line)}
         for test in sorted(tests, key=lambda test: (self.seconds(test), test)):
             by_file[test.partition("::")[0]].append(test)
-        turns = [(number, self.seconds(test), test) for some in by_file.values() for number, test in enumerate(some)]
-        return [test for _, _, test in sorted(turns)]
+        turns = [
+            (-max(_near(path, file) for path, _ in lines), number, self.seconds(test), test)
+            for file, some in by_file.items()
+            for number, test in enumerate(some)
+        ]
+        return [test for *_, test in sorted(turns)]
 
     def seconds(self, test: str) -> float:
         """How long a test took, with its fixtures."""
         return self._seconds.get(test, 1.0)
 
-    def _tests(self, path: str, line: int) -> set[str]:
-        statement, inside = _statement(ast.parse((self._root / path).read_text()), line)
-        if statement is None:
+    def _tests(self, path: str, line: int, *, inside: bool) -> set[str]:
+        """The tests of a line in a function, or of a line that runs when its module is read."""
+        statement, in_function = _statement(ast.parse((self._root / path).read_text()), line)
+        if statement is None or in_function is not inside:
             return set()
         if inside:
             return self._of_lines(path, range(statement.lineno, (statement.end_lineno or line) + 1))
@@ -81,6 +87,12 @@ class Ran:
                 for name, lines in _used(ast.parse(file.read_text())):
                     users[name].add((str(file.relative_to(self._root)), lines))
         return users
+
+
+def _near(path: str, test: str) -> int:
+    """How many of a path's parts a test's path begins with."""
+    pairs = zip(Path(path).parts, Path(test).parts[1:], strict=False)
+    return next((number for number, (one, other) in enumerate(pairs) if one != other), 0)
 
 
 def _durations(report: Path) -> Iterator[tuple[str, float]]:

@@ -5,7 +5,6 @@ import enum
 import pathlib
 import typing
 
-import numpy as np
 import pytest
 from google.protobuf.descriptor import FieldDescriptor
 from google.protobuf.descriptor_pb2 import FileDescriptorProto, FileDescriptorSet
@@ -76,10 +75,8 @@ def test_every_dataclass_has_a_proto_message_and_the_other_way_round():
 
 @pytest.mark.parametrize("name", MESSAGES)
 def test_a_message_has_the_same_fields_of_the_same_kinds_in_the_same_order(name):
-    declared = {field: declared_kind(annotation) for field, annotation in fields_of(MESSAGES[name]).items()}
-    on_the_wire = {field.name: wire_kind(field) for field in WIRE.message_types_by_name[name].fields}
-    assert declared == on_the_wire
-    assert list(declared) == list(on_the_wire)
+    declared = [(field, declared_kind(annotation)) for field, annotation in fields_of(MESSAGES[name]).items()]
+    assert declared == [(field.name, wire_kind(field)) for field in WIRE.message_types_by_name[name].fields]
 
 
 def test_every_enum_has_the_same_names_and_numbers():
@@ -89,15 +86,6 @@ def test_every_enum_has_the_same_names_and_numbers():
         prefix = "".join(f"_{letter}" if letter.isupper() else letter for letter in name).strip("_").upper()
         expected = {f"{prefix}_UNSPECIFIED": 0} | {f"{prefix}_{member.name}": member.value for member in members}
         assert on_the_wire == expected
-
-
-def test_arrays_are_declared_with_one_element_type_of_that_the_codec_knows():
-    for name, message_type in MESSAGES.items():
-        for field, annotation in fields_of(message_type).items():
-            if is_array(without_none(annotation)):
-                dtypes = {np.dtype(dtype) for dtype in without_none(annotation).dtypes}
-                known = ({np.dtype("f8")}, {np.dtype("i8")}, {np.dtype("?")}, {np.dtype("u1")})
-                assert dtypes in known, f"{name}.{field}"
 
 
 def test_the_committed_code_is_what_protoc_generates(tmp_path):
@@ -111,13 +99,5 @@ def test_the_committed_code_is_what_protoc_generates(tmp_path):
         for field in message.field:
             field.ClearField("json_name")
     assert committed == file, "run `make protos`"
-
-
-def test_the_committed_type_stubs_are_what_protoc_generates(tmp_path):
-    generated_now(tmp_path)
-    name = "suturegrasp_pb2.pyi"
-    assert (tmp_path / name).read_text() == (SCHEMAS / "generated" / name).read_text(), "run `make protos`"
-
-
-def test_the_proto_file_imports_nothing():
-    assert list(WIRE.dependencies) == []
+    stubs = "suturegrasp_pb2.pyi"
+    assert (tmp_path / stubs).read_text() == (SCHEMAS / "generated" / stubs).read_text(), "run `make protos`"

@@ -19,7 +19,7 @@ def fitted(curve, control_points=20):
     return knots, make_lsq_spline(s, curve(s), knots, 3).c
 
 
-def polyline_length(knots, P, until=1.0, points=200_001):
+def polyline_length(knots, P, until=1.0, points=60_001):
     curve = evaluate(knots, P, 3, np.linspace(0, until, points))
     return np.linalg.norm(np.diff(curve, axis=0), axis=1).sum()
 
@@ -36,12 +36,6 @@ def test_length_along_a_straight_line_is_the_distance_from_its_start(seed):
     assert np.isclose(length(KNOTS, P, 3), along[-1] * np.linalg.norm(direction), rtol=1e-12)
 
 
-def test_length_of_a_fitted_circle_is_its_circumference():
-    knots, P = fitted(lambda s: 5 * np.column_stack((np.cos(2 * np.pi * s), np.sin(2 * np.pi * s), 0 * s)))
-    assert length(knots, P, 3) == pytest.approx(10 * np.pi, rel=1e-5)
-    assert lengths_until(knots, P, 3, np.array([0.25]))[0] == pytest.approx(2.5 * np.pi, rel=1e-4)
-
-
 def test_length_of_a_fitted_parabola_is_the_closed_form():
     knots, P = fitted(lambda s: np.column_stack((s, s**2, 0 * s)), control_points=4)
     s = np.linspace(0, 1, 11)
@@ -49,19 +43,19 @@ def test_length_of_a_fitted_parabola_is_the_closed_form():
     assert np.allclose(lengths_until(knots, P, 3, s), closed, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(6))
+def winding(rng):
+    return make_interp_spline(np.linspace(0, 1, 8), rng.normal(size=(8, 3)))(np.linspace(0, 1, 20))
+
+
+@pytest.mark.parametrize("seed", range(2))
 def test_length_of_a_winding_curve_is_that_of_a_fine_polyline(seed):
     rng = np.random.default_rng(seed)
-    P = make_interp_spline(np.linspace(0, 1, 8), rng.normal(size=(8, 3)))(np.linspace(0, 1, 20))
-    for until in (0.1234, 0.5, 1.0):
+    P = winding(rng)
+    for until in (0.1234, 1.0):
         ours = lengths_until(KNOTS, P, 3, np.array([until]))[0]
         assert ours == pytest.approx(polyline_length(KNOTS, P, until), rel=2e-6)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_length_of_a_curve_that_turns_back_at_cusps_is_that_of_a_fine_polyline(seed):
-    P = np.random.default_rng(seed).normal(size=(20, 1)) * [[1.0, 2.0, 3.0]]
-    assert length(KNOTS, P, 3) == pytest.approx(polyline_length(KNOTS, P), rel=2e-3)
+    cusps = rng.normal(size=(20, 1)) * [[1.0, 2.0, 3.0]]
+    assert length(KNOTS, cusps, 3) == pytest.approx(polyline_length(KNOTS, cusps), rel=2e-3)
 
 
 @given(P=CONTROL_POINTS, s=st.lists(st.floats(-0.5, 1.5), min_size=2, max_size=30))
@@ -70,12 +64,6 @@ def test_length_never_decreases_along_any_curve_and_stays_within_the_whole(P, s)
     lengths = lengths_until(knots, P, 3, np.append(np.sort(s), 1.0))
     assert lengths[0] >= 0
     assert (np.diff(lengths) >= 0).all()
-
-
-@given(P=CONTROL_POINTS, factor=st.floats(1e-100, 1e100))
-def test_length_scales_with_the_curve(P, factor):
-    knots = clamped_uniform_knots(len(P))
-    assert length(knots, factor * P, 3) == pytest.approx(factor * length(knots, P, 3), rel=1e-9)
 
 
 @given(P=CONTROL_POINTS, share=st.lists(st.floats(0, 1), min_size=1, max_size=20).map(np.array))
@@ -88,17 +76,12 @@ def test_parameters_at_an_arc_length_have_that_arc_length(P, share):
     assert np.allclose(lengths_until(knots, P, 3, s), share * total, rtol=0, atol=2e-3 * total)
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_parameters_of_a_winding_curve_are_exact(seed):
-    rng = np.random.default_rng(seed)
-    P = make_interp_spline(np.linspace(0, 1, 8), rng.normal(size=(8, 3)))(np.linspace(0, 1, 20))
+def test_parameters_of_a_winding_curve_are_exact_and_beyond_its_ends_those_of_the_ends():
+    rng = np.random.default_rng(0)
+    P = winding(rng)
     arc_lengths = np.sort(rng.uniform(0, length(KNOTS, P, 3), 50))
     s = parameters_at(KNOTS, P, 3, arc_lengths)
     assert np.allclose(lengths_until(KNOTS, P, 3, s), arc_lengths, rtol=0, atol=1e-7 * arc_lengths[-1])
-
-
-def test_arc_lengths_beyond_the_ends_give_the_ends():
-    P = np.random.default_rng(0).normal(size=(20, 3))
     assert np.allclose(parameters_at(KNOTS, P, 3, np.array([-1.0, 1e6])), [0, 1], atol=1e-12)
 
 
@@ -111,7 +94,7 @@ def test_even_parameters_cut_a_curve_into_chords_of_one_length():
 
 
 @given(data=st.data(), m=st.integers(4, 12))
-@settings(max_examples=80)
+@settings(max_examples=25)
 def test_control_points_of_any_size_give_lengths_and_parameters_without_an_exception(data, m):
     P = data.draw(arrays(np.float64, (m, 3), elements=NUMBERS))
     knots, s = clamped_uniform_knots(m), np.linspace(0, 1, 9)
@@ -121,19 +104,12 @@ def test_control_points_of_any_size_give_lengths_and_parameters_without_an_excep
     assert ((even >= 0) & (even <= 1)).all()
 
 
-def test_a_curve_without_length_has_length_zero_and_evenly_spaced_parameters():
+def test_curves_without_length_without_numbers_and_without_bounds_have_an_answer_too():
     for P in (np.zeros((20, 3)), np.full((20, 3), 7.0)):
         assert length(KNOTS, P, 3) == pytest.approx(0, abs=1e-12)
-        assert ((even_parameters(KNOTS, P, 3, 5) >= 0) & (even_parameters(KNOTS, P, 3, 5) <= 1)).all()
     assert np.array_equal(even_parameters(KNOTS, np.zeros((20, 3)), 3, 5), np.linspace(0, 1, 5))
-
-
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_control_points_that_are_no_numbers_give_no_number_for_a_length(bad):
-    P = np.ones((20, 3))
-    P[3, 1] = bad
-    assert np.isnan(length(KNOTS, P, 3))
-
-
-def test_a_length_beyond_the_range_of_a_float_is_infinite():
+    for bad in (np.nan, np.inf):
+        spoilt = np.ones((20, 3))
+        spoilt[3, 1] = bad
+        assert np.isnan(length(KNOTS, spoilt, 3))
     assert length(KNOTS, np.outer(np.tile([1e308, -1e308], 10), np.ones(3)), 3) == np.inf

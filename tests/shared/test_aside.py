@@ -23,13 +23,3 @@ def test_it_is_done_while_whoever_began_it_goes_on():
 def test_what_it_raises_comes_to_whoever_asks():
     with pytest.raises(ZeroDivisionError):
         begun(divmod, 1, 0).result(10.0)
-
-
-def test_no_thread_is_left_of_it():
-    before = threading.active_count()
-    for _ in range(20):
-        begun(int).result(10.0)
-    for thread in threading.enumerate():
-        if thread.name.startswith("ThreadPoolExecutor"):
-            thread.join(10.0)
-    assert threading.active_count() <= before

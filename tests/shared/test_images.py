@@ -5,33 +5,28 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from schemas.messages import Image, ImageEncoding
+from schemas.messages import ImageEncoding
 from shared.images import ImageDataError, decode_image, encode_image
 
 RNG = np.random.default_rng(1)
 COLOUR = RNG.integers(0, 256, (37, 41, 3), dtype=np.uint8)
 GREY = RNG.integers(0, 256, (37, 41), dtype=np.uint8)
 SMOOTH = np.add.outer(np.arange(37), np.arange(41)).astype(np.uint8)
-lossless = pytest.mark.parametrize("encoding", [ImageEncoding.RAW, ImageEncoding.PNG])
 compressed = pytest.mark.parametrize("encoding", [ImageEncoding.PNG, ImageEncoding.JPEG])
 
 
-@lossless
-@pytest.mark.parametrize("pixels", [COLOUR, GREY], ids=["colour", "grey"])
+@pytest.mark.parametrize("encoding", [ImageEncoding.RAW, ImageEncoding.PNG])
+@pytest.mark.parametrize("pixels", [COLOUR, GREY, COLOUR[5:20, 3:30:2]], ids=["colour", "grey", "a window"])
 def test_pixels_come_back_as_they_were(encoding, pixels):
     found = decode_image(encode_image(pixels, encoding))
     assert (found.dtype, found.shape) == (pixels.dtype, pixels.shape)
     assert (found == pixels).all()
 
 
-@lossless
-def test_a_window_of_an_image_is_encoded_as_it_looks(encoding):
-    assert (decode_image(encode_image(COLOUR[5:20, 3:30:2], encoding)) == COLOUR[5:20, 3:30:2]).all()
-
-
 @pytest.mark.parametrize("pixels", [np.stack([SMOOTH] * 3, axis=2), SMOOTH], ids=["colour", "grey"])
-def test_jpeg_is_close(pixels):
-    found = decode_image(encode_image(pixels, ImageEncoding.JPEG))
+def test_jpeg_is_close_and_the_padding_of_a_capture_card_does_no_harm(pixels):
+    whole = encode_image(pixels, ImageEncoding.JPEG)
+    found = decode_image(dataclasses.replace(whole, data=whole.data + bytes(500)))
     assert found.shape == pixels.shape
     assert np.abs(found.astype(int) - pixels).max() <= 4
 
@@ -44,23 +39,14 @@ def test_half_an_image_is_refused(encoding):
             decode_image(dataclasses.replace(whole, data=whole.data[:kept]))
 
 
-def test_the_padding_of_a_capture_card_does_no_harm():
-    whole = encode_image(SMOOTH, ImageEncoding.JPEG)
-    padded = dataclasses.replace(whole, data=whole.data + bytes(500))
-    assert (decode_image(padded) == decode_image(whole)).all()
-
-
-def test_an_image_of_another_encoding_than_it_says_is_refused():
-    png = encode_image(COLOUR, ImageEncoding.PNG)
-    with pytest.raises(ImageDataError, match="no such image"):
-        decode_image(dataclasses.replace(png, encoding=ImageEncoding.JPEG))
-
-
 @compressed
-def test_an_image_of_another_size_than_it_says_is_refused(encoding):
+def test_an_image_of_another_encoding_or_size_than_it_says_is_refused(encoding):
     whole = encode_image(COLOUR, encoding)
     with pytest.raises(ImageDataError, match="decodes to 41x37, not to 82x37"):
         decode_image(dataclasses.replace(whole, width=82))
+    other = ImageEncoding.JPEG if encoding is ImageEncoding.PNG else ImageEncoding.PNG
+    with pytest.raises(ImageDataError, match="no such image"):
+        decode_image(dataclasses.replace(whole, encoding=other))
 
 
 @settings(max_examples=40, deadline=None)
@@ -75,9 +61,3 @@ def test_damaged_bytes_are_pixels_of_that_size_or_an_image_data_error(data, enco
         assert decode_image(dataclasses.replace(whole, data=bytes(damaged))).shape == SMOOTH.shape
     except ImageDataError as error:
         assert "\n" not in str(error)
-
-
-@given(garbage=st.binary(min_size=1, max_size=60), encoding=st.sampled_from([ImageEncoding.PNG, ImageEncoding.JPEG]))
-def test_garbage_is_refused(garbage, encoding):
-    with pytest.raises(ImageDataError):
-        decode_image(Image(encoding, 4, 4, 1, garbage))

@@ -13,13 +13,13 @@ from shared.images import ImageDataError, decode_image
 from shared.jpeg import jpeg_damage
 
 NOISE = cv2.GaussianBlur(np.random.default_rng(0).integers(0, 256, (75, 101, 3), dtype=np.uint8), (0, 0), 1.0)
-SAMPLINGS = {
-    "444": cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
-    "422": cv2.IMWRITE_JPEG_SAMPLING_FACTOR_422,
-    "420": cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420,
-    "440": cv2.IMWRITE_JPEG_SAMPLING_FACTOR_440,
-    "411": cv2.IMWRITE_JPEG_SAMPLING_FACTOR_411,
-}
+SAMPLINGS = (
+    cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
+    cv2.IMWRITE_JPEG_SAMPLING_FACTOR_422,
+    cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420,
+    cv2.IMWRITE_JPEG_SAMPLING_FACTOR_440,
+    cv2.IMWRITE_JPEG_SAMPLING_FACTOR_411,
+)
 PLAIN, PROGRESSIVE, RESTARTS = (), (cv2.IMWRITE_JPEG_PROGRESSIVE, 1), (cv2.IMWRITE_JPEG_RST_INTERVAL, 3)
 
 
@@ -42,12 +42,12 @@ def restarts_of(data):
 
 
 @pytest.mark.parametrize("options", [PLAIN, PROGRESSIVE, RESTARTS, (*PROGRESSIVE, *RESTARTS)], ids=str)
-@pytest.mark.parametrize("sampling", SAMPLINGS)
-def test_what_opencv_writes_is_whole(options, sampling):
-    for height, width in [(75, 101), (16, 16), (1, 1), (9, 100)]:
-        for pixels in (NOISE[:height, :width], NOISE[:height, :width, 0]):
-            data = jpeg(pixels, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, SAMPLINGS[sampling], *options)
-            assert jpeg_damage(data) == ""
+def test_what_opencv_writes_is_whole(options):
+    for sampling in SAMPLINGS:
+        for height, width in [(75, 101), (1, 1), (9, 100)]:
+            for pixels in (NOISE[:height, :width], NOISE[:height, :width, 0]):
+                data = jpeg(pixels, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, sampling, *options)
+                assert jpeg_damage(data) == ""
 
 
 def test_what_ffmpeg_writes_is_whole(tmp_path):
@@ -75,21 +75,23 @@ def test_the_padding_of_a_capture_card_and_fill_bytes_are_no_damage(kind):
 @each_kind
 def test_what_is_cut_off_is_told_wherever_it_is_cut(kind):
     data = WHOLE[kind]
-    assert all(jpeg_damage(data[:length]) for length in range(len(data)))
+    header = data_at(data)
+    places = [*range(0, header, 7), *range(header, len(data), 211), *range(len(data) - 20, len(data))]
+    assert all(jpeg_damage(data[:length]) for length in places)
 
 
 def test_an_end_that_comes_too_early_is_told_where_there_are_restarts():
     data = WHOLE["restarts"]
     # what is missing behind the last one cannot be told
-    for place in restarts_of(data)[:-1]:
+    for place in restarts_of(data)[:-1:5]:
         assert "so it is not whole" in jpeg_damage(data[: place + 5] + b"\xff\xd9")
 
 
-@pytest.mark.parametrize("marker", [*range(1, 0xD9), *range(0xDA, 0xFF)])
-def test_a_marker_amid_the_image_data_of_a_camera_is_told(marker):
+def test_any_marker_amid_the_image_data_of_a_camera_is_told():
     data = WHOLE["plain"]
     middle = (data_at(data) + len(data)) // 2
-    assert jpeg_damage(data[:middle] + bytes([0xFF, marker]) + data[middle + 2 :])
+    for marker in (*range(1, 0xD9), *range(0xDA, 0xFF)):
+        assert jpeg_damage(data[:middle] + bytes([0xFF, marker]) + data[middle + 2 :]), hex(marker)
 
 
 def test_a_restart_marker_that_is_missing_doubled_or_exchanged_is_told():
@@ -117,7 +119,7 @@ def decoded(data):
     return decode_image(Image(ImageEncoding.JPEG, width, height, 3, data))
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(kind=st.sampled_from(list(WHOLE)), chance=st.data())
 def test_damaged_bytes_are_an_image_or_one_sentence(kind, chance):
     damaged = bytearray(WHOLE[kind])
@@ -130,11 +132,9 @@ def test_damaged_bytes_are_an_image_or_one_sentence(kind, chance):
                 length = min(chance.draw(st.integers(1, 300)), len(damaged) - begin)
                 damaged[begin : begin + length] = bytes(length)
             case "cut":
-                del damaged[begin : begin + chance.draw(st.integers(1, 300))]
+                del damaged[begin : min(begin + chance.draw(st.integers(1, 300)), len(damaged) - 1)]
             case _:
                 damaged[begin:begin] = damaged[begin : begin + chance.draw(st.integers(1, 300))]
-        if not damaged:
-            return
     said = jpeg_damage(bytes(damaged))
     assert "\n" not in said
     if said:

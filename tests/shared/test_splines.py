@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.integrate import quad_vec
 from scipy.interpolate import BSpline
 
 from shared.splines import basis_matrix, clamped_uniform_knots, difference_matrix, evaluate
@@ -29,6 +28,7 @@ def test_too_few_control_points_are_refused_with_the_number_that_is_needed():
         clamped_uniform_knots(3)
 
 
+@settings(max_examples=20)
 @given(
     size=st.sampled_from(SIZES),
     seed=st.integers(0, 999),
@@ -45,6 +45,7 @@ def test_curve_and_derivatives_are_those_of_scipy(size, seed, s, data):
     assert np.allclose(basis_matrix(knots, degree, s, derivative) @ P, theirs, rtol=0, atol=1e-12 * scale)
 
 
+@settings(max_examples=10)
 @given(size=st.sampled_from(SIZES), s=st.lists(st.floats(0, 1), min_size=1, max_size=20).map(np.array))
 def test_basis_is_a_partition_of_unity_without_negative_parts(size, s):
     control_points, degree = size
@@ -53,16 +54,6 @@ def test_basis_is_a_partition_of_unity_without_negative_parts(size, s):
     assert basis.min() >= 0
     assert np.allclose(basis.sum(axis=1), 1, rtol=1e-14)
     assert (np.count_nonzero(basis, axis=1) <= degree + 1).all()
-
-
-def test_derivatives_agree_with_central_differences():
-    knots, P = random_spline(1)
-    h = 1e-6
-    middle = np.linspace(0.001, 0.999, 50)
-    for order in (1, 2):
-        below, above = (evaluate(knots, P, 3, middle + step, order - 1) for step in (-h, h))
-        exact = evaluate(knots, P, 3, middle, order)
-        assert np.allclose((above - below) / (2 * h), exact, rtol=0, atol=1e-5 * np.abs(exact).max())
 
 
 def test_third_derivative_is_constant_on_each_span_and_has_its_difference_matrix_for_values():
@@ -75,35 +66,9 @@ def test_third_derivative_is_constant_on_each_span_and_has_its_difference_matrix
     assert np.allclose(third[:, 0], difference_matrix(knots, 3, 3) @ P, rtol=1e-12)
 
 
-def test_ends_are_the_first_and_last_control_points_with_tangents_along_the_first_and_last_legs():
-    knots, P = random_spline(3)
-    ends = np.array([0.0, 1.0])
-    assert np.allclose(evaluate(knots, P, 3, ends), P[[0, -1]], rtol=1e-15)
-    legs = 3 * 17 * np.array([P[1] - P[0], P[-1] - P[-2]])
-    assert np.allclose(evaluate(knots, P, 3, ends, 1), legs, rtol=1e-12)
-
-
-def test_parameters_beyond_the_ends_give_the_ends():
+def test_parameters_beyond_the_ends_give_the_ends_and_no_parameters_no_points():
     knots, P = random_spline(4)
     assert np.array_equal(evaluate(knots, P, 3, np.array([-0.5, 1.5])), evaluate(knots, P, 3, np.array([0.0, 1.0])))
-
-
-def test_no_parameters_give_no_points():
-    knots, P = random_spline(5)
     for derivative in range(4):
         assert evaluate(knots, P, 3, np.zeros(0), derivative).shape == (0, 3)
         assert basis_matrix(knots, 3, np.zeros(0), derivative).shape == (0, 20)
-
-
-def test_control_points_at_the_grevilles_of_the_knots_give_the_identity():
-    knots = clamped_uniform_knots(20)
-    greville = np.array([knots[k + 1 : k + 4].mean() for k in range(20)])
-    s = np.linspace(0, 1, 101)
-    assert np.allclose(evaluate(knots, greville[:, None], 3, s)[:, 0], s, atol=1e-15)
-    assert np.allclose(evaluate(knots, greville[:, None], 3, s, 1), 1, rtol=1e-13)
-
-
-def test_integral_of_the_derivative_is_the_way_from_end_to_end():
-    knots, P = random_spline(6)
-    way, _ = quad_vec(lambda s: evaluate(knots, P, 3, np.array([s]), 1)[0], 0, 1, points=knots[4:-4])
-    assert np.allclose(way, P[-1] - P[0], rtol=1e-9)

@@ -4,13 +4,14 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
 from shared.success_rates import difference_over_threads, mcnemar, wilson
 
 
+@settings(max_examples=15)
 @given(st.integers(1, 300).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
 def test_the_interval_of_a_rate_is_scipys(counts):
     successes, trials = counts
@@ -18,16 +19,12 @@ def test_the_interval_of_a_rate_is_scipys(counts):
     assert wilson(successes, trials) == pytest.approx((expected.low, expected.high), abs=1e-12)
 
 
+@settings(max_examples=15)
 @given(st.integers(0, 80), st.integers(0, 80))
 def test_the_paired_test_is_scipys_binomial(first_only, second_only):
     differ = first_only + second_only
     expected = binomtest(first_only, differ).pvalue if differ else None
     assert mcnemar(first_only, second_only) == (None if expected is None else pytest.approx(expected, rel=1e-9))
-
-
-def test_without_trials_nothing_is_told():
-    assert wilson(0, 0) is None
-    assert mcnemar(0, 0) is None
 
 
 @pytest.mark.parametrize(
@@ -47,10 +44,9 @@ def test_the_interval_over_threads_is_that_of_every_way_to_draw_them(counts):
     assert low[1] <= found.high <= high[1]
 
 
-def test_threads_that_are_all_alike_differ_by_nothing():
+def test_without_trials_nothing_is_told_and_little_of_threads_that_are_alike_or_one():
+    assert wilson(0, 0) is None
+    assert mcnemar(0, 0) is None
     assert difference_over_threads(np.array([(9, 10, 10, 10)] * 4)) == pytest.approx((0.1, 0.1))
-
-
-def test_one_thread_or_one_tried_with_one_policy_says_nothing_of_others():
     assert difference_over_threads(np.array([(9, 10, 10, 10)])) is None
     assert difference_over_threads(np.array([(9, 10, 10, 10), (5, 5, 0, 0)])) is None

@@ -18,8 +18,9 @@ from shared.worker_pool import worker_pool
 # what is started in the background may have been told to ignore it
 signal.signal(signal.SIGINT, signal.default_int_handler)
 with worker_pool(2) as pool:
-    endless = [pool.submit(signal.pause) for _ in range(2)]
-    print(*pool._processes, flush=True)
+    # each says who it is once it is at work: by then, whoever started it waits
+    work = "import os, signal; print(os.getpid(), flush=True); signal.pause()"
+    endless = [pool.submit(exec, work) for _ in range(2)]
     endless[0].result()
 """
 
@@ -46,7 +47,7 @@ def at_work():
     )
     assert process.stdout is not None
     with process:
-        yield process, [int(pid) for pid in process.stdout.readline().split()]
+        yield process, [int(process.stdout.readline()) for _ in range(2)]
         process.kill()
 
 
@@ -60,17 +61,13 @@ def test_workers_end_where_whoever_started_them_is_ended(at_work, until, number)
     until(lambda: not any(map(lives, workers)), "the workers' end")
 
 
-def test_work_is_done_by_processes_of_their_own_which_are_gone_afterwards():
-    with worker_pool(2) as pool:
+def test_work_is_done_by_processes_of_their_own_which_were_made_ready_and_are_gone_afterwards(tmp_path):
+    with worker_pool(2, os.chdir, (tmp_path,)) as pool:
         ran_in = {pool.submit(os.getpid).result() for _ in range(4)}
+        assert Path(pool.submit(os.getcwd).result()) == tmp_path
         workers = list(pool._processes)
     assert os.getpid() not in ran_in
     assert not any(map(lives, workers))
-
-
-def test_each_is_made_ready_first_with_what_it_is_given(tmp_path):
-    with worker_pool(1, os.chdir, (tmp_path,)) as pool:
-        assert Path(pool.submit(os.getcwd).result()) == tmp_path
 
 
 def test_a_worker_that_dies_is_no_silence():

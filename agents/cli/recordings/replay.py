@@ -3,6 +3,7 @@
 import contextlib
 import os
 import sys
+from collections.abc import Generator
 
 from agents.cli.recordings.options import Replay
 from agents.cli.recordings.replay_keys import steered
@@ -69,9 +70,8 @@ def _replay(options: Replay) -> int:
     settings = _settings(options, contents)
     controls = Controls(held=options.step)
     on_stop(controls.stop)
-    if not options.fast and options.rate <= KEPT_RATE:
-        _keep_time()
-    with republishing(settings, waits=options.fast) as republisher:
+    kept = not options.fast and options.rate <= KEPT_RATE
+    with _time_kept() if kept else contextlib.nullcontext(), republishing(settings, waits=options.fast) as republisher:
         selection = _selection(options, contents, republisher, settings.rig)
         _agree(options, selection)
         keys = tuple("/".join((*k.split("/")[:1], settings.rig, *k.split("/")[2:])) for k in selection.keys)
@@ -97,15 +97,24 @@ def _replay(options: Replay) -> int:
     return _told(options, player.played, took_s, flow, stuck or contents.damage)
 
 
-def _keep_time() -> None:
+@contextlib.contextmanager
+def _time_kept() -> Generator[None]:
     """Have this process run before others when its moment has come, where the system lets it.
 
-    All threads that are started from now on do so, since one that is kept waiting with the interpreter's lock in its
-    hand keeps the one that sends waiting too.
+    All threads that are started meanwhile do so, since one that is kept waiting with the interpreter's lock in its hand
+    keeps the one that sends waiting too.
     """
+    interval_s, policy = sys.getswitchinterval(), os.SCHED_OTHER
     sys.setswitchinterval(SWITCH_S)
     with contextlib.suppress(OSError, AttributeError):
+        policy = os.sched_getscheduler(0)
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(interval_s)
+        with contextlib.suppress(OSError, AttributeError):
+            os.sched_setscheduler(0, policy, os.sched_param(0))
 
 
 def _check(options: Replay) -> None:

@@ -52,28 +52,22 @@ def test_side_by_side_images_are_cut_in_their_middle(tmp_path):
     assert ((left == 40).all(), (right == 50).all()) == (True, True)
 
 
-def test_a_loop_begins_again(tmp_path):
-    source = ImageSource(folder(tmp_path / "l", [1, 2]), folder(tmp_path / "r", [3, 4]), loop=True)
+def test_a_loop_begins_again_and_single_files_are_one_pair(tmp_path):
+    left, right = folder(tmp_path / "l", [1, 2]), folder(tmp_path / "r", [3, 4])
+    source = ImageSource(left, right, loop=True)
     pairs = [source.read() for _ in range(5)]
     assert [levels(pair) for pair in pairs if pair] == [[1, 3], [2, 4], [1, 3], [2, 4], [1, 3]]
+    single = ImageSource(left / "000.png", right / "000.png", loop=False)
+    assert [levels(pair) for pair in all_of(single)] == [[1, 3]]
 
 
-def test_single_files_are_a_source_of_one_pair(tmp_path):
-    left, right = folder(tmp_path / "l", [5]) / "000.png", folder(tmp_path / "r", [6]) / "000.png"
-    assert [levels(pair) for pair in all_of(ImageSource(left, right, loop=False))] == [[5, 6]]
-
-
-def test_unequal_counts_are_named_with_both(tmp_path):
+def test_unequal_counts_and_folders_without_images_are_named(tmp_path):
     with pytest.raises(SourceError, match=r"l holds 2 images and .*r holds 1; give equally many"):
         ImageSource(folder(tmp_path / "l", [1, 2]), folder(tmp_path / "r", [1]), loop=False)
-
-
-@pytest.mark.parametrize("there", [True, False], ids=["empty", "absent"])
-def test_a_folder_without_images_is_named_with_what_it_may_hold(tmp_path, there):
-    if there:
-        (tmp_path / "x").mkdir()
-    with pytest.raises(SourceError, match=r"x holds no images \(\.png, \.jpg"):
-        ImageSource(tmp_path / "x", None, loop=False)
+    (tmp_path / "empty").mkdir()
+    for name in ("empty", "absent"):
+        with pytest.raises(SourceError, match=rf"{name} holds no images \(\.png, \.jpg"):
+            ImageSource(tmp_path / name, None, loop=False)
 
 
 def test_a_damaged_image_is_one_sentence_and_the_next_pair_follows(tmp_path):
@@ -99,21 +93,16 @@ def raw(value):
     return np.hstack([picture(value), picture(value + 1)]).tobytes()
 
 
-def test_frames_on_a_pipe_are_each_read_once(pipe, until):
+def test_frames_on_a_pipe_are_each_read_once_when_they_are_whole(pipe, until):
     writer, source = pipe
     for value in (10, 20):
         writer.write(raw(value))
         assert levels(until(source.read)) == [value, value + 1]
     assert source.read() is None
-
-
-def test_a_frame_in_pieces_is_read_when_it_is_whole(pipe, until):
-    writer, source = pipe
     data = raw(33)
-    writer.write(data[:1000])
-    assert source.read() is None
-    writer.write(data[1000:-1])
-    assert source.read() is None
+    for piece in (data[:1000], data[1000:-1]):
+        writer.write(piece)
+        assert source.read() is None
     writer.write(data[-1:] + raw(44)[:10])
     assert levels(until(source.read)) == [33, 34]
 
@@ -145,17 +134,13 @@ def test_the_end_of_a_pipe_is_a_fault_once_the_last_frame_was_read(left_over, sa
         source.close()
 
 
-def test_a_silent_pipe_can_be_closed():
+def test_a_silent_pipe_can_be_closed_and_a_frame_without_two_halves_is_refused():
     read, write = os.pipe()
     with os.fdopen(write, "wb"), os.fdopen(read, "rb") as stream:
+        with pytest.raises(SourceError, match="63 pixels"):
+            PipeSource(stream, 63, HEIGHT)
         source = PipeSource(stream, 2 * WIDTH, HEIGHT)
         closing = threading.Thread(target=source.close, daemon=True)
         closing.start()
         closing.join(60.0)
         assert not closing.is_alive()
-
-
-def test_a_frame_without_two_halves_is_refused():
-    read, write = os.pipe()
-    with os.fdopen(write, "wb"), os.fdopen(read, "rb") as stream, pytest.raises(SourceError, match="63 pixels"):
-        PipeSource(stream, 63, HEIGHT)

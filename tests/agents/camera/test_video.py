@@ -70,18 +70,21 @@ def test_two_videos_are_read_together_until_the_shorter_ends(tmp_path):
     assert np.array([pair for pair, _ in found]) == pytest.approx(np.array([[20, 30], [80, 90]]), abs=3)
 
 
-@pytest.mark.parametrize("suffix", ["mkv", "mp4"])
-@pytest.mark.parametrize("swapped", [False, True])
-def test_frames_that_one_of_two_cameras_missed_cost_their_partners_alone(tmp_path, suffix, swapped):
+@pytest.mark.parametrize(("suffix", "swapped"), [("mkv", False), ("mp4", True)])
+def test_frames_that_one_of_two_cameras_missed_cost_their_partners_alone(tmp_path, caplog, suffix, swapped):
     whole = film(tmp_path / f"a.{suffix}", 30.0, range(12))
     holes = film(tmp_path / f"b.{suffix}", 30.0, [0, 1, 4, 5, 6, 9, 10, 11])
     source = VideoSource(*((holes, whole) if swapped else (whole, holes)))
-    found = all_of(source)
+    assert source.size() == (WIDTH, HEIGHT)
+    with caplog.at_level(logging.WARNING, "suturegrasp.camera.main"):
+        found = all_of(source)
     assert len(found) == 8
     assert source.dropped == ((0, 4) if swapped else (4, 0))
     for (left, right), taken in found:
         assert abs(left - right) <= 3
         assert taken == (0, 0)
+    # said once, and then seldom
+    assert [record.getMessage().split(" of ")[0] for record in caplog.records] == ["1 frames"]
 
 
 def test_videos_of_different_rates_pair_up_with_the_nearest_frames(tmp_path):
@@ -97,28 +100,14 @@ def test_videos_of_different_rates_pair_up_with_the_nearest_frames(tmp_path):
         assert right - left == pytest.approx(100e-9 * (right_ns - left_ns), abs=3)
 
 
-def test_the_size_is_known_before_the_first_pair_and_costs_none(tmp_path):
-    source = VideoSource(film(tmp_path / "l.avi", 10.0, range(3)), film(tmp_path / "r.avi", 10.0, range(3)))
-    assert source.size() == (WIDTH, HEIGHT)
-    assert len(all_of(source)) == 3
-
-
-def test_two_videos_of_different_size_are_refused(tmp_path):
-    left = video(tmp_path / "l.avi", [picture(20)])
-    right = video(tmp_path / "r.avi", [picture(20, 2 * WIDTH)])
-    source = VideoSource(left, right)
+def test_what_is_no_pair_of_videos_is_named(tmp_path):
+    source = VideoSource(video(tmp_path / "l.avi", [picture(20)]), video(tmp_path / "r.avi", [picture(20, 2 * WIDTH)]))
     with pytest.raises(SourceError, match="differ in size: 64x48 and 128x48"):
         source.read()
     source.close()
-
-
-@pytest.mark.parametrize("name", ["/nowhere/film.avi", "97"])
-def test_an_absent_file_or_device_is_named(name):
-    with pytest.raises(SourceError, match=f"OpenCV cannot open '{name}'"):
-        VideoSource(name, None)
-
-
-def test_a_file_and_a_device_are_no_pair():
+    for name in ("/nowhere/film.avi", "97"):
+        with pytest.raises(SourceError, match=f"OpenCV cannot open '{name}'"):
+            VideoSource(name, None)
     with pytest.raises(SourceError, match=r"one of 'film\.avi' and '0' is a file and the other a device"):
         VideoSource("film.avi", "0")
 
@@ -223,19 +212,14 @@ def test_a_device_that_breaks_off_is_named_with_what_to_do(broken):
     assert (left.released, right.released) == (True, True)
 
 
-def test_a_second_device_that_never_delivers_is_named():
+def test_devices_that_never_meet_or_never_deliver_are_told_apart_from_broken_ones():
     clock = Clock()
+    stuck = Device(clock, (50_000.0 + 0.01 * n for n in itertools.count()))
+    source = devices(clock, Device(clock, every(40.0, 900.0, 3)), stuck)
+    with pytest.raises(SourceError, match=f"after {MOST_DROPPED} dropped frames those of '0' and '1' still lie"):
+        source.read()
     source = devices(clock, Device(clock, every(40.0, 0.0, 9)), Device(clock, []))
     with pytest.raises(BrokenOffError, match=r"^video device '1' never gave a frame; check that no other program"):
-        source.read()
-
-
-def test_devices_that_never_meet_are_told_apart_from_broken_ones():
-    clock = Clock()
-    stuck = (50_000.0 + 0.01 * n for n in itertools.count())
-    late = Device(clock, stuck)
-    source = devices(clock, Device(clock, every(40.0, 900.0, 3)), late)
-    with pytest.raises(SourceError, match=f"after {MOST_DROPPED} dropped frames those of '0' and '1' still lie"):
         source.read()
 
 
@@ -257,10 +241,3 @@ def test_a_file_without_stamps_is_counted():
 
     captures = {"l": unstamped(), "r": unstamped()}
     assert len(all_of(VideoSource("l", "r", captures.__getitem__))) == 4
-
-
-def test_dropped_frames_are_said_once_and_then_seldom(tmp_path, caplog):
-    whole, holes = film(tmp_path / "a.mkv", 30.0, range(12)), film(tmp_path / "b.mkv", 30.0, [0, 1, 4, 5, 8, 9])
-    with caplog.at_level(logging.WARNING, "suturegrasp.camera.main"):
-        all_of(VideoSource(whole, holes))
-    assert [record.getMessage().split(" of ")[0] for record in caplog.records] == ["1 frames"]

@@ -50,12 +50,8 @@ def test_every_command_its_sender_and_its_answer_are_written_and_only_added(tmp_
         ):
             list(bridge.step(Command(topic, "psm1", message, NOW_NS)))
         bridge.close()
-    told = lines(path)
-    one = [
-        (line["what"], line.get("sender") or line.get("code") or line.get("outcome", ""))
-        for line in told[: len(told) // 2]
-    ]
-    assert one == [
+    told = [(line["what"], line.get("sender") or line.get("code") or line.get("outcome", "")) for line in lines(path)]
+    assert told == 2 * [
         ("started", ""),
         ("command", "ann"),
         ("answer", "unknown_plan"),
@@ -66,8 +62,7 @@ def test_every_command_its_sender_and_its_answer_are_written_and_only_added(tmp_
         ("answer", "no_states"),
         ("stopped", ""),
     ]
-    assert [line["word"] for line in told if "word" in line] == ["home"] * 2
-    assert [line["what"] for line in told] == 2 * [what for what, _ in one]
+    assert [line["word"] for line in lines(path) if "word" in line] == ["home"] * 2
     assert path.stat().st_mode & 0o777 == 0o640
 
 
@@ -75,7 +70,7 @@ def test_what_was_answered_before_a_kill_is_in_the_file(tmp_path):
     path = tmp_path / "psm1.jsonl"
     with subprocess.Popen([sys.executable, "-c", FOREVER, str(path)], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
-        said = [int(process.stdout.readline()) for _ in range(200)]
+        said = [int(process.stdout.readline()) for _ in range(50)]
         process.kill()
         said += [int(line) for line in process.stdout]
     assert [line["at_ns"] for line in lines(path)][: len(said)] == said

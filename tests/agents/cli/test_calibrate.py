@@ -71,9 +71,7 @@ def test_folders_become_a_calibration_in_three_forms_with_a_report(suturegrasp, 
     assert "more would make it surer" in ended.err
 
 
-def test_a_view_that_contradicts_the_others_and_one_without_a_board_are_named_and_left_out(
-    suturegrasp, pairs, tmp_path
-):
+def test_views_that_contradict_the_others_or_show_no_board_are_left_out(suturegrasp, pairs, tmp_path):
     left, right = pairs[2]
     moved = left, np.roll(right, 9, axis=0)
     empty = left, np.full_like(right, 90)
@@ -104,31 +102,23 @@ def test_exchanged_eyes_make_no_calibration_and_are_named(suturegrasp, folders, 
     assert list((tmp_path / "out").iterdir()) == []
 
 
-def test_a_calibration_is_checked_against_views(suturegrasp, folders, tmp_path):
+def test_a_calibration_is_checked_against_views_in_folders_and_side_by_side(suturegrasp, folders, pairs, tmp_path):
     write_calibration(tmp_path / "right.json", CAMERA)
+    (tmp_path / "both").mkdir()
+    for k, pair in enumerate(pairs[:3]):
+        cv2.imwrite(str(tmp_path / f"both/{k}.png"), np.hstack(pair))
+    both = ("--stereo", tmp_path / "both")
     ended = suturegrasp("calibrate", "check", *SQUARES, *folders, "--calibration", tmp_path / "right.json")
     assert (ended.status, ended.err) == (0, "")
     assert "squares are right to 0." in ended.out.splitlines()[-1]
     larger = ("--squares", 8, 6, "--square", 4.2, *MARKER)
-    ended = suturegrasp("calibrate", "check", *larger, *folders, "--calibration", tmp_path / "right.json")
+    ended = suturegrasp("calibrate", "check", *larger, *both, "--calibration", tmp_path / "right.json")
     assert ended.status == 1 and "squares are off by" in ended.err
     lower = CAMERA.K_right + np.array([[0, 0, 0], [0, 0, 3.0], [0, 0, 0]])
     write_calibration(tmp_path / "lower.json", replace(CAMERA, K_right=lower))
-    ended = suturegrasp("calibrate", "check", *SQUARES, *folders, "--calibration", tmp_path / "lower.json")
+    ended = suturegrasp("calibrate", "check", *SQUARES, *both, "--calibration", tmp_path / "lower.json")
     assert ended.status == 1
     assert re.search(r"rows are [23]\.\d\d px apart", ended.err)
-
-
-def test_images_side_by_side_are_checked_alike(suturegrasp, folders, pairs, tmp_path):
-    write_calibration(tmp_path / "right.json", CAMERA)
-    (tmp_path / "both").mkdir()
-    for k, pair in enumerate(pairs):
-        cv2.imwrite(str(tmp_path / f"both/{k}.png"), np.hstack(pair))
-    one, other = (
-        suturegrasp("calibrate", "check", *SQUARES, *images, "--calibration", tmp_path / "right.json")
-        for images in (folders, ("--stereo", tmp_path / "both"))
-    )
-    assert (one.status, one.out) == (other.status, other.out)
 
 
 def test_images_that_do_not_pair_up_or_differ_in_size_are_refused(suturegrasp, pairs, tmp_path):
@@ -143,6 +133,7 @@ def test_images_that_do_not_pair_up_or_differ_in_size_are_refused(suturegrasp, p
     assert re.search(r"left holds 2 images and .*right holds 1; give equally many", ended.err)
 
 
+@pytest.mark.renders
 def test_the_laparoscope_is_as_good_as_its_makers_say(suturegrasp, data, tmp_path):
     folder = data / "storz_calibration"
     for eye in ("left", "right"):
@@ -190,6 +181,7 @@ def live(suturegrasp, settings, in_threads, tmp_path):
     return run
 
 
+@pytest.mark.slow
 def test_live_frames_become_a_calibration(live, pairs, tmp_path):
     ended, out = live(Held(pairs), 6), tmp_path / "out"
     assert ended.status == 0, ended.err
@@ -207,7 +199,7 @@ def test_live_it_ends_as_soon_as_nothing_is_missing(live, pairs, tmp_path, monke
     assert len(list((tmp_path / "out/left").iterdir())) == 2
     assert "view00 is kept; show it elsewhere" in ended.out
     assert "view01 is kept; nothing is missing" in ended.out
-    assert (ended.status, ended.err.splitlines()[-1].split(": ")[-1][:21]) == (3, "2 views are too few; ")
+    assert (ended.status, "2 views are too few" in ended.err) == (3, True)
 
 
 class LetGo(Held):
@@ -230,29 +222,25 @@ def test_live_ctrl_c_ends_it_with_what_there_is(live, pairs, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "status", "sentence"),
     [
-        (("stereo",), 2, "give --output"),
-        (("stereo", "--output", "{tmp}/new"), 2, "give --left and --right, or --stereo, or --live"),
-        (("stereo", "--output", "{tmp}"), 2, "is not empty"),
-        (("stereo", "--output", "{tmp}/new", "--unit", "ell"), 2, "--unit ell is unknown"),
-        (("stereo", "--output", "{tmp}/new", "--marker", "9"), 2, "a marker must be smaller"),
-        (("stereo", "--output", "{tmp}/new", "--stereo", "{tmp}/none"), 2, "is no folder"),
-        (("stereo", "--output", "{tmp}/new", "--calibration", "c"), 2, "say calibrate check"),
-        (("stereo", "--output", "{tmp}/new", "--stereo", "{tmp}/plain"), 3, "no pair shows the board to both eyes"),
-        (
-            ("stereo", "--output", "{tmp}/plain/0.png", "--stereo", "{tmp}/plain"),
-            2,
-            "0.png is a file; give a new folder",
-        ),
-        (("stereo", "--output", "{tmp}/new", "--live", "--views", "3"), 2, "--views 3: give 5 or more"),
-        (("stereo", "--output", "{tmp}/new", "--dictionary", "Board"), 2, "no dictionary Board"),
-        (("check", "--stereo", "{tmp}/plain"), 2, "give the --calibration"),
-        (("check", "--live"), 2, "leave --live and --output out"),
+        ("stereo", 2, "give --output"),
+        ("stereo --output {tmp}/new", 2, "give --left and --right, or --stereo, or --live"),
+        ("stereo --output {tmp}", 2, "is not empty"),
+        ("stereo --output {tmp}/new --unit ell", 2, "--unit ell is unknown"),
+        ("stereo --output {tmp}/new --marker 9", 2, "a marker must be smaller"),
+        ("stereo --output {tmp}/new --stereo {tmp}/none", 2, "is no folder"),
+        ("stereo --output {tmp}/new --calibration c", 2, "say calibrate check"),
+        ("stereo --output {tmp}/new --stereo {tmp}/plain", 3, "no pair shows the board to both eyes"),
+        ("stereo --output {tmp}/plain/0.png --stereo {tmp}/plain", 2, "0.png is a file; give a new folder"),
+        ("stereo --output {tmp}/new --live --views 4", 2, "--views 4: give 5 or more"),
+        ("stereo --output {tmp}/new --dictionary Board", 2, "no dictionary Board"),
+        ("check --stereo {tmp}/plain", 2, "give the --calibration"),
+        ("check --live", 2, "leave --live and --output out"),
     ],
 )
 def test_what_cannot_be_carried_out_is_said_in_one_line(suturegrasp, tmp_path, arguments, status, sentence):
     (tmp_path / "plain").mkdir()
     cv2.imwrite(str(tmp_path / "plain/0.png"), np.full((90, 320), 120, np.uint8))
-    told = [argument.format(tmp=tmp_path) for argument in arguments]
-    ended = suturegrasp("calibrate", told[0], *SQUARES, *told[1:])
+    command, *told = arguments.format(tmp=tmp_path).split()
+    ended = suturegrasp("calibrate", command, *SQUARES, *told)
     assert ended.status == status
     assert sentence in ended.err.splitlines()[-1]

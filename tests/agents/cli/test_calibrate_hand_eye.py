@@ -66,21 +66,21 @@ def as_points(recorded: Path, metres_per_unit: float) -> tuple[object, ...]:
     """The same motion as places before the camera and before the base, in files of their own, in some unit."""
     poses = np.loadtxt(recorded / "poses.csv", delimiter=",", skiprows=1)
     t, places = poses[:, 0], forward(poses[:, 1:])[:, :3, 3]
+    folder = recorded / f"points_{metres_per_unit}"
+    folder.mkdir()
     for name, points in (("poses", places), ("tips", apply(X, places))):
         rows = np.column_stack((t, points / metres_per_unit))[:: 1 if name == "poses" else 15]
-        np.savetxt(recorded / f"{name}.csv", rows, delimiter=",", header="time_s,x,y,z", comments="")
-    return "--tips", recorded / "tips.csv", "--poses", recorded / "poses.csv"
+        np.savetxt(folder / f"{name}.csv", rows, delimiter=",", header="time_s,x,y,z", comments="")
+    return "--tips", folder / "tips.csv", "--poses", folder / "poses.csv"
 
 
-def test_a_base_where_none_can_be_is_not_written(suturegrasp, recorded):
+def test_a_base_where_none_can_be_is_not_written_and_one_of_no_known_calibration_is_with_a_warning(
+    suturegrasp, recorded
+):
     written = recorded / "psm1.json"
     ended = suturegrasp("calibrate", "hand-eye", *as_points(recorded, 1e-3), "--output", written)
     assert (ended.status, len(ended.complaints), written.exists()) == (3, 1, False)
     assert "m from the camera, and 0.02 to 0.85 m make sense: see that tips and poses are in metres" in ended.err
-
-
-def test_a_base_of_no_known_calibration_is_written_with_a_warning(suturegrasp, recorded):
-    written = recorded / "psm1.json"
     ended = suturegrasp("calibrate", "hand-eye", *as_points(recorded, 1.0), "--output", written)
     assert ended.status == 0, ended.err
     assert "does not say of which camera calibration it is, which a real arm needs: give --calibration" in ended.err
@@ -88,18 +88,17 @@ def test_a_base_of_no_known_calibration_is_written_with_a_warning(suturegrasp, r
 
 
 @pytest.mark.parametrize(
-    ("change", "said", "status"),
+    ("name", "text", "said", "status"),
     [
-        ({"poses.csv": "time_s,x\n1,2\n"}, "give columns yaw, pitch", 2),
-        ({"poses.csv": "x,y\n1,2\n"}, "time_s among them", 2),
-        ({"tips.csv": "time_s,left_u,left_v,right_u,right_v\n1,2,three,4,5\n"}, "line 2 does not hold 5 finite", 2),
-        ({"tips.csv": "time_s,x,y,z\n1,0,0,0.1\n"}, "1 of 1 sightings", 3),
-        ({"tips.csv": ""}, "first line must name its columns", 2),
+        ("poses.csv", "time_s,x\n1,2\n", "give columns yaw, pitch", 2),
+        ("poses.csv", "x,y\n1,2\n", "time_s among them", 2),
+        ("tips.csv", "time_s,left_u,left_v,right_u,right_v\n1,2,three,4,5\n", "line 2 does not hold 5 finite", 2),
+        ("tips.csv", "time_s,x,y,z\n1,0,0,0.1\n", "1 of 1 sightings", 3),
+        ("tips.csv", "", "first line must name its columns", 2),
     ],
 )
-def test_bad_input_gets_one_sentence(suturegrasp, recorded, change, said, status):
-    for name, text in change.items():
-        (recorded / name).write_text(text)
+def test_bad_input_gets_one_sentence(suturegrasp, recorded, name, text, said, status):
+    (recorded / name).write_text(text)
     files = ("--tips", recorded / "tips.csv", "--poses", recorded / "poses.csv")
     ended = suturegrasp("calibrate", "hand-eye", *files, "--calibration", recorded / "camera.json")
     assert (ended.status, len(ended.complaints)) == (status, 1)

@@ -28,22 +28,15 @@ def of_colour(picture, colour):
     return np.column_stack((u, v))
 
 
-def test_what_is_left_at_a_corner_is_an_arrow_forty_times_as_long():
+def test_what_is_left_at_a_corner_is_an_arrow_forty_times_as_long_in_images_of_any_size():
     at, off = np.array([[100.0, 80.0]]), np.array([[2.0, 1.0]])
     arrow = of_colour(with_residuals(BLANK, at, off), ARROW)
     along = (arrow - at[0]) @ off[0] / np.linalg.norm(off[0])
     assert along.max() == pytest.approx(LARGER * np.linalg.norm(off[0]), abs=2)
     assert along.min() > -3
-    corner = of_colour(with_residuals(BLANK, at, 0 * off), CORNER)
-    np.testing.assert_allclose(corner.mean(axis=0), at[0], atol=1.5)
-
-
-@pytest.mark.parametrize("width", [WIDTH_PX // 2, 2 * WIDTH_PX])
-def test_images_of_any_size_are_drawn_as_wide(width):
-    share = WIDTH_PX / width
-    picture = with_residuals(np.zeros((width // 2, width, 3), np.uint8), np.array([[60.0, 40.0]]), np.zeros((1, 2)))
-    assert picture.shape[:2] == (HEIGHT_PX, WIDTH_PX)
-    np.testing.assert_allclose(of_colour(picture, CORNER).mean(axis=0), np.array([60.0, 40.0]) * share, atol=2)
+    twice_as_wide = with_residuals(np.zeros((2 * HEIGHT_PX, 2 * WIDTH_PX, 3), np.uint8), at, 0 * off)
+    assert twice_as_wide.shape[:2] == (HEIGHT_PX, WIDTH_PX)
+    np.testing.assert_allclose(of_colour(twice_as_wide, CORNER).mean(axis=0), at[0] / 2, atol=2)
 
 
 def test_parts_with_too_few_corners_are_framed_and_all_corners_marked():
@@ -56,15 +49,12 @@ def test_parts_with_too_few_corners_are_framed_and_all_corners_marked():
     assert framed[:, 1].max() <= HEIGHT_PX / 3 + 2
     for place in places:
         assert np.linalg.norm(of_colour(picture, SEEN) - place, axis=1).min() < 2
-    assert len(of_colour(where_seen(BLANK, places, np.full((3, 4), 9)), LACKING)) == 0
 
 
 def test_rectified_pairs_show_the_same_things_on_the_same_rows(monkeypatch):
     board, camera = Board(9, 7, 3.5), endoscope(640, 360)
     left, right = rendered(camera, board, standings(1, board, 3)[0], 3)
-    picture = rectified_rows(left, right, camera)
-    assert picture.shape[1] == 2 * WIDTH_PX
-    assert len(of_colour(picture, ROW)) > 10 * WIDTH_PX
+    assert len(of_colour(rectified_rows(left, right, camera), ROW)) > 10 * WIDTH_PX
     monkeypatch.setattr("agents.cli.calibrate.pictures.ROWS", 0)
     halves = np.split(rectified_rows(left, right, camera), 2, axis=1)
     of_left, of_right = (corners_of(np.ascontiguousarray(half), board) for half in halves)

@@ -24,6 +24,8 @@ from shared.runtime.access import Sites, access_control
 from shared.runtime.identity import identity_in
 from shared.runtime.session import SessionSettings, free_local_endpoint, open_router
 
+pytestmark = pytest.mark.rig
+
 SCRIPT = str(Path(sys.executable).with_name("suturegrasp"))
 RUNS = {"north": Process("planner"), "store": Process("recorder")}
 DEADLINE_S = 60.0

@@ -3,31 +3,24 @@
 import json
 import subprocess
 import sys
-import threading
 from contextlib import closing
 
 import pytest
 
-from shared.clock import monotonic_s
 from shared.ros import crtk
 from shared.ros.link import Heard, RosLink
 from shared.ros.naming import RmwZenoh, Ros2dds
 from shared.ros.types import JOINT_STATE, OPERATING_STATE
 from shared.runtime.session import SessionSettings, free_local_endpoint
 
+pytestmark = pytest.mark.rig
+
 DEADLINE_S = 60.0
 ARMS = ("PSM1", "PSM2")
 
 
-def until(condition):
-    deadline_s, turn = monotonic_s() + DEADLINE_S, threading.Event()
-    while not condition():
-        assert monotonic_s() < deadline_s
-        turn.wait(0.02)
-
-
 @pytest.mark.parametrize("codec", ["ros2dds", "rmw_zenoh"])
-def test_two_arms_of_one_console_are_told_asked_and_judged_each(codec, suturegrasp, tmp_path):
+def test_two_arms_of_one_console_are_told_asked_and_judged_each(codec, suturegrasp, tmp_path, until):
     endpoint, joints, states = free_local_endpoint(), {}, {}
 
     def heard(arm):

@@ -36,33 +36,31 @@ def tried(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        ([], "give a folder"),
-        (["new"], "give --threads, each once"),
-        (["new", "--threads", "easy"], "--threads easy must read CONFIGURATION/BACKGROUND"),
-        (["new", "--threads", "easy/paper", "easy/paper"], "each once"),
-        (["new", "--threads", "easy/paper", "--goals", "0"], "goals = 0"),
-        (["new", "--threads", "easy/paper", "--arm", "psm7"], "no arm 'psm7'; its arms: psm1"),
-        (["new", "--threads", "easy/chicken", "--start"], "background = 'chicken'"),
-        (["new", "--report"], "nothing to report"),
-        (["{tried}", "--seed", "4"], "has seed 3, not 4"),
-        (["{torn}"], "is no JSON"),
+        ("", "give a folder"),
+        ("{new}", "give --threads, each once"),
+        ("{new} --threads easy", "--threads easy must read CONFIGURATION/BACKGROUND"),
+        ("{new} --threads easy/paper easy/paper", "each once"),
+        ("{new} --threads easy/paper --goals 0", "goals = 0"),
+        ("{new} --threads easy/paper --arm psm7", "no arm 'psm7'; its arms: psm1"),
+        ("{new} --threads easy/chicken --start", "background = 'chicken'"),
+        ("{new} --report", "nothing to report"),
+        ("{tried} --seed 4", "has seed 3, not 4"),
+        ("{torn}", "is no JSON"),
     ],
 )
 def test_a_mistake_is_one_line_that_names_the_remedy(suturegrasp, tried, tmp_path_factory, arguments, told):
-    torn = tmp_path_factory.mktemp("torn")
-    (torn / JOURNAL).write_text((tried / JOURNAL).read_text()[:100])
-    new = tmp_path_factory.mktemp("new") / "new"
-    named = [text.format(tried=tried, torn=torn) if text != "new" else str(new) for text in arguments]
-    ended = suturegrasp("experiment", *named)
+    other = tmp_path_factory.mktemp("other")
+    (other / JOURNAL).write_text((tried / JOURNAL).read_text()[:100])
+    ended = suturegrasp("experiment", *arguments.format(tried=tried, torn=other, new=other / "new").split())
     assert (ended.status, len(ended.complaints)) == (2, 1)
     assert told in ended.err
 
 
-@pytest.mark.parametrize("code", [*Code, "late", "no_answer", "far_deadline", "unknown_id"])
-def test_a_refusal_counts_against_a_trial_only_where_it_speaks_against_the_plan(code):
-    refused = CommandAnswer("c", Outcome.REFUSED, code, "why")
-    assert declines(refused) == (code in SPEAKS_AGAINST_A_PLAN)
-    assert not declines(dataclasses.replace(refused, outcome=Outcome.UNKNOWN))
+def test_a_refusal_counts_against_a_trial_only_where_it_speaks_against_the_plan():
+    for code in (*Code, "late", "no_answer", "far_deadline", "unknown_id"):
+        refused = CommandAnswer("c", Outcome.REFUSED, code, "why")
+        assert declines(refused) == (code in SPEAKS_AGAINST_A_PLAN), code
+        assert not declines(dataclasses.replace(refused, outcome=Outcome.UNKNOWN))
 
 
 def test_what_was_tried_so_far_can_be_reported_at_any_time(suturegrasp, tried):
@@ -73,6 +71,7 @@ def test_what_was_tried_so_far_can_be_reported_at_any_time(suturegrasp, tried):
     assert "easy paper" in (tried / "results.md").read_text()
 
 
+@pytest.mark.slow
 def test_an_experiment_that_was_killed_goes_on_where_it_was_and_ends_where_nobody_answers(tried, settings):
     config = tried / "rig.toml"
     router = f'[router]\nendpoint = "{settings.endpoint}"\nstart = false\n'

@@ -2,8 +2,6 @@
 
 import itertools
 import json
-import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -14,34 +12,24 @@ from hypothesis import strategies as st
 
 from shared.calibration import read_calibration, write_calibration
 
-NAMES = ("left.png", "right.png", "mask_left.png", "mask_right.png", "calibration.json")
-SPLICES = (
-    *(b"", b"\x00", b"\xff" * 4, b"\xff\xd9", b"\xff\xc0", b"IEND", b"IDAT", b"\x7f\xff\xff\xff", b"0", b"-", b"e9"),
-    *(b"NaN", b"1e999", b"1e-300", b"null", b"[", b"]", b"{", b"}", b'"', b",", b"\n", b"&a ", b"!!python/object "),
-)
+SPLICES = (b"", b"\x00", b"\xff" * 4, b"\xff\xd9", b"\xff\xc0", b"IEND", b"IDAT", b"\x7f\xff\xff\xff")
 
 fuzzed = settings(
-    deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow], max_examples=60
+    deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow], max_examples=25
 )
 counter = itertools.count()
 
 
 @pytest.fixture
-def folder(small: Path) -> Iterator[Path]:
-    """The small pair, also as JPEG and as an OpenCV calibration."""
+def folder(small: Path) -> Path:
+    """The small pair, also as JPEG and with a calibration of our own form."""
     for side in ("left", "right"):
         image = cv2.imread(str(small / f"{side}.png"))
         assert image is not None
         cv2.imwrite(str(small / f"{side}.jpg"), image)
     calibration = read_calibration(small / "calibration.json", unit=None, image_size=(320, 180)).calibration
     write_calibration(small / "own.json", calibration)
-    (small / "calibration.yaml").write_text(
-        "%YAML:1.0\n---\nK1: !!opencv-matrix { rows: 3, cols: 3, dt: d, data: [ 330., 0., 159.5, 0., 330., 89.5, 0., "
-        "0., 1. ] }\nK2: [ 330., 0., 159.5, 0., 330., 89.5, 0., 0., 1. ]\nD1: [ 0.01, 0., 0., 0. ]\nD2: [ 0., 0., 0., "
-        "0. ]\nR: [ 1., 0., 0., 0., 1., 0., 0., 0., 1. ]\nT: [ -5.5, 0., 0. ]\nImageSize: [ 180, 320 ]\n"
-    )
-    yield small
-    shutil.rmtree(small)
+    return small
 
 
 def ends_well(suturegrasp, folder: Path, **replaced: Path) -> None:
@@ -83,12 +71,6 @@ def edited(path: Path, edits: list[tuple[float, int, bytes]]) -> Path:
 @given(name=st.sampled_from(("left.png", "left.jpg")), edits=EDITS)
 def test_damaged_images(suturegrasp, folder: Path, name: str, edits: list[tuple[float, int, bytes]]) -> None:
     ends_well(suturegrasp, folder, left=edited(folder / name, edits))
-
-
-@fuzzed
-@given(name=st.sampled_from(("calibration.json", "own.json", "calibration.yaml")), edits=EDITS)
-def test_damaged_calibrations(suturegrasp, folder: Path, name: str, edits: list[tuple[float, int, bytes]]) -> None:
-    ends_well(suturegrasp, folder, calibration=edited(folder / name, edits))
 
 
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False) | st.floats(-1000, 1000) | st.integers(-3, 3).map(float)

@@ -28,6 +28,8 @@ from shared.recording.mcap_file import read_recording
 from shared.runtime.connection import connected
 from shared.runtime.session import SessionSettings, free_local_endpoint
 
+pytestmark = pytest.mark.rig
+
 SCRIPT = str(Path(sys.executable).with_name("suturegrasp"))
 AT_LEAST_RECORDED = {str(topic) for topic in (FRAMES, CALIBRATION, OBSERVATIONS, THREAD, PLAN, EXECUTION, ROBOT_STATE)}
 DEADLINE_S = 60.0
@@ -58,6 +60,7 @@ def processes_of(folder):
     return found
 
 
+@pytest.mark.essential
 def test_the_demo_ends_with_a_judged_grasp_and_leaves_files_and_no_process(tmp_path):
     done = ended(sys.executable, "-c", PATIENT_DEMO, "demo", "--seed", "1", "--sessions", str(tmp_path))
     assert done.returncode == 0, done.stdout + done.stderr

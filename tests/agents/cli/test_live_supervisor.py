@@ -70,8 +70,7 @@ def test_the_wait_before_each_restart_grows_up_to_a_limit(supervisor, changes_of
         changes_of(supervisor, 1)
     expected = [min(FIRST_BACKOFF_S * 2**i, LONGEST_BACKOFF_S) for i in range(8)]
     assert all(wait >= least for wait, least in zip(waits, expected, strict=True))
-    assert child.restarts == 8
-    assert child.backoff_s == LONGEST_BACKOFF_S
+    assert (child.restarts, child.backoff_s) == (8, LONGEST_BACKOFF_S)
 
 
 def test_a_mistake_in_the_configuration_is_told_once_in_the_words_of_the_process(supervisor, changes_of, tmp_path):
@@ -79,9 +78,7 @@ def test_a_mistake_in_the_configuration_is_told_once_in_the_words_of_the_process
     child = supervisor.add("camera", [code], tmp_path / "log")
     (change,) = changes_of(supervisor, 1)
     assert change.sentence == "camera ended with status 2: camera.left is missing"
-    assert change.final
-    assert supervisor.watch() == []
-    assert child.due_s is None
+    assert (change.final, supervisor.watch(), child.due_s) == (True, [], None)
 
 
 def test_without_restart_nothing_comes_back(changes_of, tmp_path):
@@ -123,9 +120,8 @@ def test_a_process_that_does_not_listen_is_killed(started, tmp_path, monkeypatch
 
 
 def test_processes_end_with_a_supervisor_that_is_killed(tmp_path):
-    endpoint = "tcp/127.0.0.1:1"
     config = tmp_path / "rig.toml"
-    config.write_text(f'[router]\nendpoint = "{endpoint}"\nstart = false\n[planner]\n')
+    config.write_text('[router]\nendpoint = "tcp/127.0.0.1:1"\nstart = false\n[planner]\n')
     code = (
         "import pathlib, sys; from agents.cli.running.supervisor import Supervisor\n"
         f"log, arguments = pathlib.Path({str(tmp_path / 'log')!r}), ['planner', '--config', {str(config)!r}]\n"

@@ -7,6 +7,8 @@ import signal
 import subprocess
 import sys
 
+import pytest
+
 from shared.runtime.session import free_local_endpoint, open_router
 
 STARTS_S = 60.0
@@ -17,6 +19,7 @@ stat -c %a "${1#file://}" > "$HOME/mode"
 """
 
 
+@pytest.mark.rig
 def test_a_browser_is_led_to_the_page_by_a_file_that_its_user_alone_reads(tmp_path, until):
     browser, endpoint = tmp_path / "browser", free_local_endpoint()
     browser.write_text(BROWSER)

@@ -4,57 +4,25 @@ import signal
 import subprocess
 import sys
 
-import pytest
-
-PROGRAM = """
-import threading
+BEGINS = """
+import os, signal, sys, threading
 from agents.cli.running import process
 process.ENDS_WITHIN_S = 0.2
 stopped = threading.Event()
+"""
+WAITS = """
 process.on_stop({stop}, for_sure=True)
 print("up", flush=True)
 stopped.wait()
 """
-
-
-def ended(stop):
-    """What becomes of a process that is told to end and does this; its status, and what it says."""
-    with subprocess.Popen(
-        [sys.executable, "-c", PROGRAM.format(stop=stop)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "up\n"
-        process.send_signal(signal.SIGTERM)
-        _, said = process.communicate(timeout=60.0)
-    return process.returncode, said
-
-
-def test_a_process_that_stops_when_told_to_ends_without_a_word():
-    assert ended("stopped.set") == (0, "")
-
-
 TAKEN_BY_ANOTHER = """
-import signal, sys, threading
-from agents.cli.running import process
-stopped = threading.Event()
 process.on_stop(stopped.set)
 other = threading.Thread(target=threading.Event().wait, daemon=True)
 other.start()
-threading.Timer(0.2, signal.pthread_kill, (other.ident, signal.{name})).start()
+threading.Timer(0.2, signal.pthread_kill, (other.ident, signal.SIGTERM)).start()
 stopped.wait()
 """
-
-
-@pytest.mark.parametrize("name", ["SIGTERM", "SIGINT"])
-def test_a_signal_that_another_thread_takes_ends_a_process_that_waits_without_a_limit(name):
-    program = [sys.executable, "-c", TAKEN_BY_ANOTHER.format(name=name)]
-    assert subprocess.run(program, timeout=60.0, check=False).returncode == 0
-
-
 FORKED = """
-import os, signal, threading
-from agents.cli.running import process
-stopped = threading.Event()
 process.on_stop(stopped.set)
 child = os.fork()
 if child == 0:
@@ -65,12 +33,29 @@ print("stopped" if stopped.wait(0.5) else "goes on")
 """
 
 
-def test_a_signal_of_a_process_that_forked_off_is_none_of_its_own():
-    program = [sys.executable, "-c", FORKED]
-    assert subprocess.run(program, timeout=60.0, check=True, capture_output=True, text=True).stdout == "goes on\n"
+def terminated(stop):
+    """The status of a process that is told to end and then does this, and what it says."""
+    command = [sys.executable, "-c", BEGINS + WAITS.format(stop=stop)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "up\n"
+        process.send_signal(signal.SIGTERM)
+        _, said = process.communicate(timeout=60.0)
+    return process.returncode, said
 
 
-def test_a_process_that_does_not_stop_says_where_it_stands_and_ends_all_the_same():
-    status, said = ended("lambda: None")
+def test_a_process_ends_without_a_word_or_says_where_it_stands_and_ends_all_the_same():
+    assert terminated("stopped.set") == (0, "")
+    status, said = terminated("lambda: None")
     assert status == 1
-    assert 'File "<string>", line 8 in <module>' in said
+    assert 'File "<string>", line 9 in <module>' in said
+
+
+def test_a_signal_that_another_thread_takes_ends_a_process_that_waits_without_a_limit():
+    program = [sys.executable, "-c", BEGINS + TAKEN_BY_ANOTHER]
+    assert subprocess.run(program, timeout=60.0, check=False).returncode == 0
+
+
+def test_a_signal_of_a_process_that_forked_off_is_none_of_its_own():
+    program = [sys.executable, "-c", BEGINS + FORKED]
+    assert subprocess.run(program, timeout=60.0, check=True, capture_output=True, text=True).stdout == "goes on\n"

@@ -51,6 +51,7 @@ def prompt(suturegrasp, settings, tmp_path):
     return lambda *options: suturegrasp("prompt", *options, "--config", config)
 
 
+@pytest.mark.slow
 def test_a_click_tells_a_running_rig_which_thread_is_meant_until_it_is_taken_back(prompt, observed):
     observed()
     for thread in (GREEN, BLACK):
@@ -60,14 +61,9 @@ def test_a_click_tells_a_running_rig_which_thread_is_meant_until_it_is_taken_bac
         found = observed(lambda one, u=thread[0]: one.prompt_px is not None and abs(one.prompt_px[0] - u) < 30)
         assert (found.status, found.segmenter) == (Status.OK, "promptable")
         assert np.abs(columns(found) - thread[0]).max() < 6
+    refused = prompt("--pixel", 700, 10)
+    assert (refused.status, refused.out, len(refused.err.splitlines())) == (3, "", 1)
+    assert "(700, 10) lies outside the left image of 640x360 pixels" in refused.err
     ended = prompt()
     assert (ended.status, ended.out.strip()) == (0, "perception chooses the thread")
     assert observed(lambda one: one.prompt_px is None).segmenter == "promptable"
-
-
-def test_a_click_that_perception_refuses_is_an_error_with_its_reason(prompt, observed):
-    observed()
-    ended = prompt("--pixel", 700, 10)
-    assert (ended.status, ended.out) == (3, "")
-    assert "(700, 10) lies outside the left image of 640x360 pixels" in ended.err
-    assert len(ended.err.splitlines()) == 1

@@ -9,36 +9,14 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-FIELDS: dict[str, Any] = {
-    "status": str,
-    "reason": (str, type(None)),
-    "unit": (str, type(None)),
-    "frame": str,
-    "degree": int,
-    "knots": list,
-    "control_points": list,
-    "confidence": dict,
-    "posterior": (dict, type(None)),
-    "crossings": list,
-    "unseen": list,
-    "observations": int,
-    "timings_ms": dict,
-}
-
 
 def check_contract(document: dict[str, Any]) -> None:
     """What holds for every result, whatever its status."""
-    for field, kind in FIELDS.items():
-        assert isinstance(document[field], kind), field
-    assert document["status"] in ("ok", "failed")
     assert (document["reason"] is None) == (document["status"] == "ok")
-    assert document["unit"] in ("m", "cm", "mm", "um", None)
     assert document["frame"] == "left rectified camera"
     assert document["degree"] == 3
     assert {"rectify", "segment", "match", "reconstruct"} <= set(document["timings_ms"])
-    for ms in document["timings_ms"].values():
-        assert isinstance(ms, int | float)
-        assert ms >= 0
+    assert all(ms >= 0 for ms in document["timings_ms"].values())
     assert set(document["confidence"]) == {"s", "value"}
     s, value = np.array(document["confidence"]["s"]), np.array(document["confidence"]["value"])
     assert s.shape == value.shape
@@ -74,42 +52,55 @@ def written(path: Path) -> dict[str, Any]:
     return json.loads(path.read_text(), parse_constant=refuse)
 
 
-def test_a_thread_is_written_as_the_contract_says(suturegrasp, pair, small: Path) -> None:
-    assert suturegrasp(*pair(small), "--output", small / "out.json").status == 0
-    document = written(small / "out.json")
-    check_contract(document)
-    check_curve(document)
-    assert document["status"] == "ok"
-    assert document["unit"] == "mm"
-    assert document["observations"] >= 4
-    assert document["segmenter"] in ("threshold", "network")
-    assert all(document["timings_ms"][step] > 0 for step in ("segment", "match", "reconstruct"))
+def test_a_thread_is_written_as_the_contract_says_and_alike_each_time(suturegrasp, pair, small: Path) -> None:
+    documents: list[dict[str, Any]] = []
+    for name in ("first.json", "second.json"):
+        assert suturegrasp(*pair(small), "--output", small / name).status == 0
+        documents.append(written(small / name))
+        check_contract(documents[-1])
+        check_curve(documents[-1])
+        timings_ms = documents[-1].pop("timings_ms")
+        assert all(timings_ms[step] > 0 for step in ("segment", "match", "reconstruct"))
+    first, second = documents
+    assert first == second
+    assert (first["status"], first["unit"]) == ("ok", "mm")
+    assert first["observations"] >= 4
+    assert first["segmenter"] in ("threshold", "network")
 
 
-def test_a_failure_is_written_as_the_contract_says(suturegrasp, pair, small: Path) -> None:
+def test_a_failure_is_written_as_the_contract_says_with_its_picture_and_recording(suturegrasp, pair, small: Path):
     for name in ("left.png", "right.png"):
         cv2.imwrite(str(small / name), np.full((180, 320, 3), 206, np.uint8))
-    ended = suturegrasp(*pair(small), "--output", small / "out.json")
+    shown = ("--picture", small / "out.jpg", "--rrd", small / "out.rrd")
+    ended = suturegrasp(*pair(small), "--output", small / "out.json", *shown)
     document = written(small / "out.json")
     check_contract(document)
-    assert ended.status == 3
-    assert ended.out == ""
-    assert ended.err == f"suturegrasp: {document['reason']}\n"
+    assert (ended.status, ended.out, ended.err) == (3, "", f"suturegrasp: {document['reason']}\n")
     assert document["status"] == "failed"
     assert document["knots"] == document["control_points"] == document["unseen"] == document["crossings"] == []
     assert document["confidence"] == {"s": [], "value": []}
-    assert document["posterior"] is None
-    assert document["length"] is None
+    assert document["posterior"] is document["length"] is None
+    assert (small / "out.jpg").stat().st_size > 0
+    assert (small / "out.rrd").read_bytes()[:3] == b"RRF"
 
 
-def test_given_masks_take_no_time_to_segment(suturegrasp, pair, small: Path) -> None:
-    masks = ("--left-mask", small / "mask_left.png", "--right-mask", small / "mask_right.png")
-    assert suturegrasp(*pair(small), *masks, "--output", small / "out.json").status == 0
-    document = written(small / "out.json")
-    check_contract(document)
-    check_curve(document)
-    assert document["timings_ms"]["segment"] == 0
-    assert document["segmenter"] == "mask"
+def test_given_masks_of_either_form_take_no_time_to_segment(suturegrasp, pair, small: Path) -> None:
+    masks = {side: small / f"mask_{side}.png" for side in ("left", "right")}
+    whole = {side: cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for side, path in masks.items()}
+    found: list[list[list[float]]] = []
+    for white in (np.uint8(255), np.uint16(1)):
+        for side, path in masks.items():
+            mask = whole[side]
+            assert mask is not None
+            cv2.imwrite(str(path), (mask >= 128) * white)
+        options = ("--left-mask", masks["left"], "--right-mask", masks["right"], "--output", small / "out.json")
+        assert suturegrasp(*pair(small), *options).status == 0
+        document = written(small / "out.json")
+        check_contract(document)
+        check_curve(document)
+        assert (document["timings_ms"]["segment"], document["segmenter"]) == (0, "mask")
+        found.append(document["control_points"])
+    assert found[0] == found[1]
 
 
 def test_an_unknown_unit_stays_unknown_and_a_given_one_is_named(suturegrasp, pair, small: Path) -> None:
@@ -118,17 +109,7 @@ def test_an_unknown_unit_stays_unknown_and_a_given_one_is_named(suturegrasp, pai
     (small / "calibration.json").write_text(json.dumps(calibration))
     assert suturegrasp(*pair(small), "--output", small / "out.json").status == 0
     document = written(small / "out.json")
-    check_contract(document)
     assert document["unit"] is None
     assert "unit_unknown" in [judgement["code"] for judgement in document["judgements"]]
     assert suturegrasp(*pair(small), "--unit", "cm", "--output", small / "cm.json").status == 0
     assert written(small / "cm.json")["unit"] == "cm"
-
-
-def test_two_runs_agree_in_everything_but_their_timings(suturegrasp, pair, small: Path) -> None:
-    documents: list[dict[str, Any]] = []
-    for name in ("first.json", "second.json"):
-        assert suturegrasp(*pair(small), "--output", small / name).status == 0
-        documents.append(written(small / name))
-        del documents[-1]["timings_ms"]
-    assert documents[0] == documents[1]

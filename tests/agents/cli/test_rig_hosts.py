@@ -38,43 +38,26 @@ endpoint = "tls/robot.lab:7447"
 FAR = WHOLE.replace("[robot.psm1]\n", DVRK)
 MISTAKES = {
     WHOLE.replace('"perception", ', ""): "no host runs 'perception'",
-    WHOLE.replace('"camera", ', ""): "no host runs 'camera'",
     WHOLE.replace('"perception", ', '"perception", "camera", '): "'camera' runs on video and strong",
     WHOLE.replace('"perception", ', '"perception", "planner", '): "runs 'planner', for which there is no section",
-    WHOLE.replace('"robot_bridge psm1"', '"robot_bridge psm2"'): "robot_bridge psm2",
     WHOLE.replace("198.51.100.2", "198.51.100.1"): "two hosts have the address 198.51.100.1",
-    WHOLE.replace("198.51.100.2", "127.0.0.1"): "no address that other hosts reach",
     WHOLE.replace("198.51.100.2", "198.51.100"): "'198.51.100' is no address",
-    WHOLE.replace("198.51.100.2", "198.51.100.2x"): "'198.51.100.2x' is no address",
     WHOLE.replace("198.51.100.2", "198.51.100.2:7447"): "write an IP address or a host name alone",
     WHOLE.replace("198.51.100.2", "localhost"): "localhost is no address that other hosts reach",
     WHOLE.replace("198.51.100.2", "255.255.255.255"): "write the one it has on the lab's network",
-    WHOLE.replace("198.51.100.2", "0xC6336402"): "'0xC6336402' is no address",
-    WHOLE.replace("198.51.100.2", "::ffff:127.0.0.1"): "no address that other hosts reach",
-    WHOLE.replace("198.51.100.2", "fe80::1"): "fe80::1 is no address that other hosts reach",
     WHOLE.replace("198.51.100.2", "fe80::1%eth0"): "fe80::1%eth0 is no address that other hosts reach",
     WHOLE.replace("hosts.strong", "hosts.authority"): "its folder would hold the authority's key; call it otherwise",
-    WHOLE.replace("hosts.strong", f"hosts.{'a' * 41}"): "40 at most, such as video_2",
     WHOLE.replace("psm1", "a" * 41): "40 at most, such as video_2",
-    WHOLE.replace(
-        '"perception", ', '"perception", "perception", '
-    ): "strong runs 'perception' twice; leave it there once",
     WHOLE.replace('"operator"', '"operator", "operator"'): "runs 'operator' twice; leave it there once",
-    WHOLE.replace(
-        "[security]", "[security]\nauthority_days = 30"
-    ): "no certificate holds for longer than its authority",
+    WHOLE.replace("[security]", "[security]\nauthority_days = 30"): "no certificate holds for longer than its author",
     WHOLE.replace("[router]", "[router]\nport = true"): "port must be a number, not true",
-    WHOLE.replace("[camera]", "[camera]\nrate_hz = false"): "rate_hz must be a number, not false",
     WHOLE.replace("hosts.strong", "hosts.Strong-PC"): "'Strong-PC' cannot be used; write small letters, digits and _",
     WHOLE.replace('"perception", ', '"perception", "router", '): "is no agent; name its host in router.host",
     WHOLE.replace('"perception", ', '"percepton", '): "'percepton', for which there is no section; did you mean 'perc",
-    WHOLE.replace('"robot_bridge psm1"', '"robot_bridge"'): "did you mean 'robot_bridge psm1'?",
     WHOLE.replace('"robot_bridge psm1"', '"robot-bridge psm1"'): "write a section's name, and an arm's after a space",
     WHOLE.replace('["robot_bridge psm1"]', '"robot_bridge psm1"'): "must be a list in brackets",
     WHOLE.replace("[robot.psm1]", '[robot]\nbackend = "simulated"'): "a name before them, [robot.NAME]",
     WHOLE.replace("address = ", "adress = "): "hosts.video.adress is unknown; did you mean address?",
-    WHOLE.replace("hosts.strong", "hosts.video"): "'[hosts.video]'; what is there twice needs a name of its own",
-    WHOLE.replace('"198.51.100.2"', "198.51.100.2"): "write texts in straight quotes",
     WHOLE.replace('host = "video"', 'host = "vide"'): "'vide' is none of the hosts video, strong, robot",
     WHOLE.replace('host = "video"', ""): "router.host is missing",
     WHOLE.replace('host = "video"', 'endpoint = "tcp/198.51.100.1:7447"'): "exclude each other",
@@ -85,12 +68,8 @@ MISTAKES = {
     FAR: "no host runs 'guard psm1'",
     FAR.replace('"perception", ', '"perception", "guard psm1", '): "'guard psm1' must run on robot",
     FAR.replace("tls/robot", "tcp/robot"): "leaves this machine, which needs tls",
-    FAR.replace(
-        "[robot.psm1.dvrk]", "[robot.psm1.dvrk]\nthrough_guard = false"
-    ): "robot.psm1.dvrk.through_guard: set points go through the guard always",
     WHOLE + "[links]\ndirect = true": "links.direct goes past the router",
     "[topics.camera.frames]\nrecorded = false": 'a topic is written in quotes: [topics."camera/frames"]',
-    '[topics."camera/frame"]\nrecorded = false': "did you mean camera/frames? known are camera/frames",
 }
 
 
@@ -141,21 +120,17 @@ def test_a_host_is_told_by_option_or_file_and_otherwise_asked_for():
         at_host(rig(SECTIONS), "video")
 
 
-def test_without_hosts_everything_runs_here_and_shows_nothing():
-    alone = at_host(rig(SECTIONS), None)
-    assert len(configured(alone)) == 3
-    assert alone.runs_here("router") and alone.session.identity is None
-
-
 def test_a_rig_records_what_the_table_says_or_otherwise_what_it_says_itself():
     less = rig('[topics."camera/frames"]\nrecorded = false')
     assert recorded_topics(rig("")) == tuple(topic for topic in TOPICS if topic.recorded)
     assert set(recorded_topics(rig(""))) - set(recorded_topics(less)) == {FRAMES}
 
 
-def test_certificates_without_hosts_are_for_all_that_is_configured():
-    alone = rig(f'[router]\nendpoint = "tls/127.0.0.1:7447"\n[security]\n{SECTIONS}')
-    assert alone.common_names() == [
-        "camera.main", "perception.main", "robot_bridge.psm1", "recorder.main", "operator.main",
-    ]  # fmt: skip
-    assert alone.identity_of("recorder") is not None
+def test_without_hosts_everything_runs_here_and_certificates_are_for_all_that_is_configured():
+    plain = at_host(rig(SECTIONS), None)
+    assert len(configured(plain)) == 3
+    assert plain.runs_here("router") and plain.session.identity is None
+    secured = rig(f'[router]\nendpoint = "tls/127.0.0.1:7447"\n[security]\n{SECTIONS}')
+    names = ["camera.main", "perception.main", "robot_bridge.psm1", "recorder.main", "operator.main"]
+    assert secured.common_names() == names
+    assert secured.identity_of("recorder") is not None

@@ -13,11 +13,8 @@ def rig_with(router, beside=""):
     return parse_config(f'{{"rig": "south", "router": {{{router}}}{beside}}}', RigConfig, "rig.json")
 
 
-def test_nothing_is_linked_unless_the_file_says_so():
+def test_a_router_links_to_what_its_file_says_and_otherwise_to_nothing():
     assert RigConfig().sites == Sites((), (), read_by_others=False)
-
-
-def test_what_the_file_says_is_what_the_router_does():
     router = '"host": "desk", "connect": ["tls/10.0.0.9:7447"], "reads": ["north"], "read_by_others": true'
     assert rig_with(router, f", {SECURED}").sites == Sites(("tls/10.0.0.9:7447",), ("north",), read_by_others=True)
 

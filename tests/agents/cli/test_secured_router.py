@@ -69,6 +69,7 @@ def secured(tmp_path):
     process.communicate()
 
 
+@pytest.mark.rig
 def test_links_that_are_refused_are_counted_and_told_to_the_rig(secured):
     rig, folder, process = secured
     address, port = rig.hosts["desk"].address, rig.router.port

@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import logging
 import re
 import signal
 import subprocess
@@ -16,12 +15,10 @@ from agents.cli.rig.builders import build
 from agents.cli.rig.config import (
     PerceptionSection,
     PlannerSection,
-    RecorderSection,
     RigConfig,
     RouterSection,
     simulated_rig,
 )
-from agents.cli.running.around import telling
 from agents.cli.status.judgement import judge
 from agents.cli.status.watch import StatusWatch
 from agents.operator.operator import hold
@@ -31,7 +28,6 @@ from shared.runtime.agent import Input
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.connection import connected
 from shared.runtime.delivery import declare_publisher
-from shared.runtime.facts import Surroundings
 from shared.runtime.own_key import encoding_of
 from shared.runtime.session import free_local_endpoint, open_router
 
@@ -96,6 +92,7 @@ def test_status_looks_once_and_its_exit_status_tells_whether_all_is_well(
     assert [host["agents"] for host in told["hosts"]] == [["planner"]]
 
 
+@pytest.mark.slow
 def test_status_says_that_no_router_answers(suturegrasp, tmp_path):
     config = tmp_path / "rig.toml"
     config.write_text(f'[router]\nendpoint = "{free_local_endpoint()}"\n[planner]\n')
@@ -104,44 +101,25 @@ def test_status_says_that_no_router_answers(suturegrasp, tmp_path):
     assert (ended.status, [wrong["code"] for wrong in told["wrong"]]) == (1, ["router"])
 
 
-def test_status_tells_a_document_a_second_until_it_is_stopped(settings, running, tmp_path):
+@pytest.mark.slow
+def test_status_tells_a_document_a_second_until_it_is_stopped_or_nobody_reads_it(settings, running, tmp_path):
     running(Planner())
     arguments = [str(SCRIPT), "status", "--json", "--config", str(config_of(rig_at(settings), tmp_path))]
-    with subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        documents = [json.loads(process.stdout.readline()) for _ in range(2)]
-        process.send_signal(signal.SIGINT)
-        _, complaints = process.communicate(timeout=60)
-    assert (process.returncode, complaints) == (0, "")
-    assert documents[0]["at_ns"] < documents[1]["at_ns"]
-    assert [agent["name"] for agent in documents[1]["agents"]] == ["planner"]
-
-
-@pytest.mark.parametrize("answers", [True, False])
-def test_status_ends_where_nobody_reads_its_documents_any_more(settings, tmp_path, answers):
-    rig = rig_at(settings)
-    if not answers:
-        rig = rig.model_copy(update={"router": RouterSection(endpoint=free_local_endpoint())})
-    arguments = [str(SCRIPT), "status", "--json", "--config", str(config_of(rig, tmp_path))]
-    with subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None and process.stderr is not None
-        assert json.loads(process.stdout.readline())["router"]["answers"] is answers
-        process.stdout.close()
-        try:
-            assert process.wait(60) == 0
-        finally:
-            process.kill()
-        assert process.stderr.read() == ""
-
-
-def test_an_agent_that_ends_is_gone_and_one_that_comes_back_is_well(settings, in_threads, watching, until):
-    with watching(rig_at(settings)) as (wrongs, well, _):
-        with in_threads(settings, Planner()):
-            until(well, "the planner to be well")
-        gone = until(lambda: wrongs().get(("gone", "planner")), "the planner to be gone")
-        assert "its process has ended, is stopped, or is cut off" in gone.text
-        with in_threads(settings, Planner()):
-            until(well, "the planner to be well again")
+    for stopped in (True, False):
+        with subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None and process.stderr is not None
+            first, second = (json.loads(process.stdout.readline()) for _ in range(2))
+            assert first["at_ns"] < second["at_ns"]
+            assert [agent["name"] for agent in second["agents"]] == ["planner"]
+            if stopped:
+                process.send_signal(signal.SIGINT)
+            else:
+                process.stdout.close()
+            try:
+                assert process.wait(60) == 0
+            finally:
+                process.kill()
+            assert process.stderr.read() == ""
 
 
 class Stuck:
@@ -161,6 +139,7 @@ class Stuck:
         return ()
 
 
+@pytest.mark.slow
 def test_a_loop_that_does_not_turn_hangs_though_its_session_lives(settings, in_threads, watching, until):
     stuck = Stuck()
     with in_threads(settings, stuck), watching(rig_at(settings)) as (wrongs, well, _):
@@ -174,19 +153,24 @@ def test_a_loop_that_does_not_turn_hangs_though_its_session_lives(settings, in_t
         until(well, "the agent to go on")
 
 
-def test_a_router_that_goes_is_all_that_is_told_until_it_is_back(in_threads, watching, until):
+def test_a_router_that_goes_is_all_that_is_told_until_it_is_back_and_an_agent_that_ends_is_gone(
+    in_threads, watching, until
+):
     endpoint = free_local_endpoint()
     rig = RigConfig(rig=RIG, router=RouterSection(endpoint=endpoint), planner=PlannerSection())
-    with contextlib.ExitStack() as stack:
+    with contextlib.ExitStack() as stack, contextlib.ExitStack() as planner:
         with open_router(endpoint):
-            stack.enter_context(in_threads(rig.session, Planner()))
+            planner.enter_context(in_threads(rig.session, Planner()))
             wrongs, well, _ = stack.enter_context(watching(rig))
             until(well, "the planner to be well")
         until(lambda: list(wrongs()) == [("router", "router")], "the router to be missed")
         with open_router(endpoint):
             until(well, "all to be well again")
+            planner.close()
+            until(lambda: ("gone", "planner") in wrongs(), "the planner to be gone")
 
 
+@pytest.mark.slow
 def test_an_arm_that_holds_because_it_was_told_to_is_a_note(settings, running, watching, until):
     arm = simulated_rig()
     rig = rig_at(settings, robot=arm.robot)
@@ -198,21 +182,7 @@ def test_an_arm_that_holds_because_it_was_told_to_is_a_note(settings, running, w
     assert held.grave is False
 
 
-def test_a_recorder_tells_where_it_writes_and_that_it_cannot(settings, watching, until, tmp_path):
-    rig = RigConfig(rig=RIG, router=RouterSection(endpoint=settings.endpoint), recorder=RecorderSection())
-    fault = [""]
-    with connected(settings, 60.0) as connection:
-        logger, around = logging.getLogger("suturegrasp.recorder.main"), Surroundings(writes_to=tmp_path)
-        with connection.reporting("recorder", "main", logger, lambda: fault[0], "", around):
-            facts = until(lambda: connection.facts().get("recorder/main"), "the recorder to tell its facts")
-            assert (facts.writes_to, facts.disk_free_bytes is not None) == (str(tmp_path), True)
-            assert connection.link("recorder") is not None
-            with watching(rig) as (wrongs, _, _):
-                fault[0] = "the disk is full"
-                full = until(lambda: wrongs().get(("fault", "recorder")), "the fault to be told")
-    assert full.text == "recorder tells a fault: the disk is full"
-
-
+@pytest.mark.rig
 @pytest.mark.parametrize(
     ("command", "name"),
     [
@@ -247,18 +217,7 @@ def test_what_only_looks_on_tells_how_it_fares_and_what_it_refused(
     assert "of robot_bridge/execution since it started" in told.text
 
 
-def test_of_two_viewers_on_a_host_one_tells_how_it_fares(settings, until):
-    rig, logger = rig_at(settings), logging.getLogger("suturegrasp.test")
-    with contextlib.ExitStack() as stack:
-        first, second = (stack.enter_context(connected(settings, 60.0)) for _ in range(2))
-        with telling(first, rig, "viewer", logger):
-            until(lambda: "viewer/main" in second.present())
-            with telling(second, rig, "viewer", logger):
-                assert second.present().count("viewer/main") == 1
-            # the first goes on
-            assert "viewer/main" in second.present()
-
-
+@pytest.mark.slow
 def test_what_an_agent_cannot_read_is_told(settings, session, running, watching, until):
     running(Planner())
     publisher = declare_publisher(session, key(RIG, THREAD), THREAD)

@@ -68,12 +68,6 @@ def test_it_tells_by_how_much_the_registration_is_off_and_writes_what_it_should_
     assert list(pictures.glob("*.jpg"))
 
 
-def test_an_arm_that_is_not_there_is_told_in_one_line(suturegrasp, recording):
-    ended = suturegrasp("track-tool", recording, "--arm", "psm7")
-    assert (ended.status, len(ended.complaints)) == (2, 1)
-    assert "no state of an arm 'psm7'" in ended.complaints[0]
-
-
 class Held:
     """A camera that shows one pair again and again."""
 
@@ -89,6 +83,7 @@ class Held:
         pass
 
 
+@pytest.mark.slow
 def test_on_a_running_rig_it_warns_that_the_registration_has_drifted(suturegrasp, settings, in_threads, tmp_path):
     config = tmp_path / "rig.toml"
     config.write_text(f'rig = "test"\n[router]\nendpoint = "{settings.endpoint}"\nstart = false\n')
@@ -101,6 +96,12 @@ def test_on_a_running_rig_it_warns_that_the_registration_has_drifted(suturegrasp
     assert "from where registration and joints have it" in ended.out
 
 
-def test_neither_or_both_is_no_command(suturegrasp, recording):
-    assert "give a recording, or --live" in suturegrasp("track-tool").err
+def test_options_that_name_nothing_to_look_at_are_refused_in_one_line(suturegrasp, recording):
+    for words, told in (
+        ((), "give a recording, or --live"),
+        ((recording, "--arm", "psm7"), "no state of an arm 'psm7'"),
+    ):
+        ended = suturegrasp("track-tool", *words)
+        assert (ended.status, len(ended.complaints)) == (2, 1)
+        assert told in ended.complaints[0]
     assert suturegrasp("track-tool", recording, "--live").status == 2

@@ -29,6 +29,10 @@ REPOSITORY = Path(__file__).parents[3]
 LAB = REPOSITORY / "deploy" / "lab.toml"
 IMAGES = 'source = "images"\nleft = "l"\ncalibration = "{}"'
 NOW = datetime.datetime(2026, 11, 22, 12, tzinfo=datetime.UTC)
+HOSTS = ("video", "strong", "robot", "desk")
+needs_systemd = pytest.mark.skipif(
+    shutil.which("systemd-analyze") is None, reason="there is no systemd-analyze here, which checks the units"
+)
 LAYOUT = Layout(
     rig="lab",
     endpoint="tls/10.0.0.1:7447",
@@ -71,27 +75,10 @@ def test_every_host_gets_what_it_runs_and_nothing_else(deployed):
         assert all(p.stat().st_mode & 0o077 == 0 for p in (deployed / host / "certificates").glob("*.key"))
 
 
-HOSTS = ("video", "strong", "robot", "desk")
-
-
-@pytest.mark.parametrize("host", HOSTS)
-def test_systemd_takes_the_units(deployed, host):
-    if shutil.which("systemd-analyze") is None:
-        pytest.skip("there is no systemd-analyze here, which checks the units")
-    assert verify((deployed / host / "systemd").iterdir()) == []
-
-
-def test_a_unit_that_systemd_would_not_take_is_told(deployed, tmp_path):
-    if shutil.which("systemd-analyze") is None:
-        pytest.skip("there is no systemd-analyze here, which checks the units")
-    unit = (deployed / "robot" / "systemd" / "suturegrasp-robot-bridge-psm1.service").read_text()
-    (tmp_path / "suturegrasp-robot.service").write_text(unit.replace("Type=notify", "Type=notfy"))
-    assert any("notfy" in line for line in verify(tmp_path.iterdir()))
-
-
-def test_units_are_well_confined(deployed, deployed_far):
-    if shutil.which("systemd-analyze") is None:
-        pytest.skip("there is no systemd-analyze here, which rates the units")
+@needs_systemd
+def test_systemd_takes_the_units_and_finds_them_well_confined(deployed, deployed_far):
+    for folder in (*(deployed / host for host in HOSTS), deployed_far / "robot"):
+        assert verify((folder / "systemd").iterdir()) == []
     for unit in (*deployed.glob("*/systemd/*.service"), *deployed_far.glob("robot/systemd/*.service")):
         rated = subprocess.run(
             ["systemd-analyze", "security", "--offline=yes", "--threshold=35", str(unit)],  # noqa: S607
@@ -146,30 +133,29 @@ def test_the_robots_computer_gets_its_guard_and_what_its_zenoh_is_told(deployed_
     assert "/PSM1/jaw/servo_jp" in told["plugins"]["ros2dds"]["allow"]["subscribers"]
 
 
-def test_a_guard_beside_its_bridge_is_there_first_and_systemd_takes_both(deployed_far, tmp_path):
+def test_a_guard_beside_its_bridge_is_there_first(deployed_far, tmp_path):
     text = (deployed_far / "rig.toml").read_text().replace('"planner", "robot_bridge psm1"]', '"planner"]')
     (tmp_path / "rig.toml").write_text(text.replace('"guard psm1"', '"guard psm1", "robot_bridge psm1"'))
     assert suturegrasp("deploy", "plan", "--config", tmp_path / "rig.toml", "--folder", tmp_path) == 0
-    units = tmp_path / "robot" / "systemd"
-    assert "Before=suturegrasp-robot-bridge-psm1.service" in (units / "suturegrasp-guard-psm1.service").read_text()
-    if shutil.which("systemd-analyze") is None:
-        pytest.skip("there is no systemd-analyze here, which checks the units")
-    assert verify(units.iterdir()) == []
+    unit = (tmp_path / "robot" / "systemd" / "suturegrasp-guard-psm1.service").read_text()
+    assert "Before=suturegrasp-robot-bridge-psm1.service" in unit
 
 
-@pytest.mark.parametrize("host", HOSTS)
-def test_compose_takes_the_containers(deployed, host):
+def test_the_emulated_rig_of_two_computers_is_planned(tmp_path):
+    config = REPOSITORY / "deploy" / "emulated_far.toml"
+    assert suturegrasp("deploy", "plan", "--config", config, "--folder", tmp_path) == 0
+    assert (tmp_path / "robot" / "robot-zenoh.json5").exists()
+    assert (tmp_path / "robot" / "systemd" / "suturegrasp-guard-psm1.service").exists()
+
+
+def test_compose_takes_the_containers(deployed):
     compose = next((c for c in (["docker", "compose"], ["docker-compose"]) if _works(c)), None)
     if compose is None:
         pytest.skip("there is no docker compose here, which checks its own files")
-    told = subprocess.run(
-        [*compose, "-f", "compose.yaml", "config", "--quiet"],
-        cwd=deployed / host,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert (told.returncode, told.stderr) == (0, "")
+    for host in HOSTS:
+        command = [*compose, "-f", "compose.yaml", "config", "--quiet"]
+        told = subprocess.run(command, cwd=deployed / host, capture_output=True, text=True, check=False)
+        assert (told.returncode, told.stderr) == (0, "")
 
 
 def _works(command):
@@ -190,34 +176,12 @@ def test_the_containers_router_is_told_what_ours_is(deployed):
     assert told["transport"]["link"]["tx"]["lease"] == 2000
 
 
-def test_what_lies_beside_the_example_is_named_where_people_look():
-    told = (REPOSITORY / "deploy" / "README.md").read_text()
-    files = [path.name for path in (REPOSITORY / "deploy").iterdir() if path.name != "README.md"]
-    assert [name for name in files if f"| `{name}` |" not in told] == []
-
-
-def test_the_emulated_rig_of_two_computers_is_planned_and_systemd_takes_it(tmp_path):
-    config = REPOSITORY / "deploy" / "emulated_far.toml"
-    for action in ("plan", "certificates"):
-        assert suturegrasp("deploy", action, "--config", config, "--folder", tmp_path) == 0
-    robot = tmp_path / "robot"
-    assert (robot / "robot-zenoh.json5").exists()
-    assert "--arm psm1 --config" in (robot / "systemd" / "suturegrasp-guard-psm1.service").read_text()
-    if shutil.which("systemd-analyze") is None:
-        pytest.skip("there is no systemd-analyze here, which checks the units")
-    for host in ("desk", "robot"):
-        assert verify((tmp_path / host / "systemd").iterdir()) == []
-
-
-def test_the_image_is_built_from_files_that_are_there():
-    lines = (REPOSITORY / "deploy" / "Dockerfile").read_text().splitlines()
-    copied = [name for line in lines if line.startswith("COPY ") for name in line.split()[1:-1] if name[0] != "-"]
+def test_the_image_is_built_from_files_that_are_there_and_its_user_owns_the_certificates():
+    image = (REPOSITORY / "deploy" / "Dockerfile").read_text()
+    copying = [line for line in image.splitlines() if line.startswith("COPY ")]
+    copied = [name for line in copying for name in line.split()[1:-1] if name[0] != "-"]
     assert copied
     assert all((REPOSITORY / name).exists() for name in copied)
-
-
-def test_containers_run_as_the_images_user_who_is_made_the_owner_of_their_certificates():
-    image = (REPOSITORY / "deploy" / "Dockerfile").read_text()
     assert f"useradd --uid {IMAGE_USER} --gid {IMAGE_USER} " in image
     page = (REPOSITORY / "docs" / "deployment.md").read_text()
     assert f"chown --recursive {IMAGE_USER} video/certificates" in page
@@ -267,13 +231,6 @@ def test_nobody_but_root_installs_on_a_machine_and_nothing_is_touched_before(dep
     host = next(h for h in layout_of(load_config(LAB, RigConfig)).hosts if h.name == "desk")
     with pytest.raises(installing.InstallError, match="only root may install"):
         installing.install(deployed / "desk", host)
-
-
-def test_what_runs_elsewhere_now_is_removed(deployed, tmp_path, capfd):
-    for host in ("strong", "desk"):
-        assert suturegrasp("deploy", "install", "--folder", deployed / host, "--root", tmp_path) == 0
-    assert "removed suturegrasp-planner.service" in capfd.readouterr().out
-    assert not (tmp_path / "etc/systemd/system/suturegrasp-planner.service").exists()
 
 
 def test_a_host_keeps_no_key_and_no_unit_of_what_runs_elsewhere_now(tmp_path, capfd):
@@ -371,9 +328,8 @@ def test_certificates_that_do_not_hold_now_are_not_installed(deployed, tmp_path,
     assert not (tmp_path / "root").exists()
 
 
+@needs_systemd
 def test_units_that_systemd_would_not_take_are_not_installed(deployed, tmp_path, capfd):
-    if shutil.which("systemd-analyze") is None:
-        pytest.skip("there is no systemd-analyze here, which checks the units")
     host = shutil.copytree(deployed / "desk", tmp_path / "desk")
     unit = host / "systemd" / "suturegrasp-viewer.service"
     unit.write_text(unit.read_text().replace("Type=notify", "Type=notfy"))
@@ -437,6 +393,8 @@ def test_certificates_are_short_lived_and_made_anew_in_time(tmp_path):
     assert {made.reason for made in later} == {"little of its time was left"}
     assert {made.reason for made in issue(LAYOUT, tmp_path, NOW + datetime.timedelta(days=90))} == {"it had expired"}
     assert {made.reason for made in issue(LAYOUT, tmp_path, NOW, all_anew=True)} == {"all are made anew"}
+    shutil.rmtree(tmp_path / "authority")
+    assert {made.reason for made in issue(LAYOUT, tmp_path, NOW)} == {"it was another authority's"}
 
 
 def test_what_doctor_asks_to_be_renewed_is_however_short_its_time(tmp_path):
@@ -461,18 +419,8 @@ def test_a_certificate_that_does_not_fit_any_more_is_made_anew(tmp_path):
         "robot_bridge.psm1": "its key was another one's",
         "operator.desk": "",
     }
-
-
-def test_certificates_of_an_authority_that_was_moved_away_are_made_anew(tmp_path):
-    issue(LAYOUT, tmp_path, NOW)
-    shutil.rmtree(tmp_path / "authority")
-    assert {made.reason for made in issue(LAYOUT, tmp_path, NOW)} == {"it was another authority's"}
-
-
-def test_what_left_a_host_leaves_no_key_there(tmp_path):
-    issue(LAYOUT, tmp_path, NOW)
-    video, robot, desk = LAYOUT.hosts
-    less = Layout("lab", LAYOUT.endpoint, (Host("video", "10.0.0.1", video.processes[:1]), robot, desk), 30, 3650)
+    # what left a host leaves no key there
+    less = dataclasses.replace(moved, hosts=(Host("video", "10.0.0.9", video.processes[:1]), robot, desk))
     issue(less, tmp_path, NOW)
     assert [p.name for p in (tmp_path / "video" / "certificates").glob("*.key")] == ["router.main.key"]
 

@@ -29,39 +29,29 @@ def planned(tmp_path):
     return tmp_path
 
 
-def test_of_a_host_that_was_renamed_nothing_stays_neither_keys(planned, capfd):
+def test_of_a_host_that_was_renamed_nothing_stays_but_a_persons_own_files(planned, capfd):
     before = files(planned / "out" / "strong")
+    (planned / "out" / "strong" / "notes.txt").write_text("ask before moving it")
+    (planned / "out" / "strong" / "systemd" / "own.service").write_text("[Unit]\n")
     deploy(planned, LAB.read_text().replace("[hosts.strong]", "[hosts.box]"))
-    assert not (planned / "out" / "strong").exists()
+    assert files(planned / "out" / "strong") == {"notes.txt", "systemd/own.service"}
     assert files(planned / "out" / "box") == before
     said = capfd.readouterr().out
+    assert "notes.txt" not in said
     for place in ("rig.toml", "systemd/suturegrasp-perception.service", "certificates/perception.main.key"):
         assert f"removed strong/{place}, which is in the rig's plan no more\n" in said
 
 
 def test_what_moves_to_another_host_leaves_its_unit_and_its_files(planned):
+    # our unit by its name, which no list has
+    (planned / "out" / "strong" / "systemd" / "suturegrasp-camera.service").write_text("[Unit]\n")
     moved = LAB.read_text().replace('host = "video"', 'host = "desk"').replace('"viewer"', '"viewer", "planner"')
     deploy(planned, moved.replace(', "planner"]', "]", 1))
     assert "router.json5" not in files(planned / "out" / "video")
     assert "router.json5" in files(planned / "out" / "desk")
+    assert "systemd/suturegrasp-camera.service" not in files(planned / "out" / "strong")
     held = {path.name: path.parents[1].name for path in (planned / "out").rglob("suturegrasp-planner.service")}
     assert held == {"suturegrasp-planner.service": "desk"}
-
-
-def test_a_unit_of_before_there_were_lists_goes(planned):
-    (planned / "out" / "lab.made").unlink()
-    (planned / "out" / "strong" / "systemd" / "suturegrasp-camera.service").write_text("[Unit]\n")
-    deploy(planned, LAB.read_text())
-    assert "systemd/suturegrasp-camera.service" not in files(planned / "out" / "strong")
-
-
-def test_a_persons_own_files_stay_and_are_not_told(planned, capfd):
-    own = planned / "out" / "strong" / "notes.txt"
-    own.write_text("ask before moving it")
-    (planned / "out" / "strong" / "systemd" / "own.service").write_text("[Unit]\n")
-    deploy(planned, LAB.read_text().replace("[hosts.strong]", "[hosts.box]"))
-    assert files(planned / "out" / "strong") == {"notes.txt", "systemd/own.service"}
-    assert "notes.txt" not in capfd.readouterr().out
 
 
 def test_a_rig_that_shares_the_folder_keeps_its_own(planned):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from agents.evaluation.came import Came
 from agents.evaluation.journal import Journal
 from agents.evaluation.least_time import SpeedLimits, least_time_s
-from agents.evaluation.protocol import Protocol, Trial, hand_eye_seed, injected_m, threads_of, tool_seed, trials_on
+from agents.evaluation.protocol import Protocol, hand_eye_seed, injected_m, threads_of, tool_seed, trials_on
 from agents.evaluation.reliability import reliability
 from agents.evaluation.report import as_html, report
 from agents.evaluation.results import results_of
@@ -50,6 +50,7 @@ def test_every_goal_is_tried_with_both_policies_and_methods_and_all_scenarios_co
     trials = all_trials(protocol)
     assert len({trial.name for trial in trials}) == len(trials) == 2 * 2 * 4 * 2 * 2
     assert [laid.name for laid in threads_of(protocol)][:2] == ["easy/paper/1", "hard/chicken/1"]
+    assert trials[-1].name == "hard/chicken/2/3/robust/refined"
 
 
 def test_errors_are_the_same_for_both_methods_and_others_for_each_policy():
@@ -61,11 +62,16 @@ def test_errors_are_the_same_for_both_methods_and_others_for_each_policy():
     assert len(set(seeds.values())) == len(seeds)
 
 
-def test_as_many_threads_are_moved_as_was_asked_for_and_none_further():
+def test_as_many_threads_are_moved_as_was_asked_for_none_further_and_each_look_anew():
     protocol = protocol_with(goals=200, injected_share=0.1, injected_mm=10.0, methods=("refined",))
     moved = np.array([np.linalg.norm(injected_m(protocol, trial)) for trial in all_trials(protocol)])
     assert 0.05 < (moved > 0).mean() < 0.15
     assert moved.max() <= 0.010
+    always = protocol_with(injected_share=1.0, injected_mm=10.0)
+    trial = all_trials(always)[0]
+    looks = np.array([injected_m(always, trial, look) for look in range(5)])
+    assert len(np.unique(looks, axis=0)) == 5
+    np.testing.assert_array_equal(looks[0], injected_m(always, trial))
 
 
 def test_registration_is_wrong_alike_throughout_a_scenario_and_otherwise_in_the_next():
@@ -77,14 +83,6 @@ def test_registration_is_wrong_alike_throughout_a_scenario_and_otherwise_in_the_
     assert len(set.union(*seeds.values())) == 2
     other = threads_of(protocol_with(seed=2))[0]
     assert hand_eye_seed(protocol_with(seed=2), other) not in seeds[other.scenario]
-
-
-def test_each_look_is_moved_anew():
-    protocol = protocol_with(injected_share=1.0, injected_mm=10.0)
-    trial = all_trials(protocol)[0]
-    moved = np.array([injected_m(protocol, trial, look) for look in range(5)])
-    assert len(np.unique(moved, axis=0)) == 5
-    np.testing.assert_array_equal(moved[0], injected_m(protocol, trial))
 
 
 def test_a_journal_goes_on_where_it_was_cut_off(tmp_path):
@@ -173,9 +171,3 @@ def test_the_page_tells_rates_pairs_and_what_was_declined_and_its_html_escapes()
     assert "<b>" not in html
     assert as_html("| a | b |\n|---|---|\n| 1 | `2` |") == ("<table><tr><th>a<th>b<tr><td>1<td><code>2</code></table>")
     json.dumps([results.rates["refined", "direct"][0].held for results in every])
-
-
-def test_a_trial_is_named_as_it_is_asked_for():
-    trial = all_trials(protocol_with())[-1]
-    assert isinstance(trial, Trial)
-    assert trial.name == "hard/chicken/2/3/robust/refined"

@@ -12,12 +12,15 @@ from shared.ros.types import JOINT_STATE, JOY, encode, message
 numbers = st.lists(st.floats(allow_nan=False), max_size=9)
 texts = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=12)
 stamps = st.integers(0, 2**31 * 10**9 - 1) | st.just(2**31 * 10**9 - 1)
-axes = st.lists(st.floats(width=32, allow_nan=False), max_size=5)
 
 
 def header(stamp_ns: int, frame: str):
     stamp = message("builtin_interfaces/msg/Time", stamp_ns // 10**9, stamp_ns % 10**9)
     return message("std_msgs/msg/Header", stamp, frame)
+
+
+def joy_of(*buttons):
+    return encode(JOY, message(JOY, header(1, "a"), np.zeros(1, np.float32), np.array(buttons, np.int32)))
 
 
 @given(stamps, texts, st.lists(texts, max_size=7), numbers, numbers, numbers)
@@ -28,10 +31,12 @@ def test_positions_are_read_from_any_joint_state(stamp_ns, frame, names, positio
 
 
 @given(
-    stamps, texts, st.lists(st.floats(width=32, allow_nan=False), max_size=5), st.lists(st.integers(0, 1), min_size=1)
+    stamps,
+    texts,
+    st.lists(st.floats(width=32, allow_nan=False), max_size=5),
+    st.lists(st.integers(0, 1), min_size=1, max_size=60),
 )
 def test_a_button_is_read_from_any_joy(stamp_ns, frame, values, buttons):
-    buttons = buttons[:60]
     joy = message(JOY, header(stamp_ns, frame), np.array(values, np.float32), np.array(buttons, np.int32))
     assert cdr.pressed(encode(JOY, joy)) == (buttons[0] == 1)
 
@@ -45,19 +50,8 @@ def test_what_is_written_are_the_other_librarys_bytes(stamp_ns, positions):
 
 
 @pytest.mark.parametrize("read", [cdr.joint_positions, cdr.pressed])
-@given(data=st.binary(max_size=120))
-def test_bytes_that_are_no_message_are_told_to_be_none(read, data):
-    for prefix in (b"", cdr.LITTLE_ENDIAN):
-        try:
-            read(prefix + data)
-        except cdr.CdrError:
-            continue
-
-
-@pytest.mark.parametrize("read", [cdr.joint_positions, cdr.pressed])
 def test_a_message_that_is_cut_off_or_goes_on_is_none(read):
-    joy = message(JOY, header(1, "a"), np.zeros(1, np.float32), np.ones(2, np.int32))
-    whole = crtk.joint_command(np.arange(6.0), 5) if read is cdr.joint_positions else encode(JOY, joy)
+    whole = crtk.joint_command(np.arange(6.0), 5) if read is cdr.joint_positions else joy_of(1, 1)
     for length in range(len(whole)):
         with pytest.raises(cdr.CdrError):
             read(whole[:length])
@@ -83,11 +77,9 @@ def test_a_time_that_does_not_fit_its_seconds_begins_anew():
 
 @pytest.mark.parametrize("value", [-1, 0, 2])
 def test_a_button_that_is_tapped_or_released_is_not_pressed(value):
-    joy = message(JOY, header(1, ""), np.zeros(1, np.float32), np.array([value], np.int32))
-    assert cdr.pressed(encode(JOY, joy)) is False
+    assert cdr.pressed(joy_of(value)) is False
 
 
 def test_a_joy_without_buttons_is_none():
-    joy = message(JOY, header(1, ""), np.zeros(1, np.float32), np.zeros(0, np.int32))
     with pytest.raises(cdr.CdrError, match="no button"):
-        cdr.pressed(encode(JOY, joy))
+        cdr.pressed(joy_of())

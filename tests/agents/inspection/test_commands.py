@@ -46,7 +46,7 @@ def test_in_a_pipe_lines_are_whole_and_plain(suturegrasp, recording):
     assert "<script>alert(1)</script> [bold]?[31m" in out
 
 
-@pytest.mark.parametrize("width", [60, 100, 200])
+@pytest.mark.parametrize("width", [60, 200])
 def test_a_terminal_gets_lines_that_fit(recording, width):
     session = read_session(recording)
     plain = [drawn.plain for drawn in _texts(lines([], session_tables(session), width))]
@@ -86,13 +86,6 @@ def test_two_recordings_are_set_side_by_side(suturegrasp, recording, slower, tmp
     assert [one["recording"] for one in both] == [str(recording), str(slower)]
 
 
-def test_a_recording_beside_itself_differs_in_nothing(suturegrasp, recording):
-    status, out, _ = suturegrasp("inspect", recording, recording)
-    assert status == 0
-    assert "run differently" not in out
-    assert {line.split()[-1] for line in out.splitlines() if line.endswith("%") and line[:1].islower()} <= {"+0%"}
-
-
 def test_a_page_is_written_and_a_recording_is_not_overwritten(suturegrasp, recording, tmp_path):
     page, before = tmp_path / "report.html", recording.read_bytes()
     assert suturegrasp("inspect", recording, "--html", page)[0] == 0
@@ -112,7 +105,8 @@ def test_damage_is_said_once_and_what_can_be_read_is_told(suturegrasp, damaged, 
     assert "camera/main/frames" in out
     status, out, err = suturegrasp("export", damaged, "--output", tmp_path / "out")
     assert (status, len(err.splitlines())) == (3, 1)
-    assert (tmp_path / "out" / "frames.csv").is_file()
+    assert "is damaged" in (tmp_path / "out" / "README.txt").read_text()
+    assert 5 < len((tmp_path / "out" / "frames.csv").read_text().splitlines()) < 57
 
 
 @pytest.mark.parametrize("command", [("inspect",), ("export", "--output")])

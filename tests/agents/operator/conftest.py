@@ -29,6 +29,9 @@ from schemas.messages import (
     Status,
     StereoFrame,
     ThreadReconstruction,
+    ToolCandidate,
+    ToolCorrection,
+    ToolStatus,
 )
 from schemas.topics import FRAME_NOTICE, FRAMES, MAIN, ROBOT_STATE, THREAD
 from shared.clock import now_ns
@@ -133,6 +136,38 @@ class HandMadeCamera(Stamped):
             return []
         stamp = self.next_stamp(arrived.now_ns)
         return [Output(FRAMES, StereoFrame(stamp, self._image, self._image)), Output(FRAME_NOTICE, FrameNotice(stamp))]
+
+
+def corrected(status=ToolStatus.CONVERGED, off_m=0.0, measured_ns=1, outline_px=()):
+    """What perception tells of psm1's tool; where it was found, so far off its registration."""
+    found = status is ToolStatus.CONVERGED
+    candidate = ToolCandidate(np.zeros(6), np.eye(6), np.zeros((16, 16, 16), np.uint8), 9, 0.9, 0.8, 0.5)
+    return ToolCorrection(
+        arm="psm1",
+        stamp=FrameStamp(1, measured_ns, measured_ns, "x"),
+        measured_ns=measured_ns,
+        status=status,
+        reason="" if found else "10% of an outline found, of 65% needed",
+        T_correction=np.eye(4) if found else None,
+        pivot_camera=np.zeros(3),
+        tip_camera=np.zeros(3),
+        tip_off_m=off_m,
+        turned_rad=0.0,
+        tip_deviation_m=0.0003 if found else 0.0,
+        turn_deviation_rad=0.0,
+        registered_left_px=np.zeros((0, 2)),
+        found_left_px=np.reshape(outline_px, (-1, 2)),
+        found_right_px=np.zeros((0, 2)),
+        candidates=(candidate,) if found else (),
+        attempts=1,
+        misses=0,
+        looks=1,
+    )
+
+
+@pytest.fixture(scope="session")
+def tool_correction():
+    return corrected
 
 
 GUARD = (1 << 63) + 1

@@ -107,18 +107,20 @@ def chosen(field, monkeypatch):
     return choose
 
 
-@pytest.mark.parametrize("code", ["thread_restarted", "clock_out_of_bounds", "unit_unknown", "unknown_arm"])
-def test_what_needs_another_look_is_asked_once(chosen, code):
+@pytest.mark.parametrize(
+    ("code", "text", "times"),
+    [
+        ("thread_restarted", "No plan:", 1),
+        ("unknown_arm", "No plan:", 1),
+        ("no_thread", "Planning", 3),
+        ("thread_stale", "Planning", 3),
+        ("arm_stale", "Planning", 3),
+    ],
+)
+def test_only_what_speaks_against_the_moment_alone_is_asked_again_without_another_look(chosen, code, text, times):
     planner = Planner(code, code)
-    assert chosen(planner).startswith("No plan:")
-    assert len(planner.asked) == 1
-
-
-@pytest.mark.parametrize("code", ["no_thread", "thread_stale", "arm_stale"])
-def test_what_speaks_against_the_moment_alone_is_asked_again(chosen, code):
-    planner = Planner(code, code)
-    assert chosen(planner).startswith("Planning")
-    assert [s for *_, s in planner.asked] == [0.3] * 3
+    assert chosen(planner).startswith(text)
+    assert planner.asked == [("psm1", "direct", 0.3)] * times
 
 
 def test_nothing_is_asked_again_once_the_thread_was_found_anew(chosen, heard, hand_made_thread):

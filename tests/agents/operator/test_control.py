@@ -4,7 +4,7 @@ import heapq
 import itertools
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agents.operator.control import (
@@ -71,12 +71,12 @@ def of_kind(effects, kind):
     return [effect for effect in effects if isinstance(effect, kind)]
 
 
-def test_a_press_arms_once_and_only_after_a_while():
+def test_a_press_arms_once_and_only_after_a_while_before_which_its_release_holds_nothing():
     control = controlled("a")
     effects, _ = pressed(control, until_s=PRESS_S - 0.1)
-    assert not of_kind(effects, ArmNow)
-    control = controlled("a")
-    effects, _ = pressed(control, until_s=2 * PRESS_S)
+    effects += control.release("a", "a slip")
+    assert not of_kind(effects, ArmNow | HoldNow)
+    effects, _ = pressed(control, from_s=1.0, until_s=1.0 + 2 * PRESS_S)
     assert of_kind(effects, ArmNow) == [ArmNow("a", "psm1", "plan-1")]
 
 
@@ -125,23 +125,18 @@ def test_a_challenge_of_before_the_arm_was_armed_makes_no_heartbeat():
     assert asked(control, now_s + 0.01 + CHALLENGE_EVERY_S).challenge_ns
 
 
-def test_an_answer_that_was_long_on_its_way_counts_for_nothing():
+def test_an_answer_that_was_long_on_its_way_or_to_a_challenge_that_did_not_go_out_counts_for_nothing():
     control = controlled("a")
     now_s = armed(control) + CHALLENGE_EVERY_S
-    challenge = asked(control, now_s)
-    assert control.beat("a", challenge.text, now_s + BEAT_S + 0.01) == []
-
-
-def test_a_challenge_that_did_not_go_out_cannot_be_answered():
-    control = controlled("a")
-    now_s = armed(control) + CHALLENGE_EVERY_S
-    challenge = asked(control, now_s)
-    control.withdraw(challenge.text)
-    assert control.beat("a", challenge.text, now_s) == []
+    late = asked(control, now_s)
+    assert control.beat("a", late.text, now_s + BEAT_S + 0.01) == []
+    withdrawn = asked(control, now_s + CHALLENGE_EVERY_S)
+    control.withdraw(withdrawn.text)
+    assert control.beat("a", withdrawn.text, now_s + CHALLENGE_EVERY_S) == []
 
 
 @pytest.mark.parametrize(("asks", "why"), [(True, "a did not answer for"), (False, "the bridge of psm1 told no new")])
-def test_why_a_press_ended_says_whether_the_page_or_the_bridge_was_silent(asks, why):
+def test_silence_ends_a_press_and_holds_and_says_whether_the_page_or_the_bridge_was_silent(asks, why):
     control = controlled("a")
     now_s, effects = armed(control), []
     for turn in range(30):
@@ -151,14 +146,6 @@ def test_why_a_press_ended_says_whether_the_page_or_the_bridge_was_silent(asks, 
             control.challenge(now_s + TURN_S * turn)
     (hold,) = of_kind(effects, HoldNow)
     assert hold.why.startswith(why)
-    assert control.press is None
-
-
-def test_a_page_that_falls_silent_is_held_and_the_press_is_over():
-    control = controlled("a")
-    now_s = armed(control)
-    effects = [effect for i in range(30) for effect in control.turn(now_s + 0.01 * i)]
-    (hold,) = of_kind(effects, HoldNow)
     assert (hold.arm, control.press) == ("psm1", None)
     assert control.challenge(now_s + 1) is None
 
@@ -175,12 +162,6 @@ def test_however_a_press_ends_once_it_arms_the_arm_holds():
             assert there(control.press).stage is not Stage.PRESSING
             assert len(of_kind(end(control), HoldNow)) == 1
             assert control.press is None
-
-
-def test_releasing_before_anything_is_armed_holds_nothing():
-    control = controlled("a")
-    pressed(control, until_s=PRESS_S / 2)
-    assert not of_kind(control.release("a", "a slip"), HoldNow)
 
 
 def test_an_arming_that_is_accepted_after_the_button_is_up_is_held():
@@ -240,7 +221,7 @@ SAYINGS = st.lists(
 
 @given(SAYINGS)
 def test_nothing_beats_or_arms_but_what_the_controlling_page_answers_now(sayings):
-    control, now_s, last_answer_s, challenges, armings = Control(), 0.0, -NEVER_S, [], 0
+    control, now_s, challenges, armings = Control(), 0.0, [], 0
     for what, screen, wait_s in sayings:
         now_s += wait_s
         effects = control.turn(now_s)
@@ -279,7 +260,7 @@ def test_nothing_beats_or_arms_but_what_the_controlling_page_answers_now(sayings
         assert control.controller in ("", *control.screens)
         ended = before is not None and before.stage is not Stage.PRESSING and control.press is not before
         assert not ended or of_kind(effects, HoldNow)
-        assert control.press is None or now_s - control.press.alive_s <= BEAT_S or last_answer_s == now_s
+        assert control.press is None or now_s - control.press.alive_s <= BEAT_S
 
 
 class Pressing:
@@ -335,6 +316,7 @@ DELAYS = st.lists(st.floats(0.0, 0.6), min_size=1, max_size=12)
 SHORT = st.lists(st.floats(0.0, 0.05), min_size=1, max_size=12)
 
 
+@settings(max_examples=20)
 @given(SHORT | DELAYS, SHORT | DELAYS, SHORT | DELAYS, st.floats(0.7, 1.6))
 def test_whatever_the_queues_a_heartbeat_echoes_what_the_bridge_asked_before_the_button_was_released(
     there_s, back_s, told_s, released_s
@@ -353,5 +335,5 @@ def test_through_short_queues_a_press_lasts_until_it_is_released():
     press = Pressing([0.02], [0.03], [0.01])
     press.run(1.5, released_s=NEVER_S)
     assert there(press.control.press).stage is Stage.ARMED
-    (*_, (at_s, challenge_ns)) = press.beats
+    at_s, challenge_ns = press.beats[-1]
     assert ns(at_s) - challenge_ns < 0.2e9

@@ -1,7 +1,5 @@
 """What the page's server listens to, with somebody there to see it and without."""
 
-import threading
-
 import pytest
 
 from agents.operator.heard import SHOWN, Heard
@@ -43,14 +41,3 @@ def test_what_is_shown_is_listened_to_while_somebody_is_there(heard, settings, s
     heard.attend()
     until(lambda: are_heard() == {True})
     assert heard.newest(FRAMES) == []
-
-
-def test_a_page_that_comes_while_others_are_let_go_of_is_served(heard):
-    heard.attend()
-    here = [False]
-    leaving = threading.Thread(target=lambda: heard.rest(unless=lambda: here[0]))
-    leaving.start()
-    here[0] = True
-    heard.attend()
-    leaving.join()
-    assert heard._wanted

@@ -3,6 +3,7 @@
 The thread is made by hand: straight, 80 mm away, and known less well in its middle.
 """
 
+import contextlib
 import threading
 
 import numpy as np
@@ -30,6 +31,7 @@ from schemas.topics import COMMANDS, HEARTBEAT, MAIN, PROMPT, ROBOT_STATE
 from shared.runtime.agent import Tick
 from shared.runtime.commands import accepted, new_header
 from shared.runtime.connection import connected
+from shared.runtime.session import SessionSettings
 
 LENGTH_M = 0.04
 PATIENT_S = 60.0
@@ -38,19 +40,15 @@ LONG_S = 3.5
 """Longer than a command waits for its answer."""
 
 
-@pytest.fixture
-def silence_s():
-    """How long the bridge goes on without a heartbeat."""
-    return PATIENT_S
-
-
-@pytest.fixture
-def bridge(silence_s, limits):
-    # a test machine may stall; how soon a silent operator disarms, and how old a plan may be, is the bridge's own test
-    patient = RobotBridgeConfig(
-        dead_man_s=silence_s, first_heartbeat_s=silence_s, maximum_plan_age_s=PATIENT_S, limits=limits
-    )
-    return RobotBridge(patient, SimulatedPsm())
+@pytest.fixture(scope="module", autouse=True)
+def patient():
+    """A test machine may stall."""
+    with pytest.MonkeyPatch.context() as patched:
+        for name in ("PLAN_WAIT_S", "PLAN_ARRIVES_S", "ARMING_S", "AWAKE_S", "SILENCE_S"):
+            patched.setattr(f"agents.operator.operator.{name}", PATIENT_S)
+        patched.setattr("agents.operator.operator.new_header", lambda sender: new_header(sender, PATIENT_S))
+        patched.setattr("shared.runtime.commands.FARTHEST_DEADLINE_S", 2 * PATIENT_S)
+        yield
 
 
 def patient_planner():
@@ -58,29 +56,40 @@ def patient_planner():
     return Planner(PlannerConfig(arm_age_ms=1e3 * PATIENT_S))
 
 
-@pytest.fixture(autouse=True)
-def patient_operator(monkeypatch):
-    """For the same reason."""
-    for name in ("PLAN_WAIT_S", "PLAN_ARRIVES_S", "ARMING_S", "AWAKE_S", "SILENCE_S"):
-        monkeypatch.setattr(f"agents.operator.operator.{name}", PATIENT_S)
-    monkeypatch.setattr("agents.operator.operator.new_header", lambda sender: new_header(sender, PATIENT_S))
-    monkeypatch.setattr("shared.runtime.commands.FARTHEST_DEADLINE_S", 2 * PATIENT_S)
+class Rig:
+    """A connection to planner and bridge, the modes that the arm told, and what runs the bridge."""
+
+    def __init__(self, connection, runner):
+        self.connection, self.runner, self.modes = connection, runner, []
+        connection.listen((ROBOT_STATE,), lambda tapped: self.modes.append(decode(RobotState, tapped.payload).mode))
 
 
-@pytest.fixture
-def modes():
-    return []
+@pytest.fixture(scope="module")
+def opened(router, in_threads, until, hand_made_thread):
+    """Open a rig whose bridge goes on for so long without a heartbeat."""
+
+    @contextlib.contextmanager
+    def opened(silence_s=PATIENT_S, **settings):
+        patient = {"first_heartbeat_s": silence_s, "maximum_plan_age_s": PATIENT_S}
+        bridge = RobotBridge(RobotBridgeConfig(dead_man_s=silence_s, **patient, **settings), SimulatedPsm())
+        with router() as endpoint:
+            session = SessionSettings(rig="test", endpoint=endpoint)
+            with (
+                in_threads(session, hand_made_thread(), patient_planner(), bridge) as (*_, runner),
+                connected(session, PATIENT_S) as connection,
+            ):
+                rig = Rig(connection, runner)
+                until(lambda: rig.modes and ready(connection))
+                yield rig
+
+    return opened
 
 
-@pytest.fixture
-def connection(settings, bridge, modes, in_threads, until, hand_made_thread):
-    with (
-        in_threads(settings, hand_made_thread(), patient_planner(), bridge),
-        connected(settings, PATIENT_S) as connection,
-    ):
-        connection.listen((ROBOT_STATE,), lambda tapped: modes.append(decode(RobotState, tapped.payload).mode))
-        until(lambda: modes and ready(connection))
-        yield connection
+@pytest.fixture(scope="module")
+def connection(opened):
+    """To a rig that no test changes for those that follow."""
+    with opened() as rig:
+        yield rig.connection
 
 
 def ready(connection):
@@ -109,19 +118,21 @@ def ended(connection, plan, told=lambda _: None):
     return stood.end
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limits", ["quick"], indirect=True)
-def test_a_goal_is_planned_armed_and_carried_out_with_a_slide(connection, planned, modes, until):
-    plan = planned(connection, Policy.CAPTURE_SLIDE_GRASP, s=0.5)
-    assert plan.status is Status.OK, plan.reason
-    assert plan.s_goal == pytest.approx(0.5)
-    assert plan.s_capture is not None
-    assert plan.slide_m == pytest.approx(abs(plan.s_capture - 0.5) * LENGTH_M)
-    assert plan.slide_m > 0.003
-    told = []
-    assert ended(connection, plan, told.append).kind is ExecutionKind.FINISHED
-    phases = [event.phase for event in told if event.kind is ExecutionKind.PHASE_REACHED]
-    assert phases == [Phase.APPROACH, Phase.CAPTURE, Phase.SLIDE, Phase.GRASP, Phase.RETREAT]
-    until(lambda: modes[-1] is RobotMode.IDLE)
+def test_a_goal_is_planned_armed_and_carried_out_with_a_slide(opened, limits, planned, until):
+    with opened(limits=limits) as rig:
+        plan = planned(rig.connection, Policy.CAPTURE_SLIDE_GRASP, s=0.5)
+        assert plan.status is Status.OK, plan.reason
+        assert plan.s_goal == pytest.approx(0.5)
+        assert plan.s_capture is not None
+        assert plan.slide_m == pytest.approx(abs(plan.s_capture - 0.5) * LENGTH_M)
+        assert plan.slide_m > 0.003
+        told = []
+        assert ended(rig.connection, plan, told.append).kind is ExecutionKind.FINISHED
+        phases = [event.phase for event in told if event.kind is ExecutionKind.PHASE_REACHED]
+        assert phases == [Phase.APPROACH, Phase.CAPTURE, Phase.SLIDE, Phase.GRASP, Phase.RETREAT]
+        until(lambda: rig.modes[-1] is RobotMode.IDLE)
 
 
 class Heard:
@@ -182,14 +193,23 @@ def test_beside_the_pedal_each_heartbeat_echoes_a_newer_challenge_and_that_of_th
     assert len(answered) > 5
 
 
-@pytest.mark.parametrize("silence_s", [0.5])
-def test_leaving_disarms_and_the_arm_holds(connection, planned, modes, until):
-    plan = planned(connection, Policy.DIRECT, s=0.2)
-    left = threading.Event()
-    stood = arm_and_stand_by(connection, "psm1", plan.plan_id, left, lambda _: left.set())
-    assert (stood.answer.outcome, stood.end) == (Outcome.ACCEPTED, None)
-    assert "disarmed" in stood.left
-    until(lambda: modes[-1] is RobotMode.HOLDING)
+def test_leaving_disarms_and_the_arm_holds(opened, planned, until):
+    with opened(silence_s=0.5) as rig:
+        plan = planned(rig.connection, Policy.DIRECT, s=0.2)
+        left = threading.Event()
+        stood = arm_and_stand_by(rig.connection, "psm1", plan.plan_id, left, lambda _: left.set())
+        assert (stood.answer.outcome, stood.end) == (Outcome.ACCEPTED, None)
+        assert "disarmed" in stood.left
+        until(lambda: rig.modes[-1] is RobotMode.HOLDING)
+
+
+def test_an_arm_that_falls_silent_is_left(opened, planned, monkeypatch):
+    monkeypatch.setattr("agents.operator.operator.SILENCE_S", 0.5)
+    with opened() as rig:
+        plan = planned(rig.connection, Policy.DIRECT, s=0.2)
+        stood = arm_and_stand_by(rig.connection, "psm1", plan.plan_id, NEVER, lambda _: rig.runner.stop())
+    assert stood.end is None
+    assert "psm1 has not reported" in stood.left
 
 
 def test_hold_ends_what_an_operator_stands_by(connection, planned):
@@ -236,13 +256,6 @@ def test_commands_without_receiver_have_an_unknown_outcome(settings):
     assert "planner" in answer.reason
 
 
-def test_perception_answers_a_prompt(settings, in_threads, until):
-    with in_threads(settings, Perception()), connected(settings, PATIENT_S) as connection:
-        until(lambda: "perception/main" in connection.present())
-        assert prompt(connection, np.array([5.0, 5.0])).code == "no_frame"
-        assert prompt(connection, None).outcome is Outcome.ACCEPTED
-
-
 class BusyPerception:
     """In the place of perception with a network that needs longer for a frame than a prompt waits."""
 
@@ -263,6 +276,14 @@ class BusyPerception:
         return [accepted(arrived.message.header.id)]
 
 
+def test_perception_answers_a_prompt(settings, in_threads, until):
+    with in_threads(settings, Perception()), connected(settings, PATIENT_S) as connection:
+        until(lambda: "perception/main" in connection.present())
+        assert prompt(connection, np.array([5.0, 5.0])).code == "no_frame"
+        assert prompt(connection, None).outcome is Outcome.ACCEPTED
+
+
+@pytest.mark.slow
 def test_a_prompt_is_told_again_while_perception_is_busy_with_a_frame(settings, in_threads):
     perception = BusyPerception()
     with in_threads(settings, perception), connected(settings, PATIENT_S) as connection:
@@ -270,16 +291,3 @@ def test_a_prompt_is_told_again_while_perception_is_busy_with_a_frame(settings, 
         assert prompt(connection, np.array([5.0, 6.0])).outcome is Outcome.ACCEPTED
     # one that is told again may be carried out twice, which is as good
     assert {tuple(pixel) for pixel in perception.prompted} == {(5.0, 6.0)}
-
-
-def test_an_arm_that_falls_silent_is_left(settings, planned, bridge, monkeypatch, in_threads, until, hand_made_thread):
-    monkeypatch.setattr("agents.operator.operator.SILENCE_S", 0.5)
-    with (
-        in_threads(settings, hand_made_thread(), patient_planner(), bridge) as (*_, runner),
-        connected(settings, PATIENT_S) as connection,
-    ):
-        until(lambda: ready(connection))
-        plan = planned(connection, Policy.DIRECT, s=0.2)
-        stood = arm_and_stand_by(connection, "psm1", plan.plan_id, NEVER, lambda _: runner.stop())
-    assert stood.end is None
-    assert "psm1 has not reported" in stood.left

@@ -20,7 +20,10 @@ from shared.runtime.agent import Tick
 from shared.runtime.commands import accepted, new_header
 from shared.runtime.config import parse_config
 
-pytestmark = pytest.mark.skipif(found() is None, reason="there is no chromium here (apt-get install chromium)")
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.skipif(found() is None, reason="there is no chromium here (apt-get install chromium)"),
+]
 
 PATIENT_S = 60.0
 GOAL_S = "suturegrasp.panel.state.goals.psm1?.at.s"

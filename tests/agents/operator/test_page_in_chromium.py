@@ -26,7 +26,11 @@ from schemas.topics import EXECUTION, ROBOT_STATE, THREAD
 from shared.runtime.connection import connected
 from shared.runtime.session import SessionSettings, free_local_endpoint
 
-pytestmark = pytest.mark.skipif(found() is None, reason="there is no chromium here (apt-get install chromium)")
+pytestmark = [
+    pytest.mark.rig,
+    pytest.mark.browser,
+    pytest.mark.skipif(found() is None, reason="there is no chromium here (apt-get install chromium)"),
+]
 
 STARTS_S, PATIENT_S, TRIES = 90.0, 60.0, 20
 ANSWERED_S = 5.0

@@ -19,6 +19,8 @@ from benchmarks.page_firefox import firefox
 from benchmarks.page_firefox import found as firefox_found
 from shared.runtime.commands import new_header
 
+pytestmark = pytest.mark.browser
+
 PATIENT_S, NEVER_S, BEAT_S = 60.0, 1e6, 2.0
 PLANNED = "suturegrasp.plans.psm1?.ok && suturegrasp.panel.state.goals.psm1?.text === ''"
 PRESSES = "suturegrasp.panel.state.press?.stage === 'pressing'"

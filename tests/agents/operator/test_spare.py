@@ -28,41 +28,25 @@ def host():
     return Host()
 
 
-def test_a_host_is_full_as_soon_as_a_second_of_it_was_used_up(host):
+def test_a_host_is_full_as_soon_as_a_second_of_it_was_used_up_and_has_room_once_it_was_calm_for_a_while(host):
     assert not host.after(3)
     host.idle = 0.05
     assert host.after(1)
-
-
-def test_it_has_room_again_only_after_it_was_calm_for_a_while(host):
-    host.idle = 0.05
-    assert host.after(2)
     host.idle = 0.5
     assert host.after(CALM_S - 1)
     assert not host.after(2)
 
 
-def test_what_stepping_back_itself_sets_free_is_not_yet_room(host):
+def test_what_stepping_back_itself_sets_free_is_not_yet_room_and_the_calm_must_last(host):
     host.idle = 0.05
     assert host.after(1)
     host.idle = 0.2
     assert host.after(10 * CALM_S)
-
-
-def test_the_calm_must_last(host):
-    host.idle = 0.05
-    assert host.after(1)
     for _ in range(5):
         host.idle = 0.6
         assert host.after(CALM_S / 2)
         host.idle = 0.25
         assert host.after(1)
-
-
-def test_where_the_system_does_not_tell_no_host_is_full():
-    spare = Spare(lambda: None)
-    spare.look(1.0)
-    assert not spare.full
 
 
 @pytest.mark.skipif(not STAT.exists(), reason="this system has no /proc/stat")
@@ -76,8 +60,11 @@ def test_this_host_tells_of_its_processors():
     assert told.total <= 1.1 * ticks * uptime_s * (os.cpu_count() or 1)
 
 
-def test_damaged_figures_are_no_figures(tmp_path, monkeypatch):
+def test_where_the_system_tells_nothing_or_damaged_figures_no_host_is_full(tmp_path, monkeypatch):
     monkeypatch.setattr("agents.operator.spare.STAT", tmp_path / "stat")
     assert processors() is None
     (tmp_path / "stat").write_text("cpu 1 2 x\n")
     assert processors() is None
+    spare = Spare()
+    spare.look(1.0)
+    assert not spare.full

@@ -63,20 +63,6 @@ def rows_of(mask):
     return np.flatnonzero(decode_image(mask).max(axis=1) > 96)
 
 
-@pytest.mark.parametrize("rows", [-3, 2, 3])
-def test_rows_that_are_apart_are_put_in_line_and_said_to_be(rows):
-    (straight,) = fed(frame(0))
-    first, near, again = fed(frame(0, rows), frame(1, rows), frame(40, rows))
-    assert (straight.rows_moved_up, codes(straight)) == (0, {})
-    for observed in (first, near, again):
-        assert observed.status is Status.OK
-        assert observed.rows_moved_up == rows
-        assert codes(observed) == {"row_offset": Severity.WARNING}
-        assert abs(rows_of(observed.mask_right)[[0, -1]] - rows_of(straight.mask_right)[[0, -1]]).max() <= 1
-    assert f"{abs(rows)}.0 px {'lower' if rows > 0 else 'higher'} than in the left" in first.judgements[0].finding
-    assert near.judgements[0].finding.endswith("(judged in frame 0)")
-
-
 def test_a_baseline_in_the_wrong_unit_is_said_beside_the_thread():
     calibration, _, _ = scene()
     T = calibration.T_right_left.copy()
@@ -89,10 +75,13 @@ def test_a_baseline_in_the_wrong_unit_is_said_beside_the_thread():
     assert "where no endoscope looks" in observed.judgements[0].finding
 
 
-def test_rows_come_back_when_the_camera_does():
-    found = fed(*(frame(k, 3) for k in range(5)), frame(70), frame(71))
-    assert [o.rows_moved_up for o in found] == [3, 3, 3, 3, 3, 0, 0]
-    assert [codes(o) for o in found[5:]] == [{}, {}]
+def test_a_new_calibration_has_the_pair_judged_again():
+    agent = Perception()
+    for sequence, metres_per_unit in enumerate((1e-3, None)):
+        given(agent, CALIBRATION, replace(scene()[0], metres_per_unit=metres_per_unit))
+        (observed,) = given(agent, FRAMES, frame(sequence, 2))
+        assert codes(observed) == {"row_offset": Severity.WARNING}
+        assert "judged in frame" not in observed.judgements[0].finding
 
 
 def test_rows_too_far_apart_to_be_a_little_off_are_a_fault_and_stay():
@@ -116,6 +105,8 @@ def test_pictures_that_stand_still_are_said_to_while_they_do():
     found = fed(frame(0), frame(5, **still), frame(5 + STILL_FRAMES, **still), frame(6 + STILL_FRAMES))
     assert [codes(o) for o in found] == [{}, {}, {"frozen": Severity.WARNING}, {}]
     assert "since frame 5" in found[2].judgements[0].finding
+    _, begun_again = fed(frame(100, **still), frame(2, **still))
+    assert begun_again.picture_left_since == 2
 
 
 def test_one_eye_that_stands_still_makes_frames_unusable_until_it_goes_on():
@@ -125,24 +116,30 @@ def test_one_eye_that_stands_still_makes_frames_unusable_until_it_goes_on():
     assert "the right eye has shown the very same picture since frame 1" in found[2].reason
 
 
-def test_a_camera_that_began_again_does_not_stand_still():
-    found = fed(frame(100, left_noise=1, right_noise=1), frame(2, left_noise=1, right_noise=1))
-    assert found[1].picture_left_since == 2
+@pytest.mark.parametrize("rows", [-3, 2])
+def test_rows_that_are_apart_are_put_in_line_and_said_to_be_until_the_camera_is_straight_again(rows):
+    (straight,) = fed(frame(0))
+    assert (straight.rows_moved_up, codes(straight)) == (0, {})
+    first, near, again, come_back = fed(frame(0, rows), frame(1, rows), frame(40, rows), frame(110))
+    for observed in (first, near, again):
+        assert observed.status is Status.OK
+        assert observed.rows_moved_up == rows
+        assert codes(observed) == {"row_offset": Severity.WARNING}
+        assert abs(rows_of(observed.mask_right)[[0, -1]] - rows_of(straight.mask_right)[[0, -1]]).max() <= 1
+    assert f"{abs(rows)}.0 px {'lower' if rows > 0 else 'higher'} than in the left" in first.judgements[0].finding
+    assert near.judgements[0].finding.endswith("(judged in frame 0)")
+    assert (come_back.rows_moved_up, codes(come_back)) == (0, {})
 
 
-def test_exposure_is_told_of_the_frame_at_hand():
+def test_exposure_is_told_of_the_frame_at_hand_and_blur_until_the_whole_is_looked_at_again():
     def dark(image):
         return (image * 0.15).astype(np.uint8)
 
-    found = fed(frame(0), frame(1, change=dark), frame(2))
-    assert "too_dark" in codes(found[1])
-    assert "too_dark" not in codes(found[0]) and "too_dark" not in codes(found[2])
-
-
-def test_a_blurred_pair_is_warned_of_until_the_whole_is_looked_at_again():
     def blurred(image):
         return cv2.GaussianBlur(image, (0, 0), 3.0)
 
+    found = fed(frame(0), frame(1, change=dark), frame(2))
+    assert ["too_dark" in codes(o) for o in found] == [False, True, False]
     found = fed(frame(0, change=blurred), frame(40))
     assert codes(found[0]).get("blurred") is Severity.WARNING
     assert "blurred" not in codes(found[1])

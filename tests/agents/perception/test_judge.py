@@ -1,4 +1,4 @@
-"""Faults made on purpose in pairs that are otherwise clean."""
+"""Faults made on purpose in masks that are otherwise clean; what textures tell is in judging/test_pair.py."""
 
 import cv2
 import numpy as np
@@ -37,90 +37,51 @@ def codes(findings):
     return {finding.code: finding.severity for finding in findings}
 
 
-def textured(disparity, rows):
-    left = tissue_like()
-    return correspondence_of_texture(left, moved(left, -disparity, -rows), NOTHING, NOTHING)
-
-
-def plain(disparity, rows):
+def seen(disparity, rows):
     left = thread_mask()
     return correspondence_of_masks(left > 0, moved(left, -disparity, -rows) > 0)
 
 
-both_grounds = pytest.mark.parametrize("seen", [textured, plain])
+@pytest.mark.parametrize(
+    ("disparity", "rows", "found"),
+    [
+        (20, 0, {}),
+        (35, 2, {"row_residual": Severity.WARNING}),
+        (20, -2, {"row_residual": Severity.WARNING}),
+        (12, -7, {"row_residual": Severity.FAULT}),
+        (-18, 0, {"left_right_swapped": Severity.FAULT}),
+    ],
+)
+def test_shifts_of_masks_are_measured_and_judged_by_their_size(disparity, rows, found):
+    correspondence = seen(disparity, rows)
+    assert correspondence.disparity_px == pytest.approx(disparity, abs=4.0)
+    assert correspondence.row_residual_px == pytest.approx(rows, abs=0.5)
+    findings = judge(correspondence, SHAPE)
+    assert codes(findings) == found
+    for finding in findings:
+        said = "exchange --left and --right" if disparity < 0 else f"{abs(rows)}.0 px apart in rows"
+        assert said in f"{finding.finding}; {finding.remedy}"
 
 
-@both_grounds
-@pytest.mark.parametrize(("disparity", "rows"), [(20, 0), (35, 4), (12, -7), (-18, 0)])
-def test_shifts_are_measured_on_any_ground(seen, disparity, rows):
-    found = seen(disparity, rows)
-    assert found.disparity_px == pytest.approx(disparity, abs=1.0 if seen is textured else 4.0)
-    assert found.row_residual_px == pytest.approx(rows, abs=0.5)
-
-
-@both_grounds
-def test_a_clean_pair_is_not_judged(seen):
-    assert judge(seen(20, 0), SHAPE) == ()
-
-
-@both_grounds
-def test_exchanged_images_are_a_fault_with_its_remedy(seen):
-    findings = judge(seen(-20, 0), SHAPE)
-    assert codes(findings) == {"left_right_swapped": Severity.FAULT}
-    assert "20 px further left" in findings[0].finding or seen is plain
-    assert "exchange --left and --right" in findings[0].remedy
-
-
-@both_grounds
-@pytest.mark.parametrize(("rows", "severity"), [(2, Severity.WARNING), (-2, Severity.WARNING), (8, Severity.FAULT)])
-def test_row_offsets_are_warnings_while_small_and_faults_beyond(seen, rows, severity):
-    findings = judge(seen(20, rows), SHAPE)
-    assert codes(findings) == {"row_residual": severity}
-    assert f"{abs(rows)}.0 px apart in rows" in findings[0].finding
-
-
-def test_what_is_unknown_is_not_judged():
+def test_one_image_given_twice_is_no_stereo_pair_and_what_is_unknown_is_not_judged():
+    assert codes(judge(Correspondence(0.0, 0.0), (480, 640))) == {"no_disparity": Severity.FAULT}
     assert judge(Correspondence(None, None), SHAPE) == ()
 
 
-def test_pairs_of_different_scenes_do_not_correspond():
+def test_grounds_of_other_scenes_without_features_or_covered_by_thread_do_not_correspond():
     assert correspondence_of_texture(tissue_like(1), tissue_like(2), NOTHING, NOTHING) is None
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (1, 300), (300, 1), (63, 200)])
-def test_images_too_small_for_features_say_nothing(shape):
-    image, nothing = np.zeros((*shape, 3), np.uint8), np.zeros(shape, bool)
-    assert correspondence_of_texture(image, image, nothing, nothing) is None
-
-
-def test_a_plain_ground_says_nothing():
-    plain_image = np.full((HEIGHT, WIDTH, 3), 200, np.uint8)
-    assert correspondence_of_texture(plain_image, plain_image, NOTHING, NOTHING) is None
-
-
-def test_features_of_the_thread_are_left_out():
-    left = tissue_like()
-    everywhere = np.ones((HEIGHT, WIDTH), bool)
+    left, everywhere = tissue_like(), np.ones((HEIGHT, WIDTH), bool)
     assert correspondence_of_texture(left, moved(left, -20, 0), everywhere, everywhere) is None
+    for shape in ((HEIGHT, WIDTH), (1, 1), (1, 300), (63, 200)):
+        plain_image, nothing = np.full((*shape, 3), 200, np.uint8), np.zeros(shape, bool)
+        assert correspondence_of_texture(plain_image, plain_image, nothing, nothing) is None
 
 
-def test_an_empty_mask_corresponds_to_nothing():
-    some = thread_mask() > 0
-    for pair in ((NOTHING, some), (some, NOTHING), (NOTHING, NOTHING)):
+def test_masks_that_are_empty_or_of_different_threads_correspond_to_nothing():
+    some, other = thread_mask() > 0, NOTHING.copy()
+    other[250:254, 60:300] = True
+    for pair in ((NOTHING, some), (some, NOTHING), (NOTHING, NOTHING), (some, other)):
         assert correspondence_of_masks(*pair) == Correspondence(None, None)
-
-
-def test_masks_of_different_threads_give_no_row_shift():
-    left, right = NOTHING.copy(), NOTHING.copy()
-    left[20:40, 100:104] = True
-    right[200:204, 60:300] = True
-    found = correspondence_of_masks(left, right)
-    assert found == Correspondence(None, None)
-
-
-def test_one_image_given_twice_is_no_stereo_pair():
-    (finding,) = judge(Correspondence(0.0, 0.0), (480, 640))
-    assert (finding.code, finding.severity) == ("no_disparity", Severity.FAULT)
 
 
 def test_the_plane_of_rows_is_told_though_two_fifths_of_the_matches_are_wrong_alike():

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from agents.perception.observe import LARGEST_SEGMENTED_SHARE, LEAST_OBSERVATIONS, observe
 from schemas.messages import FrameStamp, RectifiedStereo, Status, ThreadObservations
 from shared.camera import project
+from shared.images import decode_image
 from shared.scene.__main__ import make_scene
 from shared.scene.render import RenderedPair, Scene, render
 from shared.splines import evaluate
@@ -64,23 +65,6 @@ def test_a_rendered_thread_is_observed_along_its_length_near_its_true_depth():
     assert found_px[0, 0] <= found_px[-1, 0]
 
 
-def test_masks_and_stamp_travel_with_the_observations():
-    mask = box(slice(20, 70), slice(60, 62))
-    result = seen(mask, np.roll(mask, -6, axis=1))
-    decoded = cv2.imdecode(np.frombuffer(result.mask_left.data, np.uint8), cv2.IMREAD_GRAYSCALE)
-    np.testing.assert_array_equal(decoded, mask)
-    assert (result.stamp, result.camera, result.segmenter) == (STAMP, CAMERA, "by hand")
-
-
-def test_a_uniform_vertical_thread_is_observed_at_its_disparity():
-    mask = box(slice(10, 80), slice(60, 62))
-    result = seen(mask, np.roll(mask, -6, axis=1))
-    assert result.status is Status.OK
-    np.testing.assert_allclose(result.points_camera[:, 2], 170.0 * 5.5 / 6)
-    assert result.inlier.all()
-    assert len(result.gaps) == 0
-
-
 def test_a_piece_apart_is_named_as_a_gap():
     mask = box(slice(5, 40), slice(60, 62)) | box(slice(50, 85), slice(60, 62))
     result = seen(mask, np.roll(mask, -6, axis=1))
@@ -89,39 +73,39 @@ def test_a_piece_apart_is_named_as_a_gap():
     assert rows[result.gaps[0]] < 40 <= 49 < rows[result.gaps[0] + 1]
 
 
-@pytest.mark.parametrize(("missing", "name"), [(0, "left"), (1, "right")])
-def test_an_empty_mask_is_named(missing, name):
+@pytest.mark.parametrize("eye", [0, 1])
+def test_a_mask_that_is_empty_or_covers_too_much_is_named(eye):
+    name = ("left", "right")[eye]
     masks = [box(slice(10, 80), slice(60, 62))] * 2
-    masks[missing] = NOTHING
+    masks[eye] = NOTHING
     failed(seen(masks[0], masks[1]), f"no thread was found in the {name} image", "'by hand'")
-
-
-@pytest.mark.parametrize(("full", "name"), [(0, "left"), (1, "right")])
-def test_a_mask_that_covers_too_much_is_named(full, name):
-    masks = [box(slice(10, 80), slice(60, 62))] * 2
-    masks[full] = box(slice(0, HEIGHT), slice(0, round(1.5 * LARGEST_SEGMENTED_SHARE * WIDTH)))
+    masks[eye] = box(slice(0, HEIGHT), slice(0, round(1.5 * LARGEST_SEGMENTED_SHARE * WIDTH)))
     failed(seen(masks[0], masks[1]), f"of the {name} image is thread", "more than any thread covers")
 
 
-def test_faults_of_the_input_end_it_with_finding_and_remedy():
-    mask = box(slice(10, 80), slice(60, 62))
-    result = seen(mask, np.roll(mask, 9, axis=1))
-    failed(result, "left and right look exchanged", "exchange --left and --right")
-    assert [j.code for j in result.judgements] == ["left_right_swapped"]
-
-
-def test_warnings_stay_beside_good_observations():
-    scene, pair = easy_scene()
-    images, masks = (pair.left_bgr, pair.right_bgr), (pair.coverage_left, pair.coverage_right)
-    right, mask_right = (np.roll(image, 2, axis=0) for image in (images[1], masks[1]))
-    result = seen(masks[0], mask_right, images[0], right, scene.camera)
-    assert result.status is Status.OK
-    assert [j.code for j in result.judgements] == ["row_residual"]
-
-
-def test_threads_in_different_rows_have_no_candidates():
-    result = seen(box(slice(5, 30), slice(60, 62)), box(slice(60, 85), slice(50, 52)))
-    failed(result, "a disparity of 1 to 20 px", "check that both show the same thread, rectified")
+@pytest.mark.parametrize(
+    ("left", "right", "words"),
+    [
+        (
+            (slice(10, 80), slice(60, 62)),
+            (slice(10, 80), slice(69, 71)),
+            ("left and right look exchanged", "exchange --left and --right"),
+        ),
+        (
+            (slice(5, 30), slice(60, 62)),
+            (slice(60, 85), slice(50, 52)),
+            ("a disparity of 1 to 20 px", "check that both show the same thread, rectified"),
+        ),
+        (
+            (slice(40, 42), slice(60, 61)),
+            (slice(40, 42), slice(54, 55)),
+            ("only 2 observations", f"at least {LEAST_OBSERVATIONS}"),
+        ),
+    ],
+    ids=["exchanged", "in other rows", "too little"],
+)
+def test_masks_of_which_nothing_can_be_observed_fail_with_reason_and_remedy(left, right, words):
+    failed(seen(box(*left), box(*right)), *words)
 
 
 def test_a_thread_along_the_rows_leaves_no_clear_match():
@@ -130,12 +114,6 @@ def test_a_thread_along_the_rows_leaves_no_clear_match():
     failed(result, "has a match that is clearly better than its second best")
     assert len(result.matched_px) > 100
     assert not result.inlier.any()
-
-
-def test_too_few_observations_are_counted():
-    mask = box(slice(40, 42), slice(60, 61))
-    result = seen(mask, np.roll(mask, -6, axis=1))
-    failed(result, "only 2 observations", f"at least {LEAST_OBSERVATIONS}")
 
 
 def scribble(rng):
@@ -149,11 +127,8 @@ MASKS = {
     "empty": lambda _: NOTHING,
     "full": lambda _: np.full_like(NOTHING, 255),
     "pixel": lambda rng: box(int(rng.integers(HEIGHT)), int(rng.integers(WIDTH))),
-    "row": lambda rng: box(int(rng.integers(HEIGHT)), slice(0, WIDTH)),
-    "column": lambda rng: box(slice(0, HEIGHT), int(rng.integers(WIDTH))),
     "scatter": lambda rng: ((rng.random(NOTHING.shape) < rng.uniform(0.0005, 0.05)) * 255).astype(np.uint8),
     "noise": lambda rng: rng.integers(0, 256, NOTHING.shape, dtype=np.uint8),
-    "faint": lambda rng: rng.integers(0, 99, NOTHING.shape, dtype=np.uint8),
     "scribble": scribble,
 }
 IMAGES = {
@@ -165,7 +140,7 @@ IMAGES = {
 kinds_of_mask, kinds_of_image = st.sampled_from(sorted(MASKS)), st.sampled_from(sorted(IMAGES))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40)
 @given(
     masks=st.tuples(kinds_of_mask, kinds_of_mask),
     images=st.tuples(kinds_of_image, kinds_of_image),
@@ -185,11 +160,12 @@ def test_anything_ends_as_a_status(masks, images, shift, alike, seed):
     assert (result.points_camera[:, 2] >= 170.0 * 5.5 / 20.0 - 1e-6).all()
 
 
-@settings(max_examples=15, deadline=None)
-@given(shape=st.tuples(st.integers(1, 12), st.integers(1, 12)), seed=st.integers(0, 10**6))
-def test_tiny_images_end_as_a_status(shape, seed):
-    rng = np.random.default_rng(seed)
-    camera = RectifiedStereo(shape[1], shape[0], 10.0, 10.0, 0.0, 0.0, 1.0, None)
-    image = rng.integers(0, 256, (*shape, 3), dtype=np.uint8)
-    masks = ((rng.random((2, *shape)) < 0.05) * 255).astype(np.uint8)
-    assert seen(masks[0], masks[1], image, image, camera).status in Status
+def test_a_uniform_vertical_thread_is_observed_at_its_disparity_and_its_masks_travel_along():
+    mask = box(slice(10, 80), slice(60, 62))
+    result = seen(mask, np.roll(mask, -6, axis=1))
+    assert result.status is Status.OK
+    np.testing.assert_allclose(result.points_camera[:, 2], 170.0 * 5.5 / 6)
+    assert result.inlier.all()
+    assert len(result.gaps) == 0
+    np.testing.assert_array_equal(decode_image(result.mask_left), mask)
+    assert (result.stamp, result.camera, result.segmenter) == (STAMP, CAMERA, "by hand")

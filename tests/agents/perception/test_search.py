@@ -4,10 +4,10 @@ import dataclasses
 import functools
 
 import numpy as np
-import pytest
 
 from agents.perception.search import (
     FRAMES_BETWEEN_LOOKS,
+    LONGEST_GAP,
     MARGIN_SHARE,
     is_brighter,
     look_everywhere,
@@ -32,8 +32,8 @@ WIDTH, HEIGHT = 480, 270
 
 
 @functools.cache
-def tissue(colour="black"):
-    pair = render(make_scene("medium", "tissue", 32, colour))
+def tissue():
+    pair = render(make_scene("medium", "tissue", 32, "violet"))
     return pair.left_bgr, pair.right_bgr
 
 
@@ -75,31 +75,6 @@ def overlap(a, b):
     return ((a > 0) & (b > 0)).sum() / ((a > 0) | (b > 0)).sum()
 
 
-@pytest.mark.parametrize("colour", ["black", "violet"])
-def test_a_thread_that_moves_is_followed_step_by_step(colour):
-    images = tissue(colour)
-    last = seen(images, look_everywhere(images, 0))
-    for step in range(1, 5):
-        now = moved(images, 8 * step, -6 * step)
-        looked = look_near(now, last, step)
-        assert looked is not None
-        assert looked.looked_sequence == 0
-        for near, whole in zip(looked.coverage, look_everywhere(now, 0, looked.segmenter).coverage, strict=True):
-            assert overlap(near, whole) > 0.9
-        last = seen(now, looked, step)
-
-
-def test_a_thread_that_jumps_away_has_everything_looked_at():
-    images = tissue()
-    last = seen(images, look_everywhere(images, 0))
-    assert look_near(moved(images, 0, round(2.5 * MARGIN_SHARE * images[0].shape[1])), last, 1) is None
-
-
-@pytest.mark.parametrize("sequence", [FRAMES_BETWEEN_LOOKS, 3 * FRAMES_BETWEEN_LOOKS, 0, -5])
-def test_after_so_many_frames_and_after_a_restart_of_the_camera_everything_is_looked_at(sequence):
-    assert look_near(tissue(), seen(tissue(), look_everywhere(tissue(), 0)), sequence) is None
-
-
 def test_who_is_slow_looks_at_the_whole_no_more_often_than_at_every_fourth_frame():
     images = tissue()
     first = seen(images, look_everywhere(images, 0))
@@ -115,32 +90,10 @@ def test_who_is_slow_looks_at_the_whole_no_more_often_than_at_every_fourth_frame
     assert look_near(images, enough, FRAMES_BETWEEN_LOOKS - 1) is not None
 
 
-def test_near_reaches_a_margin_around_the_thread_and_no_further():
-    columns = np.flatnonzero(near_thread(line(200))[130])
-    margin = MARGIN_SHARE * WIDTH
-    assert 200 - 1.4 * margin < columns[0] < 200 - 0.7 * margin
-    assert 203 + 0.7 * margin < columns[-1] < 203 + 1.4 * margin
-
-
-def test_thread_at_the_border_of_what_was_looked_at_may_go_on_and_thread_at_the_images_own_cannot():
-    near = near_thread(line(200))
-    pixels = int((line(200) > 0).sum())
-    assert not may_lack_thread(line(200), near, pixels)
-    assert may_lack_thread(line(200, slice(60, 225)) & np.where(near, 255, 0).astype(np.uint8), near, pixels)
-    whole = line(200, slice(0, HEIGHT))
-    assert not may_lack_thread(whole, near_thread(whole), int((whole > 0).sum()))
-
-
-def test_less_thread_than_there_was_has_everything_looked_at():
-    near, pixels = near_thread(line(200)), int((line(200) > 0).sum())
-    assert may_lack_thread(line(200, slice(60, 140)), near, pixels)
-    assert not may_lack_thread(line(200, slice(60, 190)), near, pixels)
-
-
-@pytest.mark.parametrize(("thread", "ground"), [(30, 200), (220, 90)])
-def test_bright_and_dark_threads_are_told_apart(thread, ground):
-    image = np.where(line(200)[:, :, None] > 0, thread, ground).repeat(3, axis=2).astype(np.uint8)
-    assert is_brighter(image, line(200)) == (thread > ground)
+def test_bright_and_dark_threads_are_told_apart():
+    for thread, ground in ((30, 200), (220, 90)):
+        image = np.where(line(200)[:, :, None] > 0, thread, ground).repeat(3, axis=2).astype(np.uint8)
+        assert is_brighter(image, line(200)) == (thread > ground)
 
 
 def test_judgements_that_are_carried_on_say_once_when_they_were_made():
@@ -152,3 +105,35 @@ def test_judgements_that_are_carried_on_say_once_when_they_were_made():
         assert looked is not None
         assert looked.judgements == (dataclasses.replace(warning, finding="rows lie apart (judged in frame 12)"),)
         last = seen(images, looked, sequence, looked.judgements)
+
+
+def test_a_thread_that_moves_is_followed_step_by_step_and_one_that_jumps_away_is_looked_for_everywhere():
+    images = tissue()
+    last = first = seen(images, look_everywhere(images, 0))
+    for step in range(1, 4):
+        now = moved(images, 8 * step, -6 * step)
+        looked = look_near(now, last, step)
+        assert looked is not None
+        assert looked.looked_sequence == 0
+        for near, whole in zip(looked.coverage, look_everywhere(now, 0, looked.segmenter).coverage, strict=True):
+            assert overlap(near, whole) > 0.9
+        last = seen(now, looked, step)
+    assert look_near(moved(images, 0, round(2.5 * MARGIN_SHARE * images[0].shape[1])), first, 1) is None
+
+
+def test_thread_at_the_border_of_what_was_looked_at_or_less_of_it_has_everything_looked_at():
+    near, pixels = near_thread(line(200)), int((line(200) > 0).sum())
+    assert not may_lack_thread(line(200), near, pixels)
+    assert not may_lack_thread(line(200, slice(60, 190)), near, pixels)
+    assert may_lack_thread(line(200, slice(60, 140)), near, pixels)
+    assert may_lack_thread(line(200, slice(60, 225)) & np.where(near, 255, 0).astype(np.uint8), near, pixels)
+    # beyond the border of the image itself it cannot go on
+    whole = line(200, slice(0, HEIGHT))
+    assert not may_lack_thread(whole, near_thread(whole), int((whole > 0).sum()))
+
+
+def test_after_a_gap_and_after_a_restart_of_the_camera_everything_is_looked_at():
+    last = seen(tissue(), look_everywhere(tissue(), 0))
+    assert look_near(tissue(), last, LONGEST_GAP - 1) is not None
+    for sequence in (LONGEST_GAP, 0, -5):
+        assert look_near(tissue(), last, sequence) is None

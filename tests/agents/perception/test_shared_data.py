@@ -17,9 +17,10 @@ DATA = Path(__file__).parents[3] / "../shared/data"
 RENDERS = sorted(path.stem for path in (DATA / "renders").glob("*.json"))
 SCENES = sorted(path.name for path in (DATA / "ucsd_thread/sim").glob("scene_*.[jp][pn]g"))
 
-pytestmark = pytest.mark.skipif(
-    not DATA.is_dir() and "CI" not in os.environ, reason="needs shared/data beside the checkout"
-)
+pytestmark = [
+    pytest.mark.renders,
+    pytest.mark.skipif(not DATA.is_dir() and "CI" not in os.environ, reason="needs shared/data beside the checkout"),
+]
 
 
 def read(path, flag=cv2.IMREAD_COLOR):
@@ -58,32 +59,6 @@ def test_the_shared_data_is_whole():
     assert (len(RENDERS), len(SCENES)) == (22, 20)
 
 
-@pytest.mark.parametrize("name", RENDERS)
-def test_a_render_is_clean_and_its_faults_are_seen(name):
-    left, right, mask_left, mask_right = rendered(name)
-    assert codes(left, right, mask_left, mask_right) == []
-    assert codes(right, left, mask_right, mask_left) == ["left_right_swapped"]
-    assert codes(left, down(right, 4), mask_left, down(mask_right, 4)) == ["row_residual"]
-
-
-@pytest.mark.parametrize("name", SCENES)
-def test_a_published_scene_is_clean_and_exchanged_images_are_seen(name):
-    left, right, mask_left, mask_right = published(name)
-    assert codes(left, right, mask_left, mask_right) == []
-    assert "left_right_swapped" in codes(right, left, mask_right, mask_left)
-
-
-def test_rows_that_are_four_pixels_apart_are_reported_for_the_published_scenes():
-    reported = 0
-    for name in SCENES:
-        left, right, mask_left, mask_right = published(name)
-        found = codes(left, down(right, 4), mask_left, down(mask_right, 4))
-        assert found in ([], ["row_residual"])
-        reported += len(found)
-    # a thread that fills all its rows evenly does not show in which rows it lies
-    assert reported >= 18
-
-
 def test_the_network_finds_the_thread_of_renders_and_little_else():
     recall, precision = [], []
     for name in RENDERS:
@@ -99,9 +74,25 @@ def test_the_network_finds_the_thread_of_renders_and_little_else():
     assert (np.mean(precision) > 0.97, min(precision) > 0.8) == (True, True), precision
 
 
+def test_published_scenes_are_clean_and_exchanged_images_and_rows_four_pixels_apart_are_seen():
+    reported = 0
+    for name in SCENES:
+        left, right, mask_left, mask_right = published(name)
+        assert codes(left, right, mask_left, mask_right) == [], name
+        assert "left_right_swapped" in codes(right, left, mask_right, mask_left), name
+        found = codes(left, down(right, 4), mask_left, down(mask_right, 4))
+        assert found in ([], ["row_residual"]), name
+        reported += len(found)
+    # a thread that fills all its rows evenly does not show in which rows it lies
+    assert reported >= 18
+
+
 @pytest.mark.parametrize("name", RENDERS)
-def test_a_render_is_observed_from_its_true_masks(name):
+def test_a_render_is_clean_its_faults_are_seen_and_it_is_observed_from_its_true_masks(name):
     left, right, mask_left, mask_right = rendered(name)
+    assert codes(left, right, mask_left, mask_right) == []
+    assert codes(right, left, mask_right, mask_left) == ["left_right_swapped"]
+    assert codes(left, down(right, 4), mask_left, down(mask_right, 4)) == ["row_residual"]
     camera = RectifiedStereo(960, 540, 1000.0, 1000.0, 479.5, 269.5, 5.5, 1e-3)
     result = observe(FrameStamp(0, 0, 0, name), camera, left, right, mask_left, mask_right, "mask")
     assert (result.status, result.reason) == (Status.OK, "")

@@ -10,7 +10,6 @@ import pytest
 from agents.camera.scene_source import calibration_of
 from agents.perception import told_apart
 from agents.perception.agent import Perception
-from agents.perception.surface import tissue_surface
 from schemas.codec import decode, encode
 from schemas.messages import FrameStamp, ImageEncoding, Occluder, StereoFrame
 from schemas.topics import CALIBRATION, FRAMES, SURFACE, key
@@ -88,21 +87,8 @@ def test_an_instrument_is_no_tissue_though_it_could_be_measured(monkeypatch):
     assert elsewhere.mean() > 0.6
 
 
-def test_the_thread_itself_is_no_tissue():
-    camera, pair = scene()
-    surface, observed = told()
-    thread = decode_image(observed.mask_left) > 0
-    without, with_it = (
-        tissue_surface(surface.stamp, camera, pair.left_bgr, pair.right_bgr, left_out)
-        for left_out in (thread, np.zeros_like(thread))
-    )
-    np.testing.assert_allclose(surface.depth, without.depth, atol=1e-4)
-    assert (without.depth != with_it.depth).any()
-
-
-@pytest.mark.parametrize("rows", [-4, 4])
-def test_tissue_is_measured_after_rows_were_put_in_line(rows):
-    straight, _ = told()
+def test_tissue_is_measured_after_rows_were_put_in_line():
+    rows, (straight, _) = 4, told()
     moved, observed = told(lambda left, right: (left, np.roll(right, rows, axis=0)))
     assert observed.rows_moved_up == rows
     both = straight.valid & moved.valid

@@ -72,31 +72,29 @@ def test_the_score_travels_as_a_small_map_in_which_a_thin_line_keeps_its_own():
     assert told(observed()).score_map is None
 
 
-@pytest.mark.parametrize(("after", "is_due"), [(1, False), (14, False), (15, True)])
-def test_between_looks_at_the_whole_instruments_are_looked_for_anew_every_half_second(after, is_due):
+def test_between_looks_at_the_whole_instruments_are_looked_for_anew_every_half_second():
     before = told(observed(tools=(TOOL,)), tools=(TOOL,))
     assert kinds(before).any()
-    between = replace(observed(after), looked_sequence=0)
-    now = told(between, last=before)
-    assert now.occluders.sequence == (after if is_due else 0)
-    assert kinds(now).any() == (not is_due)
+    for after, is_due in ((14, False), (15, True)):
+        now = told(replace(observed(after), looked_sequence=0), last=before)
+        assert now.occluders.sequence == (after if is_due else 0)
+        assert kinds(now).any() == (not is_due)
 
 
-@pytest.mark.parametrize("segmenter", [NETWORK, GIVEN_MASKS])
-@pytest.mark.parametrize("pointed_at", [False, True])
-def test_what_each_eye_shows_in_other_rows_is_no_thread_unless_a_person_says_so(segmenter, pointed_at):
+@pytest.mark.parametrize(
+    ("segmenter", "pointed_at", "is_thread"),
+    [(NETWORK, False, False), (NETWORK, True, True), (GIVEN_MASKS, False, True)],
+)
+def test_what_each_eye_shows_in_other_rows_is_no_thread_unless_a_person_says_so(segmenter, pointed_at, is_thread):
     left, right = drawn(((LONG, BLACK, 5),), (), 0), drawn(((SHORT, GREEN, 5),), (), DISPARITY)
     images, coverage = (left[0], right[0]), (left[1], right[1])
     seen = observe(FrameStamp(0, 1, 1, ""), CAMERA, *images, *coverage, segmenter, (), matching=False)
     seen = replace(seen, prompt_px=np.array([300.0, 184.0]) if pointed_at else None)
     found = told_apart(seen, images, None)
-    if segmenter == GIVEN_MASKS or pointed_at:
-        assert found.status is Status.OK
-    else:
-        assert found.status is Status.FAILED
-        assert "in one image alone" in found.reason
-        # what looks like it stays to be looked at
-        assert len(found.centrelines_left.piece)
+    assert (found.status is Status.OK) is is_thread
+    assert ("in one image alone" in found.reason) is not is_thread
+    # what looks like it stays to be looked at
+    assert len(found.centrelines_left.piece)
 
 
 def test_what_is_followed_is_not_asked_for_its_counterpart_before_the_next_look_at_the_whole():

@@ -7,18 +7,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agents.planner.agent import Planner, reaches_of
 from agents.planner.config import PlannerConfig
 from agents.planner.tools import tool_cells
 from schemas.checks import MessageError
-from schemas.codec import encode
 from schemas.messages import (
     CommandAnswer,
     FrameStamp,
-    GraspPlan,
     HostClock,
     HostClocks,
     Outcome,
@@ -35,7 +33,7 @@ from shared.kinematics import psm
 from shared.kinematics.dh_file import read_dh
 from shared.kinematics.simulated_setup import SIMULATED_BASES
 from shared.rigid_transforms import compose, inverse, transform
-from shared.runtime.agent import Command, Output, Received, Tick
+from shared.runtime.agent import Command, Output, Received
 
 MS = 1_000_000
 OLDEST_MS = round(THREAD.maximum_age_ms or 0)
@@ -75,13 +73,22 @@ def ask(planner, bench, goal, after_ms=50) -> list[Any]:
     return list(planner.step(Command(GOAL, "main", goal, bench.CAPTURED_NS + after_ms * MS)))
 
 
+def planned(planner, bench, after_ms=50, **goal) -> Any:
+    """The plan for a goal, by default one in the middle of the thread."""
+    return ask(planner, bench, bench.goal(**({"s": 0.4} | goal)), after_ms)[1].message
+
+
+def ready(bench, config=None, thread=None, told=None, **rest):
+    """A planner that has a thread and one arm."""
+    made = Planner(config, **rest)
+    assert feed(made, THREAD, thread or far_thread(bench)) == []
+    assert feed(made, ROBOT_STATE, told or state(bench), "psm1") == []
+    return made
+
+
 @pytest.fixture
 def planner(bench):
-    """One that has a thread and one arm."""
-    agent = Planner()
-    assert feed(agent, THREAD, far_thread(bench)) == []
-    assert feed(agent, ROBOT_STATE, state(bench), "psm1") == []
-    return agent
+    return ready(bench)
 
 
 def test_a_goal_is_accepted_and_followed_by_its_plan(bench, planner):
@@ -101,18 +108,14 @@ def feed_surface(planner, bench, depth_mm=85.0, **changes):
 
 
 def test_a_plan_is_checked_against_the_newest_surface_and_names_its_frame(bench, planner):
-    feed_surface(planner, bench, 70.0)
-    surface = feed_surface(planner, bench, 83.0)
-    plan = ask(planner, bench, bench.goal(s=0.4))[1].message
-    assert (plan.status, plan.tissue.stamp, plan.tissue.unchecked) == (Status.OK, surface.stamp, "")
-    assert -0.002 < plan.tissue.clearance_m < 0.0005
-
-
-def test_a_goal_where_jaws_would_be_in_the_tissue_is_rejected(bench, planner):
     feed_surface(planner, bench, 75.0)
     answer, output = ask(planner, bench, bench.goal(s=0.4))
     assert answer.outcome is Outcome.ACCEPTED
     assert "jaws would press into the tissue" in output.message.reason
+    surface = feed_surface(planner, bench, 83.0)
+    plan = planned(planner, bench)
+    assert (plan.status, plan.tissue.stamp, plan.tissue.unchecked) == (Status.OK, surface.stamp, "")
+    assert -0.002 < plan.tissue.clearance_m < 0.0005
 
 
 OTHER_CALIBRATION = FrameStamp(6, 1_760_000_000_000_000_000, 1_760_000_000_000_000_000, "another")
@@ -123,10 +126,8 @@ OTHER_CALIBRATION = FrameStamp(6, 1_760_000_000_000_000_000, 1_760_000_000_000_0
     [
         (None, 50, "perception has told of none yet"),
         ({}, 3100, "it was seen 3100 ms ago, and at most 3000 ms are accepted"),
-        ({}, -3100, "it was seen 3100 ms from now, and at most 3000 ms are accepted"),
         ({"stamp": OTHER_CALIBRATION}, 50, "another calibration"),
         ({"deviation": None}, 50, "how sure"),
-        ({"valid": np.zeros((22, 40), bool), "depth": np.zeros((22, 40)), "deviation": None}, 50, "how sure"),
         (
             {key: np.zeros((22, 40), t) for key, t in (("valid", bool), ("depth", float), ("deviation", float))},
             50,
@@ -135,14 +136,13 @@ OTHER_CALIBRATION = FrameStamp(6, 1_760_000_000_000_000_000, 1_760_000_000_000_0
     ],
 )
 def test_against_a_surface_of_no_use_nothing_is_checked_and_the_plan_says_why(bench, changes, after_ms, said):
-    planner = Planner()
     stamp = FrameStamp(7, bench.CAPTURED_NS + after_ms * MS, bench.CAPTURED_NS + after_ms * MS, "bench")
-    feed(planner, THREAD, dataclasses.replace(far_thread(bench), stamp=stamp))
-    feed(planner, ROBOT_STATE, state(bench, late_ms=after_ms), "psm1")
+    thread = dataclasses.replace(far_thread(bench), stamp=stamp)
+    planner = ready(bench, thread=thread, told=state(bench, late_ms=after_ms))
     if changes is not None:
         # nothing fits before tissue so near
         feed_surface(planner, bench, 60.0, **changes)
-    plan = ask(planner, bench, bench.goal(s=0.4), after_ms)[1].message
+    plan = planned(planner, bench, after_ms)
     assert plan.status is Status.OK
     assert plan.tissue.unchecked.startswith("not checked against tissue: ")
     assert said in plan.tissue.unchecked
@@ -151,53 +151,23 @@ def test_against_a_surface_of_no_use_nothing_is_checked_and_the_plan_says_why(be
 
 def test_tissue_can_be_required_while_the_planner_runs(bench, planner):
     planner.configure(dataclasses.replace(planner.config, tissue_required=True))
-    plan = ask(planner, bench, bench.goal(s=0.4))[1].message
+    plan = planned(planner, bench)
     assert plan.status is Status.FAILED
     assert "perception has told of none yet" in plan.reason
 
 
 def test_what_is_measured_where_a_tool_is_counts_as_no_tissue(bench):
     """The tool stands in the view 2 cm before the thread, where the jaws are to go."""
-    planner, there = Planner(reaches=lambda T: np.ones(len(T), bool)), state(bench)
+    there = state(bench)
     T_camera_tool = transform(compose(there.T_camera_base, there.T_base_tool)[:3, :3], np.array([0.0, 0.0, 0.062]))
     there = dataclasses.replace(there, T_base_tool=compose(inverse(there.T_camera_base), T_camera_tool))
     surface = bench.surface(lambda u, v: np.where(np.hypot(u - 479.5, v - 269.5) < 60, 62.0, 86.0))
-    feed(planner, THREAD, far_thread(bench))
+    planner = ready(bench, told=there, reaches=lambda T: np.ones(len(T), bool))
     feed(planner, SURFACE, surface)
-    feed(planner, ROBOT_STATE, there, "psm1")
     np.testing.assert_array_equal(tool_cells(surface, [there], 0.01), surface.depth == 62.0)
-    goal = bench.goal(s=0.5, policy=Policy.DIRECT)
-    assert ask(planner, bench, goal)[1].message.status is Status.OK
+    assert planned(planner, bench, s=0.5, policy=Policy.DIRECT).status is Status.OK
     planner.configure(dataclasses.replace(planner.config, tool_near_m=0.0))
-    assert "tissue" in ask(planner, bench, goal)[1].message.reason
-
-
-def test_every_waypoint_is_within_the_joints_of_the_arm_by_forward_kinematics(bench):
-    planner = Planner(PlannerConfig(least_probability=0.0))
-    feed(planner, THREAD, far_thread(bench, confidence=[1, 0, 0, 0, 0]))
-    feed(planner, ROBOT_STATE, state(bench), "psm1")
-    plan = ask(planner, bench, bench.goal(s=0.8))[1].message
-    assert Phase.SLIDE in {w.phase for w in plan.waypoints}
-    T_base_tool = compose(inverse(state(bench).T_camera_base), np.array([w.T_camera_tool for w in plan.waypoints]))
-    joints = psm.inverse(T_base_tool).joints
-    assert psm.within_limits(joints) is None
-    np.testing.assert_allclose(psm.forward(joints), T_base_tool, atol=1e-9)
-
-
-def test_reachability_is_asked_for_in_the_frame_of_the_base(bench):
-    asked = []
-
-    def everything(T_base_tool):
-        asked.append(T_base_tool)
-        return np.ones(len(T_base_tool), bool)
-
-    planner = Planner(reaches=everything)
-    feed(planner, THREAD, far_thread(bench))
-    feed(planner, ROBOT_STATE, state(bench), "psm1")
-    plan = ask(planner, bench, bench.goal(s=0.4))[1].message
-    for waypoint in plan.waypoints:
-        T_base_tool = np.linalg.inv(state(bench).T_camera_base) @ waypoint.T_camera_tool
-        assert np.abs(np.concatenate(asked) - T_base_tool).max(axis=(1, 2)).min() < 1e-9
+    assert "tissue" in planned(planner, bench, s=0.5, policy=Policy.DIRECT).reason
 
 
 def generic_arm(bench):
@@ -216,9 +186,7 @@ def generic_arm(bench):
 
 def test_an_arm_that_is_no_psm_is_asked_by_its_own_geometry(bench):
     arm, there = generic_arm(bench)
-    planner = Planner(PlannerConfig(least_probability=0.0), others={"psm1": arm})
-    feed(planner, THREAD, far_thread(bench))
-    feed(planner, ROBOT_STATE, there, "psm1")
+    planner = ready(bench, PlannerConfig(least_probability=0.0), told=there, others={"psm1": arm})
     answer, output = ask(planner, bench, bench.goal(s=0.4))
     assert (answer.outcome, answer.reason) == (Outcome.ACCEPTED, "")
     assert output.message.status is Status.OK, output.message.reason
@@ -226,63 +194,43 @@ def test_an_arm_that_is_no_psm_is_asked_by_its_own_geometry(bench):
     assert not arm.reach(compose(inverse(there.T_camera_base), poses)).problem.any()
     away = dataclasses.replace(there, T_camera_base=transform(np.eye(3), np.array([2.0, 0.0, 0.0])))
     feed(planner, ROBOT_STATE, away, "psm1")
-    assert "unreachable" in ask(planner, bench, bench.goal(s=0.4))[1].message.reason
+    assert "unreachable" in planned(planner, bench).reason
 
 
 def test_of_an_arm_whose_geometry_nobody_told_the_answer_says_that_reach_is_not_known(bench):
     _, there = generic_arm(bench)
-    planner = Planner(PlannerConfig(least_probability=0.0))
-    feed(planner, THREAD, far_thread(bench))
-    feed(planner, ROBOT_STATE, dataclasses.replace(there, T_camera_base=np.eye(4)), "psm1")
+    told = dataclasses.replace(there, T_camera_base=np.eye(4))
+    planner = ready(bench, PlannerConfig(least_probability=0.0), told=told)
     answer, output = ask(planner, bench, bench.goal(s=0.4))
     assert "whether the arm reaches the plan is not known" in answer.reason
     assert output.message.status is Status.OK, output.message.reason
 
 
 def test_the_jaws_take_the_side_that_the_tool_is_on_now(bench):
-    planner = Planner(reaches=lambda T: np.ones(len(T), bool))
-    feed(planner, THREAD, far_thread(bench))
     # a base that is turned half around, so that the tool's attitude in its frame is that of the other side
     turned = dataclasses.replace(state(bench), T_camera_base=np.diag([-1.0, -1, 1, 1]))
-    feed(planner, ROBOT_STATE, turned, "psm1")
+    planner = ready(bench, told=turned, reaches=lambda T: np.ones(len(T), bool))
     for side in (np.eye(4), np.diag([-1.0, -1, 1, 1])):
-        T_camera_tool = ask(planner, bench, bench.goal(s=0.4))[1].message.waypoints[0].T_camera_tool @ side
+        T_camera_tool = planned(planner, bench).waypoints[0].T_camera_tool @ side
         now = dataclasses.replace(turned, T_base_tool=turned.T_camera_base @ T_camera_tool)
         feed(planner, ROBOT_STATE, now, "psm1")
-        again = ask(planner, bench, bench.goal(s=0.4))[1].message.waypoints[0].T_camera_tool
+        again = planned(planner, bench).waypoints[0].T_camera_tool
         np.testing.assert_allclose(again, T_camera_tool, atol=1e-9)
 
 
-def test_a_thread_beyond_the_instrument_is_rejected_as_unreachable(bench, planner):
-    feed(planner, THREAD, bench.straight((-60, 5, 300), (60, -5, 305)))
-    answer, output = ask(planner, bench, bench.goal(s=0.4))
-    assert answer.outcome is Outcome.ACCEPTED
-    assert output.message.status is Status.FAILED
-    assert "unreachable" in output.message.reason
-
-
-def test_the_arm_reaches_where_its_joints_can_be_and_nowhere_else():
-    within = psm.forward(np.array([[0.3, -0.2, 0.15, 1.0, 0.4, -0.3]]))
-    outside = np.tile(np.eye(4), (1, 1, 1))
-    outside[0, 2, 3] = -0.5
-    reaches = reaches_of(psm.LARGE_NEEDLE_DRIVER, 0.0)
-    np.testing.assert_array_equal(reaches(np.concatenate((within, outside))), [True, False])
-
-
-def test_a_pose_near_a_singular_one_counts_as_out_of_reach():
+def test_an_arm_reaches_where_its_joints_can_be_and_are_not_near_a_singular_pose():
     bent = np.array([[0.3, -0.2, 0.15, 1.0, wrist, -0.3] for wrist in (0.4, 1.3, 1.39)])
     dexterity = psm.LARGE_NEEDLE_DRIVER.dexterity(bent)
     assert dexterity[0] > 0.9 > dexterity[1] > dexterity[2]
+    outside = np.eye(4)
+    outside[2, 3] = -0.5
     reaches = reaches_of(psm.LARGE_NEEDLE_DRIVER, dexterity[1:].mean())
-    np.testing.assert_array_equal(reaches(psm.forward(bent)), [True, True, False])
+    np.testing.assert_array_equal(reaches(np.array([*psm.forward(bent), outside])), [True, True, False, False])
 
 
 @pytest.mark.parametrize(("least", "status"), [(0.3, Status.OK), (0.999, Status.FAILED)])
 def test_a_plan_keeps_to_the_least_dexterity(bench, least, status):
-    planner = Planner(PlannerConfig(least_dexterity=least))
-    feed(planner, THREAD, far_thread(bench))
-    feed(planner, ROBOT_STATE, state(bench), "psm1")
-    plan = ask(planner, bench, bench.goal(s=0.4))[1].message
+    plan = planned(ready(bench, PlannerConfig(least_dexterity=least)), bench)
     assert plan.status is status, plan.reason
     assert ("unreachable" in plan.reason) == (status is Status.FAILED)
 
@@ -299,6 +247,24 @@ def test_a_goal_that_cannot_be_planned_for_is_refused_with_a_code(bench, planner
     (answer,) = ask(planner, bench, bench.goal(s=0.4, **goal), after_ms)
     assert (answer.id, answer.outcome, answer.code) == ("g1", Outcome.REFUSED, code)
     assert said in answer.reason
+
+
+def test_without_a_thread_in_a_known_unit_or_an_arm_that_reports_every_goal_is_refused(bench):
+    planner = Planner()
+
+    def refused():
+        (answer,) = ask(planner, bench, bench.goal(s=0.4))
+        assert answer.outcome is Outcome.REFUSED
+        return answer
+
+    assert refused().code == "no_thread"
+    feed(planner, THREAD, far_thread(bench))
+    assert (refused().code, "there is none" in refused().reason) == ("unknown_arm", True)
+    feed(planner, ROBOT_STATE, state(bench, late_ms=-round(planner.config.arm_age_ms + 100)), "psm1")
+    assert refused().code == "arm_stale"
+    feed(planner, ROBOT_STATE, state(bench), "psm1")
+    feed(planner, THREAD, bench.in_unit(far_thread(bench), None))
+    assert (refused().code, "metres_per_unit" in refused().reason) == ("unit_unknown", True)
 
 
 @pytest.mark.parametrize("older", ["capture_left_ns", "capture_right_ns"])
@@ -345,34 +311,11 @@ def test_a_goal_by_s_is_refused_in_the_frame_in_which_the_thread_was_found_anew(
     assert by_s.outcome is Outcome.ACCEPTED
 
 
-def test_without_a_thread_or_an_arm_every_goal_is_refused(bench):
-    planner = Planner()
-    (answer,) = ask(planner, bench, bench.goal(s=0.4))
-    assert answer.code == "no_thread"
-    feed(planner, THREAD, far_thread(bench))
-    (answer,) = ask(planner, bench, bench.goal(s=0.4))
-    assert answer.code == "unknown_arm"
-    assert "there is none" in answer.reason
-
-
-def test_an_unknown_unit_is_refused(bench, planner):
-    feed(planner, THREAD, bench.in_unit(far_thread(bench), None))
-    (answer,) = ask(planner, bench, bench.goal(s=0.4))
-    assert answer.code == "unit_unknown"
-    assert "metres_per_unit" in answer.reason
-
-
-def test_an_arm_that_fell_silent_is_refused(bench, planner):
-    feed(planner, ROBOT_STATE, state(bench, late_ms=-(planner.config.arm_age_ms + 100)), "psm1")
-    (answer,) = ask(planner, bench, bench.goal(s=0.4))
-    assert answer.code == "arm_stale"
-
-
 def test_the_newest_thread_and_the_newest_state_of_each_arm_count(bench, planner):
     feed(planner, ROBOT_STATE, state(bench, arm="psm2"), "psm2")
     feed(planner, THREAD, far_thread(bench, confidence=[0.7, 0.7]))
     for arm in ("psm1", "psm2"):
-        plan = ask(planner, bench, bench.goal(s=0.4, arm=arm))[1].message
+        plan = planned(planner, bench, arm=arm)
         assert (plan.arm, plan.probability) == (arm, pytest.approx(0.7))
     feed(planner, THREAD, bench.failed("it went out of focus"))
     answer, output = ask(planner, bench, bench.goal(s=0.4))
@@ -380,18 +323,11 @@ def test_the_newest_thread_and_the_newest_state_of_each_arm_count(bench, planner
     assert output.message.reason == "there is no thread: it went out of focus"
 
 
-@pytest.mark.parametrize(("near", "far"), [("psm1", "psm2"), ("psm2", "psm1")])
-def test_what_counts_is_the_reach_of_the_arm_that_the_goal_names_from_its_own_base(bench, near, far):
-    planner = Planner()
-    feed(planner, THREAD, far_thread(bench))
-    away = base_that_looks_at(np.array([0, 0, 0.08])).copy()
-    away[0, 3] += 0.4
-    feed(planner, ROBOT_STATE, state(bench, arm=near), near)
-    feed(planner, ROBOT_STATE, dataclasses.replace(state(bench, arm=far), T_camera_base=away), far)
-    plans = {arm: ask(planner, bench, bench.goal(s=0.4, arm=arm))[1].message for arm in (near, far)}
-    assert plans[near].status is Status.OK
-    assert plans[far].status is Status.FAILED
-    assert "unreachable" in plans[far].reason
+def test_what_counts_is_the_reach_of_the_arm_that_the_goal_names_from_its_own_base(bench, planner):
+    away = dataclasses.replace(state(bench, arm="psm2"), T_camera_base=transform(np.eye(3), np.array([0.5, 0.0, 0.0])))
+    feed(planner, ROBOT_STATE, away, "psm2")
+    assert planned(planner, bench).status is Status.OK
+    assert "unreachable" in planned(planner, bench, arm="psm2").reason
 
 
 @pytest.mark.parametrize("arm", SIMULATED_BASES)
@@ -400,27 +336,11 @@ def test_each_simulated_arm_gets_a_plan_within_its_own_joints(bench, arm):
     feed(planner, THREAD, far_thread(bench))
     for name, T_camera_base in SIMULATED_BASES.items():
         feed(planner, ROBOT_STATE, dataclasses.replace(state(bench, arm=name), T_camera_base=T_camera_base), name)
-    plan = ask(planner, bench, bench.goal(s=0.4, arm=arm))[1].message
+    plan = planned(planner, bench, arm=arm)
     assert (plan.arm, plan.status) == (arm, Status.OK)
     T_camera_tool = np.array([w.T_camera_tool for w in plan.waypoints])
     reaches = reaches_of(psm.LARGE_NEEDLE_DRIVER, planner.config.least_dexterity)
     assert reaches(compose(inverse(SIMULATED_BASES[arm]), T_camera_tool)).all()
-
-
-def test_the_same_inputs_give_the_same_bytes(bench):
-    def plan():
-        planner = Planner()
-        feed(planner, THREAD, far_thread(bench, confidence=[1, 0.2, 0.1]))
-        feed(planner, ROBOT_STATE, state(bench), "psm1")
-        message = ask(planner, bench, bench.goal(s=0.4))[1].message
-        assert isinstance(message, GraspPlan)
-        return encode(message)
-
-    assert plan() == plan()
-
-
-def test_a_tick_says_nothing(planner):
-    assert list(planner.step(Tick(0))) == []
 
 
 @pytest.mark.parametrize(
@@ -447,7 +367,7 @@ def clocks_of(ahead_ms: float | None, within_ms: float | None = 1.0, agent="came
 @pytest.mark.parametrize(("ahead_ms", "where"), [(340.0, "340 ms ahead of"), (-9000.0, "9000 ms behind")])
 def test_frames_of_a_host_whose_clock_is_out_of_bounds_are_refused_whatever_their_age(bench, planner, ahead_ms, where):
     feed(planner, CLOCKS, clocks_of(ahead_ms))
-    for after_ms in (50, 20_000, -20_000):
+    for after_ms in (50, -20_000):
         (answer,) = ask(planner, bench, bench.goal(s=0.4), after_ms)
         assert (answer.outcome, answer.code) == (Outcome.REFUSED, "clock_out_of_bounds")
         for said in ("video-pc", where, "within 1.0 ms", "at most 100 ms", "chrony or PTP"):
@@ -456,11 +376,10 @@ def test_frames_of_a_host_whose_clock_is_out_of_bounds_are_refused_whatever_thei
     assert ask(planner, bench, bench.goal(s=0.4))[0].outcome is Outcome.ACCEPTED
 
 
+@settings(max_examples=20)
 @given(ahead_ms=st.floats(-1e5, 1e5), within_ms=st.floats(0, 1e5))
 def test_a_clock_is_refused_for_certain_only_and_what_cannot_be_told_is_said(bench, ahead_ms, within_ms):
-    planner = Planner()
-    feed(planner, THREAD, far_thread(bench))
-    feed(planner, ROBOT_STATE, state(bench), "psm1")
+    planner = ready(bench)
     feed(planner, CLOCKS, clocks_of(ahead_ms, within_ms))
     answer = ask(planner, bench, bench.goal(s=0.4))[0]
     assert (answer.outcome is Outcome.REFUSED) == (abs(ahead_ms) - within_ms > 100)

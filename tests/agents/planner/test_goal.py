@@ -26,19 +26,10 @@ def pixel_of(bench, point_m):
 
 
 @given(SHARE)
-def test_a_goal_by_s_is_that_place(bench, wavy, s):
-    assert goal_on_thread(bench.goal(s=s), wavy, CONFIG) == s
-
-
-@given(SHARE)
-def test_the_pixel_of_a_place_names_that_place(bench, wavy, s):
-    pixel = pixel_of(bench, wavy.points(np.array([s]))[0])
-    assert goal_on_thread(bench.goal(pixel=pixel), wavy, CONFIG) == pytest.approx(s, abs=1e-4)
-
-
-@given(SHARE)
-def test_the_point_of_a_place_names_that_place_in_metres(bench, wavy, s):
+def test_a_goal_by_s_by_its_pixel_and_by_its_point_is_that_place(bench, wavy, s):
     point = wavy.points(np.array([s]))[0]
+    assert goal_on_thread(bench.goal(s=s), wavy, CONFIG) == s
+    assert goal_on_thread(bench.goal(pixel=pixel_of(bench, point)), wavy, CONFIG) == pytest.approx(s, abs=1e-4)
     assert goal_on_thread(bench.goal(point_camera=point), wavy, CONFIG) == pytest.approx(s, abs=1e-4)
 
 
@@ -49,19 +40,15 @@ def test_a_goal_beside_a_straight_thread_is_its_foot(bench, off_px, off_m):
     assert goal_on_thread(bench.goal(point_camera=(0.01, off_m, 0.06)), curve, CONFIG) == pytest.approx(0.75)
 
 
-def test_a_goal_off_the_thread_is_rejected_with_the_distance(bench):
+def test_a_goal_off_the_thread_or_its_end_is_rejected_with_the_distance(bench):
     curve = curve_of(bench.straight())
     with pytest.raises(NoGraspError, match=r"pixel \(480, 310\) is 40 px off the thread, and at most 20 px"):
         goal_on_thread(bench.goal(pixel=(479.5, 309.5)), curve, CONFIG)
     with pytest.raises(NoGraspError, match=r"7\.0 mm off the thread, and at most 5\.0 mm"):
         goal_on_thread(bench.goal(point_camera=(0, 0.007, 0.06)), curve, CONFIG)
-
-
-def test_beyond_an_end_the_distance_is_to_the_end(bench):
-    curve = curve_of(bench.straight())
-    assert goal_on_thread(bench.goal(point_camera=(0.023, 0, 0.06)), curve, CONFIG) == 1
     with pytest.raises(NoGraspError, match=r"10\.0 mm off"):
         goal_on_thread(bench.goal(point_camera=(0.03, 0, 0.06)), curve, CONFIG)
+    assert goal_on_thread(bench.goal(point_camera=(0.023, 0, 0.06)), curve, CONFIG) == 1
 
 
 def test_a_thread_behind_the_camera_is_at_no_pixel(bench):

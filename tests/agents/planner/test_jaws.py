@@ -4,8 +4,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from agents.planner.config import PlannerConfig
 from agents.planner.jaws import capture_pass, grasp_pass, nearest_to_tissue, outline, slide_pass
@@ -42,31 +40,6 @@ def test_before_a_wall_that_faces_the_camera_the_tips_are_nearest(bench, passed,
     assert passed.phase[found.step[0]] is phase
     assert found.known[0] == 1
     assert found.place_camera[0, 2] == pytest.approx(0.05 + 1e-3 * deepest_mm)
-
-
-@given(st.tuples(*[st.floats(-0.01, 0.01)] * 3), st.floats(0, 3), st.floats(0.5, 10))
-def test_tissue_that_is_deeper_is_farther_from_the_jaws(bench, turn, sigmas, deeper):
-    config = dataclasses.replace(CONFIG, sigmas=sigmas)
-    pose = transform(exp_so3(30 * np.array(turn)), np.array([turn[1], turn[2], 0.05]))[None]
-    near, far = (
-        nearest_to_tissue(bench.tissue(z).tissue, pose, capture_pass(config), config) for z in (70, 70 + deeper)
-    )
-    assert far.bound_m[0] > near.bound_m[0]
-
-
-def test_the_more_deviations_count_the_less_is_left(bench):
-    pose = transform(np.eye(3), np.array([0.0, 0.0, 0.05]))[None]
-    found = [
-        nearest_to_tissue(
-            bench.tissue(70.0, deviation_mm=0.5).tissue,
-            pose,
-            slide_pass(CONFIG),
-            dataclasses.replace(CONFIG, sigmas=sigmas),
-        )
-        for sigmas in (0.0, 1.0, 2.0)
-    ]
-    np.testing.assert_allclose(np.diff([f.bound_m[0] for f in found]), -0.0005, rtol=0.02)
-    np.testing.assert_allclose([f.deviation_m[0] for f in found], 0.0005, rtol=0.02)
 
 
 def test_the_way_in_counts_too(bench):

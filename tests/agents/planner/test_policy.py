@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agents.planner.policy import (
@@ -34,12 +34,6 @@ def test_candidates_are_evenly_spaced_but_for_the_one_moved_onto_the_goal(s_goal
     assert abs(s_goal - goal / (count - 1)) <= 0.5 / (count - 1) + 1e-12
 
 
-def test_a_hundred_steps_at_99_percent_each_are_the_paper_s_policy():
-    probability = grasp_probability(np.ones(100), 99, 0.99)
-    assert probability[0] == pytest.approx(0.99**99)
-    assert probability[99] == 1
-
-
 @given(SHARES, st.data())
 def test_the_capture_is_the_best_of_all_by_brute_force(captured, data):
     n = len(captured)
@@ -67,15 +61,6 @@ def test_the_least_on_the_way_is_that_of_the_samples_between(captured, data):
     np.testing.assert_array_equal(least_on_the_way(captured, goal), expected)
 
 
-@given(SHARES, st.data())
-def test_more_confidence_never_lowers_the_best_probability(captured, data):
-    goal = data.draw(st.integers(0, len(captured) - 1))
-    i = data.draw(st.integers(0, len(captured) - 1))
-    better = captured.copy()
-    better[i] = 1.0
-    assert grasp_probability(better, goal, 0.99).max() >= grasp_probability(captured, goal, 0.99).max()
-
-
 def test_of_equals_the_nearest_to_the_goal_is_taken():
     every = np.ones(9, bool)
     assert most_likely(np.zeros(9), every, 6) == 6
@@ -83,13 +68,9 @@ def test_of_equals_the_nearest_to_the_goal_is_taken():
     assert most_likely(np.zeros(9), ~every, 6) is None
 
 
-def test_confidence_is_interpolated_along_the_thread(bench):
+def test_confidence_is_interpolated_along_the_thread_and_none_means_no_trust(bench):
     thread = bench.straight(confidence=[0.0, 1.0, 0.5])
     np.testing.assert_allclose(capture_probability(thread, np.array([0, 0.25, 0.5, 0.75, 1])), [0, 0.5, 1, 0.75, 0.5])
-
-
-def test_confidence_in_any_order_is_read_along_the_thread_and_none_means_no_trust(bench):
-    thread = bench.straight()
     shuffled = dataclasses.replace(thread, confidence_s=np.array([1, 0.0, 0.5]), confidence=np.array([0.5, 0, 1.0]))
     assert capture_probability(shuffled, np.array([0.75]))[0] == pytest.approx(0.75)
     silent = dataclasses.replace(thread, confidence_s=np.zeros(0), confidence=np.zeros(0))
@@ -108,6 +89,7 @@ def test_the_first_reason_that_applies_is_given_and_reasons_are_counted():
     assert counted_reasons(np.full(n, -1)) == ""
 
 
+@settings(max_examples=15)
 @given(st.lists(SHARE, min_size=100, max_size=100).map(np.array), st.integers(0, 7), st.integers(0, 99))
 def test_alternatives_are_other_places_the_likeliest_first_apart_from_each_other(probability, count, chosen):
     s = np.linspace(0, 1, 100)

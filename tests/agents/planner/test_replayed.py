@@ -39,7 +39,7 @@ def stamped(message, now_ns):
     return dataclasses.replace(message, stamp=stamp)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def session(bench):
     """Two goals: the tissue has come nearer before the second one."""
     thread, base = bench.straight((-15, 3, 85), (15, -3, 88)), SIMULATED_BASES["psm1"]

@@ -18,7 +18,6 @@ from schemas.messages import GraspPlan, Phase, Policy, Status
 CONFIG = PlannerConfig()
 COARSE = PlannerConfig(samples=20)
 UNSURE_NEAR_THE_END = [1.0] * 61 + [0.6] * 39
-every_policy = pytest.mark.parametrize("policy", Policy)
 
 
 def planned(bench, tissue, config=CONFIG, s=0.5, policy=Policy.DIRECT, thread=None, arm=None) -> Any:
@@ -40,7 +39,7 @@ def test_a_plan_tells_its_least_clearance_with_deviation_and_place(bench):
     assert told.place_camera[2] == pytest.approx(0.062)
 
 
-@every_policy
+@pytest.mark.parametrize("policy", Policy)
 def test_a_thread_that_lies_inside_the_tissue_is_refused_with_depth_place_and_remedy(bench, policy):
     plan = planned(bench, bench.tissue(57.0), policy=policy)
     assert plan.status is Status.FAILED
@@ -75,9 +74,15 @@ def test_on_a_steep_slope_the_approach_is_tilted_towards_it(bench, side):
     assert plan.tissue.clearance_m - 2 * plan.tissue.deviation_m >= -CONFIG.press_m
 
 
-def test_nothing_is_tilted_where_the_viewing_ray_will_do_or_no_tissue_is_known(bench):
-    for tissue in (bench.tissue(61.0), SeenTissue(None, None, "perception has told of none yet")):
+def test_without_tissue_or_where_the_viewing_ray_will_do_the_plan_is_as_ever_and_says_what_was_checked(bench):
+    why = "it was seen 5000 ms ago, and at most 3000 ms are accepted"
+    for tissue, unchecked, known in (
+        (bench.tissue(61.0), "", 1),
+        (SeenTissue(None, None, why), f"not checked against tissue: {why}", 0),
+    ):
         plan = planned(bench, tissue)
+        assert plan.status is Status.OK
+        assert (plan.tissue.unchecked, plan.tissue.known_share) == (unchecked, known)
         np.testing.assert_allclose(plan.waypoints[0].T_camera_tool[:3, 2], (0, 0, 1), atol=1e-9)
 
 
@@ -102,15 +107,6 @@ def test_tissue_on_the_way_to_the_goal_counts(bench):
     assert plan.s_capture > 0.7
 
 
-def test_without_tissue_the_plan_is_as_ever_and_says_that_it_was_not_checked(bench):
-    plan = planned(bench, SeenTissue(None, None, "it was seen 5000 ms ago, and at most 3000 ms are accepted"))
-    assert plan.status is Status.OK
-    assert plan.tissue.unchecked == (
-        "not checked against tissue: it was seen 5000 ms ago, and at most 3000 ms are accepted"
-    )
-    assert (plan.tissue.known_share, plan.tissue.clearance_m, plan.tissue.stamp) == (0, None, None)
-
-
 def test_where_some_of_the_way_is_unknown_the_plan_says_how_much(bench):
     plan = planned(bench, bench.tissue(61.0, known=lambda _, v: v < 300))
     assert plan.status is Status.OK
@@ -120,19 +116,18 @@ def test_where_some_of_the_way_is_unknown_the_plan_says_how_much(bench):
     assert elsewhere.tissue.unchecked == "not checked against tissue: none was measured there"
 
 
-@every_policy
 @pytest.mark.parametrize("known", [lambda _, v: v < 300, None])
-def test_tissue_can_be_required(bench, policy, known):
+def test_tissue_can_be_required(bench, known):
     required = dataclasses.replace(CONFIG, tissue_required=True)
     tissue = bench.tissue(61.0, known=known) if known else SeenTissue(None, None, "perception has told of none yet")
-    plan = planned(bench, tissue, required, policy=policy)
+    plan = planned(bench, tissue, required)
     assert plan.status is Status.FAILED
     assert Against.TISSUE_UNKNOWN.value in plan.reason
     assert ("tissue_required" if known else "perception has told of none yet") in plan.reason
-    assert planned(bench, bench.tissue(61.0), required, policy=policy).status is Status.OK
+    assert planned(bench, bench.tissue(61.0), required).status is Status.OK
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=5)
 @given(st.floats(50, 66), st.floats(0.2, 6), st.sampled_from(Policy))
 def test_what_fits_before_tissue_fits_before_deeper_tissue(bench, depth_mm, deeper_mm, policy):
     near, far = (
@@ -143,14 +138,7 @@ def test_what_fits_before_tissue_fits_before_deeper_tissue(bench, depth_mm, deep
         assert far.tissue.clearance_m > near.tissue.clearance_m
 
 
-def test_the_base_of_the_arm_makes_no_difference_to_the_tissue(bench):
-    one, other = (
-        planned(bench, bench.tissue(61.0), arm=bench.arm(base)) for base in ((0.05, -0.1, 0.0), (-0.3, 0.1, -0.1))
-    )
-    assert one.tissue.clearance_m == other.tissue.clearance_m
-
-
-@settings(deadline=None, max_examples=12)
+@settings(max_examples=8)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(Policy), st.booleans())
 def test_any_surface_ends_in_a_plan_or_a_reason_that_can_be_sent(bench, seed, policy, required):
     rng = np.random.default_rng(seed)

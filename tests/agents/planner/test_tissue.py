@@ -10,8 +10,6 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from agents.planner.tissue import clearance, tissue_of
-from schemas.messages import TissueSurface
-from shared.rigid_transforms import exp_so3
 
 DEPTHS = arrays(np.float64, (22, 40), elements=st.floats(40, 120))
 PLACES = arrays(np.float64, (30, 3), elements=st.floats(-1, 1)).map(lambda p: p * (0.015, 0.01, 0.01) + (0, 0, 0.07))
@@ -31,6 +29,7 @@ def slanted(u, v):
     return 80.0 / (1.0 - 0.5 * (u - 479.5) / 1000.0 + 0.25 * (v - 269.5) / 1000.0)
 
 
+@settings(max_examples=15)
 @given(PLACES)
 def test_before_a_plane_the_clearance_is_the_way_along_the_ray(bench, places):
     off, deviation = clearance(known_tissue(bench.surface(slanted)), places)
@@ -41,42 +40,13 @@ def test_before_a_plane_the_clearance_is_the_way_along_the_ray(bench, places):
     assert (deviation < 1.3e-4).all()
 
 
+@settings(max_examples=10)
 @given(DEPTHS, PLACES, st.floats(0.1, 20))
 def test_the_deeper_the_surface_the_greater_the_clearance(bench, depth, places, deeper):
     surface = bench.surface(60.0)
     here, _ = clearance(known_tissue(replaced(surface, depth=depth)), places)
     deeper, _ = clearance(known_tissue(replaced(surface, depth=depth + deeper)), places)
     assert (deeper > here).all()
-
-
-@settings(max_examples=30)
-@given(DEPTHS, PLACES, st.integers(1, 3))
-def test_a_scene_and_its_camera_turned_about_the_line_of_sight_have_the_same_clearances(bench, depth, places, quarters):
-    surface = replaced(bench.surface(60.0), depth=depth)
-    turned: Any = surface
-    for _ in range(quarters):
-        camera = turned.camera
-        flipped = replaced(
-            camera,
-            image_width=camera.image_height,
-            image_height=camera.image_width,
-            cx_px=camera.image_height - 1 - camera.cy_px,
-            cy_px=camera.cx_px,
-        )
-        turned = TissueSurface(
-            turned.stamp,
-            flipped,
-            np.sort(camera.image_height - 1 - turned.v_px),
-            turned.u_px,
-            np.rot90(turned.depth, -1),
-            np.rot90(turned.valid, -1),
-            np.rot90(turned.deviation, -1),
-        )
-    R = exp_so3(np.array([0.0, 0.0, 0.5 * np.pi * quarters]))
-    for one, other in zip(
-        clearance(known_tissue(surface), places), clearance(known_tissue(turned), places @ R.T), strict=True
-    ):
-        np.testing.assert_allclose(one, other, atol=1e-9)
 
 
 def test_the_unit_makes_no_difference(bench):
@@ -100,35 +70,17 @@ def test_what_a_thread_hides_is_known_from_both_sides_of_it(bench, gone):
     assert (deviation < 1.5e-4).all()
 
 
+def test_what_is_unknown_over_a_wide_stretch_stays_unknown(bench):
+    tissue = known_tissue(bench.surface(slanted, known=without_columns(*range(17, 22))))
+    expected = ~np.isin(np.arange(40), range(17, 22))
+    np.testing.assert_array_equal(np.isfinite(tissue.inverse_depth), np.tile(expected, (22, 1)))
+    np.testing.assert_array_equal(np.isfinite(tissue.deviation), np.tile(expected, (22, 1)))
+
+
 def test_between_cells_a_rough_surface_is_unsure_and_a_smooth_one_is_not(bench):
     rng, place = np.random.default_rng(1), np.array([[-0.0007, 0.0, 0.06]])
     rough = bench.surface(lambda u, _: 80.0 + rng.normal(0, 2.0, u.shape), known=without_columns(19))
     assert clearance(known_tissue(rough), place)[1] > 1e-3
-
-
-@given(arrays(np.bool_, (22, 40)))
-def test_unknown_stays_unknown_but_between_two_known_cells(bench, valid):
-    surface = bench.surface(slanted)
-    some = replaced(
-        surface,
-        depth=np.where(valid, surface.depth, 0),
-        valid=valid,
-        deviation=np.where(valid, surface.deviation, 0),
-    )
-    if not valid.any():
-        assert known_tissue(some) is None
-        return
-    tissue = known_tissue(some)
-    padded = np.pad(valid, 2)
-    sides = [
-        (padded[2 + k * a : 24 + k * a, 2 + k * b : 42 + k * b], padded[2 - k * a : 24 - k * a, 2 - k * b : 42 - k * b])
-        for k in (1, 2)
-        for a, b in ((0, 1), (1, 0), (1, 1), (1, -1))
-    ]
-    fillable = valid | np.any([one & other for one, other in sides], axis=0)
-    assert not (np.isfinite(tissue.inverse_depth) & ~fillable).any()
-    assert np.isfinite(tissue.inverse_depth[valid]).all()
-    assert (np.isfinite(tissue.inverse_depth) == np.isfinite(tissue.deviation)).all()
 
 
 def test_outside_of_the_grid_and_behind_the_camera_nothing_is_known(bench):

@@ -8,52 +8,24 @@ import pytest
 from agents.reconstruction.agent import Reconstruction
 from agents.reconstruction.methods import METHODS
 from schemas.codec import decode, encode
-from schemas.messages import (
-    Centrelines,
-    FrameStamp,
-    Image,
-    ImageEncoding,
-    RectifiedStereo,
-    Status,
-    ThreadObservations,
-    ThreadReconstruction,
-)
+from schemas.messages import FrameStamp, RectifiedStereo, Status, ThreadReconstruction
 from schemas.topics import OBSERVATIONS, THREAD, key
-from shared.camera import project
 from shared.runtime.agent import Received, Tick
+from tests.agents.reconstruction.refined.conftest import centrelines_of
 
 CAMERA = RectifiedStereo(640, 480, 600.0, 600.0, 319.5, 239.5, 0.005, 1.0)
-MASK = Image(ImageEncoding.RAW, 640, 480, 1, bytes(640 * 480))
+REASON = "no thread was found in the left image"
 
 
-def centreline(curve, eye):
-    """What one eye sees of a curve, a point for each pixel."""
-    px = project(CAMERA, curve)[eye]
-    along = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(px, axis=0), axis=1))))
-    at = np.arange(0.0, along[-1])
-    px = np.column_stack([np.interp(at, along, px[:, axis]) for axis in (0, 1)])
-    return Centrelines(px, np.zeros(len(px), np.int64), np.full(len(px), 3.0), np.full(len(px), 0.1))
+@pytest.fixture
+def observations(observe):
+    def curve(t):
+        x = 0.02 * t - 0.01
+        return np.column_stack([x, 0.004 * np.sin(300 * x), 0.09 + 0.2 * x])
 
-
-def observations(sequence=3, status=Status.OK, points=12):
-    x = np.linspace(-0.01, 0.01, points)
-    curve = np.column_stack([x, 0.004 * np.sin(300 * x), 0.09 + 0.2 * x])
-    return ThreadObservations(
-        stamp=FrameStamp(sequence, 5, 6, "c"),
-        camera=CAMERA,
-        status=status,
-        reason="" if status is Status.OK else "no thread was found in the left image",
-        segmenter="threshold",
-        points_camera=curve if status is Status.OK else np.zeros((0, 3)),
-        half_size_px=np.ones((points if status is Status.OK else 0, 2)),
-        matched_px=np.zeros((0, 3)),
-        match_cost=np.zeros((0, 2)),
-        inlier=np.zeros(0, bool),
-        mask_left=MASK,
-        mask_right=MASK,
-        centrelines_left=centreline(curve, 0),
-        centrelines_right=centreline(curve, 1),
-    )
+    left, right = (centrelines_of(curve, eye, camera=CAMERA) for eye in (0, 1))
+    points, stamp = curve(np.linspace(0, 1, 12)), FrameStamp(3, 5, 6, "c")
+    return observe(points, CAMERA, 1.0, stamp=stamp, centrelines_left=left, centrelines_right=right)
 
 
 def fed(agent, message):
@@ -63,30 +35,25 @@ def fed(agent, message):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_observations_become_a_thread_of_the_same_frame(method):
-    thread = fed(Reconstruction(method), observations())
+def test_observations_become_a_thread_of_the_same_frame_or_fail_with_their_reason(observations, observe, method):
+    agent = Reconstruction(method)
+    thread = fed(agent, observations)
     assert (thread.status, thread.reason) == (Status.OK, "")
     assert (thread.stamp, thread.method) == (FrameStamp(3, 5, 6, "c"), method)
     assert len(thread.regions.s) >= 8
-
-
-def test_what_failed_before_it_fails_on_with_the_reason():
-    thread = fed(Reconstruction(), observations(status=Status.FAILED))
-    assert thread.status is Status.FAILED
-    assert "no thread was found in the left image" in thread.reason
+    failed = fed(agent, observe(np.zeros((0, 3)), CAMERA, status=Status.FAILED, reason=REASON))
+    assert failed.status is Status.FAILED
+    assert REASON in failed.reason
+    assert list(agent.step(Tick(1))) == []
 
 
 @pytest.mark.parametrize(("method", "tracking"), [("refined", False), ("paper", False), ("paper", True)])
-def test_without_tracking_nothing_is_kept_from_one_message_to_the_next(method, tracking):
+def test_without_tracking_nothing_is_kept_from_one_message_to_the_next(observations, observe, method, tracking):
     agent = Reconstruction(method, tracking)
-    alone = encode(METHODS[method](observations()))
-    fed(agent, observations(status=Status.FAILED))
-    fed(agent, dataclasses.replace(observations(), points_camera=observations().points_camera + 0.001))
-    assert encode(fed(agent, observations())) == alone
-
-
-def test_ticks_are_not_its_business():
-    assert list(Reconstruction().step(Tick(1))) == []
+    alone = encode(METHODS[method](observations))
+    fed(agent, observe(np.zeros((0, 3)), CAMERA, status=Status.FAILED, reason=REASON))
+    fed(agent, dataclasses.replace(observations, points_camera=observations.points_camera + 0.001))
+    assert encode(fed(agent, observations)) == alone
 
 
 def test_an_unknown_method_is_the_callers_mistake():

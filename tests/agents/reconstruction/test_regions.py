@@ -1,3 +1,5 @@
+"""Around each observation a region of trust: its depth bound by a line fit nearby, its image bound by its width."""
+
 import dataclasses
 
 import numpy as np
@@ -32,67 +34,49 @@ def neighbourhood(j, count):
 
 
 def fits_by_polyfit(camera, points):
-    """Residual and standard deviation of a line through each neighbourhood's depths, one fit at a time."""
+    """Residual and wanted bound by a line through each neighbourhood's depths, one fit at a time."""
     left_px, _ = project(camera, points)
     t = np.concatenate(([0], np.cumsum(np.linalg.norm(np.diff(left_px, axis=0), axis=1))))
-    residual, spread = [], []
+    residual, bound = [], []
     for j in range(len(t)):
         near = neighbourhood(j, len(t))
         line = np.polyfit(t[near], points[near, 2], 1)
         residual.append(points[j, 2] - np.polyval(line, t[j]))
-        spread.append(np.std(points[near, 2] - np.polyval(line, t[near])))
-    return np.array(residual), np.array(spread)
+        bound.append(max(1.5 * abs(residual[-1]), np.std(points[near, 2] - np.polyval(line, t[near]))))
+    return np.array(residual), np.array(bound)
 
 
-@pytest.mark.parametrize("count", [4, 5, 9, 10, 11, 30, 47, 100, 201])
-def test_bounds_are_those_of_a_line_fit_in_each_neighbourhood(camera, count):
+@pytest.mark.parametrize("count", [4, 5, 10, 11, 47, 100])
+def test_bounds_are_those_of_a_line_fit_in_each_neighbourhood_in_any_unit(camera, count):
     points = noisy_points(camera, count)
-    residual, spread = fits_by_polyfit(camera, points)
+    residual, bound = fits_by_polyfit(camera, points)
     fit = fit_depth(points, camera)
-    expected = np.maximum(1.5 * np.abs(residual), spread)
-    assert np.allclose(fit.bound, np.minimum(expected, 0.5 * points[:, 2]), rtol=1e-8)
+    assert np.allclose(fit.bound, np.minimum(bound, 0.5 * points[:, 2]), rtol=1e-8)
     assert np.allclose(fit.depth, points[:, 2] - residual, rtol=1e-10)
-
-
-def test_an_observation_off_the_line_has_a_wide_bound_that_holds_the_line(camera):
-    u_px = np.linspace(100, 500, 40)
-    depth = 90 + 0.02 * u_px
-    depth[20] += 5
-    fit = fit_depth(points_at(camera, u_px, depth), camera)
-    assert np.argmax(fit.bound) == 20
-    assert fit.bound[20] > 5
-    assert abs(fit.depth[20] - (90 + 0.02 * u_px[20])) < fit.bound[20]
-    assert fit.bound[0] == fit.bound.min()
+    for factor in (1e-6, 1e6):
+        other = dataclasses.replace(camera, baseline=camera.baseline * factor)
+        assert np.allclose(fit_depth(factor * points, other).bound, factor * fit.bound, rtol=1e-6)
 
 
 def test_depths_on_a_line_have_half_a_pixel_of_disparity_for_a_bound(camera):
+    z = np.array([60.0, 100.0, 150.0])
+    disparity_px = camera.fx_px * camera.baseline / z
+    nearer, farther = (camera.fx_px * camera.baseline / (disparity_px + change) for change in (0.5, -0.5))
+    assert np.allclose(half_pixel_depth(camera, z), 0.5 * (farther - nearer), rtol=2e-3)
     for slope in (0.0, 0.1):
         u_px = np.linspace(100, 500, 25)
         points = points_at(camera, u_px, 90 + slope * (u_px - 100))
         assert np.allclose(fit_depth(points, camera).bound, half_pixel_depth(camera, points[:, 2]), rtol=1e-12)
 
 
-def test_half_a_pixel_of_depth_is_what_half_a_pixel_of_disparity_moves_a_point(camera):
-    z = np.array([60.0, 100.0, 150.0])
-    disparity_px = camera.fx_px * camera.baseline / z
-    nearer = camera.fx_px * camera.baseline / (disparity_px + 0.5)
-    farther = camera.fx_px * camera.baseline / (disparity_px - 0.5)
-    assert np.allclose(half_pixel_depth(camera, z), 0.5 * (farther - nearer), rtol=2e-3)
-
-
 def test_a_bound_of_zero_is_replaced_by_the_smallest_other_one(camera):
-    u_px = np.linspace(100, 500, 60)
     depth = np.full(60, 90.0)
     depth[50:] += np.resize((0.3, -0.3), 10)
-    points = points_at(camera, u_px, depth)
-    residual, spread = fits_by_polyfit(camera, points)
-    expected = np.maximum(1.5 * np.abs(residual), spread)
+    points = points_at(camera, np.linspace(100, 500, 60), depth)
+    _, expected = fits_by_polyfit(camera, points)
     none = expected < 1e-9
-    assert none.any()
-    assert not none.all()
-    bound = fit_depth(points, camera).bound
-    assert np.allclose(bound[none], expected[~none].min(), rtol=1e-8)
-    assert np.allclose(bound[~none], expected[~none], rtol=1e-8)
+    assert 0 < none.sum() < 60
+    assert np.allclose(fit_depth(points, camera).bound, np.where(none, expected[~none].min(), expected), rtol=1e-8)
 
 
 @given(
@@ -100,7 +84,7 @@ def test_a_bound_of_zero_is_replaced_by_the_smallest_other_one(camera):
     seed=st.integers(0, 99),
     repeats=st.integers(1, 4),
 )
-def test_bounds_are_positive_and_neither_a_region_nor_a_fitted_depth_reaches_the_camera(camera, depth, seed, repeats):
+def test_bounds_hold_the_fitted_depth_and_never_reach_the_camera(camera, depth, seed, repeats):
     u_px = np.repeat(np.random.default_rng(seed).uniform(0, 960, len(depth)), repeats)
     points = points_at(camera, u_px, np.repeat(depth, repeats))
     fit = fit_depth(points, camera)
@@ -110,13 +94,6 @@ def test_bounds_are_positive_and_neither_a_region_nor_a_fitted_depth_reaches_the
     assert (np.abs(fit.depth - points[:, 2]) <= fit.bound * (1 + 1e-9)).all()
 
 
-@given(factor=st.floats(1e-6, 1e6))
-def test_bounds_scale_with_the_unit(camera, factor):
-    points = noisy_points(camera, 30)
-    other = dataclasses.replace(camera, baseline=camera.baseline * factor)
-    assert np.allclose(fit_depth(factor * points, other).bound, factor * fit_depth(points, camera).bound, rtol=1e-6)
-
-
 def test_image_bounds_are_the_segmented_size_within_a_pixel_of_640_and_the_image():
     half_size_px = np.array([[0.5, 3.0], [2.0, 1e9]])
     assert np.array_equal(image_bounds(half_size_px, 640), [[1, 3], [2, 640]])
@@ -124,13 +101,7 @@ def test_image_bounds_are_the_segmented_size_within_a_pixel_of_640_and_the_image
 
 
 @pytest.mark.parametrize(
-    ("count", "gaps", "borrowed"),
-    [
-        (5, [], [0, 4]),
-        (6, [2], [0, 2, 3, 5]),
-        (6, [0, 3], [1, 3, 4, 5]),
-        (1, [], []),
-    ],
+    ("count", "gaps", "borrowed"), [(5, [], [0, 4]), (6, [2], [0, 2, 3, 5]), (6, [0, 3], [1, 3, 4, 5]), (1, [], [])]
 )
 def test_the_ends_of_connected_stretches_have_a_borrowed_depth(count, gaps, borrowed):
     assert np.flatnonzero(is_borrowed(count, np.array(gaps, np.int64))).tolist() == borrowed

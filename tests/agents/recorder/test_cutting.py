@@ -7,7 +7,6 @@ from agents.cli.main import main
 from agents.recorder.cutting import CUT, cut
 from schemas.codec import encode
 from schemas.messages import (
-    AgentHealth,
     Consumed,
     FrameStamp,
     Image,
@@ -18,7 +17,7 @@ from schemas.messages import (
     StereoFrame,
     ThreadObservations,
 )
-from schemas.topics import CALIBRATION, FRAMES, HEALTH, OBSERVATIONS, key
+from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS, key
 from shared.recording.completeness import completeness
 from shared.recording.entry import Entry
 from shared.recording.losses import COMPLETE, LOSSES
@@ -101,6 +100,9 @@ def test_a_stretch_begins_with_the_states_that_held_and_holds_what_was_received_
     assert all(before[e.key, e.sequence].payload == e.payload for e in entries)
     assert (report.kept, report.unused) == (len(entries), 0)
     assert completeness(target).complete
+    assert read_notes(target, "run") == {"protocol": "P1"}
+    assert (read_notes(target, CUT) or {})["of"] == "session.mcap"
+    assert read_attachments(target) == {"rig.json": b"{}"}
 
 
 def test_frames_of_which_nothing_was_made_are_left_out_and_the_file_says_so(session, tmp_path):
@@ -111,19 +113,11 @@ def test_frames_of_which_nothing_was_made_are_left_out_and_the_file_says_so(sess
     assert (read_notes(target, CUT) or {})["unused_frames"] == "4"
 
 
-def test_notes_and_attachments_come_along(session, tmp_path):
-    _, _, target = cut_seconds(session, tmp_path, 0.5, 1.0)
-    assert read_notes(target, "run") == {"protocol": "P1"}
-    assert (read_notes(target, CUT) or {})["of"] == "session.mcap"
-    assert read_attachments(target) == {"rig.json": b"{}"}
-
-
 def test_what_lacks_something_is_not_complete_when_it_is_cut(tmp_path):
     path = tmp_path / "session.mcap"
     writer = RecordingWriter(path)
-    health = AgentHealth("camera", "main", "host", "0.1.0", "hash", 0, 1.0, 1, None, None, (), (), "")
-    writer.write(HEALTH, Entry("suturegrasp/lab/camera/main/health", 1, 0, encode(health), START_NS, START_NS))
-    writer.note(LOSSES, {"suturegrasp/lab/camera/main/health": "1", COMPLETE: "False"})
+    writer.write(FRAMES, Entry(FRAMES_KEY, 1, 0, encode(frame(0)), START_NS, START_NS))
+    writer.note(LOSSES, {FRAMES_KEY: "1", COMPLETE: "False"})
     writer.close()
     _, entries, target = cut_seconds(path, tmp_path, 0, 1)
     assert len(entries) == 1

@@ -98,5 +98,4 @@ def test_a_calibration_that_changes_is_attached_again(record, messages, tmp_path
     recorder = record(tmp_path / "a.mcap")
     recorder.put(messages.calibration(0, metres_per_unit=1e-3))
     recorder.put(messages.calibration(1, metres_per_unit=1.0))
-    report = recorder.close()
-    assert b'"unit": "m"' in read_attachments(report.path)["calibration.json"]
+    assert b'"unit": "m"' in read_attachments(recorder.close().path)["calibration.json"]

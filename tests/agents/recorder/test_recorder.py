@@ -1,14 +1,12 @@
-"""The recorder on messages put by hand, behind a real router, killed, and on a full disk."""
+"""The recorder on messages put by hand, behind a real router, and on a full disk."""
 
 import pathlib
-import subprocess
-import sys
 import threading
 
 import numpy as np
 import pytest
 
-from agents.recorder.recorder import LOSSES, Recorder
+from agents.recorder.recorder import LOSSES
 from schemas.codec import encode
 from schemas.messages import FrameStamp, Image, ImageEncoding, LogLevel, LogRecord, StereoFrame
 from schemas.topics import FRAMES, LOG, PLAN, TOPICS, key
@@ -66,29 +64,25 @@ def test_gaps_are_counted_by_key_and_written_into_the_file(record, tmp_path):
         recorder.put(tapped(number))
     for number in (7, 8):
         recorder.put(tapped(number, OTHER))
+    # Zenoh tells of gaps too: those of a key that was heard are counted already
+    recorder.missed(LOG, 3)
+    recorder.missed(PLAN, 2)
     report = recorder.close()
-    assert report.lost == {CAMERA: 2 + 3}
+    assert report.lost == {CAMERA: 2 + 3, str(PLAN): 2}
     assert not report.complete
-    assert read_notes(report.path, LOSSES) == {CAMERA: "5", "complete": "False"}
+    assert read_notes(report.path, LOSSES) == {CAMERA: "5", str(PLAN): "2", "complete": "False"}
 
 
-def test_a_publisher_that_restarted_has_lost_nothing(record, tmp_path):
+def test_a_publisher_that_restarted_has_lost_nothing_and_what_has_no_number_is_left_out(record, tmp_path):
     recorder = record(tmp_path / "a.mcap")
     for epoch in (5, 3):
         for number in range(3):
             recorder.put(tapped(number, epoch=epoch))
+    assert recorder.report().lost == {}
+    recorder.put(tapped(3, epoch=3, numbered=False))
     report = recorder.close()
-    assert report.complete
+    assert (report.lost, report.unnumbered, report.complete) == ({}, 1, False)
     assert places(report.path) == [(CAMERA, epoch, n) for epoch in (5, 3) for n in range(3)]
-
-
-def test_what_came_without_a_number_is_counted_and_left_out(record, tmp_path):
-    recorder = record(tmp_path / "a.mcap")
-    recorder.put(tapped(0, numbered=False))
-    recorder.put(tapped(1))
-    report = recorder.close()
-    assert (report.unnumbered, report.complete) == (1, False)
-    assert places(report.path) == [(CAMERA, 1, 1)]
 
 
 def test_behind_a_slow_disk_nobody_waits_and_what_finds_no_room_is_counted(record, tmp_path, stuck):
@@ -105,28 +99,7 @@ def test_behind_a_slow_disk_nobody_waits_and_what_finds_no_room_is_counted(recor
     assert read_notes(report.path, LOSSES) == {CAMERA: str(60 - len(held)), "complete": "False"}
 
 
-def test_what_zenoh_reports_as_lost_is_counted_once(record, tmp_path):
-    recorder = record(tmp_path / "a.mcap")
-    for number in (0, 4):
-        recorder.put(tapped(number))
-    recorder.missed(LOG, 3)
-    recorder.missed(PLAN, 2)
-    assert recorder.close().lost == {CAMERA: 3, str(PLAN): 2}
-
-
-def test_a_full_disk_is_a_fault_and_what_is_not_written_is_counted(record):
-    full = pathlib.Path("/dev/full")
-    if not full.exists():
-        pytest.skip("needs /dev/full")
-    recorder = record(full)
-    for number in range(3000):
-        recorder.put(tapped(number))
-    report = recorder.close()
-    assert report.fault == "/dev/full cannot be written: No space left on device"
-    assert not report.complete
-
-
-def test_a_recorder_that_can_write_no_more_ends_so_that_somebody_is_told(record, until):
+def test_on_a_full_disk_the_recorder_ends_and_its_report_says_why(record, until):
     full = pathlib.Path("/dev/full")
     if not full.exists():
         pytest.skip("needs /dev/full")
@@ -137,12 +110,9 @@ def test_a_recorder_that_can_write_no_more_ends_so_that_somebody_is_told(record,
         return recorder.ended.is_set()
 
     until(ended)
-    assert recorder.report().fault
-
-
-def test_a_file_that_cannot_be_written_is_the_systems_error(tmp_path):
-    with pytest.raises(FileNotFoundError):
-        Recorder(tmp_path / "none" / "a.mcap")
+    report = recorder.close()
+    assert report.fault == "/dev/full cannot be written: No space left on device"
+    assert not report.complete
 
 
 def test_closing_twice_is_closing_once_and_nothing_is_recorded_after(record, tmp_path):
@@ -152,32 +122,6 @@ def test_closing_twice_is_closing_once_and_nothing_is_recorded_after(record, tmp
     recorder.put(tapped(1))
     assert recorder.close() == first
     assert places(first.path) == [(CAMERA, 1, 0)]
-
-
-def test_of_a_killed_recorder_everything_but_the_last_moments_is_read(tmp_path, until):
-    path = tmp_path / "a.mcap"
-    process = subprocess.Popen(
-        [sys.executable, str(pathlib.Path(__file__).with_name("recording_process.py")), str(path)],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-
-    def held():
-        return [entry.sequence for entry in read_recording(path)]
-
-    try:
-        assert process.stdout is not None
-        while int(process.stdout.readline()) < 50:
-            pass
-        # the messages are small and slow: by size alone a chunk would not be written within the deadline
-        until(lambda: len(held()) > 50, "what was put to be on the disk")
-    finally:
-        process.kill()
-        process.communicate()
-    numbers = held()
-    assert numbers == list(range(len(numbers)))
-    assert path.stat().st_size < 1 << 20
-    assert read_notes(path, LOSSES) is None
 
 
 class Film:

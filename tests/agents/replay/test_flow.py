@@ -27,9 +27,7 @@ def test_each_stage_is_waited_for():
     assert awaited_of(said(perception=3), {FRAME: 4}, EPOCH, {}) == Awaited("perception/main", FRAME, 4)
     assert awaited_of(said(reconstruction=8), {FRAME: 4}, EPOCH, {}) == Awaited("reconstruction/main", SEEN, 9)
     assert awaited_of(said(planner=4), {FRAME: 4}, EPOCH, {}) == Awaited("planner/main", CURVE, 5)
-
-
-def test_a_number_of_another_run_is_another_message():
+    # the same number of another run is another message
     assert awaited_of(said(), {FRAME: 4}, EPOCH + 5, {}) == Awaited("perception/main", FRAME, 4)
 
 

@@ -1,11 +1,8 @@
-import dataclasses
-
 import pytest
 
 from agents.replay.contents import contents_of
 from agents.replay.selection import SelectionError, name_of, select
 from schemas.topics import PROMPT
-from shared.recording.mcap_file import RecordingError
 
 
 @pytest.fixture(scope="module")
@@ -86,16 +83,3 @@ def test_contents_tell_what_there_is_and_when(contents, recording):
     (prompt,) = contents.commands
     # when perception got it, which is before it left its record
     assert (prompt.topic, prompt.at_ns) == (PROMPT, recording.begin_ns + 800 * 10**6)
-
-
-def test_of_a_damaged_recording_what_lies_before_the_damage_is_counted(recording, tmp_path):
-    bent = tmp_path / "bent.mcap"
-    whole = recording.path.read_bytes()
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(whole[: len(whole) // 4])
-    bent.write_bytes(b"\x89MCAP0\r\nnot really")
-    with pytest.raises(RecordingError, match="bent"):
-        contents_of(bent)
-    with pytest.raises(RecordingError, match=r"cut\.mcap"):
-        contents_of(cut)
-    assert dataclasses.asdict(contents_of(recording.path))["damage"] == ""

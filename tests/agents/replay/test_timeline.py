@@ -49,10 +49,7 @@ def test_a_step_goes_on_until_one_frame_is_sent_and_space_until_it_is_held_again
     assert not controls.held
     controls.toggle()
     assert controls.held
-
-
-def test_who_leaves_after_his_steps_has_them_done_first():
-    controls = Controls(held=True)
+    # who leaves after his steps has them done first
     controls.step()
     controls.stop_when_done()
     assert not controls.stopped

@@ -17,13 +17,9 @@ def test_seconds_are_counted_from_the_start(begin_s, end_s):
     assert window == (BEGIN_NS + round(begin * SECOND), BEGIN_NS + round(end * SECOND))
 
 
-@pytest.mark.parametrize("written", ["14:30:05", "14:30:05.0", "2026-11-20T14:30:05", "2026-11-20 14:30:05"])
+@pytest.mark.parametrize("written", ["14:30:05", "2026-11-20T14:30:05", "2026-11-20 14:30:05.0"])
 def test_a_time_of_the_day_is_meant_where_one_is_written(written):
-    assert window_ns(written, None, BEGIN_NS, BEGIN_NS + 60 * SECOND)[0] == BEGIN_NS + 5 * SECOND
-
-
-def test_without_either_all_of_it_is_meant():
-    assert window_ns(None, None, 5, 9) == (5, 9)
+    assert window_ns(written, None, BEGIN_NS, BEGIN_NS + 60 * SECOND) == (BEGIN_NS + 5 * SECOND, BEGIN_NS + 60 * SECOND)
 
 
 @pytest.mark.parametrize(
@@ -33,7 +29,6 @@ def test_without_either_all_of_it_is_meant():
         ("20", "10", "--to 10 lies before --from 20"),
         (None, "14:00", "--to 14:00 lies before the recording, which begins at 2026-11-20 14:30:00"),
         ("soon", None, "--from 'soon' is no moment"),
-        ("-1", None, "--from '-1' is no moment"),
         (None, "25:00", "--to '25:00' is no moment"),
         ("9" * 400, None, "is no moment"),
     ],

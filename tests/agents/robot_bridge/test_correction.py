@@ -6,99 +6,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
+from agents.robot_bridge.agent import RobotBridgeConfig
 from agents.robot_bridge.correction import FRESH_S, HELD_S, CorrectionLimits
-from agents.robot_bridge.simulated import SimulatedPsm
-from schemas.messages import (
-    Arm,
-    CommandAnswer,
-    CommandHeader,
-    ExecutionEvent,
-    ExecutionKind,
-    FrameStamp,
-    GraspPlan,
-    Heartbeat,
-    Outcome,
-    Phase,
-    Policy,
-    RobotState,
-    Status,
-    ToolCandidate,
-    ToolCorrection,
-    ToolStatus,
-    Waypoint,
-)
-from schemas.topics import ARM, EXECUTION, HEARTBEAT, PLAN, ROBOT_STATE, TOOL
+from schemas.messages import CommandAnswer, ExecutionKind, FrameStamp, ToolCandidate, ToolCorrection, ToolStatus
+from schemas.topics import TOOL
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
 from shared.rigid_transforms import exp_so3, transform
-from shared.runtime.agent import Command, Output, Received, Tick
-
-SECOND, TICK = 10**9, 10**7
-EPOCH = 1_700_000_000 * SECOND
-TURNED = exp_so3(np.array((0.1, 0, 0.3)))
+from tests.agents.robot_bridge.drive import SECOND, Drive, plan, stands_still
 
 
-class Rig:
-    """A bridge that is fed by hand, whose base is corrected by the images."""
-
-    def __init__(self) -> None:
-        self.backend = SimulatedPsm()
-        self.bridge = RobotBridge(RobotBridgeConfig(correction=CorrectionLimits()), self.backend)
-        self.now_ns = EPOCH
-        self.states, self.events = list[RobotState](), list[ExecutionEvent]()
-        self.tick()
-
-    def feed(self, arrived: Received | Tick | Command) -> list[Output | CommandAnswer]:
-        said = list(self.bridge.step(arrived))
-        for one in said:
-            if isinstance(one, Output):
-                (self.states if one.topic is ROBOT_STATE else self.events).append(one.message)
-                assert one.topic in (ROBOT_STATE, EXECUTION)
-        return said
-
-    def tick(self, count: int = 1, elapsed_ns: int = TICK) -> None:
-        for _ in range(count):
-            self.now_ns += elapsed_ns
-            self.feed(Received(HEARTBEAT, "", 0, Heartbeat("psm1", "p", self.now_ns, "a")))
-            self.feed(Tick(self.now_ns))
-
-    def look(self, age_s: float = 0.1, off_mm: float = 5.0, **changes: Any) -> None:
-        """Perception tells that the tool is so far off, by a frame of so long ago."""
-        self.feed(Received(TOOL, "", 0, looked(self.now_ns - round(age_s * SECOND), off_mm, **changes)))
-        self.tick()
-
-    def arm(self) -> CommandAnswer:
-        places = ((15, 5, 60), (15, 5, 75), (20, 6, 65))
-        waypoints = tuple(
-            Waypoint(transform(TURNED, np.array(place) / 1e3), 0.5, Phase.APPROACH, None) for place in places
-        )
-        stamp = FrameStamp(1, self.now_ns, self.now_ns, "c")
-        rest = (Status.OK, "", Policy.DIRECT, 0.5, 0.4, 0.9, 0.0, waypoints, ())
-        self.feed(Received(PLAN, "", 0, GraspPlan("p", "psm1", "g", stamp, *rest)))
-        message = Arm(CommandHeader("a", self.now_ns + SECOND, "ann"), "psm1", "p")
-        answer = self.feed(Command(ARM, "psm1", message, self.now_ns))[0]
-        assert isinstance(answer, CommandAnswer)
-        return answer
-
-    def moving(self) -> "Rig":
-        """In mid-motion, with a look of now."""
-        self.look()
-        assert self.arm().outcome is Outcome.ACCEPTED
-        self.tick(60)
-        self.look()
-        assert self.bridge.executes
-        return self
-
-    def held(self) -> tuple[str, str]:
-        """The code and the reason of the hold that has come, after which nothing moves."""
-        assert (self.events[-1].kind, self.bridge.executes) == (ExecutionKind.HELD, False)
-        at = self.backend.state(self.now_ns).joints
-        self.tick(20)
-        np.testing.assert_array_equal(self.backend.state(self.now_ns).joints, at)
-        return self.events[-1].code, self.events[-1].reason
-
-
-def looked(captured_ns: int, off_mm: float, turned_deg: float = 0.0, **changes: Any) -> ToolCorrection:
+def looked(captured_ns: int, off_mm: float = 5.0, turned_deg: float = 0.0, **changes: Any) -> ToolCorrection:
+    """Perception tells that the tool is so far off, by a frame of then."""
     tip = np.array((0.01, 0.0, 0.06))
     corrected = tip + np.array((1e-3 * off_mm, 0.0, 0.0))
     R = exp_so3(np.radians((0.0, 0.0, turned_deg)))
@@ -128,6 +46,25 @@ def looked(captured_ns: int, off_mm: float, turned_deg: float = 0.0, **changes: 
     return dataclasses.replace(told, **changes)
 
 
+class Corrected(Drive):
+    """A bridge whose base is corrected by the images."""
+
+    def __init__(self, **config: Any) -> None:
+        super().__init__(RobotBridgeConfig(correction=CorrectionLimits(), **config))
+
+    def look(self, age_s: float = 0.1, **changes: Any) -> None:
+        self.hear(TOOL, looked(self.now_ns - round(age_s * SECOND), **changes))
+        self.tick()
+
+    def ticks(self, count: int) -> None:
+        for _ in range(count):
+            self.tick()
+
+    def arm_now(self) -> CommandAnswer:
+        self.publish(plan(captured_ns=self.now_ns))
+        return self.arm()
+
+
 LOST: dict[str, Any] = {
     "status": ToolStatus.LOST,
     "reason": "it is not in view",
@@ -150,13 +87,11 @@ MISSED: dict[str, Any] = {"misses": 1, "reason": "not seen", "T_correction": Non
     ],
 )
 def test_nothing_is_armed_where_the_images_do_not_tell_where_the_tool_is(look, code, told):
-    rig = Rig()
+    drive = Corrected()
     if look is not None:
-        rig.look(**look)
-    rig.tick(elapsed_ns=TICK // 100)
-    answer = rig.arm()
-    assert (answer.outcome, answer.code) == (Outcome.REFUSED, code)
-    assert told in answer.reason
+        drive.look(**look)
+    answer = drive.arm_now()
+    assert (answer.code, told in answer.reason) == (code, True)
 
 
 @pytest.mark.parametrize(
@@ -171,75 +106,88 @@ def test_nothing_is_armed_where_the_images_do_not_tell_where_the_tool_is(look, c
     ],
 )
 def test_a_motion_ends_where_the_images_tell_something_else_or_nothing_any_more(look, code, told):
-    rig = Rig().moving()
-    rig.look(**look)
-    assert rig.held()[0] == code
-    assert told in rig.events[-1].reason
+    drive = Corrected()
+    drive.look()
+    assert drive.arm_now().code == ""
+    drive.run(60)
+    drive.look()
+    assert drive.bridge.executes
+    base = drive.states[-1].T_camera_base
+    drive.look(off_mm=6.0)
+    np.testing.assert_array_equal(drive.states[-1].T_camera_base, base)
+    drive.look(**look)
+    assert drive.ended == (ExecutionKind.HELD, code)
+    assert told in drive.events[-1].reason
+    assert stands_still(drive)
 
 
 def test_a_look_that_came_late_is_held_said_so_and_given_up():
     """At load a look is told seconds after its frame; perception then falls silent in mid-motion."""
-    rig = Rig()
-    rig.bridge.configure(dataclasses.replace(rig.bridge.config, ratio=0.2))
-    rig.tick(100)
-    looked_ns = rig.now_ns
-    rig.tick(250)
-    rig.look(age_s=2.5)
-    rig.tick(10)
-    assert rig.states[-1].correction_looked_ns == looked_ns
-    assert rig.states[-1].T_camera_base_registered is not None
-    assert rig.arm().outcome is Outcome.ACCEPTED, "it has stood since"
-    rig.tick(130)
-    assert rig.bridge.executes
-    assert rig.states[-1].correction_looked_ns == looked_ns
+    drive = Corrected(ratio=0.2)
+    drive.ticks(100)
+    looked_ns = drive.now_ns
+    drive.ticks(250)
+    drive.look(age_s=2.5)
+    drive.ticks(10)
+    assert drive.states[-1].correction_looked_ns == looked_ns
+    np.testing.assert_array_equal(drive.states[-1].T_camera_base_registered, SIMULATED_T_CAMERA_BASE)
+    assert drive.arm_now().code == "", "it has stood since"
+    drive.run(130)
+    assert drive.bridge.executes
     # one more view in which it was not seen is no reason yet, and no look either
-    rig.look(**MISSED)
-    rig.tick(15)
-    code, why = rig.held()
-    assert code == "correction_lost"
-    assert "4.0 s ago" in why
+    drive.look(**MISSED)
+    assert drive.states[-1].correction_looked_ns == looked_ns
+    drive.run(20)
+    assert drive.ended == (ExecutionKind.HELD, "correction_lost")
+    assert "4.0 s ago" in drive.events[-1].reason
 
 
-def test_an_arm_that_moved_since_it_was_seen_is_seen_again_first():
-    rig = Rig()
-    rig.look()
-    state = rig.backend.state(rig.now_ns)
-    rig.backend.move(state.joints + 0.01, state.jaw_rad, "a")
-    rig.tick(50)
-    assert rig.arm().outcome is Outcome.ACCEPTED, f"within {FRESH_S:g} s"
-    rig = Rig()
-    rig.look()
-    rig.backend.move(state.joints + 0.01, state.jaw_rad, "a")
-    rig.tick(150)
-    answer = rig.arm()
-    assert (answer.code, "has moved since" in answer.reason) == ("correction_lost", True)
-    rig.look(age_s=1.2)
-    assert rig.arm().outcome is Outcome.ACCEPTED
+@pytest.mark.parametrize(("waited_s", "refused"), [(0.5, False), (1.5, True)])
+def test_an_arm_that_moved_since_it_was_seen_is_seen_again_unless_that_was_a_moment_ago(waited_s, refused):
+    drive = Corrected()
+    drive.look()
+    state = drive.backend.state(drive.now_ns)
+    drive.backend.move(state.joints + 0.01, state.jaw_rad, "a")
+    drive.ticks(round(100 * waited_s))
+    answer = drive.arm_now()
+    assert (answer.code, "has moved since" in answer.reason) == ("correction_lost" if refused else "", refused)
+    if refused:
+        drive.look(age_s=waited_s - 0.3)
+        assert waited_s - 0.3 > FRESH_S
+        assert drive.arm_now().code == ""
 
 
 def test_a_tool_that_was_seen_before_camera_or_arm_were_moved_by_hand_is_seen_again_first():
-    rig = Rig()
-    rig.look()
-    measured = rig.backend.state
-    moved_ns = rig.now_ns
-    rig.backend.state = lambda now_ns: dataclasses.replace(measured(now_ns), still_since_ns=moved_ns)
-    rig.tick(5)
-    answer = rig.arm()
+    drive = Corrected()
+    drive.look()
+    drive.backend.tell(still_since_ns=drive.now_ns)
+    drive.ticks(5)
+    answer = drive.arm_now()
     assert (answer.code, "moved by hand since the tool was seen" in answer.reason) == ("correction_lost", True)
-    rig.tick(20)
-    rig.look()
-    assert rig.arm().outcome is Outcome.ACCEPTED
+    drive.ticks(20)
+    drive.look()
+    assert drive.arm_now().code == ""
 
 
 def test_a_plan_in_another_cameras_frame_than_the_look_at_the_tool_is_refused():
-    rig = Rig()
-    rig.look(stamp=FrameStamp(1, rig.now_ns, rig.now_ns, "other"))
-    answer = rig.arm()
+    drive = Corrected()
+    drive.look(stamp=FrameStamp(1, drive.now_ns, drive.now_ns, "other"))
+    answer = drive.arm_now()
     assert (answer.code, "and the tool was seen in that of other" in answer.reason) == ("wrong_frame", True)
 
 
-def test_a_base_that_nothing_corrects_says_so():
-    rig = Rig()
-    rig.tick(10)
-    assert (rig.states[-1].correction_looked_ns, rig.states[-1].T_camera_base_registered) == (0, None)
-    np.testing.assert_array_equal(rig.states[-1].T_camera_base, SIMULATED_T_CAMERA_BASE)
+def test_a_base_is_told_as_the_images_correct_it_and_as_registered_where_nothing_does():
+    drive = Corrected()
+    drive.tick()
+    state = drive.states[-1]
+    assert (state.correction_looked_ns, state.T_camera_base_registered) == (0, None)
+    np.testing.assert_array_equal(state.T_camera_base, SIMULATED_T_CAMERA_BASE)
+    drive.look(off_mm=5.0)
+    moved = drive.states[-1].T_camera_base - SIMULATED_T_CAMERA_BASE
+    np.testing.assert_allclose(moved[:3, 3], (0.005, 0, 0), atol=1e-12)
+    drive.look(**MISSED)
+    assert drive.states[-1].T_camera_base_registered is not None, "one view in which it was not seen changes nothing"
+    for nothing in (LOST, {"off_mm": 16.0}):
+        drive.look(off_mm=5.0)
+        drive.look(**nothing)
+        assert drive.states[-1].T_camera_base_registered is None

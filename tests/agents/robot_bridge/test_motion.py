@@ -1,8 +1,10 @@
+"""From a plan's waypoints to the joints of every tick: smooth, within all limits, or refused by name."""
+
 import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -12,14 +14,18 @@ from agents.robot_bridge.motion import MAXIMUM_WAYPOINTS, Trajectory, plan_motio
 from agents.robot_bridge.path import Poses, smooth_path
 from agents.robot_bridge.refusals import Code, Refusal
 from agents.robot_bridge.simulated import SIMULATED_START
-from schemas.messages import FrameStamp, Phase, RectifiedStereo, TissueSurface, Waypoint
+from schemas.messages import Phase, Waypoint
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER, forward, joint_problem
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
 from shared.rigid_transforms import exp_so3, log_so3, transform
+from tests.agents.robot_bridge.drive import tissue
 
 START = np.array(SIMULATED_START)
 LIMITS = MotionLimits()
 SETUP = Setup(LARGE_NEEDLE_DRIVER, SIMULATED_T_CAMERA_BASE, LIMITS, 0.01)
+ROOMY = dataclasses.replace(SETUP, limits=MotionLimits(workspace_camera=np.array(((-1.0, -1, -1), (1, 1, 1)))))
+"""As if the camera saw everything."""
+HALF_TURN = np.diag((-1.0, -1.0, 1.0, 1.0))
 
 
 def pose(x_mm: float, y_mm: float, z_mm: float, turn: tuple[float, float, float] = (0, 0, 0)) -> np.ndarray:
@@ -28,6 +34,18 @@ def pose(x_mm: float, y_mm: float, z_mm: float, turn: tuple[float, float, float]
 
 def waypoint(T: np.ndarray, jaw_rad: float = 0.5, phase: Phase = Phase.APPROACH) -> Waypoint:
     return Waypoint(T, jaw_rad, phase, None)
+
+
+def at(joints: np.ndarray) -> np.ndarray:
+    """The pose before the camera of a tool whose arm has these joints."""
+    return SIMULATED_T_CAMERA_BASE @ forward(joints)
+
+
+def turned_to(joint: int, value: float) -> np.ndarray:
+    """Where the arm starts, but for one joint."""
+    joints = START.copy()
+    joints[joint] = value
+    return joints
 
 
 def grasp() -> tuple[Waypoint, ...]:
@@ -43,8 +61,8 @@ def grasp() -> tuple[Waypoint, ...]:
     )
 
 
-def motion(waypoints: tuple[Waypoint, ...], setup: Setup = SETUP) -> Trajectory:
-    planned = plan_motion(waypoints, START, 0.0, setup)
+def motion(waypoints: tuple[Waypoint, ...], setup: Setup = SETUP, joints: np.ndarray = START) -> Trajectory:
+    planned = plan_motion(waypoints, joints, 0.0, setup)
     assert isinstance(planned, Trajectory), planned
     return planned
 
@@ -55,174 +73,124 @@ def refusal(waypoints: tuple[Waypoint, ...], setup: Setup = SETUP, joints: np.nd
     return planned
 
 
-HALF_TURN = np.diag((-1.0, -1.0, 1.0, 1.0))
-
-
 def camera_poses(trajectory: Trajectory) -> np.ndarray:
     """As the waypoints have them: jaws are the same after half a turn about their fingers."""
-    poses = SIMULATED_T_CAMERA_BASE @ forward(trajectory.joints)
+    poses = at(trajectory.joints)
     return poses @ HALF_TURN if trajectory.turned else poses
 
 
-def changes(rows: np.ndarray, period_s: float) -> list[np.ndarray]:
-    """Sizes of the first three derivatives of rows, from rest to rest."""
-    found, derivative = list[np.ndarray](), rows
+@pytest.fixture(scope="module")
+def grasped() -> Trajectory:
+    return motion(grasp())
+
+
+# the way
+
+
+def test_the_motion_begins_where_the_arm_is_passes_every_waypoint_and_rests_where_each_phase_ends(grasped) -> None:
+    np.testing.assert_array_equal(grasped.joints[0], START)
+    poses = camera_poses(grasped)
+    for target in grasp():
+        # a tick at full speed leads 0.5 mm and 0.015 rad on
+        near = np.linalg.norm(poses[:, :3, 3] - target.T_camera_tool[:3, 3], axis=1) < 3e-4
+        turned = np.linalg.norm(log_so3(target.T_camera_tool[:3, :3].T @ poses[:, :3, :3]), axis=1) < 0.02
+        assert (near & turned & (np.abs(grasped.jaw_rad - target.jaw_rad) < 0.02)).any()
+    last = {point.phase: point for point in grasp()}
+    assert [stop.phase for stop in grasped.stops if stop.phase] == list(Phase)
+    assert grasped.stops[-1].sample == len(grasped.joints) - 1
+    steps = np.abs(np.diff(grasped.joints, axis=0)).max(axis=1)
+    for sample, phase in ((stop.sample, stop.phase) for stop in grasped.stops):
+        assert steps[max(sample - 1, 0) : sample + 1].max() < 0.05 * steps.max(), "it rests"
+        if phase:
+            np.testing.assert_allclose(poses[sample], last[phase].T_camera_tool, atol=1e-9)
+            assert grasped.jaw_rad[sample] == pytest.approx(last[phase].jaw_rad)
+
+
+def derivatives(rows: np.ndarray, period_s: float) -> list[float]:
+    """The largest of the first three derivatives of rows, from rest to rest."""
+    found, derivative = list[float](), rows
     rest = np.zeros((1, rows.shape[1]))
     for ends in ((), (rest,), (rest,)):
         derivative = np.diff(np.concatenate((*ends, derivative, *ends)), axis=0) / period_s
-        found.append(np.linalg.norm(derivative, axis=1))
+        found.append(float(np.linalg.norm(derivative, axis=1).max()))
     return found
-
-
-def test_the_motion_begins_where_the_arm_is_and_passes_every_waypoint() -> None:
-    trajectory = motion(grasp())
-    np.testing.assert_array_equal(trajectory.joints[0], START)
-    poses = camera_poses(trajectory)
-    for target in grasp():
-        # A tick at full speed leads 0.5 mm and 0.015 rad on.
-        near = np.linalg.norm(poses[:, :3, 3] - target.T_camera_tool[:3, 3], axis=1) < 3e-4
-        turned = np.linalg.norm(log_so3(target.T_camera_tool[:3, :3].T @ poses[:, :3, :3]), axis=1) < 0.02
-        assert (near & turned & (np.abs(trajectory.jaw_rad - target.jaw_rad) < 0.02)).any()
-
-
-def test_every_phase_ends_at_its_last_waypoint_in_order() -> None:
-    trajectory = motion(grasp())
-    ends = [(stop.sample, stop.phase) for stop in trajectory.stops if stop.phase]
-    assert [phase for _, phase in ends] == list(Phase)
-    assert ends[-1][0] == len(trajectory.joints) - 1
-    poses = camera_poses(trajectory)
-    last = {point.phase: point for point in grasp()}
-    for sample, phase in ends:
-        np.testing.assert_allclose(poses[sample], last[phase].T_camera_tool, atol=1e-9)
-        assert trajectory.jaw_rad[sample] == pytest.approx(last[phase].jaw_rad)
 
 
 @pytest.mark.parametrize("period_s", [0.01, 0.005])
 def test_speeds_accelerations_and_jerks_keep_to_their_limits_and_contact_is_slower(period_s: float) -> None:
     trajectory = motion(grasp(), dataclasses.replace(SETUP, period_s=period_s))
     poses = camera_poses(trajectory)
-    speed, acceleration, jerk = changes(poses[:, :3, 3], period_s)
-    assert 0.8 * LIMITS.speed < speed.max() <= LIMITS.speed * (1 + 1e-6)
-    assert acceleration.max() <= LIMITS.acceleration * (1 + 1e-6)
-    assert 0.3 * LIMITS.jerk < jerk.max() <= LIMITS.jerk * (1 + 1e-6)
     R = poses[:, :3, :3]
-    turning = np.einsum("nij,nj->ni", R[:-1], log_so3(np.swapaxes(R[:-1], 1, 2) @ R[1:])) / period_s
-    turned = np.concatenate((np.zeros((1, 3)), np.cumsum(turning, axis=0) * period_s))
-    for found, limit in zip(
-        changes(turned, period_s),
-        (LIMITS.angular_speed, LIMITS.angular_acceleration, LIMITS.angular_jerk),
-        strict=True,
+    turning = np.einsum("nij,nj->ni", R[:-1], log_so3(np.swapaxes(R[:-1], 1, 2) @ R[1:]))
+    turned = np.concatenate((np.zeros((1, 3)), np.cumsum(turning, axis=0)))
+    moved = derivatives(poses[:, :3, 3], period_s)
+    for found, limits in (
+        (moved, (LIMITS.speed, LIMITS.acceleration, LIMITS.jerk)),
+        (derivatives(turned, period_s), (LIMITS.angular_speed, LIMITS.angular_acceleration, LIMITS.angular_jerk)),
+        (
+            derivatives(trajectory.jaw_rad[:, None], period_s),
+            (LIMITS.jaw_speed, LIMITS.jaw_acceleration, LIMITS.jaw_jerk),
+        ),
     ):
-        assert found.max() <= limit * (1 + 1e-6)
-    for found, limit in zip(
-        changes(trajectory.jaw_rad[:, None], period_s),
-        (LIMITS.jaw_speed, LIMITS.jaw_acceleration, LIMITS.jaw_jerk),
-        strict=True,
-    ):
-        assert found.max() <= limit * (1 + 1e-6)
+        assert (np.array(found) <= np.array(limits) * (1 + 1e-6)).all()
+    assert moved[0] > 0.8 * LIMITS.speed
+    assert moved[2] > 0.3 * LIMITS.jerk
     joint_speeds = np.abs(np.diff(trajectory.joints, axis=0)) / period_s
     assert (joint_speeds <= 0.8 * LARGE_NEEDLE_DRIVER.max_speeds + 1e-6).all()
     approach, _, slide, *_ = [stop.sample for stop in trajectory.stops if stop.phase]
-    assert speed[approach:slide].max() <= LIMITS.contact_share * LIMITS.speed * (1 + 1e-6)
+    contact = np.linalg.norm(np.diff(poses[approach : slide + 1, :3, 3], axis=0), axis=1).max() / period_s
+    assert contact <= LIMITS.contact_share * LIMITS.speed * (1 + 1e-6)
 
 
-def test_the_jaws_go_the_shorter_way_round_and_the_other_one_where_that_is_refused() -> None:
-    here = SIMULATED_T_CAMERA_BASE @ forward(START)
-    lift = pose(0, 0, 0)
-    lift[2, 3] = -0.005
-    near, far = lift @ here, lift @ here @ HALF_TURN
-    for target, turned in ((near, False), (far, True)):
-        trajectory = motion((waypoint(target), waypoint(pose(3, 0, 0) @ target)))
-        assert trajectory.turned is turned
-        assert np.ptp(trajectory.joints[:, 3]) < 0.3, "a wrist that had nothing to turn for stays as it is"
-        np.testing.assert_allclose(camera_poses(trajectory)[-1], pose(3, 0, 0) @ target, atol=1e-9)
-    # a roll near its end cannot go on the shorter way
-    wound = START.copy()
-    wound[3] = 4.4
-    target = SIMULATED_T_CAMERA_BASE @ forward(wound + np.array((0, 0, 0.01, 0.4, 0, 0)))
-    planned = plan_motion((waypoint(target),), wound, 0.0, SETUP)
-    assert isinstance(planned, Trajectory), planned
-    assert planned.turned
-    assert (joint_problem(planned.joints) == 0).all()
-    np.testing.assert_allclose(camera_poses(planned)[-1], target, atol=1e-9)
-
-
-def test_no_joint_jumps_along_a_slide() -> None:
-    trajectory = motion(grasp())
-    _, capture, slide, *_ = [stop.sample for stop in trajectory.stops if stop.phase]
-    steps = np.abs(np.diff(trajectory.joints[capture : slide + 1], axis=0))
-    assert steps.max() < 0.05
-    assert np.ptp(trajectory.joints[capture : slide + 1, 3]) < 1.0
-
-
-@given(st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(0.13, 0.19), st.floats(-1.2, 1.2), st.floats(-1, 1))
-def test_a_way_on_which_the_wrist_would_have_to_flip_within_a_tick_is_refused(
-    yaw: float, pitch: float, insertion: float, roll: float, wrist: float
-) -> None:
-    roomy = dataclasses.replace(SETUP, limits=MotionLimits(workspace_camera=np.array(((-1.0, -1, -1), (1, 1, 1)))))
-    joints = np.array((yaw, pitch, insertion, roll, 0.3 * wrist, wrist))
-    here = forward(joints)
-    # the jaws half a turn about the fingers look the same, and need a wrist that stands otherwise
-    flipped = here @ transform(np.diag((-1.0, -1.0, 1.0)), np.zeros(3))
-    found = joints_of(Poses(np.stack((here, flipped)), np.zeros(2)), joints, "on the way", roomy)
-    assert isinstance(found, Refusal)
-    assert found.code is Code.WRIST_FLIP, found.sentence
-    assert not isinstance(joints_of(Poses(np.stack((here, here)), np.zeros(2)), joints, "on the way", roomy), Refusal)
-
-
-def test_a_way_near_a_singular_pose_is_refused() -> None:
-    bent = np.array((0.1, 0.0, 0.13, 0.0, 1.385, 0.0))
-    roomy = MotionLimits(workspace_camera=np.array(((-1.0, -1, -1), (1, 1, 1))))
-    setup = dataclasses.replace(SETUP, limits=roomy)
-    target = waypoint(SIMULATED_T_CAMERA_BASE @ forward(bent))
-    assert waypoint_refusal(target.T_camera_tool[None], np.zeros(1), setup) is None
-    refused = refusal((target,), setup)
-    assert (refused.code, "dexterity" in refused.sentence) == (Code.SINGULAR, True)
-    # who is there already may leave
-    left = plan_motion((waypoint(SIMULATED_T_CAMERA_BASE @ forward(bent * (1, 1, 1, 1, 0.9, 1))),), bent, 0.0, setup)
-    assert isinstance(left, Trajectory), left
-
-
-def test_the_arm_rests_at_every_stop() -> None:
-    trajectory = motion(grasp())
-    steps = np.abs(np.diff(trajectory.joints, axis=0)).max(axis=1)
-    for stop in trajectory.stops:
-        around = steps[max(stop.sample - 1, 0) : stop.sample + 1]
-        assert around.max() < 0.05 * steps.max()
-
-
-def test_a_joint_that_would_be_too_fast_slows_the_leg_down() -> None:
+def test_a_joint_that_would_be_too_fast_slows_the_leg_down(grasped) -> None:
     links = tuple(link._replace(max_speed=link.max_speed / 50) for link in LARGE_NEEDLE_DRIVER.links)
     slow = dataclasses.replace(SETUP, kinematics=dataclasses.replace(LARGE_NEEDLE_DRIVER, links=links))
     trajectory = motion(grasp(), slow)
     shares = np.abs(np.diff(trajectory.joints, axis=0)) / SETUP.period_s / slow.kinematics.max_speeds
     assert 0.7 < shares.max() <= 0.8 + 1e-6
-    assert len(trajectory.joints) > 1.5 * len(motion(grasp()).joints)
+    assert len(trajectory.joints) > 1.5 * len(grasped.joints)
 
 
-def test_a_roll_beyond_half_a_turn_goes_on_and_does_not_jump_back() -> None:
-    turned = START.copy()
-    turned[3] = 3.0
-    target = SIMULATED_T_CAMERA_BASE @ forward(turned + np.array((0, 0, 0.01, 0.5, 0, 0)))
-    planned = plan_motion((waypoint(target),), turned, 0.0, SETUP)
-    assert isinstance(planned, Trajectory)
-    assert planned.joints[-1, 3] == pytest.approx(3.5)
+@pytest.mark.parametrize("share", [0.5, 0.1])
+def test_a_slowed_motion_goes_the_same_way_and_takes_as_much_longer(share: float, grasped) -> None:
+    roomy = dataclasses.replace(LIMITS, maximum_duration_s=600.0)
+    slowed = motion(grasp(), dataclasses.replace(SETUP, limits=roomy.slowed(share)))
+    assert slowed.duration_s == pytest.approx(grasped.duration_s / share, rel=0.02)
+    samples = [int(i) for i in np.linspace(0, len(grasped.joints) - 1, 40)]
+    between = np.array([slowed.at(i * SETUP.period_s / share)[0] for i in samples])
+    assert np.abs(between - grasped.joints[samples]).max() < 0.03
+
+
+def test_the_jaws_go_the_shorter_way_round_and_the_other_one_where_that_is_refused() -> None:
+    lift = pose(0, 0, 0)
+    lift[2, 3] = -0.005
+    near = lift @ at(START)
+    for target, turned in ((near, False), (near @ HALF_TURN, True)):
+        trajectory = motion((waypoint(target), waypoint(pose(3, 0, 0) @ target)))
+        assert trajectory.turned is turned
+        assert np.ptp(trajectory.joints[:, 3]) < 0.3, "a wrist that had nothing to turn for stays as it is"
+        np.testing.assert_allclose(camera_poses(trajectory)[-1], pose(3, 0, 0) @ target, atol=1e-9)
+    # a roll near its end cannot go on the shorter way
+    wound = turned_to(3, 4.4)
+    target = at(wound + np.array((0, 0, 0.01, 0.4, 0, 0)))
+    planned = motion((waypoint(target),), joints=wound)
+    assert planned.turned
     assert (joint_problem(planned.joints) == 0).all()
+    np.testing.assert_allclose(camera_poses(planned)[-1], target, atol=1e-9)
 
 
 def test_a_plan_that_leads_nowhere_is_done_at_once() -> None:
-    here = waypoint(SIMULATED_T_CAMERA_BASE @ forward(START), jaw_rad=0.0)
+    here = waypoint(at(START), jaw_rad=0.0)
     trajectory = motion((here, here))
     assert len(trajectory.joints) == 1
     assert [stop.sample for stop in trajectory.stops] == [0, 0]
     np.testing.assert_array_equal(trajectory.at(1.0)[0], START)
 
 
-def test_between_two_samples_the_motion_is_straight_in_the_joints() -> None:
-    trajectory = motion(grasp())
-    joints, jaw = trajectory.at(1.234)
-    np.testing.assert_allclose(joints, 0.6 * trajectory.joints[123] + 0.4 * trajectory.joints[124], atol=1e-12)
-    assert jaw == pytest.approx(0.6 * trajectory.jaw_rad[123] + 0.4 * trajectory.jaw_rad[124])
+def test_between_two_samples_the_motion_is_straight_in_the_joints(grasped) -> None:
+    joints, jaw = grasped.at(1.234)
+    np.testing.assert_allclose(joints, 0.6 * grasped.joints[123] + 0.4 * grasped.joints[124], atol=1e-12)
+    assert jaw == pytest.approx(0.6 * grasped.jaw_rad[123] + 0.4 * grasped.jaw_rad[124])
 
 
 points = st.tuples(*[st.floats(-0.05, 0.05)] * 3)
@@ -256,10 +224,12 @@ def test_two_poses_are_joined_by_a_straight_line_and_the_great_arc_of_slerp() ->
     path = smooth_path(Poses(T, np.zeros(2)), LIMITS, 1.0)
     assert path is not None
     samples = path.sample(0.01).T_base_tool
-    across = np.cross(samples[:, :3, 3], T[1, :3, 3])
-    np.testing.assert_allclose(across, 0, atol=1e-12)
+    np.testing.assert_allclose(np.cross(samples[:, :3, 3], T[1, :3, 3]), 0, atol=1e-12)
     vectors = Rotation.from_matrix(samples[:, :3, :3]).as_rotvec()
     np.testing.assert_allclose(np.cross(vectors, (0.4, -1.0, 0.7)), 0, atol=1e-9)
+
+
+# what is refused
 
 
 @pytest.mark.parametrize(
@@ -274,8 +244,7 @@ def test_two_poses_are_joined_by_a_straight_line_and_the_great_arc_of_slerp() ->
 )
 def test_a_waypoint_that_cannot_be_is_refused_and_named(T: np.ndarray, jaw: float, code: Code, words: str) -> None:
     refused = refusal((waypoint(pose(0, 0, 70)), waypoint(T, jaw)))
-    assert refused.code is code
-    assert words in refused.sentence
+    assert (refused.code, words in refused.sentence) == (code, True)
 
 
 def test_poses_that_no_message_could_hold_are_refused_all_the_same() -> None:
@@ -288,26 +257,41 @@ def test_poses_that_no_message_could_hold_are_refused_all_the_same() -> None:
     assert "waypoint 2" in refusals[1].sentence
 
 
-def test_a_way_that_leaves_the_workspace_between_good_waypoints_is_refused() -> None:
+def test_a_way_that_the_arm_cannot_go_between_good_waypoints_is_refused() -> None:
     narrow = MotionLimits(workspace_camera=np.array(((-0.05, -0.05, 0.05), (0.05, 0.05, 0.12))))
     refused = refusal((waypoint(pose(0, 0, 80)),), dataclasses.replace(SETUP, limits=narrow))
-    assert refused.code is Code.WORKSPACE
-    assert "on the way to the end of APPROACH" in refused.sentence
+    assert (refused.code, "on the way to the end of APPROACH" in refused.sentence) == (Code.WORKSPACE, True)
+    rolls = tuple(waypoint(at(START + np.array((0, 0, 0, roll, 0, 0)))) for roll in (1, 3, 5, 7, 8.5))
+    refused = refusal(rolls)
+    assert (refused.code, "roll joint" in refused.sentence) == (Code.UNREACHABLE, True)
+    motion((waypoint(pose(0, 0, 80, (0, 0.9, 0))), waypoint(pose(0, 0, 80, (0, -0.9, 0)))))
 
 
-def test_a_way_through_poses_that_the_wrist_cannot_take_is_refused() -> None:
-    tilted = [pose(0, 0, 80, (0, 0.9, 0)), pose(0, 0, 80, (0, -0.9, 0))]
-    far = [SIMULATED_T_CAMERA_BASE @ forward(START + np.array((0, 0, 0, roll, 0, 0))) for roll in (1, 3, 5, 7, 8.5)]
-    assert plan_motion([waypoint(T) for T in tilted], START, 0.0, SETUP).__class__ is Trajectory
-    refused = refusal(tuple(waypoint(T) for T in far))
-    assert refused.code is Code.UNREACHABLE
-    assert "roll joint" in refused.sentence
+@settings(max_examples=20)
+@given(st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(0.13, 0.19), st.floats(-1.2, 1.2), st.floats(-1, 1))
+def test_a_way_on_which_the_wrist_would_have_to_flip_within_a_tick_is_refused(
+    yaw: float, pitch: float, insertion: float, roll: float, wrist: float
+) -> None:
+    joints = np.array((yaw, pitch, insertion, roll, 0.3 * wrist, wrist))
+    here = forward(joints)
+    # the jaws half a turn about the fingers look the same, and need a wrist that stands otherwise
+    for then, flips in ((here @ HALF_TURN, True), (here, False)):
+        found = joints_of(Poses(np.stack((here, then)), np.zeros(2)), joints, "on the way", ROOMY)
+        assert (isinstance(found, Refusal) and found.code is Code.WRIST_FLIP) is flips
+        assert flips or isinstance(found, np.ndarray)
 
 
-def test_an_arm_too_deep_in_its_trocar_is_not_set_in_motion() -> None:
-    joints = START.copy()
-    joints[2] = 0.05
-    assert refusal((waypoint(pose(0, 0, 80)),), joints=joints).code is Code.REMOTE_CENTRE
+def test_a_way_near_a_singular_pose_is_refused_and_who_is_there_already_may_leave() -> None:
+    bent = np.array((0.1, 0.0, 0.13, 0.0, 1.385, 0.0))
+    assert waypoint_refusal(at(bent)[None], np.zeros(1), ROOMY) is None
+    refused = refusal((waypoint(at(bent)),), ROOMY)
+    assert (refused.code, "dexterity" in refused.sentence) == (Code.SINGULAR, True)
+    motion((waypoint(at(bent * (1, 1, 1, 1, 0.9, 1))),), ROOMY, bent)
+
+
+def test_neither_arm_nor_waypoint_may_be_too_near_the_remote_centre() -> None:
+    assert refusal((waypoint(pose(0, 0, 80)),), joints=turned_to(2, 0.05)).code is Code.REMOTE_CENTRE
+    assert refusal((waypoint(at(np.array((0, 0, 0.06, 0, 0, 0)))),), ROOMY).code is Code.REMOTE_CENTRE
 
 
 def test_a_jaw_that_stands_beyond_its_limit_is_sent_to_no_angle_beyond_it() -> None:
@@ -316,21 +300,12 @@ def test_a_jaw_that_stands_beyond_its_limit_is_sent_to_no_angle_beyond_it() -> N
     assert planned.code is Code.JAW_LIMIT
 
 
-def test_a_waypoint_too_near_the_remote_centre_is_refused() -> None:
-    roomy = MotionLimits(workspace_camera=np.array(((-1.0, -1, -1), (1, 1, 1))))
-    joints = np.array((0, 0, 0.0600, 0, 0, 0))
-    near = waypoint(SIMULATED_T_CAMERA_BASE @ forward(joints))
-    assert refusal((near,), dataclasses.replace(SETUP, limits=roomy)).code is Code.REMOTE_CENTRE
-
-
 def test_too_many_waypoints_none_at_all_and_a_motion_without_end_are_refused() -> None:
     point = waypoint(pose(0, 0, 80))
     assert refusal((point,) * (MAXIMUM_WAYPOINTS + 1)).code is Code.TOO_LONG
     assert refusal(()).code is Code.TOO_LONG
-    to_and_fro = tuple(waypoint(pose(x, 0, 80)) for x in (-30, 30) * 60)
-    refused = refusal(to_and_fro)
-    assert refused.code is Code.TOO_LONG
-    assert "60 s" in refused.sentence
+    refused = refusal(tuple(waypoint(pose(x, 0, 80)) for x in (-30, 30) * 60))
+    assert (refused.code, "60 s" in refused.sentence) == (Code.TOO_LONG, True)
 
 
 @given(points, turns, st.floats(-3, 3))
@@ -347,19 +322,8 @@ def test_any_waypoint_gives_a_motion_within_all_limits_or_a_reason(
     np.testing.assert_allclose(camera_poses(planned)[-1], T, atol=1e-9)
 
 
-@pytest.mark.parametrize("share", [0.5, 0.1])
-def test_a_slowed_motion_goes_the_same_way_and_takes_as_much_longer(share: float) -> None:
-    full = motion(grasp())
-    roomy = dataclasses.replace(LIMITS, maximum_duration_s=600.0)
-    slowed = motion(grasp(), dataclasses.replace(SETUP, limits=roomy.slowed(share)))
-    assert slowed.duration_s == pytest.approx(full.duration_s / share, rel=0.02)
-    samples = [int(i) for i in np.linspace(0, len(full.joints) - 1, 40)]
-    between = np.array([slowed.at(i * SETUP.period_s / share)[0] for i in samples])
-    assert np.abs(between - full.joints[samples]).max() < 0.03
-
-
-def test_a_motion_that_is_too_long_at_once_is_cut_before_contact_alone() -> None:
-    cap_s = 0.75 * motion(grasp()).duration_s
+def test_a_motion_that_is_too_long_at_once_is_cut_before_contact_alone(grasped) -> None:
+    cap_s = 0.75 * grasped.duration_s
     capped = dataclasses.replace(SETUP, limits=dataclasses.replace(LIMITS, maximum_duration_s=cap_s))
     assert refusal(grasp(), capped).code is Code.TOO_LONG
     chained = plan_motion(grasp(), START, 0.0, capped, segments=3)
@@ -376,19 +340,14 @@ def test_a_motion_that_is_too_long_at_once_is_cut_before_contact_alone() -> None
 
 
 def test_a_finger_that_would_go_into_the_tissue_is_refused_and_one_before_it_is_not() -> None:
-    camera = RectifiedStereo(640, 480, 600.0, 600.0, 320.0, 240.0, 0.005, 1.0)
-    u, v = np.arange(5.0, 640, 10), np.arange(5.0, 480, 10)
-    stamp, shape = FrameStamp(1, 1, 1, "c"), (len(v), len(u))
-    flat = TissueSurface(stamp, camera, u, v, np.full(shape, 0.095), np.ones(shape, bool), np.full(shape, 1e-4))
+    flat = dataclasses.replace(tissue(1, 0.095), deviation=np.full((48, 64), 1e-4))
     setup = dataclasses.replace(SETUP, surface=flat)
     # fingers end 10.2 mm beyond the pin
     shallow, deep = (waypoint(pose(10, 5, z_mm), 0.0) for z_mm in (85, 97))
-    assert isinstance(plan_motion((shallow,), START, 0.0, setup), Trajectory)
+    motion((shallow,), setup)
     refused = refusal((shallow, deep), setup)
     assert (refused.code, "behind the tissue" in refused.sentence) == (Code.TISSUE, True)
-    unknown = dataclasses.replace(flat, valid=~flat.valid, depth=0 * flat.depth, deviation=np.zeros(shape))
-    assert isinstance(plan_motion((deep,), START, 0.0, dataclasses.replace(SETUP, surface=unknown)), Trajectory)
+    unknown = dataclasses.replace(flat, valid=~flat.valid, depth=0 * flat.depth, deviation=0 * flat.depth)
+    motion((deep,), dataclasses.replace(SETUP, surface=unknown))
     # whoever is in it may leave
-    inside = plan_motion((deep,), START, 0.0, SETUP)
-    assert isinstance(inside, Trajectory)
-    assert isinstance(plan_motion((shallow,), inside.joints[-1], 0.0, setup), Trajectory)
+    motion((shallow,), setup, motion((deep,)).joints[-1])

@@ -6,24 +6,25 @@ import pytest
 
 from agents.robot_bridge.agent import RobotBridgeConfig
 from schemas.messages import ExecutionKind, RobotMode
-from tests.agents.robot_bridge.test_agent import EPOCH, SECOND, UnreliableArm, tissue_before
-from tests.agents.robot_bridge.test_sight import Seen
+from tests.agents.robot_bridge.drive import EPOCH, SECOND, Drive, UnreliableArm, plan, tissue_before
 
 DAY = 86_400 * SECOND
 KNOWN = RobotBridgeConfig(calibration_id="c", registered_ns=EPOCH, tissue_needed=False)
 """All that a real arm needs to be known of."""
 
 
-@pytest.fixture(autouse=True)
-def arms_are_real(monkeypatch):
-    monkeypatch.setattr(UnreliableArm, "is_real", True)
+class RealArm(UnreliableArm):
+    is_real = True
+
+
+def real(**changes):
+    return Drive(dataclasses.replace(KNOWN, **changes), RealArm(), camera=0)
 
 
 def publish(drive, calibration_id="c"):
     """A plan of a frame that is taken now, by a camera with that calibration."""
     drive.see()
-    told = drive.fresh()
-    drive.publish(dataclasses.replace(told, stamp=dataclasses.replace(told.stamp, calibration_id=calibration_id)))
+    drive.publish(plan(stamp=dataclasses.replace(drive.stamp(), calibration_id=calibration_id)))
 
 
 @pytest.mark.parametrize(
@@ -41,31 +42,30 @@ def publish(drive, calibration_id="c"):
     ],
 )
 def test_what_is_not_known_of_where_a_real_arm_stands_speaks_against_arming_it(changes, calibration_id, code, why):
-    drive = Seen(dataclasses.replace(KNOWN, **changes))
+    drive = real(**changes)
     publish(drive, calibration_id)
-    assert drive.armed(pressed=True) == code
-    assert why in drive.events()[-1].reason
+    answer = drive.arm(pressed=True)
+    assert (answer.code, why in answer.reason) == (code, True)
 
 
 @pytest.mark.parametrize(("age_s", "code"), [(0.5, ""), (1.5, "unknown")])
 def test_tissue_that_was_measured_too_long_ago_is_none(age_s, code):
-    drive = Seen(dataclasses.replace(KNOWN, tissue_needed=True, maximum_plan_age_s=1.0))
+    drive = real(tissue_needed=True, maximum_plan_age_s=1.0)
     tissue_before(drive, 0.2)
     drive.tick(round(age_s * SECOND))
     publish(drive)
-    assert drive.armed(pressed=True) == code
+    assert drive.arm(pressed=True).code == code
 
 
 @pytest.mark.parametrize(("by", "code"), [("press", "heartbeat_lost"), ("pedal", "no_presence")])
 def test_a_process_that_beats_keeps_no_real_arm_moving_once_press_or_pedal_is_released(by, code):
-    drive = Seen(KNOWN)
-    drive.backend.pedal = by == "pedal"
+    drive = real()
+    drive.backend.tell(pedal=by == "pedal")
     drive.tick()
     publish(drive)
-    assert drive.armed(pressed=by == "press") == ""
-    drive.goes(30, pressed=by == "press")
-    assert drive.states()[-1].mode is RobotMode.MOVING
-    drive.backend.pedal = False
-    drive.goes(30)
-    held = drive.events()[-1]
-    assert (held.kind, held.code) == (ExecutionKind.HELD, code)
+    assert drive.arm(pressed=by == "press").code == ""
+    drive.run(30, pressed=by == "press")
+    assert drive.states[-1].mode is RobotMode.MOVING
+    drive.backend.tell(pedal=False)
+    drive.run(30)
+    assert drive.ended == (ExecutionKind.HELD, code)

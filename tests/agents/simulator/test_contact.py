@@ -168,6 +168,7 @@ def test_a_grasp_is_settled_by_what_is_touched_after_a_lift_of_5_mm_and_not_befo
         assert outcome(attempt, field, 1.0).verdict is verdict
 
 
+@pytest.mark.slow
 @needs_mujoco
 def test_whole_grasps_are_judged_after_the_lift_the_same_each_time():
     config = SimulatorConfig(seed=3, config="medium", background="plain", tool_error_mm=0.0, physics="contact")

@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agents.simulator.agent import ENDOSCOPE
 from agents.simulator.field import (
     MM,
     SAMPLES,
@@ -14,7 +13,6 @@ from agents.simulator.field import (
     distance_to_thread,
     field_of,
     field_with,
-    s_of,
     settled,
 )
 from schemas.messages import RectifiedStereo
@@ -54,12 +52,15 @@ def test_samples_are_even_along_a_thread_that_starts_where_the_left_image_shows_
     assert field.points[[0, -1]] == pytest.approx(field.control_points[[0, -1]])
 
 
-def test_a_jaw_that_does_not_move_leaves_the_thread_where_it_is(field):
+def test_a_jaw_that_does_not_move_leaves_the_thread_and_one_that_presses_keeps_it_out_of_the_tissue(field):
     held = carried(field, 300, field.points[300])
     assert np.abs(held.points - field.points).max() < 0.03 * MM
+    pressed = carried(field, 400, field.points[400] + (0, 0, 10 * MM))
+    floor = MM * depth_at_points(field.surface, pressed.points[:, :2] / MM)
+    assert (pressed.points[:, 2] - floor).max() < 0.05 * MM
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12)
 @given(
     sample=st.integers(0, SAMPLES - 1),
     lift=st.tuples(st.floats(-15, 15), st.floats(-15, 15), st.floats(-35, -1)),
@@ -85,12 +86,6 @@ def test_a_lift_fades_along_the_thread(flat):
     assert held.points[0, 0] > flat.points[0, 0]
 
 
-def test_nothing_goes_below_the_tissue(field):
-    pressed = carried(field, 400, field.points[400] + (0, 0, 10 * MM))
-    floor = MM * depth_at_points(field.surface, pressed.points[:, :2] / MM)
-    assert (pressed.points[:, 2] - floor).max() < 0.05 * MM
-
-
 def test_a_thread_that_is_let_go_lies_no_higher_than_it_was_drawn_and_keeps_its_length(field):
     up = carried(field, 400, field.points[400] + (3 * MM, 0, -20 * MM))
     fallen = settled(up, 400)
@@ -100,19 +95,6 @@ def test_a_thread_that_is_let_go_lies_no_higher_than_it_was_drawn_and_keeps_its_
     assert polyline_length(fallen) == pytest.approx(field.length_m, rel=0.03)
 
 
-def test_a_straight_thread_that_is_lifted_and_let_go_is_straight_again(flat):
-    fallen = settled(carried(flat, 400, flat.points[400] + (0, 0, -20 * MM)), 400)
-    assert np.abs(fallen.points - flat.points).max() < 0.1 * MM
-
-
 def test_the_distance_to_a_straight_thread_is_that_to_a_line(flat):
     assert distance_to_thread(flat, MM * np.array([3.3, 5.0, 90.5])) == pytest.approx(5 * MM)
     assert distance_to_thread(flat, MM * np.array([34.0, 2.0, 97.5])) == pytest.approx(5 * MM)
-
-
-def test_s_counts_from_end_to_end():
-    assert (s_of(0), s_of(SAMPLES - 1)) == (0.0, 1.0)
-
-
-def test_the_agent_sees_with_the_camera_of_the_light_renderer():
-    assert pytest.approx(CAMERA_MM.baseline * MM) == ENDOSCOPE.baseline

@@ -17,30 +17,22 @@ def straight(through: tuple[float, float, float], direction=(1.0, 0.0, 0.0), hal
     return MM * (np.array(through) + np.linspace(-half_length, half_length, count)[:, None] * unit)
 
 
-def test_a_thread_through_the_middle_is_caught_where_it_crosses():
-    assert between(straight((0.0, 0.0, 7.0)), 0.5) == 400
-
-
-@pytest.mark.parametrize("opening", [0.1, 0.3, 0.8, 1.3])
-@pytest.mark.parametrize("z", [3.0, 7.0, 9.0])
+@pytest.mark.parametrize("opening", [0.1, 0.8, 1.3])
+@pytest.mark.parametrize("z", [3.0, 7.0])
 def test_the_opening_reaches_half_the_angle_to_either_side(opening, z):
+    assert between(straight((0.0, 0.0, z)), opening) == 400, "where it crosses"
     edge = z * np.tan(opening / 2)
-    if np.hypot(edge, z) < 10.2:
-        for side in (-1, 1):
-            assert between(straight((0.0, side * (edge - 0.02), z)), opening) is not None
-            assert between(straight((0.0, side * (edge + 0.02), z)), opening) is None
+    for side in (-1, 1):
+        assert between(straight((0.0, side * (edge - 0.02), z)), opening) is not None
+        assert between(straight((0.0, side * (edge + 0.02), z)), opening) is None
 
 
 @pytest.mark.parametrize("angle", [-0.3, 0.0, 0.3])
-def test_the_fingers_are_as_long_as_they_are(angle):
-    inside = (10.2 - 0.01) * np.array([0.0, np.sin(angle), np.cos(angle)])
-    outside = (10.2 + 0.01) * np.array([0.0, np.sin(angle), np.cos(angle)])
-    assert between(straight(tuple(inside)), 0.8) is not None
-    assert between(straight(tuple(outside)), 0.8) is None
-
-
-def test_what_lies_behind_the_pin_is_not_between():
-    assert between(straight((0.0, 0.0, -3.0)), 1.0) is None
+def test_the_fingers_reach_from_the_pin_to_their_tips(angle):
+    along = np.array([0.0, np.sin(angle), np.cos(angle)])
+    assert between(straight(tuple((10.2 - 0.01) * along)), 0.8) is not None
+    assert between(straight(tuple((10.2 + 0.01) * along)), 0.8) is None
+    assert between(straight(tuple(-3.0 * along)), 0.8) is None
 
 
 @pytest.mark.parametrize(("end_mm", "caught"), [(-1.05, False), (-0.95, True), (0.5, True)])
@@ -104,19 +96,13 @@ def test_fingers_touch_a_thread_when_their_gap_is_its_width():
     assert contact_rad(0.0, 0.2 * MM) == pytest.approx(np.pi)
 
 
-@given(st.lists(st.tuples(*[st.floats(-1, 1)] * 3), min_size=2, max_size=30), st.floats(-10, 10))
-def test_any_thread_gets_an_answer(points, opening):
-    thread = np.array(points)
-    sample = between(thread, opening)
-    assert sample is None or abs(thread[sample, 0]) <= WIDTH_M / 2
-    assert offset_from_wedge(thread, opening).distance_m >= 0
-
-
 @given(
     through=st.tuples(*[st.floats(-20, 20)] * 3),
     direction=st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda d: np.linalg.norm(d) > 0.1),
-    opening=st.floats(0, 2),
+    opening=st.floats(-10, 10),
 )
-def test_nothing_out_of_reach_is_between_the_fingers(through, direction, opening):
+def test_of_any_thread_what_is_between_the_fingers_is_within_their_reach_and_width(through, direction, opening):
     thread = straight(through, direction, count=101)
-    assert within_reach(thread, np.zeros(3)) or between(thread, opening) is None
+    sample = between(thread, opening)
+    assert sample is None or (within_reach(thread, np.zeros(3)) and abs(thread[sample, 0]) <= WIDTH_M / 2)
+    assert offset_from_wedge(thread, opening).distance_m >= 0

@@ -1,6 +1,10 @@
 """A thread made by hand: an arc of a helix before a camera of 960x540, with images, masks and observations."""
 
 import dataclasses
+import os
+import pathlib
+import subprocess
+import sys
 import types
 from typing import Any
 
@@ -403,3 +407,22 @@ def session_messages(scene):
             (HostClock("camera", "main", "video", 3.5, 0.2), HostClock("robot_bridge", "psm1", "", None, None)),
         ),
     }  # fmt: skip
+
+
+@pytest.fixture
+def shown_by_rerun(tmp_path):
+    """Have a viewer without a screen show a recording along a timeline: it complains of what it cannot show."""
+    drivers = sorted(pathlib.Path("/usr/share/vulkan/icd.d").glob("lvp_icd*.json"))
+    shot = pathlib.Path(__file__).parents[3] / "../shared/tools/rerun_shot.py"
+    if not shot.exists() or not drivers:
+        pytest.skip("needs shared/tools/rerun_shot.py and a software Vulkan driver (mesa-vulkan-drivers, libvulkan1)")
+
+    def show(recording, timeline):
+        picture = tmp_path / "shot.png"
+        command = [sys.executable, shot, recording, picture, "--timeline", timeline, "--size", "800x450"]
+        around = os.environ | {"VK_ICD_FILENAMES": str(drivers[0]), "XDG_RUNTIME_DIR": str(tmp_path)}
+        seen = subprocess.run(command, check=False, capture_output=True, text=True, timeout=120, env=around)
+        assert seen.returncode == 0, seen.stdout + seen.stderr
+        assert picture.stat().st_size > 10_000
+
+    return show

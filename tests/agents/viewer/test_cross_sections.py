@@ -2,7 +2,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -22,6 +22,7 @@ def with_covariance(reconstruction, covariance):
     )
 
 
+@settings(max_examples=10)
 @given(root=arrays(np.float64, (3, 3), elements=st.floats(-2, 2)))
 def test_rings_are_the_ellipse_of_95_percent_in_the_plane_across_the_thread(refined, root):
     covariance = root @ root.T + 1e-3 * np.eye(3)
@@ -41,16 +42,6 @@ def test_rings_are_the_ellipse_of_95_percent_in_the_plane_across_the_thread(refi
         squared = np.einsum("ki,ij,kj->k", offset @ across, np.linalg.inv(within), offset @ across)
         assert np.allclose(squared, -2 * np.log(0.05), rtol=1e-3)
         assert deviation == pytest.approx(np.sqrt(np.linalg.eigvalsh(within)[-1]), rel=1e-6)
-
-
-def test_what_is_unknown_along_the_thread_does_not_count(refined):
-    reconstruction = refined.reconstruction
-    curve = reconstruction.knots, reconstruction.control_points_camera, reconstruction.degree
-    tangents = evaluate(*curve, reconstruction.posterior_s, derivative=1)
-    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
-    along = 25.0 * tangents[:, :, None] * tangents[:, None] + 0.04 * np.eye(3)
-    sections = sections_of(dataclasses.replace(reconstruction, posterior_covariance=along))
-    assert np.allclose(sections.deviation, 0.2)
 
 
 def test_neighbouring_rings_begin_on_the_same_side_so_that_the_tube_is_not_twisted(refined):

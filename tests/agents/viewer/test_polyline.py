@@ -24,7 +24,7 @@ def test_any_message_is_a_curve_before_the_camera_or_none(scene, data, degree):
         assert (thread.points_camera[:, 2] > 0).all()
 
 
-def test_points_lie_on_the_curve_evenly_from_end_to_end(scene):
+def test_points_lie_evenly_on_the_whole_curve_which_is_as_long_as_it_is(scene):
     thread = thread_polyline(scene.reconstruction, 101)
     assert thread is not None
     steps = np.linalg.norm(np.diff(thread.points_camera, axis=0), axis=1)
@@ -32,12 +32,10 @@ def test_points_lie_on_the_curve_evenly_from_end_to_end(scene):
     nearest = np.linalg.norm(thread.points_camera[:, None] - scene.curve[None], axis=2).min(axis=1)
     assert nearest.max() < 0.1
     assert np.linalg.norm(thread.points_camera[[0, -1]] - scene.curve[[0, -1]], axis=1).max() < 0.1
-
-
-def test_its_length_is_that_of_the_curve(scene):
-    thread = thread_polyline(scene.reconstruction)
-    assert thread is not None
     assert thread.length == pytest.approx(scene.length, rel=1e-3)
+    # the scene's thread was fitted by its length
+    assert np.allclose(along_at(thread, np.linspace(0, 1, 11)), np.linspace(0, 1, 11), atol=0.01)
+    assert np.flatnonzero(thread.unseen).tolist() == list(range(56, 67))
 
 
 def test_confidence_follows_arc_length_whatever_the_order_of_its_samples(scene):
@@ -52,28 +50,9 @@ def test_confidence_follows_arc_length_whatever_the_order_of_its_samples(scene):
         assert thread.along[thread.confidence.argmin()] == pytest.approx(0.62, abs=0.01)
 
 
-def test_unseen_stretches_are_marked(scene):
-    thread = thread_polyline(scene.reconstruction, 101)
-    assert thread is not None
-    assert np.flatnonzero(thread.unseen).tolist() == list(range(56, 67))
-
-
-def test_parameters_and_arc_length_agree_where_the_speed_is_even(scene):
-    thread = thread_polyline(scene.reconstruction)
-    assert thread is not None
-    s = np.linspace(0, 1, 11)
-    assert np.allclose(along_at(thread, s), s, atol=0.01)
-
-
-def test_a_failure_has_no_thread(failed):
+def test_a_failure_a_curve_behind_the_camera_and_one_without_length_are_not_drawn(scene, failed):
+    behind = scene.reconstruction.control_points_camera - [0, 0, 95.0]
+    point = np.ones_like(behind)
+    for control in (behind, point):
+        assert thread_polyline(dataclasses.replace(scene.reconstruction, control_points_camera=control)) is None
     assert thread_polyline(failed) is None
-
-
-def test_a_curve_that_passes_behind_the_camera_is_not_drawn(scene):
-    control = scene.reconstruction.control_points_camera - [0, 0, 95.0]
-    assert thread_polyline(dataclasses.replace(scene.reconstruction, control_points_camera=control)) is None
-
-
-def test_a_curve_without_length_is_not_drawn(scene):
-    control = np.ones_like(scene.reconstruction.control_points_camera)
-    assert thread_polyline(dataclasses.replace(scene.reconstruction, control_points_camera=control)) is None

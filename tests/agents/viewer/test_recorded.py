@@ -1,7 +1,5 @@
 import dataclasses
 import itertools
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -15,15 +13,15 @@ from schemas.codec import encode
 from schemas.messages import RobotMode
 from schemas.topics import MAIN, Delivery, key
 from shared.recording.mcap_file import Entry, RecordingWriter, read_recording
-from tests.agents.viewer.test_live import headless_environment, rows_of, values, words
+from tests.agents.viewer.test_live import rows_of, values, words
 
-SECONDS = 4
+SECONDS = 3
 STATES_HZ = 100
 
 
 @pytest.fixture(scope="module")
 def recording(session_messages, scene, tmp_path_factory):
-    """Four seconds of a session: every topic at first, then an arm's state a hundred times a second."""
+    """Three seconds of a session: every topic at first, then an arm's state a hundred times a second."""
     path = tmp_path_factory.mktemp("recording") / "session.mcap"
     captured_ns = scene.observations.stamp.capture_left_ns
     writer = RecordingWriter(path)
@@ -46,19 +44,31 @@ def recording(session_messages, scene, tmp_path_factory):
     return path
 
 
-def show(recording, path, **options):
-    viewer = RecordedViewer(path, "file", "session", options.pop("layout", "operate"), options.pop("thin", False))
-    viewer.show(between(read_recording(recording), options.pop("from_s", None), options.pop("to_s", None)))
+def show(recording, path, layout="operate", thin=False, to_s=None):
+    viewer = RecordedViewer(path, "file", "session", layout, thin)
+    viewer.show(between(read_recording(recording), None, to_s))
     assert viewer.finished.wait(120)
     assert viewer.error is None
     return viewer, viewer.close()
 
 
-def test_every_message_of_a_recording_is_shown_unless_thinning_is_asked_for(recording, tmp_path):
-    viewer, whole = show(recording, tmp_path / "whole.rrd")
-    assert sum(whole.shown.values()) == sum(1 for _ in read_recording(recording))
-    assert not (whole.thinned or whole.dropped or whole.unreadable or viewer.unknown)
-    assert len(rows_of(whole.path)["/robot/jaw_deg/psm1"]) == SECONDS * STATES_HZ
+@pytest.fixture(scope="module")
+def whole(recording, tmp_path_factory):
+    """The viewer and its report of the whole recording."""
+    return show(recording, tmp_path_factory.mktemp("shown") / "session.rrd")
+
+
+@pytest.fixture(scope="module")
+def rows(whole):
+    """What the file then holds."""
+    return rows_of(whole[1].path)
+
+
+def test_every_message_of_a_recording_is_shown_unless_thinning_is_asked_for(recording, whole, rows, tmp_path):
+    viewer, report = whole
+    assert sum(report.shown.values()) == sum(1 for _ in read_recording(recording))
+    assert not (report.thinned or report.dropped or report.unreadable or viewer.unknown)
+    assert len(rows["/robot/jaw_deg/psm1"]) == SECONDS * STATES_HZ
     _, thin = show(recording, tmp_path / "thin.rrd", thin=True)
     assert thin.thinned["robot_bridge/state"] + thin.shown["robot_bridge/state"] == SECONDS * STATES_HZ
     assert thin.shown["robot_bridge/state"] == pytest.approx(20 * SECONDS, abs=1)
@@ -99,49 +109,48 @@ def test_part_of_a_recording_has_what_still_holds_from_before_it(recording, sess
     assert len(some) == pytest.approx(0.5 * STATES_HZ, abs=2)
 
 
-@pytest.fixture(scope="module")
-def rows(recording, tmp_path_factory):
-    """What the viewer is given of the whole recording."""
-    return rows_of(show(recording, tmp_path_factory.mktemp("shown") / "session.rrd")[1].path)
-
-
-def test_step_times_that_are_in_no_recording_are_left_out(rows):
+def test_latency_and_arrival_are_told_and_step_times_that_are_in_no_recording_are_left_out(rows):
     assert not [entity for entity in rows if entity.startswith("/step_ms/")]
     assert values(rows, "/latency/reconstruction", "Scalars:scalars") == [[30.0]]
-
-
-def test_what_it_took_to_arrive_is_the_least_of_a_second(rows):
     took = values(rows, "/clock/arrival_ms/robot_bridge/psm1", "Scalars:scalars")
     assert [value for (value,) in took] == pytest.approx([2.0] * (SECONDS - 1), abs=1e-6)
 
 
-def run_view(*arguments, **options):
-    command = [sys.executable, "-m", "agents.cli", "view", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, **options)
+@pytest.fixture
+def view(monkeypatch, capfd):
+    """Run the command where there is no screen: its exit status, and what it says."""
+    for screen in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(screen, raising=False)
+
+    def run(*arguments):
+        with pytest.raises(SystemExit) as end:
+            main(["view", *map(str, arguments)])
+        return end.value.code, *capfd.readouterr()
+
+    return run
 
 
-def test_the_command_writes_a_recording_tells_how_far_it_is_and_what_it_could_not_read(recording, tmp_path):
-    damaged = tmp_path / "damaged.mcap"
-    content = recording.read_bytes()
+def test_the_command_writes_a_recording_and_tells_how_far_it_is_and_what_it_could_not_read(recording, view, tmp_path):
+    status, out, _ = view(recording, "--output", tmp_path / "good.rrd", "--layout", "timing")
+    assert status == 0
+    assert "the first picture came after" in out
+    assert "dropped 0, unreadable 0" in out
+    damaged, content = tmp_path / "damaged.mcap", recording.read_bytes()
     damaged.write_bytes(content[: len(content) // 2] + b"\xff" * 64 + content[len(content) // 2 + 64 :])
-    good = run_view(recording, "--output", tmp_path / "good.rrd", "--layout", "timing")
-    assert good.returncode == 0, good.stderr
-    assert "the first picture came after" in good.stdout
-    assert "dropped 0, unreadable 0" in good.stdout
-    bad = run_view(damaged, "--output", tmp_path / "bad.rrd")
-    assert bad.returncode in (1, 2)
-    assert "is damaged; only what lies before the damage can be read" in bad.stderr
+    status, _, error = view(damaged, "--output", tmp_path / "bad.rrd")
+    assert status in (1, 2)
+    assert "is damaged; only what lies before the damage can be read" in error
 
 
-def test_the_command_names_messages_that_are_none(session_messages, tmp_path):
+def test_the_command_names_messages_that_are_none(session_messages, view, tmp_path):
     path = tmp_path / "session.mcap"
     writer = RecordingWriter(path)
     for number, payload in enumerate((b"\xff\xff\xff", encode(session_messages[topics.LOG]))):
         writer.write(topics.LOG, Entry(key("test", topics.LOG, MAIN, "planner"), 1, number, payload, 10**18, 10**18))
     writer.close()
-    seen = run_view(path, "--output", tmp_path / "session.rrd")
-    assert seen.returncode == 0
-    assert "not shown: 1 of */log could not be read" in seen.stdout
+    status, out, _ = view(path, "--output", tmp_path / "session.rrd")
+    assert status == 0
+    assert "not shown: 1 of */log could not be read" in out
 
 
 @pytest.mark.parametrize(
@@ -154,15 +163,11 @@ def test_the_command_names_messages_that_are_none(session_messages, tmp_path):
         (("{recording}",), "there is no screen here"),
     ],
 )
-def test_what_cannot_be_shown_is_refused_in_one_line(arguments, said, recording, monkeypatch, capfd):
-    for screen in ("DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(screen, raising=False)
-    with pytest.raises(SystemExit) as end:
-        main(["view", *(str(argument).replace("{recording}", str(recording)) for argument in arguments)])
-    assert end.value.code == 2
-    told = capfd.readouterr().err
-    assert said in told
-    assert len(told.strip().splitlines()) == 1
+def test_what_cannot_be_shown_is_refused_in_one_line(arguments, said, recording, view):
+    status, _, error = view(*(argument.replace("{recording}", str(recording)) for argument in arguments))
+    assert status == 2
+    assert said in error
+    assert len(error.strip().splitlines()) == 1
 
 
 def test_a_viewer_that_is_closed_ends_the_file_where_it_has_come_to(recording, tmp_path):
@@ -174,22 +179,9 @@ def test_a_viewer_that_is_closed_ends_the_file_where_it_has_come_to(recording, t
     assert "/world/left/image" in rows_of(report.path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_no_view_of_a_layout_complains(layout, recording, tmp_path):
-    environment, shot = headless_environment(tmp_path)
+def test_no_view_of_a_layout_complains(layout, recording, shown_by_rerun, tmp_path):
     _, report = show(recording, tmp_path / "session.rrd", layout=layout, to_s=1.0)
     assert "capture at 30%" in words(rows_of(report.path))
-    picture = tmp_path / "shot.png"
-    command = [
-        sys.executable,
-        str(shot),
-        str(report.path),
-        str(picture),
-        "--timeline",
-        "capture_time",
-        "--size",
-        "800x450",
-    ]
-    seen = subprocess.run(command, check=False, capture_output=True, text=True, timeout=120, env=environment)
-    assert seen.returncode == 0, seen.stdout + seen.stderr
-    assert picture.stat().st_size > 10_000
+    shown_by_rerun(report.path, "capture_time")

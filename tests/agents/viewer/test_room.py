@@ -8,28 +8,18 @@ def judged(room, share, seconds):
     return room.there_is
 
 
-def test_a_machine_is_full_where_its_processor_is_waited_for_and_has_room_where_it_is_not():
+def test_a_machine_is_full_where_its_processor_is_waited_for_and_a_little_waiting_changes_nothing():
     room = Room()
     assert judged(room, 1.0, 3)
+    assert judged(room, 0.7, 3)
     assert not judged(room, 0.4, 3)
+    assert not judged(room, 0.7, 3)
     assert judged(room, 0.95, 3)
 
 
-def test_a_little_waiting_changes_nothing():
+def test_a_single_slow_message_is_not_enough_and_a_change_is_told_once():
     room = Room()
-    assert judged(room, 0.7, 3)
-    judged(room, 0.4, 3)
-    assert not judged(room, 0.7, 3)
-
-
-def test_a_single_slow_message_is_not_enough():
-    room = Room()
-    assert judged(room, 1.0, 0.5)
     assert not room.worked(0.01, 0.4)
     assert room.there_is
-
-
-def test_a_change_is_told_once():
-    room = Room()
     told = [room.worked(0.001, 0.01) for _ in range(500)]
     assert sum(told) == 1

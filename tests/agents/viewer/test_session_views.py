@@ -13,10 +13,9 @@ from agents.viewer.considered_mapping import Considered, captures_of
 from agents.viewer.dataflow_mapping import Dataflow
 from agents.viewer.match_mapping import distinctness, match_entities
 from agents.viewer.solids import turns_of_z
-from agents.viewer.timing_mapping import Arrivals, StageTimes, latency_entities
+from agents.viewer.timing_mapping import Arrivals, StageTimes
 from schemas import topics
 from schemas.messages import Alternative, InputHealth, OutputHealth
-from shared.runtime.attachment import Attachment
 
 
 def column(entity: Any, component: str) -> Any:
@@ -57,26 +56,13 @@ def test_a_reason_keeps_its_colour_and_its_bars_vanish_with_the_next_plan(plan, 
     considered = Considered()
     considered.saw(scene.reconstruction)
     before = named(considered.entities(plan), "plan/considered/unseen")
-    rejected = dataclasses.replace(plan, alternatives=(Alternative(0.2, 0.4, "another"), *plan.alternatives[:1]))
+    others = Alternative(0.2, 0.4, "another"), *plan.alternatives[:1]
+    rejected = dataclasses.replace(plan, s_capture=None, s_goal=0.4, alternatives=others)
+    assert [(capture.s, capture.why) for capture in captures_of(rejected)][-1] == (0.4, "goal")
     after = considered.entities(rejected)
     gone = named(after, "plan/considered/unseen")
     assert column(gone, "color") == column(before, "color")
     assert max(gone[1][0].values.as_arrow_array().to_pylist()[0]["buffer"]) == 0
-
-
-def test_captures_of_a_plan_whose_thread_was_never_seen_stand_in_the_chart_alone(plan, scene):
-    considered = Considered()
-    late = dataclasses.replace(scene.reconstruction.stamp, capture_left_ns=plan.stamp.capture_left_ns + 2 * 10**9)
-    considered.saw(dataclasses.replace(scene.reconstruction, stamp=late))
-    entities = considered.entities(plan)
-    assert named(entities, "world/plan/psm1/considered")[1][0].positions.as_arrow_array().to_pylist() == []
-    assert "plan/considered/unseen" in dict(entities)
-
-
-def test_a_rejected_goal_stands_among_what_was_weighed_for_it(plan):
-    rejected = dataclasses.replace(plan, s_capture=None, s_goal=0.4)
-    assert [(capture.s, capture.why) for capture in captures_of(rejected)][-1] == (0.4, "goal")
-    assert [capture.why for capture in captures_of(plan)][-1] == "chosen"
 
 
 def test_matches_are_told_apart_by_how_much_the_second_best_costs():
@@ -96,13 +82,6 @@ def test_every_matched_pixel_is_in_the_histogram_unless_it_costs_far_more_than_o
     assert column(named(entities, "match/kept"), "scalars") == [scene.observations.inlier.mean()]
 
 
-@given(arrays.arrays(np.float64, (4, 2), elements=st.floats(allow_nan=True, allow_infinity=True)))
-def test_no_cost_breaks_the_view_of_matches(cost):
-    share = distinctness(cost)
-    known = share[np.isfinite(share)]
-    assert ((known >= 0) & (known <= 1)).all()
-
-
 def test_a_stage_takes_from_the_publication_of_its_input_to_its_own():
     stages = StageTimes()
     assert stages.saw(topics.FRAMES, 7, 10_000_000) is None
@@ -110,13 +89,6 @@ def test_a_stage_takes_from_the_publication_of_its_input_to_its_own():
     assert stages.saw(topics.SURFACE, 7, 40_000_000) == pytest.approx(30.0)
     assert stages.saw(topics.THREAD, 7, 41_000_000) == pytest.approx(6.0)
     assert stages.saw(topics.THREAD, 8, 41_000_000) is None
-
-
-def test_latency_is_since_capture_and_unknown_times_are_left_out():
-    beside = Attachment(1, 0, 50_000_000, float("nan"))
-    entities = dict(latency_entities(topics.THREAD, 20_000_000, beside, None))
-    assert set(entities) == {"latency/reconstruction"}
-    assert column(("", entities["latency/reconstruction"]), "scalars") == [pytest.approx(30.0)]
 
 
 def test_the_least_time_of_arrival_of_each_second_tells_of_a_clock_that_is_ahead():

@@ -16,22 +16,17 @@ def test_what_has_not_changed_stands_for_a_second_and_is_then_due_again():
     assert [k for k, stands in enumerate(stood) if not stands] == [0, 10, 20]
 
 
-def test_what_has_changed_never_stands():
-    standing = Standing()
-    assert not any(standing.stands("tool", Moment(START + k), line(k)) for k in range(5))
-    assert not standing.stands("tool", Moment(START + 9), [rr.Clear(recursive=False)])
-    assert not standing.stands("tool", Moment(START + 10), line(4))
-
-
-def test_another_entity_timeline_or_an_earlier_time_does_not_stand():
-    standing = Standing()
-    assert not standing.stands("tool", Moment(START), line(1))
-    assert not standing.stands("thread", Moment(START), line(1))
-    assert not standing.stands("tool", Moment(START + 1, frame=3), line(1))
-    assert not standing.stands("tool", Moment(START, frame=2), line(1))
-
-
-def test_lines_of_the_log_are_never_left_out():
-    standing = Standing()
-    said = [rr.TextLog("the same again")]
-    assert not any(standing.stands("log/viewer", Moment(START + k), said) for k in range(3))
+def test_what_changes_or_is_of_another_entity_timeline_or_earlier_time_does_not_stand_nor_does_a_line_of_the_log():
+    standing, said = Standing(), [rr.TextLog("the same again")]
+    for path, moment, archetypes in (
+        ("tool", Moment(START), line(1)),
+        ("tool", Moment(START + 1), line(2)),
+        ("tool", Moment(START + 2), [rr.Clear(recursive=False)]),
+        ("tool", Moment(START + 3), line(2)),
+        ("thread", Moment(START + 3), line(2)),
+        ("tool", Moment(START + 4, frame=3), line(2)),
+        ("tool", Moment(START, frame=2), line(2)),
+        ("log/viewer", Moment(START), said),
+        ("log/viewer", Moment(START + 1), said),
+    ):
+        assert not standing.stands(path, moment, archetypes), moment

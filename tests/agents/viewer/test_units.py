@@ -19,12 +19,9 @@ def test_a_session_in_metres_becomes_the_same_one_in_millimetres(session_message
     assert np.array_equal(reconstruction.regions.bound_px, scene.reconstruction.regions.bound_px)
 
 
-def test_millimetres_stay_as_they_are(scene):
+def test_millimetres_and_what_is_in_an_unknown_unit_stay_as_they_are(scene):
     assert observations_in_mm(scene.observations) is scene.observations
     assert reconstruction_in_mm(scene.reconstruction) is scene.reconstruction
-
-
-def test_what_is_in_an_unknown_unit_stays_in_it(scene):
     unknown = dataclasses.replace(scene.reconstruction.camera, metres_per_unit=None)
     assert camera_in_mm(unknown) == unknown
     reconstruction = dataclasses.replace(scene.reconstruction, camera=unknown)

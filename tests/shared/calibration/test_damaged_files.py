@@ -1,6 +1,7 @@
 """Whatever a file holds, reading it gives a calibration or one sentence, and prints nothing."""
 
 import itertools
+import re
 from pathlib import Path
 
 import numpy as np
@@ -89,12 +90,14 @@ def written(folder: Path, content: bytes) -> Path:
     return path
 
 
-@pytest.mark.parametrize("name", WHOLE)
-def test_every_file_is_read_before_it_is_damaged(folder: Path, name: str) -> None:
-    assert reads_or_explains(written(folder, WHOLE[name]))
+def test_every_file_is_read_before_it_is_damaged_and_nothing_is_printed_about_it_afterwards(folder, capfd):
+    for content in WHOLE.values():
+        assert reads_or_explains(written(folder, content))
+        assert not reads_or_explains(written(folder, content[:-40]))
+    assert capfd.readouterr() == ("", "")
 
 
-@settings(max_examples=160, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(
     name=st.sampled_from(sorted(WHOLE)),
     edits=st.lists(
@@ -103,7 +106,7 @@ def test_every_file_is_read_before_it_is_damaged(folder: Path, name: str) -> Non
         max_size=4,
     ),
 )
-def test_a_damaged_file_is_read_or_explained(folder: Path, name: str, edits: list[tuple[float, int, bytes]]) -> None:
+def test_a_damaged_file_is_read_or_explained(folder, name, edits):
     content = WHOLE[name]
     for place, removed, inserted in edits:
         start = int(place * len(content))
@@ -111,39 +114,33 @@ def test_a_damaged_file_is_read_or_explained(folder: Path, name: str, edits: lis
     reads_or_explains(written(folder, content))
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(name=st.sampled_from(sorted(WHOLE)), number=st.integers(0, 40), value=st.floats() | st.integers())
-def test_any_number_in_any_place_is_read_or_explained(folder: Path, name: str, number: int, value: float) -> None:
+def test_any_number_in_any_place_is_read_or_explained(folder, name, number, value):
     words = WHOLE[name].split(b" ")
     numeric = [i for i, word in enumerate(words) if word[:1].isdigit()]
     words[numeric[number % len(numeric)]] = repr(value).encode() + (b"," if name != "xml" else b"")
     reads_or_explains(written(folder, b" ".join(words)))
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(content=st.binary(max_size=200) | st.text(max_size=200).map(str.encode))
 @example(b"[" * 5000)
-@example(b'{"a":' * 5000)
 @example(b"<a>" * 5000 + b"</a>" * 5000)
-@example(b"- " * 3000)
-@example(b"a: " + b"[" * 2000 + b"]" * 2000)
+@example(b"- " * 500)
 @example(b'{"K": [' + b"[" * 60 + b"]" * 60 + b"]}")
 @example(b"\xef\xbb\xbf")
-@example(b"\x1f\x8b\x08\x00")
-@example(b"a: &a [*a]\n")
-@example(b"1" * 5000)
 @example(b'{"image_width": ' + b"1" * 5000 + b"}")
-@example(b'<!DOCTYPE a [<!ENTITY x "y">]><a>&x;</a>')
-def test_no_calibration_at_all_is_explained(folder: Path, content: bytes) -> None:
+def test_no_calibration_at_all_is_explained(folder, content):
     assert not reads_or_explains(written(folder, content))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(
     name=st.sampled_from(("calib.left.intrinsics.txt", "calib.right.intrinsics.txt", "calib.l2r.txt")),
     content=st.binary(max_size=60) | st.text("0123456789.-+e, \n#naif", max_size=80).map(str.encode),
 )
-def test_a_damaged_folder_of_text_matrices_is_explained(folder: Path, name: str, content: bytes) -> None:
+def test_a_damaged_folder_of_text_matrices_is_explained(folder, name, content):
     matrices = folder / f"matrices_{next(counter)}"
     matrices.mkdir()
     for side in ("left", "right"):
@@ -154,17 +151,10 @@ def test_a_damaged_folder_of_text_matrices_is_explained(folder: Path, name: str,
     assert not reads_or_explains(matrices)
 
 
-def test_nothing_is_printed_about_a_damaged_file(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    for content in (OPENCV_YAML[:-40], OPENCV_XML[:-40], OWN_JSON[:-40]):
-        assert not reads_or_explains(written(folder, content))
-    assert capfd.readouterr() == ("", "")
-
-
 @pytest.mark.parametrize(
     "content,complaint",
     [
         (b"", "it is empty"),
-        (b" \n", "it is empty"),
         (b"\x89PNG\r\n\x1a\n\x00\xff", "not a text file"),
         (b"some words\n", "holds no names with values"),
         (b'{"K": [1, 2}', r"not valid JSON \(line 1\)"),
@@ -173,43 +163,32 @@ def test_nothing_is_printed_about_a_damaged_file(folder: Path, capfd: pytest.Cap
         (b"a: 1\nb: 2\n", "it has no left camera matrix .* it holds a, b"),
         (b"#" * (1 << 20) + b"#", "larger than 1 MB"),
         (b"1 2 3\n4 5 6\n", "one matrix of several"),
+        (b"K1: {rows: 3, cols: 3, data: [1, 2]}\n", "K1 has 2 numbers where 3 rows of 3 need 9"),
+        (b"a: 1\n---\nb: 2\n", "it holds 2 documents where one is expected"),
         (b'{"K\\n1": 1, "x\\ud800": 2}', r"K\?1 must be 3x3, but is one number"),
         (b'{"\\u001b[31m\\ud800": 2}', r"it holds \?\[31m\?$"),
-        (b'{"' + b"x" * 9999 + b'": 2}', "it has no left camera matrix .* it holds x{200}"),
         (b"a: &b 1\nc: *b\n", "uses YAML aliases"),
         (b"<!DOCTYPE a><a>1</a>", "declares XML entities"),
     ],
 )
-def test_the_explanation_names_the_file_and_the_trouble(folder: Path, content: bytes, complaint: str) -> None:
+def test_the_explanation_names_the_file_and_the_trouble(folder, content, complaint):
     path = written(folder, content)
     with pytest.raises(CalibrationError, match=complaint) as caught:
         read_calibration(path, unit=None, image_size=SIZE)
     assert str(path) in str(caught.value)
 
 
-def test_a_missing_file_is_explained(tmp_path: Path) -> None:
-    with pytest.raises(CalibrationError, match=r"nowhere\.yaml: there is no such file or folder"):
-        read_calibration(tmp_path / "nowhere.yaml", unit=None, image_size=SIZE)
+def test_paths_that_lead_to_no_calibration_are_explained(tmp_path):
+    def complaint(path: Path | tuple[Path, ...]) -> str:
+        with pytest.raises(CalibrationError) as caught:
+            read_calibration(path, unit=None, image_size=SIZE)
+        return str(caught.value)
 
-
-def test_an_empty_folder_is_explained(tmp_path: Path) -> None:
-    with pytest.raises(CalibrationError, match="the folder holds no calibration"):
-        read_calibration(tmp_path, unit=None, image_size=SIZE)
-
-
-def test_a_folder_of_several_calibrations_lists_them(tmp_path: Path) -> None:
+    assert "nowhere.yaml: there is no such file or folder" in complaint(tmp_path / "nowhere.yaml")
+    assert "the folder holds no calibration" in complaint(tmp_path)
     for name in ("a.yaml", "b.json"):
         (tmp_path / name).write_text("x: 1\n")
-    with pytest.raises(CalibrationError, match=r"several files .*\(a\.yaml, b\.json\); name one"):
-        read_calibration(tmp_path, unit=None, image_size=SIZE)
-
-
-def test_two_folders_are_no_pair_of_files(tmp_path: Path) -> None:
-    with pytest.raises(CalibrationError, match="of two paths, each must be a file"):
-        read_calibration((tmp_path, tmp_path), unit=None, image_size=SIZE)
-
-
-@pytest.mark.parametrize("count", [0, 3])
-def test_any_other_number_of_paths_is_refused(tmp_path: Path, count: int) -> None:
-    with pytest.raises(CalibrationError, match=f"not {count} paths"):
-        read_calibration((tmp_path,) * count, unit=None, image_size=SIZE)
+    assert re.search(r"several files .*\(a\.yaml, b\.json\); name one", complaint(tmp_path))
+    assert "of two paths, each must be a file" in complaint((tmp_path, tmp_path))
+    assert "not 0 paths" in complaint(())
+    assert "not 3 paths" in complaint((tmp_path,) * 3)

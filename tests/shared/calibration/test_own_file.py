@@ -1,9 +1,8 @@
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from schemas.messages import StereoCalibration
@@ -19,52 +18,33 @@ def assert_identical(read: StereoCalibration, written: StereoCalibration) -> Non
         np.testing.assert_array_equal(getattr(read, field.name), getattr(written, field.name), err_msg=field.name)
 
 
-@pytest.mark.parametrize("metres", [1.0, 1e-2, 1e-3, 1e-6, None])
-def test_what_is_written_is_read_back_to_the_last_digit(
-    tmp_path: Path, endoscope: StereoCalibration, metres: float | None
-) -> None:
-    written = dataclasses.replace(endoscope, metres_per_unit=metres)
-    write_calibration(tmp_path / "calibration.json", written)
-    assert_identical(read_calibration(tmp_path, unit=None, image_size=SIZE).calibration, written)
-
-
 @given(rotation=st.tuples(small, small, small), count=st.sampled_from((0, 4, 5, 8, 12, 14)), baseline=st.floats(1, 20))
-def test_any_calibration_survives_the_round_trip(
-    tmp_path_factory: pytest.TempPathFactory,
-    endoscope: StereoCalibration,
-    rotation: tuple[float, float, float],
-    count: int,
-    baseline: float,
-) -> None:
+@settings(max_examples=20)
+def test_any_calibration_survives_the_round_trip(tmp_path_factory, endoscope, rotation, count, baseline):
     written = dataclasses.replace(
         endoscope,
+        metres_per_unit=(1.0, 1e-2, 1e-3, 1e-6, None)[count % 5],
         distortion_right=np.random.default_rng(count).normal(size=count),
         T_right_left=transform(exp_so3(np.array(rotation)), np.array([-baseline, baseline / 9, 0.01])),
     )
     path = tmp_path_factory.mktemp("round") / "calibration.json"
     write_calibration(path, written)
-    assert_identical(read_calibration(path, unit=None, image_size=SIZE).calibration, written)
+    assert_identical(read_calibration(path.parent, unit=None, image_size=SIZE).calibration, written)
 
 
-def test_a_given_unit_fills_in_for_an_unknown_one(tmp_path: Path, endoscope: StereoCalibration) -> None:
+def test_a_given_unit_fills_in_for_an_unknown_one_and_may_not_contradict_a_known_one(tmp_path, endoscope):
     path = tmp_path / "calibration.json"
     write_calibration(path, dataclasses.replace(endoscope, metres_per_unit=None))
     assert read_calibration(path, unit="cm", image_size=SIZE).calibration.metres_per_unit == 1e-2
     (judgement,) = read_calibration(path, unit=None, image_size=SIZE).judgements
     assert judgement.code == "unit_unknown"
-
-
-def test_a_given_unit_may_repeat_what_the_file_says_but_not_contradict_it(
-    tmp_path: Path, endoscope: StereoCalibration
-) -> None:
-    path = tmp_path / "calibration.json"
     write_calibration(path, endoscope)
     assert read_calibration(path, unit="mm", image_size=SIZE).calibration.metres_per_unit == 1e-3
     with pytest.raises(CalibrationError, match=r"lengths in mm, which contradicts --unit m$"):
         read_calibration(path, unit="m", image_size=SIZE)
 
 
-def test_an_unknown_unit_is_refused_with_the_known_ones(tmp_path: Path, endoscope: StereoCalibration) -> None:
+def test_an_unknown_unit_is_refused_with_the_known_ones(tmp_path, endoscope):
     path = tmp_path / "calibration.json"
     for stated in (endoscope, dataclasses.replace(endoscope, metres_per_unit=None)):
         write_calibration(path, stated)
@@ -72,11 +52,8 @@ def test_an_unknown_unit_is_refused_with_the_known_ones(tmp_path: Path, endoscop
             read_calibration(path, unit="furlong", image_size=SIZE)
 
 
-def test_a_unit_without_a_name_cannot_be_written(tmp_path: Path, endoscope: StereoCalibration) -> None:
+def test_what_cannot_be_written_is_said(tmp_path, endoscope):
     with pytest.raises(CalibrationError, match=r"unit of 0\.0254 m has no name"):
         write_calibration(tmp_path / "x.json", dataclasses.replace(endoscope, metres_per_unit=0.0254))
-
-
-def test_a_folder_that_does_not_exist_cannot_be_written_to(tmp_path: Path, endoscope: StereoCalibration) -> None:
     with pytest.raises(CalibrationError, match="cannot be written"):
         write_calibration(tmp_path / "nowhere" / "x.json", endoscope)

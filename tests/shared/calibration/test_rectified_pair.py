@@ -34,9 +34,7 @@ def write(path: Path, **changes: Any) -> Path:
         ({"baseline": 5.5}, None),
     ],
 )
-def test_the_right_camera_sits_one_baseline_along_x(
-    tmp_path: Path, baseline: dict[str, Any], metres: float | None
-) -> None:
+def test_the_right_camera_sits_one_baseline_along_x(tmp_path, baseline, metres):
     path = write(tmp_path / "scene.json", **{"baseline_mm": None, **baseline})
     calibration = read_calibration(path, unit=None, image_size=(960, 540)).calibration
     right_camera_in_left = np.linalg.inv(calibration.T_right_left) @ [0, 0, 0, 1]
@@ -61,8 +59,6 @@ def test_the_right_camera_sits_one_baseline_along_x(
         ({"K": None}, None, "it has no left camera matrix"),
     ],
 )
-def test_what_contradicts_itself_is_refused(
-    tmp_path: Path, changes: dict[str, Any], unit: str | None, complaint: str
-) -> None:
+def test_what_contradicts_itself_is_refused(tmp_path, changes, unit, complaint):
     with pytest.raises(CalibrationError, match=complaint):
         read_calibration(write(tmp_path / "scene.json", **changes), unit=unit, image_size=(960, 540))

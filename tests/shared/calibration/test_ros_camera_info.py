@@ -8,6 +8,7 @@ import pytest
 
 from schemas.messages import StereoCalibration
 from shared.calibration import CalibrationError, read_calibration
+from shared.calibration.reader import ReadCalibration
 
 SIZE = (960, 540)
 
@@ -73,65 +74,42 @@ def write_pair(folder: Path, texts: tuple[str, str], names: tuple[str, str]) -> 
     return paths
 
 
-@pytest.mark.parametrize("names", [("left.yaml", "right.yaml"), ("ost_left.yml", "ost_right.yml"), ("L.txt", "R.txt")])
-def test_two_files_give_the_transform_that_they_were_rectified_from(
-    tmp_path: Path, endoscope: StereoCalibration, cameras: tuple[Camera, Camera], names: tuple[str, str]
-) -> None:
-    assert_is(endoscope, write_pair(tmp_path, (as_file(cameras[0]), as_file(cameras[1])), names))
-
-
-def test_a_folder_with_a_left_and_a_right_file_is_a_pair(
-    tmp_path: Path, endoscope: StereoCalibration, cameras: tuple[Camera, Camera]
-) -> None:
-    write_pair(tmp_path, (as_file(cameras[0]), as_file(cameras[1])), ("left_0042.yaml", "right_0043.yaml"))
-    (tmp_path / "ost.txt").write_text("# oST version 5.0 parameters\n")
-    assert_is(endoscope, tmp_path)
-
-
-@pytest.mark.parametrize("names", [("left.yaml", "right.yaml"), ("myLeftCamera.yaml", "myRightCamera.yaml")])
-def test_one_file_of_a_pair_finds_the_other(
-    tmp_path: Path, endoscope: StereoCalibration, cameras: tuple[Camera, Camera], names: tuple[str, str]
-) -> None:
+@pytest.mark.parametrize(
+    "names",
+    [("left.yaml", "right.yaml"), ("myLeftCamera.yaml", "myRightCamera.yaml"), ("left_0042.yml", "right_0043.yml")],
+)
+def test_a_pair_of_files_gives_the_transform_that_it_was_rectified_from(tmp_path, endoscope, cameras, names):
     left, right = write_pair(tmp_path, (as_file(cameras[0]), as_file(cameras[1])), names)
-    assert_is(endoscope, left)
-    assert_is(endoscope, right)
+    (tmp_path / "ost.txt").write_text("# oST version 5.0 parameters\n")
+    assert_is(endoscope, (left, right))
+    assert_is(endoscope, tmp_path)
+    if names[0] != "left_0042.yml":
+        assert_is(endoscope, left)
+        assert_is(endoscope, right)
 
 
-def test_one_camera_alone_is_no_pair(tmp_path: Path, cameras: tuple[Camera, Camera]) -> None:
+def test_one_camera_alone_is_no_pair(tmp_path, cameras):
     (tmp_path / "left.yaml").write_text(as_file(cameras[0]))
     with pytest.raises(CalibrationError, match="holds one camera only; give the files of both"):
         read_calibration(tmp_path / "left.yaml", unit=None, image_size=SIZE)
 
 
 @pytest.mark.parametrize("upper", [False, True])
-def test_printed_messages_are_read(
-    tmp_path: Path, endoscope: StereoCalibration, cameras: tuple[Camera, Camera], upper: bool
-) -> None:
-    texts = (as_message(cameras[0], "cam", upper=upper), as_message(cameras[1], "cam", upper=upper))
-    assert_is(endoscope, write_pair(tmp_path, texts, ("left.yaml", "right.yaml")))
-
-
-def test_a_topic_that_was_recorded_for_a_while_repeats_one_camera(
-    tmp_path: Path, endoscope: StereoCalibration, cameras: tuple[Camera, Camera]
-) -> None:
-    left, right = ("".join(as_message(camera, "cam", second) for second in range(3)) for camera in cameras)
-    write_pair(tmp_path, (left, right), ("left.yaml", "right.yaml"))
+def test_printed_messages_are_read_of_a_topic_that_was_recorded_for_a_while_too(tmp_path, endoscope, cameras, upper):
+    left, right = ("".join(as_message(camera, "cam", second, upper) for second in range(3)) for camera in cameras)
+    assert_is(endoscope, write_pair(tmp_path, (left, right), ("left.yaml", "right.yaml")))
     assert_is(endoscope, tmp_path / "left.yaml")
 
 
 @pytest.mark.parametrize("frames", [("cam_left", "cam_right"), ("cam_right", "cam_left"), ("a", "b")])
-def test_both_cameras_may_be_documents_of_one_file(
-    tmp_path: Path, endoscope: StereoCalibration, cameras: tuple[Camera, Camera], frames: tuple[str, str]
-) -> None:
+def test_both_cameras_may_be_documents_of_one_file(tmp_path, endoscope, cameras, frames):
     pair = cameras if frames[0] != "cam_right" else cameras[::-1]
     path = tmp_path / "both.yaml"
     path.write_text("".join(as_message(camera, frame) for camera, frame in zip(pair, frames, strict=True)))
     assert_is(endoscope, path)
 
 
-def test_both_cameras_may_be_entries_of_one_file(
-    tmp_path: Path, endoscope: StereoCalibration, cameras: tuple[Camera, Camera]
-) -> None:
+def test_both_cameras_may_be_entries_of_one_file(tmp_path, endoscope, cameras):
     path = tmp_path / "both.json"
     nested = {
         side: {
@@ -145,45 +123,26 @@ def test_both_cameras_may_be_entries_of_one_file(
     assert_is(endoscope, path)
 
 
-def test_metres_are_the_convention_and_a_given_unit_overrides_it(
-    tmp_path: Path, cameras: tuple[Camera, Camera]
-) -> None:
+def read_pair(folder: Path, texts: tuple[str, str], unit: str | None = None) -> ReadCalibration:
+    return read_calibration(write_pair(folder, texts, ("left.yaml", "right.yaml")), unit=unit, image_size=SIZE)
+
+
+def test_metres_are_the_convention_and_millimetres_taken_for_them_are_noticed(tmp_path, cameras):
     left, right = cameras
     in_metres = right._replace(P=right.P * np.array([1, 1, 1, 1e-3]))
-    pair = write_pair(tmp_path, (as_file(left), as_file(in_metres)), ("left.yaml", "right.yaml"))
-    assert read_calibration(pair, unit=None, image_size=SIZE).calibration.metres_per_unit == 1
-    assert read_calibration(pair, unit="cm", image_size=SIZE).calibration.metres_per_unit == 1e-2
-    assert not read_calibration(pair, unit=None, image_size=SIZE).judgements
-
-
-def test_millimetres_taken_for_metres_are_noticed_with_the_remedy(
-    tmp_path: Path, cameras: tuple[Camera, Camera]
-) -> None:
-    pair = write_pair(tmp_path, (as_file(cameras[0]), as_file(cameras[1])), ("left.yaml", "right.yaml"))
-    (judgement,) = read_calibration(pair, unit=None, image_size=SIZE).judgements
+    read = read_pair(tmp_path, (as_file(left), as_file(in_metres)))
+    assert read.calibration.metres_per_unit == 1
+    assert not read.judgements
+    assert read_pair(tmp_path, (as_file(left), as_file(in_metres)), "cm").calibration.metres_per_unit == 1e-2
+    (judgement,) = read_pair(tmp_path, (as_file(left), as_file(right))).judgements
     assert judgement.code == "baseline_implausible"
     assert "--unit mm" in judgement.remedy
 
 
-def test_files_in_the_wrong_order_are_recognised(tmp_path: Path, cameras: tuple[Camera, Camera]) -> None:
-    left, right = write_pair(tmp_path, (as_file(cameras[0]), as_file(cameras[1])), ("left.yaml", "right.yaml"))
-    with pytest.raises(CalibrationError, match=r"swapped: .* give the two files in the other order"):
-        read_calibration((right, left), unit=None, image_size=SIZE)
-
-
-@pytest.mark.parametrize("model", ["equidistant", "fisheye"])
-def test_a_fisheye_camera_is_refused_by_name(tmp_path: Path, cameras: tuple[Camera, Camera], model: str) -> None:
-    texts = (as_file(cameras[0], model=model), as_file(cameras[1], model=model))
-    pair = write_pair(tmp_path, texts, ("left.yaml", "right.yaml"))
-    with pytest.raises(CalibrationError, match=f"fisheye model {model}.*plumb_bob"):
-        read_calibration(pair, unit=None, image_size=SIZE)
-
-
-def test_eight_coefficients_of_the_rational_model_are_kept(tmp_path: Path, cameras: tuple[Camera, Camera]) -> None:
+def test_eight_coefficients_of_the_rational_model_are_kept(tmp_path, cameras):
     D = np.arange(8) / 100
     left, right = (as_file(camera._replace(D=D), model="rational_polynomial") for camera in cameras)
-    pair = write_pair(tmp_path, (left, right), ("left.yaml", "right.yaml"))
-    np.testing.assert_array_equal(read_calibration(pair, unit="mm", image_size=SIZE).calibration.distortion_left, D)
+    np.testing.assert_array_equal(read_pair(tmp_path, (left, right), "mm").calibration.distortion_left, D)
 
 
 def changed(camera: Camera, name: str, row: int, column: int, value: float) -> Camera:
@@ -202,12 +161,7 @@ def changed(camera: Camera, name: str, row: int, column: int, value: float) -> C
         ({"left": ("R", 0, 0, 3.0)}, "R of the left camera is no rotation"),
     ],
 )
-def test_projections_that_are_no_stereo_pair_are_refused(
-    tmp_path: Path,
-    cameras: tuple[Camera, Camera],
-    changes: dict[str, tuple[str, int, int, float]],
-    complaint: str,
-) -> None:
+def test_projections_that_are_no_stereo_pair_are_refused(tmp_path, cameras, changes, complaint):
     sides = dict(zip(("left", "right"), cameras, strict=True))
     texts = [as_file(changed(camera, *changes[side]) if side in changes else camera) for side, camera in sides.items()]
     pair = write_pair(tmp_path, (texts[0], texts[1]), ("left.yaml", "right.yaml"))
@@ -215,28 +169,17 @@ def test_projections_that_are_no_stereo_pair_are_refused(
         read_calibration(pair, unit=None, image_size=SIZE)
 
 
-def test_a_camera_that_was_never_calibrated_is_recognised(tmp_path: Path, cameras: tuple[Camera, Camera]) -> None:
-    blank = Camera(np.zeros((3, 3)), np.zeros(5), np.zeros((3, 3)), np.zeros((3, 4)))
-    pair = write_pair(tmp_path, (as_file(blank), as_file(cameras[1])), ("left.yaml", "right.yaml"))
-    with pytest.raises(CalibrationError, match="left camera_info is all zeros"):
-        read_calibration(pair, unit=None, image_size=SIZE)
-
-
-def test_a_missing_entry_is_named(tmp_path: Path, cameras: tuple[Camera, Camera]) -> None:
-    text = as_file(cameras[1]).replace("rectification_matrix", "other")
-    pair = write_pair(tmp_path, (as_file(cameras[0]), text), ("left.yaml", "right.yaml"))
-    with pytest.raises(CalibrationError, match="right camera_info has no R; it holds image_width"):
-        read_calibration(pair, unit=None, image_size=SIZE)
-
-
-def test_cameras_of_two_sizes_are_refused(tmp_path: Path, cameras: tuple[Camera, Camera]) -> None:
-    text = as_file(cameras[1]).replace("image_width: 960", "image_width: 640")
-    pair = write_pair(tmp_path, (as_file(cameras[0]), text), ("left.yaml", "right.yaml"))
-    with pytest.raises(CalibrationError, match="different image sizes"):
-        read_calibration(pair, unit=None, image_size=SIZE)
-
-
-def test_a_camera_info_and_another_format_do_not_mix(tmp_path: Path, cameras: tuple[Camera, Camera]) -> None:
-    pair = write_pair(tmp_path, (as_file(cameras[0]), "R: [1]\n"), ("left.yaml", "right.yaml"))
-    with pytest.raises(CalibrationError, match="give both cameras in one format"):
-        read_calibration(pair, unit=None, image_size=SIZE)
+def test_files_that_are_no_pair_of_calibrated_cameras_are_told_apart(tmp_path, cameras):
+    left, right = (as_file(camera) for camera in cameras)
+    blank = as_file(Camera(np.zeros((3, 3)), np.zeros(5), np.zeros((3, 3)), np.zeros((3, 4))))
+    fisheye = as_file(cameras[0], model="equidistant")
+    for texts, complaint in (
+        ((right, left), r"swapped: .* give the two files in the other order"),
+        ((fisheye, right), "fisheye model equidistant.*plumb_bob"),
+        ((blank, right), "left camera_info is all zeros"),
+        ((left, right.replace("rectification_matrix", "other")), "right camera_info has no R; it holds image_width"),
+        ((left, right.replace("image_width: 960", "image_width: 640")), "different image sizes"),
+        ((left, "R: [1]\n"), "give both cameras in one format"),
+    ):
+        with pytest.raises(CalibrationError, match=complaint):
+            read_pair(tmp_path, texts)

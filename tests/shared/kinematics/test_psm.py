@@ -17,7 +17,7 @@ from shared.kinematics.psm import (
     joint_problem,
     within_limits,
 )
-from shared.rigid_transforms import exp_se3, log_se3, transform
+from shared.rigid_transforms import transform
 
 SI = dataclasses.replace(
     LARGE_NEEDLE_DRIVER,
@@ -75,19 +75,16 @@ def turns_apart(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return difference
 
 
-def test_the_published_check_value_comes_out() -> None:
+def test_forward_agrees_with_the_published_value_and_the_product_of_exponentials_of_the_arms_axes():
     np.testing.assert_allclose(forward(STRAIGHT)[:3, 3], (0, 0, -0.1135), atol=1e-15)
-
-
-def test_forward_agrees_with_the_product_of_exponentials_of_the_arms_axes() -> None:
-    joints = random_joints(100, seed=1)
+    joints = random_joints(20, seed=1)
     expected = np.stack([product_of_exponentials(row) for row in joints])
     np.testing.assert_allclose(forward(joints), expected, atol=1e-14)
 
 
 @pytest.mark.parametrize("psm", [LARGE_NEEDLE_DRIVER, SI], ids=["classic", "si"])
-def test_inverse_of_forward_returns_the_joints_of_20000_random_poses(psm: Psm) -> None:
-    joints = random_joints(20_000, seed=2, psm=psm)
+def test_inverse_of_forward_returns_the_joints_of_random_poses(psm):
+    joints = random_joints(2_000, seed=2, psm=psm)
     T_base_tool = forward(joints, psm)
     solution = inverse(T_base_tool, psm)
     assert not solution.problem.any()
@@ -95,36 +92,11 @@ def test_inverse_of_forward_returns_the_joints_of_20000_random_poses(psm: Psm) -
     assert np.abs(forward(solution.joints, psm) - T_base_tool).max() < 1e-12
 
 
-def test_inverse_moves_with_a_pose_as_the_jacobian_by_finite_differences_says() -> None:
-    step = 1e-6
-    rng = np.random.default_rng(3)
-    for joints in random_joints(20, seed=4):
-        T = forward(joints)
-        nudged = forward(joints + step * np.vstack((np.eye(6), -np.eye(6))))
-        twists = log_se3(np.linalg.inv(T) @ nudged)
-        jacobian = (twists[:6] - twists[6:]).T / (2 * step)
-        twist = 1e-7 * rng.normal(size=6)
-        moved = turns_apart(inverse(T @ exp_se3(twist)).joints, joints)
-        np.testing.assert_allclose(jacobian @ moved, twist, atol=2e-11)
-
-
-def test_the_shaft_passes_through_the_remote_centre_whatever_the_joints() -> None:
-    joints = random_joints(50, seed=5)
-    straight = joints.copy()
-    straight[:, 4:] = 0
-    T = forward(straight)
-    across = np.cross(T[:, :3, 3], T[:, :3, 2])
-    np.testing.assert_allclose(across, 0, atol=1e-15)
-
-
-unit = st.floats(-1, 1)
-
-
 @given(
-    st.lists(unit, min_size=4, max_size=4).filter(lambda q: np.linalg.norm(q) > 1e-3),
+    st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(lambda q: np.linalg.norm(q) > 1e-3),
     st.lists(st.floats(-0.3, 0.3), min_size=3, max_size=3),
 )
-def test_a_pose_has_joints_that_reach_it_or_a_problem(quaternion: list[float], place: list[float]) -> None:
+def test_a_pose_has_joints_that_reach_it_or_a_problem(quaternion, place):
     T = transform(Rotation.from_quat(quaternion).as_matrix(), np.array(place))
     solution = inverse(T)
     if solution.problem == Problem.NONE:
@@ -135,12 +107,12 @@ def test_a_pose_has_joints_that_reach_it_or_a_problem(quaternion: list[float], p
 
 
 @given(st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=16, max_size=16))
-def test_any_sixteen_numbers_give_an_answer(numbers: list[float]) -> None:
+def test_any_sixteen_numbers_give_an_answer(numbers):
     solution = inverse(np.array(numbers).reshape(4, 4))
     assert solution.problem != Problem.NONE or np.isfinite(solution.joints).all()
 
 
-def test_numbers_that_are_no_pose_are_told_apart() -> None:
+def test_numbers_that_are_no_pose_are_told_apart():
     poses = np.repeat(forward(STRAIGHT)[None], 5, axis=0)
     poses[0, 0, 3] = np.nan
     poses[1, :3, :3] *= 1.001
@@ -151,25 +123,28 @@ def test_numbers_that_are_no_pose_are_told_apart() -> None:
     np.testing.assert_array_equal(problems, (Problem.NOT_FINITE, no_rotation, no_rotation, no_rotation, Problem.NONE))
 
 
-def test_a_pin_that_points_at_the_remote_centre_needs_a_wrist_that_does_not_exist() -> None:
+def test_a_pin_that_points_at_the_remote_centre_needs_a_wrist_that_does_not_exist():
     R = np.array(((0.0, 1, 0), (0, 0, 1), (1, 0, 0)))
     solution = inverse(transform(R, np.array((0, 0, -0.15))))
     assert solution.problem == Problem.WRIST_FOLDED
     assert np.isnan(solution.joints).all()
 
 
-def test_a_shaft_that_ends_less_than_45_mm_beyond_the_remote_centre_is_refused() -> None:
+def test_a_shaft_that_ends_less_than_45_mm_beyond_the_remote_centre_or_is_no_number_is_refused():
     joints = np.stack((STRAIGHT, STRAIGHT))
     joints[:, 2] = np.array((0.0449, 0.0451)) + 0.0156
     np.testing.assert_array_equal(inverse(forward(joints)).problem, (Problem.REMOTE_CENTRE, Problem.NONE))
     sentence = within_limits(joints)
     assert sentence is not None
     assert "44.9 mm beyond the remote centre" in sentence
+    joints[1, 4] = np.nan
+    assert joint_problem(joints[1]) == Problem.NOT_FINITE
+    assert within_limits(joints[1]) == "a number of it is not finite"
 
 
 @pytest.mark.parametrize("joint", range(6))
 @pytest.mark.parametrize("side", [0, 1])
-def test_each_joint_is_refused_beyond_its_limit_and_named(joint: int, side: int) -> None:
+def test_each_joint_is_refused_beyond_its_limit_and_named(joint, side):
     joints = np.stack((STRAIGHT, STRAIGHT))
     limit = LARGE_NEEDLE_DRIVER.limits[joint, side]
     joints[1, joint] = limit + (1e-3 if side else -1e-3)
@@ -182,10 +157,3 @@ def test_each_joint_is_refused_beyond_its_limit_and_named(joint: int, side: int)
     assert sentence is not None
     assert f"the {JOINT_NAMES[joint]} joint" in sentence
     assert within_limits(joints[0]) is None
-
-
-def test_joints_that_are_not_finite_are_refused() -> None:
-    joints = STRAIGHT.copy()
-    joints[4] = np.nan
-    assert joint_problem(joints) == Problem.NOT_FINITE
-    assert within_limits(joints) == "a number of it is not finite"

@@ -33,16 +33,20 @@ def written(path, lost=(), complete=None):
 LOST = (Loss(KEY, 3, 5, ON_THE_WAY, 0),)
 
 
-def test_a_whole_recording_is_complete(tmp_path):
-    written(tmp_path / "a.mcap", complete=True)
-    told = completeness(tmp_path / "a.mcap")
-    assert (told.complete, told.lost, told.sentence) == (True, {}, "complete")
+def told_of(path):
+    told = completeness(path)
+    return told.finished, told.complete, told.lost, told.sentence
 
 
-def test_losses_are_told_once_though_the_file_holds_them_twice(tmp_path):
-    written(tmp_path / "a.mcap", LOST, complete=False)
-    told = completeness(tmp_path / "a.mcap")
-    assert (told.complete, told.lost, told.sentence) == (False, {KEY: 3}, f"lost 3 of {KEY}")
+def test_a_closed_recording_is_complete_or_tells_each_loss_once_though_the_file_holds_it_twice(tmp_path):
+    path = tmp_path / "a.mcap"
+    written(path, complete=True)
+    assert told_of(path) == (True, True, {}, "complete")
+    written(path, LOST, complete=False)
+    assert told_of(path) == (True, False, {KEY: 3}, f"lost 3 of {KEY}")
+    # one that does not say is not taken for complete
+    written(path)
+    assert told_of(path) == (True, None, {}, "not complete")
 
 
 @pytest.mark.parametrize(("lost", "complete"), [((), None), (LOST, False)])
@@ -54,10 +58,3 @@ def test_a_recording_that_was_cut_off_says_until_when_and_is_never_complete(tmp_
     assert (told.finished, told.complete, told.last_ns) == (False, complete, WHEN_NS + 4)
     assert told.sentence.startswith("cut off at 2027-01-1")
     assert (f"lost 3 of {KEY}" in told.sentence) == bool(lost)
-
-
-def test_a_recording_that_does_not_say_is_not_taken_for_complete(tmp_path):
-    written(tmp_path / "a.mcap")
-    told = completeness(tmp_path / "a.mcap")
-    assert (told.finished, told.complete) == (True, None)
-    assert told.sentence != "complete"

@@ -4,12 +4,10 @@ from concurrent.futures import Future
 
 import pytest
 
-from schemas.codec import decode, encode
+from schemas.codec import encode
 from schemas.messages import (
-    AgentHealth,
     Consumed,
     FrameStamp,
-    GraspPlan,
     Image,
     ImageEncoding,
     StereoFrame,
@@ -20,7 +18,6 @@ from shared.runtime.attachment import Attachment, pack
 from shared.runtime.delivery import declare_publisher
 from shared.runtime.progress import ask_progress
 from shared.runtime.replay import replay
-from shared.runtime.taps import tap
 from tests.shared.runtime.test_replay import Newest, frame, plan, plan_of
 
 IMAGE = Image(ImageEncoding.RAW, 4, 2, 1, bytes(8))
@@ -51,51 +48,34 @@ class Worker:
 class Rig:
     """A worker, what it said, and the one who feeds it."""
 
-    def __init__(self, session, running, until):
-        self.session, self.until, self.worker, self.said, self.health = session, until, Worker(), [], []
-        self.kept = tap(session, "test", (PLAN,), self.said.append, lambda *_: None)
-        self.kept += tap(session, "test", (HEALTH,), self.health.append, lambda *_: None)
+    def __init__(self, session, running, heard, until):
+        self.session, self.worker, self.plans = session, Worker(), heard(PLAN)
         self.runner = running(self.worker)
         until(lambda: "planner/main" in ask_progress(session, "test"))
         self.publisher = declare_publisher(session, NAME, FRAMES, waits=True)
         until(lambda: self.publisher.matching_status.matching)
-        self.kept.append(self.publisher)
 
     def feed(self, number):
         """Send the agent a frame."""
         payload = encode(StereoFrame(FrameStamp(number, 0, 0, ""), IMAGE, IMAGE))
         self.publisher.put(payload, attachment=pack(Attachment(EPOCH, number, 0, 0.0)))
 
-    def plans(self):
-        return [decode(GraspPlan, heard.payload) for heard in self.said]
-
     def reasons(self):
-        return [plan.reason for plan in self.plans()]
+        return [plan.reason for plan in self.plans]
 
     def handled(self):
         return Consumed(NAME, EPOCH, 1) in ask_progress(self.session, "test")["planner/main"].handled
 
 
 @pytest.fixture
-def rig(session, running, until):
-    made = Rig(session, running, until)
+def rig(session, running, heard, until, monkeypatch):
+    monkeypatch.setattr("shared.runtime.runner.HEALTH_PERIOD_S", 0.05)
+    made = Rig(session, running, heard, until)
     yield made
-    for declared in made.kept:
-        declared.undeclare()
+    made.publisher.undeclare()
 
 
-def test_a_step_does_not_wait_for_what_the_one_before_it_still_works_on(rig, until):
-    rig.feed(0)
-    until(lambda: rig.worker.fed == [0])
-    rig.feed(1)
-    until(lambda: rig.reasons() == ["frame 1"])
-    rig.worker.end(0)
-    until(lambda: rig.reasons() == ["frame 1", "frame 0"])
-    # each names what its own step was made from
-    assert [[c.sequence for c in plan.consumed if c.key == NAME] for plan in rig.plans()] == [[1], [0]]
-
-
-def test_nothing_is_done_with_before_what_followed_from_it_is_published(rig, until):
+def test_a_step_does_not_wait_for_what_is_still_worked_on_and_nothing_is_done_with_before_that(rig, until):
     rig.feed(0)
     until(lambda: rig.worker.fed == [0])
     rig.feed(1)
@@ -104,6 +84,8 @@ def test_nothing_is_done_with_before_what_followed_from_it_is_published(rig, unt
     rig.worker.end(0)
     until(rig.handled)
     assert rig.reasons() == ["frame 1", "frame 0"]
+    # each names what its own step was made from
+    assert [[c.sequence for c in plan.consumed if c.key == NAME] for plan in rig.plans] == [[1], [0]]
 
 
 def test_two_that_are_worked_on_come_in_their_order(rig, until):
@@ -113,15 +95,16 @@ def test_two_that_are_worked_on_come_in_their_order(rig, until):
     rig.feed(2)
     until(lambda: rig.worker.fed == [0, 2])
     rig.worker.end(0)
-    until(lambda: len(rig.said) == 2)
+    until(lambda: len(rig.plans) == 2)
     assert rig.reasons() == ["frame 0", "frame 2"]
 
 
-def test_work_that_fails_is_a_fault_that_health_names_and_the_agent_goes_on(rig, until):
+def test_work_that_fails_is_a_fault_that_health_names_and_the_agent_goes_on(rig, heard, until):
+    healths = heard(HEALTH)
     rig.feed(0)
     until(lambda: rig.worker.fed == [0])
     rig.worker.work[0].set_exception(ZeroDivisionError("in the work"))
-    until(lambda: any("in the work" in decode(AgentHealth, heard.payload).fault for heard in rig.health))
+    until(lambda: any("in the work" in health.fault for health in healths))
     rig.feed(1)
     until(lambda: rig.reasons() == ["frame 1"])
 

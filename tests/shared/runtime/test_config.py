@@ -38,12 +38,10 @@ MISTAKES = {
     "[camera]\nspede = 1": ("camera.spede is unknown", "allowed here: speed"),
     "[arms.left]\nspede = 1": ("arms.left.spede is unknown", "allowed here: speed"),
     "[arms.left]\nspeed = -1": ("arms.left.speed = -1", "greater than 0"),
-    "[arms.left]\nspeed = inf": ("arms.left.speed = inf", "finite"),
     "[arms.left]\nspeed = nan": ("arms.left.speed = nan",),
     "name = 3": ("name = 3", "string"),
     "camera = 3": ("camera must be a section", "not 3"),
-    "arms = 'left'": ("arms must be a section", "not 'left'"),
-    "name": ("is no TOML",),
+    "name": ("is no TOML", "straight quotes"),
     "name = lab": ("is no TOML", "in line 1, 'name = lab'", "straight quotes"),
     "name = 'a'\nname = 'b'\n": ("in line 2", "what is there twice"),
     "[camra]": ("camra is unknown", "did you mean camera?"),
@@ -65,25 +63,19 @@ def test_a_mistake_is_one_line_that_names_the_key_and_what_is_allowed(text):
         assert told in said
 
 
-@pytest.mark.parametrize(
-    ("content", "told"),
-    [(None, "No such file"), (b"\xff\xfe", "no text in UTF-8"), (b"name = ", "is no TOML")],
-)
-def test_a_file_that_cannot_be_used_is_named(tmp_path, content, told):
+def test_a_file_that_cannot_be_used_is_named(tmp_path):
     path = tmp_path / "rig.toml"
-    if content is not None:
-        path.write_bytes(content)
-    with pytest.raises(ConfigError, match=told) as caught:
-        load_config(path, Rig)
-    assert str(path) in str(caught.value)
-
-
-def test_a_folder_is_no_configuration(tmp_path):
+    for content, told in ((None, "No such file"), (b"\xff\xfe", "no text in UTF-8"), (b"name = ", "is no TOML")):
+        if content is not None:
+            path.write_bytes(content)
+        with pytest.raises(ConfigError, match=told) as caught:
+            load_config(path, Rig)
+        assert str(path) in str(caught.value)
     with pytest.raises(ConfigError, match="cannot be read"):
         load_config(tmp_path, Rig)
 
 
-@pytest.mark.parametrize("text", ["[1, 2]", "3", "{", "[" * 100_000])
+@pytest.mark.parametrize("text", ["[1, 2]", "{", "[" * 100_000])
 def test_json_of_another_form_is_one_sentence(text):
     with pytest.raises(ConfigError, match=r"r\.json"):
         parse_config(text, Rig, "r.json")

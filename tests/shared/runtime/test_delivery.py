@@ -35,11 +35,11 @@ def listen(settings):
     """Hears a topic on a session of its own: a list of payloads, and one of reported misses."""
     with contextlib.ExitStack() as stack:
 
-        def start(topic, receive=None, expression=None):
+        def start(topic):
             opened = stack.enter_context(open_session(settings))
             heard, missed = [], []
-            take = receive or (lambda sample: heard.append(sample.payload.to_bytes()))
-            for declared in subscribe(opened, expression or key("test", topic), topic, take, missed.append):
+            take = lambda sample: heard.append(sample.payload.to_bytes())  # noqa: E731
+            for declared in subscribe(opened, key("test", topic), topic, take, missed.append):
                 stack.callback(declared.undeclare)
             return heard, missed
 
@@ -59,75 +59,33 @@ def test_a_late_joiner_gets_the_last_state_and_only_that(publish, listen, until)
     assert heard == [b"\x04", b"new"]
 
 
-def test_a_late_joiner_gets_the_events_before_it_in_order(publish, listen, until):
-    for number in range(50):
-        publish(PLAN, bytes([number]))
-    heard, missed = listen(PLAN)
-    until(lambda: len(heard) == 50)
-    assert (heard, missed) == ([bytes([number]) for number in range(50)], [])
-
-
-def test_who_was_away_gets_as_many_events_as_the_rig_has_kept(publish, listen, until):
+def test_a_late_joiner_gets_as_many_events_in_order_as_the_rig_has_kept(publish, listen, until):
     more = dataclasses.replace(PLAN, kept=PLAN.kept + 500)
-    for number in range(PLAN.kept + 200):
-        publish(more, number.to_bytes(2, "big"))
+    sent = [number.to_bytes(2, "big") for number in range(PLAN.kept + 200)]
+    for payload in sent:
+        publish(more, payload)
     heard, missed = listen(more)
-    until(lambda: len(heard) == PLAN.kept + 200)
-    assert (heard[0], heard[-1], missed) == (b"\0\0", (PLAN.kept + 199).to_bytes(2, "big"), [])
+    until(lambda: len(heard) == len(sent))
+    assert (heard, missed) == (sent, [])
     of_table, _ = listen(PLAN)
-    until(lambda: of_table and of_table[-1] == heard[-1])
-    assert len(of_table) == PLAN.kept
+    until(lambda: of_table and of_table[-1] == sent[-1])
+    assert of_table == sent[-PLAN.kept :]
 
 
 def test_a_late_joiner_gets_nothing_old_of_what_counts_only_when_new(publish, listen, until):
     early, _ = listen(FRAMES)
-
-    def old():
-        publish(FRAMES, b"old")
-        return early
-
-    until(old)
+    until(lambda: publish(FRAMES, b"old") or early)
     # all that was sent before has passed the router when this has
     publish(FRAMES, b"the last of the old")
     until(lambda: early[-1] == b"the last of the old")
     heard, _ = listen(FRAMES)
-
-    def new():
-        publish(FRAMES, b"new")
-        return b"new" in heard
-
-    until(new)
+    until(lambda: publish(FRAMES, b"new") or b"new" in heard)
     assert set(heard) == {b"new"}
 
 
-def test_behind_a_slow_receiver_the_newest_is_next_and_the_publisher_never_waits(publish, listen, until):
-    going, heard = threading.Event(), []
-
-    def slow(sample):
-        heard.append(int.from_bytes(sample.payload.to_bytes(), "big"))
-        going.wait(DEADLINE_S)
-
-    listen(FRAMES, slow)
-
-    def first():
-        publish(FRAMES, bytes(4))
-        return heard
-
-    until(first)
-    for number in range(1, 500):
-        publish(FRAMES, number.to_bytes(4, "big"))
-    other, _ = listen(PLAN)
-    publish(PLAN, b"an event overtakes them all")
-    until(lambda: other)
-    going.set()
-    until(lambda: heard[-1] == 499)
-    # what waits is few and new; an agent's inbox keeps one of them
-    later = [number for number in heard if number]
-    assert later == list(range(500 - len(later), 500))
-    assert len(later) <= ring_room(key("test", FRAMES)) + 1
-
-
-def test_what_the_ring_overwrites_is_told_from_what_never_came(session, settings, heard_by_others, until):
+def test_behind_a_slow_receiver_the_newest_is_next_and_what_it_replaced_is_told_from_what_never_came(
+    session, settings, heard_by_others, until
+):
     topic_key, going, heard = key("test", FRAMES), threading.Event(), []
     losses = RingLosses(ring_room(topic_key))
     publisher = declare_publisher(session, topic_key, FRAMES)
@@ -163,10 +121,14 @@ def test_what_the_ring_overwrites_is_told_from_what_never_came(session, settings
         until(lambda: losses.overwritten > 0)
         for declared in (*kept, *other, publisher, last):
             declared.undeclare()
-    numbers = [number for number in heard if number != "a plan"]
+    # what waited is few and new; an agent's inbox keeps one of them
+    came = [number for number in heard if number != "a plan"]
+    later = [number for number in came if number > 6]
+    assert later == list(range(100 - len(later), 100))
+    assert len(later) <= ring_room(topic_key) + 1
     # the ring was full since, so of what is missing nobody knows where it went
     assert losses.lost == 4
-    assert losses.lost + losses.overwritten == 100 - len(numbers)
+    assert losses.lost + losses.overwritten == 100 - len(came)
 
 
 def test_events_survive_a_restart_of_the_router_in_order_and_without_a_hole(router, until):
@@ -193,18 +155,9 @@ def test_events_survive_a_restart_of_the_router_in_order_and_without_a_hole(rout
 
 
 def test_no_thread_outlives_its_subscriber(session):
+    name = f"receive {key('test', FRAMES)}"
     kept = subscribe(session, key("test", FRAMES), FRAMES, lambda _: None, lambda _: None)
-    names = {f"receive {key('test', FRAMES)}"}
-    assert names <= {thread.name for thread in threading.enumerate()}
+    assert name in {thread.name for thread in threading.enumerate()}
     for declared in kept:
         declared.undeclare()
-    assert not names & {thread.name for thread in threading.enumerate()}
-
-
-def test_one_expression_hears_all_instances(publish, session, listen, until):
-    heard, _ = listen(PLAN, expression="suturegrasp/test/planner/*/plan")
-    publish(PLAN, b"main")
-    other = declare_publisher(session, key("test", PLAN, "psm2"), PLAN)
-    other.put(b"psm2")
-    until(lambda: set(heard) == {b"main", b"psm2"})
-    other.undeclare()
+    assert name not in {thread.name for thread in threading.enumerate()}

@@ -24,7 +24,7 @@ from shared.runtime.session import open_session
 KEY = key("test", FRAMES)
 PUBLISHING = """
 import sys
-from schemas.topics import CALIBRATION, FRAMES, key
+from schemas.topics import FRAMES, key
 from shared.runtime.direct import DirectPublisher, open_direct_publishing
 from shared.runtime.session import SessionSettings, open_session
 with open_session(SessionSettings("test", sys.argv[1])) as routed, open_direct_publishing(sys.argv[2]) as direct:
@@ -91,29 +91,22 @@ def publish_until(publisher, numbers, condition, until, epoch=1):
     until(publish_and_look)
 
 
-def test_once_linked_nothing_goes_through_the_router_and_nothing_comes_twice(session, endpoint, consumer, until):
+def test_what_loses_its_link_is_heard_through_the_router_and_by_the_link_again_and_nothing_twice(
+    session, endpoint, consumer, until
+):
     heard, losses = consumer
-    numbers, by_router = itertools.count(), declare_publisher(session, KEY, FRAMES)
-    with linked(session, endpoint) as publisher:
-        until(lambda: by_router.matching_status.matching)
-        publish_until(publisher, numbers, lambda: not by_router.matching_status.matching, until)
-        publish_until(publisher, numbers, grown(heard, 50), until)
-    assert heard == sorted(set(heard))
-    assert losses.lost + losses.overwritten == heard[-1][1] - heard[0][1] + 1 - len(heard)
-    by_router.undeclare()
-
-
-def test_what_loses_its_link_is_heard_through_the_router_and_by_the_link_again(session, endpoint, consumer, until):
-    heard, _ = consumer
     numbers, by_router = itertools.count(), declare_publisher(session, KEY, FRAMES)
     for _ in range(2):
         with linked(session, endpoint) as publisher:
             publish_until(publisher, numbers, lambda: heard and not by_router.matching_status.matching, until)
+            publish_until(publisher, numbers, grown(heard, 20), until)
         publish_until(by_router, numbers, grown(heard, 5), until)
     assert heard == sorted(set(heard))
+    assert losses.lost + losses.overwritten <= heard[-1][1] - heard[0][1] + 1 - len(heard)
     by_router.undeclare()
 
 
+@pytest.mark.slow
 def test_a_publisher_that_was_killed_is_heard_again_when_it_is_back(settings, endpoint, consumer, until):
     heard, _ = consumer
     for epoch in (1, 2):
@@ -132,14 +125,9 @@ def test_nobody_else_may_enter_the_folder_of_the_sockets(endpoint, tmp_path):
 
 def test_the_links_of_two_agents_carry_frames_past_the_router_and_all_else_through_it(session, tmp_path, until):
     camera, perception = (DirectLinks(tmp_path / "sockets", kind, "main") for kind in ("camera", "perception"))
-    calibration, heard, kept, told = key("test", CALIBRATION), [], [], []
-    for topic, heard_of in ((FRAMES, heard), (CALIBRATION, told)):
-        name = key("test", topic)
-
-        def receive(sample, heard_of=heard_of):
-            heard_of.append(sample.payload.to_bytes())
-
-        kept += perception.subscribe(session, name, topic, receive, lambda _: None)
+    heard, told, calibration = [], [], key("test", CALIBRATION)
+    kept = perception.subscribe(session, KEY, FRAMES, lambda s: heard.append(bytes(s.payload)), print)
+    kept += perception.subscribe(session, calibration, CALIBRATION, lambda s: told.append(bytes(s.payload)), print)
     frames, state = camera.publisher(session, KEY, FRAMES), camera.publisher(session, calibration, CALIBRATION)
     by_router, numbers = declare_publisher(session, KEY, FRAMES), itertools.count()
     publish_until(frames, numbers, lambda: heard and not by_router.matching_status.matching, until)

@@ -12,6 +12,7 @@ from shared.runtime.taps import tap
 IMAGE = Image(ImageEncoding.RAW, 4, 2, 1, bytes(8))
 FRAME = encode(StereoFrame(FrameStamp(0, 0, 0, ""), IMAGE, IMAGE))
 OWN = key("test", FRAMES)
+OF_MANY = OWN.replace("/frames", "/*")
 
 
 class Consumer:
@@ -27,48 +28,31 @@ class Consumer:
         return ()
 
 
-@pytest.fixture(params=[False, True], ids=["looks at each", "remembers"])
-def account(request, running, session, heard_by_others, until):
-    """The newest account of frames, once one for which a condition holds has come."""
-    running(Consumer(request.param))
-    healths = []
-
-    def hear(tapped):
-        # what names many keys is heard under all of them, and belongs to none
-        if tapped.beside is not None:
-            healths.append(decode(AgentHealth, tapped.payload))
-
-    kept = tap(session, "test", (HEALTH,), hear, lambda *_: None)
+@pytest.mark.parametrize("remembers", [False, True])
+def test_what_cannot_be_numbered_is_refused_and_counted_and_numbers_far_ahead_end_nobody(
+    remembers, running, session, heard_by_others, until, monkeypatch
+):
+    monkeypatch.setattr("shared.runtime.runner.HEALTH_PERIOD_S", 0.05)
+    frames, healths = [], []
+    kept = tap(session, "test", (HEALTH,), healths.append, lambda *_: None)
+    running(Consumer(remembers))
     heard_by_others(session, OWN)
+    kept += tap(session, "test", (FRAMES,), frames.append, lambda *_: None)
 
-    def when(condition):
-        return until(lambda: healths and condition(healths[-1].inputs[0]) and healths[-1].inputs[0], "such an account")
+    def account_is(condition):
+        # what names many keys is heard under all of them, and belongs to none
+        told = [decode(AgentHealth, tapped.payload).inputs[0] for tapped in healths if tapped.beside is not None]
+        return any(condition(account) for account in told)
 
-    yield when
-    for declared in kept:
-        declared.undeclare()
-
-
-def test_numbers_far_ahead_are_told_and_end_nobody(account, session):
+    session.put(OWN, FRAME)
+    session.put(OF_MANY, FRAME, attachment=pack(Attachment(1, 0, 0, 0.0)))
+    session.put(OWN, b"damaged", attachment=pack(Attachment(1, 1, 0, 0.0)))
+    until(lambda: account_is(lambda a: (a.received, a.missed, a.refused + a.dropped) == (0, 0, 3)))
     for turn in range(6):
         session.put(OWN, FRAME, attachment=pack(Attachment(turn // 2, (2**64 - 1) * (turn % 2), 0, 0.0)))
-    account(lambda a: a.received + a.dropped == 6)
-
-
-def test_what_has_no_number_or_names_many_keys_is_refused_and_counted(account, session):
-    session.put(OWN, FRAME)
-    session.put(OWN.replace("/frames", "/*"), FRAME, attachment=pack(Attachment(1, 0, 0, 0.0)))
-    session.put(OWN, b"damaged", attachment=pack(Attachment(1, 1, 0, 0.0)))
-    seen = account(lambda a: a.refused + a.dropped == 3)
-    assert (seen.received, seen.missed) == (0, 0)
-
-
-def test_a_listener_numbers_nothing_that_names_many_keys(session, heard_by_others, until):
-    heard = []
-    kept = tap(session, "test", (FRAMES,), heard.append, lambda *_: None)
-    heard_by_others(session, OWN)
-    session.put(OWN.replace("/frames", "/*"), FRAME, attachment=pack(Attachment(1, 0, 0, 0.0)))
-    until(lambda: heard)
+    until(lambda: account_is(lambda a: a.received + a.dropped + a.refused == 9))
+    until(lambda: len(frames) == 9)
+    # one message for many keys is none of any of them, and is numbered nowhere
+    assert [tapped.beside for tapped in frames if tapped.key == OF_MANY] == [None]
     for declared in kept:
         declared.undeclare()
-    assert heard[0].beside is None

@@ -15,36 +15,22 @@ from shared.runtime.own_key import encoding_of
 from shared.runtime.replayed_time import AgentClock
 from shared.runtime.session import open_session
 
-ASKED = {
-    "the loop": lambda intake: [arrival.attachment for arrival in intake.remembered()],
-    "health": lambda intake: intake.health(monotonic_s())[0].received,
-    "progress": lambda intake: intake.handled.listed(),
-}
-
 
 class Remembers:
     kind, instance, outputs, commands, tick_hz = "planner", MAIN, (), (), None
     inputs = (Input(FRAMES, only_newest_counts=True, only_remembered=True),)
-    acts = False
 
-    def acts_on(self, _topic):
-        return self.acts
-
-    def step(self, _arrived):
+    def step(self, arrived):
+        assert arrived
         return ()
 
 
 @pytest.fixture
-def agent():
-    return Remembers()
-
-
-@pytest.fixture
-def hearing(agent, settings, session, heard_by_others):
+def hearing(settings, session, heard_by_others):
     """An intake that hears, and a way to publish to it."""
     with contextlib.ExitStack() as stack:
         receiver = stack.enter_context(open_session(settings))
-        intake = Intake(agent, AgentClock(), logging.getLogger("suturegrasp.test"))
+        intake = Intake(Remembers(), AgentClock(), logging.getLogger("suturegrasp.test"))
         for declared in intake.listen(receiver, "test", RouterLinks()):
             stack.callback(declared.undeclare)
         heard_by_others(session, key("test", FRAMES))
@@ -53,35 +39,16 @@ def hearing(agent, settings, session, heard_by_others):
         yield intake, lambda number: publisher.put(b"frame", attachment=pack(Attachment(1, number, 0, 0.0)))
 
 
-@pytest.mark.parametrize("who", ASKED)
-def test_whoever_asks_alone_hears_of_what_waits(hearing, until, who):
+def test_the_newest_is_remembered_and_all_are_counted_whoever_asks(hearing, until):
     intake, publish = hearing
     publish(0)
-    assert until(lambda: ASKED[who](intake), "what waits to be known of")
-
-
-def test_the_newest_is_remembered_and_all_are_counted_when_they_came(hearing, until):
-    intake, publish = hearing
-    began_s = monotonic_s()
-    for number in range(5):
-        publish(number)
-    until(lambda: intake.health(monotonic_s())[0].received == 5)
-    (newest,) = intake.remembered()
-    assert newest.attachment == pack(Attachment(1, 4, 0, 0.0))
-    (told,) = intake.handled.listed()
-    assert (told.sequence, intake.remembered()) == (4, [])
-    counted = intake.account(FRAMES).rate.times
-    assert len(counted) == 5 and began_s <= counted[0] <= counted[-1] <= monotonic_s()
-
-
-def test_nothing_waits_while_the_agent_acts_on_it(agent, hearing, until):
-    intake, publish = hearing
-    publish(0)
-    until(lambda: intake.remembered())
-    agent.acts = True
+    until(lambda: [arrival.attachment for arrival in intake.remembered()] == [pack(Attachment(1, 0, 0, 0.0))])
     publish(1)
-    arrival = until(lambda: intake.inbox.take(0.01), "what is acted on to come")
-    assert arrival.attachment == pack(Attachment(1, 1, 0, 0.0))
+    until(lambda: intake.handled.listed()[0].sequence == 1, "progress to tell of what waits")
+    publish(2)
+    until(lambda: intake.health(monotonic_s())[0].received == 3, "health to tell of what waits")
+    (newest,) = intake.remembered()
+    assert newest.attachment == pack(Attachment(1, 2, 0, 0.0))
     assert intake.remembered() == []
 
 
@@ -94,15 +61,11 @@ def test_what_names_another_key_is_refused_and_not_remembered(hearing, session, 
     assert intake.account(FRAMES).received == 0
 
 
-def test_ages_are_those_of_the_arrival_however_late_anybody_looks(hearing, until):
+def test_ages_are_those_of_the_arrival_however_late_anybody_looks(hearing, until, monkeypatch):
     intake, publish = hearing
+    came = []
+    monkeypatch.setattr("shared.runtime.unlooked.monotonic_s", lambda: came.append(0) or monotonic_s() - 10.0)
     publish(0)
-    (waiting,) = intake._unlooked
-    until(lambda: waiting._waiting)
-    sample, came_s = waiting._waiting.popleft()
-    # as if it had come ten seconds ago
-    waiting._waiting.appendleft((sample, came_s - 10.0))
-    intake.remembered()
-    account = intake.account(FRAMES)
-    now_ms = AgentClock().now_ns() * 1e-6
-    assert account.age_ms < now_ms - 9_000.0
+    until(lambda: came)
+    until(lambda: intake.remembered())
+    assert intake.account(FRAMES).age_ms < AgentClock().now_ns() * 1e-6 - 9_000.0

@@ -5,8 +5,8 @@ import zenoh
 from zenoh import ext
 
 from schemas.topics import PLAN, key
-from shared.runtime import recovery
 from shared.runtime.delivery import subscribe
+from shared.runtime.lossless import _place_of
 from shared.runtime.session import open_session
 
 
@@ -52,27 +52,8 @@ def test_what_came_to_nothing_is_asked_for_until_the_cache_has_it_and_handed_ove
             declared.undeclare()
 
 
-def test_a_message_of_another_topic_under_the_key_of_a_heartbeat_tells_no_number(
-    session, settings, unheard, until, monkeypatch
-):
-    monkeypatch.setattr(recovery, "PATIENCE_S", 0.0)
-    samples, missed, told = [], [], []
-    with open_session(settings) as receiver:
-        beside = receiver.declare_subscriber(
-            f"{key('test', PLAN)}/@adv/pub/**", lambda s: told.append(bytes(s.payload))
-        )
-        kept = subscribe(receiver, key("test", PLAN), PLAN, samples.append, missed.append)
-        unheard.put("0")
-        until(lambda: len(samples) == 1)
-        of = samples[0].source_info.source_id
-        # its first four bytes say 16
-        foreign = b"\x10\0\0\0and so on"
-        session.put(f"{key('test', PLAN)}/@adv/pub/{of.zid}/{of.eid}/_/main/command", foreign)
-        until(lambda: foreign in told)
-        for number in range(1, 7):
-            unheard.put(str(number))
-            until(lambda number=number: number.to_bytes(4, "little") in told)
-        until(lambda: len(samples) == 7)
-        assert missed == []
-        for declared in (*kept, beside):
-            declared.undeclare()
+def test_a_message_of_another_topic_under_the_key_of_a_heartbeat_tells_no_number():
+    told = f"{key('test', PLAN)}/@adv/pub/abc/3"
+    assert _place_of(f"{told}/_") == (key("test", PLAN), "abc", 3)
+    for foreign in (f"{told}/_/main/command", f"{told}/main", key("test", PLAN)):
+        assert _place_of(foreign) is None

@@ -13,6 +13,7 @@ from schemas.codec import decode, encode
 from schemas.messages import (
     CommandAnswer,
     CommandRecord,
+    Consumed,
     ExecutionEvent,
     ExecutionKind,
     FrameStamp,
@@ -74,20 +75,15 @@ def asked(parameters, name, value) -> CommandAnswer:
     return answer
 
 
-@given(gain=st.floats(0.5, 9.0) | st.integers(1, 9))
-def test_a_value_within_its_range_is_taken(gain):
-    agent = Counting()
-    assert asked(Parameters(agent), "gain", json.dumps(gain)).outcome is Outcome.ACCEPTED
-    assert agent.config.gain == gain
-    assert type(agent.config.gain) is float
-
-
 def anything_of_json():
     leaves = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5)
     return st.recursive(leaves, lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner), max_leaves=4)
 
 
-@given(name=st.sampled_from(["gain", "count", "patience_s", "method"]), value=anything_of_json())
+@given(
+    name=st.sampled_from(["gain", "count", "patience_s", "method"]),
+    value=st.floats(0, 10) | st.integers(0, 10) | anything_of_json(),
+)
 def test_whatever_is_asked_the_config_stays_within_what_is_allowed(name, value):
     agent = Counting()
     answer = asked(Parameters(agent), name, json.dumps(value))
@@ -98,6 +94,7 @@ def test_whatever_is_asked_the_config_stays_within_what_is_allowed(name, value):
     assert 0.1 <= config.patience_s <= 30
     assert config.method in (None, "ridge", "threshold")
     assert (answer.outcome is Outcome.ACCEPTED) == (getattr(config, name) == value and type(value) is not bool)
+    assert type(config.gain) is float
 
 
 @pytest.mark.parametrize(
@@ -106,10 +103,7 @@ def test_whatever_is_asked_the_config_stays_within_what_is_allowed(name, value):
         ("gains", "1", "unknown_parameter", "no parameter gains; it has gain, count, patience_s, method, place"),
         ("secret", "1", "not_settable", "secret of robot_bridge cannot be set while it runs; what can be set is gain"),
         ("gain", "12.5", "out_of_range", "gain cannot be 12.5; it may be a number from 0.5 to 9.5"),
-        ("gain", "NaN", "out_of_range", "a number from 0.5 to 9.5"),
-        ("gain", '"2"', "out_of_range", 'gain cannot be "2"'),
-        ("count", "2.0", "out_of_range", "a whole number from 1 to 10"),
-        ("count", "true", "out_of_range", "count cannot be true"),
+        ("count", "true", "out_of_range", "count cannot be true; it may be a whole number from 1 to 10"),
         ("patience_s", "31", "out_of_range", "a number from 0.1 to 30 (as configured)"),
         ("method", '"edges"', "out_of_range", 'one of null, "ridge", "threshold"'),
         ("method", "ridge", "unreadable_value", "texts need quotation marks"),
@@ -142,28 +136,24 @@ def test_what_was_made_smaller_can_be_made_as_great_as_it_was_configured():
         assert agent.config.patience_s == float(value)
 
 
-def test_the_configuration_tells_all_parameters_and_its_hash_changes_with_them():
+def test_the_configuration_tells_all_parameters_and_what_was_set_and_restores_that_alone():
     parameters = Parameters(Counting())
     before = parameters.told(1, "c0ffee")
     assert json.loads(before.parameters)["place"] == [[1, 0], [0, 1]]
     assert [p.name for p in before.settable] == ["gain", "count", "patience_s", "method"]
     assert (before.config_hash, any(p.is_set for p in before.settable)) == ("c0ffee", False)
     asked(parameters, "gain", "4")
+    asked(parameters, "method", '"ridge"')
     during = parameters.told(2, "c0ffee")
     assert json.loads(during.parameters)["gain"] == 4
-    assert [p.name for p in during.settable if p.is_set] == ["gain"]
+    assert [p.name for p in during.settable if p.is_set] == ["gain", "method"]
     assert during.config_hash != "c0ffee"
+    elsewhere = Counting(Config(count=5))
+    list(Parameters(elsewhere).step(Received(CONFIGURATION, "k", 0, during)))
+    assert (elsewhere.config.gain, elsewhere.config.method, elsewhere.config.count) == (4.0, "ridge", 5)
     asked(parameters, "gain", "2.0")
+    asked(parameters, "method", "null")
     assert parameters.told(1, "c0ffee") == before
-
-
-def test_a_told_configuration_restores_what_was_set_and_nothing_else():
-    there = Parameters(Counting())
-    asked(there, "gain", "4")
-    asked(there, "method", '"ridge"')
-    agent = Counting(Config(count=5))
-    list(Parameters(agent).step(Received(CONFIGURATION, "k", 0, there.told(1, ""))))
-    assert (agent.config.gain, agent.config.method, agent.config.count) == (4.0, "ridge", 5)
 
 
 def test_an_agent_without_config_has_no_parameters():
@@ -187,74 +177,75 @@ class Entry:
     payload: bytes
 
 
+class Session:
+    """A rig of one agent: its frames are sent here, and all is recorded."""
+
+    def __init__(self, session):
+        self.entries, self._session, self._numbers = [], session, iter(range(10**6))
+        self.kept = tap(session, "test", (FRAMES, EXECUTION, COMMANDS, CONFIGURATION), self._record, lambda *_: None)
+
+    def _record(self, tapped):
+        self.entries.append(Entry(tapped.key, tapped.beside.epoch, tapped.beside.sequence, tapped.payload))
+
+    def of(self, name):
+        return [entry for entry in list(self.entries) if entry.key.endswith(name)]
+
+    def says_of_the_next_frame(self, what):
+        """Send one; whether the newest output says so."""
+        number = next(self._numbers)
+        payload = encode(StereoFrame(FrameStamp(number, 0, 0, ""), IMAGE, IMAGE))
+        self._session.put(key("test", FRAMES), payload, attachment=pack(Attachment(7, number, 0, 0.0)))
+        said = [decode(ExecutionEvent, entry.payload).reason for entry in self.of("execution")]
+        return bool(said) and what in said[-1]
+
+
 @pytest.fixture
-def recorded(session):
-    """Everything of an agent, and the frames, as a recording has them: a list that fills."""
-    entries = []
-
-    def record(tapped):
-        entries.append(Entry(tapped.key, tapped.beside.epoch, tapped.beside.sequence, tapped.payload))
-
-    kept = tap(session, "test", (FRAMES, EXECUTION, COMMANDS, CONFIGURATION), record, lambda *_: None)
-    yield entries
-    for declared in kept:
+def rig(session):
+    made = Session(session)
+    yield made
+    for declared in made.kept:
         declared.undeclare()
 
 
-@pytest.fixture
-def frames(session, heard_by_others):
-    """Publishes the next frame."""
-    heard_by_others(session, key("test", FRAMES))
-    sent = iter(range(1000))
-
-    def send():
-        number = next(sent)
-        payload = encode(StereoFrame(FrameStamp(number, 0, 0, ""), IMAGE, IMAGE))
-        session.put(key("test", FRAMES), payload, attachment=pack(Attachment(7, number, 0, 0.0)))
-
-    return send
-
-
-def of(entries, name):
-    return [entry for entry in list(entries) if entry.key.endswith(name)]
-
-
-def said(entries):
-    return [decode(ExecutionEvent, entry.payload).reason for entry in of(entries, "execution")]
-
-
 def test_a_parameter_is_set_while_the_agent_runs_and_replays_repeat_what_follows(
-    running, session, settings, recorded, frames, until, caplog
+    running, session, settings, rig, until, caplog
 ):
     running(Counting())
-    until(lambda: frames() or said(recorded))
+    until(lambda: rig.says_of_the_next_frame("at gain 2.0, None"))
     with connected(settings, DEADLINE_S) as connection:
         command = SetParameter(new_header("anna", DEADLINE_S), "gain", "5")
         for _ in range(2):
             answer = send_command(session, "test", SET, command, "psm1", agent="robot_bridge")
             assert answer.outcome is Outcome.ACCEPTED
-        until(lambda: frames() or "at gain 5.0, None" in said(recorded)[-1])
-        refused = connection.set_parameter("robot_bridge", "psm1", "gain", 50, "anna")
-        assert (refused.outcome, refused.code) == (Outcome.REFUSED, "out_of_range")
+        until(lambda: rig.says_of_the_next_frame("at gain 5.0, None"))
+        assert connection.set_parameter("robot_bridge", "psm1", "gain", 50, "anna").code == "out_of_range"
         assert connection.set_parameter("robot_bridge", "psm1", "method", "ridge", "ben").outcome is Outcome.ACCEPTED
-        until(lambda: frames() or "at gain 5.0, ridge" in said(recorded)[-1])
+        until(lambda: rig.says_of_the_next_frame("at gain 5.0, ridge"))
         told = until(lambda: (c := connection.configurations().get("robot_bridge/psm1")) and c.settable[3].is_set and c)
     assert json.loads(told.parameters)["gain"] == 5.0
-    records = [decode(CommandRecord, entry.payload) for entry in of(recorded, "command")]
+    until(lambda: len(rig.of("command")) == len(rig.of("configuration")) == 3)
+    records = [decode(CommandRecord, entry.payload) for entry in rig.of("command")]
     audit = [(decode(SetParameter, r.payload).header.sender, r.answer.outcome) for r in records]
     assert audit == [("anna", Outcome.ACCEPTED), ("anna", Outcome.REFUSED), ("ben", Outcome.ACCEPTED)]
     told_to_people = [said for said in caplog.messages if "was set to" in said]
     assert told_to_people == ["gain was set to 5 by anna", 'method was set to "ridge" by ben']
-    ridges = len([text for text in said(recorded) if "ridge" in text])
-    until(lambda: frames() or len([text for text in said(recorded) if "ridge" in text]) > ridges)
-    entries = list(recorded)
-    outputs = of(entries, "execution")
+    entries = list(rig.entries)
     repeated = list(replay(Counting, entries))
+    assert len(repeated) == sum(entry.key.endswith("execution") for entry in entries)
     assert all(r.same and not r.missing for r in repeated)
-    assert len(repeated) == len(outputs)
-    # a recording that began after all was set knows of the commands by the configuration alone
-    late = [*of(entries, "configuration")[-1:], *of(entries, "frames"), outputs[-1]]
-    (last,) = replay(Counting, late)
+
+
+def test_a_recording_that_began_after_all_was_set_knows_of_it_by_the_configuration_alone():
+    there = Parameters(Counting())
+    asked(there, "gain", "5")
+    name, state = key("test", EXECUTION, "psm1"), key("test", CONFIGURATION, "psm1", "robot_bridge")
+    configuration = Entry(state, 9, 1, encode(there.told(1, "")))
+    seen = Entry(key("test", FRAMES), 7, 3, encode(StereoFrame(FrameStamp(3, 0, 0, ""), IMAGE, IMAGE)))
+    listed = Consumed(state, 9, 1), Consumed(seen.key, 7, 3)
+    said = "frame 3 at gain 5.0, None"
+    event = ExecutionEvent("p", "psm1", 0, ExecutionKind.HELD, None, "said", said, "a", consumed=listed)
+    output = Entry(name, 9, 0, encode(event))
+    (last,) = replay(Counting, [configuration, seen, output])
     assert (last.same, last.missing) == (True, ())
-    (without,) = replay(Counting, late[1:])
-    assert [c.key for c in without.missing] == [key("test", CONFIGURATION, "psm1", "robot_bridge")]
+    (without,) = replay(Counting, [seen, output])
+    assert without.missing == (listed[0],)

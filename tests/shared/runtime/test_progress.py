@@ -1,11 +1,9 @@
 """Consumers tell how far they have got."""
 
-import pytest
-
 from schemas.codec import encode
 from schemas.messages import Consumed, FrameStamp, Image, ImageEncoding, StereoFrame
 from schemas.topics import FRAMES, LOG, key
-from shared.runtime.agent import Input, Received
+from shared.runtime.agent import Input
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.delivery import declare_publisher
 from shared.runtime.progress import ask_progress, matches
@@ -21,8 +19,7 @@ class Perception:
 
     kind, instance, inputs, outputs, commands, tick_hz = "perception", "main", (Input(FRAMES),), (), (), None
 
-    def step(self, arrived):
-        assert isinstance(arrived, Received)
+    def step(self, _arrived):
         return ()
 
 
@@ -50,15 +47,8 @@ def test_an_agent_and_a_listener_tell_what_they_are_done_with_readable_or_not(ru
     until(lambda: list(ask_progress(session, "test")) == ["perception/main"])
 
 
-@pytest.mark.parametrize(
-    ("selector", "name", "does"),
-    [
-        ("a/b/c", "a/b/c", True),
-        ("a/*/c", "a/b/c", True),
-        ("a/*/c", "a/b/d", False),
-        ("a/*", "a/b/c", False),
-        ("a/*/c/d", "a/b/c", False),
-    ],
-)
-def test_a_star_stands_for_one_part_of_a_key(selector, name, does):
-    assert matches(selector, name) is does
+def test_a_star_stands_for_one_part_of_a_key():
+    assert matches("a/b/c", "a/b/c")
+    assert matches("a/*/c", "a/b/c")
+    for selector, name in (("a/*/c", "a/b/d"), ("a/*", "a/b/c"), ("a/*/c/d", "a/b/c")):
+        assert not matches(selector, name)

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from schemas.codec import decode, encode
+from schemas.codec import encode
 from schemas.messages import LogRecord, ReplayClock
 from schemas.topics import LOG, REPLAY_CLOCK, key
 from shared.clock import now_ns
@@ -12,7 +12,6 @@ from shared.runtime.agent import Tick
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.delivery import declare_publisher
 from shared.runtime.replayed_time import JITTER_NS, SILENCE_S, ReplayedTime
-from shared.runtime.taps import tap
 
 SECOND = 10**9
 THEN_NS = 1_500_000_000 * SECOND
@@ -35,7 +34,7 @@ class Ticking:
 class Real(Ticking):
     """Moves something real."""
 
-    accepts_replayed_time = False
+    instance, accepts_replayed_time = "psm1", False
 
 
 @given(st.integers(0, 2**62), st.floats(0, 10), st.floats(0, SILENCE_S))
@@ -83,12 +82,10 @@ def test_whatever_is_said_is_a_time(said_ns, rate, gone_s):
 
 
 def test_an_agent_lives_in_a_replays_time_and_says_so_and_one_that_moves_something_real_does_not(
-    running, session, until
+    running, session, heard, until
 ):
-    lines = []
-    kept = tap(session, "test", (LOG,), lines.append, lambda *_: None)
+    lines: list[LogRecord] = heard(LOG)
     simulated, real = Ticking(), Real()
-    real.instance = "psm1"
     running(simulated)
     running(real)
     publisher = declare_publisher(session, key("test", REPLAY_CLOCK), REPLAY_CLOCK)
@@ -104,15 +101,9 @@ def test_an_agent_lives_in_a_replays_time_and_says_so_and_one_that_moves_somethi
     until(lambda: len(real.times) > count + 5)
     assert THEN_NS not in real.times
     until(lambda: abs(simulated.times[-1] - now_ns()) < SECOND, "this machine's time")
-    until(lambda: any("ended or died" in text_of(m) for m in list(lines)))
-    said = [(m.key.split("/")[3], text_of(m)) for m in list(lines)]
-    followed = [instance for instance, text in said if "a recording is replayed: its time holds" in text]
-    assert set(followed) == {"main"}
+    until(lambda: any("ended or died" in line.text for line in lines))
+    followed = [line for line in lines if "a recording is replayed: its time holds" in line.text]
+    assert {line.instance for line in followed} == {"main"}
     # what is said meanwhile carries the recording's time, so that a viewer shows it where it belongs
-    assert any(decode(LogRecord, m.payload).at_ns == THEN_NS for m in list(lines))
-    for declared in (*kept, publisher):
-        declared.undeclare()
-
-
-def text_of(message):
-    return decode(LogRecord, message.payload).text
+    assert THEN_NS in [line.at_ns for line in lines]
+    publisher.undeclare()

@@ -72,15 +72,18 @@ def test_an_arm_is_halted_while_a_step_still_goes_on_and_the_hold_is_stepped_bef
 
 @pytest.mark.parametrize("word", [StateWord.PAUSE, StateWord.DISABLE])
 def test_pausing_and_disabling_are_carried_out_whatever_their_deadline_and_halt_the_arm_at_once(robot, session, word):
-    message = ChangeState(CommandHeader("late", 1, "a test"), "psm1", word)
-    answer = send_command(session, "test", CHANGE_STATE, message, "psm1", timeout_s=20.0)
+    def change_state(id_, to):
+        message = ChangeState(CommandHeader(id_, 1, "a test"), "psm1", to)
+        return send_command(session, "test", CHANGE_STATE, message, "psm1", timeout_s=20.0)
+
+    answer = change_state("late", word)
     assert (answer.outcome, robot.stepped, len(robot.halted_s)) == (Outcome.ACCEPTED, [ChangeState], 1)
-    other = ChangeState(CommandHeader("late too", 1, "a test"), "psm1", StateWord.RESUME)
-    assert send_command(session, "test", CHANGE_STATE, other, "psm1", timeout_s=20.0).code == "late"
+    assert change_state("late too", StateWord.RESUME).code == "late"
 
 
-def test_a_hold_is_carried_out_again_even_where_its_id_was_used(robot, session):
-    message = Hold(new_header("a test"), "psm1")
+@pytest.mark.parametrize("deadline_ns", [1, 2**62])
+def test_a_hold_is_carried_out_again_whatever_its_deadline_and_even_where_its_id_was_used(robot, session, deadline_ns):
+    message = Hold(CommandHeader("one id", deadline_ns, "a test"), "psm1")
     for count in (1, 2):
         assert send_command(session, "test", HOLD, message, "psm1", timeout_s=20.0).outcome is Outcome.ACCEPTED
         assert (robot.stepped, len(robot.halted_s)) == ([Hold] * count, count)

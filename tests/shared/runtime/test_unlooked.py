@@ -59,10 +59,10 @@ def test_two_that_look_at_a_time_look_at_each_once_in_order():
     lookers = [threading.Thread(target=look) for _ in range(2)]
     for thread in lookers:
         thread.start()
-    for number in range(5000):
+    for number in range(2000):
         seen.unlooked.put(number)
     ended.set()
     for thread in lookers:
         thread.join()
     seen.unlooked.look()
-    assert seen.found == list(range(5000))
+    assert seen.found == list(range(2000))

@@ -57,12 +57,9 @@ def test_seeds_take_turns_and_name_the_same_surface():
     assert (surface.depth_mm == rendered_backdrop(SMALL, 95.0, 3).surface.depth_mm).all()
 
 
-def test_another_camera_sees_the_same_field():
+def test_another_camera_sees_the_same_field_unless_it_sees_further_than_the_field_goes():
     whole, small = rendered_backdrop(ENDOSCOPE, 95.0, 1).left_bgr, rendered_backdrop(SMALL, 95.0, 1).left_bgr
     reduced = cv2.resize(whole, (480, 270), interpolation=cv2.INTER_AREA)
     assert np.abs(reduced.astype(int) - small).mean() < 3.0
-
-
-def test_a_camera_that_sees_further_than_the_fields_go_is_refused():
     with pytest.raises(SceneError, match="sees further than the rendered fields go"):
         rendered_backdrop(replace(ENDOSCOPE, fx_px=500.0, fy_px=500.0), 95.0, 1)

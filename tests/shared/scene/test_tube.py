@@ -7,14 +7,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
 
 from schemas.messages import RectifiedStereo
 from shared.camera import project
 from shared.scene.centreline import Centreline, Thread, sample_centreline, shifted_to_right
 from shared.scene.compositing import lay_over
 from shared.scene.surface import tissue_surface
-from shared.scene.thread_shapes import CONFIGS, thread_on
+from shared.scene.thread_shapes import thread_on
 from shared.scene.tube import TubePixels, coverage_image, edge_coverage, tube_pixels
 from shared.splines import clamped_uniform_knots, evaluate
 
@@ -38,27 +37,6 @@ def both_eyes(camera: RectifiedStereo, thread: Thread) -> list[tuple[TubePixels,
     return [(tube_pixels(camera, eye, thread.radius_mm), truth) for eye, truth in zip(eyes, truths, strict=True)]
 
 
-def offset_across(weights: np.ndarray, truth_px: np.ndarray) -> float:
-    """Mean distance of the weight from the projected truth, along its normal; the cut ends do not count."""
-    v, u = np.nonzero(weights)
-    pixels = np.column_stack((u, v)).astype(float)
-    _, nearest = cKDTree(truth_px).query(pixels)
-    tangent = np.gradient(truth_px, axis=0)
-    normal = np.column_stack((-tangent[:, 1], tangent[:, 0]))
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
-    across = ((pixels - truth_px[nearest]) * normal[nearest]).sum(axis=1)
-    inner = (nearest > 50) & (nearest < len(truth_px) - 50)
-    return float(np.average(across[inner], weights=weights[v, u][inner]))
-
-
-@pytest.mark.parametrize("config", CONFIGS)
-@pytest.mark.parametrize(("seed", "radius_mm"), [(1, 0.12), (2, 0.2), (3, 0.25)])
-def test_the_coverage_is_centred_on_the_projected_centreline_in_both_images(config, seed, radius_mm):
-    thread = thread_on(CAMERA, tissue_surface(CAMERA, 90.0 + 3 * seed, seed), config, seed, radius_mm)
-    for tube, truth in both_eyes(CAMERA, thread):
-        assert abs(offset_across(coverage_image(CAMERA, tube), truth)) < 0.03
-
-
 def test_the_coverage_is_that_of_rays_that_meet_the_tube():
     camera = RectifiedStereo(48, 36, 60.0, 75.0, -10.0, 21.0, 5.5, 1e-3)
     control_points = np.array([[12.0, -40, 75], [16, -8, 70], [50, 16, 66], [30, 40, 80], [95, 60, 90]])
@@ -79,34 +57,17 @@ def test_the_coverage_is_that_of_rays_that_meet_the_tube():
         assert abs(difference.mean()) < 1e-3
 
 
-@pytest.mark.parametrize("config", ["easy", "hard"])
-@pytest.mark.parametrize("radius_mm", [0.05, 0.2])
-def test_the_coverage_adds_up_to_width_times_length(config, radius_mm):
-    thread = thread_on(CAMERA, tissue_surface(CAMERA, 95.0, 1), config, 1, radius_mm)
-    points = dense(thread)
-    for tube, truth in both_eyes(CAMERA, thread):
-        length = np.linalg.norm(np.diff(truth, axis=0), axis=1)
-        area = (length * 2.0 * radius_mm * CAMERA.fx_px / points[1:, 2]).sum()
-        # away from the optical axis perspective widens a tube by up to 1/cos of the angle
-        assert 1.0 - 1e-3 < tube.coverage.sum() / area < 1.03
-
-
-def test_a_thread_on_the_optical_axis_has_the_area_of_its_rectangle():
-    thread = straight((-8.0, -0.013, 100.0), (8.0, 0.021, 100.0), 0.2)
-    (tube, _), _ = both_eyes(CAMERA, thread)
-    assert tube.coverage.sum() == pytest.approx(160.0 * 4.0, rel=1e-4)
-
-
-def test_the_ends_are_cut_where_the_centreline_ends():
+def test_a_straight_thread_has_the_area_of_its_rectangle_and_ends_where_its_centreline_does():
     thread = straight((-8.0, 0.0, 100.0), (8.0, 0.0, 100.0), 0.2)
     (tube, truth), _ = both_eyes(CAMERA, thread)
+    assert tube.coverage.sum() == pytest.approx(160.0 * 4.0, rel=1e-4)
     columns = coverage_image(CAMERA, tube).sum(axis=0) / 4.0
     inside = np.flatnonzero(columns)
     assert inside[0] + 0.5 - columns[inside[0]] == pytest.approx(truth[0, 0], abs=0.01)
     assert inside[-1] - 0.5 + columns[inside[-1]] == pytest.approx(truth[-1, 0], abs=0.01)
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.3, np.pi / 4, 1.2, np.pi / 2])
+@pytest.mark.parametrize("angle", [0.0, 0.3, np.pi / 4])
 def test_the_edge_of_a_pixel_is_its_clipped_area(angle):
     normal = np.array([np.cos(angle), np.sin(angle)])
     grid = (np.arange(400) + 0.5) / 400 - 0.5
@@ -141,31 +102,22 @@ def test_a_thread_that_points_at_the_camera_is_the_disc_of_its_near_end():
     assert tube.coverage.sum() == pytest.approx(np.pi * 5.0**2, rel=0.03)
 
 
-@pytest.mark.parametrize(
-    ("start", "end"),
-    [
+def test_a_thread_is_drawn_as_far_as_it_is_in_view():
+    for start, end in (
         ((-300.0, 0.0, 90.0), (-200.0, 5.0, 90.0)),
         ((0.0, 0.0, -50.0), (5.0, 5.0, -10.0)),
         ((0.0, 0.0, 5.0), (3.0, 2.0, 15.0)),
-    ],
-)
-def test_a_thread_out_of_view_has_no_pixels(start, end):
-    for tube, _ in both_eyes(CAMERA, straight(start, end, 0.2)):
-        assert len(tube.flat) == 0
-
-
-def test_a_thread_that_leaves_the_image_is_drawn_as_far_as_it_is_seen():
+    ):
+        assert all(len(tube.flat) == 0 for tube, _ in both_eyes(CAMERA, straight(start, end, 0.2)))
     for tube, _ in both_eyes(CAMERA, straight((-200.0, -3.0, 90.0), (200.0, 8.0, 90.0), 0.2)):
-        columns = np.unique(tube.flat % 960)
-        assert len(columns) == 960
-
-
-def test_a_thread_that_comes_from_behind_the_camera_is_drawn_from_the_near_limit_on():
+        assert len(np.unique(tube.flat % 960)) == 960
+    # one that comes from behind the camera begins at the near limit
     for tube, _ in both_eyes(CAMERA, straight((0.0, 3.0, -20.0), (2.0, -2.0, 90.0), 0.2)):
         assert len(tube.flat) > 0
         assert tube.depth_mm.min() >= 20.0
 
 
+@pytest.mark.renders
 @pytest.mark.parametrize("name", ["cfg_easy_paper", "cfg_hard_chicken", "cfg_singularity_paper"])
 def test_coverage_agrees_with_path_traced_masks(name):
     if not RENDERS.is_dir():

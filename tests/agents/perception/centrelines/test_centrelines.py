@@ -29,27 +29,14 @@ def distance_to(points, polyline):
     return best
 
 
-@pytest.mark.parametrize("radius", [0.8, 1.5, 3.0, 5.0])
-@pytest.mark.parametrize("slope", [0.0, 0.13, 0.5, 1.0])
-def test_a_straight_thread_is_found_as_exactly_as_coverage_by_area_tells(radius, slope):
-    line = np.array([[20.3, 20.7], [130.2, 20.7 + 80 * slope]])
-    found = thread_centrelines(GREY, tube(line, radius))
-    inner = (found.point_px[:, 0] > 30) & (found.point_px[:, 0] < 120)
-    assert np.unique(found.piece).tolist() == [0]
-    # an edge that cuts a pixel in half moves the pixel's share of the centroid by an eighth of a pixel
-    assert distance_to(found.point_px[inner], line).max() < 0.125 / (2 * radius) + 0.03
-    assert np.median(found.width_px) == pytest.approx(2 * radius, abs=0.3)
-
-
 def arc(centre, radius, start, stop):
     angle = np.linspace(start, stop, 200)
     return np.column_stack((centre[0] + radius * np.cos(angle), centre[1] + radius * np.sin(angle)))
 
 
-@pytest.mark.parametrize("thread_radius", [1.2, 3.5])
-def test_a_bend_is_not_cut_and_its_points_lie_a_pixel_apart(thread_radius):
+def test_a_bend_is_not_cut_and_its_points_lie_a_pixel_apart():
     bend = arc((80.3, 60.6), 25.0, 0.3, 4.5)
-    found = thread_centrelines(GREY, tube(bend, thread_radius))
+    found = thread_centrelines(GREY, tube(bend, 3.5))
     from_centre = np.linalg.norm(found.point_px - [80.3, 60.6], axis=1)
     inner = slice(5, -5)
     assert np.abs(from_centre[inner] - 25.0).max() < 0.12
@@ -57,16 +44,6 @@ def test_a_bend_is_not_cut_and_its_points_lie_a_pixel_apart(thread_radius):
     steps = np.linalg.norm(np.diff(found.point_px, axis=0), axis=1)
     assert steps.min() > 0.5
     assert steps.max() < 1.5
-
-
-@pytest.mark.parametrize("radius", [0.8, 2.0, 4.0])
-def test_a_piece_reaches_the_ends_of_the_mask(radius):
-    line = np.array([[30.4, 50.2], [110.7, 71.6]])
-    found = thread_centrelines(GREY, tube(line, radius))
-    along = (line[1] - line[0]) / np.linalg.norm(line[1] - line[0])
-    ends = np.sort((found.point_px[[0, -1]] - line[0]) @ along)
-    assert ends[0] == pytest.approx(-radius, abs=0.5)
-    assert ends[1] == pytest.approx(np.linalg.norm(line[1] - line[0]) + radius, abs=0.5)
 
 
 def test_a_crossing_leaves_four_pieces_that_keep_clear_of_it():
@@ -85,16 +62,16 @@ def test_a_crossing_leaves_four_pieces_that_keep_clear_of_it():
     assert found.deviation_px[gap < 10].min() > 2 * np.median(found.deviation_px)
 
 
-def test_a_ring_is_one_piece():
-    found = thread_centrelines(GREY, tube(arc((80, 60), 30, 0, 2 * np.pi), 2.0))
-    assert np.unique(found.piece).tolist() == [0]
-    assert np.abs(np.linalg.norm(found.point_px - [80, 60], axis=1) - 30).max() < 0.4
-
-
-def test_a_bump_of_the_mask_is_no_branch():
-    line = np.array([[20.0, 60.0], [140.0, 60.0]])
-    coverage = np.maximum(tube(line, 3.0), tube(np.array([[80.0, 60.0], [80.0, 64.5]]), 1.0))
-    assert np.unique(thread_centrelines(GREY, coverage).piece).tolist() == [0]
+def test_rings_are_one_piece_and_bumps_and_pinholes_make_no_others():
+    for radius, inside in ((30, 29), (9, 7)):
+        found = thread_centrelines(GREY, tube(arc((80, 60), radius, 0, 2 * np.pi), 2.0))
+        assert np.unique(found.piece).tolist() == [0]
+        assert np.linalg.norm(found.point_px - [80, 60], axis=1).min() > inside
+    thread = tube(np.array([[20.0, 60.0], [140.0, 60.0]]), 4.0)
+    thread[59:61, 70:73] = 0
+    with_bump = np.maximum(thread, tube(np.array([[80.0, 60.0], [80.0, 65.5]]), 1.0))
+    for coverage in (thread, with_bump):
+        assert np.unique(thread_centrelines(GREY, coverage).piece).tolist() == [0]
 
 
 def test_a_glint_that_leaves_two_rails_is_filled_and_a_gap_between_two_strands_is_not():
@@ -107,14 +84,6 @@ def test_a_glint_that_leaves_two_rails_is_filled_and_a_gap_between_two_strands_i
     inside = (found.point_px[:, 0] > 76) & (found.point_px[:, 0] < 84)
     assert set(np.unique(found.point_px[inside, 1] > 60)) == {False, True}
     assert distance_to(found.point_px[inside & (found.point_px[:, 1] < 60)], one).max() < 0.5
-
-
-def test_pinholes_do_not_split_a_thread_and_true_loops_stay_open():
-    coverage = tube(np.array([[20.0, 60.0], [140.0, 60.0]]), 4.0)
-    coverage[59:61, 70:73] = 0
-    assert np.unique(thread_centrelines(GREY, coverage).piece).tolist() == [0]
-    ring = tube(arc((80, 60), 9, 0, 2 * np.pi), 2.0)
-    assert np.linalg.norm(thread_centrelines(GREY, ring).point_px - [80, 60], axis=1).min() > 7
 
 
 def lit_from_one_side(coverage, line):
@@ -140,43 +109,25 @@ def test_the_edges_in_the_image_correct_a_binary_mask(shift):
     assert np.median(found.deviation_px) > (0.4 if shift else 0.1)
 
 
-def test_a_binary_mask_without_any_contrast_is_all_that_counts():
-    line = np.array([[20.3, 40.7], [140.2, 62.1]])
-    found = thread_centrelines(GREY, np.where(tube(line, 2.0) >= 128, 255, 0).astype(np.uint8))
-    inner = (found.point_px[:, 0] > 30) & (found.point_px[:, 0] < 130)
-    assert np.median(distance_to(found.point_px[inner], line)) < 0.1
-
-
-def test_strands_that_touch_are_doubted():
-    one = np.array([[20.0, 40.0], [80.0, 58.0], [140.0, 40.0]])
-    other = np.array([[20.0, 80.0], [80.0, 62.0], [140.0, 80.0]])
-    found = thread_centrelines(GREY, np.maximum(tube(one, 2.5), tube(other, 2.5)))
-    nearest = np.minimum(distance_to(found.point_px, one), distance_to(found.point_px, other))
-    inside = (found.point_px[:, 0] > 28) & (found.point_px[:, 0] < 132)
-    assert (nearest[inside] < 3 * found.deviation_px[inside] + 0.05).all()
-
-
-def test_an_image_without_thread_has_no_centreline():
-    assert len(thread_centrelines(GREY, np.zeros((120, 160), np.uint8)).point_px) == 0
-
-
-@pytest.mark.parametrize("level", [96, 255])
-def test_an_image_full_of_thread_raises_nothing(level):
-    thread_centrelines(GREY, np.full((120, 160), level, np.uint8))
-
-
-@pytest.mark.parametrize("share", [0.02, 0.2, 0.5])
-def test_noise_raises_nothing(share):
-    random = np.random.default_rng(3)
-    coverage = np.where(random.random((120, 160)) < share, 255, 0).astype(np.uint8)
-    found = thread_centrelines(random.integers(0, 256, (120, 160, 3), np.uint8), coverage)
-    assert np.diff(found.piece).min(initial=0) >= 0
-
-
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40)
 @given(arrays(np.uint8, st.tuples(st.integers(1, 24), st.integers(1, 24)), elements=st.sampled_from([0, 95, 96, 255])))
 def test_no_mask_raises_and_every_point_lies_in_the_image(coverage):
     found = thread_centrelines(np.zeros((*coverage.shape, 3), np.uint8), coverage)
-    limit = np.array(coverage.shape[::-1]) - 1
     assert (found.point_px >= 0).all()
-    assert (found.point_px <= limit).all()
+    assert (found.point_px <= np.array(coverage.shape[::-1]) - 1).all()
+    assert np.diff(found.piece).min(initial=0) >= 0
+    assert coverage.any() or not len(found.piece)
+
+
+@pytest.mark.parametrize(("radius", "slope"), [(0.8, 0.13), (1.5, 1.0), (3.0, 0.0), (5.0, 0.5)])
+def test_a_straight_thread_is_found_to_its_ends_as_exactly_as_coverage_by_area_tells(radius, slope):
+    line = np.array([[20.3, 20.7], [130.2, 20.7 + 80 * slope]])
+    found = thread_centrelines(GREY, tube(line, radius))
+    inner = (found.point_px[:, 0] > 30) & (found.point_px[:, 0] < 120)
+    assert np.unique(found.piece).tolist() == [0]
+    # an edge that cuts a pixel in half moves the pixel's share of the centroid by an eighth of a pixel
+    assert distance_to(found.point_px[inner], line).max() < 0.125 / (2 * radius) + 0.03
+    assert np.median(found.width_px) == pytest.approx(2 * radius, abs=0.3)
+    length = np.linalg.norm(line[1] - line[0])
+    ends = np.sort((found.point_px[[0, -1]] - line[0]) @ (line[1] - line[0]) / length)
+    np.testing.assert_allclose(ends, (-radius, length + radius), atol=0.5)

@@ -37,7 +37,7 @@ def line(points, piece=None):
     return Centrelines(points, piece, np.full(n, 5.0), np.full(n, 0.1))
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=12)
 @given(st.floats(0, 2 * np.pi), st.floats(-2.5, 5.0), st.floats(-2.5, 5.0))
 def test_a_line_that_ends_too_soon_or_too_late_ends_at_the_tips(turn, short_start, short_end):
     places = np.linspace(TIPS[0, 0] + short_start, TIPS[1, 0] - short_end, 150)
@@ -54,13 +54,3 @@ def test_a_line_stays_as_it_is_where_no_tip_is_seen(why):
     loose = np.array([why != "cut"])
     found = to_tips(line(placed(places)), image, loose, loose)
     np.testing.assert_array_equal(found.point_px, placed(places))
-
-
-def test_pieces_stay_in_order_where_one_ends_and_the_next_begins():
-    points = placed(np.concatenate((np.linspace(42, 100, 59), np.linspace(130, 198, 69)[::-1])))
-    piece = np.repeat([0, 1], [59, 69])
-    found = to_tips(line(points, piece), scene(), np.array([True, True]), np.array([False, False]))
-    for number, tip in enumerate(TIPS[:, 0]):
-        own = found.point_px[found.piece == number]
-        np.testing.assert_allclose(own[0], placed([tip])[0], atol=0.4)
-        np.testing.assert_array_equal(own[-1], points[piece == number][-1])

@@ -1,5 +1,7 @@
 """Pairs that are whole raise no alarm; what is done to them is found, in a sentence with its remedy."""
 
+import functools
+
 import cv2
 import numpy as np
 import pytest
@@ -15,9 +17,9 @@ from schemas.messages import RectifiedStereo, Severity
 HEIGHT, WIDTH = 270, 480
 CAMERA = RectifiedStereo(WIDTH, HEIGHT, 500.0, 500.0, 239.5, 134.5, 5.5, 1e-3)
 DISPARITY_PX = 30.0
-SEEDS = (0, 1, 2)
 
 
+@functools.cache
 def ground(seed, height=HEIGHT + 80, width=WIDTH + 160):
     """Tissue-like: blotches, and small bright glints with sharp edges."""
     rng = np.random.default_rng(seed)
@@ -47,23 +49,23 @@ def pair(seed=0, **right):
     return window(image, 0.0), window(image, DISPARITY_PX, **right)
 
 
+def both(change):
+    return lambda images: (change(images[0]), change(images[1]))
+
+
 def codes(images, raw=None):
     return {j.code: j.severity for j in judgements(about_pair(images, CAMERA, raw))}
 
 
-def changed(images, change):
-    return change(images[0]), change(images[1])
-
-
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_whole_pair_raises_no_alarm_and_all_is_told(seed):
     answers = about_pair(pair(seed), CAMERA)
     assert judgements(answers) == ()
     assert [answer.question for answer in answers if not answer.is_known] == []
 
 
-@settings(max_examples=25, deadline=None)
-@given(st.floats(-6, 6), st.floats(-1.5, 1.5), st.floats(0.99, 1.01), st.integers(0, 5))
+@settings(max_examples=8)
+@given(st.floats(-6, 6), st.floats(-1.5, 1.5), st.floats(0.99, 1.01), st.integers(0, 1))
 def test_offset_rotation_and_magnification_are_measured(down_px, turned_deg, larger, seed):
     seen = correspondence_of_texture(*pair(seed, down_px=down_px, turned_deg=turned_deg, larger=larger))
     assert seen is not None
@@ -78,31 +80,16 @@ def test_offset_rotation_and_magnification_are_measured(down_px, turned_deg, lar
 RIGHT = {
     "lower by 2 px": ({"down_px": 2}, "row_residual", Severity.WARNING),
     "lower by 6 px": ({"down_px": 6}, "row_residual", Severity.FAULT),
-    "higher by 30 px": ({"down_px": -30}, "row_residual", Severity.FAULT),
     "turned by half a degree": ({"turned_deg": 0.5}, "rotated", Severity.WARNING),
-    "turned by 2 degrees": ({"turned_deg": 2}, "rotated", Severity.FAULT),
     "upside down": ({"turned_deg": 180}, "rotated", Severity.FAULT),
     "1.5 % larger": ({"larger": 1.015}, "sizes_differ", Severity.WARNING),
     "10 % smaller": ({"larger": 0.9}, "sizes_differ", Severity.FAULT),
 }
 
 
-@pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize(("right", "code", "severity"), RIGHT.values(), ids=RIGHT)
-def test_an_eye_that_lies_otherwise_is_found(right, code, severity, seed):
-    assert codes(pair(seed, **right)).get(code) is severity
-
-
-def turned_over(image):
-    return np.ascontiguousarray(image[::-1, ::-1])
-
-
-def mirrored(image):
-    return np.ascontiguousarray(image[:, ::-1])
-
-
-def blurred(px):
-    return lambda image: cv2.GaussianBlur(image, (0, 0), px)
+def test_an_eye_that_lies_otherwise_is_found(right, code, severity):
+    assert codes(pair(**right)).get(code) is severity
 
 
 def woven(image):
@@ -113,27 +100,23 @@ def woven(image):
 
 DAMAGES = {
     "exchanged": (lambda p: (p[1], p[0]), "left_right_swapped"),
-    "both mirrored": (lambda p: changed(p, mirrored), "left_right_swapped"),
-    "both upside down": (lambda p: changed(p, turned_over), "left_right_swapped"),
-    "one mirrored": (lambda p: (p[0], mirrored(p[1])), "mirrored"),
-    "one flipped": (lambda p: (p[0], np.ascontiguousarray(p[1][::-1])), "mirrored"),
+    "both upside down": (both(lambda i: np.ascontiguousarray(i[::-1, ::-1])), "left_right_swapped"),
+    "one mirrored": (lambda p: (p[0], np.ascontiguousarray(p[1][:, ::-1])), "mirrored"),
     "one image twice": (lambda p: (p[0], p[0].copy()), "no_disparity"),
     "another scene": (lambda p: (p[0], window(ground(99), 0.0)), "nothing_corresponds"),
-    "too dark": (lambda p: changed(p, lambda i: i // 8), "too_dark"),
-    "too bright": (lambda p: changed(p, lambda i: cv2.convertScaleAbs(i, alpha=2.2)), "too_bright"),
+    "too dark": (both(lambda i: i // 8), "too_dark"),
+    "too bright": (both(lambda i: cv2.convertScaleAbs(i, alpha=2.2)), "too_bright"),
     "one darker": (lambda p: (p[0], p[1] // 2), "exposures_differ"),
     "one black": (lambda p: (p[0], np.zeros_like(p[1])), "no_picture"),
-    "out of focus": (lambda p: changed(p, blurred(2.0)), "blurred"),
-    "one out of focus": (lambda p: (p[0], blurred(2.0)(p[1])), "blurred"),
-    "smeared": (lambda p: changed(p, lambda i: cv2.blur(i, (13, 1))), "smeared"),
-    "interlaced": (lambda p: changed(p, woven), "interlaced"),
+    "out of focus": (both(lambda i: cv2.GaussianBlur(i, (0, 0), 2.0)), "blurred"),
+    "smeared": (both(lambda i: cv2.blur(i, (13, 1))), "smeared"),
+    "interlaced": (both(woven), "interlaced"),
 }
 
 
-@pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize(("damage", "code"), DAMAGES.values(), ids=DAMAGES)
-def test_what_is_done_to_a_pair_is_found_with_a_remedy(damage, code, seed):
-    found = {j.code: j for j in judgements(about_pair(damage(pair(seed)), CAMERA))}
+def test_what_is_done_to_a_pair_is_found_with_a_remedy(damage, code):
+    found = {j.code: j for j in judgements(about_pair(damage(pair()), CAMERA))}
     assert code in found
     assert found[code].remedy and "\n" not in found[code].finding
 
@@ -146,16 +129,15 @@ def test_a_plain_ground_tells_nothing_and_is_no_fault():
     assert {a.question for a in answers if not a.is_known} >= {"rows", "rotation", "left and right", "exposure"}
 
 
-@pytest.mark.parametrize("eyes", [(True, True), (True, False), (False, True)])
-def test_an_image_of_one_colour_tells_nothing_of_interlacing(eyes):
-    images = [
-        np.full_like(image, 120) if of_one_colour else image for image, of_one_colour in zip(pair(), eyes, strict=True)
-    ]
-    (answer,) = [a for a in about_pair((images[0], images[1]), CAMERA) if a.question == INTERLACING]
-    assert not answer.is_known
-    assert [eye in answer.found for eye in ("left", "right")] == list(eyes)
-
-
-def test_interlacing_is_told_by_the_images_as_they_came():
-    whole = pair(4)
-    assert "interlaced" in codes(whole, raw=changed(whole, woven))
+def test_interlacing_is_told_by_the_images_as_they_came_and_not_of_one_colour():
+    images = pair()
+    assert "interlaced" in codes(images, raw=both(woven)(images))
+    grey = np.full_like(images[0], 120)
+    for eyes, named in (
+        ((grey, grey), ["left", "right"]),
+        ((grey, images[1]), ["left"]),
+        ((images[0], grey), ["right"]),
+    ):
+        (answer,) = [a for a in about_pair(eyes, CAMERA) if a.question == INTERLACING]
+        assert not answer.is_known
+        assert [eye for eye in ("left", "right") if eye in answer.found] == named

@@ -1,5 +1,7 @@
 """A right eye that is out of line is put in line by what the pair itself shows, within bounds, and said to be."""
 
+import functools
+
 import cv2
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ WIDTH, HEIGHT = 960, 540
 CAMERA = RectifiedStereo(WIDTH, HEIGHT, 1000.0, 1000.0, 450.0, 280.0, 5.5, 1e-3)
 
 
+@functools.cache
 def ground(seed):
     rng = np.random.default_rng(seed)
     parts = [cv2.GaussianBlur(rng.standard_normal((HEIGHT, 2 * WIDTH, 3)), (0, 0), s) for s in (12.0, 3.0)]
@@ -44,10 +47,10 @@ def judged(images, before=None):
     return judge_whole(images, images, CAMERA, before)
 
 
-EYES = [RightEye(2.0, 0.0, 1.0), RightEye(1.6, 0.3, 1.0), RightEye(-2.0, -0.4, 1.004), RightEye(0.0, 0.2, 0.992)]
+EYE = RightEye(1.6, 0.3, 1.0)
 
 
-@pytest.mark.parametrize("eye", EYES)
+@pytest.mark.parametrize("eye", [EYE, RightEye(-2.0, -0.4, 1.004)])
 def test_an_eye_out_of_line_is_put_in_line_and_said_to_be(eye):
     found = judged(pair(eye))
     assert found.right_eye is not None
@@ -60,7 +63,7 @@ def test_an_eye_out_of_line_is_put_in_line_and_said_to_be(eye):
     assert found.alignment == ()
 
 
-@pytest.mark.parametrize("eye", [None, RightEye(0.6, 0.0, 1.0), RightEye(0.0, 0.05, 1.0)])
+@pytest.mark.parametrize("eye", [RightEye(0.6, 0.0, 1.0), RightEye(0.0, 0.05, 1.0)])
 def test_an_eye_that_is_hardly_out_of_line_stays_as_it_is(eye):
     images = pair(eye)
     found = judged(images)
@@ -75,13 +78,13 @@ def test_beyond_its_bounds_nothing_is_mended_and_the_pair_is_at_fault(eye):
 
 
 def test_what_was_put_in_line_stays_while_it_moves_no_corner_by_much():
-    before = judged(pair(EYES[1])).right_eye
-    near = RightEye(EYES[1].rows_px + 0.2, EYES[1].turned_deg + 0.02, 1.0)
+    before = judged(pair(EYE)).right_eye
+    near = RightEye(EYE.rows_px + 0.2, EYE.turned_deg + 0.02, 1.0)
     assert judged(pair(near, seed=2), before).right_eye == before
     assert judged(pair(RightEye(1.6, 0.5, 1.0), seed=2), before).right_eye != before
 
 
-@pytest.mark.parametrize("disparity_px", [30.0, 60.0, 330.0])
+@pytest.mark.parametrize("disparity_px", [30.0, 330.0])
 def test_a_pair_shows_at_which_disparities_thread_may_be_on_any_rig(disparity_px):
     shown = judged(pair(disparity_px=disparity_px)).disparities_px
     assert shown is not None
@@ -89,9 +92,7 @@ def test_a_pair_shows_at_which_disparities_thread_may_be_on_any_rig(disparity_px
     assert least < 0.7 * disparity_px and 1.4 * disparity_px < most < 1.6 * disparity_px
     reach = disparities(WIDTH, np.array([least, most]))
     assert (reach.least_px, reach.most_px) == (least, most)
-
-
-def test_what_no_rig_can_have_is_no_range():
+    # what no rig can have is no range
     for told in ((50.0, 20.0), (np.nan, 3.0), (700.0, 900.0)):
         assert disparities(WIDTH, np.array(told)) == disparities(WIDTH)
 

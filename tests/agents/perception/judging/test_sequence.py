@@ -35,17 +35,16 @@ def answers(pairs, **how):
     return frozen, together
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_eyes_that_move_together_are_well(seed):
-    frozen, together = answers(moving(40, seed=seed))
-    assert frozen.wrong is None and frozen.is_known
-    assert together.wrong is None and together.is_known
+def test_eyes_that_move_together_are_well_and_few_frames_tell_nothing():
+    for answer in answers(moving(40)):
+        assert answer.is_known
+        assert answer.wrong is None
+    assert not any(answer.is_known for answer in answers(moving(3)))
 
 
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize(("late", "eye"), [(1, "right"), (2, "right"), (-1, "left")])
-def test_an_eye_that_is_late_is_found_by_what_moves(late, eye, seed):
-    _, together = answers(moving(40, late, seed))
+@pytest.mark.parametrize(("late", "eye"), [(2, "right"), (-1, "left")])
+def test_an_eye_that_is_late_is_found_by_what_moves(late, eye):
+    _, together = answers(moving(40, late))
     assert together.wrong is not None
     assert (together.wrong.code, together.wrong.severity) == ("unsynchronised", Severity.FAULT)
     assert f"the {eye} eye is {abs(late)} frame" in together.found
@@ -75,12 +74,6 @@ def test_an_eye_that_stands_still_is_found(eyes, severity):
     assert frozen.wrong is not None
     assert (frozen.wrong.code, frozen.wrong.severity) == ("frozen", severity)
     assert "12 frames" in frozen.found
-
-
-def test_a_picture_that_comes_twice_now_and_then_is_no_standstill():
-    doubled = [pair for pair in moving(12) for _ in range(3)]
+    # pictures that come twice now and then are no standstill
+    doubled = [pair for pair in pairs[:12] for _ in range(3)]
     assert answers(doubled)[0].wrong is None
-
-
-def test_few_frames_tell_nothing():
-    assert not any(answer.is_known for answer in answers(moving(3)))

@@ -42,11 +42,6 @@ def costs_by_the_book(left, right, segmented_left, segmented_right, pixel, dispa
     return total
 
 
-def test_sizes_scale_with_the_width_from_the_papers_own():
-    assert [scaled_px(2, w) for w in (640, 960, 1280, 1920, 100)] == [2, 3, 4, 6, 1]
-    assert [searched_disparities(w).stop - 1 for w in (640, 960)] == [80, 120]
-
-
 @pytest.mark.parametrize("disparity", [1, 7, LARGEST])
 def test_a_textured_thread_is_matched_at_its_disparity_everywhere(disparity):
     left, mask = textured_thread()
@@ -57,37 +52,14 @@ def test_a_textured_thread_is_matched_at_its_disparity_everywhere(disparity):
     assert is_inlier(matches.cost).all()
 
 
-@pytest.mark.parametrize("disparity", [0, LARGEST + 4])
-def test_disparities_beyond_the_limits_have_no_candidate(disparity):
+def test_what_has_no_candidate_has_no_match():
     left, mask = textured_thread(columns=slice(60, 61))
-    assert len(match_pixels(left, shifted_left(left, disparity), mask, shifted_left(mask, disparity)).pixel) == 0
-
-
-def test_a_thread_left_of_every_candidate_has_no_match():
-    left, mask = textured_thread(columns=slice(0, 2))
-    right, mask_right = textured_thread(columns=slice(40, 44))
-    assert len(match_pixels(left, right, mask, mask_right).pixel) == 0
-
-
-def test_two_strands_alike_in_one_row_are_ambiguous_and_rejected():
-    image, mask = np.full((HEIGHT, WIDTH, 3), 200, np.uint8), np.zeros((HEIGHT, WIDTH), bool)
-    mask[5:35, 60:63] = mask[5:35, 70:73] = True
-    image[mask] = 30
-    matches = match_pixels(image, shifted_left(image, 4), mask, shifted_left(mask, 4))
-    left_strand, right_strand = matches.pixel[:, 1] < 65, matches.pixel[:, 1] >= 65
-    kept = is_inlier(matches.cost)
-    # only the right strand has a second candidate within reach: the left strand, 14 px away
-    assert kept[left_strand].all()
-    assert not kept[right_strand].any()
-
-
-def test_a_uniform_thread_along_the_row_is_ambiguous():
-    image, mask = np.full((HEIGHT, WIDTH, 3), 200, np.uint8), np.zeros((HEIGHT, WIDTH), bool)
-    mask[18:21, 40:120] = True
-    image[mask] = 30
-    matches = match_pixels(image, shifted_left(image, 6), mask, shifted_left(mask, 6))
-    middle = (matches.pixel[:, 1] > 60) & (matches.pixel[:, 1] < 100)
-    assert not is_inlier(matches.cost)[middle].any()
+    for disparity in (0, LARGEST + 4):
+        assert len(match_pixels(left, shifted_left(left, disparity), mask, shifted_left(mask, disparity)).pixel) == 0
+    # a thread left of every candidate, and empty masks
+    at_border, nothing = textured_thread(columns=slice(0, 2))[1], np.zeros_like(mask)
+    for masks in ((at_border, mask), (nothing, mask), (mask, nothing), (nothing, nothing)):
+        assert len(match_pixels(left, left, *masks).pixel) == 0
 
 
 def test_costs_are_those_of_a_loop_over_windows():
@@ -111,26 +83,6 @@ def test_costs_are_those_of_a_loop_over_windows():
         assert second >= min(beyond_peak) * (1 - 1e-6)
 
 
-def test_blocks_of_rows_give_what_one_block_gives(monkeypatch):
-    left, mask = textured_thread(seed=4)
-    rng = np.random.default_rng(5)
-    noise = rng.integers(0, 8, left.shape).astype(np.uint8)
-    right, mask_right = shifted_left(left + noise, 5), shifted_left(mask, 5)
-    whole = match_pixels(left, right, mask, mask_right)
-    monkeypatch.setattr(matching, "LARGEST_BLOCK", 9 * LARGEST)
-    parts = match_pixels(left, right, mask, mask_right)
-    np.testing.assert_array_equal(parts.pixel, whole.pixel)
-    np.testing.assert_array_equal(parts.disparity_px, whole.disparity_px)
-    np.testing.assert_allclose(parts.cost, whole.cost, rtol=1e-6)
-
-
-def test_empty_masks_match_nothing():
-    left, mask = textured_thread()
-    nothing = np.zeros_like(mask)
-    for masks in ((nothing, mask), (mask, nothing), (nothing, nothing)):
-        assert len(match_pixels(left, left, *masks).pixel) == 0
-
-
 @given(best=st.floats(1e-3, 1e7), ratio=st.floats(0.0, 50.0))
 def test_the_metric_asks_for_a_second_peak_six_and_a_half_times_the_first(best, ratio):
     e1, e2, e3, e4 = 8.0, 5.0, 0.8, 0.9
@@ -140,7 +92,10 @@ def test_the_metric_asks_for_a_second_peak_six_and_a_half_times_the_first(best, 
     assert limit == pytest.approx(6.4, abs=0.03)
     if abs(ratio - limit) > 1e-6:
         assert is_inlier(np.array([[best, best * ratio]]))[0] == printed == (ratio > limit)
-
-
-def test_a_perfect_match_is_kept_only_if_nothing_else_is_perfect():
+    # a perfect match is kept only if nothing else is perfect
     assert is_inlier(np.array([[0.0, 10.0], [0.0, 0.0]])).tolist() == [True, False]
+
+
+def test_sizes_and_searched_disparities_scale_with_the_width_from_the_papers_own():
+    assert [scaled_px(2, w) for w in (640, 960, 1280, 1920, 100)] == [2, 3, 4, 6, 1]
+    assert [searched_disparities(w).stop - 1 for w in (640, 960)] == [80, 120]

@@ -12,11 +12,6 @@ from agents.perception.paper.pixel_graph import distances_along, neighbour_matri
 masks = hnp.arrays(bool, st.tuples(st.integers(1, 9), st.integers(1, 9)), elements=st.booleans())
 
 
-def drawn(*lines):
-    mask = np.array([[c == "#" for c in line] for line in lines])
-    return np.argwhere(mask), mask.shape
-
-
 def shortest_from(start, pixels):
     """Dijkstra's search over a set of pixels, by the book."""
     distance, queue = {}, [(0.0, start)]
@@ -30,29 +25,6 @@ def shortest_from(start, pixels):
                 if (r + dr, c + dc) in pixels and (dr, dc) != (0, 0):
                     heapq.heappush(queue, (so_far + (dr * dr + dc * dc) ** 0.5, (r + dr, c + dc)))
     return distance
-
-
-def test_distances_of_a_bent_line_are_those_counted_by_hand():
-    pixel, shape = drawn(
-        "#.....",
-        "#.....",
-        ".#....",
-        "..####",
-    )
-    along, piece = distances_along(step_lengths(pixel, shape))
-    root = 2**0.5
-    counted = np.array([0, 1, 1 + root, 1 + 2 * root, 2 + 2 * root, 3 + 2 * root, 4 + 2 * root])
-    assert (piece == 0).all()
-    assert np.allclose(along, counted) or np.allclose(along, counted[-1] - counted)
-
-
-def test_each_piece_has_its_own_end_and_number():
-    pixel, shape = drawn("###..##", ".......", "#......")
-    along, piece = distances_along(step_lengths(pixel, shape))
-    assert len(set(piece)) == 3
-    for number, length in ((piece[0], 2), (piece[3], 1), (piece[5], 0)):
-        assert along[piece == number].min() == 0
-        assert along[piece == number].max() == length
 
 
 @settings(max_examples=60, deadline=None)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from agents.perception.segmentation.promptable_crop import encoder_input, logits_of_crop, network_points
 from agents.perception.segmentation.promptable_model import PromptableFileError, PromptableModel
 from agents.perception.segmentation.promptable_signature import NotOnnxError, signature_of
-from tests.agents.perception.tiny_promptable import decoder, encoder, model, write_tiny
+from tests.agents.perception.tiny_promptable import decoder, encoder, write_tiny
 
 GROUND, THREAD = (150, 165, 205), (60, 120, 60)
 
@@ -25,13 +25,14 @@ def crop_with_line(size, ends):
     return crop, cover[:, :, 0] > 127
 
 
-KINDS = [{"hq": True}, {"hq": True, "first_alone": True}, {"hq": False, "several": True}, {"hq": False, "whole": True}]
-
-
-@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(
-    ("size", "ends"),
-    [((256, 256), ((20, 30), (240, 150))), ((150, 256), ((30, 10), (200, 140))), ((256, 120), ((20, 20), (100, 240)))],
+    ("kind", "size", "ends"),
+    [
+        ({"hq": True}, (256, 256), ((20, 30), (240, 150))),
+        ({"hq": True, "first_alone": True}, (150, 256), ((30, 10), (200, 140))),
+        ({"hq": False, "several": True}, (256, 120), ((20, 20), (100, 240))),
+        ({"hq": False, "whole": True}, (150, 256), ((30, 10), (200, 140))),
+    ],
 )
 def test_the_line_at_the_point_comes_out_where_it_is_whatever_shape_the_crop_has(tmp_path, kind, size, ends):
     model = PromptableModel(write_tiny(tmp_path, **kind))
@@ -41,14 +42,6 @@ def test_the_line_at_the_point_comes_out_where_it_is_whatever_shape_the_crop_has
     found = masks[0] > 0
     assert (found & line).sum() / (found | line).sum() > 0.8
     np.testing.assert_allclose(np.argwhere(found).mean(axis=0), np.argwhere(line).mean(axis=0), atol=0.5)
-
-
-def test_a_point_beside_the_thread_means_nothing(tmp_path):
-    model = PromptableModel(write_tiny(tmp_path))
-    crop, line = crop_with_line((256, 256), ((20, 30), (240, 150)))
-    points, labels = np.array([[130.0, 90.0], [200.0, 30.0]]), np.array([True, False])
-    masks, _ = model.masks(model.embed(crop), points, labels)
-    assert ((masks[0] > 0) & ~cv2.dilate(line.astype(np.uint8), np.ones((3, 3))).astype(bool)).sum() == 0
 
 
 def test_colours_are_red_first_normalised_and_the_rest_of_the_square_is_zero():
@@ -61,7 +54,7 @@ def test_colours_are_red_first_normalised_and_the_rest_of_the_square_is_zero():
     assert encoder_input(np.zeros((100, 200, 3), np.uint8), False).shape == (512, 1024, 3)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=20)
 @given(st.tuples(st.integers(1, 1500), st.integers(1, 1500)), st.floats(0, 1), st.floats(0, 1))
 def test_points_and_logits_agree_about_where_a_pixel_lies(size, down, across):
     point = np.array([across * (size[1] - 1), down * (size[0] - 1)])
@@ -96,13 +89,12 @@ def wrong(tmp_path, change):
         ("decoder", b"hello, I am no network at all", "cannot be used: its bytes are no protobuf message"),
         ("encoder", decoder(), "should take one image of 1x3x1024x1024 or of height x width x 3"),
         ("encoder", encoder(), "it gives no interm_embeddings, which the decoder needs"),
-        ("decoder", encoder(hq=True), "takes no has_mask_input, image_embeddings, mask_input, orig_im_size"),
         ("decoder", decoder(hq=True, without="low_res_masks"), "it gives no low_res_masks"),
         ("decoder", decoder(hq=True, without="has_mask_input"), "it takes no has_mask_input"),
         ("decoder", decoder(hq=True).replace(b"DepthToSpace", b"DepthToSpice"), "OpenCV"),
         ("decoder", decoder(hq=True)[:20000], "or it is cut off"),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_with_a_file_is_one_sentence_that_names_it(tmp_path, capfd, which, content, told):
     def change(files):
         path = getattr(files, which)
@@ -118,28 +110,16 @@ def test_what_is_wrong_with_a_file_is_one_sentence_that_names_it(tmp_path, capfd
 
 def test_a_file_with_another_hash_is_refused_and_one_with_its_own_is_taken(tmp_path):
     files = write_tiny(tmp_path)
-    of_encoder = hashlib.sha256(files.encoder.read_bytes()).hexdigest()
-    PromptableModel(replace(files, encoder_sha256=of_encoder.upper()))
-    for which, other in (("decoder", of_encoder), ("encoder", "0" * 64)):
-        told = wrong(tmp_path, lambda files, at=which, sha=other: replace(files, **{f"{at}_sha256": sha}))
-        path = getattr(files, which)
-        assert told.startswith(f"promptable_{which} {path} cannot be used: its SHA-256 is ")
-        assert f"and should be {other}; get it again" in told
+    own = hashlib.sha256(files.encoder.read_bytes()).hexdigest()
+    PromptableModel(replace(files, encoder_sha256=own.upper()))
+    told = wrong(tmp_path, lambda files: replace(files, decoder_sha256=own))
+    assert told.startswith(f"promptable_decoder {files.decoder} cannot be used: its SHA-256 is ")
+    assert f"and should be {own}; get it again" in told
 
 
-def test_weights_that_old_files_list_as_inputs_are_none(tmp_path):
-    path = tmp_path / "old.onnx"
-    weights = {"pads": np.zeros(8, np.int64)}
-    takes, gives = {"input_image": (1, 3, 1024, 1024)}, {"image_embeddings": (1, 256, 64, 64)}
-    path.write_bytes(model([], weights, takes | {"pads": (8,)}, gives))
-    assert signature_of(path).inputs == {"input_image": (1, 3, 1024, 1024)}
-    assert signature_of(path).outputs == {"image_embeddings": (1, 256, 64, 64)}
-
-
-@settings(max_examples=200, deadline=None)
 @given(st.binary(max_size=200))
 def test_no_bytes_do_more_than_be_refused(tmp_path_factory, content):
-    path = tmp_path_factory.mktemp("bytes") / "any.onnx"
+    path = tmp_path_factory.getbasetemp() / "any.onnx"
     path.write_bytes(content)
     try:
         signature = signature_of(path)

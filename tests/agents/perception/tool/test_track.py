@@ -152,9 +152,3 @@ def test_edges_find_what_colour_cannot(registered: np.ndarray):
     beside = found.correction.twist[:3] - truth[:3]
     assert np.linalg.norm(beside[:2]) < 1e-3
     assert abs(beside[2]) < 4 * np.sqrt(found.correction.covariance[2, 2])
-
-
-def test_uncertainty_grows_while_nothing_is_seen():
-    one = Correction(np.zeros(6), np.diag(np.full(6, 1e-6)), np.array((0, 0, 0.09)))
-    later = one.spread(2.0, np.full(6, 1e-3))
-    np.testing.assert_allclose(later.covariance, one.covariance + 2e-6 * np.eye(6))

@@ -23,6 +23,8 @@ def test_light_scenes_have_dark_or_bright_thread_where_they_say():
 
 
 def test_written_scenes_are_read_again_with_their_masks(tmp_path):
+    with pytest.raises(SceneFolderError, match="render scenes into it"):
+        views_in([tmp_path])
     write_scenes(tmp_path, 5, 1, SMALL)
     views = views_in([tmp_path])
     assert [view.name for view in views] == [f"light_00005_{k}_{eye}" for k in range(3) for eye in ("left", "right")]
@@ -30,11 +32,6 @@ def test_written_scenes_are_read_again_with_their_masks(tmp_path):
     written = {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
     write_scenes(tmp_path, 5, 1, SMALL)
     assert {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == written
-
-
-def test_a_folder_without_scenes_says_what_is_missing(tmp_path):
-    with pytest.raises(SceneFolderError, match="render scenes into it"):
-        views_in([tmp_path])
 
 
 def test_masks_of_needles_and_instruments_are_read_where_they_are_asked_for(tmp_path):

@@ -10,6 +10,8 @@ import pytest
 from agents.perception.training import line_odds
 from tests.agents.perception.segmentation.test_network import scene
 
+pytestmark = pytest.mark.renders
+
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory):
@@ -42,11 +44,3 @@ def test_the_fit_tells_thread_by_its_score_and_says_how_it_does_on_other_scenes(
     ((said, thread),) = re.findall(r"0\.9 to 1\.0: .* said (\S+), thread (\S+)", printed)
     assert float(said) > 0.9
     assert float(thread) > 0.9
-
-
-def test_a_worse_camera_shows_the_same_scene_otherwise():
-    image = scene("medium", "black", 7032).left_bgr
-    seen = [line_odds.worse(image, np.random.default_rng(seed)) for seed in (1, 1, 2)]
-    np.testing.assert_array_equal(seen[0], seen[1])
-    assert (seen[1] != seen[2]).any()
-    assert np.corrcoef(image.ravel(), seen[2].ravel())[0, 1] > 0.7

@@ -10,19 +10,19 @@ torch = pytest.importorskip("torch", reason="needs the extra `train`")
 from agents.perception.both_eyes.apart import apart_px  # noqa: E402
 from agents.perception.both_eyes.shown import Eye, together  # noqa: E402
 from agents.perception.centrelines.along import Pieces  # noqa: E402
+from agents.perception.centrelines.learned import own_weights  # noqa: E402
 from agents.perception.centrelines.straightened import reach_px  # noqa: E402
+from agents.perception.training import middle_network  # noqa: E402
 from agents.perception.training.middle_apart import (  # noqa: E402
-    ASIDE_PX,
     ApartNet,
     aside_px,
-    batches,
-    one_after_the_other,
     shared,
     told,
-    train,
     weights_of,
 )
 from agents.perception.training.middle_pairs import INNER, WIDE_PLACES, PairProfiles, features  # noqa: E402
+
+pytestmark = pytest.mark.slow
 
 COUNTS = 20, 31
 
@@ -65,33 +65,6 @@ def test_what_is_trained_says_the_same_at_run_time():
     np.testing.assert_allclose(apart_px(together(left, right), pair.pieces, weights), said, atol=1e-3)
 
 
-def test_where_edges_tell_it_most_of_it_is_learned(capsys):
-    pairs = [pair_of(seed) for seed in range(6)]
-    network = train(pairs, {"others": [pair_of(seed) for seed in range(10, 14)]}, 150, 1)
-    assert "150 steps, others, 4 pairs" in capsys.readouterr().out
-    other = pair_of(20)
-    error = other.apart_px - told([network], other)
-    assert np.mean(error**2) < 0.5 * np.mean(other.apart_px**2)
-
-
-def test_batches_are_the_same_for_the_same_seed_and_keep_the_stretches_of_each_pair_apart():
-    pairs = [pair_of(1), pair_of(2)]
-    one, same, other = (next(batches(pairs, seed)) for seed in (1, 1, 2))
-    assert torch.equal(one.shown, same.shown)
-    assert not torch.equal(one.shown, other.shown)
-    assert set(np.bincount(one.stretches.number)) == set(COUNTS)
-    joined = one_after_the_other([pair.pieces for pair in pairs])
-    np.testing.assert_array_equal(joined.number, np.repeat([0, 1, 2, 3], COUNTS * 2))
-
-
-def test_lines_are_drawn_aside_as_far_as_is_said_and_partly_alike():
-    rng = np.random.default_rng(5)
-    drawn = np.concatenate([aside_px(100, rng) for _ in range(300)], axis=1)
-    # between two places of a drift it is less than at them
-    assert 0.6 * ASIDE_PX < drawn.std() < ASIDE_PX
-    assert 0.25 < np.corrcoef(drawn)[0, 1] < 0.5
-
-
 def test_what_neighbours_err_by_together_counts_and_what_goes_to_and_fro_does_not():
     stretches = Pieces(np.repeat([0, 1], 8))
     alike, to_and_fro = torch.ones(16), torch.tensor([1.0, -1.0]).repeat(8)
@@ -99,3 +72,11 @@ def test_what_neighbours_err_by_together_counts_and_what_goes_to_and_fro_does_no
     assert torch.allclose(shared(to_and_fro, stretches, 4), torch.zeros(4))
     # of a stretch that is shorter there is less
     assert torch.allclose(shared(alike, stretches, 16), torch.full((2,), 0.5))
+
+
+def test_what_is_learned_on_from_begins_with_the_weights_that_were_given():
+    given = own_weights()
+    begun = middle_network.weights_of(middle_network.started_from(given))
+    assert begun.keys() == given.keys()
+    for name, weights in given.items():
+        np.testing.assert_allclose(begun[name], weights, atol=1e-5, err_msg=name)

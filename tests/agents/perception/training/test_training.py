@@ -7,13 +7,14 @@ import pytest
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 
 from agents.perception.segmentation.classes import phases, scores_of  # noqa: E402
-from agents.perception.training.ahead import made_ahead  # noqa: E402
 from agents.perception.training.architecture import ClassNet, Encoder, WeightsError, network_of  # noqa: E402
 from agents.perception.training.evaluate import main as evaluate  # noqa: E402
 from agents.perception.training.export import export_network  # noqa: E402
 from agents.perception.training.losses import class_loss  # noqa: E402
 from agents.perception.training.scenes import View  # noqa: E402
 from agents.perception.training.train import main  # noqa: E402
+
+pytestmark = pytest.mark.slow
 
 
 def view():
@@ -72,11 +73,6 @@ def test_weights_of_another_network_are_refused_in_a_sentence(tmp_path, capsys):
         with pytest.raises(SystemExit):
             main(["--scenes", str(tmp_path), "--output", str(output), "--steps", "1", *given])
         assert said in capsys.readouterr().err
-
-
-def test_items_made_ahead_come_in_their_order():
-    several = made_ahead(iter(range(100)))
-    assert [next(several) for _ in range(5)] == [0, 1, 2, 3, 4]
 
 
 def test_the_command_trains_from_an_encoder_and_goes_on_and_evaluates(tmp_path, capsys):

@@ -63,9 +63,23 @@ def sightings_of(spline, count=150, noise_px=0.0, deviation_px=0.1, seed=0, row_
     return Sightings(px, np.full(2 * count, deviation_px), np.repeat([0, 1], count), np.tile(s, 2), is_end)
 
 
+def dense_matrix(blocks):
+    """The sum of the blocks (12, 12) of four neighbouring control points."""
+    m = len(blocks) + 3
+    H = np.zeros((3 * m, 3 * m))
+    for k, block in enumerate(blocks):
+        H[3 * k : 3 * k + 12, 3 * k : 3 * k + 12] += block
+    return H
+
+
 @pytest.fixture(scope="session")
 def camera():
     return CAMERA
+
+
+@pytest.fixture(scope="session")
+def dense():
+    return dense_matrix
 
 
 @pytest.fixture(scope="session", params=[winding, waving], ids=["winding", "waving"])

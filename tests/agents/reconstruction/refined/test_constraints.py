@@ -11,7 +11,7 @@ from agents.reconstruction.minimum_variation import Regions, inequality_matrix, 
 from agents.reconstruction.refined.alignment import align
 from agents.reconstruction.refined.chains import chains
 from agents.reconstruction.refined.constraints import SLACK_PRICE, held_to, regions_of
-from agents.reconstruction.refined.normal_equations import band, gradient
+from agents.reconstruction.refined.normal_equations import gradient
 from agents.reconstruction.refined.refinement import Start, refined
 from shared.camera import project
 from shared.disparities import disparities
@@ -25,9 +25,9 @@ def fit(spline, sight_of, camera):
     return refined(Start(spline, sight_of(spline)), camera)
 
 
-def regions_about(curve, bound_px=2.0, bound_depth=0.5, push=(0.0, 0.0, 0.0)):
+def regions_about(curve, push=(0.0, 0.0, 0.0)):
     n = len(AT)
-    return Regions(curve.at(AT) + push, np.full((n, 2), bound_px), np.full(n, bound_depth))
+    return Regions(curve.at(AT) + push, np.full((n, 2), 2.0), np.full(n, 0.5))
 
 
 def outside(regions, curve, camera):
@@ -38,14 +38,11 @@ def outside(regions, curve, camera):
     return np.maximum(off_px.max(axis=1), off_depth) - 1
 
 
-def test_a_curve_inside_stays_as_it_is(fit, camera):
+def test_regions_hold_the_curve_as_far_as_its_points_do_not_contradict(fit, camera):
+    """What the images tell nothing of gives way to the regions: with little data the curve is wherever they say."""
     held = held_to(regions_about(fit.curve), AT, fit.curve, fit.total, camera)
     np.testing.assert_array_equal(held.curve.control_points, fit.curve.control_points)
     assert not held.slack.any()
-
-
-def test_regions_that_the_points_do_not_contradict_hold(fit, camera):
-    """What the images tell nothing of gives way to the regions: with little data the curve is wherever they say."""
     regions = regions_about(fit.curve, push=(0.0, 0.0, 1.0))
     assert outside(regions, fit.curve, camera).max() > 0.5
     held = held_to(regions, AT, fit.curve, fit.total * 1e-6, camera)
@@ -64,28 +61,18 @@ def test_a_region_that_many_points_contradict_gives_way_and_its_slack_is_told(fi
     assert held.slack[4] == pytest.approx(outside(regions, held.curve, camera)[4], rel=0.05)
 
 
-def by_osqp(regions, curve, total, camera):
+def by_osqp(regions, curve, total, camera, dense):
     """The same program, written down anew in the unit of the control points."""
-    lower, n = band(total), len(AT)
-    diagonals = [lower[k][: lower.shape[1] - k] for k in range(len(lower))]
-    below = scipy.sparse.diags(diagonals, [-k for k in range(len(lower))])
-    H = below + below.T - scipy.sparse.diags(lower[0])
+    H, n = dense(total.H), len(AT)
     faces = region_faces(regions, camera, np.zeros(3), 1.0)
-    C = inequality_matrix(basis_matrix(curve.knots, 3, AT), faces)
+    C = inequality_matrix(basis_matrix(curve.knots, 3, AT), faces).toarray()
     value = C @ curve.control_points.ravel() + faces.offset.ravel()
-    size = H.shape[0]
+    give = np.block([[C, -np.repeat(np.eye(n), 6, axis=0)], [np.zeros((n, len(H))), np.eye(n)]])
     solver = osqp.OSQP()
     solver.setup(
         P=scipy.sparse.csc_matrix(scipy.sparse.block_diag((H, scipy.sparse.csc_matrix((n, n))))),
         q=np.concatenate((gradient(total.g), np.full(n, SLACK_PRICE))),
-        A=scipy.sparse.csc_matrix(
-            scipy.sparse.vstack(
-                (
-                    scipy.sparse.hstack((C, scipy.sparse.kron(scipy.sparse.eye(n), -np.ones((6, 1))))),
-                    scipy.sparse.hstack((scipy.sparse.csc_matrix((n, size)), scipy.sparse.eye(n))),
-                )
-            )
-        ),
+        A=scipy.sparse.csc_matrix(give),
         l=np.concatenate((np.full(6 * n, -np.inf), np.zeros(n))),
         u=np.concatenate((-value, np.full(n, np.inf))),
         eps_abs=1e-8,
@@ -93,14 +80,14 @@ def by_osqp(regions, curve, total, camera):
         max_iter=200_000,
         verbose=False,
     )
-    return curve.control_points + solver.solve(raise_error=True).x[:size].reshape(-1, 3)
+    return curve.control_points + solver.solve(raise_error=True).x[: len(H)].reshape(-1, 3)
 
 
 @pytest.mark.parametrize("trust", [1e-6, 1e-4])
-def test_the_program_has_the_solution_that_another_solver_finds(fit, camera, trust):
+def test_the_program_has_the_solution_that_another_solver_finds(fit, camera, dense, trust):
     regions, total = regions_about(fit.curve, push=(0.3, -0.1, 1.0)), fit.total * trust
     held = held_to(regions, AT, fit.curve, total, camera)
-    other = by_osqp(regions, fit.curve, total, camera)
+    other = by_osqp(regions, fit.curve, total, camera, dense)
     s = basis_matrix(fit.curve.knots, 3, np.linspace(0, 1, 200))
     np.testing.assert_allclose(s @ held.curve.control_points, s @ other, atol=0.02)
 
@@ -113,9 +100,7 @@ def test_regions_stand_about_matches_and_hold_the_thread(camera, curve, see):
     assert (np.diff(share) > 0).all()
     points = curve(np.linspace(0, 1, 20001))
     px, centre_px = (project(camera, p)[0] for p in (points, regions.centre_camera))
-    for centre, depth, bound_px, bound in zip(
-        centre_px, regions.centre_camera[:, 2], regions.bound_px, regions.bound_depth, strict=True
-    ):
-        inside = (np.abs(px - centre) <= bound_px).all(axis=1)
+    for i, centre in enumerate(centre_px):
+        inside = (np.abs(px - centre) <= regions.bound_px[i]).all(axis=1)
         assert inside.any()
-        assert np.abs(points[inside, 2] - depth).min() <= bound
+        assert np.abs(points[inside, 2] - regions.centre_camera[i, 2]).min() <= regions.bound_depth[i]

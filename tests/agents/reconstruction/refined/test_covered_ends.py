@@ -18,7 +18,8 @@ def bent(make_lines, radius=RADIUS):
     """A thread on an arc, for every pixel a point and the unit vector across."""
     angle = np.arange(LENGTH) / radius
     out = np.column_stack((np.sin(angle), 1.0 - np.cos(angle)))
-    return make_lines(radius * out, width=WIDTH, deviation=0.02), np.column_stack((-np.sin(angle), np.cos(angle)))
+    lines = make_lines(radius * out, width=WIDTH, deviation=0.02)
+    return lines, np.column_stack((-np.sin(angle), np.cos(angle)))[: len(lines.piece)]
 
 
 def narrowed(lines, across, missing, one_sided=1.0):
@@ -33,11 +34,9 @@ def at_both_ends(most, count, over):
     return np.maximum(missing, missing[::-1])
 
 
-@pytest.mark.parametrize("most", [1.5, 4.0])
-@pytest.mark.parametrize("over", [4, 12])
+@pytest.mark.parametrize(("most", "over"), [(1.5, 4), (4.0, 12)])
 def test_points_beside_a_cover_err_by_half_of_what_it_hides(make_lines, most, over):
     lines, across = bent(make_lines)
-    across = across[: len(lines.piece)]
     missing = at_both_ends(most, len(across), over)
     found = with_covered_ends(narrowed(lines, across, missing))
     wrong = missing > (1 - 0.95) * WIDTH
@@ -49,25 +48,9 @@ def test_points_beside_a_cover_err_by_half_of_what_it_hides(make_lines, most, ov
 
 def test_a_tip_that_narrows_on_both_sides_is_where_it_seems(make_lines):
     lines, across = bent(make_lines)
-    across = across[: len(lines.piece)]
     missing = at_both_ends(4.0, len(across), 8)
     found = with_covered_ends(narrowed(lines, across, missing, one_sided=0.0))
     assert (found.deviation_px <= 1.01 * np.hypot(0.02, 1.5 * DOUBT * 0.5 * missing)).all()
-
-
-def test_pieces_are_judged_each_by_itself(make_lines):
-    one, across = bent(make_lines)
-    covered = narrowed(one, across[: len(one.piece)], at_both_ends(3.0, len(one.piece), 6))
-    both = make_lines(one.point_px, one.point_px + np.array([0.0, 50.0]), width=WIDTH, deviation=0.02)
-    count = len(one.piece)
-    both = dataclasses.replace(
-        both,
-        point_px=np.concatenate((covered.point_px, both.point_px[count:])),
-        width_px=np.concatenate((covered.width_px, both.width_px[count:])),
-    )
-    found = with_covered_ends(both).deviation_px
-    np.testing.assert_array_equal(found[:count], with_covered_ends(covered).deviation_px)
-    np.testing.assert_array_equal(found[count:], both.deviation_px[count:])
 
 
 def test_a_short_piece_that_is_covered_all_along_is_told_by_the_width_of_the_thread(make_lines):

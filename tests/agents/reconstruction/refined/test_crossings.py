@@ -1,10 +1,12 @@
+"""Where a thread crosses itself and which strand lies over, and what of the centrelines is some other thread."""
+
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
 from agents.reconstruction.refined.crossings import crossings_of, left_over, other_threads_px
 from agents.reconstruction.refined.projection import Curve
-from schemas.messages import Centrelines, Over, RectifiedStereo, ThreadCandidate
+from schemas.messages import Centrelines, Over, RectifiedStereo, ThreadCandidate, no_centrelines
 from shared.camera import project
 from shared.splines import basis_matrix, clamped_uniform_knots, evaluate
 
@@ -30,21 +32,27 @@ def found(control_points, deviation=0.1):
     return crossings_of(CAMERA, Curve(KNOTS, control_points), S, np.tile(deviation**2 * np.eye(3), (len(S), 1, 1)))
 
 
-def test_a_crossing_is_where_both_strands_are_seen_at_one_pixel():
-    control_points = loop(6.0)
-    (crossing,) = found(control_points)
-    strands = evaluate(KNOTS, control_points, 3, np.array([crossing.s_first, crossing.s_second]))
-    pixels, _ = project(CAMERA, strands)
-    np.testing.assert_allclose(pixels, [crossing.point_px] * 2, atol=0.2)
-    assert crossing.depth_apart == pytest.approx(strands[1, 2] - strands[0, 2], abs=0.02)
+def level(start, end, v):
+    """Points along a row, a pixel apart."""
+    return np.column_stack((np.arange(start, end + 1.0), np.full(end - start + 1, float(v))))
+
+
+def lines_of(*pieces):
+    n = sum(map(len, pieces))
+    number = np.repeat(np.arange(len(pieces)), [len(piece) for piece in pieces])
+    return Centrelines(np.concatenate(pieces), number, np.full(n, 4.0), np.full(n, 0.1))
 
 
 @pytest.mark.parametrize(
     ("rise_mm", "deviation", "over"),
     [(6.0, 0.1, Over.FIRST), (-6.0, 0.1, Over.SECOND), (0.1, 0.1, Over.UNDETERMINED), (6.0, 5.0, Over.UNDETERMINED)],
 )
-def test_the_nearer_strand_is_told_where_the_posterior_tells(rise_mm, deviation, over):
-    (crossing,) = found(loop(rise_mm), deviation)
+def test_at_a_crossing_the_nearer_of_both_strands_is_told_where_the_posterior_tells(rise_mm, deviation, over):
+    control_points = loop(rise_mm)
+    (crossing,) = found(control_points, deviation)
+    strands = evaluate(KNOTS, control_points, 3, np.array([crossing.s_first, crossing.s_second]))
+    np.testing.assert_allclose(project(CAMERA, strands)[0], [crossing.point_px] * 2, atol=0.2)
+    assert crossing.depth_apart == pytest.approx(strands[1, 2] - strands[0, 2], abs=0.02)
     assert crossing.over is over
 
 
@@ -54,26 +62,16 @@ def test_a_thread_that_only_bends_does_not_cross_itself():
 
 
 def test_a_strand_beside_the_thread_is_another_thread():
-    curve = np.column_stack((np.linspace(50, 590, 800), np.full(800, 200.0)))
-    other = np.column_stack((np.linspace(100, 400, 301), np.full(301, 300.0)))
-    speck = np.column_stack((np.linspace(500, 510, 11), np.full(11, 50.0)))
-    points = np.concatenate((curve[::2] + 0.3, other, speck))
-    piece = np.repeat([0, 1, 2], [400, 301, 11])
-    lines = Centrelines(points, piece, np.full(len(points), 4.0), np.full(len(points), 0.1))
+    curve = level(50, 590, 200)
+    lines = lines_of(curve + 0.3, level(100, 400, 300), level(500, 510, 50))
     np.testing.assert_allclose(other_threads_px(lines, cKDTree(curve)), [[250.0, 300.0]])
-    assert other_threads_px(Centrelines(points[:0], piece[:0], np.zeros(0), np.zeros(0)), cKDTree(curve)).shape == (
-        0,
-        2,
-    )
+    assert other_threads_px(no_centrelines(), cKDTree(curve)).shape == (0, 2)
 
 
 def test_what_lies_on_no_thread_is_told_with_its_place():
-    curve = np.column_stack((np.linspace(50, 349, 300), np.full(300, 200.0)))
+    curve, listed = level(50, 349, 200), level(100, 249, 300)
     # the thread goes on for as long as a third of what is seen of it, and another one is listed
-    seen = np.column_stack((np.linspace(50, 499, 450), np.full(450, 200.0)))
-    listed = np.column_stack((np.linspace(100, 249, 150), np.full(150, 300.0)))
-    points, piece = np.concatenate((seen, listed)), np.repeat([0, 1], [450, 150])
-    lines = Centrelines(points, piece, np.full(600, 4.0), np.full(600, 0.1))
+    lines = lines_of(level(50, 499, 200), listed)
     other = ThreadCandidate(0.5, listed[::8], listed[::8], 4.0, np.array([1, 2, 3]))
     share, at_px = left_over(lines, cKDTree(curve), (other,))
     assert share == pytest.approx(138 / 600, abs=0.01)
@@ -81,5 +79,4 @@ def test_what_lies_on_no_thread_is_told_with_its_place():
     share, at_px = left_over(lines, cKDTree(curve), ())
     assert share == pytest.approx((138 + 150) / 600, abs=0.01)
     assert len(at_px) == 2
-    nothing = Centrelines(points[:0], piece[:0], np.zeros(0), np.zeros(0))
-    assert left_over(nothing, cKDTree(curve), ())[0] is None
+    assert left_over(no_centrelines(), cKDTree(curve), ())[0] is None

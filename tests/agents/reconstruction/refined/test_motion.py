@@ -14,18 +14,10 @@ NO_NOISE = np.zeros(4)
 M = 12
 
 
-def dense(blocks):
-    """The sum of blocks of four neighbouring control points."""
-    m = len(blocks) + 3
-    H = np.zeros((3 * m, 3 * m))
-    for k, block in enumerate(blocks):
-        H[3 * k : 3 * k + 12, 3 * k : 3 * k + 12] += block
-    return H
-
-
-def banded_precision(seed=0):
-    """Of a distribution whose precision is banded, and so is given by the covariance of neighbours."""
-    blocks = np.random.default_rng(seed).normal(size=(M - 3, 12, 12))
+@pytest.fixture
+def precision(dense):
+    """A banded one, of a distribution that is so given by the covariance of neighbours."""
+    blocks = np.random.default_rng(0).normal(size=(M - 3, 12, 12))
     return dense(blocks @ blocks.transpose(0, 2, 1)) + np.eye(3 * M)
 
 
@@ -34,21 +26,28 @@ def by_span(matrix):
     return np.stack([matrix[3 * k : 3 * k + 12, 3 * k : 3 * k + 12] for k in range(M - 3)])
 
 
-def covariance_of(precision):
-    return by_span(np.linalg.inv(precision))
+def line():
+    return Curve(clamped_uniform_knots(M), np.column_stack((np.linspace(0, 20.0, M), np.zeros(M), np.full(M, 100.0))))
 
 
-def line(m=M, length=20.0):
-    knots = clamped_uniform_knots(m)
-    return Curve(knots, np.column_stack((np.linspace(0, length, m), np.zeros(m), np.full(m, 100.0))))
+def test_the_band_holds_each_control_point_with_the_three_that_follow(precision):
+    covariance = np.linalg.inv(precision)
+    band, whole = band_of(by_span(covariance)), covariance.reshape(M, 3, M, 3)
+    for i in range(M):
+        for apart in range(4):
+            wanted = whole[i, :, i + apart] if i + apart < M else np.zeros((3, 3))
+            assert band[i, apart] == pytest.approx(wanted)
 
 
-def test_a_distribution_with_banded_precision_comes_back_as_it_is():
-    precision = banded_precision()
-    assert dense(prior(band_of(covariance_of(precision)), NO_NOISE)) == pytest.approx(precision, rel=1e-6, abs=1e-6)
+def test_a_distribution_with_banded_precision_comes_back_and_draws_back_what_moved_away(precision, dense):
+    blocks = prior(band_of(by_span(np.linalg.inv(precision))), NO_NOISE)
+    assert dense(blocks) == pytest.approx(precision, rel=1e-6, abs=1e-6)
+    off = np.random.default_rng(2).normal(size=(M, 3))
+    away = away_from(blocks, line().moved(off), line())
+    assert gradient(away.g) == pytest.approx(dense(blocks) @ off.ravel())
 
 
-def test_of_any_covariance_the_blocks_of_neighbours_are_kept():
+def test_of_any_covariance_the_blocks_of_neighbours_are_kept_and_noise_is_added(dense):
     square = np.random.default_rng(1).normal(size=(3 * M, 3 * M))
     covariance = square @ square.T + np.eye(3 * M)
     noise = np.array((0.5, 0.4, 0.3, 0.2))
@@ -59,14 +58,6 @@ def test_of_any_covariance_the_blocks_of_neighbours_are_kept():
     assert kept[near] == pytest.approx(wanted[near], rel=1e-6, abs=1e-8)
 
 
-def test_what_is_far_from_the_prediction_is_drawn_back_to_it():
-    precision = prior(band_of(covariance_of(banded_precision())), NO_NOISE)
-    predicted = line()
-    off = np.random.default_rng(2).normal(size=(M, 3))
-    blocks = away_from(precision, predicted.moved(off), predicted)
-    assert gradient(blocks.g) == pytest.approx(dense(precision) @ off.ravel())
-
-
 def test_process_noise_grows_with_time_and_falls_off_along_the_thread():
     noise = process_noise(line(), CAMERA, 1 / 30)
     assert (np.diff(noise) < 0).all()
@@ -75,14 +66,12 @@ def test_process_noise_grows_with_time_and_falls_off_along_the_thread():
 
 
 def test_stretching_costs_what_its_gradient_says_and_sliding_nothing():
-    rng = np.random.default_rng(3)
-    curve = line().moved(rng.normal(0, 0.2, (M, 3)))
+    curve = line().moved(np.random.default_rng(3).normal(0, 0.2, (M, 3)))
 
     def cost(control_points):
         s = (np.arange(M - 3) + 0.5) / (M - 3)
-        step = 1e-6
-        ahead, behind = Curve(curve.knots, control_points).at(s + step), Curve(curve.knots, control_points).at(s - step)
-        speed = np.linalg.norm(ahead - behind, axis=1) / (2 * step)
+        ahead, behind = (Curve(curve.knots, control_points).at(s + step) for step in (1e-6, -1e-6))
+        speed = np.linalg.norm(ahead - behind, axis=1) / 2e-6
         return 0.5 * (((speed / 22.0 - 1) / 0.03) ** 2).sum()
 
     slope = gradient(stretching(curve, 22.0).g).reshape(M, 3)
@@ -92,12 +81,3 @@ def test_stretching_costs_what_its_gradient_says_and_sliding_nothing():
         numeric = (cost(curve.control_points + by) - cost(curve.control_points - by)) / 2e-4
         assert slope[i, axis] == pytest.approx(numeric, rel=1e-3, abs=1e-3)
     assert slope.sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-9)
-
-
-def test_the_band_holds_each_control_point_with_the_three_that_follow():
-    covariance = np.linalg.inv(banded_precision())
-    band, whole = band_of(by_span(covariance)), covariance.reshape(M, 3, M, 3)
-    for i in range(M):
-        for apart in range(4):
-            wanted = whole[i, :, i + apart] if i + apart < M else np.zeros((3, 3))
-            assert band[i, apart] == pytest.approx(wanted)

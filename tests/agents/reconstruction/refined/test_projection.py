@@ -17,9 +17,10 @@ from shared.camera import project
 from shared.splines import clamped_uniform_knots, local_basis
 
 STEP = 1e-5
+APART_PX = np.array([0.4, -3.0, 2.0, 5.0])
 
 
-@pytest.mark.parametrize("spans", [1, 2, 9, 60])
+@pytest.mark.parametrize("spans", [1, 2, 9])
 def test_basis_functions_are_those_of_the_clamped_spline(spans):
     s = np.concatenate(([0.0, 1.0, 0.5, 1 / spans], np.random.default_rng(0).random(200)))
     first, values, slopes = basis_at(spans, s)
@@ -33,25 +34,18 @@ def test_basis_functions_are_those_of_the_clamped_spline(spans):
     np.testing.assert_allclose(sums(first, slopes), sums(other_first, other_slopes), atol=1e-9)
 
 
-def test_a_view_is_the_projection_of_the_curve_in_both_eyes(spline, camera):
+def test_a_view_is_the_projection_in_each_eye_moved_by_half_of_how_far_rows_are_apart_there(spline, camera):
     s = np.linspace(0, 1, 37)
-    points = BSpline(spline.knots, spline.control_points, 3)(s)
-    left, right = project(camera, points)
-    for eye, px in ((0, left - np.array([0.0, 0.2])), (1, right + np.array([0.0, 0.2]))):
-        view = projected(spline, s, np.full(37, eye), camera, np.array([0.4, 0.0, 0.0, 0.0]))
-        np.testing.assert_allclose(view.point_px, px, atol=1e-9)
-
-
-def test_each_image_has_half_of_how_far_rows_are_apart_where_it_shows_the_point(spline, camera):
-    s, offset_px = np.linspace(0, 1, 37), np.array([0.4, -3.0, 2.0, 5.0])
     for eye, px in enumerate(project(camera, BSpline(spline.knots, spline.control_points, 3)(s))):
-        view = projected(spline, s, np.full(37, eye), camera, offset_px)
-        apart_px = row_offsets_px(px, offset_px, camera)
+        level = projected(spline, s, np.full(37, eye), camera, LEVEL)
+        np.testing.assert_allclose(level.point_px, px, atol=1e-9)
+        apart = projected(spline, s, np.full(37, eye), camera, APART_PX)
+        apart_px = row_offsets_px(px, APART_PX, camera)
         assert np.ptp(apart_px) > 0.5
-        np.testing.assert_allclose(view.point_px - px, np.outer((eye - 0.5) * apart_px, (0, 1)), atol=1e-9)
+        np.testing.assert_allclose(apart.point_px - px, np.outer((eye - 0.5) * apart_px, (0, 1)), atol=1e-9)
 
 
-@pytest.mark.parametrize("offset_px", [LEVEL, np.array([0.4, -30.0, 20.0, 50.0])], ids=["level", "apart"])
+@pytest.mark.parametrize("offset_px", [LEVEL, 10 * APART_PX], ids=["level", "apart"])
 @pytest.mark.parametrize("eye", [0, 1])
 def test_derivatives_are_finite_differences(spline, camera, eye, offset_px):
     s, eyes = np.linspace(0.02, 0.98, 23), np.full(23, eye)
@@ -66,15 +60,15 @@ def test_derivatives_are_finite_differences(spline, camera, eye, offset_px):
             np.testing.assert_allclose(derivative, (further - back) @ direction / 2e-4, rtol=1e-6, atol=1e-5)
 
 
-@pytest.mark.parametrize("per_span", [1, 4, 12])
+@pytest.mark.parametrize("per_span", [1, 4])
 def test_even_places_are_seen_as_any_others(spline, camera, per_span):
-    s, offset_px = even_parameters(spline.spans, per_span), np.array([0.4, -3.0, 2.0, 5.0])
+    s = even_parameters(spline.spans, per_span)
     np.testing.assert_allclose(spline.evenly(per_span), BSpline(spline.knots, spline.control_points, 3)(s), atol=1e-12)
-    even = projected_evenly(spline, per_span, camera, offset_px)
-    view = projected(spline, np.tile(s, 2), np.repeat((0, 1), len(s)), camera, offset_px)
+    even = projected_evenly(spline, per_span, camera, APART_PX)
+    view = projected(spline, np.tile(s, 2), np.repeat((0, 1), len(s)), camera, APART_PX)
     np.testing.assert_allclose(even.point_px, view.point_px, atol=1e-9)
     np.testing.assert_allclose(even.velocity_px, view.velocity_px, atol=1e-7)
-    pixels = [pixels_evenly(spline, per_span, eye, camera, offset_px) for eye in (0, 1)]
+    pixels = [pixels_evenly(spline, per_span, eye, camera, APART_PX) for eye in (0, 1)]
     np.testing.assert_allclose(np.concatenate(pixels), view.point_px, atol=1e-9)
 
 

@@ -1,6 +1,6 @@
 """From a fit to what is told: confidence, unseen stretches, and which end is the first."""
 
-import dataclasses
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -38,22 +38,13 @@ def test_confidence_is_the_probability_of_being_within_the_tolerance_across_the_
     assert found == pytest.approx(expected, rel=1e-8)
 
 
-@pytest.mark.parametrize("deviation", [0.11, 0.3, 1.0, 4.0])
-def test_confidence_of_a_round_distribution_is_known_in_closed_form(deviation):
-    (found,) = confidence_of(ALONG_X, (deviation * TOLERANCE_M) ** 2 * np.eye(3)[None], 1.0)
-    assert found == pytest.approx(1 - np.exp(-0.5 / deviation**2), abs=1e-6)
-
-
-@pytest.mark.parametrize(("deviation_m", "low", "high"), [(1e-5, 1 - 1e-6, 1.0), (1.0, 0.0, 1e-5)])
-def test_confidence_is_full_for_small_and_none_for_large_covariance(deviation_m, low, high):
-    (found,) = confidence_of(ALONG_X, deviation_m**2 * np.eye(3)[None], 1.0)
-    assert low <= found <= high
-
-
-def test_uncertainty_along_the_thread_costs_nothing():
-    across, along = np.diag([1.0, 1e-10, 1e-10])[None], np.diag([1e-10, 1.0, 1e-10])[None]
-    assert confidence_of(ALONG_X, across, 1.0)[0] > 0.999
-    assert confidence_of(ALONG_X, along, 1.0)[0] < 0.01
+def test_confidence_of_a_round_distribution_is_known_and_uncertainty_along_the_thread_costs_nothing():
+    for deviation in (0.001, 0.11, 0.3, 1.0, 4.0, 1000.0):
+        (found,) = confidence_of(ALONG_X, (deviation * TOLERANCE_M) ** 2 * np.eye(3)[None], 1.0)
+        assert found == pytest.approx(1 - np.exp(-0.5 / deviation**2), abs=1e-6)
+    along, across = np.diag([1.0, 1e-10, 1e-10])[None], np.diag([1e-10, 1.0, 1e-10])[None]
+    assert confidence_of(ALONG_X, along, 1.0)[0] > 0.999
+    assert confidence_of(ALONG_X, across, 1.0)[0] < 0.01
 
 
 @given(arrays(bool, st.integers(1, 60)))
@@ -76,16 +67,6 @@ def test_covariance_grows_where_the_thread_runs_along_the_rows(waving_spline, si
     assert np.median(depth[slope < 0.05]) > 1.5 * np.median(depth[slope > 0.8])
 
 
-def test_covariance_follows_the_unit(spline, sight_of, camera):
-    fit = refined(Start(spline, sight_of(spline)), camera)
-    scaled = type(spline)(spline.knots, spline.control_points * 1e-3)
-    in_metres = dataclasses.replace(camera, baseline=camera.baseline * 1e-3)
-    other = refined(Start(scaled, sight_of(spline)), in_metres)
-    s = np.linspace(0, 1, 20)
-    found, wanted = point_covariance(other, in_metres, s), 1e-6 * point_covariance(fit, camera, s)
-    np.testing.assert_allclose(found, wanted, rtol=1e-3, atol=1e-6 * wanted.max())
-
-
 def test_depth_errors_of_a_bent_thread_reach_aside_as_its_moved_circles_do():
     radius, deviation, spans, place = 12.0, 0.7, 30, np.array([0.0, 0.0, 100.0])
     tangent, normal = np.array([1.0, 0.0, 1.0]) / np.sqrt(2), np.array([0.0, 1.0, 0.0])
@@ -106,10 +87,7 @@ def test_depth_errors_of_a_bent_thread_reach_aside_as_its_moved_circles_do():
     [([], None, 0.0), ([(0.2, 0.6)], None, 0.4), ([(0.2, 0.6)], [(0.2, 0.5)], 0.1), ([(0.0, 1.0)], [], 1.0)],
 )
 def test_what_not_both_eyes_see_though_nothing_hides_it_is_a_guess(unseen, hidden, share):
-    class Thread:
-        pass
-
-    thread: Any = Thread()
-    thread.unseen = np.array(unseen).reshape(-1, 2)
-    thread.hidden = None if hidden is None else np.array(hidden).reshape(-1, 2)
+    thread: Any = SimpleNamespace(
+        unseen=np.array(unseen).reshape(-1, 2), hidden=None if hidden is None else np.array(hidden).reshape(-1, 2)
+    )
     assert guessed_share(thread) == pytest.approx(share, abs=0.01)

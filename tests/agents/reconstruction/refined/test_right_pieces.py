@@ -34,16 +34,12 @@ def flat_places(course):
     return own, cut, np.sort(right[(right >= min(ends) - 0.02) & (right <= max(ends) + 0.02)])
 
 
-def test_past_a_gap_the_ends_of_thread_along_the_rows_are_one_place(see, camera):
+def test_past_a_gap_both_eyes_show_thread_along_the_rows_from_its_end_on_equally_far(see, camera):
     left, right = seen_twice(see)
     course = course_of(left, right, camera, disparities(camera.image_width))
-    own, _, _ = flat_places(course)
+    own, cut, s = flat_places(course)
     matched = {float(s): int(i) for s, i in zip(course.aligned.along_px, course.aligned.right_index, strict=True)}
     assert matched[own * course.left.along_px[-1]] == len(right.piece) - 1
-
-
-def test_from_that_end_on_the_right_image_shows_the_thread_as_far_as_the_left_one(see, camera):
-    own, cut, s = flat_places(course_of(*seen_twice(see), camera, disparities(camera.image_width)))
     assert np.abs(s - own).max() == pytest.approx(abs(cut - own), abs=0.03)
     assert np.diff(s).max() < 0.02
 

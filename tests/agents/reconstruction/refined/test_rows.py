@@ -58,7 +58,7 @@ def test_rows_of_a_camera_turned_about_the_line_of_sight_are_taken_out(waving_sp
     assert np.linalg.eigvalsh(fit.row_doubt.T @ fit.row_doubt).min() > 0
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_rows_that_are_level_stay_so(waving_spline, sight_of, camera, seed):
     sight = sight_of(waving_spline, count=300, noise_px=0.2, deviation_px=0.2, seed=seed)
     fit = refined(Start(waving_spline, sight), camera)

@@ -65,7 +65,7 @@ def test_what_both_eyes_err_alike_along_the_rows_leaves_depth_better_known(make_
     curve = make_spline(beside_rows, 24)
     truth = curve.at(np.linspace(0, 1, 4000))
     inside, said_mm, off_mm = [], [], []
-    for seed in range(4):
+    for seed in range(2):
         sight = sight_of(curve, count=120, noise_px=0.02)
         off = slowly_off(curve, sight, camera, np.random.default_rng(seed), alike=0.97)
         fit = refined(Start(curve, off), camera)

@@ -38,9 +38,7 @@ from schemas.messages import (
     ImageEncoding,
     Outcome,
     Phase,
-    Policy,
     RobotState,
-    Status,
     Waypoint,
 )
 from schemas.topics import ARM, EXECUTION, FRAME_NOTICE, HEARTBEAT, HOLD, PLAN, ROBOT_STATE
@@ -52,6 +50,7 @@ from shared.runtime.agent import Command, Output, Received, Tick
 from shared.runtime.commands import untimely
 from shared.runtime.replayed_time import AgentClock
 from shared.runtime.session import SessionSettings
+from tests.agents.robot_bridge.drive import plan
 from tests.agents.robot_bridge.dvrk.chain_links import (
     MS,
     PAGES,
@@ -676,20 +675,7 @@ class Chain:
         """A plan made of a frame, which the bridges hear."""
         points = [(0.02 * (-1) ** k, 0.002 * k, 0.08) for k in range(8)]
         poses = [transform(exp_so3(np.array((0.1, 0, 0.3))), np.array(point)) for point in points]
-        plan = GraspPlan(
-            plan_id=f"plan-{next(self._numbers)}",
-            arm=RIG_ARM,
-            goal_id="g",
-            stamp=stamp,
-            status=Status.OK,
-            reason="",
-            waypoints=tuple(Waypoint(pose, 0.5, Phase.APPROACH, None) for pose in poses),
-            policy=Policy.DIRECT,
-            s_goal=0.5,
-            s_capture=0.5,
-            probability=0.9,
-            slide_m=0.0,
-            alternatives=(),
-        )
-        self.receive(PLAN, plan)
-        return plan
+        waypoints = tuple(Waypoint(pose, 0.5, Phase.APPROACH, None) for pose in poses)
+        made = plan(f"plan-{next(self._numbers)}", RIG_ARM, stamp=stamp, waypoints=waypoints)
+        self.receive(PLAN, made)
+        return made

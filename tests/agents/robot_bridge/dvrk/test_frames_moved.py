@@ -4,17 +4,13 @@ import numpy as np
 import pytest
 
 from agents.robot_bridge.dvrk.frames_moved import LOCAL, MEASURED, SETTLED_NS, TIP, FramesWatch
-from schemas.messages import ExecutionKind, GraspPlan, Outcome
-from schemas.topics import PLAN
+from schemas.messages import ExecutionKind
 from shared.calibration.hand_eye.file import FLIP, HandEye, Reference
-from shared.clock import now_ns
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE as T_CAMERA_BASE
 from shared.rigid_transforms import exp_se3, inverse, quaternion_from_rotation
 from shared.ros.types import JOY, POSE_STAMPED, encode, message
-from shared.runtime.agent import Received
 
 SECOND_NS = 10**9
-ATTEMPTS = 5
 
 
 def header(stamp_ns):
@@ -33,29 +29,6 @@ def joy(pressed):
     return encode(JOY, message(JOY, header(0), np.zeros(0, np.float32), np.array([pressed], np.int32)))
 
 
-def moved(lab, word, reason):
-    """Move something in mid-motion, and the arm holds; where a busy machine had it hold before, it is armed again."""
-    told = list[str]()
-    for _ in range(ATTEMPTS):
-        lab.ready()
-        assert lab.arm().outcome is Outcome.ACCEPTED
-        arming, sent = f"arming-{lab.armings}", lab.verdict()["set_points"]
-
-        def held(arming=arming):
-            return [e for e in lab.events() if (e.kind, e.arming_id) == (ExecutionKind.HELD, arming)]
-
-        lab.until(lambda held=held, sent=sent: held() or lab.verdict()["set_points"] > sent + 40)
-        if not held():
-            lab.ask(word)
-            lab.until(held)
-            told.append(held()[0].reason)
-            break
-    assert told, "it was held each time before anything moved"
-    assert reason in told[-1]
-    lab.until(lambda: lab.verdict()["held_ns"])
-    assert lab.verdict()["unsafe"] == 0
-
-
 @pytest.mark.parametrize(
     ("word", "back", "reason"),
     [
@@ -64,16 +37,19 @@ def moved(lab, word, reason):
         ("clutch", "unclutch", "footpedals/clutch was pressed"),
     ],
 )
-def test_what_moves_ends_the_motion_and_makes_plans_of_before_worth_nothing(lab, plan_of, word, back, reason):
-    before_ns = now_ns()
-    moved(lab, word, reason)
-    lab.ask(back)
-    lab.ready()
-    old: GraspPlan = plan_of("p", before_ns)
-    lab.said += lab.bridge.step(Received(PLAN, "", 0, old))
-    answer = lab.arm_again()
-    assert (answer.outcome, answer.code) == (Outcome.REFUSED, "moved")
-    assert lab.arm().outcome is Outcome.ACCEPTED, "a plan of a newer frame"
+def test_what_moves_ends_the_motion_and_makes_plans_of_before_worth_nothing(room, word, back, reason):
+    old = room.plan()
+    room.starts_moving()
+    room.console.request(word)
+    room.until(lambda: room.events[-1].kind is ExecutionKind.HELD)
+    assert reason in room.events[-1].reason
+    assert room.verdict()["held_ns"] >= room.events[-1].at_ns
+    assert room.verdict()["unsafe"] == 0
+    room.console.request(back)
+    room.ready()
+    room.publish(old)
+    assert room.arm_again().code == "moved"
+    assert room.try_to_arm().code == "", "a plan of a newer frame"
 
 
 def test_a_base_that_is_told_from_the_ecm_follows_it():

@@ -8,7 +8,7 @@ from shared.ros import crtk
 
 def test_a_jaw_that_stands_through_a_long_motion_is_ours_to_its_end():
     link = GuardLink("PSM1", lambda _key, _payload: True, lambda: 0)
-    for number in range(3 * REMEMBERED):
+    for number in range(REMEMBERED + 100):
         joints = tuple(1e-4 * number + 0.1 * axis for axis in range(6))
         link.move((*joints, 0.5), "a")
         assert link.ours(crtk.joint_command(np.array(joints), 0))

@@ -18,15 +18,17 @@ from agents.cli.running.supervisor import SUPERVISED
 from benchmarks.robot_lab import today
 from benchmarks.robot_person import Camera, Person
 from schemas.codec import decode, encode
-from schemas.messages import ExecutionEvent, ExecutionKind, Outcome
+from schemas.messages import ChallengeEcho, ExecutionEvent, ExecutionKind, FrameStamp, Outcome
 from schemas.topics import EXECUTION, PLAN, ROBOT_STATE, key
-from shared.clock import monotonic_s, now_ns
+from shared.clock import now_ns
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.connection import Connection
 from shared.runtime.delivery import declare_publisher
 from shared.runtime.session import SessionSettings, free_local_endpoint, open_router, open_session
+from tests.agents.robot_bridge.drive import SHORT_GRASP, plan
 
+pytestmark = pytest.mark.rig
 DEADLINE_S = 60.0
 STILL_MS, LATER_MS = 100, 1500
 
@@ -63,13 +65,6 @@ def ended(process):
     return True
 
 
-def until(condition, what):
-    deadline_s, turn = monotonic_s() + DEADLINE_S, threading.Event()
-    while not condition():
-        assert monotonic_s() < deadline_s, what()
-        turn.wait(0.02)
-
-
 class Begun(NamedTuple):
     """Processes around an emulated console, and an operator who arms the plan again whenever it was held.
 
@@ -88,29 +83,34 @@ class Begun(NamedTuple):
     stopped: threading.Event
 
 
-def written(folder, name, router, robot):
+def written(folder, name, router, robot, codec):
     """A rig's file with the console there, and the base that the console judges by."""
     base = {"T_camera_base": SIMULATED_T_CAMERA_BASE.tolist()}
     (folder / "base.json").write_text(json.dumps(base))
     untold = {"dry_run": False, "has_no": ["teleoperation", "endoscope_arm", "clutch", "tissue"]}
     told = {"T_camera_base_calibration": "c", "T_camera_base_made": today()}
-    arm = base | told | {"backend": "dvrk", "dvrk": untold | {"endpoint": robot}}
+    arm = base | told | {"backend": "dvrk", "dvrk": untold | {"endpoint": robot, "codec": codec}}
     rig = {"router": {"endpoint": router, "start": False}, "robot": {"psm1": arm}}
     (folder / name).write_text(json.dumps(rig))
     return folder / name
 
 
 @pytest.fixture
-def begun(started, tmp_path, plan_of):
+def codec():
+    return "ros2dds"
+
+
+@pytest.fixture
+def begun(started, tmp_path, codec, until):
     """Until the end of a test; the arm is about to move."""
     (router, robot, relayed), stopped = (free_local_endpoint() for _ in range(3)), threading.Event()
-    config = written(tmp_path, "guard.json", router, robot)
+    config = written(tmp_path, "guard.json", router, robot, codec)
     with contextlib.ExitStack() as stack:
         stack.enter_context(open_router(router))
         judged = ("--camera", tmp_path / "base.json", "--heartbeats", router, "--verdict", tmp_path / "verdict.json")
-        emulator = started("emulate", "dvrk", "--ready", "--listen", robot, *judged)
+        emulator = started("emulate", "dvrk", "--ready", "--codec", codec, "--listen", robot, *judged)
         relay = started(*(endpoint.rsplit(":", 1)[1] for endpoint in (relayed, robot)), module="benchmarks.robot_relay")
-        bridge = started("robot-bridge", "--config", written(tmp_path, "rig.json", router, relayed))
+        bridge = started("robot-bridge", "--config", written(tmp_path, "rig.json", router, relayed, codec))
         started("guard", "--config", config)
         settings = SessionSettings(endpoint=router)
         session = stack.enter_context(open_session(settings))
@@ -131,7 +131,10 @@ def begun(started, tmp_path, plan_of):
             # on a busy machine a motion may be held, which is right, and is begun again
             sequence = 0
             while not stopped.is_set():
-                plans.put(encode(plan_of("p", now_ns())), attachment=pack(Attachment(1, sequence, now_ns(), 0.0)))
+                at_ns = now_ns()
+                stamp = FrameStamp(1, at_ns, at_ns, "c", (ChallengeEcho("psm1", at_ns),))
+                made = plan("p", stamp=stamp, waypoints=SHORT_GRASP)
+                plans.put(encode(made), attachment=pack(Attachment(1, sequence, at_ns, 0.0)))
                 if person.press("p").outcome is Outcome.ACCEPTED:
                     while not stopped.is_set() and not _ended(ends, person.arming_id):
                         pass
@@ -141,7 +144,7 @@ def begun(started, tmp_path, plan_of):
         def log(name):
             return (tmp_path / f"{name}.log").read_text()
 
-        until(lambda: states, lambda: log("robot-bridge"))
+        until(lambda: states)
         operator = threading.Thread(target=operate)
         operator.start()
         stack.callback(lambda: (stopped.set(), operator.join()))
@@ -162,13 +165,17 @@ def lines(folder, name):
     return [json.loads(line) for line in (folder / "audit" / f"{name}-psm1.jsonl").read_text().splitlines()]
 
 
-def test_a_bridge_that_is_killed_leaves_the_arm_at_its_last_set_point_and_the_guard_holds_it(begun, started, tmp_path):
+@pytest.mark.parametrize("codec", ["rmw_zenoh"])
+@pytest.mark.essential
+def test_a_bridge_that_is_killed_leaves_the_arm_at_its_last_set_point_and_the_guard_holds_it(
+    begun, started, tmp_path, until
+):
     verdict = begun.verdict
-    until(lambda: verdict()["set_points"] > 100, lambda: begun.log("robot-bridge"))
+    until(lambda: verdict()["set_points"] > 100)
     killed_ns = now_ns()
     begun.bridge.send_signal(signal.SIGKILL)
-    until(lambda: verdict()["held_ns"] > killed_ns, lambda: begun.log("guard"))
-    until(lambda: now_ns() - verdict()["moved_ns"] > STILL_MS * 10**6, verdict)
+    until(lambda: verdict()["held_ns"] > killed_ns)
+    until(lambda: now_ns() - verdict()["moved_ns"] > STILL_MS * 10**6)
     second = started("guard", "--config", begun.config)
     assert second.wait(DEADLINE_S) == 1, "one guard goes on, and the other one ends"
     last = verdict()
@@ -187,18 +194,18 @@ def test_a_bridge_that_is_killed_leaves_the_arm_at_its_last_set_point_and_the_gu
 
 
 @pytest.mark.parametrize("lost", ["relay", "bridge"])
-def test_what_a_link_or_a_bridge_that_stood_still_had_under_way_is_not_executed_when_it_goes_on(begun, lost):
+def test_what_a_link_or_a_bridge_that_stood_still_had_under_way_is_not_executed_when_it_goes_on(begun, lost, until):
     verdict, process = begun.verdict, getattr(begun, lost)
-    until(lambda: verdict()["set_points"] > 100, lambda: begun.log("robot-bridge"))
+    until(lambda: verdict()["set_points"] > 100)
     lost_ns = now_ns()
     process.send_signal(signal.SIGSTOP)
-    until(lambda: verdict()["held_ns"] > lost_ns, lambda: begun.log("guard"))
-    until(lambda: now_ns() - verdict()["moved_ns"] > STILL_MS * 10**6, verdict)
+    until(lambda: verdict()["held_ns"] > lost_ns)
+    until(lambda: now_ns() - verdict()["moved_ns"] > STILL_MS * 10**6)
     begun.stopped.set()
     before = verdict()
     process.send_signal(signal.SIGCONT)
     on_ns = now_ns()
-    until(lambda: now_ns() - on_ns > LATER_MS * 10**6, verdict)
+    until(lambda: now_ns() - on_ns > LATER_MS * 10**6)
     after = verdict()
     assert (after["set_points"], after["moved_ns"]) == (before["set_points"], before["moved_ns"])
     assert after["unsafe"] == 0, after["sentences"]

@@ -37,7 +37,7 @@ def views_of(camera, count, seed, noise_px=NOISE_PX):
     return tuple(views)
 
 
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=3, deadline=None)
 @given(st.integers(0, 10_000), st.floats(0.85, 1.2), st.floats(-40, 40), st.floats(3.5, 9.0), st.floats(-0.02, 0.02))
 def test_a_camera_is_recovered_from_its_views(seed, zoom, off_centre_px, baseline_mm, turned):
     T = CAMERA.T_right_left.copy()
@@ -64,7 +64,7 @@ def test_a_camera_is_recovered_from_its_views(seed, zoom, off_centre_px, baselin
 
 
 def test_held_out_views_tell_the_noise_of_corners_and_what_they_were_made_from():
-    views = views_of(CAMERA, 14, 1)
+    views = views_of(CAMERA, 9, 1)
     found = held_out(views, BOARD, SIZE, MM)
     assert {one.view.name for one in found} == {view.name for view in views}
     # the root mean square over both axes of the noise is sqrt(2) times that of one
@@ -74,6 +74,7 @@ def test_held_out_views_tell_the_noise_of_corners_and_what_they_were_made_from()
 
 def test_a_view_that_moved_between_the_eyes_is_named_and_left_out():
     views = list(views_of(CAMERA, 16, 2))
+    assert estimated(tuple(views), BOARD, SIZE, MM).left_out == ()
     views[5] = replace(views[5], right=views[5].right + np.array([0.0, 9.0]))
     estimate = estimated(tuple(views), BOARD, SIZE, MM)
     assert [name for name, _ in estimate.left_out] == ["view05"]
@@ -81,45 +82,28 @@ def test_a_view_that_moved_between_the_eyes_is_named_and_left_out():
     assert estimate.calibration.K_left[0, 0] == pytest.approx(CAMERA.K_left[0, 0], rel=0.006)
 
 
-def test_views_without_outliers_are_all_kept():
-    assert estimated(views_of(CAMERA, 12, 3), BOARD, SIZE, MM).left_out == ()
-
-
-@pytest.mark.parametrize("count", [1, 4])
-def test_too_few_views_are_refused_with_what_to_do(count):
+def test_too_few_views_are_refused_with_what_to_do():
     with pytest.raises(CalibrationError, match="take at least 5"):
-        estimated(views_of(CAMERA, count, 0), BOARD, SIZE, MM)
-
-
-def test_no_view_at_all_points_to_how_the_board_was_counted():
+        estimated(views_of(CAMERA, 4, 0), BOARD, SIZE, MM)
     with pytest.raises(CalibrationError, match="check --squares, which counts squares and not corners"):
         estimated((), BOARD, SIZE, MM)
-
-
-def upside_down(px):
-    # and counted from the end at which the other eye's corners begin
-    return (np.array(SIZE) - 1.0 - px)[::-1]
-
-
-def mirrored(px):
-    return px * (-1.0, 1.0) + (SIZE[0] - 1.0, 0.0)
-
-
-@pytest.mark.parametrize("spoilt", [upside_down, mirrored])
-def test_an_eye_that_was_turned_or_mirrored_fits_no_camera(spoilt):
-    views = tuple(replace(view, right=spoilt(view.right)) for view in views_of(CAMERA, 12, 8))
-    with pytest.raises(CalibrationError, match="mirror"):
-        estimated(views, BOARD, SIZE, MM)
-
-
-def test_one_image_given_twice_is_no_stereo_camera():
-    views = tuple(replace(view, right=view.left) for view in views_of(CAMERA, 12, 9))
-    with pytest.raises(CalibrationError, match="one image given twice"):
-        estimated(views, BOARD, SIZE, MM)
-
-
-def test_nothing_is_held_out_where_too_little_is_left():
     assert held_out(views_of(CAMERA, 5, 0), BOARD, SIZE, MM) == ()
+
+
+@pytest.mark.parametrize(
+    ("right_eye", "said"),
+    [
+        # turned upside down, and counted from the end at which the other eye's corners begin
+        (lambda view: (np.array(SIZE) - 1.0 - view.right)[::-1], "mirror"),
+        (lambda view: view.right * (-1.0, 1.0) + (SIZE[0] - 1.0, 0.0), "mirror"),
+        (lambda view: view.left, "one image given twice"),
+    ],
+    ids=["upside down", "mirrored", "the left eye again"],
+)
+def test_what_no_right_eye_sees_fits_no_camera(right_eye, said):
+    views = tuple(replace(view, right=right_eye(view)) for view in views_of(CAMERA, 12, 8))
+    with pytest.raises(CalibrationError, match=said):
+        estimated(views, BOARD, SIZE, MM)
 
 
 def test_a_calibration_of_another_camera_fails_the_check():
@@ -222,8 +206,5 @@ def test_opencv_and_ros_read_back_what_was_written(tmp_path):
     np.testing.assert_array_equal(ros.K_right, CAMERA.K_right)
     np.testing.assert_allclose(ros.T_right_left[:3, 3], CAMERA.T_right_left[:3, 3] * MM, atol=1e-9)
     np.testing.assert_allclose(ros.T_right_left[:3, :3], CAMERA.T_right_left[:3, :3], atol=1e-9)
-
-
-def test_ros_needs_a_unit():
     with pytest.raises(CalibrationError, match="name it with --unit"):
         camera_info_texts(replace(CAMERA, metres_per_unit=None))

@@ -36,9 +36,9 @@ def seen(motion: Motion, rng: np.random.Generator, noise_px: float = 1.0) -> Sig
     return Sightings(t, px, CAMERA)
 
 
-def test_base_delay_and_point_are_found_within_their_deviations() -> None:
+def test_base_delay_and_point_are_found_within_their_deviations():
     nees = []
-    for seed in range(4):
+    for seed in range(2):
         rng = np.random.default_rng(seed)
         motion = moving(rng)
         known = seed % 2 == 0
@@ -50,11 +50,11 @@ def test_base_delay_and_point_are_found_within_their_deviations() -> None:
         assert found.deviation_m(np.array((0, 0, 0.09))) < 1e-4
         assert 0.7 < np.median(found.residual) < 1.1
         assert np.median(found.held_out) == pytest.approx(np.median(found.residual), rel=0.1)
-    # of a chi square with 6 degrees of freedom, the mean of four lies within 3.4 and 9.1 nine times of ten
-    assert 2 < np.mean(nees) < 14
+    # a chi square with 6 degrees of freedom lies within 1.6 and 12.6 nine times of ten
+    assert 1.6 < np.mean(nees) < 12.6
 
 
-def test_a_tool_that_stands_at_each_pose_tells_no_delay_but_the_base() -> None:
+def test_a_tool_that_stands_at_each_pose_tells_no_delay_but_the_base():
     rng = np.random.default_rng(1)
     stands = forward(np.array((0, 0, 0.18, 0, 0, 0)) + STROKE * rng.uniform(-1, 1, (30, 6)))
     motion = Motion(np.arange(0, 60, 0.02), np.repeat(stands, 100, axis=0))
@@ -78,7 +78,7 @@ def test_a_tool_that_stands_at_each_pose_tells_no_delay_but_the_base() -> None:
         (lambda s, m: (Sightings(s.time_s, np.tile(s.seen[:1], (100, 1)), CAMERA), m), "of one line"),
     ],
 )
-def test_what_tells_nothing_is_refused_in_a_sentence(change: Change, said: str) -> None:
+def test_what_tells_nothing_is_refused_in_a_sentence(change, said):
     rng = np.random.default_rng(2)
     motion = moving(rng)
     with pytest.raises(CalibrationError, match=said):

@@ -1,7 +1,6 @@
 """Hand-eye files as others write them lead to one pose; what is none of them is refused in a sentence."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -40,12 +39,12 @@ XML = f'<opencv_storage><T_camera_base>{FLAT.replace(",", "")}</T_camera_base><u
         ("by_name.json", BY_NAME, None),
     ],
 )
-def test_every_form_leads_to_the_same_pose(tmp_path: Path, name: str, text: str, axes: Axes | None) -> None:
+def test_every_form_leads_to_the_same_pose(tmp_path, name, text, axes):
     (tmp_path / name).write_text(text)
     np.testing.assert_allclose(read_hand_eye(tmp_path / name, axes).before_camera(), T, atol=1e-9)
 
 
-def test_a_base_told_from_the_ecm_follows_it(tmp_path: Path) -> None:
+def test_a_base_told_from_the_ecm_follows_it(tmp_path):
     rng = np.random.default_rng(0)
     then, now = (exp_se3(rng.normal(0, (0.1,) * 3 + (0.4,) * 3)) for _ in range(2))
     path = tmp_path / "PSM1-registration-dVRK.json"
@@ -67,7 +66,6 @@ def test_a_base_told_from_the_ecm_follows_it(tmp_path: Path) -> None:
         (OPENCV_JSON, "whose axes"),
         ('{"base-frame": {"reference-frame": "camera"}}', "no transform"),
         ('{"base-frame": {"reference-frame": "camera"', "not valid JSON"),
-        ('{"K": [1, 2]}', "no hand-eye file"),
         (OURS.replace('"m"', '"furlong"'), "unit 'furlong' is unknown"),
         (json.dumps({"T_camera_base": (2 * T).tolist()}), "last row"),
         (json.dumps({"T_camera_base": np.diag((1, 1, -1, 1)).tolist()}), "no rotation"),
@@ -77,14 +75,13 @@ def test_a_base_told_from_the_ecm_follows_it(tmp_path: Path) -> None:
         (R_AND_T.replace(json.dumps(MM), "[1, 2]"), "three numbers"),
         (json.dumps({"T_camera_base": T.tolist(), "T_Camera_Base": T.tolist()}), "differ in nothing but how they are"),
         (json.dumps({"measured_cp": T.tolist()}), "without the name of an arm"),
-        (json.dumps({"transform": T.tolist()}), "no hand-eye file"),
         (f"{YAML}---\nT_camera_base: 1\n", "2 documents"),
         (json.dumps({"T_camera_base": T.tolist(), "calibration_id": [5]}), "calibration_id is no text"),
         ("[a, b]: 1\n", "no hand-eye file"),
         ("", "it is empty"),
     ],
 )
-def test_what_is_no_such_file_is_refused(tmp_path: Path, text: str, said: str) -> None:
+def test_what_is_no_such_file_is_refused(tmp_path, text, said):
     path = tmp_path / "file.json"
     path.write_text(text)
     with pytest.raises(CalibrationError, match=said) as raised:
@@ -108,31 +105,25 @@ def stereo_files(endoscope) -> dict[str, str]:
         "nested.json": json.dumps(eyes | {"left": {"K": K}, "right": {"K": K}}),
         "camera_info.json": json.dumps(of_one | {"distortion_model": "plumb_bob", "T": [0, 0, 0.1], "R": eyes["R"]}),
         "sized.json": json.dumps(eyes | {"imageSize": [960, 540]}),
-        "both.json": json.dumps({"T_camera_base": T.tolist(), "K1": K, "D1": [0, 0, 0, 0]}),
     }
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["opencv.yaml", "own.json", "extrinsics.json", "eyes.json", "nested.json", "camera_info.json", "sized.json"],
-)
-def test_a_camera_calibration_is_no_hand_eye_file(endoscope, tmp_path: Path, name: str) -> None:
-    (tmp_path / name).write_text(stereo_files(endoscope)[name])
-    with pytest.raises(CalibrationError, match="no hand-eye file but the calibration of a camera or of both eyes"):
-        read_hand_eye(tmp_path / name)
-
-
-def test_a_pose_beside_camera_matrices_is_not_told_of_the_rectified_camera(endoscope, tmp_path: Path) -> None:
-    (tmp_path / "both.json").write_text(stereo_files(endoscope)["both.json"])
+def test_a_camera_calibration_is_no_hand_eye_file(endoscope, tmp_path):
+    for name, text in stereo_files(endoscope).items():
+        (tmp_path / name).write_text(text)
+        with pytest.raises(CalibrationError, match="no hand-eye file but the calibration of a camera or of both eyes"):
+            read_hand_eye(tmp_path / name)
+    # whether such a pose is told of the rectified camera, nobody knows
+    both = {"T_camera_base": T.tolist(), "K1": endoscope.K_left.tolist(), "D1": [0, 0, 0, 0]}
+    (tmp_path / "both.json").write_text(json.dumps(both))
     with pytest.raises(CalibrationError, match="in a file of its own"):
         read_hand_eye(tmp_path / "both.json")
 
 
-@pytest.mark.parametrize("t", ["t", "T", "translation", "tvec"])
-@pytest.mark.parametrize("unit", ["m", "mm"])
-def test_a_rotation_and_a_translation_that_say_nothing_of_what_they_are_do_not_count(tmp_path, t, unit) -> None:
+@pytest.mark.parametrize("t", ["t", "translation"])
+def test_a_rotation_and_a_translation_that_say_nothing_of_what_they_are_do_not_count(tmp_path, t):
     path = tmp_path / "extrinsics.json"
-    path.write_text(json.dumps({"R": R, t: MM, "unit": unit}))
+    path.write_text(json.dumps({"R": R, t: MM, "unit": "mm"}))
     with pytest.raises(CalibrationError, match=r"does not say what R and .* are of.*R_camera_base and t_camera_base"):
         read_hand_eye(path)
 
@@ -145,8 +136,8 @@ def at(away_m: float, unit: str, called: str) -> str:
     return json.dumps({"T_camera_base": pose.tolist(), "unit": called})
 
 
-@pytest.mark.parametrize("away_m", [0.021, 0.05, 0.1, 0.2, 0.4, 0.84])
-def test_a_unit_that_is_wrong_by_a_hundred_or_more_is_found_out_at_any_distance(tmp_path: Path, away_m: float) -> None:
+@pytest.mark.parametrize("away_m", [0.021, 0.1, 0.84])
+def test_a_unit_that_is_wrong_by_a_hundred_or_more_is_found_out_at_any_distance(tmp_path, away_m):
     path = tmp_path / "ours.json"
     for unit, factor in METRES_PER_UNIT.items():
         for called, other in METRES_PER_UNIT.items():
@@ -158,10 +149,8 @@ def test_a_unit_that_is_wrong_by_a_hundred_or_more_is_found_out_at_any_distance(
                     read_hand_eye(path)
 
 
-@pytest.mark.parametrize(
-    ("away_m", "plausible"), [(0.0, False), (0.019, False), (0.021, True), (0.9, True), (1.2, False)]
-)
-def test_a_base_told_from_the_ecm_has_bounds_too(tmp_path: Path, away_m: float, plausible: bool) -> None:
+@pytest.mark.parametrize(("away_m", "plausible"), [(0.019, False), (0.021, True), (0.9, True), (1.2, False)])
+def test_a_base_told_from_the_ecm_has_bounds_too(tmp_path, away_m, plausible):
     path = tmp_path / "PSM1-registration-dVRK.json"
     pose = np.eye(4)
     pose[0, 3] = away_m
@@ -182,6 +171,6 @@ def test_a_base_told_from_the_ecm_has_bounds_too(tmp_path: Path, away_m: float, 
         ("ours.json", OURS, ""),
     ],
 )
-def test_a_file_says_whose_base_it_has_or_nobody_knows(tmp_path: Path, name: str, text: str, arm: str) -> None:
+def test_a_file_says_whose_base_it_has_or_nobody_knows(tmp_path, name, text, arm):
     (tmp_path / name).write_text(text)
     assert read_hand_eye(tmp_path / name).arm == arm

@@ -9,6 +9,7 @@ from shared.scene.backdrop_files import read_backdrop, write_backdrop
 from shared.scene.path_traced.backdrop import traced_backdrop
 
 pytest.importorskip("mitsuba", reason="path tracing needs the extra sim: make sim")
+pytestmark = pytest.mark.renders
 
 
 @pytest.mark.parametrize("seed", [3, 2**32 + 3], ids=["a small seed", "more than Mitsuba takes"])

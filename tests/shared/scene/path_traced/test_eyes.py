@@ -22,20 +22,18 @@ def calibration(metres_per_unit: float | None = 1e-3):
     return StereoCalibration(320, 180, K, right, np.array(distortion), 0.9 * np.array(distortion), T, metres_per_unit)
 
 
-def test_rays_of_pixels_lead_back_to_them():
+def test_rays_of_pixels_lead_back_to_them_given_a_unit():
     for eye in calibrated_rig(calibration()).eyes:
         slopes = eye.ray_slopes[10::30, 10::30].reshape(-1, 2).astype(np.float64)
         points = np.column_stack((slopes, np.ones(len(slopes)))) * 90.0
         in_left = (points - eye.t_eye_left) @ eye.R_eye_left
         v, u = np.indices((180, 320))[:, 10::30, 10::30].reshape(2, -1)
         np.testing.assert_allclose(eye.project(in_left), np.column_stack((u, v)), atol=1e-3)
-
-
-def test_a_calibration_without_a_unit_is_refused_with_its_remedy():
     with pytest.raises(SceneError, match="--unit"):
         calibrated_rig(calibration(metres_per_unit=None))
 
 
+@pytest.mark.renders
 def test_the_masks_of_distorted_unrectified_eyes_lie_on_the_true_centreline():
     pytest.importorskip("mitsuba", reason="path tracing needs the extra sim: make sim")
     pair = traced_pair(Recipe("easy", "chicken", 2), calibrated_rig(calibration()), 2)

@@ -85,10 +85,7 @@ def test_a_driver_through_the_thread_is_not_clear_of_it():
     surface = field.ground.surface
     above = replace(field, ground=replace(field.ground, surface=replace(surface, depth_mm=surface.depth_mm + 200.0)))
     points = sampled(field.strands[0].curve, 0.5)[0]
-    middle = points[len(points) // 2]
-    parts, joints = driver_parts(MESHES), Joints(0.0, 0.0, 0.0)
-    pose = pose_towards(middle, 0.3, 0.5, 0.0)
-    through = posed(parts, replace(pose, tip=middle - 15.0 * pose.towards_shaft), joints)
+    pose, joints = pose_towards(points[len(points) // 2], 0.3, 0.5, 0.0), Joints(0.0, 0.0, 0.0)
+    through = posed(driver_parts(MESHES), replace(pose, tip=pose.tip - 15.0 * pose.towards_shaft), joints)
     assert not clear_of(through, above)
     assert clear_of(through, replace(above, strands=[]))
-    assert clear_of(posed(parts, replace(pose, tip=middle - np.array([0.0, 0.0, 40.0])), joints), above)

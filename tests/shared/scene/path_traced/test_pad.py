@@ -38,6 +38,7 @@ def test_a_cut_is_as_wide_as_it_is_told_and_deeper_and_darker_towards_its_middle
     assert within[50, 100] == 1.0 and within[20, 100] == 0.0
 
 
+@pytest.mark.renders
 def test_colour_lies_where_the_relief_is():
     pytest.importorskip("mitsuba", reason="path tracing needs the extra sim: make sim")
     from shared.scene.path_traced.tracing import traced_lab_light

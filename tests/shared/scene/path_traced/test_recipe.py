@@ -27,14 +27,6 @@ def with_extra(extra):
     return arranged(Recipe("easy", "chicken", 4, (extra,)), RIG)
 
 
-def test_instruments_hide_thirty_percent_of_the_thread_or_more_from_both_eyes():
-    field = arranged(Recipe("occlusion", "chicken", 1), RIG).field
-    points = sampled(field.strands[0].curve, 0.5)[0]
-    for pixels, along in zip(project(field.camera, points), (0.0, field.camera.baseline), strict=True):
-        u, v = np.rint(pixels).astype(int).T
-        assert 0.30 <= np.mean(silhouette(field.camera, field.tools, along)[v, u] > 0) <= 0.51
-
-
 def test_without_extras_nothing_is_wrong_with_the_view():
     effects = PLAIN.effects
     assert (PLAIN.field.tools, effects.smoke, effects.motion_px, effects.interlace_px) == ([], 0.0, (0.0, 0.0), 0.0)
@@ -64,11 +56,11 @@ def test_stains_are_dark_smooth_fluid_on_a_part_of_the_ground():
 
 def test_tools_that_stand_by_hide_little_of_the_thread():
     field = with_extra("tools").field
-    pixels = project(field.camera, sampled(field.strands[0].curve, 0.5)[0])[0]
-    u, v = np.rint(pixels).astype(int).T
+    u, v = np.rint(project(field.camera, sampled(field.strands[0].curve, 0.5)[0])[0]).astype(int).T
     assert np.mean(silhouette(field.camera, field.tools)[v, u] > 0) < 0.12
 
 
+@pytest.mark.renders
 @pytest.mark.parametrize(("seed", "ending"), [(8, "needle"), (2, "jaws"), (3, "stitch"), (9, "free")])
 def test_a_thread_at_rest_comes_out_of_the_tissue_and_ends_at_what_holds_it(seed, ending):
     field = arranged(Recipe("rod", "chicken", seed), RIG).field
@@ -87,10 +79,9 @@ def test_a_thread_at_rest_comes_out_of_the_tissue_and_ends_at_what_holds_it(seed
     assert {what for what, holds in held_by.items() if holds} == {ending} - {"free"}
 
 
-@pytest.mark.parametrize(("seed", "count"), [(12, 2), (18, 3)])
-def test_several_threads_are_two_or_three_and_pass_through_none_of_each_other(seed, count):
-    strands = arranged(Recipe("several", "chicken", seed), RIG).field.strands
-    assert len(strands) == count
+def test_several_threads_pass_through_none_of_each_other():
+    strands = arranged(Recipe("several", "chicken", 18), RIG).field.strands
+    assert len(strands) == 3
     for one, other in itertools.combinations(strands, 2):
         apart, _ = cKDTree(sampled(one.curve, 0.1)[0]).query(sampled(other.curve, 0.1)[0])
         assert np.min(apart) > one.radius_mm + other.radius_mm
@@ -125,11 +116,6 @@ def test_a_seed_makes_the_same_scene_again_and_another_one_another():
         again.field.strands[0].curve.control_points, PLAIN.field.strands[0].curve.control_points
     )
     assert again.effects == PLAIN.effects != other.effects
-
-
-def test_the_dye_is_the_one_that_was_asked_for():
-    (strand,) = arranged(Recipe("easy", "paper", 4, dye="undyed"), RIG).field.strands
-    assert strand.dye == "undyed"
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,8 @@ def straight(count):
     return np.tile(ALONG_X, (count, 1))
 
 
-@pytest.mark.parametrize("bearing_length_mm", [60.0, 90.0])
-def test_a_short_cantilever_sags_as_a_beam_does(bearing_length_mm):
+def test_a_short_cantilever_sags_as_a_beam_does():
+    bearing_length_mm = 60.0
     rod = Rod(0.5, 0.2, bearing_length_mm)
     points = rest_state(rod, Held(np.zeros(3), ALONG_X), straight(60), None)
     # w L⁴ / 8 B, from where it is clamped: half an edge before its first point
