@@ -39,7 +39,6 @@ from agents.robot_bridge.limits import MotionLimits, Setup
 from agents.robot_bridge.motion import Trajectory, plan_motion
 from agents.robot_bridge.simulated import SIMULATED_START
 from benchmarks.guard_mutation import mutation
-from benchmarks.robot_hostile_plans import waypoints
 from benchmarks.tables import CONSOLE
 from schemas.codec import encode
 from schemas.messages import Heartbeat
@@ -62,6 +61,7 @@ from shared.ros.guarded import (
 )
 from shared.runtime.own_key import encoding_of
 from shared.runtime.session import SessionSettings, free_local_endpoint, open_router, open_session
+from tests.rigs.robot.hostile_plans import waypoints
 
 HZ, PERIOD_NS = 200.0, 5_000_000
 SECTION = DvrkSection(endpoint="tcp/127.0.0.1:1")

@@ -17,11 +17,11 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.intruder_flood import flooded
-from benchmarks.intruder_links import refused_connections
-from benchmarks.intruder_rig import CannotError, secured_rig
-from benchmarks.intruder_rows import Row
-from benchmarks.intruder_rules import forged
+from tests.rigs.intruder.flood import flooded
+from tests.rigs.intruder.links import refused_connections
+from tests.rigs.intruder.rig import CannotError, secured_rig
+from tests.rigs.intruder.rows import Row
+from tests.rigs.intruder.rules import forged
 
 
 @dataclass(frozen=True)

@@ -23,11 +23,11 @@ import yarl
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.browser import chromium, found
 from benchmarks.page_cost import BROWSERS, CLIENTS, ELSEWHERE, LIGHT, NOBODY, measured, row_of, within
 from benchmarks.page_hands import FLAGS, all_cuts, pictures
 from benchmarks.page_hostile import attacked
 from benchmarks.page_rig import Rig, frames_unaccounted, running
+from tests.rigs.browser import chromium, found
 
 GOAL_IMAGE_MS, GOAL_HOLD_MS = 80.0, 250.0
 RANGED = (("p50_ms", 0), ("hz", 1))

@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 import psutil
 
-from benchmarks.browser import chromium
 from benchmarks.page_client import client, connected_page
 from benchmarks.page_elsewhere import kept
 from benchmarks.page_rig import LINK, Rig
 from shared.clock import monotonic_s
+from tests.rigs.browser import chromium
 
 CLIENTS = 3
 KEPT_S, SETTLES_S, STARTS_S = 6.0, 2.5, 30.0

@@ -9,10 +9,10 @@ import subprocess
 from collections.abc import AsyncGenerator, Awaitable, Callable
 from dataclasses import dataclass
 
-from benchmarks.browser import Browser, BrowserError, Page, chromium
 from benchmarks.page_rig import Rig
 from schemas.messages import RobotMode
 from shared.clock import monotonic_s, now_ns
+from tests.rigs.browser import Browser, BrowserError, Page, chromium
 
 FLAGS = ("--window-size=1100,800",)
 SHARE = 0.45

@@ -18,13 +18,13 @@ import tyro
 from rich.table import Table
 
 from benchmarks.robot_availability import availability
-from benchmarks.robot_hostile import hostile
 from benchmarks.robot_jitter import jitter
-from benchmarks.robot_messages import CYCLONE, PYCDR2, compared, others
 from benchmarks.robot_stops import BOUND_MS, CLOCKS, LOSSES, QUEUES, can_set_clocks, released_through, stopped_after
 from benchmarks.tables import CONSOLE
 from shared.clock import processor_s
 from shared.kinematics.psm import INSERTION, LARGE_NEEDLE_DRIVER, forward, inverse
+from tests.rigs.robot.hostile import hostile
+from tests.rigs.robot.messages import CYCLONE, PYCDR2, compared, others
 
 POSES, ROUNDS = 20_000, 3
 GOAL_JITTER_MS, GOAL_MISSED_PERCENT = 2.0, 0.1

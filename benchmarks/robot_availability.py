@@ -11,13 +11,13 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from benchmarks.robot_lab import RIG, Lab
 from schemas.codec import decode
 from schemas.messages import ExecutionEvent, ExecutionKind
 from schemas.topics import EXECUTION
 from shared.clock import monotonic_s
 from shared.runtime.session import SessionSettings, open_session
 from shared.runtime.taps import Tapped, tap
+from tests.rigs.robot.lab import RIG, Lab
 
 LONGEST_S = 60.0
 """A motion takes some 15 s; one of which nothing was heard for so long is told as such."""

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.robot_lab import Lab
 from shared.clock import monotonic_s
+from tests.rigs.robot.lab import Lab
 
 HZ = 200.0
 PRIORITY = 50

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.faults.network import CannotError
-from benchmarks.faults.processes import faketime
-from benchmarks.robot_lab import STANDS_S, Lab, NotMovingError
 from shared.clock import now_ns
+from tests.rigs.faults.network import CannotError
+from tests.rigs.faults.processes import faketime
+from tests.rigs.robot.lab import STANDS_S, Lab, NotMovingError
 
 FIGURES = (
     *("moved for ms", "hold after ms", "set points", "unsafe", "rules", "later", "moved later"),

@@ -24,11 +24,11 @@ from rich.table import Table
 
 from agents.reconstruction.methods import METHODS, TRACKERS
 from agents.reconstruction.refined.method import METHOD
-from benchmarks.sequences import KINDS, Frame, Kind, sequence
 from schemas.messages import Status, ThreadReconstruction, TrackStep
 from shared.arc_length import even_parameters
 from shared.clock import Stopwatch, processor_s
 from shared.splines import evaluate
+from tests.rigs.sequences import KINDS, Frame, Kind, sequence
 
 THREADS = (("medium", 3), ("hard", 2), ("crossing", 4))
 FRAMES, REPEATS = 45, 2

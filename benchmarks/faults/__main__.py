@@ -18,12 +18,12 @@ from pathlib import Path
 import tyro
 from rich.console import Console
 
-from benchmarks.faults.faults import Fault, all_faults
-from benchmarks.faults.lab import NotReachedError, laboratory
-from benchmarks.faults.network import CannotError
-from benchmarks.faults.recorded import missing_events
 from benchmarks.faults.table import table_of
-from benchmarks.faults.trial import Seen, trial
+from tests.rigs.faults.faults import Fault, all_faults
+from tests.rigs.faults.lab import NotReachedError, laboratory
+from tests.rigs.faults.network import CannotError
+from tests.rigs.faults.recorded import missing_events
+from tests.rigs.faults.trial import Seen, trial
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,8 @@
 
 from rich.table import Table
 
-from benchmarks.faults.faults import Fault
-from benchmarks.faults.trial import Seen
+from tests.rigs.faults.faults import Fault
+from tests.rigs.faults.trial import Seen
 
 HOLDS_MS, RECOVERS_S = 250.0, 2.0
 

@@ -3,8 +3,8 @@
 import pytest
 
 from benchmarks.intruder import Options, attacked
-from benchmarks.intruder_rig import CannotError
 from schemas.topics import TOPICS, Delivery
+from tests.rigs.intruder.rig import CannotError
 
 # what it takes to start all processes, and to wait for a plan, may both fall to one test
 pytestmark = [pytest.mark.hosts, pytest.mark.timeout(600)]

@@ -11,14 +11,14 @@ import subprocess
 import pytest
 
 from agents.cli.running.audit import STATE_DIRECTORY
-from benchmarks.faults.faults import cut_off, full_disk
-from benchmarks.faults.network import OWN
-from benchmarks.faults.recorded import missing_events
-from benchmarks.faults.rig import EMULATED, MODULE, ROUTER, RUNS
-from benchmarks.faults.trial import trial
 from schemas.messages import Status
 from schemas.topics import HEALTH, PLAN, ROBOT_STATE
 from shared.kinematics.simulated_setup import SIMULATED_BASES
+from tests.rigs.faults.faults import cut_off, full_disk
+from tests.rigs.faults.network import OWN
+from tests.rigs.faults.recorded import missing_events
+from tests.rigs.faults.rig import EMULATED, MODULE, ROUTER, RUNS
+from tests.rigs.faults.trial import trial
 
 PORT = 7447
 LEASE_S = 2.0

@@ -12,7 +12,6 @@ from agents.cli.rig.builders import build
 from agents.cli.rig.config import RigConfig
 from agents.emulator.messages import header
 from agents.emulator.wire import HASHES, BridgeWire, RmwWire
-from benchmarks.robot_image_messages import CameraInfo, Image
 from schemas.messages import StereoCalibration, StereoFrame
 from shared.clock import now_ns
 from shared.ros import types
@@ -20,6 +19,7 @@ from shared.ros.naming import Ros2dds
 from shared.runtime.agent import Output, Tick
 from shared.runtime.config import parse_config
 from shared.runtime.session import SessionSettings, free_local_endpoint, open_router, open_session
+from tests.rigs.robot.image_messages import CameraInfo, Image
 
 W, H, BASELINE, F = 64, 48, 0.005, 60.0
 IMAGE, INFO = "sensor_msgs::msg::dds_::Image_", "sensor_msgs::msg::dds_::CameraInfo_"

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from agents.camera.agent import Camera, CameraConfig
-from benchmarks.rendered_boards import endoscope, rendered, standings
 from schemas.messages import ImageEncoding
 from shared.calibration import read_calibration, write_calibration
 from shared.calibration.estimation.board import Board
 from shared.calibration.made import made_ns
 from shared.clock import now_ns
+from tests.rigs.boards import endoscope, rendered, standings
 
 CAMERA = endoscope(640, 360)
 BOARD = Board(8, 6, 4.0, 3.0)

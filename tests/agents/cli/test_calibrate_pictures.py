@@ -15,8 +15,8 @@ from agents.cli.calibrate.pictures import (
     where_seen,
     with_residuals,
 )
-from benchmarks.rendered_boards import endoscope, rendered, standings
 from shared.calibration.estimation.board import Board, corners_of
+from tests.rigs.boards import endoscope, rendered, standings
 
 HEIGHT_PX = WIDTH_PX // 2
 BLANK = np.zeros((HEIGHT_PX, WIDTH_PX), np.uint8)

@@ -8,7 +8,6 @@ import pytest
 from agents.camera.agent import Camera, CameraConfig
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.simulated import SimulatedPsm
-from benchmarks.drawn_tool import JAW, joints, pair
 from schemas.codec import encode
 from schemas.messages import FrameStamp, ImageEncoding, RobotMode, RobotState, StereoCalibration, StereoFrame
 from schemas.topics import CALIBRATION, FRAMES, ROBOT_STATE, key
@@ -21,6 +20,7 @@ from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE as T_TRUE
 from shared.recording.entry import Entry
 from shared.recording.writer import RecordingWriter
 from shared.rigid_transforms import exp_se3
+from tests.rigs.drawn_tool import JAW, joints, pair
 
 ZERO_NS = 1_760_000_000_000_000_000
 EVERY_S = 0.2

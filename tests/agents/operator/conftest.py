@@ -18,7 +18,6 @@ from agents.operator.surroundings import Surroundings
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.limits import MotionLimits
 from agents.robot_bridge.simulated import SimulatedPsm
-from benchmarks.browser import chromium
 from schemas.messages import (
     ChallengeEcho,
     FrameNotice,
@@ -38,6 +37,7 @@ from shared.clock import now_ns
 from shared.images import encode_image
 from shared.runtime.agent import Input, Output, Received, Tick
 from shared.runtime.connection import connected
+from tests.rigs.browser import chromium
 
 NONE = np.zeros(0)
 LENGTH_M = 0.04

@@ -12,13 +12,13 @@ from agents.planner.agent import Planner
 from agents.planner.config import PlannerConfig
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.simulated import SimulatedPsm
-from benchmarks.browser import found
 from schemas.messages import ExecutionEvent, ExecutionKind
 from schemas.topics import EXECUTION, MAIN, PROMPT
 from shared.clock import now_ns
 from shared.runtime.agent import Tick
 from shared.runtime.commands import accepted, new_header
 from shared.runtime.config import parse_config
+from tests.rigs.browser import found
 
 pytestmark = [
     pytest.mark.browser,

@@ -19,12 +19,12 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.browser import BrowserError, chromium, found
 from schemas.codec import decode
 from schemas.messages import ExecutionEvent, ExecutionKind, RobotMode, RobotState
 from schemas.topics import EXECUTION, ROBOT_STATE, THREAD
 from shared.runtime.connection import connected
 from shared.runtime.session import SessionSettings, free_local_endpoint
+from tests.rigs.browser import BrowserError, chromium, found
 
 pytestmark = [
     pytest.mark.rig,

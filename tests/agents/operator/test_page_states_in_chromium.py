@@ -18,9 +18,9 @@ from agents.deployment.layout import Host, Layout, Process
 from agents.operator.page_server import server_tls
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.simulated import SimulatedPsm
-from benchmarks.browser import found
 from schemas.messages import RobotMode, RobotState
 from schemas.topics import ROBOT_STATE, TOOL
+from tests.rigs.browser import found
 
 pytestmark = [
     pytest.mark.browser,

@@ -13,11 +13,11 @@ from agents.planner.agent import Planner
 from agents.planner.config import PlannerConfig
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.simulated import SimulatedPsm
-from benchmarks.browser import BrowserError, chromium
-from benchmarks.browser import found as chromium_found
-from benchmarks.page_firefox import firefox
-from benchmarks.page_firefox import found as firefox_found
 from shared.runtime.commands import new_header
+from tests.rigs.browser import BrowserError, chromium
+from tests.rigs.browser import found as chromium_found
+from tests.rigs.firefox import firefox
+from tests.rigs.firefox import found as firefox_found
 
 pytestmark = pytest.mark.browser
 

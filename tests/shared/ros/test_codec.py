@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agents.emulator import messages as others
-from benchmarks.robot_messages import KINDS, PYCDR2, compared
 from shared.rigid_transforms import rotation_from_quaternion
 from shared.ros import crtk, types
 from shared.ros.naming import RmwZenoh, Role, Ros2dds
+from tests.rigs.robot.messages import KINDS, PYCDR2, compared
 
 NUMBER = st.floats(allow_nan=False, allow_infinity=False, width=64)
 NS = st.integers(0, 2**31 * 10**9 - 1)

@@ -11,7 +11,6 @@ from agents.perception.tool.correction import about
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.correction import CorrectionLimits
 from agents.robot_bridge.simulated import SimulatedPsm
-from benchmarks.drawn_tool import IN_MM, JAW, joints, pair_of
 from schemas.messages import FrameStamp, ImageEncoding, RobotState, StereoFrame, ToolCorrection, ToolStatus
 from schemas.topics import CALIBRATION, FRAMES, MAIN, ROBOT_STATE, TOOL
 from shared.calibration.identity import calibration_id
@@ -21,6 +20,7 @@ from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE as T_TRUE
 from shared.rigid_transforms import apply
 from shared.runtime.agent import Command, Input, Output, Received, Tick
 from shared.runtime.lockstep import Lockstep
+from tests.rigs.drawn_tool import IN_MM, JAW, joints, pair_of
 
 TIP = np.array([[0.0, 0.0, 0.0102]])
 CALIBRATED = calibration_of(IN_MM)

@@ -7,7 +7,6 @@ import numpy as np
 
 from agents.perception.tool.agent import ToolTracker
 from agents.perception.tool.placed import placed_at
-from benchmarks.drawn_tool import JAW
 from schemas.codec import decode
 from schemas.messages import (
     Arm,
@@ -31,6 +30,7 @@ from shared.rigid_transforms import apply, exp_so3, transform
 from shared.runtime.agent import Output
 from shared.runtime.commands import new_header
 from shared.runtime.replay import replay
+from tests.rigs.drawn_tool import JAW
 
 TIP = np.array([[0.0, 0.0, 0.0102]])
 

@@ -16,11 +16,11 @@ from agents.perception.tool.refinement import View, elsewhere, refined
 from agents.perception.tool.told import track_of
 from agents.perception.tool.track import MISSES, Following, Track, followed
 from agents.perception.tool.tubes import SHAFT, tubes
-from benchmarks.drawn_tool import BEHIND, CAMERA, IN_MM, JAW, TOOL, joints, pair, pair_of
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER as PSM
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE as T_TRUE
 from shared.rigid_transforms import apply, exp_se3, inverse
 from shared.scene.tool_view import Instrument, draw_solids, solids_of
+from tests.rigs.drawn_tool import BEHIND, CAMERA, IN_MM, JAW, TOOL, joints, pair, pair_of
 
 TIP = np.array([[0.0, 0.0, 0.0102]])
 

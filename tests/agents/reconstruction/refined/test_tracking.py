@@ -11,7 +11,6 @@ from agents.reconstruction.refined import tracking
 from agents.reconstruction.refined.following import Followed, LostError
 from agents.reconstruction.refined.posterior import point_covariance
 from agents.reconstruction.refined.tracking import track_refined
-from benchmarks.sequences import Kind, sequence
 from benchmarks.tracking import on_curve
 from schemas.codec import decode, encode
 from schemas.messages import (
@@ -28,6 +27,7 @@ from shared.runtime.agent import Received
 from shared.splines import evaluate
 from tests.agents.reconstruction.conftest import observations_of
 from tests.agents.reconstruction.refined.conftest import centrelines_of
+from tests.rigs.sequences import Kind, sequence
 
 SMALL = RectifiedStereo(480, 270, 500.0, 500.0, 239.5, 134.5, 5.5, 1e-3)
 CAMERA = RectifiedStereo(960, 540, 1000.0, 1000.0, 479.5, 269.5, 5.5, 1e-3)

@@ -10,9 +10,9 @@ from agents.emulator.wire import Outlet
 from agents.guard import cdr
 from agents.guard.links import RESTS_NS
 from agents.guard.monitor import Action, Monitor
-from benchmarks.robot_world import EPOCH_NS, NAME, RIG_ARM, Topics, WorldGuard
-from benchmarks.robot_world import Link as RobotLink
 from shared.ros.guarded import CHALLENGE, SetPoint, challenge_bytes, key_of
+from tests.rigs.robot.world import EPOCH_NS, NAME, RIG_ARM, Topics, WorldGuard
+from tests.rigs.robot.world import Link as RobotLink
 
 MS = 1_000_000
 TICK_NS = 10 * MS

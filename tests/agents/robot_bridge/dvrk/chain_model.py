@@ -23,7 +23,6 @@ from agents.operator.standing_by import StandingBy
 from agents.operator.voice import Voice
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.dvrk.psm import DvrkPsm
-from benchmarks.robot_world import EPOCH_NS, NAME, RIG_ARM, SECOND_NS, TOOL
 from schemas.messages import (
     Arm,
     CommandAnswer,
@@ -61,6 +60,7 @@ from tests.agents.robot_bridge.dvrk.chain_links import (
     Guard,
     Network,
 )
+from tests.rigs.robot.world import EPOCH_NS, NAME, RIG_ARM, SECOND_NS, TOOL
 
 PRESENT_NS, SEEN_NS, UNDER_WAY_NS = 250 * MS, 650 * MS, 110 * MS
 """From release, and from the newest frame that was really taken, to the last set point: the frame's bound is 0.5 s, and

@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
-from benchmarks.robot_hostile import BRISK
-from benchmarks.robot_world import World
 from schemas.messages import CommandAnswer, GraspPlan, Outcome
 from tests.agents.robot_bridge.drive import SHORT_GRASP, plan
+from tests.rigs.robot.hostile import BRISK
+from tests.rigs.robot.world import World
 
 AT_ONCE = replace(BRISK, contact_share=1.0)
 

@@ -26,12 +26,12 @@ from agents.guard.monitor import Action, Monitor
 from agents.robot_bridge.agent import RobotBridge
 from agents.robot_bridge.dvrk.psm import DvrkPsm
 from agents.robot_bridge.sight import Sight
-from benchmarks.robot_world import SECOND_NS
 from shared.ros.guarded import SetPoint
 from shared.runtime import replayed_time
 from tests.agents.robot_bridge.dvrk import chain_model
 from tests.agents.robot_bridge.dvrk.chain_links import LINKS, MS, PAGES, ROBOT_LINKS, TIME, Link
 from tests.agents.robot_bridge.dvrk.chain_model import PRESENT_NS, Chain, Page
+from tests.rigs.robot.world import SECOND_NS
 
 NIGHTLY = int(os.environ.get("SUTUREGRASP_CHAIN_EXAMPLES", "0"))
 EXAMPLES, STEPS = 12, 6

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from benchmarks.robot_hostile import BRISK, hostile
-from benchmarks.robot_hostile_cases import CASES
-from benchmarks.robot_hostile_plans import any_plan
-from benchmarks.robot_world import Topics, World
 from schemas.messages import ExecutionKind, Outcome, Phase, Waypoint
 from shared.rigid_transforms import exp_so3, transform
+from tests.rigs.robot.hostile import BRISK, hostile
+from tests.rigs.robot.hostile_cases import CASES
+from tests.rigs.robot.hostile_plans import any_plan
+from tests.rigs.robot.world import Topics, World
 
 
 def test_of_random_and_hostile_plans_and_commands_none_is_unsafe():

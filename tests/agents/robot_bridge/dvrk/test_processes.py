@@ -15,8 +15,6 @@ from typing import Any, NamedTuple
 import pytest
 
 from agents.cli.running.supervisor import SUPERVISED
-from benchmarks.robot_lab import today
-from benchmarks.robot_person import Camera, Person
 from schemas.codec import decode, encode
 from schemas.messages import ChallengeEcho, ExecutionEvent, ExecutionKind, FrameStamp, Outcome
 from schemas.topics import EXECUTION, PLAN, ROBOT_STATE, key
@@ -27,6 +25,8 @@ from shared.runtime.connection import Connection
 from shared.runtime.delivery import declare_publisher
 from shared.runtime.session import SessionSettings, free_local_endpoint, open_router, open_session
 from tests.agents.robot_bridge.drive import SHORT_GRASP, plan
+from tests.rigs.robot.lab import today
+from tests.rigs.robot.person import Camera, Person
 
 pytestmark = pytest.mark.rig
 DEADLINE_S = 60.0
@@ -109,7 +109,7 @@ def begun(started, tmp_path, codec, until):
         stack.enter_context(open_router(router))
         judged = ("--camera", tmp_path / "base.json", "--heartbeats", router, "--verdict", tmp_path / "verdict.json")
         emulator = started("emulate", "dvrk", "--ready", "--codec", codec, "--listen", robot, *judged)
-        relay = started(*(endpoint.rsplit(":", 1)[1] for endpoint in (relayed, robot)), module="benchmarks.robot_relay")
+        relay = started(*(endpoint.rsplit(":", 1)[1] for endpoint in (relayed, robot)), module="tests.rigs.robot.relay")
         bridge = started("robot-bridge", "--config", written(tmp_path, "rig.json", router, relayed, codec))
         started("guard", "--config", config)
         settings = SessionSettings(endpoint=router)

@@ -21,7 +21,6 @@ from agents.robot_bridge.backend import Readiness
 from agents.robot_bridge.dvrk.psm import DvrkPsm
 from agents.robot_bridge.dvrk.set_points import SETTLES_NS
 from agents.robot_bridge.simulated import SimulatedPsm
-from benchmarks.robot_world import TOOL
 from schemas.messages import Arm, ChangeState, CommandHeader, ExecutionKind, Outcome, Phase, RobotMode, StateWord
 from schemas.topics import ARM, CHANGE_STATE
 from shared.clock import now_ns
@@ -32,6 +31,7 @@ from shared.ros.naming import RmwZenoh, Role, Ros2dds
 from shared.ros.types import JOINT_STATE
 from shared.runtime.access import access_control
 from shared.runtime.config import load_config
+from tests.rigs.robot.world import TOOL
 
 SECOND_NS = 10**9
 REPOSITORY = Path(__file__).parents[4]

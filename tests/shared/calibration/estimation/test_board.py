@@ -4,12 +4,12 @@ import cv2
 import numpy as np
 import pytest
 
-from benchmarks.rendered_boards import endoscope, rendered, standings
 from shared.calibration import CalibrationError
 from shared.calibration.estimation.board import Board, Corners, alike, corners_of
 from shared.calibration.estimation.estimate import residuals_px, rms
 from shared.calibration.estimation.views import NoView, View, shared_view, view_of
 from shared.rigid_transforms import exp_so3, transform
+from tests.rigs.boards import endoscope, rendered, standings
 
 CAMERA = endoscope(640, 360)
 CHESSBOARD = Board(9, 7, 3.5)

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.rendered_boards import endoscope, standings
 from shared.calibration import CalibrationError, read_calibration
 from shared.calibration.estimation.board import Board
 from shared.calibration.estimation.checking import checked, held_out, rotation_deg
@@ -17,6 +16,7 @@ from shared.calibration.estimation.estimate import estimated, residuals_px
 from shared.calibration.estimation.views import View
 from shared.calibration.written import camera_info_texts, opencv_text
 from shared.rigid_transforms import exp_so3, transform
+from tests.rigs.boards import endoscope, standings
 
 CAMERA, SIZE, MM = endoscope(), (960, 540), 1e-3
 BOARD = Board(14, 10, 3.0)

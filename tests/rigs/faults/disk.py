@@ -10,7 +10,7 @@ from pathlib import Path
 
 import psutil
 
-from benchmarks.faults.network import LIMIT_S, PREFIX, CannotError
+from tests.rigs.faults.network import LIMIT_S, PREFIX, CannotError
 
 ROOM_MB = 2048
 PAGE = 1 << 16

@@ -20,8 +20,6 @@ from typing import Any
 import numpy as np
 
 from agents.robot_bridge.limits import MotionLimits
-from benchmarks.robot_hostile_cases import CASES
-from benchmarks.robot_world import NAME, RIG_ARM, SECOND_NS, TOOL, World
 from schemas.messages import CommandHeader, Hold
 from schemas.topics import HOLD
 from shared.clock import monotonic_s
@@ -30,6 +28,8 @@ from shared.ros import crtk
 from shared.ros.types import STRING
 from shared.ros.types import encode as ros_bytes
 from shared.ros.types import message as ros_message
+from tests.rigs.robot.hostile_cases import CASES
+from tests.rigs.robot.world import NAME, RIG_ARM, SECOND_NS, TOOL, World
 
 CASES_PER_WORLD = 50
 TOLD_EVERY_S = 10.0

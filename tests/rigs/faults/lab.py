@@ -9,15 +9,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.faults.disk import Disk, small_disk
-from benchmarks.faults.network import OWN, Network, connected_hosts
-from benchmarks.faults.observer import Observer
-from benchmarks.faults.processes import Processes, faketime
-from benchmarks.faults.rig import CONFIG, HOSTS, MODULE, ROUTER, RUNS, describe, settings_at
 from schemas.messages import CommandAnswer, GraspPlan, RobotMode, Status
 from schemas.topics import HEALTH, PLAN, ROBOT_STATE, THREAD
 from shared.clock import monotonic_s
 from shared.runtime.connection import connected
+from tests.rigs.faults.disk import Disk, small_disk
+from tests.rigs.faults.network import OWN, Network, connected_hosts
+from tests.rigs.faults.observer import Observer
+from tests.rigs.faults.processes import Processes, faketime
+from tests.rigs.faults.rig import CONFIG, HOSTS, MODULE, ROUTER, RUNS, describe, settings_at
 
 STARTS_S, PLANS_S, MOVES_S = 90.0, 60.0, 20.0
 LOOK_S = 0.02
@@ -51,7 +51,7 @@ class Lab:
         """Start the one who says and hears events there."""
         file = self.folder / f"probe-{host}.json"
         self.processes.start(
-            host, f"probe-{host}", sys.executable, "-m", "benchmarks.faults.probe", str(self.config(host)), str(file)
+            host, f"probe-{host}", sys.executable, "-m", "tests.rigs.faults.probe", str(self.config(host)), str(file)
         )
 
     def config(self, host: str) -> Path:

@@ -8,7 +8,6 @@ from typing import Any
 
 from agents.cli.status.health_watch import HealthWatch
 from agents.operator.operator import SENDER
-from benchmarks.faults.rig import ARM
 from schemas.codec import decode
 from schemas.messages import CommandAnswer, GraspGoal, LogLevel, Policy
 from schemas.topics import (
@@ -28,6 +27,7 @@ from shared.clock import monotonic_s
 from shared.runtime.commands import new_header
 from shared.runtime.connection import Connection
 from shared.runtime.taps import Tapped
+from tests.rigs.faults.rig import ARM
 
 HEARD = (HEALTH, LOG, COMMANDS, THREAD, PLAN, EXECUTION, JUDGEMENT, ROBOT_STATE)
 GRAVE = (LogLevel.WARNING, LogLevel.ERROR)

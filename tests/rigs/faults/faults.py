@@ -4,8 +4,8 @@ from collections.abc import Callable, Generator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 
-from benchmarks.faults.lab import Lab
-from benchmarks.faults.rig import HOSTS, KINDS, ROUTER, RUNS
+from tests.rigs.faults.lab import Lab
+from tests.rigs.faults.rig import HOSTS, KINDS, ROUTER, RUNS
 
 AWAY_S = 0.5
 """How long what was killed is away before it is started again, as `up` starts it."""

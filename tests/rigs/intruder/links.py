@@ -6,8 +6,8 @@ import socket
 import ssl
 from collections.abc import Callable
 
-from benchmarks.intruder_rig import DESK, Rig
-from benchmarks.intruder_rows import Row
+from tests.rigs.intruder.rig import DESK, Rig
+from tests.rigs.intruder.rows import Row
 
 WAIT_S = 5.0
 TOLD = re.compile(r"a link was refused: (?P<reason>.*) \((?P<count>\d+) so far\)")

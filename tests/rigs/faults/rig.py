@@ -8,11 +8,11 @@ from agents.cli.rig.config import ArmSection, CameraSection, RigConfig, RouterSe
 from agents.cli.rig.hosts import OPERATOR, HostSection, SecuritySection
 from agents.cli.rig.sections import DvrkSection, PlannerSection
 from agents.cli.rig.this_host import at_host, certificates_of
-from benchmarks.faults.network import OWN, CannotError, Network
-from benchmarks.robot_lab import today
 from shared.kinematics.simulated_setup import SIMULATED_BASES
 from shared.runtime.config import load_config
 from shared.runtime.session import SessionSettings
+from tests.rigs.faults.network import OWN, CannotError, Network
+from tests.rigs.robot.lab import today
 
 ARM = "psm1"
 EMULATED = "psm2"

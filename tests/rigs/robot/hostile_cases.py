@@ -7,10 +7,6 @@ from typing import Any
 import numpy as np
 
 from agents.robot_bridge.dvrk.set_points import SETTLES_NS
-from benchmarks.robot_hostile_found import Found
-from benchmarks.robot_hostile_plans import any_plan, set_out, waypoints
-from benchmarks.robot_hostile_states import STATE_CASES
-from benchmarks.robot_world import EPOCH_NS, NAME, SECOND_NS, TICK_NS, World
 from schemas.checks import MessageError
 from schemas.codec import decode, encode
 from schemas.messages import FrameNotice, FrameStamp, GraspPlan, Outcome, ReplayClock, Status, Waypoint
@@ -21,6 +17,10 @@ from shared.ros.types import STRING
 from shared.ros.types import encode as ros_bytes
 from shared.ros.types import message as ros_message
 from shared.runtime.agent import Received
+from tests.rigs.robot.hostile_found import Found
+from tests.rigs.robot.hostile_plans import any_plan, set_out, waypoints
+from tests.rigs.robot.hostile_states import STATE_CASES
+from tests.rigs.robot.world import EPOCH_NS, NAME, SECOND_NS, TICK_NS, World
 
 
 def _as_it_comes(world: World, rng: np.random.Generator) -> Found:

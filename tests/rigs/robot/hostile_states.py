@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 
 from agents.robot_bridge.config import RobotBridgeError
-from benchmarks.robot_hostile_found import Found
-from benchmarks.robot_hostile_plans import any_plan, set_out
-from benchmarks.robot_world import NAME, RIG_ARM, SECOND_NS, World
 from schemas.messages import ChangeState, CommandHeader, Outcome, StateWord
 from schemas.topics import CHANGE_STATE
 from shared.ros import crtk
+from tests.rigs.robot.hostile_found import Found
+from tests.rigs.robot.hostile_plans import any_plan, set_out
+from tests.rigs.robot.world import NAME, RIG_ARM, SECOND_NS, World
 
 WORDS = tuple(StateWord)
 STOPPING = (StateWord.PAUSE, StateWord.DISABLE)

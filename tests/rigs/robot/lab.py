@@ -14,8 +14,6 @@ from typing import Any
 import numpy as np
 
 from agents.cli.running.supervisor import SUPERVISED
-from benchmarks.faults.processes import faked
-from benchmarks.robot_person import CALIBRATION
 from schemas.codec import decode, encode
 from schemas.messages import ChallengeEcho, FrameStamp, GraspPlan, Phase, Policy, Status, TissueSurface, Waypoint
 from schemas.topics import PLAN, SURFACE, key
@@ -26,6 +24,8 @@ from shared.runtime.attachment import Attachment, pack
 from shared.runtime.delivery import declare_publisher
 from shared.runtime.session import SessionSettings, free_local_endpoint, open_session
 from shared.runtime.taps import Tapped, tap
+from tests.rigs.faults.processes import faked
+from tests.rigs.robot.person import CALIBRATION
 
 RUNS_FOR_S, STANDS_S = 1.0, 1.0
 """How long the arm moves before the loss, and how long it must not move to be said to stand."""
@@ -34,7 +34,7 @@ MOVES_NS = 50_000_000
 DEADLINE_S, LOOK_S = 60.0, 0.05
 RIG, ARM, CONSOLE = "bench", "psm1", "PSM1"
 TURNS = 6
-PERSON, PATIENT_S = "benchmarks.robot_person", 8.0
+PERSON, PATIENT_S = "tests.rigs.robot.person", 8.0
 
 
 class NotMovingError(RuntimeError):
@@ -74,7 +74,7 @@ class Lab:
         for name, ends in (("robot", (relayed, self._robot)), ("rig", (self._desk, self._router))):
             mode = queue[1:] if queue[0] == name else ("constant", 0.0)
             ports = (endpoint.rsplit(":", 1)[1] for endpoint in ends)
-            self._start(f"link of the {name}", "benchmarks.robot_relay", *ports, *mode)
+            self._start(f"link of the {name}", "tests.rigs.robot.relay", *ports, *mode)
         self._start("bridge", "agents.cli", "robot-bridge", *rig)
         if beside is None:
             self._start("camera", PERSON, "watch", RIG, self._router, ARM)

@@ -5,9 +5,6 @@ from typing import Any
 
 import zenoh
 
-from benchmarks.intruder_rig import ARM, OPERATOR, Rig, owned_topics
-from benchmarks.intruder_rows import Row
-from benchmarks.malformed import valid_messages
 from schemas.codec import decode, encode, encoding_name
 from schemas.messages import CommandAnswer, Outcome
 from schemas.topics import ANY_AGENT, MAIN, REPLAY_CLOCK, SET, TOPICS, Delivery, Topic, key
@@ -15,6 +12,9 @@ from shared.clock import now_ns
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.commands import send_command
 from shared.runtime.delivery import declare_publisher, subscribe
+from tests.rigs.intruder.malformed import valid_messages
+from tests.rigs.intruder.rig import ARM, OPERATOR, Rig, owned_topics
+from tests.rigs.intruder.rows import Row
 
 INTRUDER = "perception"
 EPOCH = 0xBAD

@@ -22,8 +22,8 @@ from typing import Any
 
 import aiohttp
 
-from benchmarks.browser import LARGEST_MESSAGE, STARTS_S, WAITS_S, BrowserError
 from shared.clock import monotonic_s
+from tests.rigs.browser import LARGEST_MESSAGE, STARTS_S, WAITS_S, BrowserError
 
 NAMES = ("firefox-esr", "firefox")
 LISTENS = re.compile(rb"WebDriver BiDi listening on (ws://\S+)")

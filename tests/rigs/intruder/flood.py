@@ -16,10 +16,6 @@ from typing import Any
 import numpy as np
 
 from agents.operator.operator import ask_for_grasp
-from benchmarks.intruder_rig import ARM, BRIDGE, DESK, NAMES, OPERATOR, Rig, owned_topics
-from benchmarks.intruder_rows import Row
-from benchmarks.intruder_rules import commands_of_rig
-from benchmarks.malformed import malformed, valid_messages
 from schemas.codec import decode
 from schemas.messages import CommandAnswer, Outcome, Policy, Progress, Status
 from schemas.topics import (
@@ -46,6 +42,10 @@ from shared.recording.mcap_file import read_with_notes
 from shared.runtime.attachment import LAYOUT, Attachment, pack
 from shared.runtime.commands import STATUS
 from shared.runtime.delivery import declare_publisher
+from tests.rigs.intruder.malformed import malformed, valid_messages
+from tests.rigs.intruder.rig import ARM, BRIDGE, DESK, NAMES, OPERATOR, Rig, owned_topics
+from tests.rigs.intruder.rows import Row
+from tests.rigs.intruder.rules import commands_of_rig
 
 EPOCH = 0x0DD
 AT_ONCE = {Delivery.LATEST: 6}

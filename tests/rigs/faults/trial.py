@@ -4,14 +4,14 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from benchmarks.faults.faults import Fault
-from benchmarks.faults.lab import ASK_S, Lab, NotReachedError
-from benchmarks.faults.observer import Heard
-from benchmarks.faults.probe import RATE_HZ
-from benchmarks.faults.rig import BRIDGE, KINDS, ROUTER
 from schemas.messages import CommandAnswer, ExecutionKind, Outcome, Status
 from schemas.topics import EXECUTION, HEALTH, LOG, PLAN, ROBOT_STATE, THREAD, Topic
 from shared.clock import monotonic_s, now_ns
+from tests.rigs.faults.faults import Fault
+from tests.rigs.faults.lab import ASK_S, Lab, NotReachedError
+from tests.rigs.faults.observer import Heard
+from tests.rigs.faults.probe import RATE_HZ
+from tests.rigs.faults.rig import BRIDGE, KINDS, ROUTER
 
 FRESH_NS = {THREAD: 1_000_000_000, ROBOT_STATE: 100_000_000}
 """How old what flows may be to count as flowing again."""

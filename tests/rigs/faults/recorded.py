@@ -2,9 +2,9 @@
 
 from collections import defaultdict
 
-from benchmarks.faults.lab import Lab
 from schemas.topics import EXECUTION, JUDGEMENT, LOG, PLAN, topic_of
 from shared.recording.mcap_file import read_recording
+from tests.rigs.faults.lab import Lab
 
 EVENTS = (LOG, PLAN, EXECUTION, JUDGEMENT)
 OWN = "/recorder/"

@@ -1,7 +1,7 @@
 """A person who presses the page's button, and a camera, as far as a bridge and a guard can tell: for measurements.
 
-    python -m benchmarks.robot_person press RIG ENDPOINT ARM PLAN     # arms the plan and answers; SIGUSR1 lets go
-    python -m benchmarks.robot_person watch RIG ENDPOINT ARM          # 30 frame notices a second; SIGUSR1 freezes it
+    python -m tests.rigs.robot.person press RIG ENDPOINT ARM PLAN     # arms the plan and answers; SIGUSR1 lets go
+    python -m tests.rigs.robot.person watch RIG ENDPOINT ARM          # 30 frame notices a second; SIGUSR1 freezes it
 
 Each answers the newest challenge that it has heard, as the page and the camera do.
 """

@@ -1,6 +1,6 @@
 """A cable that takes its time: Ethernet frames pass between pairs of ports, each so long after it came.
 
-    python -m benchmarks.faults.relay SECONDS PORT=PORT ...
+    python -m tests.rigs.faults.relay SECONDS PORT=PORT ...
 
 Linux' own netem is often left out of kernels. What comes keeps its order, and nothing is lost but where a port's buffer
 is full.

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from agents.emulator import messages as written
-from benchmarks import robot_image_messages as images
 from shared.clock import processor_s
 from shared.ros import types
+from tests.rigs.robot import image_messages as images
 
 KINDS = {
     types.JOINT_STATE: "JointState",

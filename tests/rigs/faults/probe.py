@@ -1,6 +1,6 @@
 """One on each host that says events at a steady rate and hears those of all others: none of them may get lost.
 
-    python -m benchmarks.faults.probe CONFIG FILE
+    python -m tests.rigs.faults.probe CONFIG FILE
 
 It publishes as every agent publishes its log, under the name of its host's operator, and listens as the recorder
 listens. What it has said and heard is in the file, once a second.
@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from agents.cli.rig.hosts import OPERATOR
-from benchmarks.faults.rig import settings_at
 from schemas.codec import encode
 from schemas.messages import LogLevel, LogRecord
 from schemas.topics import LOG, Topic, key
@@ -24,6 +23,7 @@ from shared.runtime.attachment import Attachment, pack
 from shared.runtime.connection import open_when_there
 from shared.runtime.delivery import declare_publisher
 from shared.runtime.taps import Tapped, tap
+from tests.rigs.faults.rig import settings_at
 
 RATE_HZ = 20.0
 

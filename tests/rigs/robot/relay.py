@@ -1,6 +1,6 @@
 """A relay that carries as a bad network does: with constant, growing, or bursting delays, loss, reordering.
 
-    python -m benchmarks.robot_relay LISTEN TARGET MODE SECONDS
+    python -m tests.rigs.robot.relay LISTEN TARGET MODE SECONDS
 
 Ports of this machine. It carries at once until SIGUSR1, and by the mode from then on: `constant` holds everything back
 for so long, `growing` half a second longer each second up to that, `bursts` lets nothing through but once in so
@@ -71,7 +71,7 @@ class Relay:
     def _due_s(self, came_s: float) -> float | None:
         if self._began_s is None:
             return came_s
-        delay_s = delay_of(self._mode, self._seconds, came_s - self._began_s, random.random())  # noqa: S311
+        delay_s = delay_of(self._mode, self._seconds, came_s - self._began_s, random.random())
         return None if delay_s is None else came_s + delay_s
 
 

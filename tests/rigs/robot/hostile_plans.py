@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.robot_world import RIG_ARM, SECOND_NS, World
 from schemas.messages import GraspPlan, Outcome, Phase, Policy, Status, Waypoint
 from shared.rigid_transforms import exp_so3, transform
+from tests.rigs.robot.world import RIG_ARM, SECOND_NS, World
 
 
 def waypoints(rng: np.random.Generator, count: int | None = None) -> tuple[Waypoint, ...]:
