@@ -11,7 +11,8 @@ LOCK := $(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extr
 # Markers that make test leaves to make test-all, which pyproject.toml explains. What is essential is in both.
 LATER := rig or hosts or browser or renders or fuzz or slow
 PROCESSES := rig or hosts or browser
-PARALLEL := -n logical --dist worksteal
+# more than cores, for many tests wait; rigs of make test follow each other, beside what computes
+PARALLEL := -n $(shell echo $$(($$(nproc) * 3 / 2))) --dist loadgroup
 PYTEST := $(BIN)/python -m pytest
 # a process that a test starts counts for that test; tests may take longer than without
 COVERAGE := $(PYTEST) --cov --cov-context=test --cov-report= -o junit_family=xunit1 --timeout=500 \
@@ -48,10 +49,11 @@ example: .venv/runtime.done ## a stereo pair becomes a thread in 3D, in a few se
 # as agents do: threads of one computation that wait for each other's turn on two busy cores cost more than they gain
 test test-all coverage: export OPENBLAS_NUM_THREADS := 1
 test test-all coverage: export OPENCV_FOR_THREADS_NUM := 1
+# some machines forbid it to all programs; hundreds of processes would compile everything anew
+test test-all coverage: export PYTHONDONTWRITEBYTECODE :=
 test: .venv/dev.done ## in three minutes: all that computes; a demo, an arm that is held, a router that is killed; ARGS="..." for some
 ifeq ($(ARGS),)
-	@$(PYTEST) $(PARALLEL) -m "not ($(LATER))"; computing=$$?; \
-	$(PYTEST) -o cache_dir=.pytest_cache/essential -m essential; exit $$((computing + $$?))
+	@$(PYTEST) $(PARALLEL) -m "essential or not ($(LATER))"
 else
 	@$(PYTEST) $(ARGS)
 endif
