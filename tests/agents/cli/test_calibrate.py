@@ -43,6 +43,7 @@ def folders(pairs, tmp_path_factory):
     return written(tmp_path_factory.mktemp("views"), pairs)
 
 
+@pytest.mark.slow
 def test_folders_become_a_calibration_in_three_forms_with_a_report(suturegrasp, folders, tmp_path):
     began_ns = now_ns()
     ended = suturegrasp("calibrate", "stereo", *SQUARES, *folders, "--output", tmp_path / "out")
@@ -211,6 +212,7 @@ class LetGo(Held):
         return super().read()
 
 
+@pytest.mark.slow
 def test_live_ctrl_c_ends_it_with_what_there_is(live, pairs, tmp_path):
     ended = live(LetGo(pairs), 30)
     kept = sorted((tmp_path / "out").glob("*/view*.png"))

@@ -102,6 +102,7 @@ def test_room_for_recordings_and_certificates_are_looked_for_where_they_are_need
     assert "there are none in" in desk["certificates"].found
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_doctor_finds_the_router_and_who_is_there(router, in_threads, until, suturegrasp, tmp_path):
     config = tmp_path / "rig.toml"
@@ -344,6 +345,7 @@ class Secured:
         return open_router(self.rig.router_endpoint, identity_in(self.certificates, "router.main"), self.access)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_rules_are_proved_by_trying_with_every_certificate_of_this_host(tmp_path, in_threads, until):
     secured = Secured(tmp_path)
@@ -373,6 +375,7 @@ def test_a_router_without_rules_is_found_out(tmp_path):
         assert f"{way} under planner/main" in finding.found
 
 
+@pytest.mark.slow
 def test_a_certificate_that_a_router_does_not_know_is_told_as_that(tmp_path):
     ours, theirs = Secured(tmp_path / "a"), Secured(tmp_path / "b")
     mixed = identity_in(tmp_path, "mixed")

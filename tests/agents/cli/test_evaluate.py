@@ -56,6 +56,7 @@ def trial(table):
     return list(trials_on(table.protocol, table.laid))[1]
 
 
+@pytest.mark.slow
 def test_after_a_grasp_the_thread_is_looked_at_again(table, trial):
     told = [output.topic for output in table.look("refined").said]
     assert (told.count(SURFACE), told[-1]) == (1, THREAD), "the planner is told of the tissue first"

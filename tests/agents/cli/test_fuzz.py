@@ -76,6 +76,7 @@ def test_damaged_images(suturegrasp, folder: Path, name: str, edits: list[tuple[
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False) | st.floats(-1000, 1000) | st.integers(-3, 3).map(float)
 
 
+@pytest.mark.slow
 @fuzzed
 @given(
     path=st.sampled_from(("K_left", "K_right", "distortion_left", "distortion_right", "T_right_left")),

@@ -34,6 +34,7 @@ def nowhere(tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_without_router_a_command_says_so_in_one_line(suturegrasp, nowhere, monkeypatch):
     monkeypatch.setattr("agents.cli.live.command.connected", lambda settings: connected(settings, within_s=0.1))
     for command in ("goal --pixel 1 2", "arm x", "hold", "prompt --pixel 1 2"):

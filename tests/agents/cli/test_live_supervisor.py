@@ -119,6 +119,7 @@ def test_a_process_that_does_not_listen_is_killed(started, tmp_path, monkeypatch
     assert process.returncode == -signal.SIGKILL
 
 
+@pytest.mark.slow
 def test_processes_end_with_a_supervisor_that_is_killed(tmp_path):
     config = tmp_path / "rig.toml"
     config.write_text('[router]\nendpoint = "tcp/127.0.0.1:1"\nstart = false\n[planner]\n')

@@ -58,6 +58,7 @@ def test_files_that_cannot_be_used_keep_the_agent_from_starting_in_one_sentence(
     assert f"promptable_encoder {missing} cannot be read: No such file or directory" in ended.err
 
 
+@pytest.mark.slow
 def test_reconstruct_takes_the_thread_at_a_pixel_from_the_network(suturegrasp, files, small, pair, tmp_path):
     out = tmp_path / "thread.json"
     left = cv2.imread(str(small / "left.png"))

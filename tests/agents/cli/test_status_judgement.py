@@ -399,6 +399,7 @@ FARES = st.builds(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(st.lists(FARES, max_size=4, unique_by=lambda f: f.name), st.booleans())
 def test_whatever_is_heard_is_judged_and_shown(fares, hosts):

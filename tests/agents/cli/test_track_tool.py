@@ -52,6 +52,7 @@ def recording(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 def test_it_tells_by_how_much_the_registration_is_off_and_writes_what_it_should_be(suturegrasp, recording, tmp_path):
     corrected, tips, pictures = tmp_path / "psm1.json", tmp_path / "tips.csv", tmp_path / "pictures"
     files = ("--output", corrected, "--tips", tips, "--pictures", pictures)

@@ -90,6 +90,7 @@ def command(link, word):
     link.say(f"{ARM}/state_command", types.encode(types.STRING_STAMPED, types.message(types.STRING_STAMPED, at, word)))
 
 
+@pytest.mark.slow
 def test_a_console_is_enabled_and_homed_moves_is_held_and_pauses(console):
     emulated, link, ears = console
     until(lambda: ears.last("measured_js") and ears.last("operating_state") and ears.last("tool_type"))

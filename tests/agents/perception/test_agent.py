@@ -143,6 +143,7 @@ def shifted(sequence, right=0):
     return StereoFrame(FrameStamp(sequence, 100, 200, ""), left, other)
 
 
+@pytest.mark.slow
 def test_what_is_said_of_frames_follows_from_the_frames_alone():
     frames = [calibration(), shifted(0), shifted(1, right=4), frame(), shifted(60, right=9)]
     first, again = (fed(Perception(), *frames) for _ in range(2))

@@ -75,6 +75,7 @@ def test_a_baseline_in_the_wrong_unit_is_said_beside_the_thread():
     assert "where no endoscope looks" in observed.judgements[0].finding
 
 
+@pytest.mark.slow
 def test_a_new_calibration_has_the_pair_judged_again():
     agent = Perception()
     for sequence, metres_per_unit in enumerate((1e-3, None)):
@@ -100,6 +101,7 @@ def test_a_replay_from_the_midst_goes_on_with_the_rows_as_they_were():
     assert encode(later) == encode(whole[2])
 
 
+@pytest.mark.slow
 def test_pictures_that_stand_still_are_said_to_while_they_do():
     still = {"left_noise": 5, "right_noise": 5}
     found = fed(frame(0), frame(5, **still), frame(5 + STILL_FRAMES, **still), frame(6 + STILL_FRAMES))
@@ -131,6 +133,7 @@ def test_rows_that_are_apart_are_put_in_line_and_said_to_be_until_the_camera_is_
     assert (come_back.rows_moved_up, codes(come_back)) == (0, {})
 
 
+@pytest.mark.slow
 def test_exposure_is_told_of_the_frame_at_hand_and_blur_until_the_whole_is_looked_at_again():
     def dark(image):
         return (image * 0.15).astype(np.uint8)

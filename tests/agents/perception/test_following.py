@@ -141,6 +141,7 @@ def with_calibration():
     return agent
 
 
+@pytest.mark.slow
 def test_observations_say_from_which_frame_a_thread_was_followed_and_an_agent_that_is_fed_them_goes_on_alike():
     agent = with_calibration()
     found = [seen(agent, k, 3 * k) for k in range(4)]

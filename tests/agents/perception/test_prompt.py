@@ -97,6 +97,7 @@ def test_the_thread_at_the_prompt_is_kept_alone_and_measured(segmenter, thread):
     np.testing.assert_allclose(np.median(found.points_camera[:, 2]), 600 * 0.005 / DISPARITY, rtol=0.03)
 
 
+@pytest.mark.slow
 @SEGMENTERS
 def test_it_is_followed_as_it_moves_near_and_over_the_whole_until_it_is_cleared(segmenter):
     agent = agent_of(segmenter)
@@ -115,6 +116,7 @@ def test_it_is_followed_as_it_moves_near_and_over_the_whole_until_it_is_cleared(
     assert np.abs(columns(found) - BLACK[0] - 35).min() < 6
 
 
+@pytest.mark.slow
 def test_a_prompt_that_goes_on_from_recorded_observations_means_the_same_thread():
     live, resumed = agent_of("network"), agent_of("network")
     seen(live, 0)

@@ -28,6 +28,7 @@ def agent(files):
     return agent
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("thread", [BLACK, GREEN])
 def test_the_thread_at_the_click_is_kept_alone_measured_and_followed_near_and_over_the_whole(agent, thread):
     seen(agent, 0)

@@ -4,6 +4,7 @@ import dataclasses
 import functools
 
 import numpy as np
+import pytest
 
 from agents.perception.search import (
     FRAMES_BETWEEN_LOOKS,
@@ -75,6 +76,7 @@ def overlap(a, b):
     return ((a > 0) & (b > 0)).sum() / ((a > 0) | (b > 0)).sum()
 
 
+@pytest.mark.slow
 def test_who_is_slow_looks_at_the_whole_no_more_often_than_at_every_fourth_frame():
     images = tissue()
     first = seen(images, look_everywhere(images, 0))
@@ -96,6 +98,7 @@ def test_bright_and_dark_threads_are_told_apart():
         assert is_brighter(image, line(200)) == (thread > ground)
 
 
+@pytest.mark.slow
 def test_judgements_that_are_carried_on_say_once_when_they_were_made():
     images = tissue()
     warning = Judgement("row_residual", Severity.WARNING, "rows lie apart", "calibrate again")

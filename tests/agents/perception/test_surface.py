@@ -35,6 +35,7 @@ def errors(config, seed):
     return np.abs(surface.depth[v, u] - truth[at]), surface.deviation[v, u], at
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("config", "seed"), [("easy", 12), ("medium", 32)])
 def test_tissue_is_measured_to_a_millimetre_where_it_is_valid(config, seed):
     surface, thread, _ = measured(config, seed)
@@ -48,6 +49,7 @@ def test_tissue_is_measured_to_a_millimetre_where_it_is_valid(config, seed):
     assert np.percentile(error[beside], 90) < 1.5
 
 
+@pytest.mark.slow
 def test_errors_are_as_large_as_they_are_stated():
     stated = np.concatenate([errors(*scene)[0] / errors(*scene)[1] for scene in (("easy", 12), ("medium", 32))])
     assert 0.6 < (stated < 1).mean() < 0.75

@@ -156,6 +156,7 @@ def test_every_byte_is_published_again_in_order_under_a_run_of_its_own(replayed,
     assert any("/replay/main/clock" in m.key for m in heard)
 
 
+@pytest.mark.slow
 def test_at_its_own_spacing_nothing_is_changed_or_swapped_and_the_error_is_told(replayed, recording, heard, settings):
     code, out, _ = replayed(recording.path, "--from", "0.5", "--to", "1.5", "--rate", "2")
     assert code == 0
@@ -172,6 +173,7 @@ def test_at_its_own_spacing_nothing_is_changed_or_swapped_and_the_error_is_told(
         assert {(m.payload, m.beside.published_ns) for m in messages} <= set(expected[name])
 
 
+@pytest.mark.slow
 def test_fast_waits_for_all_that_follows_and_so_loses_nothing(replayed, recording, settings, in_threads):
     perception, reconstruction = Slow("perception", FRAMES, (SURFACE,)), Slow("reconstruction", SURFACE)
     with in_threads(settings, perception, reconstruction):

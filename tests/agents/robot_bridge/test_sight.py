@@ -124,6 +124,7 @@ def test_a_motion_above_the_cap_is_refused_where_it_was_not_armed_as_a_chain_wha
     assert drive.arm().code == code
 
 
+@pytest.mark.slow
 def test_a_motion_that_is_slowed_down_under_way_holds_at_the_cap():
     drive = seen(RobotBridgeConfig(maximum_motion_s=8.0)).armed()
     drive.bridge.configure(dataclasses.replace(drive.bridge.config, ratio=0.5))
@@ -178,6 +179,7 @@ def test_a_chain_is_no_longer_than_it_was_armed_for():
     assert "armed for 1 segments at most" in drive.events[-1].reason
 
 
+@pytest.mark.slow
 def test_an_arm_waits_for_its_next_segment_for_a_while_and_no_longer():
     drive = at_the_end_of_a_segment()
     ended_ns = drive.now_ns

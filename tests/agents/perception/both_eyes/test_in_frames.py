@@ -70,6 +70,7 @@ def always_apart(monkeypatch):
     monkeypatch.setattr(apart, "apart_px", said)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("always_apart")
 def test_a_frame_that_is_looked_at_and_one_that_is_followed_are_drawn_alike():
     masks_given = looked_at(GIVEN_MASKS)

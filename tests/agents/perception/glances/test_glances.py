@@ -98,6 +98,7 @@ def said(images, observed):
     return {glance(score, observed, covered[part.eye], part) for part, score in scores.items()} - {""}
 
 
+@pytest.mark.slow
 def test_thread_elsewhere_and_thread_that_is_gone_are_told():
     images = scene()[1]
     assert said(images, known()) == set()
@@ -149,6 +150,7 @@ def steady(frames):
     return [seen(agent, k, scene()[1]) for k in range(0, frames, 10)]
 
 
+@pytest.mark.slow
 def test_an_agent_that_is_fed_the_observations_of_any_frame_goes_on_alike():
     before, other = steady(120), started()
     list(other.step(Received(OBSERVATIONS, str(OBSERVATIONS), 4, before[4])))

@@ -50,6 +50,7 @@ def judged(images, before=None):
 EYE = RightEye(1.6, 0.3, 1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("eye", [EYE, RightEye(-2.0, -0.4, 1.004)])
 def test_an_eye_out_of_line_is_put_in_line_and_said_to_be(eye):
     found = judged(pair(eye))

@@ -1,6 +1,7 @@
 """Which segmenter an unknown image is given to."""
 
 import numpy as np
+import pytest
 
 from agents.perception.segmentation.choice import SEGMENTERS, suitable_segmenter
 from agents.perception.segmenter_names import GIVEN_MASKS, PROMPTABLE, SEGMENTER_NAMES
@@ -16,6 +17,7 @@ def test_every_segmenter_has_its_name_and_gives_coverage_of_the_images_size():
         assert (found.shape, found.dtype) == ((54, 96), np.uint8)
 
 
+@pytest.mark.slow
 def test_plain_ground_is_thresholded_and_tissue_is_given_to_the_network():
     for background, expected in (("plain", "threshold"), ("tissue", "network")):
         pair = render(make_scene("medium", background, 7))

@@ -4,6 +4,7 @@ import dataclasses
 from typing import Any
 
 import numpy as np
+import pytest
 
 from agents.perception.tool.agent import ToolTracker
 from agents.perception.tool.placed import placed_at
@@ -52,6 +53,7 @@ def armed(session: Any, T_camera_tool: np.ndarray, plan_id: str) -> CommandAnswe
     return answer
 
 
+@pytest.mark.slow
 def test_a_tool_far_off_is_brought_within_a_millimetre_and_one_that_is_lost_is_not_moved(begun_session: Any):
     session, camera, found = begun_session
     found_ns = session.now_ns

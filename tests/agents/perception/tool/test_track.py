@@ -114,6 +114,7 @@ def depth_error_mm(shaft_radius: float) -> float:
     return 1e3 * float((apply(found.correction.matrix, tip) - tip)[0, 2])
 
 
+@pytest.mark.slow
 def test_a_fit_farther_away_than_what_was_known_allows_is_taken_only_where_it_is_better_by_far():
     view = looked_at(TOOL)
     right = refined(view, known(0.003, 0.03))

@@ -1,6 +1,7 @@
 """Correspondence along the rows against the disparity that a known thread has."""
 
 import numpy as np
+import pytest
 
 from agents.reconstruction.refined.alignment import align
 from agents.reconstruction.refined.chains import chains
@@ -69,6 +70,7 @@ def test_exchanged_images_and_a_thread_in_other_rows_contradict(camera, threads,
         assert told in contradiction(align(chain, second, disparities(camera.image_width)), camera)
 
 
+@pytest.mark.slow
 def test_a_thread_that_winds_over_the_whole_image_is_aligned_in_bounded_memory(camera, make_lines):
     legs = [[(u, 20), (u, 520)][:: 1 - 2 * (k % 2)] for k, u in enumerate(range(60, 940, 24))]
     left = make_lines(np.array(legs, np.float64).reshape(-1, 2))

@@ -168,6 +168,7 @@ def turned_by(angle):
     return turned
 
 
+@pytest.mark.slow
 def test_a_thread_is_followed_past_the_place_where_its_ends_change_sides():
     """The first end lies left in the first frame; turned by half a circle it lies right, and is the first still."""
     last = track_refined(seen(turned_by(0.0)), None)

@@ -81,6 +81,7 @@ def test_where_a_way_takes_too_long_an_arm_is_not_moved_at_all(link):
     assert (chain.passed, chain.violations) == (0, [])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by", ["ann", "ben", "foot"])
 def test_the_model_moves_and_nothing_is_wrong_with_that(by):
     chain = moving(by)

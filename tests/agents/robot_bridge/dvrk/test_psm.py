@@ -209,6 +209,7 @@ def test_a_console_that_is_disabled_has_another_tool_or_is_elsewhere_is_not_arme
     assert (answer.code, "its tool is something not readable" in answer.reason) == ("wrong_tool", True)
 
 
+@pytest.mark.slow
 def test_a_person_may_change_an_arms_state_while_it_is_disarmed_and_nobody_else_has_it(room, monkeypatch):
     def change(word):
         header = CommandHeader(f"{word}-{room.now_ns}", room.now_ns + SECOND_NS, "ann")

@@ -44,6 +44,7 @@ def test_a_rig_beside_the_field_stands_where_both_eyes_see_it():
         assert ((pixels > 0.0) & (pixels < (320.0, 240.0))).all()
 
 
+@pytest.mark.slow
 def test_eyes_that_share_no_field_or_none_that_a_thread_fits_into_are_told(monkeypatch):
     apart = rectified_rig(replace(BESIDE.near_enough, baseline=800.0))
     with pytest.raises(UnarrangedError, match="eyes 800 mm apart share no field within 1000 mm"):
@@ -104,6 +105,7 @@ def first_held(hold, field):
     return next(found for found in held if found.tools)
 
 
+@pytest.mark.slow
 @needs_meshes
 def test_a_needle_is_held_between_jaws_above_the_ground():
     field = arranged(Recipe("needle", "phantom", 1), RIG).field

@@ -103,6 +103,7 @@ def test_what_is_varied_for_training_has_a_third_without_thread_and_all_extras_n
     assert () in drawn
 
 
+@pytest.mark.slow
 def test_a_camera_that_sees_half_as_wide_stands_twice_as_far_away():
     near = RIG.near_enough
     narrow = rectified_rig(replace(near, fx_px=2 * near.fx_px, fy_px=2 * near.fy_px))
