@@ -64,11 +64,11 @@ test-all: .venv/dev.done ## make test, then whole rigs, hosts, browsers, renders
 	$(PYTEST) $(PARALLEL) -o cache_dir=.pytest_cache/later -m "($(LATER)) and not ($(PROCESSES) or essential)"; later=$$?; \
 	$(PYTEST) -o cache_dir=.pytest_cache/processes -m "($(PROCESSES)) and not essential"; exit $$((first + later + $$?))
 
-coverage: .venv/dev.done ## lines and branches that make test-all runs, in which test; out/coverage.sqlite, out/tests*.xml
+coverage: .venv/dev.done ## lines and branches that make test-all runs, by which test: out/coverage
 	@rm -rf out/coverage; mkdir -p out/coverage
-	@$(COVERAGE) --junit-xml=out/tests1.xml $(PARALLEL) -m "not ($(PROCESSES))"; \
-	$(COVERAGE) --cov-append --junit-xml=out/tests2.xml -m "$(PROCESSES)"; \
-	$(BIN)/coverage report --skip-covered --sort=cover > out/coverage.txt; tail -n 1 out/coverage.txt
+	@$(COVERAGE) --junit-xml=out/coverage/computing.xml $(PARALLEL) -m "not ($(PROCESSES))"; \
+	$(COVERAGE) --cov-append --junit-xml=out/coverage/processes.xml -m "$(PROCESSES)"; \
+	$(BIN)/coverage report --skip-covered --sort=cover > out/coverage/report.txt; tail -n 1 out/coverage/report.txt
 
 bless: .venv/dev.done ## what the agents make of the golden recordings now is right from now on; shows what changed
 	@$(BIN)/python -m tests.goldens.bless

@@ -2,7 +2,7 @@
 
 The defects are the mutants of mutants.json (`python -m tests.mutation draw --seed N --count 150` draws others) and the
 past ones of defects/, each a patch that takes a fix out again. For each of them the tests that ran its lines, as
-out/coverage.sqlite knows, run in a copy of the checkout, quickest first, until one fails or `--limit` is spent.
+out/coverage knows, run in a copy of the checkout, quickest first, until one fails or `--limit` is spent.
 A test that also fails without the defect says nothing, and is named.
 """
 
@@ -27,7 +27,8 @@ from tests.mutation.ran import Ran
 ROOT = Path(__file__).parents[2]
 HERE = Path(__file__).parent
 MUTANTS, DEFECTS = HERE / "mutants.json", HERE / "defects"
-COVERAGE, DURATIONS = ROOT / "out" / "coverage.sqlite", [ROOT / "out" / "tests.xml"]
+OUT = ROOT / "out" / "coverage"
+COVERAGE, DURATIONS = OUT / "data", [OUT / "computing.xml", OUT / "processes.xml"]
 # a first handful finds most defects; starting pytest anew for each test would take longer than the tests
 BATCHES = (12, 60, 240)
 

@@ -1,6 +1,7 @@
 """Whatever is wrong with the input: one line that names it, nothing on standard output, and nothing destroyed."""
 
 import contextlib
+import functools
 import json
 import os
 import re
@@ -251,7 +252,10 @@ def test_an_interrupt_from_the_keyboard_ends_in_one_line(pair, small):
     (small / "left.png").unlink()
     os.mkfifo(small / "left.png")
     command = [str(SCRIPT), *map(str, pair(small)), "--output", str(small / "out.json")]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    # tests that a shell runs in the background ignore interrupts, and so would what they start
+    as_in_front = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    process = subprocess.Popen(command, **pipes, text=True, preexec_fn=as_in_front)  # noqa: PLW1509 - nothing is locked
     # opening succeeds only once the command has opened the other end; a signal that comes just before it reads is told
     # by Python after that, so the pipe is closed in the end
     with process:
