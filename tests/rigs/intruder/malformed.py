@@ -41,7 +41,7 @@ from shared.clock import now_ns
 from shared.recording.mcap_file import read_recording
 from shared.runtime.commands import new_header
 
-EXAMPLE = Path(__file__).parents[1] / "docs" / "example" / "session.mcap"
+EXAMPLE = Path(__file__).parents[3] / "docs" / "example" / "session.mcap"
 FLOATS = (np.nan, np.inf, -np.inf, 1e308, -1e308, 5e-324, -0.0, -1.0, 1e18)
 INTEGERS = (0, 1, -1, 2**31 - 1, -(2**31), 2**32 - 1, 2**62, 2**63 - 1, -(2**63), 2**64 - 1)
 TEXTS = ("", "\0", "x" * 5000, "../../etc/passwd", "**", "@adv/pub", "\u202e", "%s%n{0}", "1e999", "[" * 3000)
