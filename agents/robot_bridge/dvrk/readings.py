@@ -36,7 +36,7 @@ SAME_M, SAME_RAD = 0.003, 0.1
 SAME_TIME_NS = 5_000_000
 """Joints and pose are compared where the robot's clock has them at one time: an arm moves 0.4 mm meanwhile."""
 STANDS = 1e-3
-"""Or where no joint (rad, m) has moved by as much since the measurement before: then any two times will do."""
+"""Or where no joint (rad, m) has moved by as much since the turn before: then any two times will do."""
 
 
 KINDS: tuple[str, ...] = ("measured_js", "jaw/measured_js", "local/measured_cp")
@@ -77,8 +77,7 @@ class Readings:
         self._stamps = dict.fromkeys(KINDS, 0)
         self._decoded = dict.fromkeys(KINDS, Raw(b"", 0))
         self._newest: dict[str, tuple[int, np.ndarray]] = {}
-        self._faulty, self._apart = "", _Apart(0, 0.0, 0.0)
-        self._before, self._before_ns, self._stands = NOTHING.joints, 0, False
+        self._faulty, self._apart, self._before = "", _Apart(0, 0.0, 0.0), NOTHING.joints
 
     def hear(self, kind: str, data: bytes, arrived_ns: int) -> None:
         """Keep the newest measurement of a kind, unread."""
@@ -208,12 +207,9 @@ class Readings:
     def _same_place(self, measured: Measured, now_ns: int) -> Judged | None:
         """Whether the console's own pose of the tool is where our kinematics have it."""
         at_ns, T = self._newest.get("local/measured_cp", (0, np.eye(4)))
-        stamp_ns = self._stamps["measured_js"]
-        if stamp_ns != self._before_ns:
-            # joints of which nothing newer was heard are the same, and the arm may move all the while
-            self._stands = bool((np.abs(measured.joints - self._before) < STANDS).all())
-            self._before, self._before_ns = measured.joints, stamp_ns
-        if abs(self._stamps["local/measured_cp"] - stamp_ns) <= SAME_TIME_NS or self._stands:
+        between_ns = abs(self._stamps["local/measured_cp"] - self._stamps["measured_js"])
+        stands, self._before = bool((np.abs(measured.joints - self._before) < STANDS).all()), measured.joints
+        if between_ns <= SAME_TIME_NS or stands:
             ours = self._kinematics.forward(measured.joints)
             apart_m = float(np.linalg.norm(T[:3, 3] - ours[:3, 3]))
             self._apart = _Apart(at_ns, apart_m, float(angle_between(T[:3, :3], ours[:3, :3])))
