@@ -255,7 +255,11 @@ def test_an_interrupt_from_the_keyboard_ends_in_one_line(pair, small):
     # tests that a shell runs in the background ignore interrupts, and so would what they start
     as_in_front = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
     process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=as_in_front  # noqa: PLW1509
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=as_in_front,  # noqa: PLW1509
     )
     # opening succeeds only once the command has opened the other end; a signal that comes just before it reads is told
     # by Python after that, so the pipe is closed in the end
