@@ -11,8 +11,9 @@ LOCK := $(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extr
 # Markers that make test leaves to make test-all, which pyproject.toml explains. What is essential is in both.
 LATER := rig or hosts or browser or renders or fuzz or slow
 PROCESSES := rig or hosts or browser
-# more than cores, for many tests wait; rigs of make test follow each other, beside what computes
-PARALLEL := -n $(shell echo $$(($$(nproc) * 3 / 2))) --dist loadgroup
+# more than cores, for many tests wait; the tests of a file share fixtures, and stay together
+PARALLEL := -n $(shell echo $$(($$(getconf _NPROCESSORS_ONLN) * 3 / 2))) --dist loadfile
+ESSENTIAL := $(shell grep -rl --include='*.py' mark.essential tests)
 PYTEST := $(BIN)/python -m pytest
 # a process that a test starts counts for that test; tests may take longer than without
 COVERAGE := $(PYTEST) --cov --cov-context=test --cov-report= -o junit_family=xunit1 --timeout=500 \
@@ -53,12 +54,14 @@ test test-all coverage: export OPENCV_FOR_THREADS_NUM := 1
 test test-all coverage: export PYTHONDONTWRITEBYTECODE :=
 test: .venv/dev.done ## in three minutes: all that computes; a demo, an arm that is held, a router that is killed; ARGS="..." for some
 ifeq ($(ARGS),)
-	@$(PYTEST) $(PARALLEL) -m "essential or not ($(LATER))"
+	@mkdir -p out; $(PYTEST) -o cache_dir=.pytest_cache/essential -m essential $(ESSENTIAL) > out/essential.log 2>&1 & rigs=$$!; \
+	$(PYTEST) $(PARALLEL) -m "not ($(LATER))"; computing=$$?; \
+	wait $$rigs; rigs=$$?; cat out/essential.log; exit $$((computing + rigs))
 else
 	@$(PYTEST) $(ARGS)
 endif
 
-# whole rigs run one at a time: their limits are those of a rig that has the machine
+# the other rigs run one at a time: their limits are those of a rig that has the machine
 test-all: .venv/dev.done ## make test, then whole rigs, hosts, browsers, renders, fuzzing
 	@$(MAKE) --no-print-directory test; first=$$?; \
 	$(PYTEST) $(PARALLEL) -o cache_dir=.pytest_cache/later -m "($(LATER)) and not ($(PROCESSES) or essential)"; later=$$?; \

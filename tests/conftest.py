@@ -34,14 +34,6 @@ def pytest_sessionfinish():
     faulthandler.dump_traceback_later(EXIT_S, exit=True, file=STANDARD_ERROR)
 
 
-def pytest_collection_modifyitems(items):
-    """Whole rigs do not run beside each other, and the tests of a file follow each other, which share its fixtures."""
-    for item in items:
-        item.add_marker(
-            pytest.mark.xdist_group("rigs" if item.get_closest_marker("essential") else item.nodeid.split("::")[0])
-        )
-
-
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport():
     """What a test printed may hold half a surrogate pair, which cannot travel between the processes of pytest."""

@@ -24,8 +24,6 @@ DOCKERFILE = REPOSITORY / "deploy" / "Dockerfile"
 SYSTEM_PYTHON = Path("/usr/bin/python3")
 STEP_S = 300.0
 PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
-HOMES = ("/nowhere", "/root")
-"""Of the container's user, who has none, and of root."""
 DOWNLOAD = re.compile(r" && \S+/pip install [^&]*--require-hashes -r requirements/runtime\.lock$")
 pytestmark = [pytest.mark.hosts, pytest.mark.timeout(900)]
 
@@ -70,25 +68,9 @@ class Image:
         if read_only:
             folders += ["mount -o remount,bind,ro .", "mount -t tmpfs -o mode=1777 none tmp"]
         enter = f"cd {self.root}; mount --bind . .; cd {self.root}; {'; '.join(folders)}"
-        inside = [
-            f"--userspec={self.user}",
-            str(self.root),
-            "env",
-            "-i",
-            f"PATH={PATH}",
-            f"HOME={HOMES[self.user == 'root']}",
-        ]
-        contained = [
-            "unshare",
-            "--mount",
-            "--pid",
-            "--fork",
-            "--kill-child",
-            "sh",
-            "-ec",
-            f'{enter}; exec chroot "$@"',
-            "sh",
-        ]
+        contained = ["unshare", "--mount", "--pid", "--fork", "--kill-child", "sh", "-ec", f'{enter}; exec chroot "$@"']
+        home = "/root" if self.user == "root" else "/nowhere"
+        inside = f"sh --userspec={self.user} {self.root} env -i PATH={PATH} HOME={home}".split()
         done = subprocess.run(
             [*contained, *inside, "sh", "-c", f'cd {self.home}; exec "$@"', "sh", *command],
             capture_output=True,

@@ -2,8 +2,8 @@
 
 The defects are the mutants of mutants.json (`python -m tests.mutation draw --seed N --count 150` draws others) and the
 past ones of defects/, each a patch that takes a fix out again. For each of them the tests that ran its lines, as
-out/coverage knows, run in a copy of the checkout, quickest first, until one fails or `--limit` is spent.
-A test that also fails without the defect says nothing, and is named.
+out/coverage knows, run in a copy of what is committed, nearest in the tree first, until one fails or `--limit` is
+spent. A test that also fails without the defect says nothing, and is named.
 """
 
 import argparse
@@ -168,14 +168,12 @@ def _failing(copy: Path, tests: list[str], within_s: float, *, first: bool = Fal
     report.unlink(missing_ok=True)
     command = [str(copy / ".venv" / "bin" / "python"), "-m", "pytest", "-q", "-p", "no:cacheprovider", "-rN"]
     command += ["-p", "tests.mutation.reported", "--timeout=120", *(["-x"] if first else []), f"@{listed}"]
-    environment = {
-        **os.environ,
-        "PYTHONPATH": str(copy),
-        "PYTHONDONTWRITEBYTECODE": "1",
-        "MUTATION_REPORT": str(report),
-    }
+    # compiled code of before would pass for that of a file changed within the same second
+    own = {"PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1", "MUTATION_REPORT": str(report)}
     try:
-        ended = subprocess.run(command, cwd=copy, env=environment, capture_output=True, timeout=within_s, check=False)
+        ended = subprocess.run(
+            command, cwd=copy, env={**os.environ, **own}, capture_output=True, timeout=within_s, check=False
+        )
         code = ended.returncode
     except subprocess.TimeoutExpired:
         code = -1
