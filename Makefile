@@ -71,7 +71,7 @@ coverage: .venv/dev.done ## lines and branches that make test-all runs, by which
 	@rm -rf out/coverage; mkdir -p out/coverage
 	@$(COVERAGE) --junit-xml=out/coverage/computing.xml $(PARALLEL) -m "not ($(PROCESSES))"; \
 	$(COVERAGE) --cov-append --junit-xml=out/coverage/processes.xml -m "$(PROCESSES)"; \
-	$(BIN)/coverage report --skip-covered --sort=cover > out/coverage/report.txt; tail -n 1 out/coverage/report.txt
+	$(BIN)/coverage report --skip-covered --sort=cover > out/coverage/report.txt; grep TOTAL out/coverage/report.txt
 
 bless: .venv/dev.done ## what the agents make of the golden recordings now is right from now on; shows what changed
 	@$(BIN)/python -m tests.goldens.bless
