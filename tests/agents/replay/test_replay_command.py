@@ -243,9 +243,10 @@ def test_enter_steps_to_the_next_frame_and_the_end_of_input_ends_it(replay, reco
 
 
 def test_two_publishers_of_a_topic_are_refused_before_anything_is_sent(
-    replayed, recording, settings, session, in_threads, heard
+    replayed, recording, settings, session, in_threads, heard, until
 ):
-    with in_threads(settings, Slow("camera", SURFACE)):
+    with in_threads(settings, Slow("camera", SURFACE)), connected(settings) as connection:
+        until(lambda: "camera/main" in connection.present())
         code, _, err = replayed(recording.path, "--topics", "camera/*")
     assert code == 2
     assert "camera/main is live on this rig and publishes camera/" in err
