@@ -180,6 +180,47 @@ def network_of(state: Mapping[str, torch.Tensor]) -> ClassNet:
     return network
 
 
+def unfolded(network: ClassNet, exported: Mapping[str, Sequence[torch.Tensor]], pixels: torch.Tensor) -> None:
+    """Give a network the weights of an exported one, into whose convolutions batch normalisation was folded.
+
+    The encoder normalises by fixed numbers, and any will do. The rest normalises by what a batch shows, so that its
+    numbers are measured on one: both networks then say the same of it.
+
+    Args:
+        exported: kernel and bias of each convolution, by its name in the network.
+        pixels: a batch as the network takes it.
+
+    Raises:
+        WeightsError: where they are of another network.
+    """
+    normalised = dict[nn.BatchNorm2d, torch.Tensor]()
+    modules = dict(network.named_modules())
+    try:
+        for name, (kernel, bias) in exported.items():
+            convolution = modules[name]
+            convolution.weight.data.copy_(kernel)
+            if convolution.bias is not None:
+                convolution.bias.data.copy_(bias)
+                continue
+            holder, _, number = name.rpartition(".")
+            normalised[modules[f"{holder}.{int(number) + 1}"]] = bias
+    except (KeyError, RuntimeError) as error:
+        raise WeightsError(f"these weights are of another network: {error}") from error
+
+    def measure(layer: nn.BatchNorm2d, inputs: tuple[torch.Tensor]) -> None:
+        mean, variance = inputs[0].mean(dim=(0, 2, 3)), inputs[0].var(dim=(0, 2, 3))
+        layer.running_mean.copy_(mean)
+        layer.running_var.copy_(variance)
+        layer.weight.data.copy_((variance + layer.eps).sqrt())
+        layer.bias.data.copy_(normalised[layer] + mean)
+
+    hooks = [layer.register_forward_pre_hook(measure) for layer in normalised]
+    with torch.no_grad():
+        network.eval()(pixels)
+    for hook in hooks:
+        hook.remove()
+
+
 def _layer(inputs: int, outputs: int, stride: int = 1) -> nn.Module:
     return nn.Sequential(
         nn.Conv2d(inputs, outputs, 3, stride=stride, padding=1, bias=False), nn.BatchNorm2d(outputs), nn.ReLU()

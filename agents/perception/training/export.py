@@ -65,6 +65,29 @@ def export_network(network: ClassNet, output: Path) -> None:
     onnx.save(model, output)
 
 
+def convolutions(exported: Path) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
+    """Kernel and bias of each convolution of an exported network, by its name there (`architecture.unfolded`)."""
+    graph = onnx.load(exported).graph
+    stored = {tensor.name: numpy_helper.to_array(tensor).astype(np.float32) for tensor in graph.initializer}
+    stored |= {node.output[0]: stored[node.input[0]] for node in graph.node if node.op_type == "Cast"}
+    found = dict[str, tuple[torch.Tensor, torch.Tensor]]()
+    for node in graph.node:
+        if node.op_type == "Conv":
+            kernel, bias = (torch.from_numpy(stored[name]) for name in node.input[1:])
+            found[_module_name(node.name)] = kernel, bias
+    return found
+
+
+def _module_name(node: str) -> str:
+    """Of a node: `/to_half/to_half.0/Conv` is `to_half.0`, each part being named with those that hold it in a list."""
+    parts = list[str]()
+    for part in node.strip("/").split("/")[:-1]:
+        if parts and part.startswith(f"{parts[-1]}."):
+            parts.pop()
+        parts.append(part)
+    return ".".join(parts)
+
+
 def _halve(graph: onnx.GraphProto) -> None:
     """Keep large tensors as 16-bit floats, and widen them before they are used."""
     kept, widened = [], []

@@ -7,6 +7,7 @@ It begins with the encoder's weights (--encoder) or goes on from those of an ear
 
 import argparse
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,9 @@ import numpy as np
 import torch
 
 from agents.perception.training.ahead import made_ahead
-from agents.perception.training.architecture import ClassNet, WeightsError, network_of
+from agents.perception.training.architecture import ClassNet, WeightsError, network_of, unfolded
 from agents.perception.training.crops import Pixels, batches_of, pixels_of
-from agents.perception.training.export import export
+from agents.perception.training.export import convolutions, export
 from agents.perception.training.losses import class_loss
 from agents.perception.training.scenes import SceneFolderError, View, views_in
 from shared.clock import monotonic_s
@@ -40,7 +41,7 @@ class Chosen:
     Fields:
         minutes: after which training ends, whatever steps are left; the step size follows whichever is further.
         steepest: the greatest step size.
-        start: a checkpoint to go on from; new weights, if it is None.
+        start: a checkpoint or an exported network to go on from; new weights, if it is None.
         encoder: weights of EfficientNet-Lite0 for new weights.
     """
 
@@ -70,9 +71,9 @@ def train_on(views: Pixels, chosen: Chosen) -> ClassNet:
     torch.manual_seed(chosen.seed)
     torch.set_num_threads(max(1, chosen.threads - 1))
     device = torch.device(chosen.device)
-    network = _first_weights(chosen).to(device, memory_format=torch.channels_last).train()
     losses = list[torch.Tensor]()
     drawn = batches_of(views, chosen.batch, chosen.seed, chosen.red_share)
+    network = _first_weights(chosen, drawn).to(device, memory_format=torch.channels_last).train()
     if chosen.threads > 1:
         drawn = made_ahead(drawn)
     kept = torch.optim.swa_utils.AveragedModel(
@@ -107,16 +108,20 @@ def train_on(views: Pixels, chosen: Chosen) -> ClassNet:
     return trained
 
 
-def _first_weights(chosen: Chosen) -> ClassNet:
+def _first_weights(chosen: Chosen, drawn: Iterator[tuple[torch.Tensor, torch.Tensor]]) -> ClassNet:
     """Those to go on from, or new ones about an encoder's.
 
     Raises:
         WeightsError: where a file holds others, or none is given.
     """
+    if chosen.start is not None and chosen.start.suffix == ".onnx":
+        network, (pixels, _) = ClassNet(), next(drawn)
+        unfolded(network, convolutions(chosen.start), pixels.to("cpu"))
+        return network
     if chosen.start is not None:
         return network_of(torch.load(chosen.start, weights_only=True, map_location="cpu"))
     if chosen.encoder is None:
-        raise WeightsError("name the weights of EfficientNet-Lite0 by --encoder, or a checkpoint by --start")
+        raise WeightsError("name the weights of EfficientNet-Lite0 by --encoder, or those to go on from by --start")
     network = ClassNet()
     network.encoder.load(chosen.encoder)
     return network
@@ -166,7 +171,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--minutes", type=float, default=1e9, help="after which training ends in any case")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--steepest", type=float, default=3e-3, help="the greatest step size")
-    parser.add_argument("--start", type=Path, default=None, help="weights to go on from, .pt")
+    parser.add_argument("--start", type=Path, default=None, help="weights to go on from, .pt or .onnx")
     parser.add_argument("--encoder", type=Path, default=None, help="weights of EfficientNet-Lite0, .pth, to begin with")
     parser.add_argument("--batch", type=int, default=8, help="crops of one step")
     parser.add_argument("--red-share", type=float, default=0.5, help="of the colours in which thread is dyed anew")

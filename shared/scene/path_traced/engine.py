@@ -18,7 +18,7 @@ LLVM_PLACES = (
 
 @lru_cache(maxsize=1)
 def engine() -> Any:
-    """Mitsuba with a variant set: compiled by LLVM where its library is found, several times slower without.
+    """Mitsuba with a variant set: for a graphics card where one is there, else compiled by LLVM, else plain and slow.
 
     Raises:
         SceneError: where Mitsuba is not installed, or cannot start; the text names the remedy.
@@ -33,7 +33,10 @@ def engine() -> Any:
             import drjit  # pyright: ignore[reportMissingImports]
             import mitsuba  # pyright: ignore[reportMissingImports]
 
-            mitsuba.set_variant("scalar_rgb" if library is None else "llvm_ad_rgb")
+            if drjit.has_backend(drjit.JitBackend.CUDA):
+                mitsuba.set_variant("cuda_ad_rgb")
+            else:
+                mitsuba.set_variant("scalar_rgb" if library is None else "llvm_ad_rgb")
     except ImportError as error:
         missing = error.name in ("mitsuba", "drjit")
         raise SceneError(MISSING if missing else f"Mitsuba does not start: {error}") from error

@@ -7,9 +7,9 @@ import pytest
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 
 from agents.perception.segmentation.classes import phases, scores_of  # noqa: E402
-from agents.perception.training.architecture import ClassNet, Encoder, WeightsError, network_of  # noqa: E402
+from agents.perception.training.architecture import ClassNet, Encoder, WeightsError, network_of, unfolded  # noqa: E402
 from agents.perception.training.evaluate import main as evaluate  # noqa: E402
-from agents.perception.training.export import export_network  # noqa: E402
+from agents.perception.training.export import convolutions, export_network  # noqa: E402
 from agents.perception.training.losses import class_loss  # noqa: E402
 from agents.perception.training.scenes import View  # noqa: E402
 from agents.perception.training.train import main  # noqa: E402
@@ -56,6 +56,20 @@ def test_opencv_gives_what_pytorch_gives(tmp_path):
     expected = torch.softmax(logits.reshape(4, 4, 144, 432), dim=1).reshape(2, 2, 4, 144, 432)
     found = scores_of(image, exported).reshape(144, 2, 432, 2, 4).transpose(1, 3, 4, 0, 2)
     np.testing.assert_allclose(found, expected.numpy(), atol=2e-3)
+
+
+def test_an_exported_network_is_gone_on_from(tmp_path):
+    torch.manual_seed(4)
+    network, pixels = ClassNet(), torch.rand(2, 12, 32, 64)
+    for layer in network.modules():
+        if isinstance(layer, torch.nn.BatchNorm2d):
+            layer.running_mean.uniform_(-0.5, 0.5)
+            layer.running_var.uniform_(0.5, 2)
+    export_network(network, tmp_path / "once.onnx")
+    again = ClassNet()
+    unfolded(again, convolutions(tmp_path / "once.onnx"), pixels)
+    # as a batch in training normalises it, it still says the same
+    assert np.allclose(again.train()(pixels).detach(), network.eval()(pixels).detach(), atol=0.05)
 
 
 def test_weights_of_another_network_are_refused_in_a_sentence(tmp_path, capsys):
