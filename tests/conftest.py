@@ -29,9 +29,11 @@ hypothesis_settings.load_profile("patient")
 
 
 @pytest.hookimpl(trylast=True)
-def pytest_sessionfinish():
+def pytest_sessionfinish(session):
     """A process that cannot end after its tests says where it hangs, and ends with a failure."""
-    faulthandler.dump_traceback_later(EXIT_S, exit=True, file=STANDARD_ERROR)
+    # a worker waits for the others
+    if not hasattr(session.config, "workerinput"):
+        faulthandler.dump_traceback_later(EXIT_S, exit=True, file=STANDARD_ERROR)
 
 
 @pytest.hookimpl(wrapper=True)

@@ -25,6 +25,7 @@ def test_the_packages_with_generic_names_are_ours(package):
     assert pathlib.Path(package.__file__).parent == ROOT / package.__name__
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.__name__)
 def test_no_other_distribution_provides_a_package_of_our_names(package):
     providers = importlib.metadata.packages_distributions().get(package.__name__, ["suturegrasp"])

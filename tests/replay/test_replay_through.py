@@ -63,6 +63,7 @@ def without(topic, number=None):
     return lambda e: None if topic_of(e.key) is topic and number in (None, e.sequence) else e
 
 
+@pytest.mark.slow
 def test_the_command_ends_with_the_status(golden, capsys):
     with pytest.raises(SystemExit) as ended:
         main(["replay", str(golden), "--through", "planner"])
@@ -100,6 +101,7 @@ def test_another_setting_shows_where_and_by_how_much(golden, tmp_path, capsys):
     assert all(len(observations.matched_px) > 1000 for observations in seen)
 
 
+@pytest.mark.slow
 def test_what_one_agent_says_otherwise_reaches_the_next(golden, copied):
     def cut_short(entry):
         """A recording whose observations were worse than what perception makes of its frames."""

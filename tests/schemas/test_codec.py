@@ -52,6 +52,7 @@ def decoded_or_refused(message_type, data):
         return None
 
 
+@pytest.mark.slow
 @every_message_type
 @settings(max_examples=6)
 @given(data=st.data())
@@ -76,6 +77,7 @@ def test_a_damaged_stamp_is_refused_and_damage_behind_it_not_noticed():
         decode_stamp(StereoFrame, b"\x0a\x02\xff\xff")
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(message=any_message, data=st.data())
 def test_damaged_bytes_are_a_message_or_a_message_error(message, data):

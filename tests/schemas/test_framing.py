@@ -24,6 +24,7 @@ from tests.schemas.test_codec import same
 NEVER = 1 << 40
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("message_type", MESSAGES)
 @settings(max_examples=4)
 @given(data=st.data(), large_bytes=st.integers(1, 48))
@@ -42,6 +43,7 @@ def outcome(message_type, data, large_bytes):
         return str(error)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("message_type", [StereoFrame, TissueSurface, ToolCorrection, CommandRecord])
 @settings(max_examples=20)
 @given(data=st.data(), large_bytes=st.integers(1, 48))

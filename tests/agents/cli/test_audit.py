@@ -66,6 +66,7 @@ def test_every_command_its_sender_and_its_answer_are_written_and_only_added(tmp_
     assert path.stat().st_mode & 0o777 == 0o640
 
 
+@pytest.mark.slow
 def test_what_was_answered_before_a_kill_is_in_the_file(tmp_path):
     path = tmp_path / "psm1.jsonl"
     with subprocess.Popen([sys.executable, "-c", FOREVER, str(path)], stdout=subprocess.PIPE, text=True) as process:

@@ -72,6 +72,7 @@ def test_folders_become_a_calibration_in_three_forms_with_a_report(suturegrasp, 
     assert "more would make it surer" in ended.err
 
 
+@pytest.mark.slow
 def test_views_that_contradict_the_others_or_show_no_board_are_left_out(suturegrasp, pairs, tmp_path):
     left, right = pairs[2]
     moved = left, np.roll(right, 9, axis=0)
@@ -87,6 +88,7 @@ def test_views_that_contradict_the_others_or_show_no_board_are_left_out(suturegr
     assert "Not used: 7.png: the board was not found in the right image" in page
 
 
+@pytest.mark.slow
 def test_rows_that_stay_apart_on_views_held_out_are_warned_of(suturegrasp, pairs, tmp_path):
     """Each right image was moved by an amount of its own, so that no camera fits them all."""
     shaken = [(left, np.roll(right, (-1) ** k * (1 + k % 2), axis=0)) for k, (left, right) in enumerate(pairs)]
@@ -95,6 +97,7 @@ def test_rows_that_stay_apart_on_views_held_out_are_warned_of(suturegrasp, pairs
     assert "rows are off by more than 0.5 px on views held out; take sharper and more varied views" in ended.err
 
 
+@pytest.mark.slow
 def test_exchanged_eyes_make_no_calibration_and_are_named(suturegrasp, folders, tmp_path):
     _, left, _, right = folders
     ended = suturegrasp("calibrate", "stereo", *SQUARES, "--left", right, "--right", left, "--output", tmp_path / "out")
@@ -103,6 +106,7 @@ def test_exchanged_eyes_make_no_calibration_and_are_named(suturegrasp, folders, 
     assert list((tmp_path / "out").iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_calibration_is_checked_against_views_in_folders_and_side_by_side(suturegrasp, folders, pairs, tmp_path):
     write_calibration(tmp_path / "right.json", CAMERA)
     (tmp_path / "both").mkdir()
@@ -192,6 +196,7 @@ def test_live_frames_become_a_calibration(live, pairs, tmp_path):
     assert (out / "calibration.json").exists() and (out / "report.html").exists()
 
 
+@pytest.mark.slow
 def test_live_it_ends_as_soon_as_nothing_is_missing(live, pairs, tmp_path, monkeypatch):
     monkeypatch.setattr(
         "agents.cli.calibrate.views.lacking", lambda seen: [] if len(seen.apparent) == 2 else ["show it elsewhere"]

@@ -50,6 +50,7 @@ def test_a_mistake_is_told_in_one_line(suturegrasp, monkeypatch, tmp_path, argum
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_mistake_is_told_alike_in_any_terminal(console_script):
     terminal = {"COLUMNS": "30", "PYTHONIOENCODING": "ascii", "FORCE_COLOR": "1"}
     ended = console_script("reconstruct", "--output", "o", "--wrong", **terminal)
@@ -124,6 +125,7 @@ def test_streams_that_lead_nowhere_do_no_harm(pair, small, name):
         assert json.loads((small / "out.json").read_text())["status"] == "ok"
 
 
+@pytest.mark.slow
 def test_what_asks_or_starts_agents_loads_nothing_that_they_compute_with():
     """Of an operator's command, then of what starts a rig."""
     code = (

@@ -56,6 +56,7 @@ def by_what(findings):
     return {finding.what: finding for finding in findings}
 
 
+@pytest.mark.slow
 def test_doctor_names_what_is_wrong_with_its_remedy(suturegrasp, tmp_path, monkeypatch):
     monkeypatch.setattr("agents.cli.doctor.command.ROUTER_WAIT_S", 0.2)
     config = tmp_path / "rig.toml"
@@ -364,6 +365,7 @@ def test_rules_are_proved_by_trying_with_every_certificate_of_this_host(tmp_path
     assert "certificate authority" in findings and "certificate router.main" in findings
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_a_router_without_rules_is_found_out(tmp_path):
     secured = Secured(tmp_path, ruled=False)

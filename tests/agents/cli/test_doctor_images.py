@@ -153,6 +153,7 @@ def test_frames_of_a_camera_that_runs_are_judged(images, settings, in_threads, s
         assert [f.what for f in found.values() if f.remedy] == []
 
 
+@pytest.mark.slow
 def test_no_camera_is_no_fault(settings):
     with connected(settings, 60.0) as connection:
         (finding,) = examine_frames(connection)

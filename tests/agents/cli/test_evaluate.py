@@ -91,6 +91,7 @@ def test_the_planner_is_told_the_sizes_of_errors_and_the_policy_of_its_method(ta
     assert [section.method for section in sections if section] == list(METHODS)
 
 
+@pytest.mark.slow
 def test_a_look_finds_the_thread_moved_where_that_is_asked_for(table, trial, monkeypatch):
     moving = table.protocol.model_copy(update={"injected_share": 1.0, "injected_mm": 10.0})
     monkeypatch.setattr(table, "protocol", moving)

@@ -67,6 +67,7 @@ def edited(path: Path, edits: list[tuple[float, int, bytes]]) -> Path:
     return damaged
 
 
+@pytest.mark.slow
 @fuzzed
 @given(name=st.sampled_from(("left.png", "left.jpg")), edits=EDITS)
 def test_damaged_images(suturegrasp, folder: Path, name: str, edits: list[tuple[float, int, bytes]]) -> None:
@@ -107,6 +108,7 @@ def blotches(rng: np.random.Generator, height: int, width: int, kind: str) -> np
     return image
 
 
+@pytest.mark.slow
 @fuzzed
 @given(
     seed=st.integers(0, 2**32 - 1),

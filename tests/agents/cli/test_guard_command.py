@@ -70,6 +70,7 @@ def begun(document):
         yield monitor, monitor.stdin, monitor.stdout
 
 
+@pytest.mark.slow
 def test_the_monitor_loads_no_numpy_and_ends_with_its_input_whatever_signal_comes(links):
     rig, robot, document = links
     with open_router(rig), open_router(robot), begun(document) as (monitor, into, lines):
@@ -96,6 +97,7 @@ def test_the_monitor_depends_on_nothing_but_zenoh_and_the_messages():
     assert not {"numpy", "scipy", "cv2", "rerun", "piqp", "mcap"} & set(loaded)
 
 
+@pytest.mark.slow
 def test_it_ends_where_the_robots_zenoh_is_lost_and_another_one_guards_when_that_is_back(links, tmp_path, until):
     rig, robot, document = links
     stopped, audit = threading.Event(), AuditLog(tmp_path / "guard.jsonl")

@@ -80,6 +80,7 @@ def expected(suturegrasp, pair, small):
     return result(small / "own.json")
 
 
+@pytest.mark.slow
 def test_calibrations_of_ros_and_of_text_matrices_give_the_same_thread(suturegrasp, small, expected):
     images = ("reconstruct", "--left", small / "left.png", "--right", small / "right.png")
     ros, matrices = small / "ros", small / "matrices"
@@ -106,6 +107,7 @@ def test_calibrations_of_ros_and_of_text_matrices_give_the_same_thread(suturegra
     assert result(small / "text.json") == expected
 
 
+@pytest.mark.slow
 def test_files_of_another_form_or_name_give_the_same_thread(suturegrasp, pair, small, expected):
     folder = Path(shutil.copytree(small, small.with_name("naht 縫合 (1)")))
     halves = [read_image(small / f"{side}.png") for side in ("left", "right")]
@@ -132,6 +134,7 @@ def test_warnings_name_what_is_doubtful_and_stand_in_the_result(suturegrasp, pai
     assert [judgement["code"] for judgement in judgements] == ["baseline_implausible"]
 
 
+@pytest.mark.slow
 def test_another_thread_is_told_with_where_to_point_and_pointing_there_means_it(suturegrasp, pair, small):
     height, width = read_image(small / "left.png").shape[:2]
     ends = np.array(((0.1 * width, 0.1 * height), (0.6 * width, 0.2 * height)))

@@ -69,6 +69,7 @@ def config_of(rig, folder):
     return path
 
 
+@pytest.mark.slow
 def test_status_looks_once_and_its_exit_status_tells_whether_all_is_well(
     settings, running, suturegrasp, tmp_path, until
 ):
@@ -153,6 +154,7 @@ def test_a_loop_that_does_not_turn_hangs_though_its_session_lives(settings, in_t
         until(well, "the agent to go on")
 
 
+@pytest.mark.slow
 def test_a_router_that_goes_is_all_that_is_told_until_it_is_back_and_an_agent_that_ends_is_gone(
     in_threads, watching, until
 ):

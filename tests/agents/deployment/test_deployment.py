@@ -75,6 +75,7 @@ def test_every_host_gets_what_it_runs_and_nothing_else(deployed):
         assert all(p.stat().st_mode & 0o077 == 0 for p in (deployed / host / "certificates").glob("*.key"))
 
 
+@pytest.mark.slow
 @needs_systemd
 def test_systemd_takes_the_units_and_finds_them_well_confined(deployed, deployed_far):
     for folder in (*(deployed / host for host in HOSTS), deployed_far / "robot"):
@@ -233,6 +234,7 @@ def test_nobody_but_root_installs_on_a_machine_and_nothing_is_touched_before(dep
         installing.install(deployed / "desk", host)
 
 
+@pytest.mark.slow
 def test_a_host_keeps_no_key_and_no_unit_of_what_runs_elsewhere_now(tmp_path, capfd):
     """A newer plan may have been copied over an older one."""
     etc, before, now = tmp_path / "root/etc", tmp_path / "before", tmp_path / "now"

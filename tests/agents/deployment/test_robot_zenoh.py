@@ -31,6 +31,7 @@ SERVO, PASSED, ASKED = "PSM1/servo_jp", key_of("PSM1", SET_POINT), key_of("PSM1"
 MAY_SAY = {BRIDGE: {PASSED}, GUARD: {SERVO, ASKED}}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("codec", ["ros2dds", "rmw_zenoh"])
 def test_only_an_arms_bridge_and_guard_get_in_and_each_says_what_is_its_own(tmp_path, codec):
     processes = tuple(Process(*name.split(".")) for name in (BRIDGE, GUARD, ANOTHER, f"{ROBOT_ZENOH}.robot"))

@@ -118,6 +118,7 @@ def test_the_least_time_of_a_straight_way_is_its_length_over_the_speed():
     assert least_time_s(T, jaw, np.array([False, False, True]), limits) == pytest.approx(2.0 + 0.6 / 0.4)
 
 
+@pytest.mark.slow
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.tuples(st.floats(0, 1), st.booleans()), min_size=1, max_size=60))
 def test_bins_hold_every_trial_once_and_the_score_is_that_of_its_definition(told):

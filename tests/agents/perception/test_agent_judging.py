@@ -63,6 +63,7 @@ def rows_of(mask):
     return np.flatnonzero(decode_image(mask).max(axis=1) > 96)
 
 
+@pytest.mark.slow
 def test_a_baseline_in_the_wrong_unit_is_said_beside_the_thread():
     calibration, _, _ = scene()
     T = calibration.T_right_left.copy()
@@ -111,6 +112,7 @@ def test_pictures_that_stand_still_are_said_to_while_they_do():
     assert begun_again.picture_left_since == 2
 
 
+@pytest.mark.slow
 def test_one_eye_that_stands_still_makes_frames_unusable_until_it_goes_on():
     last = 1 + ONE_STILL_FRAMES
     found = fed(*(frame(k, right_noise=1) for k in (1, 2, last)), frame(last + 1))
@@ -118,6 +120,7 @@ def test_one_eye_that_stands_still_makes_frames_unusable_until_it_goes_on():
     assert "the right eye has shown the very same picture since frame 1" in found[2].reason
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rows", [-3, 2])
 def test_rows_that_are_apart_are_put_in_line_and_said_to_be_until_the_camera_is_straight_again(rows):
     (straight,) = fed(frame(0))

@@ -65,6 +65,7 @@ def test_a_crossing_that_moves_is_seldom_looked_for_anew():
     assert sum(lost) <= 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("config", "seed"), [("medium", 32), ("crossing", 33)])
 def test_a_thread_that_moves_stays_followed_to_a_fraction_of_a_pixel(config, seed):
     image, found = looked_for(config, seed)

@@ -45,6 +45,7 @@ def failed(result, *words):
     assert all(word in result.reason for word in words), result.reason
 
 
+@pytest.mark.slow
 def test_a_rendered_thread_is_observed_along_its_length_near_its_true_depth():
     scene, pair = easy_scene()
     camera = scene.camera

@@ -85,6 +85,7 @@ def columns(observations, row=120):
     return np.flatnonzero(decode_image(observations.mask_left)[row])
 
 
+@pytest.mark.slow
 @SEGMENTERS
 @pytest.mark.parametrize("thread", [BLACK, GREEN])
 def test_the_thread_at_the_prompt_is_kept_alone_and_measured(segmenter, thread):
@@ -127,6 +128,7 @@ def test_a_prompt_that_goes_on_from_recorded_observations_means_the_same_thread(
         assert encode(seen(resumed, sequence, moved=9)) == encode(seen(live, sequence, moved=9))
 
 
+@pytest.mark.slow
 def test_a_prompt_beside_every_thread_is_refused_in_one_sentence_and_changes_nothing():
     agent = agent_of("network")
     before = columns(seen(agent, 0))

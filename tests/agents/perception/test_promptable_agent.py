@@ -41,6 +41,7 @@ def test_the_thread_at_the_click_is_kept_alone_measured_and_followed_near_and_ov
     np.testing.assert_allclose(np.median(found.points_camera[:, 2]), 600 * 0.005 / DISPARITY, rtol=0.03)
 
 
+@pytest.mark.slow
 def test_a_click_where_nothing_is_found_is_taken_and_the_next_observations_say_so(agent):
     seen(agent, 0)
     assert asked(agent, (560, 300)).outcome is Outcome.ACCEPTED

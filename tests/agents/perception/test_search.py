@@ -110,6 +110,7 @@ def test_judgements_that_are_carried_on_say_once_when_they_were_made():
         last = seen(images, looked, sequence, looked.judgements)
 
 
+@pytest.mark.slow
 def test_a_thread_that_moves_is_followed_step_by_step_and_one_that_jumps_away_is_looked_for_everywhere():
     images = tissue()
     last = first = seen(images, look_everywhere(images, 0))

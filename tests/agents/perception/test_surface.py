@@ -99,6 +99,7 @@ def test_a_plain_ground_is_nowhere_valid():
     assert (surface.depth[~surface.valid] == 0).all()
 
 
+@pytest.mark.slow
 def test_the_grid_covers_the_image():
     surface, thread, _ = measured("easy", 12)
     for middles, size in ((surface.u_px, thread.shape[1]), (surface.v_px, thread.shape[0])):

@@ -74,6 +74,7 @@ def grey_in(image):
     return (cv2.resize(closed, (240, 135), interpolation=cv2.INTER_NEAREST) * Occluder.TOOL.value).astype(np.uint8)
 
 
+@pytest.mark.slow
 def test_an_instrument_is_no_tissue_though_it_could_be_measured(monkeypatch):
     monkeypatch.setattr(told_apart, "occluders_in", grey_in)
     tool_disparity = round(scene()[0].fx_px * scene()[0].baseline / 90.0) + NEARER_PX
@@ -87,6 +88,7 @@ def test_an_instrument_is_no_tissue_though_it_could_be_measured(monkeypatch):
     assert elsewhere.mean() > 0.6
 
 
+@pytest.mark.slow
 def test_tissue_is_measured_after_rows_were_put_in_line():
     rows, (straight, _) = 4, told()
     moved, observed = told(lambda left, right: (left, np.roll(right, rows, axis=0)))

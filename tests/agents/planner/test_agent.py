@@ -107,6 +107,7 @@ def feed_surface(planner, bench, depth_mm=85.0, **changes):
     return surface
 
 
+@pytest.mark.slow
 def test_a_plan_is_checked_against_the_newest_surface_and_names_its_frame(bench, planner):
     feed_surface(planner, bench, 75.0)
     answer, output = ask(planner, bench, bench.goal(s=0.4))
@@ -184,6 +185,7 @@ def generic_arm(bench):
     return arm, dataclasses.replace(state(bench), **changed)
 
 
+@pytest.mark.slow
 def test_an_arm_that_is_no_psm_is_asked_by_its_own_geometry(bench):
     arm, there = generic_arm(bench)
     planner = ready(bench, PlannerConfig(least_probability=0.0), told=there, others={"psm1": arm})

@@ -238,6 +238,7 @@ GOALS = st.one_of(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=20)
 @given(THREADS, GOALS, st.sampled_from(Policy), st.floats(-0.1, 0.1), st.floats(0, 0.6))
 def test_any_thread_and_goal_end_in_a_plan_or_a_reason_that_can_be_sent(bench, thread, goal, policy, base, reach):

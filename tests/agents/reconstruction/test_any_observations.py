@@ -6,6 +6,7 @@ Places come from the image and from disparities, as perception's do, and from an
 import dataclasses
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -58,6 +59,7 @@ def anywhere():
     )
 
 
+@pytest.mark.slow
 @given(data=st.data())
 @settings(max_examples=40)
 def test_any_observations_end_as_a_status(camera, observe, check_sound, data):

@@ -29,6 +29,7 @@ def small_disk(tmp_path):
     subprocess.run(["umount", "--lazy", str(folder)], check=True)  # noqa: S607
 
 
+@pytest.mark.slow
 def test_recording_stops_with_a_message_while_the_disk_has_the_room_that_is_to_stay_free(
     record, messages, small_disk, until
 ):

@@ -4,6 +4,8 @@ import pathlib
 import subprocess
 import sys
 
+import pytest
+
 from shared.recording.completeness import completeness
 from shared.recording.losses import LOSSES, LOST
 from shared.recording.mcap_file import Note, read_notes, read_recording, read_with_notes
@@ -41,6 +43,7 @@ def test_losses_that_come_fast_share_lines_and_none_is_left_out_of_the_file(reco
     assert sum(counts) == 1999
 
 
+@pytest.mark.slow
 def test_a_killed_recorder_leaves_all_but_the_last_moments_and_says_what_was_lost(tmp_path, until):
     path = tmp_path / "a.mcap"
     process = subprocess.Popen(

@@ -136,6 +136,7 @@ class Film:
         self.sent += 1
 
 
+@pytest.mark.slow
 def test_everything_of_a_live_run_is_read_back_identically(settings, running, record, tmp_path, until):
     heard = []
     with connected(settings, 60.0) as connection:

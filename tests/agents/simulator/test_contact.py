@@ -91,6 +91,7 @@ def test_closed_fingers_lift_a_thread_without_slip_and_open_ones_let_it_fall():
     assert all(after < before + 0.05 * energies[0] for before, after in pairwise(energies))
 
 
+@pytest.mark.slow
 @needs_mujoco
 def test_a_held_thread_does_not_creep_and_slips_when_pulled_with_the_friction_of_both_fingers():
     weak = replace(SUTURE, grip_n=0.2)

@@ -181,6 +181,7 @@ def test_residuals_are_those_of_the_frame_that_a_thread_comes_from(refined, tapp
     assert [len(lines) > 100 for lines in whiskers] == [True, False, False]
 
 
+@pytest.mark.slow
 def test_a_failure_empties_the_thread_ends_its_curves_of_trust_and_is_said(
     refined_in_metres, scene, failed, tapped, shown
 ):

@@ -116,6 +116,7 @@ def test_instruments_and_threads_that_are_not_meant_are_drawn_where_they_are(sce
         assert line == pytest.approx(np.array(colours.candidate_rgb(1)[::-1]), abs=25)
 
 
+@pytest.mark.slow
 def test_each_grave_finding_adds_a_line_a_note_none_and_a_long_text_is_wrapped(scene, failed):
     def height(*judgements, reconstruction=scene.reconstruction):
         observations = dataclasses.replace(scene.observations, judgements=judgements)

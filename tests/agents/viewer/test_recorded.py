@@ -64,6 +64,7 @@ def rows(whole):
     return rows_of(whole[1].path)
 
 
+@pytest.mark.slow
 def test_every_message_of_a_recording_is_shown_unless_thinning_is_asked_for(recording, whole, rows, tmp_path):
     viewer, report = whole
     assert sum(report.shown.values()) == sum(1 for _ in read_recording(recording))

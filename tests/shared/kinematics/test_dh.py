@@ -46,6 +46,7 @@ def test_the_table_of_the_psm_is_the_psm():
         assert singular < 1e-7 < 0.5 < well
 
 
+@pytest.mark.slow
 def test_poses_by_themselves_are_reached_and_what_no_joints_reach_is_refused():
     joints = np.random.default_rng(2).uniform(0.8 * ARM.limits[:, 0], 0.8 * ARM.limits[:, 1], (8, 6))
     found = ARM.reach(ARM.forward(joints))

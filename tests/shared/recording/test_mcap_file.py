@@ -213,6 +213,7 @@ def packed(path, compression, size, count=1):
 compressions = pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
 
 
+@pytest.mark.slow
 @compressions
 @pytest.mark.parametrize(("size", "count"), [(200 << 20, 1), (8 << 20, 12)])
 def test_a_small_file_does_not_grow_without_bound_when_it_is_read(tmp_path, compression, size, count):

@@ -58,6 +58,7 @@ def test_threads_have_their_colour(scene):
         assert np.median(pair.left_bgr[pair.coverage_left == 255], axis=0) == pytest.approx(bgr, abs=30)
 
 
+@pytest.mark.slow
 def test_the_thread_darkens_the_tissue_beside_it_and_leaves_the_backdrop_as_it_was(tissue):
     before = tissue.left_bgr.copy()
     lifted = Thread(clamped_uniform_knots(4), np.linspace((-25.0, -12.0, 86.0), (25.0, 12.0, 86.0), 4), 0.2)
@@ -94,6 +95,7 @@ def test_unknown_names_list_the_known_ones(scene):
         replace(scene, background="paper")
 
 
+@pytest.mark.slow
 def test_the_command_writes_what_it_rendered_or_says_where_it_cannot(tmp_path, capsys):
     folder = tmp_path / "pair"
     assert main(["--config", "easy", "--background", "plain", "--seed", "2", "--output", str(folder)]) == 0

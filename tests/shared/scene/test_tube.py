@@ -37,6 +37,7 @@ def both_eyes(camera: RectifiedStereo, thread: Thread) -> list[tuple[TubePixels,
     return [(tube_pixels(camera, eye, thread.radius_mm), truth) for eye, truth in zip(eyes, truths, strict=True)]
 
 
+@pytest.mark.slow
 def test_the_coverage_is_that_of_rays_that_meet_the_tube():
     camera = RectifiedStereo(48, 36, 60.0, 75.0, -10.0, 21.0, 5.5, 1e-3)
     control_points = np.array([[12.0, -40, 75], [16, -8, 70], [50, 16, 66], [30, 40, 80], [95, 60, 90]])

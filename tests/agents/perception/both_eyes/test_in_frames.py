@@ -83,6 +83,7 @@ def test_a_frame_that_is_looked_at_and_one_that_is_followed_are_drawn_alike():
     assert by_how_much(twice, once) == pytest.approx(0, abs=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("segmenter", [GIVEN_MASKS, THRESHOLD])
 def test_given_masks_and_bright_grounds_are_left_as_they_are(segmenter, monkeypatch):
     monkeypatch.setattr(apart, "apart_px", lambda *_: pytest.fail("both eyes were asked"))

@@ -62,6 +62,7 @@ def test_a_crossing_leaves_four_pieces_that_keep_clear_of_it():
     assert found.deviation_px[gap < 10].min() > 2 * np.median(found.deviation_px)
 
 
+@pytest.mark.slow
 def test_rings_are_one_piece_and_bumps_and_pinholes_make_no_others():
     for radius, inside in ((30, 29), (9, 7)):
         found = thread_centrelines(GREY, tube(arc((80, 60), radius, 0, 2 * np.pi), 2.0))

@@ -112,6 +112,7 @@ def test_strands_that_meet_and_that_meet_no_longer_are_told():
     assert said(scene("crossing")[1], with_cuts(known("crossing"), False)) == {"strands meet where none did"}
 
 
+@pytest.mark.slow
 def test_every_part_of_both_images_is_looked_at_in_turn():
     last = dataclasses.replace(known(), looked_sequence=0)
     assert parts_due(FRAMES_BEFORE - 1, last) == []

@@ -64,6 +64,7 @@ def test_a_whole_pair_raises_no_alarm_and_all_is_told(seed):
     assert [answer.question for answer in answers if not answer.is_known] == []
 
 
+@pytest.mark.slow
 @settings(max_examples=8)
 @given(st.floats(-6, 6), st.floats(-1.5, 1.5), st.floats(0.99, 1.01), st.integers(0, 1))
 def test_offset_rotation_and_magnification_are_measured(down_px, turned_deg, larger, seed):

@@ -64,6 +64,7 @@ def test_an_eye_out_of_line_is_put_in_line_and_said_to_be(eye):
     assert found.alignment == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("eye", [RightEye(0.6, 0.0, 1.0), RightEye(0.0, 0.05, 1.0)])
 def test_an_eye_that_is_hardly_out_of_line_stays_as_it_is(eye):
     images = pair(eye)
@@ -78,6 +79,7 @@ def test_beyond_its_bounds_nothing_is_mended_and_the_pair_is_at_fault(eye):
     assert any(j.severity is Severity.FAULT and j.remedy for j in found.alignment or ())
 
 
+@pytest.mark.slow
 def test_what_was_put_in_line_stays_while_it_moves_no_corner_by_much():
     before = judged(pair(EYE)).right_eye
     near = RightEye(EYE.rows_px + 0.2, EYE.turned_deg + 0.02, 1.0)

@@ -21,6 +21,7 @@ def around(coverage, side):
     return cv2.dilate(coverage, np.ones((side, side), np.uint8)) >= 96
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("config", "colour", "seed"), [("medium", "black", 7032), ("crossing", "green", 7034), ("easy", "white", 7036)]
 )

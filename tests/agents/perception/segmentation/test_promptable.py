@@ -52,6 +52,7 @@ def clicked(pair):
     return np.array([u[len(u) // 2], v[len(v) // 2]], float)
 
 
+@pytest.mark.slow
 def test_one_click_finds_the_whole_thread_over_several_crops_and_the_right_eye_finds_its_own(segment):
     pair = scene()
     left = segment(pair.left_bgr, None, meant_at(clicked(pair), pair.left_bgr.shape))
@@ -64,6 +65,7 @@ def test_one_click_finds_the_whole_thread_over_several_crops_and_the_right_eye_f
     assert precision > 0.9
 
 
+@pytest.mark.slow
 def test_without_a_click_ridges_are_the_prompts_and_near_the_last_thread_it_is_found_again(segment):
     pair = scene()
     whole = segment(pair.left_bgr)

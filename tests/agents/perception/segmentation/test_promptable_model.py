@@ -25,6 +25,7 @@ def crop_with_line(size, ends):
     return crop, cover[:, :, 0] > 127
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "size", "ends"),
     [

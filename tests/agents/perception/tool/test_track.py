@@ -62,6 +62,7 @@ def found(begun_session: Any) -> tuple[Track, float]:
     return track_of(begun_session.found), 0.2
 
 
+@pytest.mark.slow
 def test_it_is_found_and_followed_to_within_its_covariance(found: tuple[Track, float], registered: np.ndarray):
     track, at_s = found
     for _ in range(3):

@@ -12,6 +12,7 @@ from schemas.messages import RectifiedStereo
 SMALL = RectifiedStereo(480, 270, 500.0, 500.0, 239.5, 134.5, 5.5, 1e-3)
 
 
+@pytest.mark.slow
 def test_light_scenes_have_dark_or_bright_thread_where_they_say():
     scenes = scenes_over_one_backdrop(4, SMALL)
     covered = [(image, coverage) for eyes in scenes for image, coverage in eyes if coverage.any()]
@@ -22,6 +23,7 @@ def test_light_scenes_have_dark_or_bright_thread_where_they_say():
         assert np.abs(away).max() > 5
 
 
+@pytest.mark.slow
 def test_written_scenes_are_read_again_with_their_masks(tmp_path):
     with pytest.raises(SceneFolderError, match="render scenes into it"):
         views_in([tmp_path])

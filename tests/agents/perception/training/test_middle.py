@@ -23,6 +23,7 @@ def learned(view):
     return learned_middles(shown, view.normal[some], pieces), some
 
 
+@pytest.mark.slow
 def test_the_middle_is_learned_in_light_from_any_side_and_as_well_as_is_said(drawn):
     error, deviation = [], []
     for view in drawn:

@@ -101,6 +101,7 @@ def centrelines(draw):
     return Centrelines(points, number, np.full(len(points), width), np.full(len(points), deviation))
 
 
+@pytest.mark.slow
 @given(data=st.data())
 @settings(max_examples=20)
 def test_any_centrelines_end_as_a_status(observe, data):
@@ -158,6 +159,7 @@ def spoilt(message, name, number, rng):
         return None
 
 
+@pytest.mark.slow
 @given(
     of_track=st.sampled_from(OF_TRACK),
     of_camera=st.sampled_from((None, *OF_CAMERA)),
@@ -208,6 +210,7 @@ def full(mask, rng):
 DRAWINGS = (scribble, broken_curve, dots, loops, full)
 
 
+@pytest.mark.slow
 @given(drawing=st.sampled_from(DRAWINGS), seed=st.integers(0, 10**6), blur=st.sampled_from((0.0, 0.0, 1.0, 3.0)))
 @settings(max_examples=20)
 def test_any_masks_end_as_a_status(drawing, seed, blur):

@@ -72,6 +72,7 @@ def test_a_moving_thread_is_followed_no_worse_than_alone():
     assert np.abs(s - np.linspace(0, 1, 401)[20:-20]).max() < 0.003
 
 
+@pytest.mark.slow
 def test_fast_motion_is_followed():
     frames = rendered(Kind("fast", 6.0, 25.0), frames=5)
     threads = tracked([frame.observations for frame in frames])
@@ -95,6 +96,7 @@ def test_behind_a_tool_s_stays_the_same_piece_of_thread():
     assert any(len(thread.unseen) for thread in threads)
 
 
+@pytest.mark.slow
 def test_a_thread_that_is_laid_elsewhere_is_begun_anew():
     frames = rendered(Kind("moved", 2.0, 8.0, jump_at=3), frames=6)
     threads = tracked([frame.observations for frame in frames])
@@ -228,6 +230,7 @@ def test_a_thread_that_one_eye_alone_shows_is_lost(eye):
         assert reason in thread.reason
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("eye", [0, 1])
 def test_what_one_eye_alone_shows_is_unseen_and_its_depth_soon_doubted(eye):
     last = track_refined(seen(backing(0)), None)

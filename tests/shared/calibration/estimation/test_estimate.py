@@ -37,6 +37,7 @@ def views_of(camera, count, seed, noise_px=NOISE_PX):
     return tuple(views)
 
 
+@pytest.mark.slow
 @settings(max_examples=3, deadline=None)
 @given(st.integers(0, 10_000), st.floats(0.85, 1.2), st.floats(-40, 40), st.floats(3.5, 9.0), st.floats(-0.02, 0.02))
 def test_a_camera_is_recovered_from_its_views(seed, zoom, off_centre_px, baseline_mm, turned):
@@ -90,6 +91,7 @@ def test_too_few_views_are_refused_with_what_to_do():
     assert held_out(views_of(CAMERA, 5, 0), BOARD, SIZE, MM) == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("right_eye", "said"),
     [

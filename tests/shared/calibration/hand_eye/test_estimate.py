@@ -36,6 +36,7 @@ def seen(motion: Motion, rng: np.random.Generator, noise_px: float = 1.0) -> Sig
     return Sightings(t, px, CAMERA)
 
 
+@pytest.mark.slow
 def test_base_delay_and_point_are_found_within_their_deviations():
     nees = []
     for seed in range(2):

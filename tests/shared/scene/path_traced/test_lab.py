@@ -116,6 +116,7 @@ def test_a_needle_is_held_between_jaws_above_the_ground():
     assert gap(held.tools, sampled(needle.curve, 0.1)[0]) < needle.radius_mm + 0.4
 
 
+@pytest.mark.slow
 @needs_meshes
 def test_the_end_of_a_thread_is_held_where_it_is_in_the_air():
     field = arranged(Recipe("easy", "phantom", 4), RIG).field

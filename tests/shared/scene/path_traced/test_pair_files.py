@@ -38,6 +38,7 @@ def written(folder, pair):
     return json.loads((folder / "one.json").read_text())
 
 
+@pytest.mark.slow
 def test_every_thread_has_its_points_and_what_either_eye_sees_of_them(pair, tmp_path):
     about = written(tmp_path, pair)
     assert (about["threads"], len(about["other_threads"]), about["color"]) == (2, 1, "blue")

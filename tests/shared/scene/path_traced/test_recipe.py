@@ -111,6 +111,7 @@ def test_a_camera_that_sees_half_as_wide_stands_twice_as_far_away():
     assert far == pytest.approx(2 * arranged(Recipe("none", "chicken", 4), RIG).distance_mm)
 
 
+@pytest.mark.slow
 def test_a_seed_makes_the_same_scene_again_and_another_one_another():
     again, other = (arranged(Recipe("easy", "chicken", seed), RIG) for seed in (4, 5))
     np.testing.assert_array_equal(
