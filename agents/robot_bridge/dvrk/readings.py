@@ -2,8 +2,6 @@
 
 import dataclasses
 import threading
-from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -35,13 +33,10 @@ CLOCK_SET_NS = 1 * SECOND_NS
 POSE_AGE_NS = SECOND_NS // 2
 SAME_M, SAME_RAD = 0.003, 0.1
 """How near the console's own pose must be to that of our kinematics; tools differ by more."""
-BETWEEN_NS = 50_000_000
-"""How far apart two measurements of joints may be that tell where the arm was between them: one that turns back at
-0.1 m/s meanwhile is 2.5 mm from there at most."""
+SAME_TIME_NS = 5_000_000
+"""Joints and pose are compared where the robot's clock has them at one time: an arm moves 0.4 mm meanwhile."""
 STANDS = 1e-3
-"""Or between any two, where no joint (rad, m) differs by as much."""
-KEPT = 32
-"""Measurements of a kind, so that each pose meets joints of its time, whichever comes later."""
+"""Or where no joint (rad, m) has moved by as much since the turn before: then any two times will do."""
 
 
 KINDS: tuple[str, ...] = ("measured_js", "jaw/measured_js", "local/measured_cp")
@@ -71,14 +66,6 @@ class _Apart(NamedTuple):
     radians: float
 
 
-class _Stamped(NamedTuple):
-    """Values by the robot's clock, and when that was on this host's."""
-
-    stamp_ns: int
-    at_ns: int
-    values: np.ndarray
-
-
 class Readings:
     """Takes what comes from other threads; `measured` and `judge` are for the bridge's own."""
 
@@ -89,8 +76,8 @@ class Readings:
         self._clocks = {kind: FarClock() for kind in KINDS}
         self._stamps = dict.fromkeys(KINDS, 0)
         self._decoded = dict.fromkeys(KINDS, Raw(b"", 0))
-        self._kept = {kind: deque[_Stamped](maxlen=KEPT) for kind in KINDS}
-        self._faulty, self._apart = "", _Apart(0, 0.0, 0.0)
+        self._newest: dict[str, tuple[int, np.ndarray]] = {}
+        self._faulty, self._apart, self._before = "", _Apart(0, 0.0, 0.0), NOTHING.joints
 
     def hear(self, kind: str, data: bytes, arrived_ns: int) -> None:
         """Keep the newest measurement of a kind, unread."""
@@ -156,10 +143,10 @@ class Readings:
             if newest is not self._decoded[kind]:
                 self._decoded[kind] = newest
                 self._read(kind, newest)
-        if not (self._kept["measured_js"] and self._kept["jaw/measured_js"]):
+        joints, jaw = self._newest.get("measured_js"), self._newest.get("jaw/measured_js")
+        if joints is None or jaw is None:
             return NOTHING
-        joints, jaw = self._kept["measured_js"][-1], self._kept["jaw/measured_js"][-1]
-        return Measured(min(joints.at_ns, jaw.at_ns), joints.values, float(jaw.values[0]))
+        return Measured(min(joints[0], jaw[0]), joints[1], float(jaw[1][0]))
 
     def judge(self, measured: Measured, commanded_ns: int, now_ns: int) -> Judged:
         """Whether the arm would follow, and may be moved by us; and if not, why. What is over by now is told once."""
@@ -174,7 +161,7 @@ class Readings:
             or self._reading()
             or self._tool_mounted(said)
             or others(said, commanded_ns, now_ns)
-            or self._same_place(now_ns)
+            or self._same_place(measured, now_ns)
             or Judged(Readiness.READY)
         )
 
@@ -217,19 +204,15 @@ class Readings:
         other = f"its tool is {said.tool or 'not told'}, and the kinematics are of {self._tool}"
         return Judged(Readiness.DISABLED, Code.WRONG_TOOL, other)
 
-    def _same_place(self, now_ns: int) -> Judged | None:
+    def _same_place(self, measured: Measured, now_ns: int) -> Judged | None:
         """Whether the console's own pose of the tool is where our kinematics have it."""
-        joints, poses = self._kept["measured_js"], self._kept["local/measured_cp"]
-        compared = list[_Apart]()
-        while joints and poses and poses[0].stamp_ns <= joints[-1].stamp_ns:
-            pose = poses.popleft()
-            then = _joints_at(joints, pose.stamp_ns)
-            if then is not None:
-                T, ours = pose.values, self._kinematics.forward(then)
-                apart_m = float(np.linalg.norm(T[:3, 3] - ours[:3, 3]))
-                compared.append(_Apart(pose.at_ns, apart_m, float(angle_between(T[:3, :3], ours[:3, :3]))))
-        if compared:
-            self._apart = max(compared, key=lambda each: max(each.metres / SAME_M, each.radians / SAME_RAD))
+        at_ns, T = self._newest.get("local/measured_cp", (0, np.eye(4)))
+        between_ns = abs(self._stamps["local/measured_cp"] - self._stamps["measured_js"])
+        stands, self._before = bool((np.abs(measured.joints - self._before) < STANDS).all()), measured.joints
+        if between_ns <= SAME_TIME_NS or stands:
+            ours = self._kinematics.forward(measured.joints)
+            apart_m = float(np.linalg.norm(T[:3, 3] - ours[:3, 3]))
+            self._apart = _Apart(at_ns, apart_m, float(angle_between(T[:3, :3], ours[:3, :3])))
         if now_ns - self._apart.at_ns > POSE_AGE_NS:
             silent = "its local/measured_cp, by which the kinematics are checked, does not come with its measured_js"
             return Judged(Readiness.FAULT, Code.STALE_STATE, silent)
@@ -258,26 +241,7 @@ class Readings:
                 self._stamps[kind] = before_ns
                 return
             self._clocks[kind].forget()
-            self._kept[kind].clear()
-        at_ns = self._clocks[kind].measured_ns(stamp_ns, newest.arrived_ns)
-        self._kept[kind].append(_Stamped(stamp_ns, at_ns, values))
-
-
-def _joints_at(measured: Sequence[_Stamped], stamp_ns: int) -> Float64[np.ndarray, "6"] | None:
-    """Where the joints were at a time, by what was measured before and after it; None where that does not tell."""
-    before = after = None
-    for each in reversed(measured):
-        if each.stamp_ns >= stamp_ns:
-            after = each
-        if each.stamp_ns <= stamp_ns:
-            before = each
-            break
-    if before is None or after is None:
-        return None
-    between_ns, change = after.stamp_ns - before.stamp_ns, after.values - before.values
-    if between_ns > BETWEEN_NS and not (np.abs(change) < STANDS).all():
-        return None
-    return before.values + change * ((stamp_ns - before.stamp_ns) / max(between_ns, 1))
+        self._newest[kind] = self._clocks[kind].measured_ns(stamp_ns, newest.arrived_ns), values
 
 
 def _text(data: bytes) -> str:
