@@ -6,9 +6,7 @@ At the end come faults in the middle of a grasp; `python -m benchmarks.faults` t
 import itertools
 import json
 import os
-import signal
 import subprocess
-import threading
 
 import pytest
 
@@ -28,9 +26,6 @@ LEASE_S = 2.0
 # what it takes to start all processes, and to wait for a plan, may both fall to one test
 pytestmark = [pytest.mark.hosts, pytest.mark.timeout(600)]
 SIDES = tuple(host for host in RUNS if host != ROUTER)
-
-EXPERIMENT_S = 270.0
-"""Longer than it takes on a machine that keeps up, and shorter than a test may take."""
 
 
 @pytest.mark.parametrize("side", SIDES)
@@ -123,10 +118,7 @@ def test_an_arm_on_another_host_grasps_in_an_experiment_and_no_set_point_is_unsa
 
 
 def answered(command):
-    """What a command said, and its exit status, where each of its questions is answered as somebody would.
-
-    On a machine that is too slow an experiment tries again for ever.
-    """
+    """What a command said, and its exit status, where each of its questions is answered as somebody would."""
     answers = {b"Ctrl-C holds it; a plans anew: ": b"\n", b"n: try it again: ": b"n\n", b"Enter goes on: ": b"\n"}
     answers |= {b"Enter tries again: ": b"\n"}
     environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
@@ -135,8 +127,6 @@ def answered(command):
     ) as process:
         assert process.stdin is not None
         assert process.stdout is not None
-        watch = threading.Timer(EXPERIMENT_S, process.kill)
-        watch.start()
         said, done = b"", 0
         while more := process.stdout.read(10_000):
             said += more
@@ -144,11 +134,7 @@ def answered(command):
                 if said[done:].endswith(question):
                     process.stdin.write(answer)
                     done = len(said)
-        watch.cancel()
-        log, status = said.decode(), process.wait(60.0)
-    if status == -signal.SIGKILL and " ms ago" in log:
-        pytest.skip("this machine is too busy just now: frames are too old to plan from")
-    return log, status
+        return said.decode(), process.wait(60.0)
 
 
 def test_while_the_links_of_a_host_that_was_cut_off_are_closed_the_router_hears_the_others(lab):

@@ -10,8 +10,6 @@ from agents.experiment.journal import CAUSES, Attempt, Cause, Trial
 from schemas.messages import ExecutionEvent, GraspPlan
 
 STANDARD_INPUT, LOOK_S, READ_BYTES = 0, 0.1, 4096
-MOST_REPEATS = 20
-"""An arm that is so often not moved, or stopped, by itself needs a person."""
 
 
 class LeftError(RuntimeError):
@@ -101,7 +99,7 @@ class Nobody:
 
     def __init__(self, stopped: threading.Event) -> None:
         """`stopped` is set by Ctrl-C."""
-        self._stopped, self._again = stopped, 0
+        self._stopped = stopped
 
     def lay(self, trial: Trial, left: int) -> None:
         """Only tell."""
@@ -115,9 +113,6 @@ class Nobody:
 
     def stuck(self, reason: str) -> None:
         """Wait a little."""
-        self._again += 1
-        if self._again > MOST_REPEATS:
-            raise LeftError(f"the arm could not be armed: {reason}")
         say(f"{reason}; it is tried again")
         self._stopped.wait(1.0)
 

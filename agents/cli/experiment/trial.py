@@ -29,6 +29,8 @@ from shared.runtime.connection import Connection
 from shared.runtime.taps import Tapped
 
 PATIENCE_S, VERDICT_S, LOOK_S = 60.0, 5.0, 0.2
+MOST_REPEATS = 20
+"""A trial that so often came to nothing in a row will not come to something by another try."""
 SETTLED_THREADS = 4
 """Seen after a thread was laid; tracking may need a few to leave the one before."""
 SENDER = "suturegrasp experiment"
@@ -63,6 +65,7 @@ def carried_out(trial: Trial, left: int, rig: Rig) -> Attempt:
         LeftError: where nobody wants to go on; the trial has come to nothing then.
         ExperimentError: where the rig does not do its part.
     """
+    nothing = 0
     while True:
         rig.check()
         rig.attendant.lay(trial, left)
@@ -72,12 +75,18 @@ def carried_out(trial: Trial, left: int, rig: Rig) -> Attempt:
         if isinstance(plan, str):
             return Attempt(trial=trial, outcome="declined", note=plan, at_ns=now_ns())
         say(plan_sentence(plan))
-        if rig.attendant.arms(plan) and (attempt := _moved(trial, plan, rig)) is not None:
+        if not rig.attendant.arms(plan):
+            continue
+        attempt = _moved(trial, plan, rig)
+        if isinstance(attempt, Attempt):
             return attempt
+        nothing += 1
+        if nothing == MOST_REPEATS:
+            raise ExperimentError(f"{nothing} times in a row {plan.arm} did not carry a plan out: {attempt}")
 
 
-def _moved(trial: Trial, plan: GraspPlan, rig: Rig) -> Attempt | None:
-    """What came of a plan; None where it is to be tried again."""
+def _moved(trial: Trial, plan: GraspPlan, rig: Rig) -> Attempt | str:
+    """What came of a plan; why it came to nothing where it is to be tried again."""
     made = Attempt(
         trial=trial,
         outcome="held",
@@ -96,10 +105,10 @@ def _moved(trial: Trial, plan: GraspPlan, rig: Rig) -> Attempt | None:
         if declines(stood.answer):
             return made.model_copy(update={"outcome": "declined", "note": stood.answer.reason})
         rig.attendant.stuck(stood.answer.reason)
-        return None
+        return stood.answer.reason
     if stood.end is None:
         rig.attendant.stuck(stood.left)
-        return None
+        return stood.left
     if stood.end.kind is not ExecutionKind.FINISHED:
         return _stopped(made, stood, rig)
     held, cause, note = _verdict(plan, verdicts, rig)
@@ -114,11 +123,11 @@ def declines(answer: CommandAnswer) -> bool:
     return answer.outcome is Outcome.REFUSED and answer.code in AGAINST_PLAN
 
 
-def _stopped(made: Attempt, stood: Stood, rig: Rig) -> Attempt | None:
+def _stopped(made: Attempt, stood: Stood, rig: Rig) -> Attempt | str:
     assert stood.end is not None  # noqa: S101 - asked for only where there is one
     blamed = rig.attendant.held(stood.end)
     if blamed is None:
-        return None
+        return f"it held ({stood.end.code})"
     cause, note = blamed
     return made.model_copy(update={"outcome": "failed", "cause": cause, "note": note})
 

@@ -4,15 +4,20 @@ import dataclasses
 import json
 import subprocess
 import sys
+import threading
 
 import pytest
 
+from agents.cli.experiment import trial
 from agents.cli.experiment.command import JOURNAL, write
-from agents.cli.experiment.trial import declines
+from agents.cli.experiment.terminal import Nobody
+from agents.cli.experiment.trial import ExperimentError, Rig, declines
 from agents.experiment.journal import Attempt, Journal, Protocol
+from agents.operator.operator import Stood
 from agents.robot_bridge.refusals import Code
 from schemas.messages import CommandAnswer, Outcome
 from shared.runtime.session import free_local_endpoint
+from tests.agents.robot_bridge.drive import plan
 
 SPEAKS_AGAINST_A_PLAN = (
     *("rejected_plan", "not_finite", "not_a_pose", "workspace", "unreachable", "remote_centre"),
@@ -27,8 +32,8 @@ def tried(tmp_path):
     """The folder of an experiment of which five trials are done."""
     protocol = Protocol(seed=3, goals=4, threads=THREADS, arm="psm1", verdicts="operator")
     journal = Journal(protocol=protocol)
-    for trial in journal.left(THREADS[0])[:5]:
-        journal = journal.begin(trial).note(Attempt(trial=trial, outcome="held"))
+    for each in journal.left(THREADS[0])[:5]:
+        journal = journal.begin(each).note(Attempt(trial=each, outcome="held"))
     write(tmp_path, journal)
     return tmp_path
 
@@ -61,6 +66,19 @@ def test_a_refusal_counts_against_a_trial_only_where_it_speaks_against_the_plan(
         refused = CommandAnswer("c", Outcome.REFUSED, code, "why")
         assert declines(refused) == (code in SPEAKS_AGAINST_A_PLAN), code
         assert not declines(dataclasses.replace(refused, outcome=Outcome.UNKNOWN))
+
+
+def test_an_experiment_ends_where_plan_after_plan_is_refused_for_the_moment(tried, monkeypatch):
+    """On a machine that is too slow every plan is too old when it is armed."""
+    refused = CommandAnswer("c", Outcome.REFUSED, "old_plan", "the plan is from a thread seen 4000 ms ago")
+    monkeypatch.setattr(trial, "_plan", lambda *_: plan())
+    monkeypatch.setattr(trial, "arm_and_stand_by", lambda *_: Stood(refused, None, ""))
+    monkeypatch.setattr(Nobody, "stuck", lambda *_: None)
+    stopped = threading.Event()
+    rig = Rig(None, "psm1", Nobody(stopped), False, stopped, lambda: None)
+    left = Journal.model_validate_json((tried / JOURNAL).read_text()).left(THREADS[0])
+    with pytest.raises(ExperimentError, match=r"20 times in a row psm1 did not carry a plan out: .*4000 ms ago"):
+        trial.carried_out(left[0], len(left), rig)
 
 
 def test_what_was_tried_so_far_can_be_reported_at_any_time(suturegrasp, tried):
