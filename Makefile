@@ -29,7 +29,7 @@ demo: .venv/runtime.done ## a simulated grasp from image to judgement, in under 
 install: .venv/runtime.done ## what a machine of a rig needs (docs/deployment.md)
 
 play: .venv/runtime.done ## the simulated rig with the operator's page, running until Ctrl-C; PORT=7450
-	@$(BIN)/suturegrasp page --start --port $(or $(PORT),7450)
+	@$(BIN)/suturegrasp play --port $(or $(PORT),7450)
 
 look: .venv/runtime.done ## a recorded grasp that failed, on Rerun's timeline (docs/debugging.md); SESSION=session.mcap
 ifeq ($(DISPLAY)$(WAYLAND_DISPLAY),)

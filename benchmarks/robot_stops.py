@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from agents.cli.lab.rehearsal.network import CannotError
+from agents.cli.lab.rehearsal.processes import faketime
 from shared.clock import now_ns
-from tests.rigs.faults.network import CannotError
-from tests.rigs.faults.processes import faketime
 from tests.rigs.robot.lab import STANDS_S, Lab, NotMovingError
 
 FIGURES = (

@@ -22,6 +22,7 @@ from rich.box import MARKDOWN
 from rich.console import Console
 from rich.table import Table
 
+from agents.cli.lab.rehearsal.network import CannotError
 from benchmarks.scaling_load import AUDIENCES, SESSION, rate_hz, streams
 from benchmarks.scaling_narrow import measure_narrow
 from benchmarks.scaling_record import measure_recorder
@@ -30,7 +31,6 @@ from benchmarks.scaling_sites import measure_sites
 from schemas.codec import decode
 from schemas.messages import StereoFrame
 from schemas.topics import FRAMES
-from tests.rigs.faults.network import CannotError
 
 CONSOLE = Console(width=220)
 Part = Literal["bytes", "rigs", "narrow", "sites", "recorder"]

@@ -4,8 +4,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from agents.cli.lab.rehearsal.network import connected_hosts
 from benchmarks.scaling_rigs import TLS, Place, measure
-from tests.rigs.faults.network import connected_hosts
 
 ROUTER, RIGS = "router", "rigs"
 

@@ -1,16 +1,18 @@
 """What a recording holds by key: how much, how often, and where something is missing."""
 
 from array import array
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Int64
 
-from schemas.topics import HEARTBEAT, Delivery, topic_of
+from schemas.topics import FRAMES, HEARTBEAT, Delivery, topic_of
 from shared.recording.entry import Entry
 
 SILENT_PERIODS, SILENT_S = 5.0, 0.1
 """A key is silent where nothing came for so many of its median intervals, and for so long."""
+RESTING_PERIODS = 2.0
+"""And where its publisher rests between motions, for so many of the intervals that it keeps then."""
 SEQUENCE_RANGE = 1 << 32
 LATEST_NS = (1 << 63) - 1
 """The year 2262; a file may claim later ones."""
@@ -94,9 +96,9 @@ class ContentsCollector:
 
 
 def _contents(key: str, one: _Key) -> KeyContents:
-    topic, is_regular = _topic(key)
+    topic, is_regular, resting_s = _topic(key)
     runs = [(np.array(run.published_ns, np.int64), np.array(run.sequence, np.int64)) for run in one.runs.values()]
-    gaps = sorted((gap for run in runs for gap in gaps_of(*run, is_regular)), key=lambda gap: gap.from_ns)
+    gaps = sorted((gap for run in runs for gap in gaps_of(*run, is_regular, resting_s)), key=lambda gap: gap.from_ns)
     lasted_s = sum(float(np.ptp(published)) for published, _ in runs) * 1e-9
     intervals = sum(len(published) - 1 for published, _ in runs)
     return KeyContents(
@@ -116,17 +118,30 @@ def _contents(key: str, one: _Key) -> KeyContents:
     )
 
 
-def _topic(key: str) -> tuple[str, bool]:
-    """The topic's name, and whether its messages come at regular intervals as long as its publisher runs."""
+def without_left_out(contents: tuple[KeyContents, ...], frames: int) -> tuple[KeyContents, ...]:
+    """The same where so many of the camera's frames were left out on purpose: they are neither lost nor a gap."""
+    return tuple(
+        replace(one, lost=max(0, one.lost - frames), gaps=() if one.lost <= frames else one.gaps)
+        if frames and one.topic == str(FRAMES)
+        else one
+        for one in contents
+    )
+
+
+def _topic(key: str) -> tuple[str, bool, float]:
+    """The topic's name, whether its messages come regularly while its publisher runs, and the interval at rest."""
     try:
         topic = topic_of(key)
     except KeyError:
-        return "", False
+        return "", False, 0.0
     # heartbeats come while an arm is armed, and not between two grasps
-    return str(topic), topic.delivery is Delivery.LATEST and topic.rate_hz is not None and topic is not HEARTBEAT
+    is_regular = topic.delivery is Delivery.LATEST and topic.rate_hz is not None and topic is not HEARTBEAT
+    return str(topic), is_regular, 1.0 / topic.resting_hz if topic.resting_hz else 0.0
 
 
-def gaps_of(published_ns: Int64[np.ndarray, "n"], sequence: Int64[np.ndarray, "n"], is_regular: bool) -> list[Gap]:
+def gaps_of(
+    published_ns: Int64[np.ndarray, "n"], sequence: Int64[np.ndarray, "n"], is_regular: bool, resting_s: float = 0.0
+) -> list[Gap]:
     """Where numbers of one run are missing and, of what comes regularly, where it was silent.
 
     Numbers are those of the recording, of which 32 bits are kept; they may come out of order or twice.
@@ -137,6 +152,7 @@ def gaps_of(published_ns: Int64[np.ndarray, "n"], sequence: Int64[np.ndarray, "n
         return []
     times_ns = published_ns[places]
     lost, interval_ns = np.diff(numbers) - 1, np.diff(times_ns)
-    is_silent = interval_ns > max(SILENT_PERIODS * float(np.median(interval_ns)), SILENT_S * 1e9)
+    longest_ns = max(SILENT_PERIODS * float(np.median(interval_ns)), 1e9 * max(SILENT_S, RESTING_PERIODS * resting_s))
+    is_silent = interval_ns > longest_ns
     found = np.flatnonzero((lost > 0) | (is_silent & is_regular))
     return [Gap(int(times_ns[i]), int(times_ns[i + 1]), int(lost[i])) for i in found]

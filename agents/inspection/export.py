@@ -9,13 +9,14 @@ from agents.inspection.export_files import FORMATS, TableFile
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.topics import COMMANDS, EXECUTION, JUDGEMENT, PLAN, ROBOT_STATE, THREAD, topic_of
+from shared.recording.completeness import Completeness, completeness
 from shared.recording.entry import Entry, RecordingError
 from shared.recording.mcap_file import read_recording
 
 EXPORTED = (THREAD, PLAN, ROBOT_STATE, COMMANDS, EXECUTION, JUDGEMENT)
 README = "README.txt"
 MEANING = """Tables of {source}, written by suturegrasp export.
-{damage}
+{said}
 t_s       seconds since {zero_ns} ns after 1970, when the first message of the recording was published
 *_ns      nanoseconds since 1970
 *_m       metres; *_m2 square metres; *_rad radians; *_px pixels of the rectified left image, centres at whole numbers
@@ -49,12 +50,14 @@ class Exported:
         unreadable: messages that this version cannot read.
         other_units: curves left out because their lengths are in another unit than those before.
         damage: what broke the reading off; empty where all was read.
+        said: what the recording says of what it was made of and of what it lacks.
     """
 
     rows: dict[str, int] = field(default_factory=dict[str, int])
     unreadable: int = 0
     other_units: int = 0
     damage: str = ""
+    said: Completeness | None = None
 
 
 def export(source: Path, folder: Path, form: str, points: int) -> Exported:
@@ -87,7 +90,10 @@ def export(source: Path, folder: Path, form: str, points: int) -> Exported:
     finally:
         for table, _ in tables.values():
             table.close()
-    text = MEANING.format(source=source.name, damage=exported.damage, zero_ns=zero_ns, points=points)
+    exported.said = completeness(source)
+    derived = (one.sentence for one in exported.said.derived)
+    said = "\n".join([*derived, exported.damage or exported.said.sentence, ""])
+    text = MEANING.format(source=source.name, said=said, zero_ns=zero_ns, points=points)
     columns_of = (f"{table.path.name}: {', '.join(columns)}\n" for table, columns in tables.values())
     (folder / README).write_text(text + "\n".join(columns_of), encoding="utf-8", errors="backslashreplace")
     return exported

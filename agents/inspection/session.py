@@ -1,13 +1,12 @@
 """A recording, read once from front to back; images are looked at and not kept, so its length does not matter."""
 
 import contextlib
-from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from agents.inspection.accounts import AccountCollector, AgentAccount, Remark
-from agents.inspection.contents import ContentsCollector, KeyContents
+from agents.inspection.contents import ContentsCollector, KeyContents, without_left_out
 from agents.inspection.facts import attached_facts, facts_of_messages, noted_facts
 from agents.inspection.grasps import Grasp, GraspCollector, OtherCommand
 from agents.inspection.stages import StageTimes, captured_ns, in_order, stage_of
@@ -16,8 +15,8 @@ from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import SimulatorState, StereoCalibration
 from schemas.topics import CALIBRATION, HEALTH, LOG, OBSERVATIONS, SIMULATOR_STATE, THREAD, Topic, topic_of
+from shared.recording.completeness import Completeness, completeness_of
 from shared.recording.entry import Entry, Note, RecordingError
-from shared.recording.losses import AT, COMPLETE, LOSSES, LOST
 from shared.recording.mcap_file import is_finished, read_attachments, read_with_notes
 
 
@@ -26,19 +25,15 @@ class Session:
     """What a recording tells.
 
     Fields:
-        finished: whether the file was closed; one of a killed recorder was not.
         damage: what broke the reading off; empty where all was read.
-        losses: by key, what the recorder noted as missing, of a cut-off file until its end.
-        complete: the recorder's own judgement; None where it did not come to note that.
+        said: what the file itself says of what it was made of, and of what it lacks.
     """
 
     path: Path
     size_bytes: int
-    finished: bool
     damage: str
     notes: tuple[Note, ...]
-    losses: dict[str, int]
-    complete: bool | None
+    said: Completeness
     contents: tuple[KeyContents, ...]
     stages: dict[str, StageTimes]
     agents: tuple[AgentAccount, ...]
@@ -76,8 +71,10 @@ class _Reading:
         self.notes: list[Note] = []
         self.calibration: StereoCalibration | None = None
         self.scene: SimulatorState | None = None
+        self.last_ns: int | None = None
 
     def add(self, entry: Entry) -> None:
+        self.last_ns = entry.received_ns
         if entry.repeated:
             self._add_repeated(entry)
             return
@@ -140,38 +137,24 @@ def read_session(path: Path) -> Session:
 
 
 def _session(path: Path, reading: _Reading, damage: str) -> Session:
-    noted = next((note for note in reversed(reading.notes) if note.name == LOSSES), None)
-    losses = _losses([noted] if noted else [note for note in reading.notes if note.name == LOST])
+    said = completeness_of(reading.notes, is_finished(path), reading.last_ns)
     agents = reading.accounts.agents()
-    said = facts_of_messages(reading.calibration, reading.scene, agents, reading.quality)
+    facts = facts_of_messages(reading.calibration, reading.scene, agents, reading.quality)
     return Session(
         path=path,
         size_bytes=path.stat().st_size,
-        finished=is_finished(path),
         damage=damage,
         notes=tuple(reading.notes),
-        losses=losses,
-        complete=None if noted is None or COMPLETE not in noted.facts else noted.facts[COMPLETE].lower() == "true",
-        contents=reading.contents.contents(),
+        said=said,
+        contents=without_left_out(reading.contents.contents(), said.left_out_frames),
         stages={name: reading.stages[name] for name in sorted(reading.stages, key=in_order)},
         agents=agents,
         remarks=reading.accounts.remarks(),
         grasps=tuple(sorted(reading.grasps.grasps, key=lambda grasp: grasp.at_ns)),
         other_commands=tuple(reading.grasps.others),
         quality=reading.quality,
-        facts=noted_facts(reading.notes) | said | _attached(path),
+        facts=noted_facts(reading.notes) | facts | _attached(path),
     )
-
-
-def _losses(notes: list[Note]) -> dict[str, int]:
-    """Lost messages by key; a fact begins with the number of them."""
-    counts: Counter[str] = Counter()
-    for note in notes:
-        for key, told in note.facts.items():
-            count = told.partition(":")[0]
-            if key not in (AT, COMPLETE) and count.isdecimal():
-                counts[key] += int(count)
-    return dict(counts)
 
 
 def _attached(path: Path) -> dict[str, str]:

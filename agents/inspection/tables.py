@@ -37,22 +37,8 @@ def head_lines(session: Session) -> list[str]:
     lines = [f"{session.path}: {megabytes(session.size_bytes)} MB, {count} messages on {len(session.contents)} keys"]
     if count:
         lines.append(f"it began at {began} and lasted {session.duration_s:.1f} s")
-    return [*lines, completeness(session), *_unreadable(session)]
-
-
-def completeness(session: Session) -> str:
-    """Whether anything is known to be missing, in one sentence."""
-    if session.damage:
-        return session.damage
-    lost = ", ".join(f"{count} of {short(key)}" for key, count in sorted(session.losses.items()))
-    if not session.finished:
-        known = f"; lost before: {lost}" if lost else ""
-        return f"cut off after {session.duration_s:.1f} s: its recorder was killed, or is still at work{known}"
-    if session.complete:
-        return "complete: its recorder missed nothing"
-    if session.complete is None:
-        return "its recorder did not note whether anything is missing"
-    return f"not complete: its recorder missed {lost or 'something it could not name'}"
+    derived = [one.sentence for one in session.said.derived]
+    return [*lines, *derived, session.damage or session.said.sentence, *_unreadable(session)]
 
 
 def _unreadable(session: Session) -> list[str]:
@@ -76,11 +62,14 @@ def recorded(session: Session) -> Table:
         " longest s",
         " first at s",
         " last at s",
+        "as of",
     )
-    return Table("recorded", columns, tuple(_recorded_row(session, one) for one in session.contents))
+    anew = {key for one in session.said.ran_anew.values() for key in one.keys}
+    as_of = {one.key: "" if not anew else "the replay" if one.key in anew else "the source" for one in session.contents}
+    return Table("recorded", columns, tuple(_recorded_row(session, one, as_of[one.key]) for one in session.contents))
 
 
-def _recorded_row(session: Session, one: KeyContents) -> Row:
+def _recorded_row(session: Session, one: KeyContents, as_of: str) -> Row:
     longest_ns = max((gap.to_ns - gap.from_ns for gap in one.gaps), default=0)
     return (
         short(one.key),
@@ -93,6 +82,7 @@ def _recorded_row(session: Session, one: KeyContents) -> Row:
         f"{longest_ns * 1e-9:.2f}" if one.gaps else "",
         f"{session.since_start_s(one.first_ns):.2f}",
         f"{session.since_start_s(one.last_ns):.2f}",
+        as_of,
     )
 
 
@@ -127,10 +117,15 @@ def latencies(session: Session) -> Table:
 
 def agents(session: Session) -> Table:
     """Step times as the agents report them."""
-    rows = (
+    rows = [
         (one.name, str(one.runs), decimal(one.step_ms_p50), decimal(one.step_ms_p99), one.version, one.host)
         for one in session.agents
-    )
+    ]
+    for derivation in session.said.derived:
+        rows += [
+            (f"{name}, replayed", "1", decimal(one.step_ms_p50), decimal(one.step_ms_p99), derivation.version, "")
+            for name, one in derivation.agents.items()
+        ]
     return Table("agents, times of a step", ("agent", " runs", " p50 ms", " p99 ms", "version", "host"), tuple(rows))
 
 

@@ -1,22 +1,20 @@
 """A shorter recording out of a longer one: to show a moment to somebody, to keep what matters, to test with it."""
 
-import mimetypes
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
+from agents.recorder.derived_file import DerivedFile, derived_from
 from schemas.checks import MessageError
 from schemas.codec import decode
-from schemas.topics import FRAMES, OBSERVATIONS, Delivery, Topic, topic_of
-from shared.recording.completeness import completeness
+from schemas.topics import FRAMES, OBSERVATIONS, Delivery, topic_of
+from shared.recording.completeness import Completeness, completeness
+from shared.recording.derivation import UNUSED_FRAMES
 from shared.recording.entry import Entry, Note
-from shared.recording.losses import COMPLETE, LOSSES
+from shared.recording.losses import AT, LOST, counts_of
 from shared.recording.mcap_file import read_attachments, read_recording, read_with_notes
-from shared.recording.writer import RecordingWriter
-
-CUT = "cut"
-"""The note that says what a file was cut out of."""
 
 
 @dataclass(frozen=True)
@@ -26,10 +24,12 @@ class CutReport:
     Fields:
         kept: messages.
         unused: frames that were left out because nothing was made of them.
+        source: what the recording that it was cut out of says of itself.
     """
 
     kept: int
     unused: int
+    source: Completeness
 
 
 class _Place(NamedTuple):
@@ -48,54 +48,76 @@ def cut(source: Path, target: Path, from_ns: int, to_ns: int, only_used_frames: 
         RecordingError, OSError: as `read_recording`, or where the target cannot be written.
     """
     used = _used_frames(source, from_ns, to_ns) if only_used_frames else None
-    was_complete = completeness(source).complete
-    writer = RecordingWriter(target)
+    said = completeness(source)
+    file = DerivedFile(target)
+    stretch = _Stretch(from_ns, to_ns)
     kept = unused = 0
     try:
-        for entry in _entries(source, writer, from_ns, to_ns):
+        for entry in stretch.entries(source, file):
             topic = topic_of(entry.key)
             if used is not None and topic is FRAMES and _place(entry) not in used:
                 unused += 1
                 continue
-            writer.write(topic, entry)
+            file.write(topic, entry)
             kept += 1
-        for name, data in read_attachments(source).items():
-            writer.attach(name, mimetypes.guess_type(name)[0] or "application/octet-stream", data, from_ns)
-        writer.note(
-            CUT, {"of": source.name, "from_ns": str(from_ns), "to_ns": str(to_ns), "unused_frames": str(unused)}
+        left_out = {"messages before and after": stretch.outside, UNUSED_FRAMES: unused}
+        derivation = derived_from(
+            source, said, stretch.sentence, left_out={what: n for what, n in left_out.items() if n}
         )
-        writer.note(LOSSES, {COMPLETE: str(bool(was_complete) and not unused)})
-        writer.close()
+        file.close(derivation, read_attachments(source), said.complete, stretch.lost)
     finally:
-        writer.abandon()
-    return CutReport(kept, unused)
+        file.abandon()
+    return CutReport(kept, unused, said)
 
 
-def _entries(source: Path, writer: RecordingWriter, from_ns: int, to_ns: int) -> Iterator[Entry]:
-    """The states that held before, then all of the stretch; notes are copied on the way."""
-    states: dict[str, Entry] = {}
-    begun = False
-    for record in read_with_notes(source):
-        if isinstance(record, Note):
-            if record.name != LOSSES:
-                writer.note(record.name, record.facts)
-            continue
-        if record.received_ns > to_ns:
-            continue
-        if record.received_ns < from_ns:
-            if _topic(record).delivery is Delivery.STATE:
-                states[record.key] = record
-            continue
-        if not begun:
-            begun = True
-            yield from (replace(state, repeated=True) for state in states.values())
-        yield record
+class _Stretch:
+    """Reads a stretch of a recording, and counts what lies outside, and what is known to be lost within."""
+
+    def __init__(self, from_ns: int, to_ns: int) -> None:
+        self._from_ns, self._to_ns = from_ns, to_ns
+        self.outside, self._first_ns = 0, None
+        self.lost: Counter[str] = Counter()
+
+    @property
+    def sentence(self) -> str:
+        """Where it lies in its source."""
+        first_ns = self._from_ns if self._first_ns is None else self._first_ns
+        begin_s, end_s = ((at_ns - first_ns) * 1e-9 for at_ns in (self._from_ns, self._to_ns))
+        return f"cut from {begin_s:.1f} s to {end_s:.1f} s"
+
+    def entries(self, source: Path, file: DerivedFile) -> Iterator[Entry]:
+        """The states that held before, then all of the stretch; notes are copied on the way."""
+        states: dict[str, Entry] = {}
+        begun = False
+        for record in read_with_notes(source):
+            if isinstance(record, Note):
+                self._note(record, file)
+                continue
+            if self._first_ns is None and not record.repeated:
+                self._first_ns = record.received_ns
+            if not self._from_ns <= record.received_ns <= self._to_ns:
+                self.outside += not record.repeated
+                if record.received_ns < self._from_ns and topic_of(record.key).delivery is Delivery.STATE:
+                    states[record.key] = record
+            else:
+                if not begun:
+                    begun = True
+                    yield from (replace(state, repeated=True) for state in states.values())
+                yield record
+
+    def _note(self, note: Note, file: DerivedFile) -> None:
+        if note.name == LOST:
+            at_ns = note.facts.get(AT, "")
+            if not (at_ns.isdecimal() and self._from_ns <= int(at_ns) <= self._to_ns):
+                return
+            self.lost.update(counts_of(note))
+        file.note(note)
 
 
 def _used_frames(source: Path, from_ns: int, to_ns: int) -> set[_Place]:
     used: set[_Place] = set()
     for entry in read_recording(source):
-        if _topic(entry) is not OBSERVATIONS or not from_ns <= entry.received_ns <= to_ns:
+        if topic_of(entry.key) is not OBSERVATIONS or not from_ns <= entry.received_ns <= to_ns:
             continue
         try:
             consumed = decode(OBSERVATIONS.message, entry.payload).consumed
@@ -103,10 +125,6 @@ def _used_frames(source: Path, from_ns: int, to_ns: int) -> set[_Place]:
             continue
         used |= {_Place(c.key, c.epoch, c.sequence) for c in consumed}
     return used
-
-
-def _topic(entry: Entry) -> Topic:
-    return topic_of(entry.key)
 
 
 def _place(entry: Entry) -> _Place:

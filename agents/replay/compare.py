@@ -42,10 +42,15 @@ AS_IT_IS = Rule()
 
 
 class Difference(NamedTuple):
-    """How far one field differs, in the unit of its rule; 0 where it is the same."""
+    """How far one field differs, in the unit of its rule; 0 where it is the same.
+
+    Fields:
+        words: what it was and is, where no number tells the two apart and words do.
+    """
 
     field: str
     amount: float
+    words: str = ""
 
 
 def differences(then: Any, now: Any, rules: Rules) -> Iterator[Difference]:
@@ -65,11 +70,24 @@ def _of_fields(prefix: str, then: Any, now: Any, rules: Rules) -> Iterator[Diffe
             continue
         a, b = getattr(then, field.name), getattr(now, field.name)
         if rule.measure is not None:
-            yield Difference(path, rule.measure(a, b))
+            yield Difference(path, rule.measure(a, b), _words(a, b))
         elif dataclasses.is_dataclass(a) and dataclasses.is_dataclass(b):
             yield from _of_fields(f"{path}.", a, b, rules)
         else:
-            yield Difference(path, apart(a, b))
+            yield Difference(path, apart(a, b), _words(a, b))
+
+
+def _words(a: Any, b: Any) -> str:
+    """Both values, where each is a word, a truth or nothing, and they differ."""
+    if not all(isinstance(value, str | bool | enum.Enum | None) for value in (a, b)) or a == b:
+        return ""
+    return f"{_word(a)} → {_word(b)}"
+
+
+def _word(value: Any) -> str:
+    if isinstance(value, enum.Enum):
+        return value.name.lower()
+    return "nothing" if value in ("", None) else str(value)
 
 
 def apart(a: Any, b: Any) -> float:

@@ -65,11 +65,12 @@ def contents_of(path: Path) -> Contents:
         RecordingError: where nothing of it can be read.
         OSError: where it cannot be opened.
     """
-    contents, empty = Contents(), True
+    contents, empty, begun = Contents(), True, False
     try:
         for entry in read_recording(path):
-            contents.first_ns = entry.received_ns if empty else contents.first_ns
-            contents.last_ns, empty = entry.received_ns, False
+            # what is repeated from before the file began is older than its first moment
+            contents.first_ns = contents.first_ns if begun else entry.received_ns
+            contents.last_ns, empty, begun = entry.received_ns, False, begun or not entry.repeated
             _count(contents, entry)
     except RecordingError as error:
         if empty:

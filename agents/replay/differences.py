@@ -12,7 +12,7 @@ import numpy as np
 from agents.replay.compare import AS_IT_IS, OTHER, Difference, Rule, Rules, differences
 from agents.replay.tolerances import exact, tolerant
 from schemas.codec import decode
-from schemas.messages import FrameStamp
+from schemas.messages import FrameStamp, Status
 from schemas.topics import TOPICS, topic_of
 from shared.runtime.replay import Replayed
 
@@ -27,12 +27,17 @@ class At(NamedTuple):
 
 @dataclass(frozen=True)
 class Compared:
-    """One output beside what it is now: by how much each field differs, of those that do."""
+    """One output beside what it is now: by how much each field differs, of those that do.
+
+    Fields:
+        became: its status with the reason, then and now, where they differ.
+    """
 
     topic: str
     at: At
     is_same: bool
     fields: tuple[Difference, ...] = ()
+    became: str = ""
 
 
 @dataclass(frozen=True)
@@ -44,6 +49,7 @@ class Row:
         beyond: of them, those that differ by more than the tolerance.
         median, worst: over all of them, in the rule's unit; infinite where no number tells the two apart.
         where: of the worst one.
+        words: what it was and is most often, where words tell the two apart.
     """
 
     topic: str
@@ -54,6 +60,7 @@ class Row:
     median: float
     worst: float
     where: At
+    words: str = ""
 
 
 @dataclass(frozen=True)
@@ -98,24 +105,39 @@ def compared(outputs: Iterable[Replayed], published_ns: Callable[[Replayed], int
         topic = topic_of(output.key)
         # what is the same is decoded too: a curve of differences needs its time
         then = decode(topic.message, output.then)
-        fields = () if output.same else _differences(then, output.now, rules(topic.message), exactly)
-        found.append(Compared(str(topic), _at(then, published_ns(output)), output.same, fields))
+        now = then if output.same else decode(topic.message, output.now)
+        fields = () if output.same else _differences(then, now, rules(topic.message), exactly)
+        at = _at(then, published_ns(output))
+        found.append(Compared(str(topic), at, output.same, fields, _became(then, now)))
     of_topic = {str(topic): rules(topic.message) for topic in TOPICS}
     return Comparison(tuple(found), _rows(found, of_topic), made_no_more, unrecorded)
 
 
-def _differences(then: Any, payload: bytes, rules: Rules, exactly: bool) -> tuple[Difference, ...]:
-    fields = tuple(d for d in differences(then, decode(type(then), payload), rules) if d.amount)
+def _became(then: Any, now: Any) -> str:
+    one, other = (_status(message) for message in (then, now))
+    return f"{one} → {other}" if one != other else ""
+
+
+def _status(message: Any) -> str:
+    """Status and reason in words; nothing of messages that have none."""
+    status, reason = getattr(message, "status", None), getattr(message, "reason", "")
+    if not isinstance(status, Status):
+        return ""
+    return f"{status.name.lower()}: {reason}" if reason else status.name.lower()
+
+
+def _differences(then: Any, now: Any, rules: Rules, exactly: bool) -> tuple[Difference, ...]:
+    fields = tuple(d for d in differences(then, now, rules) if d.amount)
     # such as a zero of the other sign
     return (Difference("bytes", OTHER),) if exactly and not fields else fields
 
 
 def _rows(outputs: list[Compared], rules: dict[str, Rules]) -> tuple[Row, ...]:
     messages = Counter(output.topic for output in outputs)
-    found: defaultdict[tuple[str, str], list[tuple[float, At]]] = defaultdict(list)
+    found: defaultdict[tuple[str, str], list[tuple[float, At, str]]] = defaultdict(list)
     for output in outputs:
-        for field, amount in output.fields:
-            found[output.topic, field].append((amount, output.at))
+        for field, amount, words in output.fields:
+            found[output.topic, field].append((amount, output.at, words))
     rows = [
         _row(topic, field, rules[topic].get(field, AS_IT_IS), messages[topic], of)
         for (topic, field), of in found.items()
@@ -123,11 +145,13 @@ def _rows(outputs: list[Compared], rules: dict[str, Rules]) -> tuple[Row, ...]:
     return tuple(sorted(rows, key=lambda row: (row.topic, -row.beyond, row.field)))
 
 
-def _row(topic: str, field: str, rule: Rule, messages: int, found: list[tuple[float, At]]) -> Row:
+def _row(topic: str, field: str, rule: Rule, messages: int, found: list[tuple[float, At, str]]) -> Row:
     amounts = np.zeros(messages)
-    amounts[: len(found)] = [amount for amount, _ in found]
-    worst, where = max(found, key=lambda pair: pair[0])
-    return Row(topic, field, rule, messages, int((amounts > rule.tolerance).sum()), _median(amounts), worst, where)
+    amounts[: len(found)] = [amount for amount, _, _ in found]
+    worst, where, _ = max(found, key=lambda one: one[0])
+    words = Counter(words for _, _, words in found if words).most_common(1)
+    beyond = int((amounts > rule.tolerance).sum())
+    return Row(topic, field, rule, messages, beyond, _median(amounts), worst, where, words[0][0] if words else "")
 
 
 def _median(amounts: np.ndarray) -> float:

@@ -10,7 +10,7 @@ from typing import Any
 
 from schemas.messages import CommandAnswer
 from schemas.topics import Topic
-from shared.clock import Stopwatch
+from shared.clock import monotonic_s
 from shared.recording.mcap_file import Entry
 from shared.runtime.agent import Agent, Command, Input, Output, Received, Tick, awaited
 from shared.runtime.replay import Replayed, replay
@@ -21,7 +21,7 @@ Place = tuple[str, int, int]
 
 @dataclass(frozen=True)
 class Stage:
-    """An agent to replay: what it is called, and what builds it as it was before its first step."""
+    """An agent to replay: its name, such as `robot_bridge/psm1`, and what builds it as it was before its first step."""
 
     name: str
     build: Callable[[], Agent]
@@ -32,16 +32,20 @@ class Outcome:
     """What became of one stage.
 
     Fields:
-        steps: how many were made, in `step_s` seconds together.
+        steps_ms: how long each step took.
         faults: how many of them raised, the first of them with these words.
     """
 
     stage: str
     outputs: tuple[Replayed, ...]
-    steps: int
-    step_s: float
+    steps_ms: tuple[float, ...]
     faults: int
     first_fault: str
+
+    @property
+    def step_s(self) -> float:
+        """What the steps took together."""
+        return 1e-3 * sum(self.steps_ms)
 
     @property
     def unrepeatable(self) -> list[Replayed]:
@@ -80,11 +84,10 @@ def with_replayed(recording: Iterable[Entry], outputs: Iterable[Replayed]) -> li
 
 
 def _replayed(stage: Stage, recording: Iterable[Entry]) -> Outcome:
-    watch = Stopwatch("step")
     timed: list[_Timed] = []
 
     def build() -> Agent:
-        timed.append(_Timed(stage.build(), watch))
+        timed.append(_Timed(stage.build()))
         return timed[-1]
 
     try:
@@ -94,15 +97,16 @@ def _replayed(stage: Stage, recording: Iterable[Entry]) -> Outcome:
             agent.close()
     faults = [fault for agent in timed for fault in agent.faults]
     first = faults[0] if faults else ""
-    return Outcome(stage.name, outputs, sum(a.steps for a in timed), 1e-3 * watch.ms["step"], len(faults), first)
+    steps_ms = tuple(step_ms for agent in timed for step_ms in agent.steps_ms)
+    return Outcome(stage.name, outputs, steps_ms, len(faults), first)
 
 
 class _Timed:
     """An agent whose steps are timed and counted; one that raises is a fault, and gives nothing, as when live."""
 
-    def __init__(self, agent: Agent, watch: Stopwatch) -> None:
-        self._agent, self._watch = agent, watch
-        self.steps = 0
+    def __init__(self, agent: Agent) -> None:
+        self._agent = agent
+        self.steps_ms: list[float] = []
         self.faults: list[str] = []
         self.kind, self.instance, self.tick_hz = agent.kind, agent.instance, agent.tick_hz
         self.inputs: tuple[Input, ...] = agent.inputs
@@ -111,13 +115,14 @@ class _Timed:
         self.goes_on_from: Topic | None = getattr(agent, "goes_on_from", None)
 
     def step(self, arrived: Received | Tick | Command) -> list[Output | CommandAnswer]:
-        self.steps += 1
+        began_s = monotonic_s()
         try:
-            with self._watch.step("step"):
-                return awaited(self._agent.step(arrived))
+            return awaited(self._agent.step(arrived))
         except Exception as error:
             self.faults.append(f"{type(error).__name__}: {error}")
             return []
+        finally:
+            self.steps_ms.append(1e3 * (monotonic_s() - began_s))
 
     def close(self) -> None:
         close: Any = getattr(self._agent, "close", None)

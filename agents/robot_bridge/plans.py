@@ -34,7 +34,7 @@ class Plans:
 
     def keep(self, plan: GraspPlan, replayed: bool) -> None:
         """Keep a plan that this arm could be armed with, or else why it could not; `replayed` is one of a recording."""
-        self.forget(plan.plan_id)
+        self._plans.pop(plan.plan_id, None)
         self._unusable.pop(plan.plan_id, None)
         if plan.arm != self._arm:
             sentence = f"plan {plan.plan_id} is for {plan.arm}, and this is {self._arm}"
@@ -54,7 +54,9 @@ class Plans:
 
     def forget(self, plan_id: str) -> None:
         """A plan that was carried out is so once."""
-        self._plans.pop(plan_id, None)
+        if self._plans.pop(plan_id, None) is not None:
+            sentence = f"plan {plan_id} was carried out already: set a goal again"
+            _keep_few(self._unusable, plan_id, Refusal(Code.UNKNOWN_PLAN, sentence))
 
     def unusable(self, plan_id: str) -> Refusal | None:
         """Why the arm cannot be armed with a plan that came; None where nothing speaks against it, or none came."""

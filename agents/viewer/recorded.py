@@ -11,7 +11,7 @@ import math
 import subprocess
 import threading
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from agents.viewer.live import ViewerReport, report_of
@@ -46,8 +46,12 @@ class RecordedViewer:
         unknown: messages of keys that the table of topics does not have, by key.
     """
 
-    def __init__(self, rrd_path: Path | None, show: str, session_id: str, layout: str, thin: bool) -> None:
+    def __init__(
+        self, rrd_path: Path | None, show: str, session_id: str, layout: str, thin: bool, told: Sequence[str] = ()
+    ) -> None:
         """Open the window (`native`) or the page (`web`) before anything else, so that it fills while entries come.
+
+        `told` are sentences about the recording, which stand first among all that was said.
 
         Raises:
             ViewerError: where the file cannot be written, or there is no screen and no file either.
@@ -72,7 +76,7 @@ class RecordedViewer:
                 if rrd_path is None:
                     raise
                 self.notes.append(str(error))
-        self._showing = Showing(self._to_sinks, layout, thin)
+        self._showing = Showing(self._to_sinks, layout, thin, told)
 
     def _open(self, show: str, session_id: str, blueprint: Layout) -> None:
         if show == "web":

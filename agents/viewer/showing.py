@@ -1,7 +1,7 @@
 """Messages become entities: thinned, decoded, mapped and counted, one after the other."""
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +13,7 @@ from agents.viewer.mapping import Entity
 from agents.viewer.moment import Moment
 from agents.viewer.panels import Scene
 from agents.viewer.report import unit_text
-from agents.viewer.session_mapping import count_entities, failure, nothing_yet, pace
+from agents.viewer.session_mapping import count_entities, failure, nothing_yet, pace, said
 from agents.viewer.sinks import Sink
 from agents.viewer.thinning import BY_FRAME, Thinning
 from agents.viewer.timing_mapping import Arrivals, StageTimes, latency_entities
@@ -22,6 +22,7 @@ from schemas.codec import decode, decode_stamp
 from schemas.messages import FrameStamp, Status, ThreadReconstruction
 from shared.runtime.taps import Tapped
 
+RECORDING = "recording"
 COUNTS_EVERY_NS = 1_000_000_000
 
 OWN_TIMES = ("at_ns", "measured_ns", "received_ns", "now_ns")
@@ -32,9 +33,16 @@ class Showing:
     """Shows messages by way of `to_sinks`, which has something done to every stream."""
 
     def __init__(
-        self, to_sinks: Callable[[Callable[[Sink], None]], None], layout: str = DEFAULT, thin: bool = True
+        self,
+        to_sinks: Callable[[Callable[[Sink], None]], None],
+        layout: str = DEFAULT,
+        thin: bool = True,
+        told: Sequence[str] = (),
     ) -> None:
-        """Begin in the layout of that name; `thin` leaves out what is faster than an eye can follow."""
+        """Begin in the layout of that name; `thin` leaves out what is faster than an eye can follow.
+
+        `told` are sentences about the session, which are shown with its first message.
+        """
         self._to_sinks = to_sinks
         self._mapping, self._thinning = LiveMapping(), Thinning() if thin else None
         self._stages, self._arrivals = StageTimes(), Arrivals()
@@ -43,6 +51,7 @@ class Showing:
         self.shown: Counter[str] = Counter()
         self.thinned: Counter[str] = Counter()
         self.unreadable: Counter[str] = Counter()
+        self._told = told
         self._latest_ns = 0
         self._counted_ns = 0
 
@@ -101,7 +110,7 @@ class Showing:
         if isinstance(message, ThreadReconstruction) and message.status is Status.OK:
             self._lay_out(message)
         if not self.shown:
-            entities += nothing_yet()
+            entities += [*nothing_yet(), *(said(RECORDING, sentence) for sentence in self._told)]
         self._log(moment, entities)
         # not the latest of all: a single time in the far future must not end the counting
         self._latest_ns = published_ns if tapped.beside else moment.capture_ns

@@ -18,10 +18,10 @@ from pathlib import Path
 import tyro
 from rich.console import Console
 
+from agents.cli.lab.rehearsal.network import CannotError
 from benchmarks.faults.table import table_of
 from tests.rigs.faults.faults import Fault, all_faults
 from tests.rigs.faults.lab import NotReachedError, laboratory
-from tests.rigs.faults.network import CannotError
 from tests.rigs.faults.recorded import missing_events
 from tests.rigs.faults.trial import Seen, trial
 

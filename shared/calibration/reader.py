@@ -27,6 +27,10 @@ class ReadCalibration:
     judgements: tuple[Judgement, ...]
 
 
+OWN_FILE = "calibration.json"
+"""In a folder that `suturegrasp calibrate` or `scenes render` wrote, beside the same in other formats."""
+
+
 def read_calibration(
     path_or_paths: Path | tuple[Path, ...], *, unit: str | None, image_size: tuple[int, int]
 ) -> ReadCalibration:
@@ -45,6 +49,7 @@ def read_calibration(
     paths = (path_or_paths,) if isinstance(path_or_paths, Path) else tuple(path_or_paths)
     if len(paths) not in (1, 2):
         raise CalibrationError(f"a calibration is one file, one folder or two files, not {len(paths)} paths")
+    paths = tuple(own if (own := path / OWN_FILE).is_file() else path for path in paths)
     try:
         stated = stated_calibration(paths)
         _check_size(stated, image_size)

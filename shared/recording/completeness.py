@@ -1,13 +1,15 @@
 """Whether a recording holds everything, as far as it tells itself."""
 
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from shared.recording.entry import Entry, Note
+from shared.recording.derivation import UNUSED_FRAMES, Anew, Derivation, derivations
+from shared.recording.entry import Note, RecordingError
 from shared.recording.losses import COMPLETE, LOSSES, LOST, counts_of
-from shared.recording.mcap_file import is_finished, read_with_notes
+from shared.recording.mcap_file import finished_notes, is_finished, read_with_notes
 
 
 @dataclass(frozen=True)
@@ -16,47 +18,88 @@ class Completeness:
 
     Fields:
         finished: whether it was closed; a file that was cut off lacks its last moments, and nobody counted them.
-        last_ns: when its last message was received, None where it has none.
+        last_ns: when the last message of one that was cut off was received; None where that is not known.
         lost: messages that are known to be missing, by key.
-        complete: None where nobody knows, because the file was cut off and tells of no loss before.
+        complete: None where nobody knows.
+        derived: how it came from another recording, the newest last; empty for a recorder's own.
     """
 
     finished: bool
     last_ns: int | None
     lost: dict[str, int]
     complete: bool | None
+    derived: tuple[Derivation, ...] = ()
+
+    @property
+    def doubts(self) -> list[str]:
+        """What whoever uses the recording must know: what it lacks, and that some of it was made later."""
+        lacks = [] if self.complete or (self.finished and self.complete is None) else [self.sentence]
+        return [*lacks, *(one.sentence for one in self.derived if one.agents)]
+
+    @property
+    def left_out_frames(self) -> int:
+        """Of the camera, because nothing was made of them."""
+        return sum(one.left_out.get(UNUSED_FRAMES, 0) for one in self.derived)
+
+    @property
+    def ran_anew(self) -> dict[str, Anew]:
+        """The agents whose outputs are not those of the session itself, by name."""
+        return {name: anew for one in self.derived for name, anew in one.agents.items()}
 
     @property
     def sentence(self) -> str:
         """The same in plain words."""
-        gaps = ", ".join(f"{count} of {key}" for key, count in sorted(self.lost.items()))
-        until = "" if self.finished else f"cut off {_when(self.last_ns)}, and what came in the last moments is missing"
+        gaps = ", ".join(f"{count} of {_without_rig(key)}" for key, count in sorted(self.lost.items()))
+        if not self.finished:
+            until = f"cut off {_when(self.last_ns)}, and what came in the last moments is missing"
+            return f"{until}; {f'lost {gaps}' if gaps else 'nothing is known to be lost before'}"
         if self.complete:
-            return "complete"
-        known = f"lost {gaps}" if gaps else "not complete" if self.finished else "nothing is known to be lost before"
-        return f"{until}; {known}" if until else known
+            left_out = any(one.left_out for one in self.derived)
+            return "complete but for what was left out on purpose" if left_out else "complete"
+        if gaps:
+            return f"not complete: lost {gaps}"
+        source = self.derived[-1].source_said if self.derived else ""
+        if source:
+            return f"not complete, for its source was: {source}"
+        return "not complete" if self.complete is False else "nobody noted whether anything is missing"
 
 
 def completeness(path: Path) -> Completeness:
-    """Read a recording from front to back for what it lacks.
+    """What a recording tells of what it lacks; one that was closed is not read for it.
 
     Raises:
         RecordingError, OSError: as `read_recording`.
     """
-    last_ns, summed, noted = None, None, Counter[str]()
-    for record in read_with_notes(path):
-        match record:
-            case Entry():
+    if is_finished(path):
+        return completeness_of(finished_notes(path), True, None)
+    notes, last_ns = list[Note](), None
+    try:
+        for record in read_with_notes(path):
+            if isinstance(record, Note):
+                notes.append(record)
+            else:
                 last_ns = record.received_ns
-            case Note(name) if name == LOST:
-                noted.update(counts_of(record))
-            case Note(name) if name == LOSSES:
-                summed = record
-            case _:
-                pass
-    if summed is not None and is_finished(path):
-        return Completeness(True, last_ns, counts_of(summed), summed.facts.get(COMPLETE) == str(True))
-    return Completeness(is_finished(path), last_ns, dict(noted), False if noted else None)
+    except RecordingError:
+        if last_ns is None:
+            raise
+    return completeness_of(notes, False, last_ns)
+
+
+def completeness_of(notes: Iterable[Note], finished: bool, last_ns: int | None) -> Completeness:
+    """What the notes of a recording tell of what it lacks."""
+    notes = list(notes)
+    summed = next((note for note in reversed(notes) if note.name == LOSSES), None)
+    lost = Counter[str]()
+    for note in [summed] if summed is not None else [note for note in notes if note.name == LOST]:
+        lost.update(counts_of(note))
+    told = summed.facts.get(COMPLETE) if summed is not None and finished else None
+    complete = False if lost else None if told is None else told.lower() == "true"
+    return Completeness(finished, last_ns, dict(lost), complete, derivations(notes))
+
+
+def _without_rig(key: str) -> str:
+    """A key of one rig as people write it."""
+    return key.split("/", 2)[-1]
 
 
 def _when(at_ns: int | None) -> str:

@@ -84,7 +84,8 @@ def sentence(losses: Iterable[Loss]) -> str:
 
 def counts_of(note: Note) -> dict[str, int]:
     """How many messages a note of the name `lost` or `losses` tells of, by key."""
-    return {key: int(told.split(":")[0]) for key, told in note.facts.items() if key not in (AT, COMPLETE)}
+    counts = {key: told.partition(":")[0] for key, told in note.facts.items() if key not in (AT, COMPLETE)}
+    return {key: int(count) for key, count in counts.items() if count.isdecimal() and int(count)}
 
 
 def _listed(stretches: list[str]) -> str:

@@ -32,6 +32,7 @@ __all__ = [
     "Note",
     "RecordingError",
     "RecordingWriter",
+    "finished_notes",
     "is_finished",
     "read_attachments",
     "read_notes",
@@ -112,6 +113,18 @@ def read_notes(path: Path, name: str) -> dict[str, str] | None:
             if isinstance(record, Metadata) and record.name == name:
                 found = record.metadata
     return found
+
+
+def finished_notes(path: Path) -> list[Note]:
+    """The notes of a recording that was closed, found by its index, without reading its messages.
+
+    Raises:
+        RecordingError, OSError: as `read_recording`.
+    """
+    with _damage_named(path), path.open("rb") as file:
+        reader = SeekingReader(file, validate_crcs=True)
+        _check_own(reader.get_header(), path)
+        return [Note(found.name, found.metadata) for found in reader.iter_metadata()]
 
 
 def read_attachments(path: Path) -> dict[str, bytes]:

@@ -125,7 +125,7 @@ def _meant(key: str, known: list[str]) -> str:
     if not known:
         return "see docs/configuration.md"
     near = difflib.get_close_matches(key, known, n=1)
-    return f"{f'did you mean {near[0]}? ' if near else ''}allowed here: {', '.join(known)}"
+    return f"did you mean {near[0]}?" if near else f"allowed here: {', '.join(known)}"
 
 
 def _shown(value: object) -> str:

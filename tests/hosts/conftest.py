@@ -9,13 +9,13 @@ import types
 
 import pytest
 
+from agents.cli.lab.rehearsal.network import CannotError
 from agents.cli.rig.config import ArmSection, CameraSection, RigConfig, RouterSection, SimulatorSection, simulated_rig
 from agents.cli.running.supervisor import SUPERVISED
 from schemas.codec import decode
 from schemas.topics import COMMANDS, EXECUTION, HEALTH, LOG, OBSERVATIONS, PLAN, ROBOT_STATE, THREAD
 from shared.runtime.connection import connected
 from tests.rigs.faults.lab import laboratory
-from tests.rigs.faults.network import CannotError
 
 DEADLINE_S = 60.0
 GOAL_DEADLINE_S = 120.0

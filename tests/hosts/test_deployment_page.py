@@ -15,8 +15,8 @@ from pathlib import Path
 
 import pytest
 
+from agents.cli.lab.rehearsal.network import CannotError, connected_hosts
 from shared.clock import monotonic_s
-from tests.rigs.faults.network import CannotError, connected_hosts
 
 REPOSITORY = Path(__file__).parents[2]
 PAGE = REPOSITORY / "docs" / "deployment.md"

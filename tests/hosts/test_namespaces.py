@@ -10,12 +10,12 @@ import subprocess
 
 import pytest
 
+from agents.cli.lab.rehearsal.network import OWN
 from agents.cli.running.audit import STATE_DIRECTORY
 from schemas.messages import Status
 from schemas.topics import HEALTH, PLAN, ROBOT_STATE
 from shared.kinematics.simulated_setup import SIMULATED_BASES
 from tests.rigs.faults.faults import cut_off, full_disk
-from tests.rigs.faults.network import OWN
 from tests.rigs.faults.recorded import missing_events
 from tests.rigs.faults.rig import EMULATED, MODULE, ROUTER, RUNS
 from tests.rigs.faults.trial import trial

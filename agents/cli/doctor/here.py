@@ -123,7 +123,7 @@ def _certificates(rig: RigConfig) -> Iterator[Finding]:
     folder, at_ns = rig.security.certificates, now_ns()
     names = certificate_names(folder)
     if not names:
-        made = "suturegrasp deploy certificates makes them"
+        made = "suturegrasp deploy install puts there those that suturegrasp deploy certificates has made"
         yield Finding("certificates", f"there are none in {folder}, or they cannot be read", made)
         return
     router = [ROUTER_CERTIFICATE] if identity_in(folder, ROUTER_CERTIFICATE).certificate.exists() else []

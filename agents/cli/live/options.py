@@ -115,11 +115,6 @@ class Up(OnRig):
 
 
 @dataclass(frozen=True)
-class Play(Up):
-    """Keep the simulated field running until Ctrl-C, for goals that you name from another terminal."""
-
-
-@dataclass(frozen=True)
 class Demo:
     """A simulated grasp from image to judgement, all agents as processes of their own; ends by itself."""
 
@@ -250,7 +245,6 @@ class SetInAgent(OnRig):
 
 LIVE_COMMANDS = {
     "demo": Demo,
-    "play": Play,
     "up": Up,
     "goal": Goal,
     "arm": ArmPlan,

@@ -28,4 +28,15 @@ class Page(OnRig):
     """Walk through the goals of this experiment, which suturegrasp experiment began, and write down the verdicts."""
 
 
-PAGE_COMMANDS: dict[str, type[Page]] = {"page": Page}
+@dataclass(frozen=True)
+class Play(Page):
+    """Keep the simulated field running with the operator's page until Ctrl-C; the same as `page --start`.
+
+    Goals can be named from another terminal too: suturegrasp goal --s 0.4.
+    """
+
+    start: bool = True
+    """Start everything on this machine first, simulated without --config, and stop it in the end."""
+
+
+PAGE_COMMANDS: dict[str, type[Page]] = {"page": Page, "play": Play}

@@ -2,11 +2,11 @@
 
 import json
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from agents.cli.rig.config import RigConfig
+from agents.cli.rig.config import PerceptionSection, RigConfig
 from shared.recording.mcap_file import read_attachments
 from shared.runtime.config import ConfigError, load_config, parse_config
 
@@ -21,13 +21,19 @@ def recorded_config(recording: Path) -> RigConfig:
         ConfigError: where neither has one, or it cannot be used.
         RecordingError, OSError: as `read_recording`.
     """
+    found = found_config(recording)
+    if found is None:
+        raise ConfigError(f"{recording} holds no configuration, and no {BESIDE} lies beside it; give one by --config")
+    return found
+
+
+def found_config(recording: Path) -> RigConfig | None:
+    """The same; None where there is none."""
     attached = read_attachments(recording).get(ATTACHED)
     if attached is not None:
         return parse_config(attached.decode("utf-8", "replace"), RigConfig, ATTACHED)
     beside = recording.parent / BESIDE
-    if not beside.is_file():
-        raise ConfigError(f"{recording} holds no configuration, and no {BESIDE} lies beside it; give one by --config")
-    return load_config(beside, RigConfig)
+    return load_config(beside, RigConfig) if beside.is_file() else None
 
 
 def changed(config: RigConfig, settings: Iterable[str]) -> RigConfig:
@@ -50,6 +56,43 @@ def changed(config: RigConfig, settings: Iterable[str]) -> RigConfig:
             section = found
         section[keys[-1]] = _value(text.strip())
     return parse_config(json.dumps(values), RigConfig, "--set.json") if settings else config
+
+
+def in_force(recorded: RigConfig, used: RigConfig, agents: Iterable[str]) -> RigConfig:
+    """What the outputs of a replay are of: the recorded configuration, with the sections of the agents that ran anew.
+
+    Raises:
+        ConfigError: where what ran anew does not go with what did not.
+    """
+    sections: dict[str, Any] = {}
+    for kind, _, instance in (name.partition("/") for name in agents):
+        if kind == "robot_bridge":
+            sections["robot"] = {**sections.get("robot", recorded.robot), instance: used.robot[instance]}
+        else:
+            sections[kind] = getattr(used, kind)
+    perception: PerceptionSection | None = sections.get("perception")
+    if perception is not None and perception.matching is None and used.needs_matching != recorded.needs_matching:
+        # it was as the method of reconstruction needs it, whose section may be another
+        sections["perception"] = perception.model_copy(update={"matching": used.needs_matching})
+    text = recorded.model_copy(update=sections).model_dump_json(exclude_unset=True)
+    return parse_config(text, RigConfig, "of the replayed agents within the recorded configuration.json")
+
+
+def settings_otherwise(before: RigConfig, now: RigConfig) -> dict[str, str]:
+    """The settings that differ, as `before -> now` by key."""
+    one, other = (dict(_settings("", json.loads(rig.model_dump_json()))) for rig in (before, now))
+    keys = dict.fromkeys((*one, *other))
+    return {
+        key: f"{one.get(key, 'none')} -> {other.get(key, 'none')}" for key in keys if one.get(key) != other.get(key)
+    }
+
+
+def _settings(prefix: str, value: Any) -> Iterator[tuple[str, str]]:
+    if isinstance(value, dict) and value:
+        for name, of in value.items():
+            yield from _settings(f"{prefix}.{name}" if prefix else name, of)
+    else:
+        yield prefix, value if isinstance(value, str) else json.dumps(value)
 
 
 def _value(text: str) -> Any:

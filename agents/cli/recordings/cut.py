@@ -2,7 +2,8 @@
 
 from agents.cli.recordings.options import Cut
 from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE
-from agents.cli.terminal import complain, say
+from agents.cli.terminal import complain, say, warn
+from agents.cli.whole_file import OutputError, whole_file
 from agents.recorder.cutting import cut
 from agents.replay.window import WindowError, window_ns
 from shared.recording.entry import RecordingError
@@ -14,15 +15,19 @@ def run(options: Cut) -> int:
     if options.output.exists():
         return complain(f"{options.output} exists already; give another name", EXIT_UNUSABLE)
     try:
-        received = [entry.received_ns for entry in read_recording(options.recording)]
+        # what is repeated from before the file began is older than its first moment
+        received = [entry.received_ns for entry in read_recording(options.recording) if not entry.repeated]
         if not received:
             return complain(f"{options.recording} holds no message", EXIT_UNUSABLE)
         stretch = window_ns(options.begin, options.end, received[0], received[-1])
-        report = cut(options.recording, options.output, *stretch, only_used_frames=options.used)
-    except (RecordingError, WindowError) as error:
+        with whole_file(options.output) as unfinished:
+            report = cut(options.recording, unfinished, *stretch, only_used_frames=options.used)
+    except (RecordingError, WindowError, OutputError) as error:
         return complain(str(error), EXIT_UNUSABLE)
     except OSError as error:
         return complain(f"{error.filename or options.output}: {error.strerror or error}", EXIT_UNUSABLE)
+    for doubt in report.source.doubts:
+        warn(f"{options.recording}: {doubt}")
     unused = f", without {report.unused} frames of which nothing was made" if report.unused else ""
     size = options.output.stat().st_size / 1e6
     say(f"{options.output}: {report.kept} messages of {(stretch[1] - stretch[0]) * 1e-9:.1f} s, {size:.1f} MB{unused}")

@@ -7,6 +7,9 @@ from agents.replay.compare import OTHER
 from agents.replay.differences import Comparison, Row
 from schemas.topics import TOPICS
 
+LONGEST_WORDS = 60
+"""Of a reason, whose whole is told in the lines below the heading."""
+MOST_CHANGES = 5
 HEADINGS = ("field", "messages", "beyond", "median", "worst", "tolerance", "", "the worst is at")
 
 
@@ -19,8 +22,17 @@ def table(comparison: Comparison, began_ns: int) -> list[str]:
     for topic in sorted(messages, key=lambda name: order[name]):
         rows = [row for row in comparison.rows if row.topic == topic]
         lines += ["", f"{topic}: {messages[topic]} compared, {differing[topic]} not byte for byte the same"]
+        lines += _changes(comparison, topic)
         lines += _aligned([HEADINGS, *(_cells(row, began_ns) for row in rows)]) if rows else []
     return [*lines, ""]
+
+
+def _changes(comparison: Comparison, topic: str) -> list[str]:
+    """What became of how many outputs, the most frequent change first."""
+    became = Counter(output.became for output in comparison.outputs if output.topic == topic and output.became)
+    lines = [f"  {count} times {change}" for change, count in became.most_common(MOST_CHANGES)]
+    left = len(became) - MOST_CHANGES
+    return [*lines, *([f"  and {left} other changes of status or reason"] if left > 0 else [])]
 
 
 def _cells(row: Row, began_ns: int) -> tuple[str, ...]:
@@ -29,7 +41,8 @@ def _cells(row: Row, began_ns: int) -> tuple[str, ...]:
     frame = "" if row.where.frame is None else f"frame {row.where.frame}, "
     where = f"{frame}{1e-9 * (row.where.published_ns - began_ns):.2f} s"
     unit = "" if math.isinf(row.worst) and not row.rule.tolerance else row.rule.unit
-    return (f"{row.field}{mark}", str(row.messages), str(row.beyond), *numbers, unit, where)
+    words = f": {row.words}" if row.words and len(row.words) <= LONGEST_WORDS else ""
+    return (f"{row.field}{mark}", str(row.messages), str(row.beyond), *numbers, unit, where + words)
 
 
 def _shown(amount: float) -> str:

@@ -19,6 +19,7 @@ from agents.replay.selection import Selection, SelectionError, name_of, select
 from agents.replay.window import WindowError, window_ns
 from schemas.messages import Outcome
 from shared.clock import monotonic_s
+from shared.recording.completeness import completeness
 from shared.recording.mcap_file import RecordingError
 from shared.runtime.config import ConfigError, load_config
 from shared.runtime.connection import NoRouterError
@@ -64,8 +65,8 @@ def run(options: Replay) -> int:
 def _replay(options: Replay) -> int:
     _check(options)
     contents = contents_of(options.recording)
-    if contents.damage:
-        warn(contents.damage)
+    for doubt in (contents.damage,) if contents.damage else completeness(options.recording).doubts:
+        warn(doubt)
     window = window_ns(options.from_, options.to, contents.first_ns, contents.last_ns)
     settings = _settings(options, contents)
     controls = Controls(held=options.step)

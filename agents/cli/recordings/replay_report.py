@@ -4,9 +4,13 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
 from agents.cli.recordings.difference_table import table
+from agents.cli.rig.config import RigConfig
 from agents.replay.differences import Comparison
 from agents.replay.through import Outcome
+from shared.recording.completeness import Completeness
 from shared.recording.mcap_file import Entry, Note
 
 
@@ -19,6 +23,10 @@ class ThroughResult:
         notes: of the recording.
         exactly: whether nothing may differ.
         otherwise: what is otherwise than when the recording was made.
+        in_force: the configuration that the outputs are of: the recorded one, with the replayed agents' sections.
+        settings: of these agents, in the recording and now, where they differ.
+        said: what the recording says of what it was made of, and of what it lacks.
+        unknown: messages under keys that this version does not know.
         wall_s: from the first byte read to the last field compared.
     """
 
@@ -29,6 +37,10 @@ class ThroughResult:
     comparison: Comparison
     exactly: bool
     otherwise: str
+    in_force: RigConfig
+    settings: dict[str, str]
+    said: Completeness
+    unknown: int
     wall_s: float
 
     @property
@@ -49,12 +61,17 @@ def report(result: ThroughResult) -> Iterator[str]:
     if result.otherwise:
         how = "nothing may differ all the same" if result.exactly else "compared within tolerances"
         yield f"otherwise than recorded: {result.otherwise}; {how}"
-    yield from table(comparison, min((e.published_ns for e in result.before), default=0))
+    yield from table(comparison, _began_ns(result.before))
     if comparison.is_same:
         yield "all that was compared is the same" + ("" if result.exactly else ", within tolerance")
-    steps = sum(outcome.steps for outcome in result.outcomes)
+    steps = sum(len(outcome.steps_ms) for outcome in result.outcomes)
     ratio = f", {result.wall_s / result.step_s:.2f} times as long" if result.step_s else ""
     yield f"{steps} steps took {result.step_s:.2f} s; the whole replay {result.wall_s:.2f} s{ratio}"
+
+
+def _began_ns(entries: list[Entry]) -> int:
+    """When the recording begins; what it repeats from before is older."""
+    return min((e.published_ns for e in entries if not e.repeated), default=0)
 
 
 def _sentence(outcome: Outcome) -> str:
@@ -64,6 +81,9 @@ def _sentence(outcome: Outcome) -> str:
     text = f"{outcome.stage}: {len(there)} of {len(outcome.outputs)} outputs repeated, {same} byte for byte the same"
     if outcome.unrepeatable:
         text += f"; {len(outcome.unrepeatable)} cannot be repeated: {lacking(outcome)}"
+    if outcome.steps_ms:
+        p50, p99 = np.percentile(outcome.steps_ms, (50, 99))
+        text += f"; a step took {p50:.1f} ms (p50), {p99:.1f} ms (p99)"
     if outcome.faults:
         text += f"; {outcome.faults} steps failed, first: {outcome.first_fault}"
     return text

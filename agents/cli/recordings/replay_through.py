@@ -12,20 +12,25 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+
 import schemas
-from agents.cli.recordings.config import changed, recorded_config
+from agents.cli.recordings.config import ATTACHED, changed, found_config, in_force, recorded_config, settings_otherwise
 from agents.cli.recordings.replay_report import ThroughResult, lacking, report
 from agents.cli.rig.builders import build
 from agents.cli.rig.config import RigConfig
 from agents.cli.rig.configured import KINDS, configured
-from agents.cli.terminal import complain, say, show
+from agents.cli.terminal import complain, say, show, warn
 from agents.cli.whole_file import OutputError, whole_file
+from agents.recorder.derived_file import DerivedFile, derived_from
 from agents.replay.differences import compared
 from agents.replay.through import Outcome, Stage, replay_through
 from agents.viewer.sinks import ViewerError
 from schemas.checks import MessageError
 from schemas.topics import TOPICS, topic_of
 from shared.clock import monotonic_s
+from shared.recording.completeness import completeness
+from shared.recording.derivation import Anew
 from shared.recording.mcap_file import Entry, Note, RecordingError, RecordingWriter, read_attachments, read_with_notes
 from shared.runtime.config import ConfigError, load_config
 from shared.runtime.replay import ReplayError
@@ -76,6 +81,8 @@ def run_through(options: ThroughOptions) -> int:
     """Replay, say what differs, write what is asked for, and return the exit status."""
     try:
         result = replayed(options)
+        for doubt in result.said.doubts:
+            warn(doubt)
         for line in report(result):
             show(line)
         if options.output is not None:
@@ -97,18 +104,32 @@ def replayed(options: ThroughOptions) -> ThroughResult:
     """
     _check(options)
     started_s = monotonic_s()
-    recorded = load_config(options.config, RigConfig) if options.config else recorded_config(options.recording)
-    config = with_simulated_arms(changed(recorded, options.set))
-    entries, notes = _read(options.recording)
+    given, recorded = _configurations(options)
+    config = with_simulated_arms(changed(given, options.set))
+    entries, notes, unknown = _read(options.recording)
     otherwise = _otherwise(options, next((note.facts for note in notes if note.name == RUN), {}))
     stages = _stages(config, (options.through or "").split(","), entries)
     outcomes, after = replay_through(stages, entries)
     _check_repeatable(outcomes)
+    effective = in_force(recorded or config, config, [stage.name for stage in stages])
     published = {(e.key, e.epoch, e.sequence): e.published_ns for e in entries}
     outputs = [output for outcome in outcomes for output in outcome.outputs]
     exactly = options.tolerances == NONE or (options.tolerances == AUTO and not otherwise)
     comparison = compared(outputs, lambda r: published[r.key, r.epoch, r.sequence], exactly)
-    return ThroughResult(entries, after, notes, outcomes, comparison, exactly, otherwise, monotonic_s() - started_s)
+    return ThroughResult(
+        before=entries,
+        after=after,
+        notes=notes,
+        outcomes=outcomes,
+        comparison=comparison,
+        exactly=exactly,
+        otherwise=otherwise,
+        in_force=effective,
+        settings=settings_otherwise(recorded or effective, effective),
+        said=completeness(options.recording),
+        unknown=unknown,
+        wall_s=monotonic_s() - started_s,
+    )
 
 
 def with_simulated_arms(config: RigConfig) -> RigConfig:
@@ -120,8 +141,21 @@ def with_simulated_arms(config: RigConfig) -> RigConfig:
     return config.model_copy(update={"robot": {a: s.model_copy(update=simulated) for a, s in config.robot.items()}})
 
 
-def _read(path: Path) -> tuple[list[Entry], list[Note]]:
-    """The messages whose keys are in the topic table (a newer version may have others), and the notes."""
+def _configurations(options: ThroughOptions) -> tuple[RigConfig, RigConfig | None]:
+    """What to replay with, before `set`, and what was recorded; None where that is not known."""
+    if options.config is None:
+        recorded = recorded_config(options.recording)
+        return recorded, recorded
+    given = load_config(options.config, RigConfig)
+    try:
+        return given, found_config(options.recording)
+    except ConfigError:
+        return given, None
+
+
+def _read(path: Path) -> tuple[list[Entry], list[Note], int]:
+    """The messages whose keys are in the topic table, the notes, and how many have keys of another version."""
+    unknown = 0
     entries: list[Entry] = []
     notes: list[Note] = []
     known = functools.cache(_is_known)
@@ -130,7 +164,9 @@ def _read(path: Path) -> tuple[list[Entry], list[Note]]:
             notes.append(record)
         elif known(record.key):
             entries.append(record)
-    return entries, notes
+        else:
+            unknown += 1
+    return entries, notes, unknown
 
 
 def _otherwise(options: ThroughOptions, run: dict[str, str]) -> str:
@@ -209,7 +245,7 @@ def _check_output(options: ThroughOptions) -> None:
 def _write(path: Path, recording: Path, result: ThroughResult) -> None:
     if path.suffix == ".mcap":
         with whole_file(path) as unfinished:
-            write_recording(unfinished, result.after, result.notes, read_attachments(recording))
+            _write_derived(unfinished, recording, result)
     else:
         # the viewer's mapping loads Rerun, which takes longer than many a replay
         from agents.cli.recordings.side_by_side import write_side_by_side
@@ -217,6 +253,37 @@ def _write(path: Path, recording: Path, result: ThroughResult) -> None:
         with whole_file(path) as unfinished:
             write_side_by_side(unfinished, result.before, result.after, result.comparison)
     say(f"wrote {path}")
+
+
+def _write_derived(path: Path, recording: Path, result: ThroughResult) -> None:
+    """Write the recording with the replayed outputs, and with what was done to it."""
+    file = DerivedFile(path)
+    try:
+        for note in result.notes:
+            file.note(note)
+        for entry in result.after:
+            file.write(topic_of(entry.key), entry)
+        said = result.said
+        how = f"replayed through {', '.join(outcome.stage for outcome in result.outcomes)}"
+        agents = {outcome.stage: _anew(outcome) for outcome in result.outcomes}
+        left_out = {
+            "recorded outputs that are made no more": result.comparison.made_no_more,
+            "outputs that were not recorded, for which it has no place": result.comparison.unrecorded,
+            "messages of topics that this version does not know": result.unknown,
+        }
+        left_out = {what: count for what, count in left_out.items() if count}
+        told = derived_from(recording, said, how, agents=agents, settings=result.settings, left_out=left_out)
+        text = result.in_force.model_dump_json(indent=1, exclude_none=True) + "\n"
+        file.close(told, read_attachments(recording) | {ATTACHED: text.encode()}, said.complete, said.lost)
+    finally:
+        file.abandon()
+
+
+def _anew(outcome: Outcome) -> Anew:
+    p50, p99 = (float(p) for p in np.percentile(outcome.steps_ms, (50, 99))) if outcome.steps_ms else (None, None)
+    keys = tuple(sorted({output.key for output in outcome.compared}))
+    made = sum(output.now is not None for output in outcome.compared)
+    return Anew(keys, made, len(outcome.unrepeatable), p50, p99)
 
 
 def write_recording(

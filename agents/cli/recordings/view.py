@@ -18,6 +18,7 @@ from agents.viewer.recorded import RecordedViewer, between
 from agents.viewer.sinks import CLOSED_AT_ONCE, INSTEAD
 from schemas.topics import TOPICS
 from shared.clock import monotonic_s
+from shared.recording.completeness import completeness
 from shared.recording.mcap_file import RecordingError, read_recording
 from shared.runtime.connection import NoRouterError, connected
 from shared.runtime.service_manager import serving
@@ -69,11 +70,13 @@ def _view_recording(options: View, recording: Path, output: Path | None, stopped
         size = recording.stat().st_size
         # what is no recording is told before a window opens
         next(read_recording(recording), None)
+        said = completeness(recording)
+        told = [*(one.sentence for one in said.derived), said.sentence]
         layout, session_id = options.layout, str(recording.resolve())
-        viewer = RecordedViewer(output, _show(options, output), session_id, layout, options.thin)
+        viewer = RecordedViewer(output, _show(options, output), session_id, layout, options.thin, told)
     except (OSError, RecordingError, ViewerError) as error:
         return complain(_told(error, recording), EXIT_UNUSABLE)
-    for note in viewer.notes:
+    for note in (*viewer.notes, *told):
         say(note)
     viewer.show(between(read_recording(recording), options.from_s, options.to_s))
     progress = _Progress(viewer, size, began_s)

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from agents.cli.live.options import Play, Up
+from agents.cli.live.options import Up
 from agents.cli.rig.config import RigConfig
 from agents.cli.rig.configured import configured
 from agents.cli.running.in_the_way import already_running, in_the_way
@@ -66,8 +66,6 @@ def up(rig: RigConfig, options: Up) -> int:
         supervisor = stack.enter_context(supervised(options.restart))
         start_all(supervisor, rig, config, folder, show)
         say(f"started {len(supervisor.children)} processes; their logs lie in {folder.path}; stop with Ctrl-C")
-        if isinstance(options, Play):
-            say("name a goal in another terminal: suturegrasp goal --s 0.4")
         connection = stack.enter_context(connected(reading_session(rig), FIRST_CONTACT_S, stopped))
         expected = [name_of(kind, instance) for kind, instance in configured(rig)]
         status = _watch(supervisor, HealthWatch(connection, expected), expected_rates(rig), stopped)

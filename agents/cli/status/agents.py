@@ -123,14 +123,15 @@ def _slow(fares: tuple[Fare, ...], rates_hz: Mapping[str, float]) -> Iterator[Wr
             of = f"{output.topic} of {name}" if " " in name else output.topic
             at = f"{output.rate_hz:.1f} Hz" if 0 < output.rate_hz < 1 else f"{output.rate_hz:.0f} Hz"
             text = f"{of} comes at {at}, where {expected:.0f} Hz are expected"
-            yield Wrong("slow", output.topic, text + _because(health, slow, expected))
+            yield Wrong("slow", output.topic, text + _because(health, slow, output.rate_hz))
 
 
-def _because(health: AgentHealth, slow: Collection[str], expected_hz: float) -> str:
+def _because(health: AgentHealth, slow: Collection[str], rate_hz: float) -> str:
+    """What keeps an agent from its rate: what it waits for, or steps that fill its time."""
     waits = [heard.topic for heard in health.inputs if heard.topic in slow]
     if waits:
         return f", for it waits for {listed(waits)}"
-    if health.step_ms_p50 is not None and health.step_ms_p50 * expected_hz > 1e3:
+    if health.step_ms_p50 is not None and health.step_ms_p50 * rate_hz > SLOW_SHARE * 1e3:
         return f", for a step takes {health.step_ms_p50:.0f} ms"
     return ""
 

@@ -75,7 +75,7 @@ def test_an_experiment_ends_where_plan_after_plan_is_refused_for_the_moment(trie
     monkeypatch.setattr(trial, "arm_and_stand_by", lambda *_: Stood(refused, None, ""))
     monkeypatch.setattr(Nobody, "stuck", lambda *_: None)
     stopped = threading.Event()
-    rig = Rig(None, "psm1", Nobody(stopped), False, stopped, lambda: None)
+    rig = Rig(None, "psm1", Nobody(stopped), False, stopped, lambda: None)  # pyright: ignore[reportArgumentType] - nothing is sent
     left = Journal.model_validate_json((tried / JOURNAL).read_text()).left(THREADS[0])
     with pytest.raises(ExperimentError, match=r"20 times in a row psm1 did not carry a plan out: .*4000 ms ago"):
         trial.carried_out(left[0], len(left), rig)

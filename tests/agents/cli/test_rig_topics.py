@@ -35,7 +35,7 @@ SCRIPT = str(Path(sys.executable).with_name("suturegrasp"))
 TOLD = '[topics."perception/observations"]\npriority = "data_low"\n[topics."*/log"]\nkept = 5000\nrecorded = false\n'
 MISTAKES = {
     '[topics."perception/observation"]\nrecorded = false': "did you mean perception/observations? known are",
-    '[topics."*/log"]\nkeep = 5000': "topics.*/log.keep is unknown; did you mean kept? allowed here: recorded",
+    '[topics."*/log"]\nkeep = 5000': "topics.*/log.keep is unknown; did you mean kept?",
     '[topics."*/log"]': "it says nothing; set recorded, priority, kept, or leave the section out",
     '[topics."perception/observations"]\npriority = "low"': "it must be 'real_time', 'data_high', 'data', 'data_low'",
     '[topics."*/log"]\nkept = 200000': "it must be less than or equal to 100000",

@@ -143,7 +143,7 @@ def test_head_lines_name_the_file_and_what_it_lacks(recording):
     first, second, third = head_lines(read_session(recording))
     assert first.startswith(str(recording))
     assert "lasted 2.0 s" in second
-    assert third == "not complete: its recorder missed 3 of camera/main/frames"
+    assert third == "not complete: lost 3 of camera/main/frames"
 
 
 def test_the_page_of_the_manual_names_every_option_and_table_and_its_example_runs(

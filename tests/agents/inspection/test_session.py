@@ -36,7 +36,7 @@ def test_counts_rates_times_and_gaps_are_those_of_the_messages(recording):
 
 def test_what_the_recorder_noted_is_told(recording):
     session = read_session(recording)
-    assert (session.complete, session.losses) == (False, {FRAMES_KEY: 3})
+    assert (session.said.complete, session.said.lost) == (False, {FRAMES_KEY: 3})
     assert session.facts["run.settings.planner.depth_m"] == "0.002"
     assert session.facts["calibration.baseline_mm"] == "5.5"
     (noted,) = [table for table in session_tables(session) if table.title == "noted by the recorder"]
@@ -112,10 +112,10 @@ def test_a_cut_off_recording_says_so_and_what_there_is_is_told(recording, tmp_pa
     path = tmp_path / "cut.mcap"
     path.write_bytes(recording.read_bytes()[: recording.stat().st_size // 2])
     session = read_session(path)
-    assert not session.finished
+    assert not session.said.finished
     assert 0 < sum(one.count for one in session.contents) < 200
-    assert session.complete is None
-    assert any(line.startswith("cut off after") for line in head_lines(session))
+    assert session.said.complete is None
+    assert any(line.startswith("cut off at") for line in head_lines(session))
     assert session_tables(session)
 
 

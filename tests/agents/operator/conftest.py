@@ -61,6 +61,8 @@ QUICK = MotionLimits(
 class Stamped:
     """What stamps frames; where it `echoes`, each with the newest challenge of every arm's bridge, until it is frozen.
 
+    One that echoes begins with the first challenge.
+
     Fields:
         frozen: once it is set, every frame is as old as the last one of before, by what it echoes.
     """
@@ -71,13 +73,13 @@ class Stamped:
         self.echoes, self.frozen, self._newest, self._frame = echoes, threading.Event(), {}, 0
 
     def heard(self, arrived):
-        """Whether it was a challenge."""
+        """Whether it was a challenge, or there is none to echo yet."""
         if isinstance(arrived, Received):
             if not self.frozen.is_set():
                 self._newest[arrived.message.arm] = arrived.message.challenge_ns
             return True
         assert isinstance(arrived, Tick)
-        return False
+        return self.echoes and not self._newest
 
     def next_stamp(self, at_ns):
         self._frame += 1

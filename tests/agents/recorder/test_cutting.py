@@ -1,10 +1,15 @@
 """A session of a few seconds, cut in all ways."""
 
+import hashlib
+
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from agents.cli.main import main
-from agents.recorder.cutting import CUT, cut
+from agents.inspection.session import read_session
+from agents.recorder.cutting import cut
 from schemas.codec import encode
 from schemas.messages import (
     Consumed,
@@ -20,7 +25,7 @@ from schemas.messages import (
 from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS, key
 from shared.recording.completeness import completeness
 from shared.recording.entry import Entry
-from shared.recording.losses import COMPLETE, LOSSES
+from shared.recording.losses import COMPLETE, LOSSES, LOST
 from shared.recording.mcap_file import read_attachments, read_notes, read_recording
 from shared.recording.writer import RecordingWriter
 
@@ -101,7 +106,10 @@ def test_a_stretch_begins_with_the_states_that_held_and_holds_what_was_received_
     assert (report.kept, report.unused) == (len(entries), 0)
     assert completeness(target).complete
     assert read_notes(target, "run") == {"protocol": "P1"}
-    assert (read_notes(target, CUT) or {})["of"] == "session.mcap"
+    (derived,) = completeness(target).derived
+    assert (derived.how, derived.source) == ("cut from 0.5 s to 1.0 s", "session.mcap")
+    assert derived.sha256 == hashlib.sha256(session.read_bytes()).hexdigest()
+    assert derived.left_out == {"messages before and after": len(before) - (len(entries) - 1)}
     assert read_attachments(target) == {"rig.json": b"{}"}
 
 
@@ -109,8 +117,52 @@ def test_frames_of_which_nothing_was_made_are_left_out_and_the_file_says_so(sess
     report, entries, target = cut_seconds(session, tmp_path, 0.5, 1.0, only_used_frames=True)
     assert [e.sequence for e in entries if e.key == FRAMES_KEY] == [6, 9]
     assert report.unused == 4
-    assert completeness(target).complete is False
-    assert (read_notes(target, CUT) or {})["unused_frames"] == "4"
+    told = completeness(target)
+    assert (told.complete, told.left_out_frames) == (True, 4)
+    assert told.sentence == "complete but for what was left out on purpose"
+    session = read_session(target)
+    assert [one.lost for one in session.contents] == [0] * len(session.contents)
+    assert not any(one.gaps for one in session.contents)
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    st.lists(st.integers(0, 20), max_size=4, unique=True),
+    st.integers(0, 20),
+    st.integers(0, 20),
+    st.booleans(),
+    st.booleans(),
+)
+def test_of_what_a_recording_lacks_its_cut_lacks_what_was_lost_within(tmp_path, lost_at, begin, end, closed, used):
+    """Of any losses, any stretch, of files that were closed or cut off, cut once and twice."""
+    begin, end = sorted((begin, end))
+    path = tmp_path / "session.mcap"
+    writer = RecordingWriter(path)
+    for n in range(FRAME_COUNT):
+        at_ns = START_NS + n * FRAME_NS
+        if n in lost_at:
+            writer.note(LOST, {"at_ns": str(at_ns), FRAMES_KEY: f"1: {n} on the way"})
+        writer.write(FRAMES, Entry(FRAMES_KEY, 1, n, encode(frame(n)), at_ns, at_ns))
+    if closed:
+        counts = {FRAMES_KEY: str(len([n for n in lost_at if n < FRAME_COUNT]))} if lost_at else {}
+        writer.note(LOSSES, counts | {COMPLETE: str(not lost_at)})
+        writer.close()
+    else:
+        writer.flush()
+        writer.abandon()
+    once, twice = tmp_path / "once.mcap", tmp_path / "twice.mcap"
+    stretch = START_NS + begin * FRAME_NS, START_NS + end * FRAME_NS
+    cut(path, once, *stretch, only_used_frames=used)
+    cut(once, twice, *stretch, only_used_frames=used)
+    within = len([n for n in lost_at if begin <= n <= end and n < FRAME_COUNT])
+    for file, source in ((once, path), (twice, once)):
+        told = completeness(file)
+        assert told.lost == ({FRAMES_KEY: within} if within else {})
+        assert (told.complete is True) == (closed and not lost_at)
+        assert told.derived[-1].sha256 == hashlib.sha256(source.read_bytes()).hexdigest()
+        assert told.derived[-1].source_said == completeness(source).sentence
+        kept = sum(1 for _ in read_recording(file))
+        assert kept + sum(told.derived[-1].left_out.values()) == sum(1 for _ in read_recording(source))
 
 
 def test_what_lacks_something_is_not_complete_when_it_is_cut(tmp_path):

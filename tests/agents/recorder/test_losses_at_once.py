@@ -68,4 +68,4 @@ def test_a_killed_recorder_leaves_all_but_the_last_moments_and_says_what_was_los
     assert (told.finished, told.complete) == (False, False)
     assert list(told.lost.values()) == [4]
     assert "cut off at " in told.sentence
-    assert "lost 4 of suturegrasp/lab/camera/main/log" in told.sentence
+    assert "lost 4 of camera/main/log" in told.sentence

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import psutil
 
-from tests.rigs.faults.network import LIMIT_S, PREFIX, CannotError
+from agents.cli.lab.rehearsal.network import LIMIT_S, PREFIX, CannotError
 
 ROOM_MB = 2048
 PAGE = 1 << 16

@@ -4,6 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+from agents.cli.lab.rehearsal.network import OWN, CannotError, Network
 from agents.cli.rig.config import ArmSection, CameraSection, RigConfig, RouterSection, SimulatorSection, simulated_rig
 from agents.cli.rig.hosts import OPERATOR, HostSection, SecuritySection
 from agents.cli.rig.sections import DvrkSection, PlannerSection
@@ -11,7 +12,6 @@ from agents.cli.rig.this_host import at_host, certificates_of
 from shared.kinematics.simulated_setup import SIMULATED_BASES
 from shared.runtime.config import load_config
 from shared.runtime.session import SessionSettings
-from tests.rigs.faults.network import OWN, CannotError, Network
 from tests.rigs.robot.lab import today
 
 ARM = "psm1"
@@ -50,7 +50,7 @@ def describe(network: Network, rate_hz: float, folder: Path, emulated: bool = Fa
     """
     more = OF_EMULATED if emulated else {}
     hosts = {
-        name: HostSection(address=network.address(name), runs=(*_runs(name), *more.get(name, ())))
+        name: HostSection(address=network.address(name), realtime=True, runs=(*_runs(name), *more.get(name, ())))
         for name in (*HOSTS, OWN)
     }
     arms = {ARM: ArmSection(maximum_plan_age_s=PLANS_WAIT_S)}

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from agents.cli.lab.rehearsal.processes import faked
 from agents.cli.running.supervisor import SUPERVISED
 from schemas.codec import decode, encode
 from schemas.messages import ChallengeEcho, FrameStamp, GraspPlan, Phase, Policy, Status, TissueSurface, Waypoint
@@ -24,7 +25,6 @@ from shared.runtime.attachment import Attachment, pack
 from shared.runtime.delivery import declare_publisher
 from shared.runtime.session import SessionSettings, free_local_endpoint, open_session
 from shared.runtime.taps import Tapped, tap
-from tests.rigs.faults.processes import faked
 from tests.rigs.robot.person import CALIBRATION
 
 RUNS_FOR_S, STANDS_S = 1.0, 1.0

@@ -29,6 +29,8 @@ def test_any_calibration_survives_the_round_trip(tmp_path_factory, endoscope, ro
     )
     path = tmp_path_factory.mktemp("round") / "calibration.json"
     write_calibration(path, written)
+    # as `suturegrasp calibrate` leaves it, beside the same in another format
+    (path.parent / "opencv.yaml").write_text("%YAML:1.0\n")
     assert_identical(read_calibration(path.parent, unit=None, image_size=SIZE).calibration, written)
 
 

@@ -43,10 +43,10 @@ def test_a_closed_recording_is_complete_or_tells_each_loss_once_though_the_file_
     written(path, complete=True)
     assert told_of(path) == (True, True, {}, "complete")
     written(path, LOST, complete=False)
-    assert told_of(path) == (True, False, {KEY: 3}, f"lost 3 of {KEY}")
+    assert told_of(path) == (True, False, {KEY: 3}, "not complete: lost 3 of camera/main/log")
     # one that does not say is not taken for complete
     written(path)
-    assert told_of(path) == (True, None, {}, "not complete")
+    assert told_of(path) == (True, None, {}, "nobody noted whether anything is missing")
 
 
 @pytest.mark.parametrize(("lost", "complete"), [((), None), (LOST, False)])
@@ -57,4 +57,4 @@ def test_a_recording_that_was_cut_off_says_until_when_and_is_never_complete(tmp_
     told = completeness(path)
     assert (told.finished, told.complete, told.last_ns) == (False, complete, WHEN_NS + 4)
     assert told.sentence.startswith("cut off at 2027-01-1")
-    assert (f"lost 3 of {KEY}" in told.sentence) == bool(lost)
+    assert ("lost 3 of camera/main/log" in told.sentence) == bool(lost)

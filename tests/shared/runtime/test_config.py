@@ -34,9 +34,9 @@ def test_a_section_that_is_empty_is_there():
 
 
 MISTAKES = {
-    "nme = 'x'": ("nme is unknown", "allowed here: name, camera, arms"),
-    "[camera]\nspede = 1": ("camera.spede is unknown", "allowed here: speed"),
-    "[arms.left]\nspede = 1": ("arms.left.spede is unknown", "allowed here: speed"),
+    "nme = 'x'": ("nme is unknown", "did you mean name?"),
+    "[camera]\nspede = 1": ("camera.spede is unknown", "did you mean speed?"),
+    "[arms.left]\nspede = 1": ("arms.left.spede is unknown", "did you mean speed?"),
     "[arms.left]\nspeed = -1": ("arms.left.speed = -1", "greater than 0"),
     "[arms.left]\nspeed = nan": ("arms.left.speed = nan",),
     "name = 3": ("name = 3", "string"),

@@ -1,6 +1,6 @@
 """A cable that takes its time: Ethernet frames pass between pairs of ports, each so long after it came.
 
-    python -m tests.rigs.faults.relay SECONDS PORT=PORT ...
+    python -m agents.cli.lab.rehearsal.relay SECONDS PORT=PORT ...
 
 Linux' own netem is often left out of kernels. What comes keeps its order, and nothing is lost but where a port's buffer
 is full.
@@ -40,8 +40,7 @@ def relaying(inside: tuple[str, ...], pairs: list[tuple[str, str]], seconds: flo
     # it ends with its standard input, even where we are killed
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         try:
-            assert process.stdout is not None
-            if process.stdout.readline().strip() != READY:
+            if process.stdout is None or process.stdout.readline().strip() != READY:
                 raise RuntimeError("the relay did not start")
             yield
         finally:

@@ -4,16 +4,18 @@ import contextlib
 import os
 import signal
 import subprocess
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from agents.cli.lab.rehearsal.network import CannotError, Network
 from agents.cli.running.supervisor import SUPERVISED, ending
-from tests.rigs.faults.network import CannotError, Network
 
 FAKETIME = "faketime/libfaketimeMT.so.1"
 FOLDERS = ("/usr/lib/x86_64-linux-gnu", "/usr/lib/aarch64-linux-gnu", "/usr/lib", "/usr/local/lib", "/usr/lib64")
 ENDS_S, STOPS_S = 5.0, 30.0
+YIELDING = 15
+"""As `nice` counts."""
 
 
 def faketime() -> Path:
@@ -50,14 +52,18 @@ class Processes:
     Fields:
         folder: where each writes what it says.
         clocks: whether each host has a clock that can be set.
+        yielding: hosts whose processes leave the processors to the others': they would have their own.
     """
 
     network: Network
     folder: Path
     clocks: bool = False
+    yielding: tuple[str, ...] = ()
     _running: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict[str, "subprocess.Popen[bytes]"])
 
-    def start(self, host: str, name: str, *command: str) -> subprocess.Popen[bytes]:
+    def start(
+        self, host: str, name: str, *command: str, environment: Mapping[str, str] | None = None
+    ) -> subprocess.Popen[bytes]:
         """Start a command on a host; its output goes to the end of a file of its name."""
         self.forget(name)
         with self.log(name).open("ab") as log:
@@ -66,10 +72,12 @@ class Processes:
                 stdin=subprocess.PIPE,
                 stdout=log,
                 stderr=log,
-                env={**os.environ, SUPERVISED: "1", **self._clock_of(host)},
+                env={**os.environ, SUPERVISED: "1", **self._clock_of(host), **(environment or {})},
                 # a host is none whose processes share one turn with whatever else this machine does
                 start_new_session=True,
             )
+        if host in self.yielding:
+            _yield(self._running[name].pid)
         return self._running[name]
 
     def kill(self, name: str) -> str:
@@ -147,6 +155,10 @@ class Processes:
         for name in tuple(self._running):
             self.forget(name)
 
+    def named(self) -> list[str]:
+        """What was started and not forgotten, running or not."""
+        return list(self._running)
+
     def _clock_file(self, host: str) -> Path:
         return self.folder / f"{host}.clock"
 
@@ -156,3 +168,11 @@ class Processes:
         if not self._clock_file(host).exists():
             self.set_clock(host, 0.0)
         return faked(self._clock_file(host))
+
+
+def _yield(process: int) -> None:
+    """Have a process get what others leave of the processors."""
+    with contextlib.suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, process, YIELDING)
+        # sessions share out the processors between them by this where the kernel groups them
+        Path(f"/proc/{process}/autogroup").write_text(str(YIELDING))

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import psutil
 
-from tests.rigs.faults.relay import relaying, send_whole_packets
+from agents.cli.lab.rehearsal.relay import relaying, send_whole_packets
 
 PREFIX, NETWORK = "sg", "10.213"
 SWITCH, OWN = "switch", "own"

@@ -1,0 +1,132 @@
+"""What a recording was made of, where it is not a recorder's own: a note for each derivation, the newest last.
+
+A derived file keeps the notes of its source, which tell how the session was run. What is otherwise in it stands here.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import schemas
+from shared.recording.entry import Note
+
+DERIVED = "derived"
+CUT = "cut"
+"""What files that version 0.2 or an older one cut have in place of it."""
+UNUSED_FRAMES = "frames of which nothing was made"
+WORDS = ("how", "source", "sha256", "source_said", "version", "read_as")
+READ_BYTES = 1 << 22
+
+
+@dataclass(frozen=True)
+class Anew:
+    """An agent that ran anew.
+
+    Fields:
+        keys: whose messages in this file are its outputs.
+        outputs: how many of them are.
+        kept: its outputs that could not be repeated, and are as of the source.
+        step_ms_p50, step_ms_p99: how long its steps took now; None without any.
+    """
+
+    keys: tuple[str, ...]
+    outputs: int
+    kept: int
+    step_ms_p50: float | None
+    step_ms_p99: float | None
+
+
+@dataclass(frozen=True)
+class Derivation:
+    """How a recording came from another.
+
+    Fields:
+        how: in words, such as `cut from 2.0 s to 5.0 s` or `replayed through perception`.
+        source, sha256: name and digest of the file that it was made of; the digest is empty where nobody noted it.
+        source_said: whether that file is complete, in its own words.
+        version: of the program that made it.
+        agents: that ran anew, by name; all other outputs are as of the source.
+        settings: of these agents, as they were in the source and as they are in force: `ours -> paper`, by key.
+        left_out: on purpose, how many messages by what they are.
+        read_as: the older version that messages were read as, and rewritten from; empty where it is the same.
+    """
+
+    how: str
+    source: str
+    sha256: str = ""
+    source_said: str = ""
+    version: str = schemas.__version__
+    agents: dict[str, Anew] = field(default_factory=dict[str, Anew])
+    settings: dict[str, str] = field(default_factory=dict[str, str])
+    left_out: dict[str, int] = field(default_factory=dict[str, int])
+    read_as: str = ""
+
+    @property
+    def note(self) -> Note:
+        """The note that tells of it."""
+        facts = {name: value if isinstance(value, str) else json.dumps(value) for name, value in asdict(self).items()}
+        return Note(DERIVED, {name: value for name, value in facts.items() if value not in ("", "{}")})
+
+    @property
+    def sentence(self) -> str:
+        """The same in one line."""
+        digest = f" (sha256 {self.sha256[:12]})" if self.sha256 else ""
+        parts = [f"derived: {self.how}, of {self.source}{digest}"]
+        if self.agents:
+            parts.append(f"ran anew: {', '.join(self.agents)}; what other agents said is as of the source")
+        parts += [
+            f"{one.kept} outputs of {name} are as of the source too" for name, one in self.agents.items() if one.kept
+        ]
+        if self.settings:
+            parts.append("settings: " + ", ".join(f"{key} {change}" for key, change in self.settings.items()))
+        if self.left_out:
+            parts.append(
+                "left out on purpose: " + ", ".join(f"{count} {what}" for what, count in self.left_out.items())
+            )
+        if self.read_as:
+            parts.append(f"its messages were those of version {self.read_as}")
+        return "; ".join(parts)
+
+
+def digest_of(path: Path) -> str:
+    """The SHA-256 digest of a file, in hexadecimal digits.
+
+    Raises:
+        OSError: where it cannot be read.
+    """
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while piece := file.read(READ_BYTES):
+            digest.update(piece)
+    return digest.hexdigest()
+
+
+def derivations(notes: Iterable[Note]) -> tuple[Derivation, ...]:
+    """What the notes of a recording tell of how it was made, the newest last; none of a recorder's own file."""
+    found = (_read(note) for note in notes)
+    return tuple(one for one in found if one is not None)
+
+
+def _read(note: Note) -> Derivation | None:
+    facts = note.facts
+    if note.name == CUT:
+        unused = facts.get("unused_frames", "0")
+        left_out = {UNUSED_FRAMES: int(unused)} if unused.isdecimal() and int(unused) else {}
+        return Derivation("cut", facts.get("of", "a file"), version="", left_out=left_out)
+    if note.name != DERIVED:
+        return None
+    how, source, sha256, said, version, read_as = (facts.get(name, "") for name in WORDS)
+    told = Derivation(how, source, sha256, said, version, read_as=read_as)
+    try:
+        agents = {name: Anew(**one | {"keys": tuple(one["keys"])}) for name, one in _table(facts, "agents").items()}
+        return replace(told, agents=agents, settings=_table(facts, "settings"), left_out=_table(facts, "left_out"))
+    except (ValueError, TypeError, AttributeError, LookupError):
+        # of a later version, or spoilt: that it was derived is true all the same
+        return told
+
+
+def _table(facts: dict[str, str], name: str) -> dict[str, Any]:
+    return json.loads(facts.get(name, "{}"))
