@@ -1,4 +1,4 @@
-"""`suturegrasp deploy plan | certificates | install`: from a rig's one file to what runs on each host."""
+"""`suturegrasp deploy plan | certificates | install | rehearse`: from a rig's one file to what runs on each host."""
 
 import datetime
 import shutil
@@ -25,12 +25,17 @@ INSTALL = "suturegrasp deploy install --folder FOLDER, as root"
 
 
 def run(options: Deploy) -> int:
-    """Carry out one of the three; the exit status."""
+    """Carry out one of the four; the exit status."""
     try:
         if options.action == "install":
             return _install(options)
         rig = load_config(options.config, RigConfig)
         layout = layout_of(rig)
+        if options.action == "rehearse":
+            # it needs what nobody else does: namespaces, emulated consoles
+            from agents.cli.lab.rehearsal.rehearse import rehearse
+
+            return rehearse(options, rig, layout_of)
         if options.action == "plan":
             return _plan(options, rig, layout)
         return _certificates(options, layout)

@@ -36,6 +36,11 @@ def built_camera(section: CameraSection, reached: SessionSettings) -> Agent:
             return pair.left_bgr, pair.right_bgr
 
         return SceneCamera(render, lambda state: calibration_of(state.camera), config)
+    if section.source == "plugin":
+        from agents.camera.plugin import PluginSource
+
+        plugin = PluginSource(section.plugin or "", section.options)
+        return Camera(plugin, _usable(_read_calibration(section, plugin.size())), config)
     if section.source == "bag":
         # reading bags takes as long to load as all else
         from agents.camera.bag import BagSource

@@ -65,7 +65,9 @@ class RouterSection(Settings):
 class CameraSection(Settings):
     """Where frames come from; which of the other keys a source needs is checked when it is opened."""
 
-    source: Literal["scene", "images", "video", "pipe", "bag", "ros"] = "scene"
+    source: Literal["scene", "images", "video", "pipe", "bag", "ros", "plugin"] = "scene"
+    plugin: Label | None = None
+    options: dict[str, str | float | bool] = Field(default_factory=dict[str, str | float | bool])
     left: str | None = None
     right: str | None = None
     left_topic: str | None = None
@@ -88,6 +90,10 @@ class CameraSection(Settings):
     @model_validator(mode="after")
     def _has_what_its_source_needs(self) -> "CameraSection":
         if self.source == "scene":
+            return self
+        if self.source == "plugin":
+            if self.plugin is None or self.calibration is None:
+                raise ValueError("source 'plugin' needs plugin, the name of what is installed, and calibration")
             return self
         if self.source == "ros":
             if self.endpoint is None or self.left_topic is None or self.right_topic is None:

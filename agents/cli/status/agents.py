@@ -12,6 +12,8 @@ AWAY = (ABSENT, GONE, SILENT, NEVER)
 GUARD = "guard "
 """What the name of a guard begins with; its arm follows."""
 SLOW_SHARE = 0.5
+LASTS_S = 10.0
+"""What was refused longer ago, with nothing since, is over."""
 """Below this share of its rate a topic is too slow."""
 SETTLED_S = 5.0
 """Rates are over two seconds, and sources and models take as long to begin."""
@@ -34,7 +36,7 @@ def judge_agents(
         if fare.placed not in hosts:
             yield from _presence(fare)
         if fare.health is not None and fare.state not in AWAY:
-            yield from _own_account(fare.name, fare.health)
+            yield from _own_account(fare, fare.health)
     yield from _slow(fares, rates_hz)
     yield from _versions(fares)
 
@@ -80,15 +82,18 @@ def _presence(fare: Fare) -> Iterator[Wrong]:
             pass
 
 
-def _own_account(name: str, health: AgentHealth) -> Iterator[Wrong]:
+def _own_account(fare: Fare, health: AgentHealth) -> Iterator[Wrong]:
+    name = fare.name
     since = f"since it started {span_of(health.uptime_s)} ago"
     if health.fault:
         yield Wrong("fault", name, f"{name} tells a fault: {health.fault}")
     for heard in health.inputs:
         topic = next((t for t in TOPICS if str(t) == heard.topic), None)
         if heard.refused:
-            refused = f"{name} refused {_messages(heard.refused)} of {heard.topic} {since}, which it could not read"
-            yield Wrong("refused", name, f"{refused}: another version sends them, or an intruder")
+            refused = f"{name} refused {_messages(heard.refused)} of {heard.topic} {since}"
+            why = "another version sends them, an intruder, or a link that broke mixed keys up: its log says which"
+            last = f"none for {span_of(fare.refused_s)}" if fare.refused_s > LASTS_S else "the last just now"
+            yield Wrong("refused", name, f"{refused}, {last}: {why}", grave=fare.refused_s <= LASTS_S)
         if topic is None:
             continue
         if heard.missed and topic.rate_hz is None:

@@ -94,7 +94,9 @@ def gathered_on(watch: StatusWatch) -> Gathered:
 
 
 def _nothing(rig: RigConfig) -> Gathered:
-    return Gathered(now_ns(), rig.rig, rig.router_endpoint, router=False, overrides=overrides(rig.topics))
+    return Gathered(
+        now_ns(), rig.rig, rig.router_endpoint, False, rig.router.host or "", overrides=overrides(rig.topics)
+    )
 
 
 @contextlib.contextmanager

@@ -9,10 +9,21 @@ from agents.cli.rig.topics import Override
 from agents.cli.status.calibrations import Allowed
 from agents.cli.status.health_watch import Fare
 from schemas.messages import AgentFacts, ExecutionEvent, HostClocks, LogRecord, RigSection, RobotState, ToolCorrection
-from schemas.topics import FRAMES, HEALTH, HEARTBEAT, OBSERVATIONS, SURFACE, THREAD, TOOL, TOPICS, Delivery
+from schemas.topics import (
+    FRAME_NOTICE,
+    FRAMES,
+    HEALTH,
+    HEARTBEAT,
+    OBSERVATIONS,
+    SURFACE,
+    THREAD,
+    TOOL,
+    TOPICS,
+    Delivery,
+)
 from shared.runtime.clocks import ClockOffset
 
-PER_FRAME = (FRAMES, OBSERVATIONS, THREAD)
+PER_FRAME = (FRAMES, FRAME_NOTICE, OBSERVATIONS, THREAD)
 NOT_STEADY = (SURFACE, TOOL, HEARTBEAT, HEALTH)
 """Topics that have a rate, and come only while there is something to say."""
 
@@ -34,6 +45,8 @@ class Gathered:
     Fields:
         at_ns: by the clock of this machine.
         router: whether one answers.
+        router_host: which of the rig's hosts runs it; empty on one machine.
+        here: this machine, as its agents would call it.
         fares: of every agent that the rig's configuration has, or that was heard.
         addresses: of the rig's hosts, by name; empty on one machine.
         rates_hz: at which topics are expected, by name.
@@ -51,6 +64,8 @@ class Gathered:
     rig: str
     endpoint: str
     router: bool = True
+    router_host: str = ""
+    here: str = ""
     fares: tuple[Fare, ...] = ()
     addresses: Mapping[str, str] = field(default_factory=dict[str, str])
     rates_hz: Mapping[str, float] = field(default_factory=dict[str, float])

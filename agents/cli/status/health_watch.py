@@ -36,6 +36,7 @@ class Fare:
         present: whether its session is there, as the router tells; None where nobody asked.
         restarts: how often it began anew since the watch began.
         expected: whether the rig's configuration has it; and on which of its hosts, empty where that is not told.
+        refused_s: since it refused a message last, as far as was seen here.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Fare:
     restarts: int = 0
     expected: bool = True
     placed: str = ""
+    refused_s: float = 0.0
 
     @property
     def state(self) -> str:
@@ -76,6 +78,7 @@ class HealthWatch:
         self._newest = {name: Fare(name, None, monotonic_s(), placed=self._hosts.get(name, "")) for name in expected}
         """With the time at which each was heard in place of how long it has been silent."""
         self._told: dict[str, str] = {}
+        self._cut_off_s = 0.0
         connection.listen((HEALTH,), self._take)
 
     def _take(self, tapped: Tapped) -> None:
@@ -89,10 +92,15 @@ class HealthWatch:
         with self._lock:
             before = self._newest.get(name) or Fare(name, None, 0.0, expected=False, placed=self._hosts.get(name, ""))
             began = before.health is not None and health.uptime_s < before.health.uptime_s
-            restarts = before.restarts + began
+            restarts, now_s = before.restarts + began, monotonic_s()
+            more = before.health is None or _refused(health) > _refused(before.health)
             self._newest[name] = dataclasses.replace(
-                before, health=health, silent_s=monotonic_s(), restarts=restarts, present=before.present
+                before, health=health, silent_s=now_s, restarts=restarts, refused_s=now_s if more else before.refused_s
             )
+
+    def cut_off(self) -> None:
+        """Take note that no router answers: that nothing is heard meanwhile says nothing of the agents."""
+        self._cut_off_s = monotonic_s()
 
     def note_present(self, present: Collection[str]) -> None:
         """Take over whose sessions are there, as `kind/instance`."""
@@ -107,7 +115,12 @@ class HealthWatch:
         """How each agent fares: the expected ones in their order, then those that nobody expected."""
         now_s = monotonic_s()
         with self._lock:
-            return [dataclasses.replace(fare, silent_s=now_s - fare.silent_s) for fare in self._newest.values()]
+            return [
+                dataclasses.replace(
+                    fare, silent_s=now_s - max(fare.silent_s, self._cut_off_s), refused_s=now_s - fare.refused_s
+                )
+                for fare in self._newest.values()
+            ]
 
     def changes(self) -> list[str]:
         """Which agents fell silent, reported a fault or became well again since the last call, in plain words."""
@@ -119,6 +132,11 @@ class HealthWatch:
             since = f" for {fare.silent_s:.0f} s" if fare.silent_s > SILENT_S else ""
             said.append(f"{fare.name}: {'well again' if fare.state == WELL else fare.state + since}")
         return said
+
+
+def _refused(health: AgentHealth) -> int:
+    """How many messages it refused in all."""
+    return sum(heard.refused for heard in health.inputs)
 
 
 def name_of(kind: str, instance: str) -> str:

@@ -1,6 +1,8 @@
 """What is wrong with a rig, in plain words: a pure function of what was heard of it."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+import numpy as np
 
 from agents.cli.rig.topics import Override, in_words
 from agents.cli.status.agents import judge_agents
@@ -29,7 +31,8 @@ SYNCHRONISE = "synchronise both with chrony (chronyc tracking tells how far each
 def judge(gathered: Gathered) -> list[Wrong]:
     """Everything that is wrong, the gravest first; where no router answers, that alone, as all follows from it."""
     if not gathered.router:
-        away = f"no router answers on {gathered.endpoint}, so nothing is known of the rig"
+        at = f" on host {gathered.router_host}" if gathered.router_host else ""
+        away = f"no router answers on {gathered.endpoint}{at}, so nothing is known of the rig"
         return [Wrong("router", "router", away)]
     found = [
         *judge_agents(gathered.fares, gathered.rates_hz, gathered.addresses),
@@ -91,10 +94,13 @@ def _why(arm: ArmHeard) -> str:
 
 
 def _clocks(gathered: Gathered) -> Iterator[Wrong]:
-    named: set[str] = set()
-    for offset in by_host(o for o in gathered.clocks.values() if o is not None):
-        if offset.least_ms > CLOCKS_APART_MS:
-            named.add(offset.host)
+    offsets = list(by_host(o for o in gathered.clocks.values() if o is not None))
+    named = {offset.host for offset in offsets if offset.least_ms > CLOCKS_APART_MS}
+    if ours := _own_clock([offset for offset in offsets if offset.host != gathered.here]):
+        yield ours
+        return
+    for offset in offsets:
+        if offset.host in named:
             yield Wrong("clock", offset.host, f"the clock of host {offset.host} is {apart(offset)}; {SYNCHRONISE}")
     for clock in gathered.planner_clocks.clocks if gathered.planner_clocks is not None else ():
         if clock.ahead_ms is None or clock.within_ms is None or clock.host in named:
@@ -104,6 +110,18 @@ def _clocks(gathered: Gathered) -> Iterator[Wrong]:
             named.add(offset.host)
             text = f"the clock of host {offset.host} is {apart(offset, 'the planner')}; {SYNCHRONISE}"
             yield Wrong("clock", offset.host, text)
+
+
+def _own_clock(offsets: Sequence[ClockOffset]) -> Wrong | None:
+    """That the clock here is off, where it is off all others', and they agree; None where that is not so."""
+    ahead_ms = [offset.ahead_ms for offset in offsets]
+    if len(offsets) < 2 or any(offset.least_ms <= CLOCKS_APART_MS for offset in offsets):
+        return None
+    if max(ahead_ms) - min(ahead_ms) > CLOCKS_APART_MS + 2 * max(offset.within_ms for offset in offsets):
+        return None
+    off = f"{abs(np.median(ahead_ms)):.0f} ms {'behind' if np.median(ahead_ms) > 0 else 'ahead of'}"
+    text = f"the clock of this machine is {off} those of all other hosts, which agree; {SYNCHRONISE}"
+    return Wrong("clock", "here", text)
 
 
 def _schemas(gathered: Gathered) -> Iterator[Wrong]:

@@ -1,6 +1,7 @@
 """Gathers what `suturegrasp status` judges by: listens to what is small, and asks for the rest from time to time."""
 
 import contextlib
+import socket
 import threading
 from collections import deque
 
@@ -79,11 +80,15 @@ class StatusWatch:
             clocks, facts, errors = dict(self._clocks), dict(self._facts), tuple(self._errors)
             tools = dict(self._tools)
         arms = sorted({*self._rig.robot, *states, *events})
+        if not (router := self._connection.has_router()):
+            self._health.cut_off()
         return Gathered(
             at_ns=now_ns(),
             rig=self._rig.rig,
             endpoint=self._rig.router_endpoint,
-            router=self._connection.has_router(),
+            router=router,
+            router_host=self._rig.router.host or "",
+            here=socket.gethostname(),
             fares=tuple(self._health.fares()),
             addresses=self._addresses,
             rates_hz=self._rates,
@@ -122,6 +127,8 @@ class StatusWatch:
         }
         next_s = dict.fromkeys(due, monotonic_s())
         while not self._ended.is_set():
+            if not self._connection.has_router():
+                self._health.cut_off()
             for ask, every_s in due.items():
                 if monotonic_s() >= next_s[ask] and not self._ended.is_set() and self._connection.has_router():
                     ask()

@@ -127,6 +127,24 @@ def test_status_and_up_show_hosts_topics_told_otherwise_and_what_is_wrong():
     assert "WRONG  camera has been silent for 5 s" in silent
 
 
+def test_what_was_refused_a_while_ago_and_never_since_is_worth_knowing_and_no_more():
+    told = health("perception", inputs=[heard("camera/frames", refused=2)])
+    lasting, over = (dataclasses.replace(fare("perception", told), refused_s=ago_s) for ago_s in (0.0, 60.0))
+    assert sentences(lasting)["refused", "perception"].grave
+    assert not sentences(over)["refused", "perception"].grave
+    assert document(moment(over), judge(moment(over)))["well"] is True
+
+
+def test_a_clock_that_is_off_all_others_which_agree_is_that_of_this_machine():
+    clocks = {f"{name}/main": ClockOffset(name, ahead_ms, 0.3) for name, ahead_ms in (("a", -2000.0), ("b", -2000.4))}
+    own = {"viewer/desk": ClockOffset("desk", 0.0, 0.1)}
+    (wrong,) = judge(moment(fare(), clocks=clocks | own, here="desk"))
+    assert wrong.text.startswith("the clock of this machine is 2000 ms ahead of those of all other hosts, which agree")
+    # where one of them is right, the others are off
+    some = judge(moment(fare(), clocks=clocks | {"planner/main": ClockOffset("c", 0.2, 0.3)}, here="desk"))
+    assert [one.about for one in some] == ["a", "b"]
+
+
 def test_without_router_nothing_else_is_told():
     told = Gathered(NOW_NS, "lab", "tcp/x:1", router=False, fares=(Fare("camera", None, 50.0, False),))
     (wrong,) = judge(told)

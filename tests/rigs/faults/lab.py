@@ -168,7 +168,9 @@ def laboratory(
         faketime()
     with contextlib.ExitStack() as stack:
         network = stack.enter_context(connected_hosts(HOSTS))
-        processes = stack.enter_context(contextlib.closing(Processes(network, folder, clocks, COMPUTES)))
+        processes = stack.enter_context(
+            contextlib.closing(Processes(network, folder, HOSTS if clocks else (), COMPUTES))
+        )
         describe(network, rate_hz, folder, emulated)
         # one who hears all from the beginning
         processes.start(ROUTER, ROUTER, *MODULE, ROUTER, "--config", str(folder / ROUTER / CONFIG))

@@ -4,14 +4,15 @@ Everything lies in namespaces named after the process that made them, but for th
 removing those few names removes everything; what a killed process left behind is removed by the next one.
 """
 
+import ipaddress
 import os
 import random
 import re
 import shutil
 import subprocess
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import psutil
@@ -20,6 +21,7 @@ from agents.cli.lab.rehearsal.relay import relaying, send_whole_packets
 
 PREFIX, NETWORK = "sg", "10.213"
 SWITCH, OWN = "switch", "own"
+OWN_FILES = Path("/etc/netns")
 LIMIT_S = 60.0
 OWN_MEMORY_AND_NAME = 'mount -t tmpfs shm /dev/shm && hostname "$0" && exec "$@"'
 TABLE = "table bridge faults { chain through { type filter hook forward priority 0; }; }"
@@ -35,16 +37,28 @@ class Network:
 
     Fields:
         owner: id of the process that made it.
-        network: the first three numbers of all addresses.
+        network: the first three numbers of addresses that nobody has given.
+        given: addresses or names that hosts have been given, in which case we have no port of our own.
     """
 
     owner: int
     network: str
     hosts: tuple[str, ...]
+    given: Mapping[str, str] = field(default_factory=dict[str, str])
 
     def address(self, host: str) -> str:
-        """Where a host, or our own port, is reached by the others."""
+        """The IP address by which a host, or our own port, is reached by the others."""
+        if host in self.given and not self.named(host):
+            return self.given[host]
         return f"{self.network}.{1 if host == OWN else 2 + self.hosts.index(host)}"
+
+    def named(self, host: str) -> bool:
+        """Whether what a host was given is a name."""
+        try:
+            ipaddress.ip_address(self.given[host])
+        except (KeyError, ValueError):
+            return host in self.given
+        return False
 
     def namespace(self, host: str) -> str:
         """The namespace that stands for a host, or for the switch."""
@@ -115,8 +129,10 @@ class Network:
 
 
 @contextmanager
-def connected_hosts(hosts: tuple[str, ...]) -> Generator[Network]:
-    """Hosts on a switch, with a port for us, removed in the end.
+def connected_hosts(hosts: tuple[str, ...], given: Mapping[str, str] | None = None) -> Generator[Network]:
+    """Hosts on a switch, removed in the end; with a port for us, unless they are `given` addresses or names.
+
+    Whatever addresses hosts are given, they reach each other, and nothing else.
 
     Raises:
         CannotError: where this system makes none.
@@ -124,7 +140,7 @@ def connected_hosts(hosts: tuple[str, ...]) -> Generator[Network]:
     _look()
     for owner in _left_behind():
         _tear_down(owner)
-    network = Network(os.getpid(), _free_network(), hosts)
+    network = Network(os.getpid(), _free_network(), hosts, given or {})
     try:
         _build(network)
         yield network
@@ -149,12 +165,24 @@ def _build(network: Network) -> None:
     for host in network.hosts:
         _must("ip", "netns", "add", network.namespace(host))
         _plug(network, host, "eth0", network.namespace(host), network.address(host))
+        _name_hosts(network, host)
         # for a relay, which is put between a host's port and the bridge
         ends = (f"{host}-r", f"{host}-b")
         _must("ip", "-n", switch, "link", "add", ends[0], "type", "veth", "peer", "name", ends[1])
         for end in ends:
             _must("ip", "-n", switch, "link", "set", end, "up")
-    _plug(network, OWN, f"{PREFIX}{network.owner}", None, f"{network.network}.1")
+    if not network.given:
+        _plug(network, OWN, f"{PREFIX}{network.owner}", None, f"{network.network}.1")
+
+
+def _name_hosts(network: Network, host: str) -> None:
+    """Have the hosts' names mean their addresses within a namespace; `ip netns exec` puts the file in place."""
+    named = [one for one in network.hosts if network.named(one)]
+    if named:
+        folder = OWN_FILES / network.namespace(host)
+        folder.mkdir(parents=True, exist_ok=True)
+        lines = ["127.0.0.1 localhost", *(f"{network.address(one)} {network.given[one]}" for one in named)]
+        (folder / "hosts").write_text("\n".join(lines) + "\n")
 
 
 def _plug(network: Network, port: str, device: str, namespace: str | None, address: str) -> None:
@@ -170,13 +198,22 @@ def _plug(network: Network, port: str, device: str, namespace: str | None, addre
         _must("ip", "link", "set", made, "netns", namespace)
         _must(*inside, "link", "set", made, "name", device)
         _must(*inside, "link", "set", "lo", "up")
-    _must(*inside, "address", "add", f"{address}/24", "dev", device)
+    if not network.given:
+        _must(*inside, "address", "add", f"{address}/24", "dev", device)
+        _must(*inside, "link", "set", device, "up")
+        return
+    is_new = ":" in address
+    _must(
+        *inside, "address", "add", f"{address}/{128 if is_new else 32}", "dev", device, *(("nodad",) if is_new else ())
+    )
     _must(*inside, "link", "set", device, "up")
+    _must(*inside, *(("-6",) if is_new else ()), "route", "add", "default", "dev", device)
 
 
 def _tear_down(owner: int) -> None:
     for path in Path("/run/netns").glob(f"{PREFIX}{owner}[a-z]*"):
         _run("ip", "netns", "delete", path.name)
+        shutil.rmtree(OWN_FILES / path.name, ignore_errors=True)
     _run("ip", "link", "delete", f"{PREFIX}{owner}")
 
 

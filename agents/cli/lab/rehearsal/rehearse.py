@@ -1,0 +1,305 @@
+"""`suturegrasp deploy rehearse`: a rig of several hosts on this machine alone, and what may happen to it in a lab.
+
+Every host of the rig's file is a network namespace with the address that the file gives it, its own certificates, and
+the processes that its units start. What the rig says of itself is what `status` says on the operator's host.
+"""
+
+import contextlib
+import datetime
+import json
+import re
+import shutil
+import subprocess
+import tempfile
+import threading
+from collections.abc import Callable, Generator, Iterator
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from agents.cli.lab.options import Deploy
+from agents.cli.lab.rehearsal.network import CannotError, Network, connected_hosts
+from agents.cli.lab.rehearsal.processes import Processes, faketime
+from agents.cli.lab.rehearsal.rehearsed import CONFIG, PROGRAM_HERE, Started, started_on, without_hardware, write_hosts
+from agents.cli.rig.config import RigConfig
+from agents.cli.rig.hosts import OPERATOR
+from agents.cli.running.process import EXIT_OK, on_stop
+from agents.cli.terminal import say
+from agents.deployment.certificates import issue
+from agents.deployment.layout import Layout
+from shared.clock import monotonic_s, now_ns
+from shared.runtime.config import ConfigError
+
+EXIT_WRONG = 1
+STATUS, COMPUTES = "status", "perception"
+STARTS_S, RECOVERS_S = 180.0, 60.0
+LOOK_S, RESTART_S = 0.1, 0.5
+STEADY = 2
+"""So many times in a row `status`, which looks once a second, must find all well."""
+DOCTOR_S = 120.0
+RATE = re.compile(r"(\d+) ?(?:Mbit|mbit)(?:/s)?")
+SECONDS = re.compile(r"([+-]?\d+(?:\.\d+)?) ?s?")
+
+
+class RehearsalError(RuntimeError):
+    """The rig did not come up; the text says what kept it."""
+
+
+@dataclass(frozen=True)
+class Break:
+    """Something that goes wrong for a while.
+
+    Fields:
+        what: in words.
+        during: makes it so for as long as it lasts.
+    """
+
+    what: str
+    during: Callable[["Rehearsal"], AbstractContextManager[None]]
+
+
+@dataclass
+class Rehearsal:
+    """A rig that is rehearsed.
+
+    Fields:
+        started: what runs, by name.
+        folder: of everything that it writes.
+        watcher: the host that `status` runs on.
+    """
+
+    network: Network
+    processes: Processes
+    started: dict[str, Started]
+    folder: Path
+    watcher: str
+    stopped: threading.Event
+    _due_s: dict[str, float] = field(default_factory=dict[str, float])
+    _read: int = 0
+
+    def start(self, name: str) -> None:
+        """Start a process of a host, for the first time or again."""
+        one = self.started[name]
+        self.processes.start(one.host, name, *one.command, environment=one.environment)
+
+    def command(self, *words: str) -> tuple[str, ...]:
+        """A command of the operator's on the host that watches."""
+        config = str(self.folder / self.watcher / CONFIG)
+        return (*PROGRAM_HERE, *words, "--config", config, "--host", self.watcher)
+
+    def documents(self) -> Iterator[dict[str, Any]]:
+        """What `status` has said since the last call."""
+        lines = self.processes.said(STATUS).splitlines(keepends=True)
+        for line in lines[self._read :]:
+            if not line.endswith("\n"):
+                return
+            self._read += 1
+            if line.startswith("{"):
+                yield json.loads(line)
+
+    def tend(self) -> None:
+        """Start again what has ended, as its unit would.
+
+        Raises:
+            RehearsalError: where something cannot run at all.
+        """
+        for name in self.started:
+            if (said := self.processes.ended(name)) and name not in self._due_s:
+                if "status 2" in said:
+                    raise RehearsalError(f"{said}; its log is {self.processes.log(name)}")
+                self._due_s[name] = monotonic_s() + RESTART_S
+        for name in [name for name, due_s in self._due_s.items() if monotonic_s() >= due_s]:
+            del self._due_s[name]
+            self.start(name)
+
+    def restart_later(self, name: str) -> None:
+        """Have something that was killed started again, as its unit would."""
+        self._due_s[name] = monotonic_s() + RESTART_S
+
+    def watch(
+        self, limit_s: float, until_well: bool, tell: Callable[[float, str], None], said: set[tuple[str, str]]
+    ) -> float | None:
+        """Tell what `status` finds wrong and is not `said` yet, for so long or until all is well; when that was."""
+        began_s, well = monotonic_s(), 0
+        while (past_s := monotonic_s() - began_s) < limit_s and not self.stopped.wait(LOOK_S):
+            self.tend()
+            for document in self.documents():
+                well = well + 1 if document["well"] else 0
+                for wrong in document["wrong"]:
+                    if (kind := (wrong["code"], wrong["about"])) not in said:
+                        said.add(kind)
+                        tell(past_s, wrong["text"])
+            if until_well and well >= STEADY:
+                return past_s
+        return None
+
+
+def rehearse(options: Deploy, rig: RigConfig, layout_of: Callable[[RigConfig], Layout]) -> int:
+    """Rehearse a rig; the exit status is 1 where it did not come up, or did not recover.
+
+    Raises:
+        ConfigError: where something is asked for that the rig does not have, or this machine cannot play.
+    """
+    breaks = breaks_of(options, rig)
+    rehearsed, told = without_hardware(rig)
+    layout = layout_of(rehearsed)
+    for sentence in told:
+        say(sentence)
+    folder = Path(tempfile.mkdtemp(prefix="suturegrasp-rehearsal-"))
+    try:
+        with _playing(rehearsed, layout, folder, clocks=(options.skew[0],) if options.skew else ()) as rehearsal:
+            return _played(rehearsal, options, breaks)
+    except CannotError as error:
+        raise ConfigError(f"a rig cannot be rehearsed here: {error}") from None
+    except RehearsalError as error:
+        say(str(error))
+        return EXIT_WRONG
+    finally:
+        if options.keep_logs:
+            say(f"what every process said lies in {folder}")
+        else:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def breaks_of(options: Deploy, rig: RigConfig) -> list[Break]:
+    """What is to go wrong, in the order of the options.
+
+    Raises:
+        ConfigError: where the rig has no such host or process, or a number is none.
+    """
+    found: list[Break] = []
+    if options.cut is not None:
+        host = _host(options.cut, rig, "--cut")
+        found.append(Break(f"{host} is cut off", lambda r: r.network.cut_off(host)))
+    if options.slow is not None:
+        slow, megabits = (
+            _host(options.slow[0], rig, "--slow"),
+            round(_number(options.slow[1], RATE, "--slow", "10Mbit")),
+        )
+        found.append(
+            Break(f"the link of {slow} carries {megabits} Mbit/s", lambda r: r.network.narrowed(megabits, (slow,)))
+        )
+    if options.kill is not None:
+        name = options.kill
+        if name not in (runs := [*rig.processes(), "router"]):
+            raise ConfigError(f"--kill {name!r} is nothing that the rig runs; it runs {', '.join(runs)}")
+        found.append(Break(f"{name} is killed", lambda r: _killed(r, name)))
+    if options.skew is not None:
+        off, ahead_s = _host(options.skew[0], rig, "--skew"), _number(options.skew[1], SECONDS, "--skew", "2s")
+        found.append(Break(f"the clock of {off} is {ahead_s:+g} s off", lambda r: _skewed(r, off, ahead_s)))
+    return found
+
+
+def _host(name: str, rig: RigConfig, option: str) -> str:
+    if name not in rig.hosts:
+        raise ConfigError(f"{option} {name} is none of the rig's hosts {', '.join(rig.hosts)}")
+    return name
+
+
+def _number(text: str, pattern: re.Pattern[str], option: str, example: str) -> float:
+    found = pattern.fullmatch(text)
+    if found is None:
+        raise ConfigError(f"{option} ... {text} must read like {example}")
+    return float(found[1])
+
+
+@contextlib.contextmanager
+def _killed(rehearsal: Rehearsal, name: str) -> Generator[None]:
+    rehearsal.processes.kill(name)
+    rehearsal.restart_later(name)
+    yield
+
+
+@contextlib.contextmanager
+def _skewed(rehearsal: Rehearsal, host: str, ahead_s: float) -> Generator[None]:
+    rehearsal.processes.set_clock(host, ahead_s)
+    try:
+        yield
+    finally:
+        rehearsal.processes.set_clock(host, 0.0)
+
+
+@contextlib.contextmanager
+def _playing(rig: RigConfig, layout: Layout, folder: Path, clocks: tuple[str, ...]) -> Generator[Rehearsal]:
+    """The rig with all of its processes started, and `status` beside them."""
+    if clocks:
+        faketime()
+    issue(layout, folder, datetime.datetime.fromtimestamp(now_ns() * 1e-9, datetime.UTC))
+    write_hosts(rig, layout, folder)
+    names = tuple(host.name for host in layout.hosts)
+    started = {one.name: one for host in layout.hosts for one in started_on(layout, host, folder)}
+    watchers = [host.name for host in layout.hosts if any(process.kind == OPERATOR for process in host.processes)]
+    computing = tuple(name for name, host in rig.hosts.items() if COMPUTES in host.runs)
+    stopped = threading.Event()
+    on_stop(stopped.set)
+    with contextlib.ExitStack() as stack:
+        network = stack.enter_context(connected_hosts(names, {host.name: host.address for host in layout.hosts}))
+        processes = stack.enter_context(contextlib.closing(Processes(network, folder, clocks, computing)))
+        rehearsal = Rehearsal(network, processes, started, folder, (watchers or names)[0], stopped)
+        for name in sorted(started, key=lambda name: name not in ("router", "console")):
+            rehearsal.start(name)
+        processes.start(rehearsal.watcher, STATUS, *rehearsal.command("status", "--json"))
+        for host in layout.hosts:
+            runs = ", ".join(one.name for one in started.values() if one.host == host.name)
+            say(f"{host.name} ({host.address}): {runs or 'nothing'}")
+        yield rehearsal
+
+
+def _played(rehearsal: Rehearsal, options: Deploy, breaks: list[Break]) -> int:
+    wrong = list[str]()
+    began_s = rehearsal.watch(STARTS_S, True, lambda _, text: wrong.append(text), set())
+    if began_s is None:
+        if rehearsal.stopped.is_set():
+            return EXIT_OK
+        raise RehearsalError(
+            f"not all is well after {STARTS_S:.0f} s: {'; '.join(wrong[-3:]) or 'status says nothing'}"
+        )
+    say(f"all well after {began_s:.0f} s, as status says on {rehearsal.watcher}")
+    found = _doctor(rehearsal)
+    recovered = [_broken(rehearsal, one, options.seconds) for one in breaks if not rehearsal.stopped.is_set()]
+    if options.stay:
+        inside = " ".join(rehearsal.network.inside(rehearsal.watcher))
+        say(f"it runs until Ctrl-C; a command on {rehearsal.watcher}: {inside} {' '.join(rehearsal.command('status'))}")
+        rehearsal.watch(float("inf"), False, lambda past_s, text: say(f"  {past_s:5.1f} s  {text}"), set())
+    return EXIT_OK if all(recovered) and found else EXIT_WRONG
+
+
+def _broken(rehearsal: Rehearsal, one: Break, seconds: float) -> bool:
+    """Have something go wrong for a while, and tell what is said of it; whether the rig recovered."""
+
+    def tell(past_s: float, text: str) -> None:
+        say(f"  {past_s:5.1f} s  {text}")
+
+    told = set[tuple[str, str]]()
+    say(f"{one.what}, for {seconds:g} s:")
+    for _ in rehearsal.documents():
+        pass
+    with one.during(rehearsal):
+        rehearsal.watch(seconds, False, tell, told)
+    again_s = rehearsal.watch(RECOVERS_S, True, lambda past_s, text: tell(past_s + seconds, text), told)
+    if not told:
+        say("  nothing: it kept within all limits")
+    say(
+        f"  all well again {again_s:.1f} s after it ended"
+        if again_s is not None
+        else f"  not well {RECOVERS_S:.0f} s after"
+    )
+    return again_s is not None or rehearsal.stopped.is_set()
+
+
+def _doctor(rehearsal: Rehearsal) -> bool:
+    """Have `doctor` look at it from the operator's host; whether it finds nothing wrong."""
+    if rehearsal.stopped.is_set():
+        return True
+    command = [*rehearsal.network.inside(rehearsal.watcher), *rehearsal.command("doctor", "--json")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=DOCTOR_S, check=False)
+    if not done.stdout.startswith("{"):
+        say(f"doctor could not look: {done.stderr.strip()}")
+        return False
+    findings = json.loads(done.stdout)["findings"]
+    wrong = [one for one in findings if one["remedy"]]
+    say(f"doctor on {rehearsal.watcher}: {len(findings)} findings, {len(wrong) or 'none'} of them wrong")
+    for one in wrong:
+        say(f"  {one['what']}: {one['found']}; {one['remedy']}")
+    return not wrong

@@ -1,0 +1,143 @@
+"""What a rehearsal has in place of a lab's hardware, and what each of its hosts runs."""
+
+import datetime
+import json
+import os
+import re
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from agents.cli.rig.config import ArmSection, CameraSection, RigConfig, SimulatorSection
+from agents.cli.rig.hosts import HostSection
+from agents.cli.rig.this_host import CREDENTIALS
+from agents.cli.running.audit import STATE_DIRECTORY
+from agents.deployment.layout import ROUTER, Host, Layout, Process
+from agents.deployment.places import CERTIFICATES, HOME, PROGRAM, RIG_FILE, SESSIONS
+from agents.deployment.robot_zenoh import ROBOT_ZENOH, robot_zenoh_file
+from agents.deployment.units import NOT_OURS, unit_name, units
+from shared.clock import now_ns
+from shared.kinematics.simulated_setup import SIMULATED_BASES
+
+PROGRAM_HERE = (sys.executable, "-m", "agents.cli")
+CONFIG, BASES, CONSOLE = "rig.json", "bases.json", "robot-zenoh.json5"
+FRAMES_HZ_PER_CORE = 2.5
+"""What one core looks through beside the other agents, where all hosts share the cores of one machine."""
+SIMULATED_CALIBRATION = "beca2fa23c61"
+"""Of the simulated camera, the same in every field."""
+
+
+@dataclass(frozen=True)
+class Started:
+    """A process of a host, as its unit starts it.
+
+    Fields:
+        name: as `runs` writes it.
+    """
+
+    name: str
+    host: str
+    command: tuple[str, ...]
+    environment: dict[str, str]
+
+
+def without_hardware(rig: RigConfig) -> tuple[RigConfig, list[str]]:
+    """The rig with the simulated field in place of its camera and emulated consoles, and what became of what."""
+    told: list[str] = []
+    sections: dict[str, object] = {}
+    camera = rig.camera
+    if camera is not None:
+        rate_hz = min(camera.rate_hz, FRAMES_HZ_PER_CORE * (os.cpu_count() or 1))
+        if rate_hz < camera.rate_hz:
+            told.append(f"{rate_hz:g} frames a second in place of {camera.rate_hz:g}, for all hosts share this machine")
+        sections["camera"] = CameraSection(rate_hz=rate_hz, encoding=camera.encoding, jpeg_quality=camera.jpeg_quality)
+        if camera.source != "scene":
+            told.append(f"the simulated field in place of the camera's {camera.source}")
+    if camera is not None and rig.simulator is None:
+        sections["simulator"] = SimulatorSection()
+        sections["hosts"] = {name: _with_simulator(host) for name, host in rig.hosts.items()}
+    arms = {name: _standing(name, arm) for name, arm in rig.robot.items()}
+    sections["robot"] = arms
+    told += [f"an emulated console in place of that of {name}" for name, arm in arms.items() if arm.dvrk is not None]
+    text = rig.model_copy(update=sections).model_dump_json(exclude_none=True)
+    return RigConfig.model_validate_json(text), told
+
+
+def _with_simulator(host: HostSection) -> HostSection:
+    return host.model_copy(update={"runs": (*host.runs, "simulator")}) if "camera" in host.runs else host
+
+
+def _standing(name: str, arm: ArmSection) -> ArmSection:
+    """An arm before the simulated camera: a real one's registration is of another."""
+    if arm.dvrk is None:
+        return arm
+    base = SIMULATED_BASES.get(name, SIMULATED_BASES["psm1"])
+    today = datetime.datetime.fromtimestamp(now_ns() * 1e-9, datetime.UTC).date()
+    stands = {
+        "T_camera_base": base.tolist(),
+        "T_camera_base_file": None,
+        "T_camera_base_calibration": SIMULATED_CALIBRATION,
+        "T_camera_base_made": today.isoformat(),
+    }
+    return ArmSection.model_validate(arm.model_dump() | stands)
+
+
+def write_hosts(rig: RigConfig, layout: Layout, folder: Path) -> None:
+    """Write each host's copy of the rig's configuration and, where consoles are emulated, what they need."""
+    for host in layout.hosts:
+        home = folder / host.name
+        home.mkdir(parents=True, exist_ok=True)
+        text = rig.model_copy(update={"host": host.name}).model_dump_json(exclude_none=True)
+        (home / CONFIG).write_text(text)
+        if host.arms:
+            zenoh = robot_zenoh_file(layout.rig, host.name, host.arms).replace(str(CERTIFICATES.parent), str(home))
+            (home / CONSOLE).write_text(zenoh)
+            bases = {arm.console: {"T_camera_base": rig.robot[arm.arm].T_camera_base} for arm in host.arms}
+            (home / BASES).write_text(json.dumps(next(iter(bases.values())) if len(bases) == 1 else bases))
+
+
+def started_on(layout: Layout, host: Host, folder: Path) -> list[Started]:
+    """What runs on a host, the router first, each as its systemd unit has it: command, credentials, state."""
+    files = units(layout.rig, host)
+    ours = [process for process in host.processes if process.kind not in NOT_OURS]
+    ours.sort(key=lambda process: process.kind != ROUTER)
+    started = [_as_unit(process, files[unit_name(process)], host, folder / host.name) for process in ours]
+    return [*_consoles(host, folder / host.name), *started]
+
+
+def _as_unit(process: Process, unit: str, host: Host, home: Path) -> Started:
+    own = home / "units" / unit_name(process)
+    credentials, state = own / "credentials", own / "state"
+    for place in (credentials, state):
+        place.mkdir(parents=True, exist_ok=True)
+    for name in re.findall(r"^LoadCredential=([^:\n]+):", unit, re.MULTILINE):
+        link = credentials / name
+        link.unlink(missing_ok=True)
+        link.symlink_to(home / "certificates" / name)
+    command = re.findall(r"^ExecStart=(.*)$", unit, re.MULTILINE)[0].removeprefix(f"{PROGRAM} ").split()
+    places = {str(HOME / RIG_FILE): str(home / CONFIG)}
+    words = [
+        places.get(word, str(state / Path(word).name) if word.startswith(f"{SESSIONS}/") else word) for word in command
+    ]
+    environment = {CREDENTIALS: str(credentials), STATE_DIRECTORY: str(state)}
+    return Started(_name(process, host), host.name, (*PROGRAM_HERE, *words), environment)
+
+
+def _name(process: Process, host: Host) -> str:
+    return process.kind if process.instance in ("main", host.name) else f"{process.kind} {process.instance}"
+
+
+def _consoles(host: Host, home: Path) -> list[Started]:
+    """The emulated console of the arms at a host, which a person operates with a foot on its pedal."""
+    if not host.arms:
+        return []
+    first = host.arms[0]
+    names = ",".join(arm.console for arm in host.arms)
+    told = (
+        ("--zenoh", str(home / CONSOLE))
+        if any(p.kind == ROBOT_ZENOH for p in host.processes)
+        else ("--listen", first.endpoint)
+    )
+    wire = ("--codec", first.codec, "--domain", str(first.domain))
+    command = ("emulate", "dvrk", "--arm", names, "--ready", "--foot", *wire, *told, "--camera", str(home / BASES))
+    return [Started("console", host.name, (*PROGRAM_HERE, *command), {})]

@@ -1,0 +1,130 @@
+"""Everything on the page for those who extend the project runs as it is written."""
+
+import contextlib
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agents.camera.plugin import GROUP, PluginSource
+from agents.camera.sources import SourceError
+from agents.cli.rig.builders import build
+from agents.cli.rig.config import RigConfig
+from schemas.codec import decode
+from schemas.messages import StereoCalibration, StereoFrame
+from schemas.topics import CALIBRATION, FRAMES, MAIN, PLAN, THREAD, topic_of
+from shared.calibration import write_calibration
+from shared.clock import now_ns
+from shared.recording.mcap_file import read_recording
+from shared.runtime.agent import Tick, awaited
+from shared.runtime.connection import connected
+from shared.runtime.identity import identity_in
+from shared.runtime.session import SessionSettings
+from tests.shared.runtime.test_access import LISTENER, RIG, Secured
+
+ROOT = Path(__file__).parents[3]
+PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
+READS, SHOWS_CERTIFICATE, CAMERA = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+PACKAGE, RIG_FILE = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
+K = np.array([[600.0, 0, 319.5], [0, 600.0, 239.5], [0, 0, 1]])
+
+
+def recorded(topic):
+    """The first message of a topic in a golden recording."""
+    entries = read_recording(ROOT / "tests" / "goldens" / "crossing.mcap")
+    return next(decode(topic.message, e.payload) for e in entries if topic_of(e.key) is topic)
+
+
+def printed(script, folder, settings, topic, *arguments):
+    """The first line that a program prints while an agent tells of something, and what that is."""
+    (folder / "reads.py").write_text(script)
+    message = recorded(topic)
+    with contextlib.ExitStack() as stack:
+        connection = stack.enter_context(connected(settings, 10.0))
+        stack.enter_context(connection.repeating(topic, MAIN, 20.0, lambda _: message))
+        command = [sys.executable, str(folder / "reads.py"), settings.endpoint, settings.rig, *arguments]
+        process = stack.enter_context(subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT))
+        assert process.stdout is not None
+        stack.callback(process.kill)
+        return process.stdout.readline().split(), message
+
+
+def test_a_program_of_a_dozen_lines_reads_threads(tmp_path, settings):
+    line, thread = printed(READS, tmp_path, settings, THREAD)
+    sequence = str(thread.stamp.sequence)
+    assert line[:3] == [f"suturegrasp/{settings.rig}/reconstruction/main/thread", sequence, "STATUS_OK"]
+
+
+def test_on_a_rig_with_certificates_it_shows_that_of_a_viewer(tmp_path):
+    begin, opens, rest = READS.partition("with zenoh.open")
+    of_plans = rest.replace("reconstruction/main/thread", "planner/main/plan").replace(
+        "ThreadReconstruction", "GraspPlan"
+    )
+    with contextlib.ExitStack() as stack:
+        secured = Secured(tmp_path, stack)
+        owner = SessionSettings(RIG, secured.endpoint, identity_in(secured.folder, "planner.main"))
+        script = begin + SHOWS_CERTIFICATE + opens + of_plans
+        line, plan = printed(script, tmp_path, owner, PLAN, str(secured.folder), LISTENER)
+    assert line[:2] == [f"suturegrasp/{RIG}/planner/main/plan", str(plan.stamp.sequence)]
+
+
+@pytest.fixture
+def installed(tmp_path, monkeypatch):
+    """The page's camera package, as pip would leave it; where it lies."""
+    project = tomllib.loads(PACKAGE)["project"]
+    (tmp_path / "triggered.py").write_text(CAMERA)
+    told = tmp_path / f"{project['name']}-{project['version']}.dist-info"
+    told.mkdir()
+    (told / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n")
+    ((group, entries),) = project["entry-points"].items()
+    assert group == GROUP
+    lines = "".join(f"{name} = {where}\n" for name, where in entries.items())
+    (told / "entry_points.txt").write_text(f"[{group}]\n{lines}")
+    monkeypatch.syspath_prepend(tmp_path)
+    yield tmp_path
+    sys.modules.pop("triggered", None)
+
+
+def test_a_camera_of_ones_own_films_with_its_own_times(installed, monkeypatch):
+    T = np.eye(4)
+    T[0, 3] = -0.005
+    calibration = StereoCalibration(640, 480, K, K, np.zeros(0), np.zeros(0), T, 1.0)
+    write_calibration(installed / "calibration.json", calibration)
+    monkeypatch.chdir(installed)
+    camera = build(RigConfig.model_validate(tomllib.loads(RIG_FILE)), "camera", MAIN)
+    outputs = [output for _ in range(2) for output in awaited(camera.step(Tick(now_ns())))]
+    assert {output.topic for output in outputs} >= {CALIBRATION, FRAMES}
+    frame = next(output.message for output in outputs if output.topic is FRAMES)
+    assert isinstance(frame, StereoFrame)
+    assert (frame.left.width, frame.left.height) == (640, 480)
+    # four milliseconds before it was asked for, which is not long ago
+    assert 3e6 < now_ns() - frame.stamp.capture_left_ns < 5e9
+
+
+@pytest.mark.usefixtures("installed")
+def test_what_is_not_installed_fails_or_gives_no_pair_is_named():
+    with pytest.raises(
+        SourceError, match=r"camera.plugin 'pylon' is not installed here; installed under .*: triggered"
+    ):
+        PluginSource("pylon", {})
+    with pytest.raises(SourceError, match="'triggered' does not open: ValueError"):
+        PluginSource("triggered", {"width": "wide"})
+    source = PluginSource("triggered", {"width": 64, "height": 48})
+    source._source.size = 32, 48
+    source._size = 32, 48
+    source._source._grab = lambda _: (np.zeros((48, 64, 3), np.uint8), 1, 0)
+    with pytest.raises(
+        SourceError, match=r"the left image is uint8 of shape \(48, 64, 3\), not uint8 of shape \(48, 32, 3\)"
+    ):
+        source.read()
+
+    def broken():
+        raise OSError("the cable is out")
+
+    source._source.read = broken
+    with pytest.raises(SourceError, match="'triggered': OSError: the cable is out"):
+        source.read()
