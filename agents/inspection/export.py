@@ -17,7 +17,9 @@ EXPORTED = (THREAD, PLAN, ROBOT_STATE, COMMANDS, EXECUTION, JUDGEMENT)
 README = "README.txt"
 MEANING = """Tables of {source}, written by suturegrasp export.
 {said}
-t_s       seconds since {zero_ns} ns after 1970, when the first message of the recording was published
+t_s       seconds since {zero_ns} ns after 1970, when the first message of the recording was published: of frames and
+          curves the capture of the left image, of plans their publication, of robot_states the measurement, of
+          commands their receipt, of outcomes the event
 *_ns      nanoseconds since 1970
 *_m       metres; *_m2 square metres; *_rad radians; *_px pixels of the rectified left image, centres at whole numbers
 *_unit    lengths in the unit of the calibration, where nobody knows how many metres that is

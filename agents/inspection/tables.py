@@ -60,8 +60,8 @@ def recorded(session: Session) -> Table:
         " lost",
         " gaps",
         " longest s",
-        " first at s",
-        " last at s",
+        " first published at s",
+        " last published at s",
         "as of",
     )
     anew = {key for one in session.said.ran_anew.values() for key in one.keys}
@@ -99,7 +99,7 @@ def gaps(session: Session) -> Table:
         )
         for gap, key in found
     )
-    return Table("gaps, the longest first", ("key", " at s", " lasted s", " messages lost"), tuple(rows))
+    return Table("gaps, the longest first", ("key", " published at s", " lasted s", " messages lost"), tuple(rows))
 
 
 def latencies(session: Session) -> Table:

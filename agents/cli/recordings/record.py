@@ -10,6 +10,7 @@ from pathlib import Path
 from agents.cli.live.options import Record
 from agents.cli.recordings.facts import STUDY_FACTS, attached_to, clocks_note, notes_of
 from agents.cli.recordings.one_after_another import Recordings
+from agents.cli.recordings.progress import tell_progress
 from agents.cli.rig.config import RecorderSection, RigConfig
 from agents.cli.rig.hosts import kind_and_instance
 from agents.cli.running.around import around
@@ -64,6 +65,8 @@ def record(rig: RigConfig, options: Record) -> int:
     if asks_at_terminal:
         say("Enter keeps the last seconds")
         threading.Thread(target=_ask_at_terminal, args=(recordings,), name="keys", daemon=True).start()
+    if sys.stdout.isatty() and SUPERVISED not in os.environ:
+        threading.Thread(target=tell_progress, args=(path, stopped), name="progress", daemon=True).start()
     try:
         with connected(rig.session_of("recorder"), None, stopped) as connection, serving():
             _record_all(rig, connection, recordings, path.parent, stopped)

@@ -39,7 +39,7 @@ def built_camera(section: CameraSection, reached: SessionSettings) -> Agent:
     if section.source == "plugin":
         from agents.camera.plugin import PluginSource
 
-        plugin = PluginSource(section.plugin or "", section.options)
+        plugin = PluginSource(section.plugin or "", section.options or {})
         return Camera(plugin, _usable(_read_calibration(section, plugin.size())), config)
     if section.source == "bag":
         # reading bags takes as long to load as all else

@@ -67,7 +67,7 @@ class CameraSection(Settings):
 
     source: Literal["scene", "images", "video", "pipe", "bag", "ros", "plugin"] = "scene"
     plugin: Label | None = None
-    options: dict[str, str | float | bool] = Field(default_factory=dict[str, str | float | bool])
+    options: dict[str, str | float | bool] | None = None
     left: str | None = None
     right: str | None = None
     left_topic: str | None = None

@@ -65,7 +65,8 @@ def up(rig: RigConfig, options: Up) -> int:
     with contextlib.ExitStack() as stack:
         supervisor = stack.enter_context(supervised(options.restart))
         start_all(supervisor, rig, config, folder, show)
-        say(f"started {len(supervisor.children)} processes; their logs lie in {folder.path}; stop with Ctrl-C")
+        said = f"rig {rig.rig}: started {len(supervisor.children)} processes"
+        say(f"{said}; their logs lie in {folder.path}; stop with Ctrl-C")
         connection = stack.enter_context(connected(reading_session(rig), FIRST_CONTACT_S, stopped))
         expected = [name_of(kind, instance) for kind, instance in configured(rig)]
         status = _watch(supervisor, HealthWatch(connection, expected), expected_rates(rig), stopped)

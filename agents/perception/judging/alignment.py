@@ -77,7 +77,8 @@ def about_sides(seen: Correspondence) -> Answer:
     if disparity is None:
         return untold(SIDES, NO_TEXTURE)
     if disparity < -1.0:
-        finding = f"left and right look exchanged: things lie {-disparity:.0f} px further left in the left image"
+        # how far depends on what of the scene is looked at, and says nothing of the cause
+        finding = "left and right look exchanged: things lie further left in the left image"
         remedy = "exchange --left and --right, or the two halves of the side-by-side image"
         turned = "; if they are not exchanged, both are mirrored or upside down"
         known = seen.matches > 0

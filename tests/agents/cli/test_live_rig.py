@@ -169,7 +169,7 @@ MISTAKES = {
     '[camera]\nsource = "video"\nleft = "a"': "camera: source 'video' needs calibration",
     '[camera]\nsource = "pipe"\nleft = "-"\ncalibration = "c"': "needs width and height",
     '[camera]\nsource = "ros"\nleft_topic = "a"': "source 'ros' needs endpoint, left_topic and right_topic",
-    '[camera]\nsource = "magic"': "source = 'magic': it must be 'scene', 'images', 'video', 'pipe', 'bag' or",
+    '[camera]\nsource = "magic"': "source = 'magic': it must be 'scene', 'images', 'video', 'pipe', 'bag',",
     "[camera]\nrate_hz = 0": "camera.rate_hz = 0: it must be greater than 0",
     '[router]\nendpoint = "localhost"': "'localhost' is no endpoint; write protocol, host and port",
     'rig = "my rig"': "rig: 'my rig' cannot be used; write small letters",

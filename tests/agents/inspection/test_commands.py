@@ -155,7 +155,7 @@ def test_the_page_of_the_manual_names_every_option_and_table_and_its_example_run
             assert f"`{option}`" in manual, option
     for table in session_tables(read_session(recording)):
         assert table.title.split(",")[0] in manual
-    assert suturegrasp("export", recording, "--output", tmp_path / "tables", "--format", "npz")[0] == 0
+    assert suturegrasp("export", recording, "--output", tmp_path / "tables")[0] == 0
     monkeypatch.chdir(tmp_path)
     names = {}
     exec(re.findall(r"```python\n(.*?)```", manual, re.DOTALL)[0], names)  # noqa: S102
