@@ -45,7 +45,7 @@ def check_identity(identity: Identity) -> None:
             path.open("rb").close()
         except OSError as error:
             reason = error.strerror or "cannot be read"
-            raise IdentityError(f"{path}: {reason}; suturegrasp deploy certificates makes certificates") from None
+            raise IdentityError(f"{path}: {reason}; suturegrasp deploy certificates makes it, deploy install puts it there") from None
     begins_ns, ends_ns = validity_ns(identity.certificate)
     at_ns = now_ns()
     if at_ns >= ends_ns:

@@ -21,13 +21,22 @@ from typing import Any
 from agents.cli.lab.options import Deploy
 from agents.cli.lab.rehearsal.network import CannotError, Network, connected_hosts
 from agents.cli.lab.rehearsal.processes import Processes, faketime
-from agents.cli.lab.rehearsal.rehearsed import CONFIG, PROGRAM_HERE, Started, started_on, without_hardware, write_hosts
+from agents.cli.lab.rehearsal.rehearsed import (
+    CONFIG,
+    PROGRAM_HERE,
+    Started,
+    name_in,
+    started_on,
+    without_hardware,
+    write_hosts,
+)
 from agents.cli.rig.config import RigConfig
 from agents.cli.rig.hosts import OPERATOR
 from agents.cli.running.process import EXIT_OK, on_stop
 from agents.cli.terminal import say
 from agents.deployment.certificates import issue
 from agents.deployment.layout import Layout
+from agents.deployment.units import NOT_OURS
 from shared.clock import monotonic_s, now_ns
 from shared.runtime.config import ConfigError
 
@@ -141,9 +150,9 @@ def rehearse(options: Deploy, rig: RigConfig, layout_of: Callable[[RigConfig], L
     Raises:
         ConfigError: where something is asked for that the rig does not have, or this machine cannot play.
     """
-    breaks = breaks_of(options, rig)
     rehearsed, told = without_hardware(rig)
     layout = layout_of(rehearsed)
+    breaks = breaks_of(options, rig, layout)
     for sentence in told:
         say(sentence)
     folder = Path(tempfile.mkdtemp(prefix="suturegrasp-rehearsal-"))
@@ -162,7 +171,7 @@ def rehearse(options: Deploy, rig: RigConfig, layout_of: Callable[[RigConfig], L
             shutil.rmtree(folder, ignore_errors=True)
 
 
-def breaks_of(options: Deploy, rig: RigConfig) -> list[Break]:
+def breaks_of(options: Deploy, rig: RigConfig, layout: Layout) -> list[Break]:
     """What is to go wrong, in the order of the options.
 
     Raises:
@@ -182,7 +191,8 @@ def breaks_of(options: Deploy, rig: RigConfig) -> list[Break]:
         )
     if options.kill is not None:
         name = options.kill
-        if name not in (runs := [*rig.processes(), "router"]):
+        ours = ((process, host) for host in layout.hosts for process in host.processes if process.kind not in NOT_OURS)
+        if name not in (runs := [name_in(layout, *one) for one in ours]):
             raise ConfigError(f"--kill {name!r} is nothing that the rig runs; it runs {', '.join(runs)}")
         found.append(Break(f"{name} is killed", lambda r: _killed(r, name)))
     if options.skew is not None:
@@ -237,7 +247,7 @@ def _playing(rig: RigConfig, layout: Layout, folder: Path, clocks: tuple[str, ..
         network = stack.enter_context(connected_hosts(names, {host.name: host.address for host in layout.hosts}))
         processes = stack.enter_context(contextlib.closing(Processes(network, folder, clocks, computing)))
         rehearsal = Rehearsal(network, processes, started, folder, (watchers or names)[0], stopped)
-        for name in sorted(started, key=lambda name: name not in ("router", "console")):
+        for name in sorted(started, key=lambda name: name.split()[0] not in ("router", "console")):
             rehearsal.start(name)
         processes.start(rehearsal.watcher, STATUS, *rehearsal.command("status", "--json"))
         for host in layout.hosts:

@@ -12,10 +12,11 @@ from agents.cli.rig.config import ArmSection, CameraSection, RigConfig, Simulato
 from agents.cli.rig.hosts import HostSection
 from agents.cli.rig.this_host import CREDENTIALS
 from agents.cli.running.audit import STATE_DIRECTORY
-from agents.deployment.layout import ROUTER, Host, Layout, Process
+from agents.deployment.layout import Host, Layout, Process
 from agents.deployment.places import CERTIFICATES, HOME, PROGRAM, RIG_FILE, SESSIONS
 from agents.deployment.robot_zenoh import ROBOT_ZENOH, robot_zenoh_file
 from agents.deployment.units import NOT_OURS, unit_name, units
+from schemas.topics import MAIN
 from shared.clock import now_ns
 from shared.kinematics.simulated_setup import SIMULATED_BASES
 
@@ -32,7 +33,7 @@ class Started:
     """A process of a host, as its unit starts it.
 
     Fields:
-        name: as `runs` writes it.
+        name: as `runs` writes it, with the host where several run one.
     """
 
     name: str
@@ -97,37 +98,44 @@ def write_hosts(rig: RigConfig, layout: Layout, folder: Path) -> None:
 
 
 def started_on(layout: Layout, host: Host, folder: Path) -> list[Started]:
-    """What runs on a host, the router first, each as its systemd unit has it: command, credentials, state."""
+    """What runs on a host, each as its systemd unit has it: command, credentials, state."""
     files = units(layout.rig, host)
     ours = [process for process in host.processes if process.kind not in NOT_OURS]
-    ours.sort(key=lambda process: process.kind != ROUTER)
-    started = [_as_unit(process, files[unit_name(process)], host, folder / host.name) for process in ours]
-    return [*_consoles(host, folder / host.name), *started]
+    names = [name_in(layout, process, host) for process in ours]
+    started = [
+        _as_unit(name, process, files[unit_name(process)], host, folder / host.name)
+        for name, process in zip(names, ours, strict=True)
+    ]
+    return [*_consoles(layout, host, folder / host.name), *started]
 
 
-def _as_unit(process: Process, unit: str, host: Host, home: Path) -> Started:
+def name_in(layout: Layout, process: Process, host: Host) -> str:
+    """What a process is called in a rig."""
+    if process.instance not in (MAIN, host.name):
+        return f"{process.kind} {process.instance}"
+    several = sum(any(process.kind == other.kind for other in one.processes) for one in layout.hosts) > 1
+    return f"{process.kind} {host.name}" if process.instance == host.name and several else process.kind
+
+
+def _as_unit(name: str, process: Process, unit: str, host: Host, home: Path) -> Started:
     own = home / "units" / unit_name(process)
     credentials, state = own / "credentials", own / "state"
     for place in (credentials, state):
         place.mkdir(parents=True, exist_ok=True)
-    for name in re.findall(r"^LoadCredential=([^:\n]+):", unit, re.MULTILINE):
-        link = credentials / name
+    for file in re.findall(r"^LoadCredential=([^:\n]+):", unit, re.MULTILINE):
+        link = credentials / file
         link.unlink(missing_ok=True)
-        link.symlink_to(home / "certificates" / name)
+        link.symlink_to(home / "certificates" / file)
     command = re.findall(r"^ExecStart=(.*)$", unit, re.MULTILINE)[0].removeprefix(f"{PROGRAM} ").split()
     places = {str(HOME / RIG_FILE): str(home / CONFIG)}
     words = [
         places.get(word, str(state / Path(word).name) if word.startswith(f"{SESSIONS}/") else word) for word in command
     ]
     environment = {CREDENTIALS: str(credentials), STATE_DIRECTORY: str(state)}
-    return Started(_name(process, host), host.name, (*PROGRAM_HERE, *words), environment)
+    return Started(name, host.name, (*PROGRAM_HERE, *words), environment)
 
 
-def _name(process: Process, host: Host) -> str:
-    return process.kind if process.instance in ("main", host.name) else f"{process.kind} {process.instance}"
-
-
-def _consoles(host: Host, home: Path) -> list[Started]:
+def _consoles(layout: Layout, host: Host, home: Path) -> list[Started]:
     """The emulated console of the arms at a host, which a person operates with a foot on its pedal."""
     if not host.arms:
         return []
@@ -140,4 +148,5 @@ def _consoles(host: Host, home: Path) -> list[Started]:
     )
     wire = ("--codec", first.codec, "--domain", str(first.domain))
     command = ("emulate", "dvrk", "--arm", names, "--ready", "--foot", *wire, *told, "--camera", str(home / BASES))
-    return [Started("console", host.name, (*PROGRAM_HERE, *command), {})]
+    several = sum(bool(one.arms) for one in layout.hosts) > 1
+    return [Started(f"console {host.name}" if several else "console", host.name, (*PROGRAM_HERE, *command), {})]

@@ -1,0 +1,96 @@
+"""What a rehearsal has in place of hardware, and what its hosts run."""
+
+from pathlib import Path
+
+import pytest
+
+from agents.cli.lab.deploy import layout_of
+from agents.cli.lab.rehearsal.network import Network
+from agents.cli.lab.rehearsal.rehearsed import SIMULATED_CALIBRATION, started_on, without_hardware
+from agents.cli.rig.config import RigConfig
+from shared.runtime.config import load_config, parse_config
+
+DEPLOY = Path(__file__).parents[3] / "deploy"
+REAL = """
+rig = "lab"
+[hosts.video]
+address = "10.0.0.11"
+runs = ["camera", "recorder"]
+[hosts.robot]
+address = "10.0.0.13"
+runs = ["robot_bridge psm1", "guard psm1", "perception psm1", "recorder"]
+[hosts.desk]
+address = "desk.lab"
+runs = ["perception", "reconstruction", "planner", "operator"]
+[router]
+host = "video"
+[security]
+[camera]
+source = "bag"
+left = "somewhere.bag"
+[perception]
+track_tool = ["psm1"]
+[reconstruction]
+[planner]
+[recorder]
+[robot.psm1]
+backend = "dvrk"
+T_camera_base_file = "registered.json"
+[robot.psm1.dvrk]
+endpoint = "tls/10.0.0.13:7448"
+"""
+
+
+@pytest.fixture
+def rehearsed():
+    rig, told = without_hardware(parse_config(REAL, RigConfig, "lab.toml"))
+    return rig, told
+
+
+def test_no_hardware_is_left_and_what_took_its_place_is_said(rehearsed):
+    rig, told = rehearsed
+    assert (rig.camera.source, rig.camera.left) == ("scene", None)
+    assert "simulator" in rig.hosts["video"].runs
+    arm = rig.robot["psm1"]
+    assert (arm.T_camera_base_file, arm.T_camera_base_calibration) == (None, SIMULATED_CALIBRATION)
+    assert arm.dvrk.dry_run, "what the file says of moving holds here too"
+    assert any("the simulated field in place of the camera's bag" in line for line in told)
+    assert any("an emulated console in place of that of psm1" in line for line in told)
+
+
+def test_every_host_runs_what_its_units_start_with_its_own_credentials_and_folders(rehearsed, tmp_path):
+    rig, _ = rehearsed
+    layout = layout_of(rig)
+    started = {one.name: one for host in layout.hosts for one in started_on(layout, host, tmp_path)}
+    assert {
+        "router",
+        "camera",
+        "simulator",
+        "recorder video",
+        "recorder robot",
+        "guard psm1",
+        "robot_bridge psm1",
+    } <= set(started)
+    assert {"console", "perception", "perception psm1", "reconstruction", "planner"} <= set(started)
+    for one in started.values():
+        words = " ".join(one.command)
+        assert not [place for place in ("/etc/", "/var/lib", "/opt/") if place in words], words
+        if one.name != "console":
+            files = {path.name for path in Path(one.environment["CREDENTIALS_DIRECTORY"]).iterdir()}
+            assert {name.rpartition(".")[2] for name in files} == {"pem", "key"}
+            assert len(files) == 3, "its own certificate and key, and the authority's certificate"
+            assert f"--host {one.host}" in words
+
+
+@pytest.mark.parametrize("file", ["lab.toml", "emulated_far.toml"])
+def test_the_shipped_rigs_can_be_rehearsed(file, tmp_path):
+    rig, _ = without_hardware(load_config(DEPLOY / file, RigConfig))
+    layout = layout_of(rig)
+    names = [one.name for host in layout.hosts for one in started_on(layout, host, tmp_path)]
+    assert len(names) == len(set(names))
+
+
+def test_hosts_keep_the_addresses_that_they_were_given_and_names_get_some():
+    network = Network(1, "10.213.7", ("video", "desk"), {"video": "10.0.0.11", "desk": "desk.lab"})
+    assert network.address("video") == "10.0.0.11"
+    assert network.address("desk") == "10.213.7.3"
