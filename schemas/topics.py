@@ -218,3 +218,12 @@ def topic_of(key_expression: str) -> Topic:
             if topic.name == name and topic.agent in (agent, ANY_AGENT):
                 return topic
     raise KeyError(f"no topic of the table has the key {key_expression!r}")
+
+
+def is_known(key_expression: str) -> bool:
+    """Whether the table has a row for a concrete key; another version may have others."""
+    try:
+        topic_of(key_expression)
+    except KeyError:
+        return False
+    return True

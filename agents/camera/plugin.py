@@ -77,6 +77,11 @@ class PluginSource:
                 raise SourceError(
                     f"camera.plugin {self._name!r}: the {side} image is {kind} of shape {shape}, not {wanted}"
                 )
+        ahead_s = (max(int(left_ns), int(right_ns)) - now_ns()) * 1e-9
+        if ahead_s > 0:
+            # an image that looks newer than it is would look recent enough to move an arm by
+            clock = f"the clock of its camera is {ahead_s:.3f} s or more ahead of this machine's"
+            raise SourceError(f"camera.plugin {self._name!r}: {clock}; synchronise both, by PTP or chrony")
         self.taken_ns = int(left_ns) - asked_ns, int(right_ns) - asked_ns
         return left, right
 

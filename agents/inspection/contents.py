@@ -1,6 +1,7 @@
 """What a recording holds by key: how much, how often, and where something is missing."""
 
 from array import array
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -118,11 +119,11 @@ def _contents(key: str, one: _Key) -> KeyContents:
     )
 
 
-def without_left_out(contents: tuple[KeyContents, ...], frames: int) -> tuple[KeyContents, ...]:
-    """The same where so many of the camera's frames were left out on purpose: they are neither lost nor a gap."""
+def without_left_out(contents: tuple[KeyContents, ...], lost: Mapping[str, int]) -> tuple[KeyContents, ...]:
+    """The same where frames of the camera were left out on purpose: what was `lost` is what the recorder noted."""
     return tuple(
-        replace(one, lost=max(0, one.lost - frames), gaps=() if one.lost <= frames else one.gaps)
-        if frames and one.topic == str(FRAMES)
+        replace(one, lost=lost.get(one.key, 0), gaps=tuple(gap for gap in one.gaps if not gap.lost))
+        if one.topic == str(FRAMES)
         else one
         for one in contents
     )

@@ -27,7 +27,10 @@ def noted_facts(notes: list[Note]) -> dict[str, str]:
             for name, text in note.facts.items():
                 facts.update(_flat(f"{_name(note)}.{name}", _parsed(text)))
     for number, one in enumerate(derivations(notes), 1):
-        facts.update(_flat(f"derived {number}", asdict(one)))
+        told = asdict(one)
+        # how long steps took differs from run to run, and says nothing of how it was run
+        told["agents"] = {name: {"outputs": anew.outputs, "kept": anew.kept} for name, anew in one.agents.items()}
+        facts.update(_flat(f"derived {number}", told))
     return {name: value for name, value in facts.items() if not name.endswith(EPOCH)}
 
 

@@ -138,7 +138,7 @@ def read_session(path: Path) -> Session:
 
 def _session(path: Path, reading: _Reading, damage: str) -> Session:
     said = completeness_of(reading.notes, is_finished(path), reading.last_ns)
-    agents = reading.accounts.agents()
+    agents, contents = reading.accounts.agents(), reading.contents.contents()
     facts = facts_of_messages(reading.calibration, reading.scene, agents, reading.quality)
     return Session(
         path=path,
@@ -146,7 +146,7 @@ def _session(path: Path, reading: _Reading, damage: str) -> Session:
         damage=damage,
         notes=tuple(reading.notes),
         said=said,
-        contents=without_left_out(reading.contents.contents(), said.left_out_frames),
+        contents=without_left_out(contents, said.lost) if said.left_out_frames else contents,
         stages={name: reading.stages[name] for name in sorted(reading.stages, key=in_order)},
         agents=agents,
         remarks=reading.accounts.remarks(),

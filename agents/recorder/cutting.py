@@ -9,9 +9,9 @@ from typing import NamedTuple
 from agents.recorder.derived_file import DerivedFile, derived_from
 from schemas.checks import MessageError
 from schemas.codec import decode
-from schemas.topics import FRAMES, OBSERVATIONS, Delivery, topic_of
+from schemas.topics import FRAMES, OBSERVATIONS, Delivery, is_known, topic_of
 from shared.recording.completeness import Completeness, completeness
-from shared.recording.derivation import UNUSED_FRAMES
+from shared.recording.derivation import BEFORE_AND_AFTER, UNKNOWN_TOPICS, UNUSED_FRAMES
 from shared.recording.entry import Entry, Note
 from shared.recording.losses import AT, LOST, counts_of
 from shared.recording.mcap_file import read_attachments, read_recording, read_with_notes
@@ -60,7 +60,7 @@ def cut(source: Path, target: Path, from_ns: int, to_ns: int, only_used_frames: 
                 continue
             file.write(topic, entry)
             kept += 1
-        left_out = {"messages before and after": stretch.outside, UNUSED_FRAMES: unused}
+        left_out = {BEFORE_AND_AFTER: stretch.outside, UNKNOWN_TOPICS: stretch.unknown, UNUSED_FRAMES: unused}
         derivation = derived_from(
             source, said, stretch.sentence, left_out={what: n for what, n in left_out.items() if n}
         )
@@ -75,7 +75,7 @@ class _Stretch:
 
     def __init__(self, from_ns: int, to_ns: int) -> None:
         self._from_ns, self._to_ns = from_ns, to_ns
-        self.outside, self._first_ns = 0, None
+        self.outside, self.unknown, self._first_ns = 0, 0, None
         self.lost: Counter[str] = Counter()
 
     @property
@@ -95,6 +95,9 @@ class _Stretch:
                 continue
             if self._first_ns is None and not record.repeated:
                 self._first_ns = record.received_ns
+            if not is_known(record.key):
+                self.unknown += 1
+                continue
             if not self._from_ns <= record.received_ns <= self._to_ns:
                 self.outside += not record.repeated
                 if record.received_ns < self._from_ns and topic_of(record.key).delivery is Delivery.STATE:
@@ -117,7 +120,11 @@ class _Stretch:
 def _used_frames(source: Path, from_ns: int, to_ns: int) -> set[_Place]:
     used: set[_Place] = set()
     for entry in read_recording(source):
-        if topic_of(entry.key) is not OBSERVATIONS or not from_ns <= entry.received_ns <= to_ns:
+        if (
+            not is_known(entry.key)
+            or topic_of(entry.key) is not OBSERVATIONS
+            or not from_ns <= entry.received_ns <= to_ns
+        ):
             continue
         try:
             consumed = decode(OBSERVATIONS.message, entry.payload).consumed

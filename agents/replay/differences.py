@@ -2,6 +2,7 @@
 
 import functools
 import math
+import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -15,6 +16,8 @@ from schemas.codec import decode
 from schemas.messages import FrameStamp, Status
 from schemas.topics import TOPICS, topic_of
 from shared.runtime.replay import Replayed
+
+FIGURES = re.compile(r"\d+(\.\d+)?")
 
 
 class At(NamedTuple):
@@ -49,7 +52,7 @@ class Row:
         beyond: of them, those that differ by more than the tolerance.
         median, worst: over all of them, in the rule's unit; infinite where no number tells the two apart.
         where: of the worst one.
-        words: what it was and is most often, where words tell the two apart.
+        words: what the worst one was and is, where words tell the two apart.
     """
 
     topic: str
@@ -115,7 +118,8 @@ def compared(outputs: Iterable[Replayed], published_ns: Callable[[Replayed], int
 
 def _became(then: Any, now: Any) -> str:
     one, other = (_status(message) for message in (then, now))
-    return f"{one} → {other}" if one != other else ""
+    # figures may differ where the words say the same
+    return f"{one} → {other}" if FIGURES.sub("#", one) != FIGURES.sub("#", other) else ""
 
 
 def _status(message: Any) -> str:
@@ -148,10 +152,9 @@ def _rows(outputs: list[Compared], rules: dict[str, Rules]) -> tuple[Row, ...]:
 def _row(topic: str, field: str, rule: Rule, messages: int, found: list[tuple[float, At, str]]) -> Row:
     amounts = np.zeros(messages)
     amounts[: len(found)] = [amount for amount, _, _ in found]
-    worst, where, _ = max(found, key=lambda one: one[0])
-    words = Counter(words for _, _, words in found if words).most_common(1)
+    worst, where, words = max(found, key=lambda one: one[0])
     beyond = int((amounts > rule.tolerance).sum())
-    return Row(topic, field, rule, messages, beyond, _median(amounts), worst, where, words[0][0] if words else "")
+    return Row(topic, field, rule, messages, beyond, _median(amounts), worst, where, words)
 
 
 def _median(amounts: np.ndarray) -> float:

@@ -170,8 +170,10 @@ def between(entries: Iterator[Entry], from_s: float | None, to_s: float | None) 
     begin_ns: int | None = None
     lasting: dict[str, Entry] = {}
     for entry in entries:
-        begin_ns = entry.received_ns if begin_ns is None else begin_ns
-        at_s = 1e-9 * (entry.received_ns - begin_ns)
+        # what is repeated from before the file began is older than its first moment
+        if begin_ns is None and not entry.repeated:
+            begin_ns = entry.received_ns
+        at_s = 0.0 if begin_ns is None else 1e-9 * (entry.received_ns - begin_ns)
         if from_s is not None and at_s < from_s:
             tapped = tapped_of(entry)
             if tapped is not None and tapped.topic.delivery is Delivery.STATE:

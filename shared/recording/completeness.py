@@ -1,5 +1,6 @@
 """Whether a recording holds everything, as far as it tells itself."""
 
+import contextlib
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -10,6 +11,8 @@ from shared.recording.derivation import UNUSED_FRAMES, Anew, Derivation, derivat
 from shared.recording.entry import Note, RecordingError
 from shared.recording.losses import COMPLETE, LOSSES, LOST, counts_of
 from shared.recording.mcap_file import finished_notes, is_finished, read_with_notes
+
+UNKNOWN = "nobody noted whether anything is missing"
 
 
 @dataclass(frozen=True)
@@ -33,7 +36,8 @@ class Completeness:
     @property
     def doubts(self) -> list[str]:
         """What whoever uses the recording must know: what it lacks, and that some of it was made later."""
-        lacks = [] if self.complete or (self.finished and self.complete is None) else [self.sentence]
+        nothing = self.complete or (self.finished and self.complete is None and not self._of_source)
+        lacks = [] if nothing else [self.sentence]
         return [*lacks, *(one.sentence for one in self.derived if one.agents)]
 
     @property
@@ -56,12 +60,15 @@ class Completeness:
         if self.complete:
             left_out = any(one.left_out for one in self.derived)
             return "complete but for what was left out on purpose" if left_out else "complete"
-        if gaps:
-            return f"not complete: lost {gaps}"
-        source = self.derived[-1].source_said if self.derived else ""
-        if source:
-            return f"not complete, for its source was: {source}"
-        return "not complete" if self.complete is False else "nobody noted whether anything is missing"
+        lost = f"not complete: lost {gaps}" if gaps else "not complete" if self.complete is False else ""
+        source = f"its source: {self._of_source}" if self._of_source else ""
+        return "; ".join(filter(None, (lost, source))) or UNKNOWN
+
+    @property
+    def _of_source(self) -> str:
+        """What the file that it was made of said of itself, unless that was complete or nobody knew."""
+        said = self.derived[-1].source_said if self.derived else ""
+        return "" if said.startswith("complete") or said == UNKNOWN else said
 
 
 def completeness(path: Path) -> Completeness:
@@ -70,8 +77,11 @@ def completeness(path: Path) -> Completeness:
     Raises:
         RecordingError, OSError: as `read_recording`.
     """
-    if is_finished(path):
-        return completeness_of(finished_notes(path), True, None)
+    finished = is_finished(path)
+    if finished:
+        # where the index alone is damaged, the messages can be read all the same
+        with contextlib.suppress(RecordingError):
+            return completeness_of(finished_notes(path), True, None)
     notes, last_ns = list[Note](), None
     try:
         for record in read_with_notes(path):
@@ -82,7 +92,7 @@ def completeness(path: Path) -> Completeness:
     except RecordingError:
         if last_ns is None:
             raise
-    return completeness_of(notes, False, last_ns)
+    return completeness_of(notes, finished, last_ns)
 
 
 def completeness_of(notes: Iterable[Note], finished: bool, last_ns: int | None) -> Completeness:

@@ -17,6 +17,8 @@ DERIVED = "derived"
 CUT = "cut"
 """What files that version 0.2 or an older one cut have in place of it."""
 UNUSED_FRAMES = "frames of which nothing was made"
+BEFORE_AND_AFTER = "messages before and after"
+UNKNOWN_TOPICS = "messages of topics that this version does not know"
 WORDS = ("how", "source", "sha256", "source_said", "version", "read_as")
 READ_BYTES = 1 << 22
 

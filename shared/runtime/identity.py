@@ -45,7 +45,8 @@ def check_identity(identity: Identity) -> None:
             path.open("rb").close()
         except OSError as error:
             reason = error.strerror or "cannot be read"
-            raise IdentityError(f"{path}: {reason}; suturegrasp deploy certificates makes it, deploy install puts it there") from None
+            made = "suturegrasp deploy certificates makes it, deploy install puts it there"
+            raise IdentityError(f"{path}: {reason}; {made}") from None
     begins_ns, ends_ns = validity_ns(identity.certificate)
     at_ns = now_ns()
     if at_ns >= ends_ns:

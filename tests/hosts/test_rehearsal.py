@@ -35,7 +35,7 @@ def test_four_hosts_come_up_and_every_break_is_named_and_over():
         assert part.startswith(what)
         assert named in part
         assert "all well again" in part
-    assert not list(Path("/run/netns").glob("*strong"))
+    assert not list(Path("/run/netns").glob(f"{PREFIX}*"))
 
 
 @pytest.mark.parametrize(

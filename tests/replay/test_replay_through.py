@@ -9,7 +9,7 @@ import pytest
 from mcap.writer import Writer
 
 from agents.cli.main import main
-from agents.cli.recordings.config import changed, recorded_config
+from agents.cli.recordings.config import changed, in_force, recorded_config
 from agents.cli.recordings.options import Replay
 from agents.cli.recordings.replay_through import (
     EXIT_DIFFERENT,
@@ -112,6 +112,16 @@ def test_another_setting_shows_where_and_by_how_much(golden, tmp_path, capsys):
     # the other method needs matched pixels, which perception of the same chain makes for it
     seen = [decode(ThreadObservations, e.payload) for e in read_recording(output) if topic_of(e.key) is OBSERVATIONS]
     assert all(len(observations.matched_px) > 1000 for observations in seen)
+
+
+def test_the_configuration_in_force_says_what_perception_made_whoever_ran_anew():
+    paper, refined = (changed(simulated_rig(), [f"reconstruction.method={method}"]) for method in ("paper", "refined"))
+    # observations as they were, with matches, and a method that needs none; and the other way round
+    assert in_force(paper, refined, ["reconstruction"]).perception == PerceptionSection(matching=True)
+    assert in_force(refined, paper, ["perception", "reconstruction"]).perception == PerceptionSection()
+    assert in_force(refined, changed(paper, ["perception.segmenter=threshold"]), ["perception/psm1"]) == refined
+    with pytest.raises(ConfigError, match=r"needs perception\.matching = true"):
+        in_force(refined, paper, ["reconstruction"])
 
 
 @pytest.mark.slow

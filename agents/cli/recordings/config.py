@@ -6,7 +6,8 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from agents.cli.rig.config import PerceptionSection, RigConfig
+from agents.cli.rig.config import RigConfig
+from schemas.topics import MAIN
 from shared.recording.mcap_file import read_attachments
 from shared.runtime.config import ConfigError, load_config, parse_config
 
@@ -65,16 +66,19 @@ def in_force(recorded: RigConfig, used: RigConfig, agents: Iterable[str]) -> Rig
         ConfigError: where what ran anew does not go with what did not.
     """
     sections: dict[str, Any] = {}
-    for kind, _, instance in (name.partition("/") for name in agents):
+    anew = [name.partition("/")[::2] for name in agents]
+    for kind, instance in anew:
         if kind == "robot_bridge":
             sections["robot"] = {**sections.get("robot", recorded.robot), instance: used.robot[instance]}
-        else:
+        elif not instance or instance == MAIN:
+            # of the agents of one arm that share a section with others, those others are as they were
             sections[kind] = getattr(used, kind)
-    perception: PerceptionSection | None = sections.get("perception")
-    if perception is not None and perception.matching is None and used.needs_matching != recorded.needs_matching:
-        # it was as the method of reconstruction needs it, whose section may be another
-        sections["perception"] = perception.model_copy(update={"matching": used.needs_matching})
-    text = recorded.model_copy(update=sections).model_dump_json(exclude_unset=True)
+    merged = recorded.model_copy(update=sections)
+    # where it is unset, perception matches as the method of reconstruction of its own configuration needs it
+    matched = (used if "perception" in sections else recorded).needs_matching
+    if merged.perception is not None and merged.perception.matching is None and merged.needs_matching != matched:
+        merged = merged.model_copy(update={"perception": merged.perception.model_copy(update={"matching": matched})})
+    text = merged.model_dump_json(exclude_unset=True)
     return parse_config(text, RigConfig, "of the replayed agents within the recorded configuration.json")
 
 

@@ -4,7 +4,7 @@ import math
 from collections import Counter
 
 from agents.replay.compare import OTHER
-from agents.replay.differences import Comparison, Row
+from agents.replay.differences import FIGURES, Comparison, Row
 from schemas.topics import TOPICS
 
 LONGEST_WORDS = 60
@@ -29,8 +29,10 @@ def table(comparison: Comparison, began_ns: int) -> list[str]:
 
 def _changes(comparison: Comparison, topic: str) -> list[str]:
     """What became of how many outputs, the most frequent change first."""
-    became = Counter(output.became for output in comparison.outputs if output.topic == topic and output.became)
-    lines = [f"  {count} times {change}" for change, count in became.most_common(MOST_CHANGES)]
+    changed = [output.became for output in comparison.outputs if output.topic == topic and output.became]
+    first = {FIGURES.sub("#", change): change for change in reversed(changed)}
+    became = Counter(FIGURES.sub("#", change) for change in changed)
+    lines = [f"  {count} times {first[kind]}" for kind, count in became.most_common(MOST_CHANGES)]
     left = len(became) - MOST_CHANGES
     return [*lines, *([f"  and {left} other changes of status or reason"] if left > 0 else [])]
 

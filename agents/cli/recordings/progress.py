@@ -1,5 +1,6 @@
 """How far a recording is, on a line that is kept up to date: that it runs, how much there is, how full the disk is."""
 
+import glob
 import shutil
 import threading
 from pathlib import Path
@@ -22,7 +23,8 @@ def tell_progress(path: Path, stopped: threading.Event) -> None:
 
 def sentence(path: Path, seconds: float) -> str:
     """What the files of a recording hold after so long, and how long the disk has room for more."""
-    files = [file for file in path.parent.glob(f"{path.stem}*{path.suffix}") if file.is_file()]
+    parts = path.parent.glob(f"{glob.escape(path.stem)}_part*{path.suffix}")
+    files = [file for file in (path, *parts) if file.is_file()]
     size, free = sum(file.stat().st_size for file in files), shutil.disk_usage(path.parent).free
     rate = size / seconds if seconds > 0 else 0.0
     room = f", room for {free / rate / HOUR_S:.1f} h of this" if rate > 0 else ""

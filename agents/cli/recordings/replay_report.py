@@ -23,8 +23,7 @@ class ThroughResult:
         notes: of the recording.
         exactly: whether nothing may differ.
         otherwise: what is otherwise than when the recording was made.
-        in_force: the configuration that the outputs are of: the recorded one, with the replayed agents' sections.
-        settings: of these agents, in the recording and now, where they differ.
+        recorded, used: the configuration of the recording, None where it has none, and of the replay.
         said: what the recording says of what it was made of, and of what it lacks.
         unknown: messages under keys that this version does not know.
         wall_s: from the first byte read to the last field compared.
@@ -37,8 +36,8 @@ class ThroughResult:
     comparison: Comparison
     exactly: bool
     otherwise: str
-    in_force: RigConfig
-    settings: dict[str, str]
+    recorded: RigConfig | None
+    used: RigConfig
     said: Completeness
     unknown: int
     wall_s: float

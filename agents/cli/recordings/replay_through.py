@@ -27,10 +27,10 @@ from agents.replay.differences import compared
 from agents.replay.through import Outcome, Stage, replay_through
 from agents.viewer.sinks import ViewerError
 from schemas.checks import MessageError
-from schemas.topics import TOPICS, topic_of
+from schemas.topics import TOPICS, is_known, topic_of
 from shared.clock import monotonic_s
 from shared.recording.completeness import completeness
-from shared.recording.derivation import Anew
+from shared.recording.derivation import UNKNOWN_TOPICS, Anew
 from shared.recording.mcap_file import Entry, Note, RecordingError, RecordingWriter, read_attachments, read_with_notes
 from shared.runtime.config import ConfigError, load_config
 from shared.runtime.replay import ReplayError
@@ -111,7 +111,6 @@ def replayed(options: ThroughOptions) -> ThroughResult:
     stages = _stages(config, (options.through or "").split(","), entries)
     outcomes, after = replay_through(stages, entries)
     _check_repeatable(outcomes)
-    effective = in_force(recorded or config, config, [stage.name for stage in stages])
     published = {(e.key, e.epoch, e.sequence): e.published_ns for e in entries}
     outputs = [output for outcome in outcomes for output in outcome.outputs]
     exactly = options.tolerances == NONE or (options.tolerances == AUTO and not otherwise)
@@ -124,8 +123,8 @@ def replayed(options: ThroughOptions) -> ThroughResult:
         comparison=comparison,
         exactly=exactly,
         otherwise=otherwise,
-        in_force=effective,
-        settings=settings_otherwise(recorded or effective, effective),
+        recorded=recorded,
+        used=config,
         said=completeness(options.recording),
         unknown=unknown,
         wall_s=monotonic_s() - started_s,
@@ -158,7 +157,7 @@ def _read(path: Path) -> tuple[list[Entry], list[Note], int]:
     unknown = 0
     entries: list[Entry] = []
     notes: list[Note] = []
-    known = functools.cache(_is_known)
+    known = functools.cache(is_known)
     for record in read_with_notes(path):
         if isinstance(record, Note):
             notes.append(record)
@@ -178,15 +177,6 @@ def _otherwise(options: ThroughOptions, run: dict[str, str]) -> str:
     ]
     changes += [f"--set {setting}" for setting in options.set]
     return ", ".join([*changes, *([f"--config {options.config}"] if options.config else [])])
-
-
-def _is_known(key: str) -> bool:
-    """Whether a key is one of the topic table; a newer version may have recorded others."""
-    try:
-        topic_of(key)
-    except KeyError:
-        return False
-    return True
 
 
 def _stages(config: RigConfig, names: Sequence[str], entries: list[Entry]) -> list[Stage]:
@@ -269,12 +259,16 @@ def _write_derived(path: Path, recording: Path, result: ThroughResult) -> None:
         left_out = {
             "recorded outputs that are made no more": result.comparison.made_no_more,
             "outputs that were not recorded, for which it has no place": result.comparison.unrecorded,
-            "messages of topics that this version does not know": result.unknown,
+            UNKNOWN_TOPICS: result.unknown,
         }
         left_out = {what: count for what, count in left_out.items() if count}
-        told = derived_from(recording, said, how, agents=agents, settings=result.settings, left_out=left_out)
-        text = result.in_force.model_dump_json(indent=1, exclude_none=True) + "\n"
-        file.close(told, read_attachments(recording) | {ATTACHED: text.encode()}, said.complete, said.lost)
+        attached, settings = read_attachments(recording), {"all": "not recorded -> those that were given"}
+        if result.recorded is not None:
+            effective = in_force(result.recorded, result.used, agents)
+            settings = settings_otherwise(result.recorded, effective)
+            attached[ATTACHED] = (effective.model_dump_json(indent=1, exclude_none=True) + "\n").encode()
+        told = derived_from(recording, said, how, agents=agents, settings=settings, left_out=left_out)
+        file.close(told, attached, said.complete, said.lost)
     finally:
         file.abandon()
 

@@ -19,7 +19,7 @@ from agents.viewer.sinks import CLOSED_AT_ONCE, INSTEAD
 from schemas.topics import TOPICS
 from shared.clock import monotonic_s
 from shared.recording.completeness import completeness
-from shared.recording.mcap_file import RecordingError, read_recording
+from shared.recording.mcap_file import RecordingError, is_finished, read_recording
 from shared.runtime.connection import NoRouterError, connected
 from shared.runtime.service_manager import serving
 
@@ -70,8 +70,7 @@ def _view_recording(options: View, recording: Path, output: Path | None, stopped
         size = recording.stat().st_size
         # what is no recording is told before a window opens
         next(read_recording(recording), None)
-        said = completeness(recording)
-        told = [*(one.sentence for one in said.derived), said.sentence]
+        told = _told_before(recording)
         layout, session_id = options.layout, str(recording.resolve())
         viewer = RecordedViewer(output, _show(options, output), session_id, layout, options.thin, told)
     except (OSError, RecordingError, ViewerError) as error:
@@ -97,6 +96,14 @@ def _view_recording(options: View, recording: Path, output: Path | None, stopped
     if viewer.error is not None:
         return complain(_told(viewer.error, recording), EXIT_GAVE_UP)
     return EXIT_OK
+
+
+def _told_before(recording: Path) -> list[str]:
+    """What a recording was made of and lacks; of one that was cut off that alone, for more would take reading it."""
+    if not is_finished(recording):
+        return ["cut off: its recorder was killed, or is still at work, and what came in the last moments is missing"]
+    said = completeness(recording)
+    return [*(one.sentence for one in said.derived), said.sentence]
 
 
 def report_sentence(report: ViewerReport) -> str:

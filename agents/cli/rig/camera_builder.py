@@ -40,7 +40,11 @@ def built_camera(section: CameraSection, reached: SessionSettings) -> Agent:
         from agents.camera.plugin import PluginSource
 
         plugin = PluginSource(section.plugin or "", section.options or {})
-        return Camera(plugin, _usable(_read_calibration(section, plugin.size())), config)
+        try:
+            return Camera(plugin, _usable(_read_calibration(section, plugin.size())), config)
+        except CalibrationError:
+            plugin.close()
+            raise
     if section.source == "bag":
         # reading bags takes as long to load as all else
         from agents.camera.bag import BagSource

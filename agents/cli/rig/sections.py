@@ -67,7 +67,7 @@ class CameraSection(Settings):
 
     source: Literal["scene", "images", "video", "pipe", "bag", "ros", "plugin"] = "scene"
     plugin: Label | None = None
-    options: dict[str, str | float | bool] | None = None
+    options: dict[str, bool | int | float | str | tuple[bool | int | float | str, ...]] | None = None
     left: str | None = None
     right: str | None = None
     left_topic: str | None = None

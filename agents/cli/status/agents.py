@@ -12,9 +12,9 @@ AWAY = (ABSENT, GONE, SILENT, NEVER)
 GUARD = "guard "
 """What the name of a guard begins with; its arm follows."""
 SLOW_SHARE = 0.5
+"""Below this share of its rate a topic is too slow."""
 LASTS_S = 10.0
 """What was refused longer ago, with nothing since, is over."""
-"""Below this share of its rate a topic is too slow."""
 SETTLED_S = 5.0
 """Rates are over two seconds, and sources and models take as long to begin."""
 HOST_NEEDS = 2
@@ -92,7 +92,8 @@ def _own_account(fare: Fare, health: AgentHealth) -> Iterator[Wrong]:
         if heard.refused:
             refused = f"{name} refused {_messages(heard.refused)} of {heard.topic} {since}"
             why = "another version sends them, an intruder, or a link that broke mixed keys up: its log says which"
-            last = f"none for {span_of(fare.refused_s)}" if fare.refused_s > LASTS_S else "the last just now"
+            recently = "the last just now" if fare.refusing else "and since when is not known yet"
+            last = f"none for {span_of(fare.refused_s)}" if fare.refused_s > LASTS_S else recently
             yield Wrong("refused", name, f"{refused}, {last}: {why}", grave=fare.refused_s <= LASTS_S)
         if topic is None:
             continue

@@ -36,7 +36,8 @@ class Fare:
         present: whether its session is there, as the router tells; None where nobody asked.
         restarts: how often it began anew since the watch began.
         expected: whether the rig's configuration has it; and on which of its hosts, empty where that is not told.
-        refused_s: since it refused a message last, as far as was seen here.
+        refused_s: since it was seen to refuse a message, or was first heard.
+        refusing: whether it was seen to refuse one.
     """
 
     name: str
@@ -47,6 +48,7 @@ class Fare:
     expected: bool = True
     placed: str = ""
     refused_s: float = 0.0
+    refusing: bool = False
 
     @property
     def state(self) -> str:
@@ -93,9 +95,16 @@ class HealthWatch:
             before = self._newest.get(name) or Fare(name, None, 0.0, expected=False, placed=self._hosts.get(name, ""))
             began = before.health is not None and health.uptime_s < before.health.uptime_s
             restarts, now_s = before.restarts + began, monotonic_s()
-            more = before.health is None or _refused(health) > _refused(before.health)
+            refused = 0 if before.health is None or began else _refused(before.health)
+            seen = before.health is not None and _refused(health) > refused
+            refused_s = now_s if seen or before.health is None else before.refused_s
             self._newest[name] = dataclasses.replace(
-                before, health=health, silent_s=now_s, restarts=restarts, refused_s=now_s if more else before.refused_s
+                before,
+                health=health,
+                silent_s=now_s,
+                restarts=restarts,
+                refused_s=refused_s,
+                refusing=seen or before.refusing,
             )
 
     def cut_off(self) -> None:

@@ -124,6 +124,12 @@ def test_what_is_not_installed_fails_or_gives_no_pair_is_named():
     ):
         source.read()
 
+    source._size = 64, 48
+    source._source.size = 64, 48
+    source._source.__dict__["_grab"] = lambda _: (np.zeros((48, 64, 3), np.uint8), 1, now_ns() + 10**9)
+    with pytest.raises(SourceError, match=r"the clock of its camera is 1\.\d+ s or more ahead|0\.99\d s or more ahead"):
+        source.read()
+
     def broken():
         raise OSError("the cable is out")
 

@@ -1,5 +1,6 @@
 """A session of a few seconds, cut in all ways."""
 
+import dataclasses
 import hashlib
 
 import numpy as np
@@ -163,6 +164,26 @@ def test_of_what_a_recording_lacks_its_cut_lacks_what_was_lost_within(tmp_path, 
         assert told.derived[-1].source_said == completeness(source).sentence
         kept = sum(1 for _ in read_recording(file))
         assert kept + sum(told.derived[-1].left_out.values()) == sum(1 for _ in read_recording(source))
+
+
+def test_what_this_version_does_not_know_is_left_out_and_counted(session, tmp_path):
+    writer = RecordingWriter(tmp_path / "newer.mcap")
+    for entry in read_recording(session):
+        writer.write(FRAMES, dataclasses.replace(entry, key=entry.key.replace("frames", "holograms")))
+    writer.close()
+    report, entries, target = cut_seconds(tmp_path / "newer.mcap", tmp_path, 0, 1)
+    assert (report.kept, {entry.key for entry in entries} & {FRAMES_KEY}) == (len(entries), set())
+    (derived,) = completeness(target).derived
+    assert derived.left_out["messages of topics that this version does not know"] == FRAME_COUNT
+
+
+def test_whoever_uses_what_was_made_of_a_file_that_was_cut_off_is_told(session, tmp_path):
+    cut_off = tmp_path / "cut_off.mcap"
+    cut_off.write_bytes(session.read_bytes()[:-400])
+    _, _, target = cut_seconds(cut_off, tmp_path, 0, 1)
+    (doubt,) = completeness(target).doubts
+    assert doubt.startswith("its source: cut off at ")
+    assert completeness(session).doubts == []
 
 
 def test_what_lacks_something_is_not_complete_when_it_is_cut(tmp_path):

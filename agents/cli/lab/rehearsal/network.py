@@ -62,7 +62,11 @@ class Network:
 
     def namespace(self, host: str) -> str:
         """The namespace that stands for a host, or for the switch."""
-        return f"{PREFIX}{self.owner}{host}"
+        return f"{PREFIX}{self.owner}{SWITCH if host == SWITCH else self.port(host)}"
+
+    def port(self, host: str) -> str:
+        """The switch's port for a host, or for us; names of hosts are longer than devices' may be."""
+        return OWN if host == OWN else f"h{self.hosts.index(host)}"
 
     def inside(self, host: str) -> tuple[str, ...]:
         """What comes before a command that is to run there, with the host's own name.
@@ -88,7 +92,7 @@ class Network:
     @contextmanager
     def narrowed(self, megabits: int, hosts: tuple[str, ...]) -> Generator[None]:
         """The links of these hosts carry so much per second, each way."""
-        shaped = [(SWITCH, host) for host in hosts] + [(host, "eth0") for host in hosts]
+        shaped = [(SWITCH, self.port(host)) for host in hosts] + [(host, "eth0") for host in hosts]
         for namespace, device in shaped:
             bucket = ("rate", f"{megabits}mbit", "burst", "32k", "latency", "50ms")
             self._within(namespace, "tc", "qdisc", "add", "dev", device, "root", "tbf", *bucket)
@@ -101,21 +105,23 @@ class Network:
     @contextmanager
     def delayed(self, seconds: float, hosts: tuple[str, ...]) -> Generator[None]:
         """Everything takes so much longer on the links of these hosts, each way."""
-        pairs = [(host, f"{host}-r") for host in hosts]
-        for host in hosts:
-            self._within(SWITCH, "ip", "link", "set", host, "nomaster")
-            self._within(SWITCH, "ip", "link", "set", f"{host}-b", "master", "bridge")
+        ports = [self.port(host) for host in hosts]
+        pairs = [(port, f"{port}-r") for port in ports]
+        for port in ports:
+            self._within(SWITCH, "ip", "link", "set", port, "nomaster")
+            self._within(SWITCH, "ip", "link", "set", f"{port}-b", "master", "bridge")
         try:
             with relaying(("ip", "netns", "exec", self.namespace(SWITCH)), pairs, seconds):
                 yield
         finally:
-            for host in hosts:
-                self._within(SWITCH, "ip", "link", "set", f"{host}-b", "nomaster")
-                self._within(SWITCH, "ip", "link", "set", host, "master", "bridge")
+            for port in ports:
+                self._within(SWITCH, "ip", "link", "set", f"{port}-b", "nomaster")
+                self._within(SWITCH, "ip", "link", "set", port, "master", "bridge")
 
     @contextmanager
     def _dropping(self, hosts: str | tuple[str, ...], verdict: str) -> Generator[None]:
-        ports = [port for host in ((hosts,) if isinstance(hosts, str) else hosts) for port in (host, f"{host}-b")]
+        those = [self.port(host) for host in ((hosts,) if isinstance(hosts, str) else hosts)]
+        ports = [port for one in those for port in (one, f"{one}-b")]
         listed = "{ " + ", ".join(f'"{port}"' for port in ports) + " }"
         for direction in ("iifname", "oifname"):
             self._within(SWITCH, "nft", f"add rule bridge faults through {direction} {listed} {verdict}")
@@ -167,7 +173,7 @@ def _build(network: Network) -> None:
         _plug(network, host, "eth0", network.namespace(host), network.address(host))
         _name_hosts(network, host)
         # for a relay, which is put between a host's port and the bridge
-        ends = (f"{host}-r", f"{host}-b")
+        ends = (f"{network.port(host)}-r", f"{network.port(host)}-b")
         _must("ip", "-n", switch, "link", "add", ends[0], "type", "veth", "peer", "name", ends[1])
         for end in ends:
             _must("ip", "-n", switch, "link", "set", end, "up")
@@ -185,15 +191,15 @@ def _name_hosts(network: Network, host: str) -> None:
         (folder / "hosts").write_text("\n".join(lines) + "\n")
 
 
-def _plug(network: Network, port: str, device: str, namespace: str | None, address: str) -> None:
+def _plug(network: Network, host: str, device: str, namespace: str | None, address: str) -> None:
     """A cable from the switch to a namespace; None for our own."""
     switch, made = network.namespace(SWITCH), f"{PREFIX}{network.owner}"
     inside = ("ip",) if namespace is None else ("ip", "-n", namespace)
     _must("ip", "link", "add", made, "type", "veth", "peer", "name", f"{made}s")
     send_whole_packets((made, f"{made}s"))
     _must("ip", "link", "set", f"{made}s", "netns", switch)
-    _must("ip", "-n", switch, "link", "set", f"{made}s", "name", port)
-    _must("ip", "-n", switch, "link", "set", port, "master", "bridge", "up")
+    _must("ip", "-n", switch, "link", "set", f"{made}s", "name", network.port(host))
+    _must("ip", "-n", switch, "link", "set", network.port(host), "master", "bridge", "up")
     if namespace is not None:
         _must("ip", "link", "set", made, "netns", namespace)
         _must(*inside, "link", "set", made, "name", device)
@@ -220,7 +226,7 @@ def _tear_down(owner: int) -> None:
 def _left_behind() -> list[int]:
     """The ids of processes that were killed before they could tear down."""
     names = [path.name for path in (*Path("/run/netns").glob(f"{PREFIX}*"), *Path("/sys/class/net").glob(f"{PREFIX}*"))]
-    owners = {int(found[1]) for name in names if (found := re.fullmatch(rf"{PREFIX}(\d+)[a-z]*", name))}
+    owners = {int(found[1]) for name in names if (found := re.fullmatch(rf"{PREFIX}(\d+)(?:[a-z].*)?", name))}
     return [owner for owner in owners if not psutil.pid_exists(owner)]
 
 

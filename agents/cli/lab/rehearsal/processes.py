@@ -27,7 +27,7 @@ def faketime() -> Path:
     for folder in FOLDERS:
         if (path := Path(folder) / FAKETIME).exists():
             return path
-    raise CannotError("clocks are set with libfaketime, which is not installed (Debian: libfaketime)")
+    raise CannotError("clocks are set with libfaketime, which is not installed (Debian: faketime)")
 
 
 def faked(file: Path) -> dict[str, str]:
@@ -62,9 +62,14 @@ class Processes:
     _running: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict[str, "subprocess.Popen[bytes]"])
 
     def start(
-        self, host: str, name: str, *command: str, environment: Mapping[str, str] | None = None
+        self,
+        host: str,
+        name: str,
+        *command: str,
+        environment: Mapping[str, str] | None = None,
+        folder: Path | None = None,
     ) -> subprocess.Popen[bytes]:
-        """Start a command on a host; its output goes to the end of a file of its name."""
+        """Start a command on a host, in a folder; its output goes to the end of a file of its name."""
         self.forget(name)
         with self.log(name).open("ab") as log:
             self._running[name] = subprocess.Popen(
@@ -72,6 +77,7 @@ class Processes:
                 stdin=subprocess.PIPE,
                 stdout=log,
                 stderr=log,
+                cwd=folder,
                 env={**os.environ, SUPERVISED: "1", **self._clock_of(host), **(environment or {})},
                 # a host is none whose processes share one turn with whatever else this machine does
                 start_new_session=True,
@@ -114,10 +120,14 @@ class Processes:
         """What a process printed, as text."""
         return self.log(name).read_text(errors="replace") if self.log(name).exists() else ""
 
+    def status(self, name: str) -> int | None:
+        """With which exit status a process has ended by itself; None while it runs."""
+        process = self._running.get(name)
+        return None if process is None else process.poll()
+
     def ended(self, name: str) -> str:
         """How a process ended by itself, in words; empty while it runs."""
-        process = self._running.get(name)
-        status = None if process is None else process.poll()
+        status = self.status(name)
         return "" if status is None else f"{name} {ending(status, self.log(name))}"
 
     def all_ended(self) -> list[str]:
@@ -154,10 +164,6 @@ class Processes:
                 process.wait(ENDS_S)
         for name in tuple(self._running):
             self.forget(name)
-
-    def named(self) -> list[str]:
-        """What was started and not forgotten, running or not."""
-        return list(self._running)
 
     def _clock_file(self, host: str) -> Path:
         return self.folder / f"{host}.clock"

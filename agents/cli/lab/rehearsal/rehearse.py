@@ -8,6 +8,7 @@ import contextlib
 import datetime
 import json
 import re
+import shlex
 import shutil
 import subprocess
 import tempfile
@@ -15,6 +16,7 @@ import threading
 from collections.abc import Callable, Generator, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +34,7 @@ from agents.cli.lab.rehearsal.rehearsed import (
 )
 from agents.cli.rig.config import RigConfig
 from agents.cli.rig.hosts import OPERATOR
-from agents.cli.running.process import EXIT_OK, on_stop
+from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.cli.terminal import say
 from agents.deployment.certificates import issue
 from agents.deployment.layout import Layout
@@ -44,6 +46,8 @@ EXIT_WRONG = 1
 STATUS, COMPUTES = "status", "perception"
 STARTS_S, RECOVERS_S = 180.0, 60.0
 LOOK_S, RESTART_S = 0.1, 0.5
+CLOCKS_S = 12.0
+"""`status` asks for clocks every ten seconds."""
 STEADY = 2
 """So many times in a row `status`, which looks once a second, must find all well."""
 DOCTOR_S = 120.0
@@ -62,10 +66,12 @@ class Break:
     Fields:
         what: in words.
         during: makes it so for as long as it lasts.
+        least_s: how long it must last for `status` to look at it, and be over before it can be called well.
     """
 
     what: str
     during: Callable[["Rehearsal"], AbstractContextManager[None]]
+    least_s: float = 0.0
 
 
 @dataclass
@@ -76,6 +82,7 @@ class Rehearsal:
         started: what runs, by name.
         folder: of everything that it writes.
         watcher: the host that `status` runs on.
+        beside: where files lie that the rig's file names.
     """
 
     network: Network
@@ -83,6 +90,7 @@ class Rehearsal:
     started: dict[str, Started]
     folder: Path
     watcher: str
+    beside: Path
     stopped: threading.Event
     _due_s: dict[str, float] = field(default_factory=dict[str, float])
     _read: int = 0
@@ -90,7 +98,7 @@ class Rehearsal:
     def start(self, name: str) -> None:
         """Start a process of a host, for the first time or again."""
         one = self.started[name]
-        self.processes.start(one.host, name, *one.command, environment=one.environment)
+        self.processes.start(one.host, name, *one.command, environment=one.environment, folder=self.beside)
 
     def command(self, *words: str) -> tuple[str, ...]:
         """A command of the operator's on the host that watches."""
@@ -99,11 +107,12 @@ class Rehearsal:
 
     def documents(self) -> Iterator[dict[str, Any]]:
         """What `status` has said since the last call."""
-        lines = self.processes.said(STATUS).splitlines(keepends=True)
-        for line in lines[self._read :]:
-            if not line.endswith("\n"):
-                return
-            self._read += 1
+        with self.processes.log(STATUS).open("rb") as file:
+            file.seek(self._read)
+            said = file.read()
+        whole = said[: said.rfind(b"\n") + 1]
+        self._read += len(whole)
+        for line in whole.decode(errors="replace").splitlines():
             if line.startswith("{"):
                 yield json.loads(line)
 
@@ -114,10 +123,13 @@ class Rehearsal:
             RehearsalError: where something cannot run at all.
         """
         for name in self.started:
-            if (said := self.processes.ended(name)) and name not in self._due_s:
-                if "status 2" in said:
-                    raise RehearsalError(f"{said}; its log is {self.processes.log(name)}")
+            status = self.processes.status(name)
+            if status == EXIT_UNUSABLE:
+                raise RehearsalError(f"{self.processes.ended(name)}; its log is {self.processes.log(name)}")
+            if status not in (None, 0) and name not in self._due_s:
                 self._due_s[name] = monotonic_s() + RESTART_S
+        if said := self.processes.ended(STATUS):
+            raise RehearsalError(f"{said}; its log is {self.processes.log(STATUS)}")
         for name in [name for name, due_s in self._due_s.items() if monotonic_s() >= due_s]:
             del self._due_s[name]
             self.start(name)
@@ -127,19 +139,24 @@ class Rehearsal:
         self._due_s[name] = monotonic_s() + RESTART_S
 
     def watch(
-        self, limit_s: float, until_well: bool, tell: Callable[[float, str], None], said: set[tuple[str, str]]
+        self, limit_s: float, until_well: float | None, tell: Callable[[float, str], None], said: set[tuple[str, str]]
     ) -> float | None:
-        """Tell what `status` finds wrong and is not `said` yet, for so long or until all is well; when that was."""
+        """Tell what `status` finds wrong and is not `said` yet, for so long; or until all is well, when that was.
+
+        `until_well` is after how many seconds that counts; None to go on in any case.
+        """
         began_s, well = monotonic_s(), 0
         while (past_s := monotonic_s() - began_s) < limit_s and not self.stopped.wait(LOOK_S):
             self.tend()
             for document in self.documents():
                 well = well + 1 if document["well"] else 0
+                if document["well"] and limit_s == inf:
+                    said.clear()
                 for wrong in document["wrong"]:
                     if (kind := (wrong["code"], wrong["about"])) not in said:
                         said.add(kind)
                         tell(past_s, wrong["text"])
-            if until_well and well >= STEADY:
+            if until_well is not None and well >= STEADY and past_s >= until_well:
                 return past_s
         return None
 
@@ -157,11 +174,13 @@ def rehearse(options: Deploy, rig: RigConfig, layout_of: Callable[[RigConfig], L
         say(sentence)
     folder = Path(tempfile.mkdtemp(prefix="suturegrasp-rehearsal-"))
     try:
-        with _playing(rehearsed, layout, folder, clocks=(options.skew[0],) if options.skew else ()) as rehearsal:
+        with _playing(
+            rehearsed, layout, folder, options.config.resolve().parent, (options.skew[0],) if options.skew else ()
+        ) as rehearsal:
             return _played(rehearsal, options, breaks)
     except CannotError as error:
         raise ConfigError(f"a rig cannot be rehearsed here: {error}") from None
-    except RehearsalError as error:
+    except (RehearsalError, subprocess.TimeoutExpired) as error:
         say(str(error))
         return EXIT_WRONG
     finally:
@@ -197,7 +216,7 @@ def breaks_of(options: Deploy, rig: RigConfig, layout: Layout) -> list[Break]:
         found.append(Break(f"{name} is killed", lambda r: _killed(r, name)))
     if options.skew is not None:
         off, ahead_s = _host(options.skew[0], rig, "--skew"), _number(options.skew[1], SECONDS, "--skew", "2s")
-        found.append(Break(f"the clock of {off} is {ahead_s:+g} s off", lambda r: _skewed(r, off, ahead_s)))
+        found.append(Break(f"the clock of {off} is {ahead_s:+g} s off", lambda r: _skewed(r, off, ahead_s), CLOCKS_S))
     return found
 
 
@@ -216,7 +235,9 @@ def _number(text: str, pattern: re.Pattern[str], option: str, example: str) -> f
 
 @contextlib.contextmanager
 def _killed(rehearsal: Rehearsal, name: str) -> Generator[None]:
-    rehearsal.processes.kill(name)
+    # it may have ended by itself a moment ago
+    with contextlib.suppress(RuntimeError, KeyError):
+        rehearsal.processes.kill(name)
     rehearsal.restart_later(name)
     yield
 
@@ -231,7 +252,9 @@ def _skewed(rehearsal: Rehearsal, host: str, ahead_s: float) -> Generator[None]:
 
 
 @contextlib.contextmanager
-def _playing(rig: RigConfig, layout: Layout, folder: Path, clocks: tuple[str, ...]) -> Generator[Rehearsal]:
+def _playing(
+    rig: RigConfig, layout: Layout, folder: Path, beside: Path, clocks: tuple[str, ...]
+) -> Generator[Rehearsal]:
     """The rig with all of its processes started, and `status` beside them."""
     if clocks:
         faketime()
@@ -246,7 +269,7 @@ def _playing(rig: RigConfig, layout: Layout, folder: Path, clocks: tuple[str, ..
     with contextlib.ExitStack() as stack:
         network = stack.enter_context(connected_hosts(names, {host.name: host.address for host in layout.hosts}))
         processes = stack.enter_context(contextlib.closing(Processes(network, folder, clocks, computing)))
-        rehearsal = Rehearsal(network, processes, started, folder, (watchers or names)[0], stopped)
+        rehearsal = Rehearsal(network, processes, started, folder, (watchers or names)[0], beside, stopped)
         for name in sorted(started, key=lambda name: name.split()[0] not in ("router", "console")):
             rehearsal.start(name)
         processes.start(rehearsal.watcher, STATUS, *rehearsal.command("status", "--json"))
@@ -258,7 +281,7 @@ def _playing(rig: RigConfig, layout: Layout, folder: Path, clocks: tuple[str, ..
 
 def _played(rehearsal: Rehearsal, options: Deploy, breaks: list[Break]) -> int:
     wrong = list[str]()
-    began_s = rehearsal.watch(STARTS_S, True, lambda _, text: wrong.append(text), set())
+    began_s = rehearsal.watch(STARTS_S, 0.0, lambda _, text: wrong.append(text), set())
     if began_s is None:
         if rehearsal.stopped.is_set():
             return EXIT_OK
@@ -269,9 +292,9 @@ def _played(rehearsal: Rehearsal, options: Deploy, breaks: list[Break]) -> int:
     found = _doctor(rehearsal)
     recovered = [_broken(rehearsal, one, options.seconds) for one in breaks if not rehearsal.stopped.is_set()]
     if options.stay:
-        inside = " ".join(rehearsal.network.inside(rehearsal.watcher))
-        say(f"it runs until Ctrl-C; a command on {rehearsal.watcher}: {inside} {' '.join(rehearsal.command('status'))}")
-        rehearsal.watch(float("inf"), False, lambda past_s, text: say(f"  {past_s:5.1f} s  {text}"), set())
+        inside = shlex.join([*rehearsal.network.inside(rehearsal.watcher), *rehearsal.command("status")])
+        say(f"it runs until Ctrl-C; a command on {rehearsal.watcher}: {inside}")
+        rehearsal.watch(inf, None, lambda past_s, text: say(f"  {past_s:5.1f} s  {text}"), set())
     return EXIT_OK if all(recovered) and found else EXIT_WRONG
 
 
@@ -281,15 +304,15 @@ def _broken(rehearsal: Rehearsal, one: Break, seconds: float) -> bool:
     def tell(past_s: float, text: str) -> None:
         say(f"  {past_s:5.1f} s  {text}")
 
-    told = set[tuple[str, str]]()
+    told, seconds = set[tuple[str, str]](), max(seconds, one.least_s)
     say(f"{one.what}, for {seconds:g} s:")
     for _ in rehearsal.documents():
         pass
     with one.during(rehearsal):
-        rehearsal.watch(seconds, False, tell, told)
-    again_s = rehearsal.watch(RECOVERS_S, True, lambda past_s, text: tell(past_s + seconds, text), told)
+        rehearsal.watch(seconds, None, tell, told)
+    again_s = rehearsal.watch(RECOVERS_S, one.least_s, lambda past_s, text: tell(past_s + seconds, text), told)
     if not told:
-        say("  nothing: it kept within all limits")
+        say("  status says nothing of it")
     say(
         f"  all well again {again_s:.1f} s after it ended"
         if again_s is not None

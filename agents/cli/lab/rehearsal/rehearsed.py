@@ -8,8 +8,10 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from agents.cli.rig.config import ArmSection, CameraSection, RigConfig, SimulatorSection
-from agents.cli.rig.hosts import HostSection
+from agents.cli.rig.hosts import BESIDE, HostSection
 from agents.cli.rig.this_host import CREDENTIALS
 from agents.cli.running.audit import STATE_DIRECTORY
 from agents.deployment.layout import Host, Layout, Process
@@ -19,11 +21,13 @@ from agents.deployment.units import NOT_OURS, unit_name, units
 from schemas.topics import MAIN
 from shared.clock import now_ns
 from shared.kinematics.simulated_setup import SIMULATED_BASES
+from shared.runtime.config import parse_config
 
 PROGRAM_HERE = (sys.executable, "-m", "agents.cli")
 CONFIG, BASES, CONSOLE = "rig.json", "bases.json", "robot-zenoh.json5"
 FRAMES_HZ_PER_CORE = 2.5
 """What one core looks through beside the other agents, where all hosts share the cores of one machine."""
+APART_M = 0.02
 SIMULATED_CALIBRATION = "beca2fa23c61"
 """Of the simulated camera, the same in every field."""
 
@@ -57,22 +61,25 @@ def without_hardware(rig: RigConfig) -> tuple[RigConfig, list[str]]:
     if camera is not None and rig.simulator is None:
         sections["simulator"] = SimulatorSection()
         sections["hosts"] = {name: _with_simulator(host) for name, host in rig.hosts.items()}
-    arms = {name: _standing(name, arm) for name, arm in rig.robot.items()}
+    arms = {name: _standing(name, arm, number) for number, (name, arm) in enumerate(rig.robot.items())}
     sections["robot"] = arms
     told += [f"an emulated console in place of that of {name}" for name, arm in arms.items() if arm.dvrk is not None]
     text = rig.model_copy(update=sections).model_dump_json(exclude_none=True)
-    return RigConfig.model_validate_json(text), told
+    return parse_config(text, RigConfig, "of the rehearsal.json"), told
 
 
 def _with_simulator(host: HostSection) -> HostSection:
     return host.model_copy(update={"runs": (*host.runs, "simulator")}) if "camera" in host.runs else host
 
 
-def _standing(name: str, arm: ArmSection) -> ArmSection:
+def _standing(name: str, arm: ArmSection, number: int) -> ArmSection:
     """An arm before the simulated camera: a real one's registration is of another."""
-    if arm.dvrk is None:
+    if arm.dvrk is None and arm.T_camera_base_file is None:
         return arm
-    base = SIMULATED_BASES.get(name, SIMULATED_BASES["psm1"])
+    base = np.array(SIMULATED_BASES.get(name, SIMULATED_BASES["psm1"]))
+    if name not in SIMULATED_BASES:
+        # beside the others, no two in one place
+        base[1, 3] += APART_M * (number + 1)
     today = datetime.datetime.fromtimestamp(now_ns() * 1e-9, datetime.UTC).date()
     stands = {
         "T_camera_base": base.tolist(),
@@ -88,7 +95,11 @@ def write_hosts(rig: RigConfig, layout: Layout, folder: Path) -> None:
     for host in layout.hosts:
         home = folder / host.name
         home.mkdir(parents=True, exist_ok=True)
-        text = rig.model_copy(update={"host": host.name}).model_dump_json(exclude_none=True)
+        own = {
+            "host": host.name,
+            "security": rig.security and rig.security.model_copy(update={"certificates": Path("certificates")}),
+        }
+        text = rig.model_copy(update=own).model_dump_json(exclude_none=True)
         (home / CONFIG).write_text(text)
         if host.arms:
             zenoh = robot_zenoh_file(layout.rig, host.name, host.arms).replace(str(CERTIFICATES.parent), str(home))
@@ -111,10 +122,10 @@ def started_on(layout: Layout, host: Host, folder: Path) -> list[Started]:
 
 def name_in(layout: Layout, process: Process, host: Host) -> str:
     """What a process is called in a rig."""
-    if process.instance not in (MAIN, host.name):
-        return f"{process.kind} {process.instance}"
+    if process.kind not in BESIDE:
+        return process.kind if process.instance == MAIN else f"{process.kind} {process.instance}"
     several = sum(any(process.kind == other.kind for other in one.processes) for one in layout.hosts) > 1
-    return f"{process.kind} {host.name}" if process.instance == host.name and several else process.kind
+    return f"{process.kind} {host.name}" if several else process.kind
 
 
 def _as_unit(name: str, process: Process, unit: str, host: Host, home: Path) -> Started:
