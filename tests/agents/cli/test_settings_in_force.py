@@ -1,0 +1,34 @@
+"""Which settings the outputs of a replayed recording are of: for any agents that ran anew, and any settings."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agents.cli.recordings.config import changed, in_force, settings_otherwise
+from agents.cli.rig.config import simulated_rig
+
+RECORDED = simulated_rig()
+CHANGES = {
+    "camera.rate_hz": ("12.0", "20.0"),
+    "perception.segmenter": ("threshold", "network"),
+    "perception.matching": ("true",),
+    "reconstruction.tracking": ("false",),
+    "planner.least_probability": ("0.25", "0.75"),
+    "planner.attempts": ("1", "2"),
+    "robot.psm1.speed_share": ("0.5",),
+    "simulator.seed": ("7",),
+}
+AGENT_OF = {"robot": "robot_bridge/psm1"}
+AGENTS = ("camera", "perception", "reconstruction", "planner", "simulator", "robot_bridge/psm1")
+
+
+@given(st.sets(st.sampled_from(AGENTS)), st.sets(st.sampled_from(sorted(CHANGES))), st.integers(0, 1))
+def test_settings_are_in_force_for_the_agents_that_ran_with_them_and_for_no_others(anew, settings, which):
+    told = {key: CHANGES[key][min(which, len(CHANGES[key]) - 1)] for key in settings}
+    used = changed(RECORDED, [f"{key}={value}" for key, value in told.items()])
+    effective = in_force(RECORDED, used, sorted(anew))
+    otherwise = settings_otherwise(RECORDED, effective)
+    expected = {key for key in told if AGENT_OF.get(key.split(".")[0], key.split(".")[0]) in anew}
+    assert set(otherwise) == expected
+    assert all(otherwise[key].endswith(f"-> {told[key]}") for key in expected)
+    # what is attached is read back as the same, and a replay of it begins from there
+    assert in_force(effective, effective, AGENTS) == effective
