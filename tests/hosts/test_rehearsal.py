@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from agents.cli.lab.rehearsal.network import PREFIX
+
 LAB = Path(__file__).parents[2] / "deploy" / "lab.toml"
 BREAKS = ("--cut", "video", "--kill", "perception", "--seconds", "4")
 NAMED = {
