@@ -112,7 +112,7 @@ def _disk(rig: RigConfig) -> Iterator[Finding]:
     existing = next(p for p in (folder.absolute(), *folder.absolute().parents) if p.exists())
     free = shutil.disk_usage(existing).free
     found = f"{free / (1 << 30):.1f} GiB free for recordings in {existing}"
-    remedy = "make room, a minute of frames takes some 300 MiB" if free < LEAST_FREE_BYTES else ""
+    remedy = "make room, a minute of everything takes some 700 MB" if free < LEAST_FREE_BYTES else ""
     yield Finding("disk", found, remedy)
 
 

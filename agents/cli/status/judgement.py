@@ -147,7 +147,7 @@ def _facts(name: str, facts: AgentFacts, at_ns: int) -> Iterator[Wrong]:
     called = _called(name)
     if facts.disk_free_bytes is not None and facts.disk_free_bytes < LEAST_FREE_BYTES:
         free = f"{facts.disk_free_bytes / (1 << 30):.1f} GiB are free where {called} writes ({facts.writes_to})"
-        yield Wrong("disk", called, f"{free}; make room, a minute of frames takes some 300 MiB")
+        yield Wrong("disk", called, f"{free}; make room, a minute of everything takes some 700 MB")
     if facts.realtime_asked is not None and facts.realtime_granted is None:
         refused = f"{called} asked for real-time priority {facts.realtime_asked} and has none"
         yield Wrong("realtime", called, f"{refused}: {facts.realtime_reason}")
