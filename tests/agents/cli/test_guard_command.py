@@ -34,7 +34,7 @@ DEADLINE_S = 30.0
     [
         ({"robot": {"psm1": {}}}, "has no section [robot.psm1.dvrk]: there is nothing to guard"),
         ({"robot": {"psm1": ARM | {"dvrk": FAR}}}, "leaves this machine, which needs tls and [security]"),
-        (SECURED | {"robot": {"psm1": ARM | {"dvrk": FAR}}}, "suturegrasp deploy certificates makes certificates"),
+        (SECURED | {"robot": {"psm1": ARM | {"dvrk": FAR}}}, "suturegrasp deploy certificates makes it"),
         (
             SECURED | {"robot": {"psm1": ARM | {"dvrk": FAR | {"through_guard": False}}}},
             "set points go through the guard always",
