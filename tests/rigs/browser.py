@@ -46,6 +46,9 @@ def found() -> str | None:
     return next((path for name in NAMES if (path := shutil.which(name))), None)
 
 
+NAVIGATED = "Inspected target navigated or closed"
+
+
 class BrowserError(RuntimeError):
     """What the browser would not do."""
 
@@ -72,12 +75,17 @@ class Page:
         return said["result"].get("value")
 
     async def until(self, expression: str, seconds: float = WAITS_S) -> Any:
-        """Wait until an expression is true, and return it."""
+        """Wait until an expression is true, and return it; where the page goes elsewhere meanwhile, of the next one."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(seconds):
-                while not (value := await self.value(expression)):
+                while True:
+                    try:
+                        if value := await self.value(expression):
+                            return value
+                    except BrowserError as error:
+                        if NAVIGATED not in str(error):
+                            raise
                     await asyncio.sleep(0.02)
-                return value
         raise BrowserError(f"waited {seconds:.0f} s for {expression}; the page says: {await self.words()}")
 
     async def words(self) -> str:
