@@ -19,8 +19,8 @@ from tests.rigs.faults.disk import Disk, small_disk
 from tests.rigs.faults.observer import Observer
 from tests.rigs.faults.rig import CONFIG, HOSTS, MODULE, ROUTER, RUNS, describe, settings_at
 
-COMPUTES = ("strong",)
-"""The host whose processes would take the processors, which here all hosts share, from what keeps time."""
+COMPUTES = ("perception", "reconstruction")
+"""What would take the processors, which here all hosts share, from what keeps time."""
 STARTS_S, PLANS_S, MOVES_S = 90.0, 60.0, 20.0
 LOOK_S = 0.02
 WATCH_S = 0.2

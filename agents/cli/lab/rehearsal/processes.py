@@ -52,7 +52,7 @@ class Processes:
     Fields:
         folder: where each writes what it says.
         clocks: hosts with a clock that can be set; each look at one costs a processor some microseconds.
-        yielding: hosts whose processes leave the processors to the others': they would have their own.
+        yielding: processes that leave the processors to others, whose hosts would have their own.
     """
 
     network: Network
@@ -82,7 +82,7 @@ class Processes:
                 # a host is none whose processes share one turn with whatever else this machine does
                 start_new_session=True,
             )
-        if host in self.yielding:
+        if name in self.yielding:
             _yield(self._running[name].pid)
         return self._running[name]
 

@@ -38,12 +38,12 @@ from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.cli.terminal import say
 from agents.deployment.certificates import issue
 from agents.deployment.layout import Layout
-from agents.deployment.units import NOT_OURS
+from agents.deployment.units import COMPUTING, NOT_OURS
 from shared.clock import monotonic_s, now_ns
 from shared.runtime.config import ConfigError
 
 EXIT_WRONG = 1
-STATUS, COMPUTES = "status", "perception"
+STATUS = "status"
 STARTS_S, RECOVERS_S = 180.0, 60.0
 LOOK_S, RESTART_S = 0.1, 0.5
 CLOCKS_S = 12.0
@@ -263,7 +263,7 @@ def _playing(
     names = tuple(host.name for host in layout.hosts)
     started = {one.name: one for host in layout.hosts for one in started_on(layout, host, folder)}
     watchers = [host.name for host in layout.hosts if any(process.kind == OPERATOR for process in host.processes)]
-    computing = tuple(name for name, host in rig.hosts.items() if COMPUTES in host.runs)
+    computing = tuple(name for name in started if name.split()[0] in COMPUTING)
     stopped = threading.Event()
     on_stop(stopped.set)
     with contextlib.ExitStack() as stack:
