@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 from agents.cli.lab.rehearsal.network import OWN, CannotError, Network
+from agents.cli.lab.rehearsal.rehearsed import SIMULATED_CALIBRATION
 from agents.cli.rig.config import ArmSection, CameraSection, RigConfig, RouterSection, SimulatorSection, simulated_rig
 from agents.cli.rig.hosts import OPERATOR, HostSection, SecuritySection
 from agents.cli.rig.sections import DvrkSection, PlannerSection
@@ -19,8 +20,6 @@ EMULATED = "psm2"
 CONSOLE_PORT = 7448
 ROUTER, BRIDGE = "router", "robot-bridge"
 PLANS_WAIT_S = 60.0
-SIMULATED_CALIBRATION = "beca2fa23c61"
-"""Of the simulated camera, the same in every field."""
 """How old a plan may be when it is armed: on two cores, a command takes a second to load."""
 RUNS = {
     ROUTER: (ROUTER,),
