@@ -29,6 +29,7 @@ from agents.reconstruction.method_names import DEFAULT_METHOD
 from benchmarks.real_images import CURVE_RIGHT, ON_THREAD, THREAD_FOLLOWED, projected
 from benchmarks.tables import CONSOLE
 from schemas.messages import Status, StereoCalibration
+from shared.calibration.uncertainty import ERRORS
 
 Points = Float64[np.ndarray, "n 2"]
 
@@ -151,6 +152,7 @@ def _calibration(about: dict[str, Any]) -> StereoCalibration:
         distortion_right=np.array(about.get("distortion_right", none), np.float64),
         T_right_left=T_right_left,
         metres_per_unit=1e-3,
+        covariance=np.zeros((len(ERRORS), len(ERRORS))),
     )
 
 

@@ -18,6 +18,7 @@ from benchmarks.occlusions import hiding_shaft
 from schemas.messages import StereoCalibration
 from shared.arc_length import even_parameters
 from shared.calibration import read_calibration
+from shared.calibration.uncertainty import ERRORS
 from shared.splines import clamped_uniform_knots, evaluate
 
 Pair = tuple[UInt8[np.ndarray, "h w *c"], UInt8[np.ndarray, "h w *c"]]
@@ -136,7 +137,7 @@ def _ucsd_sim(path: Path, published: dict[str, float | None]) -> Scene:
         group=SIM,
         name=name,
         images=images,
-        calibration=_calibration(path.with_name(calibration), images, None),
+        calibration=exact(_calibration(path.with_name(calibration), images, None)),
         masks=_darker_than(images, GREY_SIM),
         masks_are=f"grey<{GREY_SIM}",
         truth=truth,
@@ -173,7 +174,7 @@ def _render(path: Path, peer: dict[str, float | None]) -> Scene:
         group=_kind(path),
         name=path.stem,
         images=images,
-        calibration=_calibration(path, images, None),
+        calibration=exact(_calibration(path, images, None)),
         masks=(
             read_mask(beside("mask_left"), "the left mask", width, height),
             read_mask(beside("mask_right"), "the right mask", width, height),
@@ -194,6 +195,11 @@ def _board_edge(path: Path, line: tuple[str, int], name: str) -> Scene:
 def _calibration(path: Path, images: Pair, unit: str | None) -> StereoCalibration:
     height, width = images[0].shape[:2]
     return read_calibration(path, unit=unit, image_size=(width, height)).calibration
+
+
+def exact(calibration: StereoCalibration) -> StereoCalibration:
+    """The calibration of a camera that draws its images by it."""
+    return replace(calibration, covariance=np.zeros((len(ERRORS), len(ERRORS))))
 
 
 def _darker_than(images: Pair, grey: int) -> Pair:

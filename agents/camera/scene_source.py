@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from schemas.messages import RectifiedStereo, SimulatorState, StereoCalibration
+from shared.calibration.uncertainty import ERRORS
 from shared.camera import camera_matrix
 from shared.scene.centreline import Thread
 from shared.scene.render import COLOURS, Backdrop, SceneError, render_backdrop, render_thread
@@ -122,6 +123,8 @@ def calibration_of(camera: RectifiedStereo) -> StereoCalibration:
         distortion_right=np.zeros(0),
         T_right_left=T_right_left,
         metres_per_unit=camera.metres_per_unit,
+        # what is rendered is seen by this camera exactly
+        covariance=np.zeros((len(ERRORS), len(ERRORS))),
     )
 
 

@@ -39,6 +39,7 @@ from schemas.messages import (
 from schemas.topics import CALIBRATION, FRAMES, MAIN, OBSERVATIONS, PROMPT, SURFACE, Topic
 from shared.aside import begun
 from shared.calibration.identity import calibration_id
+from shared.calibration.uncertainty import covariance_of
 from shared.images import ImageDataError, decode_image
 from shared.right_eye import right_eye_of, whole_rows
 from shared.runtime.agent import Command, Input, Later, Output, Received, Reply, Tick
@@ -150,6 +151,7 @@ class Perception:
             picture_left_since=pictures.left_since,
             picture_right_since=pictures.right_since,
             surface_sequence=frame.stamp.sequence if surface_due else surface_sequence,
+            calibration_covariance=covariance_of(calibration),
         )
         self._go_on_from(observed)
         yield Output(OBSERVATIONS, observed)

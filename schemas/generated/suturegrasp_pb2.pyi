@@ -270,7 +270,7 @@ class StereoFrame(_message.Message):
     def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., left: _Optional[_Union[Image, _Mapping]] = ..., right: _Optional[_Union[Image, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
 
 class StereoCalibration(_message.Message):
-    __slots__ = ("image_width", "image_height", "K_left", "K_right", "distortion_left", "distortion_right", "T_right_left", "metres_per_unit", "consumed")
+    __slots__ = ("image_width", "image_height", "K_left", "K_right", "distortion_left", "distortion_right", "T_right_left", "metres_per_unit", "consumed", "covariance")
     IMAGE_WIDTH_FIELD_NUMBER: _ClassVar[int]
     IMAGE_HEIGHT_FIELD_NUMBER: _ClassVar[int]
     K_LEFT_FIELD_NUMBER: _ClassVar[int]
@@ -280,6 +280,7 @@ class StereoCalibration(_message.Message):
     T_RIGHT_LEFT_FIELD_NUMBER: _ClassVar[int]
     METRES_PER_UNIT_FIELD_NUMBER: _ClassVar[int]
     CONSUMED_FIELD_NUMBER: _ClassVar[int]
+    COVARIANCE_FIELD_NUMBER: _ClassVar[int]
     image_width: int
     image_height: int
     K_left: Array
@@ -289,7 +290,8 @@ class StereoCalibration(_message.Message):
     T_right_left: Array
     metres_per_unit: float
     consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
-    def __init__(self, image_width: _Optional[int] = ..., image_height: _Optional[int] = ..., K_left: _Optional[_Union[Array, _Mapping]] = ..., K_right: _Optional[_Union[Array, _Mapping]] = ..., distortion_left: _Optional[_Union[Array, _Mapping]] = ..., distortion_right: _Optional[_Union[Array, _Mapping]] = ..., T_right_left: _Optional[_Union[Array, _Mapping]] = ..., metres_per_unit: _Optional[float] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
+    covariance: Array
+    def __init__(self, image_width: _Optional[int] = ..., image_height: _Optional[int] = ..., K_left: _Optional[_Union[Array, _Mapping]] = ..., K_right: _Optional[_Union[Array, _Mapping]] = ..., distortion_left: _Optional[_Union[Array, _Mapping]] = ..., distortion_right: _Optional[_Union[Array, _Mapping]] = ..., T_right_left: _Optional[_Union[Array, _Mapping]] = ..., metres_per_unit: _Optional[float] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ..., covariance: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
 
 class RectifiedStereo(_message.Message):
     __slots__ = ("image_width", "image_height", "fx_px", "fy_px", "cx_px", "cy_px", "baseline", "metres_per_unit")
@@ -386,7 +388,7 @@ class RightEye(_message.Message):
     def __init__(self, rows_px: _Optional[float] = ..., turned_deg: _Optional[float] = ..., magnified: _Optional[float] = ...) -> None: ...
 
 class ThreadObservations(_message.Message):
-    __slots__ = ("stamp", "camera", "status", "reason", "segmenter", "points_camera", "half_size_px", "matched_px", "match_cost", "inlier", "mask_left", "mask_right", "judgements", "gaps", "centrelines_left", "centrelines_right", "looked_sequence", "is_bright", "prompt_px", "rows_moved_up", "picture_left", "picture_right", "picture_left_since", "picture_right_since", "candidates", "occluders", "score_map", "surface_sequence", "trail_left", "trail_right", "segmented_sequence", "frames_since_look", "judged_sequence", "glanced_sequence", "glances", "right_eye", "disparities_px", "consumed")
+    __slots__ = ("stamp", "camera", "status", "reason", "segmenter", "points_camera", "half_size_px", "matched_px", "match_cost", "inlier", "mask_left", "mask_right", "judgements", "gaps", "centrelines_left", "centrelines_right", "looked_sequence", "is_bright", "prompt_px", "rows_moved_up", "picture_left", "picture_right", "picture_left_since", "picture_right_since", "candidates", "occluders", "score_map", "surface_sequence", "trail_left", "trail_right", "segmented_sequence", "frames_since_look", "judged_sequence", "glanced_sequence", "glances", "right_eye", "disparities_px", "calibration_covariance", "consumed")
     STAMP_FIELD_NUMBER: _ClassVar[int]
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     STATUS_FIELD_NUMBER: _ClassVar[int]
@@ -424,6 +426,7 @@ class ThreadObservations(_message.Message):
     GLANCES_FIELD_NUMBER: _ClassVar[int]
     RIGHT_EYE_FIELD_NUMBER: _ClassVar[int]
     DISPARITIES_PX_FIELD_NUMBER: _ClassVar[int]
+    CALIBRATION_COVARIANCE_FIELD_NUMBER: _ClassVar[int]
     CONSUMED_FIELD_NUMBER: _ClassVar[int]
     stamp: FrameStamp
     camera: RectifiedStereo
@@ -462,8 +465,9 @@ class ThreadObservations(_message.Message):
     glances: int
     right_eye: RightEye
     disparities_px: Array
+    calibration_covariance: Array
     consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
-    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., segmenter: _Optional[str] = ..., points_camera: _Optional[_Union[Array, _Mapping]] = ..., half_size_px: _Optional[_Union[Array, _Mapping]] = ..., matched_px: _Optional[_Union[Array, _Mapping]] = ..., match_cost: _Optional[_Union[Array, _Mapping]] = ..., inlier: _Optional[_Union[Array, _Mapping]] = ..., mask_left: _Optional[_Union[Image, _Mapping]] = ..., mask_right: _Optional[_Union[Image, _Mapping]] = ..., judgements: _Optional[_Iterable[_Union[Judgement, _Mapping]]] = ..., gaps: _Optional[_Union[Array, _Mapping]] = ..., centrelines_left: _Optional[_Union[Centrelines, _Mapping]] = ..., centrelines_right: _Optional[_Union[Centrelines, _Mapping]] = ..., looked_sequence: _Optional[int] = ..., is_bright: _Optional[bool] = ..., prompt_px: _Optional[_Union[Array, _Mapping]] = ..., rows_moved_up: _Optional[int] = ..., picture_left: _Optional[int] = ..., picture_right: _Optional[int] = ..., picture_left_since: _Optional[int] = ..., picture_right_since: _Optional[int] = ..., candidates: _Optional[_Iterable[_Union[ThreadCandidate, _Mapping]]] = ..., occluders: _Optional[_Union[Occluders, _Mapping]] = ..., score_map: _Optional[_Union[Image, _Mapping]] = ..., surface_sequence: _Optional[int] = ..., trail_left: _Optional[_Union[Trail, _Mapping]] = ..., trail_right: _Optional[_Union[Trail, _Mapping]] = ..., segmented_sequence: _Optional[int] = ..., frames_since_look: _Optional[int] = ..., judged_sequence: _Optional[int] = ..., glanced_sequence: _Optional[int] = ..., glances: _Optional[int] = ..., right_eye: _Optional[_Union[RightEye, _Mapping]] = ..., disparities_px: _Optional[_Union[Array, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
+    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., segmenter: _Optional[str] = ..., points_camera: _Optional[_Union[Array, _Mapping]] = ..., half_size_px: _Optional[_Union[Array, _Mapping]] = ..., matched_px: _Optional[_Union[Array, _Mapping]] = ..., match_cost: _Optional[_Union[Array, _Mapping]] = ..., inlier: _Optional[_Union[Array, _Mapping]] = ..., mask_left: _Optional[_Union[Image, _Mapping]] = ..., mask_right: _Optional[_Union[Image, _Mapping]] = ..., judgements: _Optional[_Iterable[_Union[Judgement, _Mapping]]] = ..., gaps: _Optional[_Union[Array, _Mapping]] = ..., centrelines_left: _Optional[_Union[Centrelines, _Mapping]] = ..., centrelines_right: _Optional[_Union[Centrelines, _Mapping]] = ..., looked_sequence: _Optional[int] = ..., is_bright: _Optional[bool] = ..., prompt_px: _Optional[_Union[Array, _Mapping]] = ..., rows_moved_up: _Optional[int] = ..., picture_left: _Optional[int] = ..., picture_right: _Optional[int] = ..., picture_left_since: _Optional[int] = ..., picture_right_since: _Optional[int] = ..., candidates: _Optional[_Iterable[_Union[ThreadCandidate, _Mapping]]] = ..., occluders: _Optional[_Union[Occluders, _Mapping]] = ..., score_map: _Optional[_Union[Image, _Mapping]] = ..., surface_sequence: _Optional[int] = ..., trail_left: _Optional[_Union[Trail, _Mapping]] = ..., trail_right: _Optional[_Union[Trail, _Mapping]] = ..., segmented_sequence: _Optional[int] = ..., frames_since_look: _Optional[int] = ..., judged_sequence: _Optional[int] = ..., glanced_sequence: _Optional[int] = ..., glances: _Optional[int] = ..., right_eye: _Optional[_Union[RightEye, _Mapping]] = ..., disparities_px: _Optional[_Union[Array, _Mapping]] = ..., calibration_covariance: _Optional[_Union[Array, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
 
 class TissueSurface(_message.Message):
     __slots__ = ("stamp", "camera", "u_px", "v_px", "depth", "valid", "deviation", "consumed")
@@ -500,7 +504,7 @@ class ReliabilityRegions(_message.Message):
     def __init__(self, s: _Optional[_Union[Array, _Mapping]] = ..., centre_camera: _Optional[_Union[Array, _Mapping]] = ..., bound_px: _Optional[_Union[Array, _Mapping]] = ..., bound_depth: _Optional[_Union[Array, _Mapping]] = ..., slack: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
 
 class ThreadReconstruction(_message.Message):
-    __slots__ = ("stamp", "camera", "status", "reason", "method", "degree", "knots", "control_points_camera", "regions", "confidence_s", "confidence", "posterior_s", "posterior_covariance", "unseen", "consumed", "track", "crossings", "other_threads_px", "hidden", "ends_hidden", "other_threads", "left_over_share", "left_over_px")
+    __slots__ = ("stamp", "camera", "status", "reason", "method", "degree", "knots", "control_points_camera", "regions", "confidence_s", "confidence", "posterior_s", "posterior_covariance", "unseen", "consumed", "track", "crossings", "other_threads_px", "hidden", "ends_hidden", "other_threads", "left_over_share", "left_over_px", "calibration_covariance")
     STAMP_FIELD_NUMBER: _ClassVar[int]
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     STATUS_FIELD_NUMBER: _ClassVar[int]
@@ -524,6 +528,7 @@ class ThreadReconstruction(_message.Message):
     OTHER_THREADS_FIELD_NUMBER: _ClassVar[int]
     LEFT_OVER_SHARE_FIELD_NUMBER: _ClassVar[int]
     LEFT_OVER_PX_FIELD_NUMBER: _ClassVar[int]
+    CALIBRATION_COVARIANCE_FIELD_NUMBER: _ClassVar[int]
     stamp: FrameStamp
     camera: RectifiedStereo
     status: Status
@@ -547,7 +552,8 @@ class ThreadReconstruction(_message.Message):
     other_threads: _containers.RepeatedCompositeFieldContainer[ThreadCandidate]
     left_over_share: float
     left_over_px: Array
-    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., method: _Optional[str] = ..., degree: _Optional[int] = ..., knots: _Optional[_Union[Array, _Mapping]] = ..., control_points_camera: _Optional[_Union[Array, _Mapping]] = ..., regions: _Optional[_Union[ReliabilityRegions, _Mapping]] = ..., confidence_s: _Optional[_Union[Array, _Mapping]] = ..., confidence: _Optional[_Union[Array, _Mapping]] = ..., posterior_s: _Optional[_Union[Array, _Mapping]] = ..., posterior_covariance: _Optional[_Union[Array, _Mapping]] = ..., unseen: _Optional[_Union[Array, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ..., track: _Optional[_Union[ThreadTrack, _Mapping]] = ..., crossings: _Optional[_Iterable[_Union[Crossing, _Mapping]]] = ..., other_threads_px: _Optional[_Union[Array, _Mapping]] = ..., hidden: _Optional[_Union[Array, _Mapping]] = ..., ends_hidden: _Optional[_Union[Array, _Mapping]] = ..., other_threads: _Optional[_Iterable[_Union[ThreadCandidate, _Mapping]]] = ..., left_over_share: _Optional[float] = ..., left_over_px: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
+    calibration_covariance: Array
+    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., method: _Optional[str] = ..., degree: _Optional[int] = ..., knots: _Optional[_Union[Array, _Mapping]] = ..., control_points_camera: _Optional[_Union[Array, _Mapping]] = ..., regions: _Optional[_Union[ReliabilityRegions, _Mapping]] = ..., confidence_s: _Optional[_Union[Array, _Mapping]] = ..., confidence: _Optional[_Union[Array, _Mapping]] = ..., posterior_s: _Optional[_Union[Array, _Mapping]] = ..., posterior_covariance: _Optional[_Union[Array, _Mapping]] = ..., unseen: _Optional[_Union[Array, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ..., track: _Optional[_Union[ThreadTrack, _Mapping]] = ..., crossings: _Optional[_Iterable[_Union[Crossing, _Mapping]]] = ..., other_threads_px: _Optional[_Union[Array, _Mapping]] = ..., hidden: _Optional[_Union[Array, _Mapping]] = ..., ends_hidden: _Optional[_Union[Array, _Mapping]] = ..., other_threads: _Optional[_Iterable[_Union[ThreadCandidate, _Mapping]]] = ..., left_over_share: _Optional[float] = ..., left_over_px: _Optional[_Union[Array, _Mapping]] = ..., calibration_covariance: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
 
 class Crossing(_message.Message):
     __slots__ = ("s_first", "s_second", "point_px", "over", "depth_apart")

@@ -126,7 +126,8 @@ class StereoCalibration:
     """A calibrated stereo camera: pinhole matrices, OpenCV distortion, and the way from left to right.
 
     `T_right_left` maps points of the left camera into the right one. Its translation, and everything that is
-    measured with this calibration, is in a unit of `metres_per_unit` metres, or in an unknown one (None).
+    measured with this calibration, is in a unit of `metres_per_unit` metres, or in an unknown one (None). What it may
+    be off by is told by the covariance of the eight errors in `shared.calibration.uncertainty`; None where nobody says.
     """
 
     image_width: int
@@ -138,9 +139,13 @@ class StereoCalibration:
     T_right_left: Float64[np.ndarray, "4 4"]
     metres_per_unit: float | None
     consumed: tuple[Consumed, ...] = ()
+    covariance: Float64[np.ndarray, "8 8"] | None = None
 
     def __post_init__(self) -> None:
         check_message(self)
+        if self.covariance is not None:
+            require(bool((np.diag(self.covariance) >= 0).all()), "a variance of the calibration is negative")
+            require(bool((self.covariance == self.covariance.T).all()), "the calibration's covariance is not symmetric")
         require(
             self.image_width > 0 and self.image_height > 0,
             f"the calibration's image size must be positive, not {self.image_width}x{self.image_height}",

@@ -183,6 +183,8 @@ class ThreadObservations:
             where it was in line. Masks and centrelines are of the image put in line.
         disparities_px: least and greatest disparity at which thread may be, by what the ground of the pair shows; None
             where it shows too little.
+        calibration_covariance: of the calibration's errors (`shared.calibration.uncertainty`), as its file states or as
+            is usual; None where it is taken for exact.
         rows_moved_up: the same as `right_eye.rows_px` where that is all: older recordings have nothing else.
         picture_left, picture_right: checksums of the frame's pictures, by which one is known that stands still.
         picture_left_since, picture_right_since: sequence of the first frame in turn with the same picture.
@@ -239,6 +241,7 @@ class ThreadObservations:
     glances: int = 0
     right_eye: RightEye | None = None
     disparities_px: Float64[np.ndarray, "2"] | None = None
+    calibration_covariance: Float64[np.ndarray, "8 8"] | None = None
     consumed: tuple[Consumed, ...] = ()
 
     def __post_init__(self) -> None:
@@ -372,7 +375,10 @@ class ThreadReconstruction:
         knots: the full knot vector with repeated ends, from 0 to 1.
         confidence_s, confidence: arc length (0 to 1) and confidence (0 to 1).
         posterior_s, posterior_covariance: spline parameter (0 to 1) and covariance of the point there; empty where
-            the method predicts none.
+            the method predicts none. What errors of the calibration bend is in it; a rigid motion of the whole field,
+            which a hand-eye transform found through the same camera takes back, is not.
+        calibration_covariance: of the calibration's errors; those of a place as the camera frame has it are
+            `shared.calibration.uncertainty.displacements`. None where the calibration is taken for exact.
         unseen: stretches of arc length that not both images show, so that depth there is a guess.
         track: where the thread is followed from frame to frame.
         crossings: where the thread crosses itself in the left image.
@@ -409,6 +415,7 @@ class ThreadReconstruction:
     other_threads: tuple[ThreadCandidate, ...] = ()
     left_over_share: float | None = None
     left_over_px: Float64[np.ndarray, "l 2"] | None = None
+    calibration_covariance: Float64[np.ndarray, "8 8"] | None = None
 
     def __post_init__(self) -> None:
         check_message(self)

@@ -8,6 +8,6 @@ from schemas.messages import StereoCalibration
 
 
 def calibration_id(calibration: StereoCalibration) -> str:
-    """A short name of a calibration that changes whenever any of its numbers does."""
-    numbers = dataclasses.replace(calibration, consumed=())
+    """A short name of a calibration that changes whenever one of the numbers does by which it measures."""
+    numbers = dataclasses.replace(calibration, consumed=(), covariance=None)
     return hashlib.sha256(encode(numbers)).hexdigest()[:12]

@@ -15,6 +15,7 @@ from jaxtyping import Float64
 from shared.calibration.documents import Document, Node
 from shared.calibration.numbers import array, matrix, shape_text, vector, whole_number
 from shared.calibration.stated import CalibrationError, ImageSize, StatedCalibration
+from shared.calibration.uncertainty import ERRORS
 from shared.rigid_transforms import exp_so3
 
 _CAMERA_MATRIX = (
@@ -51,6 +52,7 @@ _MEANING = {
     **dict.fromkeys(_ROTATION, "rotation"),
     **dict.fromkeys((*_TRANSLATION, *_LEFT_TO_RIGHT), "translation"),
     **dict.fromkeys(("unit", "units", "lengthunit"), "unit"),
+    "covarianceoferrors": "covariance",
     **dict.fromkeys(("baseline", "baselinem", "baselinemm"), "baseline"),
     **dict.fromkeys(("k", "cameramatrix", "intrinsics", "intrinsicmatrix"), "camera matrix"),
     **dict.fromkeys(_DISTORTION, "distortion"),
@@ -119,6 +121,7 @@ def stereo_calibration(entries: NamedEntries) -> StatedCalibration:
         t_right_left=t_right_left,
         size=stated_size(entries),
         unit=stated_unit(entries),
+        covariance=_covariance(entries),
     )
 
 
@@ -152,6 +155,12 @@ def stated_unit(entries: NamedEntries) -> str | None:
     if not isinstance(node, str):
         raise CalibrationError(f"{name} must be the name of a unit")
     return node.strip("\"'")
+
+
+def _covariance(entries: NamedEntries) -> Float64[np.ndarray, "8 8"] | None:
+    if "covariance" not in entries:
+        return None
+    return matrix(*entries.entry("covariance", "covariance_of_errors"), len(ERRORS), len(ERRORS))
 
 
 def _size_pair(node: Node, name: str) -> tuple[int, int]:

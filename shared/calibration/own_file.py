@@ -43,6 +43,8 @@ def calibration_text(calibration: StereoCalibration, name: str, made_ns: int | N
         "T_right_left": calibration.T_right_left.tolist(),
         "unit": unit,
     }
+    if calibration.covariance is not None:
+        content["covariance_of_errors"] = calibration.covariance.tolist()
     content |= {} if made_ns is None else {MADE: made_text(made_ns)}
     lines = ",\n".join(f"  {json.dumps(name)}: {json.dumps(value)}" for name, value in content.items())
     return f"{{\n{lines}\n}}\n"

@@ -99,6 +99,7 @@ def _judged(
         distortion_right=stated.distortion_right,
         T_right_left=transform(R, stated.t_right_left),
         metres_per_unit=metres,
+        covariance=stated.covariance,
     )
     calibration, convention = counted_from_centres(calibration) if foreign else (calibration, ())
     found = (*rotation_judgements, *convention, *judgements(calibration))

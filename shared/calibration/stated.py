@@ -34,8 +34,8 @@ class ImageSize:
 class StatedCalibration:
     """Two cameras with `x_right = R_right_left x_left + t_right_left`, whatever the file's format.
 
-    `size` and `unit` are None where the file says nothing. A unit `by_convention` is what the format's users agree
-    on, which a given unit overrides; one that the file states itself is binding.
+    `size`, `unit` and `covariance` are None where the file says nothing. A unit `by_convention` is what the format's
+    users agree on, which a given unit overrides; one that the file states itself is binding.
     """
 
     K_left: Float64[np.ndarray, "3 3"]
@@ -46,4 +46,5 @@ class StatedCalibration:
     t_right_left: Float64[np.ndarray, "3"]
     size: ImageSize | None = None
     unit: str | None = None
+    covariance: Float64[np.ndarray, "8 8"] | None = None
     unit_by_convention: bool = False

@@ -128,6 +128,7 @@ def calibrations(draw):
     T[0, 3] = draw(positive)
     given = {"K_left": camera_matrices(), "K_right": camera_matrices(), "T_right_left": T}
     given |= {"distortion_left": left, "distortion_right": right, "metres_per_unit": st.none() | positive}
+    given["covariance"] = st.none() | arrays(np.float64, 8, elements=positive).map(np.diag)
     return draw(with_fields(messages.StereoCalibration, image_width=sizes, image_height=sizes, **given))
 
 

@@ -13,6 +13,7 @@ from agents.cli.reconstruct.options import UsageError
 from agents.cli.rig.config import RigConfig
 from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.cli.terminal import complain, say, warn
+from agents.perception.rectification import rectification
 from schemas.messages import Judgement, Severity
 from shared.calibration import CalibrationError, read_calibration, write_calibration
 from shared.calibration.estimation.board import Board
@@ -20,6 +21,7 @@ from shared.calibration.estimation.checking import Checked, checked, held_out
 from shared.calibration.estimation.coverage import coverage, lacking
 from shared.calibration.estimation.estimate import FEWEST_VIEWS, Estimate, estimated
 from shared.calibration.judge import judgements
+from shared.calibration.uncertainty import FIELD_DEPTHS, bending, covariance_of, displacements
 from shared.calibration.written import camera_info_texts, opencv_text
 from shared.clock import now_ns
 from shared.runtime.connection import connected
@@ -154,6 +156,7 @@ def _told(estimate: Estimate, apart: tuple[Checked, ...], unit: str) -> list[str
         f"{len(estimate.views)} views: focal lengths {calibration.K_left[0, 0]:.1f} and "
         f"{calibration.K_right[0, 0]:.1f} px, baseline {baseline:.3f} {unit}",
         f"reprojection: {np.median(per_view):.2f} px (median view), {per_view.max():.2f} px (worst)",
+        _depth(estimate, unit),
     ]
     if not apart:
         return [*told, "nothing could be held out: with two more views than the least, error on new views is told too"]
@@ -164,6 +167,21 @@ def _told(estimate: Estimate, apart: tuple[Checked, ...], unit: str) -> list[str
         f"on views held out: reprojection {held:.2f} px (median), rows {_rows(apart):.2f} px apart (median), "
         f"squares right to {size:.2%} in the worst view",
     ]
+
+
+def _depth(estimate: Estimate, unit: str) -> str:
+    """How well depth is known in the middle of the image, where the boards stood."""
+    calibration, distance = estimate.calibration, float(np.median(estimate.T_left_board[:, 2, 3]))
+    camera, middle = rectification(calibration).camera, np.array([[0.0, 0.0, distance]])
+    near = middle * np.array(FIELD_DEPTHS)[:, None]
+    whole, bent = (
+        np.sqrt(float((moved[:, 2] @ covariance_of(calibration) * moved[:, 2]).sum(axis=1).max()))
+        for moved in (displacements(camera, middle), bending(camera, near, distance))
+    )
+    return (
+        f"depth at {distance:.3g} {unit}: known to {whole:.2g} {unit} (one deviation), and to {bent:.2g} {unit} by a "
+        "robot whose hand-eye transform is found with it"
+    )
 
 
 def _rows(found: tuple[Checked, ...] | list[Checked]) -> float:

@@ -18,6 +18,7 @@ from agents.perception.told_apart import as_sent, told_apart
 from agents.reconstruction.method_names import MATCHING_METHODS
 from agents.reconstruction.methods import METHODS
 from schemas.messages import FrameStamp, StereoCalibration, ThreadObservations, ThreadReconstruction
+from shared.calibration.uncertainty import covariance_of
 from shared.clock import Stopwatch
 from shared.right_eye import in_line, whole_rows
 
@@ -106,6 +107,7 @@ def reconstruct_pair(
         )
         eye = whole.right_eye
         observations = replace(as_sent(observations), judgements=found, right_eye=eye, rows_moved_up=whole_rows(eye))
+        observations = replace(observations, calibration_covariance=covariance_of(calibration))
     with watch.step("reconstruct"):
         reconstruction = METHODS[method](observations)
     return PipelineResult((left, right), observations, reconstruction, watch.ms)

@@ -13,6 +13,7 @@ from agents.reconstruction.refined.projection import Curve
 from agents.reconstruction.refined.refinement import Refined
 from agents.reconstruction.refined.shared_errors import shared_errors
 from schemas.messages import RectifiedStereo
+from shared.calibration.uncertainty import bending
 
 ALIKE = 2.0
 """Frames that follow each other err alike, as if half of the variance were new in each."""
@@ -35,6 +36,18 @@ def point_covariance(
     shared = (basis[:, None] @ factor[near]).reshape(len(s), 3, -1)
     covariance = (ALIKE if fit.follows else 1.0) * own + shared @ shared.transpose(0, 2, 1)
     return covariance + sliding(fit.curve, covariance, s)
+
+
+def bent_covariance(
+    fit: Refined,
+    camera: RectifiedStereo,
+    s: Float64[np.ndarray, "q"],
+    of_calibration: Float64[np.ndarray, "8 8"],
+) -> Float64[np.ndarray, "q 3 3"]:
+    """What errors of the calibration add where they do not move the whole field alike (`shared.calibration`)."""
+    points = fit.curve.at(s)
+    moved = bending(camera, points, float(np.median(points[:, 2])))
+    return moved @ of_calibration @ moved.transpose(0, 2, 1)
 
 
 def sliding(

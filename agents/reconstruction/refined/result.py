@@ -17,7 +17,7 @@ from agents.reconstruction.refined.crossings import (
 )
 from agents.reconstruction.refined.cubic import DEGREE, even_parameters
 from agents.reconstruction.refined.medians import median
-from agents.reconstruction.refined.posterior import point_covariance
+from agents.reconstruction.refined.posterior import bent_covariance, point_covariance
 from agents.reconstruction.refined.projection import DENSE, Curve, chords, pixels_evenly
 from agents.reconstruction.refined.refinement import Refined
 from schemas.messages import (
@@ -57,6 +57,8 @@ def reconstruction(
     camera, curve, regions = observations.camera, held.curve, held.regions
     s = SAMPLED
     covariance = point_covariance(fit, camera, s)
+    if observations.calibration_covariance is not None:
+        covariance = covariance + bent_covariance(fit, camera, s, observations.calibration_covariance)
     unit_m = camera.metres_per_unit or assumed_unit(curve.control_points[:, 2])
     confidence = confidence_of(curve.with_velocities(s)[1], covariance, unit_m)
     not_seen = ~seen(fit, camera)
@@ -100,6 +102,7 @@ def reconstruction(
         other_threads=others,
         left_over_share=left_over_share,
         left_over_px=left_over_px,
+        calibration_covariance=observations.calibration_covariance,
     )
 
 

@@ -5,7 +5,7 @@ that the reprojection of all corners in both images is closest in least squares.
 the others do was seen wrongly, or at two moments by the two eyes: it is named, left out, and the rest estimated again.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -14,6 +14,7 @@ from jaxtyping import Float64
 from schemas.checks import MessageError
 from schemas.messages import StereoCalibration
 from shared.calibration.estimation.board import Board
+from shared.calibration.estimation.covariance import error_covariance
 from shared.calibration.estimation.views import View
 from shared.calibration.stated import CalibrationError
 from shared.rigid_transforms import nearest_rotation, transform
@@ -86,8 +87,10 @@ def estimated(
         left_out.append((views[worst].name, float(far[worst])))
         views = views[:worst] + views[worst + 1 :]
     _check_fit(found)
+    fixed = () if len(views) >= VIEWS_FOR_ALL else (4,)
+    covariance = error_covariance(found.calibration, found.views, board, found.T_left_board, residuals_px, fixed)
     return Estimate(
-        found.calibration,
+        replace(found.calibration, covariance=covariance),
         found.views,
         found.T_left_board,
         found.residual_left_px,

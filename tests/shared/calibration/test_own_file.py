@@ -25,6 +25,7 @@ def test_any_calibration_survives_the_round_trip(tmp_path_factory, endoscope, ro
         endoscope,
         metres_per_unit=(1.0, 1e-2, 1e-3, 1e-6, None)[count % 5],
         distortion_right=np.random.default_rng(count).normal(size=count),
+        covariance=np.diag(np.random.default_rng(count).uniform(size=8)) if count % 2 else None,
         T_right_left=transform(exp_so3(np.array(rotation)), np.array([-baseline, baseline / 9, 0.01])),
     )
     path = tmp_path_factory.mktemp("round") / "calibration.json"

@@ -6,6 +6,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
 from agents.reconstruction.method_names import DEFAULT_METHOD
 from agents.reconstruction.methods import METHODS
@@ -13,6 +14,7 @@ from agents.reconstruction.refined.method import METHOD, reconstruct_refined
 from schemas.codec import encode
 from schemas.messages import GIVEN_MASKS, ImageEncoding, Occluder, Occluders, Status, ThreadCandidate, no_centrelines
 from shared.arc_length import even_parameters
+from shared.calibration.uncertainty import ERRORS, displacements
 from shared.camera import project
 from shared.curve_distance import curve_distance
 from shared.images import encode_image
@@ -76,6 +78,31 @@ def test_what_neither_image_shows_is_told_and_less_certain(seen, threads):
     beside = (np.abs(thread.posterior_s - low) < 0.2) & ~hidden
     assert deviation[hidden].max() > deviation[beside].min()
     assert curve_distance(points_of(thread), threads["winding"](DENSE)).maximum < 2.0
+
+
+def test_an_eye_that_is_turned_unseen_is_within_what_is_told_of_the_calibration(seen, curve, camera, see, make_lines):
+    turned = 1e-3
+    of_calibration = np.zeros((8, 8))
+    of_calibration[ERRORS.index("vergence"), ERRORS.index("vergence")] = turned**2
+    right = see(curve, 1).point_px
+    off_px = turned * camera.fx_px * (1 + ((right[:, 0] - camera.cx_px) / camera.fx_px) ** 2)
+    wrong = make_lines(right + np.column_stack((off_px, np.zeros(len(off_px)))))
+    alone, told = (
+        reconstruct_refined(seen(curve, centrelines_right=wrong, calibration_covariance=covariance))
+        for covariance in (None, of_calibration)
+    )
+    at = evaluate(told.knots, told.control_points_camera, 3, told.posterior_s)
+    off = np.abs(at[:, 2] - curve(DENSE)[KDTree(curve(DENSE)[:, :2]).query(at[:, :2])[1], 2])
+    assert np.median(off) > 1.0
+    moved = displacements(camera, at)
+    whole = told.posterior_covariance + moved @ told.calibration_covariance @ moved.transpose(0, 2, 1)
+    # one deviation of the calibration, as the camera frame has it
+    assert 0.8 < np.median(off / np.sqrt(whole[:, 2, 2])) < 1.2
+    # of which a hand-eye transform takes most back; what bends is in the posterior
+    bent = told.posterior_covariance - alone.posterior_covariance
+    assert np.linalg.eigvalsh(bent).min() > -1e-9
+    assert 0.01 < np.sqrt(bent[:, 2, 2].max()) < 0.5 * np.median(off)
+    assert alone.calibration_covariance is None
 
 
 def over(curve, camera, *stretches):

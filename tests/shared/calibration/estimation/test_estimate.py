@@ -11,9 +11,11 @@ from shared.calibration import CalibrationError, read_calibration
 from shared.calibration.estimation.board import Board
 from shared.calibration.estimation.checking import checked, held_out, rotation_deg
 from shared.calibration.estimation.collecting import why_not
+from shared.calibration.estimation.covariance import errors_of
 from shared.calibration.estimation.coverage import Coverage, coverage, lacking
 from shared.calibration.estimation.estimate import estimated, residuals_px
 from shared.calibration.estimation.views import View
+from shared.calibration.uncertainty import USUAL
 from shared.calibration.written import camera_info_texts, opencv_text
 from shared.rigid_transforms import exp_so3, transform
 from tests.rigs.boards import endoscope, standings
@@ -62,6 +64,21 @@ def test_a_camera_is_recovered_from_its_views(seed, zoom, off_centre_px, baselin
     one = checked(new, BOARD, found)
     assert np.median(np.abs(one.rows_px)) < 0.1
     assert one.size == pytest.approx(1.0, abs=0.006)
+
+
+@pytest.mark.slow
+def test_the_covariance_of_an_estimate_is_that_of_its_errors():
+    square, rest = [], []
+    for seed in range(6):
+        estimate = estimated(views_of(CAMERA, 20, seed, 0.3), BOARD, SIZE, MM)
+        stated = estimate.calibration.covariance
+        points = np.concatenate([BOARD.points @ T[:3, :3].T + T[:3, 3] for T in estimate.T_left_board])
+        error = errors_of(CAMERA, [estimate.calibration], points)[:, 0]
+        square.append(error @ np.linalg.solve(stated, error))
+        rest.append(np.sqrt(np.diag(stated)) / USUAL)
+    # of 6 times 8 values of deviation 1: mean 48, deviation 10
+    assert 25 < sum(square) < 80
+    assert np.median(rest) < 1.5
 
 
 def test_held_out_views_tell_the_noise_of_corners_and_what_they_were_made_from():
