@@ -52,6 +52,7 @@ def runs(scene: Scene) -> Iterator[Run]:
 
 def wrong_calibrations(calibration: StereoCalibration) -> Iterator[tuple[str, StereoCalibration]]:
     """The calibration with one error each, of the size that a careful calibration still has."""
+    calibration = replace(calibration, covariance=None)
     focal = np.diag([1.0 + FOCAL_SHARE, 1.0 + FOCAL_SHARE, 1.0])
     # K diag(k, k, 1) scales the focal lengths and leaves the principal point
     yield "f 0.1 %", replace(calibration, K_left=calibration.K_left @ focal, K_right=calibration.K_right @ focal)

@@ -37,6 +37,7 @@ from agents.reconstruction.refined.sightings import (
 )
 from agents.reconstruction.refined.tips import ends_of
 from schemas.messages import GIVEN_MASKS, Centrelines, RectifiedStereo, Status, ThreadObservations, ThreadReconstruction
+from shared.calibration.uncertainty import USUAL
 from shared.camera import project
 from shared.disparities import Disparities, disparities_of
 
@@ -80,7 +81,7 @@ def reconstruct_refined(observations: ThreadObservations) -> ThreadReconstructio
     left, right, camera = observations.centrelines_left, observations.centrelines_right, observations.camera
     try:
         need_evidence(observations)
-        course, fit = course_and_fit(left, right, camera, disparities_of(observations))
+        course, fit = course_and_fit(left, right, camera, disparities_of(observations), uncertain(observations))
         held = within_regions(fit, course, camera)
         return seen_enough(reconstruction(observations, METHOD, fit, held, starts_right(held.curve, observations)))
     except NoCurveError as error:
@@ -118,8 +119,18 @@ def seen_enough(thread: ThreadReconstruction) -> ThreadReconstruction:
     return thread
 
 
+def uncertain(observations: ThreadObservations) -> Float64[np.ndarray, "8 8"]:
+    """What the calibration may be off by, or what is usual where nobody says."""
+    stated = observations.calibration_covariance
+    return np.diag(USUAL**2) if stated is None else stated
+
+
 def course_and_fit(
-    left: Centrelines, right: Centrelines, camera: RectifiedStereo, reach: Disparities
+    left: Centrelines,
+    right: Centrelines,
+    camera: RectifiedStereo,
+    reach: Disparities,
+    of_calibration: Float64[np.ndarray, "8 8"],
 ) -> tuple[Course, Refined]:
     """The thread's course and the curve fitted to it, aligned again for as long as the rows turn out to be apart.
 
@@ -127,12 +138,12 @@ def course_and_fit(
         NoCurveError: where there is no curve that can be the thread.
     """
     course = course_of(left, right, camera, reach)
-    fit = fitted(course, camera)
+    fit = fitted(course, camera, of_calibration)
     for _ in range(MOST_ROW_ROUNDS):
         if _rows_apart_px(fit, course, camera) < ROWS_SETTLED_PX:
             break
         course = course_of(left, right, camera, reach, fit.row_offset_px)
-        fit = fitted(course, camera)
+        fit = fitted(course, camera, of_calibration)
     if reason := implausible(fit, camera):
         raise NoCurveError(reason)
     return course, fit
@@ -186,7 +197,7 @@ def _aligned(
     return again, align(again, right, reach)
 
 
-def fitted(course: Course, camera: RectifiedStereo) -> Refined:
+def fitted(course: Course, camera: RectifiedStereo, of_calibration: Float64[np.ndarray, "8 8"]) -> Refined:
     """The refined curve of a course.
 
     Raises:
@@ -195,11 +206,13 @@ def fitted(course: Course, camera: RectifiedStereo) -> Refined:
     try:
         start, s = initial_curve(course.left, course.aligned, course.sight.s, camera)
         sight = course.sight if _leads_to_places(course, start, camera) else replace(course.sight, s=s)
-        fit = refined(Start(start, sight, row_offset_px=course.row_offset_px), camera)
+        begun = Start(start, sight, row_offset_px=course.row_offset_px, of_calibration=of_calibration)
+        fit = refined(begun, camera)
         if fit.scale <= FOLLOWED:
             return fit
         denser = with_needed_spans(fit.curve, camera)
-        return fit if denser is None else refined(Start(denser, fit.sight, row_offset_px=fit.row_offset_px), camera)
+        again = replace(begun, curve=denser, sight=fit.sight, row_offset_px=fit.row_offset_px) if denser else None
+        return fit if again is None else refined(again, camera)
     except np.linalg.LinAlgError as error:
         raise NoCurveError(f"no curve follows from both images ({error})") from error
 

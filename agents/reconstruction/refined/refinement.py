@@ -3,8 +3,8 @@
     min  ½ Σ ρ(r_i) + ½ λ Σ_k w_k ‖Δ³P_k‖²
 
 ρ is Cauchy's, so that wrong points lose their say. Between steps the curve is brought back to constant speed, and each
-sighting to the place nearest to it. How far apart the rows of both images are is estimated (`rows`) and taken out where
-it is certain: a calibration that is a little off would otherwise bend the depth.
+sighting to the place nearest to it. How far apart the rows of both images are is estimated (`rows`): a calibration that
+is a little off would otherwise bend the depth.
 """
 
 from dataclasses import dataclass, field, replace
@@ -29,12 +29,13 @@ from agents.reconstruction.refined.normal_equations import (
     solved,
 )
 from agents.reconstruction.refined.projection import LEVEL, Curve, at_constant_speed
-from agents.reconstruction.refined.rows import row_change, row_doubt, rows_information
+from agents.reconstruction.refined.rows import row_doubt, row_offset, row_prior, rows_information
 from agents.reconstruction.refined.sightings import Sightings, folds, placed
 from agents.reconstruction.refined.smoothing import COARSE, FINE, chosen_smoothing, local_weights
 from schemas.messages import RectifiedStereo
+from shared.calibration.uncertainty import USUAL
 
-STEPS = 7
+STEPS, ROWS_FROM = 7, 1
 ROBUST, ROBUST_END = 2.5, 10.0
 """Residuals beyond so many deviations count less and less: of points, and of the thread's end along it."""
 LOOSER = 3.0
@@ -55,7 +56,7 @@ class Refined:
         loose: the same for a thread that need not be as smooth; the inverse of its matrix is the posterior covariance.
         alone: of that, what this frame says by itself.
         follows: whether frames before have a say in the others.
-        row_doubt: factor of what uncertain rows add to that; None where they are taken as they are.
+        row_doubt: factor of what uncertain rows add to that; None where the calibration is exact.
     """
 
     curve: Curve
@@ -92,6 +93,7 @@ class Start:
     smoothing: float | None = None
     weight: Float64[np.ndarray, "spans"] | None = None
     row_offset_px: Float64[np.ndarray, "4"] = field(default_factory=LEVEL.copy)
+    of_calibration: Float64[np.ndarray, "8 8"] = field(default_factory=lambda: np.diag(USUAL**2))
 
 
 def refined(start: Start, camera: RectifiedStereo, steps: int | None = None) -> Refined:
@@ -100,13 +102,13 @@ def refined(start: Start, camera: RectifiedStereo, steps: int | None = None) -> 
     Raises:
         numpy.linalg.LinAlgError: where the equations have no solution.
     """
-    curve, row_offset = start.curve, start.row_offset_px
+    curve, offset_px, prior = start.curve, start.row_offset_px, row_prior(start.of_calibration, camera)
     weight = np.ones(curve.spans) if start.weight is None else start.weight
     # nothing is known of the smoothing before the first step chooses it
     smoothing = start.smoothing or 1.0
-    sight = placed(start.sight, curve, camera, row_offset, rounds=3)
+    sight = placed(start.sight, curve, camera, offset_px, rounds=3)
     for step in range(STEPS if steps is None else steps):
-        rows, robust, scale = weighted(curve, sight, camera, row_offset)
+        rows, robust, scale = weighted(curve, sight, camera, offset_px)
         data = data_blocks(rows, robust / scale**2, curve.spans) + damping_blocks(curve)
         if step in (1, 2) or (step == 0 and start.smoothing is None):
             near = COARSE if step == 0 else smoothing * FINE
@@ -117,22 +119,22 @@ def refined(start: Start, camera: RectifiedStereo, steps: int | None = None) -> 
             total = data + roughness_blocks(curve, smoothing * weight)
         factor = factored(total)
         motion = -solved(factor, gradient(total.g))
-        if step in (1, 3) or (step > 3 and row_offset[1:].any()):
+        if step >= ROWS_FROM and prior.any():
             said = rows_information(rows, robust / scale**2, factor, motion)
-            change = row_change(said, row_offset, camera, constant_alone=step == 1)
-            row_offset, motion = row_offset + change, motion - said.follow @ change
+            changed_px = row_offset(said, offset_px, prior)
+            motion, offset_px = motion - said.follow @ (changed_px - offset_px), changed_px
         curve = curve.moved(finite(motion).reshape(-1, 3))
         curve, s = at_constant_speed(curve, sight.s, folds(sight, curve, camera))
-        sight = placed(replace(sight, s=s), curve, camera, row_offset)
-    rows, robust, scale = weighted(curve, sight, camera, row_offset)
+        sight = placed(replace(sight, s=s), curve, camera, offset_px)
+    rows, robust, scale = weighted(curve, sight, camera, offset_px)
     data = data_blocks(rows, robust / scale**2, curve.spans) + damping_blocks(curve)
     smooth = roughness_blocks(curve, smoothing * weight)
     total, loose = data + smooth, data + smooth * (1.0 / LOOSER)
     doubt = None
-    if row_offset.any():
-        doubt = row_doubt(rows_information(rows, robust / scale**2, factored(total)), row_offset, camera)
+    if prior.any():
+        doubt = row_doubt(rows_information(rows, robust / scale**2, factored(total)), prior)
     return Refined(
-        curve, sight, rows, robust, scale, smoothing, weight, row_offset, total, loose, loose, row_doubt=doubt
+        curve, sight, rows, robust, scale, smoothing, weight, offset_px, total, loose, loose, row_doubt=doubt
     )
 
 

@@ -27,6 +27,7 @@ from agents.reconstruction.refined.method import (
     course_and_fit,
     need_evidence,
     seen_enough,
+    uncertain,
     within_regions,
 )
 from agents.reconstruction.refined.motion import band_of
@@ -135,7 +136,7 @@ def _lost(observations: ThreadObservations, reason: str, before: ThreadTrack | N
 
 def _alone(observations: ThreadObservations, before: ThreadTrack | None) -> _Alone:
     left, right, camera = observations.centrelines_left, observations.centrelines_right, observations.camera
-    course, fit = course_and_fit(left, right, camera, disparities_of(observations))
+    course, fit = course_and_fit(left, right, camera, disparities_of(observations), uncertain(observations))
     held = within_regions(fit, course, camera)
     if before is None or not _is_kept(observations, before):
         return _Alone(fit, held, starts_right(held.curve, observations))

@@ -58,7 +58,7 @@ def test_stretches_cover_just_the_hidden_places(hidden):
 def test_covariance_grows_where_the_thread_runs_along_the_rows(waving_spline, sight_of, camera):
     # what neighbours err together tilts a crest, and leaves its middle where it is: errors of pixels alone
     sight = sight_of(waving_spline, count=300, noise_px=0.02, deviation_px=0.02)
-    fit = refined(Start(waving_spline, sight), camera)
+    fit = refined(Start(waving_spline, sight, of_calibration=np.zeros((8, 8))), camera)
     s = np.linspace(0.03, 0.97, 300)
     depth = np.sqrt(point_covariance(fit, camera, s)[:, 2, 2])
     v = camera.fy_px * waving_spline.at(s)[:, 1] / waving_spline.at(s)[:, 2]
