@@ -9,6 +9,7 @@ transform was found through the same camera, by the posterior, which leaves out 
 """
 
 import argparse
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -84,7 +85,7 @@ def covered(
 
 def wrongly(observations: ThreadObservations, errors: Float64[np.ndarray, "8"]) -> ThreadObservations:
     """What was seen, by a camera that is not as its calibration says."""
-    camera, amount = observations.camera, dict(zip(ERRORS, errors, strict=True))
+    camera, amount = observations.camera, _named(errors)
     focal, middle = np.array((camera.fx_px, camera.fy_px)), np.array((camera.cx_px, camera.cy_px))
     ray = (observations.centrelines_right.point_px - middle) / focal
     point_px = middle + focal * _turned(ray, amount)
@@ -101,7 +102,11 @@ def wrongly(observations: ThreadObservations, errors: Float64[np.ndarray, "8"]) 
     return replace(observations, camera=other, centrelines_right=right)
 
 
-def _turned(ray: Float64[np.ndarray, "n 2"], amount: dict[str, float]) -> Float64[np.ndarray, "n 2"]:
+def _named(errors: Float64[np.ndarray, "8"]) -> dict[str, float]:
+    return {name: float(error) for name, error in zip(ERRORS, errors, strict=True)}
+
+
+def _turned(ray: Float64[np.ndarray, "n 2"], amount: Mapping[str, float]) -> Float64[np.ndarray, "n 2"]:
     turn = exp_so3(np.array([amount["pitch"], amount["vergence"], amount["roll"]]))
     seen = np.column_stack((ray, np.ones(len(ray)))) @ turn.T
     return seen[:, :2] / seen[:, 2:] * (1.0 + amount["focal_apart"])
@@ -112,7 +117,7 @@ def hand_eye(
 ) -> tuple[Float64[np.ndarray, "3 3"], Float64[np.ndarray, "3"]]:
     """The rigid transform that takes a field as it is measured with a wrong calibration to where it is (Kabsch)."""
     true = field_of(camera, depth)
-    amount = dict(zip(ERRORS, errors, strict=True))
+    amount = _named(errors)
     left = true[:, :2] / true[:, 2:]
     right = _turned((true - (camera.baseline, 0.0, 0.0))[:, :2] / true[:, 2:], amount)
     centre, enlarged = np.array((amount["cx"], amount["cy"])), 1.0 + amount["focal"]

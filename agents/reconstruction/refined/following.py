@@ -30,6 +30,7 @@ from agents.reconstruction.refined.plausibility import implausible
 from agents.reconstruction.refined.points import chosen_points
 from agents.reconstruction.refined.projection import LEVEL, Curve, at_constant_speed, chords, projected
 from agents.reconstruction.refined.refinement import LEAST_SCALE, LOOSER, Refined, weighted
+from agents.reconstruction.refined.rows import row_doubt, row_prior, rows_information
 from agents.reconstruction.refined.sightings import MOST_POINTS, Sightings, placed
 from agents.reconstruction.refined.smoothing import FINE, chosen_smoothing, local_weights
 from schemas.messages import Centrelines, RectifiedStereo, ThreadTrack
@@ -78,7 +79,11 @@ class Followed:
 
 
 def followed(
-    last: ThreadTrack, lines: tuple[Centrelines, Centrelines], camera: RectifiedStereo, elapsed_s: float
+    last: ThreadTrack,
+    lines: tuple[Centrelines, Centrelines],
+    camera: RectifiedStereo,
+    elapsed_s: float,
+    of_calibration: Float64[np.ndarray, "8 8"],
 ) -> Followed:
     """The curve of this frame.
 
@@ -99,7 +104,16 @@ def followed(
     innovation = _innovation(fit.curve, prediction)
     _require_fit(fit, innovation, camera)
     hidden_alike = seen.hidden_share > max(LEAST_HIDDEN, seen.alone_share)
-    return Followed(fit, innovation, seen.found_share, hidden_alike)
+    return Followed(_with_row_doubt(fit, camera, of_calibration), innovation, seen.found_share, hidden_alike)
+
+
+def _with_row_doubt(fit: Refined, camera: RectifiedStereo, of_calibration: Float64[np.ndarray, "8 8"]) -> Refined:
+    """By this frame alone: the rows are as uncertain in each frame, so that no number of them makes depth certain."""
+    known = row_prior(of_calibration, camera)
+    if not known.any():
+        return fit
+    said = rows_information(fit.rows, fit.robust / fit.scale**2, factored(fit.alone))
+    return replace(fit, row_doubt=row_doubt(said, known))
 
 
 @dataclass(frozen=True)

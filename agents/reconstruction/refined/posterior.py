@@ -32,7 +32,10 @@ def point_covariance(
     blocks = fit.covariance[first].reshape(len(s), DEGREE + 1, -1)
     rest = (basis[:, None] @ blocks).reshape(len(s), 3, DEGREE + 1, 3)
     own = (basis[:, None, None] @ rest)[:, :, 0]
-    factor = shared_errors(fit, camera).reshape(len(fit.curve.control_points), -1)
+    factor = shared_errors(fit, camera)
+    if fit.row_doubt is not None:
+        factor = np.concatenate((factor, fit.row_doubt), axis=1)
+    factor = factor.reshape(len(fit.curve.control_points), -1)
     shared = (basis[:, None] @ factor[near]).reshape(len(s), 3, -1)
     covariance = (ALIKE if fit.follows else 1.0) * own + shared @ shared.transpose(0, 2, 1)
     return covariance + sliding(fit.curve, covariance, s)

@@ -16,7 +16,6 @@ from jaxtyping import Float64
 from agents.reconstruction.refined.medians import median
 from agents.reconstruction.refined.near_inverse import near_inverse
 from agents.reconstruction.refined.normal_equations import (
-    SIDE,
     Blocks,
     Rows,
     damping_blocks,
@@ -76,12 +75,7 @@ class Refined:
     @cached_property
     def covariance(self) -> Float64[np.ndarray, "spans 12 12"]:
         """Of the control points of each span, by the fit alone."""
-        covariance = near_inverse(self.loose)
-        if self.row_doubt is not None:
-            near = 3 * np.arange(self.curve.spans)[:, None] + np.arange(SIDE)
-            doubt = self.row_doubt[near]
-            covariance += doubt @ doubt.transpose(0, 2, 1)
-        return covariance
+        return near_inverse(self.loose)
 
 
 @dataclass(frozen=True)

@@ -94,7 +94,7 @@ def _continued(observations: ThreadObservations, before: ThreadTrack) -> ThreadR
     elapsed_s = _since(observations, before)
     if not 0 <= elapsed_s <= LONGEST_S:
         raise LostError(f"the last curve is of {elapsed_s:.1f} s ago")
-    now = followed(before, lines, observations.camera, elapsed_s)
+    now = followed(before, lines, observations.camera, elapsed_s, uncertain(observations))
     if before.step is TrackStep.LOST or _is_due(before, elapsed_s):
         _verify(observations, before, now)
     no_regions = Regions(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0))

@@ -8,6 +8,7 @@ the eight errors of a rectified pair.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -147,17 +148,22 @@ def _moved(calibration: StereoCalibration, number: int) -> StereoCalibration:
     """The calibration with one of its parameters a step on: lengths by a share of the focal length or baseline."""
     K = [calibration.K_left.copy(), calibration.K_right.copy()]
     lens = [_five(calibration.distortion_left), _five(calibration.distortion_right)]
-    T = calibration.T_right_left.copy()
+    T_right_left = calibration.T_right_left
     eye, which = divmod(number, EYE)
     if number >= 2 * EYE:
-        T = _turned(T, number - 2 * EYE, _baseline(calibration))
+        T_right_left = _turned(T_right_left, number - 2 * EYE, _baseline(calibration))
     elif which < INTRINSICS:
         at = ((0, 0), (1, 1), (0, 2), (1, 2))[which]
         K[eye][at] += STEP * K[eye][0, 0]
     else:
         lens[eye][which - INTRINSICS] += STEP
-    return StereoCalibration(
-        calibration.image_width, calibration.image_height, *K, *lens, T, calibration.metres_per_unit
+    return replace(
+        calibration,
+        K_left=K[0],
+        K_right=K[1],
+        distortion_left=lens[0],
+        distortion_right=lens[1],
+        T_right_left=T_right_left,
     )
 
 

@@ -23,6 +23,7 @@ from schemas.messages import (
     no_centrelines,
 )
 from schemas.topics import OBSERVATIONS, THREAD, key
+from shared.calibration.uncertainty import ERRORS
 from shared.runtime.agent import Received
 from shared.splines import evaluate
 from tests.agents.reconstruction.conftest import observations_of
@@ -106,6 +107,25 @@ def test_a_thread_that_is_laid_elsewhere_is_begun_anew():
     error, s = figures(threads, frames)
     assert error.max() < 0.1
     assert np.abs(s - np.linspace(0, 1, 401)[20:-20]).max() < 0.01
+
+
+def test_no_number_of_frames_makes_certain_what_the_calibration_leaves_open():
+    nothing = np.zeros((len(ERRORS), len(ERRORS)))
+    best = {}
+
+    def oblique(t):
+        # rows that are apart are not told from depth
+        return np.column_stack((-20 + 40 * t, 12 - 24 * t, 95 + 2 * np.sin(3 * t)))
+
+    for name, stated in (("usual", None), ("exact", nothing)):
+        threads = tracked(
+            [dataclasses.replace(seen(oblique, number=n), calibration_covariance=stated) for n in range(12)]
+        )
+        assert track_of(threads[-1]).step is TrackStep.CONTINUED
+        best[name] = np.array([np.median(thread.posterior_covariance[:, 2, 2]) for thread in threads])
+    left_open = best["usual"] - best["exact"]
+    assert left_open[1] > 0.005
+    assert left_open[-1] > 0.8 * left_open[1]
 
 
 def winding(t):

@@ -72,6 +72,7 @@ def test_the_covariance_of_an_estimate_is_that_of_its_errors():
     for seed in range(6):
         estimate = estimated(views_of(CAMERA, 20, seed, 0.3), BOARD, SIZE, MM)
         stated = estimate.calibration.covariance
+        assert stated is not None
         points = np.concatenate([BOARD.points @ T[:3, :3].T + T[:3, 3] for T in estimate.T_left_board])
         error = errors_of(CAMERA, [estimate.calibration], points)[:, 0]
         square.append(error @ np.linalg.solve(stated, error))
