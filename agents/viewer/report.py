@@ -14,6 +14,7 @@ from schemas.messages import (
     ThreadObservations,
     ThreadReconstruction,
 )
+from shared.calibration.uncertainty import displacements
 from shared.right_eye import right_eye_of
 from shared.units import unit_name
 
@@ -45,6 +46,8 @@ def facts(observations: ThreadObservations, reconstruction: ThreadReconstruction
     if len(reconstruction.confidence):
         low, high = reconstruction.confidence.min(), reconstruction.confidence.max()
         lines.append(f"confidence {low:.2f} to {high:.2f}")
+    if calibration := calibration_text(reconstruction):
+        lines.append(calibration)
     if outside := int(missed(reconstruction.regions).sum()):
         lines.append(f"{outside} of {len(reconstruction.regions.s)} regions missed")
     if hidden := hidden_text(reconstruction):
@@ -56,6 +59,16 @@ def facts(observations: ThreadObservations, reconstruction: ThreadReconstruction
     lines.append(f"method {reconstruction.method or 'unnamed'}")
     lines.append(f"segmenter {observations.segmenter or 'unnamed'}")
     return lines
+
+
+def calibration_text(reconstruction: ThreadReconstruction) -> str:
+    """By how much the calibration leaves the depth of the whole thread open; empty where it is exact or untold."""
+    covariance, points = reconstruction.calibration_covariance, reconstruction.control_points_camera
+    if covariance is None or not covariance.any() or len(points) == 0:
+        return ""
+    depth = displacements(reconstruction.camera, points)[:, 2]
+    deviation = float(np.sqrt(np.median(np.einsum("ni,ij,nj->n", depth, covariance, depth))))
+    return f"depth as a whole ± {deviation:.2g} {unit_text(reconstruction.camera.metres_per_unit)} by the calibration"
 
 
 def _observed(observations: ThreadObservations) -> str:

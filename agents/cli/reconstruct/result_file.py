@@ -8,6 +8,7 @@ from agents.cli.reconstruct.pipeline import PipelineResult
 from agents.reconstruction.method_names import MATCHING_METHODS
 from schemas.messages import Judgement, Status, ThreadReconstruction
 from shared.arc_length import length
+from shared.calibration.uncertainty import ERRORS
 from shared.units import unit_name
 
 BEGINNING = b'{\n "status": '
@@ -90,7 +91,10 @@ def is_result(path: Path) -> bool:
 def _posterior(thread: ThreadReconstruction) -> dict[str, Any] | None:
     if len(thread.posterior_s) == 0:
         return None
-    return {"s": thread.posterior_s.tolist(), "covariance": thread.posterior_covariance.tolist()}
+    told: dict[str, Any] = {"s": thread.posterior_s.tolist(), "covariance": thread.posterior_covariance.tolist()}
+    if thread.calibration_covariance is not None:
+        told["calibration"] = {"errors": list(ERRORS), "covariance": thread.calibration_covariance.tolist()}
+    return told
 
 
 def _length(thread: ThreadReconstruction) -> float | None:

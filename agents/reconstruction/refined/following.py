@@ -29,8 +29,7 @@ from agents.reconstruction.refined.normal_equations import (
 from agents.reconstruction.refined.plausibility import implausible
 from agents.reconstruction.refined.points import chosen_points
 from agents.reconstruction.refined.projection import LEVEL, Curve, at_constant_speed, chords, projected
-from agents.reconstruction.refined.refinement import LEAST_SCALE, LOOSER, Refined, weighted
-from agents.reconstruction.refined.rows import row_doubt, row_prior, rows_information
+from agents.reconstruction.refined.refinement import FREE, LEAST_SCALE, LOOSER, Refined, weighted, with_row_doubt
 from agents.reconstruction.refined.sightings import MOST_POINTS, Sightings, placed
 from agents.reconstruction.refined.smoothing import FINE, chosen_smoothing, local_weights
 from schemas.messages import Centrelines, RectifiedStereo, ThreadTrack
@@ -104,16 +103,8 @@ def followed(
     innovation = _innovation(fit.curve, prediction)
     _require_fit(fit, innovation, camera)
     hidden_alike = seen.hidden_share > max(LEAST_HIDDEN, seen.alone_share)
-    return Followed(_with_row_doubt(fit, camera, of_calibration), innovation, seen.found_share, hidden_alike)
-
-
-def _with_row_doubt(fit: Refined, camera: RectifiedStereo, of_calibration: Float64[np.ndarray, "8 8"]) -> Refined:
-    """By this frame alone: the rows are as uncertain in each frame, so that no number of them makes depth certain."""
-    known = row_prior(of_calibration, camera)
-    if not known.any():
-        return fit
-    said = rows_information(fit.rows, fit.robust / fit.scale**2, factored(fit.alone))
-    return replace(fit, row_doubt=row_doubt(said, known))
+    # the rows are as uncertain in each frame, so that no number of them makes depth certain
+    return Followed(with_row_doubt(fit, camera, of_calibration), innovation, seen.found_share, hidden_alike)
 
 
 @dataclass(frozen=True)
@@ -196,8 +187,10 @@ def _fit(prediction: _Prediction, curve: Curve, sight: Sightings) -> Refined:
     both = np.minimum(*(_shown_by(sight, curve, eye) for eye in (0, 1)))
     smooth, known = roughness_blocks(curve, smoothing * weight * both), data + prediction.remembered(curve)
     total, loose = known + smooth, known + smooth * (1.0 / LOOSER)
-    alone = data + roughness_blocks(curve, smoothing * weight / LOOSER)
-    return Refined(curve, sight, rows, robust, scale, smoothing, weight, row_offset, total, loose, alone, follows=True)
+    alone, free = (data + roughness_blocks(curve, smoothing * weight / looser) for looser in (LOOSER, FREE))
+    return Refined(
+        curve, sight, rows, robust, scale, smoothing, weight, row_offset, total, loose, alone, free, follows=True
+    )
 
 
 def _shown(sight: Sightings, curve: Curve) -> Float64[np.ndarray, "spans"]:

@@ -42,11 +42,13 @@ class RowsInformation:
         matrix: M.
         slope: QᵀWr + QᵀWJ m.
         follow: H⁻¹ JᵀWQ; the control points move by −follow δ more.
+        columns: JᵀWQ.
     """
 
     matrix: Float64[np.ndarray, "4 4"]
     slope: Float64[np.ndarray, "4"]
     follow: Float64[np.ndarray, "v 4"]
+    columns: Float64[np.ndarray, "v 4"]
 
 
 def rows_information(
@@ -60,7 +62,7 @@ def rows_information(
     follow = solved(factor, columns)
     alone = (rows.by_row_offset * weight[:, None]).T @ rows.by_row_offset
     slope = rows.by_row_offset.T @ (weight * rows.residual) + columns.T @ (motion + np.zeros(len(columns)))
-    return RowsInformation(alone - columns.T @ follow, slope, follow)
+    return RowsInformation(alone - columns.T @ follow, slope, follow, columns)
 
 
 def row_prior(of_calibration: Float64[np.ndarray, "8 8"], camera: RectifiedStereo) -> Float64[np.ndarray, "4 4"]:
