@@ -83,7 +83,7 @@ def test_a_step_does_not_wait_for_what_is_still_worked_on_and_nothing_is_done_wi
     assert not rig.handled()
     rig.worker.end(0)
     until(rig.handled)
-    assert rig.reasons() == ["frame 1", "frame 0"]
+    until(lambda: rig.reasons() == ["frame 1", "frame 0"])
     # each names what its own step was made from
     assert [[c.sequence for c in plan.consumed if c.key == NAME] for plan in rig.plans] == [[1], [0]]
 
