@@ -47,7 +47,7 @@ def main() -> None:
         if group not in (CLEAR, CROSSING) or arguments.only not in name:
             continue
         scene = load()
-        drawn = rng.normal(size=(arguments.calibrations, len(ERRORS))) * USUAL
+        drawn = drawn_errors(rng, arguments.calibrations)
         assert scene.truth is not None
         seen = reconstruct_pair(scene.images, scene.calibration, masks=scene.masks, segmenter=None, method=METHOD)
         judged = (covered(seen.observations, scene.truth, errors) for errors in drawn)
@@ -59,6 +59,11 @@ def main() -> None:
         f"{'all, within the 95 % ellipse':40} {len(shares):5}   "
         + "   ".join(f"{100 * s:5.1f}" for s in np.mean(shares, 0))
     )
+
+
+def drawn_errors(rng: np.random.Generator, count: int) -> Float64[np.ndarray, "n 8"]:
+    """Of calibrations whose files state none."""
+    return rng.normal(size=(count, len(ERRORS))) * USUAL
 
 
 def covered(

@@ -12,13 +12,14 @@ draws (tool normal, registration of any length up to the most) are drawn many ti
 the geometric judge says which of them hold. So a plan's share is known to some per cent, where an evaluation has one
 outcome, and three Brier skills can be told apart: of what was promised, of the best promise that knows nothing but the
 size of the error, and of the best that knows where thread and registration truly are, and only not how the tool will
-err. Prints all three and the reliability of the promises.
+err. Prints all three and the reliability of the promises. With `--calibrations N` each pair is seen with N calibrations
+that are wrong by as much as those without a stated covariance may be, and so is the robot (benchmarks.calibrations).
 """
 
 import argparse
 import json
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -28,15 +29,17 @@ from rich.console import Console
 from rich.table import Table
 
 from agents.camera.scene_source import calibration_of
-from agents.cli.reconstruct.pipeline import reconstruct_pair
+from agents.cli.reconstruct.pipeline import PipelineResult, reconstruct_pair
 from agents.evaluation.look import seen_places
 from agents.evaluation.reliability import EDGES
 from agents.planner.config import PlannerConfig
 from agents.planner.plan import plan_grasp
 from agents.planner.wedge import wedge_probability
 from agents.reconstruction.method_names import DEFAULT_METHOD
+from agents.reconstruction.methods import METHODS
 from agents.simulator.fingers import between
 from agents.simulator.judgement import GIVE_M
+from benchmarks.calibrations import drawn_errors, hand_eye, wrongly
 from benchmarks.jaws import simulated_arm
 from schemas.messages import (
     CommandHeader,
@@ -46,13 +49,15 @@ from schemas.messages import (
     Policy,
     RectifiedStereo,
     Status,
+    ThreadObservations,
     ThreadReconstruction,
 )
+from shared.calibration.uncertainty import USUAL
 from shared.kinematics.psm import FINGER_M
 from shared.rigid_transforms import apply, inverse
 
 REGISTRATIONS, TOOLS = 8, 25
-BOUND_DRAWS = 4000
+BOUND_DRAWS, BIN = 4000, 200
 NEAR_M = 0.025
 """Of the capture: thread farther away is out of reach of all errors."""
 CONSOLE = Console(width=140)
@@ -79,6 +84,7 @@ def main() -> None:
     parser.add_argument("--goals", type=int, default=5)
     parser.add_argument("--tool-error", type=float, nargs="+", default=[0.0, 1.0, 2.0, 3.0, 4.0], help="in mm")
     parser.add_argument("--hand-eye", type=float, default=1.5, help="the most, in mm")
+    parser.add_argument("--calibrations", type=int, default=0, help="drawn for each scene; 0: the true one")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--json", type=Path, default=Path("out/promises.json"), help="where the figures go")
     arguments = parser.parse_args()
@@ -91,7 +97,9 @@ def main() -> None:
     found = [
         one
         for path in names
-        for one in of_scene(path, arguments.goals, arguments.tool_error, arguments.hand_eye, arguments.seed)
+        for one in of_scene(
+            path, arguments.goals, arguments.tool_error, arguments.hand_eye, arguments.seed, arguments.calibrations
+        )
     ]
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
     arguments.json.write_text(json.dumps([asdict(one) for one in found]) + "\n")
@@ -120,10 +128,42 @@ def print_bound(sizes_mm: list[float], hand_eye_mm: float, seed: int) -> None:
     CONSOLE.print(table)
 
 
-def of_scene(path: Path, goals: int, sizes_mm: list[float], hand_eye_mm: float, seed: int) -> Iterator[Promise]:
+def of_scene(
+    path: Path, goals: int, sizes_mm: list[float], hand_eye_mm: float, seed: int, calibrations: int = 0
+) -> Iterator[Promise]:
     """All plans of one scene."""
-    thread, truth_m = seen_scene(path)
+    seen, truth_m = seen_scene(path)
     rng = np.random.default_rng([seed, *path.stem.encode()])
+    known = seen.reconstruction, truth_m
+    drawn = [
+        with_other_calibration(seen.observations, truth_m, errors) for errors in drawn_errors(rng, calibrations)
+    ] or [known]
+    for thread, true in drawn:
+        yield from plans_of(path.stem, thread, true, rng, goals, sizes_mm, hand_eye_mm)
+
+
+def with_other_calibration(
+    observations: ThreadObservations, truth_m: Float64[np.ndarray, "n 3"], errors: Float64[np.ndarray, "8"]
+) -> tuple[ThreadReconstruction, Float64[np.ndarray, "n 3"]]:
+    """The thread as a wrong calibration has it, and the true points where a robot has them that was found with it."""
+    stated = replace(wrongly(observations, errors), calibration_covariance=np.diag(USUAL**2))
+    thread = METHODS[DEFAULT_METHOD](stated)
+    R, t = hand_eye(observations.camera, errors, float(np.median(truth_m[:, 2])))
+    return thread, (truth_m - t) @ R
+
+
+def plans_of(
+    scene: str,
+    thread: ThreadReconstruction,
+    truth_m: Float64[np.ndarray, "n 3"],
+    rng: np.random.Generator,
+    goals: int,
+    sizes_mm: list[float],
+    hand_eye_mm: float,
+) -> Iterator[Promise]:
+    """A plan for each goal and size of error, and how often it holds."""
+    if thread.status is not Status.OK:
+        return
     for number, s in enumerate(seen_places(thread, goals)):
         way = rng.normal(size=(REGISTRATIONS, 3))
         length = rng.uniform(0.0, MM * hand_eye_mm, (REGISTRATIONS, 1))
@@ -136,10 +176,10 @@ def of_scene(path: Path, goals: int, sizes_mm: list[float], hand_eye_mm: float, 
             if plan.status is Status.OK:
                 off_m = shift_m[:, None] + MM * size_mm * unit
                 share = [float(np.mean([holds(plan, truth_m, off) for off in some])) for some in off_m]
-                yield Promise(path.stem, number, size_mm, plan.probability, plan.slide_m, tuple(share))
+                yield Promise(scene, number, size_mm, plan.probability, plan.slide_m, tuple(share))
 
 
-def seen_scene(path: Path) -> tuple[ThreadReconstruction, Float64[np.ndarray, "n 3"]]:
+def seen_scene(path: Path) -> tuple[PipelineResult, Float64[np.ndarray, "n 3"]]:
     """What perception and reconstruction make of a pair, and the true points, in metres."""
     about = json.loads(path.read_text())
     K = np.array(about["K"])
@@ -149,7 +189,7 @@ def seen_scene(path: Path) -> tuple[ThreadReconstruction, Float64[np.ndarray, "n
     assert left is not None and right is not None
     pair = np.asarray(left, np.uint8), np.asarray(right, np.uint8)
     seen = reconstruct_pair(pair, calibration_of(camera), masks=None, segmenter=None, method=DEFAULT_METHOD)
-    return seen.reconstruction, MM * np.load(path.with_suffix(".npy"))[:, :3]
+    return seen, MM * np.load(path.with_suffix(".npy"))[:, :3]
 
 
 def holds(plan: GraspPlan, truth_m: Float64[np.ndarray, "n 3"], off_m: Float64[np.ndarray, "3"]) -> bool:
@@ -210,6 +250,14 @@ def print_found(found: list[Promise]) -> None:
         span = f"{EDGES[number]:g} to {EDGES[number + 1]:g}"
         bins.add_row(span, str(here.sum()), f"{told:.1%}", f"{was:.1%}", f"{was - told:+.1%}")
     CONSOLE.print(bins)
+    # in order of what was promised, so many at a time
+    order = np.argsort(promised, kind="stable")
+    parts = np.array_split(order, max(1, len(order) // BIN))
+    off = [float(share[part].mean() - promised[part].mean()) for part in parts]
+    worst = max(off, key=abs)
+    CONSOLE.print(
+        f"in bins of {len(parts[0])} promises at most {worst:+.1%} off, {np.mean(share - promised):+.1%} in all"
+    )
 
 
 if __name__ == "__main__":

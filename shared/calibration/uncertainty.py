@@ -13,6 +13,8 @@ A robot whose hand-eye transform was found through the same camera is off by the
 motion of the whole field cancels, and what bends or stretches the field is left.
 """
 
+from functools import lru_cache
+
 import numpy as np
 from jaxtyping import Float64
 
@@ -55,13 +57,18 @@ def bending(camera: RectifiedStereo, points: Float64[np.ndarray, "n 3"], depth: 
     """What is left of the displacements when the rigid motion of the field is taken out that fits each best.
 
     Args:
-        depth: of the middle of the field.
+        depth: of the middle of the field, of which two digits count.
     """
-    field = field_of(camera, depth)
-    middle = np.array((0.0, 0.0, depth))
-    of_field = displacements(camera, field).reshape(-1, len(ERRORS))
-    motion = np.linalg.lstsq(_motions(field - middle), of_field, rcond=None)[0]
+    middle, motion = _field_motion(camera, float(f"{depth:.2g}"))
     return displacements(camera, points) - (_motions(points - middle) @ motion).reshape(-1, 3, len(ERRORS))
+
+
+@lru_cache(maxsize=64)
+def _field_motion(camera: RectifiedStereo, depth: float) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "6 8"]]:
+    """The motion of the field about its middle that fits the displacements of each error best."""
+    field, middle = field_of(camera, depth), np.array((0.0, 0.0, depth))
+    of_field = displacements(camera, field).reshape(-1, len(ERRORS))
+    return middle, np.linalg.lstsq(_motions(field - middle), of_field, rcond=None)[0]
 
 
 def field_of(camera: RectifiedStereo, depth: float) -> Float64[np.ndarray, "f 3"]:
@@ -75,6 +82,9 @@ def _motions(points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "m 6"]:
     """How a shift along each axis and a turn about it move points, one coordinate after the other."""
     moved = np.zeros((len(points), 3, 6))
     moved[:, :, :3] = np.eye(3)
-    for axis in range(3):
-        moved[:, :, 3 + axis] = np.cross(np.eye(3)[axis], points)
+    x, y, z = points.T
+    # e_axis × point
+    moved[:, 1, 3], moved[:, 2, 3] = -z, y
+    moved[:, 0, 4], moved[:, 2, 4] = z, -x
+    moved[:, 0, 5], moved[:, 1, 5] = -y, x
     return moved.reshape(-1, 6)
