@@ -10,7 +10,7 @@ import numpy as np
 from agents.inspection.accounts import AgentAccount
 from agents.inspection.threads import ThreadQuality
 from schemas.messages import SimulatorState, StereoCalibration
-from shared.recording.derivation import DERIVED, derivations
+from shared.recording.derivation import BEGUN, DERIVED, derivations
 from shared.recording.entry import Note
 from shared.recording.losses import AT, LOSSES
 
@@ -23,7 +23,7 @@ def noted_facts(notes: list[Note]) -> dict[str, str]:
     """What was noted of the session as a whole, one fact a line; JSON within a fact is taken apart."""
     facts: dict[str, str] = {}
     for note in notes:
-        if note.name not in (LOSSES, DERIVED) and not is_of_a_moment(note):
+        if note.name not in (LOSSES, DERIVED, BEGUN) and not is_of_a_moment(note):
             for name, text in note.facts.items():
                 facts.update(_flat(f"{_name(note)}.{name}", _parsed(text)))
     for number, one in enumerate(derivations(notes), 1):

@@ -42,11 +42,12 @@ class Session:
     other_commands: tuple[OtherCommand, ...]
     quality: ThreadQuality
     facts: dict[str, str]
+    begin_ns: int = 0
 
     @property
     def start_ns(self) -> int:
-        """When the first message was published; 0 without any."""
-        return min((one.first_ns for one in self.contents), default=0)
+        """When the first message was published; where that had been kept for later, when it was received."""
+        return self.begin_ns
 
     @property
     def end_ns(self) -> int:
@@ -55,12 +56,16 @@ class Session:
 
     @property
     def duration_s(self) -> float:
-        """From the first to the last message."""
+        """From the first message received until the last one was published."""
         return (self.end_ns - self.start_ns) * 1e-9
 
     def since_start_s(self, at_ns: int) -> float:
         """A time as seconds from the first message."""
         return (at_ns - self.start_ns) * 1e-9
+
+
+LONGEST_WAY_NS = 1_000_000_000
+"""Of a message from its publisher to the recorder."""
 
 
 class _Reading:
@@ -72,12 +77,17 @@ class _Reading:
         self.calibration: StereoCalibration | None = None
         self.scene: SimulatorState | None = None
         self.last_ns: int | None = None
+        self.begin_ns = 0
 
     def add(self, entry: Entry) -> None:
         self.last_ns = entry.received_ns
         if entry.repeated:
             self._add_repeated(entry)
             return
+        if not self.begin_ns:
+            on_its_way_ns = entry.received_ns - entry.published_ns
+            # a state may have been published long before, and another host's clock may be off
+            self.begin_ns = entry.published_ns if 0 <= on_its_way_ns < LONGEST_WAY_NS else entry.received_ns
         self.contents.add(entry)
         try:
             topic = topic_of(entry.key)
@@ -146,14 +156,16 @@ def _session(path: Path, reading: _Reading, damage: str) -> Session:
         damage=damage,
         notes=tuple(reading.notes),
         said=said,
-        contents=without_left_out(contents, said.lost) if said.left_out_frames else contents,
+        contents=without_left_out(contents, said.lost) if said.lacks_frames_on_purpose else contents,
         stages={name: reading.stages[name] for name in sorted(reading.stages, key=in_order)},
         agents=agents,
         remarks=reading.accounts.remarks(),
         grasps=tuple(sorted(reading.grasps.grasps, key=lambda grasp: grasp.at_ns)),
         other_commands=tuple(reading.grasps.others),
         quality=reading.quality,
-        facts=noted_facts(reading.notes) | facts | _attached(path),
+        # what was in force first: of the rest there is much
+        facts=_attached(path) | noted_facts(reading.notes) | facts,
+        begin_ns=reading.begin_ns,
     )
 
 

@@ -110,9 +110,15 @@ def latencies(session: Session) -> Table:
         added = percentiles(added_ms(before, times)) if before else ()
         own = (f"{added[0]:.1f}", f"{added[2]:.1f}") if added else ("", "")
         all_of_it = (f"{value:.1f}" for value in percentiles(times.latency_ms))
-        rows.append((name, str(len(times.captured)), f"{times.rate_hz:.1f}", *all_of_it, *own))
+        rows.append((_as_of(session, name), str(len(times.captured)), f"{times.rate_hz:.1f}", *all_of_it, *own))
     columns = ("stage", " messages", " a second", " p50", " p90", " p99", " max", " added p50", " added p99")
     return Table("from capture until published, ms; added since the stage before", columns, tuple(rows))
+
+
+def _as_of(session: Session, stage: str) -> str:
+    """The name of a stage; where others ran anew, with whose times these are: nothing is published in a replay."""
+    ran_anew = {name.partition("/")[0] for name in session.said.ran_anew}
+    return f"{stage}, as recorded" if stage.partition("/")[0] in ran_anew else stage
 
 
 def agents(session: Session) -> Table:

@@ -53,6 +53,8 @@ def cut(source: Path, target: Path, from_ns: int, to_ns: int, only_used_frames: 
     stretch = _Stretch(from_ns, to_ns)
     kept = unused = 0
     try:
+        begun = derived_from(source, said, "cut", left_out={} if used is None else {UNUSED_FRAMES: 0})
+        file.begin(begun, read_attachments(source))
         for entry in stretch.entries(source, file):
             topic = topic_of(entry.key)
             if used is not None and topic is FRAMES and _place(entry) not in used:
@@ -61,10 +63,8 @@ def cut(source: Path, target: Path, from_ns: int, to_ns: int, only_used_frames: 
             file.write(topic, entry)
             kept += 1
         left_out = {BEFORE_AND_AFTER: stretch.outside, UNKNOWN_TOPICS: stretch.unknown, UNUSED_FRAMES: unused}
-        derivation = derived_from(
-            source, said, stretch.sentence, left_out={what: n for what, n in left_out.items() if n}
-        )
-        file.close(derivation, read_attachments(source), said.complete, stretch.lost)
+        told = replace(begun, how=stretch.sentence, left_out={what: n for what, n in left_out.items() if n})
+        file.close(told, said.complete, stretch.lost)
     finally:
         file.abandon()
     return CutReport(kept, unused, said)

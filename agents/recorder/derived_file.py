@@ -9,7 +9,7 @@ import schemas
 from agents.recorder.foxglove import FoxgloveCopies
 from schemas.topics import Topic
 from shared.recording.completeness import Completeness
-from shared.recording.derivation import DERIVED, Derivation, digest_of
+from shared.recording.derivation import BEGUN, DERIVED, Derivation, digest_of
 from shared.recording.entry import Entry, Note
 from shared.recording.foxglove_schemas import DESCRIPTORS
 from shared.recording.losses import COMPLETE, LOSSES
@@ -33,17 +33,19 @@ class DerivedFile:
         for copy in self._copies.of(topic, entry):
             self._writer.write_derived(copy.channel, copy.schema, DESCRIPTORS, copy.payload, entry)
 
-    def note(self, note: Note) -> None:
-        """Add a note of the source; what sums up the source is left to `close`."""
-        if note.name != LOSSES:
-            self._writer.note(note.name, note.facts)
-
-    def close(
-        self, derivation: Derivation, attached: Mapping[str, bytes], complete: bool | None, lost: Mapping[str, int]
-    ) -> None:
-        """Say what the file was made of and what it lacks, and finish it."""
+    def begin(self, derivation: Derivation, attached: Mapping[str, bytes]) -> None:
+        """Say what the file is made of, as far as that is known, for one that is cut off before its end."""
         for name, data in attached.items():
             self._writer.attach(name, mimetypes.guess_type(name)[0] or "application/octet-stream", data, 0)
+        self._writer.note(BEGUN, derivation.note.facts)
+
+    def note(self, note: Note) -> None:
+        """Add a note of the source; what sums up the source is left to `close`."""
+        if note.name not in (LOSSES, BEGUN):
+            self._writer.note(note.name, note.facts)
+
+    def close(self, derivation: Derivation, complete: bool | None, lost: Mapping[str, int]) -> None:
+        """Say what the file was made of and what it lacks, and finish it."""
         self._writer.note(DERIVED, derivation.note.facts)
         known = {} if complete is None else {COMPLETE: str(complete and not lost)}
         self._writer.note(LOSSES, {key: str(count) for key, count in lost.items()} | known)

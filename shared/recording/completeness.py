@@ -46,6 +46,11 @@ class Completeness:
         return sum(one.left_out.get(UNUSED_FRAMES, 0) for one in self.derived)
 
     @property
+    def lacks_frames_on_purpose(self) -> bool:
+        """Whether frames were left out, however many: a file that was cut off does not say."""
+        return any(UNUSED_FRAMES in one.left_out for one in self.derived)
+
+    @property
     def ran_anew(self) -> dict[str, Anew]:
         """The agents whose outputs are not those of the session itself, by name."""
         return {name: anew for one in self.derived for name, anew in one.agents.items()}

@@ -13,7 +13,8 @@ from typing import Any
 import schemas
 from shared.recording.entry import Note
 
-DERIVED = "derived"
+DERIVED, BEGUN = "derived", "derivation begun"
+"""The second lies at the file's beginning, with what is known there, for a file that is cut off before the first."""
 CUT = "cut"
 """What files that version 0.2 or an older one cut have in place of it."""
 UNUSED_FRAMES = "frames of which nothing was made"
@@ -108,8 +109,15 @@ def digest_of(path: Path) -> str:
 
 def derivations(notes: Iterable[Note]) -> tuple[Derivation, ...]:
     """What the notes of a recording tell of how it was made, the newest last; none of a recorder's own file."""
-    found = (_read(note) for note in notes)
+    told = list(notes)
+    finished = {_source(note) for note in told if note.name == DERIVED}
+    unfinished = [note for note in told if note.name == BEGUN and _source(note) not in finished]
+    found = (_read(note) for note in (*(note for note in told if note.name != BEGUN), *unfinished))
     return tuple(one for one in found if one is not None)
+
+
+def _source(note: Note) -> tuple[str, str]:
+    return note.facts.get("source", ""), note.facts.get("sha256", "")
 
 
 def _read(note: Note) -> Derivation | None:
@@ -118,7 +126,7 @@ def _read(note: Note) -> Derivation | None:
         unused = facts.get("unused_frames", "0")
         left_out = {UNUSED_FRAMES: int(unused)} if unused.isdecimal() and int(unused) else {}
         return Derivation("cut", facts.get("of", "a file"), version="", left_out=left_out)
-    if note.name != DERIVED:
+    if note.name not in (DERIVED, BEGUN):
         return None
     how, source, sha256, said, version, read_as = (facts.get(name, "") for name in WORDS)
     told = Derivation(how, source, sha256, said, version, read_as=read_as)

@@ -56,7 +56,7 @@ def changed(config: RigConfig, settings: Iterable[str]) -> RigConfig:
                 raise ConfigError(f"--set {setting}: {part} is no section with keys of its own")
             section = found
         section[keys[-1]] = _value(text.strip())
-    return parse_config(json.dumps(values), RigConfig, "--set.json") if settings else config
+    return parse_config(json.dumps(values), RigConfig, "of the recording with --set, as .json") if settings else config
 
 
 def in_force(recorded: RigConfig, used: RigConfig, agents: Iterable[str]) -> RigConfig:
@@ -80,6 +80,18 @@ def in_force(recorded: RigConfig, used: RigConfig, agents: Iterable[str]) -> Rig
         merged = merged.model_copy(update={"perception": merged.perception.model_copy(update={"matching": matched})})
     text = merged.model_dump_json(exclude_unset=True)
     return parse_config(text, RigConfig, "of the replayed agents within the recorded configuration.json")
+
+
+def attached_config(recorded: bytes | None, effective: RigConfig, agents: Iterable[str]) -> bytes:
+    """The settings in force as a file: the recorded one, but for the sections of the agents that ran anew.
+
+    What did not run has no settings of today: an older version lacks some.
+    """
+    document: dict[str, Any] = json.loads(recorded) if recorded else {}
+    today: dict[str, Any] = json.loads(effective.model_dump_json(exclude_none=True))
+    kinds = {"robot" if kind == "robot_bridge" else kind for kind in (name.partition("/")[0] for name in agents)}
+    document |= {kind: today[kind] for kind in kinds if kind in today} if recorded else today
+    return (json.dumps(document, indent=1) + "\n").encode()
 
 
 def settings_otherwise(before: RigConfig, now: RigConfig) -> dict[str, str]:

@@ -15,7 +15,15 @@ from typing import Protocol
 import numpy as np
 
 import schemas
-from agents.cli.recordings.config import ATTACHED, changed, found_config, in_force, recorded_config, settings_otherwise
+from agents.cli.recordings.config import (
+    ATTACHED,
+    attached_config,
+    changed,
+    found_config,
+    in_force,
+    recorded_config,
+    settings_otherwise,
+)
 from agents.cli.recordings.replay_report import ThroughResult, lacking, report
 from agents.cli.rig.builders import build
 from agents.cli.rig.config import RigConfig
@@ -230,6 +238,8 @@ def _check_output(options: ThroughOptions) -> None:
         raise UnusableError(f"the folder {output.parent} of --output {output} does not exist; create it first")
     if output.exists() and options.recording.exists() and output.samefile(options.recording):
         raise UnusableError(f"--output {output} would overwrite the recording; give another name")
+    if output.exists() and output.suffix == ".mcap":
+        raise UnusableError(f"--output {output} exists already; give another name")
 
 
 def _write(path: Path, recording: Path, result: ThroughResult) -> None:
@@ -249,10 +259,6 @@ def _write_derived(path: Path, recording: Path, result: ThroughResult) -> None:
     """Write the recording with the replayed outputs, and with what was done to it."""
     file = DerivedFile(path)
     try:
-        for note in result.notes:
-            file.note(note)
-        for entry in result.after:
-            file.write(topic_of(entry.key), entry)
         said = result.said
         how = f"replayed through {', '.join(outcome.stage for outcome in result.outcomes)}"
         agents = {outcome.stage: _anew(outcome) for outcome in result.outcomes}
@@ -266,9 +272,14 @@ def _write_derived(path: Path, recording: Path, result: ThroughResult) -> None:
         if result.recorded is not None:
             effective = in_force(result.recorded, result.used, agents)
             settings = settings_otherwise(result.recorded, effective)
-            attached[ATTACHED] = (effective.model_dump_json(indent=1, exclude_none=True) + "\n").encode()
+            attached[ATTACHED] = attached_config(attached.get(ATTACHED), effective, agents)
         told = derived_from(recording, said, how, agents=agents, settings=settings, left_out=left_out)
-        file.close(told, attached, said.complete, said.lost)
+        file.begin(told, attached)
+        for note in result.notes:
+            file.note(note)
+        for entry in result.after:
+            file.write(topic_of(entry.key), entry)
+        file.close(told, said.complete, said.lost)
     finally:
         file.abandon()
 

@@ -14,21 +14,23 @@ from agents.camera.plugin import GROUP, PluginSource
 from agents.camera.sources import SourceError
 from agents.cli.rig.builders import build
 from agents.cli.rig.config import RigConfig
-from schemas.codec import decode
+from schemas.codec import decode, encode
 from schemas.messages import StereoCalibration, StereoFrame
-from schemas.topics import CALIBRATION, FRAMES, MAIN, PLAN, THREAD, topic_of
+from schemas.topics import CALIBRATION, FRAMES, MAIN, PLAN, THREAD, key, topic_of
 from shared.calibration import write_calibration
 from shared.clock import now_ns
 from shared.recording.mcap_file import read_recording
 from shared.runtime.agent import Output, Tick, awaited
+from shared.runtime.attachment import Attachment, pack
 from shared.runtime.connection import connected
+from shared.runtime.delivery import declare_publisher
 from shared.runtime.identity import identity_in
-from shared.runtime.session import SessionSettings
+from shared.runtime.session import SessionSettings, open_session
 from tests.shared.runtime.test_access import LISTENER, RIG, Secured
 
 ROOT = Path(__file__).parents[3]
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
-READS, SHOWS_CERTIFICATE, CAMERA = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+READS, OF_STATES, SHOWS_CERTIFICATE, CAMERA = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 PACKAGE, RIG_FILE = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
 K = np.array([[600.0, 0, 319.5], [0, 600.0, 239.5], [0, 0, 1]])
 
@@ -57,6 +59,22 @@ def test_a_program_of_a_dozen_lines_reads_threads(tmp_path, settings):
     line, thread = printed(READS, tmp_path, settings, THREAD)
     sequence = str(thread.stamp.sequence)
     assert line[:3] == [f"suturegrasp/{settings.rig}/reconstruction/main/thread", sequence, "STATUS_OK"]
+
+
+def test_a_state_that_was_said_before_is_heard(tmp_path, settings):
+    script = READS.partition("with zenoh.open")[0] + OF_STATES
+    (tmp_path / "states.py").write_text(script)
+    message = recorded(CALIBRATION)
+    with contextlib.ExitStack() as stack:
+        session = stack.enter_context(open_session(settings))
+        publisher = declare_publisher(session, key(settings.rig, CALIBRATION), CALIBRATION)
+        publisher.put(encode(message), attachment=pack(Attachment(1, 1, now_ns(), 0.0)))
+        command = [sys.executable, str(tmp_path / "states.py"), settings.endpoint, settings.rig]
+        process = stack.enter_context(subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT))
+        assert process.stdout is not None
+        stack.callback(process.kill)
+        line = process.stdout.readline().split()
+    assert line == [key(settings.rig, CALIBRATION), str(message.image_width), str(message.image_height)]
 
 
 def test_on_a_rig_with_certificates_it_shows_that_of_a_viewer(tmp_path):

@@ -1,9 +1,11 @@
 """Which settings the outputs of a replayed recording are of: for any agents that ran anew, and any settings."""
 
+import json
+
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.cli.recordings.config import changed, in_force, settings_otherwise
+from agents.cli.recordings.config import attached_config, changed, in_force, settings_otherwise
 from agents.cli.rig.config import simulated_rig
 
 RECORDED = simulated_rig()
@@ -18,6 +20,7 @@ CHANGES = {
     "simulator.seed": ("7",),
 }
 AGENT_OF = {"robot": "robot_bridge/psm1"}
+AGENT_KIND = {"robot_bridge/psm1": "robot"}
 AGENTS = ("camera", "perception", "reconstruction", "planner", "simulator", "robot_bridge/psm1")
 
 
@@ -30,5 +33,12 @@ def test_settings_are_in_force_for_the_agents_that_ran_with_them_and_for_no_othe
     expected = {key for key in told if AGENT_OF.get(key.split(".")[0], key.split(".")[0]) in anew}
     assert set(otherwise) == expected
     assert all(otherwise[key].endswith(f"-> {told[key]}") for key in expected)
+    # of agents that did not run anew the file says what was recorded, and no setting of today
+    old = json.dumps({"rig": "lab", "planner": {"least_probability": 0.1}}).encode()
+    attached = json.loads(attached_config(old, effective, sorted(anew)))
+    assert attached["rig"] == "lab"
+    if "planner" not in anew:
+        assert attached["planner"] == {"least_probability": 0.1}
+    assert set(attached) - {"rig", "planner"} <= {AGENT_KIND.get(name, name) for name in anew}
     # what is attached is read back as the same, and a replay of it begins from there
     assert in_force(effective, effective, AGENTS) == effective

@@ -120,5 +120,5 @@ def test_one_clock_that_is_decades_off_makes_no_page_of_decades(a_session, tmp_p
     topic, entry = whole.entries[-1]
     whole.entries[-1] = topic, dataclasses.replace(entry, published_ns=wrong_ns)
     session = read_session(whole.write(tmp_path / "a.mcap"))
-    assert session.duration_s > 1e8
+    assert abs(wrong_ns - session.start_ns) > 1e17
     assert len("".join(session_page(session, []))) < 200_000

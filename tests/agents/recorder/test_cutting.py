@@ -126,6 +126,22 @@ def test_frames_of_which_nothing_was_made_are_left_out_and_the_file_says_so(sess
     assert not any(one.gaps for one in session.contents)
 
 
+def test_a_cut_file_that_breaks_off_still_says_what_it_was_made_of(session, tmp_path):
+    _, _, target = cut_seconds(session, tmp_path, 0.5, 1.0, only_used_frames=True)
+    whole = target.read_bytes()
+    broken = tmp_path / "broken.mcap"
+    for share in (0.5, 0.9):
+        broken.write_bytes(whole[: int(share * len(whole))])
+        told = completeness(broken)
+        assert not told.finished
+        (derived,) = told.derived
+        assert derived.how.startswith("cut")
+        assert derived.source == "session.mcap"
+        # frames that were left out on purpose are no losses
+        assert not any(one.lost or one.gaps for one in read_session(broken).contents)
+        assert read_attachments(broken) == {"rig.json": b"{}"}
+
+
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     st.lists(st.integers(0, 20), max_size=4, unique=True),

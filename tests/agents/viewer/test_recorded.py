@@ -161,11 +161,14 @@ def test_the_command_names_messages_that_are_none(session_messages, view, tmp_pa
         ((__file__, "--output", "x.rrd"), "is no recording"),
         (("--from", "1"), "cuts a recording, and none is named"),
         (("{recording}", "--output", "{recording}"), "is the recording itself"),
+        (("{recording}", "--output", "{another}"), "is a recording, which Rerun's would overwrite"),
         (("{recording}",), "there is no screen here"),
     ],
 )
-def test_what_cannot_be_shown_is_refused_in_one_line(arguments, said, recording, view):
-    status, _, error = view(*(argument.replace("{recording}", str(recording)) for argument in arguments))
+def test_what_cannot_be_shown_is_refused_in_one_line(arguments, said, recording, view, tmp_path):
+    (another := tmp_path / "another.mcap").touch()
+    names = {"recording": recording, "another": another}
+    status, _, error = view(*(argument.format(**names) for argument in arguments))
     assert status == 2
     assert said in error
     assert len(error.strip().splitlines()) == 1
