@@ -113,7 +113,8 @@ def _fresh_thread(thread: ThreadReconstruction | None, now_ns: int) -> ThreadRec
         raise RefusedGoalError(
             "thread_stale",
             f"the thread was seen {age_ms:.0f} ms ago, and at most {oldest_ms:.0f} ms are accepted; "
-            "are camera, perception and reconstruction running, and are the clocks of the hosts set?",
+            "are camera, perception and reconstruction running, and as fast as that (suturegrasp status tells), and "
+            "are the clocks of the hosts set?",
         )
     if age_ms < -oldest_ms:
         raise RefusedGoalError(

@@ -1,5 +1,6 @@
 """A shorter recording out of a longer one: to show a moment to somebody, to keep what matters, to test with it."""
 
+import contextlib
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -12,9 +13,9 @@ from schemas.codec import decode
 from schemas.topics import FRAMES, OBSERVATIONS, Delivery, is_known, topic_of
 from shared.recording.completeness import Completeness, completeness
 from shared.recording.derivation import BEFORE_AND_AFTER, UNKNOWN_TOPICS, UNUSED_FRAMES
-from shared.recording.entry import Entry, Note
+from shared.recording.entry import Entry, Note, RecordingError
 from shared.recording.losses import AT, LOST, counts_of
-from shared.recording.mcap_file import read_attachments, read_recording, read_with_notes
+from shared.recording.mcap_file import UntilDamage, read_attachments
 
 
 @dataclass(frozen=True)
@@ -25,11 +26,13 @@ class CutReport:
         kept: messages.
         unused: frames that were left out because nothing was made of them.
         source: what the recording that it was cut out of says of itself.
+        damage: what broke off the reading of it; empty where all was read.
     """
 
     kept: int
     unused: int
     source: Completeness
+    damage: str
 
 
 class _Place(NamedTuple):
@@ -52,9 +55,12 @@ def cut(source: Path, target: Path, from_ns: int, to_ns: int, only_used_frames: 
     file = DerivedFile(target)
     stretch = _Stretch(from_ns, to_ns)
     kept = unused = 0
+    attached: dict[str, bytes] = {}
     try:
         begun = derived_from(source, said, "cut", left_out={} if used is None else {UNUSED_FRAMES: 0})
-        file.begin(begun, read_attachments(source))
+        with contextlib.suppress(RecordingError):
+            attached = read_attachments(source)
+        file.begin(begun, attached)
         for entry in stretch.entries(source, file):
             topic = topic_of(entry.key)
             if used is not None and topic is FRAMES and _place(entry) not in used:
@@ -64,10 +70,12 @@ def cut(source: Path, target: Path, from_ns: int, to_ns: int, only_used_frames: 
             kept += 1
         left_out = {BEFORE_AND_AFTER: stretch.outside, UNKNOWN_TOPICS: stretch.unknown, UNUSED_FRAMES: unused}
         told = replace(begun, how=stretch.sentence, left_out={what: n for what, n in left_out.items() if n})
-        file.close(told, said.complete, stretch.lost)
+        if stretch.damage:
+            told = replace(told, source_said=stretch.damage)
+        file.close(told, False if stretch.damage else said.complete, stretch.lost)
     finally:
         file.abandon()
-    return CutReport(kept, unused, said)
+    return CutReport(kept, unused, said, stretch.damage)
 
 
 class _Stretch:
@@ -77,6 +85,7 @@ class _Stretch:
         self._from_ns, self._to_ns = from_ns, to_ns
         self.outside, self.unknown, self._first_ns = 0, 0, None
         self.lost: Counter[str] = Counter()
+        self.damage = ""
 
     @property
     def sentence(self) -> str:
@@ -89,7 +98,8 @@ class _Stretch:
         """The states that held before, then all of the stretch; notes are copied on the way."""
         states: dict[str, Entry] = {}
         begun = False
-        for record in read_with_notes(source):
+        records = UntilDamage(source)
+        for record in records:
             if isinstance(record, Note):
                 self._note(record, file)
                 continue
@@ -107,6 +117,7 @@ class _Stretch:
                     begun = True
                     yield from (replace(state, repeated=True) for state in states.values())
                 yield record
+        self.damage = records.damage
 
     def _note(self, note: Note, file: DerivedFile) -> None:
         if note.name == LOST:
@@ -119,7 +130,9 @@ class _Stretch:
 
 def _used_frames(source: Path, from_ns: int, to_ns: int) -> set[_Place]:
     used: set[_Place] = set()
-    for entry in read_recording(source):
+    for entry in UntilDamage(source):
+        if isinstance(entry, Note):
+            continue
         if (
             not is_known(entry.key)
             or topic_of(entry.key) is not OBSERVATIONS

@@ -1,9 +1,10 @@
-"""What other programs can show of a recording: images, calibration and transforms as Foxglove's messages.
+"""What other programs can show of a recording: images, calibration, transforms and curves as Foxglove's messages.
 
     camera/left/image, camera/right/image            as captured, thinned; frames camera_left and camera_right
     camera/left/calibration, camera/right/calibration
     transforms/camera_left, camera_right, psm1_base  from camera (rectified left)
     transforms/psm1_tool                             from psm1_base
+    thread                                           points along the curve, in frame camera
 
 They are copies for the eye: at most 10 images and transforms a second, and of large images so few that they stay within
 2 MB/s. Lengths are in metres where the calibration says what its unit is.
@@ -19,14 +20,24 @@ from jaxtyping import Float64
 
 from schemas.checks import MessageError
 from schemas.codec import decode
-from schemas.messages import Image, ImageEncoding, RobotState, StereoCalibration, StereoFrame
-from schemas.topics import CALIBRATION, FRAMES, ROBOT_STATE, Topic
+from schemas.messages import (
+    Image,
+    ImageEncoding,
+    RobotState,
+    Status,
+    StereoCalibration,
+    StereoFrame,
+    ThreadReconstruction,
+)
+from schemas.topics import CALIBRATION, FRAMES, ROBOT_STATE, THREAD, Topic
 from shared.camera import is_rectified
 from shared.recording.entry import Entry
-from shared.recording.foxglove_schemas import CameraCalibration, CompressedImage, FrameTransform, RawImage
+from shared.recording.foxglove_schemas import CameraCalibration, CompressedImage, FrameTransform, PointCloud, RawImage
 from shared.rigid_transforms import inverse, quaternion_from_rotation
+from shared.splines import evaluate
 
 PERIOD_NS = 100_000_000
+CURVE_POINTS = 400
 BYTES_PER_SECOND = 2_000_000
 CAMERA, EYES = "camera", ("left", "right")
 NS = 1_000_000_000
@@ -130,6 +141,23 @@ def _poses(state: RobotState, _: Entry) -> Iterator[Derived]:
     yield _derived(f"/transforms/{tool}", _transform(at_ns, base, tool, state.T_base_tool))
 
 
+def _curve(thread: ThreadReconstruction, _: Entry) -> Iterator[Derived]:
+    if thread.status is not Status.OK:
+        return
+    s = np.linspace(0.0, 1.0, CURVE_POINTS)
+    points = evaluate(thread.knots, thread.control_points_camera, thread.degree, s)
+    data = (points * (thread.camera.metres_per_unit or 1.0)).astype("<f4")
+    copy = PointCloud(
+        timestamp=_time(thread.stamp.capture_left_ns),
+        frame_id=CAMERA,
+        pose={"orientation": {"w": 1.0}},
+        point_stride=data.strides[0],
+        fields=[{"name": name, "offset": 4 * at, "type": "FLOAT32"} for at, name in enumerate("xyz")],
+        data=data.tobytes(),
+    )
+    yield _derived("/thread", copy)
+
+
 def _rectified(calibration: StereoCalibration) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
     """Rotation to the rectified camera, and its 3x4 projection, of each eye (OpenCV's stereoRectify)."""
     t = np.array(calibration.T_right_left[:3, 3])
@@ -184,4 +212,4 @@ def _derived(channel: str, message: Any) -> Derived:
     return Derived(channel, message.DESCRIPTOR.full_name, message.SerializeToString())
 
 
-_COPIES: dict[Topic, Any] = {FRAMES: _images, CALIBRATION: _calibration, ROBOT_STATE: _poses}
+_COPIES: dict[Topic, Any] = {FRAMES: _images, CALIBRATION: _calibration, ROBOT_STATE: _poses, THREAD: _curve}

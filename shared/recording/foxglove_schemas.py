@@ -4,13 +4,22 @@ Source: the protobuf schemas that Foxglove publishes (foxglove.RawImage and so o
 their own, so that a program that has loaded Foxglove's package may load this module too.
 """
 
-from google.protobuf.descriptor_pb2 import DescriptorProto, FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet
+from google.protobuf.descriptor_pb2 import (
+    DescriptorProto,
+    EnumDescriptorProto,
+    EnumValueDescriptorProto,
+    FieldDescriptorProto,
+    FileDescriptorProto,
+    FileDescriptorSet,
+)
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 from google.protobuf.timestamp_pb2 import DESCRIPTOR as TIMESTAMP_FILE
 
 _F = FieldDescriptorProto
 TIME, VECTOR, ROTATION = "google.protobuf.Timestamp", "foxglove.Vector3", "foxglove.Quaternion"
+NUMBER = "foxglove.PackedElementField.NumericType"
+NUMBERS = "UNKNOWN", "UINT8", "INT8", "UINT16", "INT16", "UINT32", "INT32", "FLOAT32", "FLOAT64"
 SCALARS = {"double": _F.TYPE_DOUBLE, "string": _F.TYPE_STRING, "bytes": _F.TYPE_BYTES, "fixed32": _F.TYPE_FIXED32}
 FIELDS: dict[str, dict[str, tuple[int, str]]] = {
     "Vector3": {"x": (1, "double"), "y": (2, "double"), "z": (3, "double")},
@@ -48,6 +57,16 @@ FIELDS: dict[str, dict[str, tuple[int, str]]] = {
         "P": (8, "repeated double"),
         "frame_id": (9, "string"),
     },
+    "Pose": {"position": (1, VECTOR), "orientation": (2, ROTATION)},
+    "PackedElementField": {"name": (1, "string"), "offset": (2, "fixed32"), "type": (3, NUMBER)},
+    "PointCloud": {
+        "timestamp": (1, TIME),
+        "frame_id": (2, "string"),
+        "pose": (3, "foxglove.Pose"),
+        "point_stride": (4, "fixed32"),
+        "fields": (5, "repeated foxglove.PackedElementField"),
+        "data": (6, "bytes"),
+    },
 }
 """By message and field: the number, and the type."""
 
@@ -60,6 +79,9 @@ def _file() -> FileDescriptorProto:
         file.message_type.append(
             DescriptorProto(name=message, field=[_field(name, *numbered) for name, numbered in fields.items()])
         )
+    holder = next(message for message in file.message_type if NUMBER.split(".")[1] == message.name)
+    values = [EnumValueDescriptorProto(name=name, number=number) for number, name in enumerate(NUMBERS)]
+    holder.enum_type.append(EnumDescriptorProto(name=NUMBER.split(".")[2], value=values))
     return file
 
 
@@ -68,7 +90,8 @@ def _field(name: str, number: int, kind: str) -> FieldDescriptorProto:
     kind = kind.removeprefix("repeated ")
     if kind in SCALARS:
         return _F(name=name, number=number, label=label, type=SCALARS[kind])
-    return _F(name=name, number=number, label=label, type=_F.TYPE_MESSAGE, type_name=f".{kind}")
+    held = _F.TYPE_ENUM if kind == NUMBER else _F.TYPE_MESSAGE
+    return _F(name=name, number=number, label=label, type=held, type_name=f".{kind}")
 
 
 _TIMESTAMP = FileDescriptorProto()
@@ -78,7 +101,7 @@ DESCRIPTORS = FileDescriptorSet(file=[_TIMESTAMP, _file()]).SerializeToString()
 _POOL = DescriptorPool()
 for _one in (_TIMESTAMP, _file()):
     _POOL.Add(_one)
-CompressedImage, RawImage, CameraCalibration, FrameTransform = (
+CompressedImage, RawImage, CameraCalibration, FrameTransform, PointCloud = (
     GetMessageClass(_POOL.FindMessageTypeByName(f"foxglove.{name}"))
-    for name in ("CompressedImage", "RawImage", "CameraCalibration", "FrameTransform")
+    for name in ("CompressedImage", "RawImage", "CameraCalibration", "FrameTransform", "PointCloud")
 )

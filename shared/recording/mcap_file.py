@@ -81,6 +81,28 @@ def read_with_notes(path: Path) -> Iterator[Entry | Note]:
                 yield Note(record.name, record.metadata)
 
 
+class UntilDamage:
+    """The messages and notes of a recording, as far as it can be read; `damage` says then what broke it off.
+
+    Raises:
+        RecordingError, OSError: as `read_recording`, where nothing of it can be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path, self.damage = path, ""
+
+    def __iter__(self) -> Iterator[Entry | Note]:
+        found = False
+        try:
+            for record in read_with_notes(self._path):
+                found = True
+                yield record
+        except RecordingError as error:
+            if not found:
+                raise
+            self.damage = str(error)
+
+
 def recorded_by(path: Path) -> Version:
     """The version of the program that recorded a file; its messages are read as those of this version.
 

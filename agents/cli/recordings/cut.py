@@ -6,8 +6,8 @@ from agents.cli.terminal import complain, say, warn
 from agents.cli.whole_file import OutputError, whole_file
 from agents.recorder.cutting import cut
 from agents.replay.window import WindowError, window_ns
-from shared.recording.entry import RecordingError
-from shared.recording.mcap_file import read_recording
+from shared.recording.entry import Entry, RecordingError
+from shared.recording.mcap_file import UntilDamage
 
 
 def run(options: Cut) -> int:
@@ -16,7 +16,8 @@ def run(options: Cut) -> int:
         return complain(f"{options.output} exists already; give another name", EXIT_UNUSABLE)
     try:
         # what is repeated from before the file began is older than its first moment
-        received = [entry.received_ns for entry in read_recording(options.recording) if not entry.repeated]
+        entries = (one for one in UntilDamage(options.recording) if isinstance(one, Entry))
+        received = [entry.received_ns for entry in entries if not entry.repeated]
         if not received:
             return complain(f"{options.recording} holds no message", EXIT_UNUSABLE)
         stretch = window_ns(options.begin, options.end, received[0], received[-1])
@@ -26,7 +27,9 @@ def run(options: Cut) -> int:
         return complain(str(error), EXIT_UNUSABLE)
     except OSError as error:
         return complain(f"{error.filename or options.output}: {error.strerror or error}", EXIT_UNUSABLE)
-    for doubt in report.source.doubts:
+    if report.damage:
+        warn(report.damage)
+    for doubt in () if report.damage else report.source.doubts:
         warn(f"{options.recording}: {doubt}")
     unused = f", without {report.unused} frames of which nothing was made" if report.unused else ""
     size = options.output.stat().st_size / 1e6

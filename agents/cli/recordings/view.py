@@ -67,9 +67,7 @@ def _view_recording(options: View, recording: Path, output: Path | None, stopped
     if output is not None and output.exists() and output.samefile(recording):
         return complain(f"{output} is the recording itself; give another name", EXIT_UNUSABLE)
     if output is not None and output.exists() and output.suffix == ".mcap":
-        return complain(
-            f"{output} is a recording, and would be overwritten by Rerun's; give a name in .rrd", EXIT_UNUSABLE
-        )
+        return complain(f"{output} is a recording, which Rerun's would overwrite; give a name in .rrd", EXIT_UNUSABLE)
     try:
         size = recording.stat().st_size
         # what is no recording is told before a window opens

@@ -8,10 +8,13 @@ import cv2
 import numpy as np
 from mcap.reader import make_reader
 
+from agents.recorder.cutting import cut
 from agents.recorder.foxglove import BYTES_PER_SECOND, FoxgloveCopies
 from agents.recorder.parts import FileSettings
 from agents.recorder.recorder import RecorderSettings
-from schemas.messages import Image, ImageEncoding
+from schemas.codec import decode
+from schemas.messages import Image, ImageEncoding, Status
+from schemas.topics import THREAD, topic_of
 from shared.recording import foxglove_schemas
 from shared.recording.entry import Entry
 from shared.recording.mcap_file import read_recording
@@ -111,6 +114,28 @@ def test_own_messages_alone_are_read_back_and_copies_can_be_left_out(record, mes
     assert channels(tmp_path / "with.mcap")["/camera/left/calibration"] == "foxglove.CameraCalibration"
 
 
+def test_the_curve_of_a_derived_recording_is_in_metres_and_rerun_shows_it(tmp_path):
+    source, target = Path(__file__).parents[2] / "goldens" / "crossing.mcap", tmp_path / "cut.mcap"
+    cut(source, target, 0, 1 << 62)
+    entries = (e for e in read_recording(source) if topic_of(e.key) is THREAD)
+    thread = next(one for one in (decode(THREAD.message, e.payload) for e in entries) if one.status is Status.OK)
+    with target.open("rb") as file:
+        seen = next(m.data for s, _, m in make_reader(file).iter_messages() if s and s.name == "foxglove.PointCloud")
+    cloud = foxglove_schemas.PointCloud.FromString(seen)
+    assert [(one.name, one.offset, one.type) for one in cloud.fields] == [("x", 0, 7), ("y", 4, 7), ("z", 8, 7)]
+    points = np.frombuffer(cloud.data, "<f4").reshape(-1, 3)
+    unit = thread.camera.metres_per_unit
+    ends = thread.control_points_camera[[0, -1]] * unit
+    np.testing.assert_allclose(points[[0, -1]], ends, atol=1e-6)
+    assert "Points3D:positions" in as_rerun_reads(target, tmp_path)
+
+
+def as_rerun_reads(path, folder):
+    rerun, rrd = str(Path(sys.executable).with_name("rerun")), str(folder / "a.rrd")
+    subprocess.run([rerun, "mcap", "convert", str(path), "-o", rrd], check=True, capture_output=True)
+    return subprocess.run([rerun, "rrd", "print", "-vvv", rrd], check=True, capture_output=True, text=True).stdout
+
+
 def test_rerun_reads_images_cameras_and_transforms(record, messages, tmp_path):
     recorder = record(tmp_path / "a.mcap")
     jpeg = cv2.imencode(".jpg", np.full((48, 64, 3), 99, np.uint8))[1].tobytes()
@@ -118,8 +143,6 @@ def test_rerun_reads_images_cameras_and_transforms(record, messages, tmp_path):
     for one in (messages.calibration(), messages.state(0), messages.frame(0, (image, image))):
         recorder.put(one)
     report = recorder.close()
-    rerun, rrd = str(Path(sys.executable).with_name("rerun")), str(tmp_path / "a.rrd")
-    subprocess.run([rerun, "mcap", "convert", str(report.path), "-o", rrd], check=True, capture_output=True)
-    shown = subprocess.run([rerun, "rrd", "print", "-vvv", rrd], check=True, capture_output=True, text=True).stdout
+    shown = as_rerun_reads(report.path, tmp_path)
     for component in ("EncodedImage:blob", "Pinhole:image_from_camera", "Transform3D:translation"):
         assert component in shown
