@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -121,7 +122,7 @@ def test_the_curve_of_a_derived_recording_is_in_metres_and_rerun_shows_it(tmp_pa
     thread = next(one for one in (decode(THREAD.message, e.payload) for e in entries) if one.status is Status.OK)
     with target.open("rb") as file:
         seen = next(m.data for s, _, m in make_reader(file).iter_messages() if s and s.name == "foxglove.PointCloud")
-    cloud = foxglove_schemas.PointCloud.FromString(seen)
+    cloud: Any = foxglove_schemas.PointCloud.FromString(seen)
     assert [(one.name, one.offset, one.type) for one in cloud.fields] == [("x", 0, 7), ("y", 4, 7), ("z", 8, 7)]
     points = np.frombuffer(cloud.data, "<f4").reshape(-1, 3)
     unit = thread.camera.metres_per_unit
