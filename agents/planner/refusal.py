@@ -42,6 +42,9 @@ def planned_from(
     Raises:
         RefusedGoalError: where one of them is missing, too old, or of no use.
     """
+    if arms:
+        # of a name that is wrong nothing else need be told
+        _reported(goal.arm, arms)
     if thread is not None:
         # a wrong clock makes a thread look old, or yet to come, and that says less
         _check_clocks(clocks)
@@ -125,15 +128,20 @@ def _fresh_thread(thread: ThreadReconstruction | None, now_ns: int) -> ThreadRec
     return thread
 
 
-def _fresh_arm(arm: str, arms: Mapping[str, RobotState], now_ns: int, config: PlannerConfig) -> RobotState:
+def _reported(arm: str, arms: Mapping[str, RobotState]) -> RobotState:
     if arm not in arms:
         known = f"there are: {', '.join(sorted(arms))}" if arms else "there is none; is its bridge running?"
         raise RefusedGoalError("unknown_arm", f"no arm called {arm} has reported; {known}")
-    age_ms = 1e-6 * (now_ns - arms[arm].measured_ns)
+    return arms[arm]
+
+
+def _fresh_arm(arm: str, arms: Mapping[str, RobotState], now_ns: int, config: PlannerConfig) -> RobotState:
+    state = _reported(arm, arms)
+    age_ms = 1e-6 * (now_ns - state.measured_ns)
     if abs(age_ms) > config.arm_age_ms:
         raise RefusedGoalError(
             "arm_stale",
             f"the last state of {arm} was measured {age_ms:.0f} ms ago, and at most {config.arm_age_ms:.0f} ms are "
             "accepted; is its bridge running, and are the clocks set?",
         )
-    return arms[arm]
+    return state

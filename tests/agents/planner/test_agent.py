@@ -241,6 +241,7 @@ def test_a_plan_keeps_to_the_least_dexterity(bench, least, status):
     ("goal", "after_ms", "code", "said"),
     [
         ({"arm": "psm2"}, 50, "unknown_arm", "no arm called psm2 has reported; there are: psm1"),
+        ({"arm": "psm2"}, OLDEST_MS + 1, "unknown_arm", "no arm called psm2"),
         ({}, OLDEST_MS + 1, "thread_stale", f"seen {OLDEST_MS + 1} ms ago, and at most {OLDEST_MS} ms"),
         ({}, -OLDEST_MS - 1, "thread_from_future", f"{OLDEST_MS + 1} ms from now; set the clocks"),
     ],
