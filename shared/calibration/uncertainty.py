@@ -6,8 +6,8 @@ eye moves x_r by
 
     δx_r = ω_y (1 + x_r²) - ω_z y - ω_x x_r y,
 
-another focal length of it by ε x_r, and depth follows from Z = b / (x - x_r). Rows that come apart are not among
-them: they are seen in the images, and put right there.
+another focal length of it by ε x_r, and depth follows from Z = b / (x - x_r). What they do to rows is not in it: that
+is seen in the images, and reconstruction estimates it under the same covariance.
 
 A robot whose hand-eye transform was found through the same camera is off by the same motion as the thread. So a rigid
 motion of the whole field cancels, and what bends or stretches the field is left.
