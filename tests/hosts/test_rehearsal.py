@@ -10,7 +10,7 @@ import pytest
 from agents.cli.lab.rehearsal.network import PREFIX
 
 LAB = Path(__file__).parents[2] / "deploy" / "lab.toml"
-BREAKS = ("--cut", "video", "--kill", "perception", "--seconds", "4")
+BREAKS = ("--cut", "video", "--kill", "perception", "--seconds", "8")
 NAMED = {
     "video is cut off": "no router answers on tls/10.0.0.11:7447 on host video",
     "perception is killed": "perception on strong is gone",
@@ -29,7 +29,7 @@ def test_four_hosts_come_up_and_every_break_is_named_and_over():
     if "cannot be rehearsed here" in done.stderr:
         pytest.skip(done.stderr)
     assert (done.returncode, done.stderr) == (0, ""), done.stdout
-    head, *parts = re.split(r"\n(?=\S.*, for 4 s:\n)", done.stdout)
+    head, *parts = re.split(r"\n(?=\S.*, for 8 s:\n)", done.stdout)
     assert "all well after" in head
     assert "none of them wrong" in head
     assert len(parts) == len(NAMED)
