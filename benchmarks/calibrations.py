@@ -19,9 +19,9 @@ from jaxtyping import Float64
 
 from agents.cli.reconstruct.pipeline import reconstruct_pair
 from agents.reconstruction.methods import METHODS
-from benchmarks.measures import BELIEVED_PLACES
+from benchmarks.measures import BELIEVED_PLACES, covariance_at
 from benchmarks.scenes import CLEAR, CROSSING, scenes
-from schemas.messages import RectifiedStereo, Status, ThreadObservations, ThreadReconstruction
+from schemas.messages import RectifiedStereo, Status, ThreadObservations
 from shared.arc_length import even_parameters
 from shared.calibration.uncertainty import ERRORS, USUAL, bending, displacements, field_of
 from shared.curve_distance import normal_errors
@@ -77,7 +77,7 @@ def covered(
     spline = thread.knots, thread.control_points_camera, thread.degree
     s = even_parameters(*spline, BELIEVED_PLACES)
     points, tangents = evaluate(*spline, s), evaluate(*spline, s, 1)
-    posterior = _between(thread, s)
+    posterior = covariance_at(thread, s)
     camera, depth = thread.camera, float(np.median(points[:, 2]))
     bent, whole = bending(camera, points, depth), displacements(camera, points)
     alone = posterior - bent @ of_calibration @ bent.transpose(0, 2, 1)
@@ -133,11 +133,6 @@ def hand_eye(
     U, _, Vt = np.linalg.svd((measured - a).T @ (true - b))
     R = Vt.T @ np.diag((1.0, 1.0, np.linalg.det(Vt.T @ U.T))) @ U.T
     return R, b - R @ a
-
-
-def _between(thread: ThreadReconstruction, s: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "n 3 3"]:
-    entries = thread.posterior_covariance.reshape(-1, 9).T
-    return np.column_stack([np.interp(s, thread.posterior_s, entry) for entry in entries]).reshape(-1, 3, 3)
 
 
 if __name__ == "__main__":

@@ -144,14 +144,18 @@ def believed(
     """
     spline = thread.knots, thread.control_points_camera, thread.degree
     s = even_parameters(*spline, BELIEVED_PLACES)
-    entries = thread.posterior_covariance.reshape(-1, 9).T
-    covariance = np.column_stack([np.interp(s, thread.posterior_s, entry) for entry in entries]).reshape(-1, 3, 3)
-    errors = normal_errors(evaluate(*spline, s), evaluate(*spline, s, 1), covariance, truth)
+    errors = normal_errors(evaluate(*spline, s), evaluate(*spline, s, 1), covariance_at(thread, s), truth)
     at = stretch[errors.nearest]
     counts = {
         kind: [int(errors.inside[at == index].sum()), int((at == index).sum())] for index, kind in enumerate(STRETCHES)
     }
     return {"coverage": counts, "nll": float(-errors.log_likelihood.mean())}
+
+
+def covariance_at(thread: ThreadReconstruction, s: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "n 3 3"]:
+    """The posterior covariance at parameters between those that are told, entry by entry."""
+    entries = thread.posterior_covariance.reshape(-1, 9).T
+    return np.column_stack([np.interp(s, thread.posterior_s, entry) for entry in entries]).reshape(-1, 3, 3)
 
 
 def against_masks(camera: RectifiedStereo, curve: Float64[np.ndarray, "n 3"], scene: Scene) -> dict[str, Any]:
