@@ -23,7 +23,7 @@ from benchmarks.measures import BELIEVED_PLACES, covariance_at
 from benchmarks.scenes import CLEAR, CROSSING, scenes
 from schemas.messages import RectifiedStereo, Status, ThreadObservations
 from shared.arc_length import even_parameters
-from shared.calibration.uncertainty import ERRORS, USUAL, bending, displacements, field_of
+from shared.calibration.uncertainty import ERRORS, USUAL, bending, displacements, field_of, usual_covariance
 from shared.curve_distance import normal_errors
 from shared.rigid_transforms import exp_so3
 from shared.splines import evaluate
@@ -70,7 +70,7 @@ def covered(
     seen: ThreadObservations, truth: Float64[np.ndarray, "m 3"], errors: Float64[np.ndarray, "8"]
 ) -> tuple[float, float, float] | None:
     """The share of places within the ellipse by each covariance, None where there is no curve."""
-    of_calibration = np.diag(USUAL**2)
+    of_calibration = usual_covariance()
     thread = METHODS[METHOD](replace(wrongly(seen, errors), calibration_covariance=of_calibration))
     if thread.status is not Status.OK:
         return None

@@ -52,7 +52,7 @@ from schemas.messages import (
     ThreadObservations,
     ThreadReconstruction,
 )
-from shared.calibration.uncertainty import USUAL
+from shared.calibration.uncertainty import usual_covariance
 from shared.kinematics.psm import FINGER_M
 from shared.rigid_transforms import apply, inverse
 
@@ -146,7 +146,7 @@ def with_other_calibration(
     observations: ThreadObservations, truth_m: Float64[np.ndarray, "n 3"], errors: Float64[np.ndarray, "8"]
 ) -> tuple[ThreadReconstruction, Float64[np.ndarray, "n 3"]]:
     """The thread as a wrong calibration has it, and the true points where a robot has them that was found with it."""
-    stated = replace(wrongly(observations, errors), calibration_covariance=np.diag(USUAL**2))
+    stated = replace(wrongly(observations, errors), calibration_covariance=usual_covariance())
     thread = METHODS[DEFAULT_METHOD](stated)
     R, t = hand_eye(observations.camera, errors, float(np.median(truth_m[:, 2])))
     return thread, (truth_m - t) @ R

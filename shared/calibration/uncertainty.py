@@ -32,9 +32,14 @@ FIELD_DEPTHS, FIELD_SHARES = (0.8, 1.0, 1.2), (0.2, 0.35, 0.5, 0.65, 0.8)
 """Of the thread's distance, and of the image's sides: where a hand-eye calibration is taken to have been made."""
 
 
+def usual_covariance() -> Float64[np.ndarray, "8 8"]:
+    """Of the errors of a calibration that states none."""
+    return np.diag(USUAL**2)
+
+
 def covariance_of(calibration: StereoCalibration) -> Float64[np.ndarray, "8 8"]:
     """Of a calibration's errors: as it states, or what is usual where it states none."""
-    return np.diag(USUAL**2) if calibration.covariance is None else calibration.covariance
+    return usual_covariance() if calibration.covariance is None else calibration.covariance
 
 
 def displacements(camera: RectifiedStereo, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3 8"]:

@@ -37,7 +37,7 @@ from agents.reconstruction.refined.sightings import (
 )
 from agents.reconstruction.refined.tips import ends_of
 from schemas.messages import GIVEN_MASKS, Centrelines, RectifiedStereo, Status, ThreadObservations, ThreadReconstruction
-from shared.calibration.uncertainty import USUAL
+from shared.calibration.uncertainty import usual_covariance
 from shared.camera import project
 from shared.disparities import Disparities, disparities_of
 
@@ -122,7 +122,7 @@ def seen_enough(thread: ThreadReconstruction) -> ThreadReconstruction:
 def uncertain(observations: ThreadObservations) -> Float64[np.ndarray, "8 8"]:
     """What the calibration may be off by, or what is usual where nobody says."""
     stated = observations.calibration_covariance
-    return np.diag(USUAL**2) if stated is None else stated
+    return usual_covariance() if stated is None else stated
 
 
 def course_and_fit(
@@ -211,8 +211,9 @@ def fitted(course: Course, camera: RectifiedStereo, of_calibration: Float64[np.n
         if fit.scale <= FOLLOWED:
             return fit
         denser = with_needed_spans(fit.curve, camera)
-        again = replace(begun, curve=denser, sight=fit.sight, row_offset_px=fit.row_offset_px) if denser else None
-        return fit if again is None else refined(again, camera)
+        if denser is None:
+            return fit
+        return refined(replace(begun, curve=denser, sight=fit.sight, row_offset_px=fit.row_offset_px), camera)
     except np.linalg.LinAlgError as error:
         raise NoCurveError(f"no curve follows from both images ({error})") from error
 

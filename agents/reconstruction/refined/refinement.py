@@ -32,7 +32,7 @@ from agents.reconstruction.refined.rows import row_doubt, row_offset, row_prior,
 from agents.reconstruction.refined.sightings import Sightings, folds, placed
 from agents.reconstruction.refined.smoothing import COARSE, FINE, chosen_smoothing, local_weights
 from schemas.messages import RectifiedStereo
-from shared.calibration.uncertainty import USUAL
+from shared.calibration.uncertainty import usual_covariance
 
 STEPS = 7
 ROBUST, ROBUST_END = 2.5, 10.0
@@ -93,7 +93,7 @@ class Start:
     smoothing: float | None = None
     weight: Float64[np.ndarray, "spans"] | None = None
     row_offset_px: Float64[np.ndarray, "4"] = field(default_factory=LEVEL.copy)
-    of_calibration: Float64[np.ndarray, "8 8"] = field(default_factory=lambda: np.diag(USUAL**2))
+    of_calibration: Float64[np.ndarray, "8 8"] = field(default_factory=usual_covariance)
 
 
 def refined(start: Start, camera: RectifiedStereo, steps: int | None = None) -> Refined:

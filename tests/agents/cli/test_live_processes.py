@@ -68,12 +68,15 @@ def test_the_demo_ends_with_a_judged_grasp_and_leaves_files_and_no_process(tmp_p
     assert processes_of(tmp_path) == []
     looks = re.search(r"perception/observations +\d+\.\d +\d+\.\d +\d+ +(\d+\.\d)", done.stdout)
     starved = looks is not None and float(looks[1]) < FEWEST_LOOKS_HZ
-    if starved or "no grasp was attempted: the thread was seen" in done.stdout:
+    # a thread that is seen too rarely is too old, or found anew each time
+    rarely = re.search(r"no grasp was attempted: the thread was (?:seen|just found anew)", done.stdout)
+    if starved or rarely is not None:
         pytest.skip(
             "a processor for perception: this machine is too busy just now, and frames are too old to plan from"
         )
     assert (done.returncode, done.stderr) == (0, ""), done.stdout + done.stderr
-    (verdict,) = re.findall(r"^grasp (?:held|lost|missed): .*$", done.stdout, flags=re.M)
+    verdicts = re.findall(r"^grasp (?:held|lost|missed): .*$", done.stdout, flags=re.M)
+    assert len(verdicts) == 1, done.stdout
     assert re.search(r"perception/observations +\d+\.\d +\d+\.\d +\d+ +\d+\.\d", done.stdout)
     (folder,) = tmp_path.iterdir()
     assert str(folder) in done.stdout
@@ -81,7 +84,7 @@ def test_the_demo_ends_with_a_judged_grasp_and_leaves_files_and_no_process(tmp_p
     entries = list(read_recording(folder / "session.mcap"))
     assert {str(topic_of(entry.key)) for entry in entries} >= AT_LEAST_RECORDED
     judged = [decode(GraspJudgement, entry.payload) for entry in entries if topic_of(entry.key) is JUDGEMENT]
-    assert verdict in [judgement.sentence for judgement in judged]
+    assert verdicts[0] in [judgement.sentence for judgement in judged]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
