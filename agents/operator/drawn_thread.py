@@ -49,6 +49,7 @@ class DrawnThread:
     length_mm: float
     to_mm: float | None
     crossings: tuple[dict[str, Any], ...]
+    elsewhere: tuple[tuple[float, float], ...] = ()
     found: int = 0
 
     @cached_property
@@ -69,6 +70,7 @@ class DrawnThread:
             "length_mm": round(self.length_mm, 2),
             "unit_known": self.to_mm is not None,
             "crossings": list(self.crossings),
+            "elsewhere": [list(leads) for leads in self.elsewhere],
         }
 
 
@@ -114,6 +116,9 @@ def draw_thread(thread: ThreadReconstruction) -> DrawnThread | None:
         length_mm=length * (to_mm or 1.0),
         to_mm=to_mm,
         crossings=crossings,
+        elsewhere=()
+        if thread.course is None
+        else tuple((round(float(a), 3), round(float(b), 3)) for a, b in thread.course.elsewhere),
     )
 
 

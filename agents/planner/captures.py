@@ -59,9 +59,10 @@ def captures_for(places: Places, arm: ArmView, config: PlannerConfig, tissue: Se
     steady = clear & steps_along_slide(ways.steady, goal)
     passable = steady[:, None] & reached(ways, goal, arm.reachable)
     likely = chances(places.known, ways, goal, config)
-    known_enough = places.seen & (likely.here.max(axis=0) >= config.least_probability)
+    known_enough = places.seen & places.decided & (likely.here.max(axis=0) >= config.least_probability)
     found = {
         Against.UNSEEN: ~places.seen,
+        Against.UNDECIDED: ~places.decided,
         Against.UNKNOWN_ON_THE_WAY: ~along_slide(known_enough, goal),
         Against.STRAND_BESIDE: beside < config.half_opening_m(config.open_deg),
         Against.STRAND_ON_THE_WAY: ~along_slide(beside >= config.half_opening_m(config.slide_deg), goal),

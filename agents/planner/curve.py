@@ -35,6 +35,7 @@ class ThreadCurve:
     control_points_camera: Float64[np.ndarray, "m 3"]
     length_m: float
     unseen: Float64[np.ndarray, "g 2"]
+    undecided: Float64[np.ndarray, "u 2"]
     _asked: dict[bytes, Float64[np.ndarray, "n"]] = field(default_factory=dict, compare=False, repr=False)
 
     def parameters(self, s: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "n"]:
@@ -87,8 +88,16 @@ def curve_of(thread: ThreadReconstruction) -> ThreadCurve:
         raise NoGraspError(f"the thread is {1e3 * length_m:.3g} mm long, and cannot be grasped; check the unit")
     if thread.camera.baseline * unit_m == 0:
         raise NoGraspError("the eyes of the camera are 0 m apart; check the calibration's unit")
+    undecided = np.empty((0, 2)) if thread.course is None else thread.course.undecided
     camera = dataclasses.replace(thread.camera, baseline=thread.camera.baseline * unit_m, metres_per_unit=1.0)
-    return ThreadCurve(camera, thread.degree, thread.knots, control_points, length_m, np.sort(thread.unseen, axis=1))
+    unseen = np.sort(thread.unseen, axis=1)
+    return ThreadCurve(camera, thread.degree, thread.knots, control_points, length_m, unseen, undecided)
+
+
+def decided(curve: ThreadCurve, s: Float64[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
+    """Whether the thread is known to lead on at s, and not perhaps to another piece of itself."""
+    start, end = curve.undecided.T[:, :, None]
+    return ~((s >= start) & (s <= end)).any(axis=0)
 
 
 def seen(curve: ThreadCurve, s: Float64[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:

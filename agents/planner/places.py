@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from agents.planner.chances import Known
-from agents.planner.curve import ThreadCurve, seen, strand_distance
+from agents.planner.curve import ThreadCurve, decided, seen, strand_distance
 from schemas.messages import Policy
 from shared.kinematics.psm import FINGER_M
 
@@ -20,6 +20,7 @@ class Places:
         aims_camera: where the tool is aimed for each of them.
         beside_m: how far to the side another strand passes, as `strand_distance` has it.
         seen: whether both images show it.
+        decided: whether it is known where the thread leads from it.
     """
 
     s: Float64[np.ndarray, "n"]
@@ -28,6 +29,7 @@ class Places:
     tangents: Float64[np.ndarray, "n 3"]
     beside_m: Float64[np.ndarray, "n"]
     seen: Bool[np.ndarray, "n"]
+    decided: Bool[np.ndarray, "n"]
     known: Known
 
 
@@ -49,6 +51,7 @@ def places_along(curve: ThreadCurve, s: Float64[np.ndarray, "n"], goal: int, pol
         tangents=tangents,
         beside_m=strand_distance(curve, s[asked], FINGER_M),
         seen=seen(curve, s)[asked],
+        decided=decided(curve, s)[asked],
         known=known,
     )
 

@@ -24,7 +24,8 @@ class Against(enum.Enum):
     """What speaks against a capture, the first that applies."""
 
     UNSEEN = "unseen"
-    UNKNOWN_ON_THE_WAY = "unseen or hardly known up to the goal"
+    UNDECIDED = "where the thread may lead elsewhere"
+    UNKNOWN_ON_THE_WAY = "unseen, undecided or hardly known up to the goal"
     STRAND_BESIDE = "another strand beside it"
     STRAND_ON_THE_WAY = "another strand on the way to the goal"
     ALONG_APPROACH = "thread along the approach"

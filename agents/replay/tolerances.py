@@ -91,6 +91,9 @@ _RECONSTRUCTION: dict[str, Rule] = {
     "other_threads": Rule(0.0, "threads", measures.counts_apart),
     "hidden": Rule(0.03, "s", measures.stretches_apart),
     "left_over_share": Rule(0.02, "share"),
+    "course.joins": Rule(0.02, "s", measures.stretches_apart),
+    "course.probability": Rule(ignored="of joins, which are compared"),
+    "course.other": Rule(ignored="what was less likely"),
     "left_over_px": Rule(ignored="where what `left_over_share` says lies"),
     "reason": Rule(0.0, "", measures.words_apart),
 }

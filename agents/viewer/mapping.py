@@ -144,6 +144,7 @@ def reconstruction_entities(
     return [
         ("world/thread/curve", [_curve(thread)]),
         ("world/thread/ends", [_ends(thread)]),
+        ("world/thread/other_course", [_other_course(reconstruction, thread)]),
         ("world/thread/control_points", [rr.Points3D(control, colors=[(*colours.MASK, 200)], radii=[-2.0])]),
         ("world/thread/regions", [boxes]),
         ("confidence", [_confidence_bars(thread)]),
@@ -248,6 +249,16 @@ def _curve(thread: Polyline | None) -> rr.LineStrips3D:
     confidence = 0.5 * (thread.confidence[:-1] + thread.confidence[1:])
     rgb = colours.thread_rgb(confidence, thread.unseen[:-1] & thread.unseen[1:])
     return rr.LineStrips3D(segments, colors=rgb, radii=[-CURVE_RADIUS])
+
+
+def _other_course(reconstruction: ThreadReconstruction, thread: Polyline | None) -> rr.LineStrips3D:
+    """Where the next likeliest course leads otherwise, if the likeliest one is undecided."""
+    course = reconstruction.course
+    if thread is None or course is None or not len(course.elsewhere):
+        return rr.LineStrips3D([])
+    ends = np.stack([np.interp(course.elsewhere, thread.along, axis) for axis in thread.points_camera.T], axis=-1)
+    labels = [f"may lead from s={start:.2f} to s={end:.2f}" for start, end in course.elsewhere]
+    return rr.LineStrips3D(ends, colors=[colours.WARNING], radii=[-CURVE_RADIUS], labels=labels)
 
 
 def _ends(thread: Polyline | None) -> rr.Points3D:

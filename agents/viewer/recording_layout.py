@@ -35,7 +35,7 @@ FLAT = (
 def layout(reconstruction: ThreadReconstruction) -> rrb.Blueprint:
     """How the viewer is laid out: space to the left, both eyes and words to the right, confidence below."""
     unit = unit_text(reconstruction.camera.metres_per_unit)
-    seen = ["world/thread/curve", "world/thread/ends"]
+    seen = ["world/thread/curve", "world/thread/other_course", "world/thread/ends"]
     left = rrb.Spatial2DView(
         origin="world/left", name="left", contents=["$origin/**", *seen, "world/observations/points"]
     )

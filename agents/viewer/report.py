@@ -6,6 +6,7 @@ from jaxtyping import Bool
 from agents.viewer.image_pane import decoded_mask
 from agents.viewer.polyline import Polyline
 from schemas.messages import (
+    SURE,
     Image,
     Judgement,
     ReliabilityRegions,
@@ -52,6 +53,8 @@ def facts(observations: ThreadObservations, reconstruction: ThreadReconstruction
         lines.append(f"{outside} of {len(reconstruction.regions.s)} regions missed")
     if hidden := hidden_text(reconstruction):
         lines.append(hidden)
+    if undecided := undecided_text(reconstruction):
+        lines.append(undecided)
     if left_over := left_over_text(reconstruction):
         lines.append(left_over)
     if others := len(reconstruction.other_threads):
@@ -153,6 +156,19 @@ def hidden_text(reconstruction: ThreadReconstruction) -> str:
     said = [f"{share:.0%} hidden by instruments"] if share >= LEAST_SAID else []
     if ends:
         said.append(f"may go on hidden at {' and '.join(ends)}")
+    return "; ".join(said)
+
+
+def undecided_text(reconstruction: ThreadReconstruction) -> str:
+    """Where the thread may take another course, empty where it does not or nobody knows."""
+    course = reconstruction.course
+    if course is None:
+        return ""
+    said = [
+        f"{'may go on' if start == end else 'may lead elsewhere'} at s={start:.2f} ({1 - probability:.0%})"
+        for (start, end), probability in zip(course.joins, course.probability, strict=True)
+        if probability < SURE
+    ]
     return "; ".join(said)
 
 

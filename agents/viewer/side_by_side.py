@@ -29,7 +29,13 @@ RECORDED, REPLAYED, DIFFERENCE = "recorded", "replayed", "difference"
 SIDES = (RECORDED, REPLAYED)
 TYPICAL_MM = 95.0
 CLOSER = 0.75
-DRAWN_ON_IMAGES = ("world/thread/curve", "world/thread/ends", "world/plan/**", "world/tool/**")
+DRAWN_ON_IMAGES = (
+    "world/thread/curve",
+    "world/thread/other_course",
+    "world/thread/ends",
+    "world/plan/**",
+    "world/tool/**",
+)
 CROWDING = ("world/observations/matched", "world/thread/control_points")
 
 

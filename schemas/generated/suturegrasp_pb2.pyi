@@ -504,7 +504,7 @@ class ReliabilityRegions(_message.Message):
     def __init__(self, s: _Optional[_Union[Array, _Mapping]] = ..., centre_camera: _Optional[_Union[Array, _Mapping]] = ..., bound_px: _Optional[_Union[Array, _Mapping]] = ..., bound_depth: _Optional[_Union[Array, _Mapping]] = ..., slack: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
 
 class ThreadReconstruction(_message.Message):
-    __slots__ = ("stamp", "camera", "status", "reason", "method", "degree", "knots", "control_points_camera", "regions", "confidence_s", "confidence", "posterior_s", "posterior_covariance", "unseen", "consumed", "track", "crossings", "other_threads_px", "hidden", "ends_hidden", "other_threads", "left_over_share", "left_over_px", "calibration_covariance")
+    __slots__ = ("stamp", "camera", "status", "reason", "method", "degree", "knots", "control_points_camera", "regions", "confidence_s", "confidence", "posterior_s", "posterior_covariance", "unseen", "consumed", "track", "crossings", "other_threads_px", "hidden", "ends_hidden", "other_threads", "left_over_share", "left_over_px", "calibration_covariance", "course")
     STAMP_FIELD_NUMBER: _ClassVar[int]
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     STATUS_FIELD_NUMBER: _ClassVar[int]
@@ -529,6 +529,7 @@ class ThreadReconstruction(_message.Message):
     LEFT_OVER_SHARE_FIELD_NUMBER: _ClassVar[int]
     LEFT_OVER_PX_FIELD_NUMBER: _ClassVar[int]
     CALIBRATION_COVARIANCE_FIELD_NUMBER: _ClassVar[int]
+    COURSE_FIELD_NUMBER: _ClassVar[int]
     stamp: FrameStamp
     camera: RectifiedStereo
     status: Status
@@ -553,7 +554,18 @@ class ThreadReconstruction(_message.Message):
     left_over_share: float
     left_over_px: Array
     calibration_covariance: Array
-    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., method: _Optional[str] = ..., degree: _Optional[int] = ..., knots: _Optional[_Union[Array, _Mapping]] = ..., control_points_camera: _Optional[_Union[Array, _Mapping]] = ..., regions: _Optional[_Union[ReliabilityRegions, _Mapping]] = ..., confidence_s: _Optional[_Union[Array, _Mapping]] = ..., confidence: _Optional[_Union[Array, _Mapping]] = ..., posterior_s: _Optional[_Union[Array, _Mapping]] = ..., posterior_covariance: _Optional[_Union[Array, _Mapping]] = ..., unseen: _Optional[_Union[Array, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ..., track: _Optional[_Union[ThreadTrack, _Mapping]] = ..., crossings: _Optional[_Iterable[_Union[Crossing, _Mapping]]] = ..., other_threads_px: _Optional[_Union[Array, _Mapping]] = ..., hidden: _Optional[_Union[Array, _Mapping]] = ..., ends_hidden: _Optional[_Union[Array, _Mapping]] = ..., other_threads: _Optional[_Iterable[_Union[ThreadCandidate, _Mapping]]] = ..., left_over_share: _Optional[float] = ..., left_over_px: _Optional[_Union[Array, _Mapping]] = ..., calibration_covariance: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
+    course: ThreadCourse
+    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., method: _Optional[str] = ..., degree: _Optional[int] = ..., knots: _Optional[_Union[Array, _Mapping]] = ..., control_points_camera: _Optional[_Union[Array, _Mapping]] = ..., regions: _Optional[_Union[ReliabilityRegions, _Mapping]] = ..., confidence_s: _Optional[_Union[Array, _Mapping]] = ..., confidence: _Optional[_Union[Array, _Mapping]] = ..., posterior_s: _Optional[_Union[Array, _Mapping]] = ..., posterior_covariance: _Optional[_Union[Array, _Mapping]] = ..., unseen: _Optional[_Union[Array, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ..., track: _Optional[_Union[ThreadTrack, _Mapping]] = ..., crossings: _Optional[_Iterable[_Union[Crossing, _Mapping]]] = ..., other_threads_px: _Optional[_Union[Array, _Mapping]] = ..., hidden: _Optional[_Union[Array, _Mapping]] = ..., ends_hidden: _Optional[_Union[Array, _Mapping]] = ..., other_threads: _Optional[_Iterable[_Union[ThreadCandidate, _Mapping]]] = ..., left_over_share: _Optional[float] = ..., left_over_px: _Optional[_Union[Array, _Mapping]] = ..., calibration_covariance: _Optional[_Union[Array, _Mapping]] = ..., course: _Optional[_Union[ThreadCourse, _Mapping]] = ...) -> None: ...
+
+class ThreadCourse(_message.Message):
+    __slots__ = ("joins", "probability", "other")
+    JOINS_FIELD_NUMBER: _ClassVar[int]
+    PROBABILITY_FIELD_NUMBER: _ClassVar[int]
+    OTHER_FIELD_NUMBER: _ClassVar[int]
+    joins: Array
+    probability: Array
+    other: Array
+    def __init__(self, joins: _Optional[_Union[Array, _Mapping]] = ..., probability: _Optional[_Union[Array, _Mapping]] = ..., other: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
 
 class Crossing(_message.Message):
     __slots__ = ("s_first", "s_second", "point_px", "over", "depth_apart")

@@ -75,6 +75,7 @@ from schemas.messages.simulation import (
 from schemas.messages.surface import TissueSurface
 from schemas.messages.thread import (
     GIVEN_MASKS,
+    SURE,
     Centrelines,
     Crossing,
     Judgement,
@@ -86,6 +87,7 @@ from schemas.messages.thread import (
     Severity,
     Status,
     ThreadCandidate,
+    ThreadCourse,
     ThreadObservations,
     ThreadReconstruction,
     ThreadTrack,
@@ -98,6 +100,7 @@ from schemas.messages.tool import ToolCandidate, ToolCorrection, ToolStatus
 __all__ = [
     "GIVEN_MASKS",
     "ROTATION_TOLERANCE",
+    "SURE",
     "AgentConfiguration",
     "AgentFacts",
     "AgentHealth",
@@ -158,6 +161,7 @@ __all__ = [
     "ThreadAround",
     "ThreadCandidate",
     "ThreadClearance",
+    "ThreadCourse",
     "ThreadObservations",
     "ThreadReconstruction",
     "ThreadTrack",

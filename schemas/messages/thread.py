@@ -367,6 +367,48 @@ class Crossing:
         require(0 <= self.s_first < self.s_second <= 1, "the strands of a crossing must be in order within 0 and 1")
 
 
+SURE = 0.95
+"""A join of a course that is less probable is undecided."""
+
+
+@dataclass(frozen=True)
+class ThreadCourse:
+    """The course of a thread through the pieces that are seen of it, and how sure it is.
+
+    Fields:
+        joins: stretches of arc length over which it leads from one piece to the next; an end of the thread is a join of
+            that place with itself.
+        probability: that the thread leads so over each join, and goes on to no other piece in view from each end.
+        other: the stretches of this thread in the order and direction in which the next likeliest course passes them.
+    """
+
+    joins: Float64[np.ndarray, "j 2"]
+    probability: Float64[np.ndarray, "j"]
+    other: Float64[np.ndarray, "m 2"]
+
+    def __post_init__(self) -> None:
+        check_message(self)
+        _check_within_thread("joins", self.joins)
+        _check_within_thread("other", self.other)
+        require(bool((self.joins[:, 0] <= self.joins[:, 1]).all()), "a join must not end before it begins")
+        require(bool(((self.probability >= 0) & (self.probability <= 1)).all()), "probability must lie within 0 and 1")
+
+    @property
+    def undecided(self) -> Float64[np.ndarray, "u 2"]:
+        """The stretches over which the course is undecided; an end that may lead on is none."""
+        doubtful = (self.probability < SURE) & (self.joins[:, 0] < self.joins[:, 1])
+        return self.joins[doubtful]
+
+    @property
+    def elsewhere(self) -> Float64[np.ndarray, "k 2"]:
+        """From which arc length to which the next likeliest course leads otherwise; none where nothing is undecided."""
+        if not len(self.undecided):
+            return np.zeros((0, 2))
+        leads = np.sort(np.column_stack((self.other[:-1, 1], self.other[1:, 0])), axis=1)
+        known = (leads[:, None] == self.joins[None]).all(axis=2).any(axis=1)
+        return leads[~known]
+
+
 @dataclass(frozen=True)
 class ThreadReconstruction:
     """The thread as a clamped B-spline in the camera frame, with how far it can be trusted.
@@ -389,6 +431,7 @@ class ThreadReconstruction:
         left_over_share: of the middle of what was segmented as thread in the left image, how much lies neither on this
             thread nor on one of `other_threads`; None where nobody has looked.
         left_over_px: the middle (u, v) of each longer stretch of that; None likewise.
+        course: None where the method tells none.
     A failed reconstruction has a reason and no control points.
     """
 
@@ -416,6 +459,7 @@ class ThreadReconstruction:
     left_over_share: float | None = None
     left_over_px: Float64[np.ndarray, "l 2"] | None = None
     calibration_covariance: Float64[np.ndarray, "8 8"] | None = None
+    course: ThreadCourse | None = None
 
     def __post_init__(self) -> None:
         check_message(self)

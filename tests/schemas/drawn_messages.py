@@ -184,6 +184,13 @@ def regions(draw):
 
 
 @st.composite
+def thread_courses(draw):
+    n, m = draw(lengths), draw(lengths)
+    joins = np.sort(draw(array(n, 2, elements=shares)), axis=1)
+    return messages.ThreadCourse(joins, draw(array(n, elements=shares)), draw(array(m, 2, elements=shares)))
+
+
+@st.composite
 def tracks(draw):
     step, m, first = draw(st.sampled_from(messages.TrackStep)), draw(st.integers(4, 7)), draw(numbers)
     return draw(
@@ -367,6 +374,7 @@ CHECKED: dict[type, st.SearchStrategy] = {
     messages.TissueSurface: surfaces(),
     messages.ReliabilityRegions: regions(),
     messages.ThreadTrack: tracks(),
+    messages.ThreadCourse: thread_courses(),
     messages.ThreadReconstruction: reconstructions(),
     messages.CommandAnswer: answers(),
     messages.HostClock: host_clocks(),

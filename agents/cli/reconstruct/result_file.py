@@ -37,6 +37,13 @@ def result_document(result: PipelineResult, judgements: tuple[Judgement, ...]) -
             for crossing in thread.crossings
         ],
         "unseen": thread.unseen.tolist(),
+        "course": None
+        if thread.course is None
+        else {
+            "joins": thread.course.joins.tolist(),
+            "probability": thread.course.probability.tolist(),
+            "other": thread.course.other.tolist(),
+        },
         "observations": observed_points(result),
         "timings_ms": {step: round(ms, 3) for step, ms in result.timings_ms.items()},
         "length": _length(thread),

@@ -150,6 +150,11 @@ export class Picture {
       c.stroke();
       this.text(crossingWords(crossing), crossing.px, 13, "#fff", 11);
     }
+    for (const [from, to] of this.thread.elsewhere) {
+      const leads = [this.placeOf(from), this.placeOf(to)];
+      this.line(leads, "#ffbe3c", 2.5, [8, 5], "#000b");
+      this.text("may lead so", [0, 1].map((k) => (leads[0][k] + leads[1][k]) / 2), 13, "#ffbe3c", 11);
+    }
     c.globalAlpha = 1;
     this.text("s = 0", px[0], 8, "#fff", 12);
     this.text("s = 1", px.at(-1), 8, "#fff", 12);

@@ -7,12 +7,12 @@ need no order of their own; the way gives it.
 """
 
 import itertools
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from agents.reconstruction.refined.chains import Chain
+from agents.reconstruction.refined.pieces import Chain
 from schemas.messages import Centrelines
 from shared.disparities import Disparities
 
@@ -106,6 +106,17 @@ def align(left: Chain, right: Centrelines, reach: Disparities) -> Alignment | No
         way.index,
         len(chosen) / int(steep.sum()),
         score,
+    )
+
+
+def reversed_along(aligned: Alignment, length_px: float) -> Alignment:
+    """The same along the chain from its other end."""
+    return replace(
+        aligned,
+        along_px=length_px - aligned.along_px[::-1],
+        disparity_px=aligned.disparity_px[::-1],
+        variance_px2=aligned.variance_px2[::-1],
+        right_index=aligned.right_index[::-1],
     )
 
 

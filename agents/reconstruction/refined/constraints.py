@@ -20,9 +20,9 @@ from agents.reconstruction.minimum_variation import (
     region_faces,
 )
 from agents.reconstruction.refined.alignment import Alignment
-from agents.reconstruction.refined.chains import Chain
 from agents.reconstruction.refined.cubic import DEGREE
 from agents.reconstruction.refined.normal_equations import Blocks, band, gradient
+from agents.reconstruction.refined.pieces import Chain
 from agents.reconstruction.refined.projection import Curve
 from schemas.messages import RectifiedStereo
 from shared.camera import backproject, depth_of_disparity

@@ -5,13 +5,11 @@ The left chain is continued by the right points, moved by the last disparity: en
 the right points themselves, and the smoothness of the curve, say where it goes.
 """
 
-from dataclasses import replace
-
 import numpy as np
 from jaxtyping import Int64
 
-from agents.reconstruction.refined.alignment import Alignment
-from agents.reconstruction.refined.chains import Chain
+from agents.reconstruction.refined.alignment import Alignment, reversed_along
+from agents.reconstruction.refined.pieces import Chain
 from schemas.messages import Centrelines, RectifiedStereo
 
 ADDED = -1
@@ -76,11 +74,4 @@ def _reversed(left: Chain, aligned: Alignment) -> tuple[Chain, Alignment]:
         left.piece[::-1],
         left.index[::-1],
     )
-    way = replace(
-        aligned,
-        along_px=total - aligned.along_px[::-1],
-        disparity_px=aligned.disparity_px[::-1],
-        variance_px2=aligned.variance_px2[::-1],
-        right_index=aligned.right_index[::-1],
-    )
-    return chain, way
+    return chain, reversed_along(aligned, float(total))

@@ -68,15 +68,12 @@ def hidden_of(
     """
     if occluders is None:
         return None
-    try:
-        maps = _map(occluders.left), _map(occluders.right)
-    except ImageDataError:
-        return None
-    if any(found.ndim != 2 for found in maps):
+    maps = map_of(occluders.left), map_of(occluders.right)
+    if maps[0] is None or maps[1] is None:
         return None
     places, ends = np.zeros(len(unseen), bool), np.zeros(2, bool)
     for line_px, found in zip(pixels, maps, strict=True):
-        if not found.any():
+        if found is None or not found.any():
             continue
         places |= is_occluded(line_px, found, image_width)
         ends |= hidden_ends(line_px, found, image_width)
@@ -84,9 +81,17 @@ def hidden_of(
 
 
 @lru_cache(maxsize=4)
-def _map(image: Image) -> UInt8[np.ndarray, "r c"]:
-    """The pixels; instruments are looked for anew every some frames only, and those between send the same ones."""
-    pixels = decode_image(image)
+def map_of(image: Image) -> UInt8[np.ndarray, "r c"] | None:
+    """A map of occluders, None where it cannot be read.
+
+    Instruments are looked for anew every some frames only, and those between send the same maps.
+    """
+    try:
+        pixels = decode_image(image)
+    except ImageDataError:
+        return None
+    if pixels.ndim != 2:
+        return None
     pixels.setflags(write=False)
     return pixels
 

@@ -5,11 +5,11 @@ from jaxtyping import Float64
 from scipy.linalg import lapack
 
 from agents.reconstruction.refined.alignment import Alignment
-from agents.reconstruction.refined.chains import Chain
 from agents.reconstruction.refined.cubic import DEGREE, basis_at, even_places, fitted
 from agents.reconstruction.refined.kept import kept
 from agents.reconstruction.refined.medians import median
 from agents.reconstruction.refined.normal_equations import finite
+from agents.reconstruction.refined.pieces import Chain
 from agents.reconstruction.refined.projection import Curve, at_constant_speed
 from schemas.messages import RectifiedStereo
 from shared.camera import backproject, depth_of_disparity

@@ -1,9 +1,8 @@
 """Method `refined`: one spline fitted to the sub-pixel centrelines of both images.
 
 1. `covered_ends`: how far points beside what covers them may be off.
-2. `chains`: the pieces of the left centreline in their order along the thread, through crossings and behind tools.
+2. `course`: the pieces of the left centreline in their order along the thread, through crossings and behind tools.
 3. `alignment`: the right image's counterpart of each place, by dynamic programming along the rows.
-   `tips`: which ends are covered; what that says of the course.
    `continuation`: what only the right image shows beyond the left one's border.
 4. `initial`: a first curve from both.
 5. `refinement`: Gauss-Newton on its control points against both centrelines, smoothing chosen from the images.
@@ -14,16 +13,17 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 
 from agents.reconstruction.minimum_variation import UnsolvedError
 from agents.reconstruction.paper import failed
 from agents.reconstruction.refined.alignment import Alignment, align
-from agents.reconstruction.refined.chains import Chain, chains
 from agents.reconstruction.refined.constraints import Held, held_to, regions_of
-from agents.reconstruction.refined.continuation import continued
-from agents.reconstruction.refined.covered_ends import with_covered_ends
+from agents.reconstruction.refined.continuation import ADDED, continued
+from agents.reconstruction.refined.course import BothImages, LikeliestCourse, likeliest_course
+from agents.reconstruction.refined.covered_ends import map_of, with_covered_ends
 from agents.reconstruction.refined.initial import initial_curve, with_needed_spans
+from agents.reconstruction.refined.pieces import Chain
 from agents.reconstruction.refined.plausibility import LARGEST_RESIDUAL_SHARE, contradiction, implausible, unusable
 from agents.reconstruction.refined.projection import LEVEL, Curve, projected, row_offsets_px
 from agents.reconstruction.refined.refinement import Refined, Start, refined
@@ -35,11 +35,17 @@ from agents.reconstruction.refined.sightings import (
     placed,
     sightings,
 )
-from agents.reconstruction.refined.tips import ends_of
-from schemas.messages import GIVEN_MASKS, Centrelines, RectifiedStereo, Status, ThreadObservations, ThreadReconstruction
+from schemas.messages import (
+    GIVEN_MASKS,
+    RectifiedStereo,
+    Status,
+    ThreadCourse,
+    ThreadObservations,
+    ThreadReconstruction,
+)
 from shared.calibration.uncertainty import usual_covariance
 from shared.camera import project
-from shared.disparities import Disparities, disparities_of
+from shared.disparities import disparities_of
 
 METHOD = "refined"
 MOST_ROW_ROUNDS = 5
@@ -69,6 +75,7 @@ class Course:
     aligned: Alignment
     sight: Sightings
     row_offset_px: Float64[np.ndarray, "4"]
+    likeliest: LikeliestCourse
 
 
 def reconstruct_refined(observations: ThreadObservations) -> ThreadReconstruction:
@@ -78,12 +85,13 @@ def reconstruct_refined(observations: ThreadObservations) -> ThreadReconstructio
     """
     if observations.status is not Status.OK:
         return failed(observations, METHOD, observations.reason)
-    left, right, camera = observations.centrelines_left, observations.centrelines_right, observations.camera
     try:
         need_evidence(observations)
-        course, fit = course_and_fit(left, right, camera, disparities_of(observations), uncertain(observations))
-        held = within_regions(fit, course, camera)
-        return seen_enough(reconstruction(observations, METHOD, fit, held, starts_right(held.curve, observations)))
+        course, fit = course_and_fit(observations)
+        held = within_regions(fit, course, observations.camera)
+        reverse = starts_right(held.curve, observations)
+        told = told_course(course, fit, reverse)
+        return seen_enough(reconstruction(observations, METHOD, fit, held, reverse, told))
     except NoCurveError as error:
         return failed(observations, METHOD, str(error))
 
@@ -125,76 +133,55 @@ def uncertain(observations: ThreadObservations) -> Float64[np.ndarray, "8 8"]:
     return usual_covariance() if stated is None else stated
 
 
-def course_and_fit(
-    left: Centrelines,
-    right: Centrelines,
-    camera: RectifiedStereo,
-    reach: Disparities,
-    of_calibration: Float64[np.ndarray, "8 8"],
-) -> tuple[Course, Refined]:
+def course_and_fit(observations: ThreadObservations) -> tuple[Course, Refined]:
     """The thread's course and the curve fitted to it, aligned again for as long as the rows turn out to be apart.
 
     Raises:
         NoCurveError: where there is no curve that can be the thread.
     """
-    course = course_of(left, right, camera, reach)
+    camera, of_calibration = observations.camera, uncertain(observations)
+    course = course_of(observations)
     fit = fitted(course, camera, of_calibration)
     for _ in range(MOST_ROW_ROUNDS):
         if _rows_apart_px(fit, course, camera) < ROWS_SETTLED_PX:
             break
-        course = course_of(left, right, camera, reach, fit.row_offset_px)
+        course = course_of(observations, fit.row_offset_px)
         fit = fitted(course, camera, of_calibration)
     if reason := implausible(fit, camera):
         raise NoCurveError(reason)
     return course, fit
 
 
-def course_of(
-    left: Centrelines,
-    right: Centrelines,
-    camera: RectifiedStereo,
-    reach: Disparities,
-    row_offset_px: Float64[np.ndarray, "4"] = LEVEL,
-) -> Course:
-    """The longest thread of the left image that the right one shows too, so many rows lower.
+def course_of(observations: ThreadObservations, row_offset_px: Float64[np.ndarray, "4"] = LEVEL) -> Course:
+    """The likeliest thread of the left image that the right one shows too, so many rows lower.
 
     Raises:
         NoCurveError: where there is none.
     """
+    camera, reach = observations.camera, disparities_of(observations)
+    left, right = observations.centrelines_left, observations.centrelines_right
     if reason := unusable(left, right, camera):
         raise NoCurveError(reason)
     left, right = with_covered_ends(left), with_covered_ends(right)
-    found = chains(left, camera.image_width)
-    if not found:
-        raise NoCurveError("the left image shows no piece of thread that is longer than some widths of it")
     lower_px = row_offsets_px(right.point_px, row_offset_px, camera)
     level = replace(right, point_px=right.point_px - lower_px[:, None] * (0.0, 1.0))
-    chain, aligned = _aligned(left, level, found, camera, reach)
+    occluders = None if observations.occluders is None else map_of(observations.occluders.left)
+    size_px = camera.image_width, camera.image_height
+    found = likeliest_course(BothImages(left, level, reach, size_px, occluders))
+    if found is None:
+        raise NoCurveError("the left image shows no piece of thread that is longer than some widths of it")
+    aligned = align(found.chain, level, reach)
     reason = contradiction(aligned, camera)
     if aligned is None or reason:
         raise NoCurveError(reason)
-    chain, aligned = continued(chain, level, aligned, camera)
-    return Course(chain, aligned, sightings(chain, right, aligned), row_offset_px)
+    chain, aligned = continued(found.chain, level, aligned, camera)
+    return Course(chain, aligned, sightings(chain, right, aligned), row_offset_px, found)
 
 
 def _rows_apart_px(fit: Refined, course: Course, camera: RectifiedStereo) -> float:
     """By how much the rows of a point of the right image are elsewhere than the course was sought with, at most."""
     right = fit.sight.point_px[fit.sight.eye == 1]
     return float(np.abs(row_offsets_px(right, fit.row_offset_px - course.row_offset_px, camera)).max(initial=0.0))
-
-
-def _aligned(
-    left: Centrelines, right: Centrelines, found: list[Chain], camera: RectifiedStereo, reach: Disparities
-) -> tuple[Chain, Alignment | None]:
-    """The longest thread with its counterparts: sought again with what they tell of the ends of its pieces."""
-    aligned = align(found[0], right, reach)
-    if aligned is None or not (len(found) > 1 or np.diff(found[0].piece).any()):
-        return found[0], aligned
-    others = [(chain, align(chain, right, reach)) for chain in found[1:]]
-    again = chains(left, camera.image_width, ends_of(left, right, [(found[0], aligned), *others], camera))[0]
-    if any(np.array_equal(again.index[way], found[0].index) for way in (slice(None), slice(None, None, -1))):
-        return found[0], aligned
-    return again, align(again, right, reach)
 
 
 def fitted(course: Course, camera: RectifiedStereo, of_calibration: Float64[np.ndarray, "8 8"]) -> Refined:
@@ -216,6 +203,23 @@ def fitted(course: Course, camera: RectifiedStereo, of_calibration: Float64[np.n
         return refined(replace(begun, curve=denser, sight=fit.sight, row_offset_px=fit.row_offset_px), camera)
     except np.linalg.LinAlgError as error:
         raise NoCurveError(f"no curve follows from both images ({error})") from error
+
+
+def told_course(course: Course, fit: Refined, reverse: bool) -> ThreadCourse:
+    """The course in arc lengths of its curve, or from the curve's other end."""
+    chain, found = course.left, course.likeliest
+    own = np.flatnonzero(chain.piece != ADDED)
+    order = own[np.argsort(chain.index[own])]
+    share = chain.along_px / chain.along_px[-1]
+
+    def along(index: Int64[np.ndarray, "k 2"]) -> Float64[np.ndarray, "k 2"]:
+        at = order[np.searchsorted(chain.index[order], index.ravel())]
+        s = parameters_of_course(course.sight, fit.sight, share[at]).reshape(-1, 2)
+        return 1.0 - s if reverse else s
+
+    joins = np.sort(along(found.joins), axis=1)
+    first = np.argsort(joins[:, 0], kind="stable")
+    return ThreadCourse(joins[first], found.probability[first], along(found.other))
 
 
 def _leads_to_places(course: Course, start: Curve, camera: RectifiedStereo) -> bool:

@@ -24,6 +24,7 @@ from schemas.messages import (
     RectifiedStereo,
     ReliabilityRegions,
     Status,
+    ThreadCourse,
     ThreadObservations,
     ThreadReconstruction,
     ThreadTrack,
@@ -51,9 +52,10 @@ def reconstruction(
     fit: Refined,
     held: Held,
     reverse: bool,
+    course: ThreadCourse | None,
     track: ThreadTrack | None = None,
 ) -> ThreadReconstruction:
-    """The message; `reverse` exchanges the thread's ends."""
+    """The message; `reverse` exchanges the thread's ends, but not those of its course."""
     camera, curve, regions = observations.camera, held.curve, held.regions
     s = SAMPLED
     covariance = point_covariance(fit, camera, s)
@@ -103,6 +105,7 @@ def reconstruction(
         left_over_share=left_over_share,
         left_over_px=left_over_px,
         calibration_covariance=observations.calibration_covariance,
+        course=course,
     )
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from agents.reconstruction.refined.alignment import STEEP, Alignment, piece_ends, runs, slopes
-from agents.reconstruction.refined.chains import Chain
 from agents.reconstruction.refined.continuation import ADDED
+from agents.reconstruction.refined.pieces import Chain
 from schemas.messages import Centrelines
 
 BEYOND_PX = 10

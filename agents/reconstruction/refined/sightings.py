@@ -7,10 +7,10 @@ import scipy.ndimage
 from jaxtyping import Bool, Float64, Int64
 
 from agents.reconstruction.refined.alignment import Alignment
-from agents.reconstruction.refined.chains import Chain
 from agents.reconstruction.refined.continuation import ADDED
 from agents.reconstruction.refined.cubic import even_parameters
 from agents.reconstruction.refined.medians import median
+from agents.reconstruction.refined.pieces import Chain
 from agents.reconstruction.refined.projection import DENSE, Curve, chords, pixels_evenly, projected
 from agents.reconstruction.refined.right_pieces import of_right
 from schemas.messages import Centrelines, RectifiedStereo

@@ -27,6 +27,7 @@ from agents.reconstruction.refined.method import (
     course_and_fit,
     need_evidence,
     seen_enough,
+    told_course,
     uncertain,
     within_regions,
 )
@@ -36,8 +37,15 @@ from agents.reconstruction.refined.posterior import ALIKE, LEAST, point_covarian
 from agents.reconstruction.refined.projection import Curve, pixels_evenly
 from agents.reconstruction.refined.refinement import Refined
 from agents.reconstruction.refined.result import reconstruction, starts_right
-from schemas.messages import RectifiedStereo, Status, ThreadObservations, ThreadReconstruction, ThreadTrack, TrackStep
-from shared.disparities import disparities_of
+from schemas.messages import (
+    RectifiedStereo,
+    Status,
+    ThreadCourse,
+    ThreadObservations,
+    ThreadReconstruction,
+    ThreadTrack,
+    TrackStep,
+)
 
 VERIFY_S, VERIFY_FRAMES = 1.0, 30
 """A frame is also reconstructed alone so often, or once in so many frames where they come faster."""
@@ -62,6 +70,7 @@ class _Alone:
     fit: Refined
     held: Held
     reverse: bool
+    course: ThreadCourse
 
 
 def track_refined(observations: ThreadObservations, last: ThreadReconstruction | None) -> ThreadReconstruction:
@@ -77,7 +86,7 @@ def track_refined(observations: ThreadObservations, last: ThreadReconstruction |
     reason = ""
     if before is not None:
         try:
-            return _continued(observations, before)
+            return _continued(observations, before, last and last.course)
         except LostError as error:
             reason = str(error)
     try:
@@ -87,7 +96,9 @@ def track_refined(observations: ThreadObservations, last: ThreadReconstruction |
         return _lost(observations, str(error), before)
 
 
-def _continued(observations: ThreadObservations, before: ThreadTrack) -> ThreadReconstruction:
+def _continued(
+    observations: ThreadObservations, before: ThreadTrack, course: ThreadCourse | None
+) -> ThreadReconstruction:
     lines = observations.centrelines_left, observations.centrelines_right
     if reason := unusable(*lines, observations.camera):
         raise LostError(reason)
@@ -96,7 +107,8 @@ def _continued(observations: ThreadObservations, before: ThreadTrack) -> ThreadR
         raise LostError(f"the last curve is of {elapsed_s:.1f} s ago")
     now = followed(before, lines, observations.camera, elapsed_s, uncertain(observations))
     if before.step is TrackStep.LOST or _is_due(before, elapsed_s):
-        _verify(observations, before, now)
+        alone = _verified(observations, before, now)
+        course = course if alone is None else _course_along(now.fit.curve, alone)
     no_regions = Regions(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0))
     held = Held(now.fit.curve, no_regions, np.zeros(0), np.zeros(0))
     track = replace(
@@ -112,7 +124,15 @@ def _continued(observations: ThreadObservations, before: ThreadTrack) -> ThreadR
         smoothing=now.fit.smoothing,
         span_weight=now.fit.weight,
     )
-    return reconstruction(observations, METHOD, now.fit, held, reverse=False, track=track)
+    return reconstruction(observations, METHOD, now.fit, held, reverse=False, course=course, track=track)
+
+
+def _course_along(curve: Curve, alone: _Alone) -> ThreadCourse:
+    """The course of the frame alone, at the places of a curve that runs the same way."""
+    at = np.linspace(0.0, 1.0, 401)
+    there = alone.held.curve.at(at[:: -1 if alone.reverse else 1])
+    s = np.maximum.accumulate(_nearest(curve.at(at), there)[1]) / (len(at) - 1)
+    return replace(alone.course, joins=np.interp(alone.course.joins, at, s), other=np.interp(alone.course.other, at, s))
 
 
 def _begun(
@@ -124,7 +144,7 @@ def _begun(
         if _is_kept(observations, before):
             material_s, scale = _material(before, track)
             track = replace(track, material_s=material_s, length=scale)
-    return seen_enough(reconstruction(observations, METHOD, alone.fit, alone.held, alone.reverse, track))
+    return seen_enough(reconstruction(observations, METHOD, alone.fit, alone.held, alone.reverse, alone.course, track))
 
 
 def _lost(observations: ThreadObservations, reason: str, before: ThreadTrack | None) -> ThreadReconstruction:
@@ -135,12 +155,13 @@ def _lost(observations: ThreadObservations, reason: str, before: ThreadTrack | N
 
 
 def _alone(observations: ThreadObservations, before: ThreadTrack | None) -> _Alone:
-    left, right, camera = observations.centrelines_left, observations.centrelines_right, observations.camera
-    course, fit = course_and_fit(left, right, camera, disparities_of(observations), uncertain(observations))
-    held = within_regions(fit, course, camera)
+    course, fit = course_and_fit(observations)
+    held = within_regions(fit, course, observations.camera)
     if before is None or not _is_kept(observations, before):
-        return _Alone(fit, held, starts_right(held.curve, observations))
-    return _Alone(fit, held, _runs_against(held.curve, before))
+        reverse = starts_right(held.curve, observations)
+    else:
+        reverse = _runs_against(held.curve, before)
+    return _Alone(fit, held, reverse, told_course(course, fit, reverse))
 
 
 def _runs_against(curve: Curve, before: ThreadTrack) -> bool:
@@ -220,16 +241,19 @@ def _is_due(before: ThreadTrack, elapsed_s: float) -> bool:
     return before.frames % every == every - 1
 
 
-def _verify(observations: ThreadObservations, before: ThreadTrack, now: Followed) -> None:
-    """Raise a LostError where the frame alone shows a curve that explains both images better, or shows none.
+def _verified(observations: ThreadObservations, before: ThreadTrack, now: Followed) -> _Alone | None:
+    """What the frame shows alone; None where it shows no curve.
 
     Behind a tool a frame alone may fail where the track need not; with the thread in view it contradicts the track.
+
+    Raises:
+        LostError: where the frame alone shows a curve that explains both images better, or shows none.
     """
     try:
         alone = _alone(observations, before)
     except NoCurveError as error:
         if now.hidden_alike:
-            return
+            return None
         raise LostError(f"the frame alone shows no thread: {error}") from error
     here, there = _explained(observations, now.fit), _explained(observations, alone.fit)
     if there > here + BETTER:
@@ -246,6 +270,7 @@ def _verify(observations: ThreadObservations, before: ThreadTrack, now: Followed
         raise LostError(
             f"begun anew, {outside:.0%} of the curve lies farther away than the followed one was said to be off at most"
         )
+    return alone
 
 
 def _claimed_too_much(followed_fit: Refined, alone: Refined, camera: RectifiedStereo) -> float:

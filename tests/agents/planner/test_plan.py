@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from agents.planner.config import PlannerConfig
 from agents.planner.plan import plan_grasp
 from schemas.codec import decode, encode
-from schemas.messages import GraspPlan, Phase, Policy, Status
+from schemas.messages import GraspPlan, Phase, Policy, Status, ThreadCourse
 
 CONFIG = PlannerConfig()
 UNSURE_NEAR_THE_END = [1.0] * 61 + [0.6] * 39
@@ -93,7 +93,22 @@ def test_no_slide_leads_through_what_is_unseen_or_hardly_known(bench, between):
     assert plan_grasp(bench.goal(s=0.7), bench.straight(), arm, CONFIG).s_capture is not None
     plan = plan_grasp(bench.goal(s=0.7), bench.straight(**between), arm, CONFIG)
     assert plan.status is Status.FAILED
-    assert "unseen or hardly known up to the goal" in plan.reason
+    assert "unseen, undecided or hardly known up to the goal" in plan.reason
+
+
+def test_no_grasp_or_slide_is_where_the_thread_may_lead_elsewhere(bench):
+    joins = np.array([[0.0, 0.0], [0.45, 0.55], [1.0, 1.0]])
+    other = np.array([[0.0, 0.45], [1.0, 0.55]])
+    doubtful, sure = (
+        dataclasses.replace(bench.straight(), course=ThreadCourse(joins, np.array([1.0, between, 0.5]), other))
+        for between in (0.9, 0.99)
+    )
+    assert plan_grasp(bench.goal(s=0.5), sure, bench.arm(), CONFIG).status is Status.OK
+    assert plan_grasp(bench.goal(s=0.5), doubtful, bench.arm(), CONFIG).status is Status.FAILED
+    # an end that may lead on elsewhere does not speak against what is seen of the thread
+    beyond = plan_grasp(bench.goal(s=0.8), doubtful, bench.arm(), CONFIG)
+    assert beyond.status is Status.OK
+    assert beyond.s_capture > 0.55
 
 
 def test_phases_follow_each_other_and_the_tool_never_flips_while_it_slides(bench):
@@ -180,7 +195,10 @@ def test_nothing_is_captured_at_a_crossing_or_slid_across_it(bench):
         (lambda b: {"goal": b.goal(point_camera=(0, 0, 0.2))}, "140.0 mm off the thread"),
         (lambda b: {"arm": b.arm(reachable=lambda T: np.zeros(len(T), bool))}, "100 unreachable"),
         (lambda b: {"thread": b.straight((-20, 40, 60), (20, 40, 60))}, "100 unseen"),
-        (lambda b: {"thread": b.straight(confidence=[0.1, 0.2])}, "100 unseen or hardly known up to the goal"),
+        (
+            lambda b: {"thread": b.straight(confidence=[0.1, 0.2])},
+            "100 unseen, undecided or hardly known up to the goal",
+        ),
         (
             lambda b: {"thread": b.straight((0, 0, 50), (0.1, 0, 90)), "arm": b.arm(base_camera=(0, 0, -0.1))},
             "100 thread along the approach",

@@ -8,7 +8,10 @@ from agents.viewer import mapping
 from agents.viewer.colours import UNKNOWN, confidence_rgb
 from agents.viewer.cross_sections import CORNERS
 from agents.viewer.report import facts, markdown
-from schemas.messages import ThreadCandidate
+from schemas.messages import (
+    ThreadCandidate,
+    ThreadCourse,
+)
 
 
 def columns(path, entity):
@@ -120,6 +123,19 @@ def test_what_was_missed_left_over_or_is_hidden_is_said_and_a_solvers_tolerance_
     document = markdown(dataclasses.replace(scene.observations, candidates=(other, other)), hidden, None)
     for words in ("30% hidden by instruments; may go on hidden at s=1", "1 further thread", "Thread 2: score 0.25"):
         assert words in document
+
+
+def test_where_the_next_likeliest_course_leads_is_drawn_and_said_only_of_an_undecided_one(scene, tmp_path):
+    joins = np.array([[0.0, 0.0], [0.3, 0.4], [0.6, 0.7], [1.0, 1.0]])
+    other = np.array([[0.0, 0.3], [0.6, 0.4], [0.7, 1.0]])
+    for least, links in ((0.6, 2), (0.97, 0)):
+        course = ThreadCourse(joins, np.array([1.0, least, least, 1.0]), other)
+        thread = dataclasses.replace(scene.reconstruction, course=course)
+        assert ("may lead elsewhere at s=0.30 (40%)" in markdown(scene.observations, thread, None)) == (links > 0)
+        mapping.write_rrd(tmp_path / "x.rrd", scene.left, scene.right, scene.observations, thread)
+        drawn = columns(tmp_path / "x.rrd", "/world/thread/other_course")["LineStrips3D:strips"]
+        assert len(drawn) == links
+        assert course.elsewhere.tolist() == ([[0.3, 0.6], [0.4, 0.7]] if links else [])
 
 
 def test_a_failure_gives_the_same_entities_so_that_it_empties_the_last_frame(

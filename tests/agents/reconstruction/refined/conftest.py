@@ -113,6 +113,16 @@ def see():
 
 
 @pytest.fixture(scope="session")
+def of_lines(observe):
+    """Observations with these centrelines."""
+
+    def of(left, right, **changes):
+        return observe(np.zeros((0, 3)), CAMERA, centrelines_left=left, centrelines_right=right, **changes)
+
+    return of
+
+
+@pytest.fixture(scope="session")
 def sight_of():
     return sightings_of
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from agents.reconstruction.refined.alignment import align
-from agents.reconstruction.refined.chains import chains
+from agents.reconstruction.refined.pieces import chain_of, pieces_of
 from agents.reconstruction.refined.plausibility import contradiction
 from shared.camera import project
 from shared.disparities import disparities
@@ -13,7 +13,7 @@ DENSE = np.linspace(0, 1, 10001)
 
 
 def aligned(left, right, camera):
-    chain = chains(left, camera.image_width)[0]
+    chain = chain_of(left, pieces_of(left))
     found = align(chain, right, disparities(camera.image_width))
     assert found is not None
     return chain, found
@@ -66,7 +66,7 @@ def test_exchanged_images_and_a_thread_in_other_rows_contradict(camera, threads,
     others = [(right, left, "exchanged")]
     others += [(left, make_lines(right.point_px * [1, 0.2] + [0, shift]), "check that") for shift in (300.0, -300.0)]
     for first, second, told in others:
-        (chain,) = chains(first, camera.image_width)
+        chain = chain_of(first, pieces_of(first))
         assert told in contradiction(align(chain, second, disparities(camera.image_width)), camera)
 
 

@@ -9,9 +9,9 @@ import scipy.sparse
 
 from agents.reconstruction.minimum_variation import Regions, inequality_matrix, region_faces
 from agents.reconstruction.refined.alignment import align
-from agents.reconstruction.refined.chains import chains
 from agents.reconstruction.refined.constraints import SLACK_PRICE, held_to, regions_of
 from agents.reconstruction.refined.normal_equations import gradient
+from agents.reconstruction.refined.pieces import chain_of, pieces_of
 from agents.reconstruction.refined.refinement import Start, refined
 from shared.camera import project
 from shared.disparities import disparities
@@ -93,7 +93,8 @@ def test_the_program_has_the_solution_that_another_solver_finds(fit, camera, den
 
 
 def test_regions_stand_about_matches_and_hold_the_thread(camera, curve, see):
-    chain = chains(see(curve, 0), camera.image_width)[0]
+    left = see(curve, 0)
+    chain = chain_of(left, pieces_of(left))
     aligned = align(chain, see(curve, 1), disparities(camera.image_width))
     assert aligned is not None
     regions, share = regions_of(chain, aligned, camera)

@@ -5,7 +5,6 @@ import pytest
 
 from agents.reconstruction.refined.method import course_of
 from agents.reconstruction.refined.right_pieces import LEVEL_PX
-from shared.disparities import disparities
 
 BEND = 0.5
 """Share of the hook that lies across the rows; the rest runs along them."""
@@ -34,9 +33,9 @@ def flat_places(course):
     return own, cut, np.sort(right[(right >= min(ends) - 0.02) & (right <= max(ends) + 0.02)])
 
 
-def test_past_a_gap_both_eyes_show_thread_along_the_rows_from_its_end_on_equally_far(see, camera):
+def test_past_a_gap_both_eyes_show_thread_along_the_rows_from_its_end_on_equally_far(see, of_lines):
     left, right = seen_twice(see)
-    course = course_of(left, right, camera, disparities(camera.image_width))
+    course = course_of(of_lines(left, right))
     own, cut, s = flat_places(course)
     matched = {float(s): int(i) for s, i in zip(course.aligned.along_px, course.aligned.right_index, strict=True)}
     assert matched[own * course.left.along_px[-1]] == len(right.piece) - 1
@@ -44,9 +43,7 @@ def test_past_a_gap_both_eyes_show_thread_along_the_rows_from_its_end_on_equally
     assert np.diff(s).max() < 0.02
 
 
-def test_what_leaves_the_rows_of_the_left_image_is_not_followed(see, camera):
-    own, cut, s = flat_places(
-        course_of(*seen_twice(see, lower_px=3 * LEVEL_PX), camera, disparities(camera.image_width))
-    )
+def test_what_leaves_the_rows_of_the_left_image_is_not_followed(see, of_lines):
+    own, cut, s = flat_places(course_of(of_lines(*seen_twice(see, lower_px=3 * LEVEL_PX))))
     # a third of it, from the thread's end on, lies in about the same rows
     assert 0.2 < np.abs(s - own).max() / abs(cut - own) < 0.5

@@ -167,6 +167,17 @@ def test_out_of_sight_is_a_failure_and_the_track_goes_on_after_it():
     assert track_of(threads[4]).step is TrackStep.CONTINUED
 
 
+def test_a_course_is_kept_from_frame_to_frame_and_looked_at_again_when_the_frame_is_judged_alone():
+    parted = (0.0, 0.4), (0.5, 1.0)
+    threads = tracked([seen(backing(number), parted, number) for number in range(40)])
+    assert {track_of(thread).step for thread in threads[1:]} == {TrackStep.CONTINUED}
+    told = [thread.course for thread in threads]
+    assert told[1] is told[0]
+    assert len({id(course) for course in told}) == 2
+    for thread in threads:
+        assert thread.course.joins == pytest.approx(np.array([[0, 0], [0.4, 0.5], [1, 1]]), abs=0.03)
+
+
 def test_the_last_thread_holds_all_that_the_next_goes_on_from():
     frames = [seen(backing(number), number=number) for number in range(6)]
     agent = Reconstruction()
@@ -315,9 +326,9 @@ def test_a_curve_contradicts_its_frame_only_where_it_claims_more_and_the_frame_c
         return dataclasses.replace(changed, curve=elsewhere)
 
     with pytest.raises(LostError, match="lies farther away than the followed one was said to be off"):
-        tracking._verify(frame, before, Followed(followed(2.0, 1e6, 0.25), 0.0, 1.0, False))
+        tracking._verified(frame, before, Followed(followed(2.0, 1e6, 0.25), 0.0, 1.0, False))
     for at_one in (followed(1.0, 1e6, 0.2), followed(2.0, 1e-6, 0.25), fit):
-        tracking._verify(frame, before, Followed(at_one, 0.0, 1.0, False))
+        tracking._verified(frame, before, Followed(at_one, 0.0, 1.0, False))
     assert tracking._claimed_too_much(fit, followed(1.0, 1e6, 0.2), CAMERA) == 0.0
 
 
