@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 import agents
 import schemas
 import shared
+from agents.camera.agent import Camera
 from agents.camera.image_files import ImageFileError
 from agents.camera.sources import SourceError
 from agents.cli.doctor.finding import UNKNOWN, Finding
@@ -146,7 +147,10 @@ def _agents(rig: RigConfig) -> Iterator[Finding]:
     for kind, instance in configured(rig):
         name = f"agent {name_of(kind, instance)}"
         try:
-            build(rig, kind, instance)
+            agent = build(rig, kind, instance)
+            if isinstance(agent, Camera):
+                # a device that stays open is busy for the camera that starts next
+                agent.close()
         except (ConfigError, SourceError, ImageFileError, CalibrationError, SceneError, OSError) as error:
             yield Finding(name, "cannot start", str(error))
         else:

@@ -73,6 +73,15 @@ def in_force(recorded: RigConfig, used: RigConfig, agents: Iterable[str]) -> Rig
         elif not instance or instance == MAIN:
             # of the agents of one arm that share a section with others, those others are as they were
             sections[kind] = getattr(used, kind)
+        if kind == "planner":
+            # which reads of an arm what it is, and nothing else
+            arms = sections.get("robot", recorded.robot)
+            sections["robot"] = {
+                arm: section.model_copy(update={"kinematics": used.robot[arm].kinematics})
+                if arm in used.robot
+                else section
+                for arm, section in arms.items()
+            }
     merged = recorded.model_copy(update=sections)
     # where it is unset, perception matches as the method of reconstruction of its own configuration needs it
     matched = (used if "perception" in sections else recorded).needs_matching

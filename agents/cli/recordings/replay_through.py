@@ -39,7 +39,7 @@ from schemas.topics import TOPICS, is_known, topic_of
 from shared.clock import monotonic_s
 from shared.recording.completeness import completeness
 from shared.recording.derivation import UNKNOWN_TOPICS, Anew
-from shared.recording.mcap_file import Entry, Note, RecordingError, RecordingWriter, read_attachments, read_with_notes
+from shared.recording.mcap_file import Entry, Note, RecordingError, RecordingWriter, UntilDamage, read_attachments
 from shared.runtime.config import ConfigError, load_config
 from shared.runtime.replay import ReplayError
 
@@ -117,6 +117,7 @@ def replayed(options: ThroughOptions) -> ThroughResult:
     entries, notes, unknown = _read(options.recording)
     otherwise = _otherwise(options, next((note.facts for note in notes if note.name == RUN), {}))
     stages = _stages(config, (options.through or "").split(","), entries)
+    _check_settings(options.set, given, [stage.name for stage in stages])
     outcomes, after = replay_through(stages, entries)
     _check_repeatable(outcomes)
     published = {(e.key, e.epoch, e.sequence): e.published_ns for e in entries}
@@ -161,12 +162,15 @@ def _configurations(options: ThroughOptions) -> tuple[RigConfig, RigConfig | Non
 
 
 def _read(path: Path) -> tuple[list[Entry], list[Note], int]:
-    """The messages whose keys are in the topic table, the notes, and how many have keys of another version."""
+    """The messages whose keys are in the topic table, the notes, and how many have keys of another version.
+
+    Of a damaged recording, what can be read; that it is damaged is told by its completeness.
+    """
     unknown = 0
     entries: list[Entry] = []
     notes: list[Note] = []
     known = functools.cache(is_known)
-    for record in read_with_notes(path):
+    for record in UntilDamage(path):
         if isinstance(record, Note):
             notes.append(record)
         elif known(record.key):
@@ -212,6 +216,18 @@ def _stage(config: RigConfig, kind: str, instance: str, entries: list[Entry]) ->
             f"the recording holds no output of {name}; it has some of: {', '.join(agents) or 'no agent'}"
         )
     return Stage(name, lambda: build(config, kind, instance))
+
+
+def _check_settings(settings: Iterable[str], given: RigConfig, agents: Sequence[str]) -> None:
+    """See that one of these agents reads each setting, so that nobody takes the outcome for what it is not of."""
+    before = with_simulated_arms(given)
+    for setting in settings:
+        after = with_simulated_arms(changed(given, (setting,)))
+        if after != before and in_force(before, after, agents) == before:
+            raise UnusableError(
+                f"--set {setting} changes nothing, for {', '.join(agents)} does not read it; "
+                "name the agent that does by --through"
+            )
 
 
 def _check_repeatable(outcomes: list[Outcome]) -> None:

@@ -3,7 +3,6 @@
 1. `covered_ends`: how far points beside what covers them may be off.
 2. `course`: the pieces of the left centreline in their order along the thread, through crossings and behind tools.
 3. `alignment`: the right image's counterpart of each place, by dynamic programming along the rows.
-   `continuation`: what only the right image shows beyond the left one's border.
 4. `initial`: a first curve from both.
 5. `refinement`: Gauss-Newton on its control points against both centrelines, smoothing chosen from the images.
 6. `constraints`: the reliability regions hold it, by a quadratic program.
@@ -19,13 +18,12 @@ from agents.reconstruction.minimum_variation import UnsolvedError
 from agents.reconstruction.paper import failed
 from agents.reconstruction.refined.alignment import Alignment, align
 from agents.reconstruction.refined.constraints import Held, held_to, regions_of
-from agents.reconstruction.refined.continuation import ADDED, continued
 from agents.reconstruction.refined.course import BothImages, LikeliestCourse, likeliest_course
 from agents.reconstruction.refined.covered_ends import map_of, with_covered_ends
 from agents.reconstruction.refined.initial import initial_curve, with_needed_spans
 from agents.reconstruction.refined.pieces import Chain
-from agents.reconstruction.refined.plausibility import LARGEST_RESIDUAL_SHARE, contradiction, implausible, unusable
-from agents.reconstruction.refined.projection import LEVEL, Curve, projected, row_offsets_px
+from agents.reconstruction.refined.plausibility import contradiction, implausible, unusable
+from agents.reconstruction.refined.projection import LEVEL, row_offsets_px
 from agents.reconstruction.refined.refinement import Refined, Start, refined
 from agents.reconstruction.refined.result import guessed_share, reconstruction, starts_right
 from agents.reconstruction.refined.sightings import (
@@ -174,8 +172,7 @@ def course_of(observations: ThreadObservations, row_offset_px: Float64[np.ndarra
     reason = contradiction(aligned, camera)
     if aligned is None or reason:
         raise NoCurveError(reason)
-    chain, aligned = continued(found.chain, level, aligned, camera)
-    return Course(chain, aligned, sightings(chain, right, aligned), row_offset_px, found)
+    return Course(found.chain, aligned, sightings(found.chain, right, aligned), row_offset_px, found)
 
 
 def _rows_apart_px(fit: Refined, course: Course, camera: RectifiedStereo) -> float:
@@ -191,9 +188,8 @@ def fitted(course: Course, camera: RectifiedStereo, of_calibration: Float64[np.n
         NoCurveError: where the equations have no solution.
     """
     try:
-        start, s = initial_curve(course.left, course.aligned, course.sight.s, camera)
-        sight = course.sight if _leads_to_places(course, start, camera) else replace(course.sight, s=s)
-        begun = Start(start, sight, row_offset_px=course.row_offset_px, of_calibration=of_calibration)
+        start = initial_curve(course.left, course.aligned, camera)
+        begun = Start(start, course.sight, row_offset_px=course.row_offset_px, of_calibration=of_calibration)
         fit = refined(begun, camera)
         if fit.scale <= FOLLOWED:
             return fit
@@ -208,8 +204,7 @@ def fitted(course: Course, camera: RectifiedStereo, of_calibration: Float64[np.n
 def told_course(course: Course, fit: Refined, reverse: bool) -> ThreadCourse:
     """The course in arc lengths of its curve, or from the curve's other end."""
     chain, found = course.left, course.likeliest
-    own = np.flatnonzero(chain.piece != ADDED)
-    order = own[np.argsort(chain.index[own])]
+    order = np.argsort(chain.index)
     share = chain.along_px / chain.along_px[-1]
 
     def along(index: Int64[np.ndarray, "k 2"]) -> Float64[np.ndarray, "k 2"]:
@@ -220,14 +215,6 @@ def told_course(course: Course, fit: Refined, reverse: bool) -> ThreadCourse:
     joins = np.sort(along(found.joins), axis=1)
     first = np.argsort(joins[:, 0], kind="stable")
     return ThreadCourse(joins[first], found.probability[first], along(found.other))
-
-
-def _leads_to_places(course: Course, start: Curve, camera: RectifiedStereo) -> bool:
-    """Whether shares of the image's length are near enough to shares of the curve's for places to be found."""
-    sight = placed(course.sight, start, camera, course.row_offset_px, rounds=3)
-    view = projected(start, sight.s, sight.eye, camera, course.row_offset_px)
-    off_px = np.linalg.norm(view.point_px - sight.point_px, axis=1)
-    return bool(np.median(off_px) <= LARGEST_RESIDUAL_SHARE * camera.image_width)
 
 
 def within_regions(fit: Refined, course: Course, camera: RectifiedStereo) -> Held:

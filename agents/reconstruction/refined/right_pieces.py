@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from agents.reconstruction.refined.alignment import STEEP, Alignment, piece_ends, runs, slopes
-from agents.reconstruction.refined.continuation import ADDED
 from agents.reconstruction.refined.pieces import Chain
 from schemas.messages import Centrelines
 
@@ -29,7 +28,7 @@ def of_right(
     order = np.argsort(t, kind="stable")
     t, s = t[order], s[order]
     mine = np.flatnonzero(right.piece == piece)
-    index = np.setdiff1d(mine[::stride], left.index[left.piece == ADDED])
+    index = mine[::stride]
     place, pace = np.interp(index, t, s), _pace(t, s, mine, left)
     kept = (index >= t[0] - BEYOND_PX) & (index <= t[-1] + BEYOND_PX)
     for outside, last in ((np.flatnonzero(index < t[0])[::-1], 0), (np.flatnonzero(index > t[-1]), -1)):

@@ -7,7 +7,6 @@ import scipy.ndimage
 from jaxtyping import Bool, Float64, Int64
 
 from agents.reconstruction.refined.alignment import Alignment
-from agents.reconstruction.refined.continuation import ADDED
 from agents.reconstruction.refined.cubic import even_parameters
 from agents.reconstruction.refined.medians import median
 from agents.reconstruction.refined.pieces import Chain
@@ -53,7 +52,6 @@ def sightings(left: Chain, right: Centrelines, aligned: Alignment) -> Sightings:
     stride = _stride(len(left.point_px))
     pieces = np.unique(right.piece[aligned.right_index.astype(int)])
     parts = [of_right(int(piece), left, right, aligned, stride) for piece in pieces]
-    parts.append(_of_right_alone(left))
     right_index = np.concatenate([part[0] for part in parts])
     correlated = float(np.sqrt(max(1.0, CORRELATED_PX / _spacing(left.along_px[index]))))
     return Sightings(
@@ -151,16 +149,4 @@ def _stride(count: int) -> int:
 def _of_left(left: Chain) -> tuple[Int64[np.ndarray, "k"], Float64[np.ndarray, "k"]]:
     last = len(left.point_px) - 1
     index = np.append(np.arange(0, last, _stride(last)), last)
-    index = index[left.piece[index] != ADDED]
     return index, left.along_px[index] / left.along_px[-1]
-
-
-def _of_right_alone(
-    left: Chain,
-) -> tuple[Int64[np.ndarray, "k"], Float64[np.ndarray, "k"], Bool[np.ndarray, "k"]]:
-    """What continues the left chain in the right image alone: indices, parameters, and which are the thread's ends."""
-    last = len(left.point_px) - 1
-    added = np.flatnonzero(left.piece == ADDED)
-    at_end = (added == 0) | (added == last)
-    kept = at_end | (added % _stride(last) == 0)
-    return left.index[added[kept]], left.along_px[added[kept]] / left.along_px[-1], at_end[kept]

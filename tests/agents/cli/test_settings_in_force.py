@@ -1,13 +1,18 @@
 """Which settings the outputs of a replayed recording are of: for any agents that ran anew, and any settings."""
 
 import json
+from pathlib import Path
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from agents.cli.main import main
 from agents.cli.recordings.config import attached_config, changed, in_force, settings_otherwise
+from agents.cli.recordings.replay_through import EXIT_UNUSABLE
 from agents.cli.rig.config import simulated_rig
 
+EXAMPLE = Path(__file__).parents[3] / "docs" / "example" / "session.mcap"
 RECORDED = simulated_rig()
 CHANGES = {
     "camera.rate_hz": ("12.0", "20.0"),
@@ -42,3 +47,26 @@ def test_settings_are_in_force_for_the_agents_that_ran_with_them_and_for_no_othe
     assert set(attached) - {"rig", "planner"} <= {AGENT_KIND.get(name, name) for name in anew}
     # what is attached is read back as the same, and a replay of it begins from there
     assert in_force(effective, effective, AGENTS) == effective
+
+
+def test_a_setting_that_no_replayed_agent_reads_is_refused_and_so_is_none_that_one_reads(capsys):
+    for agent, setting, reads in (
+        ("planner", "perception.segmenter=threshold", False),
+        ("planner", "planner.attempts=1", True),
+    ):
+        with pytest.raises(SystemExit) as ended:
+            main(["replay", str(EXAMPLE), "--through", agent, "--set", setting])
+        assert (ended.value.code == EXIT_UNUSABLE) is not reads
+        refused = f"--set {setting} changes nothing, for planner does not read it"
+        assert (refused in capsys.readouterr().err) is not reads
+
+
+def test_of_a_damaged_recording_what_can_be_read_is_replayed_and_the_damage_is_told(tmp_path, capsys):
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(EXAMPLE.read_bytes()[:6_000_000])
+    with pytest.raises(SystemExit) as ended:
+        main(["replay", str(cut), "--through", "planner"])
+    assert ended.value.code != EXIT_UNUSABLE
+    told = capsys.readouterr()
+    assert "cut off at" in told.err
+    assert "planner: 1 of 1 outputs repeated" in told.out
