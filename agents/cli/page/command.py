@@ -24,8 +24,8 @@ from agents.cli.running.audit import audit_of
 from agents.cli.running.in_the_way import already_running, in_the_way
 from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.cli.running.session_folder import new_session_folder
-from agents.cli.running.supervisor import Supervisor, supervised
-from agents.cli.running.up import FIRST_CONTACT_S, start_all, write_config
+from agents.cli.running.supervisor import Supervisor, last_line, supervised
+from agents.cli.running.up import FIRST_CONTACT_S, kept_in, start_all, write_config
 from agents.cli.status.health_watch import Fare
 from agents.cli.status.judgement import judge
 from agents.cli.status.watch import StatusWatch
@@ -159,9 +159,11 @@ def _started(rig: RigConfig, options: Page) -> Generator[Supervisor | None]:
     write_config(config, rig)
     with supervised(restart=True) as supervisor:
         start_all(supervisor, rig, config, folder, rig.viewer.show if rig.viewer is not None else "file")
-        say(f"started {len(supervisor.children)} processes; their logs lie in {folder.path}; stop with Ctrl-C")
+        say(f"started {len(supervisor.children)} processes; {kept_in(rig, folder.path)}; stop with Ctrl-C")
         yield supervisor
     say("every process was stopped")
+    if rig.recorder is not None:
+        say(last_line(folder.log("recorder")))
 
 
 def _until(stopped: threading.Event, supervisor: Supervisor | None) -> Callable[[], bool]:

@@ -162,7 +162,8 @@ def recording_sentence(report: RecordingReport) -> str:
     total = sum(report.received.values())
     files = f" and {len(report.paths) - 1} more" if len(report.paths) > 1 else ""
     first = report.paths[0] if report.paths else report.path
-    held = f"{first}{files}: {total} messages on {len(report.received)} keys"
+    size = sum(path.stat().st_size for path in report.paths if path.exists()) / MB
+    held = f"{first}{files}: {size:.1f} MB, {total} messages on {len(report.received)} keys"
     if not report.paths and not report.fault:
         return f"no event came, and nothing was kept in {report.path}"
     if report.complete:

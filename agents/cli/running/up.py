@@ -66,7 +66,7 @@ def up(rig: RigConfig, options: Up) -> int:
         supervisor = stack.enter_context(supervised(options.restart))
         start_all(supervisor, rig, config, folder, show)
         said = f"rig {rig.rig}: started {len(supervisor.children)} processes"
-        say(f"{said}; their logs lie in {folder.path}; stop with Ctrl-C")
+        say(f"{said}; {kept_in(rig, folder.path)}; stop with Ctrl-C")
         connection = stack.enter_context(connected(reading_session(rig), FIRST_CONTACT_S, stopped))
         expected = [name_of(kind, instance) for kind, instance in configured(rig)]
         status = _watch(supervisor, HealthWatch(connection, expected), expected_rates(rig), stopped)
@@ -74,6 +74,12 @@ def up(rig: RigConfig, options: Up) -> int:
     if rig.recorder is not None:
         say(last_line(folder.log("recorder")))
     return status
+
+
+def kept_in(rig: RigConfig, folder: Path) -> str:
+    """What of a session lies in its folder."""
+    recording = " and the recording" if rig.recorder is not None else ""
+    return f"their logs{recording} lie in {folder}"
 
 
 def write_config(path: Path, rig: RigConfig) -> None:
