@@ -7,7 +7,7 @@
 A thread lies over tissue, over a print or a plain ground; behind a shaft that hides a third of it, and in view; its
 mask is true, or perception's. The true course is the order in which the true thread passes pieces of its centreline.
 Weights are the likeliest ones: the mean of log p(true course) is greatest, with a normal prior about round numbers. For
-that each scene counts twice more with short gaps cut into either eye's centrelines, as by glints, and now and then with
+that each scene counts once more with short gaps cut into either eye's centrelines, as by glints, and now and then with
 clutter, or with a needle at its end.
 """
 
@@ -79,7 +79,7 @@ SIGNED = "join", "goes_on", "hidden_end", "tip"
 """All others are positive: of those the logarithm is fitted."""
 PRIOR, MOST_LOSS = 0.002, 8.0
 """Weight of the squares of how far weights leave START; and what one scene may cost, whose label may be wrong."""
-COPIES = 2
+COPIES = 1
 CUT_PX, CUTS, CLUTTER, NEEDLES = (2.0, 12.0), 0.4, 0.15, 0.05
 NEEDLE_PX, NEEDLE_GAP_PX = (60.0, 160.0), (3.0, 15.0)
 SURE = 0.95

@@ -91,9 +91,13 @@ def _latencies(session: Session) -> dict[str, Value]:
 
 
 def _steps(session: Session) -> dict[str, Value]:
+    """Of the steps that made what the file holds: those of a replay, of an agent that ran anew."""
     figures: dict[str, Value] = {}
     for one in session.agents:
         figures |= {f"{one.name} p50": one.step_ms_p50, f"{one.name} p99": one.step_ms_p99}
+    for agent, anew in session.said.ran_anew.items():
+        name = agent.replace("/", " ")
+        figures |= {f"{name} p50": anew.step_ms_p50, f"{name} p99": anew.step_ms_p99}
     return figures
 
 

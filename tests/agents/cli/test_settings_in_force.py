@@ -11,6 +11,8 @@ from agents.cli.main import main
 from agents.cli.recordings.config import attached_config, changed, in_force, settings_otherwise
 from agents.cli.recordings.replay_through import EXIT_UNUSABLE
 from agents.cli.rig.config import simulated_rig
+from agents.inspection.table import decimal
+from shared.recording.completeness import completeness
 
 EXAMPLE = Path(__file__).parents[3] / "docs" / "example" / "session.mcap"
 RECORDED = simulated_rig()
@@ -70,3 +72,15 @@ def test_of_a_damaged_recording_what_can_be_read_is_replayed_and_the_damage_is_t
     told = capsys.readouterr()
     assert "cut off at" in told.err
     assert "planner: 1 of 1 outputs repeated" in told.out
+
+
+def test_two_recordings_are_compared_by_the_steps_that_made_what_they_hold(tmp_path, capsys):
+    derived = tmp_path / "derived.mcap"
+    with pytest.raises(SystemExit):
+        main(["replay", str(EXAMPLE), "--through", "planner", "--output", str(derived)])
+    anew = completeness(derived).ran_anew["planner"]
+    capsys.readouterr()
+    with pytest.raises(SystemExit):
+        main(["inspect", str(EXAMPLE), str(derived)])
+    row = next(line.split() for line in capsys.readouterr().out.splitlines() if line.startswith("planner p99"))
+    assert row[3] == decimal(anew.step_ms_p99)
