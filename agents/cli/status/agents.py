@@ -37,6 +37,7 @@ def judge_agents(
             yield from _presence(fare)
         if fare.health is not None and fare.state not in AWAY:
             yield from _own_account(fare, fare.health)
+    yield from _links(fares, rates_hz)
     yield from _slow(fares, rates_hz)
     yield from _versions(fares)
 
@@ -130,6 +131,31 @@ def _slow(fares: tuple[Fare, ...], rates_hz: Mapping[str, float]) -> Iterator[Wr
             at = f"{output.rate_hz:.1f} Hz" if 0 < output.rate_hz < 1 else f"{output.rate_hz:.0f} Hz"
             text = f"{of} comes at {at}, where {expected:.0f} Hz are expected"
             yield Wrong("slow", output.topic, text + _because(health, slow, output.rate_hz))
+
+
+def _links(fares: tuple[Fare, ...], rates_hz: Mapping[str, float]) -> Iterator[Wrong]:
+    """Links between hosts that carry too little: what leaves as often as it should, and arrives half as often."""
+    there = [
+        (fare, fare.health) for fare in fares if fare.health is not None and fare.state not in AWAY and fare.placed
+    ]
+    sent: dict[str, list[tuple[Fare, float]]] = {}
+    for fare, health in there:
+        for output in health.outputs:
+            if health.uptime_s >= SETTLED_S and output.rate_hz >= SLOW_SHARE * rates_hz.get(output.topic, float("inf")):
+                sent.setdefault(output.topic, []).append((fare, output.rate_hz))
+    late: dict[tuple[str, str], list[str]] = {}
+    for fare, health in there:
+        for heard in health.inputs if health.uptime_s >= SETTLED_S else ():
+            # of two senders of one topic nobody knows which is meant
+            if len(senders := sent.get(heard.topic, [])) != 1 or senders[0][0].placed == fare.placed:
+                continue
+            sender, rate_hz = senders[0]
+            if heard.rate_hz < SLOW_SHARE * rate_hz:
+                told = f"{heard.topic} leaves at {rate_hz:.0f} Hz and reaches {fare.name} at {heard.rate_hz:.0f} Hz"
+                late.setdefault((sender.placed, fare.placed), []).append(told)
+    for (one, other), told in late.items():
+        text = f"the link from {one} to {other} carries too little: {'; '.join(told)}"
+        yield Wrong("link", f"{one} {other}", text)
 
 
 def _because(health: AgentHealth, slow: Collection[str], rate_hz: float) -> str:

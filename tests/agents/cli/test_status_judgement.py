@@ -16,6 +16,7 @@ from rich.console import Console
 from agents.cli.rig.config import CameraSection, RigConfig, simulated_rig
 from agents.cli.rig.hosts import HostSection
 from agents.cli.rig.topics import Override
+from agents.cli.status.agents import judge_agents
 from agents.cli.status.calibrations import Allowed
 from agents.cli.status.gathered import ArmHeard, Gathered, expected_rates, placed_agents, placed_beside
 from agents.cli.status.health_watch import STARTING, Fare, HealthWatch, span_of
@@ -438,3 +439,12 @@ def test_spans_are_short_and_grow(seconds):
     number, unit = span_of(seconds).split()
     size = {"s": 1, "min": 60, "h": 3600, "d": 86400}[unit]
     assert abs(float(number) * size - seconds) <= size / 2
+
+
+def test_a_link_that_carries_less_than_is_sent_is_named_and_a_receiver_on_the_same_host_is_not():
+    sender = fare(told=health(outputs=[OutputHealth("camera/frames", 30.0, 100)]), placed="video")
+    for host, rate_hz, named in (("compute", 9.0, True), ("compute", 29.0, False), ("video", 9.0, False)):
+        slow = fare("perception", health("perception", inputs=[heard("camera/frames", rate_hz)]), placed=host)
+        texts = [w.text for w in judge_agents([sender, slow], {"camera/frames": 30.0}) if w.code == "link"]
+        how = "camera/frames leaves at 30 Hz and reaches perception at 9 Hz"
+        assert texts == [f"the link from video to compute carries too little: {how}"] * int(named)
