@@ -379,7 +379,8 @@ class ThreadCourse:
         joins: stretches of arc length over which it leads from one piece to the next; an end of the thread is a join of
             that place with itself.
         probability: that the thread leads so over each join, and goes on to no other piece in view from each end.
-        other: the stretches of this thread in the order and direction in which the next likeliest course passes them.
+        other: the stretches of this thread in the order and direction in which the next likeliest course passes them;
+            none where this one is as good as certain.
     """
 
     joins: Float64[np.ndarray, "j 2"]

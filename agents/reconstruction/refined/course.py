@@ -28,19 +28,19 @@ of a course, and of each of its joins, is a probability.
 import json
 from dataclasses import dataclass, field, replace
 from functools import cache
-from pathlib import Path as File
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 
 from agents.reconstruction.refined.alignment import Alignment, align, reversed_along
-from agents.reconstruction.refined.paths import Scores, ends_of, likeliest_path, log_total
+from agents.reconstruction.refined.paths import Scores, ends_of, likeliest_path, log_total, score
 from agents.reconstruction.refined.pieces import Chain, chain_of, direction_outward, length_px, pieces_of
 from schemas.messages import Centrelines
 from shared.disparities import Disparities
 from shared.occluded import hidden_ends, is_occluded
 
-WEIGHTS = File(__file__).with_name("course.json")
+WEIGHTS = Path(__file__).with_name("course.json")
 TANGENT_WIDTHS = 3.0
 """Widths of thread over which the direction of an end is measured: crossings bend the last pixels."""
 SLOPE_WIDTHS, LEAST_SLOPE_PX = 6.0, 40.0
@@ -51,6 +51,8 @@ TIP_DEVIATION_PX, APART_SHARE, MOST_EVIDENCE = 0.5, 0.01, 4.0
 """Of one place in both images; R, of the image's width; and what a ragged mask lets T say at most."""
 BORDER_PX = 4.0
 GAP_SHARES = np.linspace(0.05, 0.95, 19)
+CERTAIN = 0.999
+"""A course that is likelier needs no look at each of its joins, which takes as long as the course itself."""
 MOST_PIECES = 11
 """The longest ones; time and memory grow as 2 to the power of their number."""
 
@@ -85,7 +87,7 @@ class LikeliestCourse:
         joins: indices of the left points that it joins, pair by pair; its own first and last end with themselves.
         probability: of each join, given that the longest piece of the course is on the thread.
         other: the first and last point of each of its pieces, in the order and direction in which the next likeliest
-            course passes them: the likeliest one without the least likely join.
+            course passes them: the likeliest one without the least likely join; none where this one is certain.
     """
 
     chain: Chain
@@ -161,9 +163,13 @@ def likeliest_course(shown: BothImages) -> LikeliestCourse | None:
     path = likeliest_path(scores)
     longest = max((piece for piece, _ in path), key=lambda p: len(pieces[p]))
     joins, total = ends_of(path), log_total(scores, longest)
-    without = np.array([log_total(scores.without_join(*join), longest) for join in joins])
-    probability = np.clip(-np.expm1(without - total), 0.0, 1.0)
-    other = likeliest_path(scores.without_join(*joins[int(probability.argmin())]), longest)
+    other: list[tuple[int, bool]] = []
+    # each join is at least as likely as all of them together
+    probability = np.full(len(joins), min(1.0, float(2.0 * np.exp(score(path, scores) - total))))
+    if probability[0] < CERTAIN:
+        without = np.array([log_total(scores.without_join(*join), longest) for join in joins])
+        probability = np.clip(-np.expm1(without - total), 0.0, 1.0)
+        other = likeliest_path(scores.without_join(*joins[int(probability.argmin())]), longest)
     first_last = np.array([(piece[0], piece[-1]) for piece in pieces])
     on_path = {piece for piece, _ in path}
     return LikeliestCourse(
