@@ -19,6 +19,7 @@ FAR_PX = 20_000
 """What lies farther out than this is not drawn where it is, but certainly outside of the picture."""
 
 THINNEST_PX, THICKEST_PX = 2, 4
+DASHES = 6
 """Thickness of thread at confidence 0 and 1, for those who do not tell red from green."""
 
 LARGEST_MATCH_PX = 5
@@ -144,6 +145,15 @@ def draw_thread(pane: Pane, thread: Polyline, thread_px: Float64[np.ndarray, "n 
         cv2.line(pane.canvas, at[i], at[i + 1], (0, 0, 0), thickness[i] + 2, cv2.LINE_AA, SHIFT)
     for i in segments:
         cv2.line(pane.canvas, at[i], at[i + 1], bgr[i], thickness[i], cv2.LINE_AA, SHIFT)
+
+
+def draw_elsewhere(pane: Pane, ends_px: Float64[np.ndarray, "k 2 2"]) -> None:
+    """Draw where the next likeliest course leads otherwise, dashed."""
+    for start, end in ends_px:
+        dashes = start + np.linspace(0.0, 1.0, 2 * DASHES)[:, None] * (end - start)
+        for one, other in pane.fixed(dashes).reshape(-1, 2, 2).tolist():
+            cv2.line(pane.canvas, one, other, (0, 0, 0), THICKEST_PX + 2, cv2.LINE_AA, SHIFT)
+            cv2.line(pane.canvas, one, other, colours.WARNING[::-1], THICKEST_PX, cv2.LINE_AA, SHIFT)
 
 
 def draw_centrelines(pane: Pane, line: Centrelines) -> None:

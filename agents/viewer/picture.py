@@ -2,7 +2,7 @@
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float64, UInt8
 
 from agents.viewer import colours
 from agents.viewer.cross_sections import cross_sections
@@ -12,6 +12,7 @@ from agents.viewer.image_pane import (
     decoded_mask,
     draw_candidates,
     draw_centrelines,
+    draw_elsewhere,
     draw_label,
     draw_matches,
     draw_observations,
@@ -68,9 +69,10 @@ def _blocks(
     found = None if thread is None else both_residuals(observations, thread)
     unit = unit_text(reconstruction.camera.metres_per_unit)
     marks, band = _depth_marks(observations, reconstruction, thread), _depth_band(reconstruction, thread)
+    elsewhere = np.zeros((0, 2)) if reconstruction.course is None else reconstruction.course.elsewhere
     blocks = [
         _header(observations, reconstruction, thread),
-        _both_eyes(left_bgr, right_bgr, observations, thread, found),
+        _both_eyes(left_bgr, right_bgr, observations, thread, found, elsewhere),
         _legend(observations, reconstruction, thread),
         depth_strip(WIDTH_PX, thread, marks, band, unit),
     ]
@@ -105,7 +107,9 @@ def _both_eyes(
     observations: ThreadObservations,
     thread: Polyline | None,
     found: tuple[Residuals, Residuals] | None,
+    elsewhere: Float64[np.ndarray, "k 2"],
 ) -> Canvas:
+    """Both images with what was found; `elsewhere` as `ThreadCourse` has it."""
     width = (WIDTH_PX - MARGIN_PX) // 2
     left, right = (image_pane(image, width, TALLEST_PANE_PX) for image in (left_bgr, right_bgr))
     for pane, mask in ((left, observations.mask_left), (right, observations.mask_right)):
@@ -126,6 +130,7 @@ def _both_eyes(
         for pane, thread_px, of_side in zip((left, right), projected, found, strict=True):
             draw_residuals(pane, of_side)
             draw_thread(pane, thread, thread_px)
+            draw_elsewhere(pane, np.stack([np.interp(elsewhere, thread.along, uv) for uv in thread_px.T], axis=-1))
     draw_observations(left, project(observations.camera, observations.points_camera)[0], observations.half_size_px)
     others = observations.candidates[1:]
     labels = [f"{number}: {other.score:.2f}" for number, other in enumerate(others, 2)]
@@ -172,6 +177,8 @@ def _legend(observations: ThreadObservations, reconstruction: ThreadReconstructi
         entries.append(("region that the curve had to miss", colours.OUTSIDE))
     if thread is not None and thread.unseen.any():
         entries.append(("grey: seen in no image", colours.UNKNOWN))
+    if thread is not None and reconstruction.course is not None and len(reconstruction.course.elsewhere):
+        entries.append(("may lead so instead", colours.WARNING))
     if thread is not None and len(reconstruction.posterior_s):
         entries.append(("95 % of the predicted depth", colours.BAND))
     if len(observations.centrelines_left.piece) + len(observations.centrelines_right.piece):

@@ -164,11 +164,15 @@ def undecided_text(reconstruction: ThreadReconstruction) -> str:
     course = reconstruction.course
     if course is None:
         return ""
-    said = [
-        f"{'may go on' if start == end else 'may lead elsewhere'} at s={start:.2f} ({1 - probability:.0%})"
-        for (start, end), probability in zip(course.joins, course.probability, strict=True)
-        if probability < SURE
-    ]
+    doubtful = course.probability < SURE
+    is_end = course.joins[:, 0] == course.joins[:, 1]
+    said: list[str] = []
+    for words, which in (("may lead elsewhere", doubtful & ~is_end), ("may go on", doubtful & is_end)):
+        places = [
+            f"{s:.2f} ({1 - p:.0%})" for s, p in zip(course.joins[which, 0], course.probability[which], strict=True)
+        ]
+        if places:
+            said.append(f"{words} at s={', '.join(places)}")
     return "; ".join(said)
 
 
