@@ -2,7 +2,7 @@
 
     .venv/bin/python -m benchmarks.courses --scenes ../shared/data          # renders: a table
     .venv/bin/python -m benchmarks.courses --seeds 40000 40040              # scenes drawn now: a table
-    .venv/bin/python -m benchmarks.courses --seeds 20000 20120 --fit        # weights, written into the product
+    .venv/bin/python -m benchmarks.courses --seeds 20000 20060 30000 30060 --fit    # weights, written into the product
 
 A thread lies over tissue, over a print or a plain ground; behind a shaft that hides a third of it, and in view; its
 mask is true, or perception's. The true course is the order in which the true thread passes pieces of its centreline.
@@ -92,8 +92,8 @@ class Options:
 
     scenes: Path | None = None
     """Folder with renders."""
-    seeds: tuple[int, int] | None = None
-    """First, and one past the last, of scenes to draw."""
+    seeds: tuple[int, ...] = ()
+    """First, and one past the last, of scenes to draw; of several stretches one after the other."""
     fit: bool = False
     """Find the weights, and write them."""
 
@@ -119,7 +119,7 @@ class Labelled:
 def main() -> None:
     """Judge or fit, and print."""
     options = tyro.cli(Options)
-    cases = [*(rendered(options.scenes) if options.scenes else ()), *(drawn(*options.seeds) if options.seeds else ())]
+    cases = [*(rendered(options.scenes) if options.scenes else ()), *drawn(options.seeds)]
     if options.fit:
         random = np.random.default_rng(0)
         every = [*cases, *(replace(c, observations=disturbed(c.observations, random)) for c in cases * COPIES)]
@@ -129,9 +129,11 @@ def main() -> None:
     CONSOLE.print(table([each for case in cases if (each := labelled(case)) is not None]))
 
 
-def drawn(first: int, end: int) -> Iterator[Case]:
+def drawn(bounds: tuple[int, ...]) -> Iterator[Case]:
     """Scenes of these seeds."""
-    for seed in track(range(first, end), "drawn", transient=True):
+    stretches = zip(bounds[::2], bounds[1::2], strict=True)
+    seeds = [seed for first, end in stretches for seed in range(first, end)]
+    for seed in track(seeds, "drawn", transient=True):
         for config, is_hidden, is_true in KINDS:
             try:
                 scene = make_scene(config, BACKGROUNDS[seed % len(BACKGROUNDS)], seed)

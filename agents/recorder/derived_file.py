@@ -9,7 +9,7 @@ import schemas
 from agents.recorder.foxglove import FoxgloveCopies
 from schemas.topics import Topic
 from shared.recording.completeness import Completeness
-from shared.recording.derivation import BEGUN, DERIVED, Derivation, digest_of
+from shared.recording.derivation import BEGUN, DERIVED, Derivation, digest_of, unfinished_of
 from shared.recording.entry import Entry, Note
 from shared.recording.foxglove_schemas import DESCRIPTORS
 from shared.recording.losses import COMPLETE, LOSSES
@@ -26,6 +26,7 @@ class DerivedFile:
 
     def __init__(self, path: Path) -> None:
         self._writer, self._copies = RecordingWriter(path), FoxgloveCopies()
+        self._notes = list[Note]()
 
     def write(self, topic: Topic, entry: Entry) -> None:
         """Add a message."""
@@ -41,11 +42,17 @@ class DerivedFile:
 
     def note(self, note: Note) -> None:
         """Add a note of the source; what sums up the source is left to `close`."""
-        if note.name not in (LOSSES, BEGUN):
+        if note.name != LOSSES:
+            self._notes.append(note)
             self._writer.note(note.name, note.facts)
 
     def close(self, derivation: Derivation, complete: bool | None, lost: Mapping[str, int]) -> None:
-        """Say what the file was made of and what it lacks, and finish it."""
+        """Say what the file was made of and what it lacks, and finish it.
+
+        A source that was cut off has only said at its beginning what it was made of.
+        """
+        for note in unfinished_of(self._notes):
+            self._writer.note(DERIVED, note.facts)
         self._writer.note(DERIVED, derivation.note.facts)
         known = {} if complete is None else {COMPLETE: str(complete and not lost)}
         self._writer.note(LOSSES, {key: str(count) for key, count in lost.items()} | known)

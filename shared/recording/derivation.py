@@ -110,10 +110,18 @@ def digest_of(path: Path) -> str:
 def derivations(notes: Iterable[Note]) -> tuple[Derivation, ...]:
     """What the notes of a recording tell of how it was made, the newest last; none of a recorder's own file."""
     told = list(notes)
-    finished = {_source(note) for note in told if note.name == DERIVED}
-    unfinished = [note for note in told if note.name == BEGUN and _source(note) not in finished]
-    found = (_read(note) for note in (*(note for note in told if note.name != BEGUN), *unfinished))
+    found = (_read(note) for note in (*(note for note in told if note.name != BEGUN), *unfinished_of(told)))
     return tuple(one for one in found if one is not None)
+
+
+def unfinished_of(notes: Iterable[Note]) -> list[Note]:
+    """The notes of derivations that were begun, and cut off before they were told whole; the newest last.
+
+    A file says at its very beginning what it is made of, before it repeats what its source said.
+    """
+    told = list(notes)
+    finished = {_source(note) for note in told if note.name == DERIVED}
+    return [note for note in reversed(told) if note.name == BEGUN and _source(note) not in finished]
 
 
 def _source(note: Note) -> tuple[str, str]:

@@ -26,6 +26,7 @@ class ThroughResult:
         recorded, used: the configuration of the recording, None where it has none, and of the replay.
         said: what the recording says of what it was made of, and of what it lacks.
         unknown: messages under keys that this version does not know.
+        damage: what broke the reading of it off; empty where all was read.
         wall_s: from the first byte read to the last field compared.
     """
 
@@ -40,6 +41,7 @@ class ThroughResult:
     used: RigConfig
     said: Completeness
     unknown: int
+    damage: str
     wall_s: float
 
     @property
@@ -76,6 +78,8 @@ def _began_ns(entries: list[Entry]) -> int:
 def _sentence(outcome: Outcome) -> str:
     """What became of one agent's outputs, in one line."""
     there = outcome.compared
+    if not outcome.outputs:
+        return f"{outcome.stage}: said nothing in this recording"
     same = sum(output.same for output in there)
     text = f"{outcome.stage}: {len(there)} of {len(outcome.outputs)} outputs repeated, {same} byte for byte the same"
     if outcome.unrepeatable:

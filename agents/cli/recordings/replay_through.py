@@ -8,6 +8,7 @@ import mimetypes
 import socket
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Protocol
@@ -89,7 +90,7 @@ def run_through(options: ThroughOptions) -> int:
     """Replay, say what differs, write what is asked for, and return the exit status."""
     try:
         result = replayed(options)
-        for doubt in result.said.doubts:
+        for doubt in (result.damage,) if result.damage else result.said.doubts:
             warn(doubt)
         for line in report(result):
             show(line)
@@ -114,8 +115,9 @@ def replayed(options: ThroughOptions) -> ThroughResult:
     started_s = monotonic_s()
     given, recorded = _configurations(options)
     config = with_simulated_arms(changed(given, options.set))
-    entries, notes, unknown = _read(options.recording)
-    otherwise = _otherwise(options, next((note.facts for note in notes if note.name == RUN), {}))
+    entries, notes, unknown, damage = _read(options.recording)
+    changing = [setting for setting in options.set if changed(given, (setting,)) != given]
+    otherwise = _otherwise(options, next((note.facts for note in notes if note.name == RUN), {}), changing)
     stages = _stages(config, (options.through or "").split(","), entries)
     _check_settings(options.set, given, [stage.name for stage in stages])
     outcomes, after = replay_through(stages, entries)
@@ -136,6 +138,7 @@ def replayed(options: ThroughOptions) -> ThroughResult:
         used=config,
         said=completeness(options.recording),
         unknown=unknown,
+        damage=damage,
         wall_s=monotonic_s() - started_s,
     )
 
@@ -161,33 +164,38 @@ def _configurations(options: ThroughOptions) -> tuple[RigConfig, RigConfig | Non
         return given, None
 
 
-def _read(path: Path) -> tuple[list[Entry], list[Note], int]:
+def _read(path: Path) -> tuple[list[Entry], list[Note], int, str]:
     """The messages whose keys are in the topic table, the notes, and how many have keys of another version.
 
-    Of a damaged recording, what can be read; that it is damaged is told by its completeness.
+    Of a damaged recording, what can be read; last, what broke the reading off.
     """
     unknown = 0
     entries: list[Entry] = []
     notes: list[Note] = []
     known = functools.cache(is_known)
-    for record in UntilDamage(path):
+    records = UntilDamage(path)
+    for record in records:
         if isinstance(record, Note):
             notes.append(record)
         elif known(record.key):
             entries.append(record)
         else:
             unknown += 1
-    return entries, notes, unknown
+    return entries, notes, unknown, records.damage
 
 
-def _otherwise(options: ThroughOptions, run: dict[str, str]) -> str:
-    """What is otherwise than when the recording was made, as far as it tells; empty where nothing is."""
+def _otherwise(options: ThroughOptions, run: dict[str, str], changing: Iterable[str]) -> str:
+    """What is otherwise than when the recording was made, as far as it tells; empty where nothing is.
+
+    Args:
+        changing: those of `set` that are not as they were.
+    """
     packages = {package: version(package) for package in COMPUTING}
     here = {"suturegrasp": schemas.__version__, "host": socket.gethostname(), **packages}
     changes = [
         f"{name} {run[name]} there, {here[name]} here" for name in here if run.get(name, here[name]) != here[name]
     ]
-    changes += [f"--set {setting}" for setting in options.set]
+    changes += [f"--set {setting}" for setting in changing]
     return ", ".join([*changes, *([f"--config {options.config}"] if options.config else [])])
 
 
@@ -231,8 +239,11 @@ def _check_settings(settings: Iterable[str], given: RigConfig, agents: Sequence[
 
 
 def _check_repeatable(outcomes: list[Outcome]) -> None:
+    if not any(outcome.outputs for outcome in outcomes):
+        silent = ", ".join(outcome.stage for outcome in outcomes)
+        raise UnusableError(f"{silent} said nothing in this recording, so that there is nothing to compare")
     for outcome in outcomes:
-        if not outcome.compared:
+        if outcome.outputs and not outcome.compared:
             raise UnusableError(f"none of {outcome.stage}'s outputs can be repeated: {lacking(outcome)}")
 
 
@@ -290,12 +301,14 @@ def _write_derived(path: Path, recording: Path, result: ThroughResult) -> None:
             settings = settings_otherwise(result.recorded, effective)
             attached[ATTACHED] = attached_config(attached.get(ATTACHED), effective, agents)
         told = derived_from(recording, said, how, agents=agents, settings=settings, left_out=left_out)
+        if result.damage:
+            told = replace(told, source_said=result.damage)
         file.begin(told, attached)
         for note in result.notes:
             file.note(note)
         for entry in result.after:
             file.write(topic_of(entry.key), entry)
-        file.close(told, said.complete, said.lost)
+        file.close(told, False if result.damage else said.complete, said.lost)
     finally:
         file.abandon()
 
