@@ -19,6 +19,14 @@ class _Figures:
     of: Callable[[Session], dict[str, Value]]
 
 
+OF_A_REPLAY = {
+    "from capture until published, ms": "; of what a replay made, as recorded",
+    "times of a step, ms": "; of agents that ran anew, in the replay",
+    "what came of the grasps": "; promises of a replayed planner, outcomes as recorded",
+}
+"""What a title adds where a session was replayed: a replay publishes nothing, and no grasp comes of it."""
+
+
 def comparison_tables(sessions: list[Session], names: list[str]) -> list[Table]:
     """Tables with a column for each session; of two, also the change from the first to the second."""
     figures = (
@@ -31,7 +39,12 @@ def comparison_tables(sessions: list[Session], names: list[str]) -> list[Table]:
         _Figures("what became of the frames", _results),
         _Figures("what came of the grasps", _outcomes),
     )
-    tables = [_table(one.title, [one.of(session) for session in sessions], names) for one in figures]
+    replayed = any(session.said.ran_anew for session in sessions)
+    titles = [one.title + (OF_A_REPLAY.get(one.title, "") if replayed else "") for one in figures]
+    tables = [
+        _table(title, [one.of(session) for session in sessions], names)
+        for title, one in zip(titles, figures, strict=True)
+    ]
     return [table for table in (*tables, _differences(sessions, names)) if table.rows]
 
 
@@ -118,7 +131,9 @@ def _results(session: Session) -> dict[str, Value]:
 
 
 def _outcomes(session: Session) -> dict[str, Value]:
-    return {"goals": len(session.grasps), **Counter(grasp.outcome for grasp in session.grasps)}
+    promised = [grasp.plan.probability for grasp in session.grasps if grasp.plan is not None and not grasp.plan.reason]
+    told = {"mean promised success, %": 100 * sum(promised) / len(promised)} if promised else {}
+    return {"goals": len(session.grasps), **told, **Counter(grasp.outcome for grasp in session.grasps)}
 
 
 def _differences(sessions: list[Session], names: list[str]) -> Table:

@@ -14,11 +14,12 @@ def grasps(session: Session) -> Table:
 
 def _grasp_row(session: Session, number: int, grasp: Grasp) -> Row:
     at_s = f"{session.since_start_s(grasp.at_ns):.2f}"
-    plan, ended = plan_text(grasp.plan), grasp.ended
+    plan, ended = "not recorded" if grasp.plan is None else plan_text(grasp.plan), grasp.ended
     ran_anew = {name.partition("/")[0] for name in session.said.ran_anew}
     if ran_anew:
         # one row may hold a plan of today and what became of that of the session
-        plan += " (planned anew)" if "planner" in ran_anew else " (of the source)"
+        anew = " (planned anew)" if "planner" in ran_anew else " (of the source)"
+        plan += "" if grasp.plan is None else anew
         ended += "" if not ended or "robot_bridge" in ran_anew else " (of the source)"
     return str(number), at_s, goal_text(grasp.goal), plan, ended
 

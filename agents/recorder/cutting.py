@@ -67,7 +67,8 @@ def cut(source: Path, target: Path, from_ns: int, to_ns: int, only_used_frames: 
                 unused += 1
                 continue
             file.write(topic, entry)
-            kept += 1
+            # what is repeated from before the stretch is no message of it
+            kept += not entry.repeated
         left_out = {BEFORE_AND_AFTER: stretch.outside, UNKNOWN_TOPICS: stretch.unknown, UNUSED_FRAMES: unused}
         told = replace(begun, how=stretch.sentence, left_out={what: n for what, n in left_out.items() if n})
         if stretch.damage:

@@ -50,10 +50,10 @@ def load_config(path: Path, model: type[M]) -> M:
     return parse_config(text, model, str(path))
 
 
-def parse_config(text: str, model: type[M], name: str) -> M:
-    """The same from text; `name` is what messages call it, and its ending tells JSON from TOML."""
+def parse_config(text: str, model: type[M], name: str, is_json: bool = False) -> M:
+    """The same from text; `name` is what messages call it, and its ending tells JSON from TOML unless that is told."""
     try:
-        return model.model_validate(json.loads(text) if name.endswith(".json") else tomllib.loads(text))
+        return model.model_validate(json.loads(text) if is_json or name.endswith(".json") else tomllib.loads(text))
     except json.JSONDecodeError as error:
         raise ConfigError(f"the configuration {name} is no JSON: {error}") from None
     except tomllib.TOMLDecodeError as error:

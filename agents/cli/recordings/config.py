@@ -56,7 +56,9 @@ def changed(config: RigConfig, settings: Iterable[str]) -> RigConfig:
                 raise ConfigError(f"--set {setting}: {part} is no section with keys of its own")
             section = found
         section[keys[-1]] = _value(text.strip())
-    return parse_config(json.dumps(values), RigConfig, "of the recording with --set, as .json") if settings else config
+    return (
+        parse_config(json.dumps(values), RigConfig, "of the recording with --set", is_json=True) if settings else config
+    )
 
 
 def in_force(recorded: RigConfig, used: RigConfig, agents: Iterable[str]) -> RigConfig:
@@ -88,7 +90,7 @@ def in_force(recorded: RigConfig, used: RigConfig, agents: Iterable[str]) -> Rig
     if merged.perception is not None and merged.perception.matching is None and merged.needs_matching != matched:
         merged = merged.model_copy(update={"perception": merged.perception.model_copy(update={"matching": matched})})
     text = merged.model_dump_json(exclude_unset=True)
-    return parse_config(text, RigConfig, "of the replayed agents within the recorded configuration.json")
+    return parse_config(text, RigConfig, "of the replayed agents within the recorded one", is_json=True)
 
 
 def attached_config(recorded: bytes | None, effective: RigConfig, agents: Iterable[str]) -> bytes:

@@ -31,6 +31,8 @@ from shared.runtime.service_manager import serving
 FIRST_CLOCKS_S, CLOCKS_EVERY_S = 3.0, 60.0
 ROOM_EVERY_S = 1.0
 MB = 1_000_000
+PATIENCE_S = 3.0
+"""Without a router for so long, somebody is told."""
 KIND = "recorder"
 LOGGER = logging.getLogger(f"suturegrasp.{KIND}")
 LOGGER.setLevel(logging.INFO)
@@ -67,11 +69,19 @@ def record(rig: RigConfig, options: Record) -> int:
         threading.Thread(target=_ask_at_terminal, args=(recordings,), name="keys", daemon=True).start()
     if sys.stdout.isatty() and SUPERVISED not in os.environ:
         threading.Thread(target=tell_progress, args=(path, stopped), name="progress", daemon=True).start()
+    session = rig.session_of("recorder")
+    nobody = f"no router answers on {session.endpoint} yet, and nothing is recorded until one does"
+    waiting = threading.Timer(PATIENCE_S, say, (nobody,))
+    waiting.daemon = True
+    waiting.start()
     try:
-        with connected(rig.session_of("recorder"), None, stopped) as connection, serving():
+        with connected(session, None, stopped) as connection, serving():
+            waiting.cancel()
             _record_all(rig, connection, recordings, path.parent, stopped)
     except NoRouterError:
         recordings.close(_say_end)
+    finally:
+        waiting.cancel()
     return EXIT_UNUSABLE if any(report.fault for report in recordings.reports) else EXIT_OK
 
 
@@ -166,6 +176,8 @@ def recording_sentence(report: RecordingReport) -> str:
     held = f"{first}{files}: {size:.1f} MB, {total} messages on {len(report.received)} keys"
     if not report.paths and not report.fault:
         return f"no event came, and nothing was kept in {report.path}"
+    if report.complete and not total:
+        return f"{held}: nothing was heard"
     if report.complete:
         return f"{held}, complete"
     gaps = ", ".join(f"{count} of {key}" for key, count in sorted(report.lost.items()))

@@ -6,7 +6,6 @@ Exit status: 0 where all is the same within tolerance, 1 where something differs
 import functools
 import mimetypes
 import socket
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import version
@@ -36,7 +35,7 @@ from agents.replay.differences import compared
 from agents.replay.through import Outcome, Stage, replay_through
 from agents.viewer.sinks import ViewerError
 from schemas.checks import MessageError
-from schemas.topics import TOPICS, is_known, topic_of
+from schemas.topics import MAIN, is_known, topic_of
 from shared.clock import monotonic_s
 from shared.recording.completeness import completeness
 from shared.recording.derivation import UNKNOWN_TOPICS, Anew
@@ -208,22 +207,32 @@ def _stages(config: RigConfig, names: Sequence[str], entries: list[Entry]) -> li
         instances = [i for k, i in configured(config) if k == kind and instance in ("", i)]
         if not instances:
             raise ConfigError(f"the configuration of this recording has no {name}; give another one by --config")
-        found |= {(kind, i): _stage(config, kind, i, entries) for i in instances}
-    return [found[named] for named in sorted(found, key=lambda named: KINDS.index(named[0]))]
+        found |= {(kind, i): _stage(config, kind, i) for i in instances}
+    stages = [found[named] for named in sorted(found, key=lambda named: KINDS.index(named[0]))]
+    _check_outputs(stages, entries)
+    return stages
 
 
-def _stage(config: RigConfig, kind: str, instance: str, entries: list[Entry]) -> Stage:
-    name = kind if instance == "main" else f"{kind}/{instance}"
-    said = Counter(entry.key for entry in entries)
-    outputs = {topic for topic in TOPICS if topic.agent == kind}
-    if not any(
-        topic_of(key) in outputs and (not topic_of(key).per_arm or key.split("/")[3] == instance) for key in said
-    ):
-        agents = sorted({key.split("/")[2] for key in said if topic_of(key).agent in KINDS})
-        raise UnusableError(
-            f"the recording holds no output of {name}; it has some of: {', '.join(agents) or 'no agent'}"
-        )
+def _stage(config: RigConfig, kind: str, instance: str) -> Stage:
+    name = kind if instance == MAIN else f"{kind}/{instance}"
     return Stage(name, lambda: build(config, kind, instance))
+
+
+def _check_outputs(stages: Sequence[Stage], entries: list[Entry]) -> None:
+    """See that there is something to compare."""
+    keys = {entry.key for entry in entries}
+    spoke = sorted({key.split("/")[2] for key in keys if topic_of(key).agent in KINDS})
+    if not any(_is_of(key, *stage.name.partition("/")[::2]) for stage in stages for key in keys):
+        silent = ", ".join(stage.name for stage in stages)
+        raise UnusableError(
+            f"the recording holds no output of {silent}; it has some of: {', '.join(spoke) or 'no agent'}"
+        )
+
+
+def _is_of(key: str, kind: str, instance: str) -> bool:
+    """Whether a key is of an agent's outputs."""
+    topic = topic_of(key)
+    return topic.agent == kind and (not topic.per_arm or not instance or key.split("/")[3] == instance)
 
 
 def _check_settings(settings: Iterable[str], given: RigConfig, agents: Sequence[str]) -> None:

@@ -5,6 +5,7 @@ import logging
 import sys
 import threading
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 
 from agents.cli.live.options import View
@@ -19,7 +20,8 @@ from agents.viewer.sinks import CLOSED_AT_ONCE, INSTEAD
 from schemas.topics import TOPICS
 from shared.clock import monotonic_s
 from shared.recording.completeness import completeness
-from shared.recording.mcap_file import RecordingError, is_finished, read_recording
+from shared.recording.derivation import derivations
+from shared.recording.mcap_file import Note, RecordingError, UntilDamage, is_finished, read_recording
 from shared.runtime.connection import NoRouterError, connected
 from shared.runtime.service_manager import serving
 
@@ -68,6 +70,8 @@ def _view_recording(options: View, recording: Path, output: Path | None, stopped
         return complain(f"{output} is the recording itself; give another name", EXIT_UNUSABLE)
     if output is not None and output.exists() and output.suffix == ".mcap":
         return complain(f"{output} is a recording, which Rerun's would overwrite; give a name in .rrd", EXIT_UNUSABLE)
+    if _show(options, output) == "file" and output is None:
+        return complain("--show file needs a file: give --output NAME.rrd", EXIT_UNUSABLE)
     try:
         size = recording.stat().st_size
         # what is no recording is told before a window opens
@@ -101,9 +105,14 @@ def _view_recording(options: View, recording: Path, output: Path | None, stopped
 
 
 def _told_before(recording: Path) -> list[str]:
-    """What a recording was made of and lacks; of one that was cut off that alone, for more would take reading it."""
+    """What a recording was made of and lacks; of one that was cut off as far as its beginning tells."""
     if not is_finished(recording):
-        return ["cut off: its recorder was killed, or is still at work, and what came in the last moments is missing"]
+        notes = takewhile(lambda record: isinstance(record, Note), UntilDamage(recording))
+        made_of = derivations(note for note in notes if isinstance(note, Note))
+        return [
+            *(one.sentence for one in made_of),
+            "cut off, or still being written: what came in the last moments is missing",
+        ]
     said = completeness(recording)
     return [*(one.sentence for one in said.derived), said.sentence]
 

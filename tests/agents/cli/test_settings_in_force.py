@@ -51,14 +51,18 @@ def test_settings_are_in_force_for_the_agents_that_ran_with_them_and_for_no_othe
     assert in_force(effective, effective, AGENTS) == effective
 
 
+def run(*arguments):
+    with pytest.raises(SystemExit) as ended:
+        main([str(argument) for argument in arguments])
+    return ended.value.code
+
+
 def test_a_setting_that_no_replayed_agent_reads_is_refused_and_so_is_none_that_one_reads(capsys):
     for agent, setting, reads in (
         ("planner", "perception.segmenter=threshold", False),
         ("planner", "planner.attempts=1", True),
     ):
-        with pytest.raises(SystemExit) as ended:
-            main(["replay", str(EXAMPLE), "--through", agent, "--set", setting])
-        assert (ended.value.code == EXIT_UNUSABLE) is not reads
+        assert (run("replay", EXAMPLE, "--through", agent, "--set", setting) == EXIT_UNUSABLE) is not reads
         refused = f"--set {setting} changes nothing, for planner does not read it"
         assert (refused in capsys.readouterr().err) is not reads
 
@@ -66,9 +70,7 @@ def test_a_setting_that_no_replayed_agent_reads_is_refused_and_so_is_none_that_o
 def test_of_a_damaged_recording_what_can_be_read_is_replayed_and_the_damage_is_told(tmp_path, capsys):
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(EXAMPLE.read_bytes()[:6_000_000])
-    with pytest.raises(SystemExit) as ended:
-        main(["replay", str(cut), "--through", "planner"])
-    assert ended.value.code != EXIT_UNUSABLE
+    assert run("replay", cut, "--through", "planner") != EXIT_UNUSABLE
     told = capsys.readouterr()
     assert "cut off at" in told.err
     assert "planner: 1 of 1 outputs repeated" in told.out
@@ -76,11 +78,43 @@ def test_of_a_damaged_recording_what_can_be_read_is_replayed_and_the_damage_is_t
 
 def test_two_recordings_are_compared_by_the_steps_that_made_what_they_hold(tmp_path, capsys):
     derived = tmp_path / "derived.mcap"
-    with pytest.raises(SystemExit):
-        main(["replay", str(EXAMPLE), "--through", "planner", "--output", str(derived)])
+    run("replay", EXAMPLE, "--through", "planner", "--output", derived)
     anew = completeness(derived).ran_anew["planner"]
     capsys.readouterr()
-    with pytest.raises(SystemExit):
-        main(["inspect", str(EXAMPLE), str(derived)])
+    run("inspect", EXAMPLE, derived)
     row = next(line.split() for line in capsys.readouterr().out.splitlines() if line.startswith("planner p99"))
     assert row[3] == decimal(anew.step_ms_p99)
+
+
+def test_what_a_cut_off_recording_was_made_of_goes_on_through_cuts_and_replays(tmp_path):
+    derived, off = tmp_path / "derived.mcap", tmp_path / "off.mcap"
+    run("replay", EXAMPLE, "--through", "planner", "--set", "planner.tool_error_mm=1", "--output", derived)
+    off.write_bytes(derived.read_bytes()[:6_000_000])
+    run("cut", off, "--output", tmp_path / "cut.mcap")
+    run("replay", off, "--through", "reconstruction", "--output", tmp_path / "again.mcap")
+    for name in ("cut.mcap", "again.mcap"):
+        told = completeness(tmp_path / name).derived
+        assert [one.source for one in told] == ["found_10.mcap", EXAMPLE.name, off.name]
+        assert told[1].settings == {"planner.tool_error_mm": "0.7 -> 1.0"}
+        assert "planner" in completeness(tmp_path / name).ran_anew
+
+
+def test_a_replay_of_a_recording_that_is_damaged_within_says_so_and_so_does_what_it_writes(tmp_path, capsys):
+    damaged, output = tmp_path / "damaged.mcap", tmp_path / "output.mcap"
+    spoilt = bytearray(EXAMPLE.read_bytes())
+    spoilt[5_000_000:5_002_000] = b"\xff" * 2000
+    damaged.write_bytes(spoilt)
+    assert run("replay", damaged, "--through", "planner", "--output", output) != EXIT_UNUSABLE
+    assert "is damaged; only what lies before the damage can be read" in capsys.readouterr().err
+    assert completeness(output).complete is False
+    assert "is damaged" in completeness(output).sentence
+
+
+def test_an_agent_that_said_nothing_does_not_stop_the_replay_of_another(tmp_path, capsys):
+    early = tmp_path / "early.mcap"
+    run("cut", EXAMPLE, "--to", "0.6", "--output", early)
+    capsys.readouterr()
+    assert run("replay", early, "--through", "reconstruction,planner") != EXIT_UNUSABLE
+    assert "planner: said nothing in this recording" in capsys.readouterr().out
+    assert run("replay", early, "--through", "planner") == EXIT_UNUSABLE
+    assert "the recording holds no output of planner; it has some of: camera" in capsys.readouterr().err
