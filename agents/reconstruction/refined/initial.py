@@ -29,8 +29,14 @@ EXTRAPOLATION = 0.3
 """Of the range of matched disparities: how far a curve may leave it where nothing is matched."""
 
 
-def initial_curve(left: Chain, aligned: Alignment, camera: RectifiedStereo) -> Curve:
-    """A curve near the thread, with as many control points as its length in the image calls for."""
+def initial_curve(
+    left: Chain, aligned: Alignment, share: Float64[np.ndarray, "n"], camera: RectifiedStereo
+) -> tuple[Curve, Float64[np.ndarray, "n"]]:
+    """A curve near the thread, with as many control points as its length in the image calls for.
+
+    Also the parameters at which the left chain has these shares of its length behind it: in space, other stretches of
+    the thread are long than in the image.
+    """
     length_px = float(left.along_px[-1])
     spans = _spans_for(length_px, camera)
     shown = _basis(spans, left.along_px / length_px)
@@ -42,7 +48,7 @@ def initial_curve(left: Chain, aligned: Alignment, camera: RectifiedStereo) -> C
     bounded = np.clip(basis @ disparity, max(LEAST_DISPARITY_PX, low - margin), high + margin)
     points = backproject(camera, basis @ image, depth_of_disparity(camera, bounded))
     curve = Curve(clamped_uniform_knots(spans + DEGREE, DEGREE), fitted(spans, finite(points)))
-    return at_constant_speed(curve, np.zeros(0))[0]
+    return at_constant_speed(curve, share)
 
 
 def with_needed_spans(curve: Curve, camera: RectifiedStereo) -> Curve | None:

@@ -188,8 +188,10 @@ def fitted(course: Course, camera: RectifiedStereo, of_calibration: Float64[np.n
         NoCurveError: where the equations have no solution.
     """
     try:
-        start = initial_curve(course.left, course.aligned, camera)
-        begun = Start(start, course.sight, row_offset_px=course.row_offset_px, of_calibration=of_calibration)
+        start, s = initial_curve(course.left, course.aligned, course.sight.s, camera)
+        begun = Start(
+            start, replace(course.sight, s=s), row_offset_px=course.row_offset_px, of_calibration=of_calibration
+        )
         fit = refined(begun, camera)
         if fit.scale <= FOLLOWED:
             return fit
