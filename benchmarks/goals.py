@@ -89,6 +89,7 @@ def _crossing(rows: list[Row]) -> list[Goal]:
         what = f"{right} of {len(some)}"
         result += [
             Goal(name + "topology right", "0", "all" if aimed else "-", what, right == len(some) if aimed else None),
+            _decided(name, some),
             _two(name + "mean error, median / worst, mm", "1.5 to 5.4", some, "mean", (None, 0.40) if aimed else None),
             _two(name + "Fréchet, median / worst, mm", "-", some, "frechet", (None, 3.0) if aimed else None),
         ]
@@ -108,6 +109,8 @@ def _occluded(rows: list[Row]) -> list[Goal]:
             _two(name + "where both images see it, median / worst, mm", "-", some, "mean seen", seen),
             _two(name + "whole, median / worst, mm", here, some, "mean", whole),
         ]
+        if group == HIDDEN:
+            result.append(_decided(f"{group}s, masks {masks}: ", some))
     return result
 
 
@@ -179,6 +182,15 @@ def _miscalibrated(rows: list[Row]) -> list[Goal]:
         )
         for error in dict.fromkeys(row["calibration"] for row in wrong)
     ]
+
+
+def _decided(name: str, rows: list[Row]) -> Goal:
+    """How many threads are right, how many say that their course is undecided or that they are none, and the rest."""
+    unsure = [row["undecided"] or row["status"] != "ok" for row in rows]
+    right = sum(topology_is_right(row) and not doubt for row, doubt in zip(rows, unsure, strict=True))
+    what = f"{right} / {sum(unsure)} / {len(rows) - right - sum(unsure)}"
+    met = right >= 0.9 * len(rows) and right + sum(unsure) == len(rows)
+    return Goal(name + "topology right / undecided or refused / wrong though ok", "-", "≥ 90 % / rest / 0", what, met)
 
 
 def topology_is_right(row: Row) -> bool:

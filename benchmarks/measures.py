@@ -11,7 +11,7 @@ from benchmarks.bounds import bounds_of
 from benchmarks.scenes import TRUTH_SAMPLES, Scene, StraightEdge
 from benchmarks.topology import topology
 from benchmarks.variations import SEGMENTED, Run
-from schemas.messages import RectifiedStereo, Status, ThreadReconstruction
+from schemas.messages import SURE, RectifiedStereo, Status, ThreadReconstruction
 from shared.arc_length import even_parameters
 from shared.camera import project
 from shared.curve_distance import curve_distance, distances_to_polyline, normal_errors, reprojection_px
@@ -49,6 +49,7 @@ def figures(run: Run, result: PipelineResult) -> dict[str, Any]:
         "group": scene.group,
         "scene": scene.name,
         "masks": run.masks_are,
+        "undecided": thread.course is not None and bool((thread.course.probability < SURE).any()),
         "calibration": run.calibration_is,
         "segmenter": result.observations.segmenter,
         "status": thread.status.name.lower(),

@@ -30,7 +30,7 @@ def noted_facts(notes: list[Note]) -> dict[str, str]:
         told = asdict(one)
         # how long steps took differs from run to run, and says nothing of how it was run
         told["agents"] = {name: {"outputs": anew.outputs, "kept": anew.kept} for name, anew in one.agents.items()}
-        facts.update(_flat(f"derived {number}", told))
+        facts.update(_flat(f"derived {number}", {name: value for name, value in told.items() if value != ""}))
     return {name: value for name, value in facts.items() if not name.endswith(EPOCH)}
 
 

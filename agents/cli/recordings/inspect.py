@@ -71,7 +71,11 @@ def _told(sessions: list[Session], names: list[str], as_json: bool) -> Iterator[
     if len(sessions) == 1:
         yield from lines(head_lines(sessions[0]), session_tables(sessions[0]), width)
         return
-    heads = [f"{name}: {line}" for session, name in zip(sessions, names, strict=True) for line in head_lines(session)]
+    heads = [
+        line if line.startswith(f"{name}:") else f"{name}: {line}"
+        for session, name in zip(sessions, names, strict=True)
+        for line in head_lines(session)
+    ]
     yield from lines(heads, comparison_tables(sessions, names), width)
 
 

@@ -48,7 +48,10 @@ class Export(OnRecording):
 
 @dataclass(frozen=True)
 class Cut(OnRecording):
-    """Write a stretch of a recording to a file of its own, which all that works on recordings takes as well."""
+    """Write a stretch of a recording to a file of its own, which all that works on recordings takes as well.
+
+    Exit status: 0 also for a damaged one, of which what can be read is written and the rest is told; 2 for none.
+    """
 
     recording: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MCAP")]
     """The recording."""
