@@ -140,5 +140,7 @@ class Parts:
 
     def _finish(self, complete: bool) -> None:
         lost = {key: str(count) for key, count in self._lost.items()}
-        self._writer.note(LOSSES, lost | {COMPLETE: str(complete and self._whole and not lost)})
+        # of what nothing was heard of, nobody knows whether there was anything
+        known = {COMPLETE: str(complete and self._whole and not lost)} if self._began_ns or lost else {}
+        self._writer.note(LOSSES, lost | known)
         self._writer.close()

@@ -36,9 +36,13 @@ class Completeness:
     @property
     def doubts(self) -> list[str]:
         """What whoever uses the recording must know: what it lacks, and that some of it was made later."""
+        return self.doubts_of("")
+
+    def doubts_of(self, damage: str) -> list[str]:
+        """The same of a file whose reading broke off; that takes the place of what it says of itself."""
         nothing = self.complete or (self.finished and self.complete is None and not self._of_source)
-        lacks = [] if nothing else [self.sentence]
-        return [*lacks, *(one.sentence for one in self.derived if one.agents)]
+        lacks = damage or ("" if nothing else self.sentence)
+        return [*filter(None, (lacks,)), *(one.sentence for one in self.derived if one.agents)]
 
     @property
     def left_out_frames(self) -> int:

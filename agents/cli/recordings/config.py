@@ -106,11 +106,13 @@ def attached_config(recorded: bytes | None, effective: RigConfig, agents: Iterab
 
 
 def settings_otherwise(before: RigConfig, now: RigConfig) -> dict[str, str]:
-    """The settings that differ, as `before -> now` by key."""
+    """The settings that differ, as `before -> now` by key; what an older version has not recorded is said to be so."""
     one, other = (dict(_settings("", json.loads(rig.model_dump_json()))) for rig in (before, now))
-    keys = dict.fromkeys((*one, *other))
+    recorded = dict(_settings("", json.loads(before.model_dump_json(exclude_unset=True))))
     return {
-        key: f"{one.get(key, 'none')} -> {other.get(key, 'none')}" for key in keys if one.get(key) != other.get(key)
+        key: f"{one.get(key, 'none') if key in recorded else 'not recorded'} -> {other.get(key, 'none')}"
+        for key in dict.fromkeys((*one, *other))
+        if one.get(key) != other.get(key)
     }
 
 

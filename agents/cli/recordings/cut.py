@@ -27,10 +27,8 @@ def run(options: Cut) -> int:
         return complain(str(error), EXIT_UNUSABLE)
     except OSError as error:
         return complain(f"{error.filename or options.output}: {error.strerror or error}", EXIT_UNUSABLE)
-    if report.damage:
-        warn(report.damage)
-    for doubt in () if report.damage else report.source.doubts:
-        warn(f"{options.recording}: {doubt}")
+    for doubt in report.source.doubts_of(report.damage):
+        warn(doubt if doubt == report.damage else f"{options.recording}: {doubt}")
     unused = f", without {report.unused} frames of which nothing was made" if report.unused else ""
     size = options.output.stat().st_size / 1e6
     say(f"{options.output}: {report.kept} messages of {(stretch[1] - stretch[0]) * 1e-9:.1f} s, {size:.1f} MB{unused}")

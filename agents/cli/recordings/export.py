@@ -31,8 +31,10 @@ def run(options: Export) -> int:
         return complain(f"{error.filename or options.output}: {error.strerror or error}", EXIT_UNUSABLE)
     told = ", ".join(f"{count} rows of {name}" for name, count in exported.rows.items())
     say(f"{options.output}: {told or 'nothing to export'}; README.txt says what they mean")
-    for doubt in exported.said.doubts if exported.said is not None and not exported.damage else ():
-        warn(f"{options.recording}: {doubt}")
+    # damage is told at the end
+    for doubt in () if exported.said is None else exported.said.doubts_of(exported.damage):
+        if doubt != exported.damage:
+            warn(f"{options.recording}: {doubt}")
     if exported.unreadable:
         warn(f"{exported.unreadable} messages cannot be read by this version, and are left out")
     if exported.other_units:

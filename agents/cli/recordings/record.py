@@ -13,7 +13,7 @@ from agents.cli.recordings.one_after_another import Recordings
 from agents.cli.recordings.progress import tell_progress
 from agents.cli.rig.config import RecorderSection, RigConfig
 from agents.cli.rig.hosts import kind_and_instance
-from agents.cli.running.around import around
+from agents.cli.running.around import around, told_without
 from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.cli.running.session_folder import free_path
 from agents.cli.running.supervisor import SUPERVISED
@@ -31,8 +31,6 @@ from shared.runtime.service_manager import serving
 FIRST_CLOCKS_S, CLOCKS_EVERY_S = 3.0, 60.0
 ROOM_EVERY_S = 1.0
 MB = 1_000_000
-PATIENCE_S = 3.0
-"""Without a router for so long, somebody is told."""
 KIND = "recorder"
 LOGGER = logging.getLogger(f"suturegrasp.{KIND}")
 LOGGER.setLevel(logging.INFO)
@@ -70,18 +68,16 @@ def record(rig: RigConfig, options: Record) -> int:
     if sys.stdout.isatty() and SUPERVISED not in os.environ:
         threading.Thread(target=tell_progress, args=(path, stopped), name="progress", daemon=True).start()
     session = rig.session_of("recorder")
-    nobody = f"no router answers on {session.endpoint} yet, and nothing is recorded until one does"
-    waiting = threading.Timer(PATIENCE_S, say, (nobody,))
-    waiting.daemon = True
-    waiting.start()
     try:
-        with connected(session, None, stopped) as connection, serving():
-            waiting.cancel()
+        with (
+            told_without(session, "nothing is recorded") as met,
+            connected(session, None, stopped) as connection,
+            serving(),
+        ):
+            met()
             _record_all(rig, connection, recordings, path.parent, stopped)
     except NoRouterError:
         recordings.close(_say_end)
-    finally:
-        waiting.cancel()
     return EXIT_UNUSABLE if any(report.fault for report in recordings.reports) else EXIT_OK
 
 

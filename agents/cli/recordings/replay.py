@@ -64,8 +64,11 @@ def run(options: Replay) -> int:
 
 def _replay(options: Replay) -> int:
     _check(options)
+    for name, given in (("--set", options.set), ("--output", options.output)):
+        if given:
+            raise ReplayUsageError(f"{name} belongs to --through: name the agents that are to run anew")
     contents = contents_of(options.recording)
-    for doubt in (contents.damage,) if contents.damage else completeness(options.recording).doubts:
+    for doubt in completeness(options.recording).doubts_of(contents.damage):
         warn(doubt)
     window = window_ns(options.from_, options.to, contents.first_ns, contents.last_ns)
     settings = _settings(options, contents)

@@ -37,7 +37,7 @@ from agents.viewer.sinks import ViewerError
 from schemas.checks import MessageError
 from schemas.topics import MAIN, is_known, topic_of
 from shared.clock import monotonic_s
-from shared.recording.completeness import completeness
+from shared.recording.completeness import Completeness, completeness
 from shared.recording.derivation import UNKNOWN_TOPICS, Anew
 from shared.recording.mcap_file import Entry, Note, RecordingError, RecordingWriter, UntilDamage, read_attachments
 from shared.runtime.config import ConfigError, load_config
@@ -89,7 +89,7 @@ def run_through(options: ThroughOptions) -> int:
     """Replay, say what differs, write what is asked for, and return the exit status."""
     try:
         result = replayed(options)
-        for doubt in (result.damage,) if result.damage else result.said.doubts:
+        for doubt in result.said.doubts_of(result.damage):
             warn(doubt)
         for line in report(result):
             show(line)
@@ -116,8 +116,9 @@ def replayed(options: ThroughOptions) -> ThroughResult:
     config = with_simulated_arms(changed(given, options.set))
     entries, notes, unknown, damage = _read(options.recording)
     changing = [setting for setting in options.set if changed(given, (setting,)) != given]
-    otherwise = _otherwise(options, next((note.facts for note in notes if note.name == RUN), {}), changing)
     stages = _stages(config, (options.through or "").split(","), entries)
+    said = completeness(options.recording)
+    otherwise = _otherwise(options, _made_by(stages, said, notes), changing)
     _check_settings(options.set, given, [stage.name for stage in stages])
     outcomes, after = replay_through(stages, entries)
     _check_repeatable(outcomes)
@@ -135,7 +136,7 @@ def replayed(options: ThroughOptions) -> ThroughResult:
         otherwise=otherwise,
         recorded=recorded,
         used=config,
-        said=completeness(options.recording),
+        said=said,
         unknown=unknown,
         damage=damage,
         wall_s=monotonic_s() - started_s,
@@ -181,6 +182,14 @@ def _read(path: Path) -> tuple[list[Entry], list[Note], int, str]:
         else:
             unknown += 1
     return entries, notes, unknown, records.damage
+
+
+def _made_by(stages: Sequence[Stage], said: Completeness, notes: Iterable[Note]) -> dict[str, str]:
+    """The versions of what made the outputs of these agents: of the session, or of a replay that they are of."""
+    replays = [one for one in said.derived if any(stage.name in one.agents for stage in stages)]
+    if replays and all(stage.name in replays[-1].agents for stage in stages):
+        return {"suturegrasp": replays[-1].version}
+    return next((note.facts for note in notes if note.name == RUN), {})
 
 
 def _otherwise(options: ThroughOptions, run: dict[str, str], changing: Iterable[str]) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from agents.cli.live.options import View
 from agents.cli.rig.config import RigConfig
-from agents.cli.running.around import telling
+from agents.cli.running.around import telling, told_without
 from agents.cli.running.process import EXIT_GAVE_UP, EXIT_OK, EXIT_UNUSABLE, ONLOOKER, on_stop, step_back
 from agents.cli.running.session_folder import free_path
 from agents.cli.terminal import complain, say, show
@@ -29,6 +29,7 @@ LOGGER = logging.getLogger("suturegrasp.viewer")
 PROGRESS_S = 5.0
 """How often a line tells how far it has come; on a terminal, one line is kept up to date."""
 LOOK_S = 0.1
+NO_FILE = "--show file needs a file: give --output NAME.rrd"
 
 
 def view(rig: RigConfig, options: View) -> int:
@@ -41,6 +42,8 @@ def view(rig: RigConfig, options: View) -> int:
     for name, given in (("--from", options.from_s), ("--to", options.to_s)):
         if given is not None:
             return complain(f"{name} cuts a recording, and none is named", EXIT_UNUSABLE)
+    if options.show == "file" and output is None:
+        return complain(NO_FILE, EXIT_UNUSABLE)
     return _view_rig(rig, output, options, stopped)
 
 
@@ -55,7 +58,13 @@ def _view_rig(rig: RigConfig, output: Path | None, options: View, stopped: threa
         return complain(str(error), EXIT_UNUSABLE)
     for note in viewer.notes:
         say(note)
-    with contextlib.suppress(NoRouterError), connected(rig.session_of("viewer"), None, stopped) as connection:
+    session = rig.session_of("viewer")
+    with (
+        contextlib.suppress(NoRouterError),
+        told_without(session, "nothing is shown") as met,
+        connected(session, None, stopped) as connection,
+    ):
+        met()
         connection.listen(TOPICS, viewer.put)
         with telling(connection, rig, "viewer", LOGGER), serving():
             stopped.wait()
@@ -71,7 +80,7 @@ def _view_recording(options: View, recording: Path, output: Path | None, stopped
     if output is not None and output.exists() and output.suffix == ".mcap":
         return complain(f"{output} is a recording, which Rerun's would overwrite; give a name in .rrd", EXIT_UNUSABLE)
     if _show(options, output) == "file" and output is None:
-        return complain("--show file needs a file: give --output NAME.rrd", EXIT_UNUSABLE)
+        return complain(NO_FILE, EXIT_UNUSABLE)
     try:
         size = recording.stat().st_size
         # what is no recording is told before a window opens

@@ -1,18 +1,24 @@
 """What each process of a rig knows of its host and its file, to be told to whoever asks."""
 
 import logging
-from collections.abc import Generator
+import threading
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from typing import Any
 
 from agents.cli.rig.config import RigConfig
 from agents.cli.rig.digest import rig_sections
 from agents.cli.rig.hosts import kind_and_instance
+from agents.cli.terminal import say
 from schemas.topics import MAIN
 from shared.runtime.config import config_hash
 from shared.runtime.connection import Connection
 from shared.runtime.facts import Surroundings
 from shared.runtime.identity import validity_ns
+from shared.runtime.session import SessionSettings
+
+PATIENCE_S = 3.0
+"""Without a router for so long, somebody is told."""
 
 
 def around(rig: RigConfig, name: str, **own: Any) -> Surroundings:
@@ -28,6 +34,20 @@ def around(rig: RigConfig, name: str, **own: Any) -> Surroundings:
         rig_sections=rig_sections(rig),
         **own,
     )
+
+
+@contextmanager
+def told_without(session: SessionSettings, what: str) -> Generator[Callable[[], None]]:
+    """Say what does not happen, where no router answers for a while; what it gives is called once one did."""
+    waiting = threading.Timer(
+        PATIENCE_S, say, (f"no router answers on {session.endpoint} yet, and {what} until one does",)
+    )
+    waiting.daemon = True
+    waiting.start()
+    try:
+        yield waiting.cancel
+    finally:
+        waiting.cancel()
 
 
 @contextmanager

@@ -95,7 +95,7 @@ def test_what_a_cut_off_recording_was_made_of_goes_on_through_cuts_and_replays(t
     for name in ("cut.mcap", "again.mcap"):
         told = completeness(tmp_path / name).derived
         assert [one.source for one in told] == ["found_10.mcap", EXAMPLE.name, off.name]
-        assert told[1].settings == {"planner.tool_error_mm": "0.7 -> 1.0"}
+        assert told[1].settings == {"planner.tool_error_mm": "not recorded -> 1.0"}
         assert "planner" in completeness(tmp_path / name).ran_anew
 
 
