@@ -186,7 +186,7 @@ def _miscalibrated(rows: list[Row]) -> list[Goal]:
 
 def _decided(name: str, rows: list[Row]) -> Goal:
     """How many threads are right, how many say that their course is undecided or that they are none, and the rest."""
-    unsure = [row["undecided"] or row["status"] != "ok" for row in rows]
+    unsure = [row.get("undecided", False) or row["status"] != "ok" for row in rows]
     right = sum(topology_is_right(row) and not doubt for row, doubt in zip(rows, unsure, strict=True))
     what = f"{right} / {sum(unsure)} / {len(rows) - right - sum(unsure)}"
     met = right >= 0.9 * len(rows) and right + sum(unsure) == len(rows)

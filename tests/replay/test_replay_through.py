@@ -208,11 +208,6 @@ def test_both_sides_and_the_differences_are_in_one_rerun_file(golden, tmp_path, 
     assert {f"/difference/{curve}" for curve in curves_of(result.comparison)} <= paths
 
 
-def damaged(data):
-    middle = len(data) // 2
-    return data[:middle] + bytes(64) + data[middle + 64 :]
-
-
 def foreign(path):
     with path.open("wb") as file:
         writer = Writer(file)
@@ -242,10 +237,8 @@ def test_what_cannot_be_replayed_is_said_in_one_line(through, options, says, gol
     assert says in err
 
 
-def test_a_file_that_cannot_be_used_is_said_in_one_line(golden, copied, tmp_path, capsys):
-    whole = golden.read_bytes()
+def test_a_file_that_cannot_be_used_is_said_in_one_line(copied, tmp_path, capsys):
     bad = {
-        "damaged.mcap": (damaged(whole), "is damaged"),
         "text.mcap": (b"no recording at all", "is no recording"),
         "empty.mcap": (b"", "is no recording"),
     }

@@ -116,7 +116,8 @@ def replayed(options: ThroughOptions) -> ThroughResult:
     config = with_simulated_arms(changed(given, options.set))
     entries, notes, unknown, damage = _read(options.recording)
     changing = [setting for setting in options.set if changed(given, (setting,)) != given]
-    stages = _stages(config, (options.through or "").split(","), entries)
+    stages = _stages(config, (options.through or "").split(","))
+    _check_outputs(stages, entries, damage)
     said = completeness(options.recording)
     otherwise = _otherwise(options, _made_by(stages, said, notes), changing)
     _check_settings(options.set, given, [stage.name for stage in stages])
@@ -207,7 +208,7 @@ def _otherwise(options: ThroughOptions, run: dict[str, str], changing: Iterable[
     return ", ".join([*changes, *([f"--config {options.config}"] if options.config else [])])
 
 
-def _stages(config: RigConfig, names: Sequence[str], entries: list[Entry]) -> list[Stage]:
+def _stages(config: RigConfig, names: Sequence[str]) -> list[Stage]:
     found: dict[tuple[str, str], Stage] = {}
     for name in (name.strip() for name in names):
         kind, _, instance = name.partition("/")
@@ -217,9 +218,7 @@ def _stages(config: RigConfig, names: Sequence[str], entries: list[Entry]) -> li
         if not instances:
             raise ConfigError(f"the configuration of this recording has no {name}; give another one by --config")
         found |= {(kind, i): _stage(config, kind, i) for i in instances}
-    stages = [found[named] for named in sorted(found, key=lambda named: KINDS.index(named[0]))]
-    _check_outputs(stages, entries)
-    return stages
+    return [found[named] for named in sorted(found, key=lambda named: KINDS.index(named[0]))]
 
 
 def _stage(config: RigConfig, kind: str, instance: str) -> Stage:
@@ -227,15 +226,14 @@ def _stage(config: RigConfig, kind: str, instance: str) -> Stage:
     return Stage(name, lambda: build(config, kind, instance))
 
 
-def _check_outputs(stages: Sequence[Stage], entries: list[Entry]) -> None:
+def _check_outputs(stages: Sequence[Stage], entries: list[Entry], damage: str) -> None:
     """See that there is something to compare."""
     keys = {entry.key for entry in entries}
     spoke = sorted({key.split("/")[2] for key in keys if topic_of(key).agent in KINDS})
     if not any(_is_of(key, *stage.name.partition("/")[::2]) for stage in stages for key in keys):
         silent = ", ".join(stage.name for stage in stages)
-        raise UnusableError(
-            f"the recording holds no output of {silent}; it has some of: {', '.join(spoke) or 'no agent'}"
-        )
+        of_this = f"{damage}, which" if damage else "the recording"
+        raise UnusableError(f"{of_this} holds no output of {silent}; it has some of: {', '.join(spoke) or 'no agent'}")
 
 
 def _is_of(key: str, kind: str, instance: str) -> bool:
