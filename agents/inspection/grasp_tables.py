@@ -15,13 +15,20 @@ def grasps(session: Session) -> Table:
 def _grasp_row(session: Session, number: int, grasp: Grasp) -> Row:
     at_s = f"{session.since_start_s(grasp.at_ns):.2f}"
     plan, ended = "not recorded" if grasp.plan is None else plan_text(grasp.plan), grasp.ended
-    ran_anew = {name.partition("/")[0] for name in session.said.ran_anew}
-    if ran_anew:
-        # one row may hold a plan of today and what became of that of the session
-        anew = " (planned anew)" if "planner" in ran_anew else " (of the source)"
-        plan += "" if grasp.plan is None else anew
-        ended += "" if not ended or "robot_bridge" in ran_anew else " (of the source)"
-    return str(number), at_s, goal_text(grasp.goal), plan, ended
+    # one row may hold a plan of today and what became of that of the session
+    if session.said.ran_anew and grasp.plan is not None:
+        plan += " (planned anew)" if "planner" in _kinds_anew(session) else " (of the source)"
+    return str(number), at_s, goal_text(grasp.goal), plan, ended + (_as_of(session) if ended else "")
+
+
+def _kinds_anew(session: Session) -> set[str]:
+    return {name.partition("/")[0] for name in session.said.ran_anew}
+
+
+def _as_of(session: Session) -> str:
+    """What is added to what an arm did, where others ran anew and the arm did not."""
+    kinds = _kinds_anew(session)
+    return " (of the source)" if kinds and "robot_bridge" not in kinds else ""
 
 
 def goal_text(goal: GraspGoal | None) -> str:
@@ -60,7 +67,7 @@ def phases(session: Session) -> Table:
 def _phase_row(session: Session, number: int, arming: Arming) -> Row:
     followed = ", ".join(f"{event_name(event)} {session.since_start_s(event.at_ns):.2f}" for event in arming.events)
     at_s = "" if arming.at_ns is None else f"{session.since_start_s(arming.at_ns):.2f}"
-    judged = arming.judgement.sentence if arming.judgement else ""
+    judged = arming.judgement.sentence + _as_of(session) if arming.judgement else ""
     return str(number), at_s, answer_text(arming.answer), followed, judged
 
 

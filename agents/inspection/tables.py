@@ -127,9 +127,18 @@ def agents(session: Session) -> Table:
         (one.name, str(one.runs), decimal(one.step_ms_p50), decimal(one.step_ms_p99), one.version, one.host)
         for one in session.agents
     ]
-    for derivation in session.said.derived:
+    replays = [one for one in session.said.derived if one.agents]
+    for number, derivation in enumerate(replays, 1):
+        which = f" ({number} of {len(replays)})" if len(replays) > 1 else ""
         rows += [
-            (f"{name}, replayed", "1", decimal(one.step_ms_p50), decimal(one.step_ms_p99), derivation.version, "")
+            (
+                f"{name}, replayed{which}",
+                "1",
+                decimal(one.step_ms_p50),
+                decimal(one.step_ms_p99),
+                derivation.version,
+                "",
+            )
             for name, one in derivation.agents.items()
         ]
     return Table("agents, times of a step", ("agent", " runs", " p50 ms", " p99 ms", "version", "host"), tuple(rows))
