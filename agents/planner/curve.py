@@ -95,9 +95,13 @@ def curve_of(thread: ThreadReconstruction) -> ThreadCurve:
 
 
 def decided(curve: ThreadCurve, s: Float64[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
-    """Whether the thread is known to lead on at s, and not perhaps to another piece of itself."""
+    """Whether the thread is known to lead on at s, and not perhaps to another piece of itself.
+
+    However short a stretch is, it lies at one place at least: each stands for what is nearest to it.
+    """
+    around = 0.5 * float(np.diff(s).max(initial=0.0))
     start, end = curve.undecided.T[:, :, None]
-    return ~((s >= start) & (s <= end)).any(axis=0)
+    return ~((s >= start - around) & (s <= end + around)).any(axis=0)
 
 
 def seen(curve: ThreadCurve, s: Float64[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:

@@ -165,7 +165,8 @@ def undecided_text(reconstruction: ThreadReconstruction) -> str:
     if course is None:
         return ""
     doubtful = course.probability < SURE
-    is_end = course.joins[:, 0] == course.joins[:, 1]
+    is_end = np.zeros(len(doubtful), bool)
+    is_end[[0, -1] if len(is_end) else []] = True
     said: list[str] = []
     for words, which in (("may lead elsewhere", doubtful & ~is_end), ("may go on", doubtful & is_end)):
         places = [

@@ -376,8 +376,8 @@ class ThreadCourse:
     """The course of a thread through the pieces that are seen of it, and how sure it is.
 
     Fields:
-        joins: stretches of arc length over which it leads from one piece to the next; an end of the thread is a join of
-            that place with itself.
+        joins: stretches of arc length over which it leads from one piece to the next, in order. The first and the last
+            are the thread's ends, joins of a place with itself; one between them may be as short.
         probability: that the thread leads so over each join, and goes on to no other piece in view from each end.
         other: the stretches of this thread in the order and direction in which the next likeliest course passes them;
             none where this one is as good as certain.
@@ -397,8 +397,7 @@ class ThreadCourse:
     @property
     def undecided(self) -> Float64[np.ndarray, "u 2"]:
         """The stretches over which the course is undecided; an end that may lead on is none."""
-        doubtful = (self.probability < SURE) & (self.joins[:, 0] < self.joins[:, 1])
-        return self.joins[doubtful]
+        return self.joins[1:-1][self.probability[1:-1] < SURE]
 
     @property
     def elsewhere(self) -> Float64[np.ndarray, "k 2"]:

@@ -96,6 +96,16 @@ def test_no_slide_leads_through_what_is_unseen_or_hardly_known(bench, between):
     assert "unseen, undecided or hardly known up to the goal" in plan.reason
 
 
+@pytest.mark.parametrize("join", [(0.51, 0.51), (0.5095, 0.5105)], ids=["of one place", "between two samples"])
+def test_no_slide_leads_over_an_undecided_join_however_short(bench, join):
+    arm = bench.arm((0, 0, -0.01), reachable=lambda T: (T[:, 0, 3] < -0.003) | (T[:, 2, 3] > 0.045))
+    for between, status in ((0.99, Status.OK), (0.6, Status.FAILED)):
+        joins, probability = np.array([[0.0, 0.0], join, [1.0, 1.0]]), np.array([1.0, between, 1.0])
+        course = ThreadCourse(joins, probability, np.array([[0.0, join[0]], [1.0, join[1]]]))
+        thread = dataclasses.replace(bench.straight(), course=course)
+        assert plan_grasp(bench.goal(s=0.7), thread, arm, CONFIG).status is status
+
+
 def test_no_grasp_or_slide_is_where_the_thread_may_lead_elsewhere(bench):
     joins = np.array([[0.0, 0.0], [0.45, 0.55], [1.0, 1.0]])
     other = np.array([[0.0, 0.45], [1.0, 0.55]])
