@@ -1,6 +1,7 @@
 """Files that are made of recordings: they open as a recorder's own do, and say what was done to them."""
 
 import mimetypes
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ import schemas
 from agents.recorder.foxglove import FoxgloveCopies
 from schemas.topics import Topic
 from shared.recording.completeness import Completeness
-from shared.recording.derivation import BEGUN, DERIVED, Derivation, digest_of, unfinished_of
+from shared.recording.derivation import BEGUN, DERIVED, Derivation, as_far_as_held, digest_of, unfinished_of
 from shared.recording.entry import Entry, Note
 from shared.recording.foxglove_schemas import DESCRIPTORS
 from shared.recording.losses import COMPLETE, LOSSES
@@ -26,11 +27,12 @@ class DerivedFile:
 
     def __init__(self, path: Path) -> None:
         self._writer, self._copies = RecordingWriter(path), FoxgloveCopies()
-        self._notes = list[Note]()
+        self._notes, self._held = list[Note](), Counter[str]()
 
     def write(self, topic: Topic, entry: Entry) -> None:
         """Add a message."""
         self._writer.write(topic, entry)
+        self._held[entry.key] += 1
         for copy in self._copies.of(topic, entry):
             self._writer.write_derived(copy.channel, copy.schema, DESCRIPTORS, copy.payload, entry)
 
@@ -41,18 +43,22 @@ class DerivedFile:
         self._writer.note(BEGUN, derivation.note.facts)
 
     def note(self, note: Note) -> None:
-        """Add a note of the source; what sums up the source is left to `close`."""
+        """Add a note of the source; what sums up the source is left to `close`.
+
+        So is how many of its messages an agent that ran anew has made; meanwhile the source's derivation is begun.
+        """
         if note.name != LOSSES:
             self._notes.append(note)
-            self._writer.note(note.name, note.facts)
+            self._writer.note(BEGUN if note.name == DERIVED else note.name, note.facts)
 
     def close(self, derivation: Derivation, complete: bool | None, lost: Mapping[str, int]) -> None:
         """Say what the file was made of and what it lacks, and finish it.
 
         A source that was cut off has only said at its beginning what it was made of.
         """
-        for note in unfinished_of(self._notes):
-            self._writer.note(DERIVED, note.facts)
+        told = [note for note in self._notes if note.name == DERIVED]
+        for note in (*told, *unfinished_of(self._notes)):
+            self._writer.note(DERIVED, as_far_as_held(note, self._held).facts)
         self._writer.note(DERIVED, derivation.note.facts)
         known = {} if complete is None else {COMPLETE: str(complete and not lost)}
         self._writer.note(LOSSES, {key: str(count) for key, count in lost.items()} | known)

@@ -141,7 +141,7 @@ class RecordedViewer:
         if tapped is None:
             self.unknown[entry.key] += 1
             return
-        self._showing.show(tapped, entry.received_ns)
+        self._showing.show(tapped, entry.received_ns, counted=not entry.repeated)
         self._showing.count({})
         if tapped.topic == FRAMES and self._showing.shown[str(FRAMES)]:
             self.first_picture.set()

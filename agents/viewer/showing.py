@@ -51,12 +51,12 @@ class Showing:
         self.shown: Counter[str] = Counter()
         self.thinned: Counter[str] = Counter()
         self.unreadable: Counter[str] = Counter()
-        self._told = told
+        self._told, self._begun = told, False
         self._latest_ns = 0
         self._counted_ns = 0
 
-    def show(self, tapped: Tapped, received_ns: int | None = None) -> None:
-        """Show one message that was received then, or count why not."""
+    def show(self, tapped: Tapped, received_ns: int | None = None, counted: bool = True) -> None:
+        """Show one message that was received then, or count why not; a file repeats some that are none of its own."""
         topic = str(tapped.topic)
         published_ns = tapped.beside.published_ns if tapped.beside else self._latest_ns
         if received_ns is not None and tapped.beside:
@@ -70,7 +70,7 @@ class Showing:
             if (count := self.unreadable[topic]) & (count - 1) == 0:
                 self._log(Moment(self._latest_ns), [failure(tapped.key, str(error), count)])
             return
-        (self.shown if shown else self.thinned)[topic] += 1
+        (self.shown if shown else self.thinned)[topic] += counted
 
     def give_room(self, there_is_room: bool) -> None:
         """Show fewer frames where the machine is full, and as many as before where it has room again; and say so."""
@@ -109,7 +109,8 @@ class Showing:
             entities += latency_entities(tapped.topic, moment.capture_ns, tapped.beside, stage_ms)
         if isinstance(message, ThreadReconstruction) and message.status is Status.OK:
             self._lay_out(message)
-        if not self.shown:
+        if not self._begun:
+            self._begun = True
             entities += [*nothing_yet(), *(said(RECORDING, sentence) for sentence in self._told)]
         self._log(moment, entities)
         # not the latest of all: a single time in the far future must not end the counting

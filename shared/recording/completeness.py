@@ -3,7 +3,7 @@
 import contextlib
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -25,6 +25,7 @@ class Completeness:
         lost: messages that are known to be missing, by key.
         complete: None where nobody knows.
         derived: how it came from another recording, the newest last; empty for a recorder's own.
+        damage: what keeps the notes at its end from being read; empty where they were.
     """
 
     finished: bool
@@ -32,6 +33,7 @@ class Completeness:
     lost: dict[str, int]
     complete: bool | None
     derived: tuple[Derivation, ...] = ()
+    damage: str = ""
 
     @property
     def doubts(self) -> list[str]:
@@ -62,6 +64,8 @@ class Completeness:
     @property
     def sentence(self) -> str:
         """The same in plain words."""
+        if self.damage:
+            return self.damage
         gaps = ", ".join(f"{count} of {_without_rig(key)}" for key, count in sorted(self.lost.items()))
         if not self.finished:
             until = f"cut off {_when(self.last_ns)}, and what came in the last moments is missing"
@@ -91,17 +95,18 @@ def completeness(path: Path) -> Completeness:
         # where the index alone is damaged, the messages can be read all the same
         with contextlib.suppress(RecordingError):
             return completeness_of(finished_notes(path), True, None)
-    notes, last_ns = list[Note](), None
+    notes, last_ns, damage = list[Note](), None, ""
     try:
         for record in read_with_notes(path):
             if isinstance(record, Note):
                 notes.append(record)
             else:
                 last_ns = record.received_ns
-    except RecordingError:
+    except RecordingError as error:
         if last_ns is None:
             raise
-    return completeness_of(notes, finished, last_ns)
+        damage = str(error) if finished else ""
+    return replace(completeness_of(notes, finished, last_ns), damage=damage)
 
 
 def completeness_of(notes: Iterable[Note], finished: bool, last_ns: int | None) -> Completeness:

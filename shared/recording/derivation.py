@@ -5,7 +5,7 @@ A derived file keeps the notes of its source, which tell how the session was run
 
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -78,8 +78,11 @@ class Derivation:
         """The same in one line."""
         digest = f" (sha256 {self.sha256[:12]})" if self.sha256 else ""
         parts = [f"derived: {self.how}, of {self.source}{digest}"]
-        if self.agents:
-            parts.append(f"ran anew: {', '.join(self.agents)}; what other agents said is as of the source")
+        heard = [name for name, one in self.agents.items() if one.outputs or one.kept]
+        if heard:
+            parts.append(f"ran anew: {', '.join(heard)}; what other agents said is as of the source")
+        if silent := [name for name in self.agents if name not in heard]:
+            parts.append(f"nothing in it is of {', '.join(silent)}, which ran anew too")
         parts += [
             f"{one.kept} outputs of {name} are as of the source too" for name, one in self.agents.items() if one.kept
         ]
@@ -92,6 +95,24 @@ class Derivation:
         if self.read_as:
             parts.append(f"its messages were those of version {self.read_as}")
         return "; ".join(parts)
+
+
+def as_far_as_held(note: Note, held: Mapping[str, int]) -> Note:
+    """The note of a derivation of which a file holds only so many messages by key; other notes as they are."""
+    told = _read(note)
+    if told is None or not told.agents:
+        return note
+    agents = {name: _as_far_as_held(anew, held) for name, anew in told.agents.items()}
+    return Note(note.name, note.facts | {"agents": json.dumps({name: asdict(one) for name, one in agents.items()})})
+
+
+def _as_far_as_held(anew: Anew, held: Mapping[str, int]) -> Anew:
+    count = sum(held.get(key, 0) for key in anew.keys)
+    if count >= anew.outputs + anew.kept:
+        return anew
+    outputs = min(anew.outputs, count)
+    keys = tuple(key for key in anew.keys if held.get(key, 0))
+    return replace(anew, keys=keys, outputs=outputs, kept=min(anew.kept, count - outputs))
 
 
 def digest_of(path: Path) -> str:
@@ -117,11 +138,12 @@ def derivations(notes: Iterable[Note]) -> tuple[Derivation, ...]:
 def unfinished_of(notes: Iterable[Note]) -> list[Note]:
     """The notes of derivations that were begun, and cut off before they were told whole; the newest last.
 
-    A file says at its very beginning what it is made of, before it repeats what its source said.
+    A file says at its very beginning what it is made of, before it repeats what its source said, at first in short.
     """
     told = list(notes)
     finished = {_source(note) for note in told if note.name == DERIVED}
-    return [note for note in reversed(told) if note.name == BEGUN and _source(note) not in finished]
+    begun = {_source(note): note for note in told if note.name == BEGUN and _source(note) not in finished}
+    return list(reversed(begun.values()))
 
 
 def _source(note: Note) -> tuple[str, str]:

@@ -1,7 +1,7 @@
 """`suturegrasp cut`: a shorter recording out of a longer one."""
 
 from agents.cli.recordings.options import Cut
-from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE
+from agents.cli.running.process import EXIT_DAMAGED, EXIT_OK, EXIT_UNUSABLE
 from agents.cli.terminal import complain, say, warn
 from agents.cli.whole_file import OutputError, whole_file
 from agents.recorder.cutting import cut
@@ -32,4 +32,4 @@ def run(options: Cut) -> int:
     unused = f", without {report.unused} frames of which nothing was made" if report.unused else ""
     size = options.output.stat().st_size / 1e6
     say(f"{options.output}: {report.kept} messages of {(stretch[1] - stretch[0]) * 1e-9:.1f} s, {size:.1f} MB{unused}")
-    return EXIT_OK
+    return EXIT_DAMAGED if report.damage else EXIT_OK

@@ -2,9 +2,8 @@
 
 from pathlib import Path
 
-from agents.cli.recordings.inspect import EXIT_DAMAGED
 from agents.cli.recordings.options import Export
-from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE
+from agents.cli.running.process import EXIT_DAMAGED, EXIT_OK, EXIT_UNUSABLE
 from agents.cli.terminal import complain, say, warn
 from agents.inspection.export import export
 from agents.inspection.export_files import FORMATS

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from agents.cli.recordings.options import Inspect
-from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE
+from agents.cli.running.process import EXIT_DAMAGED, EXIT_OK, EXIT_UNUSABLE
 from agents.cli.terminal import complain, show, warn
 from agents.cli.whole_file import OutputError, whole_file
 from agents.inspection.comparison import comparison_tables
@@ -18,8 +18,6 @@ from agents.inspection.session import Session, read_session
 from agents.inspection.tables import head_lines, session_tables
 from agents.inspection.terminal_report import lines
 from shared.recording.entry import RecordingError
-
-EXIT_DAMAGED = 3
 
 
 def run(options: Inspect) -> int:

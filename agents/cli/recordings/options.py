@@ -50,7 +50,7 @@ class Export(OnRecording):
 class Cut(OnRecording):
     """Write a stretch of a recording to a file of its own, which all that works on recordings takes as well.
 
-    Exit status: 0 also for a damaged one, of which what can be read is written and the rest is told; 2 for none.
+    Exit status: 0, 2 for no recording, 3 for a damaged one, of which what could be read was written.
     """
 
     recording: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MCAP")]

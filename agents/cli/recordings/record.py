@@ -77,7 +77,9 @@ def record(rig: RigConfig, options: Record) -> int:
             met()
             _record_all(rig, connection, recordings, path.parent, stopped)
     except NoRouterError:
-        recordings.close(_say_end)
+        for empty in recordings.close(lambda _: None).paths:
+            empty.unlink(missing_ok=True)
+        say(f"no router came, so nothing was recorded, and no {path.name} was kept")
     return EXIT_UNUSABLE if any(report.fault for report in recordings.reports) else EXIT_OK
 
 

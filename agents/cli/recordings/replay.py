@@ -8,7 +8,7 @@ from collections.abc import Generator
 from agents.cli.recordings.options import Replay
 from agents.cli.recordings.replay_keys import steered
 from agents.cli.rig.config import RigConfig, simulated_rig
-from agents.cli.running.process import on_stop
+from agents.cli.running.process import EXIT_DAMAGED, on_stop
 from agents.cli.terminal import complain, say, warn
 from agents.replay.contents import Contents, contents_of, readable
 from agents.replay.controls import Controls
@@ -98,7 +98,7 @@ def _replay(options: Replay) -> int:
             except StuckError as error:
                 stuck = str(error)
             took_s = monotonic_s() - began_s
-    return _told(options, player.played, took_s, flow, stuck or contents.damage)
+    return _told(options, player.played, took_s, flow, stuck, contents.damage)
 
 
 @contextlib.contextmanager
@@ -180,7 +180,7 @@ def _announced(options: Replay, selection: Selection, settings: SessionSettings,
     return lines
 
 
-def _told(options: Replay, played: Played, took_s: float, flow: Flow | None, fault: str) -> int:
+def _told(options: Replay, played: Played, took_s: float, flow: Flow | None, stuck: str, damage: str) -> int:
     """Say what was sent and how well; the exit status."""
     for topic, answer in played.answers:
         say(f"{topic}: {'accepted' if answer.outcome is Outcome.ACCEPTED else answer.reason}")
@@ -195,4 +195,6 @@ def _told(options: Replay, played: Played, took_s: float, flow: Flow | None, fau
         say(f"{how}; spacing error {errors}; latest by {played.behind_s * 1e3:.1f} ms")
     else:
         say(how)
-    return complain(f"not all was replayed: {fault}", EXIT_INCOMPLETE) if fault else EXIT_OK
+    if not (stuck or damage):
+        return EXIT_OK
+    return complain(f"not all was replayed: {stuck or damage}", EXIT_INCOMPLETE if stuck else EXIT_DAMAGED)

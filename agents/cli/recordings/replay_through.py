@@ -1,6 +1,7 @@
 """`suturegrasp replay session.mcap --through perception`: agents on what they consumed, and what they say differently.
 
-Exit status: 0 where all is the same within tolerance, 1 where something differs, 2 where nothing can be compared.
+Exit status: 0 where all is the same within tolerance, 1 where something differs, 2 where nothing can be compared, 3
+where what can be read of a damaged recording is the same.
 """
 
 import functools
@@ -28,6 +29,7 @@ from agents.cli.recordings.replay_report import ThroughResult, lacking, report
 from agents.cli.rig.builders import build
 from agents.cli.rig.config import RigConfig
 from agents.cli.rig.configured import KINDS, configured
+from agents.cli.running.process import EXIT_DAMAGED
 from agents.cli.terminal import complain, say, show, warn
 from agents.cli.whole_file import OutputError, whole_file
 from agents.recorder.derived_file import DerivedFile, derived_from
@@ -101,7 +103,9 @@ def run_through(options: ThroughOptions) -> int:
         return complain(f"{options.recording} holds a message that cannot be read: {error}", EXIT_UNUSABLE)
     except OSError as error:
         return complain(f"{options.recording} cannot be read: {error.strerror or error}", EXIT_UNUSABLE)
-    return EXIT_SAME if result.comparison.is_same else EXIT_DIFFERENT
+    if not result.comparison.is_same:
+        return EXIT_DIFFERENT
+    return EXIT_DAMAGED if result.damage else EXIT_SAME
 
 
 def replayed(options: ThroughOptions) -> ThroughResult:
@@ -281,7 +285,7 @@ def _check_output(options: ThroughOptions) -> None:
         raise UnusableError(f"the folder {output.parent} of --output {output} does not exist; create it first")
     if output.exists() and options.recording.exists() and output.samefile(options.recording):
         raise UnusableError(f"--output {output} would overwrite the recording; give another name")
-    if output.exists() and output.suffix == ".mcap":
+    if output.exists():
         raise UnusableError(f"--output {output} exists already; give another name")
 
 

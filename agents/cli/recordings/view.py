@@ -11,7 +11,7 @@ from pathlib import Path
 from agents.cli.live.options import View
 from agents.cli.rig.config import RigConfig
 from agents.cli.running.around import telling, told_without
-from agents.cli.running.process import EXIT_GAVE_UP, EXIT_OK, EXIT_UNUSABLE, ONLOOKER, on_stop, step_back
+from agents.cli.running.process import EXIT_DAMAGED, EXIT_GAVE_UP, EXIT_OK, EXIT_UNUSABLE, ONLOOKER, on_stop, step_back
 from agents.cli.running.session_folder import free_path
 from agents.cli.terminal import complain, say, show
 from agents.viewer.live import LiveViewer, ViewerError, ViewerReport
@@ -37,6 +37,8 @@ def view(rig: RigConfig, options: View) -> int:
     output = free_path(options.output) if options.numbered and options.output else options.output
     stopped = threading.Event()
     on_stop(stopped.set)
+    if output is not None and output.exists():
+        return complain(f"{output} exists already; give another name", EXIT_UNUSABLE)
     if options.recording is not None:
         return _view_recording(options, options.recording, output, stopped)
     for name, given in (("--from", options.from_s), ("--to", options.to_s)):
@@ -75,10 +77,6 @@ def _view_rig(rig: RigConfig, output: Path | None, options: View, stopped: threa
 def _view_recording(options: View, recording: Path, output: Path | None, stopped: threading.Event) -> int:
     """Show a recording as fast as it goes, then say what was shown and what could not be read."""
     began_s = monotonic_s()
-    if output is not None and output.exists() and output.samefile(recording):
-        return complain(f"{output} is the recording itself; give another name", EXIT_UNUSABLE)
-    if output is not None and output.exists() and output.suffix == ".mcap":
-        return complain(f"{output} is a recording, which Rerun's would overwrite; give a name in .rrd", EXIT_UNUSABLE)
     if _show(options, output) == "file" and output is None:
         return complain(NO_FILE, EXIT_UNUSABLE)
     try:
@@ -109,7 +107,8 @@ def _view_recording(options: View, recording: Path, output: Path | None, stopped
     if viewer.window_failed:
         return complain(f"{CLOSED_AT_ONCE}{INSTEAD}", EXIT_UNUSABLE)
     if viewer.error is not None:
-        return complain(_told(viewer.error, recording), EXIT_GAVE_UP)
+        damaged = isinstance(viewer.error, RecordingError)
+        return complain(_told(viewer.error, recording), EXIT_DAMAGED if damaged else EXIT_GAVE_UP)
     return EXIT_OK
 
 

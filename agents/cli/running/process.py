@@ -13,7 +13,7 @@ from pathlib import Path
 
 from agents.cli.running.supervisor import SUPERVISED, UNUSABLE
 
-EXIT_OK, EXIT_GAVE_UP, EXIT_UNUSABLE = 0, 1, UNUSABLE
+EXIT_OK, EXIT_GAVE_UP, EXIT_UNUSABLE, EXIT_DAMAGED = 0, 1, UNUSABLE, 3
 STOPPING = signal.SIGINT, signal.SIGTERM
 ENDS_WITHIN_S, STANDARD_ERROR = 20.0, 2
 """Less than a service manager waits before it kills."""

@@ -78,8 +78,9 @@ def up(rig: RigConfig, options: Up) -> int:
 
 def kept_in(rig: RigConfig, folder: Path) -> str:
     """What of a session lies in its folder."""
-    recording = " and the recording" if rig.recorder is not None else ""
-    return f"their logs{recording} lie in {folder}"
+    kept = {"recording (session.mcap)": rig.recorder, "what Rerun shows (session.rrd)": rig.viewer}
+    told = [what for what, section in kept.items() if section is not None]
+    return f"their {', '.join(['logs', *told[:-1]])}{f' and {told[-1]}' if told else ''} lie in {folder}"
 
 
 def write_config(path: Path, rig: RigConfig) -> None:

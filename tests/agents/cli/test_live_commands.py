@@ -3,7 +3,9 @@
 import contextlib
 import re
 import shutil
+import signal
 import subprocess
+import sys
 from types import SimpleNamespace
 from typing import Any
 
@@ -22,6 +24,7 @@ from agents.planner.agent import Planner
 from schemas.messages import Checked, CommandAnswer, ExecutionEvent, ExecutionKind, Outcome
 from shared.runtime.connection import connected
 from shared.runtime.session import free_local_endpoint
+from tests.conftest import wait_until
 
 BASH = shutil.which("bash") or ""
 
@@ -41,6 +44,17 @@ def test_without_router_a_command_says_so_in_one_line(suturegrasp, nowhere, monk
         ended = suturegrasp(*command.split(), "--config", nowhere)
         assert (ended.status, ended.out, len(ended.err.splitlines())) == (2, "", 1), command
         assert "no router answers on tcp/127.0.0.1" in ended.err
+
+
+def test_a_recorder_that_met_no_router_leaves_no_file(nowhere, tmp_path):
+    output = tmp_path / "session.mcap"
+    command = [sys.executable, "-m", "agents.cli", "record", "--config", nowhere, "--output", output]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        wait_until(output.exists)
+        process.send_signal(signal.SIGINT)
+        said, _ = process.communicate(timeout=20)
+    assert "no router came, so nothing was recorded" in said
+    assert not output.exists()
 
 
 @pytest.mark.parametrize(

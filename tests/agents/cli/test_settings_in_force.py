@@ -118,3 +118,15 @@ def test_an_agent_that_said_nothing_does_not_stop_the_replay_of_another(tmp_path
     assert "planner: said nothing in this recording" in capsys.readouterr().out
     assert run("replay", early, "--through", "planner") == EXIT_UNUSABLE
     assert "the recording holds no output of planner; it has some of: camera" in capsys.readouterr().err
+
+
+def test_a_cut_names_as_run_anew_only_what_it_holds(tmp_path):
+    derived, early, late = (tmp_path / f"{name}.mcap" for name in ("derived", "early", "late"))
+    run("replay", EXAMPLE, "--through", "planner", "--output", derived)
+    made = completeness(derived).ran_anew["planner"].outputs
+    run("cut", derived, "--to", "0.4", "--output", early)
+    run("cut", derived, "--from", "3", "--output", late)
+    assert completeness(early).ran_anew["planner"].outputs == 0
+    assert "nothing in it is of planner" in completeness(early).derived[-2].sentence
+    assert 0 < completeness(late).ran_anew["planner"].outputs <= made
+    assert "ran anew: planner;" in completeness(late).derived[-2].sentence

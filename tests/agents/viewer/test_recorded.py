@@ -160,8 +160,8 @@ def test_the_command_names_messages_that_are_none(session_messages, view, tmp_pa
         (("nowhere.mcap",), "nowhere.mcap cannot be read"),
         ((__file__, "--output", "x.rrd"), "is no recording"),
         (("--from", "1"), "cuts a recording, and none is named"),
-        (("{recording}", "--output", "{recording}"), "is the recording itself"),
-        (("{recording}", "--output", "{another}"), "is a recording, which Rerun's would overwrite"),
+        (("{recording}", "--output", "{recording}"), "exists already; give another name"),
+        (("{recording}", "--output", "{another}"), "exists already; give another name"),
         (("{recording}",), "there is no screen here"),
     ],
 )
