@@ -125,7 +125,7 @@ def test_a_cut_names_as_run_anew_only_what_it_holds(tmp_path):
     run("replay", EXAMPLE, "--through", "planner", "--output", derived)
     made = completeness(derived).ran_anew["planner"].outputs
     run("cut", derived, "--to", "0.4", "--output", early)
-    run("cut", derived, "--from", "3", "--output", late)
+    run("cut", derived, "--from", "0.7", "--output", late)
     assert completeness(early).ran_anew["planner"].outputs == 0
     assert "nothing in it is of planner" in completeness(early).derived[-2].sentence
     assert 0 < completeness(late).ran_anew["planner"].outputs <= made
