@@ -35,8 +35,10 @@ from schemas.messages import (
     StereoCalibration,
     StereoFrame,
     ThreadObservations,
+    ThreadReconstruction,
+    TrackStep,
 )
-from schemas.topics import CALIBRATION, FRAMES, MAIN, OBSERVATIONS, PROMPT, SURFACE, Topic
+from schemas.topics import CALIBRATION, FRAMES, MAIN, OBSERVATIONS, PROMPT, SURFACE, THREAD, Topic
 from shared.aside import begun
 from shared.calibration.identity import calibration_id
 from shared.calibration.uncertainty import covariance_of
@@ -46,6 +48,8 @@ from shared.runtime.agent import Command, Input, Later, Output, Received, Reply,
 from shared.runtime.settable import OneOf, settable
 
 Pixel = Float64[np.ndarray, "2"]
+LATEST_CURVE = 15
+"""Of the camera's frames: half a second, as long as a curve is a prediction of the next one."""
 FOLLOWED = (NETWORK,)
 """Segmenters for tissue, whose thread may be followed in between; `threshold` takes no longer than that."""
 
@@ -80,7 +84,11 @@ class Perception:
 
     kind = "perception"
     instance = MAIN
-    inputs = (Input(FRAMES, only_newest_counts=True), Input(CALIBRATION, only_newest_counts=True))
+    inputs = (
+        Input(FRAMES, only_newest_counts=True),
+        Input(CALIBRATION, only_newest_counts=True),
+        Input(THREAD, only_newest_counts=True, only_remembered=True),
+    )
     outputs = (SURFACE, OBSERVATIONS)
     goes_on_from = OBSERVATIONS
     commands: tuple[Topic, ...] = (PROMPT,)
@@ -94,6 +102,7 @@ class Perception:
         # made for the first frame of its size: a calibration may claim any size
         self._rectification: Rectification | None = None
         self._last: ThreadObservations | None = None
+        self._thread: ThreadReconstruction | None = None
         self._prompt_px: Pixel | None = None
         self._frame: StereoFrame | None = None
 
@@ -109,8 +118,10 @@ class Perception:
             return
         elif arrived.topic is CALIBRATION:
             self._calibration, self._rectification, self._frame = arrived.message, None, None
-            self._calibration_id = calibration_id(arrived.message)
+            self._calibration_id, self._thread = calibration_id(arrived.message), None
             self._go_on_from(None)
+        elif arrived.topic is THREAD:
+            self._thread = arrived.message
         elif arrived.topic is OBSERVATIONS:
             self._go_on_from(arrived.message)
         elif self._calibration is not None:
@@ -206,11 +217,28 @@ class Perception:
         self, stamp: FrameStamp, pair: RectifiedPair, last: ThreadObservations, is_watched: bool
     ) -> FollowedPair | None:
         """The thread followed from the last observations, and told apart; None where it is to be looked for."""
+        if self._is_lost(last):
+            return None
         between = FRAMES_BETWEEN_LOOKS_WATCHED if is_watched else FRAMES_BETWEEN_LOOKS
-        found = follow_pair(stamp, pair.camera, pair.images, last, between)
+        found = follow_pair(stamp, pair.camera, pair.images, last, between, self._curve(stamp, pair))
         if found is None:
             return None
         return replace(found, observed=told_apart(found.observed, pair.images, last))
+
+    def _is_lost(self, last: ThreadObservations) -> bool:
+        """Whether the curve was lost or begun anew in a frame since which thread has not been looked for."""
+        thread, looked = self._thread, last.segmented_sequence
+        if thread is None or thread.track is None or looked is None or thread.stamp.sequence <= looked:
+            return False
+        return thread.track.step in (TrackStep.RESTARTED, TrackStep.LOST)
+
+    def _curve(self, stamp: FrameStamp, pair: RectifiedPair) -> ThreadReconstruction | None:
+        """The newest curve; None where it is too old, of another camera, or lost."""
+        thread = self._thread
+        if thread is None or thread.status is not Status.OK or thread.camera != pair.camera:
+            return None
+        since = stamp.sequence - thread.stamp.sequence
+        return thread if 0 < since <= LATEST_CURVE else None
 
     def _observed(
         self,

@@ -1,7 +1,8 @@
-"""Agents on a recording, one after the other: each is fed exactly what it consumed, and says what it makes of it now.
+"""Agents on a recording: each is fed exactly what it consumed, and says what it makes of it now.
 
-What one of them says takes the place of what was recorded, at its recorded time, before the next one is fed. So a
-change of perception shows in threads and plans. Where an output cannot be repeated, the recorded one stays.
+What one of them says takes the place of what was recorded before whoever consumed that is fed. So a change of
+perception shows in threads and plans, and in what perception itself makes of those threads. Where an output cannot be
+repeated, the recorded one stays.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -13,10 +14,7 @@ from schemas.topics import Topic
 from shared.clock import monotonic_s
 from shared.recording.mcap_file import Entry
 from shared.runtime.agent import Agent, Command, Input, Output, Received, Tick, awaited
-from shared.runtime.replay import Replayed, replay
-
-Place = tuple[str, int, int]
-"""Key, run and number of a message."""
+from shared.runtime.replay import Place, Replay, Replayed, Step, place_of
 
 
 @dataclass(frozen=True)
@@ -64,41 +62,107 @@ def replay_through(stages: Sequence[Stage], recording: Sequence[Entry]) -> tuple
     Raises:
         ReplayError, MessageError: where the recording holds what cannot be fed.
     """
-    outcomes: list[Outcome] = []
-    for stage in stages:
-        outcome = _replayed(stage, recording)
-        outcomes.append(outcome)
-        recording = with_replayed(recording, outcome.outputs)
-    return outcomes, list(recording)
+    replaying = [_Replaying(stage, recording) for stage in stages]
+    try:
+        together = _Together(replaying, recording)
+        for owner, number in together.in_order():
+            together.run_until(owner, number)
+        outcomes = [each.outcome() for each in replaying]
+    finally:
+        for each in replaying:
+            each.close()
+    return outcomes, with_replayed(recording, [output for outcome in outcomes for output in outcome.outputs])
 
 
 def with_replayed(recording: Iterable[Entry], outputs: Iterable[Replayed]) -> list[Entry]:
     """The recording with the replayed outputs in the places of the recorded ones; without those made no more."""
-    now: dict[Place, bytes | None] = {(r.key, r.epoch, r.sequence): r.now for r in outputs if not r.missing}
+    now: dict[Place, bytes | None] = {place_of(r): r.now for r in outputs if not r.missing}
     result: list[Entry] = []
     for entry in recording:
-        payload = now.get((entry.key, entry.epoch, entry.sequence), entry.payload)
+        payload = now.get(place_of(entry), entry.payload)
         if payload is not None:
             result.append(entry if payload is entry.payload else replace(entry, payload=payload))
     return result
 
 
-def _replayed(stage: Stage, recording: Iterable[Entry]) -> Outcome:
-    timed: list[_Timed] = []
+class _Replaying:
+    """One stage, and how far it has come.
 
-    def build() -> Agent:
-        timed.append(_Timed(stage.build()))
-        return timed[-1]
+    Fields:
+        done: how many of its steps were repeated.
+    """
 
-    try:
-        outputs = tuple(replay(build, recording, from_own_state=True))
-    finally:
-        for agent in timed:
+    def __init__(self, stage: Stage, recording: Sequence[Entry]) -> None:
+        self._stage, self._timed = stage, list[_Timed]()
+        self.replay = Replay(self._build, recording, from_own_state=True)
+        self.done = 0
+        self._outputs = list[Replayed]()
+
+    def _build(self) -> "_Timed":
+        self._timed.append(_Timed(self._stage.build()))
+        return self._timed[-1]
+
+    def repeat_next(self) -> list[Replayed]:
+        """The outputs of the next step."""
+        step = self.replay.steps[self.done]
+        self.done += 1
+        made = self.replay.repeat(step)
+        self._outputs += made
+        return made
+
+    def outcome(self) -> Outcome:
+        """What became of it."""
+        faults = [fault for agent in self._timed for fault in agent.faults]
+        steps_ms = tuple(step_ms for agent in self._timed for step_ms in agent.steps_ms)
+        return Outcome(self._stage.name, tuple(self._outputs), steps_ms, len(faults), faults[0] if faults else "")
+
+    def close(self) -> None:
+        """Let the agents go."""
+        for agent in self._timed:
             agent.close()
-    faults = [fault for agent in timed for fault in agent.faults]
-    first = faults[0] if faults else ""
-    steps_ms = tuple(step_ms for agent in timed for step_ms in agent.steps_ms)
-    return Outcome(stage.name, outputs, steps_ms, len(faults), first)
+
+
+class _Together:
+    """Several stages, each step after those that made what it consumed: agents may consume each other's outputs."""
+
+    def __init__(self, stages: Sequence[_Replaying], recording: Sequence[Entry]) -> None:
+        self._stages, self._recorded = stages, {place_of(entry): entry for entry in recording}
+        self._made_by = {
+            place_of(output): (stage, number)
+            for stage in stages
+            for number, step in enumerate(stage.replay.steps)
+            for output in step.outputs
+        }
+
+    def in_order(self) -> list[tuple[_Replaying, int]]:
+        """All steps, by when the recorder heard of them."""
+        steps = [(stage, number) for stage in self._stages for number in range(len(stage.replay.steps))]
+        return sorted(steps, key=lambda step: self._received_ns(step[0].replay.steps[step[1]]))
+
+    def run_until(self, stage: _Replaying, number: int) -> None:
+        """Repeat steps of a stage up to this one, and before each what it consumed."""
+        while stage.done <= number:
+            for consumed in stage.replay.steps[stage.done].consumed:
+                made_by = self._made_by.get(place_of(consumed))
+                if made_by is not None and made_by[0] is not stage:
+                    self.run_until(*made_by)
+            for output in stage.repeat_next():
+                self._put(output, stage)
+
+    def _put(self, output: Replayed, by: _Replaying) -> None:
+        """Have what is made now consumed by other stages in place of what was recorded; its own goes on by itself."""
+        if output.missing:
+            return
+        place = place_of(output)
+        for messages in (stage.replay.messages for stage in self._stages if stage is not by):
+            if place in messages:
+                if output.now is None:
+                    del messages[place]
+                else:
+                    messages[place] = replace(self._recorded[place], payload=output.now)
+
+    def _received_ns(self, step: Step) -> int:
+        return min(self._recorded[place_of(output)].received_ns for output in step.outputs)
 
 
 class _Timed:

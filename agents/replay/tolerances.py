@@ -83,6 +83,7 @@ _RECONSTRUCTION: dict[str, Rule] = {
     "track.control_points_camera": Rule(ignored="compared as `curve`"),
     "track.row_offset_px": Rule(0.05, "px"),
     "track.row_slopes_px": Rule(0.5, "px"),
+    "track.velocity_camera": Rule(ignored="two curves, which are compared as `curve`, apart"),
     "track.length": Rule(0.02, "share", measures.relative),
     "track.material_s": Rule(0.02, "s"),
     "unseen": Rule(0.03, "s", measures.stretches_apart),

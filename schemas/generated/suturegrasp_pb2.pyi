@@ -582,7 +582,7 @@ class Crossing(_message.Message):
     def __init__(self, s_first: _Optional[float] = ..., s_second: _Optional[float] = ..., point_px: _Optional[_Union[Array, _Mapping]] = ..., over: _Optional[_Union[Over, str]] = ..., depth_apart: _Optional[float] = ...) -> None: ...
 
 class ThreadTrack(_message.Message):
-    __slots__ = ("step", "reason", "frames", "innovation", "found_share", "stamp", "knots", "control_points_camera", "covariance", "smoothing", "span_weight", "row_offset_px", "length", "material_s", "row_slopes_px")
+    __slots__ = ("step", "reason", "frames", "innovation", "found_share", "stamp", "knots", "control_points_camera", "covariance", "smoothing", "span_weight", "row_offset_px", "length", "material_s", "row_slopes_px", "velocity_camera")
     STEP_FIELD_NUMBER: _ClassVar[int]
     REASON_FIELD_NUMBER: _ClassVar[int]
     FRAMES_FIELD_NUMBER: _ClassVar[int]
@@ -598,6 +598,7 @@ class ThreadTrack(_message.Message):
     LENGTH_FIELD_NUMBER: _ClassVar[int]
     MATERIAL_S_FIELD_NUMBER: _ClassVar[int]
     ROW_SLOPES_PX_FIELD_NUMBER: _ClassVar[int]
+    VELOCITY_CAMERA_FIELD_NUMBER: _ClassVar[int]
     step: TrackStep
     reason: str
     frames: int
@@ -613,7 +614,8 @@ class ThreadTrack(_message.Message):
     length: float
     material_s: Array
     row_slopes_px: Array
-    def __init__(self, step: _Optional[_Union[TrackStep, str]] = ..., reason: _Optional[str] = ..., frames: _Optional[int] = ..., innovation: _Optional[float] = ..., found_share: _Optional[float] = ..., stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., knots: _Optional[_Union[Array, _Mapping]] = ..., control_points_camera: _Optional[_Union[Array, _Mapping]] = ..., covariance: _Optional[_Union[Array, _Mapping]] = ..., smoothing: _Optional[float] = ..., span_weight: _Optional[_Union[Array, _Mapping]] = ..., row_offset_px: _Optional[float] = ..., length: _Optional[float] = ..., material_s: _Optional[_Union[Array, _Mapping]] = ..., row_slopes_px: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
+    velocity_camera: Array
+    def __init__(self, step: _Optional[_Union[TrackStep, str]] = ..., reason: _Optional[str] = ..., frames: _Optional[int] = ..., innovation: _Optional[float] = ..., found_share: _Optional[float] = ..., stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., knots: _Optional[_Union[Array, _Mapping]] = ..., control_points_camera: _Optional[_Union[Array, _Mapping]] = ..., covariance: _Optional[_Union[Array, _Mapping]] = ..., smoothing: _Optional[float] = ..., span_weight: _Optional[_Union[Array, _Mapping]] = ..., row_offset_px: _Optional[float] = ..., length: _Optional[float] = ..., material_s: _Optional[_Union[Array, _Mapping]] = ..., row_slopes_px: _Optional[_Union[Array, _Mapping]] = ..., velocity_camera: _Optional[_Union[Array, _Mapping]] = ...) -> None: ...
 
 class Consumed(_message.Message):
     __slots__ = ("key", "epoch", "sequence")

@@ -307,6 +307,7 @@ class ThreadTrack:
         length: of the curve when the track was begun, in the unit of the calibration.
         material_s: which places of the thread the ends of the curve are, on the scale of the first curve, of which
             they are 0 and 1.
+        velocity_camera: of the control points, a second, since the frame before; None in a track's first frame.
     """
 
     step: TrackStep
@@ -324,6 +325,7 @@ class ThreadTrack:
     length: float
     material_s: Float64[np.ndarray, "2"]
     row_slopes_px: Float64[np.ndarray, "3"] | None = None
+    velocity_camera: Float64[np.ndarray, "m 3"] | None = None
 
     def __post_init__(self) -> None:
         check_message(self)

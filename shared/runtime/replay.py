@@ -16,7 +16,7 @@ import dataclasses
 import functools
 import logging
 from collections import defaultdict, deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
@@ -28,8 +28,8 @@ from shared.runtime.fed import adds_up, is_tick, state_topic
 from shared.runtime.parameters import Parameters
 
 
-class Recorded(Protocol):
-    """One recorded message: its key, its number in which run of its publisher, and its bytes."""
+class Placed(Protocol):
+    """What names a message: its key, and its number in which run of its publisher."""
 
     @property
     def key(self) -> str: ...
@@ -37,6 +37,11 @@ class Recorded(Protocol):
     def epoch(self) -> int: ...
     @property
     def sequence(self) -> int: ...
+
+
+class Recorded(Placed, Protocol):
+    """One recorded message, with its bytes."""
+
     @property
     def payload(self) -> bytes: ...
 
@@ -70,7 +75,9 @@ class ReplayError(ValueError):
     """A recording that cannot be replayed; the text says why."""
 
 
-class _Place(NamedTuple):
+class Place(NamedTuple):
+    """Key, run and number of a message."""
+
     key: str
     epoch: int
     sequence: int
@@ -83,16 +90,16 @@ _Steps = dict[tuple[Consumed, ...], list[Recorded]]
 class _Run:
     """One run of the agent, from its start: what was fed to it, and what is missing since."""
 
-    def __init__(self, agent: Agent, messages: Mapping[_Place, Recorded], from_own_state: bool) -> None:
+    def __init__(self, agent: Agent, messages: Mapping[Place, Recorded], from_own_state: bool) -> None:
         self._agent, self._messages = agent, messages
         # what goes on from its last output alone loses no more than the next one
         self._adds_up = adds_up(agent) and state_topic(agent) is None
         self._parameters = Parameters(agent)
         self._from_own_state = from_own_state
-        self._fed: set[_Place] = set()
+        self._fed: set[Place] = set()
         self._missing: tuple[Consumed, ...] = ()
 
-    def repeat(self, consumed: tuple[Consumed, ...], outputs: list[Recorded]) -> Iterator[Replayed]:
+    def repeat(self, consumed: tuple[Consumed, ...], outputs: Sequence[Recorded]) -> Iterator[Replayed]:
         """The outputs of a step beside what is made now, once what is new of its list has been fed."""
         made: list[Output] = []
         unrecorded: list[Output] = []
@@ -100,7 +107,7 @@ class _Run:
             # the last one is what the recorded outputs followed from
             unrecorded += made
             made = self._outputs(arrived)
-        missing = tuple(c for c in consumed if not is_tick(c.key) and _place(c) not in self._messages)
+        missing = tuple(c for c in consumed if not is_tick(c.key) and place_of(c) not in self._messages)
         if missing or not self._adds_up:
             self._missing = (*self._missing, *missing) if self._adds_up else missing
         for output in outputs:
@@ -108,13 +115,13 @@ class _Run:
             now = None if self._missing else _next_of(made, str(topic), consumed)
             if self._from_own_state and now is not None and topic is state_topic(self._agent):
                 # its state is the agent's own from here on, and need not be fed
-                self._fed.add(_place(output))
+                self._fed.add(place_of(output))
             more = sum(other.topic is topic for other in unrecorded)
-            yield Replayed(*_place(output), output.payload, now, self._missing, more)
+            yield Replayed(*place_of(output), output.payload, now, self._missing, more)
 
     def _still_to_feed(self, consumed: tuple[Consumed, ...]) -> Iterator[Received | Tick | Command]:
         for listed in consumed:
-            place, recorded = _place(listed), self._messages.get(_place(listed))
+            place, recorded = place_of(listed), self._messages.get(place_of(listed))
             if is_tick(listed.key):
                 yield Tick(listed.sequence)
             elif recorded is not None and place not in self._fed and self._is_fed(listed.key):
@@ -135,6 +142,46 @@ class _Run:
         return topic not in self._agent.outputs or topic is state_topic(self._agent)
 
 
+@dataclass(frozen=True)
+class Step:
+    """One step of an agent: what it listed as consumed, and its outputs."""
+
+    run: int
+    consumed: tuple[Consumed, ...]
+    outputs: tuple[Recorded, ...]
+
+
+class Replay:
+    """The replay of one agent, step by step, run by run.
+
+    Fields:
+        steps: in the order in which they are repeated.
+        messages: what is fed, by place; whoever replays several agents puts there what each of them makes now.
+    """
+
+    def __init__(self, build: Callable[[], Agent], recording: Iterable[Recorded], from_own_state: bool = False) -> None:
+        """See `replay`."""
+        agent = build()
+        concern = functools.cache(functools.partial(_concerns, agent))
+        self.messages: dict[Place, Recorded] = {place_of(r): r for r in recording if concern(r.key)}
+        runs: dict[int, _Steps] = {}
+        for recorded in self.messages.values():
+            if _is_output(agent, recorded.key):
+                consumed = decode(topic_of(recorded.key).message, recorded.payload).consumed
+                runs.setdefault(recorded.epoch, {}).setdefault(consumed, []).append(recorded)
+        self.steps = [
+            Step(run, consumed, tuple(steps[consumed])) for run, steps in runs.items() for consumed in _in_order(steps)
+        ]
+        self._build, self._from_own_state = build, from_own_state
+        self._runs: dict[int, _Run] = {}
+
+    def repeat(self, step: Step) -> list[Replayed]:
+        """The outputs of the next step of its run, beside what is made now."""
+        if step.run not in self._runs:
+            self._runs[step.run] = _Run(self._build(), self.messages, self._from_own_state)
+        return list(self._runs[step.run].repeat(step.consumed, step.outputs))
+
+
 def replay(
     build: Callable[[], Agent], recording: Iterable[Recorded], from_own_state: bool = False
 ) -> Iterator[Replayed]:
@@ -147,24 +194,15 @@ def replay(
     Raises:
         ReplayError: where a command is of an unknown topic.
     """
-    agent = build()
-    concern = functools.cache(functools.partial(_concerns, agent))
-    messages = {_place(r): r for r in recording if concern(r.key)}
-    runs: dict[int, _Steps] = {}
-    for recorded in messages.values():
-        if _is_output(agent, recorded.key):
-            consumed = decode(topic_of(recorded.key).message, recorded.payload).consumed
-            runs.setdefault(recorded.epoch, {}).setdefault(consumed, []).append(recorded)
-    for steps in runs.values():
-        run = _Run(build(), messages, from_own_state)
-        for consumed in _in_order(steps):
-            yield from run.repeat(consumed, steps[consumed])
+    replayed = Replay(build, recording, from_own_state)
+    for step in replayed.steps:
+        yield from replayed.repeat(step)
 
 
 def _in_order(steps: _Steps) -> Iterator[tuple[Consumed, ...]]:
     """Each step after the one whose output it names as the one before; those that name none, as they were recorded."""
-    made_by = {_place(output): consumed for consumed, outputs in steps.items() for output in outputs}
-    before = {step: next((made_by[p] for p in map(_place, step) if p in made_by), None) for step in steps}
+    made_by = {place_of(output): consumed for consumed, outputs in steps.items() for output in outputs}
+    before = {step: next((made_by[p] for p in map(place_of, step) if p in made_by), None) for step in steps}
     # several steps name the same one where those between gave no output that the next goes on from
     after: defaultdict[tuple[Consumed, ...] | None, list[tuple[Consumed, ...]]] = defaultdict(list)
     for step, named in before.items():
@@ -177,8 +215,9 @@ def _in_order(steps: _Steps) -> Iterator[tuple[Consumed, ...]]:
             waiting.extend(after[step])
 
 
-def _place(named: Recorded | Consumed) -> _Place:
-    return _Place(named.key, named.epoch, named.sequence)
+def place_of(named: Placed) -> Place:
+    """Where a message stands in a recording."""
+    return Place(named.key, named.epoch, named.sequence)
 
 
 def _concerns(agent: Agent, key: str) -> bool:

@@ -8,6 +8,7 @@ import os
 import pytest
 from mcap.writer import Writer
 
+from agents.camera.scene_source import calibration_of
 from agents.cli.main import main
 from agents.cli.recordings.config import changed, in_force, recorded_config
 from agents.cli.recordings.options import Replay
@@ -21,16 +22,20 @@ from agents.cli.recordings.replay_through import (
 )
 from agents.cli.recordings.side_by_side import curves_of
 from agents.cli.rig.config import CameraSection, PerceptionSection, ReconstructionSection, simulated_rig
+from agents.perception.agent import Perception
 from agents.reconstruction.agent import Reconstruction
 from agents.replay.through import Stage, replay_through
 from schemas.codec import decode, encode
-from schemas.messages import ThreadObservations, ThreadReconstruction
-from schemas.topics import CALIBRATION, OBSERVATIONS, THREAD, topic_of
+from schemas.messages import ImageEncoding, RectifiedStereo, StereoFrame, ThreadObservations, ThreadReconstruction
+from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS, THREAD, topic_of
+from shared.images import encode_image
 from shared.recording.completeness import completeness
 from shared.recording.mcap_file import read_attachments, read_recording
-from shared.runtime.agent import Received
+from shared.runtime.agent import Output, Received
 from shared.runtime.config import ConfigError
+from shared.runtime.lockstep import Lockstep
 from tests.goldens.bless import GOLDENS, THROUGH, blessed
+from tests.rigs.sequences import Kind, images_of, stamp_of
 
 
 @pytest.fixture(scope="module")
@@ -192,6 +197,37 @@ def test_steps_that_fail_are_counted_with_their_first_reason(golden):
     (outcome,), _ = replay_through([Stage("reconstruction", Failing)], list(read_recording(golden)))
     # fed with both observations, and with the recorded thread where it has made none of its own
     assert (outcome.faults, outcome.first_fault) == (3, "ZeroDivisionError: by perception/observations")
+
+
+@pytest.fixture(scope="module")
+def tracked():
+    """A session of perception and reconstruction, each of which consumes what the other says."""
+    camera = RectifiedStereo(480, 270, 500.0, 500.0, 239.5, 134.5, 5.5, 1e-3)
+    lockstep = Lockstep(Perception(), Reconstruction(), rig="tracked")
+    lockstep.tell([Output(CALIBRATION, calibration_of(camera))])
+    for number, drawn in enumerate(images_of("medium", 3, Kind("slow", 2.0, 5.0), 4, camera, "tissue")):
+        left, right = (encode_image(image, ImageEncoding.RAW) for image in drawn.images)
+        lockstep.tell([Output(FRAMES, StereoFrame(stamp_of(number), left, right))])
+    return lockstep.entries
+
+
+def test_agents_that_consume_each_others_outputs_are_replayed_together(tracked):
+    def stages(method="refined"):
+        return [Stage("perception", Perception), Stage("reconstruction", lambda: Reconstruction(method))]
+
+    outcomes, after = replay_through(stages(), tracked)
+    assert all(output.same for outcome in outcomes for output in outcome.outputs)
+    assert after == tracked
+    listed = [decode(ThreadObservations, entry.payload) for entry in tracked if topic_of(entry.key) is OBSERVATIONS]
+    assert [any(topic_of(c.key) is THREAD for c in one.consumed) for one in listed] == [False, True, True, True]
+    # threads of another method have no track, so that perception is told nothing of where the curve is
+    (observed, _), _ = replay_through(stages("paper"), tracked)
+    assert [output.same for output in observed.outputs if topic_of(output.key) is OBSERVATIONS] == [
+        True,
+        False,
+        False,
+        False,
+    ]
 
 
 def test_both_sides_and_the_differences_are_in_one_rerun_file(golden, tmp_path, capsys):

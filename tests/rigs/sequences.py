@@ -29,6 +29,7 @@ DISTANCE_MM = 100.0
 RATE_HZ = 30.0
 SAMPLES = 401
 JUMP_PX = 100.0
+TOOL_GREY = 150
 BAND_SHARE = 0.14
 """Of the image's width: how wide the tool is that passes."""
 
@@ -63,6 +64,15 @@ KINDS = (
 
 
 @dataclass(frozen=True)
+class Drawn:
+    """Both images and true masks, and where each of evenly spaced material points is."""
+
+    images: list[UInt8[np.ndarray, "h w 3"]]
+    masks: list[UInt8[np.ndarray, "h w"]]
+    truth: Float64[np.ndarray, "n 3"]
+
+
+@dataclass(frozen=True)
 class Frame:
     """What perception saw, and where each of evenly spaced material points is; visible: in either image."""
 
@@ -74,30 +84,49 @@ def sequence(
     config: str, seed: int, kind: Kind, frames: int, binary: bool, camera: RectifiedStereo = CAMERA
 ) -> Iterator[Frame]:
     """The frames of a moving thread, masks given."""
-    first = thread_on(camera, surface_of(camera, "plain", DISTANCE_MM, seed), config, seed)
-    backdrop = render_backdrop(camera, "plain", DISTANCE_MM, seed)
+    for number, drawn in enumerate(images_of(config, seed, kind, frames, camera)):
+        masks = [np.where(mask >= 128, 255, 0).astype(np.uint8) for mask in drawn.masks] if binary else drawn.masks
+        (left, right), (mask_left, mask_right) = drawn.images, masks
+        seen = observe(stamp_of(number), camera, left, right, mask_left, mask_right, "mask", matching=False)
+        # the camera is as it says
+        seen = replace(seen, calibration_covariance=np.zeros((len(ERRORS), len(ERRORS))))
+        yield Frame(as_sent(seen), drawn.truth)
+
+
+def stamp_of(number: int) -> FrameStamp:
+    """When a frame was taken."""
+    at_ns = round(number * 1e9 / RATE_HZ)
+    return FrameStamp(number, at_ns, at_ns, "")
+
+
+def images_of(
+    config: str,
+    seed: int,
+    kind: Kind,
+    frames: int,
+    camera: RectifiedStereo = CAMERA,
+    background: str = "plain",
+) -> Iterator[Drawn]:
+    """The images of a moving thread."""
+    first = thread_on(camera, surface_of(camera, background, DISTANCE_MM, seed), config, seed)
+    backdrop = render_backdrop(camera, background, DISTANCE_MM, seed)
     for number in range(frames):
         thread = moved(first, camera, kind, number / RATE_HZ, seed)
         if kind.jump_at is not None and number >= kind.jump_at:
             thread = _shifted(
                 thread, np.array((0.3, 0.954, 0.0)) * JUMP_PX * DISTANCE_MM / camera.fx_px * _inward(thread, camera)
             )
-        views = render_thread(camera, thread, "violet", backdrop)
         images, masks = [], []
-        for eye, view in enumerate(views):
+        for eye, view in enumerate(render_thread(camera, thread, "violet", backdrop)):
             noise = grain((camera.image_height, camera.image_width), 7919 * seed + 2 * number + eye)
             images.append(expose(view.bgr, Sensor(), noise))
-            mask = mask_of(camera, view.tube)
-            masks.append(np.where(mask >= 128, 255, 0).astype(np.uint8) if binary else mask)
+            masks.append(mask_of(camera, view.tube))
         if kind.hidden:
             _hide(images, masks, camera, number / frames)
         if kind.gone and kind.gone[0] <= number < kind.gone[1]:
             masks = [np.zeros_like(mask) for mask in masks]
-        stamp = FrameStamp(number, round(number * 1e9 / RATE_HZ), round(number * 1e9 / RATE_HZ), "")
-        seen = observe(stamp, camera, images[0], images[1], masks[0], masks[1], "mask", matching=False)
-        # the camera is as it says
-        seen = replace(seen, calibration_covariance=np.zeros((len(ERRORS), len(ERRORS))))
-        yield Frame(as_sent(seen), material_points(thread))
+            images = [np.full_like(image, TOOL_GREY) for image in images]
+        yield Drawn(images, masks, material_points(thread))
 
 
 def material_points(thread: Thread, count: int = SAMPLES) -> Float64[np.ndarray, "n 3"]:
@@ -160,5 +189,5 @@ def _hide(
         near = camera.fx_px * camera.baseline / (0.8 * DISTANCE_MM)
         start = round(share * (camera.image_width + width) - width - eye * near)
         band = slice(max(start, 0), max(start + width, 0))
-        cv2.rectangle(image, (start, 0), (start + width, camera.image_height), (150, 150, 150), -1)
+        cv2.rectangle(image, (start, 0), (start + width, camera.image_height), (TOOL_GREY,) * 3, -1)
         mask[:, band] = 0

@@ -204,6 +204,7 @@ def tracks(draw):
             smoothing=positive,
             span_weight=array(m - 3, elements=positive),
             length=positive,
+            velocity_camera=st.none() | array(m, 3),
             material_s=np.array((first, first + draw(positive))),
         )
     )

@@ -36,7 +36,7 @@ TYPICAL_BYTES = {
 }
 """Of the simulated field, 960x540, in docs/example/session.mcap (docs/scaling.md): for what cannot be weighed."""
 HEARD_BY = {
-    "perception": (FRAMES,),
+    "perception": (FRAMES, THREAD),
     "reconstruction": (OBSERVATIONS,),
     "planner": (THREAD, SURFACE, ROBOT_STATE),
     "robot_bridge": (SURFACE,),

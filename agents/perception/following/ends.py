@@ -1,4 +1,4 @@
-"""Where pieces end now: threads slide, come out of hiding and go into it, and crossings wander along them."""
+"""Where the thread ends now: it slides, comes out of hiding and goes into it."""
 
 from dataclasses import dataclass
 
@@ -15,10 +15,6 @@ REACH_PX, STEP_PX = 12.0, 0.5
 """How far an end may have moved, either way, from one frame to the next."""
 HALF = 0.5
 LEAST_SPACING_PX = 0.3
-NEAR_PX = 40.0
-"""So far around a place, all moves alike."""
-STIFF = 0.02
-"""Against motion that nothing shows, as a share of what does."""
 LEAST_CLEAR = 0.2
 """How much more of a strip is thread than of what lies beside it, at least, where a thread goes on."""
 
@@ -62,27 +58,6 @@ def ends_of(
     inside, outside = level[last, every], level[after, every]
     share_px = STEP_PX * inside / np.maximum(inside - outside, 1e-6)
     return Ends(at[last] + np.clip(share_px, 0, STEP_PX), (so_far[last, every] <= 0) | (last == len(at) - 1))
-
-
-def carried_along(
-    tips: Float64[np.ndarray, "e 2"],
-    outward: Float64[np.ndarray, "e 2"],
-    point: Float64[np.ndarray, "m 2"],
-    normal: Float64[np.ndarray, "m 2"],
-    move_px: Float64[np.ndarray, "m"],
-) -> Float64[np.ndarray, "e"]:
-    """How far ends that the image does not show, such as at crossings, have moved along their lines.
-
-    What lies near has moved by one vector there, of which every point shows the part across its line.
-
-    Args:
-        point, normal, move_px: what has moved by how much along its normal.
-    """
-    beside = (np.linalg.norm(tips[:, None] - point[None], axis=2) <= NEAR_PX).astype(np.float64)
-    twice = (normal[:, :, None] * normal[:, None, :]).reshape(-1, 4)
-    together = (beside @ twice).reshape(-1, 2, 2) + STIFF * (1 + beside.sum(axis=1))[:, None, None] * np.eye(2)
-    whole = np.linalg.solve(together, (beside @ (normal * move_px[:, None]))[..., None])[..., 0]
-    return (whole * outward).sum(axis=1).clip(-REACH_PX, REACH_PX)
 
 
 def with_ends(

@@ -11,11 +11,12 @@ from jaxtyping import UInt8
 
 from agents.perception.both_eyes.apart import drawn_together
 from agents.perception.following.drawn import mask_along
-from agents.perception.following.follow import Followed, follow
+from agents.perception.following.follow import follow
+from agents.perception.following.prediction import expected
 from agents.perception.mask_image import drawn_mask_image
 from agents.perception.prompt import followed as followed_prompt
 from agents.perception.search import FRAMES_BETWEEN_LOOKS, carried_on, near_is_enough
-from schemas.messages import FrameStamp, RectifiedStereo, ThreadObservations
+from schemas.messages import FrameStamp, RectifiedStereo, ThreadObservations, ThreadReconstruction
 
 LONGEST_PAUSE = 150
 """Of the camera's frames: about five seconds. Whether the thread still lies where it was, its profiles say; who looked
@@ -43,6 +44,7 @@ def follow_pair(
     images: Pair,
     last: ThreadObservations,
     between: int = FRAMES_BETWEEN_LOOKS,
+    thread: ThreadReconstruction | None = None,
 ) -> FollowedPair | None:
     """Observations of a pair by following the last ones; None where thread is to be looked for.
 
@@ -54,8 +56,9 @@ def follow_pair(
         return None
     if not near_is_enough(last, stamp.sequence, LONGEST_PAUSE, between):
         return None
-    before = Followed(last.centrelines_left, last.trail_left), Followed(last.centrelines_right, last.trail_right)
-    found = follow(images, before)
+    before = (last.centrelines_left, last.trail_left), (last.centrelines_right, last.trail_right)
+    where = expected(camera, before, thread, last.stamp.capture_left_ns, stamp.capture_left_ns)
+    found = where if isinstance(where, str) else follow(images, where)
     if isinstance(found, str):
         return None
     lines = drawn_together(images, (found[0].lines, found[1].lines), shown_px=last.disparities_px)

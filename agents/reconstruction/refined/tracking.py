@@ -123,8 +123,15 @@ def _continued(
         covariance=ALIKE * band_of(now.fit.covariance),
         smoothing=now.fit.smoothing,
         span_weight=now.fit.weight,
+        velocity_camera=_velocity(before.control_points_camera, now.fit.curve.control_points, elapsed_s),
     )
     return reconstruction(observations, METHOD, now.fit, held, reverse=False, course=course, track=track)
+
+
+def _velocity(
+    then: Float64[np.ndarray, "m 3"], now: Float64[np.ndarray, "m 3"], elapsed_s: float
+) -> Float64[np.ndarray, "m 3"] | None:
+    return (now - then) / elapsed_s if elapsed_s > 0 else None
 
 
 def _course_along(curve: Curve, alone: _Alone) -> ThreadCourse:

@@ -61,11 +61,11 @@ def test_a_link_bears_each_stream_once_on_its_way_out_and_once_for_each_who_hear
         "perception/observations": 6.0,
         "reconstruction/thread": 1.5,
     }
-    # perception, reconstruction and planner hear by connections of their own
+    # perception, reconstruction and planner hear by connections of their own; perception and planner hear the thread
     assert {topic: 1e-6 * rate for topic, rate in strong.into.items() if rate > 1e5} == {
         "camera/frames": 3.0,
         "perception/observations": 6.0,
-        "reconstruction/thread": 1.5,
+        "reconstruction/thread": 3.0,
     }
     # the viewer hears everything, and who runs beside the router no link
     assert crossing["video"].out["camera/frames"] == 6e6

@@ -14,6 +14,7 @@ from agents.perception.candidates.drawn import without
 from agents.perception.centrelines.centrelines import thread_lines
 from agents.perception.following.drawn import mask_along
 from agents.perception.following.follow import Followed, every_second, follow, trail_of
+from agents.perception.following.prediction import expected
 from agents.perception.following.stacked import trail_without
 from agents.perception.segmentation.network import segment_network
 from schemas.codec import decode, encode
@@ -45,7 +46,8 @@ def moved(image, right, down):
 
 def followed(image, last):
     """What one eye's image shows of its thread, or why it shows none."""
-    found = follow([image], [dataclasses.replace(last, lines=every_second(last.lines))])
+    where = expected(scene()[0], [(every_second(last.lines), last.trail)], None, 0, 0)
+    found = where if isinstance(where, str) else follow([image], where)
     return found if isinstance(found, str) else found[0]
 
 
@@ -66,8 +68,8 @@ def test_a_crossing_that_moves_is_seldom_looked_for_anew():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("config", "seed"), [("medium", 32), ("crossing", 33)])
-def test_a_thread_that_moves_stays_followed_to_a_fraction_of_a_pixel(config, seed):
+@pytest.mark.parametrize(("config", "seed", "most"), [("medium", 32, 0.97), ("crossing", 33, 0.93)])
+def test_a_thread_that_moves_stays_followed_to_a_fraction_of_a_pixel(config, seed, most):
     image, found = looked_for(config, seed)
     now = followed_while_it_moves(image, found)
     assert not isinstance(now, str), now
@@ -76,8 +78,9 @@ def test_a_thread_that_moves_stays_followed_to_a_fraction_of_a_pixel(config, see
     back = np.asarray(KDTree(now.lines.point_px).query(there)[0])
     # neighbours lie a pixel apart, so that the nearest one is up to half of one away along the thread
     assert np.median(away) < 0.4
-    assert (away < 1.0).mean() > 0.97
-    assert (back < 1.0).mean() > 0.97
+    # no curve tells where it crosses itself now, so that pieces end beside the crossing of before
+    assert (away < 1.0).mean() > most
+    assert (back < 1.0).mean() > most
     assert (now.lines.piece[-1], now.trail.loose_start.tolist()) == (
         found.lines.piece[-1],
         found.trail.loose_start.tolist(),
@@ -89,15 +92,28 @@ def covered(image, point, radius):
     return cv2.circle(image.copy(), tuple(int(part) for part in np.rint(point)), radius, (150, 150, 150), cv2.FILLED)
 
 
-def test_what_hides_part_of_the_thread_or_its_end_ends_the_following():
+def test_what_hides_part_of_the_thread_cuts_it_there_and_the_rest_is_followed():
     image, found = looked_for()
     point = found.lines.point_px
-    assert not isinstance(followed(image, found), str)
-    assert followed(covered(image, point[len(point) // 2], 25), found) == "a stretch is hidden"
-    for change in (covered(image, point[0], 25), moved(image, 0, 60), np.full_like(image, 120)):
-        assert isinstance(followed(change, found), str)
+    for at, pieces in ((point[len(point) // 2], 2), (point[0], 1)):
+        now = followed(covered(image, at, 25), found)
+        assert not isinstance(now, str), now
+        assert len(np.unique(now.lines.piece)) == pieces
+        assert np.linalg.norm(now.lines.point_px - at, axis=1).min() > 24
+        # all but what is hidden, and what lies close beside it
+        seen = np.linalg.norm(point - at, axis=1) > 25 + 14
+        assert np.asarray(KDTree(now.lines.point_px).query(point[seen])[0]).max() < 4
+
+
+def test_a_thread_that_is_not_where_it_is_expected_is_to_be_looked_for():
+    image, found = looked_for()
+    assert followed(moved(image, 0, 60), found) in (
+        "most of the thread is not seen where it is expected",
+        "the ground shows where the thread was",
+    )
+    assert isinstance(followed(np.full_like(image, 120), found), str)
     # all points, as older versions sent them, are no trail to follow
-    assert follow([image], [found]) == "points as older versions sent them"
+    assert expected(scene()[0], [(found.lines, found.trail)], None, 0, 0) == "points as older versions sent them"
 
 
 def test_the_trail_of_pieces_that_are_kept_is_the_one_that_they_have_alone():
@@ -151,7 +167,9 @@ def test_observations_say_from_which_frame_a_thread_was_followed_and_an_agent_th
     assert decode_image(found[-1].mask_left).any()
     middle = found[-1].centrelines_left.point_px[len(found[-1].centrelines_left.point_px) // 2]
     hidden = seen(agent, 4, 12, middle)
-    assert hidden.segmented_sequence == 4
+    assert hidden.segmented_sequence == 0
+    assert np.linalg.norm(hidden.centrelines_left.point_px - middle, axis=1).min() > 25
+    assert seen(agent, 5, 72).segmented_sequence == 5
     other = with_calibration()
     list(other.step(Received(OBSERVATIONS, str(OBSERVATIONS), 3, found[2])))
     again = seen(other, 3, 9)
