@@ -13,6 +13,7 @@ import json
 from collections import defaultdict
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -101,7 +102,7 @@ def rows_of(kind: Kind, config: str, seed: int, frames: int, late: int, every: i
     return rows
 
 
-def _fed(agent: Agent, topic: Topic, message: object) -> dict:
+def _fed(agent: Agent, topic: Topic, message: object) -> dict[Topic, Any]:
     """What an agent says to a message, by topic."""
     return {out.topic: out.message for out in outputs_in(agent.step(Received(topic, str(topic), 1, message)))}
 
