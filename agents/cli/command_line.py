@@ -35,6 +35,10 @@ COMMANDS: dict[str, type[Options]] = {
 IN_TWO_WORDS = {tuple(name.split("-", 1)): name for name in HAND_EYE_COMMANDS}
 
 HELP = ("-h", "--help")
+MISTYPED = re.compile(
+    r"error parsing (?P<option>--\S+): No type matching .*argument helptext: \S+ (?P<wanted>[^,]+),", re.I
+)
+"""What tyro says of an option that takes several values, or may be left out, with all that it has tried."""
 ESCAPE_SEQUENCE = re.compile(r"\x1b\[[0-9;]*m")
 RULE = re.compile(r"[─-]{3,}")
 CORNERS = ("╭", "╰")
@@ -67,7 +71,10 @@ def condensed(box: str, command: str) -> str:
     """What tyro prints about a mistake in the command line of a command, as one sentence."""
     title, *sections = _sections(ESCAPE_SEQUENCE.sub("", box))
     told = [_sentence(lines) for lines in sections if lines and not lines[0].lstrip().startswith(FOOTER)]
-    return f"{'; '.join(told or title)}; see suturegrasp {command} --help"
+    said = "; ".join(told or title)
+    if mistyped := MISTYPED.match(said):
+        said = f"{mistyped['option']} needs {mistyped['wanted']}"
+    return f"{said}; see suturegrasp {command} --help"
 
 
 def _sections(box: str) -> list[list[str]]:

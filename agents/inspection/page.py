@@ -107,7 +107,7 @@ def _pictures(session: Session, pictures: list[Picture]) -> Iterator[str]:
         ended = session.grasps[number - 1].ended
         yield f'<h2>grasp {number}: {_text(ended)}</h2><div class="pictures">'
         for picture in (one for one in pictures if one.of.grasp == number):
-            at = f"{picture.of.what}, {session.since_start_s(picture.captured_ns):.2f} s"
+            at = f"{picture.of.what}, as filmed at {session.since_start_s(picture.captured_ns):.2f} s"
             yield f'<figure><img src="{picture.uri}" alt="{_text(at)}"><figcaption>{_text(at)}</figcaption></figure>'
         yield "</div>\n"
 

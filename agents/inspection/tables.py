@@ -80,10 +80,15 @@ def _recorded_row(session: Session, one: KeyContents, as_of: str) -> Row:
         str(one.lost) if one.lost else "",
         str(len(one.gaps)) if one.gaps else "",
         f"{longest_ns * 1e-9:.2f}" if one.gaps else "",
-        f"{session.since_start_s(one.first_ns):.2f}",
-        f"{session.since_start_s(one.last_ns):.2f}",
+        _seconds(session.since_start_s(one.first_ns)),
+        _seconds(session.since_start_s(one.last_ns)),
         as_of,
     )
+
+
+def _seconds(value: float) -> str:
+    """With two decimals, and no minus before a zero."""
+    return f"{round(value, 2) + 0.0:.2f}"
 
 
 def gaps(session: Session) -> Table:
@@ -178,7 +183,7 @@ def noted(session: Session) -> Table:
     """What the recorder noted on its way: losses, marks, clocks."""
     rows = (
         (
-            f"{session.since_start_s(int(note.facts[AT])):.2f}",
+            f"{session.since_start_s(int(note.facts[AT])):.2f}" if session.start_ns else "",
             note.name,
             ", ".join(f"{short(name)}: {text}" for name, text in note.facts.items() if name != AT),
         )

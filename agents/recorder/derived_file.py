@@ -1,7 +1,7 @@
 """Files that are made of recordings: they open as a recorder's own do, and say what was done to them."""
 
 import mimetypes
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -27,12 +27,12 @@ class DerivedFile:
 
     def __init__(self, path: Path) -> None:
         self._writer, self._copies = RecordingWriter(path), FoxgloveCopies()
-        self._notes, self._held = list[Note](), Counter[str]()
+        self._notes, self._held = list[Note](), defaultdict[str, list[int]](list)
 
     def write(self, topic: Topic, entry: Entry) -> None:
         """Add a message."""
         self._writer.write(topic, entry)
-        self._held[entry.key] += 1
+        self._held[entry.key].append(entry.received_ns)
         for copy in self._copies.of(topic, entry):
             self._writer.write_derived(copy.channel, copy.schema, DESCRIPTORS, copy.payload, entry)
 

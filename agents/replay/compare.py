@@ -78,7 +78,9 @@ def _of_fields(prefix: str, then: Any, now: Any, rules: Rules) -> Iterator[Diffe
 
 
 def _words(a: Any, b: Any) -> str:
-    """Both values, where each is a word, a truth or nothing, and they differ."""
+    """Both values, where each is a word, a truth or nothing, and they differ; what else there is beside nothing."""
+    if (a is None) != (b is None):
+        return f"{_word(a)} → {_word(b)}"
     if not all(isinstance(value, str | bool | enum.Enum | None) for value in (a, b)) or a == b:
         return ""
     return f"{_word(a)} → {_word(b)}"
@@ -87,7 +89,9 @@ def _words(a: Any, b: Any) -> str:
 def _word(value: Any) -> str:
     if isinstance(value, enum.Enum):
         return value.name.lower()
-    return "nothing" if value in ("", None) else str(value)
+    if value is None:
+        return "nothing"
+    return str(value) or "nothing" if isinstance(value, str | bool | int | float) else "something"
 
 
 def apart(a: Any, b: Any) -> float:

@@ -10,6 +10,7 @@ from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import CommandRecord
 from schemas.topics import COMMANDS, TOPICS, Topic, topic_of
+from shared.recording.completeness import no_message_in
 from shared.recording.mcap_file import Entry, RecordingError, read_recording
 
 LONGEST_COMMAND_NS = 10 * 10**9
@@ -77,7 +78,7 @@ def contents_of(path: Path) -> Contents:
             raise
         contents.damage = str(error)
     if empty:
-        raise RecordingError(f"{path} holds no message")
+        raise RecordingError(no_message_in(path))
     return contents
 
 

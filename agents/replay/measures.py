@@ -6,6 +6,7 @@ what is seen lies 100 mm away.
 """
 
 import re
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
@@ -154,6 +155,11 @@ def findings_apart(then: tuple[Judgement, ...], now: tuple[Judgement, ...]) -> f
     """Whether the same was found, whatever figures the sentences name."""
     a, b = ({(j.code, j.severity) for j in judgements} for judgements in (then, now))
     return 0.0 if a == b else OTHER
+
+
+def same_or_other(then: Any, now: Any) -> float:
+    """Of digests, whose difference is no amount."""
+    return 0.0 if then == now else OTHER
 
 
 def words_apart(then: str, now: str) -> float:

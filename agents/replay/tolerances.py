@@ -51,6 +51,8 @@ _OBSERVATIONS: dict[str, Rule] = {
     "judgements": Rule(0.0, "", measures.findings_apart),
     "reason": Rule(0.0, "", measures.words_apart),
     "prompt_px": Rule(0.5, "px"),
+    "picture_left": Rule(0.0, "", measures.same_or_other),
+    "picture_right": Rule(0.0, "", measures.same_or_other),
     "candidates": Rule(0.0, "threads", measures.counts_apart),
     "occluders.left": Rule(5e-3, "share", measures.images_apart),
     "occluders.right": Rule(5e-3, "share", measures.images_apart),

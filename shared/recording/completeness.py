@@ -84,6 +84,13 @@ class Completeness:
         return "" if said.startswith("complete") or said == UNKNOWN else said
 
 
+def no_message_in(path: Path, damage: str = "") -> str:
+    """Why nothing can be made of a recording that holds no message, as far as it can be read."""
+    if damage:
+        return f"{damage}, and no message does"
+    return f"{path} holds no message" if is_finished(path) else f"{path} is cut off before its first message"
+
+
 def completeness(path: Path) -> Completeness:
     """What a recording tells of what it lacks; one that was closed is not read for it.
 
@@ -106,7 +113,8 @@ def completeness(path: Path) -> Completeness:
         if last_ns is None:
             raise
         damage = str(error) if finished else ""
-    return replace(completeness_of(notes, finished, last_ns), damage=damage)
+    said = completeness_of(notes, finished, last_ns)
+    return replace(said, damage=damage, complete=False if damage else said.complete)
 
 
 def completeness_of(notes: Iterable[Note], finished: bool, last_ns: int | None) -> Completeness:

@@ -5,7 +5,7 @@ A derived file keeps the notes of its source, which tell how the session was run
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,7 @@ class Anew:
     Fields:
         keys: whose messages in this file are its outputs.
         outputs: how many of them are.
-        kept: its outputs that could not be repeated, and are as of the source.
+        kept: its outputs that could not be repeated, and are as of the source; kept_ns: when each was received.
         step_ms_p50, step_ms_p99: how long its steps took now; None without any.
     """
 
@@ -40,6 +40,7 @@ class Anew:
     kept: int
     step_ms_p50: float | None
     step_ms_p99: float | None
+    kept_ns: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ class Derivation:
         if heard:
             parts.append(f"ran anew: {', '.join(heard)}; what other agents said is as of the source")
         if silent := [name for name in self.agents if name not in heard]:
-            parts.append(f"nothing in it is of {', '.join(silent)}, which ran anew too")
+            parts.append(f"nothing in it is of {', '.join(silent)}, which ran anew{' too' if heard else ''}")
         parts += [
             f"{one.kept} outputs of {name} are as of the source too" for name, one in self.agents.items() if one.kept
         ]
@@ -97,8 +98,8 @@ class Derivation:
         return "; ".join(parts)
 
 
-def as_far_as_held(note: Note, held: Mapping[str, int]) -> Note:
-    """The note of a derivation of which a file holds only so many messages by key; other notes as they are."""
+def as_far_as_held(note: Note, held: Mapping[str, Sequence[int]]) -> Note:
+    """The note of a derivation as a file has it that holds these messages, by key when each was received."""
     told = _read(note)
     if told is None or not told.agents:
         return note
@@ -106,13 +107,11 @@ def as_far_as_held(note: Note, held: Mapping[str, int]) -> Note:
     return Note(note.name, note.facts | {"agents": json.dumps({name: asdict(one) for name, one in agents.items()})})
 
 
-def _as_far_as_held(anew: Anew, held: Mapping[str, int]) -> Anew:
-    count = sum(held.get(key, 0) for key in anew.keys)
-    if count >= anew.outputs + anew.kept:
-        return anew
-    outputs = min(anew.outputs, count)
-    keys = tuple(key for key in anew.keys if held.get(key, 0))
-    return replace(anew, keys=keys, outputs=outputs, kept=min(anew.kept, count - outputs))
+def _as_far_as_held(anew: Anew, held: Mapping[str, Sequence[int]]) -> Anew:
+    received_ns = [at_ns for key in anew.keys for at_ns in held.get(key, ())]
+    kept_ns = tuple(sorted(set(anew.kept_ns) & set(received_ns)))
+    keys = tuple(key for key in anew.keys if held.get(key))
+    return replace(anew, keys=keys, outputs=len(received_ns) - len(kept_ns), kept=len(kept_ns), kept_ns=kept_ns)
 
 
 def digest_of(path: Path) -> str:
@@ -161,11 +160,16 @@ def _read(note: Note) -> Derivation | None:
     how, source, sha256, said, version, read_as = (facts.get(name, "") for name in WORDS)
     told = Derivation(how, source, sha256, said, version, read_as=read_as)
     try:
-        agents = {name: Anew(**one | {"keys": tuple(one["keys"])}) for name, one in _table(facts, "agents").items()}
+        agents = {name: _anew(one) for name, one in _table(facts, "agents").items()}
         return replace(told, agents=agents, settings=_table(facts, "settings"), left_out=_table(facts, "left_out"))
     except (ValueError, TypeError, AttributeError, LookupError):
         # of a later version, or spoilt: that it was derived is true all the same
         return told
+
+
+def _anew(facts: dict[str, Any]) -> Anew:
+    known: dict[str, Any] = facts | {name: tuple(facts.get(name, ())) for name in ("keys", "kept_ns")}
+    return Anew(**known)
 
 
 def _table(facts: dict[str, str], name: str) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from agents.cli.terminal import complain, say, warn
 from agents.cli.whole_file import OutputError, whole_file
 from agents.recorder.cutting import cut
 from agents.replay.window import WindowError, window_ns
+from shared.recording.completeness import no_message_in
 from shared.recording.entry import Entry, RecordingError
 from shared.recording.mcap_file import UntilDamage
 
@@ -16,10 +17,10 @@ def run(options: Cut) -> int:
         return complain(f"{options.output} exists already; give another name", EXIT_UNUSABLE)
     try:
         # what is repeated from before the file began is older than its first moment
-        entries = (one for one in UntilDamage(options.recording) if isinstance(one, Entry))
-        received = [entry.received_ns for entry in entries if not entry.repeated]
+        records = UntilDamage(options.recording)
+        received = [one.received_ns for one in records if isinstance(one, Entry) and not one.repeated]
         if not received:
-            return complain(f"{options.recording} holds no message", EXIT_UNUSABLE)
+            return complain(no_message_in(options.recording, records.damage), EXIT_UNUSABLE)
         stretch = window_ns(options.begin, options.end, received[0], received[-1])
         with whole_file(options.output) as unfinished:
             report = cut(options.recording, unfinished, *stretch, only_used_frames=options.used)

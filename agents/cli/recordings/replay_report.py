@@ -10,6 +10,7 @@ from agents.cli.recordings.difference_table import table
 from agents.cli.rig.config import RigConfig
 from agents.replay.differences import Comparison
 from agents.replay.through import Outcome
+from schemas.topics import topic_of
 from shared.recording.completeness import Completeness
 from shared.recording.mcap_file import Entry, Note
 
@@ -56,7 +57,11 @@ def report(result: ThroughResult) -> Iterator[str]:
         yield _sentence(outcome)
     comparison = result.comparison
     if comparison.made_no_more:
-        yield f"{comparison.made_no_more} recorded outputs are made no more"
+        gone = Counter(
+            str(topic_of(one.key)) for outcome in result.outcomes for one in outcome.compared if one.now is None
+        )
+        of = ", ".join(f"{count} of {topic}" for topic, count in sorted(gone.items()))
+        yield f"{comparison.made_no_more} recorded outputs are made no more ({of})"
     if comparison.unrecorded:
         yield f"{comparison.unrecorded} outputs are made that were not recorded"
     if result.otherwise:

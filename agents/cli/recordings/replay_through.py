@@ -39,11 +39,11 @@ from agents.viewer.sinks import ViewerError
 from schemas.checks import MessageError
 from schemas.topics import MAIN, is_known, topic_of
 from shared.clock import monotonic_s
-from shared.recording.completeness import Completeness, completeness
+from shared.recording.completeness import Completeness, completeness, no_message_in
 from shared.recording.derivation import UNKNOWN_TOPICS, Anew
 from shared.recording.mcap_file import Entry, Note, RecordingError, RecordingWriter, UntilDamage, read_attachments
 from shared.runtime.config import ConfigError, load_config
-from shared.runtime.replay import ReplayError
+from shared.runtime.replay import Place, ReplayError, place_of
 
 EXIT_SAME, EXIT_DIFFERENT, EXIT_UNUSABLE = 0, 1, 2
 RECORDED = "recorded"
@@ -116,9 +116,11 @@ def replayed(options: ThroughOptions) -> ThroughResult:
     """
     _check(options)
     started_s = monotonic_s()
+    entries, notes, unknown, damage = _read(options.recording)
+    if not entries:
+        raise UnusableError(no_message_in(options.recording, damage))
     given, recorded = _configurations(options)
     config = with_simulated_arms(changed(given, options.set))
-    entries, notes, unknown, damage = _read(options.recording)
     changing = [setting for setting in options.set if changed(given, (setting,)) != given]
     stages = _stages(config, (options.through or "").split(","))
     _check_outputs(stages, entries, damage)
@@ -308,7 +310,8 @@ def _write_derived(path: Path, recording: Path, result: ThroughResult) -> None:
     try:
         said = result.said
         how = f"replayed through {', '.join(outcome.stage for outcome in result.outcomes)}"
-        agents = {outcome.stage: _anew(outcome) for outcome in result.outcomes}
+        received_ns = {place_of(entry): entry.received_ns for entry in result.before}
+        agents = {outcome.stage: _anew(outcome, received_ns) for outcome in result.outcomes}
         left_out = {
             "recorded outputs that are made no more": result.comparison.made_no_more,
             "outputs that were not recorded, for which it has no place": result.comparison.unrecorded,
@@ -333,11 +336,12 @@ def _write_derived(path: Path, recording: Path, result: ThroughResult) -> None:
         file.abandon()
 
 
-def _anew(outcome: Outcome) -> Anew:
+def _anew(outcome: Outcome, received_ns: Mapping[Place, int]) -> Anew:
     p50, p99 = (float(p) for p in np.percentile(outcome.steps_ms, (50, 99))) if outcome.steps_ms else (None, None)
-    keys = tuple(sorted({output.key for output in outcome.compared}))
+    keys = tuple(sorted({output.key for output in outcome.outputs}))
     made = sum(output.now is not None for output in outcome.compared)
-    return Anew(keys, made, len(outcome.unrepeatable), p50, p99)
+    kept_ns = tuple(received_ns[place_of(output)] for output in outcome.unrepeatable)
+    return Anew(keys, made, len(kept_ns), p50, p99, kept_ns)
 
 
 def write_recording(

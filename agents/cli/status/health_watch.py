@@ -197,7 +197,8 @@ def _figures(health: AgentHealth | None, restarts: int) -> dict[str, str]:
     if health is None:
         return dict.fromkeys(columns, "-")
     steps = "-" if health.step_ms_p50 is None else f"{health.step_ms_p50:.1f}/{health.step_ms_p99 or 0:.1f}"
-    ages = [i.age_ms for i in health.inputs if i.age_ms is not None]
+    # of what keeps coming: a state that came once grows no older
+    ages = [i.age_ms for i in health.inputs if i.age_ms is not None and i.rate_hz > 0]
     values = (
         span_of(health.uptime_s),
         str(restarts),

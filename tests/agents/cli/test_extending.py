@@ -110,7 +110,7 @@ def installed(tmp_path, monkeypatch):
 def test_a_camera_of_ones_own_films_with_its_own_times(installed, monkeypatch):
     T = np.eye(4)
     T[0, 3] = -0.005
-    calibration = StereoCalibration(640, 480, K, K, np.zeros(0), np.zeros(0), T, 1.0)
+    calibration = StereoCalibration(960, 540, K, K, np.zeros(0), np.zeros(0), T, 1.0)
     write_calibration(installed / "calibration.json", calibration)
     monkeypatch.chdir(installed)
     camera = build(RigConfig.model_validate(tomllib.loads(RIG_FILE)), "camera", MAIN)
@@ -120,7 +120,7 @@ def test_a_camera_of_ones_own_films_with_its_own_times(installed, monkeypatch):
     assert {output.topic for output in outputs} >= {CALIBRATION, FRAMES}
     frame = next(output.message for output in outputs if output.topic is FRAMES)
     assert isinstance(frame, StereoFrame)
-    assert (frame.left.width, frame.left.height) == (640, 480)
+    assert (frame.left.width, frame.left.height) == (960, 540)
     # four milliseconds before it was asked for, which is not long ago
     assert 3e6 < now_ns() - frame.stamp.capture_left_ns < 5e9
 

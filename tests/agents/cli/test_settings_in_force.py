@@ -130,3 +130,23 @@ def test_a_cut_names_as_run_anew_only_what_it_holds(tmp_path):
     assert "nothing in it is of planner" in completeness(early).derived[-2].sentence
     assert 0 < completeness(late).ran_anew["planner"].outputs <= made
     assert "ran anew: planner;" in completeness(late).derived[-2].sentence
+
+
+def test_a_cut_knows_which_of_its_outputs_could_not_be_repeated(tmp_path):
+    derived, early, late = (tmp_path / f"{name}.mcap" for name in ("derived", "early", "late"))
+    run("replay", EXAMPLE, "--through", "reconstruction", "--output", derived)
+    run("cut", derived, "--to", "0.8", "--output", early)
+    run("cut", derived, "--from", "0.8", "--output", late)
+    kept = [completeness(path).ran_anew["reconstruction"].kept for path in (derived, early, late)]
+    assert kept == [1, 1, 0]
+    outputs = [completeness(path).ran_anew["reconstruction"].outputs for path in (derived, early, late)]
+    assert outputs[0] == outputs[1] + outputs[2]
+
+
+@pytest.mark.parametrize("command", [("cut", "--output", "short.mcap"), ("replay", "--through", "planner")])
+def test_a_file_that_ends_before_its_first_message_is_told_as_that(command, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "off.mcap"
+    path.write_bytes(EXAMPLE.read_bytes()[:40_000])
+    assert run(command[0], path, *command[1:]) == EXIT_UNUSABLE
+    assert f"{path} is cut off before its first message" in capsys.readouterr().err
