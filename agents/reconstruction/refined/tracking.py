@@ -49,6 +49,8 @@ from schemas.messages import (
 
 VERIFY_S, VERIFY_FRAMES = 1.0, 30
 """A frame is also reconstructed alone so often, or once in so many frames where they come faster."""
+DOUBTED_FRAMES = 5
+"""Where the curve leaves thread unexplained, once in so many: a frame alone takes as long as three tracked ones."""
 OUTSIDE, MOST_OUTSIDE = 9.21, 0.1
 """The square of the distance, in deviations of a normal distribution in the plane, beyond which 1 % lies; of a curve no
 more than that share may lie so far from the one that its frame shows alone."""
@@ -106,7 +108,7 @@ def _continued(
     if not 0 <= elapsed_s <= LONGEST_S:
         raise LostError(f"the last curve is of {elapsed_s:.1f} s ago")
     now = followed(before, lines, observations.camera, elapsed_s, uncertain(observations))
-    if before.step is TrackStep.LOST or _is_due(before, elapsed_s):
+    if before.step is TrackStep.LOST or _is_due(before, elapsed_s, now.found_share):
         alone = _verified(observations, before, now)
         course = course if alone is None else _course_along(now.fit.curve, alone)
     no_regions = Regions(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0))
@@ -243,8 +245,11 @@ def _material(before: ThreadTrack, track: ThreadTrack) -> tuple[Float64[np.ndarr
     return np.array([start, start + share]), before.length
 
 
-def _is_due(before: ThreadTrack, elapsed_s: float) -> bool:
+def _is_due(before: ThreadTrack, elapsed_s: float, found_share: float) -> bool:
     every = min(VERIFY_FRAMES, max(1, round(VERIFY_S / max(elapsed_s, 1e-3))))
+    if found_share < 1.0 - BETTER:
+        # so much is left over that the frame alone may explain it better
+        every = min(every, DOUBTED_FRAMES)
     return before.frames % every == every - 1
 
 
@@ -273,7 +278,7 @@ def _verified(observations: ThreadObservations, before: ThreadTrack, now: Follow
     if falls > 0 and there >= here:
         raise LostError("begun anew, the curve takes another course")
     outside = _claimed_too_much(now.fit, alone.fit, observations.camera)
-    if outside > MOST_OUTSIDE:
+    if outside > MOST_OUTSIDE and there > here - BETTER:
         raise LostError(
             f"begun anew, {outside:.0%} of the curve lies farther away than the followed one was said to be off at most"
         )

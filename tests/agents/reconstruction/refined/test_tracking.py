@@ -332,12 +332,27 @@ def test_a_curve_contradicts_its_frame_only_where_it_claims_more_and_the_frame_c
     assert tracking._claimed_too_much(fit, followed(1.0, 1e6, 0.2), CAMERA) == 0.0
 
 
+@pytest.mark.slow
+def test_a_frame_that_a_tool_hides_does_not_end_a_track_that_explains_more_of_it():
+    frames = list(sequence("crossing", 4, Kind("tool passes", 3.0, 8.0, hidden=True), 45, binary=False))
+    seen = [frame.observations for frame in frames]
+    # perception takes the eyes for exchanged once
+    assert seen[25].status is not Status.OK
+    threads = tracked(seen)
+    errors, _ = figures(threads[:25] + threads[26:], frames[:25] + frames[26:])
+    assert TrackStep.RESTARTED not in [track_of(thread).step for thread in threads]
+    assert errors.max() < 1.0
+
+
 @pytest.mark.parametrize(("elapsed_s", "due"), [(0.001, 29), (1 / 30, 29), (0.1, 9), (0.4, 1), (2.0, 0)])
 def test_a_frame_is_looked_at_alone_once_a_second_and_in_thirty(elapsed_s, due):
     track = track_of(track_refined(seen(), None))
-    every = [n for n in range(60) if tracking._is_due(dataclasses.replace(track, frames=n), elapsed_s)]
+    every = [n for n in range(60) if tracking._is_due(dataclasses.replace(track, frames=n), elapsed_s, 1.0)]
     assert every[0] == due
     assert set(np.diff(every)) == {due + 1}
+    # a curve that leaves thread unexplained is doubted sooner
+    doubted = [n for n in range(60) if tracking._is_due(dataclasses.replace(track, frames=n), elapsed_s, 0.9)]
+    assert np.diff(doubted).max() <= 5
 
 
 def hairpin(t):
