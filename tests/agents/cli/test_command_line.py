@@ -15,7 +15,7 @@ NAMED = ("--calibration", "c.json", "--output", "o.json")
 PAIR = ("--left", "l.png", "--right", "r.png")
 
 MISTAKES: dict[tuple[str, ...], tuple[str, ...]] = {
-    ("deploy", "rehearse", "--slow", "robot"): ["--slow needs HOST RATE"],
+    ("deploy", "rehearse", "--slow", "robot"): ("--slow needs HOST RATE",),
     (): ("give a command: reconstruct", "suturegrasp --help"),
     ("nonsense",): ("nonsense is no command", "reconstruct"),
     PAIR: ("--left is no command", "reconstruct"),
