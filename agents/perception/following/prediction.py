@@ -41,6 +41,8 @@ DIRECTION_ALONG = 1.0
 """Deviation, in places that lie EVERY pixels apart, of the averages that directions are taken of."""
 NEAR_PX = 4.0
 """So near to the curve, or within CUT_WIDTHS, what was observed is part of it."""
+LONGEST_WIDTHS = 20.0
+"""Of the image: a curve that is longer in it is no thread."""
 NOWHERE = np.full((1, 2), -1e6)
 
 
@@ -104,9 +106,10 @@ def expected(
             return "points as older versions sent them"
     curves = None if thread is None or thread.track is None else _curves(thread.track, camera, (last_ns, now_ns))
     if curves is None:
-        return tuple(_joined([], _others(each, NOWHERE)) for each in seen)
-    then, now = curves
-    return tuple(_expected(each, a, b - a, camera) for each, a, b in zip(seen, then, now, strict=True))
+        pieces = [_others(each, NOWHERE) for each in seen]
+    else:
+        pieces = [_pieces(each, a, b - a, camera) for each, a, b in zip(seen, *curves, strict=True)]
+    return tuple(_joined(some) for some in pieces) if all(pieces) else "no piece is long enough"
 
 
 def _curves(
@@ -123,6 +126,8 @@ def _curves(
         if (there[:, 2] <= 0).any():
             return None
         curves.append(_projected(there, track, camera))
+        if not all(_length_px(curve) < LONGEST_WIDTHS * camera.image_width for curve in curves[-1]):
+            return None
     return curves
 
 
@@ -139,6 +144,10 @@ def _projected(
     return left - half, right + half
 
 
+def _length_px(curve: Float64[np.ndarray, "n 2"]) -> float:
+    return float(np.linalg.norm(np.diff(curve, axis=0), axis=1).sum())
+
+
 def _shares(curve: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n"]:
     """Of its length, where each point of a polyline lies."""
     along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1)))
@@ -152,10 +161,10 @@ def _observed(lines: Centrelines, trail: Trail) -> _Observed:
     return _Observed(lines, trail, some, sampled, directions(lines.point_px[some], sampled, gaussian(DIRECTION_ALONG)))
 
 
-def _expected(
+def _pieces(
     seen: _Observed, curve: Float64[np.ndarray, "n 2"], motion: Float64[np.ndarray, "n 2"], camera: RectifiedStereo
-) -> Expected:
-    """What one eye is to look for.
+) -> "list[_Piece]":
+    """What one eye is to look for: pieces of the curve, and others that it saw.
 
     Args:
         curve: when it last looked; motion: of its points since.
@@ -166,18 +175,25 @@ def _expected(
     tangent = directions(place, whole, gaussian(DIRECTION_ALONG))
     nearest, found = _nearest(place, tangent, seen)
     if not found.any():
-        return _joined([], _others(seen, NOWHERE))
-    every, anchored = np.arange(len(place)), np.flatnonzero(found)
+        return _others(seen, NOWHERE)
+    anchored = np.flatnonzero(found)
     place = place + _calm_move(place, tangent, seen.point[nearest], anchored)
     then, place = place, place + motion
-    of_seen = nearest[anchored[np.abs(np.searchsorted(anchored, every).clip(0, len(anchored) - 1))]]
+    # a place that was hidden takes after the nearest one that was not
+    beside = np.rint(np.interp(np.arange(len(place)), anchored, np.arange(len(anchored)))).astype(np.int64)
+    of_seen = nearest[anchored[beside]]
     size = np.array((camera.image_width, camera.image_height))
     inside = ((place >= MARGIN_PX) & (place <= size - 1 - MARGIN_PX)).all(axis=1)
     apart_px = _apart_px(place, width)
     cut = apart_px < max(CUT_WIDTHS * width, EVERY)
     runs = _runs(inside & ~cut, round(SHORTEST_PX / EVERY))
     of_curve = [_of_curve(place, of_seen, found, cut, apart_px, run, seen) for run in runs]
-    return _joined(of_curve, _others(seen, then))
+    others = _others(seen, then)
+    if not others:
+        return of_curve
+    tree = cKDTree(np.concatenate([other.point for other in others]))
+    apart = [np.minimum(part.apart_px, tree.query(part.point)[0]) for part in of_curve]
+    return [*(replace(part, apart_px=px) for part, px in zip(of_curve, apart, strict=True)), *others]
 
 
 def _nearest(
@@ -289,12 +305,8 @@ def _others(seen: _Observed, place: Float64[np.ndarray, "n 2"]) -> list[_Piece]:
     return parts
 
 
-def _joined(of_curve: Sequence[_Piece], others: Sequence[_Piece]) -> Expected:
+def _joined(parts: Sequence[_Piece]) -> Expected:
     """Pieces as one message's lines; no other strand's thread lies within reach of any."""
-    if others:
-        tree = cKDTree(np.concatenate([other.point for other in others]))
-        of_curve = [replace(part, apart_px=np.minimum(part.apart_px, tree.query(part.point)[0])) for part in of_curve]
-    parts = [*of_curve, *others]
     count = [len(part.point) for part in parts]
     point = np.concatenate([part.point for part in parts])
     (loose_start, loose_end), (told_start, told_end) = (

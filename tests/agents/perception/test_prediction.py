@@ -139,3 +139,12 @@ def test_without_anything_seen_nothing_tells_where_to_look():
         lines, point_px=np.zeros((0, 2)), piece=np.zeros(0, int), width_px=np.zeros(0), deviation_px=np.zeros(0)
     )
     assert expected(CAMERA, [(none, trail), (lines, trail)], None, 0, 0) == "no pieces"
+
+
+def test_pieces_that_are_too_short_and_curves_that_no_thread_has_tell_nothing():
+    short = observed(np.column_stack((np.linspace(100, 106, 10), np.full(10, 50.0))))
+    assert expected(CAMERA, [short, short], None, 0, 0) == "no piece is long enough"
+    left, right = (observed(line) for line in project(CAMERA, ARC))
+    far = looked_for(thread_along(ARC, velocity=(1e12, 0.0, 0.0)), left, right, now_ns=FRAME_NS)[0]
+    alone = looked_for(None, left, right)[0]
+    assert np.array_equal(far.lines.point_px, alone.lines.point_px)
