@@ -48,8 +48,8 @@ from shared.runtime.agent import Command, Input, Later, Output, Received, Reply,
 from shared.runtime.settable import OneOf, settable
 
 Pixel = Float64[np.ndarray, "2"]
-LATEST_CURVE = 15
-"""Of the camera's frames: half a second, as long as a curve is a prediction of the next one."""
+LATEST_CURVE_NS = 500_000_000
+"""So long a curve is a prediction of the next one, as for reconstruction."""
 FOLLOWED = (NETWORK,)
 """Segmenters for tissue, whose thread may be followed in between; `threshold` takes no longer than that."""
 
@@ -79,7 +79,7 @@ class Perception:
     """Rectifies, segments and observes every frame; without a calibration it waits for one.
 
     Where thread was observed in one frame, the next is looked at near it first. All that counts of earlier frames and
-    prompts is in the last observations.
+    prompts is in the last observations and the newest thread.
     """
 
     kind = "perception"
@@ -237,8 +237,8 @@ class Perception:
         thread = self._thread
         if thread is None or thread.status is not Status.OK or thread.camera != pair.camera:
             return None
-        since = stamp.sequence - thread.stamp.sequence
-        return thread if 0 < since <= LATEST_CURVE else None
+        since_ns = stamp.capture_left_ns - thread.stamp.capture_left_ns
+        return thread if 0 < since_ns <= LATEST_CURVE_NS else None
 
     def _observed(
         self,

@@ -125,9 +125,9 @@ class Trail:
 
     Fields:
         loose_start, loose_end: whether each piece begins and ends at an end of the thread; else a crossing cuts it.
-        length_px: of each piece when it was last looked for pixel by pixel.
+        length_px: of each piece.
         colour_bgr: of the thread and of the ground on either side, at every fourth point of each piece and at its last.
-        told_start, told_end: whether the image itself shows that a piece ends there; other ends move as what is near.
+        told_start, told_end: whether the image itself shows that a piece ends there.
     """
 
     loose_start: Bool[np.ndarray, "k"]

@@ -1,1 +1,1 @@
-"""Frames after a good look: known centrelines are found again across themselves, and nothing is segmented."""
+"""Frames after a good look: the thread is found again where its curve is expected, and nothing is segmented."""

@@ -1,6 +1,6 @@
-"""Both eyes' centrelines followed from the last observations: the quick way through most frames.
+"""Both eyes' centrelines where the newest curve and the last observations have them: the quick way through most frames.
 
-All that it goes on from is in those. Where either eye's thread is not found again for certain, thread is looked for
+All that it goes on from is in those two. Where either eye's thread is not found again for certain, thread is looked for
 pixel by pixel in the same frame.
 """
 
@@ -51,6 +51,7 @@ def follow_pair(
     Args:
         images: rectified, the right eye put in line as for the last observations.
         between: how many of the camera's frames there are between two looks at the whole.
+        thread: the newest curve; None where there is none that can be expected still.
     """
     if last.trail_left is None or last.trail_right is None:
         return None
