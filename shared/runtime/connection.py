@@ -79,8 +79,14 @@ class Connection:
         return bool(self._session.info.routers_zid())
 
     def present(self) -> list[str]:
-        """Which agents are there, as `kind/instance`."""
-        replies = self._session.liveliness().get(f"suturegrasp/{self._rig}/*/*", timeout=1.0)
+        """Which agents are there, as `kind/instance`; none where nobody tells."""
+        return self.present_if_told() or []
+
+    def present_if_told(self) -> list[str] | None:
+        """Which agents are there, as `kind/instance`; None where the router gives no answer."""
+        replies = list(self._session.liveliness().get(f"suturegrasp/{self._rig}/*/*", timeout=1.0))
+        if any(reply.err is not None for reply in replies):
+            return None
         found = [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
         return sorted("/".join(name.split("/")[-2:]) for name in found)
 

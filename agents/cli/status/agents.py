@@ -74,7 +74,7 @@ def _presence(fare: Fare) -> Iterator[Wrong]:
             gone = f"{name} is gone, last heard {since} ago: its process has ended, is stopped, or is cut off"
             yield Wrong("gone", fare.name, gone, grave=fare.expected)
         case s if s == HANGING:
-            hangs = f"{name} is there and its loop has not turned for {since}: it hangs, or is in one long step"
+            hangs = f"{name} is there and its loop has not turned for {since}: it hangs, is in one long step, or is not heard"
             yield Wrong("hanging", fare.name, hangs)
         case s if s in (SILENT, NEVER):
             heard = f"{name} has been silent for {since}" if fare.health else f"{name} was never heard of"

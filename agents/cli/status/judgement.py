@@ -9,11 +9,12 @@ from agents.cli.status.agents import judge_agents
 from agents.cli.status.calibrations import too_old
 from agents.cli.status.files import judge_files
 from agents.cli.status.gathered import ArmHeard, Gathered
-from agents.cli.status.health_watch import name_of, span_of
+from agents.cli.status.health_watch import SILENT_S, name_of, span_of
 from agents.cli.status.tool import judge_tool
 from agents.cli.status.wrong import Wrong, listed
 from agents.robot_bridge.refusals import Code
 from schemas.messages import AgentFacts, ExecutionKind, LogLevel, LogRecord, RobotMode
+from schemas.topics import HEALTH
 from shared.runtime.clocks import ClockOffset, by_host
 
 CLOCKS_APART_MS = 100.0
@@ -21,6 +22,8 @@ CLOCKS_APART_MS = 100.0
 LEAST_FREE_BYTES = 2 << 30
 EXPIRES_SOON_S = 5 * 86400.0
 """Certificates are renewed with a third of their 30 days left; with less than this, nobody does so."""
+NOBODY_S = SILENT_S - 1.0 / (HEALTH.rate_hz or 1.0)
+"""Before any agent is silent for long, it is known that all are."""
 SAID_S = 60.0
 """How long an error that an agent logged is told."""
 NS_PER_S = 1e9
@@ -34,6 +37,8 @@ def judge(gathered: Gathered) -> list[Wrong]:
         at = f" on host {gathered.router_host}" if gathered.router_host else ""
         away = f"no router answers on {gathered.endpoint}{at}, so nothing is known of the rig"
         return [Wrong("router", "router", away)]
+    if cut_off := _nothing_heard(gathered):
+        return [cut_off]
     found = [
         *judge_agents(gathered.fares, gathered.rates_hz, gathered.addresses),
         *_arms(gathered),
@@ -47,6 +52,17 @@ def judge(gathered: Gathered) -> list[Wrong]:
         *_logged(gathered),
     ]
     return sorted(found, key=lambda wrong: not wrong.grave)
+
+
+def _nothing_heard(gathered: Gathered) -> Wrong | None:
+    """That nothing comes through a router on another host, where so: its session outlives its link by seconds."""
+    heard = [fare.silent_s for fare in gathered.fares if fare.health is not None]
+    if not gathered.router_host or len(heard) < 2 or min(heard) <= NOBODY_S:
+        return None
+    text = (
+        f"nothing is heard from any host: the router's host {gathered.router_host} is away, or all agents are stopped"
+    )
+    return Wrong("router", gathered.router_host, text)
 
 
 def apart(offset: ClockOffset, of: str = "this host's") -> str:

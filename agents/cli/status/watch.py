@@ -136,8 +136,10 @@ class StatusWatch:
             self._ended.wait(PRESENT_EVERY_S)
 
     def _ask_who_is_there(self) -> None:
-        self._present = self._connection.present()
-        self._health.note_present(self._present)
+        # a router that is cut off does not answer, which says nothing of the agents
+        if (present := self._connection.present_if_told()) is not None:
+            self._present = present
+            self._health.note_present(present)
 
     def _hear_arms(self) -> None:
         """One state of each arm that is there: to hear all of them, at 100 Hz, would be most of the work here."""

@@ -269,6 +269,15 @@ def test_a_calibration_that_is_older_than_the_rig_allows_is_worth_knowing():
     assert told(89) == judge(moment(facts={"camera/main": facts()}, calibrations=allowed)) == []
 
 
+@pytest.mark.parametrize("last_s", [0.4, 2.4])
+def test_where_nothing_comes_through_the_router_its_host_is_named_and_not_those_behind_it(last_s):
+    fares = [fare(name, silent_s=3.4, present=False, placed="compute") for name in ("camera", "perception")]
+    told = judge(moment(*fares, fare("recorder", silent_s=last_s), addresses={"compute": "a"}, router_host="video"))
+    named = ("router", "video") if last_s > 1 else ("host", "compute")
+    assert named in [(wrong.code, wrong.about) for wrong in told]
+    assert len({wrong.code for wrong in told} & {"router", "host"}) == 1
+
+
 def test_a_viewer_that_nobody_expects_is_shown_on_its_host():
     lab = load_config(Path(__file__).parents[3] / "deploy" / "lab.toml", RigConfig)
     taken = []

@@ -48,8 +48,11 @@ STARTS_S, RECOVERS_S = 180.0, 60.0
 LOOK_S, RESTART_S = 0.1, 0.5
 CLOCKS_S = 12.0
 """`status` asks for clocks every ten seconds."""
-STEADY = 2
-"""So many times in a row `status`, which looks once a second, must find all well."""
+STEADY = 5
+"""So many times in a row `status`, which looks once a second, must find all well.
+
+Rates are over two seconds and told once a second: what a break leaves behind is told within four.
+"""
 DOCTOR_S = 120.0
 RATE = re.compile(r"(\d+) ?(?:Mbit|mbit)(?:/s)?")
 SECONDS = re.compile(r"([+-]?\d+(?:\.\d+)?) ?s?")
@@ -145,11 +148,12 @@ class Rehearsal:
 
         `until_well` is after how many seconds that counts; None to go on in any case.
         """
-        began_s, well = monotonic_s(), 0
+        began_s, well, well_s = monotonic_s(), 0, 0.0
         while (past_s := monotonic_s() - began_s) < limit_s and not self.stopped.wait(LOOK_S):
             self.tend()
             for document in self.documents():
                 well = well + 1 if document["well"] else 0
+                well_s = past_s if well == 1 else well_s
                 if document["well"] and limit_s == inf:
                     said.clear()
                 for wrong in document["wrong"]:
@@ -157,7 +161,7 @@ class Rehearsal:
                         said.add(kind)
                         tell(past_s, wrong["text"])
             if until_well is not None and well >= STEADY and past_s >= until_well:
-                return past_s
+                return max(well_s, until_well)
         return None
 
 
