@@ -74,8 +74,8 @@ def _presence(fare: Fare) -> Iterator[Wrong]:
             gone = f"{name} is gone, last heard {since} ago: its process has ended, is stopped, or is cut off"
             yield Wrong("gone", fare.name, gone, grave=fare.expected)
         case s if s == HANGING:
-            hangs = f"{name} is there and its loop has not turned for {since}: it hangs, is in one long step, or is not heard"
-            yield Wrong("hanging", fare.name, hangs)
+            still = f"{name} is there and its loop has not turned for {since}"
+            yield Wrong("hanging", fare.name, f"{still}: it hangs, is in one long step, or is not heard")
         case s if s in (SILENT, NEVER):
             heard = f"{name} has been silent for {since}" if fare.health else f"{name} was never heard of"
             yield Wrong("silent", fare.name, f"{heard}: it hangs, has ended, or is cut off")
