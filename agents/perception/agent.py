@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from agents.perception.beside import Beside, begun_beside
+from agents.perception.beside import begun_beside
+from agents.perception.due import Due, due
 from agents.perception.following.follow import every_second
 from agents.perception.following.pair import FollowedPair, follow_pair
 from agents.perception.frame_checks import apart, mismatch
@@ -21,7 +22,7 @@ from agents.perception.search import FRAMES_BETWEEN_LOOKS, Looked, look_everywhe
 from agents.perception.segmentation.choice import segmenters_with
 from agents.perception.segmentation.promptable_model import PromptableFiles
 from agents.perception.segmenter_names import GIVEN_MASKS, NETWORK, PROMPTABLE, SEGMENTER_NAMES
-from agents.perception.surface import surface_is_due, tissue_surface
+from agents.perception.surface import tissue_surface
 from agents.perception.told_apart import told_apart
 from agents.perception.unusable import nominal_camera, unusable
 from agents.perception.watched import FRAMES_BETWEEN_LOOKS_WATCHED, may_be_watched, watched
@@ -134,7 +135,8 @@ class Perception:
     def _seen(self, frame: StereoFrame, calibration: StereoCalibration) -> Iterable[Output | Later]:
         """What follows from a frame; the observations first, since reconstruction waits for them."""
         last = self._last
-        before, surface_sequence = (last.stamp.sequence, last.surface_sequence) if last else (None, None)
+        surface_sequence = last.surface_sequence if last else None
+        now_due = None if last is None else due(frame.stamp.sequence, last, self._is_watched(last))
         surface_due = False
         pictures = pictured(frame, last)
         pair = (
@@ -147,10 +149,8 @@ class Perception:
             observed = unusable(frame, camera, pair, self._prompt_px)
             judgements = observed.judgements
         else:
-            surface_due = surface_is_due(frame.stamp.sequence, before, surface_sequence)
-            # the tissue of the frame before is still worked on
-            is_busy = surface_sequence is not None and surface_sequence == before
-            observed = self._observe(frame.stamp, pair, is_busy)
+            surface_due = now_due is Due.SURFACE
+            observed = self._observe(frame.stamp, pair, now_due)
             judgements = (*lasting(observed.judgements), *judge_each(pictures, pair.images))
         observed = replace(
             observed,
@@ -175,20 +175,24 @@ class Perception:
                 SURFACE, begun(tissue_surface, frame.stamp, pair.camera, *images, thread, observed.disparities_px)
             )
 
-    def _observe(self, stamp: FrameStamp, pair: RectifiedPair, is_busy: bool) -> ThreadObservations:
+    def _is_watched(self, last: ThreadObservations) -> bool:
+        """Whether what a look at the whole would find is found beside following."""
+        followed = not self.config.matching and last.segmenter in FOLLOWED
+        return followed and may_be_watched(self.config.segmenter, last)
+
+    def _observe(self, stamp: FrameStamp, pair: RectifiedPair, now_due: Due | None) -> ThreadObservations:
         last = self._last
         if last is None:
             return self._looked(stamp, pair, None)
         near = pair.in_line(right_eye_of(last))
         if not self.config.matching and last.segmenter in FOLLOWED:
-            is_watched = may_be_watched(self.config.segmenter, last)
-            due = is_watched and not is_busy
-            beside = begun_beside(stamp.sequence, pair, last, self.config.segmenter) if due else Beside()
-            if (followed := self._followed(stamp, near, last, is_watched)) is not None:
+            beside = begun_beside(now_due, pair, last, self.config.segmenter)
+            if (followed := self._followed(stamp, near, last, now_due)) is not None:
                 observed = watched(followed.observed, followed.coverage, last, beside)
                 return observed or self._looked(stamp, pair, right_eye_of(last))
         looked = look_near(near.images, last, stamp.sequence, self._segmenters)
-        observed = self._observed(stamp, near, looked, right_eye_of(last), last.disparities_px) if looked else None
+        seen = right_eye_of(last), last.disparities_px
+        observed = self._observed(stamp, near, looked, *seen, now_due) if looked else None
         if observed is None or observed.status is not Status.OK:
             return self._looked(stamp, pair, right_eye_of(last))
         return replace(
@@ -214,16 +218,16 @@ class Perception:
         return replace(observed, judgements=judgements)
 
     def _followed(
-        self, stamp: FrameStamp, pair: RectifiedPair, last: ThreadObservations, is_watched: bool
+        self, stamp: FrameStamp, pair: RectifiedPair, last: ThreadObservations, now_due: Due | None
     ) -> FollowedPair | None:
         """The thread followed from the last observations, and told apart; None where it is to be looked for."""
         if self._is_lost(last):
             return None
-        between = FRAMES_BETWEEN_LOOKS_WATCHED if is_watched else FRAMES_BETWEEN_LOOKS
+        between = FRAMES_BETWEEN_LOOKS_WATCHED if self._is_watched(last) else FRAMES_BETWEEN_LOOKS
         found = follow_pair(stamp, pair.camera, pair.images, last, between, self._curve(stamp, pair))
         if found is None:
             return None
-        return replace(found, observed=told_apart(found.observed, pair.images, last))
+        return replace(found, observed=told_apart(found.observed, pair.images, last, None, now_due is Due.OCCLUDERS))
 
     def _is_lost(self, last: ThreadObservations) -> bool:
         """Whether the curve was lost or begun anew in a frame since which thread has not been looked for."""
@@ -247,6 +251,7 @@ class Perception:
         looked: Looked,
         right_eye: RightEye | None,
         disparities_px: Float64[np.ndarray, "2"] | None,
+        now_due: Due | None = None,
     ) -> ThreadObservations:
         observed = observe(
             stamp,
@@ -266,7 +271,7 @@ class Perception:
             is_bright=looked.is_bright,
             prompt_px=looked.prompt_px,
         )
-        return told_apart(observed, pair.images, self._last, looked.score)
+        return told_apart(observed, pair.images, self._last, looked.score, now_due is Due.OCCLUDERS)
 
     def _rectified(self, frame: StereoFrame, calibration: StereoCalibration) -> RectifiedPair | str:
         """The rectified pair, or why there is none."""

@@ -2,17 +2,18 @@
 
 It takes about as long as following does and hardly touches Python's lock, so that it is done on another core meanwhile:
 the pair is judged, or parts of the images are segmented. What is due follows from the last observations alone, and
-nothing of it needs the thread of this frame until that is followed; `watched` puts both together.
+nothing of it needs the thread of this frame until that is followed; `watched` puts both together. When it is due, and
+that no more than one of it is, `due` says.
 """
 
 from concurrent.futures import Future
 from dataclasses import dataclass
 
+from agents.perception.due import Due
 from agents.perception.glances.glance import part_score
-from agents.perception.glances.parts import Part, parts_due
+from agents.perception.glances.parts import Part, next_part
 from agents.perception.judging.whole import Whole, judge_whole
 from agents.perception.rectified_pair import RectifiedPair
-from agents.perception.search import FRAMES_BETWEEN_LOOKS, Pair, judged_in
 from agents.perception.segmentation.choice import suitable_segmenter
 from agents.perception.segmentation.classes import ThreadScore
 from agents.perception.segmenter_names import NETWORK
@@ -27,37 +28,31 @@ class Beside:
 
     Fields:
         whole: the pair judged anew; None as its result where another segmenter is to look at the whole.
-        parts, scores: of the images, and what the network makes of each.
+        part, score: of one image, and what the network makes of it.
     """
 
     whole: Future[Whole | None] | None = None
-    parts: tuple[Part, ...] = ()
-    scores: Future[list[ThreadScore]] | None = None
+    part: Part | None = None
+    score: Future[ThreadScore] | None = None
 
 
-def begun_beside(sequence: int, pair: RectifiedPair, last: ThreadObservations, segmenter: str | None) -> Beside:
-    """Whatever is due, begun, where glances tell what a look at the whole would.
+def begun_beside(what: Due | None, pair: RectifiedPair, last: ThreadObservations, segmenter: str | None) -> Beside:
+    """What is due, begun, where glances tell what a look at the whole would.
 
     Args:
-        sequence: of the frame.
         pair: rectified, its right eye not yet in line.
         last: the observations before it.
         segmenter: as configured; None where it is chosen.
     """
-    # not in two frames in turn, however few of the camera's are seen
-    if sequence - judged_in(last) >= FRAMES_BETWEEN_LOOKS and judged_in(last) != last.stamp.sequence:
+    if what is Due.JUDGED:
         return Beside(whole=begun(_judged, pair, right_eye_of(last), segmenter))
-    parts = tuple(parts_due(sequence, last))
-    if not parts:
+    if what is not Due.GLANCE:
         return Beside()
-    return Beside(parts=parts, scores=begun(_scores, pair.in_line(right_eye_of(last)).images, parts))
+    part = next_part(last)
+    return Beside(part=part, score=begun(part_score, pair.in_line(right_eye_of(last)).images[part.eye], part))
 
 
 def _judged(pair: RectifiedPair, right_eye: RightEye | None, segmenter: str | None) -> Whole | None:
     if segmenter is None and suitable_segmenter(pair.images[0]) != NETWORK:
         return None
     return judge_whole(pair.images, pair.raw, pair.camera, right_eye)
-
-
-def _scores(images: Pair, parts: tuple[Part, ...]) -> list[ThreadScore]:
-    return [part_score(images[part.eye], part) for part in parts]

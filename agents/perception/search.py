@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 
+from agents.perception.due import judged_in
 from agents.perception.judge import correspondence_of_texture, judge
 from agents.perception.prompt import followed, meant_as_before, meant_at, meant_like
 from agents.perception.segmentation.choice import SCORED, SEGMENTERS, Segmenter, suitable_segmenter
@@ -160,11 +161,6 @@ def carried_on(last: ThreadObservations) -> tuple[Judgement, ...]:
         return last.judgements
     when = f" (judged in frame {last.stamp.sequence})"
     return tuple(replace(judgement, finding=judgement.finding + when) for judgement in last.judgements)
-
-
-def judged_in(last: ThreadObservations) -> int:
-    """The frame in which the pair was judged last."""
-    return last.looked_sequence if last.judged_sequence is None else last.judged_sequence
 
 
 def is_brighter(image: UInt8[np.ndarray, "h w 3"], coverage: UInt8[np.ndarray, "h w"]) -> bool:

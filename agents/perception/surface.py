@@ -35,14 +35,6 @@ LEAST_CHANGE, TEXTURE_STEP_PX = 1.5, 4
 """Grey levels by which the ground must change over so many pixels, on average over a cell."""
 THREAD_MARGIN_PX = 3
 """Beside the thread, in the reduced image: half the window, and what blur adds."""
-FRAMES_BETWEEN_SURFACES = 15
-"""Of the camera."""
-LEAST_FRAMES_WITHOUT, USUAL_FRAMES_WITHOUT = 4, 8
-"""For each surface so many frames at least are looked at, where many of the camera's are left out, and as many as is
-usual where it does not grow old by that."""
-OLD_FRAMES = 45
-"""Of the camera: a surface lasts no longer than that where enough frames are looked at; the planner takes one of three
-seconds at most."""
 PARTS_OF_A_PIXEL = 16
 """StereoSGBM gives disparities in these."""
 SHIFT_PX = 0.5
@@ -69,23 +61,6 @@ class _Cells:
 
     disparity_px: Float64[np.ndarray, "r c"]
     deviation_px: Float64[np.ndarray, "r c"]
-
-
-def surface_is_due(sequence: int, before: int | None, newest: int | None) -> bool:
-    """Whether a surface is made for a frame: for the second that is looked at, and then for one in so many.
-
-    Args:
-        sequence: of the frame.
-        before: sequence of the frame that was looked at before it; None for the first, which already takes longest.
-        newest: sequence of the frame of the newest surface; None where none has been made yet.
-    """
-    if before is None:
-        return False
-    if newest is None or newest > sequence:
-        return True
-    step = abs(sequence - before)
-    unhurried = min(USUAL_FRAMES_WITHOUT * step, OLD_FRAMES)
-    return sequence - newest >= max(FRAMES_BETWEEN_SURFACES, LEAST_FRAMES_WITHOUT * step, unhurried)
 
 
 def tissue_surface(

@@ -23,8 +23,6 @@ from shared.images import decode_image
 
 Pair = tuple[UInt8[np.ndarray, "h w *c"], UInt8[np.ndarray, "h w *c"]]
 
-FRAMES_BETWEEN_OCCLUDERS = 15
-"""Of the camera: half a second. The network takes some 40 ms to look for them in both images."""
 LEAST_IN_COMMON_PX = 24.0
 """Of thread: less of it in both images is none."""
 IN_ONE_EYE = (
@@ -41,6 +39,7 @@ def told_apart(
     images: Pair,
     last: ThreadObservations | None,
     score: UInt8[np.ndarray, "h w"] | None = None,
+    occluders_due: bool = False,
 ) -> ThreadObservations:
     """The observations with candidates and occluders, their centrelines without threads that are certainly not meant.
 
@@ -49,6 +48,7 @@ def told_apart(
         images: rectified, as the centrelines are.
         last: the observations before, None where there are none.
         score: of the left image by the segmenter, where it gives one and the whole was looked at.
+        occluders_due: whether they are looked for anew though the whole was not looked at.
     """
     if observed.status is not Status.OK:
         return observed
@@ -60,7 +60,7 @@ def told_apart(
     if is_asked and length_in_common_px(lines, reach) < LEAST_IN_COMMON_PX:
         return _none(observed, IN_ONE_EYE, score)
     before = () if last is None else last.candidates
-    occluders = _occluders(observed, images, whole, last)
+    occluders = _occluders(observed, images, whole or occluders_due, last)
     # one thread alone is told from no other by what may hide it
     may_hide = occluders is not None and (whole or len(before) > 1)
     of_left = decode_image(occluders.left) if occluders is not None and may_hide else None
@@ -104,16 +104,15 @@ def _none(observed: ThreadObservations, reason: str, score: UInt8[np.ndarray, "h
 
 
 def _occluders(
-    observed: ThreadObservations, images: Pair, whole: bool, last: ThreadObservations | None
+    observed: ThreadObservations, images: Pair, anew: bool, last: ThreadObservations | None
 ) -> Occluders | None:
     """Those of the last frames, or new ones; None on a ground of one colour, where nothing is to be learned."""
-    before, sequence = None if last is None else last.occluders, observed.stamp.sequence
-    if not whole and (before is None or 0 <= sequence - before.sequence < FRAMES_BETWEEN_OCCLUDERS):
-        return before
+    if not anew:
+        return None if last is None else last.occluders
     if observed.segmenter == THRESHOLD:
         return None
     left, right = of_both(occluders_in, images[:1], images[1:])
-    return Occluders(map_image(left), map_image(right), sequence)
+    return Occluders(map_image(left), map_image(right), observed.stamp.sequence)
 
 
 def _small(score: UInt8[np.ndarray, "h w"]) -> Image:

@@ -42,17 +42,14 @@ def watched(
     """
     if beside.whole is not None:
         return _judged(observed, beside.whole.result(), coverage)
-    if beside.scores is None:
+    if beside.part is None or beside.score is None:
         return observed
     sequence = observed.stamp.sequence
-    strange = any(
-        glance(score, observed, coverage[part.eye], part)
-        for part, score in zip(beside.parts, beside.scores.result(), strict=True)
-    )
+    strange = glance(beside.score.result(), observed, coverage[beside.part.eye], beside.part)
     if strange and not near_is_enough(last, sequence):
         return None
     # what is strange too early is glanced at again until it is time, or until it is not strange any more
-    glances = observed.glances if strange else observed.glances + len(beside.parts)
+    glances = observed.glances if strange else observed.glances + 1
     return replace(observed, glanced_sequence=sequence, glances=glances)
 
 

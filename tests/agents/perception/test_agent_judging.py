@@ -125,7 +125,8 @@ def test_one_eye_that_stands_still_makes_frames_unusable_until_it_goes_on():
 def test_rows_that_are_apart_are_put_in_line_and_said_to_be_until_the_camera_is_straight_again(rows):
     (straight,) = fed(frame(0))
     assert (straight.rows_moved_up, codes(straight)) == (0, {})
-    first, near, again, come_back = fed(frame(0, rows), frame(1, rows), frame(40, rows), frame(110))
+    straight_again = [frame(k) for k in range(61, 160, 3)]
+    first, near, again, *_, come_back = fed(frame(0, rows), frame(1, rows), frame(40, rows), *straight_again)
     for observed in (first, near, again):
         assert observed.status is Status.OK
         assert observed.rows_moved_up == rows

@@ -42,8 +42,8 @@ def observed(sequence=0, tools=(), **changes):
     return replace(found, looked_sequence=sequence, **changes)
 
 
-def told(of, last=None, tools=(), score=None) -> Any:
-    return told_apart(of, pair(tools)[0], last, score)
+def told(of, last=None, tools=(), score=None, occluders_due=False) -> Any:
+    return told_apart(of, pair(tools)[0], last, score, occluders_due)
 
 
 def kinds(found, side="left"):
@@ -72,12 +72,12 @@ def test_the_score_travels_as_a_small_map_in_which_a_thin_line_keeps_its_own():
     assert told(observed()).score_map is None
 
 
-def test_between_looks_at_the_whole_instruments_are_looked_for_anew_every_half_second():
+def test_between_looks_at_the_whole_instruments_are_looked_for_anew_when_that_is_due():
     before = told(observed(tools=(TOOL,)), tools=(TOOL,))
     assert kinds(before).any()
-    for after, is_due in ((14, False), (15, True)):
-        now = told(replace(observed(after), looked_sequence=0), last=before)
-        assert now.occluders.sequence == (after if is_due else 0)
+    for is_due in (False, True):
+        now = told(replace(observed(14), looked_sequence=0), last=before, occluders_due=is_due)
+        assert now.occluders.sequence == (14 if is_due else 0)
         assert kinds(now).any() == (not is_due)
 
 

@@ -1,0 +1,59 @@
+"""What is done beside finding the thread: each as often as it should be, and never so much that frames are left out."""
+
+import dataclasses
+import itertools
+from collections import Counter
+
+import pytest
+
+from agents.perception.due import FRAMES_BETWEEN, GLANCES_AFTER_LOOK, LONGEST_REST, REST, Due, due
+from tests.agents.perception.test_told_apart import observed, told
+
+
+def done_over(frames, step, last=None, is_watched=True):
+    """What was done in which frame of the camera, of which so many are left out."""
+    last = last or told(observed())
+    done = {}
+    for sequence in range(step, frames, step):
+        what = due(sequence, last, is_watched)
+        if what is not None:
+            done[sequence] = what
+        seen = {
+            Due.JUDGED: {"judged_sequence": sequence},
+            Due.GLANCE: {"glanced_sequence": sequence},
+            Due.OCCLUDERS: {"occluders": dataclasses.replace(last.occluders, sequence=sequence)},
+            Due.SURFACE: {"surface_sequence": sequence},
+        }
+        stamp = dataclasses.replace(last.stamp, sequence=sequence)
+        last = dataclasses.replace(last, stamp=stamp, **(seen[what] if what else {}))
+    return done
+
+
+def test_each_is_done_as_often_as_it_should_where_every_frame_is_seen():
+    done = done_over(600, 1)
+    for what, between in FRAMES_BETWEEN.items():
+        at = [sequence for sequence, one in done.items() if one is what]
+        begun = GLANCES_AFTER_LOOK if what is Due.GLANCE else 0
+        assert (600 - begun) / len(at) == pytest.approx(between, rel=0.3)
+        assert max(b - a for a, b in itertools.pairwise(at)) <= between + 2 * REST + 2
+
+
+@pytest.mark.parametrize("step", [1, 2, 3, 10])
+def test_frames_without_anything_lie_between_and_nothing_is_left_undone(step):
+    at = list(done := done_over(6000, step))
+    assert min(b - a for a, b in itertools.pairwise(at)) > min(REST * step, LONGEST_REST)
+    share = {what: count * FRAMES_BETWEEN[what] for what, count in Counter(done.values()).items()}
+    assert share.keys() == FRAMES_BETWEEN.keys()
+    # where there is no time for all, each comes later by as much
+    assert max(share.values()) < 1.5 * min(share.values())
+
+
+def test_only_the_surface_and_what_may_hide_thread_are_made_beside_what_is_not_followed():
+    assert set(done_over(200, 1, is_watched=False).values()) == {Due.OCCLUDERS, Due.SURFACE}
+    plain = dataclasses.replace(told(observed()), surface_sequence=None)
+    assert due(1, plain, False) is Due.SURFACE
+
+
+def test_what_is_due_comes_at_once_where_the_camera_begins_again():
+    last = dataclasses.replace(told(observed(400)), surface_sequence=395)
+    assert due(0, last, True) is not None
