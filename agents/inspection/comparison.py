@@ -22,7 +22,7 @@ class _Figures:
 OF_A_REPLAY = {
     "from capture until published, ms": "; of what a replay made, as recorded",
     "times of a step, ms": "; of agents that ran anew, in the replay",
-    "what came of the grasps": "; promises of a replayed planner, outcomes as recorded",
+    "what came of the grasps": "; a replayed planner's plans and promises, what an arm did as recorded",
 }
 """What a title adds where a session was replayed: a replay publishes nothing, and no grasp comes of it."""
 

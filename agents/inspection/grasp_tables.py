@@ -3,7 +3,7 @@
 from agents.inspection.grasps import Arming, Grasp, event_name
 from agents.inspection.session import Session
 from agents.inspection.table import Row, Table
-from schemas.messages import CommandAnswer, GraspGoal, GraspPlan, Hold, Outcome, Prompt
+from schemas.messages import CommandAnswer, GraspGoal, Hold, Outcome, Prompt
 
 
 def grasps(session: Session) -> Table:
@@ -14,11 +14,13 @@ def grasps(session: Session) -> Table:
 
 def _grasp_row(session: Session, number: int, grasp: Grasp) -> Row:
     at_s = f"{session.since_start_s(grasp.at_ns):.2f}"
-    plan, ended = "not recorded" if grasp.plan is None else plan_text(grasp.plan), grasp.ended
+    plan, ended = "not recorded" if grasp.plan is None else grasp.plan.in_words, grasp.ended
     # one row may hold a plan of today and what became of that of the session
     if session.said.ran_anew and grasp.plan is not None:
         plan += " (planned anew)" if "planner" in _kinds_anew(session) else " (of the source)"
-    return str(number), at_s, goal_text(grasp.goal), plan, ended + (_as_of(session) if ended else "")
+    # why there is no plan is the planner's to say, and nothing came of it
+    of_arm = ended and not (grasp.plan is not None and grasp.plan.reason)
+    return str(number), at_s, goal_text(grasp.goal), plan, ended + (_as_of(session) if of_arm else "")
 
 
 def _kinds_anew(session: Session) -> set[str]:
@@ -44,14 +46,6 @@ def goal_text(goal: GraspGoal | None) -> str:
             f"point {' '.join(f'{1e3 * x:.1f}' for x in goal.point_camera)} mm" if goal.point_camera is not None else ""
         )
     return f"{goal.arm} {where} {goal.policy.name.lower()}"
-
-
-def plan_text(plan: GraspPlan | None) -> str:
-    """A plan in a few words; why there is none stands elsewhere."""
-    if plan is None or plan.reason:
-        return "none"
-    capture, goal = (f"{s:.3f}" if s is not None else "?" for s in (plan.s_capture, plan.s_goal))
-    return f"capture {capture}, slide {plan.slide_m * 1e3:.1f} mm, grasp {goal}, success {plan.probability:.0%}"
 
 
 def phases(session: Session) -> Table:

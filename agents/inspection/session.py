@@ -64,10 +64,6 @@ class Session:
         return (at_ns - self.start_ns) * 1e-9
 
 
-LONGEST_WAY_NS = 1_000_000_000
-"""Of a message from its publisher to the recorder."""
-
-
 class _Reading:
     def __init__(self) -> None:
         self.contents, self.accounts, self.grasps = ContentsCollector(), AccountCollector(), GraspCollector()
@@ -85,9 +81,7 @@ class _Reading:
             self._add_repeated(entry)
             return
         if not self.begin_ns:
-            on_its_way_ns = entry.received_ns - entry.published_ns
-            # a state may have been published long before, and another host's clock may be off
-            self.begin_ns = entry.published_ns if 0 <= on_its_way_ns < LONGEST_WAY_NS else entry.received_ns
+            self.begin_ns = entry.at_ns
         self.contents.add(entry)
         try:
             topic = topic_of(entry.key)

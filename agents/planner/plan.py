@@ -71,6 +71,8 @@ def _best(
                 f"the thread cannot be captured anywhere for a goal at s = {s_goal:.3f}; "
                 f"of {len(s)} places: {counted_reasons(against)}"
             )
+        if (against == list(Against).index(Against.UNKNOWN_ON_THE_WAY)).any():
+            reason += f" (known enough is what is grasped with {config.least_probability:g} probability or more)"
         pressed, why = _at_tissue(captures, config, tissue)
         return _rejected(goal, thread, attempt, reason + why, s_goal, 0.0, others, pressed)
     likely = float(probability[chosen])

@@ -1,5 +1,6 @@
 """What replayed outputs say differently from recorded ones: a row for each field, and the course of it over time."""
 
+import dataclasses
 import functools
 import math
 import re
@@ -13,7 +14,7 @@ import numpy as np
 from agents.replay.compare import AS_IT_IS, OTHER, Difference, Rule, Rules, differences
 from agents.replay.tolerances import exact, tolerant
 from schemas.codec import decode
-from schemas.messages import FrameStamp, Status
+from schemas.messages import FrameStamp, GraspPlan, Status
 from schemas.topics import TOPICS, topic_of
 from shared.runtime.replay import Replayed
 
@@ -33,7 +34,9 @@ class Compared:
     """One output beside what it is now: by how much each field differs, of those that do.
 
     Fields:
-        became: its status with the reason, then and now, where they differ.
+        became: its status with the reason, or its plan, then and now, where they differ.
+        turned: whether it failed then or now and not both times, so that all else in it follows and is not compared.
+        untold: fields that are empty as another version made it, which may not have known them.
     """
 
     topic: str
@@ -41,6 +44,8 @@ class Compared:
     is_same: bool
     fields: tuple[Difference, ...] = ()
     became: str = ""
+    turned: bool = False
+    untold: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -84,13 +89,21 @@ class Comparison:
     @property
     def is_same(self) -> bool:
         """Whether nothing differs by more than its tolerance."""
-        return not (self.made_no_more or self.unrecorded or any(row.beyond for row in self.rows))
+        return not (
+            self.made_no_more
+            or self.unrecorded
+            or any(row.beyond for row in self.rows)
+            or any(output.turned for output in self.outputs)
+        )
 
 
-def compared(outputs: Iterable[Replayed], published_ns: Callable[[Replayed], int], exactly: bool) -> Comparison:
+def compared(
+    outputs: Iterable[Replayed], published_ns: Callable[[Replayed], int], exactly: bool, of_another: bool = False
+) -> Comparison:
     """Compare what was replayed with what was recorded; what could not be repeated is left out.
 
     Exactly: nothing may differ, not a byte; otherwise within the tolerances for other versions and settings.
+    Of another: another version made them, which may not have known every field.
 
     Raises:
         MessageError: where a recorded output cannot be read.
@@ -109,14 +122,21 @@ def compared(outputs: Iterable[Replayed], published_ns: Callable[[Replayed], int
         # what is the same is decoded too: a curve of differences needs its time
         then = decode(topic.message, output.then)
         now = then if output.same else decode(topic.message, output.now)
-        fields = () if output.same else _differences(then, now, rules(topic.message), exactly)
+        turned = (getattr(then, "status", None) is Status.FAILED) != (getattr(now, "status", None) is Status.FAILED)
+        fields = () if output.same or turned else _differences(then, now, rules(topic.message), exactly)
+        empty = _empty(then) if of_another and not exactly else set[str]()
+        untold = tuple(d.field for d in fields if d.field in empty)
+        fields = tuple(d for d in fields if d.field not in empty)
         at = _at(then, published_ns(output))
-        found.append(Compared(str(topic), at, output.same, fields, _became(then, now)))
+        found.append(Compared(str(topic), at, output.same, fields, _became(then, now), turned, untold))
     of_topic = {str(topic): rules(topic.message) for topic in TOPICS}
     return Comparison(tuple(found), _rows(found, of_topic), made_no_more, unrecorded)
 
 
 def _became(then: Any, now: Any) -> str:
+    if isinstance(then, GraspPlan) and then.status is now.status is Status.OK:
+        # there figures are what it is about
+        return f"{then.in_words} → {now.in_words}" if then.in_words != now.in_words else ""
     one, other = (_status(message) for message in (then, now))
     # figures may differ where the words say the same
     return f"{one} → {other}" if FIGURES.sub("#", one) != FIGURES.sub("#", other) else ""
@@ -128,6 +148,17 @@ def _status(message: Any) -> str:
     if not isinstance(status, Status):
         return ""
     return f"{status.name.lower()}: {reason}" if reason else status.name.lower()
+
+
+def _empty(message: Any) -> set[str]:
+    """The fields that hold what they hold where nobody sends them."""
+    return {f.name for f in dataclasses.fields(message) if _is_default(f, getattr(message, f.name))}
+
+
+def _is_default(field: Any, value: Any) -> bool:
+    if field.default is not dataclasses.MISSING:
+        return value is None if field.default is None else bool(value == field.default)
+    return field.default_factory is not dataclasses.MISSING and hasattr(value, "__len__") and len(value) == 0
 
 
 def _differences(then: Any, now: Any, rules: Rules, exactly: bool) -> tuple[Difference, ...]:

@@ -295,6 +295,15 @@ class GraspPlan:
     maximum_frame_age_s: float = 0.0
     continues: str = ""
 
+    @property
+    def in_words(self) -> str:
+        """What it is to do, in a few words; why there is none stands in its reason."""
+        if self.reason:
+            return "none"
+        capture, goal = (f"{s:.3f}" if s is not None else "?" for s in (self.s_capture, self.s_goal))
+        slide_mm = self.slide_m * 1e3
+        return f"capture {capture}, slide {slide_mm:.1f} mm, grasp {goal}, success {self.probability:.0%}"
+
     def __post_init__(self) -> None:
         check_message(self)
         check_arm(self.arm)

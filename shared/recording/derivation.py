@@ -91,7 +91,9 @@ class Derivation:
             parts.append("settings: " + ", ".join(f"{key} {change}" for key, change in self.settings.items()))
         if self.left_out:
             parts.append(
-                "left out on purpose: " + ", ".join(f"{count} {what}" for what, count in self.left_out.items())
+                # a file that was cut off has not come to say how many
+                "left out on purpose: "
+                + ", ".join(f"{count or 'some'} {what}" for what, count in self.left_out.items())
             )
         if self.read_as:
             parts.append(f"its messages were those of version {self.read_as}")

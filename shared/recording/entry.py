@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 PROFILE = "suturegrasp"
 """What the files call themselves, so that those of other programs are told apart."""
+LONGEST_WAY_NS = 1_000_000_000
+"""From publisher to recorder."""
 
 
 class RecordingError(ValueError):
@@ -25,6 +27,14 @@ class Entry:
     published_ns: int
     received_ns: int
     repeated: bool = False
+
+    @property
+    def at_ns(self) -> int:
+        """When it was published; when it was received, where that is no way that a message takes.
+
+        A state may have been published long before, and another host's clock may be off.
+        """
+        return self.published_ns if 0 <= self.received_ns - self.published_ns < LONGEST_WAY_NS else self.received_ns
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,9 @@ from agents.reconstruction.agent import Reconstruction
 from agents.replay.differences import compared
 from agents.replay.through import Stage, replay_through
 from schemas.codec import decode, encode
-from schemas.messages import GraspPlan, Status, StereoCalibration, ThreadObservations, ThreadReconstruction
+from schemas.messages import GraspPlan, Status, StereoCalibration, StereoFrame, ThreadObservations, ThreadReconstruction
 from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS, PLAN, THREAD, topic_of
+from shared.calibration.identity import calibration_id
 from shared.recording.mcap_file import read_recording
 from tests.goldens.bless import GOLDENS, THROUGH, blessed
 from tests.goldens.record import SCENES
@@ -63,13 +64,18 @@ def test_the_golden_recordings_are_those_that_can_be_made_and_small():
 def test_a_calibration_that_is_off_by_a_fifth_of_a_pixel_shows(path, results):
     """The least that must show: half a millimetre of depth, which decides about a grasp."""
 
+    recorded = next(e for e in results[path].before if topic_of(e.key) is CALIBRATION)
+    calibration = decode(StereoCalibration, recorded.payload)
+    K_right = calibration.K_right.copy()
+    K_right[0, 2] += 0.2
+    off = dataclasses.replace(calibration, K_right=K_right)
+
     def turned(entry):
-        if topic_of(entry.key) is not CALIBRATION:
-            return entry
-        calibration = decode(StereoCalibration, entry.payload)
-        K_right = calibration.K_right.copy()
-        K_right[0, 2] += 0.2
-        return dataclasses.replace(entry, payload=encode(dataclasses.replace(calibration, K_right=K_right)))
+        if topic_of(entry.key) is FRAMES:
+            frame = decode(StereoFrame, entry.payload)
+            stamp = dataclasses.replace(frame.stamp, calibration_id=calibration_id(off))
+            return dataclasses.replace(entry, payload=encode(dataclasses.replace(frame, stamp=stamp)))
+        return dataclasses.replace(entry, payload=encode(off)) if topic_of(entry.key) is CALIBRATION else entry
 
     stages = [Stage("perception", lambda: _built(path, "perception")), Stage("reconstruction", Reconstruction)]
     outcomes, _ = replay_through(stages, [turned(entry) for entry in results[path].before])

@@ -105,8 +105,10 @@ def test_another_setting_shows_where_and_by_how_much(golden, tmp_path, capsys):
     status, out, err = ran(capsys, golden, "perception,reconstruction", set=setting, output=output)
     assert (status, err) == (EXIT_DIFFERENT, "")
     assert "otherwise than recorded: --set reconstruction.method=paper; compared within tolerances" in out
-    row = next(line.split() for line in out.splitlines() if line.split()[:1] == ["method!"])
+    row = next(line.split() for line in out.splitlines() if line.split()[:1] == ["points!"])
     assert row[1:4] == ["2", "2", "other"]
+    # what fails now differs in all else too, which says nothing more
+    assert "2 times ok → failed: " in out and "method!" not in out
     threads = [decode(ThreadReconstruction, e.payload) for e in read_recording(output) if topic_of(e.key) is THREAD]
     assert [t.method for t in threads] == ["paper"] * 2
     # what is attached is what is in force: for those that ran anew, and no others

@@ -23,8 +23,22 @@ def table(comparison: Comparison, began_ns: int) -> list[str]:
         rows = [row for row in comparison.rows if row.topic == topic]
         lines += ["", f"{topic}: {messages[topic]} compared, {differing[topic]} not byte for byte the same"]
         lines += _changes(comparison, topic)
+        lines += _beside(comparison, topic, bool(rows), differing[topic])
         lines += _aligned([HEADINGS, *(_cells(row, began_ns) for row in rows)]) if rows else []
     return [*lines, ""]
+
+
+def _beside(comparison: Comparison, topic: str, has_rows: bool, differing: int) -> list[str]:
+    """What is not in the rows, and why."""
+    of_topic = [output for output in comparison.outputs if output.topic == topic]
+    lines: list[str] = []
+    if turned := sum(output.turned for output in of_topic):
+        lines.append(f"  all else in {'it' if turned == 1 else f'those {turned}'} follows from that")
+    if untold := sorted({field for output in of_topic for field in output.untold}):
+        lines.append(f"  empty as another version made it, and not compared: {', '.join(untold)}")
+    if differing and not has_rows and not lines:
+        lines.append("  nothing that is compared differs: it was made of other messages, or at another time")
+    return lines
 
 
 def _changes(comparison: Comparison, topic: str) -> list[str]:
@@ -32,7 +46,10 @@ def _changes(comparison: Comparison, topic: str) -> list[str]:
     changed = [output.became for output in comparison.outputs if output.topic == topic and output.became]
     first = {FIGURES.sub("#", change): change for change in reversed(changed)}
     became = Counter(FIGURES.sub("#", change) for change in changed)
-    lines = [f"  {count} times {first[kind]}" for kind, count in became.most_common(MOST_CHANGES)]
+    lines = [
+        f"  {'once' if count == 1 else f'{count} times'} {first[kind]}"
+        for kind, count in became.most_common(MOST_CHANGES)
+    ]
     left = len(became) - MOST_CHANGES
     return [*lines, *([f"  and {left} other changes of status or reason"] if left > 0 else [])]
 

@@ -76,8 +76,8 @@ def report(result: ThroughResult) -> Iterator[str]:
 
 
 def _began_ns(entries: list[Entry]) -> int:
-    """When the recording begins; what it repeats from before is older."""
-    return min((e.published_ns for e in entries if not e.repeated), default=0)
+    """When the recording begins, as `inspect` has it; what it repeats from before is older."""
+    return next((entry.at_ns for entry in entries if not entry.repeated), 0)
 
 
 def _sentence(outcome: Outcome) -> str:

@@ -125,14 +125,16 @@ def replayed(options: ThroughOptions) -> ThroughResult:
     stages = _stages(config, (options.through or "").split(","))
     _check_outputs(stages, entries, damage)
     said = completeness(options.recording)
-    otherwise = _otherwise(options, _made_by(stages, said, notes), changing)
+    made_by = _made_by(stages, said, notes)
+    otherwise = _otherwise(options, made_by, changing)
     _check_settings(options.set, given, [stage.name for stage in stages])
     outcomes, after = replay_through(stages, entries)
-    _check_repeatable(outcomes)
+    _check_repeatable(outcomes, damage or ("" if said.finished else f"{options.recording}: {said.sentence}"))
     published = {(e.key, e.epoch, e.sequence): e.published_ns for e in entries}
     outputs = [output for outcome in outcomes for output in outcome.outputs]
     exactly = options.tolerances == NONE or (options.tolerances == AUTO and not otherwise)
-    comparison = compared(outputs, lambda r: published[r.key, r.epoch, r.sequence], exactly)
+    of_another = made_by.get("suturegrasp", schemas.__version__) != schemas.__version__
+    comparison = compared(outputs, lambda r: published[r.key, r.epoch, r.sequence], exactly, of_another)
     return ThroughResult(
         before=entries,
         after=after,
@@ -260,10 +262,12 @@ def _check_settings(settings: Iterable[str], given: RigConfig, agents: Sequence[
             )
 
 
-def _check_repeatable(outcomes: list[Outcome]) -> None:
+def _check_repeatable(outcomes: list[Outcome], lacks: str) -> None:
+    """See that something was compared; `lacks` says what may keep it from that."""
     if not any(outcome.outputs for outcome in outcomes):
         silent = ", ".join(outcome.stage for outcome in outcomes)
-        raise UnusableError(f"{silent} said nothing in this recording, so that there is nothing to compare")
+        nothing = f"{silent} said nothing in this recording, so that there is nothing to compare"
+        raise UnusableError(f"{nothing}; {lacks}" if lacks else nothing)
     for outcome in outcomes:
         if outcome.outputs and not outcome.compared:
             raise UnusableError(f"none of {outcome.stage}'s outputs can be repeated: {lacking(outcome)}")

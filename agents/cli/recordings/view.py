@@ -122,7 +122,9 @@ def _told_before(recording: Path) -> list[str]:
             "cut off, or still being written: what came in the last moments is missing",
         ]
     said = completeness(recording)
-    return [*(one.sentence for one in said.derived), said.sentence]
+    # the damage that a file may have is met when it is read
+    by_itself = f"by its own account {said.sentence}" if said.complete else said.sentence
+    return [*(one.sentence for one in said.derived), by_itself]
 
 
 def report_sentence(report: ViewerReport) -> str:

@@ -1,6 +1,6 @@
 """What is wrong by the agents' own accounts and by their silence; `up` and `status` share this judgement."""
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Set
 from itertools import groupby
 
 from agents.cli.status.health_watch import ABSENT, GONE, HANGING, NEVER, SILENT, Fare, span_of
@@ -130,7 +130,7 @@ def _slow(fares: tuple[Fare, ...], rates_hz: Mapping[str, float]) -> Iterator[Wr
             of = f"{output.topic} of {name}" if " " in name else output.topic
             at = f"{output.rate_hz:.1f} Hz" if 0 < output.rate_hz < 1 else f"{output.rate_hz:.0f} Hz"
             text = f"{of} comes at {at}, where {expected:.0f} Hz are expected"
-            yield Wrong("slow", output.topic, text + _because(health, slow, output.rate_hz))
+            yield Wrong("slow", output.topic, text + _because(health, slow, output.topic, output.rate_hz))
 
 
 def _links(fares: tuple[Fare, ...], rates_hz: Mapping[str, float]) -> Iterator[Wrong]:
@@ -158,9 +158,11 @@ def _links(fares: tuple[Fare, ...], rates_hz: Mapping[str, float]) -> Iterator[W
         yield Wrong("link", f"{one} {other}", text)
 
 
-def _because(health: AgentHealth, slow: Collection[str], rate_hz: float) -> str:
+def _because(health: AgentHealth, slow: Set[str], output: str, rate_hz: float) -> str:
     """What keeps an agent from its rate: what it waits for, or steps that fill its time."""
-    waits = [heard.topic for heard in health.inputs if heard.topic in slow]
+    # what only follows from it, and comes back to it, it does not wait for
+    before = {str(topic) for topic in TOPICS[: [str(topic) for topic in TOPICS].index(output)]}
+    waits = [heard.topic for heard in health.inputs if heard.topic in slow & before]
     if waits:
         return f", for it waits for {listed(waits)}"
     if health.step_ms_p50 is not None and health.step_ms_p50 * rate_hz > SLOW_SHARE * 1e3:

@@ -269,6 +269,15 @@ def test_a_calibration_that_is_older_than_the_rig_allows_is_worth_knowing():
     assert told(89) == judge(moment(facts={"camera/main": facts()}, calibrations=allowed)) == []
 
 
+def test_two_that_hear_each_other_do_not_wait_for_each_other():
+    thread, observations = heard("reconstruction/thread", 1.0), heard("perception/observations", 1.0)
+    seen = health("perception", inputs=[thread], outputs=[OutputHealth("perception/observations", 1.0, 9)])
+    made = health("reconstruction", inputs=[observations], outputs=[OutputHealth("reconstruction/thread", 1.0, 9)])
+    found = sentences(fare("perception", seen), fare("reconstruction", made))
+    assert "waits" not in found["slow", "perception/observations"].text
+    assert found["slow", "reconstruction/thread"].text.endswith(", for it waits for perception/observations")
+
+
 @pytest.mark.parametrize("last_s", [0.4, 2.4])
 def test_where_nothing_comes_through_the_router_its_host_is_named_and_not_those_behind_it(last_s):
     fares = [fare(name, silent_s=3.4, present=False, placed="compute") for name in ("camera", "perception")]

@@ -1,0 +1,27 @@
+"""What a replay of the shipped session is said to change, in words."""
+
+from pathlib import Path
+
+from agents.cli.recordings.options import Replay
+from agents.cli.recordings.replay_report import report
+from agents.cli.recordings.replay_through import replayed
+
+SESSION = Path(__file__).parents[2] / "docs" / "example" / "session.mcap"
+
+
+def told(*settings, through="planner"):
+    return [line.strip() for line in report(replayed(Replay(SESSION, through=through, set=settings)))]
+
+
+def test_another_bound_of_the_planner_is_told_as_another_plan():
+    (plan,) = [line for line in told("planner.least_probability=0.85") if line.startswith("once ")]
+    before, after = plan.removeprefix("once ").split(" → ")
+    assert before.startswith("capture ") and before.endswith("success 85%")
+    assert after.startswith("capture ") and after != before
+
+
+def test_what_the_older_version_did_not_know_is_named_and_is_no_difference():
+    lines = told()
+    (untold,) = [line for line in lines if line.startswith("empty as another version made it")]
+    assert {"attempts", "around", "tissue"} <= set(untold.partition(": ")[2].split(", "))
+    assert not [line for line in lines if line.startswith(("attempts", "around", "tissue"))]
