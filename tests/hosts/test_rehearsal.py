@@ -37,6 +37,9 @@ def test_four_hosts_come_up_and_every_break_is_named_and_over():
         assert part.startswith(what)
         assert named in part
         assert "all well again" in part
+    # what lies behind the router is not named in its place
+    first, *_ = re.findall(r"^ +\d+\.\d s +(.*)", parts[0], re.MULTILINE)
+    assert "router" in first
     assert not list(Path("/run/netns").glob(f"{PREFIX}*"))
 
 

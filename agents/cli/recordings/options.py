@@ -98,7 +98,7 @@ class Replay(OnRecording):
     place of the recorded one."""
     through: Annotated[str | None, tyro.conf.arg(metavar="AGENT[,AGENT ...]")] = None
     """Publish nothing: feed these agents, in this process, exactly what they consumed, and compare what they say now
-    (docs/process_replay.md). Exit status then: 0 the same, 1 different, 2 nothing to compare."""
+    (docs/process_replay.md). Exit status then: 0 the same, 1 different, 2 nothing to compare, 3 damaged."""
     against: Annotated[str, tyro.conf.arg(metavar="recorded")] = "recorded"
     """With --through: what the outputs are compared with."""
     set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="KEY=VALUE")] = ()

@@ -36,7 +36,7 @@ from agents.cli.lab.rehearsal.rehearsed import (
 from agents.cli.rig.config import RigConfig
 from agents.cli.rig.hosts import OPERATOR
 from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
-from agents.cli.terminal import say
+from agents.cli.terminal import say, show
 from agents.deployment.certificates import issue
 from agents.deployment.layout import Layout
 from agents.deployment.units import COMPUTING, NOT_OURS
@@ -301,38 +301,40 @@ def _played(rehearsal: Rehearsal, options: Deploy, breaks: list[Break]) -> int:
     if options.stay:
         inside = shlex.join([*rehearsal.network.inside(rehearsal.watcher), *rehearsal.command("status")])
         say(f"it runs until Ctrl-C; a command on {rehearsal.watcher}: {inside}")
-        rehearsal.watch(inf, None, lambda past_s, text: say(f"  {past_s:5.1f} s  {text}"), set())
+        rehearsal.watch(inf, None, _tell, set())
     return EXIT_OK if all(recovered) and found else EXIT_WRONG
 
 
 def _broken(rehearsal: Rehearsal, one: Break, seconds: float) -> bool:
     """Have something go wrong for a while, and tell what is said of it; whether the rig recovered."""
 
-    def tell(past_s: float, text: str) -> None:
-        say(f"  {past_s:5.1f} s  {text}")
-
     told, seconds = set[tuple[str, str]](), max(seconds, one.least_s)
     say(f"{one.what}, for {seconds:g} s:")
     for _ in rehearsal.documents():
         pass
     with one.during(rehearsal):
-        rehearsal.watch(seconds, None, tell, told)
+        rehearsal.watch(seconds, None, _tell, told)
     if not told:
-        say("  status finds nothing wrong with it")
+        show("  status finds nothing wrong with it")
     during = len(told)
 
     def tell_after(past_s: float, text: str) -> None:
         if len(told) == during + 1:
-            say("  it is over, and what it left behind:")
-        tell(past_s + seconds, text)
+            show("  it is over, and what it left behind:")
+        _tell(past_s + seconds, text)
 
     again_s = rehearsal.watch(RECOVERS_S, one.least_s, tell_after, told)
-    say(
-        f"  all well again {again_s:.1f} s after it ended"
+    well = (
+        f"all well again {again_s:.1f} s after it ended"
         if again_s is not None
-        else f"  not well {RECOVERS_S:.0f} s after"
+        else f"not well {RECOVERS_S:.0f} s after"
     )
+    show(f"  {well}")
     return again_s is not None or rehearsal.stopped.is_set()
+
+
+def _tell(past_s: float, text: str) -> None:
+    show(f"  {past_s:5.1f} s  {text}")
 
 
 def _doctor(rehearsal: Rehearsal) -> bool:
@@ -350,5 +352,5 @@ def _doctor(rehearsal: Rehearsal) -> bool:
     late = [one for one in wrong if one["what"].startswith(LATE)]
     for one in wrong:
         why = f"here all hosts share {os.cpu_count()} processors" if one in late else one["remedy"]
-        say(f"  {one['what']}: {one['found']}; {why}")
+        show(f"  {one['what']}: {one['found']}; {why}")
     return len(late) == len(wrong)
