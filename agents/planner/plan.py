@@ -72,7 +72,7 @@ def _best(
                 f"of {len(s)} places: {counted_reasons(against)}"
             )
         if (against == list(Against).index(Against.UNKNOWN_ON_THE_WAY)).any():
-            reason += f" (known enough is what is grasped with {config.least_probability:g} probability or more)"
+            reason += f" (known enough is what is grasped with a probability of {config.least_probability:g} at least)"
         pressed, why = _at_tissue(captures, config, tissue)
         return _rejected(goal, thread, attempt, reason + why, s_goal, 0.0, others, pressed)
     likely = float(probability[chosen])
