@@ -12,8 +12,16 @@ So with x = (x_r, x_q)
 
     p(x; V) = (1 − ε − η) N(x; V) + ε N(x_q; V_qq) / R + η / A.
 
-Both alike before, the probability of being held is p(m | held) / (p(m | held) + p(m | missed)). It is held above
-`sure`, missed below 1 − `sure`, and unknown in between: what m is far from both says nothing, and nothing is guessed.
+The thread as a whole may have moved by t besides (`moved`): tissue breathes, and a reconstruction may be wrong as a
+whole, whether the thread is held or not; or the tool drags limp thread along by a part of its own way D, in the camera
+frame. Then it is m + t that is d,
+
+    p(m, t | held) = ½ p(m | held) p₀(t) + ½ p(m + (r, q)ᵀ t | held) p₁(t),      p(m, t | missed) = p(m | missed) p₀(t),
+    p₀(t) = (1 − ω) N(t; σ₀² I + Σ_t) + ω N(t; σ₁² I + Σ_t),                    p₁(t) = ∫₀¹ N(t − λ D; σ_d² I + Σ_t) dλ.
+
+Both alike before, the probability of being held is p(m, t | held) / (p(m, t | held) + p(m, t | missed)). It is held
+above `sure`, missed below 1 − `sure`, and unknown in between: what m is far from both says nothing, and nothing is
+guessed.
 A lift goes back along the viewing ray; so a plan goes on sideways (`aside.py`).
 
 On a robot that measures its jaws' angle well enough the angle at which they stop tells as well: around thread of
@@ -34,11 +42,16 @@ from schemas.messages import Checked, GraspPlan, Phase, Status, ThreadAround, Th
 from shared.kinematics.psm import FINGER_M
 
 SAMPLES_BEFORE, SAMPLES_AFTER = 81, 401
+LEAST_DENSITY = 1e-300
 LEAST_LIFT_M, EVEN = 0.002, 0.5
 WRONG_DEPTH, DEPTHS_M = 0.02, 2.0 * DEEP_M
 """ε and R."""
 WRONG, AREA_M2 = 0.001, 4.0 * DEEP_M * BESIDE_M
 """η and A: what no passage is taken to be the goal's beyond."""
+CALM_M, WRONG_M, WRONG_AS_WHOLE = 0.002, 0.01, 0.1
+"""σ₀, σ₁ and ω."""
+DRAGGED, DRAG_M = (np.arange(20) + 0.5) / 20, 0.002
+"""λ, and σ_d: not all of the thread is dragged alike."""
 MM_PER_M = 1e3
 
 
@@ -124,7 +137,26 @@ def held_probability(found: Motion, opens: Float64[np.ndarray, "3"], config: Pla
     taken = spread + (config.tool_error_m**2 + config.hand_eye_error_m**2 / UNIFORM_BALL) * np.outer(opened, opened)
     taken = taken + found.follows_covariance
     held, missed = _density(found.thread - found.follows, taken), _density(found.thread, spread)
+    dragged = _density(found.thread + found.axes @ found.common - found.follows, taken)
+    held = 0.5 * held + 0.5 * dragged * _dragged_rather(found)
     return held / (held + missed)
+
+
+def _dragged_rather(found: Motion) -> float:
+    """How much likelier the tool has moved the thread as a whole than something else: p₁(t) / p₀(t)."""
+    along = found.common - DRAGGED[:, None] * found.tool_moved
+    by_tool = float(_gaussian(along, found.common_covariance + DRAG_M**2 * np.eye(3)).mean())
+    calm, wrong = (
+        float(_gaussian(found.common[None], found.common_covariance + deviation**2 * np.eye(3))[0])
+        for deviation in (CALM_M, WRONG_M)
+    )
+    return by_tool / max((1.0 - WRONG_AS_WHOLE) * calm + WRONG_AS_WHOLE * wrong, LEAST_DENSITY)
+
+
+def _gaussian(off: Float64[np.ndarray, "n 3"], covariance: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "n"]:
+    """Densities of being off by so much."""
+    square = np.einsum("ni,ni->n", off, np.linalg.solve(covariance, off.T).T)
+    return np.exp(-0.5 * square) / math.sqrt((2.0 * math.pi) ** 3 * float(np.linalg.det(covariance)))
 
 
 def _is_seen(thread: ThreadReconstruction, samples: ThreadAround) -> Bool[np.ndarray, "n"]:

@@ -16,10 +16,12 @@ as they say, and at most 1.
 
 The instrument mostly hides the jaws, so no thread may be found at the goal. Then what counts is the nearest place that
 is seen, a farther along the thread: what is held at the goal takes it along by a share of the way, 1 − κ a give or take
-ν a.
+ν a. What something hides is a guess, and no place that is seen.
+
+Limp thread that nothing holds is dragged along as a whole. So t may be the tool's doing (`check`).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -58,6 +60,8 @@ class Motion:
         covariance: of `thread`, from both reconstructions.
         axes: both directions, unit vectors in the camera frame.
         beside_m: how far along the thread from the goal that is.
+        tool_moved: in the camera frame.
+        common, common_covariance: by how much the thread as a whole moved besides, and how well that is told.
     """
 
     tool: Float64[np.ndarray, "2"]
@@ -65,6 +69,9 @@ class Motion:
     covariance: Float64[np.ndarray, "2 2"]
     axes: Float64[np.ndarray, "2 3"]
     beside_m: float = 0.0
+    tool_moved: Float64[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
+    common: Float64[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
+    common_covariance: Float64[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
 
     @property
     def follows(self) -> Float64[np.ndarray, "2"]:
@@ -141,12 +148,13 @@ def motion(
     tangents = unit_vectors(np.gradient(before.points_camera, axis=0))
     arc = _arc(before.points_camera)
     still = _common(before, arc, goal, tangents, after)
-    anywhere = np.ones(len(after.s) + 1, bool)
-    found = _passage(before, goal, tangents[goal], after, tool_moved, still, anywhere)
+    # what hides the thread hides how it bends to the jaws: what is guessed there tells nothing
+    at_goal = np.concatenate(([True], seen[:-1] & seen[1:], [True]))
+    found = _passage(before, goal, tangents[goal], after, tool_moved, still, at_goal)
     if found is not None:
         return found
     # ends go no farther than they are seen there
-    between = np.concatenate(([False], seen[:-1] & seen[1:], [False]))
+    between = np.concatenate(([False], at_goal[1:-1], [False]))
     away = np.abs(arc - arc[goal])
     for place in np.argsort(away, kind="stable")[1 : np.count_nonzero(away <= NEAR_M)]:
         found = _passage(before, int(place), tangents[place], after, tool_moved, still, between)
@@ -187,7 +195,15 @@ def _passage(
     seen = int(np.clip(passes[nearest] - 1, 0, len(after.s) - 1))
     covariance = still.repeated * (before.covariance[place] + after.covariance[seen] + still.covariance)
     on_m = {0: 1.0 - share[nearest], len(after.s): share[nearest]}.get(int(passes[nearest]), 0.0) * END_M
-    return Motion(tool, at[nearest], axes @ covariance @ axes.T + np.diag(np.square(BENDS) * on_m**2), axes)
+    return Motion(
+        tool,
+        at[nearest],
+        axes @ covariance @ axes.T + np.diag(np.square(BENDS) * on_m**2),
+        axes,
+        tool_moved=tool_moved,
+        common=still.common,
+        common_covariance=still.covariance,
+    )
 
 
 def _longer(points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n_and_2 3"]:
