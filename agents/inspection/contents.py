@@ -1,13 +1,13 @@
 """What a recording holds by key: how much, how often, and where something is missing."""
 
 from array import array
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Int64
 
-from schemas.topics import FRAMES, HEARTBEAT, Delivery, topic_of
+from schemas.topics import HEARTBEAT, Delivery, topic_of
 from shared.recording.entry import Entry
 
 SILENT_PERIODS, SILENT_S = 5.0, 0.1
@@ -40,6 +40,7 @@ class KeyContents:
         rate_hz: between the first and the last message of each run; 0 for single messages.
         lost: numbers missing from the sequences.
         unreadable: messages that this version refuses, the first of them for this reason.
+        received_ns: of each, which tells it from others under its key.
     """
 
     key: str
@@ -55,6 +56,7 @@ class KeyContents:
     lost: int
     unreadable: int = 0
     unreadable_reason: str = ""
+    received_ns: "array[int]" = field(default_factory=lambda: array("q"), repr=False)
 
 
 @dataclass
@@ -69,10 +71,11 @@ class _Key:
     payload_bytes: int = 0
     unreadable: int = 0
     unreadable_reason: str = ""
+    received_ns: "array[int]" = field(default_factory=lambda: array("q"))
 
 
 class ContentsCollector:
-    """Counts messages one by one; keeps 16 bytes of each."""
+    """Counts messages one by one; keeps 24 bytes of each."""
 
     def __init__(self) -> None:
         self._keys: dict[str, _Key] = {}
@@ -81,6 +84,7 @@ class ContentsCollector:
         """Count a message."""
         one = self._keys.setdefault(entry.key, _Key())
         one.payload_bytes += len(entry.payload)
+        one.received_ns.append(min(entry.received_ns, LATEST_NS))
         run = one.runs.setdefault(entry.epoch, _Run())
         run.published_ns.append(min(entry.published_ns, LATEST_NS))
         run.sequence.append(entry.sequence)
@@ -116,14 +120,17 @@ def _contents(key: str, one: _Key) -> KeyContents:
         lost=sum(gap.lost for gap in gaps),
         unreadable=one.unreadable,
         unreadable_reason=one.unreadable_reason,
+        received_ns=one.received_ns,
     )
 
 
-def without_left_out(contents: tuple[KeyContents, ...], lost: Mapping[str, int]) -> tuple[KeyContents, ...]:
-    """The same where frames of the camera were left out on purpose: what was `lost` is what the recorder noted."""
+def without_left_out(
+    contents: tuple[KeyContents, ...], lost: Mapping[str, int], keys: Collection[str]
+) -> tuple[KeyContents, ...]:
+    """The same where messages under these keys were left out on purpose: `lost` is what the recorder noted of them."""
     return tuple(
         replace(one, lost=lost.get(one.key, 0), gaps=tuple(gap for gap in one.gaps if not gap.lost))
-        if one.topic == str(FRAMES)
+        if one.key in keys
         else one
         for one in contents
     )

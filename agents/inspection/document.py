@@ -4,6 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
+from agents.inspection.contents import KeyContents
 from agents.inspection.grasps import Arming, Grasp
 from agents.inspection.session import Session
 from agents.inspection.stages import BEFORE, PERCENTILES, StageTimes, added_ms, percentiles
@@ -26,7 +27,7 @@ def document(session: Session) -> dict[str, Any]:
         "derived": [dataclasses.asdict(one) for one in session.said.derived],
         "start_ns": session.start_ns,
         "duration_s": session.duration_s,
-        "contents": [dataclasses.asdict(one) for one in session.contents],
+        "contents": [_contents(one) for one in session.contents],
         "stages": {name: _stage(session, name, times) for name, times in session.stages.items()},
         "agents": [dataclasses.asdict(one) for one in session.agents],
         "remarks": [dataclasses.asdict(one) for one in session.remarks],
@@ -45,6 +46,11 @@ def document(session: Session) -> dict[str, Any]:
         "facts": session.facts,
         "notes": [dataclasses.asdict(note) for note in session.notes],
     }
+
+
+def _contents(one: KeyContents) -> dict[str, Any]:
+    # when each message was received is the recording's to tell
+    return {name: value for name, value in dataclasses.asdict(one).items() if name != "received_ns"}
 
 
 def _stage(session: Session, name: str, times: StageTimes) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """A recording, read once from front to back; images are looked at and not kept, so its length does not matter."""
 
 import contextlib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,9 @@ from agents.inspection.threads import ThreadQuality
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import SimulatorState, StereoCalibration
-from schemas.topics import CALIBRATION, HEALTH, LOG, OBSERVATIONS, SIMULATOR_STATE, THREAD, Topic, topic_of
+from schemas.topics import CALIBRATION, FRAMES, HEALTH, LOG, OBSERVATIONS, SIMULATOR_STATE, THREAD, Topic, topic_of
 from shared.recording.completeness import Completeness, completeness_of
+from shared.recording.derivation import MADE_NO_MORE
 from shared.recording.entry import Entry, Note, RecordingError
 from shared.recording.mcap_file import is_finished, read_attachments, read_with_notes
 
@@ -150,7 +152,7 @@ def _session(path: Path, reading: _Reading, damage: str) -> Session:
         damage=damage,
         notes=tuple(reading.notes),
         said=said,
-        contents=without_left_out(contents, said.lost) if said.lacks_frames_on_purpose else contents,
+        contents=without_left_out(contents, said.lost, _left_out_under(contents, said)),
         stages={name: reading.stages[name] for name in sorted(reading.stages, key=in_order)},
         agents=agents,
         remarks=reading.accounts.remarks(),
@@ -169,3 +171,10 @@ def _attached(path: Path) -> dict[str, str]:
         return attached_facts(read_attachments(path))
     except (RecordingError, OSError):
         return {}
+
+
+def _left_out_under(contents: Iterable[KeyContents], said: Completeness) -> set[str]:
+    """The keys of which messages were left out on purpose."""
+    keys = {one.key for one in contents if one.topic == str(FRAMES) and said.lacks_frames_on_purpose}
+    replayed = (one for one in said.derived if MADE_NO_MORE in one.left_out)
+    return keys | {key for one in replayed for anew in one.agents.values() for key in anew.keys}

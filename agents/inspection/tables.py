@@ -64,9 +64,22 @@ def recorded(session: Session) -> Table:
         " last published at s",
         "as of",
     )
-    anew = {key for one in session.said.ran_anew.values() for key in one.keys}
-    as_of = {one.key: "" if not anew else "the replay" if one.key in anew else "the source" for one in session.contents}
-    return Table("recorded", columns, tuple(_recorded_row(session, one, as_of[one.key]) for one in session.contents))
+    return Table(
+        "recorded", columns, tuple(_recorded_row(session, one, _whose(session, one)) for one in session.contents)
+    )
+
+
+def _whose(session: Session, one: KeyContents) -> str:
+    """Whether messages are a replay's, or of its source, where there was one."""
+    anew = session.said.ran_anew.values()
+    if not any(agent.keys for agent in anew):
+        return ""
+    of_key = [agent for agent in anew if one.key in agent.keys]
+    kept_ns = {at_ns for agent in of_key for at_ns in agent.kept_ns}
+    kept = sum(at_ns in kept_ns for at_ns in one.received_ns)
+    if not of_key or kept == one.count:
+        return "the source"
+    return f"the replay, {kept} the source" if kept else "the replay"
 
 
 def _recorded_row(session: Session, one: KeyContents, as_of: str) -> Row:

@@ -105,7 +105,7 @@ class _Stretch:
                 self._note(record, file)
                 continue
             if self._first_ns is None and not record.repeated:
-                self._first_ns = record.received_ns
+                self._first_ns = record.at_ns
             if not is_known(record.key):
                 self.unknown += 1
                 continue

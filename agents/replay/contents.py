@@ -35,6 +35,7 @@ class Contents:
         commands: those of which the recording holds the records of whoever received them.
         unknown: messages by key, of keys that it does not know.
         first_ns, last_ns: when the first and the last message were received.
+        zero_ns: when the first one was published, which seconds are counted from.
         damage: what keeps the rest from being read; empty where all of it can be.
     """
 
@@ -42,6 +43,7 @@ class Contents:
     commands: list[PastCommand] = field(default_factory=list[PastCommand])
     unknown: Counter[str] = field(default_factory=Counter[str])
     first_ns: int = 0
+    zero_ns: int = 0
     last_ns: int = 0
     damage: str = ""
 
@@ -71,6 +73,7 @@ def contents_of(path: Path) -> Contents:
         for entry in read_recording(path):
             # what is repeated from before the file began is older than its first moment
             contents.first_ns = contents.first_ns if begun else entry.received_ns
+            contents.zero_ns = contents.zero_ns if begun else entry.at_ns
             contents.last_ns, empty, begun = entry.received_ns, False, begun or not entry.repeated
             _count(contents, entry)
     except RecordingError as error:

@@ -37,14 +37,19 @@ def _wall_ns(written: str, begin_ns: int) -> int:
     return round(moment.timestamp() * 1e6) * 1000
 
 
-def window_ns(begin: str | None, end: str | None, first_ns: int, last_ns: int) -> tuple[int, int]:
+def window_ns(
+    begin: str | None, end: str | None, first_ns: int, last_ns: int, zero_ns: int | None = None
+) -> tuple[int, int]:
     """Where to begin and to end in a recording from `first_ns` to `last_ns`, both moments included.
+
+    Seconds are counted from `zero_ns`; from the first moment, if it is None.
 
     Raises:
         WindowError: where nothing of the recording lies between.
     """
-    from_ns = first_ns if begin is None else moment_ns("--from", begin, first_ns)
-    to_ns = last_ns if end is None else moment_ns("--to", end, first_ns)
+    zero_ns = first_ns if zero_ns is None else zero_ns
+    from_ns = first_ns if begin is None else moment_ns("--from", begin, zero_ns)
+    to_ns = last_ns if end is None else moment_ns("--to", end, zero_ns)
     length_s = (last_ns - first_ns) * 1e-9
     if from_ns > last_ns:
         raise WindowError(f"--from {begin} lies beyond the end of the recording, which lasts {length_s:.1f} s")

@@ -163,7 +163,7 @@ def tapped_of(entry: Entry) -> Tapped | None:
 
 
 def between(entries: Iterator[Entry], from_s: float | None, to_s: float | None) -> Iterator[Entry]:
-    """The entries that were received so many seconds after the first one; and what still holds from before.
+    """The entries received so many seconds after the first one was published; and what still holds from before.
 
     That is the last value of each key that lasts (the calibration): without it, later frames mean nothing.
     """
@@ -172,7 +172,7 @@ def between(entries: Iterator[Entry], from_s: float | None, to_s: float | None) 
     for entry in entries:
         # what is repeated from before the file began is older than its first moment
         if begin_ns is None and not entry.repeated:
-            begin_ns = entry.received_ns
+            begin_ns = entry.at_ns
         at_s = 0.0 if begin_ns is None else 1e-9 * (entry.received_ns - begin_ns)
         if from_s is not None and at_s < from_s:
             tapped = tapped_of(entry)

@@ -19,6 +19,7 @@ CUT = "cut"
 """What files that version 0.2 or an older one cut have in place of it."""
 UNUSED_FRAMES = "frames of which nothing was made"
 BEFORE_AND_AFTER = "messages before and after"
+MADE_NO_MORE = "recorded outputs that are made no more"
 UNKNOWN_TOPICS = "messages of topics that this version does not know"
 WORDS = ("how", "source", "sha256", "source_said", "version", "read_as")
 READ_BYTES = 1 << 22

@@ -167,7 +167,7 @@ def streams(gathered: Gathered) -> Iterator[Finding]:
                 continue
             what = f"stream {one.topic} to {fare.name}"
             if one.rate_hz == 0 or one.age_ms is None:
-                yield Finding(what, "does not come at the moment")
+                yield Finding(what, "none was taken in the last two seconds")
             else:
                 yield Finding(what, f"{one.rate_hz:.3g} Hz, {one.age_ms:.1f} ms after it was sent")
     for wrong in judge(gathered):

@@ -18,10 +18,10 @@ def run(options: Cut) -> int:
     try:
         # what is repeated from before the file began is older than its first moment
         records = UntilDamage(options.recording)
-        received = [one.received_ns for one in records if isinstance(one, Entry) and not one.repeated]
-        if not received:
+        own = [(one.at_ns, one.received_ns) for one in records if isinstance(one, Entry) and not one.repeated]
+        if not own:
             return complain(no_message_in(options.recording, records.damage), EXIT_UNUSABLE)
-        stretch = window_ns(options.begin, options.end, received[0], received[-1])
+        stretch = window_ns(options.begin, options.end, own[0][1], own[-1][1], own[0][0])
         with whole_file(options.output) as unfinished:
             report = cut(options.recording, unfinished, *stretch, only_used_frames=options.used)
     except (RecordingError, WindowError, OutputError) as error:

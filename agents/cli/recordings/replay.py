@@ -70,7 +70,7 @@ def _replay(options: Replay) -> int:
     contents = contents_of(options.recording)
     for doubt in completeness(options.recording).doubts_of(contents.damage):
         warn(doubt)
-    window = window_ns(options.from_, options.to, contents.first_ns, contents.last_ns)
+    window = window_ns(options.from_, options.to, contents.first_ns, contents.last_ns, contents.zero_ns)
     settings = _settings(options, contents)
     controls = Controls(held=options.step)
     on_stop(controls.stop)

@@ -1,7 +1,7 @@
 """What is said of a replay through agents."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,7 @@ from agents.replay.through import Outcome
 from schemas.topics import topic_of
 from shared.recording.completeness import Completeness
 from shared.recording.mcap_file import Entry, Note
+from shared.runtime.replay import Place, place_of
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class ThroughResult:
 def report(result: ThroughResult) -> Iterator[str]:
     """The lines of the report: what was repeated, what differs, and how long it took."""
     for outcome in result.outcomes:
-        yield _sentence(outcome)
+        yield _sentence(outcome, {place_of(entry) for entry in result.before})
     comparison = result.comparison
     if comparison.made_no_more:
         gone = Counter(
@@ -80,7 +81,7 @@ def _began_ns(entries: list[Entry]) -> int:
     return next((entry.at_ns for entry in entries if not entry.repeated), 0)
 
 
-def _sentence(outcome: Outcome) -> str:
+def _sentence(outcome: Outcome, recorded: Set[Place]) -> str:
     """What became of one agent's outputs, in one line."""
     there = outcome.compared
     if not outcome.outputs:
@@ -88,7 +89,7 @@ def _sentence(outcome: Outcome) -> str:
     same = sum(output.same for output in there)
     text = f"{outcome.stage}: {len(there)} of {len(outcome.outputs)} outputs repeated, {same} byte for byte the same"
     if outcome.unrepeatable:
-        text += f"; {len(outcome.unrepeatable)} cannot be repeated: {lacking(outcome)}"
+        text += f"; {len(outcome.unrepeatable)} cannot be repeated: {lacking(outcome, recorded)}"
     if outcome.steps_ms:
         p50, p99 = np.percentile(outcome.steps_ms, (50, 99))
         text += f"; a step took {p50:.1f} ms (p50), {p99:.1f} ms (p99)"
@@ -97,8 +98,15 @@ def _sentence(outcome: Outcome) -> str:
     return text
 
 
-def lacking(outcome: Outcome) -> str:
-    """What the recording lacks, by key, each message counted once."""
-    lacking = {(c.key, c.epoch, c.sequence) for output in outcome.unrepeatable for c in output.missing}
-    counts = Counter(key for key, _, _ in lacking)
-    return "the recording lacks " + ", ".join(f"{count} of {key}" for key, count in sorted(counts.items()))
+def lacking(outcome: Outcome, recorded: Set[Place]) -> str:
+    """What the recording lacks, or the replay makes no more, by key, each message counted once."""
+    places = {place_of(c) for output in outcome.unrepeatable for c in output.missing}
+
+    def counted(some: Set[Place]) -> str:
+        counts = Counter(key for key, _, _ in some)
+        return ", ".join(f"{count} of {key}" for key, count in sorted(counts.items()))
+
+    parts = [f"the recording lacks {counted(places - recorded)}"] if places - recorded else []
+    return "; ".join(
+        [*parts, *([f"the replay makes no more {counted(places & recorded)}"] if places & recorded else [])]
+    )

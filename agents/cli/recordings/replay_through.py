@@ -7,7 +7,7 @@ where what can be read of a damaged recording is the same.
 import functools
 import mimetypes
 import socket
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -40,7 +40,7 @@ from schemas.checks import MessageError
 from schemas.topics import MAIN, is_known, topic_of
 from shared.clock import monotonic_s
 from shared.recording.completeness import Completeness, completeness, no_message_in
-from shared.recording.derivation import UNKNOWN_TOPICS, Anew
+from shared.recording.derivation import MADE_NO_MORE, UNKNOWN_TOPICS, Anew
 from shared.recording.mcap_file import Entry, Note, RecordingError, RecordingWriter, UntilDamage, read_attachments
 from shared.runtime.config import ConfigError, load_config
 from shared.runtime.replay import Place, ReplayError, place_of
@@ -129,7 +129,11 @@ def replayed(options: ThroughOptions) -> ThroughResult:
     otherwise = _otherwise(options, made_by, changing)
     _check_settings(options.set, given, [stage.name for stage in stages])
     outcomes, after = replay_through(stages, entries)
-    _check_repeatable(outcomes, damage or ("" if said.finished else f"{options.recording}: {said.sentence}"))
+    _check_repeatable(
+        outcomes,
+        {place_of(entry) for entry in entries},
+        damage or ("" if said.finished else f"{options.recording}: {said.sentence}"),
+    )
     published = {(e.key, e.epoch, e.sequence): e.published_ns for e in entries}
     outputs = [output for outcome in outcomes for output in outcome.outputs]
     exactly = options.tolerances == NONE or (options.tolerances == AUTO and not otherwise)
@@ -262,7 +266,7 @@ def _check_settings(settings: Iterable[str], given: RigConfig, agents: Sequence[
             )
 
 
-def _check_repeatable(outcomes: list[Outcome], lacks: str) -> None:
+def _check_repeatable(outcomes: list[Outcome], recorded: Set[Place], lacks: str) -> None:
     """See that something was compared; `lacks` says what may keep it from that."""
     if not any(outcome.outputs for outcome in outcomes):
         silent = ", ".join(outcome.stage for outcome in outcomes)
@@ -270,7 +274,7 @@ def _check_repeatable(outcomes: list[Outcome], lacks: str) -> None:
         raise UnusableError(f"{nothing}; {lacks}" if lacks else nothing)
     for outcome in outcomes:
         if outcome.outputs and not outcome.compared:
-            raise UnusableError(f"none of {outcome.stage}'s outputs can be repeated: {lacking(outcome)}")
+            raise UnusableError(f"none of {outcome.stage}'s outputs can be repeated: {lacking(outcome, recorded)}")
 
 
 def _check(options: ThroughOptions) -> None:
@@ -317,7 +321,7 @@ def _write_derived(path: Path, recording: Path, result: ThroughResult) -> None:
         received_ns = {place_of(entry): entry.received_ns for entry in result.before}
         agents = {outcome.stage: _anew(outcome, received_ns) for outcome in result.outcomes}
         left_out = {
-            "recorded outputs that are made no more": result.comparison.made_no_more,
+            MADE_NO_MORE: result.comparison.made_no_more,
             "outputs that were not recorded, for which it has no place": result.comparison.unrecorded,
             UNKNOWN_TOPICS: result.unknown,
         }

@@ -304,7 +304,7 @@ def test_streams_are_told_and_what_status_finds_wrong_with_them():
     fares = (Fare("perception", health, 0.5, True), Fare("camera", None, 5.0, True))
     frames, heartbeat, hanging = streams(Gathered(NOW_NS, RIG, "e", fares=fares))
     assert frames == Finding("stream camera/frames to perception", "29.5 Hz, 8.2 ms after it was sent")
-    assert heartbeat.found == "does not come at the moment"
+    assert heartbeat.found == "none was taken in the last two seconds"
     assert (hanging.what, hanging.state) == ("status (hanging)", "WRONG")
 
 
