@@ -117,7 +117,8 @@ def checked(
     where = beside if found.beside_m else "at the goal"
     told = (
         f"the thread {where} moved {MM_PER_M * found.thread_m:.1f} mm (± {MM_PER_M * found.deviation_m:.1f}) the "
-        f"way of the tool, which moved {MM_PER_M * found.tool_m:.1f} mm"
+        f"way of the tool, which moved {MM_PER_M * found.tool_m:.1f} mm; all of it moved "
+        f"{MM_PER_M * float(np.linalg.norm(found.common)):.1f} mm besides"
     )
     if likely >= config.sure:
         return Seen(Checked.HELD, f"held: {told}", found, likely)
