@@ -55,7 +55,6 @@ RULES: dict[str, tuple[Change, ...]] = {
     "ends sought in the image": ((centrelines, "to_tips", _first),),
     "middles learned": ((centrelines, "by_learning", lambda *_: None),),
     "ends that are covered": ((method, "with_covered_ends", _first),),
-    "what only the right image shows": ((method, "continued", lambda chain, _, aligned, *__: (chain, aligned)),),
     "curves that are mostly guessed": ((method, "MOST_GUESSED", 1.0),),
     "curves for which little speaks": ((method, "LEAST_SCORE", 0.0),),
 }
