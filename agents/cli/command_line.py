@@ -5,34 +5,15 @@ import io
 import os
 import re
 from collections.abc import Generator
+from typing import Any
 
 import tyro
 
-from agents.cli.calibrate.hand_eye_options import HAND_EYE_COMMANDS, HandEye
-from agents.cli.evaluate.options import EVALUATE_COMMANDS, Evaluate
-from agents.cli.lab.emulate_options import EMULATE_COMMANDS, Emulate
-from agents.cli.lab.options import LAB_COMMANDS, Deploy
-from agents.cli.lab.scenes_options import SCENE_COMMANDS, Scenes
-from agents.cli.live.options import LIVE_COMMANDS, Demo, OnRig
-from agents.cli.page.options import PAGE_COMMANDS
-from agents.cli.reconstruct.options import Reconstruct, UsageError
-from agents.cli.recordings.options import RECORDED_COMMANDS, OnRecording
-from agents.cli.segment.options import SEGMENT_COMMANDS, Segment
+from agents.cli.commands import COMMANDS
+from agents.cli.reconstruct.options import UsageError
 
-Options = Reconstruct | Demo | OnRig | OnRecording | Deploy | Scenes | Evaluate | Emulate | HandEye | Segment
-COMMANDS: dict[str, type[Options]] = {
-    "reconstruct": Reconstruct,
-    **SEGMENT_COMMANDS,
-    **LIVE_COMMANDS,
-    **PAGE_COMMANDS,
-    **RECORDED_COMMANDS,
-    **LAB_COMMANDS,
-    **SCENE_COMMANDS,
-    **EVALUATE_COMMANDS,
-    **EMULATE_COMMANDS,
-    **HAND_EYE_COMMANDS,
-}
-IN_TWO_WORDS = {tuple(name.split("-", 1)): name for name in HAND_EYE_COMMANDS}
+OF_ALL = {name: command.options for name, command in COMMANDS.items()}
+IN_TWO_WORDS: dict[tuple[str, ...], str] = {("calibrate", "hand-eye"): "calibrate-hand-eye"}
 
 HELP = ("-h", "--help")
 MISTYPED = re.compile(
@@ -46,7 +27,7 @@ EXPLANATION_INDENT = 6
 FOOTER = "For full helptext"
 
 
-def parsed(arguments: list[str]) -> Options:
+def parsed(arguments: list[str]) -> Any:
     """The options of the command that these arguments name; help is printed, and ends the program.
 
     Raises:
@@ -57,7 +38,7 @@ def parsed(arguments: list[str]) -> Options:
     _check_command(arguments)
     first, said = arguments[0], io.StringIO()
     # reading the options of all commands takes three times as long as those of the one that is named
-    read = {first: COMMANDS[first]} if first in COMMANDS else COMMANDS
+    read = {first: OF_ALL[first]} if first in OF_ALL else OF_ALL
     try:
         with contextlib.redirect_stderr(said), _width_for(arguments):
             return tyro.extras.subcommand_cli_from_dict(read, args=arguments, prog="suturegrasp")

@@ -37,17 +37,9 @@ def _run(arguments: list[str]) -> int:
         print(f"suturegrasp {__version__}")
         return 0
     # Loading OpenCV and SciPy takes a second, during which Ctrl-C must end as quietly as later.
-    from agents.cli.calibrate.hand_eye_options import HandEye
     from agents.cli.command_line import parsed
-    from agents.cli.evaluate.options import Evaluate
-    from agents.cli.lab.emulate_options import Emulate
-    from agents.cli.lab.options import LAB_RUNNERS, Deploy
-    from agents.cli.lab.scenes_options import Scenes
-    from agents.cli.live.options import Demo
-    from agents.cli.page.options import Page
-    from agents.cli.reconstruct.options import Reconstruct, UsageError
-    from agents.cli.recordings.options import RUNNERS, OnRecording
-    from agents.cli.segment.options import Segment
+    from agents.cli.commands import command_of
+    from agents.cli.reconstruct.options import UsageError
 
     try:
         options = parsed(arguments)
@@ -57,42 +49,14 @@ def _run(arguments: list[str]) -> int:
         # parsing prints help and does no more, so nobody reads it
         flush_output()
         return 0
-    if isinstance(options, Reconstruct):
-        from agents.cli.reconstruct.command import run
-
+    command = command_of(options)
+    module, _, function = command.runs.partition(":")
+    try:
+        run = getattr(importlib.import_module(module), function)
+    except ImportError as error:
+        return complain(f"this command cannot be loaded: {error}", EXIT_UNUSABLE)
+    if not command.on_rig:
         return run(options)
-    if isinstance(options, Segment):
-        from agents.cli.segment.command import run as segment
+    from agents.cli.rig.of_options import carried_out
 
-        return segment(options)
-    if isinstance(options, Demo):
-        from agents.cli.demo.command import demo
-
-        return demo(options)
-    if isinstance(options, OnRecording):
-        return importlib.import_module(RUNNERS[type(options)]).run(options)
-    if isinstance(options, Deploy):
-        return importlib.import_module(LAB_RUNNERS[type(options)]).run(options)
-    if isinstance(options, Scenes):
-        from agents.cli.lab.scenes import run as render_scenes
-
-        return render_scenes(options)
-    if isinstance(options, Evaluate):
-        from agents.cli.evaluate.command import run as evaluate
-
-        return evaluate(options)
-    if isinstance(options, Emulate):
-        from agents.cli.lab.emulate import run as emulate
-
-        return emulate(options)
-    if isinstance(options, HandEye):
-        from agents.cli.calibrate.hand_eye import run as calibrate_hand_eye
-
-        return calibrate_hand_eye(options)
-    if isinstance(options, Page):
-        from agents.cli.page.command import run as serve_page
-
-        return serve_page(options)
-    from agents.cli.live.command import run_live
-
-    return run_live(options)
+    return carried_out(run, options)

@@ -10,21 +10,22 @@ from pathlib import PurePosixPath
 from agents.deployment.layout import ROUTER, Host, Process
 from agents.deployment.places import CERTIFICATES, GROUP, HOME, PROGRAM, RIG_FILE, SESSIONS
 from agents.deployment.robot_zenoh import ROBOT_ZENOH
+from agents.registry import NAMES, Pace, with_pace
 from schemas.topics import MAIN
 from shared.runtime.identity import AUTHORITY_FILE
 
 TARGET = "suturegrasp.target"
 LONGEST_USER = 31
 GUARD = "guard"
-AGENTS = ("camera", "perception", "reconstruction", "planner", "robot_bridge", "simulator", GUARD)
+AGENTS = (*NAMES, GUARD)
 """What has a loop of its own, from which it tells that it is alive."""
 WATCHDOG_S = 10
 """A loop that says nothing for so long hangs; its longest wait is half a second, and its longest step a few."""
 WATCHDOG_OF_COMPUTING_S = 60
 """Of what drives nothing, and whose first step takes longest: where others have the processor, it would be killed in it
 each time, and never get beyond it."""
-COMPUTING = ("perception", "reconstruction")
-REALTIME_KINDS = ("robot_bridge", "camera", "simulator", GUARD)
+COMPUTING = with_pace(Pace.STEPS_BACK)
+REALTIME_KINDS = with_pace(Pace.KEEPS_TIME) | {GUARD}
 """What keeps time; the others would take the processor from them."""
 REALTIME_PRIORITY = 50
 OF_AN_ARM = ("robot_bridge", GUARD)

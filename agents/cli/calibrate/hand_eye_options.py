@@ -39,6 +39,3 @@ class HandEye:
     """Estimate that point too, as of a marker that was glued on; the tool must have been turned."""
     output: OptionalPath = None
     """Where to write the calibration (JSON), for T_camera_base_file of a rig."""
-
-
-HAND_EYE_COMMANDS: dict[str, type[HandEye]] = {"calibrate-hand-eye": HandEye}

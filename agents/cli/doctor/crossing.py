@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 from agents.cli.rig.config import RigConfig
 from agents.cli.rig.hosts import kind_and_instance
+from agents.registry import kind_of
 from schemas.topics import (
     FRAMES,
     MAIN,
@@ -35,15 +36,6 @@ TYPICAL_BYTES = {
     TOOL: 500,
 }
 """Of the simulated field, 960x540, in docs/example/session.mcap (docs/scaling.md): for what cannot be weighed."""
-HEARD_BY = {
-    "perception": (FRAMES, THREAD),
-    "reconstruction": (OBSERVATIONS,),
-    "planner": (THREAD, SURFACE, ROBOT_STATE),
-    "robot_bridge": (SURFACE,),
-    "simulator": (ROBOT_STATE,),
-    "camera": (SIMULATOR_STATE, ROBOT_STATE),
-}
-TOOL_TRACKER_HEARS = (FRAMES, ROBOT_STATE)
 
 
 @dataclass(frozen=True)
@@ -101,13 +93,11 @@ def heard_by(rig: RigConfig, kind: str, instance: str) -> tuple[Topic, ...]:
     if kind == "recorder":
         otherwise = {str(row): row.recorded for row in rig.rows_otherwise}
         return tuple(topic for topic in STREAMS if otherwise.get(str(topic), topic.recorded))
-    if kind == "perception" and instance != MAIN:
-        return TOOL_TRACKER_HEARS
     if kind == "camera" and (rig.camera is None or rig.camera.source != "scene"):
         return ()
-    if kind == "robot_bridge" and rig.robot[instance].correction == "perception":
-        return (*HEARD_BY[kind], TOOL)
-    return HEARD_BY.get(kind, ())
+    row = kind_of(kind, instance)
+    unasked = {TOOL} if kind == "robot_bridge" and rig.robot[instance].correction != "perception" else set[Topic]()
+    return tuple(topic for topic in row.hears if topic in STREAMS and topic not in unasked) if row is not None else ()
 
 
 def rate_of(rig: RigConfig, topic: Topic) -> float:

@@ -61,6 +61,3 @@ class Evaluate:
     record: Annotated[str | None, tyro.conf.arg(metavar="TRIAL")] = None
     """Carry out this one trial again and record it, for `suturegrasp view`: SCENARIO/THREAD/GOAL/POLICY/METHOD, such
     as hard/chicken/1/7/robust/refined."""
-
-
-EVALUATE_COMMANDS: dict[str, type[Evaluate]] = {"evaluate": Evaluate}

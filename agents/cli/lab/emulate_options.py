@@ -48,6 +48,3 @@ class Emulate:
     """Write the verdict there at the end (JSON)."""
     tell: Annotated[Words | None, tyro.conf.arg(metavar="{fault,error,stick,camera,setup,clutch,...}")] = None
     """Have a running one do this, and end."""
-
-
-EMULATE_COMMANDS: dict[str, type[Emulate]] = {"emulate": Emulate}

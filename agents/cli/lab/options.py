@@ -41,8 +41,3 @@ class Deploy:
     """With `rehearse`: go on until Ctrl-C."""
     keep_logs: bool = False
     """With `rehearse`: keep what every process wrote, in a folder that is named in the end."""
-
-
-LAB_COMMANDS: dict[str, type[Deploy]] = {"deploy": Deploy}
-LAB_RUNNERS: dict[type[Deploy], str] = {Deploy: "agents.cli.lab.deploy"}
-"""As RUNNERS in agents/cli/recordings/options.py."""

@@ -51,6 +51,3 @@ class Scenes:
     """Of the field, in mm; follows from the camera if not given."""
     unit: str | None = None
     """The calibration's unit of length, where its file does not say."""
-
-
-SCENE_COMMANDS: dict[str, type[Scenes]] = {"scenes": Scenes}

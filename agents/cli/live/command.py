@@ -4,134 +4,28 @@ import threading
 
 import numpy as np
 
-from agents.cli.calibrate.options import Calibrate
-from agents.cli.experiment.options import Experiment
 from agents.cli.live.attempts import Attempts
 from agents.cli.live.options import (
-    AGENT_KINDS,
     ArmPlan,
     ChangeArmState,
-    Doctor,
     Goal,
-    Guard,
     HoldArm,
-    OnRig,
-    PerceptionAgent,
     PromptThread,
-    Record,
-    RigStatus,
-    RobotBridgeAgent,
-    Router,
-    SetInAgent,
-    Up,
-    View,
 )
 from agents.cli.prompted_pixel import prompted_pixel
-from agents.cli.rig.config import RigConfig, simulated_rig
-from agents.cli.rig.this_host import at_host, certificates_of, configured_file
+from agents.cli.rig.config import RigConfig
 from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
-from agents.cli.running.router import run_router
 from agents.cli.terminal import complain, say
 from agents.operator.operator import Events, Stood, arm_and_stand_by, ask_for_grasp, change_state, hold, prompt
 from agents.viewer.clearance import clearance_sentence
 from schemas.messages import Checked, ExecutionEvent, ExecutionKind, GraspPlan, Outcome, Policy, StateWord, Status
-from schemas.topics import EXECUTION, MAIN
+from schemas.topics import EXECUTION
 from shared.clock import monotonic_s
-from shared.runtime.config import ConfigError, load_config
-from shared.runtime.connection import NoRouterError, connected
+from shared.runtime.connection import connected
 
 EXIT_REFUSED = 3
 LOOK_S, STATE_WITHIN_S = 0.2, 65.0
 POLICIES = {"robust": Policy.CAPTURE_SLIDE_GRASP, "direct": Policy.DIRECT}
-
-
-def rig_of(options: OnRig) -> RigConfig:
-    """The rig that a command works on.
-
-    Raises:
-        ConfigError: where its configuration cannot be used.
-    """
-    config = options.config or configured_file()
-    if config is None:
-        return simulated_rig()
-    rig = load_config(config, RigConfig)
-    return certificates_of(at_host(rig, options.host), config)
-
-
-def run_live(options: OnRig) -> int:
-    """Carry out one of these commands; the exit status."""
-    try:
-        rig = rig_of(options)
-        match options:
-            case Router():
-                return run_router(rig)
-            case Record():
-                from agents.cli.recordings.record import record
-
-                return record(rig, options)
-            case View():
-                return _view(rig, options)
-            case Goal():
-                return goal(rig, options)
-            case ArmPlan():
-                return arm(rig, options)
-            case Experiment():
-                from agents.cli.experiment.command import experiment
-
-                return experiment(rig, options)
-            case HoldArm():
-                return hold_arm(rig, options.arm)
-            case ChangeArmState():
-                return change_arm_state(rig, options)
-            case Guard():
-                from agents.cli.running.guard import guard
-
-                return guard(rig, options)
-            case PromptThread():
-                return prompt_thread(rig, options)
-            case Up():
-                from agents.cli.running.up import up
-
-                return up(rig, options)
-            case Doctor():
-                from agents.cli.doctor.command import doctor
-
-                return doctor(rig, options)
-            case Calibrate():
-                from agents.cli.calibrate.command import calibrate
-
-                return calibrate(rig, options)
-            case RigStatus():
-                from agents.cli.status.command import status
-
-                return status(rig, options)
-            case SetInAgent():
-                from agents.cli.live.set import set_parameter
-
-                return set_parameter(rig, options)
-            case PerceptionAgent(arm=str(arm_name)):
-                return _run_agent(rig, "perception", arm_name)
-            case RobotBridgeAgent():
-                return _run_agent(rig, "robot_bridge", options.arm)
-            case _:
-                return _run_agent(rig, AGENT_KINDS[type(options)], MAIN)
-    except (ConfigError, NoRouterError) as error:
-        return complain(str(error), EXIT_UNUSABLE)
-
-
-def _view(rig: RigConfig, options: View) -> int:
-    try:
-        from agents.cli.recordings.view import view
-    except ImportError as error:
-        return complain(f"the viewer cannot be loaded: {error}", EXIT_UNUSABLE)
-    return view(rig, options)
-
-
-def _run_agent(rig: RigConfig, kind: str, instance: str) -> int:
-    # an operator's command must not take a second of the processors from the agents that it talks to
-    from agents.cli.running.agent_process import run_agent
-
-    return run_agent(rig, kind, instance)
 
 
 def goal(rig: RigConfig, options: Goal) -> int:
@@ -233,13 +127,13 @@ def event_sentence(event: ExecutionEvent) -> str:
             return f"{event.arm}: holds ({event.code}): {event.reason}"
 
 
-def hold_arm(rig: RigConfig, name: str) -> int:
+def hold_arm(rig: RigConfig, options: HoldArm) -> int:
     """Have an arm hold."""
     with connected(rig.session) as connection:
-        answer = hold(connection, name)
+        answer = hold(connection, options.arm)
     if answer.outcome is not Outcome.ACCEPTED:
         return complain(answer.reason, EXIT_REFUSED)
-    say(f"{name}: holds")
+    say(f"{options.arm}: holds")
     return EXIT_OK
 
 

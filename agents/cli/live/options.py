@@ -2,12 +2,10 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import tyro
 
-from agents.cli.calibrate.options import Calibrate
-from agents.cli.experiment.options import Experiment
 from agents.cli.rig.on_rig import OnRig, OptionalLabel, OptionalNumber, OptionalPath
 
 
@@ -17,39 +15,59 @@ class Router(OnRig):
 
 
 @dataclass(frozen=True)
-class CameraAgent(OnRig):
-    """Run the camera: frames from images, video, a pipe or the simulated field."""
+class AgentOptions(OnRig):
+    """Run an agent."""
+
+    kind: ClassVar[str]
+    """Its name in the registry."""
 
 
 @dataclass(frozen=True)
-class PerceptionAgent(OnRig):
+class CameraAgent(AgentOptions):
+    """Run the camera: frames from images, video, a pipe or the simulated field."""
+
+    kind = "camera"
+
+
+@dataclass(frozen=True)
+class PerceptionAgent(AgentOptions):
     """Run perception: frames become ordered observations of the thread; or, with --arm, where that arm's tool is."""
+
+    kind = "perception"
 
     arm: OptionalLabel = None
     """Look for the tool of this arm instead, which the configuration's track_tool names."""
 
 
 @dataclass(frozen=True)
-class ReconstructionAgent(OnRig):
+class ReconstructionAgent(AgentOptions):
     """Run reconstruction: observations become a thread in 3D with confidence."""
 
+    kind = "reconstruction"
+
 
 @dataclass(frozen=True)
-class PlannerAgent(OnRig):
+class PlannerAgent(AgentOptions):
     """Run the planner: goals become grasps."""
 
+    kind = "planner"
+
 
 @dataclass(frozen=True)
-class RobotBridgeAgent(OnRig):
+class RobotBridgeAgent(AgentOptions):
     """Run the robot bridge of one arm."""
+
+    kind = "robot_bridge"
 
     arm: str = "psm1"
     """Name of the arm, as in the configuration."""
 
 
 @dataclass(frozen=True)
-class SimulatorAgent(OnRig):
+class SimulatorAgent(AgentOptions):
     """Run the simulated field with its judgement of every grasp."""
+
+    kind = "simulator"
 
 
 @dataclass(frozen=True)
@@ -241,37 +259,3 @@ class SetInAgent(OnRig):
     ] = ()
     """The agent, such as `perception`, `robot_bridge psm1` or `robot_bridge/psm1`; then the parameter and its value,
     as JSON or plain text."""
-
-
-LIVE_COMMANDS = {
-    "demo": Demo,
-    "up": Up,
-    "goal": Goal,
-    "arm": ArmPlan,
-    "experiment": Experiment,
-    "hold": HoldArm,
-    "state": ChangeArmState,
-    "prompt": PromptThread,
-    "set": SetInAgent,
-    "status": RigStatus,
-    "doctor": Doctor,
-    "calibrate": Calibrate,
-    "router": Router,
-    "camera": CameraAgent,
-    "perception": PerceptionAgent,
-    "reconstruction": ReconstructionAgent,
-    "planner": PlannerAgent,
-    "robot-bridge": RobotBridgeAgent,
-    "guard": Guard,
-    "simulator": SimulatorAgent,
-    "record": Record,
-    "view": View,
-}
-
-AGENT_KINDS: dict[type[OnRig], str] = {
-    CameraAgent: "camera",
-    PerceptionAgent: "perception",
-    ReconstructionAgent: "reconstruction",
-    PlannerAgent: "planner",
-    SimulatorAgent: "simulator",
-}

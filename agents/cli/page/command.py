@@ -13,12 +13,12 @@ from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import Any
 
-from agents.cli.live.command import rig_of
 from agents.cli.page.options import Page
 from agents.cli.page.recording import RigRecording
 from agents.cli.page.trials import trials_of
 from agents.cli.rig.config import RigConfig
 from agents.cli.rig.hosts import OPERATOR
+from agents.cli.rig.of_options import rig_of
 from agents.cli.running.around import telling
 from agents.cli.running.audit import audit_of
 from agents.cli.running.in_the_way import already_running, in_the_way

@@ -37,6 +37,3 @@ class Play(Page):
 
     start: bool = True
     """Start everything on this machine first, simulated without --config, and stop it in the end."""
-
-
-PAGE_COMMANDS: dict[str, type[Page]] = {"page": Page, "play": Play}

@@ -141,20 +141,3 @@ class TrackTool(OnRecording):
     """Write where the tip was before the camera, for `calibrate hand-eye --tips` with the same recording."""
     pictures: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Draw outlines into each looked-at frame: yellow as told, green as found."""
-
-
-RECORDED_COMMANDS: dict[str, type[OnRecording]] = {
-    "replay": Replay,
-    "inspect": Inspect,
-    "export": Export,
-    "cut": Cut,
-    "track-tool": TrackTool,
-}
-RUNNERS: dict[type[OnRecording], str] = {
-    Replay: "agents.cli.recordings.replay",
-    Inspect: "agents.cli.recordings.inspect",
-    Export: "agents.cli.recordings.export",
-    Cut: "agents.cli.recordings.cut",
-    TrackTool: "agents.cli.track_tool.command",
-}
-"""A module with `run(options) -> int`, the exit status; loaded when its command is given."""

@@ -2,9 +2,10 @@
 
 from agents.cli.rig.config import RigConfig
 from agents.cli.rig.hosts import run_name
+from agents.registry import NAMES
 from schemas.topics import MAIN
 
-KINDS = ("camera", "perception", "reconstruction", "planner", "robot_bridge", "simulator")
+KINDS = NAMES
 
 
 def configured(rig: RigConfig) -> list[tuple[str, str]]:

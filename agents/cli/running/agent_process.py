@@ -15,6 +15,7 @@ from agents.cli.rig.hosts import run_name
 from agents.cli.running.around import around
 from agents.cli.running.process import EXIT_GAVE_UP, EXIT_OK, EXIT_UNUSABLE, LOGGER, log_to_console, on_stop, step_back
 from agents.cli.terminal import complain
+from agents.registry import Pace, with_pace
 from shared.calibration import CalibrationError
 from shared.calibration.made import made_ns
 from shared.runtime.config import ConfigError, config_hash
@@ -27,8 +28,6 @@ from shared.runtime.runner import Runner
 from shared.runtime.session import runs_already
 from shared.scene.backdrop import SceneError
 
-YIELDING = ("perception", "reconstruction")
-KEEPING_TIME = ("robot_bridge", "camera", "simulator")
 REALTIME_PRIORITY = 50
 
 
@@ -43,7 +42,7 @@ def run_agent(rig: RigConfig, kind: str, instance: str) -> int:
 
 def _run(rig: RigConfig, kind: str, instance: str) -> int:
     keep_freed_memory()
-    if kind in YIELDING:
+    if kind in with_pace(Pace.STEPS_BACK):
         step_back()
     try:
         agent = build(rig, kind, instance)
@@ -71,7 +70,7 @@ def surroundings(rig: RigConfig, kind: str, instance: str) -> Surroundings:
     and where the rig wants it.
     """
     drives = kind == "robot_bridge" and rig.robot[instance].dvrk is not None
-    asked = REALTIME_PRIORITY if drives or (kind in KEEPING_TIME and rig.realtime_here) else None
+    asked = REALTIME_PRIORITY if drives or (kind in with_pace(Pace.KEEPS_TIME) and rig.realtime_here) else None
     refused = "" if asked is None else ask_for_realtime(asked)
     own = {"realtime_asked": asked, "realtime_refused": refused, "calibrated_ns": calibrated_ns(rig, kind, instance)}
     return around(rig, run_name(kind, instance), **own)

@@ -4,6 +4,7 @@ import contextlib
 import logging
 import threading
 
+from agents.cli.live.options import Router
 from agents.cli.rig.config import RigConfig
 from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, LOGGER, log_to_console, on_stop
 from agents.cli.terminal import complain
@@ -18,7 +19,7 @@ from shared.runtime.session import RouterError, Session, open_router
 LOG = logging.getLogger("suturegrasp.router.main")
 
 
-def run_router(rig: RigConfig) -> int:
+def run_router(rig: RigConfig, _: Router) -> int:
     """Run a router until it is told to stop; the exit status."""
     stopped = threading.Event()
     on_stop(stopped.set, for_sure=True)

@@ -35,9 +35,6 @@ class Segment:
         return {option: path for option, path in named.items() if path is not None}
 
 
-SEGMENT_COMMANDS: dict[str, type[Segment]] = {"segment": Segment}
-
-
 def check(options: Segment) -> None:
     """Raise a UsageError for files that must not or cannot be written."""
     there = [("--image", options.image)]

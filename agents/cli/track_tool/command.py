@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float64
 
-from agents.cli.live.command import rig_of
 from agents.cli.recordings.options import TrackTool
+from agents.cli.rig.of_options import rig_of
 from agents.cli.rig.on_rig import OnRig
 from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.cli.terminal import complain, say, warn

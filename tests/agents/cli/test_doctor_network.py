@@ -5,13 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from agents.cli.doctor.crossing import HEARD_BY, STREAMS, TYPICAL_BYTES, heard_by, traffic
+from agents.cli.doctor.crossing import STREAMS, TYPICAL_BYTES, heard_by, traffic
 from agents.cli.doctor.network import networks
 from agents.cli.doctor.weighed import weigh
 from agents.cli.rig.builders import build
 from agents.cli.rig.config import RigConfig
 from agents.cli.status.gathered import Gathered
 from agents.cli.status.health_watch import Fare
+from agents.registry import NAMES
 from schemas.messages import AgentHealth, InputHealth
 from schemas.topics import FRAMES, OBSERVATIONS, THREAD, Delivery, key, topic_of
 from shared.recording.mcap_file import read_recording
@@ -38,7 +39,7 @@ def found(here, gathered=None, bytes_of=BYTES, rig=LAB, **passes):
 
 
 def test_what_each_agent_hears_is_what_it_subscribes_to():
-    for kind in HEARD_BY:
+    for kind in NAMES:
         instance = "psm1" if kind == "robot_bridge" else "main"
         agent = build(LAB, kind, instance)
         steady = {i.topic for i in agent.inputs if i.topic in STREAMS and i.topic.delivery is Delivery.LATEST}

@@ -1,0 +1,1 @@
+"""`suturegrasp graph`: who says what to whom."""
