@@ -1,15 +1,28 @@
 """Agents from the configuration of a rig; each kind loads what it is made of alone, for all together take a second."""
 
+from collections.abc import Callable
+
 from agents.cli.rig.config import (
     ArmSection,
     CameraSection,
     PerceptionSection,
     PlannerSection,
+    ReconstructionSection,
     RigConfig,
     SimulatorSection,
 )
 from agents.cli.rig.other_arms import other_arms
-from schemas.topics import MAIN
+from agents.registry import (
+    CAMERA,
+    PERCEPTION,
+    PLANNER,
+    RECONSTRUCTION,
+    ROBOT_BRIDGE,
+    SIMULATOR,
+    TOOL_TRACKER,
+    Kind,
+    kind_of,
+)
 from shared.runtime.agent import Agent
 from shared.runtime.config import ConfigError
 from shared.runtime.session import SessionSettings
@@ -22,49 +35,75 @@ def build(rig: RigConfig, kind: str, instance: str) -> Agent:
         ConfigError: where the configuration has no section for it.
         SourceError, ImageFileError, CalibrationError: where a camera has nothing to show.
     """
-    if kind == "robot_bridge" and instance not in rig.robot:
+    row = kind_of(kind, instance)
+    if row is ROBOT_BRIDGE and instance not in rig.robot:
         raise ConfigError(f"the configuration has no arm {instance!r}; its arms: {', '.join(rig.robot) or 'none'}")
-    section = rig.robot[instance] if kind == "robot_bridge" else getattr(rig, kind)
-    match section:
-        case CameraSection():
-            from agents.cli.rig.camera_builder import built_camera
+    section = rig.robot[instance] if row is ROBOT_BRIDGE else getattr(rig, kind)
+    if row is None or section is None:
+        raise ConfigError(f"the configuration has no section [{kind}]; add one, or run that agent elsewhere")
+    return _BUILT[row](rig, instance, section)
 
-            return built_camera(section, SessionSettings(rig.rig, section.endpoint or "", rig.identity_of("camera")))
-        case PerceptionSection() if instance != MAIN:
-            from agents.cli.rig.perception_builder import built_tool_tracker
 
-            return built_tool_tracker(section, instance)
-        case PerceptionSection():
-            from agents.cli.rig.perception_builder import built_perception
+def _camera(rig: RigConfig, _: str, section: CameraSection) -> Agent:
+    from agents.cli.rig.camera_builder import built_camera
 
-            return built_perception(section, rig.needs_matching)
-        case PlannerSection():
-            from agents.planner.agent import Planner
-            from agents.planner.config import PlannerConfig
+    return built_camera(section, SessionSettings(rig.rig, section.endpoint or "", rig.identity_of("camera")))
 
-            return Planner(
-                PlannerConfig(
-                    least_probability=section.least_probability,
-                    policy_model=section.policy_model,
-                    tool_error_m=1e-3 * section.tool_error_mm,
-                    hand_eye_error_m=1e-3 * section.hand_eye_error_mm,
-                    attempts=section.attempts,
-                    press_m=1e-3 * section.press_mm,
-                    tissue_required=section.tissue_required,
-                ),
-                others=other_arms(rig),
-            )
-        case ArmSection():
-            from agents.cli.rig.robot_bridge_builder import built_robot_bridge
 
-            return built_robot_bridge(rig, instance, section)
-        case SimulatorSection():
-            from agents.simulator.agent import Simulator, SimulatorConfig
+def _perception(rig: RigConfig, _: str, section: PerceptionSection) -> Agent:
+    from agents.cli.rig.perception_builder import built_perception
 
-            return Simulator(SimulatorConfig(**section.model_dump()))
-        case None:
-            raise ConfigError(f"the configuration has no section [{kind}]; add one, or run that agent elsewhere")
-        case _:
-            from agents.reconstruction.agent import Reconstruction
+    return built_perception(section, rig.needs_matching)
 
-            return Reconstruction(section.method, section.tracking)
+
+def _tool_tracker(_: RigConfig, instance: str, section: PerceptionSection) -> Agent:
+    from agents.cli.rig.perception_builder import built_tool_tracker
+
+    return built_tool_tracker(section, instance)
+
+
+def _reconstruction(_: RigConfig, __: str, section: ReconstructionSection) -> Agent:
+    from agents.reconstruction.agent import Reconstruction
+
+    return Reconstruction(section.method, section.tracking)
+
+
+def _planner(rig: RigConfig, _: str, section: PlannerSection) -> Agent:
+    from agents.planner.agent import Planner
+    from agents.planner.config import PlannerConfig
+
+    return Planner(
+        PlannerConfig(
+            least_probability=section.least_probability,
+            policy_model=section.policy_model,
+            tool_error_m=1e-3 * section.tool_error_mm,
+            hand_eye_error_m=1e-3 * section.hand_eye_error_mm,
+            attempts=section.attempts,
+            press_m=1e-3 * section.press_mm,
+            tissue_required=section.tissue_required,
+        ),
+        others=other_arms(rig),
+    )
+
+
+def _robot_bridge(rig: RigConfig, instance: str, section: ArmSection) -> Agent:
+    from agents.cli.rig.robot_bridge_builder import built_robot_bridge
+
+    return built_robot_bridge(rig, instance, section)
+
+
+def _simulator(_: RigConfig, __: str, section: SimulatorSection) -> Agent:
+    from agents.simulator.agent import Simulator, SimulatorConfig
+
+    return Simulator(SimulatorConfig(**section.model_dump()))
+
+
+_BUILT: dict[Kind, Callable[..., Agent]] = {
+    CAMERA: _camera,
+    PERCEPTION: _perception,
+    TOOL_TRACKER: _tool_tracker,
+    RECONSTRUCTION: _reconstruction,
+    PLANNER: _planner,
+    ROBOT_BRIDGE: _robot_bridge,
+    SIMULATOR: _simulator,
+}
