@@ -26,6 +26,8 @@ class Due(Enum):
 
 FRAMES_BETWEEN = {Due.JUDGED: 60, Due.GLANCE: 10, Due.OCCLUDERS: 15, Due.SURFACE: 15}
 """Of the camera. All eight parts are glanced at in less than three seconds; instruments move by themselves."""
+OLDEST = {Due.SURFACE: 60}
+"""Of the camera: after so many it goes first. The planner takes a surface of three seconds at most."""
 REST, LONGEST_REST = 2, 15
 """Frames that are looked at without anything beside, between two with it; and of the camera's, after a pause."""
 GLANCES_AFTER_LOOK = 30
@@ -33,7 +35,7 @@ GLANCES_AFTER_LOOK = 30
 
 
 def due(sequence: int, last: ThreadObservations, is_watched: bool) -> Due | None:
-    """What is due in a frame: of all that is, what has waited longest by its own measure.
+    """What is due in a frame: what grows too old, and else what has waited longest by its own measure.
 
     Args:
         sequence: of the frame.
@@ -54,7 +56,7 @@ def due(sequence: int, last: ThreadObservations, is_watched: bool) -> Due | None
         return None
     # where the camera begins again, all was done before that
     since = {one: inf if then is None or step < 0 else sequence - then for one, then in done.items()}
-    most = max(since, key=lambda one: since[one] / FRAMES_BETWEEN[one])
+    most = max(since, key=lambda one: (since[one] >= OLDEST.get(one, inf), since[one] / FRAMES_BETWEEN[one]))
     return most if since[most] >= FRAMES_BETWEEN[most] else None
 
 
