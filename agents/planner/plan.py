@@ -64,13 +64,10 @@ def _best(
     others = () if direct else alternatives(s, probability, against, at_goal, chosen, config.alternatives)
     s_goal = float(s[at_goal])
     if chosen is None:
-        if direct:
-            reason = f"the thread cannot be grasped directly at s = {s_goal:.3f}: {reason_of(int(against[at_goal]))}"
-        else:
-            reason = (
-                f"the thread cannot be captured anywhere for a goal at s = {s_goal:.3f}; "
-                f"of {len(s)} places: {counted_reasons(against)}"
-            )
+        reason = f"the thread cannot be grasped directly at s = {s_goal:.3f}: {reason_of(int(against[at_goal]))}"
+        if not direct:
+            nowhere = f"the thread cannot be captured anywhere for a goal at s = {s_goal:.3f}"
+            reason = f"{nowhere}; of {len(s)} places: {counted_reasons(against)}"
         if (against == list(Against).index(Against.UNKNOWN_ON_THE_WAY)).any():
             reason += f" (known enough is what is grasped with a probability of {config.least_probability:g} at least)"
         pressed, why = _at_tissue(captures, config, tissue)
