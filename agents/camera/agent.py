@@ -21,11 +21,11 @@ from schemas.messages import (
     StereoCalibration,
     StereoFrame,
 )
-from schemas.topics import CALIBRATION, FRAME_NOTICE, FRAMES, MAIN, ROBOT_STATE, SIMULATOR_STATE, Topic
+from schemas.topics import CALIBRATION, FRAME_NOTICE, FRAMES, ROBOT_STATE, SIMULATOR_STATE
 from shared.both_eyes import of_both
 from shared.calibration.identity import calibration_id
 from shared.images import encode_image
-from shared.runtime.agent import CannotGoOnError, Command, Input, Output, Received, Tick
+from shared.runtime.agent import Agent, CannotGoOnError, Command, Input, Output, Received, Tick
 from shared.runtime.settable import Between, settable
 
 CHALLENGES = Input(ROBOT_STATE, instance="*", only_newest_counts=True, only_remembered=True)
@@ -50,14 +50,13 @@ class CameraConfig:
     latency_ms: float = 0.0
 
 
-class Camera:
+class Camera(Agent):
     """Publishes unrectified pairs at a steady rate; a source that has nothing new is left for the next tick."""
 
     kind = "camera"
-    instance = MAIN
-    inputs: tuple[Input, ...] = (CHALLENGES,)
+    config: CameraConfig
+    inputs = (CHALLENGES,)
     outputs = (FRAMES, FRAME_NOTICE, CALIBRATION)
-    commands: tuple[Topic, ...] = ()
     only_newest_tick_counts = True
 
     def __init__(self, source: Source, calibration: StereoCalibration, config: CameraConfig) -> None:
@@ -97,14 +96,13 @@ class Camera:
         self._source.close()
 
 
-class SceneCamera:
+class SceneCamera(Agent):
     """Films the simulated field: the newest state is rendered at every tick."""
 
     kind = "camera"
-    instance = MAIN
+    config: CameraConfig
     inputs = (Input(SIMULATOR_STATE, only_newest_counts=True, only_remembered=True), CHALLENGES)
     outputs = (FRAMES, FRAME_NOTICE, CALIBRATION)
-    commands: tuple[Topic, ...] = ()
     only_newest_tick_counts = True
 
     def __init__(

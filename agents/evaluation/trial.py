@@ -40,11 +40,10 @@ from schemas.topics import (
     SIMULATOR_STATE,
     SURFACE,
     THREAD,
-    Topic,
 )
 from shared.recording.mcap_file import Entry
 from shared.rigid_transforms import compose
-from shared.runtime.agent import Agent, Command, Input, Output, Received, Tick
+from shared.runtime.agent import Agent, Command, Output, Received, Tick
 from shared.runtime.lockstep import BEGAN_NS, Lockstep
 
 RIG, OPERATOR = "evaluation", "evaluation"
@@ -73,13 +72,11 @@ class Cast:
     limits: SpeedLimits
 
 
-class Attendant:
+class Attendant(Agent):
     """The operator of an arm, who stands by: heartbeats for the plan that was armed last."""
 
     kind = "operator"
-    inputs: tuple[Input, ...] = ()
     outputs = (HEARTBEAT,)
-    commands: tuple[Topic, ...] = ()
     tick_hz = HEARTBEAT.rate_hz
 
     def __init__(self, arm: str) -> None:

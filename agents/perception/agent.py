@@ -39,13 +39,13 @@ from schemas.messages import (
     ThreadReconstruction,
     TrackStep,
 )
-from schemas.topics import CALIBRATION, FRAMES, MAIN, OBSERVATIONS, PROMPT, SURFACE, THREAD, Topic
+from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS, PROMPT, SURFACE, THREAD
 from shared.aside import begun
 from shared.calibration.identity import calibration_id
 from shared.calibration.uncertainty import covariance_of
 from shared.images import ImageDataError, decode_image
 from shared.right_eye import right_eye_of, whole_rows
-from shared.runtime.agent import Command, Input, Later, Output, Received, Reply, Tick
+from shared.runtime.agent import Agent, Command, Input, Later, Output, Received, Reply, Tick
 from shared.runtime.settable import OneOf, settable
 
 Pixel = Float64[np.ndarray, "2"]
@@ -76,7 +76,7 @@ class PerceptionConfig:
             raise ValueError("it needs promptable_encoder and promptable_decoder in the configuration of perception")
 
 
-class Perception:
+class Perception(Agent):
     """Rectifies, segments and observes every frame; without a calibration it waits for one.
 
     Where thread was observed in one frame, the next is looked at near it first. All that counts of earlier frames and
@@ -84,7 +84,7 @@ class Perception:
     """
 
     kind = "perception"
-    instance = MAIN
+    config: PerceptionConfig
     inputs = (
         Input(FRAMES, only_newest_counts=True),
         Input(CALIBRATION, only_newest_counts=True),
@@ -92,8 +92,7 @@ class Perception:
     )
     outputs = (SURFACE, OBSERVATIONS)
     goes_on_from = OBSERVATIONS
-    commands: tuple[Topic, ...] = (PROMPT,)
-    tick_hz = None
+    commands = (PROMPT,)
 
     def __init__(self, config: PerceptionConfig = PerceptionConfig()) -> None:
         self.config = config
@@ -106,10 +105,6 @@ class Perception:
         self._thread: ThreadReconstruction | None = None
         self._prompt_px: Pixel | None = None
         self._frame: StereoFrame | None = None
-
-    def configure(self, config: PerceptionConfig) -> None:
-        """Go on with another config, in which only what may be set while the agent runs has changed."""
-        self.config = config
 
     def step(self, arrived: Received | Tick | Command) -> Iterable[Reply]:
         """Observations for each frame once there is a calibration; an unusable frame is a failure with its reason."""

@@ -26,11 +26,11 @@ from schemas.messages import (
     ThreadReconstruction,
     TissueSurface,
 )
-from schemas.topics import CHECK, CLOCKS, EXECUTION, GOAL, MAIN, PLAN, ROBOT_STATE, SURFACE, THREAD, Topic
+from schemas.topics import CHECK, CLOCKS, EXECUTION, GOAL, PLAN, ROBOT_STATE, SURFACE, THREAD, Topic
 from shared.kinematics import psm
 from shared.kinematics.arm import ArmKinematics
 from shared.rigid_transforms import compose, inverse
-from shared.runtime.agent import Command, Input, Output, Received, Tick
+from shared.runtime.agent import Agent, Command, Input, Output, Received, Tick
 
 Reaches = Callable[[Float64[np.ndarray, "n 4 4"]], Bool[np.ndarray, "n"]]
 """Whether an arm can bring its tool to each `T_base_tool`."""
@@ -48,22 +48,21 @@ def reaches_of(arm: ArmKinematics, least_dexterity: float) -> Reaches:
     return reaches
 
 
-class Planner:
+class Planner(Agent):
     """Goals to plans, for all arms."""
 
-    kind: str = "planner"
-    instance: str = MAIN
-    inputs: tuple[Input, ...] = (
+    kind = "planner"
+    config: PlannerConfig
+    inputs = (
         Input(THREAD, only_newest_counts=True, only_remembered=True),
         Input(SURFACE, only_newest_counts=True, only_remembered=True),
         Input(ROBOT_STATE, instance="*", only_newest_counts=True, only_remembered=True),
         Input(CLOCKS, only_newest_counts=True),
         Input(EXECUTION, instance="*"),
     )
-    outputs: tuple[Topic, ...] = (PLAN, CHECK)
+    outputs = (PLAN, CHECK)
     goes_on_from = PLAN
-    commands: tuple[Topic, ...] = (GOAL,)
-    tick_hz: float | None = None
+    commands = (GOAL,)
     watches_clocks = ("camera",)
 
     def __init__(
@@ -80,10 +79,6 @@ class Planner:
         self._arms: dict[str, RobotState] = {}
         self._clocks: HostClocks | None = None
         self._watch = Watch()
-
-    def configure(self, config: PlannerConfig) -> None:
-        """Go on with another config, in which only what may be set while the agent runs has changed."""
-        self.config = config
 
     def acts_on(self, topic: Topic) -> bool:
         """Whether more follows from what is only remembered otherwise: threads, while a grasp waits for its check."""

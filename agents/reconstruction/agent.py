@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from agents.reconstruction.method_names import DEFAULT_METHOD
 from agents.reconstruction.methods import METHODS, TRACKERS
 from schemas.messages import CommandAnswer, ThreadReconstruction
-from schemas.topics import MAIN, OBSERVATIONS, THREAD, Topic
-from shared.runtime.agent import Command, Input, Output, Received, Tick
+from schemas.topics import OBSERVATIONS, THREAD
+from shared.runtime.agent import Agent, Command, Input, Output, Received, Tick
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class ReconstructionConfig:
     tracking: bool
 
 
-class Reconstruction:
+class Reconstruction(Agent):
     """Runs one method on every message of observations.
 
     With tracking, and a method that can, it goes on from its last thread, in which all lies that it keeps. Without, it
@@ -26,11 +26,9 @@ class Reconstruction:
     """
 
     kind = "reconstruction"
-    instance = MAIN
+    config: ReconstructionConfig
     inputs = (Input(OBSERVATIONS, only_newest_counts=True),)
     outputs = (THREAD,)
-    commands: tuple[Topic, ...] = ()
-    tick_hz = None
 
     def __init__(self, method: str = DEFAULT_METHOD, tracking: bool = True) -> None:
         self.config = ReconstructionConfig(method, tracking)

@@ -7,13 +7,11 @@ repeated, the recorded one stays.
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 from schemas.messages import CommandAnswer
-from schemas.topics import Topic
 from shared.clock import monotonic_s
 from shared.recording.mcap_file import Entry
-from shared.runtime.agent import Agent, Command, Input, Output, Received, Tick, awaited
+from shared.runtime.agent import Agent, Command, Output, Received, Tick, awaited
 from shared.runtime.replay import Place, Replay, Replayed, Step, place_of
 
 
@@ -165,7 +163,7 @@ class _Together:
         return min(self._recorded[place_of(output)].received_ns for output in step.outputs)
 
 
-class _Timed:
+class _Timed(Agent):
     """An agent whose steps are timed and counted; one that raises is a fault, and gives nothing, as when live."""
 
     def __init__(self, agent: Agent) -> None:
@@ -173,10 +171,8 @@ class _Timed:
         self.steps_ms: list[float] = []
         self.faults: list[str] = []
         self.kind, self.instance, self.tick_hz = agent.kind, agent.instance, agent.tick_hz
-        self.inputs: tuple[Input, ...] = agent.inputs
-        self.outputs: tuple[Topic, ...] = agent.outputs
-        self.commands: tuple[Topic, ...] = agent.commands
-        self.goes_on_from: Topic | None = getattr(agent, "goes_on_from", None)
+        self.inputs, self.outputs, self.commands = agent.inputs, agent.outputs, agent.commands
+        self.goes_on_from = agent.goes_on_from
 
     def step(self, arrived: Received | Tick | Command) -> list[Output | CommandAnswer]:
         began_s = monotonic_s()
@@ -189,6 +185,4 @@ class _Timed:
             self.steps_ms.append(1e3 * (monotonic_s() - began_s))
 
     def close(self) -> None:
-        close: Any = getattr(self._agent, "close", None)
-        if close is not None:
-            close()
+        self._agent.close()

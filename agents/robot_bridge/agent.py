@@ -50,7 +50,7 @@ from schemas.topics import (
     SURFACE,
     TOOL,
 )
-from shared.runtime.agent import Command, Input, Output, Received, Tick
+from shared.runtime.agent import Agent, Command, Input, Output, Received, Tick
 from shared.runtime.commands import stops
 
 __all__ = ["RobotBridge", "RobotBridgeConfig", "RobotBridgeError"]
@@ -66,10 +66,11 @@ MOST_SEGMENTS = 8
 Replies = Iterable[Output | CommandAnswer]
 
 
-class RobotBridge:
+class RobotBridge(Agent):
     """Drives one arm: keeps plans, is armed for one at a time, follows it while heartbeats come, holds otherwise."""
 
     kind = "robot_bridge"
+    config: RobotBridgeConfig
     outputs = (ROBOT_STATE, EXECUTION)
     commands = (ARM, HOLD, CHANGE_STATE)
 
@@ -98,22 +99,18 @@ class RobotBridge:
         self._log = logging.getLogger(f"suturegrasp.{self.kind}.{config.arm}")
         self._stands = Standing(config, backend, self._log)
 
-    def configure(self, config: RobotBridgeConfig) -> None:
-        """Go on with another config, in which only what may be set while the agent runs has changed."""
-        self.config = config
-
     @property
     def executes(self) -> bool:
         """Whether a plan is armed, or being carried out."""
         return self._execution is not None
 
     @property
-    def keeps_time(self) -> bool:
+    def keeps_time(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - the runtime only reads it
         """Whether its clock must not jump now."""
         return self.executes
 
     @property
-    def tick_hz(self) -> float:
+    def tick_hz(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride] - the runtime only reads it
         """All of its turns while the arm is armed, moves, or is told to hold; few for one at rest."""
         now_ns = self._now_ns or 0
         # where the clock was set back, nobody waits for it to be as late again

@@ -23,9 +23,9 @@ from schemas.messages import (
     RobotState,
     SimulatorState,
 )
-from schemas.topics import EXECUTION, JUDGEMENT, MAIN, PLAN, ROBOT_STATE, SIMULATOR_STATE, Topic
+from schemas.topics import EXECUTION, JUDGEMENT, PLAN, ROBOT_STATE, SIMULATOR_STATE
 from shared.rigid_transforms import apply, compose
-from shared.runtime.agent import Command, Input, Output, Received, Tick
+from shared.runtime.agent import Agent, Command, Input, Output, Received, Tick
 from shared.runtime.settable import Between, settable
 
 ENDOSCOPE = RectifiedStereo(
@@ -85,7 +85,7 @@ class SimulatorConfig:
     laid: int = settable(0, Between(0, 1_000_000))
 
 
-class Simulator:
+class Simulator(Agent):
     """A thread on tissue, what the jaws do to it, and a judgement of each plan that is carried out.
 
     Raises:
@@ -94,10 +94,9 @@ class Simulator:
     """
 
     kind = "simulator"
-    instance = MAIN
+    config: SimulatorConfig
     inputs = (Input(ROBOT_STATE, "*"), Input(EXECUTION, "*"), Input(PLAN))
     outputs = (SIMULATOR_STATE, JUDGEMENT)
-    commands: tuple[Topic, ...] = ()
 
     def __init__(self, config: SimulatorConfig = SimulatorConfig(), field: Field | None = None) -> None:
         """Lay the thread: the one that the configuration draws, or of a field that is given."""
@@ -131,7 +130,7 @@ class Simulator:
         self.config = config
 
     @property
-    def tick_hz(self) -> float:
+    def tick_hz(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride] - the runtime only reads it
         """All of its turns while an arm moves or a verdict is due; few are enough for a field that is still."""
         moves = 0 < self._rests_from_ns - self._now_ns <= RESTS_AFTER_NS
         return MOVING_HZ if moves or self._finished_ns else RESTING_HZ

@@ -4,10 +4,11 @@ An agent is an object with state and no sockets: `step` takes what arrived and r
 object runs live (`shared.runtime.runner`) and on a recording (`shared.runtime.replay`).
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from schemas.messages import CommandAnswer
 from schemas.topics import MAIN, Topic
@@ -23,7 +24,7 @@ class Input:
             them out.
         only_remembered: that it does no more with a message of this topic than to remember the newest of each key: so
             that one alone is decoded and fed, right before what the agent acts on. For *latest* topics of which only
-            the newest counts. An agent that acts on it at times has a method `acts_on`.
+            the newest counts. See `Agent.acts_on`.
     """
 
     topic: Topic
@@ -107,56 +108,60 @@ def outputs_in(replies: Iterable[Reply]) -> list[Output]:
     return [reply for reply in awaited(replies) if isinstance(reply, Output)]
 
 
-class Agent(Protocol):
-    """One stage of the dataflow. Where it has a method `close`, that is called once at the end, whatever ended it.
-
-    Where it has `goes_on_from`, a topic among its outputs, all that counts of what it was fed before lies in its last
-    message on that topic: a replay feeds it that message in place of all before, and needs no more of the past.
-
-    Where it has `accepts_replayed_time = False`, the time of a recording that is replayed on its rig does not become
-    its own, since it moves something real.
-
-    Where it has `halt`, that is called from any thread as soon as a command that stops has come
-    (`shared.runtime.commands.stops`), before it is stepped; such a command goes before all others.
-
-    Where it has `keeps_time`, its clock goes on by the monotonic clock for as long as that is true.
-
-    Where it has `only_newest_tick_counts = True`, a tick that nothing followed has changed nothing, so that a replay
-    may leave it out.
-
-    Where it has `acts_on(topic)`, what is only remembered otherwise is fed as it comes for as long as that says so.
-
-    Where it has `config`, a frozen dataclass, everybody on the rig may read it; and where fields of that are declared
-    `settable` (shared/runtime/parameters.py), its method `configure` takes a config in which some of them have changed.
-
-    Where it has `watches_clocks`, kinds of agents, the runner measures the clocks of their hosts, and tells them on
-    `planner/clocks`.
+class Agent(ABC):
+    """One stage of the dataflow; what the runtime asks of it beyond `step` has a default here.
 
     Fields:
         kind: the agent's name in keys, such as `perception`.
         instance: `main`, or the arm's name.
+        inputs, outputs: what it hears and says.
+        commands: what it answers.
         tick_hz: how often it wants the time; None for never. It may change with each step, but not from or to None.
+        config: a frozen dataclass, which everybody on the rig may read. Fields of it that are `settable` may be set.
+        goes_on_from: an output whose last message holds all that counts of what the agent was fed before: a replay
+            feeds it that message in place of all before, and needs no more of the past.
+        only_newest_tick_counts: that a tick that nothing followed has changed nothing, so that a replay may leave it
+            out.
+        accepts_replayed_time: False where the time of a recording that is replayed on its rig does not become its own,
+            since it moves something real.
+        keeps_time: its clock goes on by the monotonic clock for as long as that is true.
+        watches_clocks: kinds of agents of whose hosts the runner measures the clocks, and tells them on
+            `planner/clocks`.
     """
 
-    @property
-    def kind(self) -> str: ...
-    @property
-    def instance(self) -> str: ...
-    @property
-    def inputs(self) -> tuple[Input, ...]: ...
-    @property
-    def outputs(self) -> tuple[Topic, ...]: ...
-    @property
-    def commands(self) -> tuple[Topic, ...]: ...
-    @property
-    def tick_hz(self) -> float | None: ...
+    kind: str
+    instance: str = MAIN
+    inputs: tuple[Input, ...] = ()
+    outputs: tuple[Topic, ...] = ()
+    commands: tuple[Topic, ...] = ()
+    tick_hz: float | None = None
+    config: Any = None
+    goes_on_from: Topic | None = None
+    only_newest_tick_counts: bool = False
+    accepts_replayed_time: bool = True
+    keeps_time: bool = False
+    watches_clocks: tuple[str, ...] = ()
 
+    @abstractmethod
     def step(self, arrived: Received | Tick | Command) -> Iterable[Reply]:
         """What follows from one message, tick or command; deterministic in everything that was fed to the agent."""
-        ...
+
+    def configure(self, config: Any) -> None:
+        """Go on with a config in which settable fields have changed."""
+        self.config = config
+
+    def acts_on(self, topic: Topic) -> bool:  # noqa: ARG002 - an agent that remembers all alike
+        """Whether it does more now with an input that is only remembered otherwise than to remember it."""
+        return False
+
+    def halt(self) -> None:  # noqa: B027 - most have nothing that moves
+        """Called from any thread as soon as a command that stops has come (`shared.runtime.commands.stops`), before it
+        is stepped; such a command goes before all others."""
+
+    def close(self) -> None:  # noqa: B027 - most have nothing to let go of
+        """Called once at the end, whatever ended it."""
 
 
 def only_remembers(agent: Agent, wanted: Input) -> bool:
     """Whether the agent would do no more with a message of this input, came it now, than to remember it."""
-    acts_on = getattr(agent, "acts_on", None)
-    return wanted.only_remembered and not (acts_on is not None and acts_on(wanted.topic))
+    return wanted.only_remembered and not agent.acts_on(wanted.topic)

@@ -7,7 +7,7 @@ An agent whose output holds all of that state (`goes_on_from`) names it too, and
 """
 
 from schemas.messages import Consumed
-from schemas.topics import Topic, key_root
+from schemas.topics import key_root
 from shared.runtime.agent import Agent
 
 TICK, OMITTED = "tick", "omitted"
@@ -22,14 +22,9 @@ def adds_up(agent: Agent) -> bool:
 
     Of one that goes on from its last output, all that counts of earlier inputs lies there.
     """
-    if state_topic(agent) is not None:
+    if agent.goes_on_from is not None:
         return False
     return agent.tick_hz is not None or not all(i.only_newest_counts for i in agent.inputs)
-
-
-def state_topic(agent: Agent) -> Topic | None:
-    """The output in which all lies that an agent goes on from; None where it has none such."""
-    return getattr(agent, "goes_on_from", None)
 
 
 def is_tick(key: str) -> bool:
@@ -42,8 +37,8 @@ class Fed:
 
     def __init__(self, agent: Agent, rig: str, epoch: int) -> None:
         self._root, self._epoch = key_root(rig, agent.instance, agent.kind), epoch
-        self._names_output = adds_up(agent) or state_topic(agent) is not None
-        self._idle_ticks_count = not getattr(agent, "only_newest_tick_counts", False)
+        self._names_output = adds_up(agent) or agent.goes_on_from is not None
+        self._idle_ticks_count = not agent.only_newest_tick_counts
         self._newest_only: set[str] = set()
         self._entries: list[Consumed] = []
         self._omitted = 0

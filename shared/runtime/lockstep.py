@@ -13,7 +13,7 @@ from schemas.messages import CommandAnswer, CommandRecord
 from schemas.topics import COMMANDS, MAIN, Topic, key
 from shared.recording.mcap_file import Entry
 from shared.runtime.agent import Agent, Command, Input, Output, Received, Tick, awaited, only_remembers, outputs_in
-from shared.runtime.fed import Fed, state_topic
+from shared.runtime.fed import Fed
 
 STEP_NS = 10_000_000
 BEGAN_NS = 1_767_225_600_000_000_000
@@ -114,7 +114,7 @@ class Lockstep:
             if self._recorded and hasattr(message, "consumed"):
                 message = dataclasses.replace(message, consumed=listed)
             place = name, self._publish(seat.epoch, output.topic, instance, name, message)
-            last = place if output.topic is (state_topic(seat.agent) or output.topic) else last
+            last = place if output.topic is (seat.agent.goes_on_from or output.topic) else last
         if last is not None:
             seat.fed.published(*last)
 

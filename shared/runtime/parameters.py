@@ -35,7 +35,7 @@ class Parameters:
 
     def __init__(self, agent: Agent) -> None:
         self._agent = agent
-        self._configured: Any = getattr(agent, "config", None)
+        self._configured = agent.config
         self._current = self._configured
         fields = dataclasses.fields(self._configured) if self._configured is not None else ()
         self._allowed: dict[str, Allowed] = {f.name: f.metadata[ALLOWED] for f in fields if ALLOWED in f.metadata}

@@ -24,7 +24,7 @@ from schemas.codec import decode, encode
 from schemas.messages import CommandRecord, Consumed
 from schemas.topics import COMMANDS, CONFIGURATION, TOPICS, topic_of
 from shared.runtime.agent import Agent, Command, Output, Received, Tick, outputs_in
-from shared.runtime.fed import adds_up, is_tick, state_topic
+from shared.runtime.fed import adds_up, is_tick
 from shared.runtime.parameters import Parameters
 
 
@@ -93,7 +93,7 @@ class _Run:
     def __init__(self, agent: Agent, messages: Mapping[Place, Recorded], from_own_state: bool) -> None:
         self._agent, self._messages = agent, messages
         # what goes on from its last output alone loses no more than the next one
-        self._adds_up = adds_up(agent) and state_topic(agent) is None
+        self._adds_up = adds_up(agent)
         self._parameters = Parameters(agent)
         self._from_own_state = from_own_state
         self._fed: set[Place] = set()
@@ -113,7 +113,7 @@ class _Run:
         for output in outputs:
             topic = topic_of(output.key)
             now = None if self._missing else _next_of(made, str(topic), consumed)
-            if self._from_own_state and now is not None and topic is state_topic(self._agent):
+            if self._from_own_state and now is not None and topic is self._agent.goes_on_from:
                 # its state is the agent's own from here on, and need not be fed
                 self._fed.add(place_of(output))
             more = sum(other.topic is topic for other in unrecorded)
@@ -139,7 +139,7 @@ class _Run:
 
     def _is_fed(self, key: str) -> bool:
         topic = topic_of(key)
-        return topic not in self._agent.outputs or topic is state_topic(self._agent)
+        return topic not in self._agent.outputs or topic is self._agent.goes_on_from
 
 
 @dataclass(frozen=True)

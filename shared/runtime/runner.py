@@ -55,7 +55,7 @@ from shared.runtime.commands import OTHER_KEY, Answered, refused, stops, untimel
 from shared.runtime.delivery import RouterLinks
 from shared.runtime.facts import Surroundings, answer_facts, facts_of, realtime_priority
 from shared.runtime.faults import LIKE_PER_LINE, Faults
-from shared.runtime.fed import TICK, Fed, state_topic
+from shared.runtime.fed import TICK, Fed
 from shared.runtime.inbox import Arrival
 from shared.runtime.intake import Intake
 from shared.runtime.link import answer_link
@@ -93,7 +93,7 @@ class Runner:
         self._agent, self._session, self._rig, self._config_hash = agent, session, rig, config_hash
         self._parameters, self._around, self._manager = Parameters(agent), around or Surroundings(), ServiceManager()
         self._root = key_root(rig, agent.instance, agent.kind)
-        self._clock = AgentClock(lambda: getattr(agent, "keeps_time", False))
+        self._clock = AgentClock(lambda: agent.keeps_time)
         self._out = Outlets(session, rig, (agent.kind, agent.instance), self._links, self._clock)
         self._stopped = threading.Event()
         self._answered = Answered()
@@ -107,7 +107,7 @@ class Runner:
         self._log = logging.getLogger(f"suturegrasp.{agent.kind}.{agent.instance}")
         self._intake = Intake(agent, self._clock, self._log)
         self._coming = Coming(self._intake.handled, self._intake.inbox.wake)
-        self._watched = frozenset[str](getattr(agent, "watches_clocks", ()))
+        self._watched = frozenset(agent.watches_clocks)
         for topic in (*agent.outputs, HEALTH, LOG, COMMANDS, CONFIGURATION, *((CLOCKS,) if self._watched else ())):
             self._out.declare(topic)
         self._log_topic = LogTopic(agent.kind, agent.instance, self._publish_log)
@@ -178,12 +178,12 @@ class Runner:
             (topic, topic.agent, self._agent.instance if topic.per_arm else MAIN) for topic in self._agent.commands
         ]
         for topic, agent, instance in (*commands, (SET, self._agent.kind, self._agent.instance)):
-            take = taking(topic, self._intake.inbox, self._answered, getattr(self._agent, "halt", lambda: None))
+            take = taking(topic, self._intake.inbox, self._answered, self._agent.halt)
             selector = key(self._rig, topic, instance, agent)
             self._kept.append(self._session.declare_queryable(selector, take, complete=True))
         self._answer_questions()
         self._kept.append(RouterWatch(self._session, self._log.warning))
-        if getattr(self._agent, "accepts_replayed_time", True):
+        if self._agent.accepts_replayed_time:
             self._kept += follow_replays(self._session, self._rig, self._clock)
         self._kept.append(self._session.liveliness().declare_token(self._root))
         self._publish_configuration()
@@ -368,7 +368,7 @@ class Runner:
                 try:
                     message = with_consumed(output.message, fed)
                     place = self._out.key(output.topic), self._out.publish(output.topic, message, watch.ms["step"])
-                    last = place if output.topic is (state_topic(self._agent) or output.topic) else last
+                    last = place if output.topic is (self._agent.goes_on_from or output.topic) else last
                 except MessageError as error:
                     self._note_fault(error, of)
                     went_well = False
@@ -413,12 +413,10 @@ class Runner:
         self._publish_coming(wait=True)
         if self.gave_up:
             self._out.publish(HEALTH, self._health(monotonic_s()))
-        close = getattr(self._agent, "close", None)
-        if close is not None:
-            try:
-                close()
-            except Exception as error:
-                self._note_fault(error, "closing")
+        try:
+            self._agent.close()
+        except Exception as error:
+            self._note_fault(error, "closing")
         self._undeclare()
 
     def _undeclare(self) -> None:

@@ -129,7 +129,7 @@ def test_an_arm_on_another_host_grasps_in_an_experiment_and_no_set_point_is_unsa
 
 
 def answered(command):
-    """What a command said, and its exit status; its questions are answered as somebody would who has so much patience."""
+    """What a command said, and its exit status; its questions are answered as somebody would, for so long."""
     answers = {b"Ctrl-C holds it; a plans anew: ": b"\n", b"n: try it again: ": b"n\n", b"Enter goes on: ": b"\n"}
     answers |= {b"Enter tries again: ": b"\n"}
     environment = {**os.environ, "PYTHONUNBUFFERED": "1"}

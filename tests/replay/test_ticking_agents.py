@@ -2,6 +2,7 @@
 
 import contextlib
 import threading
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ from schemas.messages import (
 from schemas.topics import EXECUTION, JUDGEMENT, MAIN, PLAN, ROBOT_STATE, SIMULATOR_STATE, TOPICS, topic_of
 from shared.recording.mcap_file import read_recording
 from shared.rigid_transforms import exp_so3, transform
-from shared.runtime.agent import Output
+from shared.runtime.agent import Agent, Output
 from shared.runtime.commands import new_header
 from shared.runtime.connection import connected
 from shared.runtime.replay import replay
@@ -55,12 +56,12 @@ AGENTS = {"robot_bridge": bridge, "simulator": simulator}
 every_agent = pytest.mark.parametrize("build", AGENTS.values(), ids=AGENTS)
 
 
-class Planning:
+class Planning(Agent):
     """In the place of the planner: one plan by hand, again and again with the newest time."""
 
     kind, instance, inputs, outputs, commands, tick_hz = "planner", MAIN, (), (PLAN,), (), 2.0
 
-    def step(self, arrived):
+    def step(self, arrived: Any):
         rotation = exp_so3(np.array((0.1, 0, 0.3)))
         places = (((15, 5, 75), 0.5, Phase.APPROACH), ((20, 6, 80), 0.5, Phase.CAPTURE), ((20, 6, 80), 0, Phase.GRASP))
         waypoints = tuple(

@@ -107,7 +107,7 @@ class FirefoxPage:
         else:
             await self._act("pointer", f"finger {finger}", {"type": "pointerUp", "button": 0}, **source)
 
-    async def key(self, kind: str, key: str, code: str, number: int) -> None:  # noqa: ARG002
+    async def key(self, kind: str, key: str, code: str, number: int) -> None:
         """A key: keyDown, again while it is down for a repetition, or keyUp."""
         await self._act("key", "keys", {"type": kind, "value": KEYS.get(key, key)})
 

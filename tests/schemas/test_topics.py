@@ -41,7 +41,7 @@ BESIDE_THE_AGENTS = ("operator", "replay")
 
 def outputs_of(agent):
     """What an agent publishes; its runner watches clocks for it."""
-    return (*agent.outputs, CLOCKS) if getattr(agent, "watches_clocks", False) else agent.outputs
+    return (*agent.outputs, CLOCKS) if agent.watches_clocks else agent.outputs
 
 
 def published(agent):

@@ -17,10 +17,10 @@ from agents.perception.tool.refinement import View
 from agents.perception.tool.told import told_of, track_of
 from agents.perception.tool.track import begun, followed, missed
 from schemas.messages import RobotState, StereoCalibration, StereoFrame, ToolCorrection, ToolStatus
-from schemas.topics import CALIBRATION, FRAMES, ROBOT_STATE, TOOL, Topic
+from schemas.topics import CALIBRATION, FRAMES, ROBOT_STATE, TOOL
 from shared.calibration.identity import calibration_id
 from shared.images import ImageDataError
-from shared.runtime.agent import Command, Input, Output, Received, Tick
+from shared.runtime.agent import Agent, Command, Input, Output, Received, Tick
 
 FOLLOWING_S, SEARCHING_S = 0.2, 0.4
 MOST_STATES = 200
@@ -33,14 +33,13 @@ class ToolTrackerConfig:
     arm: str = "psm1"
 
 
-class ToolTracker:
+class ToolTracker(Agent):
     """Looks for one instrument where its arm's states have it, and goes on from its last message alone."""
 
     kind = "perception"
+    config: ToolTrackerConfig
     outputs = (TOOL,)
     goes_on_from = TOOL
-    commands: tuple[Topic, ...] = ()
-    tick_hz = None
 
     def __init__(self, config: ToolTrackerConfig = ToolTrackerConfig()) -> None:
         self.config, self.instance = config, config.arm

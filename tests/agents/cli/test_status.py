@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -24,7 +25,7 @@ from agents.cli.status.watch import StatusWatch
 from agents.operator.operator import hold
 from agents.planner.agent import Planner
 from schemas.topics import EXECUTION, THREAD, key
-from shared.runtime.agent import Input
+from shared.runtime.agent import Agent, Input
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.connection import connected
 from shared.runtime.delivery import declare_publisher
@@ -123,7 +124,7 @@ def test_status_tells_a_document_a_second_until_it_is_stopped_or_nobody_reads_it
             assert process.stderr.read() == ""
 
 
-class Stuck:
+class Stuck(Agent):
     """An agent whose step does not end before it is let go."""
 
     kind, instance, tick_hz = "planner", "main", 10.0
@@ -134,7 +135,7 @@ class Stuck:
         self.go_on = threading.Event()
         self.begins = threading.Event()
 
-    def step(self, _arrived):
+    def step(self, arrived: Any):
         if self.begins.is_set():
             self.go_on.wait()
         return ()

@@ -5,6 +5,7 @@ import contextlib
 import logging
 import threading
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -35,7 +36,7 @@ from schemas.messages import (
 from schemas.topics import FRAME_NOTICE, FRAMES, MAIN, ROBOT_STATE, THREAD
 from shared.clock import now_ns
 from shared.images import encode_image
-from shared.runtime.agent import Input, Output, Received, Tick
+from shared.runtime.agent import Agent, Input, Output, Received, Tick
 from shared.runtime.connection import connected
 from tests.rigs.browser import chromium
 
@@ -58,7 +59,7 @@ QUICK = MotionLimits(
 """For tests that wait for the end of a motion."""
 
 
-class Stamped:
+class Stamped(Agent):
     """What stamps frames; where it `echoes`, each with the newest challenge of every arm's bridge, until it is frozen.
 
     One that echoes begins with the first challenge.
@@ -98,7 +99,7 @@ class HandMadeThread(Stamped):
         super().__init__(echoes)
         self._most = most
 
-    def step(self, arrived):
+    def step(self, arrived: Any):
         if self.heard(arrived) or self._frame == self._most:
             return []
         confidence_s = np.linspace(0, 1, 11)
@@ -133,7 +134,7 @@ class HandMadeCamera(Stamped):
         self.tick_hz = 30.0 if echoes else 10.0
         self._image = encode_image(np.full((540, 960, 3), 90, np.uint8), ImageEncoding.JPEG)
 
-    def step(self, arrived):
+    def step(self, arrived: Any):
         if self.heard(arrived):
             return []
         stamp = self.next_stamp(arrived.now_ns)

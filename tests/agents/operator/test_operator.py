@@ -28,7 +28,7 @@ from schemas.messages import (
     Status,
 )
 from schemas.topics import COMMANDS, HEARTBEAT, MAIN, PROMPT, ROBOT_STATE
-from shared.runtime.agent import Tick
+from shared.runtime.agent import Agent, Tick
 from shared.runtime.commands import accepted, new_header
 from shared.runtime.connection import connected
 from shared.runtime.session import SessionSettings
@@ -256,7 +256,7 @@ def test_commands_without_receiver_have_an_unknown_outcome(settings):
     assert "planner" in answer.reason
 
 
-class BusyPerception:
+class BusyPerception(Agent):
     """In the place of perception with a network that needs longer for a frame than a prompt waits."""
 
     kind, instance = "perception", MAIN

@@ -15,7 +15,7 @@ from agents.robot_bridge.simulated import SimulatedPsm
 from schemas.messages import ExecutionEvent, ExecutionKind
 from schemas.topics import EXECUTION, MAIN, PROMPT
 from shared.clock import now_ns
-from shared.runtime.agent import Tick
+from shared.runtime.agent import Agent, Tick
 from shared.runtime.commands import accepted, new_header
 from shared.runtime.config import parse_config
 from tests.rigs.browser import found
@@ -36,7 +36,7 @@ ON_THREAD = """(() => {
 })()"""
 
 
-class Prompted:
+class Prompted(Agent):
     """In the place of perception, as far as prompts go."""
 
     kind, instance = "perception", MAIN

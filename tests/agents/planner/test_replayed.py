@@ -11,14 +11,14 @@ from schemas.messages import GraspPlan, RobotMode, RobotState, Status
 from schemas.topics import GOAL, PLAN, ROBOT_STATE, SURFACE, THREAD, topic_of
 from shared.kinematics import psm
 from shared.kinematics.simulated_setup import SIMULATED_BASES
-from shared.runtime.agent import Output, Tick
+from shared.runtime.agent import Agent, Output, Tick
 from shared.runtime.lockstep import Lockstep
 from shared.runtime.replay import replay
 
 JOINTS = np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0])
 
 
-class Told:
+class Told(Agent):
     """Publishes one message at each tick, with the time as its own."""
 
     inputs, commands, tick_hz = (), (), 10.0

@@ -2,6 +2,7 @@
 
 import pathlib
 import threading
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from schemas.codec import encode
 from schemas.messages import FrameStamp, Image, ImageEncoding, LogLevel, LogRecord, StereoFrame
 from schemas.topics import FRAMES, LOG, PLAN, TOPICS, key
 from shared.recording.mcap_file import RecordingWriter, read_notes, read_recording
-from shared.runtime.agent import Output
+from shared.runtime.agent import Agent, Output
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.connection import connected
 from shared.runtime.delivery import declare_publisher
@@ -124,13 +125,13 @@ def test_closing_twice_is_closing_once_and_nothing_is_recorded_after(record, tmp
     assert places(first.path) == [(CAMERA, 1, 0)]
 
 
-class Film:
+class Film(Agent):
     kind, instance, inputs, outputs, commands, tick_hz = "camera", "main", (), (FRAMES,), (), 50.0
 
     def __init__(self):
         self.sent = 0
 
-    def step(self, arrived):
+    def step(self, arrived: Any):
         image = Image(ImageEncoding.RAW, 64, 48, 3, np.full((48, 64, 3), self.sent % 256, np.uint8).tobytes())
         yield Output(FRAMES, StereoFrame(FrameStamp(self.sent, arrived.now_ns, arrived.now_ns, ""), image, image))
         self.sent += 1

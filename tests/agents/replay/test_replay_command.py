@@ -6,6 +6,7 @@ import sys
 import threading
 from collections import defaultdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ from schemas.topics import (
 )
 from shared.clock import now_ns
 from shared.recording.mcap_file import RecordingWriter
-from shared.runtime.agent import Command, Input, Output, Tick
+from shared.runtime.agent import Agent, Command, Input, Output, Tick
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.commands import accepted
 from shared.runtime.connection import connected
@@ -39,7 +40,7 @@ CAMERA = RectifiedStereo(4, 2, 4.0, 4.0, 1.5, 0.5, 5e-3, 1.0)
 NONE = np.zeros(0)
 
 
-class Slow:
+class Slow(Agent):
     """Takes a while for each message, and tells which it was."""
 
     instance, commands, tick_hz = "main", (), None
@@ -48,7 +49,7 @@ class Slow:
         self.kind, self.inputs, self.outputs = kind, (Input(listened, only_newest_counts=True),), outputs
         self.taken = []
 
-    def step(self, arrived):
+    def step(self, arrived: Any):
         threading.Event().wait(0.03)
         stamp = arrived.message.stamp
         self.taken.append(stamp.sequence)
@@ -56,7 +57,7 @@ class Slow:
             yield Output(topic, TissueSurface(stamp, CAMERA, NONE, NONE, np.zeros((0, 0)), np.zeros((0, 0), bool)))
 
 
-class Prompted:
+class Prompted(Agent):
     """Accepts prompts, and notes the time of its ticks."""
 
     kind, instance, inputs, outputs, commands, tick_hz = "perception", "main", (), (), (PROMPT,), 50.0

@@ -71,7 +71,7 @@ class RecordingArm(SimulatedPsm):
     def rearm(self) -> None:
         self.was_halted = False
 
-    def change_state(self, word: StateWord, now_ns: int) -> str:  # noqa: ARG002
+    def change_state(self, word: StateWord, now_ns: int) -> str:
         self.told.append(word.name.lower())
         return ""
 
@@ -197,7 +197,7 @@ class Wire:
     def open(self) -> None:
         self.opened = True
 
-    def say(self, topic: str, payload: bytes) -> bool:  # noqa: ARG002
+    def say(self, topic: str, payload: bytes) -> bool:
         if not self.opened or self.down:
             return False
         self.said.append(topic)

@@ -74,7 +74,7 @@ class Topics:
         # how the bridge and the robot's computer reach each other: at once, unless somebody has it otherwise
         self.later: Callable[[Callable[[], None]], None] = lambda deliver: deliver()
 
-    def publish(self, topic: str, kind: str, latched: bool) -> Outlet:  # noqa: ARG002
+    def publish(self, topic: str, kind: str, latched: bool) -> Outlet:
         """A topic for the console to speak on."""
 
         def put(data: bytes, _now_ns: int) -> None:
@@ -86,7 +86,7 @@ class Topics:
         # a console publishes only while somebody subscribes, but for what it keeps for who comes later
         return Outlet(lambda: latched or topic in self._bridge, put)
 
-    def subscribe(self, topic: str, kind: str, receive: Callable[[bytes], None]) -> None:  # noqa: ARG002
+    def subscribe(self, topic: str, kind: str, receive: Callable[[bytes], None]) -> None:
         """A topic for the console to hear."""
         self._console.setdefault(topic, []).append(receive)
 
@@ -131,11 +131,11 @@ class Link:
     def __init__(
         self,
         topics: Topics,
-        settings: SessionSettings,  # noqa: ARG002
-        naming: Any,  # noqa: ARG002
+        settings: SessionSettings,
+        naming: Any,
         heard: tuple[Heard, ...],
         said: tuple[Said, ...],
-        watched: tuple[str, ...],  # noqa: ARG002
+        watched: tuple[str, ...],
         owner_changed: Callable[[str, bool], None],
     ) -> None:
         self._topics, self._heard, self._owner_changed = topics, heard, owner_changed

@@ -2,6 +2,7 @@
 
 import contextlib
 import socket
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -11,17 +12,17 @@ from schemas.codec import encode
 from schemas.messages import ClockReading
 from schemas.topics import CLOCKS
 from shared.clock import now_ns
-from shared.runtime.agent import Input, Received
+from shared.runtime.agent import Agent, Input, Received
 from shared.runtime.clocks import CLOCK, ClockOffset, by_host, offset_of
 from shared.runtime.connection import connected
 
 MS = 1_000_000
 
 
-class Idle:
+class Idle(Agent):
     kind, instance, inputs, outputs, commands, tick_hz = "planner", "main", (), (), (), None
 
-    def step(self, _arrived):
+    def step(self, arrived: Any):
         return []
 
 

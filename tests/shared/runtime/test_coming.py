@@ -1,6 +1,7 @@
 """Outputs that are still worked on when their step is over, of an agent on a real session behind a real router."""
 
 from concurrent.futures import Future
+from typing import Any
 
 import pytest
 
@@ -13,7 +14,7 @@ from schemas.messages import (
     StereoFrame,
 )
 from schemas.topics import FRAMES, HEALTH, PLAN, key
-from shared.runtime.agent import Input, Later, Output
+from shared.runtime.agent import Agent, Input, Later, Output
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.delivery import declare_publisher
 from shared.runtime.progress import ask_progress
@@ -24,7 +25,7 @@ IMAGE = Image(ImageEncoding.RAW, 4, 2, 1, bytes(8))
 NAME, EPOCH = key("test", FRAMES), 5
 
 
-class Worker:
+class Worker(Agent):
     """Answers even frames once the test lets it, and odd ones at once."""
 
     kind, instance, outputs, commands, tick_hz = "planner", "main", (PLAN,), (), None
@@ -33,7 +34,7 @@ class Worker:
     def __init__(self):
         self.work, self.fed = {n: Future() for n in (0, 2)}, []
 
-    def step(self, arrived):
+    def step(self, arrived: Any):
         number = arrived.message.stamp.sequence
         self.fed.append(number)
         if number in self.work:

@@ -12,7 +12,7 @@ import schemas
 from schemas.messages import AgentHealth
 from schemas.topics import HEALTH
 from shared.clock import processor_s
-from shared.runtime.agent import Output
+from shared.runtime.agent import Agent, Output
 from shared.runtime.connection import connected
 from shared.runtime.facts import Surroundings, ask_for_realtime, facts_of, realtime_priority, schemas_hash
 from shared.runtime.link import BYTES, LINK, MOST_BYTES
@@ -21,7 +21,7 @@ DEADLINE_S = 60.0
 NOTHING_KNOWN = Surroundings()
 
 
-class Idle:
+class Idle(Agent):
     kind, instance, inputs, outputs, commands, tick_hz = "planner", "main", (), (), (), None
 
     def step(self, arrived) -> list[Output]:

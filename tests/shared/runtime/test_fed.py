@@ -2,7 +2,7 @@
 
 from schemas.messages import Consumed
 from schemas.topics import FRAMES, PLAN, TOPICS, key
-from shared.runtime.agent import Input
+from shared.runtime.agent import Agent, Input
 from shared.runtime.fed import MOST_LISTED, OMITTED, TICK, Fed, adds_up, is_tick
 
 FRAME, STATE, PLANS = key("lab", FRAMES), "suturegrasp/lab/robot_bridge/psm1/state", key("lab", PLAN)
@@ -10,14 +10,14 @@ OWN_TICK, OWN_OMITTED = f"suturegrasp/lab/planner/main/{TICK}", f"suturegrasp/la
 EPOCH = 7
 
 
-class Some:
+class Some(Agent):
     kind, instance, outputs, commands = "planner", "main", (PLAN,), ()
 
     def __init__(self, tick_hz=None, only_newest_counts=False, only_newest_tick_counts=False, goes_on_from=None):
         self.tick_hz, self.inputs = tick_hz, (Input(FRAMES, only_newest_counts=only_newest_counts),)
         self.only_newest_tick_counts, self.goes_on_from = only_newest_tick_counts, goes_on_from
 
-    def step(self, arrived):  # noqa: ARG002 - the list is the same whatever it does
+    def step(self, arrived):
         return ()
 
 

@@ -1,11 +1,13 @@
 """What no agent sends: wildcard keys, numbers that nobody can count to, and what is remembered without a number."""
 
+from typing import Any
+
 import pytest
 
 from schemas.codec import decode, encode
 from schemas.messages import AgentHealth, FrameStamp, Image, ImageEncoding, StereoFrame
 from schemas.topics import FRAMES, HEALTH, key
-from shared.runtime.agent import Input
+from shared.runtime.agent import Agent, Input
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.taps import tap
 
@@ -15,7 +17,7 @@ OWN = key("test", FRAMES)
 OF_MANY = OWN.replace("/frames", "/*")
 
 
-class Consumer:
+class Consumer(Agent):
     """Hears frames, or only remembers them and looks at the newest at each tick."""
 
     kind, instance, outputs, commands = "perception", "main", (), ()
@@ -24,7 +26,7 @@ class Consumer:
         self.tick_hz = 20.0 if remembers else None
         self.inputs = (Input(FRAMES, only_newest_counts=True, only_remembered=remembers),)
 
-    def step(self, _arrived):
+    def step(self, arrived: Any):
         return ()
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from schemas.topics import FRAMES, MAIN, key
 from shared.clock import monotonic_s
-from shared.runtime.agent import Input
+from shared.runtime.agent import Agent, Input
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.delivery import RouterLinks, declare_publisher
 from shared.runtime.intake import Intake
@@ -16,7 +16,7 @@ from shared.runtime.replayed_time import AgentClock
 from shared.runtime.session import open_session
 
 
-class Remembers:
+class Remembers(Agent):
     kind, instance, outputs, commands, tick_hz = "planner", MAIN, (), (), None
     inputs = (Input(FRAMES, only_newest_counts=True, only_remembered=True),)
 

@@ -1,13 +1,14 @@
 """Whoever comes late gets what still holds: the calibration, what agents are set to, and the last plan."""
 
 import contextlib
+from typing import Any
 
 import numpy as np
 
 from schemas.codec import decode
 from schemas.messages import FrameStamp, GraspPlan, Policy, Status, StereoCalibration
 from schemas.topics import CALIBRATION, CONFIGURATION, PLAN
-from shared.runtime.agent import Output
+from shared.runtime.agent import Agent, Output
 from shared.runtime.session import open_session
 from shared.runtime.taps import tap
 
@@ -16,7 +17,7 @@ K = np.diag([9.0, 9.0, 1.0])
 MADE = StereoCalibration(4, 2, K, K, np.zeros(5), np.zeros(5), RIGHT, 1.0)
 
 
-class Once:
+class Once(Agent):
     """Publishes something at its first tick, and never again."""
 
     instance, inputs, commands, tick_hz = "main", (), (), 20.0
@@ -24,7 +25,7 @@ class Once:
     def __init__(self, topic, *messages):
         self.kind, self.outputs, self.messages, self.ticks = topic.agent, (topic,), messages, 0
 
-    def step(self, _arrived):
+    def step(self, arrived: Any):
         self.ticks += 1
         messages, self.messages = self.messages, ()
         return [Output(self.outputs[0], message) for message in messages]

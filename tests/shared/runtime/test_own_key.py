@@ -20,7 +20,7 @@ from schemas.messages import (
     Progress,
 )
 from schemas.topics import FRAMES, HEALTH, HEARTBEAT, HOLD, LOG, PLAN, key
-from shared.runtime.agent import Input
+from shared.runtime.agent import Agent, Input
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.clocks import CLOCK, clock_offset
 from shared.runtime.commands import accepted, new_header, send_command
@@ -99,7 +99,7 @@ def health_comes_often(monkeypatch):
     monkeypatch.setattr("shared.runtime.reporting.PERIOD_S", 0.05)
 
 
-class Bridge:
+class Bridge(Agent):
     """Hears plans."""
 
     kind, instance, outputs, commands, tick_hz = "robot_bridge", "psm1", (), (), None

@@ -24,7 +24,7 @@ from schemas.messages import (
     StereoFrame,
 )
 from schemas.topics import COMMANDS, CONFIGURATION, EXECUTION, FRAMES, SET, key
-from shared.runtime.agent import Command, Input, Output, Received
+from shared.runtime.agent import Agent, Command, Input, Output, Received
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.commands import new_header, send_command
 from shared.runtime.connection import connected
@@ -50,7 +50,7 @@ class Config:
         require(self.gain * self.count < 90, "gain times count must be below 90")
 
 
-class Counting:
+class Counting(Agent):
     """Says after every frame what it is set to; nothing of that is in what it says it goes on from."""
 
     kind, instance, commands, tick_hz = "robot_bridge", "psm1", (), None
@@ -157,7 +157,7 @@ def test_the_configuration_tells_all_parameters_and_what_was_set_and_restores_th
 
 
 def test_an_agent_without_config_has_no_parameters():
-    class Bare:
+    class Bare(Agent):
         kind, instance, inputs, outputs, commands, tick_hz = "planner", "main", (), (), (), None
 
         def step(self, arrived) -> list[Output]:

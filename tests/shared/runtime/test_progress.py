@@ -1,9 +1,11 @@
 """Consumers tell how far they have got."""
 
+from typing import Any
+
 from schemas.codec import encode
 from schemas.messages import Consumed, FrameStamp, Image, ImageEncoding, StereoFrame
 from schemas.topics import FRAMES, LOG, key
-from shared.runtime.agent import Input
+from shared.runtime.agent import Agent, Input
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.delivery import declare_publisher
 from shared.runtime.progress import ask_progress, matches
@@ -14,12 +16,12 @@ FRAME = encode(StereoFrame(FrameStamp(0, 0, 0, ""), IMAGE, IMAGE))
 NAME = key("test", FRAMES)
 
 
-class Perception:
+class Perception(Agent):
     """Looks at frames."""
 
     kind, instance, inputs, outputs, commands, tick_hz = "perception", "main", (Input(FRAMES),), (), (), None
 
-    def step(self, _arrived):
+    def step(self, arrived: Any):
         return ()
 
 

@@ -3,6 +3,7 @@
 import dataclasses
 import random
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ from schemas.messages import (
     StereoFrame,
 )
 from schemas.topics import COMMANDS, EXECUTION, FRAMES, GOAL, PLAN, ROBOT_STATE, key
-from shared.runtime.agent import Input, Output, Received, Tick
+from shared.runtime.agent import Agent, Input, Output, Received, Tick
 from shared.runtime.commands import accepted, new_header
 from shared.runtime.fed import Fed
 from shared.runtime.replay import ReplayError, replay
@@ -58,7 +59,7 @@ def plan(sequence, reason, *consumed, epoch=9):
     return Entry(PLAN_KEY, epoch, sequence, encode(plan_of(reason, fed)))
 
 
-class Summing:
+class Summing(Agent):
     """Publishes the sum of the numbers of all frames that it was ever fed; `each` times."""
 
     kind, instance, outputs, commands, tick_hz = "planner", "main", (PLAN,), (), None
@@ -125,14 +126,14 @@ def test_runs_of_a_publisher_and_of_the_agent_itself_are_told_apart():
     assert [r.same for r in replay(Summing, recording)] == [True] * 3
 
 
-class Counting:
+class Counting(Agent):
     """Publishes at a goal how many frames it has seen."""
 
     kind, instance, outputs, commands, tick_hz = "planner", "main", (PLAN,), (GOAL,), None
     inputs = (Input(FRAMES),)
     total = 0
 
-    def step(self, arrived):
+    def step(self, arrived: Any):
         if isinstance(arrived, Received):
             self.total += 1
             return
@@ -177,7 +178,7 @@ def run_of(agent, frames, epoch=9):
     return entries
 
 
-class Clockwork:
+class Clockwork(Agent):
     """Adds up ticks and frames; tells the sum at every tick, and at every third once more, as an arm does."""
 
     kind, instance, outputs, commands, tick_hz = "robot_bridge", "psm1", (ROBOT_STATE, EXECUTION), (), 100.0

@@ -8,7 +8,7 @@ from schemas.codec import encode
 from schemas.messages import LogRecord, ReplayClock
 from schemas.topics import LOG, REPLAY_CLOCK, key
 from shared.clock import now_ns
-from shared.runtime.agent import Tick
+from shared.runtime.agent import Agent, Tick
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.delivery import declare_publisher
 from shared.runtime.replayed_time import JITTER_NS, SILENCE_S, ReplayedTime
@@ -17,7 +17,7 @@ SECOND = 10**9
 THEN_NS = 1_500_000_000 * SECOND
 
 
-class Ticking:
+class Ticking(Agent):
     """Notes the time."""
 
     kind, instance, inputs, outputs, commands, tick_hz = "camera", "main", (), (), (), 100.0

@@ -2,6 +2,7 @@
 
 import dataclasses
 import threading
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,7 +27,7 @@ from schemas.messages import (
 )
 from schemas.topics import COMMANDS, FRAMES, GOAL, HEALTH, LOG, PLAN, key
 from shared.clock import now_ns
-from shared.runtime.agent import CannotGoOnError, Input, Output, Received, Tick
+from shared.runtime.agent import Agent, CannotGoOnError, Input, Output, Received, Tick
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.commands import FARTHEST_DEADLINE_S, accepted, new_header, refused, send_command, untimely
 
@@ -35,7 +36,7 @@ IMAGE = Image(ImageEncoding.RAW, 4, 2, 1, bytes(8))
 STAMP = FrameStamp(0, 0, 0, "")
 
 
-class Camera:
+class Camera(Agent):
     """Publishes a numbered frame at every tick, or fails for as long as it is told to."""
 
     kind, instance, inputs, outputs, commands, tick_hz = "camera", "main", (), (FRAMES,), (), 100.0
@@ -55,7 +56,7 @@ class Camera:
         self.closed = True
 
 
-class Planner:
+class Planner(Agent):
     """Answers a goal with a rejection, and counts frames and goals."""
 
     kind, instance, outputs, commands, tick_hz = "planner", "main", (PLAN,), (GOAL,), None
@@ -63,7 +64,7 @@ class Planner:
     def __init__(self, **how):
         self.inputs, self.frames, self.goals = (Input(FRAMES, **how),), 0, 0
 
-    def step(self, arrived):
+    def step(self, arrived: Any):
         if isinstance(arrived, Received):
             self.frames += 1
             return

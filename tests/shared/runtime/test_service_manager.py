@@ -3,9 +3,11 @@
 import os
 import socket
 import threading
+from typing import Any
 
 import pytest
 
+from shared.runtime.agent import Agent
 from shared.runtime.service_manager import ServiceManager
 
 DEADLINE_S = 60.0
@@ -21,7 +23,7 @@ def manager(request, tmp_path):
         yield listener, {"NOTIFY_SOCKET": name}
 
 
-class Agent:
+class Hanging(Agent):
     """Ticks until it is told to hang."""
 
     kind, instance, inputs, outputs, commands, tick_hz = "planner", "main", (), (), (), 50.0
@@ -29,7 +31,7 @@ class Agent:
     def __init__(self):
         self.hangs, self.ended = threading.Event(), threading.Event()
 
-    def step(self, _arrived):
+    def step(self, arrived: Any):
         if self.hangs.is_set():
             self.ended.wait(DEADLINE_S)
         return ()
@@ -44,7 +46,7 @@ def test_a_process_is_ready_then_alive_while_its_loop_turns_and_says_that_it_sto
     listener, environment = manager
     for name, value in (environment | {"WATCHDOG_USEC": "100000"}).items():
         monkeypatch.setenv(name, value)
-    agent = Agent()
+    agent = Hanging()
     runner = running(agent)
     said = [heard(listener)]
     assert said == ["READY=1"]

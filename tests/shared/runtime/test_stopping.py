@@ -9,7 +9,7 @@ from schemas.codec import decode, encode
 from schemas.messages import Arm, ChangeState, CommandAnswer, CommandHeader, Hold, Outcome, StateWord
 from schemas.topics import ARM, CHANGE_STATE, HOLD, key
 from shared.clock import monotonic_s
-from shared.runtime.agent import Command
+from shared.runtime.agent import Agent, Command
 from shared.runtime.commands import accepted, new_header, refused, send_command, stops_unread
 from shared.runtime.outlets import Outlets
 from shared.runtime.own_key import encoding_of
@@ -17,7 +17,7 @@ from shared.runtime.own_key import encoding_of
 STEP_S = 0.5
 
 
-class Robot:
+class Robot(Agent):
     """An agent whose arming takes long, and which notes when it was halted and what it was told to do."""
 
     kind, instance, inputs, outputs, commands, tick_hz = "robot_bridge", "psm1", (), (), (ARM, HOLD, CHANGE_STATE), 50.0

@@ -18,7 +18,7 @@ from shared.images import encode_image
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER as PSM
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE as T_TRUE
 from shared.rigid_transforms import apply
-from shared.runtime.agent import Command, Input, Output, Received, Tick
+from shared.runtime.agent import Agent, Command, Input, Output, Received, Tick
 from shared.runtime.lockstep import Lockstep
 from tests.rigs.drawn_tool import IN_MM, JAW, joints, pair_of
 
@@ -26,7 +26,7 @@ TIP = np.array([[0.0, 0.0, 0.0102]])
 CALIBRATED = calibration_of(IN_MM)
 
 
-class DrawnCamera:
+class DrawnCamera(Agent):
     """Draws the arm's instrument where it really is, five times a second; `shown` False hides it."""
 
     kind, instance, tick_hz = "camera", MAIN, 5.0

@@ -150,7 +150,7 @@ class ChainTopics(Topics):
         outlet = super().publish(topic, kind, latched)
         return Outlet(lambda: topic == PEDAL or outlet.wanted(), outlet.put)
 
-    def link(self, now_ns: Callable[[], int]) -> Callable[..., "BridgeEnd"]:  # noqa: ARG002
+    def link(self, now_ns: Callable[[], int]) -> Callable[..., "BridgeEnd"]:
         """What makes a bridge's end, as it makes a RosLink."""
 
         def made(*arguments: Any) -> BridgeEnd:
