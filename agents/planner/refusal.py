@@ -121,7 +121,9 @@ def _fresh_thread(thread: ThreadReconstruction | None, now_ns: int) -> ThreadRec
         )
     if age_ms < -oldest_ms:
         raise RefusedGoalError(
-            "thread_from_future", f"the thread was seen {-age_ms:.0f} ms from now; set the clocks of the hosts"
+            "thread_from_future",
+            f"the thread was seen {-age_ms:.0f} ms from now; set the clocks of the hosts, or, where a replay has just "
+            "begun anew, ask again once it has shown the thread",
         )
     if thread.camera.metres_per_unit is None:
         raise RefusedGoalError("unit_unknown", "the unit of the calibration is unknown; give its metres_per_unit")

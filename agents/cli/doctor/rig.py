@@ -20,6 +20,7 @@ from agents.cli.status.judgement import (
     topics_told_otherwise,
 )
 from agents.cli.status.wrong import listed
+from agents.registry import kind_of
 from schemas.messages import AgentFacts
 from schemas.topics import TOPICS
 from shared.runtime.clocks import ClockOffset, by_host
@@ -167,7 +168,10 @@ def streams(gathered: Gathered) -> Iterator[Finding]:
                 continue
             what = f"stream {one.topic} to {fare.name}"
             if one.rate_hz == 0 or one.age_ms is None:
-                yield Finding(what, "none was taken in the last two seconds")
+                # what people send rests most of the time
+                resting = kind_of(topic.agent) is None
+                none = "none was taken in the last two seconds"
+                yield Finding(what, none if resting else f"{UNKNOWN}, for {none}")
             else:
                 yield Finding(what, f"{one.rate_hz:.3g} Hz, {one.age_ms:.1f} ms after it was sent")
     for wrong in judge(gathered):

@@ -299,12 +299,14 @@ def test_streams_are_told_and_what_status_finds_wrong_with_them():
         InputHealth("camera/frames", 29.5, 8.25, 9, 0, 0, 0),
         InputHealth("operator/heartbeat", 0.0, None, 0, 0, 0, 0),
         InputHealth("camera/calibration", 0.0, 3.0, 1, 0, 0, 0),
+        InputHealth("reconstruction/thread", 0.0, None, 0, 0, 0, 0),
     )
     health = AgentHealth("perception", "main", "a", "0.2.0", "", NOW_NS, 60.0, 7, None, None, inputs, (), "")
     fares = (Fare("perception", health, 0.5, True), Fare("camera", None, 5.0, True))
-    frames, heartbeat, hanging = streams(Gathered(NOW_NS, RIG, "e", fares=fares))
+    frames, heartbeat, threads, hanging = streams(Gathered(NOW_NS, RIG, "e", fares=fares))
     assert frames == Finding("stream camera/frames to perception", "29.5 Hz, 8.2 ms after it was sent")
-    assert heartbeat.found == "none was taken in the last two seconds"
+    assert (heartbeat.found, heartbeat.state) == ("none was taken in the last two seconds", "ok")
+    assert (threads.found, threads.state) == ("unknown, for none was taken in the last two seconds", "?")
     assert (hanging.what, hanging.state) == ("status (hanging)", "WRONG")
 
 
