@@ -11,7 +11,7 @@ from ruamel.yaml import YAML
 
 from agents.deployment.layout import ROUTER, Host, Process
 from agents.deployment.places import HOME, RIG_FILE, SECRETS, SESSIONS
-from agents.deployment.units import NOT_OURS, OF_AN_ARM, REALTIME_KINDS, REALTIME_PRIORITY, command_of
+from agents.deployment.units import NOT_OURS, REALTIME_PRIORITY, command_line, keeps_time, row_of
 from shared.runtime.identity import AUTHORITY_FILE
 from shared.runtime.session import ROUTER_RUNTIME, RUNTIME_VARIABLE
 
@@ -68,25 +68,22 @@ def _service(host: Host, process: Process, calibration: str) -> dict[str, Any]:
         service["volumes"] = [f"./{ROUTER_FILE}:/etc/zenoh/{ROUTER_FILE}:ro"]
         service["environment"] = {RUNTIME_VARIABLE: ROUTER_RUNTIME}
         return service
-    asked = command_of(process)
-    if process.kind == "viewer":
-        asked = "view --output {session} --numbered --show file"
-    ending = "rrd" if process.kind == "viewer" else "mcap"
-    command = asked.format(instance=process.instance, session=SESSIONS / f"session.{ending}")
     service["working_dir"] = str(HOME)
-    service["command"] = [*command.split(), "--config", str(HOME / RIG_FILE), "--host", host.name]
-    if process.kind in ("recorder", "viewer"):
+    command = command_line(process, SESSIONS).split()
+    service["command"] = [*command, "--config", str(HOME / RIG_FILE), "--host", host.name]
+    kind = row_of(process)
+    if kind is not None and kind.writes:
         service["volumes"].append(f"sessions:{SESSIONS}")
         service["working_dir"] = str(SESSIONS)
-    if process.kind in OF_AN_ARM:
+    if kind is not None and kind.audited:
         service["volumes"].append(f"sessions:{SESSIONS}")
         service["environment"]["STATE_DIRECTORY"] = str(SESSIONS)
-    if process.kind == "camera":
+    if kind is not None and kind.films:
         service["device_cgroup_rules"] = ["c 81:* rmw"]
         service["volumes"].append("/dev:/dev")
         if calibration:
             service["volumes"].append(f"./{calibration}:{HOME / calibration}:ro")
-    if host.realtime and process.kind in REALTIME_KINDS:
+    if keeps_time(host, process):
         service["cap_add"] = ["SYS_NICE"]
         service["ulimits"] = {"rtprio": REALTIME_PRIORITY}
     return service

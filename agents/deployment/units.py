@@ -10,32 +10,17 @@ from pathlib import PurePosixPath
 from agents.deployment.layout import ROUTER, Host, Process
 from agents.deployment.places import CERTIFICATES, GROUP, HOME, PROGRAM, RIG_FILE, SESSIONS
 from agents.deployment.robot_zenoh import ROBOT_ZENOH
-from agents.registry import NAMES, Pace, with_pace
-from schemas.topics import MAIN
+from agents.registry import AGENTS, GUARD, ROBOT_BRIDGE, Kind, Pace, command_of, kind_of
 from shared.runtime.identity import AUTHORITY_FILE
 
 TARGET = "suturegrasp.target"
 LONGEST_USER = 31
-GUARD = "guard"
-AGENTS = (*NAMES, GUARD)
-"""What has a loop of its own, from which it tells that it is alive."""
 WATCHDOG_S = 10
 """A loop that says nothing for so long hangs; its longest wait is half a second, and its longest step a few."""
 WATCHDOG_OF_COMPUTING_S = 60
 """Of what drives nothing, and whose first step takes longest: where others have the processor, it would be killed in it
 each time, and never get beyond it."""
-COMPUTING = with_pace(Pace.STEPS_BACK)
-REALTIME_KINDS = with_pace(Pace.KEEPS_TIME) | {GUARD}
-"""What keeps time; the others would take the processor from them."""
 REALTIME_PRIORITY = 50
-OF_AN_ARM = ("robot_bridge", GUARD)
-TOOL_TRACKER = "perception"
-"""One beside the thread's own for each arm whose instrument is looked for; its instance is the arm."""
-COMMANDS = {
-    "robot_bridge": "robot-bridge --arm {instance}",
-    GUARD: "guard --arm {instance}",
-    "recorder": "record --output {session} --numbered",
-}
 PEOPLE = "operator"
 NOT_OURS = (PEOPLE, ROBOT_ZENOH)
 """Has a certificate and no process of ours: commands run as long as somebody needs them, the robot's Zenoh by ROS."""
@@ -63,16 +48,29 @@ UMask=0027
 """
 
 
+def row_of(process: Process) -> Kind | None:
+    """The row of the registry that a process is of; None for a router, which is no program of ours."""
+    return kind_of(process.kind, process.instance)
+
+
 def names_its_arm(process: Process) -> bool:
     """Whether a process is one of an arm's."""
-    return process.kind in OF_AN_ARM or (process.kind == TOOL_TRACKER and process.instance != MAIN)
+    kind = row_of(process)
+    return kind is not None and kind.per_arm
 
 
-def command_of(process: Process) -> str:
-    """What a process is started by, with places for its instance and the session's file."""
-    if process.kind == TOOL_TRACKER and process.instance != MAIN:
-        return "perception --arm {instance}"
-    return COMMANDS.get(process.kind, process.kind)
+def command_line(process: Process, session: PurePosixPath) -> str:
+    """What a process is started by; `session` is the folder that it writes to, where it writes."""
+    kind = row_of(process)
+    if kind is None:
+        return process.kind
+    return command_of(kind).format(instance=process.instance, session=session / kind.writes)
+
+
+def keeps_time(host: Host, process: Process) -> bool:
+    """Whether a process may ask for real-time priority on a host; others would take the processor from it."""
+    kind = row_of(process)
+    return host.realtime and kind is not None and kind.pace is Pace.KEEPS_TIME
 
 
 def unit_name(process: Process) -> str:
@@ -103,9 +101,7 @@ def units(rig: str, host: Host) -> dict[str, str]:
 
 
 def _service(rig: str, host: Host, process: Process) -> str:
-    command = command_of(process).format(instance=process.instance, session=state_of(process) / "session.mcap")
-    if process.kind == "viewer":
-        command = f"view --output {state_of(process) / 'session.rrd'} --numbered --show file"
+    command = command_line(process, state_of(process))
     name = process.common_name
     credentials = (AUTHORITY_FILE, f"{name}.pem", f"{name}.key")
     sections = (
@@ -147,17 +143,19 @@ def _service(rig: str, host: Host, process: Process) -> str:
 
 def _order(host: Host, process: Process) -> tuple[str, ...]:
     """A guard is there before the bridge that it guards, and goes after it."""
-    guarded = Process("robot_bridge", process.instance)
-    return (f"Before={unit_name(guarded)}",) if process.kind == GUARD and guarded in host.processes else ()
+    guarded = Process(ROBOT_BRIDGE.name, process.instance)
+    return (f"Before={unit_name(guarded)}",) if row_of(process) is GUARD and guarded in host.processes else ()
 
 
 def _watchdog(process: Process) -> tuple[str, ...]:
-    within_s = WATCHDOG_OF_COMPUTING_S if process.kind in COMPUTING else WATCHDOG_S
-    return (f"WatchdogSec={within_s}",) if process.kind in AGENTS else ()
+    kind = row_of(process)
+    if kind not in (*AGENTS, GUARD):
+        return ()
+    return (f"WatchdogSec={WATCHDOG_OF_COMPUTING_S if kind.pace is Pace.STEPS_BACK else WATCHDOG_S}",)
 
 
 def _priority(host: Host, process: Process) -> tuple[str, ...]:
-    if host.realtime and process.kind in REALTIME_KINDS:
+    if keeps_time(host, process):
         # it asks for itself, for the loop's thread alone
         return (f"LimitRTPRIO={REALTIME_PRIORITY}",)
     return ("RestrictRealtime=yes",)
@@ -166,10 +164,10 @@ def _priority(host: Host, process: Process) -> tuple[str, ...]:
 def _storage(process: Process) -> tuple[str, ...]:
     own = f"{SESSIONS.name}/{state_of(process).name}"
     kept = (f"StateDirectory={own}", "StateDirectoryMode=0750")
-    if process.kind in ("recorder", "viewer"):
+    kind = row_of(process)
+    if kind is not None and kind.writes:
         return (*kept, f"WorkingDirectory={state_of(process)}")
-    if process.kind in OF_AN_ARM:
-        # for the audit log
+    if kind is not None and kind.audited:
         return (*kept, f"WorkingDirectory={HOME}")
     return (f"WorkingDirectory={HOME}",)
 
@@ -180,6 +178,7 @@ def state_of(process: Process) -> PurePosixPath:
 
 
 def _devices(process: Process) -> tuple[str, ...]:
-    if process.kind == "camera":
+    kind = row_of(process)
+    if kind is not None and kind.films:
         return ("DevicePolicy=closed", "DeviceAllow=char-video4linux rw", "SupplementaryGroups=video")
     return ("PrivateDevices=yes",) if process.kind != ROUTER else ("PrivateDevices=yes", "LimitNOFILE=65536")

@@ -6,7 +6,7 @@ from agents.cli.demo.command import demo_rig
 from agents.cli.live.options import Demo
 from agents.cli.rig.builders import build
 from agents.cli.rig.config import RigConfig
-from agents.registry import AGENTS, PERCEPTION, TOOL_TRACKER, kind_of
+from agents.registry import AGENTS, GUARD, PERCEPTION, TOOL_TRACKER, kind_of
 from schemas.topics import ANY_AGENT, MAIN
 
 ARM = "psm1"
@@ -30,4 +30,5 @@ def test_a_row_says_what_its_agent_hears_says_and_answers(kind):
 def test_an_agent_is_found_by_its_name_and_instance():
     assert kind_of("perception") is PERCEPTION
     assert kind_of("perception", ARM) is TOOL_TRACKER
-    assert kind_of("viewer") is None
+    assert kind_of("guard", ARM) is GUARD
+    assert kind_of("operator") is None

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 from agents.cli.rig.config import RigConfig
 from agents.cli.rig.hosts import kind_and_instance
-from agents.registry import kind_of
+from agents.registry import CAMERA, RECORDER, ROBOT_BRIDGE, kind_of
 from schemas.topics import (
     FRAMES,
     MAIN,
@@ -88,15 +88,13 @@ def crossings(rig: RigConfig, bytes_of: Mapping[str, float]) -> Iterator[Crossin
 
 def heard_by(rig: RigConfig, kind: str, instance: str) -> tuple[Topic, ...]:
     """The streams that a process hears."""
-    if kind == "viewer":
-        return STREAMS
-    if kind == "recorder":
+    row = kind_of(kind, instance)
+    if row is RECORDER:
         otherwise = {str(row): row.recorded for row in rig.rows_otherwise}
         return tuple(topic for topic in STREAMS if otherwise.get(str(topic), topic.recorded))
-    if kind == "camera" and (rig.camera is None or rig.camera.source != "scene"):
+    if row is CAMERA and (rig.camera is None or rig.camera.source != "scene"):
         return ()
-    row = kind_of(kind, instance)
-    unasked = {TOOL} if kind == "robot_bridge" and rig.robot[instance].correction != "perception" else set[Topic]()
+    unasked = {TOOL} if row is ROBOT_BRIDGE and rig.robot[instance].correction != "perception" else set[Topic]()
     return tuple(topic for topic in row.hears if topic in STREAMS and topic not in unasked) if row is not None else ()
 
 
@@ -113,7 +111,8 @@ def _says(kind: str, instance: str, topic: Topic) -> bool:
 
 def _instances(rig: RigConfig, kind: str, instance: str, topic: Topic) -> int:
     """Of how many arms a process hears such a stream."""
-    if not topic.per_arm or kind == "robot_bridge" or (kind == "perception" and instance != MAIN):
+    row = kind_of(kind, instance)
+    if not topic.per_arm or (row is not None and row.per_arm):
         return 1
     tracked = rig.perception.track_tool if rig.perception is not None else ()
     return len(tracked) if topic is TOOL else len(rig.robot)

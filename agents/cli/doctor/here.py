@@ -17,7 +17,6 @@ from agents.camera.sources import SourceError
 from agents.cli.doctor.finding import UNKNOWN, Finding
 from agents.cli.rig.builders import build
 from agents.cli.rig.config import RigConfig
-from agents.cli.rig.configured import configured
 from agents.cli.status.health_watch import name_of, span_of
 from agents.cli.status.judgement import LEAST_FREE_BYTES, NS_PER_S, expiry
 from agents.cli.status.session import certificate_names
@@ -144,7 +143,7 @@ def _certificates(rig: RigConfig) -> Iterator[Finding]:
 
 def _agents(rig: RigConfig) -> Iterator[Finding]:
     """Each configured agent is built, which reads calibrations and opens sources."""
-    for kind, instance in configured(rig):
+    for kind, instance in rig.agents_here():
         name = f"agent {name_of(kind, instance)}"
         try:
             agent = build(rig, kind, instance)

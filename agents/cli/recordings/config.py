@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.cli.rig.config import RigConfig
+from agents.registry import PLANNER, ROBOT_BRIDGE, kind_of
 from schemas.topics import MAIN
 from shared.recording.mcap_file import read_attachments
 from shared.runtime.config import ConfigError, load_config, parse_config
@@ -69,13 +70,14 @@ def in_force(recorded: RigConfig, used: RigConfig, agents: Iterable[str]) -> Rig
     """
     sections: dict[str, Any] = {}
     anew = [name.partition("/")[::2] for name in agents]
-    for kind, instance in anew:
-        if kind == "robot_bridge":
+    for name, instance in anew:
+        kind = kind_of(name, instance or MAIN)
+        if kind is ROBOT_BRIDGE:
             sections["robot"] = {**sections.get("robot", recorded.robot), instance: used.robot[instance]}
-        elif not instance or instance == MAIN:
+        elif kind is not None and not kind.per_arm:
             # of the agents of one arm that share a section with others, those others are as they were
-            sections[kind] = getattr(used, kind)
-        if kind == "planner":
+            sections[kind.section] = used.section_of(kind)
+        if kind is PLANNER:
             # which reads of an arm what it is, and nothing else
             arms = sections.get("robot", recorded.robot)
             sections["robot"] = {
@@ -100,8 +102,9 @@ def attached_config(recorded: bytes | None, effective: RigConfig, agents: Iterab
     """
     document: dict[str, Any] = json.loads(recorded) if recorded else {}
     today: dict[str, Any] = json.loads(effective.model_dump_json(exclude_none=True))
-    kinds = {"robot" if kind == "robot_bridge" else kind for kind in (name.partition("/")[0] for name in agents)}
-    document |= {kind: today[kind] for kind in kinds if kind in today} if recorded else today
+    kinds = {kind_of(name.partition("/")[0]) for name in agents}
+    sections = {kind.section for kind in kinds if kind is not None}
+    document |= {section: today[section] for section in sections if section in today} if recorded else today
     return (json.dumps(document, indent=1) + "\n").encode()
 
 

@@ -28,11 +28,11 @@ from agents.cli.recordings.config import (
 from agents.cli.recordings.replay_report import ThroughResult, lacking, report
 from agents.cli.rig.builders import build
 from agents.cli.rig.config import RigConfig
-from agents.cli.rig.configured import KINDS, configured
 from agents.cli.running.process import EXIT_DAMAGED
 from agents.cli.terminal import complain, say, show, warn
 from agents.cli.whole_file import OutputError, whole_file
 from agents.recorder.derived_file import DerivedFile, derived_from
+from agents.registry import NAMES
 from agents.replay.differences import compared
 from agents.replay.through import Outcome, Stage, replay_through
 from agents.viewer.sinks import ViewerError
@@ -224,13 +224,13 @@ def _stages(config: RigConfig, names: Sequence[str]) -> list[Stage]:
     found: dict[tuple[str, str], Stage] = {}
     for name in (name.strip() for name in names):
         kind, _, instance = name.partition("/")
-        if kind not in KINDS:
-            raise UnusableError(f"--through {name!r} is no agent that can be replayed; choose from {', '.join(KINDS)}")
-        instances = [i for k, i in configured(config) if k == kind and instance in ("", i)]
+        if kind not in NAMES:
+            raise UnusableError(f"--through {name!r} is no agent that can be replayed; choose from {', '.join(NAMES)}")
+        instances = [i for k, i in config.agents_here() if k == kind and instance in ("", i)]
         if not instances:
             raise ConfigError(f"the configuration of this recording has no {name}; give another one by --config")
         found |= {(kind, i): _stage(config, kind, i) for i in instances}
-    return [found[named] for named in sorted(found, key=lambda named: KINDS.index(named[0]))]
+    return [found[named] for named in sorted(found, key=lambda named: NAMES.index(named[0]))]
 
 
 def _stage(config: RigConfig, kind: str, instance: str) -> Stage:
@@ -241,7 +241,7 @@ def _stage(config: RigConfig, kind: str, instance: str) -> Stage:
 def _check_outputs(stages: Sequence[Stage], entries: list[Entry], damage: str) -> None:
     """See that there is something to compare."""
     keys = {entry.key for entry in entries}
-    spoke = sorted({key.split("/")[2] for key in keys if topic_of(key).agent in KINDS})
+    spoke = sorted({key.split("/")[2] for key in keys if topic_of(key).agent in NAMES})
     if not any(_is_of(key, *stage.name.partition("/")[::2]) for stage in stages for key in keys):
         silent = ", ".join(stage.name for stage in stages)
         of_this = f"{damage}, which" if damage else "the recording"

@@ -38,7 +38,7 @@ def build(rig: RigConfig, kind: str, instance: str) -> Agent:
     row = kind_of(kind, instance)
     if row is ROBOT_BRIDGE and instance not in rig.robot:
         raise ConfigError(f"the configuration has no arm {instance!r}; its arms: {', '.join(rig.robot) or 'none'}")
-    section = rig.robot[instance] if row is ROBOT_BRIDGE else getattr(rig, kind)
+    section = rig.section_of(row, instance) if row in _BUILT else None
     if row is None or section is None:
         raise ConfigError(f"the configuration has no section [{kind}]; add one, or run that agent elsewhere")
     return _BUILT[row](rig, instance, section)

@@ -5,6 +5,7 @@ it; every agent reads the same file.
 """
 
 import itertools
+from typing import Any
 
 from pydantic import Field, field_validator, model_validator
 
@@ -17,6 +18,7 @@ from agents.cli.rig.hosts import (
     SecuritySection,
     host_fault,
     kind_and_instance,
+    run_name,
 )
 from agents.cli.rig.sections import (
     ArmSection,
@@ -34,14 +36,13 @@ from agents.cli.rig.sections import (
 )
 from agents.cli.rig.topics import TopicSections, overrides, rows_otherwise
 from agents.reconstruction.method_names import MATCHING_METHODS
+from agents.registry import AGENTS, GUARD, RECORDER, ROBOT_BRIDGE, TOOL_TRACKER, VIEWER, Kind
 from schemas.messages import TopicOverride
 from schemas.topics import MAIN, Topic
 from shared.runtime.access import Sites, common_name
 from shared.runtime.config import Settings
 from shared.runtime.identity import Identity, identity_in
 from shared.runtime.session import LOCAL_ENDPOINT, SessionSettings, host_of, on_loopback
-
-AGENT_SECTIONS = ("camera", "perception", "reconstruction", "planner", "simulator")
 
 
 class RigConfig(Settings):
@@ -192,11 +193,29 @@ class RigConfig(Settings):
 
     def processes(self) -> list[str]:
         """Everything that has a section, on whichever host, as `runs` writes it; the router is apart."""
-        agents = [kind for kind in AGENT_SECTIONS if getattr(self, kind) is not None]
+        agents = [run_name(kind, instance) for kind, instance in self.agents()]
+        guards = [run_name(GUARD.name, arm) for arm, section in self.robot.items() if section.dvrk is not None]
+        beside = [kind.name for kind in (RECORDER, VIEWER) if self.section_of(kind) is not None]
+        return [*agents, *guards, *beside]
+
+    def agents(self) -> list[tuple[str, str]]:
+        """Kind and instance of every agent that has a section, on whichever host; those of arms come last."""
+        alone = [(kind.name, MAIN) for kind in AGENTS if not kind.per_arm and self.section_of(kind) is not None]
         tracked = self.perception.track_tool if self.perception is not None else ()
-        arms = [*(f"perception {arm}" for arm in tracked), *(f"robot_bridge {arm}" for arm in self.robot)]
-        guards = [f"guard {arm}" for arm, section in self.robot.items() if section.dvrk is not None]
-        return [*agents, *arms, *guards, *(kind for kind in ("recorder", "viewer") if getattr(self, kind) is not None)]
+        return [
+            *alone,
+            *((TOOL_TRACKER.name, arm) for arm in tracked),
+            *((ROBOT_BRIDGE.name, arm) for arm in self.robot),
+        ]
+
+    def agents_here(self) -> list[tuple[str, str]]:
+        """Those that are to run on this machine."""
+        return [(kind, instance) for kind, instance in self.agents() if self.runs_here(run_name(kind, instance))]
+
+    def section_of(self, kind: Kind, instance: str = MAIN) -> Any:
+        """The section that a process is made from; None where there is none."""
+        section = dict(self)[kind.section]
+        return section.get(instance) if isinstance(section, dict) else section
 
     def runs_here(self, name: str) -> bool:
         """Whether a process, as `runs` writes it, or the `router`, is to run on this machine."""

@@ -15,7 +15,7 @@ from agents.cli.rig.hosts import run_name
 from agents.cli.running.around import around
 from agents.cli.running.process import EXIT_GAVE_UP, EXIT_OK, EXIT_UNUSABLE, LOGGER, log_to_console, on_stop, step_back
 from agents.cli.terminal import complain
-from agents.registry import Pace, with_pace
+from agents.registry import CAMERA, ROBOT_BRIDGE, Pace, with_pace
 from shared.calibration import CalibrationError
 from shared.calibration.made import made_ns
 from shared.runtime.config import ConfigError, config_hash
@@ -69,7 +69,7 @@ def surroundings(rig: RigConfig, kind: str, instance: str) -> Surroundings:
     """What the agent's process knows of its host; real-time priority is asked for first where a real arm is driven,
     and where the rig wants it.
     """
-    drives = kind == "robot_bridge" and rig.robot[instance].dvrk is not None
+    drives = kind == ROBOT_BRIDGE.name and rig.robot[instance].dvrk is not None
     asked = REALTIME_PRIORITY if drives or (kind in with_pace(Pace.KEEPS_TIME) and rig.realtime_here) else None
     refused = "" if asked is None else ask_for_realtime(asked)
     own = {"realtime_asked": asked, "realtime_refused": refused, "calibrated_ns": calibrated_ns(rig, kind, instance)}
@@ -78,8 +78,8 @@ def surroundings(rig: RigConfig, kind: str, instance: str) -> Surroundings:
 
 def calibrated_ns(rig: RigConfig, kind: str, instance: str) -> int | None:
     """When the calibration was made that an agent uses, as far as its file tells."""
-    camera = rig.camera.calibration if kind == "camera" and rig.camera is not None else None
-    if kind == "robot_bridge":
+    camera = rig.camera.calibration if kind == CAMERA.name and rig.camera is not None else None
+    if kind == ROBOT_BRIDGE.name:
         return registered_ns(rig.robot[instance])
     return None if camera is None else made_ns((camera,))
 

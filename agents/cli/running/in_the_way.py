@@ -5,7 +5,6 @@ import re
 import socket
 
 from agents.cli.rig.config import RigConfig
-from agents.cli.rig.configured import configured
 from agents.cli.status.session import reading_session
 from shared.runtime.connection import NoRouterError, connected
 
@@ -14,7 +13,7 @@ TCP = re.compile(r"(?:tcp|tls)/(?P<host>.+):(?P<port>\d+)")
 
 def in_the_way(rig: RigConfig) -> str:
     """What speaks against starting it, in one line; empty where nothing does."""
-    if not configured(rig):
+    if not rig.agents_here():
         return (
             "the configuration has no agent for this machine; give it a section such as [camera], see docs/running.md"
         )
@@ -40,7 +39,7 @@ def already_running(rig: RigConfig) -> str:
             present = connection.present()
     except NoRouterError:
         return ""
-    twice = [f"{kind}/{instance}" for kind, instance in configured(rig) if f"{kind}/{instance}" in present]
+    twice = [f"{kind}/{instance}" for kind, instance in rig.agents_here() if f"{kind}/{instance}" in present]
     return f"{', '.join(twice)} of rig {rig.rig!r} runs already; stop it there, or remove its section" if twice else ""
 
 

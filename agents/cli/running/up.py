@@ -12,7 +12,6 @@ from rich.text import Text
 
 from agents.cli.live.options import Up
 from agents.cli.rig.config import RigConfig
-from agents.cli.rig.configured import configured
 from agents.cli.running.in_the_way import already_running, in_the_way
 from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.cli.running.session_folder import SessionFolder, new_session_folder
@@ -43,7 +42,7 @@ def start_all(supervisor: Supervisor, rig: RigConfig, config: Path, folder: Sess
         start("recorder", Role.RECORDER, "record", "--output", str(folder.recording), "--numbered")
     if rig.runs_here("viewer"):
         start("viewer", Role.VIEWER, "view", "--output", str(folder.rerun), "--numbered", "--show", show)
-    for kind, instance in configured(rig):
+    for kind, instance in rig.agents_here():
         extra = ("--arm", instance) if instance != MAIN else ()
         start(name_of(kind, instance), Role.AGENT, kind.replace("_", "-"), *extra)
 
@@ -68,7 +67,7 @@ def up(rig: RigConfig, options: Up) -> int:
         said = f"rig {rig.rig}: started {len(supervisor.children)} processes"
         say(f"{said}; {kept_in(rig, folder.path)}; stop with Ctrl-C")
         connection = stack.enter_context(connected(reading_session(rig), FIRST_CONTACT_S, stopped))
-        expected = [name_of(kind, instance) for kind, instance in configured(rig)]
+        expected = [name_of(kind, instance) for kind, instance in rig.agents_here()]
         status = _watch(supervisor, HealthWatch(connection, expected), expected_rates(rig), stopped)
     say("every process was stopped")
     if rig.recorder is not None:

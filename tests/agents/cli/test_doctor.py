@@ -94,7 +94,7 @@ def test_a_router_that_is_not_reached_is_told_by_what_is_in_the_way(monkeypatch,
 
 @pytest.mark.usefixtures("quick")
 def test_room_for_recordings_and_certificates_are_looked_for_where_they_are_needed(tmp_path, monkeypatch):
-    monkeypatch.setattr("agents.cli.doctor.here.configured", lambda _: [])
+    monkeypatch.setattr(RigConfig, "agents_here", lambda _: [])
     lab = load_config(REPOSITORY / "deploy" / "lab.toml", RigConfig)
     without = {"security": SecuritySection(certificates=tmp_path / "none")}
     desk, video = (by_what(examine_here(lab.model_copy(update={"host": host} | without))) for host in ("desk", "video"))

@@ -13,7 +13,6 @@ from pydantic import BaseModel
 from agents.camera.agent import Camera
 from agents.cli.rig.builders import build
 from agents.cli.rig.config import ArmSection, ReconstructionSection, RigConfig, RouterSection, simulated_rig
-from agents.cli.rig.configured import configured
 from agents.cli.rig.perception_builder import perception_config
 from agents.cli.running.in_the_way import in_the_way, taken
 from agents.reconstruction.method_names import DEFAULT_METHOD
@@ -48,7 +47,7 @@ def section(small):
 
 def test_every_section_of_the_simulated_rig_becomes_its_agent():
     simulated = simulated_rig()
-    for kind, instance in configured(simulated):
+    for kind, instance in simulated.agents_here():
         agent = build(simulated, kind, instance)
         assert (agent.kind, agent.instance) == (kind, instance)
 
@@ -75,9 +74,9 @@ def test_what_is_told_without_a_configuration_is_the_same_with_one():
 
 
 def test_only_what_has_a_section_is_configured_and_else_refused_with_what_there_is():
-    assert configured(rig("")) == []
+    assert rig("").agents_here() == []
     of_two_arms = rig("[robot.psm2]\n[camera]\n[robot.psm1]")
-    assert configured(of_two_arms) == [("camera", "main"), ("robot_bridge", "psm2"), ("robot_bridge", "psm1")]
+    assert of_two_arms.agents_here() == [("camera", "main"), ("robot_bridge", "psm2"), ("robot_bridge", "psm1")]
     with pytest.raises(ConfigError, match=r"\[planner\]"):
         build(of_two_arms, "planner", "main")
     with pytest.raises(ConfigError, match="psm1"):

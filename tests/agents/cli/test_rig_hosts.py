@@ -4,7 +4,6 @@ import pytest
 
 from agents.cli.recordings.record import recorded_topics
 from agents.cli.rig.config import RigConfig
-from agents.cli.rig.configured import configured
 from agents.cli.rig.this_host import at_host
 from schemas.topics import FRAMES, TOPICS
 from shared.runtime.config import ConfigError, parse_config
@@ -87,9 +86,9 @@ def test_a_mistake_in_who_runs_where_is_one_sentence(text):
 
 def test_each_host_runs_its_own_and_all_find_the_router():
     video, strong = at_host(rig(WHOLE), "video"), at_host(rig(WHOLE), "strong")
-    assert configured(video) == [("camera", "main")]
-    assert configured(strong) == [("perception", "main")]
-    assert configured(at_host(rig(WHOLE), "robot")) == [("robot_bridge", "psm1")]
+    assert video.agents_here() == [("camera", "main")]
+    assert strong.agents_here() == [("perception", "main")]
+    assert at_host(rig(WHOLE), "robot").agents_here() == [("robot_bridge", "psm1")]
     assert video.runs_here("router") and video.runs_here("recorder")
     assert not strong.runs_here("router") and not strong.runs_here("recorder")
     assert video.router_endpoint == strong.session.endpoint == "tls/198.51.100.1:7447"
@@ -128,7 +127,7 @@ def test_a_rig_records_what_the_table_says_or_otherwise_what_it_says_itself():
 
 def test_without_hosts_everything_runs_here_and_certificates_are_for_all_that_is_configured():
     plain = at_host(rig(SECTIONS), None)
-    assert len(configured(plain)) == 3
+    assert len(plain.agents_here()) == 3
     assert plain.runs_here("router") and plain.session.identity is None
     secured = rig(f'[router]\nendpoint = "tls/127.0.0.1:7447"\n[security]\n{SECTIONS}')
     names = ["camera.main", "perception.main", "robot_bridge.psm1", "recorder.main", "operator.main"]

@@ -7,7 +7,8 @@ from ruamel.yaml import YAML
 
 from agents.deployment.containers import IMAGE_USER, compose_file
 from agents.deployment.layout import ROUTER, Host, Process
-from agents.deployment.units import AGENTS, units, user_of
+from agents.deployment.units import units, user_of
+from agents.registry import NAMES
 from shared.runtime.session import ROUTER_RUNTIME
 
 PROCESSES = tuple(
@@ -80,7 +81,7 @@ def test_a_unit_reads_its_own_certificate_and_is_watched_where_it_has_a_loop(pro
     own = {"authority.pem", f"{process.common_name}.pem", f"{process.common_name}.key"}
     assert {told.split(":")[0] for told in service["LoadCredential"]} == own
     within = "60" if process.kind in ("perception", "reconstruction") else "10"
-    assert service.get("WatchdogSec") == ([within] if process.kind in AGENTS else None)
+    assert service.get("WatchdogSec") == ([within] if process.kind in (*NAMES, "guard") else None)
 
 
 def test_a_target_has_them_all_and_begins_with_the_machine():

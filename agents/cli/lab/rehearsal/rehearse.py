@@ -39,7 +39,8 @@ from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.cli.terminal import say, show
 from agents.deployment.certificates import issue
 from agents.deployment.layout import Layout
-from agents.deployment.units import COMPUTING, NOT_OURS
+from agents.deployment.units import NOT_OURS
+from agents.registry import Pace, with_pace
 from shared.clock import monotonic_s, now_ns
 from shared.runtime.config import ConfigError
 
@@ -270,7 +271,7 @@ def _playing(
     names = tuple(host.name for host in layout.hosts)
     started = {one.name: one for host in layout.hosts for one in started_on(layout, host, folder)}
     watchers = [host.name for host in layout.hosts if any(process.kind == OPERATOR for process in host.processes)]
-    computing = tuple(name for name in started if name.split()[0] in COMPUTING)
+    computing = tuple(name for name in started if name.split()[0] in with_pace(Pace.STEPS_BACK))
     stopped = threading.Event()
     on_stop(stopped.set)
     with contextlib.ExitStack() as stack:
