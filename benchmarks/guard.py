@@ -59,7 +59,7 @@ from shared.ros.guarded import (
     key_of,
     set_point_bytes,
 )
-from shared.runtime.own_key import encoding_of
+from shared.runtime.attachment import encoding_of
 from shared.runtime.session import SessionSettings, free_local_endpoint, open_router, open_session
 from tests.rigs.robot.hostile_plans import waypoints
 

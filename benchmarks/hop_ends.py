@@ -31,7 +31,7 @@ from shared.runtime.direct import (
     open_direct_publishing,
     subscribe_directly,
 )
-from shared.runtime.inbox import Arrival, Inbox
+from shared.runtime.intake import Arrival, Inbox
 from shared.runtime.memory import keep_freed_memory
 from shared.runtime.session import SessionSettings, open_session
 

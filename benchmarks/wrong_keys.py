@@ -24,8 +24,8 @@ import zenoh
 
 from benchmarks.freezing_relay import Relay
 from schemas.topics import HEARTBEAT, key
+from shared.runtime.attachment import encoding_of
 from shared.runtime.delivery import declare_publisher, subscribe
-from shared.runtime.own_key import encoding_of
 
 LEASE_S, KEYS, PAUSE_S, ROUNDS_AFTER_S, ENDS_S = 1.0, 20, 0.01, 3.0, 5.0
 FILLING = b"#" * 8000

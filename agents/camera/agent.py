@@ -26,7 +26,7 @@ from shared.both_eyes import of_both
 from shared.calibration.identity import calibration_id
 from shared.images import encode_image
 from shared.runtime.agent import Agent, CannotGoOnError, Command, Input, Output, Received, Tick
-from shared.runtime.settable import Between, settable
+from shared.runtime.parameters import Between, settable
 
 CHALLENGES = Input(ROBOT_STATE, instance="*", only_newest_counts=True, only_remembered=True)
 CHALLENGES_KEPT = 60

@@ -46,7 +46,7 @@ from shared.calibration.uncertainty import covariance_of
 from shared.images import ImageDataError, decode_image
 from shared.right_eye import right_eye_of, whole_rows
 from shared.runtime.agent import Agent, Command, Input, Later, Output, Received, Reply, Tick
-from shared.runtime.settable import OneOf, settable
+from shared.runtime.parameters import OneOf, settable
 
 Pixel = Float64[np.ndarray, "2"]
 LATEST_CURVE_NS = 500_000_000

@@ -1,10 +1,8 @@
-"""The names of the segmenters, for whoever configures one and runs none."""
+"""The names of the segmenters, for whoever configures one and runs none: messages, which take long to load, stay out."""
 
-from schemas.messages import GIVEN_MASKS
-
+GIVEN_MASKS = "mask"
+"""As observations say it (schemas/messages/thread.py)."""
 THRESHOLD, NETWORK = "threshold", "network"
 PROMPTABLE = "promptable"
 """Needs the files of a network, which a user supplies."""
 SEGMENTER_NAMES = (GIVEN_MASKS, THRESHOLD, NETWORK, PROMPTABLE)
-
-__all__ = ["GIVEN_MASKS", "NETWORK", "PROMPTABLE", "SEGMENTER_NAMES", "THRESHOLD"]

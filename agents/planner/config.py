@@ -7,7 +7,7 @@ from typing import Literal
 from schemas.checks import require
 from schemas.topics import ROBOT_STATE
 from shared.kinematics.psm import FINGER_M
-from shared.runtime.settable import Between, OneOf, settable
+from shared.runtime.parameters import Between, OneOf, settable
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from schemas.checks import MessageError
 from schemas.messages.grasping import check_pose
 from schemas.topics import ROBOT_STATE
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
-from shared.runtime.settable import Between, settable
+from shared.runtime.parameters import Between, settable
 
 
 class RobotBridgeError(ValueError):

@@ -26,7 +26,7 @@ from schemas.messages import (
 from schemas.topics import EXECUTION, JUDGEMENT, PLAN, ROBOT_STATE, SIMULATOR_STATE
 from shared.rigid_transforms import apply, compose
 from shared.runtime.agent import Agent, Command, Input, Output, Received, Tick
-from shared.runtime.settable import Between, settable
+from shared.runtime.parameters import Between, settable
 
 ENDOSCOPE = RectifiedStereo(
     image_width=960,

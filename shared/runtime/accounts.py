@@ -1,9 +1,12 @@
-"""The counts behind an agent's health: rates, ages, drops, misses, step times."""
+"""An agent's account of itself, of which its health tells: its topics, its steps, its faults, its processor."""
 
+import os
 from collections import deque
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from schemas.messages import InputHealth, OutputHealth
+from shared.clock import monotonic_s, processor_s
 from shared.runtime.attachment import Attachment
 
 WINDOW_S = 2.0
@@ -162,3 +165,72 @@ def _at(ordered: list[float], place: float) -> float:
     before = int(place)
     after = min(before + 1, len(ordered) - 1)
     return ordered[before] + (place - before) * (ordered[after] - ordered[before])
+
+
+SHOWN_S = 5.0
+"""A fault is told for so long at least: health comes once a second, and people look less often."""
+LIKE_PER_LINE = 100
+"""After the first, only every so many like failures get a line in the log."""
+
+
+@dataclass
+class Faults:
+    """The failures of an agent's steps.
+
+    Fields:
+        text: the fault that holds; empty where none does.
+        count: how many steps failed since the agent began.
+    """
+
+    text: str = ""
+    count: int = 0
+    _of: str = ""
+    _like: int = 0
+    _failed_s: float = 0.0
+    _is_well: bool = True
+
+    def failed(self, of: str, text: str, now_s: float, alone: bool = False) -> bool:
+        """Note that a step failed, and what it was a step of; whether that is to be logged.
+
+        `alone`: nothing of its kind need follow, as of a command, so that the fault holds no longer than it is shown.
+        """
+        self.count += 1
+        self._like = self._like + 1 if text == self.text else 0
+        self._of, self.text, self._failed_s, self._is_well = of, text, now_s, alone
+        return self._like % LIKE_PER_LINE == 0
+
+    def went_well(self, of: str) -> None:
+        """Note that a step of that kind went well."""
+        self._is_well = self._is_well or of == self._of
+
+    def ended(self, now_s: float) -> bool:
+        """Whether the fault holds no longer; true once."""
+        over = bool(self.text) and self._is_well and now_s - self._failed_s > SHOWN_S
+        if over:
+            self.text = ""
+        return over
+
+
+STATM = Path("/proc/self/statm")
+
+
+def resident_bytes() -> int:
+    """The memory of this process that is in the machine's now; 0 where the system does not tell."""
+    try:
+        return int(STATM.read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except (OSError, ValueError, IndexError):
+        return 0
+
+
+class ProcessorShare:
+    """How much of one core this process used since it was last asked."""
+
+    def __init__(self) -> None:
+        self._at_s, self._used_s = monotonic_s(), processor_s()
+
+    def since_last(self) -> float:
+        """The share since the last call, or since the beginning; above 1 where several cores were busy."""
+        at_s, used_s = monotonic_s(), processor_s()
+        elapsed_s, spent_s = at_s - self._at_s, used_s - self._used_s
+        self._at_s, self._used_s = at_s, used_s
+        return spent_s / elapsed_s if elapsed_s > 0 else 0.0

@@ -2,11 +2,13 @@
 
 Every agent answers at once, not from its loop, what its host's clock says. Asked at t and answered after d, both by the
 clock here, the other clock said T at some moment in between: it is ahead by T − (t + d/2), give or take d/2 (Cristian,
-Distributed Computing 3, 1989). The shortest of several round trips tells most.
+Distributed Computing 3, 1989). The shortest of several round trips tells most. An agent that judges times by them has
+them measured again and again, beside its loop.
 """
 
 import socket
-from collections.abc import Iterable
+import threading
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,10 +16,10 @@ import zenoh
 
 from schemas.checks import MessageError
 from schemas.codec import decode, encode
-from schemas.messages import ClockReading
+from schemas.messages import ClockReading, HostClock
 from schemas.topics import key_root
 from shared.clock import monotonic_s, now_ns
-from shared.runtime.own_key import encoding_of, other_key
+from shared.runtime.attachment import encoding_of, other_key
 
 CLOCK = "clock"
 """The last part of the key under which an agent answers; nothing is published there."""
@@ -92,3 +94,49 @@ def _one_trip(session: zenoh.Session, key: str) -> ClockOffset | None:
             except MessageError:
                 return None
     return None
+
+
+PERIOD_S, SOON_S = 5.0, 0.5
+APART_MS = 50.0
+"""Clocks so far apart are measured soon again: once they are set, nobody should wait for it to be seen."""
+WATCHED_TRIPS = 3
+"""A few round trips tell enough: the next ones follow soon."""
+ENDS_S = 5.0
+
+
+class ClockWatch:
+    """A thread that measures until it is stopped."""
+
+    def __init__(
+        self, session: zenoh.Session, rig: str, kinds: Iterable[str], tell: Callable[[tuple[HostClock, ...]], None]
+    ) -> None:
+        """`kinds` of agents are asked, as many of each as there are; `tell` is called from the thread."""
+        self._session, self._rig, self._kinds, self._tell = session, rig, frozenset(kinds), tell
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._watch, name="clocks", daemon=True)
+        self._thread.start()
+
+    def undeclare(self) -> None:
+        """End the thread: one that is still inside Zenoh when the interpreter ends aborts the process."""
+        self._ended.set()
+        self._thread.join(ENDS_S)
+
+    def _watch(self) -> None:
+        while not self._ended.is_set():
+            clocks = self._measured()
+            if self._ended.is_set():
+                return
+            self._tell(clocks)
+            apart = any(abs(clock.ahead_ms or 0.0) > APART_MS for clock in clocks)
+            self._ended.wait(SOON_S if apart else PERIOD_S)
+
+    def _measured(self) -> tuple[HostClock, ...]:
+        replies = self._session.liveliness().get(f"suturegrasp/{self._rig}/*/*", timeout=1.0)
+        named = [str(reply.ok.key_expr).split("/")[2:4] for reply in replies if reply.ok is not None]
+        clocks: list[HostClock] = []
+        for kind, instance in sorted(named):
+            if kind in self._kinds and not self._ended.is_set():
+                offset = clock_offset(self._session, self._rig, kind, instance, WATCHED_TRIPS)
+                told = (offset.host, offset.ahead_ms, offset.within_ms) if offset else ("", None, None)
+                clocks.append(HostClock(kind, instance, *told))
+        return tuple(clocks)

@@ -15,7 +15,7 @@ from schemas.codec import decode, encode
 from schemas.messages import ChangeState, CommandAnswer, CommandHeader, Hold, Outcome, StateWord
 from schemas.topics import MAIN, Topic, key
 from shared.clock import now_ns
-from shared.runtime.own_key import encoding_of
+from shared.runtime.attachment import encoding_of
 
 STATUS = "status"
 """The parameter of a query that asks what became of a command's id."""

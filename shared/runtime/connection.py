@@ -30,8 +30,7 @@ from shared.runtime.identity import IdentityError
 from shared.runtime.link import Link, measure_link
 from shared.runtime.reporting import reporting
 from shared.runtime.session import SessionSettings, open_session
-from shared.runtime.tap_accounts import TapAccounts
-from shared.runtime.taps import Tapped, tap
+from shared.runtime.taps import TapAccounts, Tapped, tap
 
 ROUTER_WAIT_S = 3.0
 CONFIGURATION_WAIT_S = 1.0

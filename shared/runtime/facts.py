@@ -21,8 +21,8 @@ from schemas.generated import suturegrasp_pb2
 from schemas.messages import AgentFacts, RigSection, TopicOverride
 from schemas.topics import key_root
 from shared.clock import now_ns, processor_s
-from shared.runtime.own_key import encoding_of, other_key
-from shared.runtime.usage import resident_bytes
+from shared.runtime.accounts import resident_bytes
+from shared.runtime.attachment import encoding_of, other_key
 
 FACTS = "facts"
 """The last part of the key under which an agent answers; nothing is published there."""

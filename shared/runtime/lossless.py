@@ -4,18 +4,182 @@ Zenoh's own advanced subscriber asks once. On a busy machine that question, or i
 link of either side has just come back, and the events of the meantime were lost although their publisher still held
 them. Publishers are those of `zenoh.ext`: they announce themselves by a token, tell the number of their newest message
 in a heartbeat, and answer questions from their cache, all under `{key}/@adv/pub/{session}/{entity}/_`.
+
+A publisher numbers its messages from 0. A number that is skipped, a heartbeat that tells a higher one, or a publisher
+that appears, opens a question; it is asked again, less and less often, until the cache has answered. A cache that holds
+anything always gives its newest message at least, so an empty answer is none: it was lost, or the router did not know
+the cache yet. Only of a publisher of which nothing was heard, an empty answer may also be true; so that question is
+given up sooner.
 """
 
 import functools
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import Any
 
 import zenoh
 from zenoh import ext
 
 from shared.clock import monotonic_s
-from shared.runtime.own_key import other_key
-from shared.runtime.recovery import SourceOrder
+from shared.runtime.attachment import other_key
+
+AT_ONCE_S = 0.0
+ON_ITS_WAY_S = 0.05
+"""Of a number told by a heartbeat: messages come by another thread, and may be put away a little later."""
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.1, 1.0
+PATIENCE_S = 20.0
+"""How long a hole may keep back what came after it; a router's restart on a busy machine takes some seconds."""
+MOST_HELD = 1000
+"""As many as a publisher's cache holds: then it could not fill the hole any more."""
+BEYOND_CACHE = 3
+"""Answers that begin later than what is awaited, until it is taken for not kept: one may have lost its beginning.
+Likewise those that end before a number that heartbeats alone have told, until that is taken for another publisher's."""
+FAR_AHEAD = 1_000_000
+"""Numbers that no publisher goes through between two that are heard. Believed, such a one would be waited for, and all
+that follows would pass for old. After links broke, Zenoh has taken parts of other messages for numbers."""
+NOTHING_KNOWN_S = 6.0
+"""After so long of empty answers, a publisher of which nothing was heard has published nothing."""
+
+
+@dataclass
+class SourceOrder:
+    """The messages of one publisher.
+
+    Fields:
+        lossless: whether a message waits until those before it have come; otherwise only what is newer counts.
+        missed: numbers that were given up.
+    """
+
+    lossless: bool = True
+    missed: int = 0
+    _delivered: int | None = None
+    _newest: int = -1
+    _held: dict[int, Any] = field(default_factory=dict[int, Any])
+    _opened_s: float | None = None
+    _due_s: float = 0.0
+    _pause_s: float = FIRST_PAUSE_S
+    _asking: bool = False
+    _lacking: int = 0
+    _untrue: int = 0
+    _doubted: int | None = None
+
+    def appeared(self, now_s: float) -> None:
+        """The publisher is there, or is there again: what it has sent meanwhile is to be asked for."""
+        self._open(now_s, AT_ONCE_S, anew=True)
+
+    def told(self, number: int, now_s: float) -> None:
+        """A heartbeat told the number of the newest message."""
+        if not self._is_believed(number):
+            return
+        if number > self._last:
+            self._open(now_s, ON_ITS_WAY_S, anew=self._newest < 0)
+        self._newest = max(self._newest, number)
+
+    def came(self, number: int, message: Any, now_s: float) -> list[Any]:
+        """A message came; those that are to be handed over now, in order.
+
+        What is not believed is asked for, as any that is missing, once the next one has come.
+        """
+        if not self._is_believed(number):
+            return []
+        first_of_all, self._newest = self._newest < 0, max(self._newest, number)
+        if number <= self._last:
+            return []
+        self._held[number] = message
+        ready = self._ready()
+        if self._last >= self._newest:
+            # it follows on what was there before, so nothing is missing in between
+            self._opened_s = None
+        else:
+            self._open(now_s, AT_ONCE_S, anew=first_of_all)
+        return ready + (self._given_up() if len(self._held) > MOST_HELD else [])
+
+    def due(self, now_s: float) -> float | None:
+        """Seconds until the cache is to be asked, 0 for now; None where there is nothing to ask."""
+        return None if self._opened_s is None or self._asking else max(0.0, self._due_s - now_s)
+
+    def question(self) -> str:
+        """What to ask the cache for; `answered` must follow."""
+        self._asking = True
+        return "" if self._delivered is None else f"_sn={self._delivered}.."
+
+    def answered(self, answer: Iterable[tuple[int, Any]], now_s: float) -> list[Any]:
+        """All that the cache gave, numbered; those that are to be handed over now, in order."""
+        self._asking, given = False, {number: message for number, message in answer if self._is_believed(number)}
+        self._held |= {number: given[number] for number in given if number > self._last}
+        if given and self._delivered is None:
+            # earlier ones are kept by nobody, and were sent before anybody listened here
+            self._delivered = min(self._held) - 1
+        self._newest = max(self._newest, *given, -1)
+        ready = self._ready()
+        if given and self._held and min(given) > self._last + 1:
+            self._lacking += 1
+            if self._lacking >= BEYOND_CACHE:
+                ready += self._skip_hole()
+        if given:
+            self._compare_with_heartbeats()
+        if self._opened_s is None or (given and self._last >= self._newest):
+            self._opened_s = None
+        elif now_s - self._opened_s > (PATIENCE_S if self._newest >= 0 else NOTHING_KNOWN_S):
+            ready += self._given_up()
+        else:
+            self._due_s, self._pause_s = now_s + self._pause_s, min(2 * self._pause_s, LONGEST_PAUSE_S)
+        return ready
+
+    def _compare_with_heartbeats(self) -> None:
+        """A cache has each message before a heartbeat tells its number, so it must give what was told."""
+        reached = max(self._held, default=self._last)
+        self._untrue = self._untrue + 1 if reached < self._newest else 0
+        if self._untrue >= BEYOND_CACHE:
+            self._newest, self._untrue = reached, 0
+
+    def _is_believed(self, number: int) -> bool:
+        """Whether a number may be next to those before, or has been told by another one near it."""
+        far = self._newest >= 0 and number > self._newest + FAR_AHEAD
+        believed = not far or (self._doubted is not None and 0 < abs(number - self._doubted) <= FAR_AHEAD)
+        self._doubted = number if far else self._doubted
+        return believed
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether nothing is awaited."""
+        return self._opened_s is None and not self._asking
+
+    @property
+    def _last(self) -> int:
+        return -1 if self._delivered is None else self._delivered
+
+    def _open(self, now_s: float, after_s: float, anew: bool = False) -> None:
+        if self._opened_s is None or anew:
+            self._opened_s, self._pause_s, self._due_s = now_s, FIRST_PAUSE_S, now_s + after_s
+
+    def _ready(self) -> list[Any]:
+        """What follows on what was handed over; of states all that is newer, for what lies between is no loss."""
+        ready: list[Any] = []
+        while self._last + 1 in self._held if self.lossless else self._held:
+            self._delivered = min(self._held)
+            ready.append(self._held.pop(self._delivered))
+        if ready:
+            self._lacking = 0
+        return ready
+
+    def _skip_hole(self) -> list[Any]:
+        first = min(self._held)
+        self.missed += first - self._last - 1
+        self._delivered = first - 1
+        return self._ready()
+
+    def _given_up(self) -> list[Any]:
+        """What is held, though something before it never came; that is missed."""
+        ready: list[Any] = []
+        while self._held:
+            ready += self._skip_hole()
+        if self.lossless:
+            self.missed += self._newest - self._last
+        self._delivered, self._opened_s = (self._newest if self._newest >= 0 else None), None
+        return ready
+
 
 PUBLISHERS, NO_METADATA = "@adv/pub", "_"
 ANSWER_WAIT_S = 2.0

@@ -12,7 +12,7 @@ import zenoh
 from schemas.checks import MessageError
 from schemas.codec import decode, encode
 from schemas.messages import Consumed, Progress
-from shared.runtime.own_key import encoding_of, other_key
+from shared.runtime.attachment import encoding_of, other_key
 
 PROGRESS = "progress"
 """The last part of the key under which a consumer answers; nothing is published there."""

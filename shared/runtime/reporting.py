@@ -1,6 +1,7 @@
 """What is no agent of the dataflow, such as the recorder, tells of itself as agents do: that it is there, its health
 once a second, its log, and where it is asked its host's clock, its facts and what lies between."""
 
+import contextlib
 import logging
 import socket
 import threading
@@ -12,18 +13,42 @@ from typing import Any
 import zenoh
 
 import schemas
-from schemas.messages import AgentHealth, InputHealth
-from schemas.topics import HEALTH, LOG, key_root
+from schemas.messages import AgentHealth, InputHealth, LogLevel, LogRecord
+from schemas.topics import HEALTH, LOG, MAIN, key_root
 from shared.clock import monotonic_s, now_ns
+from shared.runtime.accounts import ProcessorShare, resident_bytes
 from shared.runtime.clocks import answer_clock
 from shared.runtime.delivery import RouterLinks
 from shared.runtime.facts import Surroundings, answer_facts, facts_of, realtime_priority
 from shared.runtime.link import answer_link
-from shared.runtime.log_topic import LogTopic
 from shared.runtime.outlets import Outlets
 from shared.runtime.replayed_time import AgentClock
-from shared.runtime.router_watch import RouterWatch
-from shared.runtime.usage import ProcessorShare, resident_bytes
+from shared.runtime.session import RouterWatch, Session
+
+LEVELS = ((logging.ERROR, LogLevel.ERROR), (logging.WARNING, LogLevel.WARNING), (logging.INFO, LogLevel.INFO))
+
+
+class LogTopic(logging.Handler):
+    """Hands each record of a logger over as a message."""
+
+    def __init__(self, agent: str, instance: str, publish: Callable[[LogRecord], object]) -> None:
+        super().__init__()
+        self._agent, self._instance, self._publish = agent, instance, publish
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Publish one record; one that cannot be published is only seen on the console."""
+        level = next((ours for theirs, ours in LEVELS if record.levelno >= theirs), LogLevel.DEBUG)
+        # names of files may hold bytes that are no text, and messages hold text alone
+        text = self.format(record).encode(errors="replace").decode()
+        with contextlib.suppress(Exception):
+            # whoever says something goes on, whether or not it travels: an arm may have to be held next
+            self._publish(LogRecord(round(record.created * 1e9), self._agent, self._instance, level, text))
+
+    def await_quiet(self) -> None:
+        """Return once no record is being published any more; for when the handler has been removed."""
+        self.acquire()
+        self.release()
+
 
 PERIOD_S = 1.0
 
@@ -110,3 +135,20 @@ class _Health:
             processor_share=self._processor.since_last(),
             resident_bytes=resident_bytes(),
         )
+
+
+@contextmanager
+def logs_published(
+    session: Session, rig: str, kind: str, logger: logging.Logger, links: RouterLinks | None = None
+) -> Generator[None]:
+    """Publish each record of a logger under the key root of `kind`, for as long as it is needed."""
+    out = Outlets(session, rig, (kind, MAIN), links or RouterLinks(), AgentClock())
+    out.declare(LOG)
+    handler = LogTopic(kind, MAIN, lambda record: out.publish(LOG, record))
+    logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        handler.await_quiet()
+        out.undeclare()

@@ -17,7 +17,7 @@ from typing import Any
 import zenoh
 
 import schemas
-from schemas.checks import MessageError, with_consumed
+from schemas.checks import MessageError, require, with_consumed
 from schemas.codec import decode, encoding_name
 from schemas.messages import (
     AgentFacts,
@@ -39,35 +39,28 @@ from schemas.topics import (
     LOG,
     MAIN,
     SET,
+    Topic,
     key,
     key_root,
 )
 from shared.clock import Stopwatch, monotonic_s, now_ns
-from shared.runtime.accounts import StepTimes
+from shared.runtime.accounts import LIKE_PER_LINE, Faults, ProcessorShare, StepTimes, resident_bytes
 from shared.runtime.agent import Agent, CannotGoOnError, Command, Later, Output, Received, Tick, awaited
-from shared.runtime.arms import check_arm
-from shared.runtime.attachment import unpack
-from shared.runtime.clock_watch import ClockWatch
-from shared.runtime.clocks import answer_clock
-from shared.runtime.coming import Coming
-from shared.runtime.command_queries import taking
+from shared.runtime.attachment import unpack, why_refused
+from shared.runtime.clocks import ClockWatch, answer_clock
 from shared.runtime.commands import OTHER_KEY, Answered, refused, stops, untimely
 from shared.runtime.delivery import RouterLinks
 from shared.runtime.facts import Surroundings, answer_facts, facts_of, realtime_priority
-from shared.runtime.faults import LIKE_PER_LINE, Faults
 from shared.runtime.fed import TICK, Fed
-from shared.runtime.inbox import Arrival
-from shared.runtime.intake import Intake
+from shared.runtime.intake import Arrival, Intake, taking
 from shared.runtime.link import answer_link
-from shared.runtime.log_topic import LogTopic
-from shared.runtime.outlets import Outlets
-from shared.runtime.own_key import why_refused
+from shared.runtime.outlets import Coming, Outlets
 from shared.runtime.parameters import Parameters
 from shared.runtime.progress import answer_progress
 from shared.runtime.replayed_time import AgentClock, follow_replays
-from shared.runtime.router_watch import RouterWatch
+from shared.runtime.reporting import LogTopic
 from shared.runtime.service_manager import ServiceManager
-from shared.runtime.usage import ProcessorShare, resident_bytes
+from shared.runtime.session import RouterWatch
 
 HEALTH_PERIOD_S = 1.0
 LONGEST_WAIT_S = 0.5
@@ -430,3 +423,14 @@ class Runner:
 def _untimely(header: CommandHeader, received_ns: int) -> CommandAnswer | None:
     """As `untimely`; while a recording is replayed, people who send commands live by this machine's clock still."""
     return untimely(header, now_ns()) and untimely(header, received_ns)
+
+
+def check_arm(topic: Topic, key: str, message: Any) -> None:
+    """Refuse what speaks of another arm than the one under whose key it was published.
+
+    Raises:
+        MessageError: where it does.
+    """
+    if topic.per_arm:
+        of = key.split("/")[-2]
+        require(message.arm == of, f"it speaks of the arm {message.arm[:40]!r} under the key of {of}")

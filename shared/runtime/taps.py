@@ -1,8 +1,10 @@
 """Listening to many topics at once without being an agent of the dataflow: for the recorder, the viewer, `up`.
 
-Losses are counted per key from sequence numbers: a recording is complete, or says where it is not.
+Losses are counted per key from sequence numbers: a recording is complete, or says where it is not. What was refused is
+told in the health of whoever listens, as agents tell it of inputs.
 """
 
+import logging
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -10,11 +12,52 @@ from typing import Any
 
 import zenoh
 
+from schemas.messages import InputHealth
 from schemas.topics import ANY_AGENT, Delivery, Topic, key, key_root
-from shared.runtime.attachment import Attachment, unpack
+from shared.clock import monotonic_s, now_ns
+from shared.runtime.accounts import LIKE_PER_LINE, InputAccount
+from shared.runtime.attachment import Attachment, unpack, why_refused
 from shared.runtime.delivery import as_told, subscribe
 from shared.runtime.progress import Handled, answer_progress
-from shared.runtime.tap_accounts import TapAccount, TapAccounts
+
+LOG = logging.getLogger("suturegrasp.taps")
+
+
+@dataclass(frozen=True)
+class TapAccount:
+    """One topic as one listener hears it."""
+
+    counts: InputAccount
+
+    def arrived(self, key: str, beside: Attachment) -> None:
+        """Count a message that was handed over."""
+        self.counts.arrived(key, beside, now_ns(), monotonic_s())
+
+    def refuse(self, key: str, named: str) -> None:
+        """Count a message that came under another key than its own, and say so now and then."""
+        if self.counts.refused % LIKE_PER_LINE == 0:
+            LOG.warning("a message on %s was refused: %s", key, why_refused(named))
+        self.counts.refuse(key, None)
+
+
+class TapAccounts:
+    """Those of all that one process listens to."""
+
+    def __init__(self) -> None:
+        self._accounts: list[TapAccount] = []
+
+    def of(self, topic: Topic) -> TapAccount:
+        """A new account of a topic."""
+        account = TapAccount(InputAccount(str(topic)))
+        self._accounts.append(account)
+        return account
+
+    def health(self) -> tuple[InputHealth, ...]:
+        """Of topics of which a message was refused; where several listen to one, as one of them has it."""
+        refused = [account.counts for account in self._accounts if account.counts.refused]
+        most = {counts.topic: counts for counts in sorted(refused, key=lambda counts: counts.refused)}
+        return tuple(most[topic].health(0, monotonic_s()) for topic in sorted(most))
+
 
 TAP = "tap"
 """In the place of an agent, where a listener that is none tells how far it has got."""

@@ -7,9 +7,9 @@ from agents.cli.doctor.finding import UNKNOWN, Finding
 from agents.cli.rig.config import RigConfig
 from agents.cli.rig.hosts import BESIDE, OPERATOR, kind_and_instance
 from agents.cli.status.session import certificate_names, session_as
+from shared.runtime.access import Trial, try_command, try_rules
 from shared.runtime.config import ConfigError
 from shared.runtime.connection import NoRouterError, open_when_there
-from shared.runtime.rule_trial import Trial, try_command, try_rules
 from shared.runtime.session import Session, on_loopback
 
 OPENS_WITHIN_S = 3.0

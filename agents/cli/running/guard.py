@@ -29,10 +29,10 @@ from shared.kinematics.psm import LARGE_NEEDLE_DRIVER
 from shared.ros.guarded import ALIVE, CHALLENGE, SET_POINT, key_of
 from shared.ros.naming import GUARD_NODE, NODE, Naming, RmwZenoh, Role, Ros2dds
 from shared.ros.types import EMPTY, JOINT_STATE, JOY, STRING_STAMPED
+from shared.runtime.attachment import encoding_of
 from shared.runtime.config import ConfigError, config_hash
 from shared.runtime.connection import Connection, NoRouterError, connected
 from shared.runtime.facts import ask_for_realtime
-from shared.runtime.own_key import encoding_of
 from shared.runtime.service_manager import ServiceManager
 from shared.runtime.session import SessionSettings, client_settings
 

@@ -128,12 +128,14 @@ def test_streams_that_lead_nowhere_do_no_harm(pair, small, name):
 
 @pytest.mark.slow
 def test_what_asks_or_starts_agents_loads_nothing_that_they_compute_with():
-    """Of an operator's command, then of what starts a rig."""
+    """Of `--help`, then of an operator's command, then of what starts a rig."""
     code = (
-        "import sys, agents.cli.command_line, agents.cli.live.command\n"
+        "import sys, agents.cli.commands, agents.cli.command_line\n"
+        "print({'numpy', 'zenoh', 'pydantic', 'schemas.messages'} & set(sys.modules))\n"
+        "import agents.cli.live.command\n"
         "print({'cv2', 'scipy', 'rerun', 'mcap'} & set(sys.modules))\n"
         "import agents.cli.running.up, agents.cli.rig.builders\n"
         "print({'cv2', 'scipy'} & set(sys.modules))"
     )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert said.stdout.split() == ["set()", "set()"]
+    assert said.stdout.split() == ["set()", "set()", "set()"]

@@ -27,14 +27,13 @@ from agents.deployment.layout import ROUTER, Host, Layout, Process
 from agents.planner.agent import Planner
 from schemas.messages import AgentFacts, AgentHealth, InputHealth
 from shared.clock import now_ns
-from shared.runtime.access import access_control
+from shared.runtime.access import Trial, access_control
 from shared.runtime.clocks import ClockOffset
 from shared.runtime.config import load_config, parse_config
 from shared.runtime.connection import connected
 from shared.runtime.facts import schemas_hash
 from shared.runtime.identity import identity_in
 from shared.runtime.link import Link
-from shared.runtime.rule_trial import Trial
 from shared.runtime.session import SessionSettings, free_local_endpoint, open_router
 
 REPOSITORY = Path(__file__).parents[3]

@@ -26,10 +26,9 @@ from agents.operator.operator import hold
 from agents.planner.agent import Planner
 from schemas.topics import EXECUTION, THREAD, key
 from shared.runtime.agent import Agent, Input
-from shared.runtime.attachment import Attachment, pack
+from shared.runtime.attachment import Attachment, encoding_of, pack
 from shared.runtime.connection import connected
 from shared.runtime.delivery import declare_publisher
-from shared.runtime.own_key import encoding_of
 from shared.runtime.session import free_local_endpoint, open_router
 
 SCRIPT = Path(sys.executable).with_name("suturegrasp")

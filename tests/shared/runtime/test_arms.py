@@ -6,7 +6,7 @@ import pytest
 
 from schemas.checks import MessageError
 from schemas.topics import HEARTBEAT, PLAN, ROBOT_STATE, TOPICS, Delivery, key
-from shared.runtime.arms import check_arm
+from shared.runtime.runner import check_arm
 
 PER_ARM = [topic for topic in TOPICS if topic.per_arm and topic.delivery is not Delivery.COMMAND]
 

@@ -104,7 +104,7 @@ class Watching(Idle):
 def test_who_watches_clocks_is_told_of_those_of_its_kinds_known_or_not_and_so_is_everybody(
     running, session, heard, host_elsewhere, until, monkeypatch
 ):
-    monkeypatch.setattr("shared.runtime.clock_watch.PERIOD_S", 0.1)
+    monkeypatch.setattr("shared.runtime.clocks.PERIOD_S", 0.1)
     everybody = heard(CLOCKS)
     host_elsewhere("camera", ahead_ms=340.0)
     host_elsewhere("viewer", ahead_ms=-5.0)

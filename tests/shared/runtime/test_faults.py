@@ -1,6 +1,6 @@
 """Which failure of an agent's steps holds, and for how long."""
 
-from shared.runtime.faults import LIKE_PER_LINE, SHOWN_S, Faults
+from shared.runtime.accounts import LIKE_PER_LINE, SHOWN_S, Faults
 
 
 def test_a_failure_holds_until_a_step_of_its_kind_goes_well_and_is_shown_for_a_while():

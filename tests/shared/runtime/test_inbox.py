@@ -3,7 +3,7 @@
 import threading
 
 from schemas.topics import FRAMES, HOLD, PLAN
-from shared.runtime.inbox import Arrival, Inbox
+from shared.runtime.intake import Arrival, Inbox
 
 
 def arrival(topic, number, key="a"):

@@ -8,10 +8,9 @@ import pytest
 from schemas.topics import FRAMES, MAIN, key
 from shared.clock import monotonic_s
 from shared.runtime.agent import Agent, Input
-from shared.runtime.attachment import Attachment, pack
+from shared.runtime.attachment import Attachment, encoding_of, pack
 from shared.runtime.delivery import RouterLinks, declare_publisher
 from shared.runtime.intake import Intake
-from shared.runtime.own_key import encoding_of
 from shared.runtime.replayed_time import AgentClock
 from shared.runtime.session import open_session
 
@@ -64,7 +63,7 @@ def test_what_names_another_key_is_refused_and_not_remembered(hearing, session, 
 def test_ages_are_those_of_the_arrival_however_late_anybody_looks(hearing, until, monkeypatch):
     intake, publish = hearing
     came = []
-    monkeypatch.setattr("shared.runtime.unlooked.monotonic_s", lambda: came.append(0) or monotonic_s() - 10.0)
+    monkeypatch.setattr("shared.runtime.delivery.monotonic_s", lambda: came.append(0) or monotonic_s() - 10.0)
     publish(0)
     until(lambda: came)
     until(lambda: intake.remembered())

@@ -21,14 +21,13 @@ from schemas.messages import (
 )
 from schemas.topics import FRAMES, HEALTH, HEARTBEAT, HOLD, LOG, PLAN, key
 from shared.runtime.agent import Agent, Input
-from shared.runtime.attachment import Attachment, pack
+from shared.runtime.attachment import Attachment, encoding_of, other_key, pack
 from shared.runtime.clocks import CLOCK, clock_offset
 from shared.runtime.commands import accepted, new_header, send_command
 from shared.runtime.connection import connected
 from shared.runtime.delivery import declare_publisher, subscribe
 from shared.runtime.facts import FACTS, ask_facts
 from shared.runtime.lossless import is_of
-from shared.runtime.own_key import encoding_of, other_key
 from shared.runtime.progress import PROGRESS, ask_progress
 from shared.runtime.session import open_session
 

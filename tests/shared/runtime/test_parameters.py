@@ -28,9 +28,8 @@ from shared.runtime.agent import Agent, Command, Input, Output, Received
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.commands import new_header, send_command
 from shared.runtime.connection import connected
-from shared.runtime.parameters import Parameters
+from shared.runtime.parameters import Between, OneOf, Parameters, settable
 from shared.runtime.replay import replay
-from shared.runtime.settable import Between, OneOf, settable
 from shared.runtime.taps import tap
 
 DEADLINE_S = 60.0

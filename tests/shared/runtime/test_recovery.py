@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shared.runtime.recovery import BEYOND_CACHE, FAR_AHEAD, MOST_HELD, NOTHING_KNOWN_S, PATIENCE_S, SourceOrder
+from shared.runtime.lossless import BEYOND_CACHE, FAR_AHEAD, MOST_HELD, NOTHING_KNOWN_S, PATIENCE_S, SourceOrder
 
 
 def asked(source, cache, now_s):

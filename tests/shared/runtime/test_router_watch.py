@@ -2,8 +2,7 @@
 
 import contextlib
 
-from shared.runtime.router_watch import RouterWatch
-from shared.runtime.session import SessionSettings, open_router, open_session
+from shared.runtime.session import RouterWatch, SessionSettings, open_router, open_session
 
 
 def test_a_router_that_was_away_is_told_once(router, until):

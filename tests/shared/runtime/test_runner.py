@@ -175,7 +175,7 @@ def test_a_step_that_raises_is_a_fault_that_health_names_and_the_agent_goes_on(r
 
 
 def test_a_fault_holds_until_steps_go_well_again_and_the_log_says_how_many_failed(running, heard, until, monkeypatch):
-    monkeypatch.setattr("shared.runtime.faults.SHOWN_S", 0.1)
+    monkeypatch.setattr("shared.runtime.accounts.SHOWN_S", 0.1)
     healths: list[AgentHealth] = heard(HEALTH)
     log: list[LogRecord] = heard(LOG)
     camera = Camera()

@@ -12,10 +12,9 @@ import zenoh
 from schemas.codec import LARGE_BYTES, decode, encode
 from schemas.messages import FrameStamp, Image, ImageEncoding, LogLevel, LogRecord, StereoFrame
 from schemas.topics import FRAMES, LOG, key
-from shared.runtime.delivery import declare_publisher, payload_of, subscribe
+from shared.runtime.delivery import POOL_BYTES, declare_publisher, joined, payload_of, subscribe
 from shared.runtime.memory import keep_freed_memory
 from shared.runtime.session import open_session
-from shared.runtime.shared_memory import POOL_BYTES, joined
 
 
 def frame(sequence):
@@ -63,7 +62,7 @@ os.execv(sys.executable, [sys.executable, "-c", sys.argv[1], sys.argv[2]])
 ASKS = """
 import sys
 from shared.runtime.session import SessionSettings, open_session
-from shared.runtime.shared_memory import joined
+from shared.runtime.delivery import joined
 with open_session(SessionSettings("test", sys.argv[1])) as session:
     print(len(session.info.routers_zid()), type(joined([b"x" * 10000])).__name__)
 """

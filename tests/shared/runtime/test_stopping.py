@@ -10,9 +10,9 @@ from schemas.messages import Arm, ChangeState, CommandAnswer, CommandHeader, Hol
 from schemas.topics import ARM, CHANGE_STATE, HOLD, key
 from shared.clock import monotonic_s
 from shared.runtime.agent import Agent, Command
+from shared.runtime.attachment import encoding_of
 from shared.runtime.commands import accepted, new_header, refused, send_command, stops_unread
 from shared.runtime.outlets import Outlets
-from shared.runtime.own_key import encoding_of
 
 STEP_S = 0.5
 

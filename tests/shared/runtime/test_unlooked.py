@@ -5,7 +5,7 @@ import threading
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shared.runtime.unlooked import MOST, Unlooked
+from shared.runtime.delivery import MOST, Unlooked
 
 
 class Seen:

@@ -5,12 +5,14 @@ import pytest
 
 from agents.perception.segmentation.choice import SEGMENTERS, suitable_segmenter
 from agents.perception.segmenter_names import GIVEN_MASKS, PROMPTABLE, SEGMENTER_NAMES
+from schemas import messages
 from shared.scene.__main__ import make_scene
 from shared.scene.render import render
 
 
 def test_every_segmenter_has_its_name_and_gives_coverage_of_the_images_size():
     assert {GIVEN_MASKS, PROMPTABLE, *SEGMENTERS} == set(SEGMENTER_NAMES)
+    assert messages.GIVEN_MASKS == GIVEN_MASKS
     image = np.random.default_rng(2).integers(0, 256, (54, 96, 3), dtype=np.uint8)
     for segment in SEGMENTERS.values():
         found = segment(image)
