@@ -1,4 +1,4 @@
-"""The names of the segmenters, for whoever configures one and runs none: messages, which take long to load, stay out."""
+"""The names of the segmenters, for whoever configures one and runs none: messages take long to load, and stay out."""
 
 GIVEN_MASKS = "mask"
 """As observations say it (schemas/messages/thread.py)."""
