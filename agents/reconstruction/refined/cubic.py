@@ -1,10 +1,32 @@
 """Clamped uniform cubic B-splines by the polynomials of their spans, over t from 0 to 1 on each."""
 
+import functools
+from collections.abc import Callable
+from typing import Any, ParamSpec, TypeVar, cast
+
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from agents.reconstruction.refined.kept import kept
 from shared.splines import clamped_uniform_knots, local_basis
+
+KEPT = 64
+"""Of each, for so many arguments."""
+
+_Given = ParamSpec("_Given")
+_Array = TypeVar("_Array", bound="np.ndarray[Any, Any]")
+
+
+def kept(compute: Callable[_Given, _Array]) -> Callable[_Given, _Array]:
+    """The same function, computed once for each argument; what was written into it all later frames would get."""
+
+    @functools.wraps(compute)
+    def once(*given: _Given.args, **named: _Given.kwargs) -> _Array:
+        array = compute(*given, **named)
+        array.setflags(write=False)
+        return array
+
+    return cast(Callable[_Given, _Array], functools.lru_cache(KEPT)(once))
+
 
 DEGREE = 3
 

@@ -5,8 +5,7 @@ from jaxtyping import Float64
 from scipy.linalg import lapack
 
 from agents.reconstruction.refined.alignment import Alignment
-from agents.reconstruction.refined.cubic import DEGREE, basis_at, even_places, fitted
-from agents.reconstruction.refined.kept import kept
+from agents.reconstruction.refined.cubic import DEGREE, basis_at, even_places, fitted, kept
 from agents.reconstruction.refined.medians import median
 from agents.reconstruction.refined.normal_equations import finite
 from agents.reconstruction.refined.pieces import Chain

@@ -18,8 +18,7 @@ its length from this, and an end that is hidden its place.
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from agents.reconstruction.refined.cubic import DEGREE, basis_at
-from agents.reconstruction.refined.kept import kept
+from agents.reconstruction.refined.cubic import DEGREE, basis_at, kept
 from agents.reconstruction.refined.normal_equations import SIDE, Blocks
 from agents.reconstruction.refined.projection import Curve
 from schemas.messages import RectifiedStereo

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 from scipy.linalg import lapack
 
-from agents.reconstruction.refined.kept import kept
+from agents.reconstruction.refined.cubic import kept
 from agents.reconstruction.refined.normal_equations import SIDE, Blocks, factored
 
 GROUP = 18

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agents.reconstruction.refined.kept import kept
+from agents.reconstruction.refined.cubic import kept
 
 
 def test_an_array_is_computed_once_and_nobody_writes_into_it():

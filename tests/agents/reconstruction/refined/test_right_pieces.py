@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from agents.reconstruction.refined.method import course_of
-from agents.reconstruction.refined.right_pieces import LEVEL_PX
+from agents.reconstruction.refined.sightings import LEVEL_PX
 
 BEND = 0.5
 """Share of the hook that lies across the rows; the rest runs along them."""
