@@ -25,12 +25,6 @@ from shared.clock import monotonic_s
 from shared.images import decode_image
 from shared.runtime.attachment import Attachment, pack, unpack
 from shared.runtime.delivery import declare_publisher, payload_of, subscribe
-from shared.runtime.direct import (
-    DirectPublisher,
-    open_direct_consuming,
-    open_direct_publishing,
-    subscribe_directly,
-)
 from shared.runtime.intake import Arrival, Inbox
 from shared.runtime.memory import keep_freed_memory
 from shared.runtime.session import SessionSettings, open_session
@@ -76,7 +70,7 @@ class Load:
 
 @dataclass(frozen=True)
 class End:
-    """Which end it is, `send` or `receive`, on which router, and on which direct link, if any.
+    """Which end it is, `send` or `receive`, and on which router.
 
     Fields:
         bare: whether bytes alone go over it, by Zenoh's Python interface and nothing of ours.
@@ -84,7 +78,6 @@ class End:
 
     role: str
     endpoint: str
-    link: str
     load: Load
     bare: bool = False
 
@@ -95,7 +88,7 @@ class End:
 
 def _end_of(text: str) -> End:
     given = json.loads(text)
-    return End(given["role"], given["endpoint"], given["link"], Load(**given["load"]), given["bare"])
+    return End(given["role"], given["endpoint"], Load(**given["load"]), given["bare"])
 
 
 def main() -> None:
@@ -107,18 +100,13 @@ def main() -> None:
         if end.bare:
             readings = (receive_bare if end.role == "receive" else send_bare)(session, end.load)
         else:
-            readings = (receive if end.role == "receive" else send)(session, end, stack)
+            readings = (receive if end.role == "receive" else send)(session, end.load)
     print(json.dumps(readings), flush=True)
 
 
-def send(session: Any, end: End, stack: contextlib.ExitStack) -> list[dict[str, float]]:
+def send(session: Any, load: Load) -> list[dict[str, float]]:
     """Publish at the given rate; of each message when it was begun, encoded and handed to Zenoh, in seconds."""
-    load = end.load
-    if end.link:
-        direct = stack.enter_context(open_direct_publishing(end.link))
-        publisher = DirectPublisher(session, direct, load.key, load.topic)
-    else:
-        publisher = declare_publisher(session, load.key, load.topic)
+    publisher = declare_publisher(session, load.key, load.topic)
     message = _message_of(load)
     readings: list[dict[str, float]] = []
     for sequence in _paced(load):
@@ -140,9 +128,9 @@ def _paced(load: Load) -> Iterator[int]:
     pause.wait(SETTLE_S)
 
 
-def receive(session: Any, end: End, stack: contextlib.ExitStack) -> list[dict[str, float]]:
+def receive(session: Any, load: Load) -> list[dict[str, float]]:
     """Of each message when it was received, taken up by the loop and decoded, in seconds."""
-    load, inbox = end.load, Inbox()
+    inbox = Inbox()
     latest = load.is_frame
     received: dict[int, float] = {}
 
@@ -152,11 +140,7 @@ def receive(session: Any, end: End, stack: contextlib.ExitStack) -> list[dict[st
         (inbox.put_newest if latest else inbox.put)(Arrival(load.topic, load.key, sample.payload.to_bytes, attachment))
         received[_sequence(attachment)] = at_s
 
-    if end.link:
-        direct = stack.enter_context(open_direct_consuming([end.link]))
-        kept = subscribe_directly(session, direct, load.key, load.topic, put_away)
-    else:
-        kept = subscribe(session, load.key, load.topic, put_away, lambda _: None)
+    kept = subscribe(session, load.key, load.topic, put_away, lambda _: None)
     print("ready", flush=True)
     readings: list[dict[str, float]] = []
     quiet_until_s = monotonic_s() + 4 * PATIENCE_S

@@ -1,4 +1,4 @@
-"""One hop from process to process, step by step: through our router, by a direct link, and beside dora-rs.
+"""One hop from process to process, step by step: through our router, and beside dora-rs.
 
 What is Zenoh's and its Python interface's own shows in a row of the same bytes without anything of ours.
 
@@ -10,9 +10,7 @@ import json
 import os
 import subprocess
 import sys
-import tempfile
 from collections.abc import Generator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,9 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.dora_hops import NoDoraError, dora_environment, dora_ms
-from benchmarks.hop_ends import AGENT, End, Load
-from schemas.topics import MAIN
-from shared.runtime.direct import socket_endpoint
+from benchmarks.hop_ends import End, Load
 from shared.runtime.session import free_local_endpoint
 
 LIMIT_S = 120.0
@@ -32,7 +28,7 @@ CAMERA_HZ = 60.0
 """About a camera's rate: processors fall asleep and caches go cold between two messages."""
 QUICK_HZ = {"1 kB": 1000.0, "1.5 MB": 250.0, "2.8 MB": 250.0}
 """Neither happens: published figures of such systems are usually taken so."""
-ROUTER, DIRECT, BARE, DORA = "router", "direct link", "bare Zenoh", "dora-rs"
+ROUTER, BARE, DORA = "router", "bare Zenoh", "dora-rs"
 STEPS = {
     "encode": ("begun", "encoded"),
     "put": ("encoded", "put"),
@@ -67,8 +63,6 @@ def measure_hops(rounds: int, count: int) -> dict[str, Any]:
                     load = Load(size, count, rate_hz)
                     place = f"{rate_hz:.0f} Hz", payload
                     taken.setdefault((*place, ROUTER), []).append(_summary(one_hop(endpoint, load)))
-                    if load.is_frame:
-                        taken.setdefault((*place, DIRECT), []).append(_summary(one_hop(endpoint, load, direct=True)))
                     taken.setdefault((*place, BARE), []).append(_summary_of_hop(bare_ms(endpoint, load)))
                     if environment is not None:
                         ms = dora_ms(environment, load)
@@ -80,16 +74,14 @@ def measure_hops(rounds: int, count: int) -> dict[str, Any]:
     return {"load before": load_before, "rounds": rounds, "messages": count, "without dora": without, "hops": rows}
 
 
-def one_hop(endpoint: str, load: Load, direct: bool = False) -> list[dict[str, float]]:
+def one_hop(endpoint: str, load: Load) -> list[dict[str, float]]:
     """Of each message that arrived, in seconds, when it reached each step."""
-    with tempfile.TemporaryDirectory() as sockets:
-        link = socket_endpoint(Path(sockets) / "hop", AGENT, MAIN) if direct else ""
-        return _between(*(End(role, endpoint, link, load) for role in ("receive", "send")))
+    return _between(*(End(role, endpoint, load) for role in ("receive", "send")))
 
 
 def bare_ms(endpoint: str, load: Load) -> list[float]:
     """Milliseconds of each hop of as many bytes by Zenoh's Python interface alone, by way of the router."""
-    rows = _between(*(End(role, endpoint, "", load, bare=True) for role in ("receive", "send")))
+    rows = _between(*(End(role, endpoint, load, bare=True) for role in ("receive", "send")))
     return [1e3 * (row["decoded"] - row["begun"]) for row in rows]
 
 

@@ -87,7 +87,7 @@ def as_told(topic: Topic, otherwise: tuple[Topic, ...]) -> Topic:
 
 
 class RouterLinks:
-    """The ways of one agent's messages: all of them by the router."""
+    """Publishers and subscribers of one agent, as its rig has the rows of the table of topics."""
 
     def __init__(self, otherwise: tuple[Topic, ...] = ()) -> None:
         """`otherwise` are rows of the table as this rig has them, where it has them otherwise."""
@@ -109,9 +109,6 @@ class RouterLinks:
     ) -> list[Any]:
         """Have every sample of a topic that is not a command handed over."""
         return subscribe(session, key, as_told(topic, self._otherwise), receive, missed, losses, refused)
-
-    def close(self) -> None:
-        """Nothing is held here."""
 
 
 def ring_room(key: str) -> int:

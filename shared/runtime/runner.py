@@ -417,7 +417,6 @@ class Runner:
         self._log.removeHandler(self._log_topic)
         for declared in (*self._kept, self._out):
             declared.undeclare()
-        self._links.close()
 
 
 def _untimely(header: CommandHeader, received_ns: int) -> CommandAnswer | None:

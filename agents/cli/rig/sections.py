@@ -251,12 +251,6 @@ class RecorderSection(Settings):
     retention_days: int | None = Field(default=None, ge=0, le=36500)
 
 
-class LinksSection(Settings):
-    """Ways past the router: whether agents on this machine hand images over by links of their own."""
-
-    direct: bool = False
-
-
 class ViewerSection(Settings):
     """Where the session is shown: `file` writes session.rrd alone; `native` and `web` also open a Rerun viewer."""
 

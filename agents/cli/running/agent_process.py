@@ -1,10 +1,7 @@
 """One agent as a process: from configuration to a clean stop. What all agents are made of takes a second to load."""
 
-import os
-import tempfile
 import threading
 from collections.abc import Callable
-from pathlib import Path
 
 from agents.camera.image_files import ImageFileError
 from agents.camera.sources import SourceError
@@ -21,7 +18,6 @@ from shared.calibration.made import made_ns
 from shared.runtime.config import ConfigError, config_hash
 from shared.runtime.connection import NoRouterError, open_when_there
 from shared.runtime.delivery import RouterLinks
-from shared.runtime.direct import DirectLinks
 from shared.runtime.facts import Surroundings, ask_for_realtime
 from shared.runtime.memory import keep_freed_memory
 from shared.runtime.runner import Runner
@@ -59,7 +55,7 @@ def _run(rig: RigConfig, kind: str, instance: str) -> int:
     with session:
         if runs_already(session, rig.rig, kind, instance):
             return complain(f"{kind} {instance} of rig {rig.rig} runs already; stop that one first", EXIT_UNUSABLE)
-        runner = Runner(agent, session, rig.rig, config_hash(rig), known, links(rig, kind, instance))
+        runner = Runner(agent, session, rig.rig, config_hash(rig), known, RouterLinks(rig.rows_otherwise))
         threading.Thread(target=_stop_after, args=(stopped, runner.stop), name="stop", daemon=True).start()
         runner.run()
     return complain(runner.gave_up, EXIT_GAVE_UP) if runner.gave_up else EXIT_OK
@@ -82,15 +78,6 @@ def calibrated_ns(rig: RigConfig, kind: str, instance: str) -> int | None:
     if kind == ROBOT_BRIDGE.name:
         return registered_ns(rig.robot[instance])
     return None if camera is None else made_ns((camera,))
-
-
-def links(rig: RigConfig, kind: str, instance: str) -> RouterLinks:
-    """By which ways the agent's messages go; sockets of direct links lie where this user's alone do."""
-    if not rig.links.direct:
-        return RouterLinks(rig.rows_otherwise)
-    port = rig.router_endpoint.rsplit(":", 1)[1]
-    own = os.environ.get("XDG_RUNTIME_DIR") or str(Path(tempfile.gettempdir()) / f"suturegrasp-{os.getuid()}")
-    return DirectLinks(Path(own) / "suturegrasp" / f"{rig.rig}-{port}", kind, instance, rig.rows_otherwise)
 
 
 def _stop_after(stopped: threading.Event, stop: Callable[[], None]) -> None:

@@ -67,7 +67,7 @@ MISTAKES = {
     FAR: "no host runs 'guard psm1'",
     FAR.replace('"perception", ', '"perception", "guard psm1", '): "'guard psm1' must run on robot",
     FAR.replace("tls/robot", "tcp/robot"): "leaves this machine, which needs tls",
-    WHOLE + "[links]\ndirect = true": "links.direct goes past the router",
+    WHOLE + "[links]\ndirect = true": "[links] is gone: images go through the router",
     "[topics.camera.frames]\nrecorded = false": 'a topic is written in quotes: [topics."camera/frames"]',
 }
 

@@ -11,7 +11,7 @@ import pytest
 from agents.cli.rig.config import RigConfig
 from agents.cli.rig.digest import rig_sections
 from agents.cli.rig.topics import in_words, overrides
-from agents.cli.running.agent_process import links, surroundings
+from agents.cli.running.agent_process import surroundings
 from agents.cli.status.session import session_as
 from schemas.topics import (
     COMMANDS,
@@ -28,7 +28,7 @@ from schemas.topics import (
 )
 from shared.runtime.config import ConfigError, parse_config
 from shared.runtime.connection import connected
-from shared.runtime.delivery import as_told
+from shared.runtime.delivery import RouterLinks, as_told
 
 SCRIPT = str(Path(sys.executable).with_name("suturegrasp"))
 
@@ -92,8 +92,9 @@ def test_what_is_said_as_the_table_has_it_is_no_override():
 
 
 def test_an_agents_publishers_have_the_priority_that_its_rig_says(session):
-    for text, priority in ((TOLD, "Priority.DATA_LOW"), ("[links]\ndirect = true\n", "Priority.REAL_TIME")):
-        publisher = links(rig(text), "perception", "main").publisher(session, key("test", OBSERVATIONS), OBSERVATIONS)
+    for text, priority in ((TOLD, "Priority.DATA_LOW"), ("", "Priority.REAL_TIME")):
+        links = RouterLinks(rig(text).rows_otherwise)
+        publisher = links.publisher(session, key("test", OBSERVATIONS), OBSERVATIONS)
         assert str(publisher.priority) == priority
         publisher.undeclare()
 
