@@ -13,11 +13,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from agents.viewer.backlog import Backlog
 from agents.viewer.live_layout import DEFAULT, live_layout
 from agents.viewer.panels import Scene
-from agents.viewer.room import Room
-from agents.viewer.screen import Screen
+from agents.viewer.screen import Backlog, Screen
 from agents.viewer.showing import Showing
 from agents.viewer.sinks import PART_BYTES, Sink, ViewerError, file_sink
 from schemas.topics import Delivery
@@ -138,3 +136,27 @@ class LiveViewer:
     def _note(self, text: str) -> None:
         self._notes.append(text)
         _log.warning(text)
+
+
+JUDGED_EVERY_S = 1.0
+"""Of the clock, in which the thread had work."""
+FULL, ROOMY = 0.6, 0.85
+"""Shares of that time that it had a processor: below the one the machine is full, above the other one it has room."""
+
+
+class Room:
+    """Judges anew after every second of work; before the first one, there is room."""
+
+    def __init__(self) -> None:
+        self.there_is = True
+        self._worked_s = self._took_s = 0.0
+
+    def worked(self, worked_s: float, took_s: float) -> bool:
+        """Note so much time of the processor in so much time of the clock; whether the judgement has changed."""
+        self._worked_s, self._took_s = self._worked_s + worked_s, self._took_s + took_s
+        if self._took_s < JUDGED_EVERY_S:
+            return False
+        before, share = self.there_is, self._worked_s / self._took_s
+        self.there_is = share > ROOMY or (before and share >= FULL)
+        self._worked_s = self._took_s = 0.0
+        return self.there_is != before

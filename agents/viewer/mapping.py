@@ -20,14 +20,14 @@ import rerun as rr
 from jaxtyping import Float64, UInt8
 
 from agents.viewer import colours
-from agents.viewer.bars import ALONG, bars_along
 from agents.viewer.candidate_mapping import candidate_entities, occluder_entities, score_entities
 from agents.viewer.cross_sections import cross_sections
-from agents.viewer.entity import HALF_PX, Entity
+from agents.viewer.entity import HALF_PX, LAST_FRAME, Entity
 from agents.viewer.image_pane import decoded_mask
-from agents.viewer.moment import LAST_FRAME
 from agents.viewer.polyline import Polyline, thread_polyline
 from agents.viewer.quality_mapping import (
+    ALONG,
+    bars_along,
     centreline_entities,
     curve_looks,
     posterior_entities,

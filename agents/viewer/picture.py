@@ -6,7 +6,6 @@ from jaxtyping import Float64, UInt8
 
 from agents.viewer import colours
 from agents.viewer.cross_sections import cross_sections
-from agents.viewer.depth_strip import DepthBand, DepthMarks, depth_strip
 from agents.viewer.image_pane import (
     Pane,
     decoded_mask,
@@ -25,9 +24,9 @@ from agents.viewer.image_pane import (
 )
 from agents.viewer.lettering import LINE_HEIGHT_PX, draw_text, text_width, wrapped
 from agents.viewer.polyline import Polyline, along_at, thread_polyline
-from agents.viewer.quality_strips import deviation_strip, residual_strip
 from agents.viewer.report import facts, finding_text, findings, missed, reasons, unit_text
 from agents.viewer.residuals import EXAGGERATION, Residuals, both_residuals
+from agents.viewer.strip import DepthBand, DepthMarks, depth_strip, deviation_strip, residual_strip
 from schemas.messages import Image, Occluder, Severity, Status, ThreadObservations, ThreadReconstruction
 from shared.camera import project
 

@@ -13,17 +13,46 @@ Curve, tube and whiskers have the colours of confidence: whiskers are green wher
 the thread's image, and red where it runs along its edge or farther out. Thread that not both images show is grey.
 """
 
+from typing import Any
+
 import numpy as np
 import rerun as rr
+from jaxtyping import Float64
 
 from agents.viewer import colours
-from agents.viewer.bars import ALONG, bars_along
 from agents.viewer.cross_sections import CORNERS, CrossSections, tube_triangles
 from agents.viewer.entity import HALF_PX, Entity
 from agents.viewer.polyline import Polyline
 from agents.viewer.residuals import EXAGGERATION, Residuals, both_residuals, closeness, summary, whiskers
 from schemas.messages import Centrelines, ThreadObservations
 from shared.right_eye import IN_LINE, Affine, moved
+
+BARS = 100
+ALONG = np.linspace(0.0, 1.0, BARS)
+"""Shares of the thread's length at which there are bars."""
+# made once: Rerun takes longer to find out of what kind the numbers of a chart are than it does for all else in it
+_PLACES: Any = rr.components.TensorDataBatch(ALONG).as_arrow_array()
+_WIDTHS: Any = rr.components.LengthBatch(np.full(BARS, 1 / BARS)).as_arrow_array()
+_KIND = [field.name for field in _PLACES.type.field("buffer").type].index("F64")
+
+
+def bars_along(heights: Float64[np.ndarray, "n"], rgb: tuple[int, int, int]) -> rr.BarChart:
+    """Bars at `ALONG` of these heights."""
+    return rr.BarChart(_like_places(heights), abscissa=_PLACES, color=rgb, widths=_WIDTHS)
+
+
+def _like_places(heights: Float64[np.ndarray, "n"]) -> Any:
+    """As many numbers, as Rerun holds those of the places: a structure of a shape, names, and numbers of some kind."""
+    kinds = _PLACES.field("buffer")
+    places = kinds.field(_KIND)
+    numbers = rr.components.ScalarBatch(heights).as_arrow_array()
+    children = [kinds.field(kind) for kind in range(kinds.type.num_fields)]
+    children[_KIND] = places.from_buffers(places.type, 1, places.buffers()[:2], children=[numbers])
+    # of what says which kind each element is, and where
+    about = [None, *kinds.buffers()[1:3]]
+    buffer = kinds.from_buffers(kinds.type, 1, about, children=children)
+    return _PLACES.from_arrays([_PLACES.field("shape"), _PLACES.field("names"), buffer], fields=list(_PLACES.type))
+
 
 WHISKERS_ABOUT = 300
 """Whiskers in each image; neighbouring points of a centreline err alike."""

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from agents.viewer.entity import Moment
 from agents.viewer.live_layout import DEFAULT, live_layout
 from agents.viewer.live_mapping import LiveMapping
 from agents.viewer.mapping import Entity
-from agents.viewer.moment import Moment
 from agents.viewer.panels import Scene
 from agents.viewer.report import unit_text
 from agents.viewer.session_mapping import count_entities, failure, nothing_yet, pace, said

@@ -14,8 +14,8 @@ import rerun.blueprint as rrb
 from jaxtyping import Float64
 
 from agents.viewer import colours
+from agents.viewer.entity import Moment
 from agents.viewer.live_mapping import LiveMapping
-from agents.viewer.moment import Moment
 from agents.viewer.recording_layout import FLAT, VIEWPOINT
 from agents.viewer.showing import moment_of
 from agents.viewer.sinks import file_sink

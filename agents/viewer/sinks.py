@@ -11,7 +11,8 @@ import pathlib
 import socket
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -19,10 +20,95 @@ import rerun as rr
 import rerun.blueprint as rrb
 import rerun_cli
 
-from agents.viewer.curves import Curves
+from agents.viewer.entity import Moment
 from agents.viewer.mapping import APPLICATION, Entity
-from agents.viewer.moment import Moment
-from agents.viewer.standing import Standing
+from shared.clock import monotonic_s
+
+AGAIN_NS = 1_000_000_000
+DRAWN = (
+    rr.Arrows3D,
+    rr.Boxes2D,
+    rr.Capsules3D,
+    rr.Clear,
+    rr.GraphEdges,
+    rr.GraphNodes,
+    rr.LineStrips2D,
+    rr.LineStrips3D,
+    rr.Points2D,
+    rr.Points3D,
+)
+"""What is drawn from it is the same, however often it is logged; a line of the log is not."""
+
+
+class Standing:
+    """Remembers what was last logged of each entity, and when."""
+
+    def __init__(self) -> None:
+        self._last: dict[str, tuple[Moment, Sequence[rr.AsComponents]]] = {}
+
+    def stands(self, path: str, moment: Moment, archetypes: Sequence[rr.AsComponents]) -> bool:
+        """Whether this was logged within the last second, and need not be again; if not, that it is from now on."""
+        before = self._last.get(path)
+        if before is not None and all(isinstance(one, DRAWN) for one in archetypes):
+            then, last = before
+            same_timelines = (then.frame is None) == (moment.frame is None)
+            if same_timelines and 0 <= moment.capture_ns - then.capture_ns < AGAIN_NS and _equal(last, archetypes):
+                return True
+        self._last[path] = moment, archetypes
+        return False
+
+
+def _equal(some: Sequence[rr.AsComponents], others: Sequence[rr.AsComponents]) -> bool:
+    return some is others or (
+        len(some) == len(others) and all(a is b or a == b for a, b in zip(some, others, strict=True))
+    )
+
+
+SENT_EVERY_S = 0.5
+MOST_WAITING = 20_000
+"""Numbers, where a recording is read as fast as it goes."""
+
+
+@dataclass
+class _Column:
+    capture_ns: list[int] = field(default_factory=list[int])
+    frame: list[int] = field(default_factory=list[int])
+    values: list[np.ndarray] = field(default_factory=list[np.ndarray])
+
+
+class Curves:
+    """What waits to be sent of each curve."""
+
+    def __init__(self) -> None:
+        self._columns: dict[tuple[str, bool], _Column] = {}
+        self._waiting, self._sent_s = 0, monotonic_s()
+
+    def add(self, path: str, moment: Moment, numbers: rr.Scalars) -> None:
+        """Have the numbers of a moment wait."""
+        # what has no frame is in a column of its own, since a column is on the same timelines throughout
+        column = self._columns.setdefault((path, moment.frame is None), _Column())
+        column.capture_ns.append(moment.capture_ns)
+        column.frame.append(moment.frame or 0)
+        batch = numbers.scalars
+        column.values.append(np.zeros(0) if batch is None else batch.as_arrow_array().to_numpy())
+        self._waiting += 1
+
+    @property
+    def due(self) -> bool:
+        """Whether it is time to send them."""
+        return self._waiting > 0 and (self._waiting >= MOST_WAITING or monotonic_s() - self._sent_s >= SENT_EVERY_S)
+
+    def send(self, stream: rr.RecordingStream) -> None:
+        """Send all that wait."""
+        for (path, without_frame), column in self._columns.items():
+            times = [rr.TimeColumn("capture_time", timestamp=np.array(column.capture_ns, "datetime64[ns]"))]
+            if not without_frame:
+                times.append(rr.TimeColumn("frame", sequence=np.array(column.frame, np.int64)))
+            numbers = rr.Scalars.columns(scalars=np.concatenate(column.values))
+            stream.send_columns(path, times, numbers.partition([len(one) for one in column.values]))
+        self._columns.clear()
+        self._waiting, self._sent_s = 0, monotonic_s()
+
 
 Layout = rrb.Blueprint
 

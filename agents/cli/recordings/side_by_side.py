@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.replay.differences import At, Comparison
-from agents.viewer.moment import Moment
+from agents.viewer.entity import Moment
 from agents.viewer.side_by_side import RECORDED, REPLAYED, SideBySide
 from schemas.checks import MessageError
 from schemas.codec import decode

@@ -1,6 +1,6 @@
 import threading
 
-from agents.viewer.backlog import Backlog
+from agents.viewer.screen import Backlog
 
 
 def drained(backlog):

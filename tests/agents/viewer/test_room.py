@@ -1,4 +1,4 @@
-from agents.viewer.room import Room
+from agents.viewer.live import Room
 
 
 def judged(room, share, seconds):

@@ -1,7 +1,7 @@
 import rerun as rr
 
-from agents.viewer.moment import Moment
-from agents.viewer.standing import AGAIN_NS, Standing
+from agents.viewer.entity import Moment
+from agents.viewer.sinks import AGAIN_NS, Standing
 
 START = 1_760_000_000_000_000_000
 
