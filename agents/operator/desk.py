@@ -19,7 +19,6 @@ from agents.operator.spare import Spare
 from agents.operator.standing_by import StandingBy
 from agents.operator.surroundings import Surroundings
 from agents.operator.voice import Voice
-from agents.operator.waiting import until
 from agents.operator.wire import (
     Beat,
     Click,
@@ -41,6 +40,15 @@ from agents.operator.words import sentence
 from schemas.topics import ROBOT_STATE, Topic
 from shared.clock import monotonic_s
 from shared.runtime.connection import Connection
+
+
+async def until(event: asyncio.Event, within_s: float) -> None:
+    """Wait for an event, so long at most."""
+    # `asyncio.wait_for` of Python 3.11 forgets a cancellation that comes with the event, and the server would not end
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(within_s):
+            await event.wait()
+
 
 TURN_S, STATE_S, ENDS_S, SEEN_S = 0.01, 0.1, 2.0, 0.5
 ALONE_S = 1.0

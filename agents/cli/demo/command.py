@@ -3,10 +3,11 @@
 import contextlib
 import queue
 import threading
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 
-from agents.cli.demo.goals import goals_of
+import numpy as np
+
 from agents.cli.demo.report import report
 from agents.cli.live.attempts import Attempts
 from agents.cli.live.command import event_sentence, percent, plan_sentence
@@ -34,6 +35,32 @@ from shared.clock import monotonic_s
 from shared.runtime.connection import Connection, NoRouterError, connected
 from shared.runtime.session import free_local_endpoint
 from shared.runtime.taps import Tapped
+
+PLACES = 100
+FROM_END = 0.1
+"""The ends of the thread are left out: little thread is left there to slide along."""
+APART = 0.1
+
+
+def goals_of(threads: Sequence[ThreadReconstruction], count: int, enough: float) -> list[tuple[float, float]]:
+    """Up to so many places with the mean confidence there over some frames, those to be asked for first in front.
+
+    First come places that every frame holds for at least `enough` likely, the least confident first, then all others,
+    the most confident first. No two of them are near each other. There is none where no thread states its confidence.
+    """
+    s = np.linspace(FROM_END, 1.0 - FROM_END, PLACES)
+    stated = [np.interp(s, thread.confidence_s, thread.confidence) for thread in threads if len(thread.confidence_s)]
+    if not stated:
+        return []
+    confidence, least = np.mean(stated, axis=0), np.min(stated, axis=0)
+    turn = np.where(least >= enough, confidence, 2.0 - confidence)
+    free, found = np.ones(PLACES, bool), list[tuple[float, float]]()
+    while len(found) < count and free.any():
+        next_one = np.flatnonzero(free)[np.argmin(turn[free])]
+        found.append((float(s[next_one]), float(confidence[next_one])))
+        free &= np.abs(s - s[next_one]) >= APART
+    return found
+
 
 EXIT_NO_GRASP, EXIT_INTERRUPTED = 1, 130
 SCENE, DISTANCE_MM = "hard", 85.0

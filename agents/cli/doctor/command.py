@@ -4,9 +4,11 @@ import contextlib
 import importlib.metadata
 import json
 import socket
+import threading
 from collections.abc import Iterator
 
 import schemas
+from agents.cli.doctor.crossing import STREAMS
 from agents.cli.doctor.finding import Finding
 from agents.cli.doctor.here import examine_here
 from agents.cli.doctor.images import examine_frames, examine_images, wants_images
@@ -14,7 +16,6 @@ from agents.cli.doctor.network import networks
 from agents.cli.doctor.rig import clocks, files, granted, guards, links, running, streams, topics, versions
 from agents.cli.doctor.router import no_router
 from agents.cli.doctor.rules import examine_rules
-from agents.cli.doctor.weighed import weigh
 from agents.cli.live.options import Doctor
 from agents.cli.reconstruct.options import UsageError
 from agents.cli.rig.config import RigConfig
@@ -27,6 +28,24 @@ from shared.runtime.connection import Connection, NoRouterError, connected
 from shared.runtime.facts import schemas_hash
 from shared.runtime.identity import IdentityError
 from shared.runtime.link import Link
+from shared.runtime.taps import Tapped
+
+WITHIN_S = 1.0
+
+
+def weigh(connection: Connection, within_s: float = WITHIN_S) -> dict[str, float]:
+    """Bytes of one message of each stream, by topic, of those that come in time."""
+    found, came = dict[str, float](), threading.Condition()
+
+    def take(tapped: Tapped) -> None:
+        with came:
+            found[str(tapped.topic)] = float(len(tapped.payload))
+            came.notify()
+
+    with connection.listening(STREAMS, take), came:
+        came.wait_for(lambda: len(found) == len(STREAMS), within_s)
+        return dict(found)
+
 
 EXIT_FOUND = 1
 ROUTER_WAIT_S = 2.0

@@ -1,20 +1,60 @@
 """What the doctor finds in images: in a pair from files, and in the frames of a rig that runs."""
 
+import contextlib
+import threading
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 from agents.camera.image_files import ImageFileError, read_pair, read_side_by_side
 from agents.cli.doctor.finding import UNKNOWN, Finding
-from agents.cli.doctor.heard_frames import hear_frames
 from agents.cli.doctor.image_answers import Pair, answers_about
 from agents.cli.live.options import Doctor
 from agents.cli.reconstruct.options import UsageError
 from agents.perception.judging.answers import Answer
 from agents.perception.judging.sequence import about_sequence
-from schemas.messages import Severity
+from schemas.checks import MessageError
+from schemas.codec import decode
+from schemas.messages import Severity, StereoCalibration, StereoFrame
+from schemas.topics import CALIBRATION, FRAMES
 from shared.calibration import CalibrationError, OtherSizeError, ReadCalibration, read_calibration
 from shared.images import ImageDataError, decode_image
 from shared.runtime.connection import Connection
+from shared.runtime.taps import Tapped
+
+FRAMES_WANTED = 60
+WITHIN_S = 4.0
+FIRST_WITHIN_S = 1.0
+"""A camera that gives nothing for so long does not run."""
+
+
+@dataclass(frozen=True)
+class Heard:
+    """The frames that came, in their order, and the newest calibration."""
+
+    frames: list[StereoFrame]
+    calibration: StereoCalibration | None
+
+
+def hear_frames(connection: Connection, wanted: int = FRAMES_WANTED, within_s: float = WITHIN_S) -> Heard:
+    """As many frames as are wanted, or as come in time."""
+    frames, calibrations, came = list[StereoFrame](), list[StereoCalibration](), threading.Condition()
+
+    def take(tapped: Tapped) -> None:
+        with contextlib.suppress(MessageError), came:
+            if tapped.topic is FRAMES and len(frames) < wanted:
+                frames.append(decode(StereoFrame, tapped.payload))
+            elif tapped.topic is CALIBRATION:
+                calibrations.append(decode(StereoCalibration, tapped.payload))
+            came.notify_all()
+
+    with connection.listening((FRAMES, CALIBRATION), take), came:
+        came.wait_for(lambda: bool(frames), FIRST_WITHIN_S)
+        if frames:
+            came.wait_for(lambda: len(frames) >= wanted and bool(calibrations), within_s)
+        ordered = sorted(frames, key=lambda frame: frame.stamp.sequence)
+        return Heard(ordered, calibrations[-1] if calibrations else None)
+
 
 IMAGES = "images"
 

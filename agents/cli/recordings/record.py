@@ -1,7 +1,9 @@
 """`suturegrasp record`: every recorded topic of a rig becomes a file, until stopped."""
 
+import glob
 import logging
 import os
+import shutil
 import signal
 import sys
 import threading
@@ -10,27 +12,49 @@ from pathlib import Path
 from agents.cli.live.options import Record
 from agents.cli.recordings.facts import STUDY_FACTS, attached_to, clocks_note, notes_of
 from agents.cli.recordings.one_after_another import Recordings
-from agents.cli.recordings.progress import tell_progress
 from agents.cli.rig.config import RecorderSection, RigConfig
 from agents.cli.rig.hosts import kind_and_instance
 from agents.cli.running.around import around, told_without
 from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.cli.running.session_folder import free_path
 from agents.cli.running.supervisor import SUPERVISED
-from agents.cli.terminal import complain, say
+from agents.cli.terminal import complain, say, show
 from agents.recorder.disk import DiskGuard
 from agents.recorder.parts import FileSettings
 from agents.recorder.pre_trigger import PreTriggerSettings
 from agents.recorder.recorder import Recorder, RecorderSettings, RecordingReport
 from schemas.topics import MAIN, TOPICS, Topic, key_root
+from shared.clock import monotonic_s
 from shared.runtime.config import config_hash, parse_config
 from shared.runtime.connection import Connection, NoRouterError, connected
 from shared.runtime.delivery import as_told
 from shared.runtime.service_manager import serving
 
+EVERY_S = 1.0
+MB, GB = 1_000_000, 1e9
+HOUR_S = 3600.0
+
+
+def tell_progress(path: Path, stopped: threading.Event) -> None:
+    """Keep a line on the terminal up to date until stopped."""
+    began_s = monotonic_s()
+    while not stopped.wait(EVERY_S):
+        print(f"\r\x1b[K{sentence(path, monotonic_s() - began_s)}", end="", flush=True)
+    show("")
+
+
+def sentence(path: Path, seconds: float) -> str:
+    """What the files of a recording hold after so long, and how long the disk has room for more."""
+    parts = path.parent.glob(f"{glob.escape(path.stem)}_part*{path.suffix}")
+    files = [file for file in (path, *parts) if file.is_file()]
+    size, free = sum(file.stat().st_size for file in files), shutil.disk_usage(path.parent).free
+    rate = size / seconds if seconds > 0 else 0.0
+    room = f", room for {free / rate / HOUR_S:.1f} h of this" if rate > 0 else ""
+    return f"recording {path}: {seconds:.0f} s, {size / MB:.1f} MB; {free / GB:.1f} GB free{room}; Ctrl-C ends it"
+
+
 FIRST_CLOCKS_S, CLOCKS_EVERY_S = 3.0, 60.0
 ROOM_EVERY_S = 1.0
-MB = 1_000_000
 KIND = "recorder"
 LOGGER = logging.getLogger(f"suturegrasp.{KIND}")
 LOGGER.setLevel(logging.INFO)

@@ -18,10 +18,21 @@ from agents.perception.candidates.appearance import looks_of
 from agents.perception.candidates.both_eyes import ELSEWHERE, in_both_eyes
 from agents.perception.candidates.drawn import along, thinned, without
 from agents.perception.candidates.others import ANOTHER, certainly_others
-from agents.perception.candidates.sureness import sureness
 from agents.perception.candidates.threads import Threads, lengths_px, pieces_of, threads_of
 from schemas.messages import Centrelines, ThreadCandidate
 from shared.disparities import Disparities, disparities
+
+
+def sureness(
+    left: Centrelines, threads: Threads, score: UInt8[np.ndarray, "r c"] | None, width: int
+) -> Float64[np.ndarray, "t"]:
+    """The mean of the segmenter's score along each thread, 0 to 1; 1 where there is none."""
+    if score is None:
+        return np.ones(len(threads.points))
+    at = np.rint((left.point_px + 0.5) * (score.shape[1] / width) - 0.5).astype(np.intp)
+    sure = score[at[:, 1].clip(0, score.shape[0] - 1), at[:, 0].clip(0, score.shape[1] - 1)] / 255.0
+    return np.array([sure[points].mean() for points in threads.points])
+
 
 LONG_SHARE = 0.3
 """Of the image's width."""

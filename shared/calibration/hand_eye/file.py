@@ -18,7 +18,7 @@ T_ecm_tip being the ECM's `local/measured_cp` (jhu-dvrk/dvrk_camera_registration
 
 import enum
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -26,12 +26,40 @@ import numpy as np
 from jaxtyping import Float64
 
 from shared.calibration.documents import Document, Node, parse_documents, read_text
-from shared.calibration.hand_eye.camera_file import plain, what_cameras_have
 from shared.calibration.named_matrices import named_entries, stated_unit
 from shared.calibration.numbers import array, matrix, vector
 from shared.calibration.stated import CalibrationError
 from shared.rigid_transforms import inverse, nearest_rotation, orthonormality_error
 from shared.units import METRES_PER_UNIT
+
+_OF_ANY_POSE = {"rotation", "translation", "unit"}
+_OF_RECTIFICATION = {
+    *("r1", "r2", "p1", "p2", "rl", "rr", "pl", "pr", "essentialmatrix", "fundamentalmatrix"),
+    *("rectificationmatrix", "projectionmatrix", "disparitytodepth", "distortionmodel", "cameramodel"),
+}
+_FROM_EYE_TO_EYE = {
+    *("rrightleft", "trightleft", "stereor", "stereot", "rstereo", "tstereo", "om"),
+    *("l2r", "lefttoright", "left2right", "transformlefttoright", "transformrightleft"),
+}
+NAMED_AT_MOST = 3
+
+
+def what_cameras_have(documents: Iterable[Document]) -> tuple[str, ...]:
+    """Names of a file that only a camera's calibration has: matrices, distortion, image size, both eyes, rectification.
+
+    Raises:
+        CalibrationError: where two names give different values for the same thing.
+    """
+    entries = named_entries(documents)
+    found = [name for meaning, (name, _) in entries.by_meaning.items() if meaning not in _OF_ANY_POSE]
+    found += [name for name in entries.names if plain(name) in _OF_RECTIFICATION | _FROM_EYE_TO_EYE]
+    return tuple(dict.fromkeys(found))[:NAMED_AT_MOST]
+
+
+def plain(name: object) -> str:
+    """A name without regard to case and punctuation; YAML has names that are no text."""
+    return re.sub(r"[^a-z0-9]", "", str(name).lower())
+
 
 FLIP = np.diag((-1.0, -1.0, 1.0, 1.0))
 """OpenCV's axes from da Vinci's, and the other way round."""

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from agents.cli.doctor.command import weigh
 from agents.cli.doctor.crossing import STREAMS, TYPICAL_BYTES, heard_by, traffic
 from agents.cli.doctor.network import networks
-from agents.cli.doctor.weighed import weigh
 from agents.cli.rig.builders import build
 from agents.cli.rig.config import RigConfig
 from agents.cli.status.gathered import Gathered

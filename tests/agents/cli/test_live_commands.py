@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from agents.cli.demo.goals import APART, FROM_END, goals_of
+from agents.cli.demo.command import APART, FROM_END, goals_of
 from agents.cli.live.command import event_sentence
 from agents.cli.running.session_folder import free_path, new_session_folder
 from agents.cli.status.health_watch import HealthWatch, health_table

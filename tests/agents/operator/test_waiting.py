@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 
-from agents.operator.waiting import until
+from agents.operator.desk import until
 
 LONG_S = 60.0
 

@@ -12,8 +12,8 @@ from agents.camera.scene_source import calibration_of
 from agents.perception.agent import Perception, PerceptionConfig
 from agents.perception.candidates.drawn import without
 from agents.perception.centrelines.centrelines import thread_lines
-from agents.perception.following.drawn import mask_along
 from agents.perception.following.follow import Followed, every_second, follow, trail_of
+from agents.perception.following.pair import mask_along
 from agents.perception.following.prediction import expected
 from agents.perception.following.stacked import trail_without
 from agents.perception.segmentation.network import segment_network

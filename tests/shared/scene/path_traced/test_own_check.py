@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from agents.cli.lab.scenes import endoscope
-from shared.scene.path_traced.own_check import offset_from_truth
+from shared.scene.path_traced.pair import offset_from_truth
 
 EYE = endoscope(320, 180).eyes[0]
 RADIUS_MM, DEPTH_MM = 0.4, 80.0
