@@ -19,7 +19,8 @@ from shared.worker_pool import worker_pool
 signal.signal(signal.SIGINT, signal.default_int_handler)
 with worker_pool(2) as pool:
     # each says who it is once it is at work: by then, whoever started it waits
-    work = "import os, signal; print(os.getpid(), flush=True); signal.pause()"
+    # in one write, for both write to one pipe
+    work = "import os, signal; os.write(1, str(os.getpid()).encode() + bytes([10])); signal.pause()"
     endless = [pool.submit(exec, work) for _ in range(2)]
     endless[0].result()
 """
@@ -47,8 +48,10 @@ def at_work():
     )
     assert process.stdout is not None
     with process:
-        yield process, [int(process.stdout.readline()) for _ in range(2)]
-        process.kill()
+        try:
+            yield process, [int(process.stdout.readline()) for _ in range(2)]
+        finally:
+            process.kill()
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are looked for where Linux lists them")
