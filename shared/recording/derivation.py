@@ -86,7 +86,9 @@ class Derivation:
         if silent := [name for name in self.agents if name not in heard]:
             parts.append(f"nothing in it is of {', '.join(silent)}, which ran anew{' too' if heard else ''}")
         parts += [
-            f"{one.kept} outputs of {name} are as of the source too" for name, one in self.agents.items() if one.kept
+            f"{one.kept} {'output' if one.kept == 1 else 'outputs'} of {name} as of the source too"
+            for name, one in self.agents.items()
+            if one.kept
         ]
         if self.settings:
             parts.append("settings: " + ", ".join(f"{key} {change}" for key, change in self.settings.items()))
