@@ -167,6 +167,9 @@ def _because(health: AgentHealth, slow: Set[str], output: str, rate_hz: float) -
         return f", for it waits for {listed(waits)}"
     if health.step_ms_p50 is not None and health.step_ms_p50 * rate_hz > SLOW_SHARE * 1e3:
         return f", for a step takes {health.step_ms_p50:.0f} ms"
+    if health.step_ms_p99 is not None and health.processor_share is not None:
+        longest, share = f"{health.step_ms_p99:.0f} ms", f"{health.processor_share:.0%}"
+        return f"; one step in a hundred takes {longest}, and it gets {share} of a processor"
     return ""
 
 

@@ -217,6 +217,9 @@ def test_a_topic_that_is_too_slow_is_told_with_its_cause():
     found = sentences(fare(told=filming(30.0), silent_s=4.0, present=False), observing(0.0))
     assert set(found) == {("gone", "camera"), ("slow", "perception/observations")}
     assert found["slow", "perception/observations"].text.endswith(", for it waits for camera/frames")
+    starved = dataclasses.replace(filming(1.0), step_ms_p99=3678.0, processor_share=0.26)
+    told = sentences(fare(told=starved))["slow", "camera/frames"].text
+    assert told.endswith("; one step in a hundred takes 3678 ms, and it gets 26% of a processor")
     # half of a rate is enough, and before rates settle they are not judged
     assert judge(moment(fare(told=filming(1.0, uptime_s=2.0)))) == judge(moment(fare(told=filming(15.0)))) == []
 
