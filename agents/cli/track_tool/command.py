@@ -78,8 +78,8 @@ class _Told:
         """Look at a frame, unless it came while the one before would still be looked at."""
         if seen.at_s < self._next_s:
             return
-        state, last = seen.state, self._last
-        view = View(seen.camera, (), state.T_camera_base, state.T_base_tool, state.jaw_rad)
+        placed, last = seen.placed, self._last
+        view = View(seen.camera, (), placed.T_camera_base, placed.T_base_tool, placed.jaw_rad)
         waited_s = FOLLOWING_S if last is None else max(seen.at_s - last.at_s, 0.0)
         track = followed(self._track or begun(view), soft_pair(seen.left, seen.right), view, waited_s, 0)
         self._next_s = seen.at_s + (FOLLOWING_S if track.state is Following.FOLLOWED else SEARCHING_S)
@@ -88,7 +88,7 @@ class _Told:
             self._said = said
             say(f"{seen.at_s:.2f} s: {said}{': ' + track.reason if track.reason else ''}")
         if track.consistent and track.correction is not None:
-            tip = apply(track.correction.matrix @ state.T_camera_base @ state.T_base_tool, TIP)[0]
+            tip = apply(track.correction.matrix @ placed.T_camera_base @ placed.T_base_tool, TIP)[0]
             self.tips.append([seen.at_s, *tip.tolist()])
             self._judge(_off(track.correction, seen)[0])
         if self._options.pictures is not None:
@@ -120,7 +120,7 @@ class _Told:
         if options.output is not None:
             corrected = {
                 MADE: made_text(round(1e9 * last.at_s)),
-                "T_camera_base": (track.correction.matrix @ last.state.T_camera_base).tolist(),
+                "T_camera_base": (track.correction.matrix @ last.placed.T_camera_base).tolist(),
                 "unit": "m",
                 "calibration_id": last.calibration_id,
             }
@@ -131,7 +131,7 @@ class _Told:
 
 def _off(correction: Correction, last: Seen) -> tuple[float, float, float]:
     """How far the tip and the tool's axes are off, and the tip's deviation."""
-    before = apply(last.state.T_camera_base @ last.state.T_base_tool, TIP)
+    before = apply(last.placed.T_camera_base @ last.placed.T_base_tool, TIP)
     after = apply(correction.matrix, before)[0]
     turned = float(np.linalg.norm(log_so3(correction.matrix[:3, :3])))
     return (

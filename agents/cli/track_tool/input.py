@@ -1,7 +1,6 @@
 """Frames and an arm's states, of a recording or a running rig, rectified and in metres: to look for the arm's tool."""
 
 import contextlib
-import dataclasses
 import threading
 from collections import deque
 from collections.abc import Iterator
@@ -12,7 +11,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from agents.perception.rectification import Rectification, RectificationError, rectification, rectify_image
-from agents.perception.tool.placed import APART_NS, in_metres, registered
+from agents.perception.tool.placed import BRACKET_NS, Placed, in_metres, placed_at
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import RectifiedStereo, RobotState, StereoCalibration, StereoFrame
@@ -27,17 +26,17 @@ from shared.runtime.taps import Tapped
 
 KEPT_STATES = 300
 SILENT_S = 3.0
-NEXT_STATE_S = 0.15
+NEXT_STATE_S = 1e-9 * BRACKET_NS
 """Longer than an arm that rests is silent."""
 
 
 class Seen(NamedTuple):
-    """One frame with the state of the arm at that time."""
+    """One frame with the place of the arm's tool at that time."""
 
     at_s: float
     left: UInt8[np.ndarray, "h w 3"]
     right: UInt8[np.ndarray, "h w 3"]
-    state: RobotState
+    placed: Placed
     camera: RectifiedStereo
     calibration_id: str
 
@@ -108,8 +107,7 @@ def seen_live(connection: Connection, arm: str, delay_ms: float, stopped: thread
 
 
 def _await_state_after(states: deque[RobotState], came: threading.Event) -> None:
-    """Wait for a state that is newer than the last one here: an arm that rests tells one only every tenth of a second,
-    and the one before a frame may be farther from it than the one after."""
+    """Wait for a state that is newer than the last one here, for a frame lies between two."""
     before, until_s = states[-1].measured_ns, monotonic_s() + NEXT_STATE_S
     while states[-1].measured_ns == before and (left_s := until_s - monotonic_s()) > 0:
         came.wait(left_s)
@@ -117,20 +115,19 @@ def _await_state_after(states: deque[RobotState], came: threading.Event) -> None
 
 
 def _seen(payload: bytes, states: list[RobotState], calibrated: _Calibrated, delay_ms: float) -> Seen | None:
-    """A frame with the state nearest to it; None where there is none, or it cannot be read."""
+    """A frame with the tool's place then; None where none was measured near it, or it cannot be read."""
     try:
         frame = decode(StereoFrame, payload)
         left, right = (decode_image(image) for image in (frame.left, frame.right))
     except (MessageError, ImageDataError):
         return None
     at_ns = frame.stamp.capture_left_ns - round(1e6 * delay_ms)
-    state = min(states, key=lambda one: abs(one.measured_ns - at_ns))
-    if abs(state.measured_ns - at_ns) > APART_NS or left.ndim != 3:
+    placed = placed_at(states, at_ns)
+    if placed is None or left.ndim != 3:
         return None
     ready = calibrated.ready
     images = rectify_image(left, ready.map_left), rectify_image(right, ready.map_right)
-    as_registered = dataclasses.replace(state, T_camera_base=registered(state))
-    return Seen(at_ns * 1e-9, *images, as_registered, in_metres(ready.camera), calibrated.id)
+    return Seen(at_ns * 1e-9, *images, placed, in_metres(ready.camera), calibrated.id)
 
 
 def _is_state(name: str, arm: str) -> bool:

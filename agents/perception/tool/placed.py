@@ -8,12 +8,13 @@ import numpy as np
 from jaxtyping import Float64
 
 from schemas.messages import RectifiedStereo, RobotState
+from schemas.topics import ROBOT_STATE
 from shared.rigid_transforms import exp_se3, inverse, log_se3
 
 APART_NS = 60_000_000
 """A state that was measured so far from a frame's time tells nothing of it by itself."""
-BRACKET_NS = 150_000_000
-"""Two states around a frame tell it where they are no farther apart: an arm at rest tells ten a second."""
+BRACKET_NS = round(1.5e9 / (ROBOT_STATE.resting_hz or 10.0))
+"""Two states around a frame tell it where they are no farther apart than those of an arm at rest, one late."""
 
 
 class Placed(NamedTuple):

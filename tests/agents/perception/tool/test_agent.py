@@ -105,3 +105,9 @@ def test_where_a_tool_was_is_taken_from_before_and_after_a_frame_or_not_at_all(b
     )
     assert abs(between.jaw_rad - state.jaw_rad - 0.05) < 1e-12
     assert placed_at([one, other], 1_200_000_000) is None
+    # between two states of an arm at rest lie frames that are far from both
+    assert ROBOT_STATE.resting_hz is not None
+    next_ns = one.measured_ns + round(1e9 / ROBOT_STATE.resting_hz)
+    resting = placed_at([one, dataclasses.replace(one, measured_ns=next_ns)], (one.measured_ns + next_ns) // 2)
+    assert resting is not None
+    np.testing.assert_allclose(resting.T_base_tool, one.T_base_tool, atol=1e-12)
