@@ -30,7 +30,7 @@ LEASE_S = 2.0
 pytestmark = [pytest.mark.hosts, pytest.mark.timeout(600)]
 LATE = ("heartbeat_lost", "stale_state", "round_trip", "frame_age", "not_following", "the way to the guard", "ms ago")
 """What an arm is held for, or not armed, where nothing comes in time."""
-PATIENCE_S = 240.0
+PATIENCE_S = 150.0
 """After so long an experiment of four grasps is left; one takes 10 s where a rig has processors enough."""
 SIDES = tuple(host for host in RUNS if host != ROUTER)
 
