@@ -56,7 +56,7 @@ test test-all coverage: export PYTHONDONTWRITEBYTECODE :=
 test: .venv/dev.done ## in three minutes: all that computes; a demo, an arm that is held, a router that is killed; ARGS="..." for some
 ifeq ($(ARGS),)
 	@mkdir -p out; $(PYTEST) -o cache_dir=.pytest_cache/essential -m essential $(ESSENTIAL) > out/essential.log 2>&1 & rigs=$$!; \
-	nice -n 19 $(PYTEST) $(PARALLEL) -m "not ($(LATER))"; computing=$$?; \
+	TESTS_BESIDE_RIGS=1 $(PYTEST) $(PARALLEL) -m "not ($(LATER))"; computing=$$?; \
 	wait $$rigs; rigs=$$?; cat out/essential.log; exit $$((computing + rigs))
 else
 	@$(PYTEST) $(ARGS)

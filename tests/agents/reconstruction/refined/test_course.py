@@ -64,7 +64,7 @@ def test_a_crossing_is_passed_straight_on_and_for_certain(make_lines, order, tur
     found = found_in(make_lines, *pieces)
     t = np.linspace(-1.5, 1.5, 6001)
     apart, nearest = cKDTree(loop(t)).query(found.chain.point_px)
-    assert apart.max() < 0.2
+    assert np.max(apart) < 0.2
     assert (np.diff(t[nearest]) > 0).mean() in (0.0, 1.0)
     assert len(set(found.chain.piece.tolist())) == 3
     assert found.probability.min() > SURE
