@@ -131,7 +131,7 @@ class Perception(Agent):
         """What follows from a frame; the observations first, since reconstruction waits for them."""
         last = self._last
         surface_sequence = last.surface_sequence if last else None
-        now_due = None if last is None else due(frame.stamp.sequence, last, self._is_watched(last))
+        now_due = None if last is None else due(frame.stamp, last, self._is_watched(last))
         surface_due = False
         pictures = pictured(frame, last)
         pair = (
