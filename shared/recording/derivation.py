@@ -18,6 +18,7 @@ DERIVED, BEGUN = "derived", "derivation begun"
 CUT = "cut"
 """What files that version 0.2 or an older one cut have in place of it."""
 UNUSED_FRAMES = "frames of which nothing was made"
+"""As files have it; what was made of some may lie outside of a stretch, so it is told of what is in the file."""
 BEFORE_AND_AFTER = "messages before and after"
 MADE_NO_MORE = "recorded outputs that are made no more"
 UNKNOWN_TOPICS = "messages of topics that this version does not know"
@@ -96,7 +97,10 @@ class Derivation:
             parts.append(
                 # a file that was cut off has not come to say how many
                 "left out on purpose: "
-                + ", ".join(f"{count or 'some'} {what}" for what, count in self.left_out.items())
+                + ", ".join(
+                    f"{count or 'some'} {'frames of which nothing in it was made' if what == UNUSED_FRAMES else what}"
+                    for what, count in self.left_out.items()
+                )
             )
         if self.read_as:
             parts.append(f"its messages were those of version {self.read_as}")

@@ -30,7 +30,7 @@ def run(options: Cut) -> int:
         return complain(f"{error.filename or options.output}: {error.strerror or error}", EXIT_UNUSABLE)
     for doubt in report.source.doubts_of(report.damage):
         warn(doubt if doubt == report.damage else f"{options.recording}: {doubt}")
-    unused = f", without {report.unused} frames of which nothing was made" if report.unused else ""
+    unused = f", without {report.unused} frames of which nothing in it was made" if report.unused else ""
     size = options.output.stat().st_size / 1e6
     say(f"{options.output}: {report.kept} messages of {(stretch[1] - stretch[0]) * 1e-9:.1f} s, {size:.1f} MB{unused}")
     return EXIT_DAMAGED if report.damage else EXIT_OK

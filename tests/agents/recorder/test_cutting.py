@@ -236,4 +236,4 @@ def test_the_command_says_what_the_new_file_holds(session, tmp_path, capsys):
         main(["cut", str(session), "--output", str(tmp_path / "short.mcap"), "--to", "1", "--used"])
     said = capsys.readouterr().out
     assert "messages of 1.0 s" in said
-    assert "without 7 frames of which nothing was made" in said
+    assert "without 7 frames of which nothing in it was made" in said

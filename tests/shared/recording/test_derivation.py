@@ -51,6 +51,6 @@ def test_a_sentence_tells_source_agents_settings_and_what_was_left_out():
         "ran anew: perception, reconstruction; what other agents said is as of the source",
         "2 outputs of perception as of the source too",
         "settings: reconstruction.method refined -> paper",
-        "left out on purpose: 7 frames of which nothing was made",
+        "left out on purpose: 7 frames of which nothing in it was made",
     ):
         assert words in told.sentence
