@@ -145,7 +145,10 @@ FULL, ROOMY = 0.6, 0.85
 
 
 class Room:
-    """Judges anew after every second of work; before the first one, there is room."""
+    """Whether a machine has room for whoever only looks on, by how long a thread waits for a processor while it works.
+
+    Judges anew after every second of work; before the first one, there is room.
+    """
 
     def __init__(self) -> None:
         self.there_is = True
