@@ -2,15 +2,15 @@
 
 import contextlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
 from agents.recorder.derived_file import DerivedFile, derived_from
-from schemas.checks import MessageError
+from schemas.checks import MessageError, fields_of
 from schemas.codec import decode
-from schemas.topics import FRAMES, OBSERVATIONS, Delivery, is_known, topic_of
+from schemas.topics import FRAMES, Delivery, is_known, topic_of
 from shared.recording.completeness import Completeness, completeness
 from shared.recording.derivation import BEFORE_AND_AFTER, UNKNOWN_TOPICS, UNUSED_FRAMES
 from shared.recording.entry import Entry, Note, RecordingError
@@ -42,18 +42,21 @@ class _Place(NamedTuple):
 
 
 def cut(source: Path, target: Path, from_ns: int, to_ns: int, only_used_frames: bool = False) -> CutReport:
-    """Write what was received from one moment to another, both included, with the states that held when it began.
+    """Write what was received from one moment to another, both included, with what agents there went on from.
+
+    That is the states that held when it began, and what the outputs within it were made from.
 
     Args:
-        only_used_frames: of the camera's frames keep those that perception made observations of.
+        only_used_frames: of the camera's frames keep those that something in the stretch was made of.
 
     Raises:
         RecordingError, OSError: as `read_recording`, or where the target cannot be written.
     """
-    used = _used_frames(source, from_ns, to_ns) if only_used_frames else None
     said = completeness(source)
     file = DerivedFile(target)
-    stretch = _Stretch(from_ns, to_ns)
+    consumed = _consumed(source, from_ns, to_ns)
+    used = consumed if only_used_frames else None
+    stretch = _Stretch(from_ns, to_ns, consumed)
     kept = unused = 0
     attached: dict[str, bytes] = {}
     try:
@@ -82,8 +85,8 @@ def cut(source: Path, target: Path, from_ns: int, to_ns: int, only_used_frames: 
 class _Stretch:
     """Reads a stretch of a recording, and counts what lies outside, and what is known to be lost within."""
 
-    def __init__(self, from_ns: int, to_ns: int) -> None:
-        self._from_ns, self._to_ns = from_ns, to_ns
+    def __init__(self, from_ns: int, to_ns: int, consumed: Set[_Place]) -> None:
+        self._from_ns, self._to_ns, self._consumed = from_ns, to_ns, consumed
         self.outside, self.unknown, self._first_ns = 0, 0, None
         self.lost: Counter[str] = Counter()
         self.damage = ""
@@ -96,8 +99,9 @@ class _Stretch:
         return f"cut from {begin_s:.1f} s to {end_s:.1f} s"
 
     def entries(self, source: Path, file: DerivedFile) -> Iterator[Entry]:
-        """The states that held before, then all of the stretch; notes are copied on the way."""
+        """What it goes on from, then all of the stretch; notes are copied on the way."""
         states: dict[str, Entry] = {}
+        before: dict[_Place, Entry] = {}
         begun = False
         records = UntilDamage(source)
         for record in records:
@@ -111,12 +115,17 @@ class _Stretch:
                 continue
             if not self._from_ns <= record.received_ns <= self._to_ns:
                 self.outside += not record.repeated
-                if record.received_ns < self._from_ns and topic_of(record.key).delivery is Delivery.STATE:
+                if record.received_ns >= self._from_ns:
+                    continue
+                if _place(record) in self._consumed:
+                    before[_place(record)] = record
+                if topic_of(record.key).delivery is Delivery.STATE:
                     states[record.key] = record
             else:
                 if not begun:
                     begun = True
-                    yield from (replace(state, repeated=True) for state in states.values())
+                    before |= {_place(state): state for state in states.values()}
+                    yield from (replace(one, repeated=True) for one in before.values())
                 yield record
         self.damage = records.damage
 
@@ -129,23 +138,19 @@ class _Stretch:
         file.note(note)
 
 
-def _used_frames(source: Path, from_ns: int, to_ns: int) -> set[_Place]:
-    used: set[_Place] = set()
+def _consumed(source: Path, from_ns: int, to_ns: int) -> set[_Place]:
+    """What the outputs of a stretch were made from."""
+    consumed: set[_Place] = set()
     for entry in UntilDamage(source):
-        if isinstance(entry, Note):
+        if isinstance(entry, Note) or not is_known(entry.key) or not from_ns <= entry.received_ns <= to_ns:
             continue
-        if (
-            not is_known(entry.key)
-            or topic_of(entry.key) is not OBSERVATIONS
-            or not from_ns <= entry.received_ns <= to_ns
-        ):
-            continue
-        try:
-            consumed = decode(OBSERVATIONS.message, entry.payload).consumed
-        except MessageError:
-            continue
-        used |= {_Place(c.key, c.epoch, c.sequence) for c in consumed}
-    return used
+        message = topic_of(entry.key).message
+        if "consumed" in fields_of(message):
+            with contextlib.suppress(MessageError):
+                consumed |= {
+                    _Place(one.key, one.epoch, one.sequence) for one in decode(message, entry.payload).consumed
+                }
+    return consumed
 
 
 def _place(entry: Entry) -> _Place:

@@ -40,10 +40,12 @@ class Placed(Protocol):
 
 
 class Recorded(Placed, Protocol):
-    """One recorded message, with its bytes."""
+    """One recorded message, with its bytes; repeated ones are from before, for others to be made from."""
 
     @property
     def payload(self) -> bytes: ...
+    @property
+    def repeated(self) -> bool: ...
 
 
 @dataclass(frozen=True)
@@ -166,7 +168,7 @@ class Replay:
         self.messages: dict[Place, Recorded] = {place_of(r): r for r in recording if concern(r.key)}
         runs: dict[int, _Steps] = {}
         for recorded in self.messages.values():
-            if _is_output(agent, recorded.key):
+            if not recorded.repeated and _is_output(agent, recorded.key):
                 consumed = decode(topic_of(recorded.key).message, recorded.payload).consumed
                 runs.setdefault(recorded.epoch, {}).setdefault(consumed, []).append(recorded)
         self.steps = [

@@ -24,6 +24,7 @@ from agents.cli.recordings.side_by_side import curves_of
 from agents.cli.rig.config import CameraSection, PerceptionSection, ReconstructionSection, simulated_rig
 from agents.perception.agent import Perception
 from agents.reconstruction.agent import Reconstruction
+from agents.recorder.cutting import cut
 from agents.replay.through import Stage, replay_through
 from schemas.codec import decode, encode
 from schemas.messages import ImageEncoding, RectifiedStereo, StereoFrame, ThreadObservations, ThreadReconstruction
@@ -158,12 +159,31 @@ def test_what_lacks_an_input_or_holds_an_unreadable_one_is_unusable(copied, caps
         return dataclasses.replace(entry, payload=b"\xff\xff") if topic_of(entry.key) is THREAD else entry
 
     for change, through, said in (
-        (without(CALIBRATION), "perception", "none of perception's outputs can be repeated: the recording lacks 1 of"),
+        (without(CALIBRATION), "perception", "no output of these agents can be repeated: of perception, the recording"),
         (spoilt, "reconstruction", "ThreadReconstruction cannot be read"),
     ):
         status, _, err = ran(capsys, copied(change), through)
         assert (status, err.count("\n")) == (EXIT_UNUSABLE, 1)
         assert said in err
+
+
+def test_one_agent_that_lacks_its_inputs_keeps_no_other_from_its_replay(copied, capsys):
+    status, out, _ = ran(capsys, copied(without(CALIBRATION)), "perception,reconstruction")
+    assert status == EXIT_SAME
+    assert "perception: 0 of " in out and "reconstruction: 2 of 2 outputs repeated, 2 byte for byte the same" in out
+
+
+@pytest.mark.parametrize("only_used_frames", [False, True])
+def test_a_stretch_goes_through_agents_as_the_whole(golden, tmp_path, only_used_frames):
+    entries = [entry for entry in read_recording(golden) if not entry.repeated]
+    frames = [entry.received_ns for entry in entries if topic_of(entry.key) is FRAMES]
+    stretch = tmp_path / "stretch.mcap"
+    # what follows from the first frame is made of what came before
+    cut(golden, stretch, frames[0] + 1, entries[-1].received_ns, only_used_frames)
+    result = replayed(Replay(stretch, through=THROUGH))
+    assert [outcome.unrepeatable for outcome in result.outcomes] == [[]] * len(result.outcomes)
+    assert all(outcome.compared for outcome in result.outcomes)
+    assert result.comparison.is_same
 
 
 def test_what_cannot_be_repeated_is_said_and_no_difference(copied, capsys):

@@ -2,9 +2,12 @@
 
 from pathlib import Path
 
+from agents.cli.recordings.difference_table import table
 from agents.cli.recordings.options import Replay
 from agents.cli.recordings.replay_report import report
 from agents.cli.recordings.replay_through import replayed
+from agents.replay.differences import At, Compared, Comparison
+from schemas.topics import THREAD
 
 SESSION = Path(__file__).parents[2] / "docs" / "example" / "session.mcap"
 
@@ -25,3 +28,12 @@ def test_what_the_older_version_did_not_know_is_named_and_is_no_difference():
     (untold,) = [line for line in lines if line.startswith("empty as another version made it")]
     assert {"attempts", "around", "tissue"} <= set(untold.partition(": ")[2].split(", "))
     assert not [line for line in lines if line.startswith(("attempts", "around", "tissue"))]
+
+
+def test_changes_that_differ_in_figures_alone_are_counted_together_and_told_without_any_one_s():
+    at = At(0, None, None)
+    said = ["ok → failed: both eyes see 77%", "ok → failed: both eyes see 72%", "ok → failed: no thread"]
+    outputs = tuple(Compared(str(THREAD), at, False, (), words, True) for words in said)
+    lines = table(Comparison(outputs, (), 0, 0), 0)
+    assert "  2 times ok → failed: both eyes see #%" in lines
+    assert "  once ok → failed: no thread" in lines

@@ -44,10 +44,11 @@ def _beside(comparison: Comparison, topic: str, has_rows: bool, differing: int) 
 def _changes(comparison: Comparison, topic: str) -> list[str]:
     """What became of how many outputs, the most frequent change first."""
     changed = [output.became for output in comparison.outputs if output.topic == topic and output.became]
-    first = {FIGURES.sub("#", change): change for change in reversed(changed)}
     became = Counter(FIGURES.sub("#", change) for change in changed)
+    # where only figures tell them apart they are one kind, and none of them stands for all
+    alike = {kind: {change for change in changed if FIGURES.sub("#", change) == kind} for kind in became}
     lines = [
-        f"  {'once' if count == 1 else f'{count} times'} {first[kind]}"
+        f"  {'once' if count == 1 else f'{count} times'} {kind if len(alike[kind]) > 1 else min(alike[kind])}"
         for kind, count in became.most_common(MOST_CHANGES)
     ]
     left = len(became) - MOST_CHANGES

@@ -272,9 +272,10 @@ def _check_repeatable(outcomes: list[Outcome], recorded: Set[Place], lacks: str)
         silent = ", ".join(outcome.stage for outcome in outcomes)
         nothing = f"{silent} said nothing in this recording, so that there is nothing to compare"
         raise UnusableError(f"{nothing}; {lacks}" if lacks else nothing)
-    for outcome in outcomes:
-        if outcome.outputs and not outcome.compared:
-            raise UnusableError(f"none of {outcome.stage}'s outputs can be repeated: {lacking(outcome, recorded)}")
+    spoke = [outcome for outcome in outcomes if outcome.outputs]
+    if not any(outcome.compared for outcome in spoke):
+        of_each = "; ".join(f"of {outcome.stage}, {lacking(outcome, recorded)}" for outcome in spoke)
+        raise UnusableError(f"no output of these agents can be repeated: {of_each}")
 
 
 def _check(options: ThroughOptions) -> None:

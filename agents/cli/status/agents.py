@@ -5,7 +5,7 @@ from itertools import groupby
 
 from agents.cli.status.health_watch import ABSENT, GONE, HANGING, NEVER, SILENT, Fare, span_of
 from agents.cli.status.wrong import Wrong, listed
-from schemas.messages import AgentHealth, InputHealth
+from schemas.messages import AgentHealth, InputHealth, OutputHealth
 from schemas.topics import TOPICS
 
 AWAY = (ABSENT, GONE, SILENT, NEVER)
@@ -13,6 +13,8 @@ GUARD = "guard "
 """What the name of a guard begins with; its arm follows."""
 SLOW_SHARE = 0.5
 """Below this share of its rate a topic is too slow."""
+FILLED_SHARE = 0.8
+"""Above this share of an agent's time its usual step explains how seldom it speaks."""
 LASTS_S = 10.0
 """What was refused longer ago, with nothing since, is over."""
 SETTLED_S = 5.0
@@ -117,12 +119,13 @@ def _messages(count: int) -> str:
 
 def _slow(fares: tuple[Fare, ...], rates_hz: Mapping[str, float]) -> Iterator[Wrong]:
     """Topics that come too seldom, from agents that are there, each with what it waits for."""
-    there = [(f.name, f.health) for f in fares if f.health is not None and f.state not in AWAY]
+    there = [(f, f.health) for f in fares if f.health is not None and f.state not in AWAY]
     steady = {o.topic for _, h in there for o in h.outputs if o.rate_hz >= SLOW_SHARE * rates_hz.get(o.topic, 0.0)}
     slow = rates_hz.keys() - steady
-    for name, health in there:
+    for fare, health in there:
         if health.uptime_s < SETTLED_S:
             continue
+        name = fare.name
         for output in health.outputs:
             expected = rates_hz.get(output.topic, 0.0)
             if output.rate_hz >= SLOW_SHARE * expected:
@@ -130,7 +133,7 @@ def _slow(fares: tuple[Fare, ...], rates_hz: Mapping[str, float]) -> Iterator[Wr
             of = f"{output.topic} of {name}" if " " in name else output.topic
             at = f"{output.rate_hz:.1f} Hz" if 0 < output.rate_hz < 1 else f"{output.rate_hz:.0f} Hz"
             text = f"{of} comes at {at}, where {expected:.0f} Hz are expected"
-            yield Wrong("slow", output.topic, text + _because(health, slow, output.topic, output.rate_hz))
+            yield Wrong("slow", output.topic, text + _because(fare, health, slow, output, rates_hz))
 
 
 def _links(fares: tuple[Fare, ...], rates_hz: Mapping[str, float]) -> Iterator[Wrong]:
@@ -158,19 +161,36 @@ def _links(fares: tuple[Fare, ...], rates_hz: Mapping[str, float]) -> Iterator[W
         yield Wrong("link", f"{one} {other}", text)
 
 
-def _because(health: AgentHealth, slow: Set[str], output: str, rate_hz: float) -> str:
-    """What keeps an agent from its rate: what it waits for, or steps that fill its time."""
+def _because(
+    fare: Fare, health: AgentHealth, slow: Set[str], output: OutputHealth, rates_hz: Mapping[str, float]
+) -> str:
+    """What keeps an agent from its rate: what it waits for, or steps that fill its time; else what is known of it."""
     # what only follows from it, and comes back to it, it does not wait for
-    before = {str(topic) for topic in TOPICS[: [str(topic) for topic in TOPICS].index(output)]}
-    waits = [heard.topic for heard in health.inputs if heard.topic in slow & before]
-    if waits:
+    before = {str(topic) for topic in TOPICS[: [str(topic) for topic in TOPICS].index(output.topic)]}
+    mine = [heard for heard in health.inputs if heard.topic in before]
+    if waits := [heard.topic for heard in mine if heard.topic in slow]:
         return f", for it waits for {listed(waits)}"
-    if health.step_ms_p50 is not None and health.step_ms_p50 * rate_hz > SLOW_SHARE * 1e3:
+    # what leaves its sender as it should, and of which no message is left out here for a newer one
+    late = [
+        f"{heard.topic}, which reaches it at {heard.rate_hz:.0f} Hz"
+        for heard in mine
+        if heard.rate_hz < SLOW_SHARE * rates_hz.get(heard.topic, 0.0) and heard.topic not in fare.leaves_out
+    ]
+    if late:
+        return f", for it waits for {listed(late)}"
+    if health.step_ms_p50 is None or health.step_ms_p99 is None:
+        return ""
+    if health.step_ms_p50 * output.rate_hz > FILLED_SHARE * 1e3:
         return f", for a step takes {health.step_ms_p50:.0f} ms"
-    if health.step_ms_p99 is not None and health.processor_share is not None:
-        longest, share = f"{health.step_ms_p99:.0f} ms", f"{health.processor_share:.0%}"
-        return f"; one step in a hundred takes {longest}, and it gets {share} of a processor"
-    return ""
+    if health.processor_share is None:
+        return ""
+    taken_hz = sum(heard.rate_hz for heard in health.inputs)
+    taken = f"it takes {taken_hz:.0f} messages a second, " if taken_hz >= 0.5 else ""
+    share = f", and it gets {health.processor_share:.0%} of a processor"
+    steps = (
+        f"half of its steps take over {health.step_ms_p50:.0f} ms, one in a hundred over {health.step_ms_p99:.0f} ms"
+    )
+    return f"; {taken}{steps}{share}"
 
 
 def _versions(fares: tuple[Fare, ...]) -> Iterator[Wrong]:

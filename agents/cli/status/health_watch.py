@@ -38,6 +38,7 @@ class Fare:
         expected: whether the rig's configuration has it; and on which of its hosts, empty where that is not told.
         refused_s: since it was seen to refuse a message, or was first heard.
         refusing: whether it was seen to refuse one.
+        leaves_out: the inputs of which it left out messages for newer ones since its health before.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Fare:
     placed: str = ""
     refused_s: float = 0.0
     refusing: bool = False
+    leaves_out: frozenset[str] = frozenset()
 
     @property
     def state(self) -> str:
@@ -97,6 +99,7 @@ class HealthWatch:
             restarts, now_s = before.restarts + began, monotonic_s()
             refused = 0 if before.health is None or began else _refused(before.health)
             seen = before.health is not None and _refused(health) > refused
+            known = {} if before.health is None or began else {i.topic: i.dropped for i in before.health.inputs}
             refused_s = now_s if seen or before.health is None else before.refused_s
             self._newest[name] = dataclasses.replace(
                 before,
@@ -105,6 +108,7 @@ class HealthWatch:
                 restarts=restarts,
                 refused_s=refused_s,
                 refusing=seen or before.refusing,
+                leaves_out=frozenset(i.topic for i in health.inputs if i.dropped > known.get(i.topic, 0)),
             )
 
     def cut_off(self) -> None:

@@ -9,6 +9,7 @@
 7. `posterior`: how well each place is known, and the confidence that follows.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -117,10 +118,11 @@ def seen_enough(thread: ThreadReconstruction) -> ThreadReconstruction:
     """
     guessed = guessed_share(thread)
     if guessed > MOST_GUESSED:
+        # rounded down, so that it is below what is needed in words too
+        seen = f"{math.floor(100 * (1 - guessed))}%"
         raise NoCurveError(
-            f"of the curve that was found both eyes see {1 - guessed:.0%}, or what hides the rest, and "
-            f"{1 - MOST_GUESSED:.0%} are needed: turn the camera until both images show the thread, and clear what "
-            "may pass for it"
+            f"of the curve that was found both eyes see {seen}, or what hides the rest, and {1 - MOST_GUESSED:.0%} are "
+            "needed: turn the camera until both images show the thread, and clear what may pass for it"
         )
     return thread
 

@@ -219,7 +219,9 @@ def test_a_topic_that_is_too_slow_is_told_with_its_cause():
     assert found["slow", "perception/observations"].text.endswith(", for it waits for camera/frames")
     starved = dataclasses.replace(filming(1.0), step_ms_p99=3678.0, processor_share=0.26)
     told = sentences(fare(told=starved))["slow", "camera/frames"].text
-    assert told.endswith("; one step in a hundred takes 3678 ms, and it gets 26% of a processor")
+    assert told.endswith(
+        "; half of its steps take over 2 ms, one in a hundred over 3678 ms, and it gets 26% of a processor"
+    )
     # half of a rate is enough, and before rates settle they are not judged
     assert judge(moment(fare(told=filming(1.0, uptime_s=2.0)))) == judge(moment(fare(told=filming(15.0)))) == []
 
@@ -270,6 +272,25 @@ def test_a_calibration_that_is_older_than_the_rig_allows_is_worth_knowing():
     assert (wrong.code, wrong.about, wrong.grave) == ("calibration", "camera", False)
     assert "of camera was made 91 d ago, and camera.calibration_days allows 90 days; calibrate" in wrong.text
     assert told(89) == judge(moment(facts={"camera/main": facts()}, calibrations=allowed)) == []
+
+
+def test_a_step_is_blamed_only_where_it_fills_the_time_and_no_agent_that_waits_for_what_does_not_arrive():
+    camera = fare(told=health(outputs=[OutputHealth("camera/frames", 30.0, 100)]))
+
+    def told(frames_hz, rate_hz, step_ms, **of_fare):
+        inputs = [heard("camera/frames", frames_hz), heard("reconstruction/thread", frames_hz)]
+        seen = health("perception", inputs=inputs, outputs=[OutputHealth("perception/observations", rate_hz, 9)])
+        seen = dataclasses.replace(seen, step_ms_p50=step_ms, step_ms_p99=165.0, processor_share=0.91)
+        return sentences(camera, fare("perception", seen, **of_fare))["slow", "perception/observations"].text
+
+    leaves_out = frozenset({"camera/frames"})
+    assert told(12.0, 12.0, 80.0, leaves_out=leaves_out).endswith(", for a step takes 80 ms")
+    assert told(12.0, 12.0, 40.0, leaves_out=leaves_out).endswith(
+        "; it takes 24 messages a second, half of its steps take over 40 ms, one in a hundred over 165 ms, and it gets "
+        "91% of a processor"
+    )
+    # all that arrives is looked at, and that is little
+    assert told(0.6, 0.6, 40.0).endswith(", for it waits for camera/frames, which reaches it at 1 Hz")
 
 
 def test_two_that_hear_each_other_do_not_wait_for_each_other():

@@ -174,6 +174,7 @@ class Entry:
     epoch: int
     sequence: int
     payload: bytes
+    repeated: bool = False
 
 
 class Session:

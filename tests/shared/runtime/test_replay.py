@@ -41,6 +41,7 @@ class Entry:
     epoch: int
     sequence: int
     payload: bytes
+    repeated: bool = False
 
 
 def frame(number, epoch=1, at=None):
