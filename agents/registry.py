@@ -1,31 +1,17 @@
 """Every kind of process of a rig, a row each, from which follows what others must know of it without loading it.
 
 Configuration, launching, units and containers, `doctor`, `status` and `graph` read it. What an agent says is in the
-table of topics (`schemas/topics.py`), under its name; what it is made of, `agents/cli/rig/builders.py` knows.
+table of topics (`schemas/topics.py`), under its name. docs/new_agent.md is how to add one.
 """
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import TYPE_CHECKING
 
-from schemas.topics import (
-    CALIBRATION,
-    CLOCKS,
-    EXECUTION,
-    FRAME_NOTICE,
-    FRAMES,
-    HEARTBEAT,
-    MAIN,
-    OBSERVATIONS,
-    PLAN,
-    ROBOT_STATE,
-    SIMULATOR_STATE,
-    SURFACE,
-    THREAD,
-    TOOL,
-    TOPICS,
-    Delivery,
-    Topic,
-)
+if TYPE_CHECKING:
+    from schemas.topics import Topic
+
+MAIN, EVERYTHING, TOOL = "main", "*", "perception/tool"
 
 
 class Pace(Enum):
@@ -44,72 +30,108 @@ class Kind:
         name: in keys, configurations and certificates.
         section: of a rig's configuration, which it is made from.
         does: in a few words.
-        hears: what it may hear; some of that depends on its configuration.
+        topics: that it may hear, as `agent/name`; some of that depends on its configuration.
         pace: see `Pace`.
         per_arm: whether each arm has one of its own, whose instance is the arm.
         writes: the file of a session that it writes, where it is there for that.
         audited: whether it writes down what it is told, in an audit log.
         films: whether it opens devices of video.
+        agent: the class that it is made from, as `module:Class`, where its section's fields are those of its `config`;
+            empty where more is needed, which `agents/cli/rig/builders.py` knows.
         options: of its command, beside `--arm`, where a unit or a container starts it.
     """
 
     name: str
     section: str
     does: str
-    hears: tuple[Topic, ...]
+    topics: tuple[str, ...]
     pace: Pace
     per_arm: bool = False
     writes: str = ""
     audited: bool = False
     films: bool = False
+    agent: str = ""
     options: str = ""
 
+    # the table of topics knows all messages, which takes longer to load than `--help` should
     @property
-    def says(self) -> tuple[Topic, ...]:
-        """What it publishes, in the order of the table of topics."""
-        # perception's tracker of an arm's tool is a kind of its own under the same name
-        mine = (topic for topic in TOPICS if topic.agent == self.name and topic.delivery is not Delivery.COMMAND)
-        return tuple(topic for topic in mine if (topic is TOOL) == (self is TOOL_TRACKER))
+    def hears(self) -> "tuple[Topic, ...]":
+        """What it may hear, in the order of the table of topics."""
+        from schemas.topics import TOPICS
+
+        return tuple(topic for topic in TOPICS if str(topic) in self.topics or EVERYTHING in self.topics)
 
     @property
-    def answers(self) -> tuple[Topic, ...]:
+    def says(self) -> "tuple[Topic, ...]":
+        """What it publishes, in that order."""
+        from schemas.topics import TOPICS, Delivery
+
+        # perception's tracker of an arm's tool is a kind of its own under the same name
+        mine = (topic for topic in TOPICS if topic.agent == self.name and topic.delivery is not Delivery.COMMAND)
+        return tuple(topic for topic in mine if (str(topic) == TOOL) == (self is TOOL_TRACKER))
+
+    @property
+    def answers(self) -> "tuple[Topic, ...]":
         """The commands that it answers."""
+        from schemas.topics import TOPICS
+
         return tuple(topic for topic in TOPICS if topic.receiver == self.name and self is not TOOL_TRACKER)
 
 
-CAMERA = Kind("camera", "camera", "films the field", (SIMULATOR_STATE, ROBOT_STATE), Pace.KEEPS_TIME, films=True)
+CAMERA = Kind(
+    "camera", "camera", "films the field", ("simulator/state", "robot_bridge/state"), Pace.KEEPS_TIME, films=True
+)
 PERCEPTION = Kind(
-    "perception", "perception", "finds thread in both images", (FRAMES, CALIBRATION, THREAD), Pace.STEPS_BACK
+    "perception",
+    "perception",
+    "finds thread in both images",
+    ("camera/frames", "camera/calibration", "reconstruction/thread"),
+    Pace.STEPS_BACK,
 )
 TOOL_TRACKER = Kind(
     "perception",
     "perception",
     "finds an arm's tool in both images",
-    (FRAMES, CALIBRATION, ROBOT_STATE),
+    ("camera/frames", "camera/calibration", "robot_bridge/state"),
     Pace.STEPS_BACK,
     per_arm=True,
 )
 RECONSTRUCTION = Kind(
-    "reconstruction", "reconstruction", "makes a curve in space of it", (OBSERVATIONS,), Pace.STEPS_BACK
+    "reconstruction", "reconstruction", "makes a curve in space of it", ("perception/observations",), Pace.STEPS_BACK
+)
+NEEDLE = Kind(
+    "needle",
+    "needle",
+    "finds how the needle lies in space",
+    ("perception/needle_lines",),
+    Pace.STEPS_BACK,
+    agent="agents.needle.agent:Needle",
 )
 PLANNER = Kind(
     "planner",
     "planner",
     "plans grasps, and tells whether they hold",
-    (THREAD, SURFACE, ROBOT_STATE, CLOCKS, EXECUTION),
+    ("reconstruction/thread", "perception/surface", "robot_bridge/state", "planner/clocks", "robot_bridge/execution"),
     Pace.WAITS,
 )
 ROBOT_BRIDGE = Kind(
     "robot_bridge",
     "robot",
     "checks plans, and moves an arm",
-    (PLAN, HEARTBEAT, SURFACE, FRAME_NOTICE, TOOL),
+    ("planner/plan", "operator/heartbeat", "perception/surface", "camera/notice", TOOL),
     Pace.KEEPS_TIME,
     per_arm=True,
     audited=True,
 )
-SIMULATOR = Kind("simulator", "simulator", "plays field and thread", (PLAN, ROBOT_STATE, EXECUTION), Pace.KEEPS_TIME)
-AGENTS = (CAMERA, PERCEPTION, TOOL_TRACKER, RECONSTRUCTION, PLANNER, ROBOT_BRIDGE, SIMULATOR)
+SIMULATOR = Kind(
+    "simulator",
+    "simulator",
+    "plays field and thread",
+    ("planner/plan", "robot_bridge/state", "robot_bridge/execution"),
+    Pace.KEEPS_TIME,
+    agent="agents.simulator.agent:Simulator",
+)
+AGENTS = (CAMERA, PERCEPTION, TOOL_TRACKER, RECONSTRUCTION, NEEDLE, PLANNER, ROBOT_BRIDGE, SIMULATOR)
 """In the order of the dataflow."""
 NAMES = tuple(dict.fromkeys(kind.name for kind in AGENTS))
 
@@ -126,7 +148,7 @@ RECORDER = Kind(
     "recorder",
     "recorder",
     "writes down what is said",
-    tuple(topic for topic in TOPICS if topic.recorded),
+    (EVERYTHING,),
     Pace.WAITS,
     writes="session.mcap",
     options="--numbered",
@@ -135,7 +157,7 @@ VIEWER = Kind(
     "viewer",
     "viewer",
     "shows what is said in Rerun",
-    TOPICS,
+    (EVERYTHING,),
     Pace.WAITS,
     writes="session.rrd",
     options="--numbered --show file",

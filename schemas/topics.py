@@ -26,6 +26,8 @@ from schemas.messages import (
     Hold,
     HostClocks,
     LogRecord,
+    NeedleObservations,
+    NeedlePose,
     Prompt,
     ReplayClock,
     RobotState,
@@ -88,6 +90,11 @@ class Topic:
         good_when_late: for a command, whether it is carried out even after its deadline, as stopping must be.
         priority: of *latest* messages; states and events go with DATA.
         kept: events that each publisher keeps for those who were away.
+        made_from: the topic whose message it is made of, so that both descend from one frame; None where there is none.
+        every_frame: whether it comes with each frame, and so as often as the camera films.
+        steady: whether it comes at its rate for as long as its agent runs; else while there is something to say.
+        typical_bytes: of a message of the simulated field, 960x540, in docs/example/session.mcap (docs/scaling.md); 0
+            where all of them together weigh next to nothing.
         never_later: whether an arm that moves is held or watched by it, so that no rig may have it wait.
     """
 
@@ -105,6 +112,10 @@ class Topic:
     priority: Priority = Priority.REAL_TIME
     kept: int = EVENTS_KEPT
     never_later: bool = False
+    made_from: "Topic | None" = None
+    every_frame: bool = False
+    steady: bool = True
+    typical_bytes: int = 0
 
     def __str__(self) -> str:
         return f"{self.agent}/{self.name}"
@@ -119,13 +130,86 @@ FRAMES = Topic(
     maximum_age_ms=200,
     # bulky: whatever else the camera tells goes first
     priority=Priority.DATA_LOW,
+    every_frame=True,
+    typical_bytes=84_949,
 )
-FRAME_NOTICE = Topic("camera", "notice", FrameNotice, Delivery.LATEST, rate_hz=30, maximum_age_ms=200, never_later=True)
+FRAME_NOTICE = Topic(
+    "camera",
+    "notice",
+    FrameNotice,
+    Delivery.LATEST,
+    rate_hz=30,
+    maximum_age_ms=200,
+    never_later=True,
+    every_frame=True,
+)
 CALIBRATION = Topic("camera", "calibration", StereoCalibration, Delivery.STATE)
-OBSERVATIONS = Topic("perception", "observations", ThreadObservations, Delivery.LATEST, rate_hz=30, maximum_age_ms=1000)
-SURFACE = Topic("perception", "surface", TissueSurface, Delivery.LATEST, rate_hz=3, maximum_age_ms=3000)
-TOOL = Topic("perception", "tool", ToolCorrection, Delivery.LATEST, rate_hz=5, maximum_age_ms=1000, per_arm=True)
-THREAD = Topic("reconstruction", "thread", ThreadReconstruction, Delivery.LATEST, rate_hz=30, maximum_age_ms=1000)
+OBSERVATIONS = Topic(
+    "perception",
+    "observations",
+    ThreadObservations,
+    Delivery.LATEST,
+    rate_hz=30,
+    maximum_age_ms=1000,
+    made_from=FRAMES,
+    every_frame=True,
+    typical_bytes=110_685,
+)
+SURFACE = Topic(
+    "perception",
+    "surface",
+    TissueSurface,
+    Delivery.LATEST,
+    rate_hz=3,
+    maximum_age_ms=3000,
+    made_from=FRAMES,
+    steady=False,
+    typical_bytes=8_745,
+)
+NEEDLE_SEEN = Topic(
+    "perception",
+    "needle_lines",
+    NeedleObservations,
+    Delivery.LATEST,
+    rate_hz=2,
+    maximum_age_ms=3000,
+    made_from=FRAMES,
+    steady=False,
+    typical_bytes=45_000,
+)
+TOOL = Topic(
+    "perception",
+    "tool",
+    ToolCorrection,
+    Delivery.LATEST,
+    rate_hz=5,
+    maximum_age_ms=1000,
+    per_arm=True,
+    made_from=FRAMES,
+    steady=False,
+    typical_bytes=500,
+)
+THREAD = Topic(
+    "reconstruction",
+    "thread",
+    ThreadReconstruction,
+    Delivery.LATEST,
+    rate_hz=30,
+    maximum_age_ms=1000,
+    made_from=OBSERVATIONS,
+    every_frame=True,
+    typical_bytes=34_694,
+)
+NEEDLE = Topic(
+    "needle",
+    "pose",
+    NeedlePose,
+    Delivery.LATEST,
+    rate_hz=2,
+    maximum_age_ms=3000,
+    made_from=NEEDLE_SEEN,
+    steady=False,
+)
 GOAL = Topic("operator", "goal", GraspGoal, Delivery.COMMAND, receiver="planner")
 ARM = Topic("operator", "arm", Arm, Delivery.COMMAND, receiver="robot_bridge", per_arm=True)
 HOLD = Topic("operator", "hold", Hold, Delivery.COMMAND, receiver="robot_bridge", per_arm=True, good_when_late=True)
@@ -140,8 +224,9 @@ HEARTBEAT = Topic(
     maximum_age_ms=200,
     per_arm=True,
     never_later=True,
+    steady=False,
 )
-PLAN = Topic("planner", "plan", GraspPlan, Delivery.EVENT)
+PLAN = Topic("planner", "plan", GraspPlan, Delivery.EVENT, made_from=THREAD)
 CHECK = Topic("planner", "check", GraspCheck, Delivery.EVENT)
 CLOCKS = Topic("planner", "clocks", HostClocks, Delivery.STATE)
 ROBOT_STATE = Topic(
@@ -154,13 +239,16 @@ ROBOT_STATE = Topic(
     maximum_age_ms=100,
     per_arm=True,
     never_later=True,
+    typical_bytes=526,
 )
 EXECUTION = Topic("robot_bridge", "execution", ExecutionEvent, Delivery.EVENT, per_arm=True)
-SIMULATOR_STATE = Topic("simulator", "state", SimulatorState, Delivery.LATEST, rate_hz=60, resting_hz=5)
+SIMULATOR_STATE = Topic(
+    "simulator", "state", SimulatorState, Delivery.LATEST, rate_hz=60, resting_hz=5, typical_bytes=1_498
+)
 JUDGEMENT = Topic("simulator", "judgement", GraspJudgement, Delivery.EVENT)
 REPLAY_CLOCK = Topic("replay", "clock", ReplayClock, Delivery.LATEST, recorded=False)
 COMMANDS = Topic(ANY_AGENT, "command", CommandRecord, Delivery.EVENT)
-HEALTH = Topic(ANY_AGENT, "health", AgentHealth, Delivery.LATEST, rate_hz=1, maximum_age_ms=3000)
+HEALTH = Topic(ANY_AGENT, "health", AgentHealth, Delivery.LATEST, rate_hz=1, maximum_age_ms=3000, steady=False)
 LOG = Topic(ANY_AGENT, "log", LogRecord, Delivery.EVENT)
 CONFIGURATION = Topic(ANY_AGENT, "configuration", AgentConfiguration, Delivery.STATE)
 SET = Topic(ANY_AGENT, "set", SetParameter, Delivery.COMMAND, receiver=ANY_AGENT)
@@ -171,8 +259,10 @@ TOPICS = (
     CALIBRATION,
     OBSERVATIONS,
     SURFACE,
+    NEEDLE_SEEN,
     TOOL,
     THREAD,
+    NEEDLE,
     GOAL,
     ARM,
     HOLD,

@@ -15,6 +15,7 @@ from agents.cli.page.options import Page, Play
 from agents.cli.reconstruct.options import Reconstruct
 from agents.cli.recordings.options import Cut, Export, Inspect, Replay, TrackTool
 from agents.cli.segment.options import Segment
+from agents.registry import NAMES
 
 
 @dataclass(frozen=True)
@@ -54,13 +55,8 @@ COMMANDS: dict[str, Command] = {
     "doctor": _on_rig(live.Doctor, "agents.cli.doctor.command:doctor"),
     "calibrate": _on_rig(Calibrate, "agents.cli.calibrate.command:calibrate"),
     "router": _on_rig(live.Router, "agents.cli.running.router:run_router"),
-    "camera": _on_rig(live.CameraAgent, AGENT),
-    "perception": _on_rig(live.PerceptionAgent, AGENT),
-    "reconstruction": _on_rig(live.ReconstructionAgent, AGENT),
-    "planner": _on_rig(live.PlannerAgent, AGENT),
-    "robot-bridge": _on_rig(live.RobotBridgeAgent, AGENT),
+    **{name.replace("_", "-"): _on_rig(live.agent_options(name), AGENT) for name in NAMES},
     "guard": _on_rig(live.Guard, "agents.cli.running.guard:guard"),
-    "simulator": _on_rig(live.SimulatorAgent, AGENT),
     "record": _on_rig(live.Record, "agents.cli.recordings.record:record"),
     "view": _on_rig(live.View, "agents.cli.recordings.view:view"),
     "page": Command(Page, "agents.cli.page.command:run"),

@@ -13,10 +13,11 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from agents.inspection.contents import LATEST_NS
-from schemas.topics import FRAMES, OBSERVATIONS, PLAN, ROBOT_STATE, SURFACE, THREAD, Topic
+from schemas.topics import FRAMES, PLAN, ROBOT_STATE, TOPICS, Topic
 
-STAGES = (FRAMES, OBSERVATIONS, SURFACE, THREAD, PLAN)
-BEFORE = {str(OBSERVATIONS): str(FRAMES), str(SURFACE): str(FRAMES), str(THREAD): str(OBSERVATIONS)}
+STAGES = tuple(topic for topic in TOPICS if topic is FRAMES or (topic.made_from is not None and not topic.per_arm))
+BEFORE = {str(topic): str(topic.made_from) for topic in STAGES if topic is not PLAN and topic.made_from is not None}
+"""Of a plan the time is its goal's: it waits for nobody's frame."""
 PERCENTILES = (50.0, 90.0, 99.0, 100.0)
 
 

@@ -13,6 +13,7 @@ from agents.perception.following.pair import FollowedPair, follow_pair
 from agents.perception.frame_checks import apart, mismatch
 from agents.perception.judging.each_frame import judge_each, lasting, one_eye_stands_still, pictured
 from agents.perception.judging.whole import judge_whole
+from agents.perception.needle import needle_observed
 from agents.perception.observe import observe
 from agents.perception.occluders import instruments_in
 from agents.perception.prompted import answer_to
@@ -39,7 +40,7 @@ from schemas.messages import (
     ThreadReconstruction,
     TrackStep,
 )
-from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS, PROMPT, SURFACE, THREAD
+from schemas.topics import CALIBRATION, FRAMES, NEEDLE_SEEN, OBSERVATIONS, PROMPT, SURFACE, THREAD
 from shared.aside import begun
 from shared.calibration.identity import calibration_id
 from shared.calibration.uncertainty import covariance_of
@@ -61,6 +62,7 @@ class PerceptionConfig:
 
     Fields:
         matching: whether pixels are matched as well, which takes the longest and only method `paper` needs.
+        needle: whether lines around a needle are looked for as well, which the agent `needle` needs.
         promptable: where the network lies that segmenter `promptable` needs.
 
     Raises:
@@ -69,6 +71,7 @@ class PerceptionConfig:
 
     segmenter: str | None = settable(None, OneOf((None, *(name for name in SEGMENTER_NAMES if name != GIVEN_MASKS))))
     matching: bool = False
+    needle: bool = False
     promptable: PromptableFiles | None = None
 
     def __post_init__(self) -> None:
@@ -90,7 +93,7 @@ class Perception(Agent):
         Input(CALIBRATION, only_newest_counts=True),
         Input(THREAD, only_newest_counts=True, only_remembered=True),
     )
-    outputs = (SURFACE, OBSERVATIONS)
+    outputs = (SURFACE, NEEDLE_SEEN, OBSERVATIONS)
     goes_on_from = OBSERVATIONS
     commands = (PROMPT,)
 
@@ -161,13 +164,20 @@ class Perception(Agent):
         )
         self._go_on_from(observed)
         yield Output(OBSERVATIONS, observed)
-        if surface_due and not isinstance(pair, str):
+        if not isinstance(pair, str):
+            yield from self._beside_thread(observed, pair.in_line(right_eye_of(observed)), surface_due)
+
+    def _beside_thread(self, observed: ThreadObservations, pair: RectifiedPair, surface_due: bool) -> Iterable[Later]:
+        """The tissue, and the needle whenever instruments were looked for."""
+        stamp, occluders = observed.stamp, observed.occluders
+        if self.config.needle and occluders is not None and occluders.sequence == stamp.sequence:
+            yield Later(NEEDLE_SEEN, begun(needle_observed, stamp, pair.camera, *pair.images, observed))
+        if surface_due:
             thread = decode_image(observed.mask_left) > 0
-            if observed.occluders is not None:
-                thread |= instruments_in(decode_image(observed.occluders.left), thread.shape)
-            images = pair.in_line(right_eye_of(observed)).images
+            if occluders is not None:
+                thread |= instruments_in(decode_image(occluders.left), thread.shape)
             yield Later(
-                SURFACE, begun(tissue_surface, frame.stamp, pair.camera, *images, thread, observed.disparities_px)
+                SURFACE, begun(tissue_surface, stamp, pair.camera, *pair.images, thread, observed.disparities_px)
             )
 
     def _is_watched(self, last: ThreadObservations) -> bool:

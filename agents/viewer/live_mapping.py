@@ -52,6 +52,7 @@ from agents.viewer.session_mapping import (
     log_entities,
     said,
 )
+from agents.viewer.shown_mapping import shown_entities
 from agents.viewer.surface_mapping import contact_entities, surface_entities
 from agents.viewer.timing_mapping import end_to_end_name
 from agents.viewer.tool_mapping import tool_entities
@@ -84,6 +85,8 @@ from schemas.messages import (
     TissueSurface,
     ToolCorrection,
 )
+from schemas.shown import Shows
+from schemas.topics import TOPICS
 from shared.camera import is_rectified
 from shared.right_eye import IN_LINE, from_in_line, right_eye_of
 
@@ -159,6 +162,8 @@ class LiveMapping:
                 shape = message.knots.tobytes(), message.control_points_camera.tobytes()
                 truth = self._unless_same("truth", shape, lambda: truth_entities(message))
                 return [*self._camera(camera_in_mm(message.camera), None), *truth]
+            case Shows():
+                return self._as_it_says(message)
             case AgentHealth():
                 return [*health_entities(message), *self._dataflow.entities(message)]
             case _:
@@ -197,6 +202,16 @@ class LiveMapping:
             *reconstruction_entities(reconstruction, next(same_frame, None), self._to_shown),
             *self._status("reconstruction", reconstruction.status, reconstruction.reason),
             *self._track(reconstruction.track),
+        ]
+
+    def _as_it_says(self, message: Shows) -> list[Entity]:
+        """What a message says that it shows, under its agent's name."""
+        agent = next(topic.agent for topic in TOPICS if topic.message is type(message))
+        shown = message.shown()
+        changed = self._changed(f"state of {agent}", shown.state)
+        return [
+            *self._camera(camera_in_mm(message.camera), None),
+            *shown_entities(agent, message.camera, shown, changed),
         ]
 
     def _robot(self, state: RobotState) -> list[Entity]:

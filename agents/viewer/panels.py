@@ -12,7 +12,7 @@ from agents.viewer.recording_layout import FLAT, VIEWPOINT
 TYPICAL_MM = 95.0
 """Where a thread is looked for before one has been seen: the middle of an endoscope's working range."""
 
-DRAWN_ON_IMAGES = ("world/thread/curve", "world/thread/other_course", "world/thread/ends")
+DRAWN_ON_IMAGES = ("world/thread/curve", "world/thread/other_course", "world/thread/ends", "world/shown/**")
 OF_GRASP = ("world/plan/**", "world/tool/**")
 
 HIDDEN_IN_SPACE = ("world/observations/matched", "world/thread/control_points")

@@ -15,22 +15,8 @@ from collections import OrderedDict
 import rerun as rr
 
 from agents.viewer.entity import Entity
-from schemas.topics import FRAME_NOTICE, FRAMES, OBSERVATIONS, PLAN, SURFACE, THREAD, TOOL, Topic
+from schemas.topics import THREAD, TOPICS, Topic
 from shared.runtime.attachment import Attachment
-
-FROM = {OBSERVATIONS: FRAMES, SURFACE: FRAMES, TOOL: FRAMES, THREAD: OBSERVATIONS, PLAN: THREAD}
-"""What each stage makes its result from."""
-
-NAMES = {
-    FRAMES: "camera",
-    FRAME_NOTICE: "notice",
-    OBSERVATIONS: "perception",
-    SURFACE: "surface",
-    TOOL: "tool",
-    THREAD: "reconstruction",
-    PLAN: "planner",
-}
-"""Stages as curves: each agent's name, and an agent's second output with a latency of its own."""
 
 KEPT = 600
 """Frames whose publications are remembered until what was made from them comes."""
@@ -50,9 +36,9 @@ class StageTimes:
         published[frame] = published_ns
         while len(published) > KEPT:
             published.popitem(last=False)
-        if topic not in FROM:
+        if topic.made_from is None:
             return None
-        input_ns = self._published.get(FROM[topic], {}).get(frame)
+        input_ns = self._published.get(topic.made_from, {}).get(frame)
         return None if input_ns is None else 1e-6 * (published_ns - input_ns)
 
 
@@ -77,7 +63,7 @@ class Arrivals:
 
 def latency_entities(topic: Topic, capture_ns: int, beside: Attachment, stage_ms: float | None) -> list[Entity]:
     """How old a frame was when this was published, by the clocks of camera and publisher, and what took how long."""
-    stage = NAMES.get(topic, topic.agent)
+    stage = _stage(topic)
     entities: list[Entity] = [(f"latency/{stage}", [rr.Scalars(1e-6 * (beside.published_ns - capture_ns))])]
     if stage_ms is not None:
         entities.append((f"stage_ms/{stage}", [rr.Scalars(stage_ms)]))
@@ -86,9 +72,15 @@ def latency_entities(topic: Topic, capture_ns: int, beside: Attachment, stage_ms
     return entities
 
 
+def _stage(topic: Topic) -> str:
+    """An agent's name for the first that it says, and what else it says by that one's own name."""
+    first = next(one for one in TOPICS if one.agent == topic.agent)
+    return topic.agent if topic is first else topic.name
+
+
 def end_to_end_name() -> Entity:
     """What the curve of the last stage that every frame goes through is called."""
-    return f"latency/{NAMES[THREAD]}", [rr.SeriesLines(names=["end to end: reconstruction"], widths=[2.5])]
+    return f"latency/{_stage(THREAD)}", [rr.SeriesLines(names=["end to end: reconstruction"], widths=[2.5])]
 
 
 def _path(agent: str) -> str:

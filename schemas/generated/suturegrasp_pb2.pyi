@@ -1159,6 +1159,62 @@ class RobotState(_message.Message):
     is_real: bool
     def __init__(self, arm: _Optional[str] = ..., measured_ns: _Optional[int] = ..., mode: _Optional[_Union[RobotMode, str]] = ..., T_base_tool: _Optional[_Union[Array, _Mapping]] = ..., joints: _Optional[_Union[Array, _Mapping]] = ..., jaw_rad: _Optional[float] = ..., T_camera_base: _Optional[_Union[Array, _Mapping]] = ..., plan_id: _Optional[str] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ..., T_camera_base_registered: _Optional[_Union[Array, _Mapping]] = ..., kinematics: _Optional[str] = ..., correction_looked_ns: _Optional[int] = ..., challenge_ns: _Optional[int] = ..., guard_challenge: _Optional[int] = ..., maximum_frame_age_s: _Optional[float] = ..., is_real: _Optional[bool] = ...) -> None: ...
 
+class NeedleView(_message.Message):
+    __slots__ = ("lines", "needle", "colour_bgr", "instruments")
+    LINES_FIELD_NUMBER: _ClassVar[int]
+    NEEDLE_FIELD_NUMBER: _ClassVar[int]
+    COLOUR_BGR_FIELD_NUMBER: _ClassVar[int]
+    INSTRUMENTS_FIELD_NUMBER: _ClassVar[int]
+    lines: Centrelines
+    needle: Array
+    colour_bgr: Array
+    instruments: Image
+    def __init__(self, lines: _Optional[_Union[Centrelines, _Mapping]] = ..., needle: _Optional[_Union[Array, _Mapping]] = ..., colour_bgr: _Optional[_Union[Array, _Mapping]] = ..., instruments: _Optional[_Union[Image, _Mapping]] = ...) -> None: ...
+
+class NeedleObservations(_message.Message):
+    __slots__ = ("stamp", "camera", "left", "right", "consumed")
+    STAMP_FIELD_NUMBER: _ClassVar[int]
+    CAMERA_FIELD_NUMBER: _ClassVar[int]
+    LEFT_FIELD_NUMBER: _ClassVar[int]
+    RIGHT_FIELD_NUMBER: _ClassVar[int]
+    CONSUMED_FIELD_NUMBER: _ClassVar[int]
+    stamp: FrameStamp
+    camera: RectifiedStereo
+    left: NeedleView
+    right: NeedleView
+    consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
+    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., left: _Optional[_Union[NeedleView, _Mapping]] = ..., right: _Optional[_Union[NeedleView, _Mapping]] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
+
+class NeedlePose(_message.Message):
+    __slots__ = ("stamp", "camera", "status", "reason", "T_camera_needle", "radius", "arc_rad", "covariance", "ends_seen", "swage_probability", "seen_rad", "residual_px", "consumed")
+    STAMP_FIELD_NUMBER: _ClassVar[int]
+    CAMERA_FIELD_NUMBER: _ClassVar[int]
+    STATUS_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    T_CAMERA_NEEDLE_FIELD_NUMBER: _ClassVar[int]
+    RADIUS_FIELD_NUMBER: _ClassVar[int]
+    ARC_RAD_FIELD_NUMBER: _ClassVar[int]
+    COVARIANCE_FIELD_NUMBER: _ClassVar[int]
+    ENDS_SEEN_FIELD_NUMBER: _ClassVar[int]
+    SWAGE_PROBABILITY_FIELD_NUMBER: _ClassVar[int]
+    SEEN_RAD_FIELD_NUMBER: _ClassVar[int]
+    RESIDUAL_PX_FIELD_NUMBER: _ClassVar[int]
+    CONSUMED_FIELD_NUMBER: _ClassVar[int]
+    stamp: FrameStamp
+    camera: RectifiedStereo
+    status: Status
+    reason: str
+    T_camera_needle: Array
+    radius: float
+    arc_rad: float
+    covariance: Array
+    ends_seen: Array
+    swage_probability: float
+    seen_rad: float
+    residual_px: float
+    consumed: _containers.RepeatedCompositeFieldContainer[Consumed]
+    def __init__(self, stamp: _Optional[_Union[FrameStamp, _Mapping]] = ..., camera: _Optional[_Union[RectifiedStereo, _Mapping]] = ..., status: _Optional[_Union[Status, str]] = ..., reason: _Optional[str] = ..., T_camera_needle: _Optional[_Union[Array, _Mapping]] = ..., radius: _Optional[float] = ..., arc_rad: _Optional[float] = ..., covariance: _Optional[_Union[Array, _Mapping]] = ..., ends_seen: _Optional[_Union[Array, _Mapping]] = ..., swage_probability: _Optional[float] = ..., seen_rad: _Optional[float] = ..., residual_px: _Optional[float] = ..., consumed: _Optional[_Iterable[_Union[Consumed, _Mapping]]] = ...) -> None: ...
+
 class ToolCandidate(_message.Message):
     __slots__ = ("twist", "covariance", "table", "expected", "fits", "quality", "residual_px")
     TWIST_FIELD_NUMBER: _ClassVar[int]

@@ -42,6 +42,7 @@ from schemas.messages.imaging import (
     StereoCalibration,
     StereoFrame,
 )
+from schemas.messages.needle import NeedleObservations, NeedlePose, NeedleView
 from schemas.messages.rig import (
     AgentConfiguration,
     AgentFacts,
@@ -134,6 +135,9 @@ __all__ = [
     "Judgement",
     "LogLevel",
     "LogRecord",
+    "NeedleObservations",
+    "NeedlePose",
+    "NeedleView",
     "Occluder",
     "Occluders",
     "Outcome",

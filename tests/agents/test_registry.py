@@ -16,6 +16,7 @@ def rig():
     told = demo_rig(Demo(seed=1)).model_dump(mode="json")
     told["robot"][ARM]["correction"] = "perception"
     told["perception"]["track_tool"] = [ARM]
+    told["needle"] = {}
     return RigConfig.model_validate(told)
 
 

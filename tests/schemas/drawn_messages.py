@@ -176,6 +176,30 @@ def surfaces(draw):
 
 
 @st.composite
+def needle_views(draw):
+    lines = draw(centrelines())
+    n = len(lines.point_px)
+    colours = arrays(np.uint8, (n, 3))
+    return draw(with_fields(messages.NeedleView, lines=lines, needle=array(n, elements=shares), colour_bgr=colours))
+
+
+@st.composite
+def needle_poses(draw):
+    known = draw(st.booleans())
+    return draw(
+        with_fields(
+            messages.NeedlePose,
+            status=messages.Status.OK if known else messages.Status.FAILED,
+            reason="" if known else some_text,
+            T_camera_needle=poses() if known else None,
+            radius=positive,
+            arc_rad=st.floats(0.1, 6.2),
+            swage_probability=shares,
+        )
+    )
+
+
+@st.composite
 def regions(draw):
     n = draw(lengths)
     bounds = draw(array(n, 2, elements=positive)), draw(array(n, elements=positive))
@@ -373,6 +397,8 @@ CHECKED: dict[type, st.SearchStrategy] = {
     messages.Trail: trails(),
     messages.ThreadObservations: observations(),
     messages.TissueSurface: surfaces(),
+    messages.NeedleView: needle_views(),
+    messages.NeedlePose: needle_poses(),
     messages.ReliabilityRegions: regions(),
     messages.ThreadTrack: tracks(),
     messages.ThreadCourse: thread_courses(),

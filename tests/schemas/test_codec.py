@@ -28,7 +28,10 @@ from tests.schemas.drawn_messages import MESSAGES
 any_message = st.one_of(*MESSAGES.values())
 message_types = st.sampled_from(list(MESSAGES))
 every_message_type = pytest.mark.parametrize("message_type", MESSAGES)
-OF_A_FRAME = {"FrameNotice", "StereoFrame", "ThreadObservations", "ThreadReconstruction", "TissueSurface"}
+OF_A_FRAME = {
+    *("FrameNotice", "StereoFrame", "ThreadObservations", "ThreadReconstruction", "TissueSurface"),
+    *("NeedleObservations", "NeedlePose"),
+}
 
 
 def same(a, b):

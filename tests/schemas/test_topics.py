@@ -6,6 +6,7 @@ import pytest
 
 import schemas.messages
 from agents.camera.agent import Camera, SceneCamera
+from agents.needle.agent import Needle
 from agents.perception.agent import Perception
 from agents.perception.tool.agent import ToolTracker, ToolTrackerConfig
 from agents.planner.agent import Planner
@@ -32,7 +33,7 @@ from schemas.topics import (
 ARMS = ("psm1", "psm2")
 BRIDGES = [RobotBridge(RobotBridgeConfig(arm=arm, correction=CorrectionLimits()), SimulatedPsm()) for arm in ARMS]
 TRACKERS = [ToolTracker(ToolTrackerConfig(arm)) for arm in ARMS]
-AGENTS = [Camera, SceneCamera, Perception(), *TRACKERS, Reconstruction(), Planner(), Simulator(), *BRIDGES]
+AGENTS = [Camera, SceneCamera, Perception(), *TRACKERS, Reconstruction(), Needle(), Planner(), Simulator(), *BRIDGES]
 every_agent = pytest.mark.parametrize("agent", AGENTS, ids=lambda a: f"{a.kind}-{a.instance}-{AGENTS.index(a)}")
 every_topic = pytest.mark.parametrize("topic", TOPICS, ids=str)
 BESIDE_THE_AGENTS = ("operator", "replay")

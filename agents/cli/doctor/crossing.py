@@ -11,31 +11,10 @@ from dataclasses import dataclass, field
 from agents.cli.rig.config import RigConfig
 from agents.cli.rig.hosts import kind_and_instance
 from agents.registry import CAMERA, RECORDER, ROBOT_BRIDGE, kind_of
-from schemas.topics import (
-    FRAMES,
-    MAIN,
-    OBSERVATIONS,
-    ROBOT_STATE,
-    SIMULATOR_STATE,
-    SURFACE,
-    THREAD,
-    TOOL,
-    Topic,
-)
+from schemas.topics import MAIN, NEEDLE_SEEN, TOOL, TOPICS, Topic
 
-STREAMS = (FRAMES, OBSERVATIONS, SURFACE, TOOL, THREAD, ROBOT_STATE, SIMULATOR_STATE)
+STREAMS = tuple(topic for topic in TOPICS if topic.typical_bytes)
 """What comes steadily and weighs something."""
-PER_FRAME = (FRAMES, OBSERVATIONS, THREAD)
-TYPICAL_BYTES = {
-    FRAMES: 84_949,
-    OBSERVATIONS: 110_685,
-    THREAD: 34_694,
-    SURFACE: 8_745,
-    SIMULATOR_STATE: 1_498,
-    ROBOT_STATE: 526,
-    TOOL: 500,
-}
-"""Of the simulated field, 960x540, in docs/example/session.mcap (docs/scaling.md): for what cannot be weighed."""
 
 
 @dataclass(frozen=True)
@@ -77,8 +56,8 @@ def crossings(rig: RigConfig, bytes_of: Mapping[str, float]) -> Iterator[Crossin
     for kind, instance, host in _processes(rig):
         if host == rig.router.host:
             continue
-        for topic in STREAMS:
-            each = rate_of(rig, topic) * bytes_of.get(str(topic), TYPICAL_BYTES[topic])
+        for topic in _said_on(rig):
+            each = rate_of(rig, topic) * bytes_of.get(str(topic), topic.typical_bytes)
             if _says(kind, instance, topic) and str(topic) in heard:
                 yield Crossing(host, f"{kind}/{instance}", topic, True, each)
             if topic in heard_by(rig, kind, instance):
@@ -91,16 +70,21 @@ def heard_by(rig: RigConfig, kind: str, instance: str) -> tuple[Topic, ...]:
     row = kind_of(kind, instance)
     if row is RECORDER:
         otherwise = {str(row): row.recorded for row in rig.rows_otherwise}
-        return tuple(topic for topic in STREAMS if otherwise.get(str(topic), topic.recorded))
+        return tuple(topic for topic in _said_on(rig) if otherwise.get(str(topic), topic.recorded))
     if row is CAMERA and (rig.camera is None or rig.camera.source != "scene"):
         return ()
     unasked = {TOOL} if row is ROBOT_BRIDGE and rig.robot[instance].correction != "perception" else set[Topic]()
     return tuple(topic for topic in row.hears if topic in STREAMS and topic not in unasked) if row is not None else ()
 
 
+def _said_on(rig: RigConfig) -> tuple[Topic, ...]:
+    """Perception looks for lines of a needle where the rig has an agent for them."""
+    return tuple(topic for topic in STREAMS if topic is not NEEDLE_SEEN or rig.needle is not None)
+
+
 def rate_of(rig: RigConfig, topic: Topic) -> float:
     """How often a stream comes, in Hz: what follows from frames as often as the camera films."""
-    if topic in PER_FRAME and rig.camera is not None:
+    if topic.every_frame and rig.camera is not None:
         return rig.camera.rate_hz
     return topic.rate_hz or 0.0
 

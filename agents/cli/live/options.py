@@ -1,12 +1,13 @@
 """The options of the commands that work on a running rig."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, make_dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import tyro
 
 from agents.cli.rig.on_rig import OnRig, OptionalLabel, OptionalNumber, OptionalPath
+from agents.registry import AGENTS
 
 
 @dataclass(frozen=True)
@@ -22,52 +23,20 @@ class AgentOptions(OnRig):
     """Its name in the registry."""
 
 
-@dataclass(frozen=True)
-class CameraAgent(AgentOptions):
-    """Run the camera: frames from images, video, a pipe or the simulated field."""
-
-    kind = "camera"
-
-
-@dataclass(frozen=True)
-class PerceptionAgent(AgentOptions):
-    """Run perception: frames become ordered observations of the thread; or, with --arm, where that arm's tool is."""
-
-    kind = "perception"
-
-    arm: OptionalLabel = None
-    """Look for the tool of this arm instead, which the configuration's track_tool names."""
-
-
-@dataclass(frozen=True)
-class ReconstructionAgent(AgentOptions):
-    """Run reconstruction: observations become a thread in 3D with confidence."""
-
-    kind = "reconstruction"
-
-
-@dataclass(frozen=True)
-class PlannerAgent(AgentOptions):
-    """Run the planner: goals become grasps."""
-
-    kind = "planner"
-
-
-@dataclass(frozen=True)
-class RobotBridgeAgent(AgentOptions):
-    """Run the robot bridge of one arm."""
-
-    kind = "robot_bridge"
-
-    arm: str = "psm1"
-    """Name of the arm, as in the configuration."""
-
-
-@dataclass(frozen=True)
-class SimulatorAgent(AgentOptions):
-    """Run the simulated field with its judgement of every grasp."""
-
-    kind = "simulator"
+def agent_options(name: str) -> type[AgentOptions]:
+    """The options of the command that runs an agent, from its rows in the registry."""
+    rows = [kind for kind in AGENTS if kind.name == name]
+    fields: list[tuple[str, Any, Any]] = []
+    if all(kind.per_arm for kind in rows):
+        of_arm = Annotated[str, tyro.conf.arg(help="Name of the arm, as in the configuration.")]
+        fields.append(("arm", of_arm, field(default="psm1")))
+    elif any(kind.per_arm for kind in rows):
+        of_arm = Annotated[OptionalLabel, tyro.conf.arg(help=f"Of this arm: {rows[-1].does}.")]
+        fields.append(("arm", of_arm, field(default=None)))
+    made = make_dataclass(f"{name.title().replace('_', '')}Agent", fields, bases=(AgentOptions,), frozen=True)
+    made.kind = name
+    made.__doc__ = f"Run the agent {name}: it {rows[0].does}."
+    return made
 
 
 @dataclass(frozen=True)

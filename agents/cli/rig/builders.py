@@ -1,6 +1,8 @@
 """Agents from the configuration of a rig; each kind loads what it is made of alone, for all together take a second."""
 
+import importlib
 from collections.abc import Callable
+from typing import Any, get_type_hints
 
 from agents.cli.rig.config import (
     ArmSection,
@@ -9,7 +11,6 @@ from agents.cli.rig.config import (
     PlannerSection,
     ReconstructionSection,
     RigConfig,
-    SimulatorSection,
 )
 from agents.cli.rig.other_arms import other_arms
 from agents.registry import (
@@ -18,7 +19,6 @@ from agents.registry import (
     PLANNER,
     RECONSTRUCTION,
     ROBOT_BRIDGE,
-    SIMULATOR,
     TOOL_TRACKER,
     Kind,
     kind_of,
@@ -38,10 +38,10 @@ def build(rig: RigConfig, kind: str, instance: str) -> Agent:
     row = kind_of(kind, instance)
     if row is ROBOT_BRIDGE and instance not in rig.robot:
         raise ConfigError(f"the configuration has no arm {instance!r}; its arms: {', '.join(rig.robot) or 'none'}")
-    section = rig.section_of(row, instance) if row in _BUILT else None
+    section = rig.section_of(row, instance) if row in _BUILT or (row is not None and row.agent) else None
     if row is None or section is None:
         raise ConfigError(f"the configuration has no section [{kind}]; add one, or run that agent elsewhere")
-    return _BUILT[row](rig, instance, section)
+    return _plain(row, section) if row.agent else _BUILT[row](rig, instance, section)
 
 
 def _camera(rig: RigConfig, _: str, section: CameraSection) -> Agent:
@@ -53,7 +53,7 @@ def _camera(rig: RigConfig, _: str, section: CameraSection) -> Agent:
 def _perception(rig: RigConfig, _: str, section: PerceptionSection) -> Agent:
     from agents.cli.rig.perception_builder import built_perception
 
-    return built_perception(section, rig.needs_matching)
+    return built_perception(section, rig.needs_matching, rig.needle is not None)
 
 
 def _tool_tracker(_: RigConfig, instance: str, section: PerceptionSection) -> Agent:
@@ -92,10 +92,11 @@ def _robot_bridge(rig: RigConfig, instance: str, section: ArmSection) -> Agent:
     return built_robot_bridge(rig, instance, section)
 
 
-def _simulator(_: RigConfig, __: str, section: SimulatorSection) -> Agent:
-    from agents.simulator.agent import Simulator, SimulatorConfig
-
-    return Simulator(SimulatorConfig(**section.model_dump()))
+def _plain(row: Kind, section: Any) -> Agent:
+    """An agent whose section has the fields of its configuration."""
+    module, _, name = row.agent.partition(":")
+    made = getattr(importlib.import_module(module), name)
+    return made(get_type_hints(made)["config"](**section.model_dump()))
 
 
 _BUILT: dict[Kind, Callable[..., Agent]] = {
@@ -105,5 +106,4 @@ _BUILT: dict[Kind, Callable[..., Agent]] = {
     RECONSTRUCTION: _reconstruction,
     PLANNER: _planner,
     ROBOT_BRIDGE: _robot_bridge,
-    SIMULATOR: _simulator,
 }

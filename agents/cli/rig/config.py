@@ -25,6 +25,7 @@ from agents.cli.rig.sections import (
     CameraSection,
     DvrkSection,
     Name,
+    NeedleSection,
     PerceptionSection,
     PlannerSection,
     ReconstructionSection,
@@ -52,6 +53,7 @@ class RigConfig(Settings):
     camera: CameraSection | None = None
     perception: PerceptionSection | None = None
     reconstruction: ReconstructionSection | None = None
+    needle: NeedleSection | None = None
     planner: PlannerSection | None = None
     robot: dict[Name, ArmSection] = Field(default_factory=dict)
     simulator: SimulatorSection | None = None

@@ -8,11 +8,12 @@ from shared.runtime.agent import Agent
 from shared.runtime.config import ConfigError
 
 
-def perception_config(section: PerceptionSection, needs_matching: bool) -> PerceptionConfig:
+def perception_config(section: PerceptionSection, needs_matching: bool, needle: bool = False) -> PerceptionConfig:
     """What perception is told; whether it matches pixels is as the method of reconstruction needs it, if unset."""
     return PerceptionConfig(
         segmenter=None if section.segmenter == "auto" else section.segmenter,
         matching=needs_matching if section.matching is None else section.matching,
+        needle=needle,
         promptable=promptable_files(section),
     )
 
@@ -29,14 +30,14 @@ def promptable_files(section: PerceptionSection) -> PromptableFiles | None:
     )
 
 
-def built_perception(section: PerceptionSection, needs_matching: bool) -> Agent:
+def built_perception(section: PerceptionSection, needs_matching: bool, needle: bool) -> Agent:
     """Perception of threads.
 
     Raises:
         ConfigError: where a configured network cannot be used.
     """
     try:
-        return Perception(perception_config(section, needs_matching))
+        return Perception(perception_config(section, needs_matching, needle))
     except PromptableFileError as error:
         raise ConfigError(f"[perception] {error}") from None
 

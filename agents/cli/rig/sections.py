@@ -138,6 +138,13 @@ class ReconstructionSection(Settings):
     tracking: bool = True
 
 
+class NeedleSection(Settings):
+    """How large the needle is, where that is known: the radius of its arc, and the angle from swage to point."""
+
+    radius_mm: float | None = Field(default=None, ge=3, le=16)
+    arc_deg: float | None = Field(default=None, ge=60, le=300)
+
+
 class PlannerSection(Settings):
     """How good a plan must be, by what its success is judged, and how often a goal is tried."""
 

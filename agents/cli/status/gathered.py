@@ -10,22 +10,10 @@ from agents.cli.status.calibrations import Allowed
 from agents.cli.status.health_watch import Fare
 from schemas.messages import AgentFacts, ExecutionEvent, HostClocks, LogRecord, RigSection, RobotState, ToolCorrection
 from schemas.topics import (
-    FRAME_NOTICE,
-    FRAMES,
-    HEALTH,
-    HEARTBEAT,
-    OBSERVATIONS,
-    SURFACE,
-    THREAD,
-    TOOL,
     TOPICS,
     Delivery,
 )
 from shared.runtime.clocks import ClockOffset
-
-PER_FRAME = (FRAMES, FRAME_NOTICE, OBSERVATIONS, THREAD)
-NOT_STEADY = (SURFACE, TOOL, HEARTBEAT, HEALTH)
-"""Topics that have a rate, and come only while there is something to say."""
 
 
 @dataclass(frozen=True)
@@ -82,10 +70,10 @@ class Gathered:
 
 def expected_rates(rig: RigConfig) -> dict[str, float]:
     """How often topics that come steadily are expected: what follows from frames, as often as the camera films."""
-    steady = [t for t in TOPICS if t.delivery is Delivery.LATEST and t not in NOT_STEADY]
+    steady = [t for t in TOPICS if t.delivery is Delivery.LATEST and t.steady]
     rates = {str(t): rate_hz for t in steady if (rate_hz := t.resting_hz or t.rate_hz)}
     if rig.camera is not None:
-        rates |= {str(topic): min(rates[str(topic)], rig.camera.rate_hz) for topic in PER_FRAME}
+        rates |= {str(t): min(rates[str(t)], rig.camera.rate_hz) for t in steady if t.every_frame}
     return rates
 
 

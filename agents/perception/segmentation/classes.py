@@ -67,6 +67,18 @@ def scores_of(image: Image, weights: Path = WEIGHTS) -> Float32[np.ndarray, "h w
     return np.asarray(resized(np.ascontiguousarray(scores), image.shape[:2]), np.float32)
 
 
+def scores_where(image: Image, where: Bool[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w 4"]:
+    """As `scores_of`, within a part of an image and some pixels around it; 0 elsewhere."""
+    seen = as_usual(image)
+    within = where if where.shape == seen.shape[:2] else resized(where.view(np.uint8), seen.shape) > 0
+    scores = np.zeros((*seen.shape[:2], len(Kind)), np.float32)
+    for box in boxes_around(within):
+        part = np.ascontiguousarray(seen[box.outer])
+        rows, columns = part.shape[:2]
+        scores[box.inner] = together(_shares(_logits(part, WEIGHTS)))[:rows, :columns][box.inner_in_outer]
+    return np.asarray(resized(scores, image.shape[:2]), np.float32)
+
+
 def thread_score(image: Image, where: Bool[np.ndarray, "h w"] | None = None) -> ThreadScore:
     """How likely each pixel of an image of usual width shows thread, and metal; 0 where the network has not looked.
 

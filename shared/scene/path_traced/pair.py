@@ -9,7 +9,9 @@ from jaxtyping import Bool, Float32, Float64, UInt8
 from shared.scene.path_traced.camera_effects import developed, gain_by_middle, gain_for
 from shared.scene.path_traced.eyes import Eye, Rig
 from shared.scene.path_traced.recipe import Arranged, Recipe, arranged
+from shared.scene.path_traced.solids import Needle
 from shared.scene.path_traced.splines import arc_lengths, sampled
+from shared.scene.path_traced.strands import Strand
 from shared.scene.path_traced.tracing import Sight, coverage, sight, traced_lab_light, traced_light, visible
 from shared.scene.path_traced.world import NEEDLE, STRAND, TOOL, build
 
@@ -66,8 +68,8 @@ TURN_SEEDS = 1_000_003
 
 
 @dataclass(frozen=True)
-class StrandTruth:
-    """Points of a centreline in mm, arc lengths in mm, and whether the left and the right eye see them."""
+class CentrelineTruth:
+    """Points of a strand's or a needle's centreline in mm, arc lengths in mm, and which of them either eye sees."""
 
     points: Float64[np.ndarray, "n 3"]
     arc_mm: Float64[np.ndarray, "n"]
@@ -86,13 +88,19 @@ class EyeImages:
 
 @dataclass(frozen=True)
 class TracedPair:
-    """A pair with all that is known about it; `offsets_px` is how far the mask lies from the truth, left and right."""
+    """A pair with all that is known about it.
+
+    Fields:
+        needle: from where the thread enters it to its point; None where there is none.
+        offsets_px: how far the mask of the threads lies from the truth, left and right.
+    """
 
     recipe: Recipe
     rig: Rig
     arranged: Arranged
     images: tuple[EyeImages, EyeImages]
-    strands: list[StrandTruth]
+    strands: list[CentrelineTruth]
+    needle: CentrelineTruth | None
     offsets_px: tuple[Float64[np.ndarray, "k"], Float64[np.ndarray, "l"]]
     samples: int
 
@@ -122,26 +130,25 @@ def traced_pair(recipe: Recipe, rig: Rig, samples: int, turn: int = 0) -> Traced
         _images(developed(light, scenery.effects, gain, rng), seen, eye)
         for light, seen, eye in zip(lights, sights, eyes, strict=True)
     ]
-    strands = [_truth(scenery, index, sights, eyes) for index in range(len(scenery.field.strands))]
+    strands = [_truth(strand, f"{STRAND}{index}", sights, eyes) for index, strand in enumerate(scenery.field.strands)]
+    needle = None if scenery.field.needle is None else _truth(scenery.field.needle, f"{NEEDLE}0", sights, eyes)
     offsets = [_offsets(scenery, strands, seen, eye, k) for k, (seen, eye) in enumerate(zip(sights, eyes, strict=True))]
-    return TracedPair(recipe, rig, scenery, (images[0], images[1]), strands, (offsets[0], offsets[1]), samples)
+    return TracedPair(recipe, rig, scenery, (images[0], images[1]), strands, needle, (offsets[0], offsets[1]), samples)
 
 
 def _images(bgr: UInt8[np.ndarray, "h w 3"], seen: Sight, eye: Eye) -> EyeImages:
     return EyeImages(bgr, *(coverage(seen.covers(kind), eye) for kind in (STRAND, TOOL, NEEDLE)))
 
 
-def _truth(scenery: Arranged, index: int, sights: list[Sight], eyes: tuple[Eye, Eye]) -> StrandTruth:
-    strand = scenery.field.strands[index]
-    points, arc = sampled(strand.curve)
-    left, right = (
-        visible(seen, eye, f"{STRAND}{index}", points, strand.radius_mm) for seen, eye in zip(sights, eyes, strict=True)
-    )
-    return StrandTruth(points, arc, (left, right))
+def _truth(thing: Strand | Needle, part: str, sights: list[Sight], eyes: tuple[Eye, Eye]) -> CentrelineTruth:
+    points, arc = sampled(thing.curve)
+    radius = thing.radius_at(arc / arc[-1]) if isinstance(thing, Needle) else thing.radius_mm
+    left, right = (visible(seen, eye, part, points, radius) for seen, eye in zip(sights, eyes, strict=True))
+    return CentrelineTruth(points, arc, (left, right))
 
 
 def _offsets(
-    scenery: Arranged, strands: list[StrandTruth], seen: Sight, eye: Eye, side: int
+    scenery: Arranged, strands: list[CentrelineTruth], seen: Sight, eye: Eye, side: int
 ) -> Float64[np.ndarray, "k"]:
     """Of all strands: how far each one's own mask lies from its projected centreline."""
     parts = [np.zeros(0)]

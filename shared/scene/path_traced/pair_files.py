@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from shared.scene.path_traced.eyes import Rig
-from shared.scene.path_traced.pair import StrandTruth, TracedPair
+from shared.scene.path_traced.pair import CentrelineTruth, TracedPair
 from shared.scene.path_traced.recipe import Recipe
 from shared.scene.render import SceneError
 
@@ -58,7 +58,7 @@ def asked(recipe: Recipe, rig: Rig, samples: int) -> dict[str, object]:
 
 
 def write_traced(folder: Path, name: str, pair: TracedPair) -> None:
-    """Write NAME_left.png, NAME_right.png, the masks, NAME.npy of the first thread, NAME.json last.
+    """Write NAME_left.png, NAME_right.png, the masks, NAME.npy of the first thread, NAME_needle.npy, NAME.json last.
 
     Raises:
         SceneError: where a file cannot be written; the text names the folder.
@@ -73,6 +73,8 @@ def write_traced(folder: Path, name: str, pair: TracedPair) -> None:
         tables = [_table(strand) for strand in pair.strands] or [np.zeros((0, 6), dtype=np.float32)]
         for index, table in enumerate(tables):
             np.save(folder / (f"{name}_thread{index + 1}.npy" if index else f"{name}.npy"), table)
+        if pair.needle is not None:
+            np.save(folder / f"{name}_needle.npy", _table(pair.needle))
         text = json.dumps(document(name, pair), indent=1)
         unfinished = folder / f".{name}.json"
         unfinished.write_text(text + "\n", encoding="utf-8")
@@ -116,6 +118,7 @@ def document(name: str, pair: TracedPair) -> dict[str, object]:
         "threads": len(threads),
         **first,
         "other_threads": threads[1:],
+        "needle_radius_mm": None if field.needle is None else field.needle.radius_mm,
         "npy_columns": list(COLUMNS),
         "asked": asked(pair.recipe, pair.rig, pair.samples),
     }
@@ -135,9 +138,9 @@ def _right_camera(rig: Rig) -> dict[str, object]:
     }
 
 
-def _table(strand: StrandTruth) -> np.ndarray:
-    left, right = strand.seen
-    return np.column_stack((strand.points, strand.arc_mm, left, right)).astype(np.float32)
+def _table(line: CentrelineTruth) -> np.ndarray:
+    left, right = line.seen
+    return np.column_stack((line.points, line.arc_mm, left, right)).astype(np.float32)
 
 
 def _write_image(path: Path, image: np.ndarray) -> None:

@@ -16,6 +16,8 @@ from shared.scene.path_traced.splines import Curve, curve_through
 
 SIDES = 28
 SHAFT_MM = 160.0
+TAPERS = 0.25
+"""The share of a needle's length over which it comes to its point."""
 METALS = {
     "steel": (0.62, 0.60, 0.57),
     "dark": (0.16, 0.16, 0.17),
@@ -55,6 +57,10 @@ class Needle:
 
     curve: Curve
     radius_mm: float
+
+    def radius_at(self, share: Float64[np.ndarray, "n"]) -> Float64[np.ndarray, "n"]:
+        """Its radius in mm at such a share of its length: it tapers towards its point."""
+        return self.radius_mm * np.clip((1.0 - share) / TAPERS, 0.0, 1.0)
 
 
 @dataclass(frozen=True)

@@ -143,7 +143,7 @@ def coverage(seen: Bool[np.ndarray, "H W"], eye: Eye) -> Float32[np.ndarray, "h 
 
 
 def visible(
-    seen: Sight, eye: Eye, name: str, points: Float64[np.ndarray, "n 3"], radius_mm: float
+    seen: Sight, eye: Eye, name: str, points: Float64[np.ndarray, "n 3"], radius_mm: float | Float64[np.ndarray, "n"]
 ) -> Bool[np.ndarray, "n"]:
     """Whether the eye sees the strand at these points of its centreline, and not another stretch in front of them."""
     parts = seen.index.shape[0] // eye.height

@@ -185,10 +185,9 @@ def _yarn(strand: Strand) -> dict[str, Any]:
 
 def _needle(needle: Needle, folder: Path) -> dict[str, Any]:
     points = needle.curve.control_points
-    taper = np.clip((len(points) - 1 - np.arange(len(points))) / (0.25 * len(points)), 0.0, 1.0)
     return {
         "type": "bsplinecurve",
-        "filename": _curve_file(folder / "needle.txt", points, needle.radius_mm * taper),
+        "filename": _curve_file(folder / "needle.txt", points, needle.radius_at(np.linspace(0.0, 1.0, len(points)))),
         "bsdf": metal("bright", 1.0, 0.22),
     }
 

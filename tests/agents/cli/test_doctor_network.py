@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from agents.cli.doctor.command import weigh
-from agents.cli.doctor.crossing import STREAMS, TYPICAL_BYTES, heard_by, traffic
+from agents.cli.doctor.crossing import STREAMS, heard_by, traffic
 from agents.cli.doctor.network import networks
 from agents.cli.rig.builders import build
-from agents.cli.rig.config import RigConfig
+from agents.cli.rig.config import NeedleSection, RigConfig
 from agents.cli.status.gathered import Gathered
 from agents.cli.status.health_watch import Fare
 from agents.registry import NAMES
@@ -39,20 +39,21 @@ def found(here, gathered=None, bytes_of=BYTES, rig=LAB, **passes):
 
 
 def test_what_each_agent_hears_is_what_it_subscribes_to():
+    rig = LAB.model_copy(update={"needle": NeedleSection()})
     for kind in NAMES:
         instance = "psm1" if kind == "robot_bridge" else "main"
-        agent = build(LAB, kind, instance)
+        agent = build(rig, kind, instance)
         steady = {i.topic for i in agent.inputs if i.topic in STREAMS and i.topic.delivery is Delivery.LATEST}
-        assert steady == set(heard_by(LAB, kind, instance)), kind
+        assert steady == set(heard_by(rig, kind, instance)), kind
 
 
 def test_sizes_that_are_assumed_are_those_of_the_example():
     sizes = {}
     for message in read_recording(REPOSITORY / "docs" / "example" / "session.mcap"):
         sizes.setdefault(topic_of(message.key), []).append(len(message.payload))
-    for topic in sizes.keys() & TYPICAL_BYTES.keys():
-        assert TYPICAL_BYTES[topic] == pytest.approx(sum(sizes[topic]) / len(sizes[topic]), rel=0.01)
-    assert sizes.keys() & TYPICAL_BYTES.keys() >= {OBSERVATIONS, THREAD}
+    for topic in sizes.keys() & set(STREAMS):
+        assert topic.typical_bytes == pytest.approx(sum(sizes[topic]) / len(sizes[topic]), rel=0.01)
+    assert sizes.keys() & set(STREAMS) >= {OBSERVATIONS, THREAD}
 
 
 def test_a_link_bears_each_stream_once_on_its_way_out_and_once_for_each_who_hears_it():

@@ -42,6 +42,9 @@ from schemas.messages import (
     Judgement,
     LogLevel,
     LogRecord,
+    NeedleObservations,
+    NeedlePose,
+    NeedleView,
     Outcome,
     OutputHealth,
     Phase,
@@ -65,6 +68,7 @@ from schemas.messages import (
     ToolStatus,
     Verdict,
     Waypoint,
+    no_centrelines,
 )
 from shared.images import encode_image
 
@@ -365,6 +369,21 @@ def grasped(at_ns):
     }
 
 
+def no_lines():
+    return NeedleView(
+        no_centrelines(),
+        np.zeros(0),
+        np.zeros((0, 3), np.uint8),
+        encode_image(np.zeros((2, 2), np.uint8), ImageEncoding.PNG),
+    )
+
+
+def in_front(distance):
+    T = np.eye(4)
+    T[2, 3] = distance
+    return T
+
+
 @pytest.fixture(scope="session")
 def session_messages(scene):
     """One message of every published topic, all of the frame that `scene` is of, with its calibration in metres."""
@@ -386,6 +405,11 @@ def session_messages(scene):
             "psm1", STAMP, at_ns, ToolStatus.CONVERGED, "", np.eye(4), np.array((0, 0, 0.1)), np.array((0, 0, 0.11)),
             0.004, 0.02, 3e-4, 0.01, np.ones((3, 2)), np.full((4, 2), 20.0), np.full((5, 2), 10.0),
             (ToolCandidate(np.zeros(6), np.eye(6), np.zeros((16, 16, 16), np.uint8), 9, 0.9, 0.8, 0.5),), 0, 0, 5,
+        ),
+        topics.NEEDLE_SEEN: NeedleObservations(STAMP, camera, no_lines(), no_lines()),
+        topics.NEEDLE: NeedlePose(
+            STAMP, camera, Status.OK, "", in_front(0.1), 0.007, np.pi, 1e-8 * np.eye(8), np.array((True, False)),
+            0.98, 2.5, 0.3,
         ),
         topics.REPLAY_CLOCK: ReplayClock(at_ns, 1.0),
         topics.COMMANDS: CommandRecord(

@@ -9,7 +9,7 @@ import pytest
 
 from agents.cli.lab.scenes import endoscope
 from shared.scene.path_traced.eyes import calibrated_rig
-from shared.scene.path_traced.pair import EyeImages, StrandTruth, TracedPair
+from shared.scene.path_traced.pair import CentrelineTruth, EyeImages, TracedPair
 from shared.scene.path_traced.pair_files import COLUMNS, write_traced
 from shared.scene.path_traced.recipe import Recipe, arranged
 from shared.scene.path_traced.splines import sampled
@@ -28,9 +28,9 @@ def pair():
     truths = []
     for strand in scenery.field.strands:
         points, arc = sampled(strand.curve)
-        truths.append(StrandTruth(points, arc, (arc < 5.0, arc < 9.0)))
+        truths.append(CentrelineTruth(points, arc, (arc < 5.0, arc < 9.0)))
     images = EyeImages(black, some, none, none), EyeImages(black, none, some, none)
-    return TracedPair(RECIPE, RIG, scenery, images, truths, (np.array([0.02, -0.04]), np.zeros(0)), 4)
+    return TracedPair(RECIPE, RIG, scenery, images, truths, None, (np.array([0.02, -0.04]), np.zeros(0)), 4)
 
 
 def written(folder, pair):
@@ -54,6 +54,14 @@ def test_every_thread_has_its_points_and_what_either_eye_sees_of_them(pair, tmp_
         assert told["visible_right"] == pytest.approx(table[:, 5].mean())
     assert about["mask_offset_px"] == [pytest.approx(0.03), 0.0]
     assert about["mask_bias_px"] == [pytest.approx(-0.01), 0.0]
+
+
+def test_a_needle_has_its_points_too(pair, tmp_path):
+    needle = pair.strands[0]
+    written(tmp_path, replace(pair, needle=needle))
+    table = np.load(tmp_path / "one_needle.npy")
+    np.testing.assert_allclose(table[:, :3], needle.points, atol=1e-4)
+    np.testing.assert_array_equal(table[:, 4:], np.column_stack(needle.seen))
 
 
 def test_there_is_a_mask_of_thread_in_any_case_and_of_instruments_where_an_eye_sees_any(pair, tmp_path):

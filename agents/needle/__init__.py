@@ -1,0 +1,1 @@
+"""The needle agent: from lines in both images to the pose of a curved needle."""
