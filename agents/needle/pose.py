@@ -11,13 +11,13 @@ end a line leaves the circle: that is the thread, and where its width and colour
 likeliest change of mean and variance). The other end is the point.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from schemas.messages import NeedleObservations, NeedlePose, NeedleView, RectifiedStereo, Status
+from schemas.messages import Centrelines, NeedleObservations, NeedlePose, NeedleView, RectifiedStereo, Status
 from shared.camera import project
 from shared.images import decode_image
 
@@ -38,6 +38,8 @@ ROUNDS, STEPS = 5, 6
 LEAST_POINTS = 20
 
 # how points lie on a circle
+BOX_PX = 40.0
+"""Around a circle, beside which no point lies on it while it is refined."""
 NEAR_PX = 2.0
 """So near a circle a point lies on it."""
 LEAST_SIGMA_PX, HUBER = 0.3, 1.5
@@ -98,6 +100,15 @@ class Eye:
     def point_px(self) -> Float64[np.ndarray, "n 2"]:
         """The middle of its lines."""
         return self.view.lines.point_px
+
+    def beside(self, pixels: Float64[np.ndarray, "k 2"]) -> "Eye":
+        """The same with those points alone that lie in the box around pixels."""
+        low, high = pixels.min(axis=0) - BOX_PX, pixels.max(axis=0) + BOX_PX
+        kept = ((self.point_px >= low) & (self.point_px <= high)).all(axis=1)
+        lines = self.view.lines
+        lines = Centrelines(lines.point_px[kept], lines.piece[kept], lines.width_px[kept], lines.deviation_px[kept])
+        view = NeedleView(lines, self.view.needle[kept], self.view.colour_bgr[kept], self.view.instruments)
+        return replace(self, view=view)
 
     def some(self, wanted: Bool[np.ndarray, "n"]) -> Int64[np.ndarray, "k"]:
         """At most POINTS of these points, evenly spaced along their lines."""
@@ -433,6 +444,8 @@ class Found:
 def found(camera: RectifiedStereo, eyes: Eyes, circle: Circle, radius: tuple[float, float] | None) -> Found | None:
     """A circle refined by what is needle along it; None where hardly anything is."""
     fit = None
+    pixels = project(camera, circle.at(np.radians(DEGREES)))
+    eyes = tuple(eye.beside(pixels[eye.number]) for eye in eyes)
     for round_ in range(ROUNDS):
         here = along(camera, eyes, circle)
         _, first, count = likeliest_arc(here.log_odds)
@@ -653,7 +666,7 @@ def needle_pose(
     """The pose of the needle in a pair.
 
     Args:
-        last: the pose in an earlier pair: where the needle is looked for too, and what is known of its size.
+        last: the pose in an earlier pair: where the needle is looked for first, and what is known of its size.
         radius_mm, arc_deg: of the needle, where somebody knows.
     """
     camera = observed.camera
@@ -670,15 +683,28 @@ def needle_pose(
         radius = 1e-3 * radius_mm / camera.metres_per_unit, KNOWN_RATIO
     if arc_deg is not None:
         usual = arc_deg, KNOWN_DEG
-    circles = drawn(camera, eyes, np.random.default_rng(observed.stamp.sequence))
-    circles = [circles[k] for k in np.argsort(-supports(camera, eyes, circles), kind="stable")[:REFINED]]
     if last is not None and last.T_camera_needle is not None:
-        circles.append(Circle(last.T_camera_needle[:3, 3], last.T_camera_needle[:3, :3], last.radius))
+        T = last.T_camera_needle
+        tracked = _best(camera, eyes, [Circle(T[:3, 3], T[:3, :3], last.radius)], radius)
+        if tracked is not None:
+            pose = _told(observed, *_settled(camera, eyes, tracked, radius, usual))
+            if pose.status is Status.OK:
+                return pose
+    circles = drawn(camera, eyes, np.random.default_rng(observed.stamp.sequence))
+    ranked = np.argsort(-supports(camera, eyes, circles), kind="stable")
+    detected = _best(camera, eyes, [circles[k] for k in ranked[:REFINED]], radius)
+    if detected is None:
+        return _unknown(observed, NO_NEEDLE)
+    return _told(observed, *_settled(camera, eyes, detected, radius, usual))
+
+
+def _best(
+    camera: RectifiedStereo, eyes: Eyes, circles: list[Circle], radius: tuple[float, float] | None
+) -> Found | None:
+    """The circle, refined, on which a needle most likely lies; None where none does."""
     refined = [one for circle in circles if (one := found(camera, eyes, circle, radius)) is not None]
     best = max(refined, key=lambda one: one.gain, default=None)
-    if best is None or best.gain < LEAST_GAIN:
-        return _unknown(observed, NO_NEEDLE)
-    return _told(observed, *_settled(camera, eyes, best, radius, usual))
+    return None if best is None or best.gain < LEAST_GAIN else best
 
 
 def _settled(
