@@ -111,7 +111,10 @@ PLANNER = Kind(
     "planner",
     "planner",
     "plans grasps, and tells whether they hold",
-    ("reconstruction/thread", "perception/surface", "robot_bridge/state", "planner/clocks", "robot_bridge/execution"),
+    (
+        *("reconstruction/thread", "perception/surface", "needle/pose"),
+        *("robot_bridge/state", "planner/clocks", "robot_bridge/execution"),
+    ),
     Pace.WAITS,
 )
 ROBOT_BRIDGE = Kind(

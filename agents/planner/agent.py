@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from agents.planner.attempt import next_attempt, same_attempt
+from agents.planner.attempt import Attempt, next_attempt, same_attempt
 from agents.planner.captures import ArmView
 from agents.planner.config import PlannerConfig
+from agents.planner.needle import NeedleAround, needle_around
 from agents.planner.plan import plan_grasp
 from agents.planner.refusal import RefusedGoalError, clock_unknown, planned_from, surface_unusable
 from agents.planner.standing import SeenTissue
@@ -21,12 +22,13 @@ from schemas.messages import (
     GraspGoal,
     GraspPlan,
     HostClocks,
+    NeedlePose,
     Outcome,
     RobotState,
     ThreadReconstruction,
     TissueSurface,
 )
-from schemas.topics import CHECK, CLOCKS, EXECUTION, GOAL, PLAN, ROBOT_STATE, SURFACE, THREAD, Topic
+from schemas.topics import CHECK, CLOCKS, EXECUTION, GOAL, NEEDLE, PLAN, ROBOT_STATE, SURFACE, THREAD, Topic
 from shared.kinematics import psm
 from shared.kinematics.arm import ArmKinematics
 from shared.rigid_transforms import compose, inverse
@@ -56,6 +58,7 @@ class Planner(Agent):
     inputs = (
         Input(THREAD, only_newest_counts=True, only_remembered=True),
         Input(SURFACE, only_newest_counts=True, only_remembered=True),
+        Input(NEEDLE, only_newest_counts=True, only_remembered=True),
         Input(ROBOT_STATE, instance="*", only_newest_counts=True, only_remembered=True),
         Input(CLOCKS, only_newest_counts=True),
         Input(EXECUTION, instance="*"),
@@ -76,6 +79,7 @@ class Planner(Agent):
         self._reaches = reaches or reaches_of(psm.LARGE_NEEDLE_DRIVER, self.config.least_dexterity)
         self._thread: ThreadReconstruction | None = None
         self._surface: TissueSurface | None = None
+        self._needle: NeedlePose | None = None
         self._arms: dict[str, RobotState] = {}
         self._clocks: HostClocks | None = None
         self._watch = Watch()
@@ -102,6 +106,8 @@ class Planner(Agent):
             self._thread = arrived.message
         elif arrived.topic is SURFACE:
             self._surface = arrived.message
+        elif arrived.topic is NEEDLE:
+            self._needle = arrived.message
         elif arrived.topic is CLOCKS:
             self._clocks = arrived.message
         elif arrived.topic is EXECUTION:
@@ -117,7 +123,8 @@ class Planner(Agent):
             thread, arm = planned_from(goal, self._thread, self._arms, now_ns, self.config, self._clocks)
         except RefusedGoalError as error:
             return (CommandAnswer(goal.header.id, Outcome.REFUSED, error.code, str(error)),)
-        plan = plan_grasp(goal, thread, self._view(arm), self.config, self._seen_tissue(thread, now_ns))
+        tissue, needle = self._seen_tissue(thread, now_ns), needle_around(self._needle, thread, now_ns)
+        plan = plan_grasp(goal, thread, self._view(arm), self.config, tissue, needle=needle)
         plan = replace(plan, maximum_frame_age_s=arm.maximum_frame_age_s)
         self._watch.planned(plan)
         unknown = "; ".join(filter(None, (clock_unknown(self._clocks), self._reach_unknown(arm))))
@@ -144,8 +151,8 @@ class Planner(Agent):
         """The plan's next segment, from what is seen now."""
         goal = goal_again(plan, thread)
         assert goal is not None  # noqa: S101 - plans without a goal are not gone on with
-        tissue = self._seen_tissue(thread, max(thread.stamp.capture_left_ns, thread.stamp.capture_right_ns))
-        following = plan_grasp(goal, thread, self._view(state), self.config, tissue, same_attempt(plan, self.config))
+        attempt = same_attempt(plan, self.config)
+        following = plan_grasp(goal, thread, self._view(state), self.config, *self._beside(thread, attempt))
         named = f"{plan.plan_id}+"
         following = replace(
             following, plan_id=named, continues=plan.plan_id, maximum_frame_age_s=state.maximum_frame_age_s
@@ -157,11 +164,17 @@ class Planner(Agent):
         """The next attempt at the goal of a plan that missed, or of which that cannot be told."""
         attempt, goal = next_attempt(tried, verdict, self.config), goal_again(tried, thread)
         assert attempt is not None and goal is not None  # noqa: S101 - the check has named it
-        tissue = self._seen_tissue(thread, max(thread.stamp.capture_left_ns, thread.stamp.capture_right_ns))
-        plan = plan_grasp(goal, thread, self._view(state), self.config, tissue, attempt)
+        plan = plan_grasp(goal, thread, self._view(state), self.config, *self._beside(thread, attempt))
         plan = replace(plan, maximum_frame_age_s=state.maximum_frame_age_s)
         self._watch.planned(plan)
         return plan
+
+    def _beside(
+        self, thread: ThreadReconstruction, attempt: Attempt
+    ) -> tuple[SeenTissue, Attempt, NeedleAround | None]:
+        """What a plan is made with beside a thread that was just seen."""
+        seen_ns = max(thread.stamp.capture_left_ns, thread.stamp.capture_right_ns)
+        return self._seen_tissue(thread, seen_ns), attempt, needle_around(self._needle, thread, seen_ns)
 
     def _seen_tissue(self, thread: ThreadReconstruction, now_ns: int) -> SeenTissue:
         surface = self._surface

@@ -21,6 +21,7 @@ from agents.planner.curve import ThreadCurve
 from agents.planner.entanglement import thread_clearance
 from agents.planner.jaws import aside_pass, nearest_to_tissue
 from agents.planner.moved import axes_across
+from agents.planner.needle import NeedleAround
 from agents.planner.standing import SeenTissue
 from schemas.messages import Phase, Waypoint
 
@@ -31,7 +32,13 @@ NOWHERE = np.zeros((0, 4, 4))
 
 
 def with_aside(
-    led: ClearWay, s_goal: float, curve: ThreadCurve, arm: ArmView, config: PlannerConfig, tissue: SeenTissue
+    led: ClearWay,
+    s_goal: float,
+    curve: ThreadCurve,
+    arm: ArmView,
+    config: PlannerConfig,
+    tissue: SeenTissue,
+    needle: NeedleAround | None = None,
 ) -> ClearWay:
     """The same way, and sideways where that is asked for and possible.
 
@@ -47,7 +54,7 @@ def with_aside(
     sides = [_aside(led, grasped, back, side * config.aside_m * axes[1]) for side in (1.0, -1.0)]
     ends = [np.stack([waypoint.T_camera_tool for waypoint in side[-2:]]) for side in sides]
     found = [
-        replace(led, waypoints=side, thread=thread_clearance(curve, side, arm.T_camera_base, config))
+        replace(led, waypoints=side, thread=thread_clearance(curve, side, arm.T_camera_base, config, needle))
         for side, end in zip(sides, ends, strict=True)
         if np.all(arm.reachable(end)) and _before_tissue(end, tissue, config)
     ]

@@ -66,6 +66,7 @@ def captures_for(places: Places, arm: ArmView, config: PlannerConfig, tissue: Se
         Against.UNKNOWN_ON_THE_WAY: ~along_slide(known_enough, goal),
         Against.STRAND_BESIDE: beside < config.half_opening_m(config.open_deg),
         Against.STRAND_ON_THE_WAY: ~along_slide(beside >= config.half_opening_m(config.slide_deg), goal),
+        Against.NEEDLE_BESIDE: places.needle_m < config.half_opening_m(config.open_deg),
         Against.ALONG_APPROACH: ~clear.any(axis=0),
         Against.TURNS_TOO_SHARPLY: ~steady.any(axis=0),
         Against.UNREACHABLE: ~passable.any(axis=(0, 1)),

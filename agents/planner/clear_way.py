@@ -16,6 +16,7 @@ from agents.planner.choice import Choice
 from agents.planner.config import PlannerConfig
 from agents.planner.curve import ThreadCurve
 from agents.planner.entanglement import thread_clearance
+from agents.planner.needle import NeedleAround
 from agents.planner.ways import Ways
 from schemas.messages import Phase, ThreadClearance, Waypoint
 
@@ -62,13 +63,15 @@ class ClearWay:
     thread: ThreadClearance
 
 
-def clear_way(choice: Choice, chosen: int, curve: ThreadCurve, arm: ArmView) -> ClearWay:
+def clear_way(
+    choice: Choice, chosen: int, curve: ThreadCurve, arm: ArmView, needle: NeedleAround | None = None
+) -> ClearWay:
     """The chosen capture, or what stands in for it."""
     captures, config = choice.captures, choice.config
     first: ClearWay | None = None
     for capture, way in _candidates(captures, chosen, arm):
         led = waypoints(captures.ways, way, captures.s, capture, captures.goal, config)
-        stands = thread_clearance(curve, led, arm.T_camera_base, config)
+        stands = thread_clearance(curve, led, arm.T_camera_base, config, needle)
         by_way = captures.probability[capture] if captures.by_way is None else captures.by_way[way[0], capture]
         found = ClearWay(capture, way, float(by_way), led, stands)
         if not stands.obstructed:

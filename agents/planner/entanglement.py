@@ -2,10 +2,11 @@
 
 Shaft, wrist and fingers are capsules, followed along the way in steps of a millimetre. The thread that runs through the
 jaws cannot be kept clear of, so at each pose the places within `grasp_arc_m` along the thread of where the jaws are do
-not count; all others do, where they were seen to lie before the grasp.
+not count; all others do, where they were seen to lie before the grasp. So does a needle, where one is known.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,7 +14,8 @@ from jaxtyping import Float64
 
 from agents.planner.config import PlannerConfig
 from agents.planner.curve import ThreadCurve
-from agents.planner.instrument import clearances, instrument_at
+from agents.planner.instrument import Capsules, clearances, instrument_at
+from agents.planner.needle import NeedleAround
 from schemas.messages import Phase, ThreadClearance, Waypoint
 
 POINTS, STEP_M, MM_PER_M = 400, 0.001, 1e3
@@ -24,12 +26,14 @@ def thread_clearance(
     waypoints: Sequence[Waypoint],
     T_camera_base: Float64[np.ndarray, "4 4"],
     config: PlannerConfig,
+    needle: NeedleAround | None = None,
 ) -> ThreadClearance:
-    """How the instrument stands to the thread on the way of a plan."""
+    """How the instrument stands to the thread, and to a needle, on the way of a plan."""
     poses, jaw_rad, at_s, phases = _way(waypoints)
     s = np.linspace(0.0, 1.0, POINTS)
     points = curve.points(s)
-    off = clearances(instrument_at(poses, jaw_rad, T_camera_base), points) - config.thread_radius_m
+    instrument = instrument_at(poses, jaw_rad, T_camera_base)
+    off = clearances(instrument, points) - config.thread_radius_m
     grasped = np.abs(s - at_s[:, None]) * curve.length_m < config.grasp_arc_m
     off = np.where(grasped, np.inf, off)
     k, n = np.unravel_index(int(np.argmin(off)), off.shape)
@@ -44,7 +48,23 @@ def thread_clearance(
             f"the instrument {near} the thread at s = {s[n]:.2f}, outside of the grasp, in the phase "
             f"{phase.name.lower()}: it may catch there or pull it along"
         )
-    return ThreadClearance(obstructed, least, points[n], phase, float(s[n]))
+    stands = ThreadClearance(obstructed, least, points[n], phase, float(s[n]))
+    return stands if obstructed or needle is None else _past_needle(stands, instrument, needle, phases, config)
+
+
+def _past_needle(
+    stands: ThreadClearance, instrument: Capsules, needle: NeedleAround, phases: list[Phase], config: PlannerConfig
+) -> ThreadClearance:
+    off = clearances(instrument, needle.points_camera) - needle.reach_m
+    k, n = np.unravel_index(int(np.argmin(off)), off.shape)
+    least = float(off[k, n])
+    if least >= config.thread_clear_m:
+        return stands
+    near = f"comes within {MM_PER_M * least:.1f} mm of" if least > 0 else "touches"
+    obstructed = (
+        f"the instrument {near} where the needle may be, in the phase {phases[k].name.lower()}: it may turn the needle"
+    )
+    return replace(stands, obstructed=obstructed, clearance_m=least, place_camera=needle.points_camera[n])
 
 
 def _way(

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float64
 
 from agents.planner.chances import Known
 from agents.planner.curve import ThreadCurve, decided, seen, strand_distance
+from agents.planner.needle import NeedleAround
 from schemas.messages import Policy
 from shared.kinematics.psm import FINGER_M
 
@@ -19,6 +20,7 @@ class Places:
         goal: the index of the goal.
         aims_camera: where the tool is aimed for each of them.
         beside_m: how far to the side another strand passes, as `strand_distance` has it.
+        needle_m: how far a needle is, whatever is not known of it included.
         seen: whether both images show it.
         decided: whether it is known where the thread leads from it.
     """
@@ -28,16 +30,25 @@ class Places:
     aims_camera: Float64[np.ndarray, "n 3"]
     tangents: Float64[np.ndarray, "n 3"]
     beside_m: Float64[np.ndarray, "n"]
+    needle_m: Float64[np.ndarray, "n"]
     seen: Bool[np.ndarray, "n"]
     decided: Bool[np.ndarray, "n"]
     known: Known
 
 
-def places_along(curve: ThreadCurve, s: Float64[np.ndarray, "n"], goal: int, policy: Policy, known: Known) -> Places:
+def places_along(
+    curve: ThreadCurve,
+    s: Float64[np.ndarray, "n"],
+    goal: int,
+    policy: Policy,
+    known: Known,
+    needle: NeedleAround | None = None,
+) -> Places:
     """All of s where the thread may be slid along, and the goal alone where it may not.
 
     Args:
         known: at the same places.
+        needle: what is known of one.
 
     Raises:
         NoGraspError: where the curve has no direction.
@@ -50,6 +61,7 @@ def places_along(curve: ThreadCurve, s: Float64[np.ndarray, "n"], goal: int, pol
         aims_camera=curve.points(s)[asked] + known.aim_camera,
         tangents=tangents,
         beside_m=strand_distance(curve, s[asked], FINGER_M),
+        needle_m=np.full(len(tangents), np.inf) if needle is None else needle.off(curve.points(s)[asked]),
         seen=seen(curve, s)[asked],
         decided=decided(curve, s)[asked],
         known=known,

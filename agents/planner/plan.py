@@ -12,6 +12,7 @@ from agents.planner.clear_way import clear_way
 from agents.planner.config import PlannerConfig
 from agents.planner.curve import NoGraspError, ThreadCurve, curve_of
 from agents.planner.goal import goal_on_thread
+from agents.planner.needle import NeedleAround
 from agents.planner.places import asked_of, places_along
 from agents.planner.policy import Against, alternatives, candidates, counted_reasons, reason_of
 from agents.planner.standing import NOTHING_SEEN, SeenTissue, clearance_of, pressed_sentence
@@ -33,6 +34,7 @@ def plan_grasp(
     config: PlannerConfig,
     tissue: SeenTissue = NOTHING_SEEN,
     attempt: Attempt | None = None,
+    needle: NeedleAround | None = None,
 ) -> GraspPlan:
     """The grasp that most likely succeeds, or a rejection with its reason. Never raises for valid messages."""
     attempt = attempt or first_attempt(goal, config)
@@ -42,10 +44,11 @@ def plan_grasp(
         s, at_goal = candidates(s_goal, config.samples)
         asked = asked_of(at_goal, goal.policy)
         known = known_along(thread, curve, s, config, offset_for(attempt, config), asked)
-        choice = best_choice(places_along(curve, s, at_goal, goal.policy, known), goal.policy, arm, config, tissue)
+        places = places_along(curve, s, at_goal, goal.policy, known, needle)
+        choice = best_choice(places, goal.policy, arm, config, tissue)
     except NoGraspError as error:
         return _rejected(goal, thread, attempt, str(error))
-    return _best(goal, thread, attempt, arm, curve, known, choice, tissue)
+    return _best(goal, thread, attempt, arm, curve, known, choice, tissue, needle)
 
 
 def _best(
@@ -57,6 +60,7 @@ def _best(
     known: Known,
     choice: Choice,
     tissue: SeenTissue,
+    needle: NeedleAround | None,
 ) -> GraspPlan:
     captures, chosen, config = choice.captures, choice.chosen, choice.config
     s, at_goal, probability, against = captures.s, captures.goal, captures.probability, captures.against
@@ -79,9 +83,9 @@ def _best(
             f"and {config.least_probability:.2f} is asked for"
         )
         return _rejected(goal, thread, attempt, reason, s_goal, likely, others)
-    led = clear_way(choice, chosen, curve, arm)
+    led = clear_way(choice, chosen, curve, arm, needle)
     if known.model != PAPER:
-        led = with_aside(led, s_goal, curve, arm, config, tissue)
+        led = with_aside(led, s_goal, curve, arm, config, tissue, needle)
     return GraspPlan(
         plan_id=plan_id(goal, attempt),
         arm=goal.arm,

@@ -28,6 +28,7 @@ class Against(enum.Enum):
     UNKNOWN_ON_THE_WAY = "unseen, undecided or hardly known up to the goal"
     STRAND_BESIDE = "another strand beside it"
     STRAND_ON_THE_WAY = "another strand on the way to the goal"
+    NEEDLE_BESIDE = "the needle beside it"
     ALONG_APPROACH = "thread along the approach"
     TURNS_TOO_SHARPLY = "turns too sharply"
     UNREACHABLE = "unreachable"
