@@ -104,13 +104,18 @@ def _latencies(session: Session) -> dict[str, Value]:
 
 
 def _steps(session: Session) -> dict[str, Value]:
-    """Of the steps that made what the file holds: those of a replay, of an agent that ran anew."""
+    """Of the steps that made what the file holds: those of a replay, of an agent that ran anew.
+
+    They are no figures of one kind: an agent counts all its steps, of which most may only remember what came, and a
+    replay those that it repeats.
+    """
+    anew = {agent.replace("/", " "): one for agent, one in session.said.ran_anew.items()}
     figures: dict[str, Value] = {}
     for one in session.agents:
-        figures |= {f"{one.name} p50": one.step_ms_p50, f"{one.name} p99": one.step_ms_p99}
-    for agent, anew in session.said.ran_anew.items():
-        name = agent.replace("/", " ")
-        figures |= {f"{name} p50": anew.step_ms_p50, f"{name} p99": anew.step_ms_p99}
+        if one.name not in anew:
+            figures |= {f"{one.name} p50": one.step_ms_p50, f"{one.name} p99": one.step_ms_p99}
+    for name, one in anew.items():
+        figures |= {f"{name}, replayed p50": one.step_ms_p50, f"{name}, replayed p99": one.step_ms_p99}
     return figures
 
 

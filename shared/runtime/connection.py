@@ -89,6 +89,12 @@ class Connection:
         found = [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
         return sorted("/".join(name.split("/")[-2:]) for name in found)
 
+    def other_rigs(self) -> list[str]:
+        """Whose agents are there beside this rig's, on the same router; none where nobody tells."""
+        replies = self._session.liveliness().get("suturegrasp/*/*/*", timeout=1.0)
+        rigs = {str(reply.ok.key_expr).split("/")[1] for reply in replies if reply.ok is not None}
+        return sorted(rigs - {self._rig})
+
     def clocks(self) -> dict[str, ClockOffset | None]:
         """How far the clock of each agent's host is from this one's; None where the agent gives no answer."""
         named = {name: name.split("/") for name in self.present()}

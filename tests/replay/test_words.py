@@ -7,7 +7,7 @@ from agents.cli.recordings.options import Replay
 from agents.cli.recordings.replay_report import report
 from agents.cli.recordings.replay_through import replayed
 from agents.replay.differences import At, Compared, Comparison
-from schemas.topics import THREAD
+from schemas.topics import PLAN, THREAD
 
 SESSION = Path(__file__).parents[2] / "docs" / "example" / "session.mcap"
 
@@ -34,6 +34,13 @@ def test_changes_that_differ_in_figures_alone_are_counted_together_and_told_with
     at = At(0, None, None)
     said = ["ok → failed: both eyes see 77%", "ok → failed: both eyes see 72%", "ok → failed: no thread"]
     outputs = tuple(Compared(str(THREAD), at, False, (), words, True) for words in said)
+    plans = [
+        "capture 0.3, success 92% → capture 0.3, success 93%",
+        "capture 0.8, success 95% → capture 0.8, success 94%",
+    ]
+    outputs += tuple(Compared(str(PLAN), at, False, (), words) for words in plans)
     lines = table(Comparison(outputs, (), 0, 0), 0)
+    # a change that is one of figures is told with them
+    assert all(f"  once {words}" in lines for words in plans)
     assert "  2 times ok → failed: both eyes see #%" in lines
     assert "  once ok → failed: no thread" in lines

@@ -94,7 +94,7 @@ def examine(rig: RigConfig) -> Iterator[Finding]:
 def _across(rig: RigConfig, connection: Connection) -> Iterator[Finding]:
     with contextlib.closing(StatusWatch(connection, rig)) as watch:
         gathered = gathered_on(watch)
-    yield from running(rig, gathered.fares, rig.host or "")
+    yield from running(rig, gathered.fares, rig.host or "", gathered.other_rigs)
     yield from guards(rig, gathered)
     facts = gathered.facts
     zenoh = importlib.metadata.version("eclipse-zenoh")

@@ -1,6 +1,6 @@
 """What the doctor finds across a rig that runs: agents, versions, clocks, links, streams, and what each was granted."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 from agents.cli.doctor.finding import UNKNOWN, Finding
 from agents.cli.rig.config import RigConfig
@@ -35,12 +35,19 @@ OF_STATUS = ("hanging", "slow", "old", "missed", "refused", "fault", "error", "a
 INSTALL = "install one version everywhere, and restart the agents"
 
 
-def running(rig: RigConfig, fares: Iterable[Fare], here: str) -> Iterator[Finding]:
-    """Which agents of the rig's file are there. Where none is, nobody has started it yet, which is no fault."""
+def running(rig: RigConfig, fares: Iterable[Fare], here: str, other_rigs: Sequence[str] = ()) -> Iterator[Finding]:
+    """Which agents of the rig's file are there. Where none is, nobody has started it yet, which is no fault.
+
+    Where agents of other rigs are there on the same router, the file names another rig than runs.
+    """
     placed = placed_agents(rig)
     there = [fare for fare in fares if fare.state not in AWAY]
     if not there:
-        yield Finding("running agents", "none; suturegrasp up starts those of this machine")
+        if other_rigs:
+            remedy = f"name {listed(other_rigs)} as rig in the file, or give this rig a router of its own"
+            yield Finding("running agents", f"none of rig {rig.rig}, but of rig {listed(other_rigs)}", remedy)
+            return
+        yield Finding("running agents", f"none of rig {rig.rig}; suturegrasp up starts those of this machine")
         return
     for host in sorted({*placed.values(), *("" for fare in there if not fare.placed)}):
         names = sorted(f.name for f in there if f.placed == host)

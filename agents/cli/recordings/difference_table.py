@@ -44,15 +44,23 @@ def _beside(comparison: Comparison, topic: str, has_rows: bool, differing: int) 
 def _changes(comparison: Comparison, topic: str) -> list[str]:
     """What became of how many outputs, the most frequent change first."""
     changed = [output.became for output in comparison.outputs if output.topic == topic and output.became]
-    became = Counter(FIGURES.sub("#", change) for change in changed)
+    kinds = [_kind(change) for change in changed]
+    became = Counter(kinds)
     # where only figures tell them apart they are one kind, and none of them stands for all
-    alike = {kind: {change for change in changed if FIGURES.sub("#", change) == kind} for kind in became}
+    alike = {kind: {change for change, own in zip(changed, kinds, strict=True) if own == kind} for kind in became}
     lines = [
         f"  {'once' if count == 1 else f'{count} times'} {kind if len(alike[kind]) > 1 else min(alike[kind])}"
         for kind, count in became.most_common(MOST_CHANGES)
     ]
     left = len(became) - MOST_CHANGES
     return [*lines, *([f"  and {left} other changes of status or reason"] if left > 0 else [])]
+
+
+def _kind(change: str) -> str:
+    """A change without its figures; one that is of figures alone as it is."""
+    kind = FIGURES.sub("#", change)
+    before, _, after = kind.partition(" → ")
+    return change if before == after else kind
 
 
 def _cells(row: Row, began_ns: int) -> tuple[str, ...]:

@@ -153,7 +153,8 @@ def _links(fares: tuple[Fare, ...], rates_hz: Mapping[str, float]) -> Iterator[W
             if len(senders := sent.get(heard.topic, [])) != 1 or senders[0][0].placed == fare.placed:
                 continue
             sender, rate_hz = senders[0]
-            if heard.rate_hz < SLOW_SHARE * rate_hz:
+            # what is left out for newer ones has arrived
+            if heard.rate_hz < SLOW_SHARE * rate_hz and heard.topic not in fare.leaves_out:
                 told = f"{heard.topic} leaves at {rate_hz:.0f} Hz and reaches {fare.name} at {heard.rate_hz:.0f} Hz"
                 late.setdefault((sender.placed, fare.placed), []).append(told)
     for (one, other), told in late.items():

@@ -8,11 +8,17 @@ from agents.cli.rig.hosts import BESIDE, OPERATOR, kind_and_instance
 from agents.cli.rig.topics import Override
 from agents.cli.status.calibrations import Allowed
 from agents.cli.status.health_watch import Fare
-from schemas.messages import AgentFacts, ExecutionEvent, HostClocks, LogRecord, RigSection, RobotState, ToolCorrection
-from schemas.topics import (
-    TOPICS,
-    Delivery,
+from schemas.messages import (
+    AgentFacts,
+    ExecutionEvent,
+    HostClocks,
+    Judgement,
+    LogRecord,
+    RigSection,
+    RobotState,
+    ToolCorrection,
 )
+from schemas.topics import TOPICS, Delivery
 from shared.runtime.clocks import ClockOffset
 
 
@@ -45,6 +51,8 @@ class Gathered:
         here_expires_ns: when the certificate that status itself shows expires.
         overrides: what the rig's file here does otherwise with topics than their table says.
         rig_sections: of the rig's file here, by a digest of each.
+        other_rigs: whose agents are on the same router, where none of this rig's is there.
+        faults: what perception's newest observations find that keeps its input from being used.
         calibrations: how old those may be that agents use, by `kind/instance`, of agents that use any.
     """
 
@@ -66,6 +74,8 @@ class Gathered:
     overrides: tuple[Override, ...] = ()
     rig_sections: tuple[RigSection, ...] = ()
     calibrations: Mapping[str, Allowed] = field(default_factory=dict[str, Allowed])
+    other_rigs: tuple[str, ...] = ()
+    faults: tuple[Judgement, ...] = ()
 
 
 def expected_rates(rig: RigConfig) -> dict[str, float]:

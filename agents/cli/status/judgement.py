@@ -40,6 +40,8 @@ def judge(gathered: Gathered) -> list[Wrong]:
     if cut_off := _nothing_heard(gathered):
         return [cut_off]
     found = [
+        *_other_rigs(gathered),
+        *_faulty_images(gathered),
         *judge_agents(gathered.fares, gathered.rates_hz, gathered.addresses),
         *_arms(gathered),
         *_clocks(gathered),
@@ -63,6 +65,21 @@ def _nothing_heard(gathered: Gathered) -> Wrong | None:
         f"nothing is heard from any host: the router's host {gathered.router_host} is away, or all agents are stopped"
     )
     return Wrong("router", gathered.router_host, text)
+
+
+def _faulty_images(gathered: Gathered) -> list[Wrong]:
+    """What keeps perception from using the camera's images."""
+    said = [(one.code, f"the images are of no use: {one.finding}; {one.remedy}") for one in gathered.faults]
+    return [Wrong("images", code, text) for code, text in said]
+
+
+def _other_rigs(gathered: Gathered) -> list[Wrong]:
+    """That agents of another rig are on the router, where so, and none of this one's."""
+    if not gathered.other_rigs:
+        return []
+    names = listed(gathered.other_rigs)
+    text = f"no agent of rig {gathered.rig} is on {gathered.endpoint}, and those of rig {names} are: name it as rig"
+    return [Wrong("rig", names, f"{text} in the file, or give this rig a router of its own")]
 
 
 def apart(offset: ClockOffset, of: str = "this host's") -> str:

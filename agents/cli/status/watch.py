@@ -10,12 +10,23 @@ from agents.cli.rig.digest import rig_sections
 from agents.cli.rig.topics import overrides
 from agents.cli.status.calibrations import allowed_ages
 from agents.cli.status.gathered import ArmHeard, Gathered, expected_rates, placed_agents, placed_beside
-from agents.cli.status.health_watch import HealthWatch
+from agents.cli.status.health_watch import HealthWatch, key_of
 from agents.cli.status.session import reading_session
 from schemas.checks import MessageError
 from schemas.codec import decode
-from schemas.messages import AgentFacts, ExecutionEvent, HostClocks, LogLevel, LogRecord, RobotState, ToolCorrection
-from schemas.topics import CLOCKS, EXECUTION, LOG, ROBOT_STATE, TOOL
+from schemas.messages import (
+    AgentFacts,
+    ExecutionEvent,
+    HostClocks,
+    Judgement,
+    LogLevel,
+    LogRecord,
+    RobotState,
+    Severity,
+    ThreadObservations,
+    ToolCorrection,
+)
+from schemas.topics import CLOCKS, EXECUTION, LOG, OBSERVATIONS, ROBOT_STATE, TOOL
 from shared.clock import monotonic_s, now_ns
 from shared.runtime.clocks import ClockOffset
 from shared.runtime.connection import Connection
@@ -25,6 +36,8 @@ from shared.runtime.taps import Tapped
 PRESENT_EVERY_S, ARMS_EVERY_S, CLOCKS_EVERY_S, FACTS_EVERY_S = 1.0, 2.0, 10.0, 60.0
 STATES_WITHIN_S = 0.3
 """States come every 10 ms, more slowly where a machine is busy."""
+OBSERVATIONS_EVERY_S, OBSERVATIONS_WITHIN_S = 5.0, 1.0
+"""They come with every frame that perception looks at."""
 ERRORS_KEPT = 20
 ENDS_S = 5.0
 
@@ -50,6 +63,8 @@ class StatusWatch:
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._ask_again_and_again, name="asking", daemon=True)
         self._tools: dict[str, ToolCorrection] = {}
+        self._other_rigs: tuple[str, ...] = ()
+        self._faults: tuple[Judgement, ...] = ()
         connection.listen((EXECUTION, LOG, CLOCKS, TOOL), self._take)
 
     def start(self) -> None:
@@ -65,6 +80,7 @@ class StatusWatch:
     def ask(self) -> None:
         """Ask for all that is asked for, once."""
         self._ask_who_is_there()
+        self._hear_observations()
         self._hear_arms()
         self._ask_facts()
         self._ask_clocks()
@@ -78,7 +94,7 @@ class StatusWatch:
         with self._lock:
             states, events, planner_clocks = dict(self._states), dict(self._events), self._planner_clocks
             clocks, facts, errors = dict(self._clocks), dict(self._facts), tuple(self._errors)
-            tools = dict(self._tools)
+            tools, faults, other_rigs = dict(self._tools), self._faults, self._other_rigs
         arms = sorted({*self._rig.robot, *states, *events})
         if not (router := self._connection.has_router()):
             self._health.cut_off()
@@ -101,6 +117,8 @@ class StatusWatch:
             overrides=overrides(self._rig.topics),
             rig_sections=rig_sections(self._rig),
             calibrations=allowed_ages(self._rig),
+            other_rigs=other_rigs,
+            faults=faults,
         )
 
     def _take(self, tapped: Tapped) -> None:
@@ -122,6 +140,7 @@ class StatusWatch:
         due = {
             self._ask_who_is_there: PRESENT_EVERY_S,
             self._hear_arms: ARMS_EVERY_S,
+            self._hear_observations: OBSERVATIONS_EVERY_S,
             self._ask_facts: FACTS_EVERY_S,
             self._ask_clocks: CLOCKS_EVERY_S,
         }
@@ -140,6 +159,9 @@ class StatusWatch:
         if (present := self._connection.present_if_told()) is not None:
             self._present = present
             self._health.note_present(present)
+            others = () if present else tuple(self._connection.other_rigs())
+            with self._lock:
+                self._other_rigs = others
 
     def _hear_arms(self) -> None:
         """One state of each arm that is there: to hear all of them, at 100 Hz, would be most of the work here."""
@@ -160,6 +182,24 @@ class StatusWatch:
                 states[arm] = decode(RobotState, payload)
         with self._lock:
             self._states = states
+
+    def _hear_observations(self) -> None:
+        """The newest observations, for what keeps the images from being used: all of them would be most of the work."""
+        newest, heard = list[bytes](), threading.Event()
+
+        def hear(tapped: Tapped) -> None:
+            newest.append(tapped.payload)
+            heard.set()
+
+        if key_of(OBSERVATIONS.agent) in self._present:
+            with self._connection.listening((OBSERVATIONS,), hear):
+                heard.wait(OBSERVATIONS_WITHIN_S)
+        faults: tuple[Judgement, ...] = ()
+        with contextlib.suppress(MessageError, IndexError):
+            observed = decode(ThreadObservations, newest[-1])
+            faults = tuple(one for one in observed.judgements if one.severity is Severity.FAULT)
+        with self._lock:
+            self._faults = faults
 
     def _ask_facts(self) -> None:
         facts = self._connection.facts()

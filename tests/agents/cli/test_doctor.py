@@ -178,7 +178,9 @@ def hosts():
 def test_agents_are_told_by_host_and_those_missing_are_wrong_once_any_runs():
     rig = simulated_rig().model_copy(update={"hosts": hosts()})
     (none,) = running(rig, [Fare("camera", None, 1.0, False, placed="video")], "desk")
-    assert (none.state, none.found.split(";")[0]) == ("ok", "none")
+    assert (none.state, none.found.split(";")[0]) == ("ok", f"none of rig {rig.rig}")
+    (other,) = running(rig, [], "desk", ("lab",))
+    assert (other.state, other.found) == ("WRONG", f"none of rig {rig.rig}, but of rig lab")
     there = Fare("planner", None, 1.0, True, placed="desk")
     found = by_what(running(rig, [there], "desk"))
     assert found["agents on desk (here)"] == Finding("agents on desk (here)", "planner")

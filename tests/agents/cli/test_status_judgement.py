@@ -32,11 +32,13 @@ from schemas.messages import (
     HostClock,
     HostClocks,
     InputHealth,
+    Judgement,
     LogLevel,
     LogRecord,
     OutputHealth,
     RobotMode,
     RobotState,
+    Severity,
     ToolCandidate,
     ToolCorrection,
     ToolStatus,
@@ -293,6 +295,19 @@ def test_a_step_is_blamed_only_where_it_fills_the_time_and_no_agent_that_waits_f
     assert told(0.6, 0.6, 40.0).endswith(", for it waits for camera/frames, which reaches it at 1 Hz")
 
 
+def test_images_that_perception_cannot_use_are_wrong_though_every_agent_is_well():
+    swapped = Judgement("left_right_swapped", Severity.FAULT, "left and right look exchanged", "exchange them")
+    (wrong,) = judge(moment(faults=(swapped,)))
+    assert (wrong.code, wrong.about, wrong.grave) == ("images", "left_right_swapped", True)
+    assert wrong.text == "the images are of no use: left and right look exchanged; exchange them"
+
+
+def test_agents_of_another_rig_on_the_router_are_named_where_none_of_this_one_is_there():
+    (wrong,) = judge(moment(other_rigs=("demo",)))
+    assert wrong.text.startswith("no agent of rig lab is on ")
+    assert "those of rig demo are: name it as rig in the file" in wrong.text
+
+
 def test_two_that_hear_each_other_do_not_wait_for_each_other():
     thread, observations = heard("reconstruction/thread", 1.0), heard("perception/observations", 1.0)
     seen = health("perception", inputs=[thread], outputs=[OutputHealth("perception/observations", 1.0, 9)])
@@ -490,3 +505,11 @@ def test_a_link_that_carries_less_than_is_sent_is_named_and_a_receiver_on_the_sa
         texts = [w.text for w in judge_agents([sender, slow], {"camera/frames": 30.0}) if w.code == "link"]
         how = "camera/frames leaves at 30 Hz and reaches perception at 9 Hz"
         assert texts == [f"the link from video to compute carries too little: {how}"] * int(named)
+    # what arrives and is left out for newer ones crossed the link
+    slow = fare(
+        "perception",
+        health("perception", inputs=[heard("camera/frames", 9.0)]),
+        placed="compute",
+        leaves_out=frozenset({"camera/frames"}),
+    )
+    assert not [w for w in judge_agents([sender, slow], {"camera/frames": 30.0}) if w.code == "link"]
