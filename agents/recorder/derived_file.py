@@ -32,7 +32,8 @@ class DerivedFile:
     def write(self, topic: Topic, entry: Entry) -> None:
         """Add a message."""
         self._writer.write(topic, entry)
-        self._held[entry.key].append(entry.received_ns)
+        if not entry.repeated:
+            self._held[entry.key].append(entry.received_ns)
         for copy in self._copies.of(topic, entry):
             self._writer.write_derived(copy.channel, copy.schema, DESCRIPTORS, copy.payload, entry)
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from google.protobuf.descriptor import FieldDescriptor
 
+import schemas
 from schemas.codec import encode
 from schemas.generated import suturegrasp_pb2
 from schemas.messages import (
@@ -42,6 +43,8 @@ from shared.recording.mcap_file import read_recording
 from shared.runtime.commands import new_header
 
 EXAMPLE = Path(__file__).parents[3] / "docs" / "example" / "session.mcap"
+NEWEST = Path(__file__).parents[2] / "schemas" / "released" / schemas.__version__ / "recording.mcap"
+"""One message of each topic, for those that the example is too old for."""
 FLOATS = (np.nan, np.inf, -np.inf, 1e308, -1e308, 5e-324, -0.0, -1.0, 1e18)
 INTEGERS = (0, 1, -1, 2**31 - 1, -(2**31), 2**32 - 1, 2**62, 2**63 - 1, -(2**63), 2**64 - 1)
 TEXTS = ("", "\0", "x" * 5000, "../../etc/passwd", "**", "@adv/pub", "\u202e", "%s%n{0}", "1e999", "[" * 3000)
@@ -51,7 +54,7 @@ LONGEST_RANDOM, MOST_REPEATED = 4096, 300
 
 def valid_messages(arm: str, plan_id: str = "p") -> dict[Topic, Callable[[], bytes]]:
     """By topic, what makes a valid message of it as it travels; a command is made anew, as its time is short."""
-    recorded = {topic_of(entry.key): entry.payload for entry in read_recording(EXAMPLE)}
+    recorded = {topic_of(entry.key): entry.payload for path in (NEWEST, EXAMPLE) for entry in read_recording(path)}
     made: dict[type, Callable[[], Any]] = {
         GraspGoal: lambda: GraspGoal(new_header("x"), arm, Policy.CAPTURE_SLIDE_GRASP, 0.5, None, None),
         Arm: lambda: Arm(new_header("x"), arm, plan_id),
