@@ -84,7 +84,7 @@ CORRELATED = 3.0
 LEAST_RATIO = 0.05
 """Deviation of a radius that an earlier pair told, at the least, as a ratio: pairs in turn err alike."""
 LEAST_SEEN_DEG = 130.0
-"""Of the arc, by both eyes: of needles of which less was seen two in three lay otherwise, of the others none."""
+"""Of the arc, by both eyes: of training needles of which less was seen seven in eight lay otherwise."""
 MOST_TURN_DEG = 15.0
 
 
@@ -159,8 +159,8 @@ def drawn(camera: RectifiedStereo, eyes: Eyes, rng: np.random.Generator) -> list
     points, weight = _places(camera, eyes)
     if len(points) < 3:
         return []
-    drawn = rng.choice(len(points), (DRAWS, 3), p=weight / weight.sum())
-    corners = [points[drawn[:, k]] for k in range(3)]
+    chosen = rng.choice(len(points), (DRAWS, 3), p=weight / weight.sum())
+    corners = [points[chosen[:, k]] for k in range(3)]
     centre, normal, radius = circles_through(*corners)
     sides = [np.linalg.norm(corners[k] - corners[k - 1], axis=1) for k in range(3)]
     least, most = np.array(RADII_M) / (camera.metres_per_unit or 1.0)

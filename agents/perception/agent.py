@@ -165,12 +165,16 @@ class Perception(Agent):
         self._go_on_from(observed)
         yield Output(OBSERVATIONS, observed)
         if not isinstance(pair, str):
-            yield from self._beside_thread(observed, pair.in_line(right_eye_of(observed)), surface_due)
+            yield from self._beside_thread(observed, pair, surface_due)
 
     def _beside_thread(self, observed: ThreadObservations, pair: RectifiedPair, surface_due: bool) -> Iterable[Later]:
         """The tissue, and the needle whenever instruments were looked for."""
         stamp, occluders = observed.stamp, observed.occluders
-        if self.config.needle and occluders is not None and occluders.sequence == stamp.sequence:
+        needle_due = self.config.needle and occluders is not None and occluders.sequence == stamp.sequence
+        if not (needle_due or surface_due):
+            return
+        pair = pair.in_line(right_eye_of(observed))
+        if needle_due:
             yield Later(NEEDLE_SEEN, begun(needle_observed, stamp, pair.camera, *pair.images, observed))
         if surface_due:
             thread = decode_image(observed.mask_left) > 0
