@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from schemas.topics import Topic
 
-MAIN, EVERYTHING, TOOL = "main", "*", "perception/tool"
+MAIN, EVERYTHING = "main", "*"
 
 
 class Pace(Enum):
@@ -66,16 +66,14 @@ class Kind:
         """What it publishes, in that order."""
         from schemas.topics import TOPICS, Delivery
 
-        # perception's tracker of an arm's tool is a kind of its own under the same name
-        mine = (topic for topic in TOPICS if topic.agent == self.name and topic.delivery is not Delivery.COMMAND)
-        return tuple(topic for topic in mine if (str(topic) == TOOL) == (self is TOOL_TRACKER))
+        return tuple(t for t in TOPICS if t.agent == self.name and t.delivery is not Delivery.COMMAND)
 
     @property
     def answers(self) -> "tuple[Topic, ...]":
         """The commands that it answers."""
         from schemas.topics import TOPICS
 
-        return tuple(topic for topic in TOPICS if topic.receiver == self.name and self is not TOOL_TRACKER)
+        return tuple(topic for topic in TOPICS if topic.receiver == self.name)
 
 
 CAMERA = Kind(
@@ -89,12 +87,13 @@ PERCEPTION = Kind(
     Pace.STEPS_BACK,
 )
 TOOL_TRACKER = Kind(
-    "perception",
-    "perception",
+    "tool_tracker",
+    "tool_tracker",
     "finds an arm's tool in both images",
     ("camera/frames", "camera/calibration", "robot_bridge/state"),
     Pace.STEPS_BACK,
     per_arm=True,
+    agent="agents.tool_tracker.agent:ToolTracker",
 )
 RECONSTRUCTION = Kind(
     "reconstruction", "reconstruction", "makes a curve in space of it", ("perception/observations",), Pace.STEPS_BACK
@@ -121,7 +120,10 @@ ROBOT_BRIDGE = Kind(
     "robot_bridge",
     "robot",
     "checks plans, and moves an arm",
-    ("planner/plan", "operator/heartbeat", "perception/surface", "camera/notice", TOOL),
+    (
+        *("planner/plan", "operator/heartbeat", "perception/surface"),
+        *("camera/notice", "tool_tracker/correction"),
+    ),
     Pace.KEEPS_TIME,
     per_arm=True,
     audited=True,
@@ -136,7 +138,7 @@ SIMULATOR = Kind(
 )
 AGENTS = (CAMERA, PERCEPTION, TOOL_TRACKER, RECONSTRUCTION, NEEDLE, PLANNER, ROBOT_BRIDGE, SIMULATOR)
 """In the order of the dataflow."""
-NAMES = tuple(dict.fromkeys(kind.name for kind in AGENTS))
+NAMES = tuple(kind.name for kind in AGENTS)
 
 GUARD = Kind(
     "guard",
@@ -171,11 +173,9 @@ _COMMANDS = {RECORDER: "record", VIEWER: "view"}
 """Named for what they do."""
 
 
-def kind_of(name: str, instance: str = MAIN) -> Kind | None:
+def kind_of(name: str) -> Kind | None:
     """The row of a process; None for what is of no kind."""
-    rows = [kind for kind in PROCESSES if kind.name == name]
-    of_arm = [kind for kind in rows if kind.per_arm]
-    return next(iter(rows if instance == MAIN else of_arm or rows), None)
+    return next((kind for kind in PROCESSES if kind.name == name), None)
 
 
 def command_of(kind: Kind) -> str:

@@ -23,9 +23,9 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from agents.camera.image_files import read_pair
-from agents.perception.rectification import rectification, rectify_image
 from schemas.messages import RectifiedStereo, StereoCalibration
 from shared.calibration import read_calibration
+from shared.rectification import rectification, rectify_image
 
 CORNERS = (13, 8)
 """Inner corners along a row and along a column of the chessboard: it has 14 x 9 squares."""

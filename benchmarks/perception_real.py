@@ -21,7 +21,6 @@ from rich.table import Table
 
 from agents.cli.reconstruct.pipeline import reconstruct_pair
 from agents.perception.centrelines import thread_centrelines
-from agents.perception.rectification import rectification
 from agents.perception.segmenter_names import NETWORK
 from agents.reconstruction.method_names import DEFAULT_METHOD
 from benchmarks.centreline_share import shares
@@ -29,6 +28,7 @@ from benchmarks.perception_pictures import drawn_over
 from benchmarks.scenes import GREY_REAL, REAL, Pair, Scene, scenes
 from benchmarks.segmenters import COMPARED, ON_TISSUE
 from schemas.messages import RectifiedStereo, Status
+from shared.rectification import rectification
 from shared.scene.rendered_fields import FIELDS, rendered_backdrop
 from shared.scene.sensor import Sensor, expose, grain
 

@@ -12,13 +12,13 @@ import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 
 from agents.camera.image_files import read_mask, read_pair, read_side_by_side
-from agents.perception.rectification import rectification
 from benchmarks.board import LINES, board_edge
 from benchmarks.occlusions import hiding_shaft
 from schemas.messages import StereoCalibration
 from shared.arc_length import even_parameters
 from shared.calibration import read_calibration
 from shared.calibration.uncertainty import ERRORS
+from shared.rectification import rectification
 from shared.splines import clamped_uniform_knots, evaluate
 
 Pair = tuple[UInt8[np.ndarray, "h w *c"], UInt8[np.ndarray, "h w *c"]]

@@ -20,13 +20,13 @@ from jaxtyping import Bool, Float64, UInt8
 from rich.console import Console
 from rich.table import Table
 
-from agents.perception.rectification import rectification
 from agents.perception.surface import tissue_surface
 from benchmarks.board import Pair, rectified_board
 from benchmarks.scenes import RENDERS, scenes
 from schemas.messages import FrameStamp, RectifiedStereo, TissueSurface
 from shared.camera import depth_of_disparity, project
 from shared.clock import processor_s
+from shared.rectification import rectification
 from shared.scene.__main__ import ENDOSCOPE, make_scene
 from shared.scene.render import render, render_backdrop
 

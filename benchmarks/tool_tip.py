@@ -17,10 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-from agents.perception.tool.acquisition import soft_pair
-from agents.perception.tool.refinement import View
-from agents.perception.tool.track import Following, begun, followed
 from agents.simulator.agent import ENDOSCOPE
+from agents.tool_tracker.acquisition import soft_pair
+from agents.tool_tracker.refinement import View
+from agents.tool_tracker.track import Following, begun, followed
 from benchmarks.tool_tip_scenes import Case, case, pair_at
 from shared.clock import processor_s
 from shared.rigid_transforms import apply

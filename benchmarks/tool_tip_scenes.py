@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from agents.perception.tool.correction import about
-from agents.perception.tool.outline import outline
-from agents.perception.tool.tubes import FINGER, tubes
 from agents.simulator.agent import ENDOSCOPE
+from agents.tool_tracker.correction import about
+from agents.tool_tracker.outline import outline
+from agents.tool_tracker.tubes import FINGER, tubes
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER as PSM
 from shared.kinematics.simulated_setup import SIMULATED_BASES
 from shared.rigid_transforms import apply

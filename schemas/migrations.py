@@ -13,6 +13,7 @@ from google.protobuf.message import DecodeError
 
 from schemas import __version__
 from schemas.generated import suturegrasp_pb2
+from schemas.topics import MAIN, TOOL
 
 Version = tuple[int, ...]
 
@@ -32,7 +33,29 @@ class Migration:
     lift: Callable[[Any], None]
 
 
-MIGRATIONS: tuple[Migration, ...] = ()
+def lifted_agent(name: str) -> str:
+    """An agent's name of this version: an arm's tool tracker was an instance of perception until 0.2.0."""
+    kind, _, instance = name.partition("/")
+    return f"{TOOL.agent}/{instance}" if kind == "perception" and instance not in ("", MAIN) else name
+
+
+def lifted_key(key: str) -> str:
+    """The key under which this version publishes what an older one published under that key."""
+    root, _, rest = key.partition("/perception/")
+    instance, _, name = rest.partition("/")
+    if instance in ("", MAIN):
+        return key
+    return f"{root}/{TOOL.agent}/{instance}/{TOOL.name if name == 'tool' else name}"
+
+
+def _consumed_lifted(wire: Any) -> None:
+    for one in wire.consumed:
+        one.key = lifted_key(one.key)
+
+
+MIGRATIONS: tuple[Migration, ...] = tuple(
+    Migration(message, (0, 3, 0), _consumed_lifted) for message in ("ToolCorrection", "RobotState", "ExecutionEvent")
+)
 """In the order of their versions."""
 
 

@@ -178,8 +178,8 @@ NEEDLE_SEEN = Topic(
     typical_bytes=45_000,
 )
 TOOL = Topic(
-    "perception",
-    "tool",
+    "tool_tracker",
+    "correction",
     ToolCorrection,
     Delivery.LATEST,
     rate_hz=5,

@@ -50,7 +50,7 @@ UMask=0027
 
 def row_of(process: Process) -> Kind | None:
     """The row of the registry that a process is of; None for a router, which is no program of ours."""
-    return kind_of(process.kind, process.instance)
+    return kind_of(process.kind)
 
 
 def names_its_arm(process: Process) -> bool:

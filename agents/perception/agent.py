@@ -10,15 +10,12 @@ from agents.perception.beside import begun_beside
 from agents.perception.due import Due, due
 from agents.perception.following.follow import every_second
 from agents.perception.following.pair import FollowedPair, follow_pair
-from agents.perception.frame_checks import apart, mismatch
 from agents.perception.judging.each_frame import judge_each, lasting, one_eye_stands_still, pictured
 from agents.perception.judging.whole import judge_whole
 from agents.perception.needle import needle_observed
 from agents.perception.observe import observe
 from agents.perception.occluders import instruments_in
 from agents.perception.prompted import answer_to
-from agents.perception.rectification import Rectification, RectificationError, rectification
-from agents.perception.rectified_pair import RectifiedPair, decoded_pair, rectified_pair
 from agents.perception.search import FRAMES_BETWEEN_LOOKS, Looked, look_everywhere, look_near
 from agents.perception.segmentation.choice import segmenters_with
 from agents.perception.segmentation.promptable_model import PromptableFiles
@@ -44,7 +41,16 @@ from schemas.topics import CALIBRATION, FRAMES, NEEDLE_SEEN, OBSERVATIONS, PROMP
 from shared.aside import begun
 from shared.calibration.identity import calibration_id
 from shared.calibration.uncertainty import covariance_of
+from shared.frame_checks import apart, mismatch
 from shared.images import ImageDataError, decode_image
+from shared.rectification import (
+    Rectification,
+    RectificationError,
+    RectifiedPair,
+    decoded_pair,
+    rectification,
+    rectified_pair,
+)
 from shared.right_eye import right_eye_of, whole_rows
 from shared.runtime.agent import Agent, Command, Input, Later, Output, Received, Reply, Tick
 from shared.runtime.parameters import OneOf, settable

@@ -13,12 +13,12 @@ from agents.perception.due import Due
 from agents.perception.glances.glance import part_score
 from agents.perception.glances.parts import Part, next_part
 from agents.perception.judging.whole import Whole, judge_whole
-from agents.perception.rectified_pair import RectifiedPair
 from agents.perception.segmentation.choice import suitable_segmenter
 from agents.perception.segmentation.classes import ThreadScore
 from agents.perception.segmenter_names import NETWORK
 from schemas.messages import RightEye, ThreadObservations
 from shared.aside import begun
+from shared.rectification import RectifiedPair
 from shared.right_eye import right_eye_of
 
 

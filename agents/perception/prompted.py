@@ -1,10 +1,10 @@
 """What is answered to a prompt, by the last frame that was seen."""
 
 from agents.perception.prompt import reach_px
-from agents.perception.rectified_pair import RectifiedPair
 from agents.perception.search import look_everywhere
 from agents.perception.segmenter_names import PROMPTABLE
 from schemas.messages import CommandAnswer, Prompt
+from shared.rectification import RectifiedPair
 from shared.runtime.commands import accepted, refused
 
 

@@ -3,7 +3,6 @@
 import numpy as np
 from jaxtyping import Float64
 
-from agents.perception.rectification import rectified_camera
 from schemas.messages import (
     ImageEncoding,
     Judgement,
@@ -15,6 +14,7 @@ from schemas.messages import (
     ThreadObservations,
 )
 from shared.images import encode_image
+from shared.rectification import rectified_camera
 
 LARGEST_IMAGE_PIXELS = 1 << 26
 

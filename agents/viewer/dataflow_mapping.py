@@ -28,6 +28,8 @@ PLACES = {
     "perception": (4, 0),
     "perception/observations": (5, -0.4),
     "perception/surface": (5, 0.4),
+    "tool_tracker": (4, 1.1),
+    "tool_tracker/correction": (3, 1.6),
     "reconstruction": (6, 0),
     "reconstruction/thread": (6, 1),
     "planner": (6, 2),

@@ -82,7 +82,8 @@ def perception(scene: Scene) -> rrb.Vertical:
         trust += [[along, confidence], [panels.deviation(scene), stages]]
     else:
         trust.append([confidence, stages])
-    said = panels.words("log of perception and reconstruction", ["log/perception/**", "log/reconstruction/**"])
+    spoke = [f"log/{agent}/**" for agent in ("perception", "tool_tracker", "needle", "reconstruction")]
+    said = panels.words("log of what is seen", spoke)
     words = rrb.Tabs(panels.document("perception/verdict", "verdict on the images, and threads"), said, active_tab=0)
     trust.append([rrb.Tabs(panels.score(), panels.lanes(contents=SEEING), active_tab=0), words])
     return rrb.Vertical(

@@ -36,7 +36,7 @@ def tool_entities(told: ToolCorrection, changed: bool) -> list[Entity]:
     if not changed:
         return entities
     level = rr.TextLogLevel.WARN if told.status is ToolStatus.LOST else rr.TextLogLevel.INFO
-    words = said(f"perception/{told.arm}", tool_sentence(told), level)
+    words = said(f"tool_tracker/{told.arm}", tool_sentence(told), level)
     return [*entities, lane(f"tool_{arm}", LANES[told.status]), words]
 
 

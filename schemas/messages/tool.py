@@ -25,7 +25,7 @@ class ToolCandidate:
     """A place that the instrument may be at: six numbers about the pivot, their covariance, and the colours it has.
 
     Fields:
-        twist: v and ω of the correction, as agents/perception/tool/correction.py has them.
+        twist: v and ω of the correction, as agents/tool_tracker/correction.py has them.
         table: how much each of 16³ colours is the instrument's, 255 being all.
         expected, fits: points of the outline in view, and the share of them at which there is an edge.
         quality: the same share, weighed by how near the edge is.

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import schemas
+from schemas.migrations import lifted_agent, lifted_key
 from shared.recording.entry import Note
 
 DERIVED, BEGUN = "derived", "derivation begun"
@@ -169,7 +170,7 @@ def _read(note: Note) -> Derivation | None:
     how, source, sha256, said, version, read_as = (facts.get(name, "") for name in WORDS)
     told = Derivation(how, source, sha256, said, version, read_as=read_as)
     try:
-        agents = {name: _anew(one) for name, one in _table(facts, "agents").items()}
+        agents = {lifted_agent(name): _anew(one) for name, one in _table(facts, "agents").items()}
         return replace(told, agents=agents, settings=_table(facts, "settings"), left_out=_table(facts, "left_out"))
     except (ValueError, TypeError, AttributeError, LookupError):
         # of a later version, or spoilt: that it was derived is true all the same
@@ -177,7 +178,10 @@ def _read(note: Note) -> Derivation | None:
 
 
 def _anew(facts: dict[str, Any]) -> Anew:
-    known: dict[str, Any] = facts | {name: tuple(facts.get(name, ())) for name in ("keys", "kept_ns")}
+    known: dict[str, Any] = facts | {
+        "keys": tuple(lifted_key(key) for key in facts.get("keys", ())),
+        "kept_ns": tuple(facts.get("kept_ns", ())),
+    }
     return Anew(**known)
 
 

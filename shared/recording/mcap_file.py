@@ -22,7 +22,7 @@ from mcap.records import Attachment, Channel, Chunk, Header, McapRecord, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import MCAP0_MAGIC
 
-from schemas.migrations import NewerVersionError, Version, check_readable, lifted, version_of
+from schemas.migrations import NewerVersionError, Version, check_readable, lifted, lifted_key, version_of
 from schemas.topics import topic_of
 from shared.recording.entry import PROFILE, Entry, Note, RecordingError
 from shared.recording.writer import RecordingWriter
@@ -260,12 +260,13 @@ def _damaged(path: Path) -> str:
 
 def _entry(channel: Channel, message: Message, version: Version) -> Entry:
     epoch, repeated = int(channel.metadata[EPOCH]), "repeated" in channel.metadata
+    key = lifted_key(channel.topic)
     try:
-        payload = lifted(topic_of(channel.topic).message.__name__, message.data, version)
+        payload = lifted(topic_of(key).message.__name__, message.data, version)
     except KeyError:
         # a topic that there no longer is: whoever reads says so
         payload = message.data
-    return Entry(channel.topic, epoch, message.sequence, payload, message.publish_time, message.log_time, repeated)
+    return Entry(key, epoch, message.sequence, payload, message.publish_time, message.log_time, repeated)
 
 
 @contextmanager

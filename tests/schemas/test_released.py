@@ -5,7 +5,15 @@ import pytest
 import schemas
 from schemas.codec import decode, encode
 from schemas.generated import suturegrasp_pb2 as pb
-from schemas.migrations import MIGRATIONS, Migration, NewerVersionError, check_readable, lifted, version_of
+from schemas.migrations import (
+    MIGRATIONS,
+    Migration,
+    NewerVersionError,
+    check_readable,
+    lifted,
+    lifted_key,
+    version_of,
+)
 from schemas.topics import TOPICS, Delivery, topic_of
 from shared.recording.mcap_file import read_recording
 from tests.schemas.freeze import RELEASED, schema_lines
@@ -78,3 +86,13 @@ def test_a_greater_first_number_is_refused():
     check_readable((first, rest[0] + 1, 0))
     with pytest.raises(NewerVersionError, match="update suturegrasp"):
         check_readable((first + 1, 0, 0))
+
+
+def test_an_arms_tool_tracker_was_an_instance_of_perception():
+    assert lifted_key("suturegrasp/lab/perception/psm1/tool") == "suturegrasp/lab/tool_tracker/psm1/correction"
+    assert lifted_key("suturegrasp/lab/perception/psm1/health") == "suturegrasp/lab/tool_tracker/psm1/health"
+    for same in ("suturegrasp/lab/perception/main/health", "suturegrasp/lab/tool_tracker/psm1/correction"):
+        assert lifted_key(same) == same
+    told = pb.RobotState(consumed=[pb.Consumed(key="suturegrasp/lab/perception/psm1/tool", sequence=3)])
+    (consumed,) = pb.RobotState.FromString(lifted("RobotState", told.SerializeToString(), (0, 2, 0))).consumed
+    assert (consumed.key, consumed.sequence) == ("suturegrasp/lab/tool_tracker/psm1/correction", 3)

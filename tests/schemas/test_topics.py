@@ -8,13 +8,13 @@ import schemas.messages
 from agents.camera.agent import Camera, SceneCamera
 from agents.needle.agent import Needle
 from agents.perception.agent import Perception
-from agents.perception.tool.agent import ToolTracker, ToolTrackerConfig
 from agents.planner.agent import Planner
 from agents.reconstruction.agent import Reconstruction
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.correction import CorrectionLimits
 from agents.robot_bridge.simulated import SimulatedPsm
 from agents.simulator.agent import Simulator
+from agents.tool_tracker.agent import ToolTracker, ToolTrackerConfig
 from schemas.checks import fields_of
 from schemas.topics import (
     ANY_AGENT,

@@ -13,7 +13,6 @@ from agents.cli.reconstruct.options import UsageError
 from agents.cli.rig.config import RigConfig
 from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.cli.terminal import complain, say, warn
-from agents.perception.rectification import rectification
 from schemas.messages import Judgement, Severity
 from shared.calibration import CalibrationError, read_calibration, write_calibration
 from shared.calibration.estimation.board import Board
@@ -24,6 +23,7 @@ from shared.calibration.judge import judgements
 from shared.calibration.uncertainty import FIELD_DEPTHS, bending, covariance_of, displacements
 from shared.calibration.written import camera_info_texts, opencv_text
 from shared.clock import now_ns
+from shared.rectification import rectification
 from shared.runtime.connection import connected
 from shared.units import METRES_PER_UNIT
 

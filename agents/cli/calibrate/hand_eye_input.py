@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 from jaxtyping import Float64
 
-from agents.perception.rectification import RectificationError, rectification
 from schemas.codec import decode
 from schemas.messages import RobotState, StereoCalibration
 from schemas.topics import ROBOT_STATE, topic_of
@@ -19,6 +18,7 @@ from shared.camera import camera_matrix, is_rectified
 from shared.kinematics.psm import JOINT_NAMES, forward
 from shared.recording.entry import RecordingError
 from shared.recording.mcap_file import read_recording
+from shared.rectification import RectificationError, rectification
 from shared.rigid_transforms import rotation_from_quaternion, transform
 
 PIXELS, POINTS = ("left_u", "left_v", "right_u", "right_v"), ("x", "y", "z")

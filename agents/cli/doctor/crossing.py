@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from agents.cli.rig.config import RigConfig
 from agents.cli.rig.hosts import kind_and_instance
 from agents.registry import CAMERA, RECORDER, ROBOT_BRIDGE, kind_of
-from schemas.topics import MAIN, NEEDLE_SEEN, TOOL, TOPICS, Topic
+from schemas.topics import NEEDLE_SEEN, TOOL, TOPICS, Topic
 
 STREAMS = tuple(topic for topic in TOPICS if topic.typical_bytes)
 """What comes steadily and weighs something."""
@@ -58,22 +58,22 @@ def crossings(rig: RigConfig, bytes_of: Mapping[str, float]) -> Iterator[Crossin
             continue
         for topic in _said_on(rig):
             each = rate_of(rig, topic) * bytes_of.get(str(topic), topic.typical_bytes)
-            if _says(kind, instance, topic) and str(topic) in heard:
+            if topic.agent == kind and str(topic) in heard:
                 yield Crossing(host, f"{kind}/{instance}", topic, True, each)
             if topic in heard_by(rig, kind, instance):
-                of_each = _instances(rig, kind, instance, topic)
+                of_each = _instances(rig, kind, topic)
                 yield Crossing(host, f"{kind}/{instance}", topic, False, of_each * each)
 
 
 def heard_by(rig: RigConfig, kind: str, instance: str) -> tuple[Topic, ...]:
     """The streams that a process hears."""
-    row = kind_of(kind, instance)
+    row = kind_of(kind)
     if row is RECORDER:
         otherwise = {str(row): row.recorded for row in rig.rows_otherwise}
         return tuple(topic for topic in _said_on(rig) if otherwise.get(str(topic), topic.recorded))
     if row is CAMERA and (rig.camera is None or rig.camera.source != "scene"):
         return ()
-    unasked = {TOOL} if row is ROBOT_BRIDGE and rig.robot[instance].correction != "perception" else set[Topic]()
+    unasked = {TOOL} if row is ROBOT_BRIDGE and rig.robot[instance].correction != "tool_tracker" else set[Topic]()
     return tuple(topic for topic in row.hears if topic in STREAMS and topic not in unasked) if row is not None else ()
 
 
@@ -89,17 +89,13 @@ def rate_of(rig: RigConfig, topic: Topic) -> float:
     return topic.rate_hz or 0.0
 
 
-def _says(kind: str, instance: str, topic: Topic) -> bool:
-    return topic.agent == kind and topic.per_arm == (instance != MAIN)
-
-
-def _instances(rig: RigConfig, kind: str, instance: str, topic: Topic) -> int:
+def _instances(rig: RigConfig, kind: str, topic: Topic) -> int:
     """Of how many arms a process hears such a stream."""
-    row = kind_of(kind, instance)
+    row = kind_of(kind)
     if not topic.per_arm or (row is not None and row.per_arm):
         return 1
-    tracked = rig.perception.track_tool if rig.perception is not None else ()
-    return len(tracked) if topic is TOOL else len(rig.robot)
+    said_by = kind_of(topic.agent)
+    return len(rig.arms_of(said_by) if said_by is not None else rig.robot)
 
 
 def _processes(rig: RigConfig) -> Iterator[tuple[str, str, str]]:

@@ -10,9 +10,9 @@ from agents.perception.judging.correspondence import texture_of
 from agents.perception.judging.features import grey
 from agents.perception.judging.pair import ALIGNMENT, about_alignment, about_pair
 from agents.perception.observe import LARGEST_SEGMENTED_SHARE
-from agents.perception.rectification import Rectification, RectificationError, rectification, rectify_image
 from agents.perception.segmentation.choice import SEGMENTERS, suitable_segmenter
 from schemas.messages import Severity, StereoCalibration
+from shared.rectification import Rectification, RectificationError, rectification, rectify_image
 
 SIZE, CALIBRATION, ORDER = "size", "calibration", "order of the images"
 SAME_SHAPE = 0.01

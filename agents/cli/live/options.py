@@ -24,18 +24,15 @@ class AgentOptions(OnRig):
 
 
 def agent_options(name: str) -> type[AgentOptions]:
-    """The options of the command that runs an agent, from its rows in the registry."""
-    rows = [kind for kind in AGENTS if kind.name == name]
+    """The options of the command that runs an agent, from its row in the registry."""
+    (row,) = (kind for kind in AGENTS if kind.name == name)
     fields: list[tuple[str, Any, Any]] = []
-    if all(kind.per_arm for kind in rows):
+    if row.per_arm:
         of_arm = Annotated[str, tyro.conf.arg(help="Name of the arm, as in the configuration.")]
         fields.append(("arm", of_arm, field(default="psm1")))
-    elif any(kind.per_arm for kind in rows):
-        of_arm = Annotated[OptionalLabel, tyro.conf.arg(help=f"Of this arm: {rows[-1].does}.")]
-        fields.append(("arm", of_arm, field(default=None)))
     made = make_dataclass(f"{name.title().replace('_', '')}Agent", fields, bases=(AgentOptions,), frozen=True)
     made.kind = name
-    made.__doc__ = f"Run the agent {name}: it {rows[0].does}."
+    made.__doc__ = f"Run the agent {name}: it {row.does}."
     return made
 
 

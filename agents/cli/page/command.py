@@ -35,9 +35,9 @@ from agents.operator.desk import Desk
 from agents.operator.page_server import server_tls, serving
 from agents.operator.pictures import Resample
 from agents.operator.surroundings import Surroundings
-from agents.perception.rectification import RectificationError, rectification, rectify_image
 from schemas.messages import StereoCalibration
 from shared.clock import now_ns
+from shared.rectification import RectificationError, rectification, rectify_image
 from shared.runtime.config import ConfigError
 from shared.runtime.connection import ROUTER_WAIT_S, Connection, NoRouterError, connected
 from shared.runtime.session import on_loopback

@@ -11,7 +11,6 @@ from agents.cli.reconstruct.result_file import observed_points, result_text
 from agents.cli.terminal import complain, say, warn
 from agents.cli.whole_file import OutputError, whole_file
 from agents.perception.prompt import reach_px
-from agents.perception.rectification import RectificationError
 from agents.perception.segmentation.choice import segmenters_with
 from agents.perception.segmentation.promptable_model import PromptableFileError, PromptableFiles
 from agents.perception.segmenter_names import PROMPTABLE
@@ -20,6 +19,7 @@ from schemas.messages import Judgement, Severity, Status
 from shared.arc_length import length
 from shared.calibration import CalibrationError, ReadCalibration, read_calibration
 from shared.images import decode_image
+from shared.rectification import RectificationError
 from shared.units import unit_name
 
 EXIT_OK, EXIT_UNUSABLE_INPUT, EXIT_FAILED = 0, 2, 3

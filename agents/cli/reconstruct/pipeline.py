@@ -10,7 +10,6 @@ from agents.perception.judging.answers import judgements
 from agents.perception.judging.picture import about_exposure, exposures
 from agents.perception.judging.whole import judge_whole
 from agents.perception.observe import observe
-from agents.perception.rectification import rectification, rectify_image, rectify_mask
 from agents.perception.search import look_everywhere
 from agents.perception.segmentation.choice import SEGMENTERS, Segmenter
 from agents.perception.segmenter_names import GIVEN_MASKS
@@ -20,6 +19,7 @@ from agents.reconstruction.methods import METHODS
 from schemas.messages import FrameStamp, StereoCalibration, ThreadObservations, ThreadReconstruction
 from shared.calibration.uncertainty import covariance_of
 from shared.clock import Stopwatch
+from shared.rectification import rectification, rectify_image, rectify_mask
 from shared.right_eye import in_line, whole_rows
 
 STEPS = ("rectify", "segment", "match", "reconstruct")

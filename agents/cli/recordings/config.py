@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from agents.cli.rig.config import RigConfig
-from agents.registry import PLANNER, ROBOT_BRIDGE, kind_of
-from schemas.topics import MAIN
+from agents.cli.rig.migrations import lifted
+from agents.registry import PLANNER, kind_of
 from shared.recording.mcap_file import read_attachments
 from shared.runtime.config import ConfigError, load_config, parse_config
 
@@ -71,11 +71,11 @@ def in_force(recorded: RigConfig, used: RigConfig, agents: Iterable[str]) -> Rig
     sections: dict[str, Any] = {}
     anew = [name.partition("/")[::2] for name in agents]
     for name, instance in anew:
-        kind = kind_of(name, instance or MAIN)
-        if kind is ROBOT_BRIDGE:
-            sections["robot"] = {**sections.get("robot", recorded.robot), instance: used.robot[instance]}
-        elif kind is not None and not kind.per_arm:
-            # of the agents of one arm that share a section with others, those others are as they were
+        kind = kind_of(name)
+        if kind is not None and kind.per_arm:
+            arms = sections.get(kind.section, dict(recorded)[kind.section])
+            sections[kind.section] = {**arms, instance: used.section_of(kind, instance)}
+        elif kind is not None:
             sections[kind.section] = used.section_of(kind)
         if kind is PLANNER:
             # which reads of an arm what it is, and nothing else
@@ -100,7 +100,7 @@ def attached_config(recorded: bytes | None, effective: RigConfig, agents: Iterab
 
     What did not run has no settings of today: an older version lacks some.
     """
-    document: dict[str, Any] = json.loads(recorded) if recorded else {}
+    document: dict[str, Any] = lifted(json.loads(recorded)) if recorded else {}
     today: dict[str, Any] = json.loads(effective.model_dump_json(exclude_none=True))
     kinds = {kind_of(name.partition("/")[0]) for name in agents}
     sections = {kind.section for kind in kinds if kind is not None}

@@ -19,7 +19,6 @@ from agents.registry import (
     PLANNER,
     RECONSTRUCTION,
     ROBOT_BRIDGE,
-    TOOL_TRACKER,
     Kind,
     kind_of,
 )
@@ -35,13 +34,14 @@ def build(rig: RigConfig, kind: str, instance: str) -> Agent:
         ConfigError: where the configuration has no section for it.
         SourceError, ImageFileError, CalibrationError: where a camera has nothing to show.
     """
-    row = kind_of(kind, instance)
+    row = kind_of(kind)
     if row is ROBOT_BRIDGE and instance not in rig.robot:
         raise ConfigError(f"the configuration has no arm {instance!r}; its arms: {', '.join(rig.robot) or 'none'}")
     section = rig.section_of(row, instance) if row in _BUILT or (row is not None and row.agent) else None
     if row is None or section is None:
-        raise ConfigError(f"the configuration has no section [{kind}]; add one, or run that agent elsewhere")
-    return _plain(row, section) if row.agent else _BUILT[row](rig, instance, section)
+        name = f"{kind}.{instance}" if row is not None and row.per_arm else kind
+        raise ConfigError(f"the configuration has no section [{name}]; add one, or run that agent elsewhere")
+    return _plain(row, instance, section) if row.agent else _BUILT[row](rig, instance, section)
 
 
 def _camera(rig: RigConfig, _: str, section: CameraSection) -> Agent:
@@ -54,12 +54,6 @@ def _perception(rig: RigConfig, _: str, section: PerceptionSection) -> Agent:
     from agents.cli.rig.perception_builder import built_perception
 
     return built_perception(section, rig.needs_matching, rig.needle is not None)
-
-
-def _tool_tracker(_: RigConfig, instance: str, section: PerceptionSection) -> Agent:
-    from agents.cli.rig.perception_builder import built_tool_tracker
-
-    return built_tool_tracker(section, instance)
 
 
 def _reconstruction(_: RigConfig, __: str, section: ReconstructionSection) -> Agent:
@@ -92,17 +86,17 @@ def _robot_bridge(rig: RigConfig, instance: str, section: ArmSection) -> Agent:
     return built_robot_bridge(rig, instance, section)
 
 
-def _plain(row: Kind, section: Any) -> Agent:
-    """An agent whose section has the fields of its configuration."""
+def _plain(row: Kind, instance: str, section: Any) -> Agent:
+    """An agent whose section has the fields of its configuration, beside the name of its arm."""
     module, _, name = row.agent.partition(":")
     made = getattr(importlib.import_module(module), name)
-    return made(get_type_hints(made)["config"](**section.model_dump()))
+    arm = {"arm": instance} if row.per_arm else {}
+    return made(get_type_hints(made)["config"](**arm, **section.model_dump()))
 
 
 _BUILT: dict[Kind, Callable[..., Agent]] = {
     CAMERA: _camera,
     PERCEPTION: _perception,
-    TOOL_TRACKER: _tool_tracker,
     RECONSTRUCTION: _reconstruction,
     PLANNER: _planner,
     ROBOT_BRIDGE: _robot_bridge,

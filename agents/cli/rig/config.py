@@ -20,6 +20,7 @@ from agents.cli.rig.hosts import (
     kind_and_instance,
     run_name,
 )
+from agents.cli.rig.migrations import lifted
 from agents.cli.rig.sections import (
     ArmSection,
     CameraSection,
@@ -32,11 +33,12 @@ from agents.cli.rig.sections import (
     RecorderSection,
     RouterSection,
     SimulatorSection,
+    ToolTrackerSection,
     ViewerSection,
 )
 from agents.cli.rig.topics import TopicSections, overrides, rows_otherwise
 from agents.reconstruction.method_names import MATCHING_METHODS
-from agents.registry import AGENTS, GUARD, RECORDER, ROBOT_BRIDGE, TOOL_TRACKER, VIEWER, Kind
+from agents.registry import AGENTS, GUARD, RECORDER, VIEWER, Kind
 from schemas.messages import TopicOverride
 from schemas.topics import MAIN, Topic
 from shared.runtime.access import Sites, common_name
@@ -52,6 +54,7 @@ class RigConfig(Settings):
     router: RouterSection = RouterSection()
     camera: CameraSection | None = None
     perception: PerceptionSection | None = None
+    tool_tracker: dict[Name, ToolTrackerSection] = Field(default_factory=dict)
     reconstruction: ReconstructionSection | None = None
     needle: NeedleSection | None = None
     planner: PlannerSection | None = None
@@ -63,6 +66,11 @@ class RigConfig(Settings):
     host: HostName | None = None
     security: SecuritySection | None = None
     topics: TopicSections = Field(default_factory=dict)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _lifted(cls, told: Any) -> Any:
+        return lifted(told) if isinstance(told, dict) else told
 
     @field_validator("robot")
     @classmethod
@@ -81,26 +89,16 @@ class RigConfig(Settings):
 
     @model_validator(mode="after")
     def _tools_are_of_arms(self) -> "RigConfig":
-        tracked = self.perception.track_tool if self.perception is not None else ()
-        for arm in tracked:
+        for arm in self.tool_tracker:
             if arm not in self.robot:
-                raise ValueError(f"perception.track_tool names {arm!r}, and the arms are {', '.join(self.robot)}")
+                arms = ", ".join(self.robot) or "none"
+                raise ValueError(f"[tool_tracker.{arm}] names an arm that there is not; the arms are {arms}")
             if self.robot[arm].kinematics is not None:
-                raise ValueError(f"perception.track_tool names {arm!r}, whose tool is no PSM's; leave it out")
+                raise ValueError(f"[tool_tracker.{arm}] is for an arm whose tool is no PSM's; leave it out")
         for arm, section in self.robot.items():
-            if section.correction == "perception" and arm not in tracked:
-                raise ValueError(f"robot.{arm}.correction = 'perception' needs perception.track_tool = [\"{arm}\"]")
+            if section.correction == "tool_tracker" and arm not in self.tool_tracker:
+                raise ValueError(f"robot.{arm}.correction = 'tool_tracker' needs a section [tool_tracker.{arm}]")
         return self
-
-    @model_validator(mode="before")
-    @classmethod
-    def _links_are_gone(cls, told: Any) -> Any:
-        # recordings of 0.2.0 hold it, with what it was unless somebody set it
-        if isinstance(told, dict) and "links" in told:
-            if told["links"] not in ({}, {"direct": False}):
-                raise ValueError("[links] is gone: images go through the router, in shared memory; leave it out")
-            told = {name: section for name, section in told.items() if name != "links"}
-        return told
 
     @model_validator(mode="after")
     def _sites_are_told_apart(self) -> "RigConfig":
@@ -205,12 +203,11 @@ class RigConfig(Settings):
     def agents(self) -> list[tuple[str, str]]:
         """Kind and instance of every agent that has a section, on whichever host; those of arms come last."""
         alone = [(kind.name, MAIN) for kind in AGENTS if not kind.per_arm and self.section_of(kind) is not None]
-        tracked = self.perception.track_tool if self.perception is not None else ()
-        return [
-            *alone,
-            *((TOOL_TRACKER.name, arm) for arm in tracked),
-            *((ROBOT_BRIDGE.name, arm) for arm in self.robot),
-        ]
+        return [*alone, *((kind.name, arm) for kind in AGENTS if kind.per_arm for arm in self.arms_of(kind))]
+
+    def arms_of(self, kind: Kind) -> tuple[str, ...]:
+        """The arms that have a process of a kind of which each arm may have one."""
+        return tuple(dict(self)[kind.section])
 
     def agents_here(self) -> list[tuple[str, str]]:
         """Those that are to run on this machine."""

@@ -1,9 +1,8 @@
-"""Perception of threads, and of one arm's instrument, as a rig's configuration says."""
+"""Perception of threads as a rig's configuration says."""
 
 from agents.cli.rig.config import PerceptionSection
 from agents.perception.agent import Perception, PerceptionConfig
 from agents.perception.segmentation.promptable_model import PromptableFileError, PromptableFiles
-from agents.perception.tool.agent import ToolTracker, ToolTrackerConfig
 from shared.runtime.agent import Agent
 from shared.runtime.config import ConfigError
 
@@ -40,15 +39,3 @@ def built_perception(section: PerceptionSection, needs_matching: bool, needle: b
         return Perception(perception_config(section, needs_matching, needle))
     except PromptableFileError as error:
         raise ConfigError(f"[perception] {error}") from None
-
-
-def built_tool_tracker(section: PerceptionSection, arm: str) -> Agent:
-    """Perception of an arm's instrument.
-
-    Raises:
-        ConfigError: where this arm's is not configured to be tracked.
-    """
-    if arm not in section.track_tool:
-        named = ", ".join(section.track_tool) or "nothing"
-        raise ConfigError(f"perception.track_tool names {named}, and not {arm!r}; add it")
-    return ToolTracker(ToolTrackerConfig(arm))

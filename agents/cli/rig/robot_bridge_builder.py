@@ -30,11 +30,10 @@ def built_robot_bridge(rig: RigConfig, arm: str, section: ArmSection) -> RobotBr
     base = base_of(arm, section)
     # an arm whose base is told from the ECM is not ready before that is heard
     T_camera_base = base.before_camera(np.eye(4) if base.reference is Reference.ECM_BASE else None)
-    tracked = rig.perception.track_tool if rig.perception is not None else ()
     config = RobotBridgeConfig(
         arm,
         T_camera_base,
-        resting_hz=LOOKED_AT_HZ if arm in tracked else RESTING_HZ,
+        resting_hz=LOOKED_AT_HZ if arm in rig.tool_tracker else RESTING_HZ,
         maximum_plan_age_s=section.maximum_plan_age_s,
         limits=MotionLimits().slowed(section.speed_share),
         correction=correction_limits(section),

@@ -111,12 +111,10 @@ class CameraSection(Settings):
 class PerceptionSection(Settings):
     """How thread is found; `auto` takes what suits each image. `matching` unset is as the method needs it.
 
-    `track_tool` names arms whose instrument is looked for too, each by a process of its own.
     Segmenter `promptable` runs a network from two files of the user's own, whose hashes are compared where given.
     """
 
     segmenter: Literal["auto", "threshold", "network", "promptable"] = "auto"
-    track_tool: tuple[Name, ...] = ()
     matching: bool | None = None
     promptable_encoder: Path | None = None
     promptable_decoder: Path | None = None
@@ -129,6 +127,10 @@ class PerceptionSection(Settings):
         if len(given) == 1 or (self.segmenter == "promptable" and not given):
             raise ValueError("segmenter 'promptable' needs promptable_encoder and promptable_decoder, two ONNX files")
         return self
+
+
+class ToolTrackerSection(Settings):
+    """That the instrument of an arm is looked for in the images; there is nothing to set."""
 
 
 class ReconstructionSection(Settings):
@@ -196,7 +198,7 @@ class ArmSection(Settings):
     maximum_plan_age_s: float = Field(default=MAXIMUM_PLAN_AGE_S, gt=0, le=300)
     maximum_frame_age_s: float = Field(default=0.5, gt=0, le=2)
     maximum_motion_s: float = Field(default=60.0, gt=0, le=600)
-    correction: Literal["none", "perception"] = "none"
+    correction: Literal["none", "tool_tracker"] = "none"
     correction_limit_mm: float = Field(default=CORRECTION_LIMIT_MM, gt=0, le=30)
     correction_limit_deg: float = Field(default=CORRECTION_LIMIT_DEG, gt=0, le=15)
     T_camera_base: BasePose | None = None

@@ -53,6 +53,7 @@ def tool_told(arm: ArmHeard) -> dict[str, Any] | None:
 def _drifted(arm: ArmHeard, tool: ToolCorrection) -> Wrong:
     off = f"{1e3 * tool.tip_off_m:.1f} mm and {np.degrees(tool.turned_rad):.1f} degrees"
     corrected = arm.state is not None and arm.state.T_camera_base_registered is not None
-    remedy = "which its bridge corrects" if corrected else "calibrate hand-eye again, or set correction = 'perception'"
+    advice = "calibrate hand-eye again, or set correction = 'tool_tracker'"
+    remedy = "which its bridge corrects" if corrected else advice
     text = f"the registration of {arm.arm} is {off} off by the images (drifted); {remedy}"
     return Wrong("drifted", arm.arm, text, grave=not corrected)

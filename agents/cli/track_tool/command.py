@@ -16,11 +16,11 @@ from agents.cli.rig.on_rig import OnRig
 from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.cli.terminal import complain, say, warn
 from agents.cli.track_tool.input import Seen, seen_in, seen_live
-from agents.perception.tool.acquisition import soft_pair
-from agents.perception.tool.correction import Correction
-from agents.perception.tool.outline import outline
-from agents.perception.tool.refinement import View
-from agents.perception.tool.track import Following, Track, begun, followed
+from agents.tool_tracker.acquisition import soft_pair
+from agents.tool_tracker.correction import Correction
+from agents.tool_tracker.outline import outline
+from agents.tool_tracker.refinement import View
+from agents.tool_tracker.track import Following, Track, begun, followed
 from shared.calibration.made import MADE, made_text
 from shared.kinematics.psm import FINGER_M
 from shared.recording.entry import RecordingError

@@ -10,8 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import UInt8
 
-from agents.perception.rectification import Rectification, RectificationError, rectification, rectify_image
-from agents.perception.tool.placed import BRACKET_NS, Placed, in_metres, placed_at
+from agents.tool_tracker.placed import BRACKET_NS, Placed, in_metres, placed_at
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import RectifiedStereo, RobotState, StereoCalibration, StereoFrame
@@ -21,6 +20,7 @@ from shared.clock import monotonic_s
 from shared.images import ImageDataError, decode_image
 from shared.recording.entry import RecordingError
 from shared.recording.mcap_file import read_recording
+from shared.rectification import Rectification, RectificationError, rectification, rectify_image
 from shared.runtime.connection import Connection
 from shared.runtime.taps import Tapped
 

@@ -9,7 +9,7 @@ from agents.cli.doctor.command import weigh
 from agents.cli.doctor.crossing import STREAMS, heard_by, traffic
 from agents.cli.doctor.network import networks
 from agents.cli.rig.builders import build
-from agents.cli.rig.config import NeedleSection, RigConfig
+from agents.cli.rig.config import NeedleSection, RigConfig, ToolTrackerSection
 from agents.cli.status.gathered import Gathered
 from agents.cli.status.health_watch import Fare
 from agents.registry import NAMES
@@ -39,9 +39,9 @@ def found(here, gathered=None, bytes_of=BYTES, rig=LAB, **passes):
 
 
 def test_what_each_agent_hears_is_what_it_subscribes_to():
-    rig = LAB.model_copy(update={"needle": NeedleSection()})
+    rig = LAB.model_copy(update={"needle": NeedleSection(), "tool_tracker": {"psm1": ToolTrackerSection()}})
     for kind in NAMES:
-        instance = "psm1" if kind == "robot_bridge" else "main"
+        instance = "psm1" if kind in ("robot_bridge", "tool_tracker") else "main"
         agent = build(rig, kind, instance)
         steady = {i.topic for i in agent.inputs if i.topic in STREAMS and i.topic.delivery is Delivery.LATEST}
         assert steady == set(heard_by(rig, kind, instance)), kind
@@ -159,12 +159,12 @@ def test_what_cannot_be_measured_or_weighed_is_said():
 
 def test_a_tool_tracker_and_a_bridge_that_is_corrected_hear_what_they_need():
     told = LAB.model_dump()
-    told["perception"]["track_tool"] = ("psm1",)
-    told["robot"]["psm1"]["correction"] = "perception"
-    told["hosts"]["strong"]["runs"] = (*LAB.hosts["strong"].runs, "perception psm1")
+    told["tool_tracker"] = {"psm1": {}}
+    told["robot"]["psm1"]["correction"] = "tool_tracker"
+    told["hosts"]["strong"]["runs"] = (*LAB.hosts["strong"].runs, "tool_tracker psm1")
     rig = RigConfig.model_validate(told)
     assert traffic(rig, BYTES)["strong"].into["camera/frames"] == 6e6
-    assert traffic(rig, BYTES)["robot"].into["perception/tool"] > 0
+    assert traffic(rig, BYTES)["robot"].into["tool_tracker/correction"] > 0
 
 
 def test_messages_are_weighed_as_they_come(settings, session, until):

@@ -18,7 +18,7 @@ address = "10.0.0.11"
 runs = ["camera", "recorder"]
 [hosts.robot]
 address = "10.0.0.13"
-runs = ["robot_bridge psm1", "guard psm1", "perception psm1", "recorder"]
+runs = ["robot_bridge psm1", "guard psm1", "tool_tracker psm1", "recorder"]
 [hosts.desk]
 address = "desk.lab"
 runs = ["perception", "reconstruction", "planner", "operator"]
@@ -29,7 +29,7 @@ host = "video"
 source = "bag"
 left = "somewhere.bag"
 [perception]
-track_tool = ["psm1"]
+[tool_tracker.psm1]
 [reconstruction]
 [planner]
 [recorder]
@@ -71,7 +71,7 @@ def test_every_host_runs_what_its_units_start_with_its_own_credentials_and_folde
         "guard psm1",
         "robot_bridge psm1",
     } <= set(started)
-    assert {"console", "perception", "perception psm1", "reconstruction", "planner"} <= set(started)
+    assert {"console", "perception", "tool_tracker psm1", "reconstruction", "planner"} <= set(started)
     for one in started.values():
         words = " ".join(one.command)
         assert not [place for place in ("/etc/", "/var/lib", "/opt/") if place in words], words

@@ -97,3 +97,12 @@ def test_doctor_says_so_and_what_it_cannot_tell():
     assert list(files(Gathered(0, "lab", ""))) == []
     (unknown,) = files(gathered(robot=None))
     assert (unknown.state, unknown.found) == ("?", "unknown of robot_bridge psm1, whose version does not tell")
+
+
+def test_a_file_of_0_2_means_what_it_meant():
+    hosts = '[hosts.one]\naddress = "10.0.0.11"\nruns = ["perception", "perception psm1", "robot_bridge psm1"]\n'
+    arm = '[robot.psm1]\ncorrection = "perception"\n'
+    old = rig(f'[perception]\ntrack_tool = ["psm1"]\n{arm}{hosts}[router]\nhost = "one"\n[security]\n', "lab.toml")
+    assert old.agents() == [("perception", "main"), ("tool_tracker", "psm1"), ("robot_bridge", "psm1")]
+    assert old.hosts["one"].runs == ("perception", "tool_tracker psm1", "robot_bridge psm1")
+    assert old.robot["psm1"].correction == "tool_tracker"

@@ -34,7 +34,7 @@ def test_an_instrument_is_drawn_where_it_was_found_and_is_told_lost_once(session
         told, status=ToolStatus.LOST, reason="lost: too little in view", T_correction=None, candidates=()
     )
     entities = shown(mapping, lost)
-    (words,) = entities["log/perception/psm1"]
+    (words,) = entities["log/tool_tracker/psm1"]
     assert "too little in view" in words.text.as_arrow_array().to_pylist()[0]
     assert "tool/off/psm1" not in entities
 

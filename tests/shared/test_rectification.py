@@ -6,14 +6,14 @@ import cv2
 import numpy as np
 import pytest
 
-from agents.perception.rectification import (
+from schemas.messages import StereoCalibration
+from shared.camera import backproject, depth_of_disparity, is_rectified
+from shared.rectification import (
     RectificationError,
     rectification,
     rectify_image,
     rectify_mask,
 )
-from schemas.messages import StereoCalibration
-from shared.camera import backproject, depth_of_disparity, is_rectified
 
 WIDTH, HEIGHT = 320, 240
 

@@ -18,10 +18,10 @@ from dataclasses import dataclass, fields
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from agents.perception.tool.correction import Correction, about, point_slope, twist_about
-from agents.perception.tool.evidence import Eye, edges
-from agents.perception.tool.outline import Outline, outline
-from agents.perception.tool.tubes import DRIVER, Shape, Tube, tubes
+from agents.tool_tracker.correction import Correction, about, point_slope, twist_about
+from agents.tool_tracker.evidence import Eye, edges
+from agents.tool_tracker.outline import Outline, outline
+from agents.tool_tracker.tubes import DRIVER, Shape, Tube, tubes
 from schemas.messages import RectifiedStereo
 
 SIGMA_PX, PLACE_PX = 0.4, 0.7

@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from agents.perception.tool.correction import about
-from agents.perception.tool.evidence import SHRINK
-from agents.perception.tool.outline import silhouette
-from agents.perception.tool.tubes import FINGER, SHAFT, Tube
+from agents.tool_tracker.correction import about
+from agents.tool_tracker.evidence import SHRINK
+from agents.tool_tracker.outline import silhouette
+from agents.tool_tracker.tubes import FINGER, SHAFT, Tube
 from schemas.messages import RectifiedStereo
 
 DRAWN, KEPT, ROUNDS = 320, 0.1, 6

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from agents.camera.scene_source import calibration_of
-from agents.perception.tool.agent import ToolTracker
-from agents.perception.tool.correction import about
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.correction import CorrectionLimits
 from agents.robot_bridge.simulated import SimulatedPsm
+from agents.tool_tracker.agent import ToolTracker
+from agents.tool_tracker.correction import about
 from schemas.messages import FrameStamp, ImageEncoding, RobotState, StereoFrame, ToolCorrection, ToolStatus
 from schemas.topics import CALIBRATION, FRAMES, MAIN, ROBOT_STATE, TOOL
 from shared.calibration.identity import calibration_id

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from agents.perception.tool.correction import Correction
-from agents.perception.tool.refinement import Refined, View
-from agents.perception.tool.track import Candidate, Following, Track
+from agents.tool_tracker.correction import Correction
+from agents.tool_tracker.refinement import Refined, View
+from agents.tool_tracker.track import Candidate, Following, Track
 from schemas.messages import FrameStamp, ToolCandidate, ToolCorrection, ToolStatus
 from shared.kinematics.psm import FINGER_M
 from shared.rigid_transforms import apply, log_so3

@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
-from agents.perception.tool.correction import about
-from agents.perception.tool.evidence import SHRINK
-from agents.perception.tool.search import Scores
-from agents.perception.tool.tubes import FINGER, Tube
+from agents.tool_tracker.correction import about
+from agents.tool_tracker.evidence import SHRINK
+from agents.tool_tracker.search import Scores
+from agents.tool_tracker.tubes import FINGER, Tube
 from schemas.messages import RectifiedStereo
 
 STEEP = 8.0

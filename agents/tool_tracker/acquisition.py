@@ -11,11 +11,11 @@ import enum
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from agents.perception.tool.correction import Correction, about
-from agents.perception.tool.evidence import Table, eye, learnt, likeness, softened
-from agents.perception.tool.lines import lined
-from agents.perception.tool.refinement import Refined, View, refined
-from agents.perception.tool.search import likely, probably_within, searched
+from agents.tool_tracker.correction import Correction, about
+from agents.tool_tracker.evidence import Table, eye, learnt, likeness, softened
+from agents.tool_tracker.lines import lined
+from agents.tool_tracker.refinement import Refined, View, refined
+from agents.tool_tracker.search import likely, probably_within, searched
 
 NARROWER = 0.4
 """The second search's spread over the first's."""

@@ -1,25 +1,30 @@
-"""Perception of one arm's instrument: frames and the arm's states in, by what rigid motion it is off out.
+"""The tool tracker of one arm: frames and the arm's states in, by what rigid motion its instrument is off out.
 
-It is an agent of its own beside the one that sees the thread, an instance `psm1` of perception, so that no thread waits
-for it. It looks at a frame every FOLLOWING_S while the instrument is followed, and every SEARCHING_S while it is
+It looks at a frame every FOLLOWING_S while the instrument is followed, and every SEARCHING_S while it is
 searched for, by the frames' own time; what that costs is told in docs/tool_tracking.md.
 """
 
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from agents.perception.frame_checks import apart, mismatch
-from agents.perception.rectification import Rectification, RectificationError, rectification
-from agents.perception.rectified_pair import RectifiedPair, decoded_pair, rectified_pair
-from agents.perception.tool.acquisition import soft_pair
-from agents.perception.tool.placed import Placed, in_metres, placed_at
-from agents.perception.tool.refinement import View
-from agents.perception.tool.told import told_of, track_of
-from agents.perception.tool.track import begun, followed, missed
+from agents.tool_tracker.acquisition import soft_pair
+from agents.tool_tracker.placed import Placed, in_metres, placed_at
+from agents.tool_tracker.refinement import View
+from agents.tool_tracker.told import told_of, track_of
+from agents.tool_tracker.track import begun, followed, missed
 from schemas.messages import RobotState, StereoCalibration, StereoFrame, ToolCorrection, ToolStatus
 from schemas.topics import CALIBRATION, FRAMES, ROBOT_STATE, TOOL
 from shared.calibration.identity import calibration_id
+from shared.frame_checks import apart, mismatch
 from shared.images import ImageDataError
+from shared.rectification import (
+    Rectification,
+    RectificationError,
+    RectifiedPair,
+    decoded_pair,
+    rectification,
+    rectified_pair,
+)
 from shared.runtime.agent import Agent, Command, Input, Output, Received, Tick
 
 FOLLOWING_S, SEARCHING_S = 0.2, 0.4
@@ -36,7 +41,7 @@ class ToolTrackerConfig:
 class ToolTracker(Agent):
     """Looks for one instrument where its arm's states have it, and goes on from its last message alone."""
 
-    kind = "perception"
+    kind = "tool_tracker"
     config: ToolTrackerConfig
     outputs = (TOOL,)
     goes_on_from = TOOL

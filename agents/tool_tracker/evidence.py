@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 from scipy.ndimage import gaussian_filter
 
-from agents.perception.tool.outline import Outline
+from agents.tool_tracker.outline import Outline
 
 SIDE = 5
 """Samples on either side of an edge that are compared."""

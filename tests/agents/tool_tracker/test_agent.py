@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agents.perception.tool.agent import ToolTracker
-from agents.perception.tool.placed import placed_at
+from agents.tool_tracker.agent import ToolTracker
+from agents.tool_tracker.placed import placed_at
 from schemas.codec import decode
 from schemas.messages import (
     Arm,

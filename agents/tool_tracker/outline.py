@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 
-from agents.perception.tool.tubes import FINGER, SHAFT, Tube
+from agents.tool_tracker.tubes import FINGER, SHAFT, Tube
 from schemas.messages import RectifiedStereo
 
 TIP, END = range(3, 5)

@@ -7,15 +7,15 @@ import cv2
 import numpy as np
 import pytest
 
-from agents.perception.tool.acquisition import Begin, acquired, looking, prior, soft_pair
-from agents.perception.tool.correction import Correction, about, twist_about
-from agents.perception.tool.evidence import SHRINK, learnt
-from agents.perception.tool.lines import lined
-from agents.perception.tool.outline import outline, silhouette
-from agents.perception.tool.refinement import View, elsewhere, refined
-from agents.perception.tool.told import track_of
-from agents.perception.tool.track import MISSES, Following, Track, followed
-from agents.perception.tool.tubes import SHAFT, tubes
+from agents.tool_tracker.acquisition import Begin, acquired, looking, prior, soft_pair
+from agents.tool_tracker.correction import Correction, about, twist_about
+from agents.tool_tracker.evidence import SHRINK, learnt
+from agents.tool_tracker.lines import lined
+from agents.tool_tracker.outline import outline, silhouette
+from agents.tool_tracker.refinement import View, elsewhere, refined
+from agents.tool_tracker.told import track_of
+from agents.tool_tracker.track import MISSES, Following, Track, followed
+from agents.tool_tracker.tubes import SHAFT, tubes
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER as PSM
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE as T_TRUE
 from shared.rigid_transforms import apply, exp_se3, inverse
