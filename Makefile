@@ -88,9 +88,8 @@ format: .venv/dev.done ## rewrite in the project's format
 	@$(BIN)/ruff format .
 	@$(BIN)/ruff check --fix .
 
-protos: .venv/dev.done ## generate schemas/generated from schemas/proto
-	@$(BIN)/python -m grpc_tools.protoc --proto_path=schemas/proto --python_out=schemas/generated \
-		--pyi_out=schemas/generated schemas/proto/*.proto
+protos: .venv/dev.done ## write schemas/suturegrasp.proto and .desc, for other programs, from the messages
+	@$(BIN)/python -m schemas.wire
 
 lock: .venv/dev.done ## renew requirements/*.lock (names, versions and hashes only)
 	@$(LOCK) --extra build --output-file requirements/runtime.lock pyproject.toml

@@ -9,9 +9,21 @@ import dataclasses
 import functools
 import math
 import typing
-from typing import Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+
+
+class Number(NamedTuple):
+    """A field's number on the wire, where it is not its place among the fields: what was added since has no default."""
+
+    number: int
+
+
+UInt32 = Annotated[int, "uint32"]
+UInt64 = Annotated[int, "uint64"]
+SInt64 = Annotated[int, "sint64"]
+"""What a whole number is on the wire, where it is no `int64`."""
 
 
 class MessageError(ValueError):

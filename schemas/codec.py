@@ -20,7 +20,6 @@ from google.protobuf.unknown_fields import UnknownFieldSet
 
 from schemas.checks import MessageError, fields_of, is_array, require, without_none
 from schemas.framing import NotCutError, cut, delimited, first_field
-from schemas.generated import suturegrasp_pb2
 from schemas.messages import (
     Arm,
     ChangeState,
@@ -33,6 +32,7 @@ from schemas.messages import (
     SetParameter,
     ToolCorrection,
 )
+from schemas.wire import ARRAY, wire_type, wire_type_named
 
 LEADING_TO_MOTION = (
     *(GraspGoal, GraspPlan, Arm, ChangeState, Heartbeat),
@@ -54,7 +54,7 @@ M = TypeVar("M")
 
 def encoding_name(message_type: type) -> str:
     """The name under which a message type travels, as Zenoh's encoding: `application/protobuf;package.Name`."""
-    return f"application/protobuf;{_wire_type(message_type).DESCRIPTOR.full_name}"
+    return f"application/protobuf;{wire_type(message_type).DESCRIPTOR.full_name}"
 
 
 def encode(message: Any) -> bytes:
@@ -76,7 +76,7 @@ def encoded_parts(message: Any, large_bytes: int = LARGE_BYTES) -> list[Any]:
     where = type(message).__name__
     if _holds_large(message, large_bytes):
         return _parts(message, where, large_bytes)
-    wire = _wire_type(type(message))()
+    wire = wire_type(type(message))()
     _write(wire, message, where)
     return [wire.SerializeToString(deterministic=True)]
 
@@ -144,7 +144,7 @@ def _parsed(message_type: Any, data: bytes, large_bytes: int) -> _Found:
             return _cut(message_type, memoryview(data), large_bytes)
         except NotCutError:
             pass
-    return _Found(_wire_type(message_type).FromString(data), {})
+    return _Found(wire_type(message_type).FromString(data), {})
 
 
 def _cut(message_type: Any, data: memoryview, large_bytes: int) -> _Found:
@@ -155,12 +155,7 @@ def _cut(message_type: Any, data: memoryview, large_bytes: int) -> _Found:
         name, declared = fields[number]
         holds_more = _is_message(declared) or is_array(declared)
         named[name] = _cut(declared, inside, large_bytes) if holds_more else inside
-    return _Found(_wire_type(message_type).FromString(rest), named)
-
-
-@functools.cache
-def _wire_type(message_type: Any) -> Any:
-    return suturegrasp_pb2.Array if is_array(message_type) else getattr(suturegrasp_pb2, message_type.__name__)
+    return _Found(wire_type(message_type).FromString(rest), named)
 
 
 def _write(wire: Any, message: Any, where: str) -> None:
@@ -200,7 +195,7 @@ def _holds_large(value: Any, large_bytes: int) -> bool:
 def _parts(message: Any, where: str, large_bytes: int) -> list[Any]:
     """A message's bytes in parts; what is small between two large fields is left to protobuf's library."""
     parts: list[Any] = []
-    small = _wire_type(type(message))()
+    small = wire_type(type(message))()
     for number, name, declared in _fields_by_number(type(message)):
         value, here = getattr(message, name), f"{where}.{name}"
         if not _holds_large(value, large_bytes):
@@ -219,7 +214,7 @@ def _inner_parts(value: Any, declared: Any, where: str, large_bytes: int) -> lis
         return _parts(value, where, large_bytes)
     if not is_array(declared):
         return [value]
-    wire, dtype = suturegrasp_pb2.Array(), _wire_dtype(declared)
+    wire, dtype = wire_type_named(ARRAY)(), _wire_dtype(declared)
     wire.dtype = dtype.str
     wire.shape.extend(value.shape)
     data = np.ascontiguousarray(value, dtype).reshape(-1).view(np.uint8)
@@ -350,7 +345,7 @@ def _refuse_unknown_fields(wire: Any, where: str, in_full: bool) -> None:
 def _fields_by_number(message_type: type) -> list[tuple[int, str, Any]]:
     """Number, name and type of each field, as they follow one another on the wire."""
     declared = fields_of(message_type)
-    fields = sorted(_wire_type(message_type).DESCRIPTOR.fields, key=lambda field: field.number)
+    fields = sorted(wire_type(message_type).DESCRIPTOR.fields, key=lambda field: field.number)
     return [(field.number, field.name, without_none(declared[field.name])) for field in fields]
 
 
@@ -365,7 +360,7 @@ def _roomy_fields(message_type: type) -> list[str]:
 def _single_roomy_fields(message_type: Any) -> dict[int, tuple[str, Any]]:
     """Name and type by number of the fields that are not repeated under which bytes or arrays may lie."""
     if is_array(message_type):
-        return {suturegrasp_pb2.Array.DATA_FIELD_NUMBER: ("data", bytes)}
+        return {wire_type_named(ARRAY).DATA_FIELD_NUMBER: ("data", bytes)}
     fields = _fields_by_number(message_type)
     return {number: (name, type_) for number, name, type_ in fields if not _item_type(type_) and _is_roomy(type_)}
 

@@ -12,8 +12,8 @@ from typing import Any
 from google.protobuf.message import DecodeError
 
 from schemas import __version__
-from schemas.generated import suturegrasp_pb2
 from schemas.topics import MAIN, TOOL
+from schemas.wire import wire_type_named
 
 Version = tuple[int, ...]
 
@@ -80,7 +80,7 @@ def lifted(message: str, payload: bytes, version: Version, migrations: Sequence[
     due = [step for step in migrations if step.message == message and version < step.version]
     if not due:
         return payload
-    wire = getattr(suturegrasp_pb2, message)()
+    wire = wire_type_named(message)()
     try:
         wire.ParseFromString(payload)
     except DecodeError:

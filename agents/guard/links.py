@@ -4,6 +4,7 @@ Every key and setting is given as text (`agents/cli/running/guard.py` makes the 
 another key than the one that it came under, is counted and is nothing.
 """
 
+import base64
 import contextlib
 import itertools
 import json
@@ -15,12 +16,13 @@ from collections.abc import Callable, Generator
 from typing import Any
 
 import zenoh
+from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message import DecodeError
+from google.protobuf.message_factory import GetMessageClass
 from google.protobuf.unknown_fields import UnknownFieldSet
 
 from agents.guard import cdr
 from agents.guard.monitor import Action, Kind, Monitor
-from schemas.generated.suturegrasp_pb2 import Heartbeat
 from shared.clock import monotonic_ns, now_ns
 from shared.ros.guarded import Gate, GuardedError, alive_from, challenge_bytes, set_point_from
 
@@ -39,6 +41,9 @@ class Links:
     def __init__(self, monitor: Monitor, document: dict[str, Any], told: Callable[[str, str], None]) -> None:
         """`told` is told of each hold and pause, and why; it must return at once."""
         self._monitor, self._robot, self._rig, self._told = monitor, document["robot"], document["rig"], told
+        messages = DescriptorPool()
+        messages.AddSerializedFile(base64.b64decode(self._rig["descriptors"]))
+        self._heartbeat: Any = GetMessageClass(messages.FindMessageTypeByName(self._rig["message"]))
         self._lock, self._gid, self._sequence = threading.Lock(), os.urandom(16), itertools.count(1)
         self._sessions, self._kept, self._says = list[zenoh.Session](), list[Any](), dict[str, Any]()
         self._newest = list[tuple[Any, Callable[[tuple[float, ...], float], None]]]()
@@ -130,7 +135,7 @@ class Links:
                 self._measure()
                 return self._monitor.hear_set_point(set_point_from(key, data), at_ns)
             case "heartbeat":
-                beat, own = Heartbeat.FromString(data), (self._rig["heartbeat"], self._rig["encoding"])
+                beat, own = self._heartbeat.FromString(data), (self._rig["heartbeat"], self._rig["encoding"])
                 if (key, str(sample.encoding)) != own or len(UnknownFieldSet(beat)):
                     raise GuardedError("it is no heartbeat of this arm and version, or was sent under another key")
                 self._stirred_ns = at_ns

@@ -3,11 +3,12 @@
 import enum
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float64
 
-from schemas.checks import check_message, require
+from schemas.checks import Number, UInt32, UInt64, check_message, require
 from schemas.messages.imaging import FrameStamp
 from schemas.messages.running import CommandHeader, Consumed
 from schemas.messages.thread import Status
@@ -37,7 +38,7 @@ class GraspGoal:
     s: float | None
     pixel: Float64[np.ndarray, "2"] | None
     point_camera: Float64[np.ndarray, "3"] | None
-    attempts: int | None = None
+    attempts: UInt32 | None = None
 
     def __post_init__(self) -> None:
         check_message(self)
@@ -63,7 +64,7 @@ class Arm:
     plan_id: str
     challenge_ns: int = 0
     pressed: bool = False
-    segments: int = 0
+    segments: UInt32 = 0
 
     def __post_init__(self) -> None:
         check_message(self)
@@ -133,7 +134,7 @@ class Heartbeat:
     at_ns: int
     arming_id: str
     challenge_ns: int = 0
-    guard_challenge: int = 0
+    guard_challenge: UInt64 = 0
     pressed: bool = False
 
     def __post_init__(self) -> None:
@@ -282,10 +283,10 @@ class GraspPlan:
     waypoints: tuple[Waypoint, ...]
     alternatives: tuple[Alternative, ...]
     tissue: TissueClearance | None = None
-    consumed: tuple[Consumed, ...] = ()
+    consumed: Annotated[tuple[Consumed, ...], Number(14)] = ()
     thread: ThreadClearance | None = None
-    attempt: int = 0
-    attempts: int = 0
+    attempt: UInt32 = 0
+    attempts: UInt32 = 0
     policy_model: str = ""
     goal: GraspGoal | None = None
     around: ThreadAround | None = None
@@ -350,8 +351,8 @@ class GraspCheck:
     thread_moved_m: float | None
     deviation_m: float | None
     held_probability: float | None
-    attempt: int
-    attempts: int
+    attempt: UInt32
+    attempts: UInt32
     next_plan_id: str
     sentence: str
     consumed: tuple[Consumed, ...] = ()
@@ -405,7 +406,7 @@ class RobotState:
     kinematics: str = ""
     correction_looked_ns: int = 0
     challenge_ns: int = 0
-    guard_challenge: int = 0
+    guard_challenge: UInt64 = 0
     maximum_frame_age_s: float = 0.0
     is_real: bool = False
 

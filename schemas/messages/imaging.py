@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from schemas.checks import check_message, require
+from schemas.checks import UInt32, UInt64, check_message, require
 from schemas.messages.running import Consumed
 
 ROTATION_TOLERANCE = 1e-2
@@ -17,7 +17,7 @@ LARGEST_SIDE_PX = 1 << 14
 
 
 class ImageEncoding(enum.Enum):
-    """How the bytes of an image are to be read."""
+    """How the bytes of an image are to be read; RAW is rows of pixels, channels interleaved, blue first."""
 
     RAW = 1
     PNG = 2
@@ -33,9 +33,9 @@ class Image:
     """
 
     encoding: ImageEncoding
-    width: int
-    height: int
-    channels: int
+    width: UInt32
+    height: UInt32
+    channels: UInt32
     data: bytes
 
     def __post_init__(self) -> None:
@@ -76,7 +76,7 @@ class FrameStamp:
         echoes: one for each arm whose bridge the camera hears.
     """
 
-    sequence: int
+    sequence: UInt64
     capture_left_ns: int
     capture_right_ns: int
     calibration_id: str
@@ -130,8 +130,8 @@ class StereoCalibration:
     be off by is told by the covariance of the eight errors in `shared.calibration.uncertainty`; None where nobody says.
     """
 
-    image_width: int
-    image_height: int
+    image_width: UInt32
+    image_height: UInt32
     K_left: Float64[np.ndarray, "3 3"]
     K_right: Float64[np.ndarray, "3 3"]
     distortion_left: Float64[np.ndarray, "d_left"]
@@ -180,8 +180,8 @@ class RectifiedStereo:
     Integer coordinates are pixel centres. `baseline` is in the calibration's unit.
     """
 
-    image_width: int
-    image_height: int
+    image_width: UInt32
+    image_height: UInt32
     fx_px: float
     fy_px: float
     cx_px: float

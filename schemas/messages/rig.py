@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from schemas.checks import check_message, require
+from schemas.checks import UInt32, UInt64, check_message, require
 from schemas.messages.running import CommandHeader
 
 
@@ -113,15 +113,15 @@ class AgentFacts:
     zenoh: str
     shared_memory: bool
     shared_memory_reason: str
-    realtime_asked: int | None
-    realtime_granted: int | None
+    realtime_asked: UInt32 | None
+    realtime_granted: UInt32 | None
     realtime_reason: str
     writes_to: str
-    disk_free_bytes: int | None
+    disk_free_bytes: UInt64 | None
     calibrated_ns: int | None
     certificate_expires_ns: int | None
     processor_s: float
-    resident_bytes: int
+    resident_bytes: UInt64
     overrides: tuple[TopicOverride, ...] = ()
     rig_sections: tuple[RigSection, ...] = ()
 

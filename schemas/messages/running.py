@@ -3,7 +3,7 @@
 import enum
 from dataclasses import dataclass
 
-from schemas.checks import check_message, require
+from schemas.checks import UInt64, check_message, require
 
 
 @dataclass(frozen=True)
@@ -14,8 +14,8 @@ class Consumed:
     """
 
     key: str
-    epoch: int
-    sequence: int
+    epoch: UInt64
+    sequence: UInt64
 
     def __post_init__(self) -> None:
         check_message(self)
@@ -80,10 +80,10 @@ class InputHealth:
     topic: str
     rate_hz: float
     age_ms: float | None
-    received: int
-    dropped: int
-    missed: int
-    refused: int
+    received: UInt64
+    dropped: UInt64
+    missed: UInt64
+    refused: UInt64
 
     def __post_init__(self) -> None:
         check_message(self)
@@ -95,7 +95,7 @@ class OutputHealth:
 
     topic: str
     rate_hz: float
-    published: int
+    published: UInt64
 
     def __post_init__(self) -> None:
         check_message(self)
@@ -120,14 +120,14 @@ class AgentHealth:
     config_hash: str
     at_ns: int
     uptime_s: float
-    heartbeat: int
+    heartbeat: UInt64
     step_ms_p50: float | None
     step_ms_p99: float | None
     inputs: tuple[InputHealth, ...]
     outputs: tuple[OutputHealth, ...]
     fault: str
     processor_share: float | None = None
-    resident_bytes: int | None = None
+    resident_bytes: UInt64 | None = None
 
     def __post_init__(self) -> None:
         check_message(self)

@@ -2,11 +2,12 @@
 
 import enum
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float64
 
-from schemas.checks import check_message, require
+from schemas.checks import Number, UInt64, check_message, require
 from schemas.messages.imaging import RectifiedStereo
 from schemas.messages.running import Consumed
 
@@ -25,7 +26,7 @@ class SimulatorState:
     camera: RectifiedStereo
     background: str
     colour: str
-    seed: int
+    seed: UInt64
     distance_m: float
     radius_m: float
     knots: Float64[np.ndarray, "k"]
@@ -78,7 +79,7 @@ class GraspJudgement:
     peak_tissue_force_n: float | None = None
     slipped_m: float | None = None
     code: str = ""
-    consumed: tuple[Consumed, ...] = ()
+    consumed: Annotated[tuple[Consumed, ...], Number(9)] = ()
 
     def __post_init__(self) -> None:
         check_message(self)

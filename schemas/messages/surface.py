@@ -1,11 +1,12 @@
 """What perception saw of the tissue around the thread."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from schemas.checks import check_message, require
+from schemas.checks import Number, check_message, require
 from schemas.messages.imaging import FrameStamp, RectifiedStereo
 from schemas.messages.running import Consumed
 
@@ -29,7 +30,7 @@ class TissueSurface:
     depth: Float64[np.ndarray, "r c"]
     valid: Bool[np.ndarray, "r c"]
     deviation: Float64[np.ndarray, "r c"] | None = None
-    consumed: tuple[Consumed, ...] = ()
+    consumed: Annotated[tuple[Consumed, ...], Number(7)] = ()
 
     def __post_init__(self) -> None:
         check_message(self)

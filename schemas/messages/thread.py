@@ -2,11 +2,12 @@
 
 import enum
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 
-from schemas.checks import check_message, require
+from schemas.checks import Number, SInt64, UInt32, UInt64, check_message, require
 from schemas.messages.imaging import FrameStamp, Image, RectifiedStereo
 from schemas.messages.running import Consumed
 
@@ -113,7 +114,7 @@ class Occluders:
 
     left: Image
     right: Image
-    sequence: int
+    sequence: UInt64
 
     def __post_init__(self) -> None:
         check_message(self)
@@ -220,29 +221,29 @@ class ThreadObservations:
     gaps: Int64[np.ndarray, "g"] = field(default_factory=lambda: np.zeros(0, np.int64))
     centrelines_left: Centrelines = field(default_factory=no_centrelines)
     centrelines_right: Centrelines = field(default_factory=no_centrelines)
-    looked_sequence: int = 0
+    looked_sequence: UInt64 = 0
     is_bright: bool = False
     prompt_px: Float64[np.ndarray, "2"] | None = None
-    rows_moved_up: int = 0
-    picture_left: int = 0
-    picture_right: int = 0
-    picture_left_since: int = 0
-    picture_right_since: int = 0
+    rows_moved_up: SInt64 = 0
+    picture_left: UInt32 = 0
+    picture_right: UInt32 = 0
+    picture_left_since: UInt64 = 0
+    picture_right_since: UInt64 = 0
     candidates: tuple[ThreadCandidate, ...] = ()
     occluders: Occluders | None = None
     score_map: Image | None = None
-    surface_sequence: int | None = None
+    surface_sequence: UInt64 | None = None
     trail_left: Trail | None = None
     trail_right: Trail | None = None
-    segmented_sequence: int | None = None
-    frames_since_look: int = 0
-    judged_sequence: int | None = None
-    glanced_sequence: int | None = None
-    glances: int = 0
+    segmented_sequence: UInt64 | None = None
+    frames_since_look: UInt64 = 0
+    judged_sequence: UInt64 | None = None
+    glanced_sequence: UInt64 | None = None
+    glances: UInt64 = 0
     right_eye: RightEye | None = None
     disparities_px: Float64[np.ndarray, "2"] | None = None
     calibration_covariance: Float64[np.ndarray, "8 8"] | None = None
-    consumed: tuple[Consumed, ...] = ()
+    consumed: Annotated[tuple[Consumed, ...], Number(15)] = ()
 
     def __post_init__(self) -> None:
         check_message(self)
@@ -312,7 +313,7 @@ class ThreadTrack:
 
     step: TrackStep
     reason: str
-    frames: int
+    frames: UInt32
     innovation: float
     found_share: float
     stamp: FrameStamp
@@ -442,7 +443,7 @@ class ThreadReconstruction:
     status: Status
     reason: str
     method: str
-    degree: int
+    degree: UInt32
     knots: Float64[np.ndarray, "k"]
     control_points_camera: Float64[np.ndarray, "m 3"]
     regions: ReliabilityRegions

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from schemas.checks import check_message, require
+from schemas.checks import UInt32, UInt64, check_message, require
 from schemas.messages.grasping import check_arm, check_pose
 from schemas.messages.imaging import FrameStamp
 from schemas.messages.running import Consumed
@@ -35,7 +35,7 @@ class ToolCandidate:
     twist: Float64[np.ndarray, "6"]
     covariance: Float64[np.ndarray, "6 6"]
     table: UInt8[np.ndarray, "16 16 16"]
-    expected: int
+    expected: UInt32
     fits: float
     quality: float
     residual_px: float
@@ -79,9 +79,9 @@ class ToolCorrection:
     found_left_px: Float64[np.ndarray, "m 2"]
     found_right_px: Float64[np.ndarray, "k 2"]
     candidates: tuple[ToolCandidate, ...]
-    attempts: int
-    misses: int
-    looks: int
+    attempts: UInt32
+    misses: UInt32
+    looks: UInt64
     consumed: tuple[Consumed, ...] = ()
 
     def __post_init__(self) -> None:

@@ -8,13 +8,13 @@ import contextlib
 import functools
 from pathlib import Path
 
-from google.protobuf.descriptor_pb2 import FileDescriptorProto, FileDescriptorSet
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.writer import CompressionType, Writer
 
 import schemas
 from schemas.codec import encoding_name
-from schemas.generated import suturegrasp_pb2
 from schemas.topics import Topic
+from schemas.wire import descriptors_of
 from shared.recording.entry import PROFILE, Entry
 
 LIBRARY = f"suturegrasp {schemas.__version__}"
@@ -127,18 +127,4 @@ class RecordingWriter:
 
 @functools.cache
 def _descriptor_set(message: str) -> bytes:
-    """A message with all that it holds; the whole of the file, for each type again, was a third of short ones."""
-    whole = FileDescriptorProto()
-    suturegrasp_pb2.DESCRIPTOR.CopyToProto(whole)
-    messages = {one.name: one for one in whole.message_type}
-    needed, waiting = set[str](), [message]
-    while waiting:
-        name = waiting.pop()
-        if name not in needed:
-            needed.add(name)
-            fields = messages[name].field if name in messages else ()
-            waiting += [field.type_name.split(".")[-1] for field in fields if field.type_name]
-    part = FileDescriptorProto(name=whole.name, package=whole.package, syntax=whole.syntax)
-    part.message_type.extend(one for one in whole.message_type if one.name in needed)
-    part.enum_type.extend(one for one in whole.enum_type if one.name in needed)
-    return FileDescriptorSet(file=[part]).SerializeToString(deterministic=True)
+    return FileDescriptorSet(file=[descriptors_of(message)]).SerializeToString(deterministic=True)

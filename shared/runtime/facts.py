@@ -1,7 +1,5 @@
 """Where an agent runs and what it was granted there, told to whoever asks; from Zenoh's thread, not from the loop."""
 
-import functools
-import hashlib
 import importlib.metadata
 import os
 import platform
@@ -17,9 +15,9 @@ import zenoh
 import schemas
 from schemas.checks import MessageError
 from schemas.codec import decode, encode
-from schemas.generated import suturegrasp_pb2
 from schemas.messages import AgentFacts, RigSection, TopicOverride
 from schemas.topics import key_root
+from schemas.wire import schemas_hash
 from shared.clock import now_ns, processor_s
 from shared.runtime.accounts import resident_bytes
 from shared.runtime.attachment import encoding_of, other_key
@@ -50,12 +48,6 @@ class Surroundings:
     realtime_refused: str = ""
     overrides: tuple[TopicOverride, ...] = ()
     rig_sections: tuple[RigSection, ...] = ()
-
-
-@functools.cache
-def schemas_hash() -> str:
-    """A short name of all messages that this version knows, which changes with any field of them."""
-    return hashlib.sha256(suturegrasp_pb2.DESCRIPTOR.serialized_pb).hexdigest()[:12]
 
 
 def ask_for_realtime(priority: int) -> str:

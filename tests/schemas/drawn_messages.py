@@ -15,7 +15,7 @@ from hypothesis.extra.numpy import arrays
 
 from schemas import messages
 from schemas.checks import fields_of, is_array, without_none
-from schemas.generated import suturegrasp_pb2 as pb
+from schemas.wire import wire_type
 
 texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=12)
 some_text = texts.filter(bool)
@@ -56,7 +56,7 @@ def with_fields(draw, message_type, **given):
         elif is_array(declared):
             values[name] = draw(any_array(declared, axes))
         elif declared is int:
-            on_the_wire = getattr(pb, message_type.__name__).DESCRIPTOR.fields_by_name[name]
+            on_the_wire = wire_type(message_type).DESCRIPTOR.fields_by_name[name]
             values[name] = draw(WHOLE_NUMBERS[on_the_wire.cpp_type])
         else:
             values[name] = draw(any_value(declared))

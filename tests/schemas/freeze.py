@@ -14,8 +14,8 @@ from google.protobuf.descriptor import FieldDescriptor
 import schemas
 from schemas.checks import MessageError
 from schemas.codec import decode
-from schemas.generated import suturegrasp_pb2
 from schemas.topics import HEALTH, LOG, topic_of
+from schemas.wire import descriptor
 from shared.recording.mcap_file import Entry, RecordingWriter, read_recording
 
 RELEASED = Path(__file__).with_name("released")
@@ -26,7 +26,7 @@ OFTEN = 2
 
 def schema_lines():
     """Every field and every value of an enum as a line: name, number, and what it holds."""
-    wire = suturegrasp_pb2.DESCRIPTOR
+    wire = descriptor()
     for message in wire.message_types_by_name.values():
         for field in message.fields:
             held = field.message_type or field.enum_type

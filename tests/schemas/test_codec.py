@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 
 from schemas.checks import MessageError
 from schemas.codec import LEADING_TO_MOTION, MAX_MESSAGE_BYTES, decode, decode_stamp, encode, encoding_name
-from schemas.generated import suturegrasp_pb2 as pb
 from schemas.messages import (
     Consumed,
     FrameStamp,
@@ -23,6 +22,7 @@ from schemas.messages import (
     StereoFrame,
     ThreadObservations,
 )
+from schemas.wire import wire_type, wire_type_named
 from tests.schemas.drawn_messages import MESSAGES
 
 any_message = st.one_of(*MESSAGES.values())
@@ -98,7 +98,7 @@ def test_trailing_garbage_never_passes_unnoticed(message, garbage):
     # garbage may happen to be well-formed known fields, which then are part of the message by protobuf's rules
     found = decoded_or_refused(type(message), encode(message) + garbage)
     if found is not None:
-        reparsed = getattr(pb, type(message).__name__).FromString(encode(message) + garbage)
+        reparsed = wire_type(type(message)).FromString(encode(message) + garbage)
         if type(message) not in LEADING_TO_MOTION:
             reparsed.DiscardUnknownFields()
         assert encode(found) == reparsed.SerializeToString(deterministic=True)
@@ -126,7 +126,7 @@ def observed():
         mask_right=mask,
         judgements=(Judgement("ROWS", Severity.NOTE, "f", "r"),),
     )
-    return pb.ThreadObservations.FromString(encode(message))
+    return wire_type_named("ThreadObservations").FromString(encode(message))
 
 
 SPOILT = {
@@ -203,7 +203,7 @@ def test_whatever_could_move_a_robot_or_says_where_it_goes_is_understood_in_full
 @given(data=st.data())
 def test_what_a_newer_version_added_is_left_out_except_where_it_could_move_a_robot(message_type, data):
     message = data.draw(MESSAGES[message_type])
-    wire = encode(message) + added(len(getattr(pb, message_type.__name__).DESCRIPTOR.fields) + 1)
+    wire = encode(message) + added(len(wire_type(message_type).DESCRIPTOR.fields) + 1)
     if message_type in LEADING_TO_MOTION:
         with pytest.raises(MessageError, match="has fields that this version does not know"):
             decode(message_type, wire)
@@ -215,7 +215,7 @@ def test_what_a_newer_version_added_within_a_plan_is_refused_and_within_observat
     wire = observed()
     wire.camera.MergeFromString(added(900))
     assert decode(ThreadObservations, wire.SerializeToString()).camera.fx_px == 100.0
-    goal = pb.GraspGoal()
+    goal = wire_type_named("GraspGoal")()
     goal.header.MergeFromString(added(900))
     with pytest.raises(MessageError, match=r"GraspGoal.header has fields that this version does not know"):
         decode(GraspGoal, goal.SerializeToString())
@@ -241,12 +241,12 @@ def test_bytes_that_are_no_message_are_refused(message_type, data, said):
 
 
 def test_absurd_but_finite_numbers_are_refused_quietly():
-    wire = pb.StereoCalibration(image_width=2, image_height=2)
+    wire = wire_type_named("StereoCalibration")(image_width=2, image_height=2)
     for name, value in (("K_left", np.eye(3)), ("K_right", np.eye(3)), ("T_right_left", np.eye(4) * 1e300)):
         value[-1, -1] = 1
-        getattr(wire, name).MergeFrom(pb.Array(dtype="<f8", shape=value.shape, data=value.tobytes()))
+        getattr(wire, name).MergeFrom(wire_type_named("Array")(dtype="<f8", shape=value.shape, data=value.tobytes()))
     for name in ("distortion_left", "distortion_right"):
-        getattr(wire, name).MergeFrom(pb.Array(dtype="<f8", shape=[0], data=b""))
+        getattr(wire, name).MergeFrom(wire_type_named("Array")(dtype="<f8", shape=[0], data=b""))
     with pytest.raises(MessageError, match="not orthonormal"):
         decode(StereoCalibration, wire.SerializeToString())
 

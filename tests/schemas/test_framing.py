@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from schemas.checks import MessageError
 from schemas.codec import LARGE_BYTES, decode, decode_cutting, encode, encode_joining
 from schemas.framing import varint
-from schemas.generated import suturegrasp_pb2 as pb
 from schemas.messages import (
     CommandRecord,
     FrameStamp,
@@ -18,6 +17,7 @@ from schemas.messages import (
     TissueSurface,
     ToolCorrection,
 )
+from schemas.wire import wire_type_named
 from tests.schemas.drawn_messages import MESSAGES
 from tests.schemas.test_codec import same
 
@@ -92,5 +92,5 @@ def test_strided_and_byte_swapped_arrays_are_joined_as_their_values(data, order,
 
 @given(st.integers(1, 2**64 - 1))
 def test_a_number_is_written_as_protobuf_writes_it(value):
-    head = varint(pb.FrameStamp.SEQUENCE_FIELD_NUMBER << 3)
-    assert head + varint(value) == pb.FrameStamp(sequence=value).SerializeToString()
+    head = varint(wire_type_named("FrameStamp").SEQUENCE_FIELD_NUMBER << 3)
+    assert head + varint(value) == wire_type_named("FrameStamp")(sequence=value).SerializeToString()

@@ -24,8 +24,8 @@ from agents.cli.status.command import gathered_on
 from agents.cli.status.session import reading_session
 from agents.cli.status.watch import StatusWatch
 from agents.cli.terminal import complain, say, show
+from schemas.wire import schemas_hash
 from shared.runtime.connection import Connection, NoRouterError, connected
-from shared.runtime.facts import schemas_hash
 from shared.runtime.identity import IdentityError
 from shared.runtime.link import Link
 from shared.runtime.taps import Tapped

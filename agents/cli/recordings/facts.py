@@ -1,6 +1,5 @@
 """What a recording tells of the run that it is of: program, machine, configuration, and what a lab must keep."""
 
-import hashlib
 import platform
 import socket
 from datetime import UTC, datetime, timedelta
@@ -9,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 import schemas
 from agents.cli.rig.config import RecorderSection, RigConfig
 from agents.recorder.head import Attached
-from schemas.generated import suturegrasp_pb2
+from schemas.wire import schemas_hash
 from shared.clock import now_ns
 from shared.recording.entry import Note
 from shared.runtime.clocks import ClockOffset, by_host
@@ -28,7 +27,7 @@ def notes_of(rig: RigConfig, section: RecorderSection) -> tuple[Note, ...]:
         "rig": rig.rig,
         "began": began.isoformat(timespec="milliseconds"),
         "suturegrasp": schemas.__version__,
-        "schema_hash": hashlib.sha256(suturegrasp_pb2.DESCRIPTOR.serialized_pb).hexdigest()[:12],
+        "schema_hash": schemas_hash(),
         "config_hash": config_hash(rig),
         "host": socket.gethostname(),
         "system": platform.platform(),

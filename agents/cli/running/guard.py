@@ -5,6 +5,7 @@ limits, and all keys and settings as text. What it does comes back as lines, whi
 this process ends, the monitor holds the arm if it moves, and ends too, and then nothing passes to the console.
 """
 
+import base64
 import contextlib
 import json
 import logging
@@ -24,6 +25,7 @@ from agents.cli.terminal import complain, say
 from agents.guard.__main__ import EXIT_LINK_BROKE
 from schemas.messages import Heartbeat
 from schemas.topics import HEARTBEAT, key
+from schemas.wire import PACKAGE, descriptors_of
 from shared.clock import monotonic_s, now_ns
 from shared.kinematics.psm import LARGE_NEEDLE_DRIVER
 from shared.ros.guarded import ALIVE, CHALLENGE, SET_POINT, key_of
@@ -109,6 +111,8 @@ def document_of(rig: RigConfig, arm: str, section: DvrkSection) -> dict[str, Any
             "settings": client_settings(rig.session_of(own)),
             "heartbeat": heartbeat,
             "encoding": encoding_of(Heartbeat, heartbeat),
+            "message": f"{PACKAGE}.{Heartbeat.__name__}",
+            "descriptors": base64.b64encode(descriptors_of(Heartbeat.__name__).SerializeToString()).decode(),
         },
     }
 

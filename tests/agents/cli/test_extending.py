@@ -58,7 +58,7 @@ def printed(script, folder, settings, topic, *arguments):
 def test_a_program_of_a_dozen_lines_reads_threads(tmp_path, settings):
     line, thread = printed(READS, tmp_path, settings, THREAD)
     sequence = str(thread.stamp.sequence)
-    assert line[:3] == [f"suturegrasp/{settings.rig}/reconstruction/main/thread", sequence, "STATUS_OK"]
+    assert line[:3] == [f"suturegrasp/{settings.rig}/reconstruction/main/thread", sequence, "ok"]
 
 
 def test_a_state_that_was_said_before_is_heard(tmp_path, settings):
@@ -78,14 +78,12 @@ def test_a_state_that_was_said_before_is_heard(tmp_path, settings):
 
 
 def test_on_a_rig_with_certificates_it_shows_that_of_a_viewer(tmp_path):
-    begin, opens, rest = READS.partition("with zenoh.open")
-    of_plans = rest.replace("reconstruction/main/thread", "planner/main/plan").replace(
-        "ThreadReconstruction", "GraspPlan"
-    )
+    of_plans = READS.replace("reconstruction/main/thread", "planner/main/plan")
+    begin, opens, rest = of_plans.replace("ThreadReconstruction", "GraspPlan").partition("with zenoh.open")
     with contextlib.ExitStack() as stack:
         secured = Secured(tmp_path, stack)
         owner = SessionSettings(RIG, secured.endpoint, identity_in(secured.folder, "planner.main"))
-        script = begin + SHOWS_CERTIFICATE + opens + of_plans
+        script = begin + SHOWS_CERTIFICATE + opens + rest
         line, plan = printed(script, tmp_path, owner, PLAN, str(secured.folder), LISTENER)
     assert line[:2] == [f"suturegrasp/{RIG}/planner/main/plan", str(plan.stamp.sequence)]
 

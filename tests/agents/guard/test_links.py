@@ -1,5 +1,6 @@
 """The monitor's links from end to end, with nothing made up but Zenoh's session."""
 
+import base64
 import json
 import struct
 from functools import partial
@@ -13,7 +14,7 @@ from agents.guard import cdr
 from agents.guard.description import Axis, Description
 from agents.guard.links import Links
 from agents.guard.monitor import Monitor
-from schemas.generated.suturegrasp_pb2 import Heartbeat
+from schemas.wire import descriptors_of, wire_type_named
 from shared.ros.guarded import Alive, Gate, SetPoint, alive_bytes, challenge_from, key_of, set_point_bytes
 
 MS = 1_000_000
@@ -34,8 +35,15 @@ DOCUMENT: dict[str, Any] = {
         | {"pedal": "footpedals/operator_present"}
         | {name: OURS[name] for name in ("set_point", "alive")},
     },
-    "rig": {"settings": {"mode": "client"}, "heartbeat": BEAT, "encoding": BEAT_TYPE},
+    "rig": {
+        "settings": {"mode": "client"},
+        "heartbeat": BEAT,
+        "encoding": BEAT_TYPE,
+        "message": "suturegrasp.v1.Heartbeat",
+        "descriptors": base64.b64encode(descriptors_of("Heartbeat").SerializeToString()).decode(),
+    },
 }
+Heartbeat = wire_type_named("Heartbeat")
 
 
 class Session:

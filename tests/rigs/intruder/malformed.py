@@ -12,7 +12,6 @@ from google.protobuf.descriptor import FieldDescriptor
 
 import schemas
 from schemas.codec import encode
-from schemas.generated import suturegrasp_pb2
 from schemas.messages import (
     AgentConfiguration,
     Arm,
@@ -38,6 +37,7 @@ from schemas.messages import (
     ToolStatus,
 )
 from schemas.topics import TOPICS, Topic, topic_of
+from schemas.wire import wire_type
 from shared.clock import now_ns
 from shared.recording.mcap_file import read_recording
 from shared.runtime.commands import new_header
@@ -125,7 +125,7 @@ def flipped(whole: bytes, draw: np.random.Generator) -> bytes:
 
 def with_absurd_fields(topic: Topic, whole: bytes, draw: np.random.Generator) -> bytes:
     """A message that protobuf reads, in which one to three fields say what they should not."""
-    wire = getattr(suturegrasp_pb2, topic.message.__name__).FromString(whole)
+    wire = wire_type(topic.message).FromString(whole)
     for _ in range(int(draw.integers(1, 4))):
         places = list(_places(wire))
         _spoil(*places[int(draw.integers(0, len(places)))], draw)

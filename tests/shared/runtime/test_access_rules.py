@@ -14,7 +14,8 @@ from schemas.topics import ANY_AGENT, TOPICS, Delivery
 from shared.runtime.access import Sites, access_control
 
 NAMES = ("camera.main", "perception.main", "tool_tracker.psm1", "planner.main", "robot_bridge.psm1",
-         "robot_bridge.psm2", "guard.psm1", "recorder.desk", "viewer.desk", "operator.desk", "operator.strong")  # fmt: skip
+         "robot_bridge.psm2", "guard.psm1", "recorder.desk", "viewer.desk", "operator.desk",
+         "operator.strong")  # fmt: skip
 KINDS = sorted({name.split(".")[0] for name in NAMES} | {"simulator", "router", "replay"})
 INSTANCES = ("main", "psm1", "psm2", "desk", "strong")
 OUTGOING = ("put", "delete", "reply", "declare_queryable", "liveliness_token")

@@ -1,1 +1,0 @@
-"""Code that protoc wrote from schemas/proto; `make protos` renews it."""
