@@ -58,6 +58,9 @@ CANDIDATES = (
 )
 """Of the threads that perception tells apart, the one that is meant first."""
 
+FAINT = 70
+"""Opacity, of 255, of what stands behind the thread."""
+
 OCCLUDERS = {Occluder.TOOL: (95, 130, 255), Occluder.NEEDLE: (255, 220, 90), Occluder.UNKNOWN: (200, 110, 230)}
 """Of what may hide thread."""
 

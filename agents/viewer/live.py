@@ -13,8 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from agents.viewer.live_layout import DEFAULT, live_layout
-from agents.viewer.panels import Scene
+from agents.viewer.layout import DEFAULT, Scene, live_layout
 from agents.viewer.screen import Backlog, Screen
 from agents.viewer.showing import Showing
 from agents.viewer.sinks import PART_BYTES, Sink, ViewerError, file_sink

@@ -1,8 +1,14 @@
-"""Any message of the dataflow as Rerun shows it live. See mapping, grasp_mapping and session_mapping for the paths.
+"""Any message of the dataflow as Rerun shows it live; the other mappings have the paths of what they show.
 
 world/left, world/right     with `image` where the camera's images are rectified as they come
 camera/raw/left, right      the images where they are not: nothing measured in rectified images fits on them
 lanes/{stage}               whether a stage has a result
+
+Of a message that says itself what it shows (`schemas/shown.py`), in millimetres:
+
+world/shown/{agent}/{name}  curves, and places as ellipsoids of 95 %; over both images too
+{agent}/{name}              figures
+lanes/{agent}               its state
 """
 
 from collections import deque
@@ -10,18 +16,12 @@ from collections.abc import Callable
 
 import numpy as np
 import rerun as rr
+from scipy.spatial.transform import Rotation
 
-from agents.viewer.candidate_mapping import (
-    candidate_entities,
-    occluder_entities,
-    score_entities,
-    verdict,
-    verdict_entities,
-)
-from agents.viewer.considered_mapping import Considered
-from agents.viewer.dataflow_mapping import Dataflow
-from agents.viewer.frame_mapping import coverage, frame_entities
+from agents.viewer import colours
+from agents.viewer.entity import Entity, camera_in_mm, observations_in_mm, reconstruction_in_mm
 from agents.viewer.grasp_mapping import (
+    Considered,
     check_entities,
     execution_entities,
     joint_names,
@@ -32,31 +32,39 @@ from agents.viewer.grasp_mapping import (
     robot_tool_entities,
     truth_entities,
 )
-from agents.viewer.mapping import (
-    BACKDROP,
-    Entity,
-    camera_entities,
-    mask_entities,
-    observation_entities,
-    reconstruction_entities,
-)
-from agents.viewer.match_mapping import match_entities
-from agents.viewer.quality_mapping import curve_looks
 from agents.viewer.report import finding_text, findings
+from agents.viewer.seen_mapping import (
+    candidate_entities,
+    contact_entities,
+    coverage,
+    frame_entities,
+    match_entities,
+    occluder_entities,
+    score_entities,
+    surface_entities,
+    tool_entities,
+    verdict,
+    verdict_entities,
+)
 from agents.viewer.session_mapping import (
+    Dataflow,
     clock_entities,
     command_entities,
     configuration_entities,
+    end_to_end_name,
     health_entities,
     lane,
     log_entities,
     said,
 )
-from agents.viewer.shown_mapping import shown_entities
-from agents.viewer.surface_mapping import contact_entities, surface_entities
-from agents.viewer.timing_mapping import end_to_end_name
-from agents.viewer.tool_mapping import tool_entities
-from agents.viewer.units import camera_in_mm, observations_in_mm, reconstruction_in_mm
+from agents.viewer.thread_mapping import (
+    BACKDROP,
+    camera_entities,
+    curve_looks,
+    mask_entities,
+    observation_entities,
+    reconstruction_entities,
+)
 from schemas.messages import (
     AgentConfiguration,
     AgentHealth,
@@ -85,10 +93,44 @@ from schemas.messages import (
     TissueSurface,
     ToolCorrection,
 )
-from schemas.shown import Shows
+from schemas.shown import Shown, Shows
 from schemas.topics import TOPICS
 from shared.camera import is_rectified
 from shared.right_eye import IN_LINE, from_in_line, right_eye_of
+
+SIGMAS = 2.8
+"""The half-axes of an ellipsoid that holds 95 %, in standard deviations."""
+RADIUS_PX = 2.0
+
+
+def shown_entities(agent: str, camera: RectifiedStereo, shown: Shown, changed: bool) -> list[Entity]:
+    """Entities of all that a message shows; its lane and its sentence where its state has `changed`."""
+    scale = camera_in_mm(camera).baseline / camera.baseline
+    path = rr.escape_entity_path_part(agent)
+    entities: list[Entity] = []
+    for name, points in shown.curves.items():
+        curve = rr.LineStrips3D([scale * points], colors=[colours.CHOSEN], radii=[-RADIUS_PX])
+        entities.append((f"world/shown/{path}/{rr.escape_entity_path_part(name)}", [curve]))
+    for name, (point, covariance) in shown.places.items():
+        variances, axes = np.linalg.eigh(scale**2 * covariance)
+        axes[:, 0] *= np.linalg.det(axes)
+        ellipsoid = rr.Ellipsoids3D(
+            centers=[scale * point],
+            half_sizes=[SIGMAS * np.sqrt(np.maximum(variances, 0.0))],
+            quaternions=[Rotation.from_matrix(axes).as_quat()],
+            colors=[colours.CHOSEN],
+            labels=[name],
+            show_labels=True,
+        )
+        entities.append((f"world/shown/{path}/{rr.escape_entity_path_part(name)}", [ellipsoid]))
+    entities += [(f"{path}/{name}", [rr.Scalars(value)]) for name, value in shown.figures.items()]
+    if changed and shown.state:
+        entities.append(lane(path, shown.state))
+    if changed and shown.sentence:
+        level = rr.TextLogLevel.INFO if shown.state == "ok" else rr.TextLogLevel.WARN
+        entities.append(said(agent, shown.sentence, level))
+    return entities
+
 
 MOST_MATCHED = 1500
 """Matched pixels shown of one frame; there are tens of thousands."""

@@ -14,9 +14,8 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+from agents.viewer.layout import Scene, live_layout
 from agents.viewer.live import ViewerReport, report_of
-from agents.viewer.live_layout import live_layout
-from agents.viewer.panels import Scene
 from agents.viewer.showing import Showing
 from agents.viewer.sinks import Layout, Sink, ViewerError, file_sink, open_page, served_sink, window_sink
 from schemas.topics import FRAMES, Delivery, topic_of

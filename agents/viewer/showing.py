@@ -7,17 +7,21 @@ from typing import Any
 
 import numpy as np
 
-from agents.viewer.entity import Moment
-from agents.viewer.live_layout import DEFAULT, live_layout
+from agents.viewer.entity import BY_FRAME, Entity, Moment, Thinning, reconstruction_in_mm
+from agents.viewer.layout import DEFAULT, Scene, live_layout
 from agents.viewer.live_mapping import LiveMapping
-from agents.viewer.mapping import Entity
-from agents.viewer.panels import Scene
 from agents.viewer.report import unit_text
-from agents.viewer.session_mapping import count_entities, failure, nothing_yet, pace, said
+from agents.viewer.session_mapping import (
+    Arrivals,
+    StageTimes,
+    count_entities,
+    failure,
+    latency_entities,
+    nothing_yet,
+    pace,
+    said,
+)
 from agents.viewer.sinks import Sink
-from agents.viewer.thinning import BY_FRAME, Thinning
-from agents.viewer.timing_mapping import Arrivals, StageTimes, latency_entities
-from agents.viewer.units import reconstruction_in_mm
 from schemas.codec import decode, decode_stamp
 from schemas.messages import FrameStamp, Status, ThreadReconstruction
 from shared.runtime.taps import Tapped

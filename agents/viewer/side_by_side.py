@@ -14,13 +14,11 @@ import rerun.blueprint as rrb
 from jaxtyping import Float64
 
 from agents.viewer import colours
-from agents.viewer.entity import Moment
+from agents.viewer.entity import BY_FRAME, Moment, Thinning, reconstruction_in_mm
+from agents.viewer.layout import FLAT, VIEWPOINT
 from agents.viewer.live_mapping import LiveMapping
-from agents.viewer.recording_layout import FLAT, VIEWPOINT
 from agents.viewer.showing import moment_of
 from agents.viewer.sinks import file_sink
-from agents.viewer.thinning import BY_FRAME, Thinning
-from agents.viewer.units import reconstruction_in_mm
 from schemas.messages import Status, ThreadReconstruction
 from schemas.topics import Topic
 from shared.images import ImageDataError

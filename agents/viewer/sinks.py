@@ -20,8 +20,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 import rerun_cli
 
-from agents.viewer.entity import Moment
-from agents.viewer.mapping import APPLICATION, Entity
+from agents.viewer.entity import Entity, Moment
+from agents.viewer.thread_mapping import APPLICATION
 from shared.clock import monotonic_s
 
 AGAIN_NS = 1_000_000_000

@@ -17,7 +17,7 @@ from agents.cli.rig.config import RigConfig
 from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.cli.terminal import complain, say
 from agents.operator.operator import Events, Stood, arm_and_stand_by, ask_for_grasp, change_state, hold, prompt
-from agents.viewer.clearance import clearance_sentence
+from agents.viewer.grasp_mapping import clearance_sentence
 from schemas.messages import Checked, ExecutionEvent, ExecutionKind, GraspPlan, Outcome, Policy, StateWord, Status
 from schemas.topics import EXECUTION
 from shared.clock import monotonic_s

@@ -131,7 +131,7 @@ def _write(options: Reconstruct, result: PipelineResult, judgements: tuple[Judge
             path.write_bytes(encoded.tobytes())
     if options.rrd is not None:
         # the viewer's mapping loads Rerun, which takes longer than a reconstruction
-        from agents.viewer.mapping import write_rrd
+        from agents.viewer.rrd import write_rrd
 
         with whole_file(options.rrd) as path:
             write_rrd(path, *shown)

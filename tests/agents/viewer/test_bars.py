@@ -1,7 +1,7 @@
 import numpy as np
 import rerun as rr
 
-from agents.viewer.quality_mapping import ALONG, bars_along
+from agents.viewer.thread_mapping import ALONG, bars_along
 
 
 def test_bars_are_what_rerun_makes_of_the_same_numbers():

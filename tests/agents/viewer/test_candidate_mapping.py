@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from agents.viewer import colours
-from agents.viewer.candidate_mapping import candidate_entities, occluder_entities, score_entities, verdict
 from agents.viewer.live_mapping import LiveMapping
+from agents.viewer.seen_mapping import candidate_entities, occluder_entities, score_entities, verdict
 from schemas.messages import (
     Centrelines,
     ImageEncoding,

@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from agents.viewer.cross_sections import CORNERS, cross_sections, tube_triangles
-from agents.viewer.polyline import thread_polyline
+from agents.viewer.polyline import CORNERS, cross_sections, thread_polyline, tube_triangles
 from shared.splines import evaluate
 
 

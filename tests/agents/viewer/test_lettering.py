@@ -2,8 +2,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.viewer.lettering import ascii_text, text_width, wrapped
-from agents.viewer.strip import nice_ticks
+from agents.viewer.image_pane import ascii_text, text_width, wrapped
+from agents.viewer.picture import nice_ticks
 
 
 def test_signs_are_spelled_out_accents_dropped_and_all_else_becomes_a_question_mark():

@@ -7,8 +7,8 @@ import pytest
 from rerun.chunk import RrdReader
 
 from agents.viewer import live, screen, sinks
-from agents.viewer.cross_sections import CORNERS
 from agents.viewer.live import LiveViewer, ViewerError
+from agents.viewer.polyline import CORNERS
 from schemas import topics
 from schemas.codec import encode
 from schemas.messages import (

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
-from agents.viewer import mapping
+from agents.viewer import rrd, thread_mapping
 from agents.viewer.colours import UNKNOWN, confidence_rgb
-from agents.viewer.cross_sections import CORNERS
+from agents.viewer.polyline import CORNERS
 from agents.viewer.report import facts, markdown
 from schemas.messages import (
     ThreadCandidate,
@@ -31,7 +31,7 @@ def entities_of(path):
 @pytest.fixture(scope="module")
 def recording(scene, tmp_path_factory):
     path = tmp_path_factory.mktemp("good") / "thread.rrd"
-    mapping.write_rrd(path, scene.left, scene.right, scene.observations, scene.reconstruction)
+    rrd.write_rrd(path, scene.left, scene.right, scene.observations, scene.reconstruction)
     return path
 
 
@@ -50,7 +50,7 @@ def test_a_recording_has_a_layout_and_everything_in_it_stands_at_the_capture_tim
 def test_the_curve_is_the_thread_in_the_colours_of_its_confidence(recording, scene):
     curve = columns(recording, "/world/thread/curve")
     strips = np.array(curve["LineStrips3D:strips"])
-    assert strips.shape == (mapping.CURVE_POINTS - 1, 2, 3)
+    assert strips.shape == (thread_mapping.CURVE_POINTS - 1, 2, 3)
     nearest = np.linalg.norm(strips[:, 0, None] - scene.curve[None], axis=2).min(axis=1)
     assert nearest.max() < 0.1
     rgba = np.array(curve["LineStrips3D:colors"], dtype=np.uint32)
@@ -72,7 +72,7 @@ def test_the_report_names_status_findings_and_remedies(recording):
 @pytest.fixture(scope="module")
 def refined_recording(refined, tmp_path_factory):
     path = tmp_path_factory.mktemp("refined") / "refined.rrd"
-    mapping.write_rrd(path, refined.left, refined.right, refined.observations, refined.reconstruction)
+    rrd.write_rrd(path, refined.left, refined.right, refined.observations, refined.reconstruction)
     return path
 
 
@@ -132,7 +132,7 @@ def test_where_the_next_likeliest_course_leads_is_drawn_and_said_only_of_an_unde
         course = ThreadCourse(joins, np.array([1.0, least, least, 1.0]), other)
         thread = dataclasses.replace(scene.reconstruction, course=course)
         assert ("may lead elsewhere at s=0.30 (40%)" in markdown(scene.observations, thread, None)) == (links > 0)
-        mapping.write_rrd(tmp_path / "x.rrd", scene.left, scene.right, scene.observations, thread)
+        rrd.write_rrd(tmp_path / "x.rrd", scene.left, scene.right, scene.observations, thread)
         drawn = columns(tmp_path / "x.rrd", "/world/thread/other_course")["LineStrips3D:strips"]
         assert len(drawn) == links
         assert course.elsewhere.tolist() == ([[0.3, 0.6], [0.4, 0.7]] if links else [])
@@ -142,7 +142,7 @@ def test_a_failure_gives_the_same_entities_so_that_it_empties_the_last_frame(
     scene, failed, nothing_seen, refined_recording, tmp_path
 ):
     path = tmp_path / "failed.rrd"
-    mapping.write_rrd(path, scene.left, scene.right, nothing_seen, failed)
+    rrd.write_rrd(path, scene.left, scene.right, nothing_seen, failed)
     assert entities_of(path) == entities_of(refined_recording)
     assert np.isnan(columns(path, "/deviation/mean")["Scalars:scalars"][0])
     assert columns(path, "/world/thread/curve")["LineStrips3D:strips"] == []
@@ -155,7 +155,7 @@ def test_a_failure_gives_the_same_entities_so_that_it_empties_the_last_frame(
 
 def test_the_edges_of_a_region_are_the_twelve_of_a_block_within_its_bounds(scene):
     regions, camera = scene.reconstruction.regions, scene.reconstruction.camera
-    edges = mapping.region_edges(camera, regions)
+    edges = thread_mapping.region_edges(camera, regions)
     x, y, z = np.moveaxis(edges, 2, 0)
     centre = regions.centre_camera
     u = 1000.0 * x / z - (1000.0 * centre[:, 0] / centre[:, 2])[:, None]

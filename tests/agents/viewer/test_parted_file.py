@@ -4,8 +4,7 @@ import random
 
 import rerun as rr
 
-from agents.viewer.live_layout import DEFAULT, live_layout
-from agents.viewer.panels import Scene
+from agents.viewer.layout import DEFAULT, Scene, live_layout
 from agents.viewer.sinks import FLUSHED_EVERY, Moment, file_sink
 from tests.agents.viewer.test_live import rows_of
 

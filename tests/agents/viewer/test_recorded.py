@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from agents.cli.main import main
+from agents.viewer.layout import LAYOUTS
 from agents.viewer.live import LiveViewer
-from agents.viewer.live_layout import LAYOUTS
 from agents.viewer.recorded import RecordedViewer, between, tapped_of
 from schemas import topics
 from schemas.codec import encode

@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from agents.viewer.polyline import thread_polyline
-from agents.viewer.residuals import (
+from agents.viewer.polyline import (
     EXAGGERATION,
     LONGEST_WHISKER_PX,
     ResidualSummary,
@@ -15,6 +14,7 @@ from agents.viewer.residuals import (
     closeness,
     residuals,
     summary,
+    thread_polyline,
     whiskers,
 )
 from schemas.messages import Centrelines

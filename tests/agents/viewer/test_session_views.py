@@ -9,11 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from agents.viewer.considered_mapping import Considered, captures_of
-from agents.viewer.dataflow_mapping import Dataflow
-from agents.viewer.grasp_mapping import turns_of_z
-from agents.viewer.match_mapping import distinctness, match_entities
-from agents.viewer.timing_mapping import Arrivals, StageTimes
+from agents.viewer.grasp_mapping import Considered, captures_of, turns_of_z
+from agents.viewer.seen_mapping import distinctness, match_entities
+from agents.viewer.session_mapping import Arrivals, Dataflow, StageTimes
 from schemas import topics
 from schemas.messages import Alternative, InputHealth, OutputHealth
 

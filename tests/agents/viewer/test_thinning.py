@@ -1,6 +1,6 @@
 import pytest
 
-from agents.viewer.thinning import IN_A_FULL_MACHINE, MOST_PER_SECOND, Thinning
+from agents.viewer.entity import IN_A_FULL_MACHINE, MOST_PER_SECOND, Thinning
 from schemas.topics import FRAMES, PLAN, ROBOT_STATE, THREAD
 
 SECOND = 1_000_000_000

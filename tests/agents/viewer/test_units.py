@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from agents.viewer.units import camera_in_mm, observations_in_mm, reconstruction_in_mm
+from agents.viewer.entity import camera_in_mm, observations_in_mm, reconstruction_in_mm
 from schemas import topics
 
 

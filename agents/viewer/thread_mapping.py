@@ -1,18 +1,29 @@
-"""What is known of the thread as Rerun shows it.
+"""What is known of the thread as Rerun shows it, and how far it can be trusted.
 
     world                       the rectified left camera's axes: x right, y down, z away
       left, right               the two pinhole cameras, with `image` and `mask` below
       observations              `points`, and the `matched` pixels behind them
-      thread                    `curve`, `ends`, `control_points`, `regions`, and the `posterior` about it
+      thread                    `curve`, `ends`, `control_points`, `regions`
+        posterior               the tube that holds the thread with 95 % probability, across it; at true scale
+    world/{side}/centrelines    the middle of the thread as that image shows it, by piece
+    world/{side}/residuals_x20  whiskers from the projected curve toward the centrelines' points, twenty times as long
+                                as the residuals, and at most 40 px
     confidence, report          a chart along the thread, and what is to be said in words
+    deviation/along_s           a chart along the thread: standard deviation across it, in the worst direction
+    deviation/…                 `mean` and `worst` of the chart
+    residual_px/{side}          `median` and `percentile_95` of the points that the curve explains
+    share/…                     `unseen` of the thread in any image; `left_over_{side}` of the points of its centrelines
 
-How far it can be trusted is in quality_mapping. Each function turns one message into entity paths with what to log
-there. A message always gives the same paths, so that a failed frame empties what the frame before it showed.
+Curve, tube and whiskers have the colours of confidence: whiskers are green where the curve runs through the middle of
+the thread's image, and red where it runs along its edge or farther out. Thread that not both images show is grey.
+
+Each function turns one message into entity paths with what to log there. A message always gives the same paths, so that
+a failed frame empties what the frame before it showed.
 """
 
-import pathlib
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,22 +31,24 @@ import rerun as rr
 from jaxtyping import Float64, UInt8
 
 from agents.viewer import colours
-from agents.viewer.candidate_mapping import candidate_entities, occluder_entities, score_entities
-from agents.viewer.cross_sections import cross_sections
 from agents.viewer.entity import HALF_PX, LAST_FRAME, Entity
-from agents.viewer.image_pane import decoded_mask
-from agents.viewer.polyline import Polyline, thread_polyline
-from agents.viewer.quality_mapping import (
-    ALONG,
-    bars_along,
-    centreline_entities,
-    curve_looks,
-    posterior_entities,
-    residual_entities,
+from agents.viewer.polyline import (
+    CORNERS,
+    EXAGGERATION,
+    CrossSections,
+    Polyline,
+    Residuals,
+    both_residuals,
+    closeness,
+    cross_sections,
+    summary,
+    thread_polyline,
+    tube_triangles,
+    whiskers,
 )
-from agents.viewer.recording_layout import distance_of, layout
 from agents.viewer.report import markdown, missed
 from schemas.messages import (
+    Centrelines,
     FrameStamp,
     RectifiedStereo,
     ReliabilityRegions,
@@ -46,6 +59,145 @@ from schemas.messages import (
 from shared.camera import backproject, camera_matrix, depth_of_disparity, project
 from shared.right_eye import IN_LINE, Affine, from_in_line, moved
 
+BARS = 100
+ALONG = np.linspace(0.0, 1.0, BARS)
+"""Shares of the thread's length at which there are bars."""
+# made once: Rerun takes longer to find out of what kind the numbers of a chart are than it does for all else in it
+_PLACES: Any = rr.components.TensorDataBatch(ALONG).as_arrow_array()
+_WIDTHS: Any = rr.components.LengthBatch(np.full(BARS, 1 / BARS)).as_arrow_array()
+_KIND = [field.name for field in _PLACES.type.field("buffer").type].index("F64")
+
+
+def bars_along(heights: Float64[np.ndarray, "n"], rgb: tuple[int, int, int]) -> rr.BarChart:
+    """Bars at `ALONG` of these heights."""
+    return rr.BarChart(_like_places(heights), abscissa=_PLACES, color=rgb, widths=_WIDTHS)
+
+
+def _like_places(heights: Float64[np.ndarray, "n"]) -> Any:
+    """As many numbers, as Rerun holds those of the places: a structure of a shape, names, and numbers of some kind."""
+    kinds = _PLACES.field("buffer")
+    places = kinds.field(_KIND)
+    numbers = rr.components.ScalarBatch(heights).as_arrow_array()
+    children = [kinds.field(kind) for kind in range(kinds.type.num_fields)]
+    children[_KIND] = places.from_buffers(places.type, 1, places.buffers()[:2], children=[numbers])
+    # of what says which kind each element is, and where
+    about = [None, *kinds.buffers()[1:3]]
+    buffer = kinds.from_buffers(kinds.type, 1, about, children=children)
+    return _PLACES.from_arrays([_PLACES.field("shape"), _PLACES.field("names"), buffer], fields=list(_PLACES.type))
+
+
+WHISKERS_ABOUT = 300
+"""Whiskers in each image; neighbouring points of a centreline err alike."""
+
+TUBE_OPACITY = 120
+
+SIDES = ("left", "right")
+
+
+def curve_looks() -> list[Entity]:
+    """The colours of the curves over time, as in the picture: one for each image, the median thicker."""
+    residuals = [
+        (f"residual_px/{side}/{what}", _looks(rgb, width, f"{side}, {called}"))
+        for side, rgb in zip(SIDES, (colours.LEFT_EYE, colours.RIGHT_EYE), strict=True)
+        for what, called, width in (("median", "median", 2.0), ("percentile_95", "95 %", 1.0))
+    ]
+    shares = [
+        (f"share/left_over_{side}", _looks(rgb, 1.0, f"left over, {side}"))
+        for side, rgb in zip(SIDES, (colours.LEFT_EYE, colours.RIGHT_EYE), strict=True)
+    ]
+    return [
+        *residuals,
+        *shares,
+        ("share/unseen", _looks(colours.UNKNOWN, 2.0, "unseen")),
+        ("deviation/mean", _looks(colours.KEPT, 2.0, "mean")),
+        ("deviation/worst", _looks(colours.WARNING, 1.0, "worst")),
+    ]
+
+
+def _looks(rgb: tuple[int, int, int], width: float, name: str) -> list[rr.AsComponents]:
+    return [rr.SeriesLines(colors=[rgb], widths=[width], names=[name])]
+
+
+def centreline_entities(observations: ThreadObservations, to_shown: Affine = IN_LINE) -> list[Entity]:
+    """The pieces of both centrelines as thin lines in the images; the right one's as it is shown."""
+    return [
+        ("world/left/centrelines", [_pieces(observations.centrelines_left)]),
+        ("world/right/centrelines", [_pieces(observations.centrelines_right, to_shown)]),
+    ]
+
+
+def posterior_entities(sections: CrossSections) -> list[Entity]:
+    """The tube, its deviation along the thread, and the mean and the worst of it."""
+    mean, worst = (float(pick(sections.deviation)) if len(sections.along) else None for pick in (np.mean, np.max))
+    return [
+        ("world/thread/posterior", [_tube(sections)]),
+        ("deviation/along_s", [_bars(sections)]),
+        ("deviation/mean", [_scalar(mean)]),
+        ("deviation/worst", [_scalar(worst)]),
+    ]
+
+
+def residual_entities(
+    observations: ThreadObservations | None, thread: Polyline | None, to_shown: Affine = IN_LINE
+) -> list[Entity]:
+    """The residuals in both images, in pixels and in numbers; empty where there is no thread, or nothing to compare.
+
+    Args:
+        to_shown: from pixels of the right image in line to those of the one that is shown.
+    """
+    share = None if thread is None else float(thread.unseen.mean())
+    entities: list[Entity] = [("share/unseen", [_scalar(share)])]
+    found = (None, None) if observations is None or thread is None else both_residuals(observations, thread)
+    for side, of_side, by in zip(SIDES, found, (IN_LINE, to_shown), strict=True):
+        numbers = None if of_side is None else summary(of_side)
+        entities += [
+            (f"world/{side}/residuals_x{EXAGGERATION}", [_whiskers(of_side, by)]),
+            (f"residual_px/{side}/median", [_scalar(numbers and numbers.median_px)]),
+            (f"residual_px/{side}/percentile_95", [_scalar(numbers and numbers.percentile_95_px)]),
+            (f"share/left_over_{side}", [_scalar(numbers and numbers.left_over)]),
+        ]
+    return entities
+
+
+def _scalar(value: float | None) -> rr.Scalars:
+    """A number, or that there is none, so that a curve ends instead of going on as before."""
+    return rr.Scalars(np.nan if value is None else value)
+
+
+def _pieces(line: Centrelines, to_shown: Affine = IN_LINE) -> rr.LineStrips2D:
+    cuts = np.flatnonzero(np.diff(line.piece)) + 1
+    points = moved(line.point_px, to_shown) + HALF_PX
+    strips = np.split(points, cuts) if len(line.piece) else []
+    return rr.LineStrips2D(strips, colors=[colours.CENTRELINE], radii=[-0.6])
+
+
+def _whiskers(found: Residuals | None, to_shown: Affine) -> rr.LineStrips2D:
+    if found is None or not len(found.along):
+        return rr.LineStrips2D([])
+    some = found.every(1 + len(found.along) // WHISKERS_ABOUT)
+    lines = (moved(whiskers(some), to_shown) + HALF_PX).astype(np.float32)
+    return rr.LineStrips2D(lines, colors=colours.confidence_rgb(closeness(some)), radii=[-0.8])
+
+
+def _tube(sections: CrossSections) -> rr.Mesh3D | rr.Clear:
+    count = len(sections.along)
+    if count < 2:
+        return rr.Clear(recursive=False)
+    rgb = colours.thread_rgb(sections.confidence, sections.unseen)
+    return rr.Mesh3D(
+        vertex_positions=sections.rings_camera.reshape(-1, 3),
+        triangle_indices=tube_triangles(count),
+        vertex_colors=np.repeat(rgb, CORNERS, axis=0),
+        albedo_factor=(255, 255, 255, TUBE_OPACITY),
+    )
+
+
+def _bars(sections: CrossSections) -> rr.BarChart:
+    if not len(sections.along):
+        return rr.BarChart(np.zeros(1), abscissa=np.zeros(1))
+    return bars_along(np.interp(ALONG, sections.along, sections.deviation), colours.BAND)
+
+
 APPLICATION = "suturegrasp"
 JPEG_QUALITY = 95
 CURVE_POINTS = 200
@@ -54,9 +206,6 @@ CURVE_RADIUS = 1.5
 
 BACKDROP = 1.3
 """How far behind the thread the left image stands in space, as a multiple of the thread's depth."""
-
-FAINT = 70
-"""Opacity, of 255, of what stands behind the thread."""
 
 
 def camera_entities(camera: RectifiedStereo, distance: float, right_eye: RightEye | None = None) -> list[Entity]:
@@ -122,11 +271,12 @@ def observation_entities(
         colors=[(*colours.OBSERVATION, 150)],
         radii=[-0.5],
     )
+    faint = (*colours.KEPT, colours.FAINT)
     # a negative radius is one of the screen, the same at any zoom
     return [
         ("world/left/bounds", [bounds]),
         ("world/observations/points", [rr.Points3D(points, colors=[colours.OBSERVATION], radii=[-2.0])]),
-        ("world/observations/matched", [rr.Points3D(matched_points, colors=[(*colours.KEPT, FAINT)], radii=[-1.0])]),
+        ("world/observations/matched", [rr.Points3D(matched_points, colors=[faint], radii=[-1.0])]),
         *centreline_entities(observations, to_shown),
     ]
 
@@ -166,37 +316,6 @@ def log(recording: rr.RecordingStream, stamp: FrameStamp, entities: Iterable[Ent
     for path, archetypes in entities:
         for archetype in archetypes:
             recording.log(path, archetype)
-
-
-def write_rrd(
-    path: pathlib.Path,
-    left_bgr: UInt8[np.ndarray, "h w *c"],
-    right_bgr: UInt8[np.ndarray, "h w *c"],
-    observations: ThreadObservations,
-    reconstruction: ThreadReconstruction,
-) -> None:
-    """Write one reconstruction as a Rerun file with its layout inside.
-
-    Raises:
-        OSError: where the file cannot be written; Rerun's own file sink would wait for ever on a full disk.
-    """
-    recording = rr.RecordingStream(APPLICATION)
-    stream = recording.binary_stream()
-    recording.send_blueprint(layout(reconstruction), make_active=False, make_default=True)
-    entities = [
-        *camera_entities(observations.camera, BACKDROP * distance_of(reconstruction)),
-        *image_entities(left_bgr, right_bgr),
-        *mask_entities(decoded_mask(observations.mask_left), decoded_mask(observations.mask_right)),
-        *observation_entities(observations),
-        *candidate_entities(observations),
-        *occluder_entities(observations),
-        *score_entities(observations),
-        *curve_looks(),
-        *reconstruction_entities(reconstruction, observations),
-        *report_entities(observations, reconstruction),
-    ]
-    log(recording, reconstruction.stamp, entities)
-    path.write_bytes(stream.read() or b"")
 
 
 def region_edges(camera: RectifiedStereo, regions: ReliabilityRegions) -> Float64[np.ndarray, "n 16 3"]:
@@ -268,7 +387,7 @@ def _ends(thread: Polyline | None) -> rr.Points3D:
 
 
 def _region_rgba(regions: ReliabilityRegions) -> list[tuple[int, int, int, int]]:
-    return [(*colours.OUTSIDE, 255) if out else (*colours.MUTED, FAINT) for out in missed(regions)]
+    return [(*colours.OUTSIDE, 255) if out else (*colours.MUTED, colours.FAINT) for out in missed(regions)]
 
 
 def _confidence_bars(thread: Polyline | None) -> rr.BarChart:
