@@ -26,7 +26,7 @@ from shared.images import decode_image
 from shared.runtime.attachment import Attachment, pack, unpack
 from shared.runtime.delivery import declare_publisher, payload_of, subscribe
 from shared.runtime.intake import Arrival, Inbox
-from shared.runtime.memory import keep_freed_memory
+from shared.runtime.process import keep_freed_memory
 from shared.runtime.session import SessionSettings, open_session
 
 RIG, AGENT = "hop", "camera"

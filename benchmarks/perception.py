@@ -29,7 +29,7 @@ from benchmarks.scenes import CLEAR, CROSSING, OCCLUSION, Scene, scenes
 from benchmarks.segmenters import COMPARED, ON_TISSUE
 from benchmarks.variations import NONE, Run
 from shared.camera import project
-from shared.runtime.memory import keep_freed_memory
+from shared.runtime.process import keep_freed_memory
 
 """`threshold` is for plain grounds."""
 

@@ -43,7 +43,7 @@ from shared.runtime.accounts import RingLosses
 from shared.runtime.attachment import Attachment, pack, unpack
 from shared.runtime.delivery import declare_publisher, ring_room, subscribe
 from shared.runtime.identity import identity_in
-from shared.runtime.memory import keep_freed_memory
+from shared.runtime.process import keep_freed_memory
 from shared.runtime.session import SessionSettings, open_session
 
 EXAMPLE = Path(__file__).parents[1] / "docs" / "example" / "session.mcap"

@@ -44,7 +44,7 @@ from schemas.topics import (
 from shared.recording.mcap_file import Entry
 from shared.rigid_transforms import compose
 from shared.runtime.agent import Agent, Command, Output, Received, Tick
-from shared.runtime.lockstep import BEGAN_NS, Lockstep
+from shared.runtime.replay import BEGAN_NS, Lockstep
 
 RIG, OPERATOR = "evaluation", "evaluation"
 SETTLED_S = 0.2

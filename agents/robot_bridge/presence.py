@@ -2,7 +2,7 @@
 
 The bridge's challenge is the time at which it issued it, told with its state. An answer echoes it, so it is as young as
 the challenge: what a queue held back for three seconds tells that somebody was there three seconds ago. No clock but
-the bridge's own counts, which does not jump while an arm is armed (shared/runtime/replayed_time.py).
+the bridge's own counts, which does not jump while an arm is armed (shared/runtime/clocks.py).
 """
 
 from collections import deque

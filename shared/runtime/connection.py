@@ -25,12 +25,10 @@ from shared.runtime.attachment import Attachment, pack
 from shared.runtime.clocks import ClockOffset, clock_offset
 from shared.runtime.commands import new_header, send_command
 from shared.runtime.delivery import RouterLinks, as_told, declare_publisher
-from shared.runtime.facts import Surroundings, ask_facts
+from shared.runtime.facts import Link, Surroundings, ask_facts, measure_link
 from shared.runtime.identity import IdentityError
-from shared.runtime.link import Link, measure_link
-from shared.runtime.reporting import reporting
 from shared.runtime.session import SessionSettings, open_session
-from shared.runtime.taps import TapAccounts, Tapped, tap
+from shared.runtime.taps import TapAccounts, Tapped, reporting, tap
 
 ROUTER_WAIT_S = 3.0
 CONFIGURATION_WAIT_S = 1.0
@@ -170,7 +168,7 @@ class Connection:
         config_hash: str = "",
         around: Surroundings | None = None,
     ) -> AbstractContextManager[None]:
-        """Tell of this process as agents do, for as long as it lasts; see `shared.runtime.reporting`.
+        """Tell of this process as agents do, for as long as it lasts; see `shared.runtime.taps`.
 
         What it hears by `listen` is counted in its health, where any of it had to be refused.
         """

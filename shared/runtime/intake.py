@@ -23,10 +23,10 @@ from shared.clock import monotonic_s
 from shared.runtime.accounts import InputAccount, RingLosses
 from shared.runtime.agent import Agent, Input, only_remembers
 from shared.runtime.attachment import Attachment, encoding_of, other_key, unpack
+from shared.runtime.clocks import AgentClock
 from shared.runtime.commands import STATUS, Answered, accepted, id_of, stops_unread
 from shared.runtime.delivery import RouterLinks, Unlooked, ring_room, subscribe_unlooked
 from shared.runtime.progress import Handled
-from shared.runtime.replayed_time import AgentClock
 
 
 class Arrival(NamedTuple):

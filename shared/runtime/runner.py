@@ -1,9 +1,9 @@
 """Runs one agent: what arrives is decoded and stepped through, what follows is published, and health says how it goes.
 
-One loop, one thread: ticks, commands, events and newest messages are steps of the same object, one after another.
-Every output lists what it was made from (shared/runtime/fed.py), so that a replay can feed it again. While a recording
-is replayed on the rig, its time holds for the agent (shared/runtime/replayed_time.py). What it is set to is told when
-it starts and upon each change (shared/runtime/parameters.py).
+One loop, one thread: ticks, commands, events and newest messages are steps of the same object, one after another. Every
+output lists what it was made from (shared/runtime/outlets.py), so that a replay can feed it again. While a recording is
+replayed on the rig, its time holds for the agent (shared/runtime/clocks.py). What it is set to is told when it starts
+and upon each change (shared/runtime/parameters.py).
 """
 
 import dataclasses
@@ -47,20 +47,17 @@ from shared.clock import Stopwatch, monotonic_s, now_ns
 from shared.runtime.accounts import LIKE_PER_LINE, Faults, ProcessorShare, StepTimes, resident_bytes
 from shared.runtime.agent import Agent, CannotGoOnError, Command, Later, Output, Received, Tick, awaited
 from shared.runtime.attachment import unpack, why_refused
-from shared.runtime.clocks import ClockWatch, answer_clock
+from shared.runtime.clocks import AgentClock, ClockWatch, answer_clock, follow_replays
 from shared.runtime.commands import OTHER_KEY, Answered, refused, stops, untimely
 from shared.runtime.delivery import RouterLinks
-from shared.runtime.facts import Surroundings, answer_facts, facts_of, realtime_priority
-from shared.runtime.fed import TICK, Fed
+from shared.runtime.facts import Surroundings, answer_facts, answer_link, facts_of, realtime_priority
 from shared.runtime.intake import Arrival, Intake, taking
-from shared.runtime.link import answer_link
-from shared.runtime.outlets import Coming, Outlets
+from shared.runtime.outlets import TICK, Coming, Fed, Outlets
 from shared.runtime.parameters import Parameters
+from shared.runtime.process import ServiceManager
 from shared.runtime.progress import answer_progress
-from shared.runtime.replayed_time import AgentClock, follow_replays
-from shared.runtime.reporting import LogTopic
-from shared.runtime.service_manager import ServiceManager
 from shared.runtime.session import RouterWatch
+from shared.runtime.taps import LogTopic
 
 HEALTH_PERIOD_S = 1.0
 LONGEST_WAIT_S = 0.5

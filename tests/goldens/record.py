@@ -31,7 +31,7 @@ from schemas.topics import (
     topic_of,
 )
 from shared.recording.mcap_file import Note
-from shared.runtime.lockstep import Lockstep
+from shared.runtime.replay import Lockstep
 
 RIG = "golden"
 SMALL = RectifiedStereo(480, 270, 500.0, 500.0, 239.5, 134.5, 5.5e-3, 1.0)

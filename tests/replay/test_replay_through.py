@@ -34,7 +34,7 @@ from shared.recording.completeness import completeness
 from shared.recording.mcap_file import read_attachments, read_recording
 from shared.runtime.agent import Output, Received
 from shared.runtime.config import ConfigError
-from shared.runtime.lockstep import Lockstep
+from shared.runtime.replay import Lockstep
 from tests.goldens.bless import GOLDENS, THROUGH, blessed
 from tests.rigs.sequences import Kind, images_of, stamp_of
 

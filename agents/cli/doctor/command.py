@@ -26,8 +26,8 @@ from agents.cli.status.watch import StatusWatch
 from agents.cli.terminal import complain, say, show
 from schemas.wire import schemas_hash
 from shared.runtime.connection import Connection, NoRouterError, connected
+from shared.runtime.facts import Link
 from shared.runtime.identity import IdentityError
-from shared.runtime.link import Link
 from shared.runtime.taps import Tapped
 
 WITHIN_S = 1.0

@@ -15,7 +15,7 @@ from agents.cli.status.agents import AWAY
 from agents.cli.status.gathered import Gathered
 from agents.cli.status.health_watch import key_of
 from agents.cli.status.wrong import listed
-from shared.runtime.link import Link
+from shared.runtime.facts import Link
 
 HEADERS = 1.05
 """What encryption and headers add, as measured between two sites (docs/scaling.md)."""

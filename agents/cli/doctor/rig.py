@@ -24,7 +24,7 @@ from agents.registry import kind_of
 from schemas.messages import AgentFacts
 from schemas.topics import TOPICS
 from shared.runtime.clocks import ClockOffset, by_host
-from shared.runtime.link import Link
+from shared.runtime.facts import Link
 
 SLOW_LINK_MS = 50.0
 """A quarter of what an operator's heartbeat may take until the arm holds."""

@@ -28,7 +28,7 @@ from shared.clock import monotonic_s
 from shared.runtime.config import config_hash, parse_config
 from shared.runtime.connection import Connection, NoRouterError, connected
 from shared.runtime.delivery import as_told
-from shared.runtime.service_manager import serving
+from shared.runtime.process import serving
 
 EVERY_S = 1.0
 MB, GB = 1_000_000, 1e9

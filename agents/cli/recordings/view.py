@@ -23,7 +23,7 @@ from shared.recording.completeness import completeness
 from shared.recording.derivation import derivations
 from shared.recording.mcap_file import Note, RecordingError, UntilDamage, is_finished, read_recording
 from shared.runtime.connection import NoRouterError, connected
-from shared.runtime.service_manager import serving
+from shared.runtime.process import serving
 
 LOGGER = logging.getLogger("suturegrasp.viewer")
 PROGRESS_S = 5.0

@@ -19,7 +19,7 @@ from shared.runtime.config import ConfigError, config_hash
 from shared.runtime.connection import NoRouterError, open_when_there
 from shared.runtime.delivery import RouterLinks
 from shared.runtime.facts import Surroundings, ask_for_realtime
-from shared.runtime.memory import keep_freed_memory
+from shared.runtime.process import keep_freed_memory
 from shared.runtime.runner import Runner
 from shared.runtime.session import runs_already
 from shared.scene.backdrop import SceneError

@@ -35,7 +35,7 @@ from shared.runtime.attachment import encoding_of
 from shared.runtime.config import ConfigError, config_hash
 from shared.runtime.connection import Connection, NoRouterError, connected
 from shared.runtime.facts import ask_for_realtime
-from shared.runtime.service_manager import ServiceManager
+from shared.runtime.process import ServiceManager
 from shared.runtime.session import SessionSettings, client_settings
 
 KIND = "guard"

@@ -11,10 +11,9 @@ from agents.cli.terminal import complain
 from shared.runtime.access import access_control
 from shared.runtime.config import ConfigError
 from shared.runtime.delivery import RouterLinks
-from shared.runtime.refused_links import RefusedLinks
-from shared.runtime.reporting import logs_published
-from shared.runtime.service_manager import serving
-from shared.runtime.session import RouterError, Session, open_router
+from shared.runtime.process import serving
+from shared.runtime.session import RefusedLinks, RouterError, Session, open_router
+from shared.runtime.taps import logs_published
 
 LOG = logging.getLogger("suturegrasp.router.main")
 

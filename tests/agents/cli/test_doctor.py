@@ -31,9 +31,8 @@ from shared.runtime.access import Trial, access_control
 from shared.runtime.clocks import ClockOffset
 from shared.runtime.config import load_config, parse_config
 from shared.runtime.connection import connected
-from shared.runtime.facts import schemas_hash
+from shared.runtime.facts import Link, schemas_hash
 from shared.runtime.identity import identity_in
-from shared.runtime.link import Link
 from shared.runtime.session import SessionSettings, free_local_endpoint, open_router
 
 REPOSITORY = Path(__file__).parents[3]

@@ -20,7 +20,7 @@ from shared.runtime.attachment import Attachment, pack
 from shared.runtime.config import load_config, parse_config
 from shared.runtime.connection import connected
 from shared.runtime.delivery import declare_publisher
-from shared.runtime.link import Link
+from shared.runtime.facts import Link
 
 REPOSITORY = Path(__file__).parents[3]
 LAB = load_config(REPOSITORY / "deploy" / "lab.toml", RigConfig)

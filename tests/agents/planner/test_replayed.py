@@ -12,8 +12,7 @@ from schemas.topics import GOAL, PLAN, ROBOT_STATE, SURFACE, THREAD, topic_of
 from shared.kinematics import psm
 from shared.kinematics.simulated_setup import SIMULATED_BASES
 from shared.runtime.agent import Agent, Output, Tick
-from shared.runtime.lockstep import Lockstep
-from shared.runtime.replay import replay
+from shared.runtime.replay import Lockstep, replay
 
 JOINTS = np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0])
 

@@ -37,8 +37,7 @@ from shared.kinematics.psm import FINGER_M
 from shared.kinematics.simulated_setup import SIMULATED_BASES
 from shared.rigid_transforms import compose, inverse
 from shared.runtime.agent import Command, Output, Received
-from shared.runtime.lockstep import Lockstep
-from shared.runtime.replay import replay
+from shared.runtime.replay import Lockstep, replay
 
 MS = 1_000_000
 MM = 1e-3

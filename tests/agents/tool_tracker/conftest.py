@@ -19,7 +19,7 @@ from shared.kinematics.psm import LARGE_NEEDLE_DRIVER as PSM
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE as T_TRUE
 from shared.rigid_transforms import apply
 from shared.runtime.agent import Agent, Command, Input, Output, Received, Tick
-from shared.runtime.lockstep import Lockstep
+from shared.runtime.replay import Lockstep
 from tests.rigs.drawn_tool import IN_MM, JAW, joints, pair_of
 
 TIP = np.array([[0.0, 0.0, 0.0102]])

@@ -14,8 +14,16 @@ from schemas.topics import HEALTH
 from shared.clock import processor_s
 from shared.runtime.agent import Agent, Output
 from shared.runtime.connection import connected
-from shared.runtime.facts import Surroundings, ask_for_realtime, facts_of, realtime_priority, schemas_hash
-from shared.runtime.link import BYTES, LINK, MOST_BYTES
+from shared.runtime.facts import (
+    BYTES,
+    LINK,
+    MOST_BYTES,
+    Surroundings,
+    ask_for_realtime,
+    facts_of,
+    realtime_priority,
+    schemas_hash,
+)
 
 DEADLINE_S = 60.0
 NOTHING_KNOWN = Surroundings()

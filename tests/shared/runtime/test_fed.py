@@ -3,7 +3,7 @@
 from schemas.messages import Consumed
 from schemas.topics import FRAMES, PLAN, TOPICS, key
 from shared.runtime.agent import Agent, Input
-from shared.runtime.fed import MOST_LISTED, OMITTED, TICK, Fed, adds_up, is_tick
+from shared.runtime.outlets import MOST_LISTED, OMITTED, TICK, Fed, adds_up, is_tick
 
 FRAME, STATE, PLANS = key("lab", FRAMES), "suturegrasp/lab/robot_bridge/psm1/state", key("lab", PLAN)
 OWN_TICK, OWN_OMITTED = f"suturegrasp/lab/planner/main/{TICK}", f"suturegrasp/lab/planner/main/{OMITTED}"

@@ -9,9 +9,9 @@ from schemas.topics import FRAMES, MAIN, key
 from shared.clock import monotonic_s
 from shared.runtime.agent import Agent, Input
 from shared.runtime.attachment import Attachment, encoding_of, pack
+from shared.runtime.clocks import AgentClock
 from shared.runtime.delivery import RouterLinks, declare_publisher
 from shared.runtime.intake import Intake
-from shared.runtime.replayed_time import AgentClock
 from shared.runtime.session import open_session
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from shared.runtime.link import ANSWER_WAIT_S, FRAME_BYTES, LEAST_BYTES, MEASURED_S, throughput
+from shared.runtime.facts import ANSWER_WAIT_S, FRAME_BYTES, LEAST_BYTES, MEASURED_S, throughput
 
 LATENCY_S = 0.002
 

@@ -95,7 +95,7 @@ def test_what_a_cache_gives_of_another_key_or_publisher_is_taken_for_no_event():
 @pytest.fixture(autouse=True)
 def health_comes_often(monkeypatch):
     monkeypatch.setattr("shared.runtime.runner.HEALTH_PERIOD_S", 0.05)
-    monkeypatch.setattr("shared.runtime.reporting.PERIOD_S", 0.05)
+    monkeypatch.setattr("shared.runtime.taps.PERIOD_S", 0.05)
 
 
 class Bridge(Agent):

@@ -5,7 +5,7 @@ import sys
 
 SAID = """
 import os
-from shared.runtime.refused_links import RefusedLinks
+from shared.runtime.session import RefusedLinks
 links = RefusedLinks(lambda line: os.write(2, (line + chr(10)).encode()))
 for second in range(150):
     said = f"certificate expired: verification time {second} (UNIX), but certificate is not valid after 7 (x ago)"

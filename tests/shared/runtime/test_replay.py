@@ -28,7 +28,7 @@ from schemas.messages import (
 from schemas.topics import COMMANDS, EXECUTION, FRAMES, GOAL, PLAN, ROBOT_STATE, key
 from shared.runtime.agent import Agent, Input, Output, Received, Tick
 from shared.runtime.commands import accepted, new_header
-from shared.runtime.fed import Fed
+from shared.runtime.outlets import Fed
 from shared.runtime.replay import ReplayError, replay
 
 IMAGE = Image(ImageEncoding.RAW, 4, 2, 1, bytes(8))

@@ -10,8 +10,8 @@ from schemas.topics import LOG, REPLAY_CLOCK, key
 from shared.clock import now_ns
 from shared.runtime.agent import Agent, Tick
 from shared.runtime.attachment import Attachment, pack
+from shared.runtime.clocks import JITTER_NS, SILENCE_S, ReplayedTime
 from shared.runtime.delivery import declare_publisher
-from shared.runtime.replayed_time import JITTER_NS, SILENCE_S, ReplayedTime
 
 SECOND = 10**9
 THEN_NS = 1_500_000_000 * SECOND

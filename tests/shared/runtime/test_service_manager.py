@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from shared.runtime.agent import Agent
-from shared.runtime.service_manager import ServiceManager
+from shared.runtime.process import ServiceManager
 
 DEADLINE_S = 60.0
 

@@ -13,7 +13,7 @@ from schemas.codec import LARGE_BYTES, decode, encode
 from schemas.messages import FrameStamp, Image, ImageEncoding, LogLevel, LogRecord, StereoFrame
 from schemas.topics import FRAMES, LOG, key
 from shared.runtime.delivery import POOL_BYTES, declare_publisher, joined, payload_of, subscribe
-from shared.runtime.memory import keep_freed_memory
+from shared.runtime.process import keep_freed_memory
 from shared.runtime.session import open_session
 
 

@@ -46,8 +46,8 @@ from shared.rigid_transforms import exp_so3, transform
 from shared.ros.guarded import SetPoint
 from shared.ros.naming import Ros2dds
 from shared.runtime.agent import Command, Output, Received, Tick
+from shared.runtime.clocks import AgentClock
 from shared.runtime.commands import untimely
-from shared.runtime.replayed_time import AgentClock
 from shared.runtime.session import SessionSettings
 from tests.agents.robot_bridge.drive import plan
 from tests.agents.robot_bridge.dvrk.chain_links import (

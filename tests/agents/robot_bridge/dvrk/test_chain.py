@@ -27,7 +27,7 @@ from agents.robot_bridge.agent import RobotBridge
 from agents.robot_bridge.dvrk.psm import DvrkPsm
 from agents.robot_bridge.sight import Sight
 from shared.ros.guarded import SetPoint
-from shared.runtime import replayed_time
+from shared.runtime import clocks
 from tests.agents.robot_bridge.dvrk import chain_model
 from tests.agents.robot_bridge.dvrk.chain_links import LINKS, MS, PAGES, ROBOT_LINKS, TIME, Link
 from tests.agents.robot_bridge.dvrk.chain_model import PRESENT_NS, Chain, Page
@@ -42,9 +42,9 @@ def virtual_time():
     """The bridge's own clock, which does not jump while it is armed, reads the chain's."""
     with pytest.MonkeyPatch.context() as patched:
         logging.getLogger("suturegrasp.robot_bridge.psm1").setLevel(logging.ERROR)
-        patched.setattr(replayed_time, "now_ns", lambda: TIME.wall_ns("bridge"))
-        patched.setattr(replayed_time, "monotonic_ns", lambda: TIME.now_ns)
-        patched.setattr(replayed_time, "monotonic_s", lambda: TIME.now_ns * 1e-9)
+        patched.setattr(clocks, "now_ns", lambda: TIME.wall_ns("bridge"))
+        patched.setattr(clocks, "monotonic_ns", lambda: TIME.now_ns)
+        patched.setattr(clocks, "monotonic_s", lambda: TIME.now_ns * 1e-9)
         yield
 
 
