@@ -180,7 +180,8 @@ def kind_of(name: str) -> Kind | None:
 
 def command_of(kind: Kind) -> str:
     """What starts a process of a kind, with places for its `{instance}` and its `{session}`, a file."""
-    command = _COMMANDS.get(kind, kind.name.replace("_", "-"))
+    own = kind.name.replace("_", "-")
+    command = f"run {own}" if kind in AGENTS else _COMMANDS.get(kind, own)
     arm = " --arm {instance}" if kind.per_arm else ""
     written = " --output {session}" if kind.writes else ""
     return f"{command}{arm}{written} {kind.options}".rstrip()

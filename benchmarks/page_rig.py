@@ -125,11 +125,11 @@ def running(folder: Path, rate_hz: float) -> Generator[Rig]:
 
         start("router", "router", role=Role.ROUTER)
         for name in AGENTS:
-            start(name, name)
+            start(name, "run", name)
         with connected(rig.session, STARTS_S) as connection:
             connection.listen((FRAMES, ROBOT_STATE, HEALTH, THREAD, COMMANDS), heard.take)
             until(lambda: {n.replace("-", "_") for n in AGENTS} <= heard.health.keys(), "all agents")
-            camera = start("camera", "camera")
+            camera = start("camera", "run", "camera")
             server = start("page", "page", "--no-open", "--port", "0", role=Role.VIEWER)
             until(lambda: server.log.exists() and LINK.search(server.log.read_text()), "the page's link")
             until(lambda: heard.thread_ms, "a thread")

@@ -12,8 +12,8 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from agents.cli.recordings.options import Replay
-from agents.cli.recordings.replay_through import UnusableError, replayed
+from agents.cli.recordings.options import Recompute
+from agents.cli.recordings.recompute import UnusableError, replayed
 from benchmarks.goals import Goal
 
 CHAINS = ("perception", "reconstruction", "planner", "perception,reconstruction,planner")
@@ -47,7 +47,7 @@ def main() -> None:
 
 
 def _row(path: Path, chain: str) -> dict[str, Any]:
-    result = replayed(Replay(path, through=chain, tolerances="table"))
+    result = replayed(Recompute(path, through=chain, tolerances="table"))
     times = [entry.received_ns for entry in result.before]
     return {
         "recording": str(path),

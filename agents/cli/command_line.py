@@ -1,19 +1,14 @@
-"""The command line as options of a sub-command. What tyro would say in a box is said in one line."""
+"""The command line: which command it names, its options, and help. What tyro would say in a box is said in one line."""
 
 import contextlib
 import io
 import os
 import re
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from typing import Any
 
-import tyro
-
-from agents.cli.commands import COMMANDS
-from agents.cli.reconstruct.options import UsageError
-
-OF_ALL = {name: command.options for name, command in COMMANDS.items()}
-IN_TWO_WORDS: dict[tuple[str, ...], str] = {("calibrate", "hand-eye"): "calibrate-hand-eye"}
+from agents.cli.commands import COMMANDS, FORMER, GROUPS, Command
+from agents.cli.terminal import UsageError
 
 HELP = ("-h", "--help")
 MISTYPED = re.compile(
@@ -27,25 +22,77 @@ EXPLANATION_INDENT = 6
 FOOTER = "For full helptext"
 
 
-def parsed(arguments: list[str]) -> Any:
-    """The options of the command that these arguments name; help is printed, and ends the program.
+def named(arguments: Sequence[str]) -> tuple[str, list[str]]:
+    """The command that the arguments begin with, of one word or two, and what it is given.
 
     Raises:
-        UsageError: where the arguments are no command with its options.
+        UsageError: where they begin with none.
     """
-    if joined := IN_TWO_WORDS.get(tuple(arguments[:2])):
-        arguments = [joined, *arguments[2:]]
-    _check_command(arguments)
-    first, said = arguments[0], io.StringIO()
-    # reading the options of all commands takes three times as long as those of the one that is named
-    read = {first: OF_ALL[first]} if first in OF_ALL else OF_ALL
+    for words in (2, 1):
+        name = " ".join(arguments[:words])
+        if name in COMMANDS:
+            _refuse_former(name, arguments[words:])
+            return name, list(arguments[words:])
+    first = next(iter(arguments), "")
+    _refuse_former(first, arguments[1:])
+    of_first = _beginning(first) if first else []
+    wrong = " ".join(arguments[:2]) if of_first and len(arguments) > 1 else "" if of_first else first
+    names = ", ".join(of_first or dict.fromkeys(name.split()[0] for name in COMMANDS))
+    what = f"{wrong} is no command; give one first" if wrong else "give a command"
+    raise UsageError(f"{what}: {names}; see suturegrasp --help")
+
+
+def parsed(name: str, command: Command, arguments: list[str]) -> Any:
+    """The options of a command; its help is printed, and ends the program.
+
+    Raises:
+        UsageError: where the arguments are not its options.
+    """
+    import tyro
+
+    said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said), _width_for(arguments):
-            return tyro.extras.subcommand_cli_from_dict(read, args=arguments, prog="suturegrasp")
+            return tyro.cli(command.options_type(), args=arguments, prog=f"suturegrasp {name}")
     except SystemExit as end:
         if not end.code:
             raise
-    raise UsageError(condensed(said.getvalue(), first))
+    raise UsageError(condensed(said.getvalue(), name))
+
+
+def overview(arguments: Sequence[str]) -> str:
+    """What help says of no single command: all of them by what they are for, or those that begin with one word.
+
+    Empty where the arguments ask for no such help.
+    """
+    asked = [one for one in arguments if one not in HELP]
+    first = next(iter(asked), "")
+    if asked == list(arguments) or len(asked) > 1 or first in COMMANDS or not _beginning(first):
+        return ""
+    lines = [f"usage: suturegrasp {first or 'COMMAND'} ... [--help]"]
+    for heading, commands in GROUPS.items():
+        rows = {name: one.does for name, one in commands.items() if name in _beginning(first)}
+        if not first:
+            rows = _agents_in_one_row(rows)
+        lines += ["", f"{heading}:", *(f"  {name:<20} {does}" for name, does in rows.items())] if rows else []
+    return "\n".join(lines)
+
+
+def _beginning(first: str) -> list[str]:
+    return [name for name in COMMANDS if not first or name.startswith(f"{first} ")]
+
+
+def _agents_in_one_row(rows: dict[str, str]) -> dict[str, str]:
+    agents = [name.partition(" ")[2] for name in rows if name.startswith("run ")]
+    others = {name: does for name, does in rows.items() if not name.startswith("run ")}
+    return others | ({"run AGENT": f"one agent, such as {agents[0]}; run --help names all"} if agents else {})
+
+
+def _refuse_former(name: str, arguments: Sequence[str]) -> None:
+    for (former, option), now in FORMER.items():
+        if name == former and (not option or any(one.split("=")[0] == option for one in arguments)):
+            said = f"{former} {option}".strip()
+            raise UsageError(f"suturegrasp {said} is suturegrasp {now} now; its other options are the same")
 
 
 def condensed(box: str, command: str) -> str:
@@ -81,15 +128,6 @@ def _sentence(lines: list[str]) -> str:
 
 def _indent(line: str) -> int:
     return len(line) - len(line.lstrip())
-
-
-def _check_command(arguments: list[str]) -> None:
-    names = ", ".join(COMMANDS)
-    if not arguments:
-        raise UsageError(f"give a command: {names}; see suturegrasp --help")
-    first = arguments[0]
-    if first not in (*COMMANDS, *HELP) and not first.startswith("--tyro-"):
-        raise UsageError(f"{first} is no command; give one first: {names}; see suturegrasp --help")
 
 
 @contextlib.contextmanager

@@ -1,13 +1,12 @@
 """The `suturegrasp` command and its sub-commands."""
 
-import importlib
 import os
 import sys
 
 from agents.camera import LARGEST_IMAGE_PIXELS
-from agents.cli.terminal import complain, flush_output, open_missing_streams
+from agents.cli.terminal import UsageError, complain, flush_output, open_missing_streams
 
-EXIT_UNUSABLE, EXIT_INTERRUPTED = 2, 130
+EXIT_OK, EXIT_UNUSABLE, EXIT_INTERRUPTED = 0, 2, 130
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -35,24 +34,26 @@ def _run(arguments: list[str]) -> int:
         from schemas import __version__
 
         print(f"suturegrasp {__version__}")
-        return 0
+        return EXIT_OK
     # Loading OpenCV and SciPy takes a second, during which Ctrl-C must end as quietly as later.
-    from agents.cli.command_line import parsed
-    from agents.cli.commands import command_of
-    from agents.cli.reconstruct.options import UsageError
+    from agents.cli.command_line import named, overview, parsed
+    from agents.cli.commands import COMMANDS, loaded
 
+    if told := overview(arguments):
+        print(told)
+        return EXIT_OK
     try:
-        options = parsed(arguments)
+        name, rest = named(arguments)
+        options = parsed(name, COMMANDS[name], rest)
     except UsageError as error:
         return complain(str(error), EXIT_UNUSABLE)
     except OSError:
         # parsing prints help and does no more, so nobody reads it
         flush_output()
-        return 0
-    command = command_of(options)
-    module, _, function = command.runs.partition(":")
+        return EXIT_OK
+    command = COMMANDS[name]
     try:
-        run = getattr(importlib.import_module(module), function)
+        run = loaded(command.runs)
     except ImportError as error:
         return complain(f"this command cannot be loaded: {error}", EXIT_UNUSABLE)
     if not command.on_rig:

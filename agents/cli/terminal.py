@@ -7,6 +7,10 @@ from collections.abc import Generator
 from pathlib import Path
 
 
+class UsageError(ValueError):
+    """A command line that cannot be carried out; the text says what to give instead."""
+
+
 def open_missing_streams() -> None:
     """Give Python streams that lead nowhere where a daemon has closed them, as libraries expect some."""
     for name in ("stdout", "stderr"):

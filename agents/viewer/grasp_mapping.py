@@ -37,23 +37,11 @@ from schemas.messages import (
     SimulatorState,
     Status,
     ThreadReconstruction,
-    TissueClearance,
     Verdict,
 )
 from shared.kinematics.psm import FINGER_M, JOINT_NAMES, LARGE_NEEDLE_DRIVER, WRIST_YAW
 from shared.rigid_transforms import apply
 from shared.splines import evaluate
-
-
-def clearance_sentence(tissue: TissueClearance) -> str:
-    """The least clearance with its deviation, place and phase, and what was not checked."""
-    if tissue.clearance_m is None or tissue.deviation_m is None or tissue.phase is None or tissue.s is None:
-        return tissue.unchecked
-    off, sure = MM_PER_METRE * tissue.clearance_m, MM_PER_METRE * tissue.deviation_m
-    where = f"in {tissue.phase.name.lower()} at {tissue.s:.0%}"
-    near = f"jaws {abs(off):.1f} ± {sure:.1f} mm {'before' if off >= 0 else 'into'} the tissue, {where}"
-    return f"{near}; {tissue.unchecked}" if tissue.unchecked else near
-
 
 TRUTH_POINTS = 120
 AXIS_M = 0.005
@@ -102,7 +90,7 @@ def plan_markdown(plan: GraspPlan) -> str:
     """A plan with what else was considered."""
     lines = ["## " + ("Plan" if plan.status is Status.OK else "No plan"), plan_sentence(plan)]
     if plan.tissue is not None:
-        lines.append(f"Tissue: {clearance_sentence(plan.tissue)}.")
+        lines.append(f"Tissue: {plan.tissue.sentence}.")
     if plan.thread is not None and plan.thread.obstructed:
         lines.append(f"Thread: {plan.thread.obstructed}.")
     if plan.attempt > 1:

@@ -32,7 +32,6 @@ from jaxtyping import Bool, Float64, UInt8
 
 from agents.viewer import colours
 from agents.viewer.entity import HALF_PX, MM_PER_METRE, Entity, camera_in_mm
-from agents.viewer.grasp_mapping import clearance_sentence
 from agents.viewer.image_pane import decoded_mask, enlarged
 from agents.viewer.report import finding_text, findings, stereo_text, threads_text
 from agents.viewer.session_mapping import lane, said
@@ -287,7 +286,7 @@ def contact_entities(plan: GraspPlan) -> list[Entity]:
         [MM_PER_METRE * tissue.place_camera],
         colors=[rgb],
         radii=[-6.0],
-        labels=[clearance_sentence(tissue)],
+        labels=[tissue.sentence],
         show_labels=True,
     )
     return [(path, [place])]

@@ -211,6 +211,16 @@ class TissueClearance:
         require(all(told) == (self.known_share == 0), "a clearance is told where anything is known, else none")
         require(not all(told) or self.unchecked != "", "where nothing was checked there is a reason")
 
+    @property
+    def sentence(self) -> str:
+        """The least clearance with its deviation, place and phase, and what was not checked."""
+        if self.clearance_m is None or self.deviation_m is None or self.phase is None or self.s is None:
+            return self.unchecked
+        off, sure = 1e3 * self.clearance_m, 1e3 * self.deviation_m
+        where = f"in {self.phase.name.lower()} at {self.s:.0%}"
+        near = f"jaws {abs(off):.1f} ± {sure:.1f} mm {'before' if off >= 0 else 'into'} the tissue, {where}"
+        return f"{near}; {self.unchecked}" if self.unchecked else near
+
 
 @dataclass(frozen=True)
 class ThreadClearance:

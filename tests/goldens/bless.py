@@ -6,9 +6,9 @@ Images, goals and states of the arm stay as they are. What is about to change is
 
 from pathlib import Path
 
-from agents.cli.recordings.options import Replay
-from agents.cli.recordings.replay_report import report
-from agents.cli.recordings.replay_through import replayed, write_recording
+from agents.cli.recordings.options import Recompute
+from agents.cli.recordings.recompute import replayed, write_recording
+from agents.cli.recordings.recompute_report import report
 from agents.cli.whole_file import whole_file
 from shared.recording.mcap_file import Note, read_attachments, read_with_notes
 
@@ -18,7 +18,7 @@ THROUGH = "perception,reconstruction,planner"
 
 def blessed(path):
     """Renew one recording; what differed from it, in lines."""
-    result = replayed(Replay(path, through=THROUGH, tolerances="none"))
+    result = replayed(Recompute(path, through=THROUGH, tolerances="none"))
     if not result.comparison.is_same:
         notes = tuple(record for record in read_with_notes(path) if isinstance(record, Note))
         attachments = read_attachments(path)

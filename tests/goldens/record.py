@@ -10,7 +10,7 @@ from pathlib import Path
 
 from agents.camera.agent import CameraConfig, SceneCamera
 from agents.camera.scene_source import SceneSource, calibration_of
-from agents.cli.recordings.replay_through import write_recording
+from agents.cli.recordings.recompute import write_recording
 from agents.cli.rig.builders import build
 from agents.cli.rig.config import PerceptionSection, PlannerSection, ReconstructionSection, RigConfig
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig

@@ -15,6 +15,7 @@ from agents.cli.running.supervisor import SUPERVISED
 from schemas.codec import decode
 from schemas.topics import COMMANDS, EXECUTION, HEALTH, LOG, OBSERVATIONS, PLAN, ROBOT_STATE, THREAD
 from shared.runtime.connection import connected
+from tests.command_words import words
 from tests.rigs.faults.lab import laboratory
 
 DEADLINE_S = 60.0
@@ -46,7 +47,7 @@ class Processes:
         """Start `suturegrasp NAME ...`."""
         if name in self._running:
             self._end(self._running.pop(name))
-        command = [sys.executable, "-m", "agents.cli", name, *arguments, "--config", str(self.config)]
+        command = [sys.executable, "-m", "agents.cli", *words(name), *arguments, "--config", str(self.config)]
         with (self._folder / f"{name}.log").open("ab") as log:
             process = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=log, stderr=log, env={**os.environ, SUPERVISED: "1"}

@@ -85,7 +85,7 @@ def console(lab, until, tmp_path, monkeypatch):
     arm = ("--arm", EMULATED, "--config")
     lab.processes.start("robot", "emulate", *MODULE, "emulate", "dvrk", "--ready", "--foot", *told)
     lab.processes.start("robot", "guard", *MODULE, "guard", *arm, str(lab.config("robot")))
-    lab.processes.start("strong", "far-bridge", *MODULE, "robot-bridge", *arm, str(lab.config("strong")))
+    lab.processes.start("strong", "far-bridge", *MODULE, "run", "robot-bridge", *arm, str(lab.config("strong")))
 
     def ready():
         guards = [h.message for h in lab.observer.messages(HEALTH) if h.message.agent == "guard"]

@@ -8,9 +8,9 @@ import shutil
 
 import pytest
 
-from agents.cli.recordings.options import Replay
-from agents.cli.recordings.replay_report import report
-from agents.cli.recordings.replay_through import replayed
+from agents.cli.recordings.options import Recompute
+from agents.cli.recordings.recompute import replayed
+from agents.cli.recordings.recompute_report import report
 from agents.reconstruction.agent import Reconstruction
 from agents.replay.differences import compared
 from agents.replay.through import Stage, replay_through
@@ -34,7 +34,7 @@ def of(entries, topic, message):
 @pytest.fixture(scope="module")
 def results():
     """Each golden recording replayed once, as it was recorded."""
-    return {path: replayed(Replay(path, through=THROUGH, tolerances="table")) for path in PATHS}
+    return {path: replayed(Recompute(path, through=THROUGH, tolerances="table")) for path in PATHS}
 
 
 @every_golden
@@ -96,7 +96,7 @@ def test_a_blessed_recording_repeats_byte_for_byte_and_keeps_what_it_is_fed(tmp_
     shutil.copy(GOLDENS / path.name, path)
     before = list(read_recording(path))
     blessed(path)
-    again = replayed(Replay(path, through=THROUGH, tolerances="none"))
+    again = replayed(Recompute(path, through=THROUGH, tolerances="none"))
     assert again.comparison.is_same
     made = {OBSERVATIONS, THREAD, PLAN}
     fed = [[e for e in entries if topic_of(e.key) not in made] for entries in (before, again.before)]

@@ -11,13 +11,13 @@ from mcap.writer import Writer
 from agents.camera.scene_source import calibration_of
 from agents.cli.main import main
 from agents.cli.recordings.config import changed, in_force, recorded_config
-from agents.cli.recordings.options import Replay
-from agents.cli.recordings.replay_through import (
+from agents.cli.recordings.options import Recompute
+from agents.cli.recordings.recompute import (
     EXIT_DIFFERENT,
     EXIT_SAME,
     EXIT_UNUSABLE,
     replayed,
-    run_through,
+    run,
     write_recording,
 )
 from agents.cli.recordings.side_by_side import curves_of
@@ -62,7 +62,7 @@ def copied(golden, tmp_path):
 
 
 def ran(capsys, path, through=THROUGH, **options):
-    status = run_through(Replay(path, through=through, **options))
+    status = run(Recompute(path, through=through, **options))
     said = capsys.readouterr()
     return status, said.out, said.err
 
@@ -74,7 +74,7 @@ def without(topic, number=None):
 @pytest.mark.slow
 def test_the_command_ends_with_the_status(golden, capsys):
     with pytest.raises(SystemExit) as ended:
-        main(["replay", str(golden), "--through", "planner"])
+        main(["recompute", str(golden), "--through", "planner"])
     said = capsys.readouterr()
     assert (ended.value.code, said.err) == (EXIT_SAME, "")
     assert "planner: 2 of 2 outputs repeated" in said.out
@@ -145,7 +145,7 @@ def test_what_one_agent_says_otherwise_reaches_the_next(golden, copied):
     path = copied(cut_short)
     # whatever the order in which they are named
     backwards = ",".join(reversed(THROUGH.split(",")))
-    alone, chained = (replayed(Replay(path, through=names)) for names in ("reconstruction", backwards))
+    alone, chained = (replayed(Recompute(path, through=names)) for names in ("reconstruction", backwards))
     good = {(e.key, e.sequence): e.payload for e in read_recording(golden)}
     repaired = {(e.key, e.sequence): e.payload for e in chained.after}
     assert not alone.comparison.is_same
@@ -179,7 +179,7 @@ def test_a_stretch_goes_through_agents_as_the_whole(golden, tmp_path, only_used_
     stretch = tmp_path / "stretch.mcap"
     # what follows from the first frame is made of what came before
     cut(golden, stretch, frames[0] + 1, entries[-1].received_ns, only_used_frames)
-    result = replayed(Replay(stretch, through=THROUGH))
+    result = replayed(Recompute(stretch, through=THROUGH))
     assert [outcome.unrepeatable for outcome in result.outcomes] == [[]] * len(result.outcomes)
     assert all(outcome.compared for outcome in result.outcomes)
     assert result.comparison.is_same
@@ -258,7 +258,7 @@ def test_both_sides_and_the_differences_are_in_one_rerun_file(golden, tmp_path, 
     changes = ("reconstruction.tracking=false",)
     status, out, _ = ran(capsys, golden, "reconstruction", set=changes, output=output)
     assert (status, f"wrote {output}" in out) == (EXIT_DIFFERENT, True)
-    result = replayed(Replay(golden, through="reconstruction", set=changes))
+    result = replayed(Recompute(golden, through="reconstruction", set=changes))
     paths = {str(chunk.entity_path) for chunk in RrdReader(output).stream()}
     for side in ("recorded", "replayed"):
         assert {f"/{side}/world/left/image", f"/{side}/world/thread/curve", f"/{side}/world/left"} <= paths
@@ -278,7 +278,6 @@ def foreign(path):
         ("perseption", {}, "'perseption' is no agent that can be replayed; choose from camera, perception"),
         ("planner/left", {}, "has no planner/left"),
         ("robot_bridge", {}, "has no robot_bridge; give another one by --config"),
-        ("perception", {"against": "other"}, "--against other is unknown"),
         ("perception", {"tolerances": "few"}, "--tolerances few is unknown; choose from auto, none, table"),
         (
             "perception",

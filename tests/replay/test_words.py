@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from agents.cli.recordings.difference_table import table
-from agents.cli.recordings.options import Replay
-from agents.cli.recordings.replay_report import report
-from agents.cli.recordings.replay_through import replayed
+from agents.cli.recordings.options import Recompute
+from agents.cli.recordings.recompute import replayed
+from agents.cli.recordings.recompute_report import report
 from agents.replay.differences import At, Compared, Comparison
 from schemas.topics import PLAN, THREAD
 
@@ -13,7 +13,7 @@ SESSION = Path(__file__).parents[2] / "docs" / "example" / "session.mcap"
 
 
 def told(*settings, through="planner"):
-    return [line.strip() for line in report(replayed(Replay(SESSION, through=through, set=settings)))]
+    return [line.strip() for line in report(replayed(Recompute(SESSION, through=through, set=settings)))]
 
 
 def test_another_bound_of_the_planner_is_told_as_another_plan():

@@ -9,10 +9,9 @@ from agents.camera.image_files import ImageFileError
 from agents.cli.calibrate.options import Calibrate
 from agents.cli.calibrate.page import write_report
 from agents.cli.calibrate.views import Seen, views_in_folders, views_of_camera
-from agents.cli.reconstruct.options import UsageError
 from agents.cli.rig.config import RigConfig
 from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
-from agents.cli.terminal import complain, say, warn
+from agents.cli.terminal import UsageError, complain, say, warn
 from schemas.messages import Judgement, Severity
 from shared.calibration import CalibrationError, read_calibration, write_calibration
 from shared.calibration.estimation.board import Board
@@ -99,7 +98,7 @@ def _live(rig: RigConfig, options: Calibrate, board: Board, output: Path) -> See
     with connected(rig.session) as connection:
         seen = views_of_camera(connection, board, output, options.views, stopped)
     if seen is None:
-        raise UsageError("no frame came from the rig's camera; start it with suturegrasp up, or suturegrasp camera")
+        raise UsageError("no frame came from the rig's camera; start it with suturegrasp up, or suturegrasp run camera")
     return seen
 
 

@@ -9,8 +9,7 @@ import cv2
 
 from agents.camera.image_files import ImageFileError, read_pair, read_side_by_side
 from agents.cli.calibrate.options import Calibrate
-from agents.cli.reconstruct.options import UsageError
-from agents.cli.terminal import say
+from agents.cli.terminal import UsageError, say
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import StereoFrame

@@ -17,13 +17,12 @@ from agents.cli.doctor.rig import clocks, files, granted, guards, links, running
 from agents.cli.doctor.router import no_router
 from agents.cli.doctor.rules import examine_rules
 from agents.cli.live.options import Doctor
-from agents.cli.reconstruct.options import UsageError
 from agents.cli.rig.config import RigConfig
 from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE
 from agents.cli.status.command import gathered_on
 from agents.cli.status.session import reading_session
 from agents.cli.status.watch import StatusWatch
-from agents.cli.terminal import complain, say, show
+from agents.cli.terminal import UsageError, complain, say, show
 from schemas.wire import schemas_hash
 from shared.runtime.connection import Connection, NoRouterError, connected
 from shared.runtime.facts import Link

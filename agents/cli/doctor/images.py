@@ -10,7 +10,7 @@ from agents.camera.image_files import ImageFileError, read_pair, read_side_by_si
 from agents.cli.doctor.finding import UNKNOWN, Finding
 from agents.cli.doctor.image_answers import Pair, answers_about
 from agents.cli.live.options import Doctor
-from agents.cli.reconstruct.options import UsageError
+from agents.cli.terminal import UsageError
 from agents.perception.judging.answers import Answer
 from agents.perception.judging.sequence import about_sequence
 from schemas.checks import MessageError

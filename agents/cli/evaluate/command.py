@@ -15,7 +15,7 @@ from agents.cli.evaluate.options import Evaluate
 from agents.cli.evaluate.pictures import field_pictures, moments, strip
 from agents.cli.evaluate.trials import Table
 from agents.cli.evaluate.workers import WorkError, all_tried
-from agents.cli.recordings.replay_through import write_recording
+from agents.cli.recordings.recompute import write_recording
 from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE
 from agents.cli.terminal import complain, say, show
 from agents.cli.whole_file import whole_file

@@ -1,5 +1,6 @@
 """The commands that work on a running rig: agents as processes, the recorder, the viewer, the operator's commands."""
 
+import math
 import threading
 
 import numpy as np
@@ -12,12 +13,10 @@ from agents.cli.live.options import (
     HoldArm,
     PromptThread,
 )
-from agents.cli.prompted_pixel import prompted_pixel
 from agents.cli.rig.config import RigConfig
 from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.cli.terminal import complain, say
 from agents.operator.operator import Events, Stood, arm_and_stand_by, ask_for_grasp, change_state, hold, prompt
-from agents.viewer.grasp_mapping import clearance_sentence
 from schemas.messages import Checked, ExecutionEvent, ExecutionKind, GraspPlan, Outcome, Policy, StateWord, Status
 from schemas.topics import EXECUTION
 from shared.clock import monotonic_s
@@ -60,7 +59,7 @@ def plan_sentence(plan: GraspPlan) -> str:
     how = f"capture at {percent(plan.s_capture)}, slide {plan.slide_m * 1e3:.0f} mm, grasp at {percent(plan.s_goal)}"
     if plan.slide_m == 0:
         how = f"grasp at {percent(plan.s_goal)} without a slide"
-    tissue = "" if plan.tissue is None else f"; {clearance_sentence(plan.tissue)}"
+    tissue = "" if plan.tissue is None else f"; {plan.tissue.sentence}"
     thread = f"; {plan.thread.obstructed}" if plan.thread is not None and plan.thread.obstructed else ""
     which = f" (attempt {plan.attempt} of {plan.attempts})" if plan.attempt > 1 else ""
     return f"plan {plan.plan_id}{which}: {how}; success {plan.probability:.0%}{tissue}{thread}"
@@ -159,10 +158,9 @@ def change_arm_state(rig: RigConfig, options: ChangeArmState) -> int:
 
 def prompt_thread(rig: RigConfig, options: PromptThread) -> int:
     """Say which thread is meant."""
-    try:
-        pixel = prompted_pixel(options.pixel, options.at)
-    except ValueError as error:
-        return complain(str(error), EXIT_UNUSABLE)
+    pixel = options.pixel
+    if pixel is not None and not all(map(math.isfinite, pixel)):
+        return complain(f"--pixel {pixel[0]:g} {pixel[1]:g} is none; give two finite numbers", EXIT_UNUSABLE)
     with connected(rig.session) as connection:
         answer = prompt(connection, None if pixel is None else np.array(pixel))
     if answer.outcome is not Outcome.ACCEPTED:

@@ -82,10 +82,10 @@ class View(OnRig):
     """`file` opens no viewer, `native` a window, `web` a page; a window, unless a recording goes to a file."""
     layout: Literal["operate", "perception", "grasp", "timing"] = "operate"
     """What the views are laid out for; all of them show the same."""
-    from_s: Annotated[float | None, tyro.conf.arg(name="from", metavar="SECONDS")] = None
-    """Show a recording from so long after its beginning."""
-    to_s: Annotated[float | None, tyro.conf.arg(name="to", metavar="SECONDS")] = None
-    """Show a recording until so long after its beginning."""
+    from_: Annotated[str | None, tyro.conf.arg(name="from", metavar="MOMENT")] = None
+    """Where to begin in a recording: seconds from its start (12.5), or a time of its day (14:32:07)."""
+    to: Annotated[str | None, tyro.conf.arg(metavar="MOMENT")] = None
+    """Where to end."""
     thin: bool = False
     """Leave out of a recording what is faster than an eye can follow, as is done live."""
 
@@ -179,10 +179,8 @@ class Guard(OnRig):
 class PromptThread(OnRig):
     """Say which thread is meant: the one at a pixel of the rectified left image. Without a pixel: any again."""
 
-    pixel: tuple[float, float] | None = None
-    """U and v of a pixel on the thread; left out, perception chooses by itself."""
-    at: Annotated[str | None, tyro.conf.arg(metavar="U,V")] = None
-    """The same in one word: --at 412,230."""
+    pixel: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="U V")] = None
+    """A pixel on the thread; left out, perception chooses by itself."""
 
 
 @dataclass(frozen=True)

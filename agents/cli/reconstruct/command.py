@@ -4,11 +4,10 @@ import cv2
 import numpy as np
 
 from agents.camera.image_files import ImageFileError, read_mask, read_pair, read_side_by_side
-from agents.cli.prompted_pixel import prompted_pixel
-from agents.cli.reconstruct.options import Reconstruct, UsageError, check
+from agents.cli.reconstruct.options import Reconstruct, check
 from agents.cli.reconstruct.pipeline import Pair, PipelineResult, reconstruct_pair
 from agents.cli.reconstruct.result_file import observed_points, result_text
-from agents.cli.terminal import complain, say, warn
+from agents.cli.terminal import UsageError, complain, say, warn
 from agents.cli.whole_file import OutputError, whole_file
 from agents.perception.prompt import reach_px
 from agents.perception.segmentation.choice import segmenters_with
@@ -76,10 +75,10 @@ def _read_images(options: Reconstruct) -> Pair:
 
 
 def _pixel(options: Reconstruct, images: Pair) -> tuple[float, float] | None:
-    pixel = prompted_pixel(None, options.at)
+    pixel = options.pixel
     height, width = images[0].shape[:2]
     if pixel is not None and not (0 <= pixel[0] <= width - 1 and 0 <= pixel[1] <= height - 1):
-        raise UsageError(f"--at {options.at} lies outside the left image of {width}x{height} pixels")
+        raise UsageError(f"--pixel {pixel[0]:g} {pixel[1]:g} lies outside the left image of {width}x{height} pixels")
     return pixel
 
 
@@ -147,7 +146,9 @@ def _further(result: PipelineResult) -> str:
     if not others:
         return ""
     middles = (other.left_px[len(other.left_px) // 2] for other in others)
-    places = ", ".join(f"--at {u:.0f},{v:.0f} (score {o.score:.2f})" for o, (u, v) in zip(others, middles, strict=True))
+    places = ", ".join(
+        f"--pixel {u:.0f} {v:.0f} (score {o.score:.2f})" for o, (u, v) in zip(others, middles, strict=True)
+    )
     count = "1 further thread was" if len(others) == 1 else f"{len(others)} further threads were"
     return f"{count} seen; choose with {places}"
 

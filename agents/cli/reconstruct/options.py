@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from agents.cli.prompted_pixel import prompted_pixel
+from agents.cli.terminal import UsageError
 from agents.perception.segmenter_names import GIVEN_MASKS, PROMPTABLE, SEGMENTER_NAMES
 from agents.reconstruction.method_names import DEFAULT_METHOD, METHOD_NAMES
 from shared.units import METRES_PER_UNIT
@@ -17,10 +17,6 @@ PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
 CALIBRATION_SUFFIXES = (".yaml", ".yml", ".xml", ".json", ".txt")
 
 OptionalPath = Annotated[Path | None, tyro.conf.arg(metavar="PATH")]
-
-
-class UsageError(ValueError):
-    """A command line that cannot be carried out; the text says what to give instead."""
 
 
 def _choice(names: Iterable[str]) -> str:
@@ -55,7 +51,7 @@ class Reconstruct:
     """How thread is found: as the masks say, by contrast to a plain ground, or as ridges of one colour on tissue,
     or by a network that is told which is meant.
     Default: what suits the image."""
-    at: Annotated[str | None, tyro.conf.arg(metavar="U,V")] = None
+    pixel: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="U V")] = None
     """A pixel of the rectified left image, on the thread that is meant."""
     promptable_encoder: OptionalPath = None
     """For segmenter `promptable`: the network's encoder, an ONNX file (docs/promptable.md)."""
@@ -142,12 +138,8 @@ def _check_prompt(options: Reconstruct) -> None:
         raise UsageError("give both --promptable-encoder and --promptable-decoder, or neither")
     if options.segmenter == PROMPTABLE and files[0] is None:
         raise UsageError("--segmenter promptable needs --promptable-encoder and --promptable-decoder")
-    if options.left_mask is not None and options.at is not None:
-        raise UsageError("masks are given, so --at would not be used; give one or the other")
-    try:
-        prompted_pixel(None, options.at)
-    except ValueError as error:
-        raise UsageError(str(error)) from None
+    if options.left_mask is not None and options.pixel is not None:
+        raise UsageError("masks are given, so --pixel would not be used; give one or the other")
 
 
 def check_place(option: str, path: Path) -> None:

@@ -94,20 +94,30 @@ class Replay(OnRecording):
     rig: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """The rig on whose keys it is published. Default: the configured or else the recorded one."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
-    """The rig's configuration (TOML), which names the router; without it, the one on this machine. With --through: in
-    place of the recorded one."""
-    through: Annotated[str | None, tyro.conf.arg(metavar="AGENT[,AGENT ...]")] = None
-    """Publish nothing: feed these agents, in this process, exactly what they consumed, and compare what they say now
-    (docs/process_replay.md). Exit status then: 0 the same, 1 different, 2 nothing to compare, 3 damaged."""
-    against: Annotated[str, tyro.conf.arg(metavar="recorded")] = "recorded"
-    """With --through: what the outputs are compared with."""
+    """The rig's configuration (TOML), which names the router; without it, the one on this machine."""
+
+
+@dataclass(frozen=True)
+class Recompute(OnRecording):
+    """Feed agents, in this process, exactly what they consumed, and compare what they say now with what they said.
+
+    Nothing is published (docs/process_replay.md). Exit status: 0 the same, 1 different, 2 nothing to compare, 3
+    damaged.
+    """
+
+    recording: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MCAP")]
+    """The recording."""
+    through: Annotated[str, tyro.conf.arg(metavar="AGENT[,AGENT ...]")]
+    """The agents, such as perception,reconstruction."""
     set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="KEY=VALUE")] = ()
-    """With --through: a setting that is to be otherwise, such as reconstruction.method=paper; may be given often."""
+    """A setting that is to be otherwise, such as reconstruction.method=paper; may be given often."""
+    config: OptionalPath = None
+    """The rig's configuration (TOML) in place of the recorded one."""
     tolerances: Annotated[str, tyro.conf.arg(metavar="{auto,none,table}")] = "auto"
-    """With --through: whether differences below those of docs/process_replay.md pass. Default: where settings, versions
-    or the machine are not those of the recording."""
+    """Whether differences below those of docs/process_replay.md pass. Default: where settings, versions or the machine
+    are not those of the recording."""
     output: Annotated[Path | None, tyro.conf.arg(metavar="RRD|MCAP")] = None
-    """With --through: a Rerun recording of both side by side, or the recording with what the agents say now."""
+    """A Rerun recording of both side by side, or the recording with what the agents say now."""
 
 
 @dataclass(frozen=True)

@@ -42,11 +42,6 @@ class ReplayUsageError(ValueError):
 
 def run(options: Replay) -> int:
     """Replay until the end, or until stopped; the exit status."""
-    if options.through is not None:
-        # the agents load OpenCV and SciPy, which takes a second
-        from agents.cli.recordings.replay_through import run_through
-
-        return run_through(options)
     try:
         return _replay(options)
     except OSError as error:
@@ -64,9 +59,6 @@ def run(options: Replay) -> int:
 
 def _replay(options: Replay) -> int:
     _check(options)
-    for name, given in (("--set", options.set), ("--output", options.output)):
-        if given:
-            raise ReplayUsageError(f"{name} belongs to --through: name the agents that are to run anew")
     contents = contents_of(options.recording)
     for doubt in completeness(options.recording).doubts_of(contents.damage):
         warn(doubt)

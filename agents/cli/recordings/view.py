@@ -14,6 +14,7 @@ from agents.cli.running.around import telling, told_without
 from agents.cli.running.process import EXIT_DAMAGED, EXIT_GAVE_UP, EXIT_OK, EXIT_UNUSABLE, ONLOOKER, on_stop, step_back
 from agents.cli.running.session_folder import free_path
 from agents.cli.terminal import complain, say, show
+from agents.replay.window import WindowError, moment_ns
 from agents.viewer.live import LiveViewer, ViewerError, ViewerReport
 from agents.viewer.recorded import RecordedViewer, between
 from agents.viewer.sinks import CLOSED_AT_ONCE, INSTEAD
@@ -41,7 +42,7 @@ def view(rig: RigConfig, options: View) -> int:
         return complain(f"{output} exists already; give another name", EXIT_UNUSABLE)
     if options.recording is not None:
         return _view_recording(options, options.recording, output, stopped)
-    for name, given in (("--from", options.from_s), ("--to", options.to_s)):
+    for name, given in (("--from", options.from_), ("--to", options.to)):
         if given is not None:
             return complain(f"{name} cuts a recording, and none is named", EXIT_UNUSABLE)
     if options.show == "file" and output is None:
@@ -82,15 +83,15 @@ def _view_recording(options: View, recording: Path, output: Path | None, stopped
     try:
         size = recording.stat().st_size
         # what is no recording is told before a window opens
-        next(read_recording(recording), None)
+        from_s, to_s = _seconds(options, recording)
         told = _told_before(recording)
         layout, session_id = options.layout, str(recording.resolve())
         viewer = RecordedViewer(output, _show(options, output), session_id, layout, options.thin, told)
-    except (OSError, RecordingError, ViewerError) as error:
+    except (OSError, RecordingError, ViewerError, WindowError) as error:
         return complain(_told(error, recording), EXIT_UNUSABLE)
     for note in (*viewer.notes, *told):
         say(note)
-    viewer.show(between(read_recording(recording), options.from_s, options.to_s))
+    viewer.show(between(read_recording(recording), from_s, to_s))
     progress = _Progress(viewer, size, began_s)
     while not (viewer.finished.wait(LOOK_S) or stopped.is_set() or viewer.window_closed):
         progress.tell()
@@ -110,6 +111,22 @@ def _view_recording(options: View, recording: Path, output: Path | None, stopped
         damaged = isinstance(viewer.error, RecordingError)
         return complain(_told(viewer.error, recording), EXIT_DAMAGED if damaged else EXIT_GAVE_UP)
     return EXIT_OK
+
+
+def _seconds(options: View, recording: Path) -> tuple[float | None, float | None]:
+    """Where to begin and to end, in seconds from the recording's start.
+
+    Raises:
+        RecordingError, OSError: where there is no recording.
+        WindowError: where either is no moment.
+    """
+    first = next((entry for entry in read_recording(recording) if not entry.repeated), None)
+    begin_ns = 0 if first is None else first.at_ns
+    from_s, to_s = (
+        None if written is None else 1e-9 * (moment_ns(option, written, begin_ns) - begin_ns)
+        for option, written in (("--from", options.from_), ("--to", options.to))
+    )
+    return from_s, to_s
 
 
 def _told_before(recording: Path) -> list[str]:

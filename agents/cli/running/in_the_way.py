@@ -20,7 +20,7 @@ def in_the_way(rig: RigConfig) -> str:
     if rig.camera is not None and rig.camera.source == "pipe" and rig.camera.left == "-":
         return (
             "camera.left = '-' reads standard input, which up has none of: give a named pipe, or leave [camera] out "
-            "and run suturegrasp camera behind the program that writes the frames"
+            "and start suturegrasp run camera behind the program that writes the frames"
         )
     if rig.runs_here("router") and taken(rig.router_endpoint):
         return (

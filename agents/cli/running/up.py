@@ -44,7 +44,7 @@ def start_all(supervisor: Supervisor, rig: RigConfig, config: Path, folder: Sess
         start("viewer", Role.VIEWER, "view", "--output", str(folder.rerun), "--numbered", "--show", show)
     for kind, instance in rig.agents_here():
         extra = ("--arm", instance) if instance != MAIN else ()
-        start(name_of(kind, instance), Role.AGENT, kind.replace("_", "-"), *extra)
+        start(name_of(kind, instance), Role.AGENT, "run", kind.replace("_", "-"), *extra)
 
 
 def up(rig: RigConfig, options: Up) -> int:

@@ -7,9 +7,8 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from agents.camera.image_files import ImageFileError, read_image
-from agents.cli.reconstruct.options import UsageError
 from agents.cli.segment.options import Segment, check
-from agents.cli.terminal import complain, say
+from agents.cli.terminal import UsageError, complain, say
 from agents.cli.whole_file import OutputError, whole_file
 from agents.perception.segmentation.classes import Kind, highest, scores_of
 

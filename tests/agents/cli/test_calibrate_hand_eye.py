@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.cli.recordings.replay_through import with_simulated_arms
+from agents.cli.recordings.recompute import with_simulated_arms
 from agents.cli.rig.builders import build
 from agents.cli.rig.config import RigConfig
 from agents.robot_bridge.agent import RobotBridge

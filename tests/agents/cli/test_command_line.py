@@ -1,5 +1,6 @@
 """Commands, options and streams: help stays as it is, every mistake is one line, and no stream is a surprise."""
 
+import dataclasses
 import json
 import subprocess
 import sys
@@ -8,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from agents.cli.command_line import condensed
+from agents.cli.commands import COMMANDS, loaded
 from schemas import __version__
 
 SCRIPT = Path(sys.executable).with_name("suturegrasp")
@@ -16,7 +18,13 @@ PAIR = ("--left", "l.png", "--right", "r.png")
 
 MISTAKES: dict[tuple[str, ...], tuple[str, ...]] = {
     ("deploy", "rehearse", "--slow", "robot"): ("--slow needs HOST RATE",),
-    (): ("give a command: reconstruct", "suturegrasp --help"),
+    (): ("give a command: demo", "suturegrasp --help"),
+    ("run",): ("give a command: run camera", "suturegrasp --help"),
+    ("run", "nonsense"): ("run nonsense is no command", "run camera"),
+    ("camera",): ("suturegrasp camera is suturegrasp run camera now",),
+    ("replay", "s.mcap", "--through", "planner"): (
+        "suturegrasp replay --through is suturegrasp recompute --through now",
+    ),
     ("nonsense",): ("nonsense is no command", "reconstruct"),
     PAIR: ("--left is no command", "reconstruct"),
     ("reconstruct",): ("--calibration PATH [PATH], --output JSON", "suturegrasp reconstruct --help"),
@@ -67,14 +75,34 @@ def test_words_outside_any_box_are_kept():
     assert condensed("", "goal") == "; see suturegrasp goal --help"
 
 
-@pytest.mark.parametrize("arguments", [("--help",), ("reconstruct", "-h")])
-def test_help_and_version_go_to_standard_output(suturegrasp, arguments):
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("--help",), "a stereo pair to a thread in 3D"),
+        (("run", "--help"), "run robot-bridge"),
+        (("reconstruct", "-h"), "Turn a stereo pair into a thread in 3D"),
+    ],
+)
+def test_help_and_version_go_to_standard_output(suturegrasp, arguments, told):
     ended = suturegrasp(*arguments)
     assert (ended.status, ended.err) == (0, "")
     assert "usage: suturegrasp" in ended.out
-    assert "Turn a stereo pair into a thread in 3D" in ended.out
+    assert told in ended.out
     ended = suturegrasp("--version")
     assert (ended.status, ended.out, ended.err) == (0, f"suturegrasp {__version__}\n", "")
+
+
+def test_the_list_of_all_commands_fits_a_screen(suturegrasp):
+    lines = suturegrasp("--help").out.splitlines()
+    assert len(lines) <= 50
+    assert max(map(len, lines)) <= 80
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_can_be_loaded_and_says_what_it_does(name):
+    options = COMMANDS[name].options_type()
+    assert dataclasses.is_dataclass(options) and options.__doc__
+    assert callable(loaded(COMMANDS[name].runs))
 
 
 def test_help_names_every_option_and_choice(suturegrasp):

@@ -112,7 +112,7 @@ def test_a_camera_whose_pipe_has_ended_says_so_and_ends(section, suturegrasp, se
     stream.write_bytes(bytes(180 * 640 * 3))
     source = f'source = "pipe"\nleft = "{stream}"\nwidth = 640\nheight = 180\n'
     config.write_text(f'rig = "test"\n[router]\nendpoint = "{settings.endpoint}"\n{section}{source}')
-    ended = suturegrasp("camera", "--config", config)
+    ended = suturegrasp("run", "camera", "--config", config)
     assert ended.status == 1
     assert (
         ended.err.splitlines()[-1]

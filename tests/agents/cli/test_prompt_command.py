@@ -55,7 +55,7 @@ def prompt(suturegrasp, settings, tmp_path):
 def test_a_click_tells_a_running_rig_which_thread_is_meant_until_it_is_taken_back(prompt, observed):
     observed()
     for thread in (GREEN, BLACK):
-        ended = prompt("--at", f"{thread[0]:.0f},{thread[1]:.0f}")
+        ended = prompt("--pixel", f"{thread[0]:.0f}", f"{thread[1]:.0f}")
         assert (ended.status, ended.err) == (0, "")
         assert ended.out.strip() == "this thread is meant from the next frame on"
         found = observed(lambda one, u=thread[0]: one.prompt_px is not None and abs(one.prompt_px[0] - u) < 30)

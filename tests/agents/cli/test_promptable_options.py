@@ -6,10 +6,7 @@ import json
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from agents.cli.prompted_pixel import prompted_pixel
 from agents.cli.rig.builders import build
 from agents.cli.rig.config import RigConfig
 from agents.perception.agent import Perception
@@ -53,7 +50,7 @@ def test_what_a_configuration_lacks_is_said_when_it_is_read():
 def test_files_that_cannot_be_used_keep_the_agent_from_starting_in_one_sentence(suturegrasp, files, tmp_path):
     missing, config = tmp_path / "none.onnx", tmp_path / "rig.toml"
     config.write_text(f"[perception]\npromptable_encoder = '{missing}'\npromptable_decoder = '{files.decoder}'\n")
-    ended = suturegrasp("perception", "--config", config)
+    ended = suturegrasp("run", "perception", "--config", config)
     assert (ended.status, len(ended.err.splitlines())) == (2, 1)
     assert f"promptable_encoder {missing} cannot be read: No such file or directory" in ended.err
 
@@ -67,8 +64,8 @@ def test_reconstruct_takes_the_thread_at_a_pixel_from_the_network(suturegrasp, f
     assert mask is not None
     v, u = np.nonzero(cv2.distanceTransform((mask > 127).astype(np.uint8), cv2.DIST_L2, 3) > 1)
     network = ("--promptable-encoder", files.encoder, "--promptable-decoder", files.decoder)
-    at = f"{u[len(u) // 2]},{v[len(v) // 2]}"
-    ended = suturegrasp(*pair(small), "--output", out, "--segmenter", "promptable", *network, "--at", at)
+    at = str(u[len(u) // 2]), str(v[len(v) // 2])
+    ended = suturegrasp(*pair(small), "--output", out, "--segmenter", "promptable", *network, "--pixel", *at)
     assert (ended.status, ended.complaints) == (0, [])
     assert json.loads(out.read_text())["segmenter"] == "promptable"
 
@@ -78,7 +75,6 @@ def test_reconstruct_says_what_is_wrong_in_one_line(suturegrasp, small, pair, tm
     for options, told in (
         ("--segmenter promptable", "--segmenter promptable needs --promptable-encoder and --promptable-decoder"),
         ("--promptable-encoder a.onnx", "give both --promptable-encoder and --promptable-decoder, or neither"),
-        ("--at 12", "--at 12 is no pixel; give its column and row, such as --at 412,230"),
         (f"--segmenter promptable {files}", "promptable_encoder a.onnx"),
     ):
         ended = suturegrasp(*pair(small), "--output", tmp_path / "thread.json", *options.split())
@@ -88,16 +84,10 @@ def test_reconstruct_says_what_is_wrong_in_one_line(suturegrasp, small, pair, tm
 
 def test_a_prompt_that_is_no_pixel_is_said_in_one_line(suturegrasp):
     for options, told in (
-        ("--at 1,2 --pixel 3 4", "give --at or --pixel, not both"),
-        ("--at 1,2,3", "--at 1,2,3 is no pixel"),
-        ("--at nan,2", "(nan, 2) is no pixel; give two finite numbers"),
+        ("--pixel 1", "--pixel needs U V"),
+        ("--at 1,2", "suturegrasp prompt --at is suturegrasp prompt --pixel U V now"),
+        ("--pixel nan 2", "--pixel nan 2 is none; give two finite numbers"),
     ):
         ended = suturegrasp("prompt", *options.split())
         assert (ended.status, ended.out, len(ended.err.splitlines())) == (2, "", 1)
         assert told in ended.err
-
-
-@given(st.floats(0, 5000), st.floats(0, 5000))
-def test_both_spellings_name_the_same_pixel(u, v):
-    assert prompted_pixel(None, f"{u!r},{v!r}") == prompted_pixel((u, v), None) == (u, v)
-    assert prompted_pixel(None, None) is None

@@ -145,12 +145,12 @@ def test_another_thread_is_told_with_where_to_point_and_pointing_there_means_it(
         cv2.imwrite(str(small / name), image)
     ended = suturegrasp(*pair(small), "--output", small / "out.json")
     assert ended.status == 0
-    told = re.search(r"1 further thread was seen; choose with --at (\d+,\d+) \(score 0\.\d\d\)", ended.out)
+    told = re.search(r"1 further thread was seen; choose with --pixel (\d+ \d+) \(score 0\.\d\d\)", ended.out)
     assert told is not None, ended.out
     (other,) = json.loads((small / "out.json").read_text())["other_threads"]
     distance = cKDTree(np.linspace(ends[0], ends[1], 500)).query(np.array(other["left_px"]))[0]
     assert np.median(distance) < 1
-    assert suturegrasp(*pair(small), "--at", told[1], "--output", small / "meant.json").status == 0
+    assert suturegrasp(*pair(small), "--pixel", *told[1].split(), "--output", small / "meant.json").status == 0
     meant = json.loads((small / "meant.json").read_text())
     assert meant["score"] == pytest.approx(other["score"], abs=0.1)
     assert all(
@@ -160,11 +160,11 @@ def test_another_thread_is_told_with_where_to_point_and_pointing_there_means_it(
 
 
 def test_pointing_outside_the_image_or_beside_all_thread_is_refused(suturegrasp, pair, small):
-    for at in ("-1,5", "5,100000"):
-        ended = suturegrasp(*pair(small), f"--at={at}", "--output", small / "out.json")
+    for at in ("-1 5", "5 100000", "nan 5"):
+        ended = suturegrasp(*pair(small), "--pixel", *at.split(), "--output", small / "out.json")
         assert ended.status == 2
-        assert f"--at {at} lies outside the left image of " in ended.complaints[0]
-    ended = suturegrasp(*pair(small), "--at", "1,1", "--output", small / "out.json")
+        assert f"--pixel {at} lies outside the left image of " in ended.complaints[0]
+    ended = suturegrasp(*pair(small), "--pixel", "1", "1", "--output", small / "out.json")
     assert ended.status == 3
     nothing = r"suturegrasp: nothing like thread lies within \d+ px of \(1, 1\) in the left image"
     assert re.fullmatch(nothing, ended.complaints[0])

@@ -111,7 +111,7 @@ def test_a_process_of_a_rig_publishes_as_its_file_says_and_doctor_and_status_tel
     heard = session.declare_subscriber(
         key("test", HEALTH, "main", "planner"), lambda sample: priorities.append(str(sample.priority))
     )
-    process = subprocess.Popen([SCRIPT, "planner", "--config", str(there)], stderr=subprocess.DEVNULL)
+    process = subprocess.Popen([SCRIPT, "run", "planner", "--config", str(there)], stderr=subprocess.DEVNULL)
     try:
         until(lambda: priorities, "health of the planner")
         with connected(settings, 60.0) as connection:

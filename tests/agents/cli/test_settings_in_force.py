@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from agents.cli.main import main
 from agents.cli.recordings.config import attached_config, changed, in_force, settings_otherwise
-from agents.cli.recordings.replay_through import EXIT_UNUSABLE
+from agents.cli.recordings.recompute import EXIT_UNUSABLE
 from agents.cli.rig.config import simulated_rig
 from agents.inspection.table import decimal
 from shared.recording.completeness import completeness
@@ -62,7 +62,7 @@ def test_a_setting_that_no_replayed_agent_reads_is_refused_and_so_is_none_that_o
         ("planner", "perception.segmenter=threshold", False),
         ("planner", "planner.attempts=1", True),
     ):
-        assert (run("replay", EXAMPLE, "--through", agent, "--set", setting) == EXIT_UNUSABLE) is not reads
+        assert (run("recompute", EXAMPLE, "--through", agent, "--set", setting) == EXIT_UNUSABLE) is not reads
         refused = f"--set {setting} changes nothing, for planner does not read it"
         assert (refused in capsys.readouterr().err) is not reads
 
@@ -70,7 +70,7 @@ def test_a_setting_that_no_replayed_agent_reads_is_refused_and_so_is_none_that_o
 def test_of_a_damaged_recording_what_can_be_read_is_replayed_and_the_damage_is_told(tmp_path, capsys):
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(EXAMPLE.read_bytes()[:6_000_000])
-    assert run("replay", cut, "--through", "planner") != EXIT_UNUSABLE
+    assert run("recompute", cut, "--through", "planner") != EXIT_UNUSABLE
     told = capsys.readouterr()
     assert "cut off at" in told.err
     assert "planner: 1 of 1 outputs repeated" in told.out
@@ -78,7 +78,7 @@ def test_of_a_damaged_recording_what_can_be_read_is_replayed_and_the_damage_is_t
 
 def test_two_recordings_are_compared_by_the_steps_that_made_what_they_hold(tmp_path, capsys):
     derived = tmp_path / "derived.mcap"
-    run("replay", EXAMPLE, "--through", "planner", "--output", derived)
+    run("recompute", EXAMPLE, "--through", "planner", "--output", derived)
     anew = completeness(derived).ran_anew["planner"]
     capsys.readouterr()
     run("inspect", EXAMPLE, derived)
@@ -89,10 +89,10 @@ def test_two_recordings_are_compared_by_the_steps_that_made_what_they_hold(tmp_p
 
 def test_what_a_cut_off_recording_was_made_of_goes_on_through_cuts_and_replays(tmp_path):
     derived, off = tmp_path / "derived.mcap", tmp_path / "off.mcap"
-    run("replay", EXAMPLE, "--through", "planner", "--set", "planner.tool_error_mm=1", "--output", derived)
+    run("recompute", EXAMPLE, "--through", "planner", "--set", "planner.tool_error_mm=1", "--output", derived)
     off.write_bytes(derived.read_bytes()[:6_000_000])
     run("cut", off, "--output", tmp_path / "cut.mcap")
-    run("replay", off, "--through", "reconstruction", "--output", tmp_path / "again.mcap")
+    run("recompute", off, "--through", "reconstruction", "--output", tmp_path / "again.mcap")
     for name in ("cut.mcap", "again.mcap"):
         told = completeness(tmp_path / name).derived
         assert [one.source for one in told] == ["found_10.mcap", EXAMPLE.name, off.name]
@@ -105,7 +105,7 @@ def test_a_replay_of_a_recording_that_is_damaged_within_says_so_and_so_does_what
     spoilt = bytearray(EXAMPLE.read_bytes())
     spoilt[5_000_000:5_002_000] = b"\xff" * 2000
     damaged.write_bytes(spoilt)
-    assert run("replay", damaged, "--through", "planner", "--output", output) != EXIT_UNUSABLE
+    assert run("recompute", damaged, "--through", "planner", "--output", output) != EXIT_UNUSABLE
     assert "is damaged; only what lies before the damage can be read" in capsys.readouterr().err
     assert completeness(output).complete is False
     assert "is damaged" in completeness(output).sentence
@@ -115,15 +115,15 @@ def test_an_agent_that_said_nothing_does_not_stop_the_replay_of_another(tmp_path
     early = tmp_path / "early.mcap"
     run("cut", EXAMPLE, "--to", "0.6", "--output", early)
     capsys.readouterr()
-    assert run("replay", early, "--through", "reconstruction,planner") != EXIT_UNUSABLE
+    assert run("recompute", early, "--through", "reconstruction,planner") != EXIT_UNUSABLE
     assert "planner: said nothing in this recording" in capsys.readouterr().out
-    assert run("replay", early, "--through", "planner") == EXIT_UNUSABLE
+    assert run("recompute", early, "--through", "planner") == EXIT_UNUSABLE
     assert "the recording holds no output of planner; it has some of: camera" in capsys.readouterr().err
 
 
 def test_a_cut_names_as_run_anew_only_what_it_holds(tmp_path):
     derived, early, late = (tmp_path / f"{name}.mcap" for name in ("derived", "early", "late"))
-    run("replay", EXAMPLE, "--through", "planner", "--output", derived)
+    run("recompute", EXAMPLE, "--through", "planner", "--output", derived)
     made = completeness(derived).ran_anew["planner"].outputs
     run("cut", derived, "--to", "0.4", "--output", early)
     run("cut", derived, "--from", "0.7", "--output", late)
@@ -135,7 +135,7 @@ def test_a_cut_names_as_run_anew_only_what_it_holds(tmp_path):
 
 def test_a_cut_knows_which_of_its_outputs_could_not_be_repeated(tmp_path):
     derived, early, late = (tmp_path / f"{name}.mcap" for name in ("derived", "early", "late"))
-    run("replay", EXAMPLE, "--through", "reconstruction", "--output", derived)
+    run("recompute", EXAMPLE, "--through", "reconstruction", "--output", derived)
     run("cut", derived, "--to", "0.8", "--output", early)
     run("cut", derived, "--from", "0.8", "--output", late)
     kept = [completeness(path).ran_anew["reconstruction"].kept for path in (derived, early, late)]
@@ -144,7 +144,7 @@ def test_a_cut_knows_which_of_its_outputs_could_not_be_repeated(tmp_path):
     assert outputs[0] == outputs[1] + outputs[2]
 
 
-@pytest.mark.parametrize("command", [("cut", "--output", "short.mcap"), ("replay", "--through", "planner")])
+@pytest.mark.parametrize("command", [("cut", "--output", "short.mcap"), ("recompute", "--through", "planner")])
 def test_a_file_that_ends_before_its_first_message_is_told_as_that(command, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "off.mcap"

@@ -14,7 +14,7 @@ from shared.runtime.session import ROUTER_RUNTIME
 PROCESSES = tuple(
     Process(*of)
     for of in (
-        (ROUTER,), ("camera",), ("perception",), ("perception", "psm1"), ("reconstruction",), ("planner",),
+        (ROUTER,), ("camera",), ("perception",), ("tool_tracker", "psm1"), ("reconstruction",), ("planner",),
         ("robot_bridge", "psm1"), ("guard", "psm1"), ("simulator",), ("recorder", "box"), ("viewer", "box"),
         ("operator", "box"),
     )
@@ -80,7 +80,7 @@ def test_a_unit_reads_its_own_certificate_and_is_watched_where_it_has_a_loop(pro
     service = told(text)
     own = {"authority.pem", f"{process.common_name}.pem", f"{process.common_name}.key"}
     assert {told.split(":")[0] for told in service["LoadCredential"]} == own
-    within = "60" if process.kind in ("perception", "reconstruction") else "10"
+    within = "60" if process.kind in ("perception", "tool_tracker", "reconstruction") else "10"
     assert service.get("WatchdogSec") == ([within] if process.kind in (*NAMES, "guard") else None)
 
 

@@ -15,6 +15,7 @@ from schemas.messages import CommandAnswer, GraspPlan, RobotMode, Status
 from schemas.topics import HEALTH, PLAN, ROBOT_STATE, THREAD
 from shared.clock import monotonic_s
 from shared.runtime.connection import connected
+from tests.command_words import words
 from tests.rigs.faults.disk import Disk, small_disk
 from tests.rigs.faults.observer import Observer
 from tests.rigs.faults.rig import CONFIG, HOSTS, MODULE, ROUTER, RUNS, describe, settings_at
@@ -49,7 +50,7 @@ class Lab:
         """Start one of the rig's processes on its host, for the first time or again."""
         host = next(host for host, names in RUNS.items() if name in names)
         options = ("--output", str(self.recording), "--numbered") if name == "record" else ()
-        self.processes.start(host, name, *MODULE, name, "--config", str(self.config(host)), *options)
+        self.processes.start(host, name, *MODULE, *words(name), "--config", str(self.config(host)), *options)
 
     def start_probe(self, host: str) -> None:
         """Start the one who says and hears events there."""

@@ -29,6 +29,7 @@ from shared.runtime.connection import Connection, connected
 from shared.runtime.identity import identity_in
 from shared.runtime.session import SessionSettings, free_local_endpoint, open_session
 from shared.runtime.taps import Tapped
+from tests.command_words import words
 
 RIG, DESK, ARM, ROUTER = "lab", "desk", "psm1", "router"
 BRIDGE = f"robot_bridge {ARM}"
@@ -153,7 +154,7 @@ def start(supervisor: Supervisor, folder: Path, name: str) -> None:
     extra = ("--arm", ARM) if name == BRIDGE else ()
     extra = ("--output", str(folder / "session.mcap")) if name == "recorder" else extra
     roles = {ROUTER: Role.ROUTER, "recorder": Role.RECORDER}
-    arguments = [COMMANDS_OF.get(name, name), *extra, "--config", str(folder / "rig.json")]
+    arguments = [*words(COMMANDS_OF.get(name, name)), *extra, "--config", str(folder / "rig.json")]
     supervisor.add(name, arguments, folder / f"{name}.log", roles.get(name, Role.AGENT))
 
 

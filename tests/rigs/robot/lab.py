@@ -75,11 +75,11 @@ class Lab:
             mode = queue[1:] if queue[0] == name else ("constant", 0.0)
             ports = (endpoint.rsplit(":", 1)[1] for endpoint in ends)
             self._start(f"link of the {name}", "tests.rigs.robot.relay", *ports, *mode)
-        self._start("bridge", "agents.cli", "robot-bridge", *rig)
+        self._start("bridge", "agents.cli", "run", "robot-bridge", *rig)
         if beside is None:
             self._start("camera", PERSON, "watch", RIG, self._router, ARM)
         for kind in self._sections:
-            self._start(kind, "agents.cli", kind, *rig)
+            self._start(kind, "agents.cli", "run", kind, *rig)
         self._start("guard", "agents.cli", "guard", "--config", folder / "guard.json")
         self._beside = stack.enter_context(open_session(SessionSettings(endpoint=self._robot)))
         session = stack.enter_context(open_session(SessionSettings(RIG, self._router)))

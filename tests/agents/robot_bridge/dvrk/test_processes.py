@@ -110,7 +110,7 @@ def begun(started, tmp_path, codec, until):
         judged = ("--camera", tmp_path / "base.json", "--heartbeats", router, "--verdict", tmp_path / "verdict.json")
         emulator = started("emulate", "dvrk", "--ready", "--codec", codec, "--listen", robot, *judged)
         relay = started(*(endpoint.rsplit(":", 1)[1] for endpoint in (relayed, robot)), module="tests.rigs.robot.relay")
-        bridge = started("robot-bridge", "--config", written(tmp_path, "rig.json", router, relayed, codec))
+        bridge = started("run", "robot-bridge", "--config", written(tmp_path, "rig.json", router, relayed, codec))
         started("guard", "--config", config)
         settings = SessionSettings(endpoint=router)
         session = stack.enter_context(open_session(settings))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import zenoh
 
-from agents.cli.recordings.replay_through import with_simulated_arms
+from agents.cli.recordings.recompute import with_simulated_arms
 from agents.cli.rig.builders import build
 from agents.cli.rig.config import RigConfig
 from agents.emulator.console import Behaviour, EmulatedConsole

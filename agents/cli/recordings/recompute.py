@@ -1,4 +1,4 @@
-"""`suturegrasp replay session.mcap --through perception`: agents on what they consumed, and what they say differently.
+"""`suturegrasp recompute session.mcap --through perception`: agents on what they consumed, and what differs.
 
 Exit status: 0 where all is the same within tolerance, 1 where something differs, 2 where nothing can be compared, 3
 where what can be read of a damaged recording is the same.
@@ -11,7 +11,6 @@ from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -25,7 +24,8 @@ from agents.cli.recordings.config import (
     recorded_config,
     settings_otherwise,
 )
-from agents.cli.recordings.replay_report import ThroughResult, lacking, report
+from agents.cli.recordings.options import Recompute
+from agents.cli.recordings.recompute_report import ThroughResult, lacking, report
 from agents.cli.rig.builders import build
 from agents.cli.rig.config import RigConfig
 from agents.cli.running.process import EXIT_DAMAGED
@@ -46,7 +46,6 @@ from shared.runtime.config import ConfigError, load_config
 from shared.runtime.replay import Place, ReplayError, place_of
 
 EXIT_SAME, EXIT_DIFFERENT, EXIT_UNUSABLE = 0, 1, 2
-RECORDED = "recorded"
 AUTO, NONE, TABLE = "auto", "none", "table"
 RUN = "run"
 """The note of a recording that names the versions of what made it."""
@@ -58,36 +57,7 @@ class UnusableError(ValueError):
     """A replay that cannot be made; the text says why, and what to do."""
 
 
-class ThroughOptions(Protocol):
-    """What is replayed, and how.
-
-    Fields:
-        through: the agents, separated by commas; they take turns in the order of the dataflow.
-        against: what their outputs are compared with.
-        config: in place of the recorded one.
-        set: single settings that are to be otherwise.
-        tolerances: whether what differs by less than docs/process_replay.md allows counts as the same: `none`,
-            `table`, or `auto` for where settings or versions are not those of the recording.
-        output: a Rerun recording of both, or, ending in .mcap, the recording with the replayed outputs.
-    """
-
-    @property
-    def recording(self) -> Path: ...
-    @property
-    def through(self) -> str | None: ...
-    @property
-    def against(self) -> str: ...
-    @property
-    def config(self) -> Path | None: ...
-    @property
-    def set(self) -> tuple[str, ...]: ...
-    @property
-    def tolerances(self) -> str: ...
-    @property
-    def output(self) -> Path | None: ...
-
-
-def run_through(options: ThroughOptions) -> int:
+def run(options: Recompute) -> int:
     """Replay, say what differs, write what is asked for, and return the exit status."""
     try:
         result = replayed(options)
@@ -108,7 +78,7 @@ def run_through(options: ThroughOptions) -> int:
     return EXIT_DAMAGED if result.damage else EXIT_SAME
 
 
-def replayed(options: ThroughOptions) -> ThroughResult:
+def replayed(options: Recompute) -> ThroughResult:
     """Replay and compare, without a word.
 
     Raises:
@@ -122,7 +92,7 @@ def replayed(options: ThroughOptions) -> ThroughResult:
     given, recorded = _configurations(options)
     config = with_simulated_arms(changed(given, options.set))
     changing = [setting for setting in options.set if changed(given, (setting,)) != given]
-    stages = _stages(config, (options.through or "").split(","))
+    stages = _stages(config, options.through.split(","))
     _check_outputs(stages, entries, damage)
     said = completeness(options.recording)
     made_by = _made_by(stages, said, notes)
@@ -165,7 +135,7 @@ def with_simulated_arms(config: RigConfig) -> RigConfig:
     return config.model_copy(update={"robot": {a: s.model_copy(update=simulated) for a, s in config.robot.items()}})
 
 
-def _configurations(options: ThroughOptions) -> tuple[RigConfig, RigConfig | None]:
+def _configurations(options: Recompute) -> tuple[RigConfig, RigConfig | None]:
     """What to replay with, before `set`, and what was recorded; None where that is not known."""
     if options.config is None:
         recorded = recorded_config(options.recording)
@@ -205,7 +175,7 @@ def _made_by(stages: Sequence[Stage], said: Completeness, notes: Iterable[Note])
     return next((note.facts for note in notes if note.name == RUN), {})
 
 
-def _otherwise(options: ThroughOptions, run: dict[str, str], changing: Iterable[str]) -> str:
+def _otherwise(options: Recompute, run: dict[str, str], changing: Iterable[str]) -> str:
     """What is otherwise than when the recording was made, as far as it tells; empty where nothing is.
 
     Args:
@@ -278,15 +248,13 @@ def _check_repeatable(outcomes: list[Outcome], recorded: Set[Place], lacks: str)
         raise UnusableError(f"no output of these agents can be repeated: {of_each}")
 
 
-def _check(options: ThroughOptions) -> None:
-    if options.against != RECORDED:
-        raise UnusableError(f"--against {options.against} is unknown; replayed outputs are compared with: {RECORDED}")
+def _check(options: Recompute) -> None:
     if options.tolerances not in (AUTO, NONE, TABLE):
         raise UnusableError(f"--tolerances {options.tolerances} is unknown; choose from {AUTO}, {NONE}, {TABLE}")
     _check_output(options)
 
 
-def _check_output(options: ThroughOptions) -> None:
+def _check_output(options: Recompute) -> None:
     output = options.output
     if output is None:
         return
