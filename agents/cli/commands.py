@@ -49,9 +49,7 @@ def _on_rig(does: str, options: str, runs: str, of: str = "") -> Command:
 GROUPS: dict[str, dict[str, Command]] = {
     "to try it": {
         "demo": Command("a simulated grasp from image to judgement", "live.options:Demo", "demo.command:demo"),
-        "play": Command(
-            "the simulated field with the operator's page", "page.options:Play", "page.command:run"
-        ),
+        "play": Command("the simulated field with the operator's page", "page.options:Play", "page.command:run"),
         "scenes": Command("stereo images of thread with known truth", "lab.scenes_options:Scenes", "lab.scenes:run"),
         "evaluate": Command(
             "the paper's experiment in simulation", "evaluate.options:Evaluate", "evaluate.command:run"

@@ -8,10 +8,8 @@ import numpy as np
 from jaxtyping import Float64
 from pydantic import Field, StringConstraints
 
-from shared.published_rates import BACKGROUNDS, CONFIGURATIONS
 from shared.runtime.config import Settings
 
-SCENARIOS = tuple(f"{config}/{background}" for config in CONFIGURATIONS for background in BACKGROUNDS)
 POLICIES = ("direct", "robust")
 METHODS = ("paper", "refined")
 PolicyName = Literal["direct", "robust"]

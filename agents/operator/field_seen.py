@@ -5,8 +5,6 @@ from dataclasses import replace
 from itertools import zip_longest
 from typing import Any
 
-import numpy as np
-
 from agents.operator.compact import compact
 from agents.operator.drawn import draw_correction, draw_observations, draw_plan, draw_surface, draw_tool
 from agents.operator.drawn_thread import DrawnThread, draw_thread
@@ -237,12 +235,6 @@ class FieldSeen:
             done=self.is_done(plan),
             refused=plan is not None and self.refused.get(arm) == plan["id"],
         )
-
-    def mean_confidence(self) -> float | None:
-        """Of the thread that is seen."""
-        if self.thread is None or not np.isfinite(self.thread.confidence).any():
-            return None
-        return round(float(np.nanmean(self.thread.confidence)), 3)
 
 
 def is_followed(before: ThreadReconstruction | None, thread: ThreadReconstruction) -> bool:

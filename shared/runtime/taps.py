@@ -12,7 +12,7 @@ import socket
 import threading
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import count
 from typing import Any
 
@@ -82,22 +82,6 @@ class Tapped:
     key: str
     payload: bytes
     beside: Attachment | None
-
-
-@dataclass
-class KeyLosses:
-    """How many messages of one key came, and how many of its sequence did not."""
-
-    received: int = 0
-    lost: int = 0
-    _last: tuple[int, int] | None = field(default=None, repr=False)
-
-    def count(self, beside: Attachment) -> None:
-        """Count a message by its sequence number; a publisher that restarted begins a new sequence."""
-        if self._last is not None and self._last[0] == beside.epoch:
-            self.lost += max(0, beside.sequence - self._last[1] - 1)
-        self._last = (beside.epoch, beside.sequence)
-        self.received += 1
 
 
 def tap(
