@@ -1,16 +1,18 @@
 """The command line: which command it names, its options, and help. What tyro would say in a box is said in one line."""
 
 import contextlib
+import difflib
 import io
 import os
 import re
 from collections.abc import Generator, Sequence
-from typing import Any
+from typing import Annotated, Any, Union
 
 from agents.cli.commands import COMMANDS, FORMER, GROUPS, Command
 from agents.cli.terminal import UsageError
 
 HELP = ("-h", "--help")
+COMPLETION = "--tyro-print-completion"
 MISTYPED = re.compile(
     r"error parsing (?P<option>--\S+): No type matching .*argument helptext: \S+ (?P<wanted>[^,]+),", re.I
 )
@@ -38,6 +40,10 @@ def named(arguments: Sequence[str]) -> tuple[str, list[str]]:
     of_first = _beginning(first) if first else []
     wrong = " ".join(arguments[:2]) if of_first and len(arguments) > 1 else "" if of_first else first
     names = ", ".join(of_first or dict.fromkeys(name.split()[0] for name in COMMANDS))
+    # of two words, the first is right
+    known = {name.removeprefix(f"{first} "): name for name in of_first or COMMANDS}
+    if near := difflib.get_close_matches(wrong.removeprefix(f"{first} "), known, n=1):
+        raise UsageError(f"{wrong} is no command; did you mean {known[near[0]]}? see suturegrasp --help")
     what = f"{wrong} is no command; give one first" if wrong else "give a command"
     raise UsageError(f"{what}: {names}; see suturegrasp --help")
 
@@ -58,6 +64,17 @@ def parsed(name: str, command: Command, arguments: list[str]) -> Any:
         if not end.code:
             raise
     raise UsageError(condensed(said.getvalue(), name))
+
+
+def completion(arguments: list[str]) -> None:
+    """Print what a shell completes commands by, and end the program."""
+    import tyro
+
+    read: dict[str, Any] = {name: one.options_type() for name, one in COMMANDS.items() if " " not in name}
+    of_run = [(name.partition(" ")[2], one) for name, one in COMMANDS.items() if name.startswith("run ")]
+    agents = tuple(Annotated[one.options_type(), tyro.conf.subcommand(name)] for name, one in of_run)
+    read["run"] = Union[agents]  # noqa: UP007, as many as there are
+    tyro.extras.subcommand_cli_from_dict(read, args=arguments, prog="suturegrasp")
 
 
 def overview(arguments: Sequence[str]) -> str:

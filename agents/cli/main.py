@@ -36,9 +36,11 @@ def _run(arguments: list[str]) -> int:
         print(f"suturegrasp {__version__}")
         return EXIT_OK
     # Loading OpenCV and SciPy takes a second, during which Ctrl-C must end as quietly as later.
-    from agents.cli.command_line import named, overview, parsed
+    from agents.cli.command_line import COMPLETION, completion, named, overview, parsed
     from agents.cli.commands import COMMANDS, loaded
 
+    if arguments[:1] == [COMPLETION]:
+        completion(arguments)
     if told := overview(arguments):
         print(told)
         return EXIT_OK

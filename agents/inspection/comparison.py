@@ -136,7 +136,8 @@ def _results(session: Session) -> dict[str, Value]:
 
 
 def _outcomes(session: Session) -> dict[str, Value]:
-    promised = [grasp.plan.probability for grasp in session.grasps if grasp.plan is not None and not grasp.plan.reason]
+    plans = [grasp.plan for grasp in session.grasps if grasp.plan is not None and not grasp.plan_before]
+    promised = [plan.probability for plan in plans if not plan.reason]
     told = {"mean promised success, %": 100 * sum(promised) / len(promised)} if promised else {}
     return {"goals": len(session.grasps), **told, **Counter(grasp.outcome for grasp in session.grasps)}
 

@@ -17,9 +17,9 @@ EXPORTED = (THREAD, PLAN, ROBOT_STATE, COMMANDS, EXECUTION, JUDGEMENT)
 README = "README.txt"
 MEANING = """Tables of {source}, written by suturegrasp export.
 {said}
-t_s       seconds since {zero_ns} ns after 1970, when the first message of the recording was published: of frames and
-          curves the capture of the left image, of plans their publication, of robot_states the measurement, of
-          commands their receipt, of outcomes the event
+t_s       seconds since {zero}:
+          of frames and curves the capture of the left image, of plans their publication, of robot_states the
+          measurement, of commands their receipt, of outcomes the event
 *_ns      nanoseconds since 1970
 *_m       metres; *_m2 square metres; *_rad radians; *_px pixels of the rectified left image, centres at whole numbers
 *_unit    lengths in the unit of the calibration, where nobody knows how many metres that is
@@ -95,7 +95,10 @@ def export(source: Path, folder: Path, form: str, points: int) -> Exported:
     exported.said = completeness(source)
     derived = (one.sentence for one in exported.said.derived)
     said = "\n".join([*derived, exported.damage or exported.said.sentence, ""])
-    text = MEANING.format(source=source.name, said=said, zero_ns=zero_ns, points=points)
+    began = "the recording began, of which there is no message"
+    if zero_ns is not None:
+        began = f"{zero_ns} ns after 1970, when the first message of the recording was published"
+    text = MEANING.format(source=source.name, said=said, zero=began, points=points)
     columns_of = (f"{table.path.name}: {', '.join(columns)}\n" for table, columns in tables.values())
     (folder / README).write_text(text + "\n".join(columns_of), encoding="utf-8", errors="backslashreplace")
     return exported

@@ -17,10 +17,14 @@ def _grasp_row(session: Session, number: int, grasp: Grasp) -> Row:
     plan, ended = "not recorded" if grasp.plan is None else grasp.plan.in_words, grasp.ended
     # one row may hold a plan of today and what became of that of the session
     if session.said.ran_anew and grasp.plan is not None:
-        plan += " (planned anew)" if "planner" in _kinds_anew(session) else " (of the source)"
-    # why there is no plan is the planner's to say, and nothing came of it
-    of_arm = ended and not (grasp.plan is not None and grasp.plan.reason)
-    return str(number), at_s, goal_text(grasp.goal), plan, ended + (_as_of(session) if of_arm else "")
+        anew = "planner" in _kinds_anew(session) and not grasp.plan_before
+        plan += " (planned anew)" if anew else " (of the source)"
+    if grasp.plan_before:
+        plan += " (from before)"
+    # why there is no plan is the planner's to say
+    of_arm = ended and (grasp.armings or not (grasp.plan is not None and grasp.plan.reason))
+    goal = "from before" if grasp.goal is None and grasp.plan_before else goal_text(grasp.goal)
+    return str(number), at_s, goal, plan, ended + (_as_of(session) if of_arm else "")
 
 
 def _kinds_anew(session: Session) -> set[str]:

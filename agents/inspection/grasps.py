@@ -47,6 +47,7 @@ class Grasp:
         goal: None where the recording lacks it, as for a plan that was made before it began.
         at_ns: when the planner got the goal, or when the first thing that is known of it was published.
         plan_ns: when the plan was published.
+        plan_before: whether that was before the recording began, which repeats it.
     """
 
     at_ns: int
@@ -54,6 +55,7 @@ class Grasp:
     answer: CommandAnswer
     plan: GraspPlan | None = None
     plan_ns: int | None = None
+    plan_before: bool = False
     armings: list[Arming] = field(default_factory=list[Arming])
 
     @property
@@ -61,21 +63,19 @@ class Grasp:
         """How it ended in one sentence."""
         if self.answer.outcome is Outcome.REFUSED:
             return f"goal refused ({self.answer.code}): {self.answer.reason}"
-        if self.plan is not None and self.plan.reason:
-            return f"no plan: {self.plan.reason}"
-        if not self.armings:
-            return "planned, never armed" if self.plan else "no plan followed"
-        return _arming_ended(self.armings[-1])
+        no_plan = f"no plan: {self.plan.reason}" if self.plan is not None and self.plan.reason else ""
+        if self.armings:
+            # of a planner that ran anew the plan may be none, though one was carried out
+            return "; ".join(filter(None, (no_plan, _arming_ended(self.armings[-1]))))
+        return no_plan or ("planned, never armed" if self.plan else "no plan followed")
 
     @property
     def outcome(self) -> str:
         """How it ended in a word or two, for counting."""
         if self.answer.outcome is Outcome.REFUSED:
             return "goal refused"
-        if self.plan is not None and self.plan.reason:
-            return "no plan"
         if not self.armings:
-            return "not armed"
+            return "no plan" if self.plan is not None and self.plan.reason else "not armed"
         last = self.armings[-1]
         if last.judgement is not None:
             return last.judgement.verdict.name.lower()
@@ -125,8 +125,8 @@ class GraspCollector:
         self._of_plan: dict[str, Grasp] = {}
         self._armings: dict[str, Arming] = {}
 
-    def add(self, published_ns: int, message: Any) -> None:
-        """Take one message of these topics.
+    def add(self, published_ns: int, message: Any, before: bool = False) -> None:
+        """Take one message of these topics; `before`: one that the recording repeats from before its beginning.
 
         Raises:
             MessageError: where the command within a command's record cannot be read.
@@ -135,7 +135,7 @@ class GraspCollector:
             case CommandRecord():
                 self._command(message)
             case GraspPlan():
-                self._plan(published_ns, message)
+                self._plan(published_ns, message, before)
             case ExecutionEvent():
                 arming = self._arming(message.arming_id, message.plan_id, message.at_ns)
                 arming.events.append(message)
@@ -166,11 +166,11 @@ class GraspCollector:
             case _:
                 raise MessageError(f"{record.topic} is no command")
 
-    def _plan(self, published_ns: int, plan: GraspPlan) -> None:
+    def _plan(self, published_ns: int, plan: GraspPlan, before: bool) -> None:
         grasp = self._of_goal.get(plan.goal_id) or self._of_plan.get(plan.plan_id)
         if grasp is None:
             grasp = self._new(published_ns, None, UNKNOWN)
-        grasp.plan, grasp.plan_ns = plan, published_ns
+        grasp.plan, grasp.plan_ns, grasp.plan_before = plan, published_ns, before
         self._of_goal[plan.goal_id] = self._of_plan[plan.plan_id] = grasp
 
     def _arming(self, arming_id: str, plan_id: str, at_ns: int) -> Arming:

@@ -101,10 +101,10 @@ class _Reading:
         with contextlib.suppress(KeyError, MessageError):
             topic = topic_of(entry.key)
             if topic in (CALIBRATION, SIMULATOR_STATE, *GraspCollector.topics):
-                self._add_message(entry, topic, decode(topic.message, entry.payload))
+                self._add_message(entry, topic, decode(topic.message, entry.payload), before=True)
 
-    def _add_message(self, entry: Entry, topic: Topic, message: Any) -> None:
-        if stage := stage_of(topic, entry.key.split("/")[3]):
+    def _add_message(self, entry: Entry, topic: Topic, message: Any, before: bool = False) -> None:
+        if not before and (stage := stage_of(topic, entry.key.split("/")[3])):
             self.stages.setdefault(stage, StageTimes()).add(captured_ns(message), entry.published_ns)
         if topic is HEALTH:
             self.accounts.add_health(entry.epoch, message)
@@ -117,7 +117,7 @@ class _Reading:
         elif topic is SIMULATOR_STATE:
             self.scene = message
         elif topic in GraspCollector.topics:
-            self.grasps.add(entry.published_ns, message)
+            self.grasps.add(entry.published_ns, message, before)
 
 
 def read_session(path: Path) -> Session:

@@ -13,6 +13,7 @@ from agents.recorder.parts import FileSettings, Parts, Tally
 from agents.recorder.pre_trigger import PreTrigger, PreTriggerSettings
 from schemas.topics import Topic
 from shared.clock import monotonic_s, now_ns
+from shared.recording.completeness import ENDED, REASON
 from shared.recording.entry import Entry, Note
 from shared.recording.losses import LOSSES, NOT_WRITTEN, Loss, by_key, sentence
 from shared.recording.writer import TooManyRunsError
@@ -192,7 +193,7 @@ class Recorder:
     def _stop(self, problem: str) -> None:
         """End the file while there is room to end it."""
         self._intake.close()
-        self._do(lambda: self._sink.note(Note("ended", {"reason": problem})))
+        self._do(lambda: self._sink.note(Note(ENDED, {REASON: problem})))
         self._do(lambda: self._sink.close(False))
         self._fault = self._fault or f"recording was stopped: {problem}"
 

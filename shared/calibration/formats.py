@@ -16,8 +16,9 @@ _UNIT_IN_NAME = {"baseline_mm": "mm", "baseline_m": "m", "baselinemm": "mm"}
 
 
 def is_rectified_pair(entries: NamedEntries) -> bool:
-    """Whether the entries are a camera matrix with a baseline rather than two cameras."""
-    return "baseline" in entries and "camera matrix" in entries and "left camera matrix" not in entries
+    """Whether the entries are one camera matrix, which needs a baseline, rather than two cameras."""
+    two = "left camera matrix" in entries or "right camera matrix" in entries
+    return "camera matrix" in entries and not two
 
 
 def rectified_pair(entries: NamedEntries) -> StatedCalibration:
@@ -27,7 +28,7 @@ def rectified_pair(entries: NamedEntries) -> StatedCalibration:
         CalibrationError: where the baseline is no positive number, the units contradict, or there is distortion.
     """
     K = matrix(*entries.entry("camera matrix", "K"), 3, 3)
-    node, name = entries.entry("baseline", "baseline_mm")
+    node, name = entries.entry("baseline", "baseline_mm, beside the one camera matrix of a rectified pair")
     baseline = array(node, name)
     if baseline.size != 1 or baseline.item() <= 0:
         told = f"{baseline.item():g}" if baseline.size == 1 else shape_text(baseline)

@@ -5,6 +5,7 @@ regard to case and punctuation: `K1`, `M1`, `cameraMatrix1`, `camera_matrix_left
 The convention is that of OpenCV's stereoCalibrate: `x_right = R x_left + T`.
 """
 
+import difflib
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -77,9 +78,20 @@ class NamedEntries:
         """
         if meaning not in self.by_meaning:
             found = ", ".join(self.names[:20]) + (", ..." if len(self.names) > 20 else "")
-            raise CalibrationError(f"it has no {meaning} (usually called {spelling}); it holds {found}")
+            misspelt = "".join(f", where {name} may be misspelt" for name in self._like(meaning)[:1])
+            raise CalibrationError(f"it has no {meaning} (usually called {spelling}); it holds {found}{misspelt}")
         name, node = self.by_meaning[meaning]
         return node, name
+
+    def _like(self, meaning: str) -> list[str]:
+        """Names of the file that mean nothing and are nearly one of that meaning."""
+        known = [spelling for spelling, of in _MEANING.items() if of == meaning]
+        unknown = [name for name in self.names if _bare(name) not in _MEANING]
+        return [name for name in unknown if difflib.get_close_matches(_bare(name), known, n=1)]
+
+
+def _bare(name: str) -> str:
+    return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
 def named_entries(documents: Iterable[Document]) -> NamedEntries:
@@ -92,7 +104,7 @@ def named_entries(documents: Iterable[Document]) -> NamedEntries:
     names: list[str] = []
     for name, node in (entry for document in documents for entry in _flat(document)):
         names.append(name)
-        meaning = _MEANING.get(re.sub(r"[^a-z0-9]", "", name.lower()))
+        meaning = _MEANING.get(_bare(name))
         if meaning is None:
             continue
         earlier, value = by_meaning.setdefault(meaning, (name, node))

@@ -118,11 +118,22 @@ def _check_size(stated: StatedCalibration, image_size: tuple[int, int]) -> None:
     if not sizes or image_size in sizes:
         return
     ours, theirs = (f"{width}x{height}" for width, height in (image_size, sizes[0]))
-    raise OtherSizeError(
-        f"the calibration is for {theirs} images, and these are {ours}; "
-        "use the images that it belongs to, or scale them to its size if they were not cropped",
-        sizes[0],
-    )
+    remedy = "use the images that it belongs to, or scale them to its size if they were not cropped"
+    if (two_in_one := eyes_in_one(*image_size, sizes[0])) is not None:
+        what, remedy = two_in_one
+        ours += f", {what}"
+    raise OtherSizeError(f"the calibration is for {theirs} images, and these are {ours}; {remedy}", sizes[0])
+
+
+def eyes_in_one(width: int, height: int, wanted: tuple[int, int]) -> tuple[str, str] | None:
+    """What half an image shows that was taken for both eyes side by side, with the remedy; None where it is none."""
+    if (2 * width, height) == wanted:
+        what = "half as wide, as where an image of one eye is taken for both side by side"
+        return what, "give both eyes side by side in one file, or each in a file of its own"
+    if (2 * width, height) == (wanted[0], 2 * wanted[1]):
+        what = "half as wide and twice as high, as where the eyes lie one above the other"
+        return what, "give them side by side, left first, or each in a file of its own"
+    return None
 
 
 def _possible_sizes(stated: StatedCalibration) -> list[tuple[int, int]]:

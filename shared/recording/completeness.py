@@ -12,6 +12,8 @@ from shared.recording.entry import Note, RecordingError
 from shared.recording.losses import COMPLETE, LOSSES, LOST, counts_of
 from shared.recording.mcap_file import finished_notes, is_finished, read_with_notes
 
+ENDED, REASON = "ended", "reason"
+"""The note of a recorder that stopped before it was told to."""
 UNKNOWN = "nobody noted whether anything is missing"
 
 
@@ -20,12 +22,13 @@ class Completeness:
     """What a recording says of itself.
 
     Fields:
-        finished: whether it was closed; a file that was cut off lacks its last moments, and nobody counted them.
+        finished: whether it was closed; of a file that was cut off nobody knows how much it lacks.
         last_ns: when the last message of one that was cut off was received; None where that is not known.
         lost: messages that are known to be missing, by key.
         complete: None where nobody knows.
         derived: how it came from another recording, the newest last; empty for a recorder's own.
         damage: what keeps the notes at its end from being read; empty where they were.
+        stopped: why its recorder ended it early, as that noted; empty where it did not.
     """
 
     finished: bool
@@ -34,6 +37,7 @@ class Completeness:
     complete: bool | None
     derived: tuple[Derivation, ...] = ()
     damage: str = ""
+    stopped: str = ""
 
     @property
     def doubts(self) -> list[str]:
@@ -68,12 +72,14 @@ class Completeness:
             return self.damage
         gaps = ", ".join(f"{count} of {_without_rig(key)}" for key, count in sorted(self.lost.items()))
         if not self.finished:
-            until = f"cut off {_when(self.last_ns)}, and what came in the last moments is missing"
+            until = f"cut off {_when(self.last_ns)}, and whether anything came after is not known"
             return f"{until}; {f'lost {gaps}' if gaps else 'nothing is known to be lost before'}"
         if self.complete:
             left_out = any(one.left_out for one in self.derived)
             return "complete but for what was left out on purpose" if left_out else "complete"
-        lost = f"not complete: lost {gaps}" if gaps else "not complete" if self.complete is False else ""
+        stopped = f"its recorder stopped early: {self.stopped}" if self.stopped else ""
+        why = "; ".join(filter(None, (f"lost {gaps}" if gaps else "", stopped)))
+        lost = f"not complete: {why}" if why else "not complete" if self.complete is False else ""
         source = f"its source: {self._of_source}" if self._of_source else ""
         return "; ".join(filter(None, (lost, source))) or UNKNOWN
 
@@ -126,7 +132,8 @@ def completeness_of(notes: Iterable[Note], finished: bool, last_ns: int | None) 
         lost.update(counts_of(note))
     told = summed.facts.get(COMPLETE) if summed is not None and finished else None
     complete = False if lost else None if told is None else told.lower() == "true"
-    return Completeness(finished, last_ns, dict(lost), complete, derivations(notes))
+    stopped = next((note.facts.get(REASON, "") for note in reversed(notes) if note.name == ENDED), "")
+    return Completeness(finished, last_ns, dict(lost), complete, derivations(notes), stopped=stopped)
 
 
 def _without_rig(key: str) -> str:

@@ -5,6 +5,7 @@ the order in which the messages were received, so a file is read from front to b
 Channels without an epoch hold what was derived for other programs, and are left out.
 """
 
+import contextlib
 import os
 import struct
 from collections.abc import Generator, Iterator
@@ -152,17 +153,17 @@ def finished_notes(path: Path) -> list[Note]:
 def read_attachments(path: Path) -> dict[str, bytes]:
     """The files that belong to a recording, by name; the last of each name.
 
-    Of a finished recording they are found by its index, without reading its messages.
+    Of a finished recording they are found by its index, without its messages being read, unless that is damaged.
 
     Raises:
         RecordingError, OSError: as `read_recording`.
     """
-    with _damage_named(path), path.open("rb") as file:
-        if _ends_as_it_should(file):
-            file.seek(0)
+    if is_finished(path):
+        with contextlib.suppress(RecordingError), _damage_named(path), path.open("rb") as file:
             reader = SeekingReader(file, validate_crcs=True)
             _check_own(reader.get_header(), path)
             return {found.name: found.data for found in reader.iter_attachments()}
+    with _damage_named(path):
         return {record.name: record.data for record in _records(path) if isinstance(record, Attachment)}
 
 

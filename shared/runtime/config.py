@@ -100,7 +100,7 @@ def _fault(error: ErrorDetails, model: type[BaseModel]) -> str:
     key = ".".join(where)
     match error["type"]:
         case "extra_forbidden":
-            return f"{key} is unknown; {_meant(where[-1], _known_keys(model, where[:-1]))}"
+            return f"{key} is unknown; {_meant(where[-1], _known_keys(model, where[:-1]), model)}"
         case "missing":
             return f"{key} is missing"
         case "model_type" | "dict_type":
@@ -120,11 +120,12 @@ def _named(where: list[str]) -> str:
     return f" and a name before them, [{where[0]}.NAME]" if len(where) == 2 else ""
 
 
-def _meant(key: str, known: list[str]) -> str:
-    """What may have been meant by an unknown key, and what could have been."""
+def _meant(key: str, known: list[str], model: type[BaseModel]) -> str:
+    """What may have been meant by an unknown key: one like it, or the same in another section; else what could have."""
     if not known:
         return "see docs/configuration.md"
-    near = difflib.get_close_matches(key, known, n=1)
+    elsewhere = [f"{section}.{key}" for section in model.model_fields if key in _known_keys(model, [section])]
+    near = elsewhere or difflib.get_close_matches(key, known, n=1)
     return f"did you mean {near[0]}?" if near else f"allowed here: {', '.join(known)}"
 
 

@@ -6,6 +6,7 @@ import json
 import socket
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 
 import schemas
 from agents.cli.doctor.crossing import STREAMS
@@ -22,6 +23,7 @@ from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE
 from agents.cli.status.command import gathered_on
 from agents.cli.status.session import reading_session
 from agents.cli.status.watch import StatusWatch
+from agents.cli.status.wrong import listed
 from agents.cli.terminal import UsageError, complain, say, show
 from schemas.wire import schemas_hash
 from shared.runtime.connection import Connection, NoRouterError, connected
@@ -94,6 +96,10 @@ def _across(rig: RigConfig, connection: Connection) -> Iterator[Finding]:
     with contextlib.closing(StatusWatch(connection, rig)) as watch:
         gathered = gathered_on(watch)
     yield from running(rig, gathered.fares, rig.host or "", gathered.other_rigs)
+    if gathered.replayed:
+        # which tells of the recording, and not of how the rig fares now
+        yield Finding("replay", f"a recording is replayed into this rig, and stands for {listed(gathered.replayed)}")
+        gathered = replace(gathered, fares=tuple(fare for fare in gathered.fares if not fare.replayed))
     yield from guards(rig, gathered)
     facts = gathered.facts
     zenoh = importlib.metadata.version("eclipse-zenoh")

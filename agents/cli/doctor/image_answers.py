@@ -12,6 +12,7 @@ from agents.perception.judging.pair import ALIGNMENT, about_alignment, about_pai
 from agents.perception.observe import LARGEST_SEGMENTED_SHARE
 from agents.perception.segmentation.choice import SEGMENTERS, suitable_segmenter
 from schemas.messages import Severity, StereoCalibration
+from shared.calibration.reader import eyes_in_one
 from shared.rectification import Rectification, RectificationError, rectification, rectify_image
 
 SIZE, CALIBRATION, ORDER = "size", "calibration", "order of the images"
@@ -66,6 +67,9 @@ def about_size(width: int, height: int, calibration: StereoCalibration) -> Answe
             SIZE, f"{width}x{height}, as the calibration is for; a crop that was scaled back does not show here"
         )
     finding = f"the images are {width}x{height} and the calibration is for {wanted[0]}x{wanted[1]}"
+    if (two_in_one := eyes_in_one(width, height, wanted)) is not None:
+        what, remedy = two_in_one
+        return wrong(SIZE, "size", Severity.FAULT, f"{finding}: {what}", remedy)
     if abs(width / height / (wanted[0] / wanted[1]) - 1) < SAME_SHAPE:
         finding += f": scaled to {width / wanted[0]:.0%}, or cropped on all sides"
         remedy = "have the camera or the frame grabber give the full size, or calibrate at this one"

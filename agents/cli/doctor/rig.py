@@ -9,7 +9,7 @@ from agents.cli.status.agents import AWAY
 from agents.cli.status.calibrations import DAY_NS, Allowed, allowed_ages, too_old
 from agents.cli.status.files import HERE, judge_files
 from agents.cli.status.gathered import Gathered, placed_agents
-from agents.cli.status.health_watch import Fare, name_of, span_of
+from agents.cli.status.health_watch import REPLAYED, Fare, name_of, span_of
 from agents.cli.status.judgement import (
     CLOCKS_APART_MS,
     LEAST_FREE_BYTES,
@@ -40,8 +40,10 @@ def running(rig: RigConfig, fares: Iterable[Fare], here: str, other_rigs: Sequen
 
     Where agents of other rigs are there on the same router, the file names another rig than runs.
     """
-    placed = placed_agents(rig)
-    there = [fare for fare in fares if fare.state not in AWAY]
+    fares = tuple(fares)
+    replayed = {fare.name for fare in fares if fare.state == REPLAYED}
+    placed = {name: host for name, host in placed_agents(rig).items() if name not in replayed}
+    there = [fare for fare in fares if fare.state not in (*AWAY, REPLAYED)]
     if not there:
         if other_rigs:
             remedy = f"name {listed(other_rigs)} as rig in the file, or give this rig a router of its own"

@@ -1,6 +1,7 @@
 """The commands that work on a running rig: agents as processes, the recorder, the viewer, the operator's commands."""
 
 import math
+import shlex
 import threading
 
 import numpy as np
@@ -50,7 +51,8 @@ def goal(rig: RigConfig, options: Goal) -> int:
     if plan.status is not Status.OK:
         return complain(plan.reason, EXIT_REFUSED)
     say(plan_sentence(plan))
-    say(f"to carry it out: suturegrasp arm {plan.plan_id} --arm {plan.arm}")
+    config = f" --config {shlex.quote(str(options.config))}" if options.config is not None else ""
+    say(f"to carry it out: suturegrasp arm {plan.plan_id} --arm {plan.arm}{config}")
     return EXIT_OK
 
 

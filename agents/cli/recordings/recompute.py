@@ -89,7 +89,12 @@ def replayed(options: Recompute) -> ThroughResult:
     entries, notes, unknown, damage = _read(options.recording)
     if not entries:
         raise UnusableError(no_message_in(options.recording, damage))
-    given, recorded = _configurations(options)
+    try:
+        given, recorded = _configurations(options)
+    except ConfigError as error:
+        if not damage or options.config is not None:
+            raise
+        raise UnusableError(f"{damage}, and its configuration is none ({error}); give one by --config") from None
     config = with_simulated_arms(changed(given, options.set))
     changing = [setting for setting in options.set if changed(given, (setting,)) != given]
     stages = _stages(config, options.through.split(","))

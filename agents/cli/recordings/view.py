@@ -136,7 +136,7 @@ def _told_before(recording: Path) -> list[str]:
         made_of = derivations(note for note in notes if isinstance(note, Note))
         return [
             *(one.sentence for one in made_of),
-            "cut off, or still being written: what came in the last moments is missing",
+            "cut off, or still being written: whether anything came after is not known",
         ]
     said = completeness(recording)
     # the damage that a file may have is met when it is read

@@ -9,6 +9,8 @@ from schemas.messages import AgentHealth, InputHealth, OutputHealth
 from schemas.topics import TOPICS
 
 AWAY = (ABSENT, GONE, SILENT, NEVER)
+Pair = tuple[str, str]
+"""The hosts at both ends of a link, the sender's first."""
 GUARD = "guard "
 """What the name of a guard begins with; its arm follows."""
 SLOW_SHARE = 0.5
@@ -24,13 +26,18 @@ HOST_NEEDS = 2
 
 
 def judge_agents(
-    fares: Iterable[Fare], rates_hz: Mapping[str, float], addresses: Mapping[str, str] | None = None
+    fares: Iterable[Fare],
+    rates_hz: Mapping[str, float],
+    addresses: Mapping[str, str] | None = None,
+    late_s: Mapping[Pair, float] | None = None,
 ) -> Iterator[Wrong]:
     """What is wrong with these agents.
 
-    `rates_hz` are those at which topics are expected, by name; `addresses` those of the rig's hosts.
+    `rates_hz` are those at which topics are expected, by name; `addresses` those of the rig's hosts; `late_s` for how
+    long each link between two hosts has carried too little.
     """
-    fares = tuple(fares)
+    # what a replay tells for an agent is of the recording
+    fares = tuple(fare for fare in fares if not fare.replayed)
     hosts = _hosts_away(fares) if addresses else {}
     for host, away in hosts.items():
         yield _host_away(host, (addresses or {}).get(host, ""), away)
@@ -39,7 +46,7 @@ def judge_agents(
             yield from _presence(fare)
         if fare.health is not None and fare.state not in AWAY:
             yield from _own_account(fare, fare.health)
-    yield from _links(fares, rates_hz)
+    yield from _links(fares, rates_hz, late_s or {})
     yield from _slow(fares, rates_hz)
     yield from _versions(fares)
 
@@ -136,8 +143,16 @@ def _slow(fares: tuple[Fare, ...], rates_hz: Mapping[str, float]) -> Iterator[Wr
             yield Wrong("slow", output.topic, text + _because(fare, health, slow, output, rates_hz))
 
 
-def _links(fares: tuple[Fare, ...], rates_hz: Mapping[str, float]) -> Iterator[Wrong]:
-    """Links between hosts that carry too little: what leaves as often as it should, and arrives half as often."""
+def _links(fares: tuple[Fare, ...], rates_hz: Mapping[str, float], late_s: Mapping[Pair, float]) -> Iterator[Wrong]:
+    """Links that have carried too little for a while: after a break, rates of both ends are of different times."""
+    for (one, other), told in late_links(fares, rates_hz).items():
+        if late_s.get((one, other), 0.0) >= SETTLED_S:
+            text = f"the link from {one} to {other} carries too little: {'; '.join(told)}"
+            yield Wrong("link", f"{one} {other}", text)
+
+
+def late_links(fares: Iterable[Fare], rates_hz: Mapping[str, float]) -> dict[Pair, list[str]]:
+    """Links between hosts that carry too little now: what leaves as often as it should, and arrives half as often."""
     there = [
         (fare, fare.health) for fare in fares if fare.health is not None and fare.state not in AWAY and fare.placed
     ]
@@ -146,7 +161,7 @@ def _links(fares: tuple[Fare, ...], rates_hz: Mapping[str, float]) -> Iterator[W
         for output in health.outputs:
             if health.uptime_s >= SETTLED_S and output.rate_hz >= SLOW_SHARE * rates_hz.get(output.topic, float("inf")):
                 sent.setdefault(output.topic, []).append((fare, output.rate_hz))
-    late: dict[tuple[str, str], list[str]] = {}
+    late: dict[Pair, list[str]] = {}
     for fare, health in there:
         for heard in health.inputs if health.uptime_s >= SETTLED_S else ():
             # of two senders of one topic nobody knows which is meant
@@ -157,9 +172,7 @@ def _links(fares: tuple[Fare, ...], rates_hz: Mapping[str, float]) -> Iterator[W
             if heard.rate_hz < SLOW_SHARE * rate_hz and heard.topic not in fare.leaves_out:
                 told = f"{heard.topic} leaves at {rate_hz:.0f} Hz and reaches {fare.name} at {heard.rate_hz:.0f} Hz"
                 late.setdefault((sender.placed, fare.placed), []).append(told)
-    for (one, other), told in late.items():
-        text = f"the link from {one} to {other} carries too little: {'; '.join(told)}"
-        yield Wrong("link", f"{one} {other}", text)
+    return late
 
 
 def _because(

@@ -7,7 +7,7 @@ from agents.cli.rig.config import RigConfig
 from agents.cli.rig.hosts import BESIDE, OPERATOR, kind_and_instance
 from agents.cli.rig.topics import Override
 from agents.cli.status.calibrations import Allowed
-from agents.cli.status.health_watch import Fare
+from agents.cli.status.health_watch import REPLAYED, Fare
 from schemas.messages import (
     AgentFacts,
     ExecutionEvent,
@@ -53,6 +53,7 @@ class Gathered:
         rig_sections: of the rig's file here, by a digest of each.
         other_rigs: whose agents are on the same router, where none of this rig's is there.
         faults: what perception's newest observations find that keeps its input from being used.
+        late_s: for how long each link between two hosts has carried too little, as far as it was watched.
         calibrations: how old those may be that agents use, by `kind/instance`, of agents that use any.
     """
 
@@ -76,6 +77,12 @@ class Gathered:
     calibrations: Mapping[str, Allowed] = field(default_factory=dict[str, Allowed])
     other_rigs: tuple[str, ...] = ()
     faults: tuple[Judgement, ...] = ()
+    late_s: Mapping[tuple[str, str], float] = field(default_factory=dict[tuple[str, str], float])
+
+    @property
+    def replayed(self) -> tuple[str, ...]:
+        """The agents for which a replay stands."""
+        return tuple(fare.name for fare in self.fares if fare.state == REPLAYED)
 
 
 def expected_rates(rig: RigConfig) -> dict[str, float]:

@@ -10,7 +10,7 @@ from rich.table import Table
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import AgentHealth
-from schemas.topics import HEALTH, MAIN
+from schemas.topics import HEALTH, MAIN, REPLAY_CLOCK
 from shared.clock import monotonic_s
 from shared.runtime.connection import Connection
 from shared.runtime.taps import Tapped
@@ -23,6 +23,8 @@ STARTING_S = 10.0
 """How long an agent may take until its first health."""
 WELL, STARTING, NEVER, SILENT = "well", "starting", "never heard of", "silent"
 ABSENT, GONE, HANGING = "absent", "gone", "hanging"
+REPLAYED = "replayed"
+"""Of an agent for which a replay stands: what it tells is of the recording."""
 LEFT = ("agent", "host", "state")
 
 
@@ -39,6 +41,8 @@ class Fare:
         refused_s: since it was seen to refuse a message, or was first heard.
         refusing: whether it was seen to refuse one.
         leaves_out: the inputs of which it left out messages for newer ones since its health before.
+        epoch: of the run that told its health; None where that is not known.
+        replayed: whether a replay told it.
     """
 
     name: str
@@ -51,12 +55,16 @@ class Fare:
     refused_s: float = 0.0
     refusing: bool = False
     leaves_out: frozenset[str] = frozenset()
+    epoch: int | None = None
+    replayed: bool = False
 
     @property
     def state(self) -> str:
         """How it is, in one or two words, or its fault."""
         if self.present is False and (self.health is None or self.silent_s > MISSING_S):
-            return ABSENT if self.health is None else GONE
+            return ABSENT if self.health is None or self.replayed else GONE
+        if self.replayed:
+            return REPLAYED
         if self.silent_s > SILENT_S and self.present:
             # its session lives in threads of its own, and health comes from its loop
             return HANGING
@@ -83,9 +91,16 @@ class HealthWatch:
         """With the time at which each was heard in place of how long it has been silent."""
         self._told: dict[str, str] = {}
         self._cut_off_s = 0.0
-        connection.listen((HEALTH,), self._take)
+        self._replays = set[int]()
+        connection.listen((HEALTH, REPLAY_CLOCK), self._take)
 
     def _take(self, tapped: Tapped) -> None:
+        epoch = tapped.beside.epoch if tapped.beside is not None else None
+        if tapped.topic is REPLAY_CLOCK:
+            if epoch is not None:
+                with self._lock:
+                    self._replays.add(epoch)
+            return
         try:
             health = decode(AgentHealth, tapped.payload)
         except MessageError:
@@ -109,6 +124,7 @@ class HealthWatch:
                 refused_s=refused_s,
                 refusing=seen or before.refusing,
                 leaves_out=frozenset(i.topic for i in health.inputs if i.dropped > known.get(i.topic, 0)),
+                epoch=epoch,
             )
 
     def cut_off(self) -> None:
@@ -130,7 +146,10 @@ class HealthWatch:
         with self._lock:
             return [
                 dataclasses.replace(
-                    fare, silent_s=now_s - max(fare.silent_s, self._cut_off_s), refused_s=now_s - fare.refused_s
+                    fare,
+                    silent_s=now_s - max(fare.silent_s, self._cut_off_s),
+                    refused_s=now_s - fare.refused_s,
+                    replayed=fare.epoch in self._replays,
                 )
                 for fare in self._newest.values()
             ]

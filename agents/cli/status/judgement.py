@@ -42,7 +42,8 @@ def judge(gathered: Gathered) -> list[Wrong]:
     found = [
         *_other_rigs(gathered),
         *_faulty_images(gathered),
-        *judge_agents(gathered.fares, gathered.rates_hz, gathered.addresses),
+        *judge_agents(gathered.fares, gathered.rates_hz, gathered.addresses, gathered.late_s),
+        *_replay(gathered),
         *_arms(gathered),
         *_clocks(gathered),
         *_schemas(gathered),
@@ -65,6 +66,15 @@ def _nothing_heard(gathered: Gathered) -> Wrong | None:
         f"nothing is heard from any host: the router's host {gathered.router_host} is away, or all agents are stopped"
     )
     return Wrong("router", gathered.router_host, text)
+
+
+def _replay(gathered: Gathered) -> list[Wrong]:
+    """That a recording is replayed into the rig, and which agents it stands for."""
+    if not gathered.replayed:
+        return []
+    names = listed(gathered.replayed)
+    text = f"a recording is replayed into this rig and stands for {names}: what they tell is of then, and is not judged"
+    return [Wrong("replay", "replay", text, grave=False)]
 
 
 def _faulty_images(gathered: Gathered) -> list[Wrong]:

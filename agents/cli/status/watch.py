@@ -8,9 +8,10 @@ from collections import deque
 from agents.cli.rig.config import RigConfig
 from agents.cli.rig.digest import rig_sections
 from agents.cli.rig.topics import overrides
+from agents.cli.status.agents import Pair, late_links
 from agents.cli.status.calibrations import allowed_ages
 from agents.cli.status.gathered import ArmHeard, Gathered, expected_rates, placed_agents, placed_beside
-from agents.cli.status.health_watch import HealthWatch, key_of
+from agents.cli.status.health_watch import Fare, HealthWatch, key_of
 from agents.cli.status.session import reading_session
 from schemas.checks import MessageError
 from schemas.codec import decode
@@ -65,6 +66,7 @@ class StatusWatch:
         self._tools: dict[str, ToolCorrection] = {}
         self._other_rigs: tuple[str, ...] = ()
         self._faults: tuple[Judgement, ...] = ()
+        self._late_since: dict[Pair, float] | None = None
         connection.listen((EXECUTION, LOG, CLOCKS, TOOL), self._take)
 
     def start(self) -> None:
@@ -95,7 +97,7 @@ class StatusWatch:
             states, events, planner_clocks = dict(self._states), dict(self._events), self._planner_clocks
             clocks, facts, errors = dict(self._clocks), dict(self._facts), tuple(self._errors)
             tools, faults, other_rigs = dict(self._tools), self._faults, self._other_rigs
-        arms = sorted({*self._rig.robot, *states, *events})
+        arms, fares = sorted({*self._rig.robot, *states, *events}), tuple(self._health.fares())
         if not (router := self._connection.has_router()):
             self._health.cut_off()
         return Gathered(
@@ -105,7 +107,7 @@ class StatusWatch:
             router=router,
             router_host=self._rig.router.host or "",
             here=socket.gethostname(),
-            fares=tuple(self._health.fares()),
+            fares=fares,
             addresses=self._addresses,
             rates_hz=self._rates,
             clocks=clocks,
@@ -119,7 +121,15 @@ class StatusWatch:
             calibrations=allowed_ages(self._rig),
             other_rigs=other_rigs,
             faults=faults,
+            late_s=self._late_s(fares),
         )
+
+    def _late_s(self, fares: tuple[Fare, ...]) -> dict[Pair, float]:
+        """For how long each link has carried too little, look by look; one that did at first has for long."""
+        now_s, before = monotonic_s(), self._late_since
+        since = {pair: 0.0 if before is None else before.get(pair, now_s) for pair in late_links(fares, self._rates)}
+        self._late_since = since
+        return {pair: now_s - began_s for pair, began_s in since.items()}
 
     def _take(self, tapped: Tapped) -> None:
         with contextlib.suppress(MessageError), self._lock:

@@ -104,7 +104,13 @@ def test_files_that_cannot_be_read_are_findings(suturegrasp, files, tmp_path):
 
 @pytest.mark.parametrize(
     ("size", "words"),
-    [((480, 270), "scaled to 50%, or cropped"), ((960, 480), "cropped"), ((1920, 1200), "the images are 1920x1200")],
+    [
+        ((480, 270), "scaled to 50%, or cropped"),
+        ((960, 480), "cropped"),
+        ((1920, 1200), "the images are 1920x1200"),
+        ((480, 540), "half as wide, as where an image of one eye is taken for both side by side"),
+        ((480, 1080), "as where the eyes lie one above the other"),
+    ],
 )
 def test_images_of_another_size_are_a_fault(size, words):
     answer = about_size(size[0], size[1], CALIBRATION)

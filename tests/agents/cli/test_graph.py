@@ -19,7 +19,7 @@ def test_every_topic_has_its_sender_and_those_who_hear_it(capsys, tmp_path):
     ]
     assert ["hold", "command", "robot_bridge", "ARM"] in lines
     told = [text.text for text in ElementTree.fromstring(output.read_text()).iter(f"{SVG}text")]  # noqa: S314, our own
-    assert {"camera", "perception ARM", "observations", "frames, calibration"} <= set(told)
+    assert {"camera", "tool_tracker ARM", "observations", "frames, calibration"} <= set(told)
 
 
 def test_arrows_go_down_on_the_right_and_up_on_the_left():

@@ -67,7 +67,7 @@ def test_a_recorder_that_met_no_router_leaves_no_file(nowhere, tmp_path):
         ("arm", "give the id of a plan, as goal prints it"),
         ("demo --view hologram", "--view"),
         ("up --restart maybe", "suturegrasp up --help"),
-        ("planner --config none.toml", "none.toml cannot be read"),
+        ("run planner --config none.toml", "none.toml cannot be read"),
     ],
 )
 def test_a_mistake_is_one_line(suturegrasp, command, told):
@@ -76,12 +76,26 @@ def test_a_mistake_is_one_line(suturegrasp, command, told):
     assert told in ended.err
 
 
-EVERY = ["demo", "play", "up", "goal", "arm", "hold", "prompt", "set", "status", "doctor", "camera", "record", "view"]
+EVERY = [
+    "demo",
+    "play",
+    "up",
+    "goal",
+    "arm",
+    "hold",
+    "prompt",
+    "set",
+    "status",
+    "doctor",
+    "run camera",
+    "record",
+    "view",
+]
 
 
 def test_every_command_has_a_help(suturegrasp):
     for command in EVERY:
-        ended = suturegrasp(command, "--help")
+        ended = suturegrasp(*command.split(), "--help")
         assert ended.status == 0
         assert f"suturegrasp {command}" in ended.out
 

@@ -200,7 +200,7 @@ def test_a_mistake_names_the_key_and_what_is_allowed():
         assert told in str(caught.value)
 
 
-@pytest.mark.parametrize("command", ["planner", "up", "doctor", "goal --s 0.5", "arm x", "record"])
+@pytest.mark.parametrize("command", ["run planner", "up", "doctor", "goal --s 0.5", "arm x", "record"])
 def test_every_command_tells_a_mistake_in_one_line(suturegrasp, tmp_path, command):
     config = tmp_path / "rig.toml"
     config.write_text("[planer]")
@@ -234,6 +234,7 @@ def test_the_example_rig_is_the_simulated_one_spelt_out():
 
 NAMED_SECTIONS = {
     "robot": "robot.psm1",
+    "tool_tracker": "tool_tracker.psm1",
     "dvrk": "robot.psm1.dvrk",
     "hosts": "hosts.video",
     "topics": 'topics."camera/frames"',

@@ -22,6 +22,7 @@ from agents.cli.status.gathered import ArmHeard, Gathered, expected_rates, place
 from agents.cli.status.health_watch import STARTING, Fare, HealthWatch, span_of
 from agents.cli.status.judgement import judge
 from agents.cli.status.report import document, report, watched
+from agents.cli.status.watch import StatusWatch
 from schemas.codec import encode
 from schemas.messages import (
     AgentFacts,
@@ -36,6 +37,7 @@ from schemas.messages import (
     LogLevel,
     LogRecord,
     OutputHealth,
+    ReplayClock,
     RobotMode,
     RobotState,
     Severity,
@@ -43,7 +45,8 @@ from schemas.messages import (
     ToolCorrection,
     ToolStatus,
 )
-from schemas.topics import HEALTH, key
+from schemas.topics import HEALTH, REPLAY_CLOCK, key
+from shared.runtime.attachment import Attachment
 from shared.runtime.clocks import ClockOffset
 from shared.runtime.config import load_config
 from shared.runtime.taps import Tapped
@@ -502,7 +505,8 @@ def test_a_link_that_carries_less_than_is_sent_is_named_and_a_receiver_on_the_sa
     sender = fare(told=health(outputs=[OutputHealth("camera/frames", 30.0, 100)]), placed="video")
     for host, rate_hz, named in (("compute", 9.0, True), ("compute", 29.0, False), ("video", 9.0, False)):
         slow = fare("perception", health("perception", inputs=[heard("camera/frames", rate_hz)]), placed=host)
-        texts = [w.text for w in judge_agents([sender, slow], {"camera/frames": 30.0}) if w.code == "link"]
+        rates, late_s = {"camera/frames": 30.0}, {("video", host): 6.0}
+        texts = [w.text for w in judge_agents([sender, slow], rates, None, late_s) if w.code == "link"]
         how = "camera/frames leaves at 30 Hz and reaches perception at 9 Hz"
         assert texts == [f"the link from video to compute carries too little: {how}"] * int(named)
     # what arrives and is left out for newer ones crossed the link
@@ -513,3 +517,33 @@ def test_a_link_that_carries_less_than_is_sent_is_named_and_a_receiver_on_the_sa
         leaves_out=frozenset({"camera/frames"}),
     )
     assert not [w for w in judge_agents([sender, slow], {"camera/frames": 30.0}) if w.code == "link"]
+
+
+def test_a_link_is_named_only_where_it_carries_too_little_for_a_while():
+    """After a break, the rates of both ends are of different times."""
+    sender = fare(told=health(outputs=[OutputHealth("camera/frames", 30.0, 100)]), placed="video")
+    slow = fare("perception", health("perception", inputs=[heard("camera/frames", 9.0)]), placed="compute")
+    rates, pair = {"camera/frames": 30.0}, ("video", "compute")
+    assert not [w for w in judge_agents([sender, slow], rates, None, {pair: 2.0}) if w.code == "link"]
+    watch = object.__new__(StatusWatch)
+    watch._rates, watch._late_since = rates, None
+    # at the first look nobody knows since when, and a rig is not looked at right after a break
+    assert watch._late_s((sender, slow))[pair] > 6.0
+    assert watch._late_s((sender,)) == {}
+    assert watch._late_s((sender, slow))[pair] < 6.0
+
+
+def test_what_a_replay_tells_for_agents_is_not_judged():
+    deaf: Any = SimpleNamespace(listen=lambda *_: None)
+    watch = HealthWatch(deaf)
+
+    def hear(topic, agent, message, epoch):
+        watch._take(Tapped(topic, key("lab", topic, agent=agent), encode(message), Attachment(epoch, 0, 0, 0.0)))
+
+    hear(REPLAY_CLOCK, "replay", ReplayClock(NOW_NS, 1.0), 5)
+    hear(HEALTH, "camera", health(version="0.1.0"), 5)
+    hear(HEALTH, "planner", health("planner"), 6)
+    watch.note_present(["camera/main", "planner/main"])
+    assert [(one.name, one.state) for one in watch.fares()] == [("camera", "replayed"), ("planner", "well")]
+    (wrong,) = judge(moment(*watch.fares()))
+    assert not wrong.grave and wrong.text.startswith("a recording is replayed into this rig and stands for camera:")

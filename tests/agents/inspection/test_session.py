@@ -8,12 +8,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agents.inspection.contents import gaps_of
+from agents.inspection.grasp_tables import grasps
+from agents.inspection.grasps import GraspCollector
 from agents.inspection.session import read_session
 from agents.inspection.tables import head_lines, session_tables
 from schemas.codec import decode
-from schemas.messages import AgentHealth, CommandAnswer, CommandHeader, Hold, LogLevel, LogRecord, Outcome
-from schemas.topics import FRAMES, HEALTH, HOLD, LOG, key
+from schemas.messages import (
+    AgentHealth,
+    CommandAnswer,
+    CommandHeader,
+    ExecutionKind,
+    Hold,
+    LogLevel,
+    LogRecord,
+    Outcome,
+    Status,
+)
+from schemas.topics import EXECUTION, FRAMES, HEALTH, HOLD, LOG, PLAN, key
 from shared.recording.entry import Entry
+from tests.agents.inspection.conftest import event, frame, ns, plan
 
 FRAMES_KEY = key("lab", FRAMES)
 
@@ -161,3 +174,22 @@ def test_a_silence_of_what_comes_regularly_is_a_gap_without_losses():
     (gap,) = gaps_of(at, np.arange(100), is_regular=True)
     assert (gap.lost, gap.to_ns - gap.from_ns) == (0, 51 * 10**7)
     assert gaps_of(at, np.arange(100), is_regular=False) == []
+
+
+def test_a_plan_from_before_a_stretch_is_no_plan_of_it(maker, tmp_path):
+    maker.put(PLAN, plan("g2", 1, 0.5), 0.5, repeated=True)
+    maker.put(FRAMES, frame(1, 1.0), 1.0)
+    maker.put(EXECUTION, event(ExecutionKind.ACCEPTED, 1.2), 1.2, instance="psm1")
+    session = read_session(maker.write(tmp_path / "cut.mcap"))
+    (grasp,) = session.grasps
+    assert (grasp.plan_before, grasp.outcome) == (True, "execution accepted")
+    assert grasps(session).rows[0][2:4] == ("from before", f"{grasp.plan.in_words} (from before)")
+    assert "planner" not in session.stages
+
+
+def test_what_an_arm_did_is_told_though_a_planner_that_ran_anew_finds_no_plan():
+    found = GraspCollector()
+    found.add(ns(1.0), dataclasses.replace(plan("g2", 1, 1.0), status=Status.FAILED, reason="too unsure", waypoints=()))
+    found.add(ns(1.2), event(ExecutionKind.ACCEPTED, 1.2))
+    (grasp,) = found.grasps
+    assert (grasp.ended, grasp.outcome) == ("no plan: too unsure; unfinished after accepted", "execution accepted")

@@ -57,6 +57,8 @@ def test_the_right_camera_sits_one_baseline_along_x(tmp_path, baseline, metres):
         ({"D": [0.1, 0, 0, 0]}, None, "rectified pair, which has no distortion"),
         ({"width": 0}, None, "width must be one positive whole number"),
         ({"K": None}, None, "it has no left camera matrix"),
+        ({"baseline_mm": None}, None, "it has no baseline .usually called baseline_mm, beside the one camera matrix"),
+        ({"baseline_mm": None, "basline_mm": 5.5}, None, "no baseline .* where basline_mm may be misspelt"),
     ],
 )
 def test_what_contradicts_itself_is_refused(tmp_path, changes, unit, complaint):

@@ -5,9 +5,10 @@ import pytest
 from schemas.codec import encode
 from schemas.messages import LogLevel, LogRecord
 from schemas.topics import LOG, key
-from shared.recording.completeness import completeness
+from shared.recording.completeness import completeness, completeness_of
+from shared.recording.entry import Note
 from shared.recording.losses import LOSSES, ON_THE_WAY, Loss, as_note
-from shared.recording.mcap_file import Entry
+from shared.recording.mcap_file import Entry, finished_notes
 from shared.recording.writer import RecordingWriter
 
 KEY = key("lab", LOG, agent="camera")
@@ -44,6 +45,8 @@ def test_a_closed_recording_is_complete_or_tells_each_loss_once_though_the_file_
     assert told_of(path) == (True, True, {}, "complete")
     written(path, LOST, complete=False)
     assert told_of(path) == (True, False, {KEY: 3}, "not complete: lost 3 of camera/main/log")
+    stopped = completeness_of([Note("ended", {"reason": "4.2 MB are free"}), *finished_notes(path)], True, None)
+    assert stopped.sentence.endswith("lost 3 of camera/main/log; its recorder stopped early: 4.2 MB are free")
     # one that does not say is not taken for complete
     written(path)
     assert told_of(path) == (True, None, {}, "nobody noted whether anything is missing")

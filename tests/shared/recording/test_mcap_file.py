@@ -230,3 +230,15 @@ def test_a_small_file_does_not_grow_without_bound_when_it_is_read(tmp_path, comp
 def test_a_recording_that_another_program_has_packed_is_read(tmp_path, compression):
     (found,) = read_recording(packed(tmp_path / "packed.mcap", compression, 1 << 20))
     assert found.payload == bytes(1 << 20)
+
+
+def test_attachments_are_found_though_their_index_is_damaged(tmp_path):
+    path = tmp_path / "a.mcap"
+    writer = RecordingWriter(path)
+    writer.attach("rig.json", "application/json", b"what was set", 0)
+    writer.close()
+    whole = path.read_bytes()
+    # the last time that the name is written is in the index
+    place = whole.rindex(b"rig.json") - 20
+    path.write_bytes(whole[:place] + bytes([whole[place] ^ 0xFF]) + whole[place + 1 :])
+    assert read_attachments(path) == {"rig.json": b"what was set"}

@@ -175,6 +175,8 @@ def rehearse(options: Deploy, rig: RigConfig, layout_of: Callable[[RigConfig], L
     Raises:
         ConfigError: where something is asked for that the rig does not have, or this machine cannot play.
     """
+    if not options.seconds > 0:
+        raise ConfigError(f"--seconds {options.seconds:g} is no time; give how long a break is to last")
     rehearsed, told = without_hardware(rig)
     layout = layout_of(rehearsed)
     breaks = breaks_of(options, rig, layout)
@@ -345,7 +347,7 @@ def _doctor(rehearsal: Rehearsal) -> bool:
     command = [*rehearsal.network.inside(rehearsal.watcher), *rehearsal.command("doctor", "--json")]
     done = subprocess.run(command, capture_output=True, text=True, timeout=DOCTOR_S, check=False)
     if not done.stdout.startswith("{"):
-        say(f"doctor could not look: {done.stderr.strip()}")
+        say(f"doctor could not look: {done.stderr.strip() or 'it was stopped'}")
         return False
     findings = json.loads(done.stdout)["findings"]
     wrong = [one for one in findings if one["remedy"]]
