@@ -100,7 +100,10 @@ def attached_config(recorded: bytes | None, effective: RigConfig, agents: Iterab
 
     What did not run has no settings of today: an older version lacks some.
     """
-    document: dict[str, Any] = lifted(json.loads(recorded)) if recorded else {}
+    document: dict[str, Any] = json.loads(recorded) if recorded else {}
+    if document.get("perception", {}).get("track_tool"):
+        # else perception of today would take those from agents that did not run
+        document = lifted(document)
     today: dict[str, Any] = json.loads(effective.model_dump_json(exclude_none=True))
     kinds = {kind_of(name.partition("/")[0]) for name in agents}
     sections = {kind.section for kind in kinds if kind is not None}
