@@ -5,16 +5,7 @@ import itertools
 import pytest
 
 import schemas.messages
-from agents.camera.agent import Camera, SceneCamera
-from agents.needle.agent import Needle
-from agents.perception.agent import Perception
-from agents.planner.agent import Planner
-from agents.reconstruction.agent import Reconstruction
-from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
-from agents.robot_bridge.correction import CorrectionLimits
-from agents.robot_bridge.simulated import SimulatedPsm
-from agents.simulator.agent import Simulator
-from agents.tool_tracker.agent import ToolTracker, ToolTrackerConfig
+from agents.camera.agent import Camera
 from schemas.checks import fields_of
 from schemas.topics import (
     ANY_AGENT,
@@ -29,11 +20,9 @@ from schemas.topics import (
     key,
     topic_of,
 )
+from tests.whole_rig import ARMS, agents_of, whole_rig
 
-ARMS = ("psm1", "psm2")
-BRIDGES = [RobotBridge(RobotBridgeConfig(arm=arm, correction=CorrectionLimits()), SimulatedPsm()) for arm in ARMS]
-TRACKERS = [ToolTracker(ToolTrackerConfig(arm)) for arm in ARMS]
-AGENTS = [Camera, SceneCamera, Perception(), *TRACKERS, Reconstruction(), Needle(), Planner(), Simulator(), *BRIDGES]
+AGENTS = [Camera, *agents_of(whole_rig())]
 every_agent = pytest.mark.parametrize("agent", AGENTS, ids=lambda a: f"{a.kind}-{a.instance}-{AGENTS.index(a)}")
 every_topic = pytest.mark.parametrize("topic", TOPICS, ids=str)
 BESIDE_THE_AGENTS = ("operator", "replay")
@@ -109,7 +98,7 @@ def test_every_command_has_one_receiver_which_answers_it():
 
 
 def test_every_topic_of_an_agent_is_published_by_it_and_by_nobody_else():
-    agents = [agent for agent in AGENTS if agent is not Camera]
+    agents = AGENTS[1:]
     for one, other in itertools.combinations(agents, 2):
         assert not published(one) & published(other)
     for topic in TOPICS:

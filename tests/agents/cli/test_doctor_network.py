@@ -8,11 +8,9 @@ import pytest
 from agents.cli.doctor.command import weigh
 from agents.cli.doctor.crossing import STREAMS, heard_by, traffic
 from agents.cli.doctor.network import networks
-from agents.cli.rig.builders import build
-from agents.cli.rig.config import NeedleSection, RigConfig, ToolTrackerSection
+from agents.cli.rig.config import RigConfig
 from agents.cli.status.gathered import Gathered
 from agents.cli.status.health_watch import Fare
-from agents.registry import NAMES
 from schemas.messages import AgentHealth, InputHealth
 from schemas.topics import FRAMES, OBSERVATIONS, THREAD, Delivery, key, topic_of
 from shared.recording.mcap_file import read_recording
@@ -21,6 +19,7 @@ from shared.runtime.config import load_config, parse_config
 from shared.runtime.connection import connected
 from shared.runtime.delivery import declare_publisher
 from shared.runtime.facts import Link
+from tests.whole_rig import agents_of, whole_rig
 
 REPOSITORY = Path(__file__).parents[3]
 LAB = load_config(REPOSITORY / "deploy" / "lab.toml", RigConfig)
@@ -39,12 +38,10 @@ def found(here, gathered=None, bytes_of=BYTES, rig=LAB, **passes):
 
 
 def test_what_each_agent_hears_is_what_it_subscribes_to():
-    rig = LAB.model_copy(update={"needle": NeedleSection(), "tool_tracker": {"psm1": ToolTrackerSection()}})
-    for kind in NAMES:
-        instance = "psm1" if kind in ("robot_bridge", "tool_tracker") else "main"
-        agent = build(rig, kind, instance)
+    rig = whole_rig()
+    for agent in agents_of(rig):
         steady = {i.topic for i in agent.inputs if i.topic in STREAMS and i.topic.delivery is Delivery.LATEST}
-        assert steady == set(heard_by(rig, kind, instance)), kind
+        assert steady == set(heard_by(rig, agent.kind, agent.instance)), agent.kind
 
 
 def test_sizes_that_are_assumed_are_those_of_the_example():
