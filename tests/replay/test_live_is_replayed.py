@@ -92,7 +92,9 @@ def test_a_recording_that_begins_in_mid_session_is_replayed_from_there(agent, re
     later = [*calibration, *recorded[len(recorded) // 3 :]]
     replayed = list(replay(agent, later))
     assert all(r.same or r.missing for r in replayed)
-    assert sum(not r.same for r in replayed if topic_of(r.key) is OUTPUT[agent]) <= 2
+    # how many were under way depends on the machine; from the first that can be repeated on, all can
+    same = [r.same for r in replayed if topic_of(r.key) is OUTPUT[agent]]
+    assert all(same[same.index(True) :])
 
 
 def test_the_scene_camera_films_the_same_frames_again(camera, recorded):
