@@ -120,7 +120,7 @@ def is_finished(path: Path) -> bool:
     Raises:
         OSError: where it cannot be opened.
     """
-    with path.open("rb") as file:
+    with _opened(path) as file:
         return _ends_as_it_should(file)
 
 
@@ -144,7 +144,7 @@ def finished_notes(path: Path) -> list[Note]:
     Raises:
         RecordingError, OSError: as `read_recording`.
     """
-    with _damage_named(path), path.open("rb") as file:
+    with _damage_named(path), _opened(path) as file:
         reader = SeekingReader(file, validate_crcs=True)
         _check_own(reader.get_header(), path)
         return [Note(found.name, found.metadata) for found in reader.iter_metadata()]
@@ -159,7 +159,7 @@ def read_attachments(path: Path) -> dict[str, bytes]:
         RecordingError, OSError: as `read_recording`.
     """
     if is_finished(path):
-        with contextlib.suppress(RecordingError), _damage_named(path), path.open("rb") as file:
+        with contextlib.suppress(RecordingError), _damage_named(path), _opened(path) as file:
             reader = SeekingReader(file, validate_crcs=True)
             _check_own(reader.get_header(), path)
             return {found.name: found.data for found in reader.iter_attachments()}
@@ -167,9 +167,15 @@ def read_attachments(path: Path) -> dict[str, bytes]:
         return {record.name: record.data for record in _records(path) if isinstance(record, Attachment)}
 
 
+def _opened(path: Path) -> BinaryIO:
+    if path.is_dir():
+        raise RecordingError(f"{path} is a folder; name a recording in it, such as session.mcap")
+    return path.open("rb")
+
+
 def _records(path: Path) -> Iterator[McapRecord]:
     """The header, and the records of the data section until its end or where the file was cut off."""
-    with path.open("rb") as file:
+    with _opened(path) as file:
         whole = _Whole(file, _end_of_whole_records(file, path))
         size = file.seek(0, os.SEEK_END)
         file.seek(0)

@@ -1,8 +1,9 @@
-"""Freezes the schema of a version that is about to be released: `python tests/schemas/freeze.py session.mcap`.
+"""Freezes the schema of a version that is about to be released: `python -m tests.schemas.freeze session.mcap`.
 
 Beside this file, in released/{version}, it writes `schema.txt`, a line for every field and every value of an enum, and
 `recording.mcap`, the first message of each key of a recorded session. The tests of released versions read both for
-ever. Whoever changes a schema before its release freezes it anew with --again.
+ever. Whoever changes a schema before its release freezes it anew with --again, which keeps the messages of topics that
+the session lacks.
 """
 
 import argparse
@@ -59,12 +60,15 @@ def freeze(recording, again):
     folder = RELEASED / schemas.__version__
     if folder.exists() and not again:
         sys.exit(f"{folder} exists already: a released version never changes (--again before its release)")
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "schema.txt").write_text("".join(f"{line}\n" for line in schema_lines()))
     path = folder / "recording.mcap"
+    kept = list(one_of_each(path)) if path.exists() else []
+    have = {topic_of(entry.key) for entry in kept}
+    new = [entry for entry in one_of_each(recording) if topic_of(entry.key) not in have]
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "schema.txt").write_text("".join(f"{line}\n" for line in sorted(schema_lines())))
     path.unlink(missing_ok=True)
     writer = RecordingWriter(path)
-    for entry in one_of_each(recording):
+    for entry in (*kept, *new):
         writer.write(topic_of(entry.key), entry)
     writer.close()
 

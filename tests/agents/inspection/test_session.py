@@ -183,7 +183,8 @@ def test_a_plan_from_before_a_stretch_is_no_plan_of_it(maker, tmp_path):
     session = read_session(maker.write(tmp_path / "cut.mcap"))
     (grasp,) = session.grasps
     assert (grasp.plan_before, grasp.outcome) == (True, "execution accepted")
-    assert grasps(session).rows[0][2:4] == ("from before", f"{grasp.plan.in_words} (from before)")
+    goal, planned = grasps(session).rows[0][2:4]
+    assert (goal, planned.endswith(" (from before)")) == ("from before", True)
     assert "planner" not in session.stages
 
 
