@@ -2,7 +2,7 @@
 
 A field is numbered by its place among the fields, unless its annotation gives it a `Number`. What it holds follows from
 its annotation too: an array is an `Array`, a tuple is repeated, `X | None` is optional, and an enum begins with a value
-for what is not said. docs/new_agent.md has the table.
+for what is not said.
 """
 
 import dataclasses

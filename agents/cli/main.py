@@ -4,7 +4,7 @@ import os
 import sys
 
 from agents.camera import LARGEST_IMAGE_PIXELS
-from agents.cli.terminal import UsageError, complain, flush_output, open_missing_streams
+from agents.cli.terminal import UsageError, complain, flush_output, open_missing_streams, show
 
 EXIT_OK, EXIT_UNUSABLE, EXIT_INTERRUPTED = 0, 2, 130
 
@@ -42,7 +42,7 @@ def _run(arguments: list[str]) -> int:
     if arguments[:1] == [COMPLETION]:
         completion(arguments)
     if told := overview(arguments):
-        print(told)
+        show(told)
         return EXIT_OK
     try:
         name, rest = named(arguments)
