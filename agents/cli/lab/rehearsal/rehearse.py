@@ -48,6 +48,8 @@ EXIT_WRONG = 1
 STATUS = "status"
 STARTS_S, RECOVERS_S = 180.0, 60.0
 LOOK_S, RESTART_S = 0.1, 0.5
+LINKS_S = 12.0
+"""Rates are over two seconds, told once a second, and `status` names a link that was slow for five."""
 CLOCKS_S = 20.0
 """`status` asks for clocks every ten seconds, which takes some where agents are slow to answer."""
 STEADY = 5
@@ -73,12 +75,14 @@ class Break:
     Fields:
         what: in words.
         during: makes it so for as long as it lasts.
-        least_s: how long it must last for `status` to look at it, and be over before it can be called well.
+        least_s: how long it must last for `status` to look at it.
+        over_s: how long it must be over before the rig can be called well, for the same reason.
     """
 
     what: str
     during: Callable[["Rehearsal"], AbstractContextManager[None]]
     least_s: float = 0.0
+    over_s: float = 0.0
 
 
 @dataclass
@@ -216,7 +220,11 @@ def breaks_of(options: Deploy, rig: RigConfig, layout: Layout) -> list[Break]:
             round(_number(options.slow[1], RATE, "--slow", "10Mbit")),
         )
         found.append(
-            Break(f"the link of {slow} carries {megabits} Mbit/s", lambda r: r.network.narrowed(megabits, (slow,)))
+            Break(
+                f"the link of {slow} carries {megabits} Mbit/s",
+                lambda r: r.network.narrowed(megabits, (slow,)),
+                LINKS_S,
+            )
         )
     if options.kill is not None:
         name = options.kill
@@ -226,7 +234,8 @@ def breaks_of(options: Deploy, rig: RigConfig, layout: Layout) -> list[Break]:
         found.append(Break(f"{name} is killed", lambda r: _killed(r, name)))
     if options.skew is not None:
         off, ahead_s = _host(options.skew[0], rig, "--skew"), _number(options.skew[1], SECONDS, "--skew", "2s")
-        found.append(Break(f"the clock of {off} is {ahead_s:+g} s off", lambda r: _skewed(r, off, ahead_s), CLOCKS_S))
+        skewed = f"the clock of {off} is {ahead_s:+g} s off"
+        found.append(Break(skewed, lambda r: _skewed(r, off, ahead_s), CLOCKS_S, CLOCKS_S))
     return found
 
 
@@ -326,7 +335,7 @@ def _broken(rehearsal: Rehearsal, one: Break, seconds: float) -> bool:
             show("  it is over, and what it left behind:")
         _tell(past_s + seconds, text)
 
-    again_s = rehearsal.watch(RECOVERS_S, one.least_s, tell_after, told)
+    again_s = rehearsal.watch(RECOVERS_S, one.over_s, tell_after, told)
     well = (
         f"all well again {again_s:.1f} s after it ended"
         if again_s is not None
