@@ -6,7 +6,6 @@ import json
 import socket
 import threading
 from collections.abc import Iterator
-from dataclasses import replace
 
 import schemas
 from agents.cli.doctor.crossing import STREAMS
@@ -99,7 +98,7 @@ def _across(rig: RigConfig, connection: Connection) -> Iterator[Finding]:
     if gathered.replayed:
         # which tells of the recording, and not of how the rig fares now
         yield Finding("replay", f"a recording is replayed into this rig, and stands for {listed(gathered.replayed)}")
-        gathered = replace(gathered, fares=tuple(fare for fare in gathered.fares if not fare.replayed))
+        gathered = gathered.without_replayed()
     yield from guards(rig, gathered)
     facts = gathered.facts
     zenoh = importlib.metadata.version("eclipse-zenoh")

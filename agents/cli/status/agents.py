@@ -36,8 +36,7 @@ def judge_agents(
     `rates_hz` are those at which topics are expected, by name; `addresses` those of the rig's hosts; `late_s` for how
     long each link between two hosts has carried too little.
     """
-    # what a replay tells for an agent is of the recording
-    fares = tuple(fare for fare in fares if not fare.replayed)
+    fares = tuple(fares)
     hosts = _hosts_away(fares) if addresses else {}
     for host, away in hosts.items():
         yield _host_away(host, (addresses or {}).get(host, ""), away)

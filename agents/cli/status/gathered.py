@@ -1,13 +1,15 @@
 """What `suturegrasp status` judges by: all that was heard of a rig at one moment, without sockets and clocks."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from agents.cli.rig.config import RigConfig
 from agents.cli.rig.hosts import BESIDE, OPERATOR, kind_and_instance
 from agents.cli.rig.topics import Override
+from agents.cli.status.agents import Pair
 from agents.cli.status.calibrations import Allowed
-from agents.cli.status.health_watch import REPLAYED, Fare
+from agents.cli.status.health_watch import REPLAYED, Fare, name_of
+from agents.registry import PERCEPTION, ROBOT_BRIDGE, TOOL_TRACKER
 from schemas.messages import (
     AgentFacts,
     ExecutionEvent,
@@ -77,12 +79,28 @@ class Gathered:
     calibrations: Mapping[str, Allowed] = field(default_factory=dict[str, Allowed])
     other_rigs: tuple[str, ...] = ()
     faults: tuple[Judgement, ...] = ()
-    late_s: Mapping[tuple[str, str], float] = field(default_factory=dict[tuple[str, str], float])
+    late_s: Mapping[Pair, float] = field(default_factory=dict[Pair, float])
 
     @property
     def replayed(self) -> tuple[str, ...]:
         """The agents for which a replay stands."""
         return tuple(fare.name for fare in self.fares if fare.state == REPLAYED)
+
+    def without_replayed(self) -> "Gathered":
+        """The same without what a replay tells for those agents: it is of the recording."""
+        names = set(self.replayed)
+        if not names:
+            return self
+        arms = (arm for arm in self.arms if name_of(ROBOT_BRIDGE.name, arm.arm) not in names)
+        return replace(
+            self,
+            fares=tuple(fare for fare in self.fares if fare.name not in names),
+            arms=tuple(
+                replace(arm, tool=None) if name_of(TOOL_TRACKER.name, arm.arm) in names else arm for arm in arms
+            ),
+            said=tuple(record for record in self.said if name_of(record.agent, record.instance) not in names),
+            faults=() if PERCEPTION.name in names else self.faults,
+        )
 
 
 def expected_rates(rig: RigConfig) -> dict[str, float]:

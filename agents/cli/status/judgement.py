@@ -39,11 +39,12 @@ def judge(gathered: Gathered) -> list[Wrong]:
         return [Wrong("router", "router", away)]
     if cut_off := _nothing_heard(gathered):
         return [cut_off]
+    replayed, gathered = _replay(gathered), gathered.without_replayed()
     found = [
         *_other_rigs(gathered),
         *_faulty_images(gathered),
         *judge_agents(gathered.fares, gathered.rates_hz, gathered.addresses, gathered.late_s),
-        *_replay(gathered),
+        *replayed,
         *_arms(gathered),
         *_clocks(gathered),
         *_schemas(gathered),

@@ -545,5 +545,12 @@ def test_what_a_replay_tells_for_agents_is_not_judged():
     hear(HEALTH, "planner", health("planner"), 6)
     watch.note_present(["camera/main", "planner/main"])
     assert [(one.name, one.state) for one in watch.fares()] == [("camera", "replayed"), ("planner", "well")]
-    (wrong,) = judge(moment(*watch.fares()))
-    assert not wrong.grave and wrong.text.startswith("a recording is replayed into this rig and stands for camera:")
+    hear(HEALTH, "perception", health("perception"), 5)
+    watch.note_present(["camera/main", "planner/main", "perception/main"])
+    useless = Judgement("swapped", Severity.FAULT, "the eyes look exchanged", "exchange them")
+    (wrong,) = judge(moment(*watch.fares(), faults=(useless,)))
+    assert not wrong.grave and wrong.text.startswith("a recording is replayed into this rig and stands for camera and")
+    # once it has ended, whoever it stood for is not there
+    watch._newest["camera"] = dataclasses.replace(watch._newest["camera"], expected=True, silent_s=-9.0)
+    watch.note_present(["planner/main"])
+    assert [w.about for w in judge(moment(*watch.fares())) if w.code == "absent"] == ["camera"]
