@@ -162,6 +162,7 @@ def test_the_command_names_messages_that_are_none(session_messages, view, tmp_pa
         (("--from", "1"), "cuts a recording, and none is named"),
         (("{recording}", "--output", "{recording}"), "exists already; give another name"),
         (("{recording}", "--output", "{another}"), "exists already; give another name"),
+        (("{recording}", "--from", "soon", "--output", "x.rrd"), "--from 'soon' is no moment"),
         (("{recording}",), "there is no screen here"),
     ],
 )
