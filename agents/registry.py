@@ -37,7 +37,7 @@ class Kind:
         audited: whether it writes down what it is told, in an audit log.
         films: whether it opens devices of video.
         agent: the class that it is made from, as `module:Class`, where its section's fields are those of its `config`;
-            empty where more is needed, which `agents/cli/rig/builders.py` knows.
+            empty where more is needed, which `agents/launch/builders.py` knows.
         options: of its command, beside `--arm`, where a unit or a container starts it.
     """
 

@@ -30,11 +30,11 @@ import psutil
 import tyro
 from rich.table import Table
 
-from agents.cli.rig.config import RigConfig
-from agents.cli.rig.sections import ArmSection, DvrkSection, RouterSection
-from agents.cli.running.guard import description_of, document_of
+from agents.configuration.rig import RigConfig
+from agents.configuration.sections import ArmSection, DvrkSection, RouterSection
 from agents.guard.description import Description
 from agents.guard.monitor import BURST_S, SETTLES_NS, Kind, Monitor
+from agents.launch.guard_process import description_of, document_of
 from agents.robot_bridge.limits import MotionLimits, Setup
 from agents.robot_bridge.motion import Trajectory, plan_motion
 from agents.robot_bridge.simulated import SIMULATED_START

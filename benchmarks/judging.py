@@ -18,7 +18,7 @@ from pathlib import Path
 import cv2
 
 from agents.camera.image_files import read_pair
-from agents.cli.doctor.image_answers import answers_about
+from agents.diagnostics.doctor.image_answers import answers_about
 from agents.perception.judging.answers import Answer
 from benchmarks.judging_damages import Pair, damages
 from benchmarks.scenes import REAL, RENDERS, SIM, scenes

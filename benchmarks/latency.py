@@ -28,10 +28,10 @@ from rich.table import Table
 
 from agents.cli.demo.command import demo_rig
 from agents.cli.live.options import Demo
-from agents.cli.rig.config import RigConfig
-from agents.cli.running.session_folder import SessionFolder, new_session_folder
-from agents.cli.running.supervisor import Supervisor, supervised
-from agents.cli.running.up import start_all, write_config
+from agents.cli.live.up import start_all, write_config
+from agents.configuration.rig import RigConfig
+from agents.launch.session_folder import SessionFolder, new_session_folder
+from agents.launch.supervisor import Supervisor, supervised
 from benchmarks.hops import measure_hops, print_hops
 from schemas.codec import decode
 from schemas.messages import AgentHealth

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from agents.cli.rig.config import PlannerSection, RigConfig, RouterSection, SimulatorSection, simulated_rig
-from agents.cli.rig.sections import CameraSection
-from agents.cli.running.supervisor import Child, Role, Supervisor, supervised
-from agents.cli.running.up import write_config
+from agents.cli.live.up import write_config
+from agents.configuration.rig import PlannerSection, RigConfig, RouterSection, SimulatorSection, simulated_rig
+from agents.configuration.sections import CameraSection
+from agents.launch.supervisor import Child, Role, Supervisor, supervised
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import AgentHealth, RobotMode, RobotState

@@ -24,8 +24,8 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from agents.cli.rig.config import RigConfig, RouterSection
-from agents.cli.running.up import write_config
+from agents.cli.live.up import write_config
+from agents.configuration.rig import RigConfig, RouterSection
 from benchmarks.recording_load import RIG
 from shared.clock import monotonic_s, now_ns
 from shared.recording.completeness import completeness

@@ -9,8 +9,8 @@ from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
-from agents.cli.rig.config import RigConfig, RouterSection
-from agents.cli.running.up import write_config
+from agents.cli.live.up import write_config
+from agents.configuration.rig import RigConfig, RouterSection
 from benchmarks.scaling_load import ARRIVE_S, WARM_UP_S, End
 from benchmarks.scaling_rigs import RIG, SETTLE_S, end_command, instance_of, result, started, tell
 from benchmarks.scaling_router import RouterRun, cpu_s, reading

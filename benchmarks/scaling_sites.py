@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from agents.cli.lab.rehearsal.network import Network, connected_hosts
-from agents.cli.rig.config import ArmSection, RouterSection, simulated_rig
-from agents.cli.rig.hosts import HostSection, SecuritySection
-from agents.cli.running.up import write_config
+from agents.cli.live.up import write_config
+from agents.configuration.hosts import HostSection, SecuritySection
+from agents.configuration.rig import ArmSection, RouterSection, simulated_rig
 from benchmarks.scaling_load import WARM_UP_S, End
 from benchmarks.scaling_rigs import SETTLE_S, account, end_command, is_event, result, started, tell
 

@@ -22,10 +22,10 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from agents.cli.rig.config import CameraSection, RigConfig, RouterSection, simulated_rig
-from agents.cli.running.session_folder import new_session_folder
-from agents.cli.running.supervisor import Supervisor, supervised
-from agents.cli.running.up import start_all, write_config
+from agents.cli.live.up import start_all, write_config
+from agents.configuration.rig import CameraSection, RigConfig, RouterSection, simulated_rig
+from agents.launch.session_folder import new_session_folder
+from agents.launch.supervisor import Supervisor, supervised
 from shared.clock import monotonic_s
 from shared.runtime.session import free_local_endpoint
 

@@ -29,9 +29,9 @@ from rich.table import Table
 
 from agents.cli.demo.command import demo_rig
 from agents.cli.live.options import Demo
-from agents.cli.running.session_folder import new_session_folder
-from agents.cli.running.supervisor import Supervisor, supervised
-from agents.cli.running.up import start_all, write_config
+from agents.cli.live.up import start_all, write_config
+from agents.launch.session_folder import new_session_folder
+from agents.launch.supervisor import Supervisor, supervised
 from agents.viewer.showing import OWN_TIMES
 from benchmarks.latency import STAGES
 from schemas.codec import decode, encode

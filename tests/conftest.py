@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck
 from hypothesis import settings as hypothesis_settings
 
-from agents.cli.running.process import step_back
+from agents.launch.process import step_back
 from shared.clock import monotonic_s
 from shared.runtime.runner import Runner
 from shared.runtime.session import RouterError, SessionSettings, free_local_endpoint, open_router, open_session

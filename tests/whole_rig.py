@@ -1,7 +1,7 @@
 """A simulated rig with every kind of agent, from the registry, and its agents."""
 
-from agents.cli.rig.builders import build
-from agents.cli.rig.config import RigConfig, simulated_rig
+from agents.configuration.rig import RigConfig, simulated_rig
+from agents.launch.builders import build
 from agents.registry import AGENTS
 from schemas.topics import MAIN
 

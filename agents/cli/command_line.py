@@ -9,7 +9,7 @@ from collections.abc import Generator, Sequence
 from typing import Annotated, Any, Union
 
 from agents.cli.commands import COMMANDS, FORMER, GROUPS, Command
-from agents.cli.terminal import UsageError
+from shared.terminal import UsageError
 
 HELP = ("-h", "--help")
 COMPLETION = "--tyro-print-completion"

@@ -79,18 +79,18 @@ GROUPS: dict[str, dict[str, Command]] = {
         ),
     },
     "a rig": {
-        "up": _on_rig("start router and all agents of this machine", "live.options:Up", "running.up:up"),
+        "up": _on_rig("start router and all agents of this machine", "live.options:Up", "live.up:up"),
         **{
             f"run {kind.name.replace('_', '-')}": _on_rig(
                 f"one agent, which {kind.does}", "live.options:agent_options", "live.agents:agent", of=kind.name
             )
             for kind in AGENTS
         },
-        "router": _on_rig("what all agents connect to", "live.options:Router", "running.router:run_router"),
-        "guard": _on_rig("watch a real arm from its own computer", "live.options:Guard", "running.guard:guard"),
-        "status": _on_rig("how it fares, live, and what is wrong", "live.options:RigStatus", "status.command:status"),
+        "router": _on_rig("what all agents connect to", "live.options:Router", "live.agents:router"),
+        "guard": _on_rig("watch a real arm from its own computer", "live.options:Guard", "live.agents:guard"),
+        "status": _on_rig("how it fares, live, and what is wrong", "live.options:RigStatus", "live.status:status"),
         "doctor": _on_rig(
-            "what would keep it from running, and the remedy", "live.options:Doctor", "doctor.command:doctor"
+            "what would keep it from running, and the remedy", "live.options:Doctor", "live.doctor:doctor"
         ),
         "set": _on_rig("a parameter of a running agent", "live.options:SetInAgent", "live.set:set_parameter"),
         "deploy": Command("what each host needs; rehearse it here", "lab.options:Deploy", "lab.deploy:run"),

@@ -2,9 +2,11 @@
 
 import os
 import sys
+from collections.abc import Callable
+from typing import Any
 
 from agents.camera import LARGEST_IMAGE_PIXELS
-from agents.cli.terminal import UsageError, complain, flush_output, open_missing_streams, show
+from shared.terminal import UsageError, complain, flush_output, open_missing_streams, show
 
 EXIT_OK, EXIT_UNUSABLE, EXIT_INTERRUPTED = 0, 2, 130
 
@@ -60,6 +62,16 @@ def _run(arguments: list[str]) -> int:
         return complain(f"this command cannot be loaded: {error}", EXIT_UNUSABLE)
     if not command.on_rig:
         return run(options)
-    from agents.cli.rig.of_options import carried_out
+    return _on_rig(run, options)
 
-    return carried_out(run, options)
+
+def _on_rig(run: Callable[[Any, Any], int], options: Any) -> int:
+    """Carry out a command on the rig that its options name."""
+    from agents.configuration.this_host import rig_of
+    from shared.runtime.config import ConfigError
+    from shared.runtime.connection import NoRouterError
+
+    try:
+        return run(rig_of(options.config, options.host), options)
+    except (ConfigError, NoRouterError) as error:
+        return complain(str(error), EXIT_UNUSABLE)

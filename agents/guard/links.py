@@ -1,7 +1,7 @@
 """The monitor's two links: to the robot's Zenoh on this computer, and to the rig, from which heartbeats come.
 
-Every key and setting is given as text (`agents/cli/running/guard.py` makes the document). What cannot be read, or names
-another key than the one that it came under, is counted and is nothing.
+Every key and setting is given as text (`agents/launch/guard_process.py` makes the document). What cannot be read, or
+names another key than the one that it came under, is counted and is nothing.
 """
 
 import base64

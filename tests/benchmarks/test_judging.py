@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from agents.cli.doctor.image_answers import answers_about
+from agents.diagnostics.doctor.image_answers import answers_about
 from benchmarks.judging import STORZ, TEXTURED, codes_of, undamaged
 from benchmarks.judging_damages import damages
 from schemas.messages import Severity

@@ -11,8 +11,8 @@ from pathlib import Path
 from agents.camera.agent import CameraConfig, SceneCamera
 from agents.camera.scene_source import SceneSource, calibration_of
 from agents.cli.recordings.recompute import write_recording
-from agents.cli.rig.builders import build
-from agents.cli.rig.config import PerceptionSection, PlannerSection, ReconstructionSection, RigConfig
+from agents.configuration.rig import PerceptionSection, PlannerSection, ReconstructionSection, RigConfig
+from agents.launch.builders import build
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.simulated import SimulatedPsm
 from agents.simulator.agent import Simulator, SimulatorConfig

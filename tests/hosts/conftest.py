@@ -10,8 +10,15 @@ import types
 import pytest
 
 from agents.cli.lab.rehearsal.network import CannotError
-from agents.cli.rig.config import ArmSection, CameraSection, RigConfig, RouterSection, SimulatorSection, simulated_rig
-from agents.cli.running.supervisor import SUPERVISED
+from agents.configuration.rig import (
+    ArmSection,
+    CameraSection,
+    RigConfig,
+    RouterSection,
+    SimulatorSection,
+    simulated_rig,
+)
+from agents.launch.supervisor import SUPERVISED
 from schemas.codec import decode
 from schemas.topics import COMMANDS, EXECUTION, HEALTH, LOG, OBSERVATIONS, PLAN, ROBOT_STATE, THREAD
 from shared.runtime.connection import connected

@@ -14,7 +14,7 @@ import pytest
 
 from agents.cli.experiment.command import EXIT_LEFT
 from agents.cli.lab.rehearsal.network import OWN
-from agents.cli.running.audit import STATE_DIRECTORY
+from agents.launch.audit import STATE_DIRECTORY
 from schemas.messages import Status
 from schemas.topics import HEALTH, PLAN, ROBOT_STATE
 from shared.kinematics.simulated_setup import SIMULATED_BASES

@@ -86,7 +86,7 @@ def test_a_calibration_that_is_off_by_a_fifth_of_a_pixel_shows(path, results):
 
 def _built(path, kind):
     from agents.cli.recordings.config import recorded_config
-    from agents.cli.rig.builders import build
+    from agents.launch.builders import build
 
     return build(recorded_config(path), kind, "main")
 

@@ -21,7 +21,7 @@ from agents.cli.recordings.recompute import (
     write_recording,
 )
 from agents.cli.recordings.side_by_side import curves_of
-from agents.cli.rig.config import CameraSection, PerceptionSection, ReconstructionSection, simulated_rig
+from agents.configuration.rig import CameraSection, PerceptionSection, ReconstructionSection, simulated_rig
 from agents.perception.agent import Perception
 from agents.reconstruction.agent import Reconstruction
 from agents.recorder.cutting import cut

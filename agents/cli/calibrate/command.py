@@ -9,9 +9,8 @@ from agents.camera.image_files import ImageFileError
 from agents.cli.calibrate.options import Calibrate
 from agents.cli.calibrate.page import write_report
 from agents.cli.calibrate.views import Seen, views_in_folders, views_of_camera
-from agents.cli.rig.config import RigConfig
-from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
-from agents.cli.terminal import UsageError, complain, say, warn
+from agents.configuration.rig import RigConfig
+from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from schemas.messages import Judgement, Severity
 from shared.calibration import CalibrationError, read_calibration, write_calibration
 from shared.calibration.estimation.board import Board
@@ -24,6 +23,7 @@ from shared.calibration.written import camera_info_texts, opencv_text
 from shared.clock import now_ns
 from shared.rectification import rectification
 from shared.runtime.connection import connected
+from shared.terminal import UsageError, complain, say, warn
 from shared.units import METRES_PER_UNIT
 
 EXIT_WRONG, EXIT_NONE = 1, 3

@@ -8,8 +8,7 @@ import numpy as np
 
 from agents.cli.calibrate.hand_eye_input import motion_in, motion_recorded, sightings_in
 from agents.cli.calibrate.hand_eye_options import HandEye
-from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE
-from agents.cli.terminal import complain, say, warn
+from agents.launch.process import EXIT_OK, EXIT_UNUSABLE
 from schemas.messages import StereoCalibration
 from shared.calibration import CalibrationError, read_calibration
 from shared.calibration.hand_eye.estimate import Estimate, estimated
@@ -19,6 +18,7 @@ from shared.calibration.made import MADE, made_text
 from shared.calibration.reader import stated_calibration
 from shared.clock import now_ns
 from shared.kinematics.psm import FINGER_M
+from shared.terminal import complain, say, warn
 
 EXIT_NONE = 3
 GRASPING_M = 0.001

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from agents.cli.rig.on_rig import OptionalPath
+from agents.cli.on_rig import OptionalPath
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,6 @@ import cv2
 
 from agents.camera.image_files import ImageFileError, read_pair, read_side_by_side
 from agents.cli.calibrate.options import Calibrate
-from agents.cli.terminal import UsageError, say
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import StereoFrame
@@ -21,6 +20,7 @@ from shared.calibration.estimation.views import NoView, View, view_of
 from shared.images import ImageDataError, decode_image
 from shared.runtime.connection import Connection
 from shared.runtime.taps import Tapped
+from shared.terminal import UsageError, say
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 SILENT_S = 5.0

@@ -12,12 +12,11 @@ from agents.cli.demo.report import report
 from agents.cli.live.attempts import Attempts
 from agents.cli.live.command import event_sentence, percent, plan_sentence
 from agents.cli.live.options import Demo
-from agents.cli.rig.config import PlannerSection, RigConfig, RouterSection, SimulatorSection, simulated_rig
-from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
-from agents.cli.running.session_folder import SessionFolder, new_session_folder
-from agents.cli.running.supervisor import Role, Supervisor, last_line, supervised
-from agents.cli.running.up import FIRST_CONTACT_S, start_all, write_config
-from agents.cli.terminal import complain, say, show
+from agents.cli.live.up import FIRST_CONTACT_S, start_all, write_config
+from agents.configuration.rig import PlannerSection, RigConfig, RouterSection, SimulatorSection, simulated_rig
+from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
+from agents.launch.session_folder import SessionFolder, new_session_folder
+from agents.launch.supervisor import Role, Supervisor, last_line, supervised
 from agents.operator.operator import Stood, arm_and_stand_by, ask_for_grasp
 from schemas.checks import MessageError
 from schemas.codec import decode
@@ -35,6 +34,7 @@ from shared.clock import monotonic_s
 from shared.runtime.connection import Connection, NoRouterError, connected
 from shared.runtime.session import free_local_endpoint
 from shared.runtime.taps import Tapped
+from shared.terminal import complain, say, show
 
 PLACES = 100
 FROM_END = 0.1

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from agents.cli.running.session_folder import SessionFolder
 from agents.inspection.stages import StageTimes, captured_ns
+from agents.launch.session_folder import SessionFolder
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import AgentHealth

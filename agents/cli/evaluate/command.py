@@ -16,8 +16,6 @@ from agents.cli.evaluate.pictures import field_pictures, moments, strip
 from agents.cli.evaluate.trials import Table
 from agents.cli.evaluate.workers import WorkError, all_tried
 from agents.cli.recordings.recompute import write_recording
-from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE
-from agents.cli.terminal import complain, say, show
 from agents.cli.whole_file import whole_file
 from agents.evaluation.came import Came
 from agents.evaluation.document import document
@@ -27,10 +25,12 @@ from agents.evaluation.report import report
 from agents.evaluation.results import results_of
 from agents.evaluation.table import overview
 from agents.evaluation.trial import RIG
+from agents.launch.process import EXIT_OK, EXIT_UNUSABLE
 from schemas.messages import ImageEncoding
 from shared.recording.mcap_file import Note
 from shared.runtime.config import ConfigError, parse_config
 from shared.scene.render import SceneError
+from shared.terminal import complain, say, show
 
 EXIT_LEFT = 3
 JOURNAL, DOCUMENT, PAGE, REPORT = "journal.jsonl", "results.json", "results.md", "report.html"

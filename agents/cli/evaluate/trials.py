@@ -13,13 +13,13 @@ from agents.camera.agent import CameraConfig, FrameSender
 from agents.camera.sources import Pair
 from agents.cli.evaluate.scenes import Scenery, first_state, scenery_of
 from agents.cli.evaluate.views import FieldView
-from agents.cli.rig.builders import build
-from agents.cli.rig.config import ReconstructionSection, RigConfig, simulated_rig
+from agents.configuration.rig import ReconstructionSection, RigConfig, simulated_rig
 from agents.evaluation.came import Came
 from agents.evaluation.least_time import SpeedLimits
 from agents.evaluation.look import Look, looked, seen_places
 from agents.evaluation.protocol import Laid, MethodName, Protocol, Trial, hand_eye_seed, injected_m, tool_seed
 from agents.evaluation.trial import CAPTURED_NS, Again, Cast, Told, carried_out
+from agents.launch.builders import build
 from agents.planner.agent import Planner
 from agents.planner.config import PlannerConfig
 from agents.robot_bridge.limits import MotionLimits

@@ -10,15 +10,15 @@ from agents.cli.experiment.options import Experiment
 from agents.cli.experiment.rig import on_rig
 from agents.cli.experiment.terminal import LeftError, Nobody, Person, outcome_sentence
 from agents.cli.experiment.trial import ExperimentError, Rig, carried_out
-from agents.cli.rig.config import RigConfig
-from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
-from agents.cli.terminal import complain, say, show
 from agents.cli.whole_file import OutputError, whole_file
+from agents.configuration.rig import RigConfig
 from agents.experiment.journal import THREAD, Journal, Protocol
 from agents.experiment.results import document, results_of
 from agents.experiment.table import page
+from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from shared.runtime.config import ConfigError, parse_config
 from shared.runtime.connection import NoRouterError, connected
+from shared.terminal import complain, say, show
 
 EXIT_LEFT = 3
 JOURNAL, PAGE, DOCUMENT = "journal.json", "results.md", "results.json"

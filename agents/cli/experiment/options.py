@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from agents.cli.rig.on_rig import OnRig
+from agents.cli.on_rig import OnRig
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from agents.cli.experiment.options import Experiment
 from agents.cli.experiment.trial import ExperimentError
-from agents.cli.rig.config import (
+from agents.cli.live.up import FIRST_CONTACT_S, start_all, write_config
+from agents.configuration.rig import (
     CameraSection,
     PlannerSection,
     RigConfig,
@@ -16,14 +17,13 @@ from agents.cli.rig.config import (
     SimulatorSection,
     simulated_rig,
 )
-from agents.cli.running.session_folder import SessionFolder, new_session_folder
-from agents.cli.running.supervisor import Role, Supervisor, last_line, supervised
-from agents.cli.running.up import FIRST_CONTACT_S, start_all, write_config
-from agents.cli.terminal import say
 from agents.experiment.journal import Protocol
+from agents.launch.session_folder import SessionFolder, new_session_folder
+from agents.launch.supervisor import Role, Supervisor, last_line, supervised
 from shared.runtime.config import ConfigError, parse_config
 from shared.runtime.connection import ROUTER_WAIT_S, Connection, connected
 from shared.runtime.session import SessionSettings, free_local_endpoint
+from shared.terminal import say
 
 RECORDER = "recorder"
 FRAMES_HZ = 5.0

@@ -5,9 +5,9 @@ import select
 import threading
 from typing import Protocol
 
-from agents.cli.terminal import say, show
 from agents.experiment.journal import CAUSES, Attempt, Cause, Trial
 from schemas.messages import ExecutionEvent, GraspPlan
+from shared.terminal import say, show
 
 STANDARD_INPUT, LOOK_S, READ_BYTES = 0, 0.1, 4096
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from agents.cli.experiment.terminal import Attendant, LeftError, Person
 from agents.cli.live.command import POLICIES, event_sentence, plan_sentence
-from agents.cli.terminal import say
 from agents.experiment.journal import Attempt, Cause, Trial
 from agents.operator.operator import Stood, arm_and_stand_by, ask_for_grasp
 from agents.robot_bridge.refusals import AGAINST_PLAN
@@ -27,6 +26,7 @@ from schemas.topics import JUDGEMENT, MAIN, THREAD, Topic
 from shared.clock import monotonic_s, now_ns
 from shared.runtime.connection import Connection
 from shared.runtime.taps import Tapped
+from shared.terminal import say
 
 PATIENCE_S, VERDICT_S, LOOK_S = 60.0, 5.0, 0.2
 MOST_REPEATS = 20

@@ -8,11 +8,11 @@ from rich.table import Table
 
 from agents.cli.graph.drawing import Arrow, drawing
 from agents.cli.graph.options import Graph
-from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE
-from agents.cli.terminal import complain, say, show
 from agents.cli.whole_file import OutputError, whole_file
+from agents.launch.process import EXIT_OK, EXIT_UNUSABLE
 from agents.registry import AGENTS, Kind
 from schemas.topics import ANY_AGENT, TOPICS, Delivery, Topic
+from shared.terminal import complain, say, show
 
 WIDTH = 110
 BESIDE = "the viewer hears all of it, and so does the recorder but for what the table of topics says it leaves out"

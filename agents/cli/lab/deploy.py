@@ -5,11 +5,9 @@ import shutil
 from pathlib import Path, PurePosixPath
 
 from agents.cli.lab.options import Deploy
-from agents.cli.rig.config import RigConfig
-from agents.cli.rig.hosts import OPERATOR, HostSection, kind_and_instance
-from agents.cli.rig.this_host import recognised
-from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE
-from agents.cli.terminal import complain, say
+from agents.configuration.hosts import OPERATOR, HostSection, kind_and_instance
+from agents.configuration.rig import RigConfig
+from agents.configuration.this_host import recognised
 from agents.deployment.certificates import CERTIFICATES, AuthorityError, issue
 from agents.deployment.install import InstallError, install
 from agents.deployment.layout import ROUTER, Host, Layout, Process
@@ -17,9 +15,11 @@ from agents.deployment.leftovers import remove_leftovers
 from agents.deployment.places import AUTHORITY_FOLDER, RIG_FILE
 from agents.deployment.plan import hosts_in_words, plan
 from agents.deployment.robot_zenoh import ROBOT_ZENOH, ReachedArm
+from agents.launch.process import EXIT_OK, EXIT_UNUSABLE
 from shared.clock import now_ns
 from shared.runtime.config import ConfigError, load_config
 from shared.runtime.session import on_loopback
+from shared.terminal import complain, say
 
 INSTALL = "suturegrasp deploy install --folder FOLDER, as root"
 

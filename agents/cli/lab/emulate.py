@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 
 from agents.cli.lab.emulate_options import Emulate
-from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
-from agents.cli.terminal import complain, say
 from agents.emulator.arm import start_of
 from agents.emulator.asked import answering
 from agents.emulator.console import Behaviour, EmulatedConsole
 from agents.emulator.oracle import Field, Oracle
 from agents.emulator.wire import BridgeWire, RmwWire
+from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from shared.clock import monotonic_s
 from shared.runtime.connection import NoRouterError, open_when_there
 from shared.runtime.identity import IdentityError
 from shared.runtime.session import RouterError, Session, SessionSettings, open_from, open_router
+from shared.terminal import complain, say
 
 EXIT_UNSAFE = 1
 OWN_ENDPOINT = "tcp/127.0.0.1:7448"

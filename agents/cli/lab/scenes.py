@@ -7,8 +7,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from agents.cli.lab.scenes_options import Scenes
-from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE
-from agents.cli.terminal import complain, say, warn
+from agents.launch.process import EXIT_OK, EXIT_UNUSABLE
 from schemas.messages import RectifiedStereo, Severity
 from shared.calibration import CalibrationError, read_calibration
 from shared.scene.backdrop_files import write_backdrop
@@ -19,6 +18,7 @@ from shared.scene.path_traced.eyes import Rig, calibrated_rig, rectified_rig
 from shared.scene.path_traced.meshes import driver_parts
 from shared.scene.path_traced.recipe import Recipe
 from shared.scene.render import SceneError
+from shared.terminal import complain, say, warn
 
 EXIT_SOME = 1
 MOST_PX, LEAST_PX = 3840, 64

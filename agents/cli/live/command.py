@@ -14,14 +14,14 @@ from agents.cli.live.options import (
     HoldArm,
     PromptThread,
 )
-from agents.cli.rig.config import RigConfig
-from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
-from agents.cli.terminal import complain, say
+from agents.configuration.rig import RigConfig
+from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.operator.operator import Events, Stood, arm_and_stand_by, ask_for_grasp, change_state, hold, prompt
 from schemas.messages import Checked, ExecutionEvent, ExecutionKind, GraspPlan, Outcome, Policy, StateWord, Status
 from schemas.topics import EXECUTION
 from shared.clock import monotonic_s
 from shared.runtime.connection import connected
+from shared.terminal import complain, say
 
 EXIT_REFUSED = 3
 LOOK_S, STATE_WITHIN_S = 0.2, 65.0

@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import tyro
 
-from agents.cli.rig.on_rig import OnRig, OptionalLabel, OptionalNumber, OptionalPath
+from agents.cli.on_rig import OnRig, OptionalLabel, OptionalNumber, OptionalPath
 from agents.registry import AGENTS
 
 

@@ -8,14 +8,14 @@ from rich.console import Console
 from rich.table import Table
 
 from agents.cli.live.options import SetInAgent
-from agents.cli.rig.config import RigConfig
-from agents.cli.running.process import EXIT_OK
-from agents.cli.status.health_watch import name_of
-from agents.cli.terminal import complain, say, show
+from agents.configuration.rig import RigConfig
+from agents.diagnostics.status.health_watch import name_of
+from agents.launch.process import EXIT_OK
 from schemas.messages import AgentConfiguration, Outcome
 from schemas.topics import MAIN
 from shared.runtime.config import ConfigError
 from shared.runtime.connection import connected
+from shared.terminal import complain, say, show
 
 EXIT_REFUSED = 3
 SENDER = "suturegrasp set"

@@ -13,23 +13,22 @@ from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import Any
 
+from agents.cli.live.up import FIRST_CONTACT_S, kept_in, start_all, write_config
 from agents.cli.page.options import Page
 from agents.cli.page.recording import RigRecording
 from agents.cli.page.trials import trials_of
-from agents.cli.rig.config import RigConfig
-from agents.cli.rig.hosts import OPERATOR
-from agents.cli.rig.of_options import rig_of
-from agents.cli.running.around import telling
-from agents.cli.running.audit import audit_of
-from agents.cli.running.in_the_way import already_running, in_the_way
-from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
-from agents.cli.running.session_folder import new_session_folder
-from agents.cli.running.supervisor import Supervisor, last_line, supervised
-from agents.cli.running.up import FIRST_CONTACT_S, kept_in, start_all, write_config
-from agents.cli.status.health_watch import Fare
-from agents.cli.status.judgement import judge
-from agents.cli.status.watch import StatusWatch
-from agents.cli.terminal import complain, say
+from agents.configuration.hosts import OPERATOR
+from agents.configuration.rig import RigConfig
+from agents.configuration.this_host import rig_of
+from agents.diagnostics.status.health_watch import Fare
+from agents.diagnostics.status.judgement import judge
+from agents.diagnostics.status.watch import StatusWatch
+from agents.launch.around import telling
+from agents.launch.audit import audit_of
+from agents.launch.in_the_way import already_running, in_the_way
+from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
+from agents.launch.session_folder import new_session_folder
+from agents.launch.supervisor import Supervisor, last_line, supervised
 from agents.operator.access import Access
 from agents.operator.desk import Desk
 from agents.operator.page_server import server_tls, serving
@@ -41,6 +40,7 @@ from shared.rectification import RectificationError, rectification, rectify_imag
 from shared.runtime.config import ConfigError
 from shared.runtime.connection import ROUTER_WAIT_S, Connection, NoRouterError, connected
 from shared.runtime.session import on_loopback
+from shared.terminal import complain, say
 
 LOGGER = logging.getLogger("suturegrasp.page")
 LOOK_S = 0.5
@@ -54,7 +54,7 @@ def run(options: Page) -> int:
     stopped = threading.Event()
     on_stop(stopped.set)
     try:
-        rig = rig_of(options)
+        rig = rig_of(options.config, options.host)
         tls = _tls(rig, options.listen)
         with _started(rig, options) as supervisor, contextlib.ExitStack() as stack:
             within_s = FIRST_CONTACT_S if options.start else ROUTER_WAIT_S

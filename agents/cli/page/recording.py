@@ -5,10 +5,10 @@ import threading
 from pathlib import Path
 from typing import Any, ClassVar
 
-from agents.cli.rig.config import RigConfig
-from agents.cli.running.session_folder import new_session_folder
-from agents.cli.running.supervisor import Role, Supervisor, last_line
-from agents.cli.running.up import write_config
+from agents.cli.live.up import write_config
+from agents.configuration.rig import RigConfig
+from agents.launch.session_folder import new_session_folder
+from agents.launch.supervisor import Role, Supervisor, last_line
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import AgentHealth, LogLevel, LogRecord

@@ -7,7 +7,6 @@ from agents.camera.image_files import ImageFileError, read_mask, read_pair, read
 from agents.cli.reconstruct.options import Reconstruct, check
 from agents.cli.reconstruct.pipeline import Pair, PipelineResult, reconstruct_pair
 from agents.cli.reconstruct.result_file import observed_points, result_text
-from agents.cli.terminal import UsageError, complain, say, warn
 from agents.cli.whole_file import OutputError, whole_file
 from agents.perception.prompt import reach_px
 from agents.perception.segmentation.choice import segmenters_with
@@ -19,6 +18,7 @@ from shared.arc_length import length
 from shared.calibration import CalibrationError, ReadCalibration, read_calibration
 from shared.images import decode_image
 from shared.rectification import RectificationError
+from shared.terminal import UsageError, complain, say, warn
 from shared.units import unit_name
 
 EXIT_OK, EXIT_UNUSABLE_INPUT, EXIT_FAILED = 0, 2, 3

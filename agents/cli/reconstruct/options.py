@@ -8,9 +8,9 @@ from typing import Annotated
 
 import tyro
 
-from agents.cli.terminal import UsageError
 from agents.perception.segmenter_names import GIVEN_MASKS, PROMPTABLE, SEGMENTER_NAMES
 from agents.reconstruction.method_names import DEFAULT_METHOD, METHOD_NAMES
+from shared.terminal import UsageError
 from shared.units import METRES_PER_UNIT
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from agents.cli.rig.config import RigConfig
-from agents.cli.rig.migrations import lifted
+from agents.configuration.migrations import lifted
+from agents.configuration.rig import RigConfig
 from agents.registry import PLANNER, kind_of
 from shared.recording.mcap_file import read_attachments
 from shared.runtime.config import ConfigError, load_config, parse_config

@@ -3,11 +3,11 @@
 from pathlib import Path
 
 from agents.cli.recordings.options import Export
-from agents.cli.running.process import EXIT_DAMAGED, EXIT_OK, EXIT_UNUSABLE
-from agents.cli.terminal import complain, say, warn
 from agents.inspection.export import export
 from agents.inspection.export_files import FORMATS
+from agents.launch.process import EXIT_DAMAGED, EXIT_OK, EXIT_UNUSABLE
 from shared.recording.entry import RecordingError
+from shared.terminal import complain, say, warn
 
 FEWEST_POINTS, MOST_POINTS = 2, 10_000
 

@@ -6,7 +6,7 @@ from datetime import UTC, datetime, timedelta
 from importlib.metadata import PackageNotFoundError, version
 
 import schemas
-from agents.cli.rig.config import RecorderSection, RigConfig
+from agents.configuration.rig import RecorderSection, RigConfig
 from agents.recorder.head import Attached
 from schemas.wire import schemas_hash
 from shared.clock import now_ns

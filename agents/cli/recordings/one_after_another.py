@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
-from agents.cli.running.session_folder import free_path
+from agents.launch.session_folder import free_path
 from agents.recorder.disk import DiskGuard
 from agents.recorder.recorder import Recorder, RecordingReport
 from schemas.topics import Delivery, Topic

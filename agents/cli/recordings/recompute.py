@@ -26,11 +26,10 @@ from agents.cli.recordings.config import (
 )
 from agents.cli.recordings.options import Recompute
 from agents.cli.recordings.recompute_report import ThroughResult, lacking, report
-from agents.cli.rig.builders import build
-from agents.cli.rig.config import RigConfig
-from agents.cli.running.process import EXIT_DAMAGED
-from agents.cli.terminal import complain, say, show, warn
 from agents.cli.whole_file import OutputError, whole_file
+from agents.configuration.rig import RigConfig
+from agents.launch.builders import build
+from agents.launch.process import EXIT_DAMAGED
 from agents.recorder.derived_file import DerivedFile, derived_from
 from agents.registry import NAMES
 from agents.replay.differences import compared
@@ -44,6 +43,7 @@ from shared.recording.derivation import MADE_NO_MORE, UNKNOWN_TOPICS, Anew
 from shared.recording.mcap_file import Entry, Note, RecordingError, RecordingWriter, UntilDamage, read_attachments
 from shared.runtime.config import ConfigError, load_config
 from shared.runtime.replay import Place, ReplayError, place_of
+from shared.terminal import complain, say, show, warn
 
 EXIT_SAME, EXIT_DIFFERENT, EXIT_UNUSABLE = 0, 1, 2
 AUTO, NONE, TABLE = "auto", "none", "table"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from agents.cli.recordings.difference_table import table
-from agents.cli.rig.config import RigConfig
+from agents.configuration.rig import RigConfig
 from agents.replay.differences import Comparison
 from agents.replay.through import Outcome
 from schemas.topics import topic_of

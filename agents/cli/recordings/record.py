@@ -12,13 +12,12 @@ from pathlib import Path
 from agents.cli.live.options import Record
 from agents.cli.recordings.facts import STUDY_FACTS, attached_to, clocks_note, notes_of
 from agents.cli.recordings.one_after_another import Recordings
-from agents.cli.rig.config import RecorderSection, RigConfig
-from agents.cli.rig.hosts import kind_and_instance
-from agents.cli.running.around import around, told_without
-from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
-from agents.cli.running.session_folder import free_path
-from agents.cli.running.supervisor import SUPERVISED
-from agents.cli.terminal import complain, say, show
+from agents.configuration.hosts import kind_and_instance
+from agents.configuration.rig import RecorderSection, RigConfig
+from agents.launch.around import around, told_without
+from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
+from agents.launch.session_folder import free_path
+from agents.launch.supervisor import SUPERVISED
 from agents.recorder.disk import DiskGuard
 from agents.recorder.parts import FileSettings
 from agents.recorder.pre_trigger import PreTriggerSettings
@@ -29,6 +28,7 @@ from shared.runtime.config import config_hash, parse_config
 from shared.runtime.connection import Connection, NoRouterError, connected
 from shared.runtime.delivery import as_told
 from shared.runtime.process import serving
+from shared.terminal import complain, say, show
 
 EVERY_S = 1.0
 MB, GB = 1_000_000, 1e9

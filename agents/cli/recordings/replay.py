@@ -7,9 +7,8 @@ from collections.abc import Generator
 
 from agents.cli.recordings.options import Replay
 from agents.cli.recordings.replay_keys import steered
-from agents.cli.rig.config import RigConfig, simulated_rig
-from agents.cli.running.process import EXIT_DAMAGED, on_stop
-from agents.cli.terminal import complain, say, warn
+from agents.configuration.rig import RigConfig, simulated_rig
+from agents.launch.process import EXIT_DAMAGED, on_stop
 from agents.replay.contents import Contents, contents_of, readable
 from agents.replay.controls import Controls
 from agents.replay.flow import Flow, StuckError
@@ -25,6 +24,7 @@ from shared.runtime.config import ConfigError, load_config
 from shared.runtime.connection import NoRouterError
 from shared.runtime.republishing import REPLAY, Republisher, republishing
 from shared.runtime.session import SessionSettings
+from shared.terminal import complain, say, warn
 
 EXIT_OK, EXIT_INCOMPLETE, EXIT_UNUSABLE = 0, 1, 2
 FASTEST = 100.0

@@ -9,11 +9,10 @@ from itertools import takewhile
 from pathlib import Path
 
 from agents.cli.live.options import View
-from agents.cli.rig.config import RigConfig
-from agents.cli.running.around import telling, told_without
-from agents.cli.running.process import EXIT_DAMAGED, EXIT_GAVE_UP, EXIT_OK, EXIT_UNUSABLE, ONLOOKER, on_stop, step_back
-from agents.cli.running.session_folder import free_path
-from agents.cli.terminal import complain, say, show
+from agents.configuration.rig import RigConfig
+from agents.launch.around import telling, told_without
+from agents.launch.process import EXIT_DAMAGED, EXIT_GAVE_UP, EXIT_OK, EXIT_UNUSABLE, ONLOOKER, on_stop, step_back
+from agents.launch.session_folder import free_path
 from agents.replay.window import WindowError, moment_ns
 from agents.viewer.live import LiveViewer, ViewerError, ViewerReport
 from agents.viewer.recorded import RecordedViewer, between
@@ -25,6 +24,7 @@ from shared.recording.derivation import derivations
 from shared.recording.mcap_file import Note, RecordingError, UntilDamage, is_finished, read_recording
 from shared.runtime.connection import NoRouterError, connected
 from shared.runtime.process import serving
+from shared.terminal import complain, say, show
 
 LOGGER = logging.getLogger("suturegrasp.viewer")
 PROGRESS_S = 5.0

@@ -8,9 +8,9 @@ from jaxtyping import Float32, UInt8
 
 from agents.camera.image_files import ImageFileError, read_image
 from agents.cli.segment.options import Segment, check
-from agents.cli.terminal import UsageError, complain, say
 from agents.cli.whole_file import OutputError, whole_file
 from agents.perception.segmentation.classes import Kind, highest, scores_of
+from shared.terminal import UsageError, complain, say
 
 EXIT_OK, EXIT_UNUSABLE_INPUT = 0, 2
 TINTS = {Kind.THREAD: (80, 255, 80), Kind.NEEDLE: (60, 230, 255), Kind.INSTRUMENT: (255, 140, 40)}

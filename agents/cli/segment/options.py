@@ -7,7 +7,7 @@ from typing import Annotated
 import tyro
 
 from agents.cli.reconstruct.options import PICTURE_SUFFIXES, OptionalPath, check_place, is_one_file
-from agents.cli.terminal import UsageError
+from shared.terminal import UsageError
 
 
 @dataclass(frozen=True)

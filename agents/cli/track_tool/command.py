@@ -11,11 +11,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from agents.cli.recordings.options import TrackTool
-from agents.cli.rig.of_options import rig_of
-from agents.cli.rig.on_rig import OnRig
-from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
-from agents.cli.terminal import complain, say, warn
 from agents.cli.track_tool.input import Seen, seen_in, seen_live
+from agents.configuration.this_host import rig_of
+from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.tool_tracker.acquisition import soft_pair
 from agents.tool_tracker.correction import Correction
 from agents.tool_tracker.outline import outline
@@ -27,6 +25,7 @@ from shared.recording.entry import RecordingError
 from shared.rigid_transforms import apply, log_so3
 from shared.runtime.config import ConfigError
 from shared.runtime.connection import NoRouterError, connected
+from shared.terminal import complain, say, warn
 
 EXIT_DRIFTED, EXIT_NOT_FOUND = 1, 3
 FOLLOWING_S, SEARCHING_S = 0.2, 0.4
@@ -61,7 +60,7 @@ def _seen(options: TrackTool) -> Iterator[Seen]:
         return
     stopped = threading.Event()
     on_stop(stopped.set)
-    with connected(rig_of(OnRig(config=options.config, host=options.host)).session) as connection:
+    with connected(rig_of(options.config, options.host).session) as connection:
         yield from seen_live(connection, options.arm, options.delay_ms, stopped)
 
 

@@ -13,8 +13,8 @@ from rosbags.typesys import Stores, get_typestore
 from agents.camera.agent import Camera
 from agents.camera.bag import BagSource
 from agents.camera.sources import SourceError
-from agents.cli.rig.builders import build
-from agents.cli.rig.config import CameraSection, RigConfig
+from agents.configuration.rig import CameraSection, RigConfig
+from agents.launch.builders import build
 from schemas.messages import FrameNotice, StereoCalibration, StereoFrame
 from shared.calibration import CalibrationError
 from shared.runtime.agent import Output, Tick

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from agents.cli.running.audit import AuditError, AuditLog
-from agents.cli.running.audited_bridge import AuditedBridge
+from agents.launch.audit import AuditError, AuditLog
+from agents.launch.audited_bridge import AuditedBridge
 from agents.robot_bridge.agent import RobotBridgeConfig
 from agents.robot_bridge.simulated import SimulatedPsm, waiting
 from schemas.messages import Arm, ChangeState, CommandAnswer, CommandHeader, Hold, Outcome, StateWord
@@ -21,7 +21,7 @@ NOW_NS = 1_800_000_000_000_000_000
 FOREVER = """
 import itertools, sys
 from pathlib import Path
-from agents.cli.running.audit import AuditLog
+from agents.launch.audit import AuditLog
 log = AuditLog(Path(sys.argv[1]))
 for number in itertools.count():
     log.add("command", number, reason="x" * 500)

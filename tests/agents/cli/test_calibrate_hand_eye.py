@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from agents.cli.recordings.recompute import with_simulated_arms
-from agents.cli.rig.builders import build
-from agents.cli.rig.config import RigConfig
+from agents.configuration.rig import RigConfig
+from agents.launch.builders import build
 from agents.robot_bridge.agent import RobotBridge
 from schemas.messages import RectifiedStereo
 from shared.calibration import read_calibration

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from agents.cli.rig.config import RecorderSection, RigConfig, RouterSection
-from agents.cli.rig.hosts import SecuritySection
-from agents.cli.running.up import write_config
+from agents.cli.live.up import write_config
+from agents.configuration.hosts import SecuritySection
+from agents.configuration.rig import RecorderSection, RigConfig, RouterSection
 from agents.deployment.certificates import issue
 from agents.deployment.layout import ROUTER, Host, Layout, Process
 from agents.planner.agent import Planner

@@ -162,7 +162,7 @@ def test_what_asks_or_starts_agents_loads_nothing_that_they_compute_with():
         "print({'numpy', 'zenoh', 'pydantic', 'schemas.messages'} & set(sys.modules))\n"
         "import agents.cli.live.command\n"
         "print({'cv2', 'scipy', 'rerun', 'mcap'} & set(sys.modules))\n"
-        "import agents.cli.running.up, agents.cli.rig.builders\n"
+        "import agents.cli.live.up, agents.launch.builders\n"
         "print({'cv2', 'scipy'} & set(sys.modules))"
     )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

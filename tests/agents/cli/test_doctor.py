@@ -9,21 +9,21 @@ from typing import Any
 
 import pytest
 
-from agents.cli.doctor.command import examine
-from agents.cli.doctor.finding import Finding
-from agents.cli.doctor.here import CHRONYC, examine_here, synchronisation
-from agents.cli.doctor.rig import clocks, granted, guards, links, running, streams, versions
-from agents.cli.doctor.router import unreached, why_not
-from agents.cli.doctor.rules import verdict
-from agents.cli.rig.config import PlannerSection, RigConfig, RouterSection, simulated_rig
-from agents.cli.rig.hosts import HostSection, SecuritySection
-from agents.cli.running.agent_process import calibrated_ns, surroundings
-from agents.cli.running.in_the_way import already_running
-from agents.cli.status.gathered import Gathered
-from agents.cli.status.health_watch import Fare
-from agents.cli.status.session import certificate_names, reading_session
+from agents.cli.live.doctor import examine
+from agents.configuration.hosts import HostSection, SecuritySection
+from agents.configuration.reading_session import certificate_names, reading_session
+from agents.configuration.rig import PlannerSection, RigConfig, RouterSection, simulated_rig
 from agents.deployment.certificates import issue
 from agents.deployment.layout import ROUTER, Host, Layout, Process
+from agents.diagnostics.doctor.finding import Finding
+from agents.diagnostics.doctor.here import CHRONYC, examine_here, synchronisation
+from agents.diagnostics.doctor.rig import clocks, granted, guards, links, running, streams, versions
+from agents.diagnostics.doctor.router import unreached, why_not
+from agents.diagnostics.doctor.rules import verdict
+from agents.diagnostics.status.gathered import Gathered
+from agents.diagnostics.status.health_watch import Fare
+from agents.launch.agent_process import calibrated_ns, surroundings
+from agents.launch.in_the_way import already_running
 from agents.planner.agent import Planner
 from schemas.messages import AgentFacts, AgentHealth, InputHealth
 from shared.clock import now_ns
@@ -56,7 +56,7 @@ def by_what(findings):
 
 @pytest.mark.slow
 def test_doctor_names_what_is_wrong_with_its_remedy(suturegrasp, tmp_path, monkeypatch):
-    monkeypatch.setattr("agents.cli.doctor.command.ROUTER_WAIT_S", 0.2)
+    monkeypatch.setattr("agents.cli.live.doctor.ROUTER_WAIT_S", 0.2)
     config = tmp_path / "rig.toml"
     config.write_text(
         f'[router]\nendpoint = "{free_local_endpoint()}"\nstart = false\n'

@@ -9,8 +9,8 @@ import pytest
 
 from agents.camera.agent import Camera, CameraConfig
 from agents.camera.image_files import read_pair
-from agents.cli.doctor.image_answers import about_size, answers_about
-from agents.cli.doctor.images import examine_frames
+from agents.diagnostics.doctor.image_answers import about_size, answers_about
+from agents.diagnostics.doctor.images import examine_frames
 from schemas.messages import ImageEncoding, Severity, StereoCalibration
 from shared.calibration import read_calibration
 from shared.runtime.connection import connected

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from agents.cli.doctor.command import weigh
-from agents.cli.doctor.crossing import STREAMS, heard_by, traffic
-from agents.cli.doctor.network import networks
-from agents.cli.rig.config import RigConfig
-from agents.cli.status.gathered import Gathered
-from agents.cli.status.health_watch import Fare
+from agents.cli.live.doctor import weigh
+from agents.configuration.rig import RigConfig
+from agents.diagnostics.doctor.crossing import STREAMS, heard_by, traffic
+from agents.diagnostics.doctor.network import networks
+from agents.diagnostics.status.gathered import Gathered
+from agents.diagnostics.status.health_watch import Fare
 from schemas.messages import AgentHealth, InputHealth
 from schemas.topics import FRAMES, OBSERVATIONS, THREAD, Delivery, key, topic_of
 from shared.recording.mcap_file import read_recording

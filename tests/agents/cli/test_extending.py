@@ -12,8 +12,8 @@ import pytest
 
 from agents.camera.plugin import GROUP, PluginSource
 from agents.camera.sources import SourceError
-from agents.cli.rig.builders import build
-from agents.cli.rig.config import RigConfig
+from agents.configuration.rig import RigConfig
+from agents.launch.builders import build
 from schemas.codec import decode, encode
 from schemas.messages import StereoCalibration, StereoFrame
 from schemas.topics import CALIBRATION, FRAMES, MAIN, PLAN, THREAD, key, topic_of

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agents.cli.rig.config import RigConfig
-from agents.cli.rig.sections import ArmSection, DvrkSection, RouterSection
-from agents.cli.running.audit import AuditLog
-from agents.cli.running.guard import _another, _Keeper, document_of
+from agents.configuration.rig import RigConfig
+from agents.configuration.sections import ArmSection, DvrkSection, RouterSection
+from agents.launch.audit import AuditLog
+from agents.launch.guard_process import _another, _Keeper, document_of
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
 from shared.ros.guarded import CHALLENGE, Gate, challenge_from, key_of
 from shared.runtime.session import SessionSettings, free_local_endpoint, open_router, open_session
@@ -147,7 +147,7 @@ def test_a_monitor_that_cannot_begin_says_so_and_is_not_started_again_for_ever(l
 
 
 def test_a_second_guard_of_an_arm_gives_up_and_one_that_was_killed_is_waited_for(monkeypatch):
-    monkeypatch.setattr("agents.cli.running.guard.TWIN_S", 0.0)
+    monkeypatch.setattr("agents.launch.guard_process.TWIN_S", 0.0)
 
     class There:
         def __init__(self, *present):

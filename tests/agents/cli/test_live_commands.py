@@ -17,8 +17,8 @@ from rich.console import Console
 
 from agents.cli.demo.command import APART, FROM_END, goals_of
 from agents.cli.live.command import event_sentence
-from agents.cli.running.session_folder import free_path, new_session_folder
-from agents.cli.status.health_watch import HealthWatch, health_table
+from agents.diagnostics.status.health_watch import HealthWatch, health_table
+from agents.launch.session_folder import free_path, new_session_folder
 from agents.operator.operator import Stood
 from agents.planner.agent import Planner
 from schemas.messages import Checked, CommandAnswer, ExecutionEvent, ExecutionKind, Outcome
@@ -132,7 +132,7 @@ def test_health_names_who_is_silent_and_who_was_never_heard_of(settings, in_thre
 def test_silence_and_recovery_are_told_once(monkeypatch):
     deaf: Any = SimpleNamespace(listen=lambda *_: None)
     now = [0.0]
-    monkeypatch.setattr("agents.cli.status.health_watch.monotonic_s", lambda: now[0])
+    monkeypatch.setattr("agents.diagnostics.status.health_watch.monotonic_s", lambda: now[0])
     watch = HealthWatch(deaf, ["camera"])
     assert watch.changes() == []
     now[0] = 11.0

@@ -38,7 +38,7 @@ FEWEST_LOOKS_HZ = 1.0
 PATIENT_DEMO = """
 from agents.cli.demo import command as demo
 from agents.cli.main import main
-from agents.cli.rig.sections import ArmSection
+from agents.configuration.sections import ArmSection
 demo.LONGEST_S, demo.FIRST_THREAD_S, demo.VERDICT_S = 130.0, 60.0, 30.0
 usual = demo.demo_rig
 patient = {"robot": {"psm1": ArmSection(maximum_frame_age_s=2.0)}}

@@ -11,10 +11,10 @@ import pytest
 from pydantic import BaseModel
 
 from agents.camera.agent import Camera
-from agents.cli.rig.builders import build
-from agents.cli.rig.config import ArmSection, ReconstructionSection, RigConfig, RouterSection, simulated_rig
-from agents.cli.rig.perception_builder import perception_config
-from agents.cli.running.in_the_way import in_the_way, taken
+from agents.configuration.rig import ArmSection, ReconstructionSection, RigConfig, RouterSection, simulated_rig
+from agents.launch.builders import build
+from agents.launch.in_the_way import in_the_way, taken
+from agents.launch.perception_builder import perception_config
 from agents.reconstruction.method_names import DEFAULT_METHOD
 from agents.reconstruction.methods import METHODS
 from agents.robot_bridge.agent import RobotBridgeConfig

@@ -8,7 +8,7 @@ import sys
 import psutil
 import pytest
 
-from agents.cli.running.supervisor import FIRST_BACKOFF_S, LONGEST_BACKOFF_S, Role, Supervisor, supervised
+from agents.launch.supervisor import FIRST_BACKOFF_S, LONGEST_BACKOFF_S, Role, Supervisor, supervised
 from shared.clock import monotonic_s
 
 PYTHON = (sys.executable, "-c")
@@ -58,7 +58,7 @@ def test_a_killed_process_is_named_and_started_again(supervisor, started, change
 
 
 def test_the_wait_before_each_restart_grows_up_to_a_limit(supervisor, changes_of, tmp_path, monkeypatch):
-    monkeypatch.setattr("agents.cli.running.supervisor.STEADY_S", 10 * DEADLINE_S)
+    monkeypatch.setattr("agents.launch.supervisor.STEADY_S", 10 * DEADLINE_S)
     child = supervisor.add("crashes", ["raise SystemExit(3)"], tmp_path / "log")
     waits = []
     while len(waits) < 8:
@@ -91,7 +91,7 @@ def test_without_restart_nothing_comes_back(changes_of, tmp_path):
 
 
 def test_processes_end_in_the_order_of_their_roles(started, tmp_path, monkeypatch):
-    monkeypatch.setattr("agents.cli.running.supervisor.STOP_LIMIT_S", DEADLINE_S)
+    monkeypatch.setattr("agents.launch.supervisor.STOP_LIMIT_S", DEADLINE_S)
     written = tmp_path / "order"
     code = (
         "import signal, sys\n"
@@ -108,7 +108,7 @@ def test_processes_end_in_the_order_of_their_roles(started, tmp_path, monkeypatc
 
 
 def test_a_process_that_does_not_listen_is_killed(started, tmp_path, monkeypatch):
-    monkeypatch.setattr("agents.cli.running.supervisor.STOP_LIMIT_S", 0.2)
+    monkeypatch.setattr("agents.launch.supervisor.STOP_LIMIT_S", 0.2)
     code = "import signal; signal.signal(15, signal.SIG_IGN); print('here', flush=True)\nwhile True: signal.pause()"
     supervisor = Supervisor(program=PYTHON)
     child = supervisor.add("deaf", [code], tmp_path / "log")
@@ -124,7 +124,7 @@ def test_processes_end_with_a_supervisor_that_is_killed(tmp_path):
     config = tmp_path / "rig.toml"
     config.write_text('[router]\nendpoint = "tcp/127.0.0.1:1"\nstart = false\n[planner]\n')
     code = (
-        "import pathlib, sys; from agents.cli.running.supervisor import Supervisor\n"
+        "import pathlib, sys; from agents.launch.supervisor import Supervisor\n"
         f"log, arguments = pathlib.Path({str(tmp_path / 'log')!r}), ['planner', '--config', {str(config)!r}]\n"
         "child = Supervisor().add('planner', arguments, log)\n"
         "print(child.process.pid, flush=True); sys.stdin.read()"

@@ -6,7 +6,7 @@ import sys
 
 BEGINS = """
 import os, signal, sys, threading
-from agents.cli.running import process
+from agents.launch import process
 process.ENDS_WITHIN_S = 0.2
 stopped = threading.Event()
 """

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from agents.cli.rig.builders import build
-from agents.cli.rig.config import RigConfig
+from agents.configuration.rig import RigConfig
+from agents.launch.builders import build
 from agents.perception.agent import Perception
 from shared.runtime.config import ConfigError, parse_config
 from tests.agents.perception.tiny_promptable import write_tiny

@@ -10,7 +10,7 @@ import pytest
 
 from agents.cli.live.options import Record
 from agents.cli.recordings.record import section_of, settings_of
-from agents.cli.rig.config import RecorderSection, RigConfig
+from agents.configuration.rig import RecorderSection, RigConfig
 from schemas.codec import encode
 from schemas.messages import LogLevel, LogRecord
 from schemas.topics import LOG, key

@@ -7,7 +7,7 @@ import pytest
 from agents.cli.lab.deploy import layout_of
 from agents.cli.lab.rehearsal.network import Network
 from agents.cli.lab.rehearsal.rehearsed import SIMULATED_CALIBRATION, started_on, without_hardware
-from agents.cli.rig.config import RigConfig
+from agents.configuration.rig import RigConfig
 from shared.runtime.config import load_config, parse_config
 
 DEPLOY = Path(__file__).parents[3] / "deploy"

@@ -4,14 +4,14 @@ from pathlib import Path
 
 import pytest
 
-from agents.cli.doctor.rig import files
-from agents.cli.rig.config import RigConfig
-from agents.cli.rig.digest import differing, rig_sections
-from agents.cli.rig.this_host import at_host, certificates_of
-from agents.cli.status.files import judge_files
-from agents.cli.status.gathered import Gathered
-from agents.cli.status.health_watch import Fare
-from agents.cli.status.judgement import judge
+from agents.configuration.digest import differing, rig_sections
+from agents.configuration.rig import RigConfig
+from agents.configuration.this_host import at_host, certificates_of
+from agents.diagnostics.doctor.rig import files
+from agents.diagnostics.status.files import judge_files
+from agents.diagnostics.status.gathered import Gathered
+from agents.diagnostics.status.health_watch import Fare
+from agents.diagnostics.status.judgement import judge
 from schemas.messages import AgentFacts
 from shared.runtime.config import parse_config
 

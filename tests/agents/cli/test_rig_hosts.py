@@ -3,8 +3,8 @@
 import pytest
 
 from agents.cli.recordings.record import recorded_topics
-from agents.cli.rig.config import RigConfig
-from agents.cli.rig.this_host import at_host
+from agents.configuration.rig import RigConfig
+from agents.configuration.this_host import at_host
 from schemas.topics import FRAMES, TOPICS
 from shared.runtime.config import ConfigError, parse_config
 

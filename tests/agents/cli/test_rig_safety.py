@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from agents.camera.scene_source import calibration_of
-from agents.cli.rig.base_file import base_of, registered_ns
-from agents.cli.rig.builders import build
-from agents.cli.rig.config import RigConfig
-from agents.cli.rig.sections import ArmSection
+from agents.configuration.base_file import base_of, registered_ns
+from agents.configuration.rig import RigConfig
+from agents.configuration.sections import ArmSection
+from agents.launch.builders import build
 from agents.robot_bridge.agent import RobotBridge
 from agents.simulator.agent import Simulator, SimulatorConfig
 from schemas.topics import SIMULATOR_STATE

@@ -2,7 +2,7 @@
 
 import pytest
 
-from agents.cli.rig.config import RigConfig
+from agents.configuration.rig import RigConfig
 from shared.runtime.access import Sites
 from shared.runtime.config import ConfigError, parse_config
 

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from agents.cli.rig.config import RigConfig
-from agents.cli.rig.digest import rig_sections
-from agents.cli.rig.topics import in_words, overrides
-from agents.cli.running.agent_process import surroundings
-from agents.cli.status.session import session_as
+from agents.configuration.digest import rig_sections
+from agents.configuration.reading_session import session_as
+from agents.configuration.rig import RigConfig
+from agents.configuration.topics import in_words, overrides
+from agents.launch.agent_process import surroundings
 from schemas.topics import (
     COMMANDS,
     HEALTH,

@@ -11,7 +11,7 @@ import threading
 import pytest
 
 from agents.cli.lab.deploy import layout_of
-from agents.cli.rig.config import RigConfig
+from agents.configuration.rig import RigConfig
 from agents.deployment.certificates import issue
 from schemas.codec import decode
 from schemas.topics import LOG

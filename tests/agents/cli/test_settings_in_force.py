@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from agents.cli.main import main
 from agents.cli.recordings.config import attached_config, changed, in_force, settings_otherwise
 from agents.cli.recordings.recompute import EXIT_UNUSABLE
-from agents.cli.rig.config import simulated_rig
+from agents.configuration.rig import simulated_rig
 from agents.inspection.table import decimal
 from shared.recording.completeness import completeness
 

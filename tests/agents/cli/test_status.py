@@ -12,16 +12,16 @@ from typing import Any
 
 import pytest
 
-from agents.cli.rig.builders import build
-from agents.cli.rig.config import (
+from agents.configuration.rig import (
     PerceptionSection,
     PlannerSection,
     RigConfig,
     RouterSection,
     simulated_rig,
 )
-from agents.cli.status.judgement import judge
-from agents.cli.status.watch import StatusWatch
+from agents.diagnostics.status.judgement import judge
+from agents.diagnostics.status.watch import StatusWatch
+from agents.launch.builders import build
 from agents.operator.operator import hold
 from agents.planner.agent import Planner
 from schemas.topics import EXECUTION, THREAD, key

@@ -13,16 +13,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
-from agents.cli.rig.config import CameraSection, RigConfig, simulated_rig
-from agents.cli.rig.hosts import HostSection
-from agents.cli.rig.topics import Override
-from agents.cli.status.agents import judge_agents
-from agents.cli.status.calibrations import Allowed
-from agents.cli.status.gathered import ArmHeard, Gathered, expected_rates, placed_agents, placed_beside
-from agents.cli.status.health_watch import STARTING, Fare, HealthWatch, span_of
-from agents.cli.status.judgement import judge
-from agents.cli.status.report import document, report, watched
-from agents.cli.status.watch import StatusWatch
+from agents.configuration.hosts import HostSection
+from agents.configuration.rig import CameraSection, RigConfig, simulated_rig
+from agents.configuration.topics import Override
+from agents.diagnostics.status.agents import judge_agents
+from agents.diagnostics.status.calibrations import Allowed
+from agents.diagnostics.status.gathered import ArmHeard, Gathered, expected_rates, placed_agents, placed_beside
+from agents.diagnostics.status.health_watch import STARTING, Fare, HealthWatch, span_of
+from agents.diagnostics.status.judgement import judge
+from agents.diagnostics.status.report import document, report, watched
+from agents.diagnostics.status.watch import StatusWatch
 from schemas.codec import encode
 from schemas.messages import (
     AgentFacts,

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from agents.cli.rig.builders import build
-from agents.cli.rig.config import RigConfig
+from agents.configuration.rig import RigConfig
+from agents.launch.builders import build
 from schemas.messages import (
     Arm,
     CommandAnswer,

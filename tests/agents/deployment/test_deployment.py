@@ -13,14 +13,14 @@ from cryptography import x509
 
 from agents.cli.lab.deploy import layout_of
 from agents.cli.main import main
-from agents.cli.rig.config import RigConfig
-from agents.cli.status.judgement import EXPIRES_SOON_S
+from agents.configuration.rig import RigConfig
 from agents.deployment import install as installing
 from agents.deployment.certificates import AuthorityError, issue
 from agents.deployment.containers import IMAGE_USER
 from agents.deployment.install import affected, verify
 from agents.deployment.layout import ROUTER, Host, Layout, Process
 from agents.deployment.plan import plan
+from agents.diagnostics.status.judgement import EXPIRES_SOON_S
 from shared.clock import now_ns
 from shared.runtime.access import access_control
 from shared.runtime.config import load_config

@@ -9,12 +9,12 @@ import re
 import pytest
 import zenoh
 
-from agents.cli.rig.config import RigConfig
-from agents.cli.rig.sections import ArmSection, DvrkSection
-from agents.cli.running.guard import document_of
+from agents.configuration.rig import RigConfig
+from agents.configuration.sections import ArmSection, DvrkSection
 from agents.deployment.certificates import issue
 from agents.deployment.layout import Host, Layout, Process
 from agents.deployment.robot_zenoh import ROBOT_ZENOH, ReachedArm, robot_zenoh
+from agents.launch.guard_process import document_of
 from agents.robot_bridge.dvrk.psm import DvrkPsm
 from shared.clock import now_ns
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE

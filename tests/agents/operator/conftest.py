@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from agents.cli.page.recording import RigRecording
-from agents.cli.rig.config import simulated_rig
+from agents.configuration.rig import simulated_rig
 from agents.operator.access import Access
 from agents.operator.desk import Desk
 from agents.operator.page_server import serving

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agents.cli.rig.builders import build
-from agents.cli.rig.config import RigConfig
-from agents.cli.rig.other_arms import other_arms
+from agents.configuration.rig import RigConfig
+from agents.launch.builders import build
+from agents.launch.other_arms import other_arms
 from agents.robot_bridge.limits import MotionLimits
 from schemas.messages import ExecutionKind, Phase, Waypoint
 from shared.kinematics.dh_file import read_dh

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.cli.running.audit import AuditError, AuditLog
-from agents.cli.running.audited_bridge import AuditedBridge
+from agents.launch.audit import AuditError, AuditLog
+from agents.launch.audited_bridge import AuditedBridge
 from agents.robot_bridge.dvrk.psm import DvrkPsm
 from agents.robot_bridge.simulated import SimulatedPsm
 from schemas.messages import (

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from agents.cli.status.health_watch import HealthWatch
+from agents.diagnostics.status.health_watch import HealthWatch
 from agents.operator.operator import SENDER
 from schemas.codec import decode
 from schemas.messages import CommandAnswer, GraspGoal, LogLevel, Policy

@@ -14,7 +14,7 @@ from collections import defaultdict
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from agents.cli.rig.hosts import OPERATOR
+from agents.configuration.hosts import OPERATOR
 from schemas.codec import encode
 from schemas.messages import LogLevel, LogRecord
 from schemas.topics import LOG, Topic, key

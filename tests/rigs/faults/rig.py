@@ -6,10 +6,17 @@ from pathlib import Path
 
 from agents.cli.lab.rehearsal.network import OWN, CannotError, Network
 from agents.cli.lab.rehearsal.rehearsed import SIMULATED_CALIBRATION
-from agents.cli.rig.config import ArmSection, CameraSection, RigConfig, RouterSection, SimulatorSection, simulated_rig
-from agents.cli.rig.hosts import OPERATOR, HostSection, SecuritySection
-from agents.cli.rig.sections import DvrkSection, PlannerSection
-from agents.cli.rig.this_host import at_host, certificates_of
+from agents.configuration.hosts import OPERATOR, HostSection, SecuritySection
+from agents.configuration.rig import (
+    ArmSection,
+    CameraSection,
+    RigConfig,
+    RouterSection,
+    SimulatorSection,
+    simulated_rig,
+)
+from agents.configuration.sections import DvrkSection, PlannerSection
+from agents.configuration.this_host import at_host, certificates_of
 from shared.kinematics.simulated_setup import SIMULATED_BASES
 from shared.runtime.config import load_config
 from shared.runtime.session import SessionSettings

@@ -14,12 +14,19 @@ from typing import Any
 import zenoh
 
 from agents.cli.lab.deploy import layout_of
-from agents.cli.rig.config import ArmSection, CameraSection, RigConfig, RouterSection, SimulatorSection, simulated_rig
-from agents.cli.rig.hosts import OPERATOR, HostSection, SecuritySection
-from agents.cli.running.supervisor import Role, Supervisor, supervised
-from agents.cli.running.up import write_config
+from agents.cli.live.up import write_config
+from agents.configuration.hosts import OPERATOR, HostSection, SecuritySection
+from agents.configuration.rig import (
+    ArmSection,
+    CameraSection,
+    RigConfig,
+    RouterSection,
+    SimulatorSection,
+    simulated_rig,
+)
 from agents.deployment.certificates import CERTIFICATES, issue
 from agents.deployment.places import AUTHORITY_FOLDER
+from agents.launch.supervisor import Role, Supervisor, supervised
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import AgentHealth

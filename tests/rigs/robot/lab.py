@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from agents.cli.lab.rehearsal.processes import faked
-from agents.cli.running.supervisor import SUPERVISED
+from agents.launch.supervisor import SUPERVISED
 from schemas.codec import decode, encode
 from schemas.messages import ChallengeEcho, FrameStamp, GraspPlan, Phase, Policy, Status, TissueSurface, Waypoint
 from schemas.topics import PLAN, SURFACE, key

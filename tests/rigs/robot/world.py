@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.cli.rig.sections import DvrkSection
-from agents.cli.running.guard import description_of
+from agents.configuration.sections import DvrkSection
 from agents.emulator.arm import start_of
 from agents.emulator.console import Behaviour, EmulatedConsole
 from agents.emulator.oracle import Field, Oracle
@@ -20,6 +19,7 @@ from agents.emulator.wire import Outlet
 from agents.guard import cdr
 from agents.guard.description import Description
 from agents.guard.monitor import SETTLES_NS, Action, Kind, Monitor
+from agents.launch.guard_process import description_of
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.dvrk.psm import DvrkPsm
 from agents.robot_bridge.limits import MotionLimits

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from agents.cli.lab.rehearsal.network import CannotError, Network
-from agents.cli.running.supervisor import SUPERVISED, ending
+from agents.launch.supervisor import SUPERVISED, ending
 
 FAKETIME = "faketime/libfaketimeMT.so.1"
 FOLDERS = ("/usr/lib/x86_64-linux-gnu", "/usr/lib/aarch64-linux-gnu", "/usr/lib", "/usr/local/lib", "/usr/lib64")

@@ -33,16 +33,16 @@ from agents.cli.lab.rehearsal.rehearsed import (
     without_hardware,
     write_hosts,
 )
-from agents.cli.rig.config import RigConfig
-from agents.cli.rig.hosts import OPERATOR
-from agents.cli.running.process import EXIT_OK, EXIT_UNUSABLE, on_stop
-from agents.cli.terminal import say, show
+from agents.configuration.hosts import OPERATOR
+from agents.configuration.rig import RigConfig
 from agents.deployment.certificates import issue
 from agents.deployment.layout import Layout
 from agents.deployment.units import NOT_OURS
+from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.registry import Pace, with_pace
 from shared.clock import monotonic_s, now_ns
 from shared.runtime.config import ConfigError
+from shared.terminal import say, show
 
 EXIT_WRONG = 1
 STATUS = "status"

@@ -10,14 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
-from agents.cli.rig.config import ArmSection, CameraSection, RigConfig, SimulatorSection
-from agents.cli.rig.hosts import BESIDE, HostSection
-from agents.cli.rig.this_host import CREDENTIALS
-from agents.cli.running.audit import STATE_DIRECTORY
+from agents.configuration.hosts import BESIDE, HostSection
+from agents.configuration.rig import ArmSection, CameraSection, RigConfig, SimulatorSection
+from agents.configuration.this_host import CREDENTIALS
 from agents.deployment.layout import Host, Layout, Process
 from agents.deployment.places import CERTIFICATES, HOME, PROGRAM, RIG_FILE, SESSIONS
 from agents.deployment.robot_zenoh import ROBOT_ZENOH, robot_zenoh_file
 from agents.deployment.units import NOT_OURS, unit_name, units
+from agents.launch.audit import STATE_DIRECTORY
 from schemas.topics import MAIN
 from shared.clock import now_ns
 from shared.kinematics.simulated_setup import SIMULATED_BASES

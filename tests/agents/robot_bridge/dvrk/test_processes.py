@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from agents.cli.running.supervisor import SUPERVISED
+from agents.launch.supervisor import SUPERVISED
 from schemas.codec import decode, encode
 from schemas.messages import ChallengeEcho, ExecutionEvent, ExecutionKind, FrameStamp, Outcome
 from schemas.topics import EXECUTION, PLAN, ROBOT_STATE, key

@@ -10,12 +10,12 @@ import pytest
 import zenoh
 
 from agents.cli.recordings.recompute import with_simulated_arms
-from agents.cli.rig.builders import build
-from agents.cli.rig.config import RigConfig
+from agents.configuration.rig import RigConfig
 from agents.emulator.console import Behaviour, EmulatedConsole
 from agents.emulator.messages import OperatingState, header
 from agents.emulator.oracle import Field, Oracle
 from agents.emulator.wire import BridgeWire, RmwWire
+from agents.launch.builders import build
 from agents.robot_bridge.agent import RobotBridge
 from agents.robot_bridge.backend import Readiness
 from agents.robot_bridge.dvrk.psm import DvrkPsm

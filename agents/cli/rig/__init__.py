@@ -1,1 +1,0 @@
-"""The configuration of a rig, and the agents that are built from it."""

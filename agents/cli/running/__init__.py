@@ -1,1 +1,0 @@
-"""The processes of a rig, started and watched."""

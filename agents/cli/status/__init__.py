@@ -1,1 +1,0 @@
-"""`suturegrasp status`: how a rig fares, in plain words."""

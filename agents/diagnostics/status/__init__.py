@@ -1,0 +1,1 @@
+"""How a rig fares, in plain words."""
