@@ -89,6 +89,7 @@ def _goal(goal: GraspGoal) -> dict[str, Any]:
         "s": goal.s,
         "pixel": None if goal.pixel is None else goal.pixel.tolist(),
         "point_camera_m": None if goal.point_camera is None else goal.point_camera.tolist(),
+        "from_swage_m": goal.from_swage_m,
     }
 
 

@@ -122,6 +122,7 @@ def command_row(record: CommandRecord, zero_ns: int) -> Block:
         "v_left_px": number(None if pixel is None else float(pixel[1])),
     }
     row |= {f"{a}_camera_m": number(None if point is None else float(point[i])) for i, a in enumerate(AXES)}
+    row["from_swage_m"] = number(goal.from_swage_m if goal else None)
     answer = record.answer
     return row | {"outcome": [answer.outcome.name.lower()], "code": [answer.code], "reason": [answer.reason]}
 

@@ -45,10 +45,10 @@ def goal_text(goal: GraspGoal | None) -> str:
         where = f"s {goal.s:.3f}"
     elif goal.pixel is not None:
         where = f"pixel {goal.pixel[0]:.0f} {goal.pixel[1]:.0f}"
+    elif goal.point_camera is not None:
+        where = f"point {' '.join(f'{1e3 * x:.1f}' for x in goal.point_camera)} mm"
     else:
-        where = (
-            f"point {' '.join(f'{1e3 * x:.1f}' for x in goal.point_camera)} mm" if goal.point_camera is not None else ""
-        )
+        where = f"{1e3 * (goal.from_swage_m or 0.0):.1f} mm from the swage"
     return f"{goal.arm} {where} {goal.policy.name.lower()}"
 
 

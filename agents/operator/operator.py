@@ -89,10 +89,11 @@ def ask_for_grasp(
     pixel: Float64[np.ndarray, "2"] | None = None,
     point_camera: Float64[np.ndarray, "3"] | None = None,
     attempts: int | None = None,
+    from_swage_m: float | None = None,
 ) -> tuple[CommandAnswer, GraspPlan | None]:
     """Send a goal; its answer and, where it was accepted, the plan or rejection that followed (None: none came)."""
     plans = Events(connection, PLAN)
-    goal = GraspGoal(new_header(SENDER), arm, policy, s, pixel, point_camera, attempts)
+    goal = GraspGoal(new_header(SENDER), arm, policy, s, pixel, point_camera, attempts, from_swage_m)
     answer = connection.command(GOAL, goal)
     if answer.outcome is not Outcome.ACCEPTED:
         return answer, None

@@ -18,10 +18,21 @@ SIGMAS = 2.0
 
 @dataclass(frozen=True)
 class NeedleAround:
-    """Places on a needle in the camera frame, and half of how thick it is there with what is not known of it."""
+    """Places on a needle in the camera frame, the swage first.
+
+    Fields:
+        reach_m: half of how thick it is there, with what is not known of it.
+        swage_seen: whether both eyes see the swage; otherwise it lies where needles of its kind have it.
+    """
 
     points_camera: Float64[np.ndarray, "n 3"]
     reach_m: Float64[np.ndarray, "n"]
+    swage_seen: bool = False
+
+    @property
+    def swage_camera(self) -> Float64[np.ndarray, "3"]:
+        """Where the thread enters it."""
+        return self.points_camera[0]
 
     def off(self, places_camera: Float64[np.ndarray, "k 3"]) -> Float64[np.ndarray, "k"]:
         """How far places are from its surface at the least."""
@@ -41,4 +52,4 @@ def needle_around(pose: NeedlePose | None, thread: ThreadReconstruction, now_ns:
     angle = np.linspace(0.0, pose.arc_rad, POINTS)
     variance = [float(np.linalg.eigvalsh(pose.covariance_at(float(one)))[-1]) for one in angle]
     reach_m = RADIUS_M + SIGMAS * unit_m * np.sqrt(np.maximum(variance, 0.0))
-    return NeedleAround(unit_m * pose.at(angle), reach_m)
+    return NeedleAround(unit_m * pose.at(angle), reach_m, bool(pose.ends_seen[0]))

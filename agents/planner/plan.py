@@ -40,7 +40,7 @@ def plan_grasp(
     attempt = attempt or first_attempt(goal, config)
     try:
         curve = curve_of(thread)
-        s_goal = goal_on_thread(goal, curve, config)
+        s_goal = goal_on_thread(goal, curve, config, needle)
         s, at_goal = candidates(s_goal, config.samples)
         asked = asked_of(at_goal, goal.policy)
         known = known_along(thread, curve, s, config, offset_for(attempt, config), asked)

@@ -155,6 +155,8 @@ def count_entities(what: str, counts: dict[str, int]) -> list[Entity]:
 def _goal(goal: GraspGoal) -> str:
     if goal.s is not None:
         return f" at s = {goal.s:.3f}"
+    if goal.from_swage_m is not None:
+        return f" at {1e3 * goal.from_swage_m:.1f} mm of thread from the swage"
     where, place = ("pixel", goal.pixel) if goal.pixel is not None else ("point", goal.point_camera)
     return f" at {where} ({', '.join(f'{number:.4g}' for number in ([] if place is None else place))})"
 

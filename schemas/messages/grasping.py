@@ -26,10 +26,12 @@ class Policy(enum.Enum):
 
 @dataclass(frozen=True)
 class GraspGoal:
-    """Where to grasp: exactly one of s along the thread, a rectified left-image pixel, or a point, camera frame.
+    """Where to grasp: exactly one of s along the thread, a rectified left-image pixel, a point in the camera frame, or
+    so much thread from the needle.
 
     Fields:
         attempts: how often the planner may plan for it, the first plan included; None for what it is set to.
+        from_swage_m: how much thread lies between the needle's swage and the goal.
     """
 
     header: CommandHeader
@@ -39,12 +41,14 @@ class GraspGoal:
     pixel: Float64[np.ndarray, "2"] | None
     point_camera: Float64[np.ndarray, "3"] | None
     attempts: UInt32 | None = None
+    from_swage_m: float | None = None
 
     def __post_init__(self) -> None:
         check_message(self)
         check_arm(self.arm)
-        given = sum(value is not None for value in (self.s, self.pixel, self.point_camera))
-        require(given == 1, f"a goal names one of s, pixel and point, not {given} of them")
+        given = sum(value is not None for value in (self.s, self.pixel, self.point_camera, self.from_swage_m))
+        require(given == 1, f"a goal names one of s, pixel, point and length from the swage, not {given} of them")
+        require(self.from_swage_m is None or self.from_swage_m >= 0, "a length of thread is not negative")
         require(self.s is None or 0 <= self.s <= 1, f"a goal's s must lie within 0 and 1, and is {self.s}")
         require(self.attempts is None or self.attempts >= 1, "a goal has at least one attempt")
 

@@ -273,8 +273,10 @@ def host_clocks(draw):
 
 @st.composite
 def goals(draw):
-    place = draw(st.sampled_from([{"s": shares}, {"pixel": array(2)}, {"point_camera": array(3)}]))
-    given = {"s": None, "pixel": None, "point_camera": None} | place
+    place = draw(
+        st.sampled_from([{"s": shares}, {"pixel": array(2)}, {"point_camera": array(3)}, {"from_swage_m": positive}])
+    )
+    given = {"s": None, "pixel": None, "point_camera": None, "from_swage_m": None} | place
     return draw(with_fields(messages.GraspGoal, arm=names, attempts=st.none() | st.integers(1, 9), **given))
 
 

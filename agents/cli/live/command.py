@@ -30,10 +30,13 @@ POLICIES = {"robust": Policy.CAPTURE_SLIDE_GRASP, "direct": Policy.DIRECT}
 
 def goal(rig: RigConfig, options: Goal) -> int:
     """Ask for a grasp and print the plan, or why there is none."""
-    if sum(value is not None for value in (options.s, options.pixel, options.point)) != 1:
-        return complain("give one of --s, --pixel and --point", EXIT_UNUSABLE)
+    named = (options.s, options.pixel, options.point, options.from_swage_mm)
+    if sum(value is not None for value in named) != 1:
+        return complain("give one of --s, --pixel, --point and --from-swage-mm", EXIT_UNUSABLE)
     if options.s is not None and not 0 <= options.s <= 1:
         return complain(f"--s {options.s:g} is not on the thread; s runs from 0 to 1", EXIT_UNUSABLE)
+    if options.from_swage_mm is not None and not 0 <= options.from_swage_mm < math.inf:
+        return complain(f"--from-swage-mm {options.from_swage_mm:g} is no length of thread", EXIT_UNUSABLE)
     with connected(rig.session) as connection:
         answer, plan = ask_for_grasp(
             connection,
@@ -43,6 +46,7 @@ def goal(rig: RigConfig, options: Goal) -> int:
             pixel=None if options.pixel is None else np.array(options.pixel),
             point_camera=None if options.point is None else np.array(options.point),
             attempts=options.attempts,
+            from_swage_m=None if options.from_swage_mm is None else 1e-3 * options.from_swage_mm,
         )
     if answer.outcome is not Outcome.ACCEPTED:
         return complain(answer.reason, EXIT_REFUSED)

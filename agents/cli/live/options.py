@@ -114,14 +114,16 @@ class Demo:
 
 @dataclass(frozen=True)
 class Goal(OnRig):
-    """Ask for a grasp: at s along the thread, at a rectified left-image pixel, or at a point (metres, camera frame)."""
+    """Ask for a grasp: at s along the thread, a rectified left-image pixel, a point, or a length from the needle."""
 
     s: OptionalNumber = None
     """Share of the thread's length, 0 to 1."""
     pixel: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="U V")] = None
     """Column and row."""
     point: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")] = None
-    """In the rectified left camera's frame."""
+    """In the rectified left camera's frame, in metres."""
+    from_swage_mm: OptionalNumber = None
+    """So much thread from where the needle holds it; needs the agent needle."""
     arm: str = "psm1"
     """Which arm is to grasp."""
     policy: Literal["robust", "direct"] = "robust"

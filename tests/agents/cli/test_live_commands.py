@@ -60,8 +60,8 @@ def test_a_recorder_that_met_no_router_leaves_no_file(nowhere, tmp_path):
 @pytest.mark.parametrize(
     ("command", "told"),
     [
-        ("goal", "give one of --s, --pixel and --point"),
-        ("goal --s 0.5 --pixel 1 2", "give one of --s, --pixel and --point"),
+        ("goal", "give one of --s, --pixel, --point and --from-swage-mm"),
+        ("goal --s 0.5 --pixel 1 2", "give one of --s, --pixel, --point and --from-swage-mm"),
         ("goal --s 1.5", "s runs from 0 to 1"),
         ("goal --s nan", "s runs from 0 to 1"),
         ("arm", "give the id of a plan, as goal prints it"),

@@ -82,12 +82,20 @@ def in_unit(reconstruction, metres_per_unit):
     )
 
 
-def goal(s=None, pixel=None, point_camera=None, policy=Policy.CAPTURE_SLIDE_GRASP, arm="psm1", name="g1"):
+def goal(
+    s=None,
+    pixel=None,
+    point_camera=None,
+    policy=Policy.CAPTURE_SLIDE_GRASP,
+    arm="psm1",
+    name="g1",
+    from_swage_m=None,
+):
     def array(value):
         return None if value is None else np.array(value, dtype=np.float64)
 
     header = CommandHeader(name, CAPTURED_NS + 10**9, "bench")
-    return GraspGoal(header, arm, policy, s, array(pixel), array(point_camera))
+    return GraspGoal(header, arm, policy, s, array(pixel), array(point_camera), from_swage_m=from_swage_m)
 
 
 def arm(base_camera=(0.05, -0.1, 0.0), tool=None, reachable=None):

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from agents.planner.config import PlannerConfig
+from agents.planner.curve import NoGraspError, curve_of
+from agents.planner.goal import goal_on_thread
 from agents.planner.needle import RADIUS_M, needle_around
 from agents.planner.plan import plan_grasp
 from schemas.codec import encode
@@ -15,13 +17,13 @@ CONFIG = PlannerConfig()
 RADIUS_MM = 6.0
 
 
-def needle(thread, middle_mm, deviation_mm=0.1):
-    """Half a circle in a plane across the view."""
+def needle(thread, middle_mm, deviation_mm=0.1, seen=(True, True)):
+    """Half a circle in a plane across the view, whose swage lies to the right of its middle."""
     T = np.eye(4)
     T[:3, 3] = middle_mm
     covariance = np.diag([deviation_mm**2] * 3 + [0.0] * 5)
     return NeedlePose(
-        thread.stamp, thread.camera, Status.OK, "", T, RADIUS_MM, np.pi, covariance, np.ones(2, bool), 0.98, 3.0, 0.2
+        thread.stamp, thread.camera, Status.OK, "", T, RADIUS_MM, np.pi, covariance, np.array(seen), 0.98, 3.0, 0.2
     )
 
 
@@ -72,3 +74,42 @@ def test_an_instrument_that_cannot_keep_clear_of_a_needle_says_so(bench):
     plan = plan_grasp(bench.goal(s=0.5, policy=Policy.DIRECT), thread, bench.arm(), CONFIG, needle=before)
     assert plan.thread is not None
     assert "the needle may be, in the phase" in plan.thread.obstructed
+
+
+def test_a_goal_is_so_much_thread_from_the_swage(bench):
+    # 40 mm along x, from -20 to 20 mm, whichever of its ends comes first
+    for thread in (bench.straight(), bench.straight((20, 0, 60), (-20, 0, 60))):
+        curve = curve_of(thread)
+        for swage_mm, from_swage_mm, x_mm in (
+            (20.0, 0.0, 20.0),
+            (20.0, 12.0, 8.0),
+            (22.0, 12.0, 10.0),
+            (18.0, 12.0, 6.0),
+        ):
+            beside = needle_around(needle(thread, (swage_mm - RADIUS_MM, 0, 60)), thread, seen_ns(thread))
+            s = goal_on_thread(bench.goal(from_swage_m=1e-3 * from_swage_mm), curve, CONFIG, beside)
+            np.testing.assert_allclose(1e3 * curve.points(np.array([s]))[0], (x_mm, 0, 60), atol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("swage_mm", "seen", "from_swage_mm", "why"),
+    [
+        (20.0, (False, True), 10.0, "the swage in view of both eyes"),
+        (26.0, (True, True), 10.0, "the swage is 6.0 mm off the thread, and at most 5.0 mm"),
+        (5.0, (True, True), 10.0, "leads away from the swage on both sides"),
+        (22.0, (True, True), 1.0, "known from 2.0 to 42.0 mm from the swage, and the goal is at 1.0 mm"),
+        (18.0, (True, True), 50.0, "known from 0.0 to 38.0 mm from the swage, and the goal is at 50.0 mm"),
+    ],
+)
+def test_a_goal_from_a_swage_that_nobody_knows_or_past_the_thread_is_refused(bench, swage_mm, seen, from_swage_mm, why):
+    thread = bench.straight()
+    beside = needle_around(needle(thread, (swage_mm - RADIUS_MM, 0, 60), seen=seen), thread, seen_ns(thread))
+    with pytest.raises(NoGraspError, match=why):
+        goal_on_thread(bench.goal(from_swage_m=1e-3 * from_swage_mm), curve_of(thread), CONFIG, beside)
+
+
+def test_a_goal_from_the_swage_without_a_needle_is_a_plan_that_says_so(bench):
+    thread = bench.straight()
+    plan = plan_grasp(bench.goal(from_swage_m=0.01), thread, bench.arm(), CONFIG)
+    assert plan.status is Status.FAILED
+    assert "needs the needle, and none is known" in plan.reason
