@@ -10,6 +10,7 @@ of whatever machine this is, the least of three runs where they count.
 
 import argparse
 import json
+import statistics
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,15 +21,10 @@ from agents.cli.reconstruct.pipeline import PipelineResult, reconstruct_pair
 from agents.perception.centrelines import thread_centrelines
 from agents.reconstruction.method_names import DEFAULT_METHOD
 from agents.reconstruction.methods import METHODS
-from agents.reconstruction.paper import METHOD as PAPER
 from agents.viewer.picture import draw_picture
-from benchmarks.goals import goals
-from benchmarks.measures import figures
-from benchmarks.scenes import RENDERS, Pair, scenes
-from benchmarks.solvers import solver_times
+from benchmarks.measures import Goal, figures, goals
+from benchmarks.scenes import NONE, RENDERS, Pair, Run, runs, scenes
 from benchmarks.tables import compare, print_goals, print_group
-from benchmarks.times import time_goals
-from benchmarks.variations import NONE, Run, runs
 from shared.clock import Stopwatch
 
 REPEATS = 3
@@ -64,11 +60,9 @@ def main() -> None:
                 continue
             timed = run.scene.group in RENDERS and run.masks_are in ("true", NONE) and not run.calibration_is
             result = fastest(run, arguments.method, REPEATS if timed else 1)
-            row = figures(run, result) | {"solvers": None, "centrelines_ms": None}
+            row = figures(run, result) | {"centrelines_ms": None}
             if timed and run.masks is not None:
                 row["centrelines_ms"] = centrelines_ms(result, run.masks)
-                # the programs are those of method `paper`, whose observations another method may do without
-                row["solvers"] = solver_times(fastest(run, PAPER, 1).observations)
             rows.append(row)
             if arguments.pictures:
                 name = f"{run.scene.group} {run.scene.name} masks {run.masks_are} {run.calibration_is}".strip()
@@ -116,6 +110,57 @@ def save_picture(path: Path, result: PipelineResult) -> None:
     """Write what a person would see of this run."""
     path.parent.mkdir(parents=True, exist_ok=True)
     cv2.imwrite(str(path), draw_picture(*result.images, result.observations, result.reconstruction))
+
+
+Row = dict[str, Any]
+
+LIMITS_MS = {"paper": 5.0, "refined": 40.0}
+"""For observations to curve, by method."""
+LIMIT_WITH_CENTRELINES_MS = 60.0
+"""For centrelines of both images and the curve, by method `refined`."""
+
+OTHER_STEPS = ("rectify", "segment", "reconstruct")
+"""What is left of a run leads from masks to observations."""
+
+
+def time_goals(method: str, rows: list[Row]) -> list[Goal]:
+    """Median times of the renders, which are 960x540, with true masks; segmentation from the runs without masks."""
+    renders = [row for row in rows if row["group"] in RENDERS and not row["calibration"]]
+    given = [row for row in renders if row["masks"] == "true"]
+    segmented = [row for row in renders if row["masks"] == NONE]
+    result: list[Goal] = []
+    if segmented:
+        result.append(Goal("time: segmentation, both images, ms", "-", "-", _median(_ms(segmented, "segment"))))
+    if given:
+        curve = _ms(given, "reconstruct")
+        observed: list[float] = [
+            sum(ms for step, ms in row["timings_ms"].items() if step not in OTHER_STEPS) for row in given
+        ]
+        both = [a + b for a, b in zip(observed, curve, strict=True)]
+        with_lines = [row["centrelines_ms"] + ms for row, ms in zip(given, curve, strict=True)]
+        result += [
+            Goal("time: masks to observations, ms", "-", "-", _median(observed)),
+            _limited(f"time: observations to curve, {method}, ms", curve, LIMITS_MS.get(method)),
+            _limited(f"time: masks to curve, {method}, with judging the input and encoding, ms", both, None),
+        ]
+        if method == "refined":
+            what = "time: centrelines of both images, and observations to curve, refined, ms"
+            result.append(_limited(what, with_lines, LIMIT_WITH_CENTRELINES_MS))
+    return result
+
+
+def _limited(what: str, values: list[float], limit: float | None) -> Goal:
+    if limit is None:
+        return Goal(what, "-", "-", _median(values))
+    return Goal(what, "-", f"≤ {limit:g}", _median(values), statistics.median(values) <= limit)
+
+
+def _ms(rows: list[Row], step: str) -> list[float]:
+    return [row["timings_ms"][step] for row in rows]
+
+
+def _median(values: list[float]) -> str:
+    return f"{statistics.median(values):.1f}"
 
 
 if __name__ == "__main__":

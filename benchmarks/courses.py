@@ -30,10 +30,9 @@ from agents.reconstruction.refined import course, paths
 from agents.reconstruction.refined.covered_ends import map_of, with_covered_ends
 from agents.reconstruction.refined.method import METHOD
 from agents.reconstruction.refined.pieces import pieces_of
-from benchmarks.occlusions import hiding_shaft
-from benchmarks.scenes import HIDDEN, RENDERS, scenes
+from benchmarks.measures import evenly, places_along
+from benchmarks.scenes import HIDDEN, RENDERS, hiding_shaft, scenes
 from benchmarks.tables import CONSOLE
-from benchmarks.topology import evenly, places_along
 from schemas.messages import Centrelines, ThreadObservations
 from shared.arc_length import even_parameters
 from shared.camera import project

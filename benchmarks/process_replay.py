@@ -14,7 +14,7 @@ from rich.table import Table
 
 from agents.cli.recordings.options import Recompute
 from agents.cli.recordings.recompute import UnusableError, replayed
-from benchmarks.goals import Goal
+from benchmarks.measures import Goal
 
 CHAINS = ("perception", "reconstruction", "planner", "perception,reconstruction,planner")
 MOST_TIMES = 1.1

@@ -32,6 +32,8 @@ from agents.camera.scene_source import calibration_of
 from agents.cli.reconstruct.pipeline import PipelineResult, reconstruct_pair
 from agents.evaluation.look import seen_places
 from agents.evaluation.reliability import EDGES
+from agents.planner.agent import reaches_of
+from agents.planner.captures import ArmView
 from agents.planner.config import PlannerConfig
 from agents.planner.plan import plan_grasp
 from agents.planner.wedge import wedge_probability
@@ -40,7 +42,6 @@ from agents.reconstruction.methods import METHODS
 from agents.simulator.fingers import between
 from agents.simulator.judgement import GIVE_M
 from benchmarks.calibrations import drawn_errors, hand_eye, wrongly
-from benchmarks.jaws import simulated_arm
 from schemas.messages import (
     CommandHeader,
     GraspGoal,
@@ -53,8 +54,10 @@ from schemas.messages import (
     ThreadReconstruction,
 )
 from shared.calibration.uncertainty import usual_covariance
+from shared.kinematics import psm
 from shared.kinematics.psm import FINGER_M
-from shared.rigid_transforms import apply, inverse
+from shared.kinematics.simulated_setup import SIMULATED_BASES
+from shared.rigid_transforms import apply, compose, inverse
 
 REGISTRATIONS, TOOLS = 8, 25
 BOUND_DRAWS, BIN = 4000, 200
@@ -258,6 +261,15 @@ def print_found(found: list[Promise]) -> None:
     CONSOLE.print(
         f"in bins of {len(parts[0])} promises at most {worst:+.1%} off, {np.mean(share - promised):+.1%} in all"
     )
+
+
+def simulated_arm() -> ArmView:
+    """The demo's first arm, with its tool where it starts."""
+    T_camera_base = SIMULATED_BASES["psm1"]
+    T_base_camera = inverse(T_camera_base)
+    reaches = reaches_of(psm.LARGE_NEEDLE_DRIVER, PlannerConfig().least_dexterity)
+    at_rest = psm.forward(np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0]))
+    return ArmView(T_camera_base, compose(T_camera_base, at_rest), lambda T: reaches(compose(T_base_camera, T)))
 
 
 if __name__ == "__main__":

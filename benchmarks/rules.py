@@ -29,10 +29,10 @@ from agents.perception.segmenter_names import NETWORK
 from agents.reconstruction.method_names import DEFAULT_METHOD
 from agents.reconstruction.refined import method
 from benchmarks import lab, perception
-from benchmarks.perception_empty import Empty, thread_free
-from benchmarks.perception_tables import precision, recall
+from benchmarks.perception import precision, recall
 from benchmarks.scenes import CLEAR, CROSSING, OCCLUSION, scenes
 from benchmarks.tables import CONSOLE
+from benchmarks.thread_free import Empty, thread_free
 from schemas.messages import Status, ThreadReconstruction
 
 PATH_TRACED = CLEAR, CROSSING, OCCLUSION

@@ -26,8 +26,7 @@ from rich.table import Table
 
 from agents.perception.segmenter_names import NETWORK
 from benchmarks import lab, perception
-from benchmarks.perception_empty import false_threads
-from benchmarks.perception_tables import precision, recall
+from benchmarks.perception import false_threads, precision, recall
 from benchmarks.scenes import scenes
 from benchmarks.tables import CONSOLE
 

@@ -5,8 +5,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.goals import Goal, failures, spread, topology_is_right
-from benchmarks.measures import OF_EDGE, REPROJECTION
+from benchmarks.measures import OF_EDGE, REPROJECTION, Goal, failures, spread, topology_is_right
 
 CONSOLE = Console(width=260)
 TEXT = ("scene", "masks", "calibration", "by", "status", "topology")

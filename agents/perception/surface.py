@@ -11,7 +11,7 @@ it. The deviation of a cell's disparity is
     σ² = σ₀² + (c s)²
 
 with s the spread (median absolute deviation, scaled to a normal one) of the cell's pixels about a plane, and c and σ₀
-as they were found on rendered scenes (`benchmarks.surface`): semi-global matching hands errors on from pixel to pixel,
+as they were found on rendered scenes: semi-global matching hands errors on from pixel to pixel,
 so that a median of many is hardly surer than one. Depth has σ z / δ.
 """
 

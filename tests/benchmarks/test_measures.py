@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.goals import goals
-from benchmarks.measures import NEAR_MASK, OF_EDGE, OF_IMAGES, OF_TRUTH, REPROJECTION, believed
+from benchmarks.measures import NEAR_MASK, OF_EDGE, OF_IMAGES, OF_TRUTH, REPROJECTION, believed, goals
 from schemas.messages import FrameStamp, RectifiedStereo, ReliabilityRegions, Status, ThreadReconstruction
 from shared.splines import basis_matrix, clamped_uniform_knots
 

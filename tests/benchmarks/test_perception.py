@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.centreline_share import shares
+from benchmarks.perception import shares
 from schemas.messages import Centrelines
 
 ONE = np.ones

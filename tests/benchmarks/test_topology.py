@@ -1,6 +1,6 @@
 import numpy as np
 
-from benchmarks.topology import topology
+from benchmarks.measures import topology
 
 
 def with_loop(count=1200):

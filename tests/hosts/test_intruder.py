@@ -1,9 +1,9 @@
-"""Intruders on a secured rig of real processes, fewer of them; `python -m benchmarks.intruder` sends many more."""
+"""Intruders on a secured rig of real processes; `python -m tests.rigs.intruder.attacked` sends many more messages."""
 
 import pytest
 
-from benchmarks.intruder import Options, attacked
 from schemas.topics import TOPICS, Delivery
+from tests.rigs.intruder.attacked import Options, attacked
 from tests.rigs.intruder.rig import CannotError
 
 # what it takes to start all processes, and to wait for a plan, may both fall to one test

@@ -1,6 +1,6 @@
 """Intruders on a secured rig: without certificate, with another agent's, and owners who send malformed messages.
 
-    python -m benchmarks.intruder [--messages 100000] [--json out/intruder.json]
+    python -m tests.rigs.intruder.attacked [--messages 100000] [--json out/intruder.json]
 
 Every agent and the recorder run as processes of their own behind a router with certificates and access rules, on one
 host. Nothing of the first two may be delivered; of the third, each consumer's own account, and the recording, must

@@ -11,15 +11,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from rich.progress import track
 
 from agents.camera.image_files import read_pair
-from agents.cli.reconstruct.pipeline import reconstruct_pair
-from agents.reconstruction.method_names import DEFAULT_METHOD
-from benchmarks.perception_pictures import save_false
 from benchmarks.scenes import Pair
-from benchmarks.segmenters import COMPARED
-from schemas.messages import RectifiedStereo, Status, StereoCalibration
+from schemas.messages import RectifiedStereo, StereoCalibration
 from shared.calibration import read_calibration
 from shared.camera import camera_matrix
 from shared.scene.render import RENDERED, TISSUE, render_backdrop
@@ -35,8 +30,6 @@ GAINS, TINT = (0.75, 1.3), 0.05
 FAINT = Sensor(blur_px=0.0, read_noise=0.7, shot_noise=1.1)
 """Path-traced images have a camera's blur and noise already; this only makes two frames differ."""
 
-Counts = dict[str, dict[str, int]]
-
 
 @dataclass(frozen=True)
 class Empty:
@@ -45,29 +38,6 @@ class Empty:
     kind: str
     images: Pair
     calibration: StereoCalibration
-
-
-def false_threads(
-    frames: int, segmenter: str, seed: int = 0, folders: Sequence[Path] = (), pictures: Path | None = None
-) -> Counts:
-    """How often perception, and reconstruction after it, takes something for thread, by kind of scene.
-
-    Args:
-        pictures: folder for a picture of each false thread.
-    """
-    counts: Counts = {}
-    every = thread_free(frames, seed, folders)
-    for number, one in enumerate(track(every, f"thread-free frames, {segmenter}", frames, transient=True)):
-        result = reconstruct_pair(
-            one.images, one.calibration, masks=None, segmenter=segmenter, method=DEFAULT_METHOD, segmenters=COMPARED
-        )
-        of_kind = counts.setdefault(one.kind, {"frames": 0, "perception": 0, "reconstruction": 0})
-        of_kind["frames"] += 1
-        of_kind["perception"] += result.observations.status is Status.OK
-        of_kind["reconstruction"] += result.reconstruction.status is Status.OK
-        if pictures is not None and result.observations.status is Status.OK:
-            save_false(pictures / f"{segmenter} {one.kind} {number}.png", result)
-    return counts
 
 
 def thread_free(frames: int, seed: int, folders: Sequence[Path] = ()) -> Iterator[Empty]:
