@@ -38,6 +38,8 @@ class Kind:
         films: whether it opens devices of video.
         agent: the class that it is made from, as `module:Class`, where its section's fields are those of its `config`;
             empty where more is needed, which `agents/launch/builders.py` knows.
+        config: that config, likewise, of which its section is made: a dataclass in a module that loads at once. Empty
+            where the section is one of `agents/configuration/sections.py`.
         options: of its command, beside `--arm`, where a unit or a container starts it.
     """
 
@@ -51,6 +53,7 @@ class Kind:
     audited: bool = False
     films: bool = False
     agent: str = ""
+    config: str = ""
     options: str = ""
 
     # the table of topics knows all messages, which takes longer to load than `--help` should
@@ -94,6 +97,7 @@ TOOL_TRACKER = Kind(
     Pace.STEPS_BACK,
     per_arm=True,
     agent="agents.tool_tracker.agent:ToolTracker",
+    config="agents.tool_tracker:ToolTrackerConfig",
 )
 RECONSTRUCTION = Kind(
     "reconstruction", "reconstruction", "makes a curve in space of it", ("perception/observations",), Pace.STEPS_BACK
@@ -105,6 +109,7 @@ NEEDLE = Kind(
     ("perception/needle_lines",),
     Pace.STEPS_BACK,
     agent="agents.needle.agent:Needle",
+    config="agents.needle:NeedleConfig",
 )
 PLANNER = Kind(
     "planner",

@@ -4,10 +4,12 @@ A section that is there means that `suturegrasp up` runs that agent, on this mac
 it; every agent reads the same file.
 """
 
+import dataclasses
+import importlib
 import itertools
-from typing import Any
+from typing import TYPE_CHECKING, Any, get_type_hints
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, create_model, field_validator, model_validator
 
 from agents.configuration.base_pose import standing_apart
 from agents.configuration.hosts import (
@@ -26,19 +28,17 @@ from agents.configuration.sections import (
     CameraSection,
     DvrkSection,
     Name,
-    NeedleSection,
     PerceptionSection,
     PlannerSection,
     ReconstructionSection,
     RecorderSection,
     RouterSection,
     SimulatorSection,
-    ToolTrackerSection,
     ViewerSection,
 )
 from agents.configuration.topics import TopicSections, overrides, rows_otherwise
 from agents.reconstruction.method_names import MATCHING_METHODS
-from agents.registry import AGENTS, GUARD, RECORDER, VIEWER, Kind
+from agents.registry import AGENTS, GUARD, RECORDER, TOOL_TRACKER, VIEWER, Kind
 from schemas.messages import TopicOverride
 from schemas.topics import MAIN, Topic
 from shared.runtime.access import Sites, common_name
@@ -47,16 +47,14 @@ from shared.runtime.identity import Identity, identity_in
 from shared.runtime.session import LOCAL_ENDPOINT, SessionSettings, host_of, on_loopback
 
 
-class RigConfig(Settings):
-    """A whole rig."""
+class _Rig(Settings):
+    """A whole rig, but for the sections that are made of the registry."""
 
     rig: Name = "lab"
     router: RouterSection = RouterSection()
     camera: CameraSection | None = None
     perception: PerceptionSection | None = None
-    tool_tracker: dict[Name, ToolTrackerSection] = Field(default_factory=dict)
     reconstruction: ReconstructionSection | None = None
-    needle: NeedleSection | None = None
     planner: PlannerSection | None = None
     robot: dict[Name, ArmSection] = Field(default_factory=dict)
     simulator: SimulatorSection | None = None
@@ -81,27 +79,27 @@ class RigConfig(Settings):
         return robot
 
     @model_validator(mode="after")
-    def _method_has_its_matches(self) -> "RigConfig":
+    def _method_has_its_matches(self) -> "_Rig":
         if self.needs_matching and self.perception is not None and self.perception.matching is False:
             method = self.reconstruction.method if self.reconstruction else ""
             raise ValueError(f"reconstruction.method {method!r} needs perception.matching = true, or leave it out")
         return self
 
     @model_validator(mode="after")
-    def _tools_are_of_arms(self) -> "RigConfig":
-        for arm in self.tool_tracker:
+    def _tools_are_of_arms(self) -> "_Rig":
+        for arm in self.arms_of(TOOL_TRACKER):
             if arm not in self.robot:
                 arms = ", ".join(self.robot) or "none"
                 raise ValueError(f"[tool_tracker.{arm}] names an arm that there is not; the arms are {arms}")
             if self.robot[arm].kinematics is not None:
                 raise ValueError(f"[tool_tracker.{arm}] is for an arm whose tool is no PSM's; leave it out")
         for arm, section in self.robot.items():
-            if section.correction == "tool_tracker" and arm not in self.tool_tracker:
+            if section.correction == "tool_tracker" and arm not in self.arms_of(TOOL_TRACKER):
                 raise ValueError(f"robot.{arm}.correction = 'tool_tracker' needs a section [tool_tracker.{arm}]")
         return self
 
     @model_validator(mode="after")
-    def _sites_are_told_apart(self) -> "RigConfig":
+    def _sites_are_told_apart(self) -> "_Rig":
         if self.rig in self.router.reads:
             raise ValueError(f"router.reads names {self.rig!r}, this rig itself; name rigs of other sites")
         for endpoint in self.router.connect:
@@ -110,7 +108,7 @@ class RigConfig(Settings):
         return self
 
     @model_validator(mode="after")
-    def _robots_are_reached_safely(self) -> "RigConfig":
+    def _robots_are_reached_safely(self) -> "_Rig":
         camera = self.camera.endpoint if self.camera is not None else None
         arms = {arm: section.dvrk for arm, section in self.robot.items() if section.dvrk is not None}
         named = {f"robot.{arm}.dvrk.endpoint": dvrk.endpoint for arm, dvrk in arms.items()}
@@ -137,7 +135,7 @@ class RigConfig(Settings):
         return sits[0] if sits else LOCALHOST, port
 
     @model_validator(mode="after")
-    def _guards_sit_at_their_robots(self) -> "RigConfig":
+    def _guards_sit_at_their_robots(self) -> "_Rig":
         for arm, section in self.robot.items():
             name, at = f"guard {arm}", "" if section.dvrk is None else host_of(section.dvrk.endpoint)
             sits = [host for host, told in self.hosts.items() if name in told.runs]
@@ -152,7 +150,7 @@ class RigConfig(Settings):
         return self
 
     @model_validator(mode="after")
-    def _links_are_secured(self) -> "RigConfig":
+    def _links_are_secured(self) -> "_Rig":
         if not self.hosts:
             if self.router.host is not None or self.host is not None:
                 named = "router.host" if self.router.host is not None else "host"
@@ -261,6 +259,35 @@ class RigConfig(Settings):
         """The common names of everything that may reach the router, for which there are certificates."""
         runs = {host: section.runs for host, section in self.hosts.items()} or {MAIN: (*self.processes(), OPERATOR)}
         return [common_name(*kind_and_instance(name, host)) for host, names in runs.items() for name in names]
+
+
+def section_made_of(kind: Kind) -> tuple[Any, Any]:
+    """The type and default of the section that is made of an agent's config; its arm is told by the section's name."""
+    module, _, name = kind.config.partition(":")
+    config = getattr(importlib.import_module(module), name)
+    hints = get_type_hints(config, include_extras=True)
+    fields: dict[str, Any] = {
+        field.name: (hints[field.name], ... if field.default is dataclasses.MISSING else field.default)
+        for field in dataclasses.fields(config)
+        if not (kind.per_arm and field.name == "arm")
+    }
+    made = create_model(f"{config.__name__}Section", __base__=Settings, __doc__=config.__doc__, **fields)
+    return (dict[Name, made], Field(default_factory=dict)) if kind.per_arm else (made | None, None)
+
+
+if TYPE_CHECKING:
+
+    class RigConfig(_Rig):
+        """A whole rig."""
+
+else:
+    RigConfig = create_model(
+        "RigConfig",
+        __base__=_Rig,
+        __module__=__name__,
+        __doc__="A whole rig.",
+        **{kind.section: section_made_of(kind) for kind in AGENTS if kind.config},
+    )
 
 
 def simulated_rig() -> RigConfig:

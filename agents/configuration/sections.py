@@ -129,22 +129,11 @@ class PerceptionSection(Settings):
         return self
 
 
-class ToolTrackerSection(Settings):
-    """That the instrument of an arm is looked for in the images; there is nothing to set."""
-
-
 class ReconstructionSection(Settings):
     """How the curve is found, and whether it is followed from frame to frame."""
 
     method: Literal["refined", "paper"] = DEFAULT_METHOD
     tracking: bool = True
-
-
-class NeedleSection(Settings):
-    """How large the needle is, where that is known: the radius of its arc, and the angle from swage to point."""
-
-    radius_mm: float | None = Field(default=None, ge=3, le=16)
-    arc_deg: float | None = Field(default=None, ge=60, le=300)
 
 
 class PlannerSection(Settings):

@@ -15,6 +15,7 @@ from agents.configuration.rig import (
 from agents.launch.other_arms import other_arms
 from agents.registry import (
     CAMERA,
+    NEEDLE,
     PERCEPTION,
     PLANNER,
     RECONSTRUCTION,
@@ -53,7 +54,7 @@ def _camera(rig: RigConfig, _: str, section: CameraSection) -> Agent:
 def _perception(rig: RigConfig, _: str, section: PerceptionSection) -> Agent:
     from agents.launch.perception_builder import built_perception
 
-    return built_perception(section, rig.needs_matching, rig.needle is not None)
+    return built_perception(section, rig.needs_matching, rig.section_of(NEEDLE) is not None)
 
 
 def _reconstruction(_: RigConfig, __: str, section: ReconstructionSection) -> Agent:

@@ -8,6 +8,7 @@ from agents.configuration.base_file import base_of, registered_ns
 from agents.configuration.hosts import run_name
 from agents.configuration.rig import ArmSection, RigConfig
 from agents.launch.other_arms import other_arm
+from agents.registry import TOOL_TRACKER
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.correction import CorrectionLimits
 from agents.robot_bridge.limits import MotionLimits
@@ -33,7 +34,7 @@ def built_robot_bridge(rig: RigConfig, arm: str, section: ArmSection) -> RobotBr
     config = RobotBridgeConfig(
         arm,
         T_camera_base,
-        resting_hz=LOOKED_AT_HZ if arm in rig.tool_tracker else RESTING_HZ,
+        resting_hz=LOOKED_AT_HZ if arm in rig.arms_of(TOOL_TRACKER) else RESTING_HZ,
         maximum_plan_age_s=section.maximum_plan_age_s,
         limits=MotionLimits().slowed(section.speed_share),
         correction=correction_limits(section),

@@ -1,20 +1,12 @@
 """The needle agent: lines around a needle in, its pose out."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
+from agents.needle import NeedleConfig
 from agents.needle.pose import needle_pose
 from schemas.messages import NeedlePose
 from schemas.topics import NEEDLE, NEEDLE_SEEN
 from shared.runtime.agent import Agent, Command, Input, Output, Received, Tick
-
-
-@dataclass(frozen=True)
-class NeedleConfig:
-    """How large the needle is: the radius of its arc, and the angle from swage to point; None where nobody says."""
-
-    radius_mm: float | None = None
-    arc_deg: float | None = None
 
 
 class Needle(Agent):
@@ -26,8 +18,8 @@ class Needle(Agent):
     outputs = (NEEDLE,)
     goes_on_from = NEEDLE
 
-    def __init__(self, config: NeedleConfig = NeedleConfig()) -> None:
-        self.config = config
+    def __init__(self, config: NeedleConfig | None = None) -> None:
+        self.config = config or NeedleConfig()
         self._last: NeedlePose | None = None
 
     def step(self, arrived: Received | Tick | Command) -> Iterable[Output]:

@@ -5,8 +5,8 @@ searched for, by the frames' own time; what that costs is told in docs/tool_trac
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
+from agents.tool_tracker import ToolTrackerConfig
 from agents.tool_tracker.acquisition import soft_pair
 from agents.tool_tracker.placed import Placed, in_metres, placed_at
 from agents.tool_tracker.refinement import View
@@ -31,13 +31,6 @@ FOLLOWING_S, SEARCHING_S = 0.2, 0.4
 MOST_STATES = 200
 
 
-@dataclass(frozen=True)
-class ToolTrackerConfig:
-    """Whose instrument is looked for: the arm's name, which is the instance in its keys."""
-
-    arm: str = "psm1"
-
-
 class ToolTracker(Agent):
     """Looks for one instrument where its arm's states have it, and goes on from its last message alone."""
 
@@ -46,12 +39,13 @@ class ToolTracker(Agent):
     outputs = (TOOL,)
     goes_on_from = TOOL
 
-    def __init__(self, config: ToolTrackerConfig = ToolTrackerConfig()) -> None:
-        self.config, self.instance = config, config.arm
+    def __init__(self, config: ToolTrackerConfig | None = None) -> None:
+        self.config = config or ToolTrackerConfig()
+        self.instance = self.config.arm
         self.inputs = (
             Input(FRAMES, only_newest_counts=True),
             Input(CALIBRATION, only_newest_counts=True),
-            Input(ROBOT_STATE, config.arm),
+            Input(ROBOT_STATE, self.instance),
         )
         self._calibration: StereoCalibration | None = None
         self._calibration_id = ""

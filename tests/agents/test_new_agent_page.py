@@ -1,11 +1,17 @@
 """What the page on agents of one's own shows is Python that the project takes."""
 
 import re
+import sys
 from pathlib import Path
+from types import ModuleType
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
+import pytest
+from pydantic import TypeAdapter, ValidationError
 
+from agents.configuration.rig import section_made_of
 from schemas.messages import Status
 from shared.runtime.agent import Received
 from tests.agents.viewer.conftest import CAMERA, STAMP
@@ -23,7 +29,7 @@ from schemas.messages import Consumed, FrameStamp, RectifiedStereo, Status
 from schemas.shown import Shown, Shows
 from schemas.topics import THREAD, Delivery, Topic
 from shared.runtime.agent import Agent, Command, Input, Output, Received, Tick
-from shared.runtime.config import Settings
+from typing import Annotated
 """
 
 
@@ -39,4 +45,16 @@ def test_the_agent_of_the_page_steps():
     assert known.shown().figures == {"length_mm": 80.0, "distance_mm": 60.0}
     failed = page["ThreadSlack"](STAMP, CAMERA, Status.FAILED, "no thread", 0.0, 0.0, None)
     assert failed.shown().state == "failed"
-    assert page["SlackSection"]().points == 100
+
+
+def test_the_section_of_the_page_follows_from_its_row():
+    page: dict[str, Any] = {"__name__": "page"}
+    exec(IMPORTS + "\n".join(re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)), page)  # noqa: S102, it is ours
+    module = ModuleType("agents.slack")
+    module.__dict__["SlackConfig"] = page["SlackConfig"]
+    with patch.dict(sys.modules, {"agents.slack": module}):
+        section, default = section_made_of(page["SLACK"])
+    assert default is None
+    assert TypeAdapter(section).validate_python({}).points == 100
+    with pytest.raises(ValidationError):
+        TypeAdapter(section).validate_python({"points": 5})

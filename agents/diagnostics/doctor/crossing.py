@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 from agents.configuration.hosts import kind_and_instance
 from agents.configuration.rig import RigConfig
-from agents.registry import CAMERA, RECORDER, ROBOT_BRIDGE, kind_of
+from agents.registry import CAMERA, NEEDLE, RECORDER, ROBOT_BRIDGE, kind_of
 from schemas.topics import NEEDLE_SEEN, TOOL, TOPICS, Topic
 
 STREAMS = tuple(topic for topic in TOPICS if topic.typical_bytes)
@@ -79,7 +79,7 @@ def heard_by(rig: RigConfig, kind: str, instance: str) -> tuple[Topic, ...]:
 
 def _said_on(rig: RigConfig) -> tuple[Topic, ...]:
     """Perception looks for lines of a needle where the rig has an agent for them."""
-    return tuple(topic for topic in STREAMS if topic is not NEEDLE_SEEN or rig.needle is not None)
+    return tuple(topic for topic in STREAMS if topic is not NEEDLE_SEEN or rig.section_of(NEEDLE) is not None)
 
 
 def rate_of(rig: RigConfig, topic: Topic) -> float:

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agents.needle.agent import Needle, NeedleConfig
+from agents.needle import NeedleConfig
+from agents.needle.agent import Needle
 from agents.needle.pose import NO_NEEDLE, NO_UNIT, TOO_LITTLE, needle_pose
 from schemas.codec import encode
 from schemas.messages import (
