@@ -4,7 +4,7 @@ A message's protobuf twin has the same name and the same field names. Protobuf a
 all decode to zeros), so decoding trusts nothing: whatever arrives is either a message that passes its own checks,
 or a MessageError that says what is wrong with which field. A field that this version does not know is damage, unless
 its number is above all that it knows: then a newer version has added it, and it is left out; but never from a message
-that leads to motion, since what it means for a robot is unknown (docs/decisions/0015).
+that leads to motion, since what it means for a robot is unknown (docs/decisions.md, 15).
 """
 
 import dataclasses

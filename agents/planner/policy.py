@@ -7,7 +7,7 @@ at s succeeds, and p that the thread stays between the fingers from one sample t
 
 with g the goal's sample; the capture is the largest of these that nothing speaks against. Capturing at the goal
 itself is the direct grasp. What a plan states is more cautious: the least P(s) on the way takes the place of P(s_i)
-(docs/decisions/0014).
+(docs/decisions.md, 14).
 """
 
 import enum

@@ -10,7 +10,7 @@ from schemas.messages import TissueSurface
 from shared.kinematics.arm import ArmKinematics
 
 MAXIMUM_PLAN_AGE_S = 30.0
-"""Since the frame that a plan was made from was captured, unless a rig says otherwise: docs/decisions/0011."""
+"""Since the frame that a plan was made from was captured, unless a rig says otherwise: docs/decisions.md, 9."""
 
 
 def _before_the_camera() -> Float64[np.ndarray, "2 3"]:

@@ -1,7 +1,7 @@
 """What a robot bridge and the guard beside the console say to each other, on keys of their own on the robot's Zenoh.
 
 Each message begins with the key that it was sent under, since Zenoh has handed over messages under wrong keys
-(docs/decisions/0029): what names another key is none. Nothing here needs NumPy, so that the guard does without it.
+(docs/decisions.md, 29): what names another key is none. Nothing here needs NumPy, so that the guard does without it.
 
     bridge -> guard    guarded/PSM1/set_point    one set point of all joints and the jaw
     bridge -> guard    guarded/PSM1/alive        nothing moves; or the motion has ended as it should

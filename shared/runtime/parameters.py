@@ -2,7 +2,7 @@
 
 The config of an agent is a frozen dataclass. A field that is safe to set while the agent runs is declared `settable`,
 and the agent takes a changed config in its method `configure`; nothing else of it can be set. A change is a step like
-any other (docs/decisions/0016), so a replay of a recording repeats it.
+any other (docs/decisions.md, 16), so a replay of a recording repeats it.
 """
 
 import dataclasses
