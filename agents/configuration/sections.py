@@ -210,7 +210,7 @@ class ArmSection(Settings):
         if self.backend == "dvrk" and self.T_camera_base is None and self.T_camera_base_file is None:
             raise ValueError(
                 "backend 'dvrk' needs T_camera_base or T_camera_base_file, which only the lab can have measured: "
-                "docs/hand_eye.md"
+                "docs/calibration.md"
             )
         return self
 

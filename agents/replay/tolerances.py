@@ -1,6 +1,6 @@
 """How much the outputs of two versions or settings may differ before it counts, by message type and field.
 
-Chosen between two figures, both of which `docs/process_replay.md` has with their commands: what another processor makes
+Chosen between two figures, both of which `docs/recordings.md` has with their commands: what another processor makes
 of the same session (well below), and what a small but real change makes of it (above). Fields without a rule must be
 the same. Of one version and installation everything must be: there these rules only say how differences are shown.
 """

@@ -1,4 +1,4 @@
-"""An arm from what a file says of it: docs/other_arms.md."""
+"""An arm from what a file says of it: docs/robot_bridge.md."""
 
 from typing import Any
 

@@ -1,6 +1,6 @@
 """The golden recordings: what perception, reconstruction and planner make of them is what was blessed.
 
-Compared within the tolerances of docs/process_replay.md, since another processor rounds otherwise.
+Compared within the tolerances of docs/recordings.md, since another processor rounds otherwise.
 """
 
 import dataclasses

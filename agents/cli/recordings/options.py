@@ -101,7 +101,7 @@ class Replay(OnRecording):
 class Recompute(OnRecording):
     """Feed agents, in this process, exactly what they consumed, and compare what they say now with what they said.
 
-    Nothing is published (docs/process_replay.md). Exit status: 0 the same, 1 different, 2 nothing to compare, 3
+    Nothing is published (docs/recordings.md#replaying-a-recording-through-agents). Exit status: 0 the same, 1 different, 2 nothing to compare, 3
     damaged.
     """
 
@@ -114,7 +114,7 @@ class Recompute(OnRecording):
     config: OptionalPath = None
     """The rig's configuration (TOML) in place of the recorded one."""
     tolerances: Annotated[str, tyro.conf.arg(metavar="{auto,none,table}")] = "auto"
-    """Whether differences below those of docs/process_replay.md pass. Default: where settings, versions or the machine
+    """Whether differences below those of docs/recordings.md pass. Default: where settings, versions or the machine
     are not those of the recording."""
     output: Annotated[Path | None, tyro.conf.arg(metavar="RRD|MCAP")] = None
     """A Rerun recording of both side by side, or the recording with what the agents say now."""

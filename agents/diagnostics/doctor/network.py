@@ -18,7 +18,7 @@ from agents.diagnostics.status.wrong import listed
 from shared.runtime.facts import Link
 
 HEADERS = 1.05
-"""What encryption and headers add, as measured between two sites (docs/scaling.md)."""
+"""What encryption and headers add, as measured between two sites (docs/performance.md#many-rigs-several-sites)."""
 ROOM = 0.7
 """The share of a link that steady streams may take: what bursts beside them comes late otherwise."""
 LEAST_BYTES_PER_S = 1e5
@@ -27,7 +27,7 @@ LARGEST = 3
 OUT, INTO = "out of", "into"
 REMEDY = (
     "have it wired to the router's switch, let its agents run nearer to what they hear, or lower camera.rate_hz or "
-    "camera.jpeg_quality: docs/scaling.md"
+    "camera.jpeg_quality: docs/performance.md"
 )
 
 

@@ -39,7 +39,7 @@ def report(gathered: Gathered, wrongs: Iterable[Wrong]) -> RenderableType:
 
 
 def document(gathered: Gathered, wrongs: Iterable[Wrong]) -> dict[str, Any]:
-    """The same as JSON can hold it; docs/status.md tells the fields."""
+    """The same as JSON can hold it; docs/diagnostics.md tells the fields."""
     wrongs = list(wrongs)
     return {
         "at_ns": gathered.at_ns,

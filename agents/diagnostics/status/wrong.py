@@ -9,7 +9,7 @@ class Wrong:
     """A sentence about a rig that runs.
 
     Fields:
-        code: stable, for programs; docs/status.md lists them.
+        code: stable, for programs; docs/diagnostics.md lists them.
         about: the agent, host or topic.
         text: the sentence, without a full stop.
         grave: whether it makes the exit status 1; otherwise it is only worth knowing.

@@ -1,6 +1,6 @@
 """What thread, fingers and tissue are made of. Millimetre, gram, second: a pascal is 1 g/(mm s²), a newton 1e6 g mm/s².
 
-docs/physics.md gives the source of each figure.
+docs/simulator.md gives the source of each figure.
 """
 
 from dataclasses import dataclass
