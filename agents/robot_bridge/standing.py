@@ -85,7 +85,10 @@ class Standing:
             return Refusal(Code.UNKNOWN, f"{ahead}: set the clock, or T_camera_base_made")
         if days > config.registration_days:
             old = f"the arm was registered {days:.0f} days ago, and {config.registration_days:g} are allowed"
-            return Refusal(Code.UNKNOWN, f"{old}: register it anew (docs/calibration.md#where-the-robots-base-is-before-the-camera)")
+            return Refusal(
+                Code.UNKNOWN,
+                f"{old}: register it anew (docs/calibration.md#where-the-robots-base-is-before-the-camera)",
+            )
         if state is not None and state.untold:
             what, remedy = state.untold[0]
             return Refusal(Code.UNKNOWN, f"{what}: {remedy}")
