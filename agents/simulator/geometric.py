@@ -1,4 +1,4 @@
-"""Grasps by geometry alone: fast, and validated against contact physics (docs/simulator.md#physics-of-a-grasp)."""
+"""Grasps by geometry alone: fast, and validated against contact physics (docs/simulator.md)."""
 
 from agents.simulator.field import Field, s_of
 from agents.simulator.judgement import Grip, code, never_closed, sentence, slid_m

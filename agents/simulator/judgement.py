@@ -36,7 +36,7 @@ IN_PLACE_M = 1e-3
 """Fingertips that have travelled farther have not closed in place."""
 
 GIVE_M = 3e-3
-"""How far a thread on tissue gives way to a finger that pushes it, as contact physics has it (docs/simulator.md#physics-of-a-grasp)."""
+"""How far a thread on tissue gives way to a finger that pushes it, as contact physics has it (docs/simulator.md)."""
 
 
 @dataclass(frozen=True)

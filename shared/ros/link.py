@@ -3,8 +3,8 @@
 The session is opened in the background, and waits for the router that the robot's computer has; until then nothing is
 heard, and what is said goes nowhere. It is apart from that of the rig: the robot's keys never cross the rig's router.
 
-A session whose link broke is not used again: Zenoh has taken one key for another after that (docs/decisions.md, 29), and
-what a console says does not name its key. Nothing more of it is heard, and another one is opened.
+A session whose link broke is not used again: Zenoh has taken one key for another after that (docs/decisions.md, 29),
+and what a console says does not name its key. Nothing more of it is heard, and another one is opened.
 """
 
 import contextlib

@@ -11,7 +11,7 @@ from agents.cli.on_rig import OnRig
 
 @dataclass(frozen=True)
 class Experiment(OnRig):
-    """Try goals along threads with both policies, and write how often each grasped (docs/evaluation.md#the-papers-experiment-on-a-rig-of-your-own).
+    """Try goals along threads with both policies, and write how often each grasped (docs/evaluation.md).
 
     Can be interrupted at any time, and goes on where it was when it is called again with the same folder.
     """

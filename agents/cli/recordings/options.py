@@ -101,7 +101,7 @@ class Replay(OnRecording):
 class Recompute(OnRecording):
     """Feed agents, in this process, exactly what they consumed, and compare what they say now with what they said.
 
-    Nothing is published (docs/recordings.md#replaying-a-recording-through-agents). Exit status: 0 the same, 1 different, 2 nothing to compare, 3
+    Nothing is published (docs/recordings.md). Exit status: 0 the same, 1 different, 2 nothing to compare, 3
     damaged.
     """
 

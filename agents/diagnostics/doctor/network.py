@@ -18,7 +18,7 @@ from agents.diagnostics.status.wrong import listed
 from shared.runtime.facts import Link
 
 HEADERS = 1.05
-"""What encryption and headers add, as measured between two sites (docs/performance.md#many-rigs-several-sites)."""
+"""What encryption and headers add, as measured between two sites (docs/performance.md)."""
 ROOM = 0.7
 """The share of a link that steady streams may take: what bursts beside them comes late otherwise."""
 LEAST_BYTES_PER_S = 1e5

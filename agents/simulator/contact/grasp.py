@@ -43,7 +43,6 @@ class Attempt:
     closed_tip: Float64[np.ndarray, "3"] | None = None
     gripped: float | None = None
     grip: float | None = None
-    travelling: bool = False
     force_n: float = 0.0
     lifted: bool = False
 

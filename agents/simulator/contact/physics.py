@@ -66,8 +66,3 @@ class ContactPhysics:
 
     def carry(self) -> None:
         """The thread is where it is."""
-
-
-def settled_field(field: Field) -> Field:
-    """The field with its thread come to rest on the tissue, which is what `contact` physics starts from."""
-    return ContactWorld(field).field

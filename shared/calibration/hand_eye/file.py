@@ -125,18 +125,6 @@ class HandEye:
         return FLIP @ inverse(T_ecm_tip) @ self.T
 
 
-def carried_by_ecm(
-    T_camera_base: Float64[np.ndarray, "4 4"],
-    T_ecm_tip_then: Float64[np.ndarray, "4 4"],
-    T_ecm_tip_now: Float64[np.ndarray, "4 4"],
-) -> Float64[np.ndarray, "4 4"]:
-    """The base before the camera once the ECM has moved from one pose of its tip to another.
-
-    The base stands still before the ECM's own base: F E⁻¹ M = T with M = E_then F T_then.
-    """
-    return FLIP @ inverse(T_ecm_tip_now) @ T_ecm_tip_then @ FLIP @ T_camera_base
-
-
 def implausible(T: Float64[np.ndarray, "4 4"], reference: Reference = Reference.CAMERA) -> str:
     """What is wrong with how far a base is from what it is told from, metres; empty where nothing is."""
     by_ecm = reference is Reference.ECM_BASE
@@ -168,7 +156,7 @@ def _from_text(text: str, name: str, axes: Axes | None) -> HandEye:
     if of_cameras := what_cameras_have(documents):
         raise CalibrationError(
             f"it is no hand-eye file but the calibration of a camera or of both eyes, for it has "
-            f"{', '.join(of_cameras)}: give the arm's own registration, in a file of its own (docs/calibration.md#where-the-robots-base-is-before-the-camera)"
+            f"{', '.join(of_cameras)}: give the arm's own registration, in a file of its own (docs/calibration.md)"
         )
     if len(documents) != 1:
         raise CalibrationError(f"it holds {len(documents)} documents where one is expected")

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from shared.calibration import CalibrationError
-from shared.calibration.hand_eye.file import FLIP, Axes, Reference, carried_by_ecm, read_hand_eye
+from shared.calibration.hand_eye.file import FLIP, Axes, Reference, read_hand_eye
 from shared.calibration.own_file import calibration_text
 from shared.calibration.written import opencv_text
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE as T
-from shared.rigid_transforms import exp_se3
+from shared.rigid_transforms import exp_se3, inverse
 from shared.units import METRES_PER_UNIT
 
 OURS = json.dumps({"T_camera_base": T.tolist(), "unit": "m", "delay_s": None})
@@ -52,9 +52,9 @@ def test_a_base_told_from_the_ecm_follows_it(tmp_path):
     read = read_hand_eye(path)
     assert read.reference is Reference.ECM_BASE
     np.testing.assert_allclose(read.before_camera(then), T, atol=1e-9)
-    np.testing.assert_allclose(read.before_camera(now), carried_by_ecm(T, then, now), atol=1e-9)
+    np.testing.assert_allclose(read.before_camera(now), FLIP @ inverse(now) @ then @ FLIP @ T, atol=1e-9)
     # the camera, 10 mm farther along its view, has the base 10 mm nearer
-    nearer = carried_by_ecm(T, then, then @ exp_se3(np.array([0, 0, 0.01, 0, 0, 0])))
+    nearer = read.before_camera(then @ exp_se3(np.array([0, 0, 0.01, 0, 0, 0])))
     np.testing.assert_allclose(nearer[:3, 3] - T[:3, 3], (0, 0, -0.01), atol=1e-9)
     with pytest.raises(CalibrationError, match="whose pose is not known"):
         read.before_camera()
