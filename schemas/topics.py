@@ -93,8 +93,8 @@ class Topic:
         made_from: the topic whose message it is made of, so that both descend from one frame; None where there is none.
         every_frame: whether it comes with each frame, and so as often as the camera films.
         steady: whether it comes at its rate for as long as its agent runs; else while there is something to say.
-        typical_bytes: of a message of the simulated field, 960x540, in docs/example/session.mcap (docs/performance.md); 0
-            where all of them together weigh next to nothing.
+        typical_bytes: of a message of the simulated field, 960x540, in docs/example/session.mcap; 0 where all of them
+            together weigh next to nothing (docs/performance.md).
         never_later: whether an arm that moves is held or watched by it, so that no rig may have it wait.
     """
 
