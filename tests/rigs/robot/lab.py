@@ -227,7 +227,7 @@ class Lab:
         if f"clock of the {name}" != self._clock:
             return {}
         self.set_clock(name, 0.0)
-        return faked(self._folder / f"{name}.clock")
+        return faked(self._folder / f"{name}.clock", at_once=True)
 
     def _end(self, process: "subprocess.Popen[bytes]") -> None:
         process.kill()

@@ -30,8 +30,12 @@ def faketime() -> Path:
     raise CannotError("clocks are set with libfaketime, which is not installed (Debian: faketime)")
 
 
-def faked(file: Path) -> dict[str, str]:
+def faked(file: Path, at_once: bool = False) -> dict[str, str]:
     """The environment of a process whose clock stands in a file.
+
+    Args:
+        at_once: whether it sees what is written there with its next look at the clock, and not within a second. Each
+            look reads the file then, of which one that hears a console takes thousands a second.
 
     Raises:
         CannotError: where libfaketime is not installed.
@@ -41,7 +45,7 @@ def faked(file: Path) -> dict[str, str]:
         "FAKETIME_TIMESTAMP_FILE": str(file),
         # intervals within a process go on as they do when a real clock is set
         "FAKETIME_DONT_FAKE_MONOTONIC": "1",
-        "FAKETIME_NO_CACHE": "1",
+        **({"FAKETIME_NO_CACHE": "1"} if at_once else {"FAKETIME_CACHE_DURATION": "1"}),
     }
 
 
@@ -51,7 +55,7 @@ class Processes:
 
     Fields:
         folder: where each writes what it says.
-        clocks: hosts with a clock that can be set; each look at one costs a processor some microseconds.
+        clocks: hosts with a clock that can be set, which takes effect within a second.
         yielding: processes that leave the processors to others, whose hosts would have their own.
     """
 
@@ -106,7 +110,7 @@ class Processes:
             self._running[name].send_signal(signal.SIGCONT)
 
     def set_clock(self, host: str, ahead_s: float) -> None:
-        """Set the clock of everything on a host, at once; the other clocks of this system stay as they are."""
+        """Set the clock of everything on a host; the other clocks of this system stay as they are."""
         path = self._clock_file(host)
         fresh = path.with_suffix(".new")
         fresh.write_text(f"{ahead_s:+g}s\n")
