@@ -5,8 +5,10 @@ perception shows in threads and plans, and in what perception itself makes of th
 repeated, the recorded one stays.
 """
 
+import dataclasses
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from schemas.messages import CommandAnswer
 from shared.clock import monotonic_s
@@ -17,10 +19,17 @@ from shared.runtime.replay import Place, Replay, Replayed, Step, place_of
 
 @dataclass(frozen=True)
 class Stage:
-    """An agent to replay: its name, such as `robot_bridge/psm1`, and what builds it as it was before its first step."""
+    """An agent to replay.
+
+    Fields:
+        name: such as `robot_bridge/psm1`.
+        build: makes it as it was before its first step.
+        given: fields of its config that this replay gives, which stay so though they were set while it ran.
+    """
 
     name: str
     build: Callable[[], Agent]
+    given: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -97,7 +106,7 @@ class _Replaying:
         self._outputs = list[Replayed]()
 
     def _build(self) -> "_Timed":
-        self._timed.append(_Timed(self._stage.build()))
+        self._timed.append(_Timed(self._stage.build(), self._stage.given))
         return self._timed[-1]
 
     def repeat_next(self) -> list[Replayed]:
@@ -166,13 +175,13 @@ class _Together:
 class _Timed(Agent):
     """An agent whose steps are timed and counted; one that raises is a fault, and gives nothing, as when live."""
 
-    def __init__(self, agent: Agent) -> None:
-        self._agent = agent
+    def __init__(self, agent: Agent, given: frozenset[str]) -> None:
+        self._agent, self._given = agent, given
         self.steps_ms: list[float] = []
         self.faults: list[str] = []
         self.kind, self.instance, self.tick_hz = agent.kind, agent.instance, agent.tick_hz
         self.inputs, self.outputs, self.commands = agent.inputs, agent.outputs, agent.commands
-        self.goes_on_from = agent.goes_on_from
+        self.goes_on_from, self.config = agent.goes_on_from, agent.config
 
     def step(self, arrived: Received | Tick | Command) -> list[Output | CommandAnswer]:
         began_s = monotonic_s()
@@ -183,6 +192,11 @@ class _Timed(Agent):
             return []
         finally:
             self.steps_ms.append(1e3 * (monotonic_s() - began_s))
+
+    def configure(self, config: Any) -> None:
+        kept = {name: getattr(self.config, name) for name in self._given}
+        self.config = dataclasses.replace(config, **kept)
+        self._agent.configure(self.config)
 
     def close(self) -> None:
         self._agent.close()

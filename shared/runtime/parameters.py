@@ -9,6 +9,7 @@ import dataclasses
 import enum
 import hashlib
 import json
+import logging
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -21,8 +22,9 @@ from schemas.topics import CONFIGURATION, SET
 from shared.runtime.agent import Agent, Command, Received, Reply, Tick
 from shared.runtime.commands import accepted, refused
 
-ALLOWED = "allowed"
-"""Where the metadata of a field says so."""
+ALLOWED, AUTO = "allowed", "auto"
+"""Where the metadata of a field says so; how a choice that is left to the agent is written."""
+LOGGER = logging.getLogger("suturegrasp.parameters")
 
 
 class Allowed(Protocol):
@@ -63,17 +65,22 @@ class Between:
 
 @dataclass(frozen=True)
 class OneOf:
-    """One of a few values."""
+    """One of a few values; None, which leaves the choice to the agent, is written as AUTO, as in a rig's file."""
 
     values: tuple[Any, ...]
 
     def holds(self, value: Any, _configured: Any, /) -> bool:
         """Whether the value is one of them, and of the same type."""
-        return any(type(value) is type(known) and value == known for known in self.values)
+        return any(type(meant(value)) is type(known) and meant(value) == known for known in self.values)
 
     def text(self, _configured: Any, /) -> str:
         """The values in words."""
-        return "one of " + ", ".join(json.dumps(value) for value in self.values)
+        return "one of " + ", ".join(json.dumps(AUTO if value is None else value) for value in self.values)
+
+
+def meant(value: Any) -> Any:
+    """The value of a field that is told in these words."""
+    return None if value == AUTO else value
 
 
 def settable(default: Any, allowed: Allowed) -> Any:
@@ -114,7 +121,11 @@ class Parameters:
         values, current = json.loads(told.parameters), self._configured
         for parameter in told.settable:
             if parameter.is_set and parameter.name in values:
-                current = self._changed(current, parameter.name, values[parameter.name])
+                try:
+                    current = self._changed(current, parameter.name, values[parameter.name])
+                except NotSetError as error:
+                    # a recording of another version, or a configuration that it was not made with
+                    LOGGER.warning("what was set is not set again: %s", error)
         self._take(current)
 
     def are_set(self) -> dict[str, Any]:
@@ -132,10 +143,16 @@ class Parameters:
             SettableParameter(name, allowed.text(getattr(self._configured, name)), name in is_set)
             for name, allowed in self._allowed.items()
         )
-        text = json.dumps(_plain(self._current) if self._current is not None else {})
+        text = json.dumps(self._in_words())
         return AgentConfiguration(
             self._agent.kind, self._agent.instance, at_ns, text, tuple(settable_ones), self.hashed(config_hash)
         )
+
+    def _in_words(self) -> dict[str, Any]:
+        """The values as they are written."""
+        plain = _plain(self._current) if self._current is not None else {}
+        choices = {name for name, allowed in self._allowed.items() if isinstance(allowed, OneOf)}
+        return {name: AUTO if value is None and name in choices else value for name, value in plain.items()}
 
     def hashed(self, config_hash: str) -> str:
         """The short name of a configuration, with what was set since."""
@@ -171,7 +188,7 @@ class Parameters:
             shown = json.dumps(value)
             shown = shown if len(shown) <= 60 else f"{shown[:60]}..."
             raise NotSetError("out_of_range", f"{name} cannot be {shown}; it may be {allowed.text(configured)}")
-        value = float(value) if isinstance(configured, float) else value
+        value = float(value) if isinstance(configured, float) else meant(value)
         try:
             return dataclasses.replace(config, **{name: value})
         except ValueError as error:

@@ -4,6 +4,8 @@ Exit status: 0 where all is the same within tolerance, 1 where something differs
 where what can be read of a damaged recording is the same.
 """
 
+import contextlib
+import dataclasses
 import functools
 import mimetypes
 import socket
@@ -97,7 +99,8 @@ def replayed(options: Recompute) -> ThroughResult:
         raise UnusableError(f"{damage}, and its configuration is none ({error}); give one by --config") from None
     config = with_simulated_arms(changed(given, options.set))
     changing = [setting for setting in options.set if changed(given, (setting,)) != given]
-    stages = _stages(config, options.through.split(","))
+    as_recorded = with_simulated_arms(recorded) if recorded is not None and config != recorded else None
+    stages = _stages(config, options.through.split(","), as_recorded)
     _check_outputs(stages, entries, damage)
     said = completeness(options.recording)
     made_by = _made_by(stages, said, notes)
@@ -195,7 +198,7 @@ def _otherwise(options: Recompute, run: dict[str, str], changing: Iterable[str])
     return ", ".join([*changes, *([f"--config {options.config}"] if options.config else [])])
 
 
-def _stages(config: RigConfig, names: Sequence[str]) -> list[Stage]:
+def _stages(config: RigConfig, names: Sequence[str], recorded: RigConfig | None) -> list[Stage]:
     found: dict[tuple[str, str], Stage] = {}
     for name in (name.strip() for name in names):
         kind, _, instance = name.partition("/")
@@ -204,13 +207,24 @@ def _stages(config: RigConfig, names: Sequence[str]) -> list[Stage]:
         instances = [i for k, i in config.agents_here() if k == kind and instance in ("", i)]
         if not instances:
             raise ConfigError(f"the configuration of this recording has no {name}; give another one by --config")
-        found |= {(kind, i): _stage(config, kind, i) for i in instances}
+        found |= {(kind, i): _stage(config, kind, i, recorded) for i in instances}
     return [found[named] for named in sorted(found, key=lambda named: NAMES.index(named[0]))]
 
 
-def _stage(config: RigConfig, kind: str, instance: str) -> Stage:
+def _stage(config: RigConfig, kind: str, instance: str, recorded: RigConfig | None) -> Stage:
     name = kind if instance == MAIN else f"{kind}/{instance}"
-    return Stage(name, lambda: build(config, kind, instance))
+    return Stage(name, lambda: build(config, kind, instance), _given(config, kind, instance, recorded))
+
+
+def _given(config: RigConfig, kind: str, instance: str, recorded: RigConfig | None) -> frozenset[str]:
+    """The fields of an agent's config that are otherwise than recorded."""
+    if recorded is None or in_force(recorded, config, (f"{kind}/{instance}",)) == recorded:
+        return frozenset()
+    with contextlib.suppress(ConfigError, OSError, ValueError):
+        now, then = build(config, kind, instance).config, build(recorded, kind, instance).config
+        names = (field.name for field in dataclasses.fields(now)) if now is not None else ()
+        return frozenset(name for name in names if getattr(now, name) != getattr(then, name, None))
+    return frozenset()
 
 
 def _check_outputs(stages: Sequence[Stage], entries: list[Entry], damage: str) -> None:
