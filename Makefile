@@ -34,10 +34,10 @@ play: .venv/runtime.done ## the simulated rig with the operator's page, running 
 look: .venv/runtime.done ## a recorded grasp that failed, on Rerun's timeline (docs/debugging.md); SESSION=session.mcap
 ifeq ($(DISPLAY)$(WAYLAND_DISPLAY),)
 	@mkdir -p out
-	@$(BIN)/suturegrasp view $(SESSION) --layout grasp --output out/session.rrd
+	@$(BIN)/suturegrasp view "$(SESSION)" --layout grasp --output out/session.rrd
 	@echo "no screen here; where there is one:  .venv/bin/rerun out/session.rrd"
 else
-	@$(BIN)/suturegrasp view $(SESSION) --layout grasp
+	@$(BIN)/suturegrasp view "$(SESSION)" --layout grasp
 endif
 
 example: .venv/runtime.done ## a stereo pair becomes a thread in 3D, in a few seconds

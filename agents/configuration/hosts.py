@@ -115,7 +115,7 @@ def _without_section(name: str, configured: set[str]) -> str:
     if name == ROUTER:
         return "which is no agent; name its host in router.host, and take it out of runs"
     near = [one for one in sorted(configured) if one.split()[0] == name] or difflib.get_close_matches(
-        name, configured, n=1
+        name, (*configured, OPERATOR), n=1
     )
     meant = f"did you mean {near[0]!r}? else " if near else ""
     return f"for which there is no section; {meant}add it, or take it out of runs"

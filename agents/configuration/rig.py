@@ -68,7 +68,11 @@ class _Rig(Settings):
     @model_validator(mode="before")
     @classmethod
     def _lifted(cls, told: Any) -> Any:
-        return lifted(told) if isinstance(told, dict) else told
+        if not isinstance(told, dict):
+            return told
+        if isinstance(host := told.get("host"), dict):
+            raise ValueError(f"[host.{next(iter(host), 'NAME')}] is no section; did you mean [hosts.NAME]?")
+        return lifted(told)
 
     @field_validator("robot")
     @classmethod

@@ -26,7 +26,7 @@ class Remark:
 
 @dataclass(frozen=True)
 class Drops:
-    """What became of one agent's input over all of its runs, as its health counts it."""
+    """What became of one agent's input over all of its runs within the recording, as its health counts it."""
 
     agent: str
     topic: str
@@ -57,7 +57,10 @@ class AgentAccount:
 
 @dataclass
 class _Agent:
+    """What one agent said of itself, by run: last, and first where the run had begun before the recording."""
+
     last: dict[int, AgentHealth] = field(default_factory=dict[int, AgentHealth])
+    before: dict[int, AgentHealth] = field(default_factory=dict[int, AgentHealth])
     p50_ms: list[float] = field(default_factory=list[float])
     p99_ms: list[float] = field(default_factory=list[float])
     fault: str = ""
@@ -70,10 +73,12 @@ class AccountCollector:
         self._agents: dict[str, _Agent] = {}
         self._remarks: dict[tuple[str, str, str], Remark] = {}
 
-    def add_health(self, epoch: int, health: AgentHealth) -> None:
-        """Take what an agent says of itself each second."""
+    def add_health(self, epoch: int, health: AgentHealth, first: bool = True) -> None:
+        """Take what an agent says of itself each second; `first`: it is the first that its run said."""
         name = name_of(health.agent, health.instance)
         agent = self._agents.setdefault(name, _Agent())
+        if not first and epoch not in agent.last:
+            agent.before[epoch] = health
         agent.last[epoch] = health
         if health.step_ms_p50 is not None:
             agent.p50_ms.append(health.step_ms_p50)
@@ -118,9 +123,11 @@ def name_of(kind: str, instance: str) -> str:
 def _account(name: str, agent: _Agent) -> AgentAccount:
     healths = list(agent.last.values())
     inputs: dict[str, list[InputHealth]] = {}
-    for health in healths:
-        for account in health.inputs:
-            inputs.setdefault(account.topic, []).append(account)
+    before: dict[str, list[InputHealth]] = {}
+    for counted, all_of_them in ((inputs, healths), (before, agent.before.values())):
+        for health in all_of_them:
+            for account in health.inputs:
+                counted.setdefault(account.topic, []).append(account)
     newest = healths[-1]
     return AgentAccount(
         name=name,
@@ -130,13 +137,14 @@ def _account(name: str, agent: _Agent) -> AgentAccount:
         runs=len(healths),
         step_ms_p50=float(np.median(agent.p50_ms)) if agent.p50_ms else None,
         step_ms_p99=max(agent.p99_ms, default=None),
-        drops=tuple(_drops(name, topic, accounts) for topic, accounts in inputs.items()),
+        drops=tuple(_drops(name, topic, accounts, before.get(topic, [])) for topic, accounts in inputs.items()),
     )
 
 
-def _drops(agent: str, topic: str, accounts: list[InputHealth]) -> Drops:
-    """The counts of all runs; each run counts from its own start."""
+def _drops(agent: str, topic: str, accounts: list[InputHealth], before: list[InputHealth]) -> Drops:
+    """The counts of all runs, each of which counts from its own start: without those of before the recording."""
     received, dropped, missed, refused = (
-        sum(getattr(account, count) for account in accounts) for count in ("received", "dropped", "missed", "refused")
+        sum(getattr(account, count) for account in accounts) - sum(getattr(account, count) for account in before)
+        for count in ("received", "dropped", "missed", "refused")
     )
     return Drops(agent, topic, received, dropped, missed, refused)

@@ -43,6 +43,7 @@ def document(session: Session) -> dict[str, Any]:
         "other_commands": [
             {"at_ns": one.at_ns, "topic": one.topic, "answer": _answer(one.answer)} for one in session.other_commands
         ],
+        "settings": [dataclasses.asdict(one) for one in session.settings],
         "facts": session.facts,
         "notes": [dataclasses.asdict(note) for note in session.notes],
     }

@@ -17,7 +17,9 @@ def _grasp_row(session: Session, number: int, grasp: Grasp) -> Row:
     plan, ended = "not recorded" if grasp.plan is None else grasp.plan.in_words, grasp.ended
     # one row may hold a plan of today and what became of that of the session
     if session.said.ran_anew and grasp.plan is not None:
-        anew = "planner" in _kinds_anew(session) and not grasp.plan_before
+        anew = "planner" in _kinds_anew(session)
+        if grasp.plan_before:
+            anew = session.said.is_anew("planner", grasp.plan_ns or 0)
         plan += " (planned anew)" if anew else " (of the source)"
     if grasp.plan_before:
         plan += " (from before)"

@@ -10,12 +10,24 @@ from agents.inspection.accounts import AccountCollector, AgentAccount, Remark
 from agents.inspection.contents import ContentsCollector, KeyContents, without_left_out
 from agents.inspection.facts import attached_facts, facts_of_messages, noted_facts
 from agents.inspection.grasps import Grasp, GraspCollector, OtherCommand
+from agents.inspection.settings import Setting, SettingCollector, setting_facts
 from agents.inspection.stages import StageTimes, captured_ns, in_order, stage_of
 from agents.inspection.threads import ThreadQuality
 from schemas.checks import MessageError
 from schemas.codec import decode
 from schemas.messages import SimulatorState, StereoCalibration
-from schemas.topics import CALIBRATION, FRAMES, HEALTH, LOG, OBSERVATIONS, SIMULATOR_STATE, THREAD, Topic, topic_of
+from schemas.topics import (
+    CALIBRATION,
+    CONFIGURATION,
+    FRAMES,
+    HEALTH,
+    LOG,
+    OBSERVATIONS,
+    SIMULATOR_STATE,
+    THREAD,
+    Topic,
+    topic_of,
+)
 from shared.recording.completeness import Completeness, completeness_of
 from shared.recording.derivation import MADE_NO_MORE
 from shared.recording.entry import Entry, Note, RecordingError
@@ -42,6 +54,7 @@ class Session:
     remarks: tuple[Remark, ...]
     grasps: tuple[Grasp, ...]
     other_commands: tuple[OtherCommand, ...]
+    settings: tuple[Setting, ...]
     quality: ThreadQuality
     facts: dict[str, str]
     begin_ns: int = 0
@@ -69,6 +82,7 @@ class Session:
 class _Reading:
     def __init__(self) -> None:
         self.contents, self.accounts, self.grasps = ContentsCollector(), AccountCollector(), GraspCollector()
+        self.settings = SettingCollector()
         self.stages: dict[str, StageTimes] = {}
         self.quality = ThreadQuality()
         self.notes: list[Note] = []
@@ -100,14 +114,16 @@ class _Reading:
         """Take what held before the file began, and counts in the part before it."""
         with contextlib.suppress(KeyError, MessageError):
             topic = topic_of(entry.key)
-            if topic in (CALIBRATION, SIMULATOR_STATE, *GraspCollector.topics):
+            if topic in (CALIBRATION, CONFIGURATION, SIMULATOR_STATE, *GraspCollector.topics):
                 self._add_message(entry, topic, decode(topic.message, entry.payload), before=True)
 
     def _add_message(self, entry: Entry, topic: Topic, message: Any, before: bool = False) -> None:
         if not before and (stage := stage_of(topic, entry.key.split("/")[3])):
             self.stages.setdefault(stage, StageTimes()).add(captured_ns(message), entry.published_ns)
+        if topic in SettingCollector.topics:
+            self.settings.add(entry.key, message)
         if topic is HEALTH:
-            self.accounts.add_health(entry.epoch, message)
+            self.accounts.add_health(entry.epoch, message, entry.sequence == 0)
         elif topic is LOG:
             self.accounts.add_log(message)
         elif topic in (OBSERVATIONS, THREAD):
@@ -158,9 +174,10 @@ def _session(path: Path, reading: _Reading, damage: str) -> Session:
         remarks=reading.accounts.remarks(),
         grasps=tuple(sorted(reading.grasps.grasps, key=lambda grasp: grasp.at_ns)),
         other_commands=tuple(reading.grasps.others),
+        settings=tuple(reading.settings.settings),
         quality=reading.quality,
         # what was in force first: of the rest there is much
-        facts=_attached(path) | noted_facts(reading.notes) | facts,
+        facts=_attached(path) | setting_facts(reading.settings.settings) | noted_facts(reading.notes) | facts,
         begin_ns=reading.begin_ns,
     )
 

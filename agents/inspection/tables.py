@@ -23,6 +23,7 @@ def session_tables(session: Session) -> list[Table]:
         grasps(session),
         phases(session),
         commands(session),
+        settings(session),
         remarks(session),
         noted(session),
         Table("how it was run", ("name", "value"), tuple(session.facts.items())),
@@ -97,6 +98,22 @@ def _recorded_row(session: Session, one: KeyContents, as_of: str) -> Row:
         _seconds(session.since_start_s(one.last_ns)),
         as_of,
     )
+
+
+def settings(session: Session) -> Table:
+    """What was set while it ran."""
+    rows = (
+        (
+            "before" if one.at_ns is None else _seconds(session.since_start_s(one.at_ns)),
+            one.agent,
+            one.name,
+            one.value,
+            one.by,
+            f"refused: {one.refused}" if one.refused else "set",
+        )
+        for one in session.settings
+    )
+    return Table("set while it ran", (" at s", "agent", "parameter", "value", "by", "answer"), tuple(rows))
 
 
 def _seconds(value: float) -> str:

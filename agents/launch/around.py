@@ -51,11 +51,18 @@ def told_without(session: SessionSettings, what: str) -> Generator[Callable[[], 
 
 
 @contextmanager
-def telling(connection: Connection, rig: RigConfig, kind: str, logger: logging.Logger) -> Generator[None]:
+def telling(
+    connection: Connection,
+    rig: RigConfig,
+    kind: str,
+    logger: logging.Logger,
+    fault: Callable[[], str] = str,
+    **own: Any,
+) -> Generator[None]:
     """Tell how what only looks on fares; of several on one host, the first alone, for they have one name."""
     instance = kind_and_instance(kind, rig.host or MAIN)[1]
     if f"{kind}/{instance}" in connection.present():
         yield
         return
-    with connection.reporting(kind, instance, logger, str, config_hash(rig), around(rig, kind)):
+    with connection.reporting(kind, instance, logger, fault, config_hash(rig), around(rig, kind, **own)):
         yield

@@ -10,7 +10,8 @@ from typing import NamedTuple
 from agents.recorder.derived_file import DerivedFile, derived_from
 from schemas.checks import MessageError, fields_of
 from schemas.codec import decode
-from schemas.topics import FRAMES, Delivery, is_known, topic_of
+from schemas.messages import CommandRecord, GraspGoal, GraspPlan
+from schemas.topics import COMMANDS, FRAMES, GOAL, PLAN, Delivery, is_known, topic_of
 from shared.recording.completeness import Completeness, completeness
 from shared.recording.derivation import BEFORE_AND_AFTER, UNKNOWN_TOPICS, UNUSED_FRAMES
 from shared.recording.entry import Entry, Note, RecordingError
@@ -44,7 +45,8 @@ class _Place(NamedTuple):
 def cut(source: Path, target: Path, from_ns: int, to_ns: int, only_used_frames: bool = False) -> CutReport:
     """Write what was received from one moment to another, both included, with what agents there went on from.
 
-    That is the states that held when it began, and what the outputs within it were made from.
+    That is the states that held when it began, what the outputs within it were made from, and the plans that arms
+    carried out then, with their goals.
 
     Args:
         only_used_frames: of the camera's frames keep those that something in the stretch was made of.
@@ -139,18 +141,32 @@ class _Stretch:
 
 
 def _consumed(source: Path, from_ns: int, to_ns: int) -> set[_Place]:
-    """What the outputs of a stretch were made from."""
-    consumed: set[_Place] = set()
+    """What the outputs of a stretch were made from, and the plans that they name, with their goals."""
+    consumed, named = set[_Place](), set[str]()
+    plans, goals = dict[str, tuple[_Place, str]](), dict[str, _Place]()
     for entry in UntilDamage(source):
-        if isinstance(entry, Note) or not is_known(entry.key) or not from_ns <= entry.received_ns <= to_ns:
+        if isinstance(entry, Note) or not is_known(entry.key) or entry.received_ns > to_ns:
             continue
-        message = topic_of(entry.key).message
-        if "consumed" in fields_of(message):
-            with contextlib.suppress(MessageError):
-                consumed |= {
-                    _Place(one.key, one.epoch, one.sequence) for one in decode(message, entry.payload).consumed
-                }
+        topic = topic_of(entry.key)
+        within = entry.received_ns >= from_ns
+        with contextlib.suppress(MessageError):
+            if topic is PLAN:
+                plan = decode(GraspPlan, entry.payload)
+                plans[plan.plan_id] = _place(entry), plan.goal_id
+            elif topic is COMMANDS:
+                goals |= {name: _place(entry) for name in _goal_in(decode(CommandRecord, entry.payload))}
+            if within and {"consumed", "plan_id"} & set(fields_of(topic.message)):
+                message = decode(topic.message, entry.payload)
+                consumed |= {_Place(one.key, one.epoch, one.sequence) for one in getattr(message, "consumed", ())}
+                named.add(getattr(message, "plan_id", ""))
+    for place, goal_id in (plans[plan_id] for plan_id in named if plan_id in plans):
+        consumed |= {place, *(goals[name] for name in (goal_id,) if name in goals)}
     return consumed
+
+
+def _goal_in(record: CommandRecord) -> tuple[str, ...]:
+    """The id of the goal that a command is, if it is one."""
+    return (decode(GraspGoal, record.payload).header.id,) if record.topic == str(GOAL) else ()
 
 
 def _place(entry: Entry) -> _Place:

@@ -65,6 +65,11 @@ class Completeness:
         """The agents whose outputs are not those of the session itself, by name."""
         return {name: anew for one in self.derived for name, anew in one.agents.items()}
 
+    def is_anew(self, kind: str, published_ns: int) -> bool:
+        """Whether a message of this kind of agent was made anew that the file repeats from before its beginning."""
+        of_kind = [one for one in self.derived if any(name.partition("/")[0] == kind for name in one.agents)]
+        return bool(of_kind) and 0 < of_kind[-1].from_ns <= published_ns
+
     @property
     def sentence(self) -> str:
         """The same in plain words."""

@@ -59,6 +59,8 @@ class Derivation:
         settings: of these agents, as they were in the source and as they are in force: `ours -> paper`, by key.
         left_out: on purpose, how many messages by what they are.
         read_as: the older version that messages were read as, and rewritten from; empty where it is the same.
+        from_ns: where agents ran anew, when the first message of what they ran on was published; 0 where that is not
+            known.
     """
 
     how: str
@@ -70,12 +72,13 @@ class Derivation:
     settings: dict[str, str] = field(default_factory=dict[str, str])
     left_out: dict[str, int] = field(default_factory=dict[str, int])
     read_as: str = ""
+    from_ns: int = 0
 
     @property
     def note(self) -> Note:
         """The note that tells of it."""
-        facts = {name: value if isinstance(value, str) else json.dumps(value) for name, value in asdict(self).items()}
-        return Note(DERIVED, {name: value for name, value in facts.items() if value not in ("", "{}")})
+        told = {name: value for name, value in asdict(self).items() if value}
+        return Note(DERIVED, {name: v if isinstance(v, str) else json.dumps(v) for name, v in told.items()})
 
     @property
     def sentence(self) -> str:
@@ -168,7 +171,9 @@ def _read(note: Note) -> Derivation | None:
     if note.name not in (DERIVED, BEGUN):
         return None
     how, source, sha256, said, version, read_as = (facts.get(name, "") for name in WORDS)
-    told = Derivation(how, source, sha256, said, version, read_as=read_as)
+    began = facts.get("from_ns", "")
+    from_ns = int(began) if began.isdecimal() else 0
+    told = Derivation(how, source, sha256, said, version, read_as=read_as, from_ns=from_ns)
     try:
         agents = {lifted_agent(name): _anew(one) for name, one in _table(facts, "agents").items()}
         return replace(told, agents=agents, settings=_table(facts, "settings"), left_out=_table(facts, "left_out"))

@@ -144,7 +144,7 @@ def _certificates(options: Deploy, layout: Layout) -> int:
 
 
 def _install(options: Deploy) -> int:
-    done = install(options.folder, _host_of(options.folder), options.root)
+    done = install(options.folder, _host_of(options.folder, options.root), options.root)
     for place in done.changed:
         say(f"installed {place}")
     for unit in done.removed:
@@ -156,11 +156,12 @@ def _install(options: Deploy) -> int:
     return EXIT_OK
 
 
-def _host_of(folder: Path) -> Host:
+def _host_of(folder: Path, root: Path) -> Host:
     """The host whose part of the plan lies in a folder.
 
     Raises:
-        ConfigError: where that is nobody's part, or another host's than this machine.
+        ConfigError: where that is nobody's part, or another host's than this machine. What is installed elsewhere than
+            in / may be any host's.
     """
     file = folder / RIG_FILE
     if not file.is_file():
@@ -173,5 +174,11 @@ def _host_of(folder: Path) -> Host:
     here = recognised(rig.hosts)
     if here not in (None, rig.host):
         raise ConfigError(f"{folder} is the part of host {rig.host}, and this machine is {here}; install {here}'s here")
+    if here is None and root == Path("/"):
+        address = rig.hosts[rig.host].address
+        raise ConfigError(
+            f"{folder} is the part of host {rig.host} ({address}), and this machine has neither that address nor that "
+            "name; install it there, or mend the address in the rig's file and plan anew"
+        )
     layout = layout_of(rig.model_copy(update={"host": None}))
     return next(host for host in layout.hosts if host.name == rig.host)

@@ -27,13 +27,13 @@ class Deploy:
     """With `certificates`: make all of them anew, as after a key was lost."""
     root: Annotated[Path, tyro.conf.arg(metavar="PATH")] = Path("/")
     """With `install`: another folder than / to see what would be installed."""
-    cut: Annotated[str | None, tyro.conf.arg(metavar="HOST")] = None
-    """With `rehearse`: nothing reaches this host for a while."""
-    slow: Annotated[tuple[str, str] | None, tyro.conf.arg(metavar="HOST RATE")] = None
+    cut: tyro.conf.UseAppendAction[Annotated[tuple[str, ...], tyro.conf.arg(metavar="HOST")]] = ()
+    """With `rehearse`: nothing reaches this host for a while. This and the next three may be given several times."""
+    slow: tyro.conf.UseAppendAction[Annotated[tuple[tuple[str, str], ...], tyro.conf.arg(metavar="HOST RATE")]] = ()
     """With `rehearse`: the link of this host carries that much, such as robot 10Mbit."""
-    kill: Annotated[str | None, tyro.conf.arg(metavar="PROCESS")] = None
+    kill: tyro.conf.UseAppendAction[Annotated[tuple[str, ...], tyro.conf.arg(metavar="PROCESS")]] = ()
     """With `rehearse`: this is killed, and started again as its unit would; as `runs` writes it."""
-    skew: Annotated[tuple[str, str] | None, tyro.conf.arg(metavar="HOST SECONDS")] = None
+    skew: tyro.conf.UseAppendAction[Annotated[tuple[tuple[str, str], ...], tyro.conf.arg(metavar="HOST SECONDS")]] = ()
     """With `rehearse`: the clock of this host is off by so much, such as desk 2s."""
     seconds: float = 6.0
     """With `rehearse`: how long each of these lasts."""

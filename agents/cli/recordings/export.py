@@ -23,9 +23,12 @@ def run(options: Export) -> int:
         options.output.mkdir(parents=True, exist_ok=True)
         exported = export(options.recording, options.output, options.format, options.points)
     except RecordingError as error:
-        if new:
-            options.output.rmdir()
+        _empty(options.output, new)
         return complain(str(error), EXIT_UNUSABLE)
+    except KeyboardInterrupt:
+        # tables that were cut short look whole
+        _empty(options.output, new)
+        raise
     except OSError as error:
         return complain(f"{error.filename or options.output}: {error.strerror or error}", EXIT_UNUSABLE)
     told = ", ".join(f"{count} rows of {name}" for name, count in exported.rows.items())
@@ -41,6 +44,14 @@ def run(options: Export) -> int:
     if exported.damage:
         return complain(exported.damage, EXIT_DAMAGED)
     return EXIT_OK
+
+
+def _empty(folder: Path, remove: bool) -> None:
+    """Take away what was written into a folder that was new or empty."""
+    for table in folder.iterdir():
+        table.unlink()
+    if remove:
+        folder.rmdir()
 
 
 def _refused(options: Export) -> str:

@@ -319,7 +319,8 @@ def _write_derived(path: Path, recording: Path, result: ThroughResult) -> None:
             effective = in_force(result.recorded, result.used, agents)
             settings = settings_otherwise(result.recorded, effective)
             attached[ATTACHED] = attached_config(attached.get(ATTACHED), effective, agents)
-        told = derived_from(recording, said, how, agents=agents, settings=settings, left_out=left_out)
+        began_ns = min((entry.published_ns for entry in result.before if not entry.repeated), default=0)
+        told = derived_from(recording, said, how, agents=agents, settings=settings, left_out=left_out, from_ns=began_ns)
         if result.damage:
             told = replace(told, source_said=result.damage)
         file.begin(told, attached)

@@ -14,7 +14,7 @@ from agents.cli.recordings.facts import STUDY_FACTS, attached_to, clocks_note, n
 from agents.cli.recordings.one_after_another import Recordings
 from agents.configuration.hosts import kind_and_instance
 from agents.configuration.rig import RecorderSection, RigConfig
-from agents.launch.around import around, told_without
+from agents.launch.around import telling, told_without
 from agents.launch.process import EXIT_OK, EXIT_UNUSABLE, on_stop
 from agents.launch.session_folder import free_path
 from agents.launch.supervisor import SUPERVISED
@@ -24,7 +24,7 @@ from agents.recorder.pre_trigger import PreTriggerSettings
 from agents.recorder.recorder import Recorder, RecorderSettings, RecordingReport
 from schemas.topics import MAIN, TOPICS, Topic, key_root
 from shared.clock import monotonic_s
-from shared.runtime.config import config_hash, parse_config
+from shared.runtime.config import parse_config
 from shared.runtime.connection import Connection, NoRouterError, connected
 from shared.runtime.delivery import as_told
 from shared.runtime.process import serving
@@ -124,8 +124,7 @@ def _record_all(
 ) -> None:
     """Until stopped; what is told of it is told on the rig too."""
     recording = (connection, recorded_topics(rig), stopped, _say_end)
-    known = around(rig, KIND, writes_to=folder)
-    with connection.reporting(KIND, _instance(rig), LOGGER, lambda: recordings.fault, config_hash(rig), known):
+    with telling(connection, rig, KIND, LOGGER, lambda: recordings.fault, writes_to=folder):
         thread = threading.Thread(target=recordings.run, args=recording, name="recordings")
         thread.start()
         _note_clocks(connection, recordings, stopped)

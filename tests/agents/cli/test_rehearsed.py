@@ -5,10 +5,12 @@ from pathlib import Path
 import pytest
 
 from agents.cli.lab.deploy import layout_of
+from agents.cli.lab.options import Deploy
 from agents.cli.lab.rehearsal.network import Network
+from agents.cli.lab.rehearsal.rehearse import breaks_of
 from agents.cli.lab.rehearsal.rehearsed import SIMULATED_CALIBRATION, started_on, without_hardware
 from agents.configuration.rig import RigConfig
-from shared.runtime.config import load_config, parse_config
+from shared.runtime.config import ConfigError, load_config, parse_config
 
 DEPLOY = Path(__file__).parents[3] / "deploy"
 REAL = """
@@ -94,3 +96,20 @@ def test_hosts_keep_the_addresses_that_they_were_given_and_names_get_some():
     network = Network(1, "10.213.7", ("video", "desk"), {"video": "10.0.0.11", "desk": "desk.lab"})
     assert network.address("video") == "10.0.0.11"
     assert network.address("desk") == "10.213.7.3"
+
+
+def test_what_is_asked_for_several_times_is_played_as_often(rehearsed):
+    rig, _ = rehearsed
+    layout = layout_of(rig)
+    asked = Deploy(
+        "rehearse", cut=("video", "robot"), kill=("planner",), slow=(("desk", "5Mbit"),), skew=(("desk", "2s"),)
+    )
+    assert [one.what for one in breaks_of(asked, rig, layout)] == [
+        "video is cut off",
+        "robot is cut off",
+        "the link of desk carries 5 Mbit/s",
+        "planner is killed",
+        "the clock of desk is +2 s off",
+    ]
+    with pytest.raises(ConfigError, match="0Mbit is no rate"):
+        breaks_of(Deploy("rehearse", slow=(("desk", "0Mbit"),)), rig, layout)

@@ -56,6 +56,8 @@ MISTAKES = {
     WHOLE.replace('"robot_bridge psm1"', '"robot-bridge psm1"'): "write a section's name, and an arm's after a space",
     WHOLE.replace('["robot_bridge psm1"]', '"robot_bridge psm1"'): "must be a list in brackets",
     WHOLE.replace("[robot.psm1]", '[robot]\nbackend = "simulated"'): "a name before them, [robot.NAME]",
+    WHOLE.replace('"perception", ', '"operater", "perception", '): "did you mean 'operator'?",
+    WHOLE.replace("[hosts.video]", "[host.video]"): "[host.video] is no section; did you mean [hosts.NAME]?",
     WHOLE.replace("address = ", "adress = "): "hosts.video.adress is unknown; did you mean address?",
     WHOLE.replace('host = "video"', 'host = "vide"'): "'vide' is none of the hosts video, strong, robot",
     WHOLE.replace('host = "video"', ""): "router.host is missing",

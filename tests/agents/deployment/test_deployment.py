@@ -446,3 +446,8 @@ def test_the_plan_of_a_host_has_its_realtime_and_its_own_certificate():
     camera = next(text for path, text in files.items() if path.name == "suturegrasp-camera.service")
     assert "RestrictRealtime=yes" in camera
     assert "char-video4linux" in camera
+
+
+def test_a_machine_that_is_none_of_the_hosts_is_told_so_and_nothing_is_written(deployed, capfd):
+    assert suturegrasp("deploy", "install", "--folder", deployed / "desk") == 2
+    assert "the part of host desk (10.0.0.14), and this machine has neither that address" in capfd.readouterr().err

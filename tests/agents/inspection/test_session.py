@@ -14,6 +14,7 @@ from agents.inspection.session import read_session
 from agents.inspection.tables import head_lines, session_tables
 from schemas.codec import decode
 from schemas.messages import (
+    AgentConfiguration,
     AgentHealth,
     CommandAnswer,
     CommandHeader,
@@ -22,9 +23,12 @@ from schemas.messages import (
     LogLevel,
     LogRecord,
     Outcome,
+    SetParameter,
+    SettableParameter,
     Status,
 )
-from schemas.topics import EXECUTION, FRAMES, HEALTH, HOLD, LOG, PLAN, key
+from schemas.topics import CONFIGURATION, EXECUTION, FRAMES, HEALTH, HOLD, LOG, PLAN, SET, key
+from shared.recording.derivation import Anew, Derivation
 from shared.recording.entry import Entry
 from tests.agents.inspection.conftest import event, frame, ns, plan
 
@@ -81,6 +85,17 @@ def test_drops_of_an_agent_that_was_restarted_are_added_up(a_session, tmp_path):
     assert (perception.runs, perception.drops[0].dropped, perception.drops[0].received) == (2, 11, 20)
 
 
+def test_what_an_agent_dropped_before_a_recording_began_is_not_counted_in_it(a_session, tmp_path):
+    whole = a_session()
+    health = decode(AgentHealth, next(entry.payload for topic, entry in whole.entries if topic is HEALTH))
+    for number, dropped, at_s in ((40, 100, 1.7), (41, 107, 1.9)):
+        account = dataclasses.replace(health.inputs[0], dropped=dropped)
+        told = dataclasses.replace(health, inputs=(account,))
+        whole.put(HEALTH, told, at_s, agent="perception", epoch=2, skip=number if number == 40 else 0)
+    perception = read_session(whole.write(tmp_path / "a.mcap")).agents[0]
+    assert (perception.runs, perception.drops[0].dropped) == (2, 4 + 7)
+
+
 def test_a_refused_goal_and_a_held_grasp_are_put_together(recording):
     refused, held = read_session(recording).grasps
     assert (refused.outcome, refused.plan) == ("goal refused", None)
@@ -119,6 +134,36 @@ def test_holds_are_told(maker, tmp_path):
     session = read_session(maker.write(tmp_path / "a.mcap"))
     (table,) = [table for table in session_tables(session) if table.title == "other commands"]
     assert table.rows == (("0.00", "operator/hold", "psm1", "accepted"),)
+
+
+def test_what_was_set_while_it_ran_is_told_with_who_set_it_and_when(maker, tmp_path):
+    def is_set(value, at_s):
+        settable = (SettableParameter("least_probability", "0 to 1", True),)
+        told = AgentConfiguration("planner", "main", ns(at_s), f'{{"least_probability": {value}}}', settable, "c")
+        maker.put(CONFIGURATION, told, at_s, agent="planner", repeated=at_s < 0.2)
+
+    maker.put(FRAMES, frame(1, 0.2), 0.2)
+    is_set(0.6, 0.1)
+    set_to = SetParameter(CommandHeader("s", 1, "anna"), "least_probability", "0.9")
+    maker.command(SET, set_to, CommandAnswer("s", Outcome.ACCEPTED, "", ""), 1.2, "planner")
+    is_set(0.9, 1.21)
+    session = read_session(maker.write(tmp_path / "a.mcap"))
+    (table,) = [table for table in session_tables(session) if table.title == "set while it ran"]
+    assert table.rows == (
+        ("before", "planner", "least_probability", "0.6", "", "set"),
+        ("1.00", "planner", "least_probability", "0.9", "anna", "set"),
+    )
+    assert session.facts["set while it ran.planner.least_probability"] == "0.6, then 0.9"
+
+
+def test_a_plan_that_a_cut_of_a_replay_repeats_is_the_replays(maker, tmp_path):
+    maker.put(PLAN, plan("g2", 1, 0.5), 0.5, repeated=True)
+    maker.put(EXECUTION, event(ExecutionKind.ACCEPTED, 1.2), 1.2, instance="psm1")
+    for began_s, whose in ((0.1, "(planned anew) (from before)"), (0.9, "(of the source) (from before)")):
+        replayed = Derivation("replayed", "a.mcap", agents={"planner": Anew((), 0, 0, None, None)}, from_ns=ns(began_s))
+        notes = [("losses", {"complete": "True"}), (replayed.note.name, replayed.note.facts)]
+        session = read_session(maker.write(tmp_path / f"{began_s}.mcap", notes))
+        assert grasps(session).rows[0][3].endswith(whose)
 
 
 def test_a_cut_off_recording_says_so_and_what_there_is_is_told(recording, tmp_path):

@@ -29,6 +29,7 @@ from shared.recording.entry import Entry
 from shared.recording.losses import COMPLETE, LOSSES, LOST
 from shared.recording.mcap_file import read_attachments, read_notes, read_recording
 from shared.recording.writer import RecordingWriter
+from tests.agents.inspection.conftest import made, ns
 
 FRAME_NS, FRAME_COUNT, EVERY = 100_000_000, 20, 3
 START_NS = 1_700_000_000_000_000_000
@@ -237,3 +238,11 @@ def test_the_command_says_what_the_new_file_holds(session, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "messages of 1.0 s" in said
     assert "without 7 frames of which nothing in it was made" in said
+
+
+def test_a_stretch_within_a_motion_holds_the_plan_of_it_and_its_goal(tmp_path):
+    target = tmp_path / "short.mcap"
+    cut(made().write(tmp_path / "grasp.mcap"), target, ns(1.2), ns(1.9))
+    (grasp,) = read_session(target).grasps
+    assert grasp.plan is not None and grasp.goal is not None
+    assert (grasp.plan.plan_id, grasp.goal.header.id, grasp.plan_before) == ("plan-g2", "g2", True)

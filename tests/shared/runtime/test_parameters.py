@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from agents.replay.through import Stage, replay_through
 from schemas.checks import require
 from schemas.codec import decode, encode
 from schemas.messages import (
@@ -24,11 +25,12 @@ from schemas.messages import (
     StereoFrame,
 )
 from schemas.topics import COMMANDS, CONFIGURATION, EXECUTION, FRAMES, SET, key
+from shared.recording.entry import Entry as Recorded
 from shared.runtime.agent import Agent, Command, Input, Output, Received
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.commands import new_header, send_command
 from shared.runtime.connection import connected
-from shared.runtime.parameters import Between, OneOf, Parameters, settable
+from shared.runtime.parameters import Between, OneOf, Parameters, meant, settable
 from shared.runtime.replay import replay
 from shared.runtime.taps import tap
 
@@ -92,7 +94,7 @@ def test_whatever_is_asked_the_config_stays_within_what_is_allowed(name, value):
     assert 1 <= config.count <= 10
     assert 0.1 <= config.patience_s <= 30
     assert config.method in (None, "ridge", "threshold")
-    assert (answer.outcome is Outcome.ACCEPTED) == (getattr(config, name) == value and type(value) is not bool)
+    assert (answer.outcome is Outcome.ACCEPTED) == (getattr(config, name) == meant(value) and type(value) is not bool)
     assert type(config.gain) is float
 
 
@@ -104,7 +106,7 @@ def test_whatever_is_asked_the_config_stays_within_what_is_allowed(name, value):
         ("gain", "12.5", "out_of_range", "gain cannot be 12.5; it may be a number from 0.5 to 9.5"),
         ("count", "true", "out_of_range", "count cannot be true; it may be a whole number from 1 to 10"),
         ("patience_s", "31", "out_of_range", "a number from 0.1 to 30 (as configured)"),
-        ("method", '"edges"', "out_of_range", 'one of null, "ridge", "threshold"'),
+        ("method", '"edges"', "out_of_range", 'one of "auto", "ridge", "threshold"'),
         ("method", "ridge", "unreadable_value", "texts need quotation marks"),
         ("count", "9" * 5000, "unreadable_value", "is no JSON"),
     ],
@@ -249,3 +251,38 @@ def test_a_recording_that_began_after_all_was_set_knows_of_it_by_the_configurati
     assert (last.same, last.missing) == (True, ())
     (without,) = replay(Counting, [seen, output])
     assert without.missing == (listed[0],)
+
+
+def test_agents_that_are_replayed_together_have_what_was_set_but_for_what_the_replay_gives():
+    there = Parameters(Counting())
+    asked(there, "gain", "5")
+    asked(there, "count", "7")
+    name, state = key("test", EXECUTION, "psm1"), key("test", CONFIGURATION, "psm1", "robot_bridge")
+    frame = StereoFrame(FrameStamp(3, 0, 0, ""), IMAGE, IMAGE)
+    listed = Consumed(state, 9, 1), Consumed(key("test", FRAMES), 7, 3)
+    event = ExecutionEvent("p", "psm1", 0, ExecutionKind.HELD, None, "said", "frame 3 at gain 5.0, None", "a", listed)
+    entries = [
+        Recorded(state, 9, 1, encode(there.told(1, "")), 1, 1),
+        Recorded(key("test", FRAMES), 7, 3, encode(frame), 2, 2),
+        Recorded(name, 9, 0, encode(event), 3, 3),
+    ]
+    made = list[Counting]()
+
+    def build():
+        made.append(Counting())
+        return made[-1]
+
+    for given_here, gain in ((frozenset[str](), 5.0), (frozenset({"gain"}), 2.0)):
+        (outcome,), _ = replay_through([Stage("robot_bridge/psm1", build, given_here)], entries)
+        (output,) = outcome.outputs
+        assert (output.same, outcome.faults) == (not given_here, 0)
+        assert (made[-1].config.gain, made[-1].config.count) == (gain, 7)
+
+
+def test_auto_leaves_the_choice_to_the_agent():
+    agent = Counting()
+    parameters = Parameters(agent)
+    asked(parameters, "method", '"ridge"')
+    assert asked(parameters, "method", '"auto"').outcome is Outcome.ACCEPTED
+    assert agent.config.method is None
+    assert json.loads(parameters.told(1, "").parameters)["method"] == "auto"

@@ -189,7 +189,7 @@ def rehearse(options: Deploy, rig: RigConfig, layout_of: Callable[[RigConfig], L
     folder = Path(tempfile.mkdtemp(prefix="suturegrasp-rehearsal-"))
     try:
         with _playing(
-            rehearsed, layout, folder, options.config.resolve().parent, (options.skew[0],) if options.skew else ()
+            rehearsed, layout, folder, options.config.resolve().parent, tuple(dict(options.skew))
         ) as rehearsal:
             return _played(rehearsal, options, breaks)
     except CannotError as error:
@@ -210,33 +210,34 @@ def breaks_of(options: Deploy, rig: RigConfig, layout: Layout) -> list[Break]:
     Raises:
         ConfigError: where the rig has no such host or process, or a number is none.
     """
-    found: list[Break] = []
-    if options.cut is not None:
-        host = _host(options.cut, rig, "--cut")
-        found.append(Break(f"{host} is cut off", lambda r: r.network.cut_off(host)))
-    if options.slow is not None:
-        slow, megabits = (
-            _host(options.slow[0], rig, "--slow"),
-            round(_number(options.slow[1], RATE, "--slow", "10Mbit")),
-        )
-        found.append(
-            Break(
-                f"the link of {slow} carries {megabits} Mbit/s",
-                lambda r: r.network.narrowed(megabits, (slow,)),
-                LINKS_S,
-            )
-        )
-    if options.kill is not None:
-        name = options.kill
-        ours = ((process, host) for host in layout.hosts for process in host.processes if process.kind not in NOT_OURS)
-        if name not in (runs := [name_in(layout, *one) for one in ours]):
-            raise ConfigError(f"--kill {name!r} is nothing that the rig runs; it runs {', '.join(runs)}")
-        found.append(Break(f"{name} is killed", lambda r: _killed(r, name)))
-    if options.skew is not None:
-        off, ahead_s = _host(options.skew[0], rig, "--skew"), _number(options.skew[1], SECONDS, "--skew", "2s")
-        skewed = f"the clock of {off} is {ahead_s:+g} s off"
-        found.append(Break(skewed, lambda r: _skewed(r, off, ahead_s), CLOCKS_S, CLOCKS_S))
-    return found
+    ours = ((process, host) for host in layout.hosts for process in host.processes if process.kind not in NOT_OURS)
+    runs = [name_in(layout, *one) for one in ours]
+    return [
+        *(_cut(_host(name, rig, "--cut")) for name in options.cut),
+        *(_slow(_host(name, rig, "--slow"), _rate(rate)) for name, rate in options.slow),
+        *(_kill(name, runs) for name in options.kill),
+        *(_skew(_host(name, rig, "--skew"), _number(off, SECONDS, "--skew", "2s")) for name, off in options.skew),
+    ]
+
+
+def _cut(host: str) -> Break:
+    return Break(f"{host} is cut off", lambda r: r.network.cut_off(host))
+
+
+def _slow(host: str, megabits: int) -> Break:
+    carries = f"the link of {host} carries {megabits} Mbit/s"
+    return Break(carries, lambda r: r.network.narrowed(megabits, (host,)), LINKS_S)
+
+
+def _kill(name: str, runs: list[str]) -> Break:
+    if name not in runs:
+        raise ConfigError(f"--kill {name!r} is nothing that the rig runs; it runs {', '.join(runs)}")
+    return Break(f"{name} is killed", lambda r: _killed(r, name))
+
+
+def _skew(host: str, ahead_s: float) -> Break:
+    skewed = f"the clock of {host} is {ahead_s:+g} s off"
+    return Break(skewed, lambda r: _skewed(r, host, ahead_s), CLOCKS_S, CLOCKS_S)
 
 
 def _host(name: str, rig: RigConfig, option: str) -> str:
@@ -250,6 +251,14 @@ def _number(text: str, pattern: re.Pattern[str], option: str, example: str) -> f
     if found is None:
         raise ConfigError(f"{option} ... {text} must read like {example}")
     return float(found[1])
+
+
+def _rate(text: str) -> int:
+    """A rate in Mbit/s."""
+    megabits = round(_number(text, RATE, "--slow", "10Mbit"))
+    if megabits < 1:
+        raise ConfigError(f"--slow ... {text} is no rate; nothing at all is --cut")
+    return megabits
 
 
 @contextlib.contextmanager
