@@ -6,6 +6,7 @@ any other (docs/decisions.md, 16), so a replay of a recording repeats it.
 """
 
 import dataclasses
+import difflib
 import enum
 import hashlib
 import json
@@ -177,7 +178,9 @@ class Parameters:
         """A config with one field changed, where that is allowed."""
         kind = self._agent.kind
         if name not in self._names:
+            near = difflib.get_close_matches(name, self._names, n=1)
             known = f"it has {', '.join(self._names)}" if self._names else "it has none"
+            known = f"did you mean {near[0]}?" if near else known
             raise NotSetError("unknown_parameter", f"{kind} has no parameter {name}; {known}")
         allowed = self._allowed.get(name)
         if allowed is None:

@@ -131,7 +131,7 @@ def demo(options: Demo) -> int:
     came_of_it, failure = _run(rig, folder, options.view, options.attempts, stopped)
     if interrupted.is_set():
         return complain("interrupted; every process was stopped", EXIT_INTERRUPTED)
-    for line in report(folder, came_of_it, last_line(folder.log("recorder"))):
+    for line in report(folder, came_of_it, last_line(folder.log("recorder")), options.seed):
         show(line)
     return complain(failure, EXIT_NO_GRASP) if failure else EXIT_OK
 

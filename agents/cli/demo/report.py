@@ -16,7 +16,7 @@ from shared.recording.mcap_file import RecordingError, read_recording
 STAGES = (FRAMES, OBSERVATIONS, THREAD)
 
 
-def report(folder: SessionFolder, came_of_it: str, recorder_said: str) -> Iterator[str]:
+def report(folder: SessionFolder, came_of_it: str, recorder_said: str, seed: int) -> Iterator[str]:
     """The lines of the screen."""
     yield ""
     yield came_of_it
@@ -40,7 +40,7 @@ def report(folder: SessionFolder, came_of_it: str, recorder_said: str) -> Iterat
     yield f"  .venv/bin/suturegrasp inspect {folder.recording} --html report.html"
     if folder.rerun.exists():
         yield f"  .venv/bin/rerun {folder.rerun}"
-    yield "  make demo SEED=2"
+    yield f"  make demo SEED={seed + 1}"
     yield "  make play       and in another terminal: .venv/bin/suturegrasp goal --s 0.4"
 
 

@@ -101,7 +101,7 @@ def test_whatever_is_asked_the_config_stays_within_what_is_allowed(name, value):
 @pytest.mark.parametrize(
     ("name", "value", "code", "said"),
     [
-        ("gains", "1", "unknown_parameter", "no parameter gains; it has gain, count, patience_s, method, place"),
+        ("gains", "1", "unknown_parameter", "no parameter gains; did you mean gain?"),
         ("secret", "1", "not_settable", "secret of robot_bridge cannot be set while it runs; what can be set is gain"),
         ("gain", "12.5", "out_of_range", "gain cannot be 12.5; it may be a number from 0.5 to 9.5"),
         ("count", "true", "out_of_range", "count cannot be true; it may be a whole number from 1 to 10"),
