@@ -17,6 +17,8 @@ MISTYPED = re.compile(
     r"error parsing (?P<option>--\S+): No type matching .*argument helptext: \S+ (?P<wanted>[^,]+),", re.I
 )
 """What tyro says of an option that takes several values, or may be left out, with all that it has tried."""
+LACKING = re.compile(r"missing value for argument '(?P<option>--\S+)'\. Expected (?P<count>\d+) values", re.I)
+"""And of one that may be given several times."""
 ESCAPE_SEQUENCE = re.compile(r"\x1b\[[0-9;]*m")
 RULE = re.compile(r"[─-]{3,}")
 CORNERS = ("╭", "╰")
@@ -119,6 +121,9 @@ def condensed(box: str, command: str) -> str:
     said = "; ".join(told or title)
     if mistyped := MISTYPED.match(said):
         said = f"{mistyped['option']} needs {mistyped['wanted']}"
+    if lacking := LACKING.match(said):
+        count = int(lacking["count"])
+        said = f"{lacking['option']} needs {'a value' if count == 1 else f'{count} values'}"
     return f"{said}; see suturegrasp {command} --help"
 
 

@@ -218,7 +218,7 @@ def _stage(config: RigConfig, kind: str, instance: str, recorded: RigConfig | No
 
 def _given(config: RigConfig, kind: str, instance: str, recorded: RigConfig | None) -> frozenset[str]:
     """The fields of an agent's config that are otherwise than recorded."""
-    if recorded is None or in_force(recorded, config, (f"{kind}/{instance}",)) == recorded:
+    if recorded is None:
         return frozenset()
     with contextlib.suppress(ConfigError, OSError, ValueError):
         now, then = build(config, kind, instance).config, build(recorded, kind, instance).config

@@ -17,7 +17,7 @@ NAMED = ("--calibration", "c.json", "--output", "o.json")
 PAIR = ("--left", "l.png", "--right", "r.png")
 
 MISTAKES: dict[tuple[str, ...], tuple[str, ...]] = {
-    ("deploy", "rehearse", "--slow", "robot"): ("--slow needs HOST RATE",),
+    ("deploy", "rehearse", "--slow", "robot"): ("--slow needs 2 values",),
     (): ("give a command: demo", "suturegrasp --help"),
     ("run",): ("give a command: run camera", "suturegrasp --help"),
     ("run", "nonsense"): ("run nonsense is no command", "run camera"),
@@ -30,7 +30,7 @@ MISTAKES: dict[tuple[str, ...], tuple[str, ...]] = {
     ("reconstruct",): ("--calibration PATH [PATH], --output JSON", "suturegrasp reconstruct --help"),
     ("reconstruct", *NAMED, "--bogus", "1"): ("unrecognized", "--bogus, 1", "suturegrasp reconstruct --help"),
     ("reconstruct", "--calibraton", "c", "--output", "o"): ("missing", "--calibration", "--calibraton"),
-    ("reconstruct", *NAMED, "--left"): ("missing value", "--left", "suturegrasp reconstruct --help"),
+    ("reconstruct", *NAMED, "--left"): ("--left needs a value", "--left", "suturegrasp reconstruct --help"),
     ("reconstruct", *NAMED, "--left", "l.png"): ("give both --left and --right", "--stereo"),
     ("reconstruct", *NAMED, *PAIR, "--stereo", "s.png"): ("either --stereo or --left and --right",),
     ("reconstruct", *NAMED, *PAIR, "--left-mask", "m.png"): ("both --left-mask and --right-mask",),
