@@ -175,9 +175,10 @@ def test_at_its_own_spacing_nothing_is_changed_or_swapped_and_the_error_is_told(
 
 
 @pytest.mark.slow
-def test_fast_waits_for_all_that_follows_and_so_loses_nothing(replayed, recording, settings, in_threads):
+def test_fast_waits_for_all_that_follows_and_so_loses_nothing(replayed, recording, settings, in_threads, until):
     perception, reconstruction = Slow("perception", FRAMES, (SURFACE,)), Slow("reconstruction", SURFACE)
-    with in_threads(settings, perception, reconstruction):
+    with in_threads(settings, perception, reconstruction), connected(settings) as connection:
+        until(lambda: {"perception/main", "reconstruction/main"} <= set(connection.present()))
         code, out, err = replayed(recording.path, "--fast", "--to", "0.8")
     assert (code, err) == (0, "")
     assert perception.taken == list(range(16))
