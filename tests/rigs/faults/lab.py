@@ -170,7 +170,7 @@ def laboratory(
     with contextlib.ExitStack() as stack:
         network = stack.enter_context(connected_hosts(HOSTS))
         processes = stack.enter_context(
-            contextlib.closing(Processes(network, folder, HOSTS if clocks else (), COMPUTES))
+            contextlib.closing(Processes(network, folder, HOSTS if clocks else (), COMPUTES, at_once=True))
         )
         describe(network, rate_hz, folder, emulated)
         # one who hears all from the beginning

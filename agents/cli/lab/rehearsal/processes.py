@@ -55,7 +55,8 @@ class Processes:
 
     Fields:
         folder: where each writes what it says.
-        clocks: hosts with a clock that can be set, which takes effect within a second.
+        clocks: hosts with a clock that can be set.
+        at_once: whether they see that with their next look, and not within a second; that costs a processor much.
         yielding: processes that leave the processors to others, whose hosts would have their own.
     """
 
@@ -63,6 +64,7 @@ class Processes:
     folder: Path
     clocks: tuple[str, ...] = ()
     yielding: tuple[str, ...] = ()
+    at_once: bool = False
     _running: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict[str, "subprocess.Popen[bytes]"])
 
     def start(
@@ -177,7 +179,7 @@ class Processes:
             return {}
         if not self._clock_file(host).exists():
             self.set_clock(host, 0.0)
-        return faked(self._clock_file(host))
+        return faked(self._clock_file(host), self.at_once)
 
 
 def _yield(process: int) -> None:
