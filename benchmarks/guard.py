@@ -62,7 +62,7 @@ from tests.rigs.robot.hostile_plans import waypoints
 HZ, PERIOD_NS = 200.0, 5_000_000
 SECTION = DvrkSection(endpoint="tcp/127.0.0.1:1")
 ROOT = Path(__file__).parents[1]
-FOLDER, SUPERVISOR = ROOT / "agents" / "guard", ROOT / "agents" / "cli" / "running" / "guard.py"
+FOLDER, SUPERVISOR = ROOT / "agents" / "guard", ROOT / "agents" / "launch" / "guard_process.py"
 PARTS = ("agents", "shared", "schemas")
 GOAL_LINES, GOAL_IDLE, GOAL_BUSY = 600, 2.0, 10.0
 
