@@ -59,7 +59,10 @@ class SettingCollector:
             return
         self._heard.add(agent)
         known = {(one.agent, one.name) for one in self.settings}
-        values = json.loads(told.parameters)
+        try:
+            values = json.loads(told.parameters)
+        except ValueError:
+            return
         for one in told.settable:
             if one.is_set and (agent, one.name) not in known:
                 self.settings.append(Setting(None, agent, one.name, json.dumps(values.get(one.name))))

@@ -13,6 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -221,10 +222,15 @@ def _given(config: RigConfig, kind: str, instance: str, recorded: RigConfig | No
     if recorded is None:
         return frozenset()
     with contextlib.suppress(ConfigError, OSError, ValueError):
-        now, then = build(config, kind, instance).config, build(recorded, kind, instance).config
+        now, then = (_config_of(rig, kind, instance) for rig in (config, recorded))
         names = (field.name for field in dataclasses.fields(now)) if now is not None else ()
         return frozenset(name for name in names if getattr(now, name) != getattr(then, name, None))
     return frozenset()
+
+
+def _config_of(rig: RigConfig, kind: str, instance: str) -> Any:
+    with contextlib.closing(build(rig, kind, instance)) as agent:
+        return agent.config
 
 
 def _check_outputs(stages: Sequence[Stage], entries: list[Entry], damage: str) -> None:
