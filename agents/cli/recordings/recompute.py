@@ -45,6 +45,7 @@ from shared.recording.completeness import Completeness, completeness, no_message
 from shared.recording.derivation import MADE_NO_MORE, UNKNOWN_TOPICS, Anew
 from shared.recording.mcap_file import Entry, Note, RecordingError, RecordingWriter, UntilDamage, read_attachments
 from shared.runtime.config import ConfigError, load_config
+from shared.runtime.parameters import ALLOWED
 from shared.runtime.replay import Place, ReplayError, place_of
 from shared.terminal import complain, say, show, warn
 
@@ -218,12 +219,12 @@ def _stage(config: RigConfig, kind: str, instance: str, recorded: RigConfig | No
 
 
 def _given(config: RigConfig, kind: str, instance: str, recorded: RigConfig | None) -> frozenset[str]:
-    """The fields of an agent's config that are otherwise than recorded."""
+    """The fields of an agent's config that can be set while it runs, and are otherwise than recorded."""
     if recorded is None:
         return frozenset()
     with contextlib.suppress(ConfigError, OSError, ValueError):
         now, then = (_config_of(rig, kind, instance) for rig in (config, recorded))
-        names = (field.name for field in dataclasses.fields(now)) if now is not None else ()
+        names = (f.name for f in dataclasses.fields(now) if ALLOWED in f.metadata) if now is not None else ()
         return frozenset(name for name in names if getattr(now, name) != getattr(then, name, None))
     return frozenset()
 
