@@ -102,7 +102,7 @@ class CameraSection(Settings):
         if self.left is None:
             raise ValueError(f"source {self.source!r} needs left, where its images are: docs/camera.md")
         if self.calibration is None and self.source != "bag":
-            raise ValueError(f"source {self.source!r} needs calibration, the file of both eyes: docs/calibration.md")
+            raise ValueError(f"source {self.source!r} needs calibration, the file of both eyes: docs/camera.md")
         if self.source == "pipe" and (self.width is None or self.height is None):
             raise ValueError("source 'pipe' needs width and height of the side-by-side frame")
         return self
@@ -210,7 +210,7 @@ class ArmSection(Settings):
         if self.backend == "dvrk" and self.T_camera_base is None and self.T_camera_base_file is None:
             raise ValueError(
                 "backend 'dvrk' needs T_camera_base or T_camera_base_file, which only the lab can have measured: "
-                "docs/calibration.md"
+                "docs/camera.md"
             )
         return self
 

@@ -11,7 +11,7 @@ ROUTER_NAME = common_name(ROUTER)
 SERVERS = (ROUTER, ROBOT_ZENOH)
 """What others look up by its host's address; all others only call."""
 ANSWERING = (*SERVERS, "operator")
-"""Whose certificates hold for its host's address: the page is served with the operator's (docs/operator.md)."""
+"""Whose certificates hold for its host's address: the page is served with the operator's (docs/running.md)."""
 
 
 @dataclass(frozen=True)

@@ -87,7 +87,7 @@ class Standing:
             old = f"the arm was registered {days:.0f} days ago, and {config.registration_days:g} are allowed"
             return Refusal(
                 Code.UNKNOWN,
-                f"{old}: register it anew (docs/calibration.md)",
+                f"{old}: register it anew (docs/camera.md)",
             )
         if state is not None and state.untold:
             what, remedy = state.untold[0]

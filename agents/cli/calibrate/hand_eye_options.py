@@ -11,7 +11,7 @@ from agents.cli.on_rig import OptionalPath
 
 @dataclass(frozen=True, kw_only=True)
 class HandEye:
-    """Find where an arm's base is before the camera, from what was seen of its moving tool (docs/calibration.md).
+    """Find where an arm's base is before the camera, from what was seen of its moving tool (docs/camera.md).
 
     Written as `calibrate hand-eye`. Exit status: 0, 2 for unusable input, 3 where no calibration can be estimated.
     """

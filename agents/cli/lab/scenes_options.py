@@ -15,7 +15,7 @@ Dye = Literal["violet", "blue", "green", "black", "undyed", "red", "beige", "whi
 
 @dataclass(frozen=True)
 class Scenes:
-    """Make stereo images of thread with known truth, by path tracing (docs/scene.md); needs the extra `sim`.
+    """Make stereo images of thread with known truth, by path tracing (docs/simulator.md); needs the extra `sim`.
 
     What lies in the folder already is kept, so that a batch that was interrupted goes on where it was. Exit status: 0
     all are there, 1 some found no place before the camera, 2 not as asked.

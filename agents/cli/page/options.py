@@ -13,7 +13,7 @@ from agents.cli.on_rig import OnRig
 class Page(OnRig):
     """Serve the operator's page: see, click the thread, look at the plan, arm by press-and-hold, hold.
 
-    Prints a link that works once, and a new one whenever one was used (docs/operator.md).
+    Prints a link that works once, and a new one whenever one was used (docs/running.md).
     """
 
     port: int = 7450

@@ -54,7 +54,7 @@ class Reconstruct:
     pixel: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="U V")] = None
     """A pixel of the rectified left image, on the thread that is meant."""
     promptable_encoder: OptionalPath = None
-    """For segmenter `promptable`: the network's encoder, an ONNX file (docs/promptable.md)."""
+    """For segmenter `promptable`: the network's encoder, an ONNX file (docs/model_card.md)."""
     promptable_decoder: OptionalPath = None
     """And its decoder."""
     promptable_encoder_sha256: Annotated[str | None, tyro.conf.arg(metavar="HEX")] = None

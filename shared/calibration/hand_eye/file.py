@@ -156,7 +156,7 @@ def _from_text(text: str, name: str, axes: Axes | None) -> HandEye:
     if of_cameras := what_cameras_have(documents):
         raise CalibrationError(
             f"it is no hand-eye file but the calibration of a camera or of both eyes, for it has "
-            f"{', '.join(of_cameras)}: give the arm's own registration, in a file of its own (docs/calibration.md)"
+            f"{', '.join(of_cameras)}: give the arm's own registration, in a file of its own (docs/camera.md)"
         )
     if len(documents) != 1:
         raise CalibrationError(f"it holds {len(documents)} documents where one is expected")
