@@ -4,21 +4,14 @@ import asyncio
 import contextlib
 from typing import Any
 
-from agents.operator.beside import Beside
-from agents.operator.carrying_out import Commands
+from agents.operator.beside import Beside, Surroundings
 from agents.operator.choosing import Choosing
-from agents.operator.compact import compact, joined
 from agents.operator.control import Control, HoldNow
-from agents.operator.field_seen import FieldSeen
 from agents.operator.happened import Happened
-from agents.operator.heard import Heard
-from agents.operator.holding import Coalescing
-from agents.operator.screen import Screen
-from agents.operator.showing import Showing
+from agents.operator.heard import FieldSeen, Heard
+from agents.operator.pictures import Screen, Showing
 from agents.operator.spare import Spare
-from agents.operator.standing_by import StandingBy
-from agents.operator.surroundings import Surroundings
-from agents.operator.voice import Voice
+from agents.operator.standing_by import Coalescing, Commands, StandingBy
 from agents.operator.wire import (
     Beat,
     Click,
@@ -35,8 +28,10 @@ from agents.operator.wire import (
     Said,
     Shown,
     Take,
+    compact,
+    joined,
 )
-from agents.operator.words import sentence
+from agents.operator.words import Voice, sentence
 from schemas.topics import ROBOT_STATE, Topic
 from shared.clock import monotonic_s
 from shared.runtime.connection import Connection

@@ -1,15 +1,162 @@
-"""What follows from the state of control: arming, heartbeats and holds, each written down."""
+"""What follows from the state of control: arming, heartbeats and holds, each written down.
+
+Holds on their way: each goes out at once, and none waits for the answer to another.
+
+Commands of the page on their way; holds go theirs (holding.py), so that none ever waits behind a goal.
+"""
 
 import asyncio
 import functools
 from collections.abc import Callable, Coroutine
-from typing import Any
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from itertools import count
+from typing import Any, TypeVar
 
-from agents.operator.carrying_out import Commands
 from agents.operator.control import ArmNow, BeatNow, Control, Effect, HoldNow, Noted
-from agents.operator.voice import Voice
-from schemas.messages import CommandAnswer, Outcome
-from shared.clock import monotonic_s
+from agents.operator.operator import PLAN_ARRIVES_S, SEGMENTS, UNKNOWN_PLAN, prompt
+from agents.operator.words import Voice
+from schemas.messages import Arm, CommandAnswer, GraspGoal, Heartbeat, Hold, Outcome, Policy
+from schemas.topics import ARM, GOAL, HEARTBEAT, HOLD
+from shared.clock import monotonic_s, now_ns
+from shared.runtime.commands import new_header
+from shared.runtime.connection import Connection
+
+TRIED = 3
+EVERY_S = 0.1
+"""What one page says within so long of its last hold goes out as one more, at the end of it."""
+MOST_AWAITED = 1000
+"""More holds of one arm than all pages can say while the first is still waited for; each waits in a thread."""
+
+
+class Holds:
+    """Has arms hold; where no answer comes a hold is said again, unless a newer one was said meanwhile."""
+
+    def __init__(self, connection: Connection, sender: str) -> None:
+        self._connection, self._sender = connection, sender
+        self._threads: dict[str, ThreadPoolExecutor] = {}
+        self._newest: dict[str, int] = {}
+        self._numbers = count()
+
+    def say(self, arm: str) -> "asyncio.Future[CommandAnswer]":
+        """Send one now; its answer."""
+        if arm not in self._threads:
+            self._threads[arm] = ThreadPoolExecutor(MOST_AWAITED, f"holding {arm}")
+        number = self._newest[arm] = next(self._numbers)
+        return asyncio.get_running_loop().run_in_executor(self._threads[arm], self._said, arm, number)
+
+    def close(self) -> None:
+        """Wait for what was said."""
+        for threads in self._threads.values():
+            threads.shutdown(wait=True)
+
+    def _said(self, arm: str, number: int) -> CommandAnswer:
+        for turn in range(TRIED):
+            answer = self._connection.command(HOLD, Hold(new_header(self._sender), arm), arm)
+            if answer.outcome is not Outcome.UNKNOWN or turn == TRIED - 1 or self._newest[arm] != number:
+                return answer
+        raise AssertionError
+
+
+class Coalescing:
+    """Does what is asked for at once, and what is asked for again soon after once more at the end of EVERY_S."""
+
+    def __init__(self, later: Callable[[float, Callable[[], None]], Any]) -> None:
+        """`later` has something done after so many seconds."""
+        self._later = later
+        self._again: dict[str, Callable[[], None] | None] = {}
+
+    def do(self, who: str, what: Callable[[], None]) -> None:
+        """Do it for one of those who ask, each by itself."""
+        if who in self._again:
+            self._again[who] = what
+            return
+        self._again[who] = None
+        self._later(EVERY_S, lambda: self._over(who))
+        what()
+
+    def _over(self, who: str) -> None:
+        if (again := self._again.pop(who)) is not None:
+            self.do(who, again)
+
+
+SENDER = "operator page"
+AGAIN_S = 0.1
+POLICIES = {"robust": Policy.CAPTURE_SLIDE_GRASP, "direct": Policy.DIRECT}
+
+Result = TypeVar("Result")
+
+
+class Commands:
+    """Sends commands and heartbeats; closes with its connection."""
+
+    def __init__(self, connection: Connection, audit: Callable[..., None]) -> None:
+        self._connection, self._audit = connection, audit
+        self._asking = ThreadPoolExecutor(6, "asking")
+        self._holds = Holds(connection, SENDER)
+        self._publishing = ExitStack()
+        self._beats: dict[str, Callable[[Any, int], None]] = {}
+
+    def close(self) -> None:
+        """End the threads."""
+        self._asking.shutdown(wait=False, cancel_futures=True)
+        self._holds.close()
+        self._publishing.close()
+
+    async def aside(self, work: Callable[[], Result]) -> Result:
+        """Do what takes a while in a thread."""
+        return await asyncio.get_running_loop().run_in_executor(self._asking, work)
+
+    def prepare(self, arm: str) -> None:
+        """Have the way of an arm's heartbeats open before the first one."""
+        if arm not in self._beats:
+            self._beats[arm] = self._publishing.enter_context(self._connection.publishing(HEARTBEAT, arm))
+
+    def beat(self, beat: BeatNow) -> None:
+        """One heartbeat, of a person who presses."""
+        self.prepare(beat.arm)
+        at_ns = now_ns()
+        answered = beat.challenge_ns, beat.guard_challenge
+        message = Heartbeat(beat.arm, beat.plan_id, at_ns, beat.arming_id, *answered, pressed=True)
+        self._beats[beat.arm](message, at_ns)
+
+    async def goal(self, arm: str, policy: str, s: float) -> tuple[str, CommandAnswer]:
+        """Ask for a grasp at s; the goal's id and the planner's answer, upon which a plan follows as an event."""
+        goal = GraspGoal(new_header(SENDER), arm, POLICIES[policy], s, None, None)
+        answer = await self.aside(lambda: self._connection.command(GOAL, goal))
+        return goal.header.id, answer
+
+    async def prompt(self, pixel: Any) -> CommandAnswer:
+        """Say which thread is meant."""
+        return await self.aside(lambda: prompt(self._connection, pixel))
+
+    async def arm(
+        self, screen: str, arm: str, plan_id: str, begins: Callable[[str], bool], challenge_ns: Callable[[], int]
+    ) -> CommandAnswer | None:
+        """Arm a plan; `begins` is told the id before it is sent, and says whether that is still wanted.
+
+        A plan that its bridge does not know may still be on its way there, and is asked for again for a while.
+        `challenge_ns` tells the newest challenge of the bridge that was heard.
+
+        Raises:
+            RuntimeError: where it cannot be written down.
+        """
+        self.prepare(arm)
+        deadline_s = monotonic_s() + PLAN_ARRIVES_S
+        while True:
+            header = new_header(SENDER)
+            if not begins(header.id):
+                return None
+            self._audit("arm", screen=screen, arm=arm, plan_id=plan_id, id=header.id)
+            message = Arm(header, arm, plan_id, challenge_ns(), pressed=True, segments=SEGMENTS)
+            answer = await self.aside(lambda message=message: self._connection.command(ARM, message, arm))
+            if answer.code != UNKNOWN_PLAN or monotonic_s() > deadline_s:
+                return answer
+            await asyncio.sleep(AGAIN_S)
+
+    def hold(self, arm: str) -> "asyncio.Future[CommandAnswer]":
+        """Have an arm hold, from now on; its answer."""
+        return self._holds.say(arm)
 
 
 class StandingBy:

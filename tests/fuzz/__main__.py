@@ -43,26 +43,25 @@ def _by_coverage(name: str, seconds: float) -> int:
     """libFuzzer ends its process, so each run is one of its own: look for, then keep the smallest of what was found."""
     from tests.fuzz.targets import seeds
 
-    with (
-        tempfile.TemporaryDirectory() as found,
-        tempfile.TemporaryDirectory() as smallest,
-        tempfile.TemporaryDirectory() as beside,
-    ):
+    corpus = CORPUS / name
+    with tempfile.TemporaryDirectory() as folder:
+        found, smallest, program = (Path(folder) / part for part in ("found", "smallest", "fuzz"))
+        for part in (found, smallest):
+            part.mkdir()
         # libFuzzer starts itself anew by its first argument
-        program = Path(beside) / "fuzz"
         program.write_text(f'#!/bin/sh\nexec {sys.executable} -m tests.fuzz {name} --led-by-coverage "$0" "$@"\n')
         program.chmod(0o755)
-        own = [str(program), f"-artifact_prefix={CORPUS / name}/"]
+        own = [str(program), f"-artifact_prefix={corpus}/"]
         for number, seed in enumerate(seeds(name)):
-            (Path(found) / f"seed{number}").write_bytes(seed)
+            (found / f"seed{number}").write_bytes(seed)
         limits = [f"-max_total_time={seconds:g}", f"-max_len={LONGEST}", "-timeout=20", "-rss_limit_mb=4096"]
-        ended = subprocess.run([*own, *limits, found, str(CORPUS / name)], check=False).returncode
-        subprocess.run([*own, "-merge=1", smallest, str(CORPUS / name), found], check=True)
-        for old in (CORPUS / name).iterdir():
+        ended = subprocess.run([*own, *limits, str(found), str(corpus)], check=False).returncode
+        subprocess.run([*own, "-merge=1", str(smallest), str(corpus), str(found)], check=True)
+        for old in corpus.iterdir():
             old.unlink()
-        kept = sorted(Path(smallest).iterdir(), key=lambda path: path.stat().st_size)[:MOST_KEPT]
+        kept = sorted(smallest.iterdir(), key=lambda path: path.stat().st_size)[:MOST_KEPT]
         for path in kept:
-            (CORPUS / name / path.name[:16]).write_bytes(path.read_bytes())
+            (corpus / path.name[:16]).write_bytes(path.read_bytes())
     sys.stdout.write(f"{name}: {len(kept)} kept, {'a defect: see above' if ended else 'no defect'}\n")
     return int(ended != 0)
 

@@ -4,6 +4,7 @@ A target returns where its bytes were read, or refused by the reader's one excep
 """
 
 import contextlib
+import json
 import math
 import tempfile
 from collections.abc import Callable, Generator
@@ -33,6 +34,8 @@ from schemas.topics import key as topic_key
 from shared.calibration import read_calibration
 from shared.calibration.hand_eye.file import read_hand_eye
 from shared.calibration.stated import CalibrationError
+from shared.calibration.written import opencv_text
+from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE as BASE
 from shared.recording.entry import Entry, RecordingError
 from shared.recording.mcap_file import read_recording
 from shared.recording.writer import RecordingWriter
@@ -55,22 +58,10 @@ from shared.ros.guarded import (
     set_point_from,
 )
 from shared.ros.types import RosMessageError
+from tests.rigs.boards import endoscope
 
 MOST_READ = 64_000_000
 ECHO = (ChallengeEcho("psm1", 7),)
-STEREO = """%YAML:1.0
----
-K1: !!opencv-matrix { rows: 3, cols: 3, dt: d, data: [ 330., 0., 159.5, 0., 330., 89.5, 0., 0., 1. ] }
-K2: [ 330., 0., 159.5, 0., 330., 89.5, 0., 0., 1. ]
-D1: [ 0.01, 0., 0., 0. ]
-D2: [ 0., 0., 0., 0. ]
-R: [ 1., 0., 0., 0., 1., 0., 0., 0., 1. ]
-T: [ -5.5, 0., 0. ]
-ImageSize: [ 180, 320 ]
-"""
-HAND_EYE = """{"T_camera_base": [[0.968, 0, 0.252, 0.045],
- [-0.0146, -0.998, 0.056, 0.01], [0.2516, -0.0579, -0.966, -0.08],
- [0, 0, 0, 1]], "unit": "m", "axes": "opencv", "calibration_id": "beca2fa23c61", "made": "2026-11-23"}"""
 
 
 def console(data: bytes) -> None:
@@ -206,8 +197,8 @@ def seeds(name: str) -> list[bytes]:
             b'{"kind": "prompt", "pixel": [4.5, 3.25]}',
         ],
         "mcap": lambda: [_recording()],
-        "calibration": lambda: [STEREO.encode()],
-        "hand_eye": lambda: [HAND_EYE.encode()],
+        "calibration": lambda: [opencv_text(endoscope(320, 180)).encode()],
+        "hand_eye": lambda: [json.dumps({"T_camera_base": BASE.tolist(), "unit": "m"}).encode()],
     }
     return made[name]()
 

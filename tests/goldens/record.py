@@ -16,26 +16,24 @@ from agents.launch.builders import build
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.simulated import SimulatedPsm
 from agents.simulator.agent import Simulator, SimulatorConfig
+from schemas import topics
 from schemas.codec import decode
 from schemas.messages import CommandHeader, GraspGoal, GraspPlan, Policy, RectifiedStereo, Status
-from schemas.topics import (
-    CALIBRATION,
-    COMMANDS,
-    FRAMES,
-    GOAL,
-    OBSERVATIONS,
-    PLAN,
-    ROBOT_STATE,
-    SURFACE,
-    THREAD,
-    topic_of,
-)
 from shared.recording.mcap_file import Note
 from shared.runtime.replay import Lockstep
 
 RIG = "golden"
 SMALL = RectifiedStereo(480, 270, 500.0, 500.0, 239.5, 134.5, 5.5e-3, 1.0)
-KEPT = (FRAMES, CALIBRATION, OBSERVATIONS, SURFACE, THREAD, ROBOT_STATE, COMMANDS, PLAN)
+KEPT = (
+    topics.FRAMES,
+    topics.CALIBRATION,
+    topics.OBSERVATIONS,
+    topics.SURFACE,
+    topics.THREAD,
+    topics.ROBOT_STATE,
+    topics.COMMANDS,
+    topics.PLAN,
+)
 SCENES = {
     "tissue": (SimulatorConfig(seed=3, config="medium", background="tissue", distance_mm=85.0, camera=SMALL), 0.5),
     "crossing": (SimulatorConfig(seed=6, config="crossing", background="plain", colour="blue", camera=SMALL), 0.3),
@@ -69,15 +67,17 @@ def session(scene, seconds, rate_hz=5.0, jpeg_quality=75):
     lockstep.run(seconds)
     for number, policy in enumerate(Policy):
         header = CommandHeader(f"goal-{number}", lockstep.now_ns + 10**9, "golden")
-        lockstep.command(GOAL, GraspGoal(header, "psm1", policy, 0.5, None, None))
+        lockstep.command(topics.GOAL, GraspGoal(header, "psm1", policy, 0.5, None, None))
     return lockstep
 
 
 def main(names):
     for name in names or SCENES:
         made = session(*SCENES[name])
-        plans = [decode(GraspPlan, entry.payload) for entry in made.entries if topic_of(entry.key) is PLAN]
-        kept = [entry for entry in made.entries if topic_of(entry.key) in KEPT]
+        plans = [
+            decode(GraspPlan, entry.payload) for entry in made.entries if topics.topic_of(entry.key) is topics.PLAN
+        ]
+        kept = [entry for entry in made.entries if topics.topic_of(entry.key) in KEPT]
         path = HERE / f"{name}.mcap"
         text = RIG_CONFIG.model_dump_json(indent=1, exclude_none=True)
         write_recording(path, kept, (Note("run", {"rig": RIG}),), {"configuration.json": text.encode()})

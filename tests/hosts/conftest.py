@@ -1,73 +1,43 @@
-"""Agents as processes of their own, on this host or on several, heard from beside."""
+"""Agents as processes of their own, on this host or on several, heard from beside; and containers."""
 
-import collections
 import contextlib
-import os
 import subprocess
-import sys
-import types
+import threading
 
 import pytest
 
 from agents.cli.lab.rehearsal.network import CannotError
-from agents.configuration.rig import (
-    ArmSection,
-    CameraSection,
-    RigConfig,
-    RouterSection,
-    SimulatorSection,
-    simulated_rig,
-)
-from agents.launch.supervisor import SUPERVISED
-from schemas.codec import decode
-from schemas.topics import COMMANDS, EXECUTION, HEALTH, LOG, OBSERVATIONS, PLAN, ROBOT_STATE, THREAD
+from agents.launch.supervisor import Role, supervised
 from shared.runtime.connection import connected
 from tests.command_words import words
 from tests.rigs.faults.lab import laboratory
+from tests.rigs.faults.observer import Observer
 
 DEADLINE_S = 60.0
 GOAL_DEADLINE_S = 120.0
 """Until a goal gets its plan: what is busy starting refuses for a while."""
-HEARD = (HEALTH, LOG, OBSERVATIONS, THREAD, PLAN, EXECUTION, ROBOT_STATE, COMMANDS)
-
-
-def small_rig(endpoint: str) -> RigConfig:
-    """The simulated rig with a router elsewhere, few enough frames for two cores, and plans that may wait."""
-    sections = {
-        "router": RouterSection(endpoint=endpoint, start=False),
-        "camera": CameraSection(rate_hz=5.0),
-        "robot": {"psm1": ArmSection(maximum_plan_age_s=DEADLINE_S)},
-        "simulator": SimulatorSection(config="easy", background="plain"),
-    }
-    return simulated_rig().model_copy(update=sections)
 
 
 class Processes:
-    """The processes of a test; those that still run are stopped at its end, or when the process of the tests ends."""
+    """The processes of a test, stopped at its end."""
 
-    def __init__(self, folder):
-        self._folder = folder
+    def __init__(self, folder, supervisor):
+        self._folder, self._supervisor, self._running = folder, supervisor, {}
         self.config = folder / "rig.json"
-        self._running = {}
 
     def start(self, name, *arguments):
         """Start `suturegrasp NAME ...`."""
-        if name in self._running:
-            self._end(self._running.pop(name))
-        command = [sys.executable, "-m", "agents.cli", *words(name), *arguments, "--config", str(self.config)]
-        with (self._folder / f"{name}.log").open("ab") as log:
-            process = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=log, stderr=log, env={**os.environ, SUPERVISED: "1"}
-            )
-        self._running[name] = process
-        return process
+        command = [*words(name), *arguments, "--config", str(self.config)]
+        role = Role.ROUTER if name == "router" else Role.AGENT
+        self._running[name] = self._supervisor.add(name, command, self._folder / f"{name}.log", role)
+        return self._running[name].process
 
     def kill(self, name):
         """SIGKILL, which nothing in the process hears."""
-        process = self._running.pop(name)
-        ended = process.poll() is not None
-        self._end(process)
-        assert not ended, f"{name} had ended before: {self.said(name)}"
+        child = self._running.pop(name)
+        assert child.running, f"{name} had ended before: {self.said(name)}"
+        child.process.kill()
+        child.process.wait(DEADLINE_S)
 
     def said(self, name):
         """What a process printed."""
@@ -75,59 +45,23 @@ class Processes:
 
     def ended(self):
         """Which processes have ended by themselves."""
-        return {name: self.said(name) for name, process in self._running.items() if process.poll() is not None}
-
-    def close(self):
-        for process in self._running.values():
-            process.terminate()
-        for process in self._running.values():
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(5.0)
-            self._end(process)
-
-    def _end(self, process):
-        process.kill()
-        process.wait(DEADLINE_S)
-        process.stdin.close()
-
-
-class Ear:
-    """What is published on a rig."""
-
-    def __init__(self, connection):
-        self.connection = connection
-        self._heard = collections.defaultdict(list)
-        self._read = collections.defaultdict(list)
-
-    def hear(self, tapped):
-        self._heard[tapped.topic].append(tapped.payload)
-
-    def messages(self, topic):
-        """All so far, in their order; each is decoded once."""
-        read = self._read[topic]
-        read += [decode(topic.message, payload) for payload in self._heard[topic][len(read) :]]
-        return list(read)
-
-    def health(self):
-        """The newest health by kind."""
-        return {health.agent: health for health in self.messages(HEALTH)}
+        return {name: self.said(name) for name, child in self._running.items() if not child.running}
 
 
 @pytest.fixture(scope="module")
 def processes(tmp_path_factory):
-    with contextlib.closing(Processes(tmp_path_factory.mktemp("processes"))) as started:
-        yield started
+    with supervised(restart=False) as supervisor:
+        yield Processes(tmp_path_factory.mktemp("processes"), supervisor)
 
 
 @pytest.fixture(scope="module")
 def listening():
-    """An ear on a rig, until the end of the module."""
+    """An observer of a rig, until the end of the module."""
     with contextlib.ExitStack() as stack:
 
         def listen(rig):
-            ear = Ear(stack.enter_context(connected(rig.session, within_s=DEADLINE_S)))
-            ear.connection.listen(HEARD, ear.hear)
-            return ear
+            connection = stack.enter_context(connected(rig.session, within_s=DEADLINE_S))
+            return stack.enter_context(contextlib.closing(Observer(connection)))
 
         yield listen
 
@@ -142,7 +76,33 @@ def lab(tmp_path_factory):
         pytest.skip(str(error))
 
 
-@pytest.fixture(scope="session")
-def hosts():
-    """What tests of this folder share besides fixtures."""
-    return types.SimpleNamespace(small_rig=small_rig, DEADLINE_S=DEADLINE_S, GOAL_DEADLINE_S=GOAL_DEADLINE_S)
+@contextlib.contextmanager
+def copy_of_this_machine(folder):
+    """This machine's files below a folder; what is written to them goes to memory. Skips where that cannot be."""
+    root, memory = folder / "root", folder / "memory"
+    for part in (root, memory):
+        part.mkdir(parents=True)
+    try:
+        _must("mount", "-t", "tmpfs", "none", memory)
+        for part in ("upper", "work"):
+            (memory / part).mkdir()
+        layers = f"lowerdir=/,upperdir={memory / 'upper'},workdir={memory / 'work'}"
+        _must("mount", "-t", "overlay", "overlay", "-o", layers, root)
+        yield root
+    finally:
+        for _ in range(50):
+            # what a container ran ends a moment later
+            if _run("umount", "--recursive", root).returncode == 0:
+                break
+            threading.Event().wait(0.1)
+        _run("umount", memory)
+
+
+def _run(*command):
+    return subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=60.0, check=False)
+
+
+def _must(*command):
+    done = _run(*command)
+    if done.returncode != 0:
+        pytest.skip(f"this system cannot play machines: {command[0]}: {done.stderr}")

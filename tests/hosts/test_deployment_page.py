@@ -1,7 +1,4 @@
-"""docs/deployment.md, typed line by line on four machines with systemd; containers on a virtual switch stand for them.
-
-Not typed is what needs the internet, and what names a machine: the machines share this one's files below their own.
-"""
+"""docs/deployment.md, typed line by line on four machines with systemd, for which containers stand."""
 
 import contextlib
 import os
@@ -17,54 +14,45 @@ import pytest
 
 from agents.cli.lab.rehearsal.network import CannotError, connected_hosts
 from shared.clock import monotonic_s
+from tests.hosts.conftest import copy_of_this_machine
 
 REPOSITORY = Path(__file__).parents[2]
 PAGE = REPOSITORY / "docs" / "deployment.md"
 HOSTS = ("video", "strong", "robot", "desk")
 LINE = re.compile(r"^    (?P<who>desk\$|(?:each|video|strong|robot)#) (?P<line>.+)$", re.MULTILINE)
+# what needs the internet, or names a machine: the machines share this one's files below their own
 NOT_TYPED = ("apt-get ", "git ", "adduser ", "docker ")
 TYPED_UNTIL = "## Certificates"
 OWNER = "SUTUREGRASP_TESTED_BY"
 """Environment variable of a container's first process."""
 BOOT_S, LINE_S, RUNNING_S = 60.0, 60.0, 120.0
-SYSTEM_PYTHON = Path("/usr/bin/python3")
+SYSTEM_PYTHON, OUR_PYTHON = Path("/usr/bin/python3"), [str(n) for n in sys.version_info[:2]]
 OF_THEIR_OWN = "/tmp", "/var/tmp", "/home", "/root", "/run"  # noqa: S108 - where nothing is written
 """Folders that containers and hardened units have for themselves: a checkout in one is not there for them."""
 pytestmark = [pytest.mark.hosts, pytest.mark.timeout(400)]
 
 
 class Machine:
-    """A container that boots systemd over a copy of this machine's files that is written to memory."""
+    """A container that boots systemd over a copy of this machine's files."""
 
-    def __init__(self, name, folder, namespace):
-        self.name, self._folder = name, folder
-        self.root = folder / "root"
-        for part in ("memory", "root"):
-            (folder / part).mkdir(parents=True)
-        _must("mount", "-t", "tmpfs", "none", folder / "memory")
-        for part in ("upper", "work"):
-            (folder / "memory" / part).mkdir()
-        layers = f"lowerdir=/,upperdir={folder / 'memory/upper'},workdir={folder / 'memory/work'}"
-        _must("mount", "-t", "overlay", "overlay", "-o", layers, self.root)
-        self._furnish()
-        boots = [
-            "systemd-nspawn", "--quiet", "--register=no", "--keep-unit", "--capability=all", f"--directory={self.root}",
-            f"--machine={name}", f"--network-namespace-path=/run/netns/{namespace}", "--boot",
-            f"--setenv={OWNER}={os.getpid()}", "systemd.unit=multi-user.target",
-        ]  # fmt: skip
-        self._log = (folder / "boot.log").open("wb")
-        self._process = subprocess.Popen(boots, stdin=subprocess.DEVNULL, stdout=self._log, stderr=self._log)
-
-    def _furnish(self):
-        """What a machine of its own would have: a name, the checkout's place, and an interpreter outside of homes."""
-        (self.root / "etc" / "hostname").write_text(f"{self.name}\n")
-        (self.root / "opt" / "suturegrasp").symlink_to(REPOSITORY)
-        inside = self.root / REPOSITORY.relative_to("/") / ".venv"
+    def __init__(self, name, root, namespace, log):
+        self.name, self.root, self._log = name, root, log
+        # what a machine of its own would have: a name, the checkout's place, and an interpreter outside of homes
+        (root / "etc" / "hostname").write_text(f"{name}\n")
+        (root / "opt" / "suturegrasp").symlink_to(REPOSITORY)
+        inside = root / REPOSITORY.relative_to("/") / ".venv"
         for interpreter in ("python3.11", "python3", "python"):
             (inside / "bin" / interpreter).unlink(missing_ok=True)
             (inside / "bin" / interpreter).symlink_to(SYSTEM_PYTHON)
         (inside / "pyvenv.cfg").write_text(f"home = {SYSTEM_PYTHON.parent}\ninclude-system-site-packages = false\n")
-        shutil.rmtree(self.root / "etc" / "suturegrasp", ignore_errors=True)
+        shutil.rmtree(root / "etc" / "suturegrasp", ignore_errors=True)
+        boots = [
+            "systemd-nspawn", "--quiet", "--register=no", "--keep-unit", "--capability=all", f"--directory={root}",
+            f"--machine={name}", f"--network-namespace-path=/run/netns/{namespace}", "--boot",
+            f"--setenv={OWNER}={os.getpid()}", "systemd.unit=multi-user.target",
+        ]  # fmt: skip
+        with log.open("wb") as said:
+            self._process = subprocess.Popen(boots, stdin=subprocess.DEVNULL, stdout=said, stderr=said)
 
     def wait(self):
         """Until systemd takes orders."""
@@ -74,7 +62,7 @@ class Machine:
                 if self.type("systemctl is-active multi-user.target") == "active\n":
                     return
             threading.Event().wait(0.2)
-        pytest.skip(f"no systemd boots in a container here: {(self._folder / 'boot.log').read_text()[-300:]}")
+        pytest.skip(f"no systemd boots in a container here: {self._log.read_text()[-300:]}")
 
     def type(self, line, accept=(0,)):
         """What a line says there, typed in root's home."""
@@ -95,13 +83,6 @@ class Machine:
             os.kill(self._first(), signal.SIGKILL)
         self._process.kill()
         self._process.wait()
-        self._log.close()
-        for _ in range(50):
-            # what the container ran ends a moment later
-            if _run("umount", "--recursive", self.root)[0]:
-                break
-            threading.Event().wait(0.1)
-        _run("umount", self._folder / "memory")
 
 
 def kill_left_behind():
@@ -114,23 +95,13 @@ def kill_left_behind():
                 os.kill(int(environment.parent.name), signal.SIGKILL)
 
 
-def _run(*command):
-    done = subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=60.0, check=False)
-    return done.returncode == 0, done.stderr
-
-
-def _must(*command):
-    succeeded, said = _run(*command)
-    if not succeeded:
-        pytest.skip(f"this system cannot play machines: {command[0]}: {said}")
-
-
 @pytest.fixture
 def machines(tmp_path):
     """Four machines, booted, by name, and their network."""
     if shutil.which("systemd-nspawn") is None:
         pytest.skip("there is no systemd-nspawn here (Debian: systemd-container)")
-    if sys.version_info[:2] != _version_of(SYSTEM_PYTHON):
+    version = [str(SYSTEM_PYTHON), "-c", "import sys; print(*sys.version_info[:2])"]
+    if not SYSTEM_PYTHON.exists() or subprocess.check_output(version, text=True).split() != OUR_PYTHON:
         pytest.skip(f"{SYSTEM_PYTHON} is another Python than {sys.executable}, and units may not look into homes")
     if any(REPOSITORY.is_relative_to(folder) for folder in OF_THEIR_OWN):
         pytest.skip(f"units do not see a checkout below {', '.join(OF_THEIR_OWN)}: clone it elsewhere, such as /opt")
@@ -142,33 +113,21 @@ def machines(tmp_path):
             pytest.skip(str(error))
         booted = {}
         for name in HOSTS:
-            booted[name] = Machine(name, tmp_path / name, network.namespace(name))
-            stack.callback(booted[name].close)
+            root = stack.enter_context(copy_of_this_machine(tmp_path / name))
+            machine = Machine(name, root, network.namespace(name), tmp_path / f"{name}.log")
+            booted[name] = stack.enter_context(contextlib.closing(machine))
         for machine in booted.values():
             machine.wait()
         yield booted, network
-
-
-def _version_of(interpreter):
-    if not interpreter.exists():
-        return None
-    asked = [str(interpreter), "-c", "import sys; print(*sys.version_info[:2])"]
-    return tuple(int(n) for n in subprocess.run(asked, capture_output=True, text=True, check=True).stdout.split())
-
-
-def lines():
-    """Who types what, in the order of the page."""
-    page = PAGE.read_text().split(TYPED_UNTIL)[0]
-    return [(found["who"][:-1], found["line"]) for found in LINE.finditer(page)]
 
 
 def test_the_page_leads_from_four_machines_to_a_rig_that_runs(machines):
     booted, network = machines
     address = {f"10.0.0.{11 + i}": network.address(host) for i, host in enumerate(HOSTS)}
     by_address = dict(zip(address, HOSTS, strict=True))
-    said = {}
-    exported = ""
-    for who, line in lines():
+    said, exported = {}, ""
+    for found in LINE.finditer(PAGE.read_text().split(TYPED_UNTIL)[0]):
+        who, line = found["who"][:-1], found["line"]
         if line.startswith(NOT_TYPED):
             continue
         if line.startswith("scp "):
@@ -212,26 +171,23 @@ def each_reads_its_own_key_only(booted):
     for machine in booted.values():
         listed = machine.type("ls /etc/systemd/system | grep '^suturegrasp-.*service$' || true").split()
         keys = machine.type("ls /etc/suturegrasp/certificates/*.key").split()
-        assert all(key.endswith(".key") for key in keys)
         for unit in listed:
-            user = unit.removesuffix(".service")
-            as_user = f"setpriv --reuid={user} --regid=suturegrasp --init-groups"
-            for key in keys:
-                assert machine.type(f"{as_user} cat {key} > /dev/null 2>&1 && echo read || echo denied") == "denied\n"
-            for other in listed:
-                found = machine.type(
-                    f"{as_user} sh -c 'cat /run/credentials/{other}/*.key > /dev/null 2>&1' && echo read || echo no"
-                )
-                assert found == ("read\n" if other == unit else "no\n"), (user, other)
-                tried += 1
+            as_user = f"setpriv --reuid={unit.removesuffix('.service')} --regid=suturegrasp --init-groups"
+            assert not [key for key in keys if reads(machine, as_user, key)], unit
+            handed_out = [other for other in listed if reads(machine, as_user, f"/run/credentials/{other}/*.key")]
+            assert handed_out == [unit]
+            tried += len(listed)
     assert tried >= 6
     # who is in the group of operators reads theirs, and nobody else's
     desk = booted["desk"]
     desk.type("useradd --system --no-create-home ann && usermod --append --groups suturegrasp-operators ann")
     as_ann = "setpriv --reuid=ann --regid=ann --init-groups"
     for key in desk.type("ls /etc/suturegrasp/certificates/*.key").split():
-        found = desk.type(f"{as_ann} cat {key} > /dev/null 2>&1 && echo read || echo denied")
-        assert found == ("read\n" if "/operator." in key else "denied\n"), key
+        assert reads(desk, as_ann, key) == ("/operator." in key), key
+
+
+def reads(machine, as_user, files):
+    return machine.type(f"{as_user} sh -c 'cat {files} > /dev/null 2>&1' && echo read || echo denied") == "read\n"
 
 
 def wait_until_all_is_there(desk, exported):

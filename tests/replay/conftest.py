@@ -1,7 +1,6 @@
-"""A real session, from simulator to plan, heard from beside; run once for all tests of this folder."""
+"""A real session, from simulator to plan, recorded from beside; run once for all tests of this folder."""
 
 import contextlib
-import dataclasses
 import itertools
 
 import pytest
@@ -17,24 +16,15 @@ from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.simulated import SimulatedPsm
 from agents.simulator.agent import Simulator, SimulatorConfig
 from schemas.codec import decode
-from schemas.messages import GraspPlan, Outcome, Policy, RectifiedStereo, Status, ThreadReconstruction
-from schemas.topics import FRAMES, PLAN, THREAD, TOPICS
+from schemas.messages import Outcome, Policy, RectifiedStereo, Status
+from schemas.topics import FRAMES, PLAN, THREAD, TOPICS, topic_of
+from shared.recording.mcap_file import read_recording
 from shared.runtime.connection import connected
 from shared.runtime.session import SessionSettings
-from shared.runtime.taps import Tapped
 
 DEADLINE_S = 60.0
 SMALL = RectifiedStereo(480, 270, 500.0, 500.0, 239.5, 134.5, 5.5e-3, 1.0)
 """Half the endoscope's size, so that two cores keep up."""
-
-
-@dataclasses.dataclass
-class Session:
-    """What was heard, what the recorder wrote at the same time, and its report."""
-
-    heard: list[Tapped]
-    path: object
-    report: object
 
 
 def scene_camera():
@@ -47,16 +37,13 @@ def scene_camera():
     return SceneCamera(render, lambda state: calibration_of(state.camera), CameraConfig(rate_hz=10.0))
 
 
-def simulator():
-    return Simulator(SimulatorConfig(config="easy", background="plain", camera=SMALL))
-
-
-def of(heard, topic):
-    return [t for t in list(heard) if t.topic is topic]
+def of(entries, topic):
+    """The messages of one topic."""
+    return [decode(topic.message, e.payload) for e in list(entries) if topic_of(e.key) is topic]
 
 
 @pytest.fixture(scope="session")
-def live(tmp_path_factory, router, in_threads, until):
+def recorded(tmp_path_factory, router, in_threads, until):
     """A session with two goals of each policy; perception, reconstruction and planner are restarted in its midst."""
     path = tmp_path_factory.mktemp("live") / "session.mcap"
     heard = []
@@ -65,31 +52,28 @@ def live(tmp_path_factory, router, in_threads, until):
         connection = stack.enter_context(connected(settings, DEADLINE_S))
         recorder = Recorder(path)
         stack.callback(recorder.close)
-        recorded = tuple(topic for topic in TOPICS if topic.recorded)
-        connection.listen(recorded, heard.append)
-        connection.listen(recorded, recorder.put, recorder.missed)
+        topics = tuple(topic for topic in TOPICS if topic.recorded)
+        connection.listen((FRAMES, THREAD, PLAN), heard.append)
+        connection.listen(topics, recorder.put, recorder.missed)
+        simulator = Simulator(SimulatorConfig(config="easy", background="plain", camera=SMALL))
         bridge = RobotBridge(RobotBridgeConfig(), SimulatedPsm())
-        with in_threads(settings, simulator(), scene_camera(), bridge):
+        with in_threads(settings, simulator, scene_camera(), bridge):
             for _ in range(2):
                 with in_threads(settings, Perception(), Reconstruction(), Planner()):
-                    before = len(of(heard, THREAD))
-                    until(lambda before=before: threads_ok(heard[:]) and len(of(heard, THREAD)) > before + 5)
+                    enough = len(of(heard, THREAD)) + 5
+                    until(
+                        lambda enough=enough: (
+                            len(of(heard, THREAD)) > enough and of(heard, THREAD)[-1].status is Status.OK
+                        )
+                    )
                     for policy in Policy:
                         plan = asked(connection, policy, until)
-                        until(lambda plan=plan: plan.plan_id in {p.plan_id for p in plans(heard)})
+                        until(lambda plan=plan: plan.plan_id in {p.plan_id for p in of(heard, PLAN)})
             # on a fast machine all of that takes few frames
-            until(lambda: len(of(heard, FRAMES)) > 40)
+            until(lambda: sum(t.topic is FRAMES for t in list(heard)) > 40)
         connection.close()
-        report = recorder.close()
-    return Session(heard, path, report)
-
-
-def threads_ok(heard):
-    return [t for t in of(heard, THREAD) if decode(ThreadReconstruction, t.payload).status is Status.OK]
-
-
-def plans(heard):
-    return [decode(GraspPlan, t.payload) for t in of(heard, PLAN)]
+        recorder.close()
+    return list(read_recording(path))
 
 
 def asked(connection, policy, until):
@@ -101,9 +85,3 @@ def asked(connection, policy, until):
         return plan if answer.outcome is Outcome.ACCEPTED else None
 
     return until(ask, "a plan or a rejection")
-
-
-@pytest.fixture(scope="session")
-def camera():
-    """Builds the scene camera of the session."""
-    return scene_camera

@@ -1,10 +1,8 @@
 """Images of a calibration board through a known stereo camera, lens and all, with a sensor's blur and noise.
 
-Each pixel is traced back: undistorted, and met with the board's plane. Twice as many pixels each way are traced as the
-image has, so that edges are as soft as a pixel.
+Each pixel is traced back to the board's plane, twice as many each way as the image has: edges are as soft as a pixel.
 """
 
-from dataclasses import dataclass
 from functools import cache
 
 import cv2
@@ -41,21 +39,6 @@ def endoscope(width: int = 960, height: int = 540) -> StereoCalibration:
     )
 
 
-@dataclass(frozen=True)
-class Eye:
-    """One camera: pinhole matrix, distortion, and where the left camera's points are in it."""
-
-    K: Float64[np.ndarray, "3 3"]
-    distortion: Float64[np.ndarray, "d"]
-    T_eye_left: Float64[np.ndarray, "4 4"]
-
-
-def eyes(calibration: StereoCalibration) -> tuple[Eye, Eye]:
-    """Both cameras of a calibration."""
-    left = Eye(calibration.K_left, calibration.distortion_left, np.eye(4))
-    return left, Eye(calibration.K_right, calibration.distortion_right, calibration.T_right_left)
-
-
 def picture(board: Board) -> UInt8[np.ndarray, "h w"]:
     """The board as it is printed, with a white margin."""
     size = board.columns * TEXTURE_PX, board.rows * TEXTURE_PX
@@ -76,8 +59,7 @@ def standings(count: int, board: Board, seed: int, away: float = 75.0) -> list[F
     middle = np.array([board.columns, board.rows, 0.0]) * board.square / 2
     found: list[Float64[np.ndarray, "4 4"]] = []
     for _ in range(count):
-        tilt = np.append(rng.uniform(-0.6, 0.6, 2), rng.uniform(-0.4, 0.4))
-        R = exp_so3(tilt)
+        R = exp_so3(np.append(rng.uniform(-0.6, 0.6, 2), rng.uniform(-0.4, 0.4)))
         z = away * rng.uniform(0.75, 1.35)
         at = np.array([rng.uniform(-0.24, 0.24) * z + 2.8, rng.uniform(-0.14, 0.14) * z, z])
         found.append(transform(R, at - R @ middle))
@@ -86,24 +68,32 @@ def standings(count: int, board: Board, seed: int, away: float = 75.0) -> list[F
 
 def rendered(calibration: StereoCalibration, board: Board, T_left_board: np.ndarray, seed: int) -> Pair:
     """What both eyes see of a board."""
-    printed = picture(board)
-    left, right = (_seen(calibration, eye, board, printed, T_left_board) for eye in eyes(calibration))
-    rng = np.random.default_rng(seed)
+    c, printed, rng = calibration, picture(board), np.random.default_rng(seed)
+    left, right = (
+        _seen(c, K, distortion, board, printed, T)
+        for K, distortion, T in (
+            (c.K_left, c.distortion_left, T_left_board),
+            (c.K_right, c.distortion_right, c.T_right_left @ T_left_board),
+        )
+    )
     return _sensed(left, rng), _sensed(right, rng)
 
 
 def _seen(
-    calibration: StereoCalibration, eye: Eye, board: Board, printed: np.ndarray, T_left_board: np.ndarray
+    calibration: StereoCalibration,
+    K: np.ndarray,
+    distortion: np.ndarray,
+    board: Board,
+    printed: np.ndarray,
+    T: np.ndarray,
 ) -> np.ndarray:
     width, height = FINER * calibration.image_width, FINER * calibration.image_height
-    T = eye.T_eye_left @ T_left_board
     # a ray meets the plane z = 0 of the board where (r1 r2 t) (x, y, 1) is along it
     to_board = np.linalg.inv(np.column_stack((T[:3, 0], T[:3, 1], T[:3, 3])))
-    met = _rays(width, height, eye.K.tobytes(), eye.distortion.tobytes()) @ to_board.T
+    met = _rays(width, height, K.tobytes(), distortion.tobytes()) @ to_board.T
     on_board = (met[:, :2] / met[:, 2:]).reshape(height, width, 2)
-    at = (on_board / board.square + MARGIN_SQUARES) * TEXTURE_PX - 0.5
     # far from the board all is ground, and no float is too large
-    at = np.clip(at, -1e4, 1e4).astype(np.float32)
+    at = np.clip((on_board / board.square + MARGIN_SQUARES) * TEXTURE_PX - 0.5, -1e4, 1e4).astype(np.float32)
     low, high = BOARD_LEVELS
     levels = (low + (high - low) / 255 * printed).astype(np.float32)
     seen = cv2.remap(
@@ -117,8 +107,9 @@ def _rays(width: int, height: int, K: bytes, distortion: bytes) -> Float64[np.nd
     """The direction of every traced pixel of a camera, which all its images share."""
     v, u = np.mgrid[:height, :width].astype(np.float64)
     px = (np.stack((u, v), axis=-1) + 0.5) / FINER - 0.5
-    lens = np.frombuffer(K).reshape(3, 3), np.frombuffer(distortion)
-    at = cv2.undistortPoints(px.reshape(-1, 1, 2), lens[0].copy(), lens[1].copy())
+    at = cv2.undistortPoints(
+        px.reshape(-1, 1, 2), np.frombuffer(K).reshape(3, 3).copy(), np.frombuffer(distortion).copy()
+    )
     return np.column_stack((np.asarray(at).reshape(-1, 2), np.ones(width * height)))
 
 

@@ -1,8 +1,4 @@
-"""Sequences of a moving thread whose every material point is known, rendered by shared/scene.
-
-The thread is inextensible: each moment turns its tangents by smooth angles and adds them up again, so that a share of
-its length is the same piece of thread in every frame. A rigid motion on top is the camera's, or the hand's.
-"""
+"""Sequences of a moving inextensible thread, rendered, a share of whose length is the same piece in every frame."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -29,9 +25,7 @@ DISTANCE_MM = 100.0
 RATE_HZ = 30.0
 SAMPLES = 401
 JUMP_PX = 100.0
-TOOL_GREY = 150
-BAND_SHARE = 0.14
-"""Of the image's width: how wide the tool is that passes."""
+TOOL_GREY, TOOL_WIDTH_SHARE = 150, 0.14
 
 
 @dataclass(frozen=True)
@@ -100,12 +94,7 @@ def stamp_of(number: int) -> FrameStamp:
 
 
 def images_of(
-    config: str,
-    seed: int,
-    kind: Kind,
-    frames: int,
-    camera: RectifiedStereo = CAMERA,
-    background: str = "plain",
+    config: str, seed: int, kind: Kind, frames: int, camera: RectifiedStereo = CAMERA, background: str = "plain"
 ) -> Iterator[Drawn]:
     """The images of a moving thread."""
     first = thread_on(camera, surface_of(camera, background, DISTANCE_MM, seed), config, seed)
@@ -113,9 +102,10 @@ def images_of(
     for number in range(frames):
         thread = moved(first, camera, kind, number / RATE_HZ, seed)
         if kind.jump_at is not None and number >= kind.jump_at:
-            thread = _shifted(
-                thread, np.array((0.3, 0.954, 0.0)) * JUMP_PX * DISTANCE_MM / camera.fx_px * _inward(thread, camera)
-            )
+            # towards the middle
+            above = project(camera, material_points(thread))[0][:, 1].mean() < camera.cy_px
+            by = (1 if above else -1) * JUMP_PX * DISTANCE_MM / camera.fx_px * np.array((0.3, 0.954, 0.0))
+            thread = replace(thread, control_points=thread.control_points + by)
         images, masks = [], []
         for eye, view in enumerate(render_thread(camera, thread, "violet", backdrop)):
             noise = grain((camera.image_height, camera.image_width), 7919 * seed + 2 * number + eye)
@@ -163,28 +153,13 @@ def moved(first: Thread, camera: RectifiedStereo, kind: Kind, at_s: float, seed:
         0.1 * np.radians(kind.bend_deg) * np.array((wave(0.4, phases[7]), wave(0.5, phases[3]), wave(0.3, phases[1])))
     )
     placed = (bent - middle) @ spin.T + middle + way
-    chord = np.linspace(0.0, 1.0, SAMPLES)
-    basis = basis_matrix(first.knots, first.degree, chord)
-    return Thread(first.knots, np.linalg.lstsq(basis, placed, rcond=None)[0], first.radius_mm, first.degree)
+    basis = basis_matrix(first.knots, first.degree, u)
+    return replace(first, control_points=np.linalg.lstsq(basis, placed, rcond=None)[0])
 
 
-def _shifted(thread: Thread, by: Float64[np.ndarray, "3"]) -> Thread:
-    return Thread(thread.knots, thread.control_points + by, thread.radius_mm, thread.degree)
-
-
-def _inward(thread: Thread, camera: RectifiedStereo) -> float:
-    v = project(camera, material_points(thread))[0][:, 1]
-    return 1.0 if v.mean() < camera.cy_px else -1.0
-
-
-def _hide(
-    images: list[UInt8[np.ndarray, "h w 3"]],
-    masks: list[UInt8[np.ndarray, "h w"]],
-    camera: RectifiedStereo,
-    share: float,
-) -> None:
+def _hide(images: list[np.ndarray], masks: list[np.ndarray], camera: RectifiedStereo, share: float) -> None:
     """A tool's shaft from top to bottom, which passes from left to right in front of the thread."""
-    width = round(BAND_SHARE * camera.image_width)
+    width = round(TOOL_WIDTH_SHARE * camera.image_width)
     for eye, (image, mask) in enumerate(zip(images, masks, strict=True)):
         near = camera.fx_px * camera.baseline / (0.8 * DISTANCE_MM)
         start = round(share * (camera.image_width + width) - width - eye * near)

@@ -35,56 +35,41 @@ def lives(pid):
     return state not in "ZX"
 
 
-@pytest.fixture
-def at_work():
-    """A process of a group of its own whose two workers never finish, and their ids."""
-    process = subprocess.Popen(
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are looked for where Linux lists them")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL, signal.SIGINT])
+def test_workers_end_where_whoever_started_them_is_ended(until, number):
+    begun = subprocess.Popen(
         [sys.executable, "-c", AT_WORK],
+        cwd=Path(__file__).parents[2],
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         text=True,
+        # in a group of its own, so that the workers are not told with it
         start_new_session=True,
-        cwd=Path(__file__).parents[2],
     )
-    assert process.stdout is not None
-    with process:
+    assert begun.stdout is not None
+    with begun as process:
         try:
-            yield process, [int(process.stdout.readline()) for _ in range(2)]
+            workers = [int(begun.stdout.readline()) for _ in range(2)]
+            process.send_signal(number)
+            assert process.wait() != 0
+            until(lambda: not any(map(lives, workers)), "the workers' end")
         finally:
             process.kill()
 
 
-@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are looked for where Linux lists them")
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL, signal.SIGINT])
-def test_workers_end_where_whoever_started_them_is_ended(at_work, until, number):
-    process, workers = at_work
-    assert len(workers) == 2
-    process.send_signal(number)
-    assert process.wait() != 0
-    until(lambda: not any(map(lives, workers)), "the workers' end")
-
-
-def test_work_is_done_by_processes_of_their_own_which_were_made_ready_and_are_gone_afterwards(tmp_path):
-    with worker_pool(2, os.chdir, (tmp_path,)) as pool:
-        ran_in = {pool.submit(os.getpid).result() for _ in range(4)}
-        assert Path(pool.submit(os.getcwd).result()) == tmp_path
-        workers = list(pool._processes)
-    assert os.getpid() not in ran_in
-    assert not any(map(lives, workers))
-
-
-def test_a_worker_that_dies_is_no_silence():
-    with pytest.raises(BrokenProcessPool), worker_pool(1) as pool:
-        pool.submit(os._exit, 3).result()
-
-
-def test_ctrl_c_reaches_no_worker():
+def test_workers_are_made_ready_hear_no_ctrl_c_and_are_gone_afterwards_and_one_that_dies_is_no_silence(tmp_path):
     # what is started by tests that ignore it would ignore it too
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        with worker_pool(1) as pool:
+        with worker_pool(1, os.chdir, (tmp_path,)) as pool:
             worker = pool.submit(os.getpid).result()
+            assert worker != os.getpid()
             os.kill(worker, signal.SIGINT)
+            assert Path(pool.submit(os.getcwd).result()) == tmp_path
             assert pool.submit(os.getpid).result() == worker
+        assert not lives(worker)
     finally:
         signal.signal(signal.SIGINT, before)
+    with pytest.raises(BrokenProcessPool), worker_pool(1) as pool:
+        pool.submit(os._exit, 3).result()

@@ -1,20 +1,20 @@
-"""Published states become images: true to the state, the same for the same frame, and quick while nothing moves."""
+"""Published states of the field become images: true to the state, and the same for the same frame."""
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
 
+from agents.camera.agent import CameraConfig, SceneCamera
 from agents.camera.scene_source import SceneSource, calibration_of, camera_in_mm
 from schemas.messages import RectifiedStereo, SimulatorState
-from shared.camera import project
-from shared.scene.render import Scene, SceneError, render
+from schemas.topics import CALIBRATION, FRAME_NOTICE, FRAMES, SIMULATOR_STATE
+from shared.calibration.identity import calibration_id
+from shared.runtime.agent import Received, Tick
+from shared.scene.render import Scene, render
 from shared.scene.sensor import NO_NOISE
 from shared.scene.surface import flat_surface
 from shared.scene.thread_shapes import thread_on
-from shared.splines import evaluate
 
 CAMERA = RectifiedStereo(960, 540, 1000.0, 1000.0, 479.5, 269.5, 5.5e-3, 1.0)
 THREAD_MM = thread_on(camera_in_mm(CAMERA), flat_surface(95.0), "medium", 2)
@@ -30,8 +30,6 @@ STATE = SimulatorState(
     control_points_camera=1e-3 * THREAD_MM.control_points,
     held=None,
 )
-
-
 SMALL = replace(STATE, camera=RectifiedStereo(240, 135, 250.0, 250.0, 119.5, 67.0, 5.5e-3, 1.0))
 """The same view in a quarter of the pixels each way."""
 
@@ -46,22 +44,6 @@ def test_without_noise_it_is_the_light_renderers_pair():
     for ours, theirs in ((pair.left_bgr, expected.left_bgr), (pair.right_bgr, expected.right_bgr)):
         # metres and back again may round a grey level
         assert np.abs(ours.astype(int) - theirs).max() <= 1
-
-
-def test_the_thread_is_where_the_state_says_in_both_images():
-    state = moved(STATE, (1.0, -0.5, -4.0))
-    pair = SceneSource(NO_NOISE).render(state, 0)
-    truth = evaluate(state.knots, state.control_points_camera, 3, np.linspace(0, 1, 20000))
-    for image, line in zip((pair.left_bgr, pair.right_bgr), project(state.camera, truth), strict=True):
-        darkness = 206.0 - image.astype(float).mean(axis=2)
-        v, u = np.nonzero(darkness)
-        pixels = np.column_stack((u, v)).astype(float)
-        _, nearest = cKDTree(line).query(pixels)
-        tangent = np.gradient(line, axis=0)
-        normal = np.column_stack((-tangent[:, 1], tangent[:, 0])) / np.linalg.norm(tangent, axis=1)[:, None]
-        across = ((pixels - line[nearest]) * normal[nearest]).sum(axis=1)
-        inner = (nearest > 50) & (nearest < 19950)
-        assert abs(np.average(across[inner], weights=darkness[v, u][inner])) < 0.03
 
 
 def test_a_frame_depends_on_state_and_number_alone():
@@ -80,27 +62,31 @@ def test_noise_is_new_in_every_frame_and_in_each_eye():
     plain = moved(SMALL, (500.0, 0.0, 0.0))
     images = [image.astype(float) for k in range(4) for image in vars(source.render(plain, k)).values()]
     flat = np.stack([(image - image.mean()).ravel() for image in images])
-    correlation = np.corrcoef(flat)
-    assert np.abs(correlation - np.eye(len(images))).max() < 0.02
+    assert np.abs(np.corrcoef(flat) - np.eye(len(images))).max() < 0.02
     assert flat.std() == pytest.approx(np.sqrt(1.4**2 + 2.2**2 * 206 / 255 + 1 / 12), rel=0.03)
 
 
-def test_the_calibration_belongs_to_the_images():
-    calibration = calibration_of(CAMERA)
-    assert (calibration.image_width, calibration.image_height) == (960, 540)
-    points = np.array([[0.01, -0.02, 0.1], [-0.03, 0.01, 0.08]])
-    _, right = project(CAMERA, points)
-    seen, _ = cv2.projectPoints(
-        points, np.zeros(3), calibration.T_right_left[:3, 3], calibration.K_right, calibration.distortion_right
-    )
-    assert np.asarray(seen)[:, 0] == pytest.approx(right)
-    assert calibration.metres_per_unit == 1.0
+def test_the_agent_films_the_newest_state_and_calibrates_anew_for_another_camera():
+    rendered = []
 
+    def render(state, number):
+        rendered.append((state.at_ns, number))
+        return 2 * (np.zeros((4, 4, 3), np.uint8),)
 
-def test_what_cannot_be_drawn_is_named_with_what_can():
-    with pytest.raises(SceneError, match="violet, black, blue"):
-        SceneSource().render(replace(STATE, colour="pink"), 0)
-    with pytest.raises(SceneError, match="tissue, plain"):
-        SceneSource().render(replace(STATE, background="paper"), 0)
-    with pytest.raises(SceneError, match="metres_per_unit"):
-        camera_in_mm(replace(CAMERA, metres_per_unit=None))
+    camera = SceneCamera(render, lambda state: calibration_of(state.camera), CameraConfig())
+    wider = replace(SMALL, at_ns=7, camera=replace(SMALL.camera, fx_px=200.0, fy_px=200.0))
+
+    def filmed(*states):
+        for state in states:
+            key = "suturegrasp/lab/simulator/main/state"
+            assert list(camera.step(Received(SIMULATOR_STATE, key, 0, state))) == []
+        return {output.topic: output.message for output in camera.step(Tick(1))}
+
+    said = [filmed(), filmed(replace(STATE, at_ns=5), replace(SMALL, at_ns=6)), filmed(), filmed(wider)]
+    assert rendered == [(6, 0), (6, 1), (7, 2)]
+    frames = {FRAMES, FRAME_NOTICE}
+    assert [set(each) for each in said] == [set(), {CALIBRATION, *frames}, frames, {CALIBRATION, *frames}]
+    first, again, second = said[1], said[2], said[3]
+    assert (first[CALIBRATION].K_left[0, 0], second[CALIBRATION].K_left[0, 0]) == (250.0, 200.0)
+    named = [each[FRAMES].stamp.calibration_id for each in (first, again, second)]
+    assert named == [calibration_id(each[CALIBRATION]) for each in (first, first, second)]

@@ -1,73 +1,47 @@
-"""Sources on real files, videos and pipes."""
+"""Sources on real files and pipes."""
 
 import os
 import threading
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
 from agents.camera.sources import BrokenOffError, ImageSource, PipeSource, SourceError
-
-HEIGHT, WIDTH = 48, 64
-
-
-def picture(value, width=WIDTH):
-    """Plain grey that tells its number."""
-    return np.full((HEIGHT, width, 3), value, np.uint8)
+from tests.agents.camera.conftest import HEIGHT, WIDTH, levels, picture
 
 
-def folder(path, values, width=WIDTH):
+def folder(path, values):
     path.mkdir(parents=True)
     for number, value in enumerate(values):
-        assert cv2.imwrite(str(path / f"{number:03d}.png"), picture(value, width))
+        assert cv2.imwrite(str(path / f"{number:03d}.png"), picture(value))
     return path
 
 
-def levels(pair):
-    """The mean grey of both images, which survives JPEG."""
-    return [round(float(image.mean())) for image in pair]
-
-
-def all_of(source):
+def read_all(source):
     found = []
     while (pair := source.read()) is not None:
-        found.append(pair)
-    source.close()
+        found.append(levels(pair))
     return found
 
 
-def test_separate_folders_pair_up_in_name_order(tmp_path):
-    source = ImageSource(folder(tmp_path / "l", [10, 20, 30]), folder(tmp_path / "r", [11, 21, 31]), loop=False)
-    assert [levels(pair) for pair in all_of(source)] == [[10, 11], [20, 21], [30, 31]]
-    assert source.read() is None
-
-
-def test_side_by_side_images_are_cut_in_their_middle(tmp_path):
-    path = tmp_path / "both"
-    path.mkdir()
-    cv2.imwrite(str(path / "a.png"), np.hstack([picture(40), picture(50)]))
-    (left, right), *rest = all_of(ImageSource(path, None, loop=False))
-    assert (left.shape, right.shape, rest) == ((HEIGHT, WIDTH, 3), (HEIGHT, WIDTH, 3), [])
-    assert ((left == 40).all(), (right == 50).all()) == (True, True)
-
-
-def test_a_loop_begins_again_and_single_files_are_one_pair(tmp_path):
-    left, right = folder(tmp_path / "l", [1, 2]), folder(tmp_path / "r", [3, 4])
-    source = ImageSource(left, right, loop=True)
-    pairs = [source.read() for _ in range(5)]
-    assert [levels(pair) for pair in pairs if pair] == [[1, 3], [2, 4], [1, 3], [2, 4], [1, 3]]
-    single = ImageSource(left / "000.png", right / "000.png", loop=False)
-    assert [levels(pair) for pair in all_of(single)] == [[1, 3]]
+def test_folders_pair_up_in_name_order_once_or_in_a_loop_and_one_of_both_eyes_is_cut_in_its_middle(tmp_path):
+    left, right = folder(tmp_path / "l", [10, 20]), folder(tmp_path / "r", [11, 21])
+    once, loop = (ImageSource(left, right, loop=loop) for loop in (False, True))
+    assert read_all(once) == [[10, 11], [20, 21]]
+    assert once.read() is None
+    assert [levels(loop.read()) for _ in range(5)] == [[10, 11], [20, 21], [10, 11], [20, 21], [10, 11]]
+    assert read_all(ImageSource(left / "000.png", right / "000.png", loop=False)) == [[10, 11]]
+    cv2.imwrite(str(tmp_path / "both.png"), np.hstack([picture(40), picture(50)]))
+    assert read_all(ImageSource(tmp_path / "both.png", None, loop=False)) == [[40, 50]]
 
 
 def test_unequal_counts_and_folders_without_images_are_named(tmp_path):
     with pytest.raises(SourceError, match=r"l holds 2 images and .*r holds 1; give equally many"):
         ImageSource(folder(tmp_path / "l", [1, 2]), folder(tmp_path / "r", [1]), loop=False)
-    (tmp_path / "empty").mkdir()
-    for name in ("empty", "absent"):
-        with pytest.raises(SourceError, match=rf"{name} holds no images \(\.png, \.jpg"):
-            ImageSource(tmp_path / name, None, loop=False)
+    with pytest.raises(SourceError, match=r"absent holds no images \(\.png, \.jpg"):
+        ImageSource(tmp_path / "absent", None, loop=False)
 
 
 def test_a_damaged_image_is_one_sentence_and_the_next_pair_follows(tmp_path):
@@ -76,7 +50,7 @@ def test_a_damaged_image_is_one_sentence_and_the_next_pair_follows(tmp_path):
     source = ImageSource(left, folder(tmp_path / "r", [3, 4]), loop=False)
     with pytest.raises(SourceError, match=r"000\.png is damaged"):
         source.read()
-    assert [levels(pair) for pair in all_of(source)] == [[2, 4]]
+    assert read_all(source) == [[2, 4]]
 
 
 @pytest.fixture
@@ -86,7 +60,10 @@ def pipe():
     with os.fdopen(read, "rb") as stream, os.fdopen(write, "wb", buffering=0) as writer:
         source = PipeSource(stream, 2 * WIDTH, HEIGHT)
         yield writer, source
-        source.close()
+        closing = threading.Thread(target=source.close, daemon=True)
+        closing.start()
+        closing.join(60.0)
+        assert not closing.is_alive(), "a silent pipe can be closed"
 
 
 def raw(value):
@@ -119,28 +96,16 @@ def test_a_slow_reader_gets_the_newest_and_never_holds_up_the_writer(pipe, until
 
 
 @pytest.mark.parametrize(("left_over", "said"), [(0, "has ended; start"), (100, r"100 of 18432 bytes; check width")])
-def test_the_end_of_a_pipe_is_a_fault_once_the_last_frame_was_read(left_over, said, until):
-    read, write = os.pipe()
-    with os.fdopen(read, "rb") as stream:
-        source = PipeSource(stream, 2 * WIDTH, HEIGHT)
-        with os.fdopen(write, "wb", buffering=0) as writer:
-            writer.write(raw(7) + bytes(left_over))
-
-        assert levels(until(source.read)) == [7, 8]
+def test_the_end_of_a_pipe_is_a_fault_once_the_last_frame_was_read(pipe, left_over, said, until):
+    writer, source = pipe
+    writer.write(raw(7) + bytes(left_over))
+    writer.close()
+    assert levels(until(source.read)) == [7, 8]
+    for _ in range(2):
         with pytest.raises(BrokenOffError, match=said):
             until(lambda: source.read() is not None)
-        with pytest.raises(BrokenOffError, match=said):
-            source.read()
-        source.close()
 
 
-def test_a_silent_pipe_can_be_closed_and_a_frame_without_two_halves_is_refused():
-    read, write = os.pipe()
-    with os.fdopen(write, "wb"), os.fdopen(read, "rb") as stream:
-        with pytest.raises(SourceError, match="63 pixels"):
-            PipeSource(stream, 63, HEIGHT)
-        source = PipeSource(stream, 2 * WIDTH, HEIGHT)
-        closing = threading.Thread(target=source.close, daemon=True)
-        closing.start()
-        closing.join(60.0)
-        assert not closing.is_alive()
+def test_a_frame_without_two_halves_is_refused():
+    with Path(os.devnull).open("rb") as stream, pytest.raises(SourceError, match="63 pixels"):
+        PipeSource(stream, 63, HEIGHT)

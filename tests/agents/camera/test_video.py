@@ -9,13 +9,7 @@ import pytest
 
 from agents.camera.sources import BrokenOffError, SourceError
 from agents.camera.video import MOST_DROPPED, VideoSource
-
-HEIGHT, WIDTH = 48, 64
-
-
-def picture(value, width=WIDTH):
-    """Plain grey that tells its number."""
-    return np.full((HEIGHT, width, 3), value, np.uint8)
+from tests.agents.camera.conftest import HEIGHT, WIDTH, levels, picture
 
 
 def video(path, frames, rate_hz=10.0, numbers=None):
@@ -23,7 +17,6 @@ def video(path, frames, rate_hz=10.0, numbers=None):
     codec, size = cv2.VideoWriter.fourcc(*"MJPG"), frames[0].shape[1::-1]
     # stamps of one's own are only for frames that already are encoded
     writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, codec, rate_hz, size, [cv2.VIDEOWRITER_PROP_RAW_VIDEO, 1])
-    assert writer.isOpened()
     for number, frame in zip(numbers or range(len(frames)), frames, strict=True):
         assert writer.set(cv2.VIDEOWRITER_PROP_PTS, number)
         assert writer.set(cv2.VIDEOWRITER_PROP_KEY_FLAG, 1)
@@ -32,19 +25,9 @@ def video(path, frames, rate_hz=10.0, numbers=None):
     return str(path)
 
 
-def level_at(seconds):
-    """The grey of what is filmed at that time, 100 levels a second."""
-    return round(20 + 100 * seconds)
-
-
 def film(path, rate_hz, numbers):
-    """A clock, filmed by a camera that missed all frames but these."""
-    return video(path, [picture(level_at(n / rate_hz)) for n in numbers], rate_hz, list(numbers))
-
-
-def levels(pair):
-    """The mean grey of both images, which survives JPEG."""
-    return [round(float(image.mean())) for image in pair]
+    """A clock whose grey grows by 100 levels a second, filmed by a camera that missed all frames but these."""
+    return video(path, [picture(round(20 + 100 * n / rate_hz)) for n in numbers], rate_hz, list(numbers))
 
 
 def all_of(source):
@@ -56,18 +39,14 @@ def all_of(source):
     return found
 
 
-def test_a_side_by_side_video_is_cut_in_its_middle_until_its_end(tmp_path):
-    path = video(tmp_path / "both.avi", [np.hstack([picture(v), picture(v + 60)]) for v in (20, 80, 140)])
-    found = all_of(VideoSource(path, None))
-    assert np.array([pair for pair, _ in found]) == pytest.approx(np.array([[20, 80], [80, 140], [140, 200]]), abs=3)
-    assert {taken for _, taken in found} == {(0, 0)}
-
-
-def test_two_videos_are_read_together_until_the_shorter_ends(tmp_path):
+def test_a_side_by_side_video_is_cut_in_its_middle_and_two_are_read_together_until_the_shorter_ends(tmp_path):
+    both = video(tmp_path / "both.avi", [np.hstack([picture(v), picture(v + 60)]) for v in (20, 80, 140)])
     left = video(tmp_path / "l.avi", [picture(v) for v in (20, 80, 140)])
     right = video(tmp_path / "r.avi", [picture(v) for v in (30, 90)])
-    found = all_of(VideoSource(left, right))
-    assert np.array([pair for pair, _ in found]) == pytest.approx(np.array([[20, 30], [80, 90]]), abs=3)
+    for files, expected in (((both, None), [[20, 80], [80, 140], [140, 200]]), ((left, right), [[20, 30], [80, 90]])):
+        found = all_of(VideoSource(*files))
+        assert np.array([pair for pair, _ in found]) == pytest.approx(np.array(expected), abs=3)
+        assert {taken for _, taken in found} == {(0, 0)}
 
 
 @pytest.mark.parametrize(("suffix", "swapped"), [("mkv", False), ("mp4", True)])
@@ -80,31 +59,15 @@ def test_frames_that_one_of_two_cameras_missed_cost_their_partners_alone(tmp_pat
         found = all_of(source)
     assert len(found) == 8
     assert source.dropped == ((0, 4) if swapped else (4, 0))
-    for (left, right), taken in found:
-        assert abs(left - right) <= 3
-        assert taken == (0, 0)
+    assert all(abs(left - right) <= 3 for (left, right), _ in found)
     # said once, and then seldom
     assert [record.getMessage().split(" of ")[0] for record in caplog.records] == ["1 frames"]
-
-
-def test_videos_of_different_rates_pair_up_with_the_nearest_frames(tmp_path):
-    slow, fast = film(tmp_path / "l.mkv", 25.0, range(20)), film(tmp_path / "r.mkv", 30.0, range(24))
-    source = VideoSource(slow, fast)
-    found = all_of(source)
-    # each frame of the slower one has one of the faster one within half of its period
-    assert len(found) == 20
-    assert source.dropped == (0, 4)
-    for (left, right), (left_ns, right_ns) in found:
-        assert max(left_ns, right_ns) == 0
-        assert abs(left_ns - right_ns) <= 0.5e9 / 30 + 1e6
-        assert right - left == pytest.approx(100e-9 * (right_ns - left_ns), abs=3)
 
 
 def test_what_is_no_pair_of_videos_is_named(tmp_path):
     source = VideoSource(video(tmp_path / "l.avi", [picture(20)]), video(tmp_path / "r.avi", [picture(20, 2 * WIDTH)]))
     with pytest.raises(SourceError, match="differ in size: 64x48 and 128x48"):
         source.read()
-    source.close()
     for name in ("/nowhere/film.avi", "97"):
         with pytest.raises(SourceError, match=f"OpenCV cannot open '{name}'"):
             VideoSource(name, None)
@@ -146,20 +109,19 @@ class Device:
         self.released = True
 
 
-def devices(clock, left, right):
-    return VideoSource("0", "1", {"0": left, "1": right}.__getitem__, clock)
+def paired(left, right, names=("0", "1")):
+    return VideoSource(*names, dict(zip(names, (left, right), strict=True)).__getitem__, left.clock)
 
 
 def every(period_ms, start_ms, count):
     return [50_000.0 + start_ms + period_ms * n for n in range(count)]
 
 
-def pairs_of(source, clock, count):
-    """The offsets of so many pairs, right after left, in milliseconds, once each was checked against the clock."""
+def offsets_of(source, clock, count):
+    """Right after left of so many pairs, in milliseconds, once each was checked against the clock."""
     offsets = []
     for _ in range(count):
         asked_ms, pair = clock.now_ms, source.read()
-        assert pair is not None
         for image, ns in zip(pair, source.taken_ns, strict=True):
             assert image[0, 0, 0] == int(asked_ms + 1e-6 * ns - 50_000.0 + 1e-6) % 256
         offsets.append(1e-6 * (source.taken_ns[1] - source.taken_ns[0]))
@@ -169,17 +131,16 @@ def pairs_of(source, clock, count):
 @pytest.mark.parametrize(("phase_ms", "offset_ms", "dropped"), [(10.0, 10.0, (0, 0)), (30.0, -10.0, (1, 0))])
 def test_devices_that_are_out_of_step_are_paired_with_the_nearer_neighbour(phase_ms, offset_ms, dropped):
     clock = Clock()
-    source = devices(clock, Device(clock, every(40.0, 0.0, 30)), Device(clock, every(40.0, phase_ms, 30)))
-    assert pairs_of(source, clock, 20) == pytest.approx([offset_ms] * 20, abs=1e-3)
+    source = paired(Device(clock, every(40.0, 0.0, 30)), Device(clock, every(40.0, phase_ms, 30)))
+    assert offsets_of(source, clock, 20) == pytest.approx([offset_ms] * 20, abs=1e-3)
     assert source.dropped == dropped
 
 
 @pytest.mark.parametrize("rate_hz", [60.0, 0.0], ids=["says it is twice as fast", "says nothing"])
 def test_a_device_that_is_slower_than_it_says_loses_a_few_frames_at_most(rate_hz):
     clock = Clock()
-    left, right = (Device(clock, every(66.7, start_ms, 60), rate_hz) for start_ms in (0.0, 25.0))
-    source = devices(clock, left, right)
-    assert pairs_of(source, clock, 40)[5:] == pytest.approx([25.0] * 35, abs=1e-3)
+    source = paired(*(Device(clock, every(66.7, start_ms, 60), rate_hz) for start_ms in (0.0, 25.0)))
+    assert offsets_of(source, clock, 40)[5:] == pytest.approx([25.0] * 35, abs=1e-3)
     assert sum(source.dropped) <= 2
 
 
@@ -187,26 +148,24 @@ def test_stamps_of_another_clock_than_the_hosts_are_replaced_by_the_time_of_arri
     clock = Clock()
     left = Device(clock, every(40.0, 0.0, 30), stamp=lambda at_ms: at_ms - 49_900.0)
     right = Device(clock, every(40.0, 5.0, 30), stamp=lambda _: 0.0)
-    assert pairs_of(devices(clock, left, right), clock, 10) == pytest.approx([5.0] * 10, abs=1e-3)
+    assert offsets_of(paired(left, right), clock, 10) == pytest.approx([5.0] * 10, abs=1e-3)
 
 
 def test_what_waited_in_the_drivers_queue_is_as_old_as_it_is():
     clock = Clock()
-    source = devices(clock, Device(clock, every(40.0, 0.0, 9)), Device(clock, every(40.0, 1.0, 9)))
+    source = paired(Device(clock, every(40.0, 0.0, 9)), Device(clock, every(40.0, 1.0, 9)))
     clock.now_ms += 300.0
     source.read()
     assert source.taken_ns == pytest.approx((-300e6, -299e6), abs=1e3)
 
 
-@pytest.mark.parametrize("broken", ["0", "1"])
-def test_a_device_that_breaks_off_is_named_with_what_to_do(broken):
+def test_a_device_that_breaks_off_is_named_with_what_to_do():
     clock = Clock()
-    counts = {"0": 9, "1": 9} | {broken: 3}
-    left, right = (Device(clock, every(40.0, 0.0, counts[name])) for name in "01")
-    source = devices(clock, left, right)
-    pairs_of(source, clock, 3)
+    left, right = (Device(clock, every(40.0, 0.0, count)) for count in (9, 3))
+    source = paired(left, right)
+    offsets_of(source, clock, 3)
     for _ in range(2):
-        with pytest.raises(BrokenOffError, match=f"^video device '{broken}' has broken off after 3 frames; check its"):
+        with pytest.raises(BrokenOffError, match=r"^video device '1' has broken off after 3 frames; check its"):
             source.read()
     source.close()
     assert (left.released, right.released) == (True, True)
@@ -215,29 +174,16 @@ def test_a_device_that_breaks_off_is_named_with_what_to_do(broken):
 def test_devices_that_never_meet_or_never_deliver_are_told_apart_from_broken_ones():
     clock = Clock()
     stuck = Device(clock, (50_000.0 + 0.01 * n for n in itertools.count()))
-    source = devices(clock, Device(clock, every(40.0, 900.0, 3)), stuck)
     with pytest.raises(SourceError, match=f"after {MOST_DROPPED} dropped frames those of '0' and '1' still lie"):
-        source.read()
-    source = devices(clock, Device(clock, every(40.0, 0.0, 9)), Device(clock, []))
+        paired(Device(clock, every(40.0, 900.0, 3)), stuck).read()
     with pytest.raises(BrokenOffError, match=r"^video device '1' never gave a frame; check that no other program"):
-        source.read()
+        paired(Device(clock, every(40.0, 0.0, 9)), Device(clock, [])).read()
 
 
-def test_a_second_file_that_holds_no_frame_is_named(tmp_path):
-    left = film(tmp_path / "l.avi", 10.0, range(3))
+def test_a_file_without_stamps_is_counted_and_one_that_holds_no_frame_is_named():
+    def unstamped(count):
+        return Device(Clock(), every(40.0, 0.0, count), 25.0, stamp=lambda _: 0.0)
 
-    class Empty(Device):
-        def grab(self):
-            return False
-
-    captures = {"l": cv2.VideoCapture(left), "r": Empty(Clock(), [])}
+    assert len(all_of(paired(unstamped(4), unstamped(4), ("l", "r")))) == 4
     with pytest.raises(SourceError, match=r"^the video 'r' holds no frame that can be decoded"):
-        VideoSource("l", "r", captures.__getitem__).read()
-
-
-def test_a_file_without_stamps_is_counted():
-    def unstamped():
-        return Device(Clock(), every(40.0, 0.0, 4), 25.0, stamp=lambda _: 0.0)
-
-    captures = {"l": unstamped(), "r": unstamped()}
-    assert len(all_of(VideoSource("l", "r", captures.__getitem__))) == 4
+        paired(unstamped(3), unstamped(0), ("l", "r")).read()

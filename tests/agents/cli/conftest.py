@@ -1,6 +1,5 @@
-"""The command run within this process, a small rendered pair, and the shared data."""
+"""The command run within this process, a small rendered pair, the file of a rig, and the shared data."""
 
-import json
 import os
 import shutil
 import signal
@@ -9,12 +8,8 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
-from scipy.interpolate import BSpline
-from scipy.spatial import cKDTree
 
 from agents.cli.main import main
 from schemas.messages import RectifiedStereo
@@ -24,16 +19,8 @@ from shared.scene.render import render
 
 REPOSITORY = Path(__file__).parents[3]
 DATA = REPOSITORY / "../shared/data"
-SMALL = RectifiedStereo(
-    image_width=320,
-    image_height=180,
-    fx_px=330.0,
-    fy_px=330.0,
-    cx_px=159.5,
-    cy_px=89.5,
-    baseline=5.5,
-    metres_per_unit=1e-3,
-)
+SCRIPT = str(Path(sys.executable).with_name("suturegrasp"))
+SMALL = RectifiedStereo(320, 180, 330.0, 330.0, 159.5, 89.5, 5.5, 1e-3)
 
 
 @dataclass(frozen=True)
@@ -50,6 +37,15 @@ class Ended:
 
 
 Command = Callable[..., Ended]
+
+
+def refused(ended: Ended, *told: object, status: int = 2) -> None:
+    """One line on standard error that tells this, nothing on standard output, and this status."""
+    assert (ended.status, ended.out, len(ended.err.splitlines())) == (status, "", 1), ended
+    assert ended.err.startswith("suturegrasp: ")
+    assert ended.err.endswith("\n")
+    for each in told:
+        assert str(each) in ended.err
 
 
 @pytest.fixture
@@ -76,20 +72,26 @@ def suturegrasp(capfd: pytest.CaptureFixture[str]) -> Command:
 @pytest.fixture(scope="session")
 def console_script() -> Command:
     """Runs the installed command as a process of its own."""
-    script = Path(sys.executable).with_name("suturegrasp")
 
-    def run(*arguments: object, cwd: Path = REPOSITORY, **environment: str) -> Ended:
-        done = subprocess.run(
-            [str(script), *map(str, arguments)],
-            capture_output=True,
-            text=True,
-            cwd=cwd,
-            env={**os.environ, **environment},
-            check=False,
-        )
+    def run(*arguments: object, **environment: str) -> Ended:
+        command = [SCRIPT, *map(str, arguments)]
+        done = subprocess.run(command, capture_output=True, text=True, env=os.environ | environment, check=False)
         return Ended(done.returncode, done.stdout, done.stderr)
 
     return run
+
+
+@pytest.fixture
+def rig_file(settings, tmp_path: Path) -> Callable[..., Path]:
+    """Writes the file of a rig with some sections on the test's router, and says where it lies."""
+
+    def write(sections: str = "", name: str = "rig.toml") -> Path:
+        path = tmp_path / name
+        router = f'[router]\nendpoint = "{settings.endpoint}"\nstart = false\n'
+        path.write_text(f'rig = "{settings.rig}"\n{router}{sections}\n')
+        return path
+
+    return write
 
 
 @pytest.fixture(scope="session")
@@ -119,39 +121,7 @@ def small(_rendered_small: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(_rendered_small, tmp_path / "small"))
 
 
-@pytest.fixture
-def pair() -> Callable[[Path], tuple[object, ...]]:
-    """The options that name the pair and the calibration in a folder, as its writer names them."""
-    return options_of
-
-
-def options_of(folder: Path) -> tuple[object, ...]:
-    return (
-        *("reconstruct", "--left", folder / "left.png", "--right", folder / "right.png"),
-        *("--calibration", folder / "calibration.json"),
-    )
-
-
-@pytest.fixture
-def mean_error() -> Callable[[Path, np.ndarray], float]:
-    """The mean distance between the curve in a result and true points, over both directions."""
-
-    def error(result: Path, true_points: np.ndarray) -> float:
-        document: dict[str, Any] = json.loads(result.read_text())
-        curve = BSpline(document["knots"], np.array(document["control_points"]), document["degree"])
-        points = curve(np.linspace(0.0, 1.0, 1000))
-        there, back = cKDTree(true_points).query(points)[0], cKDTree(points).query(true_points)[0]
-        return 0.5 * float(np.mean(there) + np.mean(back))
-
-    return error
-
-
-@pytest.fixture
-def true_points() -> Callable[[Path], np.ndarray]:
-    """Points along the true thread of a rendered pair."""
-
-    def points(folder: Path) -> np.ndarray:
-        truth = json.loads((folder / "truth.json").read_text())
-        return BSpline(truth["knots"], np.array(truth["control_points"]), truth["degree"])(np.linspace(0, 1, 1000))
-
-    return points
+def of_pair(folder: Path) -> tuple[object, ...]:
+    """The command on the pair and the calibration in a folder, as its writer names them."""
+    images = ("reconstruct", "--left", folder / "left.png", "--right", folder / "right.png")
+    return *images, "--calibration", folder / "calibration.json"

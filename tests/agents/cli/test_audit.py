@@ -4,7 +4,6 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -77,39 +76,38 @@ def test_what_was_answered_before_a_kill_is_in_the_file(tmp_path):
     assert [line["at_ns"] for line in lines(path)][: len(said)] == said
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
-def test_a_command_that_cannot_be_written_down_is_not_carried_out(tmp_path):
+@pytest.fixture
+def full():
+    """A file that takes nothing more."""
+    opened = os.open("/dev/full", os.O_WRONLY)
+    yield opened
+    os.close(opened)
+
+
+def test_a_command_that_cannot_be_written_down_is_not_carried_out(tmp_path, full):
     bridge = bridge_with(tmp_path / "psm1.jsonl")
-    full = os.open("/dev/full", os.O_WRONLY)
     bridge._audit._file = full
-    try:
-        with pytest.raises(AuditError, match=r"psm1\.jsonl cannot be written: No space left"):
-            bridge.step(Command(ARM, "psm1", Arm(CommandHeader("b", NOW_NS, "ben"), "psm1", "p"), NOW_NS))
-    finally:
-        os.close(full)
+    with pytest.raises(AuditError, match=r"psm1\.jsonl cannot be written: No space left"):
+        bridge.step(Command(ARM, "psm1", Arm(CommandHeader("b", NOW_NS, "ben"), "psm1", "p"), NOW_NS))
     (tmp_path / "folder.jsonl").mkdir()
     with pytest.raises(AuditError, match="Is a directory"):
         bridge_with(tmp_path / "folder.jsonl")
 
 
 @pytest.mark.parametrize("folder", [False, True])
-def test_what_stops_is_carried_out_whether_or_not_it_can_be_written_down(tmp_path, folder):
+def test_what_stops_is_carried_out_whether_or_not_it_can_be_written_down(tmp_path, full, folder):
     bridge = bridge_with(tmp_path / "psm1.jsonl")
     told = []
     bridge._backend.hold = lambda: told.append("hold") or True
     bridge._backend.change_state = lambda word, now_ns: told.append(word.name) or ""  # noqa: ARG005
-    full = os.open("/dev/full", os.O_WRONLY)
     bridge._audit._file, bridge._begun = full, not folder
     header = CommandHeader("b", NOW_NS - 1, "ben")
-    try:
-        for topic, message, expected in (
-            (HOLD, Hold(header, "psm1"), ["hold"]),
-            (CHANGE_STATE, ChangeState(header, "psm1", StateWord.PAUSE), ["hold", "PAUSE"]),
-            (CHANGE_STATE, ChangeState(header, "psm1", StateWord.DISABLE), ["hold", "DISABLE"]),
-        ):
-            told.clear()
-            answer, *_ = bridge.step(Command(topic, "psm1", message, NOW_NS))
-            assert isinstance(answer, CommandAnswer)
-            assert (answer.outcome, told) == (Outcome.ACCEPTED, expected)
-    finally:
-        os.close(full)
+    for topic, message, expected in (
+        (HOLD, Hold(header, "psm1"), ["hold"]),
+        (CHANGE_STATE, ChangeState(header, "psm1", StateWord.PAUSE), ["hold", "PAUSE"]),
+        (CHANGE_STATE, ChangeState(header, "psm1", StateWord.DISABLE), ["hold", "DISABLE"]),
+    ):
+        told.clear()
+        answer, *_ = bridge.step(Command(topic, "psm1", message, NOW_NS))
+        assert isinstance(answer, CommandAnswer)
+        assert (answer.outcome, told) == (Outcome.ACCEPTED, expected)

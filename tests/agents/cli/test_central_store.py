@@ -4,8 +4,6 @@ import contextlib
 import datetime
 import signal
 import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 
@@ -23,10 +21,10 @@ from shared.recording.mcap_file import read_recording
 from shared.runtime.access import Sites, access_control
 from shared.runtime.identity import identity_in
 from shared.runtime.session import SessionSettings, free_local_endpoint, open_router
+from tests.agents.cli.conftest import SCRIPT
 
 pytestmark = pytest.mark.rig
 
-SCRIPT = str(Path(sys.executable).with_name("suturegrasp"))
 RUNS = {"north": Process("planner"), "store": Process("recorder")}
 DEADLINE_S = 60.0
 WANTED = {"*/health", "*/log", "*/configuration"}

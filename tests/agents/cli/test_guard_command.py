@@ -1,11 +1,11 @@
 """The guard as a command: what it refuses in one sentence, what its monitor loads, what happens when a link is lost."""
 
-import contextlib
 import json
 import signal
 import subprocess
 import sys
 import threading
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from agents.launch.guard_process import _another, _Keeper, document_of
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
 from shared.ros.guarded import CHALLENGE, Gate, challenge_from, key_of
 from shared.runtime.session import SessionSettings, free_local_endpoint, open_router, open_session
+from tests.agents.cli.conftest import refused
 
 ARM = {"backend": "dvrk", "T_camera_base": np.eye(4).tolist()}
 FAR = {"endpoint": "tls/10.0.0.13:7448", "through_guard": True}
@@ -44,9 +45,7 @@ DEADLINE_S = 30.0
 def test_what_cannot_be_guarded_or_reached_safely_is_one_sentence(suturegrasp, tmp_path, rig, told):
     config = tmp_path / "rig.json"
     config.write_text(json.dumps(rig))
-    ended = suturegrasp("guard", "--config", config)
-    assert (ended.status, ended.out, len(ended.err.splitlines())) == (2, "", 1)
-    assert told in ended.err
+    refused(suturegrasp("guard", "--config", config), told)
 
 
 @pytest.fixture
@@ -59,28 +58,23 @@ def links():
     return rig, robot, document_of(config, "psm1", section)
 
 
-@contextlib.contextmanager
-def begun(document):
-    command = [sys.executable, "-m", "agents.guard"]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as monitor:
-        assert monitor.stdin is not None
-        assert monitor.stdout is not None
-        monitor.stdin.write(json.dumps(document).encode() + b"\n")
-        monitor.stdin.flush()
-        yield monitor, monitor.stdin, monitor.stdout
-
-
 @pytest.mark.slow
 def test_the_monitor_loads_no_numpy_and_ends_with_its_input_whatever_signal_comes(links):
     rig, robot, document = links
-    with open_router(rig), open_router(robot), begun(document) as (monitor, into, lines):
-        assert json.loads(lines.readline()) == {"what": "guards", "modules": False}
+    command = [sys.executable, "-m", "agents.guard"]
+    with (
+        open_router(rig),
+        open_router(robot),
+        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as monitor,
+    ):
+        assert monitor.stdin is not None and monitor.stdout is not None
+        print(json.dumps(document), file=monitor.stdin, flush=True)
+        assert json.loads(monitor.stdout.readline()) == {"what": "guards", "modules": False}
         # who started it is told by the same signal, and ends its input
         monitor.send_signal(signal.SIGINT)
         monitor.send_signal(signal.SIGTERM)
-        alive = [json.loads(lines.readline()) for _ in range(2)]
-        assert [line["what"] for line in alive] == ["alive", "alive"]
-        into.close()
+        assert [json.loads(monitor.stdout.readline())["what"] for _ in range(2)] == ["alive", "alive"]
+        monitor.stdin.close()
         assert monitor.wait(DEADLINE_S) == 0
 
 
@@ -149,14 +143,7 @@ def test_a_monitor_that_cannot_begin_says_so_and_is_not_started_again_for_ever(l
 def test_a_second_guard_of_an_arm_gives_up_and_one_that_was_killed_is_waited_for(monkeypatch):
     monkeypatch.setattr("agents.launch.guard_process.TWIN_S", 0.0)
 
-    class There:
-        def __init__(self, *present):
-            self.told = list(present)
-
-        def present(self):
-            return self.told.pop(0)
-
     own = {"guard/psm1"}
     for present, stays in (((own, own), True), ((own, set()), False), (({"guard/psm2"},), False)):
-        connection: Any = There(*present)
+        connection: Any = SimpleNamespace(present=iter(present).__next__)
         assert _another(connection, "guard/psm1", threading.Event()) is stays

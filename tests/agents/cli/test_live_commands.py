@@ -1,11 +1,10 @@
-"""The commands of the live dataflow as a person meets them: options, health, doctor, sessions, completion."""
+"""The commands of a running rig as a person meets them: set, arm, health, sessions, and a rig without a router."""
 
 import contextlib
+import json
 import re
-import shutil
 import signal
 import subprocess
-import sys
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,6 +16,7 @@ from rich.console import Console
 
 from agents.cli.demo.command import APART, FROM_END, goals_of
 from agents.cli.live.command import event_sentence
+from agents.cli.live.set import agent_and_rest, value_of
 from agents.diagnostics.status.health_watch import HealthWatch, health_table
 from agents.launch.session_folder import free_path, new_session_folder
 from agents.operator.operator import Stood
@@ -24,9 +24,7 @@ from agents.planner.agent import Planner
 from schemas.messages import Checked, CommandAnswer, ExecutionEvent, ExecutionKind, Outcome
 from shared.runtime.connection import connected
 from shared.runtime.session import free_local_endpoint
-from tests.conftest import wait_until
-
-BASH = shutil.which("bash") or ""
+from tests.agents.cli.conftest import SCRIPT, refused
 
 
 @pytest.fixture
@@ -41,80 +39,65 @@ def nowhere(tmp_path):
 def test_without_router_a_command_says_so_in_one_line(suturegrasp, nowhere, monkeypatch):
     monkeypatch.setattr("agents.cli.live.command.connected", lambda settings: connected(settings, within_s=0.1))
     for command in ("goal --pixel 1 2", "arm x", "hold", "prompt --pixel 1 2"):
-        ended = suturegrasp(*command.split(), "--config", nowhere)
-        assert (ended.status, ended.out, len(ended.err.splitlines())) == (2, "", 1), command
-        assert "no router answers on tcp/127.0.0.1" in ended.err
+        refused(suturegrasp(*command.split(), "--config", nowhere), "no router answers on tcp/127.0.0.1")
 
 
-def test_a_recorder_that_met_no_router_leaves_no_file(nowhere, tmp_path):
+def test_a_recorder_that_met_no_router_leaves_no_file(nowhere, tmp_path, until):
     output = tmp_path / "session.mcap"
-    command = [sys.executable, "-m", "agents.cli", "record", "--config", nowhere, "--output", output]
+    command = [SCRIPT, "record", "--config", nowhere, "--output", output]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        wait_until(output.exists)
+        until(output.exists)
         process.send_signal(signal.SIGINT)
         said, _ = process.communicate(timeout=20)
     assert "no router came, so nothing was recorded" in said
     assert not output.exists()
 
 
-@pytest.mark.parametrize(
-    ("command", "told"),
-    [
-        ("goal", "give one of --s, --pixel, --point and --from-swage-mm"),
-        ("goal --s 0.5 --pixel 1 2", "give one of --s, --pixel, --point and --from-swage-mm"),
-        ("goal --s 1.5", "s runs from 0 to 1"),
-        ("goal --s nan", "s runs from 0 to 1"),
-        ("arm", "give the id of a plan, as goal prints it"),
-        ("demo --view hologram", "--view"),
-        ("up --restart maybe", "suturegrasp up --help"),
-        ("run planner --config none.toml", "none.toml cannot be read"),
-    ],
-)
-def test_a_mistake_is_one_line(suturegrasp, command, told):
-    ended = suturegrasp(*command.split())
-    assert (ended.status, ended.out, len(ended.err.splitlines())) == (2, "", 1)
-    assert told in ended.err
+def test_parameters_are_listed_set_and_refused(settings, running, suturegrasp, rig_file, until):
+    running(Planner())
+    config = rig_file("[planner]")
+    with connected(settings, 60.0) as connection:
+        until(connection.configurations)
+
+    def said(*words):
+        ended = suturegrasp("set", *words, "--config", config)
+        assert (ended.status, ended.err) == (0, "")
+        return ended.out
+
+    listed = said("planner")
+    assert re.search(r"^least_probability +0\.5 +a number from 0 to 1$", listed, flags=re.M)
+    assert re.search(r"^samples +100 +not while it runs$", listed, flags=re.M)
+    assert said("planner", "least_probability", "0.7") == "least_probability of planner is 0.7 now\n"
+    assert re.search(r"^least_probability +0\.7 +a number .*\(set since it started\)$", said("planner"), re.M)
+    for words, reason in (
+        (("planner", "least_probability", "7"), "least_probability cannot be 7; it may be a number from 0 to 1"),
+        (("planner/main", "samples", "7"), "samples of planner cannot be set while it runs"),
+        (("planner", "sampels", "7"), "planner has no parameter sampels"),
+        (("robot_bridge", "psm1"), "robot_bridge psm1 does not run; there are planner"),
+    ):
+        refused(suturegrasp("set", *words, "--config", config), reason, status=3)
 
 
-EVERY = [
-    "demo",
-    "play",
-    "up",
-    "goal",
-    "arm",
-    "hold",
-    "prompt",
-    "set",
-    "status",
-    "doctor",
-    "run camera",
-    "record",
-    "view",
-]
+NAMES = st.from_regex(r"[a-z_]{1,8}", fullmatch=True)
 
 
-def test_every_command_has_a_help(suturegrasp):
-    for command in EVERY:
-        ended = suturegrasp(*command.split(), "--help")
-        assert ended.status == 0
-        assert f"suturegrasp {command}" in ended.out
+@given(NAMES, NAMES, st.none() | st.tuples(NAMES, st.text(min_size=1)), st.sampled_from("/ "))
+def test_an_agent_is_named_in_one_word_or_two_and_a_value_is_json_or_text(kind, instance, parameter, separator):
+    rest = parameter or ()
+    assert agent_and_rest((kind, *rest)) == (kind, "main", parameter)
+    assert agent_and_rest(("robot-bridge", instance)) == ("robot_bridge", instance, None)
+    for words in ((kind, instance), (f"{kind}{separator}{instance}",)):
+        assert agent_and_rest((*words, *rest)) == (kind, instance, parameter)
+    for text in rest:
+        value = value_of(text)
+        assert value == text or json.dumps(json.loads(text)) == json.dumps(value)
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(not BASH, reason="there is no bash")
-def test_bash_completes_commands(console_script, tmp_path):
-    ended = console_script("--tyro-print-completion", "bash")
-    assert (ended.status, ended.err) == (0, "")
-    script = tmp_path / "suturegrasp"
-    script.write_text(ended.out)
-    function = re.search(r"^complete .*-F (\w+) suturegrasp$", ended.out, flags=re.M)
-    assert function, ended.out[-500:]
-    asked = (
-        f"source {script}; COMP_WORDS=(suturegrasp dem); COMP_CWORD=1; COMP_LINE='suturegrasp dem'; COMP_POINT=15; "
-        f"COMP_TYPE=9; {function[1]}; echo ${{COMPREPLY[*]}}"
-    )
-    done = subprocess.run([BASH, "-c", asked], capture_output=True, text=True, check=False)
-    assert done.stdout.split() == ["demo"], done.stderr
+def shown(fares):
+    console = Console(width=200)
+    with console.capture() as capture:
+        console.print(health_table(fares))
+    return capture.get()
 
 
 def test_health_names_who_is_silent_and_who_was_never_heard_of(settings, in_threads, until):
@@ -129,7 +112,7 @@ def test_health_names_who_is_silent_and_who_was_never_heard_of(settings, in_thre
     assert re.search(r"planner +well", table)
 
 
-def test_silence_and_recovery_are_told_once(monkeypatch):
+def test_silence_is_told_once(monkeypatch):
     deaf: Any = SimpleNamespace(listen=lambda *_: None)
     now = [0.0]
     monkeypatch.setattr("agents.diagnostics.status.health_watch.monotonic_s", lambda: now[0])
@@ -142,24 +125,15 @@ def test_silence_and_recovery_are_told_once(monkeypatch):
     assert "never heard of for 12 s" in shown(watch.fares())
 
 
-def shown(fares):
-    console = Console(width=200)
-    with console.capture() as capture:
-        console.print(health_table(fares))
-    return capture.get()
-
-
 def test_sessions_get_folders_of_their_own_and_a_restarted_recorder_a_file_beside_the_first(tmp_path):
     folders = [new_session_folder(tmp_path / "sessions") for _ in range(2)]
     assert folders[0].path != folders[1].path
     assert all(folder.path.is_dir() for folder in folders)
     assert folders[0].log("robot_bridge psm1").name == "robot_bridge_psm1.log"
-    names = []
-    for _ in range(3):
+    for name in ("session.mcap", "session-2.mcap", "session-3.mcap"):
         free = free_path(tmp_path / "session.mcap")
+        assert free.name == name
         free.touch()
-        names.append(free.name)
-    assert names == ["session.mcap", "session-2.mcap", "session-3.mcap"]
 
 
 def test_every_event_has_its_words_and_what_was_refused_or_held_its_reason():
@@ -215,7 +189,7 @@ def known(confidence) -> Any:
 )
 def test_goals_are_apart_and_the_least_known_of_those_known_enough_come_first(confidences, count, enough):
     threads = [known(confidence) for confidence in confidences]
-    goals = goals_of(threads, count, enough)
+    goals = goals_of([*threads, known([])], count, enough)
     places = sorted(s for s, _ in goals)
     assert len(goals) <= count
     assert all(FROM_END - 1e-9 <= s <= 1 - FROM_END + 1e-9 for s in places)
@@ -224,13 +198,4 @@ def test_goals_are_apart_and_the_least_known_of_those_known_enough_come_first(co
     first = [c for (_, c), is_sure in zip(goals, sure, strict=True) if is_sure]
     last = [c for (_, c), is_sure in zip(goals, sure, strict=True) if not is_sure]
     assert [c for _, c in goals] == sorted(first) + sorted(last, reverse=True)
-
-
-def test_goals_are_where_frames_agree_that_little_is_known_but_enough():
-    dip_at_60 = [1, 1, 1, 1, 1, 1, 0.2, 1, 1, 1, 1]
-    threads = [known(dip_at_60), known([1.0] * 11)]
-    (goal,) = goals_of(threads, 1, 0.1)
-    assert goal == pytest.approx((0.6, 0.6), abs=0.02)
-    ((s, confidence),) = goals_of(threads, 1, 0.6)
-    assert (abs(s - 0.6), confidence) == pytest.approx((0.05, 0.8), abs=0.05)
-    assert goals_of([known([])], 3, 0.5) == []
+    assert goals_of([known([])], count, enough) == []

@@ -5,7 +5,6 @@ import re
 import signal
 import subprocess
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import psutil
@@ -27,10 +26,10 @@ from schemas.topics import (
 from shared.recording.mcap_file import read_recording
 from shared.runtime.connection import connected
 from shared.runtime.session import SessionSettings, free_local_endpoint
+from tests.agents.cli.conftest import SCRIPT
 
 pytestmark = pytest.mark.rig
 
-SCRIPT = str(Path(sys.executable).with_name("suturegrasp"))
 AT_LEAST_RECORDED = {str(topic) for topic in (FRAMES, CALIBRATION, OBSERVATIONS, THREAD, PLAN, EXECUTION, ROBOT_STATE)}
 DEADLINE_S = 60.0
 FEWEST_LOOKS_HZ = 1.0

@@ -5,11 +5,11 @@ import os
 import re
 import signal
 import subprocess
-import sys
 
 import pytest
 
 from shared.runtime.session import free_local_endpoint, open_router
+from tests.agents.cli.conftest import SCRIPT
 
 STARTS_S = 60.0
 BROWSER = """#!/bin/sh
@@ -26,7 +26,7 @@ def test_a_browser_is_led_to_the_page_by_a_file_that_its_user_alone_reads(tmp_pa
     browser.chmod(0o755)
     rig = tmp_path / "rig.json"
     rig.write_text(json.dumps({"router": {"endpoint": endpoint, "start": False}}))
-    command = [sys.executable, "-m", "agents.cli", "page", "--port", "0", "--config", str(rig)]
+    command = [SCRIPT, "page", "--port", "0", "--config", str(rig)]
     environment = {**os.environ, "HOME": str(tmp_path), "DISPLAY": ":99", "BROWSER": f"{browser} %s"}
     with (
         open_router(endpoint),

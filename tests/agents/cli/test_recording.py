@@ -19,48 +19,33 @@ from shared.recording.mcap_file import is_finished, read_attachments, read_notes
 from shared.runtime.attachment import Attachment, pack
 from shared.runtime.config import ConfigError
 from shared.runtime.delivery import declare_publisher
+from tests.agents.cli.conftest import SCRIPT
 
-RIG = RigConfig(recorder=RecorderSection(split_size_mb=100, protocol="p-1"))
 
-
-def test_the_command_line_goes_before_the_configuration():
-    section = section_of(RIG, Record(split_size=5.0, operator="op-7", foxglove=False))
+def test_the_command_line_goes_before_the_configuration_and_may_say_no_more():
+    rig = RigConfig(recorder=RecorderSection(split_size_mb=100, protocol="p-1"))
+    section = section_of(rig, Record(split_size=5.0, operator="op-7", foxglove=False))
     assert (section.split_size_mb, section.protocol, section.operator) == (5.0, "p-1", "op-7")
     settings = settings_of(section)
     assert (settings.files.split_bytes, settings.files.foxglove) == (5_000_000, False)
     assert section_of(RigConfig(), Record()) == RecorderSection()
-
-
-def test_as_many_seconds_are_kept_after_an_event_as_before_unless_told():
+    for options, named in ((Record(operator="Jane Doe"), "operator"), (Record(split_minutes=0.0), "split_minutes")):
+        with pytest.raises(ConfigError, match=named):
+            section_of(rig, options)
+    # as many seconds are kept after an event as before, unless told
     both = (settings_of(RecorderSection(pre_trigger_s=30, post_trigger_s=after_s)).pre_trigger for after_s in (None, 0))
     assert [(kept.before_s, kept.after_s) for kept in both if kept] == [(30, 30), (30, 0)]
 
 
-def test_what_no_configuration_may_hold_the_command_line_may_not_either():
-    for options, named in ((Record(operator="Jane Doe"), "operator"), (Record(split_minutes=0.0), "split_minutes")):
-        with pytest.raises(ConfigError, match=named):
-            section_of(RIG, options)
-
-
 @pytest.fixture
-def config(settings, tmp_path):
-    path = tmp_path / "rig.json"
-    path.write_text(json.dumps({"rig": settings.rig, "router": {"endpoint": settings.endpoint, "start": False}}))
-    return path
-
-
-@pytest.fixture
-def recording(settings, session, tmp_path, heard_by_others, config):
+def recording(settings, session, tmp_path, heard_by_others, rig_file):
     """Starts `suturegrasp record` on a real router and publishes to it; all is ended at the end."""
     name = key(settings.rig, LOG, agent="camera")
     with contextlib.ExitStack() as stack:
 
         def start(*options):
-            arguments = ["record", "--config", str(config), "--output", str(tmp_path / "a.mcap"), *options]
-            process = subprocess.Popen(
-                [sys.executable, "-m", "agents.cli", *arguments], stdout=subprocess.PIPE, text=True
-            )
-            stack.enter_context(process)
+            command = [SCRIPT, "record", "--config", str(rig_file()), "--output", str(tmp_path / "a.mcap"), *options]
+            process = stack.enter_context(subprocess.Popen(command, stdout=subprocess.PIPE, text=True))
             stack.callback(process.kill)
             heard_by_others(session, name)
             publisher = declare_publisher(session, name, LOG)
@@ -83,8 +68,7 @@ def test_a_recording_tells_of_what_run_and_study_it_is(recording, tmp_path, unti
     assert said.strip().endswith("20 messages on 1 keys, complete")
     assert completeness(path).complete
     run, study = (read_notes(path, name) or {} for name in ("run", "study"))
-    assert run["rig"] == "test"
-    assert run["python"] == sys.version.split()[0]
+    assert (run["rig"], run["python"]) == ("test", sys.version.split()[0])
     assert len(run["config_hash"]) == len(run["schema_hash"]) == 12
     told = {"protocol": "p-1", "operator": "op-7", "consent": "research", "retention_days": "10"}
     assert {name: study[name] for name in told} == told
@@ -93,13 +77,13 @@ def test_a_recording_tells_of_what_run_and_study_it_is(recording, tmp_path, unti
 
 
 @pytest.mark.slow
-def test_what_a_unit_runs_waits_for_room_and_says_so_where_a_person_is_told_at_once(config, tmp_path, until):
+def test_what_a_unit_runs_waits_for_room_and_says_so_where_a_person_is_told_at_once(rig_file, tmp_path, until):
     disk, full = tmp_path / "disk", tmp_path / "disk" / "full"
     disk.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", "size=8m", "tmpfs", str(disk)]
     if subprocess.run(mount, check=False).returncode != 0:
         pytest.skip("no disk can be mounted here")
-    command = [sys.executable, "-m", "agents.cli", "record", "--config", str(config), "--output", str(disk / "a.mcap")]
+    command = [SCRIPT, "record", "--config", str(rig_file()), "--output", str(disk / "a.mcap")]
     try:
         full.write_bytes(bytes(8_300_000))
         at_once = subprocess.run(command, capture_output=True, text=True, check=False)

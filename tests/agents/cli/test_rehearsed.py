@@ -11,8 +11,8 @@ from agents.cli.lab.rehearsal.rehearse import breaks_of
 from agents.cli.lab.rehearsal.rehearsed import SIMULATED_CALIBRATION, started_on, without_hardware
 from agents.configuration.rig import RigConfig
 from shared.runtime.config import ConfigError, load_config, parse_config
+from tests.agents.cli.conftest import REPOSITORY
 
-DEPLOY = Path(__file__).parents[3] / "deploy"
 REAL = """
 rig = "lab"
 [hosts.video]
@@ -45,8 +45,7 @@ endpoint = "tls/10.0.0.13:7448"
 
 @pytest.fixture
 def rehearsed():
-    rig, told = without_hardware(parse_config(REAL, RigConfig, "lab.toml"))
-    return rig, told
+    return without_hardware(parse_config(REAL, RigConfig, "lab.toml"))
 
 
 def test_no_hardware_is_left_and_what_took_its_place_is_said(rehearsed):
@@ -61,19 +60,12 @@ def test_no_hardware_is_left_and_what_took_its_place_is_said(rehearsed):
 
 
 def test_every_host_runs_what_its_units_start_with_its_own_credentials_and_folders(rehearsed, tmp_path):
-    rig, _ = rehearsed
-    layout = layout_of(rig)
+    layout = layout_of(rehearsed[0])
     started = {one.name: one for host in layout.hosts for one in started_on(layout, host, tmp_path)}
-    assert {
-        "router",
-        "camera",
-        "simulator",
-        "recorder video",
-        "recorder robot",
-        "guard psm1",
-        "robot_bridge psm1",
-    } <= set(started)
-    assert {"console", "perception", "tool_tracker psm1", "reconstruction", "planner"} <= set(started)
+    assert set(started) == {
+        "router", "camera", "simulator", "recorder video", "recorder robot", "guard psm1", "robot_bridge psm1",
+        "console", "perception", "tool_tracker psm1", "reconstruction", "planner",
+    }  # fmt: skip
     for one in started.values():
         words = " ".join(one.command)
         assert not [place for place in ("/etc/", "/var/lib", "/opt/") if place in words], words
@@ -86,25 +78,20 @@ def test_every_host_runs_what_its_units_start_with_its_own_credentials_and_folde
 
 @pytest.mark.parametrize("file", ["lab.toml", "emulated_far.toml"])
 def test_the_shipped_rigs_can_be_rehearsed(file, tmp_path):
-    rig, _ = without_hardware(load_config(DEPLOY / file, RigConfig))
+    rig, _ = without_hardware(load_config(REPOSITORY / "deploy" / file, RigConfig))
     layout = layout_of(rig)
     names = [one.name for host in layout.hosts for one in started_on(layout, host, tmp_path)]
     assert len(names) == len(set(names))
-
-
-def test_hosts_keep_the_addresses_that_they_were_given_and_names_get_some():
     network = Network(1, "10.213.7", ("video", "desk"), {"video": "10.0.0.11", "desk": "desk.lab"})
-    assert network.address("video") == "10.0.0.11"
-    assert network.address("desk") == "10.213.7.3"
+    assert (network.address("video"), network.address("desk")) == ("10.0.0.11", "10.213.7.3")
 
 
 def test_what_is_asked_for_several_times_is_played_as_often(rehearsed):
-    rig, _ = rehearsed
-    layout = layout_of(rig)
-    asked = Deploy(
-        "rehearse", cut=("video", "robot"), kill=("planner",), slow=(("desk", "5Mbit"),), skew=(("desk", "2s"),)
-    )
-    assert [one.what for one in breaks_of(asked, rig, layout)] == [
+    def breaks(**asked):
+        return [one.what for one in breaks_of(Deploy("rehearse", **asked), rehearsed[0], layout_of(rehearsed[0]))]
+
+    asked = {"cut": ("video", "robot"), "kill": ("planner",), "slow": (("desk", "5Mbit"),), "skew": (("desk", "2s"),)}
+    assert breaks(**asked) == [
         "video is cut off",
         "robot is cut off",
         "the link of desk carries 5 Mbit/s",
@@ -112,4 +99,4 @@ def test_what_is_asked_for_several_times_is_played_as_often(rehearsed):
         "the clock of desk is +2 s off",
     ]
     with pytest.raises(ConfigError, match="0Mbit is no rate"):
-        breaks_of(Deploy("rehearse", slow=(("desk", "0Mbit"),)), rig, layout)
+        breaks(slow=(("desk", "0Mbit"),))

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from agents.perception.segmentation.classes import Kind, highest, scores_of
+from tests.agents.cli.conftest import refused
 
 HEIGHT, WIDTH = 90, 150
 
@@ -29,12 +30,6 @@ def read(path):
     return found
 
 
-def refused(ended, said):
-    assert (ended.status, ended.out, len(ended.err.splitlines())) == (2, "", 1)
-    assert ended.err.startswith("suturegrasp: ")
-    assert said in ended.err
-
-
 def test_classes_scores_and_a_picture_are_written(suturegrasp, image, tmp_path):
     classes, scores, drawn = tmp_path / "classes.png", tmp_path / "scores.png", tmp_path / "drawn.png"
     ended = suturegrasp("segment", "--image", image, "--output", classes, "--scores", scores, "--picture", drawn)
@@ -47,47 +42,24 @@ def test_classes_scores_and_a_picture_are_written(suturegrasp, image, tmp_path):
     is_ground = written == Kind.GROUND
     np.testing.assert_array_equal(seen[is_ground], picture()[is_ground])
     assert (seen[~is_ground] != picture()[~is_ground]).any(axis=1).all()
+    grey = np.repeat(picture()[:16, :, 1:2], 3, axis=2)
+    cv2.imwrite(str(image), grey[..., 0])
+    assert suturegrasp("segment", "--image", image, "--output", classes).status == 0
+    np.testing.assert_array_equal(read(classes), highest(scores_of(grey)))
 
 
-def test_images_of_any_size_and_depth_are_taken(suturegrasp, tmp_path):
-    image, classes = tmp_path / "image.png", tmp_path / "classes.png"
-    wide = cv2.resize(picture(), (1400, 50))
-    for stored, shown in (
-        (picture()[:16, :16], picture()[:16, :16]),
-        (wide, wide),
-        (picture()[..., 1], np.repeat(picture()[..., 1:2], 3, axis=2)),
-        (picture().astype(np.uint16) * 257, picture()),
+def test_what_cannot_be_read_or_must_not_be_written_is_refused(suturegrasp, image, tmp_path):
+    before, other, bad = image.read_bytes(), tmp_path / "classes.png", tmp_path / "bad.png"
+    bad.write_bytes(cv2.imencode(".png", picture()[:9])[1].tobytes())
+    for named, arguments, told in (
+        (bad, ("--output", other), "has only 150x9 pixels"),
+        (tmp_path / "none.png", ("--output", other), "none.png does not exist; check the path"),
+        (image, ("--output", tmp_path / "none" / "classes.png"), "does not exist; create it first"),
+        (image, ("--output", tmp_path / "classes.jpg"), "must end in .png"),
+        (image, ("--output", image), "would overwrite --image"),
+        (image, ("--output", other, "--scores", other), "would overwrite --output"),
+        (image, ("--output", other, "--picture", tmp_path / "drawn.gif"), "must end in .png or .jpg or .jpeg"),
     ):
-        cv2.imwrite(str(image), stored)
-        assert suturegrasp("segment", "--image", image, "--output", classes).status == 0
-        np.testing.assert_array_equal(read(classes), highest(scores_of(shown)))
-
-
-def test_a_bad_image_is_named_in_one_line(suturegrasp, tmp_path):
-    path, output = tmp_path / "bad.png", tmp_path / "classes.png"
-    for content, said in (
-        (None, "does not exist; check the path"),
-        (b"left image", "no image that can be decoded"),
-        (cv2.imencode(".png", picture()[:9])[1].tobytes(), "has only 150x9 pixels"),
-    ):
-        if content is not None:
-            path.write_bytes(content)
-        ended = suturegrasp("segment", "--image", path, "--output", output)
-        refused(ended, said)
-        assert str(path) in ended.err
-        assert not output.exists()
-
-
-def test_outputs_that_cannot_or_must_not_be_written_are_refused(suturegrasp, image, tmp_path):
-    before, other = image.read_bytes(), tmp_path / "classes.png"
-    for arguments, said in (
-        (("--output", tmp_path / "none" / "classes.png"), "does not exist; create it first"),
-        (("--output", tmp_path), "is a folder"),
-        (("--output", tmp_path / "classes.jpg"), "must end in .png"),
-        (("--output", image), "would overwrite --image"),
-        (("--output", other, "--scores", other), "would overwrite --output"),
-        (("--output", other, "--picture", tmp_path / "drawn.gif"), "must end in .png or .jpg or .jpeg"),
-    ):
-        refused(suturegrasp("segment", "--image", image, *arguments), said)
+        refused(suturegrasp("segment", "--image", named, *arguments), told)
     assert image.read_bytes() == before
     assert not other.exists()

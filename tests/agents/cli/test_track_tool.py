@@ -20,6 +20,7 @@ from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE as T_TRUE
 from shared.recording.entry import Entry
 from shared.recording.writer import RecordingWriter
 from shared.rigid_transforms import exp_se3
+from tests.agents.cli.conftest import refused
 from tests.rigs.drawn_tool import JAW, joints, pair
 
 ZERO_NS = 1_760_000_000_000_000_000
@@ -32,22 +33,18 @@ STEREO = StereoCalibration(640, 360, K, K, np.zeros(0), np.zeros(0), SHIFT, 1e-3
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
-    """Three seconds of a drawn tool, which is told 7 mm from where it is."""
+    """Two seconds of a drawn tool, which is told 7 mm from where it is."""
     path = tmp_path_factory.mktemp("recorded") / "session.mcap"
-    writer, number = RecordingWriter(path), 0
-
-    def put(topic, message, at_ns, instance="main"):
-        nonlocal number
-        number += 1
-        writer.write(topic, Entry(key("lab", topic, instance), 1, number, encode(message), at_ns, at_ns))
-
-    put(CALIBRATION, STEREO, ZERO_NS)
+    said = [(CALIBRATION, "main", STEREO, ZERO_NS)]
     for i in range(8):
         at_ns, q = ZERO_NS + round(1e9 * EVERY_S * i), joints(EVERY_S * i)
         state = RobotState("psm1", at_ns, RobotMode.IDLE, PSM.forward(q), q, JAW, WRONG, "")
-        put(ROBOT_STATE, state, at_ns, "psm1")
         left, right = (encode_image(one, ImageEncoding.JPEG) for one in pair(EVERY_S * i, i))
-        put(FRAMES, StereoFrame(FrameStamp(i, at_ns, at_ns, "c"), left, right), at_ns)
+        frame = StereoFrame(FrameStamp(i, at_ns, at_ns, "c"), left, right)
+        said += [(ROBOT_STATE, "psm1", state, at_ns), (FRAMES, "main", frame, at_ns)]
+    writer = RecordingWriter(path)
+    for number, (topic, instance, message, at_ns) in enumerate(said, start=1):
+        writer.write(topic, Entry(key("lab", topic, instance), 1, number, encode(message), at_ns, at_ns))
     writer.close()
     return path
 
@@ -67,6 +64,7 @@ def test_it_tells_by_how_much_the_registration_is_off_and_writes_what_it_should_
     assert np.linalg.norm((T @ pin)[:3, 3] - (T_TRUE @ pin)[:3, 3]) < 1e-3
     assert len(tips.read_text().splitlines()) > 1
     assert list(pictures.glob("*.jpg"))
+    refused(suturegrasp("track-tool", recording, "--arm", "psm7"), "no state of an arm 'psm7'")
 
 
 class Held:
@@ -85,24 +83,11 @@ class Held:
 
 
 @pytest.mark.slow
-def test_on_a_running_rig_it_warns_that_the_registration_has_drifted(suturegrasp, settings, in_threads, tmp_path):
-    config = tmp_path / "rig.toml"
-    config.write_text(f'rig = "test"\n[router]\nendpoint = "{settings.endpoint}"\nstart = false\n')
+def test_on_a_running_rig_it_warns_that_the_registration_has_drifted(suturegrasp, settings, in_threads, rig_file):
     camera = Camera(Held(), STEREO, CameraConfig(rate_hz=5.0, encoding=ImageEncoding.JPEG))
     bridge = RobotBridge(RobotBridgeConfig("psm1", WRONG), SimulatedPsm(tuple(joints(0.0)), JAW))
     with in_threads(settings, camera, bridge):
-        ended = suturegrasp("track-tool", "--live", "--config", config, "--views", 8)
+        ended = suturegrasp("track-tool", "--live", "--config", rig_file(), "--views", 8)
     assert ended.status == 1, (ended.out, ended.err)
     assert "warning: the registration is" in ended.err
     assert "from where registration and joints have it" in ended.out
-
-
-def test_options_that_name_nothing_to_look_at_are_refused_in_one_line(suturegrasp, recording):
-    for words, told in (
-        ((), "give a recording, or --live"),
-        ((recording, "--arm", "psm7"), "no state of an arm 'psm7'"),
-    ):
-        ended = suturegrasp("track-tool", *words)
-        assert (ended.status, len(ended.complaints)) == (2, 1)
-        assert told in ended.complaints[0]
-    assert suturegrasp("track-tool", recording, "--live").status == 2

@@ -14,164 +14,147 @@ from agents.emulator.geometry import LIMITS, tool
 from agents.emulator.oracle import Circumstances, Field, Oracle
 from agents.emulator.poses import joints_at
 from agents.emulator.wire import BridgeWire, RmwWire
-from shared.clock import monotonic_s
 from shared.kinematics.psm import forward
 from shared.ros import crtk, types
 from shared.ros.link import Heard, RosLink, Said
 from shared.ros.naming import RmwZenoh, Ros2dds
-from shared.runtime.session import SessionSettings, free_local_endpoint, open_router, open_session
 
-DEADLINE_S = 20.0
 ARM = "PSM1"
+HEARS = {
+    "measured_js": (types.JOINT_STATE, crtk.joints, False),
+    "local/measured_cp": (types.POSE_STAMPED, crtk.pose, False),
+    "operating_state": (types.OPERATING_STATE, crtk.operating_state, True),
+    "tool_type": (types.STRING, crtk.text, True),
+    "warning": (types.STRING, crtk.text, True),
+}
+SAYS = {
+    "servo_jp": types.JOINT_STATE,
+    "move_jp": types.JOINT_STATE,
+    "servo_cp": types.POSE_STAMPED,
+    "move_cp": types.POSE_STAMPED,
+    "trajectory_j/set_ratio": types.FLOAT64,
+    "hold": types.EMPTY,
+    "state_command": types.STRING_STAMPED,
+}
 
 
-def until(condition):
-    """Wait for a condition, with a deadline."""
-    deadline_s, turn = monotonic_s() + DEADLINE_S, threading.Event()
-    while not condition():
-        assert monotonic_s() < deadline_s, "it never came true"
-        turn.wait(0.01)
+class Ours:
+    """Our link to a console, and what that said last, by topic."""
 
+    def __init__(self, settings, naming):
+        self.last = {}
+        heard = tuple(
+            Heard(f"{ARM}/{topic}", of, lambda data, _, topic=topic, read=read: self._take(topic, read(data)), latched)
+            for topic, (of, read, latched) in HEARS.items()
+        )
+        self.link = RosLink(settings, naming, heard, tuple(Said(f"{ARM}/{topic}", of) for topic, of in SAYS.items()))
+        self.link.open()
 
-class Ears:
-    """What is heard, by topic."""
+    def _take(self, topic, value):
+        self.last[topic] = value
 
-    def __init__(self):
-        self.heard = {}
+    def say(self, topic, data):
+        self.link.say(f"{ARM}/{topic}", data)
 
-    def of(self, topic, ros_type, read, latched=False):
-        def receive(data, _):
-            self.heard[topic] = [*self.heard.get(topic, ()), read(data)]
+    @property
+    def joints(self):
+        return self.last["measured_js"].position
 
-        return Heard(f"{ARM}/{topic}", ros_type, receive, latched)
-
-    def last(self, topic):
-        return self.heard.get(topic, [None])[-1]
+    @property
+    def state(self):
+        return self.last["operating_state"]
 
 
 @pytest.fixture(params=["ros2dds", "rmw_zenoh"])
-def console(request):
-    """An emulated console behind a router, our link to it, and what that heard."""
-    endpoint, ears, stopped = free_local_endpoint(), Ears(), threading.Event()
-    heard = (
-        ears.of("measured_js", types.JOINT_STATE, crtk.joints),
-        ears.of("local/measured_cp", types.POSE_STAMPED, crtk.pose),
-        ears.of("operating_state", types.OPERATING_STATE, crtk.operating_state, latched=True),
-        ears.of("tool_type", types.STRING, crtk.text, latched=True),
-        ears.of("warning", types.STRING, crtk.text, latched=True),
-    )
-    said = (
-        Said(f"{ARM}/servo_jp", types.JOINT_STATE),
-        Said(f"{ARM}/move_jp", types.JOINT_STATE),
-        Said(f"{ARM}/servo_cp", types.POSE_STAMPED),
-        Said(f"{ARM}/move_cp", types.POSE_STAMPED),
-        Said(f"{ARM}/trajectory_j/set_ratio", types.FLOAT64),
-        Said(f"{ARM}/hold", types.EMPTY),
-        Said(f"{ARM}/state_command", types.STRING_STAMPED),
-    )
-    rmw = request.param == "rmw_zenoh"
-    with contextlib.ExitStack() as stack:
-        stack.enter_context(open_router(endpoint))
-        session = stack.enter_context(open_session(SessionSettings(endpoint=endpoint)))
-        wire = RmwWire(session, 7) if rmw else BridgeWire(session)
-        emulated = stack.enter_context(contextlib.closing(EmulatedConsole(wire, ARM, Oracle(), Behaviour())))
-        stack.enter_context(answering(session, emulated))
+def console(request, session, settings):
+    """An emulated console behind a router, and our link to it."""
+    rmw, stopped = request.param == "rmw_zenoh", threading.Event()
+    wire, naming = (RmwWire(session, 7), RmwZenoh(7)) if rmw else (BridgeWire(session), Ros2dds())
+    with (
+        contextlib.closing(EmulatedConsole(wire, ARM, Oracle(), Behaviour())) as emulated,
+        contextlib.ExitStack() as up,
+    ):
+        up.enter_context(answering(session, emulated))
         running = threading.Thread(target=emulated.run, args=(stopped,))
         running.start()
-        stack.callback(lambda: (stopped.set(), running.join()))
-        naming = RmwZenoh(7) if rmw else Ros2dds()
-        link = stack.enter_context(contextlib.closing(RosLink(SessionSettings(endpoint=endpoint), naming, heard, said)))
-        link.open()
-        yield emulated, link, ears
-
-
-def command(link, word):
-    at = types.message("std_msgs/msg/Header", types.message("builtin_interfaces/msg/Time", 0, 0), "")
-    link.say(f"{ARM}/state_command", types.encode(types.STRING_STAMPED, types.message(types.STRING_STAMPED, at, word)))
+        up.callback(lambda: (stopped.set(), running.join()))
+        ours = Ours(settings, naming)
+        up.callback(ours.link.close)
+        yield emulated, ours
 
 
 @pytest.mark.slow
-def test_a_console_is_enabled_and_homed_moves_is_held_and_pauses(console):
-    emulated, link, ears = console
-    until(lambda: ears.last("measured_js") and ears.last("operating_state") and ears.last("tool_type"))
-    assert ears.last("operating_state") == ("DISABLED", False, False)
-    assert ears.last("tool_type") == "LARGE_NEEDLE_DRIVER:400006"
-    start = ears.last("measured_js").position
+def test_a_console_is_enabled_and_homed_moves_is_held_and_pauses(console, until):
+    emulated, ours = console
+
+    def near(joints, within=1e-9):
+        return np.abs(emulated.verdict()["position"][:6] - joints).max() < within
+
+    until(lambda: {"measured_js", "operating_state", "tool_type"} <= set(ours.last))
+    assert ours.state == ("DISABLED", False, False)
+    assert ours.last["tool_type"] == "LARGE_NEEDLE_DRIVER:400006"
+    start = ours.joints
     goal = start + np.array((0.3, 0.1, 0.02, 1.0, 0.0, 0.0))
-    link.say(f"{ARM}/servo_jp", crtk.joint_command(goal, 0))
-    until(lambda: "ignored" in (ears.last("warning") or ""))
-    assert np.array_equal(ears.last("measured_js").position, start)
+    ours.say("servo_jp", crtk.joint_command(goal, 0))
+    until(lambda: "ignored" in ours.last.get("warning", ""))
+    assert np.array_equal(ours.joints, start)
     assert emulated.verdict()["rules"] == {"state": 1, "speed": 1}
 
-    command(link, "enable")
-    until(lambda: ears.last("operating_state").state == "ENABLED")
-    command(link, "home")
-    until(lambda: ears.last("operating_state") == ("ENABLED", True, False))
-    link.say(f"{ARM}/move_jp", crtk.joint_command(goal, 0))
-    until(lambda: ears.last("operating_state").is_busy)
-    until(lambda: not np.array_equal(ears.last("measured_js").position, start))
-    link.say(f"{ARM}/hold", crtk.empty())
-    until(lambda: not ears.last("operating_state").is_busy)
+    ours.say("state_command", crtk.state_command("enable", 0))
+    until(lambda: ours.state.state == "ENABLED")
+    ours.say("state_command", crtk.state_command("home", 0))
+    until(lambda: ours.state == ("ENABLED", True, False))
+    ours.say("move_jp", crtk.joint_command(goal, 0))
+    until(lambda: ours.state.is_busy)
+    until(lambda: not np.array_equal(ours.joints, start))
+    ours.say("hold", crtk.empty())
+    until(lambda: not ours.state.is_busy)
     held = np.array(emulated.verdict()["position"][:6])
     share = (held - start)[:4] / (goal - start)[:4]
     assert share.min() > 0 and share.max() < 1 and np.ptp(share) < 1e-9, "a line in joint space, held on the way"
-    link.say(f"{ARM}/servo_jp", crtk.joint_command(held + np.array((9.0, 0, 0, 0, 0, 0)), 0))
-    until(lambda: abs(ears.last("measured_js").position[0] - LIMITS[0, 1]) < 1e-9)
-    until(lambda: np.abs(ears.last("local/measured_cp").T - forward(ears.last("measured_js").position)).max() < 1e-9)
-    assert emulated.verdict()["rules"] == {"state": 1, "limits": 1, "speed": 2}
+    ours.say("servo_jp", crtk.joint_command(held + np.array((9.0, 0, 0, 0, 0, 0)), 0))
+    until(lambda: abs(ours.joints[0] - LIMITS[0, 1]) < 1e-9)
+    until(lambda: np.abs(ours.last["local/measured_cp"].T - forward(ours.joints)).max() < 1e-9)
 
     # poses, at once and by a trajectory that is slowed down
     here = start + np.array((0.2, 0.1, 0, 0, 0, 0))
     emulated.place(here)
-    near = here + np.array((-0.002, 0.001, 0.0005, 0.01, 0.01, -0.01))
-    link.say(f"{ARM}/servo_cp", crtk.pose_command(forward(near), 0))
-    until(lambda: np.abs(emulated.verdict()["position"][:6] - near).max() < 1e-9)
-    link.say(f"{ARM}/trajectory_j/set_ratio", crtk.ratio(0.02))
-    link.say(f"{ARM}/move_cp", crtk.pose_command(forward(start), 0))
-    until(lambda: ears.last("operating_state").is_busy and emulated.verdict()["position"][0] < near[0] - 1e-3)
-    assert emulated.verdict()["position"][0] - start[0] > 0.1, "at a fiftieth of its speed it takes half a minute"
-    link.say(f"{ARM}/trajectory_j/set_ratio", crtk.ratio(1.0))
-    until(lambda: np.abs(emulated.verdict()["position"][:6] - start).max() < 1e-9)
-    until(lambda: not ears.last("operating_state").is_busy)
+    beside = here + np.array((-0.002, 0.001, 0.0005, 0.01, 0.01, -0.01))
+    ours.say("servo_cp", crtk.pose_command(forward(beside), 0))
+    until(lambda: near(beside))
+    ours.say("trajectory_j/set_ratio", crtk.ratio(0.02))
+    ours.say("move_cp", crtk.pose_command(forward(start), 0))
+    until(lambda: ours.state.is_busy and not near(beside, 1e-3))
+    assert not near(start, 0.1), "at a fiftieth of its speed it takes half a minute"
+    ours.say("trajectory_j/set_ratio", crtk.ratio(1.0))
+    until(lambda: near(start))
+    until(lambda: not ours.state.is_busy)
     assert emulated.verdict()["rules"] == {"state": 1, "limits": 1, "speed": 2}
-
-    command(link, "pause")
-    until(lambda: ears.last("operating_state").state == "PAUSED")
-
-
-def test_only_what_somebody_subscribes_to_is_published():
-    endpoint = free_local_endpoint()
-    with open_router(endpoint), open_session(SessionSettings(endpoint=endpoint)) as session:
-        wires = (
-            (BridgeWire(session), Ros2dds()),
-            (RmwWire(session, 0), RmwZenoh()),
-            # of Humble, whose keys have no hash
-            (RmwWire(session, 0, False), RmwZenoh(0, False)),
-        )
-        for wire, naming in wires:
-            outlet = wire.publish("PSM1/measured_js", "sensor_msgs::msg::dds_::JointState_", latched=False)
-            assert not outlet.wanted()
-            heard = Heard("PSM1/measured_js", types.JOINT_STATE, lambda _data, _ns: None)
-            with contextlib.closing(RosLink(SessionSettings(endpoint=endpoint), naming, (heard,))) as link:
-                link.open()
-                until(outlet.wanted)
-            until(lambda wanted=outlet.wanted: not wanted())
-            wire.close()
+    ours.say("state_command", crtk.state_command("pause", 0))
+    until(lambda: ours.state.state == "PAUSED")
 
 
-def anywhere(count, seed):
-    """Joints, drawn evenly within their limits."""
-    return LIMITS[:, 0] + np.random.default_rng(seed).random((count, 6)) * np.diff(LIMITS, axis=1)[:, 0]
+def test_only_what_somebody_subscribes_to_is_published(session, settings, until):
+    # the last of Humble, whose keys have no hash
+    for wire, naming in (
+        (BridgeWire(session), Ros2dds()),
+        (RmwWire(session, 0), RmwZenoh()),
+        (RmwWire(session, 0, False), RmwZenoh(0, False)),
+    ):
+        outlet = wire.publish("PSM1/measured_js", "sensor_msgs::msg::dds_::JointState_", latched=False)
+        assert not outlet.wanted()
+        heard = Heard("PSM1/measured_js", types.JOINT_STATE, lambda _data, _ns: None)
+        with contextlib.closing(RosLink(settings, naming, (heard,))) as link:
+            link.open()
+            until(outlet.wanted)
+        until(lambda wanted=outlet.wanted: not wanted())
+        wire.close()
 
 
-def test_two_ways_of_computing_where_joints_lead_agree():
-    joints = anywhere(200, 5)
+def test_two_ways_of_computing_where_joints_lead_agree_and_joints_of_a_pose_are_found_again():
+    joints = LIMITS[:, 0] + np.random.default_rng(5).random((200, 6)) * np.diff(LIMITS, axis=1)[:, 0]
     for (R, p), T in zip((tool(q) for q in joints), forward(joints), strict=True):
         np.testing.assert_allclose(np.column_stack((R, p)), T[:3], atol=1e-12)
-
-
-def test_joints_of_a_pose_are_found_again():
-    joints = anywhere(100, 6)
     joints[:, 2] = 0.06 + 0.9 * (joints[:, 2] - 0.06).clip(0)
     np.testing.assert_allclose([joints_at(*tool(q), q) for q in joints], joints, atol=1e-9)
     assert np.isnan(joints_at(np.full((3, 3), np.nan), np.zeros(3), joints[0])).all()
@@ -230,15 +213,3 @@ def test_a_heartbeat_that_comes_just_after_the_set_points_that_it_allowed_is_in_
     assert oracle.verdict()["rules"] == {"nobody": 2}
     oracle.heartbeat(5.1)
     assert oracle.verdict()["rules"] == {"nobody": 1}
-
-
-def test_an_arm_that_is_stuck_or_at_fault_stays_where_it_is():
-    arm = EmulatedArm(ready=True, warn=lambda _: None)
-    assert arm.head("arm", START, moving=False)
-    arm.stuck = True
-    assert not arm.step(0.1)
-    arm.stuck = False
-    assert arm.step(0.1)
-    arm.fail()
-    assert not arm.step(0.1)
-    assert not arm.head("arm", START, moving=False)

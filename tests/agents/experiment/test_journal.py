@@ -24,19 +24,15 @@ def all_tried(outcome_of):
     return journal
 
 
-def test_each_goal_is_tried_with_both_policies_one_after_the_other():
+def test_each_goal_is_tried_with_both_policies_one_after_the_other_in_the_order_of_the_seed_and_the_thread():
     trials = order(PROTOCOL, "easy/paper")
     pairs = list(zip(trials[::2], trials[1::2], strict=True))
     assert all(first.goal == second.goal for first, second in pairs)
     assert {(first.policy, second.policy) for first, second in pairs} == {("direct", "robust"), ("robust", "direct")}
     assert sorted({trial.s for trial in trials}) == pytest.approx([(i + 0.5) / 20 for i in range(20)])
-
-
-def test_the_order_is_that_of_the_seed_and_another_on_each_thread():
-    assert order(PROTOCOL, "easy/paper") == order(PROTOCOL, "easy/paper")
-    goals = [tuple(t.goal for t in order(PROTOCOL, thread)) for thread in PROTOCOL.threads]
-    other = PROTOCOL.model_copy(update={"seed": 8})
-    assert len({*goals, tuple(t.goal for t in order(other, "easy/paper"))}) == 3
+    assert order(PROTOCOL, "easy/paper") == trials
+    others = order(PROTOCOL, "hard/chicken"), order(PROTOCOL.model_copy(update={"seed": 8}), "easy/paper")
+    assert len({tuple(trial.goal for trial in one) for one in (trials, *others)}) == 3
 
 
 def test_a_journal_that_was_written_goes_on_where_it_was():
@@ -78,10 +74,4 @@ def test_the_page_has_the_papers_rows_and_the_document_every_attempt():
     told = json.loads(json.dumps(document(journal, results)))
     assert Counter(a["trial"]["policy"] for a in told["attempts"]) == {"direct": 40, "robust": 40}
     assert told["rates"]["robust"]["hard/chicken"]["published_percent"] == 100.0
-
-
-def test_the_papers_figures_are_those_of_its_table():
-    row = [published_rate("direct", c, b) for c in ("hard", "singularity", "occlusion") for b in ("paper", "chicken")]
-    assert row == [90.0, 71.4, 71.4, 90.0, 100.0, 100.0]
-    assert published_rate("robust", "occlusion", "chicken") == 80.0
     assert published_rate("robust", "easy", "plain") is None

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import pytest
 from mcap.writer import Writer
+from rich.text import Text
 
 from agents.cli.main import main
 from agents.inspection.session import read_session
-from agents.inspection.tables import head_lines, session_tables
+from agents.inspection.tables import session_tables
 from agents.inspection.terminal_report import lines
 
 
@@ -28,11 +29,15 @@ def suturegrasp(capfd):
 
 
 @pytest.fixture
-def damaged(recording, tmp_path):
-    data, path = bytearray(recording.read_bytes()), tmp_path / "bad.mcap"
-    data[len(data) // 2] ^= 0xFF
-    path.write_bytes(bytes(data))
-    return path
+def refused(suturegrasp):
+    """Runs the command, which says why not in one line."""
+
+    def run(*arguments, status=2):
+        ended, out, err = suturegrasp(*arguments)
+        assert (ended, len(err.splitlines())) == (status, 1)
+        return out, err
+
+    return run
 
 
 def test_in_a_pipe_lines_are_whole_and_plain(suturegrasp, recording):
@@ -48,22 +53,13 @@ def test_in_a_pipe_lines_are_whole_and_plain(suturegrasp, recording):
 
 @pytest.mark.parametrize("width", [60, 200])
 def test_a_terminal_gets_lines_that_fit(recording, width):
-    session = read_session(recording)
-    plain = [drawn.plain for drawn in _texts(lines([], session_tables(session), width))]
+    plain = [Text.from_ansi(line).plain for line in lines([], session_tables(read_session(recording)), width)]
     assert max(map(len, plain)) <= width
     assert "thread_stale" in "".join("".join(plain).split())
 
 
-def _texts(drawn):
-    from rich.text import Text
-
-    return [Text.from_ansi(line) for line in drawn]
-
-
 def test_json_is_one_document_that_says_the_same(suturegrasp, recording):
-    status, out, _ = suturegrasp("inspect", recording, "--json")
-    told = json.loads(out)
-    assert status == 0
+    told = json.loads(suturegrasp("inspect", recording, "--json")[1])
     assert told["stages"]["reconstruction/thread"]["latency_ms"]["p99"] == pytest.approx(60)
     assert told["stages"]["reconstruction/thread"]["count"] == 57
     assert [grasp["outcome"] for grasp in told["grasps"]] == ["goal refused", "held"]
@@ -86,64 +82,49 @@ def test_two_recordings_are_set_side_by_side(suturegrasp, recording, slower, tmp
     assert [one["recording"] for one in both] == [str(recording), str(slower)]
 
 
-def test_a_page_is_written_and_a_recording_is_not_overwritten(suturegrasp, recording, tmp_path):
+def test_a_page_is_written_and_nothing_is_overwritten(suturegrasp, refused, recording, tmp_path):
     page, before = tmp_path / "report.html", recording.read_bytes()
     assert suturegrasp("inspect", recording, "--html", page)[0] == 0
     assert page.read_text().startswith("<!doctype html>")
     assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
-    for wrong, said in ((recording, "would overwrite"), (tmp_path, "is a folder"), (tmp_path / "no" / "a", "no")):
-        status, _, err = suturegrasp("inspect", recording, "--html", wrong)
-        assert (status, len(err.splitlines())) == (2, 1)
-        assert said in err
+    for command, options, said in (
+        ("inspect", ("--html", recording), "would overwrite"),
+        ("inspect", ("--html", tmp_path), "is a folder"),
+        ("inspect", ("--html", tmp_path / "no" / "a"), "no"),
+        ("export", ("--output", tmp_path), "holds something already"),
+        ("export", ("--output", page), "is a file"),
+        ("export", ("--output", tmp_path / "out", "--format", "xlsx"), "choose from csv, npz, json"),
+        ("export", ("--output", tmp_path / "out", "--points", "1"), "must lie within 2 and 10000"),
+    ):
+        assert said in refused(command, recording, *options)[1]
     assert recording.read_bytes() == before
 
 
-def test_damage_is_said_once_and_what_can_be_read_is_told(suturegrasp, damaged, tmp_path):
-    status, out, err = suturegrasp("inspect", damaged)
-    assert (status, len(err.splitlines())) == (3, 1)
+def test_damage_is_said_once_and_what_can_be_read_is_told(refused, recording, tmp_path):
+    data, path = bytearray(recording.read_bytes()), tmp_path / "bad.mcap"
+    data[len(data) // 2] ^= 0xFF
+    path.write_bytes(bytes(data))
+    out, err = refused("inspect", path, status=3)
     assert "is damaged; only what lies before the damage can be read" in err
     assert "camera/main/frames" in out
-    status, out, err = suturegrasp("export", damaged, "--output", tmp_path / "out")
-    assert (status, len(err.splitlines())) == (3, 1)
+    refused("export", path, "--output", tmp_path / "out", status=3)
     assert "is damaged" in (tmp_path / "out" / "README.txt").read_text()
     assert 5 < len((tmp_path / "out" / "frames.csv").read_text().splitlines()) < 57
 
 
-@pytest.mark.parametrize("command", [("inspect",), ("export", "--output")])
-def test_what_is_no_recording_is_one_line(suturegrasp, command, tmp_path):
+@pytest.mark.parametrize("command", ["inspect", "export"])
+def test_what_is_no_recording_is_one_line(refused, command, tmp_path):
     foreign, text = tmp_path / "foreign.mcap", tmp_path / "text.mcap"
     with foreign.open("wb") as file:
         writer = Writer(file)
         writer.start(profile="ros2", library="other")
         writer.finish()
     text.write_text("a text")
-    more = [*command[1:], *([tmp_path / "out"] if len(command) > 1 else [])]
+    more = ("--output", tmp_path / "out") if command == "export" else ()
     for path, said in ((foreign, "of another program"), (text, "no recording"), (tmp_path / "none", "none")):
-        status, out, err = suturegrasp(command[0], path, *more)
-        assert (status, out, len(err.splitlines())) == (2, "", 1)
-        assert said in err
+        out, err = refused(command, path, *more)
+        assert (out, said in err) == ("", True)
     assert not (tmp_path / "out").exists()
-
-
-def test_export_refuses_what_it_cannot_do(suturegrasp, recording, tmp_path):
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "a").touch()
-    for options, said in (
-        (("--output", tmp_path / "full"), "holds something already"),
-        (("--output", tmp_path / "full" / "a"), "is a file"),
-        (("--output", tmp_path / "out", "--format", "xlsx"), "choose from csv, npz, json"),
-        (("--output", tmp_path / "out", "--points", "1"), "must lie within 2 and 10000"),
-    ):
-        status, _, err = suturegrasp("export", recording, *options)
-        assert (status, len(err.splitlines())) == (2, 1)
-        assert said in err
-
-
-def test_head_lines_name_the_file_and_what_it_lacks(recording):
-    first, second, third = head_lines(read_session(recording))
-    assert first.startswith(str(recording))
-    assert "lasted 2.0 s" in second
-    assert third == "not complete: lost 3 of camera/main/frames"
 
 
 def test_the_page_of_the_manual_names_every_option_and_table_and_its_example_runs(

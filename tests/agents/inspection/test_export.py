@@ -12,6 +12,7 @@ from agents.inspection.export_files import FORMATS
 from agents.inspection.session import read_session
 from schemas.messages import FrameStamp, Image, ImageEncoding, StereoFrame
 from schemas.topics import FRAMES
+from tests.agents.inspection.conftest import ns
 
 TABLES = {"frames": 57, "curves": 55 * 11, "plans": 1, "waypoints": 2, "robot_states": 57, "commands": 3, "outcomes": 8}
 
@@ -38,53 +39,42 @@ def parsed(cell):
         return cell
 
 
-@pytest.fixture(scope="module", params=list(FORMATS))
-def exported(request, recording, tmp_path_factory):
-    folder = tmp_path_factory.mktemp(request.param)
-    return folder, request.param, export(recording, folder, request.param, points=11)
+@pytest.mark.parametrize("form", FORMATS)
+def test_every_table_says_what_was_recorded_and_has_a_line_in_the_readme(recording, tmp_path, form):
+    assert export(recording, tmp_path, form, points=11).rows == TABLES
+    assert {path.name for path in tmp_path.iterdir()} == {"README.txt", *(f"{name}.{form}" for name in TABLES)}
+    tables = {name: columns(tmp_path, name, form) for name in TABLES}
+    readme = (tmp_path / "README.txt").read_text()
+    for name, table in tables.items():
+        assert {len(column) for column in table.values()} == {TABLES[name]}
+        assert f"{name}.{form}: {', '.join(table)}" in readme
 
-
-def test_every_table_has_its_rows_and_a_line_in_the_readme(exported):
-    folder, form, told = exported
-    assert told.rows == TABLES
-    assert {path.name for path in folder.iterdir()} == {"README.txt", *(f"{name}.{form}" for name in TABLES)}
-    readme = (folder / "README.txt").read_text()
-    for name in TABLES:
-        assert len(next(iter(columns(folder, name, form).values()))) == TABLES[name]
-        assert f"{name}.{form}: {', '.join(columns(folder, name, form))}" in readme
-
-
-def test_a_curve_is_in_metres_with_what_is_known_of_each_point(exported):
-    folder, form, _ = exported
-    curve = {name: values[:11] for name, values in columns(folder, "curves", form).items()}
-    assert curve["s"] == pytest.approx(np.linspace(0, 1, 11))
-    assert curve["x_camera_m"] == pytest.approx(np.linspace(-0.02, 0.02, 11))
-    assert curve["z_camera_m"] == pytest.approx(np.full(11, 0.1))
-    assert curve["confidence"] == pytest.approx(np.linspace(1, 0.5, 11))
+    curve = {name: values[:11] for name, values in tables["curves"].items()}
+    for name, expected in (
+        ("s", np.linspace(0, 1, 11)),
+        ("x_camera_m", np.linspace(-0.02, 0.02, 11)),
+        ("z_camera_m", np.full(11, 0.1)),
+        ("confidence", np.linspace(1, 0.5, 11)),
+        ("covariance_zz_m2", 1e-6 * np.linspace(1, 9, 11)),
+        ("deviation_m", 1e-3 * np.sqrt(np.linspace(1, 9, 11))),
+        ("u_left_px", np.linspace(27.5, 67.5, 11)),
+    ):
+        assert curve[name] == pytest.approx(expected)
     assert curve["seen"] == [1, 1, 0, 0, 0, 1, 1, 1, 1, 1, 1]
-    assert curve["covariance_zz_m2"] == pytest.approx(1e-6 * np.linspace(1, 9, 11))
-    assert curve["deviation_m"] == pytest.approx(1e-3 * np.sqrt(np.linspace(1, 9, 11)))
-    assert curve["u_left_px"] == pytest.approx(np.linspace(27.5, 67.5, 11))
 
-
-def test_failed_frames_have_their_reason_and_no_curve_and_commands_and_outcomes_tell_the_grasp(exported):
-    folder, form, _ = exported
-    frames = columns(folder, "frames", form)
+    # failed frames have their reason and no curve
+    frames = tables["frames"]
     assert [n for n, status in zip(frames["frame"], frames["status"], strict=True) if status == "failed"] == [5, 6]
     assert (frames["reason"][5], frames["length_m"][5]) == ("only 5 observations", None)
     assert frames["length_m"][0] == pytest.approx(0.04)
-    assert not {5, 6} & set(columns(folder, "curves", form)["frame"])
-    commands, outcomes = columns(folder, "commands", form), columns(folder, "outcomes", form)
+    assert not {5, 6} & set(tables["curves"]["frame"])
+    if form == "npz":
+        assert frames["capture_left_ns"][1] == ns(1 / 30)
+
+    commands, outcomes = tables["commands"], tables["outcomes"]
     assert commands["outcome"] == ["refused", "accepted", "accepted"]
     assert [kind for kind in outcomes["kind"] if kind != "phase_reached"] == ["accepted", "finished", "judged"]
     assert (outcomes["code"][-1], outcomes["slid_m"][-1]) == ("held", pytest.approx(0.004))
-
-
-def test_times_are_whole_nanoseconds(recording, tmp_path):
-    export(recording, tmp_path, "npz", 2)
-    with np.load(tmp_path / "frames.npz") as frames:
-        assert frames["capture_left_ns"].dtype == np.int64
-        assert frames["capture_left_ns"][1] == 1_760_000_000 * 10**9 + round(1e9 / 30)
 
 
 def test_lengths_whose_unit_nobody_knows_are_named_so(a_session, tmp_path):

@@ -1,61 +1,34 @@
 """Which goals are asked for again without another look by a person: those of the thread that was looked at."""
 
 import asyncio
-import itertools
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from agents.operator.beside import Surroundings
 from agents.operator.choosing import FOUND_ANEW, Choosing
-from agents.operator.field_seen import FieldSeen, is_followed
-from agents.operator.surroundings import Surroundings
-from agents.operator.voice import Voice
+from agents.operator.heard import FieldSeen, is_followed
 from agents.operator.wire import Click
-from schemas.messages import CommandAnswer, FrameStamp, Outcome, ThreadTrack, TrackStep
+from agents.operator.words import Voice
+from schemas.messages import CommandAnswer, FrameStamp, Outcome, TrackStep
 from schemas.topics import THREAD
-from shared.runtime.agent import Tick
-
-MOST = 20
+from tests.agents.operator.by_hand import thread_at
 
 
-def threads_of(hand_made_thread):
-    """Threads by hand, one after the other."""
-    source = hand_made_thread()
-    while True:
-        (output,) = source.step(Tick(1))
-        yield output.message
-
-
-def tracked(thread, step, frames):
-    track = ThreadTrack(
-        step=step,
-        reason="another curve fits better" if step is TrackStep.RESTARTED else "",
-        frames=frames,
-        innovation=1.0,
-        found_share=1.0,
-        stamp=thread.stamp,
-        knots=np.array([0.0, 0, 0, 0, 1, 1, 1, 1]),
-        control_points_camera=np.zeros((4, 3)),
-        covariance=np.zeros((4, 4, 3, 3)),
-        smoothing=1.0,
-        span_weight=np.ones(1),
-        row_offset_px=0.0,
-        length=0.04,
-        material_s=np.array([0.0, 1.0]),
-    )
-    return replace(thread, track=track)
+def tracked(frame, step, frames) -> Any:
+    """As much of a thread as is drawn, and as much of its track as tells whether it is followed."""
+    told = vars(thread_at(FrameStamp(frame, 1, 1, "hand")))
+    return SimpleNamespace(**told | {"track": SimpleNamespace(step=step, frames=frames)})
 
 
 class Heard:
     """The threads that a test has come."""
 
     def __init__(self):
-        self.threads = []
+        self.threads = [tracked(1, TrackStep.STARTED, 0)]
 
     def newest(self, topic):
         come, self.threads = (self.threads, []) if topic is THREAD else ([], self.threads)
@@ -82,29 +55,21 @@ def heard():
 
 
 @pytest.fixture
-def field(heard, hand_made_thread):
-    field = FieldSeen(heard, Surroundings("test", ("psm1",), lambda *_, **__: None))
-    heard.threads = [tracked(next(threads_of(hand_made_thread)), TrackStep.STARTED, 0)]
-    field.take_thread(0.0)
-    return field
-
-
-@pytest.fixture
-def chosen(field, monkeypatch):
-    """What became of a place that was named, by the goal's text."""
+def choosing(heard, monkeypatch):
+    """What chooses goals on the thread that was heard, with a planner of the test's."""
     monkeypatch.setattr("agents.operator.choosing.AGAIN_S", 0.0)
+    field = FieldSeen(heard, Surroundings("test", ("psm1",), lambda *_, **__: None))
+    field.take_thread(0.0)
+    return lambda planner: (Choosing(field, planner, Voice({}, lambda *_, **__: None)), field)
 
-    def choose(planner):
-        async def run():
-            choosing = Choosing(field, planner, Voice({}, lambda *_, **__: None))
-            planning = choosing.placed("screen 1", "psm1", "direct", 0.3)
-            assert planning is not None
-            await planning
-            return choosing.goals["psm1"]["text"]
 
-        return asyncio.run(run())
-
-    return choose
+def placed(choosing, planner):
+    """What became of a place that was named, by the goal's text."""
+    chosen, _ = choosing(planner)
+    planning = chosen.placed("screen 1", "psm1", "direct", 0.3)
+    assert planning is not None
+    asyncio.run(planning)
+    return chosen.goals["psm1"]["text"]
 
 
 @pytest.mark.parametrize(
@@ -117,36 +82,32 @@ def chosen(field, monkeypatch):
         ("arm_stale", "Planning", 3),
     ],
 )
-def test_only_what_speaks_against_the_moment_alone_is_asked_again_without_another_look(chosen, code, text, times):
+def test_only_what_speaks_against_the_moment_alone_is_asked_again_without_another_look(choosing, code, text, times):
     planner = Planner(code, code)
-    assert chosen(planner).startswith(text)
+    assert placed(choosing, planner).startswith(text)
     assert planner.asked == [("psm1", "direct", 0.3)] * times
 
 
-def test_nothing_is_asked_again_once_the_thread_was_found_anew(chosen, heard, hand_made_thread):
-    # the frame in which it was found anew is missed: this one goes on from it
-    *_, later = itertools.islice(threads_of(hand_made_thread), 4)
+def test_nothing_is_asked_again_once_the_thread_was_found_anew(choosing, heard):
     planner = Planner("thread_stale", "thread_stale")
-    planner.before_answer = lambda: setattr(heard, "threads", [tracked(later, TrackStep.CONTINUED, 1)])
-    assert FOUND_ANEW in chosen(planner)
+    # the frame in which it was found anew is missed: this one goes on from it
+    planner.before_answer = lambda: setattr(heard, "threads", [tracked(4, TrackStep.CONTINUED, 1)])
+    assert FOUND_ANEW in placed(choosing, planner)
     assert len(planner.asked) == 1
 
 
-def test_a_click_on_a_thread_that_was_found_anew_since_names_nothing(field, heard, hand_made_thread, monkeypatch):
-    shown, refused = field.thread, []
-    again = list(itertools.islice(threads_of(hand_made_thread), 3))[-1]
-    heard.threads = [tracked(again, TrackStep.RESTARTED, 0)]
-    field.take_thread(0.0)
+def test_a_click_on_a_thread_that_was_found_anew_since_names_nothing(choosing, heard, monkeypatch):
+    refused = []
     monkeypatch.setattr(Voice, "refuse", lambda _self, _screen, text: refused.append(text))
-    planner: Any = Planner()
-    choosing = Choosing(field, planner, Voice({}, lambda *_, **__: None))
-    click = Click(shown.frame, tuple(shown.px[50]), "psm1", "direct")
-    assert choosing.clicked("screen 1", click) is None
+    chosen, field = choosing(Planner())
+    shown, heard.threads = field.thread, [tracked(3, TrackStep.RESTARTED, 0)]
+    field.take_thread(0.0)
+    assert chosen.clicked("screen 1", Click(shown.frame, tuple(shown.px[50]), "psm1", "direct")) is None
     assert refused == [FOUND_ANEW]
-    assert choosing.goals == {}
+    assert chosen.goals == {}
 
 
-@given(st.lists(st.booleans(), min_size=2, max_size=MOST), st.data())
+@given(st.lists(st.booleans(), min_size=2, max_size=20), st.data())
 def test_a_thread_that_was_found_anew_is_never_taken_for_the_one_before(restarts, data):
     # what perception tracks in each frame, of which the page takes some
     told, frames = [], 0
@@ -155,13 +116,8 @@ def test_a_thread_that_was_found_anew_is_never_taken_for_the_one_before(restarts
         step = TrackStep.RESTARTED if restarted else TrackStep.CONTINUED
         told.append((number, step, frames))
     first, second = sorted(data.draw(st.lists(st.integers(0, len(told) - 1), min_size=2, max_size=2, unique=True)))
-    before, after = (seen(*told[i]) for i in (first, second))
+    before, after = (tracked(*told[i]) for i in (first, second))
     if any(restarts[first + 1 : second + 1]):
         assert not is_followed(before, after)
     elif second == first + 1:
         assert is_followed(before, after)
-
-
-def seen(number, step, frames) -> Any:
-    """As much of a thread as tells whether it is followed."""
-    return SimpleNamespace(stamp=FrameStamp(number, 1, 1, "x"), track=SimpleNamespace(step=step, frames=frames))

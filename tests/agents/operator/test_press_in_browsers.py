@@ -9,11 +9,16 @@ import re
 
 import pytest
 
-from agents.planner.agent import Planner
-from agents.planner.config import PlannerConfig
-from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
-from agents.robot_bridge.simulated import SimulatedPsm
-from shared.runtime.commands import new_header
+from tests.agents.operator.by_hand import (
+    PATIENT_S,
+    PLANNED,
+    HandMadeCamera,
+    HandMadeThread,
+    RealPsm,
+    before_a_browser,
+    patient_bridge,
+    patient_planner,
+)
 from tests.rigs.browser import BrowserError, chromium
 from tests.rigs.browser import found as chromium_found
 from tests.rigs.firefox import firefox
@@ -21,42 +26,17 @@ from tests.rigs.firefox import found as firefox_found
 
 pytestmark = pytest.mark.browser
 
-PATIENT_S, NEVER_S, BEAT_S = 60.0, 1e6, 2.0
-PLANNED = "suturegrasp.plans.psm1?.ok && suturegrasp.panel.state.goals.psm1?.text === ''"
+NEVER_S, BEAT_S = 1e6, 2.0
 PRESSES = "suturegrasp.panel.state.press?.stage === 'pressing'"
-DOWN = "document.getElementById('press').classList.contains('down')"
+BUTTON = "document.getElementById('press')"
+DOWN = f"{BUTTON}.classList.contains('down')"
 FIELD = "document.getElementById('picture')"
-CHROMIUM = pytest.param("chromium", marks=pytest.mark.skipif(chromium_found() is None, reason="no chromium here"))
-FIREFOX = pytest.param("firefox", marks=pytest.mark.skipif(firefox_found() is None, reason="no firefox here"))
-
-
-@pytest.fixture
-def patient(settings, monkeypatch):
-    """The settings of a rig that waits for a busy machine, and arms nothing."""
-    monkeypatch.setattr("agents.operator.control.PRESS_S", NEVER_S)
-    monkeypatch.setattr("agents.operator.control.BEAT_S", BEAT_S)
-    monkeypatch.setattr("agents.operator.choosing.AGAIN_FOR_S", PATIENT_S)
-    monkeypatch.setattr("agents.operator.carrying_out.new_header", lambda sender: new_header(sender, PATIENT_S))
-    monkeypatch.setattr("shared.runtime.commands.FARTHEST_DEADLINE_S", 2 * PATIENT_S)
-    return settings
-
-
-@pytest.fixture
-def planner():
-    return Planner(PlannerConfig(arm_age_ms=1e3 * PATIENT_S))
-
-
-@pytest.fixture
-def rig(patient, planner, in_threads, hand_made_thread, hand_made_camera):
-    bridge = RobotBridge(RobotBridgeConfig(), SimulatedPsm())
-    with in_threads(patient, hand_made_thread(), hand_made_camera(), planner, bridge):
-        yield patient
 
 
 class InChromium:
     """What hands do by Chromium's protocol, beyond what its page does already."""
 
-    browser = staticmethod(chromium)
+    browser, found = staticmethod(chromium), staticmethod(chromium_found)
 
     def __init__(self, page):
         self.page = page
@@ -86,7 +66,7 @@ class InChromium:
 class InFirefox:
     """The same by WebDriver BiDi."""
 
-    browser = staticmethod(firefox)
+    browser, found = staticmethod(firefox), staticmethod(firefox_found)
     cancel = None
 
     def __init__(self, page):
@@ -129,8 +109,9 @@ class Hands:
         return x, y
 
     async def by_key(self):
-        await self.page.value("document.getElementById('press').focus()")
+        await self.page.value(f"{BUTTON}.focus()")
         await self.page.key("keyDown", "Enter", "Enter", 13)
+        return ()
 
     async def by_touch(self):
         x, y = await self.page.middle("#press")
@@ -158,49 +139,52 @@ class Hands:
         await self.page.until(f"!{DOWN} && !suturegrasp.panel.state.press", PATIENT_S)
         assert re.search(why, self.why()[-1]), f"{self.why()[-1]}, not {why}"
 
+    async def loses(self, how, why, lose):
+        """Begin a press, and lose it in this way; where that was."""
+        at = await self.begins(how)
+        await lose(*at)
+        await self.lost(why)
+        return at
+
     async def key(self, key, number, kinds=("keyDown", "keyUp")):
         for kind in kinds:
             await self.page.key(kind, key, key, number)
 
 
-async def planned(page):
+async def planned(hands):
     """Choose a place by keys, until there is a plan to press for."""
+    page = hands.page
     await page.until("document.getElementById('control').textContent.includes('you control')", PATIENT_S)
     await page.value(f"{FIELD}.focus()")
-    for kind in ("keyDown", "keyUp"):
-        await page.key(kind, "ArrowRight", "ArrowRight", 39)
+    await hands.key("ArrowRight", 39)
     await page.until(PLANNED, PATIENT_S)
 
 
 async def lose_a_mouse(hands):
     page = hands.page
 
-    async def lost(why, lose, up=True):
-        x, y = await hands.begins(hands.by_mouse)
-        await lose(x, y)
-        await hands.lost(why)
-        if up:
-            await page.mouse("mouseReleased", x, y)
+    def happens(kind, target):
+        return lambda *_: page.value(
+            f"{target}.dispatchEvent(new Event('{kind}', {{bubbles: true, cancelable: true}}))"
+        )
 
-    await lost("the button was released", lambda x, y: page.mouse("mouseReleased", x, y), up=False)
-    await lost("the pointer left the button", lambda x, y: page.mouse("mouseMoved", x, y + 200))
-    await lost("another key was pressed", lambda _x, _y: hands.key("a", 65))
-    await lost("another key was pressed", lambda _x, _y: hands.key("Alt", 18))
-    await lost("another mouse button|a second pointer|a menu was asked for", hands.ways.second_button)
-    await lost("the button lost the focus", lambda _x, _y: page.value(f"{FIELD}.focus()"))
-    moved = "document.getElementById('press').style.marginTop = '300px'"
-    await lost("the button moved away", lambda _x, _y: page.value(moved))
-    await page.value("document.getElementById('press').style.marginTop = ''")
-    for kind, target, why in (
-        ("blur", "window", "the page lost the focus"),
-        ("contextmenu", "document.getElementById('press')", "a menu was asked for"),
-        ("dragstart", FIELD, "something was dragged"),
-        ("pagehide", "window", "the page was left"),
-        ("beforeprint", "window", "the page is to be printed"),
-        ("freeze", "document", "the page was frozen"),
+    await hands.loses(hands.by_mouse, "the button was released", lambda x, y: page.mouse("mouseReleased", x, y))
+    for why, lose in (
+        ("the pointer left the button", lambda x, y: page.mouse("mouseMoved", x, y + 200)),
+        ("another key was pressed", lambda *_: hands.key("a", 65)),
+        ("another key was pressed", lambda *_: hands.key("Alt", 18)),
+        ("another mouse button|a second pointer|a menu was asked for", hands.ways.second_button),
+        ("the button lost the focus", lambda *_: page.value(f"{FIELD}.focus()")),
+        ("the button moved away", lambda *_: page.value(f"{BUTTON}.style.marginTop = '300px'")),
+        ("the page lost the focus", happens("blur", "window")),
+        ("a menu was asked for", happens("contextmenu", BUTTON)),
+        ("something was dragged", happens("dragstart", FIELD)),
+        ("the page was left", happens("pagehide", "window")),
+        ("the page is to be printed", happens("beforeprint", "window")),
+        ("the page was frozen", happens("freeze", "document")),
     ):
-        happens = f"{target}.dispatchEvent(new Event('{kind}', {{ bubbles: true, cancelable: true }}))"
-        await lost(why, lambda _x, _y, happens=happens: page.value(happens))
+        await page.mouse("mouseReleased", *await hands.loses(hands.by_mouse, why, lose))
+        await page.value(f"{BUTTON}.style.marginTop = ''")
     # a dialog stops everything on the page, and what it does not answer is held
     x, y = await hands.begins(hands.by_mouse)
     await page.value("void setTimeout(() => alert('a dialog'), 0)")
@@ -216,36 +200,36 @@ async def lose_a_mouse(hands):
 async def lose_a_key(hands):
     page = hands.page
 
-    async def lost(why, lose, up=True):
-        await hands.begins(hands.by_key)
-        await lose()
-        await hands.lost(why)
-        if up:
-            await hands.key("Enter", 13, ["keyUp"])
+    async def up():
+        await hands.key("Enter", 13, ["keyUp"])
+
+    async def repeats(times):
+        for _ in range(times):
+            await hands.ways.repeat("Enter", 13)
 
     await hands.begins(hands.by_key)
-    for _ in range(5):
-        await hands.ways.repeat("Enter", 13)
+    await repeats(5)
     await hands.lasts()
-    await hands.key("Enter", 13, ["keyUp"])
+    await up()
     await hands.lost("the key was released")
-    await lost("another key was pressed", lambda: hands.key("Tab", 9))
-    await lost("another key was pressed", lambda: hands.key("Alt", 18))
-    await lost("the button lost the focus", lambda: page.value(f"{FIELD}.focus()"))
+    for why, lose in (
+        ("another key was pressed", lambda: hands.key("Tab", 9)),
+        ("another key was pressed", lambda: hands.key("Alt", 18)),
+        ("the button lost the focus", lambda: page.value(f"{FIELD}.focus()")),
+    ):
+        await hands.loses(hands.by_key, why, lose)
+        await up()
     # a key that is still down when the press was lost begins none anew
-    await hands.begins(hands.by_key)
-    await hands.key("Shift", 16)
-    await hands.lost("another key was pressed")
-    for _ in range(3):
-        await hands.ways.repeat("Enter", 13)
+    await hands.loses(hands.by_key, "another key was pressed", lambda: hands.key("Shift", 16))
+    await repeats(3)
     assert not await page.value(DOWN)
-    await hands.key("Enter", 13, ["keyUp"])
+    await up()
     # a disabled button hears no key: its release is heard on the window
     await hands.begins(hands.by_key)
-    await page.value("document.getElementById('press').disabled = true")
-    await hands.key("Enter", 13, ["keyUp"])
+    await page.value(f"{BUTTON}.disabled = true")
+    await up()
     await hands.lost("the key was released|the button cannot be pressed|lost the focus")
-    await page.until("!document.getElementById('press').disabled", PATIENT_S)
+    await page.until(f"!{BUTTON}.disabled", PATIENT_S)
 
 
 async def lose_a_touch(hands):
@@ -255,51 +239,50 @@ async def lose_a_touch(hands):
         await hands.lasts()
     await hands.ways.touch()
     await hands.lost("the button was released")
-    x, y = await hands.begins(hands.by_touch)
-    await hands.ways.touch((x, y), (x - 300, y))
-    await hands.lost("a second pointer was pressed")
+    second = "a second pointer was pressed"
+    await hands.loses(hands.by_touch, second, lambda x, y: hands.ways.touch((x, y), (x - 300, y)))
     await hands.ways.touch()
     if hands.ways.cancel is not None:
-        await hands.begins(hands.by_touch)
-        await hands.ways.cancel()
-        await hands.lost("the touch was cancelled")
+        await hands.loses(hands.by_touch, "the touch was cancelled", lambda *_: hands.ways.cancel())
+
+
+@pytest.fixture
+def press(patient, monkeypatch, in_threads):
+    """Have hands at a page with a plan, before a camera and a bridge; nothing is armed by them."""
+    monkeypatch.setattr("agents.operator.control.PRESS_S", NEVER_S)
+    monkeypatch.setattr("agents.operator.control.BEAT_S", BEAT_S)
+
+    def press(driven, look, camera, bridge):
+        if driven.found() is None:
+            pytest.skip("there is no such browser here")
+        written = []
+
+        async def looks(page, _emulated):
+            hands = Hands(page, driven(page), written)
+            await planned(hands)
+            await look(hands)
+
+        with in_threads(patient, HandMadeThread(echoes=camera.echoes), camera, patient_planner(), bridge):
+            audit = {"audit": lambda what, **told: written.append((what, told))}
+            before_a_browser(patient, looks, opened=driven.browser, **audit)
+
+    return press
 
 
 @pytest.mark.parametrize("ways", [lose_a_mouse, lose_a_key, lose_a_touch])
-@pytest.mark.parametrize("name", [CHROMIUM, FIREFOX])
-def test_whatever_takes_a_press_away_lets_go_of_it(rig, looked_at, name, ways):
-    written, driven = [], {"chromium": InChromium, "firefox": InFirefox}[name]
-
-    async def look(page, _emulated):
-        await planned(page)
-        await ways(Hands(page, driven(page), written))
-
-    looked_at(rig, look, opened=driven.browser, audit=lambda what, **told: written.append((what, told)))
+@pytest.mark.parametrize("driven", [InChromium, InFirefox])
+def test_whatever_takes_a_press_away_lets_go_of_it(press, driven, ways):
+    press(driven, ways, HandMadeCamera(), patient_bridge())
 
 
-@pytest.mark.skipif(chromium_found() is None, reason="no chromium here")
-def test_a_picture_that_freezes_lets_go_of_a_press(
-    patient,
-    planner,
-    in_threads,
-    hand_made_thread,
-    hand_made_camera,
-    real_arm,
-    bridge_of_real_arm,
-    looked_at,
-    monkeypatch,
-):
+def test_a_picture_that_freezes_lets_go_of_a_press(press, monkeypatch):
     monkeypatch.setattr("agents.operator.control.BEAT_S", PATIENT_S)
-    camera, written = hand_made_camera(echoes=True), []
-    bridge = bridge_of_real_arm(real_arm, maximum_plan_age_s=PATIENT_S, maximum_frame_age_s=BEAT_S)
+    camera = HandMadeCamera(echoes=True)
 
-    async def look(page, _emulated):
-        await planned(page)
-        hands = Hands(page, InChromium(page), written)
+    async def look(hands):
         await hands.begins(hands.by_mouse)
         # pictures go on coming, and each is as old as this one
         camera.frozen.set()
         await hands.lost(r"the picture is [\d.]+ s old, and 2\.00 s are allowed")
 
-    with in_threads(patient, hand_made_thread(echoes=True), camera, planner, bridge):
-        looked_at(patient, look, audit=lambda what, **told: written.append((what, told)))
+    press(InChromium, look, camera, patient_bridge(RealPsm(), maximum_frame_age_s=BEAT_S))

@@ -11,13 +11,8 @@ from agents.operator.drawn import BETTER_ELSEWHERE
 from agents.operator.words import Seen, arm_words, event_words, sentence, tool_words
 from agents.planner import policy
 from agents.robot_bridge.refusals import Code
-from schemas.messages import (
-    ExecutionEvent,
-    ExecutionKind,
-    RobotMode,
-    RobotState,
-    ToolStatus,
-)
+from schemas.messages import ExecutionEvent, ExecutionKind, RobotMode, RobotState, ToolStatus
+from tests.agents.operator.by_hand import followed
 
 PLAN = {
     "id": "plan-1",
@@ -31,8 +26,6 @@ PLAN = {
     "attempt": 1,
     "attempts": 3,
 }
-
-
 SEEN = Seen(0.1, 0.2, "idle", PLAN, 1.0, "")
 
 
@@ -65,23 +58,20 @@ def test_who_controls_is_told_first_that_control_is_asked_for():
     assert sentence("screen 2", control, "psm1", SEEN).startswith("You asked screen 1 for control;")
 
 
-def test_an_arm_says_why_it_stopped_and_how_its_tool_stands(tool_correction):
+def test_an_arm_says_why_it_stopped_and_how_its_tool_stands():
     state = RobotState("psm1", 1, RobotMode.HOLDING, np.eye(4), np.zeros(6), 0.0, np.eye(4), "")
-    told = arm_words("holding", "the button was released", state, tool_correction(off_m=0.0042))
-    assert told == (
-        "holds: the button was released; by the images its tool is 4.2 mm off its registration, give or take 0.3, "
-        "which is not corrected"
-    )
+    told = arm_words("holding", "the button was released", state, followed(off_m=0.0042))
+    assert told.startswith("holds: the button was released; by the images its tool is 4.2 mm off its registration")
+    assert told.endswith("give or take 0.3, which is not corrected")
     assert arm_words("", "", None, None) == "has not been heard lately"
-    assert "10% of an outline" in tool_words(tool_correction(ToolStatus.CONVERGING), corrected=True)
+    sought = replace(followed(), status=ToolStatus.CONVERGING, reason="10% of an outline", T_correction=None)
+    assert "10% of an outline" in tool_words(sought, corrected=True)
 
 
 @pytest.mark.parametrize("kind", [ExecutionKind.REFUSED, ExecutionKind.HELD])
 def test_what_the_bridge_says_of_why_it_stops_is_passed_on(kind):
-    event = ExecutionEvent(
-        "plan-1", "psm1", 1, kind, None, Code.NO_PRESENCE.value, "what is wrong: what to do about it"
-    )
-    assert "what is wrong: what to do about it." in event_words(event)
+    event = ExecutionEvent("plan-1", "psm1", 1, kind, None, Code.NO_PRESENCE.value, "what is wrong: what to do")
+    assert "what is wrong: what to do." in event_words(event)
 
 
 def test_a_miss_is_judged_though_the_same_goal_was_planned_for_again():

@@ -1,6 +1,4 @@
-"""Every reason to fail, provoked; and masks and images of any kind, which never raise."""
-
-import functools
+"""Every reason to fail, provoked; masks and images of any kind, which never raise; and faults told by masks alone."""
 
 import cv2
 import numpy as np
@@ -8,25 +6,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from agents.perception.judge import Correspondence, correspondence_of_masks, correspondence_of_texture, judge
 from agents.perception.observe import LARGEST_SEGMENTED_SHARE, LEAST_OBSERVATIONS, observe
-from schemas.messages import FrameStamp, RectifiedStereo, Status, ThreadObservations
+from schemas.messages import FrameStamp, RectifiedStereo, Severity, Status, ThreadObservations
 from shared.camera import project
 from shared.images import decode_image
 from shared.scene.__main__ import make_scene
-from shared.scene.render import RenderedPair, Scene, render
 from shared.splines import evaluate
+from tests.agents.perception.pictures import rendered
 
 WIDTH, HEIGHT = 160, 90
 CAMERA = RectifiedStereo(WIDTH, HEIGHT, 170.0, 170.0, 79.5, 44.5, 5.5, 1e-3)
 STAMP = FrameStamp(3, 10, 11, "made up")
 GREY = np.full((HEIGHT, WIDTH, 3), 180, np.uint8)
 NOTHING = np.zeros((HEIGHT, WIDTH), np.uint8)
-
-
-@functools.cache
-def easy_scene() -> tuple[Scene, RenderedPair]:
-    scene = make_scene("easy", "tissue", 12)
-    return scene, render(scene)
+UPRIGHT = slice(10, 80), slice(60, 62)
+ALL_ROWS = slice(0, HEIGHT), slice(0, round(1.5 * LARGEST_SEGMENTED_SHARE * WIDTH))
 
 
 def seen(coverage_left, coverage_right, left=GREY, right=GREY, camera=CAMERA) -> ThreadObservations:
@@ -39,22 +34,17 @@ def box(rows, columns):
     return mask
 
 
-def failed(result, *words):
-    assert result.status is Status.FAILED
-    assert len(result.points_camera) == len(result.half_size_px) == len(result.gaps) == 0
-    assert all(word in result.reason for word in words), result.reason
-
-
 @pytest.mark.slow
 def test_a_rendered_thread_is_observed_along_its_length_near_its_true_depth():
-    scene, pair = easy_scene()
-    camera = scene.camera
+    camera, pair = rendered("easy", 12)
     result = seen(pair.coverage_left, pair.coverage_right, pair.left_bgr, pair.right_bgr, camera)
     assert (result.status, result.reason, result.judgements) == (Status.OK, "", ())
-    thread = scene.thread
+    thread = make_scene("easy", "tissue", 12).thread
     truth = evaluate(thread.knots, thread.control_points, thread.degree, np.linspace(0, 1, 1000))
-    truth_px, truth_right_px = project(camera, truth)
-    found_px, found_right_px = project(camera, result.points_camera)
+    (truth_px, truth_right_px), (found_px, found_right_px) = (
+        project(camera, truth),
+        project(camera, result.points_camera),
+    )
     apart = np.linalg.norm(found_px[:, None] - truth_px, axis=2)
     nearest = apart.argmin(axis=1)
     assert apart.min(axis=1).max() < 3.0
@@ -66,6 +56,17 @@ def test_a_rendered_thread_is_observed_along_its_length_near_its_true_depth():
     assert found_px[0, 0] <= found_px[-1, 0]
 
 
+def test_a_uniform_vertical_thread_is_observed_at_its_disparity_and_its_masks_travel_along():
+    mask = box(*UPRIGHT)
+    result = seen(mask, np.roll(mask, -6, axis=1))
+    assert result.status is Status.OK
+    np.testing.assert_allclose(result.points_camera[:, 2], 170.0 * 5.5 / 6)
+    assert result.inlier.all()
+    assert len(result.gaps) == 0
+    np.testing.assert_array_equal(decode_image(result.mask_left), mask)
+    assert (result.stamp, result.camera, result.segmenter) == (STAMP, CAMERA, "by hand")
+
+
 def test_a_piece_apart_is_named_as_a_gap():
     mask = box(slice(5, 40), slice(60, 62)) | box(slice(50, 85), slice(60, 62))
     result = seen(mask, np.roll(mask, -6, axis=1))
@@ -74,47 +75,30 @@ def test_a_piece_apart_is_named_as_a_gap():
     assert rows[result.gaps[0]] < 40 <= 49 < rows[result.gaps[0] + 1]
 
 
-@pytest.mark.parametrize("eye", [0, 1])
-def test_a_mask_that_is_empty_or_covers_too_much_is_named(eye):
-    name = ("left", "right")[eye]
-    masks = [box(slice(10, 80), slice(60, 62))] * 2
-    masks[eye] = NOTHING
-    failed(seen(masks[0], masks[1]), f"no thread was found in the {name} image", "'by hand'")
-    masks[eye] = box(slice(0, HEIGHT), slice(0, round(1.5 * LARGEST_SEGMENTED_SHARE * WIDTH)))
-    failed(seen(masks[0], masks[1]), f"of the {name} image is thread", "more than any thread covers")
-
-
 @pytest.mark.parametrize(
     ("left", "right", "words"),
     [
-        (
-            (slice(10, 80), slice(60, 62)),
-            (slice(10, 80), slice(69, 71)),
-            ("left and right look exchanged", "exchange --left and --right"),
-        ),
+        ((0, 0), UPRIGHT, ["no thread was found in the left image", "'by hand'"]),
+        (UPRIGHT, (0, 0), ["no thread was found in the right image"]),
+        (ALL_ROWS, UPRIGHT, ["of the left image is thread"]),
+        (UPRIGHT, ALL_ROWS, ["of the right image is thread"]),
+        (UPRIGHT, (slice(10, 80), slice(69, 71)), ["left and right look exchanged", "exchange --left and --right"]),
         (
             (slice(5, 30), slice(60, 62)),
             (slice(60, 85), slice(50, 52)),
-            ("a disparity of 1 to 20 px", "check that both show the same thread, rectified"),
+            ["1 to 20 px", "check that both show the same"],
         ),
-        (
-            (slice(40, 42), slice(60, 61)),
-            (slice(40, 42), slice(54, 55)),
-            ("only 2 observations", f"at least {LEAST_OBSERVATIONS}"),
-        ),
+        ((slice(40, 42), 60), (slice(40, 42), 54), ["only 2 observations", f"at least {LEAST_OBSERVATIONS}"]),
+        # along the rows
+        ((slice(44, 46), slice(40, 130)), (slice(44, 46), slice(34, 124)), ["clearly better than its second best"]),
     ],
-    ids=["exchanged", "in other rows", "too little"],
 )
 def test_masks_of_which_nothing_can_be_observed_fail_with_reason_and_remedy(left, right, words):
-    failed(seen(box(*left), box(*right)), *words)
-
-
-def test_a_thread_along_the_rows_leaves_no_clear_match():
-    mask = box(slice(44, 46), slice(40, 130))
-    result = seen(mask, np.roll(mask, -6, axis=1))
-    failed(result, "has a match that is clearly better than its second best")
-    assert len(result.matched_px) > 100
-    assert not result.inlier.any()
+    mask_left, mask_right = (NOTHING if where == (0, 0) else box(*where) for where in (left, right))
+    result = seen(mask_left, mask_right)
+    assert result.status is Status.FAILED
+    assert len(result.points_camera) == len(result.half_size_px) == len(result.gaps) == 0
+    assert all(word in result.reason for word in words), result.reason
 
 
 def scribble(rng):
@@ -134,7 +118,6 @@ MASKS = {
 }
 IMAGES = {
     "noise": lambda rng: rng.integers(0, 256, GREY.shape, dtype=np.uint8),
-    "black": lambda _: np.zeros_like(GREY),
     "white": lambda _: np.full_like(GREY, 255),
     "gradient": lambda _: np.broadcast_to(np.arange(WIDTH, dtype=np.uint8)[None, :, None], GREY.shape).copy(),
 }
@@ -161,12 +144,45 @@ def test_anything_ends_as_a_status(masks, images, shift, alike, seed):
     assert (result.points_camera[:, 2] >= 170.0 * 5.5 / 20.0 - 1e-6).all()
 
 
-def test_a_uniform_vertical_thread_is_observed_at_its_disparity_and_its_masks_travel_along():
-    mask = box(slice(10, 80), slice(60, 62))
-    result = seen(mask, np.roll(mask, -6, axis=1))
-    assert result.status is Status.OK
-    np.testing.assert_allclose(result.points_camera[:, 2], 170.0 * 5.5 / 6)
-    assert result.inlier.all()
-    assert len(result.gaps) == 0
-    np.testing.assert_array_equal(decode_image(result.mask_left), mask)
-    assert (result.stamp, result.camera, result.segmenter) == (STAMP, CAMERA, "by hand")
+def wavy_mask(right_px=0, down_px=0):
+    mask = np.zeros((270, 480), np.uint8)
+    u = np.linspace(150, 400, 100)
+    points = np.column_stack((u + right_px, 140 + 80 * np.sin(u / 60) + down_px))
+    cv2.polylines(mask, [np.round(points).astype(np.int32)], False, 255, 4)
+    return mask > 0
+
+
+@pytest.mark.parametrize(
+    ("disparity", "rows", "found"),
+    [
+        (20, 0, {}),
+        (35, 2, {"row_residual": Severity.WARNING}),
+        (20, -2, {"row_residual": Severity.WARNING}),
+        (12, -7, {"row_residual": Severity.FAULT}),
+        (-18, 0, {"left_right_swapped": Severity.FAULT}),
+    ],
+)
+def test_shifts_of_masks_are_measured_and_judged_by_their_size(disparity, rows, found):
+    correspondence = correspondence_of_masks(wavy_mask(), wavy_mask(-disparity, -rows))
+    assert correspondence.disparity_px == pytest.approx(disparity, abs=4.0)
+    assert correspondence.row_residual_px == pytest.approx(rows, abs=0.5)
+    findings = judge(correspondence, (270, 480))
+    assert {finding.code: finding.severity for finding in findings} == found
+    said = "exchange --left and --right" if disparity < 0 else f"{abs(rows)}.0 px apart in rows"
+    assert all(said in f"{finding.finding}; {finding.remedy}" for finding in findings)
+
+
+def test_what_is_empty_plain_covered_by_thread_or_of_other_things_does_not_correspond():
+    empty, other = np.zeros((270, 480), bool), np.zeros((270, 480), bool)
+    other[250:254, 60:300] = True
+    for pair in ((empty, wavy_mask()), (wavy_mask(), empty), (empty, empty), (wavy_mask(), other)):
+        assert correspondence_of_masks(*pair) == Correspondence(None, None)
+    one, another = (
+        cv2.GaussianBlur(np.random.default_rng(seed).integers(0, 255, (270, 480, 3), np.uint8), (0, 0), 1.0)
+        for seed in (1, 2)
+    )
+    assert correspondence_of_texture(one, another, empty, empty) is None
+    assert correspondence_of_texture(one, np.roll(one, -20, axis=1), ~empty, ~empty) is None
+    for shape in ((270, 480), (1, 1), (1, 300), (63, 200)):
+        plain, nothing = np.full((*shape, 3), 200, np.uint8), np.zeros(shape, bool)
+        assert correspondence_of_texture(plain, plain, nothing, nothing) is None

@@ -1,6 +1,9 @@
 """Two threads in view: the one at the prompt is kept, followed and let go; a prompt beside both is refused."""
 
 import functools
+import hashlib
+import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -8,26 +11,29 @@ import pytest
 
 from agents.perception.agent import Perception, PerceptionConfig
 from agents.perception.prompt import reach_px
+from agents.perception.segmentation.promptable_model import PromptableFileError
 from schemas.codec import decode, encode
 from schemas.messages import (
     CommandAnswer,
     CommandHeader,
-    FrameStamp,
     ImageEncoding,
     Outcome,
     Prompt,
+    SetParameter,
     Status,
     StereoCalibration,
-    StereoFrame,
 )
-from schemas.topics import CALIBRATION, FRAMES, OBSERVATIONS, PROMPT, key
-from shared.images import decode_image, encode_image
-from shared.runtime.agent import Command, Received
+from schemas.topics import PROMPT, SET
+from shared.images import decode_image
+from shared.runtime.agent import Command
+from shared.runtime.parameters import Parameters
+from tests.agents.perception.pictures import agent_with, fed, frame_of
+from tests.agents.perception.tiny_promptable import write_tiny
 
 WIDTH, HEIGHT, DISPARITY = 640, 360, 30
 BLACK, GREEN = (150.0, 120.0), (360.0, 120.0)
 """Where the two threads cross row 120."""
-SEGMENTERS = pytest.mark.parametrize("segmenter", ["threshold", "network"])
+DEPTH = 600 * 0.005 / DISPARITY
 
 
 def calibration():
@@ -54,21 +60,19 @@ def picture(shift, moved):
     return cv2.GaussianBlur(image, (0, 0), 0.7)
 
 
-def frame(sequence, moved=0):
-    left, right = (encode_image(picture(shift, moved), ImageEncoding.PNG) for shift in (0, DISPARITY))
-    return Received(FRAMES, key("lab", FRAMES), sequence, StereoFrame(FrameStamp(sequence, 1, 2, ""), left, right))
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    return write_tiny(tmp_path_factory.mktemp("tiny"), hq=False, several=True)
 
 
-def agent_of(segmenter):
-    agent = Perception(PerceptionConfig(segmenter, matching=True))
-    assert list(agent.step(Received(CALIBRATION, key("lab", CALIBRATION), 0, calibration()))) == []
-    return agent
+@pytest.fixture
+def agent_of(files):
+    return lambda segmenter: agent_with(calibration(), segmenter, matching=True, promptable=files)
 
 
 def seen(agent, sequence, moved=0):
-    """The observations of a frame, over the wire."""
-    (found,) = (o.message for o in agent.step(frame(sequence, moved)) if o.topic is OBSERVATIONS)
-    return decode(OBSERVATIONS.message, encode(found))
+    (found,) = fed(agent, frame_of((picture(0, moved), picture(DISPARITY, moved)), sequence, ImageEncoding.PNG))
+    return found
 
 
 def asked(agent, pixel, number=0):
@@ -86,65 +90,73 @@ def columns(observations, row=120):
 
 
 @pytest.mark.slow
-@SEGMENTERS
+@pytest.mark.parametrize("segmenter", ["threshold", "network", "promptable"])
 @pytest.mark.parametrize("thread", [BLACK, GREEN])
-def test_the_thread_at_the_prompt_is_kept_alone_and_measured(segmenter, thread):
+def test_the_thread_at_the_prompt_is_kept_alone_measured_and_followed_until_it_is_cleared(agent_of, segmenter, thread):
     agent = agent_of(segmenter)
     seen(agent, 0)
-    assert asked(agent, (thread[0] + 6, thread[1])).outcome is Outcome.ACCEPTED
-    found = seen(agent, 1)
-    assert found.status is Status.OK
-    assert np.abs(columns(found) - thread[0]).max() < 6
-    np.testing.assert_allclose(np.median(found.points_camera[:, 2]), 600 * 0.005 / DISPARITY, rtol=0.03)
-
-
-@pytest.mark.slow
-@SEGMENTERS
-def test_it_is_followed_as_it_moves_near_and_over_the_whole_until_it_is_cleared(segmenter):
-    agent = agent_of(segmenter)
-    seen(agent, 0)
-    asked(agent, GREEN)
-    for step in (1, 2, 3):
-        found = seen(agent, step, moved=10 * step)
-        assert np.abs(columns(found) - GREEN[0] - 10 * step).max() < 6
+    assert asked(agent, (thread[0] + 2, thread[1])).outcome is Outcome.ACCEPTED
+    for sequence, moved in ((1, 0), (2, 8), (3, 16), (100, 20)):
+        found = seen(agent, sequence, moved)
+        assert (found.status, found.segmenter) == (Status.OK, segmenter)
+        assert np.abs(columns(found) - thread[0] - moved).max() < 6
         assert found.prompt_px is not None
-    found = seen(agent, 100, moved=35)
     assert found.looked_sequence == 100
-    assert np.abs(columns(found) - GREEN[0] - 35).max() < 6
+    assert np.median(found.points_camera[:, 2]) == pytest.approx(DEPTH, rel=0.03)
     assert asked(agent, None, 1).outcome is Outcome.ACCEPTED
-    found = seen(agent, 101, moved=35)
+    found = seen(agent, 101, moved=20)
     assert found.prompt_px is None
-    assert np.abs(columns(found) - BLACK[0] - 35).min() < 6
+    assert np.abs(columns(found) - BLACK[0] - 20).min() < 6
 
 
 @pytest.mark.slow
-def test_a_prompt_that_goes_on_from_recorded_observations_means_the_same_thread():
+def test_a_prompt_that_goes_on_from_recorded_observations_means_the_same_thread(agent_of):
     live, resumed = agent_of("network"), agent_of("network")
     seen(live, 0)
     asked(live, GREEN)
-    before = seen(live, 1, moved=5)
-    assert list(resumed.step(Received(OBSERVATIONS, key("lab", OBSERVATIONS), 0, before))) == []
+    assert fed(resumed, seen(live, 1, moved=5)) == []
     for sequence in (2, 40):
         assert encode(seen(resumed, sequence, moved=9)) == encode(seen(live, sequence, moved=9))
 
 
 @pytest.mark.slow
-def test_a_prompt_beside_every_thread_is_refused_in_one_sentence_and_changes_nothing():
+def test_a_prompt_before_a_frame_outside_the_image_or_beside_every_thread_is_refused_and_changes_nothing(agent_of):
     agent = agent_of("network")
+    assert asked(agent, BLACK).code == "no_frame"
     before = columns(seen(agent, 0))
+    for pixel in ((-1, 5), (640, 5), (5, 360)):
+        answer = asked(agent, pixel)
+        assert (answer.outcome, answer.code) == (Outcome.REFUSED, "outside")
+        assert "640x360" in answer.reason
     answer = asked(agent, (560, 300))
     assert (answer.outcome, answer.code) == (Outcome.REFUSED, "no_thread")
-    assert answer.reason == f"nothing like thread lies within {reach_px(WIDTH):.0f} px of (560, 300) in the left image"
+    assert f"within {reach_px(WIDTH):.0f} px of (560, 300) in the left image" in answer.reason
     found = seen(agent, 1)
     assert found.prompt_px is None
     np.testing.assert_array_equal(columns(found), before)
 
 
-def test_a_prompt_outside_the_image_or_before_a_frame_is_refused():
-    agent = agent_of("network")
-    assert asked(agent, BLACK).code == "no_frame"
+@pytest.mark.slow
+def test_a_click_where_a_promptable_network_finds_nothing_is_taken_and_the_next_observations_say_so(agent_of):
+    agent = agent_of("promptable")
     seen(agent, 0)
-    for pixel in ((-1, 5), (640, 5), (5, 360)):
-        answer = asked(agent, pixel)
-        assert (answer.outcome, answer.code) == (Outcome.REFUSED, "outside")
-        assert "640x360" in answer.reason
+    assert asked(agent, (560, 300)).outcome is Outcome.ACCEPTED
+    found = seen(agent, 1)
+    assert found.status is Status.FAILED
+    assert found.reason == "no thread was found in the left image by segmenter 'promptable'"
+
+
+def test_a_promptable_network_can_be_neither_configured_nor_set_without_its_files_nor_with_others(files):
+    with pytest.raises(ValueError, match="it needs promptable_encoder and promptable_decoder"):
+        PerceptionConfig("promptable")
+    set_promptable = SetParameter(CommandHeader("one", 10**18, "test"), "segmenter", json.dumps("promptable"))
+    for config, outcome in (
+        (PerceptionConfig(), Outcome.REFUSED),
+        (PerceptionConfig(promptable=files), Outcome.ACCEPTED),
+    ):
+        (answer,) = Parameters(Perception(config)).step(Command(SET, "main", set_promptable, 0))
+        assert isinstance(answer, CommandAnswer)
+        assert answer.outcome is outcome, answer
+    other = hashlib.sha256(b"").hexdigest()
+    with pytest.raises(PromptableFileError, match=f"should be {other}"):
+        Perception(PerceptionConfig(promptable=replace(files, decoder_sha256=other)))

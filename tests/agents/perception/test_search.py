@@ -1,11 +1,12 @@
 """A thread that moves is followed near where it was; whatever could make that wrong has the whole images looked at."""
 
-import dataclasses
-import functools
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from agents.perception.observe import observe
 from agents.perception.search import (
     FRAMES_BETWEEN_LOOKS,
     LONGEST_GAP,
@@ -16,54 +17,19 @@ from agents.perception.search import (
     may_lack_thread,
     near_thread,
 )
-from schemas.messages import (
-    FrameStamp,
-    ImageEncoding,
-    Judgement,
-    RectifiedStereo,
-    Severity,
-    Status,
-    ThreadObservations,
-)
-from shared.images import encode_image
-from shared.scene.__main__ import make_scene
-from shared.scene.render import render
+from schemas.messages import FrameStamp, Judgement, Severity
+from tests.agents.perception.pictures import moved, rendered, rendered_pair
 
 WIDTH, HEIGHT = 480, 270
-
-
-@functools.cache
-def tissue():
-    pair = render(make_scene("medium", "tissue", 32, "violet"))
-    return pair.left_bgr, pair.right_bgr
-
-
-def moved(images, right, down):
-    left, other = (np.roll(image, (down, right), axis=(0, 1)) for image in images)
-    return left, other
+TISSUE = "medium", 32
 
 
 def seen(images, looked, sequence=0, judgements=()):
-    """The observations of a frame in which this was segmented, as far as the next one needs them."""
-    nothing = np.zeros((0, 3))
-    return ThreadObservations(
-        stamp=FrameStamp(sequence, 0, 0, ""),
-        camera=RectifiedStereo(images[0].shape[1], images[0].shape[0], 1000.0, 1000.0, 400.0, 300.0, 5e-3, 1.0),
-        status=Status.OK,
-        reason="",
-        segmenter=looked.segmenter,
-        points_camera=nothing,
-        half_size_px=nothing[:, :2],
-        matched_px=nothing,
-        match_cost=nothing[:, :2],
-        inlier=np.zeros(0, bool),
-        mask_left=encode_image(looked.coverage[0], ImageEncoding.PNG),
-        mask_right=encode_image(looked.coverage[1], ImageEncoding.PNG),
-        judgements=judgements,
-        looked_sequence=looked.looked_sequence,
-        is_bright=looked.is_bright,
-        prompt_px=looked.prompt_px,
-    )
+    """The observations of a frame in which this was segmented."""
+    stamp, (camera, _) = FrameStamp(sequence, 0, 0, ""), rendered(*TISSUE)
+    eyes: Any = *images, *looked.coverage
+    found = observe(stamp, camera, *eyes, segmenter=looked.segmenter, judged=judgements, matching=False)
+    return replace(found, looked_sequence=looked.looked_sequence, is_bright=looked.is_bright)
 
 
 def line(column, rows=slice(60, 200)):
@@ -72,21 +38,18 @@ def line(column, rows=slice(60, 200)):
     return mask
 
 
-def overlap(a, b):
-    return ((a > 0) & (b > 0)).sum() / ((a > 0) | (b > 0)).sum()
-
-
 @pytest.mark.slow
-def test_who_is_slow_looks_at_the_whole_no_more_often_than_at_every_fourth_frame():
-    images = tissue()
+def test_the_whole_is_looked_at_after_enough_frames_a_gap_or_a_restart_and_no_more_often_by_who_is_slow():
+    images = rendered_pair(*TISSUE)
     first = seen(images, look_everywhere(images, 0))
     looked = look_near(images, first, 29)
     assert looked is not None
+    assert look_near(images, first, LONGEST_GAP - 1) is not None
+    for sequence in (LONGEST_GAP, 0, -5):
+        assert look_near(images, first, sequence) is None
     # it is time again, and then so many frames were looked at near too
-    few, enough = (
-        dataclasses.replace(seen(images, looked, FRAMES_BETWEEN_LOOKS - 10), frames_since_look=count)
-        for count in (3, 4)
-    )
+    last = seen(images, looked, FRAMES_BETWEEN_LOOKS - 10)
+    few, enough = (replace(last, frames_since_look=count) for count in (3, 4))
     assert look_near(images, few, FRAMES_BETWEEN_LOOKS) is not None
     assert look_near(images, enough, FRAMES_BETWEEN_LOOKS) is None
     assert look_near(images, enough, FRAMES_BETWEEN_LOOKS - 1) is not None
@@ -99,30 +62,20 @@ def test_bright_and_dark_threads_are_told_apart():
 
 
 @pytest.mark.slow
-def test_judgements_that_are_carried_on_say_once_when_they_were_made():
-    images = tissue()
-    warning = Judgement("row_residual", Severity.WARNING, "rows lie apart", "calibrate again")
-    last = seen(images, look_everywhere(images, 12), 12, (warning,))
-    for sequence in (13, 14):
-        looked = look_near(images, last, sequence)
-        assert looked is not None
-        assert looked.judgements == (dataclasses.replace(warning, finding="rows lie apart (judged in frame 12)"),)
-        last = seen(images, looked, sequence, looked.judgements)
-
-
-@pytest.mark.slow
 def test_a_thread_that_moves_is_followed_step_by_step_and_one_that_jumps_away_is_looked_for_everywhere():
-    images = tissue()
-    last = first = seen(images, look_everywhere(images, 0))
+    images, warning = rendered_pair(*TISSUE), Judgement("row_residual", Severity.WARNING, "rows lie apart", "calibrate")
+    last = first = seen(images, look_everywhere(images, 12), 12, (warning,))
     for step in range(1, 4):
         now = moved(images, 8 * step, -6 * step)
-        looked = look_near(now, last, step)
+        looked = look_near(now, last, 12 + step)
         assert looked is not None
-        assert looked.looked_sequence == 0
+        assert looked.looked_sequence == 12
+        # what is carried on says once when it was judged
+        assert looked.judgements == (replace(warning, finding="rows lie apart (judged in frame 12)"),)
         for near, whole in zip(looked.coverage, look_everywhere(now, 0, looked.segmenter).coverage, strict=True):
-            assert overlap(near, whole) > 0.9
-        last = seen(now, looked, step)
-    assert look_near(moved(images, 0, round(2.5 * MARGIN_SHARE * images[0].shape[1])), first, 1) is None
+            assert ((near > 0) & (whole > 0)).sum() > 0.9 * ((near > 0) | (whole > 0)).sum()
+        last = seen(now, looked, 12 + step, looked.judgements)
+    assert look_near(moved(images, 0, round(2.5 * MARGIN_SHARE * images[0].shape[1])), first, 13) is None
 
 
 def test_thread_at_the_border_of_what_was_looked_at_or_less_of_it_has_everything_looked_at():
@@ -134,10 +87,3 @@ def test_thread_at_the_border_of_what_was_looked_at_or_less_of_it_has_everything
     # beyond the border of the image itself it cannot go on
     whole = line(200, slice(0, HEIGHT))
     assert not may_lack_thread(whole, near_thread(whole), int((whole > 0).sum()))
-
-
-def test_after_a_gap_and_after_a_restart_of_the_camera_everything_is_looked_at():
-    last = seen(tissue(), look_everywhere(tissue(), 0))
-    assert look_near(tissue(), last, LONGEST_GAP - 1) is not None
-    for sequence in (LONGEST_GAP, 0, -5):
-        assert look_near(tissue(), last, sequence) is None

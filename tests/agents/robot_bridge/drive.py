@@ -99,8 +99,14 @@ class UnreliableArm(SimulatedPsm):
         self.tells = lambda state: dataclasses.replace(state, **changes)
 
 
+class RealArm(UnreliableArm):
+    """Behaves as a simulated arm, and is owed what a real one is."""
+
+    is_real, accepts_replayed_time = True, False
+
+
 class Drive:
-    """A bridge that is fed by hand, with everything it ever said.
+    """A bridge that is fed by hand, with all states and events that it ever told.
 
     Fields:
         camera: frames are told of with each heartbeat, and echo the challenge of so many states ago; None: none are.
@@ -118,7 +124,6 @@ class Drive:
         self.bridge = make(config or RobotBridgeConfig(), self.backend)
         self.now_ns, self.camera = EPOCH, camera
         self.armings, self.arming_id = 0, "none"
-        self.said: list[Output | CommandAnswer] = []
         self.states, self.events = list[RobotState](), list[ExecutionEvent]()
         if ticked:
             self.tick(0)
@@ -128,7 +133,6 @@ class Drive:
         said = []
         for one in self.bridge.step(arrived):
             said.append(one)
-            self.said.append(one)
             if isinstance(one, Output):
                 {ROBOT_STATE: self.states, EXECUTION: self.events}[one.topic].append(one.message)
         return said
@@ -140,11 +144,10 @@ class Drive:
     def publish(self, *plans: GraspPlan) -> None:
         self.hear(PLAN, *plans)
 
-    def tick(self, elapsed_ns: int = TICK) -> RobotState | None:
-        """One turn; the newest state."""
+    def tick(self, elapsed_ns: int = TICK) -> None:
+        """One turn."""
         self.now_ns += elapsed_ns
         self.feed(Tick(self.now_ns))
-        return self.states[-1] if self.states else None
 
     def state(self, elapsed_ns: int = TICK) -> RobotState:
         """One turn; the state that was told in it."""
@@ -195,11 +198,18 @@ class Drive:
         assert answer.outcome is Outcome.ACCEPTED, answer
         return self
 
+    def refused(self, **command: str) -> tuple[str, str]:
+        """The code and the reason of a refused arming, after which nothing moves."""
+        answer = self.arm(**command)
+        assert answer.outcome is Outcome.REFUSED
+        assert stands_still(self, 3)
+        return answer.code, answer.reason
+
     def hold(self, arm: str = "psm1") -> CommandAnswer:
         header = CommandHeader("h", self.now_ns + SECOND, "ann")
         return self.feed(Command(HOLD, "psm1", Hold(header, arm), self.now_ns))[0]
 
-    def run(self, ticks: int, pressed: bool = False) -> None:
+    def run(self, ticks: int, pressed: bool = False) -> "Drive":
         """Go on with heartbeats and frames until the motion ends, or that many turns are over."""
         for index in range(ticks):
             if index % BEAT_TICKS == 0:
@@ -207,7 +217,8 @@ class Drive:
                 self.beat(pressed=pressed)
             self.tick()
             if not self.bridge.executes:
-                return
+                break
+        return self
 
     @property
     def ended(self) -> tuple[ExecutionKind, str]:
@@ -217,8 +228,7 @@ class Drive:
 
 def moving(ticks: int = 100) -> Drive:
     """In the midst of plan p1."""
-    drive = Drive().armed(plan())
-    drive.run(ticks)
+    drive = Drive().armed(plan()).run(ticks)
     assert drive.states[-1].mode is RobotMode.MOVING
     return drive
 

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from agents.robot_bridge.agent import RobotBridgeConfig
-from agents.robot_bridge.correction import FRESH_S, HELD_S, CorrectionLimits
+from agents.robot_bridge.correction import CorrectionLimits
 from schemas.messages import CommandAnswer, ExecutionKind, FrameStamp, ToolCandidate, ToolCorrection, ToolStatus
 from schemas.topics import TOOL
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
 from shared.rigid_transforms import exp_so3, transform
-from tests.agents.robot_bridge.drive import SECOND, Drive, plan, stands_still
+from tests.agents.robot_bridge.drive import EPOCH, SECOND, Drive, plan, stands_still
 
 
 def looked(captured_ns: int, off_mm: float = 5.0, turned_deg: float = 0.0, **changes: Any) -> ToolCorrection:
@@ -21,7 +21,6 @@ def looked(captured_ns: int, off_mm: float = 5.0, turned_deg: float = 0.0, **cha
     corrected = tip + np.array((1e-3 * off_mm, 0.0, 0.0))
     R = exp_so3(np.radians((0.0, 0.0, turned_deg)))
     none = np.zeros((0, 2))
-    found = ToolCandidate(np.zeros(6), np.eye(6), np.zeros((16, 16, 16), np.uint8), 90, 0.9, 0.8, 0.5)
     told = ToolCorrection(
         arm="psm1",
         stamp=FrameStamp(1, captured_ns, captured_ns, "c"),
@@ -38,7 +37,7 @@ def looked(captured_ns: int, off_mm: float = 5.0, turned_deg: float = 0.0, **cha
         registered_left_px=none,
         found_left_px=none,
         found_right_px=none,
-        candidates=(found,),
+        candidates=(ToolCandidate(np.zeros(6), np.eye(6), np.zeros((16, 16, 16), np.uint8), 90, 0.9, 0.8, 0.5),),
         attempts=0,
         misses=0,
         looks=1,
@@ -82,8 +81,9 @@ MISSED: dict[str, Any] = {"misses": 1, "reason": "not seen", "T_correction": Non
         ({"tip_deviation_m": 0.002}, "correction_lost", "known to 2.0 mm only, where 1.5 mm are needed"),
         ({"off_mm": 16.0}, "correction_limit", "16.0 mm and 0.0 degrees off in the images, where 15 mm and 8 degrees"),
         ({"turned_deg": 9.0}, "correction_limit", "5.0 mm and 9.0 degrees off"),
-        ({"age_s": HELD_S + 0.5}, "correction_lost", "seen 4.5 s ago in the images, and 4 s are allowed"),
+        ({"age_s": 4.5}, "correction_lost", "seen 4.5 s ago in the images, and 4 s are allowed"),
         ({"age_s": -0.7}, "clock", "captured 0.7 s in the future: set the clocks"),
+        ({"stamp": FrameStamp(1, EPOCH, EPOCH, "other")}, "wrong_frame", "and the tool was seen in that of other"),
     ],
 )
 def test_nothing_is_armed_where_the_images_do_not_tell_where_the_tool_is(look, code, told):
@@ -110,10 +110,9 @@ def test_a_motion_ends_where_the_images_tell_something_else_or_nothing_any_more(
     drive.look()
     assert drive.arm_now().code == ""
     drive.run(60)
-    drive.look()
-    assert drive.bridge.executes
     base = drive.states[-1].T_camera_base
     drive.look(off_mm=6.0)
+    assert drive.bridge.executes
     np.testing.assert_array_equal(drive.states[-1].T_camera_base, base)
     drive.look(**look)
     assert drive.ended == (ExecutionKind.HELD, code)
@@ -130,7 +129,6 @@ def test_a_look_that_came_late_is_held_said_so_and_given_up():
     drive.look(age_s=2.5)
     drive.ticks(10)
     assert drive.states[-1].correction_looked_ns == looked_ns
-    np.testing.assert_array_equal(drive.states[-1].T_camera_base_registered, SIMULATED_T_CAMERA_BASE)
     assert drive.arm_now().code == "", "it has stood since"
     drive.run(130)
     assert drive.bridge.executes
@@ -151,29 +149,19 @@ def test_an_arm_that_moved_since_it_was_seen_is_seen_again_unless_that_was_a_mom
     drive.ticks(round(100 * waited_s))
     answer = drive.arm_now()
     assert (answer.code, "has moved since" in answer.reason) == ("correction_lost" if refused else "", refused)
-    if refused:
-        drive.look(age_s=waited_s - 0.3)
-        assert waited_s - 0.3 > FRESH_S
-        assert drive.arm_now().code == ""
+    drive.look(age_s=waited_s - 0.3)
+    assert drive.arm_now().code == ("" if refused else "busy")
 
 
 def test_a_tool_that_was_seen_before_camera_or_arm_were_moved_by_hand_is_seen_again_first():
     drive = Corrected()
     drive.look()
     drive.backend.tell(still_since_ns=drive.now_ns)
-    drive.ticks(5)
+    drive.ticks(25)
     answer = drive.arm_now()
     assert (answer.code, "moved by hand since the tool was seen" in answer.reason) == ("correction_lost", True)
-    drive.ticks(20)
     drive.look()
     assert drive.arm_now().code == ""
-
-
-def test_a_plan_in_another_cameras_frame_than_the_look_at_the_tool_is_refused():
-    drive = Corrected()
-    drive.look(stamp=FrameStamp(1, drive.now_ns, drive.now_ns, "other"))
-    answer = drive.arm_now()
-    assert (answer.code, "and the tool was seen in that of other" in answer.reason) == ("wrong_frame", True)
 
 
 def test_a_base_is_told_as_the_images_correct_it_and_as_registered_where_nothing_does():
@@ -186,7 +174,8 @@ def test_a_base_is_told_as_the_images_correct_it_and_as_registered_where_nothing
     moved = drive.states[-1].T_camera_base - SIMULATED_T_CAMERA_BASE
     np.testing.assert_allclose(moved[:3, 3], (0.005, 0, 0), atol=1e-12)
     drive.look(**MISSED)
-    assert drive.states[-1].T_camera_base_registered is not None, "one view in which it was not seen changes nothing"
+    registered = drive.states[-1].T_camera_base_registered
+    np.testing.assert_array_equal(registered, SIMULATED_T_CAMERA_BASE, "one view in which it was not seen")
     for nothing in (LOST, {"off_mm": 16.0}):
         drive.look(off_mm=5.0)
         drive.look(**nothing)

@@ -26,24 +26,20 @@ class Disk:
     @contextmanager
     def full(self) -> Generator[None]:
         """No room is left on it for a while."""
-        self._shrink()
-        try:
-            yield
-        finally:
-            _mount("-o", f"remount,size={ROOM_MB}m", str(self.folder))
-
-    def _shrink(self) -> None:
-        """Leave no more than a page beside what is used; whoever writes meanwhile may use more, which is refused."""
         for tries_left in reversed(range(TRIES)):
             disk = os.statvfs(self.folder)
             used = (disk.f_blocks - disk.f_bfree) * disk.f_frsize
             try:
                 _mount("-o", f"remount,size={used + PAGE}", str(self.folder))
+                break
             except CannotError:
+                # whoever writes meanwhile may use more by now
                 if not tries_left:
                     raise
-            else:
-                return
+        try:
+            yield
+        finally:
+            _mount("-o", f"remount,size={ROOM_MB}m", str(self.folder))
 
 
 @contextmanager
@@ -53,20 +49,20 @@ def small_disk(folder: Path) -> Generator[Disk]:
     Raises:
         CannotError: where this system mounts none.
     """
-    for source, place in _mounted():
+    for line in Path("/proc/mounts").read_text().splitlines():
+        source, place, *_ = line.split()
         if (owner := re.fullmatch(rf"{PREFIX}(\d+)", source)) and not psutil.pid_exists(int(owner[1])):
-            subprocess.run(["umount", "--lazy", place], timeout=LIMIT_S, check=False)  # noqa: S607
+            _let_go(place)
     folder.mkdir()
     _mount("-t", "tmpfs", "-o", f"size={ROOM_MB}m", f"{PREFIX}{os.getpid()}", str(folder))
     try:
         yield Disk(folder)
     finally:
-        subprocess.run(["umount", "--lazy", str(folder)], timeout=LIMIT_S, check=False)  # noqa: S607
+        _let_go(str(folder))
 
 
-def _mounted() -> list[tuple[str, str]]:
-    lines = Path("/proc/mounts").read_text().splitlines()
-    return [(line.split()[0], line.split()[1]) for line in lines]
+def _let_go(place: str) -> None:
+    subprocess.run(["umount", "--lazy", place], timeout=LIMIT_S, check=False)  # noqa: S607
 
 
 def _mount(*arguments: str) -> None:

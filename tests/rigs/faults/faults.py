@@ -12,6 +12,7 @@ AWAY_S = 0.5
 CUT_S, LOSSY_S, NARROW_S, STOPPED_S, FULL_S, JUMPED_S = 3.0, 6.0, 6.0, 3.0, 4.0, 6.0
 LOSS_PERCENT, DELAY_S, MEGABITS = 5, 0.04, 10
 JUMPS_S = (10.0, -10.0)
+LATE = "on the way|ms ago|no heartbeat"
 LAB_HOSTS = tuple(host for host in HOSTS if host != ROUTER)
 AGENTS = tuple(name for host in LAB_HOSTS for name in RUNS[host])
 STOPPED = ("perception", "reconstruction", "planner", "record", "simulator")
@@ -76,14 +77,9 @@ def killed(name: str, restarts: bool = True) -> Fault:
 def cut_off(host: str) -> Fault:
     """Nothing reaches a host for a while."""
     kinds = "|".join(KINDS.get(name, name) for name in RUNS[host])
-    return Fault(
-        f"{host} cut off for {CUT_S:g} s",
-        lambda lab: lab.network.cut_off(host),
-        CUT_S,
-        rf"^({kinds})( \w+)?: (silent|gone|the link)",
-        holds=host in ("robot", "desk"),
-        of_recorder=host == "desk",
-    )
+    named = rf"^({kinds})( \w+)?: (silent|gone|the link)"
+    what, holds = f"{host} cut off for {CUT_S:g} s", host in ("robot", "desk")
+    return Fault(what, lambda lab: lab.network.cut_off(host), CUT_S, named, holds, of_recorder=host == "desk")
 
 
 def lossy() -> Fault:
@@ -97,39 +93,24 @@ def lossy() -> Fault:
             yield
 
     name = f"{LOSS_PERCENT} % loss, {1e3 * DELAY_S:.0f} ms delay"
-    return Fault(name, during, LOSSY_S, "on the way|ms ago|no heartbeat")
+    return Fault(name, during, LOSSY_S, LATE)
 
 
 def narrow() -> Fault:
     """The links of all four hosts carry little."""
-    return Fault(
-        f"{MEGABITS} Mbit/s links",
-        lambda lab: lab.network.narrowed(MEGABITS, LAB_HOSTS),
-        NARROW_S,
-        "on the way|ms ago|no heartbeat",
-    )
+    return Fault(f"{MEGABITS} Mbit/s links", lambda lab: lab.network.narrowed(MEGABITS, LAB_HOSTS), NARROW_S, LATE)
 
 
 def standing_still(name: str) -> Fault:
     """A process takes nothing off its link, which stays open."""
-    kind = KINDS.get(name, name)
-    return Fault(
-        f"SIGSTOP {name}",
-        lambda lab: lab.processes.stopped(name),
-        STOPPED_S,
-        rf"^{kind}( \w+)?: (silent|gone|hanging|the link)",
-    )
+    named = rf"^{KINDS.get(name, name)}( \w+)?: (silent|gone|hanging|the link)"
+    return Fault(f"SIGSTOP {name}", lambda lab: lab.processes.stopped(name), STOPPED_S, named)
 
 
 def full_disk() -> Fault:
     """The recorder's disk has no room, until somebody makes some."""
-    return Fault(
-        "the recorder's disk is full",
-        lambda lab: lab.disk.full(),
-        FULL_S,
-        "^recorder( \\w+)?: .*(free|cannot be written)",
-        of_recorder=True,
-    )
+    named = r"^recorder( \w+)?: .*(free|cannot be written)"
+    return Fault("the recorder's disk is full", lambda lab: lab.disk.full(), FULL_S, named, of_recorder=True)
 
 
 def jumped(host: str, seconds: float) -> Fault:

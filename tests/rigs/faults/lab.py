@@ -11,7 +11,7 @@ from typing import Any
 
 from agents.cli.lab.rehearsal.network import OWN, Network, connected_hosts
 from agents.cli.lab.rehearsal.processes import Processes, faketime
-from schemas.messages import CommandAnswer, GraspPlan, RobotMode, Status
+from schemas.messages import GraspPlan, RobotMode, Status
 from schemas.topics import HEALTH, PLAN, ROBOT_STATE, THREAD
 from shared.clock import monotonic_s
 from shared.runtime.connection import connected
@@ -25,8 +25,8 @@ COMPUTES = ("perception", "reconstruction")
 STARTS_S, PLANS_S, MOVES_S = 90.0, 60.0, 20.0
 LOOK_S = 0.02
 WATCH_S = 0.2
-ASK_S = 0.25
 AGENTS = 6
+PROBED = tuple(host for host in HOSTS if host != ROUTER)
 PLAN_AGAIN = "plan again"
 """How a refusal ends that speaks against the moment: its frame was too old on a busy machine."""
 
@@ -54,10 +54,8 @@ class Lab:
 
     def start_probe(self, host: str) -> None:
         """Start the one who says and hears events there."""
-        file = self.folder / f"probe-{host}.json"
-        self.processes.start(
-            host, f"probe-{host}", sys.executable, "-m", "tests.rigs.faults.probe", str(self.config(host)), str(file)
-        )
+        told = str(self.config(host)), str(self.folder / f"probe-{host}.json")
+        self.processes.start(host, f"probe-{host}", sys.executable, "-m", "tests.rigs.faults.probe", *told)
 
     def config(self, host: str) -> Path:
         """A host's copy of the rig's configuration."""
@@ -98,28 +96,19 @@ class Lab:
             if ended := self.processes.all_ended():
                 raise NotReachedError("; ".join(ended))
             names = {heard.message.agent for heard in self.observer.messages(HEALTH, begin_s)}
-            return len(names) >= AGENTS and self.fresh_thread(begin_s) is not None
+            threads = (h for h in self.observer.messages(THREAD, begin_s) if h.message.status is Status.OK)
+            return len(names) >= AGENTS and any(threads)
 
         self.wait(well, "every agent's health and a thread", STARTS_S)
 
-    def fresh_thread(self, since_s: float) -> float | None:
-        """When the first thread came since then."""
-        heard = (h for h in self.observer.messages(THREAD, since_s) if h.message.status is Status.OK)
-        return next((h.at_s for h in heard), None)
-
     def plan(self) -> GraspPlan:
         """A plan that can be armed, as long as it takes to get one."""
-        asked: set[str] = set()
-        begin_s, next_s = monotonic_s(), [0.0]
+        asked, begin_s = set[str | None](), monotonic_s()
 
         def planned() -> GraspPlan | None:
-            for heard in self.observer.messages(PLAN, begin_s):
-                if heard.message.status is Status.OK and heard.message.goal_id in asked:
-                    return heard.message
-            if monotonic_s() >= next_s[0]:
-                asked.add(self.observer.ask(_heed_not))
-                next_s[0] = monotonic_s() + ASK_S
-            return None
+            plans = [heard.message for heard in self.observer.messages(PLAN, begin_s)]
+            asked.add(self.observer.ask())
+            return next((plan for plan in plans if plan.status is Status.OK and plan.goal_id in asked), None)
 
         return self.wait(planned, "a plan", PLANS_S)
 
@@ -144,22 +133,16 @@ class Lab:
     def probes_hear_each_other(self) -> bool:
         """Whether all are there: what came before somebody joined is the matter of no fault."""
         told = self.probes()
-        return len(told) == len(HOSTS) - 1 and all(len(one["heard"]) == len(told) for one in told.values())
+        return len(told) == len(PROBED) and all(len(one["heard"]) == len(told) for one in told.values())
 
     def probes(self) -> dict[str, Any]:
         """What each probe has said and heard, as it last wrote it."""
-        files = {host: self.folder / f"probe-{host}.json" for host in HOSTS if host != ROUTER}
+        files = {host: self.folder / f"probe-{host}.json" for host in PROBED}
         return {host: json.loads(path.read_text()) for host, path in files.items() if path.exists()}
 
 
-def _heed_not(_answer: CommandAnswer) -> None:
-    return
-
-
 @contextlib.contextmanager
-def laboratory(
-    folder: Path, rate_hz: float = 3.0, clocks: bool = False, probes: bool = True, emulated: bool = False
-) -> Generator[Lab]:
+def laboratory(folder: Path, rate_hz: float = 3.0, clocks: bool = False, emulated: bool = False) -> Generator[Lab]:
     """A lab whose rig runs and has seen a thread; `clocks`: whose hosts' clocks can be set; `emulated` as `describe`.
 
     Raises:
@@ -179,13 +162,10 @@ def laboratory(
         disk = stack.enter_context(small_disk(folder / "disk"))
         observer = stack.enter_context(contextlib.closing(Observer(connection)))
         lab = Lab(network, processes, observer, disk, folder)
-        for host, names in RUNS.items():
-            for name in names if host != ROUTER else ():
-                lab.start(name)
+        for name in (name for host in PROBED for name in RUNS[host]):
+            lab.start(name)
         lab.until_well()
-        for host in RUNS if probes else ():
-            if host != ROUTER:
-                lab.start_probe(host)
-        if probes:
-            lab.wait(lab.probes_hear_each_other, "the probes to hear each other", STARTS_S)
+        for host in PROBED:
+            lab.start_probe(host)
+        lab.wait(lab.probes_hear_each_other, "the probes to hear each other", STARTS_S)
         yield lab

@@ -2,14 +2,14 @@
 
 import threading
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
 from agents.diagnostics.status.health_watch import HealthWatch
 from agents.operator.operator import SENDER
 from schemas.codec import decode
-from schemas.messages import CommandAnswer, GraspGoal, LogLevel, Policy
+from schemas.messages import GraspGoal, LogLevel, Outcome, Policy
 from schemas.topics import (
     COMMANDS,
     EXECUTION,
@@ -31,7 +31,7 @@ from tests.rigs.faults.rig import ARM
 
 HEARD = (HEALTH, LOG, COMMANDS, THREAD, PLAN, EXECUTION, JUDGEMENT, ROBOT_STATE)
 GRAVE = (LogLevel.WARNING, LogLevel.ERROR)
-PRESENT_S = 0.5
+PRESENT_S, ASK_S = 0.5, 0.25
 PLACES = (0.5, 0.4, 0.6, 0.3, 0.7)
 
 
@@ -59,6 +59,7 @@ class Observer:
     _heard: defaultdict[str, list[Heard]] = field(default_factory=lambda: defaultdict(list))
     _told: list[tuple[float, str]] = field(default_factory=list[tuple[float, str]])
     _asked: int = 0
+    _next_s: float = 0.0
 
     def __post_init__(self) -> None:
         self._watch, self._restarts = HealthWatch(self.connection), defaultdict[str, int](int)
@@ -80,7 +81,7 @@ class Observer:
         self._heard[str(tapped.topic)].append(Heard(monotonic_s(), tapped))
 
     def _missed(self, topic: Topic, count: int) -> None:
-        self._told.append((monotonic_s(), f"{count} messages of {topic} were lost on the way here"))
+        self.note(f"{count} messages of {topic} were lost on the way here")
 
     def messages(self, topic: Topic, since_s: float = 0.0) -> Iterator[Heard]:
         """Those of a topic that came since."""
@@ -92,11 +93,12 @@ class Observer:
 
     def look(self) -> None:
         """Note what those who watch health would be told now."""
-        self._told += [(monotonic_s(), sentence) for sentence in self._watch.changes()]
+        for sentence in self._watch.changes():
+            self.note(sentence)
         for fare in self._watch.fares():
             before, self._restarts[fare.name] = self._restarts[fare.name], fare.restarts
             if fare.restarts > before:
-                self._told.append((monotonic_s(), f"{fare.name}: was started again"))
+                self.note(f"{fare.name}: was started again")
 
     def told(self, since_s: float) -> list[tuple[float, str]]:
         """What people were told since: of agents' health, and in their logs."""
@@ -107,13 +109,28 @@ class Observer:
         ]
         return sorted([said for said in self._told if said[0] >= since_s] + logged)
 
-    def ask(self, answered: Callable[[CommandAnswer], None]) -> str:
-        """Name a goal as an operator does, without waiting; its id. The plan is heard as everything is."""
-        self._asked += 1
+    def ask(self) -> str | None:
+        """Every now and then name a goal as an operator does who does not wait; its id, where one was named.
+
+        The plan is heard as everything is, and a refusal is among what is told.
+        """
+        if monotonic_s() < self._next_s:
+            return None
+        self._next_s, self._asked = monotonic_s() + ASK_S, self._asked + 1
         place = PLACES[self._asked % len(PLACES)]
         goal = GraspGoal(new_header(SENDER), ARM, Policy.CAPTURE_SLIDE_GRASP, place, None, None)
-        threading.Thread(target=lambda: answered(self.connection.command(GOAL, goal)), daemon=True).start()
+
+        def answered() -> None:
+            answer = self.connection.command(GOAL, goal)
+            if answer.outcome is not Outcome.ACCEPTED:
+                self.note(f"goal: {answer.reason}")
+
+        threading.Thread(target=answered, daemon=True).start()
         return goal.header.id
+
+    def note(self, sentence: str) -> None:
+        """Have something be among what is told."""
+        self._told.append((monotonic_s(), sentence))
 
     def lost_events(self) -> dict[str, int]:
         """By key, how many events lie between those that were heard, or before the first of a publisher's run."""

@@ -4,11 +4,11 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from schemas.messages import CommandAnswer, ExecutionKind, Outcome, Status
+from schemas.messages import ExecutionKind, Status
 from schemas.topics import EXECUTION, HEALTH, LOG, PLAN, ROBOT_STATE, THREAD, Topic
 from shared.clock import monotonic_s, now_ns
 from tests.rigs.faults.faults import Fault
-from tests.rigs.faults.lab import ASK_S, Lab, NotReachedError
+from tests.rigs.faults.lab import Lab, NotReachedError
 from tests.rigs.faults.observer import Heard
 from tests.rigs.faults.probe import RATE_HZ
 from tests.rigs.faults.rig import BRIDGE, KINDS, ROUTER
@@ -16,7 +16,6 @@ from tests.rigs.faults.rig import BRIDGE, KINDS, ROUTER
 FRESH_NS = {THREAD: 1_000_000_000, ROBOT_STATE: 100_000_000}
 """How old what flows may be to count as flowing again."""
 READY_S, RECOVERS_S, SETTLES_S, NAMED_S, GRASP_S = 30.0, 30.0, 15.0, 4.0, 15.0
-HELD_S = 1.0
 
 
 @dataclass
@@ -45,74 +44,52 @@ class Seen:
     name: str = ""
 
 
-@dataclass
-class _Goals:
-    """Goals that are named again and again, as by somebody who will not wait, and what was answered."""
-
-    lab: Lab
-    said: list[tuple[float, str]] = field(default_factory=list[tuple[float, str]])
-    _next_s: float = 0.0
-
-    def ask(self) -> None:
-        if monotonic_s() >= self._next_s:
-            self._next_s = monotonic_s() + ASK_S
-            self.lab.observer.ask(self._take)
-
-    def _take(self, answer: CommandAnswer) -> None:
-        if answer.outcome is not Outcome.ACCEPTED:
-            self.said.append((monotonic_s(), f"goal: {answer.reason}"))
-
-
 def trial(lab: Lab, fault: Fault) -> Seen:
     """Carry out a grasp, let the fault happen in its middle, and look at what follows."""
-    seen, goals = Seen(fault.name), _Goals(lab)
-    plan_id = lab.grasp_under_way()
-    lost_before, given_up_before = _lost(lab), _given_up(lab)
+    plan_id, lost_before = lab.grasp_under_way(), _lost(lab)
     lab.let_pass(0.3)
-    begin_s, begin_ns = monotonic_s(), now_ns()
-    seen.begin_s = begin_s
+    seen, begin_ns = Seen(fault.name, monotonic_s()), now_ns()
+    end_s = seen.begin_s + fault.lasts_s
+
+    def over() -> bool:
+        lab.observer.ask()
+        return monotonic_s() >= end_s
+
     with fault.during(lab):
-        end_s = begin_s + fault.lasts_s
-        lab.wait(lambda: goals.ask() or monotonic_s() >= end_s, "", fault.lasts_s + READY_S)
+        lab.wait(over, "the fault to end", fault.lasts_s + READY_S)
         ended_s, ended_ns = monotonic_s(), now_ns()
-    seen.startup_s, ready_s = _restarted(lab, fault, ended_s)
-    shift_ns = round((ready_s - ended_s) * 1e9)
-    seen.recovery_s = _recovered(lab, fault, goals, ready_s, ended_ns + shift_ns)
-    lab.let_pass(max(0.0, begin_s + NAMED_S - monotonic_s()))
+    ready_s = _ready_s(lab, fault, ended_s)
+    seen.startup_s = ready_s - ended_s if fault.restarts else None
+    seen.recovery_s = _recovered(lab, fault, ready_s, ended_ns + round((ready_s - ended_s) * 1e9))
+    lab.let_pass(max(0.0, seen.begin_s + NAMED_S - monotonic_s()))
     seen.lost = _lost_meanwhile(lab, lost_before)
-    seen.held_ms, seen.ended = _awaited_end(lab, fault, plan_id, begin_s, begin_ns)
+    seen.held_ms, seen.ended = _awaited_end(lab, fault, plan_id, seen.begin_s, begin_ns)
     held = [(h.at_s, f"{h.message.arm}: {h.message.reason}") for h in _events(lab, plan_id) if h.message.reason]
-    given_up = [
-        (monotonic_s(), f"the probe at {host} gave up {count - given_up_before[host]} events")
-        for host, count in _given_up(lab).items()
-        if count > given_up_before[host]
-    ]
-    said = sorted(lab.observer.told(begin_s) + goals.said + held + given_up)
-    seen.said = [(round(at_s - begin_s, 2), sentence) for at_s, sentence in said]
+    said = sorted(lab.observer.told(seen.begin_s) + held)
+    seen.said = [(round(at_s - seen.begin_s, 2), sentence) for at_s, sentence in said]
     seen.name = next((s for _, s in seen.said if re.search(fault.named, s)), "")
     lab.processes.forget("arm")
     return seen
 
 
-def _restarted(lab: Lab, fault: Fault, started_s: float) -> tuple[float | None, float]:
-    """How long what was started again took to be ready, and when it was."""
+def _ready_s(lab: Lab, fault: Fault, started_s: float) -> float:
+    """When what was started again was ready."""
     if not fault.restarts:
-        return None, started_s
+        return started_s
     kind, marks = KINDS.get(fault.restarts, fault.restarts), lab.processes.said(fault.restarts).count("router on")
 
     def ready() -> float | None:
-        if kind == ROUTER:
-            return monotonic_s() if lab.processes.said(ROUTER).count("router on") > marks else None
-        if kind == "recorder":
-            return monotonic_s() if len(list(lab.recording.parent.glob("*.mcap"))) > 1 else None
+        if kind in (ROUTER, "recorder"):
+            listens = kind == ROUTER and lab.processes.said(ROUTER).count("router on") > marks
+            records = kind != ROUTER and len(list(lab.recording.parent.glob("*.mcap"))) > 1
+            return monotonic_s() if listens or records else None
         started = (h for h in lab.observer.messages(LOG, started_s) if h.message.agent == kind)
         return next((h.at_s for h in started if h.message.text.startswith("started")), None)
 
-    ready_s: float = lab.wait(ready, f"{fault.restarts} to be ready again", READY_S)
-    return ready_s - started_s, ready_s
+    return lab.wait(ready, f"{fault.restarts} to be ready again", READY_S)
 
 
-def _recovered(lab: Lab, fault: Fault, goals: _Goals, since_s: float, since_ns: int) -> dict[str, float | None]:
+def _recovered(lab: Lab, fault: Fault, since_s: float, since_ns: int) -> dict[str, float | None]:
     """Seconds until each flow was there again."""
     flows: dict[str, Callable[[], float | None]] = {
         "thread": lambda: _fresh(lab, THREAD, since_s, since_ns),
@@ -124,7 +101,7 @@ def _recovered(lab: Lab, fault: Fault, goals: _Goals, since_s: float, since_ns: 
     came: dict[str, float | None] = dict.fromkeys(flows)
 
     def all_flow() -> bool:
-        goals.ask()
+        lab.observer.ask()
         for name, flow in flows.items():
             came[name] = came[name] or flow()
         return None not in came.values()
@@ -132,7 +109,7 @@ def _recovered(lab: Lab, fault: Fault, goals: _Goals, since_s: float, since_ns: 
     try:
         lab.wait(all_flow, "all to flow again", RECOVERS_S)
     except NotReachedError as error:
-        goals.said.append((monotonic_s(), str(error)))
+        lab.observer.note(str(error))
     return {name: None if at_s is None else max(0.0, at_s - since_s) for name, at_s in came.items()}
 
 
@@ -159,42 +136,34 @@ def _events(lab: Lab, plan_id: str) -> list[Heard]:
 
 
 def _awaited_end(lab: Lab, fault: Fault, plan_id: str, begin_s: float, begin_ns: int) -> tuple[float | None, str]:
-    """How the grasp ended, which nobody tells where the arm's own bridge was killed; else it is waited for."""
+    """When the arm held, by its own clock unless that is set, and how its grasp ended; which it is waited for.
+
+    Nobody tells that where the arm's own bridge was killed.
+    """
+
+    def end() -> tuple[float | None, str] | None:
+        for heard in _events(lab, plan_id):
+            if heard.message.kind is ExecutionKind.HELD:
+                arrived_ms, by_arm_ms = 1e3 * (heard.at_s - begin_s), 1e-6 * (heard.message.at_ns - begin_ns)
+                return arrived_ms if fault.wants_clocks else by_arm_ms, heard.message.code
+            if heard.message.kind is ExecutionKind.FINISHED:
+                return None, "finished"
+        return None
+
     if fault.restarts == BRIDGE:
-        return _end_of(lab, plan_id, begin_s, begin_ns, fault.wants_clocks) or (None, "ended with its bridge")
+        return end() or (None, "ended with its bridge")
     try:
-        found: tuple[float | None, str] = lab.wait(
-            lambda: _end_of(lab, plan_id, begin_s, begin_ns, fault.wants_clocks), "the grasp to end", GRASP_S
-        )
+        return lab.wait(end, "the grasp to end", GRASP_S)
     except NotReachedError:
         return None, f"no end within {GRASP_S:.0f} s"
-    return found
-
-
-def _end_of(lab: Lab, plan_id: str, begin_s: float, begin_ns: int, by_arrival: bool) -> tuple[float | None, str] | None:
-    """When the arm held, by its own clock unless that is set, and how its grasp ended; None where it has not."""
-    for heard in _events(lab, plan_id):
-        if heard.message.kind is ExecutionKind.HELD:
-            arrived_ms, by_arm_ms = 1e3 * (heard.at_s - begin_s), 1e-6 * (heard.message.at_ns - begin_ns)
-            return arrived_ms if by_arrival else by_arm_ms, heard.message.code
-        if heard.message.kind is ExecutionKind.FINISHED:
-            return None, "finished"
-    return None
 
 
 def _lost(lab: Lab) -> dict[str, int]:
     """Events by key that have not come where they should, by now."""
     lost = dict(lab.observer.lost_events())
     for listener, told in lab.probes().items():
-        for source, (_, missing) in told["heard"].items():
-            lost[f"{source} at {listener}"] = missing
-        lost[f"order at {listener}"] = told["disordered"]
+        lost |= {f"{source} at {listener}": missing for source, (_, missing) in told["heard"].items()}
     return lost
-
-
-def _given_up(lab: Lab) -> dict[str, int]:
-    """By host, what the subscriber of its probe says that it could not get: what else is lost, vanished unnoticed."""
-    return {host: told["given_up"] for host, told in lab.probes().items()}
 
 
 def _lost_meanwhile(lab: Lab, before: dict[str, int]) -> dict[str, int]:
@@ -204,16 +173,17 @@ def _lost_meanwhile(lab: Lab, before: dict[str, int]) -> dict[str, int]:
     def lost() -> dict[str, int]:
         return {name: n - before.get(name, 0) for name, n in _lost(lab).items() if n > before.get(name, 0)}
 
-    def all_heard() -> bool:
-        probes = lab.probes().values()
-        newest = all(told["heard"].get(host, (-1, 0))[0] >= n - 1 for told in probes for host, n in said.items())
-        return newest and not lost()
+    def behind() -> dict[str, int]:
+        """How many events of each host that each listener has not heard."""
+        return {
+            f"{host} not at {listener} yet": n - 1 - told["heard"].get(host, (-1, 0))[0]
+            for listener, told in lab.probes().items()
+            for host, n in said.items()
+        }
 
     late: dict[str, int] = {}
     try:
-        lab.wait(all_heard, "events", SETTLES_S)
+        lab.wait(lambda: max(behind().values()) <= 0 and not lost(), "events", SETTLES_S)
     except NotReachedError:
-        for listener, told in lab.probes().items():
-            behind = {host: n - 1 - told["heard"].get(host, (-1, 0))[0] for host, n in said.items()}
-            late |= {f"{host} not at {listener} yet": n for host, n in behind.items() if n > RATE_HZ}
+        late = {name: n for name, n in behind().items() if n > RATE_HZ}
     return lost() | late

@@ -1,10 +1,7 @@
 """Random and hostile plans and commands against the robot bridge, judged by the emulated console's oracle.
 
-    .venv/bin/python -m benchmarks.robot --only hostile [--hostile 10000]
-
-In each case a plan, good or bad, is published and armed while operator, clock, console or somebody else may misbehave,
-or a motion is met in its midst by what should end it. Beside what the oracle calls unsafe it is counted what was
-accepted that had to be refused, and how often a step of the bridge failed.
+Beside what the oracle calls unsafe it is counted what was accepted that had to be refused, and how often a step of the
+bridge failed. `python -m benchmarks.robot --only hostile --hostile 10000` has many.
 """
 
 import contextlib
@@ -66,7 +63,8 @@ def hostile(count: int, seed: int = 0, processes: int | None = None, guarded: bo
             total.add(one)
             if monotonic_s() - said_s > TOLD_EVERY_S:
                 said_s = monotonic_s()
-                print(f"  {total.cases} of {count} cases, {total.unsafe.total()} unsafe", file=sys.stderr, flush=True)
+                told = f"  {total.counts['cases']} of {count} cases, {total.unsafe.total()} unsafe"
+                print(told, file=sys.stderr, flush=True)
     return total.told()
 
 
@@ -82,44 +80,29 @@ def _begin() -> None:
 
 @dataclass
 class _Total:
-    """What worlds found, added up."""
+    """What worlds found, added up; `counts` by the names of a row of the table."""
 
-    found: Counter[tuple[str, bool, bool]] = field(default_factory=Counter)
-    unsafe: Counter[str] = field(default_factory=Counter)
-    sentences: list[str] = field(default_factory=list)
-    set_points: int = 0
-    faults: int = 0
-    moving: int = 0
-
-    @property
-    def cases(self) -> int:
-        return self.found.total()
+    counts: Counter[str] = field(default_factory=Counter[str])
+    unsafe: Counter[str] = field(default_factory=Counter[str])
+    wrongly: Counter[str] = field(default_factory=Counter[str])
+    sentences: list[str] = field(default_factory=list[str])
 
     def add(self, other: "_Total") -> None:
         """Add those of another."""
-        self.found += other.found
-        self.unsafe += other.unsafe
+        self.counts.update(other.counts)
+        self.unsafe.update(other.unsafe)
+        self.wrongly.update(other.wrongly)
         self.sentences += other.sentences
-        self.set_points += other.set_points
-        self.faults += other.faults
-        self.moving += other.moving
 
     def told(self) -> dict[str, Any]:
         """As a row of the table, and what the oracle said of the first."""
-        wrongly = Counter[str]()
-        for (kind, accepted, allowed), times in self.found.items():
-            wrongly[kind] += times * (accepted and not allowed)
-        kinds = [kind for kind, times in wrongly.items() if times]
-        return {
-            "cases": self.cases,
-            "accepted": sum(times for (_, accepted, _), times in self.found.items() if accepted),
-            "still moving at the end": self.moving,
-            "set points": self.set_points,
+        counted = ("cases", "accepted", "still moving at the end", "set points")
+        return {name: self.counts[name] for name in counted} | {
             "unsafe": self.unsafe.total(),
             "rules": " ".join(sorted(self.unsafe)) or "-",
-            "wrongly accepted": wrongly.total(),
-            "of": " ".join(sorted(kinds)) or "-",
-            "failed steps": self.faults,
+            "wrongly accepted": self.wrongly.total(),
+            "of": " ".join(sorted(self.wrongly)) or "-",
+            "failed steps": self.counts["failed steps"],
             "sentences": self.sentences[:10],
         }
 
@@ -130,12 +113,13 @@ def _world(given: tuple[int, int, int, bool]) -> _Total:
     rng, total = np.random.default_rng(seeds), _Total()
     world = World(LIMITS[rng.integers(len(LIMITS))], LAGS_S[rng.integers(len(LAGS_S))], guarded=guarded)
     for _ in range(count):
-        case = CASES[rng.integers(len(CASES))](world, rng)
-        total.found[case.kind, case.accepted, case.allowed] += 1
-        total.moving += world.moves
+        kind, accepted, allowed = CASES[rng.integers(len(CASES))](world, rng)
+        total.counts.update({"cases": 1, "accepted": accepted, "still moving at the end": world.moves})
+        if accepted and not allowed:
+            total.wrongly[kind] += 1
         _put_right(world, rng)
     verdict = world.oracle.verdict()
-    total.set_points, total.faults = verdict["set_points"], world.faults
+    total.counts.update({"set points": verdict["set_points"], "failed steps": world.faults})
     total.unsafe.update(verdict["rules"])
     total.sentences += verdict["sentences"]
     return total
@@ -146,9 +130,10 @@ def _put_right(world: World, rng: np.random.Generator) -> None:
     world.stands_by, world.sees = False, True
     for word in ("loose", "speak", "no_teleop"):
         world.console.request(word)
-    _hold(world)
+    header = CommandHeader(f"hold-{world.now_ns}", world.now_ns + SECOND_NS, "ann")
+    world.command(HOLD, Hold(header, RIG_ARM))
     said = world.console.verdict()
-    for word in {"DISABLED": ("enable",), "FAULT": ("enable",), "PAUSED": ("resume",)}.get(said["state"], ()):
+    if word := {"DISABLED": "enable", "FAULT": "enable", "PAUSED": "resume"}.get(said["state"]):
         world.topics.tell_console(f"{NAME}/state_command", crtk.state_command(word, world.now_ns))
     world.topics.tell_bridge(f"{NAME}/tool_type", ros_bytes(STRING, ros_message(STRING, TOOL)))
     world.topics.owner_changed("somebody", False)
@@ -158,11 +143,6 @@ def _put_right(world: World, rng: np.random.Generator) -> None:
     world.tick(2)
     world.now_ns += 3 * SECOND_NS
     world.tick(2 if said["is_homed"] else 105)
-
-
-def _hold(world: World) -> None:
-    header = CommandHeader(f"hold-{world.now_ns}", world.now_ns + SECOND_NS, "ann")
-    world.command(HOLD, Hold(header, RIG_ARM))
 
 
 def _any_joints(rng: np.random.Generator) -> np.ndarray:

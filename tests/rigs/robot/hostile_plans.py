@@ -1,12 +1,20 @@
 """Plans that an arm may be armed with, drawn at random, and one set out on."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from schemas.messages import GraspPlan, Outcome, Phase, Policy, Status, Waypoint
 from shared.rigid_transforms import exp_so3, transform
 from tests.rigs.robot.world import RIG_ARM, SECOND_NS, World
+
+
+class Found(NamedTuple):
+    """What a hostile case came to: its kind, whether its plan or command was accepted, and whether that was allowed."""
+
+    kind: str
+    accepted: bool
+    allowed: bool
 
 
 def waypoints(rng: np.random.Generator, count: int | None = None) -> tuple[Waypoint, ...]:
@@ -50,3 +58,8 @@ def set_out(world: World, plan: GraspPlan, ticks: int) -> bool:
     world.stands_by = accepted
     world.tick(ticks if accepted else 2)
     return accepted
+
+
+def in_motion(world: World, rng: np.random.Generator, most: int = 80) -> bool:
+    """Set out on any plan, which may be good; whether it was accepted."""
+    return set_out(world, any_plan(world, rng), int(rng.integers(1, most)))

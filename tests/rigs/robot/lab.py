@@ -53,36 +53,38 @@ class Lab:
         beside: dict[str, Any] | None = None,
         queue: tuple[str, str, float] = ("", "constant", 0.0),
     ) -> None:
-        """Start everything; `turns` of the motion to and fro, and sections of further agents with what they hold.
+        """Start everything; `turns` of the motion to and fro, and sections of further agents `beside`.
 
-        Where there are further agents the bridge reaches the console at once, and else through a relay, and so does the
-        person the rig. `queue` says which of both, `robot` or `rig`, is to turn bad, how and for how long
-        (robot_relay.py), or whose clock is to be set.
+        Without such, the bridge reaches the console through a relay, and the person the rig. `queue` says which of both
+        relays, `robot` or `rig`, is to turn bad, how and for how long (relay.py), or whose clock is to be set.
         """
         self._folder, self._turns, self._sections, self._clock = folder, turns, beside or {}, queue[0]
-        self._router, self._robot, relayed, self._desk = (free_local_endpoint() for _ in range(4))
+        self.endpoint, self._robot, relayed, self._desk = (free_local_endpoint() for _ in range(4))
         self._running: dict[str, subprocess.Popen[bytes]] = {}
         base = {"T_camera_base": SIMULATED_T_CAMERA_BASE.tolist()}
         told = {"T_camera_base_calibration": CALIBRATION, "T_camera_base_made": today()}
         (folder / "base.json").write_text(json.dumps(base))
-        self._config("rig.json", base | told, dvrk | {"endpoint": relayed if beside is None else self._robot})
-        self._config("guard.json", base | told, dvrk | {"endpoint": self._robot})
+        untold = {"dry_run": False, "has_no": ["teleoperation", "endoscope_arm", "clutch", "tissue"]}
+        for name, endpoint in (("rig", relayed if beside is None else self._robot), ("guard", self._robot)):
+            arm = base | told | {"backend": "dvrk", "dvrk": dvrk | untold | {"endpoint": endpoint}}
+            rig = {"rig": RIG, "router": {"endpoint": self.endpoint}, "robot": {ARM: arm}, **self._sections}
+            (folder / f"{name}.json").write_text(json.dumps(rig))
         rig, camera = ("--config", folder / "rig.json"), ("--camera", folder / "base.json")
         self._start("router", "agents.cli", "router", *rig)
         console = ("emulate", "dvrk", "--ready", "--codec", dvrk["codec"], "--listen", self._robot)
-        self._start("console", "agents.cli", *console, *camera, "--heartbeats", self._router)
-        for name, ends in (("robot", (relayed, self._robot)), ("rig", (self._desk, self._router))):
+        self._start("console", "agents.cli", *console, *camera, "--heartbeats", self.endpoint)
+        for name, ends in (("robot", (relayed, self._robot)), ("rig", (self._desk, self.endpoint))):
             mode = queue[1:] if queue[0] == name else ("constant", 0.0)
             ports = (endpoint.rsplit(":", 1)[1] for endpoint in ends)
             self._start(f"link of the {name}", "tests.rigs.robot.relay", *ports, *mode)
         self._start("bridge", "agents.cli", "run", "robot-bridge", *rig)
         if beside is None:
-            self._start("camera", PERSON, "watch", RIG, self._router, ARM)
+            self._start("camera", PERSON, "watch", RIG, self.endpoint, ARM)
         for kind in self._sections:
             self._start(kind, "agents.cli", "run", kind, *rig)
         self._start("guard", "agents.cli", "guard", "--config", folder / "guard.json")
         self._beside = stack.enter_context(open_session(SessionSettings(endpoint=self._robot)))
-        session = stack.enter_context(open_session(SessionSettings(RIG, self._router)))
+        session = stack.enter_context(open_session(SessionSettings(RIG, self.endpoint)))
         self._plans, self._told = declare_publisher(session, key(RIG, PLAN), PLAN), 0
         self._frame = CALIBRATION
         self._heard = tap(session, RIG, (SURFACE,), self._see, lambda _topic, _count: None)
@@ -105,11 +107,13 @@ class Lab:
 
     def press(self) -> str:
         """Have a person press for a fresh plan, whose id it is; whoever pressed before is gone."""
-        self._tell_plan()
+        self._told += 1
+        plan_id = f"plan-{self._told}"
+        plan = to_and_fro(plan_id, self._turns, self._frame)
+        self._plans.put(encode(plan), attachment=pack(Attachment(1, self._told, now_ns(), 0.0)))
         if (ended := self._running.pop("operator", None)) is not None:
             self._end(ended)
         (self._folder / "operator.log").unlink(missing_ok=True)
-        plan_id = f"plan-{self._told}"
         self._start("operator", PERSON, "press", RIG, self._desk, ARM, plan_id)
         return plan_id
 
@@ -136,11 +140,6 @@ class Lab:
     def _refused(self) -> bool:
         return any(line.get("outcome") not in (None, "ACCEPTED") for line in self.said("operator"))
 
-    @property
-    def endpoint(self) -> str:
-        """Of the rig's router."""
-        return self._router
-
     def signal(self, name: str) -> None:
         """Have the person let go, the camera freeze, or a link begin to queue."""
         self._running[name].send_signal(signal.SIGUSR1)
@@ -152,7 +151,6 @@ class Lab:
         fresh.rename(self._folder / f"{name}.clock")
 
     def pid(self, name: str) -> int:
-        """The process of that name."""
         return self._running[name].pid
 
     def waited_ms(self) -> dict[tuple[str, str], float]:
@@ -203,31 +201,16 @@ class Lab:
         # a plan in another camera's frame than the tissue is refused
         self._frame = decode(TissueSurface, tapped.payload).stamp.calibration_id
 
-    def _tell_plan(self) -> None:
-        self._told += 1
-        beside = pack(Attachment(1, self._told, now_ns(), 0.0))
-        self._plans.put(encode(to_and_fro(f"plan-{self._told}", self._turns, self._frame)), attachment=beside)
-
-    def _config(self, name: str, base: dict[str, Any], dvrk: dict[str, Any]) -> None:
-        untold = {"dry_run": False, "has_no": ["teleoperation", "endoscope_arm", "clutch", "tissue"]}
-        arm = base | {"backend": "dvrk", "dvrk": dvrk | untold}
-        rig = {"rig": RIG, "router": {"endpoint": self._router}, "robot": {ARM: arm}, **self._sections}
-        (self._folder / name).write_text(json.dumps(rig))
-
     def _start(self, name: str, module: str, *arguments: object) -> None:
         command = [sys.executable, "-m", module, *map(str, arguments)]
         with (self._folder / f"{name}.log").open("ab") as log:
-            environment = {**os.environ, SUPERVISED: "1", **self._clock_of(name)}
+            environment = {**os.environ, SUPERVISED: "1"}
+            if f"clock of the {name}" == self._clock:
+                self.set_clock(name, 0.0)
+                environment |= faked(self._folder / f"{name}.clock", at_once=True)
             self._running[name] = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=log, stderr=log, env=environment
             )
-
-    def _clock_of(self, name: str) -> dict[str, str]:
-        """A clock that can be set, for whom it is to be."""
-        if f"clock of the {name}" != self._clock:
-            return {}
-        self.set_clock(name, 0.0)
-        return faked(self._folder / f"{name}.clock", at_once=True)
 
     def _end(self, process: "subprocess.Popen[bytes]") -> None:
         process.kill()

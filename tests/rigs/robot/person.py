@@ -1,9 +1,7 @@
 """A person who presses the page's button, and a camera, as far as a bridge and a guard can tell: for measurements.
 
-    python -m tests.rigs.robot.person press RIG ENDPOINT ARM PLAN     # arms the plan and answers; SIGUSR1 lets go
-    python -m tests.rigs.robot.person watch RIG ENDPOINT ARM          # 30 frame notices a second; SIGUSR1 freezes it
-
-Each answers the newest challenge that it has heard, as the page and the camera do.
+python -m tests.rigs.robot.person press RIG ENDPOINT ARM PLAN     # arms the plan and answers; SIGUSR1 lets go
+python -m tests.rigs.robot.person watch RIG ENDPOINT ARM          # 30 frame notices a second; SIGUSR1 freezes it
 """
 
 import json
@@ -121,25 +119,22 @@ def main(role: str, rig: str, endpoint: str, arm: str, plan_id: str = "") -> Non
     settings = SessionSettings(rig, endpoint)
     with open_session(settings) as session:
         connection = Connection(session, settings)
+        person, camera = Person(connection, arm), None
         if role == "watch":
             camera = Camera(connection, arm)
-            _wait(let_go)
+        else:
+            answer = person.press(plan_id)
+            told = {"outcome": answer.outcome.name, "code": answer.code, "reason": answer.reason}
+            print(json.dumps(told), flush=True)
+        # a signal's handler runs when the main thread wakes
+        while not let_go.wait(0.005):
+            pass
+        if camera is not None:
             camera.frozen.set()
-            print(json.dumps({"frozen_ns": now_ns()}), flush=True)
-            threading.Event().wait()
-        person = Person(connection, arm)
-        answer = person.press(plan_id)
-        print(json.dumps({"outcome": answer.outcome.name, "code": answer.code, "reason": answer.reason}), flush=True)
-        _wait(let_go)
-        person.release()
-        print(json.dumps({"released_ns": person.released_ns}), flush=True)
+        else:
+            person.release()
+            print(json.dumps({"released_ns": person.released_ns}), flush=True)
         threading.Event().wait()
-
-
-def _wait(event: threading.Event) -> None:
-    # a signal's handler runs when the main thread wakes
-    while not event.wait(0.005):
-        pass
 
 
 if __name__ == "__main__":

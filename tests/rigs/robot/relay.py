@@ -28,51 +28,34 @@ LOST_SHARE = 0.2
 
 def delay_of(mode: str, seconds: float, since_s: float, chance: float) -> float | None:
     """How long what comes so long after the beginning of a mode is held back; None where it is lost."""
-    if mode == "loss":
-        return None if chance < LOST_SHARE else 0.0
-    if mode == "reordered":
-        return chance * seconds
-    if mode == "constant":
-        return seconds
-    if mode == "growing":
-        return min(seconds, GROWS * since_s)
-    if mode == "bursts":
-        return seconds - since_s % seconds
-    return 1e9
+    match mode:
+        case "loss":
+            return None if chance < LOST_SHARE else 0.0
+        case "reordered":
+            return chance * seconds
+        case "constant":
+            return seconds
+        case "growing":
+            return min(seconds, GROWS * since_s)
+        case "bursts":
+            return seconds - since_s % seconds
+        case _:
+            return 1e9
 
 
-class Relay:
-    """Carries between the two ports."""
-
-    def __init__(self, listen: int, target: int, mode: str, seconds: float) -> None:
-        self._target, self._mode, self._seconds = target, mode, seconds
-        self._began_s: float | None = None
-        self._server = socket.create_server(("127.0.0.1", listen))
-
-    def begin(self) -> None:
-        """Carry by the mode from now on."""
-        self._began_s = monotonic_s()
-
-    def run(self) -> None:
-        """Until killed."""
-        while True:
-            ours, _ = self._server.accept()
-            try:
-                theirs = socket.create_connection(("127.0.0.1", self._target))
-            except OSError:
-                ours.close()
-                continue
-            for ends in ((ours, theirs), (theirs, ours)):
-                ends[0].setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                threading.Thread(
-                    target=_carry, args=(*ends, self._due_s, self._mode != "reordered"), daemon=True
-                ).start()
-
-    def _due_s(self, came_s: float) -> float | None:
-        if self._began_s is None:
-            return came_s
-        delay_s = delay_of(self._mode, self._seconds, came_s - self._began_s, random.random())
-        return None if delay_s is None else came_s + delay_s
+def _serve(listen: int, target: int, due_s: Callable[[float], float | None], ordered: bool) -> None:
+    """Carry between the two ports until killed."""
+    server = socket.create_server(("127.0.0.1", listen))
+    while True:
+        ours, _ = server.accept()
+        try:
+            theirs = socket.create_connection(("127.0.0.1", target))
+        except OSError:
+            ours.close()
+            continue
+        for ends in ((ours, theirs), (theirs, ours)):
+            ends[0].setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            threading.Thread(target=_carry, args=(*ends, due_s, ordered), daemon=True).start()
 
 
 def _carry(source: socket.socket, target: socket.socket, due_s: Callable[[float], float | None], ordered: bool) -> None:
@@ -121,14 +104,14 @@ def _messages(source: socket.socket) -> Iterator[bytes]:
 
 def main(listen: str, target: str, mode: str = "constant", seconds: str = "0") -> None:
     """Carry until killed."""
-    relay = Relay(int(listen), int(target), mode, float(seconds))
-    threading.Thread(target=relay.run, daemon=True).start()
-    begun = threading.Event()
-    signal.signal(signal.SIGUSR1, lambda *_: begun.set())
-    while not begun.wait(0.005):
-        pass
-    relay.begin()
-    threading.Event().wait()
+    began_s: list[float] = []
+
+    def due_s(came_s: float) -> float | None:
+        delay_s = delay_of(mode, float(seconds), came_s - began_s[0], random.random()) if began_s else 0.0
+        return None if delay_s is None else came_s + delay_s
+
+    signal.signal(signal.SIGUSR1, lambda *_: began_s.append(monotonic_s()))
+    _serve(int(listen), int(target), due_s, mode != "reordered")
 
 
 if __name__ == "__main__":

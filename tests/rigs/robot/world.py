@@ -1,8 +1,7 @@
-"""A robot bridge, a guard and an emulated console in one process and in a time of their own: all but the network.
+"""A robot bridge, a guard and an emulated console in one process, in a time that goes on when it is told to.
 
-What the bridge says reaches the guard, and what that passes the console, as bytes and at once, and the other way round;
-all live by a clock that goes on when it is told to, so that ten thousand motions take minutes and are the same each
-time. A guard that passes everything (`guarded=False`) shows what the bridge does alone.
+What they say to each other arrives as bytes and at once. A guard that passes everything (`guarded=False`) shows what
+the bridge does alone.
 """
 
 import contextlib
@@ -38,17 +37,8 @@ from schemas.messages import (
 )
 from schemas.topics import ARM, EXECUTION, FRAME_NOTICE, HEARTBEAT, PLAN, ROBOT_STATE, Topic
 from shared.kinematics.simulated_setup import SIMULATED_BASES
-from shared.ros.guarded import (
-    ALIVE,
-    CHALLENGE,
-    SET_POINT,
-    GuardedError,
-    SetPoint,
-    alive_from,
-    challenge_bytes,
-    key_of,
-    set_point_from,
-)
+from shared.ros import guarded as between
+from shared.ros.guarded import GuardedError, SetPoint, key_of
 from shared.ros.link import Heard, Said
 from shared.ros.naming import Ros2dds
 from shared.runtime.agent import Command, Output, Received, Tick
@@ -87,15 +77,12 @@ class Topics:
         return Outlet(lambda: latched or topic in self._bridge, put)
 
     def subscribe(self, topic: str, kind: str, receive: Callable[[bytes], None]) -> None:
-        """A topic for the console to hear."""
         self._console.setdefault(topic, []).append(receive)
 
     def close(self) -> None:
-        """Nothing is heard any more."""
         self._console, self._bridge = {}, {}
 
     def tell_guard(self, topic: str, data: bytes) -> None:
-        """Have the guard hear something of the bridge."""
         for guard in self.guards:
             guard.hear(topic, data)
 
@@ -105,7 +92,6 @@ class Topics:
             heard.receive(data, self._now_ns())
 
     def tell_console(self, topic: str, data: bytes) -> None:
-        """Have the console hear something."""
         for receive in self._console.get(topic, ()):
             receive(data)
 
@@ -115,7 +101,6 @@ class Topics:
         return lambda *arguments: Link(self, *arguments)
 
     def attend(self, heard: tuple[Heard, ...], owner_changed: Callable[[str, bool], None]) -> None:
-        """Have the bridge hear topics."""
         self.owner_changed = owner_changed
         for one in heard:
             self._bridge.setdefault(one.topic, []).append(one)
@@ -142,7 +127,6 @@ class Link:
         self._said, self._open = {one.topic for one in said}, False
 
     def open(self) -> None:
-        """Begin to hear."""
         if not self._open:
             self._open = True
             self._topics.attend(self._heard, self._owner_changed)
@@ -159,16 +143,11 @@ class Link:
         self._topics.tell_console(topic, payload)
 
     def close(self) -> None:
-        """Say nothing more."""
         self._open = False
 
 
 class WorldGuard:
-    """The guard between bridge and console: the real monitor, or one that passes everything.
-
-    Fields:
-        actions: what it did beside passing set points on, with the reasons.
-    """
+    """The guard between bridge and console; `actions` is what it did beside passing set points on."""
 
     def __init__(self, arm: str, topics: Topics, now_ns: Callable[[], int], judges: bool) -> None:
         self._name, self._topics, self._now_ns, self._judges = arm.upper(), topics, now_ns, judges
@@ -178,11 +157,10 @@ class WorldGuard:
         self.monitor.challenge(now_ns() - SETTLES_NS - 1)
 
     def hear(self, topic: str, data: bytes) -> None:
-        """What bridge and console say."""
         now_ns = self._now_ns()
         hears: dict[str, Callable[[], list[Action] | None]] = {
-            key_of(self._name, SET_POINT): lambda: self._set_point(set_point_from(topic, data), now_ns),
-            key_of(self._name, ALIVE): lambda: self.monitor.hear_alive(alive_from(topic, data), now_ns),
+            key_of(self._name, between.SET_POINT): lambda: self._set_point(between.set_point_from(topic, data), now_ns),
+            key_of(self._name, between.ALIVE): lambda: self.monitor.hear_alive(between.alive_from(topic, data), now_ns),
             f"{self._name}/measured_js": lambda: self.monitor.hear_joints(cdr.joint_positions(data), now_ns),
             f"{self._name}/jaw/measured_js": lambda: self.monitor.hear_jaw(cdr.joint_positions(data), now_ns),
             f"{self._name}/hold": lambda: self.monitor.hear_hold(now_ns),
@@ -195,28 +173,26 @@ class WorldGuard:
         """One turn, and a challenge for the bridge."""
         now_ns = self._now_ns()
         self.do(self.monitor.turn(now_ns) if self._judges else [])
-        name = key_of(self._name, CHALLENGE)
-        told = challenge_bytes(name, self.monitor.challenge(now_ns))
+        name = key_of(self._name, between.CHALLENGE)
+        told = between.challenge_bytes(name, self.monitor.challenge(now_ns))
         self._topics.later(lambda: self._topics.tell_bridge(name, told))
 
     def do(self, actions: list[Action]) -> None:
         """Pass on, hold or pause."""
         for action in actions:
+            now_ns = self._now_ns()
             if action.kind is Kind.PASS:
-                for topic, part in (("servo_jp", action.positions[:-1]), ("jaw/servo_jp", action.positions[-1:])):
-                    data = cdr.joint_state(part, self._now_ns())
-                    self._topics.tell_console(f"{self._name}/{topic}", data)
-                    self._topics.later(
-                        lambda topic=topic, data=data: self._topics.tell_bridge(f"{self._name}/{topic}", data)
-                    )
+                self._tell("servo_jp", cdr.joint_state(action.positions[:-1], now_ns))
+                self._tell("jaw/servo_jp", cdr.joint_state(action.positions[-1:], now_ns))
                 continue
             self.actions.append(action)
-            topic = "hold" if action.kind is Kind.HOLD else "state_command"
-            data = cdr.EMPTY if action.kind is Kind.HOLD else cdr.string_stamped("pause", self._now_ns())
-            self._topics.tell_console(f"{self._name}/{topic}", data)
-            self._tell_bridge(topic, data)
+            if action.kind is Kind.HOLD:
+                self._tell("hold", cdr.EMPTY)
+            else:
+                self._tell("state_command", cdr.string_stamped("pause", now_ns))
 
-    def _tell_bridge(self, topic: str, data: bytes) -> None:
+    def _tell(self, topic: str, data: bytes) -> None:
+        self._topics.tell_console(f"{self._name}/{topic}", data)
         self._topics.later(lambda: self._topics.tell_bridge(f"{self._name}/{topic}", data))
 
     def _set_point(self, said: SetPoint, now_ns: int) -> list[Action]:
@@ -235,12 +211,7 @@ class World:
     """
 
     def __init__(
-        self,
-        limits: MotionLimits,
-        lag_s: float,
-        arm: str = RIG_ARM,
-        topics: Topics | None = None,
-        guarded: bool = True,
+        self, limits: MotionLimits, lag_s: float, arm: str = RIG_ARM, topics: Topics | None = None, guarded: bool = True
     ) -> None:
         """One arm of a rig; arms that share their topics are those of one console."""
         self.now_ns, self.stands_by, self.faults = EPOCH_NS, False, 0
@@ -263,15 +234,8 @@ class World:
         )
         self.guard = WorldGuard(arm, self.topics, lambda: self.now_ns, guarded)
         self.topics.guards.append(self.guard)
-        config = RobotBridgeConfig(
-            arm,
-            base,
-            tick_hz=HZ,
-            limits=limits,
-            calibration_id="c",
-            registered_ns=EPOCH_NS,
-            tissue_needed=False,
-        )
+        of_camera: dict[str, Any] = {"calibration_id": "c", "registered_ns": EPOCH_NS, "tissue_needed": False}
+        config = RobotBridgeConfig(arm, base, tick_hz=HZ, limits=limits, **of_camera)
         self.bridge = RobotBridge(config, self.backend)
         self.armings, self.plan_id, self.arming_id, self._beat_ns = 0, "", "", 0
         self.events: list[ExecutionEvent] = []
@@ -299,7 +263,6 @@ class World:
             self.step(Tick(self.now_ns))
 
     def see(self) -> None:
-        """A frame is taken now."""
         self.step(Received(FRAME_NOTICE, "", 0, FrameNotice(self.stamp())))
 
     def stamp(self, captured_ns: int | None = None) -> FrameStamp:
@@ -321,7 +284,6 @@ class World:
         self.step(Received(HEARTBEAT, "", 0, heartbeat))
 
     def publish(self, plan: GraspPlan) -> None:
-        """Have the bridge hear a plan."""
         self.step(Received(PLAN, "", 0, plan))
 
     def arm(self, plan_id: str, arm: str = "", instance: str = "") -> CommandAnswer | None:

@@ -34,9 +34,8 @@ def test_joints_along_a_way_are_found_again_in_the_posture_that_the_arm_has(arm,
 
 
 def test_the_table_of_the_psm_is_the_psm():
-    joints = np.random.default_rng(1).uniform(
-        LARGE_NEEDLE_DRIVER.limits[:, 0], LARGE_NEEDLE_DRIVER.limits[:, 1], (50, 6)
-    )
+    lower, upper = LARGE_NEEDLE_DRIVER.limits.T
+    joints = np.random.default_rng(1).uniform(lower, upper, (50, 6))
     assert np.abs(PSM.forward(joints) - forward(joints)).max() < 1e-12
     shaft_m = PSM_START[2] + LARGE_NEEDLE_DRIVER.shaft_offset
     bent = np.stack([PSM_START] * 2)

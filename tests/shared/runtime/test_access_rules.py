@@ -85,36 +85,26 @@ def may_send(name, message, kind, instance, topic, history):
     return own or answers
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_each_certificate_sends_what_is_its_own_and_reads_its_rig(name):
-    rules, wrong = Rules(), []
-    for (key, *about), message in itertools.product(keys("lab"), EVERY):
-        if rules.allow(name, "ingress", message, key) != may_send(name, message, *about):
-            wrong.append((message, key))
-    assert wrong == []
+def differing(rules, name, flow, keys, allowed):
+    """Messages under keys that pass where they must not, or do not where they must."""
+    tried = itertools.product(keys, EVERY)
+    return [(m, key) for (key, *about), m in tried if rules.allow(name, flow, m, key) != allowed(m, *about)]
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_each_certificate_is_told_all_of_its_rig(name):
+def test_each_certificate_sends_what_is_its_own_and_reads_and_is_told_all_of_its_rig(name):
     rules = Rules()
-    denied = [
-        (m, key) for (key, *_), m in itertools.product(keys("lab"), EVERY) if not rules.allow(name, "egress", m, key)
-    ]
-    assert denied == []
+    assert differing(rules, name, "ingress", keys("lab"), lambda *what: may_send(name, *what)) == []
+    assert differing(rules, name, "egress", keys("lab"), lambda *_: True) == []
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_nothing_of_another_rig_or_of_none_passes(name):
+def test_nothing_of_another_rig_or_of_none_passes_nor_a_message_for_many_keys_of_others(name):
     rules = Rules()
     beside = ("suturegrasp/laboratory/camera/main/frames", "elsewhere", "@/router/local", "**", "suturegrasp/**")
-    outside = (*(key for key, *_ in keys("other")), *beside)
-    tried = itertools.product(outside, ("ingress", "egress"), EVERY)
-    assert [one for one in tried if rules.allow(name, one[1], one[2], one[0])] == []
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_no_message_for_many_keys_speaks_for_more_than_its_own(name):
-    rules = Rules()
+    for flow in ("ingress", "egress"):
+        outside = [(key,) for key, *_ in keys("other")] + [(key,) for key in beside]
+        assert differing(rules, name, flow, outside, lambda *_: False) == []
     wide = ("**", "*/*/frames", "*/main/**", "camera/*/log", "robot_bridge/*/state", "*/*/*/@adv/**")
     wide = [f"suturegrasp/lab/{tail}" for tail in wide]
     assert [(m, key) for m, key in itertools.product(OUTGOING, wide) if rules.allow(name, "ingress", m, key)] == []
@@ -122,12 +112,19 @@ def test_no_message_for_many_keys_speaks_for_more_than_its_own(name):
 
 def test_who_has_no_rules_sends_and_hears_nothing():
     rules = Rules()
-    assert rules.told["enabled"] is True and rules.told["default_permission"] == "deny"
-    assert {subject["id"]: subject["cert_common_names"] for subject in rules.told["subjects"]} == {
-        n: [n] for n in NAMES
-    }
-    for (key, *_), flow, message in itertools.product(keys("lab"), ("ingress", "egress"), EVERY):
-        assert not rules.allow("simulator.main", flow, message, key)
+    assert (rules.told["enabled"], rules.told["default_permission"]) == (True, "deny")
+    assert {one["id"]: one["cert_common_names"] for one in rules.told["subjects"]} == {n: [n] for n in NAMES}
+    for flow in ("ingress", "egress"):
+        assert differing(rules, "simulator.main", flow, keys("lab"), lambda *_: False) == []
+
+
+def asks(message, history):
+    """What is needed to read a rig of another site."""
+    return message in READING or (message == "query" and history != "")
+
+
+def attends(message, history):
+    return message == "liveliness_token" and history == RECOVERY
 
 
 READS, READ = Sites(("tls/10.0.0.1:7447",), reads=("north",)), Sites(read_by_others=True)
@@ -136,26 +133,19 @@ READS, READ = Sites(("tls/10.0.0.1:7447",), reads=("north",)), Sites(read_by_oth
 @pytest.mark.parametrize("name", NAMES)
 def test_of_a_site_that_is_read_each_certificate_hears_all_and_sends_only_to_read_it(name):
     rules = Rules(READS)
-    for (key, _, _, _, history), message in itertools.product(keys("north"), EVERY):
-        reads = message in READING or (message == "query" and bool(history))
-        attends = message == "liveliness_token" and history == RECOVERY
-        assert rules.allow(name, "ingress", message, key) == (reads or attends), (message, key)
-        assert rules.allow(name, "egress", message, key), (message, key)
-    third = itertools.product((key for key, *_ in keys("south")), ("ingress", "egress"), EVERY)
-    assert not any(rules.allow(name, flow, message, key) for key, flow, message in third)
+    may_send = lambda m, *about: asks(m, about[-1]) or attends(m, about[-1])  # noqa: E731
+    assert differing(rules, name, "ingress", keys("north"), may_send) == []
+    assert differing(rules, name, "egress", keys("north"), lambda *_: True) == []
+    for flow in ("ingress", "egress"):
+        assert differing(rules, name, flow, keys("south"), lambda *_: False) == []
 
 
 @pytest.mark.parametrize(("sites", "own", "told"), [(READS, False, True), (READ, True, False)])
-def test_the_router_of_another_site_is_told_a_rig_that_it_may_read_and_speaks_for_the_one_that_is_read(
-    sites, own, told
-):
+def test_the_router_of_another_site_hears_what_it_may_read_and_speaks_for_what_is_read(sites, own, told):
     rules = Rules(sites)
-    for rig, may_read in (("lab", own), ("north", told), ("south", False)):
-        for (key, _, _, _, history), message in itertools.product(keys(rig), EVERY):
-            asks = message in READING or (message == "query" and bool(history))
-            attends = message == "liveliness_token" and history == RECOVERY
-            speaks = message in OUTGOING
-            # a router asks for what it reads, and is told it; where it is read itself, the other way round
-            heard, said = (speaks, asks or attends) if rig == "north" else (asks or attends, speaks)
-            assert rules.allow("router.main", "ingress", message, key) == (may_read and heard), (message, key)
-            assert rules.allow("router.main", "egress", message, key) == (may_read and said), (message, key)
+    reads = lambda m, *about: asks(m, about[-1]) or attends(m, about[-1])  # noqa: E731
+    speaks = lambda m, *_: m in OUTGOING  # noqa: E731
+    # a router asks for what it reads, and is told it; where it is read itself, the other way round
+    for rig, may_read, ways in (("lab", own, (reads, speaks)), ("north", told, (speaks, reads)), ("south", False, ())):
+        for flow, may in zip(("ingress", "egress"), ways if may_read else [lambda *_: False] * 2, strict=True):
+            assert differing(rules, "router.main", flow, keys(rig), may) == []

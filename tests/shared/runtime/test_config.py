@@ -1,7 +1,5 @@
 """Configuration: what fits is read alike from TOML and JSON, and what does not is one sentence that helps."""
 
-import json
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -20,31 +18,26 @@ class Rig(Settings):
     arms: dict[str, Arm] = Field(default_factory=dict)
 
 
-def test_toml_and_json_say_the_same(tmp_path):
+def test_toml_and_json_say_the_same_and_a_section_that_is_empty_is_there(tmp_path):
     toml, saved = tmp_path / "rig.toml", tmp_path / "rig.json"
-    toml.write_text('name = "x"\n[arms.left]\nspeed = 2.5\n')
+    toml.write_text('name = "x"\n[arms.left]\nspeed = 2.5\n[camera]')
     rig = load_config(toml, Rig)
     saved.write_text(rig.model_dump_json())
-    assert rig == Rig(name="x", arms={"left": Arm(speed=2.5)}) == load_config(saved, Rig)
-
-
-def test_a_section_that_is_empty_is_there():
-    assert parse_config("[camera]", Rig, "r.toml").camera == Arm()
+    assert rig == Rig(name="x", arms={"left": Arm(speed=2.5)}, camera=Arm()) == load_config(saved, Rig)
     assert parse_config("", Rig, "r.toml").camera is None
+    assert config_hash(Rig(name="x")) == config_hash(Rig(name="x"))
+    assert len({config_hash(Rig()), config_hash(Rig(name="x")), config_hash(Rig(camera=Arm()))}) == 3
 
 
 MISTAKES = {
     "nme = 'x'": ("nme is unknown", "did you mean name?"),
-    "[camera]\nspede = 1": ("camera.spede is unknown", "did you mean speed?"),
     "[arms.left]\nspede = 1": ("arms.left.spede is unknown", "did you mean speed?"),
     "[arms.left]\nspeed = -1": ("arms.left.speed = -1", "greater than 0"),
     "[arms.left]\nspeed = nan": ("arms.left.speed = nan",),
     "name = 3": ("name = 3", "string"),
     "camera = 3": ("camera must be a section", "not 3"),
-    "name": ("is no TOML", "straight quotes"),
     "name = lab": ("is no TOML", "in line 1, 'name = lab'", "straight quotes"),
     "name = 'a'\nname = 'b'\n": ("in line 2", "what is there twice"),
-    "[camra]": ("camra is unknown", "did you mean camera?"),
     "[arms]\nspeed = 1.0": ("arms.speed must be a section", "[arms.NAME]"),
     "a = 1\nb = 2": ("a is unknown", "b is unknown"),
     f"name = {list(range(500))}": ("name = [0, 1, 2", "..."),
@@ -68,17 +61,11 @@ def test_a_file_that_cannot_be_used_is_named(tmp_path):
     for content, told in ((None, "No such file"), (b"\xff\xfe", "no text in UTF-8"), (b"name = ", "is no TOML")):
         if content is not None:
             path.write_bytes(content)
-        with pytest.raises(ConfigError, match=told) as caught:
+        with pytest.raises(ConfigError, match=f"{path}.*{told}"):
             load_config(path, Rig)
-        assert str(path) in str(caught.value)
-    with pytest.raises(ConfigError, match="cannot be read"):
-        load_config(tmp_path, Rig)
-
-
-@pytest.mark.parametrize("text", ["[1, 2]", "{", "[" * 100_000])
-def test_json_of_another_form_is_one_sentence(text):
-    with pytest.raises(ConfigError, match=r"r\.json"):
-        parse_config(text, Rig, "r.json")
+    for text in ("[1, 2]", "{", "[" * 100_000):
+        with pytest.raises(ConfigError, match=r"r\.json"):
+            parse_config(text, Rig, "r.json")
 
 
 @given(st.text(max_size=200))
@@ -87,14 +74,3 @@ def test_any_text_is_a_configuration_or_a_sentence(text):
         parse_config(text, Rig, "r.toml")
     except ConfigError as error:
         assert str(error).startswith("the configuration r.toml")
-
-
-@given(st.floats(min_value=1e-3, max_value=1e3), st.text("abc", min_size=1, max_size=5))
-def test_a_configuration_survives_being_written(speed, name):
-    rig = Rig(arms={name: Arm(speed=speed)})
-    assert parse_config(json.dumps(rig.model_dump()), Rig, "r.json") == rig
-
-
-def test_the_hash_changes_with_a_value_and_with_nothing_else():
-    assert config_hash(Rig(name="x")) == config_hash(Rig(name="x"))
-    assert len({config_hash(Rig()), config_hash(Rig(name="x")), config_hash(Rig(camera=Arm()))}) == 3

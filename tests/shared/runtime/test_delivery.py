@@ -1,134 +1,104 @@
-"""Each delivery class behind a real router, with receivers that are late, slow, or cut off for a while."""
+"""Each delivery class behind a real router, with receivers that are late, slow, cut off, or share no memory."""
 
 import contextlib
 import dataclasses
+import functools
+import json
+import subprocess
+import sys
 import threading
 
+import numpy as np
 import pytest
+import zenoh
 
+from schemas.codec import LARGE_BYTES, decode, encode
+from schemas.messages import FrameStamp, Image, ImageEncoding, StereoFrame
 from schemas.topics import CALIBRATION, FRAMES, PLAN, key
 from shared.runtime.accounts import RingLosses
-from shared.runtime.attachment import Attachment, pack, unpack
-from shared.runtime.delivery import declare_publisher, ring_room, subscribe
+from shared.runtime.attachment import unpack
+from shared.runtime.delivery import POOL_BYTES, declare_publisher, joined, payload_of, ring_room, subscribe
 from shared.runtime.session import SessionSettings, open_router, open_session
+from tests.shared.runtime.conftest import beside
 
 DEADLINE_S = 60.0
+FRAME_KEY, PLAN_KEY = key("test", FRAMES), key("test", PLAN)
 
 
 @pytest.fixture
-def publish(session):
-    """Publishes on a topic; the first call declares its publisher."""
-    publishers = {}
-
-    def put(topic, payload):
-        if topic not in publishers:
-            publishers[topic] = declare_publisher(session, key("test", topic), topic)
-        publishers[topic].put(payload)
-
-    yield put
-    for publisher in publishers.values():
-        publisher.undeclare()
+def publish(session, keep):
+    """Publishes on a topic."""
+    publisher = functools.cache(lambda topic: keep(declare_publisher(session, key("test", topic), topic)))
+    return lambda topic, payload: publisher(topic).put(payload)
 
 
 @pytest.fixture
-def listen(settings):
-    """Hears a topic on a session of its own: a list of payloads, and one of reported misses."""
-    with contextlib.ExitStack() as stack:
+def listen(receiver, keep):
+    """Hears a topic: a list of payloads, and one of reported misses."""
 
-        def start(topic):
-            opened = stack.enter_context(open_session(settings))
-            heard, missed = [], []
-            take = lambda sample: heard.append(sample.payload.to_bytes())  # noqa: E731
-            for declared in subscribe(opened, key("test", topic), topic, take, missed.append):
-                stack.callback(declared.undeclare)
-            return heard, missed
+    def start(topic):
+        heard, missed = [], []
+        take = lambda sample: heard.append(sample.payload.to_bytes())  # noqa: E731
+        keep(*subscribe(receiver, key("test", topic), topic, take, missed.append))
+        return heard, missed
 
-        yield start
+    return start
 
 
-def test_a_late_joiner_gets_the_last_state_and_only_that(publish, listen, until):
-    early, _ = listen(CALIBRATION)
-    for number in range(5):
-        publish(CALIBRATION, bytes([number]))
-    # what is still on its way to the router would be new to whoever joins meanwhile
-    until(lambda: b"\x04" in early)
-    heard, _ = listen(CALIBRATION)
-    until(lambda: heard)
-    publish(CALIBRATION, b"new")
-    until(lambda: b"new" in heard)
-    assert heard == [b"\x04", b"new"]
-
-
-def test_a_late_joiner_gets_as_many_events_in_order_as_the_rig_has_kept(publish, listen, until):
+def test_a_late_joiner_gets_the_last_state_the_kept_events_and_nothing_old_else(publish, listen, until, monkeypatch):
+    # a publisher that has been silent for long tells of itself by its token alone
+    monkeypatch.setattr("shared.runtime.delivery.MISS_HEARTBEAT_S", 10 * DEADLINE_S)
+    (states, _), (frames, _) = listen(CALIBRATION), listen(FRAMES)
     more = dataclasses.replace(PLAN, kept=PLAN.kept + 500)
     sent = [number.to_bytes(2, "big") for number in range(PLAN.kept + 200)]
     for payload in sent:
         publish(more, payload)
-    heard, missed = listen(more)
-    until(lambda: len(heard) == len(sent))
-    assert (heard, missed) == (sent, [])
-    of_table, _ = listen(PLAN)
-    until(lambda: of_table and of_table[-1] == sent[-1])
-    assert of_table == sent[-PLAN.kept :]
-
-
-def test_a_late_joiner_gets_nothing_old_of_what_counts_only_when_new(publish, listen, until):
-    early, _ = listen(FRAMES)
-    until(lambda: publish(FRAMES, b"old") or early)
-    # all that was sent before has passed the router when this has
+    for number in range(5):
+        publish(CALIBRATION, bytes([number]))
+    # what is still on its way to the router would be new to whoever joins meanwhile
+    until(lambda: b"\x04" in states)
+    until(lambda: publish(FRAMES, b"old") or frames)
     publish(FRAMES, b"the last of the old")
-    until(lambda: early[-1] == b"the last of the old")
-    heard, _ = listen(FRAMES)
-    until(lambda: publish(FRAMES, b"new") or b"new" in heard)
-    assert set(heard) == {b"new"}
+    until(lambda: frames[-1] == b"the last of the old")
+    (states, _), (frames, _), (plans, missed), (of_table, _) = (listen(t) for t in (CALIBRATION, FRAMES, more, PLAN))
+    until(lambda: states)
+    publish(CALIBRATION, b"new")
+    until(lambda: b"new" in states)
+    until(lambda: publish(FRAMES, b"new") or b"new" in frames)
+    assert (states, set(frames)) == ([b"\x04", b"new"], {b"new"})
+    until(lambda: len(plans) == len(sent) and of_table and of_table[-1] == sent[-1])
+    assert (plans, missed, of_table) == (sent, [], sent[-PLAN.kept :])
 
 
-def test_behind_a_slow_receiver_the_newest_is_next_and_what_it_replaced_is_told_from_what_never_came(
-    session, settings, heard_by_others, until
-):
-    topic_key, going, heard = key("test", FRAMES), threading.Event(), []
-    losses = RingLosses(ring_room(topic_key))
-    publisher = declare_publisher(session, topic_key, FRAMES)
-
-    def send(*numbers):
-        for number in numbers:
-            publisher.put(b"", attachment=pack(Attachment(1, number, 0, 0.0)))
+def test_behind_a_slow_receiver_the_newest_is_next(session, receiver, keep, heard_by_others, listen, publish, until):
+    going, heard, losses = threading.Event(), [], RingLosses(ring_room(FRAME_KEY))
+    publisher = keep(declare_publisher(session, FRAME_KEY, FRAMES))
 
     def slow(sample):
-        beside = unpack(sample.attachment.to_bytes())
-        assert beside is not None
-        heard.append(beside.sequence)
+        attachment = unpack(sample.attachment.to_bytes())
+        assert attachment is not None
+        heard.append(attachment.sequence)
         if heard[-1] == 6:
             going.wait(DEADLINE_S)
 
-    with open_session(settings) as receiver:
-        kept = subscribe(receiver, topic_key, FRAMES, slow, lambda _: None, losses)
-        heard_by_others(session, topic_key)
-        # as if 1 to 4 had been lost on the way
-        send(0, 5)
-        until(lambda: losses.lost == 4)
-        send(6)
-        until(lambda: heard[-1] == 6)
-        send(*range(7, 100))
-        # what is sent on another key over the same link comes after
-        other = subscribe(receiver, key("test", PLAN), PLAN, lambda _: heard.append("a plan"), lambda _: None)
-        heard_by_others(session, key("test", PLAN))
-        last = declare_publisher(session, key("test", PLAN), PLAN)
-        last.put(b"")
-        until(lambda: "a plan" in heard)
-        going.set()
-        until(lambda: 99 in heard)
-        until(lambda: losses.overwritten > 0)
-        for declared in (*kept, *other, publisher, last):
-            declared.undeclare()
+    keep(*subscribe(receiver, FRAME_KEY, FRAMES, slow, lambda _: None, losses))
+    heard_by_others(session, FRAME_KEY)
+    # as if 1 to 4 had been lost on the way
+    for number in (0, 5, *range(6, 100)):
+        publisher.put(b"", attachment=beside(number))
+        until(lambda number=number: number > 6 or heard[-1:] == [number])
+        until(lambda number=number: number != 5 or losses.lost == 4)
+    # what is sent on another key over the same link comes after
+    plans, _ = listen(PLAN)
+    until(lambda: publish(PLAN, b"") or plans)
+    going.set()
+    until(lambda: 99 in heard and losses.overwritten > 0)
     # what waited is few and new; an agent's inbox keeps one of them
-    came = [number for number in heard if number != "a plan"]
-    later = [number for number in came if number > 6]
+    later = [number for number in heard if number > 6]
     assert later == list(range(100 - len(later), 100))
-    assert len(later) <= ring_room(topic_key) + 1
+    assert len(later) <= ring_room(FRAME_KEY) + 1
     # the ring was full since, so of what is missing nobody knows where it went
-    assert losses.lost == 4
-    assert losses.lost + losses.overwritten == 100 - len(came)
+    assert (losses.lost, losses.overwritten) == (4, 100 - len(heard) - 4)
 
 
 def test_events_survive_a_restart_of_the_router_in_order_and_without_a_hole(router, until):
@@ -137,27 +107,80 @@ def test_events_survive_a_restart_of_the_router_in_order_and_without_a_hole(rout
         routing = contextlib.ExitStack()
         stack.push(routing)
         endpoint = routing.enter_context(router())
-        settings = SessionSettings("test", endpoint)
-        sender, receiver = (stack.enter_context(open_session(settings)) for _ in range(2))
-        publisher = declare_publisher(sender, key("test", PLAN), PLAN)
-        kept = subscribe(receiver, key("test", PLAN), PLAN, lambda s: heard.append(s.payload.to_bytes()), missed.append)
-        publisher.put(b"0")
-        until(lambda: heard == [b"0"])
+        sender, receiver = (stack.enter_context(open_session(SessionSettings("test", endpoint))) for _ in range(2))
+        publisher = declare_publisher(sender, PLAN_KEY, PLAN)
+        kept = subscribe(receiver, PLAN_KEY, PLAN, lambda s: heard.append(int(s.payload.to_string())), missed.append)
+        publisher.put("0")
+        until(lambda: heard == [0])
         routing.close()
         for number in range(1, 20):
-            publisher.put(str(number).encode())
+            publisher.put(str(number))
         with open_router(endpoint):
             until(lambda: len(heard) == 20)
             for declared in (*kept, publisher):
                 declared.undeclare()
-    assert heard == [str(number).encode() for number in range(20)]
-    assert missed == []
+    assert (heard, missed) == (list(range(20)), [])
 
 
-def test_no_thread_outlives_its_subscriber(session):
-    name = f"receive {key('test', FRAMES)}"
-    kept = subscribe(session, key("test", FRAMES), FRAMES, lambda _: None, lambda _: None)
-    assert name in {thread.name for thread in threading.enumerate()}
-    for declared in kept:
-        declared.undeclare()
-    assert name not in {thread.name for thread in threading.enumerate()}
+def without_shared_memory(endpoint):
+    config = zenoh.Config()
+    settings = {"mode": "client", "connect/endpoints": [endpoint], "scouting/multicast/enabled": False}
+    for name, value in (settings | {"transport/shared_memory/enabled": False}).items():
+        config.insert_json5(name, json.dumps(value))
+    return zenoh.open(config)
+
+
+@pytest.mark.parametrize("shares", [True, False], ids=["shared", "by network"])
+def test_a_frame_arrives_whole_whether_or_not_memory_is_shared(session, settings, keep, until, shares):
+    publisher, heard = keep(declare_publisher(session, FRAME_KEY, FRAMES)), []
+    pixels = np.random.default_rng(1).integers(0, 256, LARGE_BYTES, np.uint8).tobytes()
+    image = Image(ImageEncoding.RAW, LARGE_BYTES // 64, 64, 1, pixels)
+    sent = StereoFrame(FrameStamp(1, 1, 2, "c"), image, image)
+    with open_session(settings) if shares else without_shared_memory(settings.endpoint) as other:
+        kept = subscribe(other, FRAME_KEY, FRAMES, lambda s: heard.append(s.payload.to_bytes()), print)
+        until(lambda: publisher.matching_status.matching)
+        publisher.put(payload_of(FRAMES, sent))
+        until(lambda: heard)
+        assert f"receive {FRAME_KEY}" in {thread.name for thread in threading.enumerate()}
+        for declared in kept:
+            declared.undeclare()
+    assert heard == [encode(sent)]
+    assert decode(StereoFrame, heard[0]) == sent
+    # no thread outlives its subscriber
+    assert f"receive {FRAME_KEY}" not in {thread.name for thread in threading.enumerate()}
+
+
+UNLOCKED = """
+import ctypes, os, resource, sys
+CAP_IPC_LOCK, PR_CAPBSET_DROP = 14, 24
+ctypes.CDLL(None).prctl(PR_CAPBSET_DROP, CAP_IPC_LOCK, 0, 0, 0)
+resource.setrlimit(resource.RLIMIT_MEMLOCK, (0, 0))
+os.execv(sys.executable, [sys.executable, "-c", sys.argv[1], sys.argv[2]])
+"""
+"""Begins a program that may lock no memory, which takes the right to do so from root as well."""
+ASKS = """
+import sys
+from shared.runtime.session import SessionSettings, open_session
+from shared.runtime.delivery import joined
+with open_session(SessionSettings("test", sys.argv[1])) as session:
+    print(len(session.info.routers_zid()), type(joined([b"x" * 10000])).__name__)
+"""
+
+
+def test_where_no_memory_may_be_shared_a_session_goes_by_network_and_says_so(settings):
+    done = subprocess.run(
+        [sys.executable, "-c", UNLOCKED, ASKS, settings.endpoint], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == ["1", "bytes"]
+    assert "large messages go by network" in done.stderr
+
+
+def test_where_the_pool_is_full_a_payload_is_bytes():
+    parts = [b"head", bytes(range(256)) * (1 << 14), np.arange(1 << 20, dtype=np.uint8).data]
+    expected = b"".join(parts)
+    held = [joined(parts) for _ in range(POOL_BYTES // len(expected) + 2)]
+    # the first may be bytes too, while the pool still holds what an earlier test has let go
+    assert bytes in {type(payload) for payload in held}
+    assert all(bytes(payload) == expected for payload in held)
+    held.clear()
+    assert type(joined(parts)) is not bytes

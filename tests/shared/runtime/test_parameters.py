@@ -17,25 +17,21 @@ from schemas.messages import (
     Consumed,
     ExecutionEvent,
     ExecutionKind,
-    FrameStamp,
-    Image,
-    ImageEncoding,
     Outcome,
     SetParameter,
-    StereoFrame,
 )
 from schemas.topics import COMMANDS, CONFIGURATION, EXECUTION, FRAMES, SET, key
-from shared.recording.entry import Entry as Recorded
+from shared.recording.entry import Entry
 from shared.runtime.agent import Agent, Command, Input, Output, Received
-from shared.runtime.attachment import Attachment, pack
 from shared.runtime.commands import new_header, send_command
 from shared.runtime.connection import connected
 from shared.runtime.parameters import Between, OneOf, Parameters, meant, settable
 from shared.runtime.replay import replay
 from shared.runtime.taps import tap
+from tests.shared.runtime.conftest import Idle, beside, frame_bytes
 
 DEADLINE_S = 60.0
-IMAGE = Image(ImageEncoding.RAW, 4, 2, 1, bytes(8))
+FRAME_KEY, SAID_KEY = key("test", FRAMES), key("test", EXECUTION, "psm1")
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,22 +47,23 @@ class Config:
         require(self.gain * self.count < 90, "gain times count must be below 90")
 
 
+def event(said, consumed=()):
+    return ExecutionEvent("p", "psm1", 0, ExecutionKind.HELD, None, "said", said, "a", consumed)
+
+
 class Counting(Agent):
     """Says after every frame what it is set to; nothing of that is in what it says it goes on from."""
 
-    kind, instance, commands, tick_hz = "robot_bridge", "psm1", (), None
+    kind, instance = "robot_bridge", "psm1"
     inputs, outputs = (Input(FRAMES, only_newest_counts=True),), (EXECUTION,)
 
     def __init__(self, config=Config()):
         self.config = config
 
-    def configure(self, config):
-        self.config = config
-
     def step(self, arrived):
         assert isinstance(arrived, Received)
         said = f"frame {arrived.message.stamp.sequence} at gain {self.config.gain}, {self.config.method}"
-        yield Output(EXECUTION, ExecutionEvent("p", "psm1", 0, ExecutionKind.HELD, None, "said", said, "a"))
+        yield Output(EXECUTION, event(said))
 
 
 def asked(parameters, name, value) -> CommandAnswer:
@@ -90,12 +87,12 @@ def test_whatever_is_asked_the_config_stays_within_what_is_allowed(name, value):
     answer = asked(Parameters(agent), name, json.dumps(value))
     config = agent.config
     assert 0.5 <= config.gain <= 9.5
-    assert type(config.count) is int
+    assert type(config.gain) is float
     assert 1 <= config.count <= 10
+    assert type(config.count) is int
     assert 0.1 <= config.patience_s <= 30
     assert config.method in (None, "ridge", "threshold")
     assert (answer.outcome is Outcome.ACCEPTED) == (getattr(config, name) == meant(value) and type(value) is not bool)
-    assert type(config.gain) is float
 
 
 @pytest.mark.parametrize(
@@ -109,32 +106,16 @@ def test_whatever_is_asked_the_config_stays_within_what_is_allowed(name, value):
         ("method", '"edges"', "out_of_range", 'one of "auto", "ridge", "threshold"'),
         ("method", "ridge", "unreadable_value", "texts need quotation marks"),
         ("count", "9" * 5000, "unreadable_value", "is no JSON"),
+        ("gain", "9.5", "does_not_fit", "must be below 90"),
     ],
 )
 def test_what_cannot_be_set_is_refused_in_a_sentence_and_nothing_changes(name, value, code, said):
-    as_configured = Config()
+    as_configured = Config(count=9 + (code == "does_not_fit"))
     agent = Counting(as_configured)
     answer = asked(Parameters(agent), name, value)
     assert (answer.outcome, answer.code) == (Outcome.REFUSED, code)
     assert said in answer.reason
     assert agent.config is as_configured
-
-
-def test_a_value_that_does_not_go_with_the_others_is_refused_by_the_config_itself():
-    agent = Counting()
-    parameters = Parameters(agent)
-    assert asked(parameters, "count", "10").outcome is Outcome.ACCEPTED
-    answer = asked(parameters, "gain", "9.5")
-    assert (answer.code, "must be below 90" in answer.reason) == ("does_not_fit", True)
-    assert agent.config.gain == 2.0
-
-
-def test_what_was_made_smaller_can_be_made_as_great_as_it_was_configured():
-    agent = Counting()
-    parameters = Parameters(agent)
-    for value in ("1.5", "30"):
-        assert asked(parameters, "patience_s", value).outcome is Outcome.ACCEPTED
-        assert agent.config.patience_s == float(value)
 
 
 def test_the_configuration_tells_all_parameters_and_what_was_set_and_restores_that_alone():
@@ -143,8 +124,9 @@ def test_the_configuration_tells_all_parameters_and_what_was_set_and_restores_th
     assert json.loads(before.parameters)["place"] == [[1, 0], [0, 1]]
     assert [p.name for p in before.settable] == ["gain", "count", "patience_s", "method"]
     assert (before.config_hash, any(p.is_set for p in before.settable)) == ("c0ffee", False)
-    asked(parameters, "gain", "4")
-    asked(parameters, "method", '"ridge"')
+    for name, value in (("gain", "4"), ("method", '"ridge"'), ("patience_s", "1.5"), ("patience_s", "30")):
+        # what was made smaller can be made as great as it was configured
+        assert asked(parameters, name, value).outcome is Outcome.ACCEPTED
     during = parameters.told(2, "c0ffee")
     assert json.loads(during.parameters)["gain"] == 4
     assert [p.name for p in during.settable if p.is_set] == ["gain", "method"]
@@ -152,137 +134,70 @@ def test_the_configuration_tells_all_parameters_and_what_was_set_and_restores_th
     elsewhere = Counting(Config(count=5))
     list(Parameters(elsewhere).step(Received(CONFIGURATION, "k", 0, during)))
     assert (elsewhere.config.gain, elsewhere.config.method, elsewhere.config.count) == (4.0, "ridge", 5)
-    asked(parameters, "gain", "2.0")
-    asked(parameters, "method", "null")
+    # auto leaves the choice to the agent
+    for name, value in (("gain", "2.0"), ("method", '"auto"')):
+        assert asked(parameters, name, value).outcome is Outcome.ACCEPTED
     assert parameters.told(1, "c0ffee") == before
+    assert json.loads(before.parameters)["method"] == "auto"
+    assert Parameters(Idle()).told(1, "c0ffee").parameters == "{}"
 
 
-def test_an_agent_without_config_has_no_parameters():
-    class Bare(Agent):
-        kind, instance, inputs, outputs, commands, tick_hz = "planner", "main", (), (), (), None
+def test_what_is_set_while_an_agent_runs_is_repeated_by_replays(running, session, settings, keep, until, caplog):
+    entries, numbers = [], iter(range(10**6))
 
-        def step(self, arrived) -> list[Output]:
-            assert arrived
-            return []
+    def record(tapped):
+        entries.append(Entry(tapped.key, tapped.beside.epoch, tapped.beside.sequence, tapped.payload, 0, 0))
 
-    parameters = Parameters(Bare())
-    assert parameters.told(1, "c0ffee").parameters == "{}"
-    assert "it has none" in asked(parameters, "gain", "1").reason
+    def of(name):
+        return [entry for entry in list(entries) if entry.key.endswith(name)]
 
-
-@dataclass(frozen=True)
-class Entry:
-    key: str
-    epoch: int
-    sequence: int
-    payload: bytes
-    repeated: bool = False
-
-
-class Session:
-    """A rig of one agent: its frames are sent here, and all is recorded."""
-
-    def __init__(self, session):
-        self.entries, self._session, self._numbers = [], session, iter(range(10**6))
-        self.kept = tap(session, "test", (FRAMES, EXECUTION, COMMANDS, CONFIGURATION), self._record, lambda *_: None)
-
-    def _record(self, tapped):
-        self.entries.append(Entry(tapped.key, tapped.beside.epoch, tapped.beside.sequence, tapped.payload))
-
-    def of(self, name):
-        return [entry for entry in list(self.entries) if entry.key.endswith(name)]
-
-    def says_of_the_next_frame(self, what):
-        """Send one; whether the newest output says so."""
-        number = next(self._numbers)
-        payload = encode(StereoFrame(FrameStamp(number, 0, 0, ""), IMAGE, IMAGE))
-        self._session.put(key("test", FRAMES), payload, attachment=pack(Attachment(7, number, 0, 0.0)))
-        said = [decode(ExecutionEvent, entry.payload).reason for entry in self.of("execution")]
+    def says_of_the_next_frame(what):
+        number = next(numbers)
+        session.put(FRAME_KEY, frame_bytes(number), attachment=beside(number, epoch=7))
+        said = [decode(ExecutionEvent, entry.payload).reason for entry in of("execution")]
         return bool(said) and what in said[-1]
 
-
-@pytest.fixture
-def rig(session):
-    made = Session(session)
-    yield made
-    for declared in made.kept:
-        declared.undeclare()
-
-
-def test_a_parameter_is_set_while_the_agent_runs_and_replays_repeat_what_follows(
-    running, session, settings, rig, until, caplog
-):
+    keep(*tap(session, "test", (FRAMES, EXECUTION, COMMANDS, CONFIGURATION), record, lambda *_: None))
     running(Counting())
-    until(lambda: rig.says_of_the_next_frame("at gain 2.0, None"))
+    until(lambda: says_of_the_next_frame("at gain 2.0, None"))
     with connected(settings, DEADLINE_S) as connection:
         command = SetParameter(new_header("anna", DEADLINE_S), "gain", "5")
         for _ in range(2):
             answer = send_command(session, "test", SET, command, "psm1", agent="robot_bridge")
             assert answer.outcome is Outcome.ACCEPTED
-        until(lambda: rig.says_of_the_next_frame("at gain 5.0, None"))
+        until(lambda: says_of_the_next_frame("at gain 5.0, None"))
         assert connection.set_parameter("robot_bridge", "psm1", "gain", 50, "anna").code == "out_of_range"
         assert connection.set_parameter("robot_bridge", "psm1", "method", "ridge", "ben").outcome is Outcome.ACCEPTED
-        until(lambda: rig.says_of_the_next_frame("at gain 5.0, ridge"))
+        until(lambda: says_of_the_next_frame("at gain 5.0, ridge"))
         told = until(lambda: (c := connection.configurations().get("robot_bridge/psm1")) and c.settable[3].is_set and c)
     assert json.loads(told.parameters)["gain"] == 5.0
-    until(lambda: len(rig.of("command")) == len(rig.of("configuration")) == 3)
-    records = [decode(CommandRecord, entry.payload) for entry in rig.of("command")]
+    until(lambda: len(of("command")) == len(of("configuration")) == 3)
+    records = [decode(CommandRecord, entry.payload) for entry in of("command")]
     audit = [(decode(SetParameter, r.payload).header.sender, r.answer.outcome) for r in records]
     assert audit == [("anna", Outcome.ACCEPTED), ("anna", Outcome.REFUSED), ("ben", Outcome.ACCEPTED)]
     told_to_people = [said for said in caplog.messages if "was set to" in said]
     assert told_to_people == ["gain was set to 5 by anna", 'method was set to "ridge" by ben']
-    entries = list(rig.entries)
-    repeated = list(replay(Counting, entries))
-    assert len(repeated) == sum(entry.key.endswith("execution") for entry in entries)
+    repeated = list(replay(Counting, recorded := list(entries)))
+    assert len(repeated) == sum(entry.key.endswith("execution") for entry in recorded)
     assert all(r.same and not r.missing for r in repeated)
 
 
-def test_a_recording_that_began_after_all_was_set_knows_of_it_by_the_configuration_alone():
-    there = Parameters(Counting())
+def test_a_recording_that_began_after_all_was_set_knows_of_it_but_for_what_its_replay_gives():
+    there, state = Parameters(Counting()), key("test", CONFIGURATION, "psm1", "robot_bridge")
     asked(there, "gain", "5")
-    name, state = key("test", EXECUTION, "psm1"), key("test", CONFIGURATION, "psm1", "robot_bridge")
-    configuration = Entry(state, 9, 1, encode(there.told(1, "")))
-    seen = Entry(key("test", FRAMES), 7, 3, encode(StereoFrame(FrameStamp(3, 0, 0, ""), IMAGE, IMAGE)))
-    listed = Consumed(state, 9, 1), Consumed(seen.key, 7, 3)
-    said = "frame 3 at gain 5.0, None"
-    event = ExecutionEvent("p", "psm1", 0, ExecutionKind.HELD, None, "said", said, "a", consumed=listed)
-    output = Entry(name, 9, 0, encode(event))
+    asked(there, "count", "7")
+    listed = Consumed(state, 9, 1), Consumed(FRAME_KEY, 7, 3)
+    configuration = Entry(state, 9, 1, encode(there.told(1, "")), 1, 1)
+    seen = Entry(FRAME_KEY, 7, 3, frame_bytes(3), 2, 2)
+    output = Entry(SAID_KEY, 9, 0, encode(event("frame 3 at gain 5.0, None", listed)), 3, 3)
     (last,) = replay(Counting, [configuration, seen, output])
     assert (last.same, last.missing) == (True, ())
     (without,) = replay(Counting, [seen, output])
     assert without.missing == (listed[0],)
-
-
-def test_agents_that_are_replayed_together_have_what_was_set_but_for_what_the_replay_gives():
-    there = Parameters(Counting())
-    asked(there, "gain", "5")
-    asked(there, "count", "7")
-    name, state = key("test", EXECUTION, "psm1"), key("test", CONFIGURATION, "psm1", "robot_bridge")
-    frame = StereoFrame(FrameStamp(3, 0, 0, ""), IMAGE, IMAGE)
-    listed = Consumed(state, 9, 1), Consumed(key("test", FRAMES), 7, 3)
-    event = ExecutionEvent("p", "psm1", 0, ExecutionKind.HELD, None, "said", "frame 3 at gain 5.0, None", "a", listed)
-    entries = [
-        Recorded(state, 9, 1, encode(there.told(1, "")), 1, 1),
-        Recorded(key("test", FRAMES), 7, 3, encode(frame), 2, 2),
-        Recorded(name, 9, 0, encode(event), 3, 3),
-    ]
-    made = list[Counting]()
-
-    def build():
-        made.append(Counting())
-        return made[-1]
-
-    for given_here, gain in ((frozenset[str](), 5.0), (frozenset({"gain"}), 2.0)):
-        (outcome,), _ = replay_through([Stage("robot_bridge/psm1", build, given_here)], entries)
-        (output,) = outcome.outputs
-        assert (output.same, outcome.faults) == (not given_here, 0)
+    made = []
+    for given_here, gain in ((frozenset(), 5.0), (frozenset({"gain"}), 2.0)):
+        stage = Stage("robot_bridge/psm1", lambda: made.append(Counting()) or made[-1], given_here)
+        (outcome,), _ = replay_through([stage], [configuration, seen, output])
+        (repeated,) = outcome.outputs
+        assert (repeated.same, outcome.faults) == (not given_here, 0)
         assert (made[-1].config.gain, made[-1].config.count) == (gain, 7)
-
-
-def test_auto_leaves_the_choice_to_the_agent():
-    agent = Counting()
-    parameters = Parameters(agent)
-    asked(parameters, "method", '"ridge"')
-    assert asked(parameters, "method", '"auto"').outcome is Outcome.ACCEPTED
-    assert agent.config.method is None
-    assert json.loads(parameters.told(1, "").parameters)["method"] == "auto"

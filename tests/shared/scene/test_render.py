@@ -24,6 +24,7 @@ from shared.scene.sensor import NO_NOISE, Sensor, expose, grain
 from shared.splines import clamped_uniform_knots
 
 EXAMPLE = Path(__file__).parents[3] / "docs" / "example"
+WRITTEN = ("truth.json", "calibration.json")
 
 
 @pytest.fixture(scope="module")
@@ -36,14 +37,11 @@ def scene() -> Scene:
     return make_scene("medium", "plain", 3)
 
 
-def test_the_same_scene_gives_the_same_pair_and_another_seed_another(scene):
+def test_a_scene_is_the_same_again_but_for_its_seed_and_background_and_thread_apart_are_the_pair(scene):
     one, other = render(scene), render(scene)
     assert (one.left_bgr == other.left_bgr).all()
     assert (one.right_bgr == other.right_bgr).all()
     assert (render(replace(scene, seed=4)).left_bgr != one.left_bgr).any()
-
-
-def test_background_and_thread_rendered_apart_are_the_pair_without_noise(scene):
     pair = render(replace(scene, sensor=NO_NOISE))
     backdrop = render_backdrop(scene.camera, scene.background, scene.distance_mm, scene.seed)
     left, right = render_thread(scene.camera, scene.thread, scene.colour, backdrop)
@@ -52,10 +50,14 @@ def test_background_and_thread_rendered_apart_are_the_pair_without_noise(scene):
     assert (mask_of(scene.camera, right.tube) == pair.coverage_right).all()
 
 
-def test_threads_have_their_colour(scene):
+def test_threads_have_their_colour_and_unknown_names_list_the_known_ones(scene):
     for colour, bgr in COLOURS.items():
         pair = render(replace(scene, colour=colour, sensor=NO_NOISE))
         assert np.median(pair.left_bgr[pair.coverage_left == 255], axis=0) == pytest.approx(bgr, abs=30)
+    with pytest.raises(SceneError, match="violet, black, blue"):
+        replace(scene, colour="pink")
+    with pytest.raises(SceneError, match="tissue, plain"):
+        replace(scene, background="paper")
 
 
 @pytest.mark.slow
@@ -81,35 +83,25 @@ def test_a_thread_partly_or_wholly_outside_the_images_is_no_error(x_mm, tissue):
 @pytest.mark.parametrize("level", [20, 235])
 def test_noise_has_the_deviation_that_the_sensor_states(level):
     image = np.full((200, 300, 3), level, dtype=np.uint8)
-    sensor = Sensor(blur_px=0.6, read_noise=2.0, shot_noise=3.0)
-    noisy = expose(image, sensor, grain((200, 300), 1))
-    expected = np.sqrt(4.0 + 9.0 * level / 255.0 + 1.0 / 12.0)
-    assert noisy.astype(float).std() == pytest.approx(expected, rel=0.02)
-    assert noisy.astype(float).mean() == pytest.approx(level, abs=0.05)
-
-
-def test_unknown_names_list_the_known_ones(scene):
-    with pytest.raises(SceneError, match="violet, black, blue"):
-        replace(scene, colour="pink")
-    with pytest.raises(SceneError, match="tissue, plain"):
-        replace(scene, background="paper")
+    noisy = expose(image, Sensor(blur_px=0.6, read_noise=2.0, shot_noise=3.0), grain((200, 300), 1)).astype(float)
+    assert noisy.std() == pytest.approx(np.sqrt(4.0 + 9.0 * level / 255.0 + 1.0 / 12.0), rel=0.02)
+    assert noisy.mean() == pytest.approx(level, abs=0.05)
 
 
 @pytest.mark.slow
 def test_the_command_writes_what_it_rendered_or_says_where_it_cannot(tmp_path, capsys):
-    folder = tmp_path / "pair"
-    assert main(["--config", "easy", "--background", "plain", "--seed", "2", "--output", str(folder)]) == 0
-    truth = json.loads((folder / "truth.json").read_text())
+    asked = ["--config", "easy", "--background", "plain", "--seed", "2", "--output"]
+    assert main([*asked, str(tmp_path / "pair")]) == 0
+    truth, calibration = (json.loads((tmp_path / "pair" / name).read_text()) for name in WRITTEN)
     scene = make_scene("easy", "plain", 2)
     assert np.abs(np.array(truth["control_points"]) - scene.thread.control_points).max() < 1e-6
     assert truth["unit"] == "mm"
-    mask = cv2.imread(str(folder / "mask_right.png"), cv2.IMREAD_GRAYSCALE)
+    mask = cv2.imread(str(tmp_path / "pair" / "mask_right.png"), cv2.IMREAD_GRAYSCALE)
     assert (np.asarray(mask) == render(scene).coverage_right).all()
-    calibration = json.loads((folder / "calibration.json").read_text())
     assert calibration["K"] == [[1000.0, 0.0, 479.5], [0.0, 1000.0, 269.5], [0.0, 0.0, 1.0]]
     assert calibration["baseline_mm"] == 5.5
     (tmp_path / "taken").touch()
-    assert main(["--config", "easy", "--background", "plain", "--output", str(tmp_path / "taken")]) == 2
+    assert main([*asked, str(tmp_path / "taken")]) == 2
     assert "choose a folder you may write to" in capsys.readouterr().err
 
 

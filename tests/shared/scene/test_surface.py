@@ -1,14 +1,19 @@
-"""Rays meet the surface where geometry has it, and both eyes see one and the same background."""
+"""Rays meet the surface where geometry has it, both eyes see one and the same background, and files keep it."""
+
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
 from schemas.messages import RectifiedStereo
-from shared.scene.render import render_backdrop
+from shared.scene.backdrop_files import read_backdrop, write_backdrop
+from shared.scene.render import SceneError, render_backdrop, render_thread
 from shared.scene.surface import depth_at_points, flat_surface, meet_rays, ray_tangents, tissue_surface
+from shared.scene.thread_shapes import thread_on
 
 CAMERA = RectifiedStereo(480, 270, 500.0, 500.0, 239.5, 134.5, 5.5, 1e-3)
+SMALL = RectifiedStereo(320, 180, 1000.0 / 3.0, 1000.0 / 3.0, 159.5, 89.5, 5.5, 1e-3)
 
 
 @pytest.mark.parametrize("eye_x_mm", [0.0, CAMERA.baseline])
@@ -18,17 +23,11 @@ def test_every_ray_ends_on_the_surface_which_was_made_wide_enough(eye_x_mm):
     z = meet_rays(surface, p, q, eye_x_mm)
     ends = np.column_stack(((eye_x_mm + p * z).ravel(), (q * z).ravel())).astype(np.float64)
     assert np.abs(depth_at_points(surface, ends[:30000]) - z.ravel()[:30000]).max() < 2e-3
-    assert z.min() > 80.0
-    assert z.max() < 115.0
+    assert 80.0 < z.min() < z.max() < 115.0
     place = (ends - (surface.x0_mm, surface.y0_mm)) / surface.step_mm
     assert place.min() >= 0
     assert (place <= np.array(surface.depth_mm.shape[::-1]) - 1).all()
     assert (meet_rays(flat_surface(88.0), p, q, eye_x_mm) == 88.0).all()
-
-
-@pytest.fixture(scope="module")
-def backdrop():
-    return render_backdrop(CAMERA, "tissue", 95.0, 1)
 
 
 def shift_left_over(seen: np.ndarray, expected: np.ndarray) -> float:
@@ -42,7 +41,8 @@ def shift_left_over(seen: np.ndarray, expected: np.ndarray) -> float:
     return float((gradient * difference)[same].sum() / (gradient**2)[same].sum())
 
 
-def test_the_background_has_the_disparity_of_its_depth(backdrop):
+def test_the_background_has_the_disparity_of_its_depth():
+    backdrop = render_backdrop(CAMERA, "tissue", 95.0, 1)
     columns, rows = np.meshgrid(np.arange(480, dtype=np.float32), np.arange(270, dtype=np.float32))
     left = backdrop.left_bgr[..., 1].astype(np.float32)
     right = backdrop.right_bgr[..., 1].astype(np.float32)
@@ -55,3 +55,18 @@ def test_the_background_has_the_disparity_of_its_depth(backdrop):
     assert abs(shift_left_over(right[seen], expected(0.0)[seen])) < 0.02
     # a millimetre is 0.3 px here, of which the estimate keeps a part, since it leaves out what differs most
     assert shift_left_over(right[seen], expected(1.0)[seen]) > 0.08
+
+
+def test_a_field_on_disk_comes_back_as_it_was_for_its_own_camera_alone(tmp_path):
+    backdrop = render_backdrop(SMALL, "tissue", 95.0, 4)
+    write_backdrop(tmp_path, SMALL, backdrop, {"seed": 4})
+    read = read_backdrop(tmp_path, SMALL)
+    assert np.abs(read.left_bgr.astype(float) - backdrop.left_bgr).mean() < 3.0
+    np.testing.assert_allclose(read.depth_left_mm, backdrop.depth_left_mm, atol=0.01)
+    np.testing.assert_allclose(read.depth_right_mm, backdrop.depth_right_mm, atol=0.01)
+    left, _ = render_thread(SMALL, thread_on(SMALL, read.surface, "easy", 1), "violet", read)
+    assert 0.001 < (np.abs(left.bgr.astype(int) - read.left_bgr).max(axis=2) > 20).mean() < 0.1
+    with pytest.raises(SceneError, match="another camera, which differs in fx_px, fy_px"):
+        read_backdrop(tmp_path, replace(SMALL, fx_px=300.0, fy_px=300.0))
+    with pytest.raises(SceneError, match="suturegrasp scenes backdrop"):
+        read_backdrop(tmp_path / "nowhere", SMALL)

@@ -4,12 +4,10 @@ import heapq
 import itertools
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
-from agents.emulator.wire import Outlet
-from agents.guard import cdr
 from agents.guard.links import RESTS_NS
-from agents.guard.monitor import Action, Monitor
+from agents.guard.monitor import Action
 from shared.ros.guarded import CHALLENGE, SetPoint, challenge_bytes, key_of
 from tests.rigs.robot.world import EPOCH_NS, NAME, RIG_ARM, Topics, WorldGuard
 from tests.rigs.robot.world import Link as RobotLink
@@ -17,7 +15,6 @@ from tests.rigs.robot.world import Link as RobotLink
 MS = 1_000_000
 TICK_NS = 10 * MS
 """A turn of bridge, guard and desk: the default of each."""
-PEDAL = "footpedals/operator_present"
 ROBOT_LINKS = ("to robot", "from robot")
 RIG_LINKS = ("states", "answers", "guarded answers", "challenges", "frames", "pictures", "commands")
 PAGES = ("ann", "ben")
@@ -26,22 +23,15 @@ LINKS = (*ROBOT_LINKS, *RIG_LINKS, *BROWSER_LINKS)
 
 
 class Time:
-    """The monotonic time of all, and how far the wall clock of each computer is from it.
+    """The monotonic time of all, and how far the wall clock of each computer is from it."""
 
-    Fields:
-        offset_ns: by computer, of `bridge`, `desk` and `camera`.
-    """
+    now_ns = EPOCH_NS
+    offset_ns: ClassVar = {"bridge": 0, "desk": 0, "camera": 0}
 
-    def __init__(self) -> None:
-        self.begin()
-
-    def begin(self) -> None:
-        """Start anew, with clocks that agree."""
-        self.now_ns = EPOCH_NS
-        self.offset_ns: dict[str, int] = {"bridge": 0, "desk": 0, "camera": 0}
+    def agree(self) -> None:
+        self.offset_ns.update(dict.fromkeys(self.offset_ns, 0))
 
     def wall_ns(self, computer: str) -> int:
-        """What a computer takes for now."""
         return self.now_ns + self.offset_ns[computer]
 
 
@@ -51,23 +41,14 @@ TIME = Time()
 
 @dataclass
 class Link:
-    """How a link carries.
+    """How a link carries: each nth message is lost, and of three one comes by `jitter_ns` later, one by half as much.
 
-    Fields:
-        delay_ns: of every message.
-        lost: each nth is.
-        jitter_ns: by how much one in three comes later, and another half as much, so that others overtake both.
-        growth_ns: by how much each is later than the one before.
-        burst_ns: messages wait, and all come together once in so long.
-        ordered: nothing overtakes, as on a connection of a browser.
-        broken_until_ns: nothing is carried before that.
+    Where it is `ordered`, as on a connection of a browser, nothing overtakes or is lost.
     """
 
     delay_ns: int = 0
     lost: int = 0
     jitter_ns: int = 0
-    growth_ns: int = 0
-    burst_ns: int = 0
     ordered: bool = False
     broken_until_ns: int = 0
     count: int = 0
@@ -78,20 +59,13 @@ class Link:
         self.count += 1
         if now_ns < self.broken_until_ns or (self.lost and not self.ordered and self.count % self.lost == 0):
             return None
-        late_ns = self.delay_ns + self.growth_ns * self.count + (0, self.jitter_ns // 2, self.jitter_ns)[self.count % 3]
-        at_ns = now_ns + late_ns
-        if self.burst_ns:
-            at_ns = -(-at_ns // self.burst_ns) * self.burst_ns
+        at_ns = now_ns + self.delay_ns + (0, self.jitter_ns // 2, self.jitter_ns)[self.count % 3]
         self.last_ns = max(at_ns, self.last_ns) if self.ordered else at_ns
         return self.last_ns
 
 
 class Network:
-    """Carries what is said, and does what is due later.
-
-    Fields:
-        sent_ns: when the message was sent that arrives now.
-    """
+    """Carries what is said, and does what is due later; `sent_ns` is when the message was sent that arrives now."""
 
     def __init__(self) -> None:
         self.links, self.sent_ns = dict[str, Link](), 0
@@ -114,8 +88,7 @@ class Network:
         """Links break: what is under way is lost, and nothing is carried for a while."""
         cut = set(names)
         for name in cut:
-            self.links[name].broken_until_ns = TIME.now_ns + duration_ns
-            self.links[name].last_ns = 0
+            self.links[name].broken_until_ns, self.links[name].last_ns = TIME.now_ns + duration_ns, 0
         self._due = [each for each in self._due if each[2] not in cut]
         heapq.heapify(self._due)
 
@@ -126,7 +99,6 @@ class Network:
             heapq.heappush(self._due, (at_ns, next(self._number), name, TIME.now_ns, deliver))
 
     def later(self, after_ns: int, do: Callable[[], None]) -> None:
-        """Do something after a while."""
         heapq.heappush(self._due, (TIME.now_ns + after_ns, next(self._number), "", TIME.now_ns, do))
 
     def deliver(self) -> None:
@@ -144,11 +116,6 @@ class ChainTopics(Topics):
         self.network, self.ends = network, list[BridgeEnd]()
         self.later = lambda deliver: network.carry("from robot", deliver)
         self._now_ns = lambda: TIME.wall_ns("bridge")
-
-    def publish(self, topic: str, kind: str, latched: bool) -> Outlet:
-        """A topic for the console to speak on; of the pedal the guard hears."""
-        outlet = super().publish(topic, kind, latched)
-        return Outlet(lambda: topic == PEDAL or outlet.wanted(), outlet.put)
 
     def link(self, now_ns: Callable[[], int]) -> Callable[..., "BridgeEnd"]:
         """What makes a bridge's end, as it makes a RosLink."""
@@ -196,25 +163,14 @@ class BridgeEnd(RobotLink):
 
 
 class Guard(WorldGuard):
-    """The real monitor beside the console, which has a pedal; a guard that begins anew knows nothing of before.
-
-    Fields:
-        issued: when each challenge was.
-    """
+    """The real monitor beside the console, which knows nothing of before; `issued`: when each challenge was."""
 
     def __init__(self, topics: ChainTopics, passed: Callable[[SetPoint], None]) -> None:
-        """`passed` is told of each set point that passes."""
         super().__init__(RIG_ARM, topics, lambda: TIME.now_ns, judges=True)
-        self.monitor = Monitor(self.monitor._robot._replace(pedal=True))
+        # nor has it been there for a while, as that of a world
+        self.monitor = type(self.monitor)(self.monitor._robot)
         self.issued, self._passed = dict[int, int](), passed
         self._stirred_ns, self._turns = 0, 0
-
-    def hear(self, topic: str, data: bytes) -> None:
-        """What bridge, console and pedal say."""
-        if topic == PEDAL:
-            self.monitor.hear_pedal(cdr.pressed(data))
-        else:
-            super().hear(topic, data)
 
     def beat(self, arm: str, arming_id: str, guard_challenge: int, pressed: bool) -> None:
         """A heartbeat has come over the rig."""
@@ -226,13 +182,9 @@ class Guard(WorldGuard):
         self.do(self.monitor.turn(TIME.now_ns))
         self._turns += 1
         if self._turns % (2 if TIME.now_ns - self._stirred_ns < RESTS_NS else 8) == 0:
-            self._challenge()
-
-    def _challenge(self) -> None:
-        told, name = self.monitor.challenge(TIME.now_ns), key_of(NAME, CHALLENGE)
-        self.issued[told.challenge] = TIME.now_ns
-        data = challenge_bytes(name, told)
-        self._topics.later(lambda: self._topics.tell_bridge(name, data))
+            told, name = self.monitor.challenge(TIME.now_ns), key_of(NAME, CHALLENGE)
+            self.issued[told.challenge] = TIME.now_ns
+            self._topics.later(lambda: self._topics.tell_bridge(name, challenge_bytes(name, told)))
 
     def _set_point(self, said: SetPoint, now_ns: int) -> list[Action]:
         self._stirred_ns = now_ns

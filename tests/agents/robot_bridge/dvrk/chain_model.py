@@ -2,7 +2,7 @@
 
 Real are the guard's monitor, the bridge with its backend and its clock, the console's emulation, the desk's control
 and what follows from it (StandingBy), and what the camera says of its frames. Stand-ins are the page (deadman.js and
-sight.js), the desk's turn, its commands' way, a program that stands by with the console's pedal, and every link.
+sight.js), the desk's turn, its commands' way, and every link.
 """
 
 import itertools
@@ -18,9 +18,8 @@ from agents.emulator.console import Behaviour, EmulatedConsole
 from agents.emulator.oracle import Field, Oracle
 from agents.guard import cdr
 from agents.operator.control import BeatNow, Control, HoldNow
-from agents.operator.operator import HEARTBEAT_HZ
 from agents.operator.standing_by import StandingBy
-from agents.operator.voice import Voice
+from agents.operator.words import Voice
 from agents.robot_bridge.agent import RobotBridge, RobotBridgeConfig
 from agents.robot_bridge.dvrk.psm import DvrkPsm
 from schemas.messages import (
@@ -50,16 +49,7 @@ from shared.runtime.clocks import AgentClock
 from shared.runtime.commands import untimely
 from shared.runtime.session import SessionSettings
 from tests.agents.robot_bridge.drive import plan
-from tests.agents.robot_bridge.dvrk.chain_links import (
-    MS,
-    PAGES,
-    RIG_LINKS,
-    TICK_NS,
-    TIME,
-    ChainTopics,
-    Guard,
-    Network,
-)
+from tests.agents.robot_bridge.dvrk.chain_links import MS, PAGES, RIG_LINKS, TICK_NS, TIME, ChainTopics, Guard, Network
 from tests.rigs.robot.world import EPOCH_NS, NAME, RIG_ARM, SECOND_NS, TOOL
 
 PRESENT_NS, SEEN_NS, UNDER_WAY_NS = 250 * MS, 650 * MS, 110 * MS
@@ -76,36 +66,22 @@ BLACK = np.zeros((8, 8, 3), np.uint8)
 
 @dataclass(eq=False)
 class Press:
-    """A finger on a button, or a foot on the pedal.
-
-    Fields:
-        up_ns: since when it is up, in truth.
-        over_ns: since when page or desk know it to be over, which it may be though the finger is still down.
-    """
+    """A finger on a button: since when it is up, and since when page or desk know it to be over, perhaps before."""
 
     up_ns: int | None = None
     over_ns: int | None = None
 
     def lift(self) -> None:
-        """The finger goes up."""
         self.up_ns = TIME.now_ns if self.up_ns is None else self.up_ns
         self.end()
 
     def end(self) -> None:
-        """It counts no longer."""
         self.over_ns = TIME.now_ns if self.over_ns is None else self.over_ns
 
 
 @dataclass
 class Arming:
-    """One command to arm.
-
-    Fields:
-        press: of whoever sent it.
-        accepted: by a bridge.
-        held_ns: when a bridge was told to hold first since.
-        stopped: somebody said hold at the console itself.
-    """
+    """One command to arm: who sent it, when a bridge was told to hold first since, or whether the console was."""
 
     press: Press
     accepted: bool = False
@@ -114,20 +90,18 @@ class Arming:
 
 
 class Coming:
-    """An answer that is awaited; whoever waits goes on as soon as it comes."""
+    """An answer that is awaited; whoever waits goes on as soon as the first comes."""
 
     def __init__(self) -> None:
         self.answer: Any = None
         self.goes_on: Callable[[], None] = lambda: None
 
     def __await__(self) -> Generator["Coming", None, Any]:
-        """Wait for it."""
         while self.answer is None:
             yield self
         return self.answer
 
     def come(self, answer: Any) -> None:
-        """Here it is; the first counts."""
         if self.answer is None:
             self.answer = answer
             self.goes_on()
@@ -137,7 +111,6 @@ class Standing(StandingBy):
     """The real one; what takes a while goes on when its answer comes, in place of tasks of an event loop."""
 
     def start(self, work: Coroutine[Any, Any, None]) -> None:
-        """Something that takes a while."""
         try:
             awaited: Coming = work.send(None)
         except StopIteration:
@@ -149,7 +122,6 @@ class Bridge:
     """One process: the real bridge, its backend and its clock."""
 
     def __init__(self, topics: ChainTopics) -> None:
-        """It begins."""
         self.backend = DvrkPsm(
             NAME,
             SessionSettings(),
@@ -161,10 +133,8 @@ class Bridge:
             clock=lambda: TIME.wall_ns("bridge"),
             monotonic=lambda: TIME.now_ns,
         )
-        base = SIMULATED_BASES[RIG_ARM]
         told: dict[str, Any] = {"calibration_id": "c", "registered_ns": EPOCH_NS, "tissue_needed": False} | CONFIGURED
-        config = RobotBridgeConfig(RIG_ARM, base, **told)
-        self.agent = RobotBridge(config, self.backend)
+        self.agent = RobotBridge(RobotBridgeConfig(RIG_ARM, SIMULATED_BASES[RIG_ARM], **told), self.backend)
         self.clock, self._ticked_ns = AgentClock(lambda: self.agent.keeps_time), 0
 
     def due(self) -> bool:
@@ -179,20 +149,17 @@ class Page:
     """What deadman.js and sight.js do, and the finger before the screen."""
 
     def __init__(self, name: str, desk: "Desk") -> None:
-        self.name, self.desk, self.drawn = name, desk, None
+        self.name, self.desk, self.drawn, self.gone = name, desk, None, False
         self.finger: Press | None = None
         self.down: Press | None = None
-        self.gone = False
 
     def press(self, plan: GraspPlan) -> None:
-        """A finger goes down on a plan."""
         if self.finger is None:
             self.gone, self.finger = False, Press()
             self.down = self.finger
             self.tell(lambda desk, press=self.down: desk.pressed(self.name, plan, press))
 
     def lift(self) -> None:
-        """The finger goes up."""
         if self.finger is not None:
             self.finger.lift()
             self.release("the button was released")
@@ -260,7 +227,6 @@ class Desk:
         return 0 if self.state is None else self.state.challenge_ns
 
     def now_s(self) -> float:
-        """Its monotonic clock."""
         return 1e-9 * (TIME.now_ns - EPOCH_NS)
 
     def follow(self, effects: Any) -> None:
@@ -282,11 +248,6 @@ class Desk:
         effects = self.control.release(press.screen, why) if press else []
         told = any(isinstance(effect, HoldNow) for effect in effects)
         self.follow([*effects, *([] if told else [HoldNow(name, RIG_ARM, why)])])
-
-    def leave(self, name: str) -> None:
-        """A page's connection has ended; it comes again."""
-        self.follow(self.control.leave(name))
-        self.follow(self.control.join(name))
 
     def turn(self) -> None:
         """As `Desk._turn`."""
@@ -316,49 +277,26 @@ class Desk:
     # the way of its commands (agents/operator/carrying_out.py)
 
     def beat(self, effect: BeatNow) -> None:
-        """One heartbeat, of a person who presses."""
+        """One heartbeat, of a person who presses, to bridge and guard."""
         of = effect.challenge_ns, effect.guard_challenge
         at_ns = TIME.wall_ns("desk")
-        self.chain.beat(Heartbeat(effect.arm, effect.plan_id, at_ns, effect.arming_id, *of, pressed=True))
+        beat = Heartbeat(effect.arm, effect.plan_id, at_ns, effect.arming_id, *of, pressed=True)
+        said, chain = (beat.arm, beat.arming_id, beat.guard_challenge, beat.pressed), self.chain
+        self.network.carry("answers", lambda: chain.receive(HEARTBEAT, beat))
+        self.network.carry("guarded answers", lambda: chain.guard.beat(*said) if chain.guard else None)
 
     async def arm(
         self, screen: str, arm: str, plan_id: str, begins: Callable[[str], bool], challenge_ns: Callable[[], int]
     ) -> CommandAnswer | None:
         """Arm a plan; one that is not known yet is not tried again here."""
-        header = self.chain.header(f"page {screen}", "desk")
+        header = self.chain.header(f"page {screen}")
         if not begins(header.id):
             return None
         self.chain.armings[header.id] = Arming(self.now_pressed)
         return await self.chain.command(ARM, Arm(header, arm, plan_id, challenge_ns(), pressed=True))
 
     def hold(self, arm: str) -> Coming:
-        """Have an arm hold."""
-        return self.chain.command(HOLD, Hold(self.chain.header("operator page", "desk"), arm))
-
-
-@dataclass
-class Program:
-    """A stand-in of `suturegrasp arm`: it arms, and beats for whoever has a foot on the console's pedal."""
-
-    chain: "Chain"
-    plan: GraspPlan
-    foot: Press
-    arming_id: str = ""
-    beat_ns: int = 0
-
-    def hear(self, state: RobotState) -> None:
-        """Answer a challenge; arm upon the first."""
-        chain = self.chain
-        if not self.arming_id:
-            header = chain.header("a program", "desk")
-            self.arming_id = header.id
-            chain.armings[header.id] = Arming(self.foot)
-            chain.command(ARM, Arm(header, RIG_ARM, self.plan.plan_id, state.challenge_ns, pressed=False))
-        if TIME.now_ns - self.beat_ns >= SECOND_NS / HEARTBEAT_HZ:
-            self.beat_ns = TIME.now_ns
-            of = state.challenge_ns, state.guard_challenge
-            at_ns = TIME.wall_ns("desk")
-            chain.beat(Heartbeat(RIG_ARM, self.plan.plan_id, at_ns, self.arming_id, *of, pressed=False))
+        return self.chain.command(HOLD, Hold(self.chain.header("operator page"), arm))
 
 
 @dataclass
@@ -395,19 +333,18 @@ class Chain:
     """
 
     def __init__(self) -> None:
-        TIME.begin()
+        TIME.now_ns = EPOCH_NS
+        TIME.agree()
         self.network, self._numbers = Network(), itertools.count()
         self.topics, self.armings = ChainTopics(self.network), dict[str, Arming]()
         self.passed, self.passed_ns, self.violations = 0, 0, list[str]()
-        base = SIMULATED_BASES[RIG_ARM]
-        behaviour = Behaviour(
-            True, 0.0, start_of(NAME), now_ns=lambda: TIME.now_ns, monotonic_s=lambda: TIME.now_ns * 1e-9
-        )
-        self.console = EmulatedConsole(self.topics, NAME, Oracle(Field(base), hears_heartbeats=True), behaviour)
+        clocks: dict[str, Any] = {"now_ns": lambda: TIME.now_ns, "monotonic_s": lambda: TIME.now_ns * 1e-9}
+        oracle = Oracle(Field(SIMULATED_BASES[RIG_ARM]), hears_heartbeats=True)
+        self.console = EmulatedConsole(self.topics, NAME, oracle, Behaviour(True, 0.0, start_of(NAME), **clocks))
         self.guard: Guard | None = None
         self.start_guard()
         self.bridges, self.camera = [Bridge(self.topics)], Camera()
-        self.desk, self.program, self.foot = Desk(self), None, None
+        self.desk = Desk(self)
 
     def go(self, ticks: int) -> None:
         """Let time pass."""
@@ -420,7 +357,7 @@ class Chain:
             if self.desk.alive:
                 self.desk.turn()
             if (stamp := self.camera.frame()) is not None:
-                self.network.carry("frames", lambda stamp=stamp: self.see(stamp))
+                self.network.carry("frames", lambda stamp=stamp: self.receive(FRAME_NOTICE, FrameNotice(stamp)))
                 self.network.carry("pictures", lambda stamp=stamp: self.desk.show(stamp))
             for bridge in self.bridges:
                 if bridge.due():
@@ -439,43 +376,14 @@ class Chain:
         if page.finger is None and page.drawn is not None:
             page.press(self.plan_of(page.drawn))
 
-    def step_on_pedal(self) -> None:
-        """A foot goes down, and a program arms a new plan."""
-        drawn = self.desk.pages["ann"].drawn
-        if self.foot is None and drawn is not None:
-            self.foot = Press()
-            for word in ("pedal_up", "pedal"):
-                self.console.request(word)
-            foot, plan = self.foot, self.plan_of(drawn)
-            # how the pedal is, bridge and program hear of the guard
-            self.network.later(200 * MS, lambda: self._start_program(plan, foot))
-
-    def _start_program(self, plan: GraspPlan, foot: Press) -> None:
-        if foot.up_ns is None:
-            self.program = Program(self, plan, foot)
-
     def vanish(self) -> None:
         """Whoever presses is gone without a word."""
         for page in self.desk.pages.values():
             page.vanish()
-        self.lift_foot()
-
-    def lift_foot(self) -> None:
-        """The foot goes up."""
-        if self.foot is not None:
-            self.foot.lift()
-            self.foot = None
-            self.console.request("pedal_up")
-
-    def let_go(self) -> None:
-        """Everybody does."""
-        for page in self.desk.pages.values():
-            page.lift()
-        self.lift_foot()
 
     def hold(self) -> None:
         """Somebody says hold elsewhere than on a page (`suturegrasp hold`)."""
-        self.command(HOLD, Hold(self.header("ops", "desk"), RIG_ARM))
+        self.command(HOLD, Hold(self.header("ops"), RIG_ARM))
 
     def hold_at_console(self) -> None:
         """A program of the console's computer says hold there, which guard and bridge hear."""
@@ -492,7 +400,6 @@ class Chain:
         self.camera.frozen = True
 
     def start_guard(self) -> None:
-        """It begins, and knows nothing of before."""
         self.guard = Guard(self.topics, self.check)
         self.topics.guards[:] = [self.guard]
 
@@ -507,11 +414,7 @@ class Chain:
         """It is killed, and begins anew; alone."""
         self.bridges.clear()
         self.topics.killed()
-        self.network.later(after_ns, self._start_bridge)
-
-    def _start_bridge(self) -> None:
-        if not self.bridges:
-            self.bridges.append(Bridge(self.topics))
+        self.network.later(after_ns, lambda: None if self.bridges else self.bridges.append(Bridge(self.topics)))
 
     def another_bridge(self) -> None:
         """A second one of the same arm, by mistake."""
@@ -529,16 +432,6 @@ class Chain:
         if not self.desk.alive:
             self.desk = Desk(self)
 
-    def reload(self, name: str) -> None:
-        """A browser's connection ends; its page lets go, and the finger presses nothing."""
-        page = self.desk.pages[name]
-        page.vanish()
-        self.network.later(50 * MS, lambda desk=self.desk: desk.leave(name) if desk.alive else None)
-
-    def restart_camera(self) -> None:
-        """It is killed, and begins anew."""
-        self.camera = Camera(taken_ns=self.camera.taken_ns)
-
     def lose_robot(self, duration_ns: int) -> None:
         """The robot's Zenoh goes: bridge and guard lose their sessions, and the guard ends with status 75."""
         self.topics.lose(duration_ns)
@@ -554,23 +447,24 @@ class Chain:
 
     def well(self) -> None:
         """Everything is mended, and everybody lets go."""
-        TIME.offset_ns = dict.fromkeys(TIME.offset_ns, 0)
+        TIME.agree()
         self.network.mend()
-        self.camera.frozen, self.program = False, None
-        self.let_go()
+        self.camera.frozen = False
+        for page in self.desk.pages.values():
+            page.lift()
         if len(self.bridges) != 1:
             self.restart_bridge()
 
     def move(self, by: str = "ann") -> bool:
-        """Have the arm move, pressed by one of the pages or by a foot; whether it does."""
+        """Have the arm move, pressed by one of the pages; whether it does."""
         if self.armings:
             self.well()
             self.go(45)
         control = self.desk.control
-        if by in PAGES and control.controller != by:
+        if control.controller != by:
             self.desk.follow(control.take(by, self.desk.now_s()))
             self.desk.follow(control.give(control.controller, yes=True))
-        self.step_on_pedal() if by == "foot" else self.press(by)
+        self.press(by)
         before = self.passed
         for _ in range(16):
             self.go(10)
@@ -580,15 +474,8 @@ class Chain:
 
     # what is said
 
-    def header(self, sender: str, computer: str) -> CommandHeader:
-        """Of a new command."""
-        return CommandHeader(f"c{next(self._numbers)}", TIME.wall_ns(computer) + 2 * SECOND_NS, sender)
-
-    def beat(self, beat: Heartbeat) -> None:
-        """A heartbeat, to bridge and guard."""
-        said = beat.arm, beat.arming_id, beat.guard_challenge, beat.pressed
-        self.network.carry("answers", lambda: self.receive(HEARTBEAT, beat))
-        self.network.carry("guarded answers", lambda: self.guard.beat(*said) if self.guard else None)
+    def header(self, sender: str) -> CommandHeader:
+        return CommandHeader(f"c{next(self._numbers)}", TIME.wall_ns("desk") + 2 * SECOND_NS, sender)
 
     def command(self, topic: Any, message: Any) -> Coming:
         """A command, and its answer; where none comes the outcome is not known."""
@@ -603,26 +490,16 @@ class Chain:
         for bridge in self.bridges:
             self.step(bridge, Received(topic, "", 0, message))
 
-    def see(self, stamp: FrameStamp) -> None:
-        """A notice of a frame has come."""
-        self.receive(FRAME_NOTICE, FrameNotice(stamp))
-
     def step(self, bridge: Bridge, arrived: Any) -> list[Any]:
         """One step of a bridge; what it says goes out."""
         replies = list(bridge.agent.step(arrived))
         for reply in replies:
             if isinstance(reply, Output) and reply.topic in (ROBOT_STATE, EXECUTION):
-                self.network.carry("states", lambda told=reply.message: self._tell(told))
+                self.network.carry("states", lambda told=reply.message: self.desk.hear(told))
             if isinstance(reply, Output) and reply.topic is ROBOT_STATE:
                 state = reply.message
                 self.network.carry("challenges", lambda state=state: self.camera.sender.challenged(state))
         return replies
-
-    def _tell(self, told: RobotState | ExecutionEvent) -> None:
-        if self.desk.alive:
-            self.desk.hear(told)
-        if self.program is not None and isinstance(told, RobotState):
-            self.program.hear(told)
 
     def _carry_out(self, topic: Any, message: Any, coming: Coming) -> None:
         """As the runner has it: what stops halts at once, what is too late is refused."""
@@ -649,27 +526,21 @@ class Chain:
     def check(self, said: SetPoint) -> None:
         """What must be true whenever a set point passes."""
         self.passed, self.passed_ns = self.passed + 1, TIME.now_ns
-        now_ns, guard = TIME.now_ns, self.guard
-        arming = self.armings.get(said.arming_id)
-        if arming is None or guard is None:
-            self._violated("nobody armed", said)
-            return
-        press, since_ns = arming.press, lambda at_ns: 0 if at_ns is None else now_ns - at_ns
+        now_ns, arming = TIME.now_ns, self.armings.get(said.arming_id, Arming(Press(0, 0)))
+        since_ns = [0 if at_ns is None else now_ns - at_ns for at_ns in (arming.press.up_ns, arming.press.over_ns)]
+        held_ns, issued_ns = arming.held_ns or now_ns, self.guard.issued.get(said.challenge, 0) if self.guard else 0
         for wrong, what in (
             (not arming.accepted, "it was not armed"),
-            (since_ns(press.up_ns) > PRESENT_NS, "nobody pressed"),
-            (since_ns(press.over_ns) > PRESENT_NS, "the press was over"),
+            (since_ns[0] > PRESENT_NS, "nobody pressed"),
+            (since_ns[1] > PRESENT_NS, "the press was over"),
             (now_ns - self.camera.taken_ns > SEEN_NS, "nobody saw"),
-            (since_ns(arming.held_ns) > UNDER_WAY_NS, "it was held"),
+            (now_ns - held_ns > UNDER_WAY_NS, "it was held"),
             (arming.stopped, "it was held at the console"),
-            (now_ns - guard.issued.get(said.challenge, 0) > LINK_NS, "it was not challenged"),
+            (now_ns - issued_ns > LINK_NS, "it was not challenged"),
             (now_ns - self.network.sent_ns > UNDER_WAY_NS, "it was long on its way"),
         ):
             if wrong:
-                self._violated(what, said)
-
-    def _violated(self, what: str, said: SetPoint) -> None:
-        self.violations.append(f"{what}: {said.arming_id} at {(TIME.now_ns - EPOCH_NS) / MS:.0f} ms")
+                self.violations.append(f"{what}: {said.arming_id} at {(now_ns - EPOCH_NS) / MS:.0f} ms")
 
     def plan_of(self, stamp: FrameStamp) -> GraspPlan:
         """A plan made of a frame, which the bridges hear."""

@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
-from schemas.messages import CommandAnswer, GraspPlan, Outcome
+from schemas.messages import CommandAnswer, CommandHeader, GraspPlan, Outcome
 from tests.agents.robot_bridge.drive import SHORT_GRASP, plan
 from tests.rigs.robot.hostile import BRISK
-from tests.rigs.robot.world import World
+from tests.rigs.robot.world import SECOND_NS, World
 
 AT_ONCE = replace(BRISK, contact_share=1.0)
 
@@ -52,6 +52,11 @@ class Room(World):
         answer, sent = self.try_to_arm(), self.verdict()["set_points"]
         assert answer.outcome is Outcome.ACCEPTED, answer.reason
         self.until(lambda: self.verdict()["set_points"] > sent + 40)
+
+    def header(self) -> CommandHeader:
+        """Of a new command."""
+        self.armings += 1
+        return CommandHeader(f"command-{self.armings}", self.now_ns + SECOND_NS, "ann")
 
     def verdict(self) -> dict[str, Any]:
         return self.console.verdict()

@@ -19,14 +19,12 @@ def test_of_random_and_hostile_plans_and_commands_none_is_unsafe():
 def test_two_arms_of_one_console_move_at_once_and_neither_hears_the_others_operator():
     topics, rng = Topics(), np.random.default_rng(3)
     worlds = [World(BRISK, 0.0, arm, topics) for arm in ("psm1", "psm2")]
-    for world, arm in zip(worlds, ("psm1", "psm2"), strict=True):
-        side = 0.012 if arm == "psm1" else -0.012
+    for world, other, arm, side in zip(worlds, worlds[::-1], ("psm1", "psm2"), (0.012, -0.012), strict=True):
         T = [transform(exp_so3(np.array((0.1, 0, 0.3))), np.array((side, 0.001 * y, 0.08))) for y in range(3)]
-        points = tuple(Waypoint(pose, 0.5, Phase.APPROACH, None) for pose in T)
-        plan = any_plan(world, rng, arm=arm, waypoints=points)
+        plan = any_plan(world, rng, arm=arm, waypoints=tuple(Waypoint(pose, 0.5, Phase.APPROACH, None) for pose in T))
         for one in worlds:
             one.publish(plan)
-        theirs, ours = worlds[1 - worlds.index(world)].arm(plan.plan_id), world.arm(plan.plan_id)
+        theirs, ours = other.arm(plan.plan_id), world.arm(plan.plan_id)
         assert theirs is not None
         assert theirs.code in ("other_arm", "busy")
         assert ours is not None

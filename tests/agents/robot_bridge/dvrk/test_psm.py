@@ -4,6 +4,8 @@ import contextlib
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,8 +23,8 @@ from agents.robot_bridge.backend import Readiness
 from agents.robot_bridge.dvrk.psm import DvrkPsm
 from agents.robot_bridge.dvrk.set_points import SETTLES_NS
 from agents.robot_bridge.simulated import SimulatedPsm
-from schemas.messages import Arm, ChangeState, CommandHeader, ExecutionKind, Outcome, Phase, RobotMode, StateWord
-from schemas.topics import ARM, CHANGE_STATE
+from schemas.messages import Arm, ChangeState, ExecutionKind, Hold, Outcome, Phase, RobotMode, StateWord
+from schemas.topics import ARM, CHANGE_STATE, HOLD
 from shared.clock import now_ns
 from shared.kinematics.simulated_setup import SIMULATED_T_CAMERA_BASE
 from shared.ros import crtk
@@ -31,10 +33,10 @@ from shared.ros.naming import RmwZenoh, Role, Ros2dds
 from shared.ros.types import JOINT_STATE
 from shared.runtime.access import access_control
 from shared.runtime.config import load_config
-from tests.rigs.robot.world import TOOL
+from shared.runtime.session import SessionSettings
+from tests.rigs.robot.world import EPOCH_NS, TOOL, Link
 
 SECOND_NS = 10**9
-REPOSITORY = Path(__file__).parents[4]
 SOMEBODY = "@/abc/@ros2_lv/MP/PSM1§servo_jp/sensor_msgs§msg§JointState/:::"
 """Says, to the codec ros2dds, that it could command the arm."""
 
@@ -43,6 +45,11 @@ def held(room):
     """Wait until the bridge holds; the event."""
     room.until(lambda: room.events and room.events[-1].kind is ExecutionKind.HELD)
     return room.events[-1]
+
+
+def says_state(room, *state):
+    """Have the console tell of its operating state: its word, whether it is homed, and busy."""
+    room.topics.tell_bridge("PSM1/operating_state", OperatingState(header(room.now_ns), *state).serialize())
 
 
 def test_capture_slide_and_grasp_without_an_unsafe_set_point(room):
@@ -60,6 +67,9 @@ def test_capture_slide_and_grasp_without_an_unsafe_set_point(room):
     room.stands_by = False
     room.tick(60)
     assert room.verdict()["set_points"] == verdict["set_points"]
+
+
+# who else commands the arm
 
 
 @pytest.mark.parametrize("codec", ["ros2dds", "rmw_zenoh"])
@@ -80,6 +90,37 @@ def test_another_one_who_could_command_is_enough_to_refuse(session, settings, un
         with session.liveliness().declare_token(announced):
             until(lambda: says("somebody else could command it"))
         until(lambda: says("no guard stands by"))
+
+
+@pytest.mark.parametrize("topic", ["jaw/move_jp", "free"])
+def test_another_one_who_commands_ends_ours_and_keeps_us_out(room, topic):
+    room.starts_moving()
+    room.topics.tell_bridge(f"PSM1/{topic}", crtk.joint_command(np.array([0.5]), 0))
+    assert f"somebody else commands it by PSM1/{topic}" in held(room).reason
+    assert room.try_to_arm().code == "other_owner"
+
+
+def test_teleoperation_keeps_us_out_where_the_console_says_so_and_where_it_does_not(room):
+    room.ready()
+    room.tick(round(200 * SETTLES_NS / SECOND_NS) + 1)
+    for word, code, reason in (
+        ("drift", "other_set_point", "heads for"),
+        ("teleop", "other_owner", "teleoperation is"),
+    ):
+        room.console.request(word)
+        room.until(lambda reason=reason: reason in room.backend.state(room.now_ns).reason)
+        answer = room.try_to_arm()
+        assert (answer.code, reason in answer.reason) == (code, True)
+        if word == "drift":
+            room.ready()
+    room.console.request("no_teleop")
+    room.ready()
+    room.topics.tell_bridge("console/teleop/enabled", b"")
+    assert room.try_to_arm().code == "other_owner", "what cannot be read may say so"
+    assert room.verdict()["set_points"] == 0
+
+
+# what goes wrong at the robot, and what is not as it should be
 
 
 @pytest.mark.parametrize(
@@ -105,62 +146,6 @@ def test_what_goes_wrong_at_the_robot_stops_the_motion(room, word, reason, mode)
     assert (room.try_to_arm().outcome is Outcome.REFUSED) is (mode is not RobotMode.HOLDING)
 
 
-@pytest.mark.parametrize(
-    ("topic", "ros"), [("jaw/move_jp", crtk.joint_command(np.array([0.5]), 0)), ("free", crtk.empty())]
-)
-def test_another_one_who_commands_ends_ours_and_keeps_us_out(room, topic, ros):
-    room.starts_moving()
-    room.topics.tell_bridge(f"PSM1/{topic}", ros)
-    assert f"somebody else commands it by PSM1/{topic}" in held(room).reason
-    assert room.try_to_arm().code == "other_owner"
-
-
-def test_a_hold_that_somebody_else_says_ends_ours(room):
-    room.starts_moving()
-    for hear in (room.topics.tell_console, room.topics.tell_guard, room.topics.tell_bridge):
-        hear("PSM1/hold", crtk.empty())
-    event = held(room)
-    assert (event.code, "the guard holds the arm: somebody said hold" in event.reason) == ("hold_command", True)
-
-
-def test_teleoperation_keeps_us_out_where_the_console_says_so_and_where_it_does_not(room):
-    room.ready()
-    room.tick(round(200 * SETTLES_NS / SECOND_NS) + 1)
-    for word, code, reason in (
-        ("drift", "other_set_point", "heads for"),
-        ("teleop", "other_owner", "teleoperation is"),
-    ):
-        room.console.request(word)
-        room.until(lambda reason=reason: reason in room.backend.state(room.now_ns).reason)
-        answer = room.try_to_arm()
-        assert (answer.code, reason in answer.reason) == (code, True)
-        if word == "drift":
-            room.ready()
-    room.console.request("no_teleop")
-    room.ready()
-    room.topics.tell_bridge("console/teleop/enabled", b"")
-    assert room.try_to_arm().code == "other_owner", "what cannot be read may say so"
-    assert room.verdict()["set_points"] == 0
-
-
-def test_a_dry_run_checks_all_of_a_motion_and_sends_nothing(room):
-    room.backend.dry_run = True
-    room.ready()
-    answer = room.try_to_arm()
-    assert (answer.code, "passes every check" in answer.reason) == ("dry_run", True)
-    room.backend.move(np.zeros(6), 0.0, "a")
-    room.backend.hold()
-    assert room.backend.change_state(StateWord.HOME, room.now_ns) == "nothing is sent in a dry run"
-    room.tick(10)
-    verdict = room.verdict()
-    assert (verdict["set_points"], verdict["held_ns"]) == (0, 0)
-
-
-def says_state(room, *state):
-    """Have the console tell of its operating state: its word, whether it is homed, and busy."""
-    room.topics.tell_bridge("PSM1/operating_state", OperatingState(header(room.now_ns), *state).serialize())
-
-
 def test_a_console_that_was_not_ready_for_a_moment_between_two_turns_ends_the_motion(room):
     room.starts_moving()
     for word in ("PAUSED", "ENABLED"):
@@ -168,42 +153,33 @@ def test_a_console_that_was_not_ready_for_a_moment_between_two_turns_ends_the_mo
     assert held(room).code == "not_enabled"
 
 
-def test_only_an_arm_that_is_not_busy_with_what_is_not_ours_is_armed(room):
-    room.ready()
-    says_state(room, "ENABLED", True, True)
-    answer = room.try_to_arm()
-    assert (answer.code, "busy with a motion that is not ours" in answer.reason) == ("other_owner", True)
-
-
-def test_a_console_that_is_disabled_has_another_tool_or_is_elsewhere_is_not_armed(room, caplog):
+def test_a_console_that_is_disabled_busy_has_another_tool_or_is_elsewhere_is_not_armed(room, caplog):
     caplog.set_level("INFO", "suturegrasp.robot_bridge.psm1")
     room.ready()
     arm, asks, tells = room.console._arm, room.console.request, room.topics.tell_bridge
     beside = room.backend.kinematics.forward(np.array((0.0, 0, 0.1, 0, 0, 0)))
+    elsewhere = crtk.pose_command(beside, room.now_ns)
     for happens, code, reason, is_over in (
+        (lambda: says_state(room, "ENABLED", True, True), "other_owner", "busy with a motion that is not ours", None),
         (lambda: arm.command("disable"), "not_enabled", "DISABLED, not ENABLED", lambda: arm.command("enable")),
         (lambda: arm.command("pause"), "not_enabled", "PAUSED", lambda: arm.command("resume")),
         (lambda: setattr(arm, "is_homed", False), "not_homed", "", lambda: setattr(arm, "is_homed", True)),
-        (lambda: asks("unreached"), "goal_not_reached", "", lambda: None),
+        (lambda: asks("unreached"), "goal_not_reached", "", None),
         (lambda: asks("fault"), "error_state", "", lambda: arm.command("enable")),
-        (
-            lambda: tells("PSM1/local/measured_cp", crtk.pose_command(beside, room.now_ns)),
-            "other_pose",
-            "another arm or tool",
-            lambda: None,
-        ),
+        (lambda: tells("PSM1/local/measured_cp", elsewhere), "other_pose", "another arm or tool", None),
         (lambda: asks("mute"), "stale_state", "", lambda: asks("speak")),
     ):
         happens()
         room.until(lambda code=code: room.try_to_arm().code == code)
         assert reason in room.events[-1].reason
-        is_over()
+        if is_over:
+            is_over()
+        says_state(room, arm.state, arm.is_homed, False)
         room.ready()
     room.tick()
     told = [record.getMessage() for record in caplog.records if record.name == "suturegrasp.robot_bridge.psm1"]
     assert any("PAUSED" in line for line in told)
-    assert told[-1] == "the arm is ready"
-    assert len(told) < 30, "not at every turn"
+    assert (told[-1], len(told) < 30) == ("the arm is ready", True), "not at every turn"
     tells("PSM1/tool_type", b"")
     answer = room.try_to_arm()
     assert (answer.code, "its tool is something not readable" in answer.reason) == ("wrong_tool", True)
@@ -212,8 +188,7 @@ def test_a_console_that_is_disabled_has_another_tool_or_is_elsewhere_is_not_arme
 @pytest.mark.slow
 def test_a_person_may_change_an_arms_state_while_it_is_disarmed_and_nobody_else_has_it(room, monkeypatch):
     def change(word):
-        header = CommandHeader(f"{word}-{room.now_ns}", room.now_ns + SECOND_NS, "ann")
-        return room.command(CHANGE_STATE, ChangeState(header, "psm1", StateWord[word]))
+        return room.command(CHANGE_STATE, ChangeState(room.header(), "psm1", StateWord[word]))
 
     room.ready()
     arm = room.console._arm
@@ -247,55 +222,20 @@ def test_a_person_may_change_an_arms_state_while_it_is_disarmed_and_nobody_else_
     assert room.verdict()["unsafe"] == 0
 
 
-def test_when_something_was_measured_is_told_by_the_robots_own_clock():
-    clock, ahead = FarClock(), 5_000 * SECOND_NS
-    for i in range(100):
-        stamp, delay = i * 10**7, 10**6 + (i % 7) * 10**5
-        assert 0 <= clock.measured_ns(stamp + ahead, stamp + delay) - stamp <= 1.7e6
-    # a link that kept messages back lets them go at once
-    late = 101 * 10**7
-    assert late + SECOND_NS - clock.measured_ns(late + ahead, late + SECOND_NS) > 0.99 * SECOND_NS
-    # a slow link that stays slow is soon taken for what it is
-    starts = [2 * SECOND_NS + i * (WINDOW_NS + 1) for i in range(3)]
-    after = [clock.measured_ns(at + ahead, at + 5 * 10**7) - at for at in starts]
-    assert after[-1] == 5 * 10**7
-    assert clock.measured_ns(0, 12) == 12
-
-
-def test_a_replayed_time_reaches_no_robot_and_no_replay_has_one(room):
-    room.backend.state(room.now_ns - 3600 * SECOND_NS)
+def test_a_dry_run_checks_all_of_a_motion_and_sends_nothing(room):
+    room.backend.dry_run = True
+    room.ready()
+    answer = room.try_to_arm()
+    assert (answer.code, "passes every check" in answer.reason) == ("dry_run", True)
     room.backend.move(np.zeros(6), 0.0, "a")
-    assert room.backend.state(0).readiness is Readiness.DISABLED
+    room.backend.hold()
+    assert room.backend.change_state(StateWord.HOME, room.now_ns) == "nothing is sent in a dry run"
+    room.tick(10)
     verdict = room.verdict()
     assert (verdict["set_points"], verdict["held_ns"]) == (0, 0)
-    base, endpoint = SIMULATED_T_CAMERA_BASE.tolist(), {"endpoint": "tcp/127.0.0.1:7"}
-    arm = {"backend": "dvrk", "T_camera_base": base, "dvrk": endpoint}
-    config = with_simulated_arms(RigConfig.model_validate({"robot": {"psm1": arm}}))
-    bridge = build(config, "robot_bridge", "psm1")
-    assert isinstance(bridge, RobotBridge)
-    assert isinstance(bridge._backend, SimulatedPsm)
 
 
-def test_the_example_with_an_emulated_arm_has_it_where_the_simulated_one_stands():
-    arm = load_config(REPOSITORY / "deploy" / "emulated.toml", RigConfig).robot["psm1"]
-    assert arm.dvrk is not None
-    assert arm.T_camera_base is not None
-    assert np.abs(np.array(arm.T_camera_base) - SIMULATED_T_CAMERA_BASE).max() < 1e-8
-
-
-def test_a_bridge_that_is_stopped_in_mid_motion_holds(room):
-    room.starts_moving()
-    room.bridge.close()
-    assert room.verdict()["held_ns"] == room.now_ns
-    assert room.verdict()["unsafe"] == 0
-
-
-def test_the_rigs_access_rules_allow_nothing_of_the_robots_keys():
-    names = ["robot_bridge.psm1", "operator.desk", "planner.main", "viewer.desk"]
-    allowed = [zenoh.KeyExpr(k) for rule in access_control("lab", names)["rules"] for k in rule["key_exprs"]]
-    robots = ("PSM1/servo_jp", "guarded/PSM1/servo_jp", RmwZenoh().key("PSM1/servo_jp", JOINT_STATE))
-    assert allowed
-    assert not any(one.intersects(zenoh.KeyExpr(robot)) for one in allowed for robot in robots)
+# guard, link and person
 
 
 def test_without_a_living_guard_a_real_arm_is_not_armed_and_does_not_go_on(room, monkeypatch):
@@ -319,8 +259,7 @@ def test_a_motion_ends_where_the_link_to_the_robot_broke_though_it_is_there_agai
 def test_a_process_that_beats_by_itself_arms_no_real_arm(room):
     room.ready()
     room.publish(room.plan())
-    alone = Arm(CommandHeader("alone", room.now_ns + SECOND_NS, "ann"), "psm1", "p", room.state.challenge_ns)
-    assert room.command(ARM, alone).code == "no_presence"
+    assert room.command(ARM, Arm(room.header(), "psm1", "p", room.state.challenge_ns)).code == "no_presence"
     assert room.try_to_arm().code == ""
 
 
@@ -334,3 +273,125 @@ def test_what_a_real_arm_needs_to_know_and_does_not_speaks_against_arming_with_w
         room.console.request(word)
     room.ready()
     assert room.try_to_arm().code == ""
+
+
+def test_what_a_console_never_told_is_not_known_until_it_tells_it():
+    heard = {}
+
+    def linked(_settings, _naming, topics, *_rest) -> Any:
+        heard.update({each.topic: each.receive for each in topics})
+        return SimpleNamespace(failed="", broken=0, open=lambda: None, say=lambda *_: True)
+
+    arm = DvrkPsm("PSM1", SessionSettings(), Ros2dds(), "", dry_run=False, linked=linked, clock=lambda: EPOCH_NS)
+    assert len(arm.state(EPOCH_NS).untold) == 3
+    # also what cannot be read has been told
+    for left, topic in enumerate(("footpedals/clutch", "ECM/local/measured_cp", "console/teleop/enabled")):
+        heard[topic](b"", EPOCH_NS)
+        assert len(arm.state(EPOCH_NS).untold) == 2 - left, topic
+
+
+def test_challenges_come_often_while_a_plan_may_be_armed_so_that_the_way_of_an_answer_is_known(room):
+    room.ready()
+    room.tick(300)
+    config = room.bridge.config
+    assert room.bridge.tick_hz == config.resting_hz
+    room.publish(room.plan())
+    assert room.bridge.tick_hz == config.tick_hz
+    room.tick(1, round(1e9 * config.maximum_plan_age_s))
+    assert room.bridge.tick_hz == config.resting_hz
+
+
+# stopping
+
+
+def test_a_hold_that_could_not_be_handed_over_says_so_and_is_said_in_each_turn_until_the_arm_is_measured_to_stand(
+    room, monkeypatch
+):
+    def holds(ticks, moved=0.0):
+        """How many the console hears in so many turns, in each of which the arm moves by so much."""
+        before = len(room.verdict()["holds_ns"])
+        for _ in range(ticks):
+            room.console.place(np.array(room.verdict()["position"][:6]) + moved)
+            room.tick()
+        return len(room.verdict()["holds_ns"]) - before
+
+    room.ready()
+    with monkeypatch.context() as down:
+        down.setattr(Link, "say", lambda *_: False)
+        answer = room.command(HOLD, Hold(room.header(), "psm1"))
+        assert (answer.outcome, "told again in each turn" in answer.reason) == (Outcome.ACCEPTED, True)
+        assert holds(5) == 0
+    assert holds(50, moved=0.003) == 50, "it still moves"
+    room.console.request("mute")
+    assert holds(50) == 50, "where nothing is measured nobody knows that it stands"
+    room.console.request("speak")
+    assert 0 < holds(100) < 60
+    assert holds(20) == 0, "it is known to stand"
+
+
+def test_of_many_halts_at_once_the_console_hears_one(room):
+    room.ready()
+    for _ in range(600):
+        room.bridge.halt()
+    assert len(room.verdict()["holds_ns"]) == 1
+    room.now_ns += SECOND_NS // 100
+    room.bridge.halt()
+    assert len(room.verdict()["holds_ns"]) == 2
+
+
+def test_a_bridge_that_is_stopped_in_mid_motion_holds(room):
+    room.starts_moving()
+    room.bridge.close()
+    assert room.verdict()["held_ns"] == room.now_ns
+    assert room.verdict()["unsafe"] == 0
+
+
+# time
+
+
+def test_a_replayed_time_reaches_no_robot_and_no_replay_has_one(room):
+    room.backend.state(room.now_ns - 3600 * SECOND_NS)
+    room.backend.move(np.zeros(6), 0.0, "a")
+    assert room.backend.state(0).readiness is Readiness.DISABLED
+    verdict = room.verdict()
+    assert (verdict["set_points"], verdict["held_ns"]) == (0, 0)
+    # what stops is said whatever the time
+    assert room.backend.hold()
+    assert [room.backend.change_state(word, room.now_ns) for word in (StateWord.PAUSE, StateWord.DISABLE)] == ["", ""]
+    assert (room.verdict()["held_ns"], room.verdict()["state"]) == (room.now_ns, "DISABLED")
+    arm = {"backend": "dvrk", "T_camera_base": SIMULATED_T_CAMERA_BASE.tolist(), "dvrk": {"endpoint": "tcp/[::1]:7"}}
+    bridge = build(with_simulated_arms(RigConfig.model_validate({"robot": {"psm1": arm}})), "robot_bridge", "psm1")
+    assert isinstance(bridge, RobotBridge)
+    assert isinstance(bridge._backend, SimulatedPsm)
+
+
+def test_when_something_was_measured_is_told_by_the_robots_own_clock():
+    clock, ahead = FarClock(), 5_000 * SECOND_NS
+    for i in range(100):
+        stamp, delay = i * 10**7, 10**6 + (i % 7) * 10**5
+        assert 0 <= clock.measured_ns(stamp + ahead, stamp + delay) - stamp <= 1.7e6
+    # a link that kept messages back lets them go at once
+    late = 101 * 10**7
+    assert late + SECOND_NS - clock.measured_ns(late + ahead, late + SECOND_NS) > 0.99 * SECOND_NS
+    # a slow link that stays slow is soon taken for what it is
+    starts = [2 * SECOND_NS + i * (WINDOW_NS + 1) for i in range(3)]
+    after = [clock.measured_ns(at + ahead, at + 5 * 10**7) - at for at in starts]
+    assert after[-1] == 5 * 10**7
+    assert clock.measured_ns(0, 12) == 12
+
+
+# configuration
+
+
+def test_the_example_with_an_emulated_arm_has_it_where_the_simulated_one_stands():
+    arm = load_config(Path(__file__).parents[4] / "deploy" / "emulated.toml", RigConfig).robot["psm1"]
+    assert arm.T_camera_base is not None
+    assert np.abs(np.array(arm.T_camera_base) - SIMULATED_T_CAMERA_BASE).max() < 1e-8
+
+
+def test_the_rigs_access_rules_allow_nothing_of_the_robots_keys():
+    names = ["robot_bridge.psm1", "operator.desk", "planner.main", "viewer.desk"]
+    allowed = [zenoh.KeyExpr(k) for rule in access_control("lab", names)["rules"] for k in rule["key_exprs"]]
+    robots = ("PSM1/servo_jp", "guarded/PSM1/servo_jp", RmwZenoh().key("PSM1/servo_jp", JOINT_STATE))
+    assert allowed
+    assert not any(one.intersects(zenoh.KeyExpr(robot)) for one in allowed for robot in robots)

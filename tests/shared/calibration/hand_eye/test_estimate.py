@@ -1,7 +1,5 @@
 """The base's place, the delay and the point of the tool come out of simulated sightings, with honest deviations."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
@@ -16,18 +14,16 @@ from shared.rigid_transforms import apply, inverse, log_se3
 CAMERA = RectifiedStereo(960, 540, 1000.0, 1000.0, 479.5, 269.5, 0.0055, 1.0)
 TIP = np.array((0.0, 0.0, 0.0102))
 DELAY_S = 0.083
-STROKE = np.array((0.15, 0.12, 0.02, 0.6, 0.5, 0.5))
-
-Change = Callable[[Sightings, Motion], tuple[Sightings, Motion]]
+MIDDLE, STROKE = np.array((0, 0, 0.18, 0, 0, 0)), np.array((0.15, 0.12, 0.02, 0.6, 0.5, 0.5))
 
 
-def moving(rng: np.random.Generator, share: float = 1.0) -> Motion:
+def moving(rng):
     t = np.arange(0, 20, 0.01)
     phase = 2 * np.pi * rng.uniform(0.1, 0.4, 6) * t[:, None] + rng.uniform(0, 6, 6)
-    return Motion(t, forward(np.array((0, 0, 0.18, 0, 0, 0)) + share * STROKE * np.sin(phase)))
+    return Motion(t, forward(MIDDLE + STROKE * np.sin(phase)))
 
 
-def seen(motion: Motion, rng: np.random.Generator, noise_px: float = 1.0) -> Sightings:
+def seen(motion, rng, noise_px=1.0):
     t = np.arange(0, 20, 0.2)
     blank = Sightings(t, np.zeros((len(t), 4)), CAMERA)
     px = blank.predicted(apply(X, motion.at(t - DELAY_S, TIP))) + rng.normal(0, noise_px, (len(t), 4))
@@ -39,10 +35,9 @@ def seen(motion: Motion, rng: np.random.Generator, noise_px: float = 1.0) -> Sig
 @pytest.mark.slow
 def test_base_delay_and_point_are_found_within_their_deviations():
     nees = []
-    for seed in range(2):
+    for seed, known in ((0, True), (1, False)):
         rng = np.random.default_rng(seed)
         motion = moving(rng)
-        known = seed % 2 == 0
         found = estimated(seen(motion, rng), motion, TIP if known else np.zeros(3), known)
         twist = log_se3(found.T_camera_base @ inverse(X))
         nees.append(twist @ np.linalg.solve(found.covariance, twist))
@@ -57,7 +52,7 @@ def test_base_delay_and_point_are_found_within_their_deviations():
 
 def test_a_tool_that_stands_at_each_pose_tells_no_delay_but_the_base():
     rng = np.random.default_rng(1)
-    stands = forward(np.array((0, 0, 0.18, 0, 0, 0)) + STROKE * rng.uniform(-1, 1, (30, 6)))
+    stands = forward(MIDDLE + STROKE * rng.uniform(-1, 1, (30, 6)))
     motion = Motion(np.arange(0, 60, 0.02), np.repeat(stands, 100, axis=0))
     t = np.arange(1.0, 60, 2.0)
     points = apply(X, motion.at(t, TIP)) + rng.normal(0, 3e-4, (len(t), 3))
@@ -71,10 +66,7 @@ def test_a_tool_that_stands_at_each_pose_tells_no_delay_but_the_base():
     ("change", "said"),
     [
         (lambda s, m: (s, Motion(m.time_s + 100, m.T_base_tool)), "0 of 100 sightings lie within the time"),
-        (
-            lambda s, _: (s, Motion(np.arange(0, 20, 0.01), np.tile(np.eye(4), (2000, 1, 1)))),
-            "robot's poses lie within 0.0 mm",
-        ),
+        (lambda s, m: (s, Motion(m.time_s, np.tile(np.eye(4), (2000, 1, 1)))), "robot's poses lie within 0.0 mm"),
         (lambda s, m: (s, Motion(m.time_s, m.T_base_tool[::-1])), "do not move alike|contradict"),
         (lambda s, m: (Sightings(s.time_s, np.tile(s.seen[:1], (100, 1)), CAMERA), m), "of one line"),
     ],
@@ -82,6 +74,6 @@ def test_a_tool_that_stands_at_each_pose_tells_no_delay_but_the_base():
 def test_what_tells_nothing_is_refused_in_a_sentence(change, said):
     rng = np.random.default_rng(2)
     motion = moving(rng)
+    sightings, motion = change(seen(motion, rng), motion)
     with pytest.raises(CalibrationError, match=said):
-        sightings, motion = change(seen(motion, rng), motion)
         estimated(sightings, motion, TIP)

@@ -28,32 +28,24 @@ def jobs(folder, count):
 
 
 @traces
-def test_pairs_are_made_in_as_many_processes_as_asked_for_and_are_those_that_one_makes(tmp_path):
-    (alone,), (later,), shared = (jobs(tmp_path / name, n) for name, n in (("alone", 1), ("later", 1), ("shared", 2)))
-    made = make_all(shared, 2)
-    first = next(made)
-    assert len(multiprocessing.active_children()) == 2
-    assert {first.name, *(one.name for one in made)} == {job.name for job in shared}
+def test_a_batch_is_made_in_as_many_processes_as_asked_for_and_goes_on_where_they_died(tmp_path):
+    alone, later, shared = ({job.name: job for job in jobs(tmp_path / at, 4)} for at in ("alone", "later", "shared"))
+    made = make_all(list(shared.values()), 2)
+    first = next(made).name
+    workers = multiprocessing.active_children()
+    assert len(workers) == 2
+    for worker in workers:
+        os.kill(worker.pid or 0, signal.SIGKILL)
+    assert sorted([first, *(one.name for one in made)]) == sorted(shared)
+    assert outstanding(list(shared.values())) == []
     assert multiprocessing.active_children() == []
-    make(alone)
-    make(later, turn=1)
-    for name in ("one_1_left.png", "one_1_right.png", "one_1.npy"):
+    make(alone[first])
+    make(later[first], turn=1)
+    for name in (f"{first}_left.png", f"{first}_right.png", f"{first}.npy"):
         one, same, other = ((tmp_path / folder / name).read_bytes() for folder in ("alone", "shared", "later"))
         assert one == same
         # another turn has another grain and the same truth
         assert (one == other) == name.endswith(".npy")
-
-
-@traces
-def test_a_batch_goes_on_where_its_workers_died(tmp_path):
-    batch = jobs(tmp_path, 5)
-    made = make_all(batch, 2)
-    done = [next(made).name]
-    for worker in multiprocessing.active_children():
-        os.kill(worker.pid or 0, signal.SIGKILL)
-    done += [one.name for one in made]
-    assert sorted(done) == [job.name for job in batch]
-    assert outstanding(batch) == []
 
 
 class Deadly:
@@ -87,15 +79,13 @@ def deadly(folder, times):
     return [hopeless[0], dataclasses.replace(hopeless[1], rig=Deadly(deaths, FAR_APART)), hopeless[2]]
 
 
-def test_a_pair_that_ends_its_process_is_made_in_another_turn_and_the_others_too(tmp_path):
+def test_a_pair_that_ends_its_process_is_made_in_another_turn_and_the_others_too_but_not_for_ever(tmp_path):
     told = list(make_all(deadly(tmp_path, MOST_TURNS), 2))
     assert sorted(one.name for one in told) == ["one_1", "one_2", "one_3"]
     assert not list((tmp_path / "deaths").iterdir())
     assert {one.problem for one in told} == {"eyes 800 mm apart share no field within 1000 mm"}
     assert not list(tmp_path.glob("one_*"))
-
-
-def test_a_pair_that_ends_each_of_its_processes_is_named_with_what_to_do(tmp_path):
+    (tmp_path / "deaths").rmdir()
     with pytest.raises(SceneError, match=r"one_2 ended 3 processes .*leave its seed out"):
         list(make_all(deadly(tmp_path, 9), 1))
 

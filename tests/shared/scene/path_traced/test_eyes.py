@@ -5,10 +5,7 @@ import numpy as np
 import pytest
 
 from schemas.messages import StereoCalibration
-from shared.scene.path_traced.batch import mean_offset
 from shared.scene.path_traced.eyes import calibrated_rig
-from shared.scene.path_traced.pair import traced_pair
-from shared.scene.path_traced.recipe import Recipe
 from shared.scene.render import SceneError
 
 
@@ -31,15 +28,3 @@ def test_rays_of_pixels_lead_back_to_them_given_a_unit():
         np.testing.assert_allclose(eye.project(in_left), np.column_stack((u, v)), atol=1e-3)
     with pytest.raises(SceneError, match="--unit"):
         calibrated_rig(calibration(metres_per_unit=None))
-
-
-@pytest.mark.renders
-def test_the_masks_of_distorted_unrectified_eyes_lie_on_the_true_centreline():
-    pytest.importorskip("mitsuba", reason="path tracing needs the extra sim: make sim")
-    pair = traced_pair(Recipe("easy", "chicken", 2), calibrated_rig(calibration()), 2)
-    assert mean_offset(pair) < 0.05
-    for part in pair.offsets_px:
-        assert len(part) > 60
-        assert abs(part.mean()) < 0.02
-    for images in pair.images:
-        assert images.bgr.shape == (180, 320, 3)

@@ -3,15 +3,23 @@
 import json
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
 from agents.cli.lab.scenes import endoscope
+from shared.scene.backdrop_files import read_backdrop, write_backdrop
+from shared.scene.path_traced.backdrop import traced_backdrop
 from shared.scene.path_traced.batch import Job, make, mean_offset, outstanding
+from shared.scene.path_traced.eyes import calibrated_rig
+from shared.scene.path_traced.field import Field
+from shared.scene.path_traced.lab_light import Disk, LabLight
+from shared.scene.path_traced.pad import phantom_ground
 from shared.scene.path_traced.pair import traced_pair
 from shared.scene.path_traced.recipe import BACKGROUNDS, Recipe
 from shared.scene.path_traced.splines import Curve, sampled
 from shared.scene.render import SceneError
+from tests.shared.scene.path_traced.test_eyes import calibration
 
 pytest.importorskip("mitsuba", reason="path tracing needs the extra sim: make sim")
 pytestmark = pytest.mark.renders
@@ -19,14 +27,23 @@ pytestmark = pytest.mark.renders
 SMALL = endoscope(320, 180)
 
 
-def test_of_a_crossing_thread_images_masks_and_truth_agree_and_one_strand_hides_the_other():
-    crossing = traced_pair(Recipe("crossing", "chicken", 3), SMALL, 1)
-    assert mean_offset(crossing) < 0.05
-    for part in crossing.offsets_px:
+def assert_masks_lie_on_the_truth(pair):
+    assert mean_offset(pair) < 0.05
+    for part in pair.offsets_px:
         assert len(part) > 60
         assert abs(part.mean()) < 0.02
-    for images in crossing.images:
+    for images in pair.images:
         assert images.bgr.shape == (180, 320, 3)
+
+
+def test_of_distorted_unrectified_eyes_the_masks_lie_on_the_true_centreline():
+    assert_masks_lie_on_the_truth(traced_pair(Recipe("easy", "chicken", 2), calibrated_rig(calibration()), 2))
+
+
+def test_of_a_crossing_thread_images_masks_and_truth_agree_and_one_strand_hides_the_other():
+    crossing = traced_pair(Recipe("crossing", "chicken", 3), SMALL, 1)
+    assert_masks_lie_on_the_truth(crossing)
+    for images in crossing.images:
         assert 0.002 < images.thread.mean() < 0.05
     left, right = (images.thread.sum() for images in crossing.images)
     assert abs(left - right) < 0.1 * left
@@ -103,9 +120,33 @@ def test_a_field_without_thread_has_empty_masks_and_still_an_image(background):
     assert pair.strands == []
 
 
-def test_a_thread_at_rest_comes_out_of_the_tissue_and_is_where_its_mask_says():
-    pair = traced_pair(Recipe("rod", "chicken", 3), SMALL, 1)
-    assert mean_offset(pair) < 0.05
-    for seen in pair.strands[0].seen:
-        assert not seen[:10].all()
-        assert seen.mean() > 0.6
+@pytest.mark.parametrize("seed", [3, 2**32 + 3], ids=["a small seed", "more than Mitsuba takes"])
+def test_its_depth_carries_the_left_image_into_the_right_one(tmp_path, seed):
+    rig = endoscope(320, 180)
+    write_backdrop(tmp_path, rig.near_enough, traced_backdrop("paper", seed, rig, 2), {"seed": seed})
+    field = read_backdrop(tmp_path, rig.near_enough)
+    v, u = np.indices((180, 320), dtype=np.float32)
+    disparity = rig.near_enough.fx_px * rig.baseline_mm / field.depth_left_mm
+    carried = cv2.remap(field.right_bgr, (u - disparity).astype(np.float32), v, cv2.INTER_LINEAR)
+    inner = (slice(10, -10), slice(40, -10))
+    grey = [image[inner].mean(axis=2).ravel() for image in (field.left_bgr, carried)]
+    assert np.corrcoef(grey)[0, 1] > 0.97
+    asis = field.right_bgr[inner].mean(axis=2).ravel()
+    assert np.corrcoef(grey[0], asis)[0, 1] < 0.9
+
+
+def test_colour_lies_where_the_relief_is():
+    from shared.scene.path_traced.tracing import traced_lab_light
+    from shared.scene.path_traced.world import build
+
+    rig = endoscope(160, 90)
+    ground = phantom_ground(rig.widest, 90.0, np.random.default_rng(1))
+    rows, columns = ground.film.shape
+    albedo = np.full((rows, columns, 3), 0.6, np.float32)
+    albedo[: rows // 2] = 0.01
+    flat = replace(ground.surface, depth_mm=np.full((rows, columns), 90.0, np.float32))
+    lamp = Disk((0.0, 0.0, -100.0), (0.0, 0.0, 90.0), 30.0, (30.0, 30.0, 30.0))
+    light = LabLight((lamp,), (), np.full((8, 16, 3), 0.01, np.float32))
+    field = Field(rig.near_enough, replace(ground, surface=flat, albedo=albedo), [], lab_light=light)
+    image = traced_lab_light(build(field), rig.eyes[0], 4, 1)
+    assert image[:40].mean() < 0.3 * image[50:].mean()

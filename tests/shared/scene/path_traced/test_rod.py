@@ -15,6 +15,10 @@ def straight(count):
     return np.tile(ALONG_X, (count, 1))
 
 
+def uneven_bed(rng):
+    return Bed(undulating(empty_surface(endoscope(960, 540).near_enough, 95.0), rng, {14.0: 1.0}))
+
+
 def test_a_short_cantilever_sags_as_a_beam_does():
     bearing_length_mm = 60.0
     rod = Rod(0.5, 0.2, bearing_length_mm)
@@ -28,15 +32,13 @@ def test_a_short_cantilever_sags_as_a_beam_does():
 def test_a_rod_that_keeps_a_curvature_lies_as_a_circle():
     rod = Rod(0.5, 0.2, 1e4, kept_curvature=0.05)
     points = rest_state(rod, Held(np.zeros(3), ALONG_X), straight(80), None)
-    centre = np.array([0.0, 20.0])
-    np.testing.assert_allclose(np.linalg.norm(points[:, :2] - centre, axis=1), 20.0, atol=0.3)
+    np.testing.assert_allclose(np.linalg.norm(points[:, :2] - (0.0, 20.0), axis=1), 20.0, atol=0.3)
 
 
 def test_it_lies_on_the_surface_and_ends_where_it_is_held():
     rng = np.random.default_rng(3)
-    bed = Bed(undulating(empty_surface(endoscope(960, 540).near_enough, 95.0), rng, {14.0: 1.0}))
-    start = np.array([-20.0, 0.0, 90.0])
-    end = np.array([15.0, 5.0, 91.0])
+    bed = uneven_bed(rng)
+    start, end = np.array([-20.0, 0.0, 90.0]), np.array([15.0, 5.0, 91.0])
     rod = Rod(0.8, 0.2, 30.0)
     tangents = straight(60) + 0.4 * np.sin(np.linspace(0.0, 6.0, 60))[:, None] * (0.0, 1.0, 0.0)
     points = rest_state(rod, Held(start, ALONG_X, end, ALONG_X), tangents, bed)
@@ -50,8 +52,7 @@ def test_it_lies_on_the_surface_and_ends_where_it_is_held():
 
 def test_the_gradient_is_that_of_the_energy():
     rng = np.random.default_rng(5)
-    bed = Bed(undulating(empty_surface(endoscope(960, 540).near_enough, 95.0), rng, {14.0: 1.0}))
-    rod = Rod(2.0, 0.2, 30.0, kept_curvature=0.03)
+    bed, rod = uneven_bed(rng), Rod(2.0, 0.2, 30.0, kept_curvature=0.03)
     held = Held(np.array([0.0, 0.0, 94.5]), ALONG_X, np.array([9.0, 3.0, 94.0]), ALONG_X)
     flat = (np.tile([0.6, 0.4, 0.05], (14, 1)) + 0.3 * rng.standard_normal((14, 3))).ravel()
     _, gradient = _energy(flat, rod, held, bed)
